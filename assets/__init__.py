@@ -1,0 +1,1 @@
+"""Data files of bulletuav: `urdf/`, one airframe a file."""

@@ -1,0 +1,70 @@
+"""The Crazyflie's position and attitude PID, for comparison with work that uses it.
+
+Source: the PID of the University of Toronto's Dynamic Systems Lab (`DSLPIDControl` of gym-pybullet-drones, J. Panerati et
+al. 2021): same gains, limits and motor map. Two differences: the rate error takes the measured body rates instead of
+differences of Euler angles, and the integrals are reset with the episode. It is made for motors without lag.
+"""
+
+import math
+
+from bulletuav.control.lee import desired_axes
+from bulletuav.kernel import kernel
+from bulletuav.physics.rotation import axes, dot
+
+MEMORY = 6  # integrals of the position error (3) and of the attitude error (3)
+
+FORCE_P, FORCE_I, FORCE_D = (0.4, 0.4, 1.25), (0.05, 0.05, 0.05), (0.2, 0.2, 0.5)
+TORQUE_P, TORQUE_I, TORQUE_D = (7e4, 7e4, 6e4), (0.0, 0.0, 500.0), (2e4, 2e4, 1.2e4)
+POSITION_INTEGRAL_LIMIT = (2.0, 2.0, 0.15)
+ATTITUDE_INTEGRAL_LIMIT = (1.0, 1.0, 1500.0)
+TORQUE_LIMIT = 3200.0
+RPM = 2.0 * math.pi / 60.0  # rad/s
+
+
+@kernel
+def clipped(value, limit):
+    """`value` within [-limit, limit]."""
+    return min(max(value, -limit), limit)
+
+
+@kernel
+def pid_force(position_error, velocity_error, memory, dt, row, gravity):
+    """Force setpoint (N, world) from the errors (target minus state); integrates into memory[0:3]."""
+    for k in range(3):
+        memory[k] = clipped(memory[k] + position_error[k] * dt, POSITION_INTEGRAL_LIMIT[k])
+    return (
+        FORCE_P[0] * position_error[0] + FORCE_I[0] * memory[0] + FORCE_D[0] * velocity_error[0],
+        FORCE_P[1] * position_error[1] + FORCE_I[1] * memory[1] + FORCE_D[1] * velocity_error[1],
+        FORCE_P[2] * position_error[2] + FORCE_I[2] * memory[2] + FORCE_D[2] * velocity_error[2] + row.mass * gravity,
+    )
+
+
+@kernel
+def pid_torque(quaternion, rates, desired, memory, dt):
+    """Roll, pitch and yaw command (PWM units) towards the `desired` axes; integrates into memory[3:6]."""
+    b1, b2, b3 = axes(quaternion)
+    c1, c2, c3 = desired
+    error = (dot(c3, b2) - dot(b3, c2), dot(c1, b3) - dot(b1, c3), dot(c2, b1) - dot(b2, c1))
+    for k in range(3):
+        memory[3 + k] = clipped(memory[3 + k] - error[k] * dt, ATTITUDE_INTEGRAL_LIMIT[k])
+    return (
+        clipped(-TORQUE_P[0] * error[0] + TORQUE_I[0] * memory[3] - TORQUE_D[0] * rates[0], TORQUE_LIMIT),
+        clipped(-TORQUE_P[1] * error[1] + TORQUE_I[1] * memory[4] - TORQUE_D[1] * rates[1], TORQUE_LIMIT),
+        clipped(-TORQUE_P[2] * error[2] + TORQUE_I[2] * memory[5] - TORQUE_D[2] * rates[2], TORQUE_LIMIT),
+    )
+
+
+@kernel
+def pid_rotors(position_error, velocity_error, yaw, quaternion, rates, memory, dt, gravity, row, gain, command):
+    """Rotor speeds (rad/s, into `command`) from position and velocity errors (m, m/s) and the yaw to hold (rad)."""
+    force = pid_force(position_error, velocity_error, memory, dt, row, gravity)
+    thrust = max(0.0, dot(force, axes(quaternion)[2]))
+    rpm = math.sqrt(thrust / (row.num_rotors * row.thrust_coefficient)) / RPM
+    base = (rpm - gain.pwm_intercept) / gain.pwm_slope
+    torque = pid_torque(quaternion, rates, desired_axes(force, yaw), memory, dt)
+    for r in range(row.num_rotors):
+        pwm = base
+        for axis in range(3):
+            pwm += gain.pid_mixer[r, axis] * torque[axis]
+        pwm = min(max(pwm, gain.pwm_min), gain.pwm_max)
+        command[r] = (gain.pwm_slope * pwm + gain.pwm_intercept) * RPM

@@ -1,0 +1,97 @@
+"""The PettingZoo face: one world, agents `drone_0` ... that leave when their episode ends."""
+
+from typing import Any
+
+import numpy as np
+from gymnasium.spaces import Box
+from pettingzoo import ParallelEnv
+
+from bulletuav.envs.aviary import Aviary
+
+
+class ParallelAviary(ParallelEnv):
+    """`pettingzoo.ParallelEnv` of one task; `aviary` is the batched core with W = 1."""
+
+    def __init__(self, task: str, **options: Any):
+        self.aviary = Aviary(task, 1, **options)
+        settings = self.aviary.options
+        self.metadata = {
+            "name": f"bulletuav_{task}_v0",
+            "render_modes": ["rgb_array", "human"],
+            "render_fps": settings.decision_hz,
+            "is_parallelizable": True,
+        }
+        self.render_mode = settings.render_mode
+        self.possible_agents = [f"drone_{i}" for i in range(settings.num_drones)]
+        self.agents: list[str] = []
+        observer, action, state = self.aviary.observer, self.aviary.action, self.aviary.state_observer
+        self.observation_spaces = {agent: Box(observer.low, observer.high, dtype=np.float32) for agent in self.possible_agents}
+        low, high = action.low.astype(np.float32), action.high.astype(np.float32)
+        self.action_spaces = {agent: Box(low, high, dtype=np.float32) for agent in self.possible_agents}
+        drones = settings.num_drones
+        self.state_space = Box(np.tile(state.low, drones), np.tile(state.high, drones), dtype=np.float32)
+
+    def observation_space(self, agent: str) -> Box:
+        """The agent's observation space, the same object each time."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> Box:
+        """The agent's action space, the same object each time."""
+        return self.action_spaces[agent]
+
+    def reset(self, seed: int | None = None, options: dict | None = None) -> tuple[dict, dict]:
+        """Start a new episode; returns observations and infos by agent. `options` belongs to the interface and is not read."""
+        observations = self.aviary.reset(seeds=seed)
+        self.agents = self.possible_agents[:]
+        return self._by_agent(observations), self._infos(self.aviary.first_info())
+
+    def step(self, actions: dict[str, np.ndarray]) -> tuple[dict, dict, dict, dict, dict]:
+        """One decision of all living agents; five dicts keyed by them. Raises ValueError for a missing or bad action."""
+        if set(actions) != set(self.agents):
+            missing, extra = sorted(set(self.agents) - set(actions)), sorted(set(actions) - set(self.agents))
+            raise ValueError(f"actions must be for exactly the living agents: missing {missing}, not alive {extra}")
+        batch = np.zeros((1, len(self.possible_agents), len(self.aviary.action.low)))
+        for i, agent in enumerate(self.possible_agents):
+            if agent in actions:
+                action = np.asarray(actions[agent], dtype=np.float64)
+                if action.shape != batch.shape[2:]:
+                    raise ValueError(f"action of {agent} has shape {action.shape}: {batch.shape[2:]} is needed")
+                batch[0, i] = action
+        if not self.agents:
+            return {}, {}, {}, {}, {}
+        step = self.aviary.step(batch)
+        rewards, terminated, truncated = (
+            {agent: kind(value) for agent, value in self._by_agent(array).items()}
+            for array, kind in ((step.rewards, float), (step.terminated, bool), (step.truncated, bool))
+        )
+        result = self._by_agent(step.observations), rewards, terminated, truncated, self._infos(step.info)
+        self.agents = [agent for agent in self.agents if not (terminated[agent] or truncated[agent])]
+        return result
+
+    def _by_agent(self, array: np.ndarray) -> dict[str, Any]:
+        return {agent: array[0, i] for i, agent in enumerate(self.possible_agents) if agent in self.agents}
+
+    def _infos(self, info: dict[str, np.ndarray]) -> dict[str, dict[str, float]]:
+        columns = {name: self._by_agent(array) for name, array in info.items()}
+        return {agent: {name: float(column[agent]) for name, column in columns.items()} for agent in self.agents}
+
+    def state(self) -> np.ndarray:
+        """(17 N,) float32 global state for centralised critics; see `Aviary.state`."""
+        return self.aviary.state()[0]
+
+    def render(self) -> np.ndarray | None:
+        """A picture (height, width, 3) uint8 with render_mode "rgb_array"."""
+        return self.aviary.render()
+
+    def close(self) -> None:
+        """Free the engine; a second call does nothing."""
+        self.aviary.close()
+
+
+def parallel_env(task: str, **options: Any) -> ParallelAviary:
+    """The task as a `pettingzoo.ParallelEnv` with agents `drone_0` ... `drone_{N-1}`.
+
+    `task` is one of `list_tasks()`; options are those common to all tasks (`bulletuav.envs.options.Options`) and the task's
+    own (its `Config`). Raises ValueError that names the value and the remedy when one of them cannot be.
+    """
+    return ParallelAviary(task, **options)

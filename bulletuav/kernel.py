@@ -1,0 +1,69 @@
+"""Compilation of the hot loops: `kernel` is numba's `njit` with a cache that cannot go stale.
+
+Numba stamps a cached function with its own source file only, so machine code that inlined a helper from another file
+survives an edit of that helper. Here the cache lives in a folder named by a hash of every source file of the package:
+any edit, upgrade or downgrade starts from an empty folder.
+"""
+
+import getpass
+import hashlib
+import os
+import shutil
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+import numba
+
+Function = TypeVar("Function", bound=Callable)
+
+_PACKAGE = Path(__file__).parent
+_FOLDERS_KEPT = 8
+
+
+def source_hash(package: Path = _PACKAGE) -> str:
+    """Hash of the paths and contents of all Python files below `package`."""
+    digest = hashlib.sha256(numba.__version__.encode())
+    for path in sorted(package.rglob("*.py")):
+        digest.update(path.relative_to(package).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
+    return digest.hexdigest()[:16]
+
+
+def cache_folder() -> Path:
+    """Folder for the compiled kernels of exactly these sources: below `NUMBA_CACHE_DIR`, else the user's cache folder."""
+    user_cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    candidates = [Path(numba.config.CACHE_DIR or user_cache), Path(tempfile.gettempdir(), f"bulletuav-{getpass.getuser()}")]
+    for base in candidates:
+        folder = base / "bulletuav-kernels" / source_hash()
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError:
+            continue
+        if os.access(folder, os.W_OK):
+            _forget_old_folders(folder)
+            return folder
+    raise OSError(f"no writable folder for compiled kernels among {candidates}; set NUMBA_CACHE_DIR to one")
+
+
+def _forget_old_folders(current: Path) -> None:
+    os.utime(current)
+    others = [path for path in current.parent.iterdir() if path != current]
+    for path in sorted(others, key=lambda path: path.stat().st_mtime, reverse=True)[_FOLDERS_KEPT - 1 :]:
+        shutil.rmtree(path, ignore_errors=True)
+
+
+_CACHE = cache_folder()
+
+
+def kernel(function: Function) -> Function:
+    """Compile `function` with numba, cached on disk under the hash of the package's sources.
+
+    Division by zero gives inf or NaN as in numpy; nothing is reordered (no fast-math), so results are reproducible.
+    """
+    before = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = str(_CACHE)
+    try:
+        return numba.njit(cache=True, error_model="numpy")(function)
+    finally:
+        numba.config.CACHE_DIR = before

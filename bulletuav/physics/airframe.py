@@ -1,0 +1,282 @@
+"""Airframes: one-link URDF files read by tag name into frozen constants and into rows for the compiled loops.
+
+A drone of your own is a URDF and nothing else. Beside the standard `<link>` (inertial, one convex collision shape, any
+number of visuals) it holds `<airframe>` with the tags of `Airframe`, one `<rotor x y spin>` a rotor; see assets/urdf.
+"""
+
+import importlib.resources
+import math
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from bulletuav.errors import unknown
+
+MAX_ROTORS = 8
+STANDARD_GRAVITY = 9.80665  # m/s^2, CODATA
+EFFECTS = ("lag", "drag", "ground_effect", "downwash")
+DOWNWASH_GAIN = 2267.18  # N, fit for the Crazyflie (gym-pybullet-drones, J. Panerati et al. 2021)
+
+
+@dataclass(frozen=True)
+class Pwm:
+    """The Crazyflie's motor command: rpm = slope pwm + intercept, pwm within [minimum, maximum]."""
+
+    slope: float
+    intercept: float
+    minimum: float
+    maximum: float
+
+
+@dataclass(frozen=True)
+class Airframe:
+    """Constants of one kind of drone, SI units, body FLU, rotor thrust along +z.
+
+    rotors: (x, y, turn) each, m; turn is +1 where the reaction torque on the body is +z (the rotor spins clockwise
+    seen from above), else -1. `collision_radius` bounds the collision shape about the centre of mass.
+    """
+
+    name: str
+    urdf: Path
+    mass: float
+    inertia: tuple[float, float, float]
+    rotors: tuple[tuple[float, float, int], ...]
+    thrust_coefficient: float
+    torque_ratio: float
+    max_rotor_speed: float
+    lag_up: float
+    lag_down: float
+    drag_xy: float
+    drag_z: float
+    propeller_radius: float
+    ground_effect_gain: float
+    max_speed: float
+    collision_radius: float
+    pwm: Pwm | None = None
+
+    @property
+    def arm(self) -> float:
+        """Distance of the outermost rotor from the centre of mass, m."""
+        return max(math.hypot(x, y) for x, y, _ in self.rotors)
+
+    @property
+    def max_thrust(self) -> float:
+        """Thrust of all rotors at full speed, N."""
+        return len(self.rotors) * self.thrust_coefficient * self.max_rotor_speed**2
+
+    def hover_speed(self, gravity: float = STANDARD_GRAVITY) -> float:
+        """Rotor speed at which thrust equals weight, rad/s."""
+        return math.sqrt(self.mass * gravity / (len(self.rotors) * self.thrust_coefficient))
+
+    def allocation(self) -> np.ndarray:
+        """(4, R): collective thrust (N) and body torques (N m) per newton of each rotor's thrust."""
+        return np.array([(1, y, -x, turn * self.torque_ratio) for x, y, turn in self.rotors]).T
+
+
+def available_airframes() -> list[str]:
+    """Names of the airframes that come with the package."""
+    folder = importlib.resources.files("bulletuav.assets") / "urdf"
+    return sorted(path.name.removesuffix(".urdf") for path in folder.iterdir() if path.name.endswith(".urdf"))
+
+
+def load_airframe(source: "str | Path | Airframe") -> Airframe:
+    """An airframe by name, by the path of a URDF file, or as it is.
+
+    Raises ValueError for an unknown name or a value that is missing or not physical (file, tag and value are named),
+    FileNotFoundError for a path that is not there.
+    """
+    if isinstance(source, Airframe):
+        return source
+    if isinstance(source, str) and not source.endswith(".urdf"):
+        if source not in available_airframes():
+            raise unknown("airframe", source, available_airframes())
+        source = Path(str(importlib.resources.files("bulletuav.assets") / "urdf" / f"{source}.urdf"))
+    path = Path(source).expanduser().resolve()
+    if not path.is_file():
+        raise FileNotFoundError(f"no airframe file {path}; pass the path of a URDF or one of {available_airframes()}")
+    return _Reader(path).airframe()
+
+
+class _Reader:
+    """Reads one URDF; every refusal names the file, the tag and the value."""
+
+    def __init__(self, path: Path):
+        self.path = path
+        try:
+            self.root = ElementTree.parse(path).getroot()
+        except ElementTree.ParseError as error:
+            raise ValueError(f"{path}: not a readable XML file: {error}") from None
+
+    def refuse(self, tag: str, value: object, reason: str) -> ValueError:
+        return ValueError(f"{self.path}: <{tag}> is {value}: {reason}")
+
+    def element(self, tag: str, parent: ElementTree.Element | None = None) -> ElementTree.Element:
+        found = (self.root if parent is None else parent).find(tag)
+        if found is None:
+            raise self.refuse(tag, "missing", "every airframe needs it; assets/urdf/cf2x.urdf shows the form")
+        return found
+
+    def number(self, element: ElementTree.Element, attribute: str, low: float = -math.inf, strict: bool = True) -> float:
+        """The attribute as a finite number above `low` (or at it, unless `strict`)."""
+        text = element.get(attribute)
+        label = f"{element.tag} {attribute}"
+        try:
+            value = float(text if text is not None else "missing")
+        except ValueError:
+            raise self.refuse(label, text if text is not None else "missing", "a number is needed") from None
+        if not math.isfinite(value) or value < low or (strict and value == low):
+            raise self.refuse(label, text, f"it must be finite and {'above' if strict else 'at least'} {low:g}")
+        return value
+
+    def positive(self, tag: str, attribute: str = "value") -> float:
+        return self.number(self.element(f"airframe/{tag}"), attribute, low=0)
+
+    def not_negative(self, tag: str, attribute: str) -> float:
+        return self.number(self.element(f"airframe/{tag}"), attribute, low=0, strict=False)
+
+    def airframe(self) -> Airframe:
+        links = self.root.findall("link")
+        if len(links) != 1 or self.root.find("joint") is not None:
+            raise self.refuse("link", f"{len(links)} links", "exactly one link and no joint (propellers are visuals)")
+        airframe = Airframe(
+            name=self.root.get("name", self.path.stem),
+            urdf=self.path,
+            mass=self.number(self.element("link/inertial/mass"), "value", low=0),
+            inertia=self._inertia(),
+            rotors=self._rotors(),
+            thrust_coefficient=self.positive("thrust_coefficient"),
+            torque_ratio=self.positive("torque_ratio"),
+            max_rotor_speed=self.positive("max_rotor_speed"),
+            lag_up=self.not_negative("motor_lag", "up"),
+            lag_down=self.not_negative("motor_lag", "down"),
+            drag_xy=self.not_negative("rotor_drag", "xy"),
+            drag_z=self.not_negative("rotor_drag", "z"),
+            propeller_radius=self.positive("propeller_radius"),
+            ground_effect_gain=self.not_negative("ground_effect", "gain"),
+            max_speed=self.positive("max_speed"),
+            collision_radius=self._collision_radius(),
+            pwm=self._pwm(),
+        )
+        if airframe.max_thrust <= airframe.mass * STANDARD_GRAVITY:
+            thrust = f"{airframe.max_rotor_speed:g} (thrust {airframe.max_thrust:.4g} N)"
+            weight = airframe.mass * STANDARD_GRAVITY
+            raise self.refuse("max_rotor_speed", thrust, f"the drone weighs {weight:.4g} N and cannot hover")
+        if np.linalg.matrix_rank(airframe.allocation()) < 4:
+            raise self.refuse("rotor", airframe.rotors, "these rotors cannot turn the body about all three axes")
+        return airframe
+
+    def _inertia(self) -> tuple[float, float, float]:
+        inertial = self.element("link/inertial")
+        origin = inertial.find("origin")
+        for key, text in () if origin is None else origin.items():
+            if any(float(part) != 0 for part in text.split()):
+                raise self.refuse(f"origin {key}", text, "the link frame must be the principal frame at the centre of mass")
+        element = self.element("inertia", inertial)
+        for key in ("ixy", "ixz", "iyz"):
+            if float(element.get(key, "0")) != 0:
+                raise self.refuse(f"inertia {key}", element.get(key), "use principal axes: off-diagonal terms must be 0")
+        ixx, iyy, izz = (self.number(element, key, low=0) for key in ("ixx", "iyy", "izz"))
+        if 2 * max(ixx, iyy, izz) > ixx + iyy + izz:
+            text = f"({ixx:g}, {iyy:g}, {izz:g})"
+            raise self.refuse("inertia", text, "no body has it: each moment is at most the sum of the other two")
+        return ixx, iyy, izz
+
+    def _rotors(self) -> tuple[tuple[float, float, int], ...]:
+        elements = self.root.findall("airframe/rotor")
+        if not 4 <= len(elements) <= MAX_ROTORS:
+            raise self.refuse("rotor", f"there {len(elements)} times", f"between 4 and {MAX_ROTORS} rotors are supported")
+        turns = {"cw": 1, "ccw": -1}
+        for element in elements:
+            if element.get("spin") not in turns:
+                raise self.refuse("rotor spin", element.get("spin", "missing"), "it must be cw or ccw, seen from above")
+        return tuple((self.number(e, "x"), self.number(e, "y"), turns[e.get("spin", "")]) for e in elements)
+
+    def _collision_radius(self) -> float:
+        shapes = self.root.findall("link/collision")
+        if len(shapes) != 1:
+            raise self.refuse("collision", f"there {len(shapes)} times", "exactly one convex shape keeps contacts reproducible")
+        origin = shapes[0].find("origin")
+        if origin is not None:
+            raise self.refuse("collision origin", dict(origin.items()), "the collision shape must be centred")
+        geometry = self.element("geometry", shapes[0])
+        cylinder, box, sphere = (geometry.find(kind) for kind in ("cylinder", "box", "sphere"))
+        if cylinder is not None:
+            return math.hypot(self.number(cylinder, "radius", low=0), self.number(cylinder, "length", low=0) / 2)
+        if sphere is not None:
+            return self.number(sphere, "radius", low=0)
+        if box is not None:
+            try:
+                size = [float(part) for part in box.get("size", "").split()]
+            except ValueError:
+                size = []
+            if len(size) == 3 and all(math.isfinite(side) and side > 0 for side in size):
+                return math.hypot(*size) / 2
+            raise self.refuse("box size", box.get("size", "missing"), "three positive numbers are needed")
+        raise self.refuse("collision geometry", [e.tag for e in geometry], "it must be a cylinder, box or sphere")
+
+    def _pwm(self) -> Pwm | None:
+        element = self.root.find("airframe/pwm")
+        if element is None:
+            return None
+        minimum = self.number(element, "min", low=0, strict=False)
+        return Pwm(
+            slope=self.number(element, "slope", low=0),
+            intercept=self.number(element, "intercept"),
+            minimum=minimum,
+            maximum=self.number(element, "max", low=minimum),
+        )
+
+
+PARAMETERS = np.dtype(
+    [
+        ("mass", "f8"),
+        ("inertia", "f8", 3),
+        ("num_rotors", "i8"),
+        ("rotor_x", "f8", MAX_ROTORS),
+        ("rotor_y", "f8", MAX_ROTORS),
+        ("rotor_turn", "f8", MAX_ROTORS),
+        ("thrust_coefficient", "f8"),
+        ("torque_coefficient", "f8"),
+        ("max_rotor_speed", "f8"),
+        ("lag_up", "f8"),
+        ("lag_down", "f8"),
+        ("drag_xy", "f8"),
+        ("drag_z", "f8"),
+        ("propeller_radius", "f8"),
+        ("ground_effect_gain", "f8"),
+        ("downwash_gain", "f8"),
+        ("downwash_radius", "f8"),
+        ("collision_radius", "f8"),
+    ]
+)
+
+
+def parameter_rows(airframes: Sequence[Airframe], effects: Sequence[str] = EFFECTS) -> np.ndarray:
+    """(N,) rows of `PARAMETERS`, what the compiled loops read. An effect that is not named has its constants at zero.
+
+    Raises ValueError for an effect that is not in `EFFECTS`.
+    """
+    for effect in effects:
+        if effect not in EFFECTS:
+            raise unknown("effect", effect, EFFECTS)
+    rows = np.zeros(len(airframes), dtype=PARAMETERS)
+    for row, airframe in zip(rows, airframes, strict=True):
+        for name in ("mass", "inertia", "thrust_coefficient", "max_rotor_speed", "propeller_radius", "collision_radius"):
+            row[name] = getattr(airframe, name)
+        row["num_rotors"] = len(airframe.rotors)
+        row["torque_coefficient"] = airframe.thrust_coefficient * airframe.torque_ratio
+        for i, (x, y, turn) in enumerate(airframe.rotors):
+            row["rotor_x"][i], row["rotor_y"][i], row["rotor_turn"][i] = x, y, turn
+        if "lag" in effects:
+            row["lag_up"], row["lag_down"] = airframe.lag_up, airframe.lag_down
+        if "drag" in effects:
+            row["drag_xy"], row["drag_z"] = airframe.drag_xy, airframe.drag_z
+        if "ground_effect" in effects:
+            row["ground_effect_gain"] = airframe.ground_effect_gain
+        if "downwash" in effects:
+            row["downwash_gain"] = DOWNWASH_GAIN
+            row["downwash_radius"] = airframe.arm + airframe.propeller_radius
+    return rows

@@ -1,0 +1,97 @@
+"""Dynamics `bullet`: Bullet integrates the shared wrench and resolves contacts.
+
+Scheme of one substep: rotor lag; wrench at the state before the substep with the rotor speeds after it; velocity
+v+ = v + dt F / m, position p+ = p + dt v+; body rates by Euler's equation (RK4, constant torque), attitude
+R+ = R exp(dt w+). Bullet alone would take an explicit Euler step of the rates, which gains energy; the torque that it is
+given makes its step land on the accurate rates. The height above the surface is measured by a ray in every substep.
+"""
+
+import numpy as np
+
+from bulletuav.control.cascade import command_rotors
+from bulletuav.control.levels import Level
+from bulletuav.kernel import kernel
+from bulletuav.physics.aerodynamics import downwash_on
+from bulletuav.physics.dynamics import Air, Dynamics, Flight
+from bulletuav.physics.rotation import cross
+from bulletuav.physics.rotors import lagged
+from bulletuav.physics.swarm import Contacts, Swarm
+from bulletuav.physics.wrench import body_acceleration, wrench
+
+
+@kernel
+def _ahead(rates, slope, dt):
+    return rates[0] + dt * slope[0], rates[1] + dt * slope[1], rates[2] + dt * slope[2]
+
+
+@kernel
+def engine_torque(rates, torque, dt, row):
+    """Torque (N m, body) with which Bullet's explicit step w + dt J^-1 (M' - w x J w) lands on the RK4 solution for M."""
+    k1 = body_acceleration(rates, torque, row)
+    k2 = body_acceleration(_ahead(rates, k1, 0.5 * dt), torque, row)
+    k3 = body_acceleration(_ahead(rates, k2, 0.5 * dt), torque, row)
+    k4 = body_acceleration(_ahead(rates, k3, dt), torque, row)
+    gyroscopic = cross(rates, (row.inertia[0] * rates[0], row.inertia[1] * rates[1], row.inertia[2] * rates[2]))
+    return (
+        gyroscopic[0] + row.inertia[0] * (k1[0] + 2 * k2[0] + 2 * k3[0] + k4[0]) / 6.0,
+        gyroscopic[1] + row.inertia[1] * (k1[1] + 2 * k2[1] + 2 * k3[1] + k4[1]) / 6.0,
+        gyroscopic[2] + row.inertia[2] * (k1[2] + 2 * k2[2] + 2 * k3[2] + k4[2]) / 6.0,
+    )
+
+
+@kernel
+def drive(swarm, alive, level, setpoint, cascade, parameters, air, dt, force, torque):
+    """Controllers, rotors and wrenches of one substep: advances rotor speeds, fills force (world) and torque (body)."""
+    command = np.empty(swarm.rotor_speed.shape[2])
+    for w in range(alive.shape[0]):
+        for i in range(alive.shape[1]):
+            if alive[w, i]:
+                row, speed = parameters[w, i], swarm.rotor_speed[w, i]
+                command_rotors(level, setpoint[w, i], w, i, swarm, cascade, dt, air.gravity, command)
+                for r in range(row.num_rotors):
+                    speed[r] = lagged(speed[r], command[r], dt, row)
+                wake = downwash_on(w, i, swarm.position, alive, parameters, air.gravity)
+                around = (air.wind[w, i], air.surface[w, i], air.gravity)
+                altitude = swarm.position[w, i, 2]
+                quaternion, velocity = swarm.quaternion[w, i], swarm.velocity[w, i]
+                push, turn = wrench(quaternion, velocity, altitude, speed, speed, 0.0, around, wake, row)
+                force[w, i] = push
+                torque[w, i] = engine_torque(swarm.rates[w, i], turn, dt, row)
+
+
+class BulletDynamics(Dynamics):
+    """The full engine: contacts push back, and every substep goes through Bullet."""
+
+    consumes = Level.ROTOR
+
+    def __init__(self, flight: Flight):
+        super().__init__(flight)
+        self._force = np.zeros((*flight.parameters.shape, 3))
+        self._torque = np.zeros((*flight.parameters.shape, 3))
+        self._near_ground = bool((flight.parameters["ground_effect_gain"] > 0).any())
+
+    def place(self, swarm: Swarm, mask: np.ndarray) -> None:
+        """Put the engine's bodies where the swarm is."""
+        self.flight.world.set_states(swarm, mask)
+
+    def show(self, swarm: Swarm, mask: np.ndarray) -> None:
+        """Nothing to do: the engine's bodies are where the swarm is."""
+
+    def fly(self, swarm: Swarm, alive: np.ndarray, level: Level, setpoint: np.ndarray, wind: np.ndarray) -> Contacts:
+        """One engine step a substep."""
+        flight, world = self.flight, self.flight.world
+        surface = np.full(alive.shape, -np.inf)
+        touched: dict[tuple[int, int, int], float] = {}
+        for _ in range(flight.substeps):
+            if self._near_ground:
+                surface = world.surface_below(swarm.position, alive)
+            air = Air(wind, surface, flight.gravity)
+            drive(
+                swarm, alive, level, setpoint, flight.cascade, flight.parameters, air, flight.dt, self._force, self._torque
+            )
+            world.apply_wrenches(self._force, self._torque, alive)
+            world.step()
+            world.read_states(swarm, alive)
+            for w, drone, other, force in world.contacts():
+                touched[w, drone, other] = touched.get((w, drone, other), 0.0) + force * flight.dt
+        return Contacts.merge(touched)

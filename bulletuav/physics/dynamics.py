@@ -1,0 +1,56 @@
+"""The interface of the dynamics ladder: every level moves the same swarm through one decision."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from bulletuav.control.cascade import Cascade
+from bulletuav.control.levels import Level
+from bulletuav.physics.swarm import Contacts, Swarm
+from bulletuav.physics.world import World
+
+
+class Air(NamedTuple):
+    """What surrounds the drones: wind (W, N, 3) m/s, height of the surface below (W, N) m, gravity m/s^2."""
+
+    wind: np.ndarray
+    surface: np.ndarray
+    gravity: float
+
+
+@dataclass(frozen=True)
+class Flight:
+    """What a dynamics is built from: the world, rows of `PARAMETERS` (W, N), controller, substep (s), substeps a decision."""
+
+    world: World
+    parameters: np.ndarray
+    cascade: Cascade
+    dt: float
+    substeps: int
+    gravity: float
+
+
+class Dynamics(ABC):
+    """One rung of the ladder. `consumes` is the setpoint level that it is driven by; higher ones go through the cascade."""
+
+    consumes: ClassVar[Level]
+
+    def __init__(self, flight: Flight):
+        self.flight = flight
+
+    @abstractmethod
+    def place(self, swarm: Swarm, mask: np.ndarray) -> None:
+        """Start the drones of `mask` (W, N) from the state in `swarm`, as if nothing had been before."""
+
+    @abstractmethod
+    def show(self, swarm: Swarm, mask: np.ndarray) -> None:
+        """Have the engine's bodies of `mask` (W, N) stand where `swarm` is, for pictures; changes nothing in flight."""
+
+    @abstractmethod
+    def fly(self, swarm: Swarm, alive: np.ndarray, level: Level, setpoint: np.ndarray, wind: np.ndarray) -> Contacts:
+        """Move the living drones (W, N) through one decision, in place, and tell what they touched.
+
+        `setpoint` (W, N, S) at `level` is held; `wind` (W, N, 3) m/s too. Drones that are not alive neither move nor act.
+        """

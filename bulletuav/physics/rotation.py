@@ -1,0 +1,100 @@
+"""Rotations of one drone as compiled functions: quaternions (x, y, z, w) turn body FLU axes into world ENU axes.
+
+Vectors and quaternions come as arrays or tuples and leave as tuples, so nothing is allocated.
+Formulas: J. Diebel, Representing Attitude (2006); the exponential map is exact.
+"""
+
+import math
+
+from bulletuav.kernel import kernel
+
+
+@kernel
+def cross(a, b):
+    """a x b."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@kernel
+def dot(a, b):
+    """a . b of two vectors of three."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@kernel
+def multiply(p, q):
+    """Hamilton product p q: the rotation q followed by p."""
+    return (
+        p[3] * q[0] + p[0] * q[3] + p[1] * q[2] - p[2] * q[1],
+        p[3] * q[1] - p[0] * q[2] + p[1] * q[3] + p[2] * q[0],
+        p[3] * q[2] + p[0] * q[1] - p[1] * q[0] + p[2] * q[3],
+        p[3] * q[3] - p[0] * q[0] - p[1] * q[1] - p[2] * q[2],
+    )
+
+
+@kernel
+def normalised(q):
+    """q / |q|."""
+    scale = 1.0 / math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    return q[0] * scale, q[1] * scale, q[2] * scale, q[3] * scale
+
+
+@kernel
+def axes(q):
+    """The body's x, y and z axes in the world: the columns of the rotation matrix."""
+    x, y, z, w = q[0], q[1], q[2], q[3]
+    return (
+        (1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)),
+        (2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)),
+        (2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)),
+    )
+
+
+@kernel
+def to_world(q, v):
+    """R v: a body vector in world axes."""
+    bx, by, bz = axes(q)
+    return (
+        bx[0] * v[0] + by[0] * v[1] + bz[0] * v[2],
+        bx[1] * v[0] + by[1] * v[1] + bz[1] * v[2],
+        bx[2] * v[0] + by[2] * v[1] + bz[2] * v[2],
+    )
+
+
+@kernel
+def to_body(q, v):
+    """R^T v: a world vector in body axes."""
+    bx, by, bz = axes(q)
+    return dot(bx, v), dot(by, v), dot(bz, v)
+
+
+@kernel
+def exponential(v):
+    """Quaternion of the rotation by |v| radians about v."""
+    angle = math.sqrt(dot(v, v))
+    if angle < 1e-9:  # sin(angle / 2) / angle to double precision
+        scale = 0.5 - angle * angle / 48
+    else:
+        scale = math.sin(0.5 * angle) / angle
+    return scale * v[0], scale * v[1], scale * v[2], math.cos(0.5 * angle)
+
+
+@kernel
+def from_euler(roll, pitch, yaw):
+    """Quaternion of yaw, then pitch, then roll about the moving z, y, x axes (the aerospace order)."""
+    cr, sr = math.cos(0.5 * roll), math.sin(0.5 * roll)
+    cp, sp = math.cos(0.5 * pitch), math.sin(0.5 * pitch)
+    cy, sy = math.cos(0.5 * yaw), math.sin(0.5 * yaw)
+    return (
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+        cr * cp * cy + sr * sp * sy,
+    )
+
+
+@kernel
+def to_euler(q):
+    """Roll, pitch and yaw of `from_euler`; at pitch +-90 degrees roll and yaw are not unique."""
+    bx, by, bz = axes(q)
+    return math.atan2(by[2], bz[2]), -math.asin(max(-1.0, min(1.0, bx[2]))), math.atan2(bx[1], bx[0])

@@ -1,0 +1,69 @@
+"""The state of all drones of all worlds, and what touched what."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Swarm(NamedTuple):
+    """State of W worlds of N drones, float64, SI units, world ENU, body FLU. Compiled functions take it as it is.
+
+    position    (W, N, 3) centre of mass in the world's own frame, m
+    quaternion  (W, N, 4) body to world, (x, y, z, w)
+    velocity    (W, N, 3) of the centre of mass, world axes, m/s
+    rates       (W, N, 3) angular velocity, body axes, rad/s
+    rotor_speed (W, N, R) rad/s, R the largest rotor count in the swarm
+    """
+
+    position: np.ndarray
+    quaternion: np.ndarray
+    velocity: np.ndarray
+    rates: np.ndarray
+    rotor_speed: np.ndarray
+
+    @classmethod
+    def zeros(cls, num_worlds: int, num_drones: int, num_rotors: int) -> "Swarm":
+        """At rest at the origin, level, rotors stopped."""
+        shape = (num_worlds, num_drones)
+        swarm = cls(*(np.zeros((*shape, size)) for size in (3, 4, 3, 3, num_rotors)))
+        swarm.quaternion[..., 3] = 1
+        return swarm
+
+    def copy(self) -> "Swarm":
+        """The same state in arrays of its own."""
+        return Swarm(*(array.copy() for array in self))
+
+    def world(self, index: int) -> "Swarm":
+        """One world's state; each array loses its first axis. A view, not a copy."""
+        return Swarm(*(array[index] for array in self))
+
+
+GROUND = -1
+
+
+class Contacts(NamedTuple):
+    """Contacts of collision shapes during one decision, one row per touching drone (a pair gives two rows).
+
+    world   (C,) index of the world
+    drone   (C,) index of the drone
+    other   (C,) index of the drone that it touches, or GROUND
+    impulse (C,) N s along the contact normal, summed over the decision
+    """
+
+    world: np.ndarray
+    drone: np.ndarray
+    other: np.ndarray
+    impulse: np.ndarray
+
+    @classmethod
+    def merge(cls, rows: dict[tuple[int, int, int], float]) -> "Contacts":
+        """From {(world, drone, other): impulse}, in sorted order."""
+        keys = sorted(rows)
+        columns = np.array(keys, dtype=np.int64).reshape(len(keys), 3).T
+        return cls(*columns, np.array([rows[key] for key in keys], dtype=np.float64))
+
+    def mask(self, shape: tuple[int, int]) -> np.ndarray:
+        """(W, N) bool: which drones touched anything."""
+        touched = np.zeros(shape, dtype=bool)
+        touched[self.world, self.drone] = True
+        return touched

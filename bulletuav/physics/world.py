@@ -1,0 +1,315 @@
+"""The engine: W worlds of N drones as tiles of one Bullet client, behind array calls. The only module that imports pybullet.
+
+What the rest of the package relies on, each held by a test: bodies without Bullet's hidden damping or velocity clamp;
+resets in place that leave no trace of the past; a world that does not feel what other worlds do.
+"""
+
+import contextlib
+import ctypes
+import ctypes.util
+import os
+import sys
+import weakref
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from bulletuav.kernel import kernel
+from bulletuav.physics.airframe import Airframe
+from bulletuav.physics.rotation import to_body, to_world
+from bulletuav.physics.swarm import GROUND, Swarm
+
+
+@contextlib.contextmanager
+def _silenced() -> Iterator[None]:
+    """Swallow what the engine's C code writes to standard output and error: a library does not print."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    saved = {stream: os.dup(stream) for stream in (1, 2)}
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for stream in saved:
+        os.dup2(nowhere, stream)
+    try:
+        yield
+    finally:
+        ctypes.CDLL(None).fflush(None)
+        os.close(nowhere)
+        for stream, copy in saved.items():
+            os.dup2(copy, stream)
+            os.close(copy)
+
+
+with _silenced():
+    import pybullet as bullet
+
+ENGINE_VERSION = bullet.getAPIVersion()
+
+TILE_PITCH = 4096.0  # m; a power of two, larger than any arena
+RAY_LENGTH = 1000.0  # m, downwards to the surface
+PARKING_HEIGHT, PARKING_PITCH, PARKING_COLUMNS = 2000.0, 10.0, 100
+DRONE_GROUP, SURFACE_GROUP = 1, 2
+MAX_RAYS = 16384  # per call, Bullet's limit
+
+# Columns of a row of getContactPoints.
+BODY_A, BODY_B, DISTANCE, NORMAL_FORCE = 1, 2, 8, 9
+
+
+def tile_offset(world: int) -> np.ndarray:
+    """(3,) origin of a world in the engine's frame, m: its index on a Morton curve, whatever the number of worlds."""
+    column = sum((world >> 2 * bit & 1) << bit for bit in range(16))
+    row = sum((world >> 2 * bit + 1 & 1) << bit for bit in range(16))
+    return np.array([column * TILE_PITCH, row * TILE_PITCH, 0.0])
+
+
+def require_screen() -> None:
+    """Raise RuntimeError where no X screen answers (Bullet would end the process)."""
+    if not sys.platform.startswith("linux"):
+        return
+    name = ctypes.util.find_library("X11")
+    display = os.environ.get("DISPLAY")
+    if name and display:
+        x11 = ctypes.CDLL(name)
+        x11.XOpenDisplay.restype = ctypes.c_void_p
+        x11.XCloseDisplay.argtypes = [ctypes.c_void_p]
+        screen = x11.XOpenDisplay(None)
+        if screen:
+            x11.XCloseDisplay(screen)
+            return
+    raise RuntimeError(
+        f'render_mode="human" needs a screen, and none answers (DISPLAY is {display!r}); '
+        'use render_mode="rgb_array" for pictures without one'
+    )
+
+
+@kernel
+def _world_rates_to_body(quaternion, rates):
+    for w in range(rates.shape[0]):
+        for i in range(rates.shape[1]):
+            rates[w, i] = to_body(quaternion[w, i], rates[w, i])
+
+
+def _disconnect(client: int) -> None:
+    with contextlib.suppress(bullet.error):  # a live view may already have been closed by its user
+        bullet.disconnect(client)
+
+
+class World:
+    """W tiles of N drones over one ground plane at z = 0. Poses in and out are in each world's own frame."""
+
+    def __init__(self, airframes: Sequence[Airframe], num_worlds: int, dt: float, live: bool = False):
+        """Connect and build. `dt` is the substep, s; `live` opens a window (RuntimeError where there is no screen)."""
+        if live:
+            require_screen()
+        with _silenced():
+            self._client = bullet.connect(bullet.GUI if live else bullet.DIRECT)
+        self._finalizer = weakref.finalize(self, _disconnect, self._client)
+        self.shape = (num_worlds, len(airframes))
+        self._offset = np.array([tile_offset(k) for k in range(num_worlds)])[:, None, :]
+        self._configure(dt, live)
+        self._ground = self._make_ground()
+        self._body = [self._make_drone(airframe) for _ in range(num_worlds) for airframe in airframes]
+        self._drone_of_body = {body: divmod(k, len(airframes)) for k, body in enumerate(self._body)}
+        self._reported: list = [None] * len(self._body)  # positions as the engine gave them, for forces at the centre
+        self._parking = self._offset + [
+            (PARKING_PITCH * (i % PARKING_COLUMNS), PARKING_PITCH * (i // PARKING_COLUMNS), PARKING_HEIGHT)
+            for i in range(len(airframes))
+        ]
+        self.park(np.ones(self.shape, dtype=bool))
+
+    def _configure(self, dt: float, live: bool) -> None:
+        # Islands solved one by one and to the full iteration count, pairs in a fixed order: worlds cannot feel each other.
+        bullet.setPhysicsEngineParameter(
+            fixedTimeStep=dt,
+            deterministicOverlappingPairs=1,
+            enableFileCaching=0,
+            minimumSolverIslandSize=1,
+            solverResidualThreshold=0,
+            physicsClientId=self._client,
+        )
+        bullet.setGravity(0, 0, 0, physicsClientId=self._client)  # weight is part of each drone's wrench
+        if live:
+            bullet.configureDebugVisualizer(bullet.COV_ENABLE_GUI, 0, physicsClientId=self._client)
+
+    def _make_ground(self) -> int:
+        client = self._client
+        collision = bullet.createCollisionShape(bullet.GEOM_PLANE, physicsClientId=client)
+        visual = bullet.createVisualShape(
+            bullet.GEOM_BOX, halfExtents=[1000, 1000, 0.01], rgbaColor=[0.86, 0.88, 0.85, 1], physicsClientId=client
+        )
+        ground = bullet.createMultiBody(0, collision, visual, physicsClientId=client)
+        bullet.setCollisionFilterGroupMask(ground, -1, SURFACE_GROUP, DRONE_GROUP, physicsClientId=client)
+        return ground
+
+    def _make_drone(self, airframe: Airframe) -> int:
+        flags = bullet.URDF_USE_INERTIA_FROM_FILE | bullet.URDF_USE_IMPLICIT_CYLINDER
+        flags |= bullet.URDF_USE_MATERIAL_COLORS_FROM_MTL
+        try:
+            with _silenced():
+                body = bullet.loadURDF(str(airframe.urdf), flags=flags, physicsClientId=self._client)
+        except bullet.error as error:
+            raise ValueError(f"{airframe.urdf}: the engine cannot load it: {error}") from None
+        # Bullet damps velocities by 4 % a second and clamps them at 100 unless told otherwise.
+        bullet.changeDynamics(
+            body, -1, linearDamping=0, angularDamping=0, maxJointVelocity=1e4, physicsClientId=self._client
+        )
+        return body
+
+    def set_states(self, swarm: Swarm, mask: np.ndarray) -> None:
+        """Put the drones of `mask` (W, N) where `swarm` says, with its velocities, free of anything from their past."""
+        position = swarm.position + self._offset
+        for w, i in np.argwhere(mask):
+            quaternion = swarm.quaternion[w, i]
+            omega = to_world(quaternion, swarm.rates[w, i])
+            self._place((w, i), position[w, i].tolist(), quaternion.tolist(), swarm.velocity[w, i].tolist(), omega)
+
+    def set_poses(self, swarm: Swarm, mask: np.ndarray) -> None:
+        """Show the drones of `mask` (W, N) where `swarm` says, without touching velocities or contacts."""
+        position = swarm.position + self._offset
+        for w, i in np.argwhere(mask):
+            body = self._body[w * self.shape[1] + i]
+            bullet.resetBasePositionAndOrientation(body, position[w, i], swarm.quaternion[w, i], self._client)
+
+    def park(self, mask: np.ndarray) -> None:
+        """Take the drones of `mask` (W, N) out of the airspace, to rest where nothing touches or sees them."""
+        for w, i in np.argwhere(mask):
+            self._place((w, i), self._parking[w, i].tolist(), (0, 0, 0, 1), (0, 0, 0), (0, 0, 0))
+
+    def _place(self, drone, position, quaternion, velocity, omega) -> None:
+        index = drone[0] * self.shape[1] + drone[1]
+        body, client = self._body[index], self._client
+        # Setting the filter anew drops the body's cached contacts, without which a reset would remember the last episode.
+        bullet.setCollisionFilterGroupMask(body, -1, DRONE_GROUP, DRONE_GROUP | SURFACE_GROUP, client)
+        bullet.resetBasePositionAndOrientation(body, position, quaternion, client)
+        bullet.resetBaseVelocity(body, velocity, omega, client)
+        self._reported[index] = position
+
+    def read_states(self, swarm: Swarm, mask: np.ndarray) -> None:
+        """Write the engine's poses and velocities of the drones of `mask` (W, N) into `swarm`; rotor speeds stay."""
+        client, body = self._client, self._body
+        chosen = np.flatnonzero(mask)
+        poses = [bullet.getBasePositionAndOrientation(body[k], client) for k in chosen]
+        velocities = [bullet.getBaseVelocity(body[k], client) for k in chosen]
+        for k, pose in zip(chosen, poses, strict=True):
+            self._reported[k] = pose[0]
+        if len(chosen):
+            offset = np.broadcast_to(self._offset, swarm.position.shape)[mask]
+            swarm.position[mask] = np.array([pose[0] for pose in poses]) - offset
+            swarm.quaternion[mask] = [pose[1] for pose in poses]
+            swarm.velocity[mask] = [velocity[0] for velocity in velocities]
+            rates = np.array([[velocity[1] for velocity in velocities]])
+            _world_rates_to_body(swarm.quaternion[mask][None], rates)
+            swarm.rates[mask] = rates[0]
+
+    def apply_wrenches(self, force: np.ndarray, torque: np.ndarray, mask: np.ndarray) -> None:
+        """Give each drone of `mask` one force (W, N, 3; world axes, N) and one torque (body axes, N m) for the next step."""
+        client, body, reported = self._client, self._body, self._reported
+        forces, torques = force.reshape(-1, 3).tolist(), torque.reshape(-1, 3).tolist()
+        for k in np.flatnonzero(mask).tolist():
+            bullet.applyExternalForce(body[k], -1, forces[k], reported[k], bullet.WORLD_FRAME, client)
+            bullet.applyExternalTorque(body[k], -1, torques[k], bullet.LINK_FRAME, client)
+
+    def step(self) -> None:
+        """Advance everything by one substep."""
+        bullet.stepSimulation(self._client)
+
+    def contacts(self) -> list[tuple[int, int, int, float]]:
+        """What touched in the last step: (world, drone, other drone or GROUND, normal force in N), both sides of a pair."""
+        rows = []
+        for point in bullet.getContactPoints(physicsClientId=self._client):
+            force = point[NORMAL_FORCE]
+            if force > 0 or point[DISTANCE] < 0:
+                one, two = (self._drone_of_body.get(point[side]) for side in (BODY_A, BODY_B))
+                if one is not None:
+                    rows.append((*one, GROUND if two is None else two[1], force))
+                if two is not None:
+                    rows.append((*two, GROUND if one is None else one[1], force))
+        return rows
+
+    def cast_rays(self, start: np.ndarray, end: np.ndarray, world: np.ndarray) -> np.ndarray:
+        """(M,) fraction of each ray from `start` to `end` (M, 3) in world `world` (M,) before a surface; 1 where none.
+
+        Surfaces are everything but drones.
+        """
+        offset = self._offset[world, 0]
+        fraction = np.ones(len(start))
+        for first in range(0, len(start), MAX_RAYS):
+            part = slice(first, first + MAX_RAYS)
+            hits = bullet.rayTestBatch(
+                start[part] + offset[part],
+                end[part] + offset[part],
+                collisionFilterMask=SURFACE_GROUP,
+                physicsClientId=self._client,
+            )
+            fraction[part] = [hit[2] for hit in hits]
+        return fraction
+
+    def surface_below(self, position: np.ndarray, mask: np.ndarray) -> np.ndarray:
+        """(W, N) height z of the surface under each drone of `mask`, m; -inf where there is none and outside `mask`."""
+        surface = np.full(self.shape, -np.inf)
+        start = position[mask]
+        if len(start):
+            fraction = self.cast_rays(start, start - [0, 0, RAY_LENGTH], np.nonzero(mask)[0])
+            surface[mask] = np.where(fraction < 1, start[:, 2] - RAY_LENGTH * fraction, -np.inf)
+        return surface
+
+    def separation(self, world: int, one: tuple, two: tuple | None, within: float) -> float:
+        """Closest distance of two collision shapes, negative when they overlap, inf beyond `within` (m).
+
+        `one` and `two` are (drone, position, quaternion) and move the engine's bodies there; two=None is the ground.
+        """
+        bodies = [self._ground, self._ground]
+        for side, pose in enumerate((one, two)):
+            if pose is not None:
+                drone, position, quaternion = pose
+                bodies[side] = self._body[world * self.shape[1] + drone]
+                place = position + self._offset[world, 0]
+                bullet.resetBasePositionAndOrientation(bodies[side], place, quaternion, self._client)
+        points = bullet.getClosestPoints(bodies[0], bodies[1], within, physicsClientId=self._client)
+        return min((point[DISTANCE] for point in points), default=np.inf)
+
+    def picture(
+        self, world: int, view: np.ndarray, projection: np.ndarray, size: tuple[int, int]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(height, width, 3) uint8 from a camera given by `view_matrices` in the world's own frame; needs no screen.
+
+        Beside it two (height, width) masks: where the ground is seen, and where nothing is.
+        """
+        shift = np.eye(4)
+        shift[:3, 3] = -self._offset[world, 0]
+        width, height = size
+        _, _, pixels, _, bodies = bullet.getCameraImage(
+            width,
+            height,
+            (view @ shift).T.ravel().tolist(),  # Bullet wants columns first
+            projection.T.ravel().tolist(),
+            shadow=0,
+            renderer=bullet.ER_TINY_RENDERER,
+            physicsClientId=self._client,
+        )
+        bodies = np.asarray(bodies).reshape(height, width)
+        pixels = np.asarray(pixels, dtype=np.uint8).reshape(height, width, 4)[..., :3].copy()
+        return pixels, bodies == self._ground, bodies < 0
+
+    def look_at(self, world: int, target: np.ndarray, distance: float) -> None:
+        """Point the live view at `target` (3,) of a world from `distance` metres."""
+        place = (target + self._offset[world, 0]).tolist()
+        bullet.resetDebugVisualizerCamera(distance, 45, -35, place, physicsClientId=self._client)
+
+    def close(self) -> None:
+        """Free the engine; a second call does nothing."""
+        self._finalizer()
+
+    @property
+    def closed(self) -> bool:
+        """Whether `close` was called."""
+        return not self._finalizer.alive
+
+
+def view_matrices(
+    eye: np.ndarray, target: np.ndarray, aspect: float, field_of_view: float = 60.0, near: float = 0.05, far: float = 4000.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """(4, 4) view and projection matrices (row, column) of a camera at `eye` that looks at `target`, z up, degrees, m."""
+    columns = bullet.computeViewMatrix(list(eye), list(target), [0, 0, 1])
+    view = np.reshape(columns, (4, 4)).T
+    projection = np.reshape(bullet.computeProjectionMatrixFOV(field_of_view, aspect, near, far), (4, 4)).T
+    return view, projection

@@ -1,0 +1,140 @@
+"""What a task is made of: it spawns worlds, names reward terms and ends episodes; everything is batched (W, N, ...)."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from bulletuav.errors import unknown
+from bulletuav.physics.swarm import Contacts, Swarm
+from bulletuav.tasks.terms.conflict import Conflict, conflict
+
+
+class Spawn(NamedTuple):
+    """Start of one world: position (N, 3) m, quaternion (N, 4), velocity (N, 3) m/s, rates (N, 3) rad/s, goal (N, 3) m."""
+
+    position: np.ndarray
+    quaternion: np.ndarray
+    velocity: np.ndarray
+    rates: np.ndarray
+    goal: np.ndarray
+
+
+class Scene(NamedTuple):
+    """What the worlds hold beside the drones: goals and start positions (W, N, 3), m."""
+
+    goal: np.ndarray
+    start: np.ndarray
+
+
+@dataclass(frozen=True)
+class Setting:
+    """The swarm that a task is set for: size, largest collision radius (m), speed limit (m/s), decision period (s)."""
+
+    num_drones: int
+    collision_radius: float
+    max_speed: float
+    period: float
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One decision, for a task to judge. Arrays (W, N, ...); `alive` are the drones that flew it, `time` s since reset."""
+
+    before: Swarm
+    after: Swarm
+    action: np.ndarray
+    scene: Scene
+    contacts: Contacts
+    alive: np.ndarray
+    time: np.ndarray
+    d_safe: float
+
+    @cached_property
+    def conflict(self) -> Conflict:
+        """Separations within the decision."""
+        return conflict(self.before.position, self.after.position, self.alive, self.d_safe)
+
+    @cached_property
+    def collision(self) -> np.ndarray:
+        """(W, N) bool: contact of collision shapes."""
+        return self.contacts.mask(self.alive.shape)
+
+    @cached_property
+    def distance(self) -> np.ndarray:
+        """(W, N) distance to the goal after the decision, m."""
+        return np.linalg.norm(self.scene.goal - self.after.position, axis=-1)
+
+    @cached_property
+    def distance_before(self) -> np.ndarray:
+        """(W, N) distance to the goal before the decision, m."""
+        return np.linalg.norm(self.scene.goal - self.before.position, axis=-1)
+
+
+class Task(ABC):
+    """A task. A subclass's docstring is its MDP; class attributes hold its defaults, methods its ingredients.
+
+    name         what `parallel_env` calls it
+    Config       frozen dataclass of the task's own options; needs `d_safe` (m) and `weights` (of the reward terms)
+    defaults     values of the common options where they differ from the package's
+    difficulties for each difficulty the options that it sets, common or own
+    observation  names of the observation blocks
+    """
+
+    name: ClassVar[str]
+    Config: ClassVar[type]
+    defaults: ClassVar[Mapping[str, Any]]
+    difficulties: ClassVar[Mapping[str, Mapping[str, Any]]]
+    observation: ClassVar[tuple[str, ...]]
+
+    arena_low: np.ndarray
+    """(3,) lower corner of the space that observations and target positions are scaled to, m"""
+    arena_high: np.ndarray
+    """(3,) its upper corner, m"""
+    weights: dict[str, float]
+    """of the reward terms"""
+
+    def __init__(self, config: Any, setting: Setting):
+        self.config = config
+        self.setting = setting
+
+    @abstractmethod
+    def spawn(self, rng: np.random.Generator) -> Spawn:
+        """Start of one world."""
+
+    @abstractmethod
+    def reward_terms(self, frame: Frame) -> dict[str, np.ndarray]:
+        """Unweighted reward terms by name, (W, N) each; the reward is their sum times `config.weights`."""
+
+    @abstractmethod
+    def terminated(self, frame: Frame) -> np.ndarray:
+        """(W, N) bool: drones whose episode ends here, in success or failure."""
+
+    @abstractmethod
+    def succeeded(self, frame: Frame) -> np.ndarray:
+        """(W, N) bool: drones that are where the task wants them."""
+
+
+def merged_weights(defaults: Mapping[str, float], changes: Mapping[str, float]) -> dict[str, float]:
+    """Reward weights with some of them changed. Raises ValueError for a term that does not exist or a weight not finite."""
+    for term, weight in changes.items():
+        if term not in defaults:
+            raise unknown("reward term", term, defaults)
+        if not np.isfinite(weight):
+            raise ValueError(f"weight of reward term {term!r} is {weight}: it must be finite")
+    return {**defaults, **changes}
+
+
+def refuse_overlap(position: np.ndarray, radius: float) -> None:
+    """Raise ValueError when two of (N, 3) positions are closer than two collision radii."""
+    gap = np.linalg.norm(position[:, None] - position[None], axis=-1)
+    gap[np.diag_indices(len(gap))] = np.inf
+    i, j = np.unravel_index(np.argmin(gap), gap.shape)
+    if gap[i, j] <= 2 * radius:
+        raise ValueError(
+            f"start positions of drones {i} and {j} overlap: {gap[i, j]:.3g} m apart, their collision shapes need more than "
+            f"{2 * radius:.3g} m; move them or widen the spacing"
+        )

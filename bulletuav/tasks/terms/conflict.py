@@ -1,0 +1,62 @@
+"""Conflict: separation below d_safe (never to be mixed with collision, which is contact of collision shapes)."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from bulletuav.kernel import kernel
+
+
+class Conflict(NamedTuple):
+    """Separations of each drone from the others within one decision, all (W, N).
+
+    separation  closest distance to another living drone, m; inf when alone
+    onsets      other drones with which a conflict began, count
+    nearness    sum over others of how deep they came into the zone from 2 d_safe (0) to d_safe (1)
+    """
+
+    separation: np.ndarray
+    onsets: np.ndarray
+    nearness: np.ndarray
+
+
+@kernel
+def closest_approach(gap, change):
+    """Distance at the start and least distance of two points whose offset moves straight from `gap` to `gap + change`."""
+    along = square = start = 0.0
+    for k in range(3):
+        along += gap[k] * change[k]
+        square += change[k] * change[k]
+        start += gap[k] * gap[k]
+    least = start
+    if along < 0.0:
+        time = min(1.0, -along / square)
+        least = max(0.0, start + 2.0 * time * along + time * time * square)
+    return np.sqrt(start), np.sqrt(least)
+
+
+@kernel
+def _conflict(before, after, alive, d_safe, separation, onsets, nearness):
+    for w in range(alive.shape[0]):
+        for i in range(alive.shape[1]):
+            for j in range(i + 1, alive.shape[1]):
+                if not (alive[w, i] and alive[w, j]):
+                    continue
+                gap = before[w, j] - before[w, i]
+                start, least = closest_approach(gap, after[w, j] - after[w, i] - gap)
+                began = 1 if least < d_safe <= start else 0
+                depth = min(1.0, max(0.0, 2.0 - least / d_safe))
+                for k in (i, j):
+                    separation[w, k] = min(separation[w, k], least)
+                    onsets[w, k] += began
+                    nearness[w, k] += depth
+
+
+def conflict(before: np.ndarray, after: np.ndarray, alive: np.ndarray, d_safe: float) -> Conflict:
+    """Separations while positions (W, N, 3) go straight from `before` to `after`; only living drones (W, N) count.
+
+    A conflict that lasts is counted once, in the decision in which the separation falls below `d_safe` (m).
+    """
+    result = Conflict(np.full(alive.shape, np.inf), np.zeros(alive.shape, dtype=np.int64), np.zeros(alive.shape))
+    _conflict(before, after, alive, d_safe, *result)
+    return result
