@@ -1,0 +1,1 @@
+"""Setpoint levels, controllers and the actions that they fly."""

@@ -36,8 +36,8 @@ class Step(NamedTuple):
 class Aviary:
     """W worlds of N drones flying one task.
 
-    Never resets by itself: a drone whose episode ended leaves the airspace and is masked by `alive` (W, N) until its world is
-    reset. World k's random numbers come from seed + k alone, and nothing that other worlds do changes world k.
+    Never resets by itself: a drone whose episode ended leaves the airspace and is masked by `alive` (W, N) until its world
+    is reset. World k's random numbers come from seed + k alone, and nothing that other worlds do changes world k.
 
     Public state, to read: options, task, action, observer, swarm, scene, alive, steps (W,).
     """
@@ -107,7 +107,7 @@ class Aviary:
             refuse_overlap(spawn.position, self.options.airframe.collision_radius)
         for k, rng, spawn in zip(worlds, generators, spawns, strict=True):
             self._rng[k] = rng
-            self._place(k, spawn)
+            self._place(int(k), spawn)
         chosen = np.zeros(self.alive.shape, dtype=bool)
         chosen[worlds] = True
         self._dynamics.place(self.swarm, chosen)
@@ -123,9 +123,7 @@ class Aviary:
     def _generators(self, worlds: np.ndarray, seeds: int | Sequence[int] | None) -> list[np.random.Generator]:
         if seeds is None:
             first = self.options.seed
-            return [
-                self._rng[k] or np.random.default_rng(None if first is None else first + int(k)) for k in worlds
-            ]
+            return [self._rng[k] or np.random.default_rng(None if first is None else first + int(k)) for k in worlds]
         if isinstance(seeds, int | np.integer):
             seeds = [int(seeds) + k for k in range(self.num_worlds)]
         if len(seeds) != self.num_worlds:
@@ -157,8 +155,8 @@ class Aviary:
     def step(self, actions: np.ndarray) -> Step:
         """Fly one decision with actions (W, N, A), those beyond the bounds clipped to them.
 
-        Raises ValueError for a wrong shape or a number that is not finite in a living drone's action (the worlds stay as they
-        were), RuntimeError before the first reset or after `close`.
+        Raises ValueError for a wrong shape or a number that is not finite in a living drone's action (the worlds stay as
+        they were), RuntimeError before the first reset or after `close`.
         """
         self._require_open()
         if self._frame is None:
@@ -180,7 +178,9 @@ class Aviary:
         if self.options.render_mode == "human":
             self._dynamics.show(self.swarm, self.alive)
             self._camera.show(self.swarm, self.alive, 1 / self.options.decision_hz)
-        return Step(observations, np.sum(list(weighted.values()), axis=0), terminated, truncated, self._info(frame, weighted))
+        return Step(
+            observations, np.sum(list(weighted.values()), axis=0), terminated, truncated, self._info(frame, weighted)
+        )
 
     def _checked_action(self, actions: np.ndarray) -> np.ndarray:
         actions = np.asarray(actions, dtype=np.float64)

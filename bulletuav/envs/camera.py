@@ -64,7 +64,7 @@ class Camera:
     @staticmethod
     def _grid(target: np.ndarray, distance: float) -> np.ndarray:
         """(L, 2, 3) pieces of grid lines on the ground, 1, 10, 100 ... m apart to suit the distance."""
-        pitch = 10.0 ** round(np.log10(distance / 6))
+        pitch = 10.0 ** round(np.log10(distance / 2.5))
         line = (np.arange(-GRID_LINES, GRID_LINES + 1)) * pitch
         across, along = np.meshgrid(line, line[:-1], indexing="ij")
         zero = np.zeros(across.size)
@@ -76,8 +76,8 @@ class Camera:
     def _draw_lines(self, pen: ImageDraw.ImageDraw, lines: np.ndarray, matrix: np.ndarray, colour) -> None:
         """Lines (L, 2, 3) that lie before the camera."""
         place, before = self._project(lines.reshape(-1, 3), matrix)
-        place, before = place.reshape(-1, 4), before.reshape(-1, 2).all(axis=1)
-        near = (np.abs(place) < 4 * max(self._size)).all(axis=1)
+        place, before = place.reshape(-1, 4), np.all(before.reshape(-1, 2), axis=1)
+        near = np.all(np.abs(place) < 4 * max(self._size), axis=1)
         for line in place[before & near]:
             pen.line(tuple(line), colour)
 
@@ -86,4 +86,6 @@ class Camera:
         clip = np.concatenate([points, np.ones((len(points), 1))], axis=1) @ matrix.T
         depth = np.where(np.abs(clip[:, 3]) > 1e-6, clip[:, 3], 1e-6)
         width, height = self._size
-        return np.stack([(1 + clip[:, 0] / depth) / 2 * width, (1 - clip[:, 1] / depth) / 2 * height], axis=1), clip[:, 3] > 0.1
+        return np.stack([(1 + clip[:, 0] / depth) / 2 * width, (1 - clip[:, 1] / depth) / 2 * height], axis=1), clip[
+            :, 3
+        ] > 0.1

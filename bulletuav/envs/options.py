@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from bulletuav.control.actions import ACTIONS
 from bulletuav.control.cascade import CONTROLLERS, PID_LEVELS
 from bulletuav.control.levels import Level
@@ -93,8 +95,8 @@ class Options:
         _finite("max_speed", self.max_speed)
         if not 0 < self.max_speed <= self.airframe.max_speed:
             raise ValueError(
-                f"max_speed is {self.max_speed:g} m/s: it must be above 0 and at most the {self.airframe.max_speed:g} m/s of "
-                f"airframe {self.airframe.name!r}"
+                f"max_speed is {self.max_speed:g} m/s: it must be above 0 and at most the {self.airframe.max_speed:g} m/s "
+                f"of airframe {self.airframe.name!r}"
             )
         if len(self.wind) != 3:
             raise ValueError(f"wind is {self.wind}: three numbers (east, north, up) in m/s are needed")
@@ -116,12 +118,12 @@ class Options:
             raise ValueError(f"controller 'pid' takes no {level.name.lower()} setpoints: use controller 'lee'")
 
 
-def _whole(name: str, value: object, least: int) -> None:
-    if not isinstance(value, numbers.Integral) or isinstance(value, bool) or value < least:
+def _whole(name: str, value: Any, least: int) -> None:
+    if not isinstance(value, int | np.integer) or value is True or value < least:
         raise ValueError(f"{name} is {value!r}: a whole number, at least {least}, is needed")
 
 
-def _finite(name: str, value: object) -> None:
+def _finite(name: str, value: Any) -> None:
     if not isinstance(value, numbers.Real) or not math.isfinite(value):
         raise ValueError(f"{name} is {value!r}: a finite number is needed")
 
@@ -158,6 +160,8 @@ def resolve(task: type[Task], given: Mapping[str, Any]) -> tuple[Options, Any]:
     for field in dataclasses.fields(config):
         if field.type in (float, "float"):
             _finite(field.name, getattr(config, field.name))
-    if config.d_safe <= 0:
-        raise ValueError(f"d_safe is {config.d_safe:g} m: it must be above 0")
+            if getattr(config, field.name) < 0:
+                raise ValueError(f"{field.name} is {getattr(config, field.name):g}: it must not be negative")
+    if config.d_safe == 0:
+        raise ValueError("d_safe is 0: it must be above 0")
     return options, config

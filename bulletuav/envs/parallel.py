@@ -25,7 +25,9 @@ class ParallelAviary(ParallelEnv):
         self.possible_agents = [f"drone_{i}" for i in range(settings.num_drones)]
         self.agents: list[str] = []
         observer, action, state = self.aviary.observer, self.aviary.action, self.aviary.state_observer
-        self.observation_spaces = {agent: Box(observer.low, observer.high, dtype=np.float32) for agent in self.possible_agents}
+        self.observation_spaces = {
+            agent: Box(observer.low, observer.high, dtype=np.float32) for agent in self.possible_agents
+        }
         low, high = action.low.astype(np.float32), action.high.astype(np.float32)
         self.action_spaces = {agent: Box(low, high, dtype=np.float32) for agent in self.possible_agents}
         drones = settings.num_drones
@@ -40,7 +42,7 @@ class ParallelAviary(ParallelEnv):
         return self.action_spaces[agent]
 
     def reset(self, seed: int | None = None, options: dict | None = None) -> tuple[dict, dict]:
-        """Start a new episode; returns observations and infos by agent. `options` belongs to the interface and is not read."""
+        """Start a new episode; returns observations and infos by agent. `options` is PettingZoo's and not read."""
         observations = self.aviary.reset(seeds=seed)
         self.agents = self.possible_agents[:]
         return self._by_agent(observations), self._infos(self.aviary.first_info())

@@ -1,0 +1,1 @@
+"""The swarm, its forces and the dynamics that move it; `world` is the engine."""

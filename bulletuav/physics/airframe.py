@@ -197,7 +197,9 @@ class _Reader:
     def _collision_radius(self) -> float:
         shapes = self.root.findall("link/collision")
         if len(shapes) != 1:
-            raise self.refuse("collision", f"there {len(shapes)} times", "exactly one convex shape keeps contacts reproducible")
+            raise self.refuse(
+                "collision", f"there {len(shapes)} times", "exactly one convex shape keeps contacts reproducible"
+            )
         origin = shapes[0].find("origin")
         if origin is not None:
             raise self.refuse("collision origin", dict(origin.items()), "the collision shape must be centred")

@@ -22,7 +22,7 @@ class Air(NamedTuple):
 
 @dataclass(frozen=True)
 class Flight:
-    """What a dynamics is built from: the world, rows of `PARAMETERS` (W, N), controller, substep (s), substeps a decision."""
+    """What a dynamics is built from: world, rows of `PARAMETERS` (W, N), controller, substep (s), substeps a decision."""
 
     world: World
     parameters: np.ndarray

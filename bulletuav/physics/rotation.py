@@ -11,13 +11,13 @@ from bulletuav.kernel import kernel
 
 @kernel
 def cross(a, b):
-    """a x b."""
+    """Vector product a x b."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @kernel
 def dot(a, b):
-    """a . b of two vectors of three."""
+    """Scalar product of two vectors of three."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
@@ -34,7 +34,7 @@ def multiply(p, q):
 
 @kernel
 def normalised(q):
-    """q / |q|."""
+    """The unit quaternion q / |q|."""
     scale = 1.0 / math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     return q[0] * scale, q[1] * scale, q[2] * scale, q[3] * scale
 
@@ -72,10 +72,7 @@ def to_body(q, v):
 def exponential(v):
     """Quaternion of the rotation by |v| radians about v."""
     angle = math.sqrt(dot(v, v))
-    if angle < 1e-9:  # sin(angle / 2) / angle to double precision
-        scale = 0.5 - angle * angle / 48
-    else:
-        scale = math.sin(0.5 * angle) / angle
+    scale = math.sin(0.5 * angle) / angle if angle > 1e-12 else 0.5
     return scale * v[0], scale * v[1], scale * v[2], math.cos(0.5 * angle)
 
 

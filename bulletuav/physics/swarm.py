@@ -59,8 +59,8 @@ class Contacts(NamedTuple):
     def merge(cls, rows: dict[tuple[int, int, int], float]) -> "Contacts":
         """From {(world, drone, other): impulse}, in sorted order."""
         keys = sorted(rows)
-        columns = np.array(keys, dtype=np.int64).reshape(len(keys), 3).T
-        return cls(*columns, np.array([rows[key] for key in keys], dtype=np.float64))
+        world, drone, other = np.array(keys, dtype=np.int64).reshape(len(keys), 3).T
+        return cls(world, drone, other, np.array([rows[key] for key in keys], dtype=np.float64))
 
     def mask(self, shape: tuple[int, int]) -> np.ndarray:
         """(W, N) bool: which drones touched anything."""

@@ -78,7 +78,8 @@ class Task(ABC):
     """A task. A subclass's docstring is its MDP; class attributes hold its defaults, methods its ingredients.
 
     name         what `parallel_env` calls it
-    Config       frozen dataclass of the task's own options; needs `d_safe` (m) and `weights` (of the reward terms)
+    Config       frozen dataclass of the task's own options; needs `d_safe` (m) and `weights` (of the reward terms);
+                 its float fields are sizes, which must be finite and not negative
     defaults     values of the common options where they differ from the package's
     difficulties for each difficulty the options that it sets, common or own
     observation  names of the observation blocks

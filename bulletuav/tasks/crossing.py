@@ -31,7 +31,7 @@ class CrossingConfig:
     d_safe: float = 5.0
     half_length: float = 100.0
     altitude: float = 40.0
-    altitude_spread: float = 10.0
+    altitude_spread: float = 6.0
     lanes: int = 10
     lane_spacing: float = 15.0
     jitter: float = 1.0
@@ -49,32 +49,32 @@ class Crossing(Task):
     Observation, per drone, Box(31) float32, clipped to its bounds (here for max_speed 20 and 8 drones):
       0  position x               m      [-130, 130]
       1  position y               m      [-130, 130]
-      2  position z               m      [0, 76]
+      2  position z               m      [0, 74]
       3  velocity x               m/s    [-40, 40]
       4  velocity y               m/s    [-40, 40]
       5  velocity z               m/s    [-40, 40]
       6  goal direction x         1      [-1, 1]
       7  goal direction y         1      [-1, 1]
       8  goal direction z         1      [-1, 1]
-      9  goal distance            m      [0, 375.467]
-     10  neighbour 1 distance     m      [0, 375.467]
+      9  goal distance            m      [0, 375.067]
+     10  neighbour 1 distance     m      [0, 375.067]
      11  neighbour 1 position x   m      [-260, 260]
      12  neighbour 1 position y   m      [-260, 260]
-     13  neighbour 1 position z   m      [-76, 76]
+     13  neighbour 1 position z   m      [-74, 74]
      14  neighbour 1 velocity x   m/s    [-80, 80]
      15  neighbour 1 velocity y   m/s    [-80, 80]
      16  neighbour 1 velocity z   m/s    [-80, 80]
-     17  neighbour 2 distance     m      [0, 375.467]
+     17  neighbour 2 distance     m      [0, 375.067]
      18  neighbour 2 position x   m      [-260, 260]
      19  neighbour 2 position y   m      [-260, 260]
-     20  neighbour 2 position z   m      [-76, 76]
+     20  neighbour 2 position z   m      [-74, 74]
      21  neighbour 2 velocity x   m/s    [-80, 80]
      22  neighbour 2 velocity y   m/s    [-80, 80]
      23  neighbour 2 velocity z   m/s    [-80, 80]
-     24  neighbour 3 distance     m      [0, 375.467]
+     24  neighbour 3 distance     m      [0, 375.067]
      25  neighbour 3 position x   m      [-260, 260]
      26  neighbour 3 position y   m      [-260, 260]
-     27  neighbour 3 position z   m      [-76, 76]
+     27  neighbour 3 position z   m      [-74, 74]
      28  neighbour 3 velocity x   m/s    [-80, 80]
      29  neighbour 3 velocity y   m/s    [-80, 80]
      30  neighbour 3 velocity z   m/s    [-80, 80]
@@ -84,16 +84,16 @@ class Crossing(Task):
     Action, per drone, by default `velocity`, Box(3) in [-1, 1]: velocity over max_speed, its norm limited to max_speed;
     10 decisions a second.
 
-    Reward, per decision, weighted terms: progress 5 a metre nearer to the goal; goal 50 on reaching it; conflict -100 for each
-    other drone with which a separation falls below d_safe = 5 m; warning -5 for each other drone, linear from 0 at 2 d_safe
-    to 1 at d_safe; collision -200; out_of_bounds -50; energy -0.01 per (m/s)^2 of velocity change.
+    Reward, per decision, weighted terms: progress 5 a metre nearer to the goal; goal 50 on reaching it; conflict -100 for
+    each other drone with which a separation falls below d_safe = 5 m; warning -5 for each other drone, linear from 0 at
+    2 d_safe to 1 at d_safe; collision -200; out_of_bounds -50; energy -0.01 per (m/s)^2 of velocity change.
 
     End: terminated on reaching the goal (within 2 m), on contact of collision shapes, or outside the arena (bounds of
     position); the drone then leaves the airspace. Conflict ends nothing. Truncated after 500 decisions.
     Success: goal reached.
 
-    Difficulty, drones / lane spacing / altitude spread: easy 4, 20 m, 20 m; medium 8, 15 m, 10 m; hard 20, 12 m, 6 m;
-    extreme 100, 12 m, 6 m.
+    Difficulty, drones / lane spacing / altitude spread: easy 4, 20 m, 10 m; medium 8, 15 m, 6 m; hard 20, 12 m, 4 m;
+    extreme 100, 12 m, 4 m.
     """
 
     name = "crossing"
@@ -108,10 +108,10 @@ class Crossing(Task):
         "difficulty": "medium",
     }
     difficulties: ClassVar = {
-        "easy": {"num_drones": 4, "lane_spacing": 20.0, "altitude_spread": 20.0},
+        "easy": {"num_drones": 4, "lane_spacing": 20.0, "altitude_spread": 10.0},
         "medium": {},
-        "hard": {"num_drones": 20, "lane_spacing": 12.0, "altitude_spread": 6.0},
-        "extreme": {"num_drones": 100, "lane_spacing": 12.0, "altitude_spread": 6.0},
+        "hard": {"num_drones": 20, "lane_spacing": 12.0, "altitude_spread": 4.0},
+        "extreme": {"num_drones": 100, "lane_spacing": 12.0, "altitude_spread": 4.0},
     }
     observation = ("position", "velocity", "goal", "neighbours")
 
@@ -121,8 +121,10 @@ class Crossing(Task):
         self.weights = merged_weights(WEIGHTS, config.weights)
         if config.lanes < 1:
             raise ValueError(f"lanes is {config.lanes}: at least 1 is needed")
-        if not 0 <= config.start_speed[0] <= config.start_speed[1] <= setting.max_speed:
-            raise ValueError(f"start_speed is {config.start_speed}: from low to high within 0 and max_speed {setting.max_speed:g}")
+        if len(config.start_speed) != 2 or not 0 <= config.start_speed[0] <= config.start_speed[1] <= setting.max_speed:
+            raise ValueError(
+                f"start_speed is {config.start_speed}: from low to high within 0 and max_speed {setting.max_speed:g}"
+            )
         if config.lane_spacing - 2 * config.jitter <= 2 * setting.collision_radius:
             raise ValueError(
                 f"start positions may overlap: lane_spacing {config.lane_spacing:g} m less twice jitter {config.jitter:g} m "
@@ -156,13 +158,13 @@ class Crossing(Task):
         start[:, 2] = goal[:, 2] = config.altitude + config.altitude_spread * rng.uniform(-0.5, 0.5, n)
         start += rng.uniform(-config.jitter, config.jitter, start.shape)
         heading = (goal - start) / np.linalg.norm(goal - start, axis=1, keepdims=True)
-        velocity = heading * rng.uniform(*config.start_speed, (n, 1))
+        velocity = heading * rng.uniform(config.start_speed[0], config.start_speed[1], (n, 1))
         level = np.tile([0.0, 0.0, 0.0, 1.0], (n, 1))
         return Spawn(start, level, velocity, np.zeros((n, 3)), goal)
 
     def _outside(self, frame: Frame) -> np.ndarray:
         position = frame.after.position
-        return ((position < self.arena_low) | (position > self.arena_high)).any(axis=-1)
+        return np.any((position < self.arena_low) | (position > self.arena_high), axis=-1)
 
     def reward_terms(self, frame: Frame) -> dict[str, np.ndarray]:
         """The terms of the class docstring, unweighted."""

@@ -17,7 +17,7 @@ class HoverConfig:
     """Options of `hover`, m, m/s, degrees, rad/s.
 
     Targets stand `spacing` apart on a square grid at `height`. A drone starts within `start_offset` of its target on each
-    axis, with a velocity, a tilt about a random axis and body rates up to the given ones; `start` (N, 3) fixes the positions.
+    axis, with a velocity, a tilt about a random axis and body rates up to those given; `start` (N, 3) fixes the positions.
     """
 
     d_safe: float = 0.5
@@ -53,7 +53,8 @@ class Hover(Task):
     Quaternion body to world; goal offset from the drone to its target and velocity in world axes (east, north, up); rates in
     body axes (forward, left, up).
 
-    Action, per drone, by default `rotor`, Box(4) in [-1, 1]: thrust of each rotor, -1 none, 1 the most; 30 decisions a second.
+    Action, per drone, by default `rotor`, Box(4) in [-1, 1]: thrust of each rotor, -1 none, 1 the most;
+    30 decisions a second.
 
     Reward, per decision: alive 1, distance -0.1 a metre to the target, speed -0.05 per m/s (weights by name).
 
@@ -66,7 +67,14 @@ class Hover(Task):
 
     name = "hover"
     Config = HoverConfig
-    defaults: ClassVar = {"num_drones": 1, "airframe": "cf2x", "action": "rotor", "decision_hz": 30, "horizon": 240, "max_speed": 5.0}
+    defaults: ClassVar = {
+        "num_drones": 1,
+        "airframe": "cf2x",
+        "action": "rotor",
+        "decision_hz": 30,
+        "horizon": 240,
+        "max_speed": 5.0,
+    }
     difficulties: ClassVar = {
         "easy": {},
         "medium": {"height": 3.0, "spacing": 4.0, "start_offset": 1.0, "start_speed": 1.0, "start_tilt": 20.0},
@@ -107,7 +115,9 @@ class Hover(Task):
         if config.start is not None:
             start = np.asarray(config.start, dtype=float)
             if start.shape != self.target.shape or not np.isfinite(start).all():
-                raise ValueError(f"start is {config.start}: {len(self.target)} finite positions (x, y, z) in metres are needed")
+                raise ValueError(
+                    f"start is {config.start}: {len(self.target)} finite positions (x, y, z) in metres are needed"
+                )
             refuse_overlap(start, radius)
             lowest = start[:, 2].min()
         else:
@@ -118,7 +128,9 @@ class Hover(Task):
                 )
             lowest = config.height - config.start_offset
         if lowest <= radius:
-            raise ValueError(f"start positions may touch the ground: the lowest is {lowest:g} m up, more than {radius:.3g} needed")
+            raise ValueError(
+                f"start positions may touch the ground: the lowest is {lowest:g} m up, more than {radius:.3g} needed"
+            )
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
         """Near the targets, disturbed as much as the difficulty says."""

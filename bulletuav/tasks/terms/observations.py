@@ -1,6 +1,6 @@
 """Observation blocks, chosen by name: each says what its numbers are, in which unit and within which bounds."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -36,7 +36,7 @@ class Block:
     compute: Callable[["Frame", np.ndarray], np.ndarray]
 
 
-def _vector(name: str, unit: str, low: Sequence[float], high: Sequence[float]) -> tuple[Label, ...]:
+def _vector(name: str, unit: str, low: Iterable[float], high: Iterable[float]) -> tuple[Label, ...]:
     return tuple(Label(f"{name} {k}", unit, a, b) for k, a, b in zip("xyz", low, high, strict=True))
 
 
@@ -98,7 +98,7 @@ def alive(task: "Task") -> Block:
 
 
 def neighbours(task: "Task") -> Block:
-    """The nearest 3 other drones, nearest first: distance, relative position, relative velocity; zeros where there are none."""
+    """The nearest 3 other drones, nearest first: distance, relative position and velocity; zeros where there are none."""
     size = task.arena_high - task.arena_low
     speed = np.full(3, 4 * task.setting.max_speed)
     labels = []

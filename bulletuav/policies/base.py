@@ -1,0 +1,39 @@
+"""The interface of policies: batched like the aviary."""
+
+from abc import ABC, abstractmethod
+from typing import ClassVar
+
+import numpy as np
+
+from bulletuav.envs.aviary import Aviary
+from bulletuav.physics.swarm import Swarm
+
+
+class Policy(ABC):
+    """Chooses the actions of all drones of all worlds.
+
+    name         what the command line calls it
+    actions      kinds of action that it can give, the preferred one first
+    reads_swarm  whether it uses the true state instead of the observations
+    """
+
+    name: ClassVar[str]
+    actions: ClassVar[tuple[str, ...]]
+    reads_swarm: ClassVar[bool]
+
+    def __init__(self, aviary: Aviary):
+        """Raises ValueError when the aviary's action is not one that the policy can give."""
+        if aviary.options.action not in self.actions:
+            raise ValueError(
+                f"policy {self.name!r} gives {' or '.join(self.actions)} actions, not {aviary.options.action!r}: "
+                f"choose action={self.actions[0]!r}"
+            )
+        self.aviary = aviary
+
+    @abstractmethod
+    def reset(self, mask: np.ndarray) -> None:
+        """Forget the worlds of `mask` (W,), which start anew."""
+
+    @abstractmethod
+    def act(self, observations: np.ndarray, swarm: Swarm) -> np.ndarray:
+        """Actions (W, N, A) for observations (W, N, D) and the true swarm."""

@@ -1,0 +1,28 @@
+"""Policy `straight`: everyone flies straight at its goal and avoids nobody. What a scenario does to the careless."""
+
+import numpy as np
+
+from bulletuav.control.actions import limit_norm
+from bulletuav.physics.swarm import Swarm
+from bulletuav.policies.base import Policy
+
+APPROACH = 1.0  # 1/s; slows down over the last max_speed metres
+
+
+class StraightLine(Policy):
+    """Towards the goal at max_speed, slower when nearer than a second of flight."""
+
+    name = "straight"
+    actions = ("velocity", "target_position")
+    reads_swarm = True
+
+    def reset(self, mask: np.ndarray) -> None:
+        """Nothing to forget."""
+
+    def act(self, observations: np.ndarray, swarm: Swarm) -> np.ndarray:
+        """The goal itself, or the velocity towards it."""
+        goal, encode = self.aviary.scene.goal, self.aviary.action.encode
+        assert encode is not None  # all actions in `actions` have one
+        if self.aviary.options.action == "target_position":
+            return encode(goal)
+        return encode(limit_norm(APPROACH * (goal - swarm.position), self.aviary.options.max_speed))

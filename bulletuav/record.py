@@ -1,0 +1,129 @@
+"""Recording of an episode: fly it, keep everything, write it to files."""
+
+import csv
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from bulletuav.envs.aviary import Aviary, Step
+from bulletuav.physics.swarm import Swarm
+from bulletuav.policies.base import Policy
+from bulletuav.version import __version__
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One episode of one world: T decisions of N drones. States have T + 1 rows, the first at the start.
+
+    time (T+1,) s; position (T+1, N, 3) m; quaternion (T+1, N, 4); velocity (T+1, N, 3) m/s; rates (T+1, N, 3) rad/s;
+    alive (T+1, N) bool; action (T, N, A); reward (T, N); separation (T, N) m, least within the decision, inf when alone;
+    conflicts (T, N) begun; collision, success (T, N) bool; goal (N, 3) m. A drone that left keeps its last state.
+    """
+
+    time: np.ndarray
+    position: np.ndarray
+    quaternion: np.ndarray
+    velocity: np.ndarray
+    rates: np.ndarray
+    alive: np.ndarray
+    action: np.ndarray
+    reward: np.ndarray
+    separation: np.ndarray
+    conflicts: np.ndarray
+    collision: np.ndarray
+    success: np.ndarray
+    goal: np.ndarray
+
+
+class Outcome(NamedTuple):
+    """How one drone's episode went; distances in m, time of its last decision in s."""
+
+    drone: int
+    reached: bool
+    min_separation: float
+    conflicts: int
+    collisions: int
+    final_distance: float
+    time: float
+
+
+def fly_episode(aviary: Aviary, policy: Policy, seed: int, progress: Callable[[], None] = lambda: None) -> Recording:
+    """Fly one episode in world 0 from `seed`; `progress` is called after every decision."""
+    observations = aviary.reset(seeds=seed)
+    policy.reset(np.ones(aviary.num_worlds, dtype=bool))
+    states, alive, actions, steps = [aviary.swarm.copy()], [aviary.alive.copy()], [], []
+    while aviary.alive[0].any():
+        actions.append(policy.act(observations, aviary.swarm))
+        steps.append(aviary.step(actions[-1]))
+        observations = steps[-1].observations
+        states.append(aviary.swarm.copy())
+        alive.append(aviary.alive.copy())
+        progress()
+    return _recording(aviary, states, alive, actions, steps)
+
+
+def _recording(
+    aviary: Aviary, states: list[Swarm], alive: list[np.ndarray], actions: list[np.ndarray], steps: list[Step]
+) -> Recording:
+    def column(name: str) -> np.ndarray:
+        return np.array([step.info[name][0] for step in steps])
+
+    return Recording(
+        time=np.arange(len(states)) / aviary.options.decision_hz,
+        position=np.array([state.position[0] for state in states]),
+        quaternion=np.array([state.quaternion[0] for state in states]),
+        velocity=np.array([state.velocity[0] for state in states]),
+        rates=np.array([state.rates[0] for state in states]),
+        alive=np.array([mask[0] for mask in alive]),
+        action=np.array([action[0] for action in actions]),
+        reward=np.array([step.rewards[0] for step in steps]),
+        separation=column("separation"),
+        conflicts=column("conflicts"),
+        collision=column("collision"),
+        success=column("success"),
+        goal=aviary.scene.goal[0].copy(),
+    )
+
+
+def outcomes(recording: Recording) -> list[Outcome]:
+    """One row a drone. `reached` is success in the last decision that it flew."""
+    rows = []
+    for drone in range(recording.position.shape[1]):
+        last = int(recording.alive[:-1, drone].sum()) - 1
+        flown = slice(0, last + 1)
+        distance = np.linalg.norm(recording.goal[drone] - recording.position[last + 1, drone])
+        rows.append(
+            Outcome(
+                drone=drone,
+                reached=bool(recording.success[last, drone]),
+                min_separation=float(recording.separation[flown, drone].min()),
+                conflicts=int(recording.conflicts[flown, drone].sum()),
+                collisions=int(recording.collision[flown, drone].sum()),
+                final_distance=float(distance),
+                time=float(recording.time[last + 1]),
+            )
+        )
+    return rows
+
+
+def save(recording: Recording, aviary: Aviary, policy: str, seed: int, folder: Path) -> list[Path]:
+    """Write `trajectory.npz` (all arrays), `trajectory.csv` (a row a drone and time) and `run.json` (what was flown)."""
+    arrays, table, run = (folder / name for name in ("trajectory.npz", "trajectory.csv", "run.json"))
+    np.savez_compressed(arrays, **asdict(recording))
+    header = ["time", "drone", "alive", "x", "y", "z", "qx", "qy", "qz", "qw", "vx", "vy", "vz", "p", "q", "r"]
+    with table.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(header)
+        for t, time in enumerate(recording.time):
+            for drone in range(recording.position.shape[1]):
+                state = (recording.position, recording.quaternion, recording.velocity, recording.rates)
+                numbers = np.concatenate([array[t, drone] for array in state])
+                writer.writerow([f"{time:.6g}", drone, int(recording.alive[t, drone]), *(f"{x:.9g}" for x in numbers)])
+    options = {**asdict(aviary.options), "airframe": aviary.options.airframe.name, **asdict(aviary.task.config)}
+    about = {"bulletuav": __version__, "task": aviary.task.name, "policy": policy, "seed": seed, "options": options}
+    run.write_text(json.dumps(about, indent=2) + "\n")
+    return [arrays, table, run]
