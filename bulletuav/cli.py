@@ -148,7 +148,7 @@ def _table(recording: Recording, task: str, aviary: Aviary) -> Table:
         table.add_row(
             f"drone_{row.drone}",
             "yes" if row.reached else "no",
-            f"{row.min_separation:.2f}",
+            f"{row.min_separation:.2f}" if row.min_separation < float("inf") else "-",
             str(row.conflicts),
             str(row.collisions),
             f"{row.final_distance:.2f}",

@@ -45,13 +45,15 @@ class Cascade(NamedTuple):
 def lee_rotors(level, setpoint, world, drone, swarm, nominal, gain, gravity, command):
     """The steps of the Lee controller from `level` on."""
     quaternion, rates = swarm.quaternion[world, drone], swarm.rates[world, drone]
-    velocity = swarm.velocity[world, drone]
+    v = swarm.velocity[world, drone]
+    velocity = (v[0], v[1], v[2])  # at which drag is compensated: the wanted one where there is one
     target = (setpoint[0], setpoint[1], setpoint[2])
     thrust = setpoint[3]
     if level <= Level.POSITION:
         target = velocity_setpoint(swarm.position[world, drone], target, gain)
     if level <= Level.VELOCITY:
-        target = acceleration_setpoint(velocity, target, gain)
+        velocity = target
+        target = acceleration_setpoint(v, target, gain)
     if level <= Level.ATTITUDE:
         if level <= Level.ACCELERATION:
             total_speed = swarm.rotor_speed[world, drone].sum()

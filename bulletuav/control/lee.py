@@ -36,7 +36,7 @@ def acceleration_setpoint(velocity, target, gain):
 
 @kernel
 def force_setpoint(acceleration, quaternion, velocity, total_speed, gravity, row, gain):
-    """ACCELERATION to the force that the rotors shall give (N, world): weight, acceleration and still-air drag.
+    """ACCELERATION to the force wanted from the rotors (N, world): weight, acceleration, drag in still air at `velocity`.
 
     Upward between 0.3 weights and 0.9 of the thrust, height before sideways, tilted by `max_tilt` at most.
     """

@@ -48,7 +48,7 @@ TILE_PITCH = 4096.0  # m; a power of two, larger than any arena
 RAY_LENGTH = 1000.0  # m, downwards to the surface
 PARKING_HEIGHT, PARKING_PITCH, PARKING_COLUMNS = 2000.0, 10.0, 100
 DRONE_GROUP, SURFACE_GROUP = 1, 2
-MAX_RAYS = 16384  # per call, Bullet's limit
+MAX_RAYS = 16383  # per call; one more and Bullet answers none
 
 # Columns of a row of getContactPoints.
 BODY_A, BODY_B, DISTANCE, NORMAL_FORCE = 1, 2, 8, 9

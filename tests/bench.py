@@ -1,0 +1,74 @@
+"""A test bench: one kind of dynamics with a swarm of its own, without a task."""
+
+import numpy as np
+
+from bulletuav.control.cascade import Cascade
+from bulletuav.control.gains import gain_rows
+from bulletuav.control.levels import Level
+from bulletuav.physics.airframe import EFFECTS, STANDARD_GRAVITY, load_airframe, parameter_rows
+from bulletuav.physics.bullet import BulletDynamics
+from bulletuav.physics.dynamics import Flight
+from bulletuav.physics.rigid_body import RigidBody
+from bulletuav.physics.swarm import Swarm
+from bulletuav.physics.world import World
+
+DYNAMICS = {"bullet": BulletDynamics, "rigid_body": RigidBody}
+
+
+class Bench:
+    """W worlds of N drones, 5 m apart at 10 m, level, at rest, rotors at hover speed."""
+
+    def __init__(
+        self,
+        dynamics,
+        airframe="hummingbird",
+        *,
+        worlds=1,
+        drones=1,
+        hz=240,
+        substeps=24,
+        effects=EFFECTS,
+        controller="lee",
+        gravity=STANDARD_GRAVITY,
+        wind=(0, 0, 0),
+        max_speed=20.0,
+    ):
+        self.airframe = load_airframe(airframe)
+        airframes = [self.airframe] * drones
+        self.dt, self.substeps, self.gravity = 1 / hz, substeps, gravity
+        self.world = World(airframes, worlds, self.dt)
+        tiled = (worlds, 1)
+        cascade = Cascade.of(
+            controller, np.tile(parameter_rows(airframes), tiled), np.tile(gain_rows(airframes, max_speed), tiled)
+        )
+        parameters = np.tile(parameter_rows(airframes, effects), tiled)
+        self.dynamics = DYNAMICS[dynamics](Flight(self.world, parameters, cascade, self.dt, substeps, gravity))
+        self.swarm = Swarm.zeros(worlds, drones, len(self.airframe.rotors))
+        self.swarm.position[..., 0] = 5 * np.arange(drones)
+        self.swarm.position[..., 2] = 10
+        self.swarm.rotor_speed[:] = self.airframe.hover_speed()
+        self.alive = np.ones((worlds, drones), dtype=bool)
+        self.wind = np.broadcast_to(np.array(wind, float), (worlds, drones, 3)).copy()
+
+    def place(self):
+        self.dynamics.place(self.swarm, self.alive)
+        return self
+
+    def fly(self, level, setpoint, decisions=1):
+        """Hold a setpoint (broadcast to all drones) for some decisions; returns the contacts of the last one."""
+        setpoint = np.broadcast_to(np.asarray(setpoint, float), (*self.alive.shape, np.shape(setpoint)[-1])).copy()
+        for _ in range(decisions):
+            contacts = self.dynamics.fly(self.swarm, self.alive, Level(level), setpoint, self.wind)
+        return contacts
+
+    def spin(self, speed, decisions=1):
+        """Hold rotor speeds (rad/s)."""
+        return self.fly(Level.ROTOR, np.broadcast_to(speed, len(self.airframe.rotors)), decisions)
+
+    def trace(self, level, setpoint, decisions):
+        """(T, 3) position and velocity of the first drone after every decision."""
+        rows = []
+        for _ in range(decisions):
+            self.fly(level, setpoint)
+            rows.append((self.swarm.position[0, 0].copy(), self.swarm.velocity[0, 0].copy()))
+        return tuple(np.array(column) for column in zip(*rows, strict=True))

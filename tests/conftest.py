@@ -1,0 +1,37 @@
+import bench
+import pytest
+from hypothesis import settings
+
+settings.register_profile("bulletuav", deadline=None, derandomize=True)  # the first call may compile
+settings.load_profile("bulletuav")
+
+
+@pytest.fixture
+def make_bench():
+    """Builds benches and closes their worlds."""
+    made = []
+
+    def make(*args, **options):
+        made.append(bench.Bench(*args, **options))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.world.close()
+
+
+@pytest.fixture
+def urdf(tmp_path):
+    """Writes a changed copy of an airframe: urdf("cf2x", ("old", "new"), ...) -> path."""
+    from bulletuav import load_airframe
+
+    def write(name, *changes):
+        text = load_airframe(name).urdf.read_text()
+        for old, new in changes:
+            assert old in text, f"{old!r} is not in {name}.urdf"
+            text = text.replace(old, new)
+        path = tmp_path / "own.urdf"
+        path.write_text(text)
+        return path
+
+    return write

@@ -1,0 +1,106 @@
+import numpy as np
+import pytest
+
+from bulletuav.control.levels import Level
+from bulletuav.physics.swarm import GROUND
+
+
+def test_a_drone_stops_where_it_touches_the_ground_and_can_take_off_again(make_bench):
+    bench = make_bench("rigid_body", effects=())
+    bench.swarm.position[..., 2] = 0.5
+    bench.swarm.rotor_speed[:] = 0
+    for _ in range(10):
+        contacts = bench.spin(0.0)
+    assert (contacts.drone, contacts.other) == (0, GROUND)
+    assert bench.swarm.position[0, 0, 2] == pytest.approx(0.055, abs=1.1e-3)
+    assert not bench.swarm.velocity.any()
+    assert not bench.swarm.rates.any()
+    contacts = bench.spin(1.2 * bench.airframe.hover_speed(), decisions=5)
+    assert not len(contacts.drone)
+    rise = 0.5 * (1.2**2 - 1) * 9.80665 * 0.5**2
+    assert bench.swarm.position[0, 0, 2] == pytest.approx(0.055 + rise, rel=0.02)
+
+
+def test_the_impulse_is_that_of_a_stop(make_bench):
+    bench = make_bench("rigid_body", effects=(), gravity=0.0)
+    bench.swarm.position[..., 2] = 0.5
+    bench.swarm.velocity[:] = 0, 0, -8
+    bench.swarm.rotor_speed[:] = 0
+    assert bench.spin(0.0).impulse == pytest.approx(8 * 0.716)
+
+
+def test_a_fast_drone_does_not_pass_through_the_ground(make_bench):
+    bench = make_bench("rigid_body", "cf2x", effects=(), gravity=0.0)
+    bench.swarm.rotor_speed[:] = 0
+    bench.swarm.position[..., 2] = 3
+    bench.swarm.velocity[:] = 10, 0, -400
+    bench.spin(0.0)
+    assert bench.swarm.position[0, 0, 2] == pytest.approx(0.015, abs=1.1e-3)
+    assert bench.swarm.position[0, 0, 0] == pytest.approx(10 * (3 - 0.015) / 400, abs=1e-3)
+
+
+@pytest.mark.parametrize("dynamics", ["rigid_body", "bullet"])
+def test_random_head_on_shots_never_pass(make_bench, dynamics):
+    """Pairs of drones at random attitudes shot at each other at 5 to 40 m/s each; W worlds are as many shots."""
+    worlds = 150
+    bench = make_bench(dynamics, worlds=worlds, drones=2, effects=(), gravity=0.0)
+    rng = np.random.default_rng(0)
+    aim = rng.normal(size=(worlds, 3))
+    aim /= np.linalg.norm(aim, axis=1, keepdims=True)
+    bench.swarm.position[:, 0] = (0, 0, 50) - 1.0 * aim
+    bench.swarm.position[:, 1] = (0, 0, 50) + 1.0 * aim
+    speed = rng.uniform(5, 40, (worlds, 1))
+    bench.swarm.velocity[:, 0], bench.swarm.velocity[:, 1] = speed * aim, -speed * aim
+    attitude = rng.normal(size=(worlds, 2, 4))
+    bench.swarm.quaternion[:] = attitude / np.linalg.norm(attitude, axis=-1, keepdims=True)
+    bench.swarm.rotor_speed[:] = 0
+    met = np.zeros((worlds, 2), dtype=bool)
+    bench.place()
+    for _ in range(4):
+        met |= bench.spin(0.0).mask(met.shape)
+    assert met.all()
+    if dynamics == "rigid_body":
+        gap = ((bench.swarm.position[:, 1] - bench.swarm.position[:, 0]) * aim).sum(axis=1)
+        assert (gap > 0.1).all()  # the flattest pair of discs is 0.11 m thick
+        assert not bench.swarm.velocity.any()
+
+
+def test_a_near_miss_is_no_contact(make_bench):
+    bench = make_bench("rigid_body", drones=2, effects=(), gravity=0.0)
+    bench.swarm.position[0] = (-1, 0, 10), (1, 0, 10.12)  # discs 0.11 m thick pass over each other
+    bench.swarm.velocity[0] = (20, 0, 0), (-20, 0, 0)
+    bench.swarm.rotor_speed[:] = 0
+    assert not len(bench.spin(0.0).drone)
+    np.testing.assert_allclose(bench.swarm.position[0, :, 0], (1, -1), atol=1e-9)
+
+
+def test_a_third_drone_meets_a_stopped_one(make_bench):
+    """Drones 0 and 1 meet and stop; drone 2 crosses that place later in the same decision, where nobody would have been."""
+    bench = make_bench("rigid_body", drones=3, effects=(), gravity=0.0)
+    bench.swarm.position[0] = (-1, 0, 10), (1, 0, 10), (0, -3, 10)
+    bench.swarm.velocity[0] = (40, 0, 0), (-40, 0, 0), (0, 40, 0)
+    bench.swarm.rotor_speed[:] = 0
+    contacts = bench.spin(0.0)
+    assert {0, 1, 2} == set(contacts.drone)
+    assert 2 in contacts.drone
+    assert bench.swarm.position[0, 2, 1] < 0
+
+
+def test_pairs_in_touch_may_part_but_not_press(make_bench):
+    bench = make_bench("rigid_body", drones=2, effects=(), gravity=0.0)
+    bench.swarm.rotor_speed[:] = 0
+    bench.swarm.position[0] = (0, 0, 10), (0.5405, 0, 10)
+    bench.swarm.velocity[0] = (-1, 0, 0), (1, 0, 0)
+    assert not len(bench.spin(0.0).drone)
+    bench.swarm.position[0] = (0, 0, 10), (0.5405, 0, 10)
+    bench.swarm.velocity[0] = (1, 0, 0), (-1, 0, 0)
+    assert list(bench.spin(0.0).drone) == [0, 1]
+    np.testing.assert_allclose(bench.swarm.position[0, :, 0], (0, 0.5405), atol=1e-3)
+
+
+def test_landing_softly_under_control_rests_on_the_ground(make_bench):
+    bench = make_bench("rigid_body", "cf2x")
+    bench.swarm.position[..., 2] = 0.2
+    contacts = bench.fly(Level.POSITION, (0.0, 0.0, -1.0, 0.0), decisions=30)
+    assert contacts.other == GROUND
+    assert bench.swarm.position[0, 0, 2] == pytest.approx(0.015, abs=2e-3)
