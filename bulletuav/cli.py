@@ -93,7 +93,7 @@ def _check_known(rest: list[str], parser: argparse.ArgumentParser) -> None:
 
 def _fly_options(arguments: argparse.Namespace) -> dict[str, Any]:
     """Keyword arguments of the aviary from those given on the command line."""
-    names = {field.name for field in dataclasses.fields(Options)} - {"seed"}
+    names = {field.name for field in dataclasses.fields(Options)}
     options = {name: value for name, value in vars(arguments).items() if name in names and value is not None}
     for pair in arguments.set:
         name, equals, text = pair.partition("=")

@@ -1,0 +1,5 @@
+"""`python -m bulletuav` is the command `bulletuav`."""
+
+from bulletuav.cli import main
+
+main()

@@ -1,0 +1,136 @@
+import numpy as np
+import pytest
+
+import bulletuav
+
+BAD = [
+    ("hover", {"num_drones": 0}, "num_drones is 0"),
+    ("hover", {"num_drones": 2.5}, "num_drones is 2.5"),
+    ("hover", {"num_drones": None}, "num_drones is None"),
+    ("hover", {"horizon": 0}, "horizon is 0"),
+    ("hover", {"physics_hz": -240}, "physics_hz is -240"),
+    ("hover", {"decision_hz": 50}, r"decision_hz 50 does not divide physics_hz 240: try \[40, 48, 60\]"),
+    ("hover", {"decision_hz": 480}, "does not divide"),
+    ("hover", {"seed": -1}, "seed is -1"),
+    ("hover", {"airframe": "cf3x"}, "did you mean 'cf2x'"),
+    ("hover", {"airframe": 7}, "airframe is 7"),
+    ("hover", {"dynamics": "bulet"}, "did you mean 'bullet'"),
+    ("hover", {"action": "rotors"}, "did you mean 'rotor'"),
+    ("hover", {"controller": "lqr"}, "unknown controller 'lqr'"),
+    ("hover", {"difficulty": "esy"}, "did you mean 'easy'"),
+    ("hover", {"observation": ("attitude", "rate")}, "did you mean 'rates'"),
+    ("hover", {"effects": ("drag", "lags")}, "did you mean 'lag'"),
+    ("hover", {"render_mode": "rgb"}, "did you mean 'rgb_array'"),
+    ("hover", {"render_size": (640,)}, "width and height"),
+    ("hover", {"render_size": (640, 0)}, "render_size is 0"),
+    ("hover", {"max_speed": 50.0}, "max_speed is 50 m/s.*20 m/s of airframe 'cf2x'"),
+    ("hover", {"max_speed": float("nan")}, "max_speed is nan"),
+    ("hover", {"max_speed": 0}, "max_speed is 0"),
+    ("hover", {"max_speed": "fast"}, "max_speed is 'fast'"),
+    ("hover", {"wind": (1.0, 2.0)}, "wind is"),
+    ("hover", {"wind": (1.0, 2.0, float("inf"))}, "wind is inf"),
+    ("hover", {"gravity": -9.8}, "gravity is -9.8"),
+    ("hover", {"gravity": 0.0, "action": "velocity"}, "needs gravity"),
+    ("hover", {"controller": "pid", "airframe": "hummingbird", "action": "velocity"}, "no <pwm> tag"),
+    ("hover", {"num_drone": 3}, "did you mean 'num_drones'"),
+    ("hover", {"spacing": 0.5, "num_drones": 4}, "may overlap"),
+    ("hover", {"spacing": float("nan")}, "spacing is nan"),
+    ("hover", {"spacing": -1.0}, "spacing is -1"),
+    ("hover", {"height": 0.2}, "touch the ground"),
+    ("hover", {"d_safe": 0.0}, "d_safe is 0"),
+    ("hover", {"start": ((0, 0, 1),), "num_drones": 2}, "2 finite positions"),
+    ("hover", {"start": ((0, 0, 1), (0, 0.05, 1)), "num_drones": 2}, "drones 0 and 1 overlap"),
+    ("hover", {"start": ((0, 0, 0.01),)}, "touch the ground"),
+    ("hover", {"weights": {"sped": 1.0}}, "did you mean 'speed'"),
+    ("crossing", {"lane_spacing": 1.0}, "may overlap"),
+    ("crossing", {"altitude": 2.0}, "altitude 2 m is too low"),
+    ("crossing", {"lanes": 0}, "lanes is 0"),
+    ("crossing", {"start_speed": (10.0, 30.0)}, "start_speed"),
+    ("crossing", {"start_speed": (float("nan"), 1.0)}, "start_speed"),
+    ("crosing", {}, "unknown task 'crosing': did you mean 'crossing'"),
+]
+
+
+@pytest.mark.parametrize(("task", "options", "said"), BAD, ids=[f"{task}-{options}" for task, options, _ in BAD])
+def test_what_cannot_be_is_refused_at_construction_with_the_value_and_a_remedy(task, options, said):
+    with pytest.raises(ValueError, match=said):
+        bulletuav.parallel_env(task, **options)
+
+
+def test_missing_and_broken_urdf(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"nowhere\.urdf"):
+        bulletuav.parallel_env("hover", airframe=tmp_path / "nowhere.urdf")
+    (tmp_path / "broken.urdf").write_text("not xml")
+    with pytest.raises(ValueError, match=r"broken\.urdf: not a readable XML"):
+        bulletuav.parallel_env("hover", airframe=str(tmp_path / "broken.urdf"))
+
+
+def test_num_worlds_is_checked():
+    with pytest.raises(ValueError, match="num_worlds is 0"):
+        bulletuav.Aviary("hover", 0)
+
+
+def test_given_values_go_before_the_difficulty_and_that_before_defaults():
+    hard = bulletuav.Aviary("hover", difficulty="hard", height=8.0)
+    assert (hard.task.config.height, hard.task.config.start_tilt, hard.options.horizon) == (8.0, 60.0, 240)
+    easy = bulletuav.Aviary("crossing", difficulty="easy")
+    assert (easy.num_drones, bulletuav.Aviary("crossing", difficulty="easy", num_drones=3).num_drones) == (4, 3)
+
+
+def test_a_slow_airframe_lowers_the_default_speed_only(urdf):
+    slow = urdf("hummingbird", ('<max_speed value="20"/>', '<max_speed value="6"/>'))
+    aviary = bulletuav.Aviary("crossing", airframe=slow, start_speed=(1.0, 5.0))
+    assert aviary.options.max_speed == 6
+    with pytest.raises(ValueError, match="at most the 6 m/s"):
+        bulletuav.Aviary("crossing", airframe=slow, max_speed=7.0)
+
+
+def test_own_airframe_from_a_path_flies(urdf):
+    own = urdf("cf2x", ('robot name="cf2x"', 'robot name="mine"'), ('<mass value="0.027"/>', '<mass value="0.030"/>'))
+    aviary = bulletuav.Aviary("hover", airframe=own, action="target_position")
+    aviary.reset(seeds=0)
+    for _ in range(90):
+        step = aviary.step(aviary.action.encode(aviary.scene.goal))
+    assert aviary.options.airframe.name == "mine"
+    assert step.info["success"].all()
+    aviary.close()
+
+
+def test_observation_blocks_can_be_chosen():
+    aviary = bulletuav.Aviary("crossing", observation=("goal", "attitude"))
+    assert aviary.reset(seeds=0).shape == (1, 8, 8)
+    assert [label.name for label in aviary.observer.labels][:5] == [
+        "goal direction x",
+        "goal direction y",
+        "goal direction z",
+        "goal distance",
+        "quaternion x",
+    ]
+    single = bulletuav.Aviary("crossing", observation="goal")
+    assert single.reset(seeds=0).shape == (1, 8, 4)
+
+
+@pytest.mark.parametrize("effect", ["lag", "drag", "ground_effect", "downwash"])
+def test_each_effect_can_be_switched_off_and_matters(effect):
+    """Two Crazyflies above each other near the ground, in wind: without any one of the effects the flight differs."""
+    ends = []
+    effects = ("lag", "drag", "ground_effect", "downwash")
+    for chosen in (effects, tuple(one for one in effects if one != effect)):
+        aviary = bulletuav.Aviary(
+            "hover", num_drones=2, start=((0, 0, 0.2), (0, 0, 0.7)), wind=(2.0, 0, 0), effects=chosen, dynamics="rigid_body"
+        )
+        aviary.reset(seeds=0)
+        aviary.step(np.full((1, 2, 4), -0.1))
+        ends.append(aviary.swarm.position.copy())
+        aviary.close()
+    assert np.abs(ends[0] - ends[1]).max() > 1e-6
+
+
+def test_gravity_and_wind_can_be_switched_off():
+    aviary = bulletuav.Aviary("hover", gravity=0.0, wind=(0.0, 0, 0), effects=("lag", "drag"))
+    start = aviary.reset(seeds=0)
+    before = aviary.swarm.position.copy()
+    aviary.step(np.full((1, 1, 4), -1.0))
+    np.testing.assert_array_equal(aviary.swarm.position, before)
+    assert start.shape == (1, 1, 13)
+    aviary.close()

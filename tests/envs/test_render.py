@@ -1,0 +1,53 @@
+import ctypes.util
+
+import numpy as np
+import pytest
+
+import bulletuav
+from bulletuav.envs.camera import DRONE, GOAL, GRID, SKY
+
+
+@pytest.mark.parametrize("dynamics", ["bullet", "rigid_body"])
+@pytest.mark.parametrize("task", ["hover", "crossing"])
+def test_headless_picture_shows_drones_goals_ground_and_sky(task, dynamics):
+    env = bulletuav.parallel_env(task, dynamics=dynamics, render_mode="rgb_array", render_size=(320, 240))
+    env.reset(seed=0)
+    picture = env.render()
+    assert picture.shape == (240, 320, 3)
+    assert picture.dtype == np.uint8
+    for colour in (DRONE, GOAL, GRID, SKY):
+        assert (picture == colour).all(axis=-1).any()
+    env.step({agent: env.action_space(agent).high for agent in env.agents})
+    assert (env.render() != picture).any()
+    env.close()
+
+
+def test_the_drone_itself_is_drawn_where_its_ring_is():
+    env = bulletuav.parallel_env("hover", dynamics="rigid_body", render_mode="rgb_array", start=((0.0, 0.0, 2.0),))
+    env.reset(seed=0)
+    picture = env.render().astype(int)
+    rows, columns = np.nonzero((picture == DRONE).all(axis=-1))
+    inside = picture[int(rows.mean()) - 12 : int(rows.mean()) + 12, int(columns.mean()) - 12 : int(columns.mean()) + 12]
+    blue = (inside[..., 2] > inside[..., 0] + 40).sum()  # rear propellers
+    assert blue > 5
+    env.close()
+
+
+def test_without_a_render_mode_there_is_no_picture():
+    env = bulletuav.parallel_env("hover")
+    env.reset(seed=0)
+    assert env.render() is None
+    env.close()
+
+
+def test_live_view_without_a_screen_says_so(monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    with pytest.raises(RuntimeError, match=r'"human" needs a screen.*rgb_array'):
+        bulletuav.parallel_env("hover", render_mode="human")
+
+
+@pytest.mark.skipif(ctypes.util.find_library("X11") is None, reason="no X11 library to ask")
+def test_live_view_on_a_screen_that_does_not_answer_says_so(monkeypatch):
+    monkeypatch.setenv("DISPLAY", ":987")
+    with pytest.raises(RuntimeError, match="DISPLAY is ':987'"):
+        bulletuav.parallel_env("hover", render_mode="human")

@@ -1,0 +1,40 @@
+"""Golden trajectories: what the default environments do. `python tests/golden.py TASK ...` writes them anew."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+import bulletuav
+
+FOLDER = Path(__file__).parent / "golden"
+STEPS = 100
+
+
+def fly(task):
+    """Observations, rewards and states of 100 steps of the default environment under smooth actions."""
+    aviary = bulletuav.Aviary(task)
+    rows = {"observations": [aviary.reset(seeds=0)[0]], "rewards": [], "position": [], "quaternion": [], "rotor_speed": []}
+    shape = (aviary.num_drones, len(aviary.action.low))
+    phase = np.arange(np.prod(shape)).reshape(shape)
+    for k in range(STEPS):
+        if aviary.options.action == "rotor":  # a hover with small disturbances
+            hover = 2 * (aviary.options.airframe.hover_speed() / aviary.options.airframe.max_rotor_speed) ** 2 - 1
+            action = hover + 0.001 * np.sin(0.9 * k + phase)
+        else:
+            action = 0.3 * np.sin(0.07 * k + phase)
+        step = aviary.step(action[None])
+        rows["observations"].append(step.observations[0])
+        rows["rewards"].append(step.rewards[0])
+        for name in ("position", "quaternion", "rotor_speed"):
+            rows[name].append(getattr(aviary.swarm, name)[0].copy())
+    flown = {name: np.array(value) for name, value in rows.items()}
+    flown["alive"] = aviary.alive[0].copy()
+    aviary.close()
+    return flown
+
+
+if __name__ == "__main__":
+    FOLDER.mkdir(exist_ok=True)
+    for name in sys.argv[1:] or bulletuav.list_tasks():
+        np.savez_compressed(FOLDER / f"{name}.npz", **fly(name))

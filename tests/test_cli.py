@@ -1,0 +1,105 @@
+import subprocess
+import sys
+
+import pytest
+
+import bulletuav
+from bulletuav.cli import main
+
+MAIN_JOB = ["fly", "crossing", "--drones", "8", "--policy", "straight", "--seed", "0"]
+FILES = {"trajectory.npz", "trajectory.csv", "run.json", "tracks.png", "flight.gif"}
+
+
+def test_the_main_job_from_another_directory(tmp_path):
+    command = [sys.executable, "-m", "bulletuav", *MAIN_JOB, "--out", "result"]
+    run = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=True)
+    assert {path.name for path in (tmp_path / "result").iterdir()} == FILES
+    for word in ("drone_7", "reached", "separation", "conflicts", "collisions", "time s", "result/flight.gif"):
+        assert word in run.stdout
+    assert "flying" in run.stderr
+    assert "pybullet" not in run.stdout + run.stderr
+
+
+def test_flying_with_options(tmp_path, capsys):
+    options = [
+        "--airframe",
+        "cf2x",
+        "--dynamics",
+        "rigid_body",
+        "--wind",
+        "1",
+        "0",
+        "0",
+        "--horizon",
+        "20",
+        "--animation",
+        "none",
+    ]
+    main(["fly", "hover", *options, "--set", "height=3.0", "--set", "effects=('drag',)", "--out", str(tmp_path)])
+    assert not (tmp_path / "flight.gif").exists()
+    assert '"height": 3.0' in (tmp_path / "run.json").read_text()
+    assert '"action": "velocity"' in (tmp_path / "run.json").read_text()  # the policy's, as hover's own is not one
+    assert "drone_0" in capsys.readouterr().out
+
+
+def test_tasks_are_listed_and_explained(capsys):
+    main(["tasks"])
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == bulletuav.list_tasks()
+    main(["tasks", "crossing"])
+    said = capsys.readouterr().out
+    for word in ("Observation", "goal distance", "Action", "Reward", "End:", "lane_spacing", "15.0", "decision_hz=10"):
+        assert word in said
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["fly", "--help"], ["tasks", "--help"], ["--version"]])
+def test_help(arguments, capsys):
+    with pytest.raises(SystemExit) as end:
+        main(arguments)
+    assert end.value.code == 0
+    said = capsys.readouterr().out
+    assert ("bulletuav fly crossing --drones 8" in said) == (arguments == ["fly", "--help"])
+    assert said
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["fly", "crosing"], "did you mean 'crossing'"),
+        (["fly", "crossing", "--drone", "8"], "unknown argument --drone: did you mean --drones"),
+        (["fly", "crossing", "--quick"], "unknown argument --quick"),
+        (["fly", "crossing", "--drones", "many"], "invalid int value: 'many'"),
+        (["fly", "crossing", "--drones", "0"], "num_drones is 0"),
+        (["fly", "crossing", "--policy", "strait"], "did you mean 'straight'"),
+        (["fly", "crossing", "--set", "lanespacing=3"], "did you mean 'lane_spacing'"),
+        (["fly", "crossing", "--set", "lane_spacing"], "NAME=VALUE"),
+        (["fly", "crossing", "--set", "difficulty=esy"], "did you mean 'easy'"),
+        (["fly", "crossing", "--decision-hz", "7"], "does not divide"),
+        (["fly", "crossing", "--airframe", "nowhere.urdf"], "nowhere.urdf"),
+        (["fly", "crossing", "--action", "rpm"], "gives velocity or target_position actions"),
+        (["fly", "crossing", "--out", "/dev/null/x"], "/dev/null"),
+        (["fly", "crossing", "--seed", "-3"], "seed is -3"),
+        (["tasks", "hoover"], "did you mean 'hover'"),
+        (["flyy"], "invalid choice: 'flyy'"),
+        ([], "required: COMMAND"),
+    ],
+)
+def test_bad_input_ends_in_one_line_and_exit_code_2(arguments, said, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as end:
+        main(arguments)
+    out, err = capsys.readouterr()
+    assert end.value.code == 2
+    assert out == ""
+    lines = [line for line in err.splitlines() if line]
+    assert len(lines) == 1
+    assert said in lines[0]
+
+
+def test_an_interrupt_ends_quietly(monkeypatch):
+    def interrupted(arguments):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("bulletuav.cli.tasks", interrupted)
+    with pytest.raises(SystemExit) as end:
+        main(["tasks"])
+    assert end.value.code == 130

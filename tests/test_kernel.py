@@ -1,0 +1,97 @@
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numba
+import pytest
+
+from bulletuav import kernel
+
+
+@pytest.fixture
+def package(tmp_path):
+    """A package with our `kernel` module, a helper in one file and its compiled caller in another."""
+    folder = tmp_path / "small"
+    folder.mkdir()
+    shutil.copy(kernel.__file__, folder / "kernel.py")
+    (folder / "__init__.py").write_text("")
+    (folder / "helper.py").write_text("from small.kernel import kernel\n@kernel\ndef helper(x):\n    return x + 1\n")
+    (folder / "caller.py").write_text(
+        "from small.helper import helper\nfrom small.kernel import kernel\n"
+        "@kernel\ndef caller(x):\n    return helper(x) * 10\n"
+    )
+
+    def run():
+        env = {**os.environ, "PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+        code = "from small.caller import caller; print(caller(1), sum(caller.stats.cache_hits.values()))"
+        out = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True, cwd=tmp_path)
+        return tuple(int(number) for number in out.stdout.split())
+
+    return folder, run
+
+
+def edit(path, old, new):
+    """Change a file as an editor or an upgrade would, keeping its old time stamp."""
+    stamp = path.stat()
+    path.write_text(path.read_text().replace(old, new))
+    os.utime(path, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
+
+
+def test_an_edit_of_a_helper_in_another_file_is_seen_by_its_cached_caller(package):
+    folder, run = package
+    assert run() == (20, 0)
+    assert run() == (20, 1)  # from the cache
+    edit(folder / "helper.py", "x + 1", "x + 2")
+    assert run() == (30, 0)
+    edit(folder / "helper.py", "x + 2", "x + 1")
+    assert run() == (20, 1)  # the old sources find their old cache
+
+
+def test_plain_numba_would_have_run_stale_code(package):
+    """What the module is for: if this fails, numba has learnt it and the module can go."""
+    folder, run = package
+    for path in (folder / "helper.py", folder / "caller.py"):
+        path.write_text(
+            path.read_text().replace("from small.kernel import kernel", "import numba\nkernel = numba.njit(cache=True)")
+        )
+    assert run() == (20, 0)
+    edit(folder / "helper.py", "x + 1", "x + 2")
+    assert run() == (20, 1)
+
+
+def test_the_hash_covers_every_file_and_name(tmp_path):
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "b.py").write_text("x = 1")
+    first = kernel.source_hash(tmp_path)
+    (tmp_path / "a" / "b.py").write_text("x = 2")
+    second = kernel.source_hash(tmp_path)
+    (tmp_path / "a" / "b.py").rename(tmp_path / "a" / "c.py")
+    assert len({first, second, kernel.source_hash(tmp_path)}) == 3
+
+
+def test_old_folders_are_forgotten_and_a_place_to_write_is_found(tmp_path, monkeypatch):
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+    folder = kernel.cache_folder()
+    assert folder == tmp_path / "bulletuav-kernels" / kernel.source_hash()
+    for k in range(12):
+        (folder.parent / f"old{k}").mkdir()
+        os.utime(folder.parent / f"old{k}", (k, k))
+    kernel.cache_folder()
+    assert sorted(path.name for path in folder.parent.iterdir()) == sorted([folder.name, *(f"old{k}" for k in range(5, 12))])
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(blocked))
+    monkeypatch.setattr(kernel.tempfile, "gettempdir", lambda: str(tmp_path / "temporary"))
+    assert Path(tmp_path, "temporary") in kernel.cache_folder().parents
+    monkeypatch.setattr(kernel.tempfile, "gettempdir", lambda: str(blocked))
+    with pytest.raises(OSError, match="set NUMBA_CACHE_DIR"):
+        kernel.cache_folder()
+
+
+def test_the_global_setting_of_numba_is_left_alone():
+    before = str(numba.config.CACHE_DIR)
+    compiled = kernel.kernel(lambda x: 1.0 / x)
+    assert str(numba.config.CACHE_DIR) == before
+    assert compiled(0.0) == float("inf")

@@ -1,0 +1,58 @@
+"""Every snippet of the README, the docs and the examples runs."""
+
+import re
+import runpy
+import shlex
+from pathlib import Path
+
+import pytest
+
+from bulletuav.cli import main
+
+ROOT = Path(__file__).parent.parent
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PYTHON = [
+    pytest.param(code, id=f"{page.name}-{k}")
+    for page in PAGES
+    for k, code in enumerate(re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL))
+]
+COMMANDS = re.findall(r"```bash\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+
+
+@pytest.mark.parametrize("code", PYTHON)
+def test_python(code, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    exec(compile(code, "snippet", "exec"), {})
+
+
+def test_the_first_program_reaches_its_goals(capsys):
+    exec(compile(PYTHON[0].values[0], "snippet", "exec"), {})
+    assert capsys.readouterr().out.count("reached its goal") >= 6
+
+
+def test_ci_runs_the_test_command_of_the_readme():
+    _, test_command = COMMANDS
+    assert test_command.strip() in (ROOT / ".ci" / "run").read_text().splitlines()
+
+
+def test_the_main_command_of_the_readme(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    *setup, job = COMMANDS[0].strip().split(" && ")
+    assert all("constraints.txt" in step or "venv" in step for step in setup)
+    words = shlex.split(job)
+    assert words[0] == ".venv/bin/bulletuav"
+    main(words[1:])
+    assert (tmp_path / "out" / "flight.gif").stat().st_size > 10000
+
+
+def test_links_lead_somewhere():
+    for page in PAGES:
+        for target in re.findall(r"\]\((?!http)([^)#]+)", page.read_text()):
+            assert (page.parent / target).exists(), f"{page.name}: {target}"
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "examples").glob("*.py")), ids=lambda path: path.name)
+def test_examples(path, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    runpy.run_path(str(path), run_name="__main__")
+    assert capsys.readouterr().out
