@@ -1,9 +1,23 @@
 """bulletuav: a drone-swarm gym on PyBullet."""
 
 from bulletuav.envs.aviary import Aviary
-from bulletuav.envs.parallel import parallel_env
+from bulletuav.envs.batch import batch_env
+from bulletuav.envs.central import register_environments
+from bulletuav.envs.parallel import aec_env, parallel_env
 from bulletuav.physics.airframe import Airframe, available_airframes, load_airframe
 from bulletuav.tasks import list_tasks
 from bulletuav.version import __version__
 
-__all__ = ["Airframe", "Aviary", "__version__", "available_airframes", "list_tasks", "load_airframe", "parallel_env"]
+__all__ = [
+    "Airframe",
+    "Aviary",
+    "__version__",
+    "aec_env",
+    "available_airframes",
+    "batch_env",
+    "list_tasks",
+    "load_airframe",
+    "parallel_env",
+]
+
+register_environments()

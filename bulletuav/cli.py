@@ -17,7 +17,8 @@ from rich.table import Table
 from bulletuav.control.actions import ACTIONS
 from bulletuav.control.cascade import CONTROLLERS
 from bulletuav.envs.aviary import Aviary
-from bulletuav.envs.options import DYNAMICS, Options
+from bulletuav.envs.options import Options
+from bulletuav.physics.ladder import LADDER
 from bulletuav.pictures import Animation, plot_tracks
 from bulletuav.policies import POLICIES, find_policy
 from bulletuav.record import Recording, fly_episode, outcomes, save
@@ -64,7 +65,7 @@ def _add_fly_arguments(fly: argparse.ArgumentParser) -> None:
     fly.add_argument("--out", type=Path, default=Path("out"), metavar="DIR", help="folder for the files (default: out)")
     fly.add_argument("--drones", type=int, dest="num_drones", metavar="N", help="number of drones")
     fly.add_argument("--airframe", help="name, or path of a URDF")
-    fly.add_argument("--dynamics", help=f"{' or '.join(DYNAMICS)} (default: bullet)")
+    fly.add_argument("--dynamics", help=f"{', '.join(LADDER)} (default: bullet)")
     fly.add_argument("--action", help=f"{', '.join(ACTIONS)} (default: the task's, or the policy's where it must)")
     fly.add_argument("--controller", help=f"{' or '.join(CONTROLLERS)} (default: lee)")
     fly.add_argument("--difficulty", help="easy, medium, hard or extreme")
@@ -72,6 +73,8 @@ def _add_fly_arguments(fly: argparse.ArgumentParser) -> None:
     fly.add_argument("--decision-hz", type=int, metavar="HZ", help="decisions a second")
     fly.add_argument("--horizon", type=int, metavar="STEPS", help="decisions until the episode is cut")
     fly.add_argument("--max-speed", type=float, metavar="M/S", help="speed limit")
+    fly.add_argument("--turbulence", help="Dryden gusts: light, moderate or severe")
+    fly.add_argument("--preset", help="named set of options, see `bulletuav tasks TASK`")
     fly.add_argument("--wind", type=float, nargs=3, metavar=("EAST", "NORTH", "UP"), help="steady wind in m/s")
     fly.add_argument(
         "--set",
@@ -127,13 +130,14 @@ def fly(arguments: argparse.Namespace) -> None:
 
 
 def _draw(recording: Recording, aviary: Aviary, arguments: argparse.Namespace, progress: Progress) -> list[Path]:
-    airframe, d_safe = aviary.options.airframe, aviary.task.config.d_safe
-    title = f"{arguments.task}: {aviary.num_drones} {airframe.name}, {arguments.policy}, seed {arguments.seed}"
+    airframes, d_safe = aviary.options.airframe, aviary.task.config.d_safe
+    names = ", ".join(sorted({airframe.name for airframe in airframes}))
+    title = f"{arguments.task}: {aviary.num_drones} {names}, {arguments.policy}, seed {arguments.seed}"
     tracks = arguments.out / "tracks.png"
     plot_tracks(recording, d_safe, title, tracks)
     if arguments.animation == "none":
         return [tracks]
-    animation = Animation(recording, d_safe, 2 * airframe.collision_radius, title)
+    animation = Animation(recording, d_safe, 2 * aviary.task.setting.collision_radius, title)
     path = arguments.out / f"flight.{arguments.animation}"
     drawing = progress.add_task("drawing", total=len(animation))
     animation.save(path, lambda: progress.advance(drawing))

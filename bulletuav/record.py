@@ -123,7 +123,9 @@ def save(recording: Recording, aviary: Aviary, policy: str, seed: int, folder: P
                 state = (recording.position, recording.quaternion, recording.velocity, recording.rates)
                 numbers = np.concatenate([array[t, drone] for array in state])
                 writer.writerow([f"{time:.6g}", drone, int(recording.alive[t, drone]), *(f"{x:.9g}" for x in numbers)])
-    options = {**asdict(aviary.options), "airframe": aviary.options.airframe.name, **asdict(aviary.task.config)}
+    names = [airframe.name for airframe in aviary.options.airframe]
+    wind = "function" if callable(aviary.options.wind) else aviary.options.wind
+    options = {**vars(aviary.options), "airframe": names, "wind": wind, **asdict(aviary.task.config)}
     about = {"bulletuav": __version__, "task": aviary.task.name, "policy": policy, "seed": seed, "options": options}
     run.write_text(json.dumps(about, indent=2) + "\n")
     return [arrays, table, run]

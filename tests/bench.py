@@ -6,13 +6,10 @@ from bulletuav.control.cascade import Cascade
 from bulletuav.control.gains import gain_rows
 from bulletuav.control.levels import Level
 from bulletuav.physics.airframe import EFFECTS, STANDARD_GRAVITY, load_airframe, parameter_rows
-from bulletuav.physics.bullet import BulletDynamics
 from bulletuav.physics.dynamics import Flight
-from bulletuav.physics.rigid_body import RigidBody
-from bulletuav.physics.swarm import Swarm
+from bulletuav.physics.ladder import LADDER
+from bulletuav.physics.swarm import Motion, Swarm
 from bulletuav.physics.world import World
-
-DYNAMICS = {"bullet": BulletDynamics, "rigid_body": RigidBody}
 
 
 class Bench:
@@ -32,17 +29,19 @@ class Bench:
         gravity=STANDARD_GRAVITY,
         wind=(0, 0, 0),
         max_speed=20.0,
+        obstacles=(),
     ):
         self.airframe = load_airframe(airframe)
         airframes = [self.airframe] * drones
         self.dt, self.substeps, self.gravity = 1 / hz, substeps, gravity
-        self.world = World(airframes, worlds, self.dt)
+        self.world = World(airframes, worlds, self.dt, obstacles)
+        self.motion = Motion.none(worlds)
         tiled = (worlds, 1)
         cascade = Cascade.of(
             controller, np.tile(parameter_rows(airframes), tiled), np.tile(gain_rows(airframes, max_speed), tiled)
         )
         parameters = np.tile(parameter_rows(airframes, effects), tiled)
-        self.dynamics = DYNAMICS[dynamics](Flight(self.world, parameters, cascade, self.dt, substeps, gravity))
+        self.dynamics = LADDER[dynamics](Flight(self.world, parameters, cascade, self.dt, substeps, gravity))
         self.swarm = Swarm.zeros(worlds, drones, len(self.airframe.rotors))
         self.swarm.position[..., 0] = 5 * np.arange(drones)
         self.swarm.position[..., 2] = 10
@@ -58,7 +57,7 @@ class Bench:
         """Hold a setpoint (broadcast to all drones) for some decisions; returns the contacts of the last one."""
         setpoint = np.broadcast_to(np.asarray(setpoint, float), (*self.alive.shape, np.shape(setpoint)[-1])).copy()
         for _ in range(decisions):
-            contacts = self.dynamics.fly(self.swarm, self.alive, Level(level), setpoint, self.wind)
+            contacts = self.dynamics.fly(self.swarm, self.alive, Level(level), setpoint, self.wind, self.motion)
         return contacts
 
     def spin(self, speed, decisions=1):

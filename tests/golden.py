@@ -15,11 +15,11 @@ def fly(task):
     """Observations, rewards and states of 100 steps of the default environment under smooth actions."""
     aviary = bulletuav.Aviary(task)
     rows = {"observations": [aviary.reset(seeds=0)[0]], "rewards": [], "position": [], "quaternion": [], "rotor_speed": []}
-    shape = (aviary.num_drones, len(aviary.action.low))
+    shape = (aviary.num_drones, aviary.action.low.shape[-1])
     phase = np.arange(np.prod(shape)).reshape(shape)
     for k in range(STEPS):
         if aviary.options.action == "rotor":  # a hover with small disturbances
-            hover = 2 * (aviary.options.airframe.hover_speed() / aviary.options.airframe.max_rotor_speed) ** 2 - 1
+            hover = 2 * (aviary.options.airframe[0].hover_speed() / aviary.options.airframe[0].max_rotor_speed) ** 2 - 1
             action = hover + 0.001 * np.sin(0.9 * k + phase)
         else:
             action = 0.3 * np.sin(0.07 * k + phase)

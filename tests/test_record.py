@@ -63,7 +63,7 @@ def test_files_hold_what_was_flown(flown, tmp_path):
     assert (float(row["time"]), int(row["drone"])) == (0.5, 2)
     np.testing.assert_allclose([float(row[axis]) for axis in "xyz"], recording.position[5, 2], rtol=1e-8)
     about = json.loads(run.read_text())
-    assert (about["task"], about["seed"], about["options"]["airframe"]) == ("crossing", 0, "hummingbird")
+    assert (about["task"], about["seed"], about["options"]["airframe"]) == ("crossing", 0, ["hummingbird"] * 3)
     assert about["options"]["half_length"] == 20
 
 

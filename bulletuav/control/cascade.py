@@ -67,6 +67,18 @@ def lee_rotors(level, setpoint, world, drone, swarm, nominal, gain, gravity, com
 
 
 @kernel
+def command_kinematic(level, accelerates, setpoint, world, drone, swarm, cascade):
+    """Velocity (m/s) for a `setpoint` row at `level`, or acceleration (m/s^2) where that is wanted."""
+    gain, velocity = cascade.gains[world, drone], swarm.velocity[world, drone]
+    target = (setpoint[0], setpoint[1], setpoint[2])
+    if level <= Level.POSITION:
+        target = velocity_setpoint(swarm.position[world, drone], target, gain)
+    if accelerates and level <= Level.VELOCITY:
+        target = acceleration_setpoint(velocity, target, gain)
+    return target
+
+
+@kernel
 def command_rotors(level, setpoint, world, drone, swarm, cascade, dt, gravity, command):
     """Rotor speeds (rad/s, into `command`) for a `setpoint` row at `level`; dt is the time since the last call, s."""
     nominal, gain = cascade.nominal[world, drone], cascade.gains[world, drone]

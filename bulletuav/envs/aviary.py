@@ -11,22 +11,24 @@ from bulletuav.control.gains import gain_rows
 from bulletuav.envs.camera import Camera
 from bulletuav.envs.options import Options, resolve
 from bulletuav.physics.airframe import parameter_rows
-from bulletuav.physics.bullet import BulletDynamics
 from bulletuav.physics.dynamics import Dynamics, Flight
-from bulletuav.physics.rigid_body import RigidBody
-from bulletuav.physics.swarm import Contacts, Swarm
+from bulletuav.physics.ladder import LADDER
+from bulletuav.physics.swarm import Contacts, Motion, Swarm
+from bulletuav.physics.wind import Wind
 from bulletuav.physics.world import World
+from bulletuav.sensors.camera import DroneCameras
 from bulletuav.tasks import find_task
 from bulletuav.tasks.base import Frame, Scene, Setting, Spawn, Task, refuse_overlap
-from bulletuav.tasks.terms.observations import STATE, Observer
-
-DYNAMICS: dict[str, type[Dynamics]] = {"bullet": BulletDynamics, "rigid_body": RigidBody}
+from bulletuav.tasks.terms.observations import STATE, Observation, Observer
 
 
 class Step(NamedTuple):
-    """Outcome of a decision: observations (W, N, D) float32; rewards, terminated, truncated (W, N); info name -> (W, N)."""
+    """Outcome of a decision: observations (W, N, D) float32; rewards, terminated, truncated (W, N); info name -> (W, N).
 
-    observations: np.ndarray
+    With camera pictures among the observations they are a dict of such arrays.
+    """
+
+    observations: Observation
     rewards: np.ndarray
     terminated: np.ndarray
     truncated: np.ndarray
@@ -46,54 +48,60 @@ class Aviary:
         """Build the worlds; see `Options` and the task's config. Raises ValueError for options that cannot be."""
         kind = find_task(task)
         self.options, config = resolve(kind, options)
-        if not isinstance(num_worlds, int) or num_worlds < 1:
+        if not isinstance(num_worlds, int | np.integer) or num_worlds < 1:
             raise ValueError(f"num_worlds is {num_worlds!r}: a whole number, at least 1, is needed")
-        self.num_worlds, self.num_drones = num_worlds, self.options.num_drones
+        self.num_worlds, self.num_drones = int(num_worlds), self.options.num_drones
+        shape = (self.num_worlds, self.num_drones)
+        live = self.options.render_mode == "human"
         self.task = self._make_task(kind, config, self.options)
         self.action = self._make_action()
-        self.observer = Observer(self.options.observation or kind.observation, self.task)
+        self.observer = Observer(self.options.observation or kind.observation, self.task, self.options.camera_size)
         self.state_observer = Observer(STATE, self.task)
-        self._world = World(
-            [self.options.airframe] * self.num_drones,
-            num_worlds,
-            1 / self.options.physics_hz,
-            live=self.options.render_mode == "human",
-        )
+        dt = 1 / self.options.physics_hz
+        self._world = World(self.options.airframe, self.num_worlds, dt, self.task.obstacles(), live=live)
         self._dynamics, self._cascade = self._make_dynamics()
+        self.options.check_levels(self.action.level, self._dynamics.consumes)
         self._camera = Camera(self._world, self.options.render_size)
-        shape = (num_worlds, self.num_drones)
-        self.swarm = Swarm.zeros(*shape, len(self.options.airframe.rotors))
-        self.scene = Scene(np.zeros((*shape, 3)), np.zeros((*shape, 3)))
+        self._eyes = self._make_eyes()
+        self.swarm = Swarm.zeros(*shape, max(len(airframe.rotors) for airframe in self.options.airframe))
+        self.scene = Scene.empty(*shape, len(self.task.obstacles()))
         self.alive = np.zeros(shape, dtype=bool)
-        self.steps = np.zeros(num_worlds, dtype=np.int64)
-        self._wind = np.broadcast_to(np.array(self.options.wind, dtype=float), (*shape, 3)).copy()
-        self._rng: list[np.random.Generator | None] = [None] * num_worlds
+        self.steps = np.zeros(self.num_worlds, dtype=np.int64)
+        self._wind = Wind(self.options.wind, self.options.wind20, shape, 1 / self.options.decision_hz)
+        self._rng: list[np.random.Generator | None] = [None] * self.num_worlds
         self._frame: Frame | None = None
 
     @staticmethod
     def _make_task(kind: type[Task], config: Any, options: Options) -> Task:
-        radius, period = options.airframe.collision_radius, 1 / options.decision_hz
-        return kind(config, Setting(options.num_drones, radius, options.max_speed, period))
+        radius = max(airframe.collision_radius for airframe in options.airframe)
+        return kind(config, Setting(options.num_drones, radius, options.max_speed, 1 / options.decision_hz))
 
     def _make_action(self) -> Action:
-        airframes = [self.options.airframe] * self.num_drones
-        flyable = Flyable(airframes, self.options.max_speed, self.task.arena_low, self.task.arena_high)
-        action = make_action(self.options.action, flyable)
-        self.options.check_level(action.level)
-        return action
+        options, task = self.options, self.task
+        period = 1 / options.decision_hz
+        return make_action(
+            options.action, Flyable(options.airframe, options.max_speed, task.arena_low, task.arena_high, period)
+        )
 
     def _make_dynamics(self) -> tuple[Dynamics, Cascade]:
-        options = self.options
-        airframes = [options.airframe] * self.num_drones
-        worlds = (self.num_worlds, 1)
-        actual = np.tile(parameter_rows(airframes, options.effects), worlds)
-        nominal = np.tile(parameter_rows(airframes), worlds)
-        cascade = Cascade.of(options.controller, nominal, np.tile(gain_rows(airframes, options.max_speed), worlds))
+        options, worlds = self.options, (self.num_worlds, 1)
+        actual = np.tile(parameter_rows(options.airframe, options.effects), worlds)
+        nominal = np.tile(parameter_rows(options.airframe), worlds)
+        gains = np.tile(gain_rows(options.airframe, options.max_speed), worlds)
+        cascade = Cascade.of(options.controller, nominal, gains)
         substeps = options.physics_hz // options.decision_hz
         flight = Flight(self._world, actual, cascade, 1 / options.physics_hz, substeps, options.gravity)
-        return DYNAMICS[options.dynamics](flight), cascade
+        return LADDER[options.dynamics](flight), cascade
 
-    def reset(self, mask: np.ndarray | None = None, seeds: int | Sequence[int] | None = None) -> np.ndarray:
+    def _make_eyes(self) -> DroneCameras | None:
+        if not self.observer.images:
+            return None
+        options = self.options
+        radius = np.array([airframe.collision_radius for airframe in options.airframe])
+        every = options.decision_hz // (options.camera_hz or options.decision_hz)
+        return DroneCameras(self._world, (self.num_worlds, self.num_drones), radius, options.camera_size, every)
+
+    def reset(self, mask: np.ndarray | None = None, seeds: int | Sequence[int] | None = None) -> Observation:
         """Start new episodes in the worlds of `mask` (W,), all by default; returns observations (W, N, D) float32.
 
         `seeds`: an int s gives world k the seed s + k; a sequence gives each of the W worlds its own; None goes on with each
@@ -104,14 +112,18 @@ class Aviary:
         generators = self._generators(worlds, seeds)
         spawns = [self.task.spawn(rng) for rng in generators]
         for spawn in spawns:
-            refuse_overlap(spawn.position, self.options.airframe.collision_radius)
+            refuse_overlap(spawn.position, self.task.setting.collision_radius)
         for k, rng, spawn in zip(worlds, generators, spawns, strict=True):
             self._rng[k] = rng
             self._place(int(k), spawn)
+            self._wind.reset(int(k), rng)
         chosen = np.zeros(self.alive.shape, dtype=bool)
         chosen[worlds] = True
         self._dynamics.place(self.swarm, chosen)
-        self._frame = self._rest_frame()
+        self._world.set_obstacles(self.scene.obstacle, self.scene.obstacle_quaternion, np.any(chosen, axis=1))
+        now = self.swarm.copy()
+        action = np.zeros((*self.alive.shape, self.action.low.shape[-1]))
+        self._frame = self._make_frame(now, now, action, Contacts.merge({}), self.alive.copy())
         return self.observer.observe(self._frame, self.alive)
 
     def _checked_mask(self, mask: np.ndarray) -> np.ndarray:
@@ -136,21 +148,22 @@ class Aviary:
     def _place(self, k: int, spawn: Spawn) -> None:
         for array, value in zip(self.swarm, spawn[:4], strict=False):
             array[k] = value
-        self.swarm.rotor_speed[k] = self.options.airframe.hover_speed(self.options.gravity)
+        for i, airframe in enumerate(self.options.airframe):
+            self.swarm.rotor_speed[k, i, : len(airframe.rotors)] = airframe.hover_speed(self.options.gravity)
         self.scene.start[k], self.scene.goal[k] = spawn.position, spawn.goal
+        self.scene.obstacle[k], self.scene.obstacle_velocity[k] = spawn.obstacle, spawn.obstacle_velocity
         self._cascade.memory[k] = 0
         self.alive[k] = True
         self.steps[k] = 0
 
-    def _rest_frame(self) -> Frame:
-        """A frame in which nothing happened, to observe after a reset."""
-        now = self.swarm.copy()
-        action = np.zeros((*self.alive.shape, len(self.action.low)))
-        return self._make_frame(now, now, action, Contacts.merge({}), self.alive.copy())
-
-    def _make_frame(self, before: Swarm, after: Swarm, action: np.ndarray, contacts: Contacts, alive: np.ndarray) -> Frame:
+    def _make_frame(self, before: Swarm, after: Swarm, action: np.ndarray, contacts: Contacts, flown: np.ndarray) -> Frame:
+        readings: dict[str, np.ndarray] = {}
+        if self._eyes is not None:
+            self._dynamics.show(self.swarm, self.alive)
+            self._eyes.expose(self.swarm, self.alive, self.steps)
+            readings = self._eyes.pictures
         time = self.steps / self.options.decision_hz
-        return Frame(before, after, action, self.scene, contacts, alive, time, self.task.config.d_safe)
+        return Frame(before, after, action, self.scene, contacts, flown, time, self.task.config.d_safe, readings)
 
     def step(self, actions: np.ndarray) -> Step:
         """Fly one decision with actions (W, N, A), those beyond the bounds clipped to them.
@@ -163,9 +176,15 @@ class Aviary:
             raise RuntimeError("the worlds have not been started: call reset() before step()")
         flown = self.alive.copy()
         action = self._checked_action(actions)
+        flying = np.any(flown, axis=1)
+        wind = self._wind.sample(self.swarm, self.steps / self.options.decision_hz, self._rng, flying)
         before = self.swarm.copy()
-        contacts = self._dynamics.fly(self.swarm, flown, self.action.level, self.action.decode(action), self._wind)
-        self.steps += flown.any(axis=1)
+        motion = self._move_scene(flying)
+        setpoint = self.action.decode(action, self.swarm)
+        contacts = self._dynamics.fly(self.swarm, flown, self.action.level, setpoint, wind, motion)
+        if motion.moving:
+            self._world.set_obstacles(self.scene.obstacle, self.scene.obstacle_quaternion, flying)
+        self.steps += flying
         frame = self._make_frame(before, self.swarm.copy(), action, contacts, flown)
         terms = self.task.reward_terms(frame)
         terminated = self.task.terminated(frame) & flown
@@ -182,16 +201,32 @@ class Aviary:
             observations, np.sum(list(weighted.values()), axis=0), terminated, truncated, self._info(frame, weighted)
         )
 
+    def _move_scene(self, flying: np.ndarray) -> Motion:
+        """Let the task move goals and obstacles of the worlds that fly; tells where obstacles go meanwhile."""
+        before = self.scene.obstacle.copy()
+        time = self.steps / self.options.decision_hz
+        moved = self.task.advance(self.scene, time, flying, self._rng)
+        after = self.scene.obstacle.copy() if moved else before
+        return Motion(before, after, self.scene.obstacle_quaternion)
+
     def _checked_action(self, actions: np.ndarray) -> np.ndarray:
         actions = np.asarray(actions, dtype=np.float64)
-        shape = (*self.alive.shape, len(self.action.low))
+        shape = (*self.alive.shape, self.action.low.shape[-1])
         if actions.shape != shape:
             raise ValueError(f"actions have shape {actions.shape}: (worlds, drones, {self.action.name}) = {shape} is needed")
         bad = ~np.isfinite(actions).all(axis=-1) & self.alive
         if bad.any():
             w, i = np.argwhere(bad)[0]
             raise ValueError(f"action of drone {i} in world {w} is {actions[w, i]}: finite numbers are needed")
-        return np.clip(np.where(self.alive[..., None], actions, 0.0), self.action.low, self.action.high)
+        actions = np.where(self.alive[..., None], actions, 0.0)
+        clipped = np.clip(actions, self.action.low, self.action.high)
+        if self.action.choices is not None and (clipped != actions).any() | (clipped % 1 != 0).any():
+            w, i, _ = np.argwhere((clipped != actions) | (clipped % 1 != 0))[0]
+            raise ValueError(
+                f"action of drone {i} in world {w} is {actions[w, i, 0]:g}: a whole number from 0 to "
+                f"{self.action.choices - 1} is needed"
+            )
+        return clipped
 
     def _info(self, frame: Frame, weighted: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         info = {f"reward/{name}": term for name, term in weighted.items()}
@@ -215,7 +250,9 @@ class Aviary:
 
     def state(self) -> np.ndarray:
         """(W, N * 17) float32: position, attitude, velocity, rates, goal position and alive of every drone."""
-        return self.state_observer.observe(self._current(), self.alive).reshape(self.num_worlds, -1)
+        state = self.state_observer.observe(self._current(), self.alive)
+        assert isinstance(state, np.ndarray)  # no pictures among its blocks
+        return state.reshape(self.num_worlds, -1)
 
     def render(self, world: int = 0) -> np.ndarray | None:
         """(height, width, 3) uint8 picture of a world with render_mode "rgb_array"; None otherwise."""

@@ -6,12 +6,14 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from bulletuav.physics.swarm import Swarm
-from bulletuav.physics.world import World, view_matrices
+from bulletuav.physics.view import projection_matrix, view_matrix
+from bulletuav.physics.world import World
 
 SKY, GRID = (206, 224, 240), (176, 182, 174)
 DRONE, GOAL, SHADOW = (216, 67, 21), (46, 125, 50), (120, 124, 120)
 DIRECTION = np.array([-0.55, -0.75, 0.5])
 GRID_LINES = 60
+FIELD_OF_VIEW = 60.0  # degrees, vertical
 
 
 class Camera:
@@ -28,8 +30,9 @@ class Camera:
         """
         flying = swarm.position[world][alive[world]]
         target, distance = self._framing(np.concatenate([flying, goal]))
-        view, projection = view_matrices(target + distance * DIRECTION, target, self._size[0] / self._size[1])
-        pixels, ground, sky = self._world.picture(world, view, projection, self._size)
+        view = view_matrix(target + distance * DIRECTION, target)
+        projection = projection_matrix(self._size[0] / self._size[1], FIELD_OF_VIEW)
+        pixels, _, ground, sky = self._world.picture(world, view, projection, self._size)
         matrix = projection @ view
         pixels[sky] = SKY
         lines = Image.fromarray(pixels.copy())

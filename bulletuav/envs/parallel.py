@@ -3,10 +3,13 @@
 from typing import Any
 
 import numpy as np
-from gymnasium.spaces import Box
-from pettingzoo import ParallelEnv
+from gymnasium.spaces import Box, Space
+from pettingzoo import AECEnv, ParallelEnv
+from pettingzoo.utils.conversions import parallel_to_aec
 
 from bulletuav.envs.aviary import Aviary
+from bulletuav.envs.spaces import drone_action_space, drone_numbers
+from bulletuav.tasks.terms.observations import Observation, part
 
 
 class ParallelAviary(ParallelEnv):
@@ -25,19 +28,16 @@ class ParallelAviary(ParallelEnv):
         self.possible_agents = [f"drone_{i}" for i in range(settings.num_drones)]
         self.agents: list[str] = []
         observer, action, state = self.aviary.observer, self.aviary.action, self.aviary.state_observer
-        self.observation_spaces = {
-            agent: Box(observer.low, observer.high, dtype=np.float32) for agent in self.possible_agents
-        }
-        low, high = action.low.astype(np.float32), action.high.astype(np.float32)
-        self.action_spaces = {agent: Box(low, high, dtype=np.float32) for agent in self.possible_agents}
+        self.observation_spaces = {agent: observer.space() for agent in self.possible_agents}
+        self.action_spaces = {agent: drone_action_space(action, i) for i, agent in enumerate(self.possible_agents)}
         drones = settings.num_drones
         self.state_space = Box(np.tile(state.low, drones), np.tile(state.high, drones), dtype=np.float32)
 
-    def observation_space(self, agent: str) -> Box:
+    def observation_space(self, agent: str) -> Space:
         """The agent's observation space, the same object each time."""
         return self.observation_spaces[agent]
 
-    def action_space(self, agent: str) -> Box:
+    def action_space(self, agent: str) -> Space:
         """The agent's action space, the same object each time."""
         return self.action_spaces[agent]
 
@@ -52,13 +52,10 @@ class ParallelAviary(ParallelEnv):
         if set(actions) != set(self.agents):
             missing, extra = sorted(set(self.agents) - set(actions)), sorted(set(actions) - set(self.agents))
             raise ValueError(f"actions must be for exactly the living agents: missing {missing}, not alive {extra}")
-        batch = np.zeros((1, len(self.possible_agents), len(self.aviary.action.low)))
+        batch = np.zeros((1, *self.aviary.action.low.shape))
         for i, agent in enumerate(self.possible_agents):
             if agent in actions:
-                action = np.asarray(actions[agent], dtype=np.float64)
-                if action.shape != batch.shape[2:]:
-                    raise ValueError(f"action of {agent} has shape {action.shape}: {batch.shape[2:]} is needed")
-                batch[0, i] = action
+                batch[0, i] = drone_numbers(self.aviary.action, i, actions[agent])
         if not self.agents:
             return {}, {}, {}, {}, {}
         step = self.aviary.step(batch)
@@ -70,8 +67,8 @@ class ParallelAviary(ParallelEnv):
         self.agents = [agent for agent in self.agents if not (terminated[agent] or truncated[agent])]
         return result
 
-    def _by_agent(self, array: np.ndarray) -> dict[str, Any]:
-        return {agent: array[0, i] for i, agent in enumerate(self.possible_agents) if agent in self.agents}
+    def _by_agent(self, array: Observation) -> dict[str, Any]:
+        return {agent: part(array, (0, i)) for i, agent in enumerate(self.possible_agents) if agent in self.agents}
 
     def _infos(self, info: dict[str, np.ndarray]) -> dict[str, dict[str, float]]:
         columns = {name: self._by_agent(array) for name, array in info.items()}
@@ -97,3 +94,8 @@ def parallel_env(task: str, **options: Any) -> ParallelAviary:
     own (its `Config`). Raises ValueError that names the value and the remedy when one of them cannot be.
     """
     return ParallelAviary(task, **options)
+
+
+def aec_env(task: str, **options: Any) -> AECEnv:
+    """The task as a `pettingzoo.AECEnv`, through PettingZoo's own conversion; see `parallel_env`."""
+    return parallel_to_aec(ParallelAviary(task, **options))

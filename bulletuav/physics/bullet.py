@@ -15,7 +15,7 @@ from bulletuav.physics.aerodynamics import downwash_on
 from bulletuav.physics.dynamics import Air, Dynamics, Flight
 from bulletuav.physics.rotation import cross
 from bulletuav.physics.rotors import lagged
-from bulletuav.physics.swarm import Contacts, Swarm
+from bulletuav.physics.swarm import Contacts, Motion, Swarm
 from bulletuav.physics.wrench import body_acceleration, wrench
 
 
@@ -62,7 +62,10 @@ def drive(swarm, alive, level, setpoint, cascade, parameters, air, dt, force, to
 class BulletDynamics(Dynamics):
     """The full engine: contacts push back, and every substep goes through Bullet."""
 
-    consumes = Level.ROTOR
+    @property
+    def consumes(self) -> Level:
+        """Rotor speeds."""
+        return Level.ROTOR
 
     def __init__(self, flight: Flight):
         super().__init__(flight)
@@ -77,12 +80,16 @@ class BulletDynamics(Dynamics):
     def show(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Nothing to do: the engine's bodies are where the swarm is."""
 
-    def fly(self, swarm: Swarm, alive: np.ndarray, level: Level, setpoint: np.ndarray, wind: np.ndarray) -> Contacts:
+    def fly(
+        self, swarm: Swarm, alive: np.ndarray, level: Level, setpoint: np.ndarray, wind: np.ndarray, motion: Motion
+    ) -> Contacts:
         """One engine step a substep."""
         flight, world = self.flight, self.flight.world
         surface = np.full(alive.shape, -np.inf)
         touched: dict[tuple[int, int, int], float] = {}
-        for _ in range(flight.substeps):
+        for substep in range(1, flight.substeps + 1):
+            if motion.moving:
+                world.set_obstacles(motion.at(substep / flight.substeps), motion.quaternion, np.any(alive, axis=1))
             if self._near_ground:
                 surface = world.surface_below(swarm.position, alive)
             air = Air(wind, surface, flight.gravity)

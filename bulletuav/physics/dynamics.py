@@ -2,13 +2,13 @@
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from bulletuav.control.cascade import Cascade
 from bulletuav.control.levels import Level
-from bulletuav.physics.swarm import Contacts, Swarm
+from bulletuav.physics.swarm import Contacts, Motion, Swarm
 from bulletuav.physics.world import World
 
 
@@ -33,12 +33,15 @@ class Flight:
 
 
 class Dynamics(ABC):
-    """One rung of the ladder. `consumes` is the setpoint level that it is driven by; higher ones go through the cascade."""
-
-    consumes: ClassVar[Level]
+    """One rung of the ladder, driven by setpoints of the level that it `consumes`; higher ones go through the cascade."""
 
     def __init__(self, flight: Flight):
         self.flight = flight
+
+    @property
+    @abstractmethod
+    def consumes(self) -> Level:
+        """The setpoint level that drives it."""
 
     @abstractmethod
     def place(self, swarm: Swarm, mask: np.ndarray) -> None:
@@ -49,8 +52,11 @@ class Dynamics(ABC):
         """Have the engine's bodies of `mask` (W, N) stand where `swarm` is, for pictures; changes nothing in flight."""
 
     @abstractmethod
-    def fly(self, swarm: Swarm, alive: np.ndarray, level: Level, setpoint: np.ndarray, wind: np.ndarray) -> Contacts:
+    def fly(
+        self, swarm: Swarm, alive: np.ndarray, level: Level, setpoint: np.ndarray, wind: np.ndarray, motion: Motion
+    ) -> Contacts:
         """Move the living drones (W, N) through one decision, in place, and tell what they touched.
 
-        `setpoint` (W, N, S) at `level` is held; `wind` (W, N, 3) m/s too. Drones that are not alive neither move nor act.
+        `setpoint` (W, N, S) at `level` is held; `wind` (W, N, 3) m/s too; `motion` is where obstacles
+        go meanwhile. Drones that are not alive neither move nor act.
         """

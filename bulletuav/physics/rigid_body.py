@@ -15,7 +15,7 @@ from bulletuav.kernel import kernel
 from bulletuav.physics.aerodynamics import downwash_on
 from bulletuav.physics.dynamics import Air, Dynamics
 from bulletuav.physics.rotors import lagged
-from bulletuav.physics.swarm import Contacts, Swarm
+from bulletuav.physics.swarm import Contacts, Motion, Swarm
 from bulletuav.physics.sweep import Path, stop_at_first_touch
 from bulletuav.physics.wrench import body_acceleration, wrench
 
@@ -84,7 +84,10 @@ def advance(swarm, alive, level, setpoint, cascade, parameters, air, dt, path):
 class RigidBody(Dynamics):
     """Six degrees of freedom without the engine's step; a drone that touches something stops there."""
 
-    consumes = Level.ROTOR
+    @property
+    def consumes(self) -> Level:
+        """Rotor speeds."""
+        return Level.ROTOR
 
     def place(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Nothing to do: the swarm's arrays are the state."""
@@ -93,13 +96,15 @@ class RigidBody(Dynamics):
         """Move the engine's bodies, which flight does not use."""
         self.flight.world.set_poses(swarm, mask)
 
-    def fly(self, swarm: Swarm, alive: np.ndarray, level: Level, setpoint: np.ndarray, wind: np.ndarray) -> Contacts:
+    def fly(
+        self, swarm: Swarm, alive: np.ndarray, level: Level, setpoint: np.ndarray, wind: np.ndarray, motion: Motion
+    ) -> Contacts:
         """One compiled call, then the swept contact check."""
         flight = self.flight
         surface = np.full(alive.shape, -np.inf)
         if (flight.parameters["ground_effect_gain"] > 0).any():
             surface = flight.world.surface_below(swarm.position, alive)
-        path = Path.begin(swarm, flight.substeps)
+        path = Path.begin(swarm, motion, flight.substeps)
         air = Air(wind, surface, flight.gravity)
         advance(swarm, alive, level, setpoint, flight.cascade, flight.parameters, air, flight.dt, path)
         return stop_at_first_touch(flight.world, path, swarm, alive, flight.parameters)

@@ -38,7 +38,35 @@ class Swarm(NamedTuple):
         return Swarm(*(array[index] for array in self))
 
 
+class Motion(NamedTuple):
+    """Where the K obstacles of each world go during a decision: straight from `before` to `after`, without turning.
+
+    before, after (W, K, 3) m, the same array where nothing moves; quaternion (W, K, 4)
+    """
+
+    before: np.ndarray
+    after: np.ndarray
+    quaternion: np.ndarray
+
+    @classmethod
+    def none(cls, num_worlds: int) -> "Motion":
+        """No obstacles."""
+        nowhere = np.zeros((num_worlds, 0, 3))
+        return cls(nowhere, nowhere, np.zeros((num_worlds, 0, 4)))
+
+    @property
+    def moving(self) -> bool:
+        """Whether any obstacle changes its place."""
+        return self.after is not self.before
+
+    def at(self, share: float) -> np.ndarray:
+        """(W, K, 3) positions after a share of the decision."""
+        return self.before + share * (self.after - self.before)
+
+
 GROUND = -1
+FIRST_OBSTACLE = -2
+"""`other` of a contact: a drone's index, GROUND, or FIRST_OBSTACLE - k for obstacle k"""
 
 
 class Contacts(NamedTuple):
@@ -46,7 +74,7 @@ class Contacts(NamedTuple):
 
     world   (C,) index of the world
     drone   (C,) index of the drone
-    other   (C,) index of the drone that it touches, or GROUND
+    other   (C,) index of the drone that it touches, GROUND, or FIRST_OBSTACLE - k for obstacle k
     impulse (C,) N s along the contact normal, summed over the decision
     """
 

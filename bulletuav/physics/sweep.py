@@ -10,33 +10,53 @@ from typing import NamedTuple
 import numpy as np
 
 from bulletuav.kernel import kernel
-from bulletuav.physics.swarm import GROUND, Contacts, Swarm
+from bulletuav.physics.swarm import FIRST_OBSTACLE, GROUND, Contacts, Motion, Swarm
 from bulletuav.physics.world import World
 
 TOUCH = 1e-3  # m; closer counts as touching
 
 
 class Path(NamedTuple):
-    """Poses at the substeps' ends of one decision: position (S + 1, W, N, 3) m, quaternion (S + 1, W, N, 4)."""
+    """Poses at the substeps' ends of one decision: position (S + 1, W, N, 3) m, quaternion (S + 1, W, N, 4).
+
+    Of the obstacles position (S + 1, W, K, 3) and quaternion (W, K, 4).
+    """
 
     position: np.ndarray
     quaternion: np.ndarray
+    obstacle: np.ndarray
+    obstacle_quaternion: np.ndarray
 
     @classmethod
-    def begin(cls, swarm: Swarm, substeps: int) -> "Path":
+    def begin(cls, swarm: Swarm, motion: Motion, substeps: int) -> "Path":
         """Room for a decision, with the present poses first."""
-        path = cls(*(np.empty((substeps + 1, *array.shape)) for array in (swarm.position, swarm.quaternion)))
-        path.position[0], path.quaternion[0] = swarm.position, swarm.quaternion
-        return path
+        position, quaternion = (np.empty((substeps + 1, *array.shape)) for array in (swarm.position, swarm.quaternion))
+        obstacle = np.array([motion.at(s / substeps) for s in range(substeps + 1)])
+        position[0], quaternion[0] = swarm.position, swarm.quaternion
+        return cls(position, quaternion, obstacle, motion.quaternion)
 
-    def pose(self, world: int, drone: int, time: float) -> tuple[int, np.ndarray, np.ndarray]:
-        """(drone, position, quaternion) at `time` in substeps, between two of them by straight interpolation."""
+    def pose(self, world: int, who: int, time: float) -> tuple[int, np.ndarray, np.ndarray]:
+        """(who, position, quaternion) at `time` in substeps, between two of them by straight interpolation."""
         s = min(int(time), len(self.position) - 2)
         share = time - s
+        if who == GROUND:
+            return who, np.zeros(3), np.zeros(4)
+        if who <= FIRST_OBSTACLE:
+            k = FIRST_OBSTACLE - who
+            position = (1 - share) * self.obstacle[s, world, k] + share * self.obstacle[s + 1, world, k]
+            return who, position, self.obstacle_quaternion[world, k]
+        drone = who
         position = (1 - share) * self.position[s, world, drone] + share * self.position[s + 1, world, drone]
         before, after = self.quaternion[s, world, drone], self.quaternion[s + 1, world, drone]
         quaternion = (1 - share) * before + share * after * (1 if before @ after >= 0 else -1)
-        return drone, position, quaternion / np.linalg.norm(quaternion)
+        return who, position, quaternion / np.linalg.norm(quaternion)
+
+    def change(self, world: int, who: int, s: int) -> np.ndarray:
+        """(3,) displacement in substep s, m."""
+        if who == GROUND:
+            return np.zeros(3)
+        track = self.position[:, world, who] if who >= 0 else self.obstacle[:, world, FIRST_OBSTACLE - who]
+        return track[s + 1] - track[s]
 
     def freeze(self, world: int, drone: int, time: float) -> None:
         """Hold the drone at its pose of `time` from there on."""
@@ -52,25 +72,30 @@ def _meets_ground(position, radius, w, i):
 
 
 @kernel
-def _meets(position, radius, w, i, j):
-    reach = radius[w, i] + radius[w, j] + TOUCH
-    for s in range(position.shape[0] - 1):
-        if _closest_squared(position, s, w, i, j) < reach * reach:
+def _meets(one, two, reach):
+    """Whether two tracks (S + 1, 3) come closer than `reach` m."""
+    for s in range(one.shape[0] - 1):
+        if _closest_squared(one, two, s) < reach * reach:
             return True
     return False
 
 
 @kernel
-def _candidates(position, alive, radius):
-    """Pairs (world, drone, other or GROUND) whose bounding spheres come within TOUCH during the path."""
+def _candidates(position, obstacle, alive, radius, obstacle_radius):
+    """Pairs (world, drone, other) whose bounding spheres come within TOUCH during the path; `other` as in `Contacts`."""
     found = [(0, 0, 0) for _ in range(0)]
     for w in range(alive.shape[0]):
         for i in range(alive.shape[1]):
             if alive[w, i]:
                 if _meets_ground(position, radius, w, i):
                     found.append((w, i, GROUND))
+                for k in range(obstacle.shape[2]):
+                    reach = radius[w, i] + obstacle_radius[k] + TOUCH
+                    if _meets(position[:, w, i], obstacle[:, w, k], reach):
+                        found.append((w, i, FIRST_OBSTACLE - k))
                 for j in range(i + 1, alive.shape[1]):
-                    if alive[w, j] and _meets(position, radius, w, i, j):
+                    reach = radius[w, i] + radius[w, j] + TOUCH
+                    if alive[w, j] and _meets(position[:, w, i], position[:, w, j], reach):
                         found.append((w, i, j))
     return found
 
@@ -80,18 +105,19 @@ def _partners(position, alive, radius, w, i):
     """The pairs of `_candidates` between drone `i` and another drone."""
     found = [(0, 0, 0) for _ in range(0)]
     for j in range(alive.shape[1]):
-        if j != i and alive[w, j] and _meets(position, radius, w, min(i, j), max(i, j)):
+        reach = radius[w, i] + radius[w, j] + TOUCH
+        if j != i and alive[w, j] and _meets(position[:, w, i], position[:, w, j], reach):
             found.append((w, min(i, j), max(i, j)))
     return found
 
 
 @kernel
-def _closest_squared(position, s, w, i, j):
+def _closest_squared(one, two, s):
     """Least squared distance of two centres between substeps s and s + 1, both moving straight."""
     along = square = start = 0.0
     for k in range(3):
-        gap = position[s, w, j, k] - position[s, w, i, k]
-        change = position[s + 1, w, j, k] - position[s + 1, w, i, k] - gap
+        gap = two[s, k] - one[s, k]
+        change = two[s + 1, k] - one[s + 1, k] - gap
         along += gap * change
         square += change * change
         start += gap * gap
@@ -101,30 +127,30 @@ def _closest_squared(position, s, w, i, j):
     return start + 2.0 * time * along + time * time * square
 
 
-def _speed_bound(path: Path, world: int, drones: list[int], radius: np.ndarray, s: int) -> float:
+def _speed_bound(path: Path, pair: tuple[int, int, int], radius: np.ndarray, s: int) -> float:
     """Most metres by which the gap between the shapes can shrink in substep s: translation plus rotation of each."""
-    change = path.position[s + 1, world] - path.position[s, world]
-    bound = float(np.linalg.norm(change[drones[0]] - (change[drones[1]] if len(drones) == 2 else 0)))
-    for i in drones:
-        cosine = abs(path.quaternion[s, world, i] @ path.quaternion[s + 1, world, i])
-        bound += float(2 * np.arccos(min(1.0, cosine)) * radius[world, i])
+    w, one, two = pair
+    bound = float(np.linalg.norm(path.change(w, one, s) - path.change(w, two, s)))
+    for drone in (one, two):
+        if drone >= 0:
+            cosine = abs(path.quaternion[s, w, drone] @ path.quaternion[s + 1, w, drone])
+            bound += float(2 * np.arccos(min(1.0, cosine)) * radius[w, drone])
     return bound
 
 
 def first_touch(world: World, path: Path, pair: tuple[int, int, int], radius: np.ndarray) -> float:
     """Time in substeps of the pair's first touch, inf if none. A pair that starts in touch and parts does not count."""
-    w, i, j = pair
-    drones = [i] if j == GROUND else [i, j]
+    w, one, two = pair
     last = len(path.position) - 1
-    within = 2.0 * float(radius[w, drones].sum())
+    within = 2.0 * float(radius[w, one] + (radius[w, two] if two >= 0 else 0.0))
 
     def gap(time: float) -> float:
-        return world.separation(w, path.pose(w, i, time), None if j == GROUND else path.pose(w, j, time), within)
+        return world.separation(w, path.pose(w, one, time), path.pose(w, two, time), within)
 
     time = 0.0
     while time < last:
         s = int(time)
-        bound = _speed_bound(path, w, drones, radius, s)
+        bound = _speed_bound(path, pair, radius, s)
         distance = gap(time)
         remaining = s + 1 - time
         if distance <= TOUCH:
@@ -142,25 +168,29 @@ def first_touch(world: World, path: Path, pair: tuple[int, int, int], radius: np
 def stop_at_first_touch(world: World, path: Path, swarm: Swarm, alive: np.ndarray, parameters: np.ndarray) -> Contacts:
     """Stop every drone that touched something where it did, in order of time, and tell the contacts.
 
-    The impulse is that of a stop: mass times the speed lost. Drones that were to meet a stopped one are checked anew.
+    The impulse is that of a stop: mass times the speed at the touch. Whoever was to meet a stopped drone is checked anew.
     """
     radius = parameters["collision_radius"]
     rows: dict[tuple[int, int, int], float] = {}
     stopped: set[tuple[int, int]] = set()
-    touches = {pair: first_touch(world, path, pair, radius) for pair in _candidates(path.position, alive, radius)}
+    candidates = _candidates(path.position, path.obstacle, alive, radius, world.obstacle_radius)
+    touches = {pair: first_touch(world, path, pair, radius) for pair in candidates}
     while touches:
         time, pair = min((time, pair) for pair, time in touches.items())
         if time == np.inf:
             break
         del touches[pair]
         w, i, j = pair
-        for drone, other in ((i, j),) if j == GROUND else ((i, j), (j, i)):
-            speed = float(np.linalg.norm(swarm.velocity[w, drone]))
+        moved = [(drone, other) for drone, other in ((i, j), (j, i)) if drone >= 0]
+        for drone, other in moved:
+            speed = float(np.linalg.norm(path.change(w, drone, int(time)))) / world.dt
             rows[w, drone, other] = float(parameters["mass"][w, drone]) * speed
+        for drone, _ in moved:
             if (w, drone) not in stopped:
                 stopped.add((w, drone))
                 path.freeze(w, drone, time)
-                for met in _partners(path.position, alive, radius, w, drone):
+                pending = [other for other in touches if other[0] == w and drone in other[1:]]
+                for met in {*pending, *_partners(path.position, alive, radius, w, drone)}:
                     if (w, met[1], met[2]) not in rows:
                         touches[met] = first_touch(world, path, met, radius)
     for w, i in sorted(stopped):

@@ -16,8 +16,10 @@ import numpy as np
 
 from bulletuav.kernel import kernel
 from bulletuav.physics.airframe import Airframe
+from bulletuav.physics.obstacle import Obstacle
 from bulletuav.physics.rotation import to_body, to_world
-from bulletuav.physics.swarm import GROUND, Swarm
+from bulletuav.physics.swarm import FIRST_OBSTACLE, GROUND, Swarm
+from bulletuav.physics.view import Picture, metres
 
 
 @contextlib.contextmanager
@@ -81,6 +83,13 @@ def require_screen() -> None:
     )
 
 
+def _shape(obstacle: Obstacle) -> dict[str, object]:
+    """The engine's words for an obstacle's shape."""
+    if obstacle.kind == "box":
+        return {"shapeType": bullet.GEOM_BOX, "halfExtents": [edge / 2 for edge in obstacle.size]}
+    return {"shapeType": bullet.GEOM_SPHERE, "radius": obstacle.size[0]}
+
+
 @kernel
 def _world_rates_to_body(quaternion, rates):
     for w in range(rates.shape[0]):
@@ -94,21 +103,31 @@ def _disconnect(client: int) -> None:
 
 
 class World:
-    """W tiles of N drones over one ground plane at z = 0. Poses in and out are in each world's own frame."""
+    """W tiles of N drones and K obstacles over one ground plane at z = 0. Poses are in each world's own frame."""
 
-    def __init__(self, airframes: Sequence[Airframe], num_worlds: int, dt: float, live: bool = False):
+    def __init__(
+        self,
+        airframes: Sequence[Airframe],
+        num_worlds: int,
+        dt: float,
+        obstacles: Sequence[Obstacle] = (),
+        live: bool = False,
+    ):
         """Connect and build. `dt` is the substep, s; `live` opens a window (RuntimeError where there is no screen)."""
         if live:
             require_screen()
         with _silenced():
             self._client = bullet.connect(bullet.GUI if live else bullet.DIRECT)
         self._finalizer = weakref.finalize(self, _disconnect, self._client)
-        self.shape = (num_worlds, len(airframes))
+        self.shape, self.dt = (num_worlds, len(airframes)), dt
         self._offset = np.array([tile_offset(k) for k in range(num_worlds)])[:, None, :]
         self._configure(dt, live)
         self._ground = self._make_ground()
         self._body = [self._make_drone(airframe) for _ in range(num_worlds) for airframe in airframes]
         self._drone_of_body = {body: divmod(k, len(airframes)) for k, body in enumerate(self._body)}
+        self.obstacle_radius = np.array([obstacle.radius for obstacle in obstacles])
+        self._obstacle = self._make_obstacles(obstacles)
+        self._obstacle_of_body = {body: FIRST_OBSTACLE - k for row in self._obstacle for k, body in enumerate(row)}
         self._reported: list = [None] * len(self._body)  # positions as the engine gave them, for forces at the centre
         self._parking = self._offset + [
             (PARKING_PITCH * (i % PARKING_COLUMNS), PARKING_PITCH * (i // PARKING_COLUMNS), PARKING_HEIGHT)
@@ -134,7 +153,11 @@ class World:
         client = self._client
         collision = bullet.createCollisionShape(bullet.GEOM_PLANE, physicsClientId=client)
         visual = bullet.createVisualShape(
-            bullet.GEOM_BOX, halfExtents=[1000, 1000, 0.01], rgbaColor=[0.86, 0.88, 0.85, 1], physicsClientId=client
+            bullet.GEOM_BOX,
+            halfExtents=[1000, 1000, 0.01],
+            rgbaColor=[0.86, 0.88, 0.85, 1],
+            specularColor=[0, 0, 0],
+            physicsClientId=client,
         )
         ground = bullet.createMultiBody(0, collision, visual, physicsClientId=client)
         bullet.setCollisionFilterGroupMask(ground, -1, SURFACE_GROUP, DRONE_GROUP, physicsClientId=client)
@@ -153,6 +176,25 @@ class World:
             body, -1, linearDamping=0, angularDamping=0, maxJointVelocity=1e4, physicsClientId=self._client
         )
         return body
+
+    def _make_obstacles(self, obstacles: Sequence[Obstacle]) -> list[list[int]]:
+        """(W, K) bodies, parked far below the ground."""
+        client = self._client
+        bodies: list[list[int]] = [[] for _ in range(self.shape[0])]
+        for obstacle in obstacles:
+            collision = bullet.createCollisionShape(**_shape(obstacle), physicsClientId=client)
+            visual = bullet.createVisualShape(**_shape(obstacle), rgbaColor=obstacle.colour, physicsClientId=client)
+            for row in bodies:
+                row.append(bullet.createMultiBody(0, collision, visual, [0, 0, -PARKING_HEIGHT], physicsClientId=client))
+                bullet.setCollisionFilterGroupMask(row[-1], -1, SURFACE_GROUP, DRONE_GROUP, client)
+        return bodies
+
+    def set_obstacles(self, position: np.ndarray, quaternion: np.ndarray, worlds: np.ndarray) -> None:
+        """Put the obstacles of `worlds` (W,) at position (W, K, 3) with quaternion (W, K, 4)."""
+        place = position + self._offset
+        for w in np.flatnonzero(worlds):
+            for k, body in enumerate(self._obstacle[w]):
+                bullet.resetBasePositionAndOrientation(body, place[w, k], quaternion[w, k], self._client)
 
     def set_states(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Put the drones of `mask` (W, N) where `swarm` says, with its velocities, free of anything from their past."""
@@ -213,17 +255,22 @@ class World:
         bullet.stepSimulation(self._client)
 
     def contacts(self) -> list[tuple[int, int, int, float]]:
-        """What touched in the last step: (world, drone, other drone or GROUND, normal force in N), both sides of a pair."""
+        """What touched in the last step: (world, drone, other, normal force in N), both sides of a pair; see `Contacts`."""
         rows = []
         for point in bullet.getContactPoints(physicsClientId=self._client):
             force = point[NORMAL_FORCE]
             if force > 0 or point[DISTANCE] < 0:
-                one, two = (self._drone_of_body.get(point[side]) for side in (BODY_A, BODY_B))
-                if one is not None:
-                    rows.append((*one, GROUND if two is None else two[1], force))
-                if two is not None:
-                    rows.append((*two, GROUND if one is None else one[1], force))
+                for mine, theirs in ((BODY_A, BODY_B), (BODY_B, BODY_A)):
+                    drone = self._drone_of_body.get(point[mine])
+                    if drone is not None:
+                        rows.append((*drone, self._other(point[theirs]), force))
         return rows
+
+    def _other(self, body: int) -> int:
+        """What a contact calls this body."""
+        if body in self._drone_of_body:
+            return self._drone_of_body[body][1]
+        return self._obstacle_of_body.get(body, GROUND)
 
     def cast_rays(self, start: np.ndarray, end: np.ndarray, world: np.ndarray) -> np.ndarray:
         """(M,) fraction of each ray from `start` to `end` (M, 3) in world `world` (M,) before a surface; 1 where none.
@@ -252,32 +299,29 @@ class World:
             surface[mask] = np.where(fraction < 1, start[:, 2] - RAY_LENGTH * fraction, -np.inf)
         return surface
 
-    def separation(self, world: int, one: tuple, two: tuple | None, within: float) -> float:
+    def separation(self, world: int, one: tuple, two: tuple, within: float) -> float:
         """Closest distance of two collision shapes, negative when they overlap, inf beyond `within` (m).
 
-        `one` and `two` are (drone, position, quaternion) and move the engine's bodies there; two=None is the ground.
+        `one` and `two` are (who, position, quaternion), who as in `Contacts`, and move the engine's bodies there.
         """
-        bodies = [self._ground, self._ground]
-        for side, pose in enumerate((one, two)):
-            if pose is not None:
-                drone, position, quaternion = pose
-                bodies[side] = self._body[world * self.shape[1] + drone]
-                place = position + self._offset[world, 0]
-                bullet.resetBasePositionAndOrientation(bodies[side], place, quaternion, self._client)
+        bodies = []
+        for who, position, quaternion in (one, two):
+            if who == GROUND:
+                bodies.append(self._ground)
+                continue
+            drone = who >= 0
+            bodies.append(self._body[world * self.shape[1] + who] if drone else self._obstacle[world][FIRST_OBSTACLE - who])
+            place = position + self._offset[world, 0]
+            bullet.resetBasePositionAndOrientation(bodies[-1], place, quaternion, self._client)
         points = bullet.getClosestPoints(bodies[0], bodies[1], within, physicsClientId=self._client)
         return min((point[DISTANCE] for point in points), default=np.inf)
 
-    def picture(
-        self, world: int, view: np.ndarray, projection: np.ndarray, size: tuple[int, int]
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(height, width, 3) uint8 from a camera given by `view_matrices` in the world's own frame; needs no screen.
-
-        Beside it two (height, width) masks: where the ground is seen, and where nothing is.
-        """
+    def picture(self, world: int, view: np.ndarray, projection: np.ndarray, size: tuple[int, int]) -> Picture:
+        """What a camera given by matrices (see `view`) in the world's own frame sees; needs no screen."""
         shift = np.eye(4)
         shift[:3, 3] = -self._offset[world, 0]
         width, height = size
-        _, _, pixels, _, bodies = bullet.getCameraImage(
+        _, _, pixels, buffer, bodies = bullet.getCameraImage(
             width,
             height,
             (view @ shift).T.ravel().tolist(),  # Bullet wants columns first
@@ -288,7 +332,8 @@ class World:
         )
         bodies = np.asarray(bodies).reshape(height, width)
         pixels = np.asarray(pixels, dtype=np.uint8).reshape(height, width, 4)[..., :3].copy()
-        return pixels, bodies == self._ground, bodies < 0
+        depth = metres(np.asarray(buffer, dtype=np.float64).reshape(height, width)).astype(np.float32)
+        return Picture(pixels, depth, bodies == self._ground, bodies < 0)
 
     def look_at(self, world: int, target: np.ndarray, distance: float) -> None:
         """Point the live view at `target` (3,) of a world from `distance` metres."""
@@ -303,13 +348,3 @@ class World:
     def closed(self) -> bool:
         """Whether `close` was called."""
         return not self._finalizer.alive
-
-
-def view_matrices(
-    eye: np.ndarray, target: np.ndarray, aspect: float, field_of_view: float = 60.0, near: float = 0.05, far: float = 4000.0
-) -> tuple[np.ndarray, np.ndarray]:
-    """(4, 4) view and projection matrices (row, column) of a camera at `eye` that looks at `target`, z up, degrees, m."""
-    columns = bullet.computeViewMatrix(list(eye), list(target), [0, 0, 1])
-    view = np.reshape(columns, (4, 4)).T
-    projection = np.reshape(bullet.computeProjectionMatrixFOV(field_of_view, aspect, near, far), (4, 4)).T
-    return view, projection

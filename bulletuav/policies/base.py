@@ -7,6 +7,7 @@ import numpy as np
 
 from bulletuav.envs.aviary import Aviary
 from bulletuav.physics.swarm import Swarm
+from bulletuav.tasks.terms.observations import Observation
 
 
 class Policy(ABC):
@@ -35,5 +36,5 @@ class Policy(ABC):
         """Forget the worlds of `mask` (W,), which start anew."""
 
     @abstractmethod
-    def act(self, observations: np.ndarray, swarm: Swarm) -> np.ndarray:
+    def act(self, observations: Observation, swarm: Swarm) -> np.ndarray:
         """Actions (W, N, A) for observations (W, N, D) and the true swarm."""

@@ -5,6 +5,7 @@ import numpy as np
 from bulletuav.control.actions import limit_norm
 from bulletuav.physics.swarm import Swarm
 from bulletuav.policies.base import Policy
+from bulletuav.tasks.terms.observations import Observation
 
 APPROACH = 1.0  # 1/s; slows down over the last max_speed metres
 
@@ -19,7 +20,7 @@ class StraightLine(Policy):
     def reset(self, mask: np.ndarray) -> None:
         """Nothing to forget."""
 
-    def act(self, observations: np.ndarray, swarm: Swarm) -> np.ndarray:
+    def act(self, observations: Observation, swarm: Swarm) -> np.ndarray:
         """The goal itself, or the velocity towards it."""
         goal, encode = self.aviary.scene.goal, self.aviary.action.encode
         assert encode is not None  # all actions in `actions` have one

@@ -1,33 +1,52 @@
 """What a task is made of: it spawns worlds, names reward terms and ends episodes; everything is batched (W, N, ...)."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from bulletuav.errors import unknown
+from bulletuav.physics.obstacle import Obstacle
 from bulletuav.physics.swarm import Contacts, Swarm
 from bulletuav.tasks.terms.conflict import Conflict, conflict
 
+NOTHING = np.zeros((0, 3))
+
 
 class Spawn(NamedTuple):
-    """Start of one world: position (N, 3) m, quaternion (N, 4), velocity (N, 3) m/s, rates (N, 3) rad/s, goal (N, 3) m."""
+    """Start of one world: position (N, 3) m, quaternion (N, 4), velocity (N, 3) m/s, rates (N, 3) rad/s, goal (N, 3) m.
+
+    Of the task's K obstacles position and velocity (K, 3).
+    """
 
     position: np.ndarray
     quaternion: np.ndarray
     velocity: np.ndarray
     rates: np.ndarray
     goal: np.ndarray
+    obstacle: np.ndarray = NOTHING
+    obstacle_velocity: np.ndarray = NOTHING
 
 
 class Scene(NamedTuple):
-    """What the worlds hold beside the drones: goals and start positions (W, N, 3), m."""
+    """Beside the drones: goals, start positions (W, N, 3) m; obstacles (W, K, 3) m, m/s, quaternions (W, K, 4)."""
 
     goal: np.ndarray
     start: np.ndarray
+    obstacle: np.ndarray
+    obstacle_velocity: np.ndarray
+    obstacle_quaternion: np.ndarray
+
+    @classmethod
+    def empty(cls, num_worlds: int, num_drones: int, num_obstacles: int) -> "Scene":
+        """All at the origin, unturned."""
+        of_drones, of_obstacles = (num_worlds, num_drones, 3), (num_worlds, num_obstacles, 3)
+        turns = np.tile([0.0, 0.0, 0.0, 1.0], (num_worlds, num_obstacles, 1))
+        return cls(np.zeros(of_drones), np.zeros(of_drones), np.zeros(of_obstacles), np.zeros(of_obstacles), turns)
 
 
 @dataclass(frozen=True)
@@ -42,7 +61,10 @@ class Setting:
 
 @dataclass(frozen=True)
 class Frame:
-    """One decision, for a task to judge. Arrays (W, N, ...); `alive` are the drones that flew it, `time` s since reset."""
+    """One decision, for a task to judge. Arrays (W, N, ...); `alive` are the drones that flew it, `time` (W,) s since reset.
+
+    `readings` are what sensors measured after it, by name.
+    """
 
     before: Swarm
     after: Swarm
@@ -52,6 +74,7 @@ class Frame:
     alive: np.ndarray
     time: np.ndarray
     d_safe: float
+    readings: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     @cached_property
     def conflict(self) -> Conflict:
@@ -82,6 +105,7 @@ class Task(ABC):
                  its float fields are sizes, which must be finite and not negative
     defaults     values of the common options where they differ from the package's
     difficulties for each difficulty the options that it sets, common or own
+    presets      named sets of values of options
     observation  names of the observation blocks
     """
 
@@ -89,6 +113,7 @@ class Task(ABC):
     Config: ClassVar[type]
     defaults: ClassVar[Mapping[str, Any]]
     difficulties: ClassVar[Mapping[str, Mapping[str, Any]]]
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = MappingProxyType({})
     observation: ClassVar[tuple[str, ...]]
 
     arena_low: np.ndarray
@@ -105,6 +130,17 @@ class Task(ABC):
     @abstractmethod
     def spawn(self, rng: np.random.Generator) -> Spawn:
         """Start of one world."""
+
+    def obstacles(self) -> Sequence[Obstacle]:
+        """The bodies in every world, none by default."""
+        return ()
+
+    def advance(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rng: Sequence[np.random.Generator | None]) -> bool:
+        """Move goals and obstacles of the worlds that fly (W,) through one decision from `time` (W,), in place.
+
+        Called before the drones fly. Returns whether obstacles moved; by default nothing does.
+        """
+        return False
 
     @abstractmethod
     def reward_terms(self, frame: Frame) -> dict[str, np.ndarray]:

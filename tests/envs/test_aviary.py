@@ -17,7 +17,7 @@ def fly(aviary, seed, steps=40, action_seed=0):
     rng = np.random.default_rng(action_seed)
     seen = [aviary.reset(seeds=seed).tobytes()]
     for _ in range(steps):
-        actions = rng.uniform(aviary.action.low, aviary.action.high, (*aviary.alive.shape, len(aviary.action.low)))
+        actions = rng.uniform(aviary.action.low, aviary.action.high, (*aviary.alive.shape, aviary.action.low.shape[-1]))
         step = aviary.step(actions)
         seen += [array.tobytes() for array in (*step[:4], *step.info.values(), *aviary.swarm, aviary.state())]
     return b"".join(seen)
@@ -67,7 +67,7 @@ def test_world_k_does_not_feel_the_others_and_starts_like_seed_plus_k(task, dyna
         first = aviary.reset(seeds=10)
         rng, bits = np.random.default_rng(0), []
         for k in range(40):
-            actions = np.full((*aviary.alive.shape, len(aviary.action.low)), others)
+            actions = np.full((*aviary.alive.shape, aviary.action.low.shape[-1]), others)
             actions[1] = rng.uniform(-1, 1, actions[1].shape)
             step = aviary.step(actions)
             bits += [array[1].tobytes() for array in (*step[:4], *aviary.swarm)]

@@ -91,7 +91,7 @@ def test_own_airframe_from_a_path_flies(urdf):
     aviary.reset(seeds=0)
     for _ in range(90):
         step = aviary.step(aviary.action.encode(aviary.scene.goal))
-    assert aviary.options.airframe.name == "mine"
+    assert aviary.options.airframe[0].name == "mine"
     assert step.info["success"].all()
     aviary.close()
 

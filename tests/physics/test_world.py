@@ -130,7 +130,7 @@ def shake(one, decisions, seed, world=0):
     seen, touched = [], 0
     for _ in range(decisions):
         speeds = np.array([rng.uniform(0, 500, (one.alive.shape[1], 4)) for rng in streams])
-        contacts = one.dynamics.fly(one.swarm, one.alive, bench.Level.ROTOR, speeds, one.wind)
+        contacts = one.dynamics.fly(one.swarm, one.alive, bench.Level.ROTOR, speeds, one.wind, one.motion)
         seen.append(b"".join(array[world].tobytes() for array in one.swarm))
         touched += int((contacts.world == world).sum())
     assert touched > decisions  # otherwise nothing was tested

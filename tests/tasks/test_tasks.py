@@ -52,12 +52,12 @@ def test_the_docstring_names_defaults_terms_and_ends(name):
 def test_every_difficulty_starts_clear_of_everything(name, difficulty):
     aviary = bulletuav.Aviary(name, 3, difficulty=difficulty, dynamics="rigid_body")
     aviary.reset(seeds=0)
-    position, radius = aviary.swarm.position, aviary.options.airframe.collision_radius
+    position, radius = aviary.swarm.position, aviary.options.airframe[0].collision_radius
     assert (position[..., 2] > radius).all()
     assert (position > aviary.task.arena_low).all()
     assert (position < aviary.task.arena_high).all()
     assert (aviary.scene.goal < aviary.task.arena_high).all()
-    assert not aviary.step(np.zeros((*aviary.alive.shape, len(aviary.action.low)))).terminated.any()
+    assert not aviary.step(np.zeros((*aviary.alive.shape, aviary.action.low.shape[-1]))).terminated.any()
     aviary.close()
 
 
@@ -67,7 +67,7 @@ def test_every_difficulty_starts_clear_of_everything(name, difficulty):
 def test_hover_reward_by_hand():
     aviary = bulletuav.Aviary("hover", dynamics="rigid_body", effects=(), start=((1.0, 0.0, 2.0),))
     aviary.reset(seeds=0)
-    hover = 2 * aviary.options.airframe.hover_speed() ** 2 / aviary.options.airframe.max_rotor_speed**2 - 1
+    hover = 2 * aviary.options.airframe[0].hover_speed() ** 2 / aviary.options.airframe[0].max_rotor_speed ** 2 - 1
     step = aviary.step(np.full((1, 1, 4), hover))
     assert step.rewards[0, 0] == pytest.approx(1 - 0.1 * 1.0, abs=1e-6)
     np.testing.assert_allclose(
@@ -217,7 +217,7 @@ def test_conflict_and_collision_are_told_apart(dynamics):
     assert rows[-1].terminated.all()
     assert not rows[-1].info["success"].any()
     assert rows[-1].info["reward/collision"][0].tolist() == [-200, -200]
-    assert rows[-1].info["separation"].max() < 2 * aviary.options.airframe.collision_radius
+    assert rows[-1].info["separation"].max() < 2 * aviary.options.airframe[0].collision_radius
     aviary.close()
 
 

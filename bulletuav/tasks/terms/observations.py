@@ -2,12 +2,14 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from gymnasium.spaces import Box, Dict, Space
 
 from bulletuav.errors import pick
 from bulletuav.kernel import kernel
+from bulletuav.physics.view import FAR
 
 if TYPE_CHECKING:
     from bulletuav.tasks.base import Frame, Task
@@ -144,24 +146,60 @@ BLOCKS: dict[str, Callable[["Task"], Block]] = {
     block.__name__: block
     for block in (position, attitude, velocity, rates, goal_position, goal_offset, goal, alive, neighbours)
 }
+IMAGES: dict[str, tuple[float, float, Any, tuple[int, ...]]] = {
+    "rgb": (0, 255, np.uint8, (3,)),
+    "depth": (0.0, FAR, np.float32, ()),
+}
+"""Blocks that are pictures of the drone's camera: bounds, type, shape of a pixel"""
 STATE = ("position", "attitude", "velocity", "rates", "goal_position", "alive")
+
+Observation = np.ndarray | dict[str, np.ndarray]
 
 
 class Observer:
-    """The named blocks of a task side by side, clipped to their bounds, as float32."""
+    """The named blocks of a task side by side: one vector, or, with pictures among them, a dict.
 
-    def __init__(self, names: Sequence[str], task: "Task"):
+    Vectors are float32, clipped to their bounds. The dict's keys are "vector" (where there is one) and the pictures' names.
+    """
+
+    def __init__(self, names: Sequence[str], task: "Task", camera_size: tuple[int, int] = (64, 48)):
         """Raises ValueError for a block that does not exist."""
-        self._blocks = [pick("observation block", name, BLOCKS)(task) for name in names]
+        self.images = [name for name in names if name in IMAGES]
+        vectors = [name for name in names if name not in IMAGES]
+        self._blocks = [pick("observation block", name, BLOCKS)(task) for name in vectors]
         self.labels = [label for block in self._blocks for label in block.labels]
         self.low = np.array([label.low for label in self.labels], dtype=np.float32)
         self.high = np.array([label.high for label in self.labels], dtype=np.float32)
+        self._camera_shape = camera_size[::-1]
 
-    def observe(self, frame: "Frame", present: np.ndarray) -> np.ndarray:
-        """(W, N, D) float32 after the frame; `present` (W, N) are the drones that can still be met."""
-        parts = [block.compute(frame, present) for block in self._blocks]
-        return np.clip(np.concatenate(parts, axis=-1).astype(np.float32), self.low, self.high)
+    def space(self) -> Box | Dict:
+        """One drone's observation space, a new object each time."""
+        vector = Box(self.low, self.high, dtype=np.float32)
+        if not self.images:
+            return vector
+        spaces: dict[str, Space] = {"vector": vector} if self.labels else {}
+        for name in self.images:
+            low, high, kind, pixel = IMAGES[name]
+            spaces[name] = Box(low, high, (*self._camera_shape, *pixel), kind)
+        return Dict(spaces)
+
+    def observe(self, frame: "Frame", present: np.ndarray) -> Observation:
+        """(W, N, D) float32 after the frame, or the dict; `present` (W, N) are the drones that can still be met."""
+        seen: dict[str, np.ndarray] = {}
+        if self._blocks:
+            parts = [block.compute(frame, present) for block in self._blocks]
+            seen["vector"] = np.clip(np.concatenate(parts, axis=-1).astype(np.float32), self.low, self.high)
+        if not self.images:
+            return seen["vector"]
+        return seen | {name: frame.readings[name].copy() for name in self.images}
 
     def table(self) -> list[str]:
         """One line a number: index, name, unit, bounds."""
         return [f"{k:3d}  {x.name:24s} {x.unit:6s} [{x.low:g}, {x.high:g}]" for k, x in enumerate(self.labels)]
+
+
+def part(observations: Observation, index) -> Any:
+    """`observations[index]`, of each entry where they are a dict."""
+    if isinstance(observations, dict):
+        return {name: array[index] for name, array in observations.items()}
+    return observations[index]

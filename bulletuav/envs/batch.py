@@ -1,0 +1,86 @@
+"""The batched face: W worlds of N drones that reset themselves."""
+
+from typing import Any
+
+import numpy as np
+from gymnasium.spaces import Box, Dict, Space
+from gymnasium.vector import AutoresetMode
+
+from bulletuav.envs.aviary import Aviary
+from bulletuav.envs.spaces import drone_action_space
+from bulletuav.tasks.terms.observations import Observation
+
+
+class BatchAviary:
+    """W worlds of N drones: arrays in, arrays out. A world's episode is over when all its drones are done.
+
+    What then happens follows Gymnasium's `AutoresetMode`: NEXT_STEP, the step after the last ignores the world's actions and
+    returns the first observations of a new episode with zero rewards; SAME_STEP, the last step itself returns them, and
+    info["final_obs"] (W, N, D), "final_state" and "final_info" hold the end, under the masks "_final_obs" and "_final_info"
+    (W,); DISABLED, the caller resets by `reset(options={"reset_mask": mask})`.
+
+    observation_space, action_space are those of one drone; in a mixed swarm those with fewer rotors ignore the last numbers.
+    """
+
+    def __init__(self, task: str, num_envs: int, autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP, **options: Any):
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.aviary = Aviary(task, num_envs, **options)
+        self.num_envs, self.num_drones = self.aviary.num_worlds, self.aviary.num_drones
+        self.observation_space: Box | Dict = self.aviary.observer.space()
+        widest = max(range(self.num_drones), key=self.aviary.action.size)
+        self.action_space: Space = drone_action_space(self.aviary.action, widest)
+        self.ended: np.ndarray = np.zeros(self.num_envs, dtype=bool)
+        """(W,) worlds whose episode ended in the last step"""
+
+    @property
+    def alive(self) -> np.ndarray:
+        """(W, N) bool: drones whose episode goes on."""
+        return self.aviary.alive
+
+    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
+        """Start new episodes in all worlds, or in those of options["reset_mask"] (W,).
+
+        `seed`: an int s gives world k the seed s + k; a sequence gives one to each; None goes on with each world's own.
+        """
+        mask = (options or {}).get("reset_mask")
+        observations = self.aviary.reset(mask, seed)
+        self.ended = self.ended & (False if mask is None else ~np.asarray(mask))
+        return observations, dict(self.aviary.first_info())
+
+    def step(self, actions: np.ndarray) -> tuple[Observation, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """One decision of all worlds with actions (W, N, A), or (W, N) choices of a discrete action.
+
+        Returns observations, rewards (W, N), terminated (W, N), truncated (W, N) and infos (W, N) by name.
+        """
+        actions = np.asarray(actions)
+        if self.aviary.action.choices is not None:
+            actions = actions[..., None]
+        fresh = self.ended & (self.autoreset_mode == AutoresetMode.NEXT_STEP)
+        flying = self.aviary.alive.any(axis=1)
+        observations, rewards, terminated, truncated, info = self.aviary.step(actions)
+        infos: dict[str, Any] = dict(info)
+        self.ended = flying & ~np.any(self.aviary.alive, axis=1)
+        if fresh.any():
+            observations = self.aviary.reset(fresh)
+        if self.ended.any() and self.autoreset_mode == AutoresetMode.SAME_STEP:
+            infos |= {"final_obs": observations, "final_state": self.aviary.state(), "final_info": info}
+            infos |= {"_final_obs": self.ended, "_final_info": self.ended}
+            observations = self.aviary.reset(self.ended)
+        return observations, rewards, terminated, truncated, infos
+
+    def state(self) -> np.ndarray:
+        """(W, 17 N) float32 global state; see `Aviary.state`."""
+        return self.aviary.state()
+
+    def render(self, world: int = 0) -> np.ndarray | None:
+        """A picture (height, width, 3) uint8 of one world with render_mode "rgb_array"."""
+        return self.aviary.render(world)
+
+    def close(self) -> None:
+        """Free the engine; a second call does nothing."""
+        self.aviary.close()
+
+
+def batch_env(task: str, num_envs: int, **options: Any) -> BatchAviary:
+    """`num_envs` worlds of the task that reset themselves; see `BatchAviary` and, for the options, `parallel_env`."""
+    return BatchAviary(task, num_envs, **options)
