@@ -1,4 +1,4 @@
-"""The command line: `bulletuav fly`, `bulletuav tasks`."""
+"""The command line: `bulletuav fly`, `bulletuav tasks`, `bulletuav benchmark`."""
 
 import argparse
 import ast
@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
+from bulletuav.benchmark import FLOORS, ROUNDS, SIZES, measure
 from bulletuav.control.actions import ACTIONS
 from bulletuav.control.cascade import CONTROLLERS
 from bulletuav.envs.aviary import Aviary
@@ -55,7 +56,15 @@ def _parser() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentParse
         allow_abbrev=False,
     )
     _add_fly_arguments(fly)
-    return parser, {"tasks": tasks, "fly": fly}
+    benchmark = commands.add_parser(
+        "benchmark",
+        help="measure this machine: drone-substeps per CPU-second of every dynamics",
+        description="Print drone-substeps per CPU-second of every dynamics beside the engine's floor, and reset times.",
+        allow_abbrev=False,
+    )
+    benchmark.add_argument("--drones", type=int, nargs="+", default=list(SIZES), metavar="N", help="swarm sizes")
+    benchmark.add_argument("--seconds", type=float, default=0.3, help="CPU time of one measurement (default: 0.3)")
+    return parser, {"tasks": tasks, "fly": fly, "benchmark": benchmark}
 
 
 def _add_fly_arguments(fly: argparse.ArgumentParser) -> None:
@@ -170,10 +179,33 @@ def tasks(arguments: argparse.Namespace) -> None:
     task = find_task(arguments.task)
     print(inspect.getdoc(task))
     print("\nDefaults of common options: " + ", ".join(f"{name}={value!r}" for name, value in task.defaults.items()))
+    for name, values in task.presets.items():
+        print(f"Preset {name}: " + ", ".join(f"{option}={value!r}" for option, value in values.items()))
     print(f"\n{inspect.getdoc(task.Config)}\n")
     for field in dataclasses.fields(task.Config):
         default = field.default if field.default is not dataclasses.MISSING else {}
         print(f"  {field.name:16s} {default!r}")
+
+
+def benchmark(arguments: argparse.Namespace) -> None:
+    """Measure and print."""
+    sizes = tuple(arguments.drones)
+    if min(sizes) < 1 or not arguments.seconds > 0:
+        raise ValueError(f"--drones {sizes}, --seconds {arguments.seconds}: numbers above 0 are needed")
+    with Progress(console=Console(stderr=True)) as progress:
+        measuring = progress.add_task("measuring", total=len(sizes) * (len(LADDER) + len(FLOORS)) * ROUNDS)
+        results = measure(sizes, arguments.seconds, lambda: progress.advance(measuring))
+    table = Table(title="drone-substeps per CPU-second, one thread, 240 Hz, all forces (reset of the world, ms)")
+    table.add_column("dynamics")
+    for size in sizes:
+        table.add_column(f"N = {size}", justify="right")
+    for name in dict.fromkeys(result.name for result in results):
+        row = [result for result in results if result.name == name]
+        table.add_row(name, *(f"{r.rate:.3g}" + ("" if r.reset_ms != r.reset_ms else f" ({r.reset_ms:.2f})") for r in row))
+    Console().print(table)
+    Console().print(
+        "bare step: the engine's step alone. engine calls: with forces, states, heights and contacts through Python."
+    )
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -183,7 +215,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     command = commands[arguments.command]
     _check_known(rest, command)
     try:
-        {"fly": fly, "tasks": tasks}[arguments.command](arguments)
+        {"fly": fly, "tasks": tasks, "benchmark": benchmark}[arguments.command](arguments)
     except (ValueError, OSError, RuntimeError, ImportError) as error:
         command.error(" ".join(str(error).split()))
     except KeyboardInterrupt:

@@ -150,7 +150,7 @@ class Aviary:
             array[k] = value
         for i, airframe in enumerate(self.options.airframe):
             self.swarm.rotor_speed[k, i, : len(airframe.rotors)] = airframe.hover_speed(self.options.gravity)
-        self.scene.start[k], self.scene.goal[k] = spawn.position, spawn.goal
+        self.scene.start[k], self.scene.goal[k], self.scene.goal_velocity[k] = spawn.position, spawn.goal, 0
         self.scene.obstacle[k], self.scene.obstacle_velocity[k] = spawn.obstacle, spawn.obstacle_velocity
         self._cascade.memory[k] = 0
         self.alive[k] = True

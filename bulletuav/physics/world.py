@@ -6,7 +6,6 @@ resets in place that leave no trace of the past; a world that does not feel what
 
 import contextlib
 import ctypes
-import ctypes.util
 import os
 import sys
 import weakref
@@ -18,6 +17,7 @@ from bulletuav.kernel import kernel
 from bulletuav.physics.airframe import Airframe
 from bulletuav.physics.obstacle import Obstacle
 from bulletuav.physics.rotation import to_body, to_world
+from bulletuav.physics.screen import require_screen
 from bulletuav.physics.swarm import FIRST_OBSTACLE, GROUND, Swarm
 from bulletuav.physics.view import Picture, metres
 
@@ -61,26 +61,6 @@ def tile_offset(world: int) -> np.ndarray:
     column = sum((world >> 2 * bit & 1) << bit for bit in range(16))
     row = sum((world >> 2 * bit + 1 & 1) << bit for bit in range(16))
     return np.array([column * TILE_PITCH, row * TILE_PITCH, 0.0])
-
-
-def require_screen() -> None:
-    """Raise RuntimeError where no X screen answers (Bullet would end the process)."""
-    if not sys.platform.startswith("linux"):
-        return
-    name = ctypes.util.find_library("X11")
-    display = os.environ.get("DISPLAY")
-    if name and display:
-        x11 = ctypes.CDLL(name)
-        x11.XOpenDisplay.restype = ctypes.c_void_p
-        x11.XCloseDisplay.argtypes = [ctypes.c_void_p]
-        screen = x11.XOpenDisplay(None)
-        if screen:
-            x11.XCloseDisplay(screen)
-            return
-    raise RuntimeError(
-        f'render_mode="human" needs a screen, and none answers (DISPLAY is {display!r}); '
-        'use render_mode="rgb_array" for pictures without one'
-    )
 
 
 def _shape(obstacle: Obstacle) -> dict[str, object]:

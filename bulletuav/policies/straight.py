@@ -11,7 +11,7 @@ APPROACH = 1.0  # 1/s; slows down over the last max_speed metres
 
 
 class StraightLine(Policy):
-    """Towards the goal at max_speed, slower when nearer than a second of flight."""
+    """Towards the goal at max_speed, slower when nearer than a second of flight, and with it where it moves."""
 
     name = "straight"
     actions = ("velocity", "target_position")
@@ -26,4 +26,5 @@ class StraightLine(Policy):
         assert encode is not None  # all actions in `actions` have one
         if self.aviary.options.action == "target_position":
             return encode(goal)
-        return encode(limit_norm(APPROACH * (goal - swarm.position), self.aviary.options.max_speed))
+        wanted = APPROACH * (goal - swarm.position) + self.aviary.scene.goal_velocity
+        return encode(limit_norm(wanted, self.aviary.options.max_speed))

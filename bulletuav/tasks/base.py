@@ -33,9 +33,10 @@ class Spawn(NamedTuple):
 
 
 class Scene(NamedTuple):
-    """Beside the drones: goals, start positions (W, N, 3) m; obstacles (W, K, 3) m, m/s, quaternions (W, K, 4)."""
+    """Beside the drones: goals (W, N, 3) m, m/s, start positions (W, N, 3) m; obstacles (W, K, 3) m, m/s, (W, K, 4)."""
 
     goal: np.ndarray
+    goal_velocity: np.ndarray
     start: np.ndarray
     obstacle: np.ndarray
     obstacle_velocity: np.ndarray
@@ -46,7 +47,8 @@ class Scene(NamedTuple):
         """All at the origin, unturned."""
         of_drones, of_obstacles = (num_worlds, num_drones, 3), (num_worlds, num_obstacles, 3)
         turns = np.tile([0.0, 0.0, 0.0, 1.0], (num_worlds, num_obstacles, 1))
-        return cls(np.zeros(of_drones), np.zeros(of_drones), np.zeros(of_obstacles), np.zeros(of_obstacles), turns)
+        drones, obstacles = (np.zeros((3, *of_drones)), np.zeros((2, *of_obstacles)))
+        return cls(*drones, *obstacles, turns)
 
 
 @dataclass(frozen=True)

@@ -63,6 +63,8 @@ class Hover(Task):
 
     Difficulty, start within / speed / tilt / rates / height: easy 0.5 m, at rest, 2 m; medium 1 m, 1 m/s, 20 degrees, 3 m;
     hard 1.5 m, 2 m/s, 60 degrees, 3 rad/s, 5 m; extreme 1.5 m, 4 m/s, 180 degrees, 6 rad/s, 15 m.
+
+    Preset hover_aviary: cf2x, 240 Hz physics, 30 Hz decisions, 240 decisions, action `hover_rpm`, as in gym-pybullet-drones.
     """
 
     name = "hover"
@@ -94,6 +96,16 @@ class Hover(Task):
             "start_tilt": 180.0,
             "start_rates": 6.0,
         },
+    }
+    presets: ClassVar = {
+        # frequencies, horizon and action of gym-pybullet-drones' HoverAviary, to compare speed and learning with it
+        "hover_aviary": {
+            "airframe": "cf2x",
+            "physics_hz": 240,
+            "decision_hz": 30,
+            "horizon": 240,
+            "action": "hover_rpm",
+        }
     }
     observation = ("attitude", "goal_offset", "velocity", "rates")
 

@@ -81,6 +81,12 @@ def goal_offset(task: "Task") -> Block:
     return Block(_vector("goal offset", "m", -size, size), lambda frame, present: frame.scene.goal - frame.after.position)
 
 
+def goal_velocity(task: "Task") -> Block:
+    """The goal's velocity, world axes."""
+    bound = np.full(3, 2 * task.setting.max_speed)
+    return Block(_vector("goal velocity", "m/s", -bound, bound), lambda frame, present: frame.scene.goal_velocity)
+
+
 def goal(task: "Task") -> Block:
     """Direction to the goal (unit vector, world axes) and distance."""
 
@@ -144,7 +150,7 @@ def _nearest(position, velocity, present, count, out):
 
 BLOCKS: dict[str, Callable[["Task"], Block]] = {
     block.__name__: block
-    for block in (position, attitude, velocity, rates, goal_position, goal_offset, goal, alive, neighbours)
+    for block in (position, attitude, velocity, rates, goal_position, goal_offset, goal_velocity, goal, alive, neighbours)
 }
 IMAGES: dict[str, tuple[float, float, Any, tuple[int, ...]]] = {
     "rgb": (0, 255, np.uint8, (3,)),

@@ -1,0 +1,108 @@
+"""Speed: drone-substeps per CPU-second of every dynamics, beside the floor that the engine's calls set."""
+
+import statistics
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from bulletuav.envs.aviary import Aviary
+from bulletuav.physics.airframe import load_airframe
+from bulletuav.physics.ladder import LADDER
+from bulletuav.physics.swarm import Swarm
+from bulletuav.physics.world import World
+
+SIZES = (1, 10, 100, 1000)
+ROUNDS = 3
+SUBSTEPS = 24  # a decision: 240 Hz physics, 10 Hz decisions
+FLOORS = ("bare step", "engine calls")
+
+
+class Result(NamedTuple):
+    """Drone-substeps per CPU-second of `name` with `num_drones` in one world, median; reset in ms, NaN for floors."""
+
+    name: str
+    num_drones: int
+    rate: float
+    reset_ms: float
+
+
+def measure(
+    sizes: tuple[int, ...] = SIZES, seconds: float = 0.3, progress: Callable[[], None] = lambda: None
+) -> list[Result]:
+    """All cases of all sizes, interleaved over `ROUNDS`; `progress` is called after every measurement."""
+    results = []
+    for num_drones in sizes:
+        cases: dict[str, Callable[[], object]] = {}
+        resets: dict[str, Callable[[], object]] = {}
+        aviaries = {name: _aviary(name, num_drones) for name in LADDER}
+        for name, aviary in aviaries.items():
+            cases[name] = partial(aviary.step, np.zeros((1, num_drones, 3)))
+            resets[name] = partial(aviary.reset, seeds=0)
+        world, floors = _floors(num_drones)
+        cases |= floors
+        rates: dict[str, list[float]] = {name: [] for name in cases}
+        for _ in range(ROUNDS):
+            for name, case in cases.items():
+                if name in resets:
+                    resets[name]()
+                rates[name].append(num_drones * SUBSTEPS * _per_second(case, seconds))
+                progress()
+        for name in cases:
+            reset = 1e3 / _per_second(resets[name], seconds / 3) if name in resets else float("nan")
+            results.append(Result(name, num_drones, statistics.median(rates[name]), reset))
+        world.close()
+        for aviary in aviaries.values():
+            aviary.close()
+    return results
+
+
+def _aviary(dynamics: str, num_drones: int) -> Aviary:
+    aviary = Aviary(
+        "hover",
+        num_drones=num_drones,
+        dynamics=dynamics,
+        action="velocity",
+        decision_hz=240 // SUBSTEPS,
+        horizon=10**9,
+        height=3.0,
+        max_distance=1000.0,
+    )
+    aviary.reset(seeds=0)
+    aviary.step(np.zeros((1, num_drones, 3)))  # compiles
+    return aviary
+
+
+def _floors(num_drones: int) -> tuple[World, dict[str, Callable[[], None]]]:
+    """The engine's step alone, and with the calls that forces, states, heights and contacts need; no arithmetic of ours."""
+    world = World([load_airframe("cf2x")] * num_drones, 1, 1 / 240)
+    swarm = Swarm.zeros(1, num_drones, 4)
+    swarm.position[0] = [(2.0 * (i % 32), 2.0 * (i // 32), 3.0) for i in range(num_drones)]
+    everyone = np.ones((1, num_drones), dtype=bool)
+    world.set_states(swarm, everyone)
+    nothing = np.zeros((1, num_drones, 3))
+
+    def bare() -> None:
+        for _ in range(SUBSTEPS):
+            world.step()
+
+    def calls() -> None:
+        for _ in range(SUBSTEPS):
+            world.surface_below(swarm.position, everyone)
+            world.apply_wrenches(nothing, nothing, everyone)
+            world.step()
+            world.read_states(swarm, everyone)
+            world.contacts()
+
+    return world, dict(zip(FLOORS, (bare, calls), strict=True))
+
+
+def _per_second(case: Callable[[], object], seconds: float) -> float:
+    """Calls per CPU-second."""
+    begin, calls = time.process_time(), 0
+    while (spent := time.process_time() - begin) < seconds:
+        case()
+        calls += 1
+    return calls / spent
