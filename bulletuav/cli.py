@@ -203,9 +203,7 @@ def benchmark(arguments: argparse.Namespace) -> None:
         row = [result for result in results if result.name == name]
         table.add_row(name, *(f"{r.rate:.3g}" + ("" if r.reset_ms != r.reset_ms else f" ({r.reset_ms:.2f})") for r in row))
     Console().print(table)
-    Console().print(
-        "bare step: the engine's step alone. engine calls: with forces, states, heights and contacts through Python."
-    )
+    print("bare step: the engine's step alone; engine calls: with forces, states, heights and contacts through Python")
 
 
 def main(argv: Sequence[str] | None = None) -> None:

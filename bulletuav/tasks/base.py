@@ -47,8 +47,8 @@ class Scene(NamedTuple):
         """All at the origin, unturned."""
         of_drones, of_obstacles = (num_worlds, num_drones, 3), (num_worlds, num_obstacles, 3)
         turns = np.tile([0.0, 0.0, 0.0, 1.0], (num_worlds, num_obstacles, 1))
-        drones, obstacles = (np.zeros((3, *of_drones)), np.zeros((2, *of_obstacles)))
-        return cls(*drones, *obstacles, turns)
+        goal, goal_velocity, start = np.zeros((3, *of_drones))
+        return cls(goal, goal_velocity, start, np.zeros(of_obstacles), np.zeros(of_obstacles), turns)
 
 
 @dataclass(frozen=True)

@@ -22,8 +22,8 @@ TARGETS = {
 class FollowConfig:
     """Options of `follow`, m, m/s, rad/s.
 
-    The `target` ("vehicle" or "drone") drives at `target_speed`; its heading wanders by `turn` (rad after one second, standard
-    deviation) and turns home at `arena` metres from the start. Stations lie on a circle of radius `distance` about it.
+    The `target` ("vehicle" or "drone") drives at `target_speed`; its heading wanders by `turn` (rad after one second,
+    standard deviation) and turns home at `arena` metres from the start. Stations lie on a circle of radius `distance` about it.
     """
 
     target: str = "vehicle"
@@ -72,7 +72,8 @@ class Follow(Task):
     End: terminated on any contact of collision shapes or further than 40 m from the station; truncated after 300 decisions.
     Success: within 1 m of the station.
 
-    Difficulty, target speed / turn: easy 5 m/s, 0.3 rad; medium 8 m/s, 0.5 rad; hard 10 m/s, 0.8 rad; extreme 12 m/s, 1.2 rad.
+    Difficulty, target speed / turn: easy 5 m/s, 0.3 rad; medium 8 m/s, 0.5 rad; hard 10 m/s, 0.8 rad; extreme 12 m/s,
+    1.2 rad.
     """
 
     name = "follow"
@@ -102,7 +103,7 @@ class Follow(Task):
             raise ValueError(f"target_speed {config.target_speed:g} m/s must be below max_speed {setting.max_speed:g} m/s")
         angle = 2 * np.pi * np.arange(setting.num_drones) / setting.num_drones
         circle = config.distance * np.stack([-np.cos(angle), -np.sin(angle), np.zeros(len(angle))], axis=1)
-        self._station = circle + [0, 0, above]
+        self._station = circle + np.array((0, 0, above))
         refuse_overlap(self._station, setting.collision_radius + config.start_offset * np.sqrt(3))
         nearest = float(np.linalg.norm(self._station, axis=1).min()) - config.start_offset * np.sqrt(3)
         if nearest <= self._body.radius + setting.collision_radius:
