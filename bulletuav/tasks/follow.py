@@ -23,7 +23,7 @@ class FollowConfig:
     """Options of `follow`, m, m/s, rad/s.
 
     The `target` ("vehicle" or "drone") drives at `target_speed`; its heading wanders by `turn` (rad after one second,
-    standard deviation) and turns home at `arena` metres from the start. Stations lie on a circle of radius `distance` about it.
+    standard deviation) and turns home at `arena` metres from the start. Stations lie on a circle of radius `distance`.
     """
 
     target: str = "vehicle"
