@@ -19,6 +19,7 @@ from bulletuav.control.actions import ACTIONS
 from bulletuav.control.cascade import CONTROLLERS
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.options import Options
+from bulletuav.physics.airframe import available_airframes
 from bulletuav.physics.ladder import LADDER
 from bulletuav.pictures import Animation, plot_tracks
 from bulletuav.policies import POLICIES, find_policy
@@ -73,9 +74,9 @@ def _add_fly_arguments(fly: argparse.ArgumentParser) -> None:
     fly.add_argument("--seed", type=int, default=0, help="same seed, same flight (default: 0)")
     fly.add_argument("--out", type=Path, default=Path("out"), metavar="DIR", help="folder for the files (default: out)")
     fly.add_argument("--drones", type=int, dest="num_drones", metavar="N", help="number of drones")
-    fly.add_argument("--airframe", help="name, or path of a URDF")
+    fly.add_argument("--airframe", help=f"{', '.join(available_airframes())}, or path of a URDF")
     fly.add_argument("--dynamics", help=f"{', '.join(LADDER)} (default: bullet)")
-    fly.add_argument("--action", help=f"{', '.join(ACTIONS)} (default: the task's, or the policy's where it must)")
+    fly.add_argument("--action", help=f"{', '.join(ACTIONS)} (default: the task's, or one that the policy gives)")
     fly.add_argument("--controller", help=f"{' or '.join(CONTROLLERS)} (default: lee)")
     fly.add_argument("--difficulty", help="easy, medium, hard or extreme")
     fly.add_argument("--physics-hz", type=int, metavar="HZ", help="physics substeps a second (default: 240)")
@@ -111,21 +112,34 @@ def _fly_options(arguments: argparse.Namespace) -> dict[str, Any]:
         name, equals, text = pair.partition("=")
         if not equals:
             raise ValueError(f"--set {pair}: NAME=VALUE is needed")
-        try:
-            options[name] = ast.literal_eval(text)
-        except (ValueError, SyntaxError):
-            options[name] = text
+        if name in options:
+            raise ValueError(f"--set {pair}: {name} is given twice")
+        parts = [_literal(part) for part in text.split(",")]
+        options[name] = _literal(text) if len(parts) == 1 or text[0] in "([{" else tuple(parts)
     policy, task = find_policy(arguments.policy), find_task(arguments.task)
     if "action" not in options and task.defaults["action"] not in policy.actions:
         options["action"] = policy.actions[0]
     return options
 
 
+def _literal(text: str) -> Any:
+    """A number, None, a Python literal, or the text itself."""
+    try:
+        return ast.literal_eval(text)
+    except (ValueError, SyntaxError):
+        return float(text) if text.strip() in ("nan", "inf", "-inf") else text
+
+
 def fly(arguments: argparse.Namespace) -> None:
     """Fly one episode and write its files."""
     aviary = Aviary(arguments.task, 1, **_fly_options(arguments))
     policy = find_policy(arguments.policy)(aviary)
-    arguments.out.mkdir(parents=True, exist_ok=True)
+    try:
+        arguments.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ValueError(f"--out {arguments.out} cannot be a folder to write to: {error.strerror}") from None
+    for old in arguments.out.glob("flight.*"):
+        old.unlink()  # of an earlier flight
     with Progress(console=Console(stderr=True)) as progress:
         flight = progress.add_task("flying", total=aviary.options.horizon)
         recording = fly_episode(aviary, policy, arguments.seed, lambda: progress.advance(flight))
@@ -154,8 +168,8 @@ def _draw(recording: Recording, aviary: Aviary, arguments: argparse.Namespace, p
 
 
 def _table(recording: Recording, task: str, aviary: Aviary) -> Table:
-    table = Table(title=f"{task}, {aviary.num_drones} drones, d_safe {aviary.task.config.d_safe:g} m")
-    for heading in ("drone", "reached", "min separation m", "conflicts", "collisions", "final distance m", "time s"):
+    table = Table(title=f"{task}, drones: {aviary.num_drones}, d_safe {aviary.task.config.d_safe:g} m")
+    for heading in ("drone", "reached", "nearest m", "conflicts", "collisions", "to goal m", "time s"):
         table.add_column(heading, justify="right")
     for row in outcomes(recording):
         table.add_row(
@@ -178,13 +192,17 @@ def tasks(arguments: argparse.Namespace) -> None:
         return
     task = find_task(arguments.task)
     print(inspect.getdoc(task))
-    print("\nDefaults of common options: " + ", ".join(f"{name}={value!r}" for name, value in task.defaults.items()))
+    print(
+        "\nDefaults of the options common to all tasks, where the task has its own: "
+        + ", ".join(f"{name}={value!r}" for name, value in task.defaults.items())
+    )
     for name, values in task.presets.items():
         print(f"Preset {name}: " + ", ".join(f"{option}={value!r}" for option, value in values.items()))
     print(f"\n{inspect.getdoc(task.Config)}\n")
     for field in dataclasses.fields(task.Config):
         default = field.default if field.default is not dataclasses.MISSING else {}
         print(f"  {field.name:16s} {default!r}")
+    print(f"\n{inspect.getdoc(Options)}")
 
 
 def benchmark(arguments: argparse.Namespace) -> None:

@@ -1,7 +1,12 @@
 """Messages that name the wrong value and the remedy."""
 
 import difflib
+import math
+import numbers
 from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
 
 
 def unknown(what: str, name: object, choices: Iterable[str]) -> ValueError:
@@ -12,8 +17,29 @@ def unknown(what: str, name: object, choices: Iterable[str]) -> ValueError:
     return ValueError(f"unknown {what} {name!r}: {hint}")
 
 
+def whole(name: str, value: Any, least: int) -> int:
+    """`value` as an int. Raises ValueError unless it is a whole number, at least `least`."""
+    if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < least:
+        raise ValueError(f"{name} is {value!r}: a whole number, at least {least}, is needed")
+    return int(value)
+
+
+def finite(name: str, value: Any) -> float:
+    """`value` as a float. Raises ValueError unless it is a finite number."""
+    if not isinstance(value, numbers.Real) or not math.isfinite(value):
+        raise ValueError(f"{name} is {value!r}: a finite number is needed")
+    return float(value)
+
+
+def several(name: str, value: Any, count: int | None = None) -> tuple:
+    """`value` as a tuple. Raises ValueError unless it is a list or tuple, of `count` entries where that is given."""
+    if not isinstance(value, list | tuple | np.ndarray) or count not in (None, len(value)):
+        raise ValueError(f"{name} is {value!r}: a list or tuple{'' if count is None else f' of {count} values'} is needed")
+    return tuple(value)
+
+
 def pick(what: str, name: str, table: dict):
     """`table[name]`, or `unknown` when it is not there."""
-    if name not in table:
+    if not isinstance(name, str) or name not in table:
         raise unknown(what, name, table)
     return table[name]

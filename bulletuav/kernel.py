@@ -5,7 +5,7 @@ survives an edit of that helper. Here the cache lives in a folder named by a has
 any edit, upgrade or downgrade starts from an empty folder.
 """
 
-import getpass
+import contextlib
 import hashlib
 import os
 import shutil
@@ -32,25 +32,24 @@ def source_hash(package: Path = _PACKAGE) -> str:
 
 def cache_folder() -> Path:
     """Folder for the compiled kernels of exactly these sources: below `NUMBA_CACHE_DIR`, else the user's cache folder."""
-    user_cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    candidates = [Path(numba.config.CACHE_DIR or user_cache), Path(tempfile.gettempdir(), f"bulletuav-{getpass.getuser()}")]
+    chosen = numba.config.CACHE_DIR or os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    candidates = [Path(chosen), Path(tempfile.gettempdir(), f"bulletuav-{os.getuid() if hasattr(os, 'getuid') else ''}")]
     for base in candidates:
         folder = base / "bulletuav-kernels" / source_hash()
-        try:
+        with contextlib.suppress(OSError):
             folder.mkdir(parents=True, exist_ok=True)
-        except OSError:
-            continue
-        if os.access(folder, os.W_OK):
-            _forget_old_folders(folder)
-            return folder
+            if os.access(folder, os.W_OK):
+                _forget_old_folders(folder)
+                return folder
     raise OSError(f"no writable folder for compiled kernels among {candidates}; set NUMBA_CACHE_DIR to one")
 
 
 def _forget_old_folders(current: Path) -> None:
-    os.utime(current)
-    others = [path for path in current.parent.iterdir() if path != current]
-    for path in sorted(others, key=lambda path: path.stat().st_mtime, reverse=True)[_FOLDERS_KEPT - 1 :]:
-        shutil.rmtree(path, ignore_errors=True)
+    with contextlib.suppress(OSError):  # another process may be tidying too
+        os.utime(current)
+        others = [path for path in current.parent.iterdir() if path != current]
+        for path in sorted(others, key=lambda path: path.stat().st_mtime, reverse=True)[_FOLDERS_KEPT - 1 :]:
+            shutil.rmtree(path, ignore_errors=True)
 
 
 _CACHE = cache_folder()

@@ -1,26 +1,31 @@
 """Pictures of a recorded episode: tracks from above with altitudes, and an animation."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import matplotlib
 import numpy as np
-from matplotlib.animation import FuncAnimation, PillowWriter
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.figure import Figure
+from PIL import Image
 
 from bulletuav.record import Recording
 
 MOST_FRAMES = 150
 TRAIL = 30  # decisions
 FPS = 20
+MOST_NUMBERS = 24  # more drones than this are not numbered
+GONE = 0.25  # opacity of drones that have finished
 
 
 def _figure(width: float, height: float) -> Figure:
     """A figure without any window system."""
     figure = Figure(figsize=(width, height), layout="constrained")
+    figure.get_layout_engine().set(w_pad=0.08, h_pad=0.08)  # type: ignore[union-attr, call-arg]
     FigureCanvasAgg(figure)
     return figure
 
@@ -29,37 +34,55 @@ def _colours(count: int) -> np.ndarray:
     return matplotlib.colormaps["turbo"](np.linspace(0.05, 0.95, count))
 
 
-def _flown(recording: Recording, drone: int) -> np.ndarray:
-    """(P, 3) the drone's positions until it left."""
-    return recording.position[: int(recording.alive[:-1, drone].sum()) + 1, drone]
-
-
 def plot_tracks(recording: Recording, d_safe: float, title: str, path: Path) -> None:
-    """Tracks from above (starts as dots, goals as crosses), altitudes and separations over time, as a PNG file."""
+    """Tracks from above (starts numbered, goals as crosses), altitudes and separations over time, as a PNG file.
+
+    Collisions are stars, places where a conflict began red rings. A single drone's distance to its goal stands in for
+    separations.
+    """
     figure = _figure(12, 6.5)
     grid = figure.add_gridspec(2, 2, width_ratios=[1.15, 1])
-    above, altitude, separation = (figure.add_subplot(cell) for cell in (grid[:, 0], grid[0, 1], grid[1, 1]))
-    for drone, colour in enumerate(_colours(recording.position.shape[1])):
-        track = _flown(recording, drone)
+    above, altitude, apart = (figure.add_subplot(cell) for cell in (grid[:, 0], grid[0, 1], grid[1, 1]))
+    drones = recording.position.shape[1]
+    for drone, colour in enumerate(_colours(drones)):
+        end = int(recording.alive[:-1, drone].sum()) + 1
+        track, time = recording.position[:end, drone], recording.time[:end]
+        goal = recording.goal[:end, drone]
         above.plot(track[:, 0], track[:, 1], color=colour, lw=1.2)
         above.plot(*track[0, :2], "o", color=colour, ms=5)
-        above.plot(*recording.goal[drone, :2], "x", color=colour, ms=8, mew=2)
-        altitude.plot(recording.time[: len(track)], track[:, 2], color=colour, lw=1.2)
-        gaps = recording.separation[: len(track) - 1, drone]
-        separation.plot(recording.time[1 : len(track)], np.where(np.isfinite(gaps), gaps, np.nan), color=colour, lw=1.2)
-    hit = np.argwhere(recording.collision)
-    if len(hit):
-        place = recording.position[hit[:, 0] + 1, hit[:, 1]]
-        above.plot(place[:, 0], place[:, 1], "*", color="crimson", ms=13, mec="black", label="collision")
+        above.plot(*goal[-1, :2], "x", color=colour, ms=8, mew=2)
+        if drones <= MOST_NUMBERS:
+            above.annotate(str(drone), (track[0, 0], track[0, 1]), textcoords="offset points", xytext=(5, -11), fontsize=8)
+        altitude.plot(time, track[:, 2], color=colour, lw=1.2)
+        if drones > 1:
+            gaps = recording.separation[: end - 1, drone]
+            apart.plot(time[1:], np.where(np.isfinite(gaps), gaps, np.nan), color=colour, lw=1.2)
+        else:
+            apart.plot(time, np.linalg.norm(goal - track, axis=1), color=colour, lw=1.2)
+    _mark(above, recording, recording.conflicts > 0, "o", "conflict begins", mfc="none")
+    _mark(above, recording, recording.collision, "*", "collision", mec="black")
+    if above.get_legend_handles_labels()[0]:
         above.legend(loc="upper right")
     above.set(title=title, xlabel="x east (m)", ylabel="y north (m)", aspect="equal")
     altitude.set(xlabel="time (s)", ylabel="altitude (m)")
-    separation.axhline(d_safe, color="crimson", ls="--", lw=1, label=f"d_safe {d_safe:g} m")
-    separation.set(xlabel="time (s)", ylabel="nearest drone (m)", ylim=(0, None))
-    separation.legend(loc="upper right")
-    for axes in (above, altitude, separation):
+    altitude.ticklabel_format(useOffset=False)
+    apart.set(xlabel="time (s)", ylabel="distance to goal (m)")
+    if drones > 1:
+        apart.axhline(d_safe, color="crimson", ls="--", lw=1, label=f"d_safe {d_safe:g} m")
+        apart.set(ylabel="nearest drone (m)", ylim=(0, 5 * d_safe))
+        apart.legend(loc="upper right")
+    for axes in (above, altitude, apart):
         axes.grid(alpha=0.3)
     figure.savefig(path, dpi=110)
+
+
+def _mark(axes: Axes, recording: Recording, events: np.ndarray, marker: str, label: str, **style: Any) -> None:
+    """Marks where events (T, N) happened, if any."""
+    hit = np.argwhere(events)
+    if len(hit):
+        place = recording.position[hit[:, 0] + 1, hit[:, 1]]
+        style = {"mec": "crimson", **style}
+        axes.plot(place[:, 0], place[:, 1], marker, color="crimson", ms=11, label=label, **style)
 
 
 class Animation:
@@ -67,95 +90,104 @@ class Animation:
 
     def __init__(self, recording: Recording, d_safe: float, drone_size: float, title: str):
         """`drone_size` is the real diameter, m, which the caption tells beside the drawn one."""
-        self._recording, self._title = recording, title
+        self._recording, self._title, self._d_safe = recording, title, d_safe
         self._frames = list(range(0, len(recording.time), -(-len(recording.time) // MOST_FRAMES)))
         if self._frames[-1] != len(recording.time) - 1:
             self._frames.append(len(recording.time) - 1)
-        points = np.concatenate([recording.position.reshape(-1, 3), recording.goal])[:, :2]
-        low, high = points.min(axis=0), points.max(axis=0)
-        span = float(max(*(high - low), 4 * drone_size))
+        drones = recording.position.shape[1]
+        self._colours = _colours(drones)
+        span, middle = self._extent(drone_size)
         drawn = max(drone_size, 0.018 * span)
-        self.figure = _figure(7.4, 7)
+        self.figure = _figure(7, 7.4)
         self._axes = self.figure.add_subplot()
-        middle = (low + high) / 2
         reach = 0.56 * span + d_safe / 2
         self._axes.set(
             xlim=middle[0] + np.array([-reach, reach]), ylim=middle[1] + np.array([-reach, reach]), aspect="equal"
         )
         self._axes.set(
             xlabel=(
-                "x east (m)\n"
-                f"discs: drones, drawn {drawn:.2g} m across (real {drone_size:.2g} m), colour: altitude; crosses: goals\n"
-                f"rings: {d_safe:g} m across, so drones at the same altitude are in conflict where rings overlap"
+                f"x east (m)\n\nDiscs: drones, drawn {drawn:.2g} m across (real {drone_size:.2g} m), pale once they have "
+                f"finished.\nCrosses: goals. Rings: {d_safe:g} m across, red while another drone is nearer than that."
             ),
             ylabel="y north (m)",
         )
         self._axes.grid(alpha=0.3)
-        self._axes.plot(*recording.goal[:, :2].T, "x", color="0.35", ms=8, mew=1.5)
-        sizes = np.ones(recording.position.shape[1])
+        self._text = self._axes.set_title(" ")
+        self._goals = self._axes.scatter([], [], marker="x", s=60, linewidths=1.6)
         self._trails = LineCollection([], linewidths=1.2)
         self._axes.add_collection(self._trails)
-        self._rings = self._circles(d_safe * sizes, facecolors="none", edgecolors="0.5")
-        self._discs = self._circles(drawn * sizes, edgecolors="black", linewidths=0.5, cmap="viridis")
-        heights = recording.position[..., 2]
-        self._discs.set_clim(heights.min() - 0.5, heights.max() + 0.5)
-        self.figure.colorbar(self._discs, ax=self._axes, label="altitude (m)", shrink=0.8)
-        self.draw(0)
+        self._rings = self._circles(np.full(drones, d_safe), facecolors="none", linewidths=1.2)
+        self._discs = self._circles(np.full(drones, drawn), linewidths=0.5)
+        self._moving: list[Artist] = [self._text, self._goals, self._trails, self._rings, self._discs]
+        for artist in self._moving:
+            artist.set_animated(True)
         self.figure.canvas.draw()
-        self.figure.set_layout_engine("none")  # laid out once; doing so for every frame takes most of the time
+        self._empty = self.figure.canvas.copy_from_bbox(self.figure.bbox)  # type: ignore[attr-defined]
+
+    def _extent(self, drone_size: float) -> tuple[float, np.ndarray]:
+        """Side of the square that holds everything, m, and its middle."""
+        points = np.concatenate([self._recording.position, self._recording.goal]).reshape(-1, 3)[:, :2]
+        low, high = points.min(axis=0), points.max(axis=0)
+        return float(max(*(high - low), 4 * drone_size)), (low + high) / 2
 
     def _circles(self, diameter: np.ndarray, **style: Any) -> EllipseCollection:
-        angles = np.zeros(len(diameter))
+        angles, nowhere = np.zeros(len(diameter)), np.zeros((len(diameter), 2))
         circles = EllipseCollection(
-            diameter,
-            diameter,
-            angles,
-            units="x",
-            offsets=np.zeros((len(diameter), 2)),
-            transOffset=self._axes.transData,
-            **style,
+            diameter, diameter, angles, units="x", offsets=nowhere, transOffset=self._axes.transData, **style
         )
         self._axes.add_collection(circles)
         return circles
 
-    def draw(self, row: int) -> list:
-        """Show the state of one row of the recording."""
+    def draw(self, row: int) -> np.ndarray:
+        """(height, width, 3) uint8 picture of one row of the recording."""
         recording = self._recording
-        position = np.where(recording.alive[row][:, None], recording.position[row], np.nan)
-        self._discs.set_offsets(position[:, :2])
-        self._discs.set_array(recording.position[row, :, 2])
-        self._rings.set_offsets(position[:, :2])
-        trail = recording.position[max(0, row - TRAIL) : row + 1, recording.alive[row], :2]
-        self._trails.set_segments(list(trail.swapaxes(0, 1)))
-        self._trails.set_color(_colours(recording.position.shape[1])[recording.alive[row]])
-        self._axes.set_title(f"{self._title}   t = {recording.time[row]:.1f} s")
-        return []
+        position, goal, alive = recording.position[row, :, :2], recording.goal[row, :, :2], recording.alive[row]
+        colours = self._colours.copy()
+        colours[~alive, 3] = GONE
+        edges = np.where(alive[:, None], (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0, GONE))
+        near = recording.separation[max(0, row - 1)] < self._d_safe
+        rings = np.where(near[:, None], (0.86, 0.08, 0.24, 1.0), (0.5, 0.5, 0.5, 1.0))
+        rings[~alive, 3] = 0
+        self._discs.set(offsets=position, facecolors=colours, edgecolors=edges)
+        self._rings.set(offsets=position, edgecolors=rings)
+        self._goals.set(offsets=goal, color=self._colours)
+        trail = recording.position[max(0, row - TRAIL) : row + 1, :, :2]
+        self._trails.set(segments=list(trail.swapaxes(0, 1)), color=colours)
+        self._text.set_text(f"{self._title}   t = {recording.time[row]:.1f} s")
+        canvas = self.figure.canvas
+        assert isinstance(canvas, FigureCanvasAgg)
+        canvas.restore_region(self._empty)
+        for artist in self._moving:
+            self._axes.draw_artist(artist)
+        return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
     def save(self, path: Path, progress: Callable[[], None] = lambda: None) -> None:
         """Write a .gif, or a .mp4 with the extra `video` (ImportError that names it when it is missing)."""
-        if path.suffix == ".mp4":
-            self._save_video(path, progress)
-            return
-        animation = FuncAnimation(self.figure, self.draw, frames=self._frames, blit=False)
-        animation.save(path, writer=PillowWriter(fps=FPS), dpi=80, progress_callback=lambda *_: progress())
 
-    def _save_video(self, path: Path, progress: Callable[[], None]) -> None:
-        try:
-            import imageio_ffmpeg
-        except ImportError:
-            raise ImportError("mp4 needs the extra 'video': pip install 'bulletuav[video]', or write a .gif") from None
-        canvas = self.figure.canvas
-        assert isinstance(canvas, FigureCanvasAgg)
-        canvas.draw()
-        width, height = canvas.get_width_height()
-        writer = imageio_ffmpeg.write_frames(str(path), (width, height), fps=FPS, macro_block_size=2)
-        writer.send(None)
-        for row in self._frames:
-            self.draw(row)
-            canvas.draw()
-            writer.send(np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3]))
-            progress()
-        writer.close()
+        def pictures() -> Iterator[np.ndarray]:
+            for row in self._frames:
+                yield self.draw(row)
+                progress()
+
+        if path.suffix == ".mp4":
+            _save_video(path, pictures())
+            return
+        first, *others = (Image.fromarray(picture).quantize(128) for picture in pictures())
+        first.save(path, save_all=True, append_images=others, duration=1000 // FPS, loop=0)
 
     def __len__(self) -> int:
         return len(self._frames)
+
+
+def _save_video(path: Path, pictures: Iterator[np.ndarray]) -> None:
+    try:
+        import imageio_ffmpeg
+    except ImportError:
+        raise ImportError("mp4 needs the extra 'video': pip install 'bulletuav[video]', or write a .gif") from None
+    first = next(pictures)
+    writer = imageio_ffmpeg.write_frames(str(path), first.shape[1::-1], fps=FPS, macro_block_size=2)
+    writer.send(None)
+    writer.send(first)
+    for picture in pictures:
+        writer.send(picture)
+    writer.close()

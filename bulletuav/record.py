@@ -21,7 +21,7 @@ class Recording:
 
     time (T+1,) s; position (T+1, N, 3) m; quaternion (T+1, N, 4); velocity (T+1, N, 3) m/s; rates (T+1, N, 3) rad/s;
     alive (T+1, N) bool; action (T, N, A); reward (T, N); separation (T, N) m, least within the decision, inf when alone;
-    conflicts (T, N) begun; collision, success (T, N) bool; goal (N, 3) m. A drone that left keeps its last state.
+    conflicts (T, N) begun; collision, success (T, N) bool; goal (T + 1, N, 3) m. A drone that left keeps its last state.
     """
 
     time: np.ndarray
@@ -55,19 +55,25 @@ def fly_episode(aviary: Aviary, policy: Policy, seed: int, progress: Callable[[]
     """Fly one episode in world 0 from `seed`; `progress` is called after every decision."""
     observations = aviary.reset(seeds=seed)
     policy.reset(np.ones(aviary.num_worlds, dtype=bool))
-    states, alive, actions, steps = [aviary.swarm.copy()], [aviary.alive.copy()], [], []
+    states, alive, goals, actions, steps = [aviary.swarm.copy()], [aviary.alive.copy()], [aviary.scene.goal.copy()], [], []
     while aviary.alive[0].any():
         actions.append(policy.act(observations, aviary.swarm))
         steps.append(aviary.step(actions[-1]))
         observations = steps[-1].observations
         states.append(aviary.swarm.copy())
         alive.append(aviary.alive.copy())
+        goals.append(aviary.scene.goal.copy())
         progress()
-    return _recording(aviary, states, alive, actions, steps)
+    return _recording(aviary, states, alive, goals, actions, steps)
 
 
 def _recording(
-    aviary: Aviary, states: list[Swarm], alive: list[np.ndarray], actions: list[np.ndarray], steps: list[Step]
+    aviary: Aviary,
+    states: list[Swarm],
+    alive: list[np.ndarray],
+    goals: list[np.ndarray],
+    actions: list[np.ndarray],
+    steps: list[Step],
 ) -> Recording:
     def column(name: str) -> np.ndarray:
         return np.array([step.info[name][0] for step in steps])
@@ -85,7 +91,7 @@ def _recording(
         conflicts=column("conflicts"),
         collision=column("collision"),
         success=column("success"),
-        goal=aviary.scene.goal[0].copy(),
+        goal=np.array([goal[0] for goal in goals]),
     )
 
 
@@ -95,7 +101,7 @@ def outcomes(recording: Recording) -> list[Outcome]:
     for drone in range(recording.position.shape[1]):
         last = int(recording.alive[:-1, drone].sum()) - 1
         flown = slice(0, last + 1)
-        distance = np.linalg.norm(recording.goal[drone] - recording.position[last + 1, drone])
+        distance = np.linalg.norm(recording.goal[last + 1, drone] - recording.position[last + 1, drone])
         rows.append(
             Outcome(
                 drone=drone,
@@ -111,7 +117,7 @@ def outcomes(recording: Recording) -> list[Outcome]:
 
 
 def save(recording: Recording, aviary: Aviary, policy: str, seed: int, folder: Path) -> list[Path]:
-    """Write `trajectory.npz` (all arrays), `trajectory.csv` (a row a drone and time) and `run.json` (what was flown)."""
+    """Write `trajectory.npz` (all arrays), `trajectory.csv` (a row a drone and time), `run.json` (options and outcomes)."""
     arrays, table, run = (folder / name for name in ("trajectory.npz", "trajectory.csv", "run.json"))
     np.savez_compressed(arrays, **asdict(recording))
     header = ["time", "drone", "alive", "x", "y", "z", "qx", "qy", "qz", "qw", "vx", "vy", "vz", "p", "q", "r"]
@@ -127,5 +133,8 @@ def save(recording: Recording, aviary: Aviary, policy: str, seed: int, folder: P
     wind = "function" if callable(aviary.options.wind) else aviary.options.wind
     options = {**vars(aviary.options), "airframe": names, "wind": wind, **asdict(aviary.task.config)}
     about = {"bulletuav": __version__, "task": aviary.task.name, "policy": policy, "seed": seed, "options": options}
+    about["outcomes"] = [
+        {name: value if value != np.inf else None for name, value in row._asdict().items()} for row in outcomes(recording)
+    ]
     run.write_text(json.dumps(about, indent=2) + "\n")
     return [arrays, table, run]

@@ -10,12 +10,13 @@ from bulletuav.control.cascade import Cascade
 from bulletuav.control.gains import gain_rows
 from bulletuav.envs.camera import Camera
 from bulletuav.envs.options import Options, resolve
+from bulletuav.errors import whole
 from bulletuav.physics.airframe import parameter_rows
 from bulletuav.physics.dynamics import Dynamics, Flight
 from bulletuav.physics.ladder import LADDER
 from bulletuav.physics.swarm import Contacts, Motion, Swarm
 from bulletuav.physics.wind import Wind
-from bulletuav.physics.world import World
+from bulletuav.physics.world import PARKING_HEIGHT, TILE_PITCH, World
 from bulletuav.sensors.camera import DroneCameras
 from bulletuav.tasks import find_task
 from bulletuav.tasks.base import Frame, Scene, Setting, Spawn, Task, refuse_overlap
@@ -48,9 +49,7 @@ class Aviary:
         """Build the worlds; see `Options` and the task's config. Raises ValueError for options that cannot be."""
         kind = find_task(task)
         self.options, config = resolve(kind, options)
-        if not isinstance(num_worlds, int | np.integer) or num_worlds < 1:
-            raise ValueError(f"num_worlds is {num_worlds!r}: a whole number, at least 1, is needed")
-        self.num_worlds, self.num_drones = int(num_worlds), self.options.num_drones
+        self.num_worlds, self.num_drones = whole("num_worlds", num_worlds, 1), self.options.num_drones
         shape = (self.num_worlds, self.num_drones)
         live = self.options.render_mode == "human"
         self.task = self._make_task(kind, config, self.options)
@@ -74,7 +73,16 @@ class Aviary:
     @staticmethod
     def _make_task(kind: type[Task], config: Any, options: Options) -> Task:
         radius = max(airframe.collision_radius for airframe in options.airframe)
-        return kind(config, Setting(options.num_drones, radius, options.max_speed, 1 / options.decision_hz))
+        task = kind(config, Setting(options.num_drones, radius, options.max_speed, 1 / options.decision_hz))
+        reach = float(np.abs([task.arena_low[:2], task.arena_high[:2]]).max())
+        if 2 * (reach + radius) >= TILE_PITCH or task.arena_high[2] >= PARKING_HEIGHT:
+            raise ValueError(
+                f"the arena reaches {reach:g} m aside and {task.arena_high[2]:g} m up: less than {TILE_PITCH / 2:g} and "
+                f"{PARKING_HEIGHT:g} m are needed, where other worlds begin"
+            )
+        if config.d_safe <= 2 * radius:
+            raise ValueError(f"d_safe {config.d_safe:g} m must exceed the {2 * radius:.3g} m across of the largest drone")
+        return task
 
     def _make_action(self) -> Action:
         options, task = self.options, self.task
@@ -86,7 +94,7 @@ class Aviary:
     def _make_dynamics(self) -> tuple[Dynamics, Cascade]:
         options, worlds = self.options, (self.num_worlds, 1)
         actual = np.tile(parameter_rows(options.airframe, options.effects), worlds)
-        nominal = np.tile(parameter_rows(options.airframe), worlds)
+        nominal = actual.copy()
         gains = np.tile(gain_rows(options.airframe, options.max_speed), worlds)
         cascade = Cascade.of(options.controller, nominal, gains)
         substeps = options.physics_hz // options.decision_hz
@@ -137,13 +145,13 @@ class Aviary:
             first = self.options.seed
             return [self._rng[k] or np.random.default_rng(None if first is None else first + int(k)) for k in worlds]
         if isinstance(seeds, int | np.integer):
-            seeds = [int(seeds) + k for k in range(self.num_worlds)]
-        if len(seeds) != self.num_worlds:
-            raise ValueError(f"{len(seeds)} seeds for {self.num_worlds} worlds: one each, or a single int, is needed")
-        for seed in seeds:
-            if not isinstance(seed, int | np.integer) or seed < 0:
-                raise ValueError(f"seed is {seed!r}: a whole number, at least 0, is needed")
-        return [np.random.default_rng(int(seeds[k])) for k in worlds]
+            seeds = [whole("seed", seeds, 0) + k for k in range(self.num_worlds)]
+        if not isinstance(seeds, list | tuple | np.ndarray) or np.shape(seeds) != (self.num_worlds,):
+            raise ValueError(
+                f"seed is {seeds!r}: a whole number, or a list of {self.num_worlds}, one for each world, is needed"
+            )
+        checked = [whole("seed", seed, 0) for seed in seeds]
+        return [np.random.default_rng(checked[k]) for k in worlds]
 
     def _place(self, k: int, spawn: Spawn) -> None:
         for array, value in zip(self.swarm, spawn[:4], strict=False):
@@ -171,9 +179,7 @@ class Aviary:
         Raises ValueError for a wrong shape or a number that is not finite in a living drone's action (the worlds stay as
         they were), RuntimeError before the first reset or after `close`.
         """
-        self._require_open()
-        if self._frame is None:
-            raise RuntimeError("the worlds have not been started: call reset() before step()")
+        self.require_started()
         flown = self.alive.copy()
         action = self._checked_action(actions)
         flying = np.any(flown, axis=1)
@@ -210,7 +216,10 @@ class Aviary:
         return Motion(before, after, self.scene.obstacle_quaternion)
 
     def _checked_action(self, actions: np.ndarray) -> np.ndarray:
-        actions = np.asarray(actions, dtype=np.float64)
+        try:
+            actions = np.asarray(actions, dtype=np.float64)
+        except (TypeError, ValueError, OverflowError) as error:
+            raise ValueError(f"actions are not numbers: {error}") from None
         shape = (*self.alive.shape, self.action.low.shape[-1])
         if actions.shape != shape:
             raise ValueError(f"actions have shape {actions.shape}: (worlds, drones, {self.action.name}) = {shape} is needed")
@@ -255,13 +264,26 @@ class Aviary:
         return state.reshape(self.num_worlds, -1)
 
     def render(self, world: int = 0) -> np.ndarray | None:
-        """(height, width, 3) uint8 picture of a world with render_mode "rgb_array"; None otherwise."""
+        """(height, width, 3) uint8 picture of a world with render_mode "rgb_array"; None otherwise.
+
+        Shows the drones that flew the last decision, so also those that it ended.
+        """
         self._require_open()
         if self.options.render_mode != "rgb_array":
             return None
-        self._current()
+        if world not in range(self.num_worlds):
+            raise ValueError(f"world is {world!r}: a whole number from 0 to {self.num_worlds - 1} is needed")
+        flown = self._current().alive
         self._dynamics.show(self.swarm, self.alive)
-        return self._camera.picture(world, self.swarm, self.scene.goal[world], self.alive)
+        self._world.set_poses(self.swarm, flown & ~self.alive)  # those that just ended are still to be seen
+        picture = self._camera.picture(world, self.swarm, self.scene.goal[world], flown)
+        self._world.park(flown & ~self.alive)
+        return picture
+
+    def require_started(self) -> None:
+        """Raise RuntimeError before the first reset and after `close`."""
+        self._require_open()
+        self._current()
 
     def _require_open(self) -> None:
         if self._world.closed:

@@ -1,19 +1,16 @@
 """Options of an environment: from keyword arguments to checked, frozen values."""
 
 import dataclasses
-import math
-import numbers
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from bulletuav.control.actions import ACTIONS
 from bulletuav.control.cascade import CONTROLLERS, PID_LEVELS
 from bulletuav.control.levels import Level
-from bulletuav.errors import pick, unknown
+from bulletuav.errors import finite, pick, several, unknown, whole
 from bulletuav.physics.airframe import EFFECTS, STANDARD_GRAVITY, Airframe, load_airframe
 from bulletuav.physics.ladder import LADDER
 from bulletuav.physics.wind import TURBULENCE, WindField
@@ -76,35 +73,30 @@ class Options:
 
     def __post_init__(self):
         for name in ("num_drones", "horizon", "physics_hz", "decision_hz"):
-            _whole(name, getattr(self, name), 1)
+            whole(name, getattr(self, name), 1)
         _divides("decision_hz", self.decision_hz, "physics_hz", self.physics_hz)
         if self.camera_hz is not None:
-            _whole("camera_hz", self.camera_hz, 1)
+            whole("camera_hz", self.camera_hz, 1)
             _divides("camera_hz", self.camera_hz, "decision_hz", self.decision_hz)
         if self.seed is not None:
-            _whole("seed", self.seed, 0)
+            whole("seed", self.seed, 0)
         if self.render_mode is not None and self.render_mode not in RENDER_MODES:
             raise unknown("render_mode", self.render_mode, RENDER_MODES)
         for name in ("render_size", "camera_size"):
-            if len(getattr(self, name)) != 2:
-                raise ValueError(f"{name} is {getattr(self, name)}: width and height in pixels are needed")
-            for side in getattr(self, name):
-                _whole(name, side, 8)
+            for side in several(name, getattr(self, name), 2):
+                whole(name, side, 8)
         for name, choices in (("dynamics", LADDER), ("action", ACTIONS), ("controller", CONTROLLERS)):
-            if getattr(self, name) not in choices:
-                raise unknown(name, getattr(self, name), choices)
+            pick(name, getattr(self, name), dict(choices))
         for block in self.observation or ():
-            if block not in {**BLOCKS, **IMAGES}:
-                raise unknown("observation block", block, {**BLOCKS, **IMAGES})
+            pick("observation block", block, {**BLOCKS, **IMAGES})
         for effect in self.effects:
-            if effect not in EFFECTS:
-                raise unknown("effect", effect, EFFECTS)
+            pick("effect", effect, dict.fromkeys(EFFECTS))
         self._check_flight()
 
     def _check_flight(self) -> None:
         if len(self.airframe) != self.num_drones:
             raise ValueError(f"{len(self.airframe)} airframes for {self.num_drones} drones: give one, or one for each drone")
-        _finite("max_speed", self.max_speed)
+        finite("max_speed", self.max_speed)
         slowest = min(self.airframe, key=lambda airframe: airframe.max_speed)
         if not 0 < self.max_speed <= slowest.max_speed:
             raise ValueError(
@@ -114,7 +106,17 @@ class Options:
         self._check_air()
         if self.gravity == 0 and self.action not in ROTOR_ACTIONS:
             raise ValueError(f"action {self.action!r} needs gravity: its controller steers by tilting thrust against weight")
+        if self.controller == "pid" and "lag" in self.effects:
+            warnings.warn(
+                "controller 'pid' is made for motors without lag and may turn a drone over: leave 'lag' out of effects",
+                stacklevel=2,
+            )
         for airframe in self.airframe:
+            if airframe.max_thrust <= airframe.mass * self.gravity:
+                raise ValueError(
+                    f"gravity is {self.gravity:g} m/s^2: airframe {airframe.name!r} lifts at most "
+                    f"{airframe.max_thrust / airframe.mass:.3g} m/s^2 and cannot hover"
+                )
             if self.controller == "pid" and airframe.pwm is None:
                 raise ValueError(
                     f"controller 'pid' drives motors by PWM, and airframe {airframe.name!r} has no <pwm> tag: use 'lee'"
@@ -122,17 +124,15 @@ class Options:
 
     def _check_air(self) -> None:
         if not callable(self.wind):
-            if len(self.wind) != 3:
-                raise ValueError(f"wind is {self.wind}: three numbers (east, north, up) in m/s, or a function, are needed")
-            for component in self.wind:
-                _finite("wind", component)
+            for component in several("wind", self.wind, 3):
+                finite("wind", component)
         if isinstance(self.turbulence, str) and self.turbulence not in TURBULENCE:
             raise unknown("turbulence", self.turbulence, TURBULENCE)
         if not isinstance(self.turbulence, str | None):
-            _finite("turbulence", self.turbulence)
+            finite("turbulence", self.turbulence)
             if self.turbulence < 0:
                 raise ValueError(f"turbulence is {self.turbulence:g} m/s: it must not be negative")
-        _finite("gravity", self.gravity)
+        finite("gravity", self.gravity)
         if self.gravity < 0:
             raise ValueError(f"gravity is {self.gravity:g} m/s^2: it pulls down with 0 or more")
 
@@ -163,23 +163,6 @@ def _divides(name: str, rate: int, into: str, whole: int) -> None:
         raise ValueError(f"{name} {rate} does not divide {into} {whole}: try {sorted(near)}")
 
 
-def _whole(name: str, value: Any, least: int) -> None:
-    if not isinstance(value, int | np.integer) or value is True or value < least:
-        raise ValueError(f"{name} is {value!r}: a whole number, at least {least}, is needed")
-
-
-def _finite(name: str, value: Any) -> None:
-    if not isinstance(value, numbers.Real) or not math.isfinite(value):
-        raise ValueError(f"{name} is {value!r}: a finite number is needed")
-
-
-def _as_tuple(name: str, value: Any) -> tuple:
-    try:
-        return tuple(value)
-    except TypeError:
-        raise ValueError(f"{name} is {value!r}: several values in a list or tuple are needed") from None
-
-
 def _airframe(source: Any) -> Airframe:
     if not isinstance(source, str | Path | Airframe):
         raise ValueError(f"airframe is {source!r}: a name, the path of a URDF, or an Airframe is needed")
@@ -207,24 +190,38 @@ def resolve(task: type[Task], given: Mapping[str, Any]) -> tuple[Options, Any]:
     for name in ("observation", "effects", "wind", "render_size", "camera_size"):
         if isinstance(values.get(name), str):
             values[name] = (values[name],)
-        elif values.get(name) is not None and not callable(values[name]):
-            values[name] = _as_tuple(name, values[name])
+        elif name in values and not callable(values[name]) and (name, values[name]) != ("observation", None):
+            values[name] = several(name, values[name])
     if isinstance(values["airframe"], list | tuple):
         values["airframe"] = tuple(_airframe(one) for one in values["airframe"])
         if "num_drones" not in given:
             values["num_drones"] = len(values["airframe"])
     else:
-        _whole("num_drones", values["num_drones"], 1)
+        whole("num_drones", values["num_drones"], 1)
         values["airframe"] = (_airframe(values["airframe"]),) * values["num_drones"]
     if "max_speed" not in given:
         values["max_speed"] = min(values["max_speed"], *(airframe.max_speed for airframe in values["airframe"]))
     options = Options(**{name: value for name, value in values.items() if name in common})
     config = task.Config(**{name: value for name, value in values.items() if name in own})
+    _check_config(config)
+    return options, config
+
+
+def _check_config(config: Any) -> None:
+    """Refuse values of a task's config that its field's type cannot hold; float fields are sizes, so not negative."""
     for field in dataclasses.fields(config):
-        if field.type in (float, "float"):
-            _finite(field.name, getattr(config, field.name))
-            if getattr(config, field.name) < 0:
-                raise ValueError(f"{field.name} is {getattr(config, field.name):g}: it must not be negative")
+        value = getattr(config, field.name)
+        if field.type is int:
+            whole(field.name, value, 1)
+        elif field.type is float and finite(field.name, value) < 0:
+            raise ValueError(f"{field.name} is {value:g}: it must not be negative")
+        elif field.type == tuple[float, float]:
+            for number in several(field.name, value, 2):
+                finite(field.name, number)
+        elif field.name == "weights":
+            if not isinstance(value, Mapping):
+                raise ValueError(f"weights is {value!r}: a dict from reward terms to weights is needed")
+            for term, weight in value.items():
+                finite(f"weight of reward term {term!r}", weight)
     if config.d_safe == 0:
         raise ValueError("d_safe is 0: it must be above 0")
-    return options, config

@@ -49,6 +49,7 @@ class ParallelAviary(ParallelEnv):
 
     def step(self, actions: dict[str, np.ndarray]) -> tuple[dict, dict, dict, dict, dict]:
         """One decision of all living agents; five dicts keyed by them. Raises ValueError for a missing or bad action."""
+        self.aviary.require_started()
         if set(actions) != set(self.agents):
             missing, extra = sorted(set(self.agents) - set(actions)), sorted(set(actions) - set(self.agents))
             raise ValueError(f"actions must be for exactly the living agents: missing {missing}, not alive {extra}")
@@ -57,7 +58,7 @@ class ParallelAviary(ParallelEnv):
             if agent in actions:
                 batch[0, i] = drone_numbers(self.aviary.action, i, actions[agent])
         if not self.agents:
-            return {}, {}, {}, {}, {}
+            raise RuntimeError("every agent is done: call reset() before step()")
         step = self.aviary.step(batch)
         rewards, terminated, truncated = (
             {agent: kind(value) for agent, value in self._by_agent(array).items()}

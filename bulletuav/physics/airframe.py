@@ -16,6 +16,18 @@ import numpy as np
 from bulletuav.errors import unknown
 
 MAX_ROTORS = 8
+TAGS = (
+    "thrust_coefficient",
+    "torque_ratio",
+    "max_rotor_speed",
+    "motor_lag",
+    "rotor_drag",
+    "propeller_radius",
+    "ground_effect",
+    "max_speed",
+    "rotor",
+    "pwm",
+)
 STANDARD_GRAVITY = 9.80665  # m/s^2, CODATA
 EFFECTS = ("lag", "drag", "ground_effect", "downwash")
 DOWNWASH_GAIN = 2267.18  # N, fit for the Crazyflie (gym-pybullet-drones, J. Panerati et al. 2021)
@@ -36,7 +48,8 @@ class Airframe:
     """Constants of one kind of drone, SI units, body FLU, rotor thrust along +z.
 
     rotors: (x, y, turn) each, m; turn is +1 where the reaction torque on the body is +z (the rotor spins clockwise
-    seen from above), else -1. `collision_radius` bounds the collision shape about the centre of mass.
+    seen from above), else -1. `collision_radius` bounds the collision shape about the centre of mass; `thinnest` is its
+    least extent.
     """
 
     name: str
@@ -55,6 +68,7 @@ class Airframe:
     ground_effect_gain: float
     max_speed: float
     collision_radius: float
+    thinnest: float
     pwm: Pwm | None = None
 
     @property
@@ -107,7 +121,7 @@ class _Reader:
         self.path = path
         try:
             self.root = ElementTree.parse(path).getroot()
-        except ElementTree.ParseError as error:
+        except (ElementTree.ParseError, LookupError, ValueError) as error:
             raise ValueError(f"{path}: not a readable XML file: {error}") from None
 
     def refuse(self, tag: str, value: object, reason: str) -> ValueError:
@@ -124,7 +138,7 @@ class _Reader:
         text = element.get(attribute)
         label = f"{element.tag} {attribute}"
         try:
-            value = float(text if text is not None else "missing")
+            value = float("missing" if text is None or "_" in text else text)  # the engine knows no 1_000
         except ValueError:
             raise self.refuse(label, text if text is not None else "missing", "a number is needed") from None
         if not math.isfinite(value) or value < low or (strict and value == low):
@@ -141,8 +155,15 @@ class _Reader:
         links = self.root.findall("link")
         if len(links) != 1 or self.root.find("joint") is not None:
             raise self.refuse("link", f"{len(links)} links", "exactly one link and no joint (propellers are visuals)")
+        for element in self.element("airframe"):
+            if isinstance(element.tag, str) and element.tag not in TAGS:
+                raise self.refuse(f"airframe/{element.tag}", "unknown", str(unknown("tag", element.tag, TAGS)))
+        radius, thinnest = self._collision_shape()
+        for element in (self.root, links[0]):
+            if not element.get("name"):
+                raise self.refuse(f"{element.tag} name", "missing", "the engine needs it")
         airframe = Airframe(
-            name=self.root.get("name", self.path.stem),
+            name=self.root.get("name", ""),
             urdf=self.path,
             mass=self.number(self.element("link/inertial/mass"), "value", low=0),
             inertia=self._inertia(),
@@ -157,7 +178,8 @@ class _Reader:
             propeller_radius=self.positive("propeller_radius"),
             ground_effect_gain=self.not_negative("ground_effect", "gain"),
             max_speed=self.positive("max_speed"),
-            collision_radius=self._collision_radius(),
+            collision_radius=radius,
+            thinnest=thinnest,
             pwm=self._pwm(),
         )
         if airframe.max_thrust <= airframe.mass * STANDARD_GRAVITY:
@@ -168,18 +190,23 @@ class _Reader:
             raise self.refuse("rotor", airframe.rotors, "these rotors cannot turn the body about all three axes")
         return airframe
 
+    def _require_centred(self, parent: ElementTree.Element, reason: str) -> None:
+        """Refuse an `<origin>` that is not all zeros."""
+        origin = parent.find("origin")
+        for key in ("xyz", "rpy"):
+            text = "0 0 0" if origin is None else origin.get(key, "0 0 0")
+            if [part.strip("+-0.e") for part in text.split()] != ["", "", ""]:
+                raise self.refuse(f"{parent.tag} origin {key}", text, reason)
+
     def _inertia(self) -> tuple[float, float, float]:
         inertial = self.element("link/inertial")
-        origin = inertial.find("origin")
-        for key, text in () if origin is None else origin.items():
-            if any(float(part) != 0 for part in text.split()):
-                raise self.refuse(f"origin {key}", text, "the link frame must be the principal frame at the centre of mass")
+        self._require_centred(inertial, "the link frame must be the principal frame at the centre of mass")
         element = self.element("inertia", inertial)
         for key in ("ixy", "ixz", "iyz"):
-            if float(element.get(key, "0")) != 0:
+            if key in element.attrib and self.number(element, key) != 0:
                 raise self.refuse(f"inertia {key}", element.get(key), "use principal axes: off-diagonal terms must be 0")
         ixx, iyy, izz = (self.number(element, key, low=0) for key in ("ixx", "iyy", "izz"))
-        if 2 * max(ixx, iyy, izz) > ixx + iyy + izz:
+        if 2 * max(ixx, iyy, izz) > (ixx + iyy + izz) * (1 + 1e-9):
             text = f"({ixx:g}, {iyy:g}, {izz:g})"
             raise self.refuse("inertia", text, "no body has it: each moment is at most the sum of the other two")
         return ixx, iyy, izz
@@ -194,30 +221,32 @@ class _Reader:
                 raise self.refuse("rotor spin", element.get("spin", "missing"), "it must be cw or ccw, seen from above")
         return tuple((self.number(e, "x"), self.number(e, "y"), turns[e.get("spin", "")]) for e in elements)
 
-    def _collision_radius(self) -> float:
+    def _collision_shape(self) -> tuple[float, float]:
+        """Bounding radius and least extent, m."""
         shapes = self.root.findall("link/collision")
         if len(shapes) != 1:
             raise self.refuse(
                 "collision", f"there {len(shapes)} times", "exactly one convex shape keeps contacts reproducible"
             )
-        origin = shapes[0].find("origin")
-        if origin is not None:
-            raise self.refuse("collision origin", dict(origin.items()), "the collision shape must be centred")
+        self._require_centred(shapes[0], "the collision shape must be centred and not turned")
         geometry = self.element("geometry", shapes[0])
-        cylinder, box, sphere = (geometry.find(kind) for kind in ("cylinder", "box", "sphere"))
-        if cylinder is not None:
-            return math.hypot(self.number(cylinder, "radius", low=0), self.number(cylinder, "length", low=0) / 2)
-        if sphere is not None:
-            return self.number(sphere, "radius", low=0)
-        if box is not None:
-            try:
-                size = [float(part) for part in box.get("size", "").split()]
-            except ValueError:
-                size = []
-            if len(size) == 3 and all(math.isfinite(side) and side > 0 for side in size):
-                return math.hypot(*size) / 2
-            raise self.refuse("box size", box.get("size", "missing"), "three positive numbers are needed")
-        raise self.refuse("collision geometry", [e.tag for e in geometry], "it must be a cylinder, box or sphere")
+        kinds = [shape.tag for shape in geometry]
+        if kinds not in (["cylinder"], ["box"], ["sphere"]):
+            raise self.refuse("collision geometry", kinds, "it must be one cylinder, box or sphere")
+        shape = geometry[0]
+        if shape.tag == "sphere":
+            radius = self.number(shape, "radius", low=0)
+            return radius, 2 * radius
+        if shape.tag == "cylinder":
+            radius, length = self.number(shape, "radius", low=0), self.number(shape, "length", low=0)
+            return math.hypot(radius, length / 2), min(2 * radius, length)
+        try:
+            size = [float(part) for part in shape.get("size", "").split()]
+        except ValueError:
+            size = []
+        if len(size) == 3 and all(math.isfinite(side) and side > 0 for side in size):
+            return math.hypot(*size) / 2, min(size)
+        raise self.refuse("box size", shape.get("size", "missing"), "three positive numbers are needed")
 
     def _pwm(self) -> Pwm | None:
         element = self.root.find("airframe/pwm")
@@ -252,6 +281,7 @@ PARAMETERS = np.dtype(
         ("downwash_gain", "f8"),
         ("downwash_radius", "f8"),
         ("collision_radius", "f8"),
+        ("thinnest", "f8"),
     ]
 )
 
@@ -266,7 +296,15 @@ def parameter_rows(airframes: Sequence[Airframe], effects: Sequence[str] = EFFEC
             raise unknown("effect", effect, EFFECTS)
     rows = np.zeros(len(airframes), dtype=PARAMETERS)
     for row, airframe in zip(rows, airframes, strict=True):
-        for name in ("mass", "inertia", "thrust_coefficient", "max_rotor_speed", "propeller_radius", "collision_radius"):
+        for name in (
+            "mass",
+            "inertia",
+            "thrust_coefficient",
+            "max_rotor_speed",
+            "propeller_radius",
+            "collision_radius",
+            "thinnest",
+        ):
             row[name] = getattr(airframe, name)
         row["num_rotors"] = len(airframe.rotors)
         row["torque_coefficient"] = airframe.thrust_coefficient * airframe.torque_ratio

@@ -32,6 +32,21 @@ class Flight:
     gravity: float
 
 
+FASTEST, FASTEST_SPIN = 1e4, 1e5  # m/s, rad/s
+
+
+def require_sane(swarm: Swarm, alive: np.ndarray) -> None:
+    """Raise RuntimeError naming the first living drone (W, N) whose state left all bounds; a reset brings it back."""
+    speed, spin = np.linalg.norm(swarm.velocity, axis=-1), np.linalg.norm(swarm.rates, axis=-1)
+    lost = alive & ~((speed < FASTEST) & (spin < FASTEST_SPIN))
+    if lost.any():
+        w, i = np.argwhere(lost)[0]
+        raise RuntimeError(
+            f"the flight of drone {i} in world {w} diverged ({speed[w, i]:.3g} m/s, {spin[w, i]:.3g} rad/s): raise "
+            f"physics_hz or check the inertia of its airframe; reset() starts the world anew"
+        )
+
+
 class Dynamics(ABC):
     """One rung of the ladder, driven by setpoints of the level that it `consumes`; higher ones go through the cascade."""
 

@@ -13,7 +13,7 @@ from bulletuav.control.cascade import command_rotors
 from bulletuav.control.levels import Level
 from bulletuav.kernel import kernel
 from bulletuav.physics.aerodynamics import downwash_on
-from bulletuav.physics.dynamics import Air, Dynamics
+from bulletuav.physics.dynamics import Air, Dynamics, require_sane
 from bulletuav.physics.rotors import lagged
 from bulletuav.physics.swarm import Contacts, Motion, Swarm
 from bulletuav.physics.sweep import Path, stop_at_first_touch
@@ -107,4 +107,5 @@ class RigidBody(Dynamics):
         path = Path.begin(swarm, motion, flight.substeps)
         air = Air(wind, surface, flight.gravity)
         advance(swarm, alive, level, setpoint, flight.cascade, flight.parameters, air, flight.dt, path)
+        require_sane(swarm, alive)
         return stop_at_first_touch(flight.world, path, swarm, alive, flight.parameters)

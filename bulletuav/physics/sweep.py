@@ -134,7 +134,8 @@ def _speed_bound(path: Path, pair: tuple[int, int, int], radius: np.ndarray, s: 
     for drone in (one, two):
         if drone >= 0:
             cosine = abs(path.quaternion[s, w, drone] @ path.quaternion[s + 1, w, drone])
-            bound += float(2 * np.arccos(min(1.0, cosine)) * radius[w, drone])
+            turned = min(2 * np.arccos(min(1.0, cosine)), 2.0)  # no rotation moves a point by more than a diameter
+            bound += float(turned * radius[w, drone])
     return bound
 
 
@@ -142,26 +143,25 @@ def first_touch(world: World, path: Path, pair: tuple[int, int, int], radius: np
     """Time in substeps of the pair's first touch, inf if none. A pair that starts in touch and parts does not count."""
     w, one, two = pair
     last = len(path.position) - 1
-    within = 2.0 * float(radius[w, one] + (radius[w, two] if two >= 0 else 0.0))
 
-    def gap(time: float) -> float:
+    def gap(time: float, within: float) -> float:
         return world.separation(w, path.pose(w, one, time), path.pose(w, two, time), within)
 
     time = 0.0
     while time < last:
         s = int(time)
         bound = _speed_bound(path, pair, radius, s)
-        distance = gap(time)
         remaining = s + 1 - time
+        distance = gap(time, bound * remaining + TOUCH)
         if distance <= TOUCH:
             later = s + 1.0 if bound * remaining <= TOUCH else time + TOUCH / bound
-            if gap(later) < distance:
+            if gap(later, 2 * TOUCH) < distance:
                 return time
             time = later  # parting, or at rest
-        elif min(distance, within) >= bound * remaining:
+        elif distance >= bound * remaining:
             time = s + 1.0
         else:
-            time += (min(distance, within) - 0.5 * TOUCH) / bound
+            time += (distance - 0.5 * TOUCH) / bound
     return np.inf
 
 
@@ -197,3 +197,44 @@ def stop_at_first_touch(world: World, path: Path, swarm: Swarm, alive: np.ndarra
         swarm.position[w, i], swarm.quaternion[w, i] = path.position[-1, w, i], path.quaternion[-1, w, i]
         swarm.velocity[w, i] = swarm.rates[w, i] = 0
     return Contacts.merge(rows)
+
+
+def catch_fast(
+    world: World, path: Path, swarm: Swarm, alive: np.ndarray, parameters: np.ndarray
+) -> list[tuple[int, int, int]]:
+    """Continuous collision detection for one engine substep (a path with S = 1): no drone may jump over a contact.
+
+    The engine looks for contacts only where a substep begins. Drones that moved by more than a quarter of their thinnest
+    extent, and whatever they could have met, are checked along the way; those that touched are put back to where they did,
+    with their velocities, for the engine to resolve the contact in its next substep. Pairs already in touch are its own.
+    Returns (world, drone, other) of what was caught, both sides of a pair.
+    """
+    moved = np.linalg.norm(path.position[1] - path.position[0], axis=-1)
+    fast = alive & (moved > 0.25 * parameters["thinnest"])
+    if not fast.any():
+        return []
+    radius = parameters["collision_radius"]
+    pairs = [
+        pair
+        for pair in _candidates(path.position, path.obstacle, alive, radius, world.obstacle_radius)
+        if fast[pair[0], pair[1]] or (pair[2] >= 0 and fast[pair[0], pair[2]])
+    ]
+    caught, disturbed = [], np.zeros(alive.shape, dtype=bool)
+    times: dict[tuple[int, int], float] = {}
+    for pair in pairs:
+        w, one, two = pair
+        ends = [(one, two), (two, one)] if two >= 0 else [(one, two)]
+        for drone, _ in ends:
+            disturbed[w, drone] = True
+        if world.separation(w, path.pose(w, one, 0.0), path.pose(w, two, 0.0), 2 * TOUCH) <= TOUCH:
+            continue
+        time = first_touch(world, path, pair, radius)
+        if time < np.inf:
+            for drone, other in ends:
+                caught.append((w, drone, other))
+                times[w, drone] = min(time, times.get((w, drone), np.inf))
+    for (w, drone), time in times.items():
+        _, swarm.position[w, drone], swarm.quaternion[w, drone] = path.pose(w, drone, time)
+    if disturbed.any():
+        world.set_states(swarm, disturbed)
+    return caught

@@ -103,16 +103,20 @@ class World:
         self._offset = np.array([tile_offset(k) for k in range(num_worlds)])[:, None, :]
         self._configure(dt, live)
         self._ground = self._make_ground()
-        self._body = [self._make_drone(airframe) for _ in range(num_worlds) for airframe in airframes]
+        self._parking = self._offset + [
+            (PARKING_PITCH * (i % PARKING_COLUMNS), PARKING_PITCH * (i // PARKING_COLUMNS), PARKING_HEIGHT)
+            for i in range(len(airframes))
+        ]
+        self._body = [
+            self._make_drone(airframe, self._parking[w, i])
+            for w in range(num_worlds)
+            for i, airframe in enumerate(airframes)
+        ]
         self._drone_of_body = {body: divmod(k, len(airframes)) for k, body in enumerate(self._body)}
         self.obstacle_radius = np.array([obstacle.radius for obstacle in obstacles])
         self._obstacle = self._make_obstacles(obstacles)
         self._obstacle_of_body = {body: FIRST_OBSTACLE - k for row in self._obstacle for k, body in enumerate(row)}
         self._reported: list = [None] * len(self._body)  # positions as the engine gave them, for forces at the centre
-        self._parking = self._offset + [
-            (PARKING_PITCH * (i % PARKING_COLUMNS), PARKING_PITCH * (i // PARKING_COLUMNS), PARKING_HEIGHT)
-            for i in range(len(airframes))
-        ]
         self.park(np.ones(self.shape, dtype=bool))
 
     def _configure(self, dt: float, live: bool) -> None:
@@ -132,28 +136,39 @@ class World:
     def _make_ground(self) -> int:
         client = self._client
         collision = bullet.createCollisionShape(bullet.GEOM_PLANE, physicsClientId=client)
-        visual = bullet.createVisualShape(
+        floor = bullet.createVisualShape(
             bullet.GEOM_BOX,
             halfExtents=[1000, 1000, 0.01],
             rgbaColor=[0.86, 0.88, 0.85, 1],
             specularColor=[0, 0, 0],
             physicsClientId=client,
         )
-        ground = bullet.createMultiBody(0, collision, visual, physicsClientId=client)
+        self._floor = bullet.createMultiBody(
+            0, -1, floor, physicsClientId=client
+        )  # only seen; moves to where pictures are taken
+        ground = bullet.createMultiBody(0, collision, physicsClientId=client)
         bullet.setCollisionFilterGroupMask(ground, -1, SURFACE_GROUP, DRONE_GROUP, physicsClientId=client)
         return ground
 
-    def _make_drone(self, airframe: Airframe) -> int:
+    def _make_drone(self, airframe: Airframe, place: np.ndarray) -> int:
         flags = bullet.URDF_USE_INERTIA_FROM_FILE | bullet.URDF_USE_IMPLICIT_CYLINDER
         flags |= bullet.URDF_USE_MATERIAL_COLORS_FROM_MTL
         try:
             with _silenced():
-                body = bullet.loadURDF(str(airframe.urdf), flags=flags, physicsClientId=self._client)
+                body = bullet.loadURDF(str(airframe.urdf), place.tolist(), flags=flags, physicsClientId=self._client)
         except bullet.error as error:
             raise ValueError(f"{airframe.urdf}: the engine cannot load it: {error}") from None
-        # Bullet damps velocities by 4 % a second and clamps them at 100 unless told otherwise.
+        # Bullet damps velocities by 4 % a second and clamps them at 100 unless told otherwise; mass and inertia are ours, as
+        # its own reading of the file may round or scale them.
         bullet.changeDynamics(
-            body, -1, linearDamping=0, angularDamping=0, maxJointVelocity=1e4, physicsClientId=self._client
+            body,
+            -1,
+            mass=airframe.mass,
+            localInertiaDiagonal=airframe.inertia,
+            linearDamping=0,
+            angularDamping=0,
+            maxJointVelocity=1e4,
+            physicsClientId=self._client,
         )
         return body
 
@@ -194,13 +209,13 @@ class World:
     def park(self, mask: np.ndarray) -> None:
         """Take the drones of `mask` (W, N) out of the airspace, to rest where nothing touches or sees them."""
         for w, i in np.argwhere(mask):
-            self._place((w, i), self._parking[w, i].tolist(), (0, 0, 0, 1), (0, 0, 0), (0, 0, 0))
+            self._place((w, i), self._parking[w, i].tolist(), (0, 0, 0, 1), (0, 0, 0), (0, 0, 0), meets=0)
 
-    def _place(self, drone, position, quaternion, velocity, omega) -> None:
+    def _place(self, drone, position, quaternion, velocity, omega, meets=DRONE_GROUP | SURFACE_GROUP) -> None:
         index = drone[0] * self.shape[1] + drone[1]
         body, client = self._body[index], self._client
         # Setting the filter anew drops the body's cached contacts, without which a reset would remember the last episode.
-        bullet.setCollisionFilterGroupMask(body, -1, DRONE_GROUP, DRONE_GROUP | SURFACE_GROUP, client)
+        bullet.setCollisionFilterGroupMask(body, -1, DRONE_GROUP if meets else 0, meets, client)
         bullet.resetBasePositionAndOrientation(body, position, quaternion, client)
         bullet.resetBaseVelocity(body, velocity, omega, client)
         self._reported[index] = position
@@ -298,6 +313,7 @@ class World:
 
     def picture(self, world: int, view: np.ndarray, projection: np.ndarray, size: tuple[int, int]) -> Picture:
         """What a camera given by matrices (see `view`) in the world's own frame sees; needs no screen."""
+        bullet.resetBasePositionAndOrientation(self._floor, self._offset[world, 0], [0, 0, 0, 1], self._client)
         shift = np.eye(4)
         shift[:3, 3] = -self._offset[world, 0]
         width, height = size
@@ -313,7 +329,7 @@ class World:
         bodies = np.asarray(bodies).reshape(height, width)
         pixels = np.asarray(pixels, dtype=np.uint8).reshape(height, width, 4)[..., :3].copy()
         depth = metres(np.asarray(buffer, dtype=np.float64).reshape(height, width)).astype(np.float32)
-        return Picture(pixels, depth, bodies == self._ground, bodies < 0)
+        return Picture(pixels, depth, bodies == self._floor, bodies < 0)
 
     def look_at(self, world: int, target: np.ndarray, distance: float) -> None:
         """Point the live view at `target` (3,) of a world from `distance` metres."""

@@ -116,24 +116,32 @@ class Crossing(Task):
     observation = ("position", "velocity", "goal", "neighbours")
 
     def __init__(self, config: CrossingConfig, setting: Setting):
-        """Raises ValueError where start positions could overlap each other or the ground."""
+        """Raises ValueError where drones could start in conflict, outside the arena or in touch with the ground."""
         super().__init__(config, setting)
         self.weights = merged_weights(WEIGHTS, config.weights)
-        if config.lanes < 1:
-            raise ValueError(f"lanes is {config.lanes}: at least 1 is needed")
-        if len(config.start_speed) != 2 or not 0 <= config.start_speed[0] <= config.start_speed[1] <= setting.max_speed:
+        if not 0 <= config.start_speed[0] <= config.start_speed[1] <= setting.max_speed:
             raise ValueError(
                 f"start_speed is {config.start_speed}: from low to high within 0 and max_speed {setting.max_speed:g}"
             )
-        if config.lane_spacing - 2 * config.jitter <= 2 * setting.collision_radius:
+        clear = max(2 * setting.collision_radius, config.d_safe)
+        if config.lane_spacing - 2 * config.jitter <= clear:
             raise ValueError(
-                f"start positions may overlap: lane_spacing {config.lane_spacing:g} m less twice jitter {config.jitter:g} m "
-                f"must exceed {2 * setting.collision_radius:.3g} m"
+                f"start positions may be in conflict: lane_spacing {config.lane_spacing:g} m less twice jitter "
+                f"{config.jitter:g} m must exceed {clear:.3g} m"
+            )
+        if config.margin <= config.jitter:
+            raise ValueError(
+                f"margin {config.margin:g} m must exceed jitter {config.jitter:g} m: starts must be in the arena"
             )
         self._north = (setting.num_drones + 1) // 2
         ranks = -(-self._north // config.lanes)
         depth = (ranks - 1) * config.lane_spacing
         width = min(self._north, config.lanes) * config.lane_spacing / 2
+        if config.half_length <= width + config.jitter + clear:
+            raise ValueError(
+                f"half_length {config.half_length:g} m is too short for formations {2 * width:g} m wide: the teams would "
+                f"start in each other"
+            )
         rise = config.altitude_spread / 2 + config.jitter
         if config.altitude - rise <= setting.collision_radius:
             raise ValueError(f"altitude {config.altitude:g} m is too low for altitude_spread {config.altitude_spread:g} m")

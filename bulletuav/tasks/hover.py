@@ -20,7 +20,7 @@ class HoverConfig:
     axis, with a velocity, a tilt about a random axis and body rates up to those given; `start` (N, 3) fixes the positions.
     """
 
-    d_safe: float = 0.5
+    d_safe: float = 1.0
     height: float = 2.0
     spacing: float = 2.0
     start_offset: float = 0.5
@@ -31,6 +31,17 @@ class HoverConfig:
     goal_radius: float = 0.1
     max_distance: float = 20.0
     weights: Mapping[str, float] = field(default_factory=dict)
+
+
+def _positions(start: object, count: int) -> np.ndarray:
+    """(N, 3) m. Raises ValueError for anything but so many finite positions."""
+    try:
+        positions = np.asarray(start, dtype=float)
+    except (TypeError, ValueError):
+        positions = np.empty(0)
+    if positions.shape != (count, 3) or not np.isfinite(positions).all():
+        raise ValueError(f"start is {start}: {count} finite positions (x, y, z) in metres are needed")
+    return positions
 
 
 class Hover(Task):
@@ -113,6 +124,10 @@ class Hover(Task):
         """Raises ValueError where start positions could overlap each other or the ground."""
         super().__init__(config, setting)
         self.weights = merged_weights(WEIGHTS, config.weights)
+        if config.max_distance <= config.start_offset * np.sqrt(3):
+            raise ValueError(
+                f"max_distance {config.max_distance:g} m must exceed the start offset of {config.start_offset:g} m"
+            )
         columns = int(np.ceil(np.sqrt(setting.num_drones)))
         index = np.arange(setting.num_drones)
         grid = np.stack([index % columns, index // columns], axis=1) * config.spacing
@@ -125,11 +140,9 @@ class Hover(Task):
     def _check_start(self) -> None:
         config, radius = self.config, self.setting.collision_radius
         if config.start is not None:
-            start = np.asarray(config.start, dtype=float)
-            if start.shape != self.target.shape or not np.isfinite(start).all():
-                raise ValueError(
-                    f"start is {config.start}: {len(self.target)} finite positions (x, y, z) in metres are needed"
-                )
+            start = _positions(config.start, len(self.target))
+            if ((start < self.arena_low) | (start > self.arena_high)).any():
+                raise ValueError(f"start is {config.start}: positions inside the arena are needed")
             refuse_overlap(start, radius)
             lowest = start[:, 2].min()
         else:

@@ -145,7 +145,7 @@ def test_seed_lists_and_masks():
     for mask in (np.ones(2, bool), np.ones(3)):
         with pytest.raises(ValueError, match="mask has shape"):
             aviary.reset(mask)
-    with pytest.raises(ValueError, match="2 seeds for 3 worlds"):
+    with pytest.raises(ValueError, match="a list of 3, one for each world"):
         aviary.reset(seeds=[1, 2])
     with pytest.raises(ValueError, match="seed is -1"):
         aviary.reset(seeds=[1, -1, 2])
