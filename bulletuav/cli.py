@@ -91,7 +91,7 @@ def _add_fly_arguments(fly: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME=VALUE",
-        help="any other option, see `bulletuav tasks TASK`; repeatable",
+        help="any other option of `bulletuav tasks TASK`, such as spacing=3 or weights={'goal':10}; repeatable",
     )
     fly.add_argument("--animation", choices=("gif", "mp4", "none"), default="gif", help="mp4 needs the extra 'video'")
 

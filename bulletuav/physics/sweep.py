@@ -206,7 +206,9 @@ def catch_fast(
 
     The engine looks for contacts only where a substep begins. Drones that moved by more than a quarter of their thinnest
     extent, and whatever they could have met, are checked along the way; those that touched are put back to where they did,
-    with their velocities, for the engine to resolve the contact in its next substep. Pairs already in touch are its own.
+    with their velocities, for the engine to resolve the contact in its next substep. Pairs that were in touch already
+    are held only where they would go deeper.
+
     Returns (world, drone, other) of what was caught, both sides of a pair.
     """
     moved = np.linalg.norm(path.position[1] - path.position[0], axis=-1)
@@ -226,9 +228,13 @@ def catch_fast(
         ends = [(one, two), (two, one)] if two >= 0 else [(one, two)]
         for drone, _ in ends:
             disturbed[w, drone] = True
-        if world.separation(w, path.pose(w, one, 0.0), path.pose(w, two, 0.0), 2 * TOUCH) <= TOUCH:
-            continue
-        time = first_touch(world, path, pair, radius)
+        before, after = (
+            world.separation(w, path.pose(w, one, time), path.pose(w, two, time), 2 * TOUCH) for time in (0.0, 1.0)
+        )
+        if before > TOUCH:
+            time = first_touch(world, path, pair, radius)
+        else:  # the engine's to resolve, but not by going deeper
+            time = 0.0 if after < before - parameters["thinnest"][w, one] / 4 else np.inf
         if time < np.inf:
             for drone, other in ends:
                 caught.append((w, drone, other))

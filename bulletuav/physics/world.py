@@ -47,6 +47,7 @@ with _silenced():
 ENGINE_VERSION = bullet.getAPIVersion()
 
 TILE_PITCH = 4096.0  # m; a power of two, larger than any arena
+FLOOR = 0.02  # m, thickness of the ground in pictures
 RAY_LENGTH = 1000.0  # m, downwards to the surface
 PARKING_HEIGHT, PARKING_PITCH, PARKING_COLUMNS = 2000.0, 10.0, 100
 DRONE_GROUP, SURFACE_GROUP = 1, 2
@@ -138,7 +139,7 @@ class World:
         collision = bullet.createCollisionShape(bullet.GEOM_PLANE, physicsClientId=client)
         floor = bullet.createVisualShape(
             bullet.GEOM_BOX,
-            halfExtents=[1000, 1000, 0.01],
+            halfExtents=[1000, 1000, FLOOR / 2],
             rgbaColor=[0.86, 0.88, 0.85, 1],
             specularColor=[0, 0, 0],
             physicsClientId=client,
@@ -313,7 +314,8 @@ class World:
 
     def picture(self, world: int, view: np.ndarray, projection: np.ndarray, size: tuple[int, int]) -> Picture:
         """What a camera given by matrices (see `view`) in the world's own frame sees; needs no screen."""
-        bullet.resetBasePositionAndOrientation(self._floor, self._offset[world, 0], [0, 0, 0, 1], self._client)
+        floor = self._offset[world, 0] - [0, 0, FLOOR / 2]
+        bullet.resetBasePositionAndOrientation(self._floor, floor, [0, 0, 0, 1], self._client)
         shift = np.eye(4)
         shift[:3, 3] = -self._offset[world, 0]
         width, height = size
