@@ -1,10 +1,13 @@
+import json
 import subprocess
 import sys
 
 import pytest
 
 import bulletuav
+from bulletuav.benchmark import FLOORS
 from bulletuav.cli import main
+from bulletuav.physics.ladder import LADDER
 
 MAIN_JOB = ["fly", "crossing", "--drones", "8", "--policy", "straight", "--seed", "0"]
 FILES = {"trajectory.npz", "trajectory.csv", "run.json", "tracks.png", "flight.gif"}
@@ -14,7 +17,7 @@ def test_the_main_job_from_another_directory(tmp_path):
     command = [sys.executable, "-m", "bulletuav", *MAIN_JOB, "--out", "result"]
     run = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=True)
     assert {path.name for path in (tmp_path / "result").iterdir()} == FILES
-    for word in ("drone_7", "reached", "separation", "conflicts", "collisions", "time s", "result/flight.gif"):
+    for word in ("drone_7", "reached", "nearest", "conflicts", "collisions", "time s", "result/flight.gif"):
         assert word in run.stdout
     assert "flying" in run.stderr
     assert "pybullet" not in run.stdout + run.stderr
@@ -40,6 +43,49 @@ def test_flying_with_options(tmp_path, capsys):
     assert '"height": 3.0' in (tmp_path / "run.json").read_text()
     assert '"action": "velocity"' in (tmp_path / "run.json").read_text()  # the policy's, as hover's own is not one
     assert "drone_0" in capsys.readouterr().out
+
+
+def test_values_in_the_ways_people_write_them(tmp_path):
+    words = [
+        "--set",
+        "wind=1,0,0",
+        "--set",
+        "weights={'goal':10}",
+        "--set",
+        "observation=position,goal",
+        "--set",
+        "turbulence=light",
+    ]
+    main(
+        [
+            "fly",
+            "crossing",
+            "--dynamics",
+            "point_mass",
+            *words,
+            "--horizon",
+            "5",
+            "--animation",
+            "none",
+            "--out",
+            str(tmp_path),
+        ]
+    )
+    options = json.loads((tmp_path / "run.json").read_text())["options"]
+    assert (options["wind"], options["weights"], options["observation"]) == ([1, 0, 0], {"goal": 10}, ["position", "goal"])
+
+
+def test_no_animation_of_an_earlier_flight_is_left(tmp_path):
+    (tmp_path / "flight.gif").write_text("old")
+    main(["fly", "hover", "--horizon", "5", "--animation", "none", "--out", str(tmp_path)])
+    assert not (tmp_path / "flight.gif").exists()
+
+
+def test_the_benchmark_prints_every_dynamics_and_the_floor(capsys):
+    main(["benchmark", "--drones", "1", "3", "--seconds", "0.01"])
+    said = capsys.readouterr().out
+    for word in (*LADDER, *FLOORS, "N = 1", "N = 3"):
+        assert word in said
 
 
 def test_tasks_are_listed_and_explained(capsys):
@@ -76,7 +122,13 @@ def test_help(arguments, capsys):
         (["fly", "crossing", "--decision-hz", "7"], "does not divide"),
         (["fly", "crossing", "--airframe", "nowhere.urdf"], "nowhere.urdf"),
         (["fly", "crossing", "--action", "rpm"], "gives velocity or target_position actions"),
-        (["fly", "crossing", "--out", "/dev/null/x"], "/dev/null"),
+        (["fly", "crossing", "--out", "/dev/null/x"], "--out /dev/null/x cannot be a folder to write to"),
+        (["fly", "crossing", "--drones", "2", "--set", "num_drones=3"], "num_drones is given twice"),
+        (["fly", "crossing", "--set", "wind=nan,0,0"], "wind is nan: a finite number"),
+        (["fly", "crossing", "--set", "weights=goal:1"], "weights is 'goal:1': a dict"),
+        (["fly", "crossing", "--set", "start_speed=3"], "start_speed is 3: a list or tuple"),
+        (["fly", "crossing", "--set", "observation=position,gaol"], "did you mean 'goal'"),
+        (["benchmark", "--drones", "0"], "numbers above 0 are needed"),
         (["fly", "crossing", "--seed", "-3"], "seed is -3"),
         (["tasks", "hoover"], "did you mean 'hover'"),
         (["flyy"], "invalid choice: 'flyy'"),

@@ -29,7 +29,8 @@ def test_recording_holds_every_decision(flown):
     assert recording.position.shape == (steps + 1, 3, 3)
     assert not recording.alive[-1].any()
     np.testing.assert_allclose(np.diff(recording.time), 0.1)
-    np.testing.assert_array_equal(recording.goal, aviary.scene.goal[0])
+    np.testing.assert_array_equal(recording.goal[-1], aviary.scene.goal[0])
+    assert recording.goal.shape == recording.position.shape
 
 
 def test_outcomes_by_hand(flown):
@@ -65,17 +66,21 @@ def test_files_hold_what_was_flown(flown, tmp_path):
     about = json.loads(run.read_text())
     assert (about["task"], about["seed"], about["options"]["airframe"]) == ("crossing", 0, ["hummingbird"] * 3)
     assert about["options"]["half_length"] == 20
+    assert about["outcomes"][1]["reached"]
+    assert about["outcomes"][0]["collisions"] == 1
 
 
 def test_pictures_are_drawn(flown, tmp_path):
     _, recording, _ = flown
     plot_tracks(recording, 5.0, "title", tmp_path / "tracks.png")
+    alone = {name: value[:, :1] if value.ndim > 1 else value for name, value in vars(recording).items()}
+    plot_tracks(type(recording)(**alone), 5.0, "one drone", tmp_path / "alone.png")
     with Image.open(tmp_path / "tracks.png") as image:
         assert image.size == (1320, 715)
     animation = Animation(recording, 5.0, 0.55, "title")
     caption = animation.figure.axes[0].get_xlabel()
     assert "real 0.55 m" in caption
-    assert "rings: 5 m across" in caption
+    assert "Rings: 5 m across" in caption
     frames = []
     animation.save(tmp_path / "flight.gif", lambda: frames.append(1))
     with Image.open(tmp_path / "flight.gif") as image:

@@ -11,7 +11,6 @@ from bulletuav.control.gains import MAX_TILT
 from bulletuav.control.levels import Level
 from bulletuav.errors import pick
 from bulletuav.physics.airframe import STANDARD_GRAVITY, Airframe
-from bulletuav.physics.swarm import Swarm
 
 RPM = 2 * math.pi / 60  # rad/s
 MAX_RATES = np.array((2 * math.pi, 2 * math.pi, math.pi))  # rad/s, of action `rates`
@@ -33,9 +32,9 @@ class Action:
     """A kind of action: (W, N, A) numbers within [low, high] (N, A) become (W, N, S) setpoints at one level.
 
     `labels` name and scale each number of each drone; drones with fewer numbers (rotors) than A do not read the last ones.
-    `decode` takes actions already clipped to the bounds and the swarm; `encode` is its inverse on the setpoint's first three
-    numbers, for policies that think in metres. `choices` is how many discrete actions there are: then A = 1 and the number
-    is the choice.
+    `decode` takes actions already clipped to the bounds and the velocities commanded last (W, N, 3); `encode` is its inverse
+    on the setpoint's first three numbers, for policies that think in metres. `choices` is how many discrete actions there
+    are: then A = 1 and the number is the choice.
     """
 
     name: str
@@ -43,7 +42,7 @@ class Action:
     labels: tuple[tuple[str, ...], ...]
     low: np.ndarray
     high: np.ndarray
-    decode: Callable[[np.ndarray, Swarm], np.ndarray]
+    decode: Callable[[np.ndarray, np.ndarray], np.ndarray]
     encode: Callable[[np.ndarray], np.ndarray] | None = None
     choices: int | None = None
 
@@ -77,20 +76,23 @@ def velocity(flyable: Flyable) -> Action:
     speed = flyable.max_speed
     labels = tuple(f"v{axis} / {speed:g} m/s" for axis in "xyz")
 
-    def decode(action: np.ndarray, swarm: Swarm) -> np.ndarray:
+    def decode(action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
         return _with_yaw(limit_norm(action * speed, speed))
 
     return _uniform(flyable, "velocity", Level.VELOCITY, labels, decode, lambda velocity: velocity / speed)
 
 
 def velocity_increment(flyable: Flyable) -> Action:
-    """Change of the present velocity, by up to max_speed times the decision period on each axis; then as `velocity`."""
+    """Change of the commanded velocity, by up to max_speed times the decision period on each axis; limited as `velocity`.
+
+    An episode begins with the velocity that the drone starts with.
+    """
     speed = flyable.max_speed
     step = speed * flyable.period
     labels = tuple(f"change of v{axis} / {step:g} m/s" for axis in "xyz")
 
-    def decode(action: np.ndarray, swarm: Swarm) -> np.ndarray:
-        return _with_yaw(limit_norm(swarm.velocity + step * action, speed))
+    def decode(action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
+        return _with_yaw(limit_norm(commanded + step * action, speed))
 
     return _uniform(flyable, "velocity_increment", Level.VELOCITY, labels, decode)
 
@@ -103,7 +105,7 @@ def heading_speed(flyable: Flyable) -> Action:
     speed = flyable.max_speed
     labels = ("heading / 180 degrees", f"2 speed / {speed:g} m/s - 1", f"climb / {speed:g} m/s")
 
-    def decode(action: np.ndarray, swarm: Swarm) -> np.ndarray:
+    def decode(action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
         heading, forward = np.pi * action[..., 0], speed * (action[..., 1] + 1) / 2
         wanted = np.stack([forward * np.cos(heading), forward * np.sin(heading), speed * action[..., 2]], axis=-1)
         return _with_yaw(limit_norm(wanted, speed), heading)
@@ -116,7 +118,7 @@ def target_position(flyable: Flyable) -> Action:
     centre, half = (flyable.arena_low + flyable.arena_high) / 2, (flyable.arena_high - flyable.arena_low) / 2
     labels = tuple(f"{axis} = {c:g} + {h:g} a m" for axis, c, h in zip("xyz", centre, half, strict=True))
 
-    def decode(action: np.ndarray, swarm: Swarm) -> np.ndarray:
+    def decode(action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
         return _with_yaw(centre + half * action)
 
     return _uniform(flyable, "target_position", Level.POSITION, labels, decode, lambda position: (position - centre) / half)
@@ -128,7 +130,7 @@ def attitude(flyable: Flyable) -> Action:
     most = np.array([airframe.max_thrust for airframe in flyable.airframes])
     labels = ("roll / 55 degrees", "pitch / 55 degrees", "yaw / 180 degrees", "2 thrust / max thrust - 1")
 
-    def decode(action: np.ndarray, swarm: Swarm) -> np.ndarray:
+    def decode(action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
         return np.concatenate([scale * action[..., :3], (most * (action[..., 3] + 1) / 2)[..., None]], axis=-1)
 
     return _uniform(flyable, "attitude", Level.ATTITUDE, labels, decode)
@@ -139,7 +141,7 @@ def rates(flyable: Flyable) -> Action:
     most = np.array([airframe.max_thrust for airframe in flyable.airframes])
     labels = ("p / 360 degrees/s", "q / 360 degrees/s", "r / 180 degrees/s", "2 thrust / max thrust - 1")
 
-    def decode(action: np.ndarray, swarm: Swarm) -> np.ndarray:
+    def decode(action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
         return np.concatenate([MAX_RATES * action[..., :3], (most * (action[..., 3] + 1) / 2)[..., None]], axis=-1)
 
     return _uniform(flyable, "rates", Level.RATES, labels, decode)
@@ -157,7 +159,7 @@ def rotor(flyable: Flyable) -> Action:
     """Thrust of each rotor: -1 none, 1 the most; the speed is max_rotor_speed sqrt((a + 1) / 2)."""
     most = np.array([airframe.max_rotor_speed for airframe in flyable.airframes])[:, None]
 
-    def decode(action: np.ndarray, swarm: Swarm) -> np.ndarray:
+    def decode(action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
         return most * np.sqrt(0.5 * (action + 1))
 
     return _per_rotor(flyable, "rotor", ": 2 thrust / max thrust - 1", -1.0, np.ones(len(most)), decode)
@@ -166,7 +168,7 @@ def rotor(flyable: Flyable) -> Action:
 def rpm(flyable: Flyable) -> Action:
     """Speed of each rotor in revolutions per minute, raw."""
     most = np.array([airframe.max_rotor_speed for airframe in flyable.airframes]) / RPM
-    return _per_rotor(flyable, "rpm", ", rpm", 0.0, most, lambda action, swarm: action * RPM)
+    return _per_rotor(flyable, "rpm", ", rpm", 0.0, most, lambda action, commanded: action * RPM)
 
 
 def hover_rpm(flyable: Flyable) -> Action:
@@ -174,7 +176,7 @@ def hover_rpm(flyable: Flyable) -> Action:
     hover = np.array([airframe.hover_speed(STANDARD_GRAVITY) for airframe in flyable.airframes])[:, None]
     ones = np.ones(len(hover))
     return _per_rotor(
-        flyable, "hover_rpm", ": 20 (rpm / hover rpm - 1)", -1.0, ones, lambda action, swarm: hover * (1 + 0.05 * action)
+        flyable, "hover_rpm", ": 20 (rpm / hover rpm - 1)", -1.0, ones, lambda action, commanded: hover * (1 + 0.05 * action)
     )
 
 
@@ -185,7 +187,7 @@ def _directions(name: str, flyable: Flyable, directions: np.ndarray) -> Action:
     table = speed * directions / np.maximum(sizes, 1)
     labels = ((f"0 stay, 1 to {last} a velocity of {speed:g} m/s",),) * drones
 
-    def decode(action: np.ndarray, swarm: Swarm) -> np.ndarray:
+    def decode(action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
         return _with_yaw(table[action[..., 0].astype(int)])
 
     low, high = np.zeros((drones, 1)), np.full((drones, 1), float(last))

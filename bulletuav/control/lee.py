@@ -97,10 +97,20 @@ def torque_setpoint(rates, target, row, gain):
 
 @kernel
 def mix(thrust, torque, row, gain, command):
-    """Collective thrust and torques to rotor speeds (rad/s, into `command`), each within what the rotor can do."""
+    """Collective thrust and torques to rotor speeds (rad/s, into `command`), each within what the rotor can do.
+
+    Yaw, which needs the most of the rotors and matters least, gets only what thrust, roll and pitch leave.
+    """
     most = row.thrust_coefficient * row.max_rotor_speed * row.max_rotor_speed
+    share = 1.0
     for r in range(row.num_rotors):
-        share = gain.mixer[r, 0] * thrust
-        for axis in range(3):
-            share += gain.mixer[r, axis + 1] * torque[axis]
-        command[r] = math.sqrt(min(max(share, 0.0), most) / row.thrust_coefficient)
+        lift = gain.mixer[r, 0] * thrust + gain.mixer[r, 1] * torque[0] + gain.mixer[r, 2] * torque[1]
+        command[r] = min(max(lift, 0.0), most)
+        turn = gain.mixer[r, 3] * torque[2]
+        if command[r] + turn > most:
+            share = min(share, (most - command[r]) / turn)
+        elif command[r] + turn < 0.0:
+            share = min(share, -command[r] / turn)
+    for r in range(row.num_rotors):
+        lift = max(command[r] + share * gain.mixer[r, 3] * torque[2], 0.0)  # rounding may leave it just below
+        command[r] = math.sqrt(lift / row.thrust_coefficient)

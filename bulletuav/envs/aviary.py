@@ -8,6 +8,7 @@ import numpy as np
 from bulletuav.control.actions import Action, Flyable, make_action
 from bulletuav.control.cascade import Cascade
 from bulletuav.control.gains import gain_rows
+from bulletuav.control.levels import Level
 from bulletuav.envs.camera import Camera
 from bulletuav.envs.options import Options, resolve
 from bulletuav.errors import whole
@@ -64,6 +65,7 @@ class Aviary:
         self._eyes = self._make_eyes()
         self.swarm = Swarm.zeros(*shape, max(len(airframe.rotors) for airframe in self.options.airframe))
         self.scene = Scene.empty(*shape, len(self.task.obstacles()))
+        self._commanded = np.zeros((*shape, 3))  # velocities, m/s
         self.alive = np.zeros(shape, dtype=bool)
         self.steps = np.zeros(self.num_worlds, dtype=np.int64)
         self._wind = Wind(self.options.wind, self.options.wind20, shape, 1 / self.options.decision_hz)
@@ -161,6 +163,7 @@ class Aviary:
         self.scene.start[k], self.scene.goal[k], self.scene.goal_velocity[k] = spawn.position, spawn.goal, 0
         self.scene.obstacle[k], self.scene.obstacle_velocity[k] = spawn.obstacle, spawn.obstacle_velocity
         self._cascade.memory[k] = 0
+        self._commanded[k] = spawn.velocity
         self.alive[k] = True
         self.steps[k] = 0
 
@@ -186,7 +189,9 @@ class Aviary:
         wind = self._wind.sample(self.swarm, self.steps / self.options.decision_hz, self._rng, flying)
         before = self.swarm.copy()
         motion = self._move_scene(flying)
-        setpoint = self.action.decode(action, self.swarm)
+        setpoint = self.action.decode(action, self._commanded)
+        if self.action.level == Level.VELOCITY:
+            self._commanded = setpoint[..., :3]
         contacts = self._dynamics.fly(self.swarm, flown, self.action.level, setpoint, wind, motion)
         if motion.moving:
             self._world.set_obstacles(self.scene.obstacle, self.scene.obstacle_quaternion, flying)

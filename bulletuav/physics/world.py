@@ -5,43 +5,21 @@ resets in place that leave no trace of the past; a world that does not feel what
 """
 
 import contextlib
-import ctypes
-import os
-import sys
 import weakref
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from bulletuav.kernel import kernel
 from bulletuav.physics.airframe import Airframe
 from bulletuav.physics.obstacle import Obstacle
+from bulletuav.physics.quiet import silenced
 from bulletuav.physics.rotation import to_body, to_world
 from bulletuav.physics.screen import require_screen
 from bulletuav.physics.swarm import FIRST_OBSTACLE, GROUND, Swarm
 from bulletuav.physics.view import Picture, metres
 
-
-@contextlib.contextmanager
-def _silenced() -> Iterator[None]:
-    """Swallow what the engine's C code writes to standard output and error: a library does not print."""
-    sys.stdout.flush()
-    sys.stderr.flush()
-    saved = {stream: os.dup(stream) for stream in (1, 2)}
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    for stream in saved:
-        os.dup2(nowhere, stream)
-    try:
-        yield
-    finally:
-        ctypes.CDLL(None).fflush(None)
-        os.close(nowhere)
-        for stream, copy in saved.items():
-            os.dup2(copy, stream)
-            os.close(copy)
-
-
-with _silenced():
+with silenced():
     import pybullet as bullet
 
 ENGINE_VERSION = bullet.getAPIVersion()
@@ -97,7 +75,7 @@ class World:
         """Connect and build. `dt` is the substep, s; `live` opens a window (RuntimeError where there is no screen)."""
         if live:
             require_screen()
-        with _silenced():
+        with silenced():
             self._client = bullet.connect(bullet.GUI if live else bullet.DIRECT)
         self._finalizer = weakref.finalize(self, _disconnect, self._client)
         self.shape, self.dt = (num_worlds, len(airframes)), dt
@@ -155,7 +133,7 @@ class World:
         flags = bullet.URDF_USE_INERTIA_FROM_FILE | bullet.URDF_USE_IMPLICIT_CYLINDER
         flags |= bullet.URDF_USE_MATERIAL_COLORS_FROM_MTL
         try:
-            with _silenced():
+            with silenced():
                 body = bullet.loadURDF(str(airframe.urdf), place.tolist(), flags=flags, physicsClientId=self._client)
         except bullet.error as error:
             raise ValueError(f"{airframe.urdf}: the engine cannot load it: {error}") from None

@@ -31,7 +31,7 @@ BAD = [
     ("hover", {"wind": (1.0, 2.0, float("inf"))}, "wind is inf"),
     ("hover", {"gravity": -9.8}, "gravity is -9.8"),
     ("hover", {"gravity": 0.0, "action": "velocity"}, "needs gravity"),
-    ("hover", {"controller": "pid", "airframe": "hummingbird", "action": "velocity"}, "no <pwm> tag"),
+    ("hover", {"controller": "pid", "airframe": "hummingbird", "action": "velocity", "effects": ()}, "no <pwm> tag"),
     ("hover", {"num_drone": 3}, "did you mean 'num_drones'"),
     ("hover", {"spacing": 0.5, "num_drones": 4}, "may overlap"),
     ("hover", {"spacing": float("nan")}, "spacing is nan"),
@@ -75,8 +75,12 @@ BAD = [
         "action 'rotor' gives rotor setpoints, but dynamics 'point_mass' is driven by velocity",
     ),
     ("hover", {"dynamics": "double_integrator", "action": "attitude"}, "driven by acceleration"),
-    ("hover", {"dynamics": "point_mass", "action": "velocity", "controller": "pid"}, "has none: use controller 'lee'"),
-    ("hover", {"action": "rates", "controller": "pid"}, "takes no rates setpoints"),
+    (
+        "hover",
+        {"dynamics": "point_mass", "action": "velocity", "controller": "pid", "effects": ()},
+        "has none: use controller 'lee'",
+    ),
+    ("hover", {"action": "rates", "controller": "pid", "effects": ()}, "takes no rates setpoints"),
     ("follow", {"target": "bird"}, "unknown target"),
     ("follow", {"target_speed": 15.0}, "below max_speed"),
     ("follow", {"distance": 1.0, "target": "drone"}, "too close to the target"),
@@ -103,9 +107,21 @@ def test_missing_and_broken_urdf(tmp_path):
         bulletuav.parallel_env("hover", airframe=str(tmp_path / "broken.urdf"))
 
 
-def test_num_worlds_is_checked():
-    with pytest.raises(ValueError, match="num_worlds is 0"):
-        bulletuav.Aviary("hover", 0)
+@pytest.mark.parametrize("worlds", [0, 1.5, True])
+def test_num_worlds_is_checked(worlds):
+    with pytest.raises(ValueError, match=f"num_worlds is {worlds}"):
+        bulletuav.Aviary("hover", worlds)
+
+
+def test_an_unknown_tag_of_an_airframe_is_refused(urdf):
+    path = urdf("cf2x", ("<motor_lag", '<motor_lagg value="1"/><motor_lag'))
+    with pytest.raises(ValueError, match="did you mean 'motor_lag'"):
+        bulletuav.Aviary("hover", airframe=path)
+
+
+def test_a_drone_must_fit_into_d_safe():
+    with pytest.raises(ValueError, match=r"d_safe 0\.5 m must exceed the 0\.551 m"):
+        bulletuav.Aviary("hover", airframe="hummingbird", d_safe=0.5)
 
 
 def test_given_values_go_before_the_difficulty_and_that_before_defaults():

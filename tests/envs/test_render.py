@@ -33,6 +33,31 @@ def test_the_drone_itself_is_drawn_where_its_ring_is():
     env.close()
 
 
+def test_every_world_is_drawn_on_its_ground():
+    aviary = bulletuav.Aviary("hover", 3, render_mode="rgb_array", render_size=(160, 120), start=((0.0, 0.0, 2.0),))
+    aviary.reset(seeds=0)
+    pictures = [aviary.render(world) for world in (0, 1, 2, 0)]
+    assert (pictures[0] == GRID).all(axis=-1).sum() > 50
+    for picture in pictures[1:]:
+        assert (picture != pictures[0]).any(axis=-1).mean() < 0.05  # but for rounding: the renderer is in single precision
+    with pytest.raises(ValueError, match="world is 3"):
+        aviary.render(3)
+    aviary.close()
+
+
+@pytest.mark.parametrize("dynamics", ["bullet", "rigid_body"])
+def test_the_last_picture_still_shows_who_finished(dynamics):
+    env = bulletuav.parallel_env("hover", horizon=1, render_mode="rgb_array", dynamics=dynamics, start=((0.0, 0.0, 2.0),))
+    env.reset(seed=0)
+    env.step({"drone_0": np.full(4, -0.1, np.float32)})
+    assert env.agents == []
+    picture = env.render().astype(int)
+    rows, columns = np.nonzero((picture == DRONE).all(axis=-1))
+    inside = picture[int(rows.mean()) - 12 : int(rows.mean()) + 12, int(columns.mean()) - 12 : int(columns.mean()) + 12]
+    assert (inside[..., 2] > inside[..., 0] + 40).sum() > 5
+    env.close()
+
+
 def test_without_a_render_mode_there_is_no_picture():
     env = bulletuav.parallel_env("hover")
     env.reset(seed=0)

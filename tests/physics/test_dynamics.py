@@ -8,6 +8,7 @@ from bulletuav import load_airframe
 from bulletuav.physics.swarm import Swarm
 
 G = 9.80665
+AIRFRAMES = bulletuav.available_airframes()
 BOTH = ("bullet", "rigid_body")
 TUMBLE = (3.0, 2.0, 5.0)
 
@@ -146,11 +147,11 @@ def powered(make_bench, dynamics, airframe, **options):
     bench.swarm.velocity[:] = 1, 2, 0.5
     bench.swarm.rates[:] = 0.2, -0.1, 0.3
     bench.start = Swarm(*(array[0, 0].copy() for array in bench.swarm.copy()))
-    bench.command = bench.airframe.hover_speed() * np.array([1.08, 1.08, 1.09, 1.08])
+    bench.command = bench.airframe.hover_speed() * np.resize([1.08, 1.08, 1.09, 1.08], len(bench.airframe.rotors))
     return bench.place()
 
 
-@pytest.mark.parametrize("airframe", ["cf2x", "hummingbird"])
+@pytest.mark.parametrize("airframe", AIRFRAMES)
 def test_rigid_body_agrees_with_an_independent_integration_of_all_forces(make_bench, airframe):
     bench = powered(make_bench, "rigid_body", airframe, wind=(2.0, -1.0, 0.3))
     bench.spin(bench.command)
@@ -158,7 +159,7 @@ def test_rigid_body_agrees_with_an_independent_integration_of_all_forces(make_be
     same_state(bench.swarm, exact)
 
 
-@pytest.mark.parametrize("airframe", ["cf2x", "hummingbird"])
+@pytest.mark.parametrize("airframe", AIRFRAMES)
 def test_bullet_agrees_with_its_declared_scheme_with_all_forces(make_bench, airframe):
     bench = powered(make_bench, "bullet", airframe, wind=(2.0, -1.0, 0.3))
     bench.spin(bench.command)
@@ -166,7 +167,7 @@ def test_bullet_agrees_with_its_declared_scheme_with_all_forces(make_bench, airf
     same_state(bench.swarm, model.engine_scheme(*bench.start, 1 / 240, 240))
 
 
-@pytest.mark.parametrize("airframe", ["cf2x", "hummingbird"])
+@pytest.mark.parametrize("airframe", AIRFRAMES)
 def test_both_agree_in_free_flight_the_better_the_finer_the_steps(make_bench, airframe):
     """Tolerance over 1 s at 240 Hz under a controller: 2 cm, 5 cm/s, 1 degree; at 960 Hz, 2.5 times closer at least."""
     errors = []

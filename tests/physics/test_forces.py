@@ -13,7 +13,7 @@ from bulletuav.physics.rotors import lagged, rotor_wrench
 from bulletuav.physics.wrench import wrench
 
 G = 9.80665
-NAMES = ("cf2x", "hummingbird")
+NAMES = ("cf2x", "hummingbird", "cf2p", "racer", "iris", "firefly")
 
 
 def row_of(name, effects=None):
@@ -44,7 +44,7 @@ def test_without_lag_the_command_is_the_speed():
 @pytest.mark.parametrize("name", NAMES)
 def test_hover_balances_weight_to_1e9(name):
     airframe, row = row_of(name)
-    speed = np.full(4, airframe.hover_speed())
+    speed = np.full(len(airframe.rotors), airframe.hover_speed())
     force, torque = wrench((0.0, 0.0, 0.0, 1.0), np.zeros(3), 1e9, speed, speed, 0.0, still_air(), 0.0, row)
     np.testing.assert_allclose(force, 0, atol=1e-9)
     np.testing.assert_allclose(torque, 0, atol=1e-9)
@@ -72,11 +72,21 @@ def test_faster_clockwise_rotors_turn_the_crazyflie_to_the_left():
 # Drag
 
 
-@pytest.mark.parametrize(("name", "tilt", "speed"), [("cf2x", 23.95, 1601.4), ("hummingbird", 21.86, 436.6)])
+@pytest.mark.parametrize(
+    ("name", "tilt", "speed"),
+    [
+        ("cf2x", 23.95, 1601.4),
+        ("cf2p", 23.95, 1601.4),
+        ("racer", 39.69, 2059.3),
+        ("hummingbird", 21.86, 436.6),
+        ("iris", 15.66, 647.9),
+        ("firefly", 18.75, 526.3),
+    ],
+)
 def test_level_flight_at_20_m_s_needs_the_published_tilt_and_rotor_speed(name, tilt, speed):
     airframe, row = row_of(name)
     pitch = Rotation.from_euler("y", tilt, degrees=True).as_quat()
-    speeds = np.full(4, speed)
+    speeds = np.full(len(airframe.rotors), speed)
     force, _ = wrench(pitch, np.array([20.0, 0, 0]), 1e9, speeds, speeds, 0.0, still_air(), 0.0, row)
     np.testing.assert_allclose(np.array(force) / (airframe.mass * G), 0, atol=4e-4)
 
@@ -107,7 +117,14 @@ def test_drag_is_relative_to_the_air_and_linear_in_rotor_speed():
 
 @pytest.mark.parametrize(
     ("name", "figures"),
-    [("cf2x", (1.1521, 1.0380, 1.0095, 1.0015)), ("hummingbird", (1.2500, 1.0625, 1.0156, 1.0025))],
+    [
+        ("cf2x", (1.1521, 1.0380, 1.0095, 1.0015)),
+        ("cf2p", (1.1521, 1.0380, 1.0095, 1.0015)),
+        ("racer", (1.1008, 1.0252, 1.0063, 1.0010)),
+        ("hummingbird", (1.2500, 1.0625, 1.0156, 1.0025)),
+        ("iris", (1.2667, 1.1024, 1.0256, 1.0041)),
+        ("firefly", (1.2500, 1.0625, 1.0156, 1.0025)),
+    ],
 )
 def test_ground_effect_figures(name, figures):
     _, row = row_of(name)

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+import bulletuav
 from bulletuav.control.levels import Level
 from bulletuav.physics.swarm import GROUND
 
@@ -84,6 +85,64 @@ def test_a_third_drone_meets_a_stopped_one(make_bench):
     assert {0, 1, 2} == set(contacts.drone)
     assert 2 in contacts.drone
     assert bench.swarm.position[0, 2, 1] < 0
+
+
+def test_who_would_have_met_a_stopped_drone_further_on_meets_nobody(make_bench):
+    """Drone 0 is stopped by drone 2 at the origin; drone 1 would have crossed its path later, at x = 2."""
+    bench = make_bench("rigid_body", drones=3, effects=(), gravity=0.0)
+    bench.swarm.position[0] = (-1.5, 0, 10), (2.0, -3.4, 10), (0, 0, 10)
+    bench.swarm.velocity[0] = (40, 0, 0), (0, 40, 0), (0, 0, 0)
+    bench.swarm.rotor_speed[:] = 0
+    contacts = bench.spin(0.0)
+    assert list(zip(contacts.drone, contacts.other, strict=True)) == [(0, 2), (2, 0)]
+    np.testing.assert_allclose(bench.swarm.position[0, 1], (2, 0.6, 10), atol=1e-9)
+
+
+def test_who_lands_on_another_does_not_touch_the_ground(make_bench):
+    bench = make_bench("rigid_body", drones=2, effects=(), gravity=0.0)
+    bench.swarm.position[0] = (0, 0, 3), (0, 0, 1)
+    bench.swarm.velocity[0] = (0, 0, -40), (0, 0, 0)
+    bench.swarm.rotor_speed[:] = 0
+    contacts = bench.spin(0.0)
+    assert GROUND not in contacts.other
+    assert bench.swarm.position[0, 0, 2] == pytest.approx(1.11, abs=2e-3)
+
+
+@pytest.mark.parametrize("airframe", ["cf2x", "hummingbird"])
+def test_flat_drones_meet_face_to_face_in_bullet(make_bench, airframe):
+    """3 and 11 cm thick, 40 m/s towards each other, 17 cm a substep: no contact is jumped over."""
+    worlds = 100
+    bench = make_bench("bullet", airframe, worlds=worlds, drones=2, effects=(), gravity=0.0)
+    rng = np.random.default_rng(0)
+    bench.swarm.position[:, 0, 2] = 50 - rng.uniform(0.8, 1.2, worlds)
+    bench.swarm.position[:, 1] = 0, 0, 51
+    bench.swarm.velocity[:, 0, 2], bench.swarm.velocity[:, 1, 2] = 20, -20
+    bench.swarm.rotor_speed[:] = 0
+    bench.swarm.position[:, :, 0] = 0
+    met = np.zeros((worlds, 2), dtype=bool)
+    bench.place()
+    for _ in range(2):
+        met |= bench.spin(0.0).mask(met.shape)
+    assert met.all()
+    assert (bench.swarm.position[:, 1, 2] > bench.swarm.position[:, 0, 2]).all()
+
+
+@pytest.mark.parametrize("dynamics", ["rigid_body", "bullet"])
+def test_a_flight_that_diverges_is_named_and_can_be_reset(urdf, dynamics):
+    inertia = ('ixx="1.4e-5" iyy="1.4e-5" izz="2.17e-5"', 'ixx="1e-12" iyy="1e-12" izz="1e-12"')
+    aviary = bulletuav.Aviary("hover", airframe=urdf("cf2x", inertia), dynamics=dynamics)
+    aviary.reset(seeds=0)
+
+    def fly_on():
+        for _ in range(50):
+            aviary.step(np.array([[(0.3, -0.5, 0.1, 0.2)]]))
+
+    with pytest.raises(RuntimeError, match="flight of drone 0 in world 0 diverged.*physics_hz"):
+        fly_on()
+    hover = 2 * (aviary.options.airframe[0].hover_speed() / aviary.options.airframe[0].max_rotor_speed) ** 2 - 1
+    aviary.reset(seeds=0)
+    aviary.step(np.full((1, 1, 4), hover))
+    aviary.close()
 
 
 def test_pairs_in_touch_may_part_but_not_press(make_bench):
