@@ -12,7 +12,7 @@ from bulletuav.physics.world import World
 SKY, GRID = (206, 224, 240), (176, 182, 174)
 DRONE, GOAL, SHADOW = (216, 67, 21), (46, 125, 50), (120, 124, 120)
 DIRECTION = np.array([-0.55, -0.75, 0.5])
-GRID_LINES = 60
+GRID_LINES = 25
 FIELD_OF_VIEW = 60.0  # degrees, vertical
 
 

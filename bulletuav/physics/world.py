@@ -125,7 +125,9 @@ class World:
         self._floor = bullet.createMultiBody(
             0, -1, floor, physicsClientId=client
         )  # only seen; moves to where pictures are taken
-        ground = bullet.createMultiBody(0, collision, physicsClientId=client)
+        # Without a visual of its own the plane would be drawn as an endless chequerboard.
+        speck = bullet.createVisualShape(bullet.GEOM_SPHERE, radius=1e-3, physicsClientId=client)
+        ground = bullet.createMultiBody(0, collision, speck, physicsClientId=client)
         bullet.setCollisionFilterGroupMask(ground, -1, SURFACE_GROUP, DRONE_GROUP, physicsClientId=client)
         return ground
 
