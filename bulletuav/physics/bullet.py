@@ -106,9 +106,9 @@ class BulletDynamics(Dynamics):
             world.step()
             world.read_states(swarm, alive)
             path.position[1], path.quaternion[1] = swarm.position, swarm.quaternion
-            require_sane(swarm, alive)
             for w, drone, other, force in world.contacts():  # before catching, which forgets them
                 touched[w, drone, other] = touched.get((w, drone, other), 0.0) + force * flight.dt
             for key in catch_fast(world, path, swarm, alive, flight.parameters):
                 touched.setdefault(key, 0.0)
+        require_sane(swarm, alive)
         return Contacts.merge(touched)

@@ -199,6 +199,18 @@ def stop_at_first_touch(world: World, path: Path, swarm: Swarm, alive: np.ndarra
     return Contacts.merge(rows)
 
 
+@kernel
+def _mark_fast(position, alive, parameters, fast):
+    """Mark living drones (W, N) that moved by more than a quarter of their thinnest extent; tells whether there are any."""
+    found = False
+    for w in range(alive.shape[0]):
+        for i in range(alive.shape[1]):
+            far = 0.25 * parameters[w, i].thinnest
+            if alive[w, i] and ((position[1, w, i] - position[0, w, i]) ** 2).sum() > far * far:
+                fast[w, i] = found = True
+    return found
+
+
 def catch_fast(
     world: World, path: Path, swarm: Swarm, alive: np.ndarray, parameters: np.ndarray
 ) -> list[tuple[int, int, int]]:
@@ -211,9 +223,8 @@ def catch_fast(
 
     Returns (world, drone, other) of what was caught, both sides of a pair.
     """
-    moved = np.linalg.norm(path.position[1] - path.position[0], axis=-1)
-    fast = alive & (moved > 0.25 * parameters["thinnest"])
-    if not fast.any():
+    fast = np.zeros(alive.shape, dtype=bool)
+    if not _mark_fast(path.position, alive, parameters, fast):
         return []
     radius = parameters["collision_radius"]
     pairs = [

@@ -8,6 +8,7 @@ from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from bulletuav.errors import unknown
 from bulletuav.physics.obstacle import Obstacle
@@ -167,11 +168,11 @@ def merged_weights(defaults: Mapping[str, float], changes: Mapping[str, float]) 
 
 def refuse_overlap(position: np.ndarray, radius: float) -> None:
     """Raise ValueError when two of (N, 3) positions are closer than two collision radii."""
-    gap = np.linalg.norm(position[:, None] - position[None], axis=-1)
-    gap[np.diag_indices(len(gap))] = np.inf
-    i, j = np.unravel_index(np.argmin(gap), gap.shape)
-    if gap[i, j] <= 2 * radius:
+    pairs = cKDTree(position).query_pairs(2 * radius)
+    if pairs:
+        i, j = min(pairs)
+        gap = float(np.linalg.norm(position[i] - position[j]))
         raise ValueError(
-            f"start positions of drones {i} and {j} overlap: {gap[i, j]:.3g} m apart, their collision shapes need more than "
+            f"start positions of drones {i} and {j} overlap: {gap:.3g} m apart, their collision shapes need more than "
             f"{2 * radius:.3g} m; move them or widen the spacing"
         )
