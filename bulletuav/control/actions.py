@@ -10,7 +10,7 @@ import numpy as np
 from bulletuav.control.gains import MAX_TILT
 from bulletuav.control.levels import Level
 from bulletuav.errors import pick
-from bulletuav.physics.airframe import STANDARD_GRAVITY, Airframe
+from bulletuav.physics.airframe import Airframe
 
 RPM = 2 * math.pi / 60  # rad/s
 MAX_RATES = np.array((2 * math.pi, 2 * math.pi, math.pi))  # rad/s, of action `rates`
@@ -18,13 +18,14 @@ MAX_RATES = np.array((2 * math.pi, 2 * math.pi, math.pi))  # rad/s, of action `r
 
 @dataclass(frozen=True)
 class Flyable:
-    """What a decoder may know: each drone's airframe, speed limit (m/s), the arena's corners (3,) m, decision period (s)."""
+    """What a decoder may know, SI: airframes of the drones, speed limit, arena corners (3,), decision period, gravity."""
 
     airframes: Sequence[Airframe]
     max_speed: float
     arena_low: np.ndarray
     arena_high: np.ndarray
     period: float
+    gravity: float
 
 
 @dataclass(frozen=True)
@@ -173,7 +174,7 @@ def rpm(flyable: Flyable) -> Action:
 
 def hover_rpm(flyable: Flyable) -> Action:
     """Speed of each rotor about that of hover, +-5 %: the action of gym-pybullet-drones' HoverAviary."""
-    hover = np.array([airframe.hover_speed(STANDARD_GRAVITY) for airframe in flyable.airframes])[:, None]
+    hover = np.array([airframe.hover_speed(flyable.gravity) for airframe in flyable.airframes])[:, None]
     ones = np.ones(len(hover))
     return _per_rotor(
         flyable, "hover_rpm", ": 20 (rpm / hover rpm - 1)", -1.0, ones, lambda action, commanded: hover * (1 + 0.05 * action)

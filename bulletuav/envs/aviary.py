@@ -90,7 +90,8 @@ class Aviary:
         options, task = self.options, self.task
         period = 1 / options.decision_hz
         return make_action(
-            options.action, Flyable(options.airframe, options.max_speed, task.arena_low, task.arena_high, period)
+            options.action,
+            Flyable(options.airframe, options.max_speed, task.arena_low, task.arena_high, period, options.gravity),
         )
 
     def _make_dynamics(self) -> tuple[Dynamics, Cascade]:
@@ -133,7 +134,8 @@ class Aviary:
         self._world.set_obstacles(self.scene.obstacle, self.scene.obstacle_quaternion, np.any(chosen, axis=1))
         now = self.swarm.copy()
         action = np.zeros((*self.alive.shape, self.action.low.shape[-1]))
-        self._frame = self._make_frame(now, now, action, Contacts.merge({}), self.alive.copy())
+        flown = np.where(chosen, True, self.alive if self._frame is None else self._frame.alive)
+        self._frame = self._make_frame(now, now, action, Contacts.merge({}), flown)
         return self.observer.observe(self._frame, self.alive)
 
     def _checked_mask(self, mask: np.ndarray) -> np.ndarray:
@@ -160,7 +162,11 @@ class Aviary:
             array[k] = value
         for i, airframe in enumerate(self.options.airframe):
             self.swarm.rotor_speed[k, i, : len(airframe.rotors)] = airframe.hover_speed(self.options.gravity)
-        self.scene.start[k], self.scene.goal[k], self.scene.goal_velocity[k] = spawn.position, spawn.goal, 0
+        self.scene.start[k], self.scene.goal[k], self.scene.goal_velocity[k] = (
+            spawn.position,
+            spawn.goal,
+            spawn.goal_velocity,
+        )
         self.scene.obstacle[k], self.scene.obstacle_velocity[k] = spawn.obstacle, spawn.obstacle_velocity
         self._cascade.memory[k] = 0
         self._commanded[k] = spawn.velocity

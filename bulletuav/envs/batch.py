@@ -62,11 +62,18 @@ class BatchAviary:
         self.ended = flying & ~np.any(self.aviary.alive, axis=1)
         if fresh.any():
             observations = self.aviary.reset(fresh)
+            infos |= self._with_fresh(infos, fresh)
         if self.ended.any() and self.autoreset_mode == AutoresetMode.SAME_STEP:
             infos |= {"final_obs": observations, "final_state": self.aviary.state(), "final_info": info}
             infos |= {"_final_obs": self.ended, "_final_info": self.ended}
             observations = self.aviary.reset(self.ended)
+            infos |= self._with_fresh(info, self.ended)
         return observations, rewards, terminated, truncated, infos
+
+    def _with_fresh(self, info: dict[str, np.ndarray], worlds: np.ndarray) -> dict[str, np.ndarray]:
+        """Infos in which those of `worlds` (W,) are of their new episodes."""
+        first = self.aviary.first_info()
+        return {name: np.where(worlds[:, None], first[name], info[name]) for name in first}
 
     def state(self) -> np.ndarray:
         """(W, 17 N) float32 global state; see `Aviary.state`."""

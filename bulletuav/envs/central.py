@@ -18,6 +18,8 @@ from bulletuav.envs.spaces import joint_action_space, joint_numbers
 from bulletuav.tasks import list_tasks
 from bulletuav.tasks.terms.observations import Observation, part
 
+METADATA: dict[str, Any] = {"render_modes": ["rgb_array", "human"]}
+
 
 def environment_id(task: str) -> str:
     """The Gymnasium id of a task: `bulletuav/Hover-v0` for hover."""
@@ -35,10 +37,6 @@ def register_environments() -> None:
         )
 
 
-def _metadata(aviary: Aviary) -> dict[str, Any]:
-    return {"render_modes": ["rgb_array", "human"], "render_fps": aviary.options.decision_hz}
-
-
 def _observation_space(aviary: Aviary) -> gymnasium.Space:
     if aviary.num_drones == 1:
         return aviary.observer.space()
@@ -54,9 +52,11 @@ def _central(aviary: Aviary, observations: Observation) -> Observation:
 class CentralAviary(gymnasium.Env):
     """One world as a `gymnasium.Env`."""
 
+    metadata = METADATA
+
     def __init__(self, task: str, **options: Any):
         self.aviary = Aviary(task, 1, **options)
-        self.metadata = _metadata(self.aviary)
+        self.metadata = {**METADATA, "render_fps": self.aviary.options.decision_hz}
         self.render_mode = self.aviary.options.render_mode
         self.observation_space = _observation_space(self.aviary)
         self.action_space = joint_action_space(self.aviary.action)
@@ -91,6 +91,8 @@ def _of_world(info: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 class CentralVectorAviary(gymnasium.vector.VectorEnv):
     """W worlds as a `gymnasium.vector.VectorEnv`; infos are (W, N) arrays."""
 
+    metadata = METADATA
+
     def __init__(
         self, task: str, num_envs: int = 1, autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP, **options: Any
     ):
@@ -98,7 +100,11 @@ class CentralVectorAviary(gymnasium.vector.VectorEnv):
         aviary = self.aviary = self._batch.aviary
         self.num_envs = aviary.num_worlds
         self.render_mode = aviary.options.render_mode
-        self.metadata = {**_metadata(aviary), "autoreset_mode": self._batch.autoreset_mode}
+        self.metadata = {
+            **METADATA,
+            "render_fps": aviary.options.decision_hz,
+            "autoreset_mode": self._batch.autoreset_mode,
+        }
         self.single_observation_space = _observation_space(aviary)
         self.single_action_space = joint_action_space(aviary.action)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)

@@ -18,7 +18,7 @@ from bulletuav.tasks.base import Task
 from bulletuav.tasks.terms.observations import BLOCKS, IMAGES
 
 RENDER_MODES = ("rgb_array", "human")
-ROTOR_ACTIONS = ("rotor", "rpm", "hover_rpm")
+ROTOR_ACTIONS = ("rotor", "rpm")
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,9 @@ class Options:
             )
         self._check_air()
         if self.gravity == 0 and self.action not in ROTOR_ACTIONS:
-            raise ValueError(f"action {self.action!r} needs gravity: its controller steers by tilting thrust against weight")
+            raise ValueError(
+                f"action {self.action!r} needs gravity: use 'rotor' or 'rpm', all others steer thrust against weight"
+            )
         if self.controller == "pid" and "lag" in self.effects:
             warnings.warn(
                 "controller 'pid' is made for motors without lag and may turn a drone over: leave 'lag' out of effects",
@@ -182,6 +184,8 @@ def resolve(task: type[Task], given: Mapping[str, Any]) -> tuple[Options, Any]:
             raise unknown(f"option of task {task.name!r}:", name, common | own)
     difficulty = given.get("difficulty", task.defaults.get("difficulty", "easy"))
     level = pick("difficulty", difficulty, dict(task.difficulties))
+    if given.get("preset") is not None and not task.presets:
+        raise ValueError(f"preset is {given['preset']!r}: task {task.name!r} has none")
     preset = {} if given.get("preset") is None else pick("preset", given["preset"], dict(task.presets))
     values = {**task.defaults, **level, **preset, **given, "difficulty": difficulty}
     for name in ("num_drones", "airframe", "action", "decision_hz", "horizon", "max_speed", "dynamics", "controller"):
@@ -193,6 +197,8 @@ def resolve(task: type[Task], given: Mapping[str, Any]) -> tuple[Options, Any]:
         elif name in values and not callable(values[name]) and (name, values[name]) != ("observation", None):
             values[name] = several(name, values[name])
     if isinstance(values["airframe"], list | tuple):
+        if not values["airframe"]:
+            raise ValueError("airframe is an empty list: give one airframe, or one for each drone")
         values["airframe"] = tuple(_airframe(one) for one in values["airframe"])
         if "num_drones" not in given:
             values["num_drones"] = len(values["airframe"])

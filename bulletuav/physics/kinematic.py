@@ -4,9 +4,10 @@
 `single_integrator`  v = v_cmd, p+ = p + v dt
 `double_integrator`  p+ = p + v dt + a dt^2 / 2, v+ = v + a dt
 
-|v_cmd| and |v| are limited to max_speed and |a| to the acceleration that tilting by the controller's bound gives, by norm,
-not per axis. Within the limits the integration is exact for a constant setpoint. Rotors, ground effect and downwash play no
-part; double and single integrator do not feel the wind. tau is that of the Lee controller's velocity loop.
+|v_cmd|, and |v| of the integrators, are limited to max_speed, the commanded acceleration to what tilting by the controller's
+bound gives, by norm, not per axis. Within the limits the integration is exact for a constant setpoint. Rotors, ground effect
+and downwash play no part; double and single integrator do not feel the wind. tau is that of the Lee controller's velocity
+loop.
 """
 
 import math

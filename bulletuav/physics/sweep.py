@@ -5,6 +5,7 @@ conservative advancement (B. Mirtich, 1996) on Bullet's exact shape distances fi
 can close a gap faster than its bound, so stepping by gap / bound skips nothing, however thin or fast.
 """
 
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -165,50 +166,68 @@ def first_touch(world: World, path: Path, pair: tuple[int, int, int], radius: np
     return np.inf
 
 
+def _in_order(
+    path: Path, pairs: list[tuple[int, int, int]], alive: np.ndarray, radius: np.ndarray, touch: Callable
+) -> Iterator[tuple[float, tuple[int, int, int]]]:
+    """Touches (time, pair) in order of time, `touch` telling a pair's; after each its drones are frozen in the path.
+
+    Whoever was to meet a frozen drone, and whoever meets it now, is asked anew.
+    """
+    times = {pair: touch(pair) for pair in pairs}
+    done, frozen = set(), set()
+    while times:
+        time, pair = min((time, pair) for pair, time in times.items())
+        if time == np.inf:
+            return
+        del times[pair]
+        done.add(pair)
+        yield time, pair
+        w, *ends = pair
+        for drone in ends:
+            if drone >= 0 and (w, drone) not in frozen:
+                frozen.add((w, drone))
+                path.freeze(w, drone, time)
+                pending = [other for other in times if other[0] == w and drone in other[1:]]
+                for met in {*pending, *_partners(path.position, alive, radius, w, drone)} - done:
+                    times[met] = touch(met)
+
+
 def stop_at_first_touch(world: World, path: Path, swarm: Swarm, alive: np.ndarray, parameters: np.ndarray) -> Contacts:
     """Stop every drone that touched something where it did, in order of time, and tell the contacts.
 
-    The impulse is that of a stop: mass times the speed at the touch. Whoever was to meet a stopped drone is checked anew.
+    The impulse is that of a stop: mass times the speed at the touch.
     """
     radius = parameters["collision_radius"]
+    pairs = _candidates(path.position, path.obstacle, alive, radius, world.obstacle_radius)
     rows: dict[tuple[int, int, int], float] = {}
-    stopped: set[tuple[int, int]] = set()
-    candidates = _candidates(path.position, path.obstacle, alive, radius, world.obstacle_radius)
-    touches = {pair: first_touch(world, path, pair, radius) for pair in candidates}
-    while touches:
-        time, pair = min((time, pair) for pair, time in touches.items())
-        if time == np.inf:
-            break
-        del touches[pair]
-        w, i, j = pair
-        moved = [(drone, other) for drone, other in ((i, j), (j, i)) if drone >= 0]
-        for drone, other in moved:
+    for time, (w, i, j) in _in_order(path, pairs, alive, radius, lambda pair: first_touch(world, path, pair, radius)):
+        for drone, other in _both_sides(i, j):
             speed = float(np.linalg.norm(path.change(w, drone, int(time)))) / world.dt
             rows[w, drone, other] = float(parameters["mass"][w, drone]) * speed
-        for drone, _ in moved:
-            if (w, drone) not in stopped:
-                stopped.add((w, drone))
-                path.freeze(w, drone, time)
-                pending = [other for other in touches if other[0] == w and drone in other[1:]]
-                for met in {*pending, *_partners(path.position, alive, radius, w, drone)}:
-                    if (w, met[1], met[2]) not in rows:
-                        touches[met] = first_touch(world, path, met, radius)
-    for w, i in sorted(stopped):
+    for w, i, _ in rows:
         swarm.position[w, i], swarm.quaternion[w, i] = path.position[-1, w, i], path.quaternion[-1, w, i]
         swarm.velocity[w, i] = swarm.rates[w, i] = 0
     return Contacts.merge(rows)
 
 
+def _both_sides(one: int, two: int) -> list[tuple[int, int]]:
+    """(drone, other) of each drone of a pair."""
+    return [(drone, other) for drone, other in ((one, two), (two, one)) if drone >= 0]
+
+
 @kernel
-def _mark_fast(position, alive, parameters, fast):
-    """Mark living drones (W, N) that moved by more than a quarter of their thinnest extent; tells whether there are any."""
-    found = False
+def _any_fast(position, obstacle, alive, parameters):
+    """Whether a living drone, or an obstacle, moved by more than a quarter of the drone's thinnest extent."""
     for w in range(alive.shape[0]):
         for i in range(alive.shape[1]):
             far = 0.25 * parameters[w, i].thinnest
-            if alive[w, i] and ((position[1, w, i] - position[0, w, i]) ** 2).sum() > far * far:
-                fast[w, i] = found = True
-    return found
+            if alive[w, i]:
+                if ((position[1, w, i] - position[0, w, i]) ** 2).sum() > far * far:
+                    return True
+                for k in range(obstacle.shape[2]):
+                    if ((obstacle[1, w, k] - obstacle[0, w, k]) ** 2).sum() > far * far:
+                        return True
+    return False
 
 
 def catch_fast(
@@ -216,42 +235,39 @@ def catch_fast(
 ) -> list[tuple[int, int, int]]:
     """Continuous collision detection for one engine substep (a path with S = 1): no drone may jump over a contact.
 
-    The engine looks for contacts only where a substep begins. Drones that moved by more than a quarter of their thinnest
-    extent, and whatever they could have met, are checked along the way; those that touched are put back to where they did,
-    with their velocities, for the engine to resolve the contact in its next substep. Pairs that were in touch already
-    are held only where they would go deeper.
+    The engine looks for contacts only where a substep begins. Pairs that moved against each other by more than a quarter of
+    the drone's thinnest extent are checked along the way; those that touched are put back to where they did, with their
+    velocities, for the engine to resolve the contact in its next substep. Pairs that were in touch already are held only
+    where they would go deeper.
 
     Returns (world, drone, other) of what was caught, both sides of a pair.
     """
-    fast = np.zeros(alive.shape, dtype=bool)
-    if not _mark_fast(path.position, alive, parameters, fast):
+    if not _any_fast(path.position, path.obstacle, alive, parameters):
         return []
-    radius = parameters["collision_radius"]
-    pairs = [
-        pair
-        for pair in _candidates(path.position, path.obstacle, alive, radius, world.obstacle_radius)
-        if fast[pair[0], pair[1]] or (pair[2] >= 0 and fast[pair[0], pair[2]])
-    ]
-    caught, disturbed = [], np.zeros(alive.shape, dtype=bool)
-    times: dict[tuple[int, int], float] = {}
-    for pair in pairs:
+    radius, far = parameters["collision_radius"], 0.25 * parameters["thinnest"]
+    asked = np.zeros(alive.shape, dtype=bool)
+
+    def touch(pair: tuple[int, int, int]) -> float:
         w, one, two = pair
-        ends = [(one, two), (two, one)] if two >= 0 else [(one, two)]
-        for drone, _ in ends:
-            disturbed[w, drone] = True
+        if float(np.linalg.norm(path.change(w, one, 0) - path.change(w, two, 0))) <= far[w, one]:
+            return np.inf
+        for drone, _ in _both_sides(one, two):
+            asked[w, drone] = True
         before, after = (
             world.separation(w, path.pose(w, one, time), path.pose(w, two, time), 2 * TOUCH) for time in (0.0, 1.0)
         )
         if before > TOUCH:
-            time = first_touch(world, path, pair, radius)
-        else:  # the engine's to resolve, but not by going deeper
-            time = 0.0 if after < before - parameters["thinnest"][w, one] / 4 else np.inf
-        if time < np.inf:
-            for drone, other in ends:
-                caught.append((w, drone, other))
-                times[w, drone] = min(time, times.get((w, drone), np.inf))
-    for (w, drone), time in times.items():
-        _, swarm.position[w, drone], swarm.quaternion[w, drone] = path.pose(w, drone, time)
-    if disturbed.any():
-        world.set_states(swarm, disturbed)
+            return first_touch(world, path, pair, radius)
+        return 0.0 if after < before - far[w, one] else np.inf
+
+    pairs = _candidates(path.position, path.obstacle, alive, radius, world.obstacle_radius)
+    caught = [
+        (w, drone, other)
+        for _, (w, one, two) in _in_order(path, pairs, alive, radius, touch)
+        for drone, other in _both_sides(one, two)
+    ]
+    for w, drone, _ in caught:
+        swarm.position[w, drone], swarm.quaternion[w, drone] = path.position[1, w, drone], path.quaternion[1, w, drone]
+    if asked.any():
+        world.set_states(swarm, asked)
     return caught

@@ -36,7 +36,7 @@ def dryden_scales(altitude, wind20):
 def first_order(state, share, noise):
     """Longitudinal filter of unit variance after `share` = dt / tau: exact for the spectrum 1 / (1 + tau s)."""
     decay = math.exp(-share)
-    return decay * state + math.sqrt(1.0 - decay * decay) * noise
+    return decay * state + math.sqrt(-math.expm1(-2.0 * share)) * noise
 
 
 @kernel
@@ -45,12 +45,16 @@ def second_order(one, two, share, noise_one, noise_two):
 
     For x' = A x the transition is e^-r [[1 + r, r], [-r, 1 - r]] in these units, and the noise has the covariance 1 - M M^T.
     """
-    decay = math.exp(-share)
-    a, b, c, d = decay * (1.0 + share), decay * share, -decay * share, decay * (1.0 - share)
-    p, q, r = 1.0 - a * a - b * b, -a * c - b * d, 1.0 - c * c - d * d
-    left = math.sqrt(max(p, 0.0))
+    r = share
+    decay = math.exp(-r)
+    a, b, c, d = decay * (1.0 + r), decay * r, -decay * r, decay * (1.0 - r)
+    square = decay * decay
+    p = r**3 * (4.0 / 3.0 - 2.0 * r) if r < 1e-3 else 1.0 - a * a - b * b  # its terms cancel for small r
+    q = 2.0 * r * r * square
+    rest = -math.expm1(-2.0 * r) + square * (2.0 * r - 2.0 * r * r)
+    left = math.sqrt(p)
     low = q / left if left > 0.0 else 0.0
-    right = math.sqrt(max(r - low * low, 0.0))
+    right = math.sqrt(max(rest - low * low, 0.0))
     return a * one + b * two + left * noise_one, c * one + d * two + low * noise_one + right * noise_two
 
 
@@ -59,7 +63,7 @@ def advance_gusts(state, noise, position, velocity, steady, wind20, dt, wind):
     """Advance the filters by dt (s) and add the gusts to `wind` (W, N, 3).
 
     state (W, N, 5) holds u, v (2) and w (2), each of unit variance; noise (W, N, 5) is standard normal. u is along the
-    steady wind (east where there is none), v to its left, w up; the air passes at the drone's airspeed.
+    steady wind (east where there is none), v to its left, w up; the air passes at the drone's speed against the steady wind.
     """
     size = math.hypot(steady[0], steady[1])
     ex, ey = (steady[0] / size, steady[1] / size) if size > 1e-9 else (1.0, 0.0)

@@ -21,7 +21,7 @@ NOTHING = np.zeros((0, 3))
 class Spawn(NamedTuple):
     """Start of one world: position (N, 3) m, quaternion (N, 4), velocity (N, 3) m/s, rates (N, 3) rad/s, goal (N, 3) m.
 
-    Of the task's K obstacles position and velocity (K, 3).
+    Velocity of the goals (N, 3), m/s. Of the task's K obstacles position and velocity (K, 3).
     """
 
     position: np.ndarray
@@ -29,6 +29,7 @@ class Spawn(NamedTuple):
     velocity: np.ndarray
     rates: np.ndarray
     goal: np.ndarray
+    goal_velocity: np.ndarray | float = 0.0
     obstacle: np.ndarray = NOTHING
     obstacle_velocity: np.ndarray = NOTHING
 

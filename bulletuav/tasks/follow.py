@@ -110,6 +110,13 @@ class Follow(Task):
             raise ValueError(
                 f"distance {config.distance:g} m is too close to the target, whose radius is {self._body.radius:.3g} m"
             )
+        lowest = self._height + above - config.start_offset
+        if lowest <= setting.collision_radius:
+            raise ValueError(f"start_offset {config.start_offset:g} m is too large: drones could start {lowest:.3g} m up")
+        if config.max_distance <= config.start_offset * np.sqrt(3):
+            raise ValueError(
+                f"max_distance {config.max_distance:g} m must exceed the start offset of {config.start_offset:g} m"
+            )
         reach = config.arena + config.distance + config.max_distance
         top = self._height + above + config.max_distance
         self.arena_low, self.arena_high = np.array([-reach, -reach, 0.0]), np.array([reach, reach, top])
@@ -127,7 +134,7 @@ class Follow(Task):
         offset = rng.uniform(-config.start_offset, config.start_offset, (n, 3))
         goal = target + self._station
         level = np.tile([0.0, 0.0, 0.0, 1.0], (n, 1))
-        return Spawn(goal + offset, level, np.zeros((n, 3)), np.zeros((n, 3)), goal, target, velocity)
+        return Spawn(goal + offset, level, np.zeros((n, 3)), np.zeros((n, 3)), goal, velocity, target, velocity)
 
     def advance(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rng: Sequence[np.random.Generator | None]) -> bool:
         """Drive the target of every world that flies, its stations with it."""

@@ -8,7 +8,7 @@ from bulletuav.control.levels import Level
 
 @pytest.fixture
 def flyable():
-    return Flyable([load_airframe("cf2x")], 10.0, np.array((-20.0, -10, 0)), np.array((20.0, 30, 8)), 0.1)
+    return Flyable([load_airframe("cf2x")], 10.0, np.array((-20.0, -10, 0)), np.array((20.0, 30, 8)), 0.1, 9.80665)
 
 
 def decode(name, flyable, action):
@@ -63,7 +63,7 @@ def test_discrete_directions(flyable):
 
 
 def test_drones_with_fewer_rotors_read_fewer_numbers():
-    both = Flyable([load_airframe("cf2x"), load_airframe("firefly")], 5.0, np.zeros(3), np.ones(3), 0.1)
+    both = Flyable([load_airframe("cf2x"), load_airframe("firefly")], 5.0, np.zeros(3), np.ones(3), 0.1, 9.80665)
     action = make_action("rotor", both)
     assert (action.size(0), action.size(1), action.low.shape) == (4, 6, (2, 6))
     assert (action.low[0, 4:] == action.high[0, 4:]).all()

@@ -162,6 +162,23 @@ def test_disabled_waits_for_the_caller():
     env.close()
 
 
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+def test_infos_and_observations_of_a_new_episode_belong_together(mode):
+    _, rows = terminal(mode)
+    for observation, _, _, _, info in rows[1:]:
+        np.testing.assert_allclose(np.linalg.norm(observation[..., 4:7], axis=-1), info["goal_distance"], rtol=1e-5)
+    ends = [row for row in rows[1:] if row[2].any() or row[3].any()]
+    assert any(row[4].get("final_info", row[4])["collision"].any() for row in ends)
+
+
+def test_make_knows_the_render_modes(recwarn):
+    env = gymnasium.make("bulletuav/Hover-v0", render_mode="rgb_array")
+    env.reset(seed=0)
+    assert env.render().shape == (480, 640, 3)
+    assert not [warning for warning in recwarn if "render_mode" in str(warning.message)]
+    env.close()
+
+
 def test_a_world_goes_on_until_its_last_drone():
     env = bulletuav.batch_env("hover", 1, num_drones=2, action="velocity", horizon=60, autoreset_mode="NextStep")
     env.reset(seed=0)

@@ -58,6 +58,16 @@ def test_the_last_picture_still_shows_who_finished(dynamics):
     env.close()
 
 
+def test_resetting_one_world_leaves_the_pictures_of_others():
+    aviary = bulletuav.Aviary("hover", 2, horizon=1, render_mode="rgb_array", render_size=(64, 48))
+    aviary.reset(seeds=0)
+    aviary.step(np.full((2, 1, 4), -0.1))
+    before = aviary.render(1)
+    aviary.reset(np.array([True, False]))
+    np.testing.assert_array_equal(aviary.render(1), before)
+    aviary.close()
+
+
 def test_without_a_render_mode_there_is_no_picture():
     env = bulletuav.parallel_env("hover")
     env.reset(seed=0)

@@ -108,6 +108,17 @@ def test_who_lands_on_another_does_not_touch_the_ground(make_bench):
     assert bench.swarm.position[0, 0, 2] == pytest.approx(1.11, abs=2e-3)
 
 
+def test_bullet_too_asks_anew_who_would_have_met_a_drone_that_was_caught(make_bench):
+    """At 10 Hz: drone 0 is caught by drone 1; drone 2 would have crossed its path further on."""
+    bench = make_bench("bullet", drones=3, effects=(), gravity=0.0, hz=10, substeps=1)
+    bench.swarm.position[0] = (0, 0, 20), (0.8, 0, 20), (1.4, 1.4, 20)
+    bench.swarm.velocity[0] = (15, 0, 0), (0, 0, 0), (0, -15, 0)
+    bench.swarm.rotor_speed[:] = 0
+    contacts = bench.place().spin(0.0)
+    assert list(zip(contacts.drone, contacts.other, strict=True)) == [(0, 1), (1, 0)]
+    np.testing.assert_allclose(bench.swarm.position[0, 2], (1.4, -0.1, 20), atol=1e-9)
+
+
 @pytest.mark.parametrize("airframe", ["cf2x", "hummingbird"])
 def test_flat_drones_meet_face_to_face_in_bullet(make_bench, airframe):
     """3 and 11 cm thick, 40 m/s towards each other, 17 cm a substep: no contact is jumped over."""

@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 import bulletuav
 from bulletuav.physics.swarm import Swarm
-from bulletuav.physics.wind import TURBULENCE, Wind, dryden_scales
+from bulletuav.physics.wind import TURBULENCE, Wind, dryden_scales, first_order, second_order
 
 W20 = 7.7167
 
@@ -62,6 +63,19 @@ def test_autocorrelation(dt, steps):
     measured = (first * last).mean(axis=0) / (s_u**2, s_u**2, s_w**2)
     r = steps * dt * 10.0 / np.array((length_u, length_u, length_w))
     np.testing.assert_allclose(measured, np.exp(-r) * (1 - np.array((0, 0.5, 0.5)) * r), atol=0.06)
+
+
+@pytest.mark.parametrize("share", [1e-8, 1e-6, 5e-6, 7e-6, 1e-4, 9.9e-4, 1.01e-3, 0.03, 1.0, 10.0])
+def test_unit_variance_is_stationary_for_any_share(share):
+    """M M^T + L L^T = 1 exactly, with M the transition and L the noise of one step, read off the filter's answers."""
+    transition = np.array([second_order(*unit, share, 0.0, 0.0) for unit in ((1.0, 0.0), (0.0, 1.0))]).T
+    noise = np.array([second_order(0.0, 0.0, share, *unit) for unit in ((1.0, 0.0), (0.0, 1.0))]).T
+    defect = transition @ transition.T + noise @ noise.T - np.eye(2)
+    assert np.abs(defect).max() < 1e-12
+    exact = expm(share * np.array([(0.0, 1.0), (-1.0, -2.0)]))  # x' = A x with tau = 1
+    scale = np.sqrt((0.25, 0.25))
+    np.testing.assert_allclose(transition, exact * scale[:, None] / scale, atol=1e-12)
+    assert first_order(0.0, share, 1.0) ** 2 + first_order(1.0, share, 0.0) ** 2 == pytest.approx(1, abs=1e-14)
 
 
 def test_gusts_turn_with_the_steady_wind():

@@ -61,6 +61,30 @@ def test_reward_by_hand_and_the_target_can_be_hit(dynamics):
     aviary.close()
 
 
+@pytest.mark.parametrize("physics_hz", [10, 20, 240])
+@pytest.mark.parametrize("dynamics", ["bullet", "rigid_body", "single_integrator"])
+def test_a_fast_target_does_not_jump_over_a_drone_in_its_way(dynamics, physics_hz):
+    options = {"target": "drone", "target_speed": 14.0, "turn": 0.0, "effects": (), "gravity": 9.80665}
+    aviary = bulletuav.Aviary("follow", dynamics=dynamics, physics_hz=physics_hz, **options)
+    aviary.reset(seeds=0)
+    way = aviary.scene.goal_velocity[0, 0] / 14
+    aviary.swarm.position[0, 0] = aviary.scene.obstacle[0, 0] + 2.1 * way
+    aviary._dynamics.place(aviary.swarm, aviary.alive)
+    hit = False
+    for _ in range(3):
+        hit |= bool(aviary.step(np.zeros((1, 1, 3))).info["collision"].any())
+    assert hit
+    aviary.close()
+
+
+def test_the_targets_velocity_is_seen_from_the_start():
+    aviary = bulletuav.Aviary("follow", turn=0.0)
+    first = aviary.reset(seeds=0)[0, 0, 13:]
+    assert np.linalg.norm(first) == pytest.approx(5, rel=1e-6)
+    np.testing.assert_allclose(aviary.step(np.zeros((1, 1, 3))).observations[0, 0, 13:], first, rtol=1e-6)
+    aviary.close()
+
+
 def test_left_behind_is_the_end():
     aviary = bulletuav.Aviary("follow", dynamics="point_mass", max_distance=15.0)
     aviary.reset(seeds=0)
