@@ -38,6 +38,14 @@ def several(name: str, value: Any, count: int | None = None) -> tuple:
     return tuple(value)
 
 
+def numbers_of(subject: str, value: Any) -> np.ndarray:
+    """`value` as a float64 array. Raises ValueError ("`subject` not numbers") for anything that is not made of them."""
+    try:
+        return np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ValueError(f"{subject} not numbers: {error}") from None
+
+
 def pick(what: str, name: str, table: dict):
     """`table[name]`, or `unknown` when it is not there."""
     if not isinstance(name, str) or name not in table:

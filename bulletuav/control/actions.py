@@ -11,8 +11,8 @@ from bulletuav.control.gains import MAX_TILT
 from bulletuav.control.levels import Level
 from bulletuav.errors import pick
 from bulletuav.physics.airframe import Airframe
+from bulletuav.physics.rotors import RPM
 
-RPM = 2 * math.pi / 60  # rad/s
 MAX_RATES = np.array((2 * math.pi, 2 * math.pi, math.pi))  # rad/s, of action `rates`
 
 

@@ -10,6 +10,7 @@ import math
 from bulletuav.control.lee import desired_axes
 from bulletuav.kernel import kernel
 from bulletuav.physics.rotation import axes, dot
+from bulletuav.physics.rotors import RPM
 
 MEMORY = 6  # integrals of the position error (3) and of the attitude error (3)
 
@@ -18,7 +19,6 @@ TORQUE_P, TORQUE_I, TORQUE_D = (7e4, 7e4, 6e4), (0.0, 0.0, 500.0), (2e4, 2e4, 1.
 POSITION_INTEGRAL_LIMIT = (2.0, 2.0, 0.15)
 ATTITUDE_INTEGRAL_LIMIT = (1.0, 1.0, 1500.0)
 TORQUE_LIMIT = 3200.0
-RPM = 2.0 * math.pi / 60.0  # rad/s
 
 
 @kernel

@@ -11,7 +11,7 @@ from bulletuav.control.gains import gain_rows
 from bulletuav.control.levels import Level
 from bulletuav.envs.camera import Camera
 from bulletuav.envs.options import Options, resolve
-from bulletuav.errors import whole
+from bulletuav.errors import numbers_of, whole
 from bulletuav.physics.airframe import parameter_rows
 from bulletuav.physics.dynamics import Dynamics, Flight
 from bulletuav.physics.ladder import LADDER
@@ -227,10 +227,7 @@ class Aviary:
         return Motion(before, after, self.scene.obstacle_quaternion)
 
     def _checked_action(self, actions: np.ndarray) -> np.ndarray:
-        try:
-            actions = np.asarray(actions, dtype=np.float64)
-        except (TypeError, ValueError, OverflowError) as error:
-            raise ValueError(f"actions are not numbers: {error}") from None
+        actions = numbers_of("actions are", actions)
         shape = (*self.alive.shape, self.action.low.shape[-1])
         if actions.shape != shape:
             raise ValueError(f"actions have shape {actions.shape}: (worlds, drones, {self.action.name}) = {shape} is needed")

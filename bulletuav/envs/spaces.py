@@ -4,6 +4,7 @@ import numpy as np
 from gymnasium.spaces import Box, Discrete, MultiDiscrete, Space
 
 from bulletuav.control.actions import Action
+from bulletuav.errors import numbers_of
 
 
 def drone_action_space(action: Action, drone: int) -> Space:
@@ -28,10 +29,7 @@ def joint_action_space(action: Action) -> Space:
 
 def drone_numbers(action: Action, drone: int, given: object) -> np.ndarray:
     """(A,) one drone's numbers, padded; raises ValueError for another shape than its space has."""
-    try:
-        numbers = np.asarray(given, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise ValueError(f"action of drone_{drone} is not made of numbers: {error}") from None
+    numbers = numbers_of(f"parts of the action of drone_{drone} are", given)
     expected = () if action.choices is not None else (action.size(drone),)
     if numbers.shape != expected:
         raise ValueError(f"action of drone_{drone} has shape {numbers.shape}: {expected} is needed")
@@ -44,10 +42,7 @@ def joint_numbers(action: Action, given: object, num_worlds: int) -> np.ndarray:
     """(W, N, A) from joint actions (W, ...) of all drones; raises ValueError for another shape than their space has."""
     drones, width = action.low.shape
     sizes = [action.size(drone) for drone in range(drones)]
-    try:
-        numbers = np.asarray(given, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise ValueError(f"actions are not numbers: {error}") from None
+    numbers = numbers_of("actions are", given)
     expected = (num_worlds, *(() if action.choices is not None and drones == 1 else (sum(sizes),)))
     if numbers.shape != expected:
         raise ValueError(f"actions have shape {numbers.shape}: {expected} is needed")

@@ -74,7 +74,6 @@ class BulletDynamics(Dynamics):
         super().__init__(flight)
         self._force = np.zeros((*flight.parameters.shape, 3))
         self._torque = np.zeros((*flight.parameters.shape, 3))
-        self._near_ground = bool((flight.parameters["ground_effect_gain"] > 0).any())
 
     def place(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Put the engine's bodies where the swarm is."""
@@ -88,16 +87,14 @@ class BulletDynamics(Dynamics):
     ) -> Contacts:
         """One engine step a substep."""
         flight, world = self.flight, self.flight.world
-        surface = np.full(alive.shape, -np.inf)
+        flying = np.any(alive, axis=1)
         path = Path.begin(swarm, motion, 1)
         touched: dict[tuple[int, int, int], float] = {}
         for substep in range(1, flight.substeps + 1):
             if motion.moving:
                 path.obstacle[:] = motion.at((substep - 1) / flight.substeps), motion.at(substep / flight.substeps)
-                world.set_obstacles(motion.at(substep / flight.substeps), motion.quaternion, np.any(alive, axis=1))
-            if self._near_ground:
-                surface = world.surface_below(swarm.position, alive)
-            air = Air(wind, surface, flight.gravity)
+                world.set_obstacles(path.obstacle[1], motion.quaternion, flying)
+            air = Air(wind, self._surface(swarm, alive), flight.gravity)
             drive(
                 swarm, alive, level, setpoint, flight.cascade, flight.parameters, air, flight.dt, self._force, self._torque
             )

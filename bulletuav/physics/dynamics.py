@@ -52,6 +52,7 @@ class Dynamics(ABC):
 
     def __init__(self, flight: Flight):
         self.flight = flight
+        self._near_ground = bool((flight.parameters["ground_effect_gain"] > 0).any())
 
     @property
     @abstractmethod
@@ -62,9 +63,15 @@ class Dynamics(ABC):
     def place(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Start the drones of `mask` (W, N) from the state in `swarm`, as if nothing had been before."""
 
-    @abstractmethod
     def show(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Have the engine's bodies of `mask` (W, N) stand where `swarm` is, for pictures; changes nothing in flight."""
+        self.flight.world.set_poses(swarm, mask)
+
+    def _surface(self, swarm: Swarm, alive: np.ndarray) -> np.ndarray:
+        """(W, N) height of the surface below living drones, m; -inf where the ground effect is off."""
+        if self._near_ground:
+            return self.flight.world.surface_below(swarm.position, alive)
+        return np.full(alive.shape, -np.inf)
 
     @abstractmethod
     def fly(

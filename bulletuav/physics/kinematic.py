@@ -117,10 +117,6 @@ class Kinematic(Dynamics):
         swarm.quaternion[mask] = 0, 0, 0, 1
         swarm.rates[mask] = 0
 
-    def show(self, swarm: Swarm, mask: np.ndarray) -> None:
-        """Move the engine's bodies, which flight does not use."""
-        self.flight.world.set_poses(swarm, mask)
-
     def fly(
         self, swarm: Swarm, alive: np.ndarray, level: Level, setpoint: np.ndarray, wind: np.ndarray, motion: Motion
     ) -> Contacts:

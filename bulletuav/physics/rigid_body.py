@@ -92,20 +92,13 @@ class RigidBody(Dynamics):
     def place(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Nothing to do: the swarm's arrays are the state."""
 
-    def show(self, swarm: Swarm, mask: np.ndarray) -> None:
-        """Move the engine's bodies, which flight does not use."""
-        self.flight.world.set_poses(swarm, mask)
-
     def fly(
         self, swarm: Swarm, alive: np.ndarray, level: Level, setpoint: np.ndarray, wind: np.ndarray, motion: Motion
     ) -> Contacts:
         """One compiled call, then the swept contact check."""
         flight = self.flight
-        surface = np.full(alive.shape, -np.inf)
-        if (flight.parameters["ground_effect_gain"] > 0).any():
-            surface = flight.world.surface_below(swarm.position, alive)
         path = Path.begin(swarm, motion, flight.substeps)
-        air = Air(wind, surface, flight.gravity)
+        air = Air(wind, self._surface(swarm, alive), flight.gravity)
         advance(swarm, alive, level, setpoint, flight.cascade, flight.parameters, air, flight.dt, path)
         require_sane(swarm, alive)
         return stop_at_first_touch(flight.world, path, swarm, alive, flight.parameters)

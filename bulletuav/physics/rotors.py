@@ -8,6 +8,8 @@ import math
 
 from bulletuav.kernel import kernel
 
+RPM = 2.0 * math.pi / 60.0  # rad/s
+
 
 @kernel
 def lagged(speed, command, elapsed, row):

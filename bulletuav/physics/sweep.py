@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bulletuav.kernel import kernel
+from bulletuav.physics.approach import closest_squared
 from bulletuav.physics.swarm import FIRST_OBSTACLE, GROUND, Contacts, Motion, Swarm
 from bulletuav.physics.world import World
 
@@ -46,9 +47,8 @@ class Path(NamedTuple):
             k = FIRST_OBSTACLE - who
             position = (1 - share) * self.obstacle[s, world, k] + share * self.obstacle[s + 1, world, k]
             return who, position, self.obstacle_quaternion[world, k]
-        drone = who
-        position = (1 - share) * self.position[s, world, drone] + share * self.position[s + 1, world, drone]
-        before, after = self.quaternion[s, world, drone], self.quaternion[s + 1, world, drone]
+        position = (1 - share) * self.position[s, world, who] + share * self.position[s + 1, world, who]
+        before, after = self.quaternion[s, world, who], self.quaternion[s + 1, world, who]
         quaternion = (1 - share) * before + share * after * (1 if before @ after >= 0 else -1)
         return who, position, quaternion / np.linalg.norm(quaternion)
 
@@ -76,7 +76,8 @@ def _meets_ground(position, radius, w, i):
 def _meets(one, two, reach):
     """Whether two tracks (S + 1, 3) come closer than `reach` m."""
     for s in range(one.shape[0] - 1):
-        if _closest_squared(one, two, s) < reach * reach:
+        gap = two[s] - one[s]
+        if closest_squared(gap, two[s + 1] - one[s + 1] - gap)[1] < reach * reach:
             return True
     return False
 
@@ -110,22 +111,6 @@ def _partners(position, alive, radius, w, i):
         if j != i and alive[w, j] and _meets(position[:, w, i], position[:, w, j], reach):
             found.append((w, min(i, j), max(i, j)))
     return found
-
-
-@kernel
-def _closest_squared(one, two, s):
-    """Least squared distance of two centres between substeps s and s + 1, both moving straight."""
-    along = square = start = 0.0
-    for k in range(3):
-        gap = two[s, k] - one[s, k]
-        change = two[s + 1, k] - one[s + 1, k] - gap
-        along += gap * change
-        square += change * change
-        start += gap * gap
-    if along >= 0.0:
-        return start
-    time = min(1.0, -along / square)
-    return start + 2.0 * time * along + time * time * square
 
 
 def _speed_bound(path: Path, pair: tuple[int, int, int], radius: np.ndarray, s: int) -> float:

@@ -177,3 +177,9 @@ def refuse_overlap(position: np.ndarray, radius: float) -> None:
             f"start positions of drones {i} and {j} overlap: {gap:.3g} m apart, their collision shapes need more than "
             f"{2 * radius:.3g} m; move them or widen the spacing"
         )
+
+
+def refuse_early_end(max_distance: float, start_offset: float) -> None:
+    """Raise ValueError when a drone that starts off its goal by `start_offset` m on each axis is too far from it already."""
+    if max_distance <= start_offset * np.sqrt(3):
+        raise ValueError(f"max_distance {max_distance:g} m must exceed the start offset of {start_offset:g} m")

@@ -8,7 +8,7 @@ import numpy as np
 
 from bulletuav.errors import pick
 from bulletuav.physics.obstacle import Obstacle
-from bulletuav.tasks.base import Frame, Scene, Setting, Spawn, Task, merged_weights, refuse_overlap
+from bulletuav.tasks.base import Frame, Scene, Setting, Spawn, Task, merged_weights, refuse_early_end, refuse_overlap
 
 WEIGHTS = {"alive": 1.0, "distance": -0.1, "speed": -0.05}
 TARGETS = {
@@ -113,10 +113,7 @@ class Follow(Task):
         lowest = self._height + above - config.start_offset
         if lowest <= setting.collision_radius:
             raise ValueError(f"start_offset {config.start_offset:g} m is too large: drones could start {lowest:.3g} m up")
-        if config.max_distance <= config.start_offset * np.sqrt(3):
-            raise ValueError(
-                f"max_distance {config.max_distance:g} m must exceed the start offset of {config.start_offset:g} m"
-            )
+        refuse_early_end(config.max_distance, config.start_offset)
         reach = config.arena + config.distance + config.max_distance
         top = self._height + above + config.max_distance
         self.arena_low, self.arena_high = np.array([-reach, -reach, 0.0]), np.array([reach, reach, top])

@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from bulletuav.physics.rotation import exponential
-from bulletuav.tasks.base import Frame, Setting, Spawn, Task, merged_weights, refuse_overlap
+from bulletuav.tasks.base import Frame, Setting, Spawn, Task, merged_weights, refuse_early_end, refuse_overlap
 
 WEIGHTS = {"alive": 1.0, "distance": -0.1, "speed": -0.05}
 
@@ -124,10 +124,7 @@ class Hover(Task):
         """Raises ValueError where start positions could overlap each other or the ground."""
         super().__init__(config, setting)
         self.weights = merged_weights(WEIGHTS, config.weights)
-        if config.max_distance <= config.start_offset * np.sqrt(3):
-            raise ValueError(
-                f"max_distance {config.max_distance:g} m must exceed the start offset of {config.start_offset:g} m"
-            )
+        refuse_early_end(config.max_distance, config.start_offset)
         columns = int(np.ceil(np.sqrt(setting.num_drones)))
         index = np.arange(setting.num_drones)
         grid = np.stack([index % columns, index // columns], axis=1) * config.spacing

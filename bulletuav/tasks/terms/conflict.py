@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bulletuav.kernel import kernel
+from bulletuav.physics.approach import closest_squared
 
 
 class Conflict(NamedTuple):
@@ -21,21 +22,6 @@ class Conflict(NamedTuple):
 
 
 @kernel
-def closest_approach(gap, change):
-    """Distance at the start and least distance of two points whose offset moves straight from `gap` to `gap + change`."""
-    along = square = start = 0.0
-    for k in range(3):
-        along += gap[k] * change[k]
-        square += change[k] * change[k]
-        start += gap[k] * gap[k]
-    least = start
-    if along < 0.0:
-        time = min(1.0, -along / square)
-        least = max(0.0, start + 2.0 * time * along + time * time * square)
-    return np.sqrt(start), np.sqrt(least)
-
-
-@kernel
 def _conflict(before, after, alive, d_safe, separation, onsets, nearness):
     for w in range(alive.shape[0]):
         for i in range(alive.shape[1]):
@@ -43,7 +29,8 @@ def _conflict(before, after, alive, d_safe, separation, onsets, nearness):
                 if not (alive[w, i] and alive[w, j]):
                     continue
                 gap = before[w, j] - before[w, i]
-                start, least = closest_approach(gap, after[w, j] - after[w, i] - gap)
+                start, least = closest_squared(gap, after[w, j] - after[w, i] - gap)
+                start, least = np.sqrt(start), np.sqrt(least)
                 began = 1 if least < d_safe <= start else 0
                 depth = min(1.0, max(0.0, 2.0 - least / d_safe))
                 for k in (i, j):

@@ -199,10 +199,6 @@ class Observer:
             return seen["vector"]
         return seen | {name: frame.readings[name].copy() for name in self.images}
 
-    def table(self) -> list[str]:
-        """One line a number: index, name, unit, bounds."""
-        return [f"{k:3d}  {x.name:24s} {x.unit:6s} [{x.low:g}, {x.high:g}]" for k, x in enumerate(self.labels)]
-
 
 def part(observations: Observation, index) -> Any:
     """`observations[index]`, of each entry where they are a dict."""
