@@ -16,8 +16,9 @@ from bulletuav.physics.airframe import parameter_rows
 from bulletuav.physics.dynamics import Dynamics, Flight
 from bulletuav.physics.ladder import LADDER
 from bulletuav.physics.swarm import Contacts, Motion, Swarm
+from bulletuav.physics.tiles import TILE_PITCH
 from bulletuav.physics.wind import Wind
-from bulletuav.physics.world import PARKING_HEIGHT, TILE_PITCH, World
+from bulletuav.physics.world import PARKING_HEIGHT, World
 from bulletuav.sensors.camera import DroneCameras
 from bulletuav.tasks import find_task
 from bulletuav.tasks.base import Frame, Scene, Setting, Spawn, Task, refuse_overlap

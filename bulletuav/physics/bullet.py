@@ -3,7 +3,7 @@
 Scheme of one substep: rotor lag; wrench at the state before the substep with the rotor speeds after it; velocity
 v+ = v + dt F / m, position p+ = p + dt v+; body rates by Euler's equation (RK4, constant torque), attitude
 R+ = R exp(dt w+). Bullet alone would take an explicit Euler step of the rates, which gains energy; the torque that it is
-given makes its step land on the accurate rates. The height above the surface is measured by a ray in every substep.
+given makes its step land on the accurate rates. The height above the surface is taken anew in every substep.
 Bullet turns bodies by pi/4 a substep at most (188 rad/s at 240 Hz); faster spins lag in attitude, not in rates. Contacts of
 drones too fast for a substep are caught on the way (see `sweep.catch_fast`).
 """
@@ -14,11 +14,12 @@ from bulletuav.control.cascade import command_rotors
 from bulletuav.control.levels import Level
 from bulletuav.kernel import kernel
 from bulletuav.physics.aerodynamics import downwash_on
+from bulletuav.physics.batch import substep, surface_below
 from bulletuav.physics.dynamics import Air, Dynamics, Flight, require_sane
 from bulletuav.physics.rotation import cross
 from bulletuav.physics.rotors import lagged
 from bulletuav.physics.swarm import Contacts, Motion, Swarm
-from bulletuav.physics.sweep import Path, catch_fast
+from bulletuav.physics.sweep import Path, catch_fast, suspects
 from bulletuav.physics.wrench import body_acceleration, wrench
 
 
@@ -62,6 +63,24 @@ def drive(swarm, alive, level, setpoint, cascade, parameters, air, dt, force, to
                 torque[w, i] = engine_torque(swarm.rates[w, i], turn, dt, row)
 
 
+@kernel
+def advance(port, substeps, near_ground, swarm, alive, level, setpoint, cascade, parameters, air, dt, force, torque, path):
+    """Up to `substeps` substeps in one call; ends early after one that needs a closer look. Returns how many were flown.
+
+    That is one in which something touched or moved fast past something near; `path` holds the poses of the last substep.
+    """
+    for flown in range(substeps):
+        if near_ground:
+            surface_below(port, swarm.position, alive, air.surface)
+        drive(swarm, alive, level, setpoint, cascade, parameters, air, dt, force, torque)
+        path.position[0], path.quaternion[0] = swarm.position, swarm.quaternion
+        touching = substep(port, force, torque, alive, swarm)
+        path.position[1], path.quaternion[1] = swarm.position, swarm.quaternion
+        if touching > 0 or suspects(path, alive, parameters, port.obstacle_radius):
+            return flown + 1
+    return substeps
+
+
 class BulletDynamics(Dynamics):
     """The full engine: contacts push back, and every substep goes through Bullet."""
 
@@ -72,8 +91,7 @@ class BulletDynamics(Dynamics):
 
     def __init__(self, flight: Flight):
         super().__init__(flight)
-        self._force = np.zeros((*flight.parameters.shape, 3))
-        self._torque = np.zeros((*flight.parameters.shape, 3))
+        self._force, self._torque = np.zeros((2, *flight.parameters.shape, 3))
 
     def place(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Put the engine's bodies where the swarm is."""
@@ -85,27 +103,38 @@ class BulletDynamics(Dynamics):
     def fly(
         self, swarm: Swarm, alive: np.ndarray, level: Level, setpoint: np.ndarray, wind: np.ndarray, motion: Motion
     ) -> Contacts:
-        """One engine step a substep."""
+        """Substeps through the engine, many in one call where nothing happens between them."""
         flight, world = self.flight, self.flight.world
         flying = np.any(alive, axis=1)
         path = Path.begin(swarm, motion, 1)
+        air = Air(wind, np.full(alive.shape, -np.inf), flight.gravity)
+        inputs = swarm, alive, level, setpoint, flight.cascade, flight.parameters, air, flight.dt, self._force, self._torque
         touched: dict[tuple[int, int, int], float] = {}
-        for substep in range(1, flight.substeps + 1):
+        flown = 0
+        while flown < flight.substeps:
+            substeps = 1 if motion.moving else flight.substeps - flown
             if motion.moving:
-                path.obstacle[:] = motion.at((substep - 1) / flight.substeps), motion.at(substep / flight.substeps)
+                path.obstacle[:] = motion.at(flown / flight.substeps), motion.at((flown + 1) / flight.substeps)
                 world.set_obstacles(path.obstacle[1], motion.quaternion, flying)
-            air = Air(wind, self._surface(swarm, alive), flight.gravity)
-            drive(
-                swarm, alive, level, setpoint, flight.cascade, flight.parameters, air, flight.dt, self._force, self._torque
-            )
-            world.apply_wrenches(self._force, self._torque, alive)
-            path.position[0], path.quaternion[0] = swarm.position, swarm.quaternion
-            world.step()
-            world.read_states(swarm, alive)
-            path.position[1], path.quaternion[1] = swarm.position, swarm.quaternion
+            if world.port is not None:
+                flown += advance(world.port, substeps, self._near_ground, *inputs, path)
+            else:
+                flown += self._advance(*inputs, path)
             for w, drone, other, force in world.contacts():  # before catching, which forgets them
                 touched[w, drone, other] = touched.get((w, drone, other), 0.0) + force * flight.dt
             for key in catch_fast(world, path, swarm, alive, flight.parameters):
                 touched.setdefault(key, 0.0)
         require_sane(swarm, alive)
         return Contacts.merge(touched)
+
+    def _advance(self, swarm, alive, level, setpoint, cascade, parameters, air, dt, force, torque, path: Path) -> int:
+        """`advance` by one substep, through the world's own calls."""
+        world = self.flight.world
+        air.surface[:] = self._surface(swarm, alive)
+        drive(swarm, alive, level, setpoint, cascade, parameters, air, dt, force, torque)
+        world.apply_wrenches(force, torque, alive)
+        path.position[0], path.quaternion[0] = swarm.position, swarm.quaternion
+        world.step()
+        world.read_states(swarm, alive)
+        path.position[1], path.quaternion[1] = swarm.position, swarm.quaternion
+        return 1

@@ -215,6 +215,15 @@ def _any_fast(position, obstacle, alive, parameters):
     return False
 
 
+@kernel
+def suspects(path, alive, parameters, obstacle_radius):
+    """Whether `catch_fast` has anything to look at."""
+    if not _any_fast(path.position, path.obstacle, alive, parameters):
+        return False
+    radius = parameters.collision_radius
+    return len(_candidates(path.position, path.obstacle, alive, radius, obstacle_radius)) > 0
+
+
 def catch_fast(
     world: World, path: Path, swarm: Swarm, alive: np.ndarray, parameters: np.ndarray
 ) -> list[tuple[int, int, int]]:

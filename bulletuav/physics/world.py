@@ -5,6 +5,7 @@ resets in place that leave no trace of the past; a world that does not feel what
 """
 
 import contextlib
+import warnings
 import weakref
 from collections.abc import Sequence
 
@@ -12,34 +13,21 @@ import numpy as np
 
 from bulletuav.kernel import kernel
 from bulletuav.physics.airframe import Airframe
+from bulletuav.physics.batch import POSTFIX, Batch, Port, load
+from bulletuav.physics.calls import DISTANCE, DRONE_GROUP, SURFACE_GROUP, Calls, bullet
 from bulletuav.physics.obstacle import Obstacle
 from bulletuav.physics.quiet import silenced
-from bulletuav.physics.rotation import to_body, to_world
+from bulletuav.physics.rotation import to_world
 from bulletuav.physics.screen import require_screen
 from bulletuav.physics.swarm import FIRST_OBSTACLE, GROUND, Swarm
+from bulletuav.physics.tiles import columns, land, localise, tile_offset
 from bulletuav.physics.view import Picture, metres
 
-with silenced():
-    import pybullet as bullet
-
 ENGINE_VERSION = bullet.getAPIVersion()
+EXTENSION = load(bullet.__file__)
 
-TILE_PITCH = 4096.0  # m; a power of two, larger than any arena
 FLOOR = 0.02  # m, thickness of the ground in pictures
-RAY_LENGTH = 1000.0  # m, downwards to the surface
 PARKING_HEIGHT, PARKING_PITCH, PARKING_COLUMNS = 2000.0, 10.0, 100
-DRONE_GROUP, SURFACE_GROUP = 1, 2
-MAX_RAYS = 16383  # per call; one more and Bullet answers none
-
-# Columns of a row of getContactPoints.
-BODY_A, BODY_B, DISTANCE, NORMAL_FORCE = 1, 2, 8, 9
-
-
-def tile_offset(world: int) -> np.ndarray:
-    """(3,) origin of a world in the engine's frame, m: its index on a Morton curve, whatever the number of worlds."""
-    column = sum((world >> 2 * bit & 1) << bit for bit in range(16))
-    row = sum((world >> 2 * bit + 1 & 1) << bit for bit in range(16))
-    return np.array([column * TILE_PITCH, row * TILE_PITCH, 0.0])
 
 
 def _shape(obstacle: Obstacle) -> dict[str, object]:
@@ -50,10 +38,12 @@ def _shape(obstacle: Obstacle) -> dict[str, object]:
 
 
 @kernel
-def _world_rates_to_body(quaternion, rates):
-    for w in range(rates.shape[0]):
-        for i in range(rates.shape[1]):
-            rates[w, i] = to_body(quaternion[w, i], rates[w, i])
+def _spins(quaternion, rates):
+    """(M, 3) angular velocities in world axes."""
+    omega = np.empty(rates.shape)
+    for m in range(rates.shape[0]):
+        omega[m] = to_world(quaternion[m], rates[m])
+    return omega
 
 
 def _disconnect(client: int) -> None:
@@ -86,17 +76,45 @@ class World:
             (PARKING_PITCH * (i % PARKING_COLUMNS), PARKING_PITCH * (i // PARKING_COLUMNS), PARKING_HEIGHT)
             for i in range(len(airframes))
         ]
-        self._body = [
-            self._make_drone(airframe, self._parking[w, i])
-            for w in range(num_worlds)
-            for i, airframe in enumerate(airframes)
-        ]
-        self._drone_of_body = {body: divmod(k, len(airframes)) for k, body in enumerate(self._body)}
+        self._body = np.array(
+            [
+                [self._make_drone(airframe, self._parking[w, i]) for i, airframe in enumerate(airframes)]
+                for w in range(num_worlds)
+            ],
+            dtype=np.int32,
+        )
+        self._drone_of_body = {body: divmod(k, len(airframes)) for k, body in enumerate(self._body.flat)}
         self.obstacle_radius = np.array([obstacle.radius for obstacle in obstacles])
         self._obstacle = self._make_obstacles(obstacles)
         self._obstacle_of_body = {body: FIRST_OBSTACLE - k for row in self._obstacle for k, body in enumerate(row)}
-        self._reported: list = [None] * len(self._body)  # positions as the engine gave them, for forces at the centre
+        self._obstacle_place = np.full((*self._obstacle.shape, 3), -PARKING_HEIGHT)
+        self._place = np.zeros((*self.shape, 3))  # positions as the engine gave them, for forces at the centre
+        self._omega = np.zeros((*self.shape, 3))
+        self._calls = self._make_calls(live)
         self.park(np.ones(self.shape, dtype=bool))
+
+    def _make_calls(self, live: bool) -> Calls | Batch:
+        plain = Calls(self._client, self._body.ravel())
+        if live or EXTENSION.library is None:  # the engine of a live view runs in a thread of its own
+            return plain
+        with silenced():
+            plugin = bullet.loadPlugin(EXTENSION.path, POSTFIX, physicsClientId=self._client)
+        try:
+            if plugin < 0:
+                raise RuntimeError("the engine refused the plugin")
+            return Batch(EXTENSION.library, self._body.ravel())
+        except RuntimeError as error:
+            warnings.warn(f"{error}: bulletuav flies without its extension, slower; see `bulletuav doctor`", stacklevel=3)
+            return plain
+
+    @property
+    def port(self) -> Port | None:
+        """For compiled code to run substeps, where the extension is active."""
+        if not isinstance(self._calls, Batch):
+            return None
+        return Port(
+            *self._calls.functions, self._place, self._omega, self._offset, self._obstacle_place, self.obstacle_radius
+        )
 
     def _configure(self, dt: float, live: bool) -> None:
         # Islands solved one by one and to the full iteration count, pairs in a fixed order: worlds cannot feel each other.
@@ -153,7 +171,7 @@ class World:
         )
         return body
 
-    def _make_obstacles(self, obstacles: Sequence[Obstacle]) -> list[list[int]]:
+    def _make_obstacles(self, obstacles: Sequence[Obstacle]) -> np.ndarray:
         """(W, K) bodies, parked far below the ground."""
         client = self._client
         bodies: list[list[int]] = [[] for _ in range(self.shape[0])]
@@ -163,83 +181,75 @@ class World:
             for row in bodies:
                 row.append(bullet.createMultiBody(0, collision, visual, [0, 0, -PARKING_HEIGHT], physicsClientId=client))
                 bullet.setCollisionFilterGroupMask(row[-1], -1, SURFACE_GROUP, DRONE_GROUP, client)
-        return bodies
+        return np.array(bodies, dtype=np.int32).reshape(self.shape[0], len(obstacles))
 
     def set_obstacles(self, position: np.ndarray, quaternion: np.ndarray, worlds: np.ndarray) -> None:
         """Put the obstacles of `worlds` (W,) at position (W, K, 3) with quaternion (W, K, 4)."""
-        place = position + self._offset
-        for w in np.flatnonzero(worlds):
-            for k, body in enumerate(self._obstacle[w]):
-                bullet.resetBasePositionAndOrientation(body, place[w, k], quaternion[w, k], self._client)
+        if self.obstacle_radius.size:
+            self._obstacle_place[worlds] = position[worlds]
+            place = (position + self._offset)[worlds].reshape(-1, 3)
+            self._calls.pose(self._obstacle[worlds].ravel(), place, quaternion[worlds].reshape(-1, 4))
 
     def set_states(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Put the drones of `mask` (W, N) where `swarm` says, with its velocities, free of anything from their past."""
-        position = swarm.position + self._offset
-        for w, i in np.argwhere(mask):
-            quaternion = swarm.quaternion[w, i]
-            omega = to_world(quaternion, swarm.rates[w, i])
-            self._place((w, i), position[w, i].tolist(), quaternion.tolist(), swarm.velocity[w, i].tolist(), omega)
+        quaternion = swarm.quaternion[mask]
+        self._put(
+            mask,
+            (swarm.position + self._offset)[mask],
+            quaternion,
+            swarm.velocity[mask],
+            _spins(quaternion, swarm.rates[mask]),
+            DRONE_GROUP | SURFACE_GROUP,
+        )
 
     def set_poses(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Show the drones of `mask` (W, N) where `swarm` says, without touching velocities or contacts."""
-        position = swarm.position + self._offset
-        for w, i in np.argwhere(mask):
-            body = self._body[w * self.shape[1] + i]
-            bullet.resetBasePositionAndOrientation(body, position[w, i], swarm.quaternion[w, i], self._client)
+        self._calls.pose(self._body[mask], (swarm.position + self._offset)[mask], swarm.quaternion[mask])
 
     def park(self, mask: np.ndarray) -> None:
         """Take the drones of `mask` (W, N) out of the airspace, to rest where nothing touches or sees them."""
-        for w, i in np.argwhere(mask):
-            self._place((w, i), self._parking[w, i].tolist(), (0, 0, 0, 1), (0, 0, 0), (0, 0, 0), meets=0)
+        if mask.any():
+            still = np.zeros((int(mask.sum()), 3))
+            level = np.tile([0.0, 0.0, 0.0, 1.0], (len(still), 1))
+            self._put(mask, self._parking[mask], level, still, still, 0)
 
-    def _place(self, drone, position, quaternion, velocity, omega, meets=DRONE_GROUP | SURFACE_GROUP) -> None:
-        index = drone[0] * self.shape[1] + drone[1]
-        body, client = self._body[index], self._client
+    def _put(
+        self,
+        mask: np.ndarray,
+        place: np.ndarray,
+        quaternion: np.ndarray,
+        velocity: np.ndarray,
+        omega: np.ndarray,
+        meets: int,
+    ) -> None:
+        body = self._body[mask]
         # Setting the filter anew drops the body's cached contacts, without which a reset would remember the last episode.
-        bullet.setCollisionFilterGroupMask(body, -1, DRONE_GROUP if meets else 0, meets, client)
-        bullet.resetBasePositionAndOrientation(body, position, quaternion, client)
-        bullet.resetBaseVelocity(body, velocity, omega, client)
-        self._reported[index] = position
+        self._calls.filter(body, DRONE_GROUP if meets else 0, meets)
+        self._calls.pose(body, place, quaternion)
+        self._calls.velocity(body, velocity, omega)
+        self._place[mask] = place
 
     def read_states(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Write the engine's poses and velocities of the drones of `mask` (W, N) into `swarm`; rotor speeds stay."""
-        client, body = self._client, self._body
-        chosen = np.flatnonzero(mask)
-        poses = [bullet.getBasePositionAndOrientation(body[k], client) for k in chosen]
-        velocities = [bullet.getBaseVelocity(body[k], client) for k in chosen]
-        for k, pose in zip(chosen, poses, strict=True):
-            self._reported[k] = pose[0]
-        if len(chosen):
-            offset = np.broadcast_to(self._offset, swarm.position.shape)[mask]
-            swarm.position[mask] = np.array([pose[0] for pose in poses]) - offset
-            swarm.quaternion[mask] = [pose[1] for pose in poses]
-            swarm.velocity[mask] = [velocity[0] for velocity in velocities]
-            rates = np.array([[velocity[1] for velocity in velocities]])
-            _world_rates_to_body(swarm.quaternion[mask][None], rates)
-            swarm.rates[mask] = rates[0]
+        self._calls.read(mask, self._place, swarm.quaternion, swarm.velocity, self._omega)
+        localise(self._place, self._offset, self._omega, mask, swarm)
 
     def apply_wrenches(self, force: np.ndarray, torque: np.ndarray, mask: np.ndarray) -> None:
         """Give each drone of `mask` one force (W, N, 3; world axes, N) and one torque (body axes, N m) for the next step."""
-        client, body, reported = self._client, self._body, self._reported
-        forces, torques = force.reshape(-1, 3).tolist(), torque.reshape(-1, 3).tolist()
-        for k in np.flatnonzero(mask).tolist():
-            bullet.applyExternalForce(body[k], -1, forces[k], reported[k], bullet.WORLD_FRAME, client)
-            bullet.applyExternalTorque(body[k], -1, torques[k], bullet.LINK_FRAME, client)
+        self._calls.apply(mask, self._place, force, torque)
 
     def step(self) -> None:
         """Advance everything by one substep."""
-        bullet.stepSimulation(self._client)
+        self._calls.step()
 
     def contacts(self) -> list[tuple[int, int, int, float]]:
         """What touched in the last step: (world, drone, other, normal force in N), both sides of a pair; see `Contacts`."""
         rows = []
-        for point in bullet.getContactPoints(physicsClientId=self._client):
-            force = point[NORMAL_FORCE]
-            if force > 0 or point[DISTANCE] < 0:
-                for mine, theirs in ((BODY_A, BODY_B), (BODY_B, BODY_A)):
-                    drone = self._drone_of_body.get(point[mine])
-                    if drone is not None:
-                        rows.append((*drone, self._other(point[theirs]), force))
+        for pair, force in zip(*map(np.ndarray.tolist, self._calls.contacts()), strict=True):
+            for mine, other in (pair, pair[::-1]):
+                drone = self._drone_of_body.get(mine)
+                if drone is not None:
+                    rows.append((*drone, self._other(other), force))
         return rows
 
     def _other(self, body: int) -> int:
@@ -254,25 +264,14 @@ class World:
         Surfaces are everything but drones.
         """
         offset = self._offset[world, 0]
-        fraction = np.ones(len(start))
-        for first in range(0, len(start), MAX_RAYS):
-            part = slice(first, first + MAX_RAYS)
-            hits = bullet.rayTestBatch(
-                start[part] + offset[part],
-                end[part] + offset[part],
-                collisionFilterMask=SURFACE_GROUP,
-                physicsClientId=self._client,
-            )
-            fraction[part] = [hit[2] for hit in hits]
-        return fraction
+        return self._calls.rays(start + offset, end + offset, SURFACE_GROUP)
 
     def surface_below(self, position: np.ndarray, mask: np.ndarray) -> np.ndarray:
         """(W, N) height z of the surface under each drone of `mask`, m; -inf where there is none and outside `mask`."""
-        surface = np.full(self.shape, -np.inf)
-        start = position[mask]
-        if len(start):
-            fraction = self.cast_rays(start, start - [0, 0, RAY_LENGTH], np.nonzero(mask)[0])
-            surface[mask] = np.where(fraction < 1, start[:, 2] - RAY_LENGTH * fraction, -np.inf)
+        surface = np.empty(self.shape)
+        who, start, end = columns(position, mask, self._obstacle_place, self.obstacle_radius, surface)
+        if len(who):
+            land(surface, who, start, self.cast_rays(start, end, who[:, 0]))
         return surface
 
     def separation(self, world: int, one: tuple, two: tuple, within: float) -> float:
@@ -286,7 +285,7 @@ class World:
                 bodies.append(self._ground)
                 continue
             drone = who >= 0
-            bodies.append(self._body[world * self.shape[1] + who] if drone else self._obstacle[world][FIRST_OBSTACLE - who])
+            bodies.append(self._body[world, who] if drone else self._obstacle[world, FIRST_OBSTACLE - who])
             place = position + self._offset[world, 0]
             bullet.resetBasePositionAndOrientation(bodies[-1], place, quaternion, self._client)
         points = bullet.getClosestPoints(bodies[0], bodies[1], within, physicsClientId=self._client)
@@ -320,6 +319,7 @@ class World:
 
     def close(self) -> None:
         """Free the engine; a second call does nothing."""
+        self._calls = Calls(self._client, self._body.ravel())  # which the engine's own errors guard from here on
         self._finalizer()
 
     @property

@@ -10,7 +10,8 @@ import pytest
 
 import bulletuav
 from bulletuav.physics.swarm import GROUND, Contacts, Swarm
-from bulletuav.physics.world import PARKING_HEIGHT, TILE_PITCH, World, tile_offset
+from bulletuav.physics.tiles import TILE_PITCH, tile_offset
+from bulletuav.physics.world import PARKING_HEIGHT, World
 
 
 def test_tiles_depend_on_the_index_alone_and_never_coincide():

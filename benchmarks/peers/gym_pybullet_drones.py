@@ -1,0 +1,47 @@
+"""gym-pybullet-drones (J. Panerati et al. 2021), from a checkout whose path is the first argument."""
+
+import math
+import sys
+from functools import partial
+
+import numpy as np
+from serve import serve
+
+sys.path.insert(0, sys.argv[1])
+sys.path.pop(1)  # this folder, whose file has the package's name
+
+from gym_pybullet_drones.envs.CtrlAviary import CtrlAviary
+from gym_pybullet_drones.utils.enums import Physics
+
+SUBSTEPS = 24
+
+
+def aviary(num_drones: int, physics: Physics) -> CtrlAviary:
+    """Drones on a grid 2 m apart, 1 m up, as in the other simulators."""
+    side = math.ceil(math.sqrt(num_drones))
+    start = np.array([(2.0 * (i % side), 2.0 * (i // side), 1.0) for i in range(num_drones)])
+    return CtrlAviary(num_drones=num_drones, initial_xyzs=start, physics=physics, pyb_freq=240, ctrl_freq=240 // SUBSTEPS)
+
+
+def flight(num_drones: int, physics: Physics):
+    """Hovering rotor speeds, 24 substeps of 240 Hz a decision."""
+    env = aviary(num_drones, physics)
+    env.reset(seed=0)
+    return partial(env.step, np.full((num_drones, 4), env.HOVER_RPM)), num_drones * SUBSTEPS
+
+
+def reset(num_drones: int):
+    """A reset of all drones."""
+    env = aviary(num_drones, Physics.PYB)
+    return partial(env.reset, seed=0), 1
+
+
+if __name__ == "__main__":
+    serve(
+        {
+            "all forces, 10": partial(flight, 10, Physics.PYB_GND_DRAG_DW),
+            "all forces, 100": partial(flight, 100, Physics.PYB_GND_DRAG_DW),
+            "bare, 10": partial(flight, 10, Physics.PYB),
+            "reset, 10": partial(reset, 10),
+        }
+    )

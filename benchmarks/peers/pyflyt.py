@@ -1,0 +1,68 @@
+"""PyFlyt (J. J. Tai et al. 2023)."""
+
+import math
+from functools import partial
+
+import numpy as np
+from PyFlyt.core import Aviary
+from PyFlyt.pz_envs.quadx_envs.ma_quadx_hover_env import MAQuadXHoverEnv
+from serve import serve
+
+SUBSTEPS = 24
+
+
+def grid(num_drones: int) -> np.ndarray:
+    """(N, 3) 2 m apart, 1 m up."""
+    side = math.ceil(math.sqrt(num_drones))
+    return np.array([(2.0 * (i % side), 2.0 * (i // side), 1.0) for i in range(num_drones)])
+
+
+def quadx(num_drones: int):
+    """Hover under position control, 240 Hz physics, decisions of 24 substeps."""
+    start = grid(num_drones)
+    env = Aviary(start_pos=start, start_orn=np.zeros_like(start), drone_type="quadx", seed=1)
+    env.set_mode(7)
+    for i, place in enumerate(start):
+        env.set_setpoint(i, np.array([place[0], place[1], 0.0, place[2]]))
+    env.step()
+    loops = 1 if env.updates_per_step < 1 else env.updates_per_step
+    per_step = num_drones * loops
+
+    def decision() -> None:
+        for _ in range(SUBSTEPS // loops):
+            env.step()
+
+    return decision, per_step * (SUBSTEPS // loops)
+
+
+def hover(num_drones: int):
+    """The PettingZoo environment, random actions, reset when over."""
+    start = grid(num_drones)
+    env = MAQuadXHoverEnv(start_pos=start, start_orn=np.zeros_like(start), flight_dome_size=100.0, agent_hz=40)
+    env.reset(seed=1)
+    actions = {agent: np.array([0.0, 0.0, 0.0, 0.3]) for agent in env.possible_agents}
+
+    def step() -> None:
+        if not env.agents:
+            env.reset()
+        env.step({agent: actions[agent] for agent in env.agents})
+
+    return step, num_drones * 6
+
+
+def reset(num_drones: int):
+    """A reset of all drones."""
+    start = grid(num_drones)
+    env = MAQuadXHoverEnv(start_pos=start, start_orn=np.zeros_like(start))
+    return partial(env.reset, seed=1), 1
+
+
+if __name__ == "__main__":
+    serve(
+        {
+            "quadx, 10": partial(quadx, 10),
+            "quadx, 100": partial(quadx, 100),
+            "pettingzoo hover, 10": partial(hover, 10),
+            "reset, 10": partial(reset, 10),
+        }
+    )

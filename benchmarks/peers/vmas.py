@@ -1,0 +1,35 @@
+"""VMAS (M. Bettini et al. 2022): vectorised point masses in PyTorch."""
+
+import sys
+from functools import partial
+
+sys.path.pop(0)  # this folder, whose file has the package's name
+
+import torch
+import vmas
+
+sys.path.insert(0, __file__.rpartition("/")[0])
+from serve import serve
+
+
+def navigation(worlds: int, agents: int):
+    """The navigation scenario: agents to goals, collisions, lidar and reward; a decision is one step."""
+    torch.set_num_threads(1)
+    env = vmas.make_env("navigation", num_envs=worlds, n_agents=agents, device="cpu", continuous_actions=True, seed=0)
+    env.reset()
+    actions = [torch.zeros(worlds, 2) for _ in range(agents)]
+
+    def step() -> None:
+        env.step(actions)
+
+    return step, worlds * agents
+
+
+def reset(worlds: int, agents: int):
+    """A reset of all worlds."""
+    env = vmas.make_env("navigation", num_envs=worlds, n_agents=agents, device="cpu", continuous_actions=True, seed=0)
+    return env.reset, 1
+
+
+if __name__ == "__main__":
+    serve({"navigation, 64 x 8": partial(navigation, 64, 8), "reset, 10": partial(reset, 1, 10)})

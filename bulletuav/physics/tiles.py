@@ -1,0 +1,62 @@
+"""Geometry of the tiles: where they lie in the engine's frame, and what lies below the drones in each."""
+
+import numpy as np
+
+from bulletuav.kernel import kernel
+from bulletuav.physics.rotation import to_body
+
+TILE_PITCH = 4096.0  # m; a power of two, larger than any arena
+RAY_LENGTH = 1000.0  # m, downwards to the surface
+
+
+def tile_offset(world: int) -> np.ndarray:
+    """(3,) origin of a world in the engine's frame, m: its index on a Morton curve, whatever the number of worlds."""
+    column = sum((world >> 2 * bit & 1) << bit for bit in range(16))
+    row = sum((world >> 2 * bit + 1 & 1) << bit for bit in range(16))
+    return np.array([column * TILE_PITCH, row * TILE_PITCH, 0.0])
+
+
+@kernel
+def localise(place, offset, omega, mask, swarm):
+    """Positions and rates of the drones of `mask` in the world's own frame and in body axes, from the engine's."""
+    for w in range(mask.shape[0]):
+        for i in range(mask.shape[1]):
+            if mask[w, i]:
+                for k in range(3):
+                    swarm.position[w, i, k] = place[w, i, k] - offset[w, 0, k]
+                swarm.rates[w, i] = to_body(swarm.quaternion[w, i], omega[w, i])
+
+
+@kernel
+def columns(position, mask, obstacle, radius, surface):
+    """Fill `surface` (W, N) with the ground below drones of `mask`, -inf elsewhere, and tell who needs a ray.
+
+    Those are drones with an obstacle (W, K, 3), of bounding `radius` (K,), in their column: (world, drone) (M, 2), start and
+    end (M, 3) of their rays.
+    """
+    found = [(0, 0) for _ in range(0)]
+    for w in range(mask.shape[0]):
+        for i in range(mask.shape[1]):
+            surface[w, i] = 0.0 if mask[w, i] else -np.inf
+            if mask[w, i]:
+                for k in range(radius.shape[0]):
+                    dx, dy = obstacle[w, k, 0] - position[w, i, 0], obstacle[w, k, 1] - position[w, i, 1]
+                    if dx * dx + dy * dy <= radius[k] * radius[k]:
+                        found.append((w, i))
+                        break
+    who = np.empty((len(found), 2), np.int64)
+    start = np.empty((len(found), 3))
+    for m in range(len(found)):
+        who[m, 0], who[m, 1] = found[m]
+        start[m] = position[found[m]]
+    end = start.copy()
+    end[:, 2] -= RAY_LENGTH
+    return who, start, end
+
+
+@kernel
+def land(surface, who, start, fraction):
+    """Put what the rays of `columns` met into `surface`; -inf where they met nothing."""
+    for m in range(who.shape[0]):
+        height = start[m, 2] - RAY_LENGTH * fraction[m] if fraction[m] < 1.0 else -np.inf
+        surface[who[m, 0], who[m, 1]] = height
