@@ -19,7 +19,7 @@ SUBSTEPS = 24
 
 
 def flight(worlds: int, drones: int, contacts: bool):
-    """First-principles dynamics under the state controller at 240 Hz, decisions of 24 substeps; contacts asked each substep."""
+    """First-principles dynamics under the state controller at 240 Hz, decisions of 24 substeps."""
     sim = Sim(
         n_worlds=worlds,
         n_drones=drones,

@@ -16,7 +16,8 @@ from bulletuav.control.lee import (
 from bulletuav.control.levels import Level
 from bulletuav.control.pid import MEMORY, pid_rotors
 from bulletuav.kernel import kernel
-from bulletuav.physics.rotation import axes, dot, from_euler
+from bulletuav.physics.rotation import axes, dot, four, from_euler
+from bulletuav.physics.swarm import get
 
 CONTROLLERS = {"lee": 0, "pid": 1}
 PID = CONTROLLERS["pid"]
@@ -42,60 +43,68 @@ class Cascade(NamedTuple):
 
 
 @kernel
-def lee_rotors(level, setpoint, world, drone, swarm, nominal, gain, gravity, command):
+def lee_rotors(level, setpoint, state, total_speed, nominal, gain, gravity, command):
     """The steps of the Lee controller from `level` on."""
-    quaternion, rates = swarm.quaternion[world, drone], swarm.rates[world, drone]
-    v = swarm.velocity[world, drone]
-    velocity = (v[0], v[1], v[2])  # at which drag is compensated: the wanted one where there is one
-    target = (setpoint[0], setpoint[1], setpoint[2])
-    thrust = setpoint[3]
+    position, quaternion, now, rates = state
+    target, thrust, yaw = (setpoint[0], setpoint[1], setpoint[2]), setpoint[3], setpoint[3]
+    velocity = now  # at which drag is compensated: the wanted one where there is one
     if level <= Level.POSITION:
-        target = velocity_setpoint(swarm.position[world, drone], target, gain)
+        target = velocity_setpoint(position, target, gain)
     if level <= Level.VELOCITY:
         velocity = target
-        target = acceleration_setpoint(v, target, gain)
+        target = acceleration_setpoint(now, target, gain)
     if level <= Level.ATTITUDE:
         if level <= Level.ACCELERATION:
-            total_speed = swarm.rotor_speed[world, drone].sum()
             force = force_setpoint(target, quaternion, velocity, total_speed, gravity, nominal, gain)
             thrust = dot(force, axes(quaternion)[2])
-            desired = desired_axes(force, setpoint[3])
+            desired = desired_axes(force, yaw)
         else:
-            desired = axes(from_euler(setpoint[0], setpoint[1], setpoint[2]))
+            desired = axes(from_euler(target[0], target[1], target[2]))
         target = rates_setpoint(quaternion, desired, gain)
     mix(thrust, torque_setpoint(rates, target, nominal, gain), nominal, gain, command)
 
 
 @kernel
-def command_kinematic(level, accelerates, setpoint, world, drone, swarm, cascade):
-    """Velocity (m/s) for a `setpoint` row at `level`, or acceleration (m/s^2) where that is wanted."""
-    gain, velocity = cascade.gains[world, drone], swarm.velocity[world, drone]
+def pid_errors(level, setpoint, state):
+    """Errors of position (m) and velocity (m/s) that the PID sees."""
+    position, _, velocity, _ = state
+    if level == Level.POSITION:
+        away = (setpoint[0] - position[0], setpoint[1] - position[1], setpoint[2] - position[2])
+        return away, (-velocity[0], -velocity[1], -velocity[2])
+    return (0.0, 0.0, 0.0), (setpoint[0] - velocity[0], setpoint[1] - velocity[1], setpoint[2] - velocity[2])
+
+
+@kernel
+def command_kinematic(level, accelerates, setpoint, position, velocity, gain):
+    """Velocity (m/s) for a `setpoint` at `level`, or acceleration (m/s^2) where that is wanted."""
     target = (setpoint[0], setpoint[1], setpoint[2])
     if level <= Level.POSITION:
-        target = velocity_setpoint(swarm.position[world, drone], target, gain)
+        target = velocity_setpoint(position, target, gain)
     if accelerates and level <= Level.VELOCITY:
         target = acceleration_setpoint(velocity, target, gain)
     return target
 
 
 @kernel
-def command_rotors(level, setpoint, world, drone, swarm, cascade, dt, gravity, command):
-    """Rotor speeds (rad/s, into `command`) for a `setpoint` row at `level`; dt is the time since the last call, s."""
-    nominal, gain = cascade.nominal[world, drone], cascade.gains[world, drone]
+def command_rotors(level, setpoint, w, i, swarm, cascade, dt, gravity, command):
+    """Rotor speeds (rad/s, into `command`) for a drone's setpoint at `level`; dt is the time since the last call, s."""
+    controller, all_nominal, all_gains, memory = cascade
+    nominal, gain, state = all_nominal[w, i], all_gains[w, i], get(swarm, w, i)
     if level == Level.ROTOR:
         for r in range(nominal.num_rotors):
-            command[r] = min(max(setpoint[r], 0.0), nominal.max_rotor_speed)
-    elif cascade.controller == PID:
-        target = (setpoint[0], setpoint[1], setpoint[2])
-        velocity, position = swarm.velocity[world, drone], swarm.position[world, drone]
-        away = (0.0, 0.0, 0.0)
-        slow = (-velocity[0], -velocity[1], -velocity[2])
-        if level == Level.POSITION:
-            away = (target[0] - position[0], target[1] - position[1], target[2] - position[2])
-        else:
-            slow = (target[0] - velocity[0], target[1] - velocity[1], target[2] - velocity[2])
-        quaternion, rates = swarm.quaternion[world, drone], swarm.rates[world, drone]
-        memory = cascade.memory[world, drone]
-        pid_rotors(away, slow, setpoint[3], quaternion, rates, memory, dt, gravity, nominal, gain, command)
+            command[r] = min(max(setpoint[w, i, r], 0.0), nominal.max_rotor_speed)
+    elif controller == PID:
+        target = four(setpoint, w, i)
+        away, slow = pid_errors(level, target, state)
+        integrals = (
+            (memory[w, i, 0], memory[w, i, 1], memory[w, i, 2]),
+            (memory[w, i, 3], memory[w, i, 4], memory[w, i, 5]),
+        )
+        integrals = pid_rotors(away, slow, target[3], state[1], state[3], integrals, dt, gravity, nominal, gain, command)
+        for k in range(3):
+            memory[w, i, k], memory[w, i, 3 + k] = integrals[0][k], integrals[1][k]
     else:
-        lee_rotors(level, setpoint, world, drone, swarm, nominal, gain, gravity, command)
+        total_speed = 0.0
+        for r in range(nominal.num_rotors):
+            total_speed += swarm.rotor_speed[w, i, r]
+        lee_rotors(level, four(setpoint, w, i), state, total_speed, nominal, gain, gravity, command)

@@ -68,17 +68,20 @@ def desired_axes(force, yaw):
 
 
 @kernel
-def rates_setpoint(quaternion, desired, gain):
-    """ATTITUDE to RATES (rad/s, body): -(w_R / 2z) e_R with e_R = vee(Rc^T R - R^T Rc) / 2, `desired` the columns of Rc."""
+def attitude_error(quaternion, desired):
+    """vee(Rc^T R - R^T Rc), `desired` the columns of Rc."""
     b1, b2, b3 = axes(quaternion)
     c1, c2, c3 = desired
+    return dot(c3, b2) - dot(b3, c2), dot(c1, b3) - dot(b1, c3), dot(c2, b1) - dot(b2, c1)
+
+
+@kernel
+def rates_setpoint(quaternion, desired, gain):
+    """ATTITUDE to RATES (rad/s, body): -(w_R / 2z) e_R with e_R = vee(Rc^T R - R^T Rc) / 2, `desired` the columns of Rc."""
+    error = attitude_error(quaternion, desired)
     scale = -0.25 / gain.damping
     frequency = gain.attitude_frequency
-    return (
-        scale * frequency[0] * (dot(c3, b2) - dot(b3, c2)),
-        scale * frequency[1] * (dot(c1, b3) - dot(b1, c3)),
-        scale * frequency[2] * (dot(c2, b1) - dot(b2, c1)),
-    )
+    return scale * frequency[0] * error[0], scale * frequency[1] * error[1], scale * frequency[2] * error[2]
 
 
 @kernel

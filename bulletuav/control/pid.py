@@ -7,7 +7,7 @@ differences of Euler angles, and the integrals are reset with the episode. It is
 
 import math
 
-from bulletuav.control.lee import desired_axes
+from bulletuav.control.lee import attitude_error, desired_axes
 from bulletuav.kernel import kernel
 from bulletuav.physics.rotation import axes, dot
 from bulletuav.physics.rotors import RPM
@@ -28,43 +28,53 @@ def clipped(value, limit):
 
 
 @kernel
-def pid_force(position_error, velocity_error, memory, dt, row, gravity):
-    """Force setpoint (N, world) from the errors (target minus state); integrates into memory[0:3]."""
-    for k in range(3):
-        memory[k] = clipped(memory[k] + position_error[k] * dt, POSITION_INTEGRAL_LIMIT[k])
+def integrated(integral, error, dt, limit):
+    """The integral (3,) of `error` after dt, each component within its `limit`."""
     return (
-        FORCE_P[0] * position_error[0] + FORCE_I[0] * memory[0] + FORCE_D[0] * velocity_error[0],
-        FORCE_P[1] * position_error[1] + FORCE_I[1] * memory[1] + FORCE_D[1] * velocity_error[1],
-        FORCE_P[2] * position_error[2] + FORCE_I[2] * memory[2] + FORCE_D[2] * velocity_error[2] + row.mass * gravity,
+        clipped(integral[0] + error[0] * dt, limit[0]),
+        clipped(integral[1] + error[1] * dt, limit[1]),
+        clipped(integral[2] + error[2] * dt, limit[2]),
     )
 
 
 @kernel
-def pid_torque(quaternion, rates, desired, memory, dt):
-    """Roll, pitch and yaw command (PWM units) towards the `desired` axes; integrates into memory[3:6]."""
-    b1, b2, b3 = axes(quaternion)
-    c1, c2, c3 = desired
-    error = (dot(c3, b2) - dot(b3, c2), dot(c1, b3) - dot(b1, c3), dot(c2, b1) - dot(b2, c1))
-    for k in range(3):
-        memory[3 + k] = clipped(memory[3 + k] - error[k] * dt, ATTITUDE_INTEGRAL_LIMIT[k])
+def pid_force(position_error, velocity_error, integral, row, gravity):
+    """Force setpoint (N, world) from errors (target minus state) and the integral of the position's."""
     return (
-        clipped(-TORQUE_P[0] * error[0] + TORQUE_I[0] * memory[3] - TORQUE_D[0] * rates[0], TORQUE_LIMIT),
-        clipped(-TORQUE_P[1] * error[1] + TORQUE_I[1] * memory[4] - TORQUE_D[1] * rates[1], TORQUE_LIMIT),
-        clipped(-TORQUE_P[2] * error[2] + TORQUE_I[2] * memory[5] - TORQUE_D[2] * rates[2], TORQUE_LIMIT),
+        FORCE_P[0] * position_error[0] + FORCE_I[0] * integral[0] + FORCE_D[0] * velocity_error[0],
+        FORCE_P[1] * position_error[1] + FORCE_I[1] * integral[1] + FORCE_D[1] * velocity_error[1],
+        FORCE_P[2] * position_error[2] + FORCE_I[2] * integral[2] + FORCE_D[2] * velocity_error[2] + row.mass * gravity,
     )
 
 
 @kernel
-def pid_rotors(position_error, velocity_error, yaw, quaternion, rates, memory, dt, gravity, row, gain, command):
-    """Rotor speeds (rad/s, into `command`) from position and velocity errors (m, m/s) and the yaw to hold (rad)."""
-    force = pid_force(position_error, velocity_error, memory, dt, row, gravity)
+def pid_torque(error, rates, integral):
+    """Roll, pitch and yaw command (PWM units) against the attitude error (3,), whose negative `integral` holds."""
+    return (
+        clipped(-TORQUE_P[0] * error[0] + TORQUE_I[0] * integral[0] - TORQUE_D[0] * rates[0], TORQUE_LIMIT),
+        clipped(-TORQUE_P[1] * error[1] + TORQUE_I[1] * integral[1] - TORQUE_D[1] * rates[1], TORQUE_LIMIT),
+        clipped(-TORQUE_P[2] * error[2] + TORQUE_I[2] * integral[2] - TORQUE_D[2] * rates[2], TORQUE_LIMIT),
+    )
+
+
+@kernel
+def pid_rotors(position_error, velocity_error, yaw, quaternion, rates, integrals, dt, gravity, row, gain, command):
+    """Rotor speeds (rad/s, into `command`) from position and velocity errors (m, m/s) and the yaw to hold (rad).
+
+    `integrals` are those of the position error (3,) and, negative, of the attitude error (3,); returned dt later.
+    """
+    along = integrated(integrals[0], position_error, dt, POSITION_INTEGRAL_LIMIT)
+    force = pid_force(position_error, velocity_error, along, row, gravity)
     thrust = max(0.0, dot(force, axes(quaternion)[2]))
     rpm = math.sqrt(thrust / (row.num_rotors * row.thrust_coefficient)) / RPM
     base = (rpm - gain.pwm_intercept) / gain.pwm_slope
-    torque = pid_torque(quaternion, rates, desired_axes(force, yaw), memory, dt)
+    error = attitude_error(quaternion, desired_axes(force, yaw))
+    about = integrated(integrals[1], error, -dt, ATTITUDE_INTEGRAL_LIMIT)
+    torque = pid_torque(error, rates, about)
     for r in range(row.num_rotors):
         pwm = base
         for axis in range(3):
             pwm += gain.pid_mixer[r, axis] * torque[axis]
         pwm = min(max(pwm, gain.pwm_min), gain.pwm_max)
         command[r] = (gain.pwm_slope * pwm + gain.pwm_intercept) * RPM
+    return along, about

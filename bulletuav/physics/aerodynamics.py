@@ -5,6 +5,8 @@ import math
 from bulletuav.kernel import kernel
 from bulletuav.physics.rotation import to_body, to_world
 
+WAKE_EDGE = 80.0  # squared widths from its axis, beyond which a wake is below 1e-17 of itself
+
 
 @kernel
 def rotor_drag(quaternion, air_velocity, total_speed, row):
@@ -42,9 +44,11 @@ def downwash(horizontal_squared, drop, gravity, row):
     """
     if drop <= 0.0 or row.downwash_gain <= 0.0:
         return 0.0
+    width = max(0.16 * drop - 0.11, row.downwash_radius)
+    if horizontal_squared > WAKE_EDGE * width * width:
+        return 0.0
     ratio = row.propeller_radius / (4.0 * drop)
     strength = min(row.downwash_gain * ratio * ratio, row.mass * gravity)
-    width = max(0.16 * drop - 0.11, row.downwash_radius)
     return strength * math.exp(-0.5 * horizontal_squared / (width * width))
 
 

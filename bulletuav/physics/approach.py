@@ -4,6 +4,16 @@ from bulletuav.kernel import kernel
 
 
 @kernel
+def offset(position, w, i, j):
+    """From point i to point j of world w of `position` (W, N, 3), as a tuple."""
+    return (
+        position[w, j, 0] - position[w, i, 0],
+        position[w, j, 1] - position[w, i, 1],
+        position[w, j, 2] - position[w, i, 2],
+    )
+
+
+@kernel
 def closest_squared(gap, change):
     """Squared distance at the start, and least, of two points whose offset moves straight from `gap` to `gap + change`."""
     along = square = start = 0.0

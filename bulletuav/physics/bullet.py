@@ -16,8 +16,8 @@ from bulletuav.kernel import kernel
 from bulletuav.physics.aerodynamics import downwash_on
 from bulletuav.physics.batch import substep, surface_below
 from bulletuav.physics.dynamics import Air, Dynamics, Flight, require_sane
-from bulletuav.physics.rotation import cross
-from bulletuav.physics.rotors import lagged
+from bulletuav.physics.rotation import cross, four, three
+from bulletuav.physics.rotors import lag_decay, lagged, rotor_wrench
 from bulletuav.physics.swarm import Contacts, Motion, Swarm
 from bulletuav.physics.sweep import Path, catch_fast, suspects
 from bulletuav.physics.wrench import body_acceleration, wrench
@@ -46,21 +46,23 @@ def engine_torque(rates, torque, dt, row):
 @kernel
 def drive(swarm, alive, level, setpoint, cascade, parameters, air, dt, force, torque):
     """Controllers, rotors and wrenches of one substep: advances rotor speeds, fills force (world) and torque (body)."""
-    command = np.empty(swarm.rotor_speed.shape[2])
+    command, speed = np.empty(swarm.rotor_speed.shape[2]), np.empty(swarm.rotor_speed.shape[2])
     for w in range(alive.shape[0]):
         for i in range(alive.shape[1]):
             if alive[w, i]:
-                row, speed = parameters[w, i], swarm.rotor_speed[w, i]
-                command_rotors(level, setpoint[w, i], w, i, swarm, cascade, dt, air.gravity, command)
+                row = parameters[w, i]
+                decay = lag_decay(dt, row)
+                command_rotors(level, setpoint, w, i, swarm, cascade, dt, air.gravity, command)
                 for r in range(row.num_rotors):
-                    speed[r] = lagged(speed[r], command[r], dt, row)
+                    swarm.rotor_speed[w, i, r] = speed[r] = lagged(swarm.rotor_speed[w, i, r], command[r], decay)
                 wake = downwash_on(w, i, swarm.position, alive, parameters, air.gravity)
-                around = (air.wind[w, i], air.surface[w, i], air.gravity)
-                altitude = swarm.position[w, i, 2]
-                quaternion, velocity = swarm.quaternion[w, i], swarm.velocity[w, i]
-                push, turn = wrench(quaternion, velocity, altitude, speed, speed, 0.0, around, wake, row)
-                force[w, i] = push
-                torque[w, i] = engine_torque(swarm.rates[w, i], turn, dt, row)
+                around = (three(air.wind, w, i), air.surface[w, i], air.gravity)
+                quaternion, velocity = four(swarm.quaternion, w, i), three(swarm.velocity, w, i)
+                rotors = rotor_wrench(speed, row)
+                push, turn = wrench(quaternion, velocity, swarm.position[w, i, 2], rotors, around, wake, row)
+                turn = engine_torque(three(swarm.rates, w, i), turn, dt, row)
+                for k in range(3):
+                    force[w, i, k], torque[w, i, k] = push[k], turn[k]
 
 
 @kernel

@@ -18,7 +18,7 @@ from bulletuav.control.cascade import command_kinematic
 from bulletuav.control.levels import Level
 from bulletuav.kernel import kernel
 from bulletuav.physics.dynamics import Air, Dynamics, Flight
-from bulletuav.physics.rotation import dot, from_euler
+from bulletuav.physics.rotation import dot, four, from_euler, three
 from bulletuav.physics.swarm import Contacts, Motion, Swarm
 from bulletuav.physics.sweep import Path, stop_at_first_touch
 
@@ -79,23 +79,22 @@ def advance(kind, swarm, alive, level, setpoint, cascade, parameters, air, dt, p
             lag = 1.0 / (2.0 * gain.damping * gain.position_frequency)
             drag = row.drag_xy * swarm.rotor_speed[w, i].sum() / row.mass
             most = air.gravity * gain.max_tilt
-            yaw = setpoint[w, i, 3]
+            wanted = four(setpoint, w, i)
             for substep in range(path.position.shape[0] - 1):
                 if alive[w, i]:
-                    v = swarm.velocity[w, i]
-                    velocity = (v[0], v[1], v[2])
-                    target = command_kinematic(level, kind == DOUBLE_INTEGRATOR, setpoint[w, i], w, i, swarm, cascade)
+                    position, velocity = three(swarm.position, w, i), three(swarm.velocity, w, i)
+                    target = command_kinematic(level, kind == DOUBLE_INTEGRATOR, wanted, position, velocity, gain)
                     if kind == DOUBLE_INTEGRATOR:
                         after, moved = accelerated(velocity, limited(target, most), gain.max_speed, dt)
                     else:
                         after = limited(target, gain.max_speed)
                         moved = (after[0] * dt, after[1] * dt, after[2] * dt)
                         if kind == POINT_MASS:
-                            after, moved = lagged_velocity(velocity, after, air.wind[w, i], lag, drag, most, dt)
+                            after, moved = lagged_velocity(velocity, after, three(air.wind, w, i), lag, drag, most, dt)
                     for k in range(3):
                         swarm.position[w, i, k] += moved[k]
                         swarm.velocity[w, i, k] = after[k]
-                    swarm.quaternion[w, i] = from_euler(0.0, 0.0, yaw)
+                    swarm.quaternion[w, i] = from_euler(0.0, 0.0, wanted[3])
                 path.position[substep + 1, w, i] = swarm.position[w, i]
                 path.quaternion[substep + 1, w, i] = swarm.quaternion[w, i]
 

@@ -5,8 +5,6 @@ ground effect and attitude are followed exactly by the stages. The surface heigh
 level ground that is exact; past an edge the ground effect lags by up to one decision (at 20 m/s and 10 Hz, 2 m of flight).
 """
 
-import math
-
 import numpy as np
 
 from bulletuav.control.cascade import command_rotors
@@ -14,71 +12,86 @@ from bulletuav.control.levels import Level
 from bulletuav.kernel import kernel
 from bulletuav.physics.aerodynamics import downwash_on
 from bulletuav.physics.dynamics import Air, Dynamics, require_sane
-from bulletuav.physics.rotors import lagged
-from bulletuav.physics.swarm import Contacts, Motion, Swarm
+from bulletuav.physics.rotation import normalised, three
+from bulletuav.physics.rotors import lag_decay, lagged, rotor_wrench
+from bulletuav.physics.swarm import Contacts, Motion, Swarm, get, put
 from bulletuav.physics.sweep import Path, stop_at_first_touch
 from bulletuav.physics.wrench import body_acceleration, wrench
 
 
 @kernel
-def _slope(state, rotor_speed, command, elapsed, around, wake, row, out):
-    """Time derivative of (position, quaternion, velocity, rates) (13,), into `out`."""
-    quaternion, velocity, rates = state[3:7], state[7:10], state[10:13]
-    force, torque = wrench(quaternion, velocity, state[2], rotor_speed, command, elapsed, around, wake, row)
-    x, y, z, w = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
-    p, q, r = rates[0], rates[1], rates[2]
-    out[0:3] = velocity
-    out[3] = 0.5 * (w * p + y * r - z * q)
-    out[4] = 0.5 * (w * q + z * p - x * r)
-    out[5] = 0.5 * (w * r + x * q - y * p)
-    out[6] = -0.5 * (x * p + y * q + z * r)
-    turn = body_acceleration(rates, torque, row)
-    for k in range(3):
-        out[7 + k] = force[k] / row.mass
-        out[10 + k] = turn[k]
+def _slope(state, rotors, around, wake, row):
+    """Time derivative of `state`: (position, quaternion, velocity, rates), like itself."""
+    position, quaternion, velocity, rates = state
+    force, torque = wrench(quaternion, velocity, position[2], rotors, around, wake, row)
+    x, y, z, w = quaternion
+    p, q, r = rates
+    turning = (
+        0.5 * (w * p + y * r - z * q),
+        0.5 * (w * q + z * p - x * r),
+        0.5 * (w * r + x * q - y * p),
+        -0.5 * (x * p + y * q + z * r),
+    )
+    lightness = 1.0 / row.mass  # a division that all stages share
+    acceleration = (lightness * force[0], lightness * force[1], lightness * force[2])
+    return velocity, turning, acceleration, body_acceleration(rates, torque, row)
 
 
 @kernel
-def _rk4(state, rotor_speed, command, dt, around, wake, row, stage, slopes):
-    """One classical Runge-Kutta step of `state` (13,), in place; stage (13,) and slopes (4, 13) are scratch."""
-    for s in range(4):
-        part = 0.0 if s == 0 else (dt if s == 3 else 0.5 * dt)
-        for k in range(13):
-            stage[k] = state[k] + (part * slopes[s - 1, k] if s > 0 else 0.0)
-        _slope(stage, rotor_speed, command, part, around, wake, row, slopes[s])
-    for k in range(13):
-        state[k] += dt / 6.0 * (slopes[0, k] + 2.0 * slopes[1, k] + 2.0 * slopes[2, k] + slopes[3, k])
-    size = math.sqrt(state[3] ** 2 + state[4] ** 2 + state[5] ** 2 + state[6] ** 2)
-    for k in range(3, 7):
-        state[k] /= size
+def _moved(state, time, slope):
+    """State + time slope."""
+    (x, q, v, w), (dx, dq, dv, dw) = state, slope
+    return (
+        (x[0] + time * dx[0], x[1] + time * dx[1], x[2] + time * dx[2]),
+        (q[0] + time * dq[0], q[1] + time * dq[1], q[2] + time * dq[2], q[3] + time * dq[3]),
+        (v[0] + time * dv[0], v[1] + time * dv[1], v[2] + time * dv[2]),
+        (w[0] + time * dw[0], w[1] + time * dw[1], w[2] + time * dw[2]),
+    )
+
+
+@kernel
+def _rk4(state, rotors, dt, around, wake, row):
+    """`state` after one classical Runge-Kutta step; `rotors` is what `rotor_wrench` tells at its begin, middle and end."""
+    begin, middle, end = rotors
+    k1 = _slope(state, begin, around, wake, row)
+    k2 = _slope(_moved(state, 0.5 * dt, k1), middle, around, wake, row)
+    k3 = _slope(_moved(state, 0.5 * dt, k2), middle, around, wake, row)
+    k4 = _slope(_moved(state, dt, k3), end, around, wake, row)
+    total = _moved(_moved(_moved(k1, 2.0, k2), 2.0, k3), 1.0, k4)
+    position, quaternion, velocity, rates = _moved(state, dt / 6.0, total)
+    return position, normalised(quaternion), velocity, rates
 
 
 @kernel
 def advance(swarm, alive, level, setpoint, cascade, parameters, air, dt, path):
     """All substeps of one decision for all worlds; `swarm` and `path` (poses at every substep's end) are written."""
-    rotors = swarm.rotor_speed.shape[2]
-    command = np.empty((alive.shape[1], rotors))
-    wake = np.empty(alive.shape[1])
-    state, stage, slopes = np.empty(13), np.empty(13), np.empty((4, 13))
+    num_drones, num_rotors = swarm.rotor_speed.shape[1:]
+    wake, commands = np.empty(num_drones), np.empty((num_drones, num_rotors))
+    command, begin, middle, end = np.empty(num_rotors), np.empty(num_rotors), np.empty(num_rotors), np.empty(num_rotors)
     for w in range(alive.shape[0]):
         for substep in range(path.position.shape[0] - 1):
-            for i in range(alive.shape[1]):
+            for i in range(num_drones):
                 if alive[w, i]:
-                    command_rotors(level, setpoint[w, i], w, i, swarm, cascade, dt, air.gravity, command[i])
+                    command_rotors(level, setpoint, w, i, swarm, cascade, dt, air.gravity, command)
+                    for r in range(num_rotors):
+                        commands[i, r] = command[r]
                     wake[i] = downwash_on(w, i, swarm.position, alive, parameters, air.gravity)
-            for i in range(alive.shape[1]):
+            for i in range(num_drones):
                 if alive[w, i]:
-                    row, speed = parameters[w, i], swarm.rotor_speed[w, i]
-                    state[0:3], state[3:7] = swarm.position[w, i], swarm.quaternion[w, i]
-                    state[7:10], state[10:13] = swarm.velocity[w, i], swarm.rates[w, i]
-                    around = (air.wind[w, i], air.surface[w, i], air.gravity)
-                    _rk4(state, speed, command[i], dt, around, wake[i], row, stage, slopes)
-                    swarm.position[w, i], swarm.quaternion[w, i] = state[0:3], state[3:7]
-                    swarm.velocity[w, i], swarm.rates[w, i] = state[7:10], state[10:13]
+                    row = parameters[w, i]
+                    none, half, whole = lag_decay(0.0, row), lag_decay(0.5 * dt, row), lag_decay(dt, row)
                     for r in range(row.num_rotors):
-                        speed[r] = lagged(speed[r], command[i, r], dt, row)
-                path.position[substep + 1, w, i] = swarm.position[w, i]
-                path.quaternion[substep + 1, w, i] = swarm.quaternion[w, i]
+                        now = swarm.rotor_speed[w, i, r]
+                        begin[r] = lagged(now, commands[i, r], none)
+                        middle[r], end[r] = lagged(now, commands[i, r], half), lagged(now, commands[i, r], whole)
+                        swarm.rotor_speed[w, i, r] = end[r]
+                    rotors = (rotor_wrench(begin, row), rotor_wrench(middle, row), rotor_wrench(end, row))
+                    around = (three(air.wind, w, i), air.surface[w, i], air.gravity)
+                    put(swarm, w, i, _rk4(get(swarm, w, i), rotors, dt, around, wake[i], row))
+                for k in range(3):
+                    path.position[substep + 1, w, i, k] = swarm.position[w, i, k]
+                for k in range(4):
+                    path.quaternion[substep + 1, w, i, k] = swarm.quaternion[w, i, k]
 
 
 class RigidBody(Dynamics):

@@ -10,6 +10,18 @@ from bulletuav.kernel import kernel
 
 
 @kernel
+def three(array, w, i):
+    """array[w, i] (3,) as a tuple: unlike a view it costs nothing."""
+    return array[w, i, 0], array[w, i, 1], array[w, i, 2]
+
+
+@kernel
+def four(array, w, i):
+    """array[w, i] (4,) as a tuple."""
+    return array[w, i, 0], array[w, i, 1], array[w, i, 2], array[w, i, 3]
+
+
+@kernel
 def cross(a, b):
     """Vector product a x b."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]

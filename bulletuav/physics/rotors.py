@@ -12,20 +12,26 @@ RPM = 2.0 * math.pi / 60.0  # rad/s
 
 
 @kernel
-def lagged(speed, command, elapsed, row):
-    """Rotor speed `elapsed` seconds after `command` (rad/s) was given, exact for a constant command."""
-    lag = row.lag_up if command > speed else row.lag_down
-    if lag <= 0.0:
-        return command
-    return command + (speed - command) * math.exp(-elapsed / lag)
+def lag_decay(elapsed, row):
+    """Share of the way to a command that is left after `elapsed` seconds, for rotors that speed up and that slow down."""
+    up = math.exp(-elapsed / row.lag_up) if row.lag_up > 0.0 else 0.0
+    if row.lag_down == row.lag_up:
+        return up, up
+    return up, math.exp(-elapsed / row.lag_down) if row.lag_down > 0.0 else 0.0
 
 
 @kernel
-def rotor_wrench(speed, command, elapsed, row):
-    """Thrust (N), body torques (N m) and sum of rotor speeds (rad/s), `elapsed` after the command."""
+def lagged(speed, command, decay):
+    """Rotor speed on the way from `speed` to `command` (rad/s), exact for a constant command; `decay` from `lag_decay`."""
+    return command + (speed - command) * (decay[0] if command > speed else decay[1])
+
+
+@kernel
+def rotor_wrench(speed, row):
+    """Thrust (N), body torques (N m) and sum of the rotor speeds (R,), rad/s."""
     thrust = torque_x = torque_y = torque_z = total = 0.0
     for r in range(row.num_rotors):
-        now = lagged(speed[r], command[r], elapsed, row)
+        now = speed[r]
         force = row.thrust_coefficient * now * now
         thrust += force
         torque_x += row.rotor_y[r] * force

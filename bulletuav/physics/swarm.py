@@ -4,6 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bulletuav.kernel import kernel
+from bulletuav.physics.rotation import four, three
+
 
 class Swarm(NamedTuple):
     """State of W worlds of N drones, float64, SI units, world ENU, body FLU. Compiled functions take it as it is.
@@ -36,6 +39,22 @@ class Swarm(NamedTuple):
     def world(self, index: int) -> "Swarm":
         """One world's state; each array loses its first axis. A view, not a copy."""
         return Swarm(*(array[index] for array in self))
+
+
+@kernel
+def get(swarm, w, i):
+    """(position, quaternion, velocity, rates) of one drone, as tuples."""
+    return three(swarm.position, w, i), four(swarm.quaternion, w, i), three(swarm.velocity, w, i), three(swarm.rates, w, i)
+
+
+@kernel
+def put(swarm, w, i, state):
+    """Set what `get` gets."""
+    position, quaternion, velocity, rates = state
+    for k in range(3):
+        swarm.position[w, i, k], swarm.velocity[w, i, k], swarm.rates[w, i, k] = position[k], velocity[k], rates[k]
+    for k in range(4):
+        swarm.quaternion[w, i, k] = quaternion[k]
 
 
 class Motion(NamedTuple):

@@ -5,6 +5,7 @@ conservative advancement (B. Mirtich, 1996) on Bullet's exact shape distances fi
 can close a gap faster than its bound, so stepping by gap / bound skips nothing, however thin or fast.
 """
 
+import math
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
@@ -68,37 +69,82 @@ class Path(NamedTuple):
 
 
 @kernel
-def _meets_ground(position, radius, w, i):
-    return position[:, w, i, 2].min() < radius[w, i] + TOUCH
+def _reaches(track, alive):
+    """(W, N) how far from where it begins each of the tracks (S + 1, W, N, 3) gets, m; for the `alive`."""
+    reach = np.zeros(alive.shape)
+    for w in range(alive.shape[0]):
+        for i in range(alive.shape[1]):
+            if alive[w, i]:
+                for s in range(1, track.shape[0]):
+                    square = 0.0
+                    for k in range(3):
+                        square += (track[s, w, i, k] - track[0, w, i, k]) ** 2
+                    reach[w, i] = max(reach[w, i], square)
+                reach[w, i] = math.sqrt(reach[w, i])
+    return reach
 
 
 @kernel
-def _meets(one, two, reach):
-    """Whether two tracks (S + 1, 3) come closer than `reach` m."""
-    for s in range(one.shape[0] - 1):
-        gap = two[s] - one[s]
-        if closest_squared(gap, two[s + 1] - one[s + 1] - gap)[1] < reach * reach:
+def _meets_ground(position, radius, w, i):
+    for s in range(position.shape[0]):
+        if position[s, w, i, 2] < radius[w, i] + TOUCH:
             return True
     return False
+
+
+@kernel
+def _near(one, two, w, i, j, within):
+    """Whether tracks i and j begin closer to each other than `within` m."""
+    square = 0.0
+    for k in range(3):
+        square += (two[0, w, j, k] - one[0, w, i, k]) ** 2
+    return square < within * within
+
+
+@kernel
+def _meets(one, two, w, i, j, within):
+    """Whether tracks i of `one` and j of `two` (S + 1, W, ., 3) come closer than `within` m."""
+    for s in range(one.shape[0] - 1):
+        (a, b, c), (d, e, f) = _gap(one, two, s, w, i, j), _gap(one, two, s + 1, w, i, j)
+        if closest_squared((a, b, c), (d - a, e - b, f - c))[1] < within * within:
+            return True
+    return False
+
+
+@kernel
+def _gap(one, two, s, w, i, j):
+    return two[s, w, j, 0] - one[s, w, i, 0], two[s, w, j, 1] - one[s, w, i, 1], two[s, w, j, 2] - one[s, w, i, 2]
 
 
 @kernel
 def _candidates(position, obstacle, alive, radius, obstacle_radius):
     """Pairs (world, drone, other) whose bounding spheres come within TOUCH during the path; `other` as in `Contacts`."""
     found = [(0, 0, 0) for _ in range(0)]
+    reach = _reaches(position, alive)
+    obstacle_reach = _reaches(obstacle, np.ones(obstacle.shape[1:3], np.bool_))
     for w in range(alive.shape[0]):
-        for i in range(alive.shape[1]):
-            if alive[w, i]:
-                if _meets_ground(position, radius, w, i):
-                    found.append((w, i, GROUND))
-                for k in range(obstacle.shape[2]):
-                    reach = radius[w, i] + obstacle_radius[k] + TOUCH
-                    if _meets(position[:, w, i], obstacle[:, w, k], reach):
-                        found.append((w, i, FIRST_OBSTACLE - k))
-                for j in range(i + 1, alive.shape[1]):
-                    reach = radius[w, i] + radius[w, j] + TOUCH
-                    if alive[w, j] and _meets(position[:, w, i], position[:, w, j], reach):
-                        found.append((w, i, j))
+        order = np.argsort(position[0, w, :, 0])
+        widest = (reach[w] + radius[w]).max()
+        for a in range(order.shape[0]):
+            i = order[a]
+            if not alive[w, i]:
+                continue
+            if _meets_ground(position, radius, w, i):
+                found.append((w, i, GROUND))
+            for k in range(obstacle.shape[2]):
+                within = radius[w, i] + obstacle_radius[k] + TOUCH
+                near = _near(position, obstacle, w, i, k, within + reach[w, i] + obstacle_reach[w, k])
+                if near and _meets(position, obstacle, w, i, k, within):
+                    found.append((w, i, FIRST_OBSTACLE - k))
+            farthest = position[0, w, i, 0] + radius[w, i] + reach[w, i] + widest + TOUCH
+            for b in range(a + 1, order.shape[0]):
+                j = order[b]
+                if position[0, w, j, 0] > farthest:
+                    break
+                within = radius[w, i] + radius[w, j] + TOUCH
+                near = alive[w, j] and _near(position, position, w, i, j, within + reach[w, i] + reach[w, j])
+                if near and _meets(position, position, w, i, j, within):
+                    found.append((w, min(i, j), max(i, j)))
     return found
 
 
@@ -107,8 +153,8 @@ def _partners(position, alive, radius, w, i):
     """The pairs of `_candidates` between drone `i` and another drone."""
     found = [(0, 0, 0) for _ in range(0)]
     for j in range(alive.shape[1]):
-        reach = radius[w, i] + radius[w, j] + TOUCH
-        if j != i and alive[w, j] and _meets(position[:, w, i], position[:, w, j], reach):
+        within = radius[w, i] + radius[w, j] + TOUCH
+        if j != i and alive[w, j] and _meets(position, position, w, i, j, within):
             found.append((w, min(i, j), max(i, j)))
     return found
 
@@ -203,15 +249,14 @@ def _both_sides(one: int, two: int) -> list[tuple[int, int]]:
 @kernel
 def _any_fast(position, obstacle, alive, parameters):
     """Whether a living drone, or an obstacle, moved by more than a quarter of the drone's thinnest extent."""
+    still = np.zeros((0, 0))
+    moved = _reaches(position, alive)
+    swept = _reaches(obstacle, np.ones(obstacle.shape[1:3], np.bool_)) if obstacle.shape[2] else still
     for w in range(alive.shape[0]):
+        farthest = swept[w].max() if obstacle.shape[2] else 0.0
         for i in range(alive.shape[1]):
-            far = 0.25 * parameters[w, i].thinnest
-            if alive[w, i]:
-                if ((position[1, w, i] - position[0, w, i]) ** 2).sum() > far * far:
-                    return True
-                for k in range(obstacle.shape[2]):
-                    if ((obstacle[1, w, k] - obstacle[0, w, k]) ** 2).sum() > far * far:
-                        return True
+            if alive[w, i] and max(moved[w, i], farthest) > 0.25 * parameters[w, i].thinnest:
+                return True
     return False
 
 

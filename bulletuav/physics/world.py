@@ -83,10 +83,10 @@ class World:
             ],
             dtype=np.int32,
         )
-        self._drone_of_body = {body: divmod(k, len(airframes)) for k, body in enumerate(self._body.flat)}
+        self._drone_of_body = {body: divmod(k, len(airframes)) for k, body in enumerate(self._body.ravel().tolist())}
         self.obstacle_radius = np.array([obstacle.radius for obstacle in obstacles])
         self._obstacle = self._make_obstacles(obstacles)
-        self._obstacle_of_body = {body: FIRST_OBSTACLE - k for row in self._obstacle for k, body in enumerate(row)}
+        self._obstacle_of_body = {body: FIRST_OBSTACLE - k for row in self._obstacle.tolist() for k, body in enumerate(row)}
         self._obstacle_place = np.full((*self._obstacle.shape, 3), -PARKING_HEIGHT)
         self._place = np.zeros((*self.shape, 3))  # positions as the engine gave them, for forces at the centre
         self._omega = np.zeros((*self.shape, 3))

@@ -3,18 +3,17 @@
 from bulletuav.kernel import kernel
 from bulletuav.physics.aerodynamics import ground_effect, rotor_drag
 from bulletuav.physics.rotation import axes
-from bulletuav.physics.rotors import rotor_wrench
 
 
 @kernel
-def wrench(quaternion, velocity, altitude, rotor_speed, command, elapsed, air, downwash, row):
-    """Force (N, world) and torque (N m, body) on one drone, `elapsed` seconds into a substep.
+def wrench(quaternion, velocity, altitude, rotors, air, downwash, row):
+    """Force (N, world) and torque (N m, body) on one drone.
 
-    rotor_speed, command: (R,) rad/s at the substep's begin; air: (wind (3,) m/s, surface height below m, gravity m/s^2);
-    downwash: N, from the other drones.
+    rotors: what `rotor_wrench` tells; air: (wind (3,) m/s, surface height below m, gravity m/s^2); downwash: N, from the
+    other drones.
     """
     wind, surface, gravity = air
-    thrust, torque, total_speed = rotor_wrench(rotor_speed, command, elapsed, row)
+    thrust, torque, total_speed = rotors
     up = axes(quaternion)[2]
     thrust *= 1.0 + ground_effect(altitude - surface, up[2], row)
     against = (velocity[0] - wind[0], velocity[1] - wind[1], velocity[2] - wind[2])
@@ -32,7 +31,7 @@ def body_acceleration(rates, torque, row):
     """Euler's equation, J^-1 (M - w x J w), rad/s^2 in body axes."""
     jx, jy, jz = row.inertia[0], row.inertia[1], row.inertia[2]
     return (
-        (torque[0] - (jz - jy) * rates[1] * rates[2]) / jx,
-        (torque[1] - (jx - jz) * rates[2] * rates[0]) / jy,
-        (torque[2] - (jy - jx) * rates[0] * rates[1]) / jz,
+        (torque[0] - (jz - jy) * rates[1] * rates[2]) * (1.0 / jx),  # divisions that several calls for one drone share
+        (torque[1] - (jx - jz) * rates[2] * rates[0]) * (1.0 / jy),
+        (torque[2] - (jy - jx) * rates[0] * rates[1]) * (1.0 / jz),
     )

@@ -52,7 +52,7 @@ def test_mixing_is_the_inverse_of_the_rotors(roll, pitch, yaw, share):
         command = np.empty(len(airframe.rotors))
         lee.mix(share * airframe.max_thrust * 0.8, torque, row, gain, command)
         assert (command <= airframe.max_rotor_speed).all()
-        thrust, produced, _ = rotor_wrench(command, command, 0.0, row)
+        thrust, produced, _ = rotor_wrench(command, row)
         assert thrust == pytest.approx(share * airframe.max_thrust * 0.8, rel=1e-9)
         np.testing.assert_allclose(produced, torque, atol=1e-9)
 
@@ -62,7 +62,7 @@ def test_yaw_gives_way_to_thrust_roll_and_pitch():
     command = np.empty(6)
     weight = airframe.mass * G
     lee.mix(weight, (0.3, -0.2, 50.0), row, gain, command)
-    thrust, produced, _ = rotor_wrench(command, command, 0.0, row)
+    thrust, produced, _ = rotor_wrench(command, row)
     assert thrust == pytest.approx(weight, rel=1e-9)
     np.testing.assert_allclose(produced[:2], (0.3, -0.2), atol=1e-9)
     assert 0.05 < produced[2] < 50

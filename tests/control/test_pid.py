@@ -5,7 +5,7 @@ from scipy.spatial.transform import Rotation
 from bulletuav import load_airframe
 from bulletuav.control.gains import gain_rows
 from bulletuav.control.levels import Level
-from bulletuav.control.pid import MEMORY, pid_rotors, pid_torque
+from bulletuav.control.pid import pid_rotors, pid_torque
 from bulletuav.physics.airframe import parameter_rows
 
 G = 9.80665
@@ -16,8 +16,8 @@ def test_one_step_of_the_crazyflies_pid_by_hand():
     row, gain = parameter_rows([cf2x])[0], gain_rows([cf2x], 20.0)[0]
     q = Rotation.from_euler("xyz", (0.05, -0.1, 0.2)).as_quat()
     rates, away, slow = np.array((0.1, -0.2, 0.3)), np.array((0.3, -0.2, 0.5)), np.array((-0.1, 0.2, 0.05))
-    memory, command, dt = np.zeros(MEMORY), np.empty(4), 1 / 240
-    pid_rotors(away, slow, 0.0, q, rates, memory, dt, G, row, gain, command)
+    command, dt, none = np.empty(4), 1 / 240, (0.0, 0.0, 0.0)
+    integrals = pid_rotors(away, slow, 0.0, q, rates, (none, none), dt, G, row, gain, command)
 
     R = Rotation.from_quat(q).as_matrix()
     integral = away * dt
@@ -34,18 +34,20 @@ def test_one_step_of_the_crazyflies_pid_by_hand():
     mixer = np.array([(-0.5, -0.5, -1), (-0.5, 0.5, 1), (0.5, 0.5, -1), (0.5, -0.5, 1)])
     pwm = np.clip(base + mixer @ np.clip(torque, -3200, 3200), 20000, 65535)
     np.testing.assert_allclose(command * 60 / (2 * np.pi), 0.2685 * pwm + 4070.3, rtol=1e-5)
-    np.testing.assert_allclose(memory, (*integral, *(-error * dt)), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(integrals, (integral, -error * dt), rtol=1e-9, atol=1e-12)
 
 
 def test_integrals_and_torques_are_bounded():
-    memory = np.zeros(MEMORY)
-    upside_down = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
+    cf2x = load_airframe("cf2x")
+    row, gain = parameter_rows([cf2x])[0], gain_rows([cf2x], 20.0)[0]
     q = Rotation.from_euler("x", 90, degrees=True).as_quat()
+    integrals = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     for _ in range(10000):
-        torque = pid_torque(q, np.zeros(3), upside_down, memory, 0.1)
-    assert np.abs(memory[3:5]).max() <= 1.0
-    assert abs(memory[5]) <= 1500
-    assert np.abs(torque).max() <= 3200
+        integrals = pid_rotors((9.0, 9.0, 9.0), (0.0,) * 3, 2.0, q, (0.0,) * 3, integrals, 0.1, G, row, gain, np.empty(4))
+    np.testing.assert_array_equal(integrals[0], (2.0, 2.0, 0.15))
+    assert np.abs(integrals[1][:2]).max() <= 1.0
+    assert 1.0 < abs(integrals[1][2]) <= 1500
+    assert np.abs(pid_torque((9.0, -9.0, 9.0), (0.0, 0.0, 0.0), integrals[1])).max() == 3200
 
 
 def test_step_of_one_metre_as_known_without_lag(make_bench):

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from bulletuav import load_airframe
 from bulletuav.physics.aerodynamics import downwash, downwash_on, ground_effect, rotor_drag
 from bulletuav.physics.airframe import parameter_rows
-from bulletuav.physics.rotors import lagged, rotor_wrench
+from bulletuav.physics.rotors import lag_decay, lagged, rotor_wrench
 from bulletuav.physics.wrench import wrench
 
 G = 9.80665
@@ -28,24 +28,29 @@ def still_air(surface=-np.inf, wind=(0.0, 0.0, 0.0)):
 # Rotors
 
 
+def after(speed, command, elapsed, row):
+    return lagged(speed, command, lag_decay(elapsed, row))
+
+
 def test_lag_is_the_exact_step_response_up_and_down():
     _, row = row_of("hummingbird")
-    assert lagged(100.0, 200.0, 0.0125, row) == pytest.approx(200 - 100 * math.exp(-1), rel=1e-14)
-    assert lagged(200.0, 100.0, 0.025, row) == pytest.approx(100 + 100 * math.exp(-1), rel=1e-14)
-    halves = lagged(lagged(100.0, 200.0, 0.004, row), 200.0, 0.006, row)
-    assert halves == pytest.approx(lagged(100.0, 200.0, 0.010, row), rel=1e-14)
+    assert after(100.0, 200.0, 0.0125, row) == pytest.approx(200 - 100 * math.exp(-1), rel=1e-14)
+    assert after(200.0, 100.0, 0.025, row) == pytest.approx(100 + 100 * math.exp(-1), rel=1e-14)
+    halves = after(after(100.0, 200.0, 0.004, row), 200.0, 0.006, row)
+    assert halves == pytest.approx(after(100.0, 200.0, 0.010, row), rel=1e-14)
 
 
 def test_without_lag_the_command_is_the_speed():
     _, row = row_of("cf2x", ())
-    assert lagged(5.0, 900.0, 1e-3, row) == 900.0
+    assert after(5.0, 900.0, 1e-3, row) == 900.0
+    assert after(900.0, 5.0, 1e-3, row) == 5.0
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_hover_balances_weight_to_1e9(name):
     airframe, row = row_of(name)
     speed = np.full(len(airframe.rotors), airframe.hover_speed())
-    force, torque = wrench((0.0, 0.0, 0.0, 1.0), np.zeros(3), 1e9, speed, speed, 0.0, still_air(), 0.0, row)
+    force, torque = wrench((0.0, 0.0, 0.0, 1.0), np.zeros(3), 1e9, rotor_wrench(speed, row), still_air(), 0.0, row)
     np.testing.assert_allclose(force, 0, atol=1e-9)
     np.testing.assert_allclose(torque, 0, atol=1e-9)
 
@@ -55,16 +60,14 @@ def test_torques_of_single_rotors_by_hand():
     for r, (x, y, turn) in enumerate(airframe.rotors):
         speed = np.zeros(4)
         speed[r] = 1000.0
-        thrust, torque, total = rotor_wrench(speed, speed, 0.0, row)
+        thrust, torque, total = rotor_wrench(speed, row)
         assert (thrust, total) == (pytest.approx(0.028816), 1000.0)
         np.testing.assert_allclose(torque, (y * 0.028816, -x * 0.028816, turn * 0.028816 * 0.00596), rtol=1e-12)
 
 
 def test_faster_clockwise_rotors_turn_the_crazyflie_to_the_left():
     _, row = row_of("cf2x")
-    _, torque, _ = rotor_wrench(
-        np.array([1000.0, 1100.0, 1000.0, 1100.0]), np.array([1000.0, 1100.0, 1000.0, 1100.0]), 0.0, row
-    )
+    _, torque, _ = rotor_wrench(np.array([1000.0, 1100.0, 1000.0, 1100.0]), row)
     np.testing.assert_allclose(torque[:2], 0, atol=1e-12)
     assert torque[2] > 0
 
@@ -87,7 +90,7 @@ def test_level_flight_at_20_m_s_needs_the_published_tilt_and_rotor_speed(name, t
     airframe, row = row_of(name)
     pitch = Rotation.from_euler("y", tilt, degrees=True).as_quat()
     speeds = np.full(len(airframe.rotors), speed)
-    force, _ = wrench(pitch, np.array([20.0, 0, 0]), 1e9, speeds, speeds, 0.0, still_air(), 0.0, row)
+    force, _ = wrench(pitch, np.array([20.0, 0, 0]), 1e9, rotor_wrench(speeds, row), still_air(), 0.0, row)
     np.testing.assert_allclose(np.array(force) / (airframe.mass * G), 0, atol=4e-4)
 
 
@@ -107,7 +110,7 @@ def test_drag_takes_power_and_turns_with_the_body(v, turn):
 def test_drag_is_relative_to_the_air_and_linear_in_rotor_speed():
     _, row = row_of("hummingbird")
     speeds, q = np.full(4, 450.0), (0.0, 0.0, 0.0, 1.0)
-    with_wind, _ = wrench(q, np.array([3.0, 0, 0]), 1e9, speeds, speeds, 0.0, still_air(wind=(3.0, 0, 0)), 0.0, row)
+    with_wind, _ = wrench(q, np.array([3.0, 0, 0]), 1e9, rotor_wrench(speeds, row), still_air(wind=(3.0, 0, 0)), 0.0, row)
     np.testing.assert_allclose(with_wind[:2], 0, atol=1e-15)
     np.testing.assert_allclose(rotor_drag(q, (1.0, 2.0, 3.0), 1800.0, row), (-8.06428e-5 * 1800, -2 * 8.06428e-5 * 1800, 0))
 
@@ -147,7 +150,7 @@ def test_ground_effect_is_bounded_falls_with_height_and_fades_with_tilt(name):
 def test_thrust_grows_near_the_surface_wherever_it_is():
     airframe, row = row_of("hummingbird")
     speed, q = np.full(4, airframe.hover_speed()), (0.0, 0.0, 0.0, 1.0)
-    force, _ = wrench(q, np.zeros(3), 30.1, speed, speed, 0.0, still_air(surface=30.0), 0.0, row)
+    force, _ = wrench(q, np.zeros(3), 30.1, rotor_wrench(speed, row), still_air(surface=30.0), 0.0, row)
     assert force[2] == pytest.approx(0.0625 * airframe.mass * G, rel=1e-9)
 
 

@@ -1,11 +1,12 @@
 """Conflict: separation below d_safe (never to be mixed with collision, which is contact of collision shapes)."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from bulletuav.kernel import kernel
-from bulletuav.physics.approach import closest_squared
+from bulletuav.physics.approach import closest_squared, offset
 
 
 class Conflict(NamedTuple):
@@ -28,9 +29,10 @@ def _conflict(before, after, alive, d_safe, separation, onsets, nearness):
             for j in range(i + 1, alive.shape[1]):
                 if not (alive[w, i] and alive[w, j]):
                     continue
-                gap = before[w, j] - before[w, i]
-                start, least = closest_squared(gap, after[w, j] - after[w, i] - gap)
-                start, least = np.sqrt(start), np.sqrt(least)
+                gap, later = offset(before, w, i, j), offset(after, w, i, j)
+                change = (later[0] - gap[0], later[1] - gap[1], later[2] - gap[2])
+                start, least = closest_squared(gap, change)
+                start, least = math.sqrt(start), math.sqrt(least)
                 began = 1 if least < d_safe <= start else 0
                 depth = min(1.0, max(0.0, 2.0 - least / d_safe))
                 for k in (i, j):
