@@ -1,5 +1,6 @@
 """The batched core: W independent worlds of N drones through one decision at a time. Faces are thin wrappers of it."""
 
+import functools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -216,7 +217,7 @@ class Aviary:
             self._dynamics.show(self.swarm, self.alive)
             self._camera.show(self.swarm, self.alive, 1 / self.options.decision_hz)
         return Step(
-            observations, np.sum(list(weighted.values()), axis=0), terminated, truncated, self._info(frame, weighted)
+            observations, functools.reduce(np.add, weighted.values()), terminated, truncated, self._info(frame, weighted)
         )
 
     def _move_scene(self, flying: np.ndarray) -> Motion:
@@ -237,7 +238,7 @@ class Aviary:
             w, i = np.argwhere(bad)[0]
             raise ValueError(f"action of drone {i} in world {w} is {actions[w, i]}: finite numbers are needed")
         actions = np.where(self.alive[..., None], actions, 0.0)
-        clipped = np.clip(actions, self.action.low, self.action.high)
+        clipped = np.minimum(np.maximum(actions, self.action.low), self.action.high)
         if self.action.choices is not None and (clipped != actions).any() | (clipped % 1 != 0).any():
             w, i, _ = np.argwhere((clipped != actions) | (clipped % 1 != 0))[0]
             raise ValueError(

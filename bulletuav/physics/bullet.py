@@ -67,9 +67,10 @@ def drive(swarm, alive, level, setpoint, cascade, parameters, air, dt, force, to
 
 @kernel
 def advance(port, substeps, near_ground, swarm, alive, level, setpoint, cascade, parameters, air, dt, force, torque, path):
-    """Up to `substeps` substeps in one call; ends early after one that needs a closer look. Returns how many were flown.
+    """Up to `substeps` substeps in one call; ends early after one that needs a closer look.
 
     That is one in which something touched or moved fast past something near; `path` holds the poses of the last substep.
+    Returns how many were flown, and whether the last needs the closer look.
     """
     for flown in range(substeps):
         if near_ground:
@@ -79,8 +80,8 @@ def advance(port, substeps, near_ground, swarm, alive, level, setpoint, cascade,
         touching = substep(port, force, torque, alive, swarm)
         path.position[1], path.quaternion[1] = swarm.position, swarm.quaternion
         if touching > 0 or suspects(path, alive, parameters, port.obstacle_radius):
-            return flown + 1
-    return substeps
+            return flown + 1, True
+    return substeps, False
 
 
 class BulletDynamics(Dynamics):
@@ -110,7 +111,18 @@ class BulletDynamics(Dynamics):
         flying = np.any(alive, axis=1)
         path = Path.begin(swarm, motion, 1)
         air = Air(wind, np.full(alive.shape, -np.inf), flight.gravity)
-        inputs = swarm, alive, level, setpoint, flight.cascade, flight.parameters, air, flight.dt, self._force, self._torque
+        inputs = (
+            swarm,
+            alive,
+            int(level),
+            setpoint,
+            flight.cascade,
+            flight.parameters,
+            air,
+            flight.dt,
+            self._force,
+            self._torque,
+        )
         touched: dict[tuple[int, int, int], float] = {}
         flown = 0
         while flown < flight.substeps:
@@ -119,17 +131,19 @@ class BulletDynamics(Dynamics):
                 path.obstacle[:] = motion.at(flown / flight.substeps), motion.at((flown + 1) / flight.substeps)
                 world.set_obstacles(path.obstacle[1], motion.quaternion, flying)
             if world.port is not None:
-                flown += advance(world.port, substeps, self._near_ground, *inputs, path)
+                new, eventful = advance(world.port, substeps, self._near_ground, *inputs, path)
             else:
-                flown += self._advance(*inputs, path)
-            for w, drone, other, force in world.contacts():  # before catching, which forgets them
-                touched[w, drone, other] = touched.get((w, drone, other), 0.0) + force * flight.dt
-            for key in catch_fast(world, path, swarm, alive, flight.parameters):
-                touched.setdefault(key, 0.0)
+                new, eventful = self._advance(*inputs, path)
+            flown += new
+            if eventful:
+                for w, drone, other, force in world.contacts():  # before catching, which forgets them
+                    touched[w, drone, other] = touched.get((w, drone, other), 0.0) + force * flight.dt
+                for key in catch_fast(world, path, swarm, alive, flight.parameters):
+                    touched.setdefault(key, 0.0)
         require_sane(swarm, alive)
         return Contacts.merge(touched)
 
-    def _advance(self, swarm, alive, level, setpoint, cascade, parameters, air, dt, force, torque, path: Path) -> int:
+    def _advance(self, swarm, alive, level, setpoint, cascade, parameters, air, dt, force, torque, path: Path):
         """`advance` by one substep, through the world's own calls."""
         world = self.flight.world
         air.surface[:] = self._surface(swarm, alive)
@@ -139,4 +153,4 @@ class BulletDynamics(Dynamics):
         world.step()
         world.read_states(swarm, alive)
         path.position[1], path.quaternion[1] = swarm.position, swarm.quaternion
-        return 1
+        return 1, True

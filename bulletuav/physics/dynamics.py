@@ -8,6 +8,8 @@ import numpy as np
 
 from bulletuav.control.cascade import Cascade
 from bulletuav.control.levels import Level
+from bulletuav.kernel import kernel
+from bulletuav.physics.rotation import dot, three
 from bulletuav.physics.swarm import Contacts, Motion, Swarm
 from bulletuav.physics.world import World
 
@@ -35,14 +37,25 @@ class Flight:
 FASTEST = FASTEST_SPIN = 9.9e3  # m/s, rad/s; the engine clamps at 1e4
 
 
+@kernel
+def _first_lost(swarm, alive):
+    """World and drone of the first living drone whose speed or spin left all bounds (or is NaN), -1 where there is none."""
+    for w in range(alive.shape[0]):
+        for i in range(alive.shape[1]):
+            velocity, rates = three(swarm.velocity, w, i), three(swarm.rates, w, i)
+            sane = dot(velocity, velocity) < FASTEST**2 and dot(rates, rates) < FASTEST_SPIN**2
+            if alive[w, i] and not sane:
+                return w, i
+    return -1, -1
+
+
 def require_sane(swarm: Swarm, alive: np.ndarray) -> None:
     """Raise RuntimeError naming the first living drone (W, N) whose state left all bounds; a reset brings it back."""
-    speed, spin = np.linalg.norm(swarm.velocity, axis=-1), np.linalg.norm(swarm.rates, axis=-1)
-    lost = alive & ~((speed < FASTEST) & (spin < FASTEST_SPIN))
-    if lost.any():
-        w, i = np.argwhere(lost)[0]
+    w, i = _first_lost(swarm, alive)
+    if w >= 0:
+        speed, spin = np.linalg.norm(swarm.velocity[w, i]), np.linalg.norm(swarm.rates[w, i])
         raise RuntimeError(
-            f"the flight of drone {i} in world {w} diverged ({speed[w, i]:.3g} m/s, {spin[w, i]:.3g} rad/s): raise "
+            f"the flight of drone {i} in world {w} diverged ({speed:.3g} m/s, {spin:.3g} rad/s): raise "
             f"physics_hz or check the inertia of its airframe; reset() starts the world anew"
         )
 

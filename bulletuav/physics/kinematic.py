@@ -123,5 +123,5 @@ class Kinematic(Dynamics):
         flight = self.flight
         path = Path.begin(swarm, motion, flight.substeps)
         air = Air(wind, np.full(alive.shape, -np.inf), flight.gravity)
-        advance(self._kind, swarm, alive, level, setpoint, flight.cascade, flight.parameters, air, flight.dt, path)
+        advance(self._kind, swarm, alive, int(level), setpoint, flight.cascade, flight.parameters, air, flight.dt, path)
         return stop_at_first_touch(flight.world, path, swarm, alive, flight.parameters)

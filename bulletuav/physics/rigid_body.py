@@ -112,6 +112,6 @@ class RigidBody(Dynamics):
         flight = self.flight
         path = Path.begin(swarm, motion, flight.substeps)
         air = Air(wind, self._surface(swarm, alive), flight.gravity)
-        advance(swarm, alive, level, setpoint, flight.cascade, flight.parameters, air, flight.dt, path)
+        advance(swarm, alive, int(level), setpoint, flight.cascade, flight.parameters, air, flight.dt, path)
         require_sane(swarm, alive)
         return stop_at_first_touch(flight.world, path, swarm, alive, flight.parameters)

@@ -78,8 +78,8 @@ class Motion(NamedTuple):
         """Whether any obstacle changes its place."""
         return self.after is not self.before
 
-    def at(self, share: float) -> np.ndarray:
-        """(W, K, 3) positions after a share of the decision."""
+    def at(self, share: float | np.ndarray) -> np.ndarray:
+        """(W, K, 3) positions after a share of the decision, or (S, W, K, 3) after shares (S, 1, 1, 1)."""
         return self.before + share * (self.after - self.before)
 
 
@@ -105,6 +105,8 @@ class Contacts(NamedTuple):
     @classmethod
     def merge(cls, rows: dict[tuple[int, int, int], float]) -> "Contacts":
         """From {(world, drone, other): impulse}, in sorted order."""
+        if not rows:
+            return cls(*(np.zeros(0, dtype=np.int64) for _ in range(3)), np.zeros(0))
         keys = sorted(rows)
         world, drone, other = np.array(keys, dtype=np.int64).reshape(len(keys), 3).T
         return cls(world, drone, other, np.array([rows[key] for key in keys], dtype=np.float64))

@@ -34,7 +34,7 @@ class Path(NamedTuple):
     def begin(cls, swarm: Swarm, motion: Motion, substeps: int) -> "Path":
         """Room for a decision, with the present poses first."""
         position, quaternion = (np.empty((substeps + 1, *array.shape)) for array in (swarm.position, swarm.quaternion))
-        obstacle = np.array([motion.at(s / substeps) for s in range(substeps + 1)])
+        obstacle = motion.at(np.arange(substeps + 1)[:, None, None, None] / substeps)
         position[0], quaternion[0] = swarm.position, swarm.quaternion
         return cls(position, quaternion, obstacle, motion.quaternion)
 

@@ -194,7 +194,8 @@ class Observer:
         seen: dict[str, np.ndarray] = {}
         if self._blocks:
             parts = [block.compute(frame, present) for block in self._blocks]
-            seen["vector"] = np.clip(np.concatenate(parts, axis=-1).astype(np.float32), self.low, self.high)
+            vector = np.concatenate(parts, axis=-1).astype(np.float32)
+            seen["vector"] = np.minimum(np.maximum(vector, self.low), self.high)  # np.clip takes twice as long
         if not self.images:
             return seen["vector"]
         return seen | {name: frame.readings[name].copy() for name in self.images}
