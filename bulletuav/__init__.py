@@ -1,9 +1,9 @@
 """bulletuav: a drone-swarm gym on PyBullet."""
 
 from bulletuav.envs.aviary import Aviary
-from bulletuav.envs.batch import batch_env
 from bulletuav.envs.central import register_environments
 from bulletuav.envs.parallel import aec_env, parallel_env
+from bulletuav.envs.workers import batch_env
 from bulletuav.physics.airframe import Airframe, available_airframes, load_airframe
 from bulletuav.tasks import list_tasks
 from bulletuav.version import __version__

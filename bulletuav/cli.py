@@ -1,4 +1,4 @@
-"""The command line: `bulletuav fly`, `bulletuav tasks`, `bulletuav benchmark`."""
+"""The command line: `bulletuav fly`, `bulletuav tasks`, `bulletuav benchmark`, `bulletuav doctor`."""
 
 import argparse
 import ast
@@ -17,6 +17,7 @@ from rich.table import Table
 from bulletuav.benchmark import FLOORS, ROUNDS, SIZES, measure
 from bulletuav.control.actions import ACTIONS
 from bulletuav.control.cascade import CONTROLLERS
+from bulletuav.doctor import Finding, examine
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.options import Options
 from bulletuav.physics.airframe import available_airframes
@@ -65,7 +66,13 @@ def _parser() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentParse
     )
     benchmark.add_argument("--drones", type=int, nargs="+", default=list(SIZES), metavar="N", help="swarm sizes")
     benchmark.add_argument("--seconds", type=float, default=0.3, help="CPU time of one measurement (default: 0.3)")
-    return parser, {"tasks": tasks, "fly": fly, "benchmark": benchmark}
+    doctor = commands.add_parser(
+        "doctor",
+        help="tell versions, what is active and what is missing",
+        description="Tell versions, whether the C extension is active, and what is missing with its remedy.",
+        allow_abbrev=False,
+    )
+    return parser, {"tasks": tasks, "fly": fly, "benchmark": benchmark, "doctor": doctor}
 
 
 def _add_fly_arguments(fly: argparse.ArgumentParser) -> None:
@@ -221,7 +228,17 @@ def benchmark(arguments: argparse.Namespace) -> None:
         row = [result for result in results if result.name == name]
         table.add_row(name, *(f"{r.rate:.3g}" if name in FLOORS else f"{r.rate:.3g}\n{r.reset_ms:.2f} ms" for r in row))
     Console().print(table)
-    print("bare step: the engine's step alone; engine calls: with forces, states, heights and contacts through Python")
+    print("bare step: the engine's step alone; engine calls: with forces, states, heights and contacts, one by one")
+
+
+def doctor(arguments: argparse.Namespace) -> None:
+    """Examine and print."""
+    table = Table(show_header=False)
+    for _ in Finding._fields:
+        table.add_column(overflow="fold")
+    for finding in examine():
+        table.add_row(*finding)
+    Console().print(table)
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -231,7 +248,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     command = commands[arguments.command]
     _check_known(rest, command)
     try:
-        {"fly": fly, "tasks": tasks, "benchmark": benchmark}[arguments.command](arguments)
+        {"fly": fly, "tasks": tasks, "benchmark": benchmark, "doctor": doctor}[arguments.command](arguments)
     except (ValueError, OSError, RuntimeError, ImportError) as error:
         command.error(" ".join(str(error).split()))
     except KeyboardInterrupt:

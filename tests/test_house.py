@@ -15,7 +15,7 @@ LAYERS = [
     {"sensors"},
     {"tasks"},
     {"envs"},
-    {"policies", "adapters", "evaluate", "record", "pictures", "benchmark", "cli", "__init__", "__main__"},
+    {"policies", "adapters", "evaluate", "record", "pictures", "benchmark", "cli", "doctor", "__init__", "__main__"},
 ]
 RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
 FILES = sorted(PACKAGE.rglob("*.py"))

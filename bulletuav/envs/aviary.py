@@ -6,24 +6,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bulletuav.control.actions import Action, Flyable, make_action
 from bulletuav.control.cascade import Cascade
 from bulletuav.control.gains import gain_rows
 from bulletuav.control.levels import Level
 from bulletuav.envs.camera import Camera
-from bulletuav.envs.options import Options, resolve
-from bulletuav.errors import numbers_of, whole
+from bulletuav.envs.plan import Plan
 from bulletuav.physics.airframe import parameter_rows
 from bulletuav.physics.dynamics import Dynamics, Flight
 from bulletuav.physics.ladder import LADDER
 from bulletuav.physics.swarm import Contacts, Motion, Swarm
-from bulletuav.physics.tiles import TILE_PITCH
 from bulletuav.physics.wind import Wind
-from bulletuav.physics.world import PARKING_HEIGHT, World
+from bulletuav.physics.world import World
 from bulletuav.sensors.camera import DroneCameras
-from bulletuav.tasks import find_task
-from bulletuav.tasks.base import Frame, Scene, Setting, Spawn, Task, refuse_overlap
-from bulletuav.tasks.terms.observations import STATE, Observation, Observer
+from bulletuav.tasks.base import Frame, Scene, Spawn, refuse_overlap
+from bulletuav.tasks.terms.observations import Observation
 
 
 class Step(NamedTuple):
@@ -48,53 +44,33 @@ class Aviary:
     Public state, to read: options, task, action, observer, swarm, scene, alive, steps (W,).
     """
 
-    def __init__(self, task: str, num_worlds: int = 1, **options: Any):
-        """Build the worlds; see `Options` and the task's config. Raises ValueError for options that cannot be."""
-        kind = find_task(task)
-        self.options, config = resolve(kind, options)
-        self.num_worlds, self.num_drones = whole("num_worlds", num_worlds, 1), self.options.num_drones
+    def __init__(self, task: str, num_worlds: int = 1, *, first_world: int = 0, **options: Any):
+        """Build the worlds; see `Options` and the task's config. Raises ValueError for options that cannot be.
+
+        `first_world`: number of the first of these worlds among those of several processes; world k is then the one that
+        it would be in a single process.
+        """
+        self._plan = plan = Plan(task, num_worlds, options)
+        self.options, self.task, self.action, self.observer = plan.options, plan.task, plan.action, plan.observer
+        self.state_observer = plan.state_observer
+        self.num_worlds, self.num_drones = plan.num_worlds, self.options.num_drones
         shape = (self.num_worlds, self.num_drones)
         live = self.options.render_mode == "human"
-        self.task = self._make_task(kind, config, self.options)
-        self.action = self._make_action()
-        self.observer = Observer(self.options.observation or kind.observation, self.task, self.options.camera_size)
-        self.state_observer = Observer(STATE, self.task)
-        dt = 1 / self.options.physics_hz
-        self._world = World(self.options.airframe, self.num_worlds, dt, self.task.obstacles(), live=live)
+        dt, self._first_world = 1 / self.options.physics_hz, first_world
+        obstacles = self.task.obstacles()
+        self._world = World(self.options.airframe, self.num_worlds, dt, obstacles, first_world=first_world, live=live)
         self._dynamics, self._cascade = self._make_dynamics()
         self.options.check_levels(self.action.level, self._dynamics.consumes)
         self._camera = Camera(self._world, self.options.render_size)
         self._eyes = self._make_eyes()
         self.swarm = Swarm.zeros(*shape, max(len(airframe.rotors) for airframe in self.options.airframe))
-        self.scene = Scene.empty(*shape, len(self.task.obstacles()))
+        self.scene = Scene.empty(*shape, len(obstacles))
         self._commanded = np.zeros((*shape, 3))  # velocities, m/s
         self.alive = np.zeros(shape, dtype=bool)
         self.steps = np.zeros(self.num_worlds, dtype=np.int64)
         self._wind = Wind(self.options.wind, self.options.wind20, shape, 1 / self.options.decision_hz)
         self._rng: list[np.random.Generator | None] = [None] * self.num_worlds
         self._frame: Frame | None = None
-
-    @staticmethod
-    def _make_task(kind: type[Task], config: Any, options: Options) -> Task:
-        radius = max(airframe.collision_radius for airframe in options.airframe)
-        task = kind(config, Setting(options.num_drones, radius, options.max_speed, 1 / options.decision_hz))
-        reach = float(np.abs([task.arena_low[:2], task.arena_high[:2]]).max())
-        if 2 * (reach + radius) >= TILE_PITCH or task.arena_high[2] >= PARKING_HEIGHT:
-            raise ValueError(
-                f"the arena reaches {reach:g} m aside and {task.arena_high[2]:g} m up: less than {TILE_PITCH / 2:g} and "
-                f"{PARKING_HEIGHT:g} m are needed, where other worlds begin"
-            )
-        if config.d_safe <= 2 * radius:
-            raise ValueError(f"d_safe {config.d_safe:g} m must exceed the {2 * radius:.3g} m across of the largest drone")
-        return task
-
-    def _make_action(self) -> Action:
-        options, task = self.options, self.task
-        period = 1 / options.decision_hz
-        return make_action(
-            options.action,
-            Flyable(options.airframe, options.max_speed, task.arena_low, task.arena_high, period, options.gravity),
-        )
 
     def _make_dynamics(self) -> tuple[Dynamics, Cascade]:
         options, worlds = self.options, (self.num_worlds, 1)
@@ -121,8 +97,8 @@ class Aviary:
         world's random numbers (which begin from the option `seed`, or from entropy).
         """
         self._require_open()
-        worlds = np.arange(self.num_worlds) if mask is None else np.flatnonzero(self._checked_mask(mask))
-        generators = self._generators(worlds, seeds)
+        worlds = np.flatnonzero(self._plan.mask(mask))
+        generators = self._generators(worlds, self._plan.seeds(seeds))
         spawns = [self.task.spawn(rng) for rng in generators]
         for spawn in spawns:
             refuse_overlap(spawn.position, self.task.setting.collision_radius)
@@ -140,24 +116,11 @@ class Aviary:
         self._frame = self._make_frame(now, now, action, Contacts.merge({}), flown)
         return self.observer.observe(self._frame, self.alive)
 
-    def _checked_mask(self, mask: np.ndarray) -> np.ndarray:
-        mask = np.asarray(mask)
-        if mask.shape != (self.num_worlds,) or mask.dtype != bool:
-            raise ValueError(f"mask has shape {mask.shape} and type {mask.dtype}: ({self.num_worlds},) bool is needed")
-        return mask
-
-    def _generators(self, worlds: np.ndarray, seeds: int | Sequence[int] | None) -> list[np.random.Generator]:
-        if seeds is None:
-            first = self.options.seed
-            return [self._rng[k] or np.random.default_rng(None if first is None else first + int(k)) for k in worlds]
-        if isinstance(seeds, int | np.integer):
-            seeds = [whole("seed", seeds, 0) + k for k in range(self.num_worlds)]
-        if not isinstance(seeds, list | tuple | np.ndarray) or np.shape(seeds) != (self.num_worlds,):
-            raise ValueError(
-                f"seed is {seeds!r}: a whole number, or a list of {self.num_worlds}, one for each world, is needed"
-            )
-        checked = [whole("seed", seed, 0) for seed in seeds]
-        return [np.random.default_rng(checked[k]) for k in worlds]
+    def _generators(self, worlds: np.ndarray, seeds: list[int] | None) -> list[np.random.Generator]:
+        if seeds is not None:
+            return [np.random.default_rng(seeds[k]) for k in worlds]
+        first = None if self.options.seed is None else self.options.seed + self._first_world
+        return [self._rng[k] or np.random.default_rng(None if first is None else first + int(k)) for k in worlds]
 
     def _place(self, k: int, spawn: Spawn) -> None:
         for array, value in zip(self.swarm, spawn[:4], strict=False):
@@ -192,7 +155,7 @@ class Aviary:
         """
         self.require_started()
         flown = self.alive.copy()
-        action = self._checked_action(actions)
+        action = self._plan.actions(actions, self.alive)
         flying = np.any(flown, axis=1)
         wind = self._wind.sample(self.swarm, self.steps / self.options.decision_hz, self._rng, flying)
         before = self.swarm.copy()
@@ -227,25 +190,6 @@ class Aviary:
         moved = self.task.advance(self.scene, time, flying, self._rng)
         after = self.scene.obstacle.copy() if moved else before
         return Motion(before, after, self.scene.obstacle_quaternion)
-
-    def _checked_action(self, actions: np.ndarray) -> np.ndarray:
-        actions = numbers_of("actions are", actions)
-        shape = (*self.alive.shape, self.action.low.shape[-1])
-        if actions.shape != shape:
-            raise ValueError(f"actions have shape {actions.shape}: (worlds, drones, {self.action.name}) = {shape} is needed")
-        bad = ~np.isfinite(actions).all(axis=-1) & self.alive
-        if bad.any():
-            w, i = np.argwhere(bad)[0]
-            raise ValueError(f"action of drone {i} in world {w} is {actions[w, i]}: finite numbers are needed")
-        actions = np.where(self.alive[..., None], actions, 0.0)
-        clipped = np.minimum(np.maximum(actions, self.action.low), self.action.high)
-        if self.action.choices is not None and (clipped != actions).any() | (clipped % 1 != 0).any():
-            w, i, _ = np.argwhere((clipped != actions) | (clipped % 1 != 0))[0]
-            raise ValueError(
-                f"action of drone {i} in world {w} is {actions[w, i, 0]:g}: a whole number from 0 to "
-                f"{self.action.choices - 1} is needed"
-            )
-        return clipped
 
     def _info(self, frame: Frame, weighted: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         info = {f"reward/{name}": term for name, term in weighted.items()}

@@ -22,9 +22,17 @@ class BatchAviary:
     observation_space, action_space are those of one drone; in a mixed swarm those with fewer rotors ignore the last numbers.
     """
 
-    def __init__(self, task: str, num_envs: int, autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP, **options: Any):
+    def __init__(
+        self,
+        task: str,
+        num_envs: int,
+        autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP,
+        *,
+        first_world: int = 0,
+        **options: Any,
+    ):
         self.autoreset_mode = AutoresetMode(autoreset_mode)
-        self.aviary = Aviary(task, num_envs, **options)
+        self.aviary = Aviary(task, num_envs, first_world=first_world, **options)
         self.num_envs, self.num_drones = self.aviary.num_worlds, self.aviary.num_drones
         self.observation_space: Box | Dict = self.aviary.observer.space()
         widest = max(range(self.num_drones), key=self.aviary.action.size)
@@ -86,8 +94,3 @@ class BatchAviary:
     def close(self) -> None:
         """Free the engine; a second call does nothing."""
         self.aviary.close()
-
-
-def batch_env(task: str, num_envs: int, **options: Any) -> BatchAviary:
-    """`num_envs` worlds of the task that reset themselves; see `BatchAviary` and, for the options, `parallel_env`."""
-    return BatchAviary(task, num_envs, **options)

@@ -111,9 +111,8 @@ struct session *batch_open(int64_t drones, const int32_t *body) {
     s->process = (_Bool (*)(void *, const void *, void *, char *, int))functions[PROCESS_COMMAND];
     const double *pose, *velocity;
     s->status = api.b3SubmitClientCommandAndWaitStatus(s->client, api.b3RequestActualStateCommandInit(s->client, body[0]));
-    api.b3GetStatusActualState(s->status, 0, 0, 0, 0, &pose, &velocity, 0);
-    s->to_velocity = velocity - pose;
-    if (connected(s->processor)) {
+    if (api.b3GetStatusActualState(s->status, 0, 0, 0, 0, &pose, &velocity, 0) && connected(s->processor)) {
+        s->to_velocity = velocity - pose;
         const double *direct = state(s, body[0]);
         if (!memcmp(direct, pose, 7 * sizeof *pose) && !memcmp(direct + s->to_velocity, velocity, 6 * sizeof *pose)) return s;
     }

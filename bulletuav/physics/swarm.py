@@ -106,7 +106,8 @@ class Contacts(NamedTuple):
     def merge(cls, rows: dict[tuple[int, int, int], float]) -> "Contacts":
         """From {(world, drone, other): impulse}, in sorted order."""
         if not rows:
-            return cls(*(np.zeros(0, dtype=np.int64) for _ in range(3)), np.zeros(0))
+            nothing = np.zeros(0, dtype=np.int64)
+            return cls(nothing, nothing, nothing, np.zeros(0))
         keys = sorted(rows)
         world, drone, other = np.array(keys, dtype=np.int64).reshape(len(keys), 3).T
         return cls(world, drone, other, np.array([rows[key] for key in keys], dtype=np.float64))

@@ -60,16 +60,20 @@ class World:
         num_worlds: int,
         dt: float,
         obstacles: Sequence[Obstacle] = (),
+        first_world: int = 0,
         live: bool = False,
     ):
-        """Connect and build. `dt` is the substep, s; `live` opens a window (RuntimeError where there is no screen)."""
+        """Connect and build. `dt` is the substep, s; `first_world` the number of the first tile.
+
+        `live` opens a window (RuntimeError where there is no screen).
+        """
         if live:
             require_screen()
         with silenced():
             self._client = bullet.connect(bullet.GUI if live else bullet.DIRECT)
         self._finalizer = weakref.finalize(self, _disconnect, self._client)
         self.shape, self.dt = (num_worlds, len(airframes)), dt
-        self._offset = np.array([tile_offset(k) for k in range(num_worlds)])[:, None, :]
+        self._offset = np.array([tile_offset(first_world + k) for k in range(num_worlds)])[:, None, :]
         self._configure(dt, live)
         self._ground = self._make_ground()
         self._parking = self._offset + [

@@ -1,0 +1,256 @@
+"""The batched face over several processes: each flies some of the worlds, arrays are shared."""
+
+import contextlib
+import ctypes
+import itertools
+import math
+import multiprocessing
+import weakref
+from multiprocessing.connection import Connection
+from typing import Any
+
+import numpy as np
+from gymnasium.spaces import Box, Dict, Space
+from gymnasium.vector import AutoresetMode
+
+from bulletuav.envs.batch import BatchAviary
+from bulletuav.envs.plan import Plan
+from bulletuav.envs.spaces import drone_action_space
+from bulletuav.errors import whole
+from bulletuav.tasks.terms.observations import Observation
+
+PATIENCE = 5.0  # s, for a worker to end
+
+
+class Shared:
+    """Arrays in memory that processes share, by name."""
+
+    def __init__(self, context: Any, layout: dict[str, tuple[tuple[int, ...], Any]]):
+        """layout: shape and type of each."""
+        self._layout = layout
+        self._memory = {
+            name: context.RawArray(ctypes.c_byte, max(1, math.prod(shape) * np.dtype(kind).itemsize))
+            for name, (shape, kind) in layout.items()
+        }
+
+    def arrays(self, first: int, last: int) -> dict[str, np.ndarray]:
+        """Views on the worlds from `first` up to `last`."""
+        return {
+            name: np.frombuffer(self._memory[name], dtype=kind, count=math.prod(shape)).reshape(shape)[first:last]
+            for name, (shape, kind) in self._layout.items()
+        }
+
+
+def _work(pipe: Connection, shared: Shared, first: int, last: int, arguments: tuple, options: dict[str, Any]) -> None:
+    """A worker: the worlds from `first` up to `last`, asked by (method, keyword arguments) until None comes."""
+    arrays = shared.arrays(first, last)
+    try:
+        batch = BatchAviary(arguments[0], last - first, *arguments[1:], first_world=first, **options)
+    except Exception as error:
+        pipe.send(error)
+        return
+    pipe.send(None)
+    while (question := _next(pipe)) is not None:
+        method, keywords = question
+        try:
+            if method == "step":
+                keywords = {"actions": arrays["action"][..., 0] if keywords["choices"] else arrays["action"]}
+            answer = getattr(batch, method)(**keywords)
+            if method in ("step", "reset"):
+                observations, *judged, answer = answer
+                arrays["alive"][:], arrays["ended"][:] = batch.alive, batch.ended
+                for name, array in _named(observations).items():
+                    arrays[name][:] = array
+                for name, array in zip(("reward", "terminated", "truncated"), judged, strict=False):
+                    arrays[name][:] = array
+        except Exception as error:
+            answer = error
+        pipe.send(answer)
+    batch.close()
+
+
+def _next(pipe: Connection) -> Any:
+    """The next question; None when the asking process has ended."""
+    try:
+        return pipe.recv()
+    except EOFError:
+        return None
+
+
+def _named(observations: Observation) -> dict[str, np.ndarray]:
+    parts = observations if isinstance(observations, dict) else {"": observations}
+    return {f"observation/{name}": array for name, array in parts.items()}
+
+
+def _finish(pipes: list[Connection], processes: list) -> None:
+    for pipe in pipes:
+        with contextlib.suppress(OSError):  # it may have ended already
+            pipe.send(None)
+    for process in processes:
+        process.join(PATIENCE)
+        process.kill()
+
+
+class WorkerAviary:
+    """What `BatchAviary` is, flown by `workers` processes: same arrays in, the same bits out, whatever their number.
+
+    Without a main guard (`if __name__ == "__main__"`) scripts need the start method "fork". Functions among the options
+    (wind) see the worlds of one process at a time.
+    """
+
+    def __init__(
+        self,
+        task: str,
+        num_envs: int,
+        autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP,
+        *,
+        workers: int,
+        start_method: str | None = None,
+        **options: Any,
+    ):
+        """`start_method` of the processes, by default Python's own. Raises ValueError for options that cannot be."""
+        self._plan = plan = Plan(task, num_envs, options)
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.num_envs, self.num_drones = plan.num_worlds, plan.options.num_drones
+        if not 1 <= whole("workers", workers, 1) <= self.num_envs:
+            raise ValueError(f"workers is {workers}: at most one for each of the {self.num_envs} worlds is needed")
+        if plan.options.render_mode == "human":
+            raise ValueError("render_mode is 'human': a live view needs workers=1")
+        self.observation_space: Box | Dict = plan.observer.space()
+        widest = max(range(self.num_drones), key=plan.action.size)
+        self.action_space: Space = drone_action_space(plan.action, widest)
+        context: Any = multiprocessing.get_context(start_method)
+        shared = Shared(context, self._layout())
+        self._arrays = shared.arrays(0, self.num_envs)
+        bounds = [self.num_envs * k // workers for k in range(workers + 1)]
+        self._parts = [slice(*pair) for pair in itertools.pairwise(bounds)]
+        self._pipes, processes = [], []
+        for part in self._parts:
+            mine, theirs = context.Pipe()
+            arguments = (theirs, shared, part.start, part.stop, (task, self.autoreset_mode), options)
+            process = context.Process(target=_work, args=arguments, daemon=True)
+            process.start()
+            theirs.close()
+            self._pipes.append(mine)
+            processes.append(process)
+        self._finalizer = weakref.finalize(self, _finish, self._pipes, processes)
+        self._started = False
+        self._answers(list(range(workers)))
+
+    def _layout(self) -> dict[str, tuple[tuple[int, ...], Any]]:
+        drones = (self.num_envs, self.num_drones)
+        space = self.observation_space
+        parts = space.spaces if isinstance(space, Dict) else {"": space}
+        return {
+            "action": ((*drones, self._plan.action.low.shape[-1]), np.float64),
+            **{f"observation/{name}": ((*drones, *(one.shape or ())), one.dtype) for name, one in parts.items()},
+            "reward": (drones, np.float64),
+            "terminated": (drones, bool),
+            "truncated": (drones, bool),
+            "alive": (drones, bool),
+            "ended": ((self.num_envs,), bool),
+        }
+
+    def _ask(self, method: str, keywords: dict[int, dict[str, Any]]) -> list[Any]:
+        """What the workers of `keywords` answer."""
+        if not self._finalizer.alive:
+            raise RuntimeError("this environment is closed: make a new one")
+        for k, mine in keywords.items():
+            with contextlib.suppress(OSError):  # from a dead worker no answer comes either
+                self._pipes[k].send((method, mine))
+        return self._answers(list(keywords))
+
+    def _all(self, **keywords: Any) -> dict[int, dict[str, Any]]:
+        return dict.fromkeys(range(len(self._parts)), keywords)
+
+    def _answers(self, workers: list[int]) -> list[Any]:
+        """One of each worker; an error of any of them is raised once all have answered."""
+        try:
+            answers = [self._pipes[k].recv() for k in workers]
+        except (EOFError, OSError):
+            self.close()
+            raise RuntimeError("a worker process has died, memory may have run out: make a new environment") from None
+        for answer in answers:
+            if isinstance(answer, Exception):
+                raise answer
+        return answers
+
+    def _observations(self) -> Observation:
+        if isinstance(self.observation_space, Dict):
+            return {name: self._arrays[f"observation/{name}"].copy() for name in self.observation_space.spaces}
+        return self._arrays["observation/"].copy()
+
+    @property
+    def alive(self) -> np.ndarray:
+        """(W, N) bool: drones whose episode goes on."""
+        return self._arrays["alive"].copy()
+
+    @property
+    def ended(self) -> np.ndarray:
+        """(W,) worlds whose episode ended in the last step."""
+        return self._arrays["ended"].copy()
+
+    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
+        """As `BatchAviary.reset`."""
+        mask = self._plan.mask((options or {}).get("reset_mask"))
+        seeds = self._plan.seeds(seed)
+        infos = self._ask(
+            "reset",
+            {
+                k: {"seed": None if seeds is None else seeds[part], "options": {"reset_mask": mask[part]}}
+                for k, part in enumerate(self._parts)
+            },
+        )
+        self._started = True
+        return self._observations(), _merged(self._parts, infos, self.num_envs)
+
+    def step(self, actions: np.ndarray) -> tuple[Observation, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """As `BatchAviary.step`."""
+        if not self._started:
+            raise RuntimeError("the worlds have not been started: call reset() first")
+        choices = self._plan.action.choices is not None
+        actions = np.asarray(actions)[..., None] if choices else np.asarray(actions)
+        self._arrays["action"][:] = self._plan.actions(actions, self._arrays["alive"])
+        infos = self._ask("step", self._all(choices=choices))
+        reward, terminated, truncated = (self._arrays[name].copy() for name in ("reward", "terminated", "truncated"))
+        return self._observations(), reward, terminated, truncated, _merged(self._parts, infos, self.num_envs)
+
+    def state(self) -> np.ndarray:
+        """(W, 17 N) float32 global state; see `Aviary.state`."""
+        return np.concatenate(self._ask("state", self._all()))
+
+    def render(self, world: int = 0) -> np.ndarray | None:
+        """A picture (height, width, 3) uint8 of one world with render_mode "rgb_array"."""
+        for k, part in enumerate(self._parts):
+            if world in range(part.start, part.stop):
+                return self._ask("render", {k: {"world": world - part.start}})[0]
+        raise ValueError(f"world is {world!r}: a whole number from 0 to {self.num_envs - 1} is needed")
+
+    def close(self) -> None:
+        """End the processes; a second call does nothing."""
+        self._finalizer()
+
+
+def _merged(parts: list[slice], infos: list[dict[str, Any]], num_envs: int) -> dict[str, Any]:
+    """One dict of the infos of `parts`; worlds of parts that lack an entry (final ones) get zeros."""
+    merged: dict[str, Any] = {}
+    for name in dict.fromkeys(name for info in infos for name in info):
+        given = [(part, info[name]) for part, info in zip(parts, infos, strict=True) if name in info]
+        first = given[0][1]
+        if isinstance(first, dict):
+            merged[name] = _merged([part for part, _ in given], [value for _, value in given], num_envs)
+            continue
+        merged[name] = np.zeros((num_envs, *first.shape[1:]), dtype=first.dtype)
+        for part, value in given:
+            merged[name][part] = value
+    return merged
+
+
+def batch_env(task: str, num_envs: int, workers: int = 1, **options: Any) -> BatchAviary | WorkerAviary:
+    """`num_envs` worlds of the task that reset themselves; see `BatchAviary` and, for the options, `parallel_env`.
+
+    `workers` above 1 spreads them over processes, for as many cores: see `WorkerAviary`.
+    """
+    if workers == 1:
+        return BatchAviary(task, num_envs, **options)
+    return WorkerAviary(task, num_envs, workers=workers, **options)

@@ -1,0 +1,137 @@
+"""The batched face over several processes."""
+
+import os
+import signal
+import time
+
+import numpy as np
+import psutil
+import pytest
+from gymnasium.vector import AutoresetMode
+
+import bulletuav
+
+
+def rolled(workers, task="crossing", steps=25, num_envs=5, **options):
+    """Everything that comes out of a rollout with random actions, by name."""
+    env = bulletuav.batch_env(task, num_envs, workers=workers, num_drones=3, horizon=10, **options)
+    rng = np.random.default_rng(0)
+    observations, infos = env.reset(seed=3)
+    rows = [{"observations": observations, **infos}]
+    for _ in range(steps):
+        shape = (num_envs, 3) if env.action_space.shape == () else (num_envs, 3, *env.action_space.shape)
+        actions = rng.integers(0, 7, shape) if len(shape) == 2 else rng.uniform(-1, 1, shape)
+        observations, rewards, terminated, truncated, infos = env.step(actions)
+        row = {"observations": observations, "rewards": rewards, "terminated": terminated, "truncated": truncated}
+        rows.append({**row, **infos, "alive": env.alive, "ended": env.ended, "state": env.state()})
+    env.close()
+    return rows
+
+
+def same(one, two, masks):
+    assert set(one) == set(two)
+    for name, value in one.items():
+        if isinstance(value, dict):
+            same(value, two[name], masks)
+        else:
+            chosen = masks if name in ("final_obs", "final_state") or masks is not None else slice(None)
+            np.testing.assert_array_equal(np.asarray(value)[chosen], np.asarray(two[name])[chosen], err_msg=name)
+            assert np.asarray(value).dtype == np.asarray(two[name]).dtype
+
+
+@pytest.mark.parametrize(
+    ("workers", "options"),
+    [
+        (2, {}),
+        (5, {"dynamics": "rigid_body", "turbulence": "moderate"}),
+        (2, {"task": "hover", "action": "discrete", "dynamics": "point_mass", "seed": 7}),
+        (2, {"task": "hover", "observation": ("position", "rgb"), "camera_size": (16, 12), "action": "velocity"}),
+        (2, {"start_method": "spawn", "dynamics": "single_integrator"}),
+    ],
+)
+def test_the_number_of_processes_changes_no_bit(workers, options):
+    plain = {name: value for name, value in options.items() if name != "start_method"}
+    for mine, theirs in zip(rolled(1, **plain), rolled(workers, **options), strict=True):
+        same(mine, theirs, None)
+
+
+def test_final_observations_of_several_processes():
+    mode = {"autoreset_mode": AutoresetMode.SAME_STEP, "dynamics": "point_mass"}
+    ended = 0
+    for mine, theirs in zip(rolled(1, **mode), rolled(2, **mode), strict=True):
+        assert set(mine) == set(theirs)
+        if "final_obs" in mine:
+            masks = mine["_final_obs"]
+            ended += masks.sum()
+            for name in ("final_obs", "final_state", "final_info"):
+                same({name: mine.pop(name)}, {name: theirs.pop(name)}, masks)
+        same(mine, theirs, None)
+    assert ended >= 5
+
+
+def test_partial_resets_and_seeds():
+    envs = [bulletuav.batch_env("hover", 3, workers=workers, autoreset_mode="Disabled") for workers in (1, 2)]
+    mask = np.array([False, True, True])
+    for seed, options in ((5, None), ([1, 2, 3], {"reset_mask": mask}), (None, {"reset_mask": ~mask})):
+        one, two = (env.reset(seed=seed, options=options)[0] for env in envs)
+        np.testing.assert_array_equal(one, two)
+    for env in envs:
+        env.close()
+
+
+def test_bad_input_is_refused_and_the_worlds_fly_on():
+    env = bulletuav.batch_env("hover", 4, workers=2, action="velocity", render_mode="rgb_array", render_size=(32, 24))
+    with pytest.raises(RuntimeError, match=r"call reset\(\) first"):
+        env.step(np.zeros((4, 1, 3)))
+    env.reset(seed=0)
+    before = env.state()
+    for wrong, message in ((np.zeros((4, 1, 2)), "shape"), (np.full((4, 1, 3), np.nan), "finite")):
+        with pytest.raises(ValueError, match=message):
+            env.step(wrong)
+    for seed in (-1, [1, 2], "a"):
+        with pytest.raises(ValueError, match="seed"):
+            env.reset(seed=seed)
+    with pytest.raises(ValueError, match="mask"):
+        env.reset(options={"reset_mask": np.ones(3, dtype=bool)})
+    with pytest.raises(ValueError, match="world is 4"):
+        env.render(4)
+    np.testing.assert_array_equal(env.state(), before)
+    env.step(np.zeros((4, 1, 3)))
+    assert env.render(3).shape == (24, 32, 3)
+    env.close()
+    env.close()
+    with pytest.raises(RuntimeError, match="closed"):
+        env.state()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"workers": 0}, "workers is 0"),
+        ({"workers": 3}, "at most one for each of the 2 worlds"),
+        ({"workers": 2, "render_mode": "human"}, "workers=1"),
+        ({"workers": 2, "drones": 2}, "num_drones"),
+        ({"workers": 2, "action": "rates", "dynamics": "point_mass"}, "rates"),
+    ],
+)
+def test_impossible_options(options, message):
+    with pytest.raises(ValueError, match=message):
+        bulletuav.batch_env("hover", 2, **options)
+
+
+def test_a_worker_that_dies_is_told_and_processes_end():
+    env = bulletuav.batch_env("hover", 2, workers=2, action="velocity", dynamics="point_mass")
+    env.reset(seed=0)
+    children = psutil.Process().children()
+    os.kill(children[-1].pid, signal.SIGKILL)
+    with pytest.raises(RuntimeError, match="worker process has died"):
+        env.step(np.zeros((2, 1, 3)))
+    assert not psutil.wait_procs(children, timeout=10)[1]
+
+
+def test_a_forgotten_environment_leaves_no_process():
+    env = bulletuav.batch_env("hover", 2, workers=2, action="velocity", dynamics="point_mass")
+    children = psutil.Process().children()
+    del env
+    time.sleep(0.01)
+    assert not psutil.wait_procs(children, timeout=10)[1]
