@@ -7,6 +7,10 @@ import sys
 import time
 from collections.abc import Callable
 
+# What the simulator prints, from its import on, is not an answer: standard output becomes standard error for it.
+ANSWERS = os.fdopen(os.dup(1), "w")
+os.dup2(2, 1)
+
 
 def serve(cases: dict[str, Callable[[], tuple[Callable[[], object], float]]]) -> None:
     """Answer each line {"case", "seconds"} on standard input with {"rate"} on standard output until it ends.
@@ -15,8 +19,6 @@ def serve(cases: dict[str, Callable[[], tuple[Callable[[], object], float]]]) ->
     a first call that compiles. What was built stays for the next question, as long as no other case is asked for. A case
     that fails answers {"error"}.
     """
-    answers = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)  # what the simulator prints is not an answer
     kept: dict[str, tuple[Callable[[], object], float]] = {}
     for line in sys.stdin:
         question = json.loads(line)
@@ -30,7 +32,7 @@ def serve(cases: dict[str, Callable[[], tuple[Callable[[], object], float]]]) ->
             answer = {"rate": measure(*kept[question["case"]], question["seconds"])}
         except Exception as error:
             answer = {"error": f"{type(error).__name__}: {error}"}
-        print(json.dumps(answer), file=answers, flush=True)
+        print(json.dumps(answer), file=ANSWERS, flush=True)
 
 
 def measure(call: Callable[[], object], count: float, seconds: float) -> float:

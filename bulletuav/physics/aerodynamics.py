@@ -2,6 +2,8 @@
 
 import math
 
+import numpy as np
+
 from bulletuav.kernel import kernel
 from bulletuav.physics.rotation import to_body, to_world
 
@@ -35,6 +37,12 @@ def ground_effect(height, up, row):
 
 
 @kernel
+def wake_width(drop):
+    """Of the fit in `downwash`, m."""
+    return 0.16 * drop - 0.11
+
+
+@kernel
 def downwash(horizontal_squared, drop, gravity, row):
     """Downward force (N) of the drone `row` on another `drop` metres below it and sqrt(horizontal_squared) m aside.
 
@@ -44,7 +52,7 @@ def downwash(horizontal_squared, drop, gravity, row):
     """
     if drop <= 0.0 or row.downwash_gain <= 0.0:
         return 0.0
-    width = max(0.16 * drop - 0.11, row.downwash_radius)
+    width = max(wake_width(drop), row.downwash_radius)
     if horizontal_squared > WAKE_EDGE * width * width:
         return 0.0
     ratio = row.propeller_radius / (4.0 * drop)
@@ -53,13 +61,23 @@ def downwash(horizontal_squared, drop, gravity, row):
 
 
 @kernel
-def downwash_on(world, drone, position, alive, parameters, gravity):
-    """Sum of the downwash of all living drones of the world on one of them, N."""
-    total = 0.0
-    for other in range(position.shape[1]):
-        if other != drone and alive[world, other]:
-            dx = position[world, other, 0] - position[world, drone, 0]
-            dy = position[world, other, 1] - position[world, drone, 1]
-            drop = position[world, other, 2] - position[world, drone, 2]
-            total += downwash(dx * dx + dy * dy, drop, gravity, parameters[world, other])
-    return total
+def wakes(w, position, alive, parameters, gravity, total):
+    """The downwash of all living drones of world w on each of them, N, into `total` (N,)."""
+    lowest, highest, widest = np.inf, -np.inf, 0.0
+    for i in range(total.shape[0]):
+        total[i] = 0.0
+        if alive[w, i]:
+            lowest, highest = min(lowest, position[w, i, 2]), max(highest, position[w, i, 2])
+            widest = max(widest, parameters[w, i].downwash_radius)
+    widest = max(widest, wake_width(highest - lowest))
+    edge = WAKE_EDGE * widest * widest  # no wake of this world reaches farther
+    for i in range(total.shape[0]):
+        for j in range(i + 1, total.shape[0]):
+            dx, dy = position[w, j, 0] - position[w, i, 0], position[w, j, 1] - position[w, i, 1]
+            square = dx * dx + dy * dy
+            if square <= edge and alive[w, i] and alive[w, j]:
+                drop = position[w, j, 2] - position[w, i, 2]
+                if drop > 0.0:
+                    total[i] += downwash(square, drop, gravity, parameters[w, j])
+                else:
+                    total[j] += downwash(square, -drop, gravity, parameters[w, i])

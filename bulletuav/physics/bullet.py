@@ -13,7 +13,7 @@ import numpy as np
 from bulletuav.control.cascade import command_rotors
 from bulletuav.control.levels import Level
 from bulletuav.kernel import kernel
-from bulletuav.physics.aerodynamics import downwash_on
+from bulletuav.physics.aerodynamics import wakes
 from bulletuav.physics.batch import substep, surface_below
 from bulletuav.physics.dynamics import Air, Dynamics, Flight, require_sane
 from bulletuav.physics.rotation import cross, four, three
@@ -47,7 +47,9 @@ def engine_torque(rates, torque, dt, row):
 def drive(swarm, alive, level, setpoint, cascade, parameters, air, dt, force, torque):
     """Controllers, rotors and wrenches of one substep: advances rotor speeds, fills force (world) and torque (body)."""
     command, speed = np.empty(swarm.rotor_speed.shape[2]), np.empty(swarm.rotor_speed.shape[2])
+    wake = np.empty(alive.shape[1])
     for w in range(alive.shape[0]):
+        wakes(w, swarm.position, alive, parameters, air.gravity, wake)
         for i in range(alive.shape[1]):
             if alive[w, i]:
                 row = parameters[w, i]
@@ -55,11 +57,10 @@ def drive(swarm, alive, level, setpoint, cascade, parameters, air, dt, force, to
                 command_rotors(level, setpoint, w, i, swarm, cascade, dt, air.gravity, command)
                 for r in range(row.num_rotors):
                     swarm.rotor_speed[w, i, r] = speed[r] = lagged(swarm.rotor_speed[w, i, r], command[r], decay)
-                wake = downwash_on(w, i, swarm.position, alive, parameters, air.gravity)
                 around = (three(air.wind, w, i), air.surface[w, i], air.gravity)
                 quaternion, velocity = four(swarm.quaternion, w, i), three(swarm.velocity, w, i)
                 rotors = rotor_wrench(speed, row)
-                push, turn = wrench(quaternion, velocity, swarm.position[w, i, 2], rotors, around, wake, row)
+                push, turn = wrench(quaternion, velocity, swarm.position[w, i, 2], rotors, around, wake[i], row)
                 turn = engine_torque(three(swarm.rates, w, i), turn, dt, row)
                 for k in range(3):
                     force[w, i, k], torque[w, i, k] = push[k], turn[k]

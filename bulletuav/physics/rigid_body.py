@@ -10,7 +10,7 @@ import numpy as np
 from bulletuav.control.cascade import command_rotors
 from bulletuav.control.levels import Level
 from bulletuav.kernel import kernel
-from bulletuav.physics.aerodynamics import downwash_on
+from bulletuav.physics.aerodynamics import wakes
 from bulletuav.physics.dynamics import Air, Dynamics, require_sane
 from bulletuav.physics.rotation import normalised, three
 from bulletuav.physics.rotors import lag_decay, lagged, rotor_wrench
@@ -70,12 +70,12 @@ def advance(swarm, alive, level, setpoint, cascade, parameters, air, dt, path):
     command, begin, middle, end = np.empty(num_rotors), np.empty(num_rotors), np.empty(num_rotors), np.empty(num_rotors)
     for w in range(alive.shape[0]):
         for substep in range(path.position.shape[0] - 1):
+            wakes(w, swarm.position, alive, parameters, air.gravity, wake)
             for i in range(num_drones):
                 if alive[w, i]:
                     command_rotors(level, setpoint, w, i, swarm, cascade, dt, air.gravity, command)
                     for r in range(num_rotors):
                         commands[i, r] = command[r]
-                    wake[i] = downwash_on(w, i, swarm.position, alive, parameters, air.gravity)
             for i in range(num_drones):
                 if alive[w, i]:
                     row = parameters[w, i]

@@ -1,3 +1,4 @@
+import itertools
 import math
 
 import numpy as np
@@ -7,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from bulletuav import load_airframe
-from bulletuav.physics.aerodynamics import downwash, downwash_on, ground_effect, rotor_drag
+from bulletuav.physics.aerodynamics import downwash, ground_effect, rotor_drag, wakes
 from bulletuav.physics.airframe import parameter_rows
 from bulletuav.physics.rotors import lag_decay, lagged, rotor_wrench
 from bulletuav.physics.wrench import wrench
@@ -176,13 +177,38 @@ def test_downwash_has_no_singularity_and_never_exceeds_the_weight_above(name):
     assert downwash(0.0, 0.5, G, row_of(name, ())[1]) == 0
 
 
+def wakes_of(position, alive, parameters):
+    total = np.full(alive.shape[1], np.nan)
+    wakes(0, position, alive, parameters, G, total)
+    return total
+
+
 def test_downwash_adds_up_over_living_drones_above():
     _, row = row_of("cf2x")
     parameters = np.array([[row] * 4])
     position = np.array([[(0, 0, 1), (0, 0, 2), (0.1, 0, 3), (0, 0, 0)]], dtype=float)
     alive = np.ones((1, 4), dtype=bool)
     expected = downwash(0.0, 1.0, G, row) + downwash(0.01, 2.0, G, row)
-    assert downwash_on(0, 0, position, alive, parameters, G) == pytest.approx(expected, rel=1e-12)
+    assert wakes_of(position, alive, parameters)[0] == pytest.approx(expected, rel=1e-12)
     alive[0, 1] = False
-    assert downwash_on(0, 0, position, alive, parameters, G) == pytest.approx(downwash(0.01, 2.0, G, row), rel=1e-12)
-    assert downwash_on(0, 2, position, alive, parameters, G) == 0
+    assert wakes_of(position, alive, parameters)[0] == pytest.approx(downwash(0.01, 2.0, G, row), rel=1e-12)
+    assert wakes_of(position, alive, parameters)[2] == 0
+
+
+def test_the_edge_of_wakes_leaves_nothing_out():
+    """Against every pair of a mixed swarm by the published fit, without an edge."""
+    rng = np.random.default_rng(0)
+    for height in (0.5, 5.0, 60.0):
+        airframes = [load_airframe(name) for name in rng.choice(NAMES, 40)]
+        position = rng.uniform(0, 1, (1, 40, 3)) * (10, 10, height)
+        expected = np.zeros(40)
+        for lower, upper in itertools.permutations(range(40), 2):
+            dx, dy, drop = position[0, upper] - position[0, lower]
+            if drop > 0:
+                above = airframes[upper]
+                strength = min(2267.18 * (above.propeller_radius / (4 * drop)) ** 2, above.mass * G)
+                width = max(0.16 * drop - 0.11, above.arm + above.propeller_radius)
+                expected[lower] += strength * np.exp(-0.5 * (dx**2 + dy**2) / width**2)
+        got = wakes_of(position, np.ones((1, 40), dtype=bool), parameter_rows(airframes)[None])
+        np.testing.assert_allclose(got, expected, rtol=1e-12, atol=1e-14)
+        assert (got > 1e-3).sum() > 3

@@ -1,9 +1,10 @@
-"""crazyflow (Learning Systems and Robotics Lab, TUM): JAX on the CPU."""
+"""crazyflow (Learning Systems and Robotics Lab): JAX on the CPU."""
 
-import sys
+from serve import serve  # first: it takes care of what others print
+
+# isort: split
+
 from functools import partial
-
-sys.path.pop(0)  # this folder, whose file has the package's name
 
 import jax
 import jax.numpy as jnp
@@ -11,9 +12,6 @@ import numpy as np
 from crazyflow.control import Control
 from crazyflow.dynamics import Dynamics
 from crazyflow.sim import Sim
-
-sys.path.insert(0, __file__.rpartition("/")[0])
-from serve import serve
 
 SUBSTEPS = 24
 

@@ -1,14 +1,16 @@
 """gym-pybullet-drones (J. Panerati et al. 2021), from a checkout whose path is the first argument."""
 
+from serve import serve  # first: it takes care of what others print
+
+# isort: split
+
 import math
 import sys
 from functools import partial
 
 import numpy as np
-from serve import serve
 
-sys.path.insert(0, sys.argv[1])
-sys.path.pop(1)  # this folder, whose file has the package's name
+sys.path.append(sys.argv[1])
 
 from gym_pybullet_drones.envs.CtrlAviary import CtrlAviary
 from gym_pybullet_drones.utils.enums import Physics

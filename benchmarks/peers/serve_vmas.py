@@ -1,15 +1,13 @@
 """VMAS (M. Bettini et al. 2022): vectorised point masses in PyTorch."""
 
-import sys
-from functools import partial
+from serve import serve  # first: it takes care of what others print
 
-sys.path.pop(0)  # this folder, whose file has the package's name
+# isort: split
+
+from functools import partial
 
 import torch
 import vmas
-
-sys.path.insert(0, __file__.rpartition("/")[0])
-from serve import serve
 
 
 def navigation(worlds: int, agents: int):

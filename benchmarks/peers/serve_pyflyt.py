@@ -1,12 +1,15 @@
 """PyFlyt (J. J. Tai et al. 2023)."""
 
+from serve import serve  # first: it takes care of what others print
+
+# isort: split
+
 import math
 from functools import partial
 
 import numpy as np
 from PyFlyt.core import Aviary
 from PyFlyt.pz_envs.quadx_envs.ma_quadx_hover_env import MAQuadXHoverEnv
-from serve import serve
 
 SUBSTEPS = 24
 
