@@ -72,6 +72,8 @@ def floor(worlds: int, drones: int):
     swarm, calls = Swarm.zeros(worlds, drones, 4), world._calls
     swarm.position[:] = [(2.0 * (i % 32), 2.0 * (i // 32), 1.0) for i in range(drones)]
     everyone = np.ones((worlds, drones), dtype=bool)
+    swarm.velocity[:] = np.random.default_rng(0).normal(0, 0.01, swarm.velocity.shape)  # at rest the engine does less
+    swarm.rates[:] = swarm.velocity
     world.set_states(swarm, everyone)
     omega, place, nothing = np.zeros((3, worlds, drones, 3))
     calls.read(everyone, place, swarm.quaternion, swarm.velocity, omega)

@@ -54,7 +54,7 @@ class Action:
 
 def limit_norm(vector: np.ndarray, limit: float) -> np.ndarray:
     """(..., 3) vectors, those longer than `limit` shortened to it."""
-    size = np.linalg.norm(vector, axis=-1, keepdims=True)
+    size = np.sqrt((vector * vector).sum(axis=-1, keepdims=True))
     return vector * (limit / np.maximum(size, limit))
 
 

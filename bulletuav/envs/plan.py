@@ -58,8 +58,8 @@ class Plan:
         shape = (*alive.shape, self.action.low.shape[-1])
         if actions.shape != shape:
             raise ValueError(f"actions have shape {actions.shape}: (worlds, drones, {self.action.name}) = {shape} is needed")
-        bad = ~np.isfinite(actions).all(axis=-1) & alive
-        if bad.any():
+        finite = np.isfinite(actions)
+        if not finite.all() and (bad := ~finite.all(axis=-1) & alive).any():
             w, i = np.argwhere(bad)[0]
             raise ValueError(f"action of drone {i} in world {w} is {actions[w, i]}: finite numbers are needed")
         actions = np.where(alive[..., None], actions, 0.0)

@@ -1,4 +1,8 @@
-"""How close two points come that both move straight."""
+"""Distances, and how close two points come that both move straight."""
+
+import math
+
+import numpy as np
 
 from bulletuav.kernel import kernel
 
@@ -11,6 +15,19 @@ def offset(position, w, i, j):
         position[w, j, 1] - position[w, i, 1],
         position[w, j, 2] - position[w, i, 2],
     )
+
+
+@kernel
+def distances(one, two):
+    """(W, N) distances between points (W, N, 3) of the same index; faster than numpy where there are few."""
+    result = np.empty(one.shape[:2])
+    for w in range(one.shape[0]):
+        for i in range(one.shape[1]):
+            square = 0.0
+            for k in range(3):
+                square += (two[w, i, k] - one[w, i, k]) ** 2
+            result[w, i] = math.sqrt(square)
+    return result
 
 
 @kernel

@@ -108,8 +108,7 @@ class BulletDynamics(Dynamics):
         self, swarm: Swarm, alive: np.ndarray, level: Level, setpoint: np.ndarray, wind: np.ndarray, motion: Motion
     ) -> Contacts:
         """Substeps through the engine, many in one call where nothing happens between them."""
-        flight, world = self.flight, self.flight.world
-        flying = np.any(alive, axis=1)
+        flight, world, port = self.flight, self.flight.world, self.flight.world.port
         path = Path.begin(swarm, motion, 1)
         air = Air(wind, np.full(alive.shape, -np.inf), flight.gravity)
         inputs = (
@@ -130,9 +129,9 @@ class BulletDynamics(Dynamics):
             substeps = 1 if motion.moving else flight.substeps - flown
             if motion.moving:
                 path.obstacle[:] = motion.at(flown / flight.substeps), motion.at((flown + 1) / flight.substeps)
-                world.set_obstacles(path.obstacle[1], motion.quaternion, flying)
-            if world.port is not None:
-                new, eventful = advance(world.port, substeps, self._near_ground, *inputs, path)
+                world.set_obstacles(path.obstacle[1], motion.quaternion, np.any(alive, axis=1))
+            if port is not None:
+                new, eventful = advance(port, substeps, self._near_ground, *inputs, path)
             else:
                 new, eventful = self._advance(*inputs, path)
             flown += new

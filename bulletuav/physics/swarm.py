@@ -34,7 +34,7 @@ class Swarm(NamedTuple):
 
     def copy(self) -> "Swarm":
         """The same state in arrays of its own."""
-        return Swarm(*(array.copy() for array in self))
+        return Swarm(*[array.copy() for array in self])
 
     def world(self, index: int) -> "Swarm":
         """One world's state; each array loses its first axis. A view, not a copy."""

@@ -34,7 +34,8 @@ class Path(NamedTuple):
     def begin(cls, swarm: Swarm, motion: Motion, substeps: int) -> "Path":
         """Room for a decision, with the present poses first."""
         position, quaternion = (np.empty((substeps + 1, *array.shape)) for array in (swarm.position, swarm.quaternion))
-        obstacle = motion.at(np.arange(substeps + 1)[:, None, None, None] / substeps)
+        obstacle = np.empty((substeps + 1, *motion.before.shape))
+        obstacle[:] = motion.at(np.arange(substeps + 1)[:, None, None, None] / substeps) if motion.moving else motion.before
         position[0], quaternion[0] = swarm.position, swarm.quaternion
         return cls(position, quaternion, obstacle, motion.quaternion)
 

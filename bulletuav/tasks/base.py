@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from bulletuav.errors import unknown
+from bulletuav.physics.approach import distances
 from bulletuav.physics.obstacle import Obstacle
 from bulletuav.physics.swarm import Contacts, Swarm
 from bulletuav.tasks.terms.conflict import Conflict, conflict
@@ -93,12 +94,12 @@ class Frame:
     @cached_property
     def distance(self) -> np.ndarray:
         """(W, N) distance to the goal after the decision, m."""
-        return np.linalg.norm(self.scene.goal - self.after.position, axis=-1)
+        return distances(self.scene.goal, self.after.position)
 
     @cached_property
     def distance_before(self) -> np.ndarray:
         """(W, N) distance to the goal before the decision, m."""
-        return np.linalg.norm(self.scene.goal - self.before.position, axis=-1)
+        return distances(self.scene.goal, self.before.position)
 
 
 class Task(ABC):
