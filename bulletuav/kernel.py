@@ -1,4 +1,4 @@
-"""Compilation of the hot loops: `kernel` is numba's `njit` with a cache that cannot go stale.
+"""Compilation of the hot loops: `kernel` and `formula` are numba's `njit` with a cache that cannot go stale.
 
 Numba stamps a cached function with its own source file only, so machine code that inlined a helper from another file
 survives an edit of that helper. Here the cache lives in a folder named by a hash of every source file of the package:
@@ -56,13 +56,22 @@ _CACHE = cache_folder()
 
 
 def kernel(function: Function) -> Function:
-    """Compile `function` with numba, cached on disk under the hash of the package's sources.
+    """Compile `function`, a loop over arrays, with numba, cached on disk under the hash of the package's sources.
 
     Division by zero gives inf or NaN as in numpy; nothing is reordered (no fast-math), so results are reproducible.
     """
+    return _compiled(function, forceinline=False)
+
+
+def formula(function: Function) -> Function:
+    """Compile `function`, of one drone's numbers, like `kernel`; it becomes part of every kernel that calls it."""
+    return _compiled(function, forceinline=True)
+
+
+def _compiled(function: Function, **options: bool) -> Function:
     before = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = str(_CACHE)
     try:
-        return numba.njit(cache=True, error_model="numpy", forceinline=True)(function)
+        return numba.njit(cache=True, error_model="numpy", **options)(function)
     finally:
         numba.config.CACHE_DIR = before

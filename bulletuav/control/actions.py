@@ -10,6 +10,7 @@ import numpy as np
 from bulletuav.control.gains import MAX_TILT
 from bulletuav.control.levels import Level
 from bulletuav.errors import pick
+from bulletuav.kernel import kernel
 from bulletuav.physics.airframe import Airframe
 from bulletuav.physics.rotors import RPM
 
@@ -52,10 +53,19 @@ class Action:
         return len(self.labels[drone])
 
 
-def limit_norm(vector: np.ndarray, limit: float) -> np.ndarray:
-    """(..., 3) vectors, those longer than `limit` shortened to it."""
-    size = np.sqrt((vector * vector).sum(axis=-1, keepdims=True))
-    return vector * (limit / np.maximum(size, limit))
+@kernel
+def limit_norm(vector, limit):
+    """(W, N, 3) vectors, those longer than `limit` shortened to it."""
+    result = np.empty(vector.shape)
+    for w in range(vector.shape[0]):
+        for i in range(vector.shape[1]):
+            square = 0.0
+            for k in range(3):
+                square += vector[w, i, k] ** 2
+            share = limit / max(math.sqrt(square), limit)
+            for k in range(3):
+                result[w, i, k] = share * vector[w, i, k]
+    return result
 
 
 def _with_yaw(vector: np.ndarray, yaw: np.ndarray | float = 0.0) -> np.ndarray:

@@ -15,7 +15,7 @@ from bulletuav.control.lee import (
 )
 from bulletuav.control.levels import Level
 from bulletuav.control.pid import MEMORY, pid_rotors
-from bulletuav.kernel import kernel
+from bulletuav.kernel import formula
 from bulletuav.physics.rotation import axes, dot, four, from_euler
 from bulletuav.physics.swarm import get
 
@@ -42,7 +42,7 @@ class Cascade(NamedTuple):
         return cls(CONTROLLERS[controller], nominal, gains, np.zeros((*gains.shape, MEMORY)))
 
 
-@kernel
+@formula
 def lee_rotors(level, setpoint, state, total_speed, nominal, gain, gravity, command):
     """The steps of the Lee controller from `level` on."""
     position, quaternion, now, rates = state
@@ -64,7 +64,7 @@ def lee_rotors(level, setpoint, state, total_speed, nominal, gain, gravity, comm
     mix(thrust, torque_setpoint(rates, target, nominal, gain), nominal, gain, command)
 
 
-@kernel
+@formula
 def pid_errors(level, setpoint, state):
     """Errors of position (m) and velocity (m/s) that the PID sees."""
     position, _, velocity, _ = state
@@ -74,7 +74,7 @@ def pid_errors(level, setpoint, state):
     return (0.0, 0.0, 0.0), (setpoint[0] - velocity[0], setpoint[1] - velocity[1], setpoint[2] - velocity[2])
 
 
-@kernel
+@formula
 def command_kinematic(level, accelerates, setpoint, position, velocity, gain):
     """Velocity (m/s) for a `setpoint` at `level`, or acceleration (m/s^2) where that is wanted."""
     target = (setpoint[0], setpoint[1], setpoint[2])
@@ -85,7 +85,7 @@ def command_kinematic(level, accelerates, setpoint, position, velocity, gain):
     return target
 
 
-@kernel
+@formula
 def command_rotors(level, setpoint, w, i, swarm, cascade, dt, gravity, command):
     """Rotor speeds (rad/s, into `command`) for a drone's setpoint at `level`; dt is the time since the last call, s."""
     controller, all_nominal, all_gains, memory = cascade

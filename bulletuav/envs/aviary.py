@@ -156,7 +156,7 @@ class Aviary:
         self.require_started()
         flown = self.alive.copy()
         action = self._plan.actions(actions, self.alive)
-        flying = flown.any(axis=1)
+        flying = np.any(flown, axis=1)
         wind = self._wind.sample(self.swarm, self.steps / self.options.decision_hz, self._rng, flying)
         before = self.swarm.copy()
         motion = self._move_scene(flying)

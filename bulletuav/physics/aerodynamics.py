@@ -4,13 +4,13 @@ import math
 
 import numpy as np
 
-from bulletuav.kernel import kernel
+from bulletuav.kernel import formula, kernel
 from bulletuav.physics.rotation import to_body, to_world
 
 WAKE_EDGE = 80.0  # squared widths from its axis, beyond which a wake is below 1e-17 of itself
 
 
-@kernel
+@formula
 def rotor_drag(quaternion, air_velocity, total_speed, row):
     """Drag of the spinning rotors (N, world): -R diag(k_xy, k_xy, k_z) R^T v_air sum(w).
 
@@ -22,7 +22,7 @@ def rotor_drag(quaternion, air_velocity, total_speed, row):
     return to_world(quaternion, (xy * v[0], xy * v[1], z * v[2]))
 
 
-@kernel
+@formula
 def ground_effect(height, up, row):
     """Share by which thrust grows `height` metres above a surface: k (R / 4h)^2, at most 4/15.
 
@@ -36,13 +36,13 @@ def ground_effect(height, up, row):
     return up * row.ground_effect_gain * ratio * ratio
 
 
-@kernel
+@formula
 def wake_width(drop):
     """Of the fit in `downwash`, m."""
     return 0.16 * drop - 0.11
 
 
-@kernel
+@formula
 def downwash(horizontal_squared, drop, gravity, row):
     """Downward force (N) of the drone `row` on another `drop` metres below it and sqrt(horizontal_squared) m aside.
 

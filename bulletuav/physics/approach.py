@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 
-from bulletuav.kernel import kernel
+from bulletuav.kernel import formula, kernel
 
 
-@kernel
+@formula
 def offset(position, w, i, j):
     """From point i to point j of world w of `position` (W, N, 3), as a tuple."""
     return (
@@ -30,7 +30,7 @@ def distances(one, two):
     return result
 
 
-@kernel
+@formula
 def closest_squared(gap, change):
     """Squared distance at the start, and least, of two points whose offset moves straight from `gap` to `gap + change`."""
     along = square = start = 0.0

@@ -12,7 +12,7 @@ import numpy as np
 
 from bulletuav.control.cascade import command_rotors
 from bulletuav.control.levels import Level
-from bulletuav.kernel import kernel
+from bulletuav.kernel import formula, kernel
 from bulletuav.physics.aerodynamics import wakes
 from bulletuav.physics.batch import substep, surface_below
 from bulletuav.physics.dynamics import Air, Dynamics, Flight, require_sane
@@ -23,12 +23,12 @@ from bulletuav.physics.sweep import Path, catch_fast, suspects
 from bulletuav.physics.wrench import body_acceleration, wrench
 
 
-@kernel
+@formula
 def _ahead(rates, slope, dt):
     return rates[0] + dt * slope[0], rates[1] + dt * slope[1], rates[2] + dt * slope[2]
 
 
-@kernel
+@formula
 def engine_torque(rates, torque, dt, row):
     """Torque (N m, body) with which Bullet's explicit step w + dt J^-1 (M' - w x J w) lands on the RK4 solution for M."""
     k1 = body_acceleration(rates, torque, row)

@@ -16,7 +16,7 @@ import numpy as np
 
 from bulletuav.control.cascade import command_kinematic
 from bulletuav.control.levels import Level
-from bulletuav.kernel import kernel
+from bulletuav.kernel import formula, kernel
 from bulletuav.physics.dynamics import Air, Dynamics, Flight
 from bulletuav.physics.rotation import dot, four, from_euler, three
 from bulletuav.physics.swarm import Contacts, Motion, Swarm
@@ -25,7 +25,7 @@ from bulletuav.physics.sweep import Path, stop_at_first_touch
 POINT_MASS, SINGLE_INTEGRATOR, DOUBLE_INTEGRATOR = range(3)
 
 
-@kernel
+@formula
 def limited(vector, limit):
     """The vector, shortened to `limit` if it is longer."""
     size = math.sqrt(dot(vector, vector))
@@ -33,7 +33,7 @@ def limited(vector, limit):
     return scale * vector[0], scale * vector[1], scale * vector[2]
 
 
-@kernel
+@formula
 def lagged_velocity(velocity, command, wind, lag, drag, most, dt):
     """Velocity and displacement of `point_mass` after dt; lag s, drag 1/s, most m/s^2.
 
@@ -60,7 +60,7 @@ def lagged_velocity(velocity, command, wind, lag, drag, most, dt):
     return after, (velocity[0] * dt + a0 * half, velocity[1] * dt + a1 * half, velocity[2] * dt + a2 * half)
 
 
-@kernel
+@formula
 def accelerated(velocity, acceleration, fastest, dt):
     """Velocity and displacement of `double_integrator` after dt; past `fastest` m/s the velocity is cut to it."""
     after = (velocity[0] + acceleration[0] * dt, velocity[1] + acceleration[1] * dt, velocity[2] + acceleration[2] * dt)

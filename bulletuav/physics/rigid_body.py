@@ -9,7 +9,7 @@ import numpy as np
 
 from bulletuav.control.cascade import command_rotors
 from bulletuav.control.levels import Level
-from bulletuav.kernel import kernel
+from bulletuav.kernel import formula, kernel
 from bulletuav.physics.aerodynamics import wakes
 from bulletuav.physics.dynamics import Air, Dynamics, require_sane
 from bulletuav.physics.rotation import normalised, three
@@ -19,7 +19,7 @@ from bulletuav.physics.sweep import Path, stop_at_first_touch
 from bulletuav.physics.wrench import body_acceleration, wrench
 
 
-@kernel
+@formula
 def _slope(state, rotors, around, wake, row):
     """Time derivative of `state`: (position, quaternion, velocity, rates), like itself."""
     position, quaternion, velocity, rates = state
@@ -37,7 +37,7 @@ def _slope(state, rotors, around, wake, row):
     return velocity, turning, acceleration, body_acceleration(rates, torque, row)
 
 
-@kernel
+@formula
 def _moved(state, time, slope):
     """State + time slope."""
     (x, q, v, w), (dx, dq, dv, dw) = state, slope
@@ -49,7 +49,7 @@ def _moved(state, time, slope):
     )
 
 
-@kernel
+@formula
 def _rk4(state, rotors, dt, around, wake, row):
     """`state` after one classical Runge-Kutta step; `rotors` is what `rotor_wrench` tells at its begin, middle and end."""
     begin, middle, end = rotors
@@ -68,7 +68,11 @@ def advance(swarm, alive, level, setpoint, cascade, parameters, air, dt, path):
     num_drones, num_rotors = swarm.rotor_speed.shape[1:]
     wake, commands = np.empty(num_drones), np.empty((num_drones, num_rotors))
     command, begin, middle, end = np.empty(num_rotors), np.empty(num_rotors), np.empty(num_rotors), np.empty(num_rotors)
+    decay = np.empty((num_drones, 3, 2))
     for w in range(alive.shape[0]):
+        for i in range(num_drones):
+            for stage in range(3):  # begin, middle and end of a substep
+                decay[i, stage, 0], decay[i, stage, 1] = lag_decay(0.5 * stage * dt, parameters[w, i])
         for substep in range(path.position.shape[0] - 1):
             wakes(w, swarm.position, alive, parameters, air.gravity, wake)
             for i in range(num_drones):
@@ -79,11 +83,11 @@ def advance(swarm, alive, level, setpoint, cascade, parameters, air, dt, path):
             for i in range(num_drones):
                 if alive[w, i]:
                     row = parameters[w, i]
-                    none, half, whole = lag_decay(0.0, row), lag_decay(0.5 * dt, row), lag_decay(dt, row)
                     for r in range(row.num_rotors):
-                        now = swarm.rotor_speed[w, i, r]
-                        begin[r] = lagged(now, commands[i, r], none)
-                        middle[r], end[r] = lagged(now, commands[i, r], half), lagged(now, commands[i, r], whole)
+                        now, wanted = swarm.rotor_speed[w, i, r], commands[i, r]
+                        begin[r] = lagged(now, wanted, (decay[i, 0, 0], decay[i, 0, 1]))
+                        middle[r] = lagged(now, wanted, (decay[i, 1, 0], decay[i, 1, 1]))
+                        end[r] = lagged(now, wanted, (decay[i, 2, 0], decay[i, 2, 1]))
                         swarm.rotor_speed[w, i, r] = end[r]
                     rotors = (rotor_wrench(begin, row), rotor_wrench(middle, row), rotor_wrench(end, row))
                     around = (three(air.wind, w, i), air.surface[w, i], air.gravity)

@@ -6,34 +6,34 @@ Formulas: J. Diebel, Representing Attitude (2006); the exponential map is exact.
 
 import math
 
-from bulletuav.kernel import kernel
+from bulletuav.kernel import formula
 
 
-@kernel
+@formula
 def three(array, w, i):
     """array[w, i] (3,) as a tuple: unlike a view it costs nothing."""
     return array[w, i, 0], array[w, i, 1], array[w, i, 2]
 
 
-@kernel
+@formula
 def four(array, w, i):
     """array[w, i] (4,) as a tuple."""
     return array[w, i, 0], array[w, i, 1], array[w, i, 2], array[w, i, 3]
 
 
-@kernel
+@formula
 def cross(a, b):
     """Vector product a x b."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@kernel
+@formula
 def dot(a, b):
     """Scalar product of two vectors of three."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@kernel
+@formula
 def multiply(p, q):
     """Hamilton product p q: the rotation q followed by p."""
     return (
@@ -44,14 +44,14 @@ def multiply(p, q):
     )
 
 
-@kernel
+@formula
 def normalised(q):
     """The unit quaternion q / |q|."""
     scale = 1.0 / math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     return q[0] * scale, q[1] * scale, q[2] * scale, q[3] * scale
 
 
-@kernel
+@formula
 def axes(q):
     """The body's x, y and z axes in the world: the columns of the rotation matrix."""
     x, y, z, w = q[0], q[1], q[2], q[3]
@@ -62,7 +62,7 @@ def axes(q):
     )
 
 
-@kernel
+@formula
 def to_world(q, v):
     """R v: a body vector in world axes."""
     bx, by, bz = axes(q)
@@ -73,14 +73,14 @@ def to_world(q, v):
     )
 
 
-@kernel
+@formula
 def to_body(q, v):
     """R^T v: a world vector in body axes."""
     bx, by, bz = axes(q)
     return dot(bx, v), dot(by, v), dot(bz, v)
 
 
-@kernel
+@formula
 def exponential(v):
     """Quaternion of the rotation by |v| radians about v."""
     angle = math.sqrt(dot(v, v))
@@ -88,7 +88,7 @@ def exponential(v):
     return scale * v[0], scale * v[1], scale * v[2], math.cos(0.5 * angle)
 
 
-@kernel
+@formula
 def from_euler(roll, pitch, yaw):
     """Quaternion of yaw, then pitch, then roll about the moving z, y, x axes (the aerospace order)."""
     cr, sr = math.cos(0.5 * roll), math.sin(0.5 * roll)
@@ -102,7 +102,7 @@ def from_euler(roll, pitch, yaw):
     )
 
 
-@kernel
+@formula
 def to_euler(q):
     """Roll, pitch and yaw of `from_euler`; at pitch +-90 degrees roll and yaw are not unique."""
     bx, by, bz = axes(q)

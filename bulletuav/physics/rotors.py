@@ -6,12 +6,12 @@ Source: R. Mahony, V. Kumar, P. Corke, Multirotor Aerial Vehicles, IEEE RAM 2012
 
 import math
 
-from bulletuav.kernel import kernel
+from bulletuav.kernel import formula
 
 RPM = 2.0 * math.pi / 60.0  # rad/s
 
 
-@kernel
+@formula
 def lag_decay(elapsed, row):
     """Share of the way to a command that is left after `elapsed` seconds, for rotors that speed up and that slow down."""
     up = math.exp(-elapsed / row.lag_up) if row.lag_up > 0.0 else 0.0
@@ -20,13 +20,13 @@ def lag_decay(elapsed, row):
     return up, math.exp(-elapsed / row.lag_down) if row.lag_down > 0.0 else 0.0
 
 
-@kernel
+@formula
 def lagged(speed, command, decay):
     """Rotor speed on the way from `speed` to `command` (rad/s), exact for a constant command; `decay` from `lag_decay`."""
     return command + (speed - command) * (decay[0] if command > speed else decay[1])
 
 
-@kernel
+@formula
 def rotor_wrench(speed, row):
     """Thrust (N), body torques (N m) and sum of the rotor speeds (R,), rad/s."""
     thrust = torque_x = torque_y = torque_z = total = 0.0

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.kernel import kernel
+from bulletuav.kernel import formula
 from bulletuav.physics.rotation import four, three
 
 
@@ -41,13 +41,13 @@ class Swarm(NamedTuple):
         return Swarm(*(array[index] for array in self))
 
 
-@kernel
+@formula
 def get(swarm, w, i):
     """(position, quaternion, velocity, rates) of one drone, as tuples."""
     return three(swarm.position, w, i), four(swarm.quaternion, w, i), three(swarm.velocity, w, i), three(swarm.rates, w, i)
 
 
-@kernel
+@formula
 def put(swarm, w, i, state):
     """Set what `get` gets."""
     position, quaternion, velocity, rates = state

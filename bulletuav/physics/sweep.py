@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.kernel import kernel
+from bulletuav.kernel import formula, kernel
 from bulletuav.physics.approach import closest_squared
 from bulletuav.physics.swarm import FIRST_OBSTACLE, GROUND, Contacts, Motion, Swarm
 from bulletuav.physics.world import World
@@ -85,7 +85,7 @@ def _reaches(track, alive):
     return reach
 
 
-@kernel
+@formula
 def _meets_ground(position, radius, w, i):
     for s in range(position.shape[0]):
         if position[s, w, i, 2] < radius[w, i] + TOUCH:
@@ -93,7 +93,7 @@ def _meets_ground(position, radius, w, i):
     return False
 
 
-@kernel
+@formula
 def _near(one, two, w, i, j, within):
     """Whether tracks i and j begin closer to each other than `within` m."""
     square = 0.0
@@ -102,7 +102,7 @@ def _near(one, two, w, i, j, within):
     return square < within * within
 
 
-@kernel
+@formula
 def _meets(one, two, w, i, j, within):
     """Whether tracks i of `one` and j of `two` (S + 1, W, ., 3) come closer than `within` m."""
     for s in range(one.shape[0] - 1):
@@ -112,7 +112,7 @@ def _meets(one, two, w, i, j, within):
     return False
 
 
-@kernel
+@formula
 def _gap(one, two, s, w, i, j):
     return two[s, w, j, 0] - one[s, w, i, 0], two[s, w, j, 1] - one[s, w, i, 1], two[s, w, j, 2] - one[s, w, i, 2]
 

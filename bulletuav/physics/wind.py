@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from bulletuav.kernel import kernel
+from bulletuav.kernel import formula, kernel
 from bulletuav.physics.rotation import dot
 from bulletuav.physics.swarm import Swarm
 
@@ -23,7 +23,7 @@ WindField = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Wind (W, N, 3) m/s at positions (W, N, 3) m and times (W,) s"""
 
 
-@kernel
+@formula
 def dryden_scales(altitude, wind20):
     """Scale lengths L_u = L_v, L_w (m) and intensities s_u = s_v, s_w (m/s) at `altitude` m, `wind20` m/s at 20 feet."""
     h = min(max(altitude / FOOT, 10.0), 1000.0)
@@ -32,14 +32,14 @@ def dryden_scales(altitude, wind20):
     return h / ratio**1.2 * FOOT, h * FOOT, s_w / ratio**0.4, s_w
 
 
-@kernel
+@formula
 def first_order(state, share, noise):
     """Longitudinal filter of unit variance after `share` = dt / tau: exact for the spectrum 1 / (1 + tau s)."""
     decay = math.exp(-share)
     return decay * state + math.sqrt(-math.expm1(-2.0 * share)) * noise
 
 
-@kernel
+@formula
 def second_order(one, two, share, noise_one, noise_two):
     """Transverse filter after `share` = dt / tau: its two states, scaled to unit variance each and uncorrelated.
 

@@ -1,11 +1,11 @@
 """The one wrench per drone and substep that every six-degree-of-freedom dynamics shares."""
 
-from bulletuav.kernel import kernel
+from bulletuav.kernel import formula
 from bulletuav.physics.aerodynamics import ground_effect, rotor_drag
 from bulletuav.physics.rotation import axes
 
 
-@kernel
+@formula
 def wrench(quaternion, velocity, altitude, rotors, air, downwash, row):
     """Force (N, world) and torque (N m, body) on one drone.
 
@@ -26,7 +26,7 @@ def wrench(quaternion, velocity, altitude, rotors, air, downwash, row):
     return force, torque
 
 
-@kernel
+@formula
 def body_acceleration(rates, torque, row):
     """Euler's equation, J^-1 (M - w x J w), rad/s^2 in body axes."""
     jx, jy, jz = row.inertia[0], row.inertia[1], row.inertia[2]

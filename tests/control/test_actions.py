@@ -93,5 +93,5 @@ def test_every_action_has_a_label_and_bounds_for_each_number(flyable):
 
 def test_limit_norm_keeps_direction_and_short_vectors():
     np.testing.assert_allclose(
-        limit_norm(np.array([(3.0, 4, 0), (0.3, 0.4, 0), (0, 0, 0)]), 1.0), [(0.6, 0.8, 0), (0.3, 0.4, 0), (0, 0, 0)]
+        limit_norm(np.array([[(3.0, 4, 0), (0.3, 0.4, 0), (0, 0, 0)]]), 1.0), [[(0.6, 0.8, 0), (0.3, 0.4, 0), (0, 0, 0)]]
     )

@@ -119,10 +119,18 @@ def test_impossible_options(options, message):
         bulletuav.batch_env("hover", 2, **options)
 
 
-def test_a_worker_that_dies_is_told_and_processes_end():
+def make_children():
+    """An environment of two worlds and the processes that it has started."""
+    others = set(psutil.Process().children())
     env = bulletuav.batch_env("hover", 2, workers=2, action="velocity", dynamics="point_mass")
+    children = [child for child in psutil.Process().children() if child not in others]
+    assert len(children) == 2
+    return env, children
+
+
+def test_a_worker_that_dies_is_told_and_processes_end():
+    env, children = make_children()
     env.reset(seed=0)
-    children = psutil.Process().children()
     os.kill(children[-1].pid, signal.SIGKILL)
     with pytest.raises(RuntimeError, match="worker process has died"):
         env.step(np.zeros((2, 1, 3)))
@@ -130,8 +138,7 @@ def test_a_worker_that_dies_is_told_and_processes_end():
 
 
 def test_a_forgotten_environment_leaves_no_process():
-    env = bulletuav.batch_env("hover", 2, workers=2, action="velocity", dynamics="point_mass")
-    children = psutil.Process().children()
+    env, children = make_children()
     del env
     time.sleep(0.01)
     assert not psutil.wait_procs(children, timeout=10)[1]
