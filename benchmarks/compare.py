@@ -7,6 +7,7 @@ of bulletuav and the one it is compared with follow each other, `--rounds` times
 """
 
 import argparse
+import contextlib
 import csv
 import json
 import os
@@ -98,8 +99,9 @@ class Server:
         """Raises RuntimeError with the simulator's own words when it fails."""
         assert self._process.stdin is not None
         assert self._process.stdout is not None
-        self._process.stdin.write(json.dumps({"case": case, "seconds": seconds}) + "\n")
-        self._process.stdin.flush()
+        with contextlib.suppress(BrokenPipeError):  # from an ended process no answer comes either
+            self._process.stdin.write(json.dumps({"case": case, "seconds": seconds}) + "\n")
+            self._process.stdin.flush()
         line = self._process.stdout.readline()
         answer = json.loads(line) if line else {"error": f"its process ended with code {self._process.wait()}"}
         if "error" in answer:
@@ -109,7 +111,8 @@ class Server:
     def close(self) -> None:
         """End the process."""
         self._process.kill()
-        self._process.communicate()
+        with contextlib.suppress(BrokenPipeError):
+            self._process.communicate()
 
 
 class Row(NamedTuple):

@@ -5,8 +5,11 @@ import sys
 import pytest
 
 import bulletuav
+from bulletuav import doctor
 from bulletuav.benchmark import FLOORS
 from bulletuav.cli import main
+from bulletuav.physics import world
+from bulletuav.physics.batch import Extension
 from bulletuav.physics.ladder import LADDER
 
 MAIN_JOB = ["fly", "crossing", "--drones", "8", "--policy", "straight", "--seed", "0"]
@@ -155,3 +158,30 @@ def test_an_interrupt_ends_quietly(monkeypatch):
     with pytest.raises(SystemExit) as end:
         main(["tasks"])
     assert end.value.code == 130
+
+
+def test_the_doctor_tells_what_is_active(capsys, monkeypatch):
+    main(["doctor"])
+    out = capsys.readouterr().out
+    assert "pybullet" in out
+    assert "C extension" in out
+    state = {finding.subject: finding for finding in doctor.examine()}
+    assert state["C extension"] == ("C extension", "active", "")
+    assert state["extra sb3"].state == "installed"
+    monkeypatch.setenv("DISPLAY", "")
+    assert {finding.subject: finding for finding in doctor.examine()}["live view"].state == "not available"
+
+
+def test_the_doctor_tells_what_is_missing(monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr(doctor, "EXTENSION", Extension(None, "", "no compiler"))
+        patch.setattr("importlib.util.find_spec", lambda name: None)
+        patch.setattr(doctor, "require_screen", lambda: None)
+        found = {finding.subject: finding for finding in doctor.examine()}
+    assert found["C extension"].remedy == "no compiler"
+    assert found["C extension"].state.startswith("not active")
+    assert found["extra video"] == ("extra video", "missing", "pip install 'bulletuav[video]'")
+    assert found["live view"].state == "available"
+    monkeypatch.setattr(world, "EXTENSION", world.EXTENSION._replace(path="/nowhere.so"))
+    with pytest.warns(UserWarning, match="refused"):
+        assert "refuses it" in doctor._extension().remedy

@@ -1,0 +1,91 @@
+"""The comparison with other simulators, as far as it goes without them."""
+
+import csv
+import importlib.util
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+BENCHMARKS = Path(__file__).parent.parent / "benchmarks"
+spec = importlib.util.spec_from_file_location("compare", BENCHMARKS / "compare.py")
+compare = importlib.util.module_from_spec(spec)
+sys.modules["compare"] = compare
+spec.loader.exec_module(compare)
+
+
+def test_without_peers_it_measures_the_floor_and_real_time(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(compare, "starts", lambda rounds: {"warm": 1.25, "cold": 12.5})
+    compare.main(["--peers", "--rounds", "3", "--seconds", "0.01", "--out", str(tmp_path)])
+    with open(tmp_path / "benchmark.csv") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["against"] for row in rows] == ["the floor in C (floor, 64 x 8)", "real time"]
+    assert all(float(row["ours"]) > 1000 for row in rows)
+    assert float(rows[1]["theirs"]) == 240_000
+    text = (tmp_path / "benchmark.md").read_text()
+    assert text == capsys.readouterr().out
+    assert "1.2 s with warm caches" in text
+    with Image.open(tmp_path / "benchmark.png") as picture:
+        assert picture.size[0] > 800
+
+
+def test_medians_of_interleaved_rounds():
+    class Fixed:
+        def __init__(self, *rates):
+            self.rates = iter(rates)
+
+        def rate(self, case, seconds):
+            return next(self.rates)
+
+    one = compare.Comparison("a", "x", "peer", "y", "things/s", 2.0)
+    row = compare.measure(one, {"bulletuav": Fixed(10.0, 40.0, 30.0), "peer": Fixed(5.0, 10.0, 3.0)}, 3, 1.0)
+    assert (row.ours, row.theirs, row.ratio) == (30.0, 5.0, 4.0)
+
+
+def test_every_case_of_ours_is_served_and_errors_are_told():
+    server = compare.Server(sys.executable, "serve_bulletuav.py")
+    for case in sorted({one.ours for one in compare.COMPARISONS} - {"bullet, 1000"}):
+        assert server.rate(case, 0.001) > 0
+    with pytest.raises(RuntimeError, match="KeyError: 'nothing'"):
+        server.rate("nothing", 0.001)
+    assert server.rate("reset, 10", 0.001) > 0  # it goes on
+    server.close()
+
+
+def test_a_simulator_that_is_not_there_is_left_out(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(compare, "starts", lambda rounds: {"warm": 1.0, "cold": 2.0})
+    monkeypatch.setattr(compare, "_install", lambda peer, folder: sys.executable)  # which has no VMAS
+    compare.main(["--peers", "VMAS", "--rounds", "1", "--seconds", "0.01", "--out", str(tmp_path)])
+    captured = capsys.readouterr()
+    assert "left out: navigation, 64 x 8: its process ended with code 1" in " ".join(captured.err.split())
+    assert "VMAS" not in captured.out
+
+
+def test_environments_are_made_once(tmp_path, monkeypatch):
+    commands = []
+
+    def run(command, check):
+        commands.append([str(word) for word in command])
+        (tmp_path / "PyFlyt").mkdir(exist_ok=True)
+
+    monkeypatch.setattr(subprocess, "run", run)
+    for _ in range(2):
+        assert compare._install("PyFlyt", tmp_path) == tmp_path / "PyFlyt" / "bin" / "python"
+    assert [command[1:3] for command in commands] == [["-m", "venv"], ["-m", "pip"]]
+    assert commands[1][-1] == "PyFlyt==0.29.0"
+
+
+def test_a_folder_that_is_no_checkout(tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        compare.main(["--gym-pybullet-drones", str(tmp_path)])
+    assert "no checkout" in capsys.readouterr().err
+
+
+def test_starts_measure_warm_and_cold(monkeypatch):
+    folders = []
+    monkeypatch.setattr(subprocess, "run", lambda command, check, env: folders.append(env["NUMBA_CACHE_DIR"]))
+    assert set(compare.starts(2)) == {"warm", "cold"}
+    assert len(folders) == 3
+    assert len(set(folders)) == 1
