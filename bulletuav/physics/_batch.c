@@ -84,10 +84,11 @@ const char *batch_find(const char *path) {
         "b3RaycastBatchAddRays", "b3RaycastBatchSetCollisionFilterMask", "b3GetRaycastInformation",
         "b3InitRequestContactPointInformation", "b3GetContactPointInformation", "b3SubmitClientCommandAndWaitStatus",
     };
-    void *library = dlopen(path, RTLD_NOW | RTLD_NOLOAD), **slot = (void **)&api;
+    void *library = dlopen(path, RTLD_NOW | RTLD_NOLOAD), *found[sizeof names / sizeof *names];
     if (!library) return "a loaded pybullet module";
     for (size_t k = 0; k < sizeof names / sizeof *names; k++)
-        if (!(slot[k] = dlsym(library, names[k]))) return names[k];
+        if (!(found[k] = dlsym(library, names[k]))) return names[k];
+    memcpy(&api, found, sizeof found); /* all or nothing: sessions may be open */
     return NULL;
 }
 
@@ -226,5 +227,5 @@ void batch_filter(struct session *s, int64_t count, const int32_t *body, int gro
     }
 }
 
-static struct PyModuleDef module = {PyModuleDef_HEAD_INIT, "_batch", "Bullet plugin; used through bulletuav.physics.batch.", 0};
+static struct PyModuleDef module = {PyModuleDef_HEAD_INIT, .m_name = "_batch", .m_doc = "See bulletuav.physics.batch."};
 PyMODINIT_FUNC PyInit__batch(void) { return PyModule_Create(&module); }

@@ -48,10 +48,13 @@ def load(engine: str) -> Extension:
     spec = importlib.util.find_spec("bulletuav.physics._batch")
     if spec is None or spec.origin is None:
         return Extension(None, "", "not built: a C compiler and Python's headers are needed when bulletuav is installed")
-    library = ctypes.PyDLL(spec.origin)  # which keeps the interpreter lock: the engine is not made for threads
-    for name, (result, arguments) in _SIGNATURES.items():
-        function = getattr(library, name)
-        function.restype, function.argtypes = result, arguments
+    try:
+        library = ctypes.PyDLL(spec.origin)  # which keeps the interpreter lock: the engine is not made for threads
+        for name, (result, arguments) in _SIGNATURES.items():
+            function = getattr(library, name)
+            function.restype, function.argtypes = result, arguments
+    except (OSError, AttributeError) as error:
+        return Extension(None, spec.origin, f"built for something else, install bulletuav again: {error}")
     lacking = library.batch_find(os.fsencode(engine))
     if lacking:
         return Extension(None, spec.origin, f"{Path(engine).name} does not offer {lacking.decode()}")

@@ -19,7 +19,7 @@ from bulletuav.control.levels import Level
 from bulletuav.kernel import formula, kernel
 from bulletuav.physics.dynamics import Air, Dynamics, Flight
 from bulletuav.physics.rotation import dot, four, from_euler, three
-from bulletuav.physics.swarm import Contacts, Motion, Swarm
+from bulletuav.physics.swarm import Contacts, Motion, Swarm, get, put
 from bulletuav.physics.sweep import Path, stop_at_first_touch
 
 POINT_MASS, SINGLE_INTEGRATOR, DOUBLE_INTEGRATOR = range(3)
@@ -77,26 +77,31 @@ def advance(kind, swarm, alive, level, setpoint, cascade, parameters, air, dt, p
         for i in range(alive.shape[1]):
             row, gain = parameters[w, i], cascade.gains[w, i]
             lag = 1.0 / (2.0 * gain.damping * gain.position_frequency)
-            drag = row.drag_xy * swarm.rotor_speed[w, i].sum() / row.mass
+            drag = 0.0
+            for r in range(row.num_rotors):
+                drag += row.drag_xy * swarm.rotor_speed[w, i, r] / row.mass
             most = air.gravity * gain.max_tilt
-            wanted = four(setpoint, w, i)
+            position, quaternion, velocity, rates = get(swarm, w, i)
+            wanted, wind = four(setpoint, w, i), three(air.wind, w, i)
+            if alive[w, i]:
+                quaternion = from_euler(0.0, 0.0, wanted[3])
             for substep in range(path.position.shape[0] - 1):
                 if alive[w, i]:
-                    position, velocity = three(swarm.position, w, i), three(swarm.velocity, w, i)
                     target = command_kinematic(level, kind == DOUBLE_INTEGRATOR, wanted, position, velocity, gain)
                     if kind == DOUBLE_INTEGRATOR:
-                        after, moved = accelerated(velocity, limited(target, most), gain.max_speed, dt)
+                        velocity, moved = accelerated(velocity, limited(target, most), gain.max_speed, dt)
+                    elif kind == POINT_MASS:
+                        target = limited(target, gain.max_speed)
+                        velocity, moved = lagged_velocity(velocity, target, wind, lag, drag, most, dt)
                     else:
-                        after = limited(target, gain.max_speed)
-                        moved = (after[0] * dt, after[1] * dt, after[2] * dt)
-                        if kind == POINT_MASS:
-                            after, moved = lagged_velocity(velocity, after, three(air.wind, w, i), lag, drag, most, dt)
-                    for k in range(3):
-                        swarm.position[w, i, k] += moved[k]
-                        swarm.velocity[w, i, k] = after[k]
-                    swarm.quaternion[w, i] = from_euler(0.0, 0.0, wanted[3])
-                path.position[substep + 1, w, i] = swarm.position[w, i]
-                path.quaternion[substep + 1, w, i] = swarm.quaternion[w, i]
+                        velocity = limited(target, gain.max_speed)
+                        moved = (velocity[0] * dt, velocity[1] * dt, velocity[2] * dt)
+                    position = (position[0] + moved[0], position[1] + moved[1], position[2] + moved[2])
+                for k in range(3):
+                    path.position[substep + 1, w, i, k] = position[k]
+                for k in range(4):
+                    path.quaternion[substep + 1, w, i, k] = quaternion[k]
+            put(swarm, w, i, (position, quaternion, velocity, rates))
 
 
 class Kinematic(Dynamics):

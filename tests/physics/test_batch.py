@@ -6,6 +6,7 @@ import subprocess
 import sys
 import warnings
 from pathlib import Path
+from types import SimpleNamespace
 
 import bench
 import numpy as np
@@ -152,15 +153,23 @@ def test_the_switch_turns_it_off(monkeypatch):
 
 
 @needs_extension
-def test_a_module_that_lacks_a_function_is_named():
+def test_a_module_that_lacks_a_function_is_named(make_bench):
     assert load(_ctypes.__file__).missing.endswith("does not offer b3InitStepSimulationCommand")
     assert load("/nowhere/pybullet.so").missing == "pybullet.so does not offer a loaded pybullet module"
+    make_bench("bullet").place().spin(0.0)  # what was found before still works
 
 
 def test_an_installation_without_it_says_what_is_needed(monkeypatch):
     monkeypatch.delenv(SWITCH, raising=False)
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     assert "a C compiler" in load(bullet.__file__).missing
+
+
+@pytest.mark.parametrize("path", [_ctypes.__file__, "/nowhere/_batch.so"])
+def test_a_stale_build_says_to_install_again(monkeypatch, path):
+    monkeypatch.delenv(SWITCH, raising=False)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: SimpleNamespace(origin=path))
+    assert "install bulletuav again" in load(bullet.__file__).missing
 
 
 @needs_extension
