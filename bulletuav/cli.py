@@ -228,7 +228,9 @@ def benchmark(arguments: argparse.Namespace) -> None:
         row = [result for result in results if result.name == name]
         table.add_row(name, *(f"{r.rate:.3g}" if name in FLOORS else f"{r.rate:.3g}\n{r.reset_ms:.2f} ms" for r in row))
     Console().print(table)
-    print("bare step: the engine's step alone; engine calls: with forces, states, heights and contacts, one by one")
+    print(
+        "bare step: the engine's step alone; engine calls: with a wrench and a state of every drone, no arithmetic of ours"
+    )
 
 
 def doctor(arguments: argparse.Namespace) -> None:

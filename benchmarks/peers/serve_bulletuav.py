@@ -6,41 +6,18 @@ import numpy as np
 from serve import serve
 
 import bulletuav
-from bulletuav.physics.airframe import load_airframe
-from bulletuav.physics.swarm import Swarm
-from bulletuav.physics.world import World
-
-SUBSTEPS = 24  # a decision: 240 Hz physics, 10 Hz decisions
-
-
-def _aviary(worlds: int, drones: int, dynamics: str, **options) -> bulletuav.Aviary:
-    """Hover on a grid 2 m apart, 1 m up, all forces, decisions about velocity."""
-    aviary = bulletuav.Aviary(
-        "hover",
-        worlds,
-        num_drones=drones,
-        dynamics=dynamics,
-        action="velocity",
-        decision_hz=240 // SUBSTEPS,
-        horizon=10**9,
-        height=1.0,
-        spacing=2.0,
-        max_distance=1e3,
-        **options,
-    )
-    aviary.reset(seeds=0)
-    return aviary
+from bulletuav.benchmark import SUBSTEPS, floors, hovering
 
 
 def flight(worlds: int, drones: int, dynamics: str, **options):
     """The whole step: controllers, all forces, engine, contacts, observation, reward."""
-    aviary = _aviary(worlds, drones, dynamics, **options)
+    aviary = hovering(worlds, drones, dynamics, **options)
     return partial(aviary.step, np.zeros((worlds, drones, 3))), worlds * drones * SUBSTEPS
 
 
 def reset(drones: int):
     """A reset of one world."""
-    return partial(_aviary(1, drones, "bullet").reset, seeds=0), 1
+    return partial(hovering(1, drones, "bullet").reset, seeds=0), 1
 
 
 def crossing(drones: int):
@@ -66,25 +43,10 @@ def batched_crossing(worlds: int, drones: int):
 
 def floor(worlds: int, drones: int):
     """The engine alone: step, a wrench and a state of every drone, in C, and nothing else."""
-    world = World([load_airframe("cf2x")] * drones, worlds, 1 / 240)
+    world, cases = floors(worlds, drones)
     if world.port is None:
         raise RuntimeError("needs the C extension: see `bulletuav doctor`")
-    swarm, calls = Swarm.zeros(worlds, drones, 4), world._calls
-    swarm.position[:] = [(2.0 * (i % 32), 2.0 * (i // 32), 1.0) for i in range(drones)]
-    everyone = np.ones((worlds, drones), dtype=bool)
-    swarm.velocity[:] = np.random.default_rng(0).normal(0, 0.01, swarm.velocity.shape)  # at rest the engine does less
-    swarm.rates[:] = swarm.velocity
-    world.set_states(swarm, everyone)
-    omega, place, nothing = np.zeros((3, worlds, drones, 3))
-    calls.read(everyone, place, swarm.quaternion, swarm.velocity, omega)
-
-    def decision() -> None:
-        for _ in range(SUBSTEPS):
-            calls.apply(everyone, place, nothing, nothing)
-            world.step()
-            calls.read(everyone, place, swarm.quaternion, swarm.velocity, omega)
-
-    return decision, worlds * drones * SUBSTEPS
+    return cases["engine calls"], worlds * drones * SUBSTEPS
 
 
 if __name__ == "__main__":
