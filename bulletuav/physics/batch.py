@@ -109,7 +109,8 @@ def substep(port, force, torque, mask, swarm):
     return touching
 
 
-def _at(array: np.ndarray) -> int:
+def _at(array: np.ndarray, kind: type = np.float64) -> int:
+    assert array.dtype == kind, array.dtype
     assert array.flags.c_contiguous
     return array.ctypes.data
 
@@ -120,7 +121,7 @@ class Batch:
     def __init__(self, library: Any, body: np.ndarray):
         """For the client that loaded the plugin last. Raises RuntimeError where the engine does not answer as expected."""
         self._library, self._body = library, np.ascontiguousarray(body, dtype=np.int32)
-        self._session = library.batch_open(len(body), _at(self._body))
+        self._session = library.batch_open(len(body), _at(self._body, np.int32))
         if not self._session:
             raise RuntimeError("the engine answers the plugin otherwise than its own calls")
         weakref.finalize(self, library.batch_close, self._session)
@@ -130,11 +131,11 @@ class Batch:
         self, mask: np.ndarray, position: np.ndarray, quaternion: np.ndarray, velocity: np.ndarray, omega: np.ndarray
     ) -> None:
         """As in `Calls`, here and below; one crossing for all bodies."""
-        self._library.batch_read(self._session, *map(_at, (mask, position, quaternion, velocity, omega)))
+        self._library.batch_read(self._session, _at(mask, bool), *map(_at, (position, quaternion, velocity, omega)))
 
     def apply(self, mask: np.ndarray, position: np.ndarray, force: np.ndarray, torque: np.ndarray) -> None:
         """As in `Calls`, here and below; one crossing for all bodies."""
-        self._library.batch_apply(self._session, *map(_at, (mask, position, force, torque)))
+        self._library.batch_apply(self._session, _at(mask, bool), *map(_at, (position, force, torque)))
 
     def step(self) -> None:
         """The same command."""
@@ -145,7 +146,7 @@ class Batch:
         room = 64
         while True:
             bodies, force = np.empty((room, 2), dtype=np.int32), np.empty(room)
-            count = self._library.batch_contacts(self._session, room, _at(bodies), _at(force))
+            count = self._library.batch_contacts(self._session, room, _at(bodies, np.int32), _at(force))
             if count <= room:
                 return bodies[:count], force[:count]
             room = count
@@ -158,12 +159,12 @@ class Batch:
 
     def pose(self, body: np.ndarray, position: np.ndarray, quaternion: np.ndarray) -> None:
         """A command each."""
-        self._library.batch_pose(self._session, len(body), *map(_at, (body, position, quaternion)))
+        self._library.batch_pose(self._session, len(body), _at(body, np.int32), _at(position), _at(quaternion))
 
     def velocity(self, body: np.ndarray, velocity: np.ndarray, omega: np.ndarray) -> None:
         """A command each."""
-        self._library.batch_velocity(self._session, len(body), *map(_at, (body, velocity, omega)))
+        self._library.batch_velocity(self._session, len(body), _at(body, np.int32), _at(velocity), _at(omega))
 
     def filter(self, body: np.ndarray, group: int, meets: int) -> None:
         """A command each."""
-        self._library.batch_filter(self._session, len(body), _at(body), group, meets)
+        self._library.batch_filter(self._session, len(body), _at(body, np.int32), group, meets)
