@@ -92,7 +92,13 @@ class Server:
     def __init__(self, python: Path | str, script: str, *arguments: str):
         command = [str(python), str(HERE / "peers" / script), *arguments]
         self._process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=_environment()
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+            env=_environment(),
+            cwd=tempfile.gettempdir(),  # some leave logs where they run
         )
 
     def rate(self, case: str, seconds: float) -> float:
