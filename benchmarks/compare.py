@@ -81,6 +81,8 @@ COMPARISONS = [
     Comparison("points, 64 x 8", "crossing of points, 64 x 8", "VMAS", "navigation, 64 x 8", "agent-decisions/s", 1),
     Comparison("reset of 10 drones", "reset, 10", "gym-pybullet-drones", "reset, 10", "resets/s", 100),
     Comparison("reset of 10 drones", "reset, 10", "PyFlyt", "reset, 10", "resets/s", 100),
+    Comparison("reset of 10 drones", "reset, 10", "crazyflow", "reset, 10", "resets/s", 100),
+    Comparison("reset of 10 drones", "reset, 10", "VMAS", "reset, 10", "resets/s", 100),
     Comparison("bullet, all forces, 64 x 8", "bullet, 64 x 8", "the floor in C", "floor, 64 x 8", SUBSTEPS, 1 / 1.5),
     Comparison("bullet, all forces, N = 1000", "bullet, 1000", "real time", "", SUBSTEPS, 1),
 ]
@@ -91,11 +93,12 @@ class Server:
 
     def __init__(self, python: Path | str, script: str, *arguments: str):
         command = [str(python), str(HERE / "peers" / script), *arguments]
+        self._words = tempfile.TemporaryFile("w+")  # noqa: SIM115, closed with the process
         self._process = subprocess.Popen(
             command,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
+            stderr=self._words,
             text=True,
             env=_environment(),
             cwd=tempfile.gettempdir(),  # some leave logs where they run
@@ -109,13 +112,20 @@ class Server:
             self._process.stdin.write(json.dumps({"case": case, "seconds": seconds}) + "\n")
             self._process.stdin.flush()
         line = self._process.stdout.readline()
-        answer = json.loads(line) if line else {"error": f"its process ended with code {self._process.wait()}"}
+        answer = json.loads(line) if line else {"error": self._last_words()}
         if "error" in answer:
             raise RuntimeError(f"{case}: {answer['error']}")
         return answer["rate"]
 
+    def _last_words(self) -> str:
+        code = self._process.wait()
+        self._words.seek(0)
+        said = self._words.read().strip().splitlines()
+        return f"its process ended with code {code}" + (f": {said[-1]}" if said else "")
+
     def close(self) -> None:
         """End the process."""
+        self._words.close()
         self._process.kill()
         with contextlib.suppress(BrokenPipeError):
             self._process.communicate()
@@ -187,7 +197,8 @@ def starts(rounds: int) -> dict[str, float]:
             times = []
             for _ in range(count):
                 begin = time.perf_counter()
-                subprocess.run([sys.executable, "-c", program], check=True, env=_environment(NUMBA_CACHE_DIR=folder))
+                environment = _environment(NUMBA_CACHE_DIR=folder)
+                subprocess.run([sys.executable, "-c", program], check=True, env=environment, cwd=folder)
                 times.append(time.perf_counter() - begin)
             result[name] = statistics.median(times)
     return result
@@ -209,7 +220,7 @@ def write(rows: list[Row], started: dict[str, float], out: Path) -> None:
     for row in rows:
         lines.append(
             f"| {row.title} | {row.against} | {row.unit} | {row.ours:.3g} | {row.theirs:.3g} | {row.ratio:.3g} x "
-            f"| {row.goal:.2g} x |"
+            f"| {row.goal:.3g} x |"
         )
     lines += [
         "",
@@ -239,17 +250,17 @@ def _plot(rows: list[Row], path: Path) -> None:
 def main(argv: Sequence[str] | None = None) -> None:
     """Measure, write, print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=Path("out/benchmark"), metavar="DIR")
-    parser.add_argument(
-        "--gym-pybullet-drones", type=Path, metavar="CHECKOUT", help="folder of its sources; left out without"
-    )
-    parser.add_argument(
-        "--peers", nargs="*", default=["PyFlyt", "crazyflow", "VMAS"], choices=["PyFlyt", "crazyflow", "VMAS"]
-    )
-    parser.add_argument("--environments", type=Path, default=Path.home() / ".cache" / "bulletuav-peers", metavar="DIR")
-    parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--seconds", type=float, default=1.0, help="CPU time of one measurement")
+    add = parser.add_argument
+    add("--out", type=Path, default=Path("out/benchmark"), metavar="DIR", help="folder for the files (out/benchmark)")
+    add("--gym-pybullet-drones", type=Path, metavar="CHECKOUT", help="folder of its sources; left out without")
+    add("--peers", nargs="*", default=list(ALWAYS), choices=ALWAYS, help="which of them (all); none when none is named")
+    environments = Path.home() / ".cache" / "bulletuav-peers"
+    add("--environments", type=Path, default=environments, metavar="DIR", help=f"where they are installed ({environments})")
+    add("--rounds", type=int, default=5, help="measurements of each case (5)")
+    add("--seconds", type=float, default=1.0, help="CPU time of one measurement (1.0)")
     arguments = parser.parse_args(argv)
+    if arguments.rounds < 1 or not arguments.seconds > 0:
+        parser.error(f"--rounds {arguments.rounds}, --seconds {arguments.seconds:g}: numbers above 0 are needed")
     checkout = arguments.gym_pybullet_drones
     if checkout is not None and not (checkout / "gym_pybullet_drones").is_dir():
         parser.error(f"{checkout} is no checkout of gym-pybullet-drones: it has no folder gym_pybullet_drones")

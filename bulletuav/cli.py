@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import Progress
 from rich.table import Table
 
@@ -239,7 +240,7 @@ def doctor(arguments: argparse.Namespace) -> None:
     for _ in Finding._fields:
         table.add_column(overflow="fold")
     for finding in examine():
-        table.add_row(*finding)
+        table.add_row(*map(escape, finding))
     Console().print(table)
 
 

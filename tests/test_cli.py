@@ -172,7 +172,7 @@ def test_the_doctor_tells_what_is_active(capsys, monkeypatch):
     assert {finding.subject: finding for finding in doctor.examine()}["live view"].state == "not available"
 
 
-def test_the_doctor_tells_what_is_missing(monkeypatch):
+def test_the_doctor_tells_what_is_missing(monkeypatch, capsys):
     with monkeypatch.context() as patch:
         patch.setattr(doctor, "EXTENSION", Extension(None, "", "no compiler"))
         patch.setattr("importlib.util.find_spec", lambda name: None)
@@ -182,6 +182,9 @@ def test_the_doctor_tells_what_is_missing(monkeypatch):
     assert found["C extension"].state.startswith("not active")
     assert found["extra video"] == ("extra video", "missing", "pip install 'bulletuav[video]'")
     assert found["live view"].state == "available"
+    monkeypatch.setattr("bulletuav.cli.examine", lambda: list(found.values()))
+    main(["doctor"])
+    assert "bulletuav[video]" in "".join(capsys.readouterr().out.split())
     monkeypatch.setattr(world, "EXTENSION", world.EXTENSION._replace(path="/nowhere.so"))
     with pytest.warns(UserWarning, match="refused"):
         assert "refuses it" in doctor._extension().remedy

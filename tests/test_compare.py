@@ -59,7 +59,10 @@ def test_a_simulator_that_is_not_there_is_left_out(tmp_path, monkeypatch, capsys
     monkeypatch.setattr(compare, "_install", lambda peer, folder: sys.executable)  # which has no VMAS
     compare.main(["--peers", "VMAS", "--rounds", "1", "--seconds", "0.01", "--out", str(tmp_path)])
     captured = capsys.readouterr()
-    assert "left out: navigation, 64 x 8: its process ended with code 1" in " ".join(captured.err.split())
+    assert (
+        "left out: navigation, 64 x 8: its process ended with code 1: ModuleNotFoundError: No module named 'vmas'"
+        in " ".join(captured.err.split())
+    )
     assert "VMAS" not in captured.out
 
 
@@ -81,11 +84,15 @@ def test_a_folder_that_is_no_checkout(tmp_path, capsys):
     with pytest.raises(SystemExit):
         compare.main(["--gym-pybullet-drones", str(tmp_path)])
     assert "no checkout" in capsys.readouterr().err
+    for wrong in (["--rounds", "0"], ["--seconds", "-1"]):
+        with pytest.raises(SystemExit):
+            compare.main(wrong)
+        assert "numbers above 0 are needed" in capsys.readouterr().err
 
 
 def test_starts_measure_warm_and_cold(monkeypatch):
     folders = []
-    monkeypatch.setattr(subprocess, "run", lambda command, check, env: folders.append(env["NUMBA_CACHE_DIR"]))
+    monkeypatch.setattr(subprocess, "run", lambda command, check, env, cwd: folders.append(env["NUMBA_CACHE_DIR"]))
     assert set(compare.starts(2)) == {"warm", "cold"}
     assert len(folders) == 3
     assert len(set(folders)) == 1

@@ -41,16 +41,16 @@ def quadx(num_drones: int):
 def hover(num_drones: int):
     """The PettingZoo environment, random actions, reset when over."""
     start = grid(num_drones)
-    env = MAQuadXHoverEnv(start_pos=start, start_orn=np.zeros_like(start), flight_dome_size=100.0, agent_hz=40)
+    env = MAQuadXHoverEnv(start_pos=start, start_orn=np.zeros_like(start), flight_dome_size=100.0, agent_hz=240 // SUBSTEPS)
     env.reset(seed=1)
     actions = {agent: np.array([0.0, 0.0, 0.0, 0.3]) for agent in env.possible_agents}
 
     def step() -> None:
         if not env.agents:
             env.reset()
-        env.step({agent: actions[agent] for agent in env.agents})
+        env.step({agent: actions[agent] for agent in env.agents})  # hovering thrust: all stay in the dome for long
 
-    return step, num_drones * 6
+    return step, num_drones * SUBSTEPS
 
 
 def reset(num_drones: int):

@@ -7,7 +7,7 @@ from gymnasium.spaces import Box, Dict, Space
 from gymnasium.vector import AutoresetMode
 
 from bulletuav.envs.aviary import Aviary
-from bulletuav.envs.spaces import drone_action_space
+from bulletuav.envs.spaces import widest_action_space
 from bulletuav.tasks.terms.observations import Observation
 
 
@@ -35,8 +35,7 @@ class BatchAviary:
         self.aviary = Aviary(task, num_envs, first_world=first_world, **options)
         self.num_envs, self.num_drones = self.aviary.num_worlds, self.aviary.num_drones
         self.observation_space: Box | Dict = self.aviary.observer.space()
-        widest = max(range(self.num_drones), key=self.aviary.action.size)
-        self.action_space: Space = drone_action_space(self.aviary.action, widest)
+        self.action_space: Space = widest_action_space(self.aviary.action)
         self.ended: np.ndarray = np.zeros(self.num_envs, dtype=bool)
         """(W,) worlds whose episode ended in the last step"""
 

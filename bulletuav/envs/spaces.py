@@ -15,6 +15,11 @@ def drone_action_space(action: Action, drone: int) -> Space:
     return Box(action.low[drone, :size].astype(np.float32), action.high[drone, :size].astype(np.float32), dtype=np.float32)
 
 
+def widest_action_space(action: Action) -> Space:
+    """That of the drone with the most numbers: what one row of a batch holds."""
+    return drone_action_space(action, max(range(len(action.labels)), key=action.size))
+
+
 def joint_action_space(action: Action) -> Space:
     """What all drones together are given: their numbers one after the other, or one choice each."""
     drones = len(action.labels)

@@ -5,8 +5,11 @@ import ctypes
 import itertools
 import math
 import multiprocessing
+import os
+import pickle
 import weakref
-from multiprocessing.connection import Connection
+from collections.abc import Iterator
+from multiprocessing.connection import Connection, wait
 from typing import Any
 
 import numpy as np
@@ -15,8 +18,8 @@ from gymnasium.vector import AutoresetMode
 
 from bulletuav.envs.batch import BatchAviary
 from bulletuav.envs.plan import Plan
-from bulletuav.envs.spaces import drone_action_space
-from bulletuav.errors import whole
+from bulletuav.envs.spaces import widest_action_space
+from bulletuav.errors import pick, whole
 from bulletuav.tasks.terms.observations import Observation
 
 PATIENCE = 5.0  # s, for a worker to end
@@ -47,7 +50,7 @@ def _work(pipe: Connection, shared: Shared, first: int, last: int, arguments: tu
     try:
         batch = BatchAviary(arguments[0], last - first, *arguments[1:], first_world=first, **options)
     except Exception as error:
-        pipe.send(error)
+        pipe.send(_portable(error))
         return
     pipe.send(None)
     while (question := _next(pipe)) is not None:
@@ -64,16 +67,25 @@ def _work(pipe: Connection, shared: Shared, first: int, last: int, arguments: tu
                 for name, array in zip(("reward", "terminated", "truncated"), judged, strict=False):
                     arrays[name][:] = array
         except Exception as error:
-            answer = error
+            answer = _portable(error)
         pipe.send(answer)
     batch.close()
 
 
+def _portable(error: Exception) -> Exception:
+    """The error, or one that says the same and surely survives the way to another process."""
+    return error if type(error) in (ValueError, RuntimeError) else RuntimeError(f"{type(error).__name__}: {error}")
+
+
 def _next(pipe: Connection) -> Any:
-    """The next question; None when the asking process has ended."""
+    """The next question; None when the asking process has ended (whose end of the pipe a fork may have left open)."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    if pipe not in wait([pipe, parent.sentinel]):
+        return None
     try:
         return pipe.recv()
-    except EOFError:
+    except (EOFError, OSError):
         return None
 
 
@@ -82,7 +94,9 @@ def _named(observations: Observation) -> dict[str, np.ndarray]:
     return {f"observation/{name}": array for name, array in parts.items()}
 
 
-def _finish(pipes: list[Connection], processes: list) -> None:
+def _finish(owner: int, pipes: list[Connection], processes: list) -> None:
+    if os.getpid() != owner:  # a copy of the owner, made by a fork
+        return
     for pipe in pipes:
         with contextlib.suppress(OSError):  # it may have ended already
             pipe.send(None)
@@ -95,7 +109,8 @@ class WorkerAviary:
     """What `BatchAviary` is, flown by `workers` processes: same arrays in, the same bits out, whatever their number.
 
     Without a main guard (`if __name__ == "__main__"`) scripts need the start method "fork". Functions among the options
-    (wind) see the worlds of one process at a time.
+    (wind) see the worlds of one process at a time. In SAME_STEP the rows of worlds outside the masks of final entries are
+    undefined.
     """
 
     def __init__(
@@ -112,30 +127,50 @@ class WorkerAviary:
         self._plan = plan = Plan(task, num_envs, options)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.num_envs, self.num_drones = plan.num_worlds, plan.options.num_drones
-        if not 1 <= whole("workers", workers, 1) <= self.num_envs:
+        if whole("workers", workers, 1) > self.num_envs:
             raise ValueError(f"workers is {workers}: at most one for each of the {self.num_envs} worlds is needed")
         if plan.options.render_mode == "human":
             raise ValueError("render_mode is 'human': a live view needs workers=1")
         self.observation_space: Box | Dict = plan.observer.space()
-        widest = max(range(self.num_drones), key=plan.action.size)
-        self.action_space: Space = drone_action_space(plan.action, widest)
+        self.action_space: Space = widest_action_space(plan.action)
+        if start_method is not None:
+            pick("start_method", start_method, dict.fromkeys(multiprocessing.get_all_start_methods()))
         context: Any = multiprocessing.get_context(start_method)
         shared = Shared(context, self._layout())
         self._arrays = shared.arrays(0, self.num_envs)
         bounds = [self.num_envs * k // workers for k in range(workers + 1)]
         self._parts = [slice(*pair) for pair in itertools.pairwise(bounds)]
-        self._pipes, processes = [], []
-        for part in self._parts:
-            mine, theirs = context.Pipe()
-            arguments = (theirs, shared, part.start, part.stop, (task, self.autoreset_mode), options)
-            process = context.Process(target=_work, args=arguments, daemon=True)
-            process.start()
-            theirs.close()
-            self._pipes.append(mine)
-            processes.append(process)
-        self._finalizer = weakref.finalize(self, _finish, self._pipes, processes)
+        self._pipes: list[Connection] = []
+        self._processes: list[Any] = []
+        self._finalizer = weakref.finalize(self, _finish, os.getpid(), self._pipes, self._processes)
         self._started = False
-        self._answers(list(range(workers)))
+        with self._closed_by_errors():
+            for part in self._parts:
+                self._start(context, (shared, part.start, part.stop, (task, self.autoreset_mode), options))
+            _raised(self._answers(list(range(workers))))
+
+    def _start(self, context: Any, arguments: tuple) -> None:
+        mine, theirs = context.Pipe()
+        process = context.Process(target=_work, args=(theirs, *arguments), daemon=True)
+        try:
+            process.start()
+        except (AssertionError, AttributeError, TypeError, pickle.PicklingError) as error:
+            raise ValueError(
+                f"a worker process cannot start: {error}; processes that are workers themselves have none, and with start "
+                f"methods other than 'fork' options must be what pickle can take (no lambda)"
+            ) from None
+        theirs.close()
+        self._pipes.append(mine)
+        self._processes.append(process)
+
+    @contextlib.contextmanager
+    def _closed_by_errors(self) -> Iterator[None]:
+        """End the processes on anything that would leave answers unread, an interrupt too: none may be taken for another."""
+        try:
+            yield
+        except BaseException:
+            self.close()
+            raise
 
     def _layout(self) -> dict[str, tuple[tuple[int, ...], Any]]:
         drones = (self.num_envs, self.num_drones)
@@ -155,24 +190,26 @@ class WorkerAviary:
         """What the workers of `keywords` answer."""
         if not self._finalizer.alive:
             raise RuntimeError("this environment is closed: make a new one")
-        for k, mine in keywords.items():
-            with contextlib.suppress(OSError):  # from a dead worker no answer comes either
-                self._pipes[k].send((method, mine))
-        return self._answers(list(keywords))
+        with self._closed_by_errors():
+            for k, mine in keywords.items():
+                with contextlib.suppress(OSError):  # from a dead worker no answer comes either
+                    self._pipes[k].send((method, mine))
+            answers = self._answers(list(keywords))
+        return _raised(answers)
 
     def _all(self, **keywords: Any) -> dict[int, dict[str, Any]]:
         return dict.fromkeys(range(len(self._parts)), keywords)
 
     def _answers(self, workers: list[int]) -> list[Any]:
-        """One of each worker; an error of any of them is raised once all have answered."""
+        """One of each worker, its error among them."""
         try:
             answers = [self._pipes[k].recv() for k in workers]
         except (EOFError, OSError):
             self.close()
-            raise RuntimeError("a worker process has died, memory may have run out: make a new environment") from None
-        for answer in answers:
-            if isinstance(answer, Exception):
-                raise answer
+            raise RuntimeError(
+                'a worker process has died: memory may have run out, or the script lacks `if __name__ == "__main__":` '
+                "around what makes the environment; make a new one"
+            ) from None
         return answers
 
     def _observations(self) -> Observation:
@@ -231,6 +268,14 @@ class WorkerAviary:
         self._finalizer()
 
 
+def _raised(answers: list[Any]) -> list[Any]:
+    """The answers; the first error among them is raised."""
+    for answer in answers:
+        if isinstance(answer, Exception):
+            raise answer
+    return answers
+
+
 def _merged(parts: list[slice], infos: list[dict[str, Any]], num_envs: int) -> dict[str, Any]:
     """One dict of the infos of `parts`; worlds of parts that lack an entry (final ones) get zeros."""
     merged: dict[str, Any] = {}
@@ -246,11 +291,14 @@ def _merged(parts: list[slice], infos: list[dict[str, Any]], num_envs: int) -> d
     return merged
 
 
-def batch_env(task: str, num_envs: int, workers: int = 1, **options: Any) -> BatchAviary | WorkerAviary:
+def batch_env(
+    task: str, num_envs: int, workers: int = 1, start_method: str | None = None, **options: Any
+) -> BatchAviary | WorkerAviary:
     """`num_envs` worlds of the task that reset themselves; see `BatchAviary` and, for the options, `parallel_env`.
 
-    `workers` above 1 spreads them over processes, for as many cores: see `WorkerAviary`.
+    `workers` above 1 spreads them over processes (`start_method` as in `multiprocessing`), for as many cores: see
+    `WorkerAviary`.
     """
-    if workers == 1:
+    if whole("workers", workers, 1) == 1:
         return BatchAviary(task, num_envs, **options)
-    return WorkerAviary(task, num_envs, workers=workers, **options)
+    return WorkerAviary(task, num_envs, workers=workers, start_method=start_method, **options)

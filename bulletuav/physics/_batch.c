@@ -6,6 +6,7 @@
 #define _GNU_SOURCE
 #include <Python.h>
 #include <dlfcn.h>
+#include <math.h>
 #include <stddef.h>
 #include <stdint.h>
 #include <stdlib.h>
@@ -16,7 +17,11 @@ enum {
     CLIENT = 0, PROCESSOR = 11, /* places in the plugin context, in pointers */
     IS_CONNECTED = 4, PROCESS_COMMAND = 5, /* places in the processor's table of virtual functions */
     LINK_FRAME = 1, WORLD_FRAME = 2, BASE = -1, NOBODY = -2,
-    RAYS = 16383, /* a command takes; one more and none is answered */
+#ifdef __APPLE__
+    RAYS = 4095, /* a command takes; one more and none is answered */
+#else
+    RAYS = 16383,
+#endif
     BUFFER = 1 << 16, /* bytes; an answer about one body takes 30 KB */
 };
 
@@ -25,32 +30,36 @@ struct ray_hit { double fraction; int body, link; double position[3], normal[3];
 struct ray_hits { int count; struct ray_hit *hit; };
 struct contact {
     int flags, body_a, body_b, link_a, link_b;
-    double on_a[3], on_b[3], normal[3], distance, normal_force, friction[2], direction[2][3];
+    double on_a[3], on_b[3], normal[3], distance, normal_force, friction[8];
 };
 struct contacts { int count; struct contact *point; };
 
-static struct {
-    handle (*b3InitStepSimulationCommand)(handle);
-    handle (*b3RequestActualStateCommandInit)(handle, int);
-    int (*b3GetStatusActualState)(handle, int *, int *, int *, const double **, const double **, const double **, const double **);
-    handle (*b3ApplyExternalForceCommandInit)(handle);
-    void (*b3ApplyExternalForce)(handle, int, int, const double *, const double *, int);
-    void (*b3ApplyExternalTorque)(handle, int, int, const double *, int);
-    handle (*b3CreatePoseCommandInit)(handle, int);
-    int (*b3CreatePoseCommandSetBasePosition)(handle, double, double, double);
-    int (*b3CreatePoseCommandSetBaseOrientation)(handle, double, double, double, double);
-    int (*b3CreatePoseCommandSetBaseLinearVelocity)(handle, const double *);
-    int (*b3CreatePoseCommandSetBaseAngularVelocity)(handle, const double *);
-    handle (*b3CollisionFilterCommandInit)(handle);
-    void (*b3SetCollisionFilterGroupMask)(handle, int, int, int, int);
-    handle (*b3CreateRaycastBatchCommandInit)(handle);
-    void (*b3RaycastBatchAddRays)(handle, handle, const double *, const double *, int);
-    void (*b3RaycastBatchSetCollisionFilterMask)(handle, int);
-    void (*b3GetRaycastInformation)(handle, struct ray_hits *);
-    handle (*b3InitRequestContactPointInformation)(handle);
-    void (*b3GetContactPointInformation)(handle, struct contacts *);
-    handle (*b3SubmitClientCommandAndWaitStatus)(handle, handle);
-} api;
+/* Every function that is used: what it returns, its name, what it takes. */
+#define FUNCTIONS(F) \
+    F(handle, b3InitStepSimulationCommand, (handle)) \
+    F(handle, b3RequestActualStateCommandInit, (handle, int)) \
+    F(int, b3GetStatusActualState, \
+      (handle, int *, int *, int *, const double **, const double **, const double **, const double **)) \
+    F(handle, b3ApplyExternalForceCommandInit, (handle)) \
+    F(void, b3ApplyExternalForce, (handle, int, int, const double *, const double *, int)) \
+    F(void, b3ApplyExternalTorque, (handle, int, int, const double *, int)) \
+    F(handle, b3CreatePoseCommandInit, (handle, int)) \
+    F(int, b3CreatePoseCommandSetBasePosition, (handle, double, double, double)) \
+    F(int, b3CreatePoseCommandSetBaseOrientation, (handle, double, double, double, double)) \
+    F(int, b3CreatePoseCommandSetBaseLinearVelocity, (handle, const double *)) \
+    F(int, b3CreatePoseCommandSetBaseAngularVelocity, (handle, const double *)) \
+    F(handle, b3CollisionFilterCommandInit, (handle)) \
+    F(void, b3SetCollisionFilterGroupMask, (handle, int, int, int, int)) \
+    F(handle, b3CreateRaycastBatchCommandInit, (handle)) \
+    F(void, b3RaycastBatchAddRays, (handle, handle, const double *, const double *, int)) \
+    F(void, b3RaycastBatchSetCollisionFilterMask, (handle, int)) \
+    F(void, b3GetRaycastInformation, (handle, struct ray_hits *)) \
+    F(handle, b3InitRequestContactPointInformation, (handle)) \
+    F(void, b3GetContactPointInformation, (handle, struct contacts *)) \
+    F(handle, b3SubmitClientCommandAndWaitStatus, (handle, handle))
+
+#define DECLARE(result, name, arguments) result(*name) arguments;
+static struct { FUNCTIONS(DECLARE) } api;
 
 struct session {
     handle client, status;
@@ -75,15 +84,8 @@ int executePluginCommand_bulletuav(void **context, const void *arguments) { retu
 
 /* NULL when all functions were found in the module at `path`, else what was not. */
 const char *batch_find(const char *path) {
-    static const char *const names[] = {
-        "b3InitStepSimulationCommand", "b3RequestActualStateCommandInit", "b3GetStatusActualState",
-        "b3ApplyExternalForceCommandInit", "b3ApplyExternalForce", "b3ApplyExternalTorque", "b3CreatePoseCommandInit",
-        "b3CreatePoseCommandSetBasePosition", "b3CreatePoseCommandSetBaseOrientation",
-        "b3CreatePoseCommandSetBaseLinearVelocity", "b3CreatePoseCommandSetBaseAngularVelocity",
-        "b3CollisionFilterCommandInit", "b3SetCollisionFilterGroupMask", "b3CreateRaycastBatchCommandInit",
-        "b3RaycastBatchAddRays", "b3RaycastBatchSetCollisionFilterMask", "b3GetRaycastInformation",
-        "b3InitRequestContactPointInformation", "b3GetContactPointInformation", "b3SubmitClientCommandAndWaitStatus",
-    };
+#define NAME(result, name, arguments) #name,
+    static const char *const names[] = {FUNCTIONS(NAME)};
     void *library = dlopen(path, RTLD_NOW | RTLD_NOLOAD), *found[sizeof names / sizeof *names];
     if (!library) return "a loaded pybullet module";
     for (size_t k = 0; k < sizeof names / sizeof *names; k++)
@@ -183,7 +185,7 @@ int64_t batch_substep(struct session *s, const uint8_t *mask, const double *forc
     return batch_contacts(s, 0, NULL, NULL);
 }
 
-/* Fraction of each ray before it meets a body whose collision group is in `groups`. */
+/* Fraction of each ray before it meets a body whose collision group is in `groups`; NaN for a ray without an answer. */
 void batch_rays(struct session *s, int64_t rays, const double *start, const double *end, int groups, double *fraction) {
     for (int64_t first = 0; first < rays; first += RAYS) {
         int64_t part = rays - first < RAYS ? rays - first : RAYS;
@@ -193,7 +195,7 @@ void batch_rays(struct session *s, int64_t rays, const double *start, const doub
         api.b3RaycastBatchSetCollisionFilterMask(command, groups);
         api.b3SubmitClientCommandAndWaitStatus(s->client, command);
         api.b3GetRaycastInformation(s->client, &found);
-        for (int64_t k = 0; k < part; k++) fraction[first + k] = found.hit[k].fraction;
+        for (int64_t k = 0; k < part; k++) fraction[first + k] = k < found.count ? found.hit[k].fraction : NAN;
     }
 }
 

@@ -109,6 +109,8 @@ class BulletDynamics(Dynamics):
     ) -> Contacts:
         """Substeps through the engine, many in one call where nothing happens between them."""
         flight, world, port = self.flight, self.flight.world, self.flight.world.port
+        alive = np.ascontiguousarray(alive, dtype=bool)  # which C reads as it lies
+        assert all(array.flags.c_contiguous for array in swarm)
         path = Path.begin(swarm, motion, 1)
         air = Air(wind, np.full(alive.shape, -np.inf), flight.gravity)
         inputs = (
@@ -140,7 +142,7 @@ class BulletDynamics(Dynamics):
                     touched[w, drone, other] = touched.get((w, drone, other), 0.0) + force * flight.dt
                 for key in catch_fast(world, path, swarm, alive, flight.parameters):
                     touched.setdefault(key, 0.0)
-        require_sane(swarm, alive)
+        require_sane(swarm, alive, flight.world.first_world)
         return Contacts.merge(touched)
 
     def _advance(self, swarm, alive, level, setpoint, cascade, parameters, air, dt, force, torque, path: Path):

@@ -3,6 +3,8 @@
 Arrays are float64 and contiguous, first axes as many as there are drones (or bodies); positions are the engine's own.
 """
 
+import sys
+
 import numpy as np
 
 from bulletuav.physics.quiet import silenced
@@ -11,7 +13,7 @@ with silenced():
     import pybullet as bullet
 
 DRONE_GROUP, SURFACE_GROUP = 1, 2  # collision groups
-MAX_RAYS = 16383  # per call; one more and Bullet answers none
+MAX_RAYS = 4095 if sys.platform == "darwin" else 16383  # per call; one more and Bullet answers none
 
 # Columns of a row of getContactPoints.
 BODY_A, BODY_B, DISTANCE, NORMAL_FORCE = 1, 2, 8, 9

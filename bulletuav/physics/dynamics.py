@@ -49,13 +49,16 @@ def _first_lost(swarm, alive):
     return -1, -1
 
 
-def require_sane(swarm: Swarm, alive: np.ndarray) -> None:
-    """Raise RuntimeError naming the first living drone (W, N) whose state left all bounds; a reset brings it back."""
+def require_sane(swarm: Swarm, alive: np.ndarray, first_world: int) -> None:
+    """Raise RuntimeError naming the first living drone (W, N) whose state left all bounds; a reset brings it back.
+
+    `first_world`: number of the first of these worlds.
+    """
     w, i = _first_lost(swarm, alive)
     if w >= 0:
         speed, spin = np.linalg.norm(swarm.velocity[w, i]), np.linalg.norm(swarm.rates[w, i])
         raise RuntimeError(
-            f"the flight of drone {i} in world {w} diverged ({speed:.3g} m/s, {spin:.3g} rad/s): raise "
+            f"the flight of drone {i} in world {first_world + w} diverged ({speed:.3g} m/s, {spin:.3g} rad/s): raise "
             f"physics_hz or check the inertia of its airframe; reset() starts the world anew"
         )
 

@@ -117,5 +117,5 @@ class RigidBody(Dynamics):
         path = Path.begin(swarm, motion, flight.substeps)
         air = Air(wind, self._surface(swarm, alive), flight.gravity)
         advance(swarm, alive, int(level), setpoint, flight.cascade, flight.parameters, air, flight.dt, path)
-        require_sane(swarm, alive)
+        require_sane(swarm, alive, flight.world.first_world)
         return stop_at_first_touch(flight.world, path, swarm, alive, flight.parameters)

@@ -56,7 +56,7 @@ def columns(position, mask, obstacle, radius, surface):
 
 @kernel
 def land(surface, who, start, fraction):
-    """Put what the rays of `columns` met into `surface`; -inf where they met nothing."""
+    """Put what the rays of `columns` met into `surface`; where they met nothing it stays the ground."""
     for m in range(who.shape[0]):
-        height = start[m, 2] - RAY_LENGTH * fraction[m] if fraction[m] < 1.0 else -np.inf
-        surface[who[m, 0], who[m, 1]] = height
+        if fraction[m] < 1.0:
+            surface[who[m, 0], who[m, 1]] = start[m, 2] - RAY_LENGTH * fraction[m]

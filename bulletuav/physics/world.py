@@ -1,4 +1,4 @@
-"""The engine: W worlds of N drones as tiles of one Bullet client, behind array calls. The only module that imports pybullet.
+"""The engine: W worlds of N drones as tiles of one Bullet client, behind array calls. It and `calls` alone import pybullet.
 
 What the rest of the package relies on, each held by a test: bodies without Bullet's hidden damping or velocity clamp;
 resets in place that leave no trace of the past; a world that does not feel what other worlds do.
@@ -72,7 +72,7 @@ class World:
         with silenced():
             self._client = bullet.connect(bullet.GUI if live else bullet.DIRECT)
         self._finalizer = weakref.finalize(self, _disconnect, self._client)
-        self.shape, self.dt = (num_worlds, len(airframes)), dt
+        self.shape, self.dt, self.first_world = (num_worlds, len(airframes)), dt, first_world
         self._offset = np.array([tile_offset(first_world + k) for k in range(num_worlds)])[:, None, :]
         self._configure(dt, live)
         self._ground = self._make_ground()
@@ -271,7 +271,7 @@ class World:
         return self._calls.rays(start + offset, end + offset, SURFACE_GROUP)
 
     def surface_below(self, position: np.ndarray, mask: np.ndarray) -> np.ndarray:
-        """(W, N) height z of the surface under each drone of `mask`, m; -inf where there is none and outside `mask`."""
+        """(W, N) height z of the surface under each drone of `mask`, m; -inf outside `mask`."""
         surface = np.empty(self.shape)
         who, start, end = columns(position, mask, self._obstacle_place, self.obstacle_radius, surface)
         if len(who):

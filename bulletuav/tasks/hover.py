@@ -6,7 +6,6 @@ from typing import ClassVar
 
 import numpy as np
 
-from bulletuav.physics.approach import distances
 from bulletuav.physics.rotation import exponential
 from bulletuav.tasks.base import Frame, Setting, Spawn, Task, merged_weights, refuse_early_end, refuse_overlap
 
@@ -170,7 +169,7 @@ class Hover(Task):
 
     def reward_terms(self, frame: Frame) -> dict[str, np.ndarray]:
         """Being there, distance (m) and speed (m/s)."""
-        speed = distances(frame.after.velocity, np.zeros_like(frame.after.velocity))
+        speed = np.linalg.norm(frame.after.velocity, axis=-1)
         return {"alive": np.ones(frame.alive.shape), "distance": frame.distance, "speed": speed}
 
     def terminated(self, frame: Frame) -> np.ndarray:

@@ -2,6 +2,8 @@
 
 import os
 import signal
+import subprocess
+import sys
 import time
 
 import numpy as np
@@ -34,7 +36,7 @@ def same(one, two, masks):
         if isinstance(value, dict):
             same(value, two[name], masks)
         else:
-            chosen = masks if name in ("final_obs", "final_state") or masks is not None else slice(None)
+            chosen = slice(None) if masks is None else masks
             np.testing.assert_array_equal(np.asarray(value)[chosen], np.asarray(two[name])[chosen], err_msg=name)
             assert np.asarray(value).dtype == np.asarray(two[name]).dtype
 
@@ -67,6 +69,93 @@ def test_final_observations_of_several_processes():
                 same({name: mine.pop(name)}, {name: theirs.pop(name)}, masks)
         same(mine, theirs, None)
     assert ended >= 5
+
+
+class OddError(Exception):
+    """One that pickle cannot bring back."""
+
+    def __init__(self, a, b):
+        super().__init__(f"{a} {b}")
+
+
+def test_an_error_in_one_worker_is_told_and_no_answer_taken_for_another():
+    def wind(position, time):
+        if (time > 0.2).any() and len(position) == 2:  # the second of two workers has two of three worlds
+            raise OddError("blown", "away")
+        return np.zeros_like(position)
+
+    env = bulletuav.batch_env("hover", 3, workers=2, action="velocity", wind=wind, start_method="fork")
+    env.reset(seed=0)
+    with pytest.raises(RuntimeError, match="OddError: blown away"):  # noqa: PT012, it comes at some step
+        for _ in range(20):
+            env.step(np.zeros((3, 1, 3)))
+    fresh = bulletuav.batch_env("hover", 3, action="velocity")
+    np.testing.assert_array_equal(env.reset(seed=4)[0], fresh.reset(seed=4)[0])
+    np.testing.assert_array_equal(env.step(np.ones((3, 1, 3)))[1], fresh.step(np.ones((3, 1, 3)))[1])
+    env.close()
+    fresh.close()
+
+
+def test_an_interrupt_ends_the_processes(monkeypatch):
+    env, children = make_children()
+    env.reset(seed=0)
+    pipe = env._pipes[1]
+
+    class Interrupted:
+        def send(self, question):
+            pipe.send(question)
+
+        def recv(self):
+            raise KeyboardInterrupt
+
+    env._pipes[1] = Interrupted()
+    with pytest.raises(KeyboardInterrupt):
+        env.step(np.zeros((2, 1, 3)))
+    with pytest.raises(RuntimeError, match="closed"):
+        env.step(np.zeros((2, 1, 3)))
+    assert not psutil.wait_procs(children, timeout=10)[1]
+
+
+def test_workers_end_with_a_process_that_is_killed():
+    program = (
+        "import bulletuav, psutil, time\n"
+        "env = bulletuav.batch_env('hover', 3, workers=3, dynamics='point_mass', action='velocity', start_method='fork')\n"
+        "print(*(child.pid for child in psutil.Process().children()), flush=True)\n"
+        "time.sleep(60)\n"
+    )
+    process = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
+    children = [psutil.Process(int(pid)) for pid in process.stdout.readline().split()]
+    assert len(children) == 3
+    process.kill()
+    process.communicate()
+    assert not psutil.wait_procs(children, timeout=20)[1]
+
+
+def test_a_diverged_flight_is_named_by_its_world_among_all():
+    """Blown away where the drone starts, which tells the world: the same whichever process flies it."""
+    places = bulletuav.Aviary("hover", 4)
+    places.reset(seeds=0)
+    doomed = places.swarm.position[3, 0].copy()
+    places.close()
+
+    def storm(position, time):
+        return np.where(np.abs(position - doomed).max(axis=-1, keepdims=True) < 1e-9, 1e20, 0.0) * np.ones(3)
+
+    for workers in (1, 2):
+        env = bulletuav.batch_env(
+            "hover", 4, workers=workers, action="velocity", dynamics="rigid_body", wind=storm, start_method="fork"
+        )
+        env.reset(seed=0)
+        with pytest.raises(RuntimeError, match="drone 0 in world 3 diverged"):
+            env.step(np.zeros((4, 1, 3)))
+        env.close()
+
+
+def test_options_that_processes_cannot_have():
+    with pytest.raises(ValueError, match="did you mean 'spawn'"):
+        bulletuav.batch_env("hover", 2, workers=2, start_method="spown")
+    with pytest.raises(ValueError, match="no lambda"):
+        bulletuav.batch_env("hover", 2, workers=2, start_method="spawn", wind=lambda position, time: position)
 
 
 def test_partial_resets_and_seeds():

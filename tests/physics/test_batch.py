@@ -205,7 +205,6 @@ def test_a_smoke_set_without_the_extension():
         command + skip, cwd=root, env={**os.environ, SWITCH: "0"}, capture_output=True, text=True, timeout=250, check=False
     )
     assert done.returncode == 0, done.stdout[-3000:]
-    assert "passed" in done.stdout or "100%" in done.stdout
 
 
 def test_worlds_do_not_warn(make_bench):
