@@ -7,6 +7,7 @@ import math
 import multiprocessing
 import os
 import pickle
+import signal
 import weakref
 from collections.abc import Iterator
 from multiprocessing.connection import Connection, wait
@@ -46,6 +47,7 @@ class Shared:
 
 def _work(pipe: Connection, shared: Shared, first: int, last: int, arguments: tuple, options: dict[str, Any]) -> None:
     """A worker: the worlds from `first` up to `last`, asked by (method, keyword arguments) until None comes."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # an interrupt is for the process that asks
     arrays = shared.arrays(first, last)
     try:
         batch = BatchAviary(arguments[0], last - first, *arguments[1:], first_world=first, **options)
