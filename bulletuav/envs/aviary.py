@@ -174,7 +174,9 @@ class Aviary:
         self._frame = frame
         self.alive = flown & ~terminated & ~truncated
         observations = self.observer.observe(frame, self.alive)
-        weighted = {name: np.where(flown, self.task.weights[name] * term, 0.0) for name, term in terms.items()}
+        weighted = {name: self.task.weights[name] * term for name, term in terms.items()}
+        if not flown.all():
+            weighted = {name: np.where(flown, term, 0.0) for name, term in weighted.items()}
         self._world.park(flown & ~self.alive)
         if self.options.render_mode == "human":
             self._dynamics.show(self.swarm, self.alive)

@@ -62,7 +62,8 @@ class Plan:
         if not finite.all() and (bad := ~finite.all(axis=-1) & alive).any():
             w, i = np.argwhere(bad)[0]
             raise ValueError(f"action of drone {i} in world {w} is {actions[w, i]}: finite numbers are needed")
-        actions = np.where(alive[..., None], actions, 0.0)
+        if not alive.all():
+            actions = np.where(alive[..., None], actions, 0.0)
         clipped = np.minimum(np.maximum(actions, self.action.low), self.action.high)
         if self.action.choices is not None and (clipped != actions).any() | (clipped % 1 != 0).any():
             w, i, _ = np.argwhere((clipped != actions) | (clipped % 1 != 0))[0]

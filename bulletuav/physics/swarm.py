@@ -115,5 +115,6 @@ class Contacts(NamedTuple):
     def mask(self, shape: tuple[int, int]) -> np.ndarray:
         """(W, N) bool: which drones touched anything."""
         touched = np.zeros(shape, dtype=bool)
-        touched[self.world, self.drone] = True
+        if len(self.world):
+            touched[self.world, self.drone] = True
         return touched

@@ -194,7 +194,7 @@ class Observer:
         seen: dict[str, np.ndarray] = {}
         if self._blocks:
             parts = [block.compute(frame, present) for block in self._blocks]
-            vector = np.concatenate(parts, axis=-1).astype(np.float32)
+            vector = np.concatenate(parts, axis=-1, dtype=np.float32)
             seen["vector"] = np.minimum(np.maximum(vector, self.low), self.high)  # np.clip takes twice as long
         if not self.images:
             return seen["vector"]
