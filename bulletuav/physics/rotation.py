@@ -34,17 +34,6 @@ def dot(a, b):
 
 
 @formula
-def multiply(p, q):
-    """Hamilton product p q: the rotation q followed by p."""
-    return (
-        p[3] * q[0] + p[0] * q[3] + p[1] * q[2] - p[2] * q[1],
-        p[3] * q[1] - p[0] * q[2] + p[1] * q[3] + p[2] * q[0],
-        p[3] * q[2] + p[0] * q[1] - p[1] * q[0] + p[2] * q[3],
-        p[3] * q[3] - p[0] * q[0] - p[1] * q[1] - p[2] * q[2],
-    )
-
-
-@formula
 def normalised(q):
     """The unit quaternion q / |q|."""
     scale = 1.0 / math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
@@ -100,10 +89,3 @@ def from_euler(roll, pitch, yaw):
         cr * cp * sy - sr * sp * cy,
         cr * cp * cy + sr * sp * sy,
     )
-
-
-@formula
-def to_euler(q):
-    """Roll, pitch and yaw of `from_euler`; at pitch +-90 degrees roll and yaw are not unique."""
-    bx, by, bz = axes(q)
-    return math.atan2(by[2], bz[2]), -math.asin(max(-1.0, min(1.0, bx[2]))), math.atan2(bx[1], bx[0])

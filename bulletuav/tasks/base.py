@@ -112,6 +112,7 @@ class Task(ABC):
     difficulties for each difficulty the options that it sets, common or own
     presets      named sets of values of options
     observation  names of the observation blocks
+    reward_weights  of the reward terms by name, unless the config's `weights` change them
     """
 
     name: ClassVar[str]
@@ -120,17 +121,17 @@ class Task(ABC):
     difficulties: ClassVar[Mapping[str, Mapping[str, Any]]]
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = MappingProxyType({})
     observation: ClassVar[tuple[str, ...]]
+    reward_weights: ClassVar[Mapping[str, float]]
 
     arena_low: np.ndarray
     """(3,) lower corner of the space that observations and target positions are scaled to, m"""
     arena_high: np.ndarray
     """(3,) its upper corner, m"""
-    weights: dict[str, float]
-    """of the reward terms"""
 
     def __init__(self, config: Any, setting: Setting):
         self.config = config
         self.setting = setting
+        self.weights = merged_weights(self.reward_weights, config.weights)
 
     @abstractmethod
     def spawn(self, rng: np.random.Generator) -> Spawn:

@@ -6,17 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from bulletuav.tasks.base import Frame, Setting, Spawn, Task, merged_weights
-
-WEIGHTS = {
-    "progress": 5.0,
-    "goal": 50.0,
-    "conflict": -100.0,
-    "warning": -5.0,
-    "collision": -200.0,
-    "out_of_bounds": -50.0,
-    "energy": -0.01,
-}
+from bulletuav.tasks.base import Frame, Setting, Spawn, Task
 
 
 @dataclass(frozen=True)
@@ -114,11 +104,19 @@ class Crossing(Task):
         "extreme": {"num_drones": 100, "lane_spacing": 12.0, "altitude_spread": 4.0},
     }
     observation = ("position", "velocity", "goal", "neighbours")
+    reward_weights: ClassVar = {
+        "progress": 5.0,
+        "goal": 50.0,
+        "conflict": -100.0,
+        "warning": -5.0,
+        "collision": -200.0,
+        "out_of_bounds": -50.0,
+        "energy": -0.01,
+    }
 
     def __init__(self, config: CrossingConfig, setting: Setting):
         """Raises ValueError where drones could start in conflict, outside the arena or in touch with the ground."""
         super().__init__(config, setting)
-        self.weights = merged_weights(WEIGHTS, config.weights)
         if not 0 <= config.start_speed[0] <= config.start_speed[1] <= setting.max_speed:
             raise ValueError(
                 f"start_speed is {config.start_speed}: from low to high within 0 and max_speed {setting.max_speed:g}"

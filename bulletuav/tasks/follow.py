@@ -8,9 +8,8 @@ import numpy as np
 
 from bulletuav.errors import pick
 from bulletuav.physics.obstacle import Obstacle
-from bulletuav.tasks.base import Frame, Scene, Setting, Spawn, Task, merged_weights, refuse_early_end, refuse_overlap
+from bulletuav.tasks.base import Frame, Scene, Setting, Spawn, Task, refuse_early_end, refuse_overlap
 
-WEIGHTS = {"alive": 1.0, "distance": -0.1, "speed": -0.05}
 TARGETS = {
     "vehicle": (Obstacle("box", (3.0, 3.0, 1.6), (0.75, 0.2, 0.15, 1.0)), 0.8, 8.0),
     "drone": (Obstacle("sphere", (0.3,), (0.75, 0.2, 0.15, 1.0)), 20.0, 0.0),
@@ -93,11 +92,11 @@ class Follow(Task):
         "extreme": {"target_speed": 12.0, "turn": 1.2},
     }
     observation = ("attitude", "goal_offset", "velocity", "rates", "goal_velocity")
+    reward_weights: ClassVar = {"alive": 1.0, "distance": -0.1, "speed": -0.05}
 
     def __init__(self, config: FollowConfig, setting: Setting):
         """Raises ValueError for an unknown target, stations too close together or a target faster than the drones."""
         super().__init__(config, setting)
-        self.weights = merged_weights(WEIGHTS, config.weights)
         self._body, self._height, above = pick("target", config.target, TARGETS)
         if config.target_speed >= setting.max_speed:
             raise ValueError(f"target_speed {config.target_speed:g} m/s must be below max_speed {setting.max_speed:g} m/s")

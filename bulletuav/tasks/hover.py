@@ -7,9 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from bulletuav.physics.rotation import exponential
-from bulletuav.tasks.base import Frame, Setting, Spawn, Task, merged_weights, refuse_early_end, refuse_overlap
-
-WEIGHTS = {"alive": 1.0, "distance": -0.1, "speed": -0.05}
+from bulletuav.tasks.base import Frame, Setting, Spawn, Task, refuse_early_end, refuse_overlap
 
 
 @dataclass(frozen=True)
@@ -119,11 +117,11 @@ class Hover(Task):
         }
     }
     observation = ("attitude", "goal_offset", "velocity", "rates")
+    reward_weights: ClassVar = {"alive": 1.0, "distance": -0.1, "speed": -0.05}
 
     def __init__(self, config: HoverConfig, setting: Setting):
         """Raises ValueError where start positions could overlap each other or the ground."""
         super().__init__(config, setting)
-        self.weights = merged_weights(WEIGHTS, config.weights)
         refuse_early_end(config.max_distance, config.start_offset)
         columns = int(np.ceil(np.sqrt(setting.num_drones)))
         index = np.arange(setting.num_drones)
