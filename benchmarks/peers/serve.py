@@ -2,6 +2,7 @@
 
 import gc
 import json
+import math
 import os
 import sys
 import time
@@ -10,6 +11,14 @@ from collections.abc import Callable
 # What the simulator prints, from its import on, is not an answer: standard output becomes standard error for it.
 ANSWERS = os.fdopen(os.dup(1), "w")
 os.dup2(2, 1)
+
+SUBSTEPS = 24  # a decision: 240 Hz physics, 10 Hz decisions
+
+
+def grid(num_drones: int) -> list[tuple[float, float, float]]:
+    """Where drones start, 2 m apart, 1 m up."""
+    side = math.ceil(math.sqrt(num_drones))
+    return [(2.0 * (i % side), 2.0 * (i // side), 1.0) for i in range(num_drones)]
 
 
 def serve(cases: dict[str, Callable[[], tuple[Callable[[], object], float]]]) -> None:

@@ -1,6 +1,6 @@
 """crazyflow (Learning Systems and Robotics Lab): JAX on the CPU."""
 
-from serve import serve  # first: it takes care of what others print
+from serve import SUBSTEPS, serve  # first: it takes care of what others print
 
 # isort: split
 
@@ -12,8 +12,6 @@ import numpy as np
 from crazyflow.control import Control
 from crazyflow.dynamics import Dynamics
 from crazyflow.sim import Sim
-
-SUBSTEPS = 24
 
 
 def flight(worlds: int, drones: int, contacts: bool):

@@ -1,10 +1,9 @@
 """gym-pybullet-drones (J. Panerati et al. 2021), from a checkout whose path is the first argument."""
 
-from serve import serve  # first: it takes care of what others print
+from serve import SUBSTEPS, grid, serve  # first: it takes care of what others print
 
 # isort: split
 
-import math
 import sys
 from functools import partial
 
@@ -15,13 +14,10 @@ sys.path.append(sys.argv[1])
 from gym_pybullet_drones.envs.CtrlAviary import CtrlAviary
 from gym_pybullet_drones.utils.enums import Physics
 
-SUBSTEPS = 24
-
 
 def aviary(num_drones: int, physics: Physics) -> CtrlAviary:
-    """Drones on a grid 2 m apart, 1 m up, as in the other simulators."""
-    side = math.ceil(math.sqrt(num_drones))
-    start = np.array([(2.0 * (i % side), 2.0 * (i // side), 1.0) for i in range(num_drones)])
+    """Drones on the grid of all simulators."""
+    start = np.array(grid(num_drones))
     return CtrlAviary(num_drones=num_drones, initial_xyzs=start, physics=physics, pyb_freq=240, ctrl_freq=240 // SUBSTEPS)
 
 

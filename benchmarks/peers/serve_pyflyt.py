@@ -1,28 +1,19 @@
 """PyFlyt (J. J. Tai et al. 2023)."""
 
-from serve import serve  # first: it takes care of what others print
+from serve import SUBSTEPS, grid, serve  # first: it takes care of what others print
 
 # isort: split
 
-import math
 from functools import partial
 
 import numpy as np
 from PyFlyt.core import Aviary
 from PyFlyt.pz_envs.quadx_envs.ma_quadx_hover_env import MAQuadXHoverEnv
 
-SUBSTEPS = 24
-
-
-def grid(num_drones: int) -> np.ndarray:
-    """(N, 3) 2 m apart, 1 m up."""
-    side = math.ceil(math.sqrt(num_drones))
-    return np.array([(2.0 * (i % side), 2.0 * (i // side), 1.0) for i in range(num_drones)])
-
 
 def quadx(num_drones: int):
     """Hover under position control, 240 Hz physics, decisions of 24 substeps."""
-    start = grid(num_drones)
+    start = np.array(grid(num_drones))
     env = Aviary(start_pos=start, start_orn=np.zeros_like(start), drone_type="quadx", seed=1)
     env.set_mode(7)
     for i, place in enumerate(start):
@@ -39,8 +30,8 @@ def quadx(num_drones: int):
 
 
 def hover(num_drones: int):
-    """The PettingZoo environment, random actions, reset when over."""
-    start = grid(num_drones)
+    """The PettingZoo environment, one action throughout, reset when all are done; those that are done count on."""
+    start = np.array(grid(num_drones))
     env = MAQuadXHoverEnv(start_pos=start, start_orn=np.zeros_like(start), flight_dome_size=100.0, agent_hz=240 // SUBSTEPS)
     env.reset(seed=1)
     actions = {agent: np.array([0.0, 0.0, 0.0, 0.3]) for agent in env.possible_agents}
@@ -48,14 +39,14 @@ def hover(num_drones: int):
     def step() -> None:
         if not env.agents:
             env.reset()
-        env.step({agent: actions[agent] for agent in env.agents})  # hovering thrust: all stay in the dome for long
+        env.step({agent: actions[agent] for agent in env.agents})
 
     return step, num_drones * SUBSTEPS
 
 
 def reset(num_drones: int):
     """A reset of all drones."""
-    start = grid(num_drones)
+    start = np.array(grid(num_drones))
     env = MAQuadXHoverEnv(start_pos=start, start_orn=np.zeros_like(start))
     return partial(env.reset, seed=1), 1
 

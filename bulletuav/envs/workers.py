@@ -91,7 +91,8 @@ def _next(pipe: Connection) -> Any:
         return None
 
 
-def _named(observations: Observation) -> dict[str, np.ndarray]:
+def _named(observations: Any) -> dict[str, Any]:
+    """Observations, or their spaces, by the names of their shared arrays."""
     parts = observations if isinstance(observations, dict) else {"": observations}
     return {f"observation/{name}": array for name, array in parts.items()}
 
@@ -177,10 +178,10 @@ class WorkerAviary:
     def _layout(self) -> dict[str, tuple[tuple[int, ...], Any]]:
         drones = (self.num_envs, self.num_drones)
         space = self.observation_space
-        parts = space.spaces if isinstance(space, Dict) else {"": space}
+        parts = _named(space.spaces if isinstance(space, Dict) else space)
         return {
             "action": ((*drones, self._plan.action.low.shape[-1]), np.float64),
-            **{f"observation/{name}": ((*drones, *(one.shape or ())), one.dtype) for name, one in parts.items()},
+            **{name: ((*drones, *(one.shape or ())), one.dtype) for name, one in parts.items()},
             "reward": (drones, np.float64),
             "terminated": (drones, bool),
             "truncated": (drones, bool),

@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from bulletuav.kernel import formula, kernel
+from bulletuav.physics.rotation import dot
 
 
 @formula
@@ -31,13 +32,10 @@ def distances(one, two):
 
 
 @formula
-def closest_squared(gap, change):
-    """Squared distance at the start, and least, of two points whose offset moves straight from `gap` to `gap + change`."""
-    along = square = start = 0.0
-    for k in range(3):
-        along += gap[k] * change[k]
-        square += change[k] * change[k]
-        start += gap[k] * gap[k]
+def closest_squared(gap, later):
+    """Squared distance at the start, and least, of two points whose offset moves straight from `gap` to `later`."""
+    change = (later[0] - gap[0], later[1] - gap[1], later[2] - gap[2])
+    along, square, start = dot(gap, change), dot(change, change), dot(gap, gap)
     least = start
     if along < 0.0:
         time = min(1.0, -along / square)

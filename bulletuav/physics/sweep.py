@@ -13,6 +13,7 @@ import numpy as np
 
 from bulletuav.kernel import formula, kernel
 from bulletuav.physics.approach import closest_squared
+from bulletuav.physics.rotation import dot
 from bulletuav.physics.swarm import FIRST_OBSTACLE, GROUND, Contacts, Motion, Swarm
 from bulletuav.physics.world import World
 
@@ -70,18 +71,17 @@ class Path(NamedTuple):
 
 
 @kernel
-def _reaches(track, alive):
-    """(W, N) how far from where it begins each of the tracks (S + 1, W, N, 3) gets, m; for the `alive`."""
-    reach = np.zeros(alive.shape)
-    for w in range(alive.shape[0]):
-        for i in range(alive.shape[1]):
-            if alive[w, i]:
-                for s in range(1, track.shape[0]):
-                    square = 0.0
-                    for k in range(3):
-                        square += (track[s, w, i, k] - track[0, w, i, k]) ** 2
-                    reach[w, i] = max(reach[w, i], square)
-                reach[w, i] = math.sqrt(reach[w, i])
+def _reaches(track):
+    """(W, N) how far from where it begins each of the tracks (S + 1, W, N, 3) gets, m; 0 for who does not fly."""
+    reach = np.zeros(track.shape[1:3])
+    for w in range(reach.shape[0]):
+        for i in range(reach.shape[1]):
+            for s in range(1, track.shape[0]):
+                square = 0.0
+                for k in range(3):
+                    square += (track[s, w, i, k] - track[0, w, i, k]) ** 2
+                reach[w, i] = max(reach[w, i], square)
+            reach[w, i] = math.sqrt(reach[w, i])
     return reach
 
 
@@ -96,18 +96,15 @@ def _meets_ground(position, radius, w, i):
 @formula
 def _near(one, two, w, i, j, within):
     """Whether tracks i and j begin closer to each other than `within` m."""
-    square = 0.0
-    for k in range(3):
-        square += (two[0, w, j, k] - one[0, w, i, k]) ** 2
-    return square < within * within
+    gap = _gap(one, two, 0, w, i, j)
+    return dot(gap, gap) < within * within
 
 
 @formula
 def _meets(one, two, w, i, j, within):
     """Whether tracks i of `one` and j of `two` (S + 1, W, ., 3) come closer than `within` m."""
     for s in range(one.shape[0] - 1):
-        (a, b, c), (d, e, f) = _gap(one, two, s, w, i, j), _gap(one, two, s + 1, w, i, j)
-        if closest_squared((a, b, c), (d - a, e - b, f - c))[1] < within * within:
+        if closest_squared(_gap(one, two, s, w, i, j), _gap(one, two, s + 1, w, i, j))[1] < within * within:
             return True
     return False
 
@@ -121,8 +118,7 @@ def _gap(one, two, s, w, i, j):
 def _candidates(position, obstacle, alive, radius, obstacle_radius):
     """Pairs (world, drone, other) whose bounding spheres come within TOUCH during the path; `other` as in `Contacts`."""
     found = [(0, 0, 0) for _ in range(0)]
-    reach = _reaches(position, alive)
-    obstacle_reach = _reaches(obstacle, np.ones(obstacle.shape[1:3], np.bool_))
+    reach, obstacle_reach = _reaches(position), _reaches(obstacle)
     for w in range(alive.shape[0]):
         order = np.argsort(position[0, w, :, 0])
         widest = (reach[w] + radius[w]).max()
@@ -250,11 +246,11 @@ def _both_sides(one: int, two: int) -> list[tuple[int, int]]:
 @kernel
 def _any_fast(position, obstacle, alive, parameters):
     """Whether a living drone, or an obstacle, moved by more than a quarter of the drone's thinnest extent."""
-    still = np.zeros((0, 0))
-    moved = _reaches(position, alive)
-    swept = _reaches(obstacle, np.ones(obstacle.shape[1:3], np.bool_)) if obstacle.shape[2] else still
+    moved, swept = _reaches(position), _reaches(obstacle)
     for w in range(alive.shape[0]):
-        farthest = swept[w].max() if obstacle.shape[2] else 0.0
+        farthest = 0.0
+        for k in range(swept.shape[1]):
+            farthest = max(farthest, swept[w, k])
         for i in range(alive.shape[1]):
             if alive[w, i] and max(moved[w, i], farthest) > 0.25 * parameters[w, i].thinnest:
                 return True

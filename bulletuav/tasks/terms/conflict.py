@@ -29,9 +29,7 @@ def _conflict(before, after, alive, d_safe, separation, onsets, nearness):
             for j in range(i + 1, alive.shape[1]):
                 if not (alive[w, i] and alive[w, j]):
                     continue
-                gap, later = offset(before, w, i, j), offset(after, w, i, j)
-                change = (later[0] - gap[0], later[1] - gap[1], later[2] - gap[2])
-                start, least = closest_squared(gap, change)
+                start, least = closest_squared(offset(before, w, i, j), offset(after, w, i, j))
                 start, least = math.sqrt(start), math.sqrt(least)
                 began = 1 if least < d_safe <= start else 0
                 depth = min(1.0, max(0.0, 2.0 - least / d_safe))
