@@ -4,6 +4,7 @@ from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.central import register_environments
 from bulletuav.envs.parallel import aec_env, parallel_env
 from bulletuav.envs.workers import batch_env
+from bulletuav.evaluation import evaluate
 from bulletuav.physics.airframe import Airframe, available_airframes, load_airframe
 from bulletuav.tasks import list_tasks
 from bulletuav.version import __version__
@@ -15,6 +16,7 @@ __all__ = [
     "aec_env",
     "available_airframes",
     "batch_env",
+    "evaluate",
     "list_tasks",
     "load_airframe",
     "parallel_env",

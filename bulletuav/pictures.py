@@ -22,7 +22,7 @@ MOST_NUMBERS = 24  # more drones than this are not numbered
 GONE = 0.25  # opacity of drones that have finished
 
 
-def _figure(width: float, height: float) -> Figure:
+def blank_figure(width: float, height: float) -> Figure:
     """A figure without any window system."""
     figure = Figure(figsize=(width, height), layout="constrained")
     figure.get_layout_engine().set(w_pad=0.08, h_pad=0.08)  # type: ignore[union-attr, call-arg]
@@ -40,7 +40,7 @@ def plot_tracks(recording: Recording, d_safe: float, title: str, path: Path) -> 
     Collisions are stars, places where a conflict began red rings. A single drone's distance to its goal stands in for
     separations.
     """
-    figure = _figure(12, 6.5)
+    figure = blank_figure(12, 6.5)
     grid = figure.add_gridspec(2, 2, width_ratios=[1.15, 1])
     above, altitude, apart = (figure.add_subplot(cell) for cell in (grid[:, 0], grid[0, 1], grid[1, 1]))
     drones = recording.position.shape[1]
@@ -98,7 +98,7 @@ class Animation:
         self._colours = _colours(drones)
         span, middle = self._extent(drone_size)
         drawn = max(drone_size, 0.018 * span)
-        self.figure = _figure(7, 7.4)
+        self.figure = blank_figure(7, 7.4)
         self._axes = self.figure.add_subplot()
         reach = 0.56 * span + d_safe / 2
         self._axes.set(

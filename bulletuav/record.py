@@ -5,11 +5,12 @@ import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from bulletuav.envs.aviary import Aviary, Step
+from bulletuav.envs.options import Options
 from bulletuav.physics.swarm import Swarm
 from bulletuav.policies.base import Policy
 from bulletuav.version import __version__
@@ -129,12 +130,18 @@ def save(recording: Recording, aviary: Aviary, policy: str, seed: int, folder: P
                 state = (recording.position, recording.quaternion, recording.velocity, recording.rates)
                 numbers = np.concatenate([array[t, drone] for array in state])
                 writer.writerow([f"{time:.6g}", drone, int(recording.alive[t, drone]), *(f"{x:.9g}" for x in numbers)])
-    names = [airframe.name for airframe in aviary.options.airframe]
-    wind = "function" if callable(aviary.options.wind) else aviary.options.wind
-    options = {**vars(aviary.options), "airframe": names, "wind": wind, **asdict(aviary.task.config)}
+    options = described(aviary.options, aviary.task.config)
     about = {"bulletuav": __version__, "task": aviary.task.name, "policy": policy, "seed": seed, "options": options}
     about["outcomes"] = [
         {name: value if value != np.inf else None for name, value in row._asdict().items()} for row in outcomes(recording)
     ]
     run.write_text(json.dumps(about, indent=2) + "\n")
     return [arrays, table, run]
+
+
+def described(options: Options, config: Any) -> dict[str, Any]:
+    """All options of an environment by name, as a json file can hold them."""
+    names = [airframe.name for airframe in options.airframe]
+    wind = "function" if callable(options.wind) else options.wind
+    random = {name: getattr(options.randomization, name) for name in options.randomization.active}
+    return {**vars(options), "airframe": names, "wind": wind, "randomization": random, **asdict(config)}

@@ -124,7 +124,7 @@ def test_help(arguments, capsys):
         (["fly", "crossing", "--set", "difficulty=esy"], "did you mean 'easy'"),
         (["fly", "crossing", "--decision-hz", "7"], "does not divide"),
         (["fly", "crossing", "--airframe", "nowhere.urdf"], "nowhere.urdf"),
-        (["fly", "crossing", "--action", "rpm"], "gives velocity or target_position actions"),
+        (["fly", "crossing", "--action", "rpm"], "gives velocity or velocity_increment or target_position actions"),
         (["fly", "crossing", "--out", "/dev/null/x"], "--out /dev/null/x cannot be a folder to write to"),
         (["fly", "crossing", "--drones", "2", "--set", "num_drones=3"], "num_drones is given twice"),
         (["fly", "crossing", "--set", "wind=nan,0,0"], "wind is nan: a finite number"),
@@ -154,7 +154,7 @@ def test_an_interrupt_ends_quietly(monkeypatch):
     def interrupted(arguments):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("bulletuav.cli.tasks", interrupted)
+    monkeypatch.setattr("bulletuav.commands.tasks.run", interrupted)
     with pytest.raises(SystemExit) as end:
         main(["tasks"])
     assert end.value.code == 130
@@ -182,7 +182,7 @@ def test_the_doctor_tells_what_is_missing(monkeypatch, capsys):
     assert found["C extension"].state.startswith("not active")
     assert found["extra video"] == ("extra video", "missing", "pip install 'bulletuav[video]'")
     assert found["live view"].state == "available"
-    monkeypatch.setattr("bulletuav.cli.examine", lambda: list(found.values()))
+    monkeypatch.setattr("bulletuav.commands.doctor.examine", lambda: list(found.values()))
     main(["doctor"])
     assert "bulletuav[video]" in "".join(capsys.readouterr().out.split())
     monkeypatch.setattr(world, "EXTENSION", world.EXTENSION._replace(path="/nowhere.so"))

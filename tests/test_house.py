@@ -15,7 +15,10 @@ LAYERS = [
     {"sensors"},
     {"tasks"},
     {"envs"},
-    {"policies", "adapters", "evaluate", "record", "pictures", "benchmark", "cli", "doctor", "__init__", "__main__"},
+    {"policies", "adapters"},
+    {"record", "metrics", "evaluation"},
+    {"pictures", "charts", "leaderboard", "benchmark", "doctor"},
+    {"__init__", "commands", "cli", "__main__"},
 ]
 RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
 FILES = sorted(PACKAGE.rglob("*.py"))
@@ -66,7 +69,7 @@ def test_engine_and_extras_stay_in_their_places(path):
 @pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
 def test_the_library_does_not_print_and_files_stay_short(path):
     text = path.read_text()
-    if path.name != "cli.py":
+    if path.parent.name != "commands":
         calls = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Call)]
         assert not [call for call in calls if isinstance(call.func, ast.Name) and call.func.id in ("print", "exit")]
     assert text.count("\n") <= 340

@@ -35,7 +35,8 @@ class Action:
 
     `labels` name and scale each number of each drone; drones with fewer numbers (rotors) than A do not read the last ones.
     `decode` takes actions already clipped to the bounds and the velocities commanded last (W, N, 3); `encode` is its inverse
-    on the setpoint's first three numbers, for policies that think in metres. `choices` is how many discrete actions there
+    on the setpoint's first three numbers, for policies that think in metres, and takes the same velocities where the action
+    is relative to them. `choices` is how many discrete actions there
     are: then A = 1 and the number is the choice.
     """
 
@@ -45,7 +46,7 @@ class Action:
     low: np.ndarray
     high: np.ndarray
     decode: Callable[[np.ndarray, np.ndarray], np.ndarray]
-    encode: Callable[[np.ndarray], np.ndarray] | None = None
+    encode: Callable[..., np.ndarray] | None = None
     choices: int | None = None
 
     def size(self, drone: int) -> int:
@@ -90,7 +91,7 @@ def velocity(flyable: Flyable) -> Action:
     def decode(action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
         return _with_yaw(limit_norm(action * speed, speed))
 
-    return _uniform(flyable, "velocity", Level.VELOCITY, labels, decode, lambda velocity: velocity / speed)
+    return _uniform(flyable, "velocity", Level.VELOCITY, labels, decode, lambda velocity, commanded=None: velocity / speed)
 
 
 def velocity_increment(flyable: Flyable) -> Action:
@@ -105,7 +106,11 @@ def velocity_increment(flyable: Flyable) -> Action:
     def decode(action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
         return _with_yaw(limit_norm(commanded + step * action, speed))
 
-    return _uniform(flyable, "velocity_increment", Level.VELOCITY, labels, decode)
+    def encode(velocity: np.ndarray, commanded: np.ndarray) -> np.ndarray:
+        change = (velocity - commanded) / step
+        return change / np.maximum(np.abs(change).max(axis=-1, keepdims=True), 1.0)
+
+    return _uniform(flyable, "velocity_increment", Level.VELOCITY, labels, decode, encode)
 
 
 def heading_speed(flyable: Flyable) -> Action:
@@ -132,7 +137,10 @@ def target_position(flyable: Flyable) -> Action:
     def decode(action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
         return _with_yaw(centre + half * action)
 
-    return _uniform(flyable, "target_position", Level.POSITION, labels, decode, lambda position: (position - centre) / half)
+    def encode(position: np.ndarray, commanded: object = None) -> np.ndarray:
+        return (position - centre) / half
+
+    return _uniform(flyable, "target_position", Level.POSITION, labels, decode, encode)
 
 
 def attitude(flyable: Flyable) -> Action:

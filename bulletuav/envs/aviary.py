@@ -1,5 +1,6 @@
 """The batched core: W independent worlds of N drones through one decision at a time. Faces are thin wrappers of it."""
 
+import dataclasses
 import functools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -11,6 +12,7 @@ from bulletuav.control.gains import gain_rows
 from bulletuav.control.levels import Level
 from bulletuav.envs.camera import Camera
 from bulletuav.envs.plan import Plan
+from bulletuav.envs.randomization import Uncertainty
 from bulletuav.physics.airframe import parameter_rows
 from bulletuav.physics.dynamics import Dynamics, Flight
 from bulletuav.physics.ladder import LADDER
@@ -41,7 +43,9 @@ class Aviary:
     Never resets by itself: a drone whose episode ended leaves the airspace and is masked by `alive` (W, N) until its world
     is reset. World k's random numbers come from seed + k alone, and nothing that other worlds do changes world k.
 
-    Public state, to read: options, task, action, observer, swarm, scene, alive, steps (W,).
+    Public state, to read: options, task, action, observer, swarm, scene, alive, steps (W,), commanded (W, N, 3) (velocities
+    commanded last, m/s), parameters (W, N) (rows of `PARAMETERS` that the drones fly with) and rng, the worlds' random
+    generators, None before their first reset.
     """
 
     def __init__(self, task: str, num_worlds: int = 1, *, first_world: int = 0, **options: Any):
@@ -64,12 +68,13 @@ class Aviary:
         self._camera = Camera(self._world, self.options.render_size)
         self._eyes = self._make_eyes()
         self.swarm = Swarm.zeros(*shape, max(len(airframe.rotors) for airframe in self.options.airframe))
-        self.scene = Scene.empty(*shape, len(obstacles))
-        self._commanded = np.zeros((*shape, 3))  # velocities, m/s
+        self.scene = Scene.empty(*shape, len(obstacles), self.task.memory())
+        self.commanded = np.zeros((*shape, 3))
         self.alive = np.zeros(shape, dtype=bool)
         self.steps = np.zeros(self.num_worlds, dtype=np.int64)
         self._wind = Wind(self.options.wind, self.options.wind20, shape, 1 / self.options.decision_hz)
-        self._rng: list[np.random.Generator | None] = [None] * self.num_worlds
+        self._uncertainty = self._make_uncertainty()
+        self.rng: list[np.random.Generator | None] = [None] * self.num_worlds
         self._frame: Frame | None = None
 
     def _make_dynamics(self) -> tuple[Dynamics, Cascade]:
@@ -79,8 +84,15 @@ class Aviary:
         gains = np.tile(gain_rows(options.airframe, options.max_speed), worlds)
         cascade = Cascade.of(options.controller, nominal, gains)
         substeps = options.physics_hz // options.decision_hz
+        self.parameters = actual
         flight = Flight(self._world, actual, cascade, 1 / options.physics_hz, substeps, options.gravity)
         return LADDER[options.dynamics](flight), cascade
+
+    def _make_uncertainty(self) -> Uncertainty | None:
+        if not self.options.randomization.active:
+            return None
+        period = 1 / self.options.decision_hz
+        return Uncertainty(self.options.randomization, self._world, self.parameters, self._wind, period)
 
     def _make_eyes(self) -> DroneCameras | None:
         if not self.observer.images:
@@ -103,9 +115,11 @@ class Aviary:
         for spawn in spawns:
             refuse_overlap(spawn.position, self.task.setting.collision_radius)
         for k, rng, spawn in zip(worlds, generators, spawns, strict=True):
-            self._rng[k] = rng
+            self.rng[k] = rng
             self._place(int(k), spawn)
             self._wind.reset(int(k), rng)
+            if self._uncertainty is not None:
+                self._uncertainty.start(int(k), self.swarm, rng)
         chosen = np.zeros(self.alive.shape, dtype=bool)
         chosen[worlds] = True
         self._dynamics.place(self.swarm, chosen)
@@ -120,7 +134,7 @@ class Aviary:
         if seeds is not None:
             return [np.random.default_rng(seeds[k]) for k in worlds]
         first = None if self.options.seed is None else self.options.seed + self._first_world
-        return [self._rng[k] or np.random.default_rng(None if first is None else first + int(k)) for k in worlds]
+        return [self.rng[k] or np.random.default_rng(None if first is None else first + int(k)) for k in worlds]
 
     def _place(self, k: int, spawn: Spawn) -> None:
         for array, value in zip(self.swarm, spawn[:4], strict=False):
@@ -133,8 +147,10 @@ class Aviary:
             spawn.goal_velocity,
         )
         self.scene.obstacle[k], self.scene.obstacle_velocity[k] = spawn.obstacle, spawn.obstacle_velocity
+        for remembered in self.scene.memory.values():
+            remembered[k] = 0
         self._cascade.memory[k] = 0
-        self._commanded[k] = spawn.velocity
+        self.commanded[k] = spawn.velocity
         self.alive[k] = True
         self.steps[k] = 0
 
@@ -143,9 +159,12 @@ class Aviary:
         if self._eyes is not None:
             self._dynamics.show(self.swarm, self.alive)
             self._eyes.expose(self.swarm, self.alive, self.steps)
-            readings = self._eyes.pictures
-        time = self.steps / self.options.decision_hz
-        return Frame(before, after, action, self.scene, contacts, flown, time, self.task.config.d_safe, readings)
+            readings |= self._eyes.pictures
+        if self._uncertainty is not None:
+            readings |= self._uncertainty.readings()
+        time, last = self.steps / self.options.decision_hz, self.steps >= self.options.horizon
+        task = self.task
+        return Frame(before, after, action, self.scene, contacts, flown, time, last, task.config.d_safe, task.zone, readings)
 
     def step(self, actions: np.ndarray) -> Step:
         """Fly one decision with actions (W, N, A), those beyond the bounds clipped to them.
@@ -154,59 +173,79 @@ class Aviary:
         they were), RuntimeError before the first reset or after `close`.
         """
         self.require_started()
-        flown = self.alive.copy()
-        action = self._plan.actions(actions, self.alive)
-        flying = np.any(flown, axis=1)
-        wind = self._wind.sample(self.swarm, self.steps / self.options.decision_hz, self._rng, flying)
-        before = self.swarm.copy()
-        motion = self._move_scene(flying)
-        setpoint = self.action.decode(action, self._commanded)
-        if self.action.level == Level.VELOCITY:
-            self._commanded = setpoint[..., :3]
-        contacts = self._dynamics.fly(self.swarm, flown, self.action.level, setpoint, wind, motion)
-        if motion.moving:
-            self._world.set_obstacles(self.scene.obstacle, self.scene.obstacle_quaternion, flying)
-        self.steps += flying
-        frame = self._make_frame(before, self.swarm.copy(), action, contacts, flown)
-        terms = self.task.reward_terms(frame)
-        terminated = self.task.terminated(frame) & flown
-        truncated = (self.steps >= self.options.horizon)[:, None] & flown & ~terminated
+        frame = self._fly(self._plan.actions(actions, self.alive), self.alive.copy())
+        self.task.remember(frame)
+        flown, verdict = frame.alive, self.task.judge(frame)
+        terminated = verdict.terminated & flown
+        truncated = frame.last[:, None] & flown & ~terminated
         self._frame = frame
         self.alive = flown & ~terminated & ~truncated
         observations = self.observer.observe(frame, self.alive)
-        weighted = {name: self.task.weights[name] * term for name, term in terms.items()}
+        weighted = {name: self.task.weights[name] * term for name, term in verdict.terms.items()}
         if not flown.all():
             weighted = {name: np.where(flown, term, 0.0) for name, term in weighted.items()}
         self._world.park(flown & ~self.alive)
         if self.options.render_mode == "human":
             self._dynamics.show(self.swarm, self.alive)
             self._camera.show(self.swarm, self.alive, 1 / self.options.decision_hz)
-        return Step(
-            observations, functools.reduce(np.add, weighted.values()), terminated, truncated, self._info(frame, weighted)
-        )
+        reward = functools.reduce(np.add, weighted.values(), np.zeros(flown.shape))
+        return Step(observations, reward, terminated, truncated, self._info(frame, weighted, verdict.success))
+
+    def _fly(self, action: np.ndarray, flown: np.ndarray) -> Frame:
+        """One decision of the drones of `flown` (W, N)."""
+        flying, time = np.any(flown, axis=1), self.steps / self.options.decision_hz
+        wind = self._wind.sample(self.swarm, time, self.rng, flying)
+        before = self.swarm.copy()
+        motion = self._move_scene(flying)
+        setpoint = self.action.decode(action, self.commanded)
+        if self.action.level == Level.VELOCITY:
+            self.commanded = setpoint[..., :3]
+        if self._uncertainty is not None:
+            self._uncertainty.drain(time)
+        contacts = self._dynamics.fly(self.swarm, flown, self.action.level, setpoint, wind, motion)
+        if motion.moving:
+            self._world.set_obstacles(self.scene.obstacle, self.scene.obstacle_quaternion, flying)
+        if self.task.rebound is not None:
+            self._confine(flown, self.task.rebound)
+        self.steps += flying
+        if self._uncertainty is not None:
+            self._uncertainty.sense(self.swarm, flown, self.rng)
+        return self._make_frame(before, self.swarm.copy(), action, contacts, flown)
+
+    def _confine(self, flown: np.ndarray, rebound: float) -> None:
+        """Put drones that left the arena back to its bounds, with `rebound` of the speed across them, reversed."""
+        swarm = self.swarm
+        inside = np.clip(swarm.position, self.task.arena_low, self.task.arena_high)
+        over = (inside != swarm.position) & flown[..., None]
+        if over.any():
+            for velocity in (swarm.velocity, self.commanded):
+                away = velocity * (swarm.position - inside) > 0
+                np.copyto(velocity, -rebound * velocity, where=over & away)
+            np.copyto(swarm.position, inside, where=over)
+            self._dynamics.place(swarm, over.any(axis=-1))
 
     def _move_scene(self, flying: np.ndarray) -> Motion:
         """Let the task move goals and obstacles of the worlds that fly; tells where obstacles go meanwhile."""
         before = self.scene.obstacle.copy()
         time = self.steps / self.options.decision_hz
-        moved = self.task.advance(self.scene, time, flying, self._rng)
+        moved = self.task.advance(self.scene, time, flying, self.rng)
         after = self.scene.obstacle.copy() if moved else before
         return Motion(before, after, self.scene.obstacle_quaternion)
 
-    def _info(self, frame: Frame, weighted: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    def _info(self, frame: Frame, weighted: dict[str, np.ndarray], success: np.ndarray) -> dict[str, np.ndarray]:
         info = {f"reward/{name}": term for name, term in weighted.items()}
-        info["success"] = self.task.succeeded(frame) & frame.alive
+        info["success"] = success & frame.alive
         info["collision"] = frame.collision
         info["conflicts"] = frame.conflict.onsets
         info["separation"] = frame.conflict.separation
         info["goal_distance"] = frame.distance
-        return info
+        return info if self._uncertainty is None else info | self._uncertainty.info()
 
     def first_info(self) -> dict[str, np.ndarray]:
         """Info right after a reset: the keys of every step's info, terms at zero."""
         frame = self._current()
-        zero = np.zeros(self.alive.shape)
-        return self._info(frame, dict.fromkeys(self.task.weights, zero))
+        verdict = self.task.judge(frame)
+        return self._info(frame, dict.fromkeys(verdict.terms, np.zeros(self.alive.shape)), verdict.success)
 
     def _current(self) -> Frame:
         if self._frame is None:
@@ -214,8 +253,11 @@ class Aviary:
         return self._frame
 
     def state(self) -> np.ndarray:
-        """(W, N * 17) float32: position, attitude, velocity, rates, goal position and alive of every drone."""
-        state = self.state_observer.observe(self._current(), self.alive)
+        """(W, N * 17) float32: the true position, attitude, velocity, rates, goal position and alive of every drone."""
+        frame = self._current()
+        if self._uncertainty is not None:
+            frame = dataclasses.replace(frame, readings={})
+        state = self.state_observer.observe(frame, self.alive)
         assert isinstance(state, np.ndarray)  # no pictures among its blocks
         return state.reshape(self.num_worlds, -1)
 
@@ -235,6 +277,16 @@ class Aviary:
         picture = self._camera.picture(world, self.swarm, self.scene.goal[world], flown)
         self._world.park(flown & ~self.alive)
         return picture
+
+    @property
+    def level(self) -> Level:
+        """Of the setpoints that drive the dynamics."""
+        return self._dynamics.consumes
+
+    @property
+    def communicates(self) -> bool:
+        """Whether messages between drones are simulated, with infos that count them."""
+        return self._uncertainty is not None and self._uncertainty.communicates
 
     def require_started(self) -> None:
         """Raise RuntimeError before the first reset and after `close`."""

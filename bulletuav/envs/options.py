@@ -1,21 +1,23 @@
 """Options of an environment: from keyword arguments to checked, frozen values."""
 
 import dataclasses
+import typing
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from bulletuav.control.actions import ACTIONS
 from bulletuav.control.cascade import CONTROLLERS, PID_LEVELS
 from bulletuav.control.levels import Level
+from bulletuav.envs.randomization import CERTAIN, Randomization
 from bulletuav.errors import finite, pick, several, unknown, whole
 from bulletuav.physics.airframe import EFFECTS, STANDARD_GRAVITY, Airframe, load_airframe
 from bulletuav.physics.ladder import LADDER
 from bulletuav.physics.wind import TURBULENCE, WindField
 from bulletuav.tasks.base import Task
-from bulletuav.tasks.terms.observations import BLOCKS, IMAGES
+from bulletuav.tasks.terms.observations import NAMES
 
 RENDER_MODES = ("rgb_array", "human")
 ROTOR_ACTIONS = ("rotor", "rpm")
@@ -31,6 +33,8 @@ class Options:
                  "single_integrator"
     action       a name in `bulletuav.control.actions.ACTIONS`
     observation  names of observation blocks, side by side; None for the task's own
+    num_neighbours  how many of the nearest drones, and obstacles, are observed
+    normalise    whether observations are scaled from their bounds to [-1, 1]
     difficulty   "easy", "medium", "hard" or "extreme": values of other options, which you can still override
     preset       a named set of values of other options, see the task; goes before the difficulty
     physics_hz   substeps a second
@@ -43,6 +47,7 @@ class Options:
     controller   "lee" (geometric) or "pid" (the Crazyflie's own)
     effects      which of "lag", "drag", "ground_effect", "downwash" are simulated
     wind         steady wind (east, north, up), m/s, or a function of positions (W, N, 3) m and times (W,) s to (W, N, 3) m/s
+    randomization  what is uncertain, see `bulletuav.envs.randomization.Randomization`: a dict such as {"gps_noise": 1.0}
     turbulence   Dryden gusts: None, "light", "moderate", "severe", or the wind speed at 20 feet that sets them, m/s
     camera_size  width and height of the drones' cameras, pixels (observations "rgb" and "depth")
     camera_hz    their pictures a second; must divide decision_hz; None for one a decision
@@ -57,6 +62,8 @@ class Options:
     max_speed: float
     dynamics: str = "bullet"
     observation: tuple[str, ...] | None = None
+    num_neighbours: int = 3
+    normalise: bool = False
     difficulty: str = "easy"
     preset: str | None = None
     physics_hz: int = 240
@@ -67,12 +74,13 @@ class Options:
     effects: tuple[str, ...] = EFFECTS
     wind: tuple[float, float, float] | WindField = (0.0, 0.0, 0.0)
     turbulence: str | float | None = None
+    randomization: Randomization = CERTAIN
     camera_size: tuple[int, int] = (64, 48)
     camera_hz: int | None = None
     gravity: float = STANDARD_GRAVITY
 
     def __post_init__(self):
-        for name in ("num_drones", "horizon", "physics_hz", "decision_hz"):
+        for name in ("num_drones", "num_neighbours", "horizon", "physics_hz", "decision_hz"):
             whole(name, getattr(self, name), 1)
         _divides("decision_hz", self.decision_hz, "physics_hz", self.physics_hz)
         if self.camera_hz is not None:
@@ -88,7 +96,9 @@ class Options:
         for name, choices in (("dynamics", LADDER), ("action", ACTIONS), ("controller", CONTROLLERS)):
             pick(name, getattr(self, name), dict(choices))
         for block in self.observation or ():
-            pick("observation block", block, {**BLOCKS, **IMAGES})
+            pick("observation block", block, dict.fromkeys(NAMES))
+        if not isinstance(self.normalise, bool):
+            raise ValueError(f"normalise is {self.normalise!r}: True or False is needed")
         for effect in self.effects:
             pick("effect", effect, dict.fromkeys(EFFECTS))
         self._check_flight()
@@ -188,6 +198,8 @@ def resolve(task: type[Task], given: Mapping[str, Any]) -> tuple[Options, Any]:
         raise ValueError(f"preset is {given['preset']!r}: task {task.name!r} has none")
     preset = {} if given.get("preset") is None else pick("preset", given["preset"], dict(task.presets))
     values = {**task.defaults, **level, **preset, **given, "difficulty": difficulty}
+    if isinstance(given.get("weights"), Mapping):
+        values["weights"] = {**preset.get("weights", {}), **given["weights"]}
     for name in ("num_drones", "airframe", "action", "decision_hz", "horizon", "max_speed", "dynamics", "controller"):
         if values.get(name, "") is None:
             raise ValueError(f"{name} is None: leave it out for the task's default")
@@ -207,6 +219,7 @@ def resolve(task: type[Task], given: Mapping[str, Any]) -> tuple[Options, Any]:
         values["airframe"] = (_airframe(values["airframe"]),) * values["num_drones"]
     if "max_speed" not in given:
         values["max_speed"] = min(values["max_speed"], *(airframe.max_speed for airframe in values["airframe"]))
+    values["randomization"] = Randomization.of(values.get("randomization"))
     options = Options(**{name: value for name, value in values.items() if name in common})
     config = task.Config(**{name: value for name, value in values.items() if name in own})
     _check_config(config)
@@ -218,7 +231,9 @@ def _check_config(config: Any) -> None:
     for field in dataclasses.fields(config):
         value = getattr(config, field.name)
         if field.type is int:
-            whole(field.name, value, 1)
+            whole(field.name, value, field.metadata.get("least", 1))
+        elif typing.get_origin(field.type) is Literal:
+            pick(field.name, value, dict.fromkeys(typing.get_args(field.type)))
         elif field.type is float and finite(field.name, value) < 0:
             raise ValueError(f"{field.name} is {value:g}: it must not be negative")
         elif field.type == tuple[float, float]:

@@ -25,8 +25,9 @@ class Plan:
         self.num_worlds = whole("num_worlds", num_worlds, 1)
         self.task = _make_task(kind, config, self.options)
         self.action = _make_action(self.options, self.task)
-        self.observer = Observer(self.options.observation or kind.observation, self.task, self.options.camera_size)
-        self.state_observer = Observer(STATE, self.task)
+        names, camera = self.options.observation or kind.observation, self.options.camera_size
+        self.observer = Observer(names, self.task, self.action, camera, self.options.normalise)
+        self.state_observer = Observer(STATE, self.task, self.action)
 
     def mask(self, mask: np.ndarray | None) -> np.ndarray:
         """(W,) worlds to reset, all for None. Raises ValueError for another shape or type."""
@@ -76,7 +77,8 @@ class Plan:
 
 def _make_task(kind: type[Task], config: Any, options: Options) -> Task:
     radius = max(airframe.collision_radius for airframe in options.airframe)
-    task = kind(config, Setting(options.num_drones, radius, options.max_speed, 1 / options.decision_hz))
+    period = 1 / options.decision_hz
+    task = kind(config, Setting(options.num_drones, radius, options.max_speed, period, options.num_neighbours))
     reach = float(np.abs([task.arena_low[:2], task.arena_high[:2]]).max())
     if 2 * (reach + radius) >= TILE_PITCH or task.arena_high[2] >= PARKING_HEIGHT:
         raise ValueError(

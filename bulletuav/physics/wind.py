@@ -63,15 +63,15 @@ def advance_gusts(state, noise, position, velocity, steady, wind20, dt, wind):
     """Advance the filters by dt (s) and add the gusts to `wind` (W, N, 3).
 
     state (W, N, 5) holds u, v (2) and w (2), each of unit variance; noise (W, N, 5) is standard normal. u is along the
-    steady wind (east where there is none), v to its left, w up; the air passes at the drone's speed against the steady wind.
+    steady wind (W, 3) (east where there is none), v to its left, w up; the air passes at the drone's speed against it.
     """
-    size = math.hypot(steady[0], steady[1])
-    ex, ey = (steady[0] / size, steady[1] / size) if size > 1e-9 else (1.0, 0.0)
     for w in range(state.shape[0]):
+        size = math.hypot(steady[w, 0], steady[w, 1])
+        ex, ey = (steady[w, 0] / size, steady[w, 1] / size) if size > 1e-9 else (1.0, 0.0)
         for i in range(state.shape[1]):
             x, n, v = state[w, i], noise[w, i], velocity[w, i]
             length_u, length_w, s_u, s_w = dryden_scales(position[w, i, 2], wind20)
-            air = (v[0] - steady[0], v[1] - steady[1], v[2] - steady[2])
+            air = (v[0] - steady[w, 0], v[1] - steady[w, 1], v[2] - steady[w, 2])
             passed = dt * max(math.sqrt(dot(air, air)), SLOWEST)
             x[0] = first_order(x[0], passed / length_u, n[0])
             x[1], x[2] = second_order(x[1], x[2], passed / length_u, n[1], n[2])
@@ -84,12 +84,17 @@ def advance_gusts(state, noise, position, velocity, steady, wind20, dt, wind):
 
 
 class Wind:
-    """The wind of all worlds: steady or a field, with Dryden gusts on top where `wind20` is above 0."""
+    """The wind of all worlds: steady or a field, with Dryden gusts on top where `wind20` is above 0.
+
+    given   (3,) the steady wind asked for, m/s; zero for a field
+    steady  (W, 3) that of each world, which may be set; beside a field it adds to it
+    """
 
     def __init__(self, steady: tuple[float, float, float] | WindField, wind20: float, shape: tuple[int, int], dt: float):
         """`wind20`: wind speed at 20 feet that sets the turbulence, m/s; shape (W, N); dt between samples, s."""
         self._field = steady if callable(steady) else None
-        self._steady = np.zeros(3) if callable(steady) else np.array(steady, dtype=float)
+        self.given = np.zeros(3) if callable(steady) else np.array(steady, dtype=float)
+        self.steady = np.tile(self.given, (shape[0], 1))
         self._wind20, self._dt = wind20, dt
         self._shape = shape
         self._gusts = np.zeros((*shape, 5))
@@ -107,14 +112,16 @@ class Wind:
         Raises ValueError when the wind field gives another shape or numbers that are not finite.
         """
         wind = np.empty((*self._shape, 3))
-        wind[:] = self._steady if self._field is None else self._checked(self._field(swarm.position.copy(), time.copy()))
+        wind[:] = self.steady[:, None]
+        if self._field is not None:
+            wind += self._checked(self._field(swarm.position.copy(), time.copy()))
         if self._wind20 > 0:
             noise = np.zeros_like(self._gusts)
             for k in np.flatnonzero(flying).tolist():
                 rng = rngs[k]
                 assert rng is not None  # a world that flies was reset
                 noise[k] = rng.standard_normal(noise[k].shape)
-            advance_gusts(self._gusts, noise, swarm.position, swarm.velocity, self._steady, self._wind20, self._dt, wind)
+            advance_gusts(self._gusts, noise, swarm.position, swarm.velocity, self.steady, self._wind20, self._dt, wind)
         return wind
 
     def _checked(self, wind: np.ndarray) -> np.ndarray:

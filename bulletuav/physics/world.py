@@ -206,6 +206,11 @@ class World:
             DRONE_GROUP | SURFACE_GROUP,
         )
 
+    def set_masses(self, world: int, mass: np.ndarray, inertia: np.ndarray) -> None:
+        """Give the drones of one world mass (N,) kg and principal moments of inertia (N, 3) kg m^2."""
+        for body, m, moments in zip(self._body[world].tolist(), mass.tolist(), inertia.tolist(), strict=True):
+            bullet.changeDynamics(body, -1, mass=m, localInertiaDiagonal=moments, physicsClientId=self._client)
+
     def set_poses(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Show the drones of `mask` (W, N) where `swarm` says, without touching velocities or contacts."""
         self._calls.pose(self._body[mask], (swarm.position + self._offset)[mask], swarm.quaternion[mask])

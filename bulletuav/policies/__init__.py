@@ -1,12 +1,44 @@
-"""Baseline policies."""
+"""Baseline policies, and those that were trained."""
 
+from collections.abc import Callable
+from typing import NamedTuple
+
+from bulletuav.envs.aviary import Aviary
 from bulletuav.errors import pick
 from bulletuav.policies.base import Policy
+from bulletuav.policies.orca import Orca
+from bulletuav.policies.potential import PotentialField
+from bulletuav.policies.random import RandomActions
 from bulletuav.policies.straight import StraightLine
+from bulletuav.policies.trained import ALGORITHMS, Trained
 
-POLICIES: dict[str, type[Policy]] = {policy.name: policy for policy in (StraightLine,)}
+POLICIES: dict[str, type[Policy]] = {policy.name: policy for policy in (StraightLine, PotentialField, Orca, RandomActions)}
+PolicySource = str | type[Policy]
 
 
-def find_policy(name: str) -> type[Policy]:
-    """The policy of that name. Raises ValueError with the nearest names when there is none."""
-    return pick("policy", name, POLICIES)
+class Pilot(NamedTuple):
+    """A policy to be: its name, the actions that it can give (none named: any), what it reads, and how to make it."""
+
+    name: str
+    actions: tuple[str, ...]
+    reads_swarm: bool
+    make: Callable[[Aviary], Policy]
+
+    def __call__(self, aviary: Aviary) -> Policy:
+        """The policy, to fly that aviary."""
+        return self.make(aviary)
+
+
+def find_policy(source: PolicySource) -> Pilot:
+    """The policy of that name, a class of one, or a trained model: "ppo:model.zip" (also sac, td3, dqn).
+
+    Raises ValueError with the nearest names when there is none.
+    """
+    if isinstance(source, type) and issubclass(source, Policy):
+        return Pilot(source.name, source.actions, source.reads_swarm, source)
+    algorithm, colon, path = source.partition(":") if isinstance(source, str) else ("", "", "")
+    if colon:
+        pick("algorithm", algorithm, dict.fromkeys(ALGORITHMS))
+        return Pilot(str(source), (), Trained.reads_swarm, lambda aviary: Trained(aviary, algorithm, path))
+    kind = pick("policy", source, POLICIES)
+    return Pilot(kind.name, kind.actions, kind.reads_swarm, kind)

@@ -14,7 +14,7 @@ class Policy(ABC):
     """Chooses the actions of all drones of all worlds.
 
     name         what the command line calls it
-    actions      kinds of action that it can give, the preferred one first
+    actions      kinds of action that it can give, the preferred one first; none named: any
     reads_swarm  whether it uses the true state instead of the observations
     """
 
@@ -24,12 +24,18 @@ class Policy(ABC):
 
     def __init__(self, aviary: Aviary):
         """Raises ValueError when the aviary's action is not one that the policy can give."""
-        if aviary.options.action not in self.actions:
+        if self.actions and aviary.options.action not in self.actions:
             raise ValueError(
                 f"policy {self.name!r} gives {' or '.join(self.actions)} actions, not {aviary.options.action!r}: "
                 f"choose action={self.actions[0]!r}"
             )
         self.aviary = aviary
+
+    def encoded(self, setpoint: np.ndarray) -> np.ndarray:
+        """The actions (W, N, 3) that ask for velocities (or target positions) `setpoint` (W, N, 3), m/s (m)."""
+        encode = self.aviary.action.encode
+        assert encode is not None  # all actions that policies ask for have one
+        return encode(setpoint, self.aviary.commanded)
 
     @abstractmethod
     def reset(self, mask: np.ndarray) -> None:

@@ -14,7 +14,7 @@ class StraightLine(Policy):
     """Towards the goal at max_speed, slower when nearer than a second of flight, and with it where it moves."""
 
     name = "straight"
-    actions = ("velocity", "target_position")
+    actions = ("velocity", "velocity_increment", "target_position")
     reads_swarm = True
 
     def reset(self, mask: np.ndarray) -> None:
@@ -22,9 +22,12 @@ class StraightLine(Policy):
 
     def act(self, observations: Observation, swarm: Swarm) -> np.ndarray:
         """The goal itself, or the velocity towards it."""
-        goal, encode = self.aviary.scene.goal, self.aviary.action.encode
-        assert encode is not None  # all actions in `actions` have one
-        if self.aviary.options.action == "target_position":
-            return encode(goal)
-        wanted = APPROACH * (goal - swarm.position) + self.aviary.scene.goal_velocity
-        return encode(limit_norm(wanted, self.aviary.options.max_speed))
+        scene, options = self.aviary.scene, self.aviary.options
+        if options.action == "target_position":
+            return self.encoded(scene.goal)
+        return self.encoded(preferred_velocity(scene.goal, scene.goal_velocity, swarm.position, options.max_speed))
+
+
+def preferred_velocity(goal: np.ndarray, goal_velocity: np.ndarray, position: np.ndarray, max_speed: float) -> np.ndarray:
+    """(W, N, 3) m/s towards goals (W, N, 3) from positions, and with them, at up to `max_speed`."""
+    return limit_norm(APPROACH * (goal - position) + goal_velocity, max_speed)

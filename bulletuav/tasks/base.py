@@ -36,7 +36,10 @@ class Spawn(NamedTuple):
 
 
 class Scene(NamedTuple):
-    """Beside the drones: goals (W, N, 3) m, m/s, start positions (W, N, 3) m; obstacles (W, K, 3) m, m/s, (W, K, 4)."""
+    """Beside the drones: goals (W, N, 3) m, m/s, start positions (W, N, 3) m; obstacles (W, K, 3) m, m/s, (W, K, 4).
+
+    `memory`: the task's own arrays (W, ...) by name, zero when a world starts.
+    """
 
     goal: np.ndarray
     goal_velocity: np.ndarray
@@ -44,31 +47,40 @@ class Scene(NamedTuple):
     obstacle: np.ndarray
     obstacle_velocity: np.ndarray
     obstacle_quaternion: np.ndarray
+    memory: Mapping[str, np.ndarray]
 
     @classmethod
-    def empty(cls, num_worlds: int, num_drones: int, num_obstacles: int) -> "Scene":
-        """All at the origin, unturned."""
+    def empty(cls, num_worlds: int, num_drones: int, num_obstacles: int, memory: Mapping[str, tuple[int, ...]]) -> "Scene":
+        """All at the origin, unturned; `memory` tells the shape of each array in one world."""
         of_drones, of_obstacles = (num_worlds, num_drones, 3), (num_worlds, num_obstacles, 3)
         turns = np.tile([0.0, 0.0, 0.0, 1.0], (num_worlds, num_obstacles, 1))
         goal, goal_velocity, start = np.zeros((3, *of_drones))
-        return cls(goal, goal_velocity, start, np.zeros(of_obstacles), np.zeros(of_obstacles), turns)
+        remembered = {name: np.zeros((num_worlds, *shape)) for name, shape in memory.items()}
+        return cls(goal, goal_velocity, start, np.zeros(of_obstacles), np.zeros(of_obstacles), turns, remembered)
 
 
 @dataclass(frozen=True)
 class Setting:
-    """The swarm that a task is set for: size, largest collision radius (m), speed limit (m/s), decision period (s)."""
+    """The swarm that a task is set for: size, largest collision radius (m), speed limit (m/s), decision period (s).
+
+    `num_neighbours`: how many other drones and obstacles a drone observes.
+    """
 
     num_drones: int
     collision_radius: float
     max_speed: float
     period: float
+    num_neighbours: int
 
 
 @dataclass(frozen=True)
 class Frame:
     """One decision, for a task to judge. Arrays (W, N, ...); `alive` are the drones that flew it, `time` (W,) s since reset.
 
-    `readings` are what sensors measured after it, by name.
+    `last` (W,) tells where the horizon is reached; the warning zone about a drone ends at `zone` m. `readings` are what
+    sensors measured after it, by name: pictures; with randomization also what drones know of themselves, "position" and
+    "velocity" (W, N, 3), and with communication what drone i last heard of drone j, "heard_position" and "heard_velocity"
+    (W, N, N, 3), where "heard" (W, N, N).
     """
 
     before: Swarm
@@ -78,13 +90,30 @@ class Frame:
     contacts: Contacts
     alive: np.ndarray
     time: np.ndarray
+    last: np.ndarray
     d_safe: float
+    zone: float
     readings: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     @cached_property
     def conflict(self) -> Conflict:
         """Separations within the decision."""
-        return conflict(self.before.position, self.after.position, self.alive, self.d_safe)
+        return conflict(self.before.position, self.after.position, self.alive, self.d_safe, self.zone)
+
+    @property
+    def known_position(self) -> np.ndarray:
+        """(W, N, 3) where the drones think that they are, m."""
+        return self.readings.get("position", self.after.position)
+
+    @property
+    def known_velocity(self) -> np.ndarray:
+        """(W, N, 3) how they think that they move, m/s."""
+        return self.readings.get("velocity", self.after.velocity)
+
+    @cached_property
+    def known_distance(self) -> np.ndarray:
+        """(W, N) from there to the goal, m."""
+        return distances(self.scene.goal, self.known_position)
 
     @cached_property
     def collision(self) -> np.ndarray:
@@ -100,6 +129,19 @@ class Frame:
     def distance_before(self) -> np.ndarray:
         """(W, N) distance to the goal before the decision, m."""
         return distances(self.scene.goal, self.before.position)
+
+
+class Verdict(NamedTuple):
+    """What a task makes of a frame.
+
+    terms       unweighted reward terms by name, (W, N) each; the reward is their sum times the task's `weights`
+    terminated  (W, N) bool: drones whose episode ends here, in success or failure
+    success     (W, N) bool: drones that are where the task wants them
+    """
+
+    terms: dict[str, np.ndarray]
+    terminated: np.ndarray
+    success: np.ndarray
 
 
 class Task(ABC):
@@ -123,6 +165,10 @@ class Task(ABC):
     observation: ClassVar[tuple[str, ...]]
     reward_weights: ClassVar[Mapping[str, float]]
 
+    rebound: float | None = None
+    """share of the speed that is left, reversed, to a drone at the arena's bounds; None where they hold nobody back"""
+    zone: float
+    """where the warning zone about a drone ends, m"""
     arena_low: np.ndarray
     """(3,) lower corner of the space that observations and target positions are scaled to, m"""
     arena_high: np.ndarray
@@ -132,6 +178,7 @@ class Task(ABC):
         self.config = config
         self.setting = setting
         self.weights = merged_weights(self.reward_weights, config.weights)
+        self.zone = 2 * config.d_safe
 
     @abstractmethod
     def spawn(self, rng: np.random.Generator) -> Spawn:
@@ -148,17 +195,16 @@ class Task(ABC):
         """
         return False
 
-    @abstractmethod
-    def reward_terms(self, frame: Frame) -> dict[str, np.ndarray]:
-        """Unweighted reward terms by name, (W, N) each; the reward is their sum times `config.weights`."""
+    def memory(self) -> Mapping[str, tuple[int, ...]]:
+        """Arrays that the task keeps in `scene.memory` over an episode: shape in one world by name; none by default."""
+        return {}
+
+    def remember(self, frame: Frame) -> None:  # noqa: B027
+        """Bring `scene.memory` up to date after a decision, before it is judged; by default nothing to do."""
 
     @abstractmethod
-    def terminated(self, frame: Frame) -> np.ndarray:
-        """(W, N) bool: drones whose episode ends here, in success or failure."""
-
-    @abstractmethod
-    def succeeded(self, frame: Frame) -> np.ndarray:
-        """(W, N) bool: drones that are where the task wants them."""
+    def judge(self, frame: Frame) -> Verdict:
+        """Reward terms, ends and successes of a decision. Changes nothing: it may be asked twice."""
 
 
 def merged_weights(defaults: Mapping[str, float], changes: Mapping[str, float]) -> dict[str, float]:

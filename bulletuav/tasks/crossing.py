@@ -1,73 +1,66 @@
 """Task `crossing`: two teams cross one airspace at right angles."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
-from bulletuav.tasks.base import Frame, Setting, Spawn, Task
+from bulletuav.tasks.base import Setting, Spawn
+from bulletuav.tasks.terms.airspace import UNCERTAINTY, Airspace, AirspaceConfig, clearance
 
 
 @dataclass(frozen=True)
-class CrossingConfig:
-    """Options of `crossing`, m, m/s.
+class CrossingConfig(AirspaceConfig):
+    """Options of `crossing` beside those of every shared airspace, m.
 
     Teams start `half_length` from the centre in formations of `lanes` columns, `lane_spacing` apart sideways, in ranks as
     far behind each other, at `altitude` plus or minus half `altitude_spread`; start positions vary by up to `jitter` on each
     axis. Drones start at a speed drawn from `start_speed` towards their goals.
     """
 
-    d_safe: float = 5.0
     half_length: float = 100.0
-    altitude: float = 40.0
     altitude_spread: float = 6.0
     lanes: int = 10
     lane_spacing: float = 15.0
-    jitter: float = 1.0
-    start_speed: tuple[float, float] = (5.0, 15.0)
-    goal_radius: float = 2.0
-    margin: float = 30.0
-    weights: Mapping[str, float] = field(default_factory=dict)
 
 
-class Crossing(Task):
+class Crossing(Airspace):
     """Two teams at right angles through one airspace: (0, -100) to (0, 100) and (-100, 0) to (100, 0).
 
     The first half of the drones flies north, the others east; each has its lane and its own goal, straight ahead.
 
     Observation, per drone, Box(31) float32, clipped to its bounds (here for max_speed 20 and 8 drones):
-      0  position x               m      [-130, 130]
-      1  position y               m      [-130, 130]
-      2  position z               m      [0, 74]
-      3  velocity x               m/s    [-40, 40]
-      4  velocity y               m/s    [-40, 40]
-      5  velocity z               m/s    [-40, 40]
-      6  goal direction x         1      [-1, 1]
-      7  goal direction y         1      [-1, 1]
-      8  goal direction z         1      [-1, 1]
-      9  goal distance            m      [0, 375.068]
-     10  neighbour 1 distance     m      [0, 375.068]
-     11  neighbour 1 position x   m      [-260, 260]
-     12  neighbour 1 position y   m      [-260, 260]
-     13  neighbour 1 position z   m      [-74, 74]
-     14  neighbour 1 velocity x   m/s    [-80, 80]
-     15  neighbour 1 velocity y   m/s    [-80, 80]
-     16  neighbour 1 velocity z   m/s    [-80, 80]
-     17  neighbour 2 distance     m      [0, 375.068]
-     18  neighbour 2 position x   m      [-260, 260]
-     19  neighbour 2 position y   m      [-260, 260]
-     20  neighbour 2 position z   m      [-74, 74]
-     21  neighbour 2 velocity x   m/s    [-80, 80]
-     22  neighbour 2 velocity y   m/s    [-80, 80]
-     23  neighbour 2 velocity z   m/s    [-80, 80]
-     24  neighbour 3 distance     m      [0, 375.068]
-     25  neighbour 3 position x   m      [-260, 260]
-     26  neighbour 3 position y   m      [-260, 260]
-     27  neighbour 3 position z   m      [-74, 74]
-     28  neighbour 3 velocity x   m/s    [-80, 80]
-     29  neighbour 3 velocity y   m/s    [-80, 80]
-     30  neighbour 3 velocity z   m/s    [-80, 80]
+      0  position x              m     [-130, 130]
+      1  position y              m     [-130, 130]
+      2  position z              m     [0, 74]
+      3  velocity x              m/s   [-40, 40]
+      4  velocity y              m/s   [-40, 40]
+      5  velocity z              m/s   [-40, 40]
+      6  goal direction x        1     [-1, 1]
+      7  goal direction y        1     [-1, 1]
+      8  goal direction z        1     [-1, 1]
+      9  goal distance           m     [0, 375.068]
+     10  neighbour 1 distance    m     [0, 375.068]
+     11  neighbour 1 position x  m     [-260, 260]
+     12  neighbour 1 position y  m     [-260, 260]
+     13  neighbour 1 position z  m     [-74, 74]
+     14  neighbour 1 velocity x  m/s   [-80, 80]
+     15  neighbour 1 velocity y  m/s   [-80, 80]
+     16  neighbour 1 velocity z  m/s   [-80, 80]
+     17  neighbour 2 distance    m     [0, 375.068]
+     18  neighbour 2 position x  m     [-260, 260]
+     19  neighbour 2 position y  m     [-260, 260]
+     20  neighbour 2 position z  m     [-74, 74]
+     21  neighbour 2 velocity x  m/s   [-80, 80]
+     22  neighbour 2 velocity y  m/s   [-80, 80]
+     23  neighbour 2 velocity z  m/s   [-80, 80]
+     24  neighbour 3 distance    m     [0, 375.068]
+     25  neighbour 3 position x  m     [-260, 260]
+     26  neighbour 3 position y  m     [-260, 260]
+     27  neighbour 3 position z  m     [-74, 74]
+     28  neighbour 3 velocity x  m/s   [-80, 80]
+     29  neighbour 3 velocity y  m/s   [-80, 80]
+     30  neighbour 3 velocity z  m/s   [-80, 80]
     World axes (east, north, up). Neighbours are the nearest living drones, nearest first, relative to the drone; zeros where
     there are fewer.
 
@@ -76,60 +69,41 @@ class Crossing(Task):
 
     Reward, per decision, weighted terms: progress 5 a metre nearer to the goal; goal 50 on reaching it; conflict -100 for
     each other drone with which a separation falls below d_safe = 5 m; warning -5 for each other drone, linear from 0 at
-    2 d_safe to 1 at d_safe; collision -200; out_of_bounds -50; energy -0.01 per (m/s)^2 of velocity change.
+    2 d_safe to 1 at d_safe; collision -200; out_of_bounds -50; energy -0.01 per (m/s)^2 of velocity change. For the
+    asking: efficiency 0 (1 - distance over that at the start), speed_keeping 0 (0.3 to 0.8 of max_speed), time 0 (1 a
+    decision), shaping 0 (by the potential -distance), fairness 0 (variance of the rewards nearby), concession 0 (made way).
 
     End: terminated on reaching the goal (within 2 m), on contact of collision shapes, or outside the arena (bounds of
-    position); the drone then leaves the airspace. Conflict ends nothing. Truncated after 500 decisions.
+    position); the drone then leaves the airspace. Conflict ends nothing. Options change each of these. Truncated after 500
+    decisions.
     Success: goal reached.
 
     Difficulty, drones / lane spacing / altitude spread: easy 4, 20 m, 10 m; medium 8, 15 m, 6 m; hard 20, 12 m, 4 m;
     extreme 100, 12 m, 4 m.
+    Uncertain from medium on: positions by 0.5 to 1.5 m (GPS). Hard: up to 3 m, and wind. Extreme: everything (see
+    `UNCERTAINTY`), in light turbulence.
+
+    Preset uavconflict: sizes, observation and reward constants of UAVConflictGym.
     """
 
     name = "crossing"
     Config = CrossingConfig
-    defaults: ClassVar = {
-        "num_drones": 8,
-        "airframe": "hummingbird",
-        "action": "velocity",
-        "decision_hz": 10,
-        "horizon": 500,
-        "max_speed": 20.0,
-        "difficulty": "medium",
-    }
+    config: CrossingConfig
     difficulties: ClassVar = {
-        "easy": {"num_drones": 4, "lane_spacing": 20.0, "altitude_spread": 10.0},
-        "medium": {},
-        "hard": {"num_drones": 20, "lane_spacing": 12.0, "altitude_spread": 4.0},
-        "extreme": {"num_drones": 100, "lane_spacing": 12.0, "altitude_spread": 4.0},
-    }
-    observation = ("position", "velocity", "goal", "neighbours")
-    reward_weights: ClassVar = {
-        "progress": 5.0,
-        "goal": 50.0,
-        "conflict": -100.0,
-        "warning": -5.0,
-        "collision": -200.0,
-        "out_of_bounds": -50.0,
-        "energy": -0.01,
+        "easy": {"num_drones": 4, "lane_spacing": 20.0, "altitude_spread": 10.0, **UNCERTAINTY["easy"]},
+        "medium": {**UNCERTAINTY["medium"]},
+        "hard": {"num_drones": 20, "lane_spacing": 12.0, "altitude_spread": 4.0, **UNCERTAINTY["hard"]},
+        "extreme": {"num_drones": 100, "lane_spacing": 12.0, "altitude_spread": 4.0, **UNCERTAINTY["extreme"]},
     }
 
     def __init__(self, config: CrossingConfig, setting: Setting):
         """Raises ValueError where drones could start in conflict, outside the arena or in touch with the ground."""
         super().__init__(config, setting)
-        if not 0 <= config.start_speed[0] <= config.start_speed[1] <= setting.max_speed:
-            raise ValueError(
-                f"start_speed is {config.start_speed}: from low to high within 0 and max_speed {setting.max_speed:g}"
-            )
-        clear = max(2 * setting.collision_radius, config.d_safe)
+        clear = clearance(config, setting)
         if config.lane_spacing - 2 * config.jitter <= clear:
             raise ValueError(
                 f"start positions may be in conflict: lane_spacing {config.lane_spacing:g} m less twice jitter "
                 f"{config.jitter:g} m must exceed {clear:.3g} m"
-            )
-        if config.margin <= config.jitter:
-            raise ValueError(
-                f"margin {config.margin:g} m must exceed jitter {config.jitter:g} m: starts must be in the arena"
             )
         self._north = (setting.num_drones + 1) // 2
         ranks = -(-self._north // config.lanes)
@@ -154,7 +128,7 @@ class Crossing(Task):
         return (index % lanes - (lanes - 1) / 2) * spacing, (index // lanes) * spacing
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
-        """Both teams in formation, in flight, noses to the east."""
+        """Both teams in formation, in flight."""
         config, n = self.config, self.setting.num_drones
         start, goal = np.zeros((n, 3)), np.zeros((n, 3))
         for axis, team in ((1, slice(0, self._north)), (0, slice(self._north, n))):
@@ -162,33 +136,4 @@ class Crossing(Task):
             start[team, axis], goal[team, axis] = -config.half_length - back, config.half_length - back
             start[team, 1 - axis] = goal[team, 1 - axis] = side
         start[:, 2] = goal[:, 2] = config.altitude + config.altitude_spread * rng.uniform(-0.5, 0.5, n)
-        start += rng.uniform(-config.jitter, config.jitter, start.shape)
-        heading = (goal - start) / np.linalg.norm(goal - start, axis=1, keepdims=True)
-        velocity = heading * rng.uniform(config.start_speed[0], config.start_speed[1], (n, 1))
-        level = np.tile([0.0, 0.0, 0.0, 1.0], (n, 1))
-        return Spawn(start, level, velocity, np.zeros((n, 3)), goal)
-
-    def _outside(self, frame: Frame) -> np.ndarray:
-        position = frame.after.position
-        return np.any((position < self.arena_low) | (position > self.arena_high), axis=-1)
-
-    def reward_terms(self, frame: Frame) -> dict[str, np.ndarray]:
-        """The terms of the class docstring, unweighted."""
-        change = frame.after.velocity - frame.before.velocity
-        return {
-            "progress": frame.distance_before - frame.distance,
-            "goal": self.succeeded(frame).astype(float),
-            "conflict": frame.conflict.onsets.astype(float),
-            "warning": frame.conflict.nearness,
-            "collision": frame.collision.astype(float),
-            "out_of_bounds": self._outside(frame).astype(float),
-            "energy": (change**2).sum(axis=-1),
-        }
-
-    def terminated(self, frame: Frame) -> np.ndarray:
-        """Goal, contact, or out of the arena."""
-        return self.succeeded(frame) | frame.collision | self._outside(frame)
-
-    def succeeded(self, frame: Frame) -> np.ndarray:
-        """At the goal, and not by a crash."""
-        return (frame.distance <= self.config.goal_radius) & ~frame.collision
+        return self.launch(start, goal, rng)

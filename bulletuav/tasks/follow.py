@@ -8,7 +8,7 @@ import numpy as np
 
 from bulletuav.errors import pick
 from bulletuav.physics.obstacle import Obstacle
-from bulletuav.tasks.base import Frame, Scene, Setting, Spawn, Task, refuse_early_end, refuse_overlap
+from bulletuav.tasks.base import Frame, Scene, Setting, Spawn, Task, Verdict, refuse_early_end, refuse_overlap
 
 TARGETS = {
     "vehicle": (Obstacle("box", (3.0, 3.0, 1.6), (0.75, 0.2, 0.15, 1.0)), 0.8, 8.0),
@@ -149,15 +149,12 @@ class Follow(Task):
             scene.goal_velocity[w] = scene.obstacle_velocity[w, 0]
         return True
 
-    def reward_terms(self, frame: Frame) -> dict[str, np.ndarray]:
-        """Being there, distance to the station (m) and speed relative to it (m/s)."""
+    def judge(self, frame: Frame) -> Verdict:
+        """Being there, distance to the station (m) and speed relative to it (m/s).
+
+        Ends: contact, or too far away. Success: at the station.
+        """
         speed = np.linalg.norm(frame.after.velocity - frame.scene.goal_velocity, axis=-1)
-        return {"alive": np.ones(frame.alive.shape), "distance": frame.distance, "speed": speed}
-
-    def terminated(self, frame: Frame) -> np.ndarray:
-        """Contact, or too far away."""
-        return frame.collision | (frame.distance > self.config.max_distance)
-
-    def succeeded(self, frame: Frame) -> np.ndarray:
-        """At the station."""
-        return frame.distance <= self.config.goal_radius
+        terms = {"alive": np.ones(frame.alive.shape), "distance": frame.distance, "speed": speed}
+        lost = frame.collision | (frame.distance > self.config.max_distance)
+        return Verdict(terms, lost, frame.distance <= self.config.goal_radius)

@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from bulletuav.physics.rotation import exponential
-from bulletuav.tasks.base import Frame, Setting, Spawn, Task, refuse_early_end, refuse_overlap
+from bulletuav.tasks.base import Frame, Setting, Spawn, Task, Verdict, refuse_early_end, refuse_overlap
 
 
 @dataclass(frozen=True)
@@ -165,15 +165,9 @@ class Hover(Task):
         rates = rng.uniform(-1, 1, shape) / np.sqrt(3) * config.start_rates
         return Spawn(position, quaternion, velocity, rates, self.target.copy())
 
-    def reward_terms(self, frame: Frame) -> dict[str, np.ndarray]:
-        """Being there, distance (m) and speed (m/s)."""
+    def judge(self, frame: Frame) -> Verdict:
+        """Being there, distance (m) and speed (m/s). Ends: contact, or too far away. Success: at the target."""
         speed = np.linalg.norm(frame.after.velocity, axis=-1)
-        return {"alive": np.ones(frame.alive.shape), "distance": frame.distance, "speed": speed}
-
-    def terminated(self, frame: Frame) -> np.ndarray:
-        """Contact, or too far away."""
-        return frame.collision | (frame.distance > self.config.max_distance)
-
-    def succeeded(self, frame: Frame) -> np.ndarray:
-        """At the target."""
-        return frame.distance <= self.config.goal_radius
+        terms = {"alive": np.ones(frame.alive.shape), "distance": frame.distance, "speed": speed}
+        lost = frame.collision | (frame.distance > self.config.max_distance)
+        return Verdict(terms, lost, frame.distance <= self.config.goal_radius)

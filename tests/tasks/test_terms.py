@@ -6,7 +6,9 @@ from scipy.spatial.distance import cdist
 
 from bulletuav.tasks.base import merged_weights, refuse_overlap
 from bulletuav.tasks.terms.conflict import conflict
-from bulletuav.tasks.terms.observations import NEIGHBOURS, _nearest
+from bulletuav.tasks.terms.observations import nearest
+
+NEIGHBOURS = 3
 
 
 @given(st.integers(0, 10**6), st.integers(1, 6))
@@ -15,7 +17,7 @@ def test_conflict_agrees_with_dense_sampling_of_the_straight_paths(seed, drones)
     before, after = rng.uniform(-10, 10, (2, 1, drones, 3))
     alive = rng.uniform(size=(1, drones)) < 0.8
     d_safe = 5.0
-    result = conflict(before, after, alive, d_safe)
+    result = conflict(before, after, alive, d_safe, 2 * d_safe)
     paths = before[0] + np.linspace(0, 1, 4001)[:, None, None] * (after[0] - before[0])
     for i in range(drones):
         gaps = np.array([np.linalg.norm(paths[:, j] - paths[:, i], axis=1) for j in range(drones) if j != i and alive[0, j]])
@@ -35,14 +37,14 @@ def test_a_fast_pass_between_two_decisions_is_seen_and_counted_once():
     before = np.array([[(-10.0, 0, 0), (10.0, 1, 0)]])
     passing = before * [-1, 1, 1]
     alive = np.ones((1, 2), dtype=bool)
-    during = conflict(before, passing, alive, 5.0)
+    during = conflict(before, passing, alive, 5.0, 10.0)
     np.testing.assert_allclose(during.separation, 1.0)
     np.testing.assert_array_equal(during.onsets, 1)
-    np.testing.assert_array_equal(conflict(passing, passing, alive, 5.0).onsets, 0)
+    np.testing.assert_array_equal(conflict(passing, passing, alive, 5.0, 10.0).onsets, 0)
     near = np.array([[(0.0, 0, 0), (4.0, 0, 0)]])
     nearer = np.array([[(0.0, 0, 0), (3.0, 0, 0)]])
-    np.testing.assert_array_equal(conflict(near, nearer, alive, 5.0).onsets, 0)  # it lasts, it does not begin
-    np.testing.assert_array_equal(conflict(near, nearer, alive, 3.5).onsets, 1)
+    np.testing.assert_array_equal(conflict(near, nearer, alive, 5.0, 10.0).onsets, 0)  # it lasts, it does not begin
+    np.testing.assert_array_equal(conflict(near, nearer, alive, 3.5, 7.0).onsets, 1)
 
 
 @given(st.integers(0, 10**6), st.integers(1, 8))
@@ -50,8 +52,11 @@ def test_neighbours_are_the_nearest_present_others(seed, drones):
     rng = np.random.default_rng(seed)
     position, velocity = rng.normal(size=(2, 1, drones, 3))
     present = rng.uniform(size=(1, drones)) < 0.7
+    shape = (1, drones, drones, 3)
+    known = present[:, None] & ~np.eye(drones, dtype=bool)
     out = np.zeros((1, drones, 7 * NEIGHBOURS))
-    _nearest(position, velocity, present, NEIGHBOURS, out)
+    theirs = (np.broadcast_to(array[:, None], shape) for array in (position, velocity))
+    nearest(position, velocity, *theirs, known, NEIGHBOURS, out)
     distance = cdist(position[0], position[0])
     for i in range(drones):
         others = [j for j in np.argsort(distance[i]) if j != i and present[0, j]][:NEIGHBOURS]

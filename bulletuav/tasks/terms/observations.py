@@ -1,12 +1,18 @@
-"""Observation blocks, chosen by name: each says what its numbers are, in which unit and within which bounds."""
+"""Observation blocks, chosen by name: each says what its numbers are, in which unit and within which bounds.
 
+Positions and velocities of drones are those that they know (see `Frame`); without randomization they are the true ones.
+"""
+
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from gymnasium.spaces import Box, Dict, Space
 
+from bulletuav.control.actions import Action
 from bulletuav.errors import pick
 from bulletuav.kernel import kernel
 from bulletuav.physics.view import FAR
@@ -14,7 +20,6 @@ from bulletuav.physics.view import FAR
 if TYPE_CHECKING:
     from bulletuav.tasks.base import Frame, Task
 
-NEIGHBOURS = 3
 MAX_RATE = 50.0  # rad/s
 
 
@@ -44,7 +49,7 @@ def _vector(name: str, unit: str, low: Iterable[float], high: Iterable[float]) -
 
 def position(task: "Task") -> Block:
     """Own position, world axes."""
-    return Block(_vector("position", "m", task.arena_low, task.arena_high), lambda frame, present: frame.after.position)
+    return Block(_vector("position", "m", task.arena_low, task.arena_high), lambda frame, present: frame.known_position)
 
 
 def attitude(task: "Task") -> Block:
@@ -61,7 +66,7 @@ def attitude(task: "Task") -> Block:
 def velocity(task: "Task") -> Block:
     """Own velocity, world axes."""
     bound = np.full(3, 2 * task.setting.max_speed)
-    return Block(_vector("velocity", "m/s", -bound, bound), lambda frame, present: frame.after.velocity)
+    return Block(_vector("velocity", "m/s", -bound, bound), lambda frame, present: frame.known_velocity)
 
 
 def rates(task: "Task") -> Block:
@@ -78,7 +83,7 @@ def goal_position(task: "Task") -> Block:
 def goal_offset(task: "Task") -> Block:
     """From the drone to its goal, world axes."""
     size = task.arena_high - task.arena_low
-    return Block(_vector("goal offset", "m", -size, size), lambda frame, present: frame.scene.goal - frame.after.position)
+    return Block(_vector("goal offset", "m", -size, size), lambda frame, present: frame.scene.goal - frame.known_position)
 
 
 def goal_velocity(task: "Task") -> Block:
@@ -91,8 +96,8 @@ def goal(task: "Task") -> Block:
     """Direction to the goal (unit vector, world axes) and distance."""
 
     def compute(frame, present):
-        offset = frame.scene.goal - frame.after.position
-        distance = frame.distance[..., None]
+        offset = frame.scene.goal - frame.known_position
+        distance = frame.known_distance[..., None]
         return np.concatenate([offset / np.maximum(distance, 1e-9), distance], axis=-1)
 
     furthest = float(np.linalg.norm(task.arena_high - task.arena_low))
@@ -105,35 +110,124 @@ def alive(task: "Task") -> Block:
     return Block((Label("alive", "1", 0.0, 1.0),), lambda frame, present: present[..., None].astype(float))
 
 
-def neighbours(task: "Task") -> Block:
-    """The nearest 3 other drones, nearest first: distance, relative position and velocity; zeros where there are none."""
+def identity(task: "Task") -> Block:
+    """Which drone it is: 1 at its own index, else 0."""
+    drones = task.setting.num_drones
+
+    def compute(frame, present):
+        return np.broadcast_to(np.eye(drones), (len(present), drones, drones))
+
+    return Block(tuple(Label(f"is drone {i}", "1", 0.0, 1.0) for i in range(drones)), compute)
+
+
+def _relative(task: "Task", name: str) -> tuple[Label, ...]:
+    """Labels of another's position and velocity as seen from the drone."""
     size = task.arena_high - task.arena_low
     speed = np.full(3, 4 * task.setting.max_speed)
+    return *_vector(f"{name} position", "m", -size, size), *_vector(f"{name} velocity", "m/s", -speed, speed)
+
+
+def _distance(task: "Task", name: str) -> Label:
+    return Label(f"{name} distance", "m", 0.0, float(np.linalg.norm(task.arena_high - task.arena_low)))
+
+
+def neighbours(task: "Task") -> Block:
+    """The nearest other drones, nearest first: distance, relative position and velocity; zeros where there are fewer."""
+    count = task.setting.num_neighbours
     labels = []
-    for k in range(1, NEIGHBOURS + 1):
-        labels.append(Label(f"neighbour {k} distance", "m", 0.0, float(np.linalg.norm(size))))
-        labels.extend(_vector(f"neighbour {k} position", "m", -size, size))
-        labels.extend(_vector(f"neighbour {k} velocity", "m/s", -speed, speed))
+    for k in range(1, count + 1):
+        labels += [_distance(task, f"neighbour {k}"), *_relative(task, f"neighbour {k}")]
 
     def compute(frame, present):
         out = np.zeros((*present.shape, len(labels)))
-        _nearest(frame.after.position, frame.after.velocity, present, NEIGHBOURS, out)
+        nearest(frame.known_position, frame.known_velocity, *heard(frame, present), count, out)
         return out
 
     return Block(tuple(labels), compute)
 
 
+def all_neighbours(task: "Task") -> Block:
+    """All other drones by index: relative position and velocity; zeros for those that are not there."""
+    drones = task.setting.num_drones
+    labels = tuple(label for k in range(1, drones) for label in _relative(task, f"other {k}"))
+    others = np.array([[j for j in range(drones) if j != i] for i in range(drones)], dtype=int).reshape(drones, drones - 1)
+
+    def compute(frame, present):
+        position, velocity, known = heard(frame, present)
+        own = np.concatenate([frame.known_position, frame.known_velocity], axis=-1)
+        seen = np.where(known[..., None], np.concatenate([position, velocity], axis=-1) - own[:, :, None], 0.0)
+        return np.take_along_axis(seen, others[None, :, :, None], axis=2).reshape(*present.shape, len(labels))
+
+    return Block(labels, compute)
+
+
+def obstacles(task: "Task") -> Block:
+    """The nearest obstacles, nearest first: distance to their bounding spheres, relative position, velocity and radius.
+
+    Zeros where there are fewer.
+    """
+    radius = np.array([obstacle.radius for obstacle in task.obstacles()])
+    shown = min(task.setting.num_neighbours, len(radius))
+    labels = []
+    for k in range(1, task.setting.num_neighbours + 1):
+        labels += [_distance(task, f"obstacle {k}"), *_relative(task, f"obstacle {k}")]
+        labels.append(Label(f"obstacle {k} radius", "m", 0.0, float(radius.max(initial=1.0))))
+
+    def compute(frame, present):
+        out = np.zeros((*present.shape, task.setting.num_neighbours, 8))
+        offset = frame.scene.obstacle[:, None] - frame.known_position[:, :, None]
+        gap = np.maximum(np.linalg.norm(offset, axis=-1) - radius, 0.0)
+        order = np.argsort(gap, axis=-1, kind="stable")[..., :shown, None]
+        speed = frame.scene.obstacle_velocity[:, None] - frame.known_velocity[:, :, None]
+        out[..., :shown, :1] = np.take_along_axis(gap[..., None], order, axis=2)
+        out[..., :shown, 1:4] = np.take_along_axis(offset, order, axis=2)
+        out[..., :shown, 4:7] = np.take_along_axis(speed, order, axis=2)
+        out[..., :shown, 7] = radius[order[..., 0]]
+        return out.reshape(*present.shape, len(labels))
+
+    return Block(tuple(labels), compute)
+
+
+def last_action(action: Action) -> Block:
+    """What the drone was told last, zeros at the start."""
+    bounds = zip(action.low.min(axis=0), action.high.max(axis=0), strict=True)
+    labels = tuple(Label(f"action {k}", "1", float(low), float(high)) for k, (low, high) in enumerate(bounds))
+    return Block(labels, lambda frame, present: frame.action)
+
+
+def heard(frame: "Frame", present: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Positions and velocities (W, N, N, 3) of others j as drone i knows them, and of whom it knows (W, N, N).
+
+    Without communication that is what the others know of themselves.
+    """
+    if "heard" in frame.readings:
+        known = frame.readings["heard"] & present[:, None, :]
+        return frame.readings["heard_position"], frame.readings["heard_velocity"], known
+    worlds, drones = present.shape
+    shape = (worlds, drones, drones, 3)
+    others = present[:, None, :] & ~np.eye(drones, dtype=bool)
+    return (
+        np.broadcast_to(frame.known_position[:, None], shape),
+        np.broadcast_to(frame.known_velocity[:, None], shape),
+        others,
+    )
+
+
 @kernel
-def _nearest(position, velocity, present, count, out):
-    drones = present.shape[1]
+def nearest(position, velocity, their_position, their_velocity, known, count, out):
+    """Fill `out` (W, N, 7 count) with the nearest others that are `known` (W, N, N); see `heard` for what they are."""
+    drones = known.shape[1]
     near, distance = np.empty(count, dtype=np.int64), np.empty(count)
-    for w in range(present.shape[0]):
+    for w in range(known.shape[0]):
         for i in range(drones):
             found = 0
             for j in range(drones):
-                if j == i or not present[w, j]:
+                if not known[w, i, j]:
                     continue
-                gap = np.sqrt(((position[w, j] - position[w, i]) ** 2).sum())
+                square = 0.0
+                for k in range(3):
+                    square += (their_position[w, i, j, k] - position[w, i, k]) ** 2
+                gap = math.sqrt(square)
                 if found == count and gap >= distance[count - 1]:
                     continue
                 slot = min(found, count - 1)
@@ -143,20 +237,37 @@ def _nearest(position, velocity, present, count, out):
                 distance[slot], near[slot] = gap, j
                 found = min(found + 1, count)
             for slot in range(found):
+                j = near[slot]
                 out[w, i, 7 * slot] = distance[slot]
-                out[w, i, 7 * slot + 1 : 7 * slot + 4] = position[w, near[slot]] - position[w, i]
-                out[w, i, 7 * slot + 4 : 7 * slot + 7] = velocity[w, near[slot]] - velocity[w, i]
+                for k in range(3):
+                    out[w, i, 7 * slot + 1 + k] = their_position[w, i, j, k] - position[w, i, k]
+                    out[w, i, 7 * slot + 4 + k] = their_velocity[w, i, j, k] - velocity[w, i, k]
 
 
 BLOCKS: dict[str, Callable[["Task"], Block]] = {
     block.__name__: block
-    for block in (position, attitude, velocity, rates, goal_position, goal_offset, goal_velocity, goal, alive, neighbours)
+    for block in (
+        position,
+        attitude,
+        velocity,
+        rates,
+        goal_position,
+        goal_offset,
+        goal_velocity,
+        goal,
+        alive,
+        identity,
+        neighbours,
+        all_neighbours,
+        obstacles,
+    )
 }
 IMAGES: dict[str, tuple[float, float, Any, tuple[int, ...]]] = {
     "rgb": (0, 255, np.uint8, (3,)),
     "depth": (0.0, FAR, np.float32, ()),
 }
 """Blocks that are pictures of the drone's camera: bounds, type, shape of a pixel"""
+NAMES = (*BLOCKS, last_action.__name__, *IMAGES)
 STATE = ("position", "attitude", "velocity", "rates", "goal_position", "alive")
 
 Observation = np.ndarray | dict[str, np.ndarray]
@@ -165,17 +276,31 @@ Observation = np.ndarray | dict[str, np.ndarray]
 class Observer:
     """The named blocks of a task side by side: one vector, or, with pictures among them, a dict.
 
-    Vectors are float32, clipped to their bounds. The dict's keys are "vector" (where there is one) and the pictures' names.
+    Vectors are float32, clipped to their bounds, and with `normalise` scaled from the bounds to [-1, 1]. The dict's keys are
+    "vector" (where there is one) and the pictures' names.
     """
 
-    def __init__(self, names: Sequence[str], task: "Task", camera_size: tuple[int, int] = (64, 48)):
+    def __init__(
+        self,
+        names: Sequence[str],
+        task: "Task",
+        action: Action,
+        camera_size: tuple[int, int] = (64, 48),
+        normalise: bool = False,
+    ):
         """Raises ValueError for a block that does not exist."""
+        makers: dict[str, Callable[[], Block]] = {name: partial(maker, task) for name, maker in BLOCKS.items()}
+        makers[last_action.__name__] = partial(last_action, action)
         self.images = [name for name in names if name in IMAGES]
         vectors = [name for name in names if name not in IMAGES]
-        self._blocks = [pick("observation block", name, BLOCKS)(task) for name in vectors]
+        self._blocks = [pick("observation block", name, makers)() for name in vectors]
         self.labels = [label for block in self._blocks for label in block.labels]
-        self.low = np.array([label.low for label in self.labels], dtype=np.float32)
-        self.high = np.array([label.high for label in self.labels], dtype=np.float32)
+        self._low = np.array([label.low for label in self.labels], dtype=np.float32)
+        self._high = np.array([label.high for label in self.labels], dtype=np.float32)
+        self._middle, self._half = (self._low + self._high) / 2, (self._high - self._low) / 2
+        self._normalise = normalise
+        ones = np.ones_like(self._low)
+        self.low, self.high = (-ones, ones) if normalise else (self._low, self._high)
         self._camera_shape = camera_size[::-1]
 
     def space(self) -> Box | Dict:
@@ -195,7 +320,10 @@ class Observer:
         if self._blocks:
             parts = [block.compute(frame, present) for block in self._blocks]
             vector = np.concatenate(parts, axis=-1, dtype=np.float32)
-            seen["vector"] = np.minimum(np.maximum(vector, self.low), self.high)  # np.clip takes twice as long
+            vector = np.minimum(np.maximum(vector, self._low), self._high)  # np.clip takes twice as long
+            if self._normalise:
+                vector = np.minimum(np.maximum((vector - self._middle) / self._half, -1.0), 1.0)
+            seen["vector"] = vector
         if not self.images:
             return seen["vector"]
         return seen | {name: frame.readings[name].copy() for name in self.images}

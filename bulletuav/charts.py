@@ -1,0 +1,72 @@
+"""Pictures of evaluations."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from bulletuav.evaluation import Evaluation
+from bulletuav.metrics import Estimate
+from bulletuav.pictures import blank_figure
+
+COLOURS = ("#4477aa", "#ee6677", "#228833", "#ccbb44", "#66ccee", "#aa3377", "#bbbbbb")  # P. Tol's bright scheme
+RATES = ("success", "drone_success", "conflict", "collision")
+BINS = 20
+
+
+def plot_evaluation(result: Evaluation, path: Path) -> None:
+    """Rates with their intervals, and how separations, durations and efficiencies spread over episodes, as a PNG file."""
+    figure = blank_figure(11, 7)
+    rates, apart, time, way = np.ravel(figure.subplots(2, 2))
+    about, estimates = result.about, result.estimates()
+    _bars(rates, RATES, [[estimates[metric] for metric in RATES]], [""])
+    rates.set(title="share, with 95 % interval", ylim=(0, 1.05))
+    d_safe = about["options"]["d_safe"]
+    for axes, metric, label in (
+        (apart, "min_separation", "least separation of an episode, m"),
+        (time, "length", "duration of an episode, s"),
+        (way, "path_efficiency", "path efficiency of the drones that succeeded"),
+    ):
+        values = np.array([row[metric] for row in result.rows])
+        axes.hist(values[np.isfinite(values)], bins=BINS, color=COLOURS[0])
+        axes.set(xlabel=label, ylabel="episodes")
+    apart.axvline(d_safe, color="crimson", ls="--", label=f"d_safe {d_safe:g} m")
+    apart.legend()
+    options = about["options"]
+    figure.suptitle(
+        f"{about['task']} {options['difficulty']}: policy {about['policy']}, {options['num_drones']} drones, "
+        f"{options['dynamics']}, {len(result.rows)} episodes"
+    )
+    figure.savefig(path, dpi=110)
+
+
+def plot_leaderboard(results: Sequence[Evaluation], path: Path) -> None:
+    """Success, conflict and collision rates of all policies in each task and difficulty, as a PNG file."""
+    cases = list(dict.fromkeys(_case(result) for result in results))
+    policies = list(dict.fromkeys(result.about["policy"] for result in results))
+    found = {(_case(result), result.about["policy"]): result.estimates() for result in results}
+    figure = blank_figure(2.5 + 1.1 * len(cases), 8)
+    for axes, metric in zip(figure.subplots(3, 1, sharex=True), ("success", "conflict", "collision"), strict=True):
+        rows = [[found[case, policy][metric] for case in cases] for policy in policies]
+        _bars(axes, cases, rows, policies)
+        axes.set(ylabel=f"{metric} rate", ylim=(0, 1.05))
+    figure.axes[0].legend(loc="lower left", ncols=len(policies), bbox_to_anchor=(0, 1))
+    figure.savefig(path, dpi=110)
+
+
+def _case(result: Evaluation) -> str:
+    options = result.about["options"]
+    return f"{result.about['task']}\n{options['difficulty']}\n{options['num_drones']} drones"
+
+
+def _bars(axes: Axes, names: Sequence[str], rows: Sequence[Sequence[Estimate]], labels: Sequence[str]) -> None:
+    """Groups of bars with intervals: a row of estimates for each label, a group for each name."""
+    width = 0.8 / len(rows)
+    for k, (row, label) in enumerate(zip(rows, labels, strict=True)):
+        place = np.arange(len(row)) + (k - (len(rows) - 1) / 2) * width
+        mean, low, high, _ = np.array(row).T
+        errors = np.maximum([mean - low, high - mean], 0)
+        axes.bar(place, mean, width, color=COLOURS[k % len(COLOURS)], label=label, yerr=errors, ecolor="0.3", capsize=2)
+    axes.set_xticks(np.arange(len(names)), names)
+    axes.grid(axis="y", alpha=0.3)

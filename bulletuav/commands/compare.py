@@ -1,0 +1,79 @@
+"""`bulletuav compare`: a leaderboard of policies over tasks."""
+
+import argparse
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import Progress
+
+from bulletuav.charts import plot_leaderboard
+from bulletuav.commands.options import POLICY_HELP, add_options, flyable_options, given_options, out_folder
+from bulletuav.evaluation import Evaluation, evaluate
+from bulletuav.leaderboard import markdown, write_csv
+
+ABOUT = {
+    "help": "evaluate several policies in several tasks and write a leaderboard",
+    "description": (
+        "Evaluate every policy in every task and difficulty; write a leaderboard as markdown, csv and picture. The same "
+        "command goes on where it was interrupted."
+    ),
+    "epilog": """example:
+  bulletuav compare --policies straight,potential,orca --tasks crossing,pursuit,converge --workers 2 --out leaderboard""",
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Who flies what, how often, where to, and the options."""
+    parser.add_argument("--tasks", required=True, type=_names, metavar="A,B", help="of `bulletuav tasks`")
+    parser.add_argument("--policies", required=True, type=_names, metavar="A,B", help=POLICY_HELP)
+    parser.add_argument(
+        "--difficulties", type=_names, metavar="A,B", help="easy, medium, hard, extreme (default: the task's)"
+    )
+    parser.add_argument("--episodes", type=int, default=100, help="of each policy in each task (default: 100)")
+    parser.add_argument("--seed", type=int, default=0, help="episode e has seed + e (default: 0)")
+    parser.add_argument("--workers", type=int, default=1, help="processes; the results are the same (default: 1)")
+    parser.add_argument(
+        "--out", type=Path, default=Path("leaderboard"), metavar="DIR", help="folder for the files (default: leaderboard)"
+    )
+    add_options(parser)
+
+
+def _names(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",") if name.strip()]
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Evaluate all, print and write."""
+    options = given_options(arguments)
+    if arguments.difficulties and "difficulty" in options:
+        raise ValueError("--difficulty and --difficulties: give one of them")
+    out, results = out_folder(arguments.out), []
+    cases = [
+        (task, policy, {**options, **({"difficulty": difficulty} if difficulty else {})})
+        for task in arguments.tasks
+        for difficulty in arguments.difficulties or [None]
+        for policy in arguments.policies
+    ]
+    cases = [(task, policy, flyable_options(task, policy, options)) for task, policy, options in cases]
+    with Progress(console=Console(stderr=True)) as progress:
+        flying = progress.add_task("flying episodes", total=arguments.episodes * len(cases))
+        for task, policy, options in cases:
+            folder = out / "runs" / "-".join([task, options.get("difficulty", "default"), _as_file(policy)])
+            results.append(_evaluated(arguments, task, policy, options, folder, lambda n: progress.advance(flying, n)))
+    files = [out / "leaderboard.md", out / "leaderboard.csv", out / "leaderboard.png"]
+    files[0].write_text(markdown(results))
+    write_csv(results, files[1])
+    plot_leaderboard(results, files[2])
+    console = Console()
+    console.print(markdown(results), markup=False, soft_wrap=True)
+    console.print("\n".join(f"wrote {path}" for path in files), highlight=False, soft_wrap=True)
+
+
+def _evaluated(arguments, task, policy, options, folder: Path, progress) -> Evaluation:
+    result = evaluate(task, policy, arguments.episodes, arguments.seed, arguments.workers, folder, progress, **options)
+    result.save(folder)
+    return result
+
+
+def _as_file(policy: str) -> str:
+    return "".join(letter if letter.isalnum() or letter in "_." else "_" for letter in policy)

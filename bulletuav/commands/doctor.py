@@ -1,0 +1,28 @@
+"""`bulletuav doctor`: what is active and what is missing."""
+
+import argparse
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from bulletuav.doctor import Finding, examine
+
+ABOUT = {
+    "help": "tell versions, what is active and what is missing",
+    "description": "Tell versions, whether the C extension is active, and what is missing with its remedy.",
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """None."""
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Examine and print."""
+    table = Table(show_header=False)
+    for _ in Finding._fields:
+        table.add_column(overflow="fold")
+    for finding in examine():
+        table.add_row(*map(escape, finding))
+    Console().print(table)

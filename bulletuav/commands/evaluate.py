@@ -1,0 +1,77 @@
+"""`bulletuav evaluate`: many episodes of one policy in one task."""
+
+import argparse
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from bulletuav.charts import plot_evaluation
+from bulletuav.commands.options import POLICY_HELP, add_options, flyable_options, given_options, out_folder
+from bulletuav.evaluation import Evaluation, evaluate
+from bulletuav.metrics import METRICS, Estimate
+
+ABOUT = {
+    "help": "fly many episodes and print metrics with confidence intervals",
+    "description": (
+        "Fly many episodes in batches and processes; print metrics with 95 % confidence intervals; write them, those of "
+        "every episode, and a picture. The same command goes on where it was interrupted."
+    ),
+    "epilog": """examples:
+  bulletuav evaluate converge --policy orca --episodes 100 --workers 2 --out converge-orca
+  bulletuav evaluate crossing --policy ppo:model.zip --difficulty hard --out crossing-ppo""",
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The task, who flies, how many episodes, where to, and the options."""
+    parser.add_argument("task", help="one of `bulletuav tasks`")
+    parser.add_argument("--policy", default="straight", help=f"who flies: {POLICY_HELP} (default: straight)")
+    parser.add_argument("--episodes", type=int, default=100, help="how many (default: 100)")
+    parser.add_argument("--seed", type=int, default=0, help="episode e has seed + e (default: 0)")
+    parser.add_argument("--workers", type=int, default=1, help="processes; the results are the same (default: 1)")
+    parser.add_argument(
+        "--out", type=Path, default=Path("evaluation"), metavar="DIR", help="folder for the files (default: evaluation)"
+    )
+    add_options(parser)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Evaluate, print and write."""
+    options = flyable_options(arguments.task, arguments.policy, given_options(arguments))
+    with Progress(console=Console(stderr=True)) as progress:
+        flying = progress.add_task("flying episodes", total=arguments.episodes)
+        result = evaluate(
+            arguments.task,
+            arguments.policy,
+            arguments.episodes,
+            arguments.seed,
+            arguments.workers,
+            out_folder(arguments.out),
+            lambda episodes: progress.advance(flying, episodes),
+            **options,
+        )
+    picture = arguments.out / "summary.png"
+    plot_evaluation(result, picture)
+    files = [arguments.out / "run.json", arguments.out / "episodes.csv", result.save(arguments.out), picture]
+    console = Console()
+    console.print(_table(result))
+    console.print(f"{result.seconds:.1f} s wall time")
+    console.print("\n".join(f"wrote {path}" for path in files), highlight=False, soft_wrap=True)
+
+
+def _table(result: Evaluation) -> Table:
+    about = result.about
+    reads = ", which reads the true state" if about["reads_swarm"] else ""
+    table = Table(title=f"{about['task']}, policy {about['policy']}{reads}, {len(result.rows)} episodes")
+    for heading, side in (("metric", "left"), ("mean", "right"), ("95 % interval", "right"), ("what it is", "left")):
+        table.add_column(heading, justify=side)  # type: ignore[arg-type]
+    for name, one in result.estimates().items():
+        if one.episodes:
+            table.add_row(name, f"{one.mean:.4g}", _interval(one), METRICS[name])
+    return table
+
+
+def _interval(one: Estimate) -> str:
+    return f"{one.low:.4g} to {one.high:.4g}"

@@ -1,0 +1,86 @@
+"""`bulletuav fly`: one episode, its files and pictures."""
+
+import argparse
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from bulletuav.commands.options import POLICY_HELP, add_options, flyable_options, given_options, out_folder
+from bulletuav.envs.aviary import Aviary
+from bulletuav.errors import whole
+from bulletuav.pictures import Animation, plot_tracks
+from bulletuav.policies import find_policy
+from bulletuav.record import Recording, fly_episode, outcomes, save
+
+ABOUT = {
+    "help": "fly one episode and write trajectories and pictures",
+    "description": "Fly one episode headless; print how each drone fared; write trajectories, a plot and an animation.",
+    "epilog": """examples:
+  bulletuav fly crossing --drones 8 --policy straight --seed 0 --out out
+  bulletuav fly hover --airframe hummingbird --difficulty hard --out out
+  bulletuav fly crossing --dynamics rigid_body --wind 3 0 0 --set lane_spacing=20 --out out""",
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The task, who flies, from which seed, where to, and the options."""
+    parser.add_argument("task", help="one of `bulletuav tasks`")
+    parser.add_argument("--policy", default="straight", help=f"who flies: {POLICY_HELP} (default: straight)")
+    parser.add_argument("--seed", type=int, default=0, help="same seed, same flight (default: 0)")
+    parser.add_argument("--out", type=Path, default=Path("out"), metavar="DIR", help="folder for the files (default: out)")
+    parser.add_argument("--animation", choices=("gif", "mp4", "none"), default="gif", help="mp4 needs the extra 'video'")
+    add_options(parser)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Fly one episode and write its files."""
+    whole("seed", arguments.seed, 0)
+    options = flyable_options(arguments.task, arguments.policy, given_options(arguments))
+    aviary = Aviary(arguments.task, 1, **options)
+    policy = find_policy(arguments.policy)(aviary)
+    for old in out_folder(arguments.out).glob("flight.*"):
+        old.unlink()  # of an earlier flight
+    with Progress(console=Console(stderr=True)) as progress:
+        flight = progress.add_task("flying", total=aviary.options.horizon)
+        recording = fly_episode(aviary, policy, arguments.seed, lambda: progress.advance(flight))
+        progress.update(flight, total=len(recording.reward))
+        files = save(recording, aviary, arguments.policy, arguments.seed, arguments.out)
+        files += _draw(recording, aviary, arguments, progress)
+    console = Console()
+    console.print(_table(recording, arguments.task, aviary))
+    console.print("\n".join(f"wrote {path}" for path in files), highlight=False, soft_wrap=True)
+    aviary.close()
+
+
+def _draw(recording: Recording, aviary: Aviary, arguments: argparse.Namespace, progress: Progress) -> list[Path]:
+    airframes, d_safe = aviary.options.airframe, aviary.task.config.d_safe
+    names = ", ".join(sorted({airframe.name for airframe in airframes}))
+    title = f"{arguments.task}: {aviary.num_drones} {names}, {arguments.policy}, seed {arguments.seed}"
+    tracks = arguments.out / "tracks.png"
+    plot_tracks(recording, d_safe, title, tracks)
+    if arguments.animation == "none":
+        return [tracks]
+    animation = Animation(recording, d_safe, 2 * aviary.task.setting.collision_radius, title)
+    path = arguments.out / f"flight.{arguments.animation}"
+    drawing = progress.add_task("drawing", total=len(animation))
+    animation.save(path, lambda: progress.advance(drawing))
+    return [tracks, path]
+
+
+def _table(recording: Recording, task: str, aviary: Aviary) -> Table:
+    table = Table(title=f"{task}, drones: {aviary.num_drones}, d_safe {aviary.task.config.d_safe:g} m")
+    for heading in ("drone", "reached", "nearest m", "conflicts", "collisions", "to goal m", "time s"):
+        table.add_column(heading, justify="right")
+    for row in outcomes(recording):
+        table.add_row(
+            f"drone_{row.drone}",
+            "yes" if row.reached else "no",
+            f"{row.min_separation:.2f}" if row.min_separation < float("inf") else "-",
+            str(row.conflicts),
+            str(row.collisions),
+            f"{row.final_distance:.2f}",
+            f"{row.time:.2f}",
+        )
+    return table

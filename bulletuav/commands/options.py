@@ -1,0 +1,81 @@
+"""Options of environments on the command line."""
+
+import argparse
+import ast
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+from bulletuav.control.actions import ACTIONS
+from bulletuav.control.cascade import CONTROLLERS
+from bulletuav.envs.options import Options, resolve
+from bulletuav.physics.airframe import available_airframes
+from bulletuav.physics.ladder import LADDER
+from bulletuav.policies import POLICIES, find_policy
+from bulletuav.tasks import find_task
+
+POLICY_HELP = f"{', '.join(POLICIES)}, or a trained model such as ppo:model.zip"
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Arguments for the options that all tasks have, and --set for the others."""
+    parser.add_argument("--drones", type=int, dest="num_drones", metavar="N", help="number of drones")
+    parser.add_argument("--airframe", help=f"{', '.join(available_airframes())}, or path of a URDF")
+    parser.add_argument("--dynamics", help=f"{', '.join(LADDER)} (default: bullet)")
+    parser.add_argument("--action", help=f"{', '.join(ACTIONS)} (default: the task's, or one that the policy gives)")
+    parser.add_argument("--controller", help=f"{' or '.join(CONTROLLERS)} (default: lee)")
+    parser.add_argument("--difficulty", help="easy, medium, hard or extreme")
+    parser.add_argument("--physics-hz", type=int, metavar="HZ", help="physics substeps a second (default: 240)")
+    parser.add_argument("--decision-hz", type=int, metavar="HZ", help="decisions a second")
+    parser.add_argument("--horizon", type=int, metavar="STEPS", help="decisions until the episode is cut")
+    parser.add_argument("--max-speed", type=float, metavar="M/S", help="speed limit")
+    parser.add_argument("--turbulence", help="Dryden gusts: light, moderate or severe")
+    parser.add_argument("--preset", help="named set of options, see `bulletuav tasks TASK`")
+    parser.add_argument("--wind", type=float, nargs=3, metavar=("EAST", "NORTH", "UP"), help="steady wind in m/s")
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="any other option of `bulletuav tasks TASK`, such as spacing=3 or weights={'goal':10}; repeatable",
+    )
+
+
+def given_options(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Options as keyword arguments of an environment, from those given on the command line."""
+    names = {field.name for field in dataclasses.fields(Options)} - {"seed"}
+    options = {name: value for name, value in vars(arguments).items() if name in names and value is not None}
+    for pair in arguments.set:
+        name, equals, text = pair.partition("=")
+        if not equals:
+            raise ValueError(f"--set {pair}: NAME=VALUE is needed")
+        if name in options:
+            raise ValueError(f"--set {pair}: {name} is given twice")
+        parts = [_literal(part) for part in text.split(",")]
+        options[name] = _literal(text) if len(parts) == 1 or text[0] in "([{" else tuple(parts)
+    return options
+
+
+def flyable_options(task: str, policy: str, options: dict[str, Any]) -> dict[str, Any]:
+    """The options, with an action that the policy can give where none was asked for and the task's own is not one."""
+    actions = find_policy(policy).actions
+    if not actions or "action" in options or resolve(find_task(task), options)[0].action in actions:
+        return options
+    return {**options, "action": actions[0]}
+
+
+def out_folder(path: Path) -> Path:
+    """The folder, made if it is not there. Raises ValueError where it cannot be."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ValueError(f"--out {path} cannot be a folder to write to: {error.strerror}") from None
+    return path
+
+
+def _literal(text: str) -> Any:
+    """A number, None, a Python literal, or the text itself."""
+    try:
+        return ast.literal_eval(text)
+    except (ValueError, SyntaxError):
+        return float(text) if text.strip() in ("nan", "inf", "-inf") else text

@@ -1,0 +1,62 @@
+"""Models trained with stable-baselines3, shared by all drones, each with its own observation."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bulletuav.envs.aviary import Aviary
+from bulletuav.envs.spaces import widest_action_space
+from bulletuav.physics.swarm import Swarm
+from bulletuav.policies.base import Policy
+from bulletuav.tasks.terms.observations import Observation
+
+ALGORITHMS = {"ppo": "PPO", "sac": "SAC", "td3": "TD3", "dqn": "DQN", "a2c": "A2C", "ddpg": "DDPG"}
+
+
+class Trained(Policy):
+    """The deterministic actions of a model; PyTorch keeps to one thread, so that they are the same everywhere."""
+
+    name = "trained"
+    actions = ()
+    reads_swarm = False
+
+    def __init__(self, aviary: Aviary, algorithm: str, path: str | Path):
+        """Load `path`, a model that the algorithm saved.
+
+        Raises ValueError where its spaces are not those of one drone, FileNotFoundError where there is no file, ImportError
+        that names the extra to install.
+        """
+        super().__init__(aviary)
+        try:
+            import stable_baselines3
+            import torch
+        except ImportError:
+            raise ImportError("trained models need the extra 'sb3': pip install 'bulletuav[sb3]'") from None
+        if not Path(path).is_file():
+            raise FileNotFoundError(f"no model {path}: a file that {algorithm} saved is needed")
+        torch.set_num_threads(1)
+        self._model: Any = getattr(stable_baselines3, ALGORITHMS[algorithm]).load(path, device="cpu")
+        for name, own, needed in (
+            ("observations", aviary.observer.space(), self._model.observation_space),
+            ("actions", widest_action_space(aviary.action), self._model.action_space),
+        ):
+            if own.shape != needed.shape or type(own) is not type(needed):
+                raise ValueError(f"{path} was trained for {name} in {needed}, and here they are in {own}")
+
+    def reset(self, mask: np.ndarray) -> None:
+        """Nothing to forget."""
+
+    def act(self, observations: Observation, swarm: Swarm) -> np.ndarray:
+        """What the model does with each drone's observation."""
+        shape = self.aviary.alive.shape
+
+        def rows(array: np.ndarray) -> np.ndarray:
+            return array.reshape(-1, *array.shape[2:])
+
+        if isinstance(observations, dict):
+            seen: Any = {name: rows(array) for name, array in observations.items()}
+        else:
+            seen = rows(observations)
+        actions, _ = self._model.predict(seen, deterministic=True)
+        return np.asarray(actions, dtype=float).reshape(*shape, -1)

@@ -1,0 +1,109 @@
+"""Task `converge`: drones on a circle, each flies to its antipode, all through the centre."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from bulletuav.tasks.base import Setting, Spawn
+from bulletuav.tasks.terms.airspace import UNCERTAINTY, Airspace, AirspaceConfig, clearance
+
+
+@dataclass(frozen=True)
+class ConvergeConfig(AirspaceConfig):
+    """Options of `converge` beside those of every shared airspace, m: the circle's `radius`."""
+
+    radius: float = 80.0
+
+
+class Converge(Airspace):
+    """Drones on a circle, evenly spread, each to its antipode through the centre: where large swarms meet at one point.
+
+    Observation, per drone, Box(31) float32, clipped to its bounds (here for max_speed 20 and 8 drones):
+      0  position x              m     [-110, 110]
+      1  position y              m     [-110, 110]
+      2  position z              m     [0, 70]
+      3  velocity x              m/s   [-40, 40]
+      4  velocity y              m/s   [-40, 40]
+      5  velocity z              m/s   [-40, 40]
+      6  goal direction x        1     [-1, 1]
+      7  goal direction y        1     [-1, 1]
+      8  goal direction z        1     [-1, 1]
+      9  goal distance           m     [0, 318.904]
+     10  neighbour 1 distance    m     [0, 318.904]
+     11  neighbour 1 position x  m     [-220, 220]
+     12  neighbour 1 position y  m     [-220, 220]
+     13  neighbour 1 position z  m     [-70, 70]
+     14  neighbour 1 velocity x  m/s   [-80, 80]
+     15  neighbour 1 velocity y  m/s   [-80, 80]
+     16  neighbour 1 velocity z  m/s   [-80, 80]
+     17  neighbour 2 distance    m     [0, 318.904]
+     18  neighbour 2 position x  m     [-220, 220]
+     19  neighbour 2 position y  m     [-220, 220]
+     20  neighbour 2 position z  m     [-70, 70]
+     21  neighbour 2 velocity x  m/s   [-80, 80]
+     22  neighbour 2 velocity y  m/s   [-80, 80]
+     23  neighbour 2 velocity z  m/s   [-80, 80]
+     24  neighbour 3 distance    m     [0, 318.904]
+     25  neighbour 3 position x  m     [-220, 220]
+     26  neighbour 3 position y  m     [-220, 220]
+     27  neighbour 3 position z  m     [-70, 70]
+     28  neighbour 3 velocity x  m/s   [-80, 80]
+     29  neighbour 3 velocity y  m/s   [-80, 80]
+     30  neighbour 3 velocity z  m/s   [-80, 80]
+    World axes (east, north, up). Neighbours are the nearest living drones, nearest first, relative to the drone; zeros where
+    there are fewer.
+
+    Action, per drone, by default `velocity`, Box(3) in [-1, 1]: velocity over max_speed, its norm limited to max_speed;
+    10 decisions a second.
+
+    Reward, per decision, weighted terms: progress 5 a metre nearer to the goal; goal 50 on reaching it; conflict -100 for
+    each other drone with which a separation falls below d_safe = 5 m; warning -5 for each other drone, linear from 0 at
+    2 d_safe to 1 at d_safe; collision -200; out_of_bounds -50; energy -0.01 per (m/s)^2 of velocity change. For the
+    asking: efficiency 0 (1 - distance over that at the start), speed_keeping 0 (0.3 to 0.8 of max_speed), time 0 (1 a
+    decision), shaping 0 (by the potential -distance), fairness 0 (variance of the rewards nearby), concession 0 (made way).
+
+    End: terminated on reaching the goal (within 2 m), on contact of collision shapes, or outside the arena (bounds of
+    position); the drone then leaves the airspace. Conflict ends nothing. Options change each of these. Truncated after 500
+    decisions.
+    Success: goal reached.
+
+    Difficulty, drones / radius: easy 4, 80 m; medium 8, 80 m; hard 20, 80 m; extreme 100, 150 m.
+    Uncertain from medium on: positions by 0.5 to 1.5 m (GPS). Hard: up to 3 m, and wind. Extreme: everything (see
+    `UNCERTAINTY`), in light turbulence.
+
+    Preset uavconflict: sizes, observation and reward constants of UAVConflictGym.
+    """
+
+    name = "converge"
+    Config = ConvergeConfig
+    config: ConvergeConfig
+    difficulties: ClassVar = {
+        "easy": {"num_drones": 4, **UNCERTAINTY["easy"]},
+        "medium": {**UNCERTAINTY["medium"]},
+        "hard": {"num_drones": 20, **UNCERTAINTY["hard"]},
+        "extreme": {"num_drones": 100, "radius": 150.0, **UNCERTAINTY["extreme"]},
+    }
+
+    def __init__(self, config: ConvergeConfig, setting: Setting):
+        """Raises ValueError where drones could start in conflict or in touch with the ground."""
+        super().__init__(config, setting)
+        chord = 2 * config.radius * np.sin(np.pi / max(setting.num_drones, 2))
+        nearest, clear = chord - 2 * np.sqrt(2) * config.jitter, clearance(config, setting)
+        if nearest <= clear:
+            raise ValueError(
+                f"start positions may be in conflict: on a circle of radius {config.radius:g} m with jitter "
+                f"{config.jitter:g} m neighbours may be {nearest:.3g} m apart, more than {clear:.3g} m is needed"
+            )
+        if config.altitude - config.jitter <= setting.collision_radius:
+            raise ValueError(f"altitude {config.altitude:g} m is too low for jitter {config.jitter:g} m")
+        reach = config.radius + config.margin
+        self.arena_low = np.array([-reach, -reach, 0.0])
+        self.arena_high = np.array([reach, reach, config.altitude + config.margin])
+
+    def spawn(self, rng: np.random.Generator) -> Spawn:
+        """On the circle, in flight towards its centre."""
+        angle = 2 * np.pi * np.arange(self.setting.num_drones) / self.setting.num_drones
+        place = self.config.radius * np.stack([np.cos(angle), np.sin(angle), np.zeros(len(angle))], axis=1)
+        height = np.array([0.0, 0.0, self.config.altitude])
+        return self.launch(place + height, height - place, rng)

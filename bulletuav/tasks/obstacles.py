@@ -1,0 +1,220 @@
+"""Task `obstacles`: free flight among spheres and boxes, some of which move."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+
+from bulletuav.physics.obstacle import Obstacle
+from bulletuav.tasks.base import Scene, Setting, Spawn
+from bulletuav.tasks.terms.airspace import REWARD_WEIGHTS, UNCERTAINTY, Airspace, AirspaceConfig, clearance
+
+GOLDEN = (np.sqrt(5) - 1) / 2  # spreads sizes evenly over any number of obstacles
+FULL = 0.3  # share of the space that drones and obstacles may keep others out of
+
+
+@dataclass(frozen=True)
+class ObstaclesConfig(AirspaceConfig):
+    """Options of `obstacles` beside those of every shared airspace, m, m/s.
+
+    Starts, goals and obstacles lie in a square of side `area`, within `altitude_spread` / 2 of `altitude`. Starts, and
+    goals, keep 2 d_safe from each other, both d_safe from obstacles; a goal is `leg` or farther from its start. Of the
+    `num_obstacles`, `num_moving` move at up to `obstacle_speed` on each axis, reflected at the bounds; their sizes (radius
+    of the bounding sphere) spread over `obstacle_radius`, every second is a cube.
+    """
+
+    area: float = 200.0
+    altitude_spread: float = 40.0
+    leg: float = 80.0
+    num_obstacles: int = 10
+    num_moving: int = field(default=5, metadata={"least": 0})
+    obstacle_radius: tuple[float, float] = (3.0, 10.0)
+    obstacle_speed: float = 5.0
+    jitter: float = 0.0
+
+
+class Obstacles(Airspace):
+    """From anywhere to anywhere among bodies that can be hit, half of them moving.
+
+    Observation, per drone, Box(55) float32, clipped to its bounds (here for max_speed 20 and 8 drones):
+      0  position x              m     [-130, 130]
+      1  position y              m     [-130, 130]
+      2  position z              m     [0, 90]
+      3  velocity x              m/s   [-40, 40]
+      4  velocity y              m/s   [-40, 40]
+      5  velocity z              m/s   [-40, 40]
+      6  goal direction x        1     [-1, 1]
+      7  goal direction y        1     [-1, 1]
+      8  goal direction z        1     [-1, 1]
+      9  goal distance           m     [0, 378.55]
+     10  neighbour 1 distance    m     [0, 378.55]
+     11  neighbour 1 position x  m     [-260, 260]
+     12  neighbour 1 position y  m     [-260, 260]
+     13  neighbour 1 position z  m     [-90, 90]
+     14  neighbour 1 velocity x  m/s   [-80, 80]
+     15  neighbour 1 velocity y  m/s   [-80, 80]
+     16  neighbour 1 velocity z  m/s   [-80, 80]
+     17  neighbour 2 distance    m     [0, 378.55]
+     18  neighbour 2 position x  m     [-260, 260]
+     19  neighbour 2 position y  m     [-260, 260]
+     20  neighbour 2 position z  m     [-90, 90]
+     21  neighbour 2 velocity x  m/s   [-80, 80]
+     22  neighbour 2 velocity y  m/s   [-80, 80]
+     23  neighbour 2 velocity z  m/s   [-80, 80]
+     24  neighbour 3 distance    m     [0, 378.55]
+     25  neighbour 3 position x  m     [-260, 260]
+     26  neighbour 3 position y  m     [-260, 260]
+     27  neighbour 3 position z  m     [-90, 90]
+     28  neighbour 3 velocity x  m/s   [-80, 80]
+     29  neighbour 3 velocity y  m/s   [-80, 80]
+     30  neighbour 3 velocity z  m/s   [-80, 80]
+     31  obstacle 1 distance     m     [0, 378.55]
+     32  obstacle 1 position x   m     [-260, 260]
+     33  obstacle 1 position y   m     [-260, 260]
+     34  obstacle 1 position z   m     [-90, 90]
+     35  obstacle 1 velocity x   m/s   [-80, 80]
+     36  obstacle 1 velocity y   m/s   [-80, 80]
+     37  obstacle 1 velocity z   m/s   [-80, 80]
+     38  obstacle 1 radius       m     [0, 9.6099]
+     39  obstacle 2 distance     m     [0, 378.55]
+     40  obstacle 2 position x   m     [-260, 260]
+     41  obstacle 2 position y   m     [-260, 260]
+     42  obstacle 2 position z   m     [-90, 90]
+     43  obstacle 2 velocity x   m/s   [-80, 80]
+     44  obstacle 2 velocity y   m/s   [-80, 80]
+     45  obstacle 2 velocity z   m/s   [-80, 80]
+     46  obstacle 2 radius       m     [0, 9.6099]
+     47  obstacle 3 distance     m     [0, 378.55]
+     48  obstacle 3 position x   m     [-260, 260]
+     49  obstacle 3 position y   m     [-260, 260]
+     50  obstacle 3 position z   m     [-90, 90]
+     51  obstacle 3 velocity x   m/s   [-80, 80]
+     52  obstacle 3 velocity y   m/s   [-80, 80]
+     53  obstacle 3 velocity z   m/s   [-80, 80]
+     54  obstacle 3 radius       m     [0, 9.6099]
+    World axes (east, north, up). Neighbours are the nearest living drones, nearest first, relative to the drone; zeros where
+    there are fewer. Obstacles are the nearest by distance to their
+    bounding spheres.
+
+    Action, per drone, by default `velocity`, Box(3) in [-1, 1]: velocity over max_speed, its norm limited to max_speed;
+    10 decisions a second.
+
+    Reward, per decision, weighted terms: progress 5 a metre nearer to the goal; goal 50 on reaching it; conflict -100 for
+    each other drone with which a separation falls below d_safe = 5 m; warning -5 for each other drone, linear from 0 at
+    2 d_safe to 1 at d_safe; collision -200; out_of_bounds -50; energy -0.01 per (m/s)^2 of velocity change.
+    obstacle_warning -5 for each obstacle, linear from 0 at d_safe from its bounding sphere to 1 at contact with it. For the
+    asking: efficiency 0 (1 - distance over that at the start), speed_keeping 0 (0.3 to 0.8 of max_speed), time 0 (1 a
+    decision), shaping 0 (by the potential -distance), fairness 0 (variance of the rewards nearby), concession 0 (made way).
+
+    End: terminated on reaching the goal (within 2 m), on contact of collision shapes, or outside the arena (bounds of
+    position); the drone then leaves the airspace. Conflict ends nothing. Options change each of these. Truncated after 500
+    decisions.
+    Success: goal reached.
+
+    Difficulty, drones / obstacles / of these moving / area: easy 4, 10, 0, 200 m; medium 8, 10, 5, 200 m;
+    hard 20, 15, 10, 200 m; extreme 100, 20, 15, 300 m.
+    Uncertain from medium on: positions by 0.5 to 1.5 m (GPS). Hard: up to 3 m, and wind. Extreme: everything (see
+    `UNCERTAINTY`), in light turbulence.
+
+    Preset uavconflict: sizes, observation and reward constants of UAVConflictGym.
+    """
+
+    name = "obstacles"
+    Config = ObstaclesConfig
+    config: ObstaclesConfig
+    observation = ("position", "velocity", "goal", "neighbours", "obstacles")
+    reward_weights: ClassVar = {**REWARD_WEIGHTS, "obstacle_warning": -5.0}
+    difficulties: ClassVar = {
+        "easy": {"num_drones": 4, "num_moving": 0, **UNCERTAINTY["easy"]},
+        "medium": {**UNCERTAINTY["medium"]},
+        "hard": {"num_drones": 20, "num_obstacles": 15, "num_moving": 10, **UNCERTAINTY["hard"]},
+        "extreme": {
+            "num_drones": 100,
+            "area": 300.0,
+            "num_obstacles": 20,
+            "num_moving": 15,
+            **UNCERTAINTY["extreme"],
+        },
+    }
+
+    def __init__(self, config: ObstaclesConfig, setting: Setting):
+        """Raises ValueError where there is no room for all, or starts could touch the ground."""
+        super().__init__(config, setting)
+        low, high = config.obstacle_radius
+        if not 0 < low <= high:
+            raise ValueError(f"obstacle_radius is {config.obstacle_radius}: from low to high, above 0, is needed")
+        if config.num_moving > config.num_obstacles:
+            raise ValueError(f"num_moving {config.num_moving} of {config.num_obstacles} obstacles: at most all can move")
+        side, rise = config.area / 2, config.altitude_spread / 2
+        self._low = np.array([-side, -side, config.altitude - rise])
+        self._high = np.array([side, side, config.altitude + rise])
+        if self._low[2] - config.jitter <= setting.collision_radius:
+            raise ValueError(f"altitude {config.altitude:g} m is too low for altitude_spread {config.altitude_spread:g} m")
+        index = np.arange(config.num_obstacles)
+        self._radius = low + (high - low) * (index * GOLDEN % 1)
+        self._bodies = tuple(_body(k, radius) for k, radius in enumerate(self._radius.tolist()))
+        self._apart = 2 * max(config.d_safe, clearance(config, setting)) + 2 * config.jitter
+        self._check_room()
+        self.arena_low = self._low - config.margin
+        self.arena_high = self._high + config.margin
+        self.arena_low[2] = 0.0
+
+    def _check_room(self) -> None:
+        """Random places are found fast where little of the space is taken."""
+        config = self.config
+        balls = (self._radius + self._apart) ** 3
+        taken = 4 / 3 * np.pi * (balls.sum() + self.setting.num_drones * self._apart**3)
+        room = float(np.prod(self._high - self._low + 2 * self._apart))
+        if taken > FULL * room:
+            raise ValueError(
+                f"{self.setting.num_drones} drones and {config.num_obstacles} obstacles keep others out of "
+                f"{taken / room:.0%} of the space, at most {FULL:.0%} is possible: widen area or altitude_spread"
+            )
+        if config.leg > 0.5 * config.area:
+            raise ValueError(f"leg {config.leg:g} m is too long for an area of {config.area:g} m: at most half of it")
+
+    def obstacles(self) -> Sequence[Obstacle]:
+        """The bodies, those that move first."""
+        return self._bodies
+
+    def _places(self, rng: np.random.Generator, obstacle: np.ndarray, start: np.ndarray | None) -> np.ndarray:
+        """(N, 3) random places, clear of each other and of obstacles, `leg` from each drone's `start` where it is given."""
+        places = np.empty((self.setting.num_drones, 3))
+        for i in range(len(places)):
+            while True:
+                place = rng.uniform(self._low, self._high)
+                clear = np.all(np.linalg.norm(places[:i] - place, axis=1) > self._apart)
+                clear &= np.all(np.linalg.norm(obstacle - place, axis=1) > self._radius + self._apart / 2)
+                if clear and (start is None or np.linalg.norm(start[i] - place) >= self.config.leg):
+                    break
+            places[i] = place
+        return places
+
+    def spawn(self, rng: np.random.Generator) -> Spawn:
+        """Everything at random places; drones in flight towards their goals."""
+        config = self.config
+        obstacle = rng.uniform(self._low, self._high, (config.num_obstacles, 3))
+        velocity = rng.uniform(-config.obstacle_speed, config.obstacle_speed, obstacle.shape)
+        velocity[config.num_moving :] = 0
+        start = self._places(rng, obstacle, None)
+        goal = self._places(rng, obstacle, start)
+        return self.launch(start, goal, rng)._replace(obstacle=obstacle, obstacle_velocity=velocity)
+
+    def advance(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rng: Any) -> bool:
+        """Obstacles move straight on and are reflected at the bounds."""
+        super().advance(scene, time, flying, rng)
+        if not self.config.num_moving:
+            return False
+        place = scene.obstacle[flying] + self.setting.period * scene.obstacle_velocity[flying]
+        over = np.maximum(place - self._high, 0) + np.minimum(place - self._low, 0)
+        scene.obstacle[flying] = place - 2 * over
+        scene.obstacle_velocity[flying] *= np.where(over == 0, 1.0, -1.0)
+        return True
+
+
+def _body(index: int, radius: float) -> Obstacle:
+    """A sphere, or every second time a cube, with that bounding radius, m."""
+    if index % 2:
+        return Obstacle("box", (2 * radius / np.sqrt(3),) * 3)
+    return Obstacle("sphere", (radius,))

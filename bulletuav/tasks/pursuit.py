@@ -1,0 +1,174 @@
+"""Task `pursuit`: a queue of drones on one circular track, the fastest last, so that they have to overtake."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from bulletuav.tasks.base import Frame, Scene, Setting, Spawn
+from bulletuav.tasks.terms.airspace import UNCERTAINTY, Airspace, AirspaceConfig, clearance
+
+
+@dataclass(frozen=True)
+class PursuitConfig(AirspaceConfig):
+    """Options of `pursuit` beside those of every shared airspace, m, m/s.
+
+    Drones queue on a circle of `radius`, `spacing` apart along it, and fly `laps` clockwise, the first of the queue at
+    `speed[0]`, the last at `speed[1]`.
+    """
+
+    radius: float = 60.0
+    spacing: float = 15.0
+    speed: tuple[float, float] = (10.0, 18.0)
+    laps: int = 1
+
+
+class Pursuit(Airspace):
+    """A queue on a circle, clockwise; who follows is faster than who leads, so overtaking conflicts arise.
+
+    Each drone's goal runs ahead on the circle at the drone's own pace, from the drone's start round to it again, where it
+    stops. Drone 0 leads.
+
+    Observation, per drone, Box(34) float32, clipped to its bounds (here for max_speed 20 and 8 drones):
+      0  position x              m     [-90, 90]
+      1  position y              m     [-90, 90]
+      2  position z              m     [0, 70]
+      3  velocity x              m/s   [-40, 40]
+      4  velocity y              m/s   [-40, 40]
+      5  velocity z              m/s   [-40, 40]
+      6  goal direction x        1     [-1, 1]
+      7  goal direction y        1     [-1, 1]
+      8  goal direction z        1     [-1, 1]
+      9  goal distance           m     [0, 264.008]
+     10  goal velocity x         m/s   [-40, 40]
+     11  goal velocity y         m/s   [-40, 40]
+     12  goal velocity z         m/s   [-40, 40]
+     13  neighbour 1 distance    m     [0, 264.008]
+     14  neighbour 1 position x  m     [-180, 180]
+     15  neighbour 1 position y  m     [-180, 180]
+     16  neighbour 1 position z  m     [-70, 70]
+     17  neighbour 1 velocity x  m/s   [-80, 80]
+     18  neighbour 1 velocity y  m/s   [-80, 80]
+     19  neighbour 1 velocity z  m/s   [-80, 80]
+     20  neighbour 2 distance    m     [0, 264.008]
+     21  neighbour 2 position x  m     [-180, 180]
+     22  neighbour 2 position y  m     [-180, 180]
+     23  neighbour 2 position z  m     [-70, 70]
+     24  neighbour 2 velocity x  m/s   [-80, 80]
+     25  neighbour 2 velocity y  m/s   [-80, 80]
+     26  neighbour 2 velocity z  m/s   [-80, 80]
+     27  neighbour 3 distance    m     [0, 264.008]
+     28  neighbour 3 position x  m     [-180, 180]
+     29  neighbour 3 position y  m     [-180, 180]
+     30  neighbour 3 position z  m     [-70, 70]
+     31  neighbour 3 velocity x  m/s   [-80, 80]
+     32  neighbour 3 velocity y  m/s   [-80, 80]
+     33  neighbour 3 velocity z  m/s   [-80, 80]
+    World axes (east, north, up). Neighbours are the nearest living drones, nearest first, relative to the drone; zeros where
+    there are fewer.
+
+    Action, per drone, by default `velocity`, Box(3) in [-1, 1]: velocity over max_speed, its norm limited to max_speed;
+    10 decisions a second.
+
+    Reward, per decision, weighted terms: progress 5 a metre nearer to the goal; goal 50 on reaching it; conflict -100 for
+    each other drone with which a separation falls below d_safe = 5 m; warning -5 for each other drone, linear from 0 at
+    2 d_safe to 1 at d_safe; collision -200; out_of_bounds -50; energy -0.01 per (m/s)^2 of velocity change. For the
+    asking: efficiency 0 (1 - distance over that at the start), speed_keeping 0 (0.3 to 0.8 of max_speed), time 0 (1 a
+    decision), shaping 0 (by the potential -distance), fairness 0 (variance of the rewards nearby), concession 0 (made way).
+
+    End: terminated on reaching the goal (within 2 m, once it stopped), on contact of collision shapes, or outside the arena
+    (bounds of position); the drone then leaves the airspace. Conflict ends nothing. Options change each of these. Truncated
+    after 500 decisions (extreme: 1,000).
+    Success: goal reached without any conflict.
+
+    Difficulty, drones / radius / spacing / speeds: easy 4, 60 m, 15 m, 10 to 18 m/s; medium 8, the same; hard 20,
+    the same; extreme 100, 150 m, 8.5 m, 12 to 18 m/s.
+    Uncertain from medium on: positions by 0.5 to 1.5 m (GPS). Hard: up to 3 m, and wind. Extreme: everything (see
+    `UNCERTAINTY`), in light turbulence.
+
+    Preset uavconflict: sizes, observation and reward constants of UAVConflictGym.
+    """
+
+    name = "pursuit"
+    Config = PursuitConfig
+    config: PursuitConfig
+    observation = ("position", "velocity", "goal", "goal_velocity", "neighbours")
+    difficulties: ClassVar = {
+        "easy": {"num_drones": 4, **UNCERTAINTY["easy"]},
+        "medium": {**UNCERTAINTY["medium"]},
+        "hard": {"num_drones": 20, **UNCERTAINTY["hard"]},
+        "extreme": {
+            "num_drones": 100,
+            "radius": 150.0,
+            "spacing": 8.5,
+            "speed": (12.0, 18.0),
+            "horizon": 1000,
+            **UNCERTAINTY["extreme"],
+        },
+    }
+
+    def __init__(self, config: PursuitConfig, setting: Setting):
+        """Raises ValueError where drones could start in conflict or in touch with the ground, or are too slow."""
+        super().__init__(config, setting)
+        if not 0 < config.speed[0] <= config.speed[1] <= setting.max_speed:
+            raise ValueError(f"speed is {config.speed}: from low to high, above 0 and up to max_speed {setting.max_speed:g}")
+        if setting.num_drones * config.spacing > 2 * np.pi * config.radius:
+            raise ValueError(
+                f"{setting.num_drones} drones with spacing {config.spacing:g} m do not fit on a circle of radius "
+                f"{config.radius:g} m"
+            )
+        chord = 2 * config.radius * np.sin(config.spacing / (2 * config.radius))
+        nearest, clear = chord - 2 * np.sqrt(2) * config.jitter, clearance(config, setting)
+        if setting.num_drones > 1 and nearest <= clear:
+            raise ValueError(
+                f"start positions may be in conflict: spacing {config.spacing:g} m with jitter {config.jitter:g} m leaves "
+                f"{nearest:.3g} m between neighbours, more than {clear:.3g} m is needed"
+            )
+        if config.altitude - config.jitter <= setting.collision_radius:
+            raise ValueError(f"altitude {config.altitude:g} m is too low for jitter {config.jitter:g} m")
+        reach = config.radius + config.margin
+        self.arena_low = np.array([-reach, -reach, 0.0])
+        self.arena_high = np.array([reach, reach, config.altitude + config.margin])
+        self._pace = np.linspace(*config.speed, setting.num_drones)
+        self._way = 2 * np.pi * config.radius * config.laps
+
+    def _track(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Goals (..., N, 3) m and their velocities at `time` (...,) s."""
+        way = self._pace * np.asarray(time)[..., None]
+        angle = (np.arange(len(self._pace)) * self.config.spacing - np.minimum(way, self._way)) / self.config.radius
+        zero = np.zeros_like(angle)
+        place = self.config.radius * np.stack([np.cos(angle), np.sin(angle), zero], axis=-1)
+        pace = np.where(way < self._way, self._pace, 0.0)[..., None]
+        return place + np.array((0.0, 0.0, self.config.altitude)), pace * np.stack(
+            [np.sin(angle), -np.cos(angle), zero], axis=-1
+        )
+
+    def spawn(self, rng: np.random.Generator) -> Spawn:
+        """Queued on the circle, in flight along it."""
+        goal, velocity = self._track(np.zeros(()))
+        return self.launch(goal, goal, rng, velocity)._replace(goal_velocity=velocity)
+
+    def memory(self) -> Mapping[str, tuple[int, ...]]:
+        """Beside those of every airspace `conflicts`: how many each drone has had."""
+        return {**super().memory(), "conflicts": (self.setting.num_drones,)}
+
+    def remember(self, frame: Frame) -> None:
+        """Conflicts too."""
+        super().remember(frame)
+        frame.scene.memory["conflicts"][:] += np.where(frame.alive, frame.conflict.onsets, 0)
+
+    def advance(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rng: Any) -> bool:
+        """Goals run on."""
+        goal, velocity = self._track(time + self.setting.period)
+        scene.goal[flying], scene.goal_velocity[flying] = goal[flying], velocity[flying]
+        return super().advance(scene, time, flying, rng)
+
+    def arrived(self, frame: Frame) -> np.ndarray:
+        """At the goal, which has come to its end."""
+        ended = self._pace * frame.time[:, None] >= self._way
+        return ended & super().arrived(frame)
+
+    def succeeded(self, frame: Frame) -> np.ndarray:
+        """There without any conflict."""
+        return super().succeeded(frame) & (frame.scene.memory["conflicts"] == 0)

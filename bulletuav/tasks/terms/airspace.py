@@ -1,0 +1,241 @@
+"""What tasks with goals in one shared airspace have in common: options, reward terms, ends, and what is uncertain."""
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+
+from bulletuav.tasks.base import Frame, Scene, Setting, Spawn, Task, Verdict
+from bulletuav.tasks.terms.rewards import REWARDS, Marks, follow_encounters, variance_nearby
+
+REBOUND = {"soft": 0.8, "hard": 0.0}
+"""Share of the speed against a wall that is left, reversed"""
+TOUCHDOWN, TOUCHDOWN_SPEED = 1.0, 2.0
+"""Height above the ground, m, and speed, m/s, below which a drone has landed"""
+REWARD_WEIGHTS = {
+    "progress": 5.0,
+    "goal": 50.0,
+    "conflict": -100.0,
+    "warning": -5.0,
+    "collision": -200.0,
+    "out_of_bounds": -50.0,
+    "energy": -0.01,
+    "efficiency": 0.0,
+    "speed_keeping": 0.0,
+    "time": 0.0,
+    "shaping": 0.0,
+    "fairness": 0.0,
+    "concession": 0.0,
+}
+UNCERTAINTY: dict[str, dict[str, Any]] = {
+    "easy": {},
+    "medium": {"randomization": {"gps_noise": (0.5, 1.5)}},
+    "hard": {"randomization": {"gps_noise": (0.5, 3.0), "gps_walk": (0.0, 0.1), "wind": (-3.0, 3.0)}},
+    "extreme": {
+        "turbulence": "light",
+        "randomization": {
+            "mass": (0.8, 1.2),
+            "thrust": (0.9, 1.1),
+            "drag": (1 / 3, 5 / 3),
+            "motor_lag": (0.5, 2.0),
+            "battery": (0.0, 0.1),
+            "gps_noise": (0.5, 5.0),
+            "gps_walk": (0.0, 0.1),
+            "gps_dropout": (0.0, 0.1),
+            "wind": (-3.0, 3.0),
+            "radio_delay": (0.005, 0.1),
+            "radio_loss": (0.0, 0.3),
+            "radio_range": (100.0, 200.0),
+        },
+    },
+}
+"""What a difficulty makes uncertain"""
+UAVCONFLICT: dict[str, Any] = {
+    "num_drones": 8,
+    "d_safe": 5.0,
+    "goal_radius": 2.0,
+    "max_speed": 20.0,
+    "decision_hz": 10,
+    "horizon": 500,
+    "action": "velocity_increment",
+    "observation": ("position", "velocity", "goal", "identity", "all_neighbours"),
+    "at_goal": "hold",
+    "boundary": "soft",
+    "conflict_ends": "world",
+    "randomization": {},
+    "weights": {
+        "progress": 10.0,
+        "goal": 50.0,
+        "conflict": -200.0,
+        "warning": -5.0,
+        "collision": 0.0,
+        "out_of_bounds": 0.0,
+        "energy": -0.01,
+        "speed_keeping": 0.5,
+    },
+}
+"""Sizes, observation and reward constants of UAVConflictGym; docs/conflict.md lists where it differs and why"""
+
+
+@dataclass(frozen=True)
+class AirspaceConfig:
+    """Options that tasks in a shared airspace have in common, m, m/s.
+
+    at_goal        "leave": a drone that reaches its goal leaves the airspace; "land": it has to go down to the ground below
+                   first; "hold": it stays, until all that fly are at their goals
+    boundary       "end": a drone outside the arena is done; "soft": it is thrown back with 0.8 of its speed; "hard": it
+                   stops at the wall; "open": nothing happens
+    contact_ends, conflict_ends  whose episode contact of shapes, or a separation below d_safe, ends: "nothing" (conflict
+                   only), the "drone"'s, or that of its whole "world"
+    warning_zone   where the warning begins, in d_safe
+    fairness_range whose rewards the term `fairness` compares
+    discount       of the term `shaping`
+    """
+
+    d_safe: float = 5.0
+    altitude: float = 40.0
+    jitter: float = 1.0
+    start_speed: tuple[float, float] = (5.0, 15.0)
+    goal_radius: float = 2.0
+    margin: float = 30.0
+    at_goal: Literal["leave", "land", "hold"] = "leave"
+    boundary: Literal["end", "soft", "hard", "open"] = "end"
+    contact_ends: Literal["drone", "world"] = "drone"
+    conflict_ends: Literal["nothing", "drone", "world"] = "nothing"
+    warning_zone: float = 2.0
+    fairness_range: float = 50.0
+    discount: float = 0.99
+    weights: Mapping[str, float] = field(default_factory=dict)
+
+
+def check_launch(config: AirspaceConfig, setting: Setting) -> None:
+    """Raise ValueError for speeds that no drone has, or a warning zone that ends where it begins."""
+    if not 0 <= config.start_speed[0] <= config.start_speed[1] <= setting.max_speed:
+        raise ValueError(
+            f"start_speed is {config.start_speed}: from low to high within 0 and max_speed {setting.max_speed:g}"
+        )
+    if config.warning_zone <= 1:
+        raise ValueError(f"warning_zone is {config.warning_zone:g}: it must end beyond d_safe, at more than 1")
+    if config.margin <= config.jitter:
+        raise ValueError(f"margin {config.margin:g} m must exceed jitter {config.jitter:g} m: starts must be in the arena")
+    if config.discount > 1:
+        raise ValueError(f"discount is {config.discount:g}: from 0 to 1 is needed")
+
+
+def clearance(config: AirspaceConfig, setting: Setting) -> float:
+    """Distance between two drones below which they conflict or touch, m."""
+    return max(2 * setting.collision_radius, config.d_safe)
+
+
+class Airspace(Task):
+    """A task of flights to goals; a task adds where they start and where they go."""
+
+    Config = AirspaceConfig
+    config: AirspaceConfig
+    defaults: ClassVar = {
+        "num_drones": 8,
+        "airframe": "hummingbird",
+        "action": "velocity",
+        "decision_hz": 10,
+        "horizon": 500,
+        "max_speed": 20.0,
+        "difficulty": "medium",
+    }
+    presets: ClassVar = {"uavconflict": UAVCONFLICT}
+    observation: ClassVar[tuple[str, ...]] = ("position", "velocity", "goal", "neighbours")
+    reward_weights: ClassVar = REWARD_WEIGHTS
+
+    def __init__(self, config: AirspaceConfig, setting: Setting):
+        """Raises ValueError for options that cannot be."""
+        super().__init__(config, setting)
+        check_launch(config, setting)
+        self.rebound = REBOUND.get(config.boundary)
+        self.zone = config.warning_zone * config.d_safe
+
+    @abstractmethod
+    def spawn(self, rng: np.random.Generator) -> Spawn:
+        """Start of one world."""
+
+    def launch(
+        self, start: np.ndarray, goal: np.ndarray, rng: np.random.Generator, along: np.ndarray | None = None
+    ) -> Spawn:
+        """Drones near `start` (N, 3), each axis up to `jitter` off, in flight, noses to the east.
+
+        They fly towards `goal` (N, 3), or in the direction of `along` (N, 3).
+        """
+        low, high = self.config.start_speed
+        start = start + rng.uniform(-self.config.jitter, self.config.jitter, start.shape)
+        along = goal - start if along is None else along
+        heading = along / np.linalg.norm(along, axis=1, keepdims=True)
+        velocity = heading * rng.uniform(low, high, (len(start), 1))
+        return Spawn(start, np.tile([0.0, 0.0, 0.0, 1.0], (len(start), 1)), velocity, np.zeros_like(start), goal)
+
+    def memory(self) -> Mapping[str, tuple[int, ...]]:
+        """`reached`: when each drone first came to its goal, s, 0 before; the pairs' encounters where concession counts."""
+        drones = self.setting.num_drones
+        pairs = {"encounter": (drones, drones), "effort": (drones, drones)} if self.weights["concession"] else {}
+        return {"reached": (drones,), **pairs}
+
+    def advance(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rng: Any) -> bool:
+        """The goals of drones that are to land move to the ground once they have reached them."""
+        if self.config.at_goal == "land":
+            scene.goal[..., 2] = np.where(scene.memory["reached"] > 0, TOUCHDOWN / 2, scene.goal[..., 2])
+        return False
+
+    def arrived(self, frame: Frame) -> np.ndarray:
+        """(W, N) bool: at the goal."""
+        return frame.distance <= self.config.goal_radius
+
+    def remember(self, frame: Frame) -> None:
+        """When goals were reached, and who made way."""
+        memory = frame.scene.memory
+        new = self.arrived(frame) & frame.alive & ~frame.collision & (memory["reached"] == 0)
+        np.copyto(memory["reached"], frame.time[:, None], where=new)
+        if "encounter" in memory:
+            follow_encounters(memory["encounter"], memory["effort"], frame.before, frame.after, frame.d_safe, frame.alive)
+
+    def succeeded(self, frame: Frame) -> np.ndarray:
+        """(W, N) bool: at the goal, or landed where that is asked for, and not by a crash."""
+        if self.config.at_goal != "land":
+            return self.arrived(frame) & ~frame.collision
+        aside = np.linalg.norm((frame.after.position - frame.scene.goal)[..., :2], axis=-1)
+        slow = np.linalg.norm(frame.after.velocity, axis=-1) <= TOUCHDOWN_SPEED
+        low = frame.after.position[..., 2] <= TOUCHDOWN
+        return (frame.scene.memory["reached"] > 0) & low & slow & (aside <= self.config.goal_radius) & ~frame.collision
+
+    def judge(self, frame: Frame) -> Verdict:
+        """The weighted terms, the ends that the options ask for, and who is at its goal."""
+        config, reached = self.config, frame.scene.memory["reached"]
+        success = self.succeeded(frame)
+        position = frame.after.position
+        outside = np.any((position < self.arena_low) | (position > self.arena_high), axis=-1)
+        terminated = _whose(frame.collision, frame, config.contact_ends)
+        if config.at_goal == "hold":
+            terminated = terminated | np.all(success | ~frame.alive, axis=1, keepdims=True)
+        else:
+            terminated = terminated | success
+        if config.boundary == "end":
+            terminated = terminated | outside
+        if config.conflict_ends != "nothing":
+            terminated = terminated | _whose(frame.conflict.separation < config.d_safe, frame, config.conflict_ends)
+        new = (reached > 0) & (reached == frame.time[:, None])
+        marks = Marks(new, outside, terminated, terminated | frame.last[:, None])
+        return Verdict(self._terms(frame, marks), terminated, success)
+
+    def _terms(self, frame: Frame, marks: Marks) -> dict[str, np.ndarray]:
+        """The reward terms whose weight is not zero; `fairness` compares what the others come to."""
+        names = [name for name, weight in self.weights.items() if weight and name != "fairness"]
+        terms = {name: REWARDS[name](self, frame, marks) for name in names}
+        if self.weights["fairness"]:
+            total = sum((self.weights[name] * terms[name] for name in names), np.zeros(frame.alive.shape))
+            terms["fairness"] = variance_nearby(total, frame.after.position, frame.alive, self.config.fairness_range)
+        return terms
+
+
+def _whose(happened: np.ndarray, frame: Frame, whom: str) -> np.ndarray:
+    """(W, N): the drones to which it happened, or, for "world", all drones of their worlds."""
+    if whom == "world":
+        return np.broadcast_to(np.any(happened & frame.alive, axis=1, keepdims=True), happened.shape)
+    return happened
