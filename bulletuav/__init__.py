@@ -2,6 +2,7 @@
 
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.central import register_environments
+from bulletuav.envs.curriculum import curriculum_env
 from bulletuav.envs.parallel import aec_env, parallel_env
 from bulletuav.envs.workers import batch_env
 from bulletuav.evaluation import evaluate
@@ -16,6 +17,7 @@ __all__ = [
     "aec_env",
     "available_airframes",
     "batch_env",
+    "curriculum_env",
     "evaluate",
     "list_tasks",
     "load_airframe",

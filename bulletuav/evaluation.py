@@ -21,6 +21,7 @@ from bulletuav.metrics import METRICS, Estimate, Meter, estimate
 from bulletuav.policies import PolicySource, find_policy
 from bulletuav.policies.base import Policy
 from bulletuav.record import described
+from bulletuav.tasks import TaskSource
 from bulletuav.version import __version__
 
 BATCH = 10
@@ -62,7 +63,7 @@ class Evaluation:
 class Run:
     """What a worker needs to fly episodes."""
 
-    task: str
+    task: TaskSource
     policy: PolicySource
     seed: int
     episodes: int
@@ -99,7 +100,7 @@ class Run:
 
 
 def evaluate(
-    task: str,
+    task: TaskSource,
     policy: PolicySource,
     episodes: int = 100,
     seed: int = 0,

@@ -25,7 +25,7 @@ METRICS = {
     "min_time_to_conflict": "shortest time until two that fly straight on would conflict, s, where there was one",
     "length": "duration of the episode, s",
     "goal_distance": "distance to the goal at the end, m, mean of the drones",
-    "path_efficiency": "shortest way over the way flown, mean of the drones that succeeded",
+    "path_efficiency": "metres made good over metres flown, mean of the drones that succeeded",
     "jerk": "m/s^3, mean of drones and decisions",
     "energy": "mechanical energy of the rotors, J, mean of the drones; none where dynamics have no rotors",
     "messages": "messages that drones received, where communication is simulated",
@@ -119,9 +119,8 @@ class Meter:
 
     def _row(self, w: int) -> dict[str, float]:
         aviary, length = self._aviary, self._steps[w] * self._period
-        arrived, flown = self._succeeded[w], np.maximum(self._flown[w], 1e-9)
-        efficiency = np.minimum(self._ideal[w] / flown, 1.0)[arrived]
-        made_good = np.maximum(self._ideal[w] - self._left[w], 0.0) / (self._decisions[w] * self._period)
+        arrived, made_good = self._succeeded[w], np.maximum(self._ideal[w] - self._left[w], 0.0)
+        efficiency = np.minimum(made_good / np.maximum(self._flown[w], 1e-9), 1.0)[arrived]
         row = {
             "collision": self._collided[w].any(),
             "conflict": self._conflicts[w] > 0,
@@ -137,7 +136,7 @@ class Meter:
             "jerk": self._jerk[w].sum() / max(self._jerks[w].sum(), 1.0),
             "energy": self._energy[w].mean() if aviary.level == Level.ROTOR else np.nan,
             "messages": self._messages[w] if aviary.communicates else np.nan,
-            "fairness": jain(made_good),
+            "fairness": jain(made_good / (self._decisions[w] * self._period)),
             "throughput": arrived.sum() / (length / 60),
         }
         return {name: float(value) if np.isfinite(value) else np.nan for name, value in row.items()}

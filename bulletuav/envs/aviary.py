@@ -20,6 +20,7 @@ from bulletuav.physics.swarm import Contacts, Motion, Swarm
 from bulletuav.physics.wind import Wind
 from bulletuav.physics.world import World
 from bulletuav.sensors.camera import DroneCameras
+from bulletuav.tasks import TaskSource
 from bulletuav.tasks.base import Frame, Scene, Spawn, refuse_overlap
 from bulletuav.tasks.terms.observations import Observation
 
@@ -48,7 +49,7 @@ class Aviary:
     generators, None before their first reset.
     """
 
-    def __init__(self, task: str, num_worlds: int = 1, *, first_world: int = 0, **options: Any):
+    def __init__(self, task: TaskSource, num_worlds: int = 1, *, first_world: int = 0, **options: Any):
         """Build the worlds; see `Options` and the task's config. Raises ValueError for options that cannot be.
 
         `first_world`: number of the first of these worlds among those of several processes; world k is then the one that

@@ -8,6 +8,7 @@ from gymnasium.vector import AutoresetMode
 
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.spaces import widest_action_space
+from bulletuav.tasks import TaskSource
 from bulletuav.tasks.terms.observations import Observation
 
 
@@ -24,7 +25,7 @@ class BatchAviary:
 
     def __init__(
         self,
-        task: str,
+        task: TaskSource,
         num_envs: int,
         autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP,
         *,

@@ -15,7 +15,7 @@ from gymnasium.vector.utils import batch_space
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.batch import BatchAviary
 from bulletuav.envs.spaces import joint_action_space, joint_numbers
-from bulletuav.tasks import list_tasks
+from bulletuav.tasks import TaskSource, list_tasks
 from bulletuav.tasks.terms.observations import Observation, part
 
 METADATA: dict[str, Any] = {"render_modes": ["rgb_array", "human"]}
@@ -54,7 +54,7 @@ class CentralAviary(gymnasium.Env):
 
     metadata = METADATA
 
-    def __init__(self, task: str, **options: Any):
+    def __init__(self, task: TaskSource, **options: Any):
         self.aviary = Aviary(task, 1, **options)
         self.metadata = {**METADATA, "render_fps": self.aviary.options.decision_hz}
         self.render_mode = self.aviary.options.render_mode
@@ -94,7 +94,7 @@ class CentralVectorAviary(gymnasium.vector.VectorEnv):
     metadata = METADATA
 
     def __init__(
-        self, task: str, num_envs: int = 1, autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP, **options: Any
+        self, task: TaskSource, num_envs: int = 1, autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP, **options: Any
     ):
         self._batch = BatchAviary(task, num_envs, autoreset_mode, **options)
         aviary = self.aviary = self._batch.aviary

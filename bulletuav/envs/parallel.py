@@ -9,17 +9,18 @@ from pettingzoo.utils.conversions import parallel_to_aec
 
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.spaces import drone_action_space, drone_numbers
+from bulletuav.tasks import TaskSource
 from bulletuav.tasks.terms.observations import Observation, part
 
 
 class ParallelAviary(ParallelEnv):
     """`pettingzoo.ParallelEnv` of one task; `aviary` is the batched core with W = 1."""
 
-    def __init__(self, task: str, **options: Any):
+    def __init__(self, task: TaskSource, **options: Any):
         self.aviary = Aviary(task, 1, **options)
         settings = self.aviary.options
         self.metadata = {
-            "name": f"bulletuav_{task}_v0",
+            "name": f"bulletuav_{self.aviary.task.name}_v0",
             "render_modes": ["rgb_array", "human"],
             "render_fps": settings.decision_hz,
             "is_parallelizable": True,
@@ -88,15 +89,16 @@ class ParallelAviary(ParallelEnv):
         self.aviary.close()
 
 
-def parallel_env(task: str, **options: Any) -> ParallelAviary:
+def parallel_env(task: TaskSource, **options: Any) -> ParallelAviary:
     """The task as a `pettingzoo.ParallelEnv` with agents `drone_0` ... `drone_{N-1}`.
 
-    `task` is one of `list_tasks()`; options are those common to all tasks (`bulletuav.envs.options.Options`) and the task's
-    own (its `Config`). Raises ValueError that names the value and the remedy when one of them cannot be.
+    `task` is one of `list_tasks()`, or a class of your own; options are those common to all tasks
+    (`bulletuav.envs.options.Options`) and the task's own (its `Config`). Raises ValueError that names the value and the
+    remedy when one of them cannot be.
     """
     return ParallelAviary(task, **options)
 
 
-def aec_env(task: str, **options: Any) -> AECEnv:
+def aec_env(task: TaskSource, **options: Any) -> AECEnv:
     """The task as a `pettingzoo.AECEnv`, through PettingZoo's own conversion; see `parallel_env`."""
     return parallel_to_aec(ParallelAviary(task, **options))

@@ -10,7 +10,7 @@ from bulletuav.envs.options import Options, resolve
 from bulletuav.errors import numbers_of, whole
 from bulletuav.physics.tiles import TILE_PITCH
 from bulletuav.physics.world import PARKING_HEIGHT
-from bulletuav.tasks import find_task
+from bulletuav.tasks import TaskSource, find_task
 from bulletuav.tasks.base import Setting, Task
 from bulletuav.tasks.terms.observations import STATE, Observer
 
@@ -18,7 +18,7 @@ from bulletuav.tasks.terms.observations import STATE, Observer
 class Plan:
     """Checked options and what follows from them: task, action, observer and state_observer."""
 
-    def __init__(self, task: str, num_worlds: int, options: dict[str, Any]):
+    def __init__(self, task: TaskSource, num_worlds: int, options: dict[str, Any]):
         """See `Aviary`. Raises ValueError for options that cannot be."""
         kind = find_task(task)
         self.options, config = resolve(kind, options)

@@ -131,9 +131,10 @@ class Uncertainty:
         """`parameters` (W, N): the rows that the dynamics flies with, which it changes; `period` of decisions, s."""
         self._spec, self._world, self._wind = spec, world, wind
         self._parameters, self._nominal = parameters, parameters.copy()
-        worlds, drones = shape = parameters.shape
-        widths = {"wind": 3, **dict.fromkeys(RADIO, 1)}
-        self.drawn = {name: np.zeros((worlds, widths[name] if name in widths else drones)) for name in spec.active}
+        shape: tuple[int, int] = parameters.shape
+        worlds, drones = shape
+        widths: dict[str, int] = {"wind": 3, **dict.fromkeys(RADIO, 1)}
+        self.drawn = {name: np.zeros((worlds, widths.get(name, drones))) for name in spec.active}
         self._gps = Gps(shape, period) if not self.drawn.keys().isdisjoint(GPS) else None
         self._radio = None
         if not self.drawn.keys().isdisjoint(RADIO):

@@ -21,6 +21,7 @@ from bulletuav.envs.batch import BatchAviary
 from bulletuav.envs.plan import Plan
 from bulletuav.envs.spaces import widest_action_space
 from bulletuav.errors import pick, whole
+from bulletuav.tasks import TaskSource
 from bulletuav.tasks.terms.observations import Observation
 
 PATIENCE = 5.0  # s, for a worker to end
@@ -118,7 +119,7 @@ class WorkerAviary:
 
     def __init__(
         self,
-        task: str,
+        task: TaskSource,
         num_envs: int,
         autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP,
         *,
@@ -295,7 +296,7 @@ def _merged(parts: list[slice], infos: list[dict[str, Any]], num_envs: int) -> d
 
 
 def batch_env(
-    task: str, num_envs: int, workers: int = 1, start_method: str | None = None, **options: Any
+    task: TaskSource, num_envs: int, workers: int = 1, start_method: str | None = None, **options: Any
 ) -> BatchAviary | WorkerAviary:
     """`num_envs` worlds of the task that reset themselves; see `BatchAviary` and, for the options, `parallel_env`.
 

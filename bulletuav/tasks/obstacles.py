@@ -32,6 +32,7 @@ class ObstaclesConfig(AirspaceConfig):
     obstacle_radius: tuple[float, float] = (3.0, 10.0)
     obstacle_speed: float = 5.0
     jitter: float = 0.0
+    start_speed: tuple[float, float] = (0.0, 5.0)  # slow enough to stop before an obstacle
 
 
 class Obstacles(Airspace):

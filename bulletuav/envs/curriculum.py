@@ -1,0 +1,160 @@
+"""Curriculum: difficulty follows the success rate, as a PettingZoo environment that any trainer can use."""
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium.spaces import Box, Space
+from pettingzoo import ParallelEnv
+
+from bulletuav.envs.parallel import ParallelAviary
+from bulletuav.envs.plan import Plan
+from bulletuav.envs.spaces import drone_action_space
+from bulletuav.errors import finite, whole
+from bulletuav.tasks import TaskSource
+
+DIFFICULTIES = tuple({"difficulty": name} for name in ("easy", "medium", "hard", "extreme"))
+
+
+class Curriculum:
+    """Which of `count` levels to fly.
+
+    One up when the success rate of the last `window` episodes is `up` or more, one down when it is below `down`; the window
+    starts anew at each change.
+    """
+
+    def __init__(self, count: int, up: float = 0.8, down: float = 0.2, window: int = 20):
+        """Raises ValueError for rates or a window that cannot be."""
+        self.count, self.window = whole("levels", count, 1), whole("window", window, 1)
+        self.up, self.down = finite("up", up), finite("down", down)
+        if not 0 <= down < up <= 1:
+            raise ValueError(f"down {down:g} and up {up:g}: 0 <= down < up <= 1 is needed")
+        self.level = 0
+        self._recent: deque[float] = deque(maxlen=self.window)
+
+    @property
+    def success_rate(self) -> float:
+        """Of the episodes in the window, NaN before the first."""
+        return float(np.mean(self._recent)) if self._recent else np.nan
+
+    def record(self, success: float) -> None:
+        """Take the success of an episode at this level, from 0 to 1."""
+        self._recent.append(success)
+        if len(self._recent) < self.window:
+            return
+        rate = self.success_rate
+        step = int(rate >= self.up and self.level + 1 < self.count) - int(rate < self.down and self.level > 0)
+        if step:
+            self.level += step
+            self._recent.clear()
+
+
+class CurriculumAviary(ParallelEnv):
+    """`pettingzoo.ParallelEnv` whose episodes come from the level that `curriculum` says; infos tell it as "level".
+
+    Agents are those of the largest level; in smaller ones the last of them do not take part. Observation spaces are as wide
+    as the widest level's, states are padded with zeros. An episode's success is the share of its drones that succeeded.
+    """
+
+    def __init__(self, task: TaskSource, levels: Sequence[Mapping[str, Any]], curriculum: Curriculum, **options: Any):
+        """`levels`: options of each, easiest first, beside the common ones. Raises ValueError where their spaces differ."""
+        self._task, self.curriculum = task, curriculum
+        self._options = [{**options, **level} for level in levels]
+        plans = [Plan(task, 1, level) for level in self._options]
+        self._widest = max(plans, key=lambda plan: plan.options.num_drones)
+        self.observation = _union(plans)
+        drones = self._widest.options.num_drones
+        self.possible_agents = [f"drone_{i}" for i in range(drones)]
+        self.agents: list[str] = []
+        self.observation_spaces = dict.fromkeys(self.possible_agents, self.observation)
+        self.action_spaces = {
+            agent: drone_action_space(self._widest.action, i) for i, agent in enumerate(self.possible_agents)
+        }
+        self.metadata = {"name": f"bulletuav_{plans[0].task.name}_curriculum_v0", "render_modes": ["rgb_array", "human"]}
+        self._made: dict[int, ParallelAviary] = {}
+        self._successes: dict[str, float] = {}
+        self._rng = np.random.default_rng()
+
+    @property
+    def env(self) -> ParallelAviary:
+        """The environment of the episode that goes on."""
+        return self._current
+
+    def observation_space(self, agent: str) -> Space:
+        """The agent's observation space, the same object each time."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> Space:
+        """The agent's action space, the same object each time."""
+        return self.action_spaces[agent]
+
+    def reset(self, seed: int | None = None, options: dict | None = None) -> tuple[dict, dict]:
+        """Start a new episode, of another level if the last ones ask for it; with `seed` all later ones follow from it."""
+        if self._successes and not self.agents:  # an episode that was left early tells nothing
+            self.curriculum.record(float(np.mean(list(self._successes.values()))))
+        self._successes = {}
+        if seed is not None:
+            self._rng = np.random.default_rng(seed)
+        level = self.curriculum.level
+        if level not in self._made:
+            self._made[level] = ParallelAviary(self._task, **self._options[level])
+        self._current = self._made[level]
+        observations, infos = self._current.reset(seed=int(self._rng.integers(2**31)))
+        self.agents = self._current.agents[:]
+        return observations, self._with_level(infos)
+
+    def step(self, actions: dict[str, np.ndarray]) -> tuple[dict, dict, dict, dict, dict]:
+        """As `ParallelAviary.step`."""
+        observations, rewards, terminated, truncated, infos = self.env.step(actions)
+        self._successes |= {agent: info["success"] for agent, info in infos.items()}
+        self.agents = self.env.agents[:]
+        return observations, rewards, terminated, truncated, self._with_level(infos)
+
+    def _with_level(self, infos: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
+        return {agent: {**info, "level": float(self.curriculum.level)} for agent, info in infos.items()}
+
+    def state(self) -> np.ndarray:
+        """Global state as `ParallelAviary.state`, with zeros for drones that the level has not."""
+        state = self.env.state()
+        drones = len(self.possible_agents)
+        padded = np.zeros(len(self._widest.state_observer.labels) * drones, dtype=np.float32)
+        padded[: state.size] = state
+        return padded
+
+    def render(self) -> np.ndarray | None:
+        """A picture of the episode that goes on."""
+        return self.env.render()
+
+    def close(self) -> None:
+        """Free the engines; a second call does nothing."""
+        for env in self._made.values():
+            env.close()
+
+
+def _union(plans: Sequence[Plan]) -> Box:
+    """The box that holds the observations of all. Raises ValueError where they differ in more than their bounds."""
+    spaces = [plan.observer.space() for plan in plans]
+    if not all(isinstance(space, Box) and space.shape == spaces[0].shape for space in spaces):
+        raise ValueError(
+            f"the levels' observations have shapes {[space.shape for space in spaces]}: choose vectors whose size does not "
+            f"depend on the number of drones, such as 'neighbours' instead of 'all_neighbours' and 'identity'"
+        )
+    if len({plan.action.name for plan in plans}) > 1:
+        raise ValueError(f"the levels' actions are {[plan.action.name for plan in plans]}: one kind for all is needed")
+    return Box(np.min([plan.observer.low for plan in plans], axis=0), np.max([plan.observer.high for plan in plans], axis=0))
+
+
+def curriculum_env(
+    task: TaskSource,
+    levels: Sequence[Mapping[str, Any]] = DIFFICULTIES,
+    up: float = 0.8,
+    down: float = 0.2,
+    window: int = 20,
+    **options: Any,
+) -> CurriculumAviary:
+    """The task as a PettingZoo environment that grows harder with success; see `Curriculum` and `CurriculumAviary`.
+
+    `levels`: options of each level, easiest first, by default the difficulties; `options` are common to all.
+    """
+    return CurriculumAviary(task, levels, Curriculum(len(levels), up, down, window), **options)

@@ -1,0 +1,294 @@
+"""Expected velocities of the configurations: RVO2-3D, commit c8e6044, one step (float32), neighbours without limit."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import minimize
+
+import bulletuav
+from bulletuav.policies.linear_program import DEPTH, best_velocity, nearest
+from bulletuav.policies.orca import TO_RIGHT, Orca, Rules, Surroundings, half_space, orca_velocities
+
+# time step, time horizon, radius of an agent, max speed; position, velocity, preferred velocity of each; its new velocity
+REFERENCE = {
+    "head-on, nearest to the ball of the horizon": (
+        (0.1, 5, 1, 2),
+        [(0, 0, 0, 1, 0, 0, 1.9, 0.1, 0), (12, 0, 0, -1, 0, 0, -1.9, 0, 0.2)],
+        [(1, 0.1, 0), (-1, 0, 0.2)],
+    ),
+    "with an offset, nearest to the cone": (
+        (0.1, 5, 1, 2),
+        [(0, 0, 0, 1.5, 0, 0, 1.5, 0, 0), (6, 0.4, 0.3, -1.5, 0, 0, -1.5, 0, 0)],
+        [(1.404214, -0.293404, -0.220053), (-1.404214, 0.293404, 0.220053)],
+    ),
+    "four in a plane": (
+        (0.1, 4, 0.75, 2),
+        [
+            (6, 0.5, 0, -1.2, 0, 0, -1.5, 0, 0),
+            (0.3, 6, 0, 0, -1.1, 0, 0, -1.5, 0),
+            (-6, 0.2, 0, 1.2, 0.1, 0, 1.5, 0, 0),
+            (0, -6.5, 0, 0, 1, 0, 0, 1.5, 0),
+        ],
+        [(-1.31739, -0.1087623, 0), (-0.0349177, -1.115853, 0), (1.308895, 0.00488691, 0), (-0.01454785, 1.238875, 0)],
+    ),
+    "example Sphere, six agents at the start": (
+        (0.125, 10, 1.5, 2),
+        [
+            (99.749, 0, 7.074, 0, 0, 0, -0.9975, 0, -0.0707),
+            (98.515, 15.643, 7.074, 0, 0, 0, -0.9852, -0.1564, -0.0707),
+            (94.843, 30.899, 7.074, 0, 0, 0, -0.9484, -0.309, -0.0707),
+            (99.957, 0, -2.92, 0, 0, 0, -0.9996, 0, 0.0292),
+            (98.726, 15.643, -2.92, 0, 0, 0, -0.9873, -0.1564, 0.0292),
+            (95.061, 30.901, -2.92, 0, 0, 0, -0.9506, -0.309, 0.0292),
+        ],
+        [
+            (-0.9975, 0, -0.0707),
+            (-0.9852, -0.1564, -0.0707),
+            (-0.9484, -0.309, -0.0707),
+            (-0.9996, 0, 0.0292),
+            (-0.9873, -0.1564, 0.0292),
+            (-0.9506, -0.309, 0.0292),
+        ],
+    ),
+    "overlapping": (
+        (0.5, 5, 1, 2),
+        [(0, 0, 0, 0.5, 0.1, 0, 1, 0, 0), (1.2, 0.5, 0.3, -0.4, 0, 0.1, -1, 0, 0)],
+        [(-0.1211079, -0.6726646, -0.5231837), (0.2520938, 0.7512562, 0.5843104)],
+    ),
+    "a crowd": (
+        (0.25, 4, 0.8, 1.5),
+        [
+            (3.44, 3.48, -5.35, 0.36, -0.26, 0.18, -0.22, -0.24, 0.82),
+            (-1.57, -4.98, -3.68, 0.34, 0.34, 0.05, -0.21, -0.3, -0.3),
+            (-3.43, 4.3, -4.48, 0.11, -0.6, -0.01, -0.04, -0.81, 0.09),
+            (-2.44, -0.09, 4.19, -0.75, -0.04, 0.07, 0.84, 0.13, 0.49),
+            (5.58, 2.5, -3.44, 0.55, -0.21, -0.96, 0.89, 0.68, 0.49),
+            (0.54, 2.47, -5.38, 0.06, -0.59, 0.48, 0.63, 0.64, -0.49),
+        ],
+        [
+            (-0.02879091, -0.1313373, 0.7654355),
+            (-0.21, -0.3, -0.3),
+            (-0.04, -0.81, 0.09),
+            (0.84, 0.13, 0.49),
+            (1.034882, 0.6325986, 0.4382152),
+            (0.08306318, -0.07862195, -0.1124346),
+        ],
+    ),
+    "so dense that nothing is permitted": (
+        (0.25, 4, 0.8, 1.5),
+        [
+            (-1.82, -1.16, 1.33, 0.78, 0.17, -0.06, 0.7, -0.21, -0.04),
+            (0.36, -1.79, -0.29, 0.55, -0.94, 0.41, -0.71, 0.4, -0.42),
+            (-0.09, -1.5, 1.03, -0.25, -0.82, 0.32, 0.74, -0.45, 0.12),
+            (-1.7, -0.48, 0.07, 0.86, -0.59, 0.26, -0.2, 0.23, -0.61),
+            (-0.31, 0.38, 1.05, -0.4, 0.48, 0.44, -0.64, 0.49, 0.5),
+            (2.01, -0.95, 0.65, -0.56, 0.66, 0.32, 0.13, 0.84, -0.59),
+            (0.86, -0.91, -2.19, 0.37, 0.64, -0.14, 0.7, -0.66, 0.93),
+            (2.08, -0.89, -0.82, 0.52, 0.76, -0.8, 0.25, 0.21, 0.94),
+        ],
+        [
+            (0.385386, -0.1968487, 0.4263457),
+            (-0.2608198, -1.084486, -0.2885326),
+            (0.3203881, -0.45972, 0.7778629),
+            (-0.2833169, -0.2280115, -0.4108303),
+            (-0.64, 0.49, 0.5),
+            (-0.09251993, 0.8253537, 0.04202379),
+            (0.4125778, -0.08493694, -0.1027224),
+            (0.5194204, 0.2773551, -0.4467232),
+        ],
+    ),
+}
+
+OPEN = (np.full(3, -np.inf), np.full(3, np.inf))
+numbers = st.integers(0, 2**32 - 1).map(np.random.default_rng)
+
+
+def around(ball=(), ball_velocity=(), ball_radius=(), low=OPEN[0], high=OPEN[1]):
+    """Surroundings of one world."""
+    places, speeds = (np.array(a, float).reshape(1, -1, 3) for a in (ball, ball_velocity))
+    return Surroundings(places, speeds, np.array(ball_radius, float), np.array(low, float), np.array(high, float))
+
+
+def velocities(state, rules, surroundings=None, alive=None):
+    """New velocities (N, 3) of rows of position, velocity and preferred velocity, in one world."""
+    position, velocity, preferred = np.array(state, float).reshape(1, -1, 3, 3).transpose(2, 0, 1, 3).copy()
+    alive = np.ones(position.shape[:2], bool) if alive is None else np.array([alive])
+    return orca_velocities(position, velocity, preferred, alive, rules, surroundings or around())[0]
+
+
+def crowd(rng, drones=8, side=8.0):
+    return np.concatenate([rng.uniform(-side, side, (drones, 3)), rng.uniform(-1.5, 1.5, (drones, 6))], axis=1)
+
+
+@pytest.mark.parametrize("name", REFERENCE)
+def test_velocities_are_those_of_the_reference_library(name):
+    (step, horizon, radius, speed), state, expected = REFERENCE[name]
+    rules = Rules(2.0 * radius, float(horizon), 1.0, step, float(speed))
+    np.testing.assert_allclose(velocities(state, rules), expected, atol=1e-5)
+
+
+def half_spaces(rng, count=10):
+    n = rng.normal(size=(count, 3))
+    return np.column_stack([n / np.linalg.norm(n, axis=1, keepdims=True), rng.uniform(-6, 2, count)])
+
+
+def rows(spaces):
+    room = np.zeros((DEPTH, len(spaces), 4))
+    room[0] = spaces
+    return room, np.zeros_like(room)
+
+
+def minimum(cost, gradient, begin, spaces, slack):
+    """Of SLSQP, over velocities of up to 5 m/s, and how much they may miss the half-spaces where `slack` is 1."""
+    normals = np.column_stack([spaces[:, :3], np.full(len(spaces), slack)])
+    inside = {"type": "ineq", "fun": lambda x: normals @ x - spaces[:, 3], "jac": lambda x: normals}
+    ball = {"type": "ineq", "fun": lambda x: 25 - x[:3] @ x[:3], "jac": lambda x: -2 * np.append(x[:3], 0)}
+    options = {"ftol": 1e-14, "maxiter": 500}
+    return minimize(cost, begin, jac=gradient, constraints=[inside, ball], method="SLSQP", options=options).x
+
+
+@given(numbers)
+def test_linear_program_finds_the_optimum(rng):
+    spaces, wanted = half_spaces(rng), rng.normal(0, 6, 3)
+    room, spare = rows(spaces)
+    met, nearby = nearest(room, len(spaces), tuple(wanted), 5.0, False)
+    best = np.array(best_velocity(room, spare, len(spaces), tuple(wanted), 5.0))
+    assert np.linalg.norm(best) <= 5 + 1e-9
+    least = minimum(lambda x: x[3], lambda x: np.array((0, 0, 0, 1.0)), np.array((0, 0, 0, 9.0)), spaces, 1)
+    assert np.max(spaces[:, 3] - spaces[:, :3] @ best) == pytest.approx(max(least[3], 0), abs=1e-6) or least[3] < 0
+    if least[3] < -1e-3:
+        assert met == len(spaces)
+        np.testing.assert_array_equal(best, nearby)
+        assert (spaces[:, :3] @ best >= spaces[:, 3] - 1e-8).all()
+        begin = least - np.array((0, 0, 0, least[3]))
+        other = minimum(
+            lambda x: ((x[:3] - wanted) ** 2).sum() + x[3] ** 2,
+            lambda x: 2 * (x - np.append(wanted, 0)),
+            begin,
+            spaces,
+            0,
+        )
+        np.testing.assert_allclose(best, other[:3], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("spaces", "wanted", "expected"),
+    [
+        ([(1, 0, 0, 1), (1, 0, 0, 2)], (0, 0, 0), (2, 0, 0)),  # parallel
+        ([(1, 0, 0, 1), (-1, 0, 0, 1)], (3, 1, 0), (0, 0, 0)),  # contradicting: in the middle of both
+        ([(1, 0, 0, 9)], (0, 1, 0), (5, 0, 0)),  # beyond the ball
+        ([(1, 0, 0, 9), (1, 0, 0, 10)], (0, 1, 0), (5, 0, 0)),  # both
+        ([(1, 0, 0, 1), (0, 1, 0, 2), (0, 0, 1, 3)], (0, 0, 0), (1, 2, 3)),  # a corner
+        ([(1, 0, 0, 0), (0.6, 0.8, 0, 0), (0.6, -0.8, 0, 0)], (-1, 0, 0), (0, 0, 0)),  # three planes through a line
+    ],
+)
+def test_linear_program_by_hand(spaces, wanted, expected):
+    room, spare = rows(np.array(spaces, float))
+    np.testing.assert_allclose(best_velocity(room, spare, len(spaces), wanted, 5.0), expected, atol=1e-9)
+
+
+def test_half_space_of_a_head_on_pair_by_hand():
+    """10 m apart, to stay 1 m apart for 2 s: together 4.5 m/s, so 2.25 m/s each."""
+    n, bound = half_space((10.0, 0, 0), (1.0, 0, 0), (-1.0, 0, 0), 1.0, Rules(1.0, 2.0, 1.0, 0.1, 2.0), 0.5)
+    np.testing.assert_allclose((*n, bound), (-1, 0, 0, -2.25))
+
+
+@pytest.mark.parametrize("axis", [(1, 0, 0), (0, 0, 1), (0.6, 0, 0.8)])
+def test_head_on_pair_keeps_apart(axis):
+    """Both turn to their right, without any noise; on a vertical, where there is no right, they stop."""
+    axis, rules = np.array(axis, float), Rules(2.0, 3.0, 1.0, 0.1, 2.0)
+    position, goal = np.array((10 * axis, -10 * axis)), np.array((-10 * axis, 10 * axis))
+    velocity, least = 0.1 * (goal - position), np.inf
+    for _ in range(200):
+        wanted = goal - position
+        wanted *= 2 / np.maximum(np.linalg.norm(wanted, axis=1, keepdims=True), 2)
+        velocity = velocities(np.concatenate([position, velocity, wanted @ TO_RIGHT], axis=1), rules)
+        position = position + 0.1 * velocity
+        least = min(least, np.linalg.norm(position[0] - position[1]))
+    assert least >= 2 - 1e-3
+    if axis[0]:
+        np.testing.assert_allclose(position, goal, atol=1e-3)
+
+
+@pytest.mark.parametrize(("axis", "sideways"), [((1, 0, 0), (0, -1, 0)), ((0, 0, 1), (0, 1, 0))])
+def test_fast_head_on_pair_turns_to_its_right(axis, sideways):
+    """Nearest to the cone, at equal distance from all of it; on a vertical any side that both agree on."""
+    gap, own, back = tuple(8.0 * np.array(axis)), tuple(3.0 * np.array(axis)), tuple(-3.0 * np.array(axis))
+    rules = Rules(2.0, 8.0, 1.0, 0.1, 3.0)
+    n, bound = half_space(gap, own, back, 2.0, rules, 0.5)
+    np.testing.assert_allclose(n, -0.25 * np.array(axis) + np.sqrt(1 - 0.25**2) * np.array(sideways), atol=1e-12)
+    assert bound == pytest.approx(-0.25 * 3 + 0.5 * 0.25 * 6)
+    other, same = half_space(tuple(-8.0 * np.array(axis)), back, own, 2.0, rules, 0.5)
+    np.testing.assert_allclose((*other, same), (*(-np.array(n)), bound))
+
+
+@given(numbers)
+def test_the_order_of_drones_and_their_heading_do_not_matter(rng):
+    state, rules = crowd(rng), Rules(1.6, 4.0, 1.0, 0.25, 1.5)
+    expected = velocities(state, rules)
+    order, angle = rng.permutation(len(state)), rng.uniform(0, 2 * np.pi)
+    np.testing.assert_allclose(velocities(state[order], rules), expected[order], atol=1e-6)
+    turn = np.array(((np.cos(angle), -np.sin(angle), 0), (np.sin(angle), np.cos(angle), 0), (0, 0, 1)))
+    turned = (state.reshape(-1, 3, 3) @ turn.T).reshape(-1, 9)
+    np.testing.assert_allclose(velocities(turned, rules), expected @ turn.T, atol=1e-6)
+
+
+def test_only_the_nearest_living_drones_count():
+    state, rules = crowd(np.random.default_rng(1), drones=12, side=3.0), Rules(1.6, 4.0, 1.0, 0.25, 1.5)
+    distance = np.linalg.norm(state[:, :3] - state[0, :3], axis=1)
+    near = np.argsort(distance)[:4]
+    few = velocities(state, rules._replace(neighbours=3))[0]
+    np.testing.assert_array_equal(few, velocities(state[near], rules)[0])
+    assert not np.array_equal(few, velocities(state, rules)[0])
+    alive = np.isin(np.arange(12), near)
+    masked = velocities(state, rules, alive=alive)
+    np.testing.assert_array_equal(masked[0], few)
+    assert (masked[~alive] == 0).all()
+
+
+def test_obstacles_leave_all_the_avoiding_to_the_drone():
+    """Ball of 1 m, 10 m off, coming at 1 m/s: in 2 s they may close 9 m, so the drone may fly at 3.5 m/s."""
+    rules = Rules(1.0, 2.0, 1.0, 0.1, 5.0)
+    ball = around([(10, 0, 0)], [(-1, 0, 0)], [1])
+    np.testing.assert_allclose(velocities([(0, 0, 0, 1, 0, 0, 5, 0, 0)], rules, ball), [(3.5, 0, 0)])
+
+
+def test_walls_stop_drones():
+    """With 2 s to a wall: half its distance a second, and back from outside."""
+    box, rules = around(low=(-10, -10, 0), high=(10, 10, 20)), Rules(1.0, 2.0, 2.0, 0.1, 5.0)
+    np.testing.assert_allclose(velocities([(0, 4, 3, 0, 0, 0, 0, 4, -3)], rules, box), [(0, 3, -1.5)])
+    np.testing.assert_allclose(velocities([(0, 0, -2, 0, 0, 0, 0, 0, 0)], rules, box), [(0, 0, 1)])
+
+
+@pytest.fixture
+def fly():
+    """Flies episodes to the end; returns how many conflicts began, and who succeeded (W, N)."""
+
+    def run(policy, task, worlds, **options):
+        aviary = bulletuav.Aviary(task, worlds, **options)
+        pilot, observations = policy(aviary), aviary.reset(seeds=0)
+        pilot.reset(np.ones(worlds, bool))
+        conflicts, success = 0, np.zeros(aviary.alive.shape, bool)
+        while aviary.alive.any():
+            step = aviary.step(pilot.act(observations, aviary.swarm))
+            observations = step.observations
+            conflicts += step.info["conflicts"].sum() // 2
+            success |= step.info["success"]
+        aviary.close()
+        return conflicts, success
+
+    return run
+
+
+def test_policy_crosses_without_conflict(fly):
+    conflicts, success = fly(Orca, "crossing", 3, dynamics="bullet")
+    assert conflicts == 0
+    assert success.all()
+
+
+def test_policy_gives_velocities_only():
+    with pytest.raises(
+        ValueError, match="policy 'orca' gives velocity or velocity_increment actions, not 'rotor': choose action='velocity'"
+    ):
+        Orca(bulletuav.Aviary("crossing", action="rotor"))

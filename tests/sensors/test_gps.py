@@ -1,0 +1,54 @@
+import numpy as np
+import pytest
+
+from bulletuav.sensors.gps import VELOCITY_SHARE, Gps
+
+
+def readings(gps, count, seed=0):
+    rng = np.random.default_rng(seed)
+    position, velocity = np.zeros((2, gps.noise.shape[1], 3))
+    gps.start(0, position, velocity, rng)
+    rows = []
+    for _ in range(count):
+        gps.read(0, position, velocity, rng)
+        rows.append((gps.position[0].copy(), gps.velocity[0].copy()))
+    return np.array(rows)  # (count, 2, N, 3)
+
+
+def test_without_errors_it_reads_the_truth():
+    gps = Gps((2, 3), 0.1)
+    rng = np.random.default_rng(0)
+    position, velocity = rng.normal(size=(2, 3, 3))
+    gps.start(1, position, velocity, rng)
+    np.testing.assert_array_equal(gps.position[1], position)
+    np.testing.assert_array_equal(gps.velocity[1], velocity)
+    assert not gps.position[0].any()
+
+
+def test_white_noise_has_the_standard_deviation_asked_for():
+    gps = Gps((1, 2), 0.1)
+    gps.noise[:] = (2.0, 0.5)
+    rows = readings(gps, 20000)
+    np.testing.assert_allclose(rows[:, 0].std(axis=0), [[2.0] * 3, [0.5] * 3], rtol=0.03)
+    np.testing.assert_allclose(rows[:, 1].std(axis=0), VELOCITY_SHARE * np.array([[2.0] * 3, [0.5] * 3]), rtol=0.03)
+    correlation = np.corrcoef(rows[:-1, 0, 0, 0], rows[1:, 0, 0, 0])[0, 1]
+    assert abs(correlation) < 0.03
+
+
+@pytest.mark.parametrize("period", [0.1, 0.02])
+def test_the_walk_grows_with_the_root_of_time_whatever_the_period(period):
+    gps = Gps((1, 4000), period)
+    gps.walk[:] = 0.3
+    rows = readings(gps, round(4 / period))
+    assert rows[-1, 0].std() == pytest.approx(0.3 * 2, rel=0.03)
+    assert rows[round(1 / period) - 1, 0].std() == pytest.approx(0.3, rel=0.03)
+
+
+def test_readings_that_fail_leave_the_last_ones():
+    gps = Gps((1, 1), 0.1)
+    gps.noise[:], gps.dropout[:] = 1.0, 0.25
+    rows = readings(gps, 20000)[:, :, 0]
+    same = (np.diff(rows, axis=0) == 0).all(axis=(1, 2))
+    assert same.mean() == pytest.approx(0.25, abs=0.02)
+    gps.dropout[:] = 1.0
+    assert (np.diff(readings(gps, 10)[:, 0, 0], axis=0) == 0).all()
