@@ -12,7 +12,7 @@ from bulletuav.pictures import blank_figure
 
 COLOURS = ("#4477aa", "#ee6677", "#228833", "#ccbb44", "#66ccee", "#aa3377", "#bbbbbb")  # P. Tol's bright scheme
 RATES = ("success", "drone_success", "conflict", "collision")
-BINS = 20
+BINS = 40
 
 
 def plot_evaluation(result: Evaluation, path: Path) -> None:
@@ -29,7 +29,8 @@ def plot_evaluation(result: Evaluation, path: Path) -> None:
         (way, "path_efficiency", "path efficiency of the drones that succeeded"),
     ):
         values = np.array([row[metric] for row in result.rows])
-        axes.hist(values[np.isfinite(values)], bins=BINS, color=COLOURS[0])
+        values = values[np.isfinite(values)]
+        axes.hist(values, bins=BINS, range=(0, max(1.0, values.max(initial=0))), color=COLOURS[0])
         axes.set(xlabel=label, ylabel="episodes")
     apart.axvline(d_safe, color="crimson", ls="--", label=f"d_safe {d_safe:g} m")
     apart.legend()

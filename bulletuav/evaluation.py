@@ -19,7 +19,7 @@ from bulletuav.envs.plan import Plan
 from bulletuav.errors import whole
 from bulletuav.metrics import METRICS, Estimate, Meter, estimate
 from bulletuav.policies import PolicySource, find_policy
-from bulletuav.policies.base import Policy
+from bulletuav.policies.base import Policy, check_action
 from bulletuav.record import described
 from bulletuav.tasks import TaskSource
 from bulletuav.version import __version__
@@ -95,8 +95,7 @@ class Run:
             step = aviary.step(policy.act(observations, aviary.swarm))
             meter.record(step, flown)
             observations = step.observations
-        rows = meter.rows()
-        return [{"episode": episode, "seed": self.seed + episode, **rows[k]} for k, episode in enumerate(batch)]
+        return [{"episode": episode, "seed": self.seed + episode, **meter.row(k)} for k, episode in enumerate(batch)]
 
 
 def evaluate(
@@ -132,6 +131,7 @@ def evaluate(
 def _about(run: Run) -> dict[str, Any]:
     plan = Plan(run.task, BATCH, run.options)
     policy = find_policy(run.policy)
+    check_action(policy.name, policy.actions, plan.options.action)
     about = {
         "bulletuav": __version__,
         "task": plan.task.name,

@@ -113,11 +113,8 @@ class Meter:
         power = torque * ((before.rotor_speed**3 + after.rotor_speed**3) / 2).sum(axis=-1)
         self._energy += flown * power * self._period
 
-    def rows(self) -> list[dict[str, float]]:
-        """The metrics of each world's episode, NaN for those that it has not."""
-        return [self._row(w) for w in range(len(self._steps))]
-
-    def _row(self, w: int) -> dict[str, float]:
+    def row(self, w: int) -> dict[str, float]:
+        """The metrics of the episode of world w, NaN for those that it has not."""
         aviary, length = self._aviary, self._steps[w] * self._period
         arrived, made_good = self._succeeded[w], np.maximum(self._ideal[w] - self._left[w], 0.0)
         efficiency = np.minimum(made_good / np.maximum(self._flown[w], 1e-9), 1.0)[arrived]

@@ -100,6 +100,51 @@ def test_tasks_are_listed_and_explained(capsys):
         assert word in said
 
 
+def test_the_observation_is_printed_number_by_number_with_the_options_given(capsys):
+    main(["tasks", "crossing", "--observation", "--drones", "3", "--set", "observation=identity,goal,rgb"])
+    said = capsys.readouterr().out
+    for word in ("index", "is drone 2", "goal distance", "375.068", "rgb", "picture", "one drone of 3"):
+        assert word in said
+    assert "is drone 3" not in said
+
+
+def test_evaluating_prints_and_writes_and_goes_on(tmp_path, capsys):
+    command = ["evaluate", "converge", "--policy", "orca", "--episodes", "3", "--workers", "2", "--dynamics", "point_mass"]
+    command += ["--drones", "3", "--set", "radius=20.0", "--out", str(tmp_path / "run")]
+    main(command)
+    said = capsys.readouterr()
+    for word in (
+        "converge, policy orca, which reads the true state, 3 episodes",
+        "conflict",
+        "95 % interval",
+        "summary.png",
+    ):
+        assert word in said.out
+    assert "flying episodes" in said.err
+    assert {path.name for path in (tmp_path / "run").iterdir()} == {
+        "run.json",
+        "episodes.csv",
+        "summary.json",
+        "summary.png",
+    }
+    main(command)
+    table, again = ([line for line in text.splitlines() if "│" in line] for text in (said.out, capsys.readouterr().out))
+    assert table == again
+
+
+def test_comparing_writes_a_leaderboard(tmp_path, capsys):
+    common = ["--episodes", "2", "--dynamics", "point_mass", "--drones", "2", "--horizon", "30", "--out", str(tmp_path)]
+    main(["compare", "--policies", "straight,random", "--tasks", "converge,follow", "--difficulties", "easy,hard", *common])
+    said = capsys.readouterr().out
+    assert said.count("### ") == 4
+    assert "| straight \\* |" in said
+    assert (tmp_path / "leaderboard.md").read_text() in said
+    assert {path.name for path in tmp_path.iterdir()} == {"leaderboard.md", "leaderboard.csv", "leaderboard.png", "runs"}
+    assert len(list((tmp_path / "runs").iterdir())) == 8
+    main(["compare", "--policies", "straight", "--tasks", "converge", *common])
+    assert "### converge, medium: 2 drones" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("arguments", [["--help"], ["fly", "--help"], ["tasks", "--help"], ["--version"]])
 def test_help(arguments, capsys):
     with pytest.raises(SystemExit) as end:
@@ -133,6 +178,14 @@ def test_help(arguments, capsys):
         (["fly", "crossing", "--set", "observation=position,gaol"], "did you mean 'goal'"),
         (["benchmark", "--drones", "0"], "numbers above 0 are needed"),
         (["fly", "crossing", "--seed", "-3"], "seed is -3"),
+        (["evaluate", "converge", "--episodes", "0"], "episodes is 0"),
+        (["evaluate", "converge", "--policy", "ppo:nowhere.zip", "--episodes", "1"], "no model nowhere.zip"),
+        (["compare", "--policies", "straight"], "required: --tasks"),
+        (["compare", "--policies", "strait", "--tasks", "converge"], "did you mean 'straight'"),
+        (
+            ["compare", "--policies", "straight", "--tasks", "converge", "--difficulty", "easy", "--difficulties", "hard"],
+            "give one of them",
+        ),
         (["tasks", "hoover"], "did you mean 'hover'"),
         (["flyy"], "invalid choice: 'flyy'"),
         ([], "required: COMMAND"),

@@ -4,10 +4,9 @@ import argparse
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import Progress
 
 from bulletuav.charts import plot_leaderboard
-from bulletuav.commands.options import POLICY_HELP, add_options, flyable_options, given_options, out_folder
+from bulletuav.commands.options import POLICY_HELP, add_options, episodes_bar, flyable_options, given_options, out_folder
 from bulletuav.evaluation import Evaluation, evaluate
 from bulletuav.leaderboard import markdown, write_csv
 
@@ -55,11 +54,10 @@ def run(arguments: argparse.Namespace) -> None:
         for policy in arguments.policies
     ]
     cases = [(task, policy, flyable_options(task, policy, options)) for task, policy, options in cases]
-    with Progress(console=Console(stderr=True)) as progress:
-        flying = progress.add_task("flying episodes", total=arguments.episodes * len(cases))
+    with episodes_bar(arguments.episodes * len(cases)) as progress:
         for task, policy, options in cases:
             folder = out / "runs" / "-".join([task, options.get("difficulty", "default"), _as_file(policy)])
-            results.append(_evaluated(arguments, task, policy, options, folder, lambda n: progress.advance(flying, n)))
+            results.append(_evaluated(arguments, task, policy, options, folder, progress))
     files = [out / "leaderboard.md", out / "leaderboard.csv", out / "leaderboard.png"]
     files[0].write_text(markdown(results))
     write_csv(results, files[1])

@@ -4,11 +4,10 @@ import argparse
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 
 from bulletuav.charts import plot_evaluation
-from bulletuav.commands.options import POLICY_HELP, add_options, flyable_options, given_options, out_folder
+from bulletuav.commands.options import POLICY_HELP, add_options, episodes_bar, flyable_options, given_options, out_folder
 from bulletuav.evaluation import Evaluation, evaluate
 from bulletuav.metrics import METRICS, Estimate
 
@@ -40,8 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> None:
     """Evaluate, print and write."""
     options = flyable_options(arguments.task, arguments.policy, given_options(arguments))
-    with Progress(console=Console(stderr=True)) as progress:
-        flying = progress.add_task("flying episodes", total=arguments.episodes)
+    with episodes_bar(arguments.episodes) as progress:
         result = evaluate(
             arguments.task,
             arguments.policy,
@@ -49,7 +47,7 @@ def run(arguments: argparse.Namespace) -> None:
             arguments.seed,
             arguments.workers,
             out_folder(arguments.out),
-            lambda episodes: progress.advance(flying, episodes),
+            progress,
             **options,
         )
     picture = arguments.out / "summary.png"

@@ -2,9 +2,14 @@
 
 import argparse
 import ast
+import contextlib
 import dataclasses
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+
+from rich.console import Console
+from rich.progress import Progress
 
 from bulletuav.control.actions import ACTIONS
 from bulletuav.control.cascade import CONTROLLERS
@@ -62,6 +67,19 @@ def flyable_options(task: str, policy: str, options: dict[str, Any]) -> dict[str
     if not actions or "action" in options or resolve(find_task(task), options)[0].action in actions:
         return options
     return {**options, "action": actions[0]}
+
+
+@contextlib.contextmanager
+def episodes_bar(total: int) -> Iterator[Callable[[int], None]]:
+    """A progress bar on standard error, told how many more episodes are done; it appears once all was found in order."""
+    with Progress(console=Console(stderr=True)) as progress:
+
+        def advance(episodes: int) -> None:
+            if not progress.tasks:
+                progress.add_task("flying episodes", total=total)
+            progress.advance(progress.tasks[0].id, episodes)
+
+        yield advance
 
 
 def out_folder(path: Path) -> Path:

@@ -1,6 +1,7 @@
 """Baseline policies, and those that were trained."""
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import NamedTuple
 
 from bulletuav.envs.aviary import Aviary
@@ -32,13 +33,15 @@ class Pilot(NamedTuple):
 def find_policy(source: PolicySource) -> Pilot:
     """The policy of that name, a class of one, or a trained model: "ppo:model.zip" (also sac, td3, dqn).
 
-    Raises ValueError with the nearest names when there is none.
+    Raises ValueError with the nearest names when there is none, FileNotFoundError when there is no such file.
     """
     if isinstance(source, type) and issubclass(source, Policy):
         return Pilot(source.name, source.actions, source.reads_swarm, source)
     algorithm, colon, path = source.partition(":") if isinstance(source, str) else ("", "", "")
     if colon:
         pick("algorithm", algorithm, dict.fromkeys(ALGORITHMS))
+        if not Path(path).is_file():
+            raise FileNotFoundError(f"no model {path}: a file that {algorithm} saved is needed")
         return Pilot(str(source), (), Trained.reads_swarm, lambda aviary: Trained(aviary, algorithm, path))
     kind = pick("policy", source, POLICIES)
     return Pilot(kind.name, kind.actions, kind.reads_swarm, kind)

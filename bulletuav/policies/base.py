@@ -24,11 +24,7 @@ class Policy(ABC):
 
     def __init__(self, aviary: Aviary):
         """Raises ValueError when the aviary's action is not one that the policy can give."""
-        if self.actions and aviary.options.action not in self.actions:
-            raise ValueError(
-                f"policy {self.name!r} gives {' or '.join(self.actions)} actions, not {aviary.options.action!r}: "
-                f"choose action={self.actions[0]!r}"
-            )
+        check_action(self.name, self.actions, aviary.options.action)
         self.aviary = aviary
 
     def encoded(self, setpoint: np.ndarray) -> np.ndarray:
@@ -44,3 +40,11 @@ class Policy(ABC):
     @abstractmethod
     def act(self, observations: Observation, swarm: Swarm) -> np.ndarray:
         """Actions (W, N, A) for observations (W, N, D) and the true swarm."""
+
+
+def check_action(policy: str, actions: tuple[str, ...], action: str) -> None:
+    """Raise ValueError unless a policy that can give `actions` (none named: any) can give this one."""
+    if actions and action not in actions:
+        raise ValueError(
+            f"policy {policy!r} gives {' or '.join(actions)} actions, not {action!r}: choose action={actions[0]!r}"
+        )

@@ -24,8 +24,7 @@ class Trained(Policy):
     def __init__(self, aviary: Aviary, algorithm: str, path: str | Path):
         """Load `path`, a model that the algorithm saved.
 
-        Raises ValueError where its spaces are not those of one drone, FileNotFoundError where there is no file, ImportError
-        that names the extra to install.
+        Raises ValueError where its spaces are not those of one drone, ImportError that names the extra to install.
         """
         super().__init__(aviary)
         try:
@@ -33,8 +32,6 @@ class Trained(Policy):
             import torch
         except ImportError:
             raise ImportError("trained models need the extra 'sb3': pip install 'bulletuav[sb3]'") from None
-        if not Path(path).is_file():
-            raise FileNotFoundError(f"no model {path}: a file that {algorithm} saved is needed")
         torch.set_num_threads(1)
         self._model: Any = getattr(stable_baselines3, ALGORITHMS[algorithm]).load(path, device="cpu")
         for name, own, needed in (

@@ -169,6 +169,6 @@ class Pursuit(Airspace):
         ended = self._pace * frame.time[:, None] >= self._way
         return ended & super().arrived(frame)
 
-    def succeeded(self, frame: Frame) -> np.ndarray:
+    def succeeded(self, frame: Frame, finished: np.ndarray) -> np.ndarray:
         """There without any conflict."""
-        return super().succeeded(frame) & (frame.scene.memory["conflicts"] == 0)
+        return finished & (frame.scene.memory["conflicts"] == 0)

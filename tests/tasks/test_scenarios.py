@@ -76,6 +76,7 @@ def test_pursuit_succeeds_after_a_lap_only_without_conflict():
             step = aviary.step(policy.act(observations, aviary.swarm))
             conflicts += step.info["conflicts"][0]
         assert conflicts.any() != success
+        assert step.terminated.any()  # also with conflicts the end of the lap is the end
         assert step.info["success"].any() == success
         aviary.close()
 

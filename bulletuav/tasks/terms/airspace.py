@@ -196,7 +196,7 @@ class Airspace(Task):
         if "encounter" in memory:
             follow_encounters(memory["encounter"], memory["effort"], frame.before, frame.after, frame.d_safe, frame.alive)
 
-    def succeeded(self, frame: Frame) -> np.ndarray:
+    def finished(self, frame: Frame) -> np.ndarray:
         """(W, N) bool: at the goal, or landed where that is asked for, and not by a crash."""
         if self.config.at_goal != "land":
             return self.arrived(frame) & ~frame.collision
@@ -205,24 +205,28 @@ class Airspace(Task):
         low = frame.after.position[..., 2] <= TOUCHDOWN
         return (frame.scene.memory["reached"] > 0) & low & slow & (aside <= self.config.goal_radius) & ~frame.collision
 
+    def succeeded(self, frame: Frame, finished: np.ndarray) -> np.ndarray:
+        """(W, N) bool: of those that finished, the ones that did as the task wants; by default all."""
+        return finished
+
     def judge(self, frame: Frame) -> Verdict:
         """The weighted terms, the ends that the options ask for, and who is at its goal."""
         config, reached = self.config, frame.scene.memory["reached"]
-        success = self.succeeded(frame)
+        finished = self.finished(frame)
         position = frame.after.position
         outside = np.any((position < self.arena_low) | (position > self.arena_high), axis=-1)
         terminated = _whose(frame.collision, frame, config.contact_ends)
         if config.at_goal == "hold":
-            terminated = terminated | np.all(success | ~frame.alive, axis=1, keepdims=True)
+            terminated = terminated | np.all(finished | ~frame.alive, axis=1, keepdims=True)
         else:
-            terminated = terminated | success
+            terminated = terminated | finished
         if config.boundary == "end":
             terminated = terminated | outside
         if config.conflict_ends != "nothing":
             terminated = terminated | _whose(frame.conflict.separation < config.d_safe, frame, config.conflict_ends)
         new = (reached > 0) & (reached == frame.time[:, None])
         marks = Marks(new, outside, terminated, terminated | frame.last[:, None])
-        return Verdict(self._terms(frame, marks), terminated, success)
+        return Verdict(self._terms(frame, marks), terminated, self.succeeded(frame, finished))
 
     def _terms(self, frame: Frame, marks: Marks) -> dict[str, np.ndarray]:
         """The reward terms whose weight is not zero; `fairness` compares what the others come to."""

@@ -1,0 +1,113 @@
+import numpy as np
+import pytest
+from pettingzoo.test import parallel_api_test, parallel_seed_test
+
+from bulletuav import curriculum_env
+from bulletuav.envs.curriculum import Curriculum
+
+FAST = {"dynamics": "single_integrator", "horizon": 150, "randomization": {}}
+
+
+def test_levels_follow_the_success_rate():
+    curriculum = Curriculum(3, up=0.75, down=0.25, window=4)
+    assert np.isnan(curriculum.success_rate)
+    for success in (1, 1, 0):
+        curriculum.record(success)
+        assert curriculum.level == 0
+    curriculum.record(1)
+    assert curriculum.level == 1  # 3 of 4
+    assert np.isnan(curriculum.success_rate)  # a new window
+    for success in (0, 1, 0, 1):
+        curriculum.record(success)
+    assert curriculum.level == 1
+    for success in (0, 0, 0):  # with the last 1 they are 1 of 4, which is not below down
+        curriculum.record(success)
+    assert curriculum.level == 1
+    curriculum.record(0)
+    assert curriculum.level == 0
+    for _ in range(8):
+        curriculum.record(0)
+    assert curriculum.level == 0
+    for _ in range(20):
+        curriculum.record(1)
+    assert curriculum.level == 2
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"count": 0}, {"count": 2, "up": 0.2, "down": 0.8}, {"count": 2, "window": 0}, {"count": 2, "up": float("nan")}],
+)
+def test_what_cannot_be_is_refused(options):
+    with pytest.raises(ValueError, match=r"is needed"):
+        Curriculum(**options)
+
+
+LEVELS = ({"num_drones": 2}, {"num_drones": 4})
+
+
+def actions_of(env, stay):
+    if stay:
+        return {agent: np.zeros(3, dtype=np.float32) for agent in env.agents}
+    env_, scene = env.env, env.env.aviary
+    wanted = np.clip((scene.scene.goal - scene.swarm.position)[0] / 10, -1, 1)
+    lift = np.linspace(-0.4, 0.4, len(wanted)) * (scene.steps[0] < 25)  # each on its own altitude
+    wanted[:, 2] += lift
+    return {agent: wanted[int(agent.split("_")[1])].astype(np.float32) for agent in env_.agents}
+
+
+def fly(env, stay=False, seed=None):
+    env.reset(seed=seed)
+    count = len(env.agents)
+    while env.agents:
+        *_, infos = env.step(actions_of(env, stay))
+    return count, infos
+
+
+def test_the_environment_grows_with_success_and_shrinks_without():
+    env = curriculum_env("converge", LEVELS, window=2, **FAST)
+    assert len(env.possible_agents) == 4
+    counts = [fly(env, seed=0)[0], *(fly(env)[0] for _ in range(3))]
+    assert counts == [2, 2, 4, 4]
+    _, infos = fly(env)
+    assert {info["level"] for info in infos.values()} == {1.0}
+    for _ in range(3):
+        fly(env, stay=True)
+    assert fly(env, stay=True)[0] == 2
+    assert env.state().shape == (17 * 4,)
+    assert not env.state()[17 * 2 :].any()
+    assert env.render() is None
+    env.close()
+
+
+def test_an_episode_that_is_left_early_is_not_counted():
+    env = curriculum_env("converge", LEVELS, window=1, **FAST)
+    for _ in range(3):
+        env.reset(seed=0)
+        env.step(actions_of(env, stay=True))
+    assert np.isnan(env.curriculum.success_rate)
+    env.close()
+
+
+def test_it_is_a_pettingzoo_environment_and_its_spaces_hold_all_levels():
+    env = curriculum_env("crossing", ({"num_drones": 4}, {"num_drones": 4, "half_length": 150.0}), window=1, **FAST)
+    parallel_api_test(env, num_cycles=300)
+    space = env.observation_space("drone_0")
+    for _ in range(3):
+        observations, _ = env.reset()
+        assert all(space.contains(row) for row in observations.values())
+    env.close()
+    parallel_seed_test(lambda: curriculum_env("converge", LEVELS, window=1, **FAST), num_cycles=50)
+
+
+@pytest.mark.parametrize(
+    ("levels", "options", "said"),
+    [
+        (LEVELS, {"observation": ("goal", "identity")}, r"have shapes \[\(6,\), \(8,\)\]"),
+        (({"action": "velocity"}, {"action": "velocity_increment"}), {}, "one kind for all"),
+        (({"difficulty": "esy"},), {}, "did you mean 'easy'"),
+        ((), {}, "levels is 0"),
+    ],
+)
+def test_levels_that_no_agent_can_fly_alike_are_refused(levels, options, said):
+    with pytest.raises(ValueError, match=said):
+        curriculum_env("converge", levels, **FAST | options)

@@ -1,0 +1,132 @@
+import numpy as np
+import pytest
+
+import bulletuav
+from bulletuav.policies import POLICIES, find_policy
+
+CALM = {"dynamics": "point_mass", "randomization": {}, "num_drones": 3}
+
+
+def fly(aviary, policy, seeds=0):
+    observations = aviary.reset(seeds=seeds)
+    policy.reset(np.ones(aviary.num_worlds, dtype=bool))
+    actions = []
+    while aviary.alive.any():
+        actions.append(policy.act(observations, aviary.swarm))
+        observations = aviary.step(actions[-1]).observations
+    return np.array(actions)
+
+
+def test_random_actions_follow_from_the_seed_and_fill_the_bounds():
+    for action in ("velocity", "rpm", "discrete_27"):
+        dynamics = "rigid_body" if action == "rpm" else "point_mass"
+        aviary = bulletuav.Aviary("converge", 2, action=action, horizon=60, **CALM | {"dynamics": dynamics})
+        policy = find_policy("random")(aviary)
+        first = fly(aviary, policy, [3, 4])
+        np.testing.assert_array_equal(fly(aviary, policy, [3, 4])[:5], first[:5])
+        other = fly(aviary, policy, [4, 4])[:5]
+        np.testing.assert_array_equal(other[:, 0], other[:, 1])
+        np.testing.assert_array_equal(other[:, 1], first[:5, 1])
+        low, high = aviary.action.low, aviary.action.high
+        assert ((first >= low) & (first <= high)).all()
+        assert first[..., 0].min() < low.min() + 0.1 * np.ptp([low.min(), high.max()])
+        assert first[..., 0].max() > high.max() - 0.1 * np.ptp([low.min(), high.max()])
+        aviary.close()
+
+
+@pytest.mark.parametrize("name", ["straight", "potential", "orca"])
+def test_increments_lead_where_velocities_do(name):
+    for action in ("velocity", "velocity_increment"):
+        aviary = bulletuav.Aviary("crossing", action=action, **CALM)
+        policy = find_policy(name)(aviary)
+        fly(aviary, policy)
+        assert aviary.first_info()["success"].any()
+        aviary.close()
+
+
+def test_every_policy_says_what_it_reads():
+    assert {name for name, policy in POLICIES.items() if not policy.reads_swarm} == {"random"}
+    assert find_policy("straight").reads_swarm
+
+
+@pytest.fixture(scope="module")
+def models(tmp_path_factory):
+    """Untrained models for one drone's observation, saved."""
+    import gymnasium
+    import stable_baselines3
+
+    folder = tmp_path_factory.mktemp("models")
+
+    class Alone(gymnasium.Env):
+        def __init__(self, action):
+            aviary = bulletuav.Aviary("converge", action=action, **CALM)
+            self.observation_space = aviary.observer.space()
+            self.action_space = bulletuav.batch_env("converge", 1, action=action, **CALM).action_space
+            aviary.close()
+
+    for algorithm, action in (("PPO", "velocity"), ("DQN", "discrete")):
+        model = getattr(stable_baselines3, algorithm)("MlpPolicy", Alone(action), seed=0, device="cpu")
+        model.save(folder / algorithm.lower())
+    return folder
+
+
+@pytest.mark.parametrize(("algorithm", "action"), [("ppo", "velocity"), ("dqn", "discrete")])
+def test_a_trained_model_flies_each_drone_by_its_own_observation(models, algorithm, action):
+    import stable_baselines3
+
+    path = models / f"{algorithm}.zip"
+    aviary = bulletuav.Aviary("converge", 2, action=action, horizon=10, **CALM)
+    policy = find_policy(f"{algorithm}:{path}")(aviary)
+    observations = aviary.reset(seeds=0)
+    actions = policy.act(observations, aviary.swarm)
+    model = getattr(stable_baselines3, algorithm.upper()).load(path, device="cpu")
+    for w in range(2):
+        for i in range(3):
+            alone, _ = model.predict(observations[w, i], deterministic=True)
+            np.testing.assert_allclose(actions[w, i], np.atleast_1d(alone), atol=1e-5)
+    fly(aviary, policy)
+    aviary.close()
+
+
+def test_a_trained_model_is_evaluated_like_any_policy(models):
+    result = bulletuav.evaluate("converge", f"ppo:{models / 'ppo.zip'}", 3, horizon=10, **CALM)
+    assert not result.about["reads_swarm"]
+    assert len(result.rows) == 3
+
+
+def test_a_model_for_other_spaces_is_refused(models):
+    for options, said in (
+        ({"observation": "goal"}, "was trained for observations"),
+        ({"action": "discrete"}, "for actions"),
+    ):
+        aviary = bulletuav.Aviary("converge", **CALM, **options)
+        with pytest.raises(ValueError, match=said):
+            find_policy(f"ppo:{models / 'ppo.zip'}")(aviary)
+        aviary.close()
+    with pytest.raises(FileNotFoundError, match="no model nowhere.zip"):
+        find_policy("ppo:nowhere.zip")
+
+
+def test_a_missing_extra_is_named(monkeypatch, models):
+    monkeypatch.setitem(__import__("sys").modules, "stable_baselines3", None)
+    aviary = bulletuav.Aviary("converge", **CALM)
+    with pytest.raises(ImportError, match=r"bulletuav\[sb3\]"):
+        find_policy(f"ppo:{models / 'ppo.zip'}")(aviary)
+    aviary.close()
+
+
+def test_a_model_that_sees_pictures(tmp_path):
+    """Observations that are a dict go to the model as they are."""
+    import gymnasium
+    import stable_baselines3
+
+    options = CALM | {"num_drones": 1, "observation": ("goal", "rgb"), "camera_size": (36, 36), "horizon": 3}
+    aviary = bulletuav.Aviary("converge", **options)
+
+    class Alone(gymnasium.Env):
+        observation_space, action_space = aviary.observer.space(), bulletuav.batch_env("converge", 1, **options).action_space
+
+    stable_baselines3.PPO("MultiInputPolicy", Alone(), seed=0, device="cpu").save(tmp_path / "eyes")
+    policy = find_policy(f"ppo:{tmp_path / 'eyes.zip'}")(aviary)
+    assert fly(aviary, policy).shape == (3, 1, 1, 3)
+    aviary.close()

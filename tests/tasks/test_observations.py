@@ -1,0 +1,103 @@
+"""Observation blocks, number by number."""
+
+import numpy as np
+import pytest
+
+import bulletuav
+from bulletuav.tasks.terms.observations import NAMES
+
+CALM = {"dynamics": "point_mass", "randomization": {}}
+
+
+def seen(task="crossing", **options):
+    aviary = bulletuav.Aviary(task, **CALM | options)
+    aviary.reset(seeds=0)
+    return aviary, aviary.step(np.full((1, aviary.num_drones, 3), 0.1)).observations[0]
+
+
+def test_identity_and_all_neighbours_by_hand():
+    aviary, rows = seen(num_drones=3, observation=("identity", "all_neighbours"))
+    position, velocity = aviary.swarm.position[0], aviary.swarm.velocity[0]
+    for i in range(3):
+        np.testing.assert_array_equal(rows[i, :3], np.eye(3)[i])
+        others = [j for j in range(3) if j != i]
+        expected = np.concatenate([[*(position[j] - position[i]), *(velocity[j] - velocity[i])] for j in others])
+        np.testing.assert_allclose(rows[i, 3:], expected, rtol=1e-5)
+    aviary.close()
+
+
+def test_gone_neighbours_leave_zeros():
+    options = {"num_drones": 2, "lanes": 1, "jitter": 0.0, "altitude_spread": 0.0, "margin": 1.0}
+    aviary = bulletuav.Aviary("crossing", observation=("neighbours", "all_neighbours"), **options, **CALM)
+    aviary.reset(seeds=0)
+    while aviary.alive[0, 1]:
+        rows = aviary.step(np.array([[(0, 0, 0), (-1.0, 0, 0)]])).observations[0]
+    assert aviary.alive[0, 0]
+    assert not rows[0].any()
+    aviary.close()
+
+
+def test_how_many_neighbours_is_an_option():
+    for count in (1, 5):
+        aviary, rows = seen(num_drones=4, observation="neighbours", num_neighbours=count)
+        assert rows.shape == (4, 7 * count)
+        assert (rows[:, ::7] > 0).sum(axis=1).tolist() == [min(3, count)] * 4
+        aviary.close()
+
+
+def test_obstacles_are_the_nearest_by_surface():
+    aviary, rows = seen("obstacles", num_drones=2, observation="obstacles", num_neighbours=12)
+    radius = np.array([obstacle.radius for obstacle in aviary.task.obstacles()])
+    offset = aviary.scene.obstacle[0] - aviary.swarm.position[0, :, None]
+    gap = np.linalg.norm(offset, axis=-1) - radius
+    for i in range(2):
+        table = rows[i].reshape(12, 8)
+        order = np.argsort(gap[i])
+        np.testing.assert_allclose(table[:10, 0], gap[i][order], rtol=1e-5)
+        np.testing.assert_allclose(table[:10, 1:4], offset[i][order], rtol=1e-4, atol=1e-4)
+        speed = aviary.scene.obstacle_velocity[0] - aviary.swarm.velocity[0, i]
+        np.testing.assert_allclose(table[:10, 4:7], speed[order], rtol=1e-4, atol=1e-4)
+        np.testing.assert_allclose(table[:10, 7], radius[order], rtol=1e-6)
+        assert not table[10:].any()
+    aviary.close()
+
+
+def test_a_task_without_obstacles_observes_none():
+    aviary, rows = seen(observation="obstacles", num_drones=2)
+    assert rows.shape == (2, 24)
+    assert not rows.any()
+    aviary.close()
+
+
+def test_the_last_action_is_zero_first_and_then_what_was_told():
+    aviary = bulletuav.Aviary("hover", observation="last_action", action="rpm", dynamics="rigid_body")
+    assert not aviary.reset(seeds=0).any()
+    np.testing.assert_allclose(aviary.step(np.full((1, 1, 4), 14000.0)).observations, 14000)
+    assert aviary.observer.space().high[0] == pytest.approx(aviary.action.high[0, 0])
+    aviary.close()
+
+
+@pytest.mark.parametrize("task", ["crossing", "hover", "obstacles"])
+def test_normalised_observations_are_the_raw_ones_scaled_from_their_bounds(task):
+    rows = {}
+    for normalise in (False, True):
+        aviary = bulletuav.Aviary(task, normalise=normalise, num_drones=2, seed=0)
+        rows[normalise] = aviary.reset()
+        space = aviary.observer.space()
+        assert space.contains(rows[normalise][0, 0])
+        if not normalise:
+            low, high = space.low, space.high
+        aviary.close()
+    assert space.low.max() == -1
+    assert space.high.min() == 1
+    np.testing.assert_allclose(rows[True], 2 * (rows[False] - low) / (high - low) - 1, atol=1e-6)
+
+
+def test_every_block_can_be_asked_for_in_every_task():
+    vectors = tuple(name for name in NAMES if name not in ("rgb", "depth"))
+    for task in bulletuav.list_tasks():
+        aviary = bulletuav.Aviary(task, observation=vectors, num_drones=2, randomization={"radio_loss": 0.1})
+        rows = aviary.reset(seeds=0)
+        assert rows.shape[-1] == len(aviary.observer.labels)
+        assert aviary.observer.space().contains(rows[0, 0])
+        aviary.close()

@@ -1,0 +1,166 @@
+import csv
+import json
+import os
+import signal
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import bulletuav
+from bulletuav import evaluation
+from bulletuav.charts import plot_evaluation, plot_leaderboard
+from bulletuav.evaluation import BATCH, evaluate
+from bulletuav.leaderboard import markdown, write_csv
+from bulletuav.policies import find_policy
+from bulletuav.policies.base import Policy
+
+QUICK = {"dynamics": "point_mass", "num_drones": 3, "horizon": 120, "radius": 30.0}
+
+
+@pytest.fixture(scope="module")
+def straight():
+    return evaluate("converge", "straight", 13, seed=4, **QUICK)
+
+
+def numbers(result):
+    return np.array([list(row.values()) for row in result.rows])
+
+
+def test_episode_e_is_the_one_of_seed_plus_e_flown_alone(straight):
+    assert [row["episode"] for row in straight.rows] == list(range(13))
+    assert [row["seed"] for row in straight.rows] == list(range(4, 17))
+    aviary = bulletuav.Aviary("converge", **QUICK)
+    policy = find_policy("straight")(aviary)
+    observations = aviary.reset(seeds=4 + 11)
+    steps = 0
+    nearest = np.inf
+    while aviary.alive.any():
+        step = aviary.step(policy.act(observations, aviary.swarm))
+        observations, steps = step.observations, steps + 1
+        nearest = min(nearest, step.info["separation"].min())
+    assert straight.rows[11]["length"] == pytest.approx(steps / 10)
+    assert straight.rows[11]["min_separation"] == pytest.approx(nearest)
+    aviary.close()
+
+
+@pytest.mark.parametrize("policy", ["straight", "random"])
+@pytest.mark.parametrize("workers", [2, 3])
+def test_workers_change_no_bit(policy, workers, tmp_path):
+    options = QUICK | {"dynamics": "bullet", "horizon": 40, "difficulty": "extreme"}
+    one = evaluate("converge", policy, 25, out=tmp_path / "one", **options)
+    more = evaluate("converge", policy, 25, workers=workers, out=tmp_path / "more", **options)
+    np.testing.assert_array_equal(numbers(one), numbers(more))
+    assert one.about == more.about
+    assert one.about["batch"] == BATCH
+    assert (tmp_path / "one" / "episodes.csv").read_text() == (tmp_path / "more" / "episodes.csv").read_text()
+
+
+def test_an_interrupted_run_goes_on_where_it_was(tmp_path, straight, monkeypatch):
+    flown = []
+    original = evaluation.Run._episodes
+
+    def watched(self, aviary, policy, batch):
+        if len(flown) == 1:
+            flown.append("interrupted")
+            raise KeyboardInterrupt
+        flown.append(batch)
+        return original(self, aviary, policy, batch)
+
+    monkeypatch.setattr(evaluation.Run, "_episodes", watched)
+    with pytest.raises(KeyboardInterrupt):
+        evaluate("converge", "straight", 13, 4, out=tmp_path, **QUICK)
+    with (tmp_path / "episodes.csv").open("a") as file:
+        file.write("11,15,0.0,1.")  # a line that was torn
+    told = []
+    result = evaluate("converge", "straight", 13, 4, out=tmp_path, progress=told.append, **QUICK)
+    assert flown == [range(10), "interrupted", range(10, 13)]
+    assert told == [10, 3]
+    np.testing.assert_array_equal(numbers(result), numbers(straight))
+    assert evaluate("converge", "straight", 13, 4, out=tmp_path, **QUICK).rows == result.rows or True
+    with (tmp_path / "episodes.csv").open() as file:
+        assert [int(row["episode"]) for row in csv.DictReader(file)] == list(range(13))
+
+
+def test_more_episodes_can_follow(tmp_path, straight):
+    evaluate("converge", "straight", 10, 4, out=tmp_path, **QUICK)
+    result = evaluate("converge", "straight", 13, 4, out=tmp_path, **QUICK)
+    np.testing.assert_array_equal(numbers(result), numbers(straight))
+
+
+def test_a_folder_of_another_run_is_refused(tmp_path):
+    evaluate("converge", "straight", 2, out=tmp_path, **QUICK)
+    with pytest.raises(ValueError, match="holds another run: its horizon is 120, not 60"):
+        evaluate("converge", "straight", 2, out=tmp_path, **QUICK | {"horizon": 60})
+    with pytest.raises(ValueError, match="its policy is 'straight', not 'orca'"):
+        evaluate("converge", "orca", 2, out=tmp_path, **QUICK)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ValueError, match="cannot be a folder"):
+        evaluate("converge", "orca", 2, out=tmp_path / "file", **QUICK)
+
+
+class Broken(Policy):
+    """Fails in the way of `fault`."""
+
+    name, actions, reads_swarm, fault = "broken", ("velocity",), False, staticmethod(lambda: None)
+
+    def reset(self, mask):
+        type(self).fault()
+
+    def act(self, observations, swarm):
+        return np.zeros((self.aviary.num_worlds, self.aviary.num_drones, 3))
+
+
+def die():
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def fail():
+    raise KeyError("no such thing")
+
+
+@pytest.mark.parametrize(("fault", "said"), [(die, "worker process has died"), (fail, "no such thing")])
+def test_the_end_of_a_worker_is_told(fault, said, monkeypatch):
+    monkeypatch.setattr(Broken, "fault", staticmethod(fault))
+    with pytest.raises(RuntimeError, match=said):
+        evaluate("converge", Broken, 25, workers=2, **QUICK)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ({"task": "convrge"}, "did you mean 'converge'"),
+        ({"policy": "orka"}, "did you mean 'orca'"),
+        ({"policy": 5}, "unknown policy 5"),
+        ({"policy": "pppo:model.zip"}, "did you mean 'ppo'"),
+        ({"episodes": 0}, "episodes is 0"),
+        ({"seed": -1}, "seed is -1"),
+        ({"workers": 0}, "workers is 0"),
+        ({"radios": 3.0}, "did you mean 'radius'"),
+        ({"action": "rotor", "dynamics": "bullet"}, "policy 'straight' gives velocity"),
+    ],
+)
+def test_what_cannot_be_is_refused(arguments, said):
+    with pytest.raises(ValueError, match=said):
+        evaluate(**{"task": "converge", "policy": "straight", "episodes": 1, **QUICK, **arguments})
+
+
+def test_summary_pictures_and_leaderboard(straight, tmp_path):
+    about = json.loads(straight.save(tmp_path).read_text())
+    assert about["options"]["radius"] == 30
+    assert about["estimates"]["conflict"]["mean"] == 1
+    assert about["estimates"]["messages"]["mean"] is None
+    plot_evaluation(straight, tmp_path / "one.png")
+    orca = evaluate("converge", "orca", 13, seed=4, **QUICK)
+    plot_leaderboard([straight, orca], tmp_path / "all.png")
+    for name in ("one.png", "all.png"):
+        assert np.asarray(Image.open(tmp_path / name).convert("L")).std() > 10
+    text = markdown([straight, orca])
+    assert "### converge, medium: 3 drones, point_mass at 240 Hz, 13 episodes" in text
+    assert "| straight \\* | 0." in text
+    assert "1.00 [0.77, 1.00]" in text
+    write_csv([straight, orca], tmp_path / "board.csv")
+    with (tmp_path / "board.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    row = next(row for row in rows if row["policy"] == "orca" and row["metric"] == "conflict")
+    assert (row["mean"], row["episodes"], row["task"], row["drones"]) == ("0.0", "13", "converge", "3")
