@@ -37,12 +37,13 @@ class Evaluation:
     about  what was flown: task, policy, reads_swarm (whether it uses the true state instead of observations), episodes,
            seed, batch, options, version
     rows   the metrics of each episode by name (see `METRICS`), with "episode" and "seed"
-    seconds  wall time of the episodes flown now, s, which differs from run to run
+    seconds, flight  wall time of the episodes that were flown now, which differs from run to run, and how long they are, s
     """
 
     about: dict[str, Any]
     rows: list[Row]
     seconds: float
+    flight: float
 
     def estimates(self) -> dict[str, Estimate]:
         """Mean and 95 % confidence interval of each metric."""
@@ -121,11 +122,14 @@ def evaluate(
     with _Store(None if out is None else Path(out), about) as store:
         missing = [batch for batch in run.batches() if not all(episode in store.rows for episode in batch)]
         progress(episodes - sum(map(len, missing)))
+        flight = 0.0
         for rows in _flown(run, missing, whole("workers", workers, 1)):
             store.add(rows)
+            flight += sum(row["length"] for row in rows)
             progress(len(rows))
         store.sort()
-        return Evaluation(about, [store.rows[episode] for episode in range(episodes)], time.perf_counter() - begin)
+        rows = [store.rows[episode] for episode in range(episodes)]
+        return Evaluation(about, rows, time.perf_counter() - begin, flight)
 
 
 def _about(run: Run) -> dict[str, Any]:

@@ -22,7 +22,7 @@ def reset(drones: int):
 
 def crossing(drones: int):
     """The PettingZoo environment, reset when an agent is done."""
-    env = bulletuav.parallel_env("crossing", num_drones=drones, horizon=10**9)
+    env = bulletuav.parallel_env("crossing", num_drones=drones, horizon=10**9, randomization={})
     env.reset(seed=0)
     actions = {agent: np.zeros(3, dtype=np.float32) for agent in env.agents}
 
@@ -36,7 +36,7 @@ def crossing(drones: int):
 
 def batched_crossing(worlds: int, drones: int):
     """The batched environment on the cheapest dynamics: agent-decisions, to compare with point masses."""
-    env = bulletuav.batch_env("crossing", worlds, num_drones=drones, dynamics="single_integrator")
+    env = bulletuav.batch_env("crossing", worlds, num_drones=drones, dynamics="single_integrator", randomization={})
     env.reset(seed=0)
     return partial(env.step, np.zeros((worlds, drones, 3))), worlds * drones
 

@@ -55,7 +55,8 @@ def run(arguments: argparse.Namespace) -> None:
     files = [arguments.out / "run.json", arguments.out / "episodes.csv", result.save(arguments.out), picture]
     console = Console()
     console.print(_table(result))
-    console.print(f"{result.seconds:.1f} s wall time")
+    pace = result.flight / result.seconds
+    console.print(f"{result.flight:.0f} s of flight in {result.seconds:.1f} s of wall time: {pace:.1f} times real time")
     console.print("\n".join(f"wrote {path}" for path in files), highlight=False, soft_wrap=True)
 
 

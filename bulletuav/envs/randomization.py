@@ -170,13 +170,15 @@ class Uncertainty:
 
     def sense(self, swarm: Swarm, flown: np.ndarray, rngs: Sequence[np.random.Generator | None]) -> None:
         """The readings after a decision, in the worlds where any drone of `flown` (W, N) flew it."""
-        for k in np.flatnonzero(flown.any(axis=1)).tolist():
+        flying = np.any(flown, axis=1)
+        if self._gps is not None:
+            self._gps.read(swarm.position, swarm.velocity, flying, rngs)
+        if self._radio is None:
+            return
+        for k in np.flatnonzero(flying).tolist():
             rng = rngs[k]
             assert rng is not None  # a world that flies was reset
-            if self._gps is not None:
-                self._gps.read(k, swarm.position[k], swarm.velocity[k], rng)
-            if self._radio is not None:
-                self._radio.hear(k, self._known(k, swarm), swarm.position[k], flown[k], rng)
+            self._radio.hear(k, self._known(k, swarm), swarm.position[k], flown[k], rng)
 
     def _known(self, k: int, swarm: Swarm) -> np.ndarray:
         """(N, 6) position and velocity of world k's drones as they know them."""

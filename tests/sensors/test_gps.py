@@ -10,7 +10,7 @@ def readings(gps, count, seed=0):
     gps.start(0, position, velocity, rng)
     rows = []
     for _ in range(count):
-        gps.read(0, position, velocity, rng)
+        gps.read(position[None], velocity[None], np.ones(1, dtype=bool), [rng])
         rows.append((gps.position[0].copy(), gps.velocity[0].copy()))
     return np.array(rows)  # (count, 2, N, 3)
 
@@ -52,3 +52,17 @@ def test_readings_that_fail_leave_the_last_ones():
     assert same.mean() == pytest.approx(0.25, abs=0.02)
     gps.dropout[:] = 1.0
     assert (np.diff(readings(gps, 10)[:, 0, 0], axis=0) == 0).all()
+
+
+def test_worlds_that_do_not_fly_keep_their_readings_and_draw_nothing():
+    gps = Gps((2, 1), 0.1)
+    gps.noise[:] = gps.walk[:] = 1.0
+    rng = np.random.default_rng(0)
+    states = np.zeros((2, 1, 3))
+    for k in range(2):
+        gps.start(k, states[k], states[k], rng)
+    first, drift = gps.position.copy(), gps._drift.copy()
+    gps.read(states, states, np.array([True, False]), [rng, None])
+    assert (gps.position[0] != first[0]).all()
+    np.testing.assert_array_equal(gps.position[1], first[1])
+    np.testing.assert_array_equal(gps._drift[1], drift[1])
