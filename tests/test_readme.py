@@ -19,6 +19,11 @@ PYTHON = [
 COMMANDS = re.findall(r"```bash\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
 
 
+def test_a_task_of_ones_own_takes_less_than_60_lines():
+    (code,) = [param.values[0] for param in PYTHON if "class Gather(Task)" in param.values[0]]
+    assert len(code.splitlines()) < 60
+
+
 @pytest.mark.parametrize("code", PYTHON)
 def test_python(code, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
