@@ -11,6 +11,7 @@ from bulletuav.commands.options import add_options, given_options
 from bulletuav.envs.options import Options
 from bulletuav.envs.plan import Plan
 from bulletuav.tasks import find_task, list_tasks
+from bulletuav.tasks.base import Task
 
 ABOUT = {"help": "list the tasks, or print one's MDP and options", "description": "List the tasks, or explain one."}
 
@@ -52,9 +53,15 @@ def observation_table(task: str, options: dict) -> Table:
     return table
 
 
+def explanations(task: type[Task]) -> list[str]:
+    """The docstrings that tell a task's MDP: its own, and that of what it has in common with others."""
+    kinds = [kind for kind in inspect.getmro(task) if issubclass(kind, Task) and kind is not Task]
+    return [inspect.cleandoc(kind.__doc__) for kind in kinds if kind.__doc__]
+
+
 def _explain(name: str) -> None:
     task = find_task(name)
-    print(inspect.getdoc(task))
+    print("\n\n".join(explanations(task)))
     print(
         "\nDefaults of the options common to all tasks, where the task has its own: "
         + ", ".join(f"{name}={value!r}" for name, value in task.defaults.items())

@@ -64,26 +64,10 @@ class Crossing(Airspace):
     World axes (east, north, up). Neighbours are the nearest living drones, nearest first, relative to the drone; zeros where
     there are fewer.
 
-    Action, per drone, by default `velocity`, Box(3) in [-1, 1]: velocity over max_speed, its norm limited to max_speed;
-    10 decisions a second.
-
-    Reward, per decision, weighted terms: progress 5 a metre nearer to the goal; goal 50 on reaching it; conflict -100 for
-    each other drone with which a separation falls below d_safe = 5 m; warning -5 for each other drone, linear from 0 at
-    2 d_safe to 1 at d_safe; collision -200; out_of_bounds -50; energy -0.01 per (m/s)^2 of velocity change. For the
-    asking: efficiency 0 (1 - distance over that at the start), speed_keeping 0 (0.3 to 0.8 of max_speed), time 0 (1 a
-    decision), shaping 0 (by the potential -distance), fairness 0 (variance of the rewards nearby), concession 0 (made way).
-
-    End: terminated on reaching the goal (within 2 m), on contact of collision shapes, or outside the arena (bounds of
-    position); the drone then leaves the airspace. Conflict ends nothing. Options change each of these. Truncated after 500
-    decisions.
-    Success: goal reached.
+    Action, reward, end and what is uncertain: as in every shared airspace, see `Airspace`.
 
     Difficulty, drones / lane spacing / altitude spread: easy 4, 20 m, 10 m; medium 8, 15 m, 6 m; hard 20, 12 m, 4 m;
     extreme 100, 12 m, 4 m.
-    Uncertain from medium on: positions by 0.5 to 1.5 m (GPS). Hard: up to 3 m, and wind. Extreme: everything (see
-    `UNCERTAINTY`), in light turbulence.
-
-    Preset uavconflict: sizes, observation and reward constants of UAVConflictGym.
     """
 
     name = "crossing"

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import bulletuav
+from bulletuav.commands.tasks import explanations
 from bulletuav.tasks import find_task
 
 TASKS = bulletuav.list_tasks()
@@ -30,7 +31,7 @@ def test_the_docstring_lists_every_number_of_the_observation(name):
 
 @pytest.mark.parametrize("name", TASKS)
 def test_the_docstring_names_defaults_terms_and_ends(name):
-    task, doc = find_task(name), " ".join(inspect.getdoc(find_task(name)).split())
+    task, doc = find_task(name), " ".join(" ".join(explanations(find_task(name))).split())
     for fact in (
         f"truncated after {task.defaults['horizon']} decisions",
         f"{task.defaults['decision_hz']} decisions a second",
