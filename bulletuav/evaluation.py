@@ -1,13 +1,17 @@
 """Evaluation of a policy: many episodes, in batches and processes, to the same numbers however they are divided."""
 
+import contextlib
 import csv
+import hashlib
+import inspect
 import io
 import json
 import multiprocessing
+import os
 import signal
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
@@ -17,6 +21,7 @@ import numpy as np
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.plan import Plan
 from bulletuav.errors import whole
+from bulletuav.kernel import source_hash
 from bulletuav.metrics import METRICS, Estimate, Meter, estimate
 from bulletuav.policies import PolicySource, find_policy
 from bulletuav.policies.base import Policy, check_action
@@ -26,6 +31,7 @@ from bulletuav.version import __version__
 
 BATCH = 10
 """Episodes flown at once; part of what an evaluation is, whatever the number of processes"""
+RUN, EPISODES = "run.json", "episodes.csv"
 COLUMNS = ("episode", "seed", *METRICS)
 Row = dict[str, float]
 
@@ -35,7 +41,7 @@ class Evaluation:
     """What a policy did in some episodes.
 
     about  what was flown: task, policy, reads_swarm (whether it uses the true state instead of observations), episodes,
-           seed, batch, options, version
+           seed, batch, options, version, fingerprint (of code, airframes and model)
     rows   the metrics of each episode by name (see `METRICS`), with "episode" and "seed"
     seconds, flight  wall time of the episodes that were flown now, which differs from run to run, and how long they are, s
     """
@@ -117,19 +123,19 @@ def evaluate(
     Options are those of `parallel_env`. Raises ValueError for what cannot be, also for an `out` that holds another run.
     """
     run = Run(task, policy, whole("seed", seed, 0), whole("episodes", episodes, 1), options)
+    if out is not None and callable(options.get("wind")):
+        raise ValueError("wind is a function, which a folder cannot tell from another one: evaluate it without out")
     about = _about(run)
     begin = time.perf_counter()
-    with _Store(None if out is None else Path(out), about) as store:
-        missing = [batch for batch in run.batches() if not all(episode in store.rows for episode in batch)]
-        progress(episodes - sum(map(len, missing)))
-        flight = 0.0
-        for rows in _flown(run, missing, whole("workers", workers, 1)):
-            store.add(rows)
-            flight += sum(row["length"] for row in rows)
-            progress(len(rows))
-        store.sort()
-        rows = [store.rows[episode] for episode in range(episodes)]
-        return Evaluation(about, rows, time.perf_counter() - begin, flight)
+    store, flight = _Store(None if out is None else Path(out), about), 0.0
+    missing = [batch for batch in run.batches() if not all(episode in store.rows for episode in batch)]
+    progress(episodes - sum(map(len, missing)))
+    for rows in _flown(run, missing, whole("workers", workers, 1)):
+        store.add(rows)
+        flight += sum(row["length"] for row in rows)
+        progress(len(rows))
+    rows = [store.rows[episode] for episode in range(episodes)]
+    return Evaluation(about, rows, time.perf_counter() - begin, flight)
 
 
 def _about(run: Run) -> dict[str, Any]:
@@ -144,72 +150,84 @@ def _about(run: Run) -> dict[str, Any]:
         "episodes": run.episodes,
         "seed": run.seed,
         "batch": BATCH,
+        "fingerprint": _fingerprint(run, plan),
         "options": described(plan.options, plan.task.config),
     }
     return json.loads(json.dumps(about))
 
 
+def _fingerprint(run: Run, plan: Plan) -> str:
+    """Hash of what decides the results and has no value to compare: code, airframes, a model's file."""
+    digest = hashlib.sha256(source_hash().encode())
+    for kind in (type(plan.task), run.policy):
+        if inspect.isclass(kind):
+            digest.update(kind.__qualname__.encode())
+            with contextlib.suppress(OSError, TypeError):  # the source of a class from an interactive session is not known
+                digest.update(Path(inspect.getfile(kind)).read_bytes())
+    if isinstance(run.policy, str) and ":" in run.policy:
+        digest.update(Path(run.policy.partition(":")[2]).read_bytes())
+    for airframe in plan.options.airframe:
+        digest.update(repr(replace(airframe, urdf=Path())).encode())
+    return digest.hexdigest()[:16]
+
+
 class _Store:
-    """Rows of finished episodes, by episode, and their file."""
+    """Rows of finished episodes, by episode, and the folder, if any, where they are kept."""
 
     def __init__(self, folder: Path | None, about: dict[str, Any]):
-        """Raises ValueError where the folder holds another run or cannot be written to."""
+        """Raises ValueError where the folder holds another run, is damaged or cannot be written to."""
         self.rows: dict[int, Row] = {}
-        self._file: Any = io.StringIO() if folder is None else self._opened(folder, about)
-        self._writer = csv.DictWriter(self._file, COLUMNS)
-        self._writer.writeheader()
-        self.add(list(self.rows.values()))
-
-    def _opened(self, folder: Path, about: dict[str, Any]) -> Any:
-        known, table = folder / "run.json", folder / "episodes.csv"
+        self._folder = folder
+        if folder is None:
+            return
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            if known.exists():
-                _require_same(json.loads(known.read_text()), about, folder)
-                self.rows = _read(table)
-            known.write_text(json.dumps(about, indent=2) + "\n")
-            return table.open("w", newline="")  # anew, without what an interruption left of a line
+            if (folder / RUN).exists():
+                self._load(folder, about)
+            _replace(folder / RUN, json.dumps(about, indent=2) + "\n")
+            self.add([])
         except OSError as error:
             raise ValueError(f"{folder} cannot be a folder to write to: {error.strerror}") from None
 
+    def _load(self, folder: Path, about: dict[str, Any]) -> None:
+        try:
+            _require_same(json.loads((folder / RUN).read_text()), about, folder)
+            with (folder / EPISODES).open(newline="") as file:
+                for row in csv.DictReader(file):
+                    numbers: Row = {name: float(row[name]) for name in COLUMNS}
+                    self.rows[int(row["episode"])] = numbers | {name: int(row[name]) for name in ("episode", "seed")}
+        except (json.JSONDecodeError, KeyError, TypeError) as error:
+            raise ValueError(
+                f"{folder} holds a run that is damaged ({error!r}): delete it or choose another folder"
+            ) from None
+
     def add(self, rows: list[Row]) -> None:
-        """Keep the rows of a batch, on disk too."""
+        """Keep the rows of a batch, on disk too, in the order of the episodes."""
         self.rows |= {int(row["episode"]): row for row in rows}
-        self._writer.writerows(rows)
-        self._file.flush()
+        if self._folder is None:
+            return
+        table = io.StringIO()
+        writer = csv.DictWriter(table, COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(self.rows[episode] for episode in sorted(self.rows))
+        _replace(self._folder / EPISODES, table.getvalue())
 
-    def sort(self) -> None:
-        """Write the file anew in the order of the episodes, whichever came first."""
-        self._file.seek(0)
-        self._file.truncate()
-        self._writer.writeheader()
-        self.add([self.rows[episode] for episode in sorted(self.rows)])
 
-    def __enter__(self) -> "_Store":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._file.close()
+def _replace(path: Path, text: str) -> None:
+    """Write the file as a whole or, when interrupted, not at all."""
+    part = path.with_name(path.name + ".part")
+    part.write_text(text)
+    os.replace(part, path)
 
 
 def _require_same(known: dict[str, Any], about: dict[str, Any], folder: Path) -> None:
     """Raise ValueError unless both tell of the same run, maybe of more or fewer episodes."""
-    known, about = ({**one, **one.get("options", {}), "options": 0, "episodes": 0} for one in (known, about))
+    known, about = ({**one["options"], **one, "options": 0, "episodes": 0} for one in (known, about))
     for name in about:
         if known.get(name) != about[name]:
             raise ValueError(
                 f"{folder} holds another run: its {name} is {known.get(name)!r}, not {about[name]!r}; choose another folder"
             )
-
-
-def _read(path: Path) -> dict[int, Row]:
-    """Complete rows of the table, by episode."""
-    if not path.exists():
-        return {}
-    text = path.read_text()
-    lines = text[: text.rfind("\n") + 1].splitlines()  # an interruption may have torn the last one
-    numbers = [{name: float(text) for name, text in row.items()} for row in csv.DictReader(lines)]
-    return {int(row["episode"]): {**row, "episode": int(row["episode"]), "seed": int(row["seed"])} for row in numbers}
 
 
 def _flown(run: Run, batches: list[range], workers: int) -> Iterator[list[Row]]:

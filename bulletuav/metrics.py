@@ -19,8 +19,8 @@ METRICS = {
     "conflict": "share of episodes with a separation below d_safe",
     "success": "share of episodes in which all drones succeeded",
     "drone_success": "share of drones that succeeded",
-    "conflicts": "pairs that came into conflict",
-    "near_misses": "pairs that came closer than half of d_safe",
+    "conflicts": "conflicts of two drones that began",
+    "near_misses": "times that two came closer than half of d_safe",
     "min_separation": "least separation, m",
     "min_time_to_conflict": "shortest time until two that fly straight on would conflict, s, where there was one",
     "length": "duration of the episode, s",
@@ -120,7 +120,7 @@ class Meter:
         efficiency = np.minimum(made_good / np.maximum(self._flown[w], 1e-9), 1.0)[arrived]
         row = {
             "collision": self._collided[w].any(),
-            "conflict": self._conflicts[w] > 0,
+            "conflict": self._separation[w] < self._d_safe,
             "success": arrived.all(),
             "drone_success": arrived.mean(),
             "conflicts": self._conflicts[w],

@@ -181,6 +181,8 @@ def test_help(arguments, capsys):
         (["evaluate", "converge", "--episodes", "0"], "episodes is 0"),
         (["evaluate", "converge", "--policy", "ppo:nowhere.zip", "--episodes", "1"], "no model nowhere.zip"),
         (["compare", "--policies", "straight"], "required: --tasks"),
+        (["compare", "--policies", ",", "--tasks", "converge"], "',' names nothing"),
+        (["evaluate", "converge", "--set", "radius={[]:1}"], "radius is '{[]:1}'"),
         (["compare", "--policies", "strait", "--tasks", "converge"], "did you mean 'straight'"),
         (
             ["compare", "--policies", "straight", "--tasks", "converge", "--difficulty", "easy", "--difficulties", "hard"],

@@ -177,3 +177,10 @@ def test_intervals_of_rates_are_wilsons_and_of_means_the_bootstraps():
     nothing = estimate("energy", [np.nan])
     assert nothing.episodes == 0
     assert np.isnan(nothing.mean)
+
+
+def test_a_conflict_that_was_there_from_the_start_is_one():
+    row = metered("hover", lambda aviary: np.zeros((1, 2, 4)), action="hover_rpm", num_drones=2, horizon=5, d_safe=5.0)[0]
+    assert row["conflict"] == 1
+    assert row["conflicts"] == 0
+    assert row["min_separation"] < 5

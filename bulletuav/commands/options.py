@@ -95,5 +95,5 @@ def _literal(text: str) -> Any:
     """A number, None, a Python literal, or the text itself."""
     try:
         return ast.literal_eval(text)
-    except (ValueError, SyntaxError):
+    except (ValueError, SyntaxError, TypeError):
         return float(text) if text.strip() in ("nan", "inf", "-inf") else text

@@ -127,8 +127,11 @@ class Aviary:
         self._world.set_obstacles(self.scene.obstacle, self.scene.obstacle_quaternion, np.any(chosen, axis=1))
         now = self.swarm.copy()
         action = np.zeros((*self.alive.shape, self.action.low.shape[-1]))
-        flown = np.where(chosen, True, self.alive if self._frame is None else self._frame.alive)
-        self._frame = self._make_frame(now, now, action, Contacts.merge({}), flown)
+        flown = chosen
+        if self._frame is not None:  # of the worlds that fly on
+            action = np.where(chosen[..., None], action, self._frame.action)
+            flown = chosen | self._frame.alive
+        self._frame = self._make_frame(now, now, action, Contacts.merge({}), flown, self.scene.goal.copy())
         return self.observer.observe(self._frame, self.alive)
 
     def _generators(self, worlds: np.ndarray, seeds: list[int] | None) -> list[np.random.Generator]:
@@ -155,7 +158,9 @@ class Aviary:
         self.alive[k] = True
         self.steps[k] = 0
 
-    def _make_frame(self, before: Swarm, after: Swarm, action: np.ndarray, contacts: Contacts, flown: np.ndarray) -> Frame:
+    def _make_frame(
+        self, before: Swarm, after: Swarm, action: np.ndarray, contacts: Contacts, flown: np.ndarray, goal_before: np.ndarray
+    ) -> Frame:
         readings: dict[str, np.ndarray] = {}
         if self._eyes is not None:
             self._dynamics.show(self.swarm, self.alive)
@@ -165,7 +170,20 @@ class Aviary:
             readings |= self._uncertainty.readings()
         time, last = self.steps / self.options.decision_hz, self.steps >= self.options.horizon
         task = self.task
-        return Frame(before, after, action, self.scene, contacts, flown, time, last, task.config.d_safe, task.zone, readings)
+        return Frame(
+            before,
+            after,
+            action,
+            self.scene,
+            contacts,
+            flown,
+            time,
+            last,
+            task.config.d_safe,
+            task.zone,
+            goal_before,
+            readings,
+        )
 
     def step(self, actions: np.ndarray) -> Step:
         """Fly one decision with actions (W, N, A), those beyond the bounds clipped to them.
@@ -196,7 +214,7 @@ class Aviary:
         """One decision of the drones of `flown` (W, N)."""
         flying, time = np.any(flown, axis=1), self.steps / self.options.decision_hz
         wind = self._wind.sample(self.swarm, time, self.rng, flying)
-        before = self.swarm.copy()
+        before, goal_before = self.swarm.copy(), self.scene.goal.copy()
         motion = self._move_scene(flying)
         setpoint = self.action.decode(action, self.commanded)
         if self.action.level == Level.VELOCITY:
@@ -211,7 +229,7 @@ class Aviary:
         self.steps += flying
         if self._uncertainty is not None:
             self._uncertainty.sense(self.swarm, flown, self.rng)
-        return self._make_frame(before, self.swarm.copy(), action, contacts, flown)
+        return self._make_frame(before, self.swarm.copy(), action, contacts, flown, goal_before)
 
     def _confine(self, flown: np.ndarray, rebound: float) -> None:
         """Put drones that left the arena back to its bounds, with `rebound` of the speed across them, reversed."""

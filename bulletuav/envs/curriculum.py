@@ -74,11 +74,15 @@ class CurriculumAviary(ParallelEnv):
         self.metadata = {"name": f"bulletuav_{plans[0].task.name}_curriculum_v0", "render_modes": ["rgb_array", "human"]}
         self._made: dict[int, ParallelAviary] = {}
         self._successes: dict[str, float] = {}
-        self._rng = np.random.default_rng()
+        self._rng = np.random.default_rng(plans[0].options.seed)
+        self._current: ParallelAviary | None = None
+        self.render_mode = plans[0].options.render_mode
 
     @property
     def env(self) -> ParallelAviary:
-        """The environment of the episode that goes on."""
+        """The environment of the episode that goes on. Raises RuntimeError before the first reset."""
+        if self._current is None:
+            raise RuntimeError("the environment has not been started: call reset() first")
         return self._current
 
     def observation_space(self, agent: str) -> Space:
@@ -90,7 +94,10 @@ class CurriculumAviary(ParallelEnv):
         return self.action_spaces[agent]
 
     def reset(self, seed: int | None = None, options: dict | None = None) -> tuple[dict, dict]:
-        """Start a new episode, of another level if the last ones ask for it; with `seed` all later ones follow from it."""
+        """Start a new episode, of another level if the last ones ask for it.
+
+        With `seed`, or the option of that name, all later ones follow from it and from the level, which stays.
+        """
         if self._successes and not self.agents:  # an episode that was left early tells nothing
             self.curriculum.record(float(np.mean(list(self._successes.values()))))
         self._successes = {}
@@ -100,8 +107,8 @@ class CurriculumAviary(ParallelEnv):
         if level not in self._made:
             self._made[level] = ParallelAviary(self._task, **self._options[level])
         self._current = self._made[level]
-        observations, infos = self._current.reset(seed=int(self._rng.integers(2**31)))
-        self.agents = self._current.agents[:]
+        observations, infos = self.env.reset(seed=int(self._rng.integers(2**31)))
+        self.agents = self.env.agents[:]
         return observations, self._with_level(infos)
 
     def step(self, actions: dict[str, np.ndarray]) -> tuple[dict, dict, dict, dict, dict]:

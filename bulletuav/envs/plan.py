@@ -78,7 +78,10 @@ class Plan:
 def _make_task(kind: type[Task], config: Any, options: Options) -> Task:
     radius = max(airframe.collision_radius for airframe in options.airframe)
     period = 1 / options.decision_hz
-    task = kind(config, Setting(options.num_drones, radius, options.max_speed, period, options.num_neighbours))
+    task = kind(
+        config,
+        Setting(options.num_drones, radius, options.max_speed, period, options.num_neighbours, options.horizon * period),
+    )
     reach = float(np.abs([task.arena_low[:2], task.arena_high[:2]]).max())
     if 2 * (reach + radius) >= TILE_PITCH or task.arena_high[2] >= PARKING_HEIGHT:
         raise ValueError(

@@ -63,7 +63,7 @@ class Scene(NamedTuple):
 class Setting:
     """The swarm that a task is set for: size, largest collision radius (m), speed limit (m/s), decision period (s).
 
-    `num_neighbours`: how many other drones and obstacles a drone observes.
+    `num_neighbours`: how many other drones and obstacles a drone observes; `duration`: of an episode, s.
     """
 
     num_drones: int
@@ -71,13 +71,15 @@ class Setting:
     max_speed: float
     period: float
     num_neighbours: int
+    duration: float
 
 
 @dataclass(frozen=True)
 class Frame:
     """One decision, for a task to judge. Arrays (W, N, ...); `alive` are the drones that flew it, `time` (W,) s since reset.
 
-    `last` (W,) tells where the horizon is reached; the warning zone about a drone ends at `zone` m. `readings` are what
+    `last` (W,) tells where the horizon is reached; the warning zone about a drone ends at `zone` m; the goals were at
+    `goal_before` (W, N, 3), m, before the decision and move ahead of the drones. `readings` are what
     sensors measured after it, by name: pictures; with randomization also what drones know of themselves, "position" and
     "velocity" (W, N, 3), and with communication what drone i last heard of drone j, "heard_position" and "heard_velocity"
     (W, N, N, 3), where "heard" (W, N, N).
@@ -93,6 +95,7 @@ class Frame:
     last: np.ndarray
     d_safe: float
     zone: float
+    goal_before: np.ndarray
     readings: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     @cached_property

@@ -118,6 +118,11 @@ class Pursuit(Airspace):
         self.arena_high = np.array([reach, reach, config.altitude + config.margin])
         self._pace = np.linspace(*config.speed, setting.num_drones)
         self._way = 2 * np.pi * config.radius * config.laps
+        if self._way > config.speed[0] * setting.duration:
+            raise ValueError(
+                f"speed {config.speed[0]:g} m/s is too slow for {self._way:.0f} m of way within {setting.duration:g} s: raise "
+                f"horizon or speed, or fly fewer laps"
+            )
 
     def _track(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Goals (..., N, 3) m and their velocities at `time` (...,) s."""
@@ -149,6 +154,10 @@ class Pursuit(Airspace):
         goal, velocity = self._track(time + self.setting.period)
         scene.goal[flying], scene.goal_velocity[flying] = goal[flying], velocity[flying]
         return super().advance(scene, time, flying, rng)
+
+    def ahead(self, goal: np.ndarray, time: np.ndarray) -> np.ndarray:
+        """What is left of the laps, m."""
+        return super().ahead(goal, time) + np.maximum(self._way - self._pace * np.asarray(time)[:, None], 0.0)
 
     def arrived(self, frame: Frame) -> np.ndarray:
         """At the goal, which has come to its end."""

@@ -79,6 +79,19 @@ def test_the_environment_grows_with_success_and_shrinks_without():
     env.close()
 
 
+def test_the_seed_is_an_option_and_nothing_works_before_the_first_reset():
+    first = []
+    for _ in range(2):
+        env = curriculum_env("converge", LEVELS, seed=3, **FAST)
+        for ask in (env.state, env.render, lambda env=env: env.step({})):
+            with pytest.raises(RuntimeError, match=r"call reset\(\) first"):
+                ask()
+        assert env.render_mode is None
+        first.append(env.reset()[0]["drone_0"])
+        env.close()
+    np.testing.assert_array_equal(*first)
+
+
 def test_an_episode_that_is_left_early_is_not_counted():
     env = curriculum_env("converge", LEVELS, window=1, **FAST)
     for _ in range(3):

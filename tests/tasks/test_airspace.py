@@ -83,20 +83,32 @@ def test_optional_terms_by_hand():
     aviary.close()
 
 
-def test_shaping_telescopes_to_the_potential_of_the_start_whatever_was_done():
-    """The discounted sum over an episode that terminates is -Phi(start): it cannot change which policy is best."""
+@pytest.mark.parametrize(
+    ("task", "options", "more"),
+    [("crossing", {}, 0.0), ("converge", {"at_goal": "land"}, 39.5), ("pursuit", {"start_speed": (9.0, 9.0)}, 120 * np.pi)],
+)
+def test_shaping_telescopes_to_the_potential_of_the_start_whatever_was_done(task, options, more):
+    """The discounted sum over an episode that terminates is -Phi(start): it cannot change which policy is best.
+
+    Phi counts how far goals move on, too: 39.5 m down to the ground, once round the circle.
+    """
     for seed in (0, 1):
         rng = np.random.default_rng(seed)
 
         def wander(aviary, rng=rng):
             return np.clip(towards_goal(aviary) + rng.normal(0, 0.3, (1, 2, 3)), -1, 1)
 
-        aviary = bulletuav.Aviary("crossing", num_drones=2, weights={"shaping": 1.0}, **CALM)
+        options |= {"weights": {"shaping": 1.0, "efficiency": 1.0}, "altitude": 40.0}
+        aviary = bulletuav.Aviary(task, num_drones=2, **options, **CALM)
         aviary.reset(seeds=seed)
-        first = aviary.first_info()["goal_distance"][0]
+        first = aviary.first_info()["goal_distance"][0] + more
         steps = fly(aviary, wander, seed)
         discounts = 0.99 ** np.arange(len(steps))
+        assert steps[-1].terminated.any()
         np.testing.assert_allclose(discounts @ column(steps, "reward/shaping"), first, rtol=1e-9)
+        efficiency = column(steps, "reward/efficiency")
+        assert (np.abs(efficiency) <= 1).all()
+        assert efficiency.max() > 0.97
 
 
 def test_fairness_is_the_variance_of_the_rewards_nearby():
@@ -198,6 +210,7 @@ def test_walls_throw_back_or_stop(boundary, rebound, dynamics):
     assert after[0] == pytest.approx(-rebound * before[0], rel=0.2)  # it still sped up a little in this decision
     np.testing.assert_allclose(after[1:], before[1:], atol=0.3)
     assert aviary.commanded[0, 0, 0] <= 0
+    assert step.info["reward/out_of_bounds"][0, 0] == -50
     aviary.step(np.zeros((1, 1, 3)))
     assert aviary.swarm.position[0, 0, 0] <= aviary.task.arena_high[0]
     aviary.close()

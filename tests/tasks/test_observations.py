@@ -101,3 +101,13 @@ def test_every_block_can_be_asked_for_in_every_task():
         assert rows.shape[-1] == len(aviary.observer.labels)
         assert aviary.observer.space().contains(rows[0, 0])
         aviary.close()
+
+
+def test_a_reset_of_another_world_leaves_the_last_action_alone():
+    aviary = bulletuav.Aviary("crossing", 2, observation="last_action", num_drones=2, **CALM)
+    aviary.reset(seeds=0)
+    aviary.step(np.full((2, 2, 3), 0.25))
+    rows = aviary.reset(np.array([False, True]))
+    np.testing.assert_allclose(rows[0], 0.25)
+    assert not rows[1].any()
+    aviary.close()

@@ -7,6 +7,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
+from bulletuav.physics.approach import distances
 from bulletuav.tasks.base import Frame, Scene, Setting, Spawn, Task, Verdict
 from bulletuav.tasks.terms.rewards import REWARDS, Marks, follow_encounters, variance_nearby
 
@@ -193,24 +194,42 @@ class Airspace(Task):
         return Spawn(start, np.tile([0.0, 0.0, 0.0, 1.0], (len(start), 1)), velocity, np.zeros_like(start), goal)
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
-        """`reached`: when each drone first came to its goal, s, 0 before; the pairs' encounters where concession counts."""
+        """`reached`: when each drone first came to its goal, s, 0 before; `way`: how far it has to go from its start, m.
+
+        Where concession counts, the pairs' encounters.
+        """
         drones = self.setting.num_drones
         pairs = {"encounter": (drones, drones), "effort": (drones, drones)} if self.weights["concession"] else {}
-        return {"reached": (drones,), **pairs}
+        return {"reached": (drones,), "way": (drones,), **pairs}
 
     def advance(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rng: Any) -> bool:
         """The goals of drones that are to land move to the ground once they have reached them."""
         if self.config.at_goal == "land":
-            scene.goal[..., 2] = np.where(scene.memory["reached"] > 0, TOUCHDOWN / 2, scene.goal[..., 2])
+            down = (scene.memory["reached"] > 0) & flying[:, None]
+            scene.goal[..., 2] = np.where(down, TOUCHDOWN / 2, scene.goal[..., 2])
         return False
+
+    def ahead(self, goal: np.ndarray, time: np.ndarray) -> np.ndarray | float:
+        """(W, N) how far goals at (W, N, 3) m have yet to move at `time` (W,) s: to the ground for landing, else not."""
+        return goal[..., 2] - TOUCHDOWN / 2 if self.config.at_goal == "land" else 0.0
+
+    def way(self, frame: Frame) -> np.ndarray:
+        """(W, N) how far it is to the goal and on with it to where it stops, after the decision, m."""
+        return frame.distance + self.ahead(frame.scene.goal, frame.time)
+
+    def way_before(self, frame: Frame) -> np.ndarray:
+        """(W, N) the same before the decision."""
+        ahead = self.ahead(frame.goal_before, frame.time - self.setting.period)
+        return distances(frame.goal_before, frame.before.position) + ahead
 
     def arrived(self, frame: Frame) -> np.ndarray:
         """(W, N) bool: at the goal."""
         return frame.distance <= self.config.goal_radius
 
     def remember(self, frame: Frame) -> None:
-        """When goals were reached, and who made way."""
+        """When goals were reached, how far it was to them at the start, and who made way."""
         memory = frame.scene.memory
+        np.copyto(memory["way"], self.way_before(frame), where=memory["way"] == 0)
         new = self.arrived(frame) & frame.alive & ~frame.collision & (memory["reached"] == 0)
         np.copyto(memory["reached"], frame.time[:, None], where=new)
         if "encounter" in memory:
@@ -234,7 +253,10 @@ class Airspace(Task):
         config, reached = self.config, frame.scene.memory["reached"]
         finished = self.finished(frame)
         position = frame.after.position
-        outside = np.any((position < self.arena_low) | (position > self.arena_high), axis=-1)
+        if self.rebound is None:
+            outside = np.any((position < self.arena_low) | (position > self.arena_high), axis=-1)
+        else:  # thrown back, which left them right at the bounds
+            outside = np.any((position <= self.arena_low) | (position >= self.arena_high), axis=-1)
         terminated = _whose(frame.collision, frame, config.contact_ends)
         if config.at_goal == "hold":
             terminated = terminated | np.all(finished | ~frame.alive, axis=1, keepdims=True)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from bulletuav.kernel import formula, kernel
-from bulletuav.physics.approach import closest_squared, distances, offset
+from bulletuav.physics.approach import closest_squared, offset
 from bulletuav.physics.rotation import dot, three
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ class Marks(NamedTuple):
     """What happened to each drone in a decision, (W, N) bool.
 
     reached     came to its goal, for the first time
-    outside     is outside the arena
+    outside     is outside the arena, or was thrown back at its bounds
     terminated  its episode ended here, for good or ill
     ended       that, or the horizon cut it
     """
@@ -59,7 +59,7 @@ def collision(task: "Airspace", frame: "Frame", marks: Marks) -> np.ndarray:
 
 
 def out_of_bounds(task: "Airspace", frame: "Frame", marks: Marks) -> np.ndarray:
-    """1 outside the arena."""
+    """1 outside the arena, or thrown back at its bounds."""
     return marks.outside.astype(float)
 
 
@@ -69,8 +69,8 @@ def energy(task: "Airspace", frame: "Frame", marks: Marks) -> np.ndarray:
 
 
 def efficiency(task: "Airspace", frame: "Frame", marks: Marks) -> np.ndarray:
-    """1 at the goal, 0 as far from it as at the start: 1 - d / d0."""
-    return 1 - frame.distance / np.maximum(distances(frame.scene.goal, frame.scene.start), 1e-9)
+    """1 at the goal, 0 as far from it as at the start: 1 - d / d0, of the way to where the goal stops."""
+    return 1 - task.way(frame) / np.maximum(frame.scene.memory["way"], task.config.goal_radius)
 
 
 def speed_keeping(task: "Airspace", frame: "Frame", marks: Marks) -> np.ndarray:
@@ -85,11 +85,11 @@ def time(task: "Airspace", frame: "Frame", marks: Marks) -> np.ndarray:
 
 
 def shaping(task: "Airspace", frame: "Frame", marks: Marks) -> np.ndarray:
-    """The discounted potential after, less that before: -distance to the goal, m, and 0 where the episode terminates.
+    """The discounted potential after, less that before: -the way to where the goal stops, m, 0 where the episode terminates.
 
     Leaves optimal policies as they are: A. Ng, D. Harada, S. Russell, Policy invariance under reward transformations, 1999.
     """
-    return frame.distance_before - task.config.discount * np.where(marks.terminated, 0.0, frame.distance)
+    return task.way_before(frame) - task.config.discount * np.where(marks.terminated, 0.0, task.way(frame))
 
 
 def concession(task: "Airspace", frame: "Frame", marks: Marks) -> np.ndarray:
