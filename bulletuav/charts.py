@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
 
 from bulletuav.evaluation import Evaluation
 from bulletuav.metrics import Estimate
@@ -30,7 +31,12 @@ def plot_evaluation(result: Evaluation, path: Path) -> None:
     ):
         values = np.array([row[metric] for row in result.rows])
         values = values[np.isfinite(values)]
-        axes.hist(values, bins=BINS, range=(0, max(1.0, values.max(initial=0))), color=COLOURS[0])
+        if len(values):
+            spread = max(np.ptp(values), 0.05 * np.abs(values).max(), 0.01)  # rounding alone is no spread
+            axes.hist(values, bins=BINS, range=(values.min() - spread / 20, values.min() + 1.05 * spread), color=COLOURS[0])
+        else:
+            axes.text(0.5, 0.5, "no episode has it", ha="center", transform=axes.transAxes)
+        axes.yaxis.set_major_locator(MaxNLocator(integer=True))
         axes.set(xlabel=label, ylabel="episodes")
     apart.axvline(d_safe, color="crimson", ls="--", label=f"d_safe {d_safe:g} m")
     apart.legend()

@@ -45,7 +45,8 @@ def _check_known(rest: list[str], parser: argparse.ArgumentParser) -> None:
     if rest:
         known = [option for action in parser._actions for option in action.option_strings]
         near = difflib.get_close_matches(rest[0].split("=")[0], known, n=1)
-        parser.error(f"unknown argument {rest[0]}" + (f": did you mean {near[0]}?" if near else ""))
+        hint = f"did you mean {near[0]}?" if near else "options without an argument of their own go by --set NAME=VALUE"
+        parser.error(f"unknown argument {rest[0]}: {hint if near or '--set' in known else 'there is none of that name'}")
 
 
 def main(argv: Sequence[str] | None = None) -> None:

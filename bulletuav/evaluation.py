@@ -118,10 +118,11 @@ def evaluate(
     """Fly `episodes` of a task, episode e from seed + e, and take their metrics.
 
     `policy`: a name, "ppo:model.zip" (or sac, td3, dqn) for a stable-baselines3 model, or a class; `workers`: processes,
-    which change nothing but the time. With `out`, a folder, finished episodes are kept there as they come, and a second call
+    which change nothing but the time. With `out`, a folder, finished batches of episodes are kept there, and a second call
     with the same arguments goes on where the first one was interrupted. `progress` is told how many more episodes are done.
     Options are those of `parallel_env`. Raises ValueError for what cannot be, also for an `out` that holds another run.
     """
+    whole("workers", workers, 1)
     run = Run(task, policy, whole("seed", seed, 0), whole("episodes", episodes, 1), options)
     if out is not None and callable(options.get("wind")):
         raise ValueError("wind is a function, which a folder cannot tell from another one: evaluate it without out")
@@ -130,7 +131,7 @@ def evaluate(
     store, flight = _Store(None if out is None else Path(out), about), 0.0
     missing = [batch for batch in run.batches() if not all(episode in store.rows for episode in batch)]
     progress(episodes - sum(map(len, missing)))
-    for rows in _flown(run, missing, whole("workers", workers, 1)):
+    for rows in _flown(run, missing, workers):
         store.add(rows)
         flight += sum(row["length"] for row in rows)
         progress(len(rows))

@@ -17,7 +17,7 @@ RATES = ("collision", "conflict", "success")
 METRICS = {
     "collision": "share of episodes with a contact of collision shapes",
     "conflict": "share of episodes with a separation below d_safe",
-    "success": "share of episodes in which all drones succeeded",
+    "success": "share of episodes in which all drones succeeded, as the task means it",
     "drone_success": "share of drones that succeeded",
     "conflicts": "conflicts of two drones that began",
     "near_misses": "times that two came closer than half of d_safe",

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 from PIL import Image
 
 from bulletuav.record import Recording
@@ -59,6 +60,10 @@ def plot_tracks(recording: Recording, d_safe: float, title: str, path: Path) -> 
             apart.plot(time[1:], np.where(np.isfinite(gaps), gaps, np.nan), color=colour, lw=1.2)
         else:
             apart.plot(time, np.linalg.norm(goal - track, axis=1), color=colour, lw=1.2)
+    for track, radius in zip(recording.obstacle.swapaxes(0, 1), recording.obstacle_radius, strict=True):
+        above.plot(track[:, 0], track[:, 1], color="0.6", lw=1)
+        for row, style in ((0, ":"), (-1, "-")):  # where it was and where it came to
+            above.add_patch(Circle(track[row, :2], radius, fc="0.85", ec="0.5", ls=style, alpha=0.6, zorder=0))
     _mark(above, recording, recording.conflicts > 0, "o", "conflict begins", mfc="none")
     _mark(above, recording, recording.collision, "*", "collision", mec="black")
     if above.get_legend_handles_labels()[0]:
@@ -107,18 +112,20 @@ class Animation:
         self._axes.set(
             xlabel=(
                 f"x east (m)\n\nDiscs: drones, drawn {drawn:.2g} m across (real {drone_size:.2g} m), pale once they have "
-                f"finished.\nCrosses: goals. Rings: {d_safe:g} m across, red while another drone is nearer than that."
+                f"finished.\nCrosses: goals; grey: obstacles. Rings: {d_safe:g} m across, red while another drone is nearer "
+                f"than that."
             ),
             ylabel="y north (m)",
         )
         self._axes.grid(alpha=0.3)
         self._text = self._axes.set_title(" ")
+        self._bodies = self._circles(2 * recording.obstacle_radius, facecolors="0.8", edgecolors="0.5")
         self._goals = self._axes.scatter([], [], marker="x", s=60, linewidths=1.6)
         self._trails = LineCollection([], linewidths=1.2)
         self._axes.add_collection(self._trails)
         self._rings = self._circles(np.full(drones, d_safe), facecolors="none", linewidths=1.2)
         self._discs = self._circles(np.full(drones, drawn), linewidths=0.5)
-        self._moving: list[Artist] = [self._text, self._goals, self._trails, self._rings, self._discs]
+        self._moving: list[Artist] = [self._text, self._bodies, self._goals, self._trails, self._rings, self._discs]
         for artist in self._moving:
             artist.set_animated(True)
         self.figure.canvas.draw()
@@ -126,7 +133,9 @@ class Animation:
 
     def _extent(self, drone_size: float) -> tuple[float, np.ndarray]:
         """Side of the square that holds everything, m, and its middle."""
-        points = np.concatenate([self._recording.position, self._recording.goal]).reshape(-1, 3)[:, :2]
+        recording = self._recording
+        parts = (recording.position, recording.goal, recording.obstacle)
+        points = np.concatenate([part.reshape(-1, 3) for part in parts])[:, :2]
         low, high = points.min(axis=0), points.max(axis=0)
         return float(max(*(high - low), 4 * drone_size)), (low + high) / 2
 
@@ -150,6 +159,7 @@ class Animation:
         rings[~alive, 3] = 0
         self._discs.set(offsets=position, facecolors=colours, edgecolors=edges)
         self._rings.set(offsets=position, edgecolors=rings)
+        self._bodies.set(offsets=recording.obstacle[row, :, :2])
         self._goals.set(offsets=goal, color=self._colours)
         trail = recording.position[max(0, row - TRAIL) : row + 1, :, :2]
         self._trails.set(segments=list(trail.swapaxes(0, 1)), color=colours)

@@ -22,7 +22,8 @@ class Recording:
 
     time (T+1,) s; position (T+1, N, 3) m; quaternion (T+1, N, 4); velocity (T+1, N, 3) m/s; rates (T+1, N, 3) rad/s;
     alive (T+1, N) bool; action (T, N, A); reward (T, N); separation (T, N) m, least within the decision, inf when alone;
-    conflicts (T, N) begun; collision, success (T, N) bool; goal (T + 1, N, 3) m. A drone that left keeps its last state.
+    conflicts (T, N) begun; collision, success (T, N) bool; goal (T + 1, N, 3) m; obstacle (T + 1, K, 3) m, and the radii of
+    their bounding spheres (K,) m. A drone that left keeps its last state.
     """
 
     time: np.ndarray
@@ -38,6 +39,8 @@ class Recording:
     collision: np.ndarray
     success: np.ndarray
     goal: np.ndarray
+    obstacle: np.ndarray
+    obstacle_radius: np.ndarray
 
 
 class Outcome(NamedTuple):
@@ -56,23 +59,24 @@ def fly_episode(aviary: Aviary, policy: Policy, seed: int, progress: Callable[[]
     """Fly one episode in world 0 from `seed`; `progress` is called after every decision."""
     observations = aviary.reset(seeds=seed)
     policy.reset(np.ones(aviary.num_worlds, dtype=bool))
-    states, alive, goals, actions, steps = [aviary.swarm.copy()], [aviary.alive.copy()], [aviary.scene.goal.copy()], [], []
+    states, alive, actions, steps = [aviary.swarm.copy()], [aviary.alive.copy()], [], []
+    scenes = [(aviary.scene.goal[0].copy(), aviary.scene.obstacle[0].copy())]
     while aviary.alive[0].any():
         actions.append(policy.act(observations, aviary.swarm))
         steps.append(aviary.step(actions[-1]))
         observations = steps[-1].observations
         states.append(aviary.swarm.copy())
         alive.append(aviary.alive.copy())
-        goals.append(aviary.scene.goal.copy())
+        scenes.append((aviary.scene.goal[0].copy(), aviary.scene.obstacle[0].copy()))
         progress()
-    return _recording(aviary, states, alive, goals, actions, steps)
+    return _recording(aviary, states, alive, scenes, actions, steps)
 
 
 def _recording(
     aviary: Aviary,
     states: list[Swarm],
     alive: list[np.ndarray],
-    goals: list[np.ndarray],
+    scenes: list[tuple[np.ndarray, np.ndarray]],
     actions: list[np.ndarray],
     steps: list[Step],
 ) -> Recording:
@@ -92,7 +96,9 @@ def _recording(
         conflicts=column("conflicts"),
         collision=column("collision"),
         success=column("success"),
-        goal=np.array([goal[0] for goal in goals]),
+        goal=np.array([goal for goal, _ in scenes]),
+        obstacle=np.array([obstacle for _, obstacle in scenes]),
+        obstacle_radius=np.array([obstacle.radius for obstacle in aviary.task.obstacles()]),
     )
 
 

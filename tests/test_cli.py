@@ -132,6 +132,27 @@ def test_evaluating_prints_and_writes_and_goes_on(tmp_path, capsys):
     assert table == again
 
 
+def test_a_flight_does_not_go_into_the_folder_of_an_evaluation(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    common = ["converge", "--dynamics", "point_mass", "--drones", "1", "--horizon", "3", "--set", "normalise=true"]
+    main(["evaluate", *common, "--episodes", "1"])
+    assert (tmp_path / "evaluation" / "converge-default-straight" / "episodes.csv").exists()
+    with pytest.raises(SystemExit):
+        main(["fly", *common, "--out", "evaluation/converge-default-straight"])
+    assert "holds an evaluation" in capsys.readouterr().err
+
+
+def test_an_interrupted_evaluation_tells_what_is_kept(tmp_path, capsys, monkeypatch):
+    def interrupted(*arguments, **options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("bulletuav.commands.evaluate.evaluate", interrupted)
+    with pytest.raises(SystemExit) as end:
+        main(["evaluate", "converge", "--out", str(tmp_path)])
+    assert end.value.code == 130
+    assert "the same command goes on" in " ".join(capsys.readouterr().err.split())
+
+
 def test_comparing_writes_a_leaderboard(tmp_path, capsys):
     common = ["--episodes", "2", "--dynamics", "point_mass", "--drones", "2", "--horizon", "30", "--out", str(tmp_path)]
     main(["compare", "--policies", "straight,random", "--tasks", "converge,follow", "--difficulties", "easy,hard", *common])
@@ -160,7 +181,8 @@ def test_help(arguments, capsys):
     [
         (["fly", "crosing"], "did you mean 'crossing'"),
         (["fly", "crossing", "--drone", "8"], "unknown argument --drone: did you mean --drones"),
-        (["fly", "crossing", "--quick"], "unknown argument --quick"),
+        (["fly", "crossing", "--quick"], "unknown argument --quick: options without an argument of their own go by --set"),
+        (["doctor", "--quick"], "unknown argument --quick: there is none of that name"),
         (["fly", "crossing", "--drones", "many"], "invalid int value: 'many'"),
         (["fly", "crossing", "--drones", "0"], "num_drones is 0"),
         (["fly", "crossing", "--policy", "strait"], "did you mean 'straight'"),

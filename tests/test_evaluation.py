@@ -156,7 +156,7 @@ def test_the_end_of_a_worker_is_told(fault, said, monkeypatch):
     [
         ({"task": "convrge"}, "did you mean 'converge'"),
         ({"policy": "orka"}, "did you mean 'orca'"),
-        ({"policy": 5}, "unknown policy 5"),
+        ({"policy": 5}, "policy is 5: a name"),
         ({"policy": "pppo:model.zip"}, "did you mean 'ppo'"),
         ({"episodes": 0}, "episodes is 0"),
         ({"seed": -1}, "seed is -1"),

@@ -112,7 +112,7 @@ def test_video_is_written(flown, tmp_path):
 
 def test_policies_say_which_actions_they_give():
     aviary = bulletuav.Aviary("hover")
-    with pytest.raises(ValueError, match="gives velocity or target_position actions, not 'rotor'"):
+    with pytest.raises(ValueError, match="gives velocity or velocity_increment or target_position actions, not 'rotor'"):
         find_policy("straight")(aviary)
     with pytest.raises(ValueError, match="did you mean 'straight'"):
         find_policy("strait")

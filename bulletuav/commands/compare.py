@@ -6,8 +6,8 @@ from pathlib import Path
 from rich.console import Console
 
 from bulletuav.charts import plot_leaderboard
+from bulletuav.commands.evaluate import evaluated, run_name
 from bulletuav.commands.options import POLICY_HELP, add_options, episodes_bar, flyable_options, given_options, out_folder
-from bulletuav.evaluation import Evaluation, evaluate
 from bulletuav.leaderboard import markdown, write_csv
 
 ABOUT = {
@@ -59,8 +59,9 @@ def run(arguments: argparse.Namespace) -> None:
     cases = [(task, policy, flyable_options(task, policy, options)) for task, policy, options in cases]
     with episodes_bar(arguments.episodes * len(cases)) as progress:
         for task, policy, options in cases:
-            folder = out / "runs" / "-".join([task, options.get("difficulty", "default"), _as_file(policy)])
-            results.append(_evaluated(arguments, task, policy, options, folder, progress))
+            folder = out / "runs" / run_name(task, policy, options)
+            results.append(evaluated(arguments, task, policy, options, folder, progress))
+            results[-1].save(folder)
     files = [out / "leaderboard.md", out / "leaderboard.csv", out / "leaderboard.png"]
     files[0].write_text(markdown(results))
     write_csv(results, files[1])
@@ -68,13 +69,3 @@ def run(arguments: argparse.Namespace) -> None:
     console = Console()
     console.print(markdown(results), markup=False, soft_wrap=True)
     console.print("\n".join(f"wrote {path}" for path in files), highlight=False, soft_wrap=True)
-
-
-def _evaluated(arguments, task, policy, options, folder: Path, progress) -> Evaluation:
-    result = evaluate(task, policy, arguments.episodes, arguments.seed, arguments.workers, folder, progress, **options)
-    result.save(folder)
-    return result
-
-
-def _as_file(policy: str) -> str:
-    return "".join(letter if letter.isalnum() or letter in "_." else "_" for letter in policy)

@@ -2,12 +2,21 @@
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
 from bulletuav.charts import plot_evaluation
-from bulletuav.commands.options import POLICY_HELP, add_options, episodes_bar, flyable_options, given_options, out_folder
+from bulletuav.commands.options import (
+    POLICY_HELP,
+    Advance,
+    add_options,
+    episodes_bar,
+    flyable_options,
+    given_options,
+    out_folder,
+)
 from bulletuav.evaluation import Evaluation, evaluate
 from bulletuav.metrics import METRICS, Estimate
 
@@ -31,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=0, help="episode e has seed + e (default: 0)")
     parser.add_argument("--workers", type=int, default=1, help="processes; the results are the same (default: 1)")
     parser.add_argument(
-        "--out", type=Path, default=Path("evaluation"), metavar="DIR", help="folder for the files (default: evaluation)"
+        "--out", type=Path, metavar="DIR", help="folder for the files (default: evaluation/TASK-DIFFICULTY-POLICY)"
     )
     add_options(parser)
 
@@ -39,25 +48,37 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> None:
     """Evaluate, print and write."""
     options = flyable_options(arguments.task, arguments.policy, given_options(arguments))
+    out = out_folder(arguments.out or Path("evaluation") / run_name(arguments.task, arguments.policy, options))
     with episodes_bar(arguments.episodes) as progress:
-        result = evaluate(
-            arguments.task,
-            arguments.policy,
-            arguments.episodes,
-            arguments.seed,
-            arguments.workers,
-            out_folder(arguments.out),
-            progress,
-            **options,
-        )
-    picture = arguments.out / "summary.png"
+        result = evaluated(arguments, arguments.task, arguments.policy, options, out, progress)
+    picture = out / "summary.png"
     plot_evaluation(result, picture)
-    files = [arguments.out / "run.json", arguments.out / "episodes.csv", result.save(arguments.out), picture]
+    files = [out / "run.json", out / "episodes.csv", result.save(out), picture]
     console = Console()
     console.print(_table(result))
-    pace = result.flight / result.seconds
-    console.print(f"{result.flight:.0f} s of flight in {result.seconds:.1f} s of wall time: {pace:.1f} times real time")
+    if result.flight:
+        pace = result.flight / result.seconds
+        console.print(f"{result.flight:.0f} s of flight in {result.seconds:.1f} s of wall time: {pace:.1f} times real time")
+    else:
+        console.print("all of these episodes were there already")
     console.print("\n".join(f"wrote {path}" for path in files), highlight=False, soft_wrap=True)
+
+
+def run_name(task: str, policy: str, options: dict[str, Any]) -> str:
+    """A folder's name for a run."""
+    name = "-".join([task, options.get("difficulty", "default"), policy])
+    return "".join(letter if letter.isalnum() or letter in "_.-" else "_" for letter in name)
+
+
+def evaluated(
+    arguments: argparse.Namespace, task: str, policy: str, options: dict[str, Any], out: Path, progress: Advance
+) -> Evaluation:
+    """`evaluate` with the command's arguments; an interrupt tells what is kept."""
+    try:
+        return evaluate(task, policy, arguments.episodes, arguments.seed, arguments.workers, out, progress, **options)
+    except KeyboardInterrupt:
+        Console(stderr=True).print(f"interrupted: finished batches of episodes are kept in {out}; the same command goes on")
+        raise
 
 
 def _table(result: Evaluation) -> Table:

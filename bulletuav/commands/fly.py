@@ -10,6 +10,7 @@ from rich.table import Table
 from bulletuav.commands.options import POLICY_HELP, add_options, flyable_options, given_options, out_folder
 from bulletuav.envs.aviary import Aviary
 from bulletuav.errors import whole
+from bulletuav.evaluation import EPISODES
 from bulletuav.pictures import Animation, plot_tracks
 from bulletuav.policies import find_policy
 from bulletuav.record import Recording, fly_episode, outcomes, save
@@ -40,6 +41,8 @@ def run(arguments: argparse.Namespace) -> None:
     options = flyable_options(arguments.task, arguments.policy, given_options(arguments))
     aviary = Aviary(arguments.task, 1, **options)
     policy = find_policy(arguments.policy)(aviary)
+    if (arguments.out / EPISODES).exists():
+        raise ValueError(f"--out {arguments.out} holds an evaluation: choose another folder")
     for old in out_folder(arguments.out).glob("flight.*"):
         old.unlink()  # of an earlier flight
     with Progress(console=Console(stderr=True)) as progress:

@@ -19,6 +19,7 @@ from bulletuav.physics.ladder import LADDER
 from bulletuav.policies import POLICIES, find_policy
 from bulletuav.tasks import find_task
 
+Advance = Callable[[int], None]
 POLICY_HELP = f"{', '.join(POLICIES)}, or a trained model such as ppo:model.zip"
 
 
@@ -70,7 +71,7 @@ def flyable_options(task: str, policy: str, options: dict[str, Any]) -> dict[str
 
 
 @contextlib.contextmanager
-def episodes_bar(total: int) -> Iterator[Callable[[int], None]]:
+def episodes_bar(total: int) -> Iterator[Advance]:
     """A progress bar on standard error, told how many more episodes are done; it appears once all was found in order."""
     with Progress(console=Console(stderr=True)) as progress:
 
@@ -94,6 +95,6 @@ def out_folder(path: Path) -> Path:
 def _literal(text: str) -> Any:
     """A number, None, a Python literal, or the text itself."""
     try:
-        return ast.literal_eval(text)
+        return ast.literal_eval({"true": "True", "false": "False"}.get(text, text))
     except (ValueError, SyntaxError, TypeError):
         return float(text) if text.strip() in ("nan", "inf", "-inf") else text

@@ -24,6 +24,8 @@ LEAST_THRUST = 0.5  # share of the thrust that is left when the battery is low
 class Randomization:
     """What is uncertain: a number for all, or (low, high) to draw from, uniformly, when an episode begins.
 
+    Points have no rotors: `point_mass` feels mass, drag and wind, the integrators none of the first five nor wind.
+
     For each drone:
     mass, thrust, drag, motor_lag  factors on the airframe's mass and inertia, thrust, rotor drag and lag; controllers know
                  the airframe's own values only

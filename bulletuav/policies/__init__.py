@@ -40,8 +40,11 @@ def find_policy(source: PolicySource) -> Pilot:
     algorithm, colon, path = source.partition(":") if isinstance(source, str) else ("", "", "")
     if colon:
         pick("algorithm", algorithm, dict.fromkeys(ALGORITHMS))
+        path = path if Path(path).is_file() else f"{path}.zip"  # which the library adds to names without it
         if not Path(path).is_file():
             raise FileNotFoundError(f"no model {path}: a file that {algorithm} saved is needed")
         return Pilot(str(source), (), Trained.reads_swarm, lambda aviary: Trained(aviary, algorithm, path))
+    if not isinstance(source, str):
+        raise ValueError(f"policy is {source!r}: a name, a trained model such as 'ppo:model.zip', or a class is needed")
     kind = pick("policy", source, POLICIES)
     return Pilot(kind.name, kind.actions, kind.reads_swarm, kind)

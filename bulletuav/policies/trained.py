@@ -33,13 +33,17 @@ class Trained(Policy):
         except ImportError:
             raise ImportError("trained models need the extra 'sb3': pip install 'bulletuav[sb3]'") from None
         torch.set_num_threads(1)
-        self._model: Any = getattr(stable_baselines3, ALGORITHMS[algorithm]).load(path, device="cpu")
+        try:
+            self._model: Any = getattr(stable_baselines3, ALGORITHMS[algorithm]).load(path, device="cpu")
+        except Exception as error:  # the library raises whatever it stumbles over in a file of another kind
+            raise ValueError(f"{path} is no model of {algorithm}: {error}") from None
         for name, own, needed in (
             ("observations", aviary.observer.space(), self._model.observation_space),
             ("actions", widest_action_space(aviary.action), self._model.action_space),
         ):
             if own.shape != needed.shape or type(own) is not type(needed):
-                raise ValueError(f"{path} was trained for {name} in {needed}, and here they are in {own}")
+                kinds = [f"{type(space).__name__} of shape {space.shape}" for space in (needed, own)]
+                raise ValueError(f"{path} was trained for {name} in a {kinds[0]}, and here they are in a {kinds[1]}")
 
     def reset(self, mask: np.ndarray) -> None:
         """Nothing to forget."""

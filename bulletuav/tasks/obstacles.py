@@ -36,7 +36,7 @@ class ObstaclesConfig(AirspaceConfig):
 
 
 class Obstacles(Airspace):
-    """From anywhere to anywhere among bodies that can be hit, half of them moving.
+    """From anywhere to anywhere among bodies that can be hit, some of which move.
 
     Observation, per drone, Box(55) float32, clipped to its bounds (here for max_speed 20 and 8 drones):
       0  position x              m     [-130, 130]

@@ -120,8 +120,8 @@ class Pursuit(Airspace):
         self._way = 2 * np.pi * config.radius * config.laps
         if self._way > config.speed[0] * setting.duration:
             raise ValueError(
-                f"speed {config.speed[0]:g} m/s is too slow for {self._way:.0f} m of way within {setting.duration:g} s: raise "
-                f"horizon or speed, or fly fewer laps"
+                f"speed {config.speed[0]:g} m/s is too slow for {self._way:.0f} m of way within {setting.duration:g} s: "
+                f"raise horizon or speed, or fly fewer laps"
             )
 
     def _track(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
