@@ -112,8 +112,8 @@ class Animation:
         self._axes.set(
             xlabel=(
                 f"x east (m)\n\nDiscs: drones, drawn {drawn:.2g} m across (real {drone_size:.2g} m), pale once they have "
-                f"finished.\nCrosses: goals; grey: obstacles. Rings: {d_safe:g} m across, red while another drone is nearer "
-                f"than that."
+                f"finished.\nCrosses: goals. Grey: obstacles.\nRings: {d_safe:g} m across, red while another drone is "
+                f"nearer."
             ),
             ylabel="y north (m)",
         )
