@@ -12,6 +12,7 @@ import signal
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ import numpy as np
 
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.plan import Plan
+from bulletuav.envs.workers import portable
 from bulletuav.errors import whole
 from bulletuav.kernel import source_hash
 from bulletuav.metrics import METRICS, Estimate, Meter, estimate
@@ -53,6 +55,10 @@ class Evaluation:
 
     def estimates(self) -> dict[str, Estimate]:
         """Mean and 95 % confidence interval of each metric."""
+        return self._estimates
+
+    @cached_property
+    def _estimates(self) -> dict[str, Estimate]:
         return {metric: estimate(metric, [row[metric] for row in self.rows]) for metric in METRICS}
 
     def save(self, folder: Path) -> Path:
@@ -151,13 +157,13 @@ def _about(run: Run) -> dict[str, Any]:
         "episodes": run.episodes,
         "seed": run.seed,
         "batch": BATCH,
-        "fingerprint": _fingerprint(run, plan),
+        "fingerprint": _fingerprint(run, plan, policy.model),
         "options": described(plan.options, plan.task.config),
     }
     return json.loads(json.dumps(about))
 
 
-def _fingerprint(run: Run, plan: Plan) -> str:
+def _fingerprint(run: Run, plan: Plan, model: Path | None) -> str:
     """Hash of what decides the results and has no value to compare: code, airframes, a model's file."""
     digest = hashlib.sha256(source_hash().encode())
     for kind in (type(plan.task), run.policy):
@@ -165,8 +171,8 @@ def _fingerprint(run: Run, plan: Plan) -> str:
             digest.update(kind.__qualname__.encode())
             with contextlib.suppress(OSError, TypeError):  # the source of a class from an interactive session is not known
                 digest.update(Path(inspect.getfile(kind)).read_bytes())
-    if isinstance(run.policy, str) and ":" in run.policy:
-        digest.update(Path(run.policy.partition(":")[2]).read_bytes())
+    if model is not None:
+        digest.update(model.read_bytes())
     for airframe in plan.options.airframe:
         digest.update(repr(replace(airframe, urdf=Path())).encode())
     return digest.hexdigest()[:16]
@@ -260,7 +266,7 @@ def _work(pipe: Connection, run: Run, batches: list[range]) -> None:
             pipe.send(rows)
         pipe.send(None)
     except Exception as error:
-        pipe.send(error if type(error) in (ValueError, RuntimeError, ImportError) else RuntimeError(repr(error)))
+        pipe.send(portable(error))
 
 
 def _received(pipes: list[Connection]) -> Iterator[list[Row]]:

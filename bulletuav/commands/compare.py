@@ -7,7 +7,16 @@ from rich.console import Console
 
 from bulletuav.charts import plot_leaderboard
 from bulletuav.commands.evaluate import evaluated, run_name
-from bulletuav.commands.options import POLICY_HELP, add_options, episodes_bar, flyable_options, given_options, out_folder
+from bulletuav.commands.options import (
+    POLICY_HELP,
+    add_episodes,
+    add_options,
+    episodes_bar,
+    flyable_options,
+    given_options,
+    out_folder,
+    tell_files,
+)
 from bulletuav.leaderboard import markdown, write_csv
 
 ABOUT = {
@@ -28,9 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--difficulties", type=_names, metavar="A,B", help="easy, medium, hard, extreme (default: the task's)"
     )
-    parser.add_argument("--episodes", type=int, default=100, help="of each policy in each task (default: 100)")
-    parser.add_argument("--seed", type=int, default=0, help="episode e has seed + e (default: 0)")
-    parser.add_argument("--workers", type=int, default=1, help="processes; the results are the same (default: 1)")
+    add_episodes(parser)
     parser.add_argument(
         "--out", type=Path, default=Path("leaderboard"), metavar="DIR", help="folder for the files (default: leaderboard)"
     )
@@ -63,9 +70,10 @@ def run(arguments: argparse.Namespace) -> None:
             results.append(evaluated(arguments, task, policy, options, folder, progress))
             results[-1].save(folder)
     files = [out / "leaderboard.md", out / "leaderboard.csv", out / "leaderboard.png"]
-    files[0].write_text(markdown(results))
+    table = markdown(results)
+    files[0].write_text(table)
     write_csv(results, files[1])
     plot_leaderboard(results, files[2])
     console = Console()
-    console.print(markdown(results), markup=False, soft_wrap=True)
-    console.print("\n".join(f"wrote {path}" for path in files), highlight=False, soft_wrap=True)
+    console.print(table, markup=False, soft_wrap=True)
+    tell_files(console, files)

@@ -11,11 +11,12 @@ from bulletuav.charts import plot_evaluation
 from bulletuav.commands.options import (
     POLICY_HELP,
     Advance,
+    add_episodes,
     add_options,
     episodes_bar,
     flyable_options,
     given_options,
-    out_folder,
+    tell_files,
 )
 from bulletuav.evaluation import Evaluation, evaluate
 from bulletuav.metrics import METRICS, Estimate
@@ -36,9 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The task, who flies, how many episodes, where to, and the options."""
     parser.add_argument("task", help="one of `bulletuav tasks`")
     parser.add_argument("--policy", default="straight", help=f"who flies: {POLICY_HELP} (default: straight)")
-    parser.add_argument("--episodes", type=int, default=100, help="how many (default: 100)")
-    parser.add_argument("--seed", type=int, default=0, help="episode e has seed + e (default: 0)")
-    parser.add_argument("--workers", type=int, default=1, help="processes; the results are the same (default: 1)")
+    add_episodes(parser)
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="folder for the files (default: evaluation/TASK-DIFFICULTY-POLICY)"
     )
@@ -48,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> None:
     """Evaluate, print and write."""
     options = flyable_options(arguments.task, arguments.policy, given_options(arguments))
-    out = out_folder(arguments.out or Path("evaluation") / run_name(arguments.task, arguments.policy, options))
+    out = arguments.out or Path("evaluation") / run_name(arguments.task, arguments.policy, options)
     with episodes_bar(arguments.episodes) as progress:
         result = evaluated(arguments, arguments.task, arguments.policy, options, out, progress)
     picture = out / "summary.png"
@@ -61,7 +60,7 @@ def run(arguments: argparse.Namespace) -> None:
         console.print(f"{result.flight:.0f} s of flight in {result.seconds:.1f} s of wall time: {pace:.1f} times real time")
     else:
         console.print("all of these episodes were there already")
-    console.print("\n".join(f"wrote {path}" for path in files), highlight=False, soft_wrap=True)
+    tell_files(console, files)
 
 
 def run_name(task: str, policy: str, options: dict[str, Any]) -> str:

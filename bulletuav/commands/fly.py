@@ -7,7 +7,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from bulletuav.commands.options import POLICY_HELP, add_options, flyable_options, given_options, out_folder
+from bulletuav.commands.options import POLICY_HELP, add_options, flyable_options, given_options, out_folder, tell_files
 from bulletuav.envs.aviary import Aviary
 from bulletuav.errors import whole
 from bulletuav.evaluation import EPISODES
@@ -53,7 +53,7 @@ def run(arguments: argparse.Namespace) -> None:
         files += _draw(recording, aviary, arguments, progress)
     console = Console()
     console.print(_table(recording, arguments.task, aviary))
-    console.print("\n".join(f"wrote {path}" for path in files), highlight=False, soft_wrap=True)
+    tell_files(console, files)
     aviary.close()
 
 

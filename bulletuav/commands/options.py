@@ -4,7 +4,7 @@ import argparse
 import ast
 import contextlib
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -81,6 +81,18 @@ def episodes_bar(total: int) -> Iterator[Advance]:
             progress.advance(progress.tasks[0].id, episodes)
 
         yield advance
+
+
+def add_episodes(parser: argparse.ArgumentParser) -> None:
+    """Arguments for how many episodes, from which seed, in how many processes."""
+    parser.add_argument("--episodes", type=int, default=100, help="of each policy in each task (default: 100)")
+    parser.add_argument("--seed", type=int, default=0, help="episode e has seed + e (default: 0)")
+    parser.add_argument("--workers", type=int, default=1, help="processes; the results are the same (default: 1)")
+
+
+def tell_files(console: Console, files: Iterable[Path]) -> None:
+    """Print where the files are."""
+    console.print("\n".join(f"wrote {path}" for path in files), highlight=False, soft_wrap=True)
 
 
 def out_folder(path: Path) -> Path:

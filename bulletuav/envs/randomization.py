@@ -138,6 +138,7 @@ class Uncertainty:
         widths: dict[str, int] = {"wind": 3, **dict.fromkeys(RADIO, 1)}
         self.drawn = {name: np.zeros((worlds, widths.get(name, drones))) for name in spec.active}
         self._gps = Gps(shape, period) if not self.drawn.keys().isdisjoint(GPS) else None
+        self._told: dict[str, np.ndarray] | None = None  # what was drawn, as infos tell it
         self._radio = None
         if not self.drawn.keys().isdisjoint(RADIO):
             self._radio = Radio(shape, period, spec.bounds("radio_delay")[1])
@@ -149,6 +150,7 @@ class Uncertainty:
 
     def start(self, k: int, swarm: Swarm, rng: np.random.Generator) -> None:
         """Draw what world k is like in its new episode, and take the first readings."""
+        self._told = None
         for name, values in self.drawn.items():
             values[k] = rng.uniform(*self._spec.bounds(name), values.shape[1])
             for parameter in FACTORS.get(name, ()):
@@ -204,13 +206,15 @@ class Uncertainty:
 
     def info(self) -> dict[str, np.ndarray]:
         """What was drawn, and the messages that came in the last decision where there is communication, (W, N) by name."""
-        shape = self._parameters.shape
-        info: dict[str, np.ndarray] = {}
+        if self._told is None:
+            self._told = self._tell()
+        return self._told if self._radio is None else self._told | {"messages": self._radio.received.copy()}
+
+    def _tell(self) -> dict[str, np.ndarray]:
+        told: dict[str, np.ndarray] = {}
         for name, values in self.drawn.items():
-            columns = (
-                {f"{name}_{axis}": values[:, [k]] for k, axis in enumerate("xyz")} if name == "wind" else {name: values}
-            )
-            info |= {f"random/{key}": np.broadcast_to(column, shape).copy() for key, column in columns.items()}
-        if self._radio is not None:
-            info["messages"] = self._radio.received.copy()
-        return info
+            axes = {f"{name}_{axis}": values[:, [k]] for k, axis in enumerate("xyz")} if name == "wind" else {name: values}
+            for key, column in axes.items():
+                told[f"random/{key}"] = np.broadcast_to(column, self._parameters.shape).copy()
+                told[f"random/{key}"].flags.writeable = False  # one array for all infos of the episode
+        return told

@@ -53,7 +53,7 @@ def _work(pipe: Connection, shared: Shared, first: int, last: int, arguments: tu
     try:
         batch = BatchAviary(arguments[0], last - first, *arguments[1:], first_world=first, **options)
     except Exception as error:
-        pipe.send(_portable(error))
+        pipe.send(portable(error))
         return
     pipe.send(None)
     while (question := _next(pipe)) is not None:
@@ -70,14 +70,16 @@ def _work(pipe: Connection, shared: Shared, first: int, last: int, arguments: tu
                 for name, array in zip(("reward", "terminated", "truncated"), judged, strict=False):
                     arrays[name][:] = array
         except Exception as error:
-            answer = _portable(error)
+            answer = portable(error)
         pipe.send(answer)
     batch.close()
 
 
-def _portable(error: Exception) -> Exception:
+def portable(error: Exception) -> Exception:
     """The error, or one that says the same and surely survives the way to another process."""
-    return error if type(error) in (ValueError, RuntimeError) else RuntimeError(f"{type(error).__name__}: {error}")
+    return (
+        error if type(error) in (ValueError, RuntimeError, ImportError) else RuntimeError(f"{type(error).__name__}: {error}")
+    )
 
 
 def _next(pipe: Connection) -> Any:

@@ -18,6 +18,20 @@ def offset(position, w, i, j):
     )
 
 
+@formula
+def keep_nearest(near, distance, found, j, gap):
+    """Insert j at `gap` into the first `found` of near and distance, nearest first, if there is room; how many there are."""
+    if found == near.size and gap >= distance[found - 1]:
+        return found
+    found = min(found + 1, near.size)
+    slot = found - 1
+    while slot > 0 and distance[slot - 1] > gap:
+        near[slot], distance[slot] = near[slot - 1], distance[slot - 1]
+        slot -= 1
+    near[slot], distance[slot] = j, gap
+    return found
+
+
 @kernel
 def distances(one, two):
     """(W, N) distances between points (W, N, 3) of the same index; faster than numpy where there are few."""

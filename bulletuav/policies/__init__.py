@@ -18,12 +18,16 @@ PolicySource = str | type[Policy]
 
 
 class Pilot(NamedTuple):
-    """A policy to be: its name, the actions that it can give (none named: any), what it reads, and how to make it."""
+    """A policy to be: its name, the actions that it can give (none named: any), what it reads, and how to make it.
+
+    `model`: its file, where it is a trained one.
+    """
 
     name: str
     actions: tuple[str, ...]
     reads_swarm: bool
     make: Callable[[Aviary], Policy]
+    model: Path | None = None
 
     def __call__(self, aviary: Aviary) -> Policy:
         """The policy, to fly that aviary."""
@@ -43,7 +47,7 @@ def find_policy(source: PolicySource) -> Pilot:
         path = path if Path(path).is_file() else f"{path}.zip"  # which the library adds to names without it
         if not Path(path).is_file():
             raise FileNotFoundError(f"no model {path}: a file that {algorithm} saved is needed")
-        return Pilot(str(source), (), Trained.reads_swarm, lambda aviary: Trained(aviary, algorithm, path))
+        return Pilot(str(source), (), Trained.reads_swarm, lambda aviary: Trained(aviary, algorithm, path), Path(path))
     if not isinstance(source, str):
         raise ValueError(f"policy is {source!r}: a name, a trained model such as 'ppo:model.zip', or a class is needed")
     kind = pick("policy", source, POLICIES)

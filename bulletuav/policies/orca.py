@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bulletuav.kernel import formula, kernel
-from bulletuav.physics.approach import offset
+from bulletuav.physics.approach import keep_nearest, offset
 from bulletuav.physics.rotation import cross, dot, three
 from bulletuav.physics.swarm import Swarm
 from bulletuav.policies.base import Policy
@@ -143,16 +143,9 @@ def _nearest(position, alive, near, distance, w, i):
     """Fill `near` with the nearest living drones, the nearest first; how many there are."""
     found = 0
     for j in range(alive.shape[1]):
-        gap = offset(position, w, i, j)
-        square = dot(gap, gap)
-        if not alive[w, j] or j == i or (found == near.size and square >= distance[found - 1]):
-            continue
-        found = min(found + 1, near.size)
-        k = found - 1
-        while k > 0 and distance[k - 1] > square:
-            near[k], distance[k] = near[k - 1], distance[k - 1]
-            k -= 1
-        near[k], distance[k] = j, square
+        if alive[w, j] and j != i:
+            gap = offset(position, w, i, j)
+            found = keep_nearest(near, distance, found, j, dot(gap, gap))
     return found
 
 

@@ -6,7 +6,14 @@ from typing import ClassVar
 import numpy as np
 
 from bulletuav.tasks.base import Setting, Spawn
-from bulletuav.tasks.terms.airspace import UNCERTAINTY, Airspace, AirspaceConfig, clearance
+from bulletuav.tasks.terms.airspace import (
+    UNCERTAINTY,
+    Airspace,
+    AirspaceConfig,
+    between_neighbours,
+    circle_arena,
+    clearance,
+)
 
 
 @dataclass(frozen=True)
@@ -64,7 +71,7 @@ class Converge(Airspace):
     config: ConvergeConfig
     difficulties: ClassVar = {
         "easy": {"num_drones": 4, **UNCERTAINTY["easy"]},
-        "medium": {**UNCERTAINTY["medium"]},
+        "medium": UNCERTAINTY["medium"],
         "hard": {"num_drones": 20, **UNCERTAINTY["hard"]},
         "extreme": {"num_drones": 100, "radius": 150.0, **UNCERTAINTY["extreme"]},
     }
@@ -73,17 +80,13 @@ class Converge(Airspace):
         """Raises ValueError where drones could start in conflict or in touch with the ground."""
         super().__init__(config, setting)
         chord = 2 * config.radius * np.sin(np.pi / max(setting.num_drones, 2))
-        nearest, clear = chord - 2 * np.sqrt(2) * config.jitter, clearance(config, setting)
+        nearest, clear = between_neighbours(config, chord), clearance(config, setting)
         if nearest <= clear:
             raise ValueError(
                 f"start positions may be in conflict: on a circle of radius {config.radius:g} m with jitter "
                 f"{config.jitter:g} m neighbours may be {nearest:.3g} m apart, more than {clear:.3g} m is needed"
             )
-        if config.altitude - config.jitter <= setting.collision_radius:
-            raise ValueError(f"altitude {config.altitude:g} m is too low for jitter {config.jitter:g} m")
-        reach = config.radius + config.margin
-        self.arena_low = np.array([-reach, -reach, 0.0])
-        self.arena_high = np.array([reach, reach, config.altitude + config.margin])
+        self.arena_low, self.arena_high = circle_arena(config, setting, config.radius)
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
         """On the circle, in flight towards its centre."""

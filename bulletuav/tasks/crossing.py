@@ -75,7 +75,7 @@ class Crossing(Airspace):
     config: CrossingConfig
     difficulties: ClassVar = {
         "easy": {"num_drones": 4, "lane_spacing": 20.0, "altitude_spread": 10.0, **UNCERTAINTY["easy"]},
-        "medium": {**UNCERTAINTY["medium"]},
+        "medium": UNCERTAINTY["medium"],
         "hard": {"num_drones": 20, "lane_spacing": 12.0, "altitude_spread": 4.0, **UNCERTAINTY["hard"]},
         "extreme": {"num_drones": 100, "lane_spacing": 12.0, "altitude_spread": 4.0, **UNCERTAINTY["extreme"]},
     }

@@ -112,7 +112,7 @@ class Obstacles(Airspace):
     reward_weights: ClassVar = {**REWARD_WEIGHTS, "obstacle_warning": -5.0}
     difficulties: ClassVar = {
         "easy": {"num_drones": 4, "num_moving": 0, **UNCERTAINTY["easy"]},
-        "medium": {**UNCERTAINTY["medium"]},
+        "medium": UNCERTAINTY["medium"],
         "hard": {"num_drones": 20, "num_obstacles": 15, "num_moving": 10, **UNCERTAINTY["hard"]},
         "extreme": {
             "num_drones": 100,
@@ -139,7 +139,7 @@ class Obstacles(Airspace):
         index = np.arange(config.num_obstacles)
         self._radius = low + (high - low) * (index * GOLDEN % 1)
         self._bodies = tuple(_body(k, radius) for k, radius in enumerate(self._radius.tolist()))
-        self._apart = 2 * max(config.d_safe, clearance(config, setting)) + 2 * config.jitter
+        self._apart = 2 * clearance(config, setting) + 2 * config.jitter
         self._check_room()
         self.arena_low = self._low - config.margin
         self.arena_high = self._high + config.margin

@@ -7,7 +7,14 @@ from typing import Any, ClassVar
 import numpy as np
 
 from bulletuav.tasks.base import Frame, Scene, Setting, Spawn
-from bulletuav.tasks.terms.airspace import UNCERTAINTY, Airspace, AirspaceConfig, clearance
+from bulletuav.tasks.terms.airspace import (
+    UNCERTAINTY,
+    Airspace,
+    AirspaceConfig,
+    between_neighbours,
+    circle_arena,
+    clearance,
+)
 
 
 @dataclass(frozen=True)
@@ -82,7 +89,7 @@ class Pursuit(Airspace):
     observation = ("position", "velocity", "goal", "goal_velocity", "neighbours")
     difficulties: ClassVar = {
         "easy": {"num_drones": 4, **UNCERTAINTY["easy"]},
-        "medium": {**UNCERTAINTY["medium"]},
+        "medium": UNCERTAINTY["medium"],
         "hard": {"num_drones": 20, **UNCERTAINTY["hard"]},
         "extreme": {
             "num_drones": 100,
@@ -105,17 +112,13 @@ class Pursuit(Airspace):
                 f"{config.radius:g} m"
             )
         chord = 2 * config.radius * np.sin(config.spacing / (2 * config.radius))
-        nearest, clear = chord - 2 * np.sqrt(2) * config.jitter, clearance(config, setting)
+        nearest, clear = between_neighbours(config, chord), clearance(config, setting)
         if setting.num_drones > 1 and nearest <= clear:
             raise ValueError(
                 f"start positions may be in conflict: spacing {config.spacing:g} m with jitter {config.jitter:g} m leaves "
                 f"{nearest:.3g} m between neighbours, more than {clear:.3g} m is needed"
             )
-        if config.altitude - config.jitter <= setting.collision_radius:
-            raise ValueError(f"altitude {config.altitude:g} m is too low for jitter {config.jitter:g} m")
-        reach = config.radius + config.margin
-        self.arena_low = np.array([-reach, -reach, 0.0])
-        self.arena_high = np.array([reach, reach, config.altitude + config.margin])
+        self.arena_low, self.arena_high = circle_arena(config, setting, config.radius)
         self._pace = np.linspace(*config.speed, setting.num_drones)
         self._way = 2 * np.pi * config.radius * config.laps
         if self._way > config.speed[0] * setting.duration:

@@ -90,6 +90,9 @@ def test_a_trained_model_flies_each_drone_by_its_own_observation(models, algorit
 
 def test_a_trained_model_is_evaluated_like_any_policy(models):
     result = bulletuav.evaluate("converge", f"ppo:{models / 'ppo.zip'}", 3, horizon=10, **CALM)
+    without_ending = bulletuav.evaluate("converge", f"ppo:{models / 'ppo'}", 3, horizon=10, **CALM)
+    for row, same in zip(without_ending.rows, result.rows, strict=True):
+        np.testing.assert_array_equal(list(row.values()), list(same.values()))
     assert not result.about["reads_swarm"]
     assert len(result.rows) == 3
 

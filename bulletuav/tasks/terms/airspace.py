@@ -130,6 +130,19 @@ def clearance(config: AirspaceConfig, setting: Setting) -> float:
     return max(2 * setting.collision_radius, config.d_safe)
 
 
+def circle_arena(config: AirspaceConfig, setting: Setting, radius: float) -> tuple[np.ndarray, np.ndarray]:
+    """Corners (3,), m, of the arena of drones on a circle. Raises ValueError where they could touch the ground."""
+    if config.altitude - config.jitter <= setting.collision_radius:
+        raise ValueError(f"altitude {config.altitude:g} m is too low for jitter {config.jitter:g} m")
+    reach = radius + config.margin
+    return np.array([-reach, -reach, 0.0]), np.array([reach, reach, config.altitude + config.margin])
+
+
+def between_neighbours(config: AirspaceConfig, chord: float) -> float:
+    """How near two drones may start whose places are `chord` m apart on the level, m."""
+    return chord - 2 * np.sqrt(2) * config.jitter
+
+
 class Airspace(Task):
     """A task of flights to goals in one airspace; a task adds where they start and where they go.
 

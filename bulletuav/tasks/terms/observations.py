@@ -15,6 +15,7 @@ from gymnasium.spaces import Box, Dict, Space
 from bulletuav.control.actions import Action
 from bulletuav.errors import pick
 from bulletuav.kernel import kernel
+from bulletuav.physics.approach import keep_nearest
 from bulletuav.physics.view import FAR
 
 if TYPE_CHECKING:
@@ -227,15 +228,7 @@ def nearest(position, velocity, their_position, their_velocity, known, count, ou
                 square = 0.0
                 for k in range(3):
                     square += (their_position[w, i, j, k] - position[w, i, k]) ** 2
-                gap = math.sqrt(square)
-                if found == count and gap >= distance[count - 1]:
-                    continue
-                slot = min(found, count - 1)
-                while slot > 0 and distance[slot - 1] > gap:
-                    distance[slot], near[slot] = distance[slot - 1], near[slot - 1]
-                    slot -= 1
-                distance[slot], near[slot] = gap, j
-                found = min(found + 1, count)
+                found = keep_nearest(near, distance, found, j, math.sqrt(square))
             for slot in range(found):
                 j = near[slot]
                 out[w, i, 7 * slot] = distance[slot]
