@@ -53,6 +53,7 @@ struct contacts { int count; struct contact *point; };
     F(handle, b3CreateRaycastBatchCommandInit, (handle)) \
     F(void, b3RaycastBatchAddRays, (handle, handle, const double *, const double *, int)) \
     F(void, b3RaycastBatchSetCollisionFilterMask, (handle, int)) \
+    F(void, b3RaycastBatchSetNumThreads, (handle, int)) \
     F(void, b3GetRaycastInformation, (handle, struct ray_hits *)) \
     F(handle, b3InitRequestContactPointInformation, (handle)) \
     F(void, b3GetContactPointInformation, (handle, struct contacts *)) \
@@ -193,6 +194,7 @@ void batch_rays(struct session *s, int64_t rays, const double *start, const doub
         struct ray_hits found;
         api.b3RaycastBatchAddRays(s->client, command, start + 3 * first, end + 3 * first, (int)part);
         api.b3RaycastBatchSetCollisionFilterMask(command, groups);
+        api.b3RaycastBatchSetNumThreads(command, 1);
         api.b3SubmitClientCommandAndWaitStatus(s->client, command);
         api.b3GetRaycastInformation(s->client, &found);
         for (int64_t k = 0; k < part; k++) fraction[first + k] = k < found.count ? found.hit[k].fraction : NAN;

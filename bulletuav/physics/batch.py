@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bulletuav.kernel import kernel
-from bulletuav.physics.calls import SURFACE_GROUP
+from bulletuav.physics.atlas import Atlas
+from bulletuav.physics.calls import VISIBLE
 from bulletuav.physics.tiles import columns, land, localise
 
 SWITCH = "BULLETUAV_BATCH"
@@ -65,7 +66,7 @@ class Port(NamedTuple):
     """What compiled code needs to run substeps: session and functions of the extension, arrays of the world.
 
     place, omega  (W, N, 3) positions and angular velocities as the engine gave them
-    offset (W, 1, 3) of the tiles; obstacle, obstacle_radius (W, K, 3), (K,) of bounding spheres, m
+    offset (W, 1, 3) of the tiles; obstacle, obstacle_radius (W, K, 3), (K,) of bounding spheres, m; atlas of the cities
     """
 
     session: int
@@ -76,19 +77,20 @@ class Port(NamedTuple):
     offset: np.ndarray
     obstacle: np.ndarray
     obstacle_radius: np.ndarray
+    atlas: Atlas
 
 
 @kernel
 def surface_below(port, position, mask, surface):
     """`World.surface_below`, into `surface`."""
-    who, start, end = columns(position, mask, port.obstacle, port.obstacle_radius, surface)
+    who, start, end = columns(position, mask, port.obstacle, port.obstacle_radius, port.atlas, surface)
     count = who.shape[0]
     if count > 0:
         first, last = np.empty((count, 3)), np.empty((count, 3))
         for m in range(count):
             first[m], last[m] = start[m] + port.offset[who[m, 0], 0], end[m] + port.offset[who[m, 0], 0]
         fraction = np.empty(count)
-        port.rays(port.session, count, first.ctypes, last.ctypes, SURFACE_GROUP, fraction.ctypes)
+        port.rays(port.session, count, first.ctypes, last.ctypes, VISIBLE, fraction.ctypes)
         land(surface, who, start, fraction)
 
 

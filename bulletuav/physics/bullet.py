@@ -80,7 +80,7 @@ def advance(port, substeps, near_ground, swarm, alive, level, setpoint, cascade,
         path.position[0], path.quaternion[0] = swarm.position, swarm.quaternion
         touching = substep(port, force, torque, alive, swarm)
         path.position[1], path.quaternion[1] = swarm.position, swarm.quaternion
-        if touching > 0 or suspects(path, alive, parameters, port.obstacle_radius):
+        if touching > 0 or suspects(path, alive, parameters, port.obstacle_radius, port.atlas):
             return flown + 1, True
     return substeps, False
 
@@ -96,10 +96,6 @@ class BulletDynamics(Dynamics):
     def __init__(self, flight: Flight):
         super().__init__(flight)
         self._force, self._torque = np.zeros((2, *flight.parameters.shape, 3))
-
-    def place(self, swarm: Swarm, mask: np.ndarray) -> None:
-        """Put the engine's bodies where the swarm is."""
-        self.flight.world.set_states(swarm, mask)
 
     def show(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Nothing to do: the engine's bodies are where the swarm is."""

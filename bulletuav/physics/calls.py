@@ -12,7 +12,11 @@ from bulletuav.physics.quiet import silenced
 with silenced():
     import pybullet as bullet
 
-DRONE_GROUP, SURFACE_GROUP = 1, 2  # collision groups
+RAYS, DRONE_GROUP, SURFACE_GROUP, CITY_GROUP, SIGHT_GROUP = 1, 2, 4, 8, 16
+"""Collision groups: the engine counts its rays to the first; ground and obstacles are surfaces; of cities, drones meet one
+kind of body, rays the other"""
+SOLID = SURFACE_GROUP | CITY_GROUP
+VISIBLE = SURFACE_GROUP | SIGHT_GROUP
 MAX_RAYS = 4095 if sys.platform == "darwin" else 16383  # per call; one more and Bullet answers none
 
 # Columns of a row of getContactPoints.

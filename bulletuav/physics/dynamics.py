@@ -75,9 +75,9 @@ class Dynamics(ABC):
     def consumes(self) -> Level:
         """The setpoint level that drives it."""
 
-    @abstractmethod
     def place(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Start the drones of `mask` (W, N) from the state in `swarm`, as if nothing had been before."""
+        self.flight.world.set_states(swarm, mask)
 
     def show(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Have the engine's bodies of `mask` (W, N) stand where `swarm` is, for pictures; changes nothing in flight."""

@@ -120,6 +120,7 @@ class Kinematic(Dynamics):
         """Points have no tilt and no rates."""
         swarm.quaternion[mask] = 0, 0, 0, 1
         swarm.rates[mask] = 0
+        super().place(swarm, mask)
 
     def fly(
         self, swarm: Swarm, alive: np.ndarray, level: Level, setpoint: np.ndarray, wind: np.ndarray, motion: Motion

@@ -106,9 +106,6 @@ class RigidBody(Dynamics):
         """Rotor speeds."""
         return Level.ROTOR
 
-    def place(self, swarm: Swarm, mask: np.ndarray) -> None:
-        """Nothing to do: the swarm's arrays are the state."""
-
     def fly(
         self, swarm: Swarm, alive: np.ndarray, level: Level, setpoint: np.ndarray, wind: np.ndarray, motion: Motion
     ) -> Contacts:

@@ -83,9 +83,9 @@ class Motion(NamedTuple):
         return self.before + share * (self.after - self.before)
 
 
-GROUND = -1
-FIRST_OBSTACLE = -2
-"""`other` of a contact: a drone's index, GROUND, or FIRST_OBSTACLE - k for obstacle k"""
+GROUND, CITY = -1, -2
+FIRST_OBSTACLE = -3
+"""`other` of a contact: a drone's index, GROUND, CITY, or FIRST_OBSTACLE - k for obstacle k"""
 
 
 class Contacts(NamedTuple):
@@ -93,7 +93,7 @@ class Contacts(NamedTuple):
 
     world   (C,) index of the world
     drone   (C,) index of the drone
-    other   (C,) index of the drone that it touches, GROUND, or FIRST_OBSTACLE - k for obstacle k
+    other   (C,) index of the drone that it touches, GROUND, CITY, or FIRST_OBSTACLE - k for obstacle k
     impulse (C,) N s along the contact normal, summed over the decision
     """
 

@@ -13,8 +13,9 @@ import numpy as np
 
 from bulletuav.kernel import formula, kernel
 from bulletuav.physics.approach import closest_squared
-from bulletuav.physics.rotation import dot
-from bulletuav.physics.swarm import FIRST_OBSTACLE, GROUND, Contacts, Motion, Swarm
+from bulletuav.physics.atlas import meets
+from bulletuav.physics.rotation import dot, three
+from bulletuav.physics.swarm import CITY, FIRST_OBSTACLE, GROUND, Contacts, Motion, Swarm
 from bulletuav.physics.world import World
 
 TOUCH = 1e-3  # m; closer counts as touching
@@ -44,7 +45,7 @@ class Path(NamedTuple):
         """(who, position, quaternion) at `time` in substeps, between two of them by straight interpolation."""
         s = min(int(time), len(self.position) - 2)
         share = time - s
-        if who == GROUND:
+        if who in (GROUND, CITY):
             return who, np.zeros(3), np.zeros(4)
         if who <= FIRST_OBSTACLE:
             k = FIRST_OBSTACLE - who
@@ -57,7 +58,7 @@ class Path(NamedTuple):
 
     def change(self, world: int, who: int, s: int) -> np.ndarray:
         """(3,) displacement in substep s, m."""
-        if who == GROUND:
+        if who in (GROUND, CITY):
             return np.zeros(3)
         track = self.position[:, world, who] if who >= 0 else self.obstacle[:, world, FIRST_OBSTACLE - who]
         return track[s + 1] - track[s]
@@ -94,6 +95,19 @@ def _meets_ground(position, radius, w, i):
 
 
 @formula
+def _meets_city(position, radius, atlas, w, i):
+    """Whether the box about the drone's bounding sphere in some substep overlaps that about a piece of the city."""
+    margin = radius[w, i] + TOUCH
+    for s in range(position.shape[0] - 1):
+        one, two = three(position[s], w, i), three(position[s + 1], w, i)
+        low = min(one[0], two[0]) - margin, min(one[1], two[1]) - margin, min(one[2], two[2]) - margin
+        high = max(one[0], two[0]) + margin, max(one[1], two[1]) + margin, max(one[2], two[2]) + margin
+        if meets(atlas, w, low, high):
+            return True
+    return False
+
+
+@formula
 def _near(one, two, w, i, j, within):
     """Whether tracks i and j begin closer to each other than `within` m."""
     gap = _gap(one, two, 0, w, i, j)
@@ -115,8 +129,8 @@ def _gap(one, two, s, w, i, j):
 
 
 @kernel
-def _candidates(position, obstacle, alive, radius, obstacle_radius):
-    """Pairs (world, drone, other) whose bounding spheres come within TOUCH during the path; `other` as in `Contacts`."""
+def _candidates(position, obstacle, alive, radius, obstacle_radius, atlas):
+    """Pairs (world, drone, other) that may come within TOUCH during the path; `other` as in `Contacts`."""
     found = [(0, 0, 0) for _ in range(0)]
     reach, obstacle_reach = _reaches(position), _reaches(obstacle)
     for w in range(alive.shape[0]):
@@ -128,6 +142,8 @@ def _candidates(position, obstacle, alive, radius, obstacle_radius):
                 continue
             if _meets_ground(position, radius, w, i):
                 found.append((w, i, GROUND))
+            if _meets_city(position, radius, atlas, w, i):
+                found.append((w, i, CITY))
             for k in range(obstacle.shape[2]):
                 within = radius[w, i] + obstacle_radius[k] + TOUCH
                 near = _near(position, obstacle, w, i, k, within + reach[w, i] + obstacle_reach[w, k])
@@ -226,7 +242,7 @@ def stop_at_first_touch(world: World, path: Path, swarm: Swarm, alive: np.ndarra
     The impulse is that of a stop: mass times the speed at the touch.
     """
     radius = parameters["collision_radius"]
-    pairs = _candidates(path.position, path.obstacle, alive, radius, world.obstacle_radius)
+    pairs = _candidates(path.position, path.obstacle, alive, radius, world.obstacle_radius, world.atlas)
     rows: dict[tuple[int, int, int], float] = {}
     for time, (w, i, j) in _in_order(path, pairs, alive, radius, lambda pair: first_touch(world, path, pair, radius)):
         for drone, other in _both_sides(i, j):
@@ -258,12 +274,12 @@ def _any_fast(position, obstacle, alive, parameters):
 
 
 @kernel
-def suspects(path, alive, parameters, obstacle_radius):
+def suspects(path, alive, parameters, obstacle_radius, atlas):
     """Whether `catch_fast` has anything to look at."""
     if not _any_fast(path.position, path.obstacle, alive, parameters):
         return False
     radius = parameters.collision_radius
-    return len(_candidates(path.position, path.obstacle, alive, radius, obstacle_radius)) > 0
+    return len(_candidates(path.position, path.obstacle, alive, radius, obstacle_radius, atlas)) > 0
 
 
 def catch_fast(
@@ -296,7 +312,7 @@ def catch_fast(
             return first_touch(world, path, pair, radius)
         return 0.0 if after < before - far[w, one] else np.inf
 
-    pairs = _candidates(path.position, path.obstacle, alive, radius, world.obstacle_radius)
+    pairs = _candidates(path.position, path.obstacle, alive, radius, world.obstacle_radius, world.atlas)
     caught = [
         (w, drone, other)
         for _, (w, one, two) in _in_order(path, pairs, alive, radius, touch)

@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from bulletuav.kernel import kernel
-from bulletuav.physics.rotation import to_body
+from bulletuav.kernel import formula, kernel
+from bulletuav.physics.atlas import meets
+from bulletuav.physics.rotation import three, to_body
 
 TILE_PITCH = 4096.0  # m; a power of two, larger than any arena
 RAY_LENGTH = 1000.0  # m, downwards to the surface
@@ -27,23 +28,29 @@ def localise(place, offset, omega, mask, swarm):
                 swarm.rates[w, i] = to_body(swarm.quaternion[w, i], omega[w, i])
 
 
+@formula
+def _covered(here, obstacle, radius, atlas, w):
+    """Whether an obstacle's bounding sphere or a building's bounding box is in the column of a point."""
+    for k in range(radius.shape[0]):
+        dx, dy = obstacle[w, k, 0] - here[0], obstacle[w, k, 1] - here[1]
+        if dx * dx + dy * dy <= radius[k] * radius[k]:
+            return True
+    return meets(atlas, w, (here[0], here[1], -np.inf), (here[0], here[1], np.inf))
+
+
 @kernel
-def columns(position, mask, obstacle, radius, surface):
+def columns(position, mask, obstacle, radius, atlas, surface):
     """Fill `surface` (W, N) with the ground below drones of `mask`, -inf elsewhere, and tell who needs a ray.
 
-    Those are drones with an obstacle (W, K, 3), of bounding `radius` (K,), in their column: (world, drone) (M, 2), start and
-    end (M, 3) of their rays.
+    Those are drones with an obstacle (W, K, 3), of bounding `radius` (K,), or a building in their column: (world, drone)
+    (M, 2), start and end (M, 3) of their rays.
     """
     found = [(0, 0) for _ in range(0)]
     for w in range(mask.shape[0]):
         for i in range(mask.shape[1]):
             surface[w, i] = 0.0 if mask[w, i] else -np.inf
-            if mask[w, i]:
-                for k in range(radius.shape[0]):
-                    dx, dy = obstacle[w, k, 0] - position[w, i, 0], obstacle[w, k, 1] - position[w, i, 1]
-                    if dx * dx + dy * dy <= radius[k] * radius[k]:
-                        found.append((w, i))
-                        break
+            if mask[w, i] and _covered(three(position, w, i), obstacle, radius, atlas, w):
+                found.append((w, i))
     who = np.empty((len(found), 2), np.int64)
     start = np.empty((len(found), 3))
     for m in range(len(found)):

@@ -1,10 +1,11 @@
-"""The engine: W worlds of N drones as tiles of one Bullet client, behind array calls. It and `calls` alone import pybullet.
+"""The engine: W worlds of N drones as tiles of one Bullet client, behind array calls. It, `calls` and `bodies` alone import pybullet.
 
 What the rest of the package relies on, each held by a test: bodies without Bullet's hidden damping or velocity clamp;
 resets in place that leave no trace of the past; a world that does not feel what other worlds do.
 """
 
 import contextlib
+import itertools
 import warnings
 import weakref
 from collections.abc import Sequence
@@ -13,28 +14,25 @@ import numpy as np
 
 from bulletuav.kernel import kernel
 from bulletuav.physics.airframe import Airframe
+from bulletuav.physics.atlas import NOWHERE, make_atlas
 from bulletuav.physics.batch import POSTFIX, Batch, Port, load
-from bulletuav.physics.calls import DISTANCE, DRONE_GROUP, SURFACE_GROUP, Calls, bullet
+from bulletuav.physics.bodies import FLOOR, make_city, make_drone, make_facade, make_floor, make_ground, make_obstacles
+from bulletuav.physics.calls import DISTANCE, DRONE_GROUP, RAYS, SOLID, VISIBLE, Calls, bullet
 from bulletuav.physics.obstacle import Obstacle
 from bulletuav.physics.quiet import silenced
 from bulletuav.physics.rotation import to_world
 from bulletuav.physics.screen import require_screen
-from bulletuav.physics.swarm import FIRST_OBSTACLE, GROUND, Swarm
+from bulletuav.physics.solids import Solids
+from bulletuav.physics.swarm import CITY, FIRST_OBSTACLE, GROUND, Swarm
 from bulletuav.physics.tiles import columns, land, localise, tile_offset
 from bulletuav.physics.view import Picture, metres
 
 ENGINE_VERSION = bullet.getAPIVersion()
 EXTENSION = load(bullet.__file__)
 
-FLOOR = 0.02  # m, thickness of the ground in pictures
 PARKING_HEIGHT, PARKING_PITCH, PARKING_COLUMNS = 2000.0, 10.0, 100
-
-
-def _shape(obstacle: Obstacle) -> dict[str, object]:
-    """The engine's words for an obstacle's shape."""
-    if obstacle.kind == "box":
-        return {"shapeType": bullet.GEOM_BOX, "halfExtents": [edge / 2 for edge in obstacle.size]}
-    return {"shapeType": bullet.GEOM_SPHERE, "radius": obstacle.size[0]}
+CELLAR_PITCH = 4096.0  # m, below each other and the ground wait the layouts that stand nowhere
+CITY_GAP = 1.0  # m, beyond a drone's diameter, between pieces of a compound
 
 
 @kernel
@@ -60,10 +58,12 @@ class World:
         num_worlds: int,
         dt: float,
         obstacles: Sequence[Obstacle] = (),
+        layouts: Sequence[Solids] = (),
         first_world: int = 0,
         live: bool = False,
     ):
-        """Connect and build. `dt` is the substep, s; `first_world` the number of the first tile.
+        """Connect and build. `dt` is the substep, s; `layouts` are what can stand in a world, one at a time (see
+        `set_layouts`); `first_world` is the number of the first tile.
 
         `live` opens a window (RuntimeError where there is no screen).
         """
@@ -75,23 +75,30 @@ class World:
         self.shape, self.dt, self.first_world = (num_worlds, len(airframes)), dt, first_world
         self._offset = np.array([tile_offset(first_world + k) for k in range(num_worlds)])[:, None, :]
         self._configure(dt, live)
-        self._ground = self._make_ground()
+        self._floor, self._ground = make_floor(self._client), make_ground(self._client)
         self._parking = self._offset + [
             (PARKING_PITCH * (i % PARKING_COLUMNS), PARKING_PITCH * (i // PARKING_COLUMNS), PARKING_HEIGHT)
             for i in range(len(airframes))
         ]
         self._body = np.array(
             [
-                [self._make_drone(airframe, self._parking[w, i]) for i, airframe in enumerate(airframes)]
+                [make_drone(self._client, airframe, self._parking[w, i]) for i, airframe in enumerate(airframes)]
                 for w in range(num_worlds)
             ],
             dtype=np.int32,
         )
-        self._drone_of_body = {body: divmod(k, len(airframes)) for k, body in enumerate(self._body.ravel().tolist())}
         self.obstacle_radius = np.array([obstacle.radius for obstacle in obstacles])
-        self._obstacle = self._make_obstacles(obstacles)
-        self._obstacle_of_body = {body: FIRST_OBSTACLE - k for row in self._obstacle.tolist() for k, body in enumerate(row)}
+        below = [(0, 0, -PARKING_HEIGHT)] * num_worlds
+        self._obstacle = np.array([make_obstacles(self._client, one, below) for one in obstacles], dtype=np.int32)
+        self._obstacle = self._obstacle.reshape(len(obstacles), num_worlds).T.copy()
         self._obstacle_place = np.full((*self._obstacle.shape, 3), -PARKING_HEIGHT)
+        self._cellar = self._offset - CELLAR_PITCH * np.arange(1, len(layouts) + 1)[:, None] * [0, 0, 1]
+        self.solids, self.atlas = tuple(layouts), make_atlas(layouts, num_worlds)
+        self._city = self._make_city(layouts, airframes)
+        self._facade = [make_facade(self._client, solids, (0, 0, -CELLAR_PITCH)) for solids in layouts]
+        self._drone_of_body = {body: divmod(k, len(airframes)) for k, body in enumerate(self._body.ravel().tolist())}
+        self._meaning = {body: FIRST_OBSTACLE - k for row in self._obstacle.tolist() for k, body in enumerate(row)}
+        self._meaning |= {body: CITY for bodies in self._city for body in bodies.ravel().tolist()}
         self._place = np.zeros((*self.shape, 3))  # positions as the engine gave them, for forces at the centre
         self._omega = np.zeros((*self.shape, 3))
         self._calls = self._make_calls(live)
@@ -117,7 +124,7 @@ class World:
         if not isinstance(self._calls, Batch):
             return None
         return Port(
-            *self._calls.functions, self._place, self._omega, self._offset, self._obstacle_place, self.obstacle_radius
+            *self._calls.functions, self._place, self._omega, self._offset, self._obstacle_place, self.obstacle_radius, self.atlas
         )
 
     def _configure(self, dt: float, live: bool) -> None:
@@ -134,58 +141,25 @@ class World:
         if live:
             bullet.configureDebugVisualizer(bullet.COV_ENABLE_GUI, 0, physicsClientId=self._client)
 
-    def _make_ground(self) -> int:
-        client = self._client
-        collision = bullet.createCollisionShape(bullet.GEOM_PLANE, physicsClientId=client)
-        floor = bullet.createVisualShape(
-            bullet.GEOM_BOX,
-            halfExtents=[1000, 1000, FLOOR / 2],
-            rgbaColor=[0.86, 0.88, 0.85, 1],
-            specularColor=[0, 0, 0],
-            physicsClientId=client,
-        )
-        self._floor = bullet.createMultiBody(
-            0, -1, floor, physicsClientId=client
-        )  # only seen; moves to where pictures are taken
-        # Without a visual of its own the plane would be drawn as an endless chequerboard.
-        speck = bullet.createVisualShape(bullet.GEOM_SPHERE, radius=1e-3, physicsClientId=client)
-        ground = bullet.createMultiBody(0, collision, speck, physicsClientId=client)
-        bullet.setCollisionFilterGroupMask(ground, -1, SURFACE_GROUP, DRONE_GROUP, physicsClientId=client)
-        return ground
+    def _make_city(self, layouts: Sequence[Solids], airframes: Sequence[Airframe]) -> list[np.ndarray]:
+        """Of each layout the bodies (W, .) that can stand for it in each world, parked, the one that rays meet first."""
+        apart = CITY_GAP + 2 * max(airframe.collision_radius for airframe in airframes)
+        return [
+            np.array(make_city(self._client, solids, apart, self._cellar[:, layout]), dtype=np.int32)
+            for layout, solids in enumerate(layouts)
+        ]
 
-    def _make_drone(self, airframe: Airframe, place: np.ndarray) -> int:
-        flags = bullet.URDF_USE_INERTIA_FROM_FILE | bullet.URDF_USE_IMPLICIT_CYLINDER
-        flags |= bullet.URDF_USE_MATERIAL_COLORS_FROM_MTL
-        try:
-            with silenced():
-                body = bullet.loadURDF(str(airframe.urdf), place.tolist(), flags=flags, physicsClientId=self._client)
-        except bullet.error as error:
-            raise ValueError(f"{airframe.urdf}: the engine cannot load it: {error}") from None
-        # Bullet damps velocities by 4 % a second and clamps them at 100 unless told otherwise; mass and inertia are ours, as
-        # its own reading of the file may round or scale them.
-        bullet.changeDynamics(
-            body,
-            -1,
-            mass=airframe.mass,
-            localInertiaDiagonal=airframe.inertia,
-            linearDamping=0,
-            angularDamping=0,
-            maxJointVelocity=1e4,
-            physicsClientId=self._client,
-        )
-        return body
-
-    def _make_obstacles(self, obstacles: Sequence[Obstacle]) -> np.ndarray:
-        """(W, K) bodies, parked far below the ground."""
-        client = self._client
-        bodies: list[list[int]] = [[] for _ in range(self.shape[0])]
-        for obstacle in obstacles:
-            collision = bullet.createCollisionShape(**_shape(obstacle), physicsClientId=client)
-            visual = bullet.createVisualShape(**_shape(obstacle), rgbaColor=obstacle.colour, physicsClientId=client)
-            for row in bodies:
-                row.append(bullet.createMultiBody(0, collision, visual, [0, 0, -PARKING_HEIGHT], physicsClientId=client))
-                bullet.setCollisionFilterGroupMask(row[-1], -1, SURFACE_GROUP, DRONE_GROUP, client)
-        return np.array(bodies, dtype=np.int32).reshape(self.shape[0], len(obstacles))
+    def set_layouts(self, layout: np.ndarray, worlds: np.ndarray) -> None:
+        """Have layout `layout` (W,) of the city stand in each of `worlds` (W,) bool; the others keep theirs."""
+        if not self._city:
+            return
+        level = np.array([0.0, 0.0, 0.0, 1.0])
+        for w in np.flatnonzero(worlds & (layout != self.atlas.layout)).tolist():
+            for k, place in ((self.atlas.layout[w], self._cellar[w]), (layout[w], self._offset[w].repeat(len(self._city), 0))):
+                if k != NOWHERE:
+                    bodies = self._city[k][w]
+                    self._calls.pose(bodies, np.tile(place[k], (len(bodies), 1)), np.tile(level, (len(bodies), 1)))
+            self.atlas.layout[w] = layout[w]
 
     def set_obstacles(self, position: np.ndarray, quaternion: np.ndarray, worlds: np.ndarray) -> None:
         """Put the obstacles of `worlds` (W,) at position (W, K, 3) with quaternion (W, K, 4)."""
@@ -203,7 +177,7 @@ class World:
             quaternion,
             swarm.velocity[mask],
             _spins(quaternion, swarm.rates[mask]),
-            DRONE_GROUP | SURFACE_GROUP,
+            DRONE_GROUP | SOLID | RAYS,
         )
 
     def set_masses(self, world: int, mass: np.ndarray, inertia: np.ndarray) -> None:
@@ -265,20 +239,20 @@ class World:
         """What a contact calls this body."""
         if body in self._drone_of_body:
             return self._drone_of_body[body][1]
-        return self._obstacle_of_body.get(body, GROUND)
+        return self._meaning.get(body, GROUND)
 
-    def cast_rays(self, start: np.ndarray, end: np.ndarray, world: np.ndarray) -> np.ndarray:
-        """(M,) fraction of each ray from `start` to `end` (M, 3) in world `world` (M,) before a surface; 1 where none.
+    def cast_rays(self, start: np.ndarray, end: np.ndarray, world: np.ndarray, drones: bool = False) -> np.ndarray:
+        """(M,) fraction of each ray from `start` to `end` (M, 3) in world `world` (M,) before it meets something; 1 if not.
 
-        Surfaces are everything but drones.
+        That is ground, obstacle or building, and, for `drones`, a drone that it does not start in (see `set_poses`).
         """
         offset = self._offset[world, 0]
-        return self._calls.rays(start + offset, end + offset, SURFACE_GROUP)
+        return self._calls.rays(start + offset, end + offset, VISIBLE | (DRONE_GROUP if drones else 0))
 
     def surface_below(self, position: np.ndarray, mask: np.ndarray) -> np.ndarray:
         """(W, N) height z of the surface under each drone of `mask`, m; -inf outside `mask`."""
         surface = np.empty(self.shape)
-        who, start, end = columns(position, mask, self._obstacle_place, self.obstacle_radius, surface)
+        who, start, end = columns(position, mask, self._obstacle_place, self.obstacle_radius, self.atlas, surface)
         if len(who):
             land(surface, who, start, self.cast_rays(start, end, who[:, 0]))
         return surface
@@ -288,22 +262,33 @@ class World:
 
         `one` and `two` are (who, position, quaternion), who as in `Contacts`, and move the engine's bodies there.
         """
-        bodies = []
-        for who, position, quaternion in (one, two):
-            if who == GROUND:
-                bodies.append(self._ground)
-                continue
-            drone = who >= 0
-            bodies.append(self._body[world, who] if drone else self._obstacle[world, FIRST_OBSTACLE - who])
-            place = position + self._offset[world, 0]
-            bullet.resetBasePositionAndOrientation(bodies[-1], place, quaternion, self._client)
-        points = bullet.getClosestPoints(bodies[0], bodies[1], within, physicsClientId=self._client)
-        return min((point[DISTANCE] for point in points), default=np.inf)
+        bodies = [self._bodies_at(world, *one) for one in (one, two)]
+        return min(
+            (
+                point[DISTANCE]
+                for a, b in itertools.product(*bodies)
+                for point in bullet.getClosestPoints(a, b, within, physicsClientId=self._client)
+            ),
+            default=np.inf,
+        )
+
+    def _bodies_at(self, world: int, who: int, position: np.ndarray, quaternion: np.ndarray) -> list[int]:
+        """The bodies of someone in a world; a drone or obstacle is put there."""
+        if who == GROUND:
+            return [self._ground]
+        if who == CITY:
+            layout = self.atlas.layout[world]
+            return [] if layout == NOWHERE else self._city[layout][world, 1:].tolist()
+        body = self._body[world, who] if who >= 0 else self._obstacle[world, FIRST_OBSTACLE - who]
+        bullet.resetBasePositionAndOrientation(body, position + self._offset[world, 0], quaternion, self._client)
+        return [body]
 
     def picture(self, world: int, view: np.ndarray, projection: np.ndarray, size: tuple[int, int]) -> Picture:
         """What a camera given by matrices (see `view`) in the world's own frame sees; needs no screen."""
-        floor = self._offset[world, 0] - [0, 0, FLOOR / 2]
-        bullet.resetBasePositionAndOrientation(self._floor, floor, [0, 0, 0, 1], self._client)
+        shown = [(self._floor, -FLOOR / 2)]
+        shown += [(body, 0 if k == self.atlas.layout[world] else -CELLAR_PITCH) for k, body in enumerate(self._facade)]
+        for body, height in shown:
+            bullet.resetBasePositionAndOrientation(body, self._offset[world, 0] + [0, 0, height], [0, 0, 0, 1], self._client)
         shift = np.eye(4)
         shift[:3, 3] = -self._offset[world, 0]
         width, height = size

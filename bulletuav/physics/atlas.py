@@ -1,0 +1,91 @@
+"""Where the pieces of cities are, for compiled code: their bounding boxes, found by the cells of a square grid."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from bulletuav.kernel import formula
+from bulletuav.physics.solids import Solids
+
+CELL = 25.0  # m, about a building
+NOWHERE = -1
+"""Layout of a world in which nothing stands"""
+
+
+class Atlas(NamedTuple):
+    """L layouts of a city, one of which may stand in each of W worlds.
+
+    layout     (W,) which one stands there, or NOWHERE
+    low, high  (T, 3) corners of the bounding boxes of all pieces of all layouts, m
+    first      (L, count^2 + 1): the pieces in cell c of layout l are item[first[l, c] : first[l, c + 1]], indices into low
+    reach      m, the grid covers [-reach, reach]^2 with count x count cells
+    """
+
+    layout: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    first: np.ndarray
+    item: np.ndarray
+    reach: float
+    count: int
+
+
+def make_atlas(layouts: Sequence[Solids], num_worlds: int) -> Atlas:
+    """The atlas of these layouts, none of which stands anywhere yet."""
+    bounds = np.concatenate([np.zeros((0, 2, 3)), *(solids.bounds for solids in layouts)])
+    reach = float(np.abs(bounds[..., :2]).max(initial=CELL))
+    count = math.ceil(2 * reach / CELL)
+    atlas = Atlas(
+        np.full(num_worlds, NOWHERE),
+        bounds[:, 0].copy(),
+        bounds[:, 1].copy(),
+        np.zeros((len(layouts), count**2 + 1), dtype=np.int64),
+        np.zeros(0, dtype=np.int64),
+        reach,
+        count,
+    )
+    items, piece = [], 0
+    for first, solids in zip(atlas.first, layouts, strict=True):
+        cells: list[list[int]] = [[] for _ in range(count**2)]
+        for low, high in solids.bounds:
+            left, right, bottom, top = reached(atlas, low[0], high[0], low[1], high[1])
+            for i in range(left, right):
+                for j in range(bottom, top):
+                    cells[i * count + j].append(piece)
+            piece += 1
+        first[:] = len(items) + np.cumsum([0] + [len(cell) for cell in cells])
+        items += [p for cell in cells for p in cell]
+    return atlas._replace(item=np.array(items, dtype=np.int64))
+
+
+@formula
+def reached(atlas, west, east, south, north):
+    """Columns from, to and rows from, to of the cells that a rectangle (m) touches; none where it lies outside the grid."""
+    scale = atlas.count / (2.0 * atlas.reach)
+    return (
+        max(0, int(math.floor((west + atlas.reach) * scale))),
+        min(atlas.count, int(math.floor((east + atlas.reach) * scale)) + 1),
+        max(0, int(math.floor((south + atlas.reach) * scale))),
+        min(atlas.count, int(math.floor((north + atlas.reach) * scale)) + 1),
+    )
+
+
+@formula
+def meets(atlas, w, low, high):
+    """Whether the box between two corners, m, overlaps the bounding box of a piece that stands in world w."""
+    layout = atlas.layout[w]
+    if layout == NOWHERE:
+        return False
+    left, right, bottom, top = reached(atlas, low[0], high[0], low[1], high[1])
+    for i in range(left, right):
+        for j in range(bottom, top):
+            cell = i * atlas.count + j
+            for m in range(atlas.first[layout, cell], atlas.first[layout, cell + 1]):
+                p = atlas.item[m]
+                aside = atlas.low[p, 0] > high[0] or atlas.high[p, 0] < low[0]
+                aside = aside or atlas.low[p, 1] > high[1] or atlas.high[p, 1] < low[1]
+                if not (aside or atlas.low[p, 2] > high[2] or atlas.high[p, 2] < low[2]):
+                    return True
+    return False
