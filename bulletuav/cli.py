@@ -1,4 +1,4 @@
-"""The command line: `bulletuav fly`, `tasks`, `evaluate`, `compare`, `benchmark`, `doctor`."""
+"""The command line: `bulletuav fly`, `tasks`, `city`, `evaluate`, `compare`, `benchmark`, `doctor`."""
 
 import argparse
 import difflib
@@ -7,12 +7,13 @@ from collections.abc import Sequence
 from types import ModuleType
 from typing import NoReturn
 
-from bulletuav.commands import benchmark, compare, doctor, evaluate, fly, tasks
+from bulletuav.commands import benchmark, city, compare, doctor, evaluate, fly, tasks
 from bulletuav.version import __version__
 
 COMMANDS: dict[str, ModuleType] = {
     "tasks": tasks,
     "fly": fly,
+    "city": city,
     "evaluate": evaluate,
     "compare": compare,
     "benchmark": benchmark,

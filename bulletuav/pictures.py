@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle
+from matplotlib.patches import Circle, Rectangle
 from PIL import Image
 
 from bulletuav.record import Recording
@@ -64,6 +64,7 @@ def plot_tracks(recording: Recording, d_safe: float, title: str, path: Path) -> 
         above.plot(track[:, 0], track[:, 1], color="0.6", lw=1)
         for row, style in ((0, ":"), (-1, "-")):  # where it was and where it came to
             above.add_patch(Circle(track[row, :2], radius, fc="0.85", ec="0.5", ls=style, alpha=0.6, zorder=0))
+    _draw_buildings(above, recording)
     _mark(above, recording, recording.conflicts > 0, "o", "conflict begins", mfc="none")
     _mark(above, recording, recording.collision, "*", "collision", mec="black")
     if above.get_legend_handles_labels()[0]:
@@ -79,6 +80,15 @@ def plot_tracks(recording: Recording, d_safe: float, title: str, path: Path) -> 
     for axes in (above, altitude, apart):
         axes.grid(alpha=0.3)
     figure.savefig(path, dpi=110)
+
+
+def _draw_buildings(axes: Axes, recording: Recording) -> None:
+    """The pieces' bounding boxes from above, the higher the darker."""
+    low, high = recording.building[:, 0], recording.building[:, 1]
+    for south_west, north_east in sorted(zip(low.tolist(), high.tolist(), strict=True), key=lambda piece: piece[1][2]):
+        width, length = north_east[0] - south_west[0], north_east[1] - south_west[1]
+        shade = 0.9 - 0.5 * north_east[2] / high[:, 2].max()
+        axes.add_patch(Rectangle(south_west[:2], width, length, fc=str(shade), ec="none", zorder=0))
 
 
 def _mark(axes: Axes, recording: Recording, events: np.ndarray, marker: str, label: str, **style: Any) -> None:
@@ -112,12 +122,14 @@ class Animation:
         self._axes.set(
             xlabel=(
                 f"x east (m)\n\nDiscs: drones, drawn {drawn:.2g} m across (real {drone_size:.2g} m), pale once they have "
-                f"finished.\nCrosses: goals. Grey: obstacles.\nRings: {d_safe:g} m across, red while another drone is "
+                f"finished.\nCrosses: goals. Grey: obstacles, buildings (darker: higher).\n"
+                f"Rings: {d_safe:g} m across, red while another drone is "
                 f"nearer."
             ),
             ylabel="y north (m)",
         )
         self._axes.grid(alpha=0.3)
+        _draw_buildings(self._axes, recording)
         self._text = self._axes.set_title(" ")
         self._bodies = self._circles(2 * recording.obstacle_radius, facecolors="0.8", edgecolors="0.5")
         self._goals = self._axes.scatter([], [], marker="x", s=60, linewidths=1.6)

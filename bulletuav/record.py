@@ -23,7 +23,8 @@ class Recording:
     time (T+1,) s; position (T+1, N, 3) m; quaternion (T+1, N, 4); velocity (T+1, N, 3) m/s; rates (T+1, N, 3) rad/s;
     alive (T+1, N) bool; action (T, N, A); reward (T, N); separation (T, N) m, least within the decision, inf when alone;
     conflicts (T, N) begun; collision, success (T, N) bool; goal (T + 1, N, 3) m; obstacle (T + 1, K, 3) m, and the radii of
-    their bounding spheres (K,) m. A drone that left keeps its last state.
+    their bounding spheres (K,) m; building (P, 2, 3) m, corners of the pieces' bounding boxes. A drone that left keeps its
+    last state.
     """
 
     time: np.ndarray
@@ -41,6 +42,7 @@ class Recording:
     goal: np.ndarray
     obstacle: np.ndarray
     obstacle_radius: np.ndarray
+    building: np.ndarray
 
 
 class Outcome(NamedTuple):
@@ -99,6 +101,7 @@ def _recording(
         goal=np.array([goal for goal, _ in scenes]),
         obstacle=np.array([obstacle for _, obstacle in scenes]),
         obstacle_radius=np.array([obstacle.radius for obstacle in aviary.task.obstacles()]),
+        building=aviary.solids().bounds,
     )
 
 

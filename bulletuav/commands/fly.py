@@ -14,6 +14,7 @@ from bulletuav.evaluation import EPISODES
 from bulletuav.pictures import Animation, plot_tracks
 from bulletuav.policies import find_policy
 from bulletuav.record import Recording, fly_episode, outcomes, save
+from bulletuav.tasks import find_task
 
 ABOUT = {
     "help": "fly one episode and write trajectories and pictures",
@@ -21,6 +22,7 @@ ABOUT = {
     "epilog": """examples:
   bulletuav fly crossing --drones 8 --policy straight --seed 0 --out out
   bulletuav fly hover --airframe hummingbird --difficulty hard --out out
+  bulletuav fly lidar_navigation --city urban --out out
   bulletuav fly crossing --dynamics rigid_body --wind 3 0 0 --set lane_spacing=20 --out out""",
 }
 
@@ -28,7 +30,7 @@ ABOUT = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The task, who flies, from which seed, where to, and the options."""
     parser.add_argument("task", help="one of `bulletuav tasks`")
-    parser.add_argument("--policy", default="straight", help=f"who flies: {POLICY_HELP} (default: straight)")
+    parser.add_argument("--policy", help=f"who flies: {POLICY_HELP} (default: straight, in cities planner)")
     parser.add_argument("--seed", type=int, default=0, help="same seed, same flight (default: 0)")
     parser.add_argument("--out", type=Path, default=Path("out"), metavar="DIR", help="folder for the files (default: out)")
     parser.add_argument("--animation", choices=("gif", "mp4", "none"), default="gif", help="mp4 needs the extra 'video'")
@@ -38,6 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> None:
     """Fly one episode and write its files."""
     whole("seed", arguments.seed, 0)
+    arguments.policy = arguments.policy or find_task(arguments.task).baseline
     options = flyable_options(arguments.task, arguments.policy, given_options(arguments))
     aviary = Aviary(arguments.task, 1, **options)
     policy = find_policy(arguments.policy)(aviary)

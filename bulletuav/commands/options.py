@@ -35,6 +35,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--decision-hz", type=int, metavar="HZ", help="decisions a second")
     parser.add_argument("--horizon", type=int, metavar="STEPS", help="decisions until the episode is cut")
     parser.add_argument("--max-speed", type=float, metavar="M/S", help="speed limit")
+    parser.add_argument("--city", help="suburban, urban, dense, high_rise; alpha,beta,gamma; or a .geojson or .obj file")
     parser.add_argument("--turbulence", help="Dryden gusts: light, moderate or severe")
     parser.add_argument("--preset", help="named set of options, see `bulletuav tasks TASK`")
     parser.add_argument("--wind", type=float, nargs=3, metavar=("EAST", "NORTH", "UP"), help="steady wind in m/s")
@@ -49,7 +50,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def given_options(arguments: argparse.Namespace) -> dict[str, Any]:
     """Options as keyword arguments of an environment, from those given on the command line."""
-    names = {field.name for field in dataclasses.fields(Options)} - {"seed"}
+    names = {field.name for field in dataclasses.fields(Options)} - {"seed"} | {"city"}
     options = {name: value for name, value in vars(arguments).items() if name in names and value is not None}
     for pair in arguments.set:
         name, equals, text = pair.partition("=")
@@ -57,9 +58,16 @@ def given_options(arguments: argparse.Namespace) -> dict[str, Any]:
             raise ValueError(f"--set {pair}: NAME=VALUE is needed")
         if name in options:
             raise ValueError(f"--set {pair}: {name} is given twice")
-        parts = [_literal(part) for part in text.split(",")]
-        options[name] = _literal(text) if len(parts) == 1 or text[0] in "([{" else tuple(parts)
+        options[name] = _value(text)
+    if "city" in options:
+        options["city"] = _value(options["city"])
     return options
+
+
+def _value(text: str) -> Any:
+    """A literal, or several with commas between them."""
+    parts = [_literal(part) for part in text.split(",")]
+    return _literal(text) if len(parts) == 1 or text[0] in "([{" else tuple(parts)
 
 
 def flyable_options(task: str, policy: str, options: dict[str, Any]) -> dict[str, Any]:

@@ -11,18 +11,24 @@ from bulletuav.control.cascade import Cascade
 from bulletuav.control.gains import gain_rows
 from bulletuav.control.levels import Level
 from bulletuav.envs.camera import Camera
+from bulletuav.envs.energy import Energy
 from bulletuav.envs.plan import Plan
 from bulletuav.envs.randomization import Uncertainty
+from bulletuav.envs.senses import Senses
 from bulletuav.physics.airframe import parameter_rows
+from bulletuav.physics.atlas import NOWHERE
 from bulletuav.physics.dynamics import Dynamics, Flight
 from bulletuav.physics.ladder import LADDER
+from bulletuav.physics.solids import Solids
 from bulletuav.physics.swarm import Contacts, Motion, Swarm
 from bulletuav.physics.wind import Wind
 from bulletuav.physics.world import World
-from bulletuav.sensors.camera import DroneCameras
+from bulletuav.sensors.sight import line_of_sight
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.base import Frame, Scene, Spawn, refuse_overlap
 from bulletuav.tasks.terms.observations import Observation
+
+NOTHING_STANDS = Solids(np.zeros((0, 2, 3)))
 
 
 class Step(NamedTuple):
@@ -62,12 +68,11 @@ class Aviary:
         shape = (self.num_worlds, self.num_drones)
         live = self.options.render_mode == "human"
         dt, self._first_world = 1 / self.options.physics_hz, first_world
-        obstacles = self.task.obstacles()
-        self._world = World(self.options.airframe, self.num_worlds, dt, obstacles, first_world=first_world, live=live)
+        obstacles, layouts = self.task.obstacles(), self.task.layouts()
+        self._world = World(self.options.airframe, self.num_worlds, dt, obstacles, layouts, first_world, live)
         self._dynamics, self._cascade = self._make_dynamics()
         self.options.check_levels(self.action.level, self._dynamics.consumes)
         self._camera = Camera(self._world, self.options.render_size)
-        self._eyes = self._make_eyes()
         self.swarm = Swarm.zeros(*shape, max(len(airframe.rotors) for airframe in self.options.airframe))
         self.scene = Scene.empty(*shape, len(obstacles), self.task.memory())
         self.commanded = np.zeros((*shape, 3))
@@ -75,6 +80,9 @@ class Aviary:
         self.steps = np.zeros(self.num_worlds, dtype=np.int64)
         self._wind = Wind(self.options.wind, self.options.wind20, shape, 1 / self.options.decision_hz)
         self._uncertainty = self._make_uncertainty()
+        drawn = {} if self._uncertainty is None else self._uncertainty.drawn
+        self._senses = Senses(plan.wanted, self.task, self.options, self._world, self._dynamics, drawn)
+        self._energy = Energy(self.options, self.parameters)
         self.rng: list[np.random.Generator | None] = [None] * self.num_worlds
         self._frame: Frame | None = None
 
@@ -95,14 +103,6 @@ class Aviary:
         period = 1 / self.options.decision_hz
         return Uncertainty(self.options.randomization, self._world, self.parameters, self._wind, period)
 
-    def _make_eyes(self) -> DroneCameras | None:
-        if not self.observer.images:
-            return None
-        options = self.options
-        radius = np.array([airframe.collision_radius for airframe in options.airframe])
-        every = options.decision_hz // (options.camera_hz or options.decision_hz)
-        return DroneCameras(self._world, (self.num_worlds, self.num_drones), radius, options.camera_size, every)
-
     def reset(self, mask: np.ndarray | None = None, seeds: int | Sequence[int] | None = None) -> Observation:
         """Start new episodes in the worlds of `mask` (W,), all by default; returns observations (W, N, D) float32.
 
@@ -121,11 +121,15 @@ class Aviary:
             self._wind.reset(int(k), rng)
             if self._uncertainty is not None:
                 self._uncertainty.start(int(k), self.swarm, rng)
+            self._senses.start(int(k), self.swarm, rng)
+            self._energy.start(int(k))
         chosen = np.zeros(self.alive.shape, dtype=bool)
         chosen[worlds] = True
         self._dynamics.place(self.swarm, chosen)
+        self._world.set_layouts(self.scene.layout, np.any(chosen, axis=1))
         self._world.set_obstacles(self.scene.obstacle, self.scene.obstacle_quaternion, np.any(chosen, axis=1))
         now = self.swarm.copy()
+        self._senses.take(now, now, self.scene, chosen, self.steps, self.rng)
         action = np.zeros((*self.alive.shape, self.action.low.shape[-1]))
         flown = chosen
         if self._frame is not None:  # of the worlds that fly on
@@ -151,8 +155,9 @@ class Aviary:
             spawn.goal_velocity,
         )
         self.scene.obstacle[k], self.scene.obstacle_velocity[k] = spawn.obstacle, spawn.obstacle_velocity
-        for remembered in self.scene.memory.values():
-            remembered[k] = 0
+        self.scene.layout[k] = spawn.layout
+        for name, remembered in self.scene.memory.items():
+            remembered[k] = spawn.memory.get(name, 0)
         self._cascade.memory[k] = 0
         self.commanded[k] = spawn.velocity
         self.alive[k] = True
@@ -161,11 +166,7 @@ class Aviary:
     def _make_frame(
         self, before: Swarm, after: Swarm, action: np.ndarray, contacts: Contacts, flown: np.ndarray, goal_before: np.ndarray
     ) -> Frame:
-        readings: dict[str, np.ndarray] = {}
-        if self._eyes is not None:
-            self._dynamics.show(self.swarm, self.alive)
-            self._eyes.expose(self.swarm, self.alive, self.steps)
-            readings |= self._eyes.pictures
+        readings = {"charge": self._energy.charge, **self._senses.readings()}
         if self._uncertainty is not None:
             readings |= self._uncertainty.readings()
         time, last = self.steps / self.options.decision_hz, self.steps >= self.options.horizon
@@ -195,7 +196,7 @@ class Aviary:
         frame = self._fly(self._plan.actions(actions, self.alive), self.alive.copy())
         self.task.remember(frame)
         flown, verdict = frame.alive, self.task.judge(frame)
-        terminated = verdict.terminated & flown
+        terminated = (verdict.terminated | self._energy.depleted) & flown
         truncated = frame.last[:, None] & flown & ~terminated
         self._frame = frame
         self.alive = flown & ~terminated & ~truncated
@@ -229,7 +230,10 @@ class Aviary:
         self.steps += flying
         if self._uncertainty is not None:
             self._uncertainty.sense(self.swarm, flown, self.rng)
-        return self._make_frame(before, self.swarm.copy(), action, contacts, flown, goal_before)
+        after = self.swarm.copy()
+        self._energy.spend(before, after, wind, flown)
+        self._senses.take(before, after, self.scene, flown, self.steps, self.rng)
+        return self._make_frame(before, after, action, contacts, flown, goal_before)
 
     def _confine(self, flown: np.ndarray, rebound: float) -> None:
         """Put drones that left the arena back to its bounds, with `rebound` of the speed across them, reversed."""
@@ -258,6 +262,7 @@ class Aviary:
         info["conflicts"] = frame.conflict.onsets
         info["separation"] = frame.conflict.separation
         info["goal_distance"] = frame.distance
+        info["power"], info["charge"] = self._energy.power, frame.readings["charge"]
         return info if self._uncertainty is None else info | self._uncertainty.info()
 
     def first_info(self) -> dict[str, np.ndarray]:
@@ -296,6 +301,17 @@ class Aviary:
         picture = self._camera.picture(world, self.swarm, self.scene.goal[world], flown)
         self._world.park(flown & ~self.alive)
         return picture
+
+    def line_of_sight(self, start: np.ndarray, end: np.ndarray, world: np.ndarray | int = 0) -> np.ndarray:
+        """(M,) bool: nothing but drones is between points `start` and `end` (M, 3), m, in worlds `world`, one or (M,)."""
+        self.require_started()
+        start, end = np.broadcast_arrays(np.atleast_2d(start).astype(float), np.atleast_2d(end).astype(float))
+        return line_of_sight(self._world, start, end, np.broadcast_to(world, len(start)))
+
+    def solids(self, world: int = 0) -> Solids:
+        """What stands in a world, beside obstacles."""
+        layout = self.scene.layout[world]
+        return NOTHING_STANDS if layout == NOWHERE else self._world.solids[layout]
 
     @property
     def level(self) -> Level:

@@ -6,10 +6,10 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from bulletuav.physics.swarm import Swarm
-from bulletuav.physics.view import projection_matrix, view_matrix
+from bulletuav.physics.view import AIR, LAND, SKY, projection_matrix, view_matrix
 from bulletuav.physics.world import World
 
-SKY, GRID = (206, 224, 240), (176, 182, 174)
+GRID = (176, 182, 174)
 DRONE, GOAL, SHADOW = (216, 67, 21), (46, 125, 50), (120, 124, 120)
 DIRECTION = np.array([-0.55, -0.75, 0.5])
 GRID_LINES = 25
@@ -32,9 +32,9 @@ class Camera:
         target, distance = self._framing(np.concatenate([flying, goal]))
         view = view_matrix(target + distance * DIRECTION, target)
         projection = projection_matrix(self._size[0] / self._size[1], FIELD_OF_VIEW)
-        pixels, _, ground, sky = self._world.picture(world, view, projection, self._size)
-        matrix = projection @ view
-        pixels[sky] = SKY
+        pixels, _, labels = self._world.picture(world, view, projection, self._size)
+        matrix, ground = projection @ view, labels == LAND
+        pixels[labels == SKY] = AIR
         lines = Image.fromarray(pixels.copy())
         self._draw_lines(ImageDraw.Draw(lines), self._grid(target, distance), matrix, GRID)
         feet = flying * [1, 1, 0]

@@ -16,9 +16,12 @@ from bulletuav.errors import finite, pick, several, unknown, whole
 from bulletuav.physics.airframe import EFFECTS, STANDARD_GRAVITY, Airframe, load_airframe
 from bulletuav.physics.ladder import LADDER
 from bulletuav.physics.wind import TURBULENCE, WindField
+from bulletuav.sensors.lidar import FRAMES
 from bulletuav.tasks.base import Task
 from bulletuav.tasks.terms.observations import NAMES
 
+ENERGIES = ("zeng", "actuator")
+SEVERAL = ("observation", "effects", "wind", "render_size", "camera_size", "lidar_elevations")
 RENDER_MODES = ("rgb_array", "human")
 ROTOR_ACTIONS = ("rotor", "rpm")
 
@@ -52,6 +55,12 @@ class Options:
     camera_size  width and height of the drones' cameras, pixels (observations "rgb" and "depth")
     camera_hz    their pictures a second; must divide decision_hz; None for one a decision
     gravity      m/s^2; 0 switches weight off
+    num_beams    of the range finder (observation "lidar"), evenly around at each of its elevations
+    max_range    how far range finder and clearance reach, m
+    lidar_elevations  degrees above the horizon
+    lidar_frame  "yaw" (the first beam along the drone's heading) or "world" (to the east)
+    battery_capacity  W h; a drone's episode ends with its charge; None for batteries that never empty
+    energy       what takes charge: "zeng" (rotary-wing formula) or "actuator" (the simulated rotors)
     """
 
     num_drones: int
@@ -78,9 +87,15 @@ class Options:
     camera_size: tuple[int, int] = (64, 48)
     camera_hz: int | None = None
     gravity: float = STANDARD_GRAVITY
+    num_beams: int = 16
+    max_range: float = 60.0
+    lidar_elevations: tuple[float, ...] = (0.0,)
+    lidar_frame: str = "yaw"
+    battery_capacity: float | None = None
+    energy: str = "zeng"
 
     def __post_init__(self):
-        for name in ("num_drones", "num_neighbours", "horizon", "physics_hz", "decision_hz"):
+        for name in ("num_drones", "num_neighbours", "horizon", "physics_hz", "decision_hz", "num_beams"):
             whole(name, getattr(self, name), 1)
         _divides("decision_hz", self.decision_hz, "physics_hz", self.physics_hz)
         if self.camera_hz is not None:
@@ -93,15 +108,29 @@ class Options:
         for name in ("render_size", "camera_size"):
             for side in several(name, getattr(self, name), 2):
                 whole(name, side, 8)
-        for name, choices in (("dynamics", LADDER), ("action", ACTIONS), ("controller", CONTROLLERS)):
-            pick(name, getattr(self, name), dict(choices))
+        choices = {"dynamics": tuple(LADDER), "action": tuple(ACTIONS), "controller": tuple(CONTROLLERS)}
+        choices |= {"lidar_frame": FRAMES, "energy": ENERGIES}
+        for name, known in choices.items():
+            pick(name, getattr(self, name), dict.fromkeys(known))
         for block in self.observation or ():
             pick("observation block", block, dict.fromkeys(NAMES))
         if not isinstance(self.normalise, bool):
             raise ValueError(f"normalise is {self.normalise!r}: True or False is needed")
         for effect in self.effects:
             pick("effect", effect, dict.fromkeys(EFFECTS))
+        self._check_sensors()
         self._check_flight()
+
+    def _check_sensors(self) -> None:
+        if finite("max_range", self.max_range) <= 0:
+            raise ValueError(f"max_range is {self.max_range:g} m: it must be above 0")
+        for elevation in several("lidar_elevations", self.lidar_elevations):
+            if not -90 <= finite("lidar_elevations", elevation) <= 90:
+                raise ValueError(f"lidar_elevations has {elevation:g} degrees: from -90 (down) to 90 (up) is needed")
+        if not self.lidar_elevations:
+            raise ValueError("lidar_elevations is empty: give at least one angle")
+        if self.battery_capacity is not None and finite("battery_capacity", self.battery_capacity) <= 0:
+            raise ValueError(f"battery_capacity is {self.battery_capacity:g} W h: it must be above 0; None for no limit")
 
     def _check_flight(self) -> None:
         if len(self.airframe) != self.num_drones:
@@ -160,6 +189,10 @@ class Options:
                 f"action {self.action!r} gives {action.name.lower()} setpoints, but dynamics {self.dynamics!r} is driven by "
                 f"{dynamics.name.lower()}: use an action of that level or above, or dynamics 'rigid_body' or 'bullet'"
             )
+        if self.energy == "actuator" and dynamics < Level.ROTOR:
+            raise ValueError(
+                f"energy is 'actuator', and dynamics {self.dynamics!r} has no rotors: use 'zeng', 'rigid_body' or 'bullet'"
+            )
         if self.controller == "pid" and dynamics < Level.ROTOR:
             raise ValueError(
                 f"controller 'pid' drives motors, and dynamics {self.dynamics!r} has none: use controller 'lee'"
@@ -203,7 +236,7 @@ def resolve(task: type[Task], given: Mapping[str, Any]) -> tuple[Options, Any]:
     for name in ("num_drones", "airframe", "action", "decision_hz", "horizon", "max_speed", "dynamics", "controller"):
         if values.get(name, "") is None:
             raise ValueError(f"{name} is None: leave it out for the task's default")
-    for name in ("observation", "effects", "wind", "render_size", "camera_size"):
+    for name in SEVERAL:
         if isinstance(values.get(name), str):
             values[name] = (values[name],)
         elif name in values and not callable(values[name]) and (name, values[name]) != ("observation", None):

@@ -10,6 +10,7 @@ from bulletuav.envs.options import Options, resolve
 from bulletuav.errors import numbers_of, whole
 from bulletuav.physics.tiles import TILE_PITCH
 from bulletuav.physics.world import PARKING_HEIGHT
+from bulletuav.sensors.lidar import make_beams
 from bulletuav.tasks import TaskSource, find_task
 from bulletuav.tasks.base import Setting, Task
 from bulletuav.tasks.terms.observations import STATE, Observer
@@ -28,6 +29,7 @@ class Plan:
         names, camera = self.options.observation or kind.observation, self.options.camera_size
         self.observer = Observer(names, self.task, self.action, camera, self.options.normalise)
         self.state_observer = Observer(STATE, self.task, self.action)
+        self.wanted = {*names, *kind.senses}
 
     def mask(self, mask: np.ndarray | None) -> np.ndarray:
         """(W,) worlds to reset, all for None. Raises ValueError for another shape or type."""
@@ -80,13 +82,26 @@ def _make_task(kind: type[Task], config: Any, options: Options) -> Task:
     period = 1 / options.decision_hz
     task = kind(
         config,
-        Setting(options.num_drones, radius, options.max_speed, period, options.num_neighbours, options.horizon * period),
+        Setting(
+            options.num_drones,
+            radius,
+            options.max_speed,
+            period,
+            options.num_neighbours,
+            options.horizon * period,
+            make_beams(options.num_beams, options.lidar_elevations),
+            options.max_range,
+        ),
     )
     reach = float(np.abs([task.arena_low[:2], task.arena_high[:2]]).max())
     if 2 * (reach + radius) >= TILE_PITCH or task.arena_high[2] >= PARKING_HEIGHT:
         raise ValueError(
             f"the arena reaches {reach:g} m aside and {task.arena_high[2]:g} m up: less than {TILE_PITCH / 2:g} and "
             f"{PARKING_HEIGHT:g} m are needed, where other worlds begin"
+        )
+    if options.max_range + 2 * reach >= TILE_PITCH:
+        raise ValueError(
+            f"max_range is {options.max_range:g} m: less than {TILE_PITCH - 2 * reach:g} m is needed, where others begin"
         )
     if config.d_safe <= 2 * radius:
         raise ValueError(f"d_safe {config.d_safe:g} m must exceed the {2 * radius:.3g} m across of the largest drone")

@@ -33,6 +33,10 @@ class Randomization:
     gps_noise    standard deviation of known positions, m (of known velocities a tenth of it, m/s)
     gps_walk     random walk of known positions, m after one second, growing with the root of time
     gps_dropout  probability that a reading fails at a decision; the last one stays
+    lidar_noise  standard deviation of ranges, m
+    lidar_dropout  probability that a beam does not come back
+    accelerometer_noise, gyroscope_noise  standard deviation of each axis of the inertial measurement, m/s^2, rad/s
+    accelerometer_walk, gyroscope_walk    random walk of their biases after one second, growing with the root of time
     For each world:
     wind         each axis of a steady wind, m/s, beside those of the options `wind` and `turbulence`
     radio_delay  of the messages by which drones know of each other, s
@@ -48,6 +52,12 @@ class Randomization:
     gps_noise: Range = 0.0
     gps_walk: Range = 0.0
     gps_dropout: Range = 0.0
+    lidar_noise: Range = 0.0
+    lidar_dropout: Range = 0.0
+    accelerometer_noise: Range = 0.0
+    accelerometer_walk: Range = 0.0
+    gyroscope_noise: Range = 0.0
+    gyroscope_walk: Range = 0.0
     wind: Range = 0.0
     radio_delay: Range = 0.0
     radio_loss: Range = 0.0
@@ -102,6 +112,12 @@ LIMITS = {
     "gps_noise": (0.0, 1000.0),
     "gps_walk": (0.0, 1000.0),
     "gps_dropout": (0.0, 1.0),
+    "lidar_noise": (0.0, 1000.0),
+    "lidar_dropout": (0.0, 1.0),
+    "accelerometer_noise": (0.0, 1000.0),
+    "accelerometer_walk": (0.0, 1000.0),
+    "gyroscope_noise": (0.0, 1000.0),
+    "gyroscope_walk": (0.0, 1000.0),
     "wind": (-100.0, 100.0),
     "radio_delay": (0.0, 10.0),
     "radio_loss": (0.0, 1.0),

@@ -19,8 +19,8 @@ class Atlas(NamedTuple):
 
     layout     (W,) which one stands there, or NOWHERE
     low, high  (T, 3) corners of the bounding boxes of all pieces of all layouts, m
-    first      (L, count^2 + 1): the pieces in cell c of layout l are item[first[l, c] : first[l, c + 1]], indices into low
-    reach      m, the grid covers [-reach, reach]^2 with count x count cells
+    first      (L, cells^2 + 1): the pieces in cell c of layout l are item[first[l, c] : first[l, c + 1]], indices into low
+    reach      m, the grid covers [-reach, reach]^2 in cells x cells squares
     """
 
     layout: np.ndarray
@@ -29,7 +29,7 @@ class Atlas(NamedTuple):
     first: np.ndarray
     item: np.ndarray
     reach: float
-    count: int
+    cells: int
 
 
 def make_atlas(layouts: Sequence[Solids], num_worlds: int) -> Atlas:
@@ -46,7 +46,8 @@ def make_atlas(layouts: Sequence[Solids], num_worlds: int) -> Atlas:
         reach,
         count,
     )
-    items, piece = [], 0
+    items: list[int] = []
+    piece = 0
     for first, solids in zip(atlas.first, layouts, strict=True):
         cells: list[list[int]] = [[] for _ in range(count**2)]
         for low, high in solids.bounds:
@@ -63,12 +64,12 @@ def make_atlas(layouts: Sequence[Solids], num_worlds: int) -> Atlas:
 @formula
 def reached(atlas, west, east, south, north):
     """Columns from, to and rows from, to of the cells that a rectangle (m) touches; none where it lies outside the grid."""
-    scale = atlas.count / (2.0 * atlas.reach)
+    scale = atlas.cells / (2.0 * atlas.reach)
     return (
-        max(0, int(math.floor((west + atlas.reach) * scale))),
-        min(atlas.count, int(math.floor((east + atlas.reach) * scale)) + 1),
-        max(0, int(math.floor((south + atlas.reach) * scale))),
-        min(atlas.count, int(math.floor((north + atlas.reach) * scale)) + 1),
+        max(0, math.floor((west + atlas.reach) * scale)),
+        min(atlas.cells, math.floor((east + atlas.reach) * scale) + 1),
+        max(0, math.floor((south + atlas.reach) * scale)),
+        min(atlas.cells, math.floor((north + atlas.reach) * scale) + 1),
     )
 
 
@@ -81,7 +82,7 @@ def meets(atlas, w, low, high):
     left, right, bottom, top = reached(atlas, low[0], high[0], low[1], high[1])
     for i in range(left, right):
         for j in range(bottom, top):
-            cell = i * atlas.count + j
+            cell = i * atlas.cells + j
             for m in range(atlas.first[layout, cell], atlas.first[layout, cell + 1]):
                 p = atlas.item[m]
                 aside = atlas.low[p, 0] > high[0] or atlas.high[p, 0] < low[0]

@@ -14,10 +14,10 @@ class Battery:
     """
 
     def __init__(self, shape: tuple[int, int], capacity: float | np.ndarray):
-        """`capacity` W h, of all or (N,) or (W, N). Raises ValueError unless it is finite and above 0."""
+        """`capacity` W h, of all or (N,) or (W, N). Raises ValueError unless it is above 0; infinite ones never empty."""
         given = numbers_of(f"capacity is {capacity!r}:", capacity)
-        if not (np.isfinite(given) & (given > 0)).all():
-            raise ValueError(f"capacity is {capacity!r}: finite watt-hours above 0 are needed")
+        if not (given > 0).all():
+            raise ValueError(f"capacity is {capacity!r}: watt-hours above 0 are needed")
         self._energy = WATT_HOUR * np.broadcast_to(given, shape)
         self.charge = np.ones(shape)
 

@@ -133,7 +133,8 @@ def _compound(client: int, solids: Solids, pieces: np.ndarray) -> Shape:
     for p in pieces.tolist():
         corners, faces = solids.faces[p]
         if p < len(solids.boxes):  # the engine thickens it again
-            corners = corners + HULL_MARGIN * np.where(corners < corners.mean(axis=0), 1.0, -1.0)
+            inward = corners.mean(axis=0) - corners
+            corners = corners + np.sign(inward) * np.minimum(HULL_MARGIN, np.abs(inward) / 2)
         lines.append(f"o piece_{p}")
         lines += ["v {!r} {!r} {!r}".format(*corner) for corner in corners.tolist()]
         lines += ["f {} {} {}".format(*(face + first).tolist()) for face in faces]

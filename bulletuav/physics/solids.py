@@ -11,7 +11,7 @@ BOX_TRIANGLES = np.array(
         (2, 6, 3), (3, 6, 7), (0, 4, 2), (2, 4, 6), (1, 3, 5), (3, 7, 5),
     ]
 )  # fmt: skip
-"""Faces of a box whose corner k has its x, y, z at the high end where bits 0, 1, 2 of k are set, turning left from outside"""
+"""Faces of a box, turning left seen from outside; corner k has x, y, z at the high end where bits 0, 1, 2 of k are set"""
 
 
 @dataclass(frozen=True, eq=False)

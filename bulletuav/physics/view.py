@@ -8,13 +8,18 @@ import numpy as np
 NEAR, FAR = 0.05, 2000.0  # m, what cameras see
 
 
+AIR = (206, 224, 240)
+"""Colour of the sky"""
+SKY, LAND, BUILDING, OBSTACLE, DRONE = range(5)
+"""What a pixel shows"""
+
+
 class Picture(NamedTuple):
-    """pixels (H, W, 3) uint8; depth (H, W) float32, m along the view axis, FAR where nothing is; masks of ground and sky."""
+    """pixels (H, W, 3) uint8; depth (H, W) float32, m along the view axis, FAR where nothing is; labels (H, W) uint8."""
 
     pixels: np.ndarray
     depth: np.ndarray
-    ground: np.ndarray
-    sky: np.ndarray
+    labels: np.ndarray
 
 
 def view_matrix(eye: np.ndarray, target: np.ndarray, up: Sequence[float] = (0.0, 0.0, 1.0)) -> np.ndarray:

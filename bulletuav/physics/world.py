@@ -1,4 +1,6 @@
-"""The engine: W worlds of N drones as tiles of one Bullet client, behind array calls. It, `calls` and `bodies` alone import pybullet.
+"""The engine: W worlds of N drones as tiles of one Bullet client, behind array calls.
+
+It, `calls` and `bodies` alone import pybullet.
 
 What the rest of the package relies on, each held by a test: bodies without Bullet's hidden damping or velocity clamp;
 resets in place that leave no trace of the past; a world that does not feel what other worlds do.
@@ -25,13 +27,14 @@ from bulletuav.physics.screen import require_screen
 from bulletuav.physics.solids import Solids
 from bulletuav.physics.swarm import CITY, FIRST_OBSTACLE, GROUND, Swarm
 from bulletuav.physics.tiles import columns, land, localise, tile_offset
-from bulletuav.physics.view import Picture, metres
+from bulletuav.physics.view import BUILDING, DRONE, LAND, OBSTACLE, SKY, Picture, metres
 
 ENGINE_VERSION = bullet.getAPIVersion()
 EXTENSION = load(bullet.__file__)
 
 PARKING_HEIGHT, PARKING_PITCH, PARKING_COLUMNS = 2000.0, 10.0, 100
 CELLAR_PITCH = 4096.0  # m, below each other and the ground wait the layouts that stand nowhere
+LIGHT = (0.4, -0.7, 1.0)  # towards the sun of pictures: walls differ
 CITY_GAP = 1.0  # m, beyond a drone's diameter, between pieces of a compound
 
 
@@ -62,10 +65,10 @@ class World:
         first_world: int = 0,
         live: bool = False,
     ):
-        """Connect and build. `dt` is the substep, s; `layouts` are what can stand in a world, one at a time (see
-        `set_layouts`); `first_world` is the number of the first tile.
+        """Connect and build. `dt` is the substep, s; `first_world` the number of the first tile.
 
-        `live` opens a window (RuntimeError where there is no screen).
+        `layouts` are what can stand in a world, one at a time; none does before `set_layouts`. `live` opens a window
+        (RuntimeError where there is no screen).
         """
         if live:
             require_screen()
@@ -97,6 +100,14 @@ class World:
         self._city = self._make_city(layouts, airframes)
         self._facade = [make_facade(self._client, solids, (0, 0, -CELLAR_PITCH)) for solids in layouts]
         self._drone_of_body = {body: divmod(k, len(airframes)) for k, body in enumerate(self._body.ravel().tolist())}
+        self._label = np.full(bullet.getNumBodies(self._client) + 1, SKY, dtype=np.uint8)  # the last for no body
+        for bodies, label in (
+            (self._body, DRONE),
+            (self._obstacle, OBSTACLE),
+            (self._facade, BUILDING),
+            (self._floor, LAND),
+        ):
+            self._label[bodies] = label
         self._meaning = {body: FIRST_OBSTACLE - k for row in self._obstacle.tolist() for k, body in enumerate(row)}
         self._meaning |= {body: CITY for bodies in self._city for body in bodies.ravel().tolist()}
         self._place = np.zeros((*self.shape, 3))  # positions as the engine gave them, for forces at the centre
@@ -124,7 +135,13 @@ class World:
         if not isinstance(self._calls, Batch):
             return None
         return Port(
-            *self._calls.functions, self._place, self._omega, self._offset, self._obstacle_place, self.obstacle_radius, self.atlas
+            *self._calls.functions,
+            self._place,
+            self._omega,
+            self._offset,
+            self._obstacle_place,
+            self.obstacle_radius,
+            self.atlas,
         )
 
     def _configure(self, dt: float, live: bool) -> None:
@@ -155,7 +172,10 @@ class World:
             return
         level = np.array([0.0, 0.0, 0.0, 1.0])
         for w in np.flatnonzero(worlds & (layout != self.atlas.layout)).tolist():
-            for k, place in ((self.atlas.layout[w], self._cellar[w]), (layout[w], self._offset[w].repeat(len(self._city), 0))):
+            for k, place in (
+                (self.atlas.layout[w], self._cellar[w]),
+                (layout[w], self._offset[w].repeat(len(self._city), 0)),
+            ):
                 if k != NOWHERE:
                     bodies = self._city[k][w]
                     self._calls.pose(bodies, np.tile(place[k], (len(bodies), 1)), np.tile(level, (len(bodies), 1)))
@@ -260,7 +280,8 @@ class World:
     def separation(self, world: int, one: tuple, two: tuple, within: float) -> float:
         """Closest distance of two collision shapes, negative when they overlap, inf beyond `within` (m).
 
-        `one` and `two` are (who, position, quaternion), who as in `Contacts`, and move the engine's bodies there.
+        `one` and `two` are (who, position, quaternion), who as in `Contacts`, and move the engine's bodies there; without a
+        position they are where they are.
         """
         bodies = [self._bodies_at(world, *one) for one in (one, two)]
         return min(
@@ -272,15 +293,16 @@ class World:
             default=np.inf,
         )
 
-    def _bodies_at(self, world: int, who: int, position: np.ndarray, quaternion: np.ndarray) -> list[int]:
-        """The bodies of someone in a world; a drone or obstacle is put there."""
+    def _bodies_at(self, world: int, who: int, position: np.ndarray | None, quaternion: np.ndarray | None) -> list[int]:
+        """The bodies of someone in a world, put there."""
         if who == GROUND:
             return [self._ground]
         if who == CITY:
             layout = self.atlas.layout[world]
             return [] if layout == NOWHERE else self._city[layout][world, 1:].tolist()
         body = self._body[world, who] if who >= 0 else self._obstacle[world, FIRST_OBSTACLE - who]
-        bullet.resetBasePositionAndOrientation(body, position + self._offset[world, 0], quaternion, self._client)
+        if position is not None:
+            bullet.resetBasePositionAndOrientation(body, position + self._offset[world, 0], quaternion, self._client)
         return [body]
 
     def picture(self, world: int, view: np.ndarray, projection: np.ndarray, size: tuple[int, int]) -> Picture:
@@ -297,6 +319,7 @@ class World:
             height,
             (view @ shift).T.ravel().tolist(),  # Bullet wants columns first
             projection.T.ravel().tolist(),
+            lightDirection=LIGHT,
             shadow=0,
             renderer=bullet.ER_TINY_RENDERER,
             physicsClientId=self._client,
@@ -304,7 +327,7 @@ class World:
         bodies = np.asarray(bodies).reshape(height, width)
         pixels = np.asarray(pixels, dtype=np.uint8).reshape(height, width, 4)[..., :3].copy()
         depth = metres(np.asarray(buffer, dtype=np.float64).reshape(height, width)).astype(np.float32)
-        return Picture(pixels, depth, bodies == self._floor, bodies < 0)
+        return Picture(pixels, depth, self._label[bodies])
 
     def look_at(self, world: int, target: np.ndarray, distance: float) -> None:
         """Point the live view at `target` (3,) of a world from `distance` metres."""

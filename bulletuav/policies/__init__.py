@@ -8,12 +8,15 @@ from bulletuav.envs.aviary import Aviary
 from bulletuav.errors import pick
 from bulletuav.policies.base import Policy
 from bulletuav.policies.orca import Orca
+from bulletuav.policies.planner import Planner
 from bulletuav.policies.potential import PotentialField
 from bulletuav.policies.random import RandomActions
 from bulletuav.policies.straight import StraightLine
 from bulletuav.policies.trained import ALGORITHMS, Trained
 
-POLICIES: dict[str, type[Policy]] = {policy.name: policy for policy in (StraightLine, PotentialField, Orca, RandomActions)}
+POLICIES: dict[str, type[Policy]] = {
+    policy.name: policy for policy in (StraightLine, PotentialField, Orca, Planner, RandomActions)
+}
 PolicySource = str | type[Policy]
 
 

@@ -12,8 +12,11 @@ from scipy.spatial import cKDTree
 
 from bulletuav.errors import unknown
 from bulletuav.physics.approach import distances
+from bulletuav.physics.atlas import NOWHERE
 from bulletuav.physics.obstacle import Obstacle
+from bulletuav.physics.solids import Solids
 from bulletuav.physics.swarm import Contacts, Swarm
+from bulletuav.sensors.lidar import Beam
 from bulletuav.tasks.terms.conflict import Conflict, conflict
 
 NOTHING = np.zeros((0, 3))
@@ -22,7 +25,8 @@ NOTHING = np.zeros((0, 3))
 class Spawn(NamedTuple):
     """Start of one world: position (N, 3) m, quaternion (N, 4), velocity (N, 3) m/s, rates (N, 3) rad/s, goal (N, 3) m.
 
-    Velocity of the goals (N, 3), m/s. Of the task's K obstacles position and velocity (K, 3).
+    Velocity of the goals (N, 3), m/s. Of the task's K obstacles position and velocity (K, 3). `layout`: which of the task's
+    layouts stands there. `memory`: what the task remembers from the start, by name.
     """
 
     position: np.ndarray
@@ -33,12 +37,15 @@ class Spawn(NamedTuple):
     goal_velocity: np.ndarray | float = 0.0
     obstacle: np.ndarray = NOTHING
     obstacle_velocity: np.ndarray = NOTHING
+    layout: int = NOWHERE
+    memory: Mapping[str, np.ndarray] = MappingProxyType({})
 
 
 class Scene(NamedTuple):
     """Beside the drones: goals (W, N, 3) m, m/s, start positions (W, N, 3) m; obstacles (W, K, 3) m, m/s, (W, K, 4).
 
-    `memory`: the task's own arrays (W, ...) by name, zero when a world starts.
+    `layout` (W,): which of the task's layouts stands in each world, or NOWHERE. `memory`: the task's own arrays (W, ...) by
+    name, zero when a world starts, unless its spawn says otherwise.
     """
 
     goal: np.ndarray
@@ -47,6 +54,7 @@ class Scene(NamedTuple):
     obstacle: np.ndarray
     obstacle_velocity: np.ndarray
     obstacle_quaternion: np.ndarray
+    layout: np.ndarray
     memory: Mapping[str, np.ndarray]
 
     @classmethod
@@ -56,14 +64,17 @@ class Scene(NamedTuple):
         turns = np.tile([0.0, 0.0, 0.0, 1.0], (num_worlds, num_obstacles, 1))
         goal, goal_velocity, start = np.zeros((3, *of_drones))
         remembered = {name: np.zeros((num_worlds, *shape)) for name, shape in memory.items()}
-        return cls(goal, goal_velocity, start, np.zeros(of_obstacles), np.zeros(of_obstacles), turns, remembered)
+        obstacle, obstacle_velocity = np.zeros((2, *of_obstacles))
+        layout = np.full(num_worlds, NOWHERE)
+        return cls(goal, goal_velocity, start, obstacle, obstacle_velocity, turns, layout, remembered)
 
 
 @dataclass(frozen=True)
 class Setting:
     """The swarm that a task is set for: size, largest collision radius (m), speed limit (m/s), decision period (s).
 
-    `num_neighbours`: how many other drones and obstacles a drone observes; `duration`: of an episode, s.
+    `num_neighbours`: how many other drones, obstacles and buildings a drone observes; `duration`: of an episode, s;
+    `beams` of the range finder, which reaches `max_range` m.
     """
 
     num_drones: int
@@ -72,6 +83,8 @@ class Setting:
     period: float
     num_neighbours: int
     duration: float
+    beams: tuple[Beam, ...]
+    max_range: float
 
 
 @dataclass(frozen=True)
@@ -80,7 +93,9 @@ class Frame:
 
     `last` (W,) tells where the horizon is reached; the warning zone about a drone ends at `zone` m; the goals were at
     `goal_before` (W, N, 3), m, before the decision and move ahead of the drones. `readings` are what
-    sensors measured after it, by name: pictures; with randomization also what drones know of themselves, "position" and
+    sensors measured after it, by name, as far as the observation or the task asks for it: pictures; "lidar" (W, N, B) m;
+    "imu" (W, N, 6); "clearance" (W, N) m; "sight" (W, N, U), whether the task's targets are in sight; "charge" (W, N), what
+    is left in batteries; with randomization also what drones know of themselves, "position" and
     "velocity" (W, N, 3), and with communication what drone i last heard of drone j, "heard_position" and "heard_velocity"
     (W, N, N, 3), where "heard" (W, N, N).
     """
@@ -157,6 +172,8 @@ class Task(ABC):
     difficulties for each difficulty the options that it sets, common or own
     presets      named sets of values of options
     observation  names of the observation blocks
+    senses       readings that the task itself judges by, such as "lidar"
+    baseline     policy that flies it when none is named
     reward_weights  of the reward terms by name, unless the config's `weights` change them
     """
 
@@ -166,10 +183,14 @@ class Task(ABC):
     difficulties: ClassVar[Mapping[str, Mapping[str, Any]]]
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = MappingProxyType({})
     observation: ClassVar[tuple[str, ...]]
+    senses: ClassVar[tuple[str, ...]] = ()
+    baseline: ClassVar[str] = "straight"
     reward_weights: ClassVar[Mapping[str, float]]
 
     rebound: float | None = None
     """share of the speed that is left, reversed, to a drone at the arena's bounds; None where they hold nobody back"""
+    num_targets = 0
+    """how many points drones are to see"""
     zone: float
     """where the warning zone about a drone ends, m"""
     arena_low: np.ndarray
@@ -191,6 +212,14 @@ class Task(ABC):
         """The bodies in every world, none by default."""
         return ()
 
+    def layouts(self) -> Sequence[Solids]:
+        """What can stand in a world, one at a time: cities, none by default."""
+        return ()
+
+    def targets(self, scene: Scene) -> np.ndarray:
+        """(W, num_targets, 3) points, m, that drones are to see; none by default."""
+        return np.zeros((len(scene.goal), 0, 3))
+
     def advance(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rng: Sequence[np.random.Generator | None]) -> bool:
         """Move goals and obstacles of the worlds that fly (W,) through one decision from `time` (W,), in place.
 
@@ -204,6 +233,10 @@ class Task(ABC):
 
     def remember(self, frame: Frame) -> None:  # noqa: B027
         """Bring `scene.memory` up to date after a decision, before it is judged; by default nothing to do."""
+
+    def outside(self, frame: Frame) -> np.ndarray:
+        """(W, N) bool: outside the arena after the decision."""
+        return np.any((frame.after.position < self.arena_low) | (frame.after.position > self.arena_high), axis=-1)
 
     @abstractmethod
     def judge(self, frame: Frame) -> Verdict:

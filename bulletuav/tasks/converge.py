@@ -93,4 +93,4 @@ class Converge(Airspace):
         angle = 2 * np.pi * np.arange(self.setting.num_drones) / self.setting.num_drones
         place = self.config.radius * np.stack([np.cos(angle), np.sin(angle), np.zeros(len(angle))], axis=1)
         height = np.array([0.0, 0.0, self.config.altitude])
-        return self.launch(place + height, height - place, rng)
+        return self.launch(self.config.scattered(place + height, rng), height - place, rng)

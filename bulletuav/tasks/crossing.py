@@ -120,4 +120,4 @@ class Crossing(Airspace):
             start[team, axis], goal[team, axis] = -config.half_length - back, config.half_length - back
             start[team, 1 - axis] = goal[team, 1 - axis] = side
         start[:, 2] = goal[:, 2] = config.altitude + config.altitude_spread * rng.uniform(-0.5, 0.5, n)
-        return self.launch(start, goal, rng)
+        return self.launch(config.scattered(start, rng), goal, rng)

@@ -184,6 +184,7 @@ class Obstacles(Airspace):
         velocity[config.num_moving :] = 0
         start = self._places(rng, obstacle, None)
         goal = self._places(rng, obstacle, start)
+        start = config.scattered(start, rng)
         return self.launch(start, goal, rng)._replace(obstacle=obstacle, obstacle_velocity=velocity)
 
     def advance(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rng: Any) -> bool:

@@ -141,7 +141,7 @@ class Pursuit(Airspace):
     def spawn(self, rng: np.random.Generator) -> Spawn:
         """Queued on the circle, in flight along it."""
         goal, velocity = self._track(np.zeros(()))
-        return self.launch(goal, goal, rng, velocity)._replace(goal_velocity=velocity)
+        return self.launch(self.config.scattered(goal, rng), goal, rng, velocity)._replace(goal_velocity=velocity)
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
         """Beside those of every airspace `conflicts`: how many each drone has had."""

@@ -6,7 +6,7 @@ from scipy.spatial.distance import cdist
 
 from bulletuav.tasks.base import merged_weights, refuse_overlap
 from bulletuav.tasks.terms.conflict import conflict
-from bulletuav.tasks.terms.observations import nearest
+from bulletuav.tasks.terms.blocks import nearest
 
 NEIGHBOURS = 3
 

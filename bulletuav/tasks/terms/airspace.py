@@ -81,8 +81,8 @@ UAVCONFLICT: dict[str, Any] = {
 
 
 @dataclass(frozen=True)
-class AirspaceConfig:
-    """Options that tasks in a shared airspace have in common, m, m/s.
+class FlightConfig:
+    """Options that all flights to goals have in common, m, m/s.
 
     at_goal        "leave": a drone that reaches its goal leaves the airspace; "land": it has to go down to the ground below
                    first; "hold": it stays, until all that fly are at their goals
@@ -96,11 +96,8 @@ class AirspaceConfig:
     """
 
     d_safe: float = 5.0
-    altitude: float = 40.0
-    jitter: float = 1.0
     start_speed: tuple[float, float] = (5.0, 15.0)
     goal_radius: float = 2.0
-    margin: float = 30.0
     at_goal: Literal["leave", "land", "hold"] = "leave"
     boundary: Literal["end", "soft", "hard", "open"] = "end"
     contact_ends: Literal["drone", "world"] = "drone"
@@ -110,22 +107,38 @@ class AirspaceConfig:
     discount: float = 0.99
     weights: Mapping[str, float] = field(default_factory=dict)
 
-
-def check_launch(config: AirspaceConfig, setting: Setting) -> None:
-    """Raise ValueError for speeds that no drone has, or a warning zone that ends where it begins."""
-    if not 0 <= config.start_speed[0] <= config.start_speed[1] <= setting.max_speed:
-        raise ValueError(
-            f"start_speed is {config.start_speed}: from low to high within 0 and max_speed {setting.max_speed:g}"
-        )
-    if config.warning_zone <= 1:
-        raise ValueError(f"warning_zone is {config.warning_zone:g}: it must end beyond d_safe, at more than 1")
-    if config.margin <= config.jitter:
-        raise ValueError(f"margin {config.margin:g} m must exceed jitter {config.jitter:g} m: starts must be in the arena")
-    if config.discount > 1:
-        raise ValueError(f"discount is {config.discount:g}: from 0 to 1 is needed")
+    def check(self, setting: Setting) -> None:
+        """Raise ValueError for speeds that no drone has, or a warning zone that ends where it begins."""
+        if not 0 <= self.start_speed[0] <= self.start_speed[1] <= setting.max_speed:
+            raise ValueError(
+                f"start_speed is {self.start_speed}: from low to high within 0 and max_speed {setting.max_speed:g}"
+            )
+        if self.warning_zone <= 1:
+            raise ValueError(f"warning_zone is {self.warning_zone:g}: it must end beyond d_safe, at more than 1")
+        if self.discount > 1:
+            raise ValueError(f"discount is {self.discount:g}: from 0 to 1 is needed")
 
 
-def clearance(config: AirspaceConfig, setting: Setting) -> float:
+@dataclass(frozen=True)
+class AirspaceConfig(FlightConfig):
+    """Options of free airspace: places lie about `altitude`, each axis up to `jitter` off; the bounds are `margin` away."""
+
+    altitude: float = 40.0
+    jitter: float = 1.0
+    margin: float = 30.0
+
+    def check(self, setting: Setting) -> None:
+        """See `FlightConfig.check`; also refuses jitter beyond the bounds."""
+        super().check(setting)
+        if self.margin <= self.jitter:
+            raise ValueError(f"margin {self.margin:g} m must exceed jitter {self.jitter:g} m: starts must be in the arena")
+
+    def scattered(self, places: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """Places (N, 3), m, each axis up to `jitter` off."""
+        return places + rng.uniform(-self.jitter, self.jitter, places.shape)
+
+
+def clearance(config: FlightConfig, setting: Setting) -> float:
     """Distance between two drones below which they conflict or touch, m."""
     return max(2 * setting.collision_radius, config.d_safe)
 
@@ -166,8 +179,8 @@ class Airspace(Task):
     Preset uavconflict: sizes, observation and reward constants of UAVConflictGym.
     """
 
-    Config = AirspaceConfig
-    config: AirspaceConfig
+    Config = FlightConfig
+    config: FlightConfig
     defaults: ClassVar = {
         "num_drones": 8,
         "airframe": "hummingbird",
@@ -181,10 +194,10 @@ class Airspace(Task):
     observation: ClassVar[tuple[str, ...]] = ("position", "velocity", "goal", "neighbours")
     reward_weights: ClassVar = REWARD_WEIGHTS
 
-    def __init__(self, config: AirspaceConfig, setting: Setting):
+    def __init__(self, config: FlightConfig, setting: Setting):
         """Raises ValueError for options that cannot be."""
         super().__init__(config, setting)
-        check_launch(config, setting)
+        config.check(setting)
         self.rebound = REBOUND.get(config.boundary)
         self.zone = config.warning_zone * config.d_safe
 
@@ -195,12 +208,11 @@ class Airspace(Task):
     def launch(
         self, start: np.ndarray, goal: np.ndarray, rng: np.random.Generator, along: np.ndarray | None = None
     ) -> Spawn:
-        """Drones near `start` (N, 3), each axis up to `jitter` off, in flight, noses to the east.
+        """Drones at `start` (N, 3), in flight, noses to the east.
 
         They fly towards `goal` (N, 3), or in the direction of `along` (N, 3).
         """
         low, high = self.config.start_speed
-        start = start + rng.uniform(-self.config.jitter, self.config.jitter, start.shape)
         along = goal - start if along is None else along
         heading = along / np.linalg.norm(along, axis=1, keepdims=True)
         velocity = heading * rng.uniform(low, high, (len(start), 1))
@@ -267,7 +279,7 @@ class Airspace(Task):
         finished = self.finished(frame)
         position = frame.after.position
         if self.rebound is None:
-            outside = np.any((position < self.arena_low) | (position > self.arena_high), axis=-1)
+            outside = self.outside(frame)
         else:  # thrown back, which left them right at the bounds
             outside = np.any((position <= self.arena_low) | (position >= self.arena_high), axis=-1)
         terminated = _whose(frame.collision, frame, config.contact_ends)

@@ -110,6 +110,12 @@ def obstacle_warning(task: "Airspace", frame: "Frame", marks: Marks) -> np.ndarr
     return np.clip(1 - (np.linalg.norm(offset, axis=-1) - reach) / frame.d_safe, 0.0, 1.0).sum(axis=-1)
 
 
+def proximity(task: "Airspace", frame: "Frame", marks: Marks) -> np.ndarray:
+    """From 0 where the shortest range is `proximity_range`, linear, to 1 at 0 m."""
+    reach: float = task.config.proximity_range  # type: ignore[attr-defined]
+    return np.maximum(0.0, 1 - frame.readings["lidar"].min(axis=-1) / reach)
+
+
 REWARDS: dict[str, Callable[["Airspace", "Frame", Marks], np.ndarray]] = {
     term.__name__: term
     for term in (
@@ -126,6 +132,7 @@ REWARDS: dict[str, Callable[["Airspace", "Frame", Marks], np.ndarray]] = {
         shaping,
         concession,
         obstacle_warning,
+        proximity,
     )
 }
 NONE, CLEAR, CONFLICT = 0.0, 1.0, 2.0

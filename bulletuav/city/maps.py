@@ -1,0 +1,37 @@
+"""A city as a map."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PolyCollection
+
+from bulletuav.city.model import City
+
+GROUND, STREET = "#f2efe9", "#d98e04"
+BELOW = -0.09  # where the scale and the legend are, below the map, in heights of the map
+
+
+def draw_map(city: City, axes: Axes) -> None:
+    """Draw the city from above, in m: footprints shaded by the height of their building, and streets."""
+    prints = PolyCollection(city.footprints, cmap="viridis_r", edgecolors="face", linewidths=0.4)
+    prints.set(array=city.heights[city.building], clim=(0, city.heights.max(initial=1.0)))
+    lines = list(city.streets.nodes[city.streets.edges])
+    streets = LineCollection(lines, colors=STREET, linewidths=0.8, label="centre lines of streets")
+    for collection in (streets, prints):
+        axes.add_collection(collection)
+    axes.figure.colorbar(prints, ax=axes, label="height (m)", shrink=0.85)
+    axes.legend(handles=[streets], loc="center right", bbox_to_anchor=(1, BELOW), frameon=False, borderaxespad=0)
+    _draw_scale(city.side, axes)
+    half = city.side / 2
+    axes.set(xlim=(-half, half), ylim=(-half, half), aspect="equal", facecolor=GROUND)
+    axes.set(xlabel="x east (m)", ylabel="y north (m)")
+    axes.set_title(f"{city.name}: {len(city.heights)} buildings on {city.side:.4g} m x {city.side:.4g} m")
+
+
+def _draw_scale(side: float, axes: Axes) -> None:
+    """A bar of the greatest round length that is at most a fifth of the side."""
+    power = 10 ** np.floor(np.log10(side / 5))
+    length = power * max(digit for digit in (1, 2, 5) if digit * power <= side / 5)
+    ends = np.array([0, length]) - side / 2
+    below = axes.get_xaxis_transform()
+    axes.plot(ends, [BELOW, BELOW], color="black", lw=4, solid_capstyle="butt", transform=below, clip_on=False)
+    axes.text(ends[1] + side / 80, BELOW, f"{length:g} m", va="center", transform=below)

@@ -1,0 +1,68 @@
+"""Chances of a line of sight in a built-up area, from its statistics alone.
+
+They are means over cities of a kind, not what happens in one: a generated city is asked by rays.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from bulletuav.city.statistics import Statistics
+
+
+class Sigmoid(NamedTuple):
+    """Parameters of `elevation_los`; a in degrees, b in 1/degree."""
+
+    a: float
+    b: float
+
+
+SIGMOIDS = {
+    "suburban": Sigmoid(4.88, 0.43),
+    "urban": Sigmoid(9.61, 0.16),
+    "dense": Sigmoid(12.08, 0.11),
+    "high_rise": Sigmoid(27.23, 0.08),
+}
+"""A. Al-Hourani, S. Kandeepan, S. Lardner, "Optimal LAP altitude for maximum coverage", IEEE Wireless Communications Letters
+3 (2014)"""
+
+SURFACE_A = (
+    (0.934, 0.230, -2.25e-3, 1.86e-5),
+    (1.97e-2, 2.44e-3, 6.58e-6),
+    (-1.24e-4, -3.34e-6),
+    (2.73e-7,),
+)
+SURFACE_B = (
+    (1.17, -7.56e-2, 1.98e-3, -1.78e-5),
+    (-5.79e-3, 1.81e-4, -1.65e-6),
+    (1.73e-5, -2.02e-7),
+    (-2.00e-8,),
+)
+
+
+def p1410_los(statistics: Statistics, distance: np.ndarray, transmitter: np.ndarray, receiver: float = 1.5) -> np.ndarray:
+    """Chance that no roof reaches the ray between two antennas (Rec. ITU-R P.1410; Al-Hourani et al., WCL 2014).
+
+    `distance` over ground and heights of the antennas, m, arrays of any shapes that go together. The ray passes a whole
+    number of evenly spaced buildings, rounded down, each taken at its middle; the wall next to the receiver is left out, so
+    that a city of blocks has fewer lines of sight.
+    """
+    distance, transmitter = np.broadcast_arrays(distance, transmitter)
+    count = np.floor(distance / 1000 * np.sqrt(statistics.alpha * statistics.beta))[..., None]
+    passed = np.arange(count.max(initial=0))
+    share = (passed + 0.5) / np.maximum(count, 1)
+    height = transmitter[..., None] - share * (transmitter - receiver)[..., None]
+    lower = 1 - np.exp(-(height**2) / (2 * statistics.gamma**2))
+    return np.where(passed < count, lower, 1.0).prod(axis=-1)
+
+
+def elevation_los(elevation: np.ndarray, sigmoid: Sigmoid) -> np.ndarray:
+    """Chance of a line of sight at an elevation seen from the ground, in degrees (Al-Hourani et al., WCL 2014, eq. 5)."""
+    return 1 / (1 + sigmoid.a * np.exp(-sigmoid.b * (np.asarray(elevation) - sigmoid.a)))
+
+
+def fitted_sigmoid(statistics: Statistics) -> Sigmoid:
+    """The sigmoid of statistics of one's own, by the polynomial surfaces of Al-Hourani et al. (WCL 2014, table I)."""
+    x, y = statistics.alpha * statistics.beta, statistics.gamma
+    surfaces = (SURFACE_A, SURFACE_B)
+    return Sigmoid(*(sum(c * x**i * y**j for i, row in enumerate(one) for j, c in enumerate(row)) for one in surfaces))

@@ -1,0 +1,89 @@
+"""What ITU-R P.1410 says of a built-up area in three numbers, and what was realised of them."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from bulletuav.city.model import City
+from bulletuav.errors import finite
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """Recommendation ITU-R P.1410: how densely and how high an area is built.
+
+    alpha  built-up share of the ground, in (0, 1)
+    beta   buildings per km^2
+    gamma  most frequent height, m: heights h have the Rayleigh density h / gamma^2 exp(-h^2 / (2 gamma^2))
+
+    Raises ValueError for numbers that cannot be.
+    """
+
+    alpha: float
+    beta: float
+    gamma: float
+
+    def __post_init__(self):
+        if not 0 < finite("alpha", self.alpha) < 1:
+            raise ValueError(f"alpha is {self.alpha!r}: the built-up share of the ground lies between 0 and 1")
+        for name, unit in (("beta", "buildings per km^2"), ("gamma", "m")):
+            if finite(name, getattr(self, name)) <= 0:
+                raise ValueError(f"{name} is {getattr(self, name)!r}: a positive number of {unit} is needed")
+
+    @property
+    def pitch(self) -> float:
+        """Side of the square block that one building has in a regular grid, m."""
+        return 1000 / math.sqrt(self.beta)
+
+    @property
+    def width(self) -> float:
+        """Side of a square building in a regular grid, m (Al-Hourani et al., GLOBECOM 2014)."""
+        return self.pitch * math.sqrt(self.alpha)
+
+    @property
+    def street(self) -> float:
+        """Width of a street in a regular grid, m."""
+        return self.pitch - self.width
+
+    @property
+    def mean_height(self) -> float:
+        """Mean of the Rayleigh distribution, m."""
+        return self.gamma * math.sqrt(math.pi / 2)
+
+
+KINDS = {
+    "suburban": Statistics(0.1, 750, 8),
+    "urban": Statistics(0.3, 500, 15),
+    "dense": Statistics(0.5, 300, 20),
+    "high_rise": Statistics(0.5, 300, 50),
+}
+"""J. Holis and P. Pechac, "Elevation dependent shadowing model for mobile communications via high altitude platforms in
+built-up areas", IEEE Trans. Antennas Propag. 56 (2008), table I"""
+
+
+def realised(city: City, target: Statistics | None = None) -> dict[str, tuple[float, float]]:
+    """Of each statistic what the city has and what was aimed at (NaN without a target), by its name with the unit.
+
+    The scale of heights is the estimate of greatest likelihood, and the p-value that of the Kolmogorov-Smirnov test of the
+    heights against the target's Rayleigh distribution. A street is as wide as twice the way from its middle to the nearest
+    wall, halfway between two crossings, and at most two blocks; the median of all streets is told.
+    """
+    heights = city.heights
+    block = city.side / math.sqrt(len(heights))
+    streets = 2 * city.clearance(city.streets.nodes[city.streets.edges].mean(axis=1), block)
+    found = {
+        "built-up share": city.coverage,
+        "buildings per km2": len(heights) / (city.side / 1000) ** 2,
+        "Rayleigh scale of heights, m": math.sqrt((heights**2).mean() / 2),
+        "mean height, m": float(heights.mean()),
+        "greatest height, m": float(heights.max()),
+        "width of streets, m": float(np.median(streets)),
+    }
+    if target is None:
+        return {name: (value, math.nan) for name, value in found.items()}
+    from scipy import stats  # which takes longer to import than everything else
+
+    found["KS test of heights, p"] = float(stats.kstest(heights, stats.rayleigh(scale=target.gamma).cdf).pvalue)
+    aims = [target.alpha, target.beta, target.gamma, target.mean_height, math.nan, target.street, math.nan]
+    return {name: (value, aim) for (name, value), aim in zip(found.items(), aims, strict=True)}

@@ -1,0 +1,48 @@
+"""What flying costs: the power that drones take, and what is left in their batteries."""
+
+import math
+
+import numpy as np
+
+from bulletuav.envs.options import Options
+from bulletuav.physics.battery import Battery
+from bulletuav.physics.power import ROTARY_WING, actuator_power, airframe_wing, propulsion
+from bulletuav.physics.swarm import Swarm
+
+
+class Energy:
+    """Power (W, N) W, mean over the last decision, and the batteries that give it.
+
+    By `energy` "zeng", of the rotary-wing formula at the velocity relative to the air; "actuator", of the simulated rotors.
+    """
+
+    def __init__(self, options: Options, parameters: np.ndarray):
+        """`parameters` (W, N): the rows that the dynamics flies with."""
+        self.power = np.zeros(parameters.shape)
+        self._battery = Battery(parameters.shape, options.battery_capacity or math.inf)
+        self._parameters, self._period = parameters, 1 / options.decision_hz
+        wings = [airframe_wing(airframe, options.gravity) for airframe in options.airframe if options.energy == "zeng"]
+        self._wings = np.array([wings] * len(parameters), dtype=ROTARY_WING) if wings else None
+
+    def start(self, k: int) -> None:
+        """World k begins, its batteries full."""
+        self._battery.start(k)
+        self.power[k] = 0
+
+    def spend(self, before: Swarm, after: Swarm, wind: np.ndarray, flown: np.ndarray) -> None:
+        """Take from the drones of `flown` (W, N) what a decision from `before` to `after` in `wind` (W, N, 3) m/s cost."""
+        if self._wings is None:
+            self.power = actuator_power(before.rotor_speed, after.rotor_speed, self._parameters)
+        else:
+            self.power = propulsion((before.velocity + after.velocity) / 2 - wind, self._wings)
+        self._battery.drain(self.power, self._period, flown)
+
+    @property
+    def charge(self) -> np.ndarray:
+        """(W, N) share that is left."""
+        return self._battery.charge.copy()
+
+    @property
+    def depleted(self) -> np.ndarray:
+        """(W, N) bool: batteries that are empty."""
+        return self._battery.depleted

@@ -1,0 +1,95 @@
+"""Range finders: one batch of the engine's rays for all beams of all drones of all worlds."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from bulletuav.kernel import kernel
+from bulletuav.physics.rotation import axes, four
+from bulletuav.physics.swarm import Swarm
+from bulletuav.physics.world import World
+
+FRAMES = ("yaw", "world")
+
+
+class Beam(NamedTuple):
+    """Direction of a beam, degrees: azimuth to the left of the drone's nose (or of east), elevation above the horizon."""
+
+    azimuth: float
+    elevation: float
+
+
+def make_beams(num_beams: int, elevations: Sequence[float]) -> tuple[Beam, ...]:
+    """`num_beams` evenly around at each elevation, the first ahead."""
+    return tuple(Beam(360.0 * k / num_beams, elevation) for elevation in elevations for k in range(num_beams))
+
+
+class Lidar:
+    """Beams at fixed directions: with the drone's heading (frame "yaw") or the world's; level, however the drone tilts.
+
+    They see ground, buildings, obstacles and the shapes of other drones, from the drone's centre.
+
+    noise     (W, N) standard deviation of a range, m
+    dropout   (W, N) probability that a beam does not come back
+    ranges    (W, N, B) m; `max_range` for what is farther, or did not come back
+    """
+
+    def __init__(self, world: World, beams: Sequence[Beam], max_range: float, frame: str):
+        """`max_range` in m; `frame` one of FRAMES."""
+        azimuth, elevation = np.radians(np.array(beams, dtype=float)).T
+        level = np.cos(elevation)
+        self._directions = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], axis=1)
+        self._world, self._range, self._turns = world, max_range, frame == "yaw"
+        self.noise, self.dropout = np.zeros((2, *world.shape))
+        self.ranges = np.full((*world.shape, len(beams)), max_range)
+
+    def scan(self, swarm: Swarm, mask: np.ndarray, rngs: Sequence[np.random.Generator | None]) -> None:
+        """New ranges of the drones of `mask` (W, N), whose bodies stand where `swarm` is; others keep theirs.
+
+        Each world draws from its own generator, if its drones' readings are uncertain.
+        """
+        start, end, world = cast(swarm.position, swarm.quaternion, mask, self._directions, self._range, self._turns)
+        share = self._world.cast_rays(start, end, world, drones=mask.shape[1] > 1)
+        ranges = self._range * share.reshape(-1, len(self._directions))
+        for w in np.flatnonzero(mask.any(axis=1) & ((self.noise > 0) | (self.dropout > 0)).any(axis=1)).tolist():
+            rng = rngs[w]
+            assert rng is not None  # a world that flies was reset
+            drawn = rng.standard_normal(self.ranges[w].shape), rng.random(self.ranges[w].shape)
+            error, luck = (values[mask[w]] for values in drawn)
+            mine = np.nonzero(mask)[0] == w
+            noise, dropout = self.noise[w, mask[w], None], self.dropout[w, mask[w], None]
+            seen = np.where(ranges[mine] < self._range, np.maximum(ranges[mine] + noise * error, 0.0), self._range)
+            ranges[mine] = np.where(luck < dropout, self._range, np.minimum(seen, self._range))
+        self.ranges[mask] = ranges
+
+
+@kernel
+def cast(position, quaternion, mask, directions, reach, turns):
+    """Starts and ends (M, 3), m, and worlds (M,) of the beams along `directions` (B, 3) of the drones of `mask` (W, N).
+
+    With `turns` they turn with each drone's heading.
+    """
+    count = mask.sum() * directions.shape[0]
+    start, end, world = np.empty((count, 3)), np.empty((count, 3)), np.empty(count, dtype=np.int64)
+    m = 0
+    for w in range(mask.shape[0]):
+        for i in range(mask.shape[1]):
+            if not mask[w, i]:
+                continue
+            cosine, sine = 1.0, 0.0
+            if turns:
+                forward = axes(four(quaternion, w, i))[0]
+                level = math.hypot(forward[0], forward[1])
+                if level > 0.0:
+                    cosine, sine = forward[0] / level, forward[1] / level
+            for b in range(directions.shape[0]):
+                x, y, z = directions[b, 0], directions[b, 1], directions[b, 2]
+                along = (cosine * x - sine * y, sine * x + cosine * y, z)
+                for k in range(3):
+                    start[m, k] = position[w, i, k]
+                    end[m, k] = position[w, i, k] + reach * along[k]
+                world[m] = w
+                m += 1
+    return start, end, world

@@ -1,0 +1,42 @@
+"""Line of sight, and how near the nearest thing is."""
+
+import numpy as np
+
+from bulletuav.physics.swarm import CITY, FIRST_OBSTACLE, GROUND, Swarm
+from bulletuav.physics.world import World
+
+
+def line_of_sight(world: World, start: np.ndarray, end: np.ndarray, where: np.ndarray) -> np.ndarray:
+    """(M,) bool: nothing but drones between points `start` and `end` (M, 3), m, in worlds `where` (M,).
+
+    Either way gives the same answer: the ray goes from the higher point to the lower, on the level by x, then y.
+    """
+    rises = (np.sign(end - start) @ [3, 1, 9] > 0)[:, None]
+    return world.cast_rays(np.where(rises, end, start), np.where(rises, start, end), where) >= 1
+
+
+def sights(world: World, position: np.ndarray, targets: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """(W, N, U) bool: which of `targets` (W, U, 3) the drones of `mask` (W, N) at `position` (W, N, 3) see; others none."""
+    count = targets.shape[1]
+    who = np.argwhere(mask)
+    start = np.repeat(position[mask], count, axis=0)
+    end = targets[who[:, 0]].reshape(-1, 3)
+    seen = np.zeros((*mask.shape, count), dtype=bool)
+    seen[mask] = line_of_sight(world, start, end, np.repeat(who[:, 0], count)).reshape(-1, count)
+    return seen
+
+
+def clearances(world: World, swarm: Swarm, mask: np.ndarray, within: float) -> np.ndarray:
+    """(W, N) distance of each drone's collision shape from the nearest other, m: ground, building, obstacle or drone.
+
+    Exact, negative where shapes overlap, `within` where nothing is nearer or the drone is not among `mask` (W, N). Moves the
+    engine's bodies of drones to `swarm`.
+    """
+    result = np.full(mask.shape, within)
+    obstacles = range(FIRST_OBSTACLE, FIRST_OBSTACLE - len(world.obstacle_radius), -1)
+    for w, i in np.argwhere(mask).tolist():
+        own = (i, swarm.position[w, i], swarm.quaternion[w, i])
+        others = [(j, swarm.position[w, j], swarm.quaternion[w, j]) for j in np.flatnonzero(mask[w]).tolist() if j != i]
+        others += [(who, None, None) for who in (GROUND, CITY, *obstacles)]
+        result[w, i] = min(within, *(world.separation(w, own, other, within) for other in others))
+    return result

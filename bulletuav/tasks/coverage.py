@@ -1,0 +1,137 @@
+"""Task `coverage`: drones spread so that as much of the streets as possible is in line of sight of some drone."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+
+from bulletuav.physics.solids import Solids
+from bulletuav.tasks.base import Frame, Scene, Setting, Spawn, Task, Verdict
+from bulletuav.tasks.terms.measures import offsets
+from bulletuav.tasks.terms.urban import LEVELS, Town, UrbanConfig, ground_cells
+
+
+@dataclass(frozen=True)
+class CoverageConfig(UrbanConfig):
+    """Options of `coverage` beside those of cities, m.
+
+    The ground outdoors is divided into squares of side `cell`; drones are not to be nearer to each other than
+    `min_separation`; `wanted` is the share of the squares that is success.
+    """
+
+    d_safe: float = 2.0
+    cell: float = 10.0
+    wanted: float = 0.9
+    height: tuple[float, float] = (20.0, 60.0)
+    min_separation: float = 100.0
+    weights: Mapping[str, float] = field(default_factory=dict)
+
+
+class Coverage(Task):
+    """Spread over a city, apart from each other, and see the most of its streets.
+
+    Observation, per drone, Box(29) float32, clipped to its bounds (here with the defaults):
+      0  position x              m    [-250, 250]
+      1  position y              m    [-250, 250]
+      2  position z              m    [0, 120]
+      3  velocity x              m/s  [-30, 30]
+      4  velocity y              m/s  [-30, 30]
+      5  velocity z              m/s  [-30, 30]
+      6  charge                  1    [0, 1]
+      7  neighbour 1 distance    m    [0, 717.217]
+      8  neighbour 1 position x  m    [-500, 500]
+      9  neighbour 1 position y  m    [-500, 500]
+     10  neighbour 1 position z  m    [-120, 120]
+     11  neighbour 1 velocity x  m/s  [-60, 60]
+     12  neighbour 1 velocity y  m/s  [-60, 60]
+     13  neighbour 1 velocity z  m/s  [-60, 60]
+     14  neighbour 2 distance    m    [0, 717.217]
+     15  neighbour 2 position x  m    [-500, 500]
+     16  neighbour 2 position y  m    [-500, 500]
+     17  neighbour 2 position z  m    [-120, 120]
+     18  neighbour 2 velocity x  m/s  [-60, 60]
+     19  neighbour 2 velocity y  m/s  [-60, 60]
+     20  neighbour 2 velocity z  m/s  [-60, 60]
+     21  neighbour 3 distance    m    [0, 717.217]
+     22  neighbour 3 position x  m    [-500, 500]
+     23  neighbour 3 position y  m    [-500, 500]
+     24  neighbour 3 position z  m    [-120, 120]
+     25  neighbour 3 velocity x  m/s  [-60, 60]
+     26  neighbour 3 velocity y  m/s  [-60, 60]
+     27  neighbour 3 velocity z  m/s  [-60, 60]
+     28  seen share              1    [0, 1]
+    World axes (east, north, up). Neighbours are the nearest living drones, nearest first, relative to the drone; zeros where
+    there are fewer. The last number is the share of the squares that the drone itself sees.
+
+    Action, per drone, by default `velocity`, Box(3) in [-1, 1]: velocity over max_speed, its norm limited to max_speed;
+    10 decisions a second.
+
+    Reward, per decision: covered 1 times the share of the ground outdoors that some drone sees (the middles of its squares,
+    1.5 m up); close -5 for each other drone nearer than min_separation = 100 m; collision -10; out_of_bounds -10 (weights by
+    name).
+
+    End: terminated on contact of collision shapes and outside the city's square or above its ceiling; truncated after 300
+    decisions. Success: 90 % of the ground outdoors is covered.
+
+    Difficulty, drones / city / irregularity: easy 3, urban, 0; medium 5, urban, 0.5; hard 8, dense, 0.5; extreme 16,
+    high_rise, 1, min_separation 50 m; uncertain is what `UNCERTAINTY` of the shared airspace says.
+    """
+
+    name = "coverage"
+    Config = CoverageConfig
+    config: CoverageConfig
+    defaults: ClassVar = {
+        "num_drones": 3,
+        "airframe": "hummingbird",
+        "action": "velocity",
+        "decision_hz": 10,
+        "horizon": 300,
+        "max_speed": 15.0,
+        "battery_capacity": 23.3,
+    }
+    difficulties: ClassVar = {**LEVELS, "extreme": {**LEVELS["extreme"], "min_separation": 50.0}}
+    observation = ("position", "velocity", "battery", "neighbours", "seen_share")
+    reward_weights: ClassVar = {"covered": 1.0, "close": -5.0, "collision": -10.0, "out_of_bounds": -10.0}
+
+    def __init__(self, config: CoverageConfig, setting: Setting):
+        """Raises ValueError where the city leaves no room to fly, or its ground has no square outdoors."""
+        super().__init__(config, setting)
+        self.town = Town(config, setting)
+        self.arena_low, self.arena_high = self.town.low, self.town.high
+        if not 0 < config.cell <= min(city.side for city in self.town.cities):
+            raise ValueError(f"cell is {config.cell:g} m: it must be above 0 and at most the side of the city")
+        cells = [ground_cells(city, config.cell) for city in self.town.cities]
+        if not all(map(len, cells)):
+            raise ValueError(f"cell is {config.cell:g} m: the middle of no such square is outdoors; make it smaller")
+        self.num_targets = max(map(len, cells))
+        # All layouts have as many rows: short lists repeat their first cell, and it does not count.
+        self._cells = np.array([np.concatenate([c, np.repeat(c[:1], self.num_targets - len(c), axis=0)]) for c in cells])
+        self._share = np.array([(np.arange(self.num_targets) < len(c)) / len(c) for c in cells])
+
+    def layouts(self) -> Sequence[Solids]:
+        """The cities."""
+        return self.town.solids
+
+    def targets(self, scene: Scene) -> np.ndarray:
+        """The middles of the squares outdoors."""
+        return self._cells[scene.layout]
+
+    def spawn(self, rng: np.random.Generator) -> Spawn:
+        """At rest, anywhere outdoors."""
+        return self.town.hovering(rng, self.town.draw(rng), self.setting.num_drones)
+
+    def judge(self, frame: Frame) -> Verdict:
+        """The share of the ground in sight, drones too near, and ends by contact or outside the airspace."""
+        seen = (frame.readings["sight"] & frame.alive[..., None]).any(axis=1)
+        covered = (seen * self._share[frame.scene.layout]).sum(axis=-1, keepdims=True)
+        near = np.linalg.norm(offsets(frame.after.position), axis=-1) < self.config.min_separation
+        others = frame.alive[:, None] & ~np.eye(self.setting.num_drones, dtype=bool)
+        outside = self.outside(frame)
+        terms = {
+            "covered": np.broadcast_to(covered, frame.alive.shape),
+            "close": (near & others).sum(axis=-1).astype(float),
+            "collision": frame.collision.astype(float),
+            "out_of_bounds": outside.astype(float),
+        }
+        return Verdict(terms, frame.collision | outside, terms["covered"] >= self.config.wanted)

@@ -1,0 +1,141 @@
+"""Flight in a city: its options, where drones and users can be in it, and what its tasks have in common."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bulletuav.city.generator import generate
+from bulletuav.city.imports import from_geojson, from_obj
+from bulletuav.city.model import City
+from bulletuav.city.statistics import Statistics
+from bulletuav.errors import several
+from bulletuav.physics.solids import Solids
+from bulletuav.tasks.base import Setting, Spawn
+from bulletuav.tasks.terms.airspace import UNCERTAINTY
+
+CELL = 4.0  # m, of the raster from which places are drawn
+ROOM = 1.0  # m, beyond its radius, between a drone that starts, or a goal, and buildings
+USER_HEIGHT = 1.5  # m, of a user's device above the ground
+TRIES = 1000
+READERS: dict[str, Callable[[Path], City]] = {".geojson": from_geojson, ".json": from_geojson, ".obj": from_obj}
+LEVELS: dict[str, dict[str, Any]] = {
+    "easy": UNCERTAINTY["easy"],
+    "medium": {"num_drones": 5, "irregularity": 0.5, **UNCERTAINTY["medium"]},
+    "hard": {"num_drones": 8, "city": "dense", "irregularity": 0.5, **UNCERTAINTY["hard"]},
+    "extreme": {"num_drones": 16, "city": "high_rise", "irregularity": 1.0, **UNCERTAINTY["extreme"]},
+}
+"""What a difficulty makes of a city and of its airspace"""
+
+
+@dataclass(frozen=True)
+class UrbanConfig:
+    """Options of flights in a city, m.
+
+    city           "suburban", "urban", "dense", "high_rise"; (alpha, beta, gamma), see `city.statistics.Statistics`; the
+                   path of a .geojson or .obj file; or a `City`
+    area           side of the city's square; of files the smallest that holds all
+    irregularity   from 0, a regular grid, to 1
+    num_layouts    how many cities are made, one of which stands in a world during an episode; of files there is one
+    city_seed      of the first of them; they are the same for all worlds and processes
+    height         of starts and goals, from low to high; those are outdoors
+    ceiling        of the airspace
+    min_separation  between starts, and between goals
+    """
+
+    city: Any = "urban"
+    area: float = 500.0
+    irregularity: float = 0.0
+    num_layouts: int = 4
+    city_seed: int = field(default=0, metadata={"least": 0})
+    height: tuple[float, float] = (5.0, 25.0)
+    ceiling: float = 120.0
+    min_separation: float = 20.0
+
+
+def make_cities(config: UrbanConfig) -> tuple[City, ...]:
+    """The cities that the options ask for. Raises ValueError for what cannot be, FileNotFoundError for a missing file."""
+    if isinstance(config.city, City):
+        return (config.city,)
+    kind = config.city
+    if isinstance(kind, Path) or (isinstance(kind, str) and Path(kind).suffix in READERS):
+        return (READERS[Path(kind).suffix](Path(kind)),)
+    if not isinstance(kind, str):
+        kind = Statistics(*several("city", kind, 3))
+    seeds = range(config.city_seed, config.city_seed + config.num_layouts)
+    return tuple(generate(kind, config.area, np.random.default_rng(seed), config.irregularity) for seed in seeds)
+
+
+class Town:
+    """The cities of a task by layout: `cities` and, for the engine, `solids`; corners `low`, `high` (3,) of the airspace."""
+
+    def __init__(self, config: UrbanConfig, setting: Setting):
+        """Raises ValueError where the options leave no room to fly."""
+        low, high = config.height
+        if not setting.collision_radius < low <= high < config.ceiling:
+            raise ValueError(
+                f"height is {config.height}: from low to high within {setting.collision_radius:.3g} m, where a drone "
+                f"touches the ground, and ceiling {config.ceiling:g} m is needed"
+            )
+        self.config, self.cities = config, make_cities(config)
+        self.solids: tuple[Solids, ...] = tuple(city.solids for city in self.cities)
+        reach = max(city.side for city in self.cities) / 2
+        self.low, self.high = np.array([-reach, -reach, 0.0]), np.array([reach, reach, config.ceiling])
+        margin = setting.collision_radius + ROOM + CELL / np.sqrt(2)
+        self._raster = [_outdoors(city, CELL, margin) for city in self.cities]
+        for city, raster in zip(self.cities, self._raster, strict=True):
+            if not len(raster):
+                raise ValueError(f"city {city.name!r} has no street {2 * margin:.3g} m wide: drones have no room")
+
+    def draw(self, rng: np.random.Generator) -> int:
+        """A layout."""
+        return int(rng.integers(len(self.cities)))
+
+    def outdoors(self, rng: np.random.Generator, layout: int, count: int) -> np.ndarray:
+        """(count, 2) random places outdoors, with room for a drone, m."""
+        raster = self._raster[layout]
+        return raster[rng.integers(len(raster), size=count)] + rng.uniform(-CELL / 2, CELL / 2, (count, 2))
+
+    def places(
+        self, rng: np.random.Generator, layout: int, count: int, start: np.ndarray | None = None, leg: float = 0.0
+    ) -> np.ndarray:
+        """(count, 3) places for drones, `min_separation` apart, each `leg` m or farther from its `start` (count, 3).
+
+        Raises ValueError where there is no room for so many.
+        """
+        low, high = self.config.height
+        found = np.empty((count, 3))
+        for i in range(count):
+            for _ in range(TRIES):
+                found[i, :2], found[i, 2] = self.outdoors(rng, layout, 1)[0], rng.uniform(low, high)
+                apart = np.linalg.norm(found[:i] - found[i], axis=1).min(initial=np.inf) >= self.config.min_separation
+                if apart and (start is None or np.linalg.norm(start[i] - found[i]) >= leg):
+                    break
+            else:
+                raise ValueError(
+                    f"no place for drone {i} of {count} with min_separation {self.config.min_separation:g} m"
+                    f"{f' and leg {leg:g} m' if leg else ''} in a city of side {self.cities[layout].side:g} m"
+                )
+        return found
+
+    def hovering(self, rng: np.random.Generator, layout: int, count: int) -> Spawn:
+        """Drones at rest at random places, which are their goals too."""
+        place = self.places(rng, layout, count)
+        level = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
+        return Spawn(place, level, np.zeros_like(place), np.zeros_like(place), place, layout=layout)
+
+
+def _outdoors(city: City, cell: float, margin: float) -> np.ndarray:
+    """(M, 2) middles of the cells of a square raster that are `margin` m from all footprints."""
+    count = int(city.side / cell)
+    middle = (np.arange(count) + 0.5) * city.side / count - city.side / 2
+    places = np.stack(np.meshgrid(middle, middle, indexing="ij"), axis=-1).reshape(-1, 2)
+    return places[city.outdoors(places, margin)]
+
+
+def ground_cells(city: City, cell: float) -> np.ndarray:
+    """(M, 3) middles of the outdoor cells of a square raster, at the height of a user's device, m."""
+    places = _outdoors(city, cell, 0.0)
+    return np.concatenate([places, np.full((len(places), 1), USER_HEIGHT)], axis=1)

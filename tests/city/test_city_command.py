@@ -1,0 +1,57 @@
+import argparse
+import json
+
+import pytest
+from matplotlib.image import imread
+
+from bulletuav.city.imports import from_obj
+from bulletuav.commands import city
+
+
+def run(*words):
+    parser = argparse.ArgumentParser()
+    city.add_arguments(parser)
+    city.run(parser.parse_args(list(words)))
+
+
+def test_a_generated_city(tmp_path, capsys):
+    out = tmp_path / "dense"
+    run("--kind", "dense", "--seed", "3", "--irregularity", "0.5", "--out", str(out))
+    told = json.loads((out / "statistics.json").read_text())
+    assert (told["name"], told["side_m"]) == ("dense", 500)
+    assert told["statistics"]["built-up share"] == {"realised": pytest.approx(0.5), "target": 0.5}
+    assert told["statistics"]["greatest height, m"]["target"] is None
+    assert len(from_obj(out / "city.obj", side=500).heights) == told["buildings"]
+    assert imread(out / "map.png").shape[0] > 800
+    printed = capsys.readouterr().out
+    for word in ("city dense", "buildings per km2", "KS test", "map.png", "statistics.json"):
+        assert word in printed
+
+
+def test_an_imported_city_and_one_number_of_ones_own(tmp_path, capsys):
+    run("--gamma", "40", "--side", "200", "--out", str(tmp_path))
+    told = json.loads((tmp_path / "statistics.json").read_text())
+    assert told["name"] == "own"
+    assert told["statistics"]["Rayleigh scale of heights, m"]["target"] == 40
+    assert told["statistics"]["built-up share"]["target"] == 0.3
+    run("--import", str(tmp_path / "city.obj"), "--scale", "2", "--out", str(tmp_path / "again"))
+    again = json.loads((tmp_path / "again" / "statistics.json").read_text())
+    high = "greatest height, m"
+    assert again["statistics"][high]["realised"] == pytest.approx(2 * told["statistics"][high]["realised"])
+    assert "KS test" not in capsys.readouterr().out.rpartition("statistic ")[2]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--kind", "urbane"], "unknown kind of city 'urbane': did you mean 'urban'"),
+        (["--metres"], "--metres has no meaning for a generated city"),
+        (["--import", "a.obj", "--default-height", "3"], "--default-height has no meaning for an import of a.obj"),
+        (["--import", "a.geojson", "--kind", "urban"], "--kind has no meaning for an import of a.geojson"),
+        (["--import", "a.stl"], "unknown kind of file to import '.stl'"),
+        (["--seed", "-1"], "seed is -1: a whole number"),
+    ],
+)
+def test_words_without_a_meaning(tmp_path, words, message):
+    with pytest.raises(ValueError, match=message):
+        run(*words, "--out", str(tmp_path))
