@@ -22,7 +22,8 @@ def fly(task):
             hover = 2 * (aviary.options.airframe[0].hover_speed() / aviary.options.airframe[0].max_rotor_speed) ** 2 - 1
             action = hover + 0.001 * np.sin(0.9 * k + phase)
         else:
-            size = 0.1 if aviary.task.obstacles() else 0.3  # small enough not to hit them
+            size = 0.3  # small enough not to hit anything, where there is anything
+            size = 0.1 if aviary.task.obstacles() else 0.05 if aviary.task.layouts() else size
             action = size * np.sin(0.07 * k + phase) + aviary.scene.goal_velocity[0] / aviary.options.max_speed
         step = aviary.step(action[None])
         rows["observations"].append(step.observations[0])

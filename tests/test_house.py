@@ -1,4 +1,4 @@
-"""The house: each folder imports only those to its left, and only `world.py`, `calls.py` and `bodies.py` of physics know the engine."""
+"""The house: each folder imports only those to its left, and the engine is known in three files of physics alone."""
 
 import ast
 from pathlib import Path
@@ -62,7 +62,11 @@ def test_tasks_never_import_each_other():
 def test_engine_and_extras_stay_in_their_places(path):
     for module, at_once in imported(path):
         root = module.split(".")[0]
-        assert root != "pybullet" or path.relative_to(PACKAGE).as_posix() in ("physics/world.py", "physics/calls.py", "physics/bodies.py")
+        assert root != "pybullet" or path.relative_to(PACKAGE).as_posix() in (
+            "physics/world.py",
+            "physics/calls.py",
+            "physics/bodies.py",
+        )
         assert root not in EXTRAS or not at_once, f"{path} needs the extra {root} to be imported"
 
 

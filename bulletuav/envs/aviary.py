@@ -262,7 +262,7 @@ class Aviary:
         info["conflicts"] = frame.conflict.onsets
         info["separation"] = frame.conflict.separation
         info["goal_distance"] = frame.distance
-        info["power"], info["charge"] = self._energy.power, frame.readings["charge"]
+        info["power"], info["charge"] = self._energy.power.copy(), frame.readings["charge"]
         return info if self._uncertainty is None else info | self._uncertainty.info()
 
     def first_info(self) -> dict[str, np.ndarray]:
@@ -311,7 +311,7 @@ class Aviary:
     def solids(self, world: int = 0) -> Solids:
         """What stands in a world, beside obstacles."""
         layout = self.scene.layout[world]
-        return NOTHING_STANDS if layout == NOWHERE else self._world.solids[layout]
+        return NOTHING_STANDS if layout == NOWHERE else self.task.layouts()[layout]
 
     @property
     def level(self) -> Level:

@@ -13,7 +13,8 @@ from bulletuav.physics.swarm import Swarm
 class Energy:
     """Power (W, N) W, mean over the last decision, and the batteries that give it.
 
-    By `energy` "zeng", of the rotary-wing formula at the velocity relative to the air; "actuator", of the simulated rotors.
+    By `energy` "zeng", of the rotary-wing formula at the velocity relative to the air; by "actuator", and
+    without gravity, of the simulated rotors.
     """
 
     def __init__(self, options: Options, parameters: np.ndarray):
@@ -21,7 +22,8 @@ class Energy:
         self.power = np.zeros(parameters.shape)
         self._battery = Battery(parameters.shape, options.battery_capacity or math.inf)
         self._parameters, self._period = parameters, 1 / options.decision_hz
-        wings = [airframe_wing(airframe, options.gravity) for airframe in options.airframe if options.energy == "zeng"]
+        formula = options.energy == "zeng" and options.gravity > 0  # which knows power by the weight that it carries
+        wings = [airframe_wing(airframe, options.gravity) for airframe in options.airframe if formula]
         self._wings = np.array([wings] * len(parameters), dtype=ROTARY_WING) if wings else None
 
     def start(self, k: int) -> None:

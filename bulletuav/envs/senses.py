@@ -52,7 +52,7 @@ class Senses:
             radius = np.array([airframe.collision_radius for airframe in options.airframe])
             every = options.decision_hz // (options.camera_hz or options.decision_hz)
             self._cameras = DroneCameras(world, images, radius, options.camera_size, every)
-        self._sight = np.zeros((*world.shape, task.num_targets), dtype=bool) if task.num_targets else None
+        self._sight = np.zeros((*world.shape, task.num_targets), dtype=bool)
         self._clearance = np.full(world.shape, options.max_range) if "clearance" in wanted else None
 
     def start(self, k: int, swarm: Swarm, rng: np.random.Generator) -> None:
@@ -85,7 +85,7 @@ class Senses:
         self._look(after, scene, mask)
 
     def _look(self, swarm: Swarm, scene: Scene, mask: np.ndarray) -> None:
-        if self._sight is not None:
+        if self._task.num_targets:
             self._sight[mask] = sights(self._world, swarm.position, self._task.targets(scene), mask)[mask]
 
     def readings(self) -> dict[str, np.ndarray]:
@@ -95,10 +95,9 @@ class Senses:
             readings["lidar"] = self._lidar.ranges.copy()
         if self._imu is not None:
             readings["imu"] = np.concatenate([self._imu.acceleration, self._imu.rates], axis=-1)
-        for name, reading in (("sight", self._sight), ("clearance", self._clearance)):
-            if reading is not None:
-                readings[name] = reading.copy()
-        return readings
+        if self._clearance is not None:
+            readings["clearance"] = self._clearance.copy()
+        return readings | {"sight": self._sight.copy()}
 
 
 def _connect(sensor: Lidar | Imu, names: dict[str, str], drawn: dict[str, np.ndarray]) -> None:

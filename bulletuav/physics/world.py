@@ -16,10 +16,11 @@ import numpy as np
 
 from bulletuav.kernel import kernel
 from bulletuav.physics.airframe import Airframe
-from bulletuav.physics.atlas import NOWHERE, make_atlas
+from bulletuav.physics.atlas import Atlas
 from bulletuav.physics.batch import POSTFIX, Batch, Port, load
-from bulletuav.physics.bodies import FLOOR, make_city, make_drone, make_facade, make_floor, make_ground, make_obstacles
+from bulletuav.physics.bodies import FLOOR, make_drone, make_floor, make_ground, make_obstacles
 from bulletuav.physics.calls import DISTANCE, DRONE_GROUP, RAYS, SOLID, VISIBLE, Calls, bullet
+from bulletuav.physics.layouts import Layouts
 from bulletuav.physics.obstacle import Obstacle
 from bulletuav.physics.quiet import silenced
 from bulletuav.physics.rotation import to_world
@@ -33,9 +34,7 @@ ENGINE_VERSION = bullet.getAPIVersion()
 EXTENSION = load(bullet.__file__)
 
 PARKING_HEIGHT, PARKING_PITCH, PARKING_COLUMNS = 2000.0, 10.0, 100
-CELLAR_PITCH = 4096.0  # m, below each other and the ground wait the layouts that stand nowhere
 LIGHT = (0.4, -0.7, 1.0)  # towards the sun of pictures: walls differ
-CITY_GAP = 1.0  # m, beyond a drone's diameter, between pieces of a compound
 
 
 @kernel
@@ -95,21 +94,19 @@ class World:
         self._obstacle = np.array([make_obstacles(self._client, one, below) for one in obstacles], dtype=np.int32)
         self._obstacle = self._obstacle.reshape(len(obstacles), num_worlds).T.copy()
         self._obstacle_place = np.full((*self._obstacle.shape, 3), -PARKING_HEIGHT)
-        self._cellar = self._offset - CELLAR_PITCH * np.arange(1, len(layouts) + 1)[:, None] * [0, 0, 1]
-        self.solids, self.atlas = tuple(layouts), make_atlas(layouts, num_worlds)
-        self._city = self._make_city(layouts, airframes)
-        self._facade = [make_facade(self._client, solids, (0, 0, -CELLAR_PITCH)) for solids in layouts]
+        diameter = 2 * max(airframe.collision_radius for airframe in airframes)
+        self._layouts = Layouts(self._client, layouts, self._offset[:, 0], diameter)
         self._drone_of_body = {body: divmod(k, len(airframes)) for k, body in enumerate(self._body.ravel().tolist())}
         self._label = np.full(bullet.getNumBodies(self._client) + 1, SKY, dtype=np.uint8)  # the last for no body
         for bodies, label in (
             (self._body, DRONE),
             (self._obstacle, OBSTACLE),
-            (self._facade, BUILDING),
+            (self._layouts.facade, BUILDING),
             (self._floor, LAND),
         ):
             self._label[bodies] = label
         self._meaning = {body: FIRST_OBSTACLE - k for row in self._obstacle.tolist() for k, body in enumerate(row)}
-        self._meaning |= {body: CITY for bodies in self._city for body in bodies.ravel().tolist()}
+        self._meaning |= {body: CITY for bodies in self._layouts.body for body in bodies.ravel().tolist()}
         self._place = np.zeros((*self.shape, 3))  # positions as the engine gave them, for forces at the centre
         self._omega = np.zeros((*self.shape, 3))
         self._calls = self._make_calls(live)
@@ -158,28 +155,14 @@ class World:
         if live:
             bullet.configureDebugVisualizer(bullet.COV_ENABLE_GUI, 0, physicsClientId=self._client)
 
-    def _make_city(self, layouts: Sequence[Solids], airframes: Sequence[Airframe]) -> list[np.ndarray]:
-        """Of each layout the bodies (W, .) that can stand for it in each world, parked, the one that rays meet first."""
-        apart = CITY_GAP + 2 * max(airframe.collision_radius for airframe in airframes)
-        return [
-            np.array(make_city(self._client, solids, apart, self._cellar[:, layout]), dtype=np.int32)
-            for layout, solids in enumerate(layouts)
-        ]
-
     def set_layouts(self, layout: np.ndarray, worlds: np.ndarray) -> None:
         """Have layout `layout` (W,) of the city stand in each of `worlds` (W,) bool; the others keep theirs."""
-        if not self._city:
-            return
-        level = np.array([0.0, 0.0, 0.0, 1.0])
-        for w in np.flatnonzero(worlds & (layout != self.atlas.layout)).tolist():
-            for k, place in (
-                (self.atlas.layout[w], self._cellar[w]),
-                (layout[w], self._offset[w].repeat(len(self._city), 0)),
-            ):
-                if k != NOWHERE:
-                    bodies = self._city[k][w]
-                    self._calls.pose(bodies, np.tile(place[k], (len(bodies), 1)), np.tile(level, (len(bodies), 1)))
-            self.atlas.layout[w] = layout[w]
+        self._layouts.put(layout, worlds, self._calls)
+
+    @property
+    def atlas(self) -> Atlas:
+        """Where the pieces of the layouts are, and which layout stands in each world."""
+        return self._layouts.atlas
 
     def set_obstacles(self, position: np.ndarray, quaternion: np.ndarray, worlds: np.ndarray) -> None:
         """Put the obstacles of `worlds` (W,) at position (W, K, 3) with quaternion (W, K, 4)."""
@@ -298,8 +281,7 @@ class World:
         if who == GROUND:
             return [self._ground]
         if who == CITY:
-            layout = self.atlas.layout[world]
-            return [] if layout == NOWHERE else self._city[layout][world, 1:].tolist()
+            return self._layouts.solid_bodies(world)
         body = self._body[world, who] if who >= 0 else self._obstacle[world, FIRST_OBSTACLE - who]
         if position is not None:
             bullet.resetBasePositionAndOrientation(body, position + self._offset[world, 0], quaternion, self._client)
@@ -307,8 +289,7 @@ class World:
 
     def picture(self, world: int, view: np.ndarray, projection: np.ndarray, size: tuple[int, int]) -> Picture:
         """What a camera given by matrices (see `view`) in the world's own frame sees; needs no screen."""
-        shown = [(self._floor, -FLOOR / 2)]
-        shown += [(body, 0 if k == self.atlas.layout[world] else -CELLAR_PITCH) for k, body in enumerate(self._facade)]
+        shown = [(self._floor, -FLOOR / 2), *self._layouts.facades(world)]
         for body, height in shown:
             bullet.resetBasePositionAndOrientation(body, self._offset[world, 0] + [0, 0, height], [0, 0, 0, 1], self._client)
         shift = np.eye(4)

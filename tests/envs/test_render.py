@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import bulletuav
-from bulletuav.envs.camera import DRONE, GOAL, GRID, SKY
+from bulletuav.envs.camera import DRONE, GOAL, GRID
+from bulletuav.physics.view import AIR
 
 
 @pytest.mark.parametrize("dynamics", ["bullet", "rigid_body"])
@@ -15,7 +16,7 @@ def test_headless_picture_shows_drones_goals_ground_and_sky(task, dynamics):
     picture = env.render()
     assert picture.shape == (240, 320, 3)
     assert picture.dtype == np.uint8
-    for colour in (DRONE, GOAL, GRID, SKY):
+    for colour in (DRONE, GOAL, GRID, AIR):
         assert (picture == colour).all(axis=-1).any()
     env.step({agent: env.action_space(agent).high for agent in env.agents})
     assert (env.render() != picture).any()

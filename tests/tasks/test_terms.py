@@ -5,8 +5,8 @@ from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
 from bulletuav.tasks.base import merged_weights, refuse_overlap
-from bulletuav.tasks.terms.conflict import conflict
 from bulletuav.tasks.terms.blocks import nearest
+from bulletuav.tasks.terms.conflict import conflict
 
 NEIGHBOURS = 3
 

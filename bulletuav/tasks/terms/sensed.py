@@ -58,8 +58,9 @@ def targets(task: "Task") -> Block:
 
 def seen_share(task: "Task") -> Block:
     """Share of the task's targets that the drone sees."""
+    count = max(task.num_targets, 1)
     return Block(
-        (Label("seen share", "1", 0.0, 1.0),), lambda frame, present: frame.readings["sight"].mean(axis=-1)[..., None]
+        (Label("seen share", "1", 0.0, 1.0),), lambda frame, present: frame.readings["sight"].sum(axis=-1)[..., None] / count
     )
 
 
