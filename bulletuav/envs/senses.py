@@ -42,7 +42,9 @@ class Senses:
         self._range = options.max_range
         self._lidar = self._imu = self._cameras = None
         if "lidar" in wanted:
-            self._lidar = Lidar(world, task.setting.beams, options.max_range, options.lidar_frame)
+            self._lidar = Lidar(
+                world, task.setting.beams, options.max_range, options.lidar_frame, task.setting.collision_radius
+            )
             _connect(self._lidar, LIDAR, drawn)
         if "imu" in wanted:
             self._imu = Imu(world.shape, self._period, options.gravity)
@@ -72,21 +74,17 @@ class Senses:
         """Bring the readings of the drones of `mask` (W, N) up to date, after a decision or, where steps is 0, a reset."""
         if self._imu is not None:
             self._imu.read(before, after, mask.any(axis=1) & (steps > 0), rngs)
-        if self._lidar is None and self._cameras is None and self._clearance is None:
-            self._look(after, scene, mask)
-            return
-        self._dynamics.show(after, mask)
+        near = self._lidar is not None and self._lidar.reaches(after, mask)
+        if near or self._cameras is not None or self._clearance is not None:
+            self._dynamics.show(after, mask)
         if self._lidar is not None:
-            self._lidar.scan(after, mask, rngs)
+            self._lidar.scan(after, mask, near, rngs)
         if self._cameras is not None:
             self._cameras.expose(after, mask, steps)
         if self._clearance is not None:
-            self._clearance[mask] = clearances(self._world, after, mask, self._range)[mask]
-        self._look(after, scene, mask)
-
-    def _look(self, swarm: Swarm, scene: Scene, mask: np.ndarray) -> None:
+            self._clearance[mask] = clearances(self._world, mask, self._range)[mask]
         if self._task.num_targets:
-            self._sight[mask] = sights(self._world, swarm.position, self._task.targets(scene), mask)[mask]
+            self._sight[mask] = sights(self._world, after.position, self._task.targets(scene), mask)[mask]
 
     def readings(self) -> dict[str, np.ndarray]:
         """The readings by the names that `Frame` tells, as they are now."""

@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from bulletuav.kernel import kernel
-from bulletuav.physics.rotation import axes, four
+from bulletuav.physics.approach import offset
+from bulletuav.physics.rotation import axes, dot, four
 from bulletuav.physics.swarm import Swarm
 from bulletuav.physics.world import World
 
@@ -36,33 +37,54 @@ class Lidar:
     ranges    (W, N, B) m; `max_range` for what is farther, or did not come back
     """
 
-    def __init__(self, world: World, beams: Sequence[Beam], max_range: float, frame: str):
-        """`max_range` in m; `frame` one of FRAMES."""
+    def __init__(self, world: World, beams: Sequence[Beam], max_range: float, frame: str, radius: float):
+        """`max_range` in m; `frame` one of FRAMES; `radius` of the largest drone, m."""
         azimuth, elevation = np.radians(np.array(beams, dtype=float)).T
         level = np.cos(elevation)
         self._directions = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], axis=1)
-        self._world, self._range, self._turns = world, max_range, frame == "yaw"
+        self._world, self._range, self._turns, self._reach = world, max_range, frame == "yaw", radius
         self.noise, self.dropout = np.zeros((2, *world.shape))
         self.ranges = np.full((*world.shape, len(beams)), max_range)
 
-    def scan(self, swarm: Swarm, mask: np.ndarray, rngs: Sequence[np.random.Generator | None]) -> None:
-        """New ranges of the drones of `mask` (W, N), whose bodies stand where `swarm` is; others keep theirs.
+    def reaches(self, swarm: Swarm, mask: np.ndarray) -> bool:
+        """Whether any drone of `mask` (W, N) may be seen by another: then the engine's bodies must stand where they are."""
+        return within(swarm.position, mask, self._range + self._reach)
+
+    def scan(self, swarm: Swarm, mask: np.ndarray, near: bool, rngs: Sequence[np.random.Generator | None]) -> None:
+        """New ranges of the drones of `mask` (W, N); others keep theirs. `near` is what `reaches` says.
 
         Each world draws from its own generator, if its drones' readings are uncertain.
         """
         start, end, world = cast(swarm.position, swarm.quaternion, mask, self._directions, self._range, self._turns)
-        share = self._world.cast_rays(start, end, world, drones=mask.shape[1] > 1)
-        ranges = self._range * share.reshape(-1, len(self._directions))
-        for w in np.flatnonzero(mask.any(axis=1) & ((self.noise > 0) | (self.dropout > 0)).any(axis=1)).tolist():
+        ranges = self._range * self._world.cast_rays(start, end, world, drones=near).reshape(-1, len(self._directions))
+        if self.noise.any() or self.dropout.any():
+            self._blur(ranges, mask, rngs)
+        self.ranges[mask] = ranges
+
+    def _blur(self, ranges: np.ndarray, mask: np.ndarray, rngs: Sequence[np.random.Generator | None]) -> None:
+        """Noise and losses for `ranges` (M, B) of the drones of `mask`."""
+        where = np.nonzero(mask)[0]
+        for w in np.unique(where).tolist():
             rng = rngs[w]
             assert rng is not None  # a world that flies was reset
-            drawn = rng.standard_normal(self.ranges[w].shape), rng.random(self.ranges[w].shape)
-            error, luck = (values[mask[w]] for values in drawn)
-            mine = np.nonzero(mask)[0] == w
+            error, luck = rng.standard_normal(self.ranges[w].shape), rng.random(self.ranges[w].shape)
             noise, dropout = self.noise[w, mask[w], None], self.dropout[w, mask[w], None]
-            seen = np.where(ranges[mine] < self._range, np.maximum(ranges[mine] + noise * error, 0.0), self._range)
-            ranges[mine] = np.where(luck < dropout, self._range, np.minimum(seen, self._range))
-        self.ranges[mask] = ranges
+            true = ranges[where == w]
+            seen = np.where(true < self._range, np.clip(true + noise * error[mask[w]], 0.0, self._range), self._range)
+            ranges[where == w] = np.where(luck[mask[w]] < dropout, self._range, seen)
+
+
+@kernel
+def within(position, mask, reach):
+    """Whether two drones of `mask` (W, N) of one world, at (W, N, 3) m, are closer than `reach` m to each other."""
+    for w in range(mask.shape[0]):
+        for i in range(mask.shape[1]):
+            for j in range(i):
+                if mask[w, i] and mask[w, j]:
+                    gap = offset(position, w, i, j)
+                    if dot(gap, gap) < reach * reach:
+                        return True
+    return False
 
 
 @kernel

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from bulletuav.physics.swarm import CITY, FIRST_OBSTACLE, GROUND, Swarm
+from bulletuav.physics.swarm import CITY, FIRST_OBSTACLE, GROUND
 from bulletuav.physics.world import World
 
 
@@ -26,17 +26,16 @@ def sights(world: World, position: np.ndarray, targets: np.ndarray, mask: np.nda
     return seen
 
 
-def clearances(world: World, swarm: Swarm, mask: np.ndarray, within: float) -> np.ndarray:
+def clearances(world: World, mask: np.ndarray, most: float) -> np.ndarray:
     """(W, N) distance of each drone's collision shape from the nearest other, m: ground, building, obstacle or drone.
 
-    Exact, negative where shapes overlap, `within` where nothing is nearer or the drone is not among `mask` (W, N). Moves the
-    engine's bodies of drones to `swarm`.
+    Exact, negative where shapes overlap; `most` where nothing is nearer and for drones that are not among `mask` (W, N).
+    Drones are where the engine's bodies stand.
     """
-    result = np.full(mask.shape, within)
+    result = np.full(mask.shape, most)
     obstacles = range(FIRST_OBSTACLE, FIRST_OBSTACLE - len(world.obstacle_radius), -1)
     for w, i in np.argwhere(mask).tolist():
-        own = (i, swarm.position[w, i], swarm.quaternion[w, i])
-        others = [(j, swarm.position[w, j], swarm.quaternion[w, j]) for j in np.flatnonzero(mask[w]).tolist() if j != i]
-        others += [(who, None, None) for who in (GROUND, CITY, *obstacles)]
-        result[w, i] = min(within, *(world.separation(w, own, other, within) for other in others))
+        others = [*np.flatnonzero(mask[w]).tolist(), GROUND, CITY, *obstacles]
+        gaps = [world.separation(w, (i, None, None), (other, None, None), most) for other in others if other != i]
+        result[w, i] = min(most, *gaps)
     return result

@@ -19,6 +19,7 @@ from bulletuav.tasks.terms.airspace import UNCERTAINTY
 CELL = 4.0  # m, of the raster from which places are drawn
 ROOM = 1.0  # m, beyond its radius, between a drone that starts, or a goal, and buildings
 USER_HEIGHT = 1.5  # m, of a user's device above the ground
+EDGE = 10.0  # m, between them and the city's edge
 TRIES = 1000
 READERS: dict[str, Callable[[Path], City]] = {".geojson": from_geojson, ".json": from_geojson, ".obj": from_obj}
 LEVELS: dict[str, dict[str, Any]] = {
@@ -84,7 +85,7 @@ class Town:
         reach = max(city.side for city in self.cities) / 2
         self.low, self.high = np.array([-reach, -reach, 0.0]), np.array([reach, reach, config.ceiling])
         margin = setting.collision_radius + ROOM + CELL / np.sqrt(2)
-        self._raster = [_outdoors(city, CELL, margin) for city in self.cities]
+        self._raster = [_outdoors(city, CELL, margin, EDGE) for city in self.cities]
         for city, raster in zip(self.cities, self._raster, strict=True):
             if not len(raster):
                 raise ValueError(f"city {city.name!r} has no street {2 * margin:.3g} m wide: drones have no room")
@@ -127,12 +128,13 @@ class Town:
         return Spawn(place, level, np.zeros_like(place), np.zeros_like(place), place, layout=layout)
 
 
-def _outdoors(city: City, cell: float, margin: float) -> np.ndarray:
-    """(M, 2) middles of the cells of a square raster that are `margin` m from all footprints."""
+def _outdoors(city: City, cell: float, margin: float, edge: float = 0.0) -> np.ndarray:
+    """(M, 2) middles of the cells of a square raster, `margin` m from footprints and `edge` m from the city's edge."""
     count = int(city.side / cell)
     middle = (np.arange(count) + 0.5) * city.side / count - city.side / 2
     places = np.stack(np.meshgrid(middle, middle, indexing="ij"), axis=-1).reshape(-1, 2)
-    return places[city.outdoors(places, margin)]
+    inside = np.abs(places).max(axis=1, initial=0.0) <= city.side / 2 - edge
+    return places[inside & city.outdoors(places, margin)]
 
 
 def ground_cells(city: City, cell: float) -> np.ndarray:
