@@ -1,6 +1,8 @@
 """Recording of an episode: fly it, keep everything, write it to files."""
 
 import csv
+import dataclasses
+import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -9,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bulletuav.city.model import City
 from bulletuav.envs.aviary import Aviary, Step
 from bulletuav.envs.options import Options
 from bulletuav.physics.swarm import Swarm
@@ -153,4 +156,10 @@ def described(options: Options, config: Any) -> dict[str, Any]:
     names = [airframe.name for airframe in options.airframe]
     wind = "function" if callable(options.wind) else options.wind
     random = {name: getattr(options.randomization, name) for name in options.randomization.active}
-    return {**vars(options), "airframe": names, "wind": wind, "randomization": random, **asdict(config)}
+    own = {field.name: getattr(config, field.name) for field in dataclasses.fields(config)}
+    if isinstance(own.get("city"), City):
+        bounds = own["city"].solids.bounds
+        own["city"] = f"{own['city'].name}, pieces {hashlib.sha256(bounds.tobytes()).hexdigest()[:16]}"
+    elif isinstance(own.get("city"), Path):
+        own["city"] = str(own["city"])
+    return {**vars(options), "airframe": names, "wind": wind, "randomization": random, **own}

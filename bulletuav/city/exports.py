@@ -6,12 +6,12 @@ from pathlib import Path
 from bulletuav.city.model import City
 
 
-def write_obj(city: City, path: Path) -> None:
+def write_obj(city: City, path: str | Path) -> None:
     """Write every convex piece as an object `building_K_piece_P` of a Wavefront OBJ file: metres, z up, faces turn left.
 
     Coordinates keep all their digits: `imports.from_obj` with the city's side reads the same pieces.
     """
-    path.write_text("\n".join(_obj_lines(city)) + "\n")
+    Path(path).write_text("\n".join(_obj_lines(city)) + "\n")
 
 
 def _obj_lines(city: City) -> Iterator[str]:

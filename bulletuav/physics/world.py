@@ -74,7 +74,7 @@ class World:
         with silenced():
             self._client = bullet.connect(bullet.GUI if live else bullet.DIRECT)
         self._finalizer = weakref.finalize(self, _disconnect, self._client)
-        self.shape, self.dt, self.first_world = (num_worlds, len(airframes)), dt, first_world
+        self.shape, self.dt, self.first_world, self._live = (num_worlds, len(airframes)), dt, first_world, live
         self._offset = np.array([tile_offset(first_world + k) for k in range(num_worlds)])[:, None, :]
         self._configure(dt, live)
         self._floor, self._ground = make_floor(self._client), make_ground(self._client)
@@ -158,6 +158,13 @@ class World:
     def set_layouts(self, layout: np.ndarray, worlds: np.ndarray) -> None:
         """Have layout `layout` (W,) of the city stand in each of `worlds` (W,) bool; the others keep theirs."""
         self._layouts.put(layout, worlds, self._calls)
+        if self._live:
+            self._show_city(0)
+
+    def _show_city(self, world: int) -> None:
+        """Have the floor and the right facade stand where pictures of a world are taken."""
+        for body, height in [(self._floor, -FLOOR / 2), *self._layouts.facades(world)]:
+            bullet.resetBasePositionAndOrientation(body, self._offset[world, 0] + [0, 0, height], [0, 0, 0, 1], self._client)
 
     @property
     def atlas(self) -> Atlas:
@@ -289,9 +296,7 @@ class World:
 
     def picture(self, world: int, view: np.ndarray, projection: np.ndarray, size: tuple[int, int]) -> Picture:
         """What a camera given by matrices (see `view`) in the world's own frame sees; needs no screen."""
-        shown = [(self._floor, -FLOOR / 2), *self._layouts.facades(world)]
-        for body, height in shown:
-            bullet.resetBasePositionAndOrientation(body, self._offset[world, 0] + [0, 0, height], [0, 0, 0, 1], self._client)
+        self._show_city(world)
         shift = np.eye(4)
         shift[:3, 3] = -self._offset[world, 0]
         width, height = size

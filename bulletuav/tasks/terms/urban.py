@@ -40,7 +40,7 @@ class UrbanConfig:
     area           side of the city's square; of files the smallest that holds all
     irregularity   from 0, a regular grid, to 1
     num_layouts    how many cities are made, one of which stands in a world during an episode; of files there is one
-    city_seed      of the first of them; they are the same for all worlds and processes
+    city_seed      of the first of them (layout k is what `bulletuav city` makes of this seed + k), for all worlds the same
     height         of starts and goals, from low to high; those are outdoors
     ceiling        of the airspace
     min_separation  between starts, and between goals
