@@ -74,10 +74,12 @@ class Senses:
         """Bring the readings of the drones of `mask` (W, N) up to date, after a decision or, where steps is 0, a reset."""
         if self._imu is not None:
             self._imu.read(before, after, mask.any(axis=1) & (steps > 0), rngs)
-        near = self._lidar is not None and self._lidar.reaches(after, mask)
-        if near or self._cameras is not None or self._clearance is not None:
+        if self._cameras is not None or self._clearance is not None:
             self._dynamics.show(after, mask)
         if self._lidar is not None:
+            near = self._lidar.reaches(after, mask)
+            if near.any():
+                self._dynamics.show(after, mask & near[:, None])
             self._lidar.scan(after, mask, near, rngs)
         if self._cameras is not None:
             self._cameras.expose(after, mask, steps)

@@ -20,6 +20,7 @@ class Atlas(NamedTuple):
     layout     (W,) which one stands there, or NOWHERE
     low, high  (T, 3) corners of the bounding boxes of all pieces of all layouts, m
     first      (L, cells^2 + 1): the pieces in cell c of layout l are item[first[l, c] : first[l, c + 1]], indices into low
+    boxes      (L,) bool: layouts of boxes alone
     reach      m, the grid covers [-reach, reach]^2 in cells x cells squares
     """
 
@@ -28,6 +29,7 @@ class Atlas(NamedTuple):
     high: np.ndarray
     first: np.ndarray
     item: np.ndarray
+    boxes: np.ndarray
     reach: float
     cells: int
 
@@ -43,6 +45,7 @@ def make_atlas(layouts: Sequence[Solids], num_worlds: int) -> Atlas:
         bounds[:, 1].copy(),
         np.zeros((len(layouts), count**2 + 1), dtype=np.int64),
         np.zeros(0, dtype=np.int64),
+        np.array([not solids.hulls for solids in layouts], dtype=bool),
         reach,
         count,
     )

@@ -11,6 +11,7 @@ import itertools
 import warnings
 import weakref
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -29,6 +30,7 @@ from bulletuav.physics.solids import Solids
 from bulletuav.physics.swarm import CITY, FIRST_OBSTACLE, GROUND, Swarm
 from bulletuav.physics.tiles import columns, land, localise, tile_offset
 from bulletuav.physics.view import BUILDING, DRONE, LAND, OBSTACLE, SKY, Picture, metres
+from bulletuav.physics.walk import walk
 
 ENGINE_VERSION = bullet.getAPIVersion()
 EXTENSION = load(bullet.__file__)
@@ -251,13 +253,18 @@ class World:
             return self._drone_of_body[body][1]
         return self._meaning.get(body, GROUND)
 
-    def cast_rays(self, start: np.ndarray, end: np.ndarray, world: np.ndarray, drones: bool = False) -> np.ndarray:
+    def cast_rays(self, start: np.ndarray, end: np.ndarray, world: np.ndarray, drones: Any = False) -> np.ndarray:
         """(M,) fraction of each ray from `start` to `end` (M, 3) in world `world` (M,) before it meets something; 1 if not.
 
-        That is ground, obstacle or building, and, for `drones`, a drone that it does not start in (see `set_poses`).
+        That is ground, obstacle or building, and, in worlds of `drones` (W,), a drone that it does not start in (see
+        `set_poses`). Where ground and boxes are all that there is the engine need not be asked.
         """
-        offset = self._offset[world, 0]
-        return self._calls.rays(start + offset, end + offset, VISIBLE | (DRONE_GROUP if drones else 0))
+        engine = np.full(self.shape[0], self.obstacle_radius.size > 0) | drones
+        fraction, left = walk(self.atlas, start, end, world, engine)
+        if len(left):
+            offset, groups = self._offset[world[left], 0], VISIBLE | (DRONE_GROUP if np.any(drones) else 0)
+            fraction[left] = self._calls.rays(start[left] + offset, end[left] + offset, groups)
+        return fraction
 
     def surface_below(self, position: np.ndarray, mask: np.ndarray) -> np.ndarray:
         """(W, N) height z of the surface under each drone of `mask`, m; -inf outside `mask`."""

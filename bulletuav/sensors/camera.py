@@ -62,5 +62,7 @@ class DroneCameras:
         eye = swarm.position[where, who] + self._radius[who, None] * frames[:, 0]
         start = np.repeat(eye, len(self._rays), axis=0)
         end = start + (self._rays @ frames).reshape(-1, 3)
-        share = self._world.cast_rays(start, end, np.repeat(where, len(self._rays)), drones=True)
+        share = self._world.cast_rays(
+            start, end, np.repeat(where, len(self._rays)), np.ones(len(swarm.position), dtype=bool)
+        )
         self.pictures["ray_depth"][where, who] = FAR * share.reshape(-1, *self._size[::-1])

@@ -46,11 +46,11 @@ class Lidar:
         self.noise, self.dropout = np.zeros((2, *world.shape))
         self.ranges = np.full((*world.shape, len(beams)), max_range)
 
-    def reaches(self, swarm: Swarm, mask: np.ndarray) -> bool:
-        """Whether any drone of `mask` (W, N) may be seen by another: then the engine's bodies must stand where they are."""
+    def reaches(self, swarm: Swarm, mask: np.ndarray) -> np.ndarray:
+        """(W,) worlds in which a drone of `mask` (W, N) may be seen by another: there bodies must stand where drones are."""
         return within(swarm.position, mask, self._range + self._reach)
 
-    def scan(self, swarm: Swarm, mask: np.ndarray, near: bool, rngs: Sequence[np.random.Generator | None]) -> None:
+    def scan(self, swarm: Swarm, mask: np.ndarray, near: np.ndarray, rngs: Sequence[np.random.Generator | None]) -> None:
         """New ranges of the drones of `mask` (W, N); others keep theirs. `near` is what `reaches` says.
 
         Each world draws from its own generator, if its drones' readings are uncertain.
@@ -76,15 +76,15 @@ class Lidar:
 
 @kernel
 def within(position, mask, reach):
-    """Whether two drones of `mask` (W, N) of one world, at (W, N, 3) m, are closer than `reach` m to each other."""
+    """(W,) worlds in which two drones of `mask` (W, N) at (W, N, 3) m are closer than `reach` m to each other."""
+    found = np.zeros(mask.shape[0], dtype=np.bool_)
     for w in range(mask.shape[0]):
         for i in range(mask.shape[1]):
             for j in range(i):
                 if mask[w, i] and mask[w, j]:
                     gap = offset(position, w, i, j)
-                    if dot(gap, gap) < reach * reach:
-                        return True
-    return False
+                    found[w] |= dot(gap, gap) < reach * reach
+    return found
 
 
 @kernel

@@ -1,0 +1,101 @@
+"""Rays through cities of boxes without the engine: the same answers, many times as fast.
+
+A ray walks through the cells of the atlas (J. Amanatides and A. Woo, A fast voxel traversal algorithm for ray tracing,
+1987), and in each meets the boxes by the slab method (T. Kay and J. Kajiya, Ray tracing complex scenes, 1986). The engine
+takes the corners of its triangles a little wide: rays that graze an edge within a millimetre may differ.
+"""
+
+import math
+
+import numpy as np
+
+from bulletuav.kernel import formula, kernel
+from bulletuav.physics.atlas import NOWHERE
+
+
+@formula
+def _slab(start, change, low, high):
+    """Shares t at which start + t change enters and leaves the slab from `low` to `high`; inf, -inf where it never does."""
+    if change == 0.0:
+        return (-np.inf, np.inf) if low <= start <= high else (np.inf, -np.inf)
+    one, two = (low - start) / change, (high - start) / change
+    return min(one, two), max(one, two)
+
+
+@formula
+def _surface(start, change, low, high):
+    """Share at which a ray first crosses the surface of a box, inf where it does not within its length."""
+    enters, leaves = -np.inf, np.inf
+    for k in range(3):
+        one, two = _slab(start[k], change[k], low[k], high[k])
+        enters, leaves = max(enters, one), min(leaves, two)
+    if enters > leaves or leaves < 0.0 or enters > 1.0:
+        return np.inf
+    if enters >= 0.0:
+        return enters
+    return leaves if leaves <= 1.0 else np.inf
+
+
+@formula
+def _next_line(start, change, cell, step, atlas):
+    """Share at which a ray passes from column (or row) `cell` to the next in the direction `step`; inf if never."""
+    if step == 0:
+        return np.inf
+    line = 2.0 * atlas.reach / atlas.cells * (cell + max(step, 0)) - atlas.reach
+    return (line - start) / change
+
+
+@formula
+def _buildings(atlas, layout, start, change):
+    """Share at which a ray meets the first box of a layout, 1 if none."""
+    least, last = 0.0, 1.0  # between them it is over the grid
+    for k in range(2):
+        one, two = _slab(start[k], change[k], -atlas.reach, atlas.reach)
+        least, last = max(least, one), min(last, two)
+    if least > last:
+        return 1.0
+    scale = 0.5 * atlas.cells / atlas.reach
+    column = min(max(math.floor((start[0] + least * change[0] + atlas.reach) * scale), 0), atlas.cells - 1)
+    row = min(max(math.floor((start[1] + least * change[1] + atlas.reach) * scale), 0), atlas.cells - 1)
+    east = 1 if change[0] > 0.0 else -1 if change[0] < 0.0 else 0
+    north = 1 if change[1] > 0.0 else -1 if change[1] < 0.0 else 0
+    found = np.inf
+    while 0 <= column < atlas.cells and 0 <= row < atlas.cells:
+        cell = column * atlas.cells + row
+        for m in range(atlas.first[layout, cell], atlas.first[layout, cell + 1]):
+            p = atlas.item[m]
+            low = (atlas.low[p, 0], atlas.low[p, 1], atlas.low[p, 2])
+            high = (atlas.high[p, 0], atlas.high[p, 1], atlas.high[p, 2])
+            found = min(found, _surface(start, change, low, high))
+        across, along = (
+            _next_line(start[0], change[0], column, east, atlas),
+            _next_line(start[1], change[1], row, north, atlas),
+        )
+        if min(across, along) >= min(last, found):
+            break
+        if across <= along:
+            column += east
+        else:
+            row += north
+    return min(found, 1.0)
+
+
+@kernel
+def walk(atlas, start, end, world, engine):
+    """(M,) fractions of rays (M, 3) before they meet ground or a box, as `World.cast_rays` tells, and (R,) which are left.
+
+    Left are rays in worlds of `engine` (W,), where something else stands, and in layouts that are not boxes alone.
+    """
+    fraction, left = np.ones(world.shape[0]), [0 for _ in range(0)]
+    for m in range(world.shape[0]):
+        layout = atlas.layout[world[m]]
+        if engine[world[m]] or (layout != NOWHERE and not atlas.boxes[layout]):
+            left.append(m)
+            continue
+        here = (start[m, 0], start[m, 1], start[m, 2])
+        change = (end[m, 0] - here[0], end[m, 1] - here[1], end[m, 2] - here[2])
+        if here[2] * end[m, 2] <= 0.0 and change[2] != 0.0:  # through the ground, from either side
+            fraction[m] = min(1.0, -here[2] / change[2])
+        if layout != NOWHERE:
+            fraction[m] = min(fraction[m], _buildings(atlas, layout, here, change))
+    return fraction, np.array(left, dtype=np.int64)
