@@ -45,7 +45,9 @@ PACKAGES = {
         "pillow",
         "setuptools<81",
     ],
+    "urbanmarl": ["torch==2.13.0", "torchrl==0.14.1", "matplotlib"],
 }
+ALONE = {"urbanmarl": ["urbanmarl==0.3.1"]}  # without what they ask for: there are no versions of it that go together
 SINGLE_THREAD = {
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
@@ -56,14 +58,14 @@ REAL_TIME_1000 = 1000 * 240  # drone-substeps a second
 
 
 class Comparison(NamedTuple):
-    """A case of bulletuav beside one of a peer; `unit` of both rates, `goal` of their ratio."""
+    """A case of bulletuav beside one of a peer; `unit` of both rates, `goal` of their ratio, if there is one."""
 
     title: str
     ours: str
     peer: str
     theirs: str
     unit: str
-    goal: float
+    goal: float | None = None
 
 
 SUBSTEPS = "drone-substeps/s"
@@ -140,21 +142,28 @@ class Row(NamedTuple):
     ours: float
     theirs: float
     ratio: float
-    goal: float
+    goal: float | None
+
+    @property
+    def reached(self) -> bool | None:
+        """Whether the ratio is at its goal."""
+        return None if self.goal is None else self.ratio >= self.goal
 
 
 def _environment(**more: str) -> dict[str, str]:
     return {**os.environ, **SINGLE_THREAD, **more}
 
 
-def _install(peer: str, folder: Path) -> Path:
+def install(peer: str, folder: Path) -> Path:
     """The Python of the peer's environment, made where there is none."""
     python = folder / peer / "bin" / "python"
     done = folder / peer / "packages.txt"
-    wanted = "\n".join(PACKAGES[peer])
+    wanted = "\n".join(PACKAGES[peer] + ALONE.get(peer, []))
     if not done.exists() or done.read_text() != wanted:
         subprocess.run([sys.executable, "-m", "venv", folder / peer], check=True)
         subprocess.run([python, "-m", "pip", "install", "-q", *PACKAGES[peer]], check=True)
+        if peer in ALONE:
+            subprocess.run([python, "-m", "pip", "install", "-q", "--no-deps", *ALONE[peer]], check=True)
         done.write_text(wanted)
     return python
 
@@ -165,7 +174,7 @@ def _servers(names: Sequence[str], folder: Path, checkout: Path | None) -> dict[
     servers["the floor in C"] = Server(sys.executable, "serve_bulletuav.py")
     for name in names:
         script = f"serve_{name.lower().replace('-', '_')}.py"
-        servers[name] = Server(_install(name, folder), script, *([str(checkout)] if name == "gym-pybullet-drones" else []))
+        servers[name] = Server(install(name, folder), script, *([str(checkout)] if name == "gym-pybullet-drones" else []))
     return servers
 
 
@@ -204,13 +213,16 @@ def starts(rounds: int) -> dict[str, float]:
     return result
 
 
-def write(rows: list[Row], started: dict[str, float], out: Path) -> None:
-    """benchmark.md, .csv and .png."""
-    out.mkdir(parents=True, exist_ok=True)
-    with open(out / "benchmark.csv", "w", newline="") as file:
+def write_csv(rows: list[Row], path: Path) -> None:
+    """The numbers."""
+    with open(path, "w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow([*Row._fields, "reached"])
-        writer.writerows([*row, row.ratio >= row.goal] for row in rows)
+        writer.writerows([*row, row.reached] for row in rows)
+
+
+def table(rows: list[Row]) -> list[str]:
+    """Lines of Markdown."""
     lines = [
         f"bulletuav {bulletuav.__version__}. Rates per CPU-second, one thread; ratio: median over interleaved rounds.",
         "",
@@ -218,11 +230,19 @@ def write(rows: list[Row], started: dict[str, float], out: Path) -> None:
         "|---|---|---|---|---|---|---|",
     ]
     for row in rows:
+        goal = "" if row.goal is None else f"{row.goal:.3g} x "
         lines.append(
-            f"| {row.title} | {row.against} | {row.unit} | {row.ours:.3g} | {row.theirs:.3g} | {row.ratio:.3g} x "
-            f"| {row.goal:.3g} x |"
+            f"| {row.title} | {row.against} | {row.unit} | {row.ours:.3g} | {row.theirs:.3g} | {row.ratio:.3g} x | {goal}|"
         )
-    lines += [
+    return lines
+
+
+def write(rows: list[Row], started: dict[str, float], out: Path) -> None:
+    """benchmark.md, .csv and .png."""
+    out.mkdir(parents=True, exist_ok=True)
+    write_csv(rows, out / "benchmark.csv")
+    lines = [
+        *table(rows),
         "",
         f"Import and first step: {started['warm']:.1f} s with warm caches (goal 2), {started['cold']:.1f} s with cold ones "
         "(goal 20).",
@@ -234,7 +254,7 @@ def write(rows: list[Row], started: dict[str, float], out: Path) -> None:
 def _plot(rows: list[Row], path: Path) -> None:
     figure, axes = pyplot.subplots(figsize=(9, 0.45 * len(rows) + 1.2), layout="constrained")
     for place, row in enumerate(rows):
-        axes.barh(place, row.ratio, color="#1b6ca8" if row.ratio >= row.goal else "#c8553d", height=0.6)
+        axes.barh(place, row.ratio, color="#1b6ca8" if row.reached else "#c8553d", height=0.6)
         axes.plot([row.goal] * 2, [place - 0.4, place + 0.4], color="black", lw=2)
         axes.text(row.ratio * 1.08, place, f"{row.ratio:.3g}", va="center", fontsize=9)
     axes.set_yticks(range(len(rows)), [f"{row.title}\nagainst {row.against}" for row in rows], fontsize=8)
@@ -247,37 +267,56 @@ def _plot(rows: list[Row], path: Path) -> None:
     pyplot.close(figure)
 
 
-def main(argv: Sequence[str] | None = None) -> None:
-    """Measure, write, print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def measure_all(comparisons: Sequence[Comparison], servers: dict[str, Server], rounds: int, seconds: float) -> list[Row]:
+    """Those that do not fail, with progress shown; closes the servers."""
+    console, rows = Console(stderr=True), []
+    try:
+        with Progress(console=console) as progress:
+            for one in progress.track(comparisons, description="measuring"):
+                try:
+                    rows.append(measure(one, servers, rounds, seconds))
+                except RuntimeError as error:
+                    console.print(f"{one.title} against {one.peer} left out: {error}")
+    finally:
+        for server in servers.values():
+            server.close()
+    return rows
+
+
+def make_parser(description: str | None, out: str) -> argparse.ArgumentParser:
+    """The options that benchmarks against peers share."""
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     add = parser.add_argument
-    add("--out", type=Path, default=Path("out/benchmark"), metavar="DIR", help="folder for the files (out/benchmark)")
-    add("--gym-pybullet-drones", type=Path, metavar="CHECKOUT", help="folder of its sources; left out without")
-    add("--peers", nargs="*", default=list(ALWAYS), choices=ALWAYS, help="which of them (all); none when none is named")
+    add("--out", type=Path, default=Path(out), metavar="DIR", help=f"folder for the files ({out})")
     environments = Path.home() / ".cache" / "bulletuav-peers"
     add("--environments", type=Path, default=environments, metavar="DIR", help=f"where they are installed ({environments})")
     add("--rounds", type=int, default=5, help="measurements of each case (5)")
     add("--seconds", type=float, default=1.0, help="CPU time of one measurement (1.0)")
+    return parser
+
+
+def parse(parser: argparse.ArgumentParser, argv: Sequence[str] | None) -> argparse.Namespace:
+    """The arguments, those of `make_parser` checked."""
     arguments = parser.parse_args(argv)
     if arguments.rounds < 1 or not arguments.seconds > 0:
         parser.error(f"--rounds {arguments.rounds}, --seconds {arguments.seconds:g}: numbers above 0 are needed")
+    return arguments
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Measure, write, print."""
+    parser = make_parser(__doc__, "out/benchmark")
+    add = parser.add_argument
+    add("--gym-pybullet-drones", type=Path, metavar="CHECKOUT", help="folder of its sources; left out without")
+    add("--peers", nargs="*", default=list(ALWAYS), choices=ALWAYS, help="which of them (all); none when none is named")
+    arguments = parse(parser, argv)
     checkout = arguments.gym_pybullet_drones
     if checkout is not None and not (checkout / "gym_pybullet_drones").is_dir():
         parser.error(f"{checkout} is no checkout of gym-pybullet-drones: it has no folder gym_pybullet_drones")
     names = [*arguments.peers, *([] if checkout is None else ["gym-pybullet-drones"])]
     servers = _servers(names, arguments.environments, checkout and checkout.resolve())
     comparisons = [one for one in COMPARISONS if one.peer in servers or not one.theirs]
-    console, rows = Console(stderr=True), []
-    try:
-        with Progress(console=console) as progress:
-            for one in progress.track(comparisons, description="measuring"):
-                try:
-                    rows.append(measure(one, servers, arguments.rounds, arguments.seconds))
-                except RuntimeError as error:
-                    console.print(f"{one.title} against {one.peer} left out: {error}")
-    finally:
-        for server in servers.values():
-            server.close()
+    rows = measure_all(comparisons, servers, arguments.rounds, arguments.seconds)
     write(rows, starts(arguments.rounds), arguments.out)
     sys.stdout.write((arguments.out / "benchmark.md").read_text())
 

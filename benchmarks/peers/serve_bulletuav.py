@@ -1,12 +1,35 @@
 """bulletuav itself, in the cases of the others."""
 
 from functools import partial
+from typing import ClassVar
 
 import numpy as np
+import pybullet
 from serve import serve
 
 import bulletuav
 from bulletuav.benchmark import SUBSTEPS, floors, hovering
+from bulletuav.city.generator import generate
+from bulletuav.city.statistics import KINDS
+from bulletuav.physics.airframe import load_airframe
+from bulletuav.physics.calls import VISIBLE
+from bulletuav.physics.world import World
+from bulletuav.sensors.lidar import cast, make_beams
+from bulletuav.tasks.lidar_navigation import LidarNavigation
+
+CITY = {"num_drones": 3, "num_beams": 16, "max_range": 60.0}
+PIECE = {"dynamics": "single_integrator", "physics_hz": 10}  # a decision in one piece
+THEIRS = {  # steps, ends and volume of urbanmarl
+    "dynamics": "single_integrator",
+    "physics_hz": 1,
+    "decision_hz": 1,
+    "horizon": 100,
+    "contact_ends": "world",
+    "boundary": "hard",
+    "height": (20.0, 120.0),
+    "ceiling": 200.0,
+}
+RAYS = 256 * 3 * 16
 
 
 def flight(worlds: int, drones: int, dynamics: str, **options):
@@ -49,6 +72,115 @@ def floor(worlds: int, drones: int):
     return cases["engine calls"], worlds * drones * SUBSTEPS
 
 
+def city_flight(worlds: int, settle: int, **options):
+    """`lidar_navigation` under random actions, after `settle` steps, when worlds begin anew at different times."""
+    env = bulletuav.batch_env("lidar_navigation", worlds, **CITY, **options)
+    env.reset(seed=0)
+    rng, shape = np.random.default_rng(0), (worlds, env.num_drones, *env.action_space.shape)
+
+    def step() -> None:
+        env.step(rng.uniform(-1, 1, shape))
+
+    for _ in range(settle):
+        step()
+    return step, worlds
+
+
+class Blind(LidarNavigation):
+    """The same without a range finder, and without the term that needs it."""
+
+    name = "blind_navigation"
+    observation = tuple(block for block in LidarNavigation.observation if block != "lidar")
+    senses = ()
+    reward_weights: ClassVar = {
+        term: weight for term, weight in LidarNavigation.reward_weights.items() if term != "proximity"
+    }
+
+
+def city_hover(task: str | type, worlds: int):
+    """A decision in which all drones fly on: hover at the start. Environment steps."""
+    env = bulletuav.batch_env(task, worlds, horizon=10**9, battery_capacity=None, **CITY, **PIECE)
+    env.reset(seed=0)
+    return partial(env.step, np.zeros((worlds, env.num_drones, *env.action_space.shape))), worlds
+
+
+def beams_alone(worlds: int):
+    """The rays of `city_hover` in one call of C, with nothing about it. Environment steps."""
+    aviary = bulletuav.batch_env("lidar_navigation", worlds, **CITY, **PIECE).aviary
+    aviary.reset(seeds=0)
+    world = World(aviary.options.airframe, worlds, 1 / 10, layouts=aviary.task.layouts())
+    everyone = np.ones(world.shape, dtype=bool)
+    world.set_layouts(aviary.scene.layout, everyone[:, 0])
+    world.set_poses(aviary.swarm, everyone)
+    azimuth = np.radians([beam.azimuth for beam in make_beams(CITY["num_beams"], (0.0,))])
+    directions = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros_like(azimuth)], axis=1)
+    swarm = aviary.swarm
+    return in_c(world, *cast(swarm.position, swarm.quaternion, everyone, directions, CITY["max_range"], True)), worlds
+
+
+def in_c(world: World, start: np.ndarray, end: np.ndarray, tile: np.ndarray):
+    """A call of the C extension alone."""
+    port = world.port
+    if port is None:
+        raise RuntimeError("needs the C extension: see `bulletuav doctor`")
+    start, end, fraction = start + port.offset[tile, 0], end + port.offset[tile, 0], np.empty(len(start))
+    first, last, result = (array.ctypes.data for array in (start, end, fraction))
+
+    def call(_kept=(world, start, end, fraction)) -> None:  # which must live as long
+        port.rays(port.session, len(start), first, last, VISIBLE, result)
+
+    return call
+
+
+def street_rays(buildings: int, how: str):
+    """Level rays of 60 m from random places outdoors in a city of so many buildings, `how` they are cast."""
+    rng = np.random.default_rng(0)
+    side = round(buildings**0.5) * KINDS["urban"].pitch
+    city = generate("urban", side, rng)
+    places = rng.uniform((-side / 2, -side / 2, 5), (side / 2, side / 2, 25), (4 * RAYS, 3))
+    start = places[city.outdoors(places, 1.0)][:RAYS]
+    azimuth = rng.uniform(-np.pi, np.pi, RAYS)
+    end = start + CITY["max_range"] * np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(RAYS)], axis=1)
+    if how == "pybullet":
+        return partial(pybullet.rayTestBatch, start, end, numThreads=1, physicsClientId=_only(city.solids)), RAYS
+    world = World([load_airframe("cf2x")], 1, 1 / 240, layouts=[city.solids])
+    tile = np.zeros(RAYS, dtype=np.int64)
+    world.set_layouts(tile[:1], np.ones(1, dtype=bool))
+    if how == "C":
+        return in_c(world, start, end, tile), RAYS
+    return partial(world.cast_rays, start, end, tile), RAYS
+
+
+def _only(solids) -> int:
+    """A client in which nothing is but the mesh of a city."""
+    client = pybullet.connect(pybullet.DIRECT)
+    vertices, triangles = solids.mesh
+    mesh = pybullet.createCollisionShape(
+        pybullet.GEOM_MESH,
+        vertices=vertices.tolist(),
+        indices=triangles.ravel().tolist(),
+        flags=pybullet.GEOM_FORCE_CONCAVE_TRIMESH,
+        physicsClientId=client,
+    )
+    pybullet.createMultiBody(0, mesh, physicsClientId=client)
+    return client
+
+
+def in_cities():
+    """The cases of cities.py."""
+    cases = {"blind, 256": partial(city_hover, Blind, 256), "48 rays in C, 256": partial(beams_alone, 256)}
+    cases["beams, 256"] = partial(city_hover, "lidar_navigation", 256)
+    for buildings in (100, 400, 2500):
+        for how in ("bulletuav", "C", "pybullet"):
+            cases[f"rays, {how}, {buildings}"] = partial(street_rays, buildings, how)
+    for worlds in (1, 64, 256):
+        cases[f"city, {worlds}"] = partial(city_flight, worlds, 600, **PIECE)
+        cases[f"city at 240 Hz, {worlds}"] = partial(city_flight, worlds, 600, dynamics="single_integrator")
+        cases[f"city by the second, {worlds}"] = partial(city_flight, worlds, 100, **THEIRS)
+    cases["city in the engine, 256"] = partial(city_flight, 256, 10, dynamics="bullet")
+    return cases
+
+
 if __name__ == "__main__":
     serve(
         {
@@ -61,5 +193,6 @@ if __name__ == "__main__":
             "crossing of points, 64 x 8": partial(batched_crossing, 64, 8),
             "reset, 10": partial(reset, 10),
             "floor, 64 x 8": partial(floor, 64, 8),
+            **in_cities(),
         }
     )
