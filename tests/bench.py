@@ -30,11 +30,13 @@ class Bench:
         wind=(0, 0, 0),
         max_speed=20.0,
         obstacles=(),
+        layouts=(),
+        first_world=0,
     ):
         self.airframe = load_airframe(airframe)
         airframes = [self.airframe] * drones
         self.dt, self.substeps, self.gravity = 1 / hz, substeps, gravity
-        self.world = World(airframes, worlds, self.dt, obstacles)
+        self.world = World(airframes, worlds, self.dt, obstacles, layouts, first_world)
         self.motion = Motion.none(worlds)
         tiled = (worlds, 1)
         cascade = Cascade.of(

@@ -111,7 +111,6 @@ def beams_alone(worlds: int):
     world = World(aviary.options.airframe, worlds, 1 / 10, layouts=aviary.task.layouts())
     everyone = np.ones(world.shape, dtype=bool)
     world.set_layouts(aviary.scene.layout, everyone[:, 0])
-    world.set_poses(aviary.swarm, everyone)
     azimuth = np.radians([beam.azimuth for beam in make_beams(CITY["num_beams"], (0.0,))])
     directions = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros_like(azimuth)], axis=1)
     swarm = aviary.swarm

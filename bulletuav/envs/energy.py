@@ -34,9 +34,10 @@ class Energy:
     def spend(self, before: Swarm, after: Swarm, wind: np.ndarray, flown: np.ndarray) -> None:
         """Take from the drones of `flown` (W, N) what a decision from `before` to `after` in `wind` (W, N, 3) m/s cost."""
         if self._wings is None:
-            self.power = actuator_power(before.rotor_speed, after.rotor_speed, self._parameters)
+            power = actuator_power(before.rotor_speed, after.rotor_speed, self._parameters)
         else:
-            self.power = propulsion((before.velocity + after.velocity) / 2 - wind, self._wings)
+            power = propulsion((before.velocity + after.velocity) / 2 - wind, self._wings)
+        self.power = np.where(flown, power, 0.0)
         self._battery.drain(self.power, self._period, flown)
 
     @property

@@ -42,9 +42,7 @@ class Senses:
         self._range = options.max_range
         self._lidar = self._imu = self._cameras = None
         if "lidar" in wanted:
-            self._lidar = Lidar(
-                world, task.setting.beams, options.max_range, options.lidar_frame, task.setting.collision_radius
-            )
+            self._lidar = Lidar(world, task.setting.beams, options.max_range, options.lidar_frame)
             _connect(self._lidar, LIDAR, drawn)
         if "imu" in wanted:
             self._imu = Imu(world.shape, self._period, options.gravity)
@@ -77,10 +75,7 @@ class Senses:
         if self._cameras is not None or self._clearance is not None:
             self._dynamics.show(after, mask)
         if self._lidar is not None:
-            near = self._lidar.reaches(after, mask)
-            if near.any():
-                self._dynamics.show(after, mask & near[:, None])
-            self._lidar.scan(after, mask, near, rngs)
+            self._lidar.scan(after, mask, rngs)
         if self._cameras is not None:
             self._cameras.expose(after, mask, steps)
         if self._clearance is not None:

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from bulletuav.errors import unknown
+from bulletuav.physics.shapes import BOX, CYLINDER, SPHERE, Shape
 
 MAX_ROTORS = 8
 TAGS = (
@@ -48,8 +49,7 @@ class Airframe:
     """Constants of one kind of drone, SI units, body FLU, rotor thrust along +z.
 
     rotors: (x, y, turn) each, m; turn is +1 where the reaction torque on the body is +z (the rotor spins clockwise
-    seen from above), else -1. `collision_radius` bounds the collision shape about the centre of mass; `thinnest` is its
-    least extent.
+    seen from above), else -1. `shape` is the collision shape, about the centre of mass.
     """
 
     name: str
@@ -67,9 +67,19 @@ class Airframe:
     propeller_radius: float
     ground_effect_gain: float
     max_speed: float
-    collision_radius: float
-    thinnest: float
+    shape: Shape
     pwm: Pwm | None = None
+
+    @property
+    def collision_radius(self) -> float:
+        """Radius of the sphere about the centre of mass that holds the collision shape, m."""
+        across, _, rise = self.shape.half
+        return {SPHERE: across, CYLINDER: math.hypot(across, rise)}.get(self.shape.kind, math.hypot(*self.shape.half))
+
+    @property
+    def thinnest(self) -> float:
+        """Least extent of the collision shape, m."""
+        return 2 * min(self.shape.half)
 
     @property
     def arm(self) -> float:
@@ -158,7 +168,7 @@ class _Reader:
         for element in self.element("airframe"):
             if isinstance(element.tag, str) and element.tag not in TAGS:
                 raise self.refuse(f"airframe/{element.tag}", "unknown", str(unknown("tag", element.tag, TAGS)))
-        radius, thinnest = self._collision_shape()
+        shape = self._collision_shape()
         for element in (self.root, links[0]):
             if not element.get("name"):
                 raise self.refuse(f"{element.tag} name", "missing", "the engine needs it")
@@ -178,8 +188,7 @@ class _Reader:
             propeller_radius=self.positive("propeller_radius"),
             ground_effect_gain=self.not_negative("ground_effect", "gain"),
             max_speed=self.positive("max_speed"),
-            collision_radius=radius,
-            thinnest=thinnest,
+            shape=shape,
             pwm=self._pwm(),
         )
         if airframe.max_thrust <= airframe.mass * STANDARD_GRAVITY:
@@ -221,8 +230,7 @@ class _Reader:
                 raise self.refuse("rotor spin", element.get("spin", "missing"), "it must be cw or ccw, seen from above")
         return tuple((self.number(e, "x"), self.number(e, "y"), turns[e.get("spin", "")]) for e in elements)
 
-    def _collision_shape(self) -> tuple[float, float]:
-        """Bounding radius and least extent, m."""
+    def _collision_shape(self) -> Shape:
         shapes = self.root.findall("link/collision")
         if len(shapes) != 1:
             raise self.refuse(
@@ -235,17 +243,16 @@ class _Reader:
             raise self.refuse("collision geometry", kinds, "it must be one cylinder, box or sphere")
         shape = geometry[0]
         if shape.tag == "sphere":
-            radius = self.number(shape, "radius", low=0)
-            return radius, 2 * radius
+            return Shape(SPHERE, (self.number(shape, "radius", low=0),) * 3)
         if shape.tag == "cylinder":
             radius, length = self.number(shape, "radius", low=0), self.number(shape, "length", low=0)
-            return math.hypot(radius, length / 2), min(2 * radius, length)
+            return Shape(CYLINDER, (radius, radius, length / 2))
         try:
             size = [float(part) for part in shape.get("size", "").split()]
         except ValueError:
             size = []
         if len(size) == 3 and all(math.isfinite(side) and side > 0 for side in size):
-            return math.hypot(*size) / 2, min(size)
+            return Shape(BOX, (size[0] / 2, size[1] / 2, size[2] / 2))
         raise self.refuse("box size", shape.get("size", "missing"), "three positive numbers are needed")
 
     def _pwm(self) -> Pwm | None:

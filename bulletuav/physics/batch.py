@@ -13,6 +13,7 @@ from bulletuav.kernel import kernel
 from bulletuav.physics.atlas import Atlas
 from bulletuav.physics.calls import VISIBLE
 from bulletuav.physics.tiles import columns, land, localise
+from bulletuav.physics.walk import walk
 
 SWITCH = "BULLETUAV_BATCH"
 """Environment variable; 0 turns the extension off"""
@@ -84,14 +85,18 @@ class Port(NamedTuple):
 def surface_below(port, position, mask, surface):
     """`World.surface_below`, into `surface`."""
     who, start, end = columns(position, mask, port.obstacle, port.obstacle_radius, port.atlas, surface)
-    count = who.shape[0]
+    if who.shape[0] == 0:
+        return
+    fraction, left = walk(port.atlas, start, end, who[:, 0], port.obstacle_radius.size > 0)
+    count = left.shape[0]
     if count > 0:
-        first, last = np.empty((count, 3)), np.empty((count, 3))
-        for m in range(count):
-            first[m], last[m] = start[m] + port.offset[who[m, 0], 0], end[m] + port.offset[who[m, 0], 0]
-        fraction = np.empty(count)
-        port.rays(port.session, count, first.ctypes, last.ctypes, VISIBLE, fraction.ctypes)
-        land(surface, who, start, fraction)
+        first, last, share = np.empty((count, 3)), np.empty((count, 3)), np.empty(count)
+        for k in range(count):
+            m = left[k]
+            first[k], last[k] = start[m] + port.offset[who[m, 0], 0], end[m] + port.offset[who[m, 0], 0]
+        port.rays(port.session, count, first.ctypes, last.ctypes, VISIBLE, share.ctypes)
+        fraction[left] = share
+    land(surface, who, start, fraction)
 
 
 @kernel

@@ -17,6 +17,7 @@ FLOOR_COLOUR, CITY_COLOUR = (0.86, 0.88, 0.85, 1), (0.72, 0.70, 0.67, 1)
 HULL_MARGIN = 1e-3  # m, by which the engine thickens hulls
 COMPOUND = 256  # pieces: more take longer to look through for each drone, fewer make more bodies
 MEETS = {SURFACE_GROUP: DRONE_GROUP | RAYS, CITY_GROUP: DRONE_GROUP, SIGHT_GROUP: RAYS}
+MESH = 100_000  # corners of triangles; the engine takes 131,072 vertices
 Body = int
 Shape = int
 
@@ -46,7 +47,7 @@ def make_speck(client: int) -> Shape:
 
 def _still(client: int, collision: Shape, group: int, visual: Shape, place: Iterable[float] = (0, 0, 0)) -> Body:
     """A body that nothing moves."""
-    body = bullet.createMultiBody(0, collision, visual, list(place), physicsClientId=client)
+    body = bullet.createMultiBody(0, collision, visual, list(place), useMaximalCoordinates=1, physicsClientId=client)
     bullet.setCollisionFilterGroupMask(body, -1, group, MEETS[group], client)
     return body
 
@@ -89,30 +90,31 @@ def _shape(obstacle: Obstacle) -> dict[str, object]:
     return {"shapeType": bullet.GEOM_SPHERE, "radius": obstacle.size[0]}
 
 
-def make_city(client: int, solids: Solids, apart: float, places: Iterable[Iterable[float]]) -> list[list[Body]]:
-    """A city for each world: a mesh that only rays meet, then compounds of convex pieces that drones touch.
+def make_city(
+    client: int, solids: Solids, apart: float, places: Iterable[Iterable[float]]
+) -> list[tuple[list[Body], list[Body]]]:
+    """A city for each world: meshes that only rays meet, and compounds of convex pieces that drones touch.
 
     No two pieces of a compound are closer than `apart` m: a drone that touches two of them at once would be pushed in an
-    order that depends on other worlds. The mesh is what makes rays fast; drones would pass through it.
+    order that depends on other worlds. The meshes are what makes rays fast; drones would pass through them.
     """
-    vertices, triangles = solids.mesh
-    flags = bullet.GEOM_FORCE_CONCAVE_TRIMESH
-    sight = bullet.createCollisionShape(
-        bullet.GEOM_MESH,
-        vertices=vertices.tolist(),
-        indices=triangles.ravel().tolist(),
-        flags=flags,
-        physicsClientId=client,
-    )
     speck = make_speck(client)
+    meshes = [_sight(client, *mesh) for mesh in solids.meshes(MESH)]
     compounds = [_compound(client, solids, part) for part in _parts(solids.bounds, apart)]
     return [
-        [
-            _still(client, sight, SIGHT_GROUP, speck, place),
-            *(_still(client, compound, CITY_GROUP, speck, place) for compound in compounds),
-        ]
+        (
+            [_still(client, mesh, SIGHT_GROUP, speck, place) for mesh in meshes],
+            [_still(client, compound, CITY_GROUP, speck, place) for compound in compounds],
+        )
         for place in places
     ]
+
+
+def _sight(client: int, vertices: np.ndarray, triangles: np.ndarray) -> Shape:
+    flags, corners = bullet.GEOM_FORCE_CONCAVE_TRIMESH, triangles.ravel().tolist()
+    return bullet.createCollisionShape(
+        bullet.GEOM_MESH, vertices=vertices.tolist(), indices=corners, flags=flags, physicsClientId=client
+    )
 
 
 def _parts(bounds: np.ndarray, apart: float) -> list[np.ndarray]:
@@ -146,19 +148,22 @@ def _compound(client: int, solids: Solids, pieces: np.ndarray) -> Shape:
             return bullet.createCollisionShape(bullet.GEOM_MESH, fileName=str(path), physicsClientId=client)
 
 
-def make_facade(client: int, solids: Solids, place: Iterable[float]) -> Body:
+def make_facades(client: int, solids: Solids) -> list[Body]:
     """A city as pictures show it; it touches nothing."""
-    vertices, triangles = solids.mesh
-    corner = vertices[triangles]  # each face its own corners: walls are flat
+    return [_facade(client, vertices[triangles]) for vertices, triangles in solids.meshes(MESH)]
+
+
+def _facade(client: int, corner: np.ndarray) -> Body:
+    """Triangles (T, 3, 3), each with its own corners, so that walls are flat."""
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     visual = bullet.createVisualShape(
         bullet.GEOM_MESH,
         vertices=corner.reshape(-1, 3).tolist(),
-        indices=list(range(3 * len(triangles))),
+        indices=list(range(corner.shape[0] * 3)),
         normals=np.repeat(normal, 3, axis=0).tolist(),
         rgbaColor=CITY_COLOUR,
         specularColor=[0, 0, 0],
         physicsClientId=client,
     )
-    return bullet.createMultiBody(0, -1, visual, list(place), physicsClientId=client)
+    return bullet.createMultiBody(0, -1, visual, physicsClientId=client)

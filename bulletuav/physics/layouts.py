@@ -6,7 +6,7 @@ import numpy as np
 
 from bulletuav.physics.atlas import NOWHERE, make_atlas
 from bulletuav.physics.batch import Batch
-from bulletuav.physics.bodies import make_city, make_facade
+from bulletuav.physics.bodies import make_city, make_facades
 from bulletuav.physics.calls import Calls
 from bulletuav.physics.solids import Solids
 
@@ -19,7 +19,7 @@ class Layouts:
     """L layouts, one of which, or none, stands in each of W worlds.
 
     Public, to read: solids, atlas (whose `layout` tells what stands where), body: of each layout the bodies (W, .) that can
-    stand for it, that which rays meet first; facade (L,) the bodies that pictures show.
+    stand for it, those that rays meet first.
     """
 
     def __init__(self, client: int, solids: Sequence[Solids], offset: np.ndarray, diameter: float):
@@ -27,12 +27,15 @@ class Layouts:
         self.solids, self.atlas = tuple(solids), make_atlas(solids, len(offset))
         self._tile = offset
         self._cellar = [offset - [0, 0, CELLAR_PITCH * (layout + 1)] for layout in range(len(self.solids))]
-        self.body = [
-            np.array(make_city(client, one, diameter + GAP, places), dtype=np.int32)
-            for one, places in zip(self.solids, self._cellar, strict=True)
+        pairs = [
+            make_city(client, one, diameter + GAP, places) for one, places in zip(self.solids, self._cellar, strict=True)
         ]
-        nowhere = (0.0, 0.0, -CELLAR_PITCH)
-        self.facade = np.array([make_facade(client, one, nowhere) for one in self.solids], dtype=np.int32)
+        self.body = [
+            np.array([meshes + compounds for meshes, compounds in of_worlds], dtype=np.int32) for of_worlds in pairs
+        ]
+        self._solid = [[compounds for _, compounds in of_worlds] for of_worlds in pairs]
+        self._client = client
+        self._facade: dict[int, list[int]] = {}  # made when a picture first needs them: the engine never frees their meshes
 
     def put(self, layout: np.ndarray, worlds: np.ndarray, calls: Calls | Batch) -> None:
         """Have layout `layout` (W,) stand in each of `worlds` (W,) bool; the others keep theirs."""
@@ -51,9 +54,13 @@ class Layouts:
     def solid_bodies(self, world: int) -> list[int]:
         """What drones touch in a world."""
         layout = self.atlas.layout[world]
-        return [] if layout == NOWHERE else self.body[layout][world, 1:].tolist()
+        return [] if layout == NOWHERE else self._solid[layout][world]
 
     def facades(self, world: int) -> list[tuple[int, float]]:
         """The bodies that pictures show, each with the height, m, at which it belongs in a picture of a world."""
-        shown = self.atlas.layout[world]
-        return [(body, 0.0 if k == shown else -CELLAR_PITCH) for k, body in enumerate(self.facade.tolist())]
+        shown = int(self.atlas.layout[world])
+        if shown != NOWHERE and shown not in self._facade:
+            self._facade[shown] = make_facades(self._client, self.solids[shown])
+        return [
+            (body, 0.0 if layout == shown else -CELLAR_PITCH) for layout, bodies in self._facade.items() for body in bodies
+        ]

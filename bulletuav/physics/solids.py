@@ -1,5 +1,6 @@
 """Solid things that stand still during an episode, made of convex pieces: axis-aligned boxes, and hulls for all else."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -39,10 +40,20 @@ class Solids:
     @cached_property
     def mesh(self) -> tuple[np.ndarray, np.ndarray]:
         """Surfaces of all pieces as vertices (V, 3), m, and triangles (T, 3)."""
-        counts = np.cumsum([0] + [len(corners) for corners, _ in self.faces])
-        triangles = [faces + first for (_, faces), first in zip(self.faces, counts, strict=False)]
-        vertices = [corners for corners, _ in self.faces]
-        return np.concatenate([np.zeros((0, 3)), *vertices]), np.concatenate([np.zeros((0, 3), dtype=int), *triangles])
+        return joined(self.faces)
+
+    def meshes(self, most: int) -> list[tuple[np.ndarray, np.ndarray]]:
+        """The mesh in parts of about `most` corners of triangles."""
+        part = np.cumsum([3 * len(triangles) for _, triangles in self.faces], dtype=int) // most
+        return [joined([self.faces[p] for p in np.flatnonzero(part == k)]) for k in np.unique(part)]
+
+
+def joined(faces: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+    """One mesh of several."""
+    counts = np.cumsum([0] + [len(corners) for corners, _ in faces])
+    triangles = [triangle + first for (_, triangle), first in zip(faces, counts, strict=False)]
+    vertices = [corners for corners, _ in faces]
+    return np.concatenate([np.zeros((0, 3)), *vertices]), np.concatenate([np.zeros((0, 3), dtype=int), *triangles])
 
 
 def box_corners(box: np.ndarray) -> np.ndarray:

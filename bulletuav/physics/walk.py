@@ -11,15 +11,7 @@ import numpy as np
 
 from bulletuav.kernel import formula, kernel
 from bulletuav.physics.atlas import NOWHERE
-
-
-@formula
-def _slab(start, change, low, high):
-    """Shares t at which start + t change enters and leaves the slab from `low` to `high`; inf, -inf where it never does."""
-    if change == 0.0:
-        return (-np.inf, np.inf) if low <= start <= high else (np.inf, -np.inf)
-    one, two = (low - start) / change, (high - start) / change
-    return min(one, two), max(one, two)
+from bulletuav.physics.shapes import slab
 
 
 @formula
@@ -27,7 +19,7 @@ def _surface(start, change, low, high):
     """Share at which a ray first crosses the surface of a box, inf where it does not within its length."""
     enters, leaves = -np.inf, np.inf
     for k in range(3):
-        one, two = _slab(start[k], change[k], low[k], high[k])
+        one, two = slab(start[k], change[k], low[k], high[k])
         enters, leaves = max(enters, one), min(leaves, two)
     if enters > leaves or leaves < 0.0 or enters > 1.0:
         return np.inf
@@ -50,7 +42,7 @@ def _buildings(atlas, layout, start, change):
     """Share at which a ray meets the first box of a layout, 1 if none."""
     least, last = 0.0, 1.0  # between them it is over the grid
     for k in range(2):
-        one, two = _slab(start[k], change[k], -atlas.reach, atlas.reach)
+        one, two = slab(start[k], change[k], -atlas.reach, atlas.reach)
         least, last = max(least, one), min(last, two)
     if least > last:
         return 1.0
@@ -81,15 +73,15 @@ def _buildings(atlas, layout, start, change):
 
 
 @kernel
-def walk(atlas, start, end, world, engine):
+def walk(atlas, start, end, world, obstacles):
     """(M,) fractions of rays (M, 3) before they meet ground or a box, as `World.cast_rays` tells, and (R,) which are left.
 
-    Left are rays in worlds of `engine` (W,), where something else stands, and in layouts that are not boxes alone.
+    Left, for the engine, are all where there are `obstacles`, and those in layouts that are not boxes alone.
     """
     fraction, left = np.ones(world.shape[0]), [0 for _ in range(0)]
     for m in range(world.shape[0]):
         layout = atlas.layout[world[m]]
-        if engine[world[m]] or (layout != NOWHERE and not atlas.boxes[layout]):
+        if obstacles or (layout != NOWHERE and not atlas.boxes[layout]):
             left.append(m)
             continue
         here = (start[m, 0], start[m, 1], start[m, 2])

@@ -11,7 +11,6 @@ import itertools
 import warnings
 import weakref
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -20,12 +19,13 @@ from bulletuav.physics.airframe import Airframe
 from bulletuav.physics.atlas import Atlas
 from bulletuav.physics.batch import POSTFIX, Batch, Port, load
 from bulletuav.physics.bodies import FLOOR, make_drone, make_floor, make_ground, make_obstacles
-from bulletuav.physics.calls import DISTANCE, DRONE_GROUP, RAYS, SOLID, VISIBLE, Calls, bullet
+from bulletuav.physics.calls import DISTANCE, DRONE_GROUP, SOLID, VISIBLE, Calls, bullet
 from bulletuav.physics.layouts import Layouts
 from bulletuav.physics.obstacle import Obstacle
 from bulletuav.physics.quiet import silenced
 from bulletuav.physics.rotation import to_world
 from bulletuav.physics.screen import require_screen
+from bulletuav.physics.shapes import meet_drones
 from bulletuav.physics.solids import Solids
 from bulletuav.physics.swarm import CITY, FIRST_OBSTACLE, GROUND, Swarm
 from bulletuav.physics.tiles import columns, land, localise, tile_offset
@@ -96,16 +96,13 @@ class World:
         self._obstacle = np.array([make_obstacles(self._client, one, below) for one in obstacles], dtype=np.int32)
         self._obstacle = self._obstacle.reshape(len(obstacles), num_worlds).T.copy()
         self._obstacle_place = np.full((*self._obstacle.shape, 3), -PARKING_HEIGHT)
+        shapes = [airframe.shape for airframe in airframes]
+        self._shapes = np.array([shape.kind for shape in shapes]), np.array([shape.half for shape in shapes])
         diameter = 2 * max(airframe.collision_radius for airframe in airframes)
         self._layouts = Layouts(self._client, layouts, self._offset[:, 0], diameter)
         self._drone_of_body = {body: divmod(k, len(airframes)) for k, body in enumerate(self._body.ravel().tolist())}
-        self._label = np.full(bullet.getNumBodies(self._client) + 1, SKY, dtype=np.uint8)  # the last for no body
-        for bodies, label in (
-            (self._body, DRONE),
-            (self._obstacle, OBSTACLE),
-            (self._layouts.facade, BUILDING),
-            (self._floor, LAND),
-        ):
+        self._label = np.full(bullet.getNumBodies(self._client) + 2, BUILDING, dtype=np.uint8)  # and of bodies made later
+        for bodies, label in ((self._body, DRONE), (self._obstacle, OBSTACLE), (self._floor, LAND), (-1, SKY)):
             self._label[bodies] = label
         self._meaning = {body: FIRST_OBSTACLE - k for row in self._obstacle.tolist() for k, body in enumerate(row)}
         self._meaning |= {body: CITY for bodies in self._layouts.body for body in bodies.ravel().tolist()}
@@ -189,7 +186,7 @@ class World:
             quaternion,
             swarm.velocity[mask],
             _spins(quaternion, swarm.rates[mask]),
-            DRONE_GROUP | SOLID | RAYS,
+            DRONE_GROUP | SOLID,
         )
 
     def set_masses(self, world: int, mass: np.ndarray, inertia: np.ndarray) -> None:
@@ -253,17 +250,20 @@ class World:
             return self._drone_of_body[body][1]
         return self._meaning.get(body, GROUND)
 
-    def cast_rays(self, start: np.ndarray, end: np.ndarray, world: np.ndarray, drones: Any = False) -> np.ndarray:
+    def cast_rays(
+        self, start: np.ndarray, end: np.ndarray, world: np.ndarray, drones: tuple[Swarm, np.ndarray] | None = None
+    ) -> np.ndarray:
         """(M,) fraction of each ray from `start` to `end` (M, 3) in world `world` (M,) before it meets something; 1 if not.
 
-        That is ground, obstacle or building, and, in worlds of `drones` (W,), a drone that it does not start in (see
-        `set_poses`). Where ground and boxes are all that there is the engine need not be asked.
+        That is ground, obstacle, building, or one of `drones`, a swarm and a mask (W, N) of it, in which it does not start.
+        The engine is asked where there is more than ground and boxes; of drones it knows where its last step began.
         """
-        engine = np.full(self.shape[0], self.obstacle_radius.size > 0) | drones
-        fraction, left = walk(self.atlas, start, end, world, engine)
+        fraction, left = walk(self.atlas, start, end, world, self.obstacle_radius.size > 0)
         if len(left):
-            offset, groups = self._offset[world[left], 0], VISIBLE | (DRONE_GROUP if np.any(drones) else 0)
-            fraction[left] = self._calls.rays(start[left] + offset, end[left] + offset, groups)
+            offset = self._offset[world[left], 0]
+            fraction[left] = self._calls.rays(start[left] + offset, end[left] + offset, VISIBLE)
+        if drones is not None:
+            meet_drones(fraction, start, end, world, *drones, *self._shapes)
         return fraction
 
     def surface_below(self, position: np.ndarray, mask: np.ndarray) -> np.ndarray:
@@ -320,7 +320,7 @@ class World:
         bodies = np.asarray(bodies).reshape(height, width)
         pixels = np.asarray(pixels, dtype=np.uint8).reshape(height, width, 4)[..., :3].copy()
         depth = metres(np.asarray(buffer, dtype=np.float64).reshape(height, width)).astype(np.float32)
-        return Picture(pixels, depth, self._label[bodies])
+        return Picture(pixels, depth, self._label[np.minimum(bodies, len(self._label) - 2)])
 
     def look_at(self, world: int, target: np.ndarray, distance: float) -> None:
         """Point the live view at `target` (3,) of a world from `distance` metres."""

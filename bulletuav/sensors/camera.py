@@ -15,8 +15,8 @@ class DroneCameras:
     """Forward cameras at the front of each drone, fixed to the body; pictures are held between exposures.
 
     pictures: those asked for of "rgb" (W, N, H, W, 3) uint8, "segmentation" (W, N, H, W) uint8 (see `view.SKY`), "depth" and
-    "ray_depth" (W, N, H, W) float32, m along the view axis. The latter two are the same, but for what the renderer rounds;
-    by rays it takes a tenth of the time.
+    "ray_depth" (W, N, H, W) float32, m along the view axis. The latter two differ by what the renderer rounds, and in that
+    rays meet the collision shapes of drones; by rays it takes a tenth of the time.
     """
 
     def __init__(self, world: World, names: list[str], radius: np.ndarray, size: tuple[int, int], every: int):
@@ -32,9 +32,9 @@ class DroneCameras:
         }
         self.pictures = {name: blank[name] for name in names}
         half = np.tan(np.radians(FIELD_OF_VIEW) / 2)
-        left = half * width / height * (1 - 2 * (np.arange(width) + 0.5) / width)
-        up = half * (1 - 2 * (np.arange(height) + 0.5) / height)
-        # Rays through the pixels' centres to the plane that is FAR ahead: shares of them are depths.
+        # Through the corners at which the renderer looks into pixels, to the plane FAR ahead: shares of them are depths.
+        left = half * width / height * (1 - 2 * np.arange(width) / width)
+        up = half * (1 - 2 * (np.arange(height) + 1) / height)
         self._rays = FAR * np.stack(np.broadcast_arrays(1.0, left[None, :], up[:, None]), axis=-1).reshape(-1, 3)
 
     def expose(self, swarm: Swarm, mask: np.ndarray, steps: np.ndarray) -> None:
@@ -43,7 +43,7 @@ class DroneCameras:
         if not self.pictures.keys().isdisjoint(RENDERED):
             self._render(swarm, due)
         if "ray_depth" in self.pictures and len(due):
-            self._cast(swarm, due)
+            self._cast(swarm, mask, due)
 
     def _render(self, swarm: Swarm, due: np.ndarray) -> None:
         projection = projection_matrix(self._size[0] / self._size[1], FIELD_OF_VIEW)
@@ -55,14 +55,12 @@ class DroneCameras:
                 if name in self.pictures:
                     self.pictures[name][w, i] = picture
 
-    def _cast(self, swarm: Swarm, due: np.ndarray) -> None:
+    def _cast(self, swarm: Swarm, mask: np.ndarray, due: np.ndarray) -> None:
         """One batch of rays for all cameras."""
         where, who = due.T
         frames = np.array([np.stack(axes(quaternion)) for quaternion in swarm.quaternion[where, who]])
         eye = swarm.position[where, who] + self._radius[who, None] * frames[:, 0]
         start = np.repeat(eye, len(self._rays), axis=0)
         end = start + (self._rays @ frames).reshape(-1, 3)
-        share = self._world.cast_rays(
-            start, end, np.repeat(where, len(self._rays)), np.ones(len(swarm.position), dtype=bool)
-        )
+        share = self._world.cast_rays(start, end, np.repeat(where, len(self._rays)), (swarm, mask))
         self.pictures["ray_depth"][where, who] = FAR * share.reshape(-1, *self._size[::-1])

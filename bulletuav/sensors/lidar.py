@@ -1,4 +1,4 @@
-"""Range finders: one batch of the engine's rays for all beams of all drones of all worlds."""
+"""Range finders: one batch of rays for all beams of all drones of all worlds."""
 
 import math
 from collections.abc import Sequence
@@ -7,8 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bulletuav.kernel import kernel
-from bulletuav.physics.approach import offset
-from bulletuav.physics.rotation import axes, dot, four
+from bulletuav.physics.rotation import axes, four
 from bulletuav.physics.swarm import Swarm
 from bulletuav.physics.world import World
 
@@ -37,26 +36,23 @@ class Lidar:
     ranges    (W, N, B) m; `max_range` for what is farther, or did not come back
     """
 
-    def __init__(self, world: World, beams: Sequence[Beam], max_range: float, frame: str, radius: float):
-        """`max_range` in m; `frame` one of FRAMES; `radius` of the largest drone, m."""
+    def __init__(self, world: World, beams: Sequence[Beam], max_range: float, frame: str):
+        """`max_range` in m; `frame` one of FRAMES."""
         azimuth, elevation = np.radians(np.array(beams, dtype=float)).T
         level = np.cos(elevation)
         self._directions = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], axis=1)
-        self._world, self._range, self._turns, self._reach = world, max_range, frame == "yaw", radius
+        self._world, self._range, self._turns = world, max_range, frame == "yaw"
         self.noise, self.dropout = np.zeros((2, *world.shape))
         self.ranges = np.full((*world.shape, len(beams)), max_range)
 
-    def reaches(self, swarm: Swarm, mask: np.ndarray) -> np.ndarray:
-        """(W,) worlds in which a drone of `mask` (W, N) may be seen by another: there bodies must stand where drones are."""
-        return within(swarm.position, mask, self._range + self._reach)
-
-    def scan(self, swarm: Swarm, mask: np.ndarray, near: np.ndarray, rngs: Sequence[np.random.Generator | None]) -> None:
-        """New ranges of the drones of `mask` (W, N); others keep theirs. `near` is what `reaches` says.
+    def scan(self, swarm: Swarm, mask: np.ndarray, rngs: Sequence[np.random.Generator | None]) -> None:
+        """New ranges of the drones of `mask` (W, N); others keep theirs, and are not seen.
 
         Each world draws from its own generator, if its drones' readings are uncertain.
         """
         start, end, world = cast(swarm.position, swarm.quaternion, mask, self._directions, self._range, self._turns)
-        ranges = self._range * self._world.cast_rays(start, end, world, drones=near).reshape(-1, len(self._directions))
+        share = self._world.cast_rays(start, end, world, (swarm, mask))
+        ranges = self._range * share.reshape(-1, len(self._directions))
         if self.noise.any() or self.dropout.any():
             self._blur(ranges, mask, rngs)
         self.ranges[mask] = ranges
@@ -72,19 +68,6 @@ class Lidar:
             true = ranges[where == w]
             seen = np.where(true < self._range, np.clip(true + noise * error[mask[w]], 0.0, self._range), self._range)
             ranges[where == w] = np.where(luck[mask[w]] < dropout, self._range, seen)
-
-
-@kernel
-def within(position, mask, reach):
-    """(W,) worlds in which two drones of `mask` (W, N) at (W, N, 3) m are closer than `reach` m to each other."""
-    found = np.zeros(mask.shape[0], dtype=np.bool_)
-    for w in range(mask.shape[0]):
-        for i in range(mask.shape[1]):
-            for j in range(i):
-                if mask[w, i] and mask[w, j]:
-                    gap = offset(position, w, i, j)
-                    found[w] |= dot(gap, gap) < reach * reach
-    return found
 
 
 @kernel

@@ -29,7 +29,8 @@ def sights(world: World, position: np.ndarray, targets: np.ndarray, mask: np.nda
 def clearances(world: World, mask: np.ndarray, most: float) -> np.ndarray:
     """(W, N) distance of each drone's collision shape from the nearest other, m: ground, building, obstacle or drone.
 
-    Exact, negative where shapes overlap; `most` where nothing is nearer and for drones that are not among `mask` (W, N).
+    To a millimetre (by which the engine rounds edges and thickens hulls), negative where shapes overlap; `most` where
+    nothing is nearer and for drones that are not among `mask` (W, N).
     Drones are where the engine's bodies stand.
     """
     result = np.full(mask.shape, most)

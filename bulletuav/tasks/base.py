@@ -220,6 +220,10 @@ class Task(ABC):
         """(W, num_targets, 3) points, m, that drones are to see; none by default."""
         return np.zeros((len(scene.goal), 0, 3))
 
+    def target_weights(self, scene: Scene) -> np.ndarray:
+        """(W, num_targets) share of each target in all that is to be seen."""
+        return np.full((len(scene.goal), self.num_targets), 1 / max(self.num_targets, 1))
+
     def advance(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rng: Sequence[np.random.Generator | None]) -> bool:
         """Move goals and obstacles of the worlds that fly (W,) through one decision from `time` (W,), in place.
 

@@ -9,7 +9,7 @@ import numpy as np
 from bulletuav.physics.solids import Solids
 from bulletuav.tasks.base import Frame, Scene, Setting, Spawn, Task, Verdict
 from bulletuav.tasks.terms.measures import offsets
-from bulletuav.tasks.terms.urban import LEVELS, Town, UrbanConfig, ground_cells
+from bulletuav.tasks.terms.urban import LEVELS, Town, UrbanConfig, check_share, ground_cells
 
 
 @dataclass(frozen=True)
@@ -99,6 +99,7 @@ class Coverage(Task):
         super().__init__(config, setting)
         self.town = Town(config, setting)
         self.arena_low, self.arena_high = self.town.low, self.town.high
+        check_share("wanted", config.wanted)
         if not 0 < config.cell <= min(city.side for city in self.town.cities):
             raise ValueError(f"cell is {config.cell:g} m: it must be above 0 and at most the side of the city")
         cells = [ground_cells(city, config.cell) for city in self.town.cities]
@@ -117,6 +118,10 @@ class Coverage(Task):
         """The middles of the squares outdoors."""
         return self._cells[scene.layout]
 
+    def target_weights(self, scene: Scene) -> np.ndarray:
+        """All squares count the same."""
+        return self._share[scene.layout]
+
     def spawn(self, rng: np.random.Generator) -> Spawn:
         """At rest, anywhere outdoors."""
         return self.town.hovering(rng, self.town.draw(rng), self.setting.num_drones)
@@ -124,7 +129,7 @@ class Coverage(Task):
     def judge(self, frame: Frame) -> Verdict:
         """The share of the ground in sight, drones too near, and ends by contact or outside the airspace."""
         seen = (frame.readings["sight"] & frame.alive[..., None]).any(axis=1)
-        covered = (seen * self._share[frame.scene.layout]).sum(axis=-1, keepdims=True)
+        covered = (seen * self.target_weights(frame.scene)).sum(axis=-1, keepdims=True)
         near = np.linalg.norm(offsets(frame.after.position), axis=-1) < self.config.min_separation
         others = frame.alive[:, None] & ~np.eye(self.setting.num_drones, dtype=bool)
         outside = self.outside(frame)

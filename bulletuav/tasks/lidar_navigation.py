@@ -97,6 +97,8 @@ class LidarNavigation(Airspace):
     def __init__(self, config: LidarNavigationConfig, setting: Setting):
         """Raises ValueError where the city leaves no room to fly."""
         super().__init__(config, setting)
+        if config.proximity_range == 0:
+            raise ValueError("proximity_range is 0 m: it must be above 0; to leave the term out, weigh it by 0")
         self.town = Town(config, setting)
         self.arena_low, self.arena_high = self.town.low, self.town.high
 
@@ -107,6 +109,5 @@ class LidarNavigation(Airspace):
     def spawn(self, rng: np.random.Generator) -> Spawn:
         """At rest outdoors, goals outdoors."""
         layout, count = self.town.draw(rng), self.setting.num_drones
-        start = self.town.places(rng, layout, count)
-        goal = self.town.places(rng, layout, count, start, self.config.leg)
+        start, goal = self.town.legs(rng, layout, count, self.config.leg)
         return self.launch(start, goal, rng)._replace(layout=layout)

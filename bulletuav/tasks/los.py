@@ -8,7 +8,7 @@ import numpy as np
 
 from bulletuav.physics.solids import Solids
 from bulletuav.tasks.base import Frame, Scene, Setting, Spawn, Task, Verdict
-from bulletuav.tasks.terms.urban import LEVELS, USER_HEIGHT, Town, UrbanConfig
+from bulletuav.tasks.terms.urban import LEVELS, USER_HEIGHT, Town, UrbanConfig, check_share
 
 
 @dataclass(frozen=True)
@@ -171,6 +171,7 @@ class Los(Task):
         super().__init__(config, setting)
         self.town = Town(config, setting)
         self.arena_low, self.arena_high = self.town.low, self.town.high
+        check_share("wanted", config.wanted)
         self.num_targets = config.num_users
 
     def layouts(self) -> Sequence[Solids]:

@@ -97,6 +97,5 @@ class Navigation(Airspace):
     def spawn(self, rng: np.random.Generator) -> Spawn:
         """At rest outdoors, goals outdoors."""
         layout, count = self.town.draw(rng), self.setting.num_drones
-        start = self.town.places(rng, layout, count)
-        goal = self.town.places(rng, layout, count, start, self.config.leg)
+        start, goal = self.town.legs(rng, layout, count, self.config.leg)
         return self.launch(start, goal, rng)._replace(layout=layout)

@@ -60,3 +60,22 @@ def test_memory_of_large_swarms(worlds, drones, most):
     )
     out = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert int(out.stdout) < most * MEGABYTE
+
+
+@pytest.mark.parametrize("resets", [300, pytest.param(10_000, marks=pytest.mark.slow)])
+def test_no_growth_over_resets_in_cities(resets):
+    """Layouts are made once and moved by pose; four worlds, each reset by itself."""
+    aviary = bulletuav.Aviary("lidar_navigation", 4, area=150.0, leg=40.0, num_layouts=3, irregularity=0.5, seed=0)
+    aviary.reset()
+    action = np.zeros((4, 3, 3))
+    stood = set()
+    for k in range(resets + 100):
+        if k == 100:
+            before = resident()
+        aviary.reset(np.arange(4) == k % 4)
+        stood.add(tuple(aviary.scene.layout))
+        if k % 10 == 0:
+            aviary.step(action)
+    assert len(stood) > 50
+    assert resident() - before < 2 * MEGABYTE
+    aviary.close()

@@ -69,7 +69,7 @@ def test_what_is_no_box_is_left_to_the_engine(make_world):
     ramp = np.array([(10.0, -5, 0), (20, -5, 0), (20, -5, 10), (10, 5, 0), (20, 5, 0), (20, 5, 10)])
     world = make_world(Solids(TOWER, (ramp,)))
     assert cast(world, (0, 0, 5), (30, 0, 5))[0] == pytest.approx(0.5)  # the ramp is 5 m high at x = 15
-    _, left = walk(world.atlas, np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1, int), np.zeros(1, bool))
+    _, left = walk(world.atlas, np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1, int), False)
     assert left.tolist() == [0]
 
 

@@ -58,10 +58,12 @@ def targets(task: "Task") -> Block:
 
 def seen_share(task: "Task") -> Block:
     """Share of the task's targets that the drone sees."""
-    count = max(task.num_targets, 1)
-    return Block(
-        (Label("seen share", "1", 0.0, 1.0),), lambda frame, present: frame.readings["sight"].sum(axis=-1)[..., None] / count
-    )
+
+    def compute(frame, present):
+        weights = task.target_weights(frame.scene)
+        return (frame.readings["sight"] * weights[:, None]).sum(axis=-1)[..., None]
+
+    return Block((Label("seen share", "1", 0.0, 1.0),), compute)
 
 
 def _reading(name: str) -> Callable[["Frame", np.ndarray], np.ndarray]:

@@ -1,5 +1,6 @@
 """Flight in a city: its options, where drones and users can be in it, and what its tasks have in common."""
 
+import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,7 +12,7 @@ from bulletuav.city.generator import generate
 from bulletuav.city.imports import from_geojson, from_obj
 from bulletuav.city.model import City
 from bulletuav.city.statistics import Statistics
-from bulletuav.errors import several
+from bulletuav.errors import pick, several
 from bulletuav.physics.solids import Solids
 from bulletuav.tasks.base import Setting, Spawn
 from bulletuav.tasks.terms.airspace import UNCERTAINTY
@@ -20,7 +21,7 @@ CELL = 4.0  # m, of the raster from which places are drawn
 ROOM = 1.0  # m, beyond its radius, between a drone that starts, or a goal, and buildings
 USER_HEIGHT = 1.5  # m, of a user's device above the ground
 EDGE = 10.0  # m, between them and the city's edge
-TRIES = 1000
+TRIES = 200
 READERS: dict[str, Callable[[Path], City]] = {".geojson": from_geojson, ".json": from_geojson, ".obj": from_obj}
 LEVELS: dict[str, dict[str, Any]] = {
     "easy": UNCERTAINTY["easy"],
@@ -58,15 +59,22 @@ class UrbanConfig:
 
 def make_cities(config: UrbanConfig) -> tuple[City, ...]:
     """The cities that the options ask for. Raises ValueError for what cannot be, FileNotFoundError for a missing file."""
-    if isinstance(config.city, City):
-        return (config.city,)
     kind = config.city
-    if isinstance(kind, Path) or (isinstance(kind, str) and Path(kind).suffix in READERS):
-        return (READERS[Path(kind).suffix](Path(kind)),)
+    if isinstance(kind, City):
+        return (kind,)
+    ending = Path(kind).suffix.lower() if isinstance(kind, str | Path) else ""
+    if isinstance(kind, Path) or ending in READERS:
+        return (pick(f"kind of file for city {str(kind)!r},", ending, READERS)(Path(kind)),)
     if not isinstance(kind, str):
         kind = Statistics(*several("city", kind, 3))
     seeds = range(config.city_seed, config.city_seed + config.num_layouts)
     return tuple(generate(kind, config.area, np.random.default_rng(seed), config.irregularity) for seed in seeds)
+
+
+def check_share(name: str, value: float) -> None:
+    """Raise ValueError unless it is a share that can be reached."""
+    if not 0 < value <= 1:
+        raise ValueError(f"{name} is {value:g}: a share above 0 and at most 1 is needed")
 
 
 class Town:
@@ -80,6 +88,11 @@ class Town:
                 f"height is {config.height}: from low to high within {setting.collision_radius:.3g} m, where a drone "
                 f"touches the ground, and ceiling {config.ceiling:g} m is needed"
             )
+        if config.min_separation <= 2 * setting.collision_radius:
+            raise ValueError(
+                f"min_separation is {config.min_separation:g} m: more than {2 * setting.collision_radius:.3g} m is "
+                f"needed, the largest drone's size"
+            )
         self.config, self.cities = config, make_cities(config)
         self.solids: tuple[Solids, ...] = tuple(city.solids for city in self.cities)
         reach = max(city.side for city in self.cities) / 2
@@ -88,7 +101,10 @@ class Town:
         self._raster = [_outdoors(city, CELL, margin, EDGE) for city in self.cities]
         for city, raster in zip(self.cities, self._raster, strict=True):
             if not len(raster):
-                raise ValueError(f"city {city.name!r} has no street {2 * margin:.3g} m wide: drones have no room")
+                raise ValueError(
+                    f"city {city.name!r} has no street {2 * margin:.3g} m wide, {EDGE:g} m off its edge: drones have no "
+                    f"room; lower alpha, or raise area"
+                )
 
     def draw(self, rng: np.random.Generator) -> int:
         """A layout."""
@@ -99,13 +115,19 @@ class Town:
         raster = self._raster[layout]
         return raster[rng.integers(len(raster), size=count)] + rng.uniform(-CELL / 2, CELL / 2, (count, 2))
 
-    def places(
-        self, rng: np.random.Generator, layout: int, count: int, start: np.ndarray | None = None, leg: float = 0.0
-    ) -> np.ndarray:
-        """(count, 3) places for drones, `min_separation` apart, each `leg` m or farther from its `start` (count, 3).
+    def places(self, rng: np.random.Generator, layout: int, count: int) -> np.ndarray:
+        """(count, 3) places for drones, `min_separation` apart. Raises ValueError where there is no room for so many."""
+        return self._drawn(rng, layout, count, None, 0.0)
 
-        Raises ValueError where there is no room for so many.
-        """
+    def legs(self, rng: np.random.Generator, layout: int, count: int, leg: float) -> tuple[np.ndarray, np.ndarray]:
+        """(count, 3) starts and goals, `leg` m or more between the two of each drone; else as `places`."""
+        for _ in range(TRIES):
+            start = self.places(rng, layout, count)
+            with contextlib.suppress(ValueError):  # a start in the middle may have nowhere so far away
+                return start, self._drawn(rng, layout, count, start, leg)
+        raise self._no_room(layout, count, f" and leg {leg:g} m")
+
+    def _drawn(self, rng: np.random.Generator, layout: int, count: int, start: np.ndarray | None, leg: float) -> np.ndarray:
         low, high = self.config.height
         found = np.empty((count, 3))
         for i in range(count):
@@ -115,11 +137,14 @@ class Town:
                 if apart and (start is None or np.linalg.norm(start[i] - found[i]) >= leg):
                     break
             else:
-                raise ValueError(
-                    f"no place for drone {i} of {count} with min_separation {self.config.min_separation:g} m"
-                    f"{f' and leg {leg:g} m' if leg else ''} in a city of side {self.cities[layout].side:g} m"
-                )
+                raise self._no_room(layout, count, "")
         return found
+
+    def _no_room(self, layout: int, count: int, also: str) -> ValueError:
+        return ValueError(
+            f"no places for {count} drones with min_separation {self.config.min_separation:g} m{also} in a city of side "
+            f"{self.cities[layout].side:g} m: lower these, or raise area"
+        )
 
     def hovering(self, rng: np.random.Generator, layout: int, count: int) -> Spawn:
         """Drones at rest at random places, which are their goals too."""

@@ -1,0 +1,137 @@
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import bulletuav
+from bulletuav.city.generator import generate
+from bulletuav.physics.obstacle import Obstacle
+from bulletuav.physics.solids import Solids
+from bulletuav.physics.swarm import Swarm
+from bulletuav.physics.view import BUILDING, DRONE, FAR, LAND, NEAR, OBSTACLE, SKY
+from bulletuav.physics.world import World
+from bulletuav.sensors.camera import DroneCameras
+
+SIZE = (64, 48)
+ALL = ["rgb", "depth", "segmentation", "ray_depth"]
+LEVEL = (0.0, 0, 0, 1)
+TOWER = Solids(np.array([[(20.0, -5, 0), (40, 5, 60)]]))
+FACING = [LEVEL, (0, np.sqrt(0.5), 0, np.sqrt(0.5))]  # the second drone shows the first its face
+RADIUS = bulletuav.load_airframe("hummingbird").collision_radius
+
+
+@pytest.fixture
+def photograph():
+    """Pictures (N, H, W, ...) by name of the drones at some places in front of some solids and an obstacle."""
+    made = []
+
+    def make(solids, position, quaternion=LEVEL, obstacle=None, world=0, worlds=1):
+        drones = len(np.atleast_2d(position))
+        airframes = [bulletuav.load_airframe("hummingbird")] * drones
+        engine = World(airframes, worlds, 1 / 240, (Obstacle("sphere", (1.0,)),), (solids,))
+        made.append(engine)
+        every = np.ones((worlds, drones), dtype=bool)
+        engine.set_layouts(np.zeros(worlds, dtype=int), every[:, 0])
+        if obstacle is not None:
+            engine.set_obstacles(np.full((worlds, 1, 3), obstacle), np.tile(LEVEL, (worlds, 1, 1)), every[:, 0])
+        swarm = Swarm.zeros(worlds, drones, 4)
+        swarm.position[:], swarm.quaternion[:] = position, quaternion
+        engine.set_states(swarm, every)
+        cameras = DroneCameras(engine, ALL, np.full(drones, RADIUS), SIZE, 1)
+        cameras.expose(swarm, every, np.zeros(worlds, dtype=int))
+        return {name: picture[world] for name, picture in cameras.pictures.items()}
+
+    yield make
+    for one in made:
+        one.close()
+
+
+def pixel(ahead, left, up):
+    """Row and column that look along a direction: the picture is 90 degrees high, and 4 / 3 as wide as high."""
+    return int(24 * (1 - up / ahead)), int(32 * (1 - left / ahead * 3 / 4))
+
+
+def flat(labels, depth):
+    """(H, W) pixels whose neighbours all show the same, in one plane: away from edges."""
+    inner = np.zeros(labels.shape, dtype=bool)
+    inverse = np.pad(1 / depth.astype(float), 1, mode="edge")  # linear in the pixels' places on a plane
+    shown = np.pad(labels, 1, mode="edge")
+    inner[:] = True
+    for row in range(3):
+        for column in range(3):
+            inner &= shown[row : row + labels.shape[0], column : column + labels.shape[1]] == labels
+    for bend in (
+        inverse[1:-1, 2:] + inverse[1:-1, :-2] - 2 / depth,
+        inverse[2:, 1:-1] + inverse[:-2, 1:-1] - 2 / depth,
+    ):
+        inner &= np.abs(bend) < 1e-3 / depth
+    return inner
+
+
+def rounding(depth):
+    """What single precision leaves of a depth in the renderer, whose buffer is 1 - NEAR / depth, m."""
+    return 1e-3 + 2 * np.finfo(np.float32).eps * depth**2 / NEAR
+
+
+@pytest.mark.parametrize("attitude", [(0, 0, 0), (-60, 20, 0), (-130, 10, 25)])
+def test_depths_by_rays_are_those_of_the_renderer(photograph, attitude):
+    """In a city, over a street; where pixels show a plane, and to what the renderer rounds.
+
+    Walls and streets seen at a slant tell by half a pixel's shift whether both look through the same point of a pixel.
+    """
+    city = generate("dense", 300.0, np.random.default_rng(0), 0.5)
+    turn = Rotation.from_euler("ZYX", attitude, degrees=True).as_quat()
+    pictures = photograph(city.solids, (50, 130, 20), turn)
+    depth, rays, labels = (pictures[name][0] for name in ("depth", "ray_depth", "segmentation"))
+    compared = flat(labels, rays) & (labels != SKY)
+    assert {LAND, BUILDING} <= set(labels[compared])
+    assert compared.mean() > 0.4
+    assert (np.abs(depth - rays) < rounding(rays))[compared].all()
+
+
+def test_the_depth_of_a_wall_is_that_along_the_axis_in_all_its_pixels(photograph):
+    """The lens is a drone's radius ahead of its centre."""
+    pictures = photograph(TOWER, (0, 0, 30))
+    for up, left in ((0, 0), (3, 4), (-8, -4.5)):
+        row, column = pixel(20 - RADIUS, left, up)
+        assert pictures["ray_depth"][0, row, column] == pytest.approx(20 - RADIUS, abs=1e-3)
+        assert pictures["depth"][0, row, column] == pytest.approx(20 - RADIUS, rel=0.01)
+
+
+def test_what_is_nowhere_is_far(photograph):
+    pictures = photograph(TOWER, (0, 0, 30), Rotation.from_euler("z", 90, degrees=True).as_quat())
+    assert (pictures["ray_depth"][0, :20] == FAR).all()
+    assert (pictures["segmentation"][0, :20] == SKY).all()
+
+
+def test_pixels_are_labelled_by_what_they_show(photograph):
+    """A tower ahead, an obstacle to its left, another drone to its right; ground below and sky above them."""
+    pictures = photograph(TOWER, [(0, 0, 30), (RADIUS + 5, -4, 30)], FACING, obstacle=(RADIUS + 10, 9, 30))
+    labels = pictures["segmentation"][0]
+    for label, (ahead, left, up) in (
+        (BUILDING, (20, 0, 0)),
+        (OBSTACLE, (10, 9, 0)),
+        (DRONE, (5, -4, 0)),
+        (LAND, (10, 9, -5)),
+        (SKY, (10, 9, 5)),
+        (SKY, (10, -9, 9)),
+        (BUILDING, (20, 0, 15)),
+    ):
+        assert labels[pixel(ahead, left, up)] == label
+    assert set(np.unique(labels)) == {SKY, LAND, BUILDING, OBSTACLE, DRONE}
+
+
+def test_obstacles_and_drones_are_as_far_as_they_are(photograph):
+    """A ball of 1 m 10 m ahead and to the left; a drone 5 m ahead, whose collision shape is what rays see of it."""
+    pictures = photograph(TOWER, [(0, 0, 30), (RADIUS + 5, -4, 30)], FACING, obstacle=(RADIUS + 10, 9, 30))
+    depth, rays = pictures["depth"][0], pictures["ray_depth"][0]
+    ball, drone = pixel(10, 9, 0), pixel(5, -4, 0)
+    assert 8.9 < rays[ball] < 9.5
+    assert abs(depth[ball] - rays[ball]) < 0.1  # the renderer's ball is made of triangles
+    assert rays[drone] == pytest.approx(5 - 0.055, abs=1e-3)
+    assert 0 < depth[drone] - rays[drone] < 0.11  # the renderer shows the body within
+
+
+def test_every_world_is_photographed_where_it_is(photograph):
+    here, there = (photograph(TOWER, (0, 0, 30), world=k, worlds=4) for k in (0, 3))
+    np.testing.assert_allclose(here["ray_depth"], there["ray_depth"], rtol=1e-6)
+    assert (here["segmentation"] == there["segmentation"]).mean() > 0.99  # the renderer is in single precision
