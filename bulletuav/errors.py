@@ -46,6 +46,14 @@ def numbers_of(subject: str, value: Any) -> np.ndarray:
         raise ValueError(f"{subject} not numbers: {error}") from None
 
 
+def points_of(name: str, value: Any) -> np.ndarray:
+    """`value` as an array (M, 3) of points, one or more. Raises ValueError unless it is finite numbers of that shape."""
+    points = np.atleast_2d(numbers_of(f"{name} is", value))
+    if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
+        raise ValueError(f"{name} is {value!r}: a finite point (x, y, z), or several, is needed")
+    return points
+
+
 def pick(what: str, name: str, table: dict):
     """`table[name]`, or `unknown` when it is not there."""
     if not isinstance(name, str) or name not in table:

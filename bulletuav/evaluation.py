@@ -164,7 +164,7 @@ def _about(run: Run) -> dict[str, Any]:
 
 
 def _fingerprint(run: Run, plan: Plan, model: Path | None) -> str:
-    """Hash of what decides the results and has no value to compare: code, airframes, a model's file."""
+    """Hash of what decides the results and has no value to compare: code, airframes, cities, a model's file."""
     digest = hashlib.sha256(source_hash().encode())
     for kind in (type(plan.task), run.policy):
         if inspect.isclass(kind):
@@ -175,6 +175,10 @@ def _fingerprint(run: Run, plan: Plan, model: Path | None) -> str:
         digest.update(model.read_bytes())
     for airframe in plan.options.airframe:
         digest.update(repr(replace(airframe, urdf=Path())).encode())
+    for solids in plan.task.layouts():
+        for corners, _ in solids.faces:
+            digest.update(corners.tobytes())
+    digest.update(np.concatenate([plan.task.arena_low, plan.task.arena_high]).tobytes())
     return digest.hexdigest()[:16]
 
 

@@ -2,7 +2,6 @@
 
 import csv
 import dataclasses
-import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -157,9 +156,6 @@ def described(options: Options, config: Any) -> dict[str, Any]:
     wind = "function" if callable(options.wind) else options.wind
     random = {name: getattr(options.randomization, name) for name in options.randomization.active}
     own = {field.name: getattr(config, field.name) for field in dataclasses.fields(config)}
-    if isinstance(own.get("city"), City):
-        bounds = own["city"].solids.bounds
-        own["city"] = f"{own['city'].name}, pieces {hashlib.sha256(bounds.tobytes()).hexdigest()[:16]}"
-    elif isinstance(own.get("city"), Path):
-        own["city"] = str(own["city"])
+    if isinstance(own.get("city"), City | Path):
+        own["city"] = getattr(own["city"], "name", "")
     return {**vars(options), "airframe": names, "wind": wind, "randomization": random, **own}

@@ -1,3 +1,4 @@
+import contextlib
 import csv
 import json
 import os
@@ -10,6 +11,8 @@ from PIL import Image
 import bulletuav
 from bulletuav import evaluation
 from bulletuav.charts import plot_evaluation, plot_leaderboard
+from bulletuav.city.exports import write_obj
+from bulletuav.city.generator import generate
 from bulletuav.evaluation import BATCH, evaluate
 from bulletuav.leaderboard import markdown, write_csv
 from bulletuav.policies import find_policy
@@ -189,3 +192,12 @@ def test_summary_pictures_and_leaderboard(straight, tmp_path):
         rows = list(csv.DictReader(file))
     row = next(row for row in rows if row["policy"] == "orca" and row["metric"] == "conflict")
     assert (row["mean"], row["episodes"], row["task"], row["drones"]) == ("0.0", "13", "converge", "3")
+
+
+def test_runs_in_another_city_are_not_gone_on_with(tmp_path):
+    path, options = tmp_path / "town.obj", {"dynamics": "point_mass", "leg": 50.0, "horizon": 5}
+    for kind in ("suburban", "high_rise"):
+        write_obj(generate(kind, 200.0, np.random.default_rng(0)), path)
+        expected = contextlib.nullcontext() if kind == "suburban" else pytest.raises(ValueError, match="its fingerprint is")
+        with expected:
+            evaluate("navigation", "straight", 1, out=tmp_path / "out", city=str(path), **options)

@@ -10,6 +10,7 @@ from bulletuav.city.streets import grid_streets
 from bulletuav.errors import finite, pick
 from bulletuav.physics.solids import Solids
 
+MOST_BLOCKS = 400  # along a side
 BOULEVARDS = 0.2  # share of the streets, at irregularity 1
 PARKS = 0.3  # parks among the blocks, at irregularity 1: this times the share of a block's side that is street
 ANGLED = 0.5  # share of L-shaped buildings, at irregularity 1
@@ -46,6 +47,8 @@ def _blocks(side: float, pitch: float) -> int:
     few = int(finite("side", side) / pitch)
     if few < 2:
         raise ValueError(f"side is {side!r} m: two blocks need at least {2 * pitch:.4g} m; give that, or a greater beta")
+    if few > MOST_BLOCKS:
+        raise ValueError(f"side is {side!r} m: at most {MOST_BLOCKS * pitch:.4g} m, {MOST_BLOCKS} blocks, are made")
     return min(few, few + 1, key=lambda count: abs(side / count - pitch))
 
 

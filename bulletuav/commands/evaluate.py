@@ -20,6 +20,7 @@ from bulletuav.commands.options import (
 )
 from bulletuav.evaluation import Evaluation, evaluate
 from bulletuav.metrics import METRICS, Estimate
+from bulletuav.tasks import find_task
 
 ABOUT = {
     "help": "fly many episodes and print metrics with confidence intervals",
@@ -36,7 +37,7 @@ ABOUT = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The task, who flies, how many episodes, where to, and the options."""
     parser.add_argument("task", help="one of `bulletuav tasks`")
-    parser.add_argument("--policy", default="straight", help=f"who flies: {POLICY_HELP} (default: straight)")
+    parser.add_argument("--policy", help=f"who flies: {POLICY_HELP} (default: straight, or planner to goals in cities)")
     add_episodes(parser)
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="folder for the files (default: evaluation/TASK-DIFFICULTY-POLICY)"
@@ -46,6 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Evaluate, print and write."""
+    arguments.policy = arguments.policy or find_task(arguments.task).baseline
     options = flyable_options(arguments.task, arguments.policy, given_options(arguments))
     out = arguments.out or Path("evaluation") / run_name(arguments.task, arguments.policy, options)
     with episodes_bar(arguments.episodes) as progress:

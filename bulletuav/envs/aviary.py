@@ -15,6 +15,7 @@ from bulletuav.envs.energy import Energy
 from bulletuav.envs.plan import Plan
 from bulletuav.envs.randomization import Uncertainty
 from bulletuav.envs.senses import Senses
+from bulletuav.errors import points_of
 from bulletuav.physics.airframe import parameter_rows
 from bulletuav.physics.atlas import NOWHERE
 from bulletuav.physics.dynamics import Dynamics, Flight
@@ -196,7 +197,7 @@ class Aviary:
         frame = self._fly(self._plan.actions(actions, self.alive), self.alive.copy())
         self.task.remember(frame)
         flown, verdict = frame.alive, self.task.judge(frame)
-        terminated = (verdict.terminated | self._energy.depleted) & flown
+        terminated = (verdict.terminated | frame.depleted) & flown
         truncated = frame.last[:, None] & flown & ~terminated
         self._frame = frame
         self.alive = flown & ~terminated & ~truncated
@@ -267,9 +268,8 @@ class Aviary:
 
     def first_info(self) -> dict[str, np.ndarray]:
         """Info right after a reset: the keys of every step's info, terms at zero."""
-        frame = self._current()
-        verdict = self.task.judge(frame)
-        return self._info(frame, dict.fromkeys(verdict.terms, np.zeros(self.alive.shape)), verdict.success)
+        verdict = self.task.judge(self._current())
+        return self._info(self._current(), dict.fromkeys(verdict.terms, np.zeros(self.alive.shape)), verdict.success)
 
     def _current(self) -> Frame:
         if self._frame is None:
@@ -293,8 +293,7 @@ class Aviary:
         self._require_open()
         if self.options.render_mode != "rgb_array":
             return None
-        if world not in range(self.num_worlds):
-            raise ValueError(f"world is {world!r}: a whole number from 0 to {self.num_worlds - 1} is needed")
+        self._plan.require_worlds(world)
         flown = self._current().alive
         self._dynamics.show(self.swarm, self.alive)
         self._world.set_poses(self.swarm, flown & ~self.alive)  # those that just ended are still to be seen
@@ -303,14 +302,18 @@ class Aviary:
         return picture
 
     def line_of_sight(self, start: np.ndarray, end: np.ndarray, world: np.ndarray | int = 0) -> np.ndarray:
-        """(M,) bool: nothing but drones is between points `start` and `end` (M, 3), m, in worlds `world`, one or (M,)."""
+        """(M,) bool: nothing but drones is between points `start` and `end` (M, 3), m, in worlds `world`, one or (M,).
+
+        Raises ValueError for points that are not finite, or a world that there is not.
+        """
         self.require_started()
-        start, end = np.broadcast_arrays(np.atleast_2d(start).astype(float), np.atleast_2d(end).astype(float))
-        return line_of_sight(self._world, start, end, np.broadcast_to(world, len(start)))
+        start, end = np.broadcast_arrays(points_of("start", start), points_of("end", end))
+        where = np.broadcast_to(self._plan.require_worlds(world), len(start))
+        return line_of_sight(self._world, start, end, where)
 
     def solids(self, world: int = 0) -> Solids:
         """What stands in a world, beside obstacles."""
-        layout = self.scene.layout[world]
+        layout = self.scene.layout[self._plan.require_worlds(world)]
         return NOTHING_STANDS if layout == NOWHERE else self.task.layouts()[layout]
 
     @property

@@ -44,8 +44,3 @@ class Energy:
     def charge(self) -> np.ndarray:
         """(W, N) share that is left."""
         return self._battery.charge.copy()
-
-    @property
-    def depleted(self) -> np.ndarray:
-        """(W, N) bool: batteries that are empty."""
-        return self._battery.depleted

@@ -60,7 +60,7 @@ class Options:
     lidar_elevations  degrees above the horizon
     lidar_frame  "yaw" (the first beam along the drone's heading) or "world" (to the east)
     battery_capacity  W h; a drone's episode ends with its charge; None for batteries that never empty
-    energy       what takes charge: "zeng" (rotary-wing formula) or "actuator" (the simulated rotors)
+    energy       what takes charge: "zeng" (rotary-wing formula) or "actuator" (the simulated rotors; also without gravity)
     """
 
     num_drones: int

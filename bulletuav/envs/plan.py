@@ -40,6 +40,13 @@ class Plan:
             raise ValueError(f"mask has shape {mask.shape} and type {mask.dtype}: ({self.num_worlds},) bool is needed")
         return mask
 
+    def require_worlds(self, world: Any) -> np.ndarray:
+        """`world`, one or several, as it is. Raises ValueError unless all are whole numbers of worlds that there are."""
+        worlds = np.asarray(world)
+        if worlds.dtype.kind not in "iu" or ((worlds < 0) | (worlds >= self.num_worlds)).any():
+            raise ValueError(f"world is {world!r}: a whole number from 0 to {self.num_worlds - 1} is needed")
+        return worlds
+
     def seeds(self, seeds: int | Sequence[int] | None) -> list[int] | None:
         """One seed for each world: from s on for an int s, None for None. Raises ValueError for what cannot be a seed."""
         if seeds is None:
@@ -98,10 +105,6 @@ def _make_task(kind: type[Task], config: Any, options: Options) -> Task:
         raise ValueError(
             f"the arena reaches {reach:g} m aside and {task.arena_high[2]:g} m up: less than {TILE_PITCH / 2:g} and "
             f"{PARKING_HEIGHT:g} m are needed, where other worlds begin"
-        )
-    if options.max_range + 2 * reach >= TILE_PITCH:
-        raise ValueError(
-            f"max_range is {options.max_range:g} m: less than {TILE_PITCH - 2 * reach:g} m is needed, where others begin"
         )
     if config.d_safe <= 2 * radius:
         raise ValueError(f"d_safe {config.d_safe:g} m must exceed the {2 * radius:.3g} m across of the largest drone")

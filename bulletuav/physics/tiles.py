@@ -1,5 +1,7 @@
 """Geometry of the tiles: where they lie in the engine's frame, and what lies below the drones in each."""
 
+import math
+
 import numpy as np
 
 from bulletuav.kernel import formula, kernel
@@ -67,3 +69,18 @@ def land(surface, who, start, fraction):
     for m in range(who.shape[0]):
         if fraction[m] < 1.0:
             surface[who[m, 0], who[m, 1]] = start[m, 2] - RAY_LENGTH * fraction[m]
+
+
+@kernel
+def within_tile(start, end):
+    """Rays (M, 3), in their world's own frame, until they leave the tile: starts, ends, and the share (M,) that is left."""
+    share, half, last = np.ones(start.shape[0]), 0.5 * TILE_PITCH, end.copy()
+    for m in range(start.shape[0]):
+        for k in range(2):
+            change = end[m, k] - start[m, k]
+            if abs(end[m, k]) > half:
+                share[m] = max(0.0, min(share[m], (math.copysign(half, change) - start[m, k]) / change))
+        if share[m] < 1.0:
+            for k in range(3):
+                last[m, k] = start[m, k] + share[m] * (end[m, k] - start[m, k])
+    return start, last, share

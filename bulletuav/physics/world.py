@@ -28,7 +28,7 @@ from bulletuav.physics.screen import require_screen
 from bulletuav.physics.shapes import meet_drones
 from bulletuav.physics.solids import Solids
 from bulletuav.physics.swarm import CITY, FIRST_OBSTACLE, GROUND, Swarm
-from bulletuav.physics.tiles import columns, land, localise, tile_offset
+from bulletuav.physics.tiles import columns, land, localise, tile_offset, within_tile
 from bulletuav.physics.view import BUILDING, DRONE, LAND, OBSTACLE, SKY, Picture, metres
 from bulletuav.physics.walk import walk
 
@@ -260,8 +260,10 @@ class World:
         """
         fraction, left = walk(self.atlas, start, end, world, self.obstacle_radius.size > 0)
         if len(left):
+            first, last, share = within_tile(start[left], end[left])
             offset = self._offset[world[left], 0]
-            fraction[left] = self._calls.rays(start[left] + offset, end[left] + offset, VISIBLE)
+            met = self._calls.rays(first + offset, last + offset, VISIBLE)
+            fraction[left] = np.where(met < 1, met * share, 1.0)
         if drones is not None:
             meet_drones(fraction, start, end, world, *drones, *self._shapes)
         return fraction

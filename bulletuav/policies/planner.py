@@ -22,7 +22,7 @@ CELL = 4.0  # m; with HALF_WIDTH and a drone of 0.6 m, streets 13 m wide have a 
 HALF_WIDTH = 2.0  # m, to either side of the way: room for rounding corners, gusts and other drones
 ACCELERATION = 5.0  # m/s^2
 DELAY = 0.6  # s, from decision to velocity; so a Hummingbird rounds right angles within HALF_WIDTH at up to 20 m/s
-NOWHERE = 1e-9  # m: a shorter leg has no direction
+NO_WAY = 1e-9  # m: a shorter leg has no direction
 
 
 class Limits(NamedTuple):
@@ -170,7 +170,7 @@ def leg(points, k):
     """Direction and length, m, of the leg that ends at waypoint k; zeros where it has none."""
     way = along(point(points, k), -1.0, point(points, k - 1))
     length = math.sqrt(dot(way, way))
-    scale = 1.0 / length if length > NOWHERE else 0.0
+    scale = 1.0 / length if length > NO_WAY else 0.0
     return (scale * way[0], scale * way[1], scale * way[2]), length
 
 

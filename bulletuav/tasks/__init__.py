@@ -23,7 +23,7 @@ def _tasks() -> dict[str, type[Task]]:
         value
         for module in modules
         for value in vars(module).values()
-        if inspect.isclass(value) and issubclass(value, Task) and not inspect.isabstract(value)
+        if inspect.isclass(value) and issubclass(value, Task) and value.__module__ == module.__name__ != Task.__module__
     ]
     tasks = {task.name: task for task in found}
     for point in importlib.metadata.entry_points(group=ENTRY_POINTS):

@@ -133,6 +133,11 @@ class Frame:
         """(W, N) from there to the goal, m."""
         return distances(self.scene.goal, self.known_position)
 
+    @property
+    def depleted(self) -> np.ndarray:
+        """(W, N) bool: the battery is empty."""
+        return self.readings["charge"] <= 0
+
     @cached_property
     def collision(self) -> np.ndarray:
         """(W, N) bool: contact of collision shapes."""
@@ -220,9 +225,9 @@ class Task(ABC):
         """(W, num_targets, 3) points, m, that drones are to see; none by default."""
         return np.zeros((len(scene.goal), 0, 3))
 
-    def target_weights(self, scene: Scene) -> np.ndarray:
-        """(W, num_targets) share of each target in all that is to be seen."""
-        return np.full((len(scene.goal), self.num_targets), 1 / max(self.num_targets, 1))
+    def counted(self, scene: Scene) -> np.ndarray:
+        """(W, num_targets) bool: targets that count, all by default."""
+        return np.ones((len(scene.goal), self.num_targets), dtype=bool)
 
     def advance(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rng: Sequence[np.random.Generator | None]) -> bool:
         """Move goals and obstacles of the worlds that fly (W,) through one decision from `time` (W,), in place.
@@ -245,6 +250,11 @@ class Task(ABC):
     @abstractmethod
     def judge(self, frame: Frame) -> Verdict:
         """Reward terms, ends and successes of a decision. Changes nothing: it may be asked twice."""
+
+
+def share_of(seen: np.ndarray, counted: np.ndarray) -> np.ndarray:
+    """(...,) share of those that count which are seen, (..., U) bool both, exactly 1 for all; 0 where none counts."""
+    return (seen & counted).sum(axis=-1) / np.maximum(counted.sum(axis=-1), 1)
 
 
 def merged_weights(defaults: Mapping[str, float], changes: Mapping[str, float]) -> dict[str, float]:

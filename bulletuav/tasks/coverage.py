@@ -7,9 +7,9 @@ from typing import ClassVar
 import numpy as np
 
 from bulletuav.physics.solids import Solids
-from bulletuav.tasks.base import Frame, Scene, Setting, Spawn, Task, Verdict
+from bulletuav.tasks.base import Frame, Scene, Setting, Spawn, Task, Verdict, share_of
 from bulletuav.tasks.terms.measures import offsets
-from bulletuav.tasks.terms.urban import LEVELS, Town, UrbanConfig, check_share, ground_cells
+from bulletuav.tasks.terms.urban import DEFAULTS, LEVELS, Town, UrbanConfig, check_share, ground_cells
 
 
 @dataclass(frozen=True)
@@ -71,8 +71,8 @@ class Coverage(Task):
     1.5 m up); close -5 for each other drone nearer than min_separation = 100 m; collision -10; out_of_bounds -10 (weights by
     name).
 
-    End: terminated on contact of collision shapes and outside the city's square or above its ceiling; truncated after 300
-    decisions. Success: 90 % of the ground outdoors is covered.
+    End: terminated on contact of collision shapes, with an empty battery, and outside the city's square or above its
+    ceiling; truncated after 300 decisions. Success: 90 % of the ground outdoors is covered.
 
     Difficulty, drones / city / irregularity: easy 3, urban, 0; medium 5, urban, 0.5; hard 8, dense, 0.5; extreme 16,
     high_rise, 1, min_separation 50 m; uncertain is what `UNCERTAINTY` of the shared airspace says.
@@ -81,15 +81,7 @@ class Coverage(Task):
     name = "coverage"
     Config = CoverageConfig
     config: CoverageConfig
-    defaults: ClassVar = {
-        "num_drones": 3,
-        "airframe": "hummingbird",
-        "action": "velocity",
-        "decision_hz": 10,
-        "horizon": 300,
-        "max_speed": 15.0,
-        "battery_capacity": 23.3,
-    }
+    defaults: ClassVar = {**DEFAULTS, "horizon": 300}
     difficulties: ClassVar = {**LEVELS, "extreme": {**LEVELS["extreme"], "min_separation": 50.0}}
     observation = ("position", "velocity", "battery", "neighbours", "seen_share")
     reward_weights: ClassVar = {"covered": 1.0, "close": -5.0, "collision": -10.0, "out_of_bounds": -10.0}
@@ -108,7 +100,7 @@ class Coverage(Task):
         self.num_targets = max(map(len, cells))
         # All layouts have as many rows: short lists repeat their first cell, and it does not count.
         self._cells = np.array([np.concatenate([c, np.repeat(c[:1], self.num_targets - len(c), axis=0)]) for c in cells])
-        self._share = np.array([(np.arange(self.num_targets) < len(c)) / len(c) for c in cells])
+        self._counts = np.array([np.arange(self.num_targets) < len(c) for c in cells])
 
     def layouts(self) -> Sequence[Solids]:
         """The cities."""
@@ -118,9 +110,9 @@ class Coverage(Task):
         """The middles of the squares outdoors."""
         return self._cells[scene.layout]
 
-    def target_weights(self, scene: Scene) -> np.ndarray:
-        """All squares count the same."""
-        return self._share[scene.layout]
+    def counted(self, scene: Scene) -> np.ndarray:
+        """Those that do not only fill up a list."""
+        return self._counts[scene.layout]
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
         """At rest, anywhere outdoors."""
@@ -129,7 +121,7 @@ class Coverage(Task):
     def judge(self, frame: Frame) -> Verdict:
         """The share of the ground in sight, drones too near, and ends by contact or outside the airspace."""
         seen = (frame.readings["sight"] & frame.alive[..., None]).any(axis=1)
-        covered = (seen * self.target_weights(frame.scene)).sum(axis=-1, keepdims=True)
+        covered = share_of(seen, self.counted(frame.scene))[:, None]
         near = np.linalg.norm(offsets(frame.after.position), axis=-1) < self.config.min_separation
         others = frame.alive[:, None] & ~np.eye(self.setting.num_drones, dtype=bool)
         outside = self.outside(frame)

@@ -8,7 +8,7 @@ import numpy as np
 
 from bulletuav.physics.solids import Solids
 from bulletuav.tasks.base import Frame, Setting, Spawn, Task, Verdict
-from bulletuav.tasks.terms.urban import LEVELS, Town, UrbanConfig
+from bulletuav.tasks.terms.urban import DEFAULTS, LEVELS, Town, UrbanConfig
 
 
 @dataclass(frozen=True)
@@ -57,8 +57,8 @@ class Default(Task):
     Reward, per decision: progress 1, of what max_speed would make good; goal 10 on reaching it; collision -10; time -0.1
     (weights by name).
 
-    End: terminated within 5 m of the goal, on contact of collision shapes and outside the city's square or above its
-    ceiling; truncated after 600 decisions. Success: goal reached.
+    End: terminated within 5 m of the goal, on contact of collision shapes, with an empty battery, and outside the city's
+    square or above its ceiling; truncated after 600 decisions. Success: goal reached.
 
     Difficulty, drones / city / irregularity: easy 3, urban, 0; medium 5, urban, 0.5; hard 8, dense, 0.5; extreme 16,
     high_rise, 1; uncertain is what `UNCERTAINTY` of the shared airspace says.
@@ -67,15 +67,7 @@ class Default(Task):
     name = "default"
     Config = DefaultConfig
     config: DefaultConfig
-    defaults: ClassVar = {
-        "num_drones": 3,
-        "airframe": "hummingbird",
-        "action": "velocity",
-        "decision_hz": 10,
-        "horizon": 600,
-        "max_speed": 15.0,
-        "battery_capacity": 23.3,
-    }
+    defaults: ClassVar = {**DEFAULTS, "horizon": 600}
     difficulties: ClassVar = LEVELS
     observation = ("velocity", "goal", "battery", "lidar")
     baseline = "planner"

@@ -8,7 +8,7 @@ import numpy as np
 
 from bulletuav.physics.solids import Solids
 from bulletuav.tasks.base import Frame, Scene, Setting, Spawn, Task, Verdict
-from bulletuav.tasks.terms.urban import LEVELS, USER_HEIGHT, Town, UrbanConfig, check_share
+from bulletuav.tasks.terms.urban import DEFAULTS, LEVELS, USER_HEIGHT, Town, UrbanConfig, check_share
 
 
 @dataclass(frozen=True)
@@ -143,8 +143,8 @@ class Los(Task):
     Reward, per decision: sight 1 times the share of users that the drone sees; served 0 times the share that any drone sees;
     collision -10; out_of_bounds -10 (weights by name).
 
-    End: terminated on contact of collision shapes and outside the city's square or above its ceiling; truncated after 300
-    decisions. Success: 90 % of the users are seen by some drone.
+    End: terminated on contact of collision shapes, with an empty battery, and outside the city's square or above its
+    ceiling; truncated after 300 decisions. Success: 90 % of the users are seen by some drone.
 
     Difficulty, drones / city / irregularity: easy 3, urban, 0; medium 5, urban, 0.5; hard 8, dense, 0.5; extreme 16,
     high_rise, 1; uncertain is what `UNCERTAINTY` of the shared airspace says.
@@ -153,15 +153,7 @@ class Los(Task):
     name = "los"
     Config = LosConfig
     config: LosConfig
-    defaults: ClassVar = {
-        "num_drones": 3,
-        "airframe": "hummingbird",
-        "action": "velocity",
-        "decision_hz": 10,
-        "horizon": 300,
-        "max_speed": 15.0,
-        "battery_capacity": 23.3,
-    }
+    defaults: ClassVar = {**DEFAULTS, "horizon": 300}
     difficulties: ClassVar = LEVELS
     observation = ("position", "velocity", "battery", "neighbours", "targets")
     reward_weights: ClassVar = {"sight": 1.0, "served": 0.0, "collision": -10.0, "out_of_bounds": -10.0}

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import bulletuav
+from bulletuav.physics.obstacle import Obstacle
 
 TOWN = {"area": 200.0, "num_layouts": 1, "leg": 60.0, "num_drones": 3, "min_separation": 3.0}
 LOOKING = ("position", "lidar", "imu", "clearance", "rgb", "depth", "ray_depth", "segmentation", "targets")
@@ -30,14 +31,6 @@ def test_looking_leaves_the_flight_as_it_is(dynamics):
     np.testing.assert_array_equal(flight(LOOKING, dynamics), flight("position", dynamics))
 
 
-def test_readings_are_those_that_were_asked_for():
-    aviary = bulletuav.Aviary("navigation", observation=("position", "lidar"), dynamics="point_mass", **TOWN)
-    aviary.reset(seeds=0)
-    assert set(aviary._frame.readings) == {"charge", "sight", "lidar"}
-    assert aviary._frame.readings["sight"].shape == (1, 3, 0)
-    aviary.close()
-
-
 def test_the_task_itself_may_need_a_sensor():
     aviary = bulletuav.Aviary("lidar_navigation", observation="velocity", dynamics="point_mass", **TOWN)
     aviary.reset(seeds=0)
@@ -45,12 +38,29 @@ def test_the_task_itself_may_need_a_sensor():
     aviary.close()
 
 
-def test_a_partial_reset_leaves_readings_of_other_worlds():
-    options = {"randomization": {"lidar_noise": 1.0, "accelerometer_noise": 1.0}, "dynamics": "point_mass", **TOWN}
-    aviary = bulletuav.Aviary("navigation", 2, observation=("lidar", "imu"), **options)
+def test_sights_of_worlds_and_points_that_are_not_there_are_refused():
+    aviary = bulletuav.Aviary("navigation", 2, dynamics="point_mass", **TOWN)
     aviary.reset(seeds=0)
-    before = aviary.step(np.zeros((2, 3, 3))).observations
-    after = aviary.reset(np.array([False, True]))
-    np.testing.assert_array_equal(after[0], before[0])
-    assert (after[1] != before[1]).any()
+    up = ((0, 0, 90.0), (9, 0, 90.0))
+    assert aviary.line_of_sight(*up, 1).tolist() == [True]
+    for world in (2, -1, 0.5, None, 10**9, [0, 2]):
+        with pytest.raises(ValueError, match="world is .*: a whole number from 0 to 1"):
+            aviary.line_of_sight(*up, world)
+    with pytest.raises(ValueError, match="world is 5"):
+        aviary.solids(5)
+    for start in ((np.nan, 0, 0), (0, 0), "x"):
+        with pytest.raises(ValueError, match="start is"):
+            aviary.line_of_sight(start, up[1])
     aviary.close()
+
+
+def test_long_rays_end_at_the_tile_of_their_world(make_bench):
+    """A box of world 1, whose tile begins 4,096 m to the east, is not seen from world 0."""
+    bench = make_bench("bullet", worlds=2, obstacles=(Obstacle("box", (100.0, 100.0, 100.0)),))
+    place = np.array([[(0, 0, 500.0)], [(-1900.0, 0, 50)]])
+    bench.world.set_obstacles(place, np.tile((0, 0, 0, 1.0), (2, 1, 1)), np.ones(2, dtype=bool))
+    start, end = np.array([(2000.0, 0, 50)]), np.array([(2400.0, 0, 50), (1600.0, 0, 50.0)])
+    starts = np.repeat(start, 2, axis=0)
+    assert bench.world.cast_rays(starts, end, np.zeros(2, dtype=int)).tolist() == [1, 1]
+    inside = bench.world.cast_rays(np.array([(-1000.0, 0, 50)]), np.array([(-2900.0, 0, 50)]), np.ones(1, dtype=int))
+    np.testing.assert_allclose(inside, 850 / 1900, atol=1e-6)

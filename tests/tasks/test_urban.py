@@ -19,7 +19,7 @@ from bulletuav.physics.power import airframe_wing, level_power, propulsion_power
 from bulletuav.physics.solids import Solids
 from bulletuav.policies import find_policy
 from bulletuav.tasks import find_task
-from bulletuav.tasks.base import Spawn
+from bulletuav.tasks.base import Spawn, share_of
 from bulletuav.tasks.terms.urban import ground_cells
 
 URBAN = ("navigation", "lidar_navigation", "los", "coverage", "default")
@@ -274,7 +274,6 @@ def test_a_file_that_is_not_there(name):
     [
         ({"min_separation": 300.0}, "3 drones with min_separation 300 m.* side 250 m"),
         ({"min_separation": 60.0, "num_drones": 40}, "40 drones with min_separation 60 m.* side 250 m"),
-        ({"leg": 400.0}, "3 drones with min_separation 20 m and leg 400 m .* side 250 m"),
     ],
 )
 def test_too_little_room_for_so_many(options, message):
@@ -293,7 +292,8 @@ def test_where_there_is_room_no_reset_fails_by_bad_luck():
     ("task", "options", "message"),
     [
         ("lidar_navigation", {"proximity_range": 0.0}, "proximity_range is 0"),
-        ("lidar_navigation", {"max_range": 4000.0}, "max_range is 4000 m: less than 3846 m"),
+        ("navigation", {"area": 250.0, "leg": 400.0}, "leg is 400 m: less than .* is needed in this city"),
+        ("los", {"area": 5000.0}, "area is 5000 m: less than 4096 m"),
         ("los", {"num_users": 0}, "num_users is 0"),
         ("los", {"wanted": 1.5}, "wanted is 1.5"),
         ("coverage", {"wanted": 1.5}, "wanted is 1.5"),
@@ -829,3 +829,23 @@ def test_the_planner_brings_everybody_to_the_goal(make, action):
         assert reached.all()
         assert not straight.all()  # there was something to fly around
     assert (layouts[0] != layouts[1]).any()
+
+
+def test_everything_seen_is_all_of_it_exactly():
+    """644 squares: 644 times 1 / 644 would be less than 1."""
+    task = Plan("coverage", 1, {"area": 300.0, "num_layouts": 1, "wanted": 1.0}).task
+    counted = np.ones((1, task.num_targets), dtype=bool)
+    assert share_of(counted, counted).tolist() == [1.0]
+    assert share_of(counted, np.zeros_like(counted)).tolist() == [0.0]
+
+
+def test_an_empty_battery_ends_the_episode_for_the_task_too():
+    """Shaping counts no potential after an end: it is then the whole way before."""
+    options = {"weights": {"shaping": 1.0}, "area": 250.0, "leg": 100.0, "dynamics": "point_mass", "num_layouts": 1}
+    aviary = bulletuav.Aviary("navigation", battery_capacity=1e-4, **options)
+    aviary.reset(seeds=0)
+    way = np.linalg.norm(aviary.scene.goal - aviary.swarm.position, axis=-1)
+    step = aviary.step(np.zeros((1, 3, 3)))
+    assert step.terminated.all()
+    np.testing.assert_allclose(step.info["reward/shaping"], way, rtol=1e-9)
+    aviary.close()

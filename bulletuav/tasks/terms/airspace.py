@@ -168,9 +168,9 @@ class Airspace(Task):
     asking: efficiency 0 (1 - distance over that at the start), speed_keeping 0 (0.3 to 0.8 of max_speed), time 0 (1 a
     decision), shaping 0 (by the potential -distance), fairness 0 (variance of the rewards nearby), concession 0 (made way).
 
-    End: terminated on reaching the goal (within 2 m), on contact of collision shapes, or outside the arena (bounds of
-    position); the drone then leaves the airspace. Conflict ends nothing. Options change each of these. Truncated after 500
-    decisions unless the difficulty says otherwise.
+    End: terminated on reaching the goal (within 2 m), on contact of collision shapes, with an empty battery, or outside the
+    arena (bounds of position); the drone then leaves the airspace. Conflict ends nothing. Options change each of these.
+    Truncated after 500 decisions unless the difficulty says otherwise.
     Success: goal reached.
 
     Uncertain from medium on: positions by 0.5 to 1.5 m (GPS). Hard: up to 3 m, and wind. Extreme: everything (see
@@ -282,7 +282,7 @@ class Airspace(Task):
             outside = self.outside(frame)
         else:  # thrown back, which left them right at the bounds
             outside = np.any((position <= self.arena_low) | (position >= self.arena_high), axis=-1)
-        terminated = _whose(frame.collision, frame, config.contact_ends)
+        terminated = _whose(frame.collision, frame, config.contact_ends) | frame.depleted
         if config.at_goal == "hold":
             terminated = terminated | np.all(finished | ~frame.alive, axis=1, keepdims=True)
         else:

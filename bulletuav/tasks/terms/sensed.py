@@ -60,8 +60,8 @@ def seen_share(task: "Task") -> Block:
     """Share of the task's targets that the drone sees."""
 
     def compute(frame, present):
-        weights = task.target_weights(frame.scene)
-        return (frame.readings["sight"] * weights[:, None]).sum(axis=-1)[..., None]
+        counted = task.counted(frame.scene)[:, None]
+        return ((frame.readings["sight"] & counted).sum(axis=-1) / np.maximum(counted.sum(axis=-1), 1))[..., None]
 
     return Block((Label("seen share", "1", 0.0, 1.0),), compute)
 

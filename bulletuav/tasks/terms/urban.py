@@ -1,10 +1,10 @@
 """Flight in a city: its options, where drones and users can be in it, and what its tasks have in common."""
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -14,8 +14,9 @@ from bulletuav.city.model import City
 from bulletuav.city.statistics import Statistics
 from bulletuav.errors import pick, several
 from bulletuav.physics.solids import Solids
+from bulletuav.physics.tiles import TILE_PITCH
 from bulletuav.tasks.base import Setting, Spawn
-from bulletuav.tasks.terms.airspace import UNCERTAINTY
+from bulletuav.tasks.terms.airspace import UNCERTAINTY, Airspace, FlightConfig
 
 CELL = 4.0  # m, of the raster from which places are drawn
 ROOM = 1.0  # m, beyond its radius, between a drone that starts, or a goal, and buildings
@@ -30,6 +31,17 @@ LEVELS: dict[str, dict[str, Any]] = {
     "extreme": {"num_drones": 16, "city": "high_rise", "irregularity": 1.0, **UNCERTAINTY["extreme"]},
 }
 """What a difficulty makes of a city and of its airspace"""
+
+
+DEFAULTS: dict[str, Any] = {
+    "num_drones": 3,
+    "airframe": "hummingbird",
+    "action": "velocity",
+    "decision_hz": 10,
+    "max_speed": 15.0,
+    "battery_capacity": 23.3,
+}
+"""What tasks in cities start from"""
 
 
 @dataclass(frozen=True)
@@ -67,6 +79,8 @@ def make_cities(config: UrbanConfig) -> tuple[City, ...]:
         return (pick(f"kind of file for city {str(kind)!r},", ending, READERS)(Path(kind)),)
     if not isinstance(kind, str):
         kind = Statistics(*several("city", kind, 3))
+    if config.area >= TILE_PITCH:
+        raise ValueError(f"area is {config.area:g} m: less than {TILE_PITCH:g} m is needed, where other worlds begin")
     seeds = range(config.city_seed, config.city_seed + config.num_layouts)
     return tuple(generate(kind, config.area, np.random.default_rng(seed), config.irregularity) for seed in seeds)
 
@@ -105,6 +119,12 @@ class Town:
                     f"city {city.name!r} has no street {2 * margin:.3g} m wide, {EDGE:g} m off its edge: drones have no "
                     f"room; lower alpha, or raise area"
                 )
+
+    def require(self, leg: float) -> None:
+        """Raise ValueError unless in every city two places are `leg` m apart."""
+        widest = min(float(np.linalg.norm(np.ptp(raster, axis=0) + CELL)) for raster in self._raster)
+        if leg >= widest:
+            raise ValueError(f"leg is {leg:g} m: less than {widest:.4g} m is needed in this city, or raise area")
 
     def draw(self, rng: np.random.Generator) -> int:
         """A layout."""
@@ -166,3 +186,47 @@ def ground_cells(city: City, cell: float) -> np.ndarray:
     """(M, 3) middles of the outdoor cells of a square raster, at the height of a user's device, m."""
     places = _outdoors(city, cell, 0.0)
     return np.concatenate([places, np.full((len(places), 1), USER_HEIGHT)], axis=1)
+
+
+@dataclass(frozen=True)
+class UrbanFlightConfig(UrbanConfig, FlightConfig):
+    """Options of flights to goals in cities, beside those of all such flights; goals are `leg` m or farther from starts."""
+
+    leg: float = 150.0
+    d_safe: float = 2.0
+    start_speed: tuple[float, float] = (0.0, 0.0)
+
+
+class UrbanFlight(Airspace):
+    """A task of flights to goals through a city; a task adds what drones observe.
+
+    Starts, at rest, and goals lie outdoors. d_safe is 2 m, episodes are truncated after 600 decisions, and the bounds are
+    those of the city and its ceiling. Contact with a building is a collision.
+
+    Difficulty, drones / city / irregularity: easy 3, urban, 0; medium 5, urban, 0.5; hard 8, dense, 0.5; extreme 16,
+    high_rise, 1.
+    """
+
+    Config = UrbanFlightConfig
+    config: UrbanFlightConfig
+    defaults: ClassVar = {**DEFAULTS, "horizon": 600, "difficulty": "easy"}
+    presets: ClassVar = {}
+    difficulties: ClassVar = LEVELS
+    baseline = "planner"
+
+    def __init__(self, config: UrbanFlightConfig, setting: Setting):
+        """Raises ValueError where the city leaves no room to fly."""
+        super().__init__(config, setting)
+        self.town = Town(config, setting)
+        self.town.require(config.leg)
+        self.arena_low, self.arena_high = self.town.low, self.town.high
+
+    def layouts(self) -> Sequence[Solids]:
+        """The cities."""
+        return self.town.solids
+
+    def spawn(self, rng: np.random.Generator) -> Spawn:
+        """At rest outdoors, goals outdoors."""
+        layout, count = self.town.draw(rng), self.setting.num_drones
+        start, goal = self.town.legs(rng, layout, count, self.config.leg)
+        return self.launch(start, goal, rng)._replace(layout=layout)
