@@ -13,7 +13,7 @@ from bulletuav.physics.world import ENGINE_VERSION, EXTENSION, World
 from bulletuav.version import __version__
 
 PACKAGES = ("pybullet", "numpy", "numba", "scipy", "gymnasium", "pettingzoo", "matplotlib")
-EXTRAS = {"imageio_ffmpeg": "video", "stable_baselines3": "sb3"}
+EXTRAS = {"shapely": "city", "imageio_ffmpeg": "video", "stable_baselines3": "sb3"}
 
 
 class Finding(NamedTuple):

@@ -2,7 +2,8 @@
 
 Numba stamps a cached function with its own source file only, so machine code that inlined a helper from another file
 survives an edit of that helper. Here the cache lives in a folder named by a hash of every source file of the package:
-any edit, upgrade or downgrade starts from an empty folder.
+any edit, upgrade or downgrade starts from an empty folder. Only tasks' own files do not count: no kernel of another file
+can use them, as nothing imports them, and those in them bear numba's stamp.
 """
 
 import contextlib
@@ -22,10 +23,12 @@ _PACKAGE = Path(__file__).parent
 _FOLDERS_KEPT = 8
 
 
-def source_hash(package: Path = _PACKAGE) -> str:
-    """Hash of the paths and contents of all Python files below `package`."""
+def source_hash(package: Path = _PACKAGE, but: str | None = None) -> str:
+    """Hash of the paths and contents of all Python files below `package`, but those right in the folder `but`."""
     digest = hashlib.sha256(numba.__version__.encode())
     for path in sorted(package.rglob("*.py")):
+        if path.parent.relative_to(package).as_posix() == but:
+            continue
         digest.update(path.relative_to(package).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()[:16]
 
@@ -35,7 +38,7 @@ def cache_folder() -> Path:
     chosen = numba.config.CACHE_DIR or os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     candidates = [Path(chosen), Path(tempfile.gettempdir(), f"bulletuav-{os.getuid() if hasattr(os, 'getuid') else ''}")]
     for base in candidates:
-        folder = base / "bulletuav-kernels" / source_hash()
+        folder = base / "bulletuav-kernels" / source_hash(but="tasks")
         with contextlib.suppress(OSError):
             folder.mkdir(parents=True, exist_ok=True)
             if os.access(folder, os.W_OK):

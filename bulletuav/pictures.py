@@ -75,7 +75,9 @@ def plot_tracks(recording: Recording, d_safe: float, title: str, path: Path) -> 
     apart.set(xlabel="time (s)", ylabel="distance to goal (m)")
     if drones > 1:
         apart.axhline(d_safe, color="crimson", ls="--", lw=1, label=f"d_safe {d_safe:g} m")
-        apart.set(ylabel="nearest drone (m)", ylim=(0, 5 * d_safe))
+        nearest = float(np.min(recording.separation, where=np.isfinite(recording.separation), initial=np.inf))
+        top = max(5 * d_safe, 2 * nearest if np.isfinite(nearest) else 0.0)
+        apart.set(ylabel="nearest drone (m)", ylim=(0, top))
         apart.legend(loc="upper right")
     for axes in (above, altitude, apart):
         axes.grid(alpha=0.3)
@@ -146,7 +148,7 @@ class Animation:
     def _extent(self, drone_size: float) -> tuple[float, np.ndarray]:
         """Side of the square that holds everything, m, and its middle."""
         recording = self._recording
-        parts = (recording.position, recording.goal, recording.obstacle)
+        parts = (recording.position, recording.goal, recording.obstacle, recording.building)
         points = np.concatenate([part.reshape(-1, 3) for part in parts])[:, :2]
         low, high = points.min(axis=0), points.max(axis=0)
         return float(max(*(high - low), 4 * drone_size)), (low + high) / 2

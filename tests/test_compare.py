@@ -10,10 +10,17 @@ import pytest
 from PIL import Image
 
 BENCHMARKS = Path(__file__).parent.parent / "benchmarks"
-spec = importlib.util.spec_from_file_location("compare", BENCHMARKS / "compare.py")
-compare = importlib.util.module_from_spec(spec)
-sys.modules["compare"] = compare
-spec.loader.exec_module(compare)
+
+
+def script(name):
+    spec = importlib.util.spec_from_file_location(name, BENCHMARKS / f"{name}.py")
+    sys.modules[name] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(sys.modules[name])
+    return sys.modules[name]
+
+
+compare = script("compare")
+cities = script("cities")  # which imports compare
 
 
 def test_without_peers_it_measures_the_floor_and_real_time(tmp_path, monkeypatch, capsys):
@@ -56,7 +63,7 @@ def test_every_case_of_ours_is_served_and_errors_are_told():
 
 def test_a_simulator_that_is_not_there_is_left_out(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(compare, "starts", lambda rounds: {"warm": 1.0, "cold": 2.0})
-    monkeypatch.setattr(compare, "_install", lambda peer, folder: sys.executable)  # which has no VMAS
+    monkeypatch.setattr(compare, "install", lambda peer, folder: sys.executable)  # which has no VMAS
     compare.main(["--peers", "VMAS", "--rounds", "1", "--seconds", "0.01", "--out", str(tmp_path)])
     captured = capsys.readouterr()
     assert (
@@ -75,7 +82,7 @@ def test_environments_are_made_once(tmp_path, monkeypatch):
 
     monkeypatch.setattr(subprocess, "run", run)
     for _ in range(2):
-        assert compare._install("PyFlyt", tmp_path) == tmp_path / "PyFlyt" / "bin" / "python"
+        assert compare.install("PyFlyt", tmp_path) == tmp_path / "PyFlyt" / "bin" / "python"
     assert [command[1:3] for command in commands] == [["-m", "venv"], ["-m", "pip"]]
     assert commands[1][-1] == "PyFlyt==0.29.0"
 
@@ -96,3 +103,16 @@ def test_starts_measure_warm_and_cold(monkeypatch):
     assert set(compare.starts(2)) == {"warm", "cold"}
     assert len(folders) == 3
     assert len(set(folders)) == 1
+
+
+def test_cases_in_cities_are_served(tmp_path, capsys, monkeypatch):
+    cases = [one for one in cities.comparisons() if one.theirs.rpartition(", ")[2] in ("1", "100")]
+    server = compare.Server(sys.executable, "serve_bulletuav.py")
+    for case in {one.ours for one in cases} | {one.theirs for one in cases if one.peer == cities.FLOOR}:
+        assert server.rate(case, 0.001) > 0
+    server.close()
+    monkeypatch.setattr(cities, "install", lambda peer, folder: sys.executable)
+    monkeypatch.setattr(cities, "comparisons", lambda: cases[:1])
+    cities.main(["--rounds", "1", "--seconds", "0.01", "--out", str(tmp_path)])
+    assert "rays of 60 m, 100 buildings" in capsys.readouterr().out
+    assert (tmp_path / "cities.csv").stat().st_size > 0

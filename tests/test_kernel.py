@@ -1,4 +1,5 @@
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -7,6 +8,7 @@ from pathlib import Path
 import numba
 import pytest
 
+import bulletuav
 from bulletuav import kernel
 
 
@@ -74,7 +76,7 @@ def test_the_hash_covers_every_file_and_name(tmp_path):
 def test_old_folders_are_forgotten_and_a_place_to_write_is_found(tmp_path, monkeypatch):
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
     folder = kernel.cache_folder()
-    assert folder == tmp_path / "bulletuav-kernels" / kernel.source_hash()
+    assert folder == tmp_path / "bulletuav-kernels" / kernel.source_hash(but="tasks")
     for k in range(12):
         (folder.parent / f"old{k}").mkdir()
         os.utime(folder.parent / f"old{k}", (k, k))
@@ -95,3 +97,22 @@ def test_the_global_setting_of_numba_is_left_alone():
     compiled = kernel.kernel(lambda x: 1.0 / x)
     assert str(numba.config.CACHE_DIR) == before
     assert compiled(0.0) == float("inf")
+
+
+def test_a_new_task_leaves_the_kernels_as_they_are(tmp_path):
+    (tmp_path / "tasks" / "terms").mkdir(parents=True)
+    before = kernel.source_hash(tmp_path, but="tasks")
+    (tmp_path / "tasks" / "mine.py").write_text("x = 1")
+    assert kernel.source_hash(tmp_path, but="tasks") == before != kernel.source_hash(tmp_path)
+    (tmp_path / "tasks" / "terms" / "mine.py").write_text("x = 1")
+    assert kernel.source_hash(tmp_path, but="tasks") != before
+
+
+def test_kernels_use_nothing_of_task_files():
+    """What lets their cache outlive an edit of those."""
+    package = Path(bulletuav.__file__).parent
+    for path in package.rglob("*.py"):
+        text = path.read_text()
+        if "@kernel" in text or "@formula" in text:
+            names = re.findall(r"^from bulletuav\.tasks(?:\.(\w+))? import", text, re.MULTILINE)
+            assert set(names) <= {"terms"}, path

@@ -10,7 +10,7 @@ from bulletuav.city.streets import grid_streets
 from bulletuav.errors import finite, pick
 from bulletuav.physics.solids import Solids
 
-MOST_BLOCKS = 400  # along a side
+MOST_BLOCKS = 128  # along a side
 BOULEVARDS = 0.2  # share of the streets, at irregularity 1
 PARKS = 0.3  # parks among the blocks, at irregularity 1: this times the share of a block's side that is street
 ANGLED = 0.5  # share of L-shaped buildings, at irregularity 1

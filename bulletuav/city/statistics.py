@@ -66,22 +66,22 @@ def realised(city: City, target: Statistics | None = None) -> dict[str, tuple[fl
     """Of each statistic what the city has and what was aimed at (NaN without a target), by its name with the unit.
 
     The scale of heights is the estimate of greatest likelihood, and the p-value that of the Kolmogorov-Smirnov test of the
-    heights against the target's Rayleigh distribution. A street is as wide as twice the way from its middle to the nearest
-    wall, halfway between two crossings, and at most two blocks; the median of all streets is told.
+    heights against the target's Rayleigh distribution. With a target also the width of streets: one is as wide as twice the
+    way from its middle to the nearest wall, halfway between two crossings, and at most two blocks; the median is told.
     """
     heights = city.heights
-    block = city.side / math.sqrt(len(heights))
-    streets = 2 * city.clearance(city.streets.nodes[city.streets.edges].mean(axis=1), block)
     found = {
         "built-up share": city.coverage,
         "buildings per km2": len(heights) / (city.side / 1000) ** 2,
         "Rayleigh scale of heights, m": math.sqrt((heights**2).mean() / 2),
         "mean height, m": float(heights.mean()),
         "greatest height, m": float(heights.max()),
-        "width of streets, m": float(np.median(streets)),
     }
     if target is None:
         return {name: (value, math.nan) for name, value in found.items()}
+    block = city.side / math.sqrt(len(heights))
+    streets = 2 * city.clearance(city.streets.nodes[city.streets.edges].mean(axis=1), block)
+    found["width of streets, m"] = float(np.median(streets))
     from scipy import stats  # which takes longer to import than everything else
 
     found["KS test of heights, p"] = float(stats.kstest(heights, stats.rayleigh(scale=target.gamma).cdf).pvalue)

@@ -31,8 +31,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> None:
     """List the tasks, or print one's MDP and options, or its observation."""
     if arguments.task is None:
+        width = max(map(len, list_tasks()))
         for name in list_tasks():
-            print(f"{name:12s} {inspect.getdoc(find_task(name)).splitlines()[0]}")  # type: ignore[union-attr]
+            print(f"{name:{width}s} {inspect.getdoc(find_task(name)).splitlines()[0]}")  # type: ignore[union-attr]
     elif arguments.show_observation:
         Console().print(observation_table(arguments.task, given_options(arguments)))
     else:

@@ -65,8 +65,7 @@ class Aviary:
         self._plan = plan = Plan(task, num_worlds, options)
         self.options, self.task, self.action, self.observer = plan.options, plan.task, plan.action, plan.observer
         self.state_observer = plan.state_observer
-        self.num_worlds, self.num_drones = plan.num_worlds, self.options.num_drones
-        shape = (self.num_worlds, self.num_drones)
+        shape = self.num_worlds, self.num_drones = plan.num_worlds, self.options.num_drones
         live = self.options.render_mode == "human"
         dt, self._first_world = 1 / self.options.physics_hz, first_world
         obstacles, layouts = self.task.obstacles(), self.task.layouts()
@@ -264,7 +263,8 @@ class Aviary:
         info["separation"] = frame.conflict.separation
         info["goal_distance"] = frame.distance
         info["power"], info["charge"] = self._energy.power.copy(), frame.readings["charge"]
-        return info if self._uncertainty is None else info | self._uncertainty.info()
+        drawn = {} if self._uncertainty is None else self._uncertainty.info()
+        return {**info, **self.task.measures(frame), **drawn}
 
     def first_info(self) -> dict[str, np.ndarray]:
         """Info right after a reset: the keys of every step's info, terms at zero."""

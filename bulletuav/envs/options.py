@@ -52,7 +52,7 @@ class Options:
     wind         steady wind (east, north, up), m/s, or a function of positions (W, N, 3) m and times (W,) s to (W, N, 3) m/s
     randomization  what is uncertain, see `bulletuav.envs.randomization.Randomization`: a dict such as {"gps_noise": 1.0}
     turbulence   Dryden gusts: None, "light", "moderate", "severe", or the wind speed at 20 feet that sets them, m/s
-    camera_size  width and height of the drones' cameras, pixels (observations "rgb" and "depth")
+    camera_size  width and height of the drones' cameras, pixels (observations "rgb", "depth", "segmentation", "ray_depth")
     camera_hz    their pictures a second; must divide decision_hz; None for one a decision
     gravity      m/s^2; 0 switches weight off
     num_beams    of the range finder (observation "lidar"), evenly around at each of its elevations

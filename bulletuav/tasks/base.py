@@ -243,6 +243,10 @@ class Task(ABC):
     def remember(self, frame: Frame) -> None:  # noqa: B027
         """Bring `scene.memory` up to date after a decision, before it is judged; by default nothing to do."""
 
+    def measures(self, frame: Frame) -> Mapping[str, np.ndarray]:
+        """What infos tell beside the reward terms, (W, N) by name; by default nothing."""
+        return {}
+
     def outside(self, frame: Frame) -> np.ndarray:
         """(W, N) bool: outside the arena after the decision."""
         return np.any((frame.after.position < self.arena_low) | (frame.after.position > self.arena_high), axis=-1)

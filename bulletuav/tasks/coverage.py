@@ -75,7 +75,8 @@ class Coverage(Task):
     ceiling; truncated after 300 decisions. Success: 90 % of the ground outdoors is covered.
 
     Difficulty, drones / city / irregularity: easy 3, urban, 0; medium 5, urban, 0.5; hard 8, dense, 0.5; extreme 16,
-    high_rise, 1, min_separation 50 m; uncertain is what `UNCERTAINTY` of the shared airspace says.
+    high_rise, 1, min_separation 50 m; from medium on positions are
+    noisy, hard adds wind, extreme everything, as in the shared airspace.
     """
 
     name = "coverage"
@@ -118,17 +119,22 @@ class Coverage(Task):
         """At rest, anywhere outdoors."""
         return self.town.hovering(rng, self.town.draw(rng), self.setting.num_drones)
 
+    def measures(self, frame: Frame) -> Mapping[str, np.ndarray]:
+        """`served`: share of the ground outdoors that some drone sees."""
+        seen = (frame.readings["sight"] & frame.alive[..., None]).any(axis=1)
+        share = share_of(seen, self.counted(frame.scene))
+        return {"served": np.broadcast_to(share[:, None], frame.alive.shape)}
+
     def judge(self, frame: Frame) -> Verdict:
         """The share of the ground in sight, drones too near, and ends by contact or outside the airspace."""
-        seen = (frame.readings["sight"] & frame.alive[..., None]).any(axis=1)
-        covered = share_of(seen, self.counted(frame.scene))[:, None]
+        covered = self.measures(frame)["served"]
         near = np.linalg.norm(offsets(frame.after.position), axis=-1) < self.config.min_separation
         others = frame.alive[:, None] & ~np.eye(self.setting.num_drones, dtype=bool)
         outside = self.outside(frame)
         terms = {
-            "covered": np.broadcast_to(covered, frame.alive.shape),
+            "covered": covered,
             "close": (near & others).sum(axis=-1).astype(float),
             "collision": frame.collision.astype(float),
             "out_of_bounds": outside.astype(float),
         }
-        return Verdict(terms, frame.collision | outside, terms["covered"] >= self.config.wanted)
+        return Verdict(terms, frame.collision | outside, covered >= self.config.wanted)

@@ -61,7 +61,8 @@ class Default(Task):
     square or above its ceiling; truncated after 600 decisions. Success: goal reached.
 
     Difficulty, drones / city / irregularity: easy 3, urban, 0; medium 5, urban, 0.5; hard 8, dense, 0.5; extreme 16,
-    high_rise, 1; uncertain is what `UNCERTAINTY` of the shared airspace says.
+    high_rise, 1; from medium on positions are
+    noisy, hard adds wind, extreme everything, as in the shared airspace.
     """
 
     name = "default"

@@ -147,7 +147,8 @@ class Los(Task):
     ceiling; truncated after 300 decisions. Success: 90 % of the users are seen by some drone.
 
     Difficulty, drones / city / irregularity: easy 3, urban, 0; medium 5, urban, 0.5; hard 8, dense, 0.5; extreme 16,
-    high_rise, 1; uncertain is what `UNCERTAINTY` of the shared airspace says.
+    high_rise, 1; from medium on positions are
+    noisy, hard adds wind, extreme everything, as in the shared airspace.
     """
 
     name = "los"
@@ -185,10 +186,14 @@ class Los(Task):
         users = np.concatenate([self.town.outdoors(rng, layout, count), np.full((count, 1), USER_HEIGHT)], axis=1)
         return start._replace(memory={"users": users})
 
+    def measures(self, frame: Frame) -> Mapping[str, np.ndarray]:
+        """`served`: share of the users that some drone sees."""
+        seen = frame.readings["sight"] & frame.alive[..., None]
+        return {"served": np.broadcast_to(seen.any(axis=1).mean(axis=-1, keepdims=True), frame.alive.shape)}
+
     def judge(self, frame: Frame) -> Verdict:
         """Shares of users in sight, and ends by contact or outside the airspace."""
-        seen = frame.readings["sight"] & frame.alive[..., None]
-        served = np.broadcast_to(seen.any(axis=1).mean(axis=-1, keepdims=True), frame.alive.shape)
+        seen, served = frame.readings["sight"] & frame.alive[..., None], self.measures(frame)["served"]
         outside = self.outside(frame)
         terms = {
             "sight": seen.mean(axis=-1),

@@ -849,3 +849,15 @@ def test_an_empty_battery_ends_the_episode_for_the_task_too():
     assert step.terminated.all()
     np.testing.assert_allclose(step.info["reward/shaping"], way, rtol=1e-9)
     aviary.close()
+
+
+@pytest.mark.parametrize("task", ["los", "coverage"])
+def test_infos_tell_what_is_served(task):
+    options = {"num_drones": 2, "area": 250.0, "num_layouts": 1, "dynamics": "point_mass", "min_separation": 20.0}
+    aviary = bulletuav.Aviary(task, 2, **options)
+    aviary.reset(seeds=0)
+    step = aviary.step(np.zeros((2, 2, 3)))
+    seen = aviary._frame.readings["sight"].any(axis=1)
+    np.testing.assert_allclose(step.info["served"], np.repeat(seen.mean(axis=-1)[:, None], 2, axis=1))
+    assert 0 < step.info["served"].min() < 1
+    aviary.close()
