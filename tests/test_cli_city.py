@@ -91,7 +91,7 @@ def test_what_was_written_can_be_read_again(tmp_path):
         (["--seed", "1.5"], "invalid int value: '1.5'"),
         (["--import", "nowhere.obj"], "nowhere.obj"),
         (["--import", "nowhere.geojson"], "nowhere.geojson"),
-        (["--import", "town.stl"], "unknown kind of file to import '.stl'"),
+        (["--import", "town.stl"], "unknown kind of file 'town.stl' with ending '.stl'"),
         (["--import", "town.obj", "--seed", "1"], "--seed has no meaning for an import of town.obj"),
         (["--scale", "2"], "--scale has no meaning for a generated city"),
         (["--king", "urban"], "unknown argument --king: did you mean --kind"),

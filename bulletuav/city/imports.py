@@ -38,8 +38,8 @@ def from_geojson(
 
     Needs the extra `city` (ImportError that names it). Raises ValueError, which names the feature, for what cannot be read.
     """
-    path, shapely = Path(path), _shapely()
-    features = _features(path)
+    path = Path(path)
+    features, shapely = _features(path), _shapely()
     shapes = [_geometry(feature, where) for where, feature in features]
     if not metres and shapes:
         shapes = list(_projected(np.array(shapes), path))

@@ -84,7 +84,7 @@ def _city(arguments: argparse.Namespace) -> tuple[City, Statistics | None]:
     options = {name: value for name, value in vars(arguments).items() if value is not None}
     options = {name: value for name, value in options.items() if name not in ("command", "out")}
     if file := options.pop("file", None):
-        reader, known = pick("kind of file to import", file.suffix.lower(), READERS)
+        reader, known = pick(f"kind of file {str(file)!r} with ending", file.suffix.lower(), READERS)
         _refuse_others(options, known | {"side"}, f"an import of {file}")
         return reader(file, **options), None
     _refuse_others(options, GENERATOR | {"side"}, "a generated city")

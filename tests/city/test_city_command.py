@@ -48,7 +48,7 @@ def test_an_imported_city_and_one_number_of_ones_own(tmp_path, capsys):
         (["--metres"], "--metres has no meaning for a generated city"),
         (["--import", "a.obj", "--default-height", "3"], "--default-height has no meaning for an import of a.obj"),
         (["--import", "a.geojson", "--kind", "urban"], "--kind has no meaning for an import of a.geojson"),
-        (["--import", "a.stl"], "unknown kind of file to import '.stl'"),
+        (["--import", "a.stl"], "unknown kind of file 'a.stl' with ending '.stl'"),
         (["--seed", "-1"], "seed is -1: a whole number"),
     ],
 )
