@@ -9,6 +9,7 @@ from bulletuav.control.levels import Level
 from bulletuav.envs.aviary import Aviary, Step
 from bulletuav.kernel import kernel
 from bulletuav.physics.approach import distances, offset
+from bulletuav.physics.power import actuator_power
 from bulletuav.physics.rotation import dot
 from bulletuav.physics.swarm import Swarm
 from bulletuav.tasks.terms.conflict import conflict
@@ -109,8 +110,7 @@ class Meter:
         self._jerk[known] += jerk[known]
         self._jerks += known
         self._change = np.where(flown[..., None], change, np.nan)
-        torque = self._aviary.parameters["torque_coefficient"]
-        power = torque * ((before.rotor_speed**3 + after.rotor_speed**3) / 2).sum(axis=-1)
+        power = actuator_power(before.rotor_speed, after.rotor_speed, self._aviary.parameters)
         self._energy += flown * power * self._period
 
     def row(self, w: int) -> dict[str, float]:

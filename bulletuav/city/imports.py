@@ -3,7 +3,7 @@
 import itertools
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -82,6 +82,10 @@ def from_obj(path: str | Path, side: float | None = None, scale: float = 1.0, y_
     if y_up:
         points = points[:, [0, 2, 1]] * [1, -1, 1]
     return _assembled(path, [(name.partition("_piece_")[0], points[np.unique(own)]) for name, own in corners.items()], side)
+
+
+READERS: dict[str, Callable[..., City]] = {".geojson": from_geojson, ".json": from_geojson, ".obj": from_obj}
+"""What reads a file, by its ending"""
 
 
 def _indices(words: Sequence[str], known: int) -> Iterator[int]:

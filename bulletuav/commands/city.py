@@ -2,9 +2,10 @@
 
 import argparse
 import dataclasses
+import inspect
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Container
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from rich.table import Table
 
 from bulletuav.city.exports import write_obj
 from bulletuav.city.generator import generate
-from bulletuav.city.imports import from_geojson, from_obj
+from bulletuav.city.imports import READERS
 from bulletuav.city.maps import draw_map
 from bulletuav.city.model import City
 from bulletuav.city.render import render
@@ -37,11 +38,6 @@ ABOUT = {
 }
 NUMBERS = ("alpha", "beta", "gamma")
 GENERATOR = {"kind", "seed", "irregularity", *NUMBERS}
-READERS: dict[str, tuple[Callable[..., City], set[str]]] = {
-    ".obj": (from_obj, {"scale", "y_up"}),
-    ".geojson": (from_geojson, {"height", "default_height", "metres"}),
-    ".json": (from_geojson, {"height", "default_height", "metres"}),
-}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -84,8 +80,8 @@ def _city(arguments: argparse.Namespace) -> tuple[City, Statistics | None]:
     options = {name: value for name, value in vars(arguments).items() if value is not None}
     options = {name: value for name, value in options.items() if name not in ("command", "out")}
     if file := options.pop("file", None):
-        reader, known = pick(f"kind of file {str(file)!r} with ending", file.suffix.lower(), READERS)
-        _refuse_others(options, known | {"side"}, f"an import of {file}")
+        reader = pick(f"kind of file {str(file)!r} with ending", file.suffix.lower(), READERS)
+        _refuse_others(options, inspect.signature(reader).parameters, f"an import of {file}")
         return reader(file, **options), None
     _refuse_others(options, GENERATOR | {"side"}, "a generated city")
     kind = options.get("kind", "urban")
@@ -95,7 +91,7 @@ def _city(arguments: argparse.Namespace) -> tuple[City, Statistics | None]:
     return generate(target if own else kind, options.get("side", 500.0), rng, options.get("irregularity", 0.0)), target
 
 
-def _refuse_others(options: dict[str, Any], known: set[str], what: str) -> None:
+def _refuse_others(options: dict[str, Any], known: Container[str], what: str) -> None:
     """Raise ValueError for an option without a meaning."""
     for name in options:
         if name not in known:

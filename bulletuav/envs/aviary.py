@@ -263,8 +263,9 @@ class Aviary:
         info["separation"] = frame.conflict.separation
         info["goal_distance"] = frame.distance
         info["power"], info["charge"] = self._energy.power.copy(), frame.readings["charge"]
-        drawn = {} if self._uncertainty is None else self._uncertainty.info()
-        return {**info, **self.task.measures(frame), **drawn}
+        if self.task.num_targets:
+            info["served"] = self.task.served(frame)
+        return info if self._uncertainty is None else info | self._uncertainty.info()
 
     def first_info(self) -> dict[str, np.ndarray]:
         """Info right after a reset: the keys of every step's info, terms at zero."""
@@ -293,7 +294,7 @@ class Aviary:
         self._require_open()
         if self.options.render_mode != "rgb_array":
             return None
-        self._plan.require_worlds(world)
+        self._plan.require_world(world)
         flown = self._current().alive
         self._dynamics.show(self.swarm, self.alive)
         self._world.set_poses(self.swarm, flown & ~self.alive)  # those that just ended are still to be seen
@@ -308,12 +309,11 @@ class Aviary:
         """
         self.require_started()
         start, end = np.broadcast_arrays(points_of("start", start), points_of("end", end))
-        where = np.broadcast_to(self._plan.require_worlds(world), len(start))
-        return line_of_sight(self._world, start, end, where)
+        return line_of_sight(self._world, start, end, np.broadcast_to(self._plan.worlds(world), len(start)))
 
     def solids(self, world: int = 0) -> Solids:
         """What stands in a world, beside obstacles."""
-        layout = self.scene.layout[self._plan.require_worlds(world)]
+        layout = self.scene.layout[self._plan.worlds(world)]
         return NOTHING_STANDS if layout == NOWHERE else self.task.layouts()[layout]
 
     @property

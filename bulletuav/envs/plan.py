@@ -40,12 +40,20 @@ class Plan:
             raise ValueError(f"mask has shape {mask.shape} and type {mask.dtype}: ({self.num_worlds},) bool is needed")
         return mask
 
-    def require_worlds(self, world: Any) -> np.ndarray:
-        """`world`, one or several, as it is. Raises ValueError unless all are whole numbers of worlds that there are."""
+    def require_world(self, world: Any) -> None:
+        """Raise ValueError unless there is a world of that number."""
+        if world not in range(self.num_worlds):
+            raise self._no_world(world)
+
+    def worlds(self, world: Any) -> np.ndarray:
+        """`world`, one or several, as an array. Raises ValueError unless all are whole numbers of worlds that there are."""
         worlds = np.asarray(world)
         if worlds.dtype.kind not in "iu" or ((worlds < 0) | (worlds >= self.num_worlds)).any():
-            raise ValueError(f"world is {world!r}: a whole number from 0 to {self.num_worlds - 1} is needed")
+            raise self._no_world(world)
         return worlds
+
+    def _no_world(self, world: Any) -> ValueError:
+        return ValueError(f"world is {world!r}: a whole number from 0 to {self.num_worlds - 1} is needed")
 
     def seeds(self, seeds: int | Sequence[int] | None) -> list[int] | None:
         """One seed for each world: from s on for an int s, None for None. Raises ValueError for what cannot be a seed."""

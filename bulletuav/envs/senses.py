@@ -38,14 +38,13 @@ class Senses:
         drawn: dict[str, np.ndarray],
     ):
         """`wanted` names readings; `drawn` what is uncertain, (W, N) by name, which sensors read where it stands."""
-        self._world, self._dynamics, self._task, self._period = world, dynamics, task, 1 / options.decision_hz
-        self._range = options.max_range
+        self._world, self._dynamics, self._task, self._range = world, dynamics, task, options.max_range
         self._lidar = self._imu = self._cameras = None
         if "lidar" in wanted:
             self._lidar = Lidar(world, task.setting.beams, options.max_range, options.lidar_frame)
             _connect(self._lidar, LIDAR, drawn)
         if "imu" in wanted:
-            self._imu = Imu(world.shape, self._period, options.gravity)
+            self._imu = Imu(world.shape, 1 / options.decision_hz, options.gravity)
             _connect(self._imu, IMU, drawn)
         images = [name for name in IMAGES if name in wanted]
         if images:

@@ -264,10 +264,9 @@ class WorkerAviary:
 
     def render(self, world: int = 0) -> np.ndarray | None:
         """A picture (height, width, 3) uint8 of one world with render_mode "rgb_array"."""
-        for k, part in enumerate(self._parts):
-            if world in range(part.start, part.stop):
-                return self._ask("render", {k: {"world": world - part.start}})[0]
-        raise ValueError(f"world is {world!r}: a whole number from 0 to {self.num_envs - 1} is needed")
+        self._plan.require_world(world)
+        k = next(k for k, part in enumerate(self._parts) if world < part.stop)
+        return self._ask("render", {k: {"world": world - self._parts[k].start}})[0]
 
     def close(self) -> None:
         """End the processes; a second call does nothing."""

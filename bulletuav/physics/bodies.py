@@ -10,7 +10,7 @@ from bulletuav.physics.airframe import Airframe
 from bulletuav.physics.calls import CITY_GROUP, DRONE_GROUP, RAYS, SIGHT_GROUP, SURFACE_GROUP, bullet
 from bulletuav.physics.obstacle import Obstacle
 from bulletuav.physics.quiet import silenced
-from bulletuav.physics.solids import Solids, apart_groups
+from bulletuav.physics.solids import Solids, apart_groups, obj_lines
 
 FLOOR = 0.02  # m, thickness of the ground in pictures
 FLOOR_COLOUR, CITY_COLOUR = (0.86, 0.88, 0.85, 1), (0.72, 0.70, 0.67, 1)
@@ -131,19 +131,16 @@ def _parts(bounds: np.ndarray, apart: float) -> list[np.ndarray]:
 
 def _compound(client: int, solids: Solids, pieces: np.ndarray) -> Shape:
     """Convex pieces as one shape. It goes through a file: the engine's other ways take sixteen at most."""
-    lines, first = [], 1
+    objects = []
     for p in pieces.tolist():
         corners, faces = solids.faces[p]
         if p < len(solids.boxes):  # the engine thickens it again
             inward = corners.mean(axis=0) - corners
             corners = corners + np.sign(inward) * np.minimum(HULL_MARGIN, np.abs(inward) / 2)
-        lines.append(f"o piece_{p}")
-        lines += ["v {!r} {!r} {!r}".format(*corner) for corner in corners.tolist()]
-        lines += ["f {} {} {}".format(*(face + first).tolist()) for face in faces]
-        first += len(corners)
+        objects.append((f"piece_{p}", corners, faces))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "pieces.obj")
-        path.write_text("\n".join(lines) + "\n")
+        path.write_text("\n".join(obj_lines(objects)) + "\n")
         with silenced():
             return bullet.createCollisionShape(bullet.GEOM_MESH, fileName=str(path), physicsClientId=client)
 

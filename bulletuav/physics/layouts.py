@@ -19,7 +19,7 @@ class Layouts:
     """L layouts, one of which, or none, stands in each of W worlds.
 
     Public, to read: solids, atlas (whose `layout` tells what stands where), body: of each layout the bodies (W, .) that can
-    stand for it, those that rays meet first.
+    stand for it.
     """
 
     def __init__(self, client: int, solids: Sequence[Solids], offset: np.ndarray, diameter: float):

@@ -32,6 +32,16 @@ def slab(start, change, low, high):
 
 
 @formula
+def inside_box(start, change, low, high):
+    """Shares t between which start + t change is in the box between two corners; the first is larger where it never is."""
+    enters, leaves = -np.inf, np.inf
+    for k in range(3):
+        one, two = slab(start[k], change[k], low[k], high[k])
+        enters, leaves = max(enters, one), min(leaves, two)
+    return enters, leaves
+
+
+@formula
 def _round(along, square, outside):
     """Roots t of t^2 square + 2 t along + outside, squared distance less squared radius; inf, -inf for none."""
     if square == 0.0:
@@ -48,15 +58,12 @@ def inside(kind, half, start, change):
     """Shares t between which start + t change (body axes) is inside the shape; the first is larger where it never is."""
     if kind == SPHERE:
         return _round(dot(start, change), dot(change, change), dot(start, start) - half[0] ** 2)
+    if kind == BOX:
+        return inside_box(start, change, (-half[0], -half[1], -half[2]), half)
     enters, leaves = slab(start[2], change[2], -half[2], half[2])
-    if kind == CYLINDER:
-        along, square = start[0] * change[0] + start[1] * change[1], change[0] ** 2 + change[1] ** 2
-        one, two = _round(along, square, start[0] ** 2 + start[1] ** 2 - half[0] ** 2)
-        return max(enters, one), min(leaves, two)
-    for k in range(2):
-        one, two = slab(start[k], change[k], -half[k], half[k])
-        enters, leaves = max(enters, one), min(leaves, two)
-    return enters, leaves
+    along, square = start[0] * change[0] + start[1] * change[1], change[0] ** 2 + change[1] ** 2
+    one, two = _round(along, square, start[0] ** 2 + start[1] ** 2 - half[0] ** 2)
+    return max(enters, one), min(leaves, two)
 
 
 @kernel

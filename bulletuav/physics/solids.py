@@ -1,6 +1,6 @@
 """Solid things that stand still during an episode, made of convex pieces: axis-aligned boxes, and hulls for all else."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -75,6 +75,16 @@ def _hull_faces(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     inward = (np.cross(b - a, c - a) * hull.equations[:, :3]).sum(axis=1) < 0
     faces[inward] = faces[inward][:, ::-1]
     return corners, faces
+
+
+def obj_lines(pieces: Iterable[tuple[str, np.ndarray, np.ndarray]]) -> Iterator[str]:
+    """Lines of a Wavefront OBJ file, an object for each piece: name, corners (V, 3), triangles (T, 3); with all digits."""
+    first = 1
+    for name, corners, triangles in pieces:
+        yield f"o {name}"
+        yield from (f"v {x} {y} {z}" for x, y, z in corners.tolist())
+        yield from (f"f {a} {b} {c}" for a, b, c in (triangles + first).tolist())
+        first += len(corners)
 
 
 def apart_groups(bounds: np.ndarray, apart: float) -> list[np.ndarray]:

@@ -73,7 +73,7 @@ def land(surface, who, start, fraction):
 
 @kernel
 def within_tile(start, end):
-    """Rays (M, 3), in their world's own frame, until they leave the tile: starts, ends, and the share (M,) that is left."""
+    """Rays (M, 3), in their world's own frame, until they leave the tile: ends, and the share (M,) that is left."""
     share, half, last = np.ones(start.shape[0]), 0.5 * TILE_PITCH, end.copy()
     for m in range(start.shape[0]):
         for k in range(2):
@@ -83,4 +83,4 @@ def within_tile(start, end):
         if share[m] < 1.0:
             for k in range(3):
                 last[m, k] = start[m, k] + share[m] * (end[m, k] - start[m, k])
-    return start, last, share
+    return last, share

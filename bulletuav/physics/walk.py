@@ -11,16 +11,13 @@ import numpy as np
 
 from bulletuav.kernel import formula, kernel
 from bulletuav.physics.atlas import NOWHERE
-from bulletuav.physics.shapes import slab
+from bulletuav.physics.shapes import inside_box, slab
 
 
 @formula
 def _surface(start, change, low, high):
     """Share at which a ray first crosses the surface of a box, inf where it does not within its length."""
-    enters, leaves = -np.inf, np.inf
-    for k in range(3):
-        one, two = slab(start[k], change[k], low[k], high[k])
-        enters, leaves = max(enters, one), min(leaves, two)
+    enters, leaves = inside_box(start, change, low, high)
     if enters > leaves or leaves < 0.0 or enters > 1.0:
         return np.inf
     if enters >= 0.0:

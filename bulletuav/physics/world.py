@@ -260,9 +260,9 @@ class World:
         """
         fraction, left = walk(self.atlas, start, end, world, self.obstacle_radius.size > 0)
         if len(left):
-            first, last, share = within_tile(start[left], end[left])
+            last, share = within_tile(start[left], end[left])
             offset = self._offset[world[left], 0]
-            met = self._calls.rays(first + offset, last + offset, VISIBLE)
+            met = self._calls.rays(start[left] + offset, last + offset, VISIBLE)
             fraction[left] = np.where(met < 1, met * share, 1.0)
         if drones is not None:
             meet_drones(fraction, start, end, world, *drones, *self._shapes)

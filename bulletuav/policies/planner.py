@@ -14,7 +14,7 @@ from bulletuav.physics.swarm import Swarm
 from bulletuav.policies.base import Policy
 from bulletuav.policies.linear_program import along
 from bulletuav.policies.planning import Voxels, plan, voxels
-from bulletuav.policies.potential import CONTACT, INFLUENCE, STRENGTH, Field, repulsion
+from bulletuav.policies.potential import make_field, repulsion
 from bulletuav.policies.straight import APPROACH
 from bulletuav.tasks.terms.observations import Observation
 
@@ -59,14 +59,12 @@ class Planner(Policy):
 
     def act(self, observations: Observation, swarm: Swarm) -> np.ndarray:
         """The velocities of `follow` and the push, together limited to max_speed; plans for drones that have no way yet."""
-        aviary, task, speed = self.aviary, self.aviary.task, float(self.aviary.options.max_speed)
+        aviary, speed = self.aviary, float(self.aviary.options.max_speed)
         for w, i in np.argwhere(aviary.alive & (self._count == 0)).tolist():
             self._keep(w, i, self._plan(w, swarm.position[w, i], aviary.scene.goal[w, i]))
         limits = Limits(speed, ACCELERATION, DELAY, HALF_WIDTH)
         wanted, self._next = follow(swarm.position, swarm.velocity, self._way, self._count, self._next, limits)
-        body = task.setting.collision_radius
-        scale = float(max(task.config.d_safe, 2 * body))
-        field = Field(STRENGTH * speed, scale, 0.0, INFLUENCE * scale, CONTACT * scale, body)
+        field = make_field(aviary, surfaces=0.0)
         push = repulsion(swarm.position, aviary.alive, np.zeros((len(aviary.alive), 0, 3)), np.zeros(0), field)
         return self.encoded(limit_norm(wanted + limit_norm(push, APPROACH * HALF_WIDTH), speed))
 

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bulletuav.control.actions import limit_norm
+from bulletuav.envs.aviary import Aviary
 from bulletuav.kernel import formula, kernel
 from bulletuav.physics.approach import offset
 from bulletuav.physics.rotation import dot, three
@@ -34,6 +35,13 @@ class Field(NamedTuple):
     body: float
 
 
+def make_field(aviary: Aviary, surfaces: float = SURFACES) -> Field:
+    """The field for the drones of an aviary; `surfaces` is the scale of the push from these, d_safe."""
+    body = aviary.task.setting.collision_radius
+    scale = float(max(aviary.task.config.d_safe, 2 * body))
+    return Field(STRENGTH * aviary.options.max_speed, scale, surfaces * scale, INFLUENCE * scale, CONTACT * scale, body)
+
+
 class PotentialField(Policy):
     """Towards the goal, pushed off by living drones, obstacles (bounding spheres) and the ground; it may get stuck."""
 
@@ -47,12 +55,10 @@ class PotentialField(Policy):
     def act(self, observations: Observation, swarm: Swarm) -> np.ndarray:
         """The attraction, like that of policy `straight`, and `repulsion`, together limited to max_speed."""
         aviary, scene, task = self.aviary, self.aviary.scene, self.aviary.task
-        speed, body = aviary.options.max_speed, task.setting.collision_radius
-        scale = float(max(task.config.d_safe, 2 * body))
-        field = Field(STRENGTH * speed, scale, SURFACES * scale, INFLUENCE * scale, CONTACT * scale, body)
+        speed = aviary.options.max_speed
         radius = np.array([obstacle.radius for obstacle in task.obstacles()])
         wanted = preferred_velocity(scene.goal, scene.goal_velocity, swarm.position, speed)
-        push = repulsion(swarm.position, aviary.alive, scene.obstacle, radius, field)
+        push = repulsion(swarm.position, aviary.alive, scene.obstacle, radius, make_field(aviary))
         return self.encoded(limit_norm(wanted + push, speed))
 
 

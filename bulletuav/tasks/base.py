@@ -18,6 +18,7 @@ from bulletuav.physics.solids import Solids
 from bulletuav.physics.swarm import Contacts, Swarm
 from bulletuav.sensors.lidar import Beam
 from bulletuav.tasks.terms.conflict import Conflict, conflict
+from bulletuav.tasks.terms.sensed import share_of
 
 NOTHING = np.zeros((0, 3))
 
@@ -243,9 +244,10 @@ class Task(ABC):
     def remember(self, frame: Frame) -> None:  # noqa: B027
         """Bring `scene.memory` up to date after a decision, before it is judged; by default nothing to do."""
 
-    def measures(self, frame: Frame) -> Mapping[str, np.ndarray]:
-        """What infos tell beside the reward terms, (W, N) by name; by default nothing."""
-        return {}
+    def served(self, frame: Frame) -> np.ndarray:
+        """(W, N) share of the targets that some living drone sees, the same for all."""
+        seen = (frame.readings["sight"] & frame.alive[..., None]).any(axis=1)
+        return np.broadcast_to(share_of(seen, self.counted(frame.scene))[:, None], frame.alive.shape)
 
     def outside(self, frame: Frame) -> np.ndarray:
         """(W, N) bool: outside the arena after the decision."""
@@ -254,11 +256,6 @@ class Task(ABC):
     @abstractmethod
     def judge(self, frame: Frame) -> Verdict:
         """Reward terms, ends and successes of a decision. Changes nothing: it may be asked twice."""
-
-
-def share_of(seen: np.ndarray, counted: np.ndarray) -> np.ndarray:
-    """(...,) share of those that count which are seen, (..., U) bool both, exactly 1 for all; 0 where none counts."""
-    return (seen & counted).sum(axis=-1) / np.maximum(counted.sum(axis=-1), 1)
 
 
 def merged_weights(defaults: Mapping[str, float], changes: Mapping[str, float]) -> dict[str, float]:

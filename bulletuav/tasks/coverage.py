@@ -1,15 +1,14 @@
 """Task `coverage`: drones spread so that as much of the streets as possible is in line of sight of some drone."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
 
-from bulletuav.physics.solids import Solids
-from bulletuav.tasks.base import Frame, Scene, Setting, Spawn, Task, Verdict, share_of
+from bulletuav.tasks.base import Frame, Scene, Setting, Spawn, Verdict
 from bulletuav.tasks.terms.measures import offsets
-from bulletuav.tasks.terms.urban import DEFAULTS, LEVELS, Town, UrbanConfig, check_share, ground_cells
+from bulletuav.tasks.terms.urban import DEFAULTS, LEVELS, UrbanConfig, UrbanTask, check_share, ground_cells
 
 
 @dataclass(frozen=True)
@@ -28,7 +27,7 @@ class CoverageConfig(UrbanConfig):
     weights: Mapping[str, float] = field(default_factory=dict)
 
 
-class Coverage(Task):
+class Coverage(UrbanTask):
     """Spread over a city, apart from each other, and see the most of its streets.
 
     Observation, per drone, Box(29) float32, clipped to its bounds (here with the defaults):
@@ -90,8 +89,6 @@ class Coverage(Task):
     def __init__(self, config: CoverageConfig, setting: Setting):
         """Raises ValueError where the city leaves no room to fly, or its ground has no square outdoors."""
         super().__init__(config, setting)
-        self.town = Town(config, setting)
-        self.arena_low, self.arena_high = self.town.low, self.town.high
         check_share("wanted", config.wanted)
         if not 0 < config.cell <= min(city.side for city in self.town.cities):
             raise ValueError(f"cell is {config.cell:g} m: it must be above 0 and at most the side of the city")
@@ -102,10 +99,6 @@ class Coverage(Task):
         # All layouts have as many rows: short lists repeat their first cell, and it does not count.
         self._cells = np.array([np.concatenate([c, np.repeat(c[:1], self.num_targets - len(c), axis=0)]) for c in cells])
         self._counts = np.array([np.arange(self.num_targets) < len(c) for c in cells])
-
-    def layouts(self) -> Sequence[Solids]:
-        """The cities."""
-        return self.town.solids
 
     def targets(self, scene: Scene) -> np.ndarray:
         """The middles of the squares outdoors."""
@@ -119,15 +112,9 @@ class Coverage(Task):
         """At rest, anywhere outdoors."""
         return self.town.hovering(rng, self.town.draw(rng), self.setting.num_drones)
 
-    def measures(self, frame: Frame) -> Mapping[str, np.ndarray]:
-        """`served`: share of the ground outdoors that some drone sees."""
-        seen = (frame.readings["sight"] & frame.alive[..., None]).any(axis=1)
-        share = share_of(seen, self.counted(frame.scene))
-        return {"served": np.broadcast_to(share[:, None], frame.alive.shape)}
-
     def judge(self, frame: Frame) -> Verdict:
         """The share of the ground in sight, drones too near, and ends by contact or outside the airspace."""
-        covered = self.measures(frame)["served"]
+        covered = self.served(frame)
         near = np.linalg.norm(offsets(frame.after.position), axis=-1) < self.config.min_separation
         others = frame.alive[:, None] & ~np.eye(self.setting.num_drones, dtype=bool)
         outside = self.outside(frame)

@@ -1,14 +1,13 @@
 """Task `default`: a short, complete task in a city. Copy this file to begin one of your own (see CONTRIBUTING.md)."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
 
-from bulletuav.physics.solids import Solids
-from bulletuav.tasks.base import Frame, Setting, Spawn, Task, Verdict
-from bulletuav.tasks.terms.urban import DEFAULTS, LEVELS, Town, UrbanConfig
+from bulletuav.tasks.base import Frame, Spawn, Verdict
+from bulletuav.tasks.terms.urban import DEFAULTS, UrbanConfig, UrbanTask
 
 
 @dataclass(frozen=True)
@@ -20,7 +19,7 @@ class DefaultConfig(UrbanConfig):
     weights: Mapping[str, float] = field(default_factory=dict)
 
 
-class Default(Task):
+class Default(UrbanTask):
     """Fly through a city to a goal.
 
     Observation, per drone, Box(24) float32, clipped to its bounds (here with the defaults):
@@ -69,20 +68,9 @@ class Default(Task):
     Config = DefaultConfig
     config: DefaultConfig
     defaults: ClassVar = {**DEFAULTS, "horizon": 600}
-    difficulties: ClassVar = LEVELS
     observation = ("velocity", "goal", "battery", "lidar")
     baseline = "planner"
     reward_weights: ClassVar = {"progress": 1.0, "goal": 10.0, "collision": -10.0, "time": -0.1}
-
-    def __init__(self, config: DefaultConfig, setting: Setting):
-        """Raises ValueError where the city leaves no room to fly."""
-        super().__init__(config, setting)
-        self.town = Town(config, setting)
-        self.arena_low, self.arena_high = self.town.low, self.town.high
-
-    def layouts(self) -> Sequence[Solids]:
-        """What can stand in a world."""
-        return self.town.solids
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
         """The start of one world: at rest outdoors, goals outdoors."""

@@ -1,14 +1,13 @@
 """Task `los`: airborne relays keep ground users in line of sight."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
 
-from bulletuav.physics.solids import Solids
-from bulletuav.tasks.base import Frame, Scene, Setting, Spawn, Task, Verdict
-from bulletuav.tasks.terms.urban import DEFAULTS, LEVELS, USER_HEIGHT, Town, UrbanConfig, check_share
+from bulletuav.tasks.base import Frame, Scene, Setting, Spawn, Verdict
+from bulletuav.tasks.terms.urban import DEFAULTS, USER_HEIGHT, UrbanConfig, UrbanTask, check_share
 
 
 @dataclass(frozen=True)
@@ -22,7 +21,7 @@ class LosConfig(UrbanConfig):
     weights: Mapping[str, float] = field(default_factory=dict)
 
 
-class Los(Task):
+class Los(UrbanTask):
     """Find places from which the users on the ground are seen, each by some drone.
 
     Observation, per drone, Box(108) float32, clipped to its bounds (here with the defaults):
@@ -155,21 +154,14 @@ class Los(Task):
     Config = LosConfig
     config: LosConfig
     defaults: ClassVar = {**DEFAULTS, "horizon": 300}
-    difficulties: ClassVar = LEVELS
     observation = ("position", "velocity", "battery", "neighbours", "targets")
     reward_weights: ClassVar = {"sight": 1.0, "served": 0.0, "collision": -10.0, "out_of_bounds": -10.0}
 
     def __init__(self, config: LosConfig, setting: Setting):
         """Raises ValueError where the city leaves no room to fly."""
         super().__init__(config, setting)
-        self.town = Town(config, setting)
-        self.arena_low, self.arena_high = self.town.low, self.town.high
         check_share("wanted", config.wanted)
         self.num_targets = config.num_users
-
-    def layouts(self) -> Sequence[Solids]:
-        """The cities."""
-        return self.town.solids
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
         """`users`: where they stand, m."""
@@ -186,14 +178,9 @@ class Los(Task):
         users = np.concatenate([self.town.outdoors(rng, layout, count), np.full((count, 1), USER_HEIGHT)], axis=1)
         return start._replace(memory={"users": users})
 
-    def measures(self, frame: Frame) -> Mapping[str, np.ndarray]:
-        """`served`: share of the users that some drone sees."""
-        seen = frame.readings["sight"] & frame.alive[..., None]
-        return {"served": np.broadcast_to(seen.any(axis=1).mean(axis=-1, keepdims=True), frame.alive.shape)}
-
     def judge(self, frame: Frame) -> Verdict:
         """Shares of users in sight, and ends by contact or outside the airspace."""
-        seen, served = frame.readings["sight"] & frame.alive[..., None], self.measures(frame)["served"]
+        seen, served = frame.readings["sight"] & frame.alive[..., None], self.served(frame)
         outside = self.outside(frame)
         terms = {
             "sight": seen.mean(axis=-1),

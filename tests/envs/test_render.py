@@ -87,3 +87,12 @@ def test_live_view_on_a_screen_that_does_not_answer_says_so(monkeypatch):
     monkeypatch.setenv("DISPLAY", ":987")
     with pytest.raises(RuntimeError, match="DISPLAY is ':987'"):
         bulletuav.parallel_env("hover", render_mode="human")
+
+
+def test_a_picture_is_of_one_world():
+    env = bulletuav.batch_env("hover", 2, dynamics="rigid_body", render_mode="rgb_array")
+    env.reset(seed=0)
+    for world in (2, -1, [0, 1]):
+        with pytest.raises(ValueError, match="world is .*: a whole number from 0 to 1 is needed"):
+            env.render(world)
+    env.close()

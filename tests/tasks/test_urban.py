@@ -19,7 +19,8 @@ from bulletuav.physics.power import airframe_wing, level_power, propulsion_power
 from bulletuav.physics.solids import Solids
 from bulletuav.policies import find_policy
 from bulletuav.tasks import find_task
-from bulletuav.tasks.base import Spawn, share_of
+from bulletuav.tasks.base import Spawn
+from bulletuav.tasks.terms.sensed import share_of
 from bulletuav.tasks.terms.urban import ground_cells
 
 URBAN = ("navigation", "lidar_navigation", "los", "coverage", "default")

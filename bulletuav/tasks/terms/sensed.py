@@ -60,10 +60,14 @@ def seen_share(task: "Task") -> Block:
     """Share of the task's targets that the drone sees."""
 
     def compute(frame, present):
-        counted = task.counted(frame.scene)[:, None]
-        return ((frame.readings["sight"] & counted).sum(axis=-1) / np.maximum(counted.sum(axis=-1), 1))[..., None]
+        return share_of(frame.readings["sight"], task.counted(frame.scene)[:, None])[..., None]
 
     return Block((Label("seen share", "1", 0.0, 1.0),), compute)
+
+
+def share_of(seen: np.ndarray, counted: np.ndarray) -> np.ndarray:
+    """(...,) share of those that count which are seen, (..., U) bool both, exactly 1 for all; 0 where none counts."""
+    return (seen & counted).sum(axis=-1) / np.maximum(counted.sum(axis=-1), 1)
 
 
 def _reading(name: str) -> Callable[["Frame", np.ndarray], np.ndarray]:

@@ -1,7 +1,7 @@
 """Flight in a city: its options, where drones and users can be in it, and what its tasks have in common."""
 
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
@@ -9,13 +9,13 @@ from typing import Any, ClassVar
 import numpy as np
 
 from bulletuav.city.generator import generate
-from bulletuav.city.imports import from_geojson, from_obj
+from bulletuav.city.imports import READERS
 from bulletuav.city.model import City
 from bulletuav.city.statistics import Statistics
 from bulletuav.errors import pick, several
 from bulletuav.physics.solids import Solids
 from bulletuav.physics.tiles import TILE_PITCH
-from bulletuav.tasks.base import Setting, Spawn
+from bulletuav.tasks.base import Setting, Spawn, Task
 from bulletuav.tasks.terms.airspace import UNCERTAINTY, Airspace, FlightConfig
 
 CELL = 4.0  # m, of the raster from which places are drawn
@@ -23,7 +23,6 @@ ROOM = 1.0  # m, beyond its radius, between a drone that starts, or a goal, and 
 USER_HEIGHT = 1.5  # m, of a user's device above the ground
 EDGE = 10.0  # m, between them and the city's edge
 TRIES = 200
-READERS: dict[str, Callable[[Path], City]] = {".geojson": from_geojson, ".json": from_geojson, ".obj": from_obj}
 LEVELS: dict[str, dict[str, Any]] = {
     "easy": UNCERTAINTY["easy"],
     "medium": {"num_drones": 5, "irregularity": 0.5, **UNCERTAINTY["medium"]},
@@ -188,6 +187,23 @@ def ground_cells(city: City, cell: float) -> np.ndarray:
     return np.concatenate([places, np.full((len(places), 1), USER_HEIGHT)], axis=1)
 
 
+class UrbanTask(Task):
+    """A task in a city: its bounds are those of the city and its ceiling."""
+
+    config: UrbanConfig
+    difficulties: ClassVar = LEVELS
+
+    def __init__(self, config: Any, setting: Setting):
+        """Raises ValueError where the city leaves no room to fly."""
+        super().__init__(config, setting)
+        self.town = Town(config, setting)
+        self.arena_low, self.arena_high = self.town.low, self.town.high
+
+    def layouts(self) -> Sequence[Solids]:
+        """The cities."""
+        return self.town.solids
+
+
 @dataclass(frozen=True)
 class UrbanFlightConfig(UrbanConfig, FlightConfig):
     """Options of flights to goals in cities, beside those of all such flights; goals are `leg` m or farther from starts."""
@@ -197,11 +213,11 @@ class UrbanFlightConfig(UrbanConfig, FlightConfig):
     start_speed: tuple[float, float] = (0.0, 0.0)
 
 
-class UrbanFlight(Airspace):
+class UrbanFlight(UrbanTask, Airspace):
     """A task of flights to goals through a city; a task adds what drones observe.
 
-    Starts, at rest, and goals lie outdoors. d_safe is 2 m, episodes are truncated after 600 decisions, and the bounds are
-    those of the city and its ceiling. Contact with a building is a collision.
+    Starts, at rest, and goals lie outdoors. d_safe is 2 m, episodes are truncated after 600 decisions. Contact with a
+    building is a collision.
 
     Difficulty, drones / city / irregularity: easy 3, urban, 0; medium 5, urban, 0.5; hard 8, dense, 0.5; extreme 16,
     high_rise, 1.
@@ -211,19 +227,12 @@ class UrbanFlight(Airspace):
     config: UrbanFlightConfig
     defaults: ClassVar = {**DEFAULTS, "horizon": 600, "difficulty": "easy"}
     presets: ClassVar = {}
-    difficulties: ClassVar = LEVELS
     baseline = "planner"
 
     def __init__(self, config: UrbanFlightConfig, setting: Setting):
-        """Raises ValueError where the city leaves no room to fly."""
+        """Raises ValueError where the city leaves no room to fly, or is too small for a leg."""
         super().__init__(config, setting)
-        self.town = Town(config, setting)
         self.town.require(config.leg)
-        self.arena_low, self.arena_high = self.town.low, self.town.high
-
-    def layouts(self) -> Sequence[Solids]:
-        """The cities."""
-        return self.town.solids
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
         """At rest outdoors, goals outdoors."""
