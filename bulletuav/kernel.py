@@ -1,4 +1,4 @@
-"""Compilation of the hot loops: `kernel` and `formula` are numba's `njit` with a cache that cannot go stale.
+"""Compilation of the hot loops: `kernel`, `formula` and `elementwise` are numba's decorators with a cache that cannot go stale.
 
 Numba stamps a cached function with its own source file only, so machine code that inlined a helper from another file
 survives an edit of that helper. Here the cache lives in a folder named by a hash of every source file of the package:
@@ -11,7 +11,7 @@ import hashlib
 import os
 import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TypeVar
 
@@ -71,10 +71,23 @@ def formula(function: Function) -> Function:
     return _compiled(function, forceinline=True)
 
 
+def elementwise(function: Function) -> Function:
+    """Compile `function`, of numbers (in their order) to a number: kernels call it, and users with arrays that broadcast."""
+    with _cached():
+        return numba.vectorize(nopython=True, cache=True)(function)
+
+
 def _compiled(function: Function, **options: bool) -> Function:
+    with _cached():
+        return numba.njit(cache=True, error_model="numpy", **options)(function)
+
+
+@contextlib.contextmanager
+def _cached() -> Iterator[None]:
+    """What is compiled meanwhile keeps its machine code in the folder."""
     before = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = str(_CACHE)
     try:
-        return numba.njit(cache=True, error_model="numpy", **options)(function)
+        yield
     finally:
         numba.config.CACHE_DIR = before

@@ -1,0 +1,1 @@
+"""Radio, edge computing and the users on the ground: pure models, which know no task."""
