@@ -13,6 +13,7 @@ from bulletuav.pictures import blank_figure
 
 COLOURS = ("#4477aa", "#ee6677", "#228833", "#ccbb44", "#66ccee", "#aa3377", "#bbbbbb")  # P. Tol's bright scheme
 RATES = ("success", "drone_success", "conflict", "collision")
+COMPARED = ("success", "conflict", "collision", "served", "completed")
 BINS = 40
 
 
@@ -49,22 +50,23 @@ def plot_evaluation(result: Evaluation, path: Path) -> None:
 
 
 def plot_leaderboard(results: Sequence[Evaluation], path: Path) -> None:
-    """Success, conflict and collision rates of all policies in each task and difficulty, as a PNG file."""
+    """Rates and shares of all policies in each task, difficulty and dynamics, as a PNG file."""
     cases = list(dict.fromkeys(_case(result) for result in results))
     policies = list(dict.fromkeys(result.about["policy"] for result in results))
     found = {(_case(result), result.about["policy"]): result.estimates() for result in results}
-    figure = blank_figure(2.5 + 1.1 * len(cases), 8)
-    for axes, metric in zip(figure.subplots(3, 1, sharex=True), ("success", "conflict", "collision"), strict=True):
+    metrics = [metric for metric in COMPARED if any(result.estimates()[metric].episodes for result in results)]
+    figure = blank_figure(2.5 + 1.1 * len(cases), 2.7 * len(metrics))
+    for axes, metric in zip(figure.subplots(len(metrics), 1, sharex=True), metrics, strict=True):
         rows = [[found[case, policy][metric] for case in cases] for policy in policies]
         _bars(axes, cases, rows, policies)
-        axes.set(ylabel=f"{metric} rate", ylim=(0, 1.05))
+        axes.set(ylabel=metric, ylim=(0, 1.05))
     figure.axes[0].legend(loc="lower left", ncols=len(policies), bbox_to_anchor=(0, 1))
     figure.savefig(path, dpi=110)
 
 
 def _case(result: Evaluation) -> str:
     options = result.about["options"]
-    return f"{result.about['task']}\n{options['difficulty']}\n{options['num_drones']} drones"
+    return f"{result.about['task']}\n{options['difficulty']}\n{options['num_drones']} drones\n{options['dynamics']}"
 
 
 def _bars(axes: Axes, names: Sequence[str], rows: Sequence[Sequence[Estimate]], labels: Sequence[str]) -> None:

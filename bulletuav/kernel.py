@@ -1,4 +1,4 @@
-"""Compilation of the hot loops: `kernel`, `formula` and `elementwise` are numba's decorators with a cache that cannot go stale.
+"""Compilation of the hot loops: `kernel`, `formula` and `elementwise` are numba's, with a cache that cannot go stale.
 
 Numba stamps a cached function with its own source file only, so machine code that inlined a helper from another file
 survives an edit of that helper. Here the cache lives in a folder named by a hash of every source file of the package:

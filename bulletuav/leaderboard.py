@@ -16,8 +16,11 @@ SHOWN = {
     "length": "time s",
     "path_efficiency": "efficiency",
     "fairness": "fairness",
+    "served": "served",
+    "completed": "completed",
+    "latency": "latency s",
 }
-"""Metrics of the table, with their headings"""
+"""Metrics of the table, with their headings; those that no episode of a table has are left out"""
 
 
 def markdown(results: Sequence[Evaluation]) -> str:
@@ -31,18 +34,25 @@ def markdown(results: Sequence[Evaluation]) -> str:
 
 
 def _group(task: str, difficulty: str, drones: int, results: Sequence[Evaluation]) -> str:
-    options = results[0].about["options"]
+    shown = [metric for metric in SHOWN if any(result.estimates()[metric].episodes for result in results)]
+    dynamics = list(dict.fromkeys(map(_dynamics, results)))
+    headings = ["policy", *(["dynamics"] if len(dynamics) > 1 else []), *(SHOWN[metric] for metric in shown)]
     lines = [
-        f"### {task}, {difficulty}: {drones} drones, {options['dynamics']} at {options['physics_hz']} Hz, "
-        f"{results[0].about['episodes']} episodes\n",
-        "| policy | " + " | ".join(SHOWN.values()) + " |",
-        "|---" * (len(SHOWN) + 1) + "|",
+        f"### {task}, {difficulty}: {drones} drones, {', '.join(dynamics)}, {results[0].about['episodes']} episodes\n",
+        "| " + " | ".join(headings) + " |",
+        "|---" * len(headings) + "|",
     ]
     for result in results:
-        estimates = result.estimates()
         name = result.about["policy"] + (" \\*" if result.about["reads_swarm"] else "")
-        lines.append(f"| {name} | " + " | ".join(_cell(estimates[metric]) for metric in SHOWN) + " |")
+        cells = [name, *([_dynamics(result)] if len(dynamics) > 1 else [])]
+        cells += [_cell(result.estimates()[metric]) for metric in shown]
+        lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
+
+
+def _dynamics(result: Evaluation) -> str:
+    options = result.about["options"]
+    return f"{options['dynamics']} at {options['physics_hz']} Hz"
 
 
 def _cell(one: Estimate) -> str:
@@ -53,9 +63,10 @@ def write_csv(results: Sequence[Evaluation], path: Path) -> None:
     """All metrics of all evaluations: a row for each, with mean, low, high and the episodes that have the metric."""
     with path.open("w", newline="") as file:
         writer = csv.writer(file)
-        writer.writerow(["task", "difficulty", "drones", "policy", "reads_swarm", "metric", *Estimate._fields])
+        writer.writerow(["task", "difficulty", "drones", "dynamics", "policy", "reads_swarm", "metric", *Estimate._fields])
         for result in results:
             about, options = result.about, result.about["options"]
-            case = [about["task"], options["difficulty"], options["num_drones"], about["policy"], about["reads_swarm"]]
+            case = [about["task"], options["difficulty"], options["num_drones"], options["dynamics"]]
+            case += [about["policy"], about["reads_swarm"]]
             estimates = result.estimates()
             writer.writerows([*case, metric, *estimates[metric]] for metric in METRICS)

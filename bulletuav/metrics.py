@@ -32,6 +32,9 @@ METRICS = {
     "messages": "messages that drones received, where communication is simulated",
     "fairness": "Jain's index of the drones' metres made good a second",
     "throughput": "drones that succeeded a minute",
+    "served": "share of the task's targets in sight of a drone, mean of the episode as planned: 0 once all have left",
+    "completed": "share of the tasks of the episode as planned that were computed in time",
+    "latency": "from a task's arrival to its result, s, mean of those that arrived; the deadline for those that were lost",
 }
 """What each metric is, as an episode's number and, over episodes, its mean"""
 RESAMPLES = 2000
@@ -79,6 +82,7 @@ class Meter:
         self._flown, self._jerk, self._energy, self._decisions, self._jerks, self._left = np.zeros((6, *shape))
         self._conflicts, self._near, self._messages, self._steps = np.zeros((4, worlds))
         self._separation, self._time_to_conflict = np.full((2, worlds), np.inf)
+        self._served, (self._completed, self._latency) = np.zeros(worlds), np.full((2, worlds), np.nan)
 
     def record(self, step: Step, flown: np.ndarray) -> None:
         """Take one decision, which the drones of `flown` (W, N) flew."""
@@ -100,6 +104,7 @@ class Meter:
         self._steps += flown.any(axis=1)
         if "messages" in info:
             self._messages += (info["messages"] * flown).sum(axis=1)
+        self._take_service(info, np.any(flown, axis=1))
         self._before = after
 
     def _take_effort(self, before: Swarm, after: Swarm, flown: np.ndarray) -> None:
@@ -112,6 +117,14 @@ class Meter:
         self._change = np.where(flown[..., None], change, np.nan)
         power = actuator_power(before.rotor_speed, after.rotor_speed, self._aviary.parameters)
         self._energy += flown * power * self._period
+
+    def _take_service(self, info: dict[str, np.ndarray], flying: np.ndarray) -> None:
+        """What drones do for users together, which infos tell each of them."""
+        if "served" in info:
+            self._served += info["served"][:, 0] * flying
+        if "completed" in info:
+            self._completed = np.where(flying, info["completed"][:, 0], self._completed)
+            self._latency = np.where(flying, info["latency"][:, 0], self._latency)
 
     def row(self, w: int) -> dict[str, float]:
         """The metrics of the episode of world w, NaN for those that it has not."""
@@ -135,7 +148,14 @@ class Meter:
             "messages": self._messages[w] if aviary.communicates else np.nan,
             "fairness": jain(made_good / (self._decisions[w] * self._period)),
             "throughput": arrived.sum() / (length / 60),
+            "served": self._served[w] / aviary.options.horizon,
+            "completed": self._completed[w],
+            "latency": self._latency[w],
         }
+        if aviary.task.num_targets:  # it has no goals: drones are to be anywhere
+            row |= dict.fromkeys(("goal_distance", "path_efficiency", "fairness", "throughput"), np.nan)
+        else:
+            row["served"] = np.nan
         return {name: float(value) if np.isfinite(value) else np.nan for name, value in row.items()}
 
 

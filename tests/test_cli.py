@@ -136,9 +136,9 @@ def test_a_flight_does_not_go_into_the_folder_of_an_evaluation(tmp_path, capsys,
     monkeypatch.chdir(tmp_path)
     common = ["converge", "--dynamics", "point_mass", "--drones", "1", "--horizon", "3", "--set", "normalise=true"]
     main(["evaluate", *common, "--episodes", "1"])
-    assert (tmp_path / "evaluation" / "converge-default-straight" / "episodes.csv").exists()
+    assert (tmp_path / "evaluation" / "converge-default-point_mass-straight" / "episodes.csv").exists()
     with pytest.raises(SystemExit):
-        main(["fly", *common, "--out", "evaluation/converge-default-straight"])
+        main(["fly", *common, "--out", "evaluation/converge-default-point_mass-straight"])
     assert "holds an evaluation" in capsys.readouterr().err
 
 

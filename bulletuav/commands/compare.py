@@ -22,11 +22,12 @@ from bulletuav.leaderboard import markdown, write_csv
 ABOUT = {
     "help": "evaluate several policies in several tasks and write a leaderboard",
     "description": (
-        "Evaluate every policy in every task and difficulty; write a leaderboard as markdown, csv and picture. The same "
-        "command goes on where it was interrupted."
+        "Evaluate every policy in every task, difficulty and (--dynamics A,B) dynamics; write a leaderboard as markdown, "
+        "csv and picture. The same command goes on where it was interrupted."
     ),
     "epilog": """example:
-  bulletuav compare --policies straight,potential,orca --tasks crossing,pursuit,converge --workers 2 --out leaderboard""",
+  bulletuav compare --policies straight,potential,orca --tasks crossing,pursuit,converge --workers 2 --out leaderboard
+  bulletuav compare --policies random,kmeans --tasks los,mec --dynamics single_integrator,bullet --out service""",
 }
 
 
@@ -51,6 +52,11 @@ def _names(text: str) -> list[str]:
     return names
 
 
+def _each(option: str, values: list[str] | None) -> list[dict[str, str]]:
+    """Options that set one to each of the values; none where there are none."""
+    return [{option: value} if value else {} for value in values or [""]]
+
+
 def run(arguments: argparse.Namespace) -> None:
     """Evaluate all, print and write."""
     options = given_options(arguments)
@@ -58,10 +64,11 @@ def run(arguments: argparse.Namespace) -> None:
         raise ValueError("--difficulty and --difficulties: give one of them")
     out, results = out_folder(arguments.out), []
     cases = [
-        (task, policy, {**options, **({"difficulty": difficulty} if difficulty else {})})
+        (task, policy, {**options, **difficulty, **dynamics})
         for task in arguments.tasks
-        for difficulty in arguments.difficulties or [None]
+        for difficulty in _each("difficulty", arguments.difficulties)
         for policy in arguments.policies
+        for dynamics in _each("dynamics", options.get("dynamics", "").split(","))
     ]
     cases = [(task, policy, flyable_options(task, policy, options)) for task, policy, options in cases]
     with episodes_bar(arguments.episodes * len(cases)) as progress:

@@ -39,9 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("task", help="one of `bulletuav tasks`")
     parser.add_argument("--policy", help=f"who flies: {POLICY_HELP} (default: straight, or planner to goals in cities)")
     add_episodes(parser)
-    parser.add_argument(
-        "--out", type=Path, metavar="DIR", help="folder for the files (default: evaluation/TASK-DIFFICULTY-POLICY)"
-    )
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the files (default: one in evaluation/)")
     add_options(parser)
 
 
@@ -67,7 +65,8 @@ def run(arguments: argparse.Namespace) -> None:
 
 def run_name(task: str, policy: str, options: dict[str, Any]) -> str:
     """A folder's name for a run."""
-    name = "-".join([task, options.get("difficulty", "default"), policy])
+    dynamics = [options["dynamics"]] if "dynamics" in options else []
+    name = "-".join([task, options.get("difficulty", "default"), *dynamics, policy])
     return "".join(letter if letter.isalnum() or letter in "_.-" else "_" for letter in name)
 
 

@@ -166,7 +166,7 @@ class Aviary:
     def _make_frame(
         self, before: Swarm, after: Swarm, action: np.ndarray, contacts: Contacts, flown: np.ndarray, goal_before: np.ndarray
     ) -> Frame:
-        readings = {"charge": self._energy.charge, **self._senses.readings()}
+        readings = {**self._energy.readings(), **self._senses.readings()}
         if self._uncertainty is not None:
             readings |= self._uncertainty.readings()
         time, last = self.steps / self.options.decision_hz, self.steps >= self.options.horizon
@@ -194,7 +194,7 @@ class Aviary:
         """
         self.require_started()
         frame = self._fly(self._plan.actions(actions, self.alive), self.alive.copy())
-        self.task.remember(frame)
+        self.task.remember(frame, self.rng)
         flown, verdict = frame.alive, self.task.judge(frame)
         terminated = (verdict.terminated | frame.depleted) & flown
         truncated = frame.last[:, None] & flown & ~terminated
@@ -231,7 +231,7 @@ class Aviary:
         if self._uncertainty is not None:
             self._uncertainty.sense(self.swarm, flown, self.rng)
         after = self.swarm.copy()
-        self._energy.spend(before, after, wind, flown)
+        self._energy.spend(before, after, wind, self.task.payload_power(self.scene), flown)
         self._senses.take(before, after, self.scene, flown, self.steps, self.rng)
         return self._make_frame(before, after, action, contacts, flown, goal_before)
 
@@ -262,9 +262,7 @@ class Aviary:
         info["conflicts"] = frame.conflict.onsets
         info["separation"] = frame.conflict.separation
         info["goal_distance"] = frame.distance
-        info["power"], info["charge"] = self._energy.power.copy(), frame.readings["charge"]
-        if self.task.num_targets:
-            info["served"] = self.task.served(frame)
+        info |= {name: frame.readings[name] for name in ("power", "charge")} | self.task.info(frame)
         return info if self._uncertainty is None else info | self._uncertainty.info()
 
     def first_info(self) -> dict[str, np.ndarray]:

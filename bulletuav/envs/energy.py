@@ -31,16 +31,20 @@ class Energy:
         self._battery.start(k)
         self.power[k] = 0
 
-    def spend(self, before: Swarm, after: Swarm, wind: np.ndarray, flown: np.ndarray) -> None:
-        """Take from the drones of `flown` (W, N) what a decision from `before` to `after` in `wind` (W, N, 3) m/s cost."""
+    def spend(
+        self, before: Swarm, after: Swarm, wind: np.ndarray, payload: np.ndarray | float, flown: np.ndarray
+    ) -> None:
+        """Take from the drones of `flown` (W, N) what a decision from `before` to `after` in `wind` (W, N, 3) m/s cost.
+
+        `payload`: what their equipment takes beside flight, W.
+        """
         if self._wings is None:
             power = actuator_power(before.rotor_speed, after.rotor_speed, self._parameters)
         else:
             power = propulsion((before.velocity + after.velocity) / 2 - wind, self._wings)
-        self.power = np.where(flown, power, 0.0)
+        self.power = np.where(flown, power + payload, 0.0)
         self._battery.drain(self.power, self._period, flown)
 
-    @property
-    def charge(self) -> np.ndarray:
-        """(W, N) share that is left."""
-        return self._battery.charge.copy()
+    def readings(self) -> dict[str, np.ndarray]:
+        """(W, N) "charge", the share that is left, and "power", as they are now."""
+        return {"charge": self._battery.charge.copy(), "power": self.power.copy()}

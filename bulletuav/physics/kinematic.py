@@ -127,7 +127,9 @@ class Kinematic(Dynamics):
     ) -> Contacts:
         """One compiled call, then the swept contact check."""
         flight = self.flight
-        path = Path.begin(swarm, motion, flight.substeps)
+        straight = self._kind == SINGLE_INTEGRATOR and level == Level.VELOCITY  # in one piece: nothing changes on the way
+        substeps, dt = (1, flight.dt * flight.substeps) if straight else (flight.substeps, flight.dt)
+        path = Path.begin(swarm, motion, substeps)
         air = Air(wind, np.full(alive.shape, -np.inf), flight.gravity)
-        advance(self._kind, swarm, alive, int(level), setpoint, flight.cascade, flight.parameters, air, flight.dt, path)
+        advance(self._kind, swarm, alive, int(level), setpoint, flight.cascade, flight.parameters, air, dt, path)
         return stop_at_first_touch(flight.world, path, swarm, alive, flight.parameters)

@@ -21,6 +21,8 @@ from bulletuav.tasks.terms.conflict import Conflict, conflict
 from bulletuav.tasks.terms.sensed import share_of
 
 NOTHING = np.zeros((0, 3))
+REBOUND = {"soft": 0.8, "hard": 0.0}
+"""Share of the speed against a wall that is left, reversed, by the option `boundary`"""
 
 
 class Spawn(NamedTuple):
@@ -93,10 +95,10 @@ class Frame:
     """One decision, for a task to judge. Arrays (W, N, ...); `alive` are the drones that flew it, `time` (W,) s since reset.
 
     `last` (W,) tells where the horizon is reached; the warning zone about a drone ends at `zone` m; the goals were at
-    `goal_before` (W, N, 3), m, before the decision and move ahead of the drones. `readings` are what
-    sensors measured after it, by name, as far as the observation or the task asks for it: pictures; "lidar" (W, N, B) m;
-    "imu" (W, N, 6); "clearance" (W, N) m; "sight" (W, N, U), whether the task's targets are in sight; "charge" (W, N), what
-    is left in batteries; with randomization also what drones know of themselves, "position" and
+    `goal_before` (W, N, 3), m, before the decision and move ahead of the drones. `readings` are what sensors measured after
+    it, by name, as far as the observation or the task asks for it: pictures; "lidar" (W, N, B) m; "imu" (W, N, 6);
+    "clearance" (W, N) m; "sight" (W, N, U), whether the task's targets are in sight; "charge" (W, N), what is left in
+    batteries; "power" (W, N) W, that it took; with randomization also what drones know of themselves, "position" and
     "velocity" (W, N, 3), and with communication what drone i last heard of drone j, "heard_position" and "heard_velocity"
     (W, N, N, 3), where "heard" (W, N, N).
     """
@@ -241,8 +243,19 @@ class Task(ABC):
         """Arrays that the task keeps in `scene.memory` over an episode: shape in one world by name; none by default."""
         return {}
 
-    def remember(self, frame: Frame) -> None:  # noqa: B027
-        """Bring `scene.memory` up to date after a decision, before it is judged; by default nothing to do."""
+    def remember(self, frame: Frame, rng: Sequence[np.random.Generator | None]) -> None:  # noqa: B027
+        """Bring `scene.memory` up to date after a decision, before it is judged; by default nothing to do.
+
+        `rng`: the generator of each world; None before its first reset.
+        """
+
+    def payload_power(self, scene: Scene) -> np.ndarray | float:
+        """(W, N) what the drones' equipment takes beside flight, W; by default nothing."""
+        return 0.0
+
+    def info(self, frame: Frame) -> dict[str, np.ndarray]:
+        """What else infos tell, (W, N) by name; by default the share of the targets that is served, where there are any."""
+        return {"served": self.served(frame)} if self.num_targets else {}
 
     def served(self, frame: Frame) -> np.ndarray:
         """(W, N) share of the targets that some living drone sees, the same for all."""
@@ -250,12 +263,21 @@ class Task(ABC):
         return np.broadcast_to(share_of(seen, self.counted(frame.scene))[:, None], frame.alive.shape)
 
     def outside(self, frame: Frame) -> np.ndarray:
-        """(W, N) bool: outside the arena after the decision."""
+        """(W, N) bool: outside the arena after the decision, or held back at its bounds."""
+        if self.rebound is not None:  # which left them right at the bounds
+            return np.any((frame.after.position <= self.arena_low) | (frame.after.position >= self.arena_high), axis=-1)
         return np.any((frame.after.position < self.arena_low) | (frame.after.position > self.arena_high), axis=-1)
 
     @abstractmethod
     def judge(self, frame: Frame) -> Verdict:
         """Reward terms, ends and successes of a decision. Changes nothing: it may be asked twice."""
+
+
+def whose(happened: np.ndarray, frame: Frame, whom: str) -> np.ndarray:
+    """(W, N): the drones to which it happened, or, for "world", all drones of their worlds."""
+    if whom == "world":
+        return np.broadcast_to(np.any(happened & frame.alive, axis=1, keepdims=True), happened.shape)
+    return happened
 
 
 def merged_weights(defaults: Mapping[str, float], changes: Mapping[str, float]) -> dict[str, float]:

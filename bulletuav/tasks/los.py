@@ -1,27 +1,21 @@
 """Task `los`: airborne relays keep ground users in line of sight."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import ClassVar
+from dataclasses import dataclass
+from typing import ClassVar, Literal
 
-import numpy as np
-
-from bulletuav.tasks.base import Frame, Scene, Setting, Spawn, Verdict
-from bulletuav.tasks.terms.urban import DEFAULTS, USER_HEIGHT, UrbanConfig, UrbanTask, check_share
+from bulletuav.tasks.base import Frame, Verdict
+from bulletuav.tasks.terms.urban import DEFAULTS
+from bulletuav.tasks.terms.users import UsersConfig, UsersTask
 
 
 @dataclass(frozen=True)
-class LosConfig(UrbanConfig):
-    """Options of `los` beside those of cities: `num_users` stand outdoors; `wanted` is the share of them that is success."""
+class LosConfig(UsersConfig):
+    """Options of `los`: those of `UsersConfig`."""
 
-    d_safe: float = 2.0
-    num_users: int = 20
-    wanted: float = 0.9
-    height: tuple[float, float] = (20.0, 60.0)
-    weights: Mapping[str, float] = field(default_factory=dict)
+    boundary: Literal["end", "soft", "hard"] = "end"
 
 
-class Los(UrbanTask):
+class Los(UsersTask):
     """Find places from which the users on the ground are seen, each by some drone.
 
     Observation, per drone, Box(108) float32, clipped to its bounds (here with the defaults):
@@ -157,35 +151,9 @@ class Los(UrbanTask):
     observation = ("position", "velocity", "battery", "neighbours", "targets")
     reward_weights: ClassVar = {"sight": 1.0, "served": 0.0, "collision": -10.0, "out_of_bounds": -10.0}
 
-    def __init__(self, config: LosConfig, setting: Setting):
-        """Raises ValueError where the city leaves no room to fly."""
-        super().__init__(config, setting)
-        check_share("wanted", config.wanted)
-        self.num_targets = config.num_users
-
-    def memory(self) -> Mapping[str, tuple[int, ...]]:
-        """`users`: where they stand, m."""
-        return {"users": (self.config.num_users, 3)}
-
-    def targets(self, scene: Scene) -> np.ndarray:
-        """The users."""
-        return scene.memory["users"]
-
-    def spawn(self, rng: np.random.Generator) -> Spawn:
-        """Drones at rest and users anywhere outdoors."""
-        layout, count = self.town.draw(rng), self.config.num_users
-        start = self.town.hovering(rng, layout, self.setting.num_drones)
-        users = np.concatenate([self.town.outdoors(rng, layout, count), np.full((count, 1), USER_HEIGHT)], axis=1)
-        return start._replace(memory={"users": users})
-
     def judge(self, frame: Frame) -> Verdict:
         """Shares of users in sight, and ends by contact or outside the airspace."""
         seen, served = frame.readings["sight"] & frame.alive[..., None], self.served(frame)
-        outside = self.outside(frame)
-        terms = {
-            "sight": seen.mean(axis=-1),
-            "served": served,
-            "collision": frame.collision.astype(float),
-            "out_of_bounds": outside.astype(float),
-        }
-        return Verdict(terms, frame.collision | outside, served >= self.config.wanted)
+        ended, terms = self.ends(frame)
+        terms |= {"sight": seen.mean(axis=-1), "served": served}
+        return Verdict(terms, ended, served >= self.config.wanted)

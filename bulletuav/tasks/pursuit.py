@@ -1,6 +1,6 @@
 """Task `pursuit`: a queue of drones on one circular track, the fastest last, so that they have to overtake."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -147,9 +147,9 @@ class Pursuit(Airspace):
         """Beside those of every airspace `conflicts`: how many each drone has had."""
         return {**super().memory(), "conflicts": (self.setting.num_drones,)}
 
-    def remember(self, frame: Frame) -> None:
+    def remember(self, frame: Frame, rng: Sequence[np.random.Generator | None]) -> None:
         """Conflicts too."""
-        super().remember(frame)
+        super().remember(frame, rng)
         frame.scene.memory["conflicts"][:] += np.where(frame.alive, frame.conflict.onsets, 0)
 
     def advance(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rng: Any) -> bool:

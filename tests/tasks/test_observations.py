@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import bulletuav
+from bulletuav.envs.plan import Plan
 from bulletuav.tasks.terms.observations import IMAGES, NAMES
 
 CALM = {"dynamics": "point_mass", "randomization": {}}
@@ -93,14 +94,24 @@ def test_normalised_observations_are_the_raw_ones_scaled_from_their_bounds(task)
     np.testing.assert_allclose(rows[True], 2 * (rows[False] - low) / (high - low) - 1, atol=1e-6)
 
 
-def test_every_block_can_be_asked_for_in_every_task():
-    vectors = tuple(name for name in NAMES if name not in IMAGES)
+SHOWS = {"sojourn": "sojourn", "server": "queue", "link_rates": "link_rate"}  # what some tasks alone remember
+
+
+def test_every_block_can_be_asked_for_in_every_task_that_has_what_it_shows():
     for task in bulletuav.list_tasks():
+        remembered = Plan(task, 1, {}).task.memory()
+        vectors = tuple(name for name in NAMES if name not in IMAGES and (name not in SHOWS or SHOWS[name] in remembered))
         aviary = bulletuav.Aviary(task, observation=vectors, num_drones=2, randomization={"radio_loss": 0.1})
         rows = aviary.reset(seeds=0)
         assert rows.shape[-1] == len(aviary.observer.labels)
         assert aviary.observer.space().contains(rows[0, 0])
         aviary.close()
+
+
+@pytest.mark.parametrize("block", list(SHOWS))
+def test_a_block_of_what_a_task_does_not_have_is_refused(block):
+    with pytest.raises(ValueError, match=f"'{block}' shows what task 'hover' does not have"):
+        bulletuav.Aviary("hover", observation=block)
 
 
 def test_a_reset_of_another_world_leaves_the_last_action_alone():

@@ -32,9 +32,10 @@ def test_the_docstring_lists_every_number_of_the_observation(name):
 @pytest.mark.parametrize("name", TASKS)
 def test_the_docstring_names_defaults_terms_and_ends(name):
     task, doc = find_task(name), " ".join(" ".join(explanations(find_task(name))).split())
+    hz = task.defaults["decision_hz"]
     for fact in (
         f"truncated after {task.defaults['horizon']} decisions",
-        f"{task.defaults['decision_hz']} decisions a second",
+        f"{hz} decision{'s' if hz > 1 else ''} a second",
     ):
         assert fact.lower() in doc.lower()
     assert f"`{task.defaults['action']}`" in doc

@@ -127,7 +127,7 @@ def test_everybody_starts_outdoors_with_room_and_apart(task, kind):
             assert np.linalg.norm(spawn.goal - spawn.position, axis=1).min() >= 120
         if task == "los":
             users = spawn.memory["users"]
-            assert city.outdoors(users, margin=0.5).all()
+            assert city.outdoors(users, margin=0.09).all()
             assert users.shape == (20, 3)
             assert (users[:, 2] == 1.5).all()
     assert drawn == {0, 1, 2}
@@ -752,11 +752,12 @@ def test_beams_turn_with_the_nose_or_do_not(put, frame, expected):
     ],
 )
 def test_readings_hold_what_was_asked_for(make, task, observation, read):
-    """Beside it the charge, which all drones have, and what is in sight of tasks without targets: nothing."""
+    """Beside it charge and power, which all drones have, and what is in sight of tasks without targets: nothing."""
     aviary = make(task, **({} if observation is None else {"observation": observation}))
     for _ in range(2):
         readings = aviary._frame.readings
-        assert read - {"charge", "sight"} == set(readings) - {"charge", "sight"}
+        always = {"charge", "power", "sight"}
+        assert read - always == set(readings) - always
         assert read <= set(readings)
         assert readings["sight"].size == aviary.num_drones * aviary.task.num_targets
         aviary.step(np.zeros((1, aviary.num_drones, aviary.action.low.shape[-1])))

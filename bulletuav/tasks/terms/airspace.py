@@ -1,18 +1,16 @@
 """What tasks with goals in one shared airspace have in common: options, reward terms, ends, and what is uncertain."""
 
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from bulletuav.physics.approach import distances
-from bulletuav.tasks.base import Frame, Scene, Setting, Spawn, Task, Verdict
+from bulletuav.tasks.base import REBOUND, Frame, Scene, Setting, Spawn, Task, Verdict, whose
 from bulletuav.tasks.terms.rewards import REWARDS, Marks, follow_encounters, variance_nearby
 
-REBOUND = {"soft": 0.8, "hard": 0.0}
-"""Share of the speed against a wall that is left, reversed"""
 TOUCHDOWN, TOUCHDOWN_SPEED = 1.0, 2.0
 """Height above the ground, m, and speed, m/s, below which a drone has landed"""
 REWARD_WEIGHTS = {
@@ -251,7 +249,7 @@ class Airspace(Task):
         """(W, N) bool: at the goal."""
         return frame.distance <= self.config.goal_radius
 
-    def remember(self, frame: Frame) -> None:
+    def remember(self, frame: Frame, rng: Sequence[np.random.Generator | None]) -> None:
         """When goals were reached, how far it was to them at the start, and who made way."""
         memory = frame.scene.memory
         np.copyto(memory["way"], self.way_before(frame), where=memory["way"] == 0)
@@ -277,12 +275,8 @@ class Airspace(Task):
         """The weighted terms, the ends that the options ask for, and who is at its goal."""
         config, reached = self.config, frame.scene.memory["reached"]
         finished = self.finished(frame)
-        position = frame.after.position
-        if self.rebound is None:
-            outside = self.outside(frame)
-        else:  # thrown back, which left them right at the bounds
-            outside = np.any((position <= self.arena_low) | (position >= self.arena_high), axis=-1)
-        terminated = _whose(frame.collision, frame, config.contact_ends) | frame.depleted
+        outside = self.outside(frame)
+        terminated = whose(frame.collision, frame, config.contact_ends) | frame.depleted
         if config.at_goal == "hold":
             terminated = terminated | np.all(finished | ~frame.alive, axis=1, keepdims=True)
         else:
@@ -290,7 +284,7 @@ class Airspace(Task):
         if config.boundary == "end":
             terminated = terminated | outside
         if config.conflict_ends != "nothing":
-            terminated = terminated | _whose(frame.conflict.separation < config.d_safe, frame, config.conflict_ends)
+            terminated = terminated | whose(frame.conflict.separation < config.d_safe, frame, config.conflict_ends)
         new = (reached > 0) & (reached == frame.time[:, None])
         marks = Marks(new, outside, terminated, terminated | frame.last[:, None])
         return Verdict(self._terms(frame, marks), terminated, self.succeeded(frame, finished))
@@ -303,10 +297,3 @@ class Airspace(Task):
             total = sum((self.weights[name] * terms[name] for name in names), np.zeros(frame.alive.shape))
             terms["fairness"] = variance_nearby(total, frame.after.position, frame.alive, self.config.fairness_range)
         return terms
-
-
-def _whose(happened: np.ndarray, frame: Frame, whom: str) -> np.ndarray:
-    """(W, N): the drones to which it happened, or, for "world", all drones of their worlds."""
-    if whom == "world":
-        return np.broadcast_to(np.any(happened & frame.alive, axis=1, keepdims=True), happened.shape)
-    return happened

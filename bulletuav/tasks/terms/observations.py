@@ -9,7 +9,7 @@ from gymnasium.spaces import Box, Dict, Space
 
 from bulletuav.control.actions import Action
 from bulletuav.errors import pick
-from bulletuav.tasks.terms import blocks, sensed
+from bulletuav.tasks.terms import blocks, sensed, service
 from bulletuav.tasks.terms.blocks import Block
 from bulletuav.tasks.terms.sensed import IMAGES
 
@@ -38,6 +38,12 @@ BLOCKS: dict[str, Callable[["Task"], Block]] = {
         sensed.battery,
         sensed.targets,
         sensed.seen_share,
+        service.power,
+        service.centroids,
+        service.sight_matrix,
+        service.sojourn,
+        service.server,
+        service.link_rates,
     )
 }
 NAMES = (*BLOCKS, blocks.last_action.__name__, *IMAGES)

@@ -1,0 +1,25 @@
+"""Users who stand still."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from bulletuav.network.mobility.base import Generators, Mobility, State
+from bulletuav.network.mobility.ground import Ground
+
+
+@dataclass(frozen=True)
+class Still(Mobility):
+    """Nobody moves; places are uniform over free ground."""
+
+    name: ClassVar[str] = "still"
+
+    def start(self, rng: np.random.Generator, ground: Ground, layout: int, count: int) -> State:
+        """At random places."""
+        return {"users": ground.places(rng, layout, count), "user_velocity": np.zeros((count, 2))}
+
+    def _move(
+        self, state: State, ground: Ground, layout: np.ndarray, flying: np.ndarray, dt: float, rng: Generators
+    ) -> None:
+        pass

@@ -1,0 +1,65 @@
+"""Task `mec`: drones carry servers for mobile edge computing to users on the ground."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from bulletuav.tasks.terms.edge import EdgeConfig, EdgeTask
+from bulletuav.tasks.terms.urbanmarl import URBANMARL
+
+
+@dataclass(frozen=True)
+class MecConfig(EdgeConfig):
+    """Options of `mec`: those of `EdgeConfig`."""
+
+
+class Mec(EdgeTask):
+    """Be where users can offload their tasks, so that as many as can be are computed in time.
+
+    Observation, per drone, Box(8) float32, clipped to its bounds (here with the defaults):
+      0  position x       m      [-250, 250]
+      1  position y       m      [-250, 250]
+      2  position z       m      [0, 120]
+      3  charge           1      [0, 1]
+      4  utilisation      1      [0, 1]
+      5  queue            tasks  [0, 100]
+      6  latency          s      [0, 1]
+      7  completed share  1      [0, 1]
+    World axes (east, north, up). Utilisation of the drone's cores, tasks (of mean size) in its queue, latency and completed
+    share of its users' tasks are those of the last decision; 0 at the start and where no task came.
+
+    Action, per drone, by default `velocity`, Box(3) in [-1, 1]: velocity over max_speed, its norm limited to max_speed; 1
+    decision a second.
+
+    Reward, per decision: tasks 1 times the tasks completed over the number of users; latency -0.5 times the mean of its
+    users' tasks over the deadline; energy -0.1 times power over 100 W; sojourn 0.3 times tanh(0.1 s), s the seconds for
+    which it has seen a user without a break, mean of all users; collision -2; out_of_bounds 0 (weights by name).
+
+    End: terminated on contact of collision shapes and with an empty battery; truncated after 100 decisions. Drones stop at
+    the city's edges and at the ceiling. Success: 70 % of the episode's tasks are completed.
+
+    Difficulty, drones / city / irregularity: easy 3, urban, 0; medium 5, urban, 0.5; hard 8, dense, 0.5; extreme 16,
+    high_rise, 1; from medium on positions are noisy, hard adds wind, extreme everything, as in the shared airspace.
+    """
+
+    name = "mec"
+    Config = MecConfig
+    config: MecConfig
+    presets: ClassVar = {
+        "urbanmarl": {
+            **URBANMARL,
+            "num_users": 50,
+            "arrival_rate": 0.1,
+            "n_nlos": 3.5,
+            "queue": "erlang",
+            "assignment": "dtlcm",
+        }
+    }
+    observation = ("position", "battery", "server")
+    reward_weights: ClassVar = {
+        "tasks": 1.0,
+        "latency": -0.5,
+        "energy": -0.1,
+        "sojourn": 0.3,
+        "collision": -2.0,
+        "out_of_bounds": 0.0,
+    }

@@ -1,0 +1,82 @@
+"""Task `mec_advanced`: edge computing with antennas that look down, tight deadlines and the energy that it takes."""
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+from bulletuav.tasks.terms.edge import EdgeConfig, EdgeTask
+from bulletuav.tasks.terms.urbanmarl import URBANMARL
+
+
+@dataclass(frozen=True)
+class MecAdvancedConfig(EdgeConfig):
+    """Options of `mec_advanced`: those of `EdgeConfig`."""
+
+    num_users: int = 10
+    arrival_rate: float = 2.5
+    cycles_per_bit: float = 800.0
+    deadline: float = 0.2
+    core_frequency: float = 10e9
+    bandwidth: float = 100e6
+    antenna: Literal["isotropic", "downward"] = "downward"
+
+
+class MecAdvanced(EdgeTask):
+    """Serve few users with many urgent tasks through directional antennas.
+
+    Observation, per drone, Box(22) float32, clipped to its bounds (here with the defaults):
+      0  position x       m       [-250, 250]
+      1  position y       m       [-250, 250]
+      2  position z       m       [0, 120]
+      3  velocity x       m/s     [-30, 30]
+      4  velocity y       m/s     [-30, 30]
+      5  velocity z       m/s     [-30, 30]
+      6  charge           1       [0, 1]
+      7  power            W       [0, 1000]
+      8  rate of user 1   Mbit/s  [0, 500]
+      9  rate of user 2   Mbit/s  [0, 500]
+     10  rate of user 3   Mbit/s  [0, 500]
+     11  rate of user 4   Mbit/s  [0, 500]
+     12  rate of user 5   Mbit/s  [0, 500]
+     13  rate of user 6   Mbit/s  [0, 500]
+     14  rate of user 7   Mbit/s  [0, 500]
+     15  rate of user 8   Mbit/s  [0, 500]
+     16  rate of user 9   Mbit/s  [0, 500]
+     17  rate of user 10  Mbit/s  [0, 500]
+     18  utilisation      1       [0, 1]
+     19  queue            tasks   [0, 100]
+     20  latency          s       [0, 0.2]
+     21  completed share  1       [0, 1]
+    World axes (east, north, up). The rate of a user is what it would reach to the drone for itself, through the drone's
+    antenna (3GPP TR 38.901, 8 dBi, along the body's -z: it tilts with the drone). Utilisation of the drone's cores, tasks
+    (of mean size) in its queue, latency and completed share of its users' tasks, rates and power are those of the last
+    decision; 0 at the start and where no task came.
+
+    Action, per drone, by default `velocity`, Box(3) in [-1, 1]: velocity over max_speed, its norm limited to max_speed; 1
+    decision a second.
+
+    Reward, per decision: tasks 2 times the tasks completed over the number of users; latency -1.5 times the mean of its
+    users' tasks over the deadline; energy 0 times power over 100 W; sojourn 0.5 times tanh(0.1 s), s the seconds for which
+    it has seen a user without a break, mean of all users; collision -5; out_of_bounds 0 (weights by name).
+
+    End: terminated on contact of collision shapes and with an empty battery; truncated after 100 decisions. Drones stop at
+    the city's edges and at the ceiling. Success: 70 % of the episode's tasks are completed.
+
+    Difficulty, drones / city / irregularity: easy 3, urban, 0; medium 5, urban, 0.5; hard 8, dense, 0.5; extreme 16,
+    high_rise, 1; from medium on positions are noisy, hard adds wind, extreme everything, as in the shared airspace.
+    """
+
+    name = "mec_advanced"
+    Config = MecAdvancedConfig
+    config: MecAdvancedConfig
+    presets: ClassVar = {
+        "urbanmarl": {**URBANMARL, "num_users": 10, "n_nlos": 3.5, "queue": "erlang", "assignment": "dtlcm"},
+    }
+    observation = ("position", "velocity", "battery", "power", "link_rates", "server")
+    reward_weights: ClassVar = {
+        "tasks": 2.0,
+        "latency": -1.5,
+        "energy": 0.0,
+        "sojourn": 0.5,
+        "collision": -5.0,
+        "out_of_bounds": 0.0,
+    }

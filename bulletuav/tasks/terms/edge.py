@@ -1,0 +1,184 @@
+"""Edge computing from the air: users send tasks to the drones, which compute them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from bulletuav.network.access import NOBODY
+from bulletuav.network.assignment import STRATEGIES, assign
+from bulletuav.network.link import capacity
+from bulletuav.network.queueing import core_power, mean_response, mean_wait, service_rate
+from bulletuav.network.server import Served, Tasks, draw_tasks, serve
+from bulletuav.network.uplink import RadioConfig, Uplink
+from bulletuav.tasks.base import Frame, Scene, Setting, Verdict
+from bulletuav.tasks.terms.users import UsersConfig, UsersTask, sojourn_bonus
+
+
+@dataclass(frozen=True)
+class EdgeConfig(RadioConfig, UsersConfig):
+    """Options of edge computing beside those of radio, users and cities.
+
+    arrival_rate    tasks of each user, 1/s, a Poisson process
+    task_bits       size of a task, bit, uniform from low to high
+    cycles_per_bit  that it takes to compute
+    deadline        of a task, s, from its arrival to its result; what would be later is given up
+    num_cores, core_frequency  of each drone, cycles/s
+    capacitance     effective, of a core: it takes capacitance * core_frequency^3, W
+    queue           "simulated", task by task; or "erlang", the mean response of M/M/c, as if the load had always been as now
+    assignment      who serves whom: "max_rate", "nearest" or "dtlcm", see `bulletuav.network.assignment`
+    power_scale     W, that the reward term `energy` divides by
+    """
+
+    num_users: int = 50
+    wanted: float = 0.7
+    arrival_rate: float = 0.2
+    task_bits: tuple[float, float] = (0.5e6, 2e6)
+    cycles_per_bit: float = 1000.0
+    deadline: float = 1.0
+    num_cores: int = 4
+    core_frequency: float = 5e9
+    capacitance: float = 1e-28
+    queue: Literal["simulated", "erlang"] = "simulated"
+    assignment: Literal["max_rate", "nearest", "dtlcm"] = "max_rate"
+    power_scale: float = 100.0
+
+
+class EdgeTask(UsersTask):
+    """Users produce tasks, send them to the drone that serves them, and it computes them on its cores.
+
+    A task of D bits takes D / rate to upload, one of a user after the other, then waits for a core of the drone, first come
+    first served, and computes for D * cycles_per_bit / core_frequency. What becomes of it is settled when it is generated,
+    at the rates of the end of that decision. Beside flight drones pay for what their cores did in the decision before.
+
+    Reward terms: tasks, those completed over the number of users; latency, the mean of the tasks of the drone's users over
+    the deadline, 1 for those that are lost; energy, power over power_scale; sojourn, tanh(0.1 s) of the mean seconds s for
+    which the drone has seen users without a break; collision; out_of_bounds.
+    """
+
+    config: EdgeConfig
+
+    def __init__(self, config: EdgeConfig, setting: Setting):
+        """Raises ValueError for sizes that cannot be, or where the city leaves no room to fly or to walk."""
+        super().__init__(config, setting)
+        low, high = config.task_bits
+        if not 0 < low <= high:
+            raise ValueError(f"task_bits is {config.task_bits}: from low to high, above 0, is needed")
+        for name in ("cycles_per_bit", "deadline", "core_frequency", "power_scale"):
+            if getattr(config, name) <= 0:
+                raise ValueError(f"{name} is {getattr(config, name):g}: it must be above 0")
+        self.uplink = Uplink(config)
+        self._demand = (low + high) / 2 * config.cycles_per_bit
+        self._activity = min(config.arrival_rate * config.deadline, 1.0)  # uploads end at the deadline: a user sends no more
+        self._capacity = config.num_cores * config.core_frequency
+        self._service_rate = float(service_rate(config.core_frequency, (low + high) / 2, config.cycles_per_bit))
+
+    def memory(self) -> Mapping[str, tuple[int, ...]]:
+        """Beside that of users what drones did in the last decision, and the world in this episode.
+
+        `utilisation` of the cores; `queue`, tasks (of mean size) that wait or are computed; `latency`, s, mean of the tasks
+        of the drone's users; `completed` tasks and `completed_share`; `link_rate`, bit/s, that each user would reach to the
+        drone alone; `link_free` and `core_free`, s from now. Tasks `generated` and `finished`, and the `delay` of all, s.
+        """
+        drones, users = self.setting.num_drones, self.config.num_users
+        of_drones = ("utilisation", "queue", "latency", "completed", "completed_share")
+        return {
+            **super().memory(),
+            **dict.fromkeys(of_drones, (drones,)),
+            "link_rate": (drones, users),
+            "link_free": (users,),
+            "core_free": (drones, self.config.num_cores),
+            **dict.fromkeys(("generated", "finished", "delay"), ()),
+        }
+
+    def payload_power(self, scene: Scene) -> np.ndarray:
+        """Of the cores that were busy in the last decision."""
+        config = self.config
+        return scene.memory["utilisation"] * (config.num_cores * core_power(config.capacitance, config.core_frequency))
+
+    def remember(self, frame: Frame, rng: Sequence[np.random.Generator | None]) -> None:
+        """Rates, tasks of the decision, and what became of them."""
+        super().remember(frame, rng)
+        memory, config, period = frame.scene.memory, self.config, self.setting.period
+        flying, after, users = np.any(frame.alive, axis=1), frame.after, memory["users"]
+        power = self.uplink.received(after.position, after.quaternion, users, frame.readings["sight"], rng, flying)
+        load, strategy = memory["utilisation"] * self._capacity, STRATEGIES[config.assignment]
+        servers = assign(strategy, after.position, frame.alive, users, power, self._capacity, self._demand, load)
+        rates = self.uplink.rates(power, servers, self._activity)
+        tasks = draw_tasks(rng, flying, np.full(users.shape[:2], config.arrival_rate), period, config.task_bits)
+        if config.queue == "simulated":
+            work = (config.cycles_per_bit, config.core_frequency, config.deadline, period)
+            served = serve(tasks, servers, rates, *work, memory["link_free"], memory["core_free"])
+        else:
+            served = self._erlang(tasks, servers, rates)
+        memory["link_rate"][:] = capacity(config.bandwidth, power / self.uplink.noise)
+        self._count(memory, served)
+
+    def _erlang(self, tasks: Tasks, servers: np.ndarray, rates: np.ndarray) -> Served:
+        """`Served` with the mean response of an M/M/c queue for every task: the load is what the users offer on average."""
+        config, cores, drones = self.config, self.config.num_cores, self.setting.num_drones
+        offered = config.arrival_rate * (servers[..., None] == np.arange(drones)).sum(axis=1)
+        response = mean_response(cores, offered, self._service_rate)
+        world = np.repeat(np.arange(len(servers)), np.diff(tasks.first))
+        taken = servers[world, tasks.user] != NOBODY
+        world, user, bits = world[taken], tasks.user[taken], tasks.bits[taken]
+        drone = servers[world, user]
+        with np.errstate(divide="ignore"):  # no rate: never
+            latency = bits / rates[world, user] + response[world, drone]
+        done = latency <= config.deadline
+
+        def total(of: np.ndarray) -> np.ndarray:
+            return np.bincount(world * drones + drone, weights=of, minlength=offered.size).reshape(offered.shape)
+
+        return Served(
+            np.diff(tasks.first),
+            total(np.ones(len(bits))),
+            total(done),
+            total(np.minimum(latency, config.deadline)),
+            np.minimum(offered / self._service_rate, cores) * self.setting.period,
+            mean_wait(cores, offered, self._service_rate) * offered / (cores * self._service_rate),
+            total(done * bits) * config.cycles_per_bit,
+        )
+
+    def _count(self, memory: Mapping[str, np.ndarray], served: Served) -> None:
+        config = self.config
+        most = np.maximum(served.arrived, 1)
+        memory["utilisation"][:] = served.busy / (config.num_cores * self.setting.period)
+        memory["queue"][:] = served.backlog * config.num_cores * self._service_rate
+        memory["latency"][:], memory["completed"][:] = served.latency / most, served.completed
+        memory["completed_share"][:] = served.completed / most
+        memory["generated"] += served.generated
+        memory["finished"] += served.completed.sum(axis=1)
+        unassigned = served.generated - served.arrived.sum(axis=1)
+        memory["delay"] += served.latency.sum(axis=1) + config.deadline * unassigned
+
+    def info(self, frame: Frame) -> dict[str, np.ndarray]:
+        """Beside `served`: `completed`, share of the tasks of the episode, and `latency`, s, so far; the same for all.
+
+        Tasks that are yet to come, as many as in the mean, are not completed: so ending early does not raise the share.
+        """
+        return {**super().info(frame), "completed": self._completed(frame), "latency": self._latency(frame)}
+
+    def _completed(self, frame: Frame) -> np.ndarray:
+        memory, config = frame.scene.memory, self.config
+        left = config.arrival_rate * config.num_users * np.maximum(self.setting.duration - frame.time, 0.0)
+        share = memory["finished"] / np.maximum(memory["generated"] + left, 1)
+        return np.broadcast_to(share[:, None], frame.alive.shape)
+
+    def _latency(self, frame: Frame) -> np.ndarray:
+        memory = frame.scene.memory
+        mean = memory["delay"] / np.maximum(memory["generated"], 1)
+        return np.broadcast_to(mean[:, None], frame.alive.shape)
+
+    def judge(self, frame: Frame) -> Verdict:
+        """What was computed, and ends by contact or outside the airspace."""
+        memory, config = frame.scene.memory, self.config
+        ended, terms = self.ends(frame)
+        terms |= {
+            "tasks": memory["completed"] / config.num_users,
+            "latency": np.minimum(memory["latency"] / config.deadline, 1.0),
+            "energy": frame.readings["power"] / config.power_scale,
+            "sojourn": sojourn_bonus(frame),
+        }
+        return Verdict(terms, ended, self._completed(frame) >= config.wanted)

@@ -1,0 +1,99 @@
+"""Drones over a city that serve users on the ground, who may walk."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+
+from bulletuav.network.mobility import find_mobility
+from bulletuav.network.mobility.ground import Ground
+from bulletuav.tasks.base import REBOUND, Frame, Scene, Setting, Spawn, whose
+from bulletuav.tasks.terms.urban import DEFAULTS, UrbanConfig, UrbanTask, check_share
+
+SOJOURN_SCALE = 0.1  # 1/s
+
+
+@dataclass(frozen=True)
+class UsersConfig(UrbanConfig):
+    """Options of service to users beside those of cities.
+
+    num_users   users on the ground, outdoors
+    mobility    how they walk: "still", "gauss_markov", "manhattan", "hotspot", "waypoint"; a dict with options of that model
+                too, such as {"model": "waypoint", "pause": (0, 5)}; or a `Mobility`
+    wanted      success is to serve this share
+    boundary    "end": a drone outside the airspace is done; "soft", "hard": it is thrown back, or stops, at the bounds
+    contact_ends  whose episode contact of shapes ends: the "drone"'s, or that of its whole "world"
+    """
+
+    d_safe: float = 2.0
+    num_users: int = 20
+    mobility: Any = "still"
+    wanted: float = 0.9
+    boundary: Literal["end", "soft", "hard"] = "hard"
+    contact_ends: Literal["drone", "world"] = "drone"
+    height: tuple[float, float] = (20.0, 60.0)
+    weights: Mapping[str, float] = field(default_factory=dict)
+
+
+class UsersTask(UrbanTask):
+    """A task over users: drones start at rest anywhere outdoors, and so do users.
+
+    It ends for a drone on contact of collision shapes and with an empty battery; at the bounds of the city's square and its
+    ceiling drones stop.
+    """
+
+    config: UsersConfig
+    defaults: ClassVar = {**DEFAULTS, "dynamics": "single_integrator", "decision_hz": 1, "horizon": 100}
+
+    def __init__(self, config: UsersConfig, setting: Setting):
+        """Raises ValueError where the city leaves no room to fly or to walk."""
+        super().__init__(config, setting)
+        check_share("wanted", config.wanted)
+        self.num_targets, self.rebound = config.num_users, REBOUND.get(config.boundary)
+        self.mobility = find_mobility(config.mobility)
+        self.ground = Ground(self.town.cities)
+        self.mobility.require(self.ground)
+
+    def memory(self) -> Mapping[str, tuple[int, ...]]:
+        """`users`, where they are, m, what their way of walking remembers, and `sojourn`: since when drones see them, s."""
+        count = self.config.num_users
+        return {**self.mobility.state(count), "sojourn": (self.setting.num_drones, count)}
+
+    def targets(self, scene: Scene) -> np.ndarray:
+        """The users."""
+        return scene.memory["users"]
+
+    def spawn(self, rng: np.random.Generator) -> Spawn:
+        """Drones at rest and users, outdoors."""
+        layout = self.town.draw(rng)
+        start = self.town.hovering(rng, layout, self.setting.num_drones)
+        return start._replace(memory=self.mobility.start(rng, self.ground, layout, self.config.num_users))
+
+    def advance(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rng: Sequence[np.random.Generator | None]) -> bool:
+        """Users walk."""
+        self.mobility.move(scene.memory, self.ground, scene.layout, flying, self.setting.period, rng)
+        return False
+
+    def remember(self, frame: Frame, rng: Sequence[np.random.Generator | None]) -> None:
+        """For how long each living drone has seen each user without a break."""
+        sojourn = frame.scene.memory["sojourn"]
+        seen = frame.readings["sight"] & frame.alive[..., None]
+        sojourn[:] = np.where(seen, sojourn + self.setting.period, 0.0)
+
+    def ends(self, frame: Frame) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """(W, N) bool, whose episode ends in contact or outside the airspace, and the terms that say so."""
+        outside, ended = self.outside(frame), whose(frame.collision, frame, self.config.contact_ends)
+        if self.config.boundary == "end":
+            ended = ended | outside
+        return ended, {"collision": frame.collision.astype(float), "out_of_bounds": outside.astype(float)}
+
+
+def mean_sojourn(frame: Frame) -> np.ndarray:
+    """(W, N) for how long the drone has seen users without a break, s, mean of all users."""
+    return frame.scene.memory["sojourn"].mean(axis=-1)
+
+
+def sojourn_bonus(frame: Frame) -> np.ndarray:
+    """(W, N) tanh(0.1 s) of the mean sojourn: from 0 to 1."""
+    return np.tanh(SOJOURN_SCALE * mean_sojourn(frame))
