@@ -21,7 +21,7 @@ from bulletuav.physics.atlas import NOWHERE
 from bulletuav.physics.dynamics import Dynamics, Flight
 from bulletuav.physics.ladder import LADDER
 from bulletuav.physics.solids import Solids
-from bulletuav.physics.swarm import Contacts, Motion, Swarm
+from bulletuav.physics.swarm import Contacts, Motion, Swarm, confine
 from bulletuav.physics.wind import Wind
 from bulletuav.physics.world import World
 from bulletuav.sensors.sight import line_of_sight
@@ -226,7 +226,9 @@ class Aviary:
         if motion.moving:
             self._world.set_obstacles(self.scene.obstacle, self.scene.obstacle_quaternion, flying)
         if self.task.rebound is not None:
-            self._confine(flown, self.task.rebound)
+            moved = confine(self.swarm, self.commanded, flown, self.task.arena_low, self.task.arena_high, self.task.rebound)
+            if moved.any():
+                self._dynamics.place(self.swarm, moved)
         self.steps += flying
         if self._uncertainty is not None:
             self._uncertainty.sense(self.swarm, flown, self.rng)
@@ -234,18 +236,6 @@ class Aviary:
         self._energy.spend(before, after, wind, self.task.payload_power(self.scene), flown)
         self._senses.take(before, after, self.scene, flown, self.steps, self.rng)
         return self._make_frame(before, after, action, contacts, flown, goal_before)
-
-    def _confine(self, flown: np.ndarray, rebound: float) -> None:
-        """Put drones that left the arena back to its bounds, with `rebound` of the speed across them, reversed."""
-        swarm = self.swarm
-        inside = np.clip(swarm.position, self.task.arena_low, self.task.arena_high)
-        over = (inside != swarm.position) & flown[..., None]
-        if over.any():
-            for velocity in (swarm.velocity, self.commanded):
-                away = velocity * (swarm.position - inside) > 0
-                np.copyto(velocity, -rebound * velocity, where=over & away)
-            np.copyto(swarm.position, inside, where=over)
-            self._dynamics.place(swarm, over.any(axis=-1))
 
     def _move_scene(self, flying: np.ndarray) -> Motion:
         """Let the task move goals and obstacles of the worlds that fly; tells where obstacles go meanwhile."""

@@ -31,9 +31,7 @@ class Energy:
         self._battery.start(k)
         self.power[k] = 0
 
-    def spend(
-        self, before: Swarm, after: Swarm, wind: np.ndarray, payload: np.ndarray | float, flown: np.ndarray
-    ) -> None:
+    def spend(self, before: Swarm, after: Swarm, wind: np.ndarray, payload: np.ndarray | float, flown: np.ndarray) -> None:
         """Take from the drones of `flown` (W, N) what a decision from `before` to `after` in `wind` (W, N, 3) m/s cost.
 
         `payload`: what their equipment takes beside flight, W.

@@ -4,6 +4,7 @@ Unlike the formulas of `queueing`, this needs neither a steady state nor exponen
 decision began, and a decision takes `dt` s.
 """
 
+import itertools
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -51,39 +52,42 @@ class Served(NamedTuple):
     cycles: np.ndarray
 
 
-def draw_tasks(
-    rng: Sequence[np.random.Generator | None],
-    flying: np.ndarray,
-    rates: np.ndarray,
-    dt: float,
-    bits: tuple[float, float],
-) -> Tasks:
-    """Poisson arrivals of one decision of `dt` s, with sizes uniform between the two numbers of `bits`.
+class Arrivals:
+    """Poisson arrivals of tasks, decision by decision, with sizes uniform between two numbers.
 
-    Users generate `rates` tasks/s, (W, U) or (U,) for all worlds. Worlds of `flying` (W,) draw, each from its own generator;
-    the others have no tasks. The users' processes are merged: a task is a user's with the chance of its share of the rate.
-    Raises ValueError unless rates are at least 0, and dt and sizes above 0 in ascending order.
+    The users' processes are merged: a task is a user's with the chance of its share of the rate.
     """
-    worlds, rates = len(flying), numbers_of("rates are", rates)
-    low, high = (finite("bits", value) for value in several("bits", bits, 2))
-    if not 0 < low <= high:
-        raise ValueError(f"bits are {bits!r}: (low, high) above 0 in ascending order are needed")
-    if not finite("dt", dt) > 0:
-        raise ValueError(f"dt is {dt!r}: seconds above 0 are needed")
-    if rates.ndim == 0 or rates.size == 0 or rates.shape[:-1] not in ((), (worlds,)):
-        raise ValueError(f"rates have shape {rates.shape}: (users,) or ({worlds}, users) is needed")
-    if not (np.isfinite(rates) & (rates >= 0)).all():
-        raise ValueError(f"rates are {rates!r}: finite numbers of tasks per second, at least 0, are needed")
-    cumulative = np.cumsum(np.broadcast_to(rates, (worlds, rates.shape[-1])), axis=1)
-    mean, counts, uniform = (cumulative[:, -1] * dt).tolist(), [0] * (worlds + 1), [np.empty(0)]
-    for w in np.flatnonzero(flying).tolist():
-        generator = rng[w]
-        assert generator is not None  # a world that flies was reset
-        counts[w + 1] = count = generator.poisson(mean[w])
-        if count:
-            uniform.append(generator.random(3 * count + 1))
-    first = np.cumsum(counts)
-    return Tasks(first, *_spread(first, np.concatenate(uniform), cumulative, dt, low, high))
+
+    def __init__(self, rates: np.ndarray, dt: float, bits: tuple[float, float]):
+        """Users generate `rates` (U,) tasks/s; decisions take `dt` s; `bits` are the least and the greatest size.
+
+        Raises ValueError unless rates are at least 0, and dt and sizes above 0 in ascending order.
+        """
+        rates = numbers_of("rates are", rates)
+        low, high = (finite("bits", value) for value in several("bits", bits, 2))
+        if not 0 < low <= high:
+            raise ValueError(f"bits are {bits!r}: (low, high) above 0 in ascending order are needed")
+        if not finite("dt", dt) > 0:
+            raise ValueError(f"dt is {dt!r}: seconds above 0 are needed")
+        if rates.ndim != 1 or not rates.size:
+            raise ValueError(f"rates have shape {rates.shape}: (users,) is needed")
+        if not (np.isfinite(rates) & (rates >= 0)).all():
+            raise ValueError(f"rates are {rates!r}: finite numbers of tasks per second, at least 0, are needed")
+        self._cumulative, self._decision = np.cumsum(rates), (float(dt), low, high)
+        self._mean = float(self._cumulative[-1] * dt)
+
+    def draw(self, rng: Sequence[np.random.Generator | None], flying: np.ndarray) -> Tasks:
+        """Those of one decision: worlds of `flying` (W,) draw, each from its own of W generators; the others have none."""
+        counts, uniform = [0] * (len(flying) + 1), []
+        for w in flying.nonzero()[0].tolist():
+            generator = rng[w]
+            assert generator is not None  # a world that flies was reset
+            counts[w + 1] = count = generator.poisson(self._mean)
+            if count:
+                uniform.append(generator.random(3 * count + 1))
+        first = np.array(list(itertools.accumulate(counts)))
+        drawn = np.concatenate(uniform) if uniform else np.empty(0)
+        return Tasks(first, *_spread(first, drawn, self._cumulative, *self._decision))
 
 
 @kernel
@@ -103,8 +107,8 @@ def _spread(first, uniform, cumulative, dt, low, high):
         for i in range(count):
             passed -= math.log1p(-uniform[at + i])
             time[begin + i] = passed
-            share = uniform[at + count + i] * cumulative[w, -1]
-            user[begin + i] = np.searchsorted(cumulative[w], share, side="right")
+            share = uniform[at + count + i] * cumulative[-1]
+            user[begin + i] = np.searchsorted(cumulative, share, side="right")
             bits[begin + i] = low + (high - low) * uniform[at + 2 * count + i]
         at += 3 * count + 1
         passed -= math.log1p(-uniform[at - 1])

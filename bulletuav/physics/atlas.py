@@ -21,6 +21,7 @@ class Atlas(NamedTuple):
     low, high  (T, 3) corners of the bounding boxes of all pieces of all layouts, m
     first      (L, cells^2 + 1): the pieces in cell c of layout l are item[first[l, c] : first[l, c + 1]], indices into low
     boxes      (L,) bool: layouts of boxes alone
+    levels     (L, 2) m, between which all pieces are, with a metre to spare
     reach      m, the grid covers [-reach, reach]^2 in cells x cells squares
     """
 
@@ -30,6 +31,7 @@ class Atlas(NamedTuple):
     first: np.ndarray
     item: np.ndarray
     boxes: np.ndarray
+    levels: np.ndarray
     reach: float
     cells: int
 
@@ -46,6 +48,7 @@ def make_atlas(layouts: Sequence[Solids], num_worlds: int) -> Atlas:
         np.zeros((len(layouts), count**2 + 1), dtype=np.int64),
         np.zeros(0, dtype=np.int64),
         np.array([not solids.hulls for solids in layouts], dtype=bool),
+        np.array([_levels(solids) for solids in layouts]).reshape(-1, 2),
         reach,
         count,
     )
@@ -62,6 +65,10 @@ def make_atlas(layouts: Sequence[Solids], num_worlds: int) -> Atlas:
         first[:] = len(items) + np.cumsum([0] + [len(cell) for cell in cells])
         items += [p for cell in cells for p in cell]
     return atlas._replace(item=np.array(items, dtype=np.int64))
+
+
+def _levels(solids: Solids) -> tuple[float, float]:
+    return solids.bounds[:, 0, 2].min(initial=0.0) - 1.0, solids.bounds[:, 1, 2].max(initial=0.0) + 1.0
 
 
 @formula

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.kernel import formula
+from bulletuav.kernel import formula, kernel
 from bulletuav.physics.rotation import four, three
 
 
@@ -55,6 +55,34 @@ def put(swarm, w, i, state):
         swarm.position[w, i, k], swarm.velocity[w, i, k], swarm.rates[w, i, k] = position[k], velocity[k], rates[k]
     for k in range(4):
         swarm.quaternion[w, i, k] = quaternion[k]
+
+
+@formula
+def _turned(velocity, beyond, rebound):
+    return -rebound * velocity if velocity * beyond > 0.0 else velocity
+
+
+@kernel
+def confine(swarm, commanded, flown, low, high, rebound):
+    """Put drones of `flown` (W, N) outside a box (3,), m, back to its sides; (W, N) bool: which.
+
+    Across a side that they left their velocity, and that `commanded` (W, N, 3), turns back, to the share `rebound`.
+    """
+    moved = np.zeros(flown.shape, dtype=np.bool_)
+    for w in range(flown.shape[0]):
+        for i in range(flown.shape[1]):
+            if not flown[w, i]:
+                continue
+            for k in range(3):
+                place = swarm.position[w, i, k]
+                inside = min(max(place, low[k]), high[k])
+                if inside == place:
+                    continue
+                moved[w, i] = True
+                swarm.velocity[w, i, k] = _turned(swarm.velocity[w, i, k], place - inside, rebound)
+                commanded[w, i, k] = _turned(commanded[w, i, k], place - inside, rebound)
+                swarm.position[w, i, k] = inside
+    return moved
 
 
 class Motion(NamedTuple):

@@ -37,7 +37,8 @@ def _next_line(start, change, cell, step, atlas):
 @formula
 def _buildings(atlas, layout, start, change):
     """Share at which a ray meets the first box of a layout, 1 if none."""
-    least, last = 0.0, 1.0  # between them it is over the grid
+    least, last = slab(start[2], change[2], atlas.levels[layout, 0], atlas.levels[layout, 1])
+    least, last = max(least, 0.0), min(last, 1.0)  # between them it is over the grid, and no higher than roofs
     for k in range(2):
         one, two = slab(start[k], change[k], -atlas.reach, atlas.reach)
         least, last = max(least, one), min(last, two)

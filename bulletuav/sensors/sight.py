@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from bulletuav.kernel import kernel
 from bulletuav.physics.swarm import CITY, FIRST_OBSTACLE, GROUND
 from bulletuav.physics.world import World
 
@@ -15,14 +16,33 @@ def line_of_sight(world: World, start: np.ndarray, end: np.ndarray, where: np.nd
     return world.cast_rays(np.where(rises, end, start), np.where(rises, start, end), where) >= 1
 
 
+@kernel
+def _links(position, targets, mask, start, end, where):
+    """Rays from the drones of `mask` (W, N) to `targets` (W, U, 3), ordered as in `line_of_sight`."""
+    m = 0
+    for w in range(mask.shape[0]):
+        for i in range(mask.shape[1]):
+            if not mask[w, i]:
+                continue
+            for j in range(targets.shape[1]):
+                order = 0.0
+                for k, weight in ((0, 3.0), (1, 1.0), (2, 9.0)):
+                    order += weight * np.sign(targets[w, j, k] - position[w, i, k])
+                for k in range(3):
+                    start[m, k] = targets[w, j, k] if order > 0.0 else position[w, i, k]
+                    end[m, k] = position[w, i, k] if order > 0.0 else targets[w, j, k]
+                where[m] = w
+                m += 1
+
+
 def sights(world: World, position: np.ndarray, targets: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """(W, N, U) bool: which of `targets` (W, U, 3) the drones of `mask` (W, N) at `position` (W, N, 3) see; others none."""
     count = targets.shape[1]
-    who = np.argwhere(mask)
-    start = np.repeat(position[mask], count, axis=0)
-    end = targets[who[:, 0]].reshape(-1, 3)
+    rays = np.count_nonzero(mask) * count
+    start, end, where = np.empty((rays, 3)), np.empty((rays, 3)), np.empty(rays, dtype=np.int64)
+    _links(position, targets, mask, start, end, where)
     seen = np.zeros((*mask.shape, count), dtype=bool)
-    seen[mask] = line_of_sight(world, start, end, np.repeat(who[:, 0], count)).reshape(-1, count)
+    seen[mask] = (world.cast_rays(start, end, where) >= 1).reshape(-1, count)
     return seen
 
 

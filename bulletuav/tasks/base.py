@@ -18,7 +18,7 @@ from bulletuav.physics.solids import Solids
 from bulletuav.physics.swarm import Contacts, Swarm
 from bulletuav.sensors.lidar import Beam
 from bulletuav.tasks.terms.conflict import Conflict, conflict
-from bulletuav.tasks.terms.sensed import share_of
+from bulletuav.tasks.terms.sensed import served_share
 
 NOTHING = np.zeros((0, 3))
 REBOUND = {"soft": 0.8, "hard": 0.0}
@@ -259,8 +259,7 @@ class Task(ABC):
 
     def served(self, frame: Frame) -> np.ndarray:
         """(W, N) share of the targets that some living drone sees, the same for all."""
-        seen = (frame.readings["sight"] & frame.alive[..., None]).any(axis=1)
-        return np.broadcast_to(share_of(seen, self.counted(frame.scene))[:, None], frame.alive.shape)
+        return served_share(frame.readings["sight"], frame.alive, self.counted(frame.scene))
 
     def outside(self, frame: Frame) -> np.ndarray:
         """(W, N) bool: outside the arena after the decision, or held back at its bounds."""

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
-from bulletuav import load_airframe
+from bulletuav import Aviary, load_airframe
 from bulletuav.physics.airframe import parameter_rows
 from bulletuav.physics.power import (
     ROTARY_WING,
@@ -237,3 +237,31 @@ def test_rotors_that_speed_up_take_the_mean_of_both_ends():
     before = np.array([[[1000.0, 0.0, 0.0, 0.0], [0.0] * 4]])
     after = np.array([[[1000.0, 1000.0, 0.0, 0.0], [2000.0] * 4]])
     np.testing.assert_allclose(actuator_power(before, after, rows), [[2 * (1 + 2) / 2, 4 * 8 / 2]], rtol=1e-12)
+
+
+def test_at_ten_metres_a_second_the_formula_gains_by_inflow_and_the_rotors_hardly():
+    """docs/service.md tells why: the simulated rotors' torque knows nothing of the air that comes from ahead."""
+    power = {}
+    for energy in ("zeng", "actuator"):
+        aviary = Aviary(
+            "hover",
+            dynamics="rigid_body",
+            airframe="hummingbird",
+            action="velocity",
+            energy=energy,
+            max_speed=10.0,
+            max_distance=500.0,
+            horizon=1000,
+            num_drones=1,
+        )
+        aviary.reset(seeds=0)
+        for speed in (0.0, 1.0):
+            for _ in range(8 * aviary.options.decision_hz):
+                step = aviary.step(np.array([[[speed, 0.0, 0.0]]]))
+            assert aviary.swarm.velocity[0, 0, 0] == pytest.approx(10 * speed, abs=0.02)
+            power[energy, speed] = step.info["power"][0, 0]
+        aviary.close()
+    assert power["actuator", 0.0] == pytest.approx(0.716 * 9.80665 * 0.016 * 453.1478, rel=1e-3)  # 50.9 W
+    assert power["zeng", 0.0] == pytest.approx(37.96, abs=0.01)
+    assert power["zeng", 1.0] == pytest.approx(20.73, abs=0.03)
+    assert 0.95 < power["actuator", 1.0] / power["actuator", 0.0] < 1.0

@@ -94,7 +94,7 @@ def test_normalised_observations_are_the_raw_ones_scaled_from_their_bounds(task)
     np.testing.assert_allclose(rows[True], 2 * (rows[False] - low) / (high - low) - 1, atol=1e-6)
 
 
-SHOWS = {"sojourn": "sojourn", "server": "queue", "link_rates": "link_rate"}  # what some tasks alone remember
+SHOWS = {"sojourn": "sojourn", "server": "queue", "link_rates": "received"}  # what some tasks alone remember
 
 
 def test_every_block_can_be_asked_for_in_every_task_that_has_what_it_shows():

@@ -2,15 +2,15 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
+from bulletuav.kernel import kernel
 from bulletuav.network.access import NOBODY
 from bulletuav.network.assignment import STRATEGIES, assign
-from bulletuav.network.link import capacity
 from bulletuav.network.queueing import core_power, mean_response, mean_wait, service_rate
-from bulletuav.network.server import Served, Tasks, draw_tasks, serve
+from bulletuav.network.server import Arrivals, Served, Tasks, serve
 from bulletuav.network.uplink import RadioConfig, Uplink
 from bulletuav.tasks.base import Frame, Scene, Setting, Verdict
 from bulletuav.tasks.terms.users import UsersConfig, UsersTask, sojourn_bonus
@@ -65,12 +65,15 @@ class EdgeTask(UsersTask):
         low, high = config.task_bits
         if not 0 < low <= high:
             raise ValueError(f"task_bits is {config.task_bits}: from low to high, above 0, is needed")
+        rates = np.full(config.num_users, config.arrival_rate)
+        self._arrivals = Arrivals(rates, setting.period, config.task_bits)
         for name in ("cycles_per_bit", "deadline", "core_frequency", "power_scale"):
             if getattr(config, name) <= 0:
                 raise ValueError(f"{name} is {getattr(config, name):g}: it must be above 0")
         self.uplink = Uplink(config)
         self._demand = (low + high) / 2 * config.cycles_per_bit
         self._activity = min(config.arrival_rate * config.deadline, 1.0)  # uploads end at the deadline: a user sends no more
+        self._compute_power = config.num_cores * float(core_power(config.capacitance, config.core_frequency))
         self._capacity = config.num_cores * config.core_frequency
         self._service_rate = float(service_rate(config.core_frequency, (low + high) / 2, config.cycles_per_bit))
 
@@ -78,24 +81,23 @@ class EdgeTask(UsersTask):
         """Beside that of users what drones did in the last decision, and the world in this episode.
 
         `utilisation` of the cores; `queue`, tasks (of mean size) that wait or are computed; `latency`, s, mean of the tasks
-        of the drone's users; `completed` tasks and `completed_share`; `link_rate`, bit/s, that each user would reach to the
-        drone alone; `link_free` and `core_free`, s from now. Tasks `generated` and `finished`, and the `delay` of all, s.
+        of the drone's users; `completed` tasks and `completed_share`; power `received` from each user, W; `link_free` and
+        `core_free`, s from now. Tasks `generated` and `finished`, the `delay` of all, s, and, the same for all drones, the
+        `share` of tasks completed and the `mean_latency`, see `info`.
         """
         drones, users = self.setting.num_drones, self.config.num_users
-        of_drones = ("utilisation", "queue", "latency", "completed", "completed_share")
+        totals = ("generated", "finished", "delay")
         return {
             **super().memory(),
-            **dict.fromkeys(of_drones, (drones,)),
-            "link_rate": (drones, users),
+            **{name: () if name in totals else (drones,) for name in Books._fields},
+            "received": (drones, users),
             "link_free": (users,),
             "core_free": (drones, self.config.num_cores),
-            **dict.fromkeys(("generated", "finished", "delay"), ()),
         }
 
     def payload_power(self, scene: Scene) -> np.ndarray:
         """Of the cores that were busy in the last decision."""
-        config = self.config
-        return scene.memory["utilisation"] * (config.num_cores * core_power(config.capacitance, config.core_frequency))
+        return scene.memory["utilisation"] * self._compute_power
 
     def remember(self, frame: Frame, rng: Sequence[np.random.Generator | None]) -> None:
         """Rates, tasks of the decision, and what became of them."""
@@ -106,14 +108,16 @@ class EdgeTask(UsersTask):
         load, strategy = memory["utilisation"] * self._capacity, STRATEGIES[config.assignment]
         servers = assign(strategy, after.position, frame.alive, users, power, self._capacity, self._demand, load)
         rates = self.uplink.rates(power, servers, self._activity)
-        tasks = draw_tasks(rng, flying, np.full(users.shape[:2], config.arrival_rate), period, config.task_bits)
+        tasks = self._arrivals.draw(rng, flying)
         if config.queue == "simulated":
             work = (config.cycles_per_bit, config.core_frequency, config.deadline, period)
             served = serve(tasks, servers, rates, *work, memory["link_free"], memory["core_free"])
         else:
             served = self._erlang(tasks, servers, rates)
-        memory["link_rate"][:] = capacity(config.bandwidth, power / self.uplink.noise)
-        self._count(memory, served)
+        memory["received"][:] = power
+        left = config.arrival_rate * config.num_users * np.maximum(self.setting.duration - frame.time, 0.0)
+        counted = Books(*(memory[name] for name in Books._fields))
+        count(served, counted, left, config.deadline, config.num_cores * period, config.num_cores * self._service_rate)
 
     def _erlang(self, tasks: Tasks, servers: np.ndarray, rates: np.ndarray) -> Served:
         """`Served` with the mean response of an M/M/c queue for every task: the load is what the users offer on average."""
@@ -141,35 +145,13 @@ class EdgeTask(UsersTask):
             total(done * bits) * config.cycles_per_bit,
         )
 
-    def _count(self, memory: Mapping[str, np.ndarray], served: Served) -> None:
-        config = self.config
-        most = np.maximum(served.arrived, 1)
-        memory["utilisation"][:] = served.busy / (config.num_cores * self.setting.period)
-        memory["queue"][:] = served.backlog * config.num_cores * self._service_rate
-        memory["latency"][:], memory["completed"][:] = served.latency / most, served.completed
-        memory["completed_share"][:] = served.completed / most
-        memory["generated"] += served.generated
-        memory["finished"] += served.completed.sum(axis=1)
-        unassigned = served.generated - served.arrived.sum(axis=1)
-        memory["delay"] += served.latency.sum(axis=1) + config.deadline * unassigned
-
     def info(self, frame: Frame) -> dict[str, np.ndarray]:
         """Beside `served`: `completed`, share of the tasks of the episode, and `latency`, s, so far; the same for all.
 
         Tasks that are yet to come, as many as in the mean, are not completed: so ending early does not raise the share.
         """
-        return {**super().info(frame), "completed": self._completed(frame), "latency": self._latency(frame)}
-
-    def _completed(self, frame: Frame) -> np.ndarray:
-        memory, config = frame.scene.memory, self.config
-        left = config.arrival_rate * config.num_users * np.maximum(self.setting.duration - frame.time, 0.0)
-        share = memory["finished"] / np.maximum(memory["generated"] + left, 1)
-        return np.broadcast_to(share[:, None], frame.alive.shape)
-
-    def _latency(self, frame: Frame) -> np.ndarray:
         memory = frame.scene.memory
-        mean = memory["delay"] / np.maximum(memory["generated"], 1)
-        return np.broadcast_to(mean[:, None], frame.alive.shape)
+        return {**super().info(frame), "completed": memory["share"].copy(), "latency": memory["mean_latency"].copy()}
 
     def judge(self, frame: Frame) -> Verdict:
         """What was computed, and ends by contact or outside the airspace."""
@@ -181,4 +163,41 @@ class EdgeTask(UsersTask):
             "energy": frame.readings["power"] / config.power_scale,
             "sojourn": sojourn_bonus(frame),
         }
-        return Verdict(terms, ended, self._completed(frame) >= config.wanted)
+        return Verdict(terms, ended, memory["share"] >= config.wanted)
+
+
+class Books(NamedTuple):
+    """What `count` keeps in a task's memory, (W, N); of the whole world, (W,): generated, finished, delay."""
+
+    utilisation: np.ndarray
+    queue: np.ndarray
+    latency: np.ndarray
+    completed: np.ndarray
+    completed_share: np.ndarray
+    share: np.ndarray
+    mean_latency: np.ndarray
+    generated: np.ndarray
+    finished: np.ndarray
+    delay: np.ndarray
+
+
+@kernel
+def count(served, books, left, deadline, core_seconds, service_rate):
+    """Enter a decision into the books; `left` (W,) tasks are yet to come, drones have `core_seconds` and complete 1/s."""
+    worlds, drones = served.busy.shape
+    for w in range(worlds):
+        books.generated[w] += served.generated[w]
+        unassigned = served.generated[w]
+        for i in range(drones):
+            arrived = max(served.arrived[w, i], 1)
+            books.utilisation[w, i] = served.busy[w, i] / core_seconds
+            books.queue[w, i] = served.backlog[w, i] * service_rate
+            books.latency[w, i] = served.latency[w, i] / arrived
+            books.completed[w, i] = served.completed[w, i]
+            books.completed_share[w, i] = served.completed[w, i] / arrived
+            books.finished[w] += served.completed[w, i]
+            books.delay[w] += served.latency[w, i]
+            unassigned -= served.arrived[w, i]
+        books.delay[w] += deadline * unassigned
+        books.share[w] = books.finished[w] / max(books.generated[w] + left[w], 1.0)
+        books.mean_latency[w] = books.delay[w] / max(books.generated[w], 1.0)

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bulletuav.kernel import kernel
 from bulletuav.physics.view import DRONE, FAR, SKY
 from bulletuav.tasks.terms.blocks import MAX_RATE, Block, Label, vector_labels
 
@@ -68,6 +69,23 @@ def seen_share(task: "Task") -> Block:
 def share_of(seen: np.ndarray, counted: np.ndarray) -> np.ndarray:
     """(...,) share of those that count which are seen, (..., U) bool both, exactly 1 for all; 0 where none counts."""
     return (seen & counted).sum(axis=-1) / np.maximum(counted.sum(axis=-1), 1)
+
+
+@kernel
+def served_share(sight, alive, counted):
+    """(W, N) share of the targets that count (W, U) which any living drone (W, N) sees, by `sight` (W, N, U)."""
+    share = np.zeros(alive.shape)
+    for w in range(alive.shape[0]):
+        seen, most = 0, 0
+        for j in range(counted.shape[1]):
+            if counted[w, j]:
+                most += 1
+                for i in range(alive.shape[1]):
+                    if alive[w, i] and sight[w, i, j]:
+                        seen += 1
+                        break
+        share[w] = seen / max(most, 1)
+    return share
 
 
 def _reading(name: str) -> Callable[["Frame", np.ndarray], np.ndarray]:

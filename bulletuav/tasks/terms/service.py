@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bulletuav.network.link import capacity
 from bulletuav.tasks.terms.blocks import Block, Label
 
 if TYPE_CHECKING:
@@ -64,7 +65,7 @@ def sojourn(task: "Task") -> Block:
     """For how long the drone has seen targets without a break, mean of all."""
     _require(task, "sojourn", ["sojourn"])
     label = Label("sojourn", "s", 0.0, task.setting.duration)
-    return Block((label,), lambda frame, present: frame.scene.memory["sojourn"].mean(axis=-1)[..., None])
+    return Block((label,), lambda frame, present: frame.scene.memory["mean_sojourn"][..., None])
 
 
 def server(task: "Task") -> Block:
@@ -82,9 +83,10 @@ def server(task: "Task") -> Block:
 
 def link_rates(task: "Task") -> Block:
     """Rate that each user would reach to the drone if it had it for itself."""
-    _require(task, "link_rates", ["link_rate"])
+    _require(task, "link_rates", ["received"])
+    band, noise = task.config.bandwidth, task.uplink.noise  # type: ignore[attr-defined]
     labels = tuple(Label(f"rate of user {j}", "Mbit/s", 0.0, MAX_RATE) for j in range(1, task.num_targets + 1))
-    return Block(labels, lambda frame, present: frame.scene.memory["link_rate"] / 1e6)
+    return Block(labels, lambda frame, present: capacity(band, frame.scene.memory["received"] / noise) / 1e6)
 
 
 def _require(task: "Task", block: str, names: Sequence[str]) -> None:

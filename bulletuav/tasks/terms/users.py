@@ -6,6 +6,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
+from bulletuav.kernel import kernel
 from bulletuav.network.mobility import find_mobility
 from bulletuav.network.mobility.ground import Ground
 from bulletuav.tasks.base import REBOUND, Frame, Scene, Setting, Spawn, whose
@@ -56,9 +57,9 @@ class UsersTask(UrbanTask):
         self.mobility.require(self.ground)
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
-        """`users`, where they are, m, what their way of walking remembers, and `sojourn`: since when drones see them, s."""
-        count = self.config.num_users
-        return {**self.mobility.state(count), "sojourn": (self.setting.num_drones, count)}
+        """`users`, where they are, m, and what their walk keeps; `sojourn`, how long drones see them, s, and its mean."""
+        count, drones = self.config.num_users, self.setting.num_drones
+        return {**self.mobility.state(count), "sojourn": (drones, count), "mean_sojourn": (drones,)}
 
     def targets(self, scene: Scene) -> np.ndarray:
         """The users."""
@@ -77,9 +78,8 @@ class UsersTask(UrbanTask):
 
     def remember(self, frame: Frame, rng: Sequence[np.random.Generator | None]) -> None:
         """For how long each living drone has seen each user without a break."""
-        sojourn = frame.scene.memory["sojourn"]
-        seen = frame.readings["sight"] & frame.alive[..., None]
-        sojourn[:] = np.where(seen, sojourn + self.setting.period, 0.0)
+        memory = frame.scene.memory
+        watch(memory["sojourn"], memory["mean_sojourn"], frame.readings["sight"], frame.alive, self.setting.period)
 
     def ends(self, frame: Frame) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """(W, N) bool, whose episode ends in contact or outside the airspace, and the terms that say so."""
@@ -89,11 +89,18 @@ class UsersTask(UrbanTask):
         return ended, {"collision": frame.collision.astype(float), "out_of_bounds": outside.astype(float)}
 
 
-def mean_sojourn(frame: Frame) -> np.ndarray:
-    """(W, N) for how long the drone has seen users without a break, s, mean of all users."""
-    return frame.scene.memory["sojourn"].mean(axis=-1)
+@kernel
+def watch(sojourn, mean, sight, alive, period):
+    """Bring `sojourn` (W, N, U) s and its `mean` (W, N) up to date after `period` s of `sight` by living drones (W, N)."""
+    for w in range(sight.shape[0]):
+        for i in range(sight.shape[1]):
+            total = 0.0
+            for j in range(sight.shape[2]):
+                sojourn[w, i, j] = sojourn[w, i, j] + period if alive[w, i] and sight[w, i, j] else 0.0
+                total += sojourn[w, i, j]
+            mean[w, i] = total / sight.shape[2]
 
 
 def sojourn_bonus(frame: Frame) -> np.ndarray:
-    """(W, N) tanh(0.1 s) of the mean sojourn: from 0 to 1."""
-    return np.tanh(SOJOURN_SCALE * mean_sojourn(frame))
+    """(W, N) tanh(0.1 s) of the mean seconds s for which the drone has seen users without a break: from 0 to 1."""
+    return np.tanh(SOJOURN_SCALE * frame.scene.memory["mean_sojourn"])
