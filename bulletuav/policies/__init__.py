@@ -8,6 +8,7 @@ from bulletuav.envs.aviary import Aviary
 from bulletuav.errors import pick
 from bulletuav.policies.base import Policy
 from bulletuav.policies.orca import Orca
+from bulletuav.policies.placement import Centroid, Hotspot, KMeans, Oracle
 from bulletuav.policies.planner import Planner
 from bulletuav.policies.potential import PotentialField
 from bulletuav.policies.random import RandomActions
@@ -15,7 +16,8 @@ from bulletuav.policies.straight import StraightLine
 from bulletuav.policies.trained import ALGORITHMS, Trained
 
 POLICIES: dict[str, type[Policy]] = {
-    policy.name: policy for policy in (StraightLine, PotentialField, Orca, Planner, RandomActions)
+    policy.name: policy
+    for policy in (StraightLine, PotentialField, Orca, Planner, RandomActions, Centroid, Hotspot, KMeans, Oracle)
 }
 PolicySource = str | type[Policy]
 

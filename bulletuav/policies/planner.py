@@ -1,6 +1,7 @@
-"""Policy `planner`: knows the city, finds a way through it before it starts, and flies along it."""
+"""Flight along ways through a known city, found before it starts; policy `planner` flies so to the goals."""
 
 import math
+from abc import abstractmethod
 from typing import NamedTuple
 
 import numpy as np
@@ -34,15 +35,13 @@ class Limits(NamedTuple):
     half_width: float
 
 
-class Planner(Policy):
+class PathFollower(Policy):
     """Along the shortest way between the buildings that stand at the start, found by A*; straight where there is none.
 
-    Goals are taken to stand still, and obstacles that are no part of the city are not seen. Living drones push each other
-    off as in policy `potential`, but no harder than the correction towards the way pulls back at HALF_WIDTH from it: that
-    avoids buildings before drones.
+    Obstacles that are no part of the city are not seen. Living drones push each other off as in policy `potential`, but no
+    harder than the correction towards the way pulls back at HALF_WIDTH from it: that avoids buildings before drones.
     """
 
-    name = "planner"
     actions = ("velocity", "velocity_increment")
     reads_swarm = True
 
@@ -59,14 +58,18 @@ class Planner(Policy):
 
     def act(self, observations: Observation, swarm: Swarm) -> np.ndarray:
         """The velocities of `follow` and the push, together limited to max_speed; plans for drones that have no way yet."""
-        aviary, speed = self.aviary, float(self.aviary.options.max_speed)
+        aviary, speed, goal = self.aviary, float(self.aviary.options.max_speed), self.goals(swarm)
         for w, i in np.argwhere(aviary.alive & (self._count == 0)).tolist():
-            self._keep(w, i, self._plan(w, swarm.position[w, i], aviary.scene.goal[w, i]))
+            self._keep(w, i, self._plan(w, swarm.position[w, i], goal[w, i]))
         limits = Limits(speed, ACCELERATION, DELAY, HALF_WIDTH)
         wanted, self._next = follow(swarm.position, swarm.velocity, self._way, self._count, self._next, limits)
         field = make_field(aviary, surfaces=0.0)
         push = repulsion(swarm.position, aviary.alive, np.zeros((len(aviary.alive), 0, 3)), np.zeros(0), field)
         return self.encoded(limit_norm(wanted + limit_norm(push, APPROACH * HALF_WIDTH), speed))
+
+    @abstractmethod
+    def goals(self, swarm: Swarm) -> np.ndarray:
+        """(W, N, 3) where drones are to fly, m; for those that are to leave their way it sets `_count` to 0."""
 
     def _plan(self, w: int, start: np.ndarray, goal: np.ndarray) -> np.ndarray:
         """Waypoints (K, 3), m."""
@@ -86,6 +89,16 @@ class Planner(Policy):
         if more > 0:
             self._way = np.pad(self._way, ((0, 0), (0, 0), (0, more), (0, 0)))
         self._way[w, i, : len(way)], self._count[w, i], self._next[w, i] = way, len(way), 1
+
+
+class Planner(PathFollower):
+    """To the goals, which are taken to stand still."""
+
+    name = "planner"
+
+    def goals(self, swarm: Swarm) -> np.ndarray:
+        """The task's."""
+        return self.aviary.scene.goal
 
 
 @kernel

@@ -54,6 +54,8 @@ def plan(grid: Voxels, start: np.ndarray, goal: np.ndarray) -> np.ndarray:
 
     A start or goal that is not in a free cell is joined to the centre of the nearest one by a straight leg.
     """
+    if is_clear(grid, start, goal):
+        return np.stack([start, goal])
     if grid.occupied.all():
         return np.zeros((0, 3))
     cells = shortest_path(grid.occupied, nearest_free(grid, start), nearest_free(grid, goal))
