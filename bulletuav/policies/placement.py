@@ -106,7 +106,8 @@ class Hotspot(Placement):
         """As many hotspots as drones."""
         points = targets[:, :2]
         distance = cdist(points, points)
-        hotspots = greedy_coverage(distance <= HOTSPOT, distance, points, len(position), self.apart)
+        near = (distance <= HOTSPOT).astype(float)
+        hotspots = greedy_coverage(near, distance, points, len(position), self.apart)
         return nearest_left(points[hotspots], position)
 
 
@@ -123,18 +124,21 @@ class KMeans(Placement):
 
 
 class Oracle(Placement):
-    """Where most is seen: knows what is in sight from places all over the city, at the height of the lowest drone."""
+    """Where it is worth most: knows what the task's targets are worth (`Task.worth`) from places all over the city.
+
+    That is what is in sight, and in tasks with a radio link how well it serves, at the height of the lowest drone.
+    """
 
     name = "oracle"
 
     def places(self, w: int, targets: np.ndarray, position: np.ndarray, before: np.ndarray | None) -> np.ndarray:
-        """Taken greedily at first; from then on a drone goes elsewhere only to see more that no other drone sees."""
+        """Taken greedily at first; from then on a drone goes elsewhere only to serve what no other drone serves so well."""
         count, grid = len(position), self._grid_places(w)
         tried = np.concatenate([position if before is None else before, grid])
-        sees = self._sees(w, tried, targets)
+        worth = self._worth(w, tried, targets)
         if before is not None:
-            return tried[best_responses(sees, tried, np.arange(count), self.apart)]
-        return matched(tried[greedy_coverage(sees, cdist(tried, targets[:, :2]), tried, count, self.apart)], position)
+            return tried[best_responses(worth, tried, np.arange(count), self.apart)]
+        return matched(tried[greedy_coverage(worth, cdist(tried, targets[:, :2]), tried, count, self.apart)], position)
 
     def _grid_places(self, w: int) -> np.ndarray:
         """(C, 2) middles of free cells, m."""
@@ -144,8 +148,8 @@ class Oracle(Placement):
         cells = np.argwhere(free)
         return grid.origin[:2] + grid.size * (cells[(cells % step == step // 2).all(axis=1)] + 0.5)
 
-    def _sees(self, w: int, places: np.ndarray, targets: np.ndarray) -> np.ndarray:
-        """(C, M) bool: which targets (M, 3) are in sight from places (C, 2)."""
+    def _worth(self, w: int, places: np.ndarray, targets: np.ndarray) -> np.ndarray:
+        """(C, M) what targets (M, 3) are worth to a drone at places (C, 2), from 0 to 1."""
         start = np.insert(places, 2, self.height.min(), axis=1)
         seen = self.aviary.line_of_sight(np.repeat(start, len(targets), axis=0), np.tile(targets, (len(places), 1)), w)
-        return seen.reshape(len(places), len(targets))
+        return self.aviary.task.worth(start, targets, seen.reshape(len(places), len(targets)))

@@ -47,22 +47,22 @@ def kmeans(points: np.ndarray, centres: np.ndarray) -> np.ndarray:
 
 
 def greedy_coverage(serves: np.ndarray, distance: np.ndarray, places: np.ndarray, count: int, apart: float) -> np.ndarray:
-    """(count,) indices of places (C, 2), one after the other that which adds most targets; among equals the nearest to them.
+    """(count,) indices of places (C, 2), one after the other that which adds most; among equals the nearest to its targets.
 
-    `serves` (C, U) bool: which place would serve which target; `distance` (C, U) between them. Places keep `apart` from
-    each other as long as there is room. When all is served that can be, all counts again. Without `apart` the targets
-    served are at least 1 - 1/e of what any choice serves: G. Nemhauser, L. Wolsey, M. Fisher, An analysis of
-    approximations for maximizing submodular set functions (1978).
+    `serves` (C, U): how well, from 0 to 1, each place would serve each target, which the best of those taken serves;
+    `distance` (C, U) between them. Places keep `apart` from each other as long as there is room. When nothing is left to
+    add, all counts again. Without `apart` the targets are served at least 1 - 1/e as well as by any choice: G. Nemhauser,
+    L. Wolsey, M. Fisher, An analysis of approximations for maximizing submodular set functions (1978).
     """
     taken: list[int] = []
-    room, left = np.full(len(places), apart), np.ones(serves.shape[1], dtype=bool)
+    room, served = np.full(len(places), apart), np.zeros(serves.shape[1])
     while len(taken) < count:
-        if not (serves & left).any():
-            left[:] = True
-        adds = serves & left
-        best = int(np.lexsort((np.where(adds, distance, 0.0).sum(axis=1), -adds.sum(axis=1), -room))[0])
+        if not (serves > served).any():
+            served[:] = 0.0
+        adds = np.maximum(serves - served, 0.0)
+        best = int(np.lexsort(((adds * distance).sum(axis=1), -adds.sum(axis=1), -room))[0])
         taken.append(best)
-        left &= ~serves[best]
+        served = np.maximum(served, serves[best])
         room = np.minimum(room, cdist(places, places[best][None])[:, 0])
     return np.array(taken)
 
@@ -70,13 +70,13 @@ def greedy_coverage(serves: np.ndarray, distance: np.ndarray, places: np.ndarray
 def best_responses(serves: np.ndarray, places: np.ndarray, taken: np.ndarray, apart: float) -> np.ndarray:
     """(K,) indices of places (C, 2) after each of K drones, in turn, left its one of `taken` (K,) for a better one.
 
-    Better is what adds more targets to those of the others; among equals it takes the nearest, so it stays at no worse a
+    Better is what adds more to what the others serve; among equals it takes the nearest, so it stays at no worse a
     place. `serves` and `apart` are those of `greedy_coverage`.
     """
     taken = taken.copy()
     for i, here in enumerate(taken):
         others = np.delete(taken, i)
-        adds = (serves & ~serves[others].any(axis=0)).sum(axis=1)
+        adds = np.maximum(serves - serves[others].max(axis=0, initial=0.0), 0.0).sum(axis=1)
         room = cdist(places, places[others]).min(axis=1, initial=apart)
         taken[i] = np.lexsort((cdist(places, places[here][None])[:, 0], -adds, -room))[0]
     return taken

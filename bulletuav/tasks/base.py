@@ -261,6 +261,13 @@ class Task(ABC):
         """(W, N) share of the targets that some living drone sees, the same for all."""
         return served_share(frame.readings["sight"], frame.alive, self.counted(frame.scene))
 
+    def worth(self, place: np.ndarray, targets: np.ndarray, sight: np.ndarray) -> np.ndarray:
+        """(C, U) from 0 to 1: what targets (U, 3), m, are worth to drones at places (C, 3), by `sight` (C, U) bool.
+
+        For policies that know everything; by default whether they are seen.
+        """
+        return sight.astype(float)
+
     def outside(self, frame: Frame) -> np.ndarray:
         """(W, N) bool: outside the arena after the decision, or held back at its bounds."""
         if self.rebound is not None:  # which left them right at the bounds

@@ -69,7 +69,15 @@ class MecAdvanced(EdgeTask):
     Config = MecAdvancedConfig
     config: MecAdvancedConfig
     presets: ClassVar = {
-        "urbanmarl": {**URBANMARL, "num_users": 10, "n_nlos": 3.5, "queue": "erlang", "assignment": "dtlcm"},
+        "urbanmarl": {
+            **URBANMARL,
+            "num_users": 10,
+            "height": (20.0, 120.0),
+            "bandwidth": 10e6,
+            "n_nlos": 3.5,
+            "queue": "erlang",
+            "assignment": "dtlcm",
+        }
     }
     observation = ("position", "velocity", "battery", "power", "link_rates", "server")
     reward_weights: ClassVar = {

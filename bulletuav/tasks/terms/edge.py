@@ -9,6 +9,7 @@ import numpy as np
 from bulletuav.kernel import kernel
 from bulletuav.network.access import NOBODY
 from bulletuav.network.assignment import STRATEGIES, assign
+from bulletuav.network.link import capacity
 from bulletuav.network.queueing import core_power, mean_response, mean_wait, service_rate
 from bulletuav.network.server import Arrivals, Served, Tasks, serve
 from bulletuav.network.uplink import RadioConfig, Uplink
@@ -33,7 +34,7 @@ class EdgeConfig(RadioConfig, UsersConfig):
 
     num_users: int = 50
     wanted: float = 0.7
-    arrival_rate: float = 0.2
+    arrival_rate: float = 0.15
     task_bits: tuple[float, float] = (0.5e6, 2e6)
     cycles_per_bit: float = 1000.0
     deadline: float = 1.0
@@ -144,6 +145,16 @@ class EdgeTask(UsersTask):
             mean_wait(cores, offered, self._service_rate) * offered / (cores * self._service_rate),
             total(done * bits) * config.cycles_per_bit,
         )
+
+    def worth(self, place: np.ndarray, targets: np.ndarray, sight: np.ndarray) -> np.ndarray:
+        """Share of a user's tasks that would be in time, if each drone had as many users, with nobody else and no queue."""
+        config, level = self.config, np.tile([0.0, 0.0, 0.0, 1.0], (1, len(place), 1))
+        power = self.uplink.received(place[None], level, targets[None], sight[None], [None], np.zeros(1, dtype=bool))[0]
+        users = max(len(targets) / self.setting.num_drones, 1.0)
+        rate = capacity(config.bandwidth / users, users * power / self.uplink.noise)
+        low, high = config.task_bits
+        largest = config.deadline / (1 / np.maximum(rate, 1e-9) + config.cycles_per_bit / config.core_frequency)
+        return np.where(largest < low, 0.0, np.minimum((largest - low) / max(high - low, 1e-9), 1.0))
 
     def info(self, frame: Frame) -> dict[str, np.ndarray]:
         """Beside `served`: `completed`, share of the tasks of the episode, and `latency`, s, so far; the same for all.
