@@ -13,6 +13,7 @@ import numpy as np
 from bulletuav.city.model import City
 from bulletuav.envs.aviary import Aviary, Step
 from bulletuav.envs.options import Options
+from bulletuav.network.mobility import Mobility
 from bulletuav.physics.swarm import Swarm
 from bulletuav.policies.base import Policy
 from bulletuav.version import __version__
@@ -158,4 +159,6 @@ def described(options: Options, config: Any) -> dict[str, Any]:
     own = {field.name: getattr(config, field.name) for field in dataclasses.fields(config)}
     if isinstance(own.get("city"), City | Path):
         own["city"] = getattr(own["city"], "name", "")
+    if isinstance(own.get("mobility"), Mobility):
+        own["mobility"] = {"model": own["mobility"].name, **dataclasses.asdict(own["mobility"])}
     return {**vars(options), "airframe": names, "wind": wind, "randomization": random, **own}

@@ -13,6 +13,7 @@ import numpy as np
 
 from bulletuav.errors import finite, numbers_of, several
 from bulletuav.kernel import formula, kernel
+from bulletuav.network.queueing import mean_response
 
 
 class Tasks(NamedTuple):
@@ -203,3 +204,37 @@ def _upload(tasks, w, assignment, uplink, deadline, link_free, arrived, order, a
         order[place], arrival[place] = k, end
         count += 1
     return count
+
+
+@kernel
+def serve_on_average(tasks, assignment, uplink, drones, cycles_per_bit, cores, arrival_rate, service_rate, deadline, dt):
+    """`Served` where tasks wait for as long as on average: the response of M/M/c to what the users of a drone offer.
+
+    As `serve`, but nobody waits for a user's earlier tasks, and nothing is carried over. Each user generates `arrival_rate`
+    tasks/s and each of the `cores` completes `service_rate` 1/s (see `queueing`); where these cannot keep up nothing
+    completes, and the backlog is inf. `busy` is the mean, at most all cores all the time.
+    """
+    worlds = len(tasks.first) - 1
+    shape, counts = (worlds, drones), tasks.first[1:] - tasks.first[:-1]
+    arrived, completed = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.int64)
+    latency, busy, backlog, cycles = np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros(shape)
+    response, lost = np.empty(drones), deadline if deadline < np.inf else 0.0
+    for w in range(worlds):
+        for n in range(drones):
+            offered = arrival_rate * (assignment[w] == n).sum()
+            response[n] = mean_response(cores, offered, service_rate)
+            busy[w, n] = min(offered / service_rate, cores) * dt
+            backlog[w, n] = offered * response[n] / (cores * service_rate)  # Little's law
+        for k in range(tasks.first[w], tasks.first[w + 1]):
+            n, rate = assignment[w, tasks.user[k]], uplink[w, tasks.user[k]]
+            if n < 0:
+                continue
+            arrived[w, n] += 1
+            took = tasks.bits[k] / rate + response[n]
+            if rate <= 0.0 or took > deadline:
+                latency[w, n] += lost
+                continue
+            completed[w, n] += 1
+            latency[w, n] += took
+            cycles[w, n] += tasks.bits[k] * cycles_per_bit
+    return Served(counts, arrived, completed, latency, busy, backlog, cycles)

@@ -7,11 +7,10 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from bulletuav.kernel import kernel
-from bulletuav.network.access import NOBODY
 from bulletuav.network.assignment import STRATEGIES, assign
 from bulletuav.network.link import capacity
-from bulletuav.network.queueing import core_power, mean_response, mean_wait, service_rate
-from bulletuav.network.server import Arrivals, Served, Tasks, serve
+from bulletuav.network.queueing import core_power, service_rate
+from bulletuav.network.server import Arrivals, serve, serve_on_average
 from bulletuav.network.uplink import RadioConfig, Uplink
 from bulletuav.tasks.base import Frame, Scene, Setting, Verdict
 from bulletuav.tasks.terms.users import UsersConfig, UsersTask, sojourn_bonus
@@ -114,37 +113,12 @@ class EdgeTask(UsersTask):
             work = (config.cycles_per_bit, config.core_frequency, config.deadline, period)
             served = serve(tasks, servers, rates, *work, memory["link_free"], memory["core_free"])
         else:
-            served = self._erlang(tasks, servers, rates)
+            queue = (config.num_cores, config.arrival_rate, self._service_rate, config.deadline, period)
+            served = serve_on_average(tasks, servers, rates, frame.alive.shape[1], config.cycles_per_bit, *queue)
         memory["received"][:] = power
         left = config.arrival_rate * config.num_users * np.maximum(self.setting.duration - frame.time, 0.0)
         counted = Books(*(memory[name] for name in Books._fields))
         count(served, counted, left, config.deadline, config.num_cores * period, config.num_cores * self._service_rate)
-
-    def _erlang(self, tasks: Tasks, servers: np.ndarray, rates: np.ndarray) -> Served:
-        """`Served` with the mean response of an M/M/c queue for every task: the load is what the users offer on average."""
-        config, cores, drones = self.config, self.config.num_cores, self.setting.num_drones
-        offered = config.arrival_rate * (servers[..., None] == np.arange(drones)).sum(axis=1)
-        response = mean_response(cores, offered, self._service_rate)
-        world = np.repeat(np.arange(len(servers)), np.diff(tasks.first))
-        taken = servers[world, tasks.user] != NOBODY
-        world, user, bits = world[taken], tasks.user[taken], tasks.bits[taken]
-        drone = servers[world, user]
-        with np.errstate(divide="ignore"):  # no rate: never
-            latency = bits / rates[world, user] + response[world, drone]
-        done = latency <= config.deadline
-
-        def total(of: np.ndarray) -> np.ndarray:
-            return np.bincount(world * drones + drone, weights=of, minlength=offered.size).reshape(offered.shape)
-
-        return Served(
-            np.diff(tasks.first),
-            total(np.ones(len(bits))),
-            total(done),
-            total(np.minimum(latency, config.deadline)),
-            np.minimum(offered / self._service_rate, cores) * self.setting.period,
-            mean_wait(cores, offered, self._service_rate) * offered / (cores * self._service_rate),
-            total(done * bits) * config.cycles_per_bit,
-        )
 
     def worth(self, place: np.ndarray, targets: np.ndarray, sight: np.ndarray) -> np.ndarray:
         """Share of a user's tasks that would be in time, if each drone had as many users, with nobody else and no queue."""
