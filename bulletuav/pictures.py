@@ -20,6 +20,7 @@ MOST_FRAMES = 150
 TRAIL = 30  # decisions
 FPS = 20
 MOST_NUMBERS = 24  # more drones than this are not numbered
+SEEN, UNSEEN = "#228833", "#cc3311"
 GONE = 0.25  # opacity of drones that have finished
 
 
@@ -38,8 +39,8 @@ def _colours(count: int) -> np.ndarray:
 def plot_tracks(recording: Recording, d_safe: float, title: str, path: Path) -> None:
     """Tracks from above (starts numbered, goals as crosses), altitudes and separations over time, as a PNG file.
 
-    Collisions are stars, places where a conflict began red rings. A single drone's distance to its goal stands in for
-    separations.
+    Where there are targets they are drawn instead of goals, as they are at the end. Collisions are stars, places where a
+    conflict began red rings. A single drone's distance to its goal stands in for separations.
     """
     figure = blank_figure(12, 6.5)
     grid = figure.add_gridspec(2, 2, width_ratios=[1.15, 1])
@@ -51,7 +52,8 @@ def plot_tracks(recording: Recording, d_safe: float, title: str, path: Path) -> 
         goal = recording.goal[:end, drone]
         above.plot(track[:, 0], track[:, 1], color=colour, lw=1.2)
         above.plot(*track[0, :2], "o", color=colour, ms=5)
-        above.plot(*goal[-1, :2], "x", color=colour, ms=8, mew=2)
+        if not recording.target.shape[1]:
+            above.plot(*goal[-1, :2], "x", color=colour, ms=8, mew=2)
         if drones <= MOST_NUMBERS:
             above.annotate(str(drone), (track[0, 0], track[0, 1]), textcoords="offset points", xytext=(5, -11), fontsize=8)
         altitude.plot(time, track[:, 2], color=colour, lw=1.2)
@@ -65,6 +67,7 @@ def plot_tracks(recording: Recording, d_safe: float, title: str, path: Path) -> 
         for row, style in ((0, ":"), (-1, "-")):  # where it was and where it came to
             above.add_patch(Circle(track[row, :2], radius, fc="0.85", ec="0.5", ls=style, alpha=0.6, zorder=0))
     _draw_buildings(above, recording)
+    _draw_targets(above, recording)
     _mark(above, recording, recording.conflicts > 0, "o", "conflict begins", mfc="none")
     _mark(above, recording, recording.collision, "*", "collision", mec="black")
     if above.get_legend_handles_labels()[0]:
@@ -91,6 +94,15 @@ def _draw_buildings(axes: Axes, recording: Recording) -> None:
         width, length = north_east[0] - south_west[0], north_east[1] - south_west[1]
         shade = 0.9 - 0.5 * north_east[2] / high[:, 2].max()
         axes.add_patch(Rectangle(south_west[:2], width, length, fc=str(shade), ec="none", zorder=0))
+
+
+def _draw_targets(axes: Axes, recording: Recording) -> None:
+    """Targets, by whether they are seen, and the ways of those that move."""
+    way, seen = recording.target[..., :2], recording.seen[-1]
+    axes.add_collection(LineCollection(list(way.swapaxes(0, 1)), colors="0.7", linewidths=0.6, zorder=1))
+    for some, colour, label in ((seen, SEEN, "in sight"), (~seen, UNSEEN, "out of sight")):
+        if some.any():
+            axes.plot(*way[-1, some].T, ".", color=colour, ms=4, label=label, zorder=1)
 
 
 def _mark(axes: Axes, recording: Recording, events: np.ndarray, marker: str, label: str, **style: Any) -> None:
@@ -121,10 +133,11 @@ class Animation:
         self._axes.set(
             xlim=middle[0] + np.array([-reach, reach]), ylim=middle[1] + np.array([-reach, reach]), aspect="equal"
         )
+        marks = "Dots: targets, green in sight." if recording.target.shape[1] else "Crosses: goals."
         self._axes.set(
             xlabel=(
                 f"x east (m)\n\nDiscs: drones, drawn {drawn:.2g} m across (real {drone_size:.2g} m), pale once they have "
-                f"finished.\nCrosses: goals. Grey: obstacles, buildings (darker: higher).\n"
+                f"finished.\n{marks} Grey: obstacles, buildings (darker: higher).\n"
                 f"Rings: {d_safe:g} m across, red while another drone is "
                 f"nearer."
             ),
@@ -135,11 +148,20 @@ class Animation:
         self._text = self._axes.set_title(" ")
         self._bodies = self._circles(2 * recording.obstacle_radius, facecolors="0.8", edgecolors="0.5")
         self._goals = self._axes.scatter([], [], marker="x", s=60, linewidths=1.6)
+        self._targets = self._axes.scatter([], [], marker=".", s=16)
         self._trails = LineCollection([], linewidths=1.2)
         self._axes.add_collection(self._trails)
         self._rings = self._circles(np.full(drones, d_safe), facecolors="none", linewidths=1.2)
         self._discs = self._circles(np.full(drones, drawn), linewidths=0.5)
-        self._moving: list[Artist] = [self._text, self._bodies, self._goals, self._trails, self._rings, self._discs]
+        self._moving: list[Artist] = [
+            self._text,
+            self._bodies,
+            self._targets,
+            self._goals,
+            self._trails,
+            self._rings,
+            self._discs,
+        ]
         for artist in self._moving:
             artist.set_animated(True)
         self.figure.canvas.draw()
@@ -174,7 +196,11 @@ class Animation:
         self._discs.set(offsets=position, facecolors=colours, edgecolors=edges)
         self._rings.set(offsets=position, edgecolors=rings)
         self._bodies.set(offsets=recording.obstacle[row, :, :2])
-        self._goals.set(offsets=goal, color=self._colours)
+        if recording.target.shape[1]:
+            colour = np.where(recording.seen[row], SEEN, UNSEEN)
+            self._targets.set(offsets=recording.target[row, :, :2], color=colour.tolist())
+        else:
+            self._goals.set(offsets=goal, color=self._colours)
         trail = recording.position[max(0, row - TRAIL) : row + 1, :, :2]
         self._trails.set(segments=list(trail.swapaxes(0, 1)), color=colours)
         self._text.set_text(f"{self._title}   t = {recording.time[row]:.1f} s")

@@ -26,8 +26,8 @@ class Recording:
     time (T+1,) s; position (T+1, N, 3) m; quaternion (T+1, N, 4); velocity (T+1, N, 3) m/s; rates (T+1, N, 3) rad/s;
     alive (T+1, N) bool; action (T, N, A); reward (T, N); separation (T, N) m, least within the decision, inf when alone;
     conflicts (T, N) begun; collision, success (T, N) bool; goal (T + 1, N, 3) m; obstacle (T + 1, K, 3) m, and the radii of
-    their bounding spheres (K,) m; building (P, 2, 3) m, corners of the pieces' bounding boxes. A drone that left keeps its
-    last state.
+    their bounding spheres (K,) m; building (P, 2, 3) m, corners of the pieces' bounding boxes; target (T + 1, U, 3) m, of
+    those of the task that count, and seen (T + 1, U), whether some drone sees them. A drone that left keeps its last state.
     """
 
     time: np.ndarray
@@ -46,6 +46,8 @@ class Recording:
     obstacle: np.ndarray
     obstacle_radius: np.ndarray
     building: np.ndarray
+    target: np.ndarray
+    seen: np.ndarray
 
 
 class Outcome(NamedTuple):
@@ -65,29 +67,37 @@ def fly_episode(aviary: Aviary, policy: Policy, seed: int, progress: Callable[[]
     observations = aviary.reset(seeds=seed)
     policy.reset(np.ones(aviary.num_worlds, dtype=bool))
     states, alive, actions, steps = [aviary.swarm.copy()], [aviary.alive.copy()], [], []
-    scenes = [(aviary.scene.goal[0].copy(), aviary.scene.obstacle[0].copy())]
+    scenes = [_scene(aviary)]
     while aviary.alive[0].any():
         actions.append(policy.act(observations, aviary.swarm))
         steps.append(aviary.step(actions[-1]))
         observations = steps[-1].observations
         states.append(aviary.swarm.copy())
         alive.append(aviary.alive.copy())
-        scenes.append((aviary.scene.goal[0].copy(), aviary.scene.obstacle[0].copy()))
+        scenes.append(_scene(aviary))
         progress()
     return _recording(aviary, states, alive, scenes, actions, steps)
+
+
+def _scene(aviary: Aviary) -> tuple[np.ndarray, ...]:
+    """Of world 0 goals, obstacles, targets that count, and which of them are seen."""
+    scene, counted = aviary.scene, aviary.task.counted(aviary.scene)[0]
+    target, seen = aviary.task.targets(scene)[0, counted], np.any(aviary.sight[0], axis=0)[counted]
+    return scene.goal[0].copy(), scene.obstacle[0].copy(), target, seen
 
 
 def _recording(
     aviary: Aviary,
     states: list[Swarm],
     alive: list[np.ndarray],
-    scenes: list[tuple[np.ndarray, np.ndarray]],
+    scenes: list[tuple[np.ndarray, ...]],
     actions: list[np.ndarray],
     steps: list[Step],
 ) -> Recording:
     def column(name: str) -> np.ndarray:
         return np.array([step.info[name][0] for step in steps])
 
+    goal, obstacle, target, seen = (np.array(values) for values in zip(*scenes, strict=True))
     return Recording(
         time=np.arange(len(states)) / aviary.options.decision_hz,
         position=np.array([state.position[0] for state in states]),
@@ -101,10 +111,12 @@ def _recording(
         conflicts=column("conflicts"),
         collision=column("collision"),
         success=column("success"),
-        goal=np.array([goal for goal, _ in scenes]),
-        obstacle=np.array([obstacle for _, obstacle in scenes]),
+        goal=goal,
+        obstacle=obstacle,
         obstacle_radius=np.array([obstacle.radius for obstacle in aviary.task.obstacles()]),
         building=aviary.solids().bounds,
+        target=target,
+        seen=seen,
     )
 
 

@@ -299,6 +299,12 @@ class Aviary:
         start, end = np.broadcast_arrays(points_of("start", start), points_of("end", end))
         return line_of_sight(self._world, start, end, np.broadcast_to(self._plan.worlds(world), len(start)))
 
+    @property
+    def sight(self) -> np.ndarray:
+        """(W, N, U) bool: which of the task's targets the drones saw that flew the last decision."""
+        frame = self._current()
+        return frame.readings["sight"] & frame.alive[..., None]
+
     def solids(self, world: int = 0) -> Solids:
         """What stands in a world, beside obstacles."""
         layout = self.scene.layout[self._plan.worlds(world)]
