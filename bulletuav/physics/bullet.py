@@ -16,10 +16,11 @@ from bulletuav.kernel import formula, kernel
 from bulletuav.physics.aerodynamics import wakes
 from bulletuav.physics.batch import substep, surface_below
 from bulletuav.physics.dynamics import Air, Dynamics, Flight, require_sane
+from bulletuav.physics.path import Path
 from bulletuav.physics.rotation import cross, four, three
 from bulletuav.physics.rotors import lag_decay, lagged, rotor_wrench
 from bulletuav.physics.swarm import Contacts, Motion, Swarm
-from bulletuav.physics.sweep import Path, catch_fast, suspects
+from bulletuav.physics.sweep import catch_fast, suspects
 from bulletuav.physics.wrench import body_acceleration, wrench
 
 

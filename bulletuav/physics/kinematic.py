@@ -18,9 +18,10 @@ from bulletuav.control.cascade import command_kinematic
 from bulletuav.control.levels import Level
 from bulletuav.kernel import formula, kernel
 from bulletuav.physics.dynamics import Air, Dynamics, Flight
+from bulletuav.physics.path import Path
 from bulletuav.physics.rotation import dot, four, from_euler, three
 from bulletuav.physics.swarm import Contacts, Motion, Swarm, get, put
-from bulletuav.physics.sweep import Path, stop_at_first_touch
+from bulletuav.physics.sweep import stop_at_first_touch
 
 POINT_MASS, SINGLE_INTEGRATOR, DOUBLE_INTEGRATOR = range(3)
 
@@ -128,8 +129,8 @@ class Kinematic(Dynamics):
         """One compiled call, then the swept contact check."""
         flight = self.flight
         straight = self._kind == SINGLE_INTEGRATOR and level == Level.VELOCITY  # in one piece: nothing changes on the way
-        substeps, dt = (1, flight.dt * flight.substeps) if straight else (flight.substeps, flight.dt)
-        path = Path.begin(swarm, motion, substeps)
+        pieces, span = (1, flight.substeps) if straight else (flight.substeps, 1)
+        path, dt = Path.begin(swarm, motion, pieces, span), flight.dt * span
         air = Air(wind, np.full(alive.shape, -np.inf), flight.gravity)
         advance(self._kind, swarm, alive, int(level), setpoint, flight.cascade, flight.parameters, air, dt, path)
         return stop_at_first_touch(flight.world, path, swarm, alive, flight.parameters)

@@ -12,10 +12,11 @@ from bulletuav.control.levels import Level
 from bulletuav.kernel import formula, kernel
 from bulletuav.physics.aerodynamics import wakes
 from bulletuav.physics.dynamics import Air, Dynamics, require_sane
+from bulletuav.physics.path import Path
 from bulletuav.physics.rotation import normalised, three
 from bulletuav.physics.rotors import lag_decay, lagged, rotor_wrench
 from bulletuav.physics.swarm import Contacts, Motion, Swarm, get, put
-from bulletuav.physics.sweep import Path, stop_at_first_touch
+from bulletuav.physics.sweep import stop_at_first_touch
 from bulletuav.physics.wrench import body_acceleration, wrench
 
 

@@ -5,70 +5,21 @@ conservative advancement (B. Mirtich, 1996) on Bullet's exact shape distances fi
 can close a gap faster than its bound, so stepping by gap / bound skips nothing, however thin or fast.
 """
 
+import itertools
 import math
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
 
 import numpy as np
 
 from bulletuav.kernel import formula, kernel
 from bulletuav.physics.approach import closest_squared
 from bulletuav.physics.atlas import meets
+from bulletuav.physics.path import Path
 from bulletuav.physics.rotation import dot, three
-from bulletuav.physics.swarm import CITY, FIRST_OBSTACLE, GROUND, Contacts, Motion, Swarm
+from bulletuav.physics.swarm import CITY, FIRST_OBSTACLE, GROUND, Contacts, Swarm
 from bulletuav.physics.world import World
 
 TOUCH = 1e-3  # m; closer counts as touching
-
-
-class Path(NamedTuple):
-    """Poses at the substeps' ends of one decision: position (S + 1, W, N, 3) m, quaternion (S + 1, W, N, 4).
-
-    Of the obstacles position (S + 1, W, K, 3) and quaternion (W, K, 4).
-    """
-
-    position: np.ndarray
-    quaternion: np.ndarray
-    obstacle: np.ndarray
-    obstacle_quaternion: np.ndarray
-
-    @classmethod
-    def begin(cls, swarm: Swarm, motion: Motion, substeps: int) -> "Path":
-        """Room for a decision, with the present poses first."""
-        position, quaternion = (np.empty((substeps + 1, *array.shape)) for array in (swarm.position, swarm.quaternion))
-        obstacle = np.empty((substeps + 1, *motion.before.shape))
-        obstacle[:] = motion.at(np.arange(substeps + 1)[:, None, None, None] / substeps) if motion.moving else motion.before
-        position[0], quaternion[0] = swarm.position, swarm.quaternion
-        return cls(position, quaternion, obstacle, motion.quaternion)
-
-    def pose(self, world: int, who: int, time: float) -> tuple[int, np.ndarray, np.ndarray]:
-        """(who, position, quaternion) at `time` in substeps, between two of them by straight interpolation."""
-        s = min(int(time), len(self.position) - 2)
-        share = time - s
-        if who in (GROUND, CITY):
-            return who, np.zeros(3), np.zeros(4)
-        if who <= FIRST_OBSTACLE:
-            k = FIRST_OBSTACLE - who
-            position = (1 - share) * self.obstacle[s, world, k] + share * self.obstacle[s + 1, world, k]
-            return who, position, self.obstacle_quaternion[world, k]
-        position = (1 - share) * self.position[s, world, who] + share * self.position[s + 1, world, who]
-        before, after = self.quaternion[s, world, who], self.quaternion[s + 1, world, who]
-        quaternion = (1 - share) * before + share * after * (1 if before @ after >= 0 else -1)
-        return who, position, quaternion / np.linalg.norm(quaternion)
-
-    def change(self, world: int, who: int, s: int) -> np.ndarray:
-        """(3,) displacement in substep s, m."""
-        if who in (GROUND, CITY):
-            return np.zeros(3)
-        track = self.position[:, world, who] if who >= 0 else self.obstacle[:, world, FIRST_OBSTACLE - who]
-        return track[s + 1] - track[s]
-
-    def freeze(self, world: int, drone: int, time: float) -> None:
-        """Hold the drone at its pose of `time` from there on."""
-        _, position, quaternion = self.pose(world, drone, time)
-        later = slice(int(np.ceil(time)), None)
-        self.position[later, world, drone] = position
-        self.quaternion[later, world, drone] = quaternion
 
 
 @kernel
@@ -161,23 +112,54 @@ def _candidates(position, obstacle, alive, radius, obstacle_radius, atlas):
     return found
 
 
+@formula
+def _place(path, w, i, time):
+    """Where a drone is at `time`."""
+    held = min(time, path.stop[w, i]) / path.span
+    s = min(int(held), path.position.shape[0] - 2)
+    share, one, two = held - s, three(path.position[s], w, i), three(path.position[s + 1], w, i)
+    return one[0] + share * (two[0] - one[0]), one[1] + share * (two[1] - one[1]), one[2] + share * (two[2] - one[2])
+
+
+@formula
+def _between(one, two):
+    return two[0] - one[0], two[1] - one[1], two[2] - one[2]
+
+
+@formula
+def _meets_held(path, w, i, j, within):
+    """As `_meets`, of two drones that may have stopped."""
+    for s in range(path.position.shape[0] - 1):
+        begin, end = s * path.span, (s + 1) * path.span
+        one, two = min(max(path.stop[w, i], begin), end), min(max(path.stop[w, j], begin), end)
+        time, before = begin, _between(_place(path, w, i, begin), _place(path, w, j, begin))
+        for later in (min(one, two), max(one, two), end):
+            if later > time:
+                after = _between(_place(path, w, i, later), _place(path, w, j, later))
+                if closest_squared(before, after)[1] < within * within:
+                    return True
+                time, before = later, after
+    return False
+
+
 @kernel
-def _partners(position, alive, radius, w, i):
-    """The pairs of `_candidates` between drone `i` and another drone."""
+def _partners(path, alive, radius, w, i):
+    """The pairs of `_candidates` between drone `i` and another drone, as far as they go before they stop."""
     found = [(0, 0, 0) for _ in range(0)]
     for j in range(alive.shape[1]):
         within = radius[w, i] + radius[w, j] + TOUCH
-        if j != i and alive[w, j] and _meets(position, position, w, i, j, within):
+        if j != i and alive[w, j] and _meets_held(path, w, i, j, within):
             found.append((w, min(i, j), max(i, j)))
     return found
 
 
-def _speed_bound(path: Path, pair: tuple[int, int, int], radius: np.ndarray, s: int) -> float:
-    """Most metres by which the gap between the shapes can shrink in substep s: translation plus rotation of each."""
+def _speed_bound(path: Path, pair: tuple[int, int, int], radius: np.ndarray, begin: float, end: float) -> float:
+    """Most metres by which the gap between the shapes can shrink between two times: translation plus rotation of each."""
     w, one, two = pair
-    bound = float(np.linalg.norm(path.change(w, one, s) - path.change(w, two, s)))
+    s = path.piece(begin)
+    bound = float(np.linalg.norm(path.change(w, one, begin, end) - path.change(w, two, begin, end)))
     for drone in (one, two):
-        if drone >= 0:
+        if drone >= 0 and begin < path.stop[w, drone]:
             cosine = abs(path.quaternion[s, w, drone] @ path.quaternion[s + 1, w, drone])
             turned = min(2 * np.arccos(min(1.0, cosine)), 2.0)  # no rotation moves a point by more than a diameter
             bound += float(turned * radius[w, drone])
@@ -187,38 +169,36 @@ def _speed_bound(path: Path, pair: tuple[int, int, int], radius: np.ndarray, s: 
 def first_touch(world: World, path: Path, pair: tuple[int, int, int], radius: np.ndarray) -> float:
     """Time in substeps of the pair's first touch, inf if none. A pair that starts in touch and parts does not count."""
     w, one, two = pair
-    last = len(path.position) - 1
 
     def gap(time: float, within: float) -> float:
         return world.separation(w, path.pose(w, one, time), path.pose(w, two, time), within)
 
-    time = 0.0
-    while time < last:
-        s = int(time)
-        bound = _speed_bound(path, pair, radius, s)
-        remaining = s + 1 - time
-        distance = gap(time, bound * remaining + TOUCH)
-        if distance <= TOUCH:
-            later = s + 1.0 if bound * remaining <= TOUCH else time + TOUCH / bound
-            if gap(later, 2 * TOUCH) < distance:
-                return time
-            time = later  # parting, or at rest
-        elif distance >= bound * remaining:
-            time = s + 1.0
-        else:
-            time += (distance - 0.5 * TOUCH) / bound
+    for time, end in itertools.pairwise(path.breaks(w, (one, two))):
+        rate = _speed_bound(path, pair, radius, time, end) / (end - time)
+        while time < end:
+            remaining = end - time
+            distance = gap(time, rate * remaining + TOUCH)
+            if distance <= TOUCH:
+                later = end if rate * remaining <= TOUCH else time + TOUCH / rate
+                if gap(later, 2 * TOUCH) < distance:
+                    return time
+                time = later  # parting, or at rest
+            elif distance >= rate * remaining:
+                time = end
+            else:
+                time += (distance - 0.5 * TOUCH) / rate
     return np.inf
 
 
 def _in_order(
     path: Path, pairs: list[tuple[int, int, int]], alive: np.ndarray, radius: np.ndarray, touch: Callable
 ) -> Iterator[tuple[float, tuple[int, int, int]]]:
-    """Touches (time, pair) in order of time, `touch` telling a pair's; after each its drones are frozen in the path.
+    """Touches (time, pair) in order of time, `touch` telling a pair's; after each its drones stop in the path.
 
-    Whoever was to meet a frozen drone, and whoever meets it now, is asked anew.
+    Whoever was to meet one that stopped, and whoever meets it now, is asked anew.
     """
     times = {pair: touch(pair) for pair in pairs}
-    done, frozen = set(), set()
+    done = set()
     while times:
         time, pair = min((time, pair) for pair, time in times.items())
         if time == np.inf:
@@ -228,11 +208,10 @@ def _in_order(
         yield time, pair
         w, *ends = pair
         for drone in ends:
-            if drone >= 0 and (w, drone) not in frozen:
-                frozen.add((w, drone))
-                path.freeze(w, drone, time)
+            if drone >= 0 and path.stop[w, drone] == np.inf:
+                path.stop[w, drone] = time
                 pending = [other for other in times if other[0] == w and drone in other[1:]]
-                for met in {*pending, *_partners(path.position, alive, radius, w, drone)} - done:
+                for met in {*pending, *_partners(path, alive, radius, w, drone)} - done:
                     times[met] = touch(met)
 
 
@@ -246,10 +225,11 @@ def stop_at_first_touch(world: World, path: Path, swarm: Swarm, alive: np.ndarra
     rows: dict[tuple[int, int, int], float] = {}
     for time, (w, i, j) in _in_order(path, pairs, alive, radius, lambda pair: first_touch(world, path, pair, radius)):
         for drone, other in _both_sides(i, j):
-            speed = float(np.linalg.norm(path.change(w, drone, int(time)))) / world.dt
-            rows[w, drone, other] = float(parameters["mass"][w, drone]) * speed
+            begin = path.piece(time) * path.span
+            speed = float(np.linalg.norm(path.change(w, drone, begin, begin + path.span))) / (path.span * world.dt)
+            rows[w, drone, other] = float(parameters["mass"][w, drone]) * speed * (time < path.stop[w, drone])
     for w, i, _ in rows:
-        swarm.position[w, i], swarm.quaternion[w, i] = path.position[-1, w, i], path.quaternion[-1, w, i]
+        _, swarm.position[w, i], swarm.quaternion[w, i] = path.pose(w, i, np.inf)
         swarm.velocity[w, i] = swarm.rates[w, i] = 0
     return Contacts.merge(rows)
 
@@ -296,12 +276,13 @@ def catch_fast(
     """
     if not _any_fast(path.position, path.obstacle, alive, parameters):
         return []
+    path.stop[:] = np.inf
     radius, far = parameters["collision_radius"], 0.25 * parameters["thinnest"]
     asked = np.zeros(alive.shape, dtype=bool)
 
     def touch(pair: tuple[int, int, int]) -> float:
         w, one, two = pair
-        if float(np.linalg.norm(path.change(w, one, 0) - path.change(w, two, 0))) <= far[w, one]:
+        if float(np.linalg.norm(path.change(w, one, 0.0, 1.0) - path.change(w, two, 0.0, 1.0))) <= far[w, one]:
             return np.inf
         for drone, _ in _both_sides(one, two):
             asked[w, drone] = True
@@ -319,7 +300,7 @@ def catch_fast(
         for drone, other in _both_sides(one, two)
     ]
     for w, drone, _ in caught:
-        swarm.position[w, drone], swarm.quaternion[w, drone] = path.position[1, w, drone], path.quaternion[1, w, drone]
+        _, swarm.position[w, drone], swarm.quaternion[w, drone] = path.pose(w, drone, 1.0)
     if asked.any():
         world.set_states(swarm, asked)
     return caught

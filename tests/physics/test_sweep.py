@@ -174,3 +174,35 @@ def test_landing_softly_under_control_rests_on_the_ground(make_bench):
     contacts = bench.fly(Level.POSITION, (0.0, 0.0, -1.0, 0.0), decisions=30)
     assert contacts.other == GROUND
     assert bench.swarm.position[0, 0, 2] == pytest.approx(0.015, abs=2e-3)
+
+
+STRAIGHT = ["single_integrator", "point_mass"]
+
+
+def flown(make_bench, dynamics, position, velocity, seconds=1.0):
+    """A swarm of hummingbirds that holds velocities (N, 3) for one decision of so long, and its contacts."""
+    bench = make_bench(dynamics, drones=len(position), substeps=round(240 * seconds))
+    bench.swarm.position[0] = position
+    bench.swarm.velocity[0] = velocity
+    bench.place()
+    setpoint = np.concatenate([np.array(velocity, dtype=float), np.zeros((len(position), 1))], axis=1)[None]
+    return bench.swarm, bench.fly(Level.VELOCITY, setpoint)
+
+
+@pytest.mark.parametrize("seconds", [0.1, 1.0])
+@pytest.mark.parametrize("dynamics", STRAIGHT)
+def test_the_impulse_does_not_depend_on_how_a_decision_is_cut(make_bench, dynamics, seconds):
+    _, contacts = flown(make_bench, dynamics, [(0, 0, 0.5)], [(0, 0, -10)], seconds)
+    assert contacts.impulse == pytest.approx(10 * 0.716, rel=1e-3 if dynamics == "single_integrator" else 0.1)
+
+
+@pytest.mark.parametrize(("height", "touches"), [(2.83, False), (0.09, True)])
+@pytest.mark.parametrize("dynamics", STRAIGHT)
+def test_who_fell_lies_where_it_fell_while_others_pass(make_bench, dynamics, height, touches):
+    """The first is on the ground after 0.46 s, the second comes over that place after 0.6 s, high or low."""
+    swarm, contacts = flown(make_bench, dynamics, [(0, 0, 7), (-8.4, 0, height)], [(0, 0, -15), (14, 0, 0)])
+    assert (0, GROUND) in zip(contacts.drone.tolist(), contacts.other.tolist(), strict=True)
+    assert ((1, 0) in zip(contacts.drone.tolist(), contacts.other.tolist(), strict=True)) == touches
+    assert swarm.position[0, 0] == pytest.approx([0, 0, 0.055], abs=0.01)
+    if not touches:
+        assert swarm.position[0, 1, 0] == pytest.approx(-8.4 + 14, abs=0.6)
