@@ -9,7 +9,7 @@ Writes cities.md and cities.csv.
 import sys
 from collections.abc import Sequence
 
-from compare import Comparison, Row, Server, install, make_parser, measure_all, parse, table, write_csv
+from compare import Comparison, Row, Server, install, make_parser, measure_all, parse, report
 
 PEER, FLOOR = "urbanmarl", "the floor"
 BUILDINGS = (100, 400, 2500)
@@ -65,11 +65,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         PEER: Server(install(PEER, arguments.environments), "serve_urbanmarl.py"),
     }
     rows = measure_all(comparisons(), servers, arguments.rounds, arguments.seconds)
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    write_csv(rows, arguments.out / "cities.csv")
-    text = "\n".join([*table(rows), *costs(rows)]) + "\n"
-    (arguments.out / "cities.md").write_text(text)
-    sys.stdout.write(text)
+    report(rows, costs(rows), arguments.out, "cities")
 
 
 if __name__ == "__main__":

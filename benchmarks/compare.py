@@ -237,17 +237,22 @@ def table(rows: list[Row]) -> list[str]:
     return lines
 
 
-def write(rows: list[Row], started: dict[str, float], out: Path) -> None:
-    """benchmark.md, .csv and .png."""
+def report(rows: list[Row], words: list[str], out: Path, name: str) -> None:
+    """The table with `words` below it, in `name`.md and printed; the numbers in `name`.csv."""
     out.mkdir(parents=True, exist_ok=True)
-    write_csv(rows, out / "benchmark.csv")
-    lines = [
-        *table(rows),
-        "",
+    write_csv(rows, out / f"{name}.csv")
+    text = "\n".join([*table(rows), *words]) + "\n"
+    (out / f"{name}.md").write_text(text)
+    sys.stdout.write(text)
+
+
+def write(rows: list[Row], started: dict[str, float], out: Path) -> None:
+    """benchmark.md, also printed, .csv and .png."""
+    words = (
         f"Import and first step: {started['warm']:.1f} s with warm caches (goal 2), {started['cold']:.1f} s with cold ones "
-        "(goal 20).",
-    ]
-    (out / "benchmark.md").write_text("\n".join(lines) + "\n")
+        "(goal 20)."
+    )
+    report(rows, ["", words], out, "benchmark")
     _plot(rows, out / "benchmark.png")
 
 
@@ -318,7 +323,6 @@ def main(argv: Sequence[str] | None = None) -> None:
     comparisons = [one for one in COMPARISONS if one.peer in servers or not one.theirs]
     rows = measure_all(comparisons, servers, arguments.rounds, arguments.seconds)
     write(rows, starts(arguments.rounds), arguments.out)
-    sys.stdout.write((arguments.out / "benchmark.md").read_text())
 
 
 if __name__ == "__main__":

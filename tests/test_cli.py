@@ -166,6 +166,33 @@ def test_comparing_writes_a_leaderboard(tmp_path, capsys):
     assert "### converge, medium: 2 drones" in capsys.readouterr().out
 
 
+COMPARED = ["compare", "--policies", "random", "--tasks", "mobile_users", "--episodes", "2", "--horizon", "3"]
+COMPARED += ["--set", "area=250.0", "--set", "num_layouts=1"]
+
+
+def test_comparing_dynamics(tmp_path, capsys):
+    main([*COMPARED, "--dynamics", "single_integrator,point_mass", "--out", str(tmp_path)])
+    said = capsys.readouterr().out
+    assert said.count("### ") == 1
+    rows = [line for line in said.splitlines() if line.startswith("| random |")]
+    assert ["single_integrator at 240 Hz" in row for row in rows] == [True, False]
+    assert ["point_mass at 240 Hz" in row for row in rows] == [False, True]
+    assert len({row.split("|")[7] for row in rows}) == 2  # which fly otherwise
+    runs = {path.name: json.loads((path / "run.json").read_text()) for path in (tmp_path / "runs").iterdir()}
+    assert {run["options"]["dynamics"] for run in runs.values()} == {"single_integrator", "point_mass"}
+    assert len(runs) == 2
+    main([*COMPARED, "--dynamics", "point_mass", "--out", str(tmp_path)])  # goes on with its run
+    again = [line for line in capsys.readouterr().out.splitlines() if line.startswith("| random |")]
+    assert [cell for cell in rows[1].split("|") if "Hz" not in cell] == again[0].split("|")
+
+
+def test_dynamics_are_listed_as_tasks_are(tmp_path, capsys):
+    """With spaces, and each once."""
+    main([*COMPARED, "--dynamics", "single_integrator, point_mass,point_mass", "--out", str(tmp_path)])
+    rows = [line for line in capsys.readouterr().out.splitlines() if line.startswith("| random |")]
+    assert len(rows) == 2
+
+
 @pytest.mark.parametrize("arguments", [["--help"], ["fly", "--help"], ["tasks", "--help"], ["--version"]])
 def test_help(arguments, capsys):
     with pytest.raises(SystemExit) as end:
@@ -210,6 +237,8 @@ def test_help(arguments, capsys):
             ["compare", "--policies", "straight", "--tasks", "converge", "--difficulty", "easy", "--difficulties", "hard"],
             "give one of them",
         ),
+        ([*COMPARED, "--dynamics", "point_mass,point_mas"], "unknown dynamics 'point_mas': did you mean 'point_mass'"),
+        ([*COMPARED, "--set", "dynamics=5"], "unknown dynamics 5"),
         (["tasks", "hoover"], "did you mean 'hover'"),
         (["flyy"], "invalid choice: 'flyy'"),
         ([], "required: COMMAND"),

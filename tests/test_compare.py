@@ -21,6 +21,7 @@ def script(name):
 
 compare = script("compare")
 cities = script("cities")  # which imports compare
+edge = script("edge")  # which imports both
 
 
 def test_without_peers_it_measures_the_floor_and_real_time(tmp_path, monkeypatch, capsys):
@@ -116,3 +117,17 @@ def test_cases_in_cities_are_served(tmp_path, capsys, monkeypatch):
     cities.main(["--rounds", "1", "--seconds", "0.01", "--out", str(tmp_path)])
     assert "rays of 60 m, 100 buildings" in capsys.readouterr().out
     assert (tmp_path / "cities.csv").stat().st_size > 0
+
+
+def test_cases_of_edge_computing_are_served(tmp_path, capsys, monkeypatch):
+    rows = edge.comparisons()
+    assert [(one.theirs, one.goal) for one in rows[:-1]] == [(f"mec, {count}", 10.0) for count in (1, 1, 64, 64, 256, 256)]
+    alone = [one._replace(peer="real time") for one in rows if one.theirs == "mec, 1"]
+    monkeypatch.setattr(edge, "install", lambda peer, folder: sys.executable)
+    monkeypatch.setattr(edge, "comparisons", lambda: alone)
+    edge.main(["--rounds", "1", "--seconds", "0.001", "--out", str(tmp_path)])
+    assert capsys.readouterr().out == (tmp_path / "edge.md").read_text()
+    with open(tmp_path / "edge.csv") as file:
+        measured = {row["title"]: float(row["ours"]) for row in csv.DictReader(file)}
+    assert list(measured) == [one.title for one in alone]  # none was left out
+    assert min(measured.values()) > 0

@@ -201,3 +201,60 @@ def test_runs_in_another_city_are_not_gone_on_with(tmp_path):
         expected = contextlib.nullcontext() if kind == "suburban" else pytest.raises(ValueError, match="its fingerprint is")
         with expected:
             evaluate("navigation", "straight", 1, out=tmp_path / "out", city=str(path), **options)
+
+
+def cells(text):
+    """Of each table of a leaderboard the cells of its rows, the headings first."""
+    tables = [part.splitlines() for part in text.split("### ")[1:]]
+    rows = [[line for line in table if line.startswith("|") and not line.startswith("|---")] for table in tables]
+    return [[[cell.strip() for cell in line.strip("|").split("|")] for line in table] for table in rows]
+
+
+@pytest.fixture(scope="module")
+def served():
+    """Two policies and two dynamics in a task over users."""
+    options = {"area": 250.0, "num_layouts": 1, "horizon": 4, "num_drones": 2}
+    ways = [(dynamics, policy) for policy in ("random", "kmeans") for dynamics in ("single_integrator", "point_mass")]
+    return [evaluate("mec", policy, 2, dynamics=dynamics, **options) for dynamics, policy in ways]
+
+
+COMMON = ["success", "drones", "conflict", "collision", "nearest m", "time s"]
+
+
+def test_columns_that_no_episode_has_are_left_out(straight, served):
+    goals, users = cells(markdown([straight, *served[::2]]))
+    assert goals[0] == ["policy", *COMMON, "efficiency", "fairness"]
+    assert users[0] == ["policy", *COMMON, "served", "completed", "latency s"]
+    assert [row[0] for row in users[1:]] == ["random", "kmeans \\*"]
+    assert {len(row) for row in goals} == {9}
+    assert {len(row) for row in users} == {10}
+
+
+def test_a_cell_that_an_evaluation_has_not_is_a_dash():
+    """Who flies at random is not at its goal after half a second."""
+    lost, there = evaluate("converge", "random", 2, **QUICK | {"horizon": 5}), evaluate("converge", "orca", 2, **QUICK)
+    assert there.estimates()["success"].mean == 1
+    (table,) = cells(markdown([lost, there]))
+    ways = [row[table[0].index("efficiency")] for row in table[1:]]
+    assert ways[0] == "-"
+    assert float(ways[1].split()[0]) > 0.8
+
+
+def test_dynamics_have_a_column_where_there_are_several(served, tmp_path):
+    text = markdown(served)
+    assert "### mec, easy: 2 drones, single_integrator at 240 Hz, point_mass at 240 Hz, 2 episodes" in text
+    (table,) = cells(text)
+    assert table[0] == ["policy", "dynamics", *COMMON, "served", "completed", "latency s"]
+    single, point = "single_integrator at 240 Hz", "point_mass at 240 Hz"
+    ways = [["random", single], ["random", point], ["kmeans \\*", single], ["kmeans \\*", point]]
+    assert [row[:2] for row in table[1:]] == ways
+    for row, result in zip(table[1:], served, strict=True):
+        assert row[table[0].index("completed")].startswith(f"{result.estimates()['completed'].mean:.2f} [")
+    (one,) = cells(markdown(served[::2]))
+    assert "dynamics" not in one[0]
+    plot_leaderboard(served, tmp_path / "all.png")
+    write_csv(served, tmp_path / "board.csv")
+    with (tmp_path / "board.csv").open() as file:
+        rows = [row for row in csv.DictReader(file) if row["metric"] == "completed"]
+    assert [row["dynamics"] for row in rows] == ["single_integrator", "point_mass"] * 2
+    assert [float(row["mean"]) for row in rows] == [result.estimates()["completed"].mean for result in served]

@@ -5,7 +5,10 @@ import pytest
 from scipy import stats
 
 import bulletuav
+from bulletuav.city.model import City
+from bulletuav.city.streets import Streets
 from bulletuav.metrics import METRICS, Meter, estimate, jain, soonest_conflict
+from bulletuav.physics.solids import Solids
 from bulletuav.policies import find_policy
 from bulletuav.tasks.terms.measures import offsets, time_to_conflict
 
@@ -184,3 +187,94 @@ def test_a_conflict_that_was_there_from_the_start_is_one():
     assert row["conflict"] == 1
     assert row["conflicts"] == 0
     assert row["min_separation"] < 5
+
+
+# Service to users
+
+PLAIN = City(
+    "plain", 200.0, Solids(np.zeros((0, 2, 3))), np.zeros(0, dtype=int), Streets(np.zeros((0, 2)), np.zeros((0, 2), int))
+)
+HOVER = {"city": PLAIN, "mobility": "still", "dynamics": "single_integrator", "height": (20.0, 20.0), "horizon": 10}
+GOALS = ("goal_distance", "path_efficiency", "fairness", "throughput")
+SERVICE = ("served", "completed", "latency")
+
+
+def dive(*drones):
+    """These drones dive, the others hover."""
+    return lambda aviary: np.where(np.isin(np.arange(aviary.num_drones), drones)[:, None], (0, 0, -1.0), 0.0)[None]
+
+
+def test_what_is_served_is_of_the_episode_as_planned():
+    """In the plain everybody is in sight. From 20 m up the second decision of 15 m ends on the ground: 2 of 10 s."""
+    for task in ("mobile_users", "mec"):
+        for drones, dives, length, served in ((1, (), 10, 1.0), (1, (0,), 2, 0.2), (2, (0,), 10, 1.0), (2, (0, 1), 2, 0.2)):
+            (row,) = metered(task, dive(*dives), num_drones=drones, decision_hz=1, **HOVER)
+            assert row["length"] == length
+            assert row["served"] == pytest.approx(served)
+            assert row["collision"] == (length == 2 or bool(dives))
+    (row,) = metered("los", dive(0), num_drones=1, decision_hz=5, max_speed=10.0, **HOVER)  # 2 m a decision: all 10
+    assert row["served"] == pytest.approx(1.0)
+
+
+def test_a_share_that_is_served_is_the_mean_over_time():
+    aviary = bulletuav.Aviary("mobile_users", 2, area=250.0, num_layouts=1, horizon=12)
+    aviary.reset(seeds=3)
+    meter, served = Meter(aviary), np.zeros(2)
+    while aviary.alive.any():
+        flown, seen = aviary.alive.copy(), np.zeros(2)
+        meter.record(aviary.step(np.full((2, 3, 3), (0.4, 0.0, 0.0))), flown)
+        users = aviary.scene.memory["users"]
+        for w in range(2):
+            ways = [(i, j) for i in np.flatnonzero(flown[w]) for j in range(20)]
+            start, end = (
+                np.array(ends) for ends in zip(*((aviary.swarm.position[w, i], users[w, j]) for i, j in ways), strict=True)
+            )
+            free = aviary.line_of_sight(start, end, w)
+            seen[w] = len({j for (_, j), one in zip(ways, free, strict=True) if one}) / 20
+        served += seen
+    rows = [meter.row(w)["served"] for w in range(2)]
+    assert rows == pytest.approx(served / 12)
+    assert 0.1 < min(rows) < max(rows) < 0.95
+    aviary.close()
+
+
+@pytest.mark.parametrize("dives", [(), (0, 1)])
+def test_what_is_completed_and_how_late_is_what_was_told_last(dives):
+    """Shares fall where more tasks come than in the mean, and are late: those of greater size are."""
+    options = {"num_drones": 2, "num_users": 5, "arrival_rate": 0.3, "deadline": 0.3, "decision_hz": 1}
+    aviary = bulletuav.Aviary("mec", 8, **options, **HOVER)
+    aviary.reset(seeds=0)
+    meter, act, told = Meter(aviary), dive(*dives), []
+    while aviary.alive.any():
+        flown = aviary.alive.copy()
+        step = aviary.step(np.repeat(act(aviary), 8, axis=0))
+        meter.record(step, flown)
+        told.append(step.info["completed"][:, 0].copy())
+    rows = [meter.row(w) for w in range(8)]
+    assert [row["completed"] for row in rows] == told[-1].tolist()
+    assert [row["latency"] for row in rows] == step.info["latency"][:, 0].tolist()
+    assert (told[-1] < np.max(told, axis=0)).any()
+    assert 0 < np.mean(told[-1]) < (0.2 if dives else 0.8)
+    for _ in range(3):  # as when other worlds fly on
+        meter.record(aviary.step(np.zeros((8, 2, 3))), aviary.alive)
+    for name in SERVICE:
+        assert [meter.row(w)[name] for w in range(8)] == [row[name] for row in rows]
+    aviary.close()
+
+
+@pytest.mark.parametrize(
+    ("task", "missing"),
+    [
+        ("crossing", SERVICE),
+        ("los", (*GOALS, "completed", "latency")),
+        ("mobile_users", (*GOALS, "completed", "latency")),
+        ("mec", GOALS),
+        ("mec_advanced", GOALS),
+    ],
+)
+def test_episodes_have_the_metrics_of_their_task_alone(task, missing):
+    options = {"dynamics": "single_integrator", "horizon": 3}
+    (row,) = metered(task, dive(), **({} if task == "crossing" else HOVER) | options)
+    assert set(row) == set(METRICS)
+    for name in (*GOALS, *SERVICE):
+        assert np.isnan(row[name]) == (name in missing or (task, name) == ("crossing", "path_efficiency")), name

@@ -126,3 +126,27 @@ def test_straight_reaches_the_target_of_hover(action):
     recording = fly_episode(aviary, find_policy("straight")(aviary), seed=0)
     assert all(row.reached for row in outcomes(recording))
     aviary.close()
+
+
+def test_users_are_recorded_and_drawn_by_whether_they_are_seen(tmp_path):
+    aviary = bulletuav.Aviary("mobile_users", area=200.0, num_layouts=1, num_users=12, horizon=20)
+    recording = fly_episode(aviary, find_policy("kmeans")(aviary), seed=0)
+    again = aviary.reset(seeds=0)
+    policy, served = find_policy("kmeans")(aviary), [aviary.first_info()["served"][0, 0]]
+    policy.reset(np.ones(1, dtype=bool))
+    for _ in range(20):
+        step = aviary.step(policy.act(again, aviary.swarm))
+        again = step.observations
+        served.append(step.info["served"][0, 0])
+    np.testing.assert_allclose(recording.seen.mean(axis=1), served)
+    assert 0 < recording.seen.mean() < 1
+    assert recording.target.shape == (21, 12, 3)
+    pace = np.linalg.norm(np.diff(recording.target, axis=0), axis=-1)
+    assert 0 < pace.max() <= 3.0 + 1e-9  # 1 s at the speed of users
+    plot_tracks(recording, 2.0, "users", tmp_path / "tracks.png")
+    assert (tmp_path / "tracks.png").stat().st_size > 10000
+    picture = Animation(recording, 2.0, 0.55, "users").draw(20).astype(int)
+    green, red = (np.abs(picture - colour).max(axis=-1) < 30 for colour in ((34, 136, 51), (204, 51, 17)))
+    assert green.any() == recording.seen[20].any()
+    assert red.any() == (~recording.seen[20]).any()
+    aviary.close()

@@ -5,6 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 import pybullet
+from gymnasium.vector import AutoresetMode
 from serve import serve
 
 import bulletuav
@@ -29,6 +30,7 @@ THEIRS = {  # steps, ends and volume of urbanmarl
     "height": (20.0, 120.0),
     "ceiling": 200.0,
 }
+EDGE = {"num_drones": 3, "num_users": 50, "decision_hz": 1, "autoreset_mode": AutoresetMode.SAME_STEP}  # as urbanmarl
 RAYS = 256 * 3 * 16
 
 
@@ -72,9 +74,9 @@ def floor(worlds: int, drones: int):
     return cases["engine calls"], worlds * drones * SUBSTEPS
 
 
-def city_flight(worlds: int, settle: int, **options):
-    """`lidar_navigation` under random actions, after `settle` steps, when worlds begin anew at different times."""
-    env = bulletuav.batch_env("lidar_navigation", worlds, **CITY, **options)
+def random_flight(task: str, worlds: int, settle: int, **options):
+    """A task under random actions, after `settle` steps, when worlds begin anew at different times."""
+    env = bulletuav.batch_env(task, worlds, **options)
     env.reset(seed=0)
     rng, shape = np.random.default_rng(0), (worlds, env.num_drones, *env.action_space.shape)
 
@@ -172,11 +174,22 @@ def in_cities():
     for buildings in (100, 400, 2500):
         for how in ("bulletuav", "C", "pybullet"):
             cases[f"rays, {how}, {buildings}"] = partial(street_rays, buildings, how)
+    city = partial(random_flight, "lidar_navigation", **CITY)
     for worlds in (1, 64, 256):
-        cases[f"city, {worlds}"] = partial(city_flight, worlds, 600, **PIECE)
-        cases[f"city at 240 Hz, {worlds}"] = partial(city_flight, worlds, 600, dynamics="single_integrator")
-        cases[f"city by the second, {worlds}"] = partial(city_flight, worlds, 100, **THEIRS)
-    cases["city in the engine, 256"] = partial(city_flight, 256, 10, dynamics="bullet")
+        cases[f"city, {worlds}"] = partial(city, worlds, 600, **PIECE)
+        cases[f"city at 240 Hz, {worlds}"] = partial(city, worlds, 600, dynamics="single_integrator")
+        cases[f"city by the second, {worlds}"] = partial(city, worlds, 100, **THEIRS)
+    cases["city in the engine, 256"] = partial(city, 256, 10, dynamics="bullet")
+    return cases
+
+
+def at_the_edge():
+    """The cases of edge.py."""
+    mec = partial(random_flight, "mec", **EDGE)
+    cases = {"mec in the engine, 256": partial(mec, 256, 10, dynamics="bullet")}
+    for worlds in (1, 64, 256):
+        cases[f"mec, {worlds}"] = partial(mec, worlds, 300)
+        cases[f"mec as urbanmarl, {worlds}"] = partial(mec, worlds, 300, preset="urbanmarl")
     return cases
 
 
@@ -193,5 +206,6 @@ if __name__ == "__main__":
             "reset, 10": partial(reset, 10),
             "floor, 64 x 8": partial(floor, 64, 8),
             **in_cities(),
+            **at_the_edge(),
         }
     )

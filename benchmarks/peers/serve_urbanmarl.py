@@ -9,11 +9,15 @@ from functools import partial
 import torch
 from urbanmarl.envs.base_env import UrbanEnv
 
-SETTLE = 30  # steps: an episode of random actions takes fewer
+SETTLE = 30  # steps: hardly an episode of random actions takes more
+SCENARIOS = {
+    "lidar_navigation": {"scenario": "uav_lidar_navigation", "num_lidar_beams": 16, "lidar_max_range": 60.0},
+    "mec": {"scenario": "uavmec_offloading", "num_ues": 50},
+}
 
 
-def lidar_navigation(worlds: int):
-    """Its scenario of this name under random actions, worlds that are done reset; by default a step is a second."""
+def random_flight(worlds: int, **options):
+    """A scenario under random actions, worlds that are done reset; by default a step is a second."""
     torch.set_num_threads(1)
     torch.manual_seed(0)
     env = UrbanEnv(
@@ -21,10 +25,8 @@ def lidar_navigation(worlds: int):
         continuous_actions=True,
         seed=0,
         device="cpu",
-        scenario="uav_lidar_navigation",
         num_uavs=3,
-        num_lidar_beams=16,
-        lidar_max_range=60.0,
+        **options,
     )
     now = env.reset()
 
@@ -39,4 +41,10 @@ def lidar_navigation(worlds: int):
 
 
 if __name__ == "__main__":
-    serve({f"lidar_navigation, {worlds}": partial(lidar_navigation, worlds) for worlds in (1, 64, 256)})
+    serve(
+        {
+            f"{case}, {worlds}": partial(random_flight, worlds, **options)
+            for case, options in SCENARIOS.items()
+            for worlds in (1, 64, 256)
+        }
+    )

@@ -22,6 +22,7 @@ from bulletuav.physics.dynamics import Dynamics, Flight
 from bulletuav.physics.ladder import LADDER
 from bulletuav.physics.solids import Solids
 from bulletuav.physics.swarm import Contacts, Motion, Swarm, confine
+from bulletuav.physics.sweep import overlaps
 from bulletuav.physics.wind import Wind
 from bulletuav.physics.world import World
 from bulletuav.sensors.sight import line_of_sight
@@ -229,6 +230,7 @@ class Aviary:
             moved = confine(self.swarm, self.commanded, flown, self.task.arena_low, self.task.arena_high, self.task.rebound)
             if moved.any():
                 self._dynamics.place(self.swarm, moved)
+                contacts = contacts.joined(overlaps(self._world, self.swarm, moved, flown, self.parameters))
         self.steps += flying
         if self._uncertainty is not None:
             self._uncertainty.sense(self.swarm, flown, self.rng)

@@ -13,6 +13,7 @@ from bulletuav.network.antenna import PEAK, gain_towards
 from bulletuav.network.fading import rician_gain
 from bulletuav.network.link import noise_power, ratio
 from bulletuav.network.pathloss import (
+    check_validity,
     log_distance,
     uma_av_los,
     uma_av_nlos,
@@ -108,10 +109,12 @@ class Uplink:
     """The radio link that the options tell of; `noise` W in all of the band."""
 
     def __init__(self, config: RadioConfig):
-        """Raises ValueError for a number that cannot be."""
+        """Raises ValueError for a number that cannot be, or a frequency that the path loss is not meant for."""
         for name in ("frequency", "bandwidth", "user_power"):
             if getattr(config, name) <= 0:
                 raise ValueError(f"{name} is {getattr(config, name):g}: it must be above 0")
+        if config.path_loss != "log_distance":
+            check_validity(config.path_loss, config.frequency)
         self.config = config
         self.noise = float(noise_power(config.bandwidth, config.noise_figure))
         self._link = Link(

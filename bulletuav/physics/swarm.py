@@ -140,6 +140,10 @@ class Contacts(NamedTuple):
         world, drone, other = np.array(keys, dtype=np.int64).reshape(len(keys), 3).T
         return cls(world, drone, other, np.array([rows[key] for key in keys], dtype=np.float64))
 
+    def joined(self, others: "Contacts") -> "Contacts":
+        """These and others, one after the other."""
+        return Contacts(*(np.concatenate(columns) for columns in zip(self, others, strict=True)))
+
     def mask(self, shape: tuple[int, int]) -> np.ndarray:
         """(W, N) bool: which drones touched anything."""
         touched = np.zeros(shape, dtype=bool)

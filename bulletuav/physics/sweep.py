@@ -234,6 +234,40 @@ def stop_at_first_touch(world: World, path: Path, swarm: Swarm, alive: np.ndarra
     return Contacts.merge(rows)
 
 
+@kernel
+def _crowded(position, moved, alive, radius, atlas):
+    """Pairs of living drones, or of one and the city, of which one was `moved` and whose spheres or boxes overlap."""
+    found = [(0, 0, 0) for _ in range(0)]
+    for w in range(alive.shape[0]):
+        for i in range(alive.shape[1]):
+            if not (moved[w, i] and alive[w, i]):
+                continue
+            here, margin = three(position, w, i), radius[w, i] + TOUCH
+            low, high = (
+                (here[0] - margin, here[1] - margin, here[2] - margin),
+                (here[0] + margin, here[1] + margin, here[2] + margin),
+            )
+            if meets(atlas, w, low, high):
+                found.append((w, i, CITY))
+            for j in range(alive.shape[1]):
+                gap, within = _between(here, three(position, w, j)), margin + radius[w, j]
+                if j != i and alive[w, j] and dot(gap, gap) < within * within:
+                    found.append((w, min(i, j), max(i, j)))
+    return found
+
+
+def overlaps(world: World, swarm: Swarm, moved: np.ndarray, alive: np.ndarray, parameters: np.ndarray) -> Contacts:
+    """Contacts, without impulse, of what the drones that were `moved` (W, N) touch where they are now."""
+    rows: dict[tuple[int, int, int], float] = {}
+    for w, one, two in _crowded(swarm.position, moved, alive, parameters["collision_radius"], world.atlas):
+        ends = [
+            (who, swarm.position[w, who], swarm.quaternion[w, who]) if who >= 0 else (who, None, None) for who in (one, two)
+        ]
+        if world.separation(w, *ends, TOUCH) <= TOUCH:
+            rows |= {(w, drone, other): 0.0 for drone, other in _both_sides(one, two)}
+    return Contacts.merge(rows)
+
+
 def _both_sides(one: int, two: int) -> list[tuple[int, int]]:
     """(drone, other) of each drone of a pair."""
     return [(drone, other) for drone, other in ((one, two), (two, one)) if drone >= 0]

@@ -30,9 +30,10 @@ class Mec(EdgeTask):
     Action, per drone, by default `velocity`, Box(3) in [-1, 1]: velocity over max_speed, its norm limited to max_speed; 1
     decision a second.
 
-    Reward, per decision: tasks 1 times the tasks completed over the number of users; latency -0.5 times the mean of its
-    users' tasks over the deadline; energy -0.1 times power over 100 W; sojourn 0.3 times tanh(0.1 s), s the seconds for
-    which it has seen a user without a break, mean of all users; collision -2; out_of_bounds 0 (weights by name).
+    Reward, per decision: tasks 1 times the completed tasks over those that all users are expected to have in a decision;
+    latency -0.5 times the latencies of the completed tasks over the deadline, and over the same; energy -0.1 times power
+    over 400 W; sojourn 0.3 times tanh(0.1 s), s the seconds for which it has seen a user without a break, mean of all users;
+    collision -2; out_of_bounds 0 (weights by name).
 
     End: terminated on contact of collision shapes and with an empty battery; truncated after 100 decisions. Drones stop at
     the city's edges and at the ceiling. Success: 70 % of the episode's tasks are completed.

@@ -28,7 +28,7 @@ class EdgeConfig(RadioConfig, UsersConfig):
     capacitance     effective, of a core: it takes capacitance * core_frequency^3, W
     queue           "simulated", task by task; or "erlang", the mean response of M/M/c, as if the load had always been as now
     assignment      who serves whom: "max_rate", "nearest" or "dtlcm", see `bulletuav.network.assignment`
-    power_scale     W, that the reward term `energy` divides by
+    power_scale     W, that the reward term `energy` divides by: about what full thrust and busy cores take
     """
 
     num_users: int = 50
@@ -42,7 +42,7 @@ class EdgeConfig(RadioConfig, UsersConfig):
     capacitance: float = 1e-28
     queue: Literal["simulated", "erlang"] = "simulated"
     assignment: Literal["max_rate", "nearest", "dtlcm"] = "max_rate"
-    power_scale: float = 100.0
+    power_scale: float = 400.0
 
 
 class EdgeTask(UsersTask):
@@ -52,9 +52,8 @@ class EdgeTask(UsersTask):
     first served, and computes for D * cycles_per_bit / core_frequency. What becomes of it is settled when it is generated,
     at the rates of the end of that decision. Beside flight drones pay for what their cores did in the decision before.
 
-    Reward terms: tasks, those completed over the number of users; latency, the mean of the tasks of the drone's users over
-    the deadline, 1 for those that are lost; energy, power over power_scale; sojourn, tanh(0.1 s) of the mean seconds s for
-    which the drone has seen users without a break; collision; out_of_bounds.
+    Reward terms are told by the tasks. What a task brings, its share of `tasks` less that of `latency`, is worth more than
+    nothing for the weights that tasks have: who serves nobody only pays for its flight.
     """
 
     config: EdgeConfig
@@ -73,6 +72,7 @@ class EdgeTask(UsersTask):
         self.uplink = Uplink(config)
         self._demand = (low + high) / 2 * config.cycles_per_bit
         self._activity = min(config.arrival_rate * config.deadline, 1.0)  # uploads end at the deadline: a user sends no more
+        self._expected = max(config.arrival_rate * config.num_users * setting.period, 1e-9)  # tasks in a decision
         self._compute_power = config.num_cores * float(core_power(config.capacitance, config.core_frequency))
         self._capacity = config.num_cores * config.core_frequency
         self._service_rate = float(service_rate(config.core_frequency, (low + high) / 2, config.cycles_per_bit))
@@ -81,9 +81,9 @@ class EdgeTask(UsersTask):
         """Beside that of users what drones did in the last decision, and the world in this episode.
 
         `utilisation` of the cores; `queue`, tasks (of mean size) that wait or are computed; `latency`, s, mean of the tasks
-        of the drone's users; `completed` tasks and `completed_share`; power `received` from each user, W; `link_free` and
-        `core_free`, s from now. Tasks `generated` and `finished`, the `delay` of all, s, and, the same for all drones, the
-        `share` of tasks completed and the `mean_latency`, see `info`.
+        of the drone's users; `completed` tasks, the sum of their latencies, `delay_completed`, s, and `completed_share`;
+        power `received` from each user, W; `link_free` and `core_free`, s from now. Tasks `generated` and `finished`, the
+        `delay` of all, s, and, the same for all drones, the `share` of tasks completed and the `mean_latency`, see `info`.
         """
         drones, users = self.setting.num_drones, self.config.num_users
         totals = ("generated", "finished", "delay")
@@ -143,8 +143,8 @@ class EdgeTask(UsersTask):
         memory, config = frame.scene.memory, self.config
         ended, terms = self.ends(frame)
         terms |= {
-            "tasks": memory["completed"] / config.num_users,
-            "latency": np.minimum(memory["latency"] / config.deadline, 1.0),
+            "tasks": memory["completed"] / self._expected,
+            "latency": memory["delay_completed"] / (config.deadline * self._expected),
             "energy": frame.readings["power"] / config.power_scale,
             "sojourn": sojourn_bonus(frame),
         }
@@ -158,6 +158,7 @@ class Books(NamedTuple):
     queue: np.ndarray
     latency: np.ndarray
     completed: np.ndarray
+    delay_completed: np.ndarray
     completed_share: np.ndarray
     share: np.ndarray
     mean_latency: np.ndarray
@@ -179,6 +180,8 @@ def count(served, books, left, deadline, core_seconds, service_rate):
             books.queue[w, i] = served.backlog[w, i] * service_rate
             books.latency[w, i] = served.latency[w, i] / arrived
             books.completed[w, i] = served.completed[w, i]
+            lost = served.arrived[w, i] - served.completed[w, i]
+            books.delay_completed[w, i] = served.latency[w, i] - deadline * lost
             books.completed_share[w, i] = served.completed[w, i] / arrived
             books.finished[w] += served.completed[w, i]
             books.delay[w] += served.latency[w, i]

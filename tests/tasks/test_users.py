@@ -1,0 +1,535 @@
+"""Tasks over users who walk: who they are, how long they are seen, what that is worth, and what holds drones back."""
+
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+
+import bulletuav
+from bulletuav.city.model import City
+from bulletuav.city.streets import Streets
+from bulletuav.envs.plan import Plan
+from bulletuav.network.mobility import MODELS, find_mobility
+from bulletuav.network.mobility.gauss_markov import GaussMarkov
+from bulletuav.network.mobility.waypoint import Waypoint
+from bulletuav.physics.solids import Solids
+from bulletuav.tasks import find_task
+from bulletuav.tasks.base import Spawn
+
+SMALL = {"area": 250.0, "num_layouts": 1}
+FASTEST = {"still": 0.0, "gauss_markov": 5.0, "manhattan": 3.0, "hotspot": 3.0, "waypoint": 3.0}
+"""m/s, by the defaults: walks of 0.5 to 3 m/s, of Gauss-Markov 4 deviations of 0.5 m/s more"""
+EAST, WEST, NORTH, SOUTH = (1.0, 0, 0), (-1.0, 0, 0), (0, 1.0, 0), (0, -1.0, 0)
+UP, DOWN, STAY = (0, 0, 1.0), (0, 0, -1.0), (0.0, 0, 0)
+
+
+def city_of(*boxes, side=200.0):
+    """A city made by hand, of boxes (low corner, high corner), without streets."""
+    solids = Solids(np.array(boxes, dtype=float).reshape(-1, 2, 3))
+    return City("hand", side, solids, np.arange(len(boxes)), Streets(np.zeros((0, 2)), np.zeros((0, 2), dtype=int)))
+
+
+OPEN = city_of()
+WALL = city_of(((10, -50, 0), (20, 50, 60)))
+TOWER = city_of(((-10, -10, 0), (10, 10, 30)))
+DRONES = [(-50, 0, 10), (-50, 40, 10), (40, 40, 10)]
+USERS = [(40, 0, 1.5), (20, 0, 1.5), (-30, -20, 1.5), (40, -30, 1.5), (30, -40, 1.5)]
+SEEN = np.array([(0, 0, 1, 1, 1), (1, 0, 1, 0, 0), (1, 1, 0, 1, 1)])
+"""At TOWER. From the second drone to user 0 the line passes x = 10 at y = 13.3, beside the tower; to user 1 at 5.7; to users
+3 and 4 it passes x = -10 at 8.9 and 0. From the first those pass x = -10 at -13.3 and -20. From the third to user 2 it
+passes x = 10 at y = 14.3 and y = 10 at x = 5."""
+
+
+@pytest.fixture
+def make():
+    """Builds aviaries, by default small ones, and closes them."""
+    made = []
+
+    def one(task, num_worlds=1, **options):
+        small = {} if "city" in options else SMALL
+        made.append(bulletuav.Aviary(task, num_worlds, **{"dynamics": "single_integrator", **small, **options}))
+        made[-1].reset(seeds=0)
+        return made[-1]
+
+    yield one
+    for aviary in made:
+        aviary.close()
+
+
+@pytest.fixture
+def put(make):
+    """Builds aviaries whose drones hover, and whose users stand, at given places (N, 3) and (U, 3), m."""
+
+    def one(task, city, position, users, num_worlds=1, **options):
+        start, memory = np.array(position, dtype=float), {"users": np.array(users, dtype=float)}
+
+        class Placed(find_task(task)):
+            name = "placed"
+
+            def spawn(self, rng):
+                level = np.tile([0.0, 0, 0, 1], (len(start), 1))
+                return Spawn(start, level, 0 * start, 0 * start, start, layout=self.town.draw(rng), memory=memory)
+
+        numbers = {"num_drones": len(start), "num_users": len(users), "mobility": "still"}
+        return make(Placed, num_worlds, city=city, **numbers, **options)
+
+    return one
+
+
+def fly(aviary, *ways):
+    """One decision with the action `ways[i]` for drone i, of all worlds alike; the last for all that follow."""
+    actions = [ways[min(i, len(ways) - 1)] for i in range(aviary.num_drones)]
+    return aviary.step(np.broadcast_to(np.array(actions, dtype=float), (*aviary.alive.shape, 3)))
+
+
+def told(aviary, observations, beginning):
+    """(W, N, ...) the numbers of observations whose names begin so."""
+    return observations[..., [label.name.startswith(beginning) for label in aviary.observer.labels]]
+
+
+# Where they are
+
+
+@pytest.mark.parametrize("task", ["los", "mobile_users", "mec", "mec_advanced"])
+@pytest.mark.parametrize("mobility", MODELS)
+def test_users_start_outdoors(task, mobility):
+    kind = {"city": "dense", "irregularity": 1.0, "area": 250.0, "num_layouts": 2, "num_users": 40}
+    one, drawn = Plan(task, 1, {**kind, "mobility": mobility}).task, set()
+    for seed in range(10):
+        spawn = one.spawn(np.random.default_rng(seed))
+        users = spawn.memory["users"]
+        drawn.add(spawn.layout)
+        assert one.town.cities[spawn.layout].outdoors(users).all()
+        assert users.shape == (40, 3)
+        assert (np.abs(users[:, :2]) <= 125).all()
+        assert (np.ptp(users[:, :2], axis=0) > 100).all()  # all over the place
+        assert (users[:, 2] == 1.5).all()
+    assert drawn == {0, 1}
+
+
+@pytest.mark.parametrize("hz", [1, 5])
+@pytest.mark.parametrize("mobility", MODELS)
+def test_users_walk_whole_episodes_outdoors_and_no_faster_than_they_can(make, mobility, hz):
+    aviary = make("mobile_users", 2, mobility=mobility, decision_hz=hz, horizon=100 * hz, num_users=30, num_drones=1)
+    city, places = aviary.task.town.cities[0], [aviary.scene.memory["users"].copy()]
+    while aviary.alive.any():
+        fly(aviary, STAY)
+        places.append(aviary.scene.memory["users"].copy())
+    users, way = np.array(places), np.linalg.norm(np.diff(places, axis=0), axis=-1)
+    assert len(users) == 1 + 100 * hz
+    assert city.outdoors(users).all()
+    assert (np.abs(users[..., :2]) <= 125 + 1e-9).all()
+    assert (users[..., 2] == 1.5).all()
+    assert way.max() <= FASTEST[mobility] / hz + 1e-9
+    assert (np.median(way.sum(axis=0)) > 40) == (mobility != "still")
+    fly(aviary, STAY)  # all worlds are over: nobody walks on
+    np.testing.assert_array_equal(aviary.scene.memory["users"], users[-1])
+
+
+@pytest.mark.parametrize("mobility", MODELS)
+def test_users_of_a_world_know_nothing_of_others(make, mobility):
+    many, one = (make("mobile_users", worlds, mobility=mobility, num_layouts=2) for worlds in (4, 1))
+    rng = np.random.default_rng(0)
+    for seed in (20, 40):
+        many.reset(seeds=seed)
+        one.reset(seeds=seed + 2)
+        for k in range(12):
+            actions = rng.uniform(-1, 1, (4, 3, 3))
+            actions[0] = DOWN  # which ends soon
+            if k == 6:
+                many.reset(np.array([True, False, False, True]))
+            mine, alone = many.step(actions), one.step(actions[2:3])
+            np.testing.assert_array_equal(many.scene.memory["users"][2], one.scene.memory["users"][0])
+            np.testing.assert_array_equal(mine.rewards[2], alone.rewards[0])
+            np.testing.assert_array_equal(mine.observations[2], alone.observations[0])
+        others = many.scene.memory["users"]
+        assert not (others[1] == others[2]).all()
+
+
+@pytest.mark.parametrize("mobility", MODELS)
+def test_the_same_seed_is_the_same_episode_after_others_too(make, mobility):
+    aviary, episodes = make("mobile_users", mobility=mobility), []
+    for seed in (3, 4, 3):
+        rows, rng = [aviary.reset(seeds=seed)], np.random.default_rng(1)
+        for _ in range(8):
+            step = aviary.step(rng.uniform(-1, 1, (1, 3, 3)))
+            rows += [step.observations, step.rewards, aviary.scene.memory["users"].copy()]
+        episodes.append(b"".join(row.tobytes() for row in rows))
+    assert episodes[0] == episodes[2] != episodes[1]
+
+
+# How they walk
+
+
+def test_ways_of_walking_by_name_by_dict_and_ready_made(make):
+    def walked(mobility):
+        aviary = make("mobile_users", mobility=mobility)
+        for _ in range(5):
+            fly(aviary, STAY)
+        return aviary.scene.memory["users"].tobytes()
+
+    assert walked("waypoint") == walked({"model": "waypoint"}) == walked(Waypoint())
+    brisk = {"model": "waypoint", "pause": (0.0, 0.0), "speed": (3.0, 3.0)}
+    assert walked(brisk) == walked(Waypoint(pause=(0.0, 0.0), speed=(3.0, 3.0))) != walked("waypoint")
+    assert walked({"model": "gauss_markov", "deviation": 0.0}) == walked(GaussMarkov(deviation=0.0))
+
+
+def test_evaluations_take_ways_of_walking_ready_made():
+    options = {"horizon": 3, **SMALL}
+    made = bulletuav.evaluate("mobile_users", "random", 2, mobility=Waypoint(speed=(3.0, 3.0)), **options)
+    told = bulletuav.evaluate("mobile_users", "random", 2, mobility={"model": "waypoint", "speed": (3.0, 3.0)}, **options)
+    assert made.rows == told.rows
+
+
+def test_options_of_walking_count(make):
+    """Users of 2 m/s on streets are 2 m further, or round a corner, after a second."""
+    aviary = make("mobile_users", mobility={"model": "manhattan", "speed": (2.0, 2.0)}, num_users=50)
+    before = aviary.scene.memory["users"].copy()
+    fly(aviary, STAY)
+    way = np.linalg.norm(aviary.scene.memory["users"] - before, axis=-1)
+    assert way.max() == pytest.approx(2.0)
+    assert np.median(way) == pytest.approx(2.0)
+
+
+BAD = [
+    ({"mobility": "manhatan"}, "unknown mobility model 'manhatan': did you mean 'manhattan'"),
+    ({"mobility": {"model": "waypont"}}, "unknown mobility model 'waypont': did you mean 'waypoint'"),
+    ({"mobility": {"pause": (0, 5)}}, "unknown mobility model None: choose from gauss_markov, hotspot, manhattan, still"),
+    ({"mobility": 5}, "unknown mobility model 5"),
+    (
+        {"mobility": {"model": "waypoint", "pauses": (0, 5)}},
+        "unknown option of mobility model 'waypoint'.*did you mean 'pause'",
+    ),
+    ({"mobility": {"model": "waypoint", "pause": (5, 0)}}, r"pause is \(5, 0\) s: from low to high"),
+    ({"mobility": {"model": "manhattan", "speed": (0, 1)}}, r"speed is \(0, 1\) m/s"),
+    ({"num_users": 0}, "num_users is 0: a whole number, at least 1"),
+    ({"num_users": 2.5}, "num_users is 2.5"),
+    ({"wanted": 0.0}, "wanted is 0: a share above 0"),
+    ({"boundary": "sof"}, "unknown boundary 'sof': did you mean 'soft'"),
+    ({"contact_ends": "worlds"}, "unknown contact_ends 'worlds': did you mean 'world'"),
+    ({"weights": {"sojorn": 1.0}}, "unknown reward term 'sojorn': did you mean 'sojourn'"),
+    ({"observation": ("server",)}, "observation block 'server' shows what task 'mobile_users' does not have"),
+    ({"observation": ("link_rates",)}, "observation block 'link_rates' shows what task 'mobile_users' does not have"),
+]
+
+
+@pytest.mark.parametrize(("options", "message"), BAD, ids=[str(options) for options, _ in BAD])
+def test_options_that_cannot_be(options, message):
+    with pytest.raises(ValueError, match=message):
+        Plan("mobile_users", 1, {"city": OPEN, "mobility": "still", **options})
+
+
+def test_tasks_without_users_have_no_sojourn():
+    with pytest.raises(ValueError, match="observation block 'sojourn' shows what task 'hover' does not have: leave it out"):
+        Plan("hover", 1, {"observation": ("position", "sojourn")})
+
+
+@pytest.mark.parametrize("task", ["mobile_users", "mec"])
+def test_where_there_are_no_streets_nobody_can_walk_on_them(task):
+    with pytest.raises(ValueError, match="city 'hand' has no streets"):
+        bulletuav.Aviary(task, city=WALL, mobility="manhattan")
+    for mobility in MODELS:
+        if mobility != "manhattan":
+            spawn = Plan(task, 1, {"city": WALL, "mobility": mobility}).task.spawn(np.random.default_rng(0))
+            assert WALL.outdoors(spawn.memory["users"]).all()
+
+
+# How long they are seen
+
+
+def test_seconds_of_sight_are_counted_and_lost_behind_a_wall(put):
+    """From (0, 55) to a user at (40, 70) the line passes x = 10 at y = 58.75, beside the wall; from (0, 40) at 47.5."""
+    aviary = put("mobile_users", WALL, [(0, 70, 10)], [(40, 70, 1.5), (0, 0, 1.5)], observation=("sojourn",))
+    seconds = []
+    for way in (STAY, STAY, SOUTH, SOUTH, STAY, NORTH, STAY):
+        step = fly(aviary, way)
+        seconds.append(aviary.scene.memory["sojourn"][0, 0].tolist())
+        assert step.observations[0, 0] == pytest.approx(np.mean(seconds[-1]))
+        assert step.info["reward/sojourn"][0, 0] == pytest.approx(0.5 * np.tanh(0.1 * np.mean(seconds[-1])))
+    assert seconds == [[1, 1], [2, 2], [3, 3], [0, 4], [0, 5], [1, 6], [2, 7]]
+
+
+@pytest.mark.parametrize("hz", [1, 2, 5, 10])
+def test_seconds_of_sight_are_seconds_whatever_a_decision_takes(put, hz):
+    aviary = put("mobile_users", OPEN, [(0, 0, 30)], [(40, 0, 1.5)], decision_hz=hz, horizon=5 * hz)
+    for _ in range(4 * hz):
+        step = fly(aviary, STAY)
+    assert aviary.scene.memory["sojourn"] == pytest.approx(4.0)
+    assert step.info["reward/sojourn"] == pytest.approx(0.5 * np.tanh(0.4))
+
+
+def test_sight_of_users_who_walk_out_of_it_starts_anew(make):
+    """Sojourn follows sight, one decision after the other, of everybody."""
+    aviary = make("mobile_users", 2, num_users=30, horizon=60)
+    expected, lost = np.zeros((2, 3, 30)), 0
+    while aviary.alive.all():
+        fly(aviary, STAY)
+        places = aviary.scene.memory["users"]
+        for w, i in np.ndindex(2, 3):
+            start = np.tile(aviary.swarm.position[w, i], (30, 1))
+            seen = aviary.line_of_sight(start, places[w], w)
+            lost += ((expected[w, i] > 0) & ~seen).sum()
+            expected[w, i] = np.where(seen, expected[w, i] + 1, 0)
+        np.testing.assert_array_equal(aviary.scene.memory["sojourn"], expected)
+    assert lost > 20
+
+
+def test_who_is_dead_has_seen_nobody_and_a_reset_forgets(put):
+    aviary = put("mobile_users", OPEN, [(0, 0, 40), (50, 0, 40)], [(40, 0, 1.5)], 2, observation=("sojourn",))
+    for seconds in (1, 2):  # 15 m down in each; the third ends on the ground
+        step = fly(aviary, DOWN, STAY)
+        assert step.observations[..., 0].tolist() == [[seconds, seconds]] * 2
+    fly(aviary, DOWN, STAY)
+    assert aviary.alive.tolist() == [[False, True]] * 2
+    step = fly(aviary, STAY)
+    assert step.observations[..., 0].tolist() == [[0, 4]] * 2
+    assert step.info["reward/sojourn"][:, 0].tolist() == [0, 0]
+    aviary.reset(np.array([False, True]))
+    assert fly(aviary, STAY).observations[..., 0].tolist() == [[0, 5], [1, 1]]
+
+
+# What it is worth
+
+
+def test_reward_of_seeing_three_in_five_for_ten_seconds(put):
+    """At three decisions a second those who are seen have been so for 50 / 3 s after 50 of them, in the mean of all 10 s."""
+    aviary = put("mobile_users", TOWER, DRONES, USERS, decision_hz=3)
+    for _ in range(50):
+        step = fly(aviary, STAY)
+    assert step.info["reward/sight"][0] == pytest.approx((0.6, 0.4, 0.8))
+    assert step.rewards[0, 0] == pytest.approx(0.9807971, abs=5e-8)
+    assert not step.terminated.any()
+
+
+def test_reward_of_sight_that_lasts(put):
+    expected = {1: 0.0996680, 5: 0.4621172, 10: 0.7615942, 20: 0.9640276}  # of the weight 1
+    aviary = put("mobile_users", OPEN, [(0, 0, 30)], [(9, 0, 1.5), (0, 9, 1.5)], weights={"sojourn": 1.0, "sight": 0.0})
+    for seconds in range(1, 21):
+        step = fly(aviary, STAY)
+        assert step.rewards[0, 0] == step.info["reward/sojourn"][0, 0]
+        if seconds in expected:
+            assert step.rewards[0, 0] == pytest.approx(expected[seconds], abs=5e-8)
+
+
+def test_success_is_to_see_as_many_as_wanted_among_all_drones(put):
+    step = fly(put("mobile_users", TOWER, DRONES, USERS, wanted=1.0), STAY)
+    assert step.info["served"][0].tolist() == [1, 1, 1]
+    assert step.info["success"][0].tolist() == [True] * 3
+    for wanted in (0.8, 0.81):
+        alone = fly(put("mobile_users", TOWER, DRONES[2:], USERS, wanted=wanted), STAY)
+        assert alone.info["served"][0].tolist() == [0.8]
+        assert alone.info["success"][0].tolist() == [wanted == 0.8]
+
+
+# What ends it, and what does not
+
+BOUNDS = {"hard": 0.0, "soft": 0.8}
+
+
+@pytest.mark.parametrize(("boundary", "left"), BOUNDS.items())
+def test_bounds_hold_drones_back_by_hand(put, boundary, left):
+    """5 m off the edge at 12 m/s west and 9 m/s north: the way along the edge goes on."""
+    options = {"boundary": boundary, "weights": {"out_of_bounds": -3.0}, "ceiling": 65.0}
+    aviary = put("mobile_users", OPEN, [(-95, 0, 30), (0, 0, 60)], [(0, 0, 1.5)], **options)
+    step = fly(aviary, (-0.8, 0.6, 0.0), UP)
+    np.testing.assert_allclose(aviary.swarm.position[0], [(-100, 9, 30), (0, 0, 65)], atol=1e-9)
+    np.testing.assert_allclose(aviary.swarm.velocity[0], [(left * 12, 9, 0), (0, 0, -left * 15)], atol=1e-9)
+    assert step.info["reward/out_of_bounds"][0].tolist() == [-3, -3]
+    assert not step.terminated.any()
+    assert not step.info["collision"].any()
+    step = fly(aviary, EAST, STAY)
+    np.testing.assert_allclose(aviary.swarm.position[0], [(-85, 9, 30), (0, 0, 65)], atol=1e-9)
+    assert step.info["reward/out_of_bounds"][0].tolist() == [0, -3]
+
+
+@pytest.mark.parametrize("dynamics", ["bullet", "rigid_body", "point_mass"])
+@pytest.mark.parametrize("boundary", BOUNDS)
+def test_bounds_hold_back_whatever_flies(put, boundary, dynamics):
+    options = {"boundary": boundary, "dynamics": dynamics, "decision_hz": 10, "horizon": 100}
+    aviary = put("mobile_users", OPEN, [(-96, 0, 30)], [(0, 0, 1.5)], **options)
+    turned = 0
+    for _ in range(25):
+        fly(aviary, WEST)
+        x, speed = aviary.swarm.position[0, 0, 0], aviary.swarm.velocity[0, 0, 0]
+        assert x >= -100
+        turned += x == -100
+        if x == -100:
+            assert speed > 0 if boundary == "soft" else speed == 0
+    assert turned >= (1 if boundary == "soft" else 10)
+    for _ in range(20):
+        fly(aviary, EAST)
+    assert aviary.swarm.position[0, 0, 0] > -95
+    assert aviary.alive.all()
+
+
+def test_the_bounds_can_end_it_instead(put):
+    options = {"boundary": "end", "weights": {"out_of_bounds": -3.0}}
+    aviary = put("mobile_users", OPEN, [(-95, 0, 30), (0, 0, 60)], [(0, 0, 1.5)], **options)
+    step = fly(aviary, WEST, STAY)
+    assert aviary.swarm.position[0, 0, 0] == pytest.approx(-110)
+    assert step.terminated[0].tolist() == [True, False]
+    assert step.info["reward/out_of_bounds"][0].tolist() == [-3, 0]
+
+
+def test_defaults_of_the_bounds():
+    for task, boundary in (("los", "end"), ("mobile_users", "hard"), ("mec", "hard"), ("mec_advanced", "hard")):
+        assert Plan(task, 1, {"city": OPEN, "mobility": "still"}).task.config.boundary == boundary
+
+
+@pytest.mark.parametrize("dynamics", ["single_integrator", "rigid_body"])
+@pytest.mark.parametrize(("ends", "over"), [("drone", [True, False, False]), ("world", [True, True, True])])
+def test_contact_ends_the_drones_episode_or_the_worlds(put, ends, over, dynamics):
+    options = {"contact_ends": ends, "dynamics": dynamics}
+    aviary = put("mobile_users", OPEN, [(0, 0, 22), (50, 0, 40), (-50, 0, 40)], [(0, 9, 1.5)], 2, **options)
+    still = np.zeros((2, 3, 3))
+    dives = still.copy()
+    dives[0, 0] = DOWN
+    for _ in range(4):
+        step = aviary.step(dives)
+        if step.terminated.any():
+            break
+    assert step.terminated.tolist() == [over, [False] * 3]
+    assert step.info["collision"].tolist() == [[True, False, False], [False] * 3]
+    assert step.info["reward/collision"].tolist() == [[-2, 0, 0], [0, 0, 0]]
+    assert not step.truncated.any()
+    assert aviary.alive.tolist() == [[not one for one in over], [True] * 3]
+    assert not aviary.step(still).terminated.any()
+
+
+def test_an_empty_battery_ends_only_the_episode_of_its_drone(put):
+    """Hovering takes more than flying at 7.5 m/s."""
+    options = {"contact_ends": "world", "battery_capacity": 0.05, "decision_hz": 10}
+    aviary = put("mobile_users", OPEN, [(0, 0, 30), (0, -90, 30)], [(0, 9, 1.5)], **options)
+    while aviary.alive.all():
+        step = fly(aviary, STAY, (0, 0.5, 0))
+    assert step.terminated[0].tolist() == [True, False]
+    assert step.info["charge"][0, 0] == 0 < step.info["charge"][0, 1]
+
+
+# What drones are told
+
+
+def test_centroids_by_hand(put):
+    """The first drone is high above users 0 and 1: over ground they are nearest to it. The third is near nobody."""
+    users = [(10, 0, 1.5), (-10, 20, 1.5), (60, 0, 1.5), (70, 30, 1.5), (50, 60, 1.5)]
+    drones = [(0, 0, 100), (55, 10, 10), (-90, -90, 30)]
+    aviary = put("mobile_users", OPEN, drones, users, observation=("centroids",), ceiling=120.0)
+    everybody, first, second = (36, 22), (0, 10), (60, 30)
+    expected = [(*everybody, *first), (*everybody, *second), (*everybody, *everybody)]
+    np.testing.assert_allclose(aviary.reset(seeds=0)[0], expected)
+    np.testing.assert_allclose(fly(aviary, STAY).observations[0], expected)
+    while aviary.alive.all():
+        step = fly(aviary, STAY, DOWN, STAY)
+    np.testing.assert_allclose(step.observations[0, [0, 2]], [(*everybody, *everybody)] * 2)  # all are the first one's now
+    observations = fly(aviary, STAY, STAY, NORTH).observations  # 15 m at a time
+    for _ in range(6):
+        observations = fly(aviary, STAY, STAY, NORTH).observations
+    np.testing.assert_allclose(aviary.swarm.position[0, 2, :2], (-90, 15))
+    np.testing.assert_allclose(observations[0, 2], (*everybody, *everybody))
+    names = [label.name for label in aviary.observer.labels]
+    assert names == ["centroid x", "centroid y", "own centroid x", "own centroid y"]
+
+
+def test_own_centroids_follow_the_drones(put):
+    aviary = put("mobile_users", OPEN, [(-30, 0, 30), (30, 0, 30)], [(-20, 5, 1.5), (5, 10, 1.5), (40, 0, 1.5)])
+    expected = {STAY: [(-20, 5), (22.5, 5)], EAST: [(-7.5, 7.5), (40, 0)]}  # then 15 m and 25 m from the second user
+    for way, own in expected.items():
+        observations = fly(aviary, way, STAY).observations
+        np.testing.assert_allclose(told(aviary, observations, "own centroid")[0], own)
+        np.testing.assert_allclose(told(aviary, observations, "centroid")[0], [(25 / 3, 5)] * 2, rtol=1e-6)
+
+
+def test_the_matrix_of_sight_has_the_own_row_first_and_those_of_others_by_index(put):
+    aviary = put("mobile_users", TOWER, DRONES, USERS)
+    expected = [SEEN[[0, 1, 2]], SEEN[[1, 0, 2]], SEEN[[2, 0, 1]]]
+    for observations in (aviary.reset(seeds=0), fly(aviary, STAY).observations):
+        np.testing.assert_array_equal(observations[0, :, 8:].reshape(3, 3, 5), expected)
+    names = [label.name for label in aviary.observer.labels[8:]]
+    assert (names[0], names[5], names[10], names[14]) == ("own sees 1", "other 1 sees 1", "other 2 sees 1", "other 2 sees 5")
+    while aviary.alive.all():
+        fly(aviary, STAY, DOWN, STAY)
+    rows = fly(aviary, STAY).observations[0, :, 8:].reshape(3, 3, 5)
+    blind = SEEN * np.array([[1], [0], [1]])
+    np.testing.assert_array_equal(rows[[0, 2]], [blind[[0, 1, 2]], blind[[2, 0, 1]]])
+
+
+@pytest.mark.parametrize("task", ["los", "mobile_users"])
+def test_power_is_told(put, task):
+    aviary = put(task, OPEN, [(0, 0, 30), (50, 0, 30)], [(0, 9, 1.5)], observation=("position", "power"))
+    assert (told(aviary, aviary.reset(seeds=0), "power") == 0).all()
+    step = fly(aviary, STAY, NORTH)
+    np.testing.assert_allclose(told(aviary, step.observations, "power")[..., 0], step.info["power"], rtol=1e-6)
+    assert step.info["power"][0, 0] != step.info["power"][0, 1]
+
+
+# Sizes and faces
+
+
+def test_the_preset_has_the_sizes_that_it_is_named_after(make):
+    aviary = make("mobile_users", preset="urbanmarl", area=500.0)
+    options, task = aviary.options, aviary.task
+    assert (options.num_drones, task.num_targets, options.decision_hz, options.horizon) == (3, 50, 1, 100)
+    assert (options.dynamics, task.config.contact_ends, task.mobility) == (
+        "single_integrator",
+        "world",
+        find_mobility("manhattan"),
+    )
+    np.testing.assert_array_equal((task.arena_low, task.arena_high), [(-250, -250, 0), (250, 250, 200)])
+    for k in range(1, 101):
+        step = fly(aviary, STAY)
+        assert step.truncated.all() == step.truncated.any() == (k == 100)
+    assert Plan("mobile_users", 1, {"preset": "urbanmarl", "num_users": 7, **SMALL}).task.num_targets == 7
+
+
+SHAPES = {
+    "plain": {},
+    "preset": {"preset": "urbanmarl"},
+    "noisy": {"difficulty": "medium", "mobility": "hotspot", "normalise": True, "num_drones": 2},
+    "all": {"observation": ("centroids", "sight_matrix", "sojourn", "power", "targets", "seen_share", "neighbours")},
+    "ends": {"boundary": "end", "contact_ends": "world", "mobility": "gauss_markov"},
+    "soft": {"boundary": "soft", "dynamics": "rigid_body", "decision_hz": 10, "mobility": "waypoint"},
+}
+
+
+@pytest.mark.parametrize("options", SHAPES.values(), ids=SHAPES)
+def test_numbers_are_finite_and_within_their_bounds_in_whole_random_episodes(options):
+    env = bulletuav.batch_env("mobile_users", 3, autoreset_mode=AutoresetMode.SAME_STEP, horizon=12, **{**SMALL, **options})
+    observations, infos = env.reset(seed=0)
+    rng, names = np.random.default_rng(0), set(infos)
+    for _ in range(30):
+        for one in observations.reshape(-1, observations.shape[-1]):
+            assert env.observation_space.contains(one)
+        actions = rng.uniform(-1, 1, (*env.alive.shape, 3))
+        observations, rewards, _, _, infos = env.step(actions)
+        own = {name for name in infos if "final" not in name}
+        assert own == names
+        for numbers in (observations, rewards, *(infos[name] for name in own - {"separation"})):
+            assert np.isfinite(numbers).all()
+        assert ((infos["served"] >= 0) & (infos["served"] <= 1)).all()
+    env.close()
+
+
+def test_agents_of_pettingzoo_get_the_same_infos_at_reset_and_at_every_step():
+    env = bulletuav.parallel_env("mobile_users", horizon=4, **SMALL)
+    observations, infos = env.reset(seed=0)
+    names = set(infos["drone_0"])
+    assert {"served", "power", "charge", "reward/sojourn"} <= names
+    while env.agents:
+        assert all(env.observation_space(agent).contains(observations[agent]) for agent in env.agents)
+        flying = list(env.agents)
+        observations, _, _, truncated, infos = env.step(dict.fromkeys(flying, np.zeros(3, np.float32)))
+        assert all(set(infos[agent]) == names for agent in flying)
+    assert all(truncated.values())
+    env.close()
+
+
+def test_the_number_of_processes_changes_no_bit():
+    rows = []
+    for workers in (1, 2):
+        env = bulletuav.batch_env("mobile_users", 3, workers=workers, seed=3, horizon=4, mobility="hotspot", **SMALL)
+        rng, own = np.random.default_rng(0), [env.reset()[0].tobytes()]
+        for _ in range(9):
+            observations, rewards, *_, infos = env.step(rng.uniform(-1, 1, (3, 3, 3)))
+            own += [observations.tobytes(), rewards.tobytes(), np.asarray(infos["served"]).tobytes()]
+        rows.append(own)
+        env.close()
+    assert rows[0] == rows[1]
