@@ -2,8 +2,8 @@
 
 Numba stamps a cached function with its own source file only, so machine code that inlined a helper from another file
 survives an edit of that helper. Here the cache lives in a folder named by a hash of every source file of the package:
-any edit, upgrade or downgrade starts from an empty folder. Only tasks' own files do not count: no kernel of another file
-can use them, as nothing imports them, and those in them bear numba's stamp.
+any edit, upgrade or downgrade starts from an empty folder. Only the files right in `tasks/` do not count: a test holds that
+no file with kernels imports one, and those in them bear numba's stamp.
 """
 
 import contextlib

@@ -1,4 +1,4 @@
-"""Edge servers on drones: tasks of users on the ground, their uploads, and queues of several cores, simulated exactly.
+"""Edge servers on drones: tasks of users on the ground, their uploads, and queues of several cores, simulated task by task.
 
 Unlike the formulas of `queueing`, this needs neither a steady state nor exponential sizes. Times are in s since the
 decision began, and a decision takes `dt` s.

@@ -260,10 +260,8 @@ def overlaps(world: World, swarm: Swarm, moved: np.ndarray, alive: np.ndarray, p
     """Contacts, without impulse, of what the drones that were `moved` (W, N) touch where they are now."""
     rows: dict[tuple[int, int, int], float] = {}
     for w, one, two in _crowded(swarm.position, moved, alive, parameters["collision_radius"], world.atlas):
-        ends = [
-            (who, swarm.position[w, who], swarm.quaternion[w, who]) if who >= 0 else (who, None, None) for who in (one, two)
-        ]
-        if world.separation(w, *ends, TOUCH) <= TOUCH:
+        there = (two, None, None) if two == CITY else (two, swarm.position[w, two], swarm.quaternion[w, two])
+        if world.separation(w, (one, swarm.position[w, one], swarm.quaternion[w, one]), there, TOUCH) <= TOUCH:
             rows |= {(w, drone, other): 0.0 for drone, other in _both_sides(one, two)}
     return Contacts.merge(rows)
 

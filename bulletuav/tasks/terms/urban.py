@@ -21,7 +21,7 @@ from bulletuav.tasks.terms.airspace import UNCERTAINTY, Airspace, FlightConfig
 CELL = 4.0  # m, of the raster from which places are drawn
 ROOM = 1.0  # m, beyond its radius, between a drone that starts, or a goal, and buildings
 USER_HEIGHT = 1.5  # m, of a user's device above the ground
-EDGE = 10.0  # m, between them and the city's edge
+EDGE = 10.0  # m, between drones that start, or goals, and the city's edge
 TRIES = 200
 LEVELS: dict[str, dict[str, Any]] = {
     "easy": UNCERTAINTY["easy"],

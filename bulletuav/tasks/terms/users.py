@@ -6,11 +6,11 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from bulletuav.kernel import kernel
 from bulletuav.network.mobility import find_mobility
 from bulletuav.network.mobility.ground import Ground
+from bulletuav.network.sojourn import watch
 from bulletuav.tasks.base import REBOUND, Frame, Scene, Setting, Spawn, whose
-from bulletuav.tasks.terms.urban import DEFAULTS, UrbanConfig, UrbanTask, check_share
+from bulletuav.tasks.terms.urban import DEFAULTS, USER_HEIGHT, UrbanConfig, UrbanTask, check_share
 
 SOJOURN_SCALE = 0.1  # 1/s
 
@@ -53,7 +53,7 @@ class UsersTask(UrbanTask):
         check_share("wanted", config.wanted)
         self.num_targets, self.rebound = config.num_users, REBOUND.get(config.boundary)
         self.mobility = find_mobility(config.mobility)
-        self.ground = Ground(self.town.cities)
+        self.ground = Ground(self.town.cities, USER_HEIGHT)
         self.mobility.require(self.ground)
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
@@ -87,18 +87,6 @@ class UsersTask(UrbanTask):
         if self.config.boundary == "end":
             ended = ended | outside
         return ended, {"collision": frame.collision.astype(float), "out_of_bounds": outside.astype(float)}
-
-
-@kernel
-def watch(sojourn, mean, sight, alive, period):
-    """Bring `sojourn` (W, N, U) s and its `mean` (W, N) up to date after `period` s of `sight` by living drones (W, N)."""
-    for w in range(sight.shape[0]):
-        for i in range(sight.shape[1]):
-            total = 0.0
-            for j in range(sight.shape[2]):
-                sojourn[w, i, j] = sojourn[w, i, j] + period if alive[w, i] and sight[w, i, j] else 0.0
-                total += sojourn[w, i, j]
-            mean[w, i] = total / sight.shape[2]
 
 
 def sojourn_bonus(frame: Frame) -> np.ndarray:
