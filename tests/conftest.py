@@ -1,4 +1,5 @@
 import bench
+import placing
 import pytest
 from hypothesis import settings
 
@@ -18,6 +19,14 @@ def make_bench():
     yield make
     for one in made:
         one.world.close()
+
+
+@pytest.fixture
+def users_bench():
+    """Builds aviaries of tasks over users and closes them."""
+    one = placing.Placing()
+    yield one
+    one.close()
 
 
 @pytest.fixture

@@ -6,20 +6,16 @@ import math
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
+from placing import SMALL, city_of
 from scipy.spatial.transform import Rotation
 
 import bulletuav
-from bulletuav.city.model import City
-from bulletuav.city.streets import Streets
 from bulletuav.envs.options import resolve
 from bulletuav.envs.plan import Plan
 from bulletuav.physics.power import airframe_wing
-from bulletuav.physics.solids import Solids
 from bulletuav.policies import find_policy
 from bulletuav.tasks import find_task
-from bulletuav.tasks.base import Spawn
 
-SMALL = {"area": 250.0, "num_layouts": 1}
 EDGE = ("mec", "mec_advanced")
 DEAF = {"n_nlos": 300.0}  # nothing is heard without a line of sight
 EAST, DOWN, STAY = (1.0, 0, 0), (0, 0, -1.0), (0.0, 0, 0)
@@ -30,50 +26,18 @@ NOISE = 1.380649e-23 * 290 * BAND * 10**0.7  # W
 CORE = 1e-28 * 5e9**3  # W
 
 
-def city_of(*boxes, side=200.0):
-    """A city made by hand, of boxes (low corner, high corner), without streets."""
-    solids = Solids(np.array(boxes, dtype=float).reshape(-1, 2, 3))
-    return City("hand", side, solids, np.arange(len(boxes)), Streets(np.zeros((0, 2)), np.zeros((0, 2), dtype=int)))
-
-
 OPEN = city_of()
 WALL = city_of(((10, -50, 0), (20, 50, 60)))
 
 
 @pytest.fixture
-def make():
-    """Builds aviaries, by default small ones, and closes them."""
-    made = []
-
-    def one(task, num_worlds=1, **options):
-        small = {} if "city" in options else SMALL
-        made.append(bulletuav.Aviary(task, num_worlds, **{"dynamics": "single_integrator", **small, **options}))
-        made[-1].reset(seeds=0)
-        return made[-1]
-
-    yield one
-    for aviary in made:
-        aviary.close()
+def make(users_bench):
+    return users_bench.make
 
 
 @pytest.fixture
-def put(make):
-    """Builds aviaries whose drones hover, and whose users stand, at given places (N, 3) and (U, 3), m."""
-
-    def one(task, city, position, users, num_worlds=1, **options):
-        start, memory = np.array(position, dtype=float), {"users": np.array(users, dtype=float)}
-
-        class Placed(find_task(task)):
-            name = "placed"
-
-            def spawn(self, rng):
-                level = np.tile([0.0, 0, 0, 1], (len(start), 1))
-                return Spawn(start, level, 0 * start, 0 * start, start, layout=self.town.draw(rng), memory=memory)
-
-        numbers = {"num_drones": len(start), "num_users": len(users)}
-        return make(Placed, num_worlds, city=city, **numbers, **options)
-
-    return one
+def put(users_bench):
+    return users_bench.put
 
 
 def fly(aviary, *ways):
@@ -384,6 +348,18 @@ def test_an_overloaded_server_works_without_a_break(put):
         assert 0.5 < latency <= 1
         assert 0.1 < share < 0.7
     assert 300 - 1 <= aviary.scene.memory["finished"] <= 300 + 10
+
+
+def test_a_user_sends_one_task_after_the_other(put):
+    """In 150 kHz a task takes 0.43 s to send; of 20 a second no more are done than the link can carry."""
+    options = {"arrival_rate": 20.0, "bandwidth": 150e3, "num_cores": 20, "horizon": 40, **EQUAL}
+    aviary = put("mec", OPEN, [(0, 0, 50)], [(0, 0, 1.5)], 3, **options)
+    hovered(aviary)
+    most = 40 * shannon(friis(48.5) / (NOISE * 150e3 / BAND), 150e3) / 1e6
+    assert 80 < most < 100
+    finished = aviary.scene.memory["finished"]
+    assert (finished > 30).all()
+    assert (finished <= most + 1).all()
 
 
 def test_the_queue_is_the_work_that_is_left(put):

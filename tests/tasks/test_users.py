@@ -3,29 +3,18 @@
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
+from placing import SMALL, city_of
 
 import bulletuav
-from bulletuav.city.model import City
-from bulletuav.city.streets import Streets
 from bulletuav.envs.plan import Plan
 from bulletuav.network.mobility import MODELS, find_mobility
 from bulletuav.network.mobility.gauss_markov import GaussMarkov
 from bulletuav.network.mobility.waypoint import Waypoint
-from bulletuav.physics.solids import Solids
-from bulletuav.tasks import find_task
-from bulletuav.tasks.base import Spawn
 
-SMALL = {"area": 250.0, "num_layouts": 1}
 FASTEST = {"still": 0.0, "gauss_markov": 5.0, "manhattan": 3.0, "hotspot": 3.0, "waypoint": 3.0}
 """m/s, by the defaults: walks of 0.5 to 3 m/s, of Gauss-Markov 4 deviations of 0.5 m/s more"""
 EAST, WEST, NORTH, SOUTH = (1.0, 0, 0), (-1.0, 0, 0), (0, 1.0, 0), (0, -1.0, 0)
 UP, DOWN, STAY = (0, 0, 1.0), (0, 0, -1.0), (0.0, 0, 0)
-
-
-def city_of(*boxes, side=200.0):
-    """A city made by hand, of boxes (low corner, high corner), without streets."""
-    solids = Solids(np.array(boxes, dtype=float).reshape(-1, 2, 3))
-    return City("hand", side, solids, np.arange(len(boxes)), Streets(np.zeros((0, 2)), np.zeros((0, 2), dtype=int)))
 
 
 OPEN = city_of()
@@ -40,39 +29,13 @@ passes x = 10 at y = 14.3 and y = 10 at x = 5."""
 
 
 @pytest.fixture
-def make():
-    """Builds aviaries, by default small ones, and closes them."""
-    made = []
-
-    def one(task, num_worlds=1, **options):
-        small = {} if "city" in options else SMALL
-        made.append(bulletuav.Aviary(task, num_worlds, **{"dynamics": "single_integrator", **small, **options}))
-        made[-1].reset(seeds=0)
-        return made[-1]
-
-    yield one
-    for aviary in made:
-        aviary.close()
+def make(users_bench):
+    return users_bench.make
 
 
 @pytest.fixture
-def put(make):
-    """Builds aviaries whose drones hover, and whose users stand, at given places (N, 3) and (U, 3), m."""
-
-    def one(task, city, position, users, num_worlds=1, **options):
-        start, memory = np.array(position, dtype=float), {"users": np.array(users, dtype=float)}
-
-        class Placed(find_task(task)):
-            name = "placed"
-
-            def spawn(self, rng):
-                level = np.tile([0.0, 0, 0, 1], (len(start), 1))
-                return Spawn(start, level, 0 * start, 0 * start, start, layout=self.town.draw(rng), memory=memory)
-
-        numbers = {"num_drones": len(start), "num_users": len(users), "mobility": "still"}
-        return make(Placed, num_worlds, city=city, **numbers, **options)
-
-    return one
+def put(users_bench):
+    return users_bench.put
 
 
 def fly(aviary, *ways):

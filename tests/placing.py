@@ -1,0 +1,50 @@
+"""Cities by hand, with drones and users at given places."""
+
+import numpy as np
+
+import bulletuav
+from bulletuav.city.model import City
+from bulletuav.city.streets import Streets
+from bulletuav.physics.solids import Solids
+from bulletuav.tasks import find_task
+from bulletuav.tasks.base import Spawn
+
+SMALL = {"area": 250.0, "num_layouts": 1}
+
+
+def city_of(*boxes, side=200.0):
+    """A city made by hand, of boxes (low corner, high corner), without streets."""
+    solids = Solids(np.array(boxes, dtype=float).reshape(-1, 2, 3))
+    return City("hand", side, solids, np.arange(len(boxes)), Streets(np.zeros((0, 2)), np.zeros((0, 2), dtype=int)))
+
+
+class Placing:
+    """Builds aviaries of tasks over users, and closes them."""
+
+    def __init__(self):
+        self._made = []
+
+    def make(self, task, num_worlds=1, **options):
+        """One that is started, by default small and kinematic."""
+        small = {} if "city" in options else SMALL
+        self._made.append(bulletuav.Aviary(task, num_worlds, **{"dynamics": "single_integrator", **small, **options}))
+        self._made[-1].reset(seeds=0)
+        return self._made[-1]
+
+    def put(self, task, city, position, users, num_worlds=1, **options):
+        """One whose drones hover, and whose users stand, at given places (N, 3) and (U, 3), m."""
+        start, memory = np.array(position, dtype=float), {"users": np.array(users, dtype=float)}
+
+        class Placed(find_task(task)):
+            name = "placed"
+
+            def spawn(self, rng):
+                level = np.tile([0.0, 0, 0, 1], (len(start), 1))
+                return Spawn(start, level, 0 * start, 0 * start, start, layout=self.town.draw(rng), memory=memory)
+
+        numbers = {"num_drones": len(start), "num_users": len(users), "mobility": "still"}
+        return self.make(Placed, num_worlds, city=city, **{**numbers, **options})
+
+    def close(self):
+        for aviary in self._made:
+            aviary.close()
