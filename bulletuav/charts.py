@@ -14,6 +14,7 @@ from bulletuav.pictures import blank_figure
 COLOURS = ("#4477aa", "#ee6677", "#228833", "#ccbb44", "#66ccee", "#aa3377", "#bbbbbb")  # P. Tol's bright scheme
 RATES = ("success", "drone_success", "conflict", "collision")
 COMPARED = ("success", "conflict", "collision", "served", "completed")
+NOTHING = Estimate(np.nan, np.nan, np.nan, 0)
 BINS = 40
 
 
@@ -57,7 +58,7 @@ def plot_leaderboard(results: Sequence[Evaluation], path: Path) -> None:
     metrics = [metric for metric in COMPARED if any(result.estimates()[metric].episodes for result in results)]
     figure = blank_figure(2.5 + 1.1 * len(cases), 2.7 * len(metrics))
     for axes, metric in zip(figure.subplots(len(metrics), 1, sharex=True), metrics, strict=True):
-        rows = [[found[case, policy][metric] for case in cases] for policy in policies]
+        rows = [[found.get((case, policy), {}).get(metric, NOTHING) for case in cases] for policy in policies]
         _bars(axes, cases, rows, policies)
         axes.set(ylabel=metric, ylim=(0, 1.05))
     figure.axes[0].legend(loc="lower left", ncols=len(policies), bbox_to_anchor=(0, 1))

@@ -238,7 +238,7 @@ def test_help(arguments, capsys):
             "give one of them",
         ),
         ([*COMPARED, "--dynamics", "point_mass,point_mas"], "unknown dynamics 'point_mas': did you mean 'point_mass'"),
-        ([*COMPARED, "--set", "dynamics=5"], "unknown dynamics 5"),
+        ([*COMPARED, "--set", "dynamics=5"], "unknown dynamics '5'"),
         (["tasks", "hoover"], "did you mean 'hover'"),
         (["flyy"], "invalid choice: 'flyy'"),
         ([], "required: COMMAND"),

@@ -60,15 +60,16 @@ def _each(option: str, values: list[str] | None) -> list[dict[str, str]]:
 def run(arguments: argparse.Namespace) -> None:
     """Evaluate all, print and write."""
     options = given_options(arguments)
+    dynamics = _names(str(options.pop("dynamics"))) if "dynamics" in options else None
     if arguments.difficulties and "difficulty" in options:
         raise ValueError("--difficulty and --difficulties: give one of them")
     out, results = out_folder(arguments.out), []
     cases = [
-        (task, policy, {**options, **difficulty, **dynamics})
+        (task, policy, {**options, **difficulty, **one})
         for task in arguments.tasks
         for difficulty in _each("difficulty", arguments.difficulties)
         for policy in arguments.policies
-        for dynamics in _each("dynamics", options.get("dynamics", "").split(","))
+        for one in _each("dynamics", dynamics)
     ]
     cases = [(task, policy, flyable_options(task, policy, options)) for task, policy, options in cases]
     with episodes_bar(arguments.episodes * len(cases)) as progress:

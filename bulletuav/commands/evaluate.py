@@ -37,7 +37,7 @@ ABOUT = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The task, who flies, how many episodes, where to, and the options."""
     parser.add_argument("task", help="one of `bulletuav tasks`")
-    parser.add_argument("--policy", help=f"who flies: {POLICY_HELP} (default: straight, or planner to goals in cities)")
+    parser.add_argument("--policy", help=f"who flies: {POLICY_HELP} (default: the task's)")
     add_episodes(parser)
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the files (default: one in evaluation/)")
     add_options(parser)

@@ -30,7 +30,7 @@ ABOUT = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The task, who flies, from which seed, where to, and the options."""
     parser.add_argument("task", help="one of `bulletuav tasks`")
-    parser.add_argument("--policy", help=f"who flies: {POLICY_HELP} (default: straight, or planner to goals in cities)")
+    parser.add_argument("--policy", help=f"who flies: {POLICY_HELP} (default: the task's)")
     parser.add_argument("--seed", type=int, default=0, help="same seed, same flight (default: 0)")
     parser.add_argument("--out", type=Path, default=Path("out"), metavar="DIR", help="folder for the files (default: out)")
     parser.add_argument("--animation", choices=("gif", "mp4", "none"), default="gif", help="mp4 needs the extra 'video'")

@@ -201,7 +201,7 @@ class Aviary:
         truncated = frame.last[:, None] & flown & ~terminated
         self._frame = frame
         self.alive = flown & ~terminated & ~truncated
-        observations = self.observer.observe(frame, self.alive)
+        observations = self.observer.observe(frame, flown & ~terminated)  # the horizon takes nobody away
         weighted = {name: self.task.weights[name] * term for name, term in verdict.terms.items()}
         if not flown.all():
             weighted = {name: np.where(flown, term, 0.0) for name, term in weighted.items()}

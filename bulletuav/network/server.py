@@ -125,10 +125,11 @@ def serve(tasks, assignment, uplink, cycles_per_bit, core_frequency, deadline, d
     `core_frequency` cycles/s. `link_free` (W, U) and `core_free` (W, N, C), changed in place, say how long (s) uplinks and
     cores are still taken when the decision begins: give zeros first.
 
-    A user sends its tasks one after the other in the order of their generation, at the rate of this decision. A drone serves
-    them in the order of their arrival, each by the core that is free first. A task that would complete more than `deadline`
-    s (may be inf) after its generation is lost: its upload, if not done by then, is broken off; a server to which it comes
-    turns it away at no cost. Tasks of users without a drone or with rate 0 are lost at once and leave the link as it is.
+    A user sends its tasks one after the other in the order of their generation, at the rate of this decision. A drone
+    serves them in the order of their arrival, each by the core that is free first. A task that would complete more than
+    `deadline` s (may be inf) after its generation is lost, at no cost: a user does not begin an upload after which not even
+    an idle core would be in time, and a server turns it away. Tasks of users without a drone or with rate 0 are lost at
+    once and leave the link as it is.
 
     Tasks whose upload crosses the end of the decision are in line before all of the next. A core that will idle until they
     come does not keep that time for them: only work is carried over, so that no core's time is lost or counted twice.
@@ -138,14 +139,16 @@ def serve(tasks, assignment, uplink, cycles_per_bit, core_frequency, deadline, d
     arrived, completed = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.int64)
     latency, busy, backlog, cycles = np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros(shape)
     order, arrival = np.empty(counts.max(), dtype=np.int64), np.empty(counts.max())
-    lost = deadline if deadline < np.inf else 0.0
+    lost, pace = deadline if deadline < np.inf else 0.0, cycles_per_bit / core_frequency
     left = np.empty((drones, cores))
     for w in range(worlds):
         for n in range(drones):
             for c in range(cores):
                 busy[w, n] += min(core_free[w, n, c], dt)
                 left[n, c] = max(core_free[w, n, c] - dt, 0.0)
-        for i in range(_upload(tasks, w, assignment[w], uplink[w], deadline, link_free[w], arrived[w], order, arrival)):
+        for i in range(
+            _upload(tasks, w, assignment[w], uplink[w], pace, deadline, link_free[w], arrived[w], order, arrival)
+        ):
             k = order[i]
             n, need = assignment[w, tasks.user[k]], tasks.bits[k] * cycles_per_bit
             c = _first_free(core_free[w, n])
@@ -180,7 +183,7 @@ def _first_free(core_free):
 
 
 @kernel
-def _upload(tasks, w, assignment, uplink, deadline, link_free, arrived, order, arrival):
+def _upload(tasks, w, assignment, uplink, seconds_per_bit, deadline, link_free, arrived, order, arrival):
     """Send the tasks of world `w`: how many reach a server, with `order`, which, and `arrival`, when, in order of arrival.
 
     Equal times keep the order of generation. They are nearly in order when they come, so insertion sorts fast.
@@ -193,10 +196,10 @@ def _upload(tasks, w, assignment, uplink, deadline, link_free, arrived, order, a
         arrived[assignment[user]] += 1
         if uplink[user] <= 0.0:
             continue
-        end, limit = max(tasks.time[k], link_free[user]) + tasks.bits[k] / uplink[user], tasks.time[k] + deadline
-        link_free[user] = max(link_free[user], min(end, limit))
-        if end > limit:
+        end = max(tasks.time[k], link_free[user]) + tasks.bits[k] / uplink[user]
+        if end + tasks.bits[k] * seconds_per_bit > tasks.time[k] + deadline:
             continue
+        link_free[user] = end
         place = count
         while place > 0 and arrival[place - 1] > end:
             order[place], arrival[place] = order[place - 1], arrival[place - 1]

@@ -83,6 +83,7 @@ class Coverage(UrbanTask):
     config: CoverageConfig
     defaults: ClassVar = {**DEFAULTS, "horizon": 300}
     difficulties: ClassVar = {**LEVELS, "extreme": {**LEVELS["extreme"], "min_separation": 50.0}}
+    baseline = "kmeans"
     observation = ("position", "velocity", "battery", "neighbours", "seen_share")
     reward_weights: ClassVar = {"covered": 1.0, "close": -5.0, "collision": -10.0, "out_of_bounds": -10.0}
 

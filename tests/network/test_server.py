@@ -93,13 +93,13 @@ def test_an_uplink_sends_one_task_at_a_time():
     assert server(tasks_of((0.0, 0, 1.0), (0.0, 1, 1.0))).latency == 0.75 + 0.5
 
 
-def test_a_late_upload_is_broken_off_at_the_deadline():
+def test_an_upload_that_would_be_late_is_not_begun():
     server = Server(users=2, uplink=2.0, deadline=0.625, frequency=INF)
     served = server(tasks_of((0.0, 0, 1.0), (0.25, 0, 1.0), (0.5, 1, 1.0)))
     assert (served.arrived, served.completed, served.latency) == (3, 2, 0.5 + 0.625 + 0.5)
     assert server.link_free.tolist() == [[0.0, 0.0]]
     server(tasks_of((0.0, 0, 1.0), (0.25, 0, 1.0), (0.5, 0, 1.0)), 0.75)
-    assert server.link_free.tolist() == [[0.375, 0.0]]  # the third began at 0.875 and gave up at 1.125
+    assert server.link_free.tolist() == [[0.25, 0.0]]  # the third took the time that the second would have needed
     server.link_free[:] = 5.0  # left by tasks with more time
     assert server(tasks_of((0.0, 0, 1.0))).completed == 0
     assert server.link_free.tolist() == [[4.0, 4.0]]

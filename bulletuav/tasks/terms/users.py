@@ -45,6 +45,7 @@ class UsersTask(UrbanTask):
     """
 
     config: UsersConfig
+    baseline = "kmeans"
     defaults: ClassVar = {**DEFAULTS, "dynamics": "single_integrator", "decision_hz": 1, "horizon": 100}
 
     def __init__(self, config: UsersConfig, setting: Setting):
