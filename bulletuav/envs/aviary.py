@@ -198,10 +198,11 @@ class Aviary:
         self.task.remember(frame, self.rng)
         flown, verdict = frame.alive, self.task.judge(frame)
         terminated = (verdict.terminated | frame.depleted) & flown
-        truncated = frame.last[:, None] & flown & ~terminated
+        present = flown & ~terminated  # the horizon takes nobody away
+        truncated = frame.last[:, None] & present
         self._frame = frame
-        self.alive = flown & ~terminated & ~truncated
-        observations = self.observer.observe(frame, flown & ~terminated)  # the horizon takes nobody away
+        self.alive = present & ~truncated
+        observations = self.observer.observe(frame, present)
         weighted = {name: self.task.weights[name] * term for name, term in verdict.terms.items()}
         if not flown.all():
             weighted = {name: np.where(flown, term, 0.0) for name, term in weighted.items()}
@@ -304,8 +305,7 @@ class Aviary:
     @property
     def sight(self) -> np.ndarray:
         """(W, N, U) bool: which of the task's targets the drones saw that flew the last decision."""
-        frame = self._current()
-        return frame.readings["sight"] & frame.alive[..., None]
+        return self._current().seen
 
     def solids(self, world: int = 0) -> Solids:
         """What stands in a world, beside obstacles."""

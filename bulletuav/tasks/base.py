@@ -141,6 +141,11 @@ class Frame:
         """(W, N) bool: the battery is empty."""
         return self.readings["charge"] <= 0
 
+    @property
+    def seen(self) -> np.ndarray:
+        """(W, N, U) bool: which of the task's targets the drones saw that flew the decision."""
+        return self.readings["sight"] & self.alive[..., None]
+
     @cached_property
     def collision(self) -> np.ndarray:
         """(W, N) bool: contact of collision shapes."""

@@ -153,7 +153,6 @@ class Los(UsersTask):
 
     def judge(self, frame: Frame) -> Verdict:
         """Shares of users in sight, and ends by contact or outside the airspace."""
-        seen, served = frame.readings["sight"] & frame.alive[..., None], self.served(frame)
-        ended, terms = self.ends(frame)
-        terms |= {"sight": seen.mean(axis=-1), "served": served}
+        served, (ended, terms) = self.served(frame), self.ends(frame)
+        terms |= {"sight": frame.seen.mean(axis=-1), "served": served}
         return Verdict(terms, ended, served >= self.config.wanted)

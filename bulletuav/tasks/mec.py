@@ -48,7 +48,6 @@ class Mec(EdgeTask):
     presets: ClassVar = {
         "urbanmarl": {
             **URBANMARL,
-            "num_users": 50,
             "arrival_rate": 0.1,
             "n_nlos": 3.5,
             "queue": "erlang",

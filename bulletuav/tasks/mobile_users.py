@@ -113,6 +113,5 @@ class MobileUsers(UsersTask):
     def judge(self, frame: Frame) -> Verdict:
         """Share of users in sight, how long they have been, and ends by contact or outside the airspace."""
         ended, terms = self.ends(frame)
-        seen = frame.readings["sight"] & frame.alive[..., None]
-        terms |= {"sight": seen.mean(axis=-1), "sojourn": sojourn_bonus(frame)}
+        terms |= {"sight": frame.seen.mean(axis=-1), "sojourn": sojourn_bonus(frame)}
         return Verdict(terms, ended, self.served(frame) >= self.config.wanted)

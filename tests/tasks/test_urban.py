@@ -5,18 +5,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from placing import city_of
 from scipy.spatial.distance import pdist
 
 import bulletuav
 import bulletuav.tasks.terms.urban as urban
 from bulletuav.city.exports import write_obj
 from bulletuav.city.generator import generate
-from bulletuav.city.model import City
-from bulletuav.city.streets import Streets
 from bulletuav.envs.options import resolve
 from bulletuav.envs.plan import Plan
 from bulletuav.physics.power import airframe_wing, level_power, propulsion_power
-from bulletuav.physics.solids import Solids
 from bulletuav.policies import find_policy
 from bulletuav.tasks import find_task
 from bulletuav.tasks.base import Spawn
@@ -29,13 +27,6 @@ EXACT = {"dynamics": "single_integrator"}  # flies what it is told, at once
 SPEED, PERIOD = 15.0, 0.1  # m/s, s: of all these tasks
 RADIUS = 0.27554491  # m, of a hummingbird
 UP, EAST, WEST, STAY = (0.0, 0, 1), (1.0, 0, 0), (-1.0, 0, 0), (0.0, 0, 0)
-
-
-def city_of(*boxes, side=200.0):
-    """A city made by hand, of boxes (low corner, high corner)."""
-    solids = Solids(np.array(boxes, dtype=float).reshape(-1, 2, 3))
-    return City("hand", side, solids, np.arange(len(boxes)), Streets(np.zeros((0, 2)), np.zeros((0, 2), dtype=int)))
-
 
 WALL = city_of(((10, -50, 0), (20, 50, 60)))
 TOWER = city_of(((-10, -10, 0), (10, 10, 30)))
