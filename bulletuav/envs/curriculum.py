@@ -63,7 +63,7 @@ class CurriculumAviary(ParallelEnv):
         self._options = [{**options, **level} for level in levels]
         plans = [Plan(task, 1, level) for level in self._options]
         self._widest = max(plans, key=lambda plan: plan.options.num_drones)
-        self.observation = _union(plans)
+        self.observation = common_observation(plans)
         drones = self._widest.options.num_drones
         self.possible_agents = [f"drone_{i}" for i in range(drones)]
         self.agents: list[str] = []
@@ -139,9 +139,11 @@ class CurriculumAviary(ParallelEnv):
             env.close()
 
 
-def _union(plans: Sequence[Plan]) -> Box:
-    """The box that holds the observations of all. Raises ValueError where they differ in more than their bounds."""
+def common_observation(plans: Sequence[Plan]) -> Space:
+    """The space that holds the observations of all. Raises ValueError where they differ in more than their bounds."""
     spaces = [plan.observer.space() for plan in plans]
+    if len(spaces) == 1:
+        return spaces[0]
     if not all(isinstance(space, Box) and space.shape == spaces[0].shape for space in spaces):
         raise ValueError(
             f"the levels' observations have shapes {[space.shape for space in spaces]}: choose vectors whose size does not "

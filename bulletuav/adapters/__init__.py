@@ -1,0 +1,1 @@
+"""Adapters to trainers, one file each; importing one needs the extra of its name."""

@@ -1,0 +1,254 @@
+"""Stable-baselines3: every drone of a batch of worlds is a slot of a `VecEnv`, for one policy that all drones share.
+
+    env = DroneVecEnv("crossing", num_worlds=16, dynamics="point_mass")
+    model = PPO("MlpPolicy", env, rollout_buffer_class=LivingRollouts)
+
+A drone whose episode ended is gone until its whole world starts anew, and SB3 wants a transition of every slot in every
+step. In those of slots without a drone the reward is NaN, so that nothing learns from them unnoticed; `LivingRollouts` and
+`LivingReplay` drop them: no loss, advantage, statistic or sample ever sees one. Where worlds hold a single drone there are
+none, and SB3's own buffers do as well.
+"""
+
+from collections.abc import Generator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium.spaces import Box
+
+from bulletuav.envs.aviary import Aviary, Step
+from bulletuav.envs.curriculum import Curriculum, common_observation
+from bulletuav.envs.plan import Plan
+from bulletuav.envs.spaces import widest_action_space
+from bulletuav.errors import whole
+from bulletuav.tasks import TaskSource
+from bulletuav.tasks.terms.observations import Observation, part
+
+try:
+    import torch
+    from stable_baselines3.common.buffers import ReplayBuffer, RolloutBuffer
+    from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+    from stable_baselines3.common.type_aliases import RolloutBufferSamples
+    from stable_baselines3.common.vec_env import VecEnv
+except ImportError:
+    raise ImportError("this adapter needs the extra 'sb3': pip install 'bulletuav[sb3]'") from None
+
+
+class DroneVecEnv(VecEnv):
+    """W worlds of N drones as W * N slots: slot w * N + i is drone i of world w, with its own observation.
+
+    Worlds start anew when all their drones are done. Infos are empty but where a drone's episode ends: then they hold
+    "terminal_observation", "TimeLimit.truncated" (whether nothing but the horizon, or a change of level, ended it),
+    "is_success", and "episode", of that drone alone: return "r", decisions "l", seconds "t", "conflicts", "collision" and
+    the return of each reward term ("reward/goal", ...).
+
+    With several `levels` (options of each, easiest first, such as [{"num_drones": 2}, {"num_drones": 8}]) the success of
+    the last episodes decides which one all worlds fly; see `Curriculum`. There are slots for the largest level.
+    """
+
+    def __init__(
+        self,
+        task: TaskSource,
+        num_worlds: int = 16,
+        levels: Sequence[Mapping[str, Any]] = ({},),
+        curriculum: Curriculum | None = None,
+        **options: Any,
+    ):
+        """Options as of `Aviary`. Raises ValueError for what cannot be, also levels whose observations differ in shape."""
+        self._task, self._level_options = task, [{**options, **level} for level in levels]
+        self.curriculum = curriculum or Curriculum(len(self._level_options))
+        if self.curriculum.count != len(self._level_options):
+            raise ValueError(f"the curriculum has {self.curriculum.count} levels, and {len(self._level_options)} are given")
+        plans = [Plan(task, num_worlds, level) for level in self._level_options]
+        widest = max(plans, key=lambda plan: plan.options.num_drones)
+        self.num_worlds, self.num_drones = num_worlds, widest.options.num_drones
+        self._render_mode = widest.options.render_mode
+        self._aviaries: dict[int, Aviary] = {}
+        self._seed: int | None = None
+        self._unseeded: set[int] = set()
+        self._level = self.curriculum.level
+        self._actions: np.ndarray = np.empty(0)
+        super().__init__(num_worlds * self.num_drones, common_observation(plans), widest_action_space(widest.action))
+
+    @property
+    def aviary(self) -> Aviary:
+        """The worlds of the level that is flown."""
+        if self._level not in self._aviaries:
+            self._aviaries[self._level] = Aviary(self._task, self.num_worlds, **self._level_options[self._level])
+        return self._aviaries[self._level]
+
+    def seed(self, seed: int | None = None) -> list[int | None]:
+        """From the next `reset` on world k has the seed s + k, at every level; None goes on with its random numbers."""
+        self._seed = None if seed is None else whole("seed", seed, 0)
+        self._unseeded = set(range(len(self._level_options)))
+        return [None if seed is None else seed + slot // self.num_drones for slot in range(self.num_envs)]
+
+    def reset(self) -> Any:
+        """Start new episodes in all worlds, at the level that the curriculum says; observations (slots, D), or a dict."""
+        return self._rows(self._start(np.ones(self.num_worlds, dtype=bool)))
+
+    def _start(self, worlds: np.ndarray) -> Observation:
+        """Observations after new episodes have begun in the worlds of the mask (W,), or in all where the level changes."""
+        if self.curriculum.level != self._level or not self._aviaries:
+            self._level, worlds = self.curriculum.level, np.ones(self.num_worlds, dtype=bool)
+        aviary = self.aviary
+        seed = self._seed if self._level in self._unseeded else None
+        self._unseeded.discard(self._level)
+        observations = aviary.reset(worlds, seed)
+        if worlds.all():
+            shape = aviary.alive.shape
+            self._returns: dict[str, np.ndarray] = {}
+            self._success, self._collision = np.zeros((2, *shape), dtype=bool)
+            self._conflicts, self._decisions = np.zeros((2, *shape))
+        for total in (*self._returns.values(), self._success, self._collision, self._conflicts, self._decisions):
+            total[worlds] = 0
+        return observations
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Take the actions (slots, A), or (slots,) choices; those of slots without a drone are ignored."""
+        self._actions = np.asarray(actions).reshape(self.num_worlds, self.num_drones, -1)
+
+    def step_wait(self) -> tuple[Any, np.ndarray, np.ndarray, list[dict[str, Any]]]:
+        """Fly one decision: observations, rewards (slots,), dones (slots,) and infos."""
+        aviary = self.aviary
+        flown = aviary.alive.copy()
+        step = aviary.step(self._actions[:, : aviary.num_drones])
+        self._add(step, flown)
+        over = np.any(flown, axis=1) & ~np.any(aviary.alive, axis=1)
+        for world in np.flatnonzero(over):
+            self.curriculum.record(float(self._success[world].mean()))
+        change = self.curriculum.level != self._level
+        ended = flown & (change | ~aviary.alive)
+        infos = self._infos(step, ended)
+        dones = self._wide(ended | over[:, None] | change, True)
+        rewards = self._wide(np.where(flown, step.rewards, np.nan), np.nan)
+        observations = self._start(over) if over.any() else step.observations
+        return self._rows(observations), rewards.astype(np.float32), dones, infos
+
+    def _add(self, step: Step, flown: np.ndarray) -> None:
+        terms = {"": step.rewards} | {name: term for name, term in step.info.items() if name.startswith("reward/")}
+        for name, term in terms.items():
+            self._returns[name] = self._returns.get(name, 0.0) + np.where(flown, term, 0.0)
+        self._success = np.where(flown, step.info["success"], self._success)
+        self._collision |= flown & step.info["collision"]
+        self._conflicts += flown * step.info["conflicts"]
+        self._decisions += flown
+
+    def _infos(self, step: Step, ended: np.ndarray) -> list[dict[str, Any]]:
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        hz = self.aviary.options.decision_hz
+        for w, i in np.argwhere(ended):
+            episode = {
+                "r": float(self._returns[""][w, i]),
+                "l": int(self._decisions[w, i]),
+                "t": float(self._decisions[w, i] / hz),
+                "conflicts": float(self._conflicts[w, i]),
+                "collision": float(self._collision[w, i]),
+            }
+            infos[w * self.num_drones + i] = {
+                "terminal_observation": part(step.observations, (w, i)),
+                "TimeLimit.truncated": not step.terminated[w, i],
+                "is_success": bool(self._success[w, i]),
+                "episode": episode | {name: float(term[w, i]) for name, term in self._returns.items() if name},
+            }
+        return infos
+
+    def _wide(self, array: np.ndarray, fill: float) -> np.ndarray:
+        """(slots, ...) from (W, N, ...) of a level that may have fewer drones than there are slots for."""
+        missing = self.num_drones - array.shape[1]
+        if missing:
+            array = np.concatenate([array, np.full((len(array), missing, *array.shape[2:]), fill, array.dtype)], axis=1)
+        return array.reshape(-1, *array.shape[2:])
+
+    def _rows(self, observations: Observation) -> Any:
+        """Observations by slot, of those without a drone zero."""
+        alive = self._wide(self.aviary.alive, False)
+
+        def rows(array: np.ndarray) -> np.ndarray:
+            wide = self._wide(array, 0)
+            return np.where(alive.reshape(-1, *[1] * (wide.ndim - 1)), wide, 0).astype(array.dtype, copy=False)
+
+        if isinstance(observations, dict):
+            return {name: rows(array) for name, array in observations.items()}
+        return rows(observations)
+
+    def get_images(self) -> list[np.ndarray | None]:
+        """A picture of each world."""
+        return [self.aviary.render(world) for world in range(self.num_worlds)]
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """Of this environment, once for each slot asked for."""
+        value = self._render_mode if attr_name == "render_mode" else getattr(self, attr_name)
+        return [value] * len(list(self._get_indices(indices)))
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Refused: the slots share one environment. Raises NotImplementedError."""
+        raise NotImplementedError("slots share one environment, so that none has attributes of its own")
+
+    def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:
+        """Refused: the slots share one environment. Raises NotImplementedError."""
+        raise NotImplementedError(f"slots share one environment: call env.{method_name}, or env.aviary.{method_name}")
+
+    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
+        """By nothing."""
+        return [False] * len(list(self._get_indices(indices)))
+
+    def close(self) -> None:
+        """Free the engines; a second call does nothing."""
+        for aviary in self._aviaries.values():
+            aviary.close()
+
+
+class LivingRollouts(RolloutBuffer):
+    """Of on-policy algorithms: gives minibatches of transitions that drones flew.
+
+    Minibatches, at most `batch_size` large, are of one size but for one transition; their order follows PyTorch's seed.
+    """
+
+    def compute_returns_and_advantage(self, last_values: torch.Tensor, dones: np.ndarray) -> None:
+        """As SB3; an episode ends before the transitions of a slot without a drone, so they reach no advantage of others."""
+        self.flown = np.flatnonzero(~np.isnan(self.swap_and_flatten(self.rewards)))
+        np.nan_to_num(self.rewards, copy=False)
+        super().compute_returns_and_advantage(last_values, dones)
+
+    def get(self, batch_size: int | None = None) -> Generator[RolloutBufferSamples, None, None]:
+        """Minibatches in a random order, of all at once for None."""
+        if not self.generator_ready:
+            for name in ("observations", "actions", "values", "log_probs", "advantages", "returns"):
+                setattr(self, name, self.swap_and_flatten(getattr(self, name))[self.flown])
+            self.generator_ready = True
+        count = len(self.flown)
+        order = torch.randperm(count).numpy()
+        for indices in np.array_split(order, -(-count // (batch_size or count))):
+            yield self._get_samples(indices)
+
+
+class LivingReplay(ReplayBuffer):
+    """Of off-policy algorithms: keeps transitions that drones flew, one after the other, whatever slot they come from."""
+
+    def __init__(self, buffer_size: int, observation_space: Any, action_space: Any, device: Any = "auto", **kwargs: Any):
+        super().__init__(buffer_size, observation_space, action_space, device, **{**kwargs, "n_envs": 1})
+
+    def add(self, obs: Any, next_obs: Any, action: Any, reward: Any, done: Any, infos: list[dict[str, Any]]) -> None:
+        """Keep those with a reward."""
+        flown = np.flatnonzero(~np.isnan(reward))
+        action = np.asarray(action).reshape(len(reward), self.action_dim)
+        places = (self.pos + np.arange(len(flown))) % self.buffer_size
+        self.observations[places, 0], self.next_observations[places, 0] = obs[flown], next_obs[flown]
+        self.actions[places, 0], self.rewards[places, 0], self.dones[places, 0] = action[flown], reward[flown], done[flown]
+        self.timeouts[places, 0] = [infos[slot].get("TimeLimit.truncated", False) for slot in flown]
+        self.full |= self.pos + len(flown) >= self.buffer_size
+        self.pos = (self.pos + len(flown)) % self.buffer_size
+
+
+class Symlog(BaseFeaturesExtractor):
+    """sign(x) ln(1 + |x|) of each number: metres near by count as much as those far away, with no statistics to keep.
+
+    D. Hafner, J. Pasukonis, J. Ba, T. Lillicrap, Mastering diverse domains through world models (2023), equation 9.
+    """
+
+    def __init__(self, observation_space: Box):
+        super().__init__(observation_space, int(np.prod(observation_space.shape)))
+
+    def forward(self, observations: torch.Tensor) -> torch.Tensor:
+        """(B, D) features of observations (B, D)."""
+        return torch.sign(observations) * torch.log1p(torch.abs(observations))
