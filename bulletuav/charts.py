@@ -1,6 +1,7 @@
 """Pictures of evaluations."""
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,8 @@ from matplotlib.ticker import MaxNLocator
 from bulletuav.evaluation import Evaluation
 from bulletuav.metrics import Estimate
 from bulletuav.pictures import blank_figure
+from bulletuav.training.campaign import Learned
+from bulletuav.training.store import Row
 
 COLOURS = ("#4477aa", "#ee6677", "#228833", "#ccbb44", "#66ccee", "#aa3377", "#bbbbbb")  # P. Tol's bright scheme
 RATES = ("success", "drone_success", "conflict", "collision")
@@ -63,6 +66,32 @@ def plot_leaderboard(results: Sequence[Evaluation], path: Path) -> None:
         axes.set(ylabel=metric, ylim=(0, 1.05))
     figure.axes[0].legend(loc="lower left", ncols=len(policies), bbox_to_anchor=(0, 1))
     figure.savefig(path, dpi=110)
+
+
+def plot_curves(runs: Sequence[Learned], path: Path) -> None:
+    """What evaluations on the way found in each task over the steps: seeds, their mean and their range, as a PNG file."""
+    tasks = list(dict.fromkeys(config.task for config, _ in runs))
+    figure = blank_figure(11, 1 + 2.6 * len(tasks))
+    for row, task in zip(figure.subplots(len(tasks), 3, squeeze=False), tasks, strict=True):
+        curves = {config.seed: rows for config, rows in runs if config.task == task}
+        service = not any(np.isnan(rows[-1]["completed"]) for rows in curves.values())
+        for axes, metric in zip(row, ("return", "completed" if service else "success", "conflict"), strict=True):
+            _curves(axes, curves, metric)
+            axes.set(xlabel="steps", ylabel=metric, ylim=None if metric == "return" else (-0.05, 1.05))
+        row[0].set_title(task, loc="left")
+        row[0].legend()
+    figure.savefig(path, dpi=110)
+
+
+def _curves(axes: Axes, curves: Mapping[int, list[Row]], metric: str) -> None:
+    lines = []
+    for (seed, rows), colour in zip(curves.items(), itertools.cycle(COLOURS), strict=False):
+        steps = [row["steps"] for row in rows]
+        lines.append(np.array([row[metric] for row in rows]))
+        axes.plot(steps, lines[-1], color=colour, lw=0.8, label=f"seed {seed}")
+    if len(lines) > 1 and len({len(line) for line in lines}) == 1:
+        axes.fill_between(steps, np.min(lines, axis=0), np.max(lines, axis=0), color="0.85", label="range")
+        axes.plot(steps, np.mean(lines, axis=0), color="black", lw=2, label="mean")
 
 
 def _case(result: Evaluation) -> str:

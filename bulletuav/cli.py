@@ -1,4 +1,4 @@
-"""The command line: `bulletuav fly`, `tasks`, `city`, `evaluate`, `compare`, `benchmark`, `doctor`."""
+"""The command line: `bulletuav fly`, `tasks`, `city`, `evaluate`, `compare`, `train`, `benchmark`, `doctor`."""
 
 import argparse
 import difflib
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from types import ModuleType
 from typing import NoReturn
 
-from bulletuav.commands import benchmark, city, compare, doctor, evaluate, fly, tasks
+from bulletuav.commands import benchmark, city, compare, doctor, evaluate, fly, tasks, train
 from bulletuav.version import __version__
 
 COMMANDS: dict[str, ModuleType] = {
@@ -16,6 +16,7 @@ COMMANDS: dict[str, ModuleType] = {
     "city": city,
     "evaluate": evaluate,
     "compare": compare,
+    "train": train,
     "benchmark": benchmark,
     "doctor": doctor,
 }

@@ -92,7 +92,7 @@ class Run:
             return
         aviary = Aviary(self.task, BATCH, **self.options)
         try:
-            policy = find_policy(self.policy)(aviary)
+            policy = find_policy(self.policy, self.task)(aviary)
             for batch in batches:
                 yield self._episodes(aviary, policy, batch)
         finally:
@@ -123,12 +123,14 @@ def evaluate(
 ) -> Evaluation:
     """Fly `episodes` of a task, episode e from seed + e, and take their metrics.
 
-    `policy`: a name, "ppo:model.zip" (or sac, td3, dqn) for a stable-baselines3 model, or a class; `workers`: processes,
-    which change nothing but the time. With `out`, a folder, finished batches of episodes are kept there, and a second call
+    `policy`: a name, the folder of a training run, "ppo:model.zip" (or sac, td3, dqn) for a stable-baselines3 model, or a
+    class; a run's policy sees and does what it learned with, unless options say otherwise. `workers`: processes, which
+    change nothing but the time. With `out`, a folder, finished batches of episodes are kept there, and a second call
     with the same arguments goes on where the first one was interrupted. `progress` is told how many more episodes are done.
     Options are those of `parallel_env`. Raises ValueError for what cannot be, also for an `out` that holds another run.
     """
     whole("workers", workers, 1)
+    options = {**find_policy(policy, task).options, **options}
     run = Run(task, policy, whole("seed", seed, 0), whole("episodes", episodes, 1), options)
     if out is not None and callable(options.get("wind")):
         raise ValueError("wind is a function, which a folder cannot tell from another one: evaluate it without out")
@@ -147,7 +149,7 @@ def evaluate(
 
 def _about(run: Run) -> dict[str, Any]:
     plan = Plan(run.task, BATCH, run.options)
-    policy = find_policy(run.policy)
+    policy = find_policy(run.policy, run.task)
     check_action(policy.name, policy.actions, plan.options.action)
     about = {
         "bulletuav": __version__,
@@ -195,7 +197,7 @@ class _Store:
             folder.mkdir(parents=True, exist_ok=True)
             if (folder / RUN).exists():
                 self._load(folder, about)
-            _replace(folder / RUN, json.dumps(about, indent=2) + "\n")
+            replace_file(folder / RUN, json.dumps(about, indent=2) + "\n")
             self.add([])
         except OSError as error:
             raise ValueError(f"{folder} cannot be a folder to write to: {error.strerror}") from None
@@ -221,10 +223,10 @@ class _Store:
         writer = csv.DictWriter(table, COLUMNS, lineterminator="\n")
         writer.writeheader()
         writer.writerows(self.rows[episode] for episode in sorted(self.rows))
-        _replace(self._folder / EPISODES, table.getvalue())
+        replace_file(self._folder / EPISODES, table.getvalue())
 
 
-def _replace(path: Path, text: str) -> None:
+def replace_file(path: Path, text: str) -> None:
     """Write the file as a whole or, when interrupted, not at all."""
     part = path.with_name(path.name + ".part")
     part.write_text(text)

@@ -10,6 +10,7 @@ from bulletuav.metrics import METRICS, Estimate
 SHOWN = {
     "success": "success",
     "drone_success": "drones",
+    "return": "return",
     "conflict": "conflict",
     "collision": "collision",
     "min_separation": "nearest m",

@@ -20,6 +20,7 @@ METRICS = {
     "conflict": "share of episodes with a separation below d_safe",
     "success": "share of episodes in which all drones succeeded, as the task means it",
     "drone_success": "share of drones that succeeded",
+    "return": "sum of the rewards of the episode, mean of the drones",
     "conflicts": "conflicts of two drones that began",
     "near_misses": "times that two came closer than half of d_safe",
     "min_separation": "least separation, m",
@@ -81,6 +82,7 @@ class Meter:
         self._collided, self._succeeded = np.zeros((2, *shape), dtype=bool)
         self._flown, self._jerk, self._energy, self._decisions, self._jerks, self._left = np.zeros((6, *shape))
         self._conflicts, self._near, self._messages, self._steps = np.zeros((4, worlds))
+        self._return = np.zeros(shape)
         self._separation, self._time_to_conflict = np.full((2, worlds), np.inf)
         self._served, (self._completed, self._latency) = np.zeros(worlds), np.full((2, worlds), np.nan)
 
@@ -90,6 +92,7 @@ class Meter:
         self._collided |= info["collision"] & flown
         self._succeeded = np.where(flown, info["success"], self._succeeded)
         self._left = np.where(flown, info["goal_distance"], self._left)
+        self._return += np.where(flown, step.rewards, 0.0)
         self._conflicts += (info["conflicts"] * flown).sum(axis=1) / 2
         close = conflict(before.position, after.position, flown, self._d_safe / 2, self._d_safe)
         self._near += close.onsets.sum(axis=1) / 2
@@ -136,6 +139,7 @@ class Meter:
             "conflict": self._separation[w] < self._d_safe,
             "success": arrived.all(),
             "drone_success": arrived.mean(),
+            "return": self._return[w].mean(),
             "conflicts": self._conflicts[w],
             "near_misses": self._near[w],
             "min_separation": self._separation[w],

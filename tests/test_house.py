@@ -17,12 +17,13 @@ LAYERS = [
     {"envs"},
     {"policies", "adapters"},
     {"record", "metrics", "evaluation"},
+    {"training"},
     {"pictures", "charts", "leaderboard", "benchmark", "doctor"},
     {"__init__", "commands", "cli", "__main__"},
 ]
 RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
 FILES = sorted(PACKAGE.rglob("*.py"))
-EXTRAS = {"shapely", "imageio_ffmpeg", "stable_baselines3", "torch", "ray", "torchrl", "imageio"}
+EXTRAS = {"shapely", "imageio_ffmpeg", "stable_baselines3", "torch", "yaml", "ray", "torchrl", "imageio"}
 
 
 def imported(path):

@@ -43,6 +43,8 @@ class DroneVecEnv(VecEnv):
 
     With several `levels` (options of each, easiest first, such as [{"num_drones": 2}, {"num_drones": 8}]) the success of
     the last episodes decides which one all worlds fly; see `Curriculum`. There are slots for the largest level.
+
+    Public state, to read: curriculum, num_worlds, num_drones, and decisions, how many drones have flown so far.
     """
 
     def __init__(
@@ -66,6 +68,7 @@ class DroneVecEnv(VecEnv):
         self._seed: int | None = None
         self._unseeded: set[int] = set()
         self._level = self.curriculum.level
+        self.decisions = 0
         self._actions: np.ndarray = np.empty(0)
         super().__init__(num_worlds * self.num_drones, common_observation(plans), widest_action_space(widest.action))
 
@@ -132,6 +135,7 @@ class DroneVecEnv(VecEnv):
         self._collision |= flown & step.info["collision"]
         self._conflicts += flown * step.info["conflicts"]
         self._decisions += flown
+        self.decisions += int(flown.sum())
 
     def _infos(self, step: Step, ended: np.ndarray) -> list[dict[str, Any]]:
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]

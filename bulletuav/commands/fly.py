@@ -43,7 +43,7 @@ def run(arguments: argparse.Namespace) -> None:
     arguments.policy = arguments.policy or find_task(arguments.task).baseline
     options = flyable_options(arguments.task, arguments.policy, given_options(arguments))
     aviary = Aviary(arguments.task, 1, **options)
-    policy = find_policy(arguments.policy)(aviary)
+    policy = find_policy(arguments.policy, arguments.task)(aviary)
     if (arguments.out / EPISODES).exists():
         raise ValueError(f"--out {arguments.out} holds an evaluation: choose another folder")
     for old in out_folder(arguments.out).glob("flight.*"):

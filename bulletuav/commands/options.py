@@ -4,8 +4,9 @@ import argparse
 import ast
 import contextlib
 import dataclasses
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from rich.console import Console
@@ -16,11 +17,11 @@ from bulletuav.control.cascade import CONTROLLERS
 from bulletuav.envs.options import Options, resolve
 from bulletuav.physics.airframe import available_airframes
 from bulletuav.physics.ladder import LADDER
-from bulletuav.policies import POLICIES, find_policy
+from bulletuav.policies import POLICIES, SHIPPED_NAMES, find_policy
 from bulletuav.tasks import find_task
 
 Advance = Callable[[int], None]
-POLICY_HELP = f"{', '.join(POLICIES)}, or a trained model such as ppo:model.zip"
+POLICY_HELP = f"{', '.join((*POLICIES, *SHIPPED_NAMES))}, the folder of a training run, or a model such as ppo:model.zip"
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -52,16 +53,22 @@ def given_options(arguments: argparse.Namespace) -> dict[str, Any]:
     """Options as keyword arguments of an environment, from those given on the command line."""
     names = {field.name for field in dataclasses.fields(Options)} - {"seed"} | {"city"}
     options = {name: value for name, value in vars(arguments).items() if name in names and value is not None}
-    for pair in arguments.set:
-        name, equals, text = pair.partition("=")
-        if not equals:
-            raise ValueError(f"--set {pair}: NAME=VALUE is needed")
-        if name in options:
-            raise ValueError(f"--set {pair}: {name} is given twice")
-        options[name] = _value(text)
     if "city" in options:
         options["city"] = _value(options["city"])
-    return options
+    return literals("--set", arguments.set, options)
+
+
+def literals(option: str, pairs: Iterable[str], known: Mapping[str, Any] = MappingProxyType({})) -> dict[str, Any]:
+    """The `known` values and those of NAME=VALUE pairs. Raises ValueError for another form, or a name that comes twice."""
+    values = dict(known)
+    for pair in pairs:
+        name, equals, text = pair.partition("=")
+        if not equals:
+            raise ValueError(f"{option} {pair}: NAME=VALUE is needed")
+        if name in values:
+            raise ValueError(f"{option} {pair}: {name} is given twice")
+        values[name] = _value(text)
+    return values
 
 
 def _value(text: str) -> Any:
@@ -71,11 +78,12 @@ def _value(text: str) -> Any:
 
 
 def flyable_options(task: str, policy: str, options: dict[str, Any]) -> dict[str, Any]:
-    """The options, with an action that the policy can give where none was asked for and the task's own is not one."""
-    actions = find_policy(policy).actions
-    if not actions or "action" in options or resolve(find_task(task), options)[0].action in actions:
+    """The options, with those that a trained policy needs, and an action that the policy can give where none is asked."""
+    pilot = find_policy(policy, task)
+    options = {**pilot.options, **options}
+    if not pilot.actions or "action" in options or resolve(find_task(task), options)[0].action in pilot.actions:
         return options
-    return {**options, "action": actions[0]}
+    return {**options, "action": pilot.actions[0]}
 
 
 @contextlib.contextmanager

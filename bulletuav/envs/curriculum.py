@@ -49,6 +49,15 @@ class Curriculum:
             self.level += step
             self._recent.clear()
 
+    def state(self) -> dict[str, Any]:
+        """Where it stands, for `restore`."""
+        return {"level": self.level, "recent": list(self._recent)}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from a `state`."""
+        self.level = state["level"]
+        self._recent = deque(state["recent"], maxlen=self.window)
+
 
 class CurriculumAviary(ParallelEnv):
     """`pettingzoo.ParallelEnv` whose episodes come from the level that `curriculum` says; infos tell it as "level".

@@ -9,9 +9,8 @@ from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.spaces import widest_action_space
 from bulletuav.physics.swarm import Swarm
 from bulletuav.policies.base import Policy
+from bulletuav.policies.run import ALGORITHMS
 from bulletuav.tasks.terms.observations import Observation
-
-ALGORITHMS = {"ppo": "PPO", "sac": "SAC", "td3": "TD3", "dqn": "DQN", "a2c": "A2C", "ddpg": "DDPG"}
 
 
 class Trained(Policy):
@@ -21,8 +20,8 @@ class Trained(Policy):
     actions = ()
     reads_swarm = False
 
-    def __init__(self, aviary: Aviary, algorithm: str, path: str | Path):
-        """Load `path`, a model that the algorithm saved.
+    def __init__(self, aviary: Aviary, algorithm: str, path: str | Path, fresh: bool = False):
+        """Load `path`, a model that the algorithm saved; `fresh`: with the weights that its training began with.
 
         Raises ValueError where its spaces are not those of one drone, ImportError that names the extra to install.
         """
@@ -37,6 +36,8 @@ class Trained(Policy):
             self._model: Any = getattr(stable_baselines3, ALGORITHMS[algorithm]).load(path, device="cpu")
         except Exception as error:  # the library raises whatever it stumbles over in a file of another kind
             raise ValueError(f"{path} is no model of {algorithm}: {error}") from None
+        if fresh:
+            self._model._setup_model()  # draws them anew from the model's seed
         for name, own, needed in (
             ("observations", aviary.observer.space(), self._model.observation_space),
             ("actions", widest_action_space(aviary.action), self._model.action_space),

@@ -1,0 +1,1 @@
+"""Training runs: kept in a folder, interrupted and resumed to the same bits."""

@@ -1,0 +1,97 @@
+"""The folder of a training run: `run.yaml`, `curve.csv`, `model.zip`, checkpoints, and where it stands."""
+
+import csv
+import io
+import json
+import os
+import shutil
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from bulletuav.evaluation import replace_file
+from bulletuav.policies.run import CONFIG, MODEL, RunConfig
+
+CURVE, STATE, CHECKPOINTS = "curve.csv", "state.json", "checkpoints"
+PACKAGES = ("bulletuav", "stable_baselines3", "torch", "numpy", "numba", "pybullet")
+Row = dict[str, float]
+
+
+class Store:
+    """What is kept of a run, each file written as a whole or not at all.
+
+    rows        the learning curve, a row for each evaluation: `steps` and, of them, `decisions` that a drone flew; `level`
+                of the curriculum; `seconds` of wall time since the row before, without evaluations; means of the episodes in
+                training since then, of a drone: "train/return", "train/decisions", "train/success", "train/conflicts",
+                "train/collision"; and the means of `bulletuav.metrics.METRICS` in the evaluation
+    curriculum  its state at the last checkpoint
+    """
+
+    def __init__(self, folder: Path, config: RunConfig):
+        """Raises ValueError where the folder holds another run, is damaged or cannot be written to."""
+        self.folder, self._config = folder, config
+        self.rows: list[Row] = []
+        self.curriculum: dict[str, Any] = {}
+        try:
+            (folder / CHECKPOINTS).mkdir(parents=True, exist_ok=True)
+            if (folder / CONFIG).exists():
+                self._load()
+            versions = ", ".join(f"{name} {version(name)}" for name in PACKAGES)
+            replace_file(folder / CONFIG, f"# {versions}\n{config.text()}")
+        except OSError as error:
+            raise ValueError(f"{folder} cannot be a folder to write to: {error.strerror}") from None
+
+    def _load(self) -> None:
+        known = RunConfig.read(self.folder / CONFIG)
+        for name, value in vars(self._config).items():
+            if known.text() != self._config.text() and vars(known)[name] != value:
+                raise ValueError(
+                    f"{self.folder} holds another run: its {name} is {vars(known)[name]!r}, not {value!r}; choose another "
+                    f"folder"
+                )
+        if not (self.folder / STATE).exists():
+            return
+        try:
+            state = json.loads((self.folder / STATE).read_text())
+            self.rows, self.curriculum = state["rows"], state["curriculum"]
+        except (json.JSONDecodeError, KeyError, TypeError) as error:
+            raise ValueError(f"{self.folder} holds a run that is damaged ({error!r}): choose another folder") from None
+
+    @property
+    def finished(self) -> bool:
+        """Whether all steps are done."""
+        return bool(self.rows) and self.rows[-1]["steps"] >= self._config.steps
+
+    @property
+    def next(self) -> Path:
+        """The file of the next checkpoint's model."""
+        return self._checkpoint(len(self.rows))
+
+    @property
+    def last(self) -> Path:
+        """The file of the last checkpoint's model, of which there is one where there are rows."""
+        return self._checkpoint(len(self.rows) - 1)
+
+    def _checkpoint(self, number: int) -> Path:
+        return self.folder / CHECKPOINTS / f"{number:03d}.zip"
+
+    def replay(self, model: Path) -> Path:
+        """The file of the replay buffer that belongs to a model."""
+        return model.with_suffix(".replay.pkl")
+
+    def add(self, row: Row, curriculum: dict[str, Any]) -> None:
+        """The checkpoint is complete, and with it a row of the curve: from here on a resumed run goes on."""
+        model = self.next
+        self.rows.append(row)
+        self.curriculum = curriculum
+        replace_file(self.folder / STATE, json.dumps({"rows": self.rows, "curriculum": curriculum}))
+        shutil.copyfile(model, self.folder / (MODEL + ".part"))
+        os.replace(self.folder / (MODEL + ".part"), self.folder / MODEL)
+        table = io.StringIO()
+        writer = csv.DictWriter(table, row.keys(), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(self.rows)
+        replace_file(self.folder / CURVE, table.getvalue())
+        for old in (self.folder / CHECKPOINTS).glob("*.replay.pkl"):
+            if old != self.replay(model):
+                old.unlink()
