@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--config", type=Path, metavar="FILE", help="the run.yaml of a run, or one like it")
     parser.add_argument("--all", action="store_true", help=f"train the package's policies: {', '.join(shipped_tasks())}")
     parser.add_argument("--algo", help=f"{', '.join(ALGORITHMS)} (default: ppo)")
-    parser.add_argument("--steps", type=_count, help="decisions of all drones together, such as 2e6")
+    parser.add_argument("--steps", type=count, help="decisions of all drones together, such as 2e6")
     parser.add_argument("--seed", type=int, help="same seed, same weights (default: 0)")
     parser.add_argument("--seeds", type=_seeds, metavar="A,B", help="train once with each, and draw their curves together")
     parser.add_argument("--worlds", type=int, help="worlds that fly at once")
@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(parser)
 
 
-def _count(text: str) -> int:
+def count(text: str) -> int:
     number = float(text)
     if not number.is_integer():
         raise ValueError
@@ -83,7 +83,7 @@ def _config(arguments: argparse.Namespace, task: str | None) -> RunConfig:
     else:
         assert task is not None
         known = find_task(task).name in shipped_tasks()
-        base = RunConfig.read(shipped(task) / CONFIG) if known else RunConfig(task)
+        base = dataclasses.replace(RunConfig.read(shipped(task) / CONFIG), seed=0) if known else RunConfig(task)
     changes: dict[str, Any] = {name: getattr(arguments, name) for name in GIVEN if getattr(arguments, name) is not None}
     options = {**base.options, **given_options(arguments)}
     algo = arguments.algo or base.algo
