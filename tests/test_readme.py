@@ -60,5 +60,5 @@ def test_links_lead_somewhere():
 def test_the_run_of_the_page_on_learning_can_be():
     (text,) = re.findall(r"```yaml\n(.*?)```", (ROOT / "docs" / "learning.md").read_text(), re.DOTALL)
     run = RunConfig.of(yaml.safe_load(text))
-    assert run.steps == 3_000_000
+    assert run.steps == 4_000_000
     assert run.options["weights"] == RunConfig.read(shipped("crossing") / "run.yaml").options["weights"]

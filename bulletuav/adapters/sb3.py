@@ -24,13 +24,28 @@ from bulletuav.tasks import TaskSource
 from bulletuav.tasks.terms.observations import Observation, part
 
 try:
+    import stable_baselines3
     import torch
     from stable_baselines3.common.buffers import ReplayBuffer, RolloutBuffer
+    from stable_baselines3.common.callbacks import BaseCallback
     from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
     from stable_baselines3.common.type_aliases import RolloutBufferSamples
     from stable_baselines3.common.vec_env import VecEnv
 except ImportError:
     raise ImportError("this adapter needs the extra 'sb3': pip install 'bulletuav[sb3]'") from None
+
+
+__all__ = ["BaseCallback", "DroneVecEnv", "LivingReplay", "LivingRollouts", "Symlog", "algorithm", "single_thread"]
+
+
+def algorithm(name: str) -> Any:
+    """The class of an algorithm by its name in lower case."""
+    return getattr(stable_baselines3, name.upper())
+
+
+def single_thread() -> None:
+    """Let PyTorch keep to one thread: small networks are fastest so, and the same everywhere."""
+    torch.set_num_threads(1)
 
 
 class DroneVecEnv(VecEnv):
@@ -139,6 +154,8 @@ class DroneVecEnv(VecEnv):
 
     def _infos(self, step: Step, ended: np.ndarray) -> list[dict[str, Any]]:
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        if not ended.any():
+            return infos
         hz = self.aviary.options.decision_hz
         for w, i in np.argwhere(ended):
             episode = {

@@ -53,6 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def count(text: str) -> int:
+    """A whole number, also one written as 2e6. Raises ValueError, which argparse tells, for another one."""
     number = float(text)
     if not number.is_integer():
         raise ValueError

@@ -64,7 +64,7 @@ def find_policy(source: PolicySource, task: TaskSource | None = None) -> Pilot:
         return _run(Path(source), source)
     algorithm, colon, path = source.partition(":")
     if colon:
-        pick("algorithm", algorithm, ALGORITHMS)
+        pick("algorithm", algorithm, dict.fromkeys(ALGORITHMS))
         path = path if Path(path).is_file() else f"{path}.zip"  # which the library adds to names without it
         return _model(source, algorithm, Path(path))
     kind = pick("policy", source, {**POLICIES, **dict.fromkeys(SHIPPED_NAMES)})

@@ -10,7 +10,7 @@ from bulletuav.errors import pick, unknown, whole
 from bulletuav.tasks import find_task
 
 CONFIG, MODEL = "run.yaml", "model.zip"
-ALGORITHMS = {"ppo": "PPO", "sac": "SAC", "td3": "TD3", "dqn": "DQN", "a2c": "A2C", "ddpg": "DDPG"}
+ALGORITHMS = ("ppo", "sac", "td3", "dqn", "a2c", "ddpg")
 INTERFACE = (
     "action",
     "decision_hz",
@@ -34,7 +34,7 @@ class RunConfig:
     """What decides a training run.
 
     task, seed   what is learned, and the seed of weights, worlds and everything drawn
-    algo         one of `ALGORITHMS`, in lower case
+    algo         one of `ALGORITHMS`
     steps        decisions of all slots together; an empty slot counts, too, see `bulletuav.adapters.sb3`
     worlds       that are flown at once
     options      of the environment in training; those of `INTERFACE` also where the policy flies
@@ -62,7 +62,7 @@ class RunConfig:
     def __post_init__(self):
         """Raise ValueError for what cannot be; options are checked where environments are made."""
         find_task(self.task)
-        pick("algorithm", self.algo, ALGORITHMS)
+        pick("algorithm", self.algo, dict.fromkeys(ALGORITHMS))
         for name, least in (("seed", 0), ("steps", 1), ("worlds", 1), ("evaluations", 1), ("episodes", 1)):
             whole(name, getattr(self, name), least)
         for name in ("options", "curriculum", "model", "evaluation"):

@@ -9,7 +9,6 @@ from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.spaces import widest_action_space
 from bulletuav.physics.swarm import Swarm
 from bulletuav.policies.base import Policy
-from bulletuav.policies.run import ALGORITHMS
 from bulletuav.tasks.terms.observations import Observation
 
 
@@ -26,14 +25,11 @@ class Trained(Policy):
         Raises ValueError where its spaces are not those of one drone, ImportError that names the extra to install.
         """
         super().__init__(aviary)
+        from bulletuav.adapters import sb3  # the extra is needed from here on
+
+        sb3.single_thread()
         try:
-            import stable_baselines3
-            import torch
-        except ImportError:
-            raise ImportError("trained models need the extra 'sb3': pip install 'bulletuav[sb3]'") from None
-        torch.set_num_threads(1)
-        try:
-            self._model: Any = getattr(stable_baselines3, ALGORITHMS[algorithm]).load(path, device="cpu")
+            self._model: Any = sb3.algorithm(algorithm).load(path, device="cpu")
         except Exception as error:  # the library raises whatever it stumbles over in a file of another kind
             raise ValueError(f"{path} is no model of {algorithm}: {error}") from None
         if fresh:

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Box, Dict
 
-from bulletuav.adapters.sb3 import DroneVecEnv, LivingReplay, LivingRollouts, Symlog
+from bulletuav.adapters.sb3 import DroneVecEnv, LivingReplay, LivingRollouts, Symlog, algorithm
 from bulletuav.errors import unknown
-from bulletuav.policies.run import ALGORITHMS, RunConfig
+from bulletuav.policies.run import RunConfig
 
 FEATURES = {"symlog": Symlog}
 ON_POLICY = ("ppo", "a2c")
@@ -38,8 +38,6 @@ def make_model(config: RunConfig, env: DroneVecEnv) -> Any:
     the run; `action_noise` is the deviation of Gaussian noise on each number of an action; `features` names what observed
     numbers go through first ("symlog", also the default, or None). Raises ValueError for what the algorithm does not take.
     """
-    import stable_baselines3
-
     settings = {**DEFAULTS[config.algo], "features": "symlog", **config.model}
     settings["policy_kwargs"] = dict(settings.get("policy_kwargs", {}))
     pictures = isinstance(env.observation_space, Dict)
@@ -56,7 +54,7 @@ def make_model(config: RunConfig, env: DroneVecEnv) -> Any:
         settings.setdefault(*buffer)
     elif env.num_drones > 1:
         raise ValueError("pictures are learned from with one drone a world: SB3's buffers for them know of no empty slots")
-    kind = getattr(stable_baselines3, ALGORITHMS[config.algo])
+    kind = algorithm(config.algo)
     try:
         with warnings.catch_warnings():  # of minibatches that do not divide the rollout: those of living drones never do
             warnings.filterwarnings("ignore", message="(?s).*mini-batch")

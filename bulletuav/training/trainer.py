@@ -6,16 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import stable_baselines3
-import torch
-from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.logger import configure
 
-from bulletuav.adapters.sb3 import DroneVecEnv
+from bulletuav.adapters.sb3 import BaseCallback, DroneVecEnv, algorithm, single_thread
 from bulletuav.envs.curriculum import Curriculum
 from bulletuav.evaluation import evaluate
 from bulletuav.metrics import METRICS
-from bulletuav.policies.run import ALGORITHMS, RunConfig
+from bulletuav.policies.run import RunConfig
 from bulletuav.training.models import ON_POLICY, make_model
 from bulletuav.training.store import Row, Store
 
@@ -29,10 +25,12 @@ def train(config: RunConfig, out: Path, progress: Progress = lambda steps: None)
 
     A chapter ends with an evaluation and a checkpoint; the next begins with new episodes and random numbers that follow
     from the seed and the chapter alone. So a call with the same configuration goes on from the last checkpoint to the
-    weights of a run that was never interrupted. `progress` is told the steps done so far. Raises ValueError for what cannot be, and
-    for a folder of another run.
+    weights of a run that was never interrupted. `progress` is told the steps done so far. Raises ValueError for what cannot
+    be, and for a folder of another run.
     """
-    torch.set_num_threads(1)
+    from stable_baselines3.common.logger import configure
+
+    single_thread()
     store = Store(out, config)
     if store.finished:
         progress(config.steps)
@@ -54,8 +52,7 @@ def _model(config: RunConfig, env: DroneVecEnv, store: Store) -> Any:
     """New, or as it was at the last checkpoint."""
     if not store.rows:
         return make_model(config, env)
-    kind = getattr(stable_baselines3, ALGORITHMS[config.algo])
-    model = kind.load(store.last, env, device="cpu")
+    model = algorithm(config.algo).load(store.last, env, device="cpu")
     if config.algo not in ON_POLICY:
         model.load_replay_buffer(store.replay(store.last))
     env.curriculum.restore(store.curriculum)

@@ -1,3 +1,5 @@
+import sys
+
 import numpy as np
 import pytest
 
@@ -113,7 +115,9 @@ def test_a_model_for_other_spaces_is_refused(models):
 
 
 def test_a_missing_extra_is_named(monkeypatch, models):
-    monkeypatch.setitem(__import__("sys").modules, "stable_baselines3", None)
+    monkeypatch.delitem(sys.modules, "bulletuav.adapters.sb3", raising=False)
+    monkeypatch.delattr("bulletuav.adapters.sb3", raising=False)
+    monkeypatch.setitem(sys.modules, "stable_baselines3", None)
     aviary = bulletuav.Aviary("converge", **CALM)
     with pytest.raises(ImportError, match=r"bulletuav\[sb3\]"):
         find_policy(f"ppo:{models / 'ppo.zip'}")(aviary)
