@@ -173,20 +173,27 @@ class Estimate(NamedTuple):
 
 
 def estimate(metric: str, values: Sequence[float]) -> Estimate:
-    """Over episodes: Wilson's interval for rates, the percentile bootstrap (always the same resamples) for means."""
+    """Over episodes: Wilson's interval for rates, `mean_estimate` for means."""
     from scipy import stats  # which takes longer to import than everything else
+
+    if metric not in RATES:
+        return mean_estimate(values)
+    sample = np.array(values)
+    low, high = stats.binomtest(int(sample.sum()), len(sample)).proportion_ci(method="wilson")
+    return Estimate(float(sample.mean()), float(low), float(high), len(sample))
+
+
+def mean_estimate(values: Sequence[float]) -> Estimate:
+    """Mean of the values that are not NaN, with the interval of the percentile bootstrap (always the same resamples)."""
+    from scipy import stats
 
     sample = np.array([value for value in values if not np.isnan(value)])
     if not len(sample):
         return Estimate(np.nan, np.nan, np.nan, 0)
-    mean = float(sample.mean())
-    if metric in RATES:
-        low, high = stats.binomtest(int(sample.sum()), len(sample)).proportion_ci(method="wilson")
-    elif np.ptp(sample) == 0:
-        low = high = mean
-    else:
-        interval = stats.bootstrap(
-            (sample,), np.mean, n_resamples=RESAMPLES, method="percentile", rng=np.random.default_rng(0)
-        ).confidence_interval
-        low, high = interval.low, interval.high
-    return Estimate(mean, float(low), float(high), len(sample))
+    if np.ptp(sample) == 0:
+        mean = float(sample[0])
+        return Estimate(mean, mean, mean, len(sample))
+    interval = stats.bootstrap(
+        (sample,), np.mean, n_resamples=RESAMPLES, method="percentile", rng=np.random.default_rng(0)
+    ).confidence_interval
+    return Estimate(float(sample.mean()), float(interval.low), float(interval.high), len(sample))

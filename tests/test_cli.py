@@ -239,6 +239,7 @@ def test_help(arguments, capsys):
         ),
         ([*COMPARED, "--dynamics", "point_mass,point_mas"], "unknown dynamics 'point_mas': did you mean 'point_mass'"),
         ([*COMPARED, "--set", "dynamics=5"], "unknown dynamics '5'"),
+        ([*COMPARED, "--against", "orc"], "unknown policy in --against, 'orc'"),
         (["tasks", "hoover"], "did you mean 'hover'"),
         (["flyy"], "invalid choice: 'flyy'"),
         ([], "required: COMMAND"),

@@ -187,6 +187,13 @@ def test_summary_pictures_and_leaderboard(straight, tmp_path):
     assert "### converge, medium: 3 drones, point_mass at 240 Hz, 13 episodes" in text
     assert "| straight \\* | 0." in text
     assert "1.00 [0.77, 1.00]" in text
+    assert markdown([straight, orca], "potential") == text  # which is not among them
+    paired = markdown([straight, orca], "orca")
+    (line,) = paired.split("More than `orca` in the same episodes:")[1].strip().splitlines()[2:3]
+    difference = np.array([one["length"] - two["length"] for one, two in zip(straight.rows, orca.rows, strict=True)])
+    assert f"| {difference.mean():.2f} [" in line
+    assert "| 1.00 [1.00, 1.00] |" in line  # straight has a conflict in every episode, and orca in none
+    assert line.startswith("| straight")
     write_csv([straight, orca], tmp_path / "board.csv")
     with (tmp_path / "board.csv").open() as file:
         rows = list(csv.DictReader(file))
@@ -218,7 +225,7 @@ def served():
     return [evaluate("mec", policy, 2, dynamics=dynamics, **options) for dynamics, policy in ways]
 
 
-COMMON = ["success", "drones", "conflict", "collision", "nearest m", "time s"]
+COMMON = ["success", "drones", "return", "conflict", "collision", "nearest m", "time s"]
 
 
 def test_columns_that_no_episode_has_are_left_out(straight, served):

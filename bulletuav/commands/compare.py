@@ -17,6 +17,7 @@ from bulletuav.commands.options import (
     out_folder,
     tell_files,
 )
+from bulletuav.errors import unknown
 from bulletuav.leaderboard import markdown, write_csv
 
 ABOUT = {
@@ -38,6 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--difficulties", type=_names, metavar="A,B", help="easy, medium, hard, extreme (default: the task's)"
     )
+    parser.add_argument("--against", metavar="POLICY", help="tell how much more the others have than this one of them")
     add_episodes(parser)
     parser.add_argument(
         "--out", type=Path, default=Path("leaderboard"), metavar="DIR", help="folder for the files (default: leaderboard)"
@@ -63,6 +65,8 @@ def run(arguments: argparse.Namespace) -> None:
     dynamics = _names(str(options.pop("dynamics"))) if "dynamics" in options else None
     if arguments.difficulties and "difficulty" in options:
         raise ValueError("--difficulty and --difficulties: give one of them")
+    if arguments.against not in (None, *arguments.policies):
+        raise unknown("policy in --against,", arguments.against, arguments.policies)
     out, results = out_folder(arguments.out), []
     cases = [
         (task, policy, {**options, **difficulty, **one})
@@ -78,7 +82,7 @@ def run(arguments: argparse.Namespace) -> None:
             results.append(evaluated(arguments, task, policy, options, folder, progress))
             results[-1].save(folder)
     files = [out / "leaderboard.md", out / "leaderboard.csv", out / "leaderboard.png"]
-    table = markdown(results)
+    table = markdown(results, arguments.against)
     files[0].write_text(table)
     write_csv(results, files[1])
     plot_leaderboard(results, files[2])
