@@ -13,8 +13,8 @@ from collections.abc import Generator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from gymnasium.spaces import Box
 
+from bulletuav.adapters.features import Symlog
 from bulletuav.envs.aviary import Aviary, Step
 from bulletuav.envs.curriculum import Curriculum, common_observation
 from bulletuav.envs.plan import Plan
@@ -28,7 +28,6 @@ try:
     import torch
     from stable_baselines3.common.buffers import ReplayBuffer, RolloutBuffer
     from stable_baselines3.common.callbacks import BaseCallback
-    from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
     from stable_baselines3.common.type_aliases import RolloutBufferSamples
     from stable_baselines3.common.vec_env import VecEnv
 except ImportError:
@@ -56,6 +55,9 @@ class DroneVecEnv(VecEnv):
     "is_success", and "episode", of that drone alone: return "r", decisions "l", seconds "t", "conflicts", "collision" and
     the return of each reward term ("reward/goal", ...).
 
+    With `shared_reward` each drone is given the mean of the rewards of all drones of its world, those that are gone with 0;
+    infos still tell its own.
+
     With several `levels` (options of each, easiest first, such as [{"num_drones": 2}, {"num_drones": 8}]) the success of
     the last episodes decides which one all worlds fly; see `Curriculum`. There are slots for the largest level.
 
@@ -68,9 +70,11 @@ class DroneVecEnv(VecEnv):
         num_worlds: int = 16,
         levels: Sequence[Mapping[str, Any]] = ({},),
         curriculum: Curriculum | None = None,
+        shared_reward: bool = False,
         **options: Any,
     ):
         """Options as of `Aviary`. Raises ValueError for what cannot be, also levels whose observations differ in shape."""
+        self._shared_reward = shared_reward
         self._task, self._level_options = task, [{**options, **level} for level in levels]
         self.curriculum = curriculum or Curriculum(len(self._level_options))
         if self.curriculum.count != len(self._level_options):
@@ -138,7 +142,10 @@ class DroneVecEnv(VecEnv):
         ended = flown & (change | ~aviary.alive)
         infos = self._infos(step, ended)
         dones = self._wide(ended | over[:, None] | change, True)
-        rewards = self._wide(np.where(flown, step.rewards, np.nan), np.nan)
+        earned = np.where(flown, step.rewards, 0.0)
+        if self._shared_reward:
+            earned = np.broadcast_to(earned.mean(axis=1, keepdims=True), earned.shape)
+        rewards = self._wide(np.where(flown, earned, np.nan), np.nan)
         observations = self._start(over) if over.any() else step.observations
         return self._rows(observations), rewards.astype(np.float32), dones, infos
 
@@ -259,17 +266,3 @@ class LivingReplay(ReplayBuffer):
         self.timeouts[places, 0] = [infos[slot].get("TimeLimit.truncated", False) for slot in flown]
         self.full |= self.pos + len(flown) >= self.buffer_size
         self.pos = (self.pos + len(flown)) % self.buffer_size
-
-
-class Symlog(BaseFeaturesExtractor):
-    """sign(x) ln(1 + |x|) of each number: metres near by count as much as those far away, with no statistics to keep.
-
-    D. Hafner, J. Pasukonis, J. Ba, T. Lillicrap, Mastering diverse domains through world models (2023), equation 9.
-    """
-
-    def __init__(self, observation_space: Box):
-        super().__init__(observation_space, int(np.prod(observation_space.shape)))
-
-    def forward(self, observations: torch.Tensor) -> torch.Tensor:
-        """(B, D) features of observations (B, D)."""
-        return torch.sign(observations) * torch.log1p(torch.abs(observations))

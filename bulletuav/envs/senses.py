@@ -14,6 +14,7 @@ from bulletuav.sensors.lidar import Lidar
 from bulletuav.sensors.sight import clearances, sights
 from bulletuav.tasks.base import Scene, Task
 from bulletuav.tasks.terms.observations import IMAGES
+from bulletuav.tasks.terms.sensed import AHEAD
 
 LIDAR = {"lidar_noise": "noise", "lidar_dropout": "dropout"}
 IMU = {
@@ -52,6 +53,8 @@ class Senses:
             every = options.decision_hz // (options.camera_hz or options.decision_hz)
             self._cameras = DroneCameras(world, images, radius, options.camera_size, every)
         self._sight = np.zeros((*world.shape, task.num_targets), dtype=bool)
+        ahead = (*world.shape, len(AHEAD), task.num_targets)
+        self._ahead = np.zeros(ahead, dtype=bool) if "sight_ahead" in wanted else None
         self._clearance = np.full(world.shape, options.max_range) if "clearance" in wanted else None
 
     def start(self, k: int, swarm: Swarm, rng: np.random.Generator) -> None:
@@ -81,6 +84,15 @@ class Senses:
             self._clearance[mask] = clearances(self._world, mask, self._range)[mask]
         if self._task.num_targets:
             self._sight[mask] = sights(self._world, after.position, self._task.targets(scene), mask)[mask]
+        if self._ahead is not None:
+            self._look_ahead(self._ahead, after.position, self._task.targets(scene), mask)
+
+    def _look_ahead(self, ahead: np.ndarray, position: np.ndarray, targets: np.ndarray, mask: np.ndarray) -> None:
+        """From places within the airspace."""
+        low, high = self._task.arena_low, self._task.arena_high
+        for k, way in enumerate(AHEAD.values()):
+            places = np.clip(position + way, low, high)
+            ahead[mask, k] = sights(self._world, places, targets, mask)[mask]
 
     def readings(self) -> dict[str, np.ndarray]:
         """The readings by the names that `Frame` tells, as they are now."""
@@ -91,6 +103,8 @@ class Senses:
             readings["imu"] = np.concatenate([self._imu.acceleration, self._imu.rates], axis=-1)
         if self._clearance is not None:
             readings["clearance"] = self._clearance.copy()
+        if self._ahead is not None:
+            readings["sight_ahead"] = self._ahead.copy()
         return readings | {"sight": self._sight.copy()}
 
 

@@ -40,6 +40,7 @@ class RunConfig:
     options      of the environment in training; those of `INTERFACE` also where the policy flies
     levels       further options of each level of a curriculum, easiest first; one for none
     curriculum   `up`, `down` and `window` of `bulletuav.envs.curriculum.Curriculum`
+    shared_reward  whether each drone is rewarded with the mean of all of its world
     model        arguments of the algorithm, see `bulletuav.training.models.make_model`
     evaluations  how many times the policy is evaluated and kept on the way
     episodes     of each
@@ -54,6 +55,7 @@ class RunConfig:
     options: Mapping[str, Any] = field(default_factory=dict)
     levels: Sequence[Mapping[str, Any]] = ({},)
     curriculum: Mapping[str, Any] = field(default_factory=dict)
+    shared_reward: bool = False
     model: Mapping[str, Any] = field(default_factory=dict)
     evaluations: int = 20
     episodes: int = 20
@@ -68,6 +70,8 @@ class RunConfig:
         for name in ("options", "curriculum", "model", "evaluation"):
             if not isinstance(getattr(self, name), Mapping):
                 raise ValueError(f"{name} is {getattr(self, name)!r}: names with values are needed")
+        if not isinstance(self.shared_reward, bool):
+            raise ValueError(f"shared_reward is {self.shared_reward!r}: true or false is needed")
         if isinstance(self.levels, Mapping | str) or not all(isinstance(level, Mapping) for level in self.levels):
             raise ValueError(f"levels is {self.levels!r}: a list of names with values is needed")
 

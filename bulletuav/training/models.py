@@ -6,11 +6,12 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Box, Dict
 
-from bulletuav.adapters.sb3 import DroneVecEnv, LivingReplay, LivingRollouts, Symlog, algorithm
+from bulletuav.adapters.features import Symlog, UserSum
+from bulletuav.adapters.sb3 import DroneVecEnv, LivingReplay, LivingRollouts, algorithm
 from bulletuav.errors import unknown
 from bulletuav.policies.run import RunConfig
 
-FEATURES = {"symlog": Symlog}
+FEATURES = {"symlog": Symlog, "user_sum": UserSum}
 ON_POLICY = ("ppo", "a2c")
 _REPLAY = {"learning_starts": 10_000, "batch_size": 1024, "buffer_size": 300_000, "train_freq": 1, "gamma": 0.99}
 DEFAULTS: dict[str, dict[str, Any]] = {
@@ -36,7 +37,8 @@ def make_model(config: RunConfig, env: DroneVecEnv) -> Any:
 
     Settings are the arguments of the algorithm's class, and besides: `learning_rate` [a, b] falls linearly from a to b over
     the run; `action_noise` is the deviation of Gaussian noise on each number of an action; `features` names what observed
-    numbers go through first ("symlog", also the default, or None). Raises ValueError for what the algorithm does not take.
+    numbers go through first, of `bulletuav.adapters.features`: "symlog", also the default, "user_sum", or None. Raises
+    ValueError for what the algorithm does not take.
     """
     settings = {**DEFAULTS[config.algo], "features": "symlog", **config.model}
     settings["policy_kwargs"] = dict(settings.get("policy_kwargs", {}))

@@ -36,7 +36,7 @@ def train(config: RunConfig, out: Path, progress: Progress = lambda steps: None)
         progress(config.steps)
         return store.rows
     curriculum = Curriculum(len(config.levels), **config.curriculum)
-    env = DroneVecEnv(config.task, config.worlds, config.levels, curriculum, **config.options)
+    env = DroneVecEnv(config.task, config.worlds, config.levels, curriculum, config.shared_reward, **config.options)
     try:
         model = _model(config, env, store)
         model.set_logger(configure(str(out / "tensorboard"), ["tensorboard"]))

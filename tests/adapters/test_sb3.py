@@ -1,3 +1,4 @@
+import importlib
 import sys
 
 import numpy as np
@@ -8,7 +9,7 @@ from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.buffers import RolloutBuffer
 
 import bulletuav
-from bulletuav.adapters.sb3 import DroneVecEnv, LivingReplay, LivingRollouts, Symlog
+from bulletuav.adapters.sb3 import DroneVecEnv, LivingReplay, LivingRollouts
 from bulletuav.envs.curriculum import Curriculum
 
 CALM = {"dynamics": "single_integrator", "difficulty": "easy", "num_drones": 3}
@@ -277,16 +278,23 @@ def test_pictures_come_slot_by_slot():
     env.close()
 
 
-def test_symlog_is_odd_and_nearly_the_identity_at_zero():
-    layer = Symlog(Box(-10, 10, (3,)))
-    given = torch.tensor([[-9.0, 0.001, np.e - 1]])
-    np.testing.assert_allclose(layer(given), [[-np.log(10), 0.0009995, 1.0]], rtol=1e-6)
-    assert torch.equal(layer(-given), -layer(given))
-    assert layer.features_dim == 3
+def test_a_shared_reward_is_the_mean_of_the_world():
+    own, shared = (DroneVecEnv("converge", 2, shared_reward=share, **BREAK) for share in (False, True))
+    alone, together = (np.array(rolled(env, 200, np.random.default_rng(0))[1]) for env in (own, shared))
+    np.testing.assert_array_equal(np.isnan(alone), np.isnan(together))
+    mean = np.nan_to_num(alone).reshape(200, 2, 3).mean(axis=2, keepdims=True).repeat(3, axis=2).reshape(200, 6)
+    flown = ~np.isnan(alone)
+    assert not flown.all()
+    np.testing.assert_allclose(together[flown], mean[flown], rtol=1e-4, atol=1e-4)
+    own.close()
+    shared.close()
 
 
 def test_the_extra_is_named_where_it_is_missing(monkeypatch):
     monkeypatch.delitem(sys.modules, "bulletuav.adapters.sb3")
-    monkeypatch.setitem(sys.modules, "stable_baselines3.common.buffers", None)
-    with pytest.raises(ImportError, match=r"bulletuav\[sb3\]"):
-        __import__("bulletuav.adapters.sb3")
+    monkeypatch.delitem(sys.modules, "bulletuav.adapters.features")
+    monkeypatch.setitem(sys.modules, "stable_baselines3", None)
+    monkeypatch.setitem(sys.modules, "stable_baselines3.common.torch_layers", None)
+    for name in ("sb3", "features"):
+        with pytest.raises(ImportError, match=r"bulletuav\[sb3\]"):
+            importlib.import_module(f"bulletuav.adapters.{name}")

@@ -443,11 +443,39 @@ def test_the_preset_has_the_sizes_that_it_is_named_after(make):
     assert Plan("mobile_users", 1, {"preset": "urbanmarl", "num_users": 7, **SMALL}).task.num_targets == 7
 
 
+def test_sight_ahead_is_what_would_be_seen_from_there(put):
+    """Also where that is beyond the edge, or would be in a building."""
+    wall = ((-5.0, -20.0, 0.0), (5.0, 20.0, 40.0))
+    users = [(-60.0, 0.0, 1.5), (60.0, 0.0, 1.5), (20.0, 60.0, 1.5)]
+    place = [(-20.0, 0.0, 20.0), (90.0, 50.0, 20.0), (15.0, 0.0, 20.0)]
+    aviary = put("mobile_users", city_of(wall), place, users, observation="sight_ahead")
+    seen = fly(aviary, STAY).observations[0].reshape(3, 4, 3)
+    low, high = aviary.task.arena_low, aviary.task.arena_high
+    for i, at in enumerate(aviary.swarm.position[0]):
+        for k, way in enumerate(((30, 0, 0), (0, 30, 0), (-30, 0, 0), (0, -30, 0))):
+            there = np.clip(at + way, low, high)
+            np.testing.assert_array_equal(seen[i, k], aviary.line_of_sight(there, aviary.scene.memory["users"][0]))
+    assert (seen[0] != seen[0, :1]).any()
+    with pytest.raises(ValueError, match="'sight_ahead' needs targets, and task 'hover' has none"):
+        bulletuav.Aviary("hover", observation="sight_ahead")
+
+
 SHAPES = {
     "plain": {},
     "preset": {"preset": "urbanmarl"},
     "noisy": {"difficulty": "medium", "mobility": "hotspot", "normalise": True, "num_drones": 2},
-    "all": {"observation": ("centroids", "sight_matrix", "sojourn", "power", "targets", "seen_share", "neighbours")},
+    "all": {
+        "observation": (
+            "centroids",
+            "sight_matrix",
+            "sojourn",
+            "power",
+            "targets",
+            "seen_share",
+            "sight_ahead",
+            "neighbours",
+        )
+    },
     "ends": {"boundary": "end", "contact_ends": "world", "mobility": "gauss_markov"},
     "soft": {"boundary": "soft", "dynamics": "rigid_body", "decision_hz": 10, "mobility": "waypoint"},
 }

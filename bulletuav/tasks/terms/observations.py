@@ -38,6 +38,7 @@ BLOCKS: dict[str, Callable[["Task"], Block]] = {
         sensed.battery,
         sensed.targets,
         sensed.seen_share,
+        sensed.sight_ahead,
         service.power,
         service.centroids,
         service.sight_matrix,

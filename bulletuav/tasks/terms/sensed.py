@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from bulletuav.tasks.base import Frame, Task
 
 MAX_FORCE = 100.0  # m/s^2
+AHEAD = {"east": (30.0, 0.0, 0.0), "north": (0.0, 30.0, 0.0), "west": (-30.0, 0.0, 0.0), "south": (0.0, -30.0, 0.0)}
+"""Ways, m, at whose ends `sight_ahead` looks"""
 
 
 def lidar(task: "Task") -> Block:
@@ -64,6 +66,14 @@ def seen_share(task: "Task") -> Block:
         return share_of(frame.readings["sight"], task.counted(frame.scene)[:, None])[..., None]
 
     return Block((Label("seen share", "1", 0.0, 1.0),), compute)
+
+
+def sight_ahead(task: "Task") -> Block:
+    """Which targets the drone would see from 30 m east, north, west and south of it, by a map: how sight would change."""
+    if not task.num_targets:
+        raise ValueError(f"observation block 'sight_ahead' needs targets, and task {task.name!r} has none")
+    labels = [Label(f"{way} sees {k}", "1", 0.0, 1.0) for way in AHEAD for k in range(1, task.num_targets + 1)]
+    return Block(tuple(labels), _reading("sight_ahead"))
 
 
 def share_of(seen: np.ndarray, counted: np.ndarray) -> np.ndarray:
