@@ -19,17 +19,18 @@ FAR = 100.0  # m, unit of positions
 
 
 class Symlog(BaseFeaturesExtractor):
-    """sign(x) ln(1 + |x|) of each number: metres near by count as much as those far away, with no statistics to keep.
+    """sign(x) ln(1 + scale |x|) of each number: metres near by count as much as those far away, with no statistics to keep.
 
-    D. Hafner, J. Pasukonis, J. Ba, T. Lillicrap, Mastering diverse domains through world models (2023), equation 9.
+    Where centimetres matter `scale` is to be larger than 1. D. Hafner, J. Pasukonis, J. Ba, T. Lillicrap, Mastering diverse domains through world models (2023), equation 9.
     """
 
-    def __init__(self, observation_space: Box):
+    def __init__(self, observation_space: Box, scale: float = 1.0):
         super().__init__(observation_space, int(np.prod(observation_space.shape)))
+        self.scale = scale
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
         """(B, D) features of observations (B, D)."""
-        return torch.sign(observations) * torch.log1p(torch.abs(observations))
+        return torch.sign(observations) * torch.log1p(self.scale * torch.abs(observations))
 
 
 class UserSum(BaseFeaturesExtractor):

@@ -37,6 +37,7 @@ def test_symlog_is_odd_and_nearly_the_identity_at_zero():
     np.testing.assert_allclose(layer(given), [[-np.log(10), 0.0009995, 1.0]], rtol=1e-6)
     assert torch.equal(layer(-given), -layer(given))
     assert layer.features_dim == 3
+    torch.testing.assert_close(Symlog(Box(-10, 10, (3,)), 50.0)(given), layer(50 * given))
 
 
 def test_the_order_of_users_does_not_matter_and_who_they_are_does():
