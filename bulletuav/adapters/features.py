@@ -21,7 +21,8 @@ FAR = 100.0  # m, unit of positions
 class Symlog(BaseFeaturesExtractor):
     """sign(x) ln(1 + scale |x|) of each number: metres near by count as much as those far away, with no statistics to keep.
 
-    Where centimetres matter `scale` is to be larger than 1. D. Hafner, J. Pasukonis, J. Ba, T. Lillicrap, Mastering diverse domains through world models (2023), equation 9.
+    Where centimetres matter `scale` is to be larger than 1. D. Hafner, J. Pasukonis, J. Ba, T. Lillicrap, Mastering diverse
+    domains through world models (2023), equation 9.
     """
 
     def __init__(self, observation_space: Box, scale: float = 1.0):
