@@ -1,5 +1,8 @@
 import dataclasses
+import importlib.util
 import math
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -234,3 +237,28 @@ def test_the_extra_is_named_where_it_is_missing(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "yaml", None)
     with pytest.raises(ImportError, match=r"bulletuav\[sb3\]"):
         config().text()
+
+
+def test_the_best_run_is_shipped_without_what_only_training_needs(run, tmp_path, monkeypatch, capsys):
+    spec = importlib.util.spec_from_file_location("ship", Path(__file__).parents[2] / "benchmarks" / "ship.py")
+    ship = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(ship)
+    package, learned = tmp_path / "trained", tmp_path / "learned" / "runs" / "converge"
+    (package / "converge").mkdir(parents=True)
+    (package / "converge" / "run.yaml").write_text(f"# ours\n{config().text()}")
+    for seed, outcome in (("0", "1.0"), ("1", "2.0")):
+        shutil.copytree(run[0], learned / seed)
+        (learned / seed / "run.yaml").write_text(config(seed=int(seed)).text())
+        (learned / seed / "curve.csv").write_text(f"steps,return\n0,5.0\n256,{outcome}\n")
+    monkeypatch.setattr(ship, "SHIPPED", package)
+    monkeypatch.setattr(ship, "shipped_tasks", lambda: ["converge"])
+    monkeypatch.setattr("sys.argv", ["ship.py", str(tmp_path / "learned")])
+    ship.main()
+    assert "converge: seed 1" in capsys.readouterr().out
+    assert (package / "converge" / "run.yaml").read_text().startswith("# ours\n")
+    assert RunConfig.read(package / "converge" / "run.yaml").seed == 1
+    assert torch.equal(weights(package / "converge"), weights(run[0]))
+    assert (package / "converge" / "model.zip").stat().st_size < 0.7 * (run[0] / "model.zip").stat().st_size
+    (learned / "1" / "run.yaml").write_text(config(seed=1, steps=7).text())
+    with pytest.raises(SystemExit, match="other settings"):
+        ship.main()
