@@ -23,7 +23,7 @@ LAYERS = [
 ]
 RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
 FILES = sorted(PACKAGE.rglob("*.py"))
-EXTRAS = {"shapely", "imageio_ffmpeg", "stable_baselines3", "torch", "yaml", "ray", "torchrl", "imageio"}
+EXTRAS = {"shapely", "imageio_ffmpeg", "stable_baselines3", "torch", "filelock", "yaml", "ray", "torchrl", "imageio"}
 
 
 def imported(path):

@@ -61,7 +61,13 @@ def _leave_interrupts() -> None:
 def _train(config: RunConfig, folder: Path) -> list[Row]:
     from bulletuav.training.trainer import train
 
-    return train(config, folder)
+    parent = multiprocessing.parent_process()
+
+    def stay(steps: int) -> None:
+        if parent is not None and not parent.is_alive():
+            raise SystemExit  # it was killed: nobody waits for this run, and who resumes it wants the folder
+
+    return train(config, folder, stay)
 
 
 def _steps(folder: Path) -> int:

@@ -1,10 +1,12 @@
 """The folder of a training run: `run.yaml`, `curve.csv`, `model.zip`, checkpoints, and where it stands."""
 
+import contextlib
 import csv
 import io
 import json
 import os
 import shutil
+from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -95,3 +97,16 @@ class Store:
         for old in (self.folder / CHECKPOINTS).glob("*.replay.pkl"):
             if old != self.replay(model):
                 old.unlink()
+
+
+@contextlib.contextmanager
+def opened(folder: Path, config: RunConfig) -> Iterator[Store]:
+    """The store of a run that nobody else trains meanwhile. Raises ValueError where somebody does, else as `Store`."""
+    from filelock import FileLock, Timeout  # comes with PyTorch
+
+    store = Store(folder, config)
+    try:
+        with FileLock(folder / "lock", timeout=0):
+            yield store
+    except Timeout:
+        raise ValueError(f"{folder} is being trained in by another process: wait, or choose another folder") from None

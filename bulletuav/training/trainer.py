@@ -13,7 +13,7 @@ from bulletuav.evaluation import evaluate
 from bulletuav.metrics import METRICS
 from bulletuav.policies.run import RunConfig
 from bulletuav.training.models import ON_POLICY, make_model
-from bulletuav.training.store import Row, Store
+from bulletuav.training.store import Row, Store, opened
 
 EVALUATION_SEED = 1_000_000
 """Of the first episode of every evaluation on the way: others than those of training, and than tables begin with"""
@@ -28,24 +28,27 @@ def train(config: RunConfig, out: Path, progress: Progress = lambda steps: None)
     weights of a run that was never interrupted. `progress` is told the steps done so far. Raises ValueError for what cannot
     be, and for a folder of another run.
     """
-    from stable_baselines3.common.logger import configure
-
     single_thread()
-    store = Store(out, config)
-    if store.finished:
+    with opened(out, config) as store:
+        if not store.finished:
+            _train(config, store, progress)
         progress(config.steps)
         return store.rows
+
+
+def _train(config: RunConfig, store: Store, progress: Progress) -> None:
+    from stable_baselines3.common.logger import configure
+
     curriculum = Curriculum(len(config.levels), **config.curriculum)
     env = DroneVecEnv(config.task, config.worlds, config.levels, curriculum, config.shared_reward, **config.options)
     try:
         model = _model(config, env, store)
-        model.set_logger(configure(str(out / "tensorboard"), ["tensorboard"]))
+        model.set_logger(configure(str(store.folder / "tensorboard"), ["tensorboard"]))
         chapters = _Chapters(config, env, store, progress)
         model.learn(config.steps - model.num_timesteps, callback=chapters, log_interval=None, reset_num_timesteps=False)
         chapters.end()
     finally:
         env.close()
-    return store.rows
 
 
 def _model(config: RunConfig, env: DroneVecEnv, store: Store) -> Any:

@@ -1,7 +1,11 @@
+import contextlib
 import dataclasses
 import importlib.util
 import math
 import shutil
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +19,7 @@ from bulletuav.policies import find_policy
 from bulletuav.policies.run import RunConfig
 from bulletuav.training.campaign import Campaign, learning_table
 from bulletuav.training.models import make_model
-from bulletuav.training.store import Store
+from bulletuav.training.store import Store, opened
 from bulletuav.training.trainer import train
 
 OPTIONS = {"dynamics": "single_integrator", "num_drones": 2, "difficulty": "easy", "horizon": 12, "observation": ["goal"]}
@@ -109,6 +113,37 @@ def test_a_finished_run_is_not_trained_again(run):
 def test_the_folder_of_another_run_is_refused(run):
     with pytest.raises(ValueError, match="holds another run: its steps is 200, not 300"):
         train(config(steps=300), run[0])
+
+
+def test_a_folder_that_another_process_trains_in_is_refused(tmp_path):
+    with opened(tmp_path, config()), pytest.raises(ValueError, match="by another process"):
+        train(config(), tmp_path)
+
+
+def test_a_run_ends_with_the_process_that_wants_it(tmp_path):
+    """Killed, so that it cannot end its runs itself."""
+    script = "from training.test_trainer import config; from bulletuav.training.campaign import Campaign; "
+    script += f"Campaign([config(steps=10**7)], __import__('pathlib').Path({str(tmp_path)!r})).train()"
+    process = subprocess.Popen([sys.executable, "-c", script], cwd=Path(__file__).parents[1])
+    store = tmp_path / "converge" / "0"
+    wait_until(lambda: (store / "state.json").exists())
+    with pytest.raises(ValueError, match="by another process"):
+        train(config(steps=10**7), store)
+    process.kill()
+    process.wait()
+
+    def is_free():
+        with contextlib.suppress(ValueError), opened(store, config(steps=10**7)):
+            return True
+
+    wait_until(is_free)
+
+
+def wait_until(done, seconds=60):
+    end = time.monotonic() + seconds
+    while not done():
+        assert time.monotonic() < end
+        time.sleep(0.1)
 
 
 def test_a_damaged_or_impossible_folder_is_refused(run, tmp_path):
