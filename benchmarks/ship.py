@@ -14,9 +14,12 @@ from bulletuav.policies.run import CONFIG, MODEL, SHIPPED, RunConfig, shipped_ta
 
 
 def last_return(run: Path) -> float:
-    """Return in the last evaluation of a run."""
+    """Return in the last evaluation of a run, which is to be finished."""
     with (run / "curve.csv").open(newline="") as file:
-        return float(list(csv.DictReader(file))[-1]["return"])
+        last = list(csv.DictReader(file))[-1]
+    if int(last["steps"]) < RunConfig.read(run / CONFIG).steps:
+        raise SystemExit(f"{run} is not finished: train it on first")
+    return float(last["return"])
 
 
 def main() -> None:
@@ -26,6 +29,8 @@ def main() -> None:
     folder = parser.parse_args().folder
     for task in shipped_tasks():
         runs = {int(run.name): run for run in (folder / "runs" / task).glob("[0-9]*")}
+        if not runs:
+            raise SystemExit(f"{folder} holds no run of {task}: train all first")
         seed = max(runs, key=lambda seed: last_return(runs[seed]))
         config, place = RunConfig.read(SHIPPED / task / CONFIG), SHIPPED / task
         if RunConfig.read(runs[seed] / CONFIG).text() != dataclasses.replace(config, seed=seed).text():

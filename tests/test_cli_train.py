@@ -2,7 +2,8 @@ import json
 
 import pytest
 
-from bulletuav.cli import main
+from bulletuav.cli import _parser, main
+from bulletuav.commands import train
 from bulletuav.policies.run import RunConfig, shipped_tasks
 
 TINY = ["--steps", "64", "--worlds", "2", "--drones", "2", "--difficulty", "easy", "--horizon", "8", "--evaluations", "1"]
@@ -50,6 +51,26 @@ def test_dqn_chooses_among_discrete_actions_and_difficulties_make_a_curriculum(t
     assert run.model == {"learning_starts": 8, "batch_size": 8}
 
 
+def configured(*arguments):
+    parser, _ = _parser()
+    given = parser.parse_args(["train", *arguments])
+    return train._config(given, given.task)
+
+
+def test_what_is_given_goes_before_the_settings_of_the_package():
+    usual = configured("crossing")
+    assert [level["dynamics"] for level in usual.levels] == ["point_mass", "bullet"]
+    one = configured("crossing", "--dynamics", "double_integrator", "--model", "gamma=0.9")
+    assert one.options["dynamics"] == "double_integrator"
+    assert list(one.levels) == [{}]
+    assert one.model == {**usual.model, "gamma": 0.9}
+    easier = configured("crossing", "--curriculum", "easy,medium")
+    assert easier.levels == [{"difficulty": "easy"}, {"difficulty": "medium"}]
+    assert easier.curriculum == {}
+    other = configured("crossing", "--algo", "sac", "--seed", "5")
+    assert (other.model, other.seed, other.options) == ({}, 5, usual.options)
+
+
 @pytest.mark.parametrize("task", shipped_tasks())
 def test_a_shipped_policy_flies_its_task(task, tmp_path, capsys):
     if task == shipped_tasks()[0]:
@@ -72,6 +93,9 @@ def test_a_shipped_policy_flies_its_task(task, tmp_path, capsys):
         (["train", "crossing", "--model", "gamma"], "--model gamma: NAME=VALUE is needed"),
         (["train", "crossing", "--curriculum", "easy,hrd", "--out", "x"], "did you mean 'hard'"),
         (["train", "--config", "nowhere.yaml"], "no file nowhere.yaml"),
+        (["train", "--config", "."], "no file run.yaml"),
+        (["train", "crossing", "--seeds", "a,b"], "invalid seeds value: 'a,b'"),
+        (["train", "crossing", "--difficulty", "easy", "--curriculum", "easy,hard"], "--difficulty and --curriculum"),
         (["train", "crossing", "--set", "lanespacing=3", "--out", "x"], "did you mean 'lane_spacing'"),
         (["fly", "pursuit", "--policy", "trained"], "no policy for task 'pursuit' comes with the package"),
     ],

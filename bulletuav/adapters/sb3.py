@@ -9,7 +9,9 @@ step. In those of slots without a drone the reward is NaN, so that nothing learn
 none, and SB3's own buffers do as well.
 """
 
-from collections.abc import Generator, Mapping, Sequence
+import contextlib
+import random
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -34,12 +36,33 @@ except ImportError:
     raise ImportError("this adapter needs the extra 'sb3': pip install 'bulletuav[sb3]'") from None
 
 
-__all__ = ["BaseCallback", "DroneVecEnv", "LivingReplay", "LivingRollouts", "Symlog", "algorithm", "single_thread"]
+__all__ = [
+    "BaseCallback",
+    "DroneVecEnv",
+    "LivingReplay",
+    "LivingRollouts",
+    "Symlog",
+    "algorithm",
+    "own_random",
+    "single_thread",
+]
 
 
 def algorithm(name: str) -> Any:
     """The class of an algorithm by its name in lower case."""
     return getattr(stable_baselines3, name.upper())
+
+
+@contextlib.contextmanager
+def own_random() -> Iterator[None]:
+    """Leave the global random states of Python, NumPy and PyTorch, which SB3 seeds where it makes a model, as they were."""
+    before = random.getstate(), np.random.get_state(), torch.get_rng_state()  # noqa: NPY002 - SB3's
+    try:
+        yield
+    finally:
+        random.setstate(before[0])
+        np.random.set_state(before[1])  # noqa: NPY002
+        torch.set_rng_state(before[2])
 
 
 def single_thread() -> None:
@@ -137,11 +160,14 @@ class DroneVecEnv(VecEnv):
         self._add(step, flown)
         over = np.any(flown, axis=1) & ~np.any(aviary.alive, axis=1)
         for world in np.flatnonzero(over):
-            self.curriculum.record(float(self._success[world].mean()))
+            if self.curriculum.level == self._level:  # else this was an episode of a level that is left by now
+                self.curriculum.record(float(self._success[world].mean()))
         change = self.curriculum.level != self._level
         ended = flown & (change | ~aviary.alive)
         infos = self._infos(step, ended)
         dones = self._wide(ended | over[:, None] | change, True)
+        if not np.isfinite(step.rewards[flown]).all():
+            raise ValueError(f"task {aviary.task.name!r} gave a drone that flies a reward that is not finite")
         earned = np.where(flown, step.rewards, 0.0)
         if self._shared_reward:
             earned = np.broadcast_to(earned.mean(axis=1, keepdims=True), earned.shape)
@@ -254,6 +280,8 @@ class LivingReplay(ReplayBuffer):
     """Of off-policy algorithms: keeps transitions that drones flew, one after the other, whatever slot they come from."""
 
     def __init__(self, buffer_size: int, observation_space: Any, action_space: Any, device: Any = "auto", **kwargs: Any):
+        if kwargs.get("optimize_memory_usage"):
+            raise ValueError("optimize_memory_usage is True: transitions of living drones alone do not follow each other")
         super().__init__(buffer_size, observation_space, action_space, device, **{**kwargs, "n_envs": 1})
 
     def add(self, obs: Any, next_obs: Any, action: Any, reward: Any, done: Any, infos: list[dict[str, Any]]) -> None:

@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--algo", help=f"{', '.join(ALGORITHMS)} (default: ppo)")
     parser.add_argument("--steps", type=count, help="decisions of all drones together, such as 2e6")
     parser.add_argument("--seed", type=int, help="same seed, same weights (default: 0)")
-    parser.add_argument("--seeds", type=_seeds, metavar="A,B", help="train once with each, and draw their curves together")
+    parser.add_argument("--seeds", type=seeds, metavar="A,B", help="train once with each, and draw their curves together")
     parser.add_argument("--worlds", type=int, help="worlds that fly at once")
     parser.add_argument("--evaluations", type=int, metavar="N", help="checkpoints with an evaluation on the way")
     parser.add_argument("--episodes", type=int, metavar="N", help="of each evaluation")
@@ -60,16 +60,18 @@ def count(text: str) -> int:
     return int(number)
 
 
-def _seeds(text: str) -> list[int]:
-    return [int(part) for part in text.split(",")]
+def seeds(text: str) -> list[int]:
+    """Whole numbers with commas between them, each once. Raises ValueError, which argparse tells, for anything else."""
+    return list(dict.fromkeys(int(part) for part in text.split(",")))
 
 
 def run(arguments: argparse.Namespace) -> None:
     """Train, print and draw."""
     if sum([arguments.task is not None, arguments.config is not None, arguments.all]) != 1:
         raise ValueError("train what? Give one of TASK, --config FILE or --all")
-    if arguments.seed is not None and arguments.seeds:
-        raise ValueError("--seed and --seeds: give one of them")
+    for one, other in (("seed", "seeds"), ("difficulty", "curriculum")):
+        if getattr(arguments, one) is not None and getattr(arguments, other):
+            raise ValueError(f"--{one} and --{other}: give one of them")
     configs = [_config(arguments, task) for task in (shipped_tasks() if arguments.all else [arguments.task])]
     if arguments.all or arguments.seeds:
         _several(arguments, configs)
@@ -80,19 +82,22 @@ def run(arguments: argparse.Namespace) -> None:
 def _config(arguments: argparse.Namespace, task: str | None) -> RunConfig:
     """The settings of the file, the package's or the default ones, changed as the arguments say."""
     if arguments.config is not None:
-        base = RunConfig.read(arguments.config)
+        base = RunConfig.read(arguments.config / CONFIG if arguments.config.is_dir() else arguments.config)
     else:
         assert task is not None
         known = find_task(task).name in shipped_tasks()
         base = dataclasses.replace(RunConfig.read(shipped(task) / CONFIG), seed=0) if known else RunConfig(task)
     changes: dict[str, Any] = {name: getattr(arguments, name) for name in GIVEN if getattr(arguments, name) is not None}
-    options = {**base.options, **given_options(arguments)}
-    algo = arguments.algo or base.algo
+    given, algo = given_options(arguments), arguments.algo or base.algo
+    options = {**base.options, **given}
     if algo != base.algo:
         options = _with_action(base.task, algo, options)
     model = {**(base.model if algo == base.algo else {}), **literals("--model", arguments.model)}
     if arguments.curriculum:
-        changes["levels"] = [{"difficulty": name} for name in arguments.curriculum.split(",")]
+        changes |= {"levels": [{"difficulty": name} for name in arguments.curriculum.split(",")], "curriculum": {}}
+    else:  # what is given goes before what levels say
+        levels = [{name: value for name, value in level.items() if name not in given} for level in base.levels]
+        changes["levels"] = levels if any(level != levels[0] for level in levels) else levels[:1]
     return dataclasses.replace(base, algo=algo, options=options, model=model, **changes)
 
 
@@ -115,8 +120,8 @@ def _single(arguments: argparse.Namespace, config: RunConfig) -> None:
 
 def _several(arguments: argparse.Namespace, configs: list[RunConfig]) -> None:
     out = out_folder(arguments.out or Path("training"))
-    seeds = arguments.seeds or [0, 1, 2]
-    campaign = Campaign([dataclasses.replace(config, seed=seed) for config in configs for seed in seeds], out / "runs")
+    chosen = arguments.seeds or ([0, 1, 2] if arguments.seed is None else [arguments.seed])
+    campaign = Campaign([dataclasses.replace(config, seed=seed) for config in configs for seed in chosen], out / "runs")
     with _bars() as progress:
         bar = progress.add_task(f"training {len(campaign.configs)} runs", total=campaign.total)
         runs = campaign.train(arguments.workers, lambda steps: progress.update(bar, completed=steps))

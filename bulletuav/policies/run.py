@@ -1,11 +1,16 @@
 """The folder of a training run: `run.yaml`, which reproduces it, and `model.zip`, what came out of it."""
 
 import dataclasses
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from bulletuav.envs.curriculum import Curriculum
+from bulletuav.envs.options import resolve
 from bulletuav.errors import pick, unknown, whole
 from bulletuav.tasks import find_task
 
@@ -26,6 +31,8 @@ INTERFACE = (
     "camera_hz",
 )
 """Options that say what a policy sees and does: where it flies they are as in its training"""
+SCENE = ("num_drones", "airframe", "difficulty", "preset")
+"""Options that evaluations on the way take over from the training, beside those of `INTERFACE`"""
 SHIPPED = Path(__file__).parents[1] / "trained"
 
 
@@ -44,7 +51,7 @@ class RunConfig:
     model        arguments of the algorithm, see `bulletuav.training.models.make_model`
     evaluations  how many times the policy is evaluated and kept on the way
     episodes     of each
-    evaluation   options of the environment in these, beside those of `INTERFACE`
+    evaluation   options of the environment in these, beside those of `INTERFACE` and `SCENE`
     """
 
     task: str
@@ -62,8 +69,8 @@ class RunConfig:
     evaluation: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self):
-        """Raise ValueError for what cannot be; options are checked where environments are made."""
-        find_task(self.task)
+        """Raise ValueError for what cannot be, options of environments among it; settings of models are theirs to check."""
+        task = find_task(self.task)
         pick("algorithm", self.algo, dict.fromkeys(ALGORITHMS))
         for name, least in (("seed", 0), ("steps", 1), ("worlds", 1), ("evaluations", 1), ("episodes", 1)):
             whole(name, getattr(self, name), least)
@@ -72,8 +79,15 @@ class RunConfig:
                 raise ValueError(f"{name} is {getattr(self, name)!r}: names with values are needed")
         if not isinstance(self.shared_reward, bool):
             raise ValueError(f"shared_reward is {self.shared_reward!r}: true or false is needed")
-        if isinstance(self.levels, Mapping | str) or not all(isinstance(level, Mapping) for level in self.levels):
-            raise ValueError(f"levels is {self.levels!r}: a list of names with values is needed")
+        levels = self.levels
+        if not isinstance(levels, list | tuple) or not levels or not all(isinstance(level, Mapping) for level in levels):
+            raise ValueError(f"levels is {levels!r}: a list of names with values is needed")
+        for name in self.curriculum:
+            pick("setting of curriculum:", name, dict.fromkeys(("up", "down", "window")))
+        Curriculum(len(levels), **self.curriculum)
+        for level in levels:
+            resolve(task, {**self.options, **level})
+        resolve(task, self.evaluated)
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> "RunConfig":
@@ -84,18 +98,18 @@ class RunConfig:
                 raise unknown("setting of a run:", name, known)
         if "task" not in values:
             raise ValueError("a run without a task: say which")
-        numbers = {name: _whole(values[name]) for name in ("steps", "seed") if name in values}
-        return cls(**{**values, **numbers})
+        counts = {field.name for field in dataclasses.fields(cls) if field.type is int}
+        return cls(**{name: whole_number(value) if name in counts else value for name, value in values.items()})
 
     @classmethod
     def read(cls, path: Path) -> "RunConfig":
         """From a YAML file. Raises ValueError where it holds something else, FileNotFoundError where there is none."""
         yaml = _yaml()
         try:
-            values = yaml.safe_load(path.read_text())
+            values = yaml.load(path.read_text(), _loader(yaml))
         except (yaml.YAMLError, UnicodeDecodeError) as error:
             raise ValueError(f"{path} is no YAML file: {error}") from None
-        except FileNotFoundError:
+        except (FileNotFoundError, IsADirectoryError):
             raise FileNotFoundError(f"no file {path}: the run.yaml of a run, or one like it, is needed") from None
         if not isinstance(values, Mapping):
             raise ValueError(f"{path} holds {values!r}: names with values are needed, such as task: crossing")
@@ -104,16 +118,31 @@ class RunConfig:
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None
 
+    def plain(self) -> dict[str, Any]:
+        """Of lists, dicts, texts and numbers alone."""
+        return {name: _plain(value) for name, value in dataclasses.asdict(self).items()}
+
     def text(self) -> str:
         """As YAML, which `read` takes back."""
-        plain = {name: _plain(value) for name, value in dataclasses.asdict(self).items()}
-        return _yaml().safe_dump(plain, sort_keys=False, default_flow_style=None, width=110)
+        return _yaml().safe_dump(self.plain(), sort_keys=False, default_flow_style=None, width=110)
+
+    @property
+    def _given(self) -> dict[str, Any]:
+        return {**self.options, **self.levels[-1]}
 
     @property
     def interface(self) -> dict[str, Any]:
-        """The options that hold wherever the policy flies."""
-        options = {**self.options, **self.levels[-1]}
-        return {name: options[name] for name in INTERFACE if name in options}
+        """The options that hold wherever the policy flies: those of `INTERFACE`, also where a preset or so gives them."""
+        task, given = find_task(self.task), self._given
+        own, usual = resolve(task, given)[0], resolve(task, {})[0]
+        values = {name: getattr(own, name) for name in INTERFACE}
+        return {name: value for name, value in values.items() if name in given or value != getattr(usual, name)}
+
+    @property
+    def evaluated(self) -> dict[str, Any]:
+        """The options of evaluations on the way."""
+        scene = {name: value for name, value in self._given.items() if name in SCENE}
+        return {**scene, **self.interface, **self.evaluation}
 
 
 def shipped_tasks() -> list[str]:
@@ -130,20 +159,30 @@ def shipped(task: str) -> Path:
     return SHIPPED / task
 
 
+def whole_number(value: Any) -> Any:
+    """2000000 for 2e6; anything that is no whole number as it is."""
+    return int(value) if isinstance(value, float) and value.is_integer() else value
+
+
 def _plain(value: Any) -> Any:
-    """The same of lists and dicts alone."""
     if isinstance(value, Mapping):
         return {name: _plain(one) for name, one in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, Path):
+        return str(value)
     return [_plain(one) for one in value] if isinstance(value, list | tuple) else value
 
 
-def _whole(value: Any) -> Any:
-    """2000000 for 2e6, which YAML takes for a text; anything else as it is."""
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        return value
-    return int(number) if number.is_integer() else value
+def _loader(yaml: Any) -> Any:
+    """Takes 1e-3 for a number, which YAML 1.1 takes for a text."""
+
+    class Loader(yaml.SafeLoader):
+        pass
+
+    number = re.compile(r"^[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$")
+    Loader.add_implicit_resolver("tag:yaml.org,2002:float", number, list("-+0123456789"))
+    return Loader
 
 
 def _yaml() -> Any:

@@ -28,12 +28,13 @@ class Trained(Policy):
         from bulletuav.adapters import sb3  # the extra is needed from here on
 
         sb3.single_thread()
-        try:
-            self._model: Any = sb3.algorithm(algorithm).load(path, device="cpu")
-        except Exception as error:  # the library raises whatever it stumbles over in a file of another kind
-            raise ValueError(f"{path} is no model of {algorithm}: {error}") from None
-        if fresh:
-            self._model._setup_model()  # draws them anew from the model's seed
+        with sb3.own_random():
+            try:
+                self._model: Any = sb3.algorithm(algorithm).load(path, device="cpu")
+            except Exception as error:  # the library raises whatever it stumbles over in a file of another kind
+                raise ValueError(f"{path} is no model of {algorithm}: {error}") from None
+            if fresh:
+                self._model._setup_model()  # draws them anew from the model's seed
         for name, own, needed in (
             ("observations", aviary.observer.space(), self._model.observation_space),
             ("actions", widest_action_space(aviary.action), self._model.action_space),

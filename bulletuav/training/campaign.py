@@ -3,6 +3,7 @@
 import json
 import math
 import multiprocessing
+import os
 import signal
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_EXCEPTION, Future, ProcessPoolExecutor, wait
@@ -31,10 +32,12 @@ class Campaign:
     def train(self, workers: int = 1, progress: Callable[[int], None] = lambda steps: None) -> list[Learned]:
         """Train all, `workers` at once; finished ones are not trained again, others go on from their last checkpoint.
 
-        `progress` is told the steps done so far by all. Raises what a run raises, once the others that run have ended.
+        `progress` is told the steps done so far by all. Raises what a run raises, and what the others have done since their
+        last checkpoints is lost.
         """
         whole("workers", workers, 1)
         context = multiprocessing.get_context("spawn")  # PyTorch's threads do not survive a fork
+        others = set(multiprocessing.active_children())
         with ProcessPoolExecutor(workers, mp_context=context, initializer=_leave_interrupts) as pool:
             try:
                 futures = [pool.submit(_train, config, self.place(config)) for config in self.configs]
@@ -43,8 +46,8 @@ class Campaign:
                 for future in filter(_failed, futures):
                     future.result()  # raises what the run raised
             except BaseException:
-                for process in multiprocessing.active_children():
-                    process.terminate()  # what they have done since their last checkpoint is lost
+                for process in set(multiprocessing.active_children()) - others:
+                    process.terminate()
                 raise
         progress(self.total)
         return [(config, future.result()) for config, future in zip(self.configs, futures, strict=True)]
@@ -65,7 +68,7 @@ def _train(config: RunConfig, folder: Path) -> list[Row]:
 
     def stay(steps: int) -> None:
         if parent is not None and not parent.is_alive():
-            raise SystemExit  # it was killed: nobody waits for this run, and who resumes it wants the folder
+            os._exit(1)  # it was killed: nobody waits for this run, and who resumes it wants the folder
 
     return train(config, folder, stay)
 
@@ -74,7 +77,7 @@ def _steps(folder: Path) -> int:
     """Steps until the last checkpoint of a run."""
     try:
         return int(json.loads((folder / STATE).read_text())["rows"][-1]["steps"])
-    except FileNotFoundError:
+    except (FileNotFoundError, ValueError):  # the run itself will complain of a damaged file
         return 0
 
 

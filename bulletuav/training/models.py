@@ -1,6 +1,8 @@
 """Models of stable-baselines3 from a run's settings."""
 
+import inspect
 import warnings
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -8,9 +10,12 @@ from gymnasium.spaces import Box, Dict
 
 from bulletuav.adapters.features import Symlog, UserSum
 from bulletuav.adapters.sb3 import DroneVecEnv, LivingReplay, LivingRollouts, algorithm
-from bulletuav.errors import unknown
-from bulletuav.policies.run import RunConfig
+from bulletuav.errors import finite, several, unknown, whole
+from bulletuav.policies.run import RunConfig, whole_number
 
+OURS = ("policy", "env", "seed", "device", "tensorboard_log", "_init_setup_model")
+"""Arguments that a run gives itself"""
+LEAST = {"gradient_steps": -1, "learning_starts": 0}
 FEATURES = {"symlog": Symlog, "user_sum": UserSum}
 ON_POLICY = ("ppo", "a2c")
 _REPLAY = {"learning_starts": 10_000, "batch_size": 1024, "buffer_size": 300_000, "train_freq": 1, "gamma": 0.99}
@@ -41,30 +46,47 @@ def make_model(config: RunConfig, env: DroneVecEnv) -> Any:
     ValueError for what the algorithm does not take.
     """
     settings = {**DEFAULTS[config.algo], "features": "symlog", **config.model}
-    settings["policy_kwargs"] = dict(settings.get("policy_kwargs", {}))
-    pictures = isinstance(env.observation_space, Dict)
+    pictures, kind = isinstance(env.observation_space, Dict), algorithm(config.algo)
     features = settings.pop("features")
     if features not in (None, *FEATURES):
         raise unknown("features", features, FEATURES)
+    _check(kind, settings)
+    layers = settings["policy_kwargs"] = dict(settings.get("policy_kwargs", {}))
     if features is not None and not pictures:
-        settings["policy_kwargs"].setdefault("features_extractor_class", FEATURES[features])
+        layers.setdefault("features_extractor_class", FEATURES[features])
+    if features == "user_sum":
+        layers["features_extractor_kwargs"] = {"num_drones": env.num_drones, **layers.get("features_extractor_kwargs", {})}
     _translate(settings, env)
     if not pictures:
-        buffer = (
-            ("rollout_buffer_class", LivingRollouts) if config.algo in ON_POLICY else ("replay_buffer_class", LivingReplay)
-        )
-        settings.setdefault(*buffer)
+        on_policy = ("rollout_buffer_class", LivingRollouts)
+        settings.setdefault(*on_policy if config.algo in ON_POLICY else ("replay_buffer_class", LivingReplay))
     elif env.num_drones > 1:
         raise ValueError("pictures are learned from with one drone a world: SB3's buffers for them know of no empty slots")
-    kind = algorithm(config.algo)
     try:
         with warnings.catch_warnings():  # of minibatches that do not divide the rollout: those of living drones never do
             warnings.filterwarnings("ignore", message="(?s).*mini-batch")
             return kind("MultiInputPolicy" if pictures else "MlpPolicy", env, seed=config.seed, device="cpu", **settings)
-    except TypeError as error:
-        raise ValueError(f"settings of model {config.algo}: {error}") from None
-    except AssertionError as error:
-        raise ValueError(f"model {config.algo}: {error}; choose another algorithm, or action") from None
+    except (TypeError, AssertionError) as error:
+        remedy = "; choose another algorithm, or action" if "action spaces" in str(error) else ""
+        raise ValueError(f"model {config.algo}: {error}{remedy}") from None
+
+
+def _check(kind: Any, settings: dict[str, Any]) -> None:
+    """Raise ValueError for settings that the algorithm's class does not take, or numbers of another kind than its own."""
+    known = {name: one.default for name, one in inspect.signature(kind).parameters.items() if name not in OURS}
+    for name, value in settings.items():
+        if name not in known:
+            raise unknown(f"setting of {kind.__name__}:", name, [*known, "features"])
+        default = known[name]
+        if isinstance(default, bool):
+            if not isinstance(value, bool):
+                raise ValueError(f"{name} is {value!r}: True or False is needed")
+        elif isinstance(default, int) and not isinstance(value, list | tuple):
+            settings[name] = whole(name, whole_number(value), LEAST.get(name, min(default, 1)))
+        elif isinstance(default, float) and not isinstance(value, list | tuple):
+            finite(name, value)
+        elif name == "policy_kwargs" and not isinstance(value, Mapping):
+            raise ValueError(f"policy_kwargs is {value!r}: names with values are needed")
 
 
 def _translate(settings: dict[str, Any], env: DroneVecEnv) -> None:
@@ -72,9 +94,12 @@ def _translate(settings: dict[str, Any], env: DroneVecEnv) -> None:
     from stable_baselines3.common.noise import NormalActionNoise
     from stable_baselines3.common.utils import LinearSchedule
 
-    rate = settings["learning_rate"]
-    if isinstance(rate, list | tuple):
-        settings["learning_rate"] = LinearSchedule(rate[0], rate[-1], 1.0)
-    if isinstance(settings.get("action_noise"), float | int) and isinstance(env.action_space, Box):
+    if isinstance(settings["learning_rate"], list | tuple):
+        first, last = (finite("learning_rate", rate) for rate in several("learning_rate", settings["learning_rate"], 2))
+        settings["learning_rate"] = LinearSchedule(first, last, 1.0)
+    if isinstance(settings.get("train_freq"), list):
+        settings["train_freq"] = tuple(settings["train_freq"])
+    noise = settings.get("action_noise")
+    if noise is not None and isinstance(env.action_space, Box):
         size = env.action_space.shape[0]
-        settings["action_noise"] = NormalActionNoise(np.zeros(size), np.full(size, float(settings["action_noise"])))
+        settings["action_noise"] = NormalActionNoise(np.zeros(size), np.full(size, finite("action_noise", noise)))

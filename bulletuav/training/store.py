@@ -6,6 +6,7 @@ import io
 import json
 import os
 import shutil
+import warnings
 from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
@@ -34,30 +35,33 @@ class Store:
         self.folder, self._config = folder, config
         self.rows: list[Row] = []
         self.curriculum: dict[str, Any] = {}
+        about = "# " + ", ".join(f"{name} {version(name)}" for name in PACKAGES)
         try:
             (folder / CHECKPOINTS).mkdir(parents=True, exist_ok=True)
-            if (folder / CONFIG).exists():
-                self._load()
-            versions = ", ".join(f"{name} {version(name)}" for name in PACKAGES)
-            replace_file(folder / CONFIG, f"# {versions}\n{config.text()}")
+            if (folder / STATE).exists():
+                self._load(about)
+            else:
+                replace_file(folder / CONFIG, f"{about}\n{config.text()}")
         except OSError as error:
             raise ValueError(f"{folder} cannot be a folder to write to: {error.strerror}") from None
 
-    def _load(self) -> None:
-        known = RunConfig.read(self.folder / CONFIG)
-        for name, value in vars(self._config).items():
-            if known.text() != self._config.text() and vars(known)[name] != value:
+    def _load(self, about: str) -> None:
+        known, own = RunConfig.read(self.folder / CONFIG).plain(), self._config.plain()
+        for name, value in own.items():
+            if known[name] != value:
                 raise ValueError(
-                    f"{self.folder} holds another run: its {name} is {vars(known)[name]!r}, not {value!r}; choose another "
-                    f"folder"
+                    f"{self.folder} holds another run: its {name} is {known[name]!r}, not {value!r}; choose another folder"
                 )
-        if not (self.folder / STATE).exists():
-            return
         try:
             state = json.loads((self.folder / STATE).read_text())
             self.rows, self.curriculum = state["rows"], state["curriculum"]
-        except (json.JSONDecodeError, KeyError, TypeError) as error:
+            if not self.last.exists():
+                raise FileNotFoundError(f"no {self.last}")
+        except (json.JSONDecodeError, KeyError, TypeError, FileNotFoundError) as error:
             raise ValueError(f"{self.folder} holds a run that is damaged ({error!r}): choose another folder") from None
+        begun = (self.folder / CONFIG).read_text().splitlines()[0]
+        if begun != about and not self.finished:
+            warnings.warn(f"{self.folder} was begun with {begun[2:]}: weights may come out differently now", stacklevel=4)
 
     @property
     def finished(self) -> bool:
@@ -82,18 +86,20 @@ class Store:
         return model.with_suffix(".replay.pkl")
 
     def add(self, row: Row, curriculum: dict[str, Any]) -> None:
-        """The checkpoint is complete, and with it a row of the curve: from here on a resumed run goes on."""
-        model = self.next
-        self.rows.append(row)
-        self.curriculum = curriculum
-        replace_file(self.folder / STATE, json.dumps({"rows": self.rows, "curriculum": curriculum}))
+        """The checkpoint is complete, and with it a row of the curve.
+
+        What tells where the run stands comes last: who is interrupted before it does the chapter again.
+        """
+        model, rows = self.next, [*self.rows, row]
         shutil.copyfile(model, self.folder / (MODEL + ".part"))
         os.replace(self.folder / (MODEL + ".part"), self.folder / MODEL)
         table = io.StringIO()
         writer = csv.DictWriter(table, row.keys(), lineterminator="\n")
         writer.writeheader()
-        writer.writerows(self.rows)
+        writer.writerows(rows)
         replace_file(self.folder / CURVE, table.getvalue())
+        replace_file(self.folder / STATE, json.dumps({"rows": rows, "curriculum": curriculum}))
+        self.rows, self.curriculum = rows, curriculum
         for old in (self.folder / CHECKPOINTS).glob("*.replay.pkl"):
             if old != self.replay(model):
                 old.unlink()
@@ -104,9 +110,13 @@ def opened(folder: Path, config: RunConfig) -> Iterator[Store]:
     """The store of a run that nobody else trains meanwhile. Raises ValueError where somebody does, else as `Store`."""
     from filelock import FileLock, Timeout  # comes with PyTorch
 
-    store = Store(folder, config)
     try:
-        with FileLock(folder / "lock", timeout=0):
-            yield store
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = FileLock(folder / "lock", timeout=0)
+        lock.acquire()
     except Timeout:
         raise ValueError(f"{folder} is being trained in by another process: wait, or choose another folder") from None
+    except OSError as error:
+        raise ValueError(f"{folder} cannot be a folder to write to: {error.strerror}") from None
+    with lock:
+        yield Store(folder, config)

@@ -1,5 +1,6 @@
 """Training in chapters, each from a checkpoint to the next, so that an interrupted run goes on to the same weights."""
 
+import importlib.util
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -39,6 +40,8 @@ def train(config: RunConfig, out: Path, progress: Progress = lambda steps: None)
 def _train(config: RunConfig, store: Store, progress: Progress) -> None:
     from stable_baselines3.common.logger import configure
 
+    if importlib.util.find_spec("tensorboard") is None:
+        raise ImportError("curves go to tensorboard, of the extra 'sb3': pip install 'bulletuav[sb3]'")
     curriculum = Curriculum(len(config.levels), **config.curriculum)
     env = DroneVecEnv(config.task, config.worlds, config.levels, curriculum, config.shared_reward, **config.options)
     try:
@@ -59,6 +62,7 @@ def _model(config: RunConfig, env: DroneVecEnv, store: Store) -> Any:
     if config.algo not in ON_POLICY:
         model.load_replay_buffer(store.replay(store.last))
     env.curriculum.restore(store.curriculum)
+    env.decisions = int(store.rows[-1]["decisions"])
     return model
 
 
@@ -75,7 +79,8 @@ class _Chapters(BaseCallback):
     def _on_rollout_start(self) -> None:
         if not self._store.rows:
             self.end()  # what a policy does before it learns begins the curve
-        if self.model.num_timesteps * self._config.evaluations >= self._config.steps * len(self._store.rows):
+        steps, rows = self.model.num_timesteps, self._store.rows
+        if steps > rows[-1]["steps"] and steps * self._config.evaluations >= self._config.steps * len(rows):
             self.end()
         if not self._open:
             self._begin()
@@ -86,6 +91,8 @@ class _Chapters(BaseCallback):
         seed = np.random.SeedSequence([self._config.seed, len(self._store.rows)]).generate_state(1)[0] >> 1
         model.set_random_seed(int(seed))
         model._last_obs = model.env.reset()  # of the wrapper that SB3 puts around pictures, too
+        if model.use_sde:  # SB3 drew its noise just before
+            getattr(model, "actor", model.policy).reset_noise(self._env.num_envs)
         model._last_episode_starts = np.ones(self._env.num_envs, dtype=bool)
         self._open, self._start = True, time.perf_counter()
 
@@ -104,8 +111,8 @@ class _Chapters(BaseCallback):
         model.save(path)
         if self._config.algo not in ON_POLICY:
             model.save_replay_buffer(self._store.replay(path))
-        policy, options = f"{self._config.algo}:{path}", {**self._config.interface, **self._config.evaluation}
-        found = evaluate(self._config.task, policy, self._config.episodes, EVALUATION_SEED, **options).estimates()
+        config, policy = self._config, f"{self._config.algo}:{path}"
+        found = evaluate(config.task, policy, config.episodes, EVALUATION_SEED, **config.evaluated).estimates()
         row = {
             "steps": model.num_timesteps,
             "decisions": self._env.decisions,

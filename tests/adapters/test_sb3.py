@@ -11,6 +11,7 @@ from stable_baselines3.common.buffers import RolloutBuffer
 import bulletuav
 from bulletuav.adapters.sb3 import DroneVecEnv, LivingReplay, LivingRollouts
 from bulletuav.envs.curriculum import Curriculum
+from bulletuav.tasks import find_task
 
 CALM = {"dynamics": "single_integrator", "difficulty": "easy", "num_drones": 3}
 SHORT = CALM | {"horizon": 5}
@@ -225,6 +226,33 @@ def test_success_leads_through_the_levels_and_a_change_truncates():
     assert observations.any(axis=1).all()
     rewards = env.step(np.zeros((4, 3)))[1]
     assert np.isfinite(rewards).all()
+    env.close()
+
+
+def test_levels_are_not_passed_over_when_many_worlds_end_at_once():
+    easy = {"dynamics": "single_integrator", "action": "velocity", "horizon": 2, "goal_radius": 10.0}
+    env = DroneVecEnv("hover", 8, [{}] * 4, Curriculum(4, window=2), **easy)
+    env.reset()
+    told = []
+    for _ in range(8):
+        env.step(np.zeros((8, 3)))
+        told.append(env.curriculum.level)
+    assert told == [0, 1, 1, 2, 2, 3, 3, 3]
+    env.close()
+
+
+def test_a_reward_that_is_not_finite_is_an_error_and_no_empty_slot():
+    class Undefined(find_task("hover")):
+        name = "undefined"
+
+        def judge(self, frame):
+            verdict = super().judge(frame)
+            return verdict._replace(terms=verdict.terms | {"speed": np.full(frame.alive.shape, np.nan)})
+
+    env = DroneVecEnv(Undefined, 1, dynamics="single_integrator", action="velocity")
+    env.reset()
+    with pytest.raises(ValueError, match="reward that is not finite"):
+        env.step(np.zeros((1, 3)))
     env.close()
 
 

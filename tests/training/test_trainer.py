@@ -1,7 +1,9 @@
 import contextlib
 import dataclasses
 import importlib.util
+import json
 import math
+import random
 import shutil
 import subprocess
 import sys
@@ -9,14 +11,17 @@ import time
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 import torch
 
 import bulletuav
 from bulletuav.adapters.sb3 import algorithm
 from bulletuav.charts import plot_curves
+from bulletuav.evaluation import replace_file
 from bulletuav.policies import find_policy
 from bulletuav.policies.run import RunConfig
+from bulletuav.policies.trained import Trained
 from bulletuav.training.campaign import Campaign, learning_table
 from bulletuav.training.models import make_model
 from bulletuav.training.store import Store, opened
@@ -33,10 +38,12 @@ MODELS = {
 }
 
 
-def config(algo="ppo", **changes):
+def config(**changes):
+    algo = changes.setdefault("algo", "ppo")
     options = {**OPTIONS, "action": "discrete"} if algo == "dqn" else OPTIONS
-    run = RunConfig("converge", algo, steps=200, worlds=2, options=options, model=MODELS[algo], evaluations=3, episodes=1)
-    return dataclasses.replace(run, evaluation={"dynamics": "single_integrator", "horizon": 5}, **changes)
+    usual = {"steps": 200, "worlds": 2, "options": options, "model": MODELS[algo], "evaluations": 3, "episodes": 1}
+    evaluation = {"dynamics": "single_integrator", "horizon": 5}
+    return RunConfig("converge", **{**usual, "evaluation": evaluation, **changes})
 
 
 def weights(folder, algo="ppo", name="model.zip"):
@@ -52,18 +59,54 @@ def interrupt_after(steps):
     return progress
 
 
-@pytest.mark.parametrize("algo", MODELS)
-def test_an_interrupted_run_goes_on_to_the_weights_of_one_that_was_not(tmp_path, algo):
-    rows = train(config(algo), tmp_path / "whole")
+CASES = {algo: {"algo": algo} for algo in MODELS} | {
+    "chapters shorter than a rollout": {"evaluations": 20},
+    "ppo, noise of states": {"model": {**MODELS["ppo"], "use_sde": True}},
+    "sac, noise of states": {"algo": "sac", "model": {**MODELS["sac"], "use_sde": True, "train_freq": [4, "step"]}},
+}
+
+
+def comparable(rows):
+    return [{name: value for name, value in row.items() if name != "seconds"} for row in rows]
+
+
+@pytest.mark.parametrize("changes", CASES.values(), ids=CASES)
+def test_an_interrupted_run_goes_on_to_the_weights_of_one_that_was_not(tmp_path, changes):
+    learner = config(**changes)
+    rows = train(learner, tmp_path / "whole")
     with pytest.raises(KeyboardInterrupt):
-        train(config(algo), tmp_path / "cut", interrupt_after(150))
-    assert 1 < len(Store(tmp_path / "cut", config(algo)).rows) < len(rows)
-    again = train(config(algo), tmp_path / "cut")
-    assert torch.equal(weights(tmp_path / "whole", algo), weights(tmp_path / "cut", algo))
-    assert [row["steps"] for row in again] == [row["steps"] for row in rows]
-    assert [row["return"] for row in again] == [row["return"] for row in rows]
-    assert not torch.equal(weights(tmp_path / "whole", algo, "checkpoints/000.zip"), weights(tmp_path / "whole", algo))
-    assert len(list((tmp_path / "whole").glob("checkpoints/*.replay.pkl"))) == (algo not in ("ppo", "a2c"))
+        train(learner, tmp_path / "cut", interrupt_after(150))
+    assert 1 < len(Store(tmp_path / "cut", learner).rows) < len(rows)
+    again = train(RunConfig.read(tmp_path / "cut" / "run.yaml"), tmp_path / "cut")
+    np.testing.assert_equal(comparable(again), comparable(rows))
+    whole, cut, first = (
+        weights(tmp_path / place, learner.algo, name)
+        for place, name in (("whole", "model.zip"), ("cut", "model.zip"), ("whole", "checkpoints/000.zip"))
+    )
+    assert torch.equal(whole, cut)
+    assert not torch.equal(whole, first)
+    assert len(list((tmp_path / "whole").glob("checkpoints/*.replay.pkl"))) == (learner.algo not in ("ppo", "a2c"))
+
+
+@pytest.mark.parametrize(("name", "call"), [("shutil.copyfile", 4), ("replace_file", 8), ("replace_file", 9)])
+def test_a_kill_between_two_files_of_the_last_chapter_costs_no_more_than_it(tmp_path, monkeypatch, run, name, call):
+    calls = []
+    original = shutil.copyfile if name == "shutil.copyfile" else replace_file
+
+    def killed(*arguments):
+        calls.append(arguments)
+        if len(calls) == call:
+            raise KeyboardInterrupt
+        return original(*arguments)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(f"bulletuav.training.store.{name}", killed)
+        with pytest.raises(KeyboardInterrupt):
+            train(config(), tmp_path)
+    assert len(Store(tmp_path, config()).rows) == 3
+    np.testing.assert_equal(comparable(train(config(), tmp_path)), comparable(run[1]))
+    assert torch.equal(weights(tmp_path), weights(run[0]))
+    assert (tmp_path / "curve.csv").read_text().count("\n") == 5
 
 
 @pytest.fixture(scope="module")
@@ -129,6 +172,8 @@ def test_a_run_ends_with_the_process_that_wants_it(tmp_path):
     wait_until(lambda: (store / "state.json").exists())
     with pytest.raises(ValueError, match="by another process"):
         train(config(steps=10**7), store)
+    workers = [child.pid for child in psutil.Process(process.pid).children(recursive=True)]
+    assert workers
     process.kill()
     process.wait()
 
@@ -137,6 +182,7 @@ def test_a_run_ends_with_the_process_that_wants_it(tmp_path):
             return True
 
     wait_until(is_free)
+    wait_until(lambda: not any(psutil.pid_exists(pid) for pid in workers))
 
 
 def wait_until(done, seconds=60):
@@ -159,7 +205,7 @@ def test_a_damaged_or_impossible_folder_is_refused(run, tmp_path):
 def test_a_run_flies_with_the_observation_that_it_learned_with(run):
     folder, _ = run
     pilot = find_policy(folder)
-    assert pilot.options == {"observation": ["goal"]}
+    assert pilot.options == {"observation": ("goal",)}
     calm = {"dynamics": "single_integrator", "difficulty": "easy", "horizon": 5}
     result = bulletuav.evaluate("converge", str(folder), 1, **calm)
     assert result.about["options"]["observation"] == ["goal"]
@@ -168,6 +214,57 @@ def test_a_run_flies_with_the_observation_that_it_learned_with(run):
         bulletuav.evaluate("converge", str(folder), 1, observation="position", **calm)
     with pytest.raises(FileNotFoundError, match=r"run\.yaml of a run"):
         find_policy(folder / "checkpoints")
+
+
+def test_what_a_preset_says_of_actions_holds_where_the_policy_flies():
+    told = RunConfig("hover", options={"preset": "hover_aviary"})
+    assert told.interface == {"action": "hover_rpm"}
+    assert told.evaluated == {"action": "hover_rpm", "preset": "hover_aviary"}
+    levels = [{"num_drones": 2}, {"num_drones": 4, "decision_hz": 5}]
+    told = RunConfig("converge", options={"dynamics": "point_mass", "difficulty": "easy"}, levels=levels)
+    assert told.evaluated == {"num_drones": 4, "decision_hz": 5, "difficulty": "easy"}
+
+
+def test_a_model_leaves_global_random_states_alone(run):
+    aviary = bulletuav.Aviary("converge", 1, **OPTIONS)
+    states = []
+    for policy in ("straight", run[0]):
+        torch.manual_seed(5)
+        random.seed(5)
+        np.random.seed(5)  # noqa: NPY002
+        find_policy(policy)(aviary)
+        states.append((torch.rand(1).item(), random.random(), np.random.rand()))  # noqa: NPY002
+    aviary.close()
+    assert states[0] == states[1]
+
+
+def test_untrained_is_what_the_run_began_with(run):
+    folder, _ = run
+    aviary = bulletuav.Aviary("converge", 1, **OPTIONS)
+    observations, actions = aviary.reset(seeds=0), []
+    for path, fresh in (("model.zip", True), ("checkpoints/000.zip", False), ("model.zip", False)):
+        actions.append(Trained(aviary, "ppo", folder / path, fresh).act(observations, aviary.swarm))
+    aviary.close()
+    np.testing.assert_array_equal(actions[0], actions[1])
+    assert not np.array_equal(actions[0], actions[2])
+
+
+def test_a_folder_where_nothing_was_learned_yet_may_be_used_again(tmp_path):
+    with pytest.raises(ValueError, match="gama"):
+        train(config(model={"gama": 0.9}), tmp_path)
+    assert train(config(), tmp_path)[-1]["steps"] == 256
+
+
+def test_other_versions_are_told(tmp_path, run):
+    shutil.copytree(run[0], tmp_path / "run")
+    path = tmp_path / "run" / "run.yaml"
+    path.write_text("# bulletuav 0.0.9\n" + config().text())
+    train(config(), tmp_path / "run")  # which is finished
+    assert path.read_text().startswith("# bulletuav 0.0.9\n")
+    state = tmp_path / "run" / "state.json"
+    state.write_text(json.dumps({**json.loads(state.read_text()), "rows": run[1][:3]}))
+    with pytest.warns(UserWarning, match=r"was begun with bulletuav 0\.0\.9"):
+        train(config(), tmp_path / "run")
 
 
 def test_a_curriculum_goes_on_where_it_was(tmp_path):
@@ -186,12 +283,19 @@ def test_a_curriculum_goes_on_where_it_was(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"model": {"gama": 0.9}}, "settings of model ppo.*gama"),
+        ({"model": {"gama": 0.9}}, "setting of PPO: 'gama': did you mean 'gamma'"),
+        ({"model": {"gamma": "abc"}}, "gamma is 'abc'"),
+        ({"model": {"n_epochs": 0}}, "n_epochs is 0"),
+        ({"model": {"batch_size": 2.5}}, "batch_size is 2.5"),
+        ({"model": {"policy_kwargs": 5}}, "policy_kwargs is 5"),
+        ({"model": {"learning_rate": [1e-3]}}, "learning_rate is"),
+        ({"model": {"normalize_advantage": 3}}, "normalize_advantage"),
+        ({"model": {"features": "user_sum"}}, "do not fit"),
+        ({"algo": "td3", "model": {"action_noise": "loud"}}, "action_noise is 'loud'"),
+        ({"algo": "sac", "model": {"optimize_memory_usage": True}}, "optimize_memory_usage is True"),
         ({"model": {"features": "symlg"}}, "did you mean 'symlog'"),
         ({"algo": "sac", "options": {**OPTIONS, "action": "discrete"}, "model": {}}, "model sac.*only supports"),
         ({"options": {**OPTIONS, "observation": ["goal", "rgb"]}}, "one drone a world"),
-        ({"curriculum": {"up": 2.0}}, "0 <= down < up <= 1"),
-        ({"options": {"dynamic": "bullet"}}, "did you mean 'dynamics'"),
     ],
 )
 def test_settings_that_cannot_be_are_refused(tmp_path, changes, said):
@@ -229,7 +333,7 @@ def test_a_campaign_trains_all_in_processes_as_one_would(run, tmp_path):
     assert "| converge | ppo | 1 | 256 |" in table
     plot_curves(runs, tmp_path / "curves.png")
     assert (tmp_path / "curves.png").stat().st_size > 10_000
-    with pytest.raises(ValueError, match="settings of model"):
+    with pytest.raises(ValueError, match="did you mean 'gamma'"):
         Campaign([config(model={"gama": 1.0})], tmp_path / "other").train()
 
 
@@ -243,6 +347,16 @@ def test_a_campaign_trains_all_in_processes_as_one_would(run, tmp_path):
         ("task: crossing\nalgo: pppo", "did you mean 'ppo'"),
         ("task: crossing\nlevels: {a: 1}", "levels is"),
         ("task: crossing\nmodel: 5", "model is 5"),
+        ("task: crossing\nlevels: 5", "levels is 5"),
+        ("task: crossing\nlevels: []", "levels is"),
+        ("task: crossing\nshared_reward: 1", "shared_reward is 1"),
+        ("task: crossing\ncurriculum: {upp: 0.9}", "did you mean 'up'"),
+        ("task: crossing\ncurriculum: {up: 2.0}", "0 <= down < up <= 1"),
+        ("task: crossing\noptions: {dynamic: bullet}", "did you mean 'dynamics'"),
+        ("task: crossing\noptions: {num_worlds: 3}", "unknown option"),
+        ("task: crossing\noptions: {5: 3}", "unknown option"),
+        ("task: crossing\nlevels: [{dynamics: bulet}]", "did you mean 'bullet'"),
+        ("task: crossing\nevaluation: {policy: orca}", "unknown option"),
         ("task: [", "is no YAML file"),
         ("crossing", "names with values are needed"),
     ],
@@ -254,15 +368,18 @@ def test_a_configuration_that_cannot_be_is_refused(tmp_path, text, said):
 
 
 def test_steps_may_be_written_as_people_do(tmp_path):
-    (tmp_path / "run.yaml").write_text("task: crossing\nsteps: 2e6\n")
-    assert RunConfig.read(tmp_path / "run.yaml").steps == 2_000_000
+    (tmp_path / "run.yaml").write_text("task: crossing\nsteps: 2e6\nmodel: {gamma: 9.9e-1, learning_rate: [1e-3, 1e-5]}\n")
+    told = RunConfig.read(tmp_path / "run.yaml")
+    assert told.steps == 2_000_000
+    assert told.model == {"gamma": 0.99, "learning_rate": [1e-3, 1e-5]}
     with pytest.raises(FileNotFoundError, match="no file"):
         RunConfig.read(tmp_path / "none.yaml")
 
 
 def test_a_configuration_is_the_same_after_a_file(tmp_path):
     told = dataclasses.replace(
-        config(), options={**OPTIONS, "height": (1.0, 2.0), "wind": np.array([1.0, 0.0, 0.0]).tolist()}
+        config(),
+        options={**OPTIONS, "start_speed": (1.0, 2.0), "max_speed": np.float64(9.0), "wind": np.array([1.0, 0.0, 0.0])},
     )
     (tmp_path / "run.yaml").write_text(told.text())
     assert RunConfig.read(tmp_path / "run.yaml").text() == told.text()
