@@ -177,7 +177,7 @@ def test_comparing_dynamics(tmp_path, capsys):
     rows = [line for line in said.splitlines() if line.startswith("| random |")]
     assert ["single_integrator at 240 Hz" in row for row in rows] == [True, False]
     assert ["point_mass at 240 Hz" in row for row in rows] == [False, True]
-    assert len({row.split("|")[7] for row in rows}) == 2  # which fly otherwise
+    assert len({row.split("|")[8] for row in rows}) == 2  # which fly otherwise
     runs = {path.name: json.loads((path / "run.json").read_text()) for path in (tmp_path / "runs").iterdir()}
     assert {run["options"]["dynamics"] for run in runs.values()} == {"single_integrator", "point_mass"}
     assert len(runs) == 2

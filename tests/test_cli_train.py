@@ -5,6 +5,8 @@ import pytest
 from bulletuav.cli import _parser, main
 from bulletuav.commands import train
 from bulletuav.policies.run import RunConfig, shipped_tasks
+from bulletuav.training import trainer
+from bulletuav.training.campaign import Campaign
 
 TINY = ["--steps", "64", "--worlds", "2", "--drones", "2", "--difficulty", "easy", "--horizon", "8", "--evaluations", "1"]
 TINY += ["--episodes", "1", "--dynamics", "single_integrator", "--model", "n_steps=8", "--model", "batch_size=32"]
@@ -29,8 +31,16 @@ def test_a_run_trains_flies_is_evaluated_and_goes_on(tmp_path, capsys, monkeypat
     capsys.readouterr()
 
 
+class OneProcess(Campaign):
+    """Which starts faster."""
+
+    def train(self, workers=1, progress=lambda steps: None):
+        return [(config, trainer.train(config, self.place(config))) for config in self.configs]
+
+
 def test_several_seeds_make_one_table_and_one_picture(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(train, "Campaign", OneProcess)
     main(["train", "obstacles", *TINY, "--seeds", "0,1", "--out", "runs"])
     table = (tmp_path / "runs" / "learning.md").read_text()
     assert "| obstacles | ppo | 0 | 64 |" in table

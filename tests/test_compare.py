@@ -106,6 +106,7 @@ def test_starts_measure_warm_and_cold(monkeypatch):
     assert len(set(folders)) == 1
 
 
+@pytest.mark.slow
 def test_cases_in_cities_are_served(tmp_path, capsys, monkeypatch):
     cases = [one for one in cities.comparisons() if one.theirs.rpartition(", ")[2] in ("1", "100")]
     server = compare.Server(sys.executable, "serve_bulletuav.py")

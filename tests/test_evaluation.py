@@ -233,8 +233,8 @@ def test_columns_that_no_episode_has_are_left_out(straight, served):
     assert goals[0] == ["policy", *COMMON, "efficiency", "fairness"]
     assert users[0] == ["policy", *COMMON, "served", "completed", "latency s"]
     assert [row[0] for row in users[1:]] == ["random", "kmeans \\*"]
-    assert {len(row) for row in goals} == {9}
-    assert {len(row) for row in users} == {10}
+    assert {len(row) for row in goals} == {10}
+    assert {len(row) for row in users} == {11}
 
 
 def test_a_cell_that_an_evaluation_has_not_is_a_dash():

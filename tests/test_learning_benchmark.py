@@ -20,6 +20,7 @@ def learning(monkeypatch):
     return module
 
 
+@pytest.mark.slow
 def test_a_learner_tells_frames_that_it_flew_and_times_that_lie_within_each_other(learning):
     setting = {"environments": 4, "n_steps": 16, "batch_size": 32, "n_epochs": 1}
     told = learning.run([sys.executable, BENCHMARKS / "peers" / "learn_bulletuav.py"], setting, 1024, 0)

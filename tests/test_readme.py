@@ -5,7 +5,6 @@ import shlex
 from pathlib import Path
 
 import pytest
-import yaml
 
 from bulletuav.cli import main
 from bulletuav.policies.run import RunConfig, shipped
@@ -57,8 +56,9 @@ def test_links_lead_somewhere():
             assert (page.parent / target).exists(), f"{page.name}: {target}"
 
 
-def test_the_run_of_the_page_on_learning_can_be():
+def test_the_run_of_the_page_on_learning_can_be(tmp_path):
     (text,) = re.findall(r"```yaml\n(.*?)```", (ROOT / "docs" / "learning.md").read_text(), re.DOTALL)
-    run = RunConfig.of(yaml.safe_load(text))
+    (tmp_path / "run.yaml").write_text(text)
+    run = RunConfig.read(tmp_path / "run.yaml")
     assert run.steps == 4_000_000
     assert run.options["weights"] == RunConfig.read(shipped("crossing") / "run.yaml").options["weights"]

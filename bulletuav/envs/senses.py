@@ -84,7 +84,7 @@ class Senses:
             self._clearance[mask] = clearances(self._world, mask, self._range)[mask]
         if self._task.num_targets:
             self._sight[mask] = sights(self._world, after.position, self._task.targets(scene), mask)[mask]
-        if self._ahead is not None:
+        if self._ahead is not None and self._task.num_targets:
             self._look_ahead(self._ahead, after.position, self._task.targets(scene), mask)
 
     def _look_ahead(self, ahead: np.ndarray, position: np.ndarray, targets: np.ndarray, mask: np.ndarray) -> None:

@@ -205,6 +205,7 @@ def test_a_thousand_worlds_one_after_the_other_leak_nothing():
     assert sizes[1] - sizes[0] < 5e6
 
 
+@pytest.mark.slow
 def test_a_thousand_environments_one_after_the_other_leak_nothing():
     process, sizes = psutil.Process(os.getpid()), []
     for k in range(1000):
