@@ -24,6 +24,7 @@ cities = script("cities")  # which imports compare
 edge = script("edge")  # which imports both
 
 
+@pytest.mark.slow
 def test_without_peers_it_measures_the_floor_and_real_time(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(compare, "starts", lambda rounds: {"warm": 1.25, "cold": 12.5})
     compare.main(["--peers", "--rounds", "3", "--seconds", "0.01", "--out", str(tmp_path)])
@@ -62,6 +63,7 @@ def test_every_case_of_ours_is_served_and_errors_are_told():
     server.close()
 
 
+@pytest.mark.slow
 def test_a_simulator_that_is_not_there_is_left_out(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(compare, "starts", lambda rounds: {"warm": 1.0, "cold": 2.0})
     monkeypatch.setattr(compare, "install", lambda peer, folder: sys.executable)  # which has no VMAS

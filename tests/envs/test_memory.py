@@ -46,7 +46,7 @@ def test_no_growth_over_a_million_steps(dynamics):
     assert growth(env, 1_000_000, 50_000) < 4 * MEGABYTE
 
 
-@pytest.mark.parametrize(("worlds", "drones", "most"), [(64, 8, 150), (1, 1000, 250)])
+@pytest.mark.parametrize(("worlds", "drones", "most"), [(64, 8, 150), pytest.param(1, 1000, 250, marks=pytest.mark.slow)])
 def test_memory_of_large_swarms(worlds, drones, most):
     """In a process of its own, for the engine keeps what it once took."""
     program = (

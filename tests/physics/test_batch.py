@@ -194,7 +194,6 @@ def test_an_engine_that_answers_otherwise_is_not_trusted(monkeypatch):
 def test_a_smoke_set_without_the_extension():
     root = Path(__file__).parents[2]
     files = [
-        "tests/physics/test_world.py",
         "tests/physics/test_sweep.py",
         "tests/test_golden.py",
         "tests/physics/test_batch.py",

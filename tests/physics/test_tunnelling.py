@@ -74,7 +74,7 @@ def range_of_shots(make_bench, dynamics, airframe, shots):
     return bench
 
 
-@pytest.mark.parametrize("shots", [100, pytest.param(1000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("shots", [40, pytest.param(1000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("dynamics", LADDER)
 @pytest.mark.parametrize("airframe", bulletuav.available_airframes())
 def test_no_shot_passes(make_bench, airframe, dynamics, shots):

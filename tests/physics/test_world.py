@@ -194,6 +194,7 @@ def test_an_open_environment_can_be_left_to_the_garbage_collector():
     assert not finalizer.alive
 
 
+@pytest.mark.slow
 def test_a_thousand_worlds_one_after_the_other_leak_nothing():
     airframes = [bulletuav.load_airframe("cf2x")] * 2
     process, sizes = psutil.Process(os.getpid()), []
