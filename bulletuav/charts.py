@@ -59,12 +59,13 @@ def plot_leaderboard(results: Sequence[Evaluation], path: Path) -> None:
     policies = list(dict.fromkeys(result.about["policy"] for result in results))
     found = {(_case(result), result.about["policy"]): result.estimates() for result in results}
     metrics = [metric for metric in COMPARED if any(result.estimates()[metric].episodes for result in results)]
-    figure = blank_figure(2.5 + 1.1 * len(cases), 2.7 * len(metrics))
+    width = 2.5 + 1.1 * len(cases)
+    figure = blank_figure(width, 2.7 * len(metrics))
     for axes, metric in zip(figure.subplots(len(metrics), 1, sharex=True), metrics, strict=True):
         rows = [[found.get((case, policy), {}).get(metric, NOTHING) for case in cases] for policy in policies]
         _bars(axes, cases, rows, policies)
         axes.set(ylabel=metric, ylim=(0, 1.05))
-    figure.axes[0].legend(loc="lower left", ncols=len(policies), bbox_to_anchor=(0, 1))
+    figure.axes[0].legend(loc="lower left", ncols=min(len(policies), int(width / 1.5)), bbox_to_anchor=(0, 1))
     figure.savefig(path, dpi=110)
 
 
