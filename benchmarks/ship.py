@@ -38,6 +38,7 @@ def main() -> None:
         model = algorithm(config.algo).load(runs[seed] / MODEL, device="cpu")
         kind = type(model.policy.optimizer)
         model.policy.optimizer = kind(model.policy.parameters(), lr=1e-5)  # whose state would be two thirds of the file
+        model._last_obs = model._last_episode_starts = None
         model.save(place / MODEL)
         told = (place / CONFIG).read_text()
         (place / CONFIG).write_text(re.sub(r"^seed: \d+$", f"seed: {seed}", told, flags=re.MULTILINE))
