@@ -30,6 +30,16 @@ def users_bench():
 
 
 @pytest.fixture
+def make(users_bench):
+    return users_bench.make
+
+
+@pytest.fixture
+def put(users_bench):
+    return users_bench.put
+
+
+@pytest.fixture
 def urdf(tmp_path):
     """Writes a changed copy of an airframe: urdf("cf2x", ("old", "new"), ...) -> path."""
     from bulletuav import load_airframe

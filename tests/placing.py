@@ -18,6 +18,16 @@ def city_of(*boxes, side=200.0):
     return City("hand", side, solids, np.arange(len(boxes)), Streets(np.zeros((0, 2)), np.zeros((0, 2), dtype=int)))
 
 
+OPEN = city_of()
+WALL = city_of(((10, -50, 0), (20, 50, 60)))
+
+
+def fly(aviary, *ways):
+    """One decision with the action `ways[i]` for drone i, of all worlds alike; the last for all that follow."""
+    actions = [ways[min(i, len(ways) - 1)] for i in range(aviary.num_drones)]
+    return aviary.step(np.broadcast_to(np.array(actions, dtype=float), (*aviary.alive.shape, 3)))
+
+
 class Placing:
     """Builds aviaries of tasks over users, and closes them."""
 

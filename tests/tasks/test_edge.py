@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
-from placing import SMALL, city_of
+from placing import OPEN, SMALL, WALL, fly
 from scipy.spatial.transform import Rotation
 
 import bulletuav
@@ -24,26 +24,6 @@ COMPUTED = 1e6 * 1000 / 5e9  # s, for such a task on a core
 BAND, POWER = 10e6, 0.5  # Hz, W: of `mec`
 NOISE = 1.380649e-23 * 290 * BAND * 10**0.7  # W
 CORE = 1e-28 * 5e9**3  # W
-
-
-OPEN = city_of()
-WALL = city_of(((10, -50, 0), (20, 50, 60)))
-
-
-@pytest.fixture
-def make(users_bench):
-    return users_bench.make
-
-
-@pytest.fixture
-def put(users_bench):
-    return users_bench.put
-
-
-def fly(aviary, *ways):
-    """One decision with the action `ways[i]` for drone i, of all worlds alike; the last for all that follow."""
-    actions = [ways[min(i, len(ways) - 1)] for i in range(aviary.num_drones)]
-    return aviary.step(np.broadcast_to(np.array(actions, dtype=float), (*aviary.alive.shape, 3)))
 
 
 def hovered(aviary):

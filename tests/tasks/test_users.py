@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
-from placing import SMALL, city_of
+from placing import OPEN, SMALL, WALL, city_of, fly
 
 import bulletuav
 from bulletuav.envs.plan import Plan
@@ -17,8 +17,6 @@ EAST, WEST, NORTH, SOUTH = (1.0, 0, 0), (-1.0, 0, 0), (0, 1.0, 0), (0, -1.0, 0)
 UP, DOWN, STAY = (0, 0, 1.0), (0, 0, -1.0), (0.0, 0, 0)
 
 
-OPEN = city_of()
-WALL = city_of(((10, -50, 0), (20, 50, 60)))
 TOWER = city_of(((-10, -10, 0), (10, 10, 30)))
 DRONES = [(-50, 0, 10), (-50, 40, 10), (40, 40, 10)]
 USERS = [(40, 0, 1.5), (20, 0, 1.5), (-30, -20, 1.5), (40, -30, 1.5), (30, -40, 1.5)]
@@ -26,22 +24,6 @@ SEEN = np.array([(0, 0, 1, 1, 1), (1, 0, 1, 0, 0), (1, 1, 0, 1, 1)])
 """At TOWER. From the second drone to user 0 the line passes x = 10 at y = 13.3, beside the tower; to user 1 at 5.7; to users
 3 and 4 it passes x = -10 at 8.9 and 0. From the first those pass x = -10 at -13.3 and -20. From the third to user 2 it
 passes x = 10 at y = 14.3 and y = 10 at x = 5."""
-
-
-@pytest.fixture
-def make(users_bench):
-    return users_bench.make
-
-
-@pytest.fixture
-def put(users_bench):
-    return users_bench.put
-
-
-def fly(aviary, *ways):
-    """One decision with the action `ways[i]` for drone i, of all worlds alike; the last for all that follow."""
-    actions = [ways[min(i, len(ways) - 1)] for i in range(aviary.num_drones)]
-    return aviary.step(np.broadcast_to(np.array(actions, dtype=float), (*aviary.alive.shape, 3)))
 
 
 def told(aviary, observations, beginning):
