@@ -6,6 +6,7 @@ import os
 import platform
 from typing import NamedTuple
 
+from bulletuav.errors import install
 from bulletuav.kernel import cache_folder
 from bulletuav.physics.airframe import load_airframe
 from bulletuav.physics.screen import require_screen
@@ -38,13 +39,9 @@ def examine() -> list[Finding]:
     for module, extra in EXTRAS.items():
         found = importlib.util.find_spec(module) is not None
         findings.append(
-            Finding(f"extra {extra}", "installed") if found else Finding(f"extra {extra}", "missing", _install(extra))
+            Finding(f"extra {extra}", "installed") if found else Finding(f"extra {extra}", "missing", install(extra))
         )
     return findings
-
-
-def _install(extra: str) -> str:
-    return f"pip install 'bulletuav[{extra}]'"
 
 
 def _extension() -> Finding:

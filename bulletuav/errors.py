@@ -17,6 +17,16 @@ def unknown(what: str, name: object, choices: Iterable[str]) -> ValueError:
     return ValueError(f"unknown {what} {name!r}: {hint}")
 
 
+def install(extra: str) -> str:
+    """The command that installs an extra."""
+    return f"pip install 'bulletuav[{extra}]'"
+
+
+def missing(what: str, extra: str) -> ImportError:
+    """An error for `what`, which is not to be had without an extra."""
+    return ImportError(f"{what} needs the extra {extra!r}: {install(extra)}")
+
+
 def whole(name: str, value: Any, least: int) -> int:
     """`value` as an int. Raises ValueError unless it is a whole number, at least `least`."""
     if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < least:

@@ -5,6 +5,7 @@ import math
 import numpy as np
 from gymnasium.spaces import Box
 
+from bulletuav.errors import missing
 from bulletuav.tasks.terms.sensed import AHEAD
 
 try:
@@ -12,7 +13,7 @@ try:
     from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
     from torch import nn
 except ImportError:
-    raise ImportError("this adapter needs the extra 'sb3': pip install 'bulletuav[sb3]'") from None
+    raise missing("this adapter", "sb3") from None
 
 LINE_OF_SIGHT, BLOCKED = 2.0, 3.19  # path loss exponents of `mec`
 FAR = 100.0  # m, unit of positions

@@ -21,7 +21,7 @@ from bulletuav.envs.aviary import Aviary, Step
 from bulletuav.envs.curriculum import Curriculum, common_observation
 from bulletuav.envs.plan import Plan
 from bulletuav.envs.spaces import widest_action_space
-from bulletuav.errors import whole
+from bulletuav.errors import missing, whole
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.terms.observations import Observation, part
 
@@ -33,7 +33,7 @@ try:
     from stable_baselines3.common.type_aliases import RolloutBufferSamples
     from stable_baselines3.common.vec_env import VecEnv
 except ImportError:
-    raise ImportError("this adapter needs the extra 'sb3': pip install 'bulletuav[sb3]'") from None
+    raise missing("this adapter", "sb3") from None
 
 
 __all__ = [

@@ -13,7 +13,7 @@ import numpy as np
 
 from bulletuav.city.model import City
 from bulletuav.city.streets import Streets, free_streets
-from bulletuav.errors import finite
+from bulletuav.errors import finite, missing
 from bulletuav.physics.solids import Solids
 
 EARTH_RADIUS = 6_371_008.8  # m, mean (Moritz, Geodetic Reference System 1980)
@@ -135,7 +135,7 @@ def _shapely() -> ModuleType:
     try:
         import shapely
     except ImportError:
-        raise ImportError("GeoJSON needs the extra 'city': pip install \"bulletuav[city]\"") from None
+        raise missing("GeoJSON", "city") from None
     return shapely
 
 

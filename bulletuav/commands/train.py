@@ -11,7 +11,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from bulletuav.charts import plot_curves
 from bulletuav.commands.options import add_options, given_options, literals, out_folder, tell_files
 from bulletuav.envs.options import resolve
-from bulletuav.policies.run import ALGORITHMS, CONFIG, RunConfig, shipped, shipped_tasks
+from bulletuav.policies.run import ALGORITHMS, CONFIG, MODEL, RunConfig, shipped, shipped_tasks
 from bulletuav.tasks import find_task
 from bulletuav.training.campaign import Campaign, learning_table
 from bulletuav.training.store import CURVE, Row
@@ -115,7 +115,7 @@ def _single(arguments: argparse.Namespace, config: RunConfig) -> None:
     with _bars() as progress:
         bar = progress.add_task(f"training {config.task}", total=config.steps)
         rows = train(config, out, lambda steps: progress.update(bar, completed=steps))
-    _finish(out, [(config, rows)], [out / CONFIG, out / "model.zip", out / CURVE])
+    _finish(out, [(config, rows)], [out / CONFIG, out / MODEL, out / CURVE])
 
 
 def _several(arguments: argparse.Namespace, configs: list[RunConfig]) -> None:

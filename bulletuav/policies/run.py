@@ -11,7 +11,7 @@ import numpy as np
 
 from bulletuav.envs.curriculum import Curriculum
 from bulletuav.envs.options import resolve
-from bulletuav.errors import pick, unknown, whole
+from bulletuav.errors import missing, pick, unknown, whole
 from bulletuav.tasks import find_task
 
 CONFIG, MODEL = "run.yaml", "model.zip"
@@ -189,5 +189,5 @@ def _yaml() -> Any:
     try:
         import yaml
     except ImportError:
-        raise ImportError("runs are told in YAML, which needs the extra 'sb3': pip install 'bulletuav[sb3]'") from None
+        raise missing("YAML, in which runs are told,", "sb3") from None
     return yaml

@@ -10,6 +10,7 @@ import numpy as np
 
 from bulletuav.adapters.sb3 import BaseCallback, DroneVecEnv, algorithm, single_thread
 from bulletuav.envs.curriculum import Curriculum
+from bulletuav.errors import missing
 from bulletuav.evaluation import evaluate
 from bulletuav.metrics import METRICS
 from bulletuav.policies.run import RunConfig
@@ -41,7 +42,7 @@ def _train(config: RunConfig, store: Store, progress: Progress) -> None:
     from stable_baselines3.common.logger import configure
 
     if importlib.util.find_spec("tensorboard") is None:
-        raise ImportError("curves go to tensorboard, of the extra 'sb3': pip install 'bulletuav[sb3]'")
+        raise missing("tensorboard, to which curves go,", "sb3")
     curriculum = Curriculum(len(config.levels), **config.curriculum)
     env = DroneVecEnv(config.task, config.worlds, config.levels, curriculum, config.shared_reward, **config.options)
     try:
