@@ -81,6 +81,15 @@ def test_what_is_given_goes_before_the_settings_of_the_package():
     assert (other.model, other.seed, other.options) == ({}, 5, usual.options)
 
 
+def test_beside_other_actions_a_trained_policy_keeps_its_own(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    both = ["--tasks", "crossing", "--policies", "straight,untrained", "--episodes", "2"]
+    main(["compare", *both, "--action", "target_position", *SHORT])
+    told = [json.loads(path.read_text()) for path in tmp_path.glob("leaderboard/runs/*/summary.json")]
+    given = {one["policy"]: one["options"]["action"] for one in told}
+    assert given == {"straight": "target_position", "untrained": "velocity"}
+
+
 @pytest.mark.parametrize("task", shipped_tasks())
 def test_a_shipped_policy_flies_its_task(task, tmp_path, capsys):
     if task == shipped_tasks()[0]:
@@ -107,6 +116,8 @@ def test_a_shipped_policy_flies_its_task(task, tmp_path, capsys):
         (["train", "crossing", "--seeds", "a,b"], "invalid seeds value: 'a,b'"),
         (["train", "crossing", "--difficulty", "easy", "--curriculum", "easy,hard"], "--difficulty and --curriculum"),
         (["train", "crossing", "--set", "lanespacing=3", "--out", "x"], "did you mean 'lane_spacing'"),
+        (["fly", "crossing", "--policy", "trained", "--action", "target_position"], "gives velocity actions, not"),
+        (["evaluate", "crossing", "--policy", "trained", "--action", "attitude"], "gives velocity actions, not"),
         (["fly", "pursuit", "--policy", "trained"], "no policy for task 'pursuit' comes with the package"),
     ],
 )

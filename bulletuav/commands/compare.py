@@ -2,6 +2,7 @@
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
@@ -19,12 +20,13 @@ from bulletuav.commands.options import (
 )
 from bulletuav.errors import unknown
 from bulletuav.leaderboard import markdown, write_csv
+from bulletuav.policies import find_policy
 
 ABOUT = {
     "help": "evaluate several policies in several tasks and write a leaderboard",
     "description": (
         "Evaluate every policy in every task, difficulty and (--dynamics A,B) dynamics; write a leaderboard as markdown, "
-        "csv and picture. The same command goes on where it was interrupted."
+        "csv and picture. The same command goes on where it was interrupted. Of --action, trained policies keep their own."
     ),
     "epilog": """example:
   bulletuav compare --policies straight,potential,orca --tasks crossing,pursuit,converge --workers 2 --out leaderboard
@@ -59,6 +61,13 @@ def _each(option: str, values: list[str] | None) -> list[dict[str, str]]:
     return [{option: value} if value else {} for value in values or [""]]
 
 
+def _flyable(task: str, policy: str, options: dict[str, Any]) -> dict[str, Any]:
+    """The options for a policy; of actions, one that was trained keeps its own, which the others may not be able to give."""
+    pilot = find_policy(policy, task)
+    chosen = {name: value for name, value in options.items() if name != "action" or not (pilot.model and pilot.actions)}
+    return flyable_options(task, policy, chosen)
+
+
 def run(arguments: argparse.Namespace) -> None:
     """Evaluate all, print and write."""
     options = given_options(arguments)
@@ -75,7 +84,7 @@ def run(arguments: argparse.Namespace) -> None:
         for policy in arguments.policies
         for one in _each("dynamics", dynamics)
     ]
-    cases = [(task, policy, flyable_options(task, policy, options)) for task, policy, options in cases]
+    cases = [(task, policy, _flyable(task, policy, options)) for task, policy, options in cases]
     with episodes_bar(arguments.episodes * len(cases)) as progress:
         for task, policy, options in cases:
             folder = out / "runs" / run_name(task, policy, options)

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from bulletuav.envs.aviary import Aviary
 from bulletuav.errors import pick
-from bulletuav.policies.base import Policy
+from bulletuav.policies.base import Policy, check_action
 from bulletuav.policies.orca import Orca
 from bulletuav.policies.placement import Centroid, Hotspot, KMeans, Oracle
 from bulletuav.policies.planner import Planner
@@ -41,7 +41,8 @@ class Pilot(NamedTuple):
     options: Mapping[str, Any] = MappingProxyType({})
 
     def __call__(self, aviary: Aviary) -> Policy:
-        """The policy, to fly that aviary."""
+        """The policy, to fly that aviary. Raises ValueError where its action is not one that the policy can give."""
+        check_action(self.name, self.actions, aviary.options.action)
         return self.make(aviary)
 
 
@@ -73,7 +74,7 @@ def find_policy(source: PolicySource, task: TaskSource | None = None) -> Pilot:
 
 def _run(folder: Path, name: str, fresh: bool = False) -> Pilot:
     config = RunConfig.read(folder / CONFIG)
-    return _model(name, config.algo, folder / MODEL, fresh)._replace(options=config.interface)
+    return _model(name, config.algo, folder / MODEL, fresh)._replace(actions=(config.action,), options=config.interface)
 
 
 def _model(name: str, algorithm: str, path: Path, fresh: bool = False) -> Pilot:

@@ -139,6 +139,11 @@ class RunConfig:
         return {name: value for name, value in values.items() if name in given or value != getattr(usual, name)}
 
     @property
+    def action(self) -> str:
+        """The action that the policy gives."""
+        return str(resolve(find_task(self.task), self._given)[0].action)
+
+    @property
     def evaluated(self) -> dict[str, Any]:
         """The options of evaluations on the way."""
         scene = {name: value for name, value in self._given.items() if name in SCENE}
