@@ -403,19 +403,22 @@ def test_the_best_run_is_shipped_without_what_only_training_needs(run, tmp_path,
     package, learned = tmp_path / "trained", tmp_path / "learned" / "runs" / "converge"
     (package / "converge").mkdir(parents=True)
     (package / "converge" / "run.yaml").write_text(f"# ours\n{config().text()}")
-    for seed, outcome in (("0", "1.0"), ("1", "2.0")):
+    for seed, name in (("0", "checkpoints/000.zip"), ("1", "model.zip")):
         shutil.copytree(run[0], learned / seed)
         (learned / seed / "run.yaml").write_text(config(seed=int(seed)).text())
-        (learned / seed / "curve.csv").write_text(f"steps,return\n0,5.0\n256,{outcome}\n")
+        shutil.copy(run[0] / name, learned / seed / "model.zip")
+    outcomes = {seed: ship.outcome(learned / seed, 2) for seed in ("0", "1")}
+    assert outcomes["0"] != outcomes["1"]
+    best = max(outcomes, key=outcomes.__getitem__)
     monkeypatch.setattr(ship, "SHIPPED", package)
     monkeypatch.setattr(ship, "shipped_tasks", lambda: ["converge"])
-    monkeypatch.setattr("sys.argv", ["ship.py", str(tmp_path / "learned")])
+    monkeypatch.setattr("sys.argv", ["ship.py", str(tmp_path / "learned"), "--episodes", "2"])
     ship.main()
-    assert "converge: seed 1" in capsys.readouterr().out
+    assert f"converge: seed {best} (return {outcomes['0']:.2f}, {outcomes['1']:.2f})" in capsys.readouterr().out
     assert (package / "converge" / "run.yaml").read_text().startswith("# ours\n")
-    assert RunConfig.read(package / "converge" / "run.yaml").seed == 1
-    assert torch.equal(weights(package / "converge"), weights(run[0]))
+    assert RunConfig.read(package / "converge" / "run.yaml").seed == int(best)
+    assert torch.equal(weights(package / "converge"), weights(learned / best))
     assert (package / "converge" / "model.zip").stat().st_size < 0.7 * (run[0] / "model.zip").stat().st_size
-    (learned / "1" / "run.yaml").write_text(config(seed=1, steps=7).text())
+    (learned / best / "run.yaml").write_text(config(seed=int(best), steps=7).text())
     with pytest.raises(SystemExit, match="other settings"):
         ship.main()
