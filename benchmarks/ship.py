@@ -34,16 +34,16 @@ def main() -> None:
     parser.add_argument("folder", type=Path, help="of `bulletuav train --all --out`")
     parser.add_argument("--episodes", type=int, default=200, help="of each run (default: 200)")
     given = parser.parse_args()
-    folder = given.folder
     for task in shipped_tasks():
-        runs = {int(run.name): run for run in (folder / "runs" / task).glob("[0-9]*")}
+        runs = {int(run.name): run for run in (given.folder / "runs" / task).glob("[0-9]*")}
         if not runs:
-            raise SystemExit(f"{folder} holds no run of {task}: train all first")
+            raise SystemExit(f"{given.folder} holds no run of {task}: train all first")
+        config, place = RunConfig.read(SHIPPED / task / CONFIG), SHIPPED / task
+        for seed, run in runs.items():
+            if RunConfig.read(run / CONFIG).text() != dataclasses.replace(config, seed=seed).text():
+                raise SystemExit(f"{run} is of other settings than the package's: train it again")
         found = {seed: outcome(run, given.episodes) for seed, run in sorted(runs.items())}
         seed = max(found, key=found.__getitem__)
-        config, place = RunConfig.read(SHIPPED / task / CONFIG), SHIPPED / task
-        if RunConfig.read(runs[seed] / CONFIG).text() != dataclasses.replace(config, seed=seed).text():
-            raise SystemExit(f"{runs[seed]} is of other settings than the package's: train it again")
         model = algorithm(config.algo).load(runs[seed] / MODEL, device="cpu")
         kind = type(model.policy.optimizer)
         model.policy.optimizer = kind(model.policy.parameters(), lr=1e-5)  # whose state would be two thirds of the file

@@ -25,7 +25,7 @@ from bulletuav.envs.workers import portable
 from bulletuav.errors import whole
 from bulletuav.kernel import source_hash
 from bulletuav.metrics import METRICS, Estimate, Meter, estimate
-from bulletuav.policies import PolicySource, find_policy
+from bulletuav.policies import Pilot, PolicySource, find_policy
 from bulletuav.policies.base import Policy, check_action
 from bulletuav.record import described
 from bulletuav.tasks import TaskSource
@@ -124,17 +124,19 @@ def evaluate(
     """Fly `episodes` of a task, episode e from seed + e, and take their metrics.
 
     `policy`: a name, the folder of a training run, "ppo:model.zip" (or sac, td3, dqn) for a stable-baselines3 model, or a
-    class; a run's policy sees and does what it learned with, unless options say otherwise. `workers`: processes, which
-    change nothing but the time. With `out`, a folder, finished batches of episodes are kept there, and a second call
-    with the same arguments goes on where the first one was interrupted. `progress` is told how many more episodes are done.
-    Options are those of `parallel_env`. Raises ValueError for what cannot be, also for an `out` that holds another run.
+    class; a run's policy sees what it learned with, unless options say otherwise, and takes no other action. `workers`:
+    processes, which change nothing but the time. With `out`, a folder, finished batches of episodes are kept there, and a
+    second call with the same arguments goes on where the first one was interrupted. `progress` is told how many more
+    episodes are done. Options are those of `parallel_env`. Raises ValueError for what cannot be, also for an `out` that
+    holds another run.
     """
     whole("workers", workers, 1)
-    options = {**find_policy(policy, task).options, **options}
+    pilot = find_policy(policy, task)
+    options = {**pilot.options, **options}
     run = Run(task, policy, whole("seed", seed, 0), whole("episodes", episodes, 1), options)
     if out is not None and callable(options.get("wind")):
         raise ValueError("wind is a function, which a folder cannot tell from another one: evaluate it without out")
-    about = _about(run)
+    about = _about(run, pilot)
     begin = time.perf_counter()
     store, flight = _Store(None if out is None else Path(out), about), 0.0
     missing = [batch for batch in run.batches() if not all(episode in store.rows for episode in batch)]
@@ -147,19 +149,18 @@ def evaluate(
     return Evaluation(about, rows, time.perf_counter() - begin, flight)
 
 
-def _about(run: Run) -> dict[str, Any]:
+def _about(run: Run, pilot: Pilot) -> dict[str, Any]:
     plan = Plan(run.task, BATCH, run.options)
-    policy = find_policy(run.policy, run.task)
-    check_action(policy.name, policy.actions, plan.options.action)
+    check_action(pilot.name, pilot.actions, plan.options.action)
     about = {
         "bulletuav": __version__,
         "task": plan.task.name,
-        "policy": policy.name,
-        "reads_swarm": policy.reads_swarm,
+        "policy": pilot.name,
+        "reads_swarm": pilot.reads_swarm,
         "episodes": run.episodes,
         "seed": run.seed,
         "batch": BATCH,
-        "fingerprint": _fingerprint(run, plan, policy.model),
+        "fingerprint": _fingerprint(run, plan, pilot.model),
         "options": described(plan.options, plan.task.config),
     }
     return json.loads(json.dumps(about))

@@ -65,7 +65,7 @@ def _flyable(task: str, policy: str, options: dict[str, Any]) -> dict[str, Any]:
     """The options for a policy; of actions, one that was trained keeps its own, which the others may not be able to give."""
     pilot = find_policy(policy, task)
     chosen = {name: value for name, value in options.items() if name != "action" or not (pilot.model and pilot.actions)}
-    return flyable_options(task, policy, chosen)
+    return flyable_options(task, pilot, chosen)
 
 
 def run(arguments: argparse.Namespace) -> None:

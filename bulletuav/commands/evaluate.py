@@ -20,6 +20,7 @@ from bulletuav.commands.options import (
 )
 from bulletuav.evaluation import Evaluation, evaluate
 from bulletuav.metrics import METRICS, Estimate
+from bulletuav.policies import find_policy
 from bulletuav.tasks import find_task
 
 ABOUT = {
@@ -46,7 +47,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> None:
     """Evaluate, print and write."""
     arguments.policy = arguments.policy or find_task(arguments.task).baseline
-    options = flyable_options(arguments.task, arguments.policy, given_options(arguments))
+    pilot = find_policy(arguments.policy, arguments.task)
+    options = flyable_options(arguments.task, pilot, given_options(arguments))
     out = arguments.out or Path("evaluation") / run_name(arguments.task, arguments.policy, options)
     with episodes_bar(arguments.episodes) as progress:
         result = evaluated(arguments, arguments.task, arguments.policy, options, out, progress)

@@ -41,9 +41,9 @@ def run(arguments: argparse.Namespace) -> None:
     """Fly one episode and write its files."""
     whole("seed", arguments.seed, 0)
     arguments.policy = arguments.policy or find_task(arguments.task).baseline
-    options = flyable_options(arguments.task, arguments.policy, given_options(arguments))
-    aviary = Aviary(arguments.task, 1, **options)
-    policy = find_policy(arguments.policy, arguments.task)(aviary)
+    pilot = find_policy(arguments.policy, arguments.task)
+    aviary = Aviary(arguments.task, 1, **flyable_options(arguments.task, pilot, given_options(arguments)))
+    policy = pilot(aviary)
     if (arguments.out / EPISODES).exists():
         raise ValueError(f"--out {arguments.out} holds an evaluation: choose another folder")
     for old in out_folder(arguments.out).glob("flight.*"):

@@ -17,7 +17,7 @@ from bulletuav.control.cascade import CONTROLLERS
 from bulletuav.envs.options import Options, resolve
 from bulletuav.physics.airframe import available_airframes
 from bulletuav.physics.ladder import LADDER
-from bulletuav.policies import POLICIES, SHIPPED_NAMES, find_policy
+from bulletuav.policies import POLICIES, SHIPPED_NAMES, Pilot
 from bulletuav.tasks import find_task
 
 Advance = Callable[[int], None]
@@ -77,9 +77,8 @@ def _value(text: str) -> Any:
     return _literal(text) if len(parts) == 1 or text[0] in "([{" else tuple(parts)
 
 
-def flyable_options(task: str, policy: str, options: dict[str, Any]) -> dict[str, Any]:
+def flyable_options(task: str, pilot: Pilot, options: dict[str, Any]) -> dict[str, Any]:
     """The options, with those that a trained policy needs, and an action that the policy can give where none is asked."""
-    pilot = find_policy(policy, task)
     options = {**pilot.options, **options}
     if not pilot.actions or "action" in options or resolve(find_task(task), options)[0].action in pilot.actions:
         return options

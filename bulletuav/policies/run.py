@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from bulletuav.envs.curriculum import Curriculum
-from bulletuav.envs.options import resolve
+from bulletuav.envs.options import Options, resolve
 from bulletuav.errors import missing, pick, unknown, whole
 from bulletuav.tasks import find_task
 
@@ -131,17 +131,20 @@ class RunConfig:
         return {**self.options, **self.levels[-1]}
 
     @property
+    def _resolved(self) -> Options:
+        return resolve(find_task(self.task), self._given)[0]
+
+    @property
     def interface(self) -> dict[str, Any]:
         """The options that hold wherever the policy flies: those of `INTERFACE`, also where a preset or so gives them."""
-        task, given = find_task(self.task), self._given
-        own, usual = resolve(task, given)[0], resolve(task, {})[0]
+        given, own, usual = self._given, self._resolved, resolve(find_task(self.task), {})[0]
         values = {name: getattr(own, name) for name in INTERFACE}
         return {name: value for name, value in values.items() if name in given or value != getattr(usual, name)}
 
     @property
     def action(self) -> str:
         """The action that the policy gives."""
-        return str(resolve(find_task(self.task), self._given)[0].action)
+        return self._resolved.action
 
     @property
     def evaluated(self) -> dict[str, Any]:
