@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from fractions import Fraction
 
 import numpy as np
 
@@ -49,12 +50,39 @@ def gain_rows(airframes: Sequence[Airframe], max_speed: float) -> np.ndarray:
         row["max_deceleration"] = MAX_DECELERATION
         row["max_tilt"] = math.tan(MAX_TILT)
         row["max_thrust"] = airframe.max_thrust
-        row["mixer"][:rotors] = np.linalg.pinv(airframe.allocation())
+        row["mixer"][:rotors] = exact_pseudo_inverse(airframe.allocation())
         if airframe.pwm is not None:
             row["pid_mixer"][:rotors] = _pid_mixer(airframe)
             row["pwm_slope"], row["pwm_intercept"] = airframe.pwm.slope, airframe.pwm.intercept
             row["pwm_min"], row["pwm_max"] = airframe.pwm.minimum, airframe.pwm.maximum
     return rows
+
+
+def exact_pseudo_inverse(matrix: np.ndarray) -> np.ndarray:
+    """Compute the Moore-Penrose inverse A^T (A A^T)^-1 of a matrix of full row rank in rational numbers.
+
+    Linear algebra libraries round differently from one processor to the next; this rounds once, at the end.
+
+    Args:
+        matrix: (M, R) with M <= R and rank M.
+
+    Returns:
+        (R, M) float64, each entry the exact one rounded.
+    """
+    rows = [[Fraction(value) for value in row] for row in matrix.tolist()]
+    size = len(rows)
+    # Gauss-Jordan elimination of [A A^T | A]: what is left on the right is (A A^T)^-1 A.
+    gram = [[sum((a * b for a, b in zip(one, two, strict=True)), Fraction(0)) for two in rows] for one in rows]
+    table = [left + right for left, right in zip(gram, rows, strict=True)]
+    for k in range(size):
+        pivot = next(i for i in range(k, size) if table[i][k])
+        table[k], table[pivot] = table[pivot], table[k]
+        table[k] = [value / table[k][k] for value in table[k]]
+        for i in range(size):
+            if i != k:
+                factor = table[i][k]
+                table[i] = [value - factor * of_pivot for value, of_pivot in zip(table[i], table[k], strict=True)]
+    return np.array([[float(value) for value in row[size:]] for row in table]).T
 
 
 def _pid_mixer(airframe: Airframe) -> np.ndarray:

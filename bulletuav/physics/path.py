@@ -1,10 +1,24 @@
 """Where drones and obstacles go during one decision, and where drones stop on the way."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from bulletuav.physics.swarm import CITY, FIRST_OBSTACLE, GROUND, Motion, Swarm
+
+
+def inner(one: np.ndarray, two: np.ndarray) -> float:
+    """Inner product of two short vectors, added up in their order: BLAS adds as the processor likes."""
+    total = 0.0
+    for a, b in zip(one.tolist(), two.tolist(), strict=True):
+        total += a * b
+    return total
+
+
+def length(vector: np.ndarray) -> float:
+    """Euclidean norm of a short vector."""
+    return math.sqrt(inner(vector, vector))
 
 
 class Path(NamedTuple):
@@ -49,8 +63,8 @@ class Path(NamedTuple):
             return who, position, self.obstacle_quaternion[world, k]
         position = (1 - share) * self.position[s, world, who] + share * self.position[s + 1, world, who]
         before, after = self.quaternion[s, world, who], self.quaternion[s + 1, world, who]
-        quaternion = (1 - share) * before + share * after * (1 if before @ after >= 0 else -1)
-        return who, position, quaternion / np.linalg.norm(quaternion)
+        quaternion = (1 - share) * before + share * after * (1 if inner(before, after) >= 0 else -1)
+        return who, position, quaternion / length(quaternion)
 
     def change(self, world: int, who: int, begin: float, end: float) -> np.ndarray:
         """(3,) displacement between two times within a piece, m."""

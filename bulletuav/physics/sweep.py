@@ -14,7 +14,7 @@ import numpy as np
 from bulletuav.kernel import formula, kernel
 from bulletuav.physics.approach import closest_squared
 from bulletuav.physics.atlas import meets
-from bulletuav.physics.path import Path
+from bulletuav.physics.path import Path, inner, length
 from bulletuav.physics.rotation import dot, three
 from bulletuav.physics.swarm import CITY, FIRST_OBSTACLE, GROUND, Contacts, Swarm
 from bulletuav.physics.world import World
@@ -157,10 +157,10 @@ def _speed_bound(path: Path, pair: tuple[int, int, int], radius: np.ndarray, beg
     """Most metres by which the gap between the shapes can shrink between two times: translation plus rotation of each."""
     w, one, two = pair
     s = path.piece(begin)
-    bound = float(np.linalg.norm(path.change(w, one, begin, end) - path.change(w, two, begin, end)))
+    bound = length(path.change(w, one, begin, end) - path.change(w, two, begin, end))
     for drone in (one, two):
         if drone >= 0 and begin < path.stop[w, drone]:
-            cosine = abs(path.quaternion[s, w, drone] @ path.quaternion[s + 1, w, drone])
+            cosine = abs(inner(path.quaternion[s, w, drone], path.quaternion[s + 1, w, drone]))
             turned = min(2 * np.arccos(min(1.0, cosine)), 2.0)  # no rotation moves a point by more than a diameter
             bound += float(turned * radius[w, drone])
     return bound
@@ -226,7 +226,7 @@ def stop_at_first_touch(world: World, path: Path, swarm: Swarm, alive: np.ndarra
     for time, (w, i, j) in _in_order(path, pairs, alive, radius, lambda pair: first_touch(world, path, pair, radius)):
         for drone, other in _both_sides(i, j):
             begin = path.piece(time) * path.span
-            speed = float(np.linalg.norm(path.change(w, drone, begin, begin + path.span))) / (path.span * world.dt)
+            speed = length(path.change(w, drone, begin, begin + path.span)) / (path.span * world.dt)
             rows[w, drone, other] = float(parameters["mass"][w, drone]) * speed * (time < path.stop[w, drone])
     for w, i, _ in rows:
         _, swarm.position[w, i], swarm.quaternion[w, i] = path.pose(w, i, np.inf)
@@ -314,7 +314,7 @@ def catch_fast(
 
     def touch(pair: tuple[int, int, int]) -> float:
         w, one, two = pair
-        if float(np.linalg.norm(path.change(w, one, 0.0, 1.0) - path.change(w, two, 0.0, 1.0))) <= far[w, one]:
+        if length(path.change(w, one, 0.0, 1.0) - path.change(w, two, 0.0, 1.0)) <= far[w, one]:
             return np.inf
         for drone, _ in _both_sides(one, two):
             asked[w, drone] = True

@@ -30,6 +30,26 @@ def test_published_figures(name):
     assert airframe.drag_z * total == pytest.approx(drag[1], rel=1e-3)
 
 
+# Rotors that spin counter-clockwise seen from above, by where they sit (m): RotorS' xacro files for hummingbird, iris and
+# firefly (front left, back left, right), Bitcraze's motor map for the Crazyflie (M1, M3), Betaflight's quad X for the racer.
+COUNTER_CLOCKWISE = {
+    "cf2p": {(0.0397, 0.0), (-0.0397, 0.0)},
+    "cf2x": {(0.028072, -0.028072), (-0.028072, 0.028072)},
+    "firefly": {(0.186195, 0.1075), (-0.186195, 0.1075), (0.0, -0.215)},
+    "hummingbird": {(0.0, 0.17), (0.0, -0.17)},
+    "iris": {(0.13, -0.22), (-0.13, 0.2)},
+    "racer": {(0.085, -0.0675), (-0.085, 0.0675)},
+}
+
+
+@pytest.mark.parametrize("name", available_airframes())
+def test_rotors_spin_as_published(name):
+    """A mirrored set flies as well, and yaws logged rotor speeds the wrong way."""
+    airframe = load_airframe(name)
+    assert {(x, y) for x, y, turn in airframe.rotors if turn < 0} == COUNTER_CLOCKWISE[name]
+    assert sum(turn for _, _, turn in airframe.rotors) == 0
+
+
 def test_crazyflie_constants_are_consistent():
     cf2x = load_airframe("cf2x")
     per_rpm = (60 / (2 * math.pi)) ** 2
