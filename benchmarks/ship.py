@@ -8,11 +8,11 @@ import argparse
 import csv
 import dataclasses
 import re
+import shutil
 from pathlib import Path
 
-from bulletuav.adapters.sb3 import algorithm
 from bulletuav.evaluation import evaluate
-from bulletuav.policies.run import CONFIG, MODEL, SHIPPED, RunConfig, shipped_tasks
+from bulletuav.policies.run import CHECKPOINTS, CONFIG, POLICY, SHIPPED, RunConfig, shipped_tasks
 from bulletuav.training.trainer import EVALUATION_SEED
 
 SEED = 2 * EVALUATION_SEED  # of the first episode that decides
@@ -44,15 +44,13 @@ def main() -> None:
                 raise SystemExit(f"{run} is of other settings than the package's: train it again")
         found = {seed: outcome(run, given.episodes) for seed, run in sorted(runs.items())}
         seed = max(found, key=found.__getitem__)
-        model = algorithm(config.algo).load(runs[seed] / MODEL, device="cpu")
-        kind = type(model.policy.optimizer)
-        model.policy.optimizer = kind(model.policy.parameters(), lr=1e-5)  # whose state would be two thirds of the file
-        model._last_obs = model._last_episode_starts = None
-        model.save(place / MODEL)
+        for name in (POLICY, f"{CHECKPOINTS}/000/{POLICY}"):  # what it learned, and what it began with
+            (place / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(runs[seed] / name, place / name)
         told = (place / CONFIG).read_text()
         (place / CONFIG).write_text(re.sub(r"^seed: \d+$", f"seed: {seed}", told, flags=re.MULTILINE))
         returns = ", ".join(f"{value:.2f}" for value in found.values())
-        print(f"{task}: seed {seed} (return {returns}), {(place / MODEL).stat().st_size / 1e3:.0f} kB")
+        print(f"{task}: seed {seed} (return {returns}), {(place / POLICY).stat().st_size / 1e3:.0f} kB")
 
 
 if __name__ == "__main__":

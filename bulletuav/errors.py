@@ -9,12 +9,20 @@ from typing import Any
 import numpy as np
 
 
+class UnknownOptionError(ValueError, TypeError):
+    """An option that there is not: a wrong value for us, a wrong keyword for whoever passes keywords on."""
+
+
 def unknown(what: str, name: object, choices: Iterable[str]) -> ValueError:
     """An error for a name that is not among `choices`, offering the nearest ones."""
+    return ValueError(f"unknown {what} {name!r}: {nearest(name, choices)}")
+
+
+def nearest(name: object, choices: Iterable[str]) -> str:
+    """Offer the choices nearest to a name, or all where none is near."""
     choices = sorted(choices)
     near = difflib.get_close_matches(str(name), choices, n=3, cutoff=0.5)
-    hint = f"did you mean {' or '.join(map(repr, near))}?" if near else f"choose from {', '.join(choices)}"
-    return ValueError(f"unknown {what} {name!r}: {hint}")
+    return f"did you mean {' or '.join(map(repr, near))}?" if near else f"choose from {', '.join(choices)}"
 
 
 def install(extra: str) -> str:

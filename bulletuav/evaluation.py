@@ -81,6 +81,7 @@ class Run:
     seed: int
     episodes: int
     options: dict[str, Any]
+    trust: bool = False
 
     def batches(self) -> list[range]:
         """Episodes that fly together; episode e flies in tile e mod BATCH."""
@@ -92,7 +93,7 @@ class Run:
             return
         aviary = Aviary(self.task, BATCH, **self.options)
         try:
-            policy = find_policy(self.policy, self.task)(aviary)
+            policy = find_policy(self.policy, self.task, self.trust)(aviary)
             for batch in batches:
                 yield self._episodes(aviary, policy, batch)
         finally:
@@ -119,21 +120,22 @@ def evaluate(
     workers: int = 1,
     out: str | Path | None = None,
     progress: Callable[[int], None] = lambda episodes: None,
+    trust: bool = False,
     **options: Any,
 ) -> Evaluation:
     """Fly `episodes` of a task, episode e from seed + e, and take their metrics.
 
-    `policy`: a name, the folder of a training run, "ppo:model.zip" (or sac, td3, dqn) for a stable-baselines3 model, or a
-    class; a run's policy sees what it learned with, unless options say otherwise, and takes no other action. `workers`:
-    processes, which change nothing but the time. With `out`, a folder, finished batches of episodes are kept there, and a
-    second call with the same arguments goes on where the first one was interrupted. `progress` is told how many more
-    episodes are done. Options are those of `parallel_env`. Raises ValueError for what cannot be, also for an `out` that
-    holds another run.
+    `policy`: a name, the folder of a training run, a class, or "ppo:model.zip" (or sac, td3, dqn) for a stable-baselines3
+    model, which can run code when it is read and needs `trust=True`; a run's policy sees what it learned with, unless
+    options say otherwise, and takes no other action. `workers`: processes, which change nothing but the time. With `out`, a
+    folder, finished batches of episodes are kept there, and a second call with the same arguments goes on where the first
+    one was interrupted. `progress` is told how many more episodes are done. Options are those of `parallel_env`. Raises
+    ValueError for what cannot be, also for an `out` that holds another run.
     """
     whole("workers", workers, 1)
-    pilot = find_policy(policy, task)
+    pilot = find_policy(policy, task, trust)
     options = {**pilot.options, **options}
-    run = Run(task, policy, whole("seed", seed, 0), whole("episodes", episodes, 1), options)
+    run = Run(task, policy, whole("seed", seed, 0), whole("episodes", episodes, 1), options, trust)
     if out is not None and callable(options.get("wind")):
         raise ValueError("wind is a function, which a folder cannot tell from another one: evaluate it without out")
     about = _about(run, pilot)

@@ -93,7 +93,9 @@ if __name__ == "__main__":
 
     for level, options in enumerate(LEVELS):
         policy = f"ppo:{args.out / 'model.zip'}"
-        result = bulletuav.evaluate("crossing", policy, args.episodes, seed=1000, **{**COMMON, **options}).estimates()
+        result = bulletuav.evaluate(
+            "crossing", policy, args.episodes, seed=1000, trust=True, **{**COMMON, **options}
+        ).estimates()
         print(f"level {level} in bullet: success of drones {result['drone_success'].mean:.2f}", end=", ")
         print(f"episodes with conflict {result['conflict'].mean:.2f}")
     print(f"the model is in {args.out}")

@@ -78,7 +78,7 @@ if __name__ == "__main__":
     for flown, randomization in WORLDS.items():
         for trained in WORLDS:
             policy, options = f"ppo:{args.out / trained}.zip", {**OPTIONS, "randomization": randomization}
-            estimates = bulletuav.evaluate("hover", policy, args.episodes, seed=1000, **options).estimates()
+            estimates = bulletuav.evaluate("hover", policy, args.episodes, seed=1000, trust=True, **options).estimates()
             row = "".join(f"{estimates[metric].mean:15.3f}" for metric in METRICS)
             print(trained.ljust(12) + flown.ljust(12) + row)
     print(f"models are in {args.out}")

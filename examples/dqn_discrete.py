@@ -34,7 +34,7 @@ METRICS = ("drone_success", "conflict", "conflicts", "goal_distance")
 
 
 def examine(path: Path, dynamics: str, episodes: int) -> None:
-    result = bulletuav.evaluate("crossing", f"dqn:{path}.zip", episodes, seed=1000, dynamics=dynamics, **OPTIONS)
+    result = bulletuav.evaluate("crossing", f"dqn:{path}.zip", episodes, seed=1000, trust=True, dynamics=dynamics, **OPTIONS)
     numbers = ", ".join(f"{metric} {result.estimates()[metric].mean:.2f}" for metric in METRICS)
     print(f"{path.name} in {dynamics}: {numbers}", flush=True)
 

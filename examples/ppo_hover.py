@@ -54,13 +54,13 @@ if __name__ == "__main__":
     env.close()
 
     pilot = f"ppo:{args.out / 'model.zip'}"
-    result = bulletuav.evaluate("hover", pilot, episodes=args.episodes, seed=1000, dynamics="bullet", **OPTIONS)
+    result = bulletuav.evaluate("hover", pilot, episodes=args.episodes, seed=1000, dynamics="bullet", trust=True, **OPTIONS)
     for metric in ("success", "goal_distance", "collision"):
         estimate = result.estimates()[metric]
         print(f"in bullet: {metric} {estimate.mean:.3f} ({estimate.low:.3f} to {estimate.high:.3f})")
 
     aviary = bulletuav.Aviary("hover", dynamics="bullet", start=((-0.5, -0.5, 1.5),), **OPTIONS)
-    recording = fly_episode(aviary, find_policy(pilot)(aviary), seed=0)
+    recording = fly_episode(aviary, find_policy(pilot, trust=True)(aviary), seed=0)
     plot_tracks(recording, aviary.task.config.d_safe, "PPO hovers", args.out / "flight.png")
     aviary.close()
     print(f"model and picture are in {args.out}")

@@ -18,16 +18,16 @@ def test_a_run_trains_flies_is_evaluated_and_goes_on(tmp_path, capsys, monkeypat
     main(["train", "obstacles", *TINY, "--set", "observation=goal,velocity", "--out", "run"])
     out = capsys.readouterr().out
     assert "| obstacles | ppo | 0 | 64 |" in out
-    for name in ("run.yaml", "model.zip", "curve.csv", "learning.md", "curves.png"):
+    for name in ("run.yaml", "policy.safetensors", "curve.csv", "learning.md", "curves.png"):
         assert f"wrote run/{name}" in out
         assert (tmp_path / "run" / name).stat().st_size
     main(["fly", "obstacles", "--policy", "run", *SHORT, "--animation", "none", "--out", "flight"])
     assert json.loads((tmp_path / "flight" / "run.json").read_text())["options"]["observation"] == ["goal", "velocity"]
     main(["evaluate", "obstacles", "--policy", "run", *SHORT, "--episodes", "2", "--out", "found"])
     assert json.loads((tmp_path / "found" / "summary.json").read_text())["policy"] == "run"
-    before = (tmp_path / "run" / "model.zip").read_bytes()
+    before = (tmp_path / "run" / "policy.safetensors").read_bytes()
     main(["train", "--config", "run/run.yaml", "--out", "run"])
-    assert (tmp_path / "run" / "model.zip").read_bytes() == before
+    assert (tmp_path / "run" / "policy.safetensors").read_bytes() == before
     capsys.readouterr()
 
 
@@ -45,7 +45,7 @@ def test_several_seeds_make_one_table_and_one_picture(tmp_path, capsys, monkeypa
     table = (tmp_path / "runs" / "learning.md").read_text()
     assert "| obstacles | ppo | 0 | 64 |" in table
     assert "| obstacles | ppo | 1 | 64 |" in table
-    assert (tmp_path / "runs" / "runs" / "obstacles" / "1" / "model.zip").exists()
+    assert (tmp_path / "runs" / "runs" / "obstacles" / "1" / "policy.safetensors").exists()
     assert (tmp_path / "runs" / "curves.png").stat().st_size > 10_000
     assert "wrote runs/curves.png" in capsys.readouterr().out
 

@@ -6,6 +6,7 @@ import numpy as np
 from gymnasium.spaces import Box
 
 from bulletuav.errors import missing
+from bulletuav.policies.features import BLOCKED, FAR, LINE_OF_SIGHT
 from bulletuav.tasks.terms.sensed import AHEAD
 
 try:
@@ -14,9 +15,6 @@ try:
     from torch import nn
 except ImportError:
     raise missing("this adapter", "sb3") from None
-
-LINE_OF_SIGHT, BLOCKED = 2.0, 3.19  # path loss exponents of `mec`
-FAR = 100.0  # m, unit of positions
 
 
 class Symlog(BaseFeaturesExtractor):

@@ -11,17 +11,19 @@ none, and SB3's own buffers do as well.
 
 import contextlib
 import random
-from collections.abc import Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from gymnasium.spaces import Box, Dict, Space
 
-from bulletuav.adapters.features import Symlog
+from bulletuav.adapters.features import Symlog, UserSum
 from bulletuav.envs.aviary import Aviary, Step
 from bulletuav.envs.curriculum import Curriculum, common_observation
 from bulletuav.envs.plan import Plan
 from bulletuav.envs.spaces import widest_action_space
-from bulletuav.errors import missing, whole
+from bulletuav.errors import missing, unknown, whole
+from bulletuav.policies.network import HIGH, LOW
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.terms.observations import Observation, part
 
@@ -30,8 +32,9 @@ try:
     import torch
     from stable_baselines3.common.buffers import ReplayBuffer, RolloutBuffer
     from stable_baselines3.common.callbacks import BaseCallback
+    from stable_baselines3.common.preprocessing import is_image_space, is_image_space_channels_first
     from stable_baselines3.common.type_aliases import RolloutBufferSamples
-    from stable_baselines3.common.vec_env import VecEnv
+    from stable_baselines3.common.vec_env import VecEnv, VecTransposeImage
 except ImportError:
     raise missing("this adapter", "sb3") from None
 
@@ -44,8 +47,13 @@ __all__ = [
     "Symlog",
     "algorithm",
     "own_random",
+    "policy_arguments",
+    "policy_network",
     "single_thread",
 ]
+
+FEATURES: dict[str | None, type | None] = {"symlog": Symlog, "user_sum": UserSum, None: None}
+"""What observed numbers go through first, by the setting `features` of a run"""
 
 
 def algorithm(name: str) -> Any:
@@ -68,6 +76,75 @@ def own_random() -> Iterator[None]:
 def single_thread() -> None:
     """Let PyTorch keep to one thread: small networks are fastest so, and the same everywhere."""
     torch.set_num_threads(1)
+
+
+def policy_arguments(model: Mapping[str, Any], num_drones: int, pictures: bool) -> dict[str, Any]:
+    """Make the arguments of stable-baselines3's policy from a run's settings of its algorithm.
+
+    Args:
+        model: The settings, `features` and `policy_kwargs` among them.
+        num_drones: In a world.
+        pictures: Whether pictures are observed, which have features of their own.
+    """
+    features = model["features"]
+    if features not in FEATURES:
+        raise unknown("features", features, filter(None, FEATURES))
+    given = model.get("policy_kwargs", {})
+    if not isinstance(given, Mapping):
+        raise ValueError(f"policy_kwargs is {given!r}: names with values are needed")
+    arguments = dict(given)
+    if features is not None and not pictures:
+        arguments.setdefault("features_extractor_class", FEATURES[features])
+    if features == "user_sum":
+        arguments["features_extractor_kwargs"] = {"num_drones": num_drones, **arguments.get("features_extractor_kwargs", {})}
+    return arguments
+
+
+def policy_network(
+    name: str, model: Mapping[str, Any], observed: Space, given: Space, num_drones: int, weights: Mapping[str, np.ndarray]
+) -> Callable[[Any], np.ndarray]:
+    """Build the network of a run's policy and fill in its weights; nothing but numbers is read.
+
+    Args:
+        name: The algorithm.
+        model: The run's settings of it.
+        observed: Space of one drone's observations.
+        given: Space of its actions.
+        num_drones: In a world.
+        weights: By the names of the policy's `state_dict`, and the bounds of the actions.
+
+    Returns:
+        A function from rows of observations to rows of deterministic actions.
+
+    Raises:
+        ValueError: The weights do not fit.
+    """
+    single_thread()
+    pictures = isinstance(observed, Dict)
+    if isinstance(observed, Dict):
+        observed = Dict({key: _channels_first(space) for key, space in observed.spaces.items()})
+    state = {known: torch.as_tensor(array) for known, array in weights.items() if known not in (LOW, HIGH)}
+    if LOW in weights:
+        given = Box(weights[LOW], weights[HIGH], dtype=np.float32)
+    arguments = policy_arguments(model, num_drones, pictures)
+    if name in ("ppo", "a2c", "sac"):
+        arguments["use_sde"] = model.get("use_sde", False)
+    with own_random():
+        kind = algorithm(name).policy_aliases["MultiInputPolicy" if pictures else "MlpPolicy"]
+        policy = kind(observed, given, lambda _: 0.0, **arguments)
+    try:
+        policy.load_state_dict(state)
+    except RuntimeError as error:
+        raise ValueError(str(error)) from None
+    policy.set_training_mode(False)
+    return lambda rows: policy.predict(rows, deterministic=True)[0]
+
+
+def _channels_first(space: Space) -> Space:
+    """The space as networks see it that SB3 made: it turns pictures."""
+    if isinstance(space, Box) and is_image_space(space) and not is_image_space_channels_first(space):
+        return VecTransposeImage.transpose_space(space)
+    return space
 
 
 class DroneVecEnv(VecEnv):

@@ -61,9 +61,9 @@ def _each(option: str, values: list[str] | None) -> list[dict[str, str]]:
     return [{option: value} if value else {} for value in values or [""]]
 
 
-def _flyable(task: str, policy: str, options: dict[str, Any]) -> dict[str, Any]:
+def _flyable(task: str, policy: str, options: dict[str, Any], trust: bool) -> dict[str, Any]:
     """The options for a policy; of actions, one that was trained keeps its own, which the others may not be able to give."""
-    pilot = find_policy(policy, task)
+    pilot = find_policy(policy, task, trust)
     chosen = {name: value for name, value in options.items() if name != "action" or not (pilot.model and pilot.actions)}
     return flyable_options(task, pilot, chosen)
 
@@ -84,7 +84,7 @@ def run(arguments: argparse.Namespace) -> None:
         for policy in arguments.policies
         for one in _each("dynamics", dynamics)
     ]
-    cases = [(task, policy, _flyable(task, policy, options)) for task, policy, options in cases]
+    cases = [(task, policy, _flyable(task, policy, options, arguments.trust)) for task, policy, options in cases]
     with episodes_bar(arguments.episodes * len(cases)) as progress:
         for task, policy, options in cases:
             folder = out / "runs" / run_name(task, policy, options)

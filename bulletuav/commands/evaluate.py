@@ -31,7 +31,7 @@ ABOUT = {
     ),
     "epilog": """examples:
   bulletuav evaluate converge --policy orca --episodes 100 --workers 2 --out converge-orca
-  bulletuav evaluate crossing --policy ppo:model.zip --difficulty hard --out crossing-ppo""",
+  bulletuav evaluate crossing --policy ppo:model.zip --trust --difficulty hard --out crossing-ppo""",
 }
 
 
@@ -47,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> None:
     """Evaluate, print and write."""
     arguments.policy = arguments.policy or find_task(arguments.task).baseline
-    pilot = find_policy(arguments.policy, arguments.task)
+    pilot = find_policy(arguments.policy, arguments.task, arguments.trust)
     options = flyable_options(arguments.task, pilot, given_options(arguments))
     out = arguments.out or Path("evaluation") / run_name(arguments.task, arguments.policy, options)
     with episodes_bar(arguments.episodes) as progress:
@@ -77,7 +77,17 @@ def evaluated(
 ) -> Evaluation:
     """`evaluate` with the command's arguments; an interrupt tells what is kept."""
     try:
-        return evaluate(task, policy, arguments.episodes, arguments.seed, arguments.workers, out, progress, **options)
+        return evaluate(
+            task,
+            policy,
+            arguments.episodes,
+            arguments.seed,
+            arguments.workers,
+            out,
+            progress,
+            trust=arguments.trust,
+            **options,
+        )
     except KeyboardInterrupt:
         Console(stderr=True).print(f"interrupted: finished batches of episodes are kept in {out}; the same command goes on")
         raise

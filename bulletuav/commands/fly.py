@@ -7,7 +7,15 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from bulletuav.commands.options import POLICY_HELP, add_options, flyable_options, given_options, out_folder, tell_files
+from bulletuav.commands.options import (
+    POLICY_HELP,
+    add_options,
+    add_trust,
+    flyable_options,
+    given_options,
+    out_folder,
+    tell_files,
+)
 from bulletuav.envs.aviary import Aviary
 from bulletuav.errors import whole
 from bulletuav.evaluation import EPISODES
@@ -34,6 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=0, help="same seed, same flight (default: 0)")
     parser.add_argument("--out", type=Path, default=Path("out"), metavar="DIR", help="folder for the files (default: out)")
     parser.add_argument("--animation", choices=("gif", "mp4", "none"), default="gif", help="mp4 needs the extra 'video'")
+    add_trust(parser)
     add_options(parser)
 
 
@@ -41,7 +50,7 @@ def run(arguments: argparse.Namespace) -> None:
     """Fly one episode and write its files."""
     whole("seed", arguments.seed, 0)
     arguments.policy = arguments.policy or find_task(arguments.task).baseline
-    pilot = find_policy(arguments.policy, arguments.task)
+    pilot = find_policy(arguments.policy, arguments.task, arguments.trust)
     aviary = Aviary(arguments.task, 1, **flyable_options(arguments.task, pilot, given_options(arguments)))
     policy = pilot(aviary)
     if (arguments.out / EPISODES).exists():

@@ -21,7 +21,7 @@ from bulletuav.policies import POLICIES, SHIPPED_NAMES, Pilot
 from bulletuav.tasks import find_task
 
 Advance = Callable[[int], None]
-POLICY_HELP = f"{', '.join((*POLICIES, *SHIPPED_NAMES))}, the folder of a training run, or a model such as ppo:model.zip"
+POLICY_HELP = f"{', '.join((*POLICIES, *SHIPPED_NAMES))}, the folder of a training run, or ppo:model.zip (see --trust)"
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -98,11 +98,22 @@ def episodes_bar(total: int) -> Iterator[Advance]:
         yield advance
 
 
+def add_trust(parser: argparse.ArgumentParser) -> None:
+    """The argument by which a user vouches for files that can run code."""
+    parser.add_argument(
+        "--trust",
+        action="store_true",
+        help="read models that stable-baselines3 saved (ppo:model.zip): such a file can run any code on this machine, so "
+        "say this only of files whose maker you know",
+    )
+
+
 def add_episodes(parser: argparse.ArgumentParser) -> None:
     """Arguments for how many episodes, from which seed, in how many processes."""
     parser.add_argument("--episodes", type=int, default=100, help="of each policy in each task (default: 100)")
     parser.add_argument("--seed", type=int, default=0, help="episode e has seed + e (default: 0)")
     parser.add_argument("--workers", type=int, default=1, help="processes; the results are the same (default: 1)")
+    add_trust(parser)
 
 
 def tell_files(console: Console, files: Iterable[Path]) -> None:

@@ -11,7 +11,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from bulletuav.charts import plot_curves
 from bulletuav.commands.options import add_options, given_options, literals, out_folder, tell_files
 from bulletuav.envs.options import resolve
-from bulletuav.policies.run import ALGORITHMS, CONFIG, MODEL, RunConfig, shipped, shipped_tasks
+from bulletuav.policies.run import ALGORITHMS, CONFIG, POLICY, RunConfig, shipped, shipped_tasks
 from bulletuav.tasks import find_task
 from bulletuav.training.campaign import Campaign, learning_table
 from bulletuav.training.store import CURVE, Row
@@ -20,7 +20,7 @@ ABOUT = {
     "help": "train a policy that all drones share, with stable-baselines3",
     "description": (
         "Train a policy that all drones share (extra 'sb3'). The folder of a run holds run.yaml, which reproduces it, "
-        "model.zip, checkpoints, the learning curve and TensorBoard's files. The same command goes on where it was "
+        "policy.safetensors, checkpoints, the learning curve and TensorBoard's files. The same command goes on where it was "
         "interrupted, to the same weights. Tasks with a policy in the package start from its settings."
     ),
     "epilog": """examples:
@@ -115,7 +115,7 @@ def _single(arguments: argparse.Namespace, config: RunConfig) -> None:
     with _bars() as progress:
         bar = progress.add_task(f"training {config.task}", total=config.steps)
         rows = train(config, out, lambda steps: progress.update(bar, completed=steps))
-    _finish(out, [(config, rows)], [out / CONFIG, out / MODEL, out / CURVE])
+    _finish(out, [(config, rows)], [out / CONFIG, out / POLICY, out / CURVE])
 
 
 def _several(arguments: argparse.Namespace, configs: list[RunConfig]) -> None:

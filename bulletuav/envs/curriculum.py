@@ -8,7 +8,7 @@ import numpy as np
 from gymnasium.spaces import Box, Space
 from pettingzoo import ParallelEnv
 
-from bulletuav.envs.parallel import ParallelAviary
+from bulletuav.envs.parallel import ParallelAviary, check_agents
 from bulletuav.envs.plan import Plan
 from bulletuav.envs.spaces import drone_action_space
 from bulletuav.errors import finite, whole
@@ -121,8 +121,11 @@ class CurriculumAviary(ParallelEnv):
         return observations, self._with_level(infos)
 
     def step(self, actions: dict[str, np.ndarray]) -> tuple[dict, dict, dict, dict, dict]:
-        """As `ParallelAviary.step`."""
-        observations, rewards, terminated, truncated, infos = self.env.step(actions)
+        """As `ParallelAviary.step`; actions of agents that take no part in this level are not looked at."""
+        env = self.env
+        check_agents(actions, self.agents, self.possible_agents)
+        actions = {agent: action for agent, action in actions.items() if agent in self.agents}
+        observations, rewards, terminated, truncated, infos = env.step(actions)
         self._successes |= {agent: info["success"] for agent, info in infos.items()}
         self.agents = self.env.agents[:]
         return observations, rewards, terminated, truncated, self._with_level(infos)

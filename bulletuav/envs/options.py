@@ -12,7 +12,7 @@ from bulletuav.control.actions import ACTIONS
 from bulletuav.control.cascade import CONTROLLERS, PID_LEVELS
 from bulletuav.control.levels import Level
 from bulletuav.envs.randomization import CERTAIN, Randomization
-from bulletuav.errors import finite, pick, several, unknown, whole
+from bulletuav.errors import UnknownOptionError, finite, nearest, pick, several, unknown, whole
 from bulletuav.physics.airframe import EFFECTS, STANDARD_GRAVITY, Airframe, load_airframe
 from bulletuav.physics.ladder import LADDER
 from bulletuav.physics.wind import TURBULENCE, WindField
@@ -218,13 +218,16 @@ def resolve(task: type[Task], given: Mapping[str, Any]) -> tuple[Options, Any]:
     """Common options and the task's config from keyword arguments.
 
     What is given goes before the preset's values, those before the difficulty's, those before the task's defaults. Raises
-    ValueError for an unknown option, preset or difficulty (with the nearest names), or a value that cannot be.
+    ValueError for an unknown option (`UnknownOptionError`, a TypeError too), preset or difficulty, with the nearest names, or
+    a value that cannot be.
     """
     common = {field.name for field in dataclasses.fields(Options)}
     own = {field.name for field in dataclasses.fields(task.Config)}
     for name in given:
         if name not in common | own:
-            raise unknown(f"option of task {task.name!r}:", name, common | own)
+            raise UnknownOptionError(  # in the words of Python's own TypeError, which some wrappers look for
+                f"unknown option of task {task.name!r}: unexpected keyword argument {name!r}: {nearest(name, common | own)}"
+            )
     difficulty = given.get("difficulty", task.defaults.get("difficulty", "easy"))
     level = pick("difficulty", difficulty, dict(task.difficulties))
     if given.get("preset") is not None and not task.presets:

@@ -1,5 +1,6 @@
 """The PettingZoo face: one world, agents `drone_0` ... that leave when their episode ends."""
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ from pettingzoo.utils.conversions import parallel_to_aec
 
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.spaces import drone_action_space, drone_numbers
+from bulletuav.errors import unknown
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.terms.observations import Observation, part
 
@@ -49,17 +51,27 @@ class ParallelAviary(ParallelEnv):
         return self._by_agent(observations), self._infos(self.aviary.first_info())
 
     def step(self, actions: dict[str, np.ndarray]) -> tuple[dict, dict, dict, dict, dict]:
-        """One decision of all living agents; five dicts keyed by them. Raises ValueError for a missing or bad action."""
+        """Fly one decision of all living agents.
+
+        Args:
+            actions: One for each of `agents`; those of agents that have left are not looked at.
+
+        Returns:
+            Observations, rewards, terminated, truncated and infos, by agent: of those that flew. Where all have left, five
+            empty dicts.
+
+        Raises:
+            ValueError: An action is missing or bad, or for an agent that there never was; nobody has flown.
+            RuntimeError: Before the first reset, or after `close`.
+        """
         self.aviary.require_started()
-        if set(actions) != set(self.agents):
-            missing, extra = sorted(set(self.agents) - set(actions)), sorted(set(actions) - set(self.agents))
-            raise ValueError(f"actions must be for exactly the living agents: missing {missing}, not alive {extra}")
+        check_agents(actions, self.agents, self.possible_agents)
+        if not self.agents:
+            return {}, {}, {}, {}, {}
         batch = np.zeros((1, *self.aviary.action.low.shape))
         for i, agent in enumerate(self.possible_agents):
-            if agent in actions:
+            if agent in self.agents:
                 batch[0, i] = drone_numbers(self.aviary.action, i, actions[agent])
-        if not self.agents:
-            raise RuntimeError("every agent is done: call reset() before step()")
         step = self.aviary.step(batch)
         rewards, terminated, truncated = (
             {agent: kind(value) for agent, value in self._by_agent(array).items()}
@@ -87,6 +99,18 @@ class ParallelAviary(ParallelEnv):
     def close(self) -> None:
         """Free the engine; a second call does nothing."""
         self.aviary.close()
+
+
+def check_agents(actions: Any, agents: Sequence[str], possible: Sequence[str]) -> None:
+    """Raise ValueError unless `actions` is a dict with all of `agents`, and no others than `possible` ones."""
+    if not isinstance(actions, Mapping):
+        raise ValueError(f"actions are {actions!r}: a dict with an action for each of {list(agents)} is needed")
+    for agent in actions:
+        if agent not in possible:
+            raise unknown("agent in actions:", agent, possible)
+    missing = [agent for agent in agents if agent not in actions]
+    if missing:
+        raise ValueError(f"actions lack {missing}: give one for each of {list(agents)}")
 
 
 def parallel_env(task: TaskSource, **options: Any) -> ParallelAviary:

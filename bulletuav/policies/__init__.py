@@ -13,9 +13,9 @@ from bulletuav.policies.placement import Centroid, Hotspot, KMeans, Oracle
 from bulletuav.policies.planner import Planner
 from bulletuav.policies.potential import PotentialField
 from bulletuav.policies.random import RandomActions
-from bulletuav.policies.run import ALGORITHMS, CONFIG, MODEL, RunConfig, shipped
+from bulletuav.policies.run import ALGORITHMS, CHECKPOINTS, CONFIG, POLICY, RunConfig, shipped
 from bulletuav.policies.straight import StraightLine
-from bulletuav.policies.trained import Trained
+from bulletuav.policies.trained import TRUST, Sb3Model, SharedPolicy, Trained
 from bulletuav.tasks import TaskSource, find_task
 
 POLICIES: dict[str, type[Policy]] = {
@@ -24,6 +24,7 @@ POLICIES: dict[str, type[Policy]] = {
 }
 PolicySource = str | Path | type[Policy]
 SHIPPED_NAMES = ("trained", "untrained")
+OLD_MODEL = "model.zip"
 
 
 class Pilot(NamedTuple):
@@ -46,11 +47,19 @@ class Pilot(NamedTuple):
         return self.make(aviary)
 
 
-def find_policy(source: PolicySource, task: TaskSource | None = None) -> Pilot:
-    """The policy of that name, a class of one, a trained model "ppo:model.zip" (also sac, td3, dqn), or a run's folder.
+def find_policy(source: PolicySource, task: TaskSource | None = None, trust: bool = False) -> Pilot:
+    """Find a policy.
 
-    "trained" is the one that comes with the package for `task`, "untrained" the same before it learned anything. Raises
-    ValueError with the nearest names when there is none, FileNotFoundError when there is no such file.
+    Args:
+        source: A name; a class; the folder of a training run, or one of its checkpoints (RUN/checkpoints/003); or
+            "ppo:model.zip" (also sac, td3, dqn, a2c, ddpg), a model that stable-baselines3 saved. "trained" is the policy
+            that comes with the package for `task`, "untrained" the same before it learned anything.
+        task: That it is to fly.
+        trust: Whether files that can run code when they are read may do so: stable-baselines3's models.
+
+    Raises:
+        ValueError: There is none of that name (the nearest are told), or its file is not trusted.
+        FileNotFoundError: There is no such file.
     """
     if isinstance(source, type) and issubclass(source, Policy):
         return Pilot(source.name, source.actions, source.reads_swarm, source)
@@ -60,24 +69,38 @@ def find_policy(source: PolicySource, task: TaskSource | None = None) -> Pilot:
     if source in SHIPPED_NAMES:
         if task is None:
             raise ValueError(f"policy {source!r} is another one in each task: say which task")
-        return _run(shipped(find_task(task).name), source, fresh=source == "untrained")
+        run = shipped(find_task(task).name)
+        return _run(run if source == "trained" else run / CHECKPOINTS / "000", source, trust)
     if source not in POLICIES and Path(source).is_dir():
-        return _run(Path(source), source)
+        return _run(Path(source), source, trust)
     algorithm, colon, path = source.partition(":")
     if colon:
         pick("algorithm", algorithm, dict.fromkeys(ALGORITHMS))
         path = path if Path(path).is_file() else f"{path}.zip"  # which the library adds to names without it
-        return _model(source, algorithm, Path(path))
+        return _model(source, algorithm, Path(path), trust)
     kind = pick("policy", source, {**POLICIES, **dict.fromkeys(SHIPPED_NAMES)})
     return Pilot(kind.name, kind.actions, kind.reads_swarm, kind)
 
 
-def _run(folder: Path, name: str, fresh: bool = False) -> Pilot:
-    config = RunConfig.read(folder / CONFIG)
-    return _model(name, config.algo, folder / MODEL, fresh)._replace(actions=(config.action,), options=config.interface)
+def _run(folder: Path, name: str, trust: bool) -> Pilot:
+    """The policy of a run, or of a checkpoint two folders below it."""
+    home = folder if folder.parent.name != CHECKPOINTS or (folder / CONFIG).exists() else folder.parents[1]
+    config, path = RunConfig.read(home / CONFIG), folder / POLICY
+    if not path.is_file() and (folder / OLD_MODEL).is_file():  # of a version that kept models as stable-baselines3 does
+        pilot = _model(name, config.algo, folder / OLD_MODEL, trust)
+    else:
+        pilot = _file(name, path, lambda aviary: Trained(aviary, config, path))
+    return pilot._replace(actions=(config.action,), options=config.interface)
 
 
-def _model(name: str, algorithm: str, path: Path, fresh: bool = False) -> Pilot:
+def _model(name: str, algorithm: str, path: Path, trust: bool) -> Pilot:
+    pilot = _file(name, path, lambda aviary: Sb3Model(aviary, algorithm, path, trust))
+    if not trust:
+        raise ValueError(f"{path} is not read: {TRUST}")
+    return pilot
+
+
+def _file(name: str, path: Path, make: Callable[[Aviary], Policy]) -> Pilot:
     if not path.is_file():
-        raise FileNotFoundError(f"no model {path}: a file that {algorithm} saved is needed")
-    return Pilot(name, (), Trained.reads_swarm, lambda aviary: Trained(aviary, algorithm, path, fresh), path)
+        raise FileNotFoundError(f"no model {path}: a file that training saved is needed")
+    return Pilot(name, (), SharedPolicy.reads_swarm, make, path)

@@ -1,4 +1,4 @@
-"""The folder of a training run: `run.yaml`, which reproduces it, and `model.zip`, what came out of it."""
+"""The folder of a training run: `run.yaml`, which reproduces it, and `policy.safetensors`, what came out of it."""
 
 import dataclasses
 import re
@@ -8,13 +8,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from bulletuav.envs.curriculum import Curriculum
 from bulletuav.envs.options import Options, resolve
-from bulletuav.errors import missing, pick, unknown, whole
+from bulletuav.errors import pick, unknown, whole
 from bulletuav.tasks import find_task
 
-CONFIG, MODEL = "run.yaml", "model.zip"
+CONFIG, POLICY = "run.yaml", "policy.safetensors"
+CHECKPOINTS = "checkpoints"
 ALGORITHMS = ("ppo", "sac", "td3", "dqn", "a2c", "ddpg")
 INTERFACE = (
     "action",
@@ -33,6 +35,23 @@ INTERFACE = (
 """Options that say what a policy sees and does: where it flies they are as in its training"""
 SCENE = ("num_drones", "airframe", "difficulty", "preset")
 """Options that evaluations on the way take over from the training, beside those of `INTERFACE`"""
+_REPLAY = {"learning_starts": 10_000, "batch_size": 1024, "buffer_size": 300_000, "train_freq": 1, "gamma": 0.99}
+DEFAULTS: dict[str, dict[str, Any]] = {
+    "ppo": {
+        "n_steps": 64,
+        "batch_size": 2048,
+        "n_epochs": 5,
+        "learning_rate": [1e-3, 1e-5],
+        "gamma": 0.99,
+        "policy_kwargs": {"net_arch": [64, 64], "log_std_init": -1.0},
+    },
+    "a2c": {"n_steps": 16, "learning_rate": 7e-4, "gamma": 0.99},
+    "sac": {**_REPLAY, "learning_rate": 1e-3, "gradient_steps": 4},
+    "td3": {**_REPLAY, "learning_rate": 1e-3, "gradient_steps": 4, "action_noise": 0.2},
+    "ddpg": {**_REPLAY, "learning_rate": 1e-3, "gradient_steps": 4, "action_noise": 0.2},
+    "dqn": {**_REPLAY, "learning_rate": 5e-4, "gradient_steps": 4, "target_update_interval": 5_000},
+}
+"""Settings that work with some hundred slots; those of a run go before them"""
 SHIPPED = Path(__file__).parents[1] / "trained"
 
 
@@ -104,9 +123,8 @@ class RunConfig:
     @classmethod
     def read(cls, path: Path) -> "RunConfig":
         """From a YAML file. Raises ValueError where it holds something else, FileNotFoundError where there is none."""
-        yaml = _yaml()
         try:
-            values = yaml.load(path.read_text(), _loader(yaml))
+            values = yaml.load(path.read_text(), _Loader)
         except (yaml.YAMLError, UnicodeDecodeError) as error:
             raise ValueError(f"{path} is no YAML file: {error}") from None
         except (FileNotFoundError, IsADirectoryError):
@@ -124,7 +142,12 @@ class RunConfig:
 
     def text(self) -> str:
         """As YAML, which `read` takes back."""
-        return _yaml().safe_dump(self.plain(), sort_keys=False, default_flow_style=None, width=110)
+        return yaml.safe_dump(self.plain(), sort_keys=False, default_flow_style=None, width=110)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The algorithm's settings: those that work with some hundred slots, changed as `model` says."""
+        return {**DEFAULTS[self.algo], "features": "symlog", **self.model}
 
     @property
     def _given(self) -> dict[str, Any]:
@@ -182,20 +205,16 @@ def _plain(value: Any) -> Any:
     return [_plain(one) for one in value] if isinstance(value, list | tuple) else value
 
 
-def _loader(yaml: Any) -> Any:
-    """Takes 1e-3 for a number, which YAML 1.1 takes for a text."""
+class _Loader(yaml.SafeLoader):
+    """Makes nothing but plain values, and takes 1e-3 for a number, which YAML 1.1 takes for a text."""
 
-    class Loader(yaml.SafeLoader):
-        pass
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        """Refuse aliases, of which a short file can make a value that fills the memory."""
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.YAMLError("it has an alias, such as *name, and values are to be written out")
+        return super().compose_node(parent, index)
 
-    number = re.compile(r"^[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$")
-    Loader.add_implicit_resolver("tag:yaml.org,2002:float", number, list("-+0123456789"))
-    return Loader
 
-
-def _yaml() -> Any:
-    try:
-        import yaml
-    except ImportError:
-        raise missing("YAML, in which runs are told,", "sb3") from None
-    return yaml
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"^[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$"), list("-+0123456789")
+)

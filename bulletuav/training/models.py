@@ -2,39 +2,19 @@
 
 import inspect
 import warnings
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from gymnasium.spaces import Box, Dict
 
-from bulletuav.adapters.features import Symlog, UserSum
-from bulletuav.adapters.sb3 import DroneVecEnv, LivingReplay, LivingRollouts, algorithm
+from bulletuav.adapters.sb3 import DroneVecEnv, LivingReplay, LivingRollouts, algorithm, policy_arguments
 from bulletuav.errors import finite, several, unknown, whole
 from bulletuav.policies.run import RunConfig, whole_number
 
 OURS = ("policy", "env", "seed", "device", "tensorboard_log", "_init_setup_model")
 """Arguments that a run gives itself"""
 LEAST = {"gradient_steps": -1, "learning_starts": 0}
-FEATURES = {"symlog": Symlog, "user_sum": UserSum}
 ON_POLICY = ("ppo", "a2c")
-_REPLAY = {"learning_starts": 10_000, "batch_size": 1024, "buffer_size": 300_000, "train_freq": 1, "gamma": 0.99}
-DEFAULTS: dict[str, dict[str, Any]] = {
-    "ppo": {
-        "n_steps": 64,
-        "batch_size": 2048,
-        "n_epochs": 5,
-        "learning_rate": [1e-3, 1e-5],
-        "gamma": 0.99,
-        "policy_kwargs": {"net_arch": [64, 64], "log_std_init": -1.0},
-    },
-    "a2c": {"n_steps": 16, "learning_rate": 7e-4, "gamma": 0.99},
-    "sac": {**_REPLAY, "learning_rate": 1e-3, "gradient_steps": 4},
-    "td3": {**_REPLAY, "learning_rate": 1e-3, "gradient_steps": 4, "action_noise": 0.2},
-    "ddpg": {**_REPLAY, "learning_rate": 1e-3, "gradient_steps": 4, "action_noise": 0.2},
-    "dqn": {**_REPLAY, "learning_rate": 5e-4, "gradient_steps": 4, "target_update_interval": 5_000},
-}
-"""Settings that work with some hundred slots; those of a run go before them"""
 
 
 def make_model(config: RunConfig, env: DroneVecEnv) -> Any:
@@ -45,17 +25,12 @@ def make_model(config: RunConfig, env: DroneVecEnv) -> Any:
     numbers go through first, of `bulletuav.adapters.features`: "symlog", also the default, "user_sum", or None. Raises
     ValueError for what the algorithm does not take.
     """
-    settings = {**DEFAULTS[config.algo], "features": "symlog", **config.model}
+    settings = config.settings
     pictures, kind = isinstance(env.observation_space, Dict), algorithm(config.algo)
-    features = settings.pop("features")
-    if features not in (None, *FEATURES):
-        raise unknown("features", features, FEATURES)
+    arguments = policy_arguments(settings, env.num_drones, pictures)
+    del settings["features"]
     _check(kind, settings)
-    layers = settings["policy_kwargs"] = dict(settings.get("policy_kwargs", {}))
-    if features is not None and not pictures:
-        layers.setdefault("features_extractor_class", FEATURES[features])
-    if features == "user_sum":
-        layers["features_extractor_kwargs"] = {"num_drones": env.num_drones, **layers.get("features_extractor_kwargs", {})}
+    settings["policy_kwargs"] = arguments
     _translate(settings, env)
     if not pictures:
         on_policy = ("rollout_buffer_class", LivingRollouts)
@@ -85,8 +60,6 @@ def _check(kind: Any, settings: dict[str, Any]) -> None:
             settings[name] = whole(name, whole_number(value), LEAST.get(name, min(default, 1)))
         elif isinstance(default, float) and not isinstance(value, list | tuple):
             finite(name, value)
-        elif name == "policy_kwargs" and not isinstance(value, Mapping):
-            raise ValueError(f"policy_kwargs is {value!r}: names with values are needed")
 
 
 def _translate(settings: dict[str, Any], env: DroneVecEnv) -> None:

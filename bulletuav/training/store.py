@@ -1,4 +1,7 @@
-"""The folder of a training run: `run.yaml`, `curve.csv`, `model.zip`, checkpoints, and where it stands."""
+"""The folder of a training run: `run.yaml`, `curve.csv`, `policy.safetensors`, checkpoints, and where it stands.
+
+Nothing of it is pickled: no file of it can run code when it is read.
+"""
 
 import contextlib
 import csv
@@ -13,9 +16,10 @@ from pathlib import Path
 from typing import Any
 
 from bulletuav.evaluation import replace_file
-from bulletuav.policies.run import CONFIG, MODEL, RunConfig
+from bulletuav.policies.run import CHECKPOINTS, CONFIG, POLICY, RunConfig
+from bulletuav.training.checkpoint import REPLAY, TRAINING
 
-CURVE, STATE, CHECKPOINTS = "curve.csv", "state.json", "checkpoints"
+CURVE, STATE = "curve.csv", "state.json"
 PACKAGES = ("bulletuav", "stable_baselines3", "torch", "numpy", "numba", "pybullet")
 Row = dict[str, float]
 
@@ -52,11 +56,15 @@ class Store:
                 raise ValueError(
                     f"{self.folder} holds another run: its {name} is {known[name]!r}, not {value!r}; choose another folder"
                 )
+        if any((self.folder / CHECKPOINTS).glob("*.zip")):
+            raise ValueError(
+                f"{self.folder} holds checkpoints of an older version, which can run code when read: choose another folder"
+            )
         try:
             state = json.loads((self.folder / STATE).read_text())
             self.rows, self.curriculum = state["rows"], state["curriculum"]
-            if not self.last.exists():
-                raise FileNotFoundError(f"no {self.last}")
+            if not (self.last / POLICY).exists():
+                raise FileNotFoundError(f"no {self.last / POLICY}")
         except (json.JSONDecodeError, KeyError, TypeError, FileNotFoundError) as error:
             raise ValueError(f"{self.folder} holds a run that is damaged ({error!r}): choose another folder") from None
         begun = (self.folder / CONFIG).read_text().splitlines()[0]
@@ -70,29 +78,25 @@ class Store:
 
     @property
     def next(self) -> Path:
-        """The file of the next checkpoint's model."""
+        """The folder of the next checkpoint."""
         return self._checkpoint(len(self.rows))
 
     @property
     def last(self) -> Path:
-        """The file of the last checkpoint's model, of which there is one where there are rows."""
+        """The folder of the last checkpoint, of which there is one where there are rows."""
         return self._checkpoint(len(self.rows) - 1)
 
     def _checkpoint(self, number: int) -> Path:
-        return self.folder / CHECKPOINTS / f"{number:03d}.zip"
-
-    def replay(self, model: Path) -> Path:
-        """The file of the replay buffer that belongs to a model."""
-        return model.with_suffix(".replay.pkl")
+        return self.folder / CHECKPOINTS / f"{number:03d}"
 
     def add(self, row: Row, curriculum: dict[str, Any]) -> None:
         """The checkpoint is complete, and with it a row of the curve.
 
         What tells where the run stands comes last: who is interrupted before it does the chapter again.
         """
-        model, rows = self.next, [*self.rows, row]
-        shutil.copyfile(model, self.folder / (MODEL + ".part"))
-        os.replace(self.folder / (MODEL + ".part"), self.folder / MODEL)
+        checkpoint, rows = self.next, [*self.rows, row]
+        shutil.copyfile(checkpoint / POLICY, self.folder / (POLICY + ".part"))
+        os.replace(self.folder / (POLICY + ".part"), self.folder / POLICY)
         table = io.StringIO()
         writer = csv.DictWriter(table, row.keys(), lineterminator="\n")
         writer.writeheader()
@@ -100,9 +104,9 @@ class Store:
         replace_file(self.folder / CURVE, table.getvalue())
         replace_file(self.folder / STATE, json.dumps({"rows": rows, "curriculum": curriculum}))
         self.rows, self.curriculum = rows, curriculum
-        for old in (self.folder / CHECKPOINTS).glob("*.replay.pkl"):
-            if old != self.replay(model):
-                old.unlink()
+        for old in (self.folder / CHECKPOINTS).glob("*"):
+            for name in (TRAINING, REPLAY) if old != checkpoint else ():
+                (old / name).unlink(missing_ok=True)
 
 
 @contextlib.contextmanager

@@ -8,13 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.adapters.sb3 import BaseCallback, DroneVecEnv, algorithm, single_thread
+from bulletuav.adapters.sb3 import BaseCallback, DroneVecEnv, single_thread
 from bulletuav.envs.curriculum import Curriculum
 from bulletuav.errors import missing
 from bulletuav.evaluation import evaluate
 from bulletuav.metrics import METRICS
 from bulletuav.policies.run import RunConfig
-from bulletuav.training.models import ON_POLICY, make_model
+from bulletuav.training import checkpoint
+from bulletuav.training.models import make_model
 from bulletuav.training.store import Row, Store, opened
 
 EVALUATION_SEED = 1_000_000
@@ -57,11 +58,10 @@ def _train(config: RunConfig, store: Store, progress: Progress) -> None:
 
 def _model(config: RunConfig, env: DroneVecEnv, store: Store) -> Any:
     """New, or as it was at the last checkpoint."""
+    model = make_model(config, env)
     if not store.rows:
-        return make_model(config, env)
-    model = algorithm(config.algo).load(store.last, env, device="cpu")
-    if config.algo not in ON_POLICY:
-        model.load_replay_buffer(store.replay(store.last))
+        return model
+    checkpoint.restore(model, store.last)
     env.curriculum.restore(store.curriculum)
     env.decisions = int(store.rows[-1]["decisions"])
     return model
@@ -108,12 +108,9 @@ class _Chapters(BaseCallback):
         """Keep the model, evaluate it, and tell the curve."""
         model: Any = self.model
         seconds = time.perf_counter() - self._start if self._open else 0.0
-        path = self._store.next
-        model.save(path)
-        if self._config.algo not in ON_POLICY:
-            model.save_replay_buffer(self._store.replay(path))
-        config, policy = self._config, f"{self._config.algo}:{path}"
-        found = evaluate(config.task, policy, config.episodes, EVALUATION_SEED, **config.evaluated).estimates()
+        config, folder = self._config, self._store.next
+        checkpoint.save(model, folder)
+        found = evaluate(config.task, folder, config.episodes, EVALUATION_SEED, **config.evaluated).estimates()
         row = {
             "steps": model.num_timesteps,
             "decisions": self._env.decisions,

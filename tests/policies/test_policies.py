@@ -78,7 +78,7 @@ def test_a_trained_model_flies_each_drone_by_its_own_observation(models, algorit
 
     path = models / f"{algorithm}.zip"
     aviary = bulletuav.Aviary("converge", 2, action=action, horizon=10, **CALM)
-    policy = find_policy(f"{algorithm}:{path}")(aviary)
+    policy = find_policy(f"{algorithm}:{path}", trust=True)(aviary)
     observations = aviary.reset(seeds=0)
     actions = policy.act(observations, aviary.swarm)
     model = getattr(stable_baselines3, algorithm.upper()).load(path, device="cpu")
@@ -91,8 +91,8 @@ def test_a_trained_model_flies_each_drone_by_its_own_observation(models, algorit
 
 
 def test_a_trained_model_is_evaluated_like_any_policy(models):
-    result = bulletuav.evaluate("converge", f"ppo:{models / 'ppo.zip'}", 3, horizon=10, **CALM)
-    without_ending = bulletuav.evaluate("converge", f"ppo:{models / 'ppo'}", 3, horizon=10, **CALM)
+    result = bulletuav.evaluate("converge", f"ppo:{models / 'ppo.zip'}", 3, horizon=10, trust=True, **CALM)
+    without_ending = bulletuav.evaluate("converge", f"ppo:{models / 'ppo'}", 3, horizon=10, trust=True, **CALM)
     for row, same in zip(without_ending.rows, result.rows, strict=True):
         np.testing.assert_array_equal(list(row.values()), list(same.values()))
     assert not result.about["reads_swarm"]
@@ -106,10 +106,10 @@ def test_a_model_for_other_spaces_is_refused(models):
     ):
         aviary = bulletuav.Aviary("converge", **CALM, **options)
         with pytest.raises(ValueError, match=said):
-            find_policy(f"ppo:{models / 'ppo.zip'}")(aviary)
+            find_policy(f"ppo:{models / 'ppo.zip'}", trust=True)(aviary)
         aviary.close()
     with pytest.raises(ValueError, match="is no model of sac"):
-        find_policy(f"sac:{models / 'ppo'}")(bulletuav.Aviary("converge", **CALM))
+        find_policy(f"sac:{models / 'ppo'}", trust=True)(bulletuav.Aviary("converge", **CALM))
     with pytest.raises(FileNotFoundError, match="no model nowhere.zip"):
         find_policy("ppo:nowhere.zip")
 
@@ -120,7 +120,7 @@ def test_a_missing_extra_is_named(monkeypatch, models):
     monkeypatch.setitem(sys.modules, "stable_baselines3", None)
     aviary = bulletuav.Aviary("converge", **CALM)
     with pytest.raises(ImportError, match=r"bulletuav\[sb3\]"):
-        find_policy(f"ppo:{models / 'ppo.zip'}")(aviary)
+        find_policy(f"ppo:{models / 'ppo.zip'}", trust=True)(aviary)
     aviary.close()
 
 
@@ -136,6 +136,6 @@ def test_a_model_that_sees_pictures(tmp_path):
         observation_space, action_space = aviary.observer.space(), bulletuav.batch_env("converge", 1, **options).action_space
 
     stable_baselines3.PPO("MultiInputPolicy", Alone(), seed=0, device="cpu").save(tmp_path / "eyes")
-    policy = find_policy(f"ppo:{tmp_path / 'eyes.zip'}")(aviary)
+    policy = find_policy(f"ppo:{tmp_path / 'eyes.zip'}", trust=True)(aviary)
     assert fly(aviary, policy).shape == (3, 1, 1, 3)
     aviary.close()

@@ -1,7 +1,6 @@
 import contextlib
 import dataclasses
 import importlib.util
-import json
 import math
 import random
 import shutil
@@ -16,12 +15,12 @@ import pytest
 import torch
 
 import bulletuav
-from bulletuav.adapters.sb3 import algorithm
+from bulletuav.adapters.sb3 import DroneVecEnv
 from bulletuav.charts import plot_curves
 from bulletuav.evaluation import replace_file
 from bulletuav.policies import find_policy
+from bulletuav.policies.network import read_weights
 from bulletuav.policies.run import RunConfig
-from bulletuav.policies.trained import Trained
 from bulletuav.training.campaign import Campaign, learning_table
 from bulletuav.training.models import make_model
 from bulletuav.training.store import Store, opened
@@ -46,9 +45,12 @@ def config(**changes):
     return RunConfig("converge", **{**usual, "evaluation": evaluation, **changes})
 
 
-def weights(folder, algo="ppo", name="model.zip"):
-    model = algorithm(algo).load(folder / name, device="cpu")
-    return torch.cat([one.detach().ravel().float() for one in model.policy.state_dict().values()])
+def weights(folder, name="policy.safetensors"):
+    found = read_weights(folder / name)
+    return np.concatenate([found[known].ravel() for known in sorted(found)])
+
+
+FIRST = "checkpoints/000/policy.safetensors"
 
 
 def interrupt_after(steps):
@@ -84,13 +86,11 @@ def test_an_interrupted_run_goes_on_to_the_weights_of_one_that_was_not(tmp_path,
     assert 1 < len(Store(tmp_path / "cut", learner).rows) < len(rows)
     again = train(RunConfig.read(tmp_path / "cut" / "run.yaml"), tmp_path / "cut")
     np.testing.assert_equal(comparable(again), comparable(rows))
-    whole, cut, first = (
-        weights(tmp_path / place, learner.algo, name)
-        for place, name in (("whole", "model.zip"), ("cut", "model.zip"), ("whole", "checkpoints/000.zip"))
-    )
-    assert torch.equal(whole, cut)
-    assert not torch.equal(whole, first)
-    assert len(list((tmp_path / "whole").glob("checkpoints/*.replay.pkl"))) == (learner.algo not in ("ppo", "a2c"))
+    whole = weights(tmp_path / "whole")
+    np.testing.assert_array_equal(weights(tmp_path / "cut"), whole)
+    assert not np.array_equal(weights(tmp_path / "whole", FIRST), whole)
+    assert len(list((tmp_path / "whole").glob("checkpoints/*/training.safetensors"))) == 1
+    assert len(list((tmp_path / "whole").glob("checkpoints/*/replay.safetensors"))) == (learner.algo not in ("ppo", "a2c"))
 
 
 @pytest.mark.parametrize(("name", "call"), [("shutil.copyfile", 4), ("replace_file", 8), ("replace_file", 9)])
@@ -110,7 +110,7 @@ def test_a_kill_between_two_files_of_the_last_chapter_costs_no_more_than_it(tmp_
             train(config(), tmp_path)
     assert len(Store(tmp_path, config()).rows) == 3
     np.testing.assert_equal(comparable(train(config(), tmp_path)), comparable(run[1]))
-    assert torch.equal(weights(tmp_path), weights(run[0]))
+    np.testing.assert_array_equal(weights(tmp_path), weights(run[0]))
     assert (tmp_path / "curve.csv").read_text().count("\n") == 5
 
 
@@ -126,12 +126,12 @@ def test_run_yaml_reproduces_the_run(run, tmp_path):
     assert told.text() == config().text()
     assert "stable_baselines3" in (folder / "run.yaml").read_text().splitlines()[0]
     train(told, tmp_path)
-    assert torch.equal(weights(folder), weights(tmp_path))
+    np.testing.assert_array_equal(weights(folder), weights(tmp_path))
 
 
 def test_another_seed_gives_other_weights(run, tmp_path):
     train(config(seed=1), tmp_path)
-    assert not torch.equal(weights(run[0]), weights(tmp_path))
+    assert not np.array_equal(weights(run[0]), weights(tmp_path))
 
 
 def test_the_curve_begins_before_learning_and_ends_with_the_last_step(run):
@@ -151,11 +151,11 @@ def test_the_curve_begins_before_learning_and_ends_with_the_last_step(run):
 
 def test_a_finished_run_is_not_trained_again(run):
     folder, rows = run
-    before = (folder / "model.zip").stat().st_mtime_ns
+    before = (folder / "policy.safetensors").stat().st_mtime_ns
     done = []
     np.testing.assert_equal(train(config(), folder, done.append), rows)
     assert done == [200]
-    assert (folder / "model.zip").stat().st_mtime_ns == before
+    assert (folder / "policy.safetensors").stat().st_mtime_ns == before
 
 
 def test_the_folder_of_another_run_is_refused(run):
@@ -247,11 +247,15 @@ def test_untrained_is_what_the_run_began_with(run):
     folder, _ = run
     aviary = bulletuav.Aviary("converge", 1, **OPTIONS)
     observations, actions = aviary.reset(seeds=0), []
-    for path, fresh in (("model.zip", True), ("checkpoints/000.zip", False), ("model.zip", False)):
-        actions.append(Trained(aviary, "ppo", folder / path, fresh).act(observations, aviary.swarm))
+    for path in (folder / "checkpoints" / "000", folder / "checkpoints" / "003", folder):
+        actions.append(find_policy(path)(aviary).act(observations, aviary.swarm))
+    env = DroneVecEnv("converge", config().worlds, **OPTIONS)
+    model = make_model(config(), env)
+    env.close()
     aviary.close()
-    np.testing.assert_array_equal(actions[0], actions[1])
-    assert not np.array_equal(actions[0], actions[2])
+    np.testing.assert_allclose(actions[0][0], model.predict(observations[0], deterministic=True)[0], atol=1e-6)
+    assert not np.array_equal(actions[0], actions[1])
+    np.testing.assert_array_equal(actions[1], actions[2])
 
 
 def test_a_folder_where_nothing_was_learned_yet_may_be_used_again(tmp_path):
@@ -266,10 +270,11 @@ def test_other_versions_are_told(tmp_path, run):
     path.write_text("# bulletuav 0.0.9\n" + config().text())
     train(config(), tmp_path / "run")  # which is finished
     assert path.read_text().startswith("# bulletuav 0.0.9\n")
-    state = tmp_path / "run" / "state.json"
-    state.write_text(json.dumps({**json.loads(state.read_text()), "rows": run[1][:3]}))
+    with pytest.raises(KeyboardInterrupt):
+        train(config(), tmp_path / "cut", interrupt_after(150))
+    (tmp_path / "cut" / "run.yaml").write_text("# bulletuav 0.0.9\n" + config().text())
     with pytest.warns(UserWarning, match=r"was begun with bulletuav 0\.0\.9"):
-        train(config(), tmp_path / "run")
+        train(config(), tmp_path / "cut")
 
 
 def test_a_curriculum_goes_on_where_it_was(tmp_path):
@@ -282,7 +287,7 @@ def test_a_curriculum_goes_on_where_it_was(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         train(learner, tmp_path / "cut", interrupt_after(150))
     train(learner, tmp_path / "cut")
-    assert torch.equal(weights(tmp_path / "whole"), weights(tmp_path / "cut"))
+    np.testing.assert_array_equal(weights(tmp_path / "whole"), weights(tmp_path / "cut"))
 
 
 @pytest.mark.parametrize(
@@ -315,8 +320,6 @@ def test_pictures_can_be_learned_from(tmp_path):
 
 
 def test_learning_rates_may_fall_and_features_be_left_out():
-    from bulletuav.adapters.sb3 import DroneVecEnv
-
     env = DroneVecEnv("converge", 1, **OPTIONS)
     model = make_model(config(model={"n_steps": 8, "learning_rate": [1e-3, 1e-4], "features": None}), env)
     assert model.lr_schedule(1.0) == 1e-3
@@ -330,7 +333,7 @@ def test_a_campaign_trains_in_processes_as_one_would(run, tmp_path):
     campaign = Campaign([config()], tmp_path)
     done = []
     runs = campaign.train(2, done.append)
-    assert torch.equal(weights(tmp_path / "converge" / "0"), weights(run[0]))
+    np.testing.assert_array_equal(weights(tmp_path / "converge" / "0"), weights(run[0]))
     assert done[-1] == campaign.total == 200
     runs = [*runs, (config(seed=1), run[1])]
     table = learning_table(runs)
@@ -390,12 +393,6 @@ def test_a_configuration_is_the_same_after_a_file(tmp_path):
     assert RunConfig.read(tmp_path / "run.yaml").text() == told.text()
 
 
-def test_the_extra_is_named_where_it_is_missing(monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "yaml", None)
-    with pytest.raises(ImportError, match=r"bulletuav\[sb3\]"):
-        config().text()
-
-
 def test_the_best_run_is_shipped_without_what_only_training_needs(run, tmp_path, monkeypatch, capsys):
     spec = importlib.util.spec_from_file_location("ship", Path(__file__).parents[2] / "benchmarks" / "ship.py")
     ship = importlib.util.module_from_spec(spec)
@@ -403,10 +400,10 @@ def test_the_best_run_is_shipped_without_what_only_training_needs(run, tmp_path,
     package, learned = tmp_path / "trained", tmp_path / "learned" / "runs" / "converge"
     (package / "converge").mkdir(parents=True)
     (package / "converge" / "run.yaml").write_text(f"# ours\n{config().text()}")
-    for seed, name in (("0", "checkpoints/000.zip"), ("1", "model.zip")):
+    for seed, name in (("0", FIRST), ("1", "policy.safetensors")):
         shutil.copytree(run[0], learned / seed)
         (learned / seed / "run.yaml").write_text(config(seed=int(seed)).text())
-        shutil.copy(run[0] / name, learned / seed / "model.zip")
+        shutil.copy(run[0] / name, learned / seed / "policy.safetensors")
     outcomes = {seed: ship.outcome(learned / seed, 2) for seed in ("0", "1")}
     assert outcomes["0"] != outcomes["1"]
     best = max(outcomes, key=outcomes.__getitem__)
@@ -417,8 +414,9 @@ def test_the_best_run_is_shipped_without_what_only_training_needs(run, tmp_path,
     assert f"converge: seed {best} (return {outcomes['0']:.2f}, {outcomes['1']:.2f})" in capsys.readouterr().out
     assert (package / "converge" / "run.yaml").read_text().startswith("# ours\n")
     assert RunConfig.read(package / "converge" / "run.yaml").seed == int(best)
-    assert torch.equal(weights(package / "converge"), weights(learned / best))
-    assert (package / "converge" / "model.zip").stat().st_size < 0.7 * (run[0] / "model.zip").stat().st_size
+    np.testing.assert_array_equal(weights(package / "converge"), weights(learned / best))
+    np.testing.assert_array_equal(weights(package / "converge", FIRST), weights(learned / best, FIRST))
+    assert {path.name for path in package.rglob("*") if path.is_file()} == {"run.yaml", "policy.safetensors"}
     (learned / best / "run.yaml").write_text(config(seed=int(best), steps=7).text())
     with pytest.raises(SystemExit, match="other settings"):
         ship.main()

@@ -1,0 +1,115 @@
+"""A checkpoint: all that a model of stable-baselines3 needs to go on learning, as numbers and nothing else."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from gymnasium.spaces import Box
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import load_file, save_file
+from stable_baselines3.common.save_util import recursive_getattr, recursive_setattr
+
+from bulletuav.policies.network import HIGH, LOW, read_weights
+from bulletuav.policies.run import POLICY
+
+TRAINING, REPLAY = "training.safetensors", "replay.safetensors"
+COUNTERS = ("num_timesteps", "_n_updates", "_n_calls", "_episode_num", "_current_progress_remaining", "exploration_rate")
+"""Numbers of a model that its learning depends on, of those algorithms that have them"""
+
+
+def save(model: Any, folder: Path) -> None:
+    """Write a model.
+
+    Args:
+        model: Of any algorithm of stable-baselines3.
+        folder: For policy.safetensors (the policy), training.safetensors (optimizers, further variables, counters) and,
+            where the algorithm has a replay buffer, replay.safetensors.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    bounds = {LOW: model.action_space.low, HIGH: model.action_space.high} if isinstance(model.action_space, Box) else {}
+    save_file({**_arrays(model.policy.state_dict()), **bounds}, folder / POLICY)
+    rest: dict[str, np.ndarray] = {}
+    for name in _optimizers(model):
+        for index, state in recursive_getattr(model, name).state_dict()["state"].items():
+            rest |= {f"{name}/{index}/{key}": array for key, array in _arrays(state).items()}
+    rest |= _arrays({name: recursive_getattr(model, name) for name in _variables(model)})
+    counters = {name: getattr(model, name) for name in COUNTERS if hasattr(model, name)}
+    save_file(rest, folder / TRAINING, {"counters": json.dumps(counters)})
+    buffer = getattr(model, "replay_buffer", None)
+    if buffer is not None:
+        save_file(_rows(buffer), folder / REPLAY)
+
+
+def restore(model: Any, folder: Path) -> None:
+    """Set a new model of the same settings to where a saved one stood.
+
+    Raises:
+        ValueError: The files are damaged, or of a model of other settings.
+    """
+    try:
+        weights = read_weights(folder / POLICY)
+        model.policy.load_state_dict({name: torch.as_tensor(weights[name]) for name in model.policy.state_dict()})
+        rest = read_weights(folder / TRAINING)
+        for name in _optimizers(model):
+            optimizer = recursive_getattr(model, name)
+            optimizer.load_state_dict({**optimizer.state_dict(), "state": _states(rest, f"{name}/")})
+        for name in _variables(model):
+            recursive_setattr(model, f"{name}.data", torch.as_tensor(rest[name]))
+        with safe_open(folder / TRAINING, "numpy") as file:
+            counters = json.loads(file.metadata()["counters"])
+        for name in COUNTERS:
+            if hasattr(model, name):
+                setattr(model, name, type(getattr(model, name))(counters[name]))
+        if getattr(model, "replay_buffer", None) is not None:
+            _fill(model.replay_buffer, load_file(folder / REPLAY))
+    except (KeyError, TypeError, OSError, RuntimeError, ValueError, SafetensorError) as error:
+        raise ValueError(f"{folder} holds no checkpoint of this run ({error}): choose another folder") from None
+
+
+def _optimizers(model: Any) -> list[str]:
+    return [name for name in model._get_torch_save_params()[0] if name != "policy"]
+
+
+def _variables(model: Any) -> list[str]:
+    return [name for name in model._get_torch_save_params()[1] if recursive_getattr(model, name) is not None]
+
+
+def _arrays(values: dict[str, Any]) -> dict[str, np.ndarray]:
+    """Copies, as some of the tensors share their memory."""
+    return {name: np.array(torch.as_tensor(value).detach().cpu().numpy()) for name, value in values.items()}
+
+
+def _states(arrays: dict[str, np.ndarray], begin: str) -> dict[int, dict[str, Any]]:
+    """The state of an optimizer by parameter; whole numbers, which some count steps with, are no tensors."""
+    states: dict[int, dict[str, Any]] = {}
+    for name, array in arrays.items():
+        if name.startswith(begin):
+            index, key = name.removeprefix(begin).split("/")
+            whole = array.ndim == 0 and array.dtype.kind == "i"
+            states.setdefault(int(index), {})[key] = int(array) if whole else torch.as_tensor(array)
+    return states
+
+
+def _rows(buffer: Any) -> dict[str, np.ndarray]:
+    """The transitions in a replay buffer by name, and where the next goes."""
+    count = buffer.size()
+    rows = {"position": np.array(buffer.pos), "full": np.array(buffer.full)}
+    for name, value in vars(buffer).items():
+        parts = {name: value} if isinstance(value, np.ndarray) else {}
+        if isinstance(value, dict):
+            parts = {f"{name}/{key}": array for key, array in value.items() if isinstance(array, np.ndarray)}
+        rows |= {key: array[:count] for key, array in parts.items()}
+    return rows
+
+
+def _fill(buffer: Any, kept: dict[str, np.ndarray]) -> None:
+    """Put the transitions of `_rows` into an empty replay buffer."""
+    buffer.pos, buffer.full = int(kept["position"]), bool(kept["full"])
+    for key, rows in kept.items():
+        name, _, part = key.partition("/")
+        if key not in ("position", "full"):
+            array = getattr(buffer, name)
+            array = array[part] if part else array
+            array[: buffer.size()] = rows
