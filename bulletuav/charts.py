@@ -10,7 +10,7 @@ from matplotlib.ticker import MaxNLocator
 
 from bulletuav.evaluation import Evaluation
 from bulletuav.metrics import Estimate
-from bulletuav.pictures import blank_figure
+from bulletuav.pictures import blank_figure, save_figure
 from bulletuav.training.campaign import Learned
 from bulletuav.training.store import Row
 
@@ -50,7 +50,7 @@ def plot_evaluation(result: Evaluation, path: Path) -> None:
         f"{about['task']} {options['difficulty']}: policy {about['policy']}, {options['num_drones']} drones, "
         f"{options['dynamics']}, {len(result.rows)} episodes"
     )
-    figure.savefig(path, dpi=110)
+    save_figure(figure, path)
 
 
 def plot_leaderboard(results: Sequence[Evaluation], path: Path) -> None:
@@ -66,7 +66,7 @@ def plot_leaderboard(results: Sequence[Evaluation], path: Path) -> None:
         _bars(axes, cases, rows, policies)
         axes.set(ylabel=metric, ylim=(0, 1.05))
     figure.axes[0].legend(loc="lower left", ncols=min(len(policies), int(width / 1.5)), bbox_to_anchor=(0, 1))
-    figure.savefig(path, dpi=110)
+    save_figure(figure, path)
 
 
 def plot_curves(runs: Sequence[Learned], path: Path) -> None:
@@ -81,7 +81,7 @@ def plot_curves(runs: Sequence[Learned], path: Path) -> None:
             axes.set(xlabel="steps", ylabel=metric, ylim=None if metric == "return" else (-0.05, 1.05))
         row[0].set_title(task, loc="left")
         row[0].legend()
-    figure.savefig(path, dpi=110)
+    save_figure(figure, path)
 
 
 def _curves(axes: Axes, curves: Mapping[int, list[Row]], metric: str) -> None:

@@ -2,6 +2,8 @@
 
 import argparse
 import difflib
+import os
+import signal
 import sys
 from collections.abc import Sequence
 from types import ModuleType
@@ -59,6 +61,12 @@ def main(argv: Sequence[str] | None = None) -> None:
     _check_known(rest, command)
     try:
         COMMANDS[arguments.command].run(arguments)
+        sys.stdout.flush()
+    except BrokenPipeError:  # `bulletuav tasks mec | head` has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(128 + signal.SIGPIPE)
+    except MemoryError as error:
+        command.error(f"memory ran out ({error or 'no figures told'}): ask for fewer worlds, drones, users or workers")
     except (ValueError, OSError, RuntimeError, ImportError) as error:
         command.error(" ".join(str(error).split()))
     except KeyboardInterrupt:

@@ -3,7 +3,9 @@
 import difflib
 import math
 import numbers
+import sys
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,13 +27,19 @@ def nearest(name: object, choices: Iterable[str]) -> str:
     return f"did you mean {' or '.join(map(repr, near))}?" if near else f"choose from {', '.join(choices)}"
 
 
+CHECKOUT, SHARED = Path(__file__).parents[1], Path(sys.prefix, "share", "bulletuav")
+"""Where constraints.txt is: beside the package in a checkout, else where the wheel puts it"""
+
+
 def install(extra: str) -> str:
-    """The command that installs an extra."""
-    return f"pip install 'bulletuav[{extra}]'"
+    """The command that installs an extra at tested versions; without them pip fetches a PyTorch of several gigabytes."""
+    if (CHECKOUT / "setup.cfg").is_file():
+        return f"pip install -c {CHECKOUT / 'constraints.txt'} -e '{CHECKOUT}[{extra}]'"
+    return f"pip install -c {SHARED / 'constraints.txt'} 'bulletuav[{extra}]'"
 
 
 def missing(what: str, extra: str) -> ImportError:
-    """An error for `what`, which is not to be had without an extra."""
+    """An error for `what`, that the user wanted to do, such as "training", and that takes an extra."""
     return ImportError(f"{what} needs the extra {extra!r}: {install(extra)}")
 
 

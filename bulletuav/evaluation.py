@@ -7,7 +7,6 @@ import inspect
 import io
 import json
 import multiprocessing
-import os
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -21,8 +20,9 @@ import numpy as np
 
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.plan import Plan
-from bulletuav.envs.workers import portable
+from bulletuav.envs.worker import portable
 from bulletuav.errors import whole
+from bulletuav.files import replace_file
 from bulletuav.kernel import source_hash
 from bulletuav.metrics import METRICS, Estimate, Meter, estimate
 from bulletuav.policies import Pilot, PolicySource, find_policy
@@ -68,7 +68,7 @@ class Evaluation:
             name: {key: None if np.isnan(value) else value for key, value in one._asdict().items()}
             for name, one in self.estimates().items()
         }
-        path.write_text(json.dumps({**self.about, "estimates": figures}, indent=2) + "\n")
+        replace_file(path, json.dumps({**self.about, "estimates": figures}, indent=2) + "\n")
         return path
 
 
@@ -203,7 +203,7 @@ class _Store:
             replace_file(folder / RUN, json.dumps(about, indent=2) + "\n")
             self.add([])
         except OSError as error:
-            raise ValueError(f"{folder} cannot be a folder to write to: {error.strerror}") from None
+            raise ValueError(f"{folder} cannot be a folder to write to: {error.strerror or error}") from None
 
     def _load(self, folder: Path, about: dict[str, Any]) -> None:
         try:
@@ -227,13 +227,6 @@ class _Store:
         writer.writeheader()
         writer.writerows(self.rows[episode] for episode in sorted(self.rows))
         replace_file(self._folder / EPISODES, table.getvalue())
-
-
-def replace_file(path: Path, text: str) -> None:
-    """Write the file as a whole or, when interrupted, not at all."""
-    part = path.with_name(path.name + ".part")
-    part.write_text(text)
-    os.replace(part, path)
 
 
 def _require_same(known: dict[str, Any], about: dict[str, Any], folder: Path) -> None:
@@ -264,7 +257,7 @@ def _flown(run: Run, batches: list[range], workers: int) -> Iterator[list[Row]]:
         yield from _received(pipes)
     finally:
         for process in processes:
-            process.terminate()
+            process.kill()  # a stopped one hears nothing else
             process.join()
 
 

@@ -10,6 +10,7 @@ import contextlib
 import hashlib
 import os
 import shutil
+import stat
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -34,17 +35,32 @@ def source_hash(package: Path = _PACKAGE, but: str | None = None) -> str:
 
 
 def cache_folder() -> Path:
-    """Folder for the compiled kernels of exactly these sources: below `NUMBA_CACHE_DIR`, else the user's cache folder."""
+    """Folder for the compiled kernels of exactly these sources: below `NUMBA_CACHE_DIR`, else the user's cache folder.
+
+    Where neither can be written to it is below the folder for temporary files, if nobody else can write there: what numba
+    reads from its cache can run code.
+    """
     chosen = numba.config.CACHE_DIR or os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    candidates = [Path(chosen), Path(tempfile.gettempdir(), f"bulletuav-{os.getuid() if hasattr(os, 'getuid') else ''}")]
+    spare = Path(tempfile.gettempdir(), f"bulletuav-{os.getuid() if hasattr(os, 'getuid') else ''}")
+    candidates = [Path(chosen), spare]
     for base in candidates:
         folder = base / "bulletuav-kernels" / source_hash(but="tasks")
         with contextlib.suppress(OSError):
+            if base == spare and not _is_private(spare):
+                continue
             folder.mkdir(parents=True, exist_ok=True)
             if os.access(folder, os.W_OK):
                 _forget_old_folders(folder)
                 return folder
     raise OSError(f"no writable folder for compiled kernels among {candidates}; set NUMBA_CACHE_DIR to one")
+
+
+def _is_private(folder: Path) -> bool:
+    """Make a folder, and tell whether it is this user's alone."""
+    folder.mkdir(mode=0o700, exist_ok=True)
+    about = folder.lstat()
+    others_write = stat.S_IMODE(about.st_mode) & (stat.S_IWGRP | stat.S_IWOTH)
+    return stat.S_ISDIR(about.st_mode) and not others_write and (not hasattr(os, "getuid") or about.st_uid == os.getuid())
 
 
 def _forget_old_folders(current: Path) -> None:

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from bulletuav.evaluation import Evaluation
+from bulletuav.files import whole_file
 from bulletuav.metrics import METRICS, Estimate, mean_estimate
 
 SHOWN = {
@@ -78,7 +79,7 @@ def _cell(one: Estimate) -> str:
 
 def write_csv(results: Sequence[Evaluation], path: Path) -> None:
     """All metrics of all evaluations: a row for each, with mean, low, high and the episodes that have the metric."""
-    with path.open("w", newline="") as file:
+    with whole_file(path) as part, part.open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(["task", "difficulty", "drones", "dynamics", "policy", "reads_swarm", "metric", *Estimate._fields])
         for result in results:

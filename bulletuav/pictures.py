@@ -14,6 +14,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 from PIL import Image
 
+from bulletuav.errors import missing
+from bulletuav.files import whole_file
 from bulletuav.record import Recording
 
 MOST_FRAMES = 150
@@ -30,6 +32,12 @@ def blank_figure(width: float, height: float) -> Figure:
     figure.get_layout_engine().set(w_pad=0.08, h_pad=0.08)  # type: ignore[union-attr, call-arg]
     FigureCanvasAgg(figure)
     return figure
+
+
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write a figure as a picture file, whole or not at all."""
+    with whole_file(path) as part:
+        figure.savefig(part, dpi=110)
 
 
 def _colours(count: int) -> np.ndarray:
@@ -84,7 +92,7 @@ def plot_tracks(recording: Recording, d_safe: float, title: str, path: Path) -> 
         apart.legend(loc="upper right")
     for axes in (above, altitude, apart):
         axes.grid(alpha=0.3)
-    figure.savefig(path, dpi=110)
+    save_figure(figure, path)
 
 
 def _draw_buildings(axes: Axes, recording: Recording) -> None:
@@ -219,11 +227,12 @@ class Animation:
                 yield self.draw(row)
                 progress()
 
-        if path.suffix == ".mp4":
-            _save_video(path, pictures())
-            return
-        first, *others = (Image.fromarray(picture).quantize(128) for picture in pictures())
-        first.save(path, save_all=True, append_images=others, duration=1000 // FPS, loop=0)
+        with whole_file(path) as part:
+            if path.suffix == ".mp4":
+                _save_video(part, pictures())
+                return
+            first, *others = (Image.fromarray(picture).quantize(128) for picture in pictures())
+            first.save(part, save_all=True, append_images=others, duration=1000 // FPS, loop=0)
 
     def __len__(self) -> int:
         return len(self._frames)
@@ -233,11 +242,14 @@ def _save_video(path: Path, pictures: Iterator[np.ndarray]) -> None:
     try:
         import imageio_ffmpeg
     except ImportError:
-        raise ImportError("mp4 needs the extra 'video': pip install 'bulletuav[video]', or write a .gif") from None
-    first = next(pictures)
+        raise missing("writing a video (.mp4; a .gif needs nothing)", "video") from None
+    first, count = next(pictures), 1
     writer = imageio_ffmpeg.write_frames(str(path), first.shape[1::-1], fps=FPS, macro_block_size=2)
     writer.send(None)
     writer.send(first)
     for picture in pictures:
         writer.send(picture)
+        count += 1
     writer.close()
+    if imageio_ffmpeg.count_frames_and_secs(str(path))[0] < count:  # it does not tell of a full disk
+        raise OSError("fewer pictures were written than there are; is the disk full?")

@@ -13,6 +13,7 @@ import numpy as np
 from bulletuav.city.model import City
 from bulletuav.envs.aviary import Aviary, Step
 from bulletuav.envs.options import Options
+from bulletuav.files import replace_file, whole_file
 from bulletuav.network.mobility import Mobility
 from bulletuav.physics.swarm import Swarm
 from bulletuav.policies.base import Policy
@@ -144,9 +145,10 @@ def outcomes(recording: Recording) -> list[Outcome]:
 def save(recording: Recording, aviary: Aviary, policy: str, seed: int, folder: Path) -> list[Path]:
     """Write `trajectory.npz` (all arrays), `trajectory.csv` (a row a drone and time), `run.json` (options and outcomes)."""
     arrays, table, run = (folder / name for name in ("trajectory.npz", "trajectory.csv", "run.json"))
-    np.savez_compressed(arrays, **asdict(recording))
+    with whole_file(arrays) as part:
+        np.savez_compressed(part, **asdict(recording))
     header = ["time", "drone", "alive", "x", "y", "z", "qx", "qy", "qz", "qw", "vx", "vy", "vz", "p", "q", "r"]
-    with table.open("w", newline="") as file:
+    with whole_file(table) as part, part.open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(header)
         for t, time in enumerate(recording.time):
@@ -159,7 +161,7 @@ def save(recording: Recording, aviary: Aviary, policy: str, seed: int, folder: P
     about["outcomes"] = [
         {name: value if value != np.inf else None for name, value in row._asdict().items()} for row in outcomes(recording)
     ]
-    run.write_text(json.dumps(about, indent=2) + "\n")
+    replace_file(run, json.dumps(about, indent=2) + "\n")
     return [arrays, table, run]
 
 

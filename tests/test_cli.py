@@ -1,13 +1,17 @@
 import json
+import os
+import re
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 import bulletuav
 from bulletuav import doctor
 from bulletuav.benchmark import FLOORS
 from bulletuav.cli import main
+from bulletuav.commands.progress import telling
 from bulletuav.physics import world
 from bulletuav.physics.batch import Extension
 from bulletuav.physics.ladder import LADDER
@@ -120,7 +124,7 @@ def test_evaluating_prints_and_writes_and_goes_on(tmp_path, capsys):
         "summary.png",
     ):
         assert word in said.out
-    assert "flying episodes" in said.err
+    assert "flying: 3 of 3 episodes (100 %)" in said.err
     assert {path.name for path in (tmp_path / "run").iterdir()} == {
         "run.json",
         "episodes.csv",
@@ -287,11 +291,87 @@ def test_the_doctor_tells_what_is_missing(monkeypatch, capsys):
         found = {finding.subject: finding for finding in doctor.examine()}
     assert found["C extension"].remedy == "no compiler"
     assert found["C extension"].state.startswith("not active")
-    assert found["extra video"] == ("extra video", "missing", "pip install 'bulletuav[video]'")
+    assert found["extra video"][:2] == ("extra video", "missing")
+    assert re.fullmatch(r"pip install -c \S+/constraints\.txt -e '\S+\[video\]'", found["extra video"].remedy)
     assert found["live view"].state == "available"
     monkeypatch.setattr("bulletuav.commands.doctor.examine", lambda: list(found.values()))
     main(["doctor"])
-    assert "bulletuav[video]" in "".join(capsys.readouterr().out.split())
+    assert "[video]'" in "".join(capsys.readouterr().out.split())
     monkeypatch.setattr(world, "EXTENSION", world.EXTENSION._replace(path="/nowhere.so"))
     with pytest.warns(UserWarning, match="refused"):
         assert "refuses it" in doctor._extension().remedy
+
+
+def test_a_reader_that_has_seen_enough_is_no_error():
+    """`bulletuav tasks mec | head -1`: quiet, whether the pipe breaks while it prints or when it flushes."""
+    for command in (["tasks", "mec"], ["tasks", "mec", "--observation"], ["doctor"]):
+        shown = subprocess.Popen(
+            [sys.executable, "-m", "bulletuav", *command], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        shown.stdout.close()
+        _, said = shown.communicate()
+        assert said == ""
+        assert shown.returncode in (1, 141)  # rich ends with 1
+
+
+def test_memory_that_runs_out_is_told_in_one_line(capsys, monkeypatch):
+    def greedy(arguments):
+        np.empty(2**56)
+
+    monkeypatch.setattr("bulletuav.commands.tasks.run", greedy)
+    with pytest.raises(SystemExit) as end:
+        main(["tasks"])
+    assert end.value.code == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "memory ran out (Unable to allocate 512. PiB" in said
+
+
+def test_how_far_it_is_is_told_in_lines_where_there_is_no_terminal(capsys, monkeypatch):
+    now = iter(range(0, 1000, 4))
+    monkeypatch.setattr("bulletuav.commands.progress.time.monotonic", lambda: next(now))
+    with telling("training crossing", 1000, "steps") as tell:
+        for done in (0, 100, 200, 300, 400, 1000, 1000):
+            tell(done)
+    assert capsys.readouterr().err.splitlines() == [
+        "training crossing: 0 of 1,000 steps (0 %), 4 s",
+        "training crossing: 300 of 1,000 steps (30 %), 16 s",
+        "training crossing: 1,000 of 1,000 steps (100 %), 24 s",
+    ]
+
+
+def test_how_far_it_is_is_a_bar_on_a_terminal():
+    """In a pseudo-terminal."""
+    mine, theirs = os.openpty()
+    program = "from bulletuav.commands.progress import telling\n"
+    program += "with telling('flying', 3, 'episodes') as tell:\n    [tell(k) for k in range(4)]"
+    subprocess.run([sys.executable, "-c", program], check=True, stderr=theirs, env={**os.environ, "TERM": "xterm"})
+    os.close(theirs)
+    assert "3 of 3 episodes" in os.read(mine, 65536).decode()
+    os.close(mine)
+
+
+@pytest.mark.parametrize(
+    ("room", "command"),
+    [
+        (3000, ["fly", "hover", "--horizon", "5", "--dynamics", "rigid_body"]),
+        (3000, ["city", "--kind", "urban", "--side", "200"]),
+        (0, ["evaluate", "hover", "--episodes", "1", "--horizon", "5", "--dynamics", "rigid_body"]),
+        (3000, ["train", "converge", "--steps", "16", "--worlds", "1", "--evaluations", "1", "--episodes", "1"]),
+    ],
+)
+def test_a_full_disk_ends_in_one_line_that_names_the_file(room, command, tmp_path):
+    """Files of more than so many bytes cannot be written, as on a disk with that much room. A first run compiles."""
+    out = tmp_path / "out"
+    program = f"from bulletuav.cli import main; import resource; main({[*command, '--out', str(tmp_path / 'first')]!r}); "
+    program += f"resource.setrlimit(resource.RLIMIT_FSIZE, ({room}, {room})); main({[*command, '--out', str(out)]!r})"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert done.returncode == 2, done.stderr
+    last = done.stderr.splitlines()[-1]
+    assert "Traceback" not in done.stderr
+    assert str(out) in last
+    assert "too large" in last
+    assert not [path for path in out.rglob("*") if path.name.startswith(".part-")]
+    for path in out.rglob("*"):
+        if path.is_file() and path.parent.name != "tensorboard" and path.suffix != ".log":
+            assert path.stat().st_size < max(room, 1) or path.name == "lock"

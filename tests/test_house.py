@@ -9,7 +9,7 @@ import bulletuav
 
 PACKAGE = Path(bulletuav.__file__).parent
 LAYERS = [
-    {"errors", "kernel", "version"},
+    {"errors", "files", "kernel", "version"},
     {"physics", "control"},
     {"city", "network"},
     {"sensors"},
@@ -23,7 +23,7 @@ LAYERS = [
 ]
 RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
 FILES = sorted(PACKAGE.rglob("*.py"))
-EXTRAS = {"shapely", "imageio_ffmpeg", "stable_baselines3", "torch", "filelock", "yaml", "ray", "torchrl", "imageio"}
+EXTRAS = {"shapely", "imageio_ffmpeg", "stable_baselines3", "torch", "filelock", "ray", "torchrl", "imageio"}
 
 
 def imported(path):

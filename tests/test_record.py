@@ -100,7 +100,7 @@ def test_long_flights_are_drawn_in_few_frames(flown):
 def test_video_needs_its_extra_and_says_so(flown, tmp_path, monkeypatch):
     _, recording, _ = flown
     monkeypatch.setitem(__import__("sys").modules, "imageio_ffmpeg", None)
-    with pytest.raises(ImportError, match=r"pip install 'bulletuav\[video\]'"):
+    with pytest.raises(ImportError, match=r"pip install -c .*constraints.txt .*\[video\]'"):
         Animation(recording, 5.0, 0.55, "title").save(tmp_path / "flight.mp4")
 
 

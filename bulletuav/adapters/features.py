@@ -14,7 +14,7 @@ try:
     from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
     from torch import nn
 except ImportError:
-    raise missing("this adapter", "sb3") from None
+    raise missing("learning with stable-baselines3", "sb3") from None
 
 
 class Symlog(BaseFeaturesExtractor):

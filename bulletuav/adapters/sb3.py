@@ -11,19 +11,18 @@ none, and SB3's own buffers do as well.
 
 import contextlib
 import random
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from gymnasium.spaces import Box, Dict, Space
 
-from bulletuav.adapters.features import Symlog, UserSum
+from bulletuav.adapters.features import Symlog
 from bulletuav.envs.aviary import Aviary, Step
 from bulletuav.envs.curriculum import Curriculum, common_observation
+from bulletuav.envs.environment import Environment, exclusive
 from bulletuav.envs.plan import Plan
 from bulletuav.envs.spaces import widest_action_space
-from bulletuav.errors import missing, unknown, whole
-from bulletuav.policies.network import HIGH, LOW
+from bulletuav.errors import missing, whole
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.terms.observations import Observation, part
 
@@ -32,11 +31,10 @@ try:
     import torch
     from stable_baselines3.common.buffers import ReplayBuffer, RolloutBuffer
     from stable_baselines3.common.callbacks import BaseCallback
-    from stable_baselines3.common.preprocessing import is_image_space, is_image_space_channels_first
     from stable_baselines3.common.type_aliases import RolloutBufferSamples
-    from stable_baselines3.common.vec_env import VecEnv, VecTransposeImage
+    from stable_baselines3.common.vec_env import VecEnv
 except ImportError:
-    raise missing("this adapter", "sb3") from None
+    raise missing("learning with stable-baselines3", "sb3") from None
 
 
 __all__ = [
@@ -47,13 +45,8 @@ __all__ = [
     "Symlog",
     "algorithm",
     "own_random",
-    "policy_arguments",
-    "policy_network",
     "single_thread",
 ]
-
-FEATURES: dict[str | None, type | None] = {"symlog": Symlog, "user_sum": UserSum, None: None}
-"""What observed numbers go through first, by the setting `features` of a run"""
 
 
 def algorithm(name: str) -> Any:
@@ -78,76 +71,7 @@ def single_thread() -> None:
     torch.set_num_threads(1)
 
 
-def policy_arguments(model: Mapping[str, Any], num_drones: int, pictures: bool) -> dict[str, Any]:
-    """Make the arguments of stable-baselines3's policy from a run's settings of its algorithm.
-
-    Args:
-        model: The settings, `features` and `policy_kwargs` among them.
-        num_drones: In a world.
-        pictures: Whether pictures are observed, which have features of their own.
-    """
-    features = model["features"]
-    if features not in FEATURES:
-        raise unknown("features", features, filter(None, FEATURES))
-    given = model.get("policy_kwargs", {})
-    if not isinstance(given, Mapping):
-        raise ValueError(f"policy_kwargs is {given!r}: names with values are needed")
-    arguments = dict(given)
-    if features is not None and not pictures:
-        arguments.setdefault("features_extractor_class", FEATURES[features])
-    if features == "user_sum":
-        arguments["features_extractor_kwargs"] = {"num_drones": num_drones, **arguments.get("features_extractor_kwargs", {})}
-    return arguments
-
-
-def policy_network(
-    name: str, model: Mapping[str, Any], observed: Space, given: Space, num_drones: int, weights: Mapping[str, np.ndarray]
-) -> Callable[[Any], np.ndarray]:
-    """Build the network of a run's policy and fill in its weights; nothing but numbers is read.
-
-    Args:
-        name: The algorithm.
-        model: The run's settings of it.
-        observed: Space of one drone's observations.
-        given: Space of its actions.
-        num_drones: In a world.
-        weights: By the names of the policy's `state_dict`, and the bounds of the actions.
-
-    Returns:
-        A function from rows of observations to rows of deterministic actions.
-
-    Raises:
-        ValueError: The weights do not fit.
-    """
-    single_thread()
-    pictures = isinstance(observed, Dict)
-    if isinstance(observed, Dict):
-        observed = Dict({key: _channels_first(space) for key, space in observed.spaces.items()})
-    state = {known: torch.as_tensor(array) for known, array in weights.items() if known not in (LOW, HIGH)}
-    if LOW in weights:
-        given = Box(weights[LOW], weights[HIGH], dtype=np.float32)
-    arguments = policy_arguments(model, num_drones, pictures)
-    if name in ("ppo", "a2c", "sac"):
-        arguments["use_sde"] = model.get("use_sde", False)
-    with own_random():
-        kind = algorithm(name).policy_aliases["MultiInputPolicy" if pictures else "MlpPolicy"]
-        policy = kind(observed, given, lambda _: 0.0, **arguments)
-    try:
-        policy.load_state_dict(state)
-    except RuntimeError as error:
-        raise ValueError(str(error)) from None
-    policy.set_training_mode(False)
-    return lambda rows: policy.predict(rows, deterministic=True)[0]
-
-
-def _channels_first(space: Space) -> Space:
-    """The space as networks see it that SB3 made: it turns pictures."""
-    if isinstance(space, Box) and is_image_space(space) and not is_image_space_channels_first(space):
-        return VecTransposeImage.transpose_space(space)
-    return space
-
-
-class DroneVecEnv(VecEnv):
+class DroneVecEnv(Environment, VecEnv):
     """W worlds of N drones as W * N slots: slot w * N + i is drone i of world w, with its own observation.
 
     Worlds start anew when all their drones are done. Infos are empty but where a drone's episode ends: then they hold
@@ -204,6 +128,7 @@ class DroneVecEnv(VecEnv):
         self._unseeded = set(range(len(self._level_options)))
         return [None if seed is None else seed + slot // self.num_drones for slot in range(self.num_envs)]
 
+    @exclusive
     def reset(self) -> Any:
         """Start new episodes in all worlds, at the level that the curriculum says; observations (slots, D), or a dict."""
         return self._rows(self._start(np.ones(self.num_worlds, dtype=bool)))
@@ -229,6 +154,7 @@ class DroneVecEnv(VecEnv):
         """Take the actions (slots, A), or (slots,) choices; those of slots without a drone are ignored."""
         self._actions = np.asarray(actions).reshape(self.num_worlds, self.num_drones, -1)
 
+    @exclusive
     def step_wait(self) -> tuple[Any, np.ndarray, np.ndarray, list[dict[str, Any]]]:
         """Fly one decision: observations, rewards (slots,), dones (slots,) and infos."""
         aviary = self.aviary
@@ -323,6 +249,7 @@ class DroneVecEnv(VecEnv):
         """By nothing."""
         return [False] * len(list(self._get_indices(indices)))
 
+    @exclusive
     def close(self) -> None:
         """Free the engines; a second call does nothing."""
         for aviary in self._aviaries.values():

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from bulletuav.city.model import City
+from bulletuav.files import replace_file
 from bulletuav.physics.solids import obj_lines
 
 
@@ -16,4 +17,4 @@ def write_obj(city: City, path: str | Path) -> None:
         (f"building_{building}_piece_{piece}", corners, faces)
         for piece, (building, (corners, faces)) in enumerate(zip(city.building, city.solids.faces, strict=True))
     )
-    Path(path).write_text("\n".join([about, *obj_lines(pieces)]) + "\n")
+    replace_file(path, "\n".join([about, *obj_lines(pieces)]) + "\n")

@@ -135,7 +135,7 @@ def _shapely() -> ModuleType:
     try:
         import shapely
     except ImportError:
-        raise missing("GeoJSON", "city") from None
+        raise missing("reading GeoJSON", "city") from None
     return shapely
 
 

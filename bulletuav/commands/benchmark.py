@@ -1,12 +1,13 @@
 """`bulletuav benchmark`: how fast this machine is."""
 
 import argparse
+import itertools
 
 from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 
 from bulletuav.benchmark import FLOORS, ROUNDS, SIZES, measure
+from bulletuav.commands.progress import telling
 from bulletuav.physics.ladder import LADDER
 
 ABOUT = {
@@ -26,9 +27,9 @@ def run(arguments: argparse.Namespace) -> None:
     sizes = tuple(arguments.drones)
     if min(sizes) < 1 or not arguments.seconds > 0:
         raise ValueError(f"--drones {sizes}, --seconds {arguments.seconds}: numbers above 0 are needed")
-    with Progress(console=Console(stderr=True)) as progress:
-        measuring = progress.add_task("measuring", total=len(sizes) * (len(LADDER) + len(FLOORS)) * ROUNDS)
-        results = measure(sizes, arguments.seconds, lambda: progress.advance(measuring))
+    done = itertools.count(1)
+    with telling("measuring", len(sizes) * (len(LADDER) + len(FLOORS)) * ROUNDS, "measurements") as progress:
+        results = measure(sizes, arguments.seconds, lambda: progress(next(done)))
     table = Table(title="drone-substeps per CPU-second, one thread, 240 Hz, all forces; below it the reset of the world")
     table.add_column("dynamics", no_wrap=True)
     for size in sizes:

@@ -23,7 +23,8 @@ from bulletuav.city.render import render
 from bulletuav.city.statistics import KINDS, Statistics, realised
 from bulletuav.commands.options import out_folder, tell_files
 from bulletuav.errors import pick, whole
-from bulletuav.pictures import blank_figure
+from bulletuav.files import replace_file, whole_file
+from bulletuav.pictures import blank_figure, save_figure
 
 ABOUT = {
     "help": "make a city and write its map, OBJ file and statistics",
@@ -66,10 +67,11 @@ def run(arguments: argparse.Namespace) -> None:
     files = [out / "map.png", out / "city.obj", out / "statistics.json", out / "city.png"]
     figure = blank_figure(9, 8)
     draw_map(city, figure.add_subplot())
-    figure.savefig(files[0], dpi=110)
-    Image.fromarray(render(city.solids, city.side)).save(files[3])
+    save_figure(figure, files[0])
+    with whole_file(files[3]) as part:
+        Image.fromarray(render(city.solids, city.side)).save(part)
     write_obj(city, files[1])
-    files[2].write_text(json.dumps(_described(city, measured), indent=2) + "\n")
+    replace_file(files[2], json.dumps(_described(city, measured), indent=2) + "\n")
     console = Console()
     console.print(_table(city, measured))
     tell_files(console, files)

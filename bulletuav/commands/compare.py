@@ -19,6 +19,7 @@ from bulletuav.commands.options import (
     tell_files,
 )
 from bulletuav.errors import unknown
+from bulletuav.files import replace_file
 from bulletuav.leaderboard import markdown, write_csv
 from bulletuav.policies import find_policy
 
@@ -92,7 +93,7 @@ def run(arguments: argparse.Namespace) -> None:
             results[-1].save(folder)
     files = [out / "leaderboard.md", out / "leaderboard.csv", out / "leaderboard.png"]
     table = markdown(results, arguments.against)
-    files[0].write_text(table)
+    replace_file(files[0], table)
     write_csv(results, files[1])
     plot_leaderboard(results, files[2])
     console = Console()

@@ -1,10 +1,10 @@
 """`bulletuav fly`: one episode, its files and pictures."""
 
 import argparse
+import itertools
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 
 from bulletuav.commands.options import (
@@ -16,6 +16,7 @@ from bulletuav.commands.options import (
     out_folder,
     tell_files,
 )
+from bulletuav.commands.progress import telling
 from bulletuav.envs.aviary import Aviary
 from bulletuav.errors import whole
 from bulletuav.evaluation import EPISODES
@@ -57,19 +58,18 @@ def run(arguments: argparse.Namespace) -> None:
         raise ValueError(f"--out {arguments.out} holds an evaluation: choose another folder")
     for old in out_folder(arguments.out).glob("flight.*"):
         old.unlink()  # of an earlier flight
-    with Progress(console=Console(stderr=True)) as progress:
-        flight = progress.add_task("flying", total=aviary.options.horizon)
-        recording = fly_episode(aviary, policy, arguments.seed, lambda: progress.advance(flight))
-        progress.update(flight, total=len(recording.reward))
-        files = save(recording, aviary, arguments.policy, arguments.seed, arguments.out)
-        files += _draw(recording, aviary, arguments, progress)
+    flown, most = itertools.count(1), aviary.options.horizon
+    with telling("flying", most, "decisions") as progress:
+        recording = fly_episode(aviary, policy, arguments.seed, lambda: progress(next(flown)))
+    files = save(recording, aviary, arguments.policy, arguments.seed, arguments.out)
+    files += _draw(recording, aviary, arguments)
     console = Console()
     console.print(_table(recording, arguments.task, aviary))
     tell_files(console, files)
     aviary.close()
 
 
-def _draw(recording: Recording, aviary: Aviary, arguments: argparse.Namespace, progress: Progress) -> list[Path]:
+def _draw(recording: Recording, aviary: Aviary, arguments: argparse.Namespace) -> list[Path]:
     airframes, d_safe = aviary.options.airframe, aviary.task.config.d_safe
     names = ", ".join(sorted({airframe.name for airframe in airframes}))
     title = f"{arguments.task}: {aviary.num_drones} {names}, {arguments.policy}, seed {arguments.seed}"
@@ -79,8 +79,9 @@ def _draw(recording: Recording, aviary: Aviary, arguments: argparse.Namespace, p
         return [tracks]
     animation = Animation(recording, d_safe, 2 * aviary.task.setting.collision_radius, title)
     path = arguments.out / f"flight.{arguments.animation}"
-    drawing = progress.add_task("drawing", total=len(animation))
-    animation.save(path, lambda: progress.advance(drawing))
+    drawn = itertools.count(1)
+    with telling("drawing", len(animation), "pictures") as progress:
+        animation.save(path, lambda: progress(next(drawn)))
     return [tracks, path]
 
 

@@ -10,8 +10,8 @@ from types import MappingProxyType
 from typing import Any
 
 from rich.console import Console
-from rich.progress import Progress
 
+from bulletuav.commands.progress import telling
 from bulletuav.control.actions import ACTIONS
 from bulletuav.control.cascade import CONTROLLERS
 from bulletuav.envs.options import Options, resolve
@@ -87,13 +87,14 @@ def flyable_options(task: str, pilot: Pilot, options: dict[str, Any]) -> dict[st
 
 @contextlib.contextmanager
 def episodes_bar(total: int) -> Iterator[Advance]:
-    """A progress bar on standard error, told how many more episodes are done; it appears once all was found in order."""
-    with Progress(console=Console(stderr=True)) as progress:
+    """Tell how far an evaluation is; the function that it yields takes how many more episodes are done."""
+    done = 0
+    with telling("flying", total, "episodes") as progress:
 
         def advance(episodes: int) -> None:
-            if not progress.tasks:
-                progress.add_task("flying episodes", total=total)
-            progress.advance(progress.tasks[0].id, episodes)
+            nonlocal done
+            done += episodes
+            progress(done)
 
         yield advance
 

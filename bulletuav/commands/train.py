@@ -6,11 +6,12 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from bulletuav.charts import plot_curves
 from bulletuav.commands.options import add_options, given_options, literals, out_folder, tell_files
+from bulletuav.commands.progress import telling
 from bulletuav.envs.options import resolve
+from bulletuav.files import replace_file
 from bulletuav.policies.run import ALGORITHMS, CONFIG, POLICY, RunConfig, shipped, shipped_tasks
 from bulletuav.tasks import find_task
 from bulletuav.training.campaign import Campaign, learning_table
@@ -112,9 +113,8 @@ def _single(arguments: argparse.Namespace, config: RunConfig) -> None:
     from bulletuav.training.trainer import train  # from here on the extra is needed
 
     out = out_folder(arguments.out or Path("training") / f"{config.task}-{config.algo}-{config.seed}")
-    with _bars() as progress:
-        bar = progress.add_task(f"training {config.task}", total=config.steps)
-        rows = train(config, out, lambda steps: progress.update(bar, completed=steps))
+    with telling(f"training {config.task}", config.steps, "steps") as progress:
+        rows = train(config, out, progress)
     _finish(out, [(config, rows)], [out / CONFIG, out / POLICY, out / CURVE])
 
 
@@ -122,21 +122,15 @@ def _several(arguments: argparse.Namespace, configs: list[RunConfig]) -> None:
     out = out_folder(arguments.out or Path("training"))
     chosen = arguments.seeds or ([0, 1, 2] if arguments.seed is None else [arguments.seed])
     campaign = Campaign([dataclasses.replace(config, seed=seed) for config in configs for seed in chosen], out / "runs")
-    with _bars() as progress:
-        bar = progress.add_task(f"training {len(campaign.configs)} runs", total=campaign.total)
-        runs = campaign.train(arguments.workers, lambda steps: progress.update(bar, completed=steps))
+    with telling(f"training {len(campaign.configs)} runs", campaign.total, "steps") as progress:
+        runs = campaign.train(arguments.workers, progress)
     _finish(out, runs, [])
-
-
-def _bars() -> Progress:
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:,.0f} of {task.total:,.0f} steps"))
-    return Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True))
 
 
 def _finish(out: Path, runs: list[tuple[RunConfig, list[Row]]], files: list[Path]) -> None:
     """The table and the picture of the curves."""
     table, picture = out / "learning.md", out / "curves.png"
-    table.write_text(learning_table(runs))
+    replace_file(table, learning_table(runs))
     plot_curves(runs, picture)
     console = Console()
     console.print(table.read_text(), markup=False, soft_wrap=True)

@@ -12,6 +12,7 @@ from bulletuav.control.gains import gain_rows
 from bulletuav.control.levels import Level
 from bulletuav.envs.camera import Camera
 from bulletuav.envs.energy import Energy
+from bulletuav.envs.environment import Environment, exclusive
 from bulletuav.envs.plan import Plan
 from bulletuav.envs.randomization import Uncertainty
 from bulletuav.envs.senses import Senses
@@ -46,7 +47,7 @@ class Step(NamedTuple):
     info: dict[str, np.ndarray]
 
 
-class Aviary:
+class Aviary(Environment):
     """W worlds of N drones flying one task.
 
     Never resets by itself: a drone whose episode ended leaves the airspace and is masked by `alive` (W, N) until its world
@@ -104,6 +105,7 @@ class Aviary:
         period = 1 / self.options.decision_hz
         return Uncertainty(self.options.randomization, self._world, self.parameters, self._wind, period)
 
+    @exclusive
     def reset(self, mask: np.ndarray | None = None, seeds: int | Sequence[int] | None = None) -> Observation:
         """Start new episodes in the worlds of `mask` (W,), all by default; returns observations (W, N, D) float32.
 
@@ -187,6 +189,7 @@ class Aviary:
             readings,
         )
 
+    @exclusive
     def step(self, actions: np.ndarray) -> Step:
         """Fly one decision with actions (W, N, A), those beyond the bounds clipped to them.
 
@@ -256,8 +259,11 @@ class Aviary:
         info["separation"] = frame.conflict.separation
         info["goal_distance"] = frame.distance
         info |= {name: frame.readings[name] for name in ("power", "charge")} | self.task.info(frame)
-        return info if self._uncertainty is None else info | self._uncertainty.info()
+        if self._uncertainty is not None:
+            info |= self._uncertainty.info()
+        return {name: np.array(value) for name, value in info.items()}  # whose callers may write into them
 
+    @exclusive
     def first_info(self) -> dict[str, np.ndarray]:
         """Info right after a reset: the keys of every step's info, terms at zero."""
         verdict = self.task.judge(self._current())
@@ -268,6 +274,7 @@ class Aviary:
             raise RuntimeError("the worlds have not been started: call reset() first")
         return self._frame
 
+    @exclusive
     def state(self) -> np.ndarray:
         """(W, N * 17) float32: the true position, attitude, velocity, rates, goal position and alive of every drone."""
         frame = self._current()
@@ -277,6 +284,7 @@ class Aviary:
         assert isinstance(state, np.ndarray)  # no pictures among its blocks
         return state.reshape(self.num_worlds, -1)
 
+    @exclusive
     def render(self, world: int = 0) -> np.ndarray | None:
         """(height, width, 3) uint8 picture of a world with render_mode "rgb_array"; None otherwise.
 
@@ -293,6 +301,7 @@ class Aviary:
         self._world.park(flown & ~self.alive)
         return picture
 
+    @exclusive
     def line_of_sight(self, start: np.ndarray, end: np.ndarray, world: np.ndarray | int = 0) -> np.ndarray:
         """(M,) bool: nothing but drones is between points `start` and `end` (M, 3), m, in worlds `world`, one or (M,).
 
@@ -331,6 +340,7 @@ class Aviary:
         if self._world.closed:
             raise RuntimeError("this environment is closed: make a new one")
 
+    @exclusive
     def close(self) -> None:
         """Free the engine; a second call does nothing."""
         self._world.close()

@@ -7,12 +7,13 @@ from gymnasium.spaces import Box, Dict, Space
 from gymnasium.vector import AutoresetMode
 
 from bulletuav.envs.aviary import Aviary
+from bulletuav.envs.environment import Environment, exclusive
 from bulletuav.envs.spaces import widest_action_space
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.terms.observations import Observation
 
 
-class BatchAviary:
+class BatchAviary(Environment):
     """W worlds of N drones: arrays in, arrays out. A world's episode is over when all its drones are done.
 
     What then happens follows Gymnasium's `AutoresetMode`: NEXT_STEP, the step after the last ignores the world's actions and
@@ -37,14 +38,19 @@ class BatchAviary:
         self.num_envs, self.num_drones = self.aviary.num_worlds, self.aviary.num_drones
         self.observation_space: Box | Dict = self.aviary.observer.space()
         self.action_space: Space = widest_action_space(self.aviary.action)
-        self.ended: np.ndarray = np.zeros(self.num_envs, dtype=bool)
-        """(W,) worlds whose episode ended in the last step"""
+        self._ended = np.zeros(self.num_envs, dtype=bool)
 
     @property
     def alive(self) -> np.ndarray:
         """(W, N) bool: drones whose episode goes on."""
-        return self.aviary.alive
+        return self.aviary.alive.copy()
 
+    @property
+    def ended(self) -> np.ndarray:
+        """(W,) worlds whose episode ended in the last step."""
+        return self._ended.copy()
+
+    @exclusive
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
         """Start new episodes in all worlds, or in those of options["reset_mask"] (W,).
 
@@ -52,9 +58,10 @@ class BatchAviary:
         """
         mask = (options or {}).get("reset_mask")
         observations = self.aviary.reset(mask, seed)
-        self.ended = self.ended & (False if mask is None else ~np.asarray(mask))
+        self._ended = self._ended & (False if mask is None else ~np.asarray(mask))
         return observations, dict(self.aviary.first_info())
 
+    @exclusive
     def step(self, actions: np.ndarray) -> tuple[Observation, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """One decision of all worlds with actions (W, N, A), or (W, N) choices of a discrete action.
 
@@ -63,19 +70,19 @@ class BatchAviary:
         actions = np.asarray(actions)
         if self.aviary.action.choices is not None:
             actions = actions[..., None]
-        fresh = self.ended & (self.autoreset_mode == AutoresetMode.NEXT_STEP)
+        fresh = self._ended & (self.autoreset_mode == AutoresetMode.NEXT_STEP)
         flying = self.aviary.alive.any(axis=1)
         observations, rewards, terminated, truncated, info = self.aviary.step(actions)
         infos: dict[str, Any] = dict(info)
-        self.ended = flying & ~np.any(self.aviary.alive, axis=1)
+        self._ended = flying & ~np.any(self.aviary.alive, axis=1)
         if fresh.any():
             observations = self.aviary.reset(fresh)
             infos |= self._with_fresh(infos, fresh)
-        if self.ended.any() and self.autoreset_mode == AutoresetMode.SAME_STEP:
+        if self._ended.any() and self.autoreset_mode == AutoresetMode.SAME_STEP:
             infos |= {"final_obs": observations, "final_state": self.aviary.state(), "final_info": info}
             infos |= {"_final_obs": self.ended, "_final_info": self.ended}
-            observations = self.aviary.reset(self.ended)
-            infos |= self._with_fresh(info, self.ended)
+            observations = self.aviary.reset(self._ended)
+            infos |= self._with_fresh(info, self._ended)
         return observations, rewards, terminated, truncated, infos
 
     def _with_fresh(self, info: dict[str, np.ndarray], worlds: np.ndarray) -> dict[str, np.ndarray]:
@@ -91,6 +98,7 @@ class BatchAviary:
         """A picture (height, width, 3) uint8 of one world with render_mode "rgb_array"."""
         return self.aviary.render(world)
 
+    @exclusive
     def close(self) -> None:
         """Free the engine; a second call does nothing."""
         self.aviary.close()

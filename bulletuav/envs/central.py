@@ -14,6 +14,7 @@ from gymnasium.vector.utils import batch_space
 
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.batch import BatchAviary
+from bulletuav.envs.environment import Environment, exclusive
 from bulletuav.envs.spaces import joint_action_space, joint_numbers
 from bulletuav.tasks import TaskSource, list_tasks
 from bulletuav.tasks.terms.observations import Observation, part
@@ -49,7 +50,7 @@ def _central(aviary: Aviary, observations: Observation) -> Observation:
     return part(observations, (slice(None), 0)) if aviary.num_drones == 1 else aviary.state()
 
 
-class CentralAviary(gymnasium.Env):
+class CentralAviary(Environment, gymnasium.Env):
     """One world as a `gymnasium.Env`."""
 
     metadata = METADATA
@@ -61,12 +62,14 @@ class CentralAviary(gymnasium.Env):
         self.observation_space = _observation_space(self.aviary)
         self.action_space = joint_action_space(self.aviary.action)
 
+    @exclusive
     def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[Any, dict]:
         """Start a new episode; `options` is Gymnasium's and not read."""
         super().reset(seed=seed)
         observations = self.aviary.reset(seeds=seed)
         return part(_central(self.aviary, observations), 0), _of_world(self.aviary.first_info())
 
+    @exclusive
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict]:
         """One decision of all drones; infos are (N,) arrays."""
         step = self.aviary.step(joint_numbers(self.aviary.action, np.asarray(action)[None], 1))
@@ -79,6 +82,7 @@ class CentralAviary(gymnasium.Env):
         """A picture (height, width, 3) uint8 with render_mode "rgb_array"."""
         return self.aviary.render()
 
+    @exclusive
     def close(self) -> None:
         """Free the engine; a second call does nothing."""
         self.aviary.close()
@@ -88,7 +92,7 @@ def _of_world(info: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     return {name: value[0] for name, value in info.items()}
 
 
-class CentralVectorAviary(gymnasium.vector.VectorEnv):
+class CentralVectorAviary(Environment, gymnasium.vector.VectorEnv):
     """W worlds as a `gymnasium.vector.VectorEnv`; infos are (W, N) arrays."""
 
     metadata = METADATA
@@ -110,11 +114,13 @@ class CentralVectorAviary(gymnasium.vector.VectorEnv):
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
 
+    @exclusive
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Start new episodes in all worlds, or in those of options["reset_mask"] (W,); seeds as in `BatchAviary.reset`."""
         observations, infos = self._batch.reset(seed=seed, options=options)
         return _central(self.aviary, observations), infos
 
+    @exclusive
     def step(self, actions: Any) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """One decision of all worlds; rewards, terminated and truncated are (W,)."""
         batch = joint_numbers(self.aviary.action, actions, self.num_envs)
@@ -131,6 +137,7 @@ class CentralVectorAviary(gymnasium.vector.VectorEnv):
         """Pictures of all worlds with render_mode "rgb_array"."""
         return tuple(self.aviary.render(world) for world in range(self.num_envs))
 
+    @exclusive
     def close(self, **kwargs: Any) -> None:
         """Free the engine; a second call does nothing."""
         self.aviary.close()

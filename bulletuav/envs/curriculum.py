@@ -8,6 +8,7 @@ import numpy as np
 from gymnasium.spaces import Box, Space
 from pettingzoo import ParallelEnv
 
+from bulletuav.envs.environment import Environment, exclusive
 from bulletuav.envs.parallel import ParallelAviary, check_agents
 from bulletuav.envs.plan import Plan
 from bulletuav.envs.spaces import drone_action_space
@@ -59,7 +60,7 @@ class Curriculum:
         self._recent = deque(state["recent"], maxlen=self.window)
 
 
-class CurriculumAviary(ParallelEnv):
+class CurriculumAviary(Environment, ParallelEnv):
     """`pettingzoo.ParallelEnv` whose episodes come from the level that `curriculum` says; infos tell it as "level".
 
     Agents are those of the largest level; in smaller ones the last of them do not take part. Observation spaces are as wide
@@ -102,6 +103,7 @@ class CurriculumAviary(ParallelEnv):
         """The agent's action space, the same object each time."""
         return self.action_spaces[agent]
 
+    @exclusive
     def reset(self, seed: int | None = None, options: dict | None = None) -> tuple[dict, dict]:
         """Start a new episode, of another level if the last ones ask for it.
 
@@ -120,9 +122,11 @@ class CurriculumAviary(ParallelEnv):
         self.agents = self.env.agents[:]
         return observations, self._with_level(infos)
 
+    @exclusive
     def step(self, actions: dict[str, np.ndarray]) -> tuple[dict, dict, dict, dict, dict]:
         """As `ParallelAviary.step`; actions of agents that take no part in this level are not looked at."""
         env = self.env
+        env.aviary.require_started()
         check_agents(actions, self.agents, self.possible_agents)
         actions = {agent: action for agent, action in actions.items() if agent in self.agents}
         observations, rewards, terminated, truncated, infos = env.step(actions)
@@ -145,6 +149,7 @@ class CurriculumAviary(ParallelEnv):
         """A picture of the episode that goes on."""
         return self.env.render()
 
+    @exclusive
     def close(self) -> None:
         """Free the engines; a second call does nothing."""
         for env in self._made.values():

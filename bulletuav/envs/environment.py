@@ -17,7 +17,7 @@ class Environment:
     """
 
     _made_from: tuple[tuple[Any, ...], dict[str, Any]]
-    _busy: threading.RLock  # type: ignore[valid-type]
+    _busy: threading.RLock
 
     def __new__(cls, *args: Any, **kwargs: Any) -> Any:
         """Note the arguments, each as it is now: lists and dicts may change in the caller's hands."""

@@ -218,8 +218,8 @@ def resolve(task: type[Task], given: Mapping[str, Any]) -> tuple[Options, Any]:
     """Common options and the task's config from keyword arguments.
 
     What is given goes before the preset's values, those before the difficulty's, those before the task's defaults. Raises
-    ValueError for an unknown option (`UnknownOptionError`, a TypeError too), preset or difficulty, with the nearest names, or
-    a value that cannot be.
+    ValueError for an unknown option (`UnknownOptionError`, which is a TypeError too), preset or difficulty, with the nearest
+    names, or a value that cannot be.
     """
     common = {field.name for field in dataclasses.fields(Options)}
     own = {field.name for field in dataclasses.fields(task.Config)}

@@ -1,21 +1,24 @@
 """The PettingZoo face: one world, agents `drone_0` ... that leave when their episode ends."""
 
+import copy
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from gymnasium.spaces import Box, Space
-from pettingzoo import AECEnv, ParallelEnv
-from pettingzoo.utils.conversions import parallel_to_aec
+from pettingzoo import ParallelEnv
+from pettingzoo.utils.conversions import parallel_to_aec_wrapper
+from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
 from bulletuav.envs.aviary import Aviary
+from bulletuav.envs.environment import Environment, exclusive
 from bulletuav.envs.spaces import drone_action_space, drone_numbers
 from bulletuav.errors import unknown
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.terms.observations import Observation, part
 
 
-class ParallelAviary(ParallelEnv):
+class ParallelAviary(Environment, ParallelEnv):
     """`pettingzoo.ParallelEnv` of one task; `aviary` is the batched core with W = 1."""
 
     def __init__(self, task: TaskSource, **options: Any):
@@ -44,12 +47,14 @@ class ParallelAviary(ParallelEnv):
         """The agent's action space, the same object each time."""
         return self.action_spaces[agent]
 
+    @exclusive
     def reset(self, seed: int | None = None, options: dict | None = None) -> tuple[dict, dict]:
         """Start a new episode; returns observations and infos by agent. `options` is PettingZoo's and not read."""
         observations = self.aviary.reset(seeds=seed)
         self.agents = self.possible_agents[:]
         return self._by_agent(observations), self._infos(self.aviary.first_info())
 
+    @exclusive
     def step(self, actions: dict[str, np.ndarray]) -> tuple[dict, dict, dict, dict, dict]:
         """Fly one decision of all living agents.
 
@@ -96,6 +101,7 @@ class ParallelAviary(ParallelEnv):
         """A picture (height, width, 3) uint8 with render_mode "rgb_array"."""
         return self.aviary.render()
 
+    @exclusive
     def close(self) -> None:
         """Free the engine; a second call does nothing."""
         self.aviary.close()
@@ -123,6 +129,17 @@ def parallel_env(task: TaskSource, **options: Any) -> ParallelAviary:
     return ParallelAviary(task, **options)
 
 
-def aec_env(task: TaskSource, **options: Any) -> AECEnv:
-    """The task as a `pettingzoo.AECEnv`, through PettingZoo's own conversion; see `parallel_env`."""
-    return parallel_to_aec(ParallelAviary(task, **options))
+class TurnAviary(Environment, OrderEnforcingWrapper):
+    """`pettingzoo.AECEnv` of one task, through PettingZoo's own conversion; agents take turns."""
+
+    def __init__(self, task: TaskSource, **options: Any):
+        super().__init__(parallel_to_aec_wrapper(ParallelAviary(task, **options)))
+
+    def observe(self, agent: str) -> Any:
+        """A copy of the agent's last observation, which PettingZoo keeps."""
+        return copy.deepcopy(super().observe(agent))
+
+
+def aec_env(task: TaskSource, **options: Any) -> TurnAviary:
+    """The task as a `pettingzoo.AECEnv`; see `parallel_env`."""
+    return TurnAviary(task, **options)

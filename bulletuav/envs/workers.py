@@ -1,16 +1,14 @@
 """The batched face over several processes: each flies some of the worlds, arrays are shared."""
 
 import contextlib
-import ctypes
 import itertools
-import math
 import multiprocessing
 import os
 import pickle
-import signal
+import time
 import weakref
 from collections.abc import Iterator
-from multiprocessing.connection import Connection, wait
+from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
@@ -18,86 +16,16 @@ from gymnasium.spaces import Box, Dict, Space
 from gymnasium.vector import AutoresetMode
 
 from bulletuav.envs.batch import BatchAviary
+from bulletuav.envs.environment import Environment, exclusive
 from bulletuav.envs.plan import Plan
 from bulletuav.envs.spaces import widest_action_space
-from bulletuav.errors import pick, whole
+from bulletuav.envs.worker import Shared, named, work
+from bulletuav.errors import finite, pick, whole
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.terms.observations import Observation
 
-PATIENCE = 5.0  # s, for a worker to end
-
-
-class Shared:
-    """Arrays in memory that processes share, by name."""
-
-    def __init__(self, context: Any, layout: dict[str, tuple[tuple[int, ...], Any]]):
-        """layout: shape and type of each."""
-        self._layout = layout
-        self._memory = {
-            name: context.RawArray(ctypes.c_byte, max(1, math.prod(shape) * np.dtype(kind).itemsize))
-            for name, (shape, kind) in layout.items()
-        }
-
-    def arrays(self, first: int, last: int) -> dict[str, np.ndarray]:
-        """Views on the worlds from `first` up to `last`."""
-        return {
-            name: np.frombuffer(self._memory[name], dtype=kind, count=math.prod(shape)).reshape(shape)[first:last]
-            for name, (shape, kind) in self._layout.items()
-        }
-
-
-def _work(pipe: Connection, shared: Shared, first: int, last: int, arguments: tuple, options: dict[str, Any]) -> None:
-    """A worker: the worlds from `first` up to `last`, asked by (method, keyword arguments) until None comes."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # an interrupt is for the process that asks
-    arrays = shared.arrays(first, last)
-    try:
-        batch = BatchAviary(arguments[0], last - first, *arguments[1:], first_world=first, **options)
-    except Exception as error:
-        pipe.send(portable(error))
-        return
-    pipe.send(None)
-    while (question := _next(pipe)) is not None:
-        method, keywords = question
-        try:
-            if method == "step":
-                keywords = {"actions": arrays["action"][..., 0] if keywords["choices"] else arrays["action"]}
-            answer = getattr(batch, method)(**keywords)
-            if method in ("step", "reset"):
-                observations, *judged, answer = answer
-                arrays["alive"][:], arrays["ended"][:] = batch.alive, batch.ended
-                for name, array in _named(observations).items():
-                    arrays[name][:] = array
-                for name, array in zip(("reward", "terminated", "truncated"), judged, strict=False):
-                    arrays[name][:] = array
-        except Exception as error:
-            answer = portable(error)
-        pipe.send(answer)
-    batch.close()
-
-
-def portable(error: Exception) -> Exception:
-    """The error, or one that says the same and surely survives the way to another process."""
-    return (
-        error if type(error) in (ValueError, RuntimeError, ImportError) else RuntimeError(f"{type(error).__name__}: {error}")
-    )
-
-
-def _next(pipe: Connection) -> Any:
-    """The next question; None when the asking process has ended (whose end of the pipe a fork may have left open)."""
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-    if pipe not in wait([pipe, parent.sentinel]):
-        return None
-    try:
-        return pipe.recv()
-    except (EOFError, OSError):
-        return None
-
-
-def _named(observations: Any) -> dict[str, Any]:
-    """Observations, or their spaces, by the names of their shared arrays."""
-    parts = observations if isinstance(observations, dict) else {"": observations}
-    return {f"observation/{name}": array for name, array in parts.items()}
+PATIENCE = 5.0  # s, for all workers to end
+TIMEOUT = 600.0  # s, for an answer: longer than any decision, and than compiling for a first one
 
 
 def _finish(owner: int, pipes: list[Connection], processes: list) -> None:
@@ -106,12 +34,13 @@ def _finish(owner: int, pipes: list[Connection], processes: list) -> None:
     for pipe in pipes:
         with contextlib.suppress(OSError):  # it may have ended already
             pipe.send(None)
+    end = time.monotonic() + PATIENCE
     for process in processes:
-        process.join(PATIENCE)
-        process.kill()
+        process.join(max(0.0, end - time.monotonic()))
+        process.kill()  # also one that is stopped
 
 
-class WorkerAviary:
+class WorkerAviary(Environment):
     """What `BatchAviary` is, flown by `workers` processes: same arrays in, the same bits out, whatever their number.
 
     Without a main guard (`if __name__ == "__main__"`) scripts need the start method "fork". Functions among the options
@@ -127,9 +56,24 @@ class WorkerAviary:
         *,
         workers: int,
         start_method: str | None = None,
+        timeout: float = TIMEOUT,
         **options: Any,
     ):
-        """`start_method` of the processes, by default Python's own. Raises ValueError for options that cannot be."""
+        """Start the processes.
+
+        Args:
+            task: As of `BatchAviary`, like `num_envs`, `autoreset_mode` and the options.
+            num_envs: Worlds.
+            autoreset_mode: What happens when an episode is over.
+            workers: Processes.
+            start_method: Of the processes, by default Python's own.
+            timeout: Seconds after which a process without an answer counts as lost.
+            options: Of the environment.
+
+        Raises:
+            ValueError: Options cannot be.
+            RuntimeError: A process ends, or does not answer in time.
+        """
         self._plan = plan = Plan(task, num_envs, options)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.num_envs, self.num_drones = plan.num_worlds, plan.options.num_drones
@@ -137,6 +81,9 @@ class WorkerAviary:
             raise ValueError(f"workers is {workers}: at most one for each of the {self.num_envs} worlds is needed")
         if plan.options.render_mode == "human":
             raise ValueError("render_mode is 'human': a live view needs workers=1")
+        if finite("timeout", timeout) <= 0:
+            raise ValueError(f"timeout is {timeout:g} s: it must be above 0")
+        self._timeout = timeout
         self.observation_space: Box | Dict = plan.observer.space()
         self.action_space: Space = widest_action_space(plan.action)
         if start_method is not None:
@@ -157,7 +104,7 @@ class WorkerAviary:
 
     def _start(self, context: Any, arguments: tuple) -> None:
         mine, theirs = context.Pipe()
-        process = context.Process(target=_work, args=(theirs, *arguments), daemon=True)
+        process = context.Process(target=work, args=(theirs, *arguments), daemon=True)
         try:
             process.start()
         except (AssertionError, AttributeError, TypeError, pickle.PicklingError) as error:
@@ -181,7 +128,7 @@ class WorkerAviary:
     def _layout(self) -> dict[str, tuple[tuple[int, ...], Any]]:
         drones = (self.num_envs, self.num_drones)
         space = self.observation_space
-        parts = _named(space.spaces if isinstance(space, Dict) else space)
+        parts = named(space.spaces if isinstance(space, Dict) else space)
         return {
             "action": ((*drones, self._plan.action.low.shape[-1]), np.float64),
             **{name: ((*drones, *(one.shape or ())), one.dtype) for name, one in parts.items()},
@@ -208,8 +155,16 @@ class WorkerAviary:
 
     def _answers(self, workers: list[int]) -> list[Any]:
         """One of each worker, its error among them."""
+        end, answers = time.monotonic() + self._timeout, []
         try:
-            answers = [self._pipes[k].recv() for k in workers]
+            for k in workers:
+                if not self._pipes[k].poll(max(0.0, end - time.monotonic())):
+                    self._processes[k].kill()  # which is not asked to end, as it would not hear it
+                    raise RuntimeError(
+                        f"worker process {k} has not answered for {self._timeout:g} s: it is stopped or stuck, or "
+                        f"a decision takes longer (raise timeout); make a new environment"
+                    )
+                answers.append(self._pipes[k].recv())
         except (EOFError, OSError):
             self.close()
             raise RuntimeError(
@@ -233,6 +188,7 @@ class WorkerAviary:
         """(W,) worlds whose episode ended in the last step."""
         return self._arrays["ended"].copy()
 
+    @exclusive
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
         """As `BatchAviary.reset`."""
         mask = self._plan.mask((options or {}).get("reset_mask"))
@@ -247,6 +203,7 @@ class WorkerAviary:
         self._started = True
         return self._observations(), _merged(self._parts, infos, self.num_envs)
 
+    @exclusive
     def step(self, actions: np.ndarray) -> tuple[Observation, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """As `BatchAviary.step`."""
         if not self._started:
@@ -258,16 +215,19 @@ class WorkerAviary:
         reward, terminated, truncated = (self._arrays[name].copy() for name in ("reward", "terminated", "truncated"))
         return self._observations(), reward, terminated, truncated, _merged(self._parts, infos, self.num_envs)
 
+    @exclusive
     def state(self) -> np.ndarray:
         """(W, 17 N) float32 global state; see `Aviary.state`."""
         return np.concatenate(self._ask("state", self._all()))
 
+    @exclusive
     def render(self, world: int = 0) -> np.ndarray | None:
         """A picture (height, width, 3) uint8 of one world with render_mode "rgb_array"."""
         self._plan.require_world(world)
         k = next(k for k, part in enumerate(self._parts) if world < part.stop)
         return self._ask("render", {k: {"world": world - self._parts[k].start}})[0]
 
+    @exclusive
     def close(self) -> None:
         """End the processes; a second call does nothing."""
         self._finalizer()
@@ -297,13 +257,18 @@ def _merged(parts: list[slice], infos: list[dict[str, Any]], num_envs: int) -> d
 
 
 def batch_env(
-    task: TaskSource, num_envs: int, workers: int = 1, start_method: str | None = None, **options: Any
+    task: TaskSource,
+    num_envs: int,
+    workers: int = 1,
+    start_method: str | None = None,
+    timeout: float = TIMEOUT,
+    **options: Any,
 ) -> BatchAviary | WorkerAviary:
     """`num_envs` worlds of the task that reset themselves; see `BatchAviary` and, for the options, `parallel_env`.
 
     `workers` above 1 spreads them over processes (`start_method` as in `multiprocessing`), for as many cores: see
-    `WorkerAviary`.
+    `WorkerAviary`. A process that has not answered for `timeout` seconds is given up, with a RuntimeError.
     """
     if whole("workers", workers, 1) == 1:
         return BatchAviary(task, num_envs, **options)
-    return WorkerAviary(task, num_envs, workers=workers, start_method=start_method, **options)
+    return WorkerAviary(task, num_envs, workers=workers, start_method=start_method, timeout=timeout, **options)

@@ -18,6 +18,8 @@ LOW, HIGH = "action.low", "action.high"
 """Bounds of the actions, float32; a policy that chooses among discrete actions has none"""
 SETTINGS = ("net_arch", "log_std_init", "ortho_init", "n_critics", "features_extractor_kwargs")
 """Arguments of stable-baselines3's policies that leave the layers of the actor as they are told here"""
+STACKS = ("mlp_extractor.policy_net", "actor.latent_pi")
+"""Layers before the last one, of which there may be none"""
 Weights = Mapping[str, np.ndarray]
 
 
@@ -144,7 +146,7 @@ class Network:
 def _dense(weights: Weights, name: str) -> Layers:
     """The dense layers of that name, or of the stack of that name in the order of their numbers."""
     numbers = {int(match[1]) for known in weights if (match := re.fullmatch(rf"{re.escape(name)}\.(\d+)\.weight", known))}
-    names = [f"{name}.{number}" for number in sorted(numbers)] or [name]
+    names = [f"{name}.{number}" for number in sorted(numbers)] or ([] if name in STACKS else [name])
     try:
         layers = [(weights[f"{one}.weight"].astype(float), weights[f"{one}.bias"].astype(float)) for one in names]
     except KeyError as error:

@@ -86,11 +86,9 @@ class Trained(SharedPolicy):
                     )
                 self._choose_rows = network
             else:
-                from bulletuav.adapters import sb3  # the extra is needed from here on
+                from bulletuav.adapters.sb3_policy import policy_network  # the extra is needed from here on
 
-                self._choose_rows = sb3.policy_network(
-                    config.algo, config.settings, space, action, aviary.num_drones, weights
-                )
+                self._choose_rows = policy_network(config.algo, config.settings, space, action, aviary.num_drones, weights)
         except ValueError as error:
             raise ValueError(f"{path} is no policy of {algo} for this environment: {error}") from None
 

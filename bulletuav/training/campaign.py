@@ -47,7 +47,7 @@ class Campaign:
                     future.result()  # raises what the run raised
             except BaseException:
                 for process in set(multiprocessing.active_children()) - others:
-                    process.terminate()
+                    process.kill()  # a stopped one hears nothing else
                 raise
         progress(self.total)
         return [(config, future.result()) for config, future in zip(self.configs, futures, strict=True)]

@@ -5,16 +5,22 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from gymnasium.spaces import Box
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import load_file, save_file
-from stable_baselines3.common.save_util import recursive_getattr, recursive_setattr
 
+from bulletuav.errors import missing
+from bulletuav.files import whole_file
 from bulletuav.policies.network import HIGH, LOW, read_weights
 from bulletuav.policies.run import POLICY
+from bulletuav.training.store import REPLAY, TRAINING
 
-TRAINING, REPLAY = "training.safetensors", "replay.safetensors"
+try:
+    import torch
+    from stable_baselines3.common.save_util import recursive_getattr, recursive_setattr
+except ImportError:
+    raise missing("training", "sb3") from None
+
 COUNTERS = ("num_timesteps", "_n_updates", "_n_calls", "_episode_num", "_current_progress_remaining", "exploration_rate")
 """Numbers of a model that its learning depends on, of those algorithms that have them"""
 
@@ -29,17 +35,17 @@ def save(model: Any, folder: Path) -> None:
     """
     folder.mkdir(parents=True, exist_ok=True)
     bounds = {LOW: model.action_space.low, HIGH: model.action_space.high} if isinstance(model.action_space, Box) else {}
-    save_file({**_arrays(model.policy.state_dict()), **bounds}, folder / POLICY)
+    _write({**_arrays(model.policy.state_dict()), **bounds}, folder / POLICY)
     rest: dict[str, np.ndarray] = {}
     for name in _optimizers(model):
         for index, state in recursive_getattr(model, name).state_dict()["state"].items():
             rest |= {f"{name}/{index}/{key}": array for key, array in _arrays(state).items()}
     rest |= _arrays({name: recursive_getattr(model, name) for name in _variables(model)})
     counters = {name: getattr(model, name) for name in COUNTERS if hasattr(model, name)}
-    save_file(rest, folder / TRAINING, {"counters": json.dumps(counters)})
+    _write(rest, folder / TRAINING, {"counters": json.dumps(counters)})
     buffer = getattr(model, "replay_buffer", None)
     if buffer is not None:
-        save_file(_rows(buffer), folder / REPLAY)
+        _write(_rows(buffer), folder / REPLAY)
 
 
 def restore(model: Any, folder: Path) -> None:
@@ -66,6 +72,14 @@ def restore(model: Any, folder: Path) -> None:
             _fill(model.replay_buffer, load_file(folder / REPLAY))
     except (KeyError, TypeError, OSError, RuntimeError, ValueError, SafetensorError) as error:
         raise ValueError(f"{folder} holds no checkpoint of this run ({error}): choose another folder") from None
+
+
+def _write(arrays: dict[str, np.ndarray], path: Path, about: dict[str, str] | None = None) -> None:
+    with whole_file(path) as part:
+        try:
+            save_file(arrays, part, about)
+        except SafetensorError as error:  # such as of a full disk
+            raise OSError(str(error)) from None
 
 
 def _optimizers(model: Any) -> list[str]:

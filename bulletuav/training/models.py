@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Box, Dict
 
-from bulletuav.adapters.sb3 import DroneVecEnv, LivingReplay, LivingRollouts, algorithm, policy_arguments
+from bulletuav.adapters.sb3 import DroneVecEnv, LivingReplay, LivingRollouts, algorithm
+from bulletuav.adapters.sb3_policy import policy_arguments
 from bulletuav.errors import finite, several, unknown, whole
 from bulletuav.policies.run import RunConfig, whole_number
 

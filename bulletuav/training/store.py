@@ -7,7 +7,6 @@ import contextlib
 import csv
 import io
 import json
-import os
 import shutil
 import warnings
 from collections.abc import Iterator
@@ -15,11 +14,11 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from bulletuav.evaluation import replace_file
+from bulletuav.files import replace_file, whole_file
 from bulletuav.policies.run import CHECKPOINTS, CONFIG, POLICY, RunConfig
-from bulletuav.training.checkpoint import REPLAY, TRAINING
 
 CURVE, STATE = "curve.csv", "state.json"
+TRAINING, REPLAY = "training.safetensors", "replay.safetensors"
 PACKAGES = ("bulletuav", "stable_baselines3", "torch", "numpy", "numba", "pybullet")
 Row = dict[str, float]
 
@@ -47,7 +46,7 @@ class Store:
             else:
                 replace_file(folder / CONFIG, f"{about}\n{config.text()}")
         except OSError as error:
-            raise ValueError(f"{folder} cannot be a folder to write to: {error.strerror}") from None
+            raise ValueError(f"{folder} cannot be a folder to write to: {error.strerror or error}") from None
 
     def _load(self, about: str) -> None:
         known, own = RunConfig.read(self.folder / CONFIG).plain(), self._config.plain()
@@ -95,8 +94,8 @@ class Store:
         What tells where the run stands comes last: who is interrupted before it does the chapter again.
         """
         checkpoint, rows = self.next, [*self.rows, row]
-        shutil.copyfile(checkpoint / POLICY, self.folder / (POLICY + ".part"))
-        os.replace(self.folder / (POLICY + ".part"), self.folder / POLICY)
+        with whole_file(self.folder / POLICY) as part:
+            shutil.copyfile(checkpoint / POLICY, part)
         table = io.StringIO()
         writer = csv.DictWriter(table, row.keys(), lineterminator="\n")
         writer.writeheader()
@@ -121,6 +120,6 @@ def opened(folder: Path, config: RunConfig) -> Iterator[Store]:
     except Timeout:
         raise ValueError(f"{folder} is being trained in by another process: wait, or choose another folder") from None
     except OSError as error:
-        raise ValueError(f"{folder} cannot be a folder to write to: {error.strerror}") from None
+        raise ValueError(f"{folder} cannot be a folder to write to: {error.strerror or error}") from None
     with lock:
         yield Store(folder, config)

@@ -43,7 +43,7 @@ def _train(config: RunConfig, store: Store, progress: Progress) -> None:
     from stable_baselines3.common.logger import configure
 
     if importlib.util.find_spec("tensorboard") is None:
-        raise missing("tensorboard, to which curves go,", "sb3")
+        raise missing("training, which tells TensorBoard of its curves,", "sb3")
     curriculum = Curriculum(len(config.levels), **config.curriculum)
     env = DroneVecEnv(config.task, config.worlds, config.levels, curriculum, config.shared_reward, **config.options)
     try:

@@ -63,8 +63,7 @@ def test_agents_leave_one_by_one():
         *_, terminated, truncated, _ = env.step({agent: np.zeros(3, np.float32) for agent in env.agents})
     assert truncated == {"drone_0": True, "drone_2": True}
     assert not any(terminated.values())
-    with pytest.raises(RuntimeError, match="every agent is done"):
-        env.step({})
+    assert env.step({}) == ({}, {}, {}, {}, {})
     env.close()
 
 
@@ -84,8 +83,10 @@ def test_bad_actions_name_the_agent_and_leave_the_environment_usable():
     env.reset(seed=0)
     good = {agent: np.zeros(4, np.float32) for agent in env.agents}
     for bad, said in (
-        ({"drone_0": np.zeros(4)}, r"missing \['drone_1'\]"),
-        ({**good, "drone_7": np.zeros(4)}, r"not alive \['drone_7'\]"),
+        ({"drone_0": np.zeros(4)}, r"actions lack \['drone_1'\]"),
+        ({**good, "drone_7": np.zeros(4)}, "unknown agent in actions: 'drone_7'"),
+        ({**good, None: np.zeros(4), 3: 1}, "unknown agent in actions: None"),
+        *((wrong, "a dict with an action for each of") for wrong in (None, 0, [[1, 2]], np.zeros((2, 4)), {"drone_0"})),
         ({**good, "drone_1": np.zeros(3)}, r"action of drone_1 has shape \(3,\)"),
         ({**good, "drone_1": np.full(4, np.nan)}, "action of drone 1"),
     ):

@@ -12,6 +12,7 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 import bulletuav
+from bulletuav.envs.workers import PATIENCE
 
 
 def rolled(workers, task="crossing", steps=25, num_envs=5, **options):
@@ -105,7 +106,7 @@ def test_an_interrupt_ends_the_processes(monkeypatch):
         def send(self, question):
             pipe.send(question)
 
-        def recv(self):
+        def poll(self, timeout):
             raise KeyboardInterrupt
 
     env._pipes[1] = Interrupted()
@@ -113,6 +114,34 @@ def test_an_interrupt_ends_the_processes(monkeypatch):
         env.step(np.zeros((2, 1, 3)))
     with pytest.raises(RuntimeError, match="closed"):
         env.step(np.zeros((2, 1, 3)))
+    assert not psutil.wait_procs(children, timeout=10)[1]
+
+
+@pytest.mark.parametrize("start_method", ["fork", "spawn"])
+def test_a_worker_that_is_stopped_or_killed_ends_in_words(start_method):
+    """In much less than a process takes to end by itself; PATIENCE is for those that could."""
+    options = {"dynamics": "point_mass", "action": "velocity", "workers": 2, "start_method": start_method}
+    for sign, said in ((signal.SIGSTOP, "has not answered for 0.5 s"), (signal.SIGKILL, "has died")):
+        env = bulletuav.batch_env("hover", 2, timeout=30 if start_method == "spawn" else 5, **options)
+        env.reset(seed=0)
+        env._timeout = 0.5
+        children = [psutil.Process(process.pid) for process in env._processes]
+        os.kill(children[1].pid, sign)
+        with pytest.raises(RuntimeError, match=said):
+            env.step(np.zeros((2, 1, 3)))
+        begin = time.monotonic()
+        env.close()
+        assert time.monotonic() - begin < PATIENCE
+        assert not psutil.wait_procs(children, timeout=10)[1]
+    with pytest.raises(ValueError, match="timeout is 0 s"):
+        bulletuav.batch_env("hover", 2, timeout=0, **options)
+
+
+def test_closing_does_not_wait_for_ever_for_a_stopped_worker():
+    env = bulletuav.batch_env("hover", 2, workers=2, start_method="fork")
+    children = [psutil.Process(process.pid) for process in env._processes]
+    os.kill(children[0].pid, signal.SIGSTOP)
+    env.close()
     assert not psutil.wait_procs(children, timeout=10)[1]
 
 

@@ -1,0 +1,91 @@
+"""The networks of stable-baselines3's policies, made from a run's settings."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from gymnasium.spaces import Box, Dict, Space
+
+from bulletuav.adapters.features import Symlog, UserSum
+from bulletuav.adapters.sb3 import algorithm, own_random, single_thread
+from bulletuav.errors import missing, unknown
+from bulletuav.policies.network import HIGH, LOW
+
+try:
+    import torch
+    from stable_baselines3.common.preprocessing import is_image_space, is_image_space_channels_first
+    from stable_baselines3.common.vec_env import VecTransposeImage
+except ImportError:
+    raise missing("learning with stable-baselines3", "sb3") from None
+
+FEATURES: dict[str | None, type | None] = {"symlog": Symlog, "user_sum": UserSum, None: None}
+"""What observed numbers go through first, by the setting `features` of a run"""
+
+
+def policy_arguments(model: Mapping[str, Any], num_drones: int, pictures: bool) -> dict[str, Any]:
+    """Make the arguments of stable-baselines3's policy from a run's settings of its algorithm.
+
+    Args:
+        model: The settings, `features` and `policy_kwargs` among them.
+        num_drones: In a world.
+        pictures: Whether pictures are observed, which have features of their own.
+    """
+    features = model["features"]
+    if features not in FEATURES:
+        raise unknown("features", features, filter(None, FEATURES))
+    given = model.get("policy_kwargs", {})
+    if not isinstance(given, Mapping):
+        raise ValueError(f"policy_kwargs is {given!r}: names with values are needed")
+    arguments = dict(given)
+    if features is not None and not pictures:
+        arguments.setdefault("features_extractor_class", FEATURES[features])
+    if features == "user_sum":
+        arguments["features_extractor_kwargs"] = {"num_drones": num_drones, **arguments.get("features_extractor_kwargs", {})}
+    return arguments
+
+
+def policy_network(
+    name: str, model: Mapping[str, Any], observed: Space, given: Space, num_drones: int, weights: Mapping[str, np.ndarray]
+) -> Callable[[Any], np.ndarray]:
+    """Build the network of a run's policy and fill in its weights; nothing but numbers is read.
+
+    Args:
+        name: The algorithm.
+        model: The run's settings of it.
+        observed: Space of one drone's observations.
+        given: Space of its actions.
+        num_drones: In a world.
+        weights: By the names of the policy's `state_dict`, and the bounds of the actions.
+
+    Returns:
+        A function from rows of observations to rows of deterministic actions.
+
+    Raises:
+        ValueError: The weights do not fit.
+    """
+    single_thread()
+    pictures = isinstance(observed, Dict)
+    if isinstance(observed, Dict):
+        observed = Dict({key: _channels_first(space) for key, space in observed.spaces.items()})
+    state = {known: torch.as_tensor(array) for known, array in weights.items() if known not in (LOW, HIGH)}
+    if LOW in weights:
+        given = Box(weights[LOW], weights[HIGH], dtype=np.float32)
+    arguments = policy_arguments(model, num_drones, pictures)
+    if name in ("ppo", "a2c", "sac"):
+        arguments["use_sde"] = model.get("use_sde", False)
+    with own_random():
+        kind = algorithm(name).policy_aliases["MultiInputPolicy" if pictures else "MlpPolicy"]
+        policy = kind(observed, given, lambda _: 0.0, **arguments)
+    try:
+        policy.load_state_dict(state)
+    except RuntimeError as error:
+        raise ValueError(str(error)) from None
+    policy.set_training_mode(False)
+    return lambda rows: policy.predict(rows, deterministic=True)[0]
+
+
+def _channels_first(space: Space) -> Space:
+    """The space as networks see it that SB3 made: it turns pictures."""
+    if isinstance(space, Box) and is_image_space(space) and not is_image_space_channels_first(space):
+        return VecTransposeImage.transpose_space(space)
+    return space

@@ -1,0 +1,129 @@
+"""Other people's trainers on our environments: by their calls always, with the trainers themselves by hand (`-m slow`)."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+from clients.swarm import HORIZON, make_env
+
+import bulletuav
+
+HERE = Path(__file__).parent
+ROOT = HERE.parents[1]
+EMPTY = ({}, {}, {}, {}, {})
+
+
+def random_actions(rng, agents):
+    return {agent: rng.uniform(-1, 1, 3).astype(np.float32) for agent in agents}
+
+
+def episodes(env, chosen, count=40):
+    """Fly episodes with actions for the agents that `chosen` names; each one's last results, and the agents before it."""
+    rng = np.random.default_rng(0)
+    for _ in range(count):
+        env.reset(seed=None, options=None)
+        while env.agents:
+            flown = list(env.agents)
+            results = env.step(random_actions(rng, chosen(env)))
+            assert all(list(result) == flown for result in results)
+        yield results, flown
+
+
+def test_rllib_asks_for_one_more_step_where_the_last_mixed_ends():
+    """`ParallelPettingZooEnv` writes "__all__" into the results, and goes on until one of both is true for all."""
+    env, mixed, early = make_env(), 0, 0
+    for (_, _, terminated, truncated, _), flown in episodes(env, lambda env: reversed(env.agents)):
+        early += len(flown) < len(env.possible_agents)
+        for ends in (terminated, truncated):
+            ends["__all__"] = all(ends.values())
+        if not (terminated["__all__"] or truncated["__all__"]):
+            mixed += 1
+            assert env.agents == []
+            nobody = env.step({})
+            assert nobody == EMPTY
+            nobody[2]["__all__"] = True
+            assert env.step({}) == EMPTY  # not what was written into
+    assert mixed > 5
+    assert early > 5
+    env.close()
+
+
+def test_torchrl_sends_actions_of_all_possible_agents():
+    env, alone = make_env(), make_env()
+    sent, early = episodes(env, lambda env: env.possible_agents), 0
+    for results, flown in sent:
+        early += len(flown) < len(env.possible_agents)
+        assert results[0].keys() == set(flown)
+    assert early > 5
+    for one in (env, alone):
+        one.reset(seed=3)
+    while env.agents:
+        actions = {agent: np.full(3, 0.5, np.float32) for agent in env.agents}
+        gone = {agent: np.full(7, np.nan) for agent in env.possible_agents if agent not in env.agents}
+        for mine, other in zip(env.step(actions | gone), alone.step(actions), strict=True):
+            np.testing.assert_equal(mine, other)
+    with pytest.raises(ValueError, match="unknown agent in actions: 'drone_7': did you mean"):
+        env.step({"drone_7": np.zeros(3)})
+    for one in (env, alone):
+        one.close()
+
+
+def test_supersuit_steps_nobody_after_every_episode():
+    env = make_env()
+    for _ in episodes(env, lambda env: env.agents, 10):
+        assert env.step(dict.fromkeys(env.agents)) == EMPTY
+    env.close()
+
+
+def test_a_curriculum_takes_the_same_calls():
+    levels = ({"num_drones": 2}, {"num_drones": 4})
+    env = bulletuav.curriculum_env("crossing", levels, dynamics="point_mass", horizon=HORIZON, seed=0)
+    for results, flown in episodes(env, lambda env: env.possible_agents, 2):
+        assert set(results[1]) == set(flown)
+        assert env.step({}) == EMPTY
+    with pytest.raises(ValueError, match="unknown agent"):
+        env.step({"drone_9": np.zeros(3)})
+    env.close()
+
+
+@pytest.mark.parametrize("make", [make_env, lambda: bulletuav.curriculum_env("crossing", dynamics="point_mass")])
+def test_before_the_first_reset_and_after_close_a_step_is_refused(make):
+    env = make()
+    with pytest.raises(RuntimeError, match="call reset"):
+        env.step({})
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=r"actions lack \['drone_0'"):
+        env.step({})
+    env.close()
+    with pytest.raises(RuntimeError, match="closed"):
+        env.step({})
+
+
+def test_torchrls_gymenv_finds_out_that_there_is_no_frameskip():
+    """It passes the option, and looks for Python's own words in a TypeError."""
+    with pytest.raises(TypeError, match="unexpected keyword argument 'frameskip'"):
+        gymnasium.make("bulletuav/Hover-v0", frameskip=1, disable_env_checker=True)
+    with pytest.raises(ValueError, match="did you mean 'dynamics'"):
+        bulletuav.batch_env("hover", 2, workers=2, dynamic="bullet")
+
+
+@pytest.fixture(scope="session")
+def python(tmp_path_factory):
+    """The interpreter of an environment with the clients, made in some minutes and two gigabytes."""
+    place = tmp_path_factory.mktemp("clients") / "venv"
+    subprocess.run([sys.executable, "-m", "venv", place], check=True)
+    pip = [place / "bin" / "pip", "install", "-q"]
+    subprocess.run([*pip, "-r", HERE / "requirements.txt", "gymnasium==1.2.2"], check=True)
+    subprocess.run([*pip, "-e", ROOT], check=True)
+    return place / "bin" / "python"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("client", ["rllib", "torchrl", "supersuit"])
+def test_the_client_itself_flies(python, client):
+    variables = {**os.environ, "OMP_NUM_THREADS": "1"}
+    subprocess.run([python, HERE / f"{client}_client.py"], check=True, env=variables)

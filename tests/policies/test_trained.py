@@ -1,0 +1,156 @@
+"""Trained policies, flown by NumPy from numbers in a file."""
+
+import sys
+
+import numpy as np
+import pytest
+import torch
+from gymnasium.spaces import Box
+from safetensors.numpy import save_file
+
+import bulletuav
+from bulletuav.adapters.sb3 import DroneVecEnv
+from bulletuav.adapters.sb3_policy import policy_network
+from bulletuav.cli import main
+from bulletuav.policies import find_policy
+from bulletuav.policies.features import UserFeatures, log_gain, symlog
+from bulletuav.policies.network import Network, is_plain, read_weights
+from bulletuav.policies.run import SHIPPED, RunConfig, shipped_tasks
+from bulletuav.policies.trained import Trained
+from bulletuav.training import checkpoint
+from bulletuav.training.models import make_model
+
+CALM = {"dynamics": "single_integrator", "num_drones": 2, "difficulty": "easy", "horizon": 8, "observation": ["goal"]}
+
+
+@pytest.mark.parametrize("task", shipped_tasks())
+def test_a_shipped_policy_flies_without_what_it_was_trained_with(task, monkeypatch, tmp_path, capsys):
+    """As `--policy trained` after the README's install."""
+    for name in ("torch", "stable_baselines3", "tensorboard", "filelock"):
+        monkeypatch.setitem(sys.modules, name, None)
+    for name in [name for name in sys.modules if name.startswith("bulletuav.adapters")]:
+        monkeypatch.delitem(sys.modules, name)
+    for policy in ("trained", "untrained"):
+        place = str(tmp_path / policy)
+        main(["fly", task, "--policy", policy, "--horizon", "3", "--animation", "none", "--out", place])
+    assert {path.suffix for path in (SHIPPED / task).rglob("*") if path.is_file()} == {".yaml", ".safetensors"}
+    capsys.readouterr()
+
+
+@pytest.mark.parametrize("task", shipped_tasks())
+def test_numpy_flies_as_pytorch_learned(task):
+    """In double precision; in single precision PyTorch itself is off by 1e-6 in the sums over users."""
+    pilot, config = find_policy("trained", task), RunConfig.read(SHIPPED / task / "run.yaml")
+    aviary = bulletuav.Aviary(task, 2, **pilot.options)
+    policy, observations = pilot(aviary), aviary.reset(seeds=0)
+    weights = read_weights(pilot.model)
+    space, action = aviary.observer.space(), bulletuav.batch_env(task, 1, **pilot.options).action_space
+    chosen = policy_network(config.algo, config.settings, space, action, aviary.num_drones, weights)
+    learned = chosen.__closure__[0].cell_contents.double()
+    for _ in range(20):
+        actions = policy.act(observations, aviary.swarm)
+        rows = observations.reshape(-1, observations.shape[-1])
+        with torch.no_grad():
+            exact = learned.get_distribution(torch.as_tensor(rows).double()).mode().numpy().reshape(actions.shape)
+        np.testing.assert_allclose(actions, np.clip(exact, action.low, action.high), atol=1e-9)
+        observations = aviary.step(actions).observations
+    aviary.close()
+
+
+CASES = {
+    "ppo": {},
+    "a2c": {"policy_kwargs": {"net_arch": []}},
+    "dqn": {},
+    "sac": {"policy_kwargs": {"net_arch": [8, 8, 8]}},
+    "td3": {"features": None},
+    "ddpg": {"policy_kwargs": {"features_extractor_kwargs": {"scale": 3.0}}},
+    "ppo, noise of states": {"use_sde": True},
+    "sac, noise of states": {"use_sde": True},
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_every_algorithms_actor_is_flown_as_it_is_learned(case, tmp_path):
+    """To 1e-6 of stable-baselines3's own deterministic actions, from the file of a checkpoint."""
+    algo = case.partition(",")[0]
+    options = {**CALM, "action": "discrete"} if algo == "dqn" else CALM
+    config = RunConfig("converge", algo, options=options, model=CASES[case], worlds=1)
+    env = DroneVecEnv("converge", 1, **options)
+    model = make_model(config, env)
+    if isinstance(model.action_space, Box):
+        model.action_space.low[0], model.action_space.high[0] = -0.3, 0.7  # not symmetric
+    checkpoint.save(model, tmp_path)
+    aviary = bulletuav.Aviary("converge", 1, **options)
+    policy, rng = Trained(aviary, config, tmp_path / "policy.safetensors"), np.random.default_rng(0)
+    aviary.reset(seeds=0)
+    for size in (0.0, 0.1, 3.0, 100.0):
+        observations = (size * rng.normal(size=(1, 2, *env.observation_space.shape))).astype(np.float32)
+        expected, _ = model.predict(observations[0], deterministic=True)
+        np.testing.assert_allclose(
+            policy.act(observations, aviary.swarm)[0], np.reshape(expected, (2, -1)), atol=1e-6, rtol=0
+        )
+    assert is_plain(algo, config.settings) == (case != "sac, noise of states")
+    aviary.close()
+    env.close()
+
+
+def test_a_network_by_hand():
+    """tanh(1 * 0.5) * 2 + 0.25 = 1.17423..., clipped to 1; ReLU and tanh into [2, 6] for TD3."""
+    layers = {"policy_net.0": ([[1.0]], [0.0])}
+    weights = {f"mlp_extractor.{name}.weight": np.array(w, dtype=np.float32) for name, (w, _) in layers.items()}
+    weights |= {f"mlp_extractor.{name}.bias": np.array(b, dtype=np.float32) for name, (_, b) in layers.items()}
+    weights |= {"action_net.weight": np.array([[2.0]], np.float32), "action_net.bias": np.array([0.25], np.float32)}
+    bounds = {"action.low": np.array([-1.0], np.float32), "action.high": np.array([1.0], np.float32)}
+    free = {"action.low": np.array([-9.0], np.float32), "action.high": np.array([9.0], np.float32)}
+    model = {"features": None}
+    assert Network(weights | free, "ppo", model)(np.array([[0.5]]))[0, 0] == pytest.approx(
+        2 * np.tanh(0.5) + 0.25, abs=1e-12
+    )
+    assert Network(weights | bounds, "ppo", model)(np.array([[0.5]]))[0, 0] == 1.0
+    td3 = {"actor.mu.0.weight": np.array([[1.0], [-1.0]], np.float32), "actor.mu.0.bias": np.zeros(2, np.float32)}
+    td3 |= {"actor.mu.2.weight": np.array([[0.5, 0.5]], np.float32), "actor.mu.2.bias": np.zeros(1, np.float32)}
+    td3 |= {"action.low": np.array([2.0], np.float32), "action.high": np.array([6.0], np.float32)}
+    assert Network(td3, "td3", model)(np.array([[-3.0]]))[0, 0] == pytest.approx(4 + 2 * np.tanh(1.5), abs=1e-12)
+
+
+def test_features_by_hand():
+    np.testing.assert_allclose(symlog(np.array([-2.0, 0.0, 1.0]), 3.0), [-np.log(7), 0.0, np.log(4)], rtol=1e-15)
+    gains = log_gain(np.array([[3.0, 4.0, 0.0], [0.0, 0.0, 0.0]]), np.array([1.0, 0.0]))
+    np.testing.assert_allclose(gains, [-2 * np.log(6), 0.0], atol=1e-15)
+
+
+def test_users_count_whatever_their_order():
+    rng = np.random.default_rng(1)
+    features = UserFeatures([(rng.normal(size=(5, 14)), rng.normal(size=5))])
+    assert features.num_drones == 3
+    row = rng.normal(size=(1, sum(features.sizes(3 + 12 + 7 * 11))))
+    parts = np.split(row, np.cumsum(features.sizes(row.shape[1]))[:-1], axis=1)
+    order = rng.permutation(7)
+    parts[2] = parts[2].reshape(7, 4)[order].reshape(1, -1)
+    parts[3], parts[4] = (part.reshape(-1, 7)[:, order].reshape(1, -1) for part in parts[3:])
+    np.testing.assert_allclose(features(np.concatenate(parts, axis=1)), features(row), rtol=1e-12)
+    with pytest.raises(ValueError, match="do not fit 20 numbers"):
+        features.sizes(20)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda w: {name: array for name, array in w.items() if name != "action_net.bias"}, "lacks action_net.bias"),
+        (lambda w: {**w, "action_net.weight": np.zeros((3, 7), np.float32)}, "does not fit the one before it"),
+        (lambda w: {**w, "action_net.bias": np.zeros((3, 1), np.float32)}, "does not fit the one before it"),
+        (lambda w: {**w, "action_net.bias": np.full(3, np.nan, np.float32)}, "not finite"),
+        (lambda w: {name: array for name, array in w.items() if not name.startswith("action.")}, "to 3 choices"),
+        (lambda w: {}, "lacks mlp_extractor.policy_net.weight"),
+    ],
+)
+def test_a_damaged_policy_is_refused(change, said, tmp_path):
+    config = RunConfig.read(SHIPPED / "crossing" / "run.yaml")
+    path = tmp_path / "policy.safetensors"
+    save_file(change(read_weights(SHIPPED / "crossing" / "policy.safetensors")), path)
+    aviary = bulletuav.Aviary("crossing")
+    with pytest.raises(ValueError, match=said):
+        Trained(aviary, config, path)
+    aviary.close()
+    with pytest.raises(FileNotFoundError, match="no policy"):
+        read_weights(tmp_path / "none.safetensors")
