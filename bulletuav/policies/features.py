@@ -67,4 +67,5 @@ class UserFeatures:
 def log_gain(offset: np.ndarray, seen: np.ndarray) -> np.ndarray:
     """Logarithm of received power over that at 1 m, for offsets (..., 3), m; see `log_distance` in `network.pathloss`."""
     distance = np.sqrt((offset * offset).sum(axis=-1))
-    return -np.where(seen > 0.5, LINE_OF_SIGHT, BLOCKED) * np.log(distance + 1)
+    exponent = np.where(seen > 0.5, np.float32(LINE_OF_SIGHT), np.float32(BLOCKED))  # as in training
+    return -exponent * np.log(distance + 1)
