@@ -61,8 +61,8 @@ class UrbanConfig:
     city: Any = "urban"
     area: float = 500.0
     irregularity: float = 0.0
-    num_layouts: int = 4
-    city_seed: int = field(default=0, metadata={"least": 0})
+    num_layouts: int = field(default=4, metadata={"most": 256})
+    city_seed: int = field(default=0, metadata={"least": 0, "most": 2**32})
     height: tuple[float, float] = (5.0, 25.0)
     ceiling: float = 120.0
     min_separation: float = 20.0
