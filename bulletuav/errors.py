@@ -91,7 +91,7 @@ def require_memory(what: str, needed: float, remedy: str) -> None:
 
 
 def require_file(what: str, path: Any, remedy: str) -> Path:
-    """The path of a file that is there, resolved.
+    """The path of a file that is there.
 
     Raises:
         ValueError: It is no path at all.
@@ -100,7 +100,7 @@ def require_file(what: str, path: Any, remedy: str) -> Path:
     if not isinstance(path, str | Path):
         raise ValueError(f"path of the {what} file is {shown(path)}: a text or a Path is needed; {remedy}")
     try:
-        found = Path(path).expanduser().resolve()
+        found = Path(path).expanduser()
         if found.is_file():
             return found
     except (OSError, ValueError, RuntimeError) as error:  # too long a name, a NUL in it, nobody's home

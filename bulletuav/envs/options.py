@@ -270,7 +270,13 @@ def resolve(task: type[Task], given: Mapping[str, Any]) -> tuple[Options, Any]:
     if given.get("preset") is not None and not task.presets:
         raise ValueError(f"preset is {shown(given['preset'])}: task {task.name!r} has none")
     preset = {} if given.get("preset") is None else pick("preset", given["preset"], dict(task.presets))
-    values = {**task.defaults, **level, **preset, **given, "difficulty": difficulty}
+    usual = {**task.defaults, **level, **preset}
+    for name in usual:
+        pick(f"option among the defaults of task {task.name!r}:", name, dict.fromkeys(common | own))
+    values = {**usual, **given, "difficulty": difficulty}
+    for name in ("num_drones", "airframe", "action", "decision_hz", "horizon", "max_speed"):
+        if name not in values:
+            raise ValueError(f"defaults of task {task.name!r} lack {name}: it is needed there, or as an option")
     if isinstance(given.get("weights"), Mapping):
         values["weights"] = {**preset.get("weights", {}), **given["weights"]}
     for name in ("num_drones", "airframe", "action", "decision_hz", "horizon", "max_speed", "dynamics", "controller"):

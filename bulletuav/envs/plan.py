@@ -9,13 +9,13 @@ import numpy as np
 
 from bulletuav.control.actions import Action, Flyable, make_action
 from bulletuav.envs.options import Options, resolve
-from bulletuav.errors import numbers_of, require_memory, shown, whole
+from bulletuav.errors import numbers_of, pick, require_memory, shown, whole
 from bulletuav.physics.tiles import TILE_PITCH
 from bulletuav.physics.world import PARKING_HEIGHT
 from bulletuav.sensors.lidar import make_beams
 from bulletuav.tasks import TaskSource, find_task
 from bulletuav.tasks.base import Setting, Task
-from bulletuav.tasks.terms.observations import STATE, Observer
+from bulletuav.tasks.terms.observations import NAMES, STATE, Observer
 
 MOST_WORLDS = 1_000_000
 BODY_BYTES = 100_000  # of a drone in the engine, measured
@@ -38,6 +38,8 @@ class Plan:
         names, camera = self.options.observation or kind.observation, self.options.camera_size
         self.observer = Observer(names, self.task, self.action, camera, self.options.normalise)
         self.state_observer = Observer(STATE, self.task, self.action)
+        for name in kind.senses:
+            pick(f"reading among the senses of task {self.task.name!r}:", name, dict.fromkeys(NAMES))
         self.wanted = {*names, *kind.senses}
         self._require_memory(BODY_BYTES + self._numbers_of_a_drone() * NUMBER_BYTES)
 

@@ -130,7 +130,7 @@ def load_airframe(source: "str | Path | Airframe") -> Airframe:
         if source not in available_airframes():
             raise unknown("airframe", source, available_airframes())
         source = Path(str(importlib.resources.files("bulletuav.assets") / "urdf" / f"{source}.urdf"))
-    path = require_file("airframe", source, f"pass the path of a URDF or one of {available_airframes()}")
+    path = require_file("airframe", source, f"pass the path of a URDF or one of {available_airframes()}").resolve()
     return _Reader(path).airframe()
 
 

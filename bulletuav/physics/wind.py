@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from bulletuav.errors import numbers_of, shown
+from bulletuav.errors import numbers_of
 from bulletuav.kernel import formula, kernel
 from bulletuav.physics.rotation import dot
 from bulletuav.physics.swarm import Swarm
@@ -138,8 +138,8 @@ class Wind:
         if wrong.any():
             w, i, _ = np.argwhere(wrong)[0]
             raise ValueError(
-                f"the wind function gave {shown(given[w, i])} m/s at drone {i} in world {w}: finite numbers, at most "
-                f"{MOST_WIND:g} m/s, are needed"
+                f"the wind function gave shape {given.shape} with {given[w, i]} m/s at drone {i} in world {w}: "
+                f"finite numbers, at most {MOST_WIND:g} m/s, are needed"
             )
         return given
 

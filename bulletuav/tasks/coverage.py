@@ -10,7 +10,6 @@ from bulletuav.tasks.base import Frame, Scene, Setting, Spawn, Verdict
 from bulletuav.tasks.terms.measures import offsets
 from bulletuav.tasks.terms.urban import DEFAULTS, LEVELS, UrbanConfig, UrbanTask, check_share, ground_cells
 
-
 MOST_CELLS = 1e6  # of a raster
 
 

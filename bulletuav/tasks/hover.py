@@ -34,7 +34,10 @@ class HoverConfig:
 
 def _positions(start: object, count: int) -> np.ndarray:
     """(N, 3) m. Raises ValueError for anything but so many finite positions."""
-    positions = numbers_of("start is", start)
+    try:
+        positions = numbers_of("start is", start)
+    except ValueError:
+        positions = np.empty(0)
     if positions.shape != (count, 3) or not np.isfinite(positions).all():
         raise ValueError(f"start is {shown(start)}: {count} finite positions (x, y, z) in metres are needed")
     return positions

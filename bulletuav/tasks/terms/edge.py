@@ -15,7 +15,6 @@ from bulletuav.network.uplink import RadioConfig, Uplink
 from bulletuav.tasks.base import Frame, Scene, Setting, Verdict
 from bulletuav.tasks.terms.users import UsersConfig, UsersTask, sojourn_bonus
 
-
 MOST_TASKS = 1e6  # of a world in a decision, in the mean
 
 
