@@ -133,7 +133,7 @@ def finite(name: str, value: Any, least: float | None = None, most: float | None
     Bools are none. Without `most` any finite number is.
     """
     try:
-        number = float(value) if isinstance(value, numbers.Real) and not isinstance(value, bool | np.bool_) else math.nan
+        number = float(value) if not isinstance(value, bool | np.bool_) and isinstance(value, numbers.Real) else math.nan
     except (OverflowError, ValueError, TypeError):  # a whole number or a fraction beyond all floats
         number = math.inf
     if not math.isfinite(number):

@@ -15,6 +15,7 @@ from gymnasium.vector.utils import batch_space
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.batch import BatchAviary
 from bulletuav.envs.spaces import joint_action_space, joint_numbers
+from bulletuav.errors import whole
 from bulletuav.tasks import TaskSource, list_tasks
 from bulletuav.tasks.terms.observations import Observation, part
 
@@ -63,7 +64,7 @@ class CentralAviary(gymnasium.Env):
 
     def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[Any, dict]:
         """Start a new episode; `options` is Gymnasium's and not read."""
-        super().reset(seed=seed)
+        super().reset(seed=None if seed is None else whole("seed", seed, 0))
         observations = self.aviary.reset(seeds=seed)
         return part(_central(self.aviary, observations), 0), _of_world(self.aviary.first_info())
 

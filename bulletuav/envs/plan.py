@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -86,14 +85,14 @@ class Plan:
     def _no_world(self, world: Any) -> ValueError:
         return ValueError(f"world is {shown(world)}: a whole number from 0 to {self.num_worlds - 1} is needed")
 
-    def seeds(self, seeds: int | Sequence[int] | None) -> list[int] | None:
+    def seeds(self, seeds: Any) -> list[int] | None:
         """One seed for each world: from s on for an int s, None for None. Raises ValueError for what cannot be a seed."""
         if seeds is None:
             return None
         if isinstance(seeds, int | np.integer) and not isinstance(seeds, bool):
             return [whole("seed", seeds, 0) + k for k in range(self.num_worlds)]
         listed = isinstance(seeds, list | tuple) or (isinstance(seeds, np.ndarray) and seeds.ndim == 1)
-        if isinstance(seeds, bool) or not listed or len(seeds) != self.num_worlds:
+        if not listed or len(seeds) != self.num_worlds:
             raise ValueError(
                 f"seed is {shown(seeds)}: a whole number, or a list of {self.num_worlds}, one for each world, is needed"
             )
