@@ -11,7 +11,7 @@ from bulletuav.control.actions import ACTIONS
 from bulletuav.control.cascade import CONTROLLERS, PID_LEVELS
 from bulletuav.control.levels import Level
 from bulletuav.envs.randomization import CERTAIN, Randomization
-from bulletuav.errors import UnknownOptionError, finite, nearest, pick, several, shown, whole
+from bulletuav.errors import UnknownOptionError, finite, nearest, pick, several, shown, unknown, whole
 from bulletuav.physics.airframe import EFFECTS, STANDARD_GRAVITY, Airframe, load_airframe
 from bulletuav.physics.ladder import LADDER
 from bulletuav.physics.wind import MOST_WIND, TURBULENCE, WindField, check_field
@@ -237,7 +237,8 @@ class Options:
 def _check_names(name: str, what: str, given: Any, known: Sequence[str]) -> None:
     """Raise ValueError for a name that is not known, or is there twice."""
     for one in given or ():
-        pick(what, one, dict.fromkeys(known))
+        if not isinstance(one, str) or one not in known:
+            raise ValueError(f"{name}: {unknown(what, one, known)}")
         if given.count(one) > 1:
             raise ValueError(f"{name} has {one!r} {given.count(one)} times: name it once")
 

@@ -429,7 +429,7 @@ def merged_weights(defaults: Mapping[str, float], changes: Mapping[str, float]) 
     """Reward weights with some of them changed. Raises ValueError for a term that does not exist."""
     for term in changes:
         if term not in defaults:
-            raise unknown("reward term", term, defaults)
+            raise ValueError(f"weights: {unknown('reward term', term, defaults)}")
     return {**defaults, **changes}
 
 
