@@ -283,11 +283,29 @@ def resolve(task: type[Task], given: Mapping[str, Any]) -> tuple[Options, Any]:
     for name in ("num_drones", "airframe", "action", "decision_hz", "horizon", "max_speed", "dynamics", "controller"):
         if values.get(name, "") is None:
             raise ValueError(f"{name} is None: leave it out for the task's default")
+    _make_lists(values)
+    _find_airframes(values, given)
+    values["randomization"] = Randomization.of(values.get("randomization"))
+    options = Options(**{name: value for name, value in values.items() if name in common})
+    config = task.Config(**{name: value for name, value in values.items() if name in own})
+    return options, _checked_config(config)
+
+
+def _make_lists(values: dict[str, Any]) -> None:
+    """Make tuples of the options that are lists, and of one name where there can be several."""
     for name in SEVERAL:
         if isinstance(values.get(name), str):
             values[name] = (values[name],)
-        elif name in values and not (name == "wind" and callable(values[name])) and not _left_out(name, values[name]):
+        elif name in values and not _is_single(name, values[name]):
             values[name] = several(name, values[name], most=MOST_NAMES if name in NAMED else None)
+
+
+def _is_single(name: str, value: Any) -> bool:
+    return (name == "wind" and callable(value)) or (name == "observation" and value is None)
+
+
+def _find_airframes(values: dict[str, Any], given: Mapping[str, Any]) -> None:
+    """Load an airframe for each drone; what nobody gave follows: how many drones there are, and the speed limit."""
     if isinstance(values["airframe"], list | tuple):
         if not values["airframe"]:
             raise ValueError("airframe is an empty list: give one airframe, or one for each drone")
@@ -302,15 +320,6 @@ def resolve(task: type[Task], given: Mapping[str, Any]) -> tuple[Options, Any]:
         values["max_speed"] = min(
             finite("max_speed", values["max_speed"]), *(airframe.max_speed for airframe in values["airframe"])
         )
-    values["randomization"] = Randomization.of(values.get("randomization"))
-    options = Options(**{name: value for name, value in values.items() if name in common})
-    config = task.Config(**{name: value for name, value in values.items() if name in own})
-    return options, _checked_config(config)
-
-
-def _left_out(name: str, value: Any) -> bool:
-    """Whether an option is None that may be."""
-    return name == "observation" and value is None
 
 
 def _checked_config(config: Any) -> Any:

@@ -8,19 +8,19 @@ import numpy as np
 
 from bulletuav.control.actions import Action, Flyable, make_action
 from bulletuav.envs.options import Options, resolve
-from bulletuav.errors import numbers_of, pick, require_memory, shown, whole
+from bulletuav.errors import finite, numbers_of, pick, require_memory, shown, whole
 from bulletuav.physics.tiles import TILE_PITCH
 from bulletuav.physics.world import PARKING_HEIGHT
 from bulletuav.sensors.lidar import make_beams
 from bulletuav.tasks import TaskSource, find_task
 from bulletuav.tasks.base import Setting, Task
-from bulletuav.tasks.terms.observations import NAMES, STATE, Observer
+from bulletuav.tasks.terms.observations import IMAGES, NAMES, STATE, Observer
 
 MOST_WORLDS = 1_000_000
-BODY_BYTES = 100_000  # of a drone in the engine, measured
+BODY_BYTES, OBSTACLE_BYTES, LAYOUT_BYTES = 100_000, 5_000, 100_000
+"""Of a drone, an obstacle and a city in one world of the engine, measured"""
 NUMBER_BYTES = 8
 LARGE = 100.0  # m, of an option that may be to blame for an arena that is too large
-CAMERAS = {"rgb", "depth", "segmentation", "ray_depth"}
 
 
 class Plan:
@@ -31,7 +31,7 @@ class Plan:
         kind = find_task(task)
         self.num_worlds = whole("num_worlds", num_worlds, 1, MOST_WORLDS)
         self.options, config = resolve(kind, options)
-        self._require_memory(BODY_BYTES)
+        self._require_memory(BODY_BYTES * self.options.num_drones)
         self.task = _make_task(kind, config, self.options)
         self.action = _make_action(self.options, self.task)
         names, camera = self.options.observation or kind.observation, self.options.camera_size
@@ -40,20 +40,25 @@ class Plan:
         for name in kind.senses:
             pick(f"reading among the senses of task {self.task.name!r}:", name, dict.fromkeys(NAMES))
         self.wanted = {*names, *kind.senses}
-        self._require_memory(BODY_BYTES + self._numbers_of_a_drone() * NUMBER_BYTES)
+        self._require_memory(self._world_bytes())
 
     def _require_memory(self, each: float) -> None:
-        """Raise ValueError where all drones of all worlds do not fit into the machine, at `each` bytes."""
+        """Raise ValueError where the worlds do not fit into the machine, at `each` bytes."""
         drones = self.options.num_drones
         what = f"{self.num_worlds} worlds of {drones} drones (num_worlds, num_drones) with what they observe"
-        require_memory(what, self.num_worlds * drones * each, "lower num_worlds, num_drones, or what is observed")
+        require_memory(what, self.num_worlds * each, "lower num_worlds, num_drones, or what is observed")
 
-    def _numbers_of_a_drone(self) -> int:
-        """About how many numbers are kept of a drone at once: what it observes, its pictures, others and targets."""
-        pictures = math.prod(self.options.camera_size) if self.wanted & CAMERAS else 0
+    def _world_bytes(self) -> float:
+        """About what a world takes: bodies of drones, obstacles and cities, and what is kept of each drone at once.
+
+        That is what it observes, its pictures, the others, targets, and the task's memory.
+        """
+        pictures = math.prod(self.options.camera_size) if self.wanted.intersection(IMAGES) else 0
         memory = sum(math.prod(shape) for shape in self.task.memory().values()) // self.options.num_drones
         others = self.options.num_drones if {"neighbours", "all_neighbours"} & self.wanted else 0
-        return 2 * self.observer.low.size + 4 * pictures + 3 * others + 2 * self.task.num_targets + memory
+        numbers = 2 * self.observer.low.size + 4 * pictures + 3 * others + 2 * self.task.num_targets + memory
+        things = OBSTACLE_BYTES * len(self.task.obstacles()) + LAYOUT_BYTES * len(self.task.layouts())
+        return (BODY_BYTES + NUMBER_BYTES * numbers) * self.options.num_drones + things
 
     def mask(self, mask: np.ndarray | None) -> np.ndarray:
         """(W,) worlds to reset, all for None. Raises ValueError for another shape or type."""
@@ -152,6 +157,9 @@ def _check_arena(task: Task, config: Any, radius: float) -> None:
         raise ValueError(
             f"arena_low and arena_high of task {task.name!r} are {shown(arena)}: lower and upper corner are needed"
         )
+    finite(f"zone of task {task.name!r}", task.zone)
+    if task.rebound is not None:
+        finite(f"rebound of task {task.name!r}", task.rebound, 0, 1)
     reach = float(np.abs(arena[:, :2]).max())
     if 2 * (reach + radius) >= TILE_PITCH or arena[1, 2] >= PARKING_HEIGHT:
         sizes = {field.name: getattr(config, field.name) for field in dataclasses.fields(config) if field.type is float}
