@@ -2,13 +2,16 @@
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from bulletuav.control.actions import Action, Flyable, make_action
 from bulletuav.envs.options import Options, resolve
-from bulletuav.errors import finite, numbers_of, pick, require_memory, shown, whole
+from bulletuav.errors import finite, numbers_of, pick, require_memory, several, shown, whole
+from bulletuav.physics.obstacle import Obstacle
+from bulletuav.physics.solids import Solids
 from bulletuav.physics.tiles import TILE_PITCH
 from bulletuav.physics.world import PARKING_HEIGHT
 from bulletuav.sensors.lidar import make_beams
@@ -56,7 +59,7 @@ class Plan:
         pictures = math.prod(self.options.camera_size) if self.wanted.intersection(IMAGES) else 0
         memory = sum(math.prod(shape) for shape in self.task.memory().values()) // self.options.num_drones
         others = self.options.num_drones if {"neighbours", "all_neighbours"} & self.wanted else 0
-        numbers = 2 * self.observer.low.size + 4 * pictures + 3 * others + 2 * self.task.num_targets + memory
+        numbers = 2 * self.observer.low.size + 2 * pictures + 3 * others + 2 * self.task.num_targets + memory
         things = OBSTACLE_BYTES * len(self.task.obstacles()) + LAYOUT_BYTES * len(self.task.layouts())
         return (BODY_BYTES + NUMBER_BYTES * numbers) * self.options.num_drones + things
 
@@ -145,6 +148,7 @@ def _make_task(kind: type[Task], config: Any, options: Options) -> Task:
         ),
     )
     _check_arena(task, config, radius)
+    _check_things(task)
     if config.d_safe <= 2 * radius:
         raise ValueError(f"d_safe {config.d_safe:g} m must exceed the {2 * radius:.3g} m across of the largest drone")
     return task
@@ -168,6 +172,22 @@ def _check_arena(task: Task, config: Any, radius: float) -> None:
             f"the arena reaches {reach:g} m aside and {arena[1, 2]:g} m up: less than {TILE_PITCH / 2:g} and "
             f"{PARKING_HEIGHT:g} m are needed, where other worlds begin; lower {' or '.join(large) or 'num_drones'}"
         )
+
+
+def _check_things(task: Task) -> None:
+    """Raise ValueError where a task's bodies, cities or memory are none."""
+    kinds: dict[str, type] = {"obstacles": Obstacle, "layouts": Solids}
+    for name, kind in kinds.items():
+        things = getattr(task, name)()
+        if not isinstance(things, list | tuple) or not all(isinstance(one, kind) for one in things):
+            raise ValueError(f"{name} of task {task.name!r} gave {shown(things)}: a list of {kind.__name__} is needed")
+    memory: Any = task.memory()
+    if not isinstance(memory, Mapping):
+        raise ValueError(f"memory of task {task.name!r} gave {shown(memory)}: a dict of shapes by name is needed")
+    for name, shape in memory.items():
+        label = f"shape of memory {name!r} of task {task.name!r}"
+        for side in several(label, shape):
+            whole(label, side, 0)
 
 
 def _make_action(options: Options, task: Task) -> Action:
