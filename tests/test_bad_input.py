@@ -258,6 +258,7 @@ FILES = {
     "digits.geojson": (collection(square(0, 0), height=10**400), {}, r"feature 0 .*its height is 1000"),
     "flag.geojson": (collection(square(0, 0), height=True), {}, "its height is True"),
     "deep.geojson": ("[" * 10**5, {}, "is not GeoJSON"),
+    "long.geojson": ('{"features": ' + "1" * 5000 + "}", {}, "is not GeoJSON"),
     "null.geojson": ('{"features": [null]}', {}, r"feature 0 .*its geometry cannot be read: a Polygon"),
     "empty.geojson": (collection([]), {}, r"feature 0 .*(empty|cannot be read)"),
     "latin.geojson": (b'{"features": "\xe9"}', {}, "is no text in UTF-8"),

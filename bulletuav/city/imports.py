@@ -191,9 +191,10 @@ def _shapely() -> ModuleType:
 
 def _features(path: Path) -> list[tuple[str, dict[str, Any]]]:
     """The features of a file, each with a name for messages."""
+    text = read_file(path)
     try:
-        content = json.loads(read_file(path))
-    except json.JSONDecodeError as error:
+        content = json.loads(text)
+    except ValueError as error:
         raise ValueError(f"{path} is not GeoJSON: {error}") from None
     except RecursionError:
         raise ValueError(f"{path} is not GeoJSON: lists within lists, too deep to be read") from None
