@@ -21,7 +21,7 @@ import numpy as np
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.plan import Plan
 from bulletuav.envs.worker import portable
-from bulletuav.errors import whole
+from bulletuav.errors import shown, whole
 from bulletuav.files import replace_file
 from bulletuav.kernel import source_hash
 from bulletuav.metrics import METRICS, Estimate, Meter, estimate
@@ -33,6 +33,7 @@ from bulletuav.version import __version__
 
 BATCH = 10
 """Episodes flown at once; part of what an evaluation is, whatever the number of processes"""
+MOST_EPISODES = 1_000_000
 RUN, EPISODES = "run.json", "episodes.csv"
 COLUMNS = ("episode", "seed", *METRICS)
 Row = dict[str, float]
@@ -112,6 +113,10 @@ class Run:
         return [{"episode": episode, "seed": self.seed + episode, **meter.row(k)} for k, episode in enumerate(batch)]
 
 
+def _untold(episodes: int) -> None:
+    """Tell nobody."""
+
+
 def evaluate(
     task: TaskSource,
     policy: PolicySource,
@@ -119,7 +124,7 @@ def evaluate(
     seed: int = 0,
     workers: int = 1,
     out: str | Path | None = None,
-    progress: Callable[[int], None] = lambda episodes: None,
+    progress: Callable[[int], None] | None = None,
     trust: bool = False,
     **options: Any,
 ) -> Evaluation:
@@ -133,9 +138,15 @@ def evaluate(
     ValueError for what cannot be, also for an `out` that holds another run.
     """
     whole("workers", workers, 1)
+    if out is not None and (not isinstance(out, str | Path) or not str(out)):
+        raise ValueError(f"out is {shown(out)}: the path of a folder, or None to keep nothing, is needed")
+    if progress is None:
+        progress = _untold
+    if not callable(progress):
+        raise ValueError(f"progress is {shown(progress)}: a function of how many more episodes are done is needed")
     pilot = find_policy(policy, task, trust)
     options = {**pilot.options, **options}
-    run = Run(task, policy, whole("seed", seed, 0), whole("episodes", episodes, 1), options, trust)
+    run = Run(task, policy, whole("seed", seed, 0), whole("episodes", episodes, 1, MOST_EPISODES), options, trust)
     if out is not None and callable(options.get("wind")):
         raise ValueError("wind is a function, which a folder cannot tell from another one: evaluate it without out")
     about = _about(run, pilot)
@@ -206,16 +217,17 @@ class _Store:
             raise ValueError(f"{folder} cannot be a folder to write to: {error.strerror or error}") from None
 
     def _load(self, folder: Path, about: dict[str, Any]) -> None:
-        try:
-            _require_same(json.loads((folder / RUN).read_text()), about, folder)
-            with (folder / EPISODES).open(newline="") as file:
-                for row in csv.DictReader(file):
-                    numbers: Row = {name: float(row[name]) for name in COLUMNS}
-                    self.rows[int(row["episode"])] = numbers | {name: int(row[name]) for name in ("episode", "seed")}
-        except (json.JSONDecodeError, KeyError, TypeError) as error:
-            raise ValueError(
-                f"{folder} holds a run that is damaged ({error!r}): delete it or choose another folder"
-            ) from None
+        with _damaged(folder / RUN):
+            known = json.loads((folder / RUN).read_text())
+            known["options"]  # of which the comparison is made
+        _require_same(known, about, folder)
+        with _damaged(folder / EPISODES), (folder / EPISODES).open(newline="") as file:
+            table = csv.DictReader(file)
+            if tuple(table.fieldnames or ()) != COLUMNS:
+                raise ValueError(f"its columns are {shown(table.fieldnames)}")
+            for row in table:
+                numbers: Row = {name: float(row[name]) for name in COLUMNS}
+                self.rows[int(row["episode"])] = numbers | {name: int(row[name]) for name in ("episode", "seed")}
 
     def add(self, rows: list[Row]) -> None:
         """Keep the rows of a batch, on disk too, in the order of the episodes."""
@@ -227,6 +239,17 @@ class _Store:
         writer.writeheader()
         writer.writerows(self.rows[episode] for episode in sorted(self.rows))
         replace_file(self._folder / EPISODES, table.getvalue())
+
+
+@contextlib.contextmanager
+def _damaged(path: Path) -> Iterator[None]:
+    """Name the file that cannot be read as what it should be."""
+    try:
+        yield
+    except (ValueError, KeyError, TypeError, csv.Error) as error:  # no UTF-8 and no JSON are ValueErrors
+        raise ValueError(
+            f"{path.parent} holds a run that is damaged ({path.name}: {error!r}): delete it or choose another folder"
+        ) from None
 
 
 def _require_same(known: dict[str, Any], about: dict[str, Any], folder: Path) -> None:

@@ -142,7 +142,7 @@ def test_flying_through_a_city_of_a_file(tmp_path):
         (["--city", "urban,dense,urban"], "alpha is 'urban'"),
         (["--city", "urban", "--set", "city=dense"], "city is given twice"),
         (["--city", "urban", "--set", "num_layouts=0"], "num_layouts is 0"),
-        (["--city", "urban", "--set", "area=10"], "side is 10 m"),
+        (["--city", "urban", "--set", "area=10"], "area is 10 m"),
     ],
 )
 def test_bad_cities_to_fly_in_end_in_one_line(words, message, capsys, tmp_path):

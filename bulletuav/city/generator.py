@@ -7,7 +7,7 @@ import numpy as np
 from bulletuav.city.model import City
 from bulletuav.city.statistics import KINDS, Statistics
 from bulletuav.city.streets import grid_streets
-from bulletuav.errors import finite, pick
+from bulletuav.errors import finite, pick, shown
 from bulletuav.physics.solids import Solids
 
 MOST_BLOCKS = 128  # along a side
@@ -29,9 +29,12 @@ def generate(kind: str | Statistics, side: float, rng: np.random.Generator, irre
     All random numbers are taken from `rng`. Raises ValueError for an unknown kind, a side of less than two blocks, and an
     irregularity that is not in [0, 1].
     """
+    if not isinstance(rng, np.random.Generator):
+        raise ValueError(f"rng is {shown(rng)}: a generator such as np.random.default_rng(0) is needed")
     statistics = kind if isinstance(kind, Statistics) else pick("kind of city", kind, KINDS)
     if not 0 <= finite("irregularity", irregularity) <= 1:
         raise ValueError(f"irregularity is {irregularity!r}: a number from 0 (regular) to 1 is needed")
+    irregularity, side = finite("irregularity", irregularity), finite("side", side)
     parks = PARKS * irregularity * (1 - math.sqrt(statistics.alpha))
     count = _blocks(side, statistics.pitch * math.sqrt(1 - parks))
     lots = _lots(statistics.alpha, side, count, rng, irregularity)
@@ -48,7 +51,10 @@ def _blocks(side: float, pitch: float) -> int:
     if few < 2:
         raise ValueError(f"side is {side!r} m: two blocks need at least {2 * pitch:.4g} m; give that, or a greater beta")
     if few > MOST_BLOCKS:
-        raise ValueError(f"side is {side!r} m: at most {MOST_BLOCKS * pitch:.4g} m, {MOST_BLOCKS} blocks, are made")
+        raise ValueError(
+            f"side is {side!r} m: at most {MOST_BLOCKS * pitch:.4g} m, {MOST_BLOCKS} blocks, are made; give that, or a "
+            f"smaller beta"
+        )
     return min(few, few + 1, key=lambda count: abs(side / count - pitch))
 
 

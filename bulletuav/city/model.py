@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from bulletuav.city.streets import Streets
+from bulletuav.errors import finite, numbers_of, shown
 from bulletuav.physics.solids import Solids, box_corners
 
 GROUP = 256  # points that are neighbours along x are asked together, as few pieces come into question
@@ -52,22 +53,22 @@ class City:
 
     def outdoors(self, points: np.ndarray, margin: float = 0.0) -> np.ndarray:
         """(...,) whether points (..., 2 or 3) are farther than `margin` m from all footprints; their z does not matter."""
-        plan = np.asarray(points)[..., :2]
+        plan, margin = _plan(points), finite("margin", margin)
         free = np.ones(plan[..., 0].size, dtype=bool)
         free[self._near(plan.reshape(-1, 2), margin)[0]] = False
         return free.reshape(plan.shape[:-1])
 
     def clearance(self, points: np.ndarray, most: float) -> np.ndarray:
         """(...,) way from points (..., 2 or 3) to the nearest footprint seen from above, m: 0 over one, `most` at most."""
-        plan = np.asarray(points)[..., :2]
-        gap = np.full(plan[..., 0].size, float(most))
+        plan, most = _plan(points), finite("most", most)
+        gap = np.full(plan[..., 0].size, most)
         point, _, distance = self._near(plan.reshape(-1, 2), most)
         np.minimum.at(gap, point, distance)
         return gap.reshape(plan.shape[:-1])
 
     def roof(self, points: np.ndarray) -> np.ndarray:
         """(...,) height of the highest roof over or under points (..., 2 or 3), m; 0 outdoors."""
-        plan = np.asarray(points)[..., :2]
+        plan = _plan(points)
         flat = plan.reshape(-1, 2)
         top = np.zeros(len(flat))
         point, piece, _ = self._near(flat, 0.0)
@@ -124,6 +125,14 @@ def _padded(rows: Sequence[np.ndarray], columns: int) -> np.ndarray:
     longest = max(map(len, rows), default=1)
     index = [np.minimum(np.arange(longest), len(row) - 1) for row in rows]
     return np.array([row[which] for row, which in zip(rows, index, strict=True)]).reshape(-1, longest, columns)
+
+
+def _plan(points: np.ndarray) -> np.ndarray:
+    """(..., 2) of points (..., 2 or 3). Raises ValueError unless they are finite numbers of such a shape."""
+    points = numbers_of("points are", points)
+    if not points.ndim or points.shape[-1] not in (2, 3) or not np.isfinite(points).all():
+        raise ValueError(f"points are {shown(points)}: finite (x, y) or (x, y, z), one or several, are needed")
+    return points[..., :2]
 
 
 def _outline(points: np.ndarray) -> np.ndarray:

@@ -1,5 +1,6 @@
 """What ITU-R P.1410 says of a built-up area in three numbers, and what was realised of them."""
 
+import dataclasses
 import math
 from dataclasses import dataclass
 
@@ -7,6 +8,9 @@ import numpy as np
 
 from bulletuav.city.model import City
 from bulletuav.errors import finite
+
+MOST = {"alpha": math.inf, "beta": 1e6, "gamma": 500.0}
+"""Beyond it buildings are smaller than a drone, or reach out of a world's airspace"""
 
 
 @dataclass(frozen=True)
@@ -25,11 +29,14 @@ class Statistics:
     gamma: float
 
     def __post_init__(self):
-        if not 0 < finite("alpha", self.alpha) < 1:
-            raise ValueError(f"alpha is {self.alpha!r}: the built-up share of the ground lies between 0 and 1")
+        given = dataclasses.asdict(self)
+        for name, value in given.items():
+            object.__setattr__(self, name, finite(name, value, most=MOST[name]))
+        if not 0 < self.alpha < 1:
+            raise ValueError(f"alpha is {given['alpha']!r}: the built-up share of the ground lies between 0 and 1")
         for name, unit in (("beta", "buildings per km^2"), ("gamma", "m")):
-            if finite(name, getattr(self, name)) <= 0:
-                raise ValueError(f"{name} is {getattr(self, name)!r}: a positive number of {unit} is needed")
+            if getattr(self, name) <= 0:
+                raise ValueError(f"{name} is {given[name]!r}: a positive number of {unit} is needed")
 
     @property
     def pitch(self) -> float:

@@ -13,10 +13,10 @@ from bulletuav.control.levels import Level
 from bulletuav.envs.camera import Camera
 from bulletuav.envs.energy import Energy
 from bulletuav.envs.environment import Environment, exclusive
-from bulletuav.envs.plan import Plan
+from bulletuav.envs.plan import MOST_WORLDS, Plan
 from bulletuav.envs.randomization import Uncertainty
 from bulletuav.envs.senses import Senses
-from bulletuav.errors import points_of
+from bulletuav.errors import points_of, whole
 from bulletuav.physics.airframe import parameter_rows
 from bulletuav.physics.atlas import NOWHERE
 from bulletuav.physics.dynamics import Dynamics, Flight
@@ -28,7 +28,7 @@ from bulletuav.physics.wind import Wind
 from bulletuav.physics.world import World
 from bulletuav.sensors.sight import line_of_sight
 from bulletuav.tasks import TaskSource
-from bulletuav.tasks.base import Frame, Scene, Spawn, refuse_overlap
+from bulletuav.tasks.base import Frame, Scene, Spawn, check_spawn, check_verdict, require_finite
 from bulletuav.tasks.terms.observations import Observation
 
 NOTHING_STANDS = Solids(np.zeros((0, 2, 3)))
@@ -69,7 +69,7 @@ class Aviary(Environment):
         self.state_observer = plan.state_observer
         shape = self.num_worlds, self.num_drones = plan.num_worlds, self.options.num_drones
         live = self.options.render_mode == "human"
-        dt, self._first_world = 1 / self.options.physics_hz, first_world
+        dt, self._first_world = 1 / self.options.physics_hz, whole("first_world", first_world, 0, MOST_WORLDS)
         obstacles, layouts = self.task.obstacles(), self.task.layouts()
         self._world = World(self.options.airframe, self.num_worlds, dt, obstacles, layouts, first_world, live)
         self._dynamics, self._cascade = self._make_dynamics()
@@ -87,6 +87,7 @@ class Aviary(Environment):
         self._energy = Energy(self.options, self.parameters)
         self.rng: list[np.random.Generator | None] = [None] * self.num_worlds
         self._frame: Frame | None = None
+        self._judged = False
 
     def _make_dynamics(self) -> tuple[Dynamics, Cascade]:
         options, worlds = self.options, (self.num_worlds, 1)
@@ -116,8 +117,8 @@ class Aviary(Environment):
         worlds = np.flatnonzero(self._plan.mask(mask))
         generators = self._generators(worlds, self._plan.seeds(seeds))
         spawns = [self.task.spawn(rng) for rng in generators]
-        for spawn in spawns:
-            refuse_overlap(spawn.position, self.task.setting.collision_radius)
+        for spawn in spawns:  # all before anything of the worlds is written
+            check_spawn(self.task, spawn, self.options.airframe, self.scene.obstacle.shape[1], self.scene.memory)
         for k, rng, spawn in zip(worlds, generators, spawns, strict=True):
             self.rng[k] = rng
             self._place(int(k), spawn)
@@ -138,7 +139,11 @@ class Aviary(Environment):
         if self._frame is not None:  # of the worlds that fly on
             action = np.where(chosen[..., None], action, self._frame.action)
             flown = chosen | self._frame.alive
-        self._frame = self._make_frame(now, now, action, Contacts.merge({}), flown, self.scene.goal.copy())
+        frame = self._make_frame(now, now, action, Contacts.merge({}), flown, self.scene.goal.copy())
+        if not self._judged:  # once: later verdicts are of the same form
+            check_verdict(self.task, self.task.judge(frame), flown.shape)
+            self._judged = True
+        self._frame = frame
         return self.observer.observe(self._frame, self.alive)
 
     def _generators(self, worlds: np.ndarray, seeds: list[int] | None) -> list[np.random.Generator]:
@@ -214,6 +219,7 @@ class Aviary(Environment):
             self._dynamics.show(self.swarm, self.alive)
             self._camera.show(self.swarm, self.alive, 1 / self.options.decision_hz)
         reward = functools.reduce(np.add, weighted.values(), np.zeros(flown.shape))
+        require_finite(self.task, weighted, reward)
         return Step(observations, reward, terminated, truncated, self._info(frame, weighted, verdict.success))
 
     def _fly(self, action: np.ndarray, flown: np.ndarray) -> Frame:

@@ -1,5 +1,6 @@
 """The batched face: W worlds of N drones that reset themselves."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -8,9 +9,26 @@ from gymnasium.vector import AutoresetMode
 
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.environment import Environment, exclusive
+from bulletuav.envs.plan import MOST_WORLDS
 from bulletuav.envs.spaces import widest_action_space
+from bulletuav.errors import pick, shown, whole
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.terms.observations import Observation
+
+
+def autoreset(mode: Any) -> AutoresetMode:
+    """An `AutoresetMode`, by itself, its name or its value. Raises ValueError, with the choices, for anything else."""
+    if isinstance(mode, AutoresetMode):
+        return mode
+    names = {name: one for one in AutoresetMode for name in (one.name, one.value)}
+    return pick("autoreset_mode", mode, names)
+
+
+def reset_mask(options: Any) -> Any:
+    """What a reset's options tell of worlds. Raises ValueError unless they are a dict, None for none."""
+    if options is not None and not isinstance(options, Mapping):
+        raise ValueError(f"options is {shown(options)}: a dict such as {{'reset_mask': mask}}, or None, is needed")
+    return (options or {}).get("reset_mask")
 
 
 class BatchAviary(Environment):
@@ -33,7 +51,8 @@ class BatchAviary(Environment):
         first_world: int = 0,
         **options: Any,
     ):
-        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.autoreset_mode = autoreset(autoreset_mode)
+        whole("num_envs", num_envs, 1, MOST_WORLDS)
         self.aviary = Aviary(task, num_envs, first_world=first_world, **options)
         self.num_envs, self.num_drones = self.aviary.num_worlds, self.aviary.num_drones
         self.observation_space: Box | Dict = self.aviary.observer.space()
@@ -56,7 +75,7 @@ class BatchAviary(Environment):
 
         `seed`: an int s gives world k the seed s + k; a sequence gives one to each; None goes on with each world's own.
         """
-        mask = (options or {}).get("reset_mask")
+        mask = reset_mask(options)
         observations = self.aviary.reset(mask, seed)
         self._ended = self._ended & (False if mask is None else ~np.asarray(mask))
         return observations, dict(self.aviary.first_info())

@@ -16,6 +16,7 @@ from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.batch import BatchAviary
 from bulletuav.envs.environment import Environment, exclusive
 from bulletuav.envs.spaces import joint_action_space, joint_numbers
+from bulletuav.errors import whole
 from bulletuav.tasks import TaskSource, list_tasks
 from bulletuav.tasks.terms.observations import Observation, part
 
@@ -65,7 +66,7 @@ class CentralAviary(Environment, gymnasium.Env):
     @exclusive
     def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[Any, dict]:
         """Start a new episode; `options` is Gymnasium's and not read."""
-        super().reset(seed=seed)
+        super().reset(seed=None if seed is None else whole("seed", seed, 0))
         observations = self.aviary.reset(seeds=seed)
         return part(_central(self.aviary, observations), 0), _of_world(self.aviary.first_info())
 
@@ -78,7 +79,7 @@ class CentralAviary(Environment, gymnasium.Env):
         observation = part(_central(self.aviary, step.observations), 0)
         return observation, float(step.rewards.mean()), over and not truncated, truncated, _of_world(step.info)
 
-    def render(self) -> np.ndarray | None:  # type: ignore[override]
+    def render(self) -> np.ndarray | None:
         """A picture (height, width, 3) uint8 with render_mode "rgb_array"."""
         return self.aviary.render()
 

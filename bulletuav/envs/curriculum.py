@@ -12,9 +12,10 @@ from bulletuav.envs.environment import Environment, exclusive
 from bulletuav.envs.parallel import ParallelAviary, check_agents
 from bulletuav.envs.plan import Plan
 from bulletuav.envs.spaces import drone_action_space
-from bulletuav.errors import finite, whole
+from bulletuav.errors import finite, pick, several, shown, whole
 from bulletuav.tasks import TaskSource
 
+MOST_LEVELS, MOST_WINDOW = 100, 1_000_000
 DIFFICULTIES = tuple({"difficulty": name} for name in ("easy", "medium", "hard", "extreme"))
 
 
@@ -27,10 +28,10 @@ class Curriculum:
 
     def __init__(self, count: int, up: float = 0.8, down: float = 0.2, window: int = 20):
         """Raises ValueError for rates or a window that cannot be."""
-        self.count, self.window = whole("levels", count, 1), whole("window", window, 1)
+        self.count, self.window = whole("levels", count, 1, MOST_LEVELS), whole("window", window, 1, MOST_WINDOW)
         self.up, self.down = finite("up", up), finite("down", down)
-        if not 0 <= down < up <= 1:
-            raise ValueError(f"down {down:g} and up {up:g}: 0 <= down < up <= 1 is needed")
+        if not 0 <= self.down < self.up <= 1:
+            raise ValueError(f"down {self.down:g} and up {self.up:g}: 0 <= down < up <= 1 is needed")
         self.level = 0
         self._recent: deque[float] = deque(maxlen=self.window)
 
@@ -97,11 +98,11 @@ class CurriculumAviary(Environment, ParallelEnv):
 
     def observation_space(self, agent: str) -> Space:
         """The agent's observation space, the same object each time."""
-        return self.observation_spaces[agent]
+        return pick("agent", agent, self.observation_spaces)
 
     def action_space(self, agent: str) -> Space:
         """The agent's action space, the same object each time."""
-        return self.action_spaces[agent]
+        return pick("agent", agent, self.action_spaces)
 
     @exclusive
     def reset(self, seed: int | None = None, options: dict | None = None) -> tuple[dict, dict]:
@@ -113,7 +114,7 @@ class CurriculumAviary(Environment, ParallelEnv):
             self.curriculum.record(float(np.mean(list(self._successes.values()))))
         self._successes = {}
         if seed is not None:
-            self._rng = np.random.default_rng(seed)
+            self._rng = np.random.default_rng(whole("seed", seed, 0))
         level = self.curriculum.level
         if level not in self._made:
             self._made[level] = ParallelAviary(self._task, **self._options[level])
@@ -171,6 +172,13 @@ def common_observation(plans: Sequence[Plan]) -> Space:
     return Box(np.min([plan.observer.low for plan in plans], axis=0), np.max([plan.observer.high for plan in plans], axis=0))
 
 
+def check_levels(levels: Any) -> None:
+    """Raise ValueError unless levels are a list of dicts of options, one or more."""
+    listed = several("levels", levels, most=MOST_LEVELS)
+    if not listed or not all(isinstance(level, Mapping) for level in listed):
+        raise ValueError(f"levels is {shown(levels)}: a list of names with values is needed, one or more")
+
+
 def curriculum_env(
     task: TaskSource,
     levels: Sequence[Mapping[str, Any]] = DIFFICULTIES,
@@ -183,4 +191,5 @@ def curriculum_env(
 
     `levels`: options of each level, easiest first, by default the difficulties; `options` are common to all.
     """
+    check_levels(levels)
     return CurriculumAviary(task, levels, Curriculum(len(levels), up, down, window), **options)

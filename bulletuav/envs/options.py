@@ -3,19 +3,18 @@
 import dataclasses
 import typing
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Literal
 
 from bulletuav.control.actions import ACTIONS
 from bulletuav.control.cascade import CONTROLLERS, PID_LEVELS
 from bulletuav.control.levels import Level
 from bulletuav.envs.randomization import CERTAIN, Randomization
-from bulletuav.errors import UnknownOptionError, finite, nearest, pick, several, unknown, whole
+from bulletuav.errors import UnknownOptionError, finite, nearest, pick, several, shown, unknown, whole
 from bulletuav.physics.airframe import EFFECTS, STANDARD_GRAVITY, Airframe, load_airframe
 from bulletuav.physics.ladder import LADDER
-from bulletuav.physics.wind import TURBULENCE, WindField
+from bulletuav.physics.wind import MOST_WIND, TURBULENCE, WindField, check_field
 from bulletuav.sensors.lidar import FRAMES
 from bulletuav.tasks.base import Task
 from bulletuav.tasks.terms.observations import NAMES
@@ -24,6 +23,25 @@ ENERGIES = ("zeng", "actuator")
 SEVERAL = ("observation", "effects", "wind", "render_size", "camera_size", "lidar_elevations")
 RENDER_MODES = ("rgb_array", "human")
 ROTOR_ACTIONS = ("rotor", "rpm")
+MOST_DRONES = 10_000
+MOST_HZ = 100_000
+MOST_PIXELS = 4096  # along a side
+MOST_BEAMS = 8192  # of a drone's range finder in all
+MOST_RANGE = 10_000.0  # m
+MOST_CAPACITY = 1e6  # W h
+MOST_NAMES = 100  # in a list of them
+MOST_SIZE, MOST_COUNT = 1e6, 10**9  # of a number of a task's config whose field tells none
+MOST_WEIGHT = 1e6
+COUNTS = {
+    "num_drones": MOST_DRONES,
+    "num_neighbours": 1000,
+    "horizon": 10**9,
+    "physics_hz": MOST_HZ,
+    "decision_hz": MOST_HZ,
+    "num_beams": MOST_BEAMS,
+}
+"""Whole numbers above 0, and the most that each can be"""
+NAMED = ("observation", "effects")
 
 
 @dataclass(frozen=True)
@@ -95,47 +113,60 @@ class Options:
     energy: str = "zeng"
 
     def __post_init__(self):
-        for name in ("num_drones", "num_neighbours", "horizon", "physics_hz", "decision_hz", "num_beams"):
-            whole(name, getattr(self, name), 1)
+        for name, most in COUNTS.items():
+            self._keep(name, whole(name, getattr(self, name), 1, most))
         _divides("decision_hz", self.decision_hz, "physics_hz", self.physics_hz)
         if self.camera_hz is not None:
-            whole("camera_hz", self.camera_hz, 1)
+            self._keep("camera_hz", whole("camera_hz", self.camera_hz, 1, MOST_HZ))
             _divides("camera_hz", self.camera_hz, "decision_hz", self.decision_hz)
         if self.seed is not None:
-            whole("seed", self.seed, 0)
-        if self.render_mode is not None and self.render_mode not in RENDER_MODES:
-            raise unknown("render_mode", self.render_mode, RENDER_MODES)
+            self._keep("seed", whole("seed", self.seed, 0))
+        if self.render_mode is not None:
+            pick("render_mode", self.render_mode, dict.fromkeys(RENDER_MODES))
         for name in ("render_size", "camera_size"):
-            for side in several(name, getattr(self, name), 2):
-                whole(name, side, 8)
+            self._keep(name, tuple(whole(name, side, 8, MOST_PIXELS) for side in several(name, getattr(self, name), 2)))
         choices = {"dynamics": tuple(LADDER), "action": tuple(ACTIONS), "controller": tuple(CONTROLLERS)}
         choices |= {"lidar_frame": FRAMES, "energy": ENERGIES}
         for name, known in choices.items():
             pick(name, getattr(self, name), dict.fromkeys(known))
-        for block in self.observation or ():
-            pick("observation block", block, dict.fromkeys(NAMES))
+        _check_names("observation", "observation block", self.observation, NAMES)
+        if self.observation is not None and not self.observation:
+            raise ValueError("observation is empty: name at least one block, or leave it out for the task's own")
+        _check_names("effects", "effect", self.effects, EFFECTS)
         if not isinstance(self.normalise, bool):
-            raise ValueError(f"normalise is {self.normalise!r}: True or False is needed")
-        for effect in self.effects:
-            pick("effect", effect, dict.fromkeys(EFFECTS))
+            raise ValueError(f"normalise is {shown(self.normalise)}: True or False is needed")
         self._check_sensors()
         self._check_flight()
 
+    def _keep(self, name: str, value: Any) -> None:
+        """Store the value as its check gave it, so that kernels see one type of it."""
+        object.__setattr__(self, name, value)
+
     def _check_sensors(self) -> None:
-        if finite("max_range", self.max_range) <= 0:
+        self._keep("max_range", finite("max_range", self.max_range, most=MOST_RANGE))
+        if self.max_range <= 0:
             raise ValueError(f"max_range is {self.max_range:g} m: it must be above 0")
-        for elevation in several("lidar_elevations", self.lidar_elevations):
-            if not -90 <= finite("lidar_elevations", elevation) <= 90:
+        elevations = several("lidar_elevations", self.lidar_elevations, most=MOST_BEAMS)
+        self._keep("lidar_elevations", tuple(finite("lidar_elevations", elevation) for elevation in elevations))
+        for elevation in self.lidar_elevations:
+            if not -90 <= elevation <= 90:
                 raise ValueError(f"lidar_elevations has {elevation:g} degrees: from -90 (down) to 90 (up) is needed")
         if not self.lidar_elevations:
             raise ValueError("lidar_elevations is empty: give at least one angle")
-        if self.battery_capacity is not None and finite("battery_capacity", self.battery_capacity) <= 0:
-            raise ValueError(f"battery_capacity is {self.battery_capacity:g} W h: it must be above 0; None for no limit")
+        if self.num_beams * len(self.lidar_elevations) > MOST_BEAMS:
+            raise ValueError(
+                f"num_beams is {self.num_beams} at each of {len(self.lidar_elevations)} lidar_elevations: at most "
+                f"{MOST_BEAMS} beams in all are possible"
+            )
+        if self.battery_capacity is not None:
+            self._keep("battery_capacity", finite("battery_capacity", self.battery_capacity, most=MOST_CAPACITY))
+            if self.battery_capacity <= 0:
+                raise ValueError(f"battery_capacity is {self.battery_capacity:g} W h: it must be above 0; None for no limit")
 
     def _check_flight(self) -> None:
         if len(self.airframe) != self.num_drones:
             raise ValueError(f"{len(self.airframe)} airframes for {self.num_drones} drones: give one, or one for each drone")
-        finite("max_speed", self.max_speed)
+        self._keep("max_speed", finite("max_speed", self.max_speed))
         slowest = min(self.airframe, key=lambda airframe: airframe.max_speed)
         if not 0 < self.max_speed <= slowest.max_speed:
             raise ValueError(
@@ -164,16 +195,18 @@ class Options:
                 )
 
     def _check_air(self) -> None:
-        if not callable(self.wind):
-            for component in several("wind", self.wind, 3):
-                finite("wind", component)
-        if isinstance(self.turbulence, str) and self.turbulence not in TURBULENCE:
-            raise unknown("turbulence", self.turbulence, TURBULENCE)
-        if not isinstance(self.turbulence, str | None):
-            finite("turbulence", self.turbulence)
+        if callable(self.wind):
+            check_field(self.wind)
+        else:
+            given = several("wind", self.wind, 3)
+            self._keep("wind", tuple(finite("wind", component, -MOST_WIND, MOST_WIND) for component in given))
+        if isinstance(self.turbulence, str):
+            pick("turbulence", self.turbulence, TURBULENCE)
+        elif self.turbulence is not None:
+            self._keep("turbulence", finite("turbulence", self.turbulence, most=MOST_WIND))
             if self.turbulence < 0:
                 raise ValueError(f"turbulence is {self.turbulence:g} m/s: it must not be negative")
-        finite("gravity", self.gravity)
+        self._keep("gravity", finite("gravity", self.gravity))
         if self.gravity < 0:
             raise ValueError(f"gravity is {self.gravity:g} m/s^2: it pulls down with 0 or more")
 
@@ -201,6 +234,15 @@ class Options:
             raise ValueError(f"controller 'pid' takes no {action.name.lower()} setpoints: use controller 'lee'")
 
 
+def _check_names(name: str, what: str, given: Any, known: Sequence[str]) -> None:
+    """Raise ValueError for a name that is not known, or is there twice."""
+    for one in given or ():
+        if not isinstance(one, str) or one not in known:
+            raise ValueError(f"{name}: {unknown(what, one, known)}")
+        if given.count(one) > 1:
+            raise ValueError(f"{name} has {one!r} {given.count(one)} times: name it once")
+
+
 def _divides(name: str, rate: int, into: str, whole: int) -> None:
     if whole % rate:
         divisors = [divisor for divisor in range(1, whole + 1) if whole % divisor == 0]
@@ -208,18 +250,14 @@ def _divides(name: str, rate: int, into: str, whole: int) -> None:
         raise ValueError(f"{name} {rate} does not divide {into} {whole}: try {sorted(near)}")
 
 
-def _airframe(source: Any) -> Airframe:
-    if not isinstance(source, str | Path | Airframe):
-        raise ValueError(f"airframe is {source!r}: a name, the path of a URDF, or an Airframe is needed")
-    return load_airframe(source)
-
-
 def resolve(task: type[Task], given: Mapping[str, Any]) -> tuple[Options, Any]:
     """Common options and the task's config from keyword arguments.
 
-    What is given goes before the preset's values, those before the difficulty's, those before the task's defaults. Raises
-    ValueError for an unknown option (`UnknownOptionError`, which is a TypeError too), preset or difficulty, with the nearest
-    names, or a value that cannot be.
+    What is given goes before the preset's values, those before the difficulty's, those before the task's defaults.
+
+    Raises:
+        UnknownOptionError: There is no such option; a TypeError too. The nearest names are told.
+        ValueError: Of an unknown preset or difficulty, with the nearest names, or a value that cannot be.
     """
     common = {field.name for field in dataclasses.fields(Options)}
     own = {field.name for field in dataclasses.fields(task.Config)}
@@ -231,54 +269,90 @@ def resolve(task: type[Task], given: Mapping[str, Any]) -> tuple[Options, Any]:
     difficulty = given.get("difficulty", task.defaults.get("difficulty", "easy"))
     level = pick("difficulty", difficulty, dict(task.difficulties))
     if given.get("preset") is not None and not task.presets:
-        raise ValueError(f"preset is {given['preset']!r}: task {task.name!r} has none")
+        raise ValueError(f"preset is {shown(given['preset'])}: task {task.name!r} has none")
     preset = {} if given.get("preset") is None else pick("preset", given["preset"], dict(task.presets))
-    values = {**task.defaults, **level, **preset, **given, "difficulty": difficulty}
+    usual = {**task.defaults, **level, **preset}
+    for name in usual:
+        pick(f"option among the defaults of task {task.name!r}:", name, dict.fromkeys(common | own))
+    values = {**usual, **given, "difficulty": difficulty}
+    for name in ("num_drones", "airframe", "action", "decision_hz", "horizon", "max_speed"):
+        if name not in values:
+            raise ValueError(f"defaults of task {task.name!r} lack {name}: it is needed there, or as an option")
     if isinstance(given.get("weights"), Mapping):
         values["weights"] = {**preset.get("weights", {}), **given["weights"]}
     for name in ("num_drones", "airframe", "action", "decision_hz", "horizon", "max_speed", "dynamics", "controller"):
         if values.get(name, "") is None:
             raise ValueError(f"{name} is None: leave it out for the task's default")
-    for name in SEVERAL:
-        if isinstance(values.get(name), str):
-            values[name] = (values[name],)
-        elif name in values and not callable(values[name]) and (name, values[name]) != ("observation", None):
-            values[name] = several(name, values[name])
-    if isinstance(values["airframe"], list | tuple):
-        if not values["airframe"]:
-            raise ValueError("airframe is an empty list: give one airframe, or one for each drone")
-        values["airframe"] = tuple(_airframe(one) for one in values["airframe"])
-        if "num_drones" not in given:
-            values["num_drones"] = len(values["airframe"])
-    else:
-        whole("num_drones", values["num_drones"], 1)
-        values["airframe"] = (_airframe(values["airframe"]),) * values["num_drones"]
-    if "max_speed" not in given:
-        values["max_speed"] = min(values["max_speed"], *(airframe.max_speed for airframe in values["airframe"]))
+    _make_lists(values)
+    _find_airframes(values, given)
     values["randomization"] = Randomization.of(values.get("randomization"))
     options = Options(**{name: value for name, value in values.items() if name in common})
     config = task.Config(**{name: value for name, value in values.items() if name in own})
-    _check_config(config)
-    return options, config
+    return options, _checked_config(config)
 
 
-def _check_config(config: Any) -> None:
-    """Refuse values of a task's config that its field's type cannot hold; float fields are sizes, so not negative."""
-    for field in dataclasses.fields(config):
-        value = getattr(config, field.name)
-        if field.type is int:
-            whole(field.name, value, field.metadata.get("least", 1))
-        elif typing.get_origin(field.type) is Literal:
-            pick(field.name, value, dict.fromkeys(typing.get_args(field.type)))
-        elif field.type is float and finite(field.name, value) < 0:
-            raise ValueError(f"{field.name} is {value:g}: it must not be negative")
-        elif field.type == tuple[float, float]:
-            for number in several(field.name, value, 2):
-                finite(field.name, number)
-        elif field.name == "weights":
-            if not isinstance(value, Mapping):
-                raise ValueError(f"weights is {value!r}: a dict from reward terms to weights is needed")
-            for term, weight in value.items():
-                finite(f"weight of reward term {term!r}", weight)
-    if config.d_safe == 0:
+def _make_lists(values: dict[str, Any]) -> None:
+    """Make tuples of the options that are lists, and of one name where there can be several."""
+    for name in SEVERAL:
+        if isinstance(values.get(name), str):
+            values[name] = (values[name],)
+        elif name in values and not _is_single(name, values[name]):
+            values[name] = several(name, values[name], most=MOST_NAMES if name in NAMED else None)
+
+
+def _is_single(name: str, value: Any) -> bool:
+    return (name == "wind" and callable(value)) or (name == "observation" and value is None)
+
+
+def _find_airframes(values: dict[str, Any], given: Mapping[str, Any]) -> None:
+    """Load an airframe for each drone; what nobody gave follows: how many drones there are, and the speed limit."""
+    if isinstance(values["airframe"], list | tuple):
+        if not values["airframe"]:
+            raise ValueError("airframe is an empty list: give one airframe, or one for each drone")
+        several("airframe", values["airframe"], most=MOST_DRONES)
+        values["airframe"] = tuple(load_airframe(one) for one in values["airframe"])
+        if "num_drones" not in given:
+            values["num_drones"] = len(values["airframe"])
+    else:
+        whole("num_drones", values["num_drones"], 1, MOST_DRONES)
+        values["airframe"] = (load_airframe(values["airframe"]),) * values["num_drones"]
+    if "max_speed" not in given:
+        values["max_speed"] = min(
+            finite("max_speed", values["max_speed"]), *(airframe.max_speed for airframe in values["airframe"])
+        )
+
+
+def _checked_config(config: Any) -> Any:
+    """A task's config with its numbers as its fields' types have them.
+
+    A field's metadata may tell its "least" and "most". Raises ValueError for values that a field's type cannot hold; float
+    fields are sizes, so not negative.
+    """
+    stored = {field.name: _checked(field, getattr(config, field.name)) for field in dataclasses.fields(config) if field.init}
+    if stored["d_safe"] == 0:
         raise ValueError("d_safe is 0: it must be above 0")
+    return dataclasses.replace(config, **stored)
+
+
+def _checked(field: dataclasses.Field, value: Any) -> Any:
+    name, most = field.name, field.metadata.get("most", MOST_COUNT if field.type is int else MOST_SIZE)
+    if field.type is int:
+        return whole(name, value, field.metadata.get("least", 1), most)
+    if field.type is bool and not isinstance(value, bool):
+        raise ValueError(f"{name} is {shown(value)}: True or False is needed")
+    if typing.get_origin(field.type) is Literal:
+        pick(name, value, dict.fromkeys(typing.get_args(field.type)))
+    elif field.type is float:
+        value = finite(name, value, most=most)
+        if value < 0:
+            raise ValueError(f"{name} is {value:g}: it must not be negative")
+    elif field.type == tuple[float, float]:
+        return tuple(finite(name, number, most=most) for number in several(name, value, 2))
+    elif name == "weights":
+        if not isinstance(value, Mapping):
+            raise ValueError(f"weights is {shown(value)}: a dict from reward terms to weights is needed")
+        return {
+            term: finite(f"weights: weight of reward term {shown(term)}", one, -MOST_WEIGHT, MOST_WEIGHT)
+            for term, one in value.items()
+        }
+    return value

@@ -1,19 +1,29 @@
 """What an environment is before there is an engine: options, task, action, observation, and what is asked of them."""
 
-from collections.abc import Sequence
+import dataclasses
+import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from bulletuav.control.actions import Action, Flyable, make_action
 from bulletuav.envs.options import Options, resolve
-from bulletuav.errors import numbers_of, whole
+from bulletuav.errors import finite, numbers_of, pick, require_memory, several, shown, whole
+from bulletuav.physics.obstacle import Obstacle
+from bulletuav.physics.solids import Solids
 from bulletuav.physics.tiles import TILE_PITCH
 from bulletuav.physics.world import PARKING_HEIGHT
 from bulletuav.sensors.lidar import make_beams
 from bulletuav.tasks import TaskSource, find_task
 from bulletuav.tasks.base import Setting, Task
-from bulletuav.tasks.terms.observations import STATE, Observer
+from bulletuav.tasks.terms.observations import IMAGES, NAMES, STATE, Observer
+
+MOST_WORLDS = 1_000_000
+BODY_BYTES, OBSTACLE_BYTES, LAYOUT_BYTES = 100_000, 5_000, 100_000
+"""Of a drone, an obstacle and a city in one world of the engine, measured"""
+NUMBER_BYTES = 8
+LARGE = 100.0  # m, of an option that may be to blame for an arena that is too large
 
 
 class Plan:
@@ -22,48 +32,77 @@ class Plan:
     def __init__(self, task: TaskSource, num_worlds: int, options: dict[str, Any]):
         """See `Aviary`. Raises ValueError for options that cannot be."""
         kind = find_task(task)
+        self.num_worlds = whole("num_worlds", num_worlds, 1, MOST_WORLDS)
         self.options, config = resolve(kind, options)
-        self.num_worlds = whole("num_worlds", num_worlds, 1)
+        self._require_memory(BODY_BYTES * self.options.num_drones)
         self.task = _make_task(kind, config, self.options)
         self.action = _make_action(self.options, self.task)
         names, camera = self.options.observation or kind.observation, self.options.camera_size
         self.observer = Observer(names, self.task, self.action, camera, self.options.normalise)
         self.state_observer = Observer(STATE, self.task, self.action)
+        for name in kind.senses:
+            pick(f"reading among the senses of task {self.task.name!r}:", name, dict.fromkeys(NAMES))
         self.wanted = {*names, *kind.senses}
+        self._require_memory(self._world_bytes())
+
+    def _require_memory(self, each: float) -> None:
+        """Raise ValueError where the worlds do not fit into the machine, at `each` bytes."""
+        drones = self.options.num_drones
+        what = f"{self.num_worlds} worlds of {drones} drones (num_worlds, num_drones) with what they observe"
+        require_memory(what, self.num_worlds * each, "lower num_worlds, num_drones, or what is observed")
+
+    def _world_bytes(self) -> float:
+        """About what a world takes: bodies of drones, obstacles and cities, and what is kept of each drone at once.
+
+        That is what it observes, its pictures, the others, targets, and the task's memory.
+        """
+        pictures = math.prod(self.options.camera_size) if self.wanted.intersection(IMAGES) else 0
+        memory = sum(math.prod(shape) for shape in self.task.memory().values()) // self.options.num_drones
+        others = self.options.num_drones if {"neighbours", "all_neighbours"} & self.wanted else 0
+        numbers = 2 * self.observer.low.size + 2 * pictures + 3 * others + 2 * self.task.num_targets + memory
+        things = OBSTACLE_BYTES * len(self.task.obstacles()) + LAYOUT_BYTES * len(self.task.layouts())
+        return (BODY_BYTES + NUMBER_BYTES * numbers) * self.options.num_drones + things
 
     def mask(self, mask: np.ndarray | None) -> np.ndarray:
         """(W,) worlds to reset, all for None. Raises ValueError for another shape or type."""
         if mask is None:
             return np.ones(self.num_worlds, dtype=bool)
-        mask = np.asarray(mask)
+        try:
+            mask = np.asarray(mask)
+        except ValueError:
+            raise ValueError(f"mask is {shown(mask)}: ({self.num_worlds},) bool is needed") from None
         if mask.shape != (self.num_worlds,) or mask.dtype != bool:
             raise ValueError(f"mask has shape {mask.shape} and type {mask.dtype}: ({self.num_worlds},) bool is needed")
         return mask
 
     def require_world(self, world: Any) -> None:
         """Raise ValueError unless there is a world of that number."""
-        if world not in range(self.num_worlds):
+        if not isinstance(world, int | np.integer) or isinstance(world, bool) or not 0 <= world < self.num_worlds:
             raise self._no_world(world)
 
     def worlds(self, world: Any) -> np.ndarray:
         """`world`, one or several, as an array. Raises ValueError unless all are whole numbers of worlds that there are."""
-        worlds = np.asarray(world)
+        try:
+            worlds = np.asarray(world)
+        except ValueError:
+            raise self._no_world(world) from None
         if worlds.dtype.kind not in "iu" or ((worlds < 0) | (worlds >= self.num_worlds)).any():
             raise self._no_world(world)
         return worlds
 
     def _no_world(self, world: Any) -> ValueError:
-        return ValueError(f"world is {world!r}: a whole number from 0 to {self.num_worlds - 1} is needed")
+        return ValueError(f"world is {shown(world)}: a whole number from 0 to {self.num_worlds - 1} is needed")
 
-    def seeds(self, seeds: int | Sequence[int] | None) -> list[int] | None:
+    def seeds(self, seeds: Any) -> list[int] | None:
         """One seed for each world: from s on for an int s, None for None. Raises ValueError for what cannot be a seed."""
         if seeds is None:
             return None
-        if isinstance(seeds, int | np.integer):
+        if isinstance(seeds, int | np.integer) and not isinstance(seeds, bool):
             return [whole("seed", seeds, 0) + k for k in range(self.num_worlds)]
-        if not isinstance(seeds, list | tuple | np.ndarray) or np.shape(seeds) != (self.num_worlds,):
+        listed = isinstance(seeds, list | tuple) or (isinstance(seeds, np.ndarray) and seeds.ndim == 1)
+        if not listed or len(seeds) != self.num_worlds:
             raise ValueError(
-                f"seed is {seeds!r}: a whole number, or a list of {self.num_worlds}, one for each world, is needed"
+                f"seed is {shown(seeds)}: a whole number, or a list of {self.num_worlds}, one for each world, is needed"
             )
         return [whole("seed", seed, 0) for seed in seeds]
 
@@ -108,15 +147,47 @@ def _make_task(kind: type[Task], config: Any, options: Options) -> Task:
             options.max_range,
         ),
     )
-    reach = float(np.abs([task.arena_low[:2], task.arena_high[:2]]).max())
-    if 2 * (reach + radius) >= TILE_PITCH or task.arena_high[2] >= PARKING_HEIGHT:
-        raise ValueError(
-            f"the arena reaches {reach:g} m aside and {task.arena_high[2]:g} m up: less than {TILE_PITCH / 2:g} and "
-            f"{PARKING_HEIGHT:g} m are needed, where other worlds begin"
-        )
+    _check_arena(task, config, radius)
+    _check_things(task)
     if config.d_safe <= 2 * radius:
         raise ValueError(f"d_safe {config.d_safe:g} m must exceed the {2 * radius:.3g} m across of the largest drone")
     return task
+
+
+def _check_arena(task: Task, config: Any, radius: float) -> None:
+    """Raise ValueError where an arena is none, or reaches into that of other worlds."""
+    arena = numbers_of(f"arena_low and arena_high of task {task.name!r} are", [task.arena_low, task.arena_high])
+    if arena.shape != (2, 3) or not np.isfinite(arena).all() or not (arena[0] < arena[1]).all():
+        raise ValueError(
+            f"arena_low and arena_high of task {task.name!r} are {shown(arena)}: lower and upper corner are needed"
+        )
+    finite(f"zone of task {task.name!r}", task.zone)
+    if task.rebound is not None:
+        finite(f"rebound of task {task.name!r}", task.rebound, 0, 1)
+    reach = float(np.abs(arena[:, :2]).max())
+    if 2 * (reach + radius) >= TILE_PITCH or arena[1, 2] >= PARKING_HEIGHT:
+        sizes = {field.name: getattr(config, field.name) for field in dataclasses.fields(config) if field.type is float}
+        large = [f"{name} {size:g}" for name, size in sizes.items() if size >= LARGE]
+        raise ValueError(
+            f"the arena reaches {reach:g} m aside and {arena[1, 2]:g} m up: less than {TILE_PITCH / 2:g} and "
+            f"{PARKING_HEIGHT:g} m are needed, where other worlds begin; lower {' or '.join(large) or 'num_drones'}"
+        )
+
+
+def _check_things(task: Task) -> None:
+    """Raise ValueError where a task's bodies, cities or memory are none."""
+    kinds: dict[str, type] = {"obstacles": Obstacle, "layouts": Solids}
+    for name, kind in kinds.items():
+        things = getattr(task, name)()
+        if not isinstance(things, list | tuple) or not all(isinstance(one, kind) for one in things):
+            raise ValueError(f"{name} of task {task.name!r} gave {shown(things)}: a list of {kind.__name__} is needed")
+    memory: Any = task.memory()
+    if not isinstance(memory, Mapping):
+        raise ValueError(f"memory of task {task.name!r} gave {shown(memory)}: a dict of shapes by name is needed")
+    for name, shape in memory.items():
+        label = f"shape of memory {name!r} of task {task.name!r}"
+        for side in several(label, shape):
+            whole(label, side, 0)
 
 
 def _make_action(options: Options, task: Task) -> Action:

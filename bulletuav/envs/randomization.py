@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.errors import finite, several, unknown
+from bulletuav.errors import finite, several, shown, unknown
 from bulletuav.physics.swarm import Swarm
 from bulletuav.physics.wind import Wind
 from bulletuav.physics.world import World
@@ -69,7 +69,7 @@ class Randomization:
         if isinstance(given, cls):
             return given
         if given is not None and not isinstance(given, Mapping):
-            raise ValueError(f"randomization is {given!r}: a dict of names and numbers, or (low, high), is needed")
+            raise ValueError(f"randomization is {shown(given)}: a dict of names and numbers, or (low, high), is needed")
         names = {field.name for field in dataclasses.fields(cls)}
         for name in given or {}:
             if name not in names:
@@ -82,15 +82,15 @@ class Randomization:
             least, most = LIMITS[field.name]
             if not least <= low <= high <= most:
                 raise ValueError(
-                    f"randomization {field.name} is {getattr(self, field.name)!r}: from low to high within {least:g} and "
-                    f"{most:g} is needed"
+                    f"randomization {field.name} is {shown(getattr(self, field.name))}: from low to high within {least:g} "
+                    f"and {most:g} is needed"
                 )
 
     def bounds(self, name: str) -> tuple[float, float]:
         """Lowest and highest value. Raises ValueError for what is neither a number nor two."""
         value = getattr(self, name)
         label = f"randomization {name}"
-        if isinstance(value, numbers.Real):
+        if not isinstance(value, bool) and isinstance(value, numbers.Real):
             value = (value, value)
         low, high = several(label, value, 2)
         return (low, high) if low == high == np.inf and name == "radio_range" else (finite(label, low), finite(label, high))

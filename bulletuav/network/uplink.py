@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -43,13 +43,13 @@ class RadioConfig:
     rician_factor  power of the direct path over that of all others
     """
 
-    frequency: float = 29.0
-    bandwidth: float = 10e6
-    noise_figure: float = 7.0
+    frequency: float = field(default=29.0, metadata={"most": 1000.0})
+    bandwidth: float = field(default=10e6, metadata={"most": 1e12})
+    noise_figure: float = field(default=7.0, metadata={"most": 100.0})
     user_power: float = 0.5
     path_loss: Literal["log_distance", "umi", "uma", "umi_av", "uma_av"] = "log_distance"
-    n_los: float = 2.0
-    n_nlos: float = 3.19
+    n_los: float = field(default=2.0, metadata={"most": 20.0})
+    n_nlos: float = field(default=3.19, metadata={"most": 20.0})
     antenna: Literal["isotropic", "downward"] = "isotropic"
     access: Literal["ofdma", "tdma", "shared"] = "ofdma"
     fading: Literal["none", "rician", "rayleigh"] = "none"

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bulletuav.errors import unknown
+from bulletuav.errors import require_file, shown, unknown
 from bulletuav.physics.shapes import BOX, CYLINDER, SPHERE, Shape
 
 MAX_ROTORS = 8
@@ -29,6 +29,16 @@ TAGS = (
     "rotor",
     "pwm",
 )
+SMALLEST, LARGEST = 1e-20, 1e9
+"""Of numbers of an airframe but 0: squares of these, and products of a few, are numbers, too"""
+WIDEST, THINNEST = 100.0, 1e-4
+"""Lengths of a drone, m: the engine's margins are as large as thinner ones"""
+HEAVIEST, FASTEST, FASTEST_ROTOR = 1e5, 1000.0, 1e5
+"""kg, m/s, rad/s"""
+SLOWEST_LAG, MOST_DRAG = 100.0, 1.0
+"""s; N for each m/s and rad/s of a rotor"""
+STRONGEST = 1000.0  # times its weight, that a drone's thrust can be
+LONGEST = 200  # letters of a value in a message
 STANDARD_GRAVITY = 9.80665  # m/s^2, CODATA
 EFFECTS = ("lag", "drag", "ground_effect", "downwash")
 DOWNWASH_GAIN = 2267.18  # N, fit for the Crazyflie (gym-pybullet-drones, J. Panerati et al. 2021)
@@ -114,13 +124,13 @@ def load_airframe(source: "str | Path | Airframe") -> Airframe:
     """
     if isinstance(source, Airframe):
         return source
+    if not isinstance(source, str | Path):
+        raise ValueError(f"airframe is {shown(source)}: a name, the path of a URDF, or an Airframe is needed")
     if isinstance(source, str) and not source.endswith(".urdf"):
         if source not in available_airframes():
             raise unknown("airframe", source, available_airframes())
         source = Path(str(importlib.resources.files("bulletuav.assets") / "urdf" / f"{source}.urdf"))
-    path = Path(source).expanduser().resolve()
-    if not path.is_file():
-        raise FileNotFoundError(f"no airframe file {path}; pass the path of a URDF or one of {available_airframes()}")
+    path = require_file("airframe", source, f"pass the path of a URDF or one of {available_airframes()}").resolve()
     return _Reader(path).airframe()
 
 
@@ -135,7 +145,8 @@ class _Reader:
             raise ValueError(f"{path}: not a readable XML file: {error}") from None
 
     def refuse(self, tag: str, value: object, reason: str) -> ValueError:
-        return ValueError(f"{self.path}: <{tag}> is {value}: {reason}")
+        text = value if isinstance(value, str) and len(value) < LONGEST else shown(value)
+        return ValueError(f"{self.path}: <{tag}> is {text}: {reason}")
 
     def element(self, tag: str, parent: ElementTree.Element | None = None) -> ElementTree.Element:
         found = (self.root if parent is None else parent).find(tag)
@@ -143,8 +154,15 @@ class _Reader:
             raise self.refuse(tag, "missing", "every airframe needs it; assets/urdf/cf2x.urdf shows the form")
         return found
 
-    def number(self, element: ElementTree.Element, attribute: str, low: float = -math.inf, strict: bool = True) -> float:
-        """The attribute as a finite number above `low` (or at it, unless `strict`)."""
+    def number(
+        self,
+        element: ElementTree.Element,
+        attribute: str,
+        low: float = -math.inf,
+        strict: bool = True,
+        most: float = LARGEST,
+    ) -> float:
+        """The attribute as a finite number above `low` (or at it, unless `strict`) and at most `most`."""
         text = element.get(attribute)
         label = f"{element.tag} {attribute}"
         try:
@@ -153,13 +171,15 @@ class _Reader:
             raise self.refuse(label, text if text is not None else "missing", "a number is needed") from None
         if not math.isfinite(value) or value < low or (strict and value == low):
             raise self.refuse(label, text, f"it must be finite and {'above' if strict else 'at least'} {low:g}")
+        if value != 0 and not SMALLEST <= abs(value) <= most:
+            raise self.refuse(label, text, f"sizes from {SMALLEST:g} to {most:g} can be flown with")
         return value
 
-    def positive(self, tag: str, attribute: str = "value") -> float:
-        return self.number(self.element(f"airframe/{tag}"), attribute, low=0)
+    def positive(self, tag: str, most: float = LARGEST) -> float:
+        return self.number(self.element(f"airframe/{tag}"), "value", low=0, most=most)
 
-    def not_negative(self, tag: str, attribute: str) -> float:
-        return self.number(self.element(f"airframe/{tag}"), attribute, low=0, strict=False)
+    def not_negative(self, tag: str, attribute: str, most: float) -> float:
+        return self.number(self.element(f"airframe/{tag}"), attribute, low=0, strict=False, most=most)
 
     def airframe(self) -> Airframe:
         links = self.root.findall("link")
@@ -175,19 +195,19 @@ class _Reader:
         airframe = Airframe(
             name=self.root.get("name", ""),
             urdf=self.path,
-            mass=self.number(self.element("link/inertial/mass"), "value", low=0),
+            mass=self.number(self.element("link/inertial/mass"), "value", low=0, most=HEAVIEST),
             inertia=self._inertia(),
             rotors=self._rotors(),
             thrust_coefficient=self.positive("thrust_coefficient"),
-            torque_ratio=self.positive("torque_ratio"),
-            max_rotor_speed=self.positive("max_rotor_speed"),
-            lag_up=self.not_negative("motor_lag", "up"),
-            lag_down=self.not_negative("motor_lag", "down"),
-            drag_xy=self.not_negative("rotor_drag", "xy"),
-            drag_z=self.not_negative("rotor_drag", "z"),
-            propeller_radius=self.positive("propeller_radius"),
-            ground_effect_gain=self.not_negative("ground_effect", "gain"),
-            max_speed=self.positive("max_speed"),
+            torque_ratio=self.positive("torque_ratio", WIDEST),
+            max_rotor_speed=self.positive("max_rotor_speed", FASTEST_ROTOR),
+            lag_up=self.not_negative("motor_lag", "up", SLOWEST_LAG),
+            lag_down=self.not_negative("motor_lag", "down", SLOWEST_LAG),
+            drag_xy=self.not_negative("rotor_drag", "xy", MOST_DRAG),
+            drag_z=self.not_negative("rotor_drag", "z", MOST_DRAG),
+            propeller_radius=self.positive("propeller_radius", WIDEST),
+            ground_effect_gain=self.not_negative("ground_effect", "gain", LARGEST),
+            max_speed=self.positive("max_speed", FASTEST),
             shape=shape,
             pwm=self._pwm(),
         )
@@ -195,6 +215,13 @@ class _Reader:
             thrust = f"{airframe.max_rotor_speed:g} (thrust {airframe.max_thrust:.4g} N)"
             weight = airframe.mass * STANDARD_GRAVITY
             raise self.refuse("max_rotor_speed", thrust, f"the drone weighs {weight:.4g} N and cannot hover")
+        if airframe.max_thrust > STRONGEST * airframe.mass * STANDARD_GRAVITY:
+            thrust = f"{airframe.thrust_coefficient:g} (thrust {airframe.max_thrust:.4g} N)"
+            raise self.refuse(
+                "thrust_coefficient",
+                thrust,
+                f"at most {STRONGEST:g} times the weight of {airframe.mass:g} kg can be flown with",
+            )
         if np.linalg.matrix_rank(airframe.allocation()) < 4:
             raise self.refuse("rotor", airframe.rotors, "these rotors cannot turn the body about all three axes")
         return airframe
@@ -228,7 +255,9 @@ class _Reader:
         for element in elements:
             if element.get("spin") not in turns:
                 raise self.refuse("rotor spin", element.get("spin", "missing"), "it must be cw or ccw, seen from above")
-        return tuple((self.number(e, "x"), self.number(e, "y"), turns[e.get("spin", "")]) for e in elements)
+        return tuple(
+            (self.number(e, "x", most=WIDEST), self.number(e, "y", most=WIDEST), turns[e.get("spin", "")]) for e in elements
+        )
 
     def _collision_shape(self) -> Shape:
         shapes = self.root.findall("link/collision")
@@ -243,17 +272,26 @@ class _Reader:
             raise self.refuse("collision geometry", kinds, "it must be one cylinder, box or sphere")
         shape = geometry[0]
         if shape.tag == "sphere":
-            return Shape(SPHERE, (self.number(shape, "radius", low=0),) * 3)
+            return Shape(SPHERE, (self._side(shape, "radius"),) * 3)
         if shape.tag == "cylinder":
-            radius, length = self.number(shape, "radius", low=0), self.number(shape, "length", low=0)
+            radius, length = self._side(shape, "radius"), self._side(shape, "length")
             return Shape(CYLINDER, (radius, radius, length / 2))
         try:
             size = [float(part) for part in shape.get("size", "").split()]
         except ValueError:
             size = []
-        if len(size) == 3 and all(math.isfinite(side) and side > 0 for side in size):
+        if len(size) == 3 and all(THINNEST <= side <= WIDEST for side in size):
             return Shape(BOX, (size[0] / 2, size[1] / 2, size[2] / 2))
-        raise self.refuse("box size", shape.get("size", "missing"), "three positive numbers are needed")
+        raise self.refuse(
+            "box size", shape.get("size", "missing"), f"three positive numbers from {THINNEST:g} to {WIDEST:g} are needed"
+        )
+
+    def _side(self, shape: ElementTree.Element, attribute: str) -> float:
+        """A length of the collision shape, m."""
+        side = self.number(shape, attribute, low=0, most=WIDEST)
+        if side < THINNEST:
+            raise self.refuse(f"{shape.tag} {attribute}", shape.get(attribute), f"at least {THINNEST:g} m is needed")
+        return side
 
     def _pwm(self) -> Pwm | None:
         element = self.root.find("airframe/pwm")

@@ -3,6 +3,12 @@
 import math
 from dataclasses import dataclass
 
+from bulletuav.errors import finite, pick, several, shown
+
+SIZES = {"box": 3, "sphere": 1}
+"""Kinds, and how many numbers tell their size"""
+LARGEST = 4096.0  # m
+
 
 @dataclass(frozen=True)
 class Obstacle:
@@ -11,6 +17,14 @@ class Obstacle:
     kind: str
     size: tuple[float, ...]
     colour: tuple[float, float, float, float] = (0.55, 0.57, 0.62, 1.0)
+
+    def __post_init__(self):
+        pick("kind of obstacle", self.kind, SIZES)
+        size = several("size of an obstacle", self.size, SIZES[self.kind])
+        if min(finite("size of an obstacle", one, most=LARGEST) for one in size) <= 0:
+            raise ValueError(f"size of an obstacle is {shown(self.size)}: metres above 0 are needed")
+        for share in several("colour", self.colour, 4):
+            finite("colour of an obstacle", share, 0, 1)
 
     @property
     def radius(self) -> float:

@@ -4,11 +4,13 @@ Dryden spectra at low altitude after MIL-F-8785C (altitude h in feet, kept withi
 is advanced by the transition of its linear system over the time step, so the variance is right for every step.
 """
 
+import inspect
 import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from bulletuav.errors import numbers_of
 from bulletuav.kernel import formula, kernel
 from bulletuav.physics.rotation import dot
 from bulletuav.physics.swarm import Swarm
@@ -18,6 +20,8 @@ KNOT = 1852 / 3600  # m/s
 TURBULENCE = {"light": 15 * KNOT, "moderate": 30 * KNOT, "severe": 45 * KNOT}
 """Wind speed at 20 feet, m/s, that MIL-F-8785C names so"""
 SLOWEST = 1.0  # m/s; below this airspeed the turbulence passes as if at it
+
+MOST_WIND = 100.0  # m/s
 
 WindField = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Wind (W, N, 3) m/s at positions (W, N, 3) m and times (W,) s"""
@@ -124,10 +128,31 @@ class Wind:
             advance_gusts(self._gusts, noise, swarm.position, swarm.velocity, self.steady, self._wind20, self._dt, wind)
         return wind
 
-    def _checked(self, wind: np.ndarray) -> np.ndarray:
-        wind = np.asarray(wind, dtype=float)
-        if wind.shape != (*self._shape, 3) or not np.isfinite(wind).all():
+    def _checked(self, wind: object) -> np.ndarray:
+        given = numbers_of("what the wind function gave is", wind)
+        if given.shape != (*self._shape, 3):
             raise ValueError(
-                f"the wind function gave shape {wind.shape}: finite numbers of shape {(*self._shape, 3)} are needed"
+                f"the wind function gave shape {given.shape}: finite numbers of shape {(*self._shape, 3)} are needed"
             )
-        return wind
+        wrong = ~(np.abs(given) <= MOST_WIND)
+        if wrong.any():
+            w, i, _ = np.argwhere(wrong)[0]
+            raise ValueError(
+                f"the wind function gave shape {given.shape} with {given[w, i]} m/s at drone {i} in world {w}: "
+                f"finite numbers, at most {MOST_WIND:g} m/s, are needed"
+            )
+        return given
+
+
+def check_field(wind: WindField) -> None:
+    """Raise ValueError unless a wind function takes positions and times; one that does not tell what it takes may pass."""
+    if inspect.isclass(wind):
+        raise ValueError(f"wind is the class {wind.__name__}: a function of positions and times is needed")
+    try:
+        signature = inspect.signature(wind)
+    except (TypeError, ValueError):  # of functions written in C
+        return
+    try:
+        signature.bind(None, None)
+    except TypeError as error:
+        raise ValueError(f"wind is a function that does not take positions and times: {error}") from None

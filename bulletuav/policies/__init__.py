@@ -6,7 +6,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from bulletuav.envs.aviary import Aviary
-from bulletuav.errors import pick
+from bulletuav.errors import pick, shown
 from bulletuav.policies.base import Policy, check_action
 from bulletuav.policies.orca import Orca
 from bulletuav.policies.placement import Centroid, Hotspot, KMeans, Oracle
@@ -23,6 +23,8 @@ POLICIES: dict[str, type[Policy]] = {
     for policy in (StraightLine, PotentialField, Orca, Planner, RandomActions, Centroid, Hotspot, KMeans, Oracle)
 }
 PolicySource = str | Path | type[Policy]
+NEEDED = ("name", "actions", "reads_swarm")
+"""Attributes that every policy class has"""
 SHIPPED_NAMES = ("trained", "untrained")
 OLD_MODEL = "model.zip"
 
@@ -62,9 +64,10 @@ def find_policy(source: PolicySource, task: TaskSource | None = None, trust: boo
         FileNotFoundError: There is no such file.
     """
     if isinstance(source, type) and issubclass(source, Policy):
+        _require_policy(source)
         return Pilot(source.name, source.actions, source.reads_swarm, source)
-    if not isinstance(source, str | Path):
-        raise ValueError(f"policy is {source!r}: a name, a run's folder, 'ppo:model.zip', or a class is needed")
+    if not isinstance(source, str | Path) or not str(source):
+        raise ValueError(f"policy is {shown(source)}: a name, a run's folder, 'ppo:model.zip', or a class is needed")
     source = str(source)
     if source in SHIPPED_NAMES:
         if task is None:
@@ -76,10 +79,19 @@ def find_policy(source: PolicySource, task: TaskSource | None = None, trust: boo
     algorithm, colon, path = source.partition(":")
     if colon:
         pick("algorithm", algorithm, dict.fromkeys(ALGORITHMS))
+        if not path:
+            raise ValueError(f"policy is {source!r}: the path of a model is needed after the colon, such as 'ppo:model.zip'")
         path = path if Path(path).is_file() else f"{path}.zip"  # which the library adds to names without it
         return _model(source, algorithm, Path(path), trust)
     kind = pick("policy", source, {**POLICIES, **dict.fromkeys(SHIPPED_NAMES)})
     return Pilot(kind.name, kind.actions, kind.reads_swarm, kind)
+
+
+def _require_policy(kind: type[Policy]) -> None:
+    """Raise ValueError, naming what is missing, unless a class has what a policy is made of."""
+    lacks = [*sorted(kind.__abstractmethods__), *(name for name in NEEDED if not hasattr(kind, name))]
+    if lacks:
+        raise ValueError(f"policy {kind.__name__} has no {lacks[0]}: a policy needs it, see bulletuav.policies.base.Policy")
 
 
 def _run(folder: Path, name: str, trust: bool) -> Pilot:

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 import yaml
 
-from bulletuav.envs.curriculum import Curriculum
+from bulletuav.envs.curriculum import Curriculum, check_levels
 from bulletuav.envs.options import Options, resolve
+from bulletuav.envs.plan import MOST_WORLDS
 from bulletuav.errors import pick, unknown, whole
 from bulletuav.tasks import find_task
 
@@ -35,6 +36,14 @@ INTERFACE = (
 """Options that say what a policy sees and does: where it flies they are as in its training"""
 SCENE = ("num_drones", "airframe", "difficulty", "preset")
 """Options that evaluations on the way take over from the training, beside those of `INTERFACE`"""
+LIMITS = {
+    "seed": (0, None),
+    "steps": (1, 10**12),
+    "worlds": (1, MOST_WORLDS),
+    "evaluations": (1, 10**6),
+    "episodes": (1, 10**6),
+}
+"""Least and most of whole numbers of a run"""
 _REPLAY = {"learning_starts": 10_000, "batch_size": 1024, "buffer_size": 300_000, "train_freq": 1, "gamma": 0.99}
 DEFAULTS: dict[str, dict[str, Any]] = {
     "ppo": {
@@ -91,16 +100,15 @@ class RunConfig:
         """Raise ValueError for what cannot be, options of environments among it; settings of models are theirs to check."""
         task = find_task(self.task)
         pick("algorithm", self.algo, dict.fromkeys(ALGORITHMS))
-        for name, least in (("seed", 0), ("steps", 1), ("worlds", 1), ("evaluations", 1), ("episodes", 1)):
-            whole(name, getattr(self, name), least)
+        for name, (least, most) in LIMITS.items():
+            whole(name, getattr(self, name), least, most)
         for name in ("options", "curriculum", "model", "evaluation"):
             if not isinstance(getattr(self, name), Mapping):
                 raise ValueError(f"{name} is {getattr(self, name)!r}: names with values are needed")
         if not isinstance(self.shared_reward, bool):
             raise ValueError(f"shared_reward is {self.shared_reward!r}: true or false is needed")
         levels = self.levels
-        if not isinstance(levels, list | tuple) or not levels or not all(isinstance(level, Mapping) for level in levels):
-            raise ValueError(f"levels is {levels!r}: a list of names with values is needed")
+        check_levels(levels)
         for name in self.curriculum:
             pick("setting of curriculum:", name, dict.fromkeys(("up", "down", "window")))
         Curriculum(len(levels), **self.curriculum)

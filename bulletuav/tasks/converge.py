@@ -84,7 +84,7 @@ class Converge(Airspace):
         if nearest <= clear:
             raise ValueError(
                 f"start positions may be in conflict: on a circle of radius {config.radius:g} m with jitter "
-                f"{config.jitter:g} m neighbours may be {nearest:.3g} m apart, more than {clear:.3g} m is needed"
+                f"{config.jitter:g} m neighbours may be {nearest:.3g} m apart, more than {clear:.3g} m (d_safe) is needed"
             )
         self.arena_low, self.arena_high = circle_arena(config, setting, config.radius)
 

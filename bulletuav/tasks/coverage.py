@@ -10,6 +10,8 @@ from bulletuav.tasks.base import Frame, Scene, Setting, Spawn, Verdict
 from bulletuav.tasks.terms.measures import offsets
 from bulletuav.tasks.terms.urban import DEFAULTS, LEVELS, UrbanConfig, UrbanTask, check_share, ground_cells
 
+MOST_CELLS = 1e6  # of a raster
+
 
 @dataclass(frozen=True)
 class CoverageConfig(UrbanConfig):
@@ -93,6 +95,12 @@ class Coverage(UrbanTask):
         check_share("wanted", config.wanted)
         if not 0 < config.cell <= min(city.side for city in self.town.cities):
             raise ValueError(f"cell is {config.cell:g} m: it must be above 0 and at most the side of the city")
+        widest = max(city.side for city in self.town.cities)
+        if (widest / config.cell) ** 2 > MOST_CELLS:
+            raise ValueError(
+                f"cell is {config.cell:g} m: {(widest / config.cell) ** 2:.3g} squares on a side of {widest:g} m, at most "
+                f"{MOST_CELLS:g} are possible; make it larger, or area smaller"
+            )
         cells = [ground_cells(city, config.cell) for city in self.town.cities]
         if not all(map(len, cells)):
             raise ValueError(f"cell is {config.cell:g} m: the middle of no such square is outdoors; make it smaller")

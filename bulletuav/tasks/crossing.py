@@ -1,6 +1,6 @@
 """Task `crossing`: two teams cross one airspace at right angles."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
@@ -20,7 +20,7 @@ class CrossingConfig(AirspaceConfig):
 
     half_length: float = 100.0
     altitude_spread: float = 6.0
-    lanes: int = 10
+    lanes: int = field(default=10, metadata={"most": 10_000})
     lane_spacing: float = 15.0
 
 
@@ -87,7 +87,7 @@ class Crossing(Airspace):
         if config.lane_spacing - 2 * config.jitter <= clear:
             raise ValueError(
                 f"start positions may be in conflict: lane_spacing {config.lane_spacing:g} m less twice jitter "
-                f"{config.jitter:g} m must exceed {clear:.3g} m"
+                f"{config.jitter:g} m must exceed {clear:.3g} m (d_safe)"
             )
         self._north = (setting.num_drones + 1) // 2
         ranks = -(-self._north // config.lanes)
@@ -96,7 +96,7 @@ class Crossing(Airspace):
         if config.half_length <= width + config.jitter + clear:
             raise ValueError(
                 f"half_length {config.half_length:g} m is too short for formations {2 * width:g} m wide: the teams would "
-                f"start in each other"
+                f"start in each other; lower lane_spacing, jitter or d_safe"
             )
         rise = config.altitude_spread / 2 + config.jitter
         if config.altitude - rise <= setting.collision_radius:

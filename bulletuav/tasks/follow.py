@@ -107,7 +107,8 @@ class Follow(Task):
         nearest = float(np.linalg.norm(self._station, axis=1).min()) - config.start_offset * np.sqrt(3)
         if nearest <= self._body.radius + setting.collision_radius:
             raise ValueError(
-                f"distance {config.distance:g} m is too close to the target, whose radius is {self._body.radius:.3g} m"
+                f"distance {config.distance:g} m with start_offset {config.start_offset:g} m is too close to the target, "
+                f"whose radius is {self._body.radius:.3g} m"
             )
         lowest = self._height + above - config.start_offset
         if lowest <= setting.collision_radius:

@@ -6,6 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from bulletuav.errors import numbers_of, shown
 from bulletuav.physics.rotation import exponential
 from bulletuav.tasks.base import Frame, Setting, Spawn, Task, Verdict, refuse_early_end, refuse_overlap
 
@@ -22,9 +23,9 @@ class HoverConfig:
     height: float = 2.0
     spacing: float = 2.0
     start_offset: float = 0.5
-    start_speed: float = 0.0
-    start_tilt: float = 0.0
-    start_rates: float = 0.0
+    start_speed: float = field(default=0.0, metadata={"most": 100.0})
+    start_tilt: float = field(default=0.0, metadata={"most": 180.0})
+    start_rates: float = field(default=0.0, metadata={"most": 100.0})
     start: tuple[tuple[float, float, float], ...] | None = None
     goal_radius: float = 0.1
     max_distance: float = 20.0
@@ -34,11 +35,11 @@ class HoverConfig:
 def _positions(start: object, count: int) -> np.ndarray:
     """(N, 3) m. Raises ValueError for anything but so many finite positions."""
     try:
-        positions = np.asarray(start, dtype=float)
-    except (TypeError, ValueError):
+        positions = numbers_of("start is", start)
+    except ValueError:
         positions = np.empty(0)
     if positions.shape != (count, 3) or not np.isfinite(positions).all():
-        raise ValueError(f"start is {start}: {count} finite positions (x, y, z) in metres are needed")
+        raise ValueError(f"start is {shown(start)}: {count} finite positions (x, y, z) in metres are needed")
     return positions
 
 
@@ -137,7 +138,7 @@ class Hover(Task):
         if config.start is not None:
             start = _positions(config.start, len(self.target))
             if ((start < self.arena_low) | (start > self.arena_high)).any():
-                raise ValueError(f"start is {config.start}: positions inside the arena are needed")
+                raise ValueError(f"start is {shown(config.start)}: positions inside the arena are needed")
             refuse_overlap(start, radius)
             lowest = start[:, 2].min()
         else:
@@ -149,7 +150,8 @@ class Hover(Task):
             lowest = config.height - config.start_offset
         if lowest <= radius:
             raise ValueError(
-                f"start positions may touch the ground: the lowest is {lowest:g} m up, more than {radius:.3g} needed"
+                f"start positions may touch the ground: the lowest is {lowest:g} m up, more than {radius:.3g} needed; raise "
+                f"{'start' if config.start is not None else 'height, or lower start_offset'}"
             )
 
     def spawn(self, rng: np.random.Generator) -> Spawn:

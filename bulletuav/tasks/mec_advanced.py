@@ -1,6 +1,6 @@
 """Task `mec_advanced`: edge computing with antennas that look down, tight deadlines and the energy that it takes."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
 from bulletuav.tasks.terms.edge import EdgeConfig, EdgeTask
@@ -11,12 +11,12 @@ from bulletuav.tasks.terms.urbanmarl import URBANMARL
 class MecAdvancedConfig(EdgeConfig):
     """Options of `mec_advanced`: those of `EdgeConfig`."""
 
-    num_users: int = 10
+    num_users: int = field(default=10, metadata={"most": 10_000})
     arrival_rate: float = 2.5
     cycles_per_bit: float = 800.0
-    deadline: float = 0.2
-    core_frequency: float = 10e9
-    bandwidth: float = 100e6
+    deadline: float = field(default=0.2, metadata={"most": 1e4})
+    core_frequency: float = field(default=10e9, metadata={"most": 1e12})
+    bandwidth: float = field(default=100e6, metadata={"most": 1e12})
     antenna: Literal["isotropic", "downward"] = "downward"
 
 

@@ -27,10 +27,10 @@ class ObstaclesConfig(AirspaceConfig):
     area: float = 200.0
     altitude_spread: float = 40.0
     leg: float = 80.0
-    num_obstacles: int = 10
+    num_obstacles: int = field(default=10, metadata={"most": 10_000})
     num_moving: int = field(default=5, metadata={"least": 0})
     obstacle_radius: tuple[float, float] = (3.0, 10.0)
-    obstacle_speed: float = 5.0
+    obstacle_speed: float = field(default=5.0, metadata={"most": 100.0})
     jitter: float = 0.0
     start_speed: tuple[float, float] = (0.0, 5.0)  # slow enough to stop before an obstacle
 

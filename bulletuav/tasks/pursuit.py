@@ -116,14 +116,14 @@ class Pursuit(Airspace):
         if setting.num_drones > 1 and nearest <= clear:
             raise ValueError(
                 f"start positions may be in conflict: spacing {config.spacing:g} m with jitter {config.jitter:g} m leaves "
-                f"{nearest:.3g} m between neighbours, more than {clear:.3g} m is needed"
+                f"{nearest:.3g} m between neighbours, more than {clear:.3g} m (d_safe) is needed"
             )
         self.arena_low, self.arena_high = circle_arena(config, setting, config.radius)
         self._pace = np.linspace(*config.speed, setting.num_drones)
         self._way = 2 * np.pi * config.radius * config.laps
         if self._way > config.speed[0] * setting.duration:
             raise ValueError(
-                f"speed {config.speed[0]:g} m/s is too slow for {self._way:.0f} m of way within {setting.duration:g} s: "
+                f"speed {config.speed[0]:g} m/s is too slow for {self._way:.4g} m of way within {setting.duration:g} s: "
                 f"raise horizon or speed, or fly fewer laps"
             )
 

@@ -8,10 +8,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from bulletuav.errors import finite, several
+from bulletuav.errors import finite, several, shown
 from bulletuav.kernel import formula
 from bulletuav.network.mobility.ground import Ground
 
+MOST_SPEED, LONGEST = 100.0, 1e6
+"""m/s, of users; s or m, of times and ways"""
 State = Mapping[str, np.ndarray]
 """Of each array its name: in one world, or of W worlds with W as the first axis, float64"""
 Generators = Sequence[np.random.Generator | None]
@@ -27,6 +29,18 @@ class Mobility(ABC):
     """
 
     name: ClassVar[str]
+
+    def _keep(self, name: str, value: Any) -> None:
+        """Store an option as its check gave it, so that kernels see one type of it."""
+        object.__setattr__(self, name, value)
+
+    def _size(self, name: str, unit: str, most: float, above_zero: bool) -> None:
+        """Keep an option as a float. Raises ValueError unless it is at least 0, or above it, and at most `most`."""
+        given = getattr(self, name)
+        value = finite(name, given, most=most)
+        if value < 0 or (above_zero and value == 0):
+            raise ValueError(f"{name} is {given!r}{unit}: a number {'above' if above_zero else 'from'} 0 is needed")
+        self._keep(name, value)
 
     @property
     def max_speed(self) -> float:
@@ -70,7 +84,7 @@ class Walking(Mobility):
     speed: tuple[float, float] = (0.5, 3.0)
 
     def __post_init__(self):
-        check_range("speed", self.speed, "m/s", above_zero=True)
+        self._keep("speed", check_range("speed", self.speed, "m/s", MOST_SPEED, above_zero=True))
 
     @property
     def max_speed(self) -> float:
@@ -78,13 +92,14 @@ class Walking(Mobility):
         return self.speed[1]
 
 
-def check_range(name: str, value: Any, unit: str, above_zero: bool) -> None:
-    """Raise ValueError unless it is (low, high), from low to high, and low at least 0, or above it."""
-    low, high = (finite(name, end) for end in several(name, value, 2))
+def check_range(name: str, value: Any, unit: str, most: float, above_zero: bool) -> tuple[float, float]:
+    """(low, high) as floats. Raises ValueError unless they are in order, up to `most`, and low at least 0, or above it."""
+    low, high = (finite(name, end, most=most) for end in several(name, value, 2))
     if not 0 <= low <= high or (above_zero and low == 0):
         raise ValueError(
-            f"{name} is {value!r} {unit}: from low to high, {'above' if above_zero else 'at least'} 0, is needed"
+            f"{name} is {shown(value)} {unit}: from low to high, {'above' if above_zero else 'at least'} 0, is needed"
         )
+    return low, high
 
 
 def headings(rng: np.random.Generator, count: int) -> np.ndarray:

@@ -10,9 +10,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from bulletuav.errors import finite
 from bulletuav.kernel import elementwise, kernel
-from bulletuav.network.mobility.base import Generators, State, Walking, headings, normals
+from bulletuav.network.mobility.base import LONGEST, MOST_SPEED, Generators, State, Walking, headings, normals
 from bulletuav.network.mobility.ground import Ground, bounce, length
 
 CORRELATION_TIME = -1 / math.log(0.75)  # s; velocities a second apart have the correlation 0.75
@@ -46,10 +45,8 @@ class GaussMarkov(Walking):
 
     def __post_init__(self):
         super().__post_init__()
-        if not finite("correlation_time", self.correlation_time) > 0:
-            raise ValueError(f"correlation_time is {self.correlation_time!r} s: a number above 0 is needed")
-        if not finite("deviation", self.deviation) >= 0:
-            raise ValueError(f"deviation is {self.deviation!r} m/s: a number from 0 is needed")
+        self._size("correlation_time", " s", LONGEST, above_zero=True)
+        self._size("deviation", " m/s", MOST_SPEED, above_zero=False)
 
     @property
     def max_speed(self) -> float:

@@ -6,13 +6,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from bulletuav.errors import finite, whole
+from bulletuav.errors import whole
 from bulletuav.kernel import kernel
-from bulletuav.network.mobility.base import Generators, State, Walking, check_range, headings, normals
+from bulletuav.network.mobility.base import LONGEST, MOST_SPEED, Generators, State, Walking, check_range, headings, normals
 from bulletuav.network.mobility.gauss_markov import gauss_markov
 from bulletuav.network.mobility.ground import Ground, bounce, length
 
 TURNING_TIME = 1 / math.log(2.5)  # s; after a second 0.4 of a heading is left
+MOST_HOTSPOTS, MOST_WOBBLE = 1000, 100.0
 SHORT = 1e-12  # vectors that are shorter have no direction
 
 
@@ -41,13 +42,11 @@ class Hotspot(Walking):
 
     def __post_init__(self):
         super().__post_init__()
-        whole("num_hotspots", self.num_hotspots, 1)
-        check_range("drift", self.drift, "m/s", above_zero=False)
-        if not finite("turning_time", self.turning_time) > 0:
-            raise ValueError(f"turning_time is {self.turning_time!r} s: a number above 0 is needed")
-        for name in ("radius", "wobble"):
-            if not finite(name, getattr(self, name)) >= 0:
-                raise ValueError(f"{name} is {getattr(self, name)!r}: a number from 0 is needed")
+        self._keep("num_hotspots", whole("num_hotspots", self.num_hotspots, 1, MOST_HOTSPOTS))
+        self._keep("drift", check_range("drift", self.drift, "m/s", MOST_SPEED, above_zero=False))
+        self._size("turning_time", " s", LONGEST, above_zero=True)
+        self._size("radius", "", LONGEST, above_zero=False)
+        self._size("wobble", "", MOST_WOBBLE, above_zero=False)
 
     def state(self, count: int) -> dict[str, tuple[int, ...]]:
         """Also "hotspots" (H, 2) m, "hotspot_velocity" (H, 2) m/s, "user_hotspot" (U,), "user_speed" (U,) m/s.

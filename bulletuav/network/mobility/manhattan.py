@@ -14,6 +14,8 @@ from bulletuav.kernel import formula, kernel
 from bulletuav.network.mobility.base import Generators, State, Walking, keys, uniform
 from bulletuav.network.mobility.ground import NOWHERE, Ground, length
 
+MOST_WEIGHT = 1e6  # of a turn
+
 
 @dataclass(frozen=True)
 class Manhattan(Walking):
@@ -28,8 +30,9 @@ class Manhattan(Walking):
 
     def __post_init__(self):
         super().__post_init__()
-        for weight in several("turns", self.turns, 3):
-            if not finite("turns", weight) > 0:  # it may be that of a node's only way on
+        self._keep("turns", tuple(finite("turns", weight, most=MOST_WEIGHT) for weight in several("turns", self.turns, 3)))
+        for weight in self.turns:
+            if not weight > 0:  # it may be that of a node's only way on
                 raise ValueError(f"turns has {weight!r}: three numbers above 0 are needed, of straight on, left and right")
 
     def state(self, count: int) -> dict[str, tuple[int, ...]]:
@@ -52,7 +55,7 @@ class Manhattan(Walking):
         self, state: State, ground: Ground, layout: np.ndarray, flying: np.ndarray, dt: float, rng: Generators
     ) -> None:
         own = (state["users"], state["user_velocity"], state["user_speed"], state["user_street"])
-        advance(*own, keys(rng, flying), ground.graph, layout, flying, dt, tuple(map(float, self.turns)))
+        advance(*own, keys(rng, flying), ground.graph, layout, flying, dt, self.turns)
 
 
 @kernel

@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from bulletuav.kernel import formula, kernel
-from bulletuav.network.mobility.base import Generators, State, Walking, check_range, keys, uniform
+from bulletuav.network.mobility.base import LONGEST, Generators, State, Walking, check_range, keys, uniform
 from bulletuav.network.mobility.ground import Ground, cell_of, is_free, length, walk
 
 TRIES = 100
@@ -34,7 +34,7 @@ class Waypoint(Walking):
 
     def __post_init__(self):
         super().__post_init__()
-        check_range("pause", self.pause, "s", above_zero=False)
+        self._keep("pause", check_range("pause", self.pause, "s", LONGEST, above_zero=False))
 
     def state(self, count: int) -> dict[str, tuple[int, ...]]:
         """Also "user_goal" (U, 2) m, "user_speed" (U,) m/s of this or the next leg, "user_pause" (U,) s that is left."""
@@ -56,7 +56,7 @@ class Waypoint(Walking):
         self, state: State, ground: Ground, layout: np.ndarray, flying: np.ndarray, dt: float, rng: Generators
     ) -> None:
         own = (state["users"], state["user_velocity"], state["user_goal"], state["user_speed"], state["user_pause"])
-        ranges = (*map(float, self.speed), *map(float, self.pause))
+        ranges = (*self.speed, *self.pause)
         advance(*own, keys(rng, flying), ground.raster, layout, flying, dt, ranges)
 
 

@@ -1,7 +1,7 @@
 """Edge computing from the air: users send tasks to the drones, which compute them."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -14,6 +14,8 @@ from bulletuav.network.server import Arrivals, serve, serve_on_average
 from bulletuav.network.uplink import RadioConfig, Uplink
 from bulletuav.tasks.base import Frame, Scene, Setting, Verdict
 from bulletuav.tasks.terms.users import UsersConfig, UsersTask, sojourn_bonus
+
+MOST_TASKS = 1e6  # of a world in a decision, in the mean
 
 
 @dataclass(frozen=True)
@@ -31,15 +33,15 @@ class EdgeConfig(RadioConfig, UsersConfig):
     power_scale     W, that the reward term `energy` divides by: about what full thrust and busy cores take
     """
 
-    num_users: int = 50
+    num_users: int = field(default=50, metadata={"most": 10_000})
     wanted: float = 0.7
     arrival_rate: float = 0.15
-    task_bits: tuple[float, float] = (0.5e6, 2e6)
+    task_bits: tuple[float, float] = field(default=(0.5e6, 2e6), metadata={"most": 1e12})
     cycles_per_bit: float = 1000.0
-    deadline: float = 1.0
-    num_cores: int = 4
-    core_frequency: float = 5e9
-    capacitance: float = 1e-28
+    deadline: float = field(default=1.0, metadata={"most": 1e4})
+    num_cores: int = field(default=4, metadata={"most": 1024})
+    core_frequency: float = field(default=5e9, metadata={"most": 1e12})
+    capacitance: float = field(default=1e-28, metadata={"most": 1e-20})
     queue: Literal["simulated", "erlang"] = "simulated"
     assignment: Literal["max_rate", "nearest", "dtlcm"] = "max_rate"
     power_scale: float = 400.0
@@ -64,6 +66,12 @@ class EdgeTask(UsersTask):
         low, high = config.task_bits
         if not 0 < low <= high:
             raise ValueError(f"task_bits is {config.task_bits}: from low to high, above 0, is needed")
+        mean = config.arrival_rate * config.num_users * setting.period
+        if mean > MOST_TASKS:
+            raise ValueError(
+                f"arrival_rate is {config.arrival_rate:g}: {mean:g} tasks of num_users {config.num_users} in a decision, at "
+                f"most {MOST_TASKS:g} are possible"
+            )
         rates = np.full(config.num_users, config.arrival_rate)
         self._arrivals = Arrivals(rates, setting.period, config.task_bits)
         for name in ("cycles_per_bit", "deadline", "core_frequency", "power_scale"):

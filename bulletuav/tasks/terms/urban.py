@@ -1,6 +1,7 @@
 """Flight in a city: its options, where drones and users can be in it, and what its tasks have in common."""
 
 import contextlib
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,8 +12,8 @@ import numpy as np
 from bulletuav.city.generator import generate
 from bulletuav.city.imports import READERS
 from bulletuav.city.model import City
-from bulletuav.city.statistics import Statistics
-from bulletuav.errors import pick, several
+from bulletuav.city.statistics import KINDS, Statistics
+from bulletuav.errors import pick, several, shown
 from bulletuav.physics.solids import Solids
 from bulletuav.physics.tiles import TILE_PITCH
 from bulletuav.tasks.base import Setting, Spawn, Task
@@ -61,8 +62,8 @@ class UrbanConfig:
     city: Any = "urban"
     area: float = 500.0
     irregularity: float = 0.0
-    num_layouts: int = 4
-    city_seed: int = field(default=0, metadata={"least": 0})
+    num_layouts: int = field(default=4, metadata={"most": 256})
+    city_seed: int = field(default=0, metadata={"least": 0, "most": 2**32})
     height: tuple[float, float] = (5.0, 25.0)
     ceiling: float = 120.0
     min_separation: float = 20.0
@@ -76,12 +77,26 @@ def make_cities(config: UrbanConfig) -> tuple[City, ...]:
     ending = Path(kind).suffix.lower() if isinstance(kind, str | Path) else ""
     if isinstance(kind, Path) or ending in READERS:
         return (pick(f"kind of file for city {str(kind)!r},", ending, READERS)(Path(kind)),)
-    if not isinstance(kind, str):
-        kind = Statistics(*several("city", kind, 3))
+    if isinstance(kind, str):
+        pick("kind of city", kind, KINDS)
+    else:
+        kind = _own_statistics(kind)
+    if config.irregularity > 1:
+        raise ValueError(f"irregularity is {config.irregularity!r}: a number from 0 (regular) to 1 is needed")
     if config.area >= TILE_PITCH:
         raise ValueError(f"area is {config.area:g} m: less than {TILE_PITCH:g} m is needed, where other worlds begin")
     seeds = range(config.city_seed, config.city_seed + config.num_layouts)
-    return tuple(generate(kind, config.area, np.random.default_rng(seed), config.irregularity) for seed in seeds)
+    try:
+        return tuple(generate(kind, config.area, np.random.default_rng(seed), config.irregularity) for seed in seeds)
+    except ValueError as error:
+        raise ValueError(f"area is {config.area:g} m: its {error}") from None
+
+
+def _own_statistics(given: Any) -> Statistics:
+    try:
+        return Statistics(*several("city", given, 3))
+    except ValueError as error:
+        raise ValueError(f"city is {shown(given)}, (alpha, beta, gamma) or a name or file: {error}") from None
 
 
 def check_share(name: str, value: float) -> None:
@@ -110,6 +125,11 @@ class Town:
         self.solids: tuple[Solids, ...] = tuple(city.solids for city in self.cities)
         reach = max(city.side for city in self.cities) / 2
         self.low, self.high = np.array([-reach, -reach, 0.0]), np.array([reach, reach, config.ceiling])
+        if setting.num_drones > 1 and config.min_separation >= math.dist(self.low, self.high):
+            raise ValueError(
+                f"min_separation is {config.min_separation:g} m: less than {math.dist(self.low, self.high):.4g} m, as far "
+                f"as the city's airspace reaches, is needed"
+            )
         margin = setting.collision_radius + ROOM + CELL / np.sqrt(2)
         self._raster = [_outdoors(city, CELL, margin, EDGE) for city in self.cities]
         for city, raster in zip(self.cities, self._raster, strict=True):

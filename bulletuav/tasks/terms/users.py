@@ -28,7 +28,7 @@ class UsersConfig(UrbanConfig):
     """
 
     d_safe: float = 2.0
-    num_users: int = 20
+    num_users: int = field(default=20, metadata={"most": 10_000})
     mobility: Any = "still"
     wanted: float = 0.9
     boundary: Literal["end", "soft", "hard"] = "hard"
