@@ -6,7 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from bulletuav.control.levels import Level
-from bulletuav.envs.aviary import Aviary, Step
+from bulletuav.envs.aviary import Aviary
+from bulletuav.envs.step import Step
 from bulletuav.kernel import kernel
 from bulletuav.physics.approach import distances, offset
 from bulletuav.physics.power import actuator_power

@@ -11,8 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bulletuav.city.model import City
-from bulletuav.envs.aviary import Aviary, Step
+from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.options import Options
+from bulletuav.envs.step import Step
 from bulletuav.files import replace_file, whole_file
 from bulletuav.network.mobility import Mobility
 from bulletuav.physics.swarm import Swarm

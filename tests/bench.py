@@ -5,9 +5,10 @@ import numpy as np
 from bulletuav.control.cascade import Cascade
 from bulletuav.control.gains import gain_rows
 from bulletuav.control.levels import Level
-from bulletuav.physics.airframe import EFFECTS, STANDARD_GRAVITY, load_airframe, parameter_rows
+from bulletuav.physics.airframe import EFFECTS, STANDARD_GRAVITY, load_airframe
 from bulletuav.physics.dynamics import Flight
 from bulletuav.physics.ladder import LADDER
+from bulletuav.physics.parameters import parameter_rows
 from bulletuav.physics.swarm import Motion, Swarm
 from bulletuav.physics.world import World
 

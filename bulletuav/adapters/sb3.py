@@ -17,11 +17,12 @@ from typing import Any
 import numpy as np
 
 from bulletuav.adapters.features import Symlog
-from bulletuav.envs.aviary import Aviary, Step
+from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.curriculum import Curriculum, common_observation
 from bulletuav.envs.environment import Environment, exclusive
 from bulletuav.envs.plan import Plan
 from bulletuav.envs.spaces import widest_action_space
+from bulletuav.envs.step import Step
 from bulletuav.errors import missing, whole
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.terms.observations import Observation, part

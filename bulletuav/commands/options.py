@@ -14,7 +14,8 @@ from rich.console import Console
 from bulletuav.commands.progress import telling
 from bulletuav.control.actions import ACTIONS
 from bulletuav.control.cascade import CONTROLLERS
-from bulletuav.envs.options import Options, resolve
+from bulletuav.envs.options import Options
+from bulletuav.envs.resolve import resolve
 from bulletuav.physics.airframe import available_airframes
 from bulletuav.physics.ladder import LADDER
 from bulletuav.policies import POLICIES, SHIPPED_NAMES, Pilot

@@ -10,7 +10,7 @@ from rich.console import Console
 from bulletuav.charts import plot_curves
 from bulletuav.commands.options import add_options, given_options, literals, out_folder, tell_files
 from bulletuav.commands.progress import telling
-from bulletuav.envs.options import resolve
+from bulletuav.envs.resolve import resolve
 from bulletuav.files import replace_file
 from bulletuav.policies.run import ALGORITHMS, CONFIG, POLICY, RunConfig, shipped, shipped_tasks
 from bulletuav.tasks import find_task

@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -16,11 +16,12 @@ from bulletuav.envs.environment import Environment, exclusive
 from bulletuav.envs.plan import MOST_WORLDS, Plan
 from bulletuav.envs.randomization import Uncertainty
 from bulletuav.envs.senses import Senses
+from bulletuav.envs.step import Step
 from bulletuav.errors import points_of, whole
-from bulletuav.physics.airframe import parameter_rows
 from bulletuav.physics.atlas import NOWHERE
 from bulletuav.physics.dynamics import Dynamics, Flight
 from bulletuav.physics.ladder import LADDER
+from bulletuav.physics.parameters import parameter_rows
 from bulletuav.physics.solids import Solids
 from bulletuav.physics.swarm import Contacts, Motion, Swarm, confine
 from bulletuav.physics.sweep import overlaps
@@ -28,23 +29,11 @@ from bulletuav.physics.wind import Wind
 from bulletuav.physics.world import World
 from bulletuav.sensors.sight import line_of_sight
 from bulletuav.tasks import TaskSource
-from bulletuav.tasks.base import Frame, Scene, Spawn, check_spawn, check_verdict, require_finite
+from bulletuav.tasks.base import Frame, Scene, Spawn
+from bulletuav.tasks.check import check_spawn, check_verdict, require_finite
 from bulletuav.tasks.terms.observations import Observation
 
 NOTHING_STANDS = Solids(np.zeros((0, 2, 3)))
-
-
-class Step(NamedTuple):
-    """Outcome of a decision: observations (W, N, D) float32; rewards, terminated, truncated (W, N); info name -> (W, N).
-
-    With camera pictures among the observations they are a dict of such arrays.
-    """
-
-    observations: Observation
-    rewards: np.ndarray
-    terminated: np.ndarray
-    truncated: np.ndarray
-    info: dict[str, np.ndarray]
 
 
 class Aviary(Environment):
@@ -157,11 +146,8 @@ class Aviary(Environment):
             array[k] = value
         for i, airframe in enumerate(self.options.airframe):
             self.swarm.rotor_speed[k, i, : len(airframe.rotors)] = airframe.hover_speed(self.options.gravity)
-        self.scene.start[k], self.scene.goal[k], self.scene.goal_velocity[k] = (
-            spawn.position,
-            spawn.goal,
-            spawn.goal_velocity,
-        )
+        self.scene.start[k], self.scene.goal[k] = spawn.position, spawn.goal
+        self.scene.goal_velocity[k] = spawn.goal_velocity
         self.scene.obstacle[k], self.scene.obstacle_velocity[k] = spawn.obstacle, spawn.obstacle_velocity
         self.scene.layout[k] = spawn.layout
         for name, remembered in self.scene.memory.items():

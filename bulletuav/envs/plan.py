@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from bulletuav.control.actions import Action, Flyable, make_action
-from bulletuav.envs.options import Options, resolve
+from bulletuav.envs.options import Options
+from bulletuav.envs.resolve import resolve
 from bulletuav.errors import finite, numbers_of, pick, require_memory, several, shown, whole
 from bulletuav.physics.obstacle import Obstacle
 from bulletuav.physics.solids import Solids

@@ -11,8 +11,9 @@ import numpy as np
 import yaml
 
 from bulletuav.envs.curriculum import Curriculum, check_levels
-from bulletuav.envs.options import Options, resolve
+from bulletuav.envs.options import Options
 from bulletuav.envs.plan import MOST_WORLDS
+from bulletuav.envs.resolve import resolve
 from bulletuav.errors import pick, unknown, whole
 from bulletuav.tasks import find_task
 

@@ -8,25 +8,18 @@ from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 
-from bulletuav.errors import numbers_of, shown, unknown, whole
-from bulletuav.physics.airframe import Airframe
+from bulletuav.errors import unknown
 from bulletuav.physics.approach import distances
 from bulletuav.physics.atlas import NOWHERE
 from bulletuav.physics.obstacle import Obstacle
-from bulletuav.physics.shapes import CYLINDER, SPHERE, Shape
 from bulletuav.physics.solids import Solids
 from bulletuav.physics.swarm import Contacts, Swarm
-from bulletuav.physics.tiles import TILE_PITCH
-from bulletuav.physics.world import PARKING_HEIGHT
 from bulletuav.sensors.lidar import Beam
 from bulletuav.tasks.terms.conflict import Conflict, conflict
 from bulletuav.tasks.terms.sensed import served_share
 
 NOTHING = np.zeros((0, 3))
-UNIT = 1e-6  # that the norm of a start's quaternion may be off 1
-GRAZE = 1e-6  # m, that a drone which stands on the ground may be in it
 REBOUND = {"soft": 0.8, "hard": 0.0}
 """Share of the speed against a wall that is left, reversed, by the option `boundary`"""
 
@@ -291,134 +284,6 @@ class Task(ABC):
         """Reward terms, ends and successes of a decision. Changes nothing: it may be asked twice."""
 
 
-def check_spawn(
-    task: Task, spawn: Any, airframes: Sequence[Airframe], obstacles: int, remembered: Mapping[str, np.ndarray]
-) -> None:
-    """Refuse a start that no world can have, before anything of it is written.
-
-    Args:
-        task: Whose `spawn` gave it.
-        spawn: What it gave.
-        airframes: Of the drones.
-        obstacles: How many there are.
-        remembered: The arrays of `memory`, of all worlds, by name.
-
-    Raises:
-        ValueError: With the task, what is wrong and the remedy.
-    """
-    if not isinstance(spawn, Spawn):
-        raise ValueError(f"spawn of task {task.name!r} gave {shown(spawn)}: a Spawn is needed")
-    drones, things = (len(airframes), 3), (obstacles, 3)
-    shapes = (drones, (len(airframes), 4), drones, drones, drones, drones, things, things)
-    values = [_numbers(task, name, value, shape) for name, value, shape in zip(Spawn._fields, spawn, shapes, strict=False)]
-    if not np.isfinite(np.concatenate(values, axis=None)).all():
-        wrong = [k for k, value in enumerate(values) if not np.isfinite(value).all()]
-        raise _refused(task, Spawn._fields[wrong[0]], f"is {shown(values[wrong[0]])}", "finite numbers are needed")
-    _check_memory(task, spawn, remembered)
-    _check_places(task, values[0], values[1], airframes)
-    refuse_overlap(values[0], task.setting.collision_radius)
-
-
-def _refused(task: Task, name: str, what: str, remedy: str) -> ValueError:
-    return ValueError(f"{name} of the spawn of task {task.name!r} {what}: {remedy}")
-
-
-def _numbers(task: Task, name: str, value: Any, shape: tuple[int, int]) -> np.ndarray:
-    """A field of a spawn. Raises ValueError unless it is numbers of this shape; one goal may be that of all drones."""
-    if isinstance(value, np.ndarray) and value.dtype.kind == "f" and value.shape == shape:
-        return value
-    if type(value) is float and name == "goal_velocity":
-        return np.array(value)
-    array = numbers_of(f"{name} of the spawn of task {task.name!r} is", value)
-    if array.shape != shape and (name not in ("goal", "goal_velocity") or array.shape not in ((), (3,), (1, 3))):
-        raise _refused(task, name, f"has shape {array.shape}", f"{shape} is needed")
-    return array
-
-
-def _check_memory(task: Task, spawn: Spawn, remembered: Mapping[str, np.ndarray]) -> None:
-    layouts = len(task.layouts())
-    if spawn.layout != NOWHERE or layouts:
-        whole(f"layout of the spawn of task {task.name!r}", spawn.layout, NOWHERE, layouts - 1)
-    if not isinstance(spawn.memory, Mapping):
-        raise _refused(task, "memory", f"is {shown(spawn.memory)}", "a dict of arrays by name is needed")
-    for name, value in spawn.memory.items():
-        if name not in remembered:
-            raise unknown(f"memory in the spawn of task {task.name!r}:", name, remembered)
-        if np.shape(value) not in ((), remembered[name].shape[1:]):
-            what = f"has shape {np.shape(value)}"
-            raise _refused(task, f"memory {name!r}", what, f"{remembered[name].shape[1:]} is needed")
-
-
-def _check_places(task: Task, position: np.ndarray, quaternion: np.ndarray, airframes: Sequence[Airframe]) -> None:
-    """Raise ValueError unless all are turned by unit quaternions, in the world's own tile and not in the ground."""
-    off = np.abs(np.einsum("ij,ij->i", quaternion, quaternion) - 1)
-    if off.max() > 2 * UNIT:
-        i = int(off.argmax())
-        what = f"has the norm {np.linalg.norm(quaternion[i]):g}"
-        raise _refused(task, f"quaternion of drone {i}", what, "a unit quaternion is needed: divide by it")
-    radius, height = task.setting.collision_radius, position[:, 2]
-    half, aside = TILE_PITCH / 2 - radius, np.abs(position[:, :2])
-    if aside.max() >= half or height.max() >= PARKING_HEIGHT:
-        i = int(((aside >= half).any(axis=1) | (height >= PARKING_HEIGHT)).argmax())
-        remedy = f"start it less than {half:g} m aside and {PARKING_HEIGHT:g} m up"
-        raise _refused(task, f"position of drone {i}", f"is {position[i]} m", remedy)
-    if height.min() >= radius:  # clear, whatever the attitude
-        return
-    depth = _depth([one.shape for one in airframes], quaternion)
-    if (sunk := height < depth - GRAZE).any():
-        i = int(sunk.argmax())
-        what = f"is {height[i]:g} m up, and its shape reaches {depth[i]:g} m down"
-        raise _refused(task, f"position of drone {i}", what, f"start it at z = {depth[i]:.6g} m or more")
-
-
-def _depth(shapes: Sequence[Shape], quaternion: np.ndarray) -> np.ndarray:
-    """(N,) how far collision shapes, turned by (N, 4), reach down from their middle, m."""
-    kind, half = np.array([shape.kind for shape in shapes]), np.array([shape.half for shape in shapes])
-    x, y, z, w = quaternion.T
-    down = np.abs([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]).T  # of the body's axes
-    rim = half[:, 0] * np.hypot(down[:, 0], down[:, 1]) + half[:, 2] * down[:, 2]
-    return np.select([kind == SPHERE, kind == CYLINDER], [half[:, 0], rim], (half * down).sum(axis=1))
-
-
-def check_verdict(task: Task, verdict: Any, shape: tuple[int, int]) -> None:
-    """Refuse a verdict that rewards cannot be made of: types, names of terms and shapes (W, N).
-
-    Raises:
-        ValueError: With the task, the term and the remedy.
-    """
-    judged = f"judge of task {task.name!r} gave"
-    if not isinstance(verdict, Verdict):
-        raise ValueError(f"{judged} {shown(verdict)}: a Verdict is needed")
-    if not isinstance(verdict.terms, Mapping):
-        raise ValueError(f"{judged} the terms {shown(verdict.terms)}: a dict of arrays by name is needed")
-    for name in verdict.terms:
-        if name not in task.weights:
-            raise unknown(f"reward term in what {judged},", name, task.weights)
-    for name, weight in task.weights.items():
-        if weight != 0 and name not in verdict.terms:
-            raise ValueError(f"{judged} no reward term {name!r}: its weight is {weight:g}; give it, or the weight 0")
-    wanted = {f"reward term {name!r}": (term, "iufb") for name, term in verdict.terms.items()}
-    wanted |= {name: (getattr(verdict, name), "b") for name in ("terminated", "success")}
-    for name, (value, kinds) in wanted.items():
-        array = value if isinstance(value, np.ndarray) else np.asarray(None)
-        if array.shape != shape or array.dtype.kind not in kinds:
-            form = f"an array {array.shape} of {array.dtype}" if isinstance(value, np.ndarray) else shown(value)
-            kind = "bool" if kinds == "b" else "numbers"
-            raise ValueError(f"{judged} {form} as {name}: an array {shape} (worlds, drones) of {kind} is needed")
-
-
-def require_finite(task: Task, terms: Mapping[str, np.ndarray], reward: np.ndarray) -> None:
-    """Raise ValueError, naming the term, where a reward (W, N) is no finite number."""
-    if np.isfinite(reward).all():
-        return
-    w, i = np.argwhere(~np.isfinite(reward))[0]
-    wrong = {name: float(term[w, i]) for name, term in terms.items() if not np.isfinite(term[w, i])}
-    raise ValueError(
-        f"the reward of drone {i} in world {w} is {reward[w, i]:g}: judge of task {task.name!r} gave "
-        f"{wrong or 'terms too large to be added'}, weighted; finite numbers are needed"
-    )
-
-
 def whose(happened: np.ndarray, frame: Frame, whom: str) -> np.ndarray:
     """(W, N): the drones to which it happened, or, for "world", all drones of their worlds."""
     if whom == "world":
@@ -432,20 +297,6 @@ def merged_weights(defaults: Mapping[str, float], changes: Mapping[str, float]) 
         if term not in defaults:
             raise ValueError(f"weights: {unknown('reward term', term, defaults)}")
     return {**defaults, **changes}
-
-
-def refuse_overlap(position: np.ndarray, radius: float) -> None:
-    """Raise ValueError when two of (N, 3) positions are closer than two collision radii."""
-    if len(position) < 2:
-        return
-    pairs = cKDTree(position).query_pairs(2 * radius)
-    if pairs:
-        i, j = min(pairs)
-        gap = float(np.linalg.norm(position[i] - position[j]))
-        raise ValueError(
-            f"start positions of drones {i} and {j} overlap: {gap:.3g} m apart, their collision shapes need more than "
-            f"{2 * radius:.3g} m; move them or widen the spacing"
-        )
 
 
 def refuse_early_end(max_distance: float, start_offset: float) -> None:

@@ -8,7 +8,8 @@ import numpy as np
 
 from bulletuav.errors import pick
 from bulletuav.physics.obstacle import Obstacle
-from bulletuav.tasks.base import Frame, Scene, Setting, Spawn, Task, Verdict, refuse_early_end, refuse_overlap
+from bulletuav.tasks.base import Frame, Scene, Setting, Spawn, Task, Verdict, refuse_early_end
+from bulletuav.tasks.check import refuse_overlap
 
 TARGETS = {
     "vehicle": (Obstacle("box", (3.0, 3.0, 1.6), (0.75, 0.2, 0.15, 1.0)), 0.8, 8.0),

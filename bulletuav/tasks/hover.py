@@ -8,7 +8,8 @@ import numpy as np
 
 from bulletuav.errors import numbers_of, shown
 from bulletuav.physics.rotation import exponential
-from bulletuav.tasks.base import Frame, Setting, Spawn, Task, Verdict, refuse_early_end, refuse_overlap
+from bulletuav.tasks.base import Frame, Setting, Spawn, Task, Verdict, refuse_early_end
+from bulletuav.tasks.check import refuse_overlap
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from bulletuav import load_airframe
 from bulletuav.control import lee
 from bulletuav.control.gains import gain_rows
 from bulletuav.control.levels import Level
-from bulletuav.physics.airframe import parameter_rows
+from bulletuav.physics.parameters import parameter_rows
 from bulletuav.physics.rotors import rotor_wrench
 
 G = 9.80665

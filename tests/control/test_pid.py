@@ -6,7 +6,7 @@ from bulletuav import load_airframe
 from bulletuav.control.gains import gain_rows
 from bulletuav.control.levels import Level
 from bulletuav.control.pid import pid_rotors, pid_torque
-from bulletuav.physics.airframe import parameter_rows
+from bulletuav.physics.parameters import parameter_rows
 
 G = 9.80665
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from bulletuav import Airframe, available_airframes, load_airframe
-from bulletuav.physics.airframe import parameter_rows
+from bulletuav.physics.parameters import parameter_rows
 
 # Computed by hand from published constants: hover speed (rad/s), most thrust (N), thrust to weight, drag at hover (N s/m).
 FIGURES = {

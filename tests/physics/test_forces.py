@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from bulletuav import load_airframe
 from bulletuav.physics.aerodynamics import downwash, ground_effect, rotor_drag, wakes
-from bulletuav.physics.airframe import parameter_rows
+from bulletuav.physics.parameters import parameter_rows
 from bulletuav.physics.rotors import lag_decay, lagged, rotor_wrench
 from bulletuav.physics.wrench import wrench
 

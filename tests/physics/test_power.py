@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
 from bulletuav import Aviary, load_airframe
-from bulletuav.physics.airframe import parameter_rows
+from bulletuav.physics.parameters import parameter_rows
 from bulletuav.physics.power import (
     ROTARY_WING,
     W20,

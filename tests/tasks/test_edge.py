@@ -10,8 +10,8 @@ from placing import OPEN, SMALL, WALL, fly
 from scipy.spatial.transform import Rotation
 
 import bulletuav
-from bulletuav.envs.options import resolve
 from bulletuav.envs.plan import Plan
+from bulletuav.envs.resolve import resolve
 from bulletuav.physics.power import airframe_wing
 from bulletuav.policies import find_policy
 from bulletuav.tasks import find_task

@@ -12,8 +12,8 @@ import bulletuav
 import bulletuav.tasks.terms.urban as urban
 from bulletuav.city.exports import write_obj
 from bulletuav.city.generator import generate
-from bulletuav.envs.options import resolve
 from bulletuav.envs.plan import Plan
+from bulletuav.envs.resolve import resolve
 from bulletuav.physics.power import airframe_wing, level_power, propulsion_power
 from bulletuav.policies import find_policy
 from bulletuav.tasks import find_task
