@@ -173,10 +173,10 @@ def common_observation(plans: Sequence[Plan]) -> Space:
 
 
 def check_levels(levels: Any) -> None:
-    """Raise ValueError unless levels are a list of dicts of options, one or more."""
+    """Raise ValueError unless levels are a list of dicts of options."""
     listed = several("levels", levels, most=MOST_LEVELS)
-    if not listed or not all(isinstance(level, Mapping) for level in listed):
-        raise ValueError(f"levels is {shown(levels)}: a list of names with values is needed, one or more")
+    if not all(isinstance(level, Mapping) for level in listed):
+        raise ValueError(f"levels is {shown(levels)}: a list of names with values is needed")
 
 
 def curriculum_env(

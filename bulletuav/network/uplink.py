@@ -48,8 +48,8 @@ class RadioConfig:
     noise_figure: float = field(default=7.0, metadata={"most": 100.0})
     user_power: float = 0.5
     path_loss: Literal["log_distance", "umi", "uma", "umi_av", "uma_av"] = "log_distance"
-    n_los: float = field(default=2.0, metadata={"most": 20.0})
-    n_nlos: float = field(default=3.19, metadata={"most": 20.0})
+    n_los: float = field(default=2.0, metadata={"most": 1000.0})
+    n_nlos: float = field(default=3.19, metadata={"most": 1000.0})
     antenna: Literal["isotropic", "downward"] = "isotropic"
     access: Literal["ofdma", "tdma", "shared"] = "ofdma"
     fading: Literal["none", "rician", "rayleigh"] = "none"

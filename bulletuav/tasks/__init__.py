@@ -49,7 +49,7 @@ def list_tasks() -> list[str]:
 def require_task(kind: type[Task]) -> None:
     """Raise ValueError, naming what is missing, unless a class has what a task is made of."""
     name = kind.__name__
-    lacks = sorted(kind.__abstractmethods__) or [one for one in NEEDED if getattr(kind, one, None) is None]
+    lacks = sorted(kind.__abstractmethods__) or [one for one in NEEDED if getattr(kind, one, None) in (None, ())]
     if lacks:
         raise ValueError(f"task {name} has no {lacks[0]}: a task needs it, see bulletuav.tasks.base.Task")
     if not isinstance(kind.name, str):
