@@ -269,6 +269,7 @@ class Aviary(Environment):
     @exclusive
     def state(self) -> np.ndarray:
         """(W, N * 17) float32: the true position, attitude, velocity, rates, goal position and alive of every drone."""
+        self._require_open()
         frame = self._current()
         if self._uncertainty is not None:
             frame = dataclasses.replace(frame, readings={})

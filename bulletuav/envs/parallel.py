@@ -13,7 +13,7 @@ from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.environment import Environment, exclusive
 from bulletuav.envs.spaces import drone_action_space, drone_numbers
-from bulletuav.errors import unknown
+from bulletuav.errors import pick, shown, unknown
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.terms.observations import Observation, part
 
@@ -41,11 +41,11 @@ class ParallelAviary(Environment, ParallelEnv):
 
     def observation_space(self, agent: str) -> Space:
         """The agent's observation space, the same object each time."""
-        return self.observation_spaces[agent]
+        return pick("agent", agent, self.observation_spaces)
 
     def action_space(self, agent: str) -> Space:
         """The agent's action space, the same object each time."""
-        return self.action_spaces[agent]
+        return pick("agent", agent, self.action_spaces)
 
     @exclusive
     def reset(self, seed: int | None = None, options: dict | None = None) -> tuple[dict, dict]:
@@ -110,7 +110,7 @@ class ParallelAviary(Environment, ParallelEnv):
 def check_agents(actions: Any, agents: Sequence[str], possible: Sequence[str]) -> None:
     """Raise ValueError unless `actions` is a dict with all of `agents`, and no others than `possible` ones."""
     if not isinstance(actions, Mapping):
-        raise ValueError(f"actions are {actions!r}: a dict with an action for each of {list(agents)} is needed")
+        raise ValueError(f"actions are {shown(actions)}: a dict with an action for each of {list(agents)} is needed")
     for agent in actions:
         if agent not in possible:
             raise unknown("agent in actions:", agent, possible)

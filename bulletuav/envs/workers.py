@@ -15,9 +15,9 @@ import numpy as np
 from gymnasium.spaces import Box, Dict, Space
 from gymnasium.vector import AutoresetMode
 
-from bulletuav.envs.batch import BatchAviary
+from bulletuav.envs.batch import BatchAviary, autoreset, reset_mask
 from bulletuav.envs.environment import Environment, exclusive
-from bulletuav.envs.plan import Plan
+from bulletuav.envs.plan import MOST_WORLDS, Plan
 from bulletuav.envs.spaces import widest_action_space
 from bulletuav.envs.worker import Shared, named, work
 from bulletuav.errors import finite, pick, whole
@@ -25,6 +25,7 @@ from bulletuav.tasks import TaskSource
 from bulletuav.tasks.terms.observations import Observation
 
 PATIENCE = 5.0  # s, for all workers to end
+MOST_WORKERS = 256
 TIMEOUT = 600.0  # s, for an answer: longer than any decision, and than compiling for a first one
 
 
@@ -74,20 +75,17 @@ class WorkerAviary(Environment):
             ValueError: Options cannot be.
             RuntimeError: A process ends, or does not answer in time.
         """
-        self._plan = plan = Plan(task, num_envs, options)
-        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.autoreset_mode = autoreset(autoreset_mode)
+        self._plan = plan = Plan(task, whole("num_envs", num_envs, 1, MOST_WORLDS), options)
         self.num_envs, self.num_drones = plan.num_worlds, plan.options.num_drones
-        if whole("workers", workers, 1) > self.num_envs:
+        _check_processes(workers, start_method, timeout)
+        if workers > self.num_envs:
             raise ValueError(f"workers is {workers}: at most one for each of the {self.num_envs} worlds is needed")
         if plan.options.render_mode == "human":
             raise ValueError("render_mode is 'human': a live view needs workers=1")
-        if finite("timeout", timeout) <= 0:
-            raise ValueError(f"timeout is {timeout:g} s: it must be above 0")
-        self._timeout = timeout
+        self._timeout = float(timeout)
         self.observation_space: Box | Dict = plan.observer.space()
         self.action_space: Space = widest_action_space(plan.action)
-        if start_method is not None:
-            pick("start_method", start_method, dict.fromkeys(multiprocessing.get_all_start_methods()))
         context: Any = multiprocessing.get_context(start_method)
         shared = Shared(context, self._layout())
         self._arrays = shared.arrays(0, self.num_envs)
@@ -191,7 +189,7 @@ class WorkerAviary(Environment):
     @exclusive
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
         """As `BatchAviary.reset`."""
-        mask = self._plan.mask((options or {}).get("reset_mask"))
+        mask = self._plan.mask(reset_mask(options))
         seeds = self._plan.seeds(seed)
         infos = self._ask(
             "reset",
@@ -256,6 +254,15 @@ def _merged(parts: list[slice], infos: list[dict[str, Any]], num_envs: int) -> d
     return merged
 
 
+def _check_processes(workers: Any, start_method: Any, timeout: Any) -> None:
+    """Raise ValueError for processes that cannot be."""
+    whole("workers", workers, 1, MOST_WORKERS)
+    if start_method is not None:
+        pick("start_method", start_method, dict.fromkeys(multiprocessing.get_all_start_methods()))
+    if finite("timeout", timeout) <= 0:
+        raise ValueError(f"timeout is {timeout:g} s: it must be above 0")
+
+
 def batch_env(
     task: TaskSource,
     num_envs: int,
@@ -269,6 +276,7 @@ def batch_env(
     `workers` above 1 spreads them over processes (`start_method` as in `multiprocessing`), for as many cores: see
     `WorkerAviary`. A process that has not answered for `timeout` seconds is given up, with a RuntimeError.
     """
-    if whole("workers", workers, 1) == 1:
+    _check_processes(workers, start_method, timeout)
+    if workers == 1:
         return BatchAviary(task, num_envs, **options)
     return WorkerAviary(task, num_envs, workers=workers, start_method=start_method, timeout=timeout, **options)

@@ -133,8 +133,26 @@ def test_a_worker_that_is_stopped_or_killed_ends_in_words(start_method):
         env.close()
         assert time.monotonic() - begin < PATIENCE
         assert not psutil.wait_procs(children, timeout=10)[1]
-    with pytest.raises(ValueError, match="timeout is 0 s"):
-        bulletuav.batch_env("hover", 2, timeout=0, **options)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_processes_that_cannot_be_are_refused_however_many_there_are(workers):
+    for wrong, said in (
+        ({"timeout": 0}, "timeout is 0 s"),
+        ({"start_method": "frok"}, "did you mean 'fork'"),
+        ({"autoreset_mode": "zzz"}, "unknown autoreset_mode 'zzz'"),
+        ({"workers": 1000}, "workers is 1000: a whole number from 1 to 256"),
+        ({"num_envs": 2**63}, "num_envs is 9223372036854775808"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            bulletuav.batch_env("hover", **{"num_envs": 2, "workers": workers, **wrong})
+    env = bulletuav.batch_env("hover", 2, workers=workers, start_method="fork", autoreset_mode="SAME_STEP")
+    with pytest.raises(ValueError, match="options is 3: a dict"):
+        env.reset(seed=0, options=3)
+    env.reset(seed=0)
+    env.close()
+    with pytest.raises(RuntimeError, match="closed"):
+        env.state()
 
 
 def test_closing_does_not_wait_for_ever_for_a_stopped_worker():
