@@ -57,7 +57,7 @@ def cache_folder() -> Path:
 
 def _is_private(folder: Path) -> bool:
     """Make a folder, and tell whether it is this user's alone."""
-    folder.mkdir(mode=0o700, exist_ok=True)
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     about = folder.lstat()
     others_write = stat.S_IMODE(about.st_mode) & (stat.S_IWGRP | stat.S_IWOTH)
     return stat.S_ISDIR(about.st_mode) and not others_write and (not hasattr(os, "getuid") or about.st_uid == os.getuid())

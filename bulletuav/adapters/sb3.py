@@ -170,8 +170,6 @@ class DroneVecEnv(Environment, VecEnv):
         ended = flown & (change | ~aviary.alive)
         infos = self._infos(step, ended)
         dones = self._wide(ended | over[:, None] | change, True)
-        if not np.isfinite(step.rewards[flown]).all():
-            raise ValueError(f"task {aviary.task.name!r} gave a drone that flies a reward that is not finite")
         earned = np.where(flown, step.rewards, 0.0)
         if self._shared_reward:
             earned = np.broadcast_to(earned.mean(axis=1, keepdims=True), earned.shape)

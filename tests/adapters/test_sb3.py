@@ -251,7 +251,7 @@ def test_a_reward_that_is_not_finite_is_an_error_and_no_empty_slot():
 
     env = DroneVecEnv(Undefined, 1, dynamics="single_integrator", action="velocity")
     env.reset()
-    with pytest.raises(ValueError, match="reward that is not finite"):
+    with pytest.raises(ValueError, match="reward of drone 0 in world 0 is nan"):
         env.step(np.zeros((1, 3)))
     env.close()
 
@@ -324,5 +324,5 @@ def test_the_extra_is_named_where_it_is_missing(monkeypatch):
     monkeypatch.setitem(sys.modules, "stable_baselines3", None)
     monkeypatch.setitem(sys.modules, "stable_baselines3.common.torch_layers", None)
     for name in ("sb3", "features"):
-        with pytest.raises(ImportError, match=r"bulletuav\[sb3\]"):
+        with pytest.raises(ImportError, match=r"\[sb3\]'"):
             importlib.import_module(f"bulletuav.adapters.{name}")
