@@ -1,10 +1,11 @@
 import json
+import sys
 
 import pytest
 
 from bulletuav.cli import _parser, main
 from bulletuav.commands import train
-from bulletuav.policies.run import RunConfig, shipped_tasks
+from bulletuav.policies.run import RunConfig, shipped, shipped_tasks
 from bulletuav.training import trainer
 from bulletuav.training.campaign import Campaign
 
@@ -91,11 +92,17 @@ def test_beside_other_actions_a_trained_policy_keeps_its_own(tmp_path, monkeypat
 
 
 @pytest.mark.parametrize("task", shipped_tasks())
-def test_a_shipped_policy_flies_its_task(task, tmp_path, capsys):
+def test_a_shipped_policy_flies_its_task_without_what_it_was_trained_with(task, tmp_path, capsys, monkeypatch):
+    """As after the README's installation."""
+    for name in ("torch", "stable_baselines3", "tensorboard", "filelock"):
+        monkeypatch.setitem(sys.modules, name, None)
+    for name in [name for name in sys.modules if name.startswith("bulletuav.adapters")]:
+        monkeypatch.delitem(sys.modules, name)
     if task == shipped_tasks()[0]:
         main(["fly", task, "--policy", "untrained", "--horizon", "5", "--animation", "none", "--out", str(tmp_path)])
     main(["fly", task, "--policy", "trained", "--horizon", "5", "--animation", "none", "--out", str(tmp_path)])
     assert "drone_0" in capsys.readouterr().out
+    assert {path.suffix for path in shipped(task).rglob("*") if path.is_file()} == {".yaml", ".safetensors"}
 
 
 @pytest.mark.parametrize(

@@ -155,7 +155,8 @@ def test_processes_that_cannot_be_are_refused_however_many_there_are(workers):
         env.state()
 
 
-def test_closing_does_not_wait_for_ever_for_a_stopped_worker():
+def test_closing_does_not_wait_for_ever_for_a_stopped_worker(monkeypatch):
+    monkeypatch.setattr("bulletuav.envs.workers.PATIENCE", 0.5)
     env = bulletuav.batch_env("hover", 2, workers=2, start_method="fork")
     children = [psutil.Process(process.pid) for process in env._processes]
     os.kill(children[0].pid, signal.SIGSTOP)

@@ -199,7 +199,9 @@ def test_a_smoke_set_without_the_extension():
         "tests/physics/test_batch.py",
     ]
     command = [sys.executable, "-m", "pytest", "-n0", "-p", "no:cacheprovider", *files]
-    skip = ["-k", "not smoke and not thousand and not trace"]  # the last two take long, and no other way through the code
+    # Some take long, and no other way through the code: users on the ground, and what only differs in them.
+    users = " and ".join(f"not always_did[{task}]" for task in ("coverage", "default", "los", "mec", "mec_advanced"))
+    skip = ["-k", f"not smoke and not thousand and not trace and {users} and not mobile_users and not follow"]
     done = subprocess.run(
         command + skip, cwd=root, env={**os.environ, SWITCH: "0"}, capture_output=True, text=True, timeout=250, check=False
     )

@@ -1,7 +1,5 @@
 """Trained policies, flown by NumPy from numbers in a file."""
 
-import sys
-
 import numpy as np
 import pytest
 import torch
@@ -11,7 +9,6 @@ from safetensors.numpy import save_file
 import bulletuav
 from bulletuav.adapters.sb3 import DroneVecEnv
 from bulletuav.adapters.sb3_policy import policy_network
-from bulletuav.cli import main
 from bulletuav.policies import find_policy
 from bulletuav.policies.features import UserFeatures, log_gain, symlog
 from bulletuav.policies.network import Network, is_plain, read_weights
@@ -21,20 +18,6 @@ from bulletuav.training import checkpoint
 from bulletuav.training.models import make_model
 
 CALM = {"dynamics": "single_integrator", "num_drones": 2, "difficulty": "easy", "horizon": 8, "observation": ["goal"]}
-
-
-@pytest.mark.parametrize("task", shipped_tasks())
-def test_a_shipped_policy_flies_without_what_it_was_trained_with(task, monkeypatch, tmp_path, capsys):
-    """As `--policy trained` after the README's install."""
-    for name in ("torch", "stable_baselines3", "tensorboard", "filelock"):
-        monkeypatch.setitem(sys.modules, name, None)
-    for name in [name for name in sys.modules if name.startswith("bulletuav.adapters")]:
-        monkeypatch.delitem(sys.modules, name)
-    for policy in ("trained", "untrained"):
-        place = str(tmp_path / policy)
-        main(["fly", task, "--policy", policy, "--horizon", "3", "--animation", "none", "--out", place])
-    assert {path.suffix for path in (SHIPPED / task).rglob("*") if path.is_file()} == {".yaml", ".safetensors"}
-    capsys.readouterr()
 
 
 @pytest.mark.parametrize("task", shipped_tasks())
