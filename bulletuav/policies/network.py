@@ -99,8 +99,10 @@ class Network:
         kind = model["features"]
         arguments = model.get("policy_kwargs", {}).get("features_extractor_kwargs", {})
         self._scale = arguments.get("scale", 1.0) if kind == "symlog" else None
-        self._users = UserFeatures(_dense(weights, f"{self._actor.features}each")) if kind == "user_sum" else None
-        _require_chain(self._layers)
+        of_users = _dense(weights, f"{self._actor.features}each") if kind == "user_sum" else []
+        for layers in (self._layers, of_users):
+            _require_chain(layers)
+        self._users = UserFeatures(of_users) if of_users else None
 
     @property
     def shape(self) -> str:

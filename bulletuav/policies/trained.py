@@ -88,7 +88,7 @@ class Trained(SharedPolicy):
             else:
                 from bulletuav.adapters.sb3_policy import policy_network  # the extra is needed from here on
 
-                self._choose_rows = policy_network(config.algo, config.settings, space, action, aviary.num_drones, weights)
+                self._choose_rows = policy_network(algo, model, space, action, aviary.num_drones, weights)
         except ValueError as error:
             raise ValueError(f"{path} is no policy of {algo} for this environment: {error}") from None
 

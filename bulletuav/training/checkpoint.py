@@ -106,24 +106,24 @@ def _states(arrays: dict[str, np.ndarray], begin: str) -> dict[int, dict[str, An
     return states
 
 
+def _parts(buffer: Any) -> dict[str, np.ndarray]:
+    """The arrays of a replay buffer by name, a row for each transition; those of pictures are kept in dicts."""
+    parts: dict[str, np.ndarray] = {}
+    for name, value in vars(buffer).items():
+        inner = value if isinstance(value, dict) else {"": value}
+        arrays = {key: array for key, array in inner.items() if isinstance(array, np.ndarray)}
+        parts |= {f"{name}/{key}" if key else name: array for key, array in arrays.items()}
+    return parts
+
+
 def _rows(buffer: Any) -> dict[str, np.ndarray]:
     """The transitions in a replay buffer by name, and where the next goes."""
-    count = buffer.size()
-    rows = {"position": np.array(buffer.pos), "full": np.array(buffer.full)}
-    for name, value in vars(buffer).items():
-        parts = {name: value} if isinstance(value, np.ndarray) else {}
-        if isinstance(value, dict):
-            parts = {f"{name}/{key}": array for key, array in value.items() if isinstance(array, np.ndarray)}
-        rows |= {key: array[:count] for key, array in parts.items()}
-    return rows
+    place = {"position": np.array(buffer.pos), "full": np.array(buffer.full)}
+    return place | {name: array[: buffer.size()] for name, array in _parts(buffer).items()}
 
 
 def _fill(buffer: Any, kept: dict[str, np.ndarray]) -> None:
     """Put the transitions of `_rows` into an empty replay buffer."""
     buffer.pos, buffer.full = int(kept["position"]), bool(kept["full"])
-    for key, rows in kept.items():
-        name, _, part = key.partition("/")
-        if key not in ("position", "full"):
-            array = getattr(buffer, name)
-            array = array[part] if part else array
-            array[: buffer.size()] = rows
+    for name, array in _parts(buffer).items():
+        array[: buffer.size()] = kept[name]

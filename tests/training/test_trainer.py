@@ -168,6 +168,7 @@ def test_a_folder_that_another_process_trains_in_is_refused(tmp_path):
         train(config(), tmp_path)
 
 
+@pytest.mark.slow
 def test_a_run_ends_with_the_process_that_wants_it(tmp_path):
     """Killed, so that it cannot end its runs itself."""
     script = "from training.test_trainer import config; from bulletuav.training.campaign import Campaign; "
@@ -341,8 +342,12 @@ def test_a_campaign_trains_in_processes_as_one_would(run, tmp_path):
     assert "| converge | ppo | 1 | 256 |" in table
     plot_curves(runs, tmp_path / "curves.png")
     assert (tmp_path / "curves.png").stat().st_size > 10_000
+
+
+@pytest.mark.slow
+def test_what_a_run_of_a_campaign_raises_is_raised(tmp_path):
     with pytest.raises(ValueError, match="did you mean 'gamma'"):
-        Campaign([config(model={"gama": 1.0})], tmp_path / "other").train()
+        Campaign([config(model={"gama": 1.0})], tmp_path).train()
 
 
 @pytest.mark.parametrize(
