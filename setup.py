@@ -25,6 +25,6 @@ if lacks_compiler():
     raise SystemExit(
         f"bulletuav needs pybullet, which has no wheel for Python {sys.version_info[0]}.{sys.version_info[1]}: "
         "building it takes a C++ compiler, and there is none. "
-        "Install one (on Debian or Ubuntu: apt-get install g++), or use Python 3.11."
+        "Install one (on Debian or Ubuntu: apt-get install g++), or a pybullet built elsewhere first, or use Python 3.11."
     )
 setup(ext_modules=[Extension("bulletuav.physics._batch", ["bulletuav/physics/_batch.c"], optional=True)])

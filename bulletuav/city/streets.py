@@ -59,7 +59,8 @@ def _connected(nodes: np.ndarray, edges: np.ndarray) -> Streets:
     from scipy.sparse import coo_array  # which takes long to import
     from scipy.sparse.csgraph import connected_components
 
-    graph = coo_array((np.ones(len(edges)), edges.T), shape=(len(nodes), len(nodes)))
+    pairs = edges.T.astype(np.int32)  # which is all that older SciPy finds its way in
+    graph = coo_array((np.ones(len(edges)), pairs), shape=(len(nodes), len(nodes)))
     part = connected_components(graph, directed=False)[1]
     kept = edges[part[edges[:, 0]] == np.bincount(part).argmax()]
     used, renumbered = np.unique(kept, return_inverse=True)

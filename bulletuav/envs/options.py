@@ -27,7 +27,7 @@ MOST_BEAMS = 8192  # of a drone's range finder in all
 MOST_RANGE = 10_000.0  # m
 MOST_CAPACITY = 1e6  # W h
 MOST_NAMES = 100  # in a list of them
-MOST_SIZE, MOST_COUNT = 1e6, 10**9  # of a number of a task's config whose field tells none
+MOST_SIZE, MOST_COUNT = 1e9, 10**9  # of a number of a task's config whose field tells none
 MOST_WEIGHT = 1e6
 COUNTS = {
     "num_drones": MOST_DRONES,

@@ -180,7 +180,7 @@ class Task(ABC):
     name         what `parallel_env` calls it
     Config       frozen dataclass of the task's own options; needs `d_safe` (m) and `weights` (of the reward terms);
                  its float fields are sizes, finite and not negative; a field's metadata may tell the "least" of a whole
-                 number, and the "most" of any (1e6, and 1e9 of whole numbers, unless told)
+                 number, and the "most" of any (1e9 unless told)
     defaults     values of the common options where they differ from the package's
     difficulties for each difficulty the options that it sets, common or own
     presets      named sets of values of options
