@@ -51,7 +51,7 @@ def _lines(what: str, total: int, unit: str) -> Iterator[Tell]:
     told: list[tuple[float, float]] = []
 
     def tell(done: float) -> None:
-        now = time.monotonic()
+        now, done = time.monotonic(), min(done, total)  # rollouts may end beyond it
         if told and (told[-1][1] == done or (done < total and now < told[-1][0] + EVERY)):
             return
         told.append((now, done))
