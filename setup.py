@@ -7,8 +7,19 @@ import sysconfig
 from pathlib import Path
 
 from setuptools import Extension, setup
+from setuptools.command.build_py import build_py
 
 WHEELS_UNTIL = (3, 11)  # the newest Python for which pybullet 3.2.7 has wheels
+
+
+class BuildWithAirframes(build_py):
+    """Copy the top-level `assets/` into the package; an editable install reads them where they are."""
+
+    def run(self) -> None:
+        """Build, then copy."""
+        super().run()
+        if not self.editable_mode:
+            shutil.copytree("assets/urdf", Path(self.build_lib, "bulletuav", "assets", "urdf"), dirs_exist_ok=True)
 
 
 def lacks_compiler() -> bool:
@@ -27,4 +38,7 @@ if lacks_compiler():
         "building it takes a C++ compiler, and there is none. "
         "Install one (on Debian or Ubuntu: apt-get install g++), or a pybullet built elsewhere first, or use Python 3.11."
     )
-setup(ext_modules=[Extension("bulletuav.physics._batch", ["bulletuav/physics/_batch.c"], optional=True)])
+setup(
+    ext_modules=[Extension("bulletuav.engine._batch", ["bulletuav/engine/_batch.c"], optional=True)],
+    cmdclass={"build_py": BuildWithAirframes},
+)

@@ -48,10 +48,10 @@ def costs(rows: list[Row]) -> list[str]:
     alone, blind = (of.get(f"{FLOOR} ({case})") for case in (ALONE, BLIND))
     if alone is None or blind is None:
         return []
-    whole, without, rays = (1e6 / rate for rate in (blind.ours, blind.theirs, alone.theirs))
+    as_int, without, rays = (1e6 / rate for rate in (blind.ours, blind.theirs, alone.theirs))
     return [
         "",
-        f"A decision of 256 worlds of 3 hovering drones: {whole:.3g} us an environment step with 16 beams, {without:.3g} us "
+        f"A decision of 256 worlds of 3 hovering drones: {as_int:.3g} us an environment step with 16 beams, {without:.3g} us "
         f"without; its 48 rays alone {rays:.3g} us.",
     ]
 

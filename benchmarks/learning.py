@@ -65,9 +65,9 @@ PARTS = {  # of a run
 }
 
 
-def run(command: Sequence[Path | str], setting: dict[str, int], frames: int, seed: int) -> Run:
+def run(command: Sequence[Path | str], context: dict[str, int], frames: int, seed: int) -> Run:
     """One learner. Raises RuntimeError with its own last words when it fails."""
-    question = json.dumps({**setting, "frames": frames, "seed": seed})
+    question = json.dumps({**context, "frames": frames, "seed": seed})
     ended = subprocess.run(
         [*command, question],
         capture_output=True,
@@ -121,11 +121,11 @@ def main(argv: Sequence[str] | None = None) -> None:
     words.append("|---" * (len(PARTS) + 3) + "|")
     with Progress(console=Console(stderr=True)) as progress:
         task = progress.add_task("learning", total=len(SETTINGS) * arguments.rounds)
-        for title, setting in SETTINGS.items():
+        for title, context in SETTINGS.items():
             runs: list[list[Run]] = [[], []]
             for seed in range(arguments.rounds):
                 for told, command in zip(runs, (ours, theirs), strict=True):
-                    told.append(run(command, setting, arguments.frames, seed))
+                    told.append(run(command, context, arguments.frames, seed))
                 progress.advance(task)
             table += rows(title, *runs)
             words += [parts(f"{title}, {name}", told) for name, told in zip(("bulletuav", AGAINST), runs, strict=True)]

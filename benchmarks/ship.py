@@ -11,7 +11,7 @@ import re
 import shutil
 from pathlib import Path
 
-from bulletuav.evaluation import evaluate
+from bulletuav.analysis.evaluation import evaluate
 from bulletuav.policies.run import CHECKPOINTS, CONFIG, POLICY, SHIPPED, RunConfig, shipped_tasks
 from bulletuav.training.trainer import EVALUATION_SEED
 

@@ -125,7 +125,7 @@ def read_file(path: Path) -> str:
         raise ValueError(f"{path} cannot be read: {error.strerror}") from None
 
 
-def whole(name: str, value: Any, least: int, most: int | None = None) -> int:
+def as_int(name: str, value: Any, least: int, most: int | None = None) -> int:
     """`value` as an int. Raises ValueError unless it is a whole number, at least `least` and at most `most`."""
     if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < least:
         raise ValueError(f"{name} is {shown(value)}: a whole number, at least {least}, is needed")
@@ -152,7 +152,7 @@ def finite(name: str, value: Any, least: float | None = None, most: float | None
     return number
 
 
-def several(name: str, value: Any, count: int | None = None, most: int | None = None) -> tuple:
+def as_sequence(name: str, value: Any, count: int | None = None, most: int | None = None) -> tuple:
     """`value` as a tuple. Raises ValueError unless it is a list or tuple, of `count` entries or up to `most` where given."""
     listed = isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim == 1)
     if not listed or count not in (None, len(value)):
@@ -187,7 +187,7 @@ def points_of(name: str, value: Any) -> np.ndarray:
     return points
 
 
-def pick(what: str, name: Any, table: Mapping[str, Any]) -> Any:
+def choose(what: str, name: Any, table: Mapping[str, Any]) -> Any:
     """`table[name]`, or `unknown` when it is not there."""
     if not isinstance(name, str) or name not in table:
         raise unknown(what, name, table)

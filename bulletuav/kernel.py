@@ -82,7 +82,7 @@ def kernel(function: Function) -> Function:
     return _compiled(function, forceinline=False)
 
 
-def formula(function: Function) -> Function:
+def func(function: Function) -> Function:
     """Compile `function`, of one drone's numbers, like `kernel`; it becomes part of every kernel that calls it."""
     return _compiled(function, forceinline=True)
 

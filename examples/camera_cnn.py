@@ -24,11 +24,11 @@ from torch import nn
 
 import bulletuav
 from bulletuav.adapters.sb3 import DroneVecEnv, Symlog
-from bulletuav.physics.solids import Solids
-from bulletuav.pictures import plot_tracks
+from bulletuav.analysis.recording import fly_episode
+from bulletuav.geometry.solids import Solids
 from bulletuav.policies import find_policy
-from bulletuav.record import fly_episode
-from bulletuav.tasks.base import Frame, Spawn, Task, Verdict
+from bulletuav.report.pictures import plot_tracks
+from bulletuav.tasks.base import Frame, Spawn, StepResult, Task
 
 PILLARS, SIZE = 16, 3.0  # in each forest; m
 REACH = 30.0  # m, beyond which all looks the same
@@ -76,7 +76,7 @@ class Forest(Task):
         forest = int(rng.integers(self.config.num_forests))
         return Spawn(start, np.array([[0.0, 0.0, 0.0, 1.0]]), np.zeros((1, 3)), np.zeros((1, 3)), goal, layout=forest)
 
-    def judge(self, frame: Frame) -> Verdict:
+    def evaluate_step(self, frame: Frame) -> StepResult:
         """By the way made good, and by how it ends."""
         crash = frame.collision | self.outside(frame)
         goal = (frame.distance <= self.config.goal_radius) & ~crash
@@ -85,7 +85,7 @@ class Forest(Task):
             "goal": goal.astype(float),
             "crash": crash.astype(float),
         }
-        return Verdict(terms, goal | crash, goal)
+        return StepResult(terms, goal | crash, goal)
 
 
 class Sight(BaseFeaturesExtractor):

@@ -1,12 +1,12 @@
 """From four drones that cross to eight with noisy positions: difficulty follows success.
 
-One sees a line for every level that is reached (or given up again), and regularly between: decisions so far, level, and the
-share of the last episodes' drones that came to their goals without conflict, which decides. One network flies all levels, as
-it observes the nearest three drones. With seed 0 the last level begins after 1.7 million decisions, and in the end from 0.93
-(level 0) to 0.99 (level 3) of the drones succeed in `bullet`. Takes about 2 minutes on one core.
+One sees a line for every stage that is reached (or given up again), and regularly between: decisions so far, stage, and the
+share of the last episodes' drones that came to their goals without conflict, which decides. One network flies all stages, as
+it observes the nearest three drones. With seed 0 the last stage begins after 1.7 million decisions, and in the end from 0.93
+(stage 0) to 0.99 (stage 3) of the drones succeed in `bullet`. Takes about 2 minutes on one core.
 
     python examples/curriculum.py
-    python examples/curriculum.py --steps 500000 --seed 1 --out levels
+    python examples/curriculum.py --steps 500000 --seed 1 --out stages
 """
 
 import argparse
@@ -22,7 +22,7 @@ from bulletuav.adapters.sb3 import DroneVecEnv, LivingRollouts, Symlog
 from bulletuav.envs.curriculum import Curriculum
 
 COMMON = {"conflict_ends": "drone", "randomization": {}}  # who conflicts does not succeed
-LEVELS = [
+STAGES = [
     {"num_drones": 4},
     {"num_drones": 6},
     {"num_drones": 8},
@@ -41,24 +41,24 @@ WEIGHTS = {
 
 
 class Report(BaseCallback):
-    """A line at each change of level and every 20 rollouts."""
+    """A line at each change of stage and every 20 rollouts."""
 
     def __init__(self, curriculum: Curriculum):
         super().__init__()
-        self.curriculum, self.level, self.rollouts = curriculum, 0, 0
+        self.curriculum, self.stage, self.rollouts = curriculum, 0, 0
 
     def _on_step(self) -> bool:
-        if self.curriculum.level != self.level:
-            where = "up" if self.curriculum.level > self.level else "down"
-            print(f"{self.num_timesteps:9,} decisions: {where} to level {self.curriculum.level}", flush=True)
-            self.level = self.curriculum.level
+        if self.curriculum.stage != self.stage:
+            where = "up" if self.curriculum.stage > self.stage else "down"
+            print(f"{self.num_timesteps:9,} decisions: {where} to stage {self.curriculum.stage}", flush=True)
+            self.stage = self.curriculum.stage
         return True
 
     def _on_rollout_end(self) -> None:
         self.rollouts += 1
         if self.rollouts % 20 == 0:
             rate = self.curriculum.success_rate
-            print(f"{self.num_timesteps:9,} decisions: at level {self.level}, success {rate:.2f}", flush=True)
+            print(f"{self.num_timesteps:9,} decisions: at stage {self.stage}, success {rate:.2f}", flush=True)
 
 
 if __name__ == "__main__":
@@ -71,8 +71,8 @@ if __name__ == "__main__":
     args.out.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(1)  # networks this small are no faster on more
 
-    rule = Curriculum(len(LEVELS), up=0.8, down=0.2, window=64)
-    env = DroneVecEnv("crossing", 32, LEVELS, rule, dynamics="point_mass", weights=WEIGHTS, **COMMON)
+    rule = Curriculum(len(STAGES), up=0.8, down=0.2, window=64)
+    env = DroneVecEnv("crossing", 32, STAGES, rule, dynamics="point_mass", weights=WEIGHTS, **COMMON)
     model = PPO(
         "MlpPolicy",
         env,
@@ -82,7 +82,7 @@ if __name__ == "__main__":
         learning_rate=LinearSchedule(1e-3, 1e-5, 1.0),
         gamma=0.99,
         gae_lambda=0.95,
-        rollout_buffer_class=LivingRollouts,  # levels with fewer drones leave slots empty
+        rollout_buffer_class=LivingRollouts,  # stages with fewer drones leave slots empty
         policy_kwargs={"features_extractor_class": Symlog, "net_arch": [64, 64], "log_std_init": -1.0},
         seed=args.seed,
         device="cpu",
@@ -91,11 +91,11 @@ if __name__ == "__main__":
     model.save(args.out / "model")
     env.close()
 
-    for level, options in enumerate(LEVELS):
+    for stage, options in enumerate(STAGES):
         policy = f"ppo:{args.out / 'model.zip'}"
         result = bulletuav.evaluate(
             "crossing", policy, args.episodes, seed=1000, trust=True, **{**COMMON, **options}
         ).estimates()
-        print(f"level {level} in bullet: success of drones {result['drone_success'].mean:.2f}", end=", ")
+        print(f"stage {stage} in bullet: success of drones {result['drone_success'].mean:.2f}", end=", ")
         print(f"episodes with conflict {result['conflict'].mean:.2f}")
     print(f"the model is in {args.out}")

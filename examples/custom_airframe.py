@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 import bulletuav
-from bulletuav.physics.airframe import Airframe
-from bulletuav.pictures import blank_figure
+from bulletuav.report.pictures import blank_figure
+from bulletuav.vehicle.airframe import Airframe
 
 HUB, HUB_SIZE = 0.95, (0.2, 0.14, 0.08)  # kg, m: frame, electronics and a battery of 4 cells, 5 Ah (0.5 kg), as one box
 ROTOR, ROD, ARM = 0.075, 0.035, 0.275  # kg: motor with propeller, carbon tube; m: propellers of 10 inches 2 cm apart

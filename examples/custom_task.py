@@ -18,9 +18,9 @@ from typing import ClassVar
 import numpy as np
 
 import bulletuav
-from bulletuav.pictures import blank_figure
 from bulletuav.policies import Policy
-from bulletuav.tasks.base import Frame, Spawn, Task, Verdict
+from bulletuav.report.pictures import blank_figure
+from bulletuav.tasks.base import Frame, Spawn, StepResult, Task
 
 SECTORS, CRUISE = 36, 10.0  # m/s
 
@@ -58,7 +58,7 @@ class Patrol(Task):
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
         """All on a short piece of the circle, at rest."""
-        n, radius = self.setting.num_drones, self.config.radius
+        n, radius = self.context.num_drones, self.config.radius
         angle = rng.uniform(0, 2 * np.pi) + np.arange(n) * self.config.gap / radius
         place = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(n, self.config.height)], axis=1)
         still = np.zeros((n, 3))
@@ -68,23 +68,23 @@ class Patrol(Task):
         """Seconds since each sector was last seen."""
         return {"idle": (SECTORS,)}
 
-    def remember(self, frame: Frame, rng) -> None:
+    def update_memory(self, frame: Frame, rng) -> None:
         """A drone sees the sector that it is in."""
         x, y, _ = np.moveaxis(frame.after.position, -1, 0)
         sector = np.floor(np.arctan2(y, x) / (2 * np.pi) * SECTORS) % SECTORS
         near = frame.alive & (np.abs(np.hypot(x, y) - self.config.radius) < self.config.d_safe)
         seen = np.any(near[..., None] & (sector[..., None] == np.arange(SECTORS)), axis=1)
-        frame.scene.memory["idle"][:] = np.where(seen, 0.0, frame.scene.memory["idle"] + self.setting.period)
+        frame.scene.memory["idle"][:] = np.where(seen, 0.0, frame.scene.memory["idle"] + self.context.period)
 
     def info(self, frame: Frame) -> dict[str, np.ndarray]:
         """The worst idleness, the same for all drones."""
         return {"idleness": np.broadcast_to(frame.scene.memory["idle"].max(axis=1, keepdims=True), frame.alive.shape)}
 
-    def judge(self, frame: Frame) -> Verdict:
+    def evaluate_step(self, frame: Frame) -> StepResult:
         """By the worst idleness, and by conflicts that begin."""
         idleness = self.info(frame)["idleness"]
         terms = {"idleness": idleness, "conflict": frame.conflict.onsets.astype(float)}
-        return Verdict(terms, terminated=frame.collision, success=idleness <= self.config.longest)
+        return StepResult(terms, terminated=frame.collision, success=idleness <= self.config.longest)
 
 
 class Rounds(Policy):

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 import bulletuav
-from bulletuav.pictures import blank_figure
+from bulletuav.report.pictures import blank_figure
 
 HZ = 48  # decisions, which are setpoints, a second
 SPEED = 0.5  # m/s

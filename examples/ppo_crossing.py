@@ -17,9 +17,9 @@ from stable_baselines3.common.utils import LinearSchedule
 
 import bulletuav
 from bulletuav.adapters.sb3 import DroneVecEnv, LivingRollouts, Symlog
-from bulletuav.pictures import plot_tracks
+from bulletuav.analysis.recording import fly_episode
 from bulletuav.policies import find_policy
-from bulletuav.record import fly_episode
+from bulletuav.report.pictures import plot_tracks
 
 WEIGHTS = {  # those of the task divided by about 50, as networks like returns of the order of 1
     "progress": 0.05,

@@ -16,9 +16,9 @@ from stable_baselines3.common.utils import LinearSchedule
 
 import bulletuav
 from bulletuav.adapters.sb3 import DroneVecEnv
-from bulletuav.pictures import plot_tracks
+from bulletuav.analysis.recording import fly_episode
 from bulletuav.policies import find_policy
-from bulletuav.record import fly_episode
+from bulletuav.report.pictures import plot_tracks
 
 OPTIONS = {"action": "velocity", "observation": ("goal_offset", "velocity")}
 WEIGHTS = {"distance": -1.0, "speed": -0.5}  # of the reward; the speed keeps it from shooting past

@@ -4,13 +4,13 @@ import numpy as np
 
 from bulletuav.control.cascade import Cascade
 from bulletuav.control.gains import gain_rows
-from bulletuav.control.levels import Level
-from bulletuav.physics.airframe import EFFECTS, STANDARD_GRAVITY, load_airframe
-from bulletuav.physics.dynamics import Flight
-from bulletuav.physics.ladder import LADDER
-from bulletuav.physics.parameters import parameter_rows
-from bulletuav.physics.swarm import Motion, Swarm
-from bulletuav.physics.world import World
+from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.dynamics.base import Flight
+from bulletuav.dynamics.ladder import LADDER
+from bulletuav.engine.engine import Engine
+from bulletuav.vehicle.airframe import EFFECTS, STANDARD_GRAVITY, load_airframe
+from bulletuav.vehicle.parameters import parameter_rows
+from bulletuav.vehicle.swarm import Motion, Swarm
 
 
 class Bench:
@@ -37,14 +37,14 @@ class Bench:
         self.airframe = load_airframe(airframe)
         airframes = [self.airframe] * drones
         self.dt, self.substeps, self.gravity = 1 / hz, substeps, gravity
-        self.world = World(airframes, worlds, self.dt, obstacles, layouts, first_world)
+        self.engine = Engine(airframes, worlds, self.dt, obstacles, layouts, first_world)
         self.motion = Motion.none(worlds)
         tiled = (worlds, 1)
         cascade = Cascade.of(
             controller, np.tile(parameter_rows(airframes), tiled), np.tile(gain_rows(airframes, max_speed), tiled)
         )
         parameters = np.tile(parameter_rows(airframes, effects), tiled)
-        self.dynamics = LADDER[dynamics](Flight(self.world, parameters, cascade, self.dt, substeps, gravity))
+        self.dynamics = LADDER[dynamics](Flight(self.engine, parameters, cascade, self.dt, substeps, gravity))
         self.swarm = Swarm.zeros(worlds, drones, len(self.airframe.rotors))
         self.swarm.position[..., 0] = 5 * np.arange(drones)
         self.swarm.position[..., 2] = 10
@@ -60,12 +60,12 @@ class Bench:
         """Hold a setpoint (broadcast to all drones) for some decisions; returns the contacts of the last one."""
         setpoint = np.broadcast_to(np.asarray(setpoint, float), (*self.alive.shape, np.shape(setpoint)[-1])).copy()
         for _ in range(decisions):
-            contacts = self.dynamics.fly(self.swarm, self.alive, Level(level), setpoint, self.wind, self.motion)
+            contacts = self.dynamics.fly(self.swarm, self.alive, SetpointLevel(level), setpoint, self.wind, self.motion)
         return contacts
 
     def spin(self, speed, decisions=1):
         """Hold rotor speeds (rad/s)."""
-        return self.fly(Level.ROTOR, np.broadcast_to(speed, len(self.airframe.rotors)), decisions)
+        return self.fly(SetpointLevel.ROTOR, np.broadcast_to(speed, len(self.airframe.rotors)), decisions)
 
     def trace(self, level, setpoint, decisions):
         """(T, 3) position and velocity of the first drone after every decision."""

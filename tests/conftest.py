@@ -18,7 +18,7 @@ def make_bench():
 
     yield make
     for one in made:
-        one.world.close()
+        one.engine.close()
 
 
 @pytest.fixture

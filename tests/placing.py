@@ -5,7 +5,7 @@ import numpy as np
 import bulletuav
 from bulletuav.city.model import City
 from bulletuav.city.streets import Streets
-from bulletuav.physics.solids import Solids
+from bulletuav.geometry.solids import Solids
 from bulletuav.tasks import find_task
 from bulletuav.tasks.base import Spawn
 

@@ -18,13 +18,13 @@ from bulletuav.city.generator import generate
 from bulletuav.city.imports import EARTH_RADIUS, from_geojson, from_obj
 from bulletuav.city.statistics import Statistics
 from bulletuav.envs.aviary import Aviary
-from bulletuav.envs.options import Options
-from bulletuav.envs.plan import Plan
+from bulletuav.envs.env_spec import EnvSpec
+from bulletuav.envs.options import EnvOptions
 from bulletuav.envs.randomization import LIMITS
 from bulletuav.errors import finite, numbers_of, shown
-from bulletuav.network.mobility import MODELS, find_mobility
-from bulletuav.physics.obstacle import Obstacle
-from bulletuav.physics.rotation import exponential
+from bulletuav.geometry.obstacle import Obstacle
+from bulletuav.geometry.rotation import exponential
+from bulletuav.network.mobility import MOBILITY_MODELS, find_mobility
 from bulletuav.policies import find_policy
 from bulletuav.policies.base import Policy
 from bulletuav.tasks import find_task, list_tasks
@@ -83,7 +83,7 @@ BAD = {
 }
 LONGEST = 2000
 OWN = {task: [field.name for field in dataclasses.fields(find_task(task).Config)] for task in list_tasks()}
-COMMON = [field.name for field in dataclasses.fields(Options)]
+COMMON = [field.name for field in dataclasses.fields(EnvOptions)]
 CASES = [("hover", name) for name in COMMON] + [
     (task, name)
     for k, task in enumerate(OWN)
@@ -109,15 +109,15 @@ def refusal(call, limit=2.0):
 @pytest.mark.parametrize(("task", "name"), CASES, ids=lambda value: value)
 def test_every_option_names_what_it_cannot_be(task, name):
     few = {"num_layouts": 1, "area": 250.0} if "num_layouts" in OWN[task] and name not in ("num_layouts", "area") else {}
-    Plan(task, 1, few)  # may compile
+    EnvSpec(task, 1, few)  # may compile
     for kind, value in BAD.items():
-        told = refusal(lambda value=value: Plan(task, 1, {**few, name: value}))
+        told = refusal(lambda value=value: EnvSpec(task, 1, {**few, name: value}))
         assert told is None or name in told, f"{kind}: {told}"
 
 
 def test_what_is_accepted_is_kept_as_numbers_of_one_type():
     given = {"gravity": Fraction(9), "max_range": 10, "turbulence": np.int64(2), "wind": [1, Fraction(1, 2), 0]}
-    plan = Plan(
+    plan = EnvSpec(
         "converge", 1, {**given, "num_drones": np.int64(3), "d_safe": Fraction(3), "radius": 90, "start_speed": [1, 2]}
     )
     options, config = plan.options, plan.task.config
@@ -153,7 +153,7 @@ def test_numbers_are_no_texts_nor_dates_nor_imaginary():
     ],
 )
 def test_worlds_that_do_not_fit_into_the_machine_are_refused_with_both_figures(worlds, options, asked):
-    told = refusal(lambda: Plan("hover", worlds, options), 1.0)
+    told = refusal(lambda: EnvSpec("hover", worlds, options), 1.0)
     assert asked in told
     assert told.count(" GiB") == 2
     assert "lower num_worlds" in told
@@ -180,8 +180,8 @@ def test_sizes_have_bounds(make, name):
 
 
 def test_what_is_large_and_possible_is_planned():
-    Plan("hover", 1000, {})
-    Plan("converge", 1, {"num_drones": 1000, "radius": 1500.0, "horizon": 5_000_000})
+    EnvSpec("hover", 1000, {})
+    EnvSpec("converge", 1, {"num_drones": 1000, "radius": 1500.0, "horizon": 5_000_000})
 
 
 @pytest.mark.parametrize(
@@ -199,7 +199,7 @@ def test_buffers_and_networks_that_do_not_fit_are_refused_with_both_figures(conf
 
     run = RunConfig("hover", **config)
     env = type("Env", (), {"num_envs": run.worlds, "num_drones": 1})()
-    plan = Plan("hover", run.worlds, {})
+    plan = EnvSpec("hover", run.worlds, {})
     env.observation_space, env.action_space = plan.observer.space(), plan.observer.space()
     told = refusal(lambda: models.make_model(run, env), 20.0)  # torch is imported on the way
     assert asked in told
@@ -219,7 +219,7 @@ def test_settings_of_models_are_named(model, told):
     from bulletuav.policies.run import RunConfig
 
     env = type("Env", (), {"num_envs": 1, "num_drones": 1})()
-    env.observation_space = env.action_space = Plan("hover", 1, {}).observer.space()
+    env.observation_space = env.action_space = EnvSpec("hover", 1, {}).observer.space()
     with pytest.raises(ValueError, match=told):
         models.make_model(RunConfig("hover", model=model), env)
 
@@ -453,10 +453,10 @@ def test_a_drone_may_stand_on_the_ground_and_no_deeper(urdf, shape, extremes, tu
 
 
 def judged(change):
-    def judge(self, frame):
-        return change(Hover.judge(self, frame))
+    def evaluate_step(self, frame):
+        return change(Hover.evaluate_step(self, frame))
 
-    aviary = Aviary(hover(judge=judge), 2)
+    aviary = Aviary(hover(evaluate_step=evaluate_step), 2)
     try:
         return refusal(lambda: (aviary.reset(seeds=0), aviary.step(np.zeros((2, 1, 4)))))
     finally:
@@ -464,23 +464,26 @@ def judged(change):
 
 
 def term(value):
-    return lambda verdict: verdict._replace(terms={**verdict.terms, "speed": value})
+    return lambda result: result._replace(terms={**result.terms, "speed": value})
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda verdict: None, "judge of task 'mine' gave None: a Verdict"),
-        (lambda verdict: verdict._replace(terms=None), "the terms None"),
-        (lambda verdict: verdict._replace(terms={}), "no reward term 'alive'"),
-        (lambda verdict: verdict._replace(terms={**verdict.terms, "zzz": 1}), "unknown reward term .*'zzz'"),
-        (lambda verdict: verdict._replace(terminated=None), r"None as terminated: an array \(2, 1\)"),
-        (lambda verdict: verdict._replace(success=verdict.success.astype(float)), "float64 as success: an array .* of bool"),
+        (lambda result: None, "evaluate_step of task 'mine' gave None: a StepResult"),
+        (lambda result: result._replace(terms=None), "the terms None"),
+        (lambda result: result._replace(terms={}), "no reward term 'alive'"),
+        (lambda result: result._replace(terms={**result.terms, "zzz": 1}), "unknown reward term .*'zzz'"),
+        (lambda result: result._replace(terminated=None), r"None as terminated: an array \(2, 1\)"),
+        (lambda result: result._replace(success=result.success.astype(float)), "float64 as success: an array .* of bool"),
         (term(np.zeros((3, 5))), r"\(3, 5\) of float64 as reward term 'speed'"),
         (term(np.zeros(1)), "reward term 'speed'"),
         (term(np.zeros((2, 1), dtype=complex)), "complex128 as reward term 'speed'"),
         (term("a"), "'a' as reward term 'speed'"),
-        (term(np.full((2, 1), NAN)), "the reward of drone 0 in world 0 is nan: judge of task 'mine' gave {'speed': nan}"),
+        (
+            term(np.full((2, 1), NAN)),
+            "the reward of drone 0 in world 0 is nan: evaluate_step of task 'mine' gave {'speed': nan}",
+        ),
     ],
 )
 def test_verdicts_that_cannot_be_are_named(change, message):
@@ -497,7 +500,7 @@ class Bare:
 @pytest.mark.parametrize(
     ("task", "message"),
     [
-        (Task, "task Task has no judge"),
+        (Task, "task Task has no evaluate_step"),
         (hover(Config=None), "task Mine has no Config"),
         (hover(Config=Bare), "Config of task Mine has no field weights"),
         (hover(defaults={}), "defaults of task 'mine' lack"),
@@ -516,24 +519,24 @@ class Bare:
 )
 def test_task_classes_name_what_they_lack(task, message):
     with pytest.raises(ValueError, match=message):
-        Plan(task, 1, {})
+        EnvSpec(task, 1, {})
 
 
 def test_arenas_that_are_none_are_named():
     for low in ((NAN, 0, 0), (0, 0), None, (1e3, 0, 0)):
 
-        def make(self, config, setting, low=low):
-            Hover.__init__(self, config, setting)
+        def make(self, config, context, low=low):
+            Hover.__init__(self, config, context)
             self.arena_low = low
 
         with pytest.raises(ValueError, match="arena_low and arena_high of task 'mine'"):
-            Plan(hover(__init__=make), 1, {})
+            EnvSpec(hover(__init__=make), 1, {})
 
 
 @pytest.mark.parametrize("wind", [lambda: 0, lambda p: 0, int, lambda p, t, u: 0])
 def test_functions_that_are_no_wind_are_refused_at_construction(wind):
     with pytest.raises(ValueError, match="wind is"):
-        Plan("hover", 1, {"wind": wind})
+        EnvSpec("hover", 1, {"wind": wind})
 
 
 @pytest.mark.parametrize("answer", ["a", None, [[1], [2, 3]], 1j])
@@ -601,14 +604,14 @@ def test_curricula_and_evaluations_name_their_arguments(tmp_path):
 @pytest.mark.parametrize("name", ["run.json", "episodes.csv"])
 def test_damaged_files_of_a_run_are_named(tmp_path, name):
     run = {"task": "hover", "policy": "random", "episodes": 1, "out": tmp_path, "horizon": 3}
-    whole = bulletuav.evaluate(**run, progress=None)
+    as_int = bulletuav.evaluate(**run, progress=None)
     for content in (b"\xff\xfe", b"zzz", (tmp_path / name).read_bytes().replace(b"0", b"abc")):
         kept = (tmp_path / name).read_bytes()
         (tmp_path / name).write_bytes(content)
         with pytest.raises(ValueError, match=f"holds .*run .*{name}|holds another run"):
             bulletuav.evaluate(**run)
         (tmp_path / name).write_bytes(kept)
-    assert str(bulletuav.evaluate(**run).rows) == str(whole.rows)
+    assert str(bulletuav.evaluate(**run).rows) == str(as_int.rows)
 
 
 class Nameless(Policy):
@@ -630,19 +633,19 @@ def test_policies_name_what_they_lack(source, message):
         find_policy(source)
 
 
-@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("model", MOBILITY_MODELS)
 def test_mobility_names_what_it_cannot_be(model):
-    for field in dataclasses.fields(MODELS[model]):
+    for field in dataclasses.fields(MOBILITY_MODELS[model]):
         for kind, value in BAD.items():
             told = refusal(lambda field=field, value=value: find_mobility({"model": model, field.name: value}))
             assert told is None or field.name in told, f"{kind}: {told}"
-    assert MODELS[model]().max_speed < 10
+    assert MOBILITY_MODELS[model]().max_speed < 10
 
 
 @pytest.mark.parametrize("name", LIMITS)
 def test_randomization_names_what_it_cannot_be(name):
     for value in BAD.values():
-        told = refusal(lambda value=value: Plan("hover", 1, {"randomization": {name: value}}))
+        told = refusal(lambda value=value: EnvSpec("hover", 1, {"randomization": {name: value}}))
         assert told is None or name in told
 
 

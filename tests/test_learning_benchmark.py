@@ -22,8 +22,8 @@ def learning(monkeypatch):
 
 @pytest.mark.slow
 def test_a_learner_tells_frames_that_it_flew_and_times_that_lie_within_each_other(learning):
-    setting = {"environments": 4, "n_steps": 16, "batch_size": 32, "n_epochs": 1}
-    told = learning.run([sys.executable, BENCHMARKS / "peers" / "learn_bulletuav.py"], setting, 1024, 0)
+    context = {"environments": 4, "n_steps": 16, "batch_size": 32, "n_epochs": 1}
+    told = learning.run([sys.executable, BENCHMARKS / "peers" / "learn_bulletuav.py"], context, 1024, 0)
     assert told.frames == 1024
     assert 5 < told.episodes < 200  # random rotor speeds bring a drone down within two seconds or so
     assert 0 < told.resets < told.environment < told.cpu < told.wall * 1.1
@@ -55,8 +55,8 @@ def test_a_learner_that_fails_is_quoted(learning, tmp_path):
 def test_both_learn_in_turn_with_the_same_settings(learning, tmp_path, monkeypatch, capsys):
     asked = []
 
-    def run(command, setting, frames, seed):
-        asked.append((Path(command[1]).stem, setting["environments"], frames, seed))
+    def run(command, context, frames, seed):
+        asked.append((Path(command[1]).stem, context["environments"], frames, seed))
         return learning.Run(1.0, 1.0, 0.5, 0.25, frames, 10)
 
     monkeypatch.setattr(learning, "run", run)

@@ -15,7 +15,7 @@ import bulletuav
 from bulletuav import kernel
 from bulletuav.cli import main
 from bulletuav.policies import find_policy
-from bulletuav.policies.network import read_weights
+from bulletuav.policies.neural_network import read_weights
 from bulletuav.policies.run import RunConfig
 from bulletuav.policies.trained import Sb3Model
 
@@ -136,8 +136,8 @@ def test_resuming_reads_no_pickle(tmp_path, sprung, poison, capsys, monkeypatch)
     main(["train", "--config", "run/run.yaml", "--out", "run"])
     assert not sprung.exists()
     for name in ("replay.safetensors", "training.safetensors", "policy.safetensors"):
-        whole = (tmp_path / "run" / "state.json").read_text()
-        rows = json.loads(whole)
+        as_int = (tmp_path / "run" / "state.json").read_text()
+        rows = json.loads(as_int)
         rows["rows"][-1]["steps"] -= 1  # so that there is something left to do
         (tmp_path / "run" / "state.json").write_text(json.dumps(rows))
         last = sorted((tmp_path / "run" / "checkpoints").iterdir())[-1]
@@ -145,7 +145,7 @@ def test_resuming_reads_no_pickle(tmp_path, sprung, poison, capsys, monkeypatch)
         (last / name).write_bytes(poison)
         refused(["train", "--config", "run/run.yaml", "--out", "run"], capsys, "holds no checkpoint of this run")
         (last / name).write_bytes(kept)
-        (tmp_path / "run" / "state.json").write_text(whole)
+        (tmp_path / "run" / "state.json").write_text(as_int)
     assert not sprung.exists()
 
 

@@ -9,14 +9,14 @@ from gymnasium.vector import AutoresetMode
 from serve import serve
 
 import bulletuav
-from bulletuav.benchmark import SUBSTEPS, floors, hovering
+from bulletuav.analysis.benchmark import SUBSTEPS, floors, hovering
 from bulletuav.city.generator import generate
 from bulletuav.city.statistics import KINDS
-from bulletuav.physics.airframe import load_airframe
-from bulletuav.physics.calls import VISIBLE
-from bulletuav.physics.world import World
+from bulletuav.engine.calls import VISIBLE
+from bulletuav.engine.engine import Engine
 from bulletuav.sensors.lidar import cast, make_beams
 from bulletuav.tasks.lidar_navigation import LidarNavigation
+from bulletuav.vehicle.airframe import load_airframe
 
 CITY = {"num_drones": 3, "num_beams": 16, "max_range": 60.0}
 PIECE = {"dynamics": "single_integrator", "physics_hz": 10}  # a decision in one piece
@@ -68,8 +68,8 @@ def batched_crossing(worlds: int, drones: int):
 
 def floor(worlds: int, drones: int):
     """The engine alone: step, a wrench and a state of every drone, in C, and nothing else."""
-    world, cases = floors(worlds, drones)
-    if world.port is None:
+    engine, cases = floors(worlds, drones)
+    if engine.port is None:
         raise RuntimeError("needs the C extension: see `bulletuav doctor`")
     return cases["engine calls"], worlds * drones * SUBSTEPS
 
@@ -110,24 +110,24 @@ def beams_alone(worlds: int):
     """The rays of `city_hover` in one call of C, with nothing about it. Environment steps."""
     aviary = bulletuav.batch_env("lidar_navigation", worlds, **CITY, **PIECE).aviary
     aviary.reset(seeds=0)
-    world = World(aviary.options.airframe, worlds, 1 / 10, layouts=aviary.task.layouts())
-    everyone = np.ones(world.shape, dtype=bool)
-    world.set_layouts(aviary.scene.layout, everyone[:, 0])
+    engine = Engine(aviary.options.airframe, worlds, 1 / 10, layouts=aviary.task.layouts())
+    everyone = np.ones(engine.shape, dtype=bool)
+    engine.set_layouts(aviary.scene.layout, everyone[:, 0])
     azimuth = np.radians([beam.azimuth for beam in make_beams(CITY["num_beams"], (0.0,))])
     directions = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros_like(azimuth)], axis=1)
     swarm = aviary.swarm
-    return in_c(world, *cast(swarm.position, swarm.quaternion, everyone, directions, CITY["max_range"], True)), worlds
+    return in_c(engine, *cast(swarm.position, swarm.quaternion, everyone, directions, CITY["max_range"], True)), worlds
 
 
-def in_c(world: World, start: np.ndarray, end: np.ndarray, tile: np.ndarray):
+def in_c(engine: Engine, start: np.ndarray, end: np.ndarray, tile: np.ndarray):
     """A call of the C extension alone."""
-    port = world.port
+    port = engine.port
     if port is None:
         raise RuntimeError("needs the C extension: see `bulletuav doctor`")
     start, end, fraction = start + port.offset[tile, 0], end + port.offset[tile, 0], np.empty(len(start))
     first, last, result = (array.ctypes.data for array in (start, end, fraction))
 
-    def call(_kept=(world, start, end, fraction)) -> None:  # which must live as long
+    def call(_kept=(engine, start, end, fraction)) -> None:  # which must live as long
         port.rays(port.session, len(start), first, last, VISIBLE, result)
 
     return call
@@ -144,12 +144,12 @@ def street_rays(buildings: int, how: str):
     end = start + CITY["max_range"] * np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(RAYS)], axis=1)
     if how == "pybullet":
         return partial(pybullet.rayTestBatch, start, end, numThreads=1, physicsClientId=_only(city.solids)), RAYS
-    world = World([load_airframe("cf2x")], 1, 1 / 240, layouts=[city.solids])
+    engine = Engine([load_airframe("cf2x")], 1, 1 / 240, layouts=[city.solids])
     tile = np.zeros(RAYS, dtype=np.int64)
-    world.set_layouts(tile[:1], np.ones(1, dtype=bool))
+    engine.set_layouts(tile[:1], np.ones(1, dtype=bool))
     if how == "C":
-        return in_c(world, start, end, tile), RAYS
-    return partial(world.cast_rays, start, end, tile), RAYS
+        return in_c(engine, start, end, tile), RAYS
+    return partial(engine.cast_rays, start, end, tile), RAYS
 
 
 def _only(solids) -> int:

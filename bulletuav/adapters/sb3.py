@@ -19,13 +19,13 @@ import numpy as np
 from bulletuav.adapters.features import Symlog
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.curriculum import Curriculum, common_observation
+from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.environment import Environment, exclusive
-from bulletuav.envs.plan import Plan
 from bulletuav.envs.spaces import widest_action_space
 from bulletuav.envs.step import Step
-from bulletuav.errors import missing, whole
+from bulletuav.errors import as_int, missing
 from bulletuav.tasks import TaskSource
-from bulletuav.tasks.terms.observations import Observation, part
+from bulletuav.tasks.observations.observer import Observation, part
 
 try:
     import stable_baselines3
@@ -76,15 +76,15 @@ class DroneVecEnv(Environment, VecEnv):
     """W worlds of N drones as W * N slots: slot w * N + i is drone i of world w, with its own observation.
 
     Worlds start anew when all their drones are done. Infos are empty but where a drone's episode ends: then they hold
-    "terminal_observation", "TimeLimit.truncated" (whether nothing but the horizon, or a change of level, ended it),
+    "terminal_observation", "TimeLimit.truncated" (whether nothing but the horizon, or a change of stage, ended it),
     "is_success", and "episode", of that drone alone: return "r", decisions "l", seconds "t", "conflicts", "collision" and
     the return of each reward term ("reward/goal", ...).
 
     With `shared_reward` each drone is given the mean of the rewards of all drones of its world, those that are gone with 0;
     infos still tell its own.
 
-    With several `levels` (options of each, easiest first, such as [{"num_drones": 2}, {"num_drones": 8}]) the success of
-    the last episodes decides which one all worlds fly; see `Curriculum`. There are slots for the largest level.
+    With several `stages` (options of each, easiest first, such as [{"num_drones": 2}, {"num_drones": 8}]) the success of
+    the last episodes decides which one all worlds fly; see `Curriculum`. There are slots for the largest stage.
 
     Public state, to read: curriculum, num_worlds, num_drones, and decisions, how many drones have flown so far.
     """
@@ -93,54 +93,54 @@ class DroneVecEnv(Environment, VecEnv):
         self,
         task: TaskSource,
         num_worlds: int = 16,
-        levels: Sequence[Mapping[str, Any]] = ({},),
+        stages: Sequence[Mapping[str, Any]] = ({},),
         curriculum: Curriculum | None = None,
         shared_reward: bool = False,
         **options: Any,
     ):
-        """Options as of `Aviary`. Raises ValueError for what cannot be, also levels whose observations differ in shape."""
+        """Options as of `Aviary`. Raises ValueError for what cannot be, also stages whose observations differ in shape."""
         self._shared_reward = shared_reward
-        self._task, self._level_options = task, [{**options, **level} for level in levels]
-        self.curriculum = curriculum or Curriculum(len(self._level_options))
-        if self.curriculum.count != len(self._level_options):
-            raise ValueError(f"the curriculum has {self.curriculum.count} levels, and {len(self._level_options)} are given")
-        plans = [Plan(task, num_worlds, level) for level in self._level_options]
+        self._task, self._stage_options = task, [{**options, **stage} for stage in stages]
+        self.curriculum = curriculum or Curriculum(len(self._stage_options))
+        if self.curriculum.count != len(self._stage_options):
+            raise ValueError(f"the curriculum has {self.curriculum.count} stages, and {len(self._stage_options)} are given")
+        plans = [EnvSpec(task, num_worlds, stage) for stage in self._stage_options]
         widest = max(plans, key=lambda plan: plan.options.num_drones)
         self.num_worlds, self.num_drones = num_worlds, widest.options.num_drones
         self._render_mode = widest.options.render_mode
         self._aviaries: dict[int, Aviary] = {}
         self._seed: int | None = None
         self._unseeded: set[int] = set()
-        self._level = self.curriculum.level
+        self._stage = self.curriculum.stage
         self.decisions = 0
         self._actions: np.ndarray = np.empty(0)
         super().__init__(num_worlds * self.num_drones, common_observation(plans), widest_action_space(widest.action))
 
     @property
     def aviary(self) -> Aviary:
-        """The worlds of the level that is flown."""
-        if self._level not in self._aviaries:
-            self._aviaries[self._level] = Aviary(self._task, self.num_worlds, **self._level_options[self._level])
-        return self._aviaries[self._level]
+        """The worlds of the stage that is flown."""
+        if self._stage not in self._aviaries:
+            self._aviaries[self._stage] = Aviary(self._task, self.num_worlds, **self._stage_options[self._stage])
+        return self._aviaries[self._stage]
 
     def seed(self, seed: int | None = None) -> list[int | None]:
-        """From the next `reset` on world k has the seed s + k, at every level; None goes on with its random numbers."""
-        self._seed = None if seed is None else whole("seed", seed, 0)
-        self._unseeded = set(range(len(self._level_options)))
+        """From the next `reset` on world k has the seed s + k, at every stage; None goes on with its random numbers."""
+        self._seed = None if seed is None else as_int("seed", seed, 0)
+        self._unseeded = set(range(len(self._stage_options)))
         return [None if seed is None else seed + slot // self.num_drones for slot in range(self.num_envs)]
 
     @exclusive
     def reset(self) -> Any:
-        """Start new episodes in all worlds, at the level that the curriculum says; observations (slots, D), or a dict."""
+        """Start new episodes in all worlds, at the stage that the curriculum says; observations (slots, D), or a dict."""
         return self._rows(self._start(np.ones(self.num_worlds, dtype=bool)))
 
     def _start(self, worlds: np.ndarray) -> Observation:
-        """Observations after new episodes have begun in the worlds of the mask (W,), or in all where the level changes."""
-        if self.curriculum.level != self._level or not self._aviaries:
-            self._level, worlds = self.curriculum.level, np.ones(self.num_worlds, dtype=bool)
+        """Observations after new episodes have begun in the worlds of the mask (W,), or in all where the stage changes."""
+        if self.curriculum.stage != self._stage or not self._aviaries:
+            self._stage, worlds = self.curriculum.stage, np.ones(self.num_worlds, dtype=bool)
         aviary = self.aviary
-        seed = self._seed if self._level in self._unseeded else None
-        self._unseeded.discard(self._level)
+        seed = self._seed if self._stage in self._unseeded else None
+        self._unseeded.discard(self._stage)
         observations = aviary.reset(worlds, seed)
         if worlds.all():
             shape = aviary.alive.shape
@@ -164,9 +164,9 @@ class DroneVecEnv(Environment, VecEnv):
         self._add(step, flown)
         over = np.any(flown, axis=1) & ~np.any(aviary.alive, axis=1)
         for world in np.flatnonzero(over):
-            if self.curriculum.level == self._level:  # else this was an episode of a level that is left by now
+            if self.curriculum.stage == self._stage:  # else this was an episode of a stage that is left by now
                 self.curriculum.record(float(self._success[world].mean()))
-        change = self.curriculum.level != self._level
+        change = self.curriculum.stage != self._stage
         ended = flown & (change | ~aviary.alive)
         infos = self._infos(step, ended)
         dones = self._wide(ended | over[:, None] | change, True)
@@ -209,7 +209,7 @@ class DroneVecEnv(Environment, VecEnv):
         return infos
 
     def _wide(self, array: np.ndarray, fill: float) -> np.ndarray:
-        """(slots, ...) from (W, N, ...) of a level that may have fewer drones than there are slots for."""
+        """(slots, ...) from (W, N, ...) of a stage that may have fewer drones than there are slots for."""
         missing = self.num_drones - array.shape[1]
         if missing:
             array = np.concatenate([array, np.full((len(array), missing, *array.shape[2:]), fill, array.dtype)], axis=1)

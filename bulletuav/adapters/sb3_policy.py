@@ -9,7 +9,7 @@ from gymnasium.spaces import Box, Dict, Space
 from bulletuav.adapters.features import Symlog, UserSum
 from bulletuav.adapters.sb3 import algorithm, own_random, single_thread
 from bulletuav.errors import missing, unknown
-from bulletuav.policies.network import HIGH, LOW
+from bulletuav.policies.neural_network import HIGH, LOW
 
 try:
     import torch

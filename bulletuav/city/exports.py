@@ -4,7 +4,7 @@ from pathlib import Path
 
 from bulletuav.city.model import City
 from bulletuav.files import replace_file
-from bulletuav.physics.solids import obj_lines
+from bulletuav.geometry.solids import obj_lines
 
 
 def write_obj(city: City, path: str | Path) -> None:

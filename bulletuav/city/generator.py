@@ -7,8 +7,8 @@ import numpy as np
 from bulletuav.city.model import City
 from bulletuav.city.statistics import KINDS, Statistics
 from bulletuav.city.streets import grid_streets
-from bulletuav.errors import finite, pick, shown
-from bulletuav.physics.solids import Solids
+from bulletuav.errors import choose, finite, shown
+from bulletuav.geometry.solids import Solids
 
 MOST_BLOCKS = 128  # along a side
 BOULEVARDS = 0.2  # share of the streets, at irregularity 1
@@ -31,7 +31,7 @@ def generate(kind: str | Statistics, side: float, rng: np.random.Generator, irre
     """
     if not isinstance(rng, np.random.Generator):
         raise ValueError(f"rng is {shown(rng)}: a generator such as np.random.default_rng(0) is needed")
-    statistics = kind if isinstance(kind, Statistics) else pick("kind of city", kind, KINDS)
+    statistics = kind if isinstance(kind, Statistics) else choose("kind of city", kind, KINDS)
     if not 0 <= finite("irregularity", irregularity) <= 1:
         raise ValueError(f"irregularity is {irregularity!r}: a number from 0 (regular) to 1 is needed")
     irregularity, side = finite("irregularity", irregularity), finite("side", side)

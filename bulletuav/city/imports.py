@@ -13,9 +13,9 @@ import numpy as np
 
 from bulletuav.city.model import City
 from bulletuav.city.streets import Streets, free_streets
+from bulletuav.engine.tiles import TILE_PITCH
 from bulletuav.errors import finite, missing, read_file, require_file, shown
-from bulletuav.physics.solids import Solids
-from bulletuav.physics.tiles import TILE_PITCH
+from bulletuav.geometry.solids import Solids
 
 EARTH_RADIUS = 6_371_008.8  # m, mean (Moritz, Geodetic Reference System 1980)
 FLUSH = 1e-9  # relative difference of area or volume below which a shape fills its hull, or a hull its box

@@ -6,7 +6,7 @@ from matplotlib.collections import LineCollection, PolyCollection
 
 from bulletuav.city.model import City
 
-GROUND, STREET = "#f2efe9", "#d98e04"
+GROUND_COLOUR, STREET = "#f2efe9", "#d98e04"
 BELOW = -0.09  # where the scale and the legend are, below the map, in heights of the map
 
 
@@ -22,7 +22,7 @@ def draw_map(city: City, axes: Axes) -> None:
     axes.legend(handles=[streets], loc="center right", bbox_to_anchor=(1, BELOW), frameon=False, borderaxespad=0)
     _draw_scale(city.side, axes)
     half = city.side / 2
-    axes.set(xlim=(-half, half), ylim=(-half, half), aspect="equal", facecolor=GROUND)
+    axes.set(xlim=(-half, half), ylim=(-half, half), aspect="equal", facecolor=GROUND_COLOUR)
     axes.set(xlabel="x east (m)", ylabel="y north (m)")
     axes.set_title(f"{city.name}: {len(city.heights)} buildings on {city.side:.4g} m x {city.side:.4g} m")
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from bulletuav.city.streets import Streets
 from bulletuav.errors import finite, numbers_of, shown
-from bulletuav.physics.solids import Solids, box_corners
+from bulletuav.geometry.solids import Solids, box_corners
 
 GROUP = 256  # points that are neighbours along x are asked together, as few pieces come into question
 UPRIGHT = 1e-9  # facets whose normal rises less than this are walls

@@ -6,9 +6,9 @@ import itertools
 from rich.console import Console
 from rich.table import Table
 
-from bulletuav.benchmark import FLOORS, ROUNDS, SIZES, measure
+from bulletuav.analysis.benchmark import FLOORS, ROUNDS, SIZES, measure
 from bulletuav.commands.progress import telling
-from bulletuav.physics.ladder import LADDER
+from bulletuav.dynamics.ladder import LADDER
 
 ABOUT = {
     "help": "measure this machine: drone-substeps per CPU-second of every dynamics",

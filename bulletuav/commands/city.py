@@ -21,10 +21,10 @@ from bulletuav.city.maps import draw_map
 from bulletuav.city.model import City
 from bulletuav.city.render import render
 from bulletuav.city.statistics import KINDS, Statistics, realised
-from bulletuav.commands.options import out_folder, tell_files
-from bulletuav.errors import pick, whole
+from bulletuav.commands.arguments import out_folder, tell_files
+from bulletuav.errors import as_int, choose
 from bulletuav.files import replace_file, whole_file
-from bulletuav.pictures import blank_figure, save_figure
+from bulletuav.report.pictures import blank_figure, save_figure
 
 ABOUT = {
     "help": "make a city and write its map, OBJ file and statistics",
@@ -82,14 +82,14 @@ def _city(arguments: argparse.Namespace) -> tuple[City, Statistics | None]:
     options = {name: value for name, value in vars(arguments).items() if value is not None}
     options = {name: value for name, value in options.items() if name not in ("command", "out")}
     if file := options.pop("file", None):
-        reader = pick(f"kind of file {str(file)!r} with ending", file.suffix.lower(), READERS)
+        reader = choose(f"kind of file {str(file)!r} with ending", file.suffix.lower(), READERS)
         _refuse_others(options, inspect.signature(reader).parameters, f"an import of {file}")
         return reader(file, **options), None
     _refuse_others(options, GENERATOR | {"side"}, "a generated city")
     kind = options.get("kind", "urban")
     own = {name: options[name] for name in NUMBERS if name in options}
-    target = dataclasses.replace(pick("kind of city", kind, KINDS), **own)
-    rng = np.random.default_rng(whole("seed", options.get("seed", 0), least=0))
+    target = dataclasses.replace(choose("kind of city", kind, KINDS), **own)
+    rng = np.random.default_rng(as_int("seed", options.get("seed", 0), least=0))
     return generate(target if own else kind, options.get("side", 500.0), rng, options.get("irregularity", 0.0)), target
 
 

@@ -6,9 +6,7 @@ from typing import Any
 
 from rich.console import Console
 
-from bulletuav.charts import plot_leaderboard
-from bulletuav.commands.evaluate import evaluated, run_name
-from bulletuav.commands.options import (
+from bulletuav.commands.arguments import (
     POLICY_HELP,
     add_episodes,
     add_options,
@@ -18,10 +16,12 @@ from bulletuav.commands.options import (
     out_folder,
     tell_files,
 )
+from bulletuav.commands.evaluate import evaluated, run_name
 from bulletuav.errors import unknown
 from bulletuav.files import replace_file
-from bulletuav.leaderboard import markdown, write_csv
 from bulletuav.policies import find_policy
+from bulletuav.report.charts import plot_leaderboard
+from bulletuav.report.leaderboard import markdown, write_csv
 
 ABOUT = {
     "help": "evaluate several policies in several tasks and write a leaderboard",

@@ -6,7 +6,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from bulletuav.doctor import Finding, examine
+from bulletuav.report.doctor import Finding, examine
 
 ABOUT = {
     "help": "tell versions, what is active and what is missing",

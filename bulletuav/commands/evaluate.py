@@ -7,8 +7,9 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from bulletuav.charts import plot_evaluation
-from bulletuav.commands.options import (
+from bulletuav.analysis.evaluation import Evaluation, evaluate
+from bulletuav.analysis.metrics import METRICS, Estimate
+from bulletuav.commands.arguments import (
     POLICY_HELP,
     Advance,
     add_episodes,
@@ -18,9 +19,8 @@ from bulletuav.commands.options import (
     given_options,
     tell_files,
 )
-from bulletuav.evaluation import Evaluation, evaluate
-from bulletuav.metrics import METRICS, Estimate
 from bulletuav.policies import find_policy
+from bulletuav.report.charts import plot_evaluation
 from bulletuav.tasks import find_task
 
 ABOUT = {

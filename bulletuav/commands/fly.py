@@ -7,7 +7,9 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from bulletuav.commands.options import (
+from bulletuav.analysis.evaluation import EPISODES
+from bulletuav.analysis.recording import Recording, fly_episode, outcomes, save
+from bulletuav.commands.arguments import (
     POLICY_HELP,
     add_options,
     add_trust,
@@ -18,11 +20,9 @@ from bulletuav.commands.options import (
 )
 from bulletuav.commands.progress import telling
 from bulletuav.envs.aviary import Aviary
-from bulletuav.errors import whole
-from bulletuav.evaluation import EPISODES
-from bulletuav.pictures import Animation, plot_tracks
+from bulletuav.errors import as_int
 from bulletuav.policies import find_policy
-from bulletuav.record import Recording, fly_episode, outcomes, save
+from bulletuav.report.pictures import Animation, plot_tracks
 from bulletuav.tasks import find_task
 
 ABOUT = {
@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Fly one episode and write its files."""
-    whole("seed", arguments.seed, 0)
+    as_int("seed", arguments.seed, 0)
     arguments.policy = arguments.policy or find_task(arguments.task).baseline
     pilot = find_policy(arguments.policy, arguments.task, arguments.trust)
     aviary = Aviary(arguments.task, 1, **flyable_options(arguments.task, pilot, given_options(arguments)))
@@ -77,7 +77,7 @@ def _draw(recording: Recording, aviary: Aviary, arguments: argparse.Namespace) -
     plot_tracks(recording, d_safe, title, tracks)
     if arguments.animation == "none":
         return [tracks]
-    animation = Animation(recording, d_safe, 2 * aviary.task.setting.collision_radius, title)
+    animation = Animation(recording, d_safe, 2 * aviary.task.context.collision_radius, title)
     path = arguments.out / f"flight.{arguments.animation}"
     drawn = itertools.count(1)
     with telling("drawing", len(animation), "pictures") as progress:

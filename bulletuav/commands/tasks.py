@@ -7,9 +7,9 @@ import inspect
 from rich.console import Console
 from rich.table import Table
 
-from bulletuav.commands.options import add_options, given_options
-from bulletuav.envs.options import Options
-from bulletuav.envs.plan import Plan
+from bulletuav.commands.arguments import add_options, given_options
+from bulletuav.envs.env_spec import EnvSpec
+from bulletuav.envs.options import EnvOptions
 from bulletuav.tasks import find_task, list_tasks
 from bulletuav.tasks.base import Task
 
@@ -42,7 +42,7 @@ def run(arguments: argparse.Namespace) -> None:
 
 def observation_table(task: str, options: dict) -> Table:
     """What each number of an observation is, with its bounds."""
-    plan = Plan(task, 1, options)
+    plan = EnvSpec(task, 1, options)
     table = Table(title=f"observation of {task}, one drone of {plan.options.num_drones}, float32")
     for heading in ("index", "number", "unit", "low", "high"):
         table.add_column(heading, justify="left" if heading in ("number", "unit") else "right")
@@ -73,4 +73,4 @@ def _explain(name: str) -> None:
     for field in dataclasses.fields(task.Config):
         default = field.default if field.default is not dataclasses.MISSING else {}
         print(f"  {field.name:16s} {default!r}")
-    print(f"\n{inspect.getdoc(Options)}")
+    print(f"\n{inspect.getdoc(EnvOptions)}")

@@ -7,12 +7,12 @@ from typing import Any
 
 from rich.console import Console
 
-from bulletuav.charts import plot_curves
-from bulletuav.commands.options import add_options, given_options, literals, out_folder, tell_files
+from bulletuav.commands.arguments import add_options, given_options, literals, out_folder, tell_files
 from bulletuav.commands.progress import telling
 from bulletuav.envs.resolve import resolve
 from bulletuav.files import replace_file
 from bulletuav.policies.run import ALGORITHMS, CONFIG, POLICY, RunConfig, shipped, shipped_tasks
+from bulletuav.report.charts import plot_curves
 from bulletuav.tasks import find_task
 from bulletuav.training.campaign import Campaign, learning_table
 from bulletuav.training.store import CURVE, Row
@@ -95,10 +95,10 @@ def _config(arguments: argparse.Namespace, task: str | None) -> RunConfig:
         options = _with_action(base.task, algo, options)
     model = {**(base.model if algo == base.algo else {}), **literals("--model", arguments.model)}
     if arguments.curriculum:
-        changes |= {"levels": [{"difficulty": name} for name in arguments.curriculum.split(",")], "curriculum": {}}
-    else:  # what is given goes before what levels say
-        levels = [{name: value for name, value in level.items() if name not in given} for level in base.levels]
-        changes["levels"] = levels if any(level != levels[0] for level in levels) else levels[:1]
+        changes |= {"stages": [{"difficulty": name} for name in arguments.curriculum.split(",")], "curriculum": {}}
+    else:  # what is given goes before what stages say
+        stages = [{name: value for name, value in stage.items() if name not in given} for stage in base.stages]
+        changes["stages"] = stages if any(stage != stages[0] for stage in stages) else stages[:1]
     return dataclasses.replace(base, algo=algo, options=options, model=model, **changes)
 
 

@@ -8,17 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from bulletuav.control.gains import MAX_TILT
-from bulletuav.control.levels import Level
-from bulletuav.errors import pick
+from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.errors import choose
 from bulletuav.kernel import kernel
-from bulletuav.physics.airframe import Airframe
-from bulletuav.physics.rotors import RPM
+from bulletuav.vehicle.airframe import Airframe
+from bulletuav.vehicle.rotors import RPM
 
 MAX_RATES = np.array((2 * math.pi, 2 * math.pi, math.pi))  # rad/s, of action `rates`
 
 
 @dataclass(frozen=True)
-class Flyable:
+class ActionContext:
     """What a decoder may know, SI: airframes of the drones, speed limit, arena corners (3,), decision period, gravity."""
 
     airframes: Sequence[Airframe]
@@ -41,7 +41,7 @@ class Action:
     """
 
     name: str
-    level: Level
+    level: SetpointLevel
     labels: tuple[tuple[str, ...], ...]
     low: np.ndarray
     high: np.ndarray
@@ -76,14 +76,16 @@ def _with_yaw(vector: np.ndarray, yaw: np.ndarray | float = 0.0) -> np.ndarray:
     return out
 
 
-def _uniform(flyable: Flyable, name: str, level: Level, labels: tuple[str, ...], decode, encode=None) -> Action:
+def _uniform(
+    flyable: ActionContext, name: str, level: SetpointLevel, labels: tuple[str, ...], decode, encode=None
+) -> Action:
     """An action normalised to [-1, 1], with the same numbers for every drone."""
     drones = len(flyable.airframes)
     ones = np.ones((drones, len(labels)))
     return Action(name, level, (labels,) * drones, -ones, ones, decode, encode)
 
 
-def velocity(flyable: Flyable) -> Action:
+def velocity(flyable: ActionContext) -> Action:
     """Velocity east, north, up over max_speed; the speed is limited to max_speed, direction kept. Yaw is held at 0."""
     speed = flyable.max_speed
     labels = tuple(f"v{axis} / {speed:g} m/s" for axis in "xyz")
@@ -91,10 +93,12 @@ def velocity(flyable: Flyable) -> Action:
     def decode(action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
         return _with_yaw(limit_norm(action * speed, speed))
 
-    return _uniform(flyable, "velocity", Level.VELOCITY, labels, decode, lambda velocity, commanded=None: velocity / speed)
+    return _uniform(
+        flyable, "velocity", SetpointLevel.VELOCITY, labels, decode, lambda velocity, commanded=None: velocity / speed
+    )
 
 
-def velocity_increment(flyable: Flyable) -> Action:
+def velocity_increment(flyable: ActionContext) -> Action:
     """Change of the commanded velocity, by up to max_speed times the decision period on each axis; limited as `velocity`.
 
     An episode begins with the velocity that the drone starts with.
@@ -110,10 +114,10 @@ def velocity_increment(flyable: Flyable) -> Action:
         change = (velocity - commanded) / step
         return change / np.maximum(np.abs(change).max(axis=-1, keepdims=True), 1.0)
 
-    return _uniform(flyable, "velocity_increment", Level.VELOCITY, labels, decode, encode)
+    return _uniform(flyable, "velocity_increment", SetpointLevel.VELOCITY, labels, decode, encode)
 
 
-def heading_speed(flyable: Flyable) -> Action:
+def heading_speed(flyable: ActionContext) -> Action:
     """Heading (-1 to 1: -180 to 180 degrees from east, to the left), speed (-1 to 1: 0 to max_speed), climb over max_speed.
 
     The nose points along the heading; the speed with climb is limited to max_speed.
@@ -126,10 +130,10 @@ def heading_speed(flyable: Flyable) -> Action:
         wanted = np.stack([forward * np.cos(heading), forward * np.sin(heading), speed * action[..., 2]], axis=-1)
         return _with_yaw(limit_norm(wanted, speed), heading)
 
-    return _uniform(flyable, "heading_speed", Level.VELOCITY, labels, decode)
+    return _uniform(flyable, "heading_speed", SetpointLevel.VELOCITY, labels, decode)
 
 
-def target_position(flyable: Flyable) -> Action:
+def target_position(flyable: ActionContext) -> Action:
     """Position to fly to and stop at: -1 and 1 are the arena's lower and upper bounds of each axis. Yaw is held at 0."""
     centre, half = (flyable.arena_low + flyable.arena_high) / 2, (flyable.arena_high - flyable.arena_low) / 2
     labels = tuple(f"{axis} = {c:g} + {h:g} a m" for axis, c, h in zip("xyz", centre, half, strict=True))
@@ -140,10 +144,10 @@ def target_position(flyable: Flyable) -> Action:
     def encode(position: np.ndarray, commanded: object = None) -> np.ndarray:
         return (position - centre) / half
 
-    return _uniform(flyable, "target_position", Level.POSITION, labels, decode, encode)
+    return _uniform(flyable, "target_position", SetpointLevel.POSITION, labels, decode, encode)
 
 
-def attitude(flyable: Flyable) -> Action:
+def attitude(flyable: ActionContext) -> Action:
     """Roll and pitch (over 55 degrees), yaw (over 180 degrees), collective thrust (-1 none, 1 the most)."""
     scale = np.array((MAX_TILT, MAX_TILT, np.pi))
     most = np.array([airframe.max_thrust for airframe in flyable.airframes])
@@ -152,10 +156,10 @@ def attitude(flyable: Flyable) -> Action:
     def decode(action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
         return np.concatenate([scale * action[..., :3], (most * (action[..., 3] + 1) / 2)[..., None]], axis=-1)
 
-    return _uniform(flyable, "attitude", Level.ATTITUDE, labels, decode)
+    return _uniform(flyable, "attitude", SetpointLevel.ATTITUDE, labels, decode)
 
 
-def rates(flyable: Flyable) -> Action:
+def rates(flyable: ActionContext) -> Action:
     """Body rates (over 360, 360 and 180 degrees a second), collective thrust (-1 none, 1 the most)."""
     most = np.array([airframe.max_thrust for airframe in flyable.airframes])
     labels = ("p / 360 degrees/s", "q / 360 degrees/s", "r / 180 degrees/s", "2 thrust / max thrust - 1")
@@ -163,18 +167,20 @@ def rates(flyable: Flyable) -> Action:
     def decode(action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
         return np.concatenate([MAX_RATES * action[..., :3], (most * (action[..., 3] + 1) / 2)[..., None]], axis=-1)
 
-    return _uniform(flyable, "rates", Level.RATES, labels, decode)
+    return _uniform(flyable, "rates", SetpointLevel.RATES, labels, decode)
 
 
-def _per_rotor(flyable: Flyable, name: str, label: str, low: float, high: np.ndarray, decode) -> Action:
+def _per_rotor(flyable: ActionContext, name: str, label: str, low: float, high: np.ndarray, decode) -> Action:
     """An action with a number for each rotor; `high` (N,) bounds each drone's."""
     counts = [len(airframe.rotors) for airframe in flyable.airframes]
     exists = np.arange(max(counts)) < np.array(counts)[:, None]
     labels = tuple(tuple(f"rotor {r}{label}" for r in range(count)) for count in counts)
-    return Action(name, Level.ROTOR, labels, np.where(exists, low, 0.0), np.where(exists, high[:, None], 0.0), decode)
+    return Action(
+        name, SetpointLevel.ROTOR, labels, np.where(exists, low, 0.0), np.where(exists, high[:, None], 0.0), decode
+    )
 
 
-def rotor(flyable: Flyable) -> Action:
+def rotor(flyable: ActionContext) -> Action:
     """Thrust of each rotor: -1 none, 1 the most; the speed is max_rotor_speed sqrt((a + 1) / 2)."""
     most = np.array([airframe.max_rotor_speed for airframe in flyable.airframes])[:, None]
 
@@ -184,13 +190,13 @@ def rotor(flyable: Flyable) -> Action:
     return _per_rotor(flyable, "rotor", ": 2 thrust / max thrust - 1", -1.0, np.ones(len(most)), decode)
 
 
-def rpm(flyable: Flyable) -> Action:
+def rpm(flyable: ActionContext) -> Action:
     """Speed of each rotor in revolutions per minute, raw."""
     most = np.array([airframe.max_rotor_speed for airframe in flyable.airframes]) / RPM
     return _per_rotor(flyable, "rpm", ", rpm", 0.0, most, lambda action, commanded: action * RPM)
 
 
-def hover_rpm(flyable: Flyable) -> Action:
+def hover_rpm(flyable: ActionContext) -> Action:
     """Speed of each rotor about that of hover, +-5 %: the action of gym-pybullet-drones' HoverAviary."""
     hover = np.array([airframe.hover_speed(flyable.gravity) for airframe in flyable.airframes])[:, None]
     ones = np.ones(len(hover))
@@ -199,7 +205,7 @@ def hover_rpm(flyable: Flyable) -> Action:
     )
 
 
-def _directions(name: str, flyable: Flyable, directions: np.ndarray) -> Action:
+def _directions(name: str, flyable: ActionContext, directions: np.ndarray) -> Action:
     """One of some velocities at max_speed; the first is to stay."""
     speed, drones, last = flyable.max_speed, len(flyable.airframes), len(directions) - 1
     sizes = np.linalg.norm(directions, axis=1, keepdims=True)
@@ -210,22 +216,22 @@ def _directions(name: str, flyable: Flyable, directions: np.ndarray) -> Action:
         return _with_yaw(table[action[..., 0].astype(int)])
 
     low, high = np.zeros((drones, 1)), np.full((drones, 1), float(last))
-    return Action(name, Level.VELOCITY, labels, low, high, decode, choices=last + 1)
+    return Action(name, SetpointLevel.VELOCITY, labels, low, high, decode, choices=last + 1)
 
 
-def discrete(flyable: Flyable) -> Action:
+def discrete(flyable: ActionContext) -> Action:
     """One of 7 velocities: 0 stay; 1, 2 east, west; 3, 4 north, south; 5, 6 up, down; at max_speed."""
     axes = np.repeat(np.eye(3), 2, axis=0) * np.array([1, -1, 1, -1, 1, -1])[:, None]
     return _directions("discrete", flyable, np.concatenate([np.zeros((1, 3)), axes]))
 
 
-def discrete_27(flyable: Flyable) -> Action:
+def discrete_27(flyable: ActionContext) -> Action:
     """One of 27 velocities at max_speed: 0 stay, then every other (x, y, z) of -1, 0, 1, counted up with z the fastest."""
     moves = [move for move in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(move)]
     return _directions("discrete_27", flyable, np.array([(0.0, 0.0, 0.0), *moves]))
 
 
-ACTIONS: dict[str, Callable[[Flyable], Action]] = {
+ACTIONS: dict[str, Callable[[ActionContext], Action]] = {
     action.__name__: action
     for action in (
         velocity,
@@ -243,6 +249,6 @@ ACTIONS: dict[str, Callable[[Flyable], Action]] = {
 }
 
 
-def make_action(name: str, flyable: Flyable) -> Action:
+def make_action(name: str, flyable: ActionContext) -> Action:
     """The action `name` for this swarm. Raises ValueError for an unknown name."""
-    return pick("action", name, ACTIONS)(flyable)
+    return choose("action", name, ACTIONS)(flyable)

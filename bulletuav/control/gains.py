@@ -6,7 +6,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from bulletuav.physics.airframe import MAX_ROTORS, Airframe
+from bulletuav.vehicle.airframe import MAX_ROTORS, Airframe
 
 GAINS = np.dtype(
     [

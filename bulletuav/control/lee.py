@@ -8,11 +8,11 @@ their composition is the published one: m w^2 e_x + 2 z m w e_v = 2 z m w (e_v +
 
 import math
 
-from bulletuav.kernel import formula
-from bulletuav.physics.rotation import axes, cross, dot, to_body, to_world
+from bulletuav.geometry.rotation import axes, cross, dot, to_body, to_world
+from bulletuav.kernel import func
 
 
-@formula
+@func
 def velocity_setpoint(position, target, gain):
     """POSITION to VELOCITY (m/s): towards the target, no faster than can be braked at `max_deceleration`."""
     error = (target[0] - position[0], target[1] - position[1], target[2] - position[2])
@@ -27,14 +27,14 @@ def velocity_setpoint(position, target, gain):
     return rate * error[0], rate * error[1], rate * error[2]
 
 
-@formula
+@func
 def acceleration_setpoint(velocity, target, gain):
     """VELOCITY to ACCELERATION (m/s^2)."""
     rate = 2.0 * gain.damping * gain.position_frequency
     return rate * (target[0] - velocity[0]), rate * (target[1] - velocity[1]), rate * (target[2] - velocity[2])
 
 
-@formula
+@func
 def force_setpoint(acceleration, quaternion, velocity, total_speed, gravity, row, gain):
     """ACCELERATION to the force wanted from the rotors (N, world): weight, acceleration, drag in still air at `velocity`.
 
@@ -56,7 +56,7 @@ def force_setpoint(acceleration, quaternion, velocity, total_speed, gravity, row
     return x, y, z
 
 
-@formula
+@func
 def nose(yaw):
     """Where the nose points, (3,) horizontal; most flights hold 0, which needs no sine."""
     if yaw == 0.0:
@@ -64,7 +64,7 @@ def nose(yaw):
     return math.cos(yaw), math.sin(yaw), 0.0
 
 
-@formula
+@func
 def desired_axes(force, yaw):
     """Body axes in the world that point thrust along `force` and the nose towards `yaw` (rad)."""
     size = math.sqrt(dot(force, force))
@@ -75,7 +75,7 @@ def desired_axes(force, yaw):
     return cross(b2, b3), b2, b3
 
 
-@formula
+@func
 def attitude_error(quaternion, desired):
     """vee(Rc^T R - R^T Rc), `desired` the columns of Rc."""
     b1, b2, b3 = axes(quaternion)
@@ -83,7 +83,7 @@ def attitude_error(quaternion, desired):
     return dot(c3, b2) - dot(b3, c2), dot(c1, b3) - dot(b1, c3), dot(c2, b1) - dot(b2, c1)
 
 
-@formula
+@func
 def rates_setpoint(quaternion, desired, gain):
     """ATTITUDE to RATES (rad/s, body): -(w_R / 2z) e_R with e_R = vee(Rc^T R - R^T Rc) / 2, `desired` the columns of Rc."""
     error = attitude_error(quaternion, desired)
@@ -92,7 +92,7 @@ def rates_setpoint(quaternion, desired, gain):
     return scale * frequency[0] * error[0], scale * frequency[1] * error[1], scale * frequency[2] * error[2]
 
 
-@formula
+@func
 def torque_setpoint(rates, target, row, gain):
     """RATES to body torque (N m): -k_W (W - W_target) + W x J W."""
     momentum = (row.inertia[0] * rates[0], row.inertia[1] * rates[1], row.inertia[2] * rates[2])
@@ -106,7 +106,7 @@ def torque_setpoint(rates, target, row, gain):
     )
 
 
-@formula
+@func
 def mix(thrust, torque, row, gain, command):
     """Collective thrust and torques to rotor speeds (rad/s, into `command`), each within what the rotor can do.
 

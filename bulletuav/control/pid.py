@@ -8,9 +8,9 @@ differences of Euler angles, and the integrals are reset with the episode. It is
 import math
 
 from bulletuav.control.lee import attitude_error, desired_axes
-from bulletuav.kernel import formula
-from bulletuav.physics.rotation import axes, dot
-from bulletuav.physics.rotors import RPM
+from bulletuav.geometry.rotation import axes, dot
+from bulletuav.kernel import func
+from bulletuav.vehicle.rotors import RPM
 
 MEMORY = 6  # integrals of the position error (3) and of the attitude error (3)
 
@@ -21,13 +21,13 @@ ATTITUDE_INTEGRAL_LIMIT = (1.0, 1.0, 1500.0)
 TORQUE_LIMIT = 3200.0
 
 
-@formula
+@func
 def clipped(value, limit):
     """`value` within [-limit, limit]."""
     return min(max(value, -limit), limit)
 
 
-@formula
+@func
 def integrated(integral, error, dt, limit):
     """The integral (3,) of `error` after dt, each component within its `limit`."""
     return (
@@ -37,7 +37,7 @@ def integrated(integral, error, dt, limit):
     )
 
 
-@formula
+@func
 def pid_force(position_error, velocity_error, integral, row, gravity):
     """Force setpoint (N, world) from errors (target minus state) and the integral of the position's."""
     return (
@@ -47,7 +47,7 @@ def pid_force(position_error, velocity_error, integral, row, gravity):
     )
 
 
-@formula
+@func
 def pid_torque(error, rates, integral):
     """Roll, pitch and yaw command (PWM units) against the attitude error (3,), whose negative `integral` holds."""
     return (
@@ -57,7 +57,7 @@ def pid_torque(error, rates, integral):
     )
 
 
-@formula
+@func
 def pid_rotors(position_error, velocity_error, yaw, quaternion, rates, integrals, dt, gravity, row, gain, command):
     """Rotor speeds (rad/s, into `command`) from position and velocity errors (m, m/s) and the yaw to hold (rad).
 

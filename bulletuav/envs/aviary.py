@@ -9,29 +9,29 @@ import numpy as np
 
 from bulletuav.control.cascade import Cascade
 from bulletuav.control.gains import gain_rows
-from bulletuav.control.levels import Level
-from bulletuav.envs.camera import Camera
+from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.dynamics.base import Dynamics, Flight
+from bulletuav.dynamics.ladder import LADDER
+from bulletuav.dynamics.sweep import overlaps
+from bulletuav.engine.engine import Engine
 from bulletuav.envs.energy import Energy
+from bulletuav.envs.env_spec import MOST_WORLDS, EnvSpec
 from bulletuav.envs.environment import Environment, exclusive
-from bulletuav.envs.plan import MOST_WORLDS, Plan
 from bulletuav.envs.randomization import Uncertainty
-from bulletuav.envs.senses import Senses
+from bulletuav.envs.renderer import Camera
+from bulletuav.envs.senses import SensorSuite
 from bulletuav.envs.step import Step
-from bulletuav.errors import points_of, whole
-from bulletuav.physics.atlas import NOWHERE
-from bulletuav.physics.dynamics import Dynamics, Flight
-from bulletuav.physics.ladder import LADDER
-from bulletuav.physics.parameters import parameter_rows
-from bulletuav.physics.solids import Solids
-from bulletuav.physics.swarm import Contacts, Motion, Swarm, confine
-from bulletuav.physics.sweep import overlaps
-from bulletuav.physics.wind import Wind
-from bulletuav.physics.world import World
+from bulletuav.errors import as_int, points_of
+from bulletuav.geometry.city_grid import NO_LAYOUT
+from bulletuav.geometry.solids import Solids
 from bulletuav.sensors.sight import line_of_sight
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.base import Frame, Scene, Spawn
-from bulletuav.tasks.check import check_spawn, check_verdict, require_finite
-from bulletuav.tasks.terms.observations import Observation
+from bulletuav.tasks.check import check_spawn, check_step_result, require_finite
+from bulletuav.tasks.observations.observer import Observation
+from bulletuav.vehicle.parameters import parameter_rows
+from bulletuav.vehicle.swarm import Contacts, Motion, Swarm, confine
+from bulletuav.vehicle.wind import Wind
 
 NOTHING_STANDS = Solids(np.zeros((0, 2, 3)))
 
@@ -53,17 +53,17 @@ class Aviary(Environment):
         `first_world`: number of the first of these worlds among those of several processes; world k is then the one that
         it would be in a single process.
         """
-        self._plan = plan = Plan(task, num_worlds, options)
+        self._plan = plan = EnvSpec(task, num_worlds, options)
         self.options, self.task, self.action, self.observer = plan.options, plan.task, plan.action, plan.observer
         self.state_observer = plan.state_observer
         shape = self.num_worlds, self.num_drones = plan.num_worlds, self.options.num_drones
         live = self.options.render_mode == "human"
-        dt, self._first_world = 1 / self.options.physics_hz, whole("first_world", first_world, 0, MOST_WORLDS)
+        dt, self._first_world = 1 / self.options.physics_hz, as_int("first_world", first_world, 0, MOST_WORLDS)
         obstacles, layouts = self.task.obstacles(), self.task.layouts()
-        self._world = World(self.options.airframe, self.num_worlds, dt, obstacles, layouts, first_world, live)
+        self._engine = Engine(self.options.airframe, self.num_worlds, dt, obstacles, layouts, first_world, live)
         self._dynamics, self._cascade = self._make_dynamics()
-        self.options.check_levels(self.action.level, self._dynamics.consumes)
-        self._camera = Camera(self._world, self.options.render_size)
+        self.options.check_setpoint_levels(self.action.level, self._dynamics.consumes)
+        self._camera = Camera(self._engine, self.options.render_size)
         self.swarm = Swarm.zeros(*shape, max(len(airframe.rotors) for airframe in self.options.airframe))
         self.scene = Scene.empty(*shape, len(obstacles), self.task.memory())
         self.commanded = np.zeros((*shape, 3))
@@ -72,7 +72,7 @@ class Aviary(Environment):
         self._wind = Wind(self.options.wind, self.options.wind20, shape, 1 / self.options.decision_hz)
         self._uncertainty = self._make_uncertainty()
         drawn = {} if self._uncertainty is None else self._uncertainty.drawn
-        self._senses = Senses(plan.wanted, self.task, self.options, self._world, self._dynamics, drawn)
+        self._senses = SensorSuite(plan.wanted, self.task, self.options, self._engine, self._dynamics, drawn)
         self._energy = Energy(self.options, self.parameters)
         self.rng: list[np.random.Generator | None] = [None] * self.num_worlds
         self._frame: Frame | None = None
@@ -86,14 +86,14 @@ class Aviary(Environment):
         cascade = Cascade.of(options.controller, nominal, gains)
         substeps = options.physics_hz // options.decision_hz
         self.parameters = actual
-        flight = Flight(self._world, actual, cascade, 1 / options.physics_hz, substeps, options.gravity)
+        flight = Flight(self._engine, actual, cascade, 1 / options.physics_hz, substeps, options.gravity)
         return LADDER[options.dynamics](flight), cascade
 
     def _make_uncertainty(self) -> Uncertainty | None:
         if not self.options.randomization.active:
             return None
         period = 1 / self.options.decision_hz
-        return Uncertainty(self.options.randomization, self._world, self.parameters, self._wind, period)
+        return Uncertainty(self.options.randomization, self._engine, self.parameters, self._wind, period)
 
     @exclusive
     def reset(self, mask: np.ndarray | None = None, seeds: int | Sequence[int] | None = None) -> Observation:
@@ -119,8 +119,8 @@ class Aviary(Environment):
         chosen = np.zeros(self.alive.shape, dtype=bool)
         chosen[worlds] = True
         self._dynamics.place(self.swarm, chosen)
-        self._world.set_layouts(self.scene.layout, np.any(chosen, axis=1))
-        self._world.set_obstacles(self.scene.obstacle, self.scene.obstacle_quaternion, np.any(chosen, axis=1))
+        self._engine.set_layouts(self.scene.layout, np.any(chosen, axis=1))
+        self._engine.set_obstacles(self.scene.obstacle, self.scene.obstacle_quaternion, np.any(chosen, axis=1))
         now = self.swarm.copy()
         self._senses.take(now, now, self.scene, chosen, self.steps, self.rng)
         action = np.zeros((*self.alive.shape, self.action.low.shape[-1]))
@@ -130,7 +130,7 @@ class Aviary(Environment):
             flown = chosen | self._frame.alive
         frame = self._make_frame(now, now, action, Contacts.merge({}), flown, self.scene.goal.copy())
         if not self._judged:  # once: later verdicts are of the same form
-            check_verdict(self.task, self.task.judge(frame), flown.shape)
+            check_step_result(self.task, self.task.evaluate_step(frame), flown.shape)
             self._judged = True
         self._frame = frame
         return self.observer.observe(self._frame, self.alive)
@@ -189,24 +189,24 @@ class Aviary(Environment):
         """
         self.require_started()
         frame = self._fly(self._plan.actions(actions, self.alive), self.alive.copy())
-        self.task.remember(frame, self.rng)
-        flown, verdict = frame.alive, self.task.judge(frame)
-        terminated = (verdict.terminated | frame.depleted) & flown
+        self.task.update_memory(frame, self.rng)
+        flown, result = frame.alive, self.task.evaluate_step(frame)
+        terminated = (result.terminated | frame.depleted) & flown
         present = flown & ~terminated  # the horizon takes nobody away
         truncated = frame.last[:, None] & present
         self._frame = frame
         self.alive = present & ~truncated
         observations = self.observer.observe(frame, present)
-        weighted = {name: self.task.weights[name] * term for name, term in verdict.terms.items()}
+        weighted = {name: self.task.weights[name] * term for name, term in result.terms.items()}
         if not flown.all():
             weighted = {name: np.where(flown, term, 0.0) for name, term in weighted.items()}
-        self._world.park(flown & ~self.alive)
+        self._engine.park(flown & ~self.alive)
         if self.options.render_mode == "human":
             self._dynamics.show(self.swarm, self.alive)
             self._camera.show(self.swarm, self.alive, 1 / self.options.decision_hz)
         reward = functools.reduce(np.add, weighted.values(), np.zeros(flown.shape))
         require_finite(self.task, weighted, reward)
-        return Step(observations, reward, terminated, truncated, self._info(frame, weighted, verdict.success))
+        return Step(observations, reward, terminated, truncated, self._info(frame, weighted, result.success))
 
     def _fly(self, action: np.ndarray, flown: np.ndarray) -> Frame:
         """One decision of the drones of `flown` (W, N)."""
@@ -215,18 +215,18 @@ class Aviary(Environment):
         before, goal_before = self.swarm.copy(), self.scene.goal.copy()
         motion = self._move_scene(flying)
         setpoint = self.action.decode(action, self.commanded)
-        if self.action.level == Level.VELOCITY:
+        if self.action.level == SetpointLevel.VELOCITY:
             self.commanded = setpoint[..., :3]
         if self._uncertainty is not None:
             self._uncertainty.drain(time)
         contacts = self._dynamics.fly(self.swarm, flown, self.action.level, setpoint, wind, motion)
         if motion.moving:
-            self._world.set_obstacles(self.scene.obstacle, self.scene.obstacle_quaternion, flying)
+            self._engine.set_obstacles(self.scene.obstacle, self.scene.obstacle_quaternion, flying)
         if self.task.rebound is not None:
             moved = confine(self.swarm, self.commanded, flown, self.task.arena_low, self.task.arena_high, self.task.rebound)
             if moved.any():
                 self._dynamics.place(self.swarm, moved)
-                contacts = contacts.joined(overlaps(self._world, self.swarm, moved, flown, self.parameters))
+                contacts = contacts.joined(overlaps(self._engine, self.swarm, moved, flown, self.parameters))
         self.steps += flying
         if self._uncertainty is not None:
             self._uncertainty.sense(self.swarm, flown, self.rng)
@@ -258,8 +258,8 @@ class Aviary(Environment):
     @exclusive
     def first_info(self) -> dict[str, np.ndarray]:
         """Info right after a reset: the keys of every step's info, terms at zero."""
-        verdict = self.task.judge(self._current())
-        return self._info(self._current(), dict.fromkeys(verdict.terms, np.zeros(self.alive.shape)), verdict.success)
+        result = self.task.evaluate_step(self._current())
+        return self._info(self._current(), dict.fromkeys(result.terms, np.zeros(self.alive.shape)), result.success)
 
     def _current(self) -> Frame:
         if self._frame is None:
@@ -289,9 +289,9 @@ class Aviary(Environment):
         self._plan.require_world(world)
         flown = self._current().alive
         self._dynamics.show(self.swarm, self.alive)
-        self._world.set_poses(self.swarm, flown & ~self.alive)  # those that just ended are still to be seen
+        self._engine.set_poses(self.swarm, flown & ~self.alive)  # those that just ended are still to be seen
         picture = self._camera.picture(world, self.swarm, self.scene.goal[world], flown)
-        self._world.park(flown & ~self.alive)
+        self._engine.park(flown & ~self.alive)
         return picture
 
     @exclusive
@@ -302,7 +302,7 @@ class Aviary(Environment):
         """
         self.require_started()
         start, end = np.broadcast_arrays(points_of("start", start), points_of("end", end))
-        return line_of_sight(self._world, start, end, np.broadcast_to(self._plan.worlds(world), len(start)))
+        return line_of_sight(self._engine, start, end, np.broadcast_to(self._plan.worlds(world), len(start)))
 
     @property
     def sight(self) -> np.ndarray:
@@ -312,11 +312,11 @@ class Aviary(Environment):
     def solids(self, world: int = 0) -> Solids:
         """What stands in a world, beside obstacles."""
         layout = self.scene.layout[self._plan.worlds(world)]
-        return NOTHING_STANDS if layout == NOWHERE else self.task.layouts()[layout]
+        return NOTHING_STANDS if layout == NO_LAYOUT else self.task.layouts()[layout]
 
     @property
-    def level(self) -> Level:
-        """Of the setpoints that drive the dynamics."""
+    def setpoint_level(self) -> SetpointLevel:
+        """Setpoint level that the dynamics consumes."""
         return self._dynamics.consumes
 
     @property
@@ -330,10 +330,10 @@ class Aviary(Environment):
         self._current()
 
     def _require_open(self) -> None:
-        if self._world.closed:
+        if self._engine.closed:
             raise RuntimeError("this environment is closed: make a new one")
 
     @exclusive
     def close(self) -> None:
         """Free the engine; a second call does nothing."""
-        self._world.close()
+        self._engine.close()

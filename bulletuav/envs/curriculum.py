@@ -8,19 +8,19 @@ import numpy as np
 from gymnasium.spaces import Box, Space
 from pettingzoo import ParallelEnv
 
+from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.environment import Environment, exclusive
 from bulletuav.envs.parallel import ParallelAviary, check_agents
-from bulletuav.envs.plan import Plan
 from bulletuav.envs.spaces import drone_action_space
-from bulletuav.errors import finite, pick, several, shown, whole
+from bulletuav.errors import as_int, as_sequence, choose, finite, shown
 from bulletuav.tasks import TaskSource
 
-MOST_LEVELS, MOST_WINDOW = 100, 1_000_000
+MOST_STAGES, MOST_WINDOW = 100, 1_000_000
 DIFFICULTIES = tuple({"difficulty": name} for name in ("easy", "medium", "hard", "extreme"))
 
 
 class Curriculum:
-    """Which of `count` levels to fly.
+    """Which of `count` stages to fly.
 
     One up when the success rate of the last `window` episodes is `up` or more, one down when it is below `down`; the window
     starts anew at each change.
@@ -28,11 +28,11 @@ class Curriculum:
 
     def __init__(self, count: int, up: float = 0.8, down: float = 0.2, window: int = 20):
         """Raises ValueError for rates or a window that cannot be."""
-        self.count, self.window = whole("levels", count, 1, MOST_LEVELS), whole("window", window, 1, MOST_WINDOW)
+        self.count, self.window = as_int("stages", count, 1, MOST_STAGES), as_int("window", window, 1, MOST_WINDOW)
         self.up, self.down = finite("up", up), finite("down", down)
         if not 0 <= self.down < self.up <= 1:
             raise ValueError(f"down {self.down:g} and up {self.up:g}: 0 <= down < up <= 1 is needed")
-        self.level = 0
+        self.stage = 0
         self._recent: deque[float] = deque(maxlen=self.window)
 
     @property
@@ -41,38 +41,38 @@ class Curriculum:
         return float(np.mean(self._recent)) if self._recent else np.nan
 
     def record(self, success: float) -> None:
-        """Take the success of an episode at this level, from 0 to 1."""
+        """Take the success of an episode at this stage, from 0 to 1."""
         self._recent.append(success)
         if len(self._recent) < self.window:
             return
         rate = self.success_rate
-        step = int(rate >= self.up and self.level + 1 < self.count) - int(rate < self.down and self.level > 0)
+        step = int(rate >= self.up and self.stage + 1 < self.count) - int(rate < self.down and self.stage > 0)
         if step:
-            self.level += step
+            self.stage += step
             self._recent.clear()
 
     def state(self) -> dict[str, Any]:
         """Where it stands, for `restore`."""
-        return {"level": self.level, "recent": list(self._recent)}
+        return {"stage": self.stage, "recent": list(self._recent)}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from a `state`."""
-        self.level = state["level"]
+        self.stage = state["stage"]
         self._recent = deque(state["recent"], maxlen=self.window)
 
 
 class CurriculumAviary(Environment, ParallelEnv):
-    """`pettingzoo.ParallelEnv` whose episodes come from the level that `curriculum` says; infos tell it as "level".
+    """`pettingzoo.ParallelEnv` whose episodes come from the stage that `curriculum` says; infos tell it as "stage".
 
-    Agents are those of the largest level; in smaller ones the last of them do not take part. Observation spaces are as wide
-    as the widest level's, states are padded with zeros. An episode's success is the share of its drones that succeeded.
+    Agents are those of the largest stage; in smaller ones the last of them do not take part. Observation spaces are as wide
+    as the widest stage's, states are padded with zeros. An episode's success is the share of its drones that succeeded.
     """
 
-    def __init__(self, task: TaskSource, levels: Sequence[Mapping[str, Any]], curriculum: Curriculum, **options: Any):
-        """`levels`: options of each, easiest first, beside the common ones. Raises ValueError where their spaces differ."""
+    def __init__(self, task: TaskSource, stages: Sequence[Mapping[str, Any]], curriculum: Curriculum, **options: Any):
+        """`stages`: options of each, easiest first, beside the common ones. Raises ValueError where their spaces differ."""
         self._task, self.curriculum = task, curriculum
-        self._options = [{**options, **level} for level in levels]
-        plans = [Plan(task, 1, level) for level in self._options]
+        self._options = [{**options, **stage} for stage in stages]
+        plans = [EnvSpec(task, 1, stage) for stage in self._options]
         self._widest = max(plans, key=lambda plan: plan.options.num_drones)
         self.observation = common_observation(plans)
         drones = self._widest.options.num_drones
@@ -98,34 +98,34 @@ class CurriculumAviary(Environment, ParallelEnv):
 
     def observation_space(self, agent: str) -> Space:
         """The agent's observation space, the same object each time."""
-        return pick("agent", agent, self.observation_spaces)
+        return choose("agent", agent, self.observation_spaces)
 
     def action_space(self, agent: str) -> Space:
         """The agent's action space, the same object each time."""
-        return pick("agent", agent, self.action_spaces)
+        return choose("agent", agent, self.action_spaces)
 
     @exclusive
     def reset(self, seed: int | None = None, options: dict | None = None) -> tuple[dict, dict]:
-        """Start a new episode, of another level if the last ones ask for it.
+        """Start a new episode, of another stage if the last ones ask for it.
 
-        With `seed`, or the option of that name, all later ones follow from it and from the level, which stays.
+        With `seed`, or the option of that name, all later ones follow from it and from the stage, which stays.
         """
         if self._successes and not self.agents:  # an episode that was left early tells nothing
             self.curriculum.record(float(np.mean(list(self._successes.values()))))
         self._successes = {}
         if seed is not None:
-            self._rng = np.random.default_rng(whole("seed", seed, 0))
-        level = self.curriculum.level
-        if level not in self._made:
-            self._made[level] = ParallelAviary(self._task, **self._options[level])
-        self._current = self._made[level]
+            self._rng = np.random.default_rng(as_int("seed", seed, 0))
+        stage = self.curriculum.stage
+        if stage not in self._made:
+            self._made[stage] = ParallelAviary(self._task, **self._options[stage])
+        self._current = self._made[stage]
         observations, infos = self.env.reset(seed=int(self._rng.integers(2**31)))
         self.agents = self.env.agents[:]
         return observations, self._with_level(infos)
 
     @exclusive
     def step(self, actions: dict[str, np.ndarray]) -> tuple[dict, dict, dict, dict, dict]:
-        """As `ParallelAviary.step`; actions of agents that take no part in this level are not looked at."""
+        """As `ParallelAviary.step`; actions of agents that take no part in this stage are not looked at."""
         env = self.env
         env.aviary.require_started()
         check_agents(actions, self.agents, self.possible_agents)
@@ -136,10 +136,10 @@ class CurriculumAviary(Environment, ParallelEnv):
         return observations, rewards, terminated, truncated, self._with_level(infos)
 
     def _with_level(self, infos: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
-        return {agent: {**info, "level": float(self.curriculum.level)} for agent, info in infos.items()}
+        return {agent: {**info, "stage": float(self.curriculum.stage)} for agent, info in infos.items()}
 
     def state(self) -> np.ndarray:
-        """Global state as `ParallelAviary.state`, with zeros for drones that the level has not."""
+        """Global state as `ParallelAviary.state`, with zeros for drones that the stage has not."""
         state = self.env.state()
         drones = len(self.possible_agents)
         padded = np.zeros(len(self._widest.state_observer.labels) * drones, dtype=np.float32)
@@ -157,31 +157,31 @@ class CurriculumAviary(Environment, ParallelEnv):
             env.close()
 
 
-def common_observation(plans: Sequence[Plan]) -> Space:
+def common_observation(plans: Sequence[EnvSpec]) -> Space:
     """The space that holds the observations of all. Raises ValueError where they differ in more than their bounds."""
     spaces = [plan.observer.space() for plan in plans]
     if len(spaces) == 1:
         return spaces[0]
     if not all(isinstance(space, Box) and space.shape == spaces[0].shape for space in spaces):
         raise ValueError(
-            f"the levels' observations have shapes {[space.shape for space in spaces]}: choose vectors whose size does not "
+            f"the stages' observations have shapes {[space.shape for space in spaces]}: choose vectors whose size does not "
             f"depend on the number of drones, such as 'neighbours' instead of 'all_neighbours' and 'identity'"
         )
     if len({plan.action.name for plan in plans}) > 1:
-        raise ValueError(f"the levels' actions are {[plan.action.name for plan in plans]}: one kind for all is needed")
+        raise ValueError(f"the stages' actions are {[plan.action.name for plan in plans]}: one kind for all is needed")
     return Box(np.min([plan.observer.low for plan in plans], axis=0), np.max([plan.observer.high for plan in plans], axis=0))
 
 
-def check_levels(levels: Any) -> None:
-    """Raise ValueError unless levels are a list of dicts of options."""
-    listed = several("levels", levels, most=MOST_LEVELS)
-    if not all(isinstance(level, Mapping) for level in listed):
-        raise ValueError(f"levels is {shown(levels)}: a list of names with values is needed")
+def check_stages(stages: Any) -> None:
+    """Raise ValueError unless stages are a list of dicts of options."""
+    listed = as_sequence("stages", stages, most=MOST_STAGES)
+    if not all(isinstance(stage, Mapping) for stage in listed):
+        raise ValueError(f"stages is {shown(stages)}: a list of names with values is needed")
 
 
 def curriculum_env(
     task: TaskSource,
-    levels: Sequence[Mapping[str, Any]] = DIFFICULTIES,
+    stages: Sequence[Mapping[str, Any]] = DIFFICULTIES,
     up: float = 0.8,
     down: float = 0.2,
     window: int = 20,
@@ -189,7 +189,7 @@ def curriculum_env(
 ) -> CurriculumAviary:
     """The task as a PettingZoo environment that grows harder with success; see `Curriculum` and `CurriculumAviary`.
 
-    `levels`: options of each level, easiest first, by default the difficulties; `options` are common to all.
+    `stages`: options of each stage, easiest first, by default the difficulties; `options` are common to all.
     """
-    check_levels(levels)
-    return CurriculumAviary(task, levels, Curriculum(len(levels), up, down, window), **options)
+    check_stages(stages)
+    return CurriculumAviary(task, stages, Curriculum(len(stages), up, down, window), **options)

@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 
-from bulletuav.envs.options import Options
-from bulletuav.physics.battery import Battery
-from bulletuav.physics.power import ROTARY_WING, actuator_power, airframe_wing, propulsion
-from bulletuav.physics.swarm import Swarm
+from bulletuav.envs.options import EnvOptions
+from bulletuav.vehicle.battery import Battery
+from bulletuav.vehicle.power import ROTARY_WING, actuator_power, airframe_wing, propulsion
+from bulletuav.vehicle.swarm import Swarm
 
 
 class Energy:
@@ -17,13 +17,13 @@ class Energy:
     without gravity, of the simulated rotors.
     """
 
-    def __init__(self, options: Options, parameters: np.ndarray):
+    def __init__(self, options: EnvOptions, parameters: np.ndarray):
         """`parameters` (W, N): the rows that the dynamics flies with."""
         self.power = np.zeros(parameters.shape)
         self._battery = Battery(parameters.shape, options.battery_capacity or math.inf)
         self._parameters, self._period = parameters, 1 / options.decision_hz
-        formula = options.energy == "zeng" and options.gravity > 0  # which knows power by the weight that it carries
-        wings = [airframe_wing(airframe, options.gravity) for airframe in options.airframe if formula]
+        rotary_wing = options.energy == "zeng" and options.gravity > 0  # which knows power by the weight that it carries
+        wings = [airframe_wing(airframe, options.gravity) for airframe in options.airframe if rotary_wing]
         self._wings = np.array([wings] * len(parameters), dtype=ROTARY_WING) if wings else None
 
     def start(self, k: int) -> None:

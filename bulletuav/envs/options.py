@@ -7,14 +7,14 @@ from typing import Any
 
 from bulletuav.control.actions import ACTIONS
 from bulletuav.control.cascade import CONTROLLERS, PID_LEVELS
-from bulletuav.control.levels import Level
+from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.dynamics.ladder import LADDER
 from bulletuav.envs.randomization import CERTAIN, Randomization
-from bulletuav.errors import finite, pick, several, shown, unknown, whole
-from bulletuav.physics.airframe import EFFECTS, STANDARD_GRAVITY, Airframe
-from bulletuav.physics.ladder import LADDER
-from bulletuav.physics.wind import MOST_WIND, TURBULENCE, WindField, check_field
+from bulletuav.errors import as_int, as_sequence, choose, finite, shown, unknown
 from bulletuav.sensors.lidar import FRAMES
-from bulletuav.tasks.terms.observations import NAMES
+from bulletuav.tasks.observations.observer import NAMES
+from bulletuav.vehicle.airframe import EFFECTS, STANDARD_GRAVITY, Airframe
+from bulletuav.vehicle.wind import MOST_WIND, TURBULENCE, WindField, check_field
 
 ENERGIES = ("zeng", "actuator")
 SEVERAL = ("observation", "effects", "wind", "render_size", "camera_size", "lidar_elevations")
@@ -42,7 +42,7 @@ NAMED = ("observation", "effects")
 
 
 @dataclass(frozen=True)
-class Options:
+class EnvOptions:
     """Options common to all tasks. Every ValueError names the value and the remedy.
 
     num_drones   drones in a world
@@ -111,21 +111,21 @@ class Options:
 
     def __post_init__(self):
         for name, most in COUNTS.items():
-            self._keep(name, whole(name, getattr(self, name), 1, most))
+            self._keep(name, as_int(name, getattr(self, name), 1, most))
         _divides("decision_hz", self.decision_hz, "physics_hz", self.physics_hz)
         if self.camera_hz is not None:
-            self._keep("camera_hz", whole("camera_hz", self.camera_hz, 1, MOST_HZ))
+            self._keep("camera_hz", as_int("camera_hz", self.camera_hz, 1, MOST_HZ))
             _divides("camera_hz", self.camera_hz, "decision_hz", self.decision_hz)
         if self.seed is not None:
-            self._keep("seed", whole("seed", self.seed, 0))
+            self._keep("seed", as_int("seed", self.seed, 0))
         if self.render_mode is not None:
-            pick("render_mode", self.render_mode, dict.fromkeys(RENDER_MODES))
+            choose("render_mode", self.render_mode, dict.fromkeys(RENDER_MODES))
         for name in ("render_size", "camera_size"):
-            self._keep(name, tuple(whole(name, side, 8, MOST_PIXELS) for side in several(name, getattr(self, name), 2)))
+            self._keep(name, tuple(as_int(name, side, 8, MOST_PIXELS) for side in as_sequence(name, getattr(self, name), 2)))
         choices = {"dynamics": tuple(LADDER), "action": tuple(ACTIONS), "controller": tuple(CONTROLLERS)}
         choices |= {"lidar_frame": FRAMES, "energy": ENERGIES}
         for name, known in choices.items():
-            pick(name, getattr(self, name), dict.fromkeys(known))
+            choose(name, getattr(self, name), dict.fromkeys(known))
         _check_names("observation", "observation block", self.observation, NAMES)
         if self.observation is not None and not self.observation:
             raise ValueError("observation is empty: name at least one block, or leave it out for the task's own")
@@ -143,7 +143,7 @@ class Options:
         self._keep("max_range", finite("max_range", self.max_range, most=MOST_RANGE))
         if self.max_range <= 0:
             raise ValueError(f"max_range is {self.max_range:g} m: it must be above 0")
-        elevations = several("lidar_elevations", self.lidar_elevations, most=MOST_BEAMS)
+        elevations = as_sequence("lidar_elevations", self.lidar_elevations, most=MOST_BEAMS)
         self._keep("lidar_elevations", tuple(finite("lidar_elevations", elevation) for elevation in elevations))
         for elevation in self.lidar_elevations:
             if not -90 <= elevation <= 90:
@@ -195,10 +195,10 @@ class Options:
         if callable(self.wind):
             check_field(self.wind)
         else:
-            given = several("wind", self.wind, 3)
+            given = as_sequence("wind", self.wind, 3)
             self._keep("wind", tuple(finite("wind", component, -MOST_WIND, MOST_WIND) for component in given))
         if isinstance(self.turbulence, str):
-            pick("turbulence", self.turbulence, TURBULENCE)
+            choose("turbulence", self.turbulence, TURBULENCE)
         elif self.turbulence is not None:
             self._keep("turbulence", finite("turbulence", self.turbulence, most=MOST_WIND))
             if self.turbulence < 0:
@@ -212,18 +212,18 @@ class Options:
         """Wind speed at 20 feet that sets the turbulence, m/s; 0 for none."""
         return TURBULENCE[self.turbulence] if isinstance(self.turbulence, str) else self.turbulence or 0.0
 
-    def check_levels(self, action: Level, dynamics: Level) -> None:
+    def check_setpoint_levels(self, action: SetpointLevel, dynamics: SetpointLevel) -> None:
         """Raise ValueError when the action's setpoint level cannot drive the dynamics through the controller."""
         if action > dynamics:
             raise ValueError(
                 f"action {self.action!r} gives {action.name.lower()} setpoints, but dynamics {self.dynamics!r} is driven by "
                 f"{dynamics.name.lower()}: use an action of that level or above, or dynamics 'rigid_body' or 'bullet'"
             )
-        if self.energy == "actuator" and dynamics < Level.ROTOR:
+        if self.energy == "actuator" and dynamics < SetpointLevel.ROTOR:
             raise ValueError(
                 f"energy is 'actuator', and dynamics {self.dynamics!r} has no rotors: use 'zeng', 'rigid_body' or 'bullet'"
             )
-        if self.controller == "pid" and dynamics < Level.ROTOR:
+        if self.controller == "pid" and dynamics < SetpointLevel.ROTOR:
             raise ValueError(
                 f"controller 'pid' drives motors, and dynamics {self.dynamics!r} has none: use controller 'lee'"
             )
@@ -240,8 +240,8 @@ def _check_names(name: str, what: str, given: Any, known: Sequence[str]) -> None
             raise ValueError(f"{name} has {one!r} {given.count(one)} times: name it once")
 
 
-def _divides(name: str, rate: int, into: str, whole: int) -> None:
-    if whole % rate:
-        divisors = [divisor for divisor in range(1, whole + 1) if whole % divisor == 0]
+def _divides(name: str, rate: int, into: str, total: int) -> None:
+    if total % rate:
+        divisors = [divisor for divisor in range(1, total + 1) if total % divisor == 0]
         near = sorted(divisors, key=lambda divisor: abs(divisor - rate))[:3]
-        raise ValueError(f"{name} {rate} does not divide {into} {whole}: try {sorted(near)}")
+        raise ValueError(f"{name} {rate} does not divide {into} {total}: try {sorted(near)}")

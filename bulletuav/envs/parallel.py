@@ -13,9 +13,9 @@ from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.environment import Environment, exclusive
 from bulletuav.envs.spaces import drone_action_space, drone_numbers
-from bulletuav.errors import pick, shown, unknown
+from bulletuav.errors import choose, shown, unknown
 from bulletuav.tasks import TaskSource
-from bulletuav.tasks.terms.observations import Observation, part
+from bulletuav.tasks.observations.observer import Observation, part
 
 
 class ParallelAviary(Environment, ParallelEnv):
@@ -41,11 +41,11 @@ class ParallelAviary(Environment, ParallelEnv):
 
     def observation_space(self, agent: str) -> Space:
         """The agent's observation space, the same object each time."""
-        return pick("agent", agent, self.observation_spaces)
+        return choose("agent", agent, self.observation_spaces)
 
     def action_space(self, agent: str) -> Space:
         """The agent's action space, the same object each time."""
-        return pick("agent", agent, self.action_spaces)
+        return choose("agent", agent, self.action_spaces)
 
     @exclusive
     def reset(self, seed: int | None = None, options: dict | None = None) -> tuple[dict, dict]:

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.errors import finite, several, shown, unknown
-from bulletuav.physics.swarm import Swarm
-from bulletuav.physics.wind import Wind
-from bulletuav.physics.world import World
+from bulletuav.engine.engine import Engine
+from bulletuav.errors import as_sequence, finite, shown, unknown
 from bulletuav.sensors.gps import Gps
 from bulletuav.sensors.radio import Radio
+from bulletuav.vehicle.swarm import Swarm
+from bulletuav.vehicle.wind import Wind
 
 Range = float | tuple[float, float]
 
@@ -92,7 +92,7 @@ class Randomization:
         label = f"randomization {name}"
         if not isinstance(value, bool) and isinstance(value, numbers.Real):
             value = (value, value)
-        low, high = several(label, value, 2)
+        low, high = as_sequence(label, value, 2)
         return (low, high) if low == high == np.inf and name == "radio_range" else (finite(label, low), finite(label, high))
 
     @property
@@ -145,9 +145,9 @@ class Uncertainty:
     drawn     what was drawn by name, (W, N); of worlds (W, 1), the wind's axes (W, 3)
     """
 
-    def __init__(self, spec: Randomization, world: World, parameters: np.ndarray, wind: Wind, period: float):
+    def __init__(self, spec: Randomization, engine: Engine, parameters: np.ndarray, wind: Wind, period: float):
         """`parameters` (W, N): the rows that the dynamics flies with, which it changes; `period` of decisions, s."""
-        self._spec, self._world, self._wind = spec, world, wind
+        self._spec, self._engine, self._wind = spec, engine, wind
         self._parameters, self._nominal = parameters, parameters.copy()
         shape: tuple[int, int] = parameters.shape
         worlds, drones = shape
@@ -173,7 +173,7 @@ class Uncertainty:
                 nominal = self._nominal[parameter][k]
                 self._parameters[parameter][k] = (nominal.T * values[k]).T
         if "mass" in self.drawn:
-            self._world.set_masses(k, self._parameters["mass"][k], self._parameters["inertia"][k])
+            self._engine.set_masses(k, self._parameters["mass"][k], self._parameters["inertia"][k])
         if "wind" in self.drawn:
             self._wind.steady[k] = self._wind.given + self.drawn["wind"][k]
         if self._gps is not None:

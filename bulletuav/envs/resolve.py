@@ -13,15 +13,15 @@ from bulletuav.envs.options import (
     MOST_WEIGHT,
     NAMED,
     SEVERAL,
-    Options,
+    EnvOptions,
 )
 from bulletuav.envs.randomization import Randomization
-from bulletuav.errors import UnknownOptionError, finite, nearest, pick, several, shown, whole
-from bulletuav.physics.airframe import load_airframe
+from bulletuav.errors import UnknownOptionError, as_int, as_sequence, choose, finite, nearest, shown
 from bulletuav.tasks.base import Task
+from bulletuav.vehicle.airframe import load_airframe
 
 
-def resolve(task: type[Task], given: Mapping[str, Any]) -> tuple[Options, Any]:
+def resolve(task: type[Task], given: Mapping[str, Any]) -> tuple[EnvOptions, Any]:
     """Common options and the task's config from keyword arguments.
 
     What is given goes before the preset's values, those before the difficulty's, those before the task's defaults.
@@ -30,7 +30,7 @@ def resolve(task: type[Task], given: Mapping[str, Any]) -> tuple[Options, Any]:
         UnknownOptionError: There is no such option; a TypeError too. The nearest names are told.
         ValueError: Of an unknown preset or difficulty, with the nearest names, or a value that cannot be.
     """
-    common = {field.name for field in dataclasses.fields(Options)}
+    common = {field.name for field in dataclasses.fields(EnvOptions)}
     own = {field.name for field in dataclasses.fields(task.Config)}
     for name in given:
         if name not in common | own:
@@ -38,13 +38,13 @@ def resolve(task: type[Task], given: Mapping[str, Any]) -> tuple[Options, Any]:
                 f"unknown option of task {task.name!r}: unexpected keyword argument {name!r}: {nearest(name, common | own)}"
             )
     difficulty = given.get("difficulty", task.defaults.get("difficulty", "easy"))
-    level = pick("difficulty", difficulty, dict(task.difficulties))
+    changes = choose("difficulty", difficulty, dict(task.difficulties))
     if given.get("preset") is not None and not task.presets:
         raise ValueError(f"preset is {shown(given['preset'])}: task {task.name!r} has none")
-    preset = {} if given.get("preset") is None else pick("preset", given["preset"], dict(task.presets))
-    usual = {**task.defaults, **level, **preset}
+    preset = {} if given.get("preset") is None else choose("preset", given["preset"], dict(task.presets))
+    usual = {**task.defaults, **changes, **preset}
     for name in usual:
-        pick(f"option among the defaults of task {task.name!r}:", name, dict.fromkeys(common | own))
+        choose(f"option among the defaults of task {task.name!r}:", name, dict.fromkeys(common | own))
     values = {**usual, **given, "difficulty": difficulty}
     for name in ("num_drones", "airframe", "action", "decision_hz", "horizon", "max_speed"):
         if name not in values:
@@ -57,7 +57,7 @@ def resolve(task: type[Task], given: Mapping[str, Any]) -> tuple[Options, Any]:
     _make_lists(values)
     _find_airframes(values, given)
     values["randomization"] = Randomization.of(values.get("randomization"))
-    options = Options(**{name: value for name, value in values.items() if name in common})
+    options = EnvOptions(**{name: value for name, value in values.items() if name in common})
     config = task.Config(**{name: value for name, value in values.items() if name in own})
     return options, _checked_config(config)
 
@@ -68,7 +68,7 @@ def _make_lists(values: dict[str, Any]) -> None:
         if isinstance(values.get(name), str):
             values[name] = (values[name],)
         elif name in values and not _is_single(name, values[name]):
-            values[name] = several(name, values[name], most=MOST_NAMES if name in NAMED else None)
+            values[name] = as_sequence(name, values[name], most=MOST_NAMES if name in NAMED else None)
 
 
 def _is_single(name: str, value: Any) -> bool:
@@ -80,12 +80,12 @@ def _find_airframes(values: dict[str, Any], given: Mapping[str, Any]) -> None:
     if isinstance(values["airframe"], list | tuple):
         if not values["airframe"]:
             raise ValueError("airframe is an empty list: give one airframe, or one for each drone")
-        several("airframe", values["airframe"], most=MOST_DRONES)
+        as_sequence("airframe", values["airframe"], most=MOST_DRONES)
         values["airframe"] = tuple(load_airframe(one) for one in values["airframe"])
         if "num_drones" not in given:
             values["num_drones"] = len(values["airframe"])
     else:
-        whole("num_drones", values["num_drones"], 1, MOST_DRONES)
+        as_int("num_drones", values["num_drones"], 1, MOST_DRONES)
         values["airframe"] = (load_airframe(values["airframe"]),) * values["num_drones"]
     if "max_speed" not in given:
         values["max_speed"] = min(
@@ -108,17 +108,17 @@ def _checked_config(config: Any) -> Any:
 def _checked(field: dataclasses.Field, value: Any) -> Any:
     name, most = field.name, field.metadata.get("most", MOST_COUNT if field.type is int else MOST_SIZE)
     if field.type is int:
-        return whole(name, value, field.metadata.get("least", 1), most)
+        return as_int(name, value, field.metadata.get("least", 1), most)
     if field.type is bool and not isinstance(value, bool):
         raise ValueError(f"{name} is {shown(value)}: True or False is needed")
     if typing.get_origin(field.type) is Literal:
-        pick(name, value, dict.fromkeys(typing.get_args(field.type)))
+        choose(name, value, dict.fromkeys(typing.get_args(field.type)))
     elif field.type is float:
         value = finite(name, value, most=most)
         if value < 0:
             raise ValueError(f"{name} is {value:g}: it must not be negative")
     elif field.type == tuple[float, float]:
-        return tuple(finite(name, number, most=most) for number in several(name, value, 2))
+        return tuple(finite(name, number, most=most) for number in as_sequence(name, value, 2))
     elif name == "weights":
         if not isinstance(value, Mapping):
             raise ValueError(f"weights is {shown(value)}: a dict from reward terms to weights is needed")

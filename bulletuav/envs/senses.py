@@ -4,17 +4,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bulletuav.envs.options import Options
-from bulletuav.physics.dynamics import Dynamics
-from bulletuav.physics.swarm import Swarm
-from bulletuav.physics.world import World
+from bulletuav.dynamics.base import Dynamics
+from bulletuav.engine.engine import Engine
+from bulletuav.envs.options import EnvOptions
 from bulletuav.sensors.camera import DroneCameras
 from bulletuav.sensors.imu import Imu
 from bulletuav.sensors.lidar import Lidar
 from bulletuav.sensors.sight import clearances, sights
 from bulletuav.tasks.base import Scene, Task
-from bulletuav.tasks.terms.observations import IMAGES
-from bulletuav.tasks.terms.sensed import AHEAD
+from bulletuav.tasks.observations.observer import IMAGES
+from bulletuav.tasks.observations.sensors import AHEAD
+from bulletuav.vehicle.swarm import Swarm
 
 LIDAR = {"lidar_noise": "noise", "lidar_dropout": "dropout"}
 IMU = {
@@ -26,36 +26,36 @@ IMU = {
 """What of the sensors each uncertainty changes"""
 
 
-class Senses:
+class SensorSuite:
     """Sensors that look at the world: range finders, cameras, lines of sight, clearances, inertial measurement."""
 
     def __init__(
         self,
         wanted: set[str],
         task: Task,
-        options: Options,
-        world: World,
+        options: EnvOptions,
+        engine: Engine,
         dynamics: Dynamics,
         drawn: dict[str, np.ndarray],
     ):
         """`wanted` names readings; `drawn` what is uncertain, (W, N) by name, which sensors read where it stands."""
-        self._world, self._dynamics, self._task, self._range = world, dynamics, task, options.max_range
+        self._engine, self._dynamics, self._task, self._range = engine, dynamics, task, options.max_range
         self._lidar = self._imu = self._cameras = None
         if "lidar" in wanted:
-            self._lidar = Lidar(world, task.setting.beams, options.max_range, options.lidar_frame)
+            self._lidar = Lidar(engine, task.context.beams, options.max_range, options.lidar_frame)
             _connect(self._lidar, LIDAR, drawn)
         if "imu" in wanted:
-            self._imu = Imu(world.shape, 1 / options.decision_hz, options.gravity)
+            self._imu = Imu(engine.shape, 1 / options.decision_hz, options.gravity)
             _connect(self._imu, IMU, drawn)
         images = [name for name in IMAGES if name in wanted]
         if images:
             radius = np.array([airframe.collision_radius for airframe in options.airframe])
             every = options.decision_hz // (options.camera_hz or options.decision_hz)
-            self._cameras = DroneCameras(world, images, radius, options.camera_size, every)
-        self._sight = np.zeros((*world.shape, task.num_targets), dtype=bool)
-        ahead = (*world.shape, len(AHEAD), task.num_targets)
+            self._cameras = DroneCameras(engine, images, radius, options.camera_size, every)
+        self._sight = np.zeros((*engine.shape, task.num_targets), dtype=bool)
+        ahead = (*engine.shape, len(AHEAD), task.num_targets)
         self._ahead = np.zeros(ahead, dtype=bool) if "sight_ahead" in wanted else None
-        self._clearance = np.full(world.shape, options.max_range) if "clearance" in wanted else None
+        self._clearance = np.full(engine.shape, options.max_range) if "clearance" in wanted else None
 
     def start(self, k: int, swarm: Swarm, rng: np.random.Generator) -> None:
         """World k begins."""
@@ -81,9 +81,9 @@ class Senses:
         if self._cameras is not None:
             self._cameras.expose(after, mask, steps)
         if self._clearance is not None:
-            self._clearance[mask] = clearances(self._world, mask, self._range)[mask]
+            self._clearance[mask] = clearances(self._engine, mask, self._range)[mask]
         if self._task.num_targets:
-            self._sight[mask] = sights(self._world, after.position, self._task.targets(scene), mask)[mask]
+            self._sight[mask] = sights(self._engine, after.position, self._task.targets(scene), mask)[mask]
         if self._ahead is not None and self._task.num_targets:
             self._look_ahead(self._ahead, after.position, self._task.targets(scene), mask)
 
@@ -92,7 +92,7 @@ class Senses:
         low, high = self._task.arena_low, self._task.arena_high
         for k, way in enumerate(AHEAD.values()):
             places = np.clip(position + way, low, high)
-            ahead[mask, k] = sights(self._world, places, targets, mask)[mask]
+            ahead[mask, k] = sights(self._engine, places, targets, mask)[mask]
 
     def readings(self) -> dict[str, np.ndarray]:
         """The readings by the names that `Frame` tells, as they are now."""

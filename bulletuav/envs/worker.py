@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.envs.batch import BatchAviary
+from bulletuav.envs.vector import BatchAviary
 
 
 class Shared:

@@ -15,14 +15,14 @@ import numpy as np
 from gymnasium.spaces import Box, Dict, Space
 from gymnasium.vector import AutoresetMode
 
-from bulletuav.envs.batch import BatchAviary, autoreset, reset_mask
+from bulletuav.envs.env_spec import MOST_WORLDS, EnvSpec
 from bulletuav.envs.environment import Environment, exclusive
-from bulletuav.envs.plan import MOST_WORLDS, Plan
 from bulletuav.envs.spaces import widest_action_space
+from bulletuav.envs.vector import BatchAviary, autoreset, reset_mask
 from bulletuav.envs.worker import Shared, named, work
-from bulletuav.errors import finite, pick, whole
+from bulletuav.errors import as_int, choose, finite
 from bulletuav.tasks import TaskSource
-from bulletuav.tasks.terms.observations import Observation
+from bulletuav.tasks.observations.observer import Observation
 
 PATIENCE = 5.0  # s, for all workers to end
 MOST_WORKERS = 256
@@ -76,7 +76,7 @@ class WorkerAviary(Environment):
             RuntimeError: A process ends, or does not answer in time.
         """
         self.autoreset_mode = autoreset(autoreset_mode)
-        self._plan = plan = Plan(task, whole("num_envs", num_envs, 1, MOST_WORLDS), options)
+        self._plan = plan = EnvSpec(task, as_int("num_envs", num_envs, 1, MOST_WORLDS), options)
         self.num_envs, self.num_drones = plan.num_worlds, plan.options.num_drones
         _check_processes(workers, start_method, timeout)
         if workers > self.num_envs:
@@ -256,9 +256,9 @@ def _merged(parts: list[slice], infos: list[dict[str, Any]], num_envs: int) -> d
 
 def _check_processes(workers: Any, start_method: Any, timeout: Any) -> None:
     """Raise ValueError for processes that cannot be."""
-    whole("workers", workers, 1, MOST_WORKERS)
+    as_int("workers", workers, 1, MOST_WORKERS)
     if start_method is not None:
-        pick("start_method", start_method, dict.fromkeys(multiprocessing.get_all_start_methods()))
+        choose("start_method", start_method, dict.fromkeys(multiprocessing.get_all_start_methods()))
     if finite("timeout", timeout) <= 0:
         raise ValueError(f"timeout is {timeout:g} s: it must be above 0")
 

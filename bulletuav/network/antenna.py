@@ -7,7 +7,7 @@ the pattern depends on it: there, and nowhere else, the gain jumps.
 
 import math
 
-from bulletuav.kernel import elementwise, formula
+from bulletuav.kernel import elementwise, func
 
 PEAK = 8.0  # dBi
 BEAMWIDTH = 65.0  # degrees, between the directions of half the power
@@ -17,7 +17,7 @@ INDOOR_BEAMWIDTH = 90.0
 INDOOR_DEPTH = 25.0
 
 
-@formula
+@func
 def _attenuation(above, aside, beamwidth, depth):
     """How much less than at its peak an element radiates (dB) at these degrees from its horizontal and vertical plane."""
     vertical = min(12.0 * (above / beamwidth) ** 2, depth)

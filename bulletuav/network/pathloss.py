@@ -1,7 +1,7 @@
 """Path loss between a drone and the ground, dB: free space, log-distance, and the models of 3GPP as options.
 
 Frequencies in GHz, lengths in m. Antennas nearer than 1 m to each other count as 1 m apart, so that all losses are finite.
-`MODELS` are all called alike, with the distance over ground, the heights of drone and user, and the frequency. No standard
+`PATHLOSS_MODELS` are all called alike, with the distance over ground, the heights of drone and user, and the frequency. No standard
 has drones for base stations: TR 38.901 is taken with the drone as the base and the user as the terminal, TR 36.777 with the
 drone as the terminal and the user in the place of the base.
 """
@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.errors import numbers_of, pick
-from bulletuav.kernel import elementwise, formula
+from bulletuav.errors import choose, numbers_of
+from bulletuav.kernel import elementwise, func
 
 SPEED_OF_LIGHT = 299792458.0  # m/s
 NLOS_EXPONENT = 3.19
@@ -27,7 +27,7 @@ EXCESS = {"suburban": (0.1, 21.0), "urban": (1.0, 20.0), "dense": (1.6, 23.0), "
 LOW = 22.5  # m, up to which TR 36.777 leaves drones to TR 38.901
 
 
-@formula
+@func
 def _span(distance, height, other):
     """Distance between two antennas at heights, at least 1 m."""
     return max(math.hypot(distance, height - other), 1.0)
@@ -70,7 +70,7 @@ def log_distance_nlos(distance, drone, user, frequency):
 # TR 38.901, table 7.4.1-1
 
 
-@formula
+@func
 def _dual_slope(distance, base, user, frequency, intercept, slope):
     """Loss with a line of sight: 40 dB a decade from the breakpoint on.
 
@@ -119,7 +119,7 @@ def uma_nlos(distance, base, user, frequency):
     return max(uma_los(distance, base, user, frequency), loss)
 
 
-@formula
+@func
 def _sight(distance, certain, fade):
     """Chance of a line of sight that is certain up to a distance and then falls off."""
     if distance <= certain:
@@ -249,7 +249,7 @@ class Model:
     validity: Validity
 
 
-MODELS = {
+PATHLOSS_MODELS = {
     "log_distance": Model(log_distance_los, log_distance_nlos, Shadowing(0.0, 0.0), Shadowing(0.0, 0.0), RADIO),
     "umi": Model(umi_los, umi_nlos, Shadowing(4.0, 4.0), Shadowing(7.82, 7.82), UMI),
     "uma": Model(uma_los, uma_nlos, Shadowing(4.0, 4.0), Shadowing(6.0, 6.0), UMA),
@@ -268,7 +268,7 @@ def check_validity(
     Raises ValueError for an unknown name and for values outside of the range of the standard. Only warns (UserWarning) where
     a drone or user stands for its base at another height: drones do that for TR 38.901, users for TR 36.777.
     """
-    model = pick("path loss model", name, MODELS)
+    model = choose("path loss model", name, PATHLOSS_MODELS)
     for quantity, value in (("frequency", frequency), ("distance", distance), ("drone", drone), ("user", user)):
         if value is None:
             continue
@@ -281,5 +281,7 @@ def check_validity(
             warnings.warn(message, stacklevel=2)
             continue
         span = f"{low:g} to {high:g} {'GHz' if quantity == 'frequency' else 'm'}"
-        raise ValueError(f"{quantity} is {value!r}: {model.validity.source} is for {span}; take another of {list(MODELS)}")
+        raise ValueError(
+            f"{quantity} is {value!r}: {model.validity.source} is for {span}; take another of {list(PATHLOSS_MODELS)}"
+        )
     return model

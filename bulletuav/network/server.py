@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.errors import finite, numbers_of, several
-from bulletuav.kernel import formula, kernel
+from bulletuav.errors import as_sequence, finite, numbers_of
+from bulletuav.kernel import func, kernel
 from bulletuav.network.queueing import mean_response
 
 
@@ -65,7 +65,7 @@ class Arrivals:
         Raises ValueError unless rates are at least 0, and dt and sizes above 0 in ascending order.
         """
         rates = numbers_of("rates are", rates)
-        low, high = (finite("bits", value) for value in several("bits", bits, 2))
+        low, high = (finite("bits", value) for value in as_sequence("bits", bits, 2))
         if not 0 < low <= high:
             raise ValueError(f"bits are {bits!r}: (low, high) above 0 in ascending order are needed")
         if not finite("dt", dt) > 0:
@@ -172,7 +172,7 @@ def serve(tasks, assignment, uplink, cycles_per_bit, core_frequency, deadline, d
     return Served(counts, arrived, completed, latency, busy, backlog, cycles)
 
 
-@formula
+@func
 def _first_free(core_free):
     """Which of the cores is free first; the first of those that are."""
     first = 0

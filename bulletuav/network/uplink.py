@@ -7,7 +7,8 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from bulletuav.kernel import formula, kernel
+from bulletuav.geometry.rotation import quat4, to_body
+from bulletuav.kernel import func, kernel
 from bulletuav.network.access import ACCESS, uplink_rates
 from bulletuav.network.antenna import PEAK, gain_towards
 from bulletuav.network.fading import rician_gain
@@ -24,7 +25,6 @@ from bulletuav.network.pathloss import (
     umi_los,
     umi_nlos,
 )
-from bulletuav.physics.rotation import four, to_body
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Link(NamedTuple):
     directional: bool
 
 
-@formula
+@func
 def path_loss(link, seen, ground, drone, user):
     """Path loss (dB) over `ground`, m, between heights of drone and user, m, with a line of sight or without."""
     frequency = link.frequency
@@ -93,15 +93,15 @@ def received_power(link, position, quaternion, users, sight):
     power = np.empty(sight.shape)
     for w in range(worlds):
         for i in range(drones):
-            turn = four(quaternion, w, i)
+            turn = quat4(quaternion, w, i)
             for j in range(count):
                 east, north = users[w, j, 0] - position[w, i, 0], users[w, j, 1] - position[w, i, 1]
                 height = users[w, j, 2] - position[w, i, 2]
-                level = -path_loss(link, sight[w, i, j], math.hypot(east, north), position[w, i, 2], users[w, j, 2])
+                gain_db = -path_loss(link, sight[w, i, j], math.hypot(east, north), position[w, i, 2], users[w, j, 2])
                 if link.directional:
                     x, y, z = to_body(turn, (east, north, height))
-                    level += gain_towards(x, y, z, PEAK)
-                power[w, i, j] = link.power * ratio(level)
+                    gain_db += gain_towards(x, y, z, PEAK)
+                power[w, i, j] = link.power * ratio(gain_db)
     return power
 
 

@@ -6,10 +6,10 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from bulletuav.envs.aviary import Aviary
-from bulletuav.errors import pick, shown
+from bulletuav.errors import choose, shown
 from bulletuav.policies.base import Policy, check_action
+from bulletuav.policies.coverage import Centroid, Hotspot, KMeans, Oracle
 from bulletuav.policies.orca import Orca
-from bulletuav.policies.placement import Centroid, Hotspot, KMeans, Oracle
 from bulletuav.policies.planner import Planner
 from bulletuav.policies.potential import PotentialField
 from bulletuav.policies.random import RandomActions
@@ -29,7 +29,7 @@ SHIPPED_NAMES = ("trained", "untrained")
 OLD_MODEL = "model.zip"
 
 
-class Pilot(NamedTuple):
+class PolicySpec(NamedTuple):
     """A policy to be: its name, the actions that it can give (none named: any), what it reads, and how to make it.
 
     `model`: its file, where it is a trained one; `options`: those that environments need for it to see and do what it
@@ -49,7 +49,7 @@ class Pilot(NamedTuple):
         return self.make(aviary)
 
 
-def find_policy(source: PolicySource, task: TaskSource | None = None, trust: bool = False) -> Pilot:
+def find_policy(source: PolicySource, task: TaskSource | None = None, trust: bool = False) -> PolicySpec:
     """Find a policy.
 
     Args:
@@ -65,7 +65,7 @@ def find_policy(source: PolicySource, task: TaskSource | None = None, trust: boo
     """
     if isinstance(source, type) and issubclass(source, Policy):
         _require_policy(source)
-        return Pilot(source.name, source.actions, source.reads_swarm, source)
+        return PolicySpec(source.name, source.actions, source.reads_swarm, source)
     if not isinstance(source, str | Path) or not str(source):
         raise ValueError(f"policy is {shown(source)}: a name, a run's folder, 'ppo:model.zip', or a class is needed")
     source = str(source)
@@ -78,13 +78,13 @@ def find_policy(source: PolicySource, task: TaskSource | None = None, trust: boo
         return _run(Path(source), source, trust)
     algorithm, colon, path = source.partition(":")
     if colon:
-        pick("algorithm", algorithm, dict.fromkeys(ALGORITHMS))
+        choose("algorithm", algorithm, dict.fromkeys(ALGORITHMS))
         if not path:
             raise ValueError(f"policy is {source!r}: the path of a model is needed after the colon, such as 'ppo:model.zip'")
         path = path if Path(path).is_file() else f"{path}.zip"  # which the library adds to names without it
         return _model(source, algorithm, Path(path), trust)
-    kind = pick("policy", source, {**POLICIES, **dict.fromkeys(SHIPPED_NAMES)})
-    return Pilot(kind.name, kind.actions, kind.reads_swarm, kind)
+    kind = choose("policy", source, {**POLICIES, **dict.fromkeys(SHIPPED_NAMES)})
+    return PolicySpec(kind.name, kind.actions, kind.reads_swarm, kind)
 
 
 def _require_policy(kind: type[Policy]) -> None:
@@ -94,7 +94,7 @@ def _require_policy(kind: type[Policy]) -> None:
         raise ValueError(f"policy {kind.__name__} has no {lacks[0]}: a policy needs it, see bulletuav.policies.base.Policy")
 
 
-def _run(folder: Path, name: str, trust: bool) -> Pilot:
+def _run(folder: Path, name: str, trust: bool) -> PolicySpec:
     """The policy of a run, or of a checkpoint two folders below it."""
     home = folder if folder.parent.name != CHECKPOINTS or (folder / CONFIG).exists() else folder.parents[1]
     config, path = RunConfig.read(home / CONFIG), folder / POLICY
@@ -105,14 +105,14 @@ def _run(folder: Path, name: str, trust: bool) -> Pilot:
     return pilot._replace(actions=(config.action,), options=config.interface)
 
 
-def _model(name: str, algorithm: str, path: Path, trust: bool) -> Pilot:
+def _model(name: str, algorithm: str, path: Path, trust: bool) -> PolicySpec:
     pilot = _file(name, path, lambda aviary: Sb3Model(aviary, algorithm, path, trust))
     if not trust:
         raise ValueError(f"{path} is not read: {TRUST}")
     return pilot
 
 
-def _file(name: str, path: Path, make: Callable[[Aviary], Policy]) -> Pilot:
+def _file(name: str, path: Path, make: Callable[[Aviary], Policy]) -> PolicySpec:
     if not path.is_file():
         raise FileNotFoundError(f"no model {path}: a file that training saved is needed")
-    return Pilot(name, (), SharedPolicy.reads_swarm, make, path)
+    return PolicySpec(name, (), SharedPolicy.reads_swarm, make, path)

@@ -6,8 +6,8 @@ from typing import ClassVar
 import numpy as np
 
 from bulletuav.envs.aviary import Aviary
-from bulletuav.physics.swarm import Swarm
-from bulletuav.tasks.terms.observations import Observation
+from bulletuav.tasks.observations.observer import Observation
+from bulletuav.vehicle.swarm import Swarm
 
 
 class Policy(ABC):

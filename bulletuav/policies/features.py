@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bulletuav.tasks.terms.sensed import AHEAD
+from bulletuav.tasks.observations.sensors import AHEAD
 
 LINE_OF_SIGHT, BLOCKED = 2.0, 3.19  # path loss exponents of `mec`
 FAR = 100.0  # m, unit of positions
@@ -54,10 +54,10 @@ class UserFeatures:
         users = users.reshape(count, -1, 4)[:, :, None, :3]
         sight, ahead = (seen.reshape(count, -1, users.shape[1]).transpose(0, 2, 1) for seen in (sight, ahead))
         # How loud each user is at each drone, first the one that asks, and at the places around it.
-        level = log_gain(np.concatenate([users, users - others[:, None]], axis=2), sight)
-        gain = log_gain(users - self._ways, ahead) - level[..., :1]
-        lead = level[..., :1] - level[..., 1:].max(axis=2, keepdims=True)
-        known = np.concatenate([users[:, :, 0] / FAR, level / 2 + 6, sight, lead / 2, gain / 2], axis=2)
+        now = log_gain(np.concatenate([users, users - others[:, None]], axis=2), sight)
+        gain = log_gain(users - self._ways, ahead) - now[..., :1]
+        lead = now[..., :1] - now[..., 1:].max(axis=2, keepdims=True)
+        known = np.concatenate([users[:, :, 0] / FAR, now / 2 + 6, sight, lead / 2, gain / 2], axis=2)
         for weight, bias in self._layers:
             known = np.maximum(known @ weight.T + bias, 0)
         each = known.sum(axis=1) / np.sqrt(users.shape[1])

@@ -9,37 +9,37 @@ import math
 
 import numpy as np
 
-from bulletuav.kernel import formula, kernel
-from bulletuav.physics.rotation import dot, three
+from bulletuav.geometry.rotation import dot, vec3
+from bulletuav.kernel import func, kernel
 
 DEPTH = 4  # space, plane, line, point: levels of half-spaces that `nearest` needs
 ROUNDING = 1e-9  # m/s by which a half-space may be missed
 PARALLEL = 1e-8  # sine of the angle below which two half-spaces are parallel
 
 
-@formula
+@func
 def along(v, scale, direction):
     """Sum v + scale direction."""
     return v[0] + scale * direction[0], v[1] + scale * direction[1], v[2] + scale * direction[2]
 
 
-@formula
-def write(rows, level, k, vector, bound):
+@func
+def write(rows, depth, k, vector, bound):
     """Half-space k: vector . v >= bound, with vector of any length; returns whether it has a direction."""
     length = math.sqrt(dot(vector, vector))
     for axis in range(3):
-        rows[level, k, axis] = vector[axis] / length
-    rows[level, k, 3] = bound / length
+        rows[depth, k, axis] = vector[axis] / length
+    rows[depth, k, 3] = bound / length
     return length > PARALLEL
 
 
-@formula
-def missing(rows, level, k, v):
+@func
+def missing(rows, depth, k, v):
     """How much velocity v lacks of half-space k, m/s; negative inside."""
-    return rows[level, k, 3] - dot(three(rows, level, k), v)
+    return rows[depth, k, 3] - dot(vec3(rows, depth, k), v)
 
 
-@formula
+@func
 def within(wanted, centre, radius, linear):
     """Nearest to `wanted` in the ball; or, where `linear`, the farthest along the direction `wanted`."""
     way = wanted if linear else along(wanted, -1.0, centre)
@@ -49,46 +49,46 @@ def within(wanted, centre, radius, linear):
     return along(centre, radius / length, way)
 
 
-@formula
-def descend(rows, frame, level, k, linear):
+@func
+def descend(rows, frame, depth, k, linear):
     """Pose the problem of `level` on the boundary of its half-space k, one level lower; how many half-spaces it has there.
 
     -1 where the boundary is out of the ball, or wholly outside one of the half-spaces 0 to k - 1.
     """
-    n, bound, centre, radius = three(rows, level, k), rows[level, k, 3], three(frame, level, 0), frame[level, 0, 3]
+    n, bound, centre, radius = vec3(rows, depth, k), rows[depth, k, 3], vec3(frame, depth, 0), frame[depth, 0, 3]
     height, count, to_point = (
         bound - dot(n, centre),
         0,
-        level == DEPTH - 2,
+        depth == DEPTH - 2,
     )  # a point has no directions, whatever rounding says
     if height > radius:
         return -1
     for j in range(k):
-        other = three(rows, level, j)
+        other = vec3(rows, depth, j)
         share = dot(other, n)
-        rest = rows[level, j, 3] - share * bound
-        if write(rows, level + 1, count, along(other, -share, n), rest) and not to_point:
+        rest = rows[depth, j, 3] - share * bound
+        if write(rows, depth + 1, count, along(other, -share, n), rest) and not to_point:
             count += 1
         elif rest > ROUNDING:
             return -1
-    centre, wanted = along(centre, height, n), three(frame, level, 1)
+    centre, wanted = along(centre, height, n), vec3(frame, depth, 1)
     wanted = along(wanted, (0.0 if linear else bound) - dot(n, wanted), n)
-    pose(frame, level + 1, wanted, centre, math.sqrt(radius * radius - height * height))
+    pose(frame, depth + 1, wanted, centre, math.sqrt(radius * radius - height * height))
     return count
 
 
-@formula
-def pose(frame, level, wanted, centre, radius):
+@func
+def pose(frame, depth, wanted, centre, radius):
     """Write the ball and the wanted point (or direction) of a level."""
     for axis in range(3):
-        frame[level, 0, axis], frame[level, 1, axis] = centre[axis], wanted[axis]
-    frame[level, 0, 3] = radius
+        frame[depth, 0, axis], frame[depth, 1, axis] = centre[axis], wanted[axis]
+    frame[depth, 0, 3] = radius
 
 
-@formula
-def start(frame, level, linear):
+@func
+def start(frame, depth, linear):
     """The best point of a level's ball, without half-spaces."""
-    return within(three(frame, level, 1), three(frame, level, 0), frame[level, 0, 3], linear)
+    return within(vec3(frame, depth, 1), vec3(frame, depth, 0), frame[depth, 0, 3], linear)
 
 
 @kernel
@@ -100,25 +100,25 @@ def nearest(rows, count, wanted, radius, linear):
     loads recursive functions from its cache (numba issue 6061).
     """
     frame, counts, k = np.empty((DEPTH, 2, 4)), np.zeros(DEPTH, np.int64), np.zeros(DEPTH, np.int64)
-    level, counts[0] = 0, count
+    depth, counts[0] = 0, count
     pose(frame, 0, wanted, (0.0, 0.0, 0.0), radius)
     best = above = start(frame, 0, linear)
     while True:
-        if k[level] == counts[level]:
-            if level == 0:
+        if k[depth] == counts[depth]:
+            if depth == 0:
                 return count, best
-            level -= 1
-        elif missing(rows, level, k[level], best) > ROUNDING:
-            if level == 0:
+            depth -= 1
+        elif missing(rows, depth, k[depth], best) > ROUNDING:
+            if depth == 0:
                 above = best
-            counts[level + 1] = descend(rows, frame, level, k[level], linear)
-            if counts[level + 1] < 0:
+            counts[depth + 1] = descend(rows, frame, depth, k[depth], linear)
+            if counts[depth + 1] < 0:
                 return k[0], above
-            level += 1
-            k[level] = 0
-            best = start(frame, level, linear)
+            depth += 1
+            k[depth] = 0
+            best = start(frame, depth, linear)
             continue
-        k[level] += 1
+        k[depth] += 1
 
 
 @kernel
@@ -132,9 +132,9 @@ def least_violation(rows, spare, count, begin, best, radius):
     for i in range(begin, count):
         if missing(rows, 0, i, best) <= worst + ROUNDING:
             continue
-        n, bound, fewer = three(rows, 0, i), rows[0, i, 3], 0
+        n, bound, fewer = vec3(rows, 0, i), rows[0, i, 3], 0
         for j in range(i):
-            if write(spare, 0, fewer, along(three(rows, 0, j), -1.0, n), rows[0, j, 3] - bound):
+            if write(spare, 0, fewer, along(vec3(rows, 0, j), -1.0, n), rows[0, j, 3] - bound):
                 fewer += 1
         _, best = nearest(spare, fewer, n, radius, True)
         worst = missing(rows, 0, i, best)

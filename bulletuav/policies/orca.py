@@ -8,14 +8,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.kernel import formula, kernel
-from bulletuav.physics.approach import keep_nearest, offset
-from bulletuav.physics.rotation import cross, dot, three
-from bulletuav.physics.swarm import Swarm
+from bulletuav.geometry.closest_approach import keep_nearest, offset
+from bulletuav.geometry.rotation import cross, dot, vec3
+from bulletuav.kernel import func, kernel
 from bulletuav.policies.base import Policy
 from bulletuav.policies.linear_program import DEPTH, along, best_velocity, write
 from bulletuav.policies.straight import preferred_velocity
-from bulletuav.tasks.terms.observations import Observation
+from bulletuav.tasks.observations.observer import Observation
+from bulletuav.vehicle.swarm import Swarm
 
 HORIZON = 3.0  # s without conflict that a velocity must give: turning at 20 m/s takes about one
 BRAKING = 2.0  # s in which velocities lead to a wall at the earliest: stopping from 20 m/s then takes 10 m/s^2
@@ -23,8 +23,8 @@ RECOVERY = 1.0  # s in which to leave a zone entered; within one decision no qua
 MARGIN = 1.5  # m, beyond d_safe and contact: how far lag, wind and overshoot carry a drone off its velocity
 NEIGHBOURS = 32  # the nearest drones: with 16, twenty that meet at one point overlook those behind
 TO_RIGHT = np.array(((1, -0.01, 0), (0.01, 1, 0), (0, 0, 1)))  # a turn of 0.01 rad: exactly head-on, drones would only stop
-GROUND = (-np.inf, -np.inf, 0.0)  # m, lower corner of the world
-NOWHERE = 1e-9  # m/s, m: below this a direction is none
+LOWEST_CORNER = (-np.inf, -np.inf, 0.0)  # m, lower corner of the world
+NO_DIRECTION = 1e-9  # m/s, m: below this a direction is none
 
 
 class Rules(NamedTuple):
@@ -68,9 +68,9 @@ class Orca(Policy):
     def act(self, observations: Observation, swarm: Swarm) -> np.ndarray:
         """The velocities of `orca_velocities` with this module's margins."""
         aviary, scene, task = self.aviary, self.aviary.scene, self.aviary.task
-        speed, body = aviary.options.max_speed, task.setting.collision_radius
+        speed, body = aviary.options.max_speed, task.context.collision_radius
         radius = np.array([obstacle.radius + body + MARGIN for obstacle in task.obstacles()])
-        low, high = np.maximum(task.arena_low, GROUND) + body, task.arena_high - body
+        low, high = np.maximum(task.arena_low, LOWEST_CORNER) + body, task.arena_high - body
         around = Surroundings(scene.obstacle, scene.obstacle_velocity, radius, low, high)
         rules = Rules(max(task.config.d_safe, 2 * body) + MARGIN, HORIZON, BRAKING, RECOVERY, float(speed))
         wanted = preferred_velocity(scene.goal, scene.goal_velocity, swarm.position, speed) @ TO_RIGHT
@@ -92,7 +92,7 @@ def orca_velocities(position, velocity, preferred, alive, rules, around):
                 count = _drones(rows, position, velocity, alive, rules, near, distance, w, i)
                 count = _balls(rows, count, position, velocity, rules, around, w, i)
                 count = _walls(rows, count, position, rules, around, w, i)
-                best = best_velocity(rows, spare, count, three(preferred, w, i), rules.max_speed)
+                best = best_velocity(rows, spare, count, vec3(preferred, w, i), rules.max_speed)
                 for axis in range(3):
                     result[w, i, axis] = best[axis]
     return result
@@ -100,19 +100,19 @@ def orca_velocities(position, velocity, preferred, alive, rules, around):
 
 @kernel
 def _drones(rows, position, velocity, alive, rules, near, distance, w, i):
-    own, count = three(velocity, w, i), 0
+    own, count = vec3(velocity, w, i), 0
     for k in range(_nearest(position, alive, near, distance, w, i)):
         j = near[k]
-        gap, other = offset(position, w, i, j), three(velocity, w, j)
+        gap, other = offset(position, w, i, j), vec3(velocity, w, j)
         count = _add(rows, count, half_space(gap, own, other, rules.separation, rules, 0.5), rules.max_speed)
     return count
 
 
 @kernel
 def _balls(rows, count, position, velocity, rules, around, w, i):
-    here, own = three(position, w, i), three(velocity, w, i)
+    here, own = vec3(position, w, i), vec3(velocity, w, i)
     for k in range(around.ball_radius.size):
-        gap, other = along(three(around.ball, w, k), -1.0, here), three(around.ball_velocity, w, k)
+        gap, other = along(vec3(around.ball, w, k), -1.0, here), vec3(around.ball_velocity, w, k)
         count = _add(rows, count, half_space(gap, own, other, around.ball_radius[k], rules, 1.0), rules.max_speed)
     return count
 
@@ -129,7 +129,7 @@ def _walls(rows, count, position, rules, around, w, i):
     return count
 
 
-@formula
+@func
 def _add(rows, count, space, max_speed):
     """Append a half-space unless every velocity within max_speed is in it; the new count."""
     if space[1] <= -max_speed:
@@ -149,7 +149,7 @@ def _nearest(position, alive, near, distance, w, i):
     return found
 
 
-@formula
+@func
 def half_space(gap, own, other, radius, rules, share):
     """Normal n and bound b of n . v >= b: the velocities that keep `gap` m away from a body of velocity `other` m/s.
 
@@ -169,7 +169,7 @@ def half_space(gap, own, other, radius, rules, share):
     return n, dot(n, own) + share * depth
 
 
-@formula
+@func
 def _leg(gap, relative, radius):
     """Outward normal of the cone at the point of its surface nearest to the relative velocity, and the depth below it."""
     axis, distance = _unit(gap, (1.0, 0.0, 0.0))
@@ -181,10 +181,10 @@ def _leg(gap, relative, radius):
     return n, -dot(n, relative)
 
 
-@formula
+@func
 def _unit(vector, otherwise):
     """Direction and length of a vector; where it has none, the direction `otherwise`."""
     length = math.sqrt(dot(vector, vector))
-    chosen = vector if length > NOWHERE else otherwise
+    chosen = vector if length > NO_DIRECTION else otherwise
     size = math.sqrt(dot(chosen, chosen))
     return (chosen[0] / size, chosen[1] / size, chosen[2] / size), length

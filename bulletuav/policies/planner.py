@@ -8,18 +8,18 @@ import numpy as np
 
 from bulletuav.control.actions import limit_norm
 from bulletuav.envs.aviary import Aviary
-from bulletuav.kernel import formula, kernel
-from bulletuav.physics.rotation import dot, three
-from bulletuav.physics.solids import Solids
-from bulletuav.physics.swarm import Swarm
+from bulletuav.geometry.rotation import dot, vec3
+from bulletuav.geometry.solids import Solids
+from bulletuav.kernel import func, kernel
+from bulletuav.policies.astar import Voxels, plan, voxels
 from bulletuav.policies.base import Policy
 from bulletuav.policies.linear_program import along
-from bulletuav.policies.planning import Voxels, plan, voxels
 from bulletuav.policies.potential import make_field, repulsion
 from bulletuav.policies.straight import APPROACH
-from bulletuav.tasks.terms.observations import Observation
+from bulletuav.tasks.observations.observer import Observation
+from bulletuav.vehicle.swarm import Swarm
 
-CELL = 4.0  # m; with HALF_WIDTH and a drone of 0.6 m, streets 13 m wide have a way wherever the cells lie
+VOXEL_SIZE = 4.0  # m; with HALF_WIDTH and a drone of 0.6 m, streets 13 m wide have a way wherever the cells lie
 HALF_WIDTH = 2.0  # m, to either side of the way: room for rounding corners, gusts and other drones
 ACCELERATION = 5.0  # m/s^2
 DELAY = 0.6  # s, from decision to velocity; so a Hummingbird rounds right angles within HALF_WIDTH at up to 20 m/s
@@ -79,8 +79,8 @@ class PathFollower(Policy):
     def _grid(self, w: int) -> Voxels:
         solids, task = self.aviary.solids(w), self.aviary.task
         if id(solids) not in self._grids:
-            clearance = HALF_WIDTH + task.setting.collision_radius + CELL / 2
-            grid = voxels(solids.bounds, task.arena_low, task.arena_high, CELL, clearance)
+            clearance = HALF_WIDTH + task.context.collision_radius + VOXEL_SIZE / 2
+            grid = voxels(solids.bounds, task.arena_low, task.arena_high, VOXEL_SIZE, clearance)
             self._grids[id(solids)] = solids, grid
         return self._grids[id(solids)][1]
 
@@ -111,7 +111,7 @@ def follow(position, velocity, way, count, target, limits):
     for w in range(count.shape[0]):
         for i in range(count.shape[1]):
             if count[w, i] > 0:
-                here, moving, points = three(position, w, i), three(velocity, w, i), way[w, i, : count[w, i]]
+                here, moving, points = vec3(position, w, i), vec3(velocity, w, i), way[w, i, : count[w, i]]
                 target[w, i] = next_waypoint(points, target[w, i], here, moving, limits)
                 wanted = velocity_along(points, target[w, i], here, limits)
                 for axis in range(3):
@@ -119,7 +119,7 @@ def follow(position, velocity, way, count, target, limits):
     return result, target
 
 
-@formula
+@func
 def next_waypoint(points, k, here, velocity, limits):
     """The waypoint to fly to: not the k-th if it is passed within the delay, or nearly reached; the last one stays."""
     while k < len(points) - 1:
@@ -131,7 +131,7 @@ def next_waypoint(points, k, here, velocity, limits):
     return k
 
 
-@formula
+@func
 def velocity_along(points, k, here, limits):
     """Velocity, m/s, from `here` along the leg to waypoint k, and back to it; slower the farther off it than half_width."""
     direction, _ = leg(points, k)
@@ -145,7 +145,7 @@ def velocity_along(points, k, here, limits):
     return along((APPROACH * aside[0], APPROACH * aside[1], APPROACH * aside[2]), speed, direction)
 
 
-@formula
+@func
 def speed_past(points, k, limits):
     """Speed, m/s, with which waypoint k may be passed so that all later corners can be flown, and the last one stops."""
     speed = 0.0
@@ -156,7 +156,7 @@ def speed_past(points, k, limits):
     return speed
 
 
-@formula
+@func
 def corner_speed(cosine, length, limits):
     """Speed, m/s, on the arc that rounds a corner between legs of at least `length` m at half_width or less from it.
 
@@ -168,7 +168,7 @@ def corner_speed(cosine, length, limits):
     return math.sqrt(limits.acceleration * radius)
 
 
-@formula
+@func
 def braking(distance, speed, limits):
     """Speed v, m/s, from which `speed` is reached in `distance`, m: v delay + (v^2 - speed^2) / 2 acceleration."""
     reaction = limits.acceleration * limits.delay
@@ -176,7 +176,7 @@ def braking(distance, speed, limits):
     return min(limits.speed, math.sqrt(square) - reaction)
 
 
-@formula
+@func
 def leg(points, k):
     """Direction and length, m, of the leg that ends at waypoint k; zeros where it has none."""
     way = along(point(points, k), -1.0, point(points, k - 1))
@@ -185,7 +185,7 @@ def leg(points, k):
     return (scale * way[0], scale * way[1], scale * way[2]), length
 
 
-@formula
+@func
 def point(points, k):
     """points[k] (3,) as a tuple."""
     return points[k, 0], points[k, 1], points[k, 2]

@@ -10,13 +10,13 @@ import numpy as np
 
 from bulletuav.control.actions import limit_norm
 from bulletuav.envs.aviary import Aviary
-from bulletuav.kernel import formula, kernel
-from bulletuav.physics.approach import offset
-from bulletuav.physics.rotation import dot, three
-from bulletuav.physics.swarm import Swarm
+from bulletuav.geometry.closest_approach import offset
+from bulletuav.geometry.rotation import dot, vec3
+from bulletuav.kernel import func, kernel
 from bulletuav.policies.base import Policy
 from bulletuav.policies.straight import preferred_velocity
-from bulletuav.tasks.terms.observations import Observation
+from bulletuav.tasks.observations.observer import Observation
+from bulletuav.vehicle.swarm import Swarm
 
 INFLUENCE = 8.0  # d_safe; two drones that meet at 20 m/s have a second to turn
 STRENGTH = 4.0  # max_speed; with twice as much, formations 12 m apart keep drones off their goals
@@ -37,7 +37,7 @@ class Field(NamedTuple):
 
 def make_field(aviary: Aviary, surfaces: float = SURFACES) -> Field:
     """The field for the drones of an aviary; `surfaces` is the scale of the push from these, d_safe."""
-    body = aviary.task.setting.collision_radius
+    body = aviary.task.context.collision_radius
     scale = float(max(aviary.task.config.d_safe, 2 * body))
     return Field(STRENGTH * aviary.options.max_speed, scale, surfaces * scale, INFLUENCE * scale, CONTACT * scale, body)
 
@@ -76,7 +76,7 @@ def repulsion(position, alive, obstacle, obstacle_radius, field):
             for j in range(alive.shape[1]):
                 if j != i and alive[w, j]:
                     _push(result, w, i, offset(position, w, j, i), 0.0, field.drones, field)
-            here = three(position, w, i)
+            here = vec3(position, w, i)
             for k in range(obstacle_radius.size):
                 away = here[0] - obstacle[w, k, 0], here[1] - obstacle[w, k, 1], here[2] - obstacle[w, k, 2]
                 _push(result, w, i, away, obstacle_radius[k] + field.body, field.surfaces, field)
@@ -84,7 +84,7 @@ def repulsion(position, alive, obstacle, obstacle_radius, field):
     return result
 
 
-@formula
+@func
 def _push(result, w, i, away, radius, scale, field):
     """Add the push along `away` from a body's centre, whose surface is `radius` nearer."""
     length = math.sqrt(dot(away, away))
@@ -93,7 +93,7 @@ def _push(result, w, i, away, radius, scale, field):
         result[w, i, axis] += size * away[axis]
 
 
-@formula
+@func
 def strength(distance, scale, field):
     """-dU/drho of U = eta / 2 (1 / rho - 1 / rho0)^2 within rho0, with eta = strength scale^3, m/s (Khatib 1986)."""
     rho = max(distance, field.contact)

@@ -4,9 +4,9 @@ import numpy as np
 
 from bulletuav.control.actions import ACTIONS
 from bulletuav.envs.aviary import Aviary
-from bulletuav.physics.swarm import Swarm
 from bulletuav.policies.base import Policy
-from bulletuav.tasks.terms.observations import Observation
+from bulletuav.tasks.observations.observer import Observation
+from bulletuav.vehicle.swarm import Swarm
 
 
 class RandomActions(Policy):

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import yaml
 
-from bulletuav.envs.curriculum import Curriculum, check_levels
-from bulletuav.envs.options import Options
-from bulletuav.envs.plan import MOST_WORLDS
+from bulletuav.envs.curriculum import Curriculum, check_stages
+from bulletuav.envs.env_spec import MOST_WORLDS
+from bulletuav.envs.options import EnvOptions
 from bulletuav.envs.resolve import resolve
-from bulletuav.errors import pick, unknown, whole
+from bulletuav.errors import as_int, choose, unknown
 from bulletuav.tasks import find_task
 
 CONFIG, POLICY = "run.yaml", "policy.safetensors"
@@ -74,7 +74,7 @@ class RunConfig:
     steps        decisions of all slots together; an empty slot counts, too, see `bulletuav.adapters.sb3`
     worlds       that are flown at once
     options      of the environment in training; those of `INTERFACE` also where the policy flies
-    levels       further options of each level of a curriculum, easiest first; one for none
+    stages       further options of each stage of a curriculum, easiest first; one for none
     curriculum   `up`, `down` and `window` of `bulletuav.envs.curriculum.Curriculum`
     shared_reward  whether each drone is rewarded with the mean of all of its world
     model        arguments of the algorithm, see `bulletuav.training.models.make_model`
@@ -89,7 +89,7 @@ class RunConfig:
     steps: int = 1_000_000
     worlds: int = 32
     options: Mapping[str, Any] = field(default_factory=dict)
-    levels: Sequence[Mapping[str, Any]] = ({},)
+    stages: Sequence[Mapping[str, Any]] = ({},)
     curriculum: Mapping[str, Any] = field(default_factory=dict)
     shared_reward: bool = False
     model: Mapping[str, Any] = field(default_factory=dict)
@@ -100,21 +100,21 @@ class RunConfig:
     def __post_init__(self):
         """Raise ValueError for what cannot be, options of environments among it; settings of models are theirs to check."""
         task = find_task(self.task)
-        pick("algorithm", self.algo, dict.fromkeys(ALGORITHMS))
+        choose("algorithm", self.algo, dict.fromkeys(ALGORITHMS))
         for name, (least, most) in LIMITS.items():
-            whole(name, getattr(self, name), least, most)
+            as_int(name, getattr(self, name), least, most)
         for name in ("options", "curriculum", "model", "evaluation"):
             if not isinstance(getattr(self, name), Mapping):
                 raise ValueError(f"{name} is {getattr(self, name)!r}: names with values are needed")
         if not isinstance(self.shared_reward, bool):
             raise ValueError(f"shared_reward is {self.shared_reward!r}: true or false is needed")
-        levels = self.levels
-        check_levels(levels)
+        stages = self.stages
+        check_stages(stages)
         for name in self.curriculum:
-            pick("setting of curriculum:", name, dict.fromkeys(("up", "down", "window")))
-        Curriculum(len(levels), **self.curriculum)
-        for level in levels:
-            resolve(task, {**self.options, **level})
+            choose("setting of curriculum:", name, dict.fromkeys(("up", "down", "window")))
+        Curriculum(len(stages), **self.curriculum)
+        for stage in stages:
+            resolve(task, {**self.options, **stage})
         resolve(task, self.evaluated)
 
     @classmethod
@@ -160,10 +160,10 @@ class RunConfig:
 
     @property
     def _given(self) -> dict[str, Any]:
-        return {**self.options, **self.levels[-1]}
+        return {**self.options, **self.stages[-1]}
 
     @property
-    def _resolved(self) -> Options:
+    def _resolved(self) -> EnvOptions:
         return resolve(find_task(self.task), self._given)[0]
 
     @property

@@ -3,9 +3,9 @@
 import numpy as np
 
 from bulletuav.control.actions import limit_norm
-from bulletuav.physics.swarm import Swarm
 from bulletuav.policies.base import Policy
-from bulletuav.tasks.terms.observations import Observation
+from bulletuav.tasks.observations.observer import Observation
+from bulletuav.vehicle.swarm import Swarm
 
 APPROACH = 1.0  # 1/s; slows down over the last max_speed metres
 

@@ -10,11 +10,11 @@ from gymnasium.spaces import Box, Discrete
 
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.spaces import widest_action_space
-from bulletuav.physics.swarm import Swarm
 from bulletuav.policies.base import Policy
-from bulletuav.policies.network import Network, is_plain, read_weights
+from bulletuav.policies.neural_network import Network, is_plain, read_weights
 from bulletuav.policies.run import RunConfig
-from bulletuav.tasks.terms.observations import Observation
+from bulletuav.tasks.observations.observer import Observation
+from bulletuav.vehicle.swarm import Swarm
 
 TRUST = (
     "it was saved by stable-baselines3, in a form that can run any code when it is read; if you know who made it, say so "

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from bulletuav.physics.rotation import axes
-from bulletuav.physics.swarm import Swarm
-from bulletuav.physics.view import FAR, projection_matrix, view_matrix
-from bulletuav.physics.world import World
+from bulletuav.engine.engine import Engine
+from bulletuav.geometry.rotation import axes
+from bulletuav.geometry.view import FAR, projection_matrix, view_matrix
+from bulletuav.vehicle.swarm import Swarm
 
 FIELD_OF_VIEW = 90.0  # degrees, vertical
 RENDERED = ("rgb", "depth", "segmentation")
@@ -19,11 +19,11 @@ class DroneCameras:
     rays meet the collision shapes of drones; by rays it takes a tenth of the time.
     """
 
-    def __init__(self, world: World, names: list[str], radius: np.ndarray, size: tuple[int, int], every: int):
+    def __init__(self, engine: Engine, names: list[str], radius: np.ndarray, size: tuple[int, int], every: int):
         """`radius` (N,) m ahead of the centre sits the lens; `size` (width, height) pixels; exposed every so many steps."""
-        self._world, self._radius, self._size, self._every = world, radius, size, every
+        self._engine, self._radius, self._size, self._every = engine, radius, size, every
         width, height = size
-        shape = (*world.shape, height, width)
+        shape = (*engine.shape, height, width)
         blank: dict[str, np.ndarray] = {
             "rgb": np.zeros((*shape, 3), dtype=np.uint8),
             "segmentation": np.zeros(shape, dtype=np.uint8),
@@ -50,7 +50,7 @@ class DroneCameras:
         for w, i in due.tolist():
             forward, _, up = (np.array(axis) for axis in axes(swarm.quaternion[w, i]))
             eye = swarm.position[w, i] + self._radius[i] * forward
-            seen = self._world.picture(w, view_matrix(eye, eye + forward, up.tolist()), projection, self._size)
+            seen = self._engine.picture(w, view_matrix(eye, eye + forward, up.tolist()), projection, self._size)
             for name, picture in zip(RENDERED, (seen.pixels, seen.depth, seen.labels), strict=True):
                 if name in self.pictures:
                     self.pictures[name][w, i] = picture
@@ -62,5 +62,5 @@ class DroneCameras:
         eye = swarm.position[where, who] + self._radius[who, None] * frames[:, 0]
         start = np.repeat(eye, len(self._rays), axis=0)
         end = start + (self._rays @ frames).reshape(-1, 3)
-        share = self._world.cast_rays(start, end, np.repeat(where, len(self._rays)), (swarm, mask))
+        share = self._engine.cast_rays(start, end, np.repeat(where, len(self._rays)), (swarm, mask))
         self.pictures["ray_depth"][where, who] = FAR * share.reshape(-1, *self._size[::-1])

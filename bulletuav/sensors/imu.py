@@ -4,13 +4,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bulletuav.kernel import formula, kernel
-from bulletuav.physics.airframe import STANDARD_GRAVITY
-from bulletuav.physics.rotation import three, to_body
-from bulletuav.physics.swarm import Swarm, get
+from bulletuav.geometry.rotation import to_body, vec3
+from bulletuav.kernel import func, kernel
+from bulletuav.vehicle.airframe import STANDARD_GRAVITY
+from bulletuav.vehicle.swarm import Swarm, get
 
 
-@formula
+@func
 def specific_force(quaternion, before, after, period, gravity):
     """What an accelerometer feels (m/s^2, body): R^T (a - g), a the mean acceleration from one velocity to another (world).
 
@@ -26,7 +26,7 @@ def _measure(worlds, before, after, period, gravity, scale, normal, root, bias, 
     for w in worlds:
         for i in range(reading.shape[1]):
             _, quaternion, velocity, rates = get(after, w, i)
-            truth = specific_force(quaternion, three(before.velocity, w, i), velocity, period, gravity), rates
+            truth = specific_force(quaternion, vec3(before.velocity, w, i), velocity, period, gravity), rates
             for s in range(2):
                 for k in range(3):
                     bias[w, i, s, k] += root * scale[w, i, s] * normal[w, i, s, k]

@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bulletuav.engine.engine import Engine
+from bulletuav.geometry.rotation import axes, quat4
 from bulletuav.kernel import kernel
-from bulletuav.physics.rotation import axes, four
-from bulletuav.physics.swarm import Swarm
-from bulletuav.physics.world import World
+from bulletuav.vehicle.swarm import Swarm
 
 FRAMES = ("yaw", "world")
 
@@ -36,14 +36,14 @@ class Lidar:
     ranges    (W, N, B) m; `max_range` for what is farther, or did not come back
     """
 
-    def __init__(self, world: World, beams: Sequence[Beam], max_range: float, frame: str):
+    def __init__(self, engine: Engine, beams: Sequence[Beam], max_range: float, frame: str):
         """`max_range` in m; `frame` one of FRAMES."""
         azimuth, elevation = np.radians(np.array(beams, dtype=float)).T
         level = np.cos(elevation)
         self._directions = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], axis=1)
-        self._world, self._range, self._turns = world, max_range, frame == "yaw"
-        self.noise, self.dropout = np.zeros((2, *world.shape))
-        self.ranges = np.full((*world.shape, len(beams)), max_range)
+        self._engine, self._range, self._turns = engine, max_range, frame == "yaw"
+        self.noise, self.dropout = np.zeros((2, *engine.shape))
+        self.ranges = np.full((*engine.shape, len(beams)), max_range)
 
     def scan(self, swarm: Swarm, mask: np.ndarray, rngs: Sequence[np.random.Generator | None]) -> None:
         """New ranges of the drones of `mask` (W, N); others keep theirs, and are not seen.
@@ -51,7 +51,7 @@ class Lidar:
         Each world draws from its own generator, if its drones' readings are uncertain.
         """
         start, end, world = cast(swarm.position, swarm.quaternion, mask, self._directions, self._range, self._turns)
-        share = self._world.cast_rays(start, end, world, (swarm, mask))
+        share = self._engine.cast_rays(start, end, world, (swarm, mask))
         ranges = self._range * share.reshape(-1, len(self._directions))
         if self.noise.any() or self.dropout.any():
             self._blur(ranges, mask, rngs)
@@ -85,7 +85,7 @@ def cast(position, quaternion, mask, directions, reach, turns):
                 continue
             cosine, sine = 1.0, 0.0
             if turns:
-                forward = axes(four(quaternion, w, i))[0]
+                forward = axes(quat4(quaternion, w, i))[0]
                 level = math.hypot(forward[0], forward[1])
                 if level > 0.0:
                     cosine, sine = forward[0] / level, forward[1] / level

@@ -69,11 +69,11 @@ class Radio:
         self._deliver(k, position, flying, rng, False)
 
     def _deliver(self, k: int, position: np.ndarray, flying: np.ndarray, rng: np.random.Generator, start: bool) -> None:
-        whole, between = divmod(self.delay[k] / self._period, 1)
+        steps, between = divmod(self.delay[k] / self._period, 1)
         luck = rng.random((len(flying), len(flying)))
         _hear(
-            self._sent[int(whole), k],
-            self._sent[int(whole) + 1, k],
+            self._sent[int(steps), k],
+            self._sent[int(steps) + 1, k],
             between,
             position,
             self.range[k],

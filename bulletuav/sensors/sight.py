@@ -2,18 +2,18 @@
 
 import numpy as np
 
+from bulletuav.engine.engine import Engine
 from bulletuav.kernel import kernel
-from bulletuav.physics.swarm import CITY, FIRST_OBSTACLE, GROUND
-from bulletuav.physics.world import World
+from bulletuav.vehicle.swarm import CITY, FIRST_OBSTACLE, GROUND
 
 
-def line_of_sight(world: World, start: np.ndarray, end: np.ndarray, where: np.ndarray) -> np.ndarray:
+def line_of_sight(engine: Engine, start: np.ndarray, end: np.ndarray, where: np.ndarray) -> np.ndarray:
     """(M,) bool: nothing but drones between points `start` and `end` (M, 3), m, in worlds `where` (M,).
 
     Either way gives the same answer: the ray goes from the higher point to the lower, on the level by x, then y.
     """
     rises = (np.sign(end - start) @ [3, 1, 9] > 0)[:, None]
-    return world.cast_rays(np.where(rises, end, start), np.where(rises, start, end), where) >= 1
+    return engine.cast_rays(np.where(rises, end, start), np.where(rises, start, end), where) >= 1
 
 
 @kernel
@@ -35,18 +35,18 @@ def _links(position, targets, mask, start, end, where):
                 m += 1
 
 
-def sights(world: World, position: np.ndarray, targets: np.ndarray, mask: np.ndarray) -> np.ndarray:
+def sights(engine: Engine, position: np.ndarray, targets: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """(W, N, U) bool: which of `targets` (W, U, 3) the drones of `mask` (W, N) at `position` (W, N, 3) see; others none."""
     count = targets.shape[1]
     rays = np.count_nonzero(mask) * count
     start, end, where = np.empty((rays, 3)), np.empty((rays, 3)), np.empty(rays, dtype=np.int64)
     _links(position, targets, mask, start, end, where)
     seen = np.zeros((*mask.shape, count), dtype=bool)
-    seen[mask] = (world.cast_rays(start, end, where) >= 1).reshape(-1, count)
+    seen[mask] = (engine.cast_rays(start, end, where) >= 1).reshape(-1, count)
     return seen
 
 
-def clearances(world: World, mask: np.ndarray, most: float) -> np.ndarray:
+def clearances(engine: Engine, mask: np.ndarray, most: float) -> np.ndarray:
     """(W, N) distance of each drone's collision shape from the nearest other, m: ground, building, obstacle or drone.
 
     To a millimetre (by which the engine rounds edges and thickens hulls), negative where shapes overlap; `most` where
@@ -54,9 +54,9 @@ def clearances(world: World, mask: np.ndarray, most: float) -> np.ndarray:
     Drones are where the engine's bodies stand.
     """
     result = np.full(mask.shape, most)
-    obstacles = range(FIRST_OBSTACLE, FIRST_OBSTACLE - len(world.obstacle_radius), -1)
+    obstacles = range(FIRST_OBSTACLE, FIRST_OBSTACLE - len(engine.obstacle_radius), -1)
     for w, i in np.argwhere(mask).tolist():
         others = [*np.flatnonzero(mask[w]).tolist(), GROUND, CITY, *obstacles]
-        gaps = [world.separation(w, (i, None, None), (other, None, None), most) for other in others if other != i]
+        gaps = [engine.separation(w, (i, None, None), (other, None, None), most) for other in others if other != i]
         result[w, i] = min(most, *gaps)
     return result

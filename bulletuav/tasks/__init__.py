@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Mapping
 from functools import cache
 
-from bulletuav.errors import pick, shown
+from bulletuav.errors import choose, shown
 from bulletuav.tasks.base import Task
 
 TaskSource = str | type[Task]
@@ -68,4 +68,4 @@ def find_task(task: TaskSource) -> type[Task]:
     if inspect.isclass(task) and issubclass(task, Task):
         require_task(task)
         return task
-    return pick("task", task, _tasks())
+    return choose("task", task, _tasks())

@@ -9,15 +9,15 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from bulletuav.conflict.separation import Conflict, conflict
 from bulletuav.errors import unknown
-from bulletuav.physics.approach import distances
-from bulletuav.physics.atlas import NOWHERE
-from bulletuav.physics.obstacle import Obstacle
-from bulletuav.physics.solids import Solids
-from bulletuav.physics.swarm import Contacts, Swarm
+from bulletuav.geometry.city_grid import NO_LAYOUT
+from bulletuav.geometry.closest_approach import distances
+from bulletuav.geometry.obstacle import Obstacle
+from bulletuav.geometry.solids import Solids
 from bulletuav.sensors.lidar import Beam
-from bulletuav.tasks.terms.conflict import Conflict, conflict
-from bulletuav.tasks.terms.sensed import served_share
+from bulletuav.tasks.observations.sensors import served_share
+from bulletuav.vehicle.swarm import Contacts, Swarm
 
 NOTHING = np.zeros((0, 3))
 REBOUND = {"soft": 0.8, "hard": 0.0}
@@ -39,14 +39,14 @@ class Spawn(NamedTuple):
     goal_velocity: np.ndarray | float = 0.0
     obstacle: np.ndarray = NOTHING
     obstacle_velocity: np.ndarray = NOTHING
-    layout: int = NOWHERE
+    layout: int = NO_LAYOUT
     memory: Mapping[str, np.ndarray] = MappingProxyType({})
 
 
 class Scene(NamedTuple):
     """Beside the drones: goals (W, N, 3) m, m/s, start positions (W, N, 3) m; obstacles (W, K, 3) m, m/s, (W, K, 4).
 
-    `layout` (W,): which of the task's layouts stands in each world, or NOWHERE. `memory`: the task's own arrays (W, ...) by
+    `layout` (W,): which of the task's layouts stands in each world, or NO_LAYOUT. `memory`: the task's own arrays (W, ...) by
     name, zero when a world starts, unless its spawn says otherwise.
     """
 
@@ -67,12 +67,12 @@ class Scene(NamedTuple):
         goal, goal_velocity, start = np.zeros((3, *of_drones))
         remembered = {name: np.zeros((num_worlds, *shape)) for name, shape in memory.items()}
         obstacle, obstacle_velocity = np.zeros((2, *of_obstacles))
-        layout = np.full(num_worlds, NOWHERE)
+        layout = np.full(num_worlds, NO_LAYOUT)
         return cls(goal, goal_velocity, start, obstacle, obstacle_velocity, turns, layout, remembered)
 
 
 @dataclass(frozen=True)
-class Setting:
+class TaskContext:
     """The swarm that a task is set for: size, largest collision radius (m), speed limit (m/s), decision period (s).
 
     `num_neighbours`: how many other drones, obstacles and buildings a drone observes; `duration`: of an episode, s;
@@ -161,7 +161,7 @@ class Frame:
         return distances(self.scene.goal, self.before.position)
 
 
-class Verdict(NamedTuple):
+class StepResult(NamedTuple):
     """What a task makes of a frame.
 
     terms       unweighted reward terms by name, (W, N) each; the reward is their sum times the task's `weights`
@@ -211,9 +211,9 @@ class Task(ABC):
     arena_high: np.ndarray
     """(3,) its upper corner, m"""
 
-    def __init__(self, config: Any, setting: Setting):
+    def __init__(self, config: Any, context: TaskContext):
         self.config = config
-        self.setting = setting
+        self.context = context
         self.weights = merged_weights(self.reward_weights, config.weights)
         self.zone = 2 * config.d_safe
 
@@ -233,7 +233,7 @@ class Task(ABC):
         """(W, num_targets, 3) points, m, that drones are to see; none by default."""
         return np.zeros((len(scene.goal), 0, 3))
 
-    def counted(self, scene: Scene) -> np.ndarray:
+    def active_targets(self, scene: Scene) -> np.ndarray:
         """(W, num_targets) bool: targets that count, all by default."""
         return np.ones((len(scene.goal), self.num_targets), dtype=bool)
 
@@ -248,7 +248,7 @@ class Task(ABC):
         """Arrays that the task keeps in `scene.memory` over an episode: shape in one world by name; none by default."""
         return {}
 
-    def remember(self, frame: Frame, rng: Sequence[np.random.Generator | None]) -> None:  # noqa: B027
+    def update_memory(self, frame: Frame, rng: Sequence[np.random.Generator | None]) -> None:  # noqa: B027
         """Bring `scene.memory` up to date after a decision, before it is judged; by default nothing to do.
 
         `rng`: the generator of each world; None before its first reset.
@@ -264,9 +264,9 @@ class Task(ABC):
 
     def served(self, frame: Frame) -> np.ndarray:
         """(W, N) share of the targets that some living drone sees, the same for all."""
-        return served_share(frame.readings["sight"], frame.alive, self.counted(frame.scene))
+        return served_share(frame.readings["sight"], frame.alive, self.active_targets(frame.scene))
 
-    def worth(self, place: np.ndarray, targets: np.ndarray, sight: np.ndarray) -> np.ndarray:
+    def service_quality(self, place: np.ndarray, targets: np.ndarray, sight: np.ndarray) -> np.ndarray:
         """(C, U) from 0 to 1: what targets (U, 3), m, are worth to drones at places (C, 3), by `sight` (C, U) bool.
 
         For policies that know everything; by default whether they are seen.
@@ -280,11 +280,11 @@ class Task(ABC):
         return np.any((frame.after.position < self.arena_low) | (frame.after.position > self.arena_high), axis=-1)
 
     @abstractmethod
-    def judge(self, frame: Frame) -> Verdict:
+    def evaluate_step(self, frame: Frame) -> StepResult:
         """Reward terms, ends and successes of a decision. Changes nothing: it may be asked twice."""
 
 
-def whose(happened: np.ndarray, frame: Frame, whom: str) -> np.ndarray:
+def affected(happened: np.ndarray, frame: Frame, whom: str) -> np.ndarray:
     """(W, N): the drones to which it happened, or, for "world", all drones of their worlds."""
     if whom == "world":
         return np.broadcast_to(np.any(happened & frame.alive, axis=1, keepdims=True), happened.shape)

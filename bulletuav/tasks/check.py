@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from bulletuav.errors import numbers_of, shown, unknown, whole
-from bulletuav.physics.airframe import Airframe
-from bulletuav.physics.atlas import NOWHERE
-from bulletuav.physics.shapes import CYLINDER, SPHERE, Shape
-from bulletuav.physics.tiles import TILE_PITCH
-from bulletuav.physics.world import PARKING_HEIGHT
-from bulletuav.tasks.base import Spawn, Task, Verdict
+from bulletuav.engine.engine import PARKING_HEIGHT
+from bulletuav.engine.tiles import TILE_PITCH
+from bulletuav.errors import as_int, numbers_of, shown, unknown
+from bulletuav.geometry.city_grid import NO_LAYOUT
+from bulletuav.geometry.shapes import CYLINDER, SPHERE, Shape
+from bulletuav.tasks.base import Spawn, StepResult, Task
+from bulletuav.vehicle.airframe import Airframe
 
 UNIT = 1e-6  # that the norm of a start's quaternion may be off 1
 GRAZE = 1e-6  # m, that a drone which stands on the ground may be in it
@@ -43,7 +43,7 @@ def check_spawn(
         raise _refused(task, Spawn._fields[wrong[0]], f"is {shown(values[wrong[0]])}", "finite numbers are needed")
     _check_memory(task, spawn, remembered)
     _check_places(task, values[0], values[1], airframes)
-    refuse_overlap(values[0], task.setting.collision_radius)
+    refuse_overlap(values[0], task.context.collision_radius)
 
 
 def _refused(task: Task, name: str, what: str, remedy: str) -> ValueError:
@@ -64,8 +64,8 @@ def _numbers(task: Task, name: str, value: Any, shape: tuple[int, int]) -> np.nd
 
 def _check_memory(task: Task, spawn: Spawn, remembered: Mapping[str, np.ndarray]) -> None:
     layouts = len(task.layouts())
-    if spawn.layout != NOWHERE or layouts:
-        whole(f"layout of the spawn of task {task.name!r}", spawn.layout, NOWHERE, layouts - 1)
+    if spawn.layout != NO_LAYOUT or layouts:
+        as_int(f"layout of the spawn of task {task.name!r}", spawn.layout, NO_LAYOUT, layouts - 1)
     if not isinstance(spawn.memory, Mapping):
         raise _refused(task, "memory", f"is {shown(spawn.memory)}", "a dict of arrays by name is needed")
     for name, value in spawn.memory.items():
@@ -83,7 +83,7 @@ def _check_places(task: Task, position: np.ndarray, quaternion: np.ndarray, airf
         i = int(off.argmax())
         what = f"has the norm {np.linalg.norm(quaternion[i]):g}"
         raise _refused(task, f"quaternion of drone {i}", what, "a unit quaternion is needed: divide by it")
-    radius, height = task.setting.collision_radius, position[:, 2]
+    radius, height = task.context.collision_radius, position[:, 2]
     half, aside = TILE_PITCH / 2 - radius, np.abs(position[:, :2])
     if aside.max() >= half or height.max() >= PARKING_HEIGHT:
         i = int(((aside >= half).any(axis=1) | (height >= PARKING_HEIGHT)).argmax())
@@ -107,25 +107,25 @@ def _depth(shapes: Sequence[Shape], quaternion: np.ndarray) -> np.ndarray:
     return np.select([kind == SPHERE, kind == CYLINDER], [half[:, 0], rim], (half * down).sum(axis=1))
 
 
-def check_verdict(task: Task, verdict: Any, shape: tuple[int, int]) -> None:
-    """Refuse a verdict that rewards cannot be made of: types, names of terms and shapes (W, N).
+def check_step_result(task: Task, result: Any, shape: tuple[int, int]) -> None:
+    """Refuse a step result that rewards cannot be made of: types, names of terms and shapes (W, N).
 
     Raises:
         ValueError: With the task, the term and the remedy.
     """
-    judged = f"judge of task {task.name!r} gave"
-    if not isinstance(verdict, Verdict):
-        raise ValueError(f"{judged} {shown(verdict)}: a Verdict is needed")
-    if not isinstance(verdict.terms, Mapping):
-        raise ValueError(f"{judged} the terms {shown(verdict.terms)}: a dict of arrays by name is needed")
-    for name in verdict.terms:
+    judged = f"evaluate_step of task {task.name!r} gave"
+    if not isinstance(result, StepResult):
+        raise ValueError(f"{judged} {shown(result)}: a StepResult is needed")
+    if not isinstance(result.terms, Mapping):
+        raise ValueError(f"{judged} the terms {shown(result.terms)}: a dict of arrays by name is needed")
+    for name in result.terms:
         if name not in task.weights:
             raise unknown(f"reward term in what {judged},", name, task.weights)
     for name, weight in task.weights.items():
-        if weight != 0 and name not in verdict.terms:
+        if weight != 0 and name not in result.terms:
             raise ValueError(f"{judged} no reward term {name!r}: its weight is {weight:g}; give it, or the weight 0")
-    wanted = {f"reward term {name!r}": (term, "iufb") for name, term in verdict.terms.items()}
-    wanted |= {name: (getattr(verdict, name), "b") for name in ("terminated", "success")}
+    wanted = {f"reward term {name!r}": (term, "iufb") for name, term in result.terms.items()}
+    wanted |= {name: (getattr(result, name), "b") for name in ("terminated", "success")}
     for name, (value, kinds) in wanted.items():
         array = value if isinstance(value, np.ndarray) else np.asarray(None)
         if array.shape != shape or array.dtype.kind not in kinds:
@@ -141,7 +141,7 @@ def require_finite(task: Task, terms: Mapping[str, np.ndarray], reward: np.ndarr
     w, i = np.argwhere(~np.isfinite(reward))[0]
     wrong = {name: float(term[w, i]) for name, term in terms.items() if not np.isfinite(term[w, i])}
     raise ValueError(
-        f"the reward of drone {i} in world {w} is {reward[w, i]:g}: judge of task {task.name!r} gave "
+        f"the reward of drone {i} in world {w} is {reward[w, i]:g}: evaluate_step of task {task.name!r} gave "
         f"{wrong or 'terms too large to be added'}, weighted; finite numbers are needed"
     )
 

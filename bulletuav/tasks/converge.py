@@ -5,8 +5,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from bulletuav.tasks.base import Setting, Spawn
-from bulletuav.tasks.terms.airspace import (
+from bulletuav.tasks.base import Spawn, TaskContext
+from bulletuav.tasks.families.airspace import (
     UNCERTAINTY,
     Airspace,
     AirspaceConfig,
@@ -76,21 +76,21 @@ class Converge(Airspace):
         "extreme": {"num_drones": 100, "radius": 150.0, **UNCERTAINTY["extreme"]},
     }
 
-    def __init__(self, config: ConvergeConfig, setting: Setting):
+    def __init__(self, config: ConvergeConfig, context: TaskContext):
         """Raises ValueError where drones could start in conflict or in touch with the ground."""
-        super().__init__(config, setting)
-        chord = 2 * config.radius * np.sin(np.pi / max(setting.num_drones, 2))
-        nearest, clear = between_neighbours(config, chord), clearance(config, setting)
+        super().__init__(config, context)
+        chord = 2 * config.radius * np.sin(np.pi / max(context.num_drones, 2))
+        nearest, clear = between_neighbours(config, chord), clearance(config, context)
         if nearest <= clear:
             raise ValueError(
                 f"start positions may be in conflict: on a circle of radius {config.radius:g} m with jitter "
                 f"{config.jitter:g} m neighbours may be {nearest:.3g} m apart, more than {clear:.3g} m (d_safe) is needed"
             )
-        self.arena_low, self.arena_high = circle_arena(config, setting, config.radius)
+        self.arena_low, self.arena_high = circle_arena(config, context, config.radius)
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
         """On the circle, in flight towards its centre."""
-        angle = 2 * np.pi * np.arange(self.setting.num_drones) / self.setting.num_drones
+        angle = 2 * np.pi * np.arange(self.context.num_drones) / self.context.num_drones
         place = self.config.radius * np.stack([np.cos(angle), np.sin(angle), np.zeros(len(angle))], axis=1)
         height = np.array([0.0, 0.0, self.config.altitude])
         return self.launch(self.config.scattered(place + height, rng), height - place, rng)

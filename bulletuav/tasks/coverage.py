@@ -6,9 +6,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from bulletuav.tasks.base import Frame, Scene, Setting, Spawn, Verdict
-from bulletuav.tasks.terms.measures import offsets
-from bulletuav.tasks.terms.urban import DEFAULTS, LEVELS, UrbanConfig, UrbanTask, check_share, ground_cells
+from bulletuav.conflict.measures import offsets
+from bulletuav.tasks.base import Frame, Scene, Spawn, StepResult, TaskContext
+from bulletuav.tasks.families.urban import DEFAULTS, URBAN_DIFFICULTIES, UrbanConfig, UrbanTask, check_share, ground_cells
 
 MOST_CELLS = 1e6  # of a raster
 
@@ -84,14 +84,14 @@ class Coverage(UrbanTask):
     Config = CoverageConfig
     config: CoverageConfig
     defaults: ClassVar = {**DEFAULTS, "horizon": 300}
-    difficulties: ClassVar = {**LEVELS, "extreme": {**LEVELS["extreme"], "min_separation": 50.0}}
+    difficulties: ClassVar = {**URBAN_DIFFICULTIES, "extreme": {**URBAN_DIFFICULTIES["extreme"], "min_separation": 50.0}}
     baseline = "kmeans"
     observation = ("position", "velocity", "battery", "neighbours", "seen_share")
     reward_weights: ClassVar = {"covered": 1.0, "close": -5.0, "collision": -10.0, "out_of_bounds": -10.0}
 
-    def __init__(self, config: CoverageConfig, setting: Setting):
+    def __init__(self, config: CoverageConfig, context: TaskContext):
         """Raises ValueError where the city leaves no room to fly, or its ground has no square outdoors."""
-        super().__init__(config, setting)
+        super().__init__(config, context)
         check_share("wanted", config.wanted)
         if not 0 < config.cell <= min(city.side for city in self.town.cities):
             raise ValueError(f"cell is {config.cell:g} m: it must be above 0 and at most the side of the city")
@@ -113,19 +113,19 @@ class Coverage(UrbanTask):
         """The middles of the squares outdoors."""
         return self._cells[scene.layout]
 
-    def counted(self, scene: Scene) -> np.ndarray:
+    def active_targets(self, scene: Scene) -> np.ndarray:
         """Those that do not only fill up a list."""
         return self._counts[scene.layout]
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
         """At rest, anywhere outdoors."""
-        return self.town.hovering(rng, self.town.draw(rng), self.setting.num_drones)
+        return self.town.hovering(rng, self.town.draw(rng), self.context.num_drones)
 
-    def judge(self, frame: Frame) -> Verdict:
+    def evaluate_step(self, frame: Frame) -> StepResult:
         """The share of the ground in sight, drones too near, and ends by contact or outside the airspace."""
         covered = self.served(frame)
         near = np.linalg.norm(offsets(frame.after.position), axis=-1) < self.config.min_separation
-        others = frame.alive[:, None] & ~np.eye(self.setting.num_drones, dtype=bool)
+        others = frame.alive[:, None] & ~np.eye(self.context.num_drones, dtype=bool)
         outside = self.outside(frame)
         terms = {
             "covered": covered,
@@ -133,4 +133,4 @@ class Coverage(UrbanTask):
             "collision": frame.collision.astype(float),
             "out_of_bounds": outside.astype(float),
         }
-        return Verdict(terms, frame.collision | outside, covered >= self.config.wanted)
+        return StepResult(terms, frame.collision | outside, covered >= self.config.wanted)

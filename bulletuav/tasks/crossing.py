@@ -5,8 +5,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from bulletuav.tasks.base import Setting, Spawn
-from bulletuav.tasks.terms.airspace import UNCERTAINTY, Airspace, AirspaceConfig, clearance
+from bulletuav.tasks.base import Spawn, TaskContext
+from bulletuav.tasks.families.airspace import UNCERTAINTY, Airspace, AirspaceConfig, clearance
 
 
 @dataclass(frozen=True)
@@ -80,16 +80,16 @@ class Crossing(Airspace):
         "extreme": {"num_drones": 100, "lane_spacing": 12.0, "altitude_spread": 4.0, **UNCERTAINTY["extreme"]},
     }
 
-    def __init__(self, config: CrossingConfig, setting: Setting):
+    def __init__(self, config: CrossingConfig, context: TaskContext):
         """Raises ValueError where drones could start in conflict, outside the arena or in touch with the ground."""
-        super().__init__(config, setting)
-        clear = clearance(config, setting)
+        super().__init__(config, context)
+        clear = clearance(config, context)
         if config.lane_spacing - 2 * config.jitter <= clear:
             raise ValueError(
                 f"start positions may be in conflict: lane_spacing {config.lane_spacing:g} m less twice jitter "
                 f"{config.jitter:g} m must exceed {clear:.3g} m (d_safe)"
             )
-        self._north = (setting.num_drones + 1) // 2
+        self._north = (context.num_drones + 1) // 2
         ranks = -(-self._north // config.lanes)
         depth = (ranks - 1) * config.lane_spacing
         width = min(self._north, config.lanes) * config.lane_spacing / 2
@@ -99,7 +99,7 @@ class Crossing(Airspace):
                 f"start in each other; lower lane_spacing, jitter or d_safe"
             )
         rise = config.altitude_spread / 2 + config.jitter
-        if config.altitude - rise <= setting.collision_radius:
+        if config.altitude - rise <= context.collision_radius:
             raise ValueError(f"altitude {config.altitude:g} m is too low for altitude_spread {config.altitude_spread:g} m")
         reach = max(config.half_length + depth, width) + config.margin
         self.arena_low = np.array([-reach, -reach, 0.0])
@@ -113,7 +113,7 @@ class Crossing(Airspace):
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
         """Both teams in formation, in flight."""
-        config, n = self.config, self.setting.num_drones
+        config, n = self.config, self.context.num_drones
         start, goal = np.zeros((n, 3)), np.zeros((n, 3))
         for axis, team in ((1, slice(0, self._north)), (0, slice(self._north, n))):
             side, back = self._formation(len(start[team]))

@@ -6,8 +6,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from bulletuav.tasks.base import Frame, Spawn, Verdict
-from bulletuav.tasks.terms.urban import DEFAULTS, UrbanConfig, UrbanTask
+from bulletuav.tasks.base import Frame, Spawn, StepResult
+from bulletuav.tasks.families.urban import DEFAULTS, UrbanConfig, UrbanTask
 
 
 @dataclass(frozen=True)
@@ -75,16 +75,16 @@ class Default(UrbanTask):
     def spawn(self, rng: np.random.Generator) -> Spawn:
         """The start of one world: at rest outdoors, goals outdoors."""
         layout = self.town.draw(rng)
-        goal = self.town.places(rng, layout, self.setting.num_drones)
-        return self.town.hovering(rng, layout, self.setting.num_drones)._replace(goal=goal)
+        goal = self.town.places(rng, layout, self.context.num_drones)
+        return self.town.hovering(rng, layout, self.context.num_drones)._replace(goal=goal)
 
-    def judge(self, frame: Frame) -> Verdict:
+    def evaluate_step(self, frame: Frame) -> StepResult:
         """Terms of the reward, whose episode ends, and who succeeded, after a decision."""
         reached = (frame.distance <= self.config.goal_radius) & ~frame.collision
         terms = {
-            "progress": (frame.distance_before - frame.distance) / (self.setting.max_speed * self.setting.period),
+            "progress": (frame.distance_before - frame.distance) / (self.context.max_speed * self.context.period),
             "goal": reached.astype(float),
             "collision": frame.collision.astype(float),
             "time": np.ones(frame.alive.shape),
         }
-        return Verdict(terms, reached | frame.collision | self.outside(frame), reached)
+        return StepResult(terms, reached | frame.collision | self.outside(frame), reached)

@@ -6,9 +6,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from bulletuav.errors import pick
-from bulletuav.physics.obstacle import Obstacle
-from bulletuav.tasks.base import Frame, Scene, Setting, Spawn, Task, Verdict, refuse_early_end
+from bulletuav.errors import choose
+from bulletuav.geometry.obstacle import Obstacle
+from bulletuav.tasks.base import Frame, Scene, Spawn, StepResult, Task, TaskContext, refuse_early_end
 from bulletuav.tasks.check import refuse_overlap
 
 TARGETS = {
@@ -95,24 +95,24 @@ class Follow(Task):
     observation = ("attitude", "goal_offset", "velocity", "rates", "goal_velocity")
     reward_weights: ClassVar = {"alive": 1.0, "distance": -0.1, "speed": -0.05}
 
-    def __init__(self, config: FollowConfig, setting: Setting):
+    def __init__(self, config: FollowConfig, context: TaskContext):
         """Raises ValueError for an unknown target, stations too close together or a target faster than the drones."""
-        super().__init__(config, setting)
-        self._body, self._height, above = pick("target", config.target, TARGETS)
-        if config.target_speed >= setting.max_speed:
-            raise ValueError(f"target_speed {config.target_speed:g} m/s must be below max_speed {setting.max_speed:g} m/s")
-        angle = 2 * np.pi * np.arange(setting.num_drones) / setting.num_drones
+        super().__init__(config, context)
+        self._body, self._height, above = choose("target", config.target, TARGETS)
+        if config.target_speed >= context.max_speed:
+            raise ValueError(f"target_speed {config.target_speed:g} m/s must be below max_speed {context.max_speed:g} m/s")
+        angle = 2 * np.pi * np.arange(context.num_drones) / context.num_drones
         circle = config.distance * np.stack([-np.cos(angle), -np.sin(angle), np.zeros(len(angle))], axis=1)
         self._station = circle + np.array((0, 0, above))
-        refuse_overlap(self._station, setting.collision_radius + config.start_offset * np.sqrt(3))
+        refuse_overlap(self._station, context.collision_radius + config.start_offset * np.sqrt(3))
         nearest = float(np.linalg.norm(self._station, axis=1).min()) - config.start_offset * np.sqrt(3)
-        if nearest <= self._body.radius + setting.collision_radius:
+        if nearest <= self._body.radius + context.collision_radius:
             raise ValueError(
                 f"distance {config.distance:g} m with start_offset {config.start_offset:g} m is too close to the target, "
                 f"whose radius is {self._body.radius:.3g} m"
             )
         lowest = self._height + above - config.start_offset
-        if lowest <= setting.collision_radius:
+        if lowest <= context.collision_radius:
             raise ValueError(f"start_offset {config.start_offset:g} m is too large: drones could start {lowest:.3g} m up")
         refuse_early_end(config.max_distance, config.start_offset)
         reach = config.arena + config.distance + config.max_distance
@@ -125,18 +125,18 @@ class Follow(Task):
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
         """The target at the origin with a random heading, the drones near their stations, at rest."""
-        config, n = self.config, self.setting.num_drones
+        config, n = self.config, self.context.num_drones
         heading = rng.uniform(-np.pi, np.pi)
         target = np.array([[0.0, 0.0, self._height]])
         velocity = config.target_speed * np.array([[np.cos(heading), np.sin(heading), 0.0]])
         offset = rng.uniform(-config.start_offset, config.start_offset, (n, 3))
         goal = target + self._station
-        level = np.tile([0.0, 0.0, 0.0, 1.0], (n, 1))
-        return Spawn(goal + offset, level, np.zeros((n, 3)), np.zeros((n, 3)), goal, velocity, target, velocity)
+        upright = np.tile([0.0, 0.0, 0.0, 1.0], (n, 1))
+        return Spawn(goal + offset, upright, np.zeros((n, 3)), np.zeros((n, 3)), goal, velocity, target, velocity)
 
     def advance(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rng: Sequence[np.random.Generator | None]) -> bool:
         """Drive the target of every world that flies, its stations with it."""
-        config, period = self.config, self.setting.period
+        config, period = self.config, self.context.period
         for w in np.flatnonzero(flying).tolist():
             generator = rng[w]
             assert generator is not None  # a world that flies was reset
@@ -151,7 +151,7 @@ class Follow(Task):
             scene.goal_velocity[w] = scene.obstacle_velocity[w, 0]
         return True
 
-    def judge(self, frame: Frame) -> Verdict:
+    def evaluate_step(self, frame: Frame) -> StepResult:
         """Being there, distance to the station (m) and speed relative to it (m/s).
 
         Ends: contact, or too far away. Success: at the station.
@@ -159,4 +159,4 @@ class Follow(Task):
         speed = np.linalg.norm(frame.after.velocity - frame.scene.goal_velocity, axis=-1)
         terms = {"alive": np.ones(frame.alive.shape), "distance": frame.distance, "speed": speed}
         lost = frame.collision | (frame.distance > self.config.max_distance)
-        return Verdict(terms, lost, frame.distance <= self.config.goal_radius)
+        return StepResult(terms, lost, frame.distance <= self.config.goal_radius)

@@ -7,8 +7,8 @@ from typing import ClassVar
 import numpy as np
 
 from bulletuav.errors import numbers_of, shown
-from bulletuav.physics.rotation import exponential
-from bulletuav.tasks.base import Frame, Setting, Spawn, Task, Verdict, refuse_early_end
+from bulletuav.geometry.rotation import exponential
+from bulletuav.tasks.base import Frame, Spawn, StepResult, Task, TaskContext, refuse_early_end
 from bulletuav.tasks.check import refuse_overlap
 
 
@@ -121,12 +121,12 @@ class Hover(Task):
     observation = ("attitude", "goal_offset", "velocity", "rates")
     reward_weights: ClassVar = {"alive": 1.0, "distance": -0.1, "speed": -0.05}
 
-    def __init__(self, config: HoverConfig, setting: Setting):
+    def __init__(self, config: HoverConfig, context: TaskContext):
         """Raises ValueError where start positions could overlap each other or the ground."""
-        super().__init__(config, setting)
+        super().__init__(config, context)
         refuse_early_end(config.max_distance, config.start_offset)
-        columns = int(np.ceil(np.sqrt(setting.num_drones)))
-        index = np.arange(setting.num_drones)
+        columns = int(np.ceil(np.sqrt(context.num_drones)))
+        index = np.arange(context.num_drones)
         grid = np.stack([index % columns, index // columns], axis=1) * config.spacing
         self.target = np.concatenate([grid - grid.mean(axis=0), np.full((len(index), 1), config.height)], axis=1)
         self.arena_low = self.target.min(axis=0) - config.max_distance
@@ -135,7 +135,7 @@ class Hover(Task):
         self._check_start()
 
     def _check_start(self) -> None:
-        config, radius = self.config, self.setting.collision_radius
+        config, radius = self.config, self.context.collision_radius
         if config.start is not None:
             start = _positions(config.start, len(self.target))
             if ((start < self.arena_low) | (start > self.arena_high)).any():
@@ -168,9 +168,9 @@ class Hover(Task):
         rates = rng.uniform(-1, 1, shape) / np.sqrt(3) * config.start_rates
         return Spawn(position, quaternion, velocity, rates, self.target.copy())
 
-    def judge(self, frame: Frame) -> Verdict:
+    def evaluate_step(self, frame: Frame) -> StepResult:
         """Being there, distance (m) and speed (m/s). Ends: contact, or too far away. Success: at the target."""
         speed = np.linalg.norm(frame.after.velocity, axis=-1)
         terms = {"alive": np.ones(frame.alive.shape), "distance": frame.distance, "speed": speed}
         lost = frame.collision | (frame.distance > self.config.max_distance)
-        return Verdict(terms, lost, frame.distance <= self.config.goal_radius)
+        return StepResult(terms, lost, frame.distance <= self.config.goal_radius)

@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from bulletuav.tasks.base import Setting
-from bulletuav.tasks.terms.airspace import REWARD_WEIGHTS
-from bulletuav.tasks.terms.urban import LEVELS, UrbanFlight, UrbanFlightConfig
+from bulletuav.tasks.base import TaskContext
+from bulletuav.tasks.families.airspace import REWARD_WEIGHTS
+from bulletuav.tasks.families.urban import URBAN_DIFFICULTIES, UrbanFlight, UrbanFlightConfig
 
 RANGES: dict[str, dict[str, float]] = {
     "easy": {},
@@ -63,15 +63,15 @@ class LidarNavigation(UrbanFlight):
     Config = LidarNavigationConfig
     config: LidarNavigationConfig
     difficulties: ClassVar = {
-        level: {**options, "randomization": {**options.get("randomization", {}), **RANGES[level]}}
-        for level, options in LEVELS.items()
+        difficulty: {**options, "randomization": {**options.get("randomization", {}), **RANGES[difficulty]}}
+        for difficulty, options in URBAN_DIFFICULTIES.items()
     }
     observation = ("velocity", "goal", "battery", "lidar")
     senses = ("lidar",)
     reward_weights: ClassVar = {**REWARD_WEIGHTS, "proximity": -1.0}
 
-    def __init__(self, config: LidarNavigationConfig, setting: Setting):
+    def __init__(self, config: LidarNavigationConfig, context: TaskContext):
         """Raises ValueError where the city leaves no room to fly."""
-        super().__init__(config, setting)
+        super().__init__(config, context)
         if config.proximity_range == 0:
             raise ValueError("proximity_range is 0 m: it must be above 0; to leave the term out, weigh it by 0")

@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
-from bulletuav.tasks.base import Frame, Verdict
-from bulletuav.tasks.terms.urban import DEFAULTS
-from bulletuav.tasks.terms.users import UsersConfig, UsersTask
+from bulletuav.tasks.base import Frame, StepResult
+from bulletuav.tasks.families.urban import DEFAULTS
+from bulletuav.tasks.families.users import UsersConfig, UsersTask
 
 
 @dataclass(frozen=True)
@@ -151,8 +151,8 @@ class Los(UsersTask):
     observation = ("position", "velocity", "battery", "neighbours", "targets")
     reward_weights: ClassVar = {"sight": 1.0, "served": 0.0, "collision": -10.0, "out_of_bounds": -10.0}
 
-    def judge(self, frame: Frame) -> Verdict:
+    def evaluate_step(self, frame: Frame) -> StepResult:
         """Shares of users in sight, and ends by contact or outside the airspace."""
         served, (ended, terms) = self.served(frame), self.ends(frame)
         terms |= {"sight": frame.seen.mean(axis=-1), "served": served}
-        return Verdict(terms, ended, served >= self.config.wanted)
+        return StepResult(terms, ended, served >= self.config.wanted)

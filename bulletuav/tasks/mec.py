@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from bulletuav.tasks.terms.edge import EdgeConfig, EdgeTask
-from bulletuav.tasks.terms.urbanmarl import URBANMARL
+from bulletuav.tasks.families.edge import EdgeConfig, EdgeTask
+from bulletuav.tasks.families.urbanmarl import URBANMARL
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Mec(EdgeTask):
 
     Reward, per decision: tasks 1 times the completed tasks over those that all users are expected to have in a decision;
     latency -0.5 times the latencies of the completed tasks over the deadline, and over the same; energy -0.1 times power
-    over 400 W; sojourn 0.3 times tanh(0.1 s), s the seconds for which it has seen a user without a break, mean of all users;
+    over 400 W; dwell_time 0.3 times tanh(0.1 s), s the seconds for which it has seen a user without a break, mean of all users;
     collision -2; out_of_bounds 0 (weights by name).
 
     End: terminated on contact of collision shapes and with an empty battery; truncated after 100 decisions. Drones stop at
@@ -59,7 +59,7 @@ class Mec(EdgeTask):
         "tasks": 1.0,
         "latency": -0.5,
         "energy": -0.1,
-        "sojourn": 0.3,
+        "dwell_time": 0.3,
         "collision": -2.0,
         "out_of_bounds": 0.0,
     }

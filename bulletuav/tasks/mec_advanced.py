@@ -3,8 +3,8 @@
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
-from bulletuav.tasks.terms.edge import EdgeConfig, EdgeTask
-from bulletuav.tasks.terms.urbanmarl import URBANMARL
+from bulletuav.tasks.families.edge import EdgeConfig, EdgeTask
+from bulletuav.tasks.families.urbanmarl import URBANMARL
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class MecAdvanced(EdgeTask):
 
     Reward, per decision: tasks 2 times the completed tasks over those that all users are expected to have in a decision;
     latency -1.5 times the latencies of the completed tasks over the deadline, and over the same; energy 0 times power over
-    400 W; sojourn 0.5 times tanh(0.1 s), s the seconds for which it has seen a user without a break, mean of all users;
+    400 W; dwell_time 0.5 times tanh(0.1 s), s the seconds for which it has seen a user without a break, mean of all users;
     collision -5; out_of_bounds 0 (weights by name).
 
     End: terminated on contact of collision shapes and with an empty battery; truncated after 100 decisions. Drones stop at
@@ -85,7 +85,7 @@ class MecAdvanced(EdgeTask):
         "tasks": 2.0,
         "latency": -1.5,
         "energy": 0.0,
-        "sojourn": 0.5,
+        "dwell_time": 0.5,
         "collision": -5.0,
         "out_of_bounds": 0.0,
     }

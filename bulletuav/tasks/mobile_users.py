@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from bulletuav.tasks.base import Frame, Verdict
-from bulletuav.tasks.terms.urbanmarl import URBANMARL
-from bulletuav.tasks.terms.users import UsersConfig, UsersTask, sojourn_bonus
+from bulletuav.tasks.base import Frame, StepResult
+from bulletuav.tasks.families.urbanmarl import URBANMARL
+from bulletuav.tasks.families.users import UsersConfig, UsersTask, dwell_time_bonus
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class MobileUsers(UsersTask):
     Action, per drone, by default `velocity`, Box(3) in [-1, 1]: velocity over max_speed, its norm limited to max_speed; 1
     decision a second.
 
-    Reward, per decision: sight 1 times the share of users that the drone sees; sojourn 0.5 times tanh(0.1 s), s the seconds
+    Reward, per decision: sight 1 times the share of users that the drone sees; dwell_time 0.5 times tanh(0.1 s), s the seconds
     for which it has seen a user without a break, mean of all users; collision -2; out_of_bounds 0 (weights by name).
 
     End: terminated on contact of collision shapes and with an empty battery; truncated after 100 decisions. Drones stop at
@@ -108,10 +108,10 @@ class MobileUsers(UsersTask):
     config: MobileUsersConfig
     presets: ClassVar = {"urbanmarl": {**URBANMARL, "mobility": "manhattan"}}
     observation = ("position", "battery", "centroids", "sight_matrix")
-    reward_weights: ClassVar = {"sight": 1.0, "sojourn": 0.5, "collision": -2.0, "out_of_bounds": 0.0}
+    reward_weights: ClassVar = {"sight": 1.0, "dwell_time": 0.5, "collision": -2.0, "out_of_bounds": 0.0}
 
-    def judge(self, frame: Frame) -> Verdict:
+    def evaluate_step(self, frame: Frame) -> StepResult:
         """Share of users in sight, how long they have been, and ends by contact or outside the airspace."""
         ended, terms = self.ends(frame)
-        terms |= {"sight": frame.seen.mean(axis=-1), "sojourn": sojourn_bonus(frame)}
-        return Verdict(terms, ended, self.served(frame) >= self.config.wanted)
+        terms |= {"sight": frame.seen.mean(axis=-1), "dwell_time": dwell_time_bonus(frame)}
+        return StepResult(terms, ended, self.served(frame) >= self.config.wanted)

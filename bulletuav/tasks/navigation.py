@@ -1,6 +1,6 @@
 """Task `navigation`: everyone to its own goal through a city, without touching it or each other."""
 
-from bulletuav.tasks.terms.urban import UrbanFlight
+from bulletuav.tasks.families.urban import UrbanFlight
 
 
 class Navigation(UrbanFlight):

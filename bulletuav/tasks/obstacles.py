@@ -6,9 +6,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from bulletuav.physics.obstacle import Obstacle
-from bulletuav.tasks.base import Scene, Setting, Spawn
-from bulletuav.tasks.terms.airspace import REWARD_WEIGHTS, UNCERTAINTY, Airspace, AirspaceConfig, clearance
+from bulletuav.geometry.obstacle import Obstacle
+from bulletuav.tasks.base import Scene, Spawn, TaskContext
+from bulletuav.tasks.families.airspace import REWARD_WEIGHTS, UNCERTAINTY, Airspace, AirspaceConfig, clearance
 
 GOLDEN = (np.sqrt(5) - 1) / 2  # spreads sizes evenly over any number of obstacles
 FULL = 0.3  # share of the space that drones and obstacles may keep others out of
@@ -123,9 +123,9 @@ class Obstacles(Airspace):
         },
     }
 
-    def __init__(self, config: ObstaclesConfig, setting: Setting):
+    def __init__(self, config: ObstaclesConfig, context: TaskContext):
         """Raises ValueError where there is no room for all, or starts could touch the ground."""
-        super().__init__(config, setting)
+        super().__init__(config, context)
         low, high = config.obstacle_radius
         if not 0 < low <= high:
             raise ValueError(f"obstacle_radius is {config.obstacle_radius}: from low to high, above 0, is needed")
@@ -134,12 +134,12 @@ class Obstacles(Airspace):
         side, rise = config.area / 2, config.altitude_spread / 2
         self._low = np.array([-side, -side, config.altitude - rise])
         self._high = np.array([side, side, config.altitude + rise])
-        if self._low[2] - config.jitter <= setting.collision_radius:
+        if self._low[2] - config.jitter <= context.collision_radius:
             raise ValueError(f"altitude {config.altitude:g} m is too low for altitude_spread {config.altitude_spread:g} m")
         index = np.arange(config.num_obstacles)
         self._radius = low + (high - low) * (index * GOLDEN % 1)
         self._bodies = tuple(_body(k, radius) for k, radius in enumerate(self._radius.tolist()))
-        self._apart = 2 * clearance(config, setting) + 2 * config.jitter
+        self._apart = 2 * clearance(config, context) + 2 * config.jitter
         self._check_room()
         self.arena_low = self._low - config.margin
         self.arena_high = self._high + config.margin
@@ -149,11 +149,11 @@ class Obstacles(Airspace):
         """Random places are found fast where little of the space is taken."""
         config = self.config
         balls = (self._radius + self._apart) ** 3
-        taken = 4 / 3 * np.pi * (balls.sum() + self.setting.num_drones * self._apart**3)
+        taken = 4 / 3 * np.pi * (balls.sum() + self.context.num_drones * self._apart**3)
         room = float(np.prod(self._high - self._low + 2 * self._apart))
         if taken > FULL * room:
             raise ValueError(
-                f"{self.setting.num_drones} drones and {config.num_obstacles} obstacles keep others out of "
+                f"{self.context.num_drones} drones and {config.num_obstacles} obstacles keep others out of "
                 f"{taken / room:.0%} of the space, at most {FULL:.0%} is possible: widen area or altitude_spread"
             )
         if config.leg > 0.5 * config.area:
@@ -165,7 +165,7 @@ class Obstacles(Airspace):
 
     def _places(self, rng: np.random.Generator, obstacle: np.ndarray, start: np.ndarray | None) -> np.ndarray:
         """(N, 3) random places, clear of each other and of obstacles, `leg` from each drone's `start` where it is given."""
-        places = np.empty((self.setting.num_drones, 3))
+        places = np.empty((self.context.num_drones, 3))
         for i in range(len(places)):
             while True:
                 place = rng.uniform(self._low, self._high)
@@ -192,7 +192,7 @@ class Obstacles(Airspace):
         super().advance(scene, time, flying, rng)
         if not self.config.num_moving:
             return False
-        place = scene.obstacle[flying] + self.setting.period * scene.obstacle_velocity[flying]
+        place = scene.obstacle[flying] + self.context.period * scene.obstacle_velocity[flying]
         over = np.maximum(place - self._high, 0) + np.minimum(place - self._low, 0)
         scene.obstacle[flying] = place - 2 * over
         scene.obstacle_velocity[flying] *= np.where(over == 0, 1.0, -1.0)

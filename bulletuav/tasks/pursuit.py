@@ -6,8 +6,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from bulletuav.tasks.base import Frame, Scene, Setting, Spawn
-from bulletuav.tasks.terms.airspace import (
+from bulletuav.tasks.base import Frame, Scene, Spawn, TaskContext
+from bulletuav.tasks.families.airspace import (
     UNCERTAINTY,
     Airspace,
     AirspaceConfig,
@@ -101,29 +101,29 @@ class Pursuit(Airspace):
         },
     }
 
-    def __init__(self, config: PursuitConfig, setting: Setting):
+    def __init__(self, config: PursuitConfig, context: TaskContext):
         """Raises ValueError where drones could start in conflict or in touch with the ground, or are too slow."""
-        super().__init__(config, setting)
-        if not 0 < config.speed[0] <= config.speed[1] <= setting.max_speed:
-            raise ValueError(f"speed is {config.speed}: from low to high, above 0 and up to max_speed {setting.max_speed:g}")
-        if setting.num_drones * config.spacing > 2 * np.pi * config.radius:
+        super().__init__(config, context)
+        if not 0 < config.speed[0] <= config.speed[1] <= context.max_speed:
+            raise ValueError(f"speed is {config.speed}: from low to high, above 0 and up to max_speed {context.max_speed:g}")
+        if context.num_drones * config.spacing > 2 * np.pi * config.radius:
             raise ValueError(
-                f"{setting.num_drones} drones with spacing {config.spacing:g} m do not fit on a circle of radius "
+                f"{context.num_drones} drones with spacing {config.spacing:g} m do not fit on a circle of radius "
                 f"{config.radius:g} m"
             )
         chord = 2 * config.radius * np.sin(config.spacing / (2 * config.radius))
-        nearest, clear = between_neighbours(config, chord), clearance(config, setting)
-        if setting.num_drones > 1 and nearest <= clear:
+        nearest, clear = between_neighbours(config, chord), clearance(config, context)
+        if context.num_drones > 1 and nearest <= clear:
             raise ValueError(
                 f"start positions may be in conflict: spacing {config.spacing:g} m with jitter {config.jitter:g} m leaves "
                 f"{nearest:.3g} m between neighbours, more than {clear:.3g} m (d_safe) is needed"
             )
-        self.arena_low, self.arena_high = circle_arena(config, setting, config.radius)
-        self._pace = np.linspace(*config.speed, setting.num_drones)
+        self.arena_low, self.arena_high = circle_arena(config, context, config.radius)
+        self._pace = np.linspace(*config.speed, context.num_drones)
         self._way = 2 * np.pi * config.radius * config.laps
-        if self._way > config.speed[0] * setting.duration:
+        if self._way > config.speed[0] * context.duration:
             raise ValueError(
-                f"speed {config.speed[0]:g} m/s is too slow for {self._way:.4g} m of way within {setting.duration:g} s: "
+                f"speed {config.speed[0]:g} m/s is too slow for {self._way:.4g} m of way within {context.duration:g} s: "
                 f"raise horizon or speed, or fly fewer laps"
             )
 
@@ -145,16 +145,16 @@ class Pursuit(Airspace):
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
         """Beside those of every airspace `conflicts`: how many each drone has had."""
-        return {**super().memory(), "conflicts": (self.setting.num_drones,)}
+        return {**super().memory(), "conflicts": (self.context.num_drones,)}
 
-    def remember(self, frame: Frame, rng: Sequence[np.random.Generator | None]) -> None:
+    def update_memory(self, frame: Frame, rng: Sequence[np.random.Generator | None]) -> None:
         """Conflicts too."""
-        super().remember(frame, rng)
+        super().update_memory(frame, rng)
         frame.scene.memory["conflicts"][:] += np.where(frame.alive, frame.conflict.onsets, 0)
 
     def advance(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rng: Any) -> bool:
         """Goals run on."""
-        goal, velocity = self._track(time + self.setting.period)
+        goal, velocity = self._track(time + self.context.period)
         scene.goal[flying], scene.goal_velocity[flying] = goal[flying], velocity[flying]
         return super().advance(scene, time, flying, rng)
 

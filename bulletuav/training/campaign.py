@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_EXCEPTION, Future, ProcessPoolExecutor, wait
 from pathlib import Path
 
-from bulletuav.errors import whole
+from bulletuav.errors import as_int
 from bulletuav.policies.run import RunConfig
 from bulletuav.training.store import STATE, Row
 
@@ -35,7 +35,7 @@ class Campaign:
         `progress` is told the steps done so far by all. Raises what a run raises, and what the others have done since their
         last checkpoints is lost.
         """
-        whole("workers", workers, 1)
+        as_int("workers", workers, 1)
         context = multiprocessing.get_context("spawn")  # PyTorch's threads do not survive a fork
         others = set(multiprocessing.active_children())
         with ProcessPoolExecutor(workers, mp_context=context, initializer=_leave_interrupts) as pool:

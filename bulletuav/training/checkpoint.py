@@ -11,7 +11,7 @@ from safetensors.numpy import load_file, save_file
 
 from bulletuav.errors import missing
 from bulletuav.files import whole_file
-from bulletuav.policies.network import HIGH, LOW, read_weights
+from bulletuav.policies.neural_network import HIGH, LOW, read_weights
 from bulletuav.policies.run import POLICY
 from bulletuav.training.store import REPLAY, TRAINING
 
@@ -101,8 +101,8 @@ def _states(arrays: dict[str, np.ndarray], begin: str) -> dict[int, dict[str, An
     for name, array in arrays.items():
         if name.startswith(begin):
             index, key = name.removeprefix(begin).split("/")
-            whole = array.ndim == 0 and array.dtype.kind == "i"
-            states.setdefault(int(index), {})[key] = int(array) if whole else torch.as_tensor(array)
+            is_step = array.ndim == 0 and array.dtype.kind == "i"
+            states.setdefault(int(index), {})[key] = int(array) if is_step else torch.as_tensor(array)
     return states
 
 

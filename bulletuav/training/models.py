@@ -12,7 +12,7 @@ from gymnasium.spaces import Box, Dict, flatdim
 
 from bulletuav.adapters.sb3 import DroneVecEnv, LivingReplay, LivingRollouts, algorithm
 from bulletuav.adapters.sb3_policy import FEATURES, policy_arguments
-from bulletuav.errors import finite, pick, require_memory, several, shown, unknown, whole
+from bulletuav.errors import as_int, as_sequence, choose, finite, require_memory, shown, unknown
 from bulletuav.policies.run import RunConfig, whole_number
 
 OURS = ("policy", "env", "seed", "device", "tensorboard_log", "_init_setup_model")
@@ -36,7 +36,7 @@ def make_model(config: RunConfig, env: DroneVecEnv) -> Any:
     settings = config.settings
     pictures, kind = isinstance(env.observation_space, Dict), algorithm(config.algo)
     if settings["features"] is not None:
-        pick("features", settings["features"], {name: one for name, one in FEATURES.items() if name is not None})
+        choose("features", settings["features"], {name: one for name, one in FEATURES.items() if name is not None})
     arguments = policy_arguments(settings, env.num_drones, pictures)
     del settings["features"]
     _check(kind, settings)
@@ -68,7 +68,7 @@ def _check(kind: Any, settings: dict[str, Any]) -> None:
             if not isinstance(value, bool):
                 raise ValueError(f"{name} is {value!r}: True or False is needed")
         elif isinstance(default, int) and not isinstance(value, list | tuple):
-            settings[name] = whole(name, whole_number(value), LEAST.get(name, min(default, 1)), MOST)
+            settings[name] = as_int(name, whole_number(value), LEAST.get(name, min(default, 1)), MOST)
         elif isinstance(default, float) and not isinstance(value, list | tuple):
             settings[name] = finite(name, value, *((0, 1) if name in SHARES else ()))
 
@@ -87,7 +87,9 @@ def _require_memory(algo: str, settings: dict[str, Any], env: DroneVecEnv) -> No
     widths = settings["policy_kwargs"].get("net_arch", [])
     lists = list(widths.values()) if isinstance(widths, Mapping) else [widths]
     for layers in lists:
-        sizes = [whole("net_arch", size, 1, MOST) for size in several("net_arch of policy_kwargs", layers, most=MOST_LAYERS)]
+        sizes = [
+            as_int("net_arch", size, 1, MOST) for size in as_sequence("net_arch of policy_kwargs", layers, most=MOST_LAYERS)
+        ]
         weights = sum(one * two for one, two in itertools.pairwise([observed, *sizes]))
         require_memory(f"networks of net_arch {shown(widths)}", weights * NUMBER_BYTES, "lower net_arch in policy_kwargs")
 
@@ -98,7 +100,7 @@ def _translate(settings: dict[str, Any], env: DroneVecEnv) -> None:
     from stable_baselines3.common.utils import LinearSchedule
 
     if isinstance(settings["learning_rate"], list | tuple):
-        first, last = (finite("learning_rate", rate) for rate in several("learning_rate", settings["learning_rate"], 2))
+        first, last = (finite("learning_rate", rate) for rate in as_sequence("learning_rate", settings["learning_rate"], 2))
         settings["learning_rate"] = LinearSchedule(first, last, 1.0)
     if isinstance(settings.get("train_freq"), list):
         settings["train_freq"] = tuple(settings["train_freq"])

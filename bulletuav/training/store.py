@@ -26,10 +26,10 @@ Row = dict[str, float]
 class Store:
     """What is kept of a run, each file written as a whole or not at all.
 
-    rows        the learning curve, a row for each evaluation: `steps` and, of them, `decisions` that a drone flew; `level`
+    rows        the learning curve, a row for each evaluation: `steps` and, of them, `decisions` that a drone flew; `stage`
                 of the curriculum; `seconds` of wall time since the row before, without evaluations; means of the episodes in
                 training since then, of a drone: "train/return", "train/decisions", "train/success", "train/conflicts",
-                "train/collision"; and the means of `bulletuav.metrics.METRICS` in the evaluation
+                "train/collision"; and the means of `bulletuav.analysis.metrics.METRICS` in the evaluation
     curriculum  its state at the last checkpoint
     """
 

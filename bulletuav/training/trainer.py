@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from bulletuav.adapters.sb3 import BaseCallback, DroneVecEnv, single_thread
+from bulletuav.analysis.evaluation import evaluate
+from bulletuav.analysis.metrics import METRICS
 from bulletuav.envs.curriculum import Curriculum
 from bulletuav.errors import missing
-from bulletuav.evaluation import evaluate
-from bulletuav.metrics import METRICS
 from bulletuav.policies.run import RunConfig
 from bulletuav.training import checkpoint
 from bulletuav.training.models import make_model
@@ -44,8 +44,8 @@ def _train(config: RunConfig, store: Store, progress: Progress) -> None:
 
     if importlib.util.find_spec("tensorboard") is None:
         raise missing("training, which tells TensorBoard of its curves,", "sb3")
-    curriculum = Curriculum(len(config.levels), **config.curriculum)
-    env = DroneVecEnv(config.task, config.worlds, config.levels, curriculum, config.shared_reward, **config.options)
+    curriculum = Curriculum(len(config.stages), **config.curriculum)
+    env = DroneVecEnv(config.task, config.worlds, config.stages, curriculum, config.shared_reward, **config.options)
     try:
         model = _model(config, env, store)
         model.set_logger(configure(str(store.folder / "tensorboard"), ["tensorboard"]))
@@ -114,7 +114,7 @@ class _Chapters(BaseCallback):
         row = {
             "steps": model.num_timesteps,
             "decisions": self._env.decisions,
-            "level": self._env.curriculum.level,
+            "stage": self._env.curriculum.stage,
             "seconds": seconds,
             **{f"train/{name}": self._mean(key) for name, key in TOLD.items()},
             **{name: found[name].mean for name in METRICS},

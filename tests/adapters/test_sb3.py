@@ -208,19 +208,19 @@ def test_a_model_is_saved_and_goes_on_with_another_environment(tmp_path):
 
 
 def test_success_leads_through_the_levels_and_a_change_truncates():
-    levels = [{"num_drones": 1, "horizon": 3}, {"num_drones": 2, "horizon": 6}]
-    env = DroneVecEnv("hover", 2, levels, Curriculum(2, window=2), dynamics="single_integrator", action="velocity")
+    stages = [{"num_drones": 1, "horizon": 3}, {"num_drones": 2, "horizon": 6}]
+    env = DroneVecEnv("hover", 2, stages, Curriculum(2, window=2), dynamics="single_integrator", action="velocity")
     assert env.num_envs == 4
     env.seed(0)
     observations = env.reset()
     assert observations[[0, 2]].any(axis=1).all()
     assert not observations[[1, 3]].any()
     for _ in range(3):
-        assert env.curriculum.level == 0
+        assert env.curriculum.stage == 0
         goal = observations[:, 4:7]
         observations, rewards, dones, infos = env.step(6.0 * goal)
         np.testing.assert_array_equal(np.isnan(rewards), [False, True, False, True])
-    assert env.curriculum.level == 1
+    assert env.curriculum.stage == 1
     assert dones.all()
     assert [info.get("is_success") for info in infos] == [True, None, True, None]
     assert observations.any(axis=1).all()
@@ -236,7 +236,7 @@ def test_levels_are_not_passed_over_when_many_worlds_end_at_once():
     told = []
     for _ in range(8):
         env.step(np.zeros((8, 3)))
-        told.append(env.curriculum.level)
+        told.append(env.curriculum.stage)
     assert told == [0, 1, 1, 2, 2, 3, 3, 3]
     env.close()
 
@@ -245,9 +245,9 @@ def test_a_reward_that_is_not_finite_is_an_error_and_no_empty_slot():
     class Undefined(find_task("hover")):
         name = "undefined"
 
-        def judge(self, frame):
-            verdict = super().judge(frame)
-            return verdict._replace(terms=verdict.terms | {"speed": np.full(frame.alive.shape, np.nan)})
+        def evaluate_step(self, frame):
+            result = super().evaluate_step(frame)
+            return result._replace(terms=result.terms | {"speed": np.full(frame.alive.shape, np.nan)})
 
     env = DroneVecEnv(Undefined, 1, dynamics="single_integrator", action="velocity")
     env.reset()
@@ -259,7 +259,7 @@ def test_a_reward_that_is_not_finite_is_an_error_and_no_empty_slot():
 def test_levels_that_do_not_fit_are_refused():
     with pytest.raises(ValueError, match="observations have shapes"):
         DroneVecEnv("converge", 2, [{}, {"observation": "goal"}], **CALM)
-    with pytest.raises(ValueError, match="has 3 levels, and 1 are given"):
+    with pytest.raises(ValueError, match="has 3 stages, and 1 are given"):
         DroneVecEnv("converge", 2, curriculum=Curriculum(3), **CALM)
     with pytest.raises(ValueError, match="num_worlds is 0"):
         DroneVecEnv("converge", 0, **CALM)

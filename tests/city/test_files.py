@@ -11,7 +11,7 @@ from bulletuav.city.exports import write_obj
 from bulletuav.city.generator import generate
 from bulletuav.city.imports import EARTH_RADIUS, from_geojson, from_obj
 from bulletuav.city.maps import draw_map
-from bulletuav.pictures import blank_figure
+from bulletuav.report.pictures import blank_figure
 
 SQUARE = [[0, 0], [20, 0], [20, 10], [0, 10], [0, 0]]
 BENT = [[40, 0], [70, 0], [70, 10], [52, 10], [50, 40], [40, 40], [40, 0]]

@@ -6,7 +6,7 @@ from scipy.optimize import linprog
 from bulletuav.city.generator import generate
 from bulletuav.city.model import City
 from bulletuav.city.streets import Streets, free_streets
-from bulletuav.physics.solids import Solids
+from bulletuav.geometry.solids import Solids
 
 NO_STREETS = Streets(np.zeros((0, 2)), np.zeros((0, 2), dtype=int))
 
@@ -51,9 +51,9 @@ def test_shapes_of_queries():
     made, rng = some_city(2)
     points = rng.uniform(-50, 50, (3, 4, 3))
     for query in (made.outdoors, made.roof, lambda at: made.clearance(at, 5)):
-        whole = query(points)
-        assert whole.shape == (3, 4)
-        assert query(points[..., :2])[1, 2] == whole[1, 2] == query(points[1, 2])
+        as_int = query(points)
+        assert as_int.shape == (3, 4)
+        assert query(points[..., :2])[1, 2] == as_int[1, 2] == query(points[1, 2])
         assert query(np.zeros((0, 2))).shape == (0,)
 
 

@@ -2,13 +2,13 @@ import numpy as np
 import pytest
 
 from bulletuav import load_airframe
-from bulletuav.control.actions import ACTIONS, Flyable, limit_norm, make_action
-from bulletuav.control.levels import Level
+from bulletuav.control.actions import ACTIONS, ActionContext, limit_norm, make_action
+from bulletuav.control.setpoint import SetpointLevel
 
 
 @pytest.fixture
 def flyable():
-    return Flyable([load_airframe("cf2x")], 10.0, np.array((-20.0, -10, 0)), np.array((20.0, 30, 8)), 0.1, 9.80665)
+    return ActionContext([load_airframe("cf2x")], 10.0, np.array((-20.0, -10, 0)), np.array((20.0, 30, 8)), 0.1, 9.80665)
 
 
 def decode(name, flyable, action):
@@ -63,7 +63,7 @@ def test_discrete_directions(flyable):
 
 
 def test_drones_with_fewer_rotors_read_fewer_numbers():
-    both = Flyable([load_airframe("cf2x"), load_airframe("firefly")], 5.0, np.zeros(3), np.ones(3), 0.1, 9.80665)
+    both = ActionContext([load_airframe("cf2x"), load_airframe("firefly")], 5.0, np.zeros(3), np.ones(3), 0.1, 9.80665)
     action = make_action("rotor", both)
     assert (action.size(0), action.size(1), action.low.shape) == (4, 6, (2, 6))
     assert (action.low[0, 4:] == action.high[0, 4:]).all()
@@ -86,7 +86,7 @@ def test_every_action_has_a_label_and_bounds_for_each_number(flyable):
         action = make_action(name, flyable)
         assert action.size(0) == action.low.shape[1] == action.high.shape[1]
         assert (action.low < action.high).all()
-        assert action.level in Level
+        assert action.level in SetpointLevel
     with pytest.raises(ValueError, match="did you mean 'velocity'"):
         make_action("velocty", flyable)
 

@@ -7,9 +7,9 @@ from scipy.spatial.transform import Rotation
 from bulletuav import load_airframe
 from bulletuav.control import lee
 from bulletuav.control.gains import gain_rows
-from bulletuav.control.levels import Level
-from bulletuav.physics.parameters import parameter_rows
-from bulletuav.physics.rotors import rotor_wrench
+from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.vehicle.parameters import parameter_rows
+from bulletuav.vehicle.rotors import rotor_wrench
 
 G = 9.80665
 NAMES = ("cf2x", "hummingbird", "cf2p", "racer", "iris", "firefly")
@@ -117,7 +117,7 @@ def test_step_of_one_metre(make_bench, name, limit, axis, dynamics):
     bench = make_bench(dynamics, name, substeps=2)
     target = np.array((0.0, 0, 10, 0))
     target[axis] += 1
-    position, _ = bench.place().trace(Level.POSITION, target, 360)
+    position, _ = bench.place().trace(SetpointLevel.POSITION, target, 360)
     overshoot, settling = settle(position, target[axis], axis, 120)
     assert overshoot < 0.02
     assert settling < limit
@@ -128,7 +128,7 @@ def test_step_of_one_metre(make_bench, name, limit, axis, dynamics):
 def test_recovery_from_sixty_degrees(make_bench, name):
     bench = make_bench("rigid_body", name, substeps=2)
     bench.swarm.quaternion[:] = Rotation.from_euler("x", 60, degrees=True).as_quat()
-    position, _ = bench.trace(Level.POSITION, (0.0, 0.0, 10.0, 0.0), 480)
+    position, _ = bench.trace(SetpointLevel.POSITION, (0.0, 0.0, 10.0, 0.0), 480)
     assert 0.1 < 10 - position[:, 2].min() < 0.46
     np.testing.assert_allclose(position[-1], (0, 0, 10), atol=0.02)
 
@@ -136,7 +136,7 @@ def test_recovery_from_sixty_degrees(make_bench, name):
 @pytest.mark.parametrize("name", NAMES)
 def test_velocity_of_20_m_s_is_reached_and_held_level(make_bench, name):
     bench = make_bench("rigid_body", name)
-    _, velocity = bench.trace(Level.VELOCITY, (20.0, 0.0, 0.0, 0.0), 120)
+    _, velocity = bench.trace(SetpointLevel.VELOCITY, (20.0, 0.0, 0.0, 0.0), 120)
     np.testing.assert_allclose(velocity[-1], (20, 0, 0), atol=0.05)
 
 
@@ -147,7 +147,7 @@ def test_a_moving_target_at_20_m_s_is_followed_with_a_small_lag(make_bench, name
     rate = gain_rows([bench.airframe], 20.0)[0]["position_frequency"] / 1.6
     for step in range(240 * 15):
         ahead = np.array((20 * step / 240, 0, 10)) - bench.swarm.position[0, 0]
-        bench.fly(Level.VELOCITY, (*(np.array((20, 0, 0)) + rate * ahead), 0.0))
+        bench.fly(SetpointLevel.VELOCITY, (*(np.array((20, 0, 0)) + rate * ahead), 0.0))
     lag = 20 * 15 - bench.swarm.position[0, 0, 0]
     assert abs(lag) < 0.01
 
@@ -155,7 +155,7 @@ def test_a_moving_target_at_20_m_s_is_followed_with_a_small_lag(make_bench, name
 @pytest.mark.parametrize("yaw", [-2.0, 1.0, 3.0])
 def test_yaw_is_turned_to_and_held(make_bench, yaw):
     bench = make_bench("rigid_body", "cf2x")
-    bench.fly(Level.POSITION, (0.0, 0.0, 10.0, yaw), decisions=60)
+    bench.fly(SetpointLevel.POSITION, (0.0, 0.0, 10.0, yaw), decisions=60)
     measured = Rotation.from_quat(bench.swarm.quaternion[0, 0]).as_euler("ZYX")[0]
     assert measured == pytest.approx(yaw, abs=0.01)
 
@@ -164,9 +164,13 @@ def test_yaw_is_turned_to_and_held(make_bench, yaw):
 def test_every_level_of_the_staircase_flies(make_bench, dynamics):
     hover = load_airframe("hummingbird").mass * G
     cases = (
-        (Level.ACCELERATION, (1.0, 0.0, 0.0, 0.0), lambda s: s.velocity[0, 0, 0] > 0.5),
-        (Level.ATTITUDE, (0.1, 0.0, 0.0, hover), lambda s: Rotation.from_quat(s.quaternion[0, 0]).as_euler("xyz")[0] > 0.08),
-        (Level.RATES, (0.0, 0.0, 0.5, hover), lambda s: abs(s.rates[0, 0, 2] - 0.5) < 0.05),
+        (SetpointLevel.ACCELERATION, (1.0, 0.0, 0.0, 0.0), lambda s: s.velocity[0, 0, 0] > 0.5),
+        (
+            SetpointLevel.ATTITUDE,
+            (0.1, 0.0, 0.0, hover),
+            lambda s: Rotation.from_quat(s.quaternion[0, 0]).as_euler("xyz")[0] > 0.08,
+        ),
+        (SetpointLevel.RATES, (0.0, 0.0, 0.5, hover), lambda s: abs(s.rates[0, 0, 2] - 0.5) < 0.05),
     )
     for level, setpoint, check in cases:
         bench = make_bench(dynamics)

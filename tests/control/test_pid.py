@@ -4,9 +4,9 @@ from scipy.spatial.transform import Rotation
 
 from bulletuav import load_airframe
 from bulletuav.control.gains import gain_rows
-from bulletuav.control.levels import Level
 from bulletuav.control.pid import pid_rotors, pid_torque
-from bulletuav.physics.parameters import parameter_rows
+from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.vehicle.parameters import parameter_rows
 
 G = 9.80665
 
@@ -53,7 +53,7 @@ def test_integrals_and_torques_are_bounded():
 def test_step_of_one_metre_as_known_without_lag(make_bench):
     """6.3 % overshoot, settled to 5 % in 4.25 s at 240 Hz (with drag; without, it overshoots by 8.8 %)."""
     bench = make_bench("bullet", "cf2x", substeps=1, effects=("drag",), controller="pid")
-    position, _ = bench.place().trace(Level.POSITION, (1.0, 0.0, 10.0, 0.0), 240 * 10)
+    position, _ = bench.place().trace(SetpointLevel.POSITION, (1.0, 0.0, 10.0, 0.0), 240 * 10)
     error = position[:, 0] - 1
     assert error.max() == pytest.approx(0.063, abs=0.01)
     assert np.flatnonzero(np.abs(error) > 0.05)[-1] / 240 == pytest.approx(4.25, abs=0.35)
@@ -64,7 +64,7 @@ def test_with_the_real_motor_lag_it_cannot_hold_the_drone(make_bench):
     bench = make_bench("rigid_body", "cf2x", substeps=1, effects=("lag",), controller="pid")
     tilt = 0.0
     for _ in range(240 * 4):
-        bench.fly(Level.POSITION, (1.0, 0.0, 10.0, 0.0))
+        bench.fly(SetpointLevel.POSITION, (1.0, 0.0, 10.0, 0.0))
         tilt = max(tilt, Rotation.from_quat(bench.swarm.quaternion[0, 0]).magnitude())
     assert tilt > np.radians(90)
 
@@ -72,5 +72,5 @@ def test_with_the_real_motor_lag_it_cannot_hold_the_drone(make_bench):
 @pytest.mark.parametrize("dynamics", ["bullet", "rigid_body"])
 def test_velocity_setpoints(make_bench, dynamics):
     bench = make_bench(dynamics, "cf2x", effects=(), controller="pid")
-    bench.place().fly(Level.VELOCITY, (0.5, 0.0, 0.0, 0.0), decisions=60)
+    bench.place().fly(SetpointLevel.VELOCITY, (0.5, 0.0, 0.0, 0.0), decisions=60)
     assert bench.swarm.velocity[0, 0, 0] == pytest.approx(0.5, abs=0.1)

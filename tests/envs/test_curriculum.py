@@ -13,24 +13,24 @@ def test_levels_follow_the_success_rate():
     assert np.isnan(curriculum.success_rate)
     for success in (1, 1, 0):
         curriculum.record(success)
-        assert curriculum.level == 0
+        assert curriculum.stage == 0
     curriculum.record(1)
-    assert curriculum.level == 1  # 3 of 4
+    assert curriculum.stage == 1  # 3 of 4
     assert np.isnan(curriculum.success_rate)  # a new window
     for success in (0, 1, 0, 1):
         curriculum.record(success)
-    assert curriculum.level == 1
+    assert curriculum.stage == 1
     for success in (0, 0, 0):  # with the last 1 they are 1 of 4, which is not below down
         curriculum.record(success)
-    assert curriculum.level == 1
+    assert curriculum.stage == 1
     curriculum.record(0)
-    assert curriculum.level == 0
+    assert curriculum.stage == 0
     for _ in range(8):
         curriculum.record(0)
-    assert curriculum.level == 0
+    assert curriculum.stage == 0
     for _ in range(20):
         curriculum.record(1)
-    assert curriculum.level == 2
+    assert curriculum.stage == 2
 
 
 @pytest.mark.parametrize(
@@ -42,7 +42,7 @@ def test_what_cannot_be_is_refused(options):
         Curriculum(**options)
 
 
-LEVELS = ({"num_drones": 2}, {"num_drones": 4})
+STAGES = ({"num_drones": 2}, {"num_drones": 4})
 
 
 def actions_of(env, stay):
@@ -64,12 +64,12 @@ def fly(env, stay=False, seed=None):
 
 
 def test_the_environment_grows_with_success_and_shrinks_without():
-    env = curriculum_env("converge", LEVELS, window=2, **FAST)
+    env = curriculum_env("converge", STAGES, window=2, **FAST)
     assert len(env.possible_agents) == 4
     counts = [fly(env, seed=0)[0], *(fly(env)[0] for _ in range(3))]
     assert counts == [2, 2, 4, 4]
     _, infos = fly(env)
-    assert {info["level"] for info in infos.values()} == {1.0}
+    assert {info["stage"] for info in infos.values()} == {1.0}
     for _ in range(3):
         fly(env, stay=True)
     assert fly(env, stay=True)[0] == 2
@@ -82,7 +82,7 @@ def test_the_environment_grows_with_success_and_shrinks_without():
 def test_the_seed_is_an_option_and_nothing_works_before_the_first_reset():
     first = []
     for _ in range(2):
-        env = curriculum_env("converge", LEVELS, seed=3, **FAST)
+        env = curriculum_env("converge", STAGES, seed=3, **FAST)
         for ask in (env.state, env.render, lambda env=env: env.step({})):
             with pytest.raises(RuntimeError, match=r"call reset\(\) first"):
                 ask()
@@ -93,7 +93,7 @@ def test_the_seed_is_an_option_and_nothing_works_before_the_first_reset():
 
 
 def test_an_episode_that_is_left_early_is_not_counted():
-    env = curriculum_env("converge", LEVELS, window=1, **FAST)
+    env = curriculum_env("converge", STAGES, window=1, **FAST)
     for _ in range(3):
         env.reset(seed=0)
         env.step(actions_of(env, stay=True))
@@ -109,18 +109,18 @@ def test_it_is_a_pettingzoo_environment_and_its_spaces_hold_all_levels():
         observations, _ = env.reset()
         assert all(space.contains(row) for row in observations.values())
     env.close()
-    parallel_seed_test(lambda: curriculum_env("converge", LEVELS, window=1, **FAST), num_cycles=50)
+    parallel_seed_test(lambda: curriculum_env("converge", STAGES, window=1, **FAST), num_cycles=50)
 
 
 @pytest.mark.parametrize(
-    ("levels", "options", "said"),
+    ("stages", "options", "said"),
     [
-        (LEVELS, {"observation": ("goal", "identity")}, r"have shapes \[\(6,\), \(8,\)\]"),
+        (STAGES, {"observation": ("goal", "identity")}, r"have shapes \[\(6,\), \(8,\)\]"),
         (({"action": "velocity"}, {"action": "velocity_increment"}), {}, "one kind for all"),
         (({"difficulty": "esy"},), {}, "did you mean 'easy'"),
-        ((), {}, "levels is 0"),
+        ((), {}, "stages is 0"),
     ],
 )
-def test_levels_that_no_agent_can_fly_alike_are_refused(levels, options, said):
+def test_levels_that_no_agent_can_fly_alike_are_refused(stages, options, said):
     with pytest.raises(ValueError, match=said):
-        curriculum_env("converge", levels, **FAST | options)
+        curriculum_env("converge", stages, **FAST | options)

@@ -113,7 +113,7 @@ def test_a_heavy_drone_pushes_a_light_one_back_by_momentum():
                                   randomization={"mass": mass})  # fmt: skip
         aviary.reset(seeds=0)
         aviary.parameters["mass"][0, 1] = 0.027
-        aviary._world.set_masses(0, aviary.parameters["mass"][0], aviary.parameters["inertia"][0])
+        aviary._engine.set_masses(0, aviary.parameters["mass"][0], aviary.parameters["inertia"][0])
         for _ in range(15):
             step = aviary.step(np.full((1, 2, 4), -1.0))
         assert step.info["collision"].any() or not aviary.alive.any()

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import bulletuav
-from bulletuav.envs.camera import DRONE, GOAL, GRID
-from bulletuav.physics.view import AIR
+from bulletuav.envs.renderer import DRONE, GOAL, GRID
+from bulletuav.geometry.view import AIR
 
 
 @pytest.mark.parametrize("dynamics", ["bullet", "rigid_body"])

@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 
 import bulletuav
 from bulletuav.control.actions import ACTIONS
-from bulletuav.control.levels import Level
-from bulletuav.physics.ladder import LADDER
+from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.dynamics.ladder import LADDER
 
 AIRFRAMES = bulletuav.available_airframes()
 MOVE = 0.2  # share of max_speed
@@ -136,22 +136,22 @@ def product():
 
 
 KINEMATIC_LEVELS = {
-    "single_integrator": Level.VELOCITY,
-    "point_mass": Level.VELOCITY,
-    "double_integrator": Level.ACCELERATION,
+    "single_integrator": SetpointLevel.VELOCITY,
+    "point_mass": SetpointLevel.VELOCITY,
+    "double_integrator": SetpointLevel.ACCELERATION,
 }
 ACTION_LEVELS = {
-    "velocity": Level.VELOCITY,
-    "velocity_increment": Level.VELOCITY,
-    "heading_speed": Level.VELOCITY,
-    "target_position": Level.POSITION,
-    "attitude": Level.ATTITUDE,
-    "rates": Level.RATES,
-    "rotor": Level.ROTOR,
-    "rpm": Level.ROTOR,
-    "hover_rpm": Level.ROTOR,
-    "discrete": Level.VELOCITY,
-    "discrete_27": Level.VELOCITY,
+    "velocity": SetpointLevel.VELOCITY,
+    "velocity_increment": SetpointLevel.VELOCITY,
+    "heading_speed": SetpointLevel.VELOCITY,
+    "target_position": SetpointLevel.POSITION,
+    "attitude": SetpointLevel.ATTITUDE,
+    "rates": SetpointLevel.RATES,
+    "rotor": SetpointLevel.ROTOR,
+    "rpm": SetpointLevel.ROTOR,
+    "hover_rpm": SetpointLevel.ROTOR,
+    "discrete": SetpointLevel.VELOCITY,
+    "discrete_27": SetpointLevel.VELOCITY,
 }
 
 

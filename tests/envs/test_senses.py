@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import bulletuav
-from bulletuav.physics.obstacle import Obstacle
+from bulletuav.geometry.obstacle import Obstacle
 
 TOWN = {"area": 200.0, "num_layouts": 1, "leg": 60.0, "num_drones": 3, "min_separation": 3.0}
 LOOKING = ("position", "lidar", "imu", "clearance", "rgb", "depth", "ray_depth", "segmentation", "targets")
@@ -58,9 +58,9 @@ def test_long_rays_end_at_the_tile_of_their_world(make_bench):
     """A box of world 1, whose tile begins 4,096 m to the east, is not seen from world 0."""
     bench = make_bench("bullet", worlds=2, obstacles=(Obstacle("box", (100.0, 100.0, 100.0)),))
     place = np.array([[(0, 0, 500.0)], [(-1900.0, 0, 50)]])
-    bench.world.set_obstacles(place, np.tile((0, 0, 0, 1.0), (2, 1, 1)), np.ones(2, dtype=bool))
+    bench.engine.set_obstacles(place, np.tile((0, 0, 0, 1.0), (2, 1, 1)), np.ones(2, dtype=bool))
     start, end = np.array([(2000.0, 0, 50)]), np.array([(2400.0, 0, 50), (1600.0, 0, 50.0)])
     starts = np.repeat(start, 2, axis=0)
-    assert bench.world.cast_rays(starts, end, np.zeros(2, dtype=int)).tolist() == [1, 1]
-    inside = bench.world.cast_rays(np.array([(-1000.0, 0, 50)]), np.array([(-2900.0, 0, 50)]), np.ones(1, dtype=int))
+    assert bench.engine.cast_rays(starts, end, np.zeros(2, dtype=int)).tolist() == [1, 1]
+    inside = bench.engine.cast_rays(np.array([(-1000.0, 0, 50)]), np.array([(-2900.0, 0, 50)]), np.ones(1, dtype=int))
     np.testing.assert_allclose(inside, 850 / 1900, atol=1e-6)

@@ -7,7 +7,7 @@ from bulletuav.network.access import ACCESS, NOBODY, OFDMA, SHARED, TDMA, uplink
 from bulletuav.network.antenna import PEAK, element_gain
 from bulletuav.network.assignment import DTLCM, MAX_RATE, NEAREST, STRATEGIES, assign, dtlcm_score
 from bulletuav.network.link import decibel, noise_power, ratio
-from bulletuav.network.pathloss import MODELS, log_distance
+from bulletuav.network.pathloss import PATHLOSS_MODELS, log_distance
 from bulletuav.network.uplink import RadioConfig, Uplink
 
 BAND = 10e6
@@ -162,7 +162,7 @@ def test_power_falls_with_the_exponent_of_the_sight():
 @pytest.mark.parametrize("model", ["umi", "uma", "umi_av", "uma_av"])
 def test_named_models_are_those_of_the_standards(model):
     got = received(RadioConfig(path_loss=model, frequency=2.0), (0, 0, 50), [(300, 0, 1.5), (300, 0, 1.5)], [True, False])
-    standard = MODELS[model]
+    standard = PATHLOSS_MODELS[model]
     expected = [standard.los(300.0, 50.0, 1.5, 2.0), standard.nlos(300.0, 50.0, 1.5, 2.0)]
     assert -decibel(got / 0.5) == pytest.approx(expected)
 

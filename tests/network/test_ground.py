@@ -6,9 +6,9 @@ import pytest
 from bulletuav.city.generator import generate
 from bulletuav.city.model import City
 from bulletuav.city.streets import Streets, free_streets
+from bulletuav.geometry.solids import Solids
 from bulletuav.network.mobility import find_mobility
-from bulletuav.network.mobility.ground import MARGIN, NOWHERE, Ground, bounce, walk
-from bulletuav.physics.solids import Solids
+from bulletuav.network.mobility.ground import MARGIN, OFF_GRID, Ground, bounce, walk
 
 NO_STREETS = Streets(np.zeros((0, 2)), np.zeros((0, 2), dtype=int))
 
@@ -170,10 +170,10 @@ def test_graph_has_the_streets_of_each_layout(cities, ground):
     for layout, city in enumerate(cities):
         node, neighbour = (array[layout] for array in ground.graph)
         assert np.array_equal(node[: len(city.streets.nodes)], city.streets.nodes)
-        pairs = {(a, b) for a, row in enumerate(neighbour.tolist()) for b in row if b != NOWHERE}
+        pairs = {(a, b) for a, row in enumerate(neighbour.tolist()) for b in row if b != OFF_GRID}
         edges = city.streets.edges.tolist()
         assert pairs == {(a, b) for a, b in edges} | {(b, a) for a, b in edges}
-        assert (neighbour != NOWHERE).sum() == 2 * len(edges)
+        assert (neighbour != OFF_GRID).sum() == 2 * len(edges)
 
 
 def test_a_large_city():

@@ -9,16 +9,16 @@ import pytest
 from bulletuav.city.generator import generate
 from bulletuav.city.model import City
 from bulletuav.city.streets import Streets, free_streets
-from bulletuav.network.mobility import MODELS, find_mobility
+from bulletuav.geometry.solids import Solids
+from bulletuav.network.mobility import MOBILITY_MODELS, find_mobility
 from bulletuav.network.mobility.base import uniform
 from bulletuav.network.mobility.gauss_markov import CORRELATION_TIME, GaussMarkov, gauss_markov
-from bulletuav.network.mobility.ground import NOWHERE, Ground
+from bulletuav.network.mobility.ground import OFF_GRID, Ground
 from bulletuav.network.mobility.hotspot import TURNING_TIME, Hotspot
 from bulletuav.network.mobility.manhattan import next_node
 from bulletuav.network.mobility.waypoint import Waypoint
-from bulletuav.physics.solids import Solids
 
-WALKS = [name for name in MODELS if name != "still"]
+WALKS = [name for name in MOBILITY_MODELS if name != "still"]
 COURTYARD = [[[-9, -9, 0], [9, -1.2, 9]], [[-9, 1.2, 0], [9, 9, 9]], [[-9, -9, 0], [-1.2, 9, 9]], [[1.2, -9, 0], [9, 9, 9]]]
 
 
@@ -82,7 +82,7 @@ def standard_error(samples):
 # ---- all models -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("name", MOBILITY_MODELS)
 def test_long_walks_stay_outdoors_in_bounds_and_slow(cities, ground, name):
     crowd = Crowd(name, ground, range(5), 50)
     users = crowd.move(steps=600)
@@ -134,7 +134,7 @@ def test_small_steps_lead_as_far_as_large_ones(ground, name):
         assert standard_error(large) < 0.05 * large.mean()
 
 
-@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("name", MOBILITY_MODELS)
 def test_worlds_do_not_feel_each_other(ground, name):
     crowd = Crowd(name, ground, [0, 1, 2, 3], 12)
     crowd.rng[1], still = None, {key: array[1].copy() for key, array in crowd.state.items()}
@@ -294,7 +294,7 @@ def test_manhattan_users_keep_to_streets_and_to_their_speed(cities, ground):
     speed = crowd.state["user_speed"].copy()
     assert 0.5 <= speed.min() < speed.max() <= 3
     before = crowd.state["user_street"].copy()
-    ends = np.sum(ground.graph.neighbour != NOWHERE, axis=-1) == 1
+    ends = np.sum(ground.graph.neighbour != OFF_GRID, axis=-1) == 1
     turned, passed = 0, 0
     for _ in range(300):
         crowd.move()
@@ -503,8 +503,8 @@ def test_waypoint_share_of_time_at_rest():
 
 
 def test_models_by_name_mapping_and_instance():
-    assert list(MODELS) == ["still", "gauss_markov", "manhattan", "hotspot", "waypoint"]
-    for name, kind in MODELS.items():
+    assert list(MOBILITY_MODELS) == ["still", "gauss_markov", "manhattan", "hotspot", "waypoint"]
+    for name, kind in MOBILITY_MODELS.items():
         assert find_mobility(name) == find_mobility({"model": name}) == kind()
     own = GaussMarkov(deviation=0.3)
     assert find_mobility({"model": "gauss_markov", "deviation": 0.3}) == own

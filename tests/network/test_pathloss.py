@@ -12,7 +12,7 @@ from bulletuav.network import pathloss
 from bulletuav.network.pathloss import (
     EXCESS,
     EXPONENTS,
-    MODELS,
+    PATHLOSS_MODELS,
     check_validity,
     free_space,
     log_distance,
@@ -54,7 +54,7 @@ distances = st.floats(10, 4000)
 
 
 def both(name, *link):
-    return MODELS[name].los(*link), MODELS[name].nlos(*link)
+    return PATHLOSS_MODELS[name].los(*link), PATHLOSS_MODELS[name].nlos(*link)
 
 
 @pytest.mark.parametrize("distance", FREE_SPACE)
@@ -83,11 +83,11 @@ def test_antennas_that_touch_are_a_metre_apart():
     assert free_space(0.0, 29.0) == free_space(1.0, 29.0)
     assert log_distance(0.0, 29.0, 3.5) == free_space(1.0, 29.0)
     assert umi_close_in_nlos(0.0, 1.0) == 32.4
-    for name in MODELS:
+    for name in PATHLOSS_MODELS:
         assert both(name, 0.0, 30.0, 30.0, 2.0) == both(name, 0.0, 30.0, 29.0, 2.0)
 
 
-@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("name", PATHLOSS_MODELS)
 def test_losses_are_finite_on_the_ground_too(name):
     heights = np.array([0.0, 0.5, 1.0, 1.5, 22.5, 23.0, 300.0])
     link = np.meshgrid([0.0, 1.0, 100.0, 1e4], heights, heights, 2.0)
@@ -177,7 +177,9 @@ def test_low_drones_of_tr_36777_are_terminals_of_tr_38901(aerial, ground):
 def test_uma_av_drones_above_100_metres_are_seen():
     assert uma_av_los_probability(3000.0, 100.0) < 0.6
     assert uma_av_los_probability(3000.0, 100.1) == 1
-    assert MODELS["uma_av"].nlos(200.0, 250.0, 250.0, 2.0) == MODELS["uma_av"].nlos(200.0, 100.0, 100.0, 2.0)
+    assert PATHLOSS_MODELS["uma_av"].nlos(200.0, 250.0, 250.0, 2.0) == PATHLOSS_MODELS["uma_av"].nlos(
+        200.0, 100.0, 100.0, 2.0
+    )
 
 
 @pytest.mark.parametrize("law", [umi_av_los_probability, uma_av_los_probability])
@@ -212,7 +214,7 @@ def test_sight_is_certain_up_to_18_metres(law):
     assert law(18.01) < 1
 
 
-@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("name", PATHLOSS_MODELS)
 @given(distances, distances, st.floats(30, 100), st.floats(0.5, 6))
 def test_losses_grow_with_distance_and_without_sight(name, one, other, drone, frequency):
     los, nlos = both(name, np.array([min(one, other), max(one, other)]), drone, 1.5, frequency)
@@ -235,7 +237,7 @@ def test_losses_grow_with_distance_and_without_sight(name, one, other, drone, fr
     ],
 )
 def test_shadowing(name, drone, los, nlos):
-    model = MODELS[name]
+    model = PATHLOSS_MODELS[name]
     assert shadowing(drone, *model.shadowing_los) == pytest.approx(los, abs=6e-7)
     assert shadowing(drone, *model.shadowing_nlos) == nlos
 
@@ -259,8 +261,10 @@ def test_laws_of_arrays_and_in_kernels_are_those_of_numbers():
             found[9, i] = pathloss.uma_av_nlos(d, drone, user, frequency)
         return found
 
-    arrays = [law(distance, 60.0, 1.5, 2.0) for model in MODELS.values() for law in (model.los, model.nlos)]
-    numbers = [[law(d, 60.0, 1.5, 2.0) for d in distance] for model in MODELS.values() for law in (model.los, model.nlos)]
+    arrays = [law(distance, 60.0, 1.5, 2.0) for model in PATHLOSS_MODELS.values() for law in (model.los, model.nlos)]
+    numbers = [
+        [law(d, 60.0, 1.5, 2.0) for d in distance] for model in PATHLOSS_MODELS.values() for law in (model.los, model.nlos)
+    ]
     np.testing.assert_array_equal(losses(distance, 60.0, 1.5, 2.0), arrays)
     np.testing.assert_array_equal(arrays, numbers)
 
@@ -295,7 +299,7 @@ def test_a_base_at_another_height_is_warned_about(name, end, height):
 
 
 def test_ranges_are_those_of_the_standards():
-    found = {name: tuple(model.validity[1:]) for name, model in MODELS.items()}
+    found = {name: tuple(model.validity[1:]) for name, model in PATHLOSS_MODELS.items()}
     assert found == {
         "log_distance": ((3e-6, 3000), (0, math.inf), (0, math.inf), (0, math.inf)),
         "umi": ((0.5, 100), (10, 5000), (10, 10), (1.5, 22.5)),
@@ -308,6 +312,6 @@ def test_ranges_are_those_of_the_standards():
 def test_what_a_model_is_for_passes():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert check_validity("umi", 29.0, np.array([10.0, 5000]), 10.0, (1.5, 22.5)) is MODELS["umi"]
-        assert check_validity("uma_av", 6.0, 0.0, np.linspace(1.5, 300, 9), 25) is MODELS["uma_av"]
-        assert check_validity("log_distance", 29.0, 0.0, 500.0, 0.0) is MODELS["log_distance"]
+        assert check_validity("umi", 29.0, np.array([10.0, 5000]), 10.0, (1.5, 22.5)) is PATHLOSS_MODELS["umi"]
+        assert check_validity("uma_av", 6.0, 0.0, np.linspace(1.5, 300, 9), 25) is PATHLOSS_MODELS["uma_av"]
+        assert check_validity("log_distance", 29.0, 0.0, 500.0, 0.0) is PATHLOSS_MODELS["log_distance"]

@@ -124,12 +124,12 @@ def test_drones_serve_their_own_users():
     assert served.backlog.tolist() == [[0.0, 0.0, 1.0]]
 
 
-@pytest.mark.parametrize(("deadline", "counted"), [(0.5, 0.5), (INF, 0.0)])
-def test_users_without_drone_or_rate_lose_their_tasks_at_once(deadline, counted):
+@pytest.mark.parametrize(("deadline", "active_targets"), [(0.5, 0.5), (INF, 0.0)])
+def test_users_without_drone_or_rate_lose_their_tasks_at_once(deadline, active_targets):
     server = Server(users=2, uplink=[[1.0, 0.0]], deadline=deadline)
     server.assignment[:] = [[-1, 0]]
     served = server(tasks_of((0.0, 0, 0.1), (0.0, 1, 0.1)))
-    assert (served.generated, served.arrived, served.completed, served.latency) == (2, 1, 0, counted)
+    assert (served.generated, served.arrived, served.completed, served.latency) == (2, 1, 0, active_targets)
     assert np.count_nonzero(server.link_free) == np.count_nonzero(server.core_free) == 0
 
 
@@ -305,12 +305,12 @@ def test_users_of_rate_0_have_no_tasks(number, user):
 
 def test_worlds_draw_from_their_own_generators_alone():
     arrivals = Arrivals([9.0, 2.0], 2.0, (1.0, 3.0))
-    whole = arrivals.draw(generators(4), np.ones(4, dtype=bool))
+    as_int = arrivals.draw(generators(4), np.ones(4, dtype=bool))
     rngs = [None, *generators(4)[1:]]
     some = arrivals.draw(rngs, np.array([False, True, True, False]))
     assert np.diff(some.first)[[0, 3]].tolist() == [0, 0]
     for w in (1, 2):
-        for one, same in zip(world_of(whole, w), world_of(some, w), strict=True):
+        for one, same in zip(world_of(as_int, w), world_of(some, w), strict=True):
             assert len(one) > 1
             np.testing.assert_array_equal(one, same)
     assert rngs[3].random() == generators(4)[3].random()  # a world that does not fly draws nothing

@@ -11,7 +11,7 @@ from bulletuav.adapters.sb3 import DroneVecEnv
 from bulletuav.adapters.sb3_policy import policy_network
 from bulletuav.policies import find_policy
 from bulletuav.policies.features import UserFeatures, log_gain, symlog
-from bulletuav.policies.network import Network, is_plain, read_weights
+from bulletuav.policies.neural_network import Network, is_plain, read_weights
 from bulletuav.policies.run import SHIPPED, RunConfig, shipped_tasks
 from bulletuav.policies.trained import Trained
 from bulletuav.training import checkpoint

@@ -4,12 +4,12 @@ from scipy.spatial.transform import Rotation
 
 import bulletuav
 from bulletuav.city.generator import generate
-from bulletuav.physics.obstacle import Obstacle
-from bulletuav.physics.solids import Solids
-from bulletuav.physics.swarm import Swarm
-from bulletuav.physics.view import BUILDING, DRONE, FAR, LAND, NEAR, OBSTACLE, SKY
-from bulletuav.physics.world import World
+from bulletuav.engine.engine import Engine
+from bulletuav.geometry.obstacle import Obstacle
+from bulletuav.geometry.solids import Solids
+from bulletuav.geometry.view import BUILDING, DRONE, FAR, LAND, NEAR, OBSTACLE, SKY
 from bulletuav.sensors.camera import DroneCameras
+from bulletuav.vehicle.swarm import Swarm
 
 SIZE = (64, 48)
 ALL = ["rgb", "depth", "segmentation", "ray_depth"]
@@ -27,7 +27,7 @@ def photograph():
     def make(solids, position, quaternion=LEVEL, obstacle=None, world=0, worlds=1):
         drones = len(np.atleast_2d(position))
         airframes = [bulletuav.load_airframe("hummingbird")] * drones
-        engine = World(airframes, worlds, 1 / 240, (Obstacle("sphere", (1.0,)),), (solids,))
+        engine = Engine(airframes, worlds, 1 / 240, (Obstacle("sphere", (1.0,)),), (solids,))
         made.append(engine)
         every = np.ones((worlds, drones), dtype=bool)
         engine.set_layouts(np.zeros(worlds, dtype=int), every[:, 0])

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bulletuav.physics.swarm import Swarm
 from bulletuav.sensors.imu import Imu
+from bulletuav.vehicle.swarm import Swarm
 
 G = 9.80665
 KINDS = ("acceleration", "rates")

@@ -6,12 +6,12 @@ from scipy.spatial.transform import Rotation
 
 import bulletuav
 from bulletuav.city.generator import generate
-from bulletuav.physics.atlas import NOWHERE
-from bulletuav.physics.obstacle import Obstacle
-from bulletuav.physics.solids import Solids
-from bulletuav.physics.swarm import Swarm
-from bulletuav.physics.world import World
+from bulletuav.engine.engine import Engine
+from bulletuav.geometry.city_grid import NO_LAYOUT
+from bulletuav.geometry.obstacle import Obstacle
+from bulletuav.geometry.solids import Solids
 from bulletuav.sensors.sight import clearances, line_of_sight, sights
+from bulletuav.vehicle.swarm import Swarm
 
 LEVEL = (0.0, 0, 0, 1)
 RADIUS, HALF = 0.27, 0.055  # m, of a hummingbird's disc
@@ -21,10 +21,10 @@ EDGE = 2e-4  # of a building's size: by so much, millimetres, the engine's trian
 
 
 def open_world(layouts=(), worlds=1, drones=1, airframe="hummingbird", obstacles=(), stands=0):
-    world = World([bulletuav.load_airframe(airframe)] * drones, worlds, 1 / 240, obstacles, layouts)
+    engine = Engine([bulletuav.load_airframe(airframe)] * drones, worlds, 1 / 240, obstacles, layouts)
     if layouts:
-        world.set_layouts(np.broadcast_to(stands, worlds), np.ones(worlds, dtype=bool))
-    return world
+        engine.set_layouts(np.broadcast_to(stands, worlds), np.ones(worlds, dtype=bool))
+    return engine
 
 
 @pytest.fixture
@@ -45,20 +45,20 @@ def make_world():
 def town(request):
     """A world in which `CITY` stands; with an obstacle, which is nowhere near, the engine is asked for rays."""
     obstacles = () if request.param == "walk" else (Obstacle("sphere", (1.0,)),)
-    world = open_world((CITY.solids,), obstacles=obstacles)
-    yield world
-    world.close()
+    engine = open_world((CITY.solids,), obstacles=obstacles)
+    yield engine
+    engine.close()
 
 
-def put(world, position, quaternion=LEVEL):
-    swarm = Swarm.zeros(*world.shape, 6)
+def put(engine, position, quaternion=LEVEL):
+    swarm = Swarm.zeros(*engine.shape, 6)
     swarm.position[:], swarm.quaternion[:] = position, quaternion
-    world.set_states(swarm, np.ones(world.shape, dtype=bool))
+    engine.set_states(swarm, np.ones(engine.shape, dtype=bool))
 
 
-def clear(world, start, end, where=0):
+def clear(engine, start, end, where=0):
     start, end = np.broadcast_arrays(np.atleast_2d(start).astype(float), np.atleast_2d(end).astype(float))
-    return line_of_sight(world, start, end, np.broadcast_to(where, len(start)))
+    return line_of_sight(engine, start, end, np.broadcast_to(where, len(start)))
 
 
 def places(rng, count, top):
@@ -76,30 +76,30 @@ def places(rng, count, top):
 @pytest.mark.parametrize(("height", "seen"), [(40, True), (41, False), (40.89, True), (40.901, False)])
 def test_a_building_blocks_from_its_height_on(make_world, height, seen):
     """From 100 m to 1.5 m over 100 m: 60.6 m high at x = 40, 40.9 m at x = 60."""
-    world = make_world((Solids(np.array([[(40.0, -5, 0), (60, 5, height)]])),))
+    engine = make_world((Solids(np.array([[(40.0, -5, 0), (60, 5, height)]])),))
     for start, end in (((0, 0, 100), (100, 0, 1.5)), ((100, 0, 1.5), (0, 0, 100))):
-        assert clear(world, start, end) == [seen]
+        assert clear(engine, start, end) == [seen]
 
 
 def test_each_world_is_asked_for_itself(make_world):
     layouts = [Solids(np.array([[(40.0, -5, 0), (60, 5, height)]])) for height in (40, 41)]
-    world = make_world(layouts, worlds=3, stands=[0, 1, NOWHERE])
-    np.testing.assert_array_equal(clear(world, [(0, 0, 100)] * 4, (100, 0, 1.5), [0, 1, 2, 1]), (True, False, True, False))
+    engine = make_world(layouts, worlds=3, stands=[0, 1, NO_LAYOUT])
+    np.testing.assert_array_equal(clear(engine, [(0, 0, 100)] * 4, (100, 0, 1.5), [0, 1, 2, 1]), (True, False, True, False))
 
 
 def test_the_ground_blocks_and_what_is_no_way_apart_is_in_sight(make_world):
-    world = make_world()
-    assert clear(world, (0, 0, 1), (50, 0, 1)) == [True]
-    assert clear(world, (0, 0, 1), (50, 0, -1)) == [False]
-    assert clear(world, (3, 4, 5), (3, 4, 5)) == [True]
+    engine = make_world()
+    assert clear(engine, (0, 0, 1), (50, 0, 1)) == [True]
+    assert clear(engine, (0, 0, 1), (50, 0, -1)) == [False]
+    assert clear(engine, (3, 4, 5), (3, 4, 5)) == [True]
 
 
 def test_obstacles_block_and_drones_do_not(make_world):
-    world = make_world(drones=3, obstacles=(Obstacle("box", (2.0, 2.0, 2.0)),))
-    put(world, [(0, 0, 10), (10, 0, 10), (20, 0, 10)])
-    assert clear(world, (0, 0, 10), (20, 0, 10)) == [True]
-    world.set_obstacles(np.array([[(5.0, 0.5, 10)]]), np.array([[LEVEL]]), np.array([True]))
-    np.testing.assert_array_equal(clear(world, (0, 0, 10), [(20, 0, 10), (20, -9, 10)]), (False, True))
+    engine = make_world(drones=3, obstacles=(Obstacle("box", (2.0, 2.0, 2.0)),))
+    put(engine, [(0, 0, 10), (10, 0, 10), (20, 0, 10)])
+    assert clear(engine, (0, 0, 10), (20, 0, 10)) == [True]
+    engine.set_obstacles(np.array([[(5.0, 0.5, 10)]]), np.array([[LEVEL]]), np.array([True]))
+    np.testing.assert_array_equal(clear(engine, (0, 0, 10), [(20, 0, 10), (20, -9, 10)]), (False, True))
 
 
 def test_either_way_is_the_same(town):
@@ -188,12 +188,12 @@ def test_links_are_clear_where_they_miss_every_box(town, ends):
 
 def test_drones_see_targets_of_their_own_world(make_world):
     layouts = [Solids(np.array([[(40.0, -5, 0), (60, 5, height)]])) for height in (40, 41)]
-    world = make_world(layouts, worlds=2, drones=2, stands=[0, 1])
+    engine = make_world(layouts, worlds=2, drones=2, stands=[0, 1])
     position = np.array([[(0.0, 0, 100), (50, 20, 100)]] * 2)
     targets = np.array([[(100.0, 0, 1.5), (20, 0, 1.5)]] * 2)
-    seen = sights(world, position, targets, np.ones((2, 2), dtype=bool))
+    seen = sights(engine, position, targets, np.ones((2, 2), dtype=bool))
     np.testing.assert_array_equal(seen, [[(True, True), (True, True)], [(False, True), (True, True)]])
-    seen = sights(world, position, targets, np.array([[True, False], [False, False]]))
+    seen = sights(engine, position, targets, np.array([[True, False], [False, False]]))
     np.testing.assert_array_equal(seen, [[(True, True), (False, False)], [(False, False), (False, False)]])
 
 
@@ -222,10 +222,10 @@ def test_an_environment_tells_who_sees_users_and_each_other(dynamics):
 # Clearances
 
 
-def nearest(world, position, quaternion=LEVEL, most=50.0, mask=None):
+def nearest(engine, position, quaternion=LEVEL, most=50.0, mask=None):
     """(N,) clearances of the drones of world 0."""
-    put(world, position, quaternion)
-    return clearances(world, np.ones(world.shape, dtype=bool) if mask is None else np.array(mask), most)[0]
+    put(engine, position, quaternion)
+    return clearances(engine, np.ones(engine.shape, dtype=bool) if mask is None else np.array(mask), most)[0]
 
 
 BLOCK = Solids(np.array([[(-5.0, -5, 0), (5, 5, 8)]]))
@@ -253,15 +253,15 @@ def test_distance_from_the_edge_of_a_roof(make_world):
 def test_distance_from_a_hull(make_world):
     turned = Rotation.from_euler("z", 30, degrees=True)
     corners = np.array([(x, y, z) for x in (-5, 5) for y in (-5, 5) for z in (0, 8)], dtype=float)
-    world = make_world((Solids(np.zeros((0, 2, 3)), (turned.apply(corners),)),))
-    assert nearest(world, turned.apply((-8, 0, 6))) == pytest.approx(3 - RADIUS, abs=2e-3)
+    engine = make_world((Solids(np.zeros((0, 2, 3)), (turned.apply(corners),)),))
+    assert nearest(engine, turned.apply((-8, 0, 6))) == pytest.approx(3 - RADIUS, abs=2e-3)
 
 
 def test_distance_from_an_obstacle(make_world):
-    world = make_world(obstacles=(Obstacle("sphere", (1.0,)), Obstacle("box", (2.0, 2.0, 2.0))))
-    world.set_obstacles(np.array([[(4.0, 0, 20), (0, -3, 20)]]), np.array([[LEVEL] * 2]), np.array([True]))
-    assert nearest(world, (0, 0, 20)) == pytest.approx(2 - RADIUS, abs=1e-3)  # the box
-    assert nearest(world, (1, 1, 20)) == pytest.approx(np.sqrt(10) - 1 - RADIUS, abs=1e-3)  # the sphere
+    engine = make_world(obstacles=(Obstacle("sphere", (1.0,)), Obstacle("box", (2.0, 2.0, 2.0))))
+    engine.set_obstacles(np.array([[(4.0, 0, 20), (0, -3, 20)]]), np.array([[LEVEL] * 2]), np.array([True]))
+    assert nearest(engine, (0, 0, 20)) == pytest.approx(2 - RADIUS, abs=1e-3)  # the box
+    assert nearest(engine, (1, 1, 20)) == pytest.approx(np.sqrt(10) - 1 - RADIUS, abs=1e-3)  # the sphere
 
 
 @pytest.mark.parametrize(("apart", "expected"), [((2, 0, 0), 2 - 2 * RADIUS), ((0, 0, 2), 2 - 2 * HALF)])
@@ -277,24 +277,24 @@ def test_overlap_is_negative(make_world):
 @pytest.mark.parametrize("airframe", bulletuav.available_airframes())
 def test_distance_of_a_tilted_shape(make_world, airframe):
     """A disc of radius r and half-height h, turned by 30 degrees and rolled by 30: its rim is r sin + h cos lower."""
-    world, one = make_world(airframe=airframe), bulletuav.load_airframe(airframe)
+    engine, one = make_world(airframe=airframe), bulletuav.load_airframe(airframe)
     high = one.thinnest / 2
     wide = np.sqrt(one.collision_radius**2 - high**2)
     attitude = Rotation.from_euler("ZX", (30, 30), degrees=True).as_quat()
-    assert nearest(world, (0, 0, 3), attitude) == pytest.approx(3 - wide / 2 - high * np.sqrt(0.75), abs=2e-3)
+    assert nearest(engine, (0, 0, 3), attitude) == pytest.approx(3 - wide / 2 - high * np.sqrt(0.75), abs=2e-3)
 
 
 def test_who_is_far_or_not_asked_for_has_the_limit(make_world):
-    world = make_world((BLOCK,), drones=3)
+    engine = make_world((BLOCK,), drones=3)
     places = [(20, 0, 6), (20, 3, 6), (0, 0, 40)]
-    np.testing.assert_allclose(nearest(world, places, most=4.0), (3 - 2 * RADIUS, 3 - 2 * RADIUS, 4), atol=1e-3)
-    np.testing.assert_allclose(nearest(world, places, most=2.0), 2.0)
-    masked = nearest(world, places, most=10.0, mask=[[True, False, False]])
+    np.testing.assert_allclose(nearest(engine, places, most=4.0), (3 - 2 * RADIUS, 3 - 2 * RADIUS, 4), atol=1e-3)
+    np.testing.assert_allclose(nearest(engine, places, most=2.0), 2.0)
+    masked = nearest(engine, places, most=10.0, mask=[[True, False, False]])
     np.testing.assert_allclose(masked, (6 - HALF, 10, 10), atol=1e-3)  # who is not asked for is not met either
 
 
 def test_other_worlds_and_parked_layouts_are_far(make_world):
-    world = make_world((BLOCK,), worlds=2, stands=[NOWHERE, 0])
-    put(world, [[(0, 0, 9)], [(0, 0, 9)]])
-    distance = clearances(world, np.ones((2, 1), dtype=bool), 50.0)[:, 0]
+    engine = make_world((BLOCK,), worlds=2, stands=[NO_LAYOUT, 0])
+    put(engine, [[(0, 0, 9)], [(0, 0, 9)]])
+    distance = clearances(engine, np.ones((2, 1), dtype=bool), 50.0)[:, 0]
     np.testing.assert_allclose(distance, (9 - HALF, 1 - HALF), atol=1e-3)

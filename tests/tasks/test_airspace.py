@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import bulletuav
-from bulletuav.physics.swarm import Swarm
-from bulletuav.tasks.terms.rewards import CLEAR, CONFLICT, follow_encounters, variance_nearby
+from bulletuav.tasks.rewards.airspace import CLEAR, CONFLICT, follow_encounters, variance_nearby
+from bulletuav.vehicle.swarm import Swarm
 
 AIRSPACES = ("crossing", "converge", "pursuit", "obstacles")
 CALM = {"dynamics": "rigid_body", "randomization": {}}
@@ -234,10 +234,10 @@ HEAD_ON = {
 }
 
 
-@pytest.mark.parametrize(("whose", "ended"), [("drone", (True, False, True)), ("world", (True, True, True))])
+@pytest.mark.parametrize(("affected", "ended"), [("drone", (True, False, True)), ("world", (True, True, True))])
 @pytest.mark.parametrize("what", ["contact_ends", "conflict_ends"])
-def test_contact_and_conflict_end_whose_episode_they_should(what, whose, ended):
-    steps = fly(bulletuav.Aviary("crossing", **{what: whose}, **HEAD_ON, **CALM))
+def test_contact_and_conflict_end_whose_episode_they_should(what, affected, ended):
+    steps = fly(bulletuav.Aviary("crossing", **{what: affected}, **HEAD_ON, **CALM))
     sign = "collision" if what == "contact_ends" else "conflicts"
     when = int(np.argmax(column(steps, sign).any(axis=1)))
     np.testing.assert_array_equal(steps[when].terminated[0], ended)

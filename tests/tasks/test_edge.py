@@ -10,11 +10,11 @@ from placing import OPEN, SMALL, WALL, fly
 from scipy.spatial.transform import Rotation
 
 import bulletuav
-from bulletuav.envs.plan import Plan
+from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.resolve import resolve
-from bulletuav.physics.power import airframe_wing
 from bulletuav.policies import find_policy
 from bulletuav.tasks import find_task
+from bulletuav.vehicle.power import airframe_wing
 
 EDGE = ("mec", "mec_advanced")
 DEAF = {"n_nlos": 300.0}  # nothing is heard without a line of sight
@@ -177,14 +177,14 @@ def test_a_loaded_drone_is_relieved_by_an_idle_one(put, assignment, who):
 
 
 @pytest.mark.parametrize("queue", ["simulated", "erlang"])
-@pytest.mark.parametrize(("assignment", "counted"), [("max_rate", 0.0), ("nearest", 1.0)])
-def test_users_whom_nobody_hears_lose_their_tasks(put, assignment, counted, queue):
+@pytest.mark.parametrize(("assignment", "active_targets"), [("max_rate", 0.0), ("nearest", 1.0)])
+def test_users_whom_nobody_hears_lose_their_tasks(put, assignment, active_targets, queue):
     """With `nearest` they are the drone's, which hears nothing of them: its latency is the deadline."""
     options = {"assignment": assignment, "queue": queue, "arrival_rate": 3.0, **DEAF}
     aviary = put("mec", WALL, [(0, 0, 50)], [(40, 0, 1.5)], **options)
     for _ in range(5):
         step = fly(aviary, STAY)
-        assert aviary.scene.memory["latency"] == counted
+        assert aviary.scene.memory["latency"] == active_targets
         assert np.isfinite(step.observations).all()
     assert aviary.scene.memory["generated"] > 5
     assert (step.info["completed"], step.info["latency"], step.info["served"]) == (0, 1.0, 0)
@@ -396,7 +396,7 @@ def test_rewards_of_a_task_that_came_alone(put):
         power = step.info["power"][0, 0]
         if count == 0 or (count == 1 and idle):
             terms = (count / 0.3, -0.5 * count * latency / 2 / 0.3, -0.1 * power / 50, 0.3 * math.tanh(0.1 * t))
-            names = ("tasks", "latency", "energy", "sojourn")
+            names = ("tasks", "latency", "energy", "dwell_time")
             np.testing.assert_allclose([step.info[f"reward/{name}"][0, 0] for name in names], terms, rtol=1e-9, atol=1e-15)
             assert step.rewards[0, 0] == pytest.approx(sum(terms))
             seen.add((count, bool(power > hover_power() + 1e-9)))
@@ -417,7 +417,7 @@ def test_rewards_add_up_to_those_of_the_anchor(put, task, users, completed, late
     aviary.scene.memory["completed"][:], aviary.scene.memory["delay_completed"][:] = completed, users * latency
     frame = aviary._frame
     frame = dataclasses.replace(frame, readings={**frame.readings, "power": np.full((1, 1), power)})
-    terms, weights = aviary.task.judge(frame).terms, aviary.task.weights
+    terms, weights = aviary.task.evaluate_step(frame).terms, aviary.task.weights
     assert sum(weights[name] * terms[name][0, 0] for name in terms) == pytest.approx(reward, abs=5e-8)
 
 
@@ -427,7 +427,7 @@ def test_judging_twice_changes_nothing(make, task):
     for _ in range(3):
         step = fly(aviary, EAST)
     memory = {name: array.copy() for name, array in aviary.scene.memory.items()}
-    one, other = (aviary.task.judge(aviary._frame) for _ in range(2))
+    one, other = (aviary.task.evaluate_step(aviary._frame) for _ in range(2))
     for name, term in one.terms.items():
         np.testing.assert_array_equal(term, other.terms[name])
         np.testing.assert_array_equal(step.info[f"reward/{name}"], aviary.task.weights[name] * term)
@@ -620,7 +620,7 @@ BAD = [
 @pytest.mark.parametrize(("options", "message"), BAD, ids=[str(options) for options, _ in BAD])
 def test_options_that_cannot_be(options, message):
     with pytest.raises(ValueError, match=message):
-        Plan("mec", 1, {"city": OPEN, **options})
+        EnvSpec("mec", 1, {"city": OPEN, **options})
 
 
 def test_nobody_asks_for_anything(put):
@@ -651,7 +651,7 @@ SHAPES = {
         "decision_hz": 2,
     },
     "tilted": {"dynamics": "rigid_body", "decision_hz": 10, "arrival_rate": 20.0, "boundary": "end"},
-    "all": {"observation": ("power", "sojourn", "server", "link_rates", "centroids", "sight_matrix"), "num_users": 12},
+    "all": {"observation": ("power", "dwell_time", "server", "link_rates", "centroids", "sight_matrix"), "num_users": 12},
 }
 
 

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 import bulletuav
-from bulletuav.physics.swarm import FIRST_OBSTACLE
+from bulletuav.analysis.recording import fly_episode, outcomes
 from bulletuav.policies import find_policy
-from bulletuav.record import fly_episode, outcomes
+from bulletuav.vehicle.swarm import FIRST_OBSTACLE
 
 
 @pytest.mark.parametrize("target", ["vehicle", "drone"])

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import bulletuav
-from bulletuav.envs.plan import Plan
-from bulletuav.tasks.terms.observations import IMAGES, NAMES
+from bulletuav.envs.env_spec import EnvSpec
+from bulletuav.tasks.observations.observer import IMAGES, NAMES
 
 CALM = {"dynamics": "point_mass", "randomization": {}}
 
@@ -94,12 +94,12 @@ def test_normalised_observations_are_the_raw_ones_scaled_from_their_bounds(task)
     np.testing.assert_allclose(rows[True], 2 * (rows[False] - low) / (high - low) - 1, atol=1e-6)
 
 
-SHOWS = {"sojourn": "sojourn", "server": "queue", "link_rates": "received"}  # what some tasks alone remember
+SHOWS = {"dwell_time": "dwell_time", "server": "queue", "link_rates": "received"}  # what some tasks alone remember
 
 
 def test_every_block_can_be_asked_for_in_every_task_that_has_what_it_shows():
     for task in bulletuav.list_tasks():
-        remembered = Plan(task, 1, {}).task.memory()
+        remembered = EnvSpec(task, 1, {}).task.memory()
         vectors = tuple(name for name in NAMES if name not in IMAGES and (name not in SHOWS or SHOWS[name] in remembered))
         aviary = bulletuav.Aviary(task, observation=vectors, num_drones=2, randomization={"radio_loss": 0.1})
         rows = aviary.reset(seeds=0)

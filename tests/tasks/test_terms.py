@@ -4,10 +4,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
+from bulletuav.conflict.separation import conflict
 from bulletuav.tasks.base import merged_weights
 from bulletuav.tasks.check import refuse_overlap
-from bulletuav.tasks.terms.blocks import nearest
-from bulletuav.tasks.terms.conflict import conflict
+from bulletuav.tasks.observations.motion import nearest
 
 NEIGHBOURS = 3
 

@@ -9,17 +9,17 @@ from placing import city_of
 from scipy.spatial.distance import pdist
 
 import bulletuav
-import bulletuav.tasks.terms.urban as urban
+import bulletuav.tasks.families.urban as urban
 from bulletuav.city.exports import write_obj
 from bulletuav.city.generator import generate
-from bulletuav.envs.plan import Plan
+from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.resolve import resolve
-from bulletuav.physics.power import airframe_wing, level_power, propulsion_power
 from bulletuav.policies import find_policy
 from bulletuav.tasks import find_task
 from bulletuav.tasks.base import Spawn
-from bulletuav.tasks.terms.sensed import share_of
-from bulletuav.tasks.terms.urban import ground_cells
+from bulletuav.tasks.families.urban import ground_cells
+from bulletuav.tasks.observations.sensors import share_of
+from bulletuav.vehicle.power import airframe_wing, level_power, propulsion_power
 
 URBAN = ("navigation", "lidar_navigation", "los", "coverage", "default")
 FLIGHTS = ("navigation", "lidar_navigation")
@@ -79,7 +79,7 @@ def put(make):
 
 def town(task="navigation", **options):
     """The town of a task, without an engine."""
-    return Plan(task, 1, options).task.town
+    return EnvSpec(task, 1, options).task.town
 
 
 def blocked(start, end, box):
@@ -102,7 +102,7 @@ def blocked(start, end, box):
 @pytest.mark.parametrize("task", URBAN)
 def test_everybody_starts_outdoors_with_room_and_apart(task, kind):
     options = {"city": kind, "area": 300.0, "irregularity": 1.0, "num_layouts": 3, "num_drones": 5, "min_separation": 30.0}
-    plan = Plan(task, 1, options | ({"leg": 120.0} if task in FLIGHTS else {}))
+    plan = EnvSpec(task, 1, options | ({"leg": 120.0} if task in FLIGHTS else {}))
     low, high = (20, 60) if task in ("los", "coverage") else (5, 25)
     drawn = set()
     for seed in range(30):
@@ -126,7 +126,7 @@ def test_everybody_starts_outdoors_with_room_and_apart(task, kind):
 
 def test_places_are_spread_over_all_streets_and_heights():
     """Halves of the square, and of the heights, get about as many: 600 places, five standard deviations are 61."""
-    plan = Plan("los", 1, {"num_drones": 6, "area": 300.0, "num_layouts": 1, "min_separation": 10.0})
+    plan = EnvSpec("los", 1, {"num_drones": 6, "area": 300.0, "num_layouts": 1, "min_separation": 10.0})
     places = np.concatenate([plan.task.spawn(np.random.default_rng(seed)).position for seed in range(100)])
     for axis, middle in enumerate((0.0, 0.0, 40.0)):
         assert 239 < (places[:, axis] > middle).sum() < 361
@@ -252,7 +252,7 @@ REFUSED = [
 @pytest.mark.parametrize(("options", "message"), REFUSED, ids=[str(options) for options, _ in REFUSED])
 def test_towns_that_cannot_be(options, message):
     with pytest.raises(ValueError, match=message):
-        Plan("default", 1, {"area": 250.0, **options})
+        EnvSpec("default", 1, {"area": 250.0, **options})
 
 
 @pytest.mark.parametrize("name", ["nowhere.obj", "nowhere.geojson", "nowhere.json"])
@@ -270,12 +270,12 @@ def test_a_file_that_is_not_there(name):
 )
 def test_too_little_room_for_so_many(options, message):
     with pytest.raises(ValueError, match=message):
-        Plan("navigation", 1, {"area": 250.0, **options}).task.spawn(np.random.default_rng(0))
+        EnvSpec("navigation", 1, {"area": 250.0, **options}).task.spawn(np.random.default_rng(0))
 
 
 def test_where_there_is_room_no_reset_fails_by_bad_luck():
     """In a square of 250 m nearly all starts have goals 150 m away, but those in its middle have hardly any."""
-    plan = Plan("navigation", 1, {"area": 250.0, "num_layouts": 1})
+    plan = EnvSpec("navigation", 1, {"area": 250.0, "num_layouts": 1})
     for seed in range(100):
         plan.task.spawn(np.random.default_rng(seed))
 
@@ -296,7 +296,7 @@ def test_where_there_is_room_no_reset_fails_by_bad_luck():
 )
 def test_options_of_the_tasks_that_cannot_be(task, options, message):
     with pytest.raises(ValueError, match=message):
-        Plan(task, 1, {"area": 250.0, **options})
+        EnvSpec(task, 1, {"area": 250.0, **options})
 
 
 LEVELS = {"easy": (3, "urban", 0), "medium": (5, "urban", 0.5), "hard": (8, "dense", 0.5), "extreme": (16, "high_rise", 1)}
@@ -703,7 +703,7 @@ BAD = [
 @pytest.mark.parametrize(("options", "message"), BAD, ids=[str(options) for options, _ in BAD])
 def test_options_that_cannot_be(options, message):
     with pytest.raises(ValueError, match=message):
-        Plan("lidar_navigation", 1, {"city": WALL, **options})
+        EnvSpec("lidar_navigation", 1, {"city": WALL, **options})
 
 
 def test_beams_are_as_many_and_as_high_as_asked_for(put):
@@ -772,8 +772,8 @@ def rolled(task, workers):
 
 @pytest.mark.parametrize("task", ["lidar_navigation", "los"])
 def test_the_number_of_processes_changes_no_bit(task):
-    alone, several = rolled(task, 1), rolled(task, 2)
-    for (mine, my_infos), (theirs, their_infos) in zip(alone, several, strict=True):
+    alone, as_sequence = rolled(task, 1), rolled(task, 2)
+    for (mine, my_infos), (theirs, their_infos) in zip(alone, as_sequence, strict=True):
         np.testing.assert_array_equal(mine, theirs)
         assert set(my_infos) == set(their_infos)
         for name, info in my_infos.items():
@@ -826,10 +826,10 @@ def test_the_planner_brings_everybody_to_the_goal(make, action):
 
 def test_everything_seen_is_all_of_it_exactly():
     """644 squares: 644 times 1 / 644 would be less than 1."""
-    task = Plan("coverage", 1, {"area": 300.0, "num_layouts": 1, "wanted": 1.0}).task
-    counted = np.ones((1, task.num_targets), dtype=bool)
-    assert share_of(counted, counted).tolist() == [1.0]
-    assert share_of(counted, np.zeros_like(counted)).tolist() == [0.0]
+    task = EnvSpec("coverage", 1, {"area": 300.0, "num_layouts": 1, "wanted": 1.0}).task
+    active_targets = np.ones((1, task.num_targets), dtype=bool)
+    assert share_of(active_targets, active_targets).tolist() == [1.0]
+    assert share_of(active_targets, np.zeros_like(active_targets)).tolist() == [0.0]
 
 
 def test_an_empty_battery_ends_the_episode_for_the_task_too():

@@ -6,8 +6,8 @@ from gymnasium.vector import AutoresetMode
 from placing import OPEN, SMALL, WALL, city_of, fly
 
 import bulletuav
-from bulletuav.envs.plan import Plan
-from bulletuav.network.mobility import MODELS, find_mobility
+from bulletuav.envs.env_spec import EnvSpec
+from bulletuav.network.mobility import MOBILITY_MODELS, find_mobility
 from bulletuav.network.mobility.gauss_markov import GaussMarkov
 from bulletuav.network.mobility.waypoint import Waypoint
 
@@ -35,10 +35,10 @@ def told(aviary, observations, beginning):
 
 
 @pytest.mark.parametrize("task", ["los", "mobile_users", "mec", "mec_advanced"])
-@pytest.mark.parametrize("mobility", MODELS)
+@pytest.mark.parametrize("mobility", MOBILITY_MODELS)
 def test_users_start_outdoors(task, mobility):
     kind = {"city": "dense", "irregularity": 1.0, "area": 250.0, "num_layouts": 2, "num_users": 40}
-    one, drawn = Plan(task, 1, {**kind, "mobility": mobility}).task, set()
+    one, drawn = EnvSpec(task, 1, {**kind, "mobility": mobility}).task, set()
     for seed in range(10):
         spawn = one.spawn(np.random.default_rng(seed))
         users = spawn.memory["users"]
@@ -52,7 +52,7 @@ def test_users_start_outdoors(task, mobility):
 
 
 @pytest.mark.parametrize("hz", [1, 5])
-@pytest.mark.parametrize("mobility", MODELS)
+@pytest.mark.parametrize("mobility", MOBILITY_MODELS)
 def test_users_walk_whole_episodes_outdoors_and_no_faster_than_they_can(make, mobility, hz):
     aviary = make("mobile_users", 2, mobility=mobility, decision_hz=hz, horizon=100 * hz, num_users=30, num_drones=1)
     city, places = aviary.task.town.cities[0], [aviary.scene.memory["users"].copy()]
@@ -70,7 +70,7 @@ def test_users_walk_whole_episodes_outdoors_and_no_faster_than_they_can(make, mo
     np.testing.assert_array_equal(aviary.scene.memory["users"], users[-1])
 
 
-@pytest.mark.parametrize("mobility", MODELS)
+@pytest.mark.parametrize("mobility", MOBILITY_MODELS)
 def test_users_of_a_world_know_nothing_of_others(make, mobility):
     many, one = (make("mobile_users", worlds, mobility=mobility, num_layouts=2) for worlds in (4, 1))
     rng = np.random.default_rng(0)
@@ -90,7 +90,7 @@ def test_users_of_a_world_know_nothing_of_others(make, mobility):
         assert not (others[1] == others[2]).all()
 
 
-@pytest.mark.parametrize("mobility", MODELS)
+@pytest.mark.parametrize("mobility", MOBILITY_MODELS)
 def test_the_same_seed_is_the_same_episode_after_others_too(make, mobility):
     aviary, episodes = make("mobile_users", mobility=mobility), []
     for seed in (3, 4, 3):
@@ -151,7 +151,7 @@ BAD = [
     ({"wanted": 0.0}, "wanted is 0: a share above 0"),
     ({"boundary": "sof"}, "unknown boundary 'sof': did you mean 'soft'"),
     ({"contact_ends": "worlds"}, "unknown contact_ends 'worlds': did you mean 'world'"),
-    ({"weights": {"sojorn": 1.0}}, "unknown reward term 'sojorn': did you mean 'sojourn'"),
+    ({"weights": {"dwel_time": 1.0}}, "unknown reward term 'dwel_time': did you mean 'dwell_time'"),
     ({"observation": ("server",)}, "observation block 'server' shows what task 'mobile_users' does not have"),
     ({"observation": ("link_rates",)}, "observation block 'link_rates' shows what task 'mobile_users' does not have"),
 ]
@@ -160,21 +160,23 @@ BAD = [
 @pytest.mark.parametrize(("options", "message"), BAD, ids=[str(options) for options, _ in BAD])
 def test_options_that_cannot_be(options, message):
     with pytest.raises(ValueError, match=message):
-        Plan("mobile_users", 1, {"city": OPEN, "mobility": "still", **options})
+        EnvSpec("mobile_users", 1, {"city": OPEN, "mobility": "still", **options})
 
 
-def test_tasks_without_users_have_no_sojourn():
-    with pytest.raises(ValueError, match="observation block 'sojourn' shows what task 'hover' does not have: leave it out"):
-        Plan("hover", 1, {"observation": ("position", "sojourn")})
+def test_tasks_without_users_have_no_dwell_time():
+    with pytest.raises(
+        ValueError, match="observation block 'dwell_time' shows what task 'hover' does not have: leave it out"
+    ):
+        EnvSpec("hover", 1, {"observation": ("position", "dwell_time")})
 
 
 @pytest.mark.parametrize("task", ["mobile_users", "mec"])
 def test_where_there_are_no_streets_nobody_can_walk_on_them(task):
     with pytest.raises(ValueError, match="city 'hand' has no streets"):
         bulletuav.Aviary(task, city=WALL, mobility="manhattan")
-    for mobility in MODELS:
+    for mobility in MOBILITY_MODELS:
         if mobility != "manhattan":
-            spawn = Plan(task, 1, {"city": WALL, "mobility": mobility}).task.spawn(np.random.default_rng(0))
+            spawn = EnvSpec(task, 1, {"city": WALL, "mobility": mobility}).task.spawn(np.random.default_rng(0))
             assert WALL.outdoors(spawn.memory["users"]).all()
 
 
@@ -183,13 +185,13 @@ def test_where_there_are_no_streets_nobody_can_walk_on_them(task):
 
 def test_seconds_of_sight_are_counted_and_lost_behind_a_wall(put):
     """From (0, 55) to a user at (40, 70) the line passes x = 10 at y = 58.75, beside the wall; from (0, 40) at 47.5."""
-    aviary = put("mobile_users", WALL, [(0, 70, 10)], [(40, 70, 1.5), (0, 0, 1.5)], observation=("sojourn",))
+    aviary = put("mobile_users", WALL, [(0, 70, 10)], [(40, 70, 1.5), (0, 0, 1.5)], observation=("dwell_time",))
     seconds = []
     for way in (STAY, STAY, SOUTH, SOUTH, STAY, NORTH, STAY):
         step = fly(aviary, way)
-        seconds.append(aviary.scene.memory["sojourn"][0, 0].tolist())
+        seconds.append(aviary.scene.memory["dwell_time"][0, 0].tolist())
         assert step.observations[0, 0] == pytest.approx(np.mean(seconds[-1]))
-        assert step.info["reward/sojourn"][0, 0] == pytest.approx(0.5 * np.tanh(0.1 * np.mean(seconds[-1])))
+        assert step.info["reward/dwell_time"][0, 0] == pytest.approx(0.5 * np.tanh(0.1 * np.mean(seconds[-1])))
     assert seconds == [[1, 1], [2, 2], [3, 3], [0, 4], [0, 5], [1, 6], [2, 7]]
 
 
@@ -198,12 +200,12 @@ def test_seconds_of_sight_are_seconds_whatever_a_decision_takes(put, hz):
     aviary = put("mobile_users", OPEN, [(0, 0, 30)], [(40, 0, 1.5)], decision_hz=hz, horizon=5 * hz)
     for _ in range(4 * hz):
         step = fly(aviary, STAY)
-    assert aviary.scene.memory["sojourn"] == pytest.approx(4.0)
-    assert step.info["reward/sojourn"] == pytest.approx(0.5 * np.tanh(0.4))
+    assert aviary.scene.memory["dwell_time"] == pytest.approx(4.0)
+    assert step.info["reward/dwell_time"] == pytest.approx(0.5 * np.tanh(0.4))
 
 
 def test_sight_of_users_who_walk_out_of_it_starts_anew(make):
-    """Sojourn follows sight, one decision after the other, of everybody."""
+    """Dwell time follows sight, one decision after the other, of everybody."""
     aviary = make("mobile_users", 2, num_users=30, horizon=60)
     expected, lost = np.zeros((2, 3, 30)), 0
     while aviary.alive.all():
@@ -214,12 +216,12 @@ def test_sight_of_users_who_walk_out_of_it_starts_anew(make):
             seen = aviary.line_of_sight(start, places[w], w)
             lost += ((expected[w, i] > 0) & ~seen).sum()
             expected[w, i] = np.where(seen, expected[w, i] + 1, 0)
-        np.testing.assert_array_equal(aviary.scene.memory["sojourn"], expected)
+        np.testing.assert_array_equal(aviary.scene.memory["dwell_time"], expected)
     assert lost > 20
 
 
 def test_who_is_dead_has_seen_nobody_and_a_reset_forgets(put):
-    aviary = put("mobile_users", OPEN, [(0, 0, 40), (50, 0, 40)], [(40, 0, 1.5)], 2, observation=("sojourn",))
+    aviary = put("mobile_users", OPEN, [(0, 0, 40), (50, 0, 40)], [(40, 0, 1.5)], 2, observation=("dwell_time",))
     for seconds in (1, 2):  # 15 m down in each; the third ends on the ground
         step = fly(aviary, DOWN, STAY)
         assert step.observations[..., 0].tolist() == [[seconds, seconds]] * 2
@@ -227,7 +229,7 @@ def test_who_is_dead_has_seen_nobody_and_a_reset_forgets(put):
     assert aviary.alive.tolist() == [[False, True]] * 2
     step = fly(aviary, STAY)
     assert step.observations[..., 0].tolist() == [[0, 4]] * 2
-    assert step.info["reward/sojourn"][:, 0].tolist() == [0, 0]
+    assert step.info["reward/dwell_time"][:, 0].tolist() == [0, 0]
     aviary.reset(np.array([False, True]))
     assert fly(aviary, STAY).observations[..., 0].tolist() == [[0, 5], [1, 1]]
 
@@ -247,10 +249,10 @@ def test_reward_of_seeing_three_in_five_for_ten_seconds(put):
 
 def test_reward_of_sight_that_lasts(put):
     expected = {1: 0.0996680, 5: 0.4621172, 10: 0.7615942, 20: 0.9640276}  # of the weight 1
-    aviary = put("mobile_users", OPEN, [(0, 0, 30)], [(9, 0, 1.5), (0, 9, 1.5)], weights={"sojourn": 1.0, "sight": 0.0})
+    aviary = put("mobile_users", OPEN, [(0, 0, 30)], [(9, 0, 1.5), (0, 9, 1.5)], weights={"dwell_time": 1.0, "sight": 0.0})
     for seconds in range(1, 21):
         step = fly(aviary, STAY)
-        assert step.rewards[0, 0] == step.info["reward/sojourn"][0, 0]
+        assert step.rewards[0, 0] == step.info["reward/dwell_time"][0, 0]
         if seconds in expected:
             assert step.rewards[0, 0] == pytest.approx(expected[seconds], abs=5e-8)
 
@@ -317,7 +319,7 @@ def test_the_bounds_can_end_it_instead(put):
 
 def test_defaults_of_the_bounds():
     for task, boundary in (("los", "end"), ("mobile_users", "hard"), ("mec", "hard"), ("mec_advanced", "hard")):
-        assert Plan(task, 1, {"city": OPEN, "mobility": "still"}).task.config.boundary == boundary
+        assert EnvSpec(task, 1, {"city": OPEN, "mobility": "still"}).task.config.boundary == boundary
 
 
 @pytest.mark.parametrize("dynamics", ["single_integrator", "rigid_body"])
@@ -422,7 +424,7 @@ def test_the_preset_has_the_sizes_that_it_is_named_after(make):
     for k in range(1, 101):
         step = fly(aviary, STAY)
         assert step.truncated.all() == step.truncated.any() == (k == 100)
-    assert Plan("mobile_users", 1, {"preset": "urbanmarl", "num_users": 7, **SMALL}).task.num_targets == 7
+    assert EnvSpec("mobile_users", 1, {"preset": "urbanmarl", "num_users": 7, **SMALL}).task.num_targets == 7
 
 
 def test_sight_ahead_is_what_would_be_seen_from_there(put):
@@ -448,7 +450,7 @@ SHAPES = {
         "observation": (
             "centroids",
             "sight_matrix",
-            "sojourn",
+            "dwell_time",
             "power",
             "targets",
             "seen_share",
@@ -483,7 +485,7 @@ def test_agents_of_pettingzoo_get_the_same_infos_at_reset_and_at_every_step():
     env = bulletuav.parallel_env("mobile_users", horizon=4, **SMALL)
     observations, infos = env.reset(seed=0)
     names = set(infos["drone_0"])
-    assert {"served", "power", "charge", "reward/sojourn"} <= names
+    assert {"served", "power", "charge", "reward/dwell_time"} <= names
     while env.agents:
         assert all(env.observation_space(agent).contains(observations[agent]) for agent in env.agents)
         flying = list(env.agents)

@@ -16,11 +16,11 @@ import torch
 
 import bulletuav
 from bulletuav.adapters.sb3 import DroneVecEnv
-from bulletuav.charts import plot_curves
-from bulletuav.evaluation import replace_file
+from bulletuav.analysis.evaluation import replace_file
 from bulletuav.policies import find_policy
-from bulletuav.policies.network import read_weights
+from bulletuav.policies.neural_network import read_weights
 from bulletuav.policies.run import RunConfig
+from bulletuav.report.charts import plot_curves
 from bulletuav.training.campaign import Campaign, learning_table
 from bulletuav.training.models import make_model
 from bulletuav.training.store import Store, opened
@@ -144,7 +144,7 @@ def test_the_curve_begins_before_learning_and_ends_with_the_last_step(run):
     assert -200 < rows[1]["train/return"] < 200
     assert rows[1]["train/decisions"] == 12
     lines = (folder / "curve.csv").read_text().splitlines()
-    assert lines[0].startswith("steps,decisions,level,seconds,train/return")
+    assert lines[0].startswith("steps,decisions,stage,seconds,train/return")
     assert len(lines) == 5
     assert list((folder / "tensorboard").glob("events.*"))
 
@@ -226,8 +226,8 @@ def test_what_a_preset_says_of_actions_holds_where_the_policy_flies():
     told = RunConfig("hover", options={"preset": "hover_aviary"})
     assert told.interface == {"action": "hover_rpm"}
     assert told.evaluated == {"action": "hover_rpm", "preset": "hover_aviary"}
-    levels = [{"num_drones": 2}, {"num_drones": 4, "decision_hz": 5}]
-    told = RunConfig("converge", options={"dynamics": "point_mass", "difficulty": "easy"}, levels=levels)
+    stages = [{"num_drones": 2}, {"num_drones": 4, "decision_hz": 5}]
+    told = RunConfig("converge", options={"dynamics": "point_mass", "difficulty": "easy"}, stages=stages)
     assert told.evaluated == {"num_drones": 4, "decision_hz": 5, "difficulty": "easy"}
 
 
@@ -279,11 +279,11 @@ def test_other_versions_are_told(tmp_path, run):
 
 
 def test_a_curriculum_goes_on_where_it_was(tmp_path):
-    levels = [{"num_drones": 1}, {"num_drones": 2}]
+    stages = [{"num_drones": 1}, {"num_drones": 2}]
     easy = {"up": 0.1, "down": 0.0, "window": 1}
-    learner = config(levels=levels, curriculum=easy, options={**OPTIONS, "goal_radius": 300.0})
+    learner = config(stages=stages, curriculum=easy, options={**OPTIONS, "goal_radius": 300.0})
     rows = train(learner, tmp_path / "whole")
-    assert rows[-1]["level"] == 1
+    assert rows[-1]["stage"] == 1
     assert rows[-1]["decisions"] < rows[-1]["steps"]  # the slot of the second drone was empty at first
     with pytest.raises(KeyboardInterrupt):
         train(learner, tmp_path / "cut", interrupt_after(150))
@@ -358,17 +358,17 @@ def test_what_a_run_of_a_campaign_raises_is_raised(tmp_path):
         ("steps: 5", "a run without a task"),
         ("task: crossing\nsteps: 2.5", "steps is 2.5"),
         ("task: crossing\nalgo: pppo", "did you mean 'ppo'"),
-        ("task: crossing\nlevels: {a: 1}", "levels is"),
+        ("task: crossing\nstages: {a: 1}", "stages is"),
         ("task: crossing\nmodel: 5", "model is 5"),
-        ("task: crossing\nlevels: 5", "levels is 5"),
-        ("task: crossing\nlevels: []", "levels is"),
+        ("task: crossing\nstages: 5", "stages is 5"),
+        ("task: crossing\nstages: []", "stages is"),
         ("task: crossing\nshared_reward: 1", "shared_reward is 1"),
         ("task: crossing\ncurriculum: {upp: 0.9}", "did you mean 'up'"),
         ("task: crossing\ncurriculum: {up: 2.0}", "0 <= down < up <= 1"),
         ("task: crossing\noptions: {dynamic: bullet}", "did you mean 'dynamics'"),
         ("task: crossing\noptions: {num_worlds: 3}", "unknown option"),
         ("task: crossing\noptions: {5: 3}", "unknown option"),
-        ("task: crossing\nlevels: [{dynamics: bulet}]", "did you mean 'bullet'"),
+        ("task: crossing\nstages: [{dynamics: bulet}]", "did you mean 'bullet'"),
         ("task: crossing\nevaluation: {policy: orca}", "unknown option"),
         ("task: [", "is no YAML file"),
         ("crossing", "names with values are needed"),

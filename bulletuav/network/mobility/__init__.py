@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
-from bulletuav.errors import pick, unknown
+from bulletuav.errors import choose, unknown
 from bulletuav.network.mobility.base import Mobility
 from bulletuav.network.mobility.gauss_markov import GaussMarkov
 from bulletuav.network.mobility.hotspot import Hotspot
@@ -12,7 +12,9 @@ from bulletuav.network.mobility.manhattan import Manhattan
 from bulletuav.network.mobility.still import Still
 from bulletuav.network.mobility.waypoint import Waypoint
 
-MODELS: dict[str, type[Mobility]] = {model.name: model for model in (Still, GaussMarkov, Manhattan, Hotspot, Waypoint)}
+MOBILITY_MODELS: dict[str, type[Mobility]] = {
+    model.name: model for model in (Still, GaussMarkov, Manhattan, Hotspot, Waypoint)
+}
 MobilitySource = str | Mapping[str, Any] | Mobility
 """A model by its name, by a mapping of "model" to its name and options to their values, or made already"""
 
@@ -25,7 +27,7 @@ def find_mobility(source: MobilitySource) -> Mobility:
     if isinstance(source, Mobility):
         return source
     given: dict[str, Any] = dict(source) if isinstance(source, Mapping) else {"model": source}
-    kind = pick("mobility model", given.pop("model", None), MODELS)
+    kind = choose("mobility model", given.pop("model", None), MOBILITY_MODELS)
     names = {"model"} | {field.name for field in dataclasses.fields(kind)}
     for name in given:
         if name not in names:

@@ -8,8 +8,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from bulletuav.errors import finite, several, shown
-from bulletuav.kernel import formula
+from bulletuav.errors import as_sequence, finite, shown
+from bulletuav.kernel import func
 from bulletuav.network.mobility.ground import Ground
 
 MOST_SPEED, LONGEST = 100.0, 1e6
@@ -94,7 +94,7 @@ class Walking(Mobility):
 
 def check_range(name: str, value: Any, unit: str, most: float, above_zero: bool) -> tuple[float, float]:
     """(low, high) as floats. Raises ValueError unless they are in order, up to `most`, and low at least 0, or above it."""
-    low, high = (finite(name, end, most=most) for end in several(name, value, 2))
+    low, high = (finite(name, end, most=most) for end in as_sequence(name, value, 2))
     if not 0 <= low <= high or (above_zero and low == 0):
         raise ValueError(
             f"{name} is {shown(value)} {unit}: from low to high, {'above' if above_zero else 'at least'} 0, is needed"
@@ -131,7 +131,7 @@ def _flown(rng: Generators, flying: np.ndarray) -> Iterator[tuple[int, np.random
         yield k, own
 
 
-@formula
+@func
 def uniform(key, index):
     """Number `index` (from 0) of the stream of a key (uint64), in [0, 1).
 

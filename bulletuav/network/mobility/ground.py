@@ -9,11 +9,11 @@ import numpy as np
 
 from bulletuav.city.model import City
 from bulletuav.errors import finite
-from bulletuav.kernel import formula, kernel
+from bulletuav.kernel import func, kernel
 
 MARGIN = 0.1  # m, between free cells and walls
 INSET = 1e-9  # m, between places in a cell and its sides, so that rounding puts none into the next
-NOWHERE = -1
+OFF_GRID = -1
 """Node where a street's list of neighbours has ended"""
 
 
@@ -36,7 +36,7 @@ class Graph(NamedTuple):
     """Streets of L layouts; short lists are padded.
 
     node       (L, S, 2) m
-    neighbour  (L, S, K) int, the nodes to which streets lead from each, then NOWHERE
+    neighbour  (L, S, K) int, the nodes to which streets lead from each, then OFF_GRID
     """
 
     node: np.ndarray
@@ -115,7 +115,7 @@ def _graph(cities: Sequence[City]) -> Graph:
             raise ValueError(f"city {city.name!r} has no streets: users need some, see bulletuav.city.streets.free_streets")
     nodes = max(len(city.streets.nodes) for city in cities)
     most = max(int(np.bincount(city.streets.edges.ravel()).max()) for city in cities)
-    graph = Graph(np.zeros((len(cities), nodes, 2)), np.full((len(cities), nodes, most), NOWHERE))
+    graph = Graph(np.zeros((len(cities), nodes, 2)), np.full((len(cities), nodes, most), OFF_GRID))
     for node, neighbour, city in zip(*graph, cities, strict=True):
         node[: len(city.streets.nodes)] = city.streets.nodes
         ways = _both_ways(city)[0]
@@ -160,33 +160,33 @@ def cover(free, outline, cell, reach):
             free[i, j] = free[i, j] and clear
 
 
-@formula
+@func
 def length(x, y):
     """Of a vector; `math.hypot` costs ten times as much."""
     return math.sqrt(x * x + y * y)
 
 
-@formula
+@func
 def cell_of(place, raster):
     """Column of an x, or row of a y, m."""
     return math.floor((place + raster.reach) / raster.cell)
 
 
-@formula
+@func
 def is_free(raster, layout, column, row):
     """Whether there is such a cell and it is free."""
     count = raster.free.shape[1]
     return 0 <= column < count and 0 <= row < count and raster.free[layout, column, row]
 
 
-@formula
+@func
 def within(place, index, raster):
     """`place` (x or y, m), moved into its column or row `index` where rounding left it outside."""
     line = index * raster.cell - raster.reach
     return min(max(place, line + INSET), line + raster.cell - INSET)
 
 
-@formula
+@func
 def walk(raster, layout, x, y, way_x, way_y):
     """Straight on from (x, y) m by `way` m through free cells: x, y of the end, the share gone, and what stopped it.
 
@@ -216,7 +216,7 @@ def walk(raster, layout, x, y, way_x, way_y):
     return within(x + share * way_x, column, raster), within(y + share * way_y, row, raster), share, stopped
 
 
-@formula
+@func
 def bounce(raster, layout, x, y, way_x, way_y):
     """As `walk`, but turned at walls like light by mirrors: x, y of the end, and -1 for each axis turned about, or 1."""
     turned_x, turned_y, left = 1.0, 1.0, 1.0

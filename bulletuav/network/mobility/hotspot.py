@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from bulletuav.errors import whole
+from bulletuav.errors import as_int
 from bulletuav.kernel import kernel
 from bulletuav.network.mobility.base import LONGEST, MOST_SPEED, Generators, State, Walking, check_range, headings, normals
 from bulletuav.network.mobility.gauss_markov import gauss_markov
@@ -42,7 +42,7 @@ class Hotspot(Walking):
 
     def __post_init__(self):
         super().__post_init__()
-        self._keep("num_hotspots", whole("num_hotspots", self.num_hotspots, 1, MOST_HOTSPOTS))
+        self._keep("num_hotspots", as_int("num_hotspots", self.num_hotspots, 1, MOST_HOTSPOTS))
         self._keep("drift", check_range("drift", self.drift, "m/s", MOST_SPEED, above_zero=False))
         self._size("turning_time", " s", LONGEST, above_zero=True)
         self._size("radius", "", LONGEST, above_zero=False)

@@ -9,10 +9,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from bulletuav.errors import finite, several
-from bulletuav.kernel import formula, kernel
+from bulletuav.errors import as_sequence, finite
+from bulletuav.kernel import func, kernel
 from bulletuav.network.mobility.base import Generators, State, Walking, keys, uniform
-from bulletuav.network.mobility.ground import NOWHERE, Ground, length
+from bulletuav.network.mobility.ground import OFF_GRID, Ground, length
 
 MOST_WEIGHT = 1e6  # of a turn
 
@@ -30,7 +30,9 @@ class Manhattan(Walking):
 
     def __post_init__(self):
         super().__post_init__()
-        self._keep("turns", tuple(finite("turns", weight, most=MOST_WEIGHT) for weight in several("turns", self.turns, 3)))
+        self._keep(
+            "turns", tuple(finite("turns", weight, most=MOST_WEIGHT) for weight in as_sequence("turns", self.turns, 3))
+        )
         for weight in self.turns:
             if not weight > 0:  # it may be that of a node's only way on
                 raise ValueError(f"turns has {weight!r}: three numbers above 0 are needed, of straight on, left and right")
@@ -82,22 +84,22 @@ def advance(users, velocity, speed, street, key, graph, layout, flying, dt, turn
                 velocity[w, i, axis] = speed[w, i] * heading
 
 
-@formula
+@func
 def next_node(graph, layout, before, node, turns, chance):
     """Where one who came from node `before` to `node` goes: drawn by `chance` in [0, 1) with the weights of the turns."""
     total = 0.0
     for ahead in graph.neighbour[layout, node]:
-        if ahead != NOWHERE and ahead != before:
+        if ahead != OFF_GRID and ahead != before:
             total += turns[turn(graph.node[layout], before, node, ahead)]
     left, chosen = chance * total, before
     for ahead in graph.neighbour[layout, node]:
-        if ahead != NOWHERE and ahead != before and left >= 0.0:
+        if ahead != OFF_GRID and ahead != before and left >= 0.0:
             left -= turns[turn(graph.node[layout], before, node, ahead)]
             chosen = ahead
     return chosen
 
 
-@formula
+@func
 def turn(place, before, node, ahead):
     """Whether a way from `before` by `node` goes on to `ahead` straight (0, up to 45 degrees off), left (1) or right (2)."""
     x, y = place[node, 0] - place[before, 0], place[node, 1] - place[before, 1]

@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from bulletuav.kernel import formula, kernel
+from bulletuav.kernel import func, kernel
 from bulletuav.network.mobility.base import LONGEST, Generators, State, Walking, check_range, keys, uniform
 from bulletuav.network.mobility.ground import Ground, cell_of, is_free, length, walk
 
@@ -96,7 +96,7 @@ def advance(users, velocity, goal, speed, pause, key, raster, layout, flying, dt
                 velocity[w, i, axis] = speed[w, i] * (aim[axis] - place[axis]) / gap if gap > 0.0 else 0.0
 
 
-@formula
+@func
 def seen_place(raster, layout, x, y, key, drawn):
     """x, y of a place, uniform over the free ground in straight view of (x, y) m, and how many numbers are drawn then.
 

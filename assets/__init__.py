@@ -1,1 +1,0 @@
-"""Data files of bulletuav: `urdf/`, one airframe a file."""

@@ -1,0 +1,1 @@
+"""Evaluation, metrics, recordings and speed."""

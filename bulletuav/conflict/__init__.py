@@ -1,0 +1,1 @@
+"""Measures of conflict between drones: separation, closest approach, time to conflict, probability."""

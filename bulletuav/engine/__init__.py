@@ -1,0 +1,1 @@
+"""Bullet: the only room that calls pybullet."""

@@ -1,0 +1,235 @@
+/* Bullet's calls for a whole swarm at once. Bullet loads this file as a plugin, which gives it a client of the same world and
+   the processor of its commands (b3PluginContext.h); commands are written by the functions of Bullet's C interface, found in
+   the pybullet module that is loaded already, and handed to the processor, whose answers are read where it writes them.
+   Declarations follow Bullet 3.25: SharedMemoryPublic.h, PhysicsClientC_API.h, PhysicsCommandProcessorInterface.h. */
+
+#define _GNU_SOURCE
+#include <Python.h>
+#include <dlfcn.h>
+#include <math.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <stdlib.h>
+#include <string.h>
+
+enum {
+    MAGIC_NUMBER = 202010061, /* of this layout; Bullet refuses a plugin with another */
+    CLIENT = 0, PROCESSOR = 11, /* places in the plugin context, in pointers */
+    IS_CONNECTED = 4, PROCESS_COMMAND = 5, /* places in the processor's table of virtual functions */
+    LINK_FRAME = 1, WORLD_FRAME = 2, BASE = -1, NOBODY = -2,
+#ifdef __APPLE__
+    RAYS = 4095, /* a command takes; one more and none is answered */
+#else
+    RAYS = 16383,
+#endif
+    BUFFER = 1 << 16, /* bytes; an answer about one body takes 30 KB */
+};
+
+typedef void *handle;
+struct ray_hit { double fraction; int body, link; double position[3], normal[3]; };
+struct ray_hits { int count; struct ray_hit *hit; };
+struct contact {
+    int flags, body_a, body_b, link_a, link_b;
+    double on_a[3], on_b[3], normal[3], distance, normal_force, friction[8];
+};
+struct contacts { int count; struct contact *point; };
+
+/* Every function that is used: what it returns, its name, what it takes. */
+#define FUNCTIONS(F) \
+    F(handle, b3InitStepSimulationCommand, (handle)) \
+    F(handle, b3RequestActualStateCommandInit, (handle, int)) \
+    F(int, b3GetStatusActualState, \
+      (handle, int *, int *, int *, const double **, const double **, const double **, const double **)) \
+    F(handle, b3ApplyExternalForceCommandInit, (handle)) \
+    F(void, b3ApplyExternalForce, (handle, int, int, const double *, const double *, int)) \
+    F(void, b3ApplyExternalTorque, (handle, int, int, const double *, int)) \
+    F(handle, b3CreatePoseCommandInit, (handle, int)) \
+    F(int, b3CreatePoseCommandSetBasePosition, (handle, double, double, double)) \
+    F(int, b3CreatePoseCommandSetBaseOrientation, (handle, double, double, double, double)) \
+    F(int, b3CreatePoseCommandSetBaseLinearVelocity, (handle, const double *)) \
+    F(int, b3CreatePoseCommandSetBaseAngularVelocity, (handle, const double *)) \
+    F(handle, b3CollisionFilterCommandInit, (handle)) \
+    F(void, b3SetCollisionFilterGroupMask, (handle, int, int, int, int)) \
+    F(handle, b3CreateRaycastBatchCommandInit, (handle)) \
+    F(void, b3RaycastBatchAddRays, (handle, handle, const double *, const double *, int)) \
+    F(void, b3RaycastBatchSetCollisionFilterMask, (handle, int)) \
+    F(void, b3RaycastBatchSetNumThreads, (handle, int)) \
+    F(void, b3GetRaycastInformation, (handle, struct ray_hits *)) \
+    F(handle, b3InitRequestContactPointInformation, (handle)) \
+    F(void, b3GetContactPointInformation, (handle, struct contacts *)) \
+    F(handle, b3SubmitClientCommandAndWaitStatus, (handle, handle))
+
+#define DECLARE(result, name, arguments) result(*name) arguments;
+static struct { FUNCTIONS(DECLARE) } api;
+
+struct session {
+    handle client, status;
+    void *processor;
+    _Bool (*process)(void *, const void *, void *, char *, int);
+    ptrdiff_t to_velocity; /* from a state's pose to its velocity, in doubles */
+    int64_t drones;
+    const int32_t *body;
+    double answer[BUFFER / sizeof(double)];
+};
+
+static handle client_seen;
+static void *processor_seen;
+
+int initPlugin_bulletuav(void **context) {
+    client_seen = context[CLIENT];
+    processor_seen = context[PROCESSOR];
+    return MAGIC_NUMBER;
+}
+void exitPlugin_bulletuav(void **context) {}
+int executePluginCommand_bulletuav(void **context, const void *arguments) { return 0; }
+
+/* NULL when all functions were found in the module at `path`, else what was not. */
+const char *batch_find(const char *path) {
+#define NAME(result, name, arguments) #name,
+    static const char *const names[] = {FUNCTIONS(NAME)};
+    void *library = dlopen(path, RTLD_NOW | RTLD_NOLOAD), *found[sizeof names / sizeof *names];
+    if (!library) return "a loaded pybullet module";
+    for (size_t k = 0; k < sizeof names / sizeof *names; k++)
+        if (!(found[k] = dlsym(library, names[k]))) return names[k];
+    memcpy(&api, found, sizeof found); /* all or nothing: sessions may be open */
+    return NULL;
+}
+
+static void run(struct session *s, handle command) {
+    s->process(s->processor, command, s->status, (char *)s->answer, sizeof s->answer);
+}
+
+static const double *state(struct session *s, int body) {
+    run(s, api.b3RequestActualStateCommandInit(s->client, body));
+    return s->answer;
+}
+
+/* A session on the client that loaded this plugin last, for the bodies of `drones` drones, which must outlive it.
+   NULL when the processor does not answer as Bullet's C interface does. */
+struct session *batch_open(int64_t drones, const int32_t *body) {
+    struct session *s = calloc(1, sizeof *s);
+    if (!s || !processor_seen) { free(s); return NULL; }
+    void **functions = *(void ***)processor_seen;
+    _Bool (*connected)(void *) = (_Bool (*)(void *))functions[IS_CONNECTED];
+    s->client = client_seen, s->processor = processor_seen, s->drones = drones, s->body = body;
+    s->process = (_Bool (*)(void *, const void *, void *, char *, int))functions[PROCESS_COMMAND];
+    const double *pose, *velocity;
+    s->status = api.b3SubmitClientCommandAndWaitStatus(s->client, api.b3RequestActualStateCommandInit(s->client, body[0]));
+    if (api.b3GetStatusActualState(s->status, 0, 0, 0, 0, &pose, &velocity, 0) && connected(s->processor)) {
+        s->to_velocity = velocity - pose;
+        const double *direct = state(s, body[0]);
+        if (!memcmp(direct, pose, 7 * sizeof *pose) && !memcmp(direct + s->to_velocity, velocity, 6 * sizeof *pose)) return s;
+    }
+    free(s);
+    return NULL;
+}
+
+void batch_close(struct session *s) { free(s); }
+
+/* Pose and velocity, world axes, of the drones of `mask`. */
+void batch_read(struct session *s, const uint8_t *mask, double *position, double *quaternion, double *velocity, double *omega) {
+    for (int64_t k = 0; k < s->drones; k++) {
+        if (!mask[k]) continue;
+        const double *pose = state(s, s->body[k]), *speed = pose + s->to_velocity;
+        memcpy(position + 3 * k, pose, 3 * sizeof *pose);
+        memcpy(quaternion + 4 * k, pose + 3, 4 * sizeof *pose);
+        memcpy(velocity + 3 * k, speed, 3 * sizeof *pose);
+        memcpy(omega + 3 * k, speed + 3, 3 * sizeof *pose);
+    }
+}
+
+/* One force (world axes, at `position`) and one torque (body axes) on each drone of `mask`. A command each: of several in one
+   command Bullet garbles all but the first (it writes the n-th at place n and reads it at 3 n). */
+void batch_apply(struct session *s, const uint8_t *mask, const double *position, const double *force, const double *torque) {
+    for (int64_t k = 0; k < s->drones; k++) {
+        if (!mask[k]) continue;
+        handle command = api.b3ApplyExternalForceCommandInit(s->client);
+        api.b3ApplyExternalForce(command, s->body[k], BASE, force + 3 * k, position + 3 * k, WORLD_FRAME);
+        run(s, command);
+        command = api.b3ApplyExternalForceCommandInit(s->client);
+        api.b3ApplyExternalTorque(command, s->body[k], BASE, torque + 3 * k, LINK_FRAME);
+        run(s, command);
+    }
+}
+
+void batch_step(struct session *s) { run(s, api.b3InitStepSimulationCommand(s->client)); }
+
+/* Points at which bodies touch, at most `room` of them written: their two bodies and the normal force. Returns how many are. */
+int64_t batch_contacts(struct session *s, int64_t room, int32_t *bodies, double *force) {
+    struct contacts found;
+    int64_t touching = 0;
+    /* The C interface copies whole commands to answer this; most often the processor alone can tell that there are none. */
+    struct contact *first = (struct contact *)s->answer;
+    first->body_a = NOBODY;
+    run(s, api.b3InitRequestContactPointInformation(s->client));
+    if (first->body_a == NOBODY) return 0;
+    api.b3SubmitClientCommandAndWaitStatus(s->client, api.b3InitRequestContactPointInformation(s->client));
+    api.b3GetContactPointInformation(s->client, &found);
+    for (int k = 0; k < found.count; k++) {
+        const struct contact *point = found.point + k;
+        if (!(point->normal_force > 0 || point->distance < 0)) continue;
+        if (touching < room) {
+            bodies[2 * touching] = point->body_a, bodies[2 * touching + 1] = point->body_b;
+            force[touching] = point->normal_force;
+        }
+        touching++;
+    }
+    return touching;
+}
+
+/* A substep: wrenches, step, states. Returns how many points touch. */
+int64_t batch_substep(struct session *s, const uint8_t *mask, const double *force, const double *torque, double *position,
+                      double *quaternion, double *velocity, double *omega) {
+    batch_apply(s, mask, position, force, torque);
+    batch_step(s);
+    batch_read(s, mask, position, quaternion, velocity, omega);
+    return batch_contacts(s, 0, NULL, NULL);
+}
+
+/* Fraction of each ray before it meets a body whose collision group is in `groups`; NaN for a ray without an answer. */
+void batch_rays(struct session *s, int64_t rays, const double *start, const double *end, int groups, double *fraction) {
+    for (int64_t first = 0; first < rays; first += RAYS) {
+        int64_t part = rays - first < RAYS ? rays - first : RAYS;
+        handle command = api.b3CreateRaycastBatchCommandInit(s->client);
+        struct ray_hits found;
+        api.b3RaycastBatchAddRays(s->client, command, start + 3 * first, end + 3 * first, (int)part);
+        api.b3RaycastBatchSetCollisionFilterMask(command, groups);
+        api.b3RaycastBatchSetNumThreads(command, 1);
+        api.b3SubmitClientCommandAndWaitStatus(s->client, command);
+        api.b3GetRaycastInformation(s->client, &found);
+        for (int64_t k = 0; k < part; k++) fraction[first + k] = k < found.count ? found.hit[k].fraction : NAN;
+    }
+}
+
+/* Poses of any bodies. */
+void batch_pose(struct session *s, int64_t count, const int32_t *body, const double *position, const double *quaternion) {
+    for (int64_t k = 0; k < count; k++) {
+        const double *p = position + 3 * k, *q = quaternion + 4 * k;
+        handle command = api.b3CreatePoseCommandInit(s->client, body[k]);
+        api.b3CreatePoseCommandSetBasePosition(command, p[0], p[1], p[2]);
+        api.b3CreatePoseCommandSetBaseOrientation(command, q[0], q[1], q[2], q[3]);
+        run(s, command);
+    }
+}
+
+/* Velocities, world axes, of any bodies. */
+void batch_velocity(struct session *s, int64_t count, const int32_t *body, const double *velocity, const double *omega) {
+    for (int64_t k = 0; k < count; k++) {
+        handle command = api.b3CreatePoseCommandInit(s->client, body[k]);
+        api.b3CreatePoseCommandSetBaseLinearVelocity(command, velocity + 3 * k);
+        api.b3CreatePoseCommandSetBaseAngularVelocity(command, omega + 3 * k);
+        run(s, command);
+    }
+}
+
+/* Collision group of any bodies and the groups that they meet. */
+void batch_filter(struct session *s, int64_t count, const int32_t *body, int group, int meets) {
+    for (int64_t k = 0; k < count; k++) {
+        handle command = api.b3CollisionFilterCommandInit(s->client);
+        api.b3SetCollisionFilterGroupMask(command, body[k], BASE, group, meets);
+        run(s, command);
+    }
+}
+
+static struct PyModuleDef module = {PyModuleDef_HEAD_INIT, .m_name = "_batch", .m_doc = "See bulletuav.engine.c_extension."};
+PyMODINIT_FUNC PyInit__batch(void) { return PyModule_Create(&module); }

@@ -1,0 +1,1 @@
+"""Geometry of rotations, shapes, cities and rays: pure compiled functions."""

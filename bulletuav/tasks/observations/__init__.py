@@ -1,0 +1,1 @@
+"""Observation blocks, one file a family."""

@@ -1,0 +1,152 @@
+import csv
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import bulletuav
+from bulletuav.analysis.recording import fly_episode, outcomes, save
+from bulletuav.policies import find_policy
+from bulletuav.report.pictures import Animation, plot_tracks
+
+
+@pytest.fixture(scope="module")
+def flown():
+    """A short crossing of three drones, two of which collide."""
+    options = {"num_drones": 3, "jitter": 0.0, "altitude_spread": 0.0, "half_length": 20.0, "start_speed": (10.0, 10.0)}
+    aviary = bulletuav.Aviary("crossing", dynamics="rigid_body", lanes=1, **options)
+    calls = []
+    recording = fly_episode(aviary, find_policy("straight")(aviary), seed=0, progress=lambda: calls.append(1))
+    yield aviary, recording, len(calls)
+    aviary.close()
+
+
+def test_recording_holds_every_decision(flown):
+    aviary, recording, calls = flown
+    steps = len(recording.reward)
+    assert steps == calls == len(recording.time) - 1
+    assert recording.position.shape == (steps + 1, 3, 3)
+    assert not recording.alive[-1].any()
+    np.testing.assert_allclose(np.diff(recording.time), 0.1)
+    np.testing.assert_array_equal(recording.goal[-1], aviary.scene.goal[0])
+    assert recording.goal.shape == recording.position.shape
+
+
+def test_outcomes_by_hand(flown):
+    _, recording, _ = flown
+    rows = outcomes(recording)
+    assert [row.reached for row in rows] == [False, True, False]  # 0 and 2 meet in the middle, 1 follows behind 0
+    assert [row.collisions for row in rows] == [1, 0, 1]
+    assert rows[0].conflicts == rows[2].conflicts == 1
+    assert rows[0].min_separation < 0.6
+    assert rows[0].time == rows[2].time < rows[1].time
+    assert rows[1].final_distance <= 2
+    assert rows[0].final_distance == pytest.approx(20, abs=1)
+
+
+def test_same_seed_same_recording(flown):
+    aviary, recording, _ = flown
+    again = fly_episode(aviary, find_policy("straight")(aviary), seed=0)
+    np.testing.assert_array_equal(again.position, recording.position)
+
+
+def test_files_hold_what_was_flown(flown, tmp_path):
+    aviary, recording, _ = flown
+    arrays, table, run = save(recording, aviary, "straight", 0, tmp_path)
+    with np.load(arrays) as file:
+        np.testing.assert_array_equal(file["position"], recording.position)
+        assert set(file.files) >= {"time", "velocity", "alive", "reward", "separation", "goal"}
+    with table.open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == len(recording.time) * 3
+    row = rows[3 * 5 + 2]
+    assert (float(row["time"]), int(row["drone"])) == (0.5, 2)
+    np.testing.assert_allclose([float(row[axis]) for axis in "xyz"], recording.position[5, 2], rtol=1e-8)
+    about = json.loads(run.read_text())
+    assert (about["task"], about["seed"], about["options"]["airframe"]) == ("crossing", 0, ["hummingbird"] * 3)
+    assert about["options"]["half_length"] == 20
+    assert about["outcomes"][1]["reached"]
+    assert about["outcomes"][0]["collisions"] == 1
+
+
+def test_pictures_are_drawn(flown, tmp_path):
+    _, recording, _ = flown
+    plot_tracks(recording, 5.0, "title", tmp_path / "tracks.png")
+    alone = {
+        name: value[:, :1] if value.ndim > 1 and name != "building" else value for name, value in vars(recording).items()
+    }
+    plot_tracks(type(recording)(**alone), 5.0, "one drone", tmp_path / "alone.png")
+    with Image.open(tmp_path / "tracks.png") as image:
+        assert image.size == (1320, 715)
+    animation = Animation(recording, 5.0, 0.55, "title")
+    caption = animation.figure.axes[0].get_xlabel()
+    assert "real 0.55 m" in caption
+    assert "Rings: 5 m across" in caption
+    frames = []
+    animation.save(tmp_path / "flight.gif", lambda: frames.append(1))
+    with Image.open(tmp_path / "flight.gif") as image:
+        assert image.n_frames == len(animation) == len(recording.time)
+    assert len(frames) == len(animation)
+
+
+def test_long_flights_are_drawn_in_few_frames(flown):
+    _, recording, _ = flown
+    repeated = {name: np.repeat(value, 40, axis=0) if len(value) > 3 else value for name, value in vars(recording).items()}
+    repeated["alive"] = np.ones((len(repeated["time"]), 3), dtype=bool)
+    assert len(Animation(type(recording)(**repeated), 5.0, 0.55, "title")) <= 151
+
+
+def test_video_needs_its_extra_and_says_so(flown, tmp_path, monkeypatch):
+    _, recording, _ = flown
+    monkeypatch.setitem(__import__("sys").modules, "imageio_ffmpeg", None)
+    with pytest.raises(ImportError, match=r"pip install -c .*constraints.txt .*\[video\]'"):
+        Animation(recording, 5.0, 0.55, "title").save(tmp_path / "flight.mp4")
+
+
+def test_video_is_written(flown, tmp_path):
+    ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    _, recording, _ = flown
+    animation = Animation(recording, 5.0, 0.55, "title")
+    animation.save(tmp_path / "flight.mp4")
+    assert ffmpeg.count_frames_and_secs(str(tmp_path / "flight.mp4"))[0] == len(animation)
+
+
+def test_policies_say_which_actions_they_give():
+    aviary = bulletuav.Aviary("hover")
+    with pytest.raises(ValueError, match="gives velocity or velocity_increment or target_position actions, not 'rotor'"):
+        find_policy("straight")(aviary)
+    with pytest.raises(ValueError, match="did you mean 'straight'"):
+        find_policy("strait")
+
+
+@pytest.mark.parametrize("action", ["velocity", "target_position"])
+def test_straight_reaches_the_target_of_hover(action):
+    aviary = bulletuav.Aviary("hover", action=action, num_drones=2)
+    recording = fly_episode(aviary, find_policy("straight")(aviary), seed=0)
+    assert all(row.reached for row in outcomes(recording))
+    aviary.close()
+
+
+def test_users_are_recorded_and_drawn_by_whether_they_are_seen(tmp_path):
+    aviary = bulletuav.Aviary("mobile_users", area=200.0, num_layouts=1, num_users=12, horizon=20)
+    recording = fly_episode(aviary, find_policy("kmeans")(aviary), seed=0)
+    again = aviary.reset(seeds=0)
+    policy, served = find_policy("kmeans")(aviary), [aviary.first_info()["served"][0, 0]]
+    policy.reset(np.ones(1, dtype=bool))
+    for _ in range(20):
+        step = aviary.step(policy.act(again, aviary.swarm))
+        again = step.observations
+        served.append(step.info["served"][0, 0])
+    np.testing.assert_allclose(recording.seen.mean(axis=1), served)
+    assert 0 < recording.seen.mean() < 1
+    assert recording.target.shape == (21, 12, 3)
+    pace = np.linalg.norm(np.diff(recording.target, axis=0), axis=-1)
+    assert 0 < pace.max() <= 3.0 + 1e-9  # 1 s at the speed of users
+    plot_tracks(recording, 2.0, "users", tmp_path / "tracks.png")
+    assert (tmp_path / "tracks.png").stat().st_size > 10000
+    picture = Animation(recording, 2.0, 0.55, "users").draw(20).astype(int)
+    green, red = (np.abs(picture - colour).max(axis=-1) < 30 for colour in ((34, 136, 51), (204, 51, 17)))
+    assert green.any() == recording.seen[20].any()
+    assert red.any() == (~recording.seen[20]).any()
+    aviary.close()

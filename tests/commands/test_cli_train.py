@@ -1,0 +1,136 @@
+import json
+import sys
+
+import pytest
+
+from bulletuav.cli import _parser, main
+from bulletuav.commands import train
+from bulletuav.policies.run import RunConfig, shipped, shipped_tasks
+from bulletuav.training import trainer
+from bulletuav.training.campaign import Campaign
+
+TINY = ["--steps", "64", "--worlds", "2", "--drones", "2", "--difficulty", "easy", "--horizon", "8", "--evaluations", "1"]
+TINY += ["--episodes", "1", "--dynamics", "single_integrator", "--model", "n_steps=8", "--model", "batch_size=32"]
+SHORT = ["--horizon", "8", "--dynamics", "single_integrator", "--drones", "2"]
+
+
+def test_a_run_trains_flies_is_evaluated_and_goes_on(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    main(["train", "obstacles", *TINY, "--set", "observation=goal,velocity", "--out", "run"])
+    out = capsys.readouterr().out
+    assert "| obstacles | ppo | 0 | 64 |" in out
+    for name in ("run.yaml", "policy.safetensors", "curve.csv", "learning.md", "curves.png"):
+        assert f"wrote run/{name}" in out
+        assert (tmp_path / "run" / name).stat().st_size
+    main(["fly", "obstacles", "--policy", "run", *SHORT, "--animation", "none", "--out", "flight"])
+    assert json.loads((tmp_path / "flight" / "run.json").read_text())["options"]["observation"] == ["goal", "velocity"]
+    main(["evaluate", "obstacles", "--policy", "run", *SHORT, "--episodes", "2", "--out", "found"])
+    assert json.loads((tmp_path / "found" / "summary.json").read_text())["policy"] == "run"
+    before = (tmp_path / "run" / "policy.safetensors").read_bytes()
+    main(["train", "--config", "run/run.yaml", "--out", "run"])
+    assert (tmp_path / "run" / "policy.safetensors").read_bytes() == before
+    capsys.readouterr()
+
+
+class OneProcess(Campaign):
+    """Which starts faster."""
+
+    def train(self, workers=1, progress=lambda steps: None):
+        return [(config, trainer.train(config, self.place(config))) for config in self.configs]
+
+
+def test_several_seeds_make_one_table_and_one_picture(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(train, "Campaign", OneProcess)
+    main(["train", "obstacles", *TINY, "--seeds", "0,1", "--out", "runs"])
+    table = (tmp_path / "runs" / "learning.md").read_text()
+    assert "| obstacles | ppo | 0 | 64 |" in table
+    assert "| obstacles | ppo | 1 | 64 |" in table
+    assert (tmp_path / "runs" / "runs" / "obstacles" / "1" / "policy.safetensors").exists()
+    assert (tmp_path / "runs" / "curves.png").stat().st_size > 10_000
+    assert "wrote runs/curves.png" in capsys.readouterr().out
+
+
+def test_dqn_chooses_among_discrete_actions_and_difficulties_make_a_curriculum(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    tiny = [*TINY[:4], "--evaluations", "1", "--episodes", "1", "--dynamics", "single_integrator", "--horizon", "8"]
+    settings = ["--model", "learning_starts=8", "--model", "batch_size=8", "--set", "observation=goal"]
+    main(["train", "obstacles", "--algo", "dqn", *tiny, *settings, "--curriculum", "easy,medium"])
+    run = RunConfig.read(tmp_path / "training" / "obstacles-dqn-0" / "run.yaml")
+    assert run.options["action"] == "discrete"
+    assert run.stages == [{"difficulty": "easy"}, {"difficulty": "medium"}]
+    assert run.model == {"learning_starts": 8, "batch_size": 8}
+
+
+def configured(*arguments):
+    parser, _ = _parser()
+    given = parser.parse_args(["train", *arguments])
+    return train._config(given, given.task)
+
+
+def test_what_is_given_goes_before_the_settings_of_the_package():
+    usual = configured("crossing")
+    assert [stage["dynamics"] for stage in usual.stages] == ["point_mass", "bullet"]
+    one = configured("crossing", "--dynamics", "double_integrator", "--model", "gamma=0.9")
+    assert one.options["dynamics"] == "double_integrator"
+    assert list(one.stages) == [{}]
+    assert one.model == {**usual.model, "gamma": 0.9}
+    easier = configured("crossing", "--curriculum", "easy,medium")
+    assert easier.stages == [{"difficulty": "easy"}, {"difficulty": "medium"}]
+    assert easier.curriculum == {}
+    other = configured("crossing", "--algo", "sac", "--seed", "5")
+    assert (other.model, other.seed, other.options) == ({}, 5, usual.options)
+
+
+def test_beside_other_actions_a_trained_policy_keeps_its_own(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    both = ["--tasks", "crossing", "--policies", "straight,untrained", "--episodes", "2"]
+    main(["compare", *both, "--action", "target_position", *SHORT])
+    told = [json.loads(path.read_text()) for path in tmp_path.glob("leaderboard/runs/*/summary.json")]
+    given = {one["policy"]: one["options"]["action"] for one in told}
+    assert given == {"straight": "target_position", "untrained": "velocity"}
+
+
+@pytest.mark.parametrize("task", shipped_tasks())
+def test_a_shipped_policy_flies_its_task_without_what_it_was_trained_with(task, tmp_path, capsys, monkeypatch):
+    """As after the README's installation."""
+    for name in ("torch", "stable_baselines3", "tensorboard", "filelock"):
+        monkeypatch.setitem(sys.modules, name, None)
+    for name in [name for name in sys.modules if name.startswith("bulletuav.adapters")]:
+        monkeypatch.delitem(sys.modules, name)
+    if task == shipped_tasks()[0]:
+        main(["fly", task, "--policy", "untrained", "--horizon", "5", "--animation", "none", "--out", str(tmp_path)])
+    main(["fly", task, "--policy", "trained", "--horizon", "5", "--animation", "none", "--out", str(tmp_path)])
+    assert "drone_0" in capsys.readouterr().out
+    assert {path.suffix for path in shipped(task).rglob("*") if path.is_file()} == {".yaml", ".safetensors"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["train"], "train what?"),
+        (["train", "crossing", "--all"], "train what?"),
+        (["train", "crosing"], "did you mean 'crossing'"),
+        (["train", "crossing", "--algo", "pppo"], "did you mean 'ppo'"),
+        (["train", "crossing", "--steps", "many"], "invalid count value: 'many'"),
+        (["train", "crossing", "--steps", "2.5"], "invalid count value: '2.5'"),
+        (["train", "crossing", "--steps", "0"], "steps is 0"),
+        (["train", "crossing", "--seed", "1", "--seeds", "2,3"], "give one of them"),
+        (["train", "crossing", "--model", "gamma"], "--model gamma: NAME=VALUE is needed"),
+        (["train", "crossing", "--curriculum", "easy,hrd", "--out", "x"], "did you mean 'hard'"),
+        (["train", "--config", "nowhere.yaml"], "no file nowhere.yaml"),
+        (["train", "--config", "."], "no file run.yaml"),
+        (["train", "crossing", "--seeds", "a,b"], "invalid seeds value: 'a,b'"),
+        (["train", "crossing", "--difficulty", "easy", "--curriculum", "easy,hard"], "--difficulty and --curriculum"),
+        (["train", "crossing", "--set", "lanespacing=3", "--out", "x"], "did you mean 'lane_spacing'"),
+        (["fly", "crossing", "--policy", "trained", "--action", "target_position"], "gives velocity actions, not"),
+        (["evaluate", "crossing", "--policy", "trained", "--action", "attitude"], "gives velocity actions, not"),
+        (["fly", "pursuit", "--policy", "trained"], "no policy for task 'pursuit' comes with the package"),
+    ],
+)
+def test_bad_input_ends_in_one_line(arguments, said, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as end:
+        main(arguments)
+    assert end.value.code == 2
+    assert said in capsys.readouterr().err.splitlines()[-1]

@@ -1,0 +1,208 @@
+import numpy as np
+import pytest
+
+import bulletuav
+from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.vehicle.swarm import GROUND
+
+
+def test_a_drone_stops_where_it_touches_the_ground_and_can_take_off_again(make_bench):
+    bench = make_bench("rigid_body", effects=())
+    bench.swarm.position[..., 2] = 0.5
+    bench.swarm.rotor_speed[:] = 0
+    for _ in range(10):
+        contacts = bench.spin(0.0)
+    assert (contacts.drone, contacts.other) == (0, GROUND)
+    assert bench.swarm.position[0, 0, 2] == pytest.approx(0.055, abs=1.1e-3)
+    assert not bench.swarm.velocity.any()
+    assert not bench.swarm.rates.any()
+    contacts = bench.spin(1.2 * bench.airframe.hover_speed(), decisions=5)
+    assert not len(contacts.drone)
+    rise = 0.5 * (1.2**2 - 1) * 9.80665 * 0.5**2
+    assert bench.swarm.position[0, 0, 2] == pytest.approx(0.055 + rise, rel=0.02)
+
+
+def test_the_impulse_is_that_of_a_stop(make_bench):
+    bench = make_bench("rigid_body", effects=(), gravity=0.0)
+    bench.swarm.position[..., 2] = 0.5
+    bench.swarm.velocity[:] = 0, 0, -8
+    bench.swarm.rotor_speed[:] = 0
+    assert bench.spin(0.0).impulse == pytest.approx(8 * 0.716)
+
+
+def test_a_fast_drone_does_not_pass_through_the_ground(make_bench):
+    bench = make_bench("rigid_body", "cf2x", effects=(), gravity=0.0)
+    bench.swarm.rotor_speed[:] = 0
+    bench.swarm.position[..., 2] = 3
+    bench.swarm.velocity[:] = 10, 0, -400
+    bench.spin(0.0)
+    assert bench.swarm.position[0, 0, 2] == pytest.approx(0.015, abs=1.1e-3)
+    assert bench.swarm.position[0, 0, 0] == pytest.approx(10 * (3 - 0.015) / 400, abs=1e-3)
+
+
+@pytest.mark.parametrize("dynamics", ["rigid_body", "bullet"])
+def test_random_head_on_shots_never_pass(make_bench, dynamics):
+    """Pairs of drones at random attitudes shot at each other at 5 to 40 m/s each; W worlds are as many shots."""
+    worlds = 150
+    bench = make_bench(dynamics, worlds=worlds, drones=2, effects=(), gravity=0.0)
+    rng = np.random.default_rng(0)
+    aim = rng.normal(size=(worlds, 3))
+    aim /= np.linalg.norm(aim, axis=1, keepdims=True)
+    bench.swarm.position[:, 0] = (0, 0, 50) - 1.0 * aim
+    bench.swarm.position[:, 1] = (0, 0, 50) + 1.0 * aim
+    speed = rng.uniform(5, 40, (worlds, 1))
+    bench.swarm.velocity[:, 0], bench.swarm.velocity[:, 1] = speed * aim, -speed * aim
+    attitude = rng.normal(size=(worlds, 2, 4))
+    bench.swarm.quaternion[:] = attitude / np.linalg.norm(attitude, axis=-1, keepdims=True)
+    bench.swarm.rotor_speed[:] = 0
+    met = np.zeros((worlds, 2), dtype=bool)
+    bench.place()
+    for _ in range(4):
+        met |= bench.spin(0.0).mask(met.shape)
+    assert met.all()
+    if dynamics == "rigid_body":
+        gap = ((bench.swarm.position[:, 1] - bench.swarm.position[:, 0]) * aim).sum(axis=1)
+        assert (gap > 0.1).all()  # the flattest pair of discs is 0.11 m thick
+        assert not bench.swarm.velocity.any()
+
+
+def test_a_near_miss_is_no_contact(make_bench):
+    bench = make_bench("rigid_body", drones=2, effects=(), gravity=0.0)
+    bench.swarm.position[0] = (-1, 0, 10), (1, 0, 10.12)  # discs 0.11 m thick pass over each other
+    bench.swarm.velocity[0] = (20, 0, 0), (-20, 0, 0)
+    bench.swarm.rotor_speed[:] = 0
+    assert not len(bench.spin(0.0).drone)
+    np.testing.assert_allclose(bench.swarm.position[0, :, 0], (1, -1), atol=1e-9)
+
+
+def test_a_third_drone_meets_a_stopped_one(make_bench):
+    """Drones 0 and 1 meet and stop; drone 2 crosses that place later in the same decision, where nobody would have been."""
+    bench = make_bench("rigid_body", drones=3, effects=(), gravity=0.0)
+    bench.swarm.position[0] = (-1, 0, 10), (1, 0, 10), (0, -3, 10)
+    bench.swarm.velocity[0] = (40, 0, 0), (-40, 0, 0), (0, 40, 0)
+    bench.swarm.rotor_speed[:] = 0
+    contacts = bench.spin(0.0)
+    assert {0, 1, 2} == set(contacts.drone)
+    assert 2 in contacts.drone
+    assert bench.swarm.position[0, 2, 1] < 0
+
+
+def test_who_would_have_met_a_stopped_drone_further_on_meets_nobody(make_bench):
+    """Drone 0 is stopped by drone 2 at the origin; drone 1 would have crossed its path later, at x = 2."""
+    bench = make_bench("rigid_body", drones=3, effects=(), gravity=0.0)
+    bench.swarm.position[0] = (-1.5, 0, 10), (2.0, -3.4, 10), (0, 0, 10)
+    bench.swarm.velocity[0] = (40, 0, 0), (0, 40, 0), (0, 0, 0)
+    bench.swarm.rotor_speed[:] = 0
+    contacts = bench.spin(0.0)
+    assert list(zip(contacts.drone, contacts.other, strict=True)) == [(0, 2), (2, 0)]
+    np.testing.assert_allclose(bench.swarm.position[0, 1], (2, 0.6, 10), atol=1e-9)
+
+
+def test_who_lands_on_another_does_not_touch_the_ground(make_bench):
+    bench = make_bench("rigid_body", drones=2, effects=(), gravity=0.0)
+    bench.swarm.position[0] = (0, 0, 3), (0, 0, 1)
+    bench.swarm.velocity[0] = (0, 0, -40), (0, 0, 0)
+    bench.swarm.rotor_speed[:] = 0
+    contacts = bench.spin(0.0)
+    assert GROUND not in contacts.other
+    assert bench.swarm.position[0, 0, 2] == pytest.approx(1.11, abs=2e-3)
+
+
+def test_bullet_too_asks_anew_who_would_have_met_a_drone_that_was_caught(make_bench):
+    """At 10 Hz: drone 0 is caught by drone 1; drone 2 would have crossed its path further on."""
+    bench = make_bench("bullet", drones=3, effects=(), gravity=0.0, hz=10, substeps=1)
+    bench.swarm.position[0] = (0, 0, 20), (0.8, 0, 20), (1.4, 1.4, 20)
+    bench.swarm.velocity[0] = (15, 0, 0), (0, 0, 0), (0, -15, 0)
+    bench.swarm.rotor_speed[:] = 0
+    contacts = bench.place().spin(0.0)
+    assert list(zip(contacts.drone, contacts.other, strict=True)) == [(0, 1), (1, 0)]
+    np.testing.assert_allclose(bench.swarm.position[0, 2], (1.4, -0.1, 20), atol=1e-9)
+
+
+@pytest.mark.parametrize("airframe", ["cf2x", "hummingbird"])
+def test_flat_drones_meet_face_to_face_in_bullet(make_bench, airframe):
+    """3 and 11 cm thick, 40 m/s towards each other, 17 cm a substep: no contact is jumped over."""
+    worlds = 100
+    bench = make_bench("bullet", airframe, worlds=worlds, drones=2, effects=(), gravity=0.0)
+    rng = np.random.default_rng(0)
+    bench.swarm.position[:, 0, 2] = 50 - rng.uniform(0.8, 1.2, worlds)
+    bench.swarm.position[:, 1] = 0, 0, 51
+    bench.swarm.velocity[:, 0, 2], bench.swarm.velocity[:, 1, 2] = 20, -20
+    bench.swarm.rotor_speed[:] = 0
+    bench.swarm.position[:, :, 0] = 0
+    met = np.zeros((worlds, 2), dtype=bool)
+    bench.place()
+    for _ in range(2):
+        met |= bench.spin(0.0).mask(met.shape)
+    assert met.all()
+    assert (bench.swarm.position[:, 1, 2] > bench.swarm.position[:, 0, 2]).all()
+
+
+@pytest.mark.parametrize("dynamics", ["rigid_body", "bullet"])
+def test_a_flight_that_diverges_is_named_and_can_be_reset(urdf, dynamics):
+    inertia = ('ixx="1.4e-5" iyy="1.4e-5" izz="2.17e-5"', 'ixx="1e-12" iyy="1e-12" izz="1e-12"')
+    aviary = bulletuav.Aviary("hover", airframe=urdf("cf2x", inertia), dynamics=dynamics)
+    aviary.reset(seeds=0)
+
+    def fly_on():
+        for _ in range(50):
+            aviary.step(np.array([[(0.3, -0.5, 0.1, 0.2)]]))
+
+    with pytest.raises(RuntimeError, match="flight of drone 0 in world 0 diverged.*physics_hz"):
+        fly_on()
+    hover = 2 * (aviary.options.airframe[0].hover_speed() / aviary.options.airframe[0].max_rotor_speed) ** 2 - 1
+    aviary.reset(seeds=0)
+    aviary.step(np.full((1, 1, 4), hover))
+    aviary.close()
+
+
+def test_pairs_in_touch_may_part_but_not_press(make_bench):
+    bench = make_bench("rigid_body", drones=2, effects=(), gravity=0.0)
+    bench.swarm.rotor_speed[:] = 0
+    bench.swarm.position[0] = (0, 0, 10), (0.5405, 0, 10)
+    bench.swarm.velocity[0] = (-1, 0, 0), (1, 0, 0)
+    assert not len(bench.spin(0.0).drone)
+    bench.swarm.position[0] = (0, 0, 10), (0.5405, 0, 10)
+    bench.swarm.velocity[0] = (1, 0, 0), (-1, 0, 0)
+    assert list(bench.spin(0.0).drone) == [0, 1]
+    np.testing.assert_allclose(bench.swarm.position[0, :, 0], (0, 0.5405), atol=1e-3)
+
+
+def test_landing_softly_under_control_rests_on_the_ground(make_bench):
+    bench = make_bench("rigid_body", "cf2x")
+    bench.swarm.position[..., 2] = 0.2
+    contacts = bench.fly(SetpointLevel.POSITION, (0.0, 0.0, -1.0, 0.0), decisions=30)
+    assert contacts.other == GROUND
+    assert bench.swarm.position[0, 0, 2] == pytest.approx(0.015, abs=2e-3)
+
+
+STRAIGHT = ["single_integrator", "point_mass"]
+
+
+def flown(make_bench, dynamics, position, velocity, seconds=1.0):
+    """A swarm of hummingbirds that holds velocities (N, 3) for one decision of so long, and its contacts."""
+    bench = make_bench(dynamics, drones=len(position), substeps=round(240 * seconds))
+    bench.swarm.position[0] = position
+    bench.swarm.velocity[0] = velocity
+    bench.place()
+    setpoint = np.concatenate([np.array(velocity, dtype=float), np.zeros((len(position), 1))], axis=1)[None]
+    return bench.swarm, bench.fly(SetpointLevel.VELOCITY, setpoint)
+
+
+@pytest.mark.parametrize("seconds", [0.1, 1.0])
+@pytest.mark.parametrize("dynamics", STRAIGHT)
+def test_the_impulse_does_not_depend_on_how_a_decision_is_cut(make_bench, dynamics, seconds):
+    _, contacts = flown(make_bench, dynamics, [(0, 0, 0.5)], [(0, 0, -10)], seconds)
+    assert contacts.impulse == pytest.approx(10 * 0.716, rel=1e-3 if dynamics == "single_integrator" else 0.1)
+
+
+@pytest.mark.parametrize(("height", "touches"), [(2.83, False), (0.09, True)])
+@pytest.mark.parametrize("dynamics", STRAIGHT)
+def test_who_fell_lies_where_it_fell_while_others_pass(make_bench, dynamics, height, touches):
+    """The first is on the ground after 0.46 s, the second comes over that place after 0.6 s, high or low."""
+    swarm, contacts = flown(make_bench, dynamics, [(0, 0, 7), (-8.4, 0, height)], [(0, 0, -15), (14, 0, 0)])
+    assert (0, GROUND) in zip(contacts.drone.tolist(), contacts.other.tolist(), strict=True)
+    assert ((1, 0) in zip(contacts.drone.tolist(), contacts.other.tolist(), strict=True)) == touches
+    assert swarm.position[0, 0] == pytest.approx([0, 0, 0.055], abs=0.01)
+    if not touches:
+        assert swarm.position[0, 1, 0] == pytest.approx(-8.4 + 14, abs=0.6)

@@ -1,0 +1,133 @@
+"""No drone passes through anything: random shots of every airframe at boxes and spheres in every dynamics."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import bulletuav
+from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.dynamics.ladder import LADDER
+from bulletuav.geometry.obstacle import Obstacle
+from bulletuav.vehicle.swarm import FIRST_OBSTACLE, Motion
+
+BODIES = (
+    Obstacle("box", (0.5, 0.5, 0.5)),
+    Obstacle("box", (0.5, 4.0, 6.0)),
+    Obstacle("box", (2.0, 3.0, 1.0)),
+    Obstacle("sphere", (0.3,)),
+    Obstacle("sphere", (1.5,)),
+)
+SLACK = 0.05  # m; what the engine lets shapes overlap while it pushes them apart
+FAR_AWAY = (0.0, 0.0, 500.0)
+
+
+def inside(body, centre, target, turns):
+    """(M,) whether each centre (M, 3) is inside its own body, turned by `turns` (M, 4)."""
+    local = Rotation.from_quat(turns).inv().apply(centre - target)
+    if body.kind == "sphere":
+        return np.linalg.norm(local, axis=1) < body.size[0]
+    return (np.abs(local) < np.array(body.size) / 2).all(axis=1)
+
+
+def crosses(body, start, end, target, turns):
+    """(M,) whether the straight line from start to end (M, 3) goes through its body, more than SLACK below the surface.
+
+    The bodies are convex: who never passed is still on the outer side of the face that it met, however it slid along it.
+    """
+    turn = Rotation.from_quat(turns).inv()
+    begin = turn.apply(start - target)
+    way = turn.apply(end - target) - begin
+    if body.kind == "sphere":
+        nearest = np.clip(-(begin * way).sum(axis=1) / np.maximum((way**2).sum(axis=1), 1e-12), 0, 1)
+        return np.linalg.norm(begin + nearest[:, None] * way, axis=1) < body.size[0] - SLACK
+    half = np.array(body.size) / 2 - SLACK
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sides = np.stack([(-half - begin) / way, (half - begin) / way])
+    enter, leave = sides.min(axis=0).max(axis=1), sides.max(axis=0).min(axis=1)
+    return (enter < leave) & (enter < 1) & (leave > 0)
+
+
+def range_of_shots(make_bench, dynamics, airframe, shots):
+    """A bench whose world k is one shot at body k mod 5, turned at random, from a random direction at 5 to 40 m/s."""
+    bench = make_bench(
+        dynamics, airframe, worlds=shots, effects=(), obstacles=BODIES, substeps=1, max_speed=100.0, gravity=0.0
+    )
+    rng = np.random.default_rng(0)
+    aim = rng.normal(size=(shots, 3))
+    aim /= np.linalg.norm(aim, axis=1, keepdims=True)
+    target = np.array((0.0, 0.0, 60.0))
+    places = np.tile(FAR_AWAY, (shots, len(BODIES), 1)) + np.arange(len(BODIES))[None, :, None] * 20
+    chosen = np.arange(shots) % len(BODIES)
+    places[np.arange(shots), chosen] = target
+    turns = Rotation.random(shots * len(BODIES), rng=rng).as_quat().reshape(shots, len(BODIES), 4)
+    bench.engine.set_obstacles(places, turns, np.ones(shots, dtype=bool))
+    bench.motion = Motion(places, places, turns)
+    distance = np.array([body.radius for body in BODIES])[chosen] + 1.0
+    speed = rng.uniform(5, 40, shots)
+    bench.swarm.position[:, 0] = target - distance[:, None] * aim
+    bench.swarm.velocity[:, 0] = speed[:, None] * aim
+    bench.swarm.quaternion[:, 0] = Rotation.random(shots, rng=rng).as_quat()
+    bench.swarm.rotor_speed[:] = 0
+    bench.place()
+    bench.aim, bench.speed, bench.chosen, bench.target, bench.turns = aim, speed, chosen, target, turns
+    bench.distance = distance
+    return bench
+
+
+@pytest.mark.parametrize("shots", [40, pytest.param(1000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("dynamics", LADDER)
+@pytest.mark.parametrize("airframe", bulletuav.available_airframes())
+def test_no_shot_passes(make_bench, airframe, dynamics, shots):
+    bench = range_of_shots(make_bench, dynamics, airframe, shots)
+    level = bench.dynamics.consumes
+    setpoint = {
+        SetpointLevel.ROTOR: np.zeros((shots, 1, 6)),
+        SetpointLevel.VELOCITY: np.concatenate([bench.swarm.velocity, np.zeros((shots, 1, 1))], axis=-1),
+        SetpointLevel.ACCELERATION: np.zeros((shots, 1, 4)),
+    }[level]
+    met = np.zeros((shots, 1), dtype=bool)
+    passed = np.zeros(shots, dtype=bool)
+    start = bench.swarm.position[:, 0].copy()
+    steps = int(np.ceil((2 * bench.distance / bench.speed).max() * 240))
+    for _ in range(steps):
+        bench.alive &= ~met if dynamics != "bullet" else True
+        contacts = bench.dynamics.fly(bench.swarm, bench.alive, level, setpoint, bench.wind, bench.motion)
+        assert (contacts.other == FIRST_OBSTACLE - bench.chosen[contacts.world]).all()
+        met |= contacts.mask(met.shape)
+        for k, body in enumerate(BODIES):
+            mine = bench.chosen == k
+            now = bench.swarm.position[mine, 0]
+            passed[mine] |= crosses(body, start[mine], now, bench.target, bench.turns[mine, k])
+    assert met.all()
+    assert not passed.any()
+    if dynamics != "bullet":  # stopped at the first touch, outside
+        for k, body in enumerate(BODIES):
+            mine = bench.chosen == k
+            assert not inside(body, bench.swarm.position[mine, 0], bench.target, bench.turns[mine, k]).any()
+        assert not bench.swarm.velocity.any()
+
+
+@pytest.mark.parametrize("dynamics", LADDER)
+def test_a_moving_body_hits_a_drone_that_hovers(make_bench, dynamics):
+    bench = make_bench(dynamics, "cf2x", obstacles=(Obstacle("box", (1.0, 1.0, 1.0)),), effects=())
+    turn = np.array([[(0.0, 0.0, 0.0, 1.0)]])
+    bench.place()
+    level = SetpointLevel.ROTOR if bench.dynamics.consumes == SetpointLevel.ROTOR else SetpointLevel.POSITION
+    hover = bench.airframe.hover_speed()
+    seen = []
+    for k in range(20):
+        places = [np.array([[(-3.0 + 0.2 * step, 0.0, 10.0)]]) for step in (k, k + 1)]
+        bench.motion = Motion(*places, turn)
+        contacts = bench.fly(level, (hover,) * 4 if level == SetpointLevel.ROTOR else (0.0, 0.0, 10.0, 0.0))
+        seen += contacts.other.tolist()
+        if seen:
+            break
+    assert seen[0] == FIRST_OBSTACLE
+    assert 11 <= k <= 13  # the face is 0.063 m from the drone's centre after 2.44 m
+
+
+def test_rays_see_obstacles(make_bench):
+    bench = make_bench("bullet", obstacles=(Obstacle("box", (4.0, 4.0, 2.0)), Obstacle("sphere", (1.0,))), worlds=2)
+    places = np.array([[(0.0, 0, 5), (3.0, 0, 20)], [(50.0, 0, 5), (0.0, 0, 4)]])
+    bench.engine.set_obstacles(places, np.tile((0.0, 0, 0, 1), (2, 2, 1)), np.ones(2, dtype=bool))
+    np.testing.assert_allclose(bench.engine.surface_below(bench.swarm.position, bench.alive)[:, 0], (6.0, 5.0), atol=1e-6)

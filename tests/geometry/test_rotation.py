@@ -1,0 +1,43 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from bulletuav.geometry import rotation
+
+number = st.floats(-3, 3)
+vectors = st.tuples(number, number, number)
+quaternions = st.tuples(number, number, number, number).filter(lambda q: np.linalg.norm(q) > 0.1).map(rotation.normalised)
+
+
+@given(quaternions, vectors)
+def test_turning_vectors_agrees_with_scipy(q, v):
+    reference = Rotation.from_quat(q)
+    np.testing.assert_allclose(rotation.to_world(q, v), reference.apply(v), atol=1e-12)
+    np.testing.assert_allclose(rotation.to_body(q, v), reference.inv().apply(v), atol=1e-12)
+    np.testing.assert_allclose(np.array(rotation.axes(q)).T, reference.as_matrix(), atol=1e-12)
+
+
+@given(vectors)
+def test_exponential_agrees_with_scipy(v):
+    expected = Rotation.from_rotvec(v).as_matrix()
+    np.testing.assert_allclose(Rotation.from_quat(rotation.exponential(v)).as_matrix(), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-13, 1e-9, 1e-6])
+def test_exponential_of_small_angles(angle):
+    np.testing.assert_allclose(rotation.exponential((angle, 0.0, 0.0)), (angle / 2, 0, 0, 1), rtol=1e-12)
+
+
+@given(st.floats(-3, 3), st.floats(-1.5, 1.5), st.floats(-3, 3))
+def test_euler_angles_agree_with_scipy(roll, pitch, yaw):
+    q = rotation.from_euler(roll, pitch, yaw)
+    expected = Rotation.from_euler("ZYX", (yaw, pitch, roll)).as_matrix()
+    np.testing.assert_allclose(Rotation.from_quat(q).as_matrix(), expected, atol=1e-12)
+
+
+@given(vectors, vectors)
+def test_products_of_vectors(a, b):
+    np.testing.assert_allclose(rotation.cross(a, b), np.cross(a, b), atol=1e-12)
+    assert rotation.dot(a, b) == pytest.approx(np.dot(a, b), abs=1e-12)
