@@ -19,12 +19,18 @@ class BuildWithAirframes(build_py):
         """Build, then copy."""
         super().run()
         if not self.editable_mode:
-            shutil.copytree("assets/urdf", Path(self.build_lib, "bulletuav", "assets", "urdf"), dirs_exist_ok=True)
+            shutil.copytree(
+                "assets/urdf",
+                Path(self.build_lib, "bulletuav", "assets", "urdf"),
+                dirs_exist_ok=True,
+            )
 
 
 def lacks_compiler() -> bool:
     """Tell whether pybullet has to be built here and cannot be."""
-    if sys.version_info[:2] <= WHEELS_UNTIL or sys.platform == "win32":  # where setuptools finds its compiler itself
+    if (
+        sys.version_info[:2] <= WHEELS_UNTIL or sys.platform == "win32"
+    ):  # where setuptools finds its compiler itself
         return False
     if list(Path(sysconfig.get_path("platlib")).glob("pybullet*")):
         return False
@@ -39,6 +45,8 @@ if lacks_compiler():
         "Install one (on Debian or Ubuntu: apt-get install g++), or a pybullet built elsewhere first, or use Python 3.11."
     )
 setup(
-    ext_modules=[Extension("bulletuav.engine._batch", ["bulletuav/engine/_batch.c"], optional=True)],
+    ext_modules=[
+        Extension("bulletuav.engine._batch", ["bulletuav/engine/_batch.c"], optional=True)
+    ],
     cmdclass={"build_py": BuildWithAirframes},
 )

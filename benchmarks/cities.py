@@ -37,7 +37,9 @@ def comparisons() -> list[Comparison]:
             ("decisions of 0.1 s in 24 substeps", "city at 240 Hz"),
             ("steps of 1 s, their ends and volume", "city by the second"),
         ):
-            rows.append(Comparison(f"{title}, W = {worlds}", f"{case}, {worlds}", PEER, theirs, STEPS, GOAL))
+            rows.append(
+                Comparison(f"{title}, W = {worlds}", f"{case}, {worlds}", PEER, theirs, STEPS, GOAL)
+            )
     rows.append(Comparison("bullet, W = 256", "city in the engine, 256", PEER, theirs, STEPS))
     return rows
 

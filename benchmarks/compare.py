@@ -47,7 +47,9 @@ PACKAGES = {
     ],
     "urbanmarl": ["torch==2.13.0", "torchrl==0.14.1", "matplotlib"],
 }
-ALONE = {"urbanmarl": ["urbanmarl==0.3.1"]}  # without what they ask for: there are no versions of it that go together
+ALONE = {
+    "urbanmarl": ["urbanmarl==0.3.1"]
+}  # without what they ask for: there are no versions of it that go together
 SINGLE_THREAD = {
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
@@ -70,22 +72,78 @@ class Comparison(NamedTuple):
 
 SUBSTEPS = "drone-substeps/s"
 COMPARISONS = [
-    Comparison("bullet, all forces, N = 10", "bullet, 10", "gym-pybullet-drones", "all forces, 10", SUBSTEPS, 50),
-    Comparison("bullet, all forces, N = 10, against bare PYB", "bullet, 10", "gym-pybullet-drones", "bare, 10", SUBSTEPS, 8),
-    Comparison("bullet, all forces, N = 100", "bullet, 100", "gym-pybullet-drones", "all forces, 100", SUBSTEPS, 200),
+    Comparison(
+        "bullet, all forces, N = 10",
+        "bullet, 10",
+        "gym-pybullet-drones",
+        "all forces, 10",
+        SUBSTEPS,
+        50,
+    ),
+    Comparison(
+        "bullet, all forces, N = 10, against bare PYB",
+        "bullet, 10",
+        "gym-pybullet-drones",
+        "bare, 10",
+        SUBSTEPS,
+        8,
+    ),
+    Comparison(
+        "bullet, all forces, N = 100",
+        "bullet, 100",
+        "gym-pybullet-drones",
+        "all forces, 100",
+        SUBSTEPS,
+        200,
+    ),
     Comparison("bullet, all forces, N = 10", "bullet, 10", "PyFlyt", "quadx, 10", SUBSTEPS, 60),
     Comparison("bullet, all forces, N = 100", "bullet, 100", "PyFlyt", "quadx, 100", SUBSTEPS, 60),
-    Comparison("PettingZoo environment", "crossing, 8", "PyFlyt", "pettingzoo hover, 10", "agent-substeps/s", 40),
     Comparison(
-        "rigid_body, PID, all forces, 64 x 8", "rigid_body with PID, 64 x 8", "crazyflow", "no contacts, 64 x 8", SUBSTEPS, 2
+        "PettingZoo environment",
+        "crossing, 8",
+        "PyFlyt",
+        "pettingzoo hover, 10",
+        "agent-substeps/s",
+        40,
     ),
-    Comparison("the same, contacts on", "rigid_body with PID, 64 x 8", "crazyflow", "contacts, 64 x 8", SUBSTEPS, 20),
-    Comparison("points, 64 x 8", "crossing of points, 64 x 8", "VMAS", "navigation, 64 x 8", "agent-decisions/s", 1),
-    Comparison("reset of 10 drones", "reset, 10", "gym-pybullet-drones", "reset, 10", "resets/s", 100),
+    Comparison(
+        "rigid_body, PID, all forces, 64 x 8",
+        "rigid_body with PID, 64 x 8",
+        "crazyflow",
+        "no contacts, 64 x 8",
+        SUBSTEPS,
+        2,
+    ),
+    Comparison(
+        "the same, contacts on",
+        "rigid_body with PID, 64 x 8",
+        "crazyflow",
+        "contacts, 64 x 8",
+        SUBSTEPS,
+        20,
+    ),
+    Comparison(
+        "points, 64 x 8",
+        "crossing of points, 64 x 8",
+        "VMAS",
+        "navigation, 64 x 8",
+        "agent-decisions/s",
+        1,
+    ),
+    Comparison(
+        "reset of 10 drones", "reset, 10", "gym-pybullet-drones", "reset, 10", "resets/s", 100
+    ),
     Comparison("reset of 10 drones", "reset, 10", "PyFlyt", "reset, 10", "resets/s", 100),
     Comparison("reset of 10 drones", "reset, 10", "crazyflow", "reset, 10", "resets/s", 100),
     Comparison("reset of 10 drones", "reset, 10", "VMAS", "reset, 10", "resets/s", 100),
-    Comparison("bullet, all forces, 64 x 8", "bullet, 64 x 8", "the floor in C", "floor, 64 x 8", SUBSTEPS, 1 / 1.5),
+    Comparison(
+        "bullet, all forces, 64 x 8",
+        "bullet, 64 x 8",
+        "the floor in C",
+        "floor, 64 x 8",
+        SUBSTEPS,
+        1 / 1.5,
+    ),
     Comparison("bullet, all forces, N = 1000", "bullet, 1000", "real time", "", SUBSTEPS, 1),
 ]
 
@@ -163,7 +221,9 @@ def install(peer: str, folder: Path) -> Path:
         subprocess.run([sys.executable, "-m", "venv", folder / peer], check=True)
         subprocess.run([python, "-m", "pip", "install", "-q", *PACKAGES[peer]], check=True)
         if peer in ALONE:
-            subprocess.run([python, "-m", "pip", "install", "-q", "--no-deps", *ALONE[peer]], check=True)
+            subprocess.run(
+                [python, "-m", "pip", "install", "-q", "--no-deps", *ALONE[peer]], check=True
+            )
         done.write_text(wanted)
     return python
 
@@ -174,7 +234,11 @@ def _servers(names: Sequence[str], folder: Path, checkout: Path | None) -> dict[
     servers["the floor in C"] = Server(sys.executable, "serve_bulletuav.py")
     for name in names:
         script = f"serve_{name.lower().replace('-', '_')}.py"
-        servers[name] = Server(install(name, folder), script, *([str(checkout)] if name == "gym-pybullet-drones" else []))
+        servers[name] = Server(
+            install(name, folder),
+            script,
+            *([str(checkout)] if name == "gym-pybullet-drones" else []),
+        )
     return servers
 
 
@@ -184,7 +248,9 @@ def measure(comparison: Comparison, servers: dict[str, Server], rounds: int, sec
     for _ in range(rounds):
         ours.append(servers["bulletuav"].rate(comparison.ours, seconds))
         against = servers.get(comparison.peer)
-        theirs.append(against.rate(comparison.theirs, seconds) if against else float(REAL_TIME_1000))
+        theirs.append(
+            against.rate(comparison.theirs, seconds) if against else float(REAL_TIME_1000)
+        )
     ratio = statistics.median(a / b for a, b in zip(ours, theirs, strict=True))
     return Row(
         comparison.title,
@@ -207,7 +273,9 @@ def starts(rounds: int) -> dict[str, float]:
             for _ in range(count):
                 begin = time.perf_counter()
                 environment = _environment(NUMBA_CACHE_DIR=folder)
-                subprocess.run([sys.executable, "-c", program], check=True, env=environment, cwd=folder)
+                subprocess.run(
+                    [sys.executable, "-c", program], check=True, env=environment, cwd=folder
+                )
                 times.append(time.perf_counter() - begin)
             result[name] = statistics.median(times)
     return result
@@ -262,7 +330,9 @@ def _plot(rows: list[Row], path: Path) -> None:
         axes.barh(place, row.ratio, color="#1b6ca8" if row.reached else "#c8553d", height=0.6)
         axes.plot([row.goal] * 2, [place - 0.4, place + 0.4], color="black", lw=2)
         axes.text(row.ratio * 1.08, place, f"{row.ratio:.3g}", va="center", fontsize=9)
-    axes.set_yticks(range(len(rows)), [f"{row.title}\nagainst {row.against}" for row in rows], fontsize=8)
+    axes.set_yticks(
+        range(len(rows)), [f"{row.title}\nagainst {row.against}" for row in rows], fontsize=8
+    )
     axes.invert_yaxis()
     axes.set_xscale("log")
     axes.set_xlim(0.3, 3 * max(row.ratio for row in rows))
@@ -272,7 +342,9 @@ def _plot(rows: list[Row], path: Path) -> None:
     pyplot.close(figure)
 
 
-def measure_all(comparisons: Sequence[Comparison], servers: dict[str, Server], rounds: int, seconds: float) -> list[Row]:
+def measure_all(
+    comparisons: Sequence[Comparison], servers: dict[str, Server], rounds: int, seconds: float
+) -> list[Row]:
     """Those that do not fail, with progress shown; closes the servers."""
     console, rows = Console(stderr=True), []
     try:
@@ -290,11 +362,19 @@ def measure_all(comparisons: Sequence[Comparison], servers: dict[str, Server], r
 
 def make_parser(description: str | None, out: str) -> argparse.ArgumentParser:
     """The options that benchmarks against peers share."""
-    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=description, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     add = parser.add_argument
     add("--out", type=Path, default=Path(out), metavar="DIR", help=f"folder for the files ({out})")
     environments = Path.home() / ".cache" / "bulletuav-peers"
-    add("--environments", type=Path, default=environments, metavar="DIR", help=f"where they are installed ({environments})")
+    add(
+        "--environments",
+        type=Path,
+        default=environments,
+        metavar="DIR",
+        help=f"where they are installed ({environments})",
+    )
     add("--rounds", type=int, default=5, help="measurements of each case (5)")
     add("--seconds", type=float, default=1.0, help="CPU time of one measurement (1.0)")
     return parser
@@ -304,7 +384,9 @@ def parse(parser: argparse.ArgumentParser, argv: Sequence[str] | None) -> argpar
     """The arguments, those of `make_parser` checked."""
     arguments = parser.parse_args(argv)
     if arguments.rounds < 1 or not arguments.seconds > 0:
-        parser.error(f"--rounds {arguments.rounds}, --seconds {arguments.seconds:g}: numbers above 0 are needed")
+        parser.error(
+            f"--rounds {arguments.rounds}, --seconds {arguments.seconds:g}: numbers above 0 are needed"
+        )
     return arguments
 
 
@@ -312,12 +394,25 @@ def main(argv: Sequence[str] | None = None) -> None:
     """Measure, write, print."""
     parser = make_parser(__doc__, "out/benchmark")
     add = parser.add_argument
-    add("--gym-pybullet-drones", type=Path, metavar="CHECKOUT", help="folder of its sources; left out without")
-    add("--peers", nargs="*", default=list(ALWAYS), choices=ALWAYS, help="which of them (all); none when none is named")
+    add(
+        "--gym-pybullet-drones",
+        type=Path,
+        metavar="CHECKOUT",
+        help="folder of its sources; left out without",
+    )
+    add(
+        "--peers",
+        nargs="*",
+        default=list(ALWAYS),
+        choices=ALWAYS,
+        help="which of them (all); none when none is named",
+    )
     arguments = parse(parser, argv)
     checkout = arguments.gym_pybullet_drones
     if checkout is not None and not (checkout / "gym_pybullet_drones").is_dir():
-        parser.error(f"{checkout} is no checkout of gym-pybullet-drones: it has no folder gym_pybullet_drones")
+        parser.error(
+            f"{checkout} is no checkout of gym-pybullet-drones: it has no folder gym_pybullet_drones"
+        )
     names = [*arguments.peers, *([] if checkout is None else ["gym-pybullet-drones"])]
     servers = _servers(names, arguments.environments, checkout and checkout.resolve())
     comparisons = [one for one in COMPARISONS if one.peer in servers or not one.theirs]

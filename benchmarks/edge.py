@@ -19,7 +19,9 @@ def comparisons() -> list[Comparison]:
     for worlds in WORLDS:
         theirs = f"mec, {worlds}"
         for title, case in (("mec", "mec"), ("their sizes and formulas", "mec as urbanmarl")):
-            rows.append(Comparison(f"{title}, W = {worlds}", f"{case}, {worlds}", PEER, theirs, STEPS, GOAL))
+            rows.append(
+                Comparison(f"{title}, W = {worlds}", f"{case}, {worlds}", PEER, theirs, STEPS, GOAL)
+            )
     rows.append(Comparison("bullet, W = 256", "mec in the engine, 256", PEER, theirs, STEPS))
     return rows
 

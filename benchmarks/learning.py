@@ -87,37 +87,84 @@ def rows(title: str, ours: Sequence[Run], theirs: Sequence[Run]) -> list[Row]:
     for unit, (rate, goal) in RATES.items():
         here, there = [rate(one) for one in ours], [rate(one) for one in theirs]
         ratio = statistics.median(a / b for a, b in zip(here, there, strict=True))
-        result.append(Row(title, AGAINST, unit, statistics.median(here), statistics.median(there), ratio, goal))
+        result.append(
+            Row(
+                title, AGAINST, unit, statistics.median(here), statistics.median(there), ratio, goal
+            )
+        )
     return result
 
 
 def parts(title: str, runs: Sequence[Run]) -> str:
     """Where the time of a frame goes, medians: a line of Markdown."""
-    times = [statistics.median(1e6 * part(one) / one.frames for one in runs) for part in PARTS.values()]
+    times = [
+        statistics.median(1e6 * part(one) / one.frames for one in runs) for part in PARTS.values()
+    ]
     share = statistics.median(1 - one.environment / one.cpu for one in runs)
     length = statistics.median(one.frames / max(1, one.episodes) for one in runs)
-    return f"| {title} | " + " | ".join(f"{time:.3g}" for time in times) + f" | {share:.0%} | {length:.0f} |"
+    return (
+        f"| {title} | "
+        + " | ".join(f"{time:.3g}" for time in times)
+        + f" | {share:.0%} | {length:.0f} |"
+    )
 
 
 def main(argv: Sequence[str] | None = None) -> None:
     """Measure, write, print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     add = parser.add_argument
-    add("--peer", type=Path, required=True, metavar="CHECKOUT", help="folder of the sources of gym-pybullet-drones")
-    add("--out", type=Path, default=Path("out/learning"), metavar="DIR", help="folder for the files (out/learning)")
+    add(
+        "--peer",
+        type=Path,
+        required=True,
+        metavar="CHECKOUT",
+        help="folder of the sources of gym-pybullet-drones",
+    )
+    add(
+        "--out",
+        type=Path,
+        default=Path("out/learning"),
+        metavar="DIR",
+        help="folder for the files (out/learning)",
+    )
     environments = Path.home() / ".cache" / "bulletuav-peers"
-    add("--environments", type=Path, default=environments, metavar="DIR", help=f"where it is installed ({environments})")
+    add(
+        "--environments",
+        type=Path,
+        default=environments,
+        metavar="DIR",
+        help=f"where it is installed ({environments})",
+    )
     add("--rounds", type=int, default=5, help="runs of each (5)")
-    add("--frames", type=int, default=10240, help="frames of one run, the first rollout not counted (10240)")
+    add(
+        "--frames",
+        type=int,
+        default=10240,
+        help="frames of one run, the first rollout not counted (10240)",
+    )
     arguments = parser.parse_args(argv)
     if min(arguments.rounds, arguments.frames) < 1:
-        parser.error(f"--rounds {arguments.rounds}, --frames {arguments.frames}: numbers above 0 are needed")
+        parser.error(
+            f"--rounds {arguments.rounds}, --frames {arguments.frames}: numbers above 0 are needed"
+        )
     if not (arguments.peer / "gym_pybullet_drones").is_dir():
-        parser.error(f"{arguments.peer} is no checkout of gym-pybullet-drones: it has no folder gym_pybullet_drones")
+        parser.error(
+            f"{arguments.peer} is no checkout of gym-pybullet-drones: it has no folder gym_pybullet_drones"
+        )
     ours = [sys.executable, HERE / "peers" / "learn_bulletuav.py"]
     python = install(PEER, arguments.environments.resolve())
     theirs = [python, HERE / "peers" / "learn_gym_pybullet_drones.py", arguments.peer.resolve()]
-    table, words = [], ["", "CPU-microseconds a frame:", "", f"| | {' | '.join(PARTS)} | share of PPO | frames an episode |"]
+    table, words = (
+        [],
+        [
+            "",
+            "CPU-microseconds a frame:",
+            "",
+            f"| | {' | '.join(PARTS)} | share of PPO | frames an episode |",
+        ],
+    )
     words.append("|---" * (len(PARTS) + 3) + "|")
     with Progress(console=Console(stderr=True)) as progress:
         task = progress.add_task("learning", total=len(SETTINGS) * arguments.rounds)
@@ -128,7 +175,10 @@ def main(argv: Sequence[str] | None = None) -> None:
                     told.append(run(command, context, arguments.frames, seed))
                 progress.advance(task)
             table += rows(title, *runs)
-            words += [parts(f"{title}, {name}", told) for name, told in zip(("bulletuav", AGAINST), runs, strict=True)]
+            words += [
+                parts(f"{title}, {name}", told)
+                for name, told in zip(("bulletuav", AGAINST), runs, strict=True)
+            ]
     report(table, words, arguments.out, "learning")
 
 

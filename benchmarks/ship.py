@@ -30,7 +30,9 @@ def outcome(run: Path, episodes: int) -> float:
 
 def main() -> None:
     """Ship what there is."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("folder", type=Path, help="of `bulletuav train --all --out`")
     parser.add_argument("--episodes", type=int, default=200, help="of each run (default: 200)")
     given = parser.parse_args()
@@ -44,13 +46,20 @@ def main() -> None:
                 raise SystemExit(f"{run} is of other settings than the package's: train it again")
         found = {seed: outcome(run, given.episodes) for seed, run in sorted(runs.items())}
         seed = max(found, key=found.__getitem__)
-        for name in (POLICY, f"{CHECKPOINTS}/000/{POLICY}"):  # what it learned, and what it began with
+        for name in (
+            POLICY,
+            f"{CHECKPOINTS}/000/{POLICY}",
+        ):  # what it learned, and what it began with
             (place / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(runs[seed] / name, place / name)
         told = (place / CONFIG).read_text()
-        (place / CONFIG).write_text(re.sub(r"^seed: \d+$", f"seed: {seed}", told, flags=re.MULTILINE))
+        (place / CONFIG).write_text(
+            re.sub(r"^seed: \d+$", f"seed: {seed}", told, flags=re.MULTILINE)
+        )
         returns = ", ".join(f"{value:.2f}" for value in found.values())
-        print(f"{task}: seed {seed} (return {returns}), {(place / POLICY).stat().st_size / 1e3:.0f} kB")
+        print(
+            f"{task}: seed {seed} (return {returns}), {(place / POLICY).stat().st_size / 1e3:.0f} kB"
+        )
 
 
 if __name__ == "__main__":

@@ -32,13 +32,20 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _parser() -> tuple[_Parser, dict[str, _Parser]]:
-    parser = _Parser(prog="bulletuav", description="A drone-swarm gym on PyBullet.", allow_abbrev=False)
+    parser = _Parser(
+        prog="bulletuav", description="A drone-swarm gym on PyBullet.", allow_abbrev=False
+    )
     parser.add_argument("--version", action="version", version=f"bulletuav {__version__}")
-    adder = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=_Parser)
+    adder = parser.add_subparsers(
+        dest="command", required=True, metavar="COMMAND", parser_class=_Parser
+    )
     commands = {}
     for name, command in COMMANDS.items():
         commands[name] = adder.add_parser(
-            name, **command.ABOUT, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False
+            name,
+            **command.ABOUT,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+            allow_abbrev=False,
         )
         command.add_arguments(commands[name])
     return parser, commands
@@ -49,8 +56,14 @@ def _check_known(rest: list[str], parser: argparse.ArgumentParser) -> None:
     if rest:
         known = [option for action in parser._actions for option in action.option_strings]
         near = difflib.get_close_matches(rest[0].split("=")[0], known, n=1)
-        hint = f"did you mean {near[0]}?" if near else "options without an argument of their own go by --set NAME=VALUE"
-        parser.error(f"unknown argument {rest[0]}: {hint if near or '--set' in known else 'there is none of that name'}")
+        hint = (
+            f"did you mean {near[0]}?"
+            if near
+            else "options without an argument of their own go by --set NAME=VALUE"
+        )
+        parser.error(
+            f"unknown argument {rest[0]}: {hint if near or '--set' in known else 'there is none of that name'}"
+        )
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -66,7 +79,9 @@ def main(argv: Sequence[str] | None = None) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(128 + signal.SIGPIPE)
     except MemoryError as error:
-        command.error(f"memory ran out ({error or 'no figures told'}): ask for fewer worlds, drones, users or workers")
+        command.error(
+            f"memory ran out ({error or 'no figures told'}): ask for fewer worlds, drones, users or workers"
+        )
     except (ValueError, OSError, RuntimeError, ImportError) as error:
         command.error(" ".join(str(error).split()))
     except KeyboardInterrupt:

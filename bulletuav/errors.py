@@ -36,7 +36,11 @@ class UnknownOptionError(ValueError, TypeError):
 def shown(value: object) -> str:
     """What a value looks like in a message: its repr, cut where it is long; never raises."""
     try:
-        text = repr(value) if isinstance(value, float | str) and len(str(value)) < MOST_SHOWN else _SHOWN.repr(value)
+        text = (
+            repr(value)
+            if isinstance(value, float | str) and len(str(value)) < MOST_SHOWN
+            else _SHOWN.repr(value)
+        )
     except Exception:  # a number of too many digits, or an object whose repr is broken
         text = f"<{type(value).__name__} that cannot be shown>"
     text = " ".join(text.split("\n"))
@@ -53,7 +57,11 @@ def nearest(name: object, choices: Iterable[str]) -> str:
     choices = sorted(choices)
     text = name[:MOST_SHOWN] if isinstance(name, str) else ""
     near = difflib.get_close_matches(text, choices, n=3, cutoff=0.5)
-    return f"did you mean {' or '.join(map(repr, near))}?" if near else f"choose from {', '.join(choices)}"
+    return (
+        f"did you mean {' or '.join(map(repr, near))}?"
+        if near
+        else f"choose from {', '.join(choices)}"
+    )
 
 
 CHECKOUT, SHARED = Path(__file__).parents[1], Path(sys.prefix, "share", "bulletuav")
@@ -105,13 +113,21 @@ def require_file(what: str, path: Any, remedy: str) -> Path:
         FileNotFoundError: There is no such file.
     """
     if not isinstance(path, str | Path):
-        raise ValueError(f"path of the {what} file is {shown(path)}: a text or a Path is needed; {remedy}")
+        raise ValueError(
+            f"path of the {what} file is {shown(path)}: a text or a Path is needed; {remedy}"
+        )
     try:
         found = Path(path).expanduser()
         if found.is_file():
             return found
-    except (OSError, ValueError, RuntimeError) as error:  # too long a name, a NUL in it, nobody's home
-        raise ValueError(f"{what} {shown(str(path))} is no path of a file: {error.args[-1]}; {remedy}") from None
+    except (
+        OSError,
+        ValueError,
+        RuntimeError,
+    ) as error:  # too long a name, a NUL in it, nobody's home
+        raise ValueError(
+            f"{what} {shown(str(path))} is no path of a file: {error.args[-1]}; {remedy}"
+        ) from None
     raise FileNotFoundError(f"no {what} file {found}: {remedy}")
 
 
@@ -120,7 +136,9 @@ def read_file(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
-        raise ValueError(f"{path} is no text in UTF-8 ({error.reason} at byte {error.start}): save it as UTF-8") from None
+        raise ValueError(
+            f"{path} is no text in UTF-8 ({error.reason} at byte {error.start}): save it as UTF-8"
+        ) from None
     except OSError as error:
         raise ValueError(f"{path} cannot be read: {error.strerror}") from None
 
@@ -130,7 +148,9 @@ def as_int(name: str, value: Any, least: int, most: int | None = None) -> int:
     if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < least:
         raise ValueError(f"{name} is {shown(value)}: a whole number, at least {least}, is needed")
     if most is not None and value > most:
-        raise ValueError(f"{name} is {shown(value)}: a whole number from {least} to {most} is needed")
+        raise ValueError(
+            f"{name} is {shown(value)}: a whole number from {least} to {most} is needed"
+        )
     return int(value)
 
 
@@ -140,7 +160,11 @@ def finite(name: str, value: Any, least: float | None = None, most: float | None
     Bools are none. Without `most` any finite number is.
     """
     try:
-        number = float(value) if not isinstance(value, bool | np.bool_) and isinstance(value, numbers.Real) else math.nan
+        number = (
+            float(value)
+            if not isinstance(value, bool | np.bool_) and isinstance(value, numbers.Real)
+            else math.nan
+        )
     except (OverflowError, ValueError, TypeError):  # a whole number or a fraction beyond all floats
         number = math.inf
     if not math.isfinite(number):
@@ -167,7 +191,9 @@ def numbers_of(subject: str, value: Any) -> np.ndarray:
     """`value` as a float64 array. Raises ValueError ("`subject` not numbers") for anything that is not made of them."""
     try:
         array = np.asarray(value)
-        real = array.dtype.kind in "fiub" or (array.dtype.kind == "O" and all(map(_is_real, array.flat)))
+        real = array.dtype.kind in "fiub" or (
+            array.dtype.kind == "O" and all(map(_is_real, array.flat))
+        )
         if not real:  # NumPy makes numbers of texts, dates and None, and drops what is imaginary
             raise TypeError(f"{shown(value)} has others than real ones")
         return np.asarray(array, dtype=np.float64)
@@ -183,7 +209,9 @@ def points_of(name: str, value: Any) -> np.ndarray:
     """`value` as an array (M, 3) of points, one or more. Raises ValueError unless it is finite numbers of that shape."""
     points = np.atleast_2d(numbers_of(f"{name} is", value))
     if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
-        raise ValueError(f"{name} is {shown(value)}: a finite point (x, y, z), or several, is needed")
+        raise ValueError(
+            f"{name} is {shown(value)}: a finite point (x, y, z), or several, is needed"
+        )
     return points
 
 

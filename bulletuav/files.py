@@ -16,7 +16,9 @@ def whole_file(path: str | Path) -> Iterator[Path]:
         OSError: It cannot be written, such as for a full disk; the message names the file.
     """
     path = Path(path)
-    part = path.with_name(f".part-{path.name}")  # whose ending stays: it tells libraries what to write
+    part = path.with_name(
+        f".part-{path.name}"
+    )  # whose ending stays: it tells libraries what to write
     try:
         yield part
         os.replace(part, path)

@@ -14,11 +14,11 @@ import stat
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar, cast
 
 import numba
 
-Function = TypeVar("Function", bound=Callable)
+Function = TypeVar("Function", bound=Callable[..., Any])
 
 _PACKAGE = Path(__file__).parent
 _FOLDERS_KEPT = 8
@@ -30,7 +30,9 @@ def source_hash(package: Path = _PACKAGE, but: str | None = None) -> str:
     for path in sorted(package.rglob("*.py")):
         if path.parent.relative_to(package).as_posix() == but:
             continue
-        digest.update(path.relative_to(package).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
+        digest.update(
+            path.relative_to(package).as_posix().encode() + b"\0" + path.read_bytes() + b"\0"
+        )
     return digest.hexdigest()[:16]
 
 
@@ -40,7 +42,9 @@ def cache_folder() -> Path:
     Where neither can be written to it is below the folder for temporary files, if nobody else can write there: what numba
     reads from its cache can run code.
     """
-    chosen = numba.config.CACHE_DIR or os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    chosen = (
+        numba.config.CACHE_DIR or os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    )
     spare = Path(tempfile.gettempdir(), f"bulletuav-{os.getuid() if hasattr(os, 'getuid') else ''}")
     candidates = [Path(chosen), spare]
     for base in candidates:
@@ -52,7 +56,9 @@ def cache_folder() -> Path:
             if os.access(folder, os.W_OK):
                 _forget_old_folders(folder)
                 return folder
-    raise OSError(f"no writable folder for compiled kernels among {candidates}; set NUMBA_CACHE_DIR to one")
+    raise OSError(
+        f"no writable folder for compiled kernels among {candidates}; set NUMBA_CACHE_DIR to one"
+    )
 
 
 def _is_private(folder: Path) -> bool:
@@ -60,14 +66,20 @@ def _is_private(folder: Path) -> bool:
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     about = folder.lstat()
     others_write = stat.S_IMODE(about.st_mode) & (stat.S_IWGRP | stat.S_IWOTH)
-    return stat.S_ISDIR(about.st_mode) and not others_write and (not hasattr(os, "getuid") or about.st_uid == os.getuid())
+    return (
+        stat.S_ISDIR(about.st_mode)
+        and not others_write
+        and (not hasattr(os, "getuid") or about.st_uid == os.getuid())
+    )
 
 
 def _forget_old_folders(current: Path) -> None:
     with contextlib.suppress(OSError):  # another process may be tidying too
         os.utime(current)
         others = [path for path in current.parent.iterdir() if path != current]
-        for path in sorted(others, key=lambda path: path.stat().st_mtime, reverse=True)[_FOLDERS_KEPT - 1 :]:
+        for path in sorted(others, key=lambda path: path.stat().st_mtime, reverse=True)[
+            _FOLDERS_KEPT - 1 :
+        ]:
             shutil.rmtree(path, ignore_errors=True)
 
 
@@ -90,12 +102,12 @@ def func(function: Function) -> Function:
 def elementwise(function: Function) -> Function:
     """Compile `function`, of numbers (in their order) to a number: kernels call it, and users with arrays that broadcast."""
     with _cached():
-        return numba.vectorize(nopython=True, cache=True)(function)
+        return cast(Function, numba.vectorize(nopython=True, cache=True)(function))
 
 
 def _compiled(function: Function, **options: bool) -> Function:
     with _cached():
-        return numba.njit(cache=True, error_model="numpy", **options)(function)
+        return cast(Function, numba.njit(cache=True, error_model="numpy", **options)(function))
 
 
 @contextlib.contextmanager

@@ -68,13 +68,23 @@ class Forest(Task):
         rng = np.random.default_rng(self.config.forest_seed)
         low = np.zeros((self.config.num_forests, PILLARS, 3))
         low[..., :2] = rng.uniform([10, -20], [47, 17], low[..., :2].shape)
-        return [Solids(np.stack([corner, corner + np.array([SIZE, SIZE, 20.0])], axis=1)) for corner in low]
+        return [
+            Solids(np.stack([corner, corner + np.array([SIZE, SIZE, 20.0])], axis=1))
+            for corner in low
+        ]
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
         """In the west, at rest."""
         start, goal = (np.array([[x, rng.uniform(-10, 10), 5.0]]) for x in (0.0, 60.0))
         forest = int(rng.integers(self.config.num_forests))
-        return Spawn(start, np.array([[0.0, 0.0, 0.0, 1.0]]), np.zeros((1, 3)), np.zeros((1, 3)), goal, layout=forest)
+        return Spawn(
+            start,
+            np.array([[0.0, 0.0, 0.0, 1.0]]),
+            np.zeros((1, 3)),
+            np.zeros((1, 3)),
+            goal,
+            layout=forest,
+        )
 
     def evaluate_step(self, frame: Frame) -> StepResult:
         """By the way made good, and by how it ends."""
@@ -92,12 +102,20 @@ class Sight(BaseFeaturesExtractor):
     """Numbers by `Symlog`, the picture by two convolutions. SB3 would take depths, which are no uint8, as numbers, too."""
 
     def __init__(self, observation_space):
-        numbers, (height, width) = Symlog(observation_space["vector"]), observation_space["ray_depth"].shape
+        numbers, (height, width) = (
+            Symlog(observation_space["vector"]),
+            observation_space["ray_depth"].shape,
+        )
         super().__init__(observation_space, numbers.features_dim + 32)
         self.numbers = numbers
         cells = 16 * -(-height // 4) * -(-width // 4)  # each convolution halves the sides
-        first, second = nn.Conv2d(1, 8, 3, stride=2, padding=1), nn.Conv2d(8, 16, 3, stride=2, padding=1)
-        self.eye = nn.Sequential(first, nn.ReLU(), second, nn.ReLU(), nn.Flatten(), nn.Linear(cells, 32), nn.ReLU())
+        first, second = (
+            nn.Conv2d(1, 8, 3, stride=2, padding=1),
+            nn.Conv2d(8, 16, 3, stride=2, padding=1),
+        )
+        self.eye = nn.Sequential(
+            first, nn.ReLU(), second, nn.ReLU(), nn.Flatten(), nn.Linear(cells, 32), nn.ReLU()
+        )
 
     def forward(self, observations):
         """(B, D + 32) features."""
@@ -106,10 +124,14 @@ class Sight(BaseFeaturesExtractor):
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--steps", type=int, default=600_000)
     parser.add_argument("--episodes", type=int, default=100, help="of the evaluation")
-    parser.add_argument("--forests", type=int, default=100, help="different ones in training, and in the evaluation")
+    parser.add_argument(
+        "--forests", type=int, default=100, help="different ones in training, and in the evaluation"
+    )
     parser.add_argument("--blind", action="store_true", help="without the camera")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("camera_cnn"))
@@ -117,7 +139,9 @@ if __name__ == "__main__":
     args.out.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(1)  # networks this small are no faster on more
 
-    options = {"num_forests": args.forests} | ({"observation": Forest.observation[:2]} if args.blind else {})
+    options = {"num_forests": args.forests} | (
+        {"observation": Forest.observation[:2]} if args.blind else {}
+    )
     env = DroneVecEnv(Forest, num_worlds=64, dynamics="point_mass", **options)
     model = PPO(
         "MlpPolicy" if args.blind else "MultiInputPolicy",
@@ -127,7 +151,11 @@ if __name__ == "__main__":
         n_epochs=5,
         learning_rate=LinearSchedule(1e-3, 1e-5, 1.0),
         gamma=0.99,
-        policy_kwargs={"features_extractor_class": Symlog if args.blind else Sight, "net_arch": [64], "log_std_init": -1.0},
+        policy_kwargs={
+            "features_extractor_class": Symlog if args.blind else Sight,
+            "net_arch": [64],
+            "log_std_init": -1.0,
+        },
         seed=args.seed,
         device="cpu",
         verbose=1,
@@ -139,9 +167,13 @@ if __name__ == "__main__":
     pilot = f"ppo:{args.out / 'model.zip'}"
     options["forest_seed"] = 1  # forests that it never saw
     for policy, dynamics in ((pilot, "point_mass"), (pilot, "bullet"), ("straight", "point_mass")):
-        result = bulletuav.evaluate(Forest, policy, args.episodes, seed=1000, trust=True, dynamics=dynamics, **options)
+        result = bulletuav.evaluate(
+            Forest, policy, args.episodes, seed=1000, trust=True, dynamics=dynamics, **options
+        )
         success = result.estimates()["success"]
-        print(f"{policy} in {dynamics}: success {success.mean:.2f} ({success.low:.2f} to {success.high:.2f})")
+        print(
+            f"{policy} in {dynamics}: success {success.mean:.2f} ({success.low:.2f} to {success.high:.2f})"
+        )
     aviary = bulletuav.Aviary(Forest, dynamics="point_mass", **options)
     recording = fly_episode(aviary, find_policy(pilot, trust=True)(aviary), seed=1000)
     plot_tracks(recording, aviary.task.config.d_safe, "Through pillars", args.out / "flight.png")

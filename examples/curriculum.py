@@ -50,7 +50,10 @@ class Report(BaseCallback):
     def _on_step(self) -> bool:
         if self.curriculum.stage != self.stage:
             where = "up" if self.curriculum.stage > self.stage else "down"
-            print(f"{self.num_timesteps:9,} decisions: {where} to stage {self.curriculum.stage}", flush=True)
+            print(
+                f"{self.num_timesteps:9,} decisions: {where} to stage {self.curriculum.stage}",
+                flush=True,
+            )
             self.stage = self.curriculum.stage
         return True
 
@@ -58,12 +61,22 @@ class Report(BaseCallback):
         self.rollouts += 1
         if self.rollouts % 20 == 0:
             rate = self.curriculum.success_rate
-            print(f"{self.num_timesteps:9,} decisions: at stage {self.stage}, success {rate:.2f}", flush=True)
+            print(
+                f"{self.num_timesteps:9,} decisions: at stage {self.stage}, success {rate:.2f}",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--steps", type=int, default=4_000_000, help="decisions of all slots, those without a drone too")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--steps",
+        type=int,
+        default=4_000_000,
+        help="decisions of all slots, those without a drone too",
+    )
     parser.add_argument("--episodes", type=int, default=50, help="of each evaluation")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("curriculum"))
@@ -72,7 +85,9 @@ if __name__ == "__main__":
     torch.set_num_threads(1)  # networks this small are no faster on more
 
     rule = Curriculum(len(STAGES), up=0.8, down=0.2, window=64)
-    env = DroneVecEnv("crossing", 32, STAGES, rule, dynamics="point_mass", weights=WEIGHTS, **COMMON)
+    env = DroneVecEnv(
+        "crossing", 32, STAGES, rule, dynamics="point_mass", weights=WEIGHTS, **COMMON
+    )
     model = PPO(
         "MlpPolicy",
         env,
@@ -83,7 +98,11 @@ if __name__ == "__main__":
         gamma=0.99,
         gae_lambda=0.95,
         rollout_buffer_class=LivingRollouts,  # stages with fewer drones leave slots empty
-        policy_kwargs={"features_extractor_class": Symlog, "net_arch": [64, 64], "log_std_init": -1.0},
+        policy_kwargs={
+            "features_extractor_class": Symlog,
+            "net_arch": [64, 64],
+            "log_std_init": -1.0,
+        },
         seed=args.seed,
         device="cpu",
     )
@@ -96,6 +115,9 @@ if __name__ == "__main__":
         result = bulletuav.evaluate(
             "crossing", policy, args.episodes, seed=1000, trust=True, **{**COMMON, **options}
         ).estimates()
-        print(f"stage {stage} in bullet: success of drones {result['drone_success'].mean:.2f}", end=", ")
+        print(
+            f"stage {stage} in bullet: success of drones {result['drone_success'].mean:.2f}",
+            end=", ",
+        )
         print(f"episodes with conflict {result['conflict'].mean:.2f}")
     print(f"the model is in {args.out}")

@@ -18,12 +18,24 @@ import bulletuav
 from bulletuav.report.pictures import blank_figure
 from bulletuav.vehicle.airframe import Airframe
 
-HUB, HUB_SIZE = 0.95, (0.2, 0.14, 0.08)  # kg, m: frame, electronics and a battery of 4 cells, 5 Ah (0.5 kg), as one box
-ROTOR, ROD, ARM = 0.075, 0.035, 0.275  # kg: motor with propeller, carbon tube; m: propellers of 10 inches 2 cm apart
+HUB, HUB_SIZE = (
+    0.95,
+    (0.2, 0.14, 0.08),
+)  # kg, m: frame, electronics and a battery of 4 cells, 5 Ah (0.5 kg), as one box
+ROTOR, ROD, ARM = (
+    0.075,
+    0.035,
+    0.275,
+)  # kg: motor with propeller, carbon tube; m: propellers of 10 inches 2 cm apart
 RADIUS = 0.127  # m: propellers of 10 inches by 4.5
-THRUST, POWER = 0.11, 0.05  # c_T = T / (rho n^2 D^4), c_P = P / (rho n^3 D^5), static: a figure of merit of 0.58
+THRUST, POWER = (
+    0.11,
+    0.05,
+)  # c_T = T / (rho n^2 D^4), c_P = P / (rho n^3 D^5), static: a figure of merit of 0.58
 AIR = 1.225  # kg/m^3, ISA at sea level
-REVOLUTIONS = 8000 / 60  # 1/s, of a motor with 920 rpm/V under load at 14.8 V: about 60 % of those without
+REVOLUTIONS = (
+    8000 / 60
+)  # 1/s, of a motor with 920 rpm/V under load at 14.8 V: about 60 % of those without
 LAG = 0.05  # s, our choice: the airframes of the package have 0.0125 to 0.065 s
 DRAG = 0.3  # 1/s in the rotor plane; 0.4 to 0.5 at 0.6 kg in M. Faessler et al. (2018), and less for what is heavier
 ANGLES = np.radians([30, 90, 150, 210, 270, 330])  # of the arms from the nose, to the left
@@ -33,11 +45,15 @@ def write_urdf(path: Path, payload: float) -> None:
     """The parts with `payload`, kg, in the middle of the box. Formulas are those of rigid bodies and of propellers."""
     mass = HUB + payload + 6 * (ROTOR + ROD)
     x, y, z = HUB_SIZE
-    on_arms = 6 * (ROTOR * ARM**2 + ROD * ARM**2 / 3)  # points at the ends, rods from the middle; half of it on each axis
+    on_arms = 6 * (
+        ROTOR * ARM**2 + ROD * ARM**2 / 3
+    )  # points at the ends, rods from the middle; half of it on each axis
     ixx = (HUB + payload) / 12 * (y**2 + z**2) + on_arms / 2
     iyy = (HUB + payload) / 12 * (x**2 + z**2) + on_arms / 2
     izz = (HUB + payload) / 12 * (x**2 + y**2) + on_arms
-    thrust = THRUST * AIR * (2 * RADIUS) ** 4 / (2 * math.pi) ** 2  # N/(rad/s)^2, as n = omega / 2 pi
+    thrust = (
+        THRUST * AIR * (2 * RADIUS) ** 4 / (2 * math.pi) ** 2
+    )  # N/(rad/s)^2, as n = omega / 2 pi
     torque = POWER / (2 * math.pi * THRUST) * 2 * RADIUS  # m: Q / T, as P = 2 pi n Q
     hover = math.sqrt(mass * 9.80665 / (6 * thrust))
     drag = DRAG * mass / (6 * hover)  # N/(rad/s m/s): each rotor's force is drag omega v
@@ -72,7 +88,12 @@ def write_urdf(path: Path, payload: float) -> None:
 
 def step_of_two_metres(airframe: Path, decision_hz: int = 60) -> tuple[np.ndarray, np.ndarray]:
     """Hover for 2 s, then go 2 m east for 6 s: (T, 3) positions from the start, m, and (T,) mean rotor speeds, rad/s."""
-    options = {"airframe": str(airframe), "action": "target_position", "start": ((0.0, 0.0, 5.0),), "height": 5.0}
+    options = {
+        "airframe": str(airframe),
+        "action": "target_position",
+        "start": ((0.0, 0.0, 5.0),),
+        "height": 5.0,
+    }
     aviary = bulletuav.Aviary("hover", decision_hz=decision_hz, horizon=8 * decision_hz, **options)
     aviary.reset(seeds=0)
     track, speed = [], []
@@ -89,10 +110,16 @@ def report(airframe: Airframe, track: np.ndarray, speed: np.ndarray, folder: Pat
     time = np.arange(1, len(track) + 1) / 60 - 2
     east, measured = track[time > 0, 0], speed[time <= 0][-1]
     settled = np.flatnonzero(np.abs(east - 2) > 0.1)[-1] / 60
-    print(f"{airframe.mass:.2f} kg, inertia {', '.join(f'{moment:.4f}' for moment in airframe.inertia)} kg m^2")
+    print(
+        f"{airframe.mass:.2f} kg, inertia {', '.join(f'{moment:.4f}' for moment in airframe.inertia)} kg m^2"
+    )
     print(f"thrust to weight {airframe.max_thrust / (airframe.mass * 9.80665):.2f}")
-    print(f"hover speed {airframe.hover_speed():.1f} rad/s by formula, {measured:.1f} rad/s in the engine")
-    print(f"step of 2 m: overshoot {50 * max(0.0, east.max() - 2):.1f} %, within 5 % after {settled:.2f} s")
+    print(
+        f"hover speed {airframe.hover_speed():.1f} rad/s by formula, {measured:.1f} rad/s in the engine"
+    )
+    print(
+        f"step of 2 m: overshoot {50 * max(0.0, east.max() - 2):.1f} %, within 5 % after {settled:.2f} s"
+    )
     figure = blank_figure(8, 4.5)
     axes = figure.subplots()
     axes.plot(time, np.where(time > 0, 2.0, 0.0), "--", color="0.5", label="setpoint, east")
@@ -105,7 +132,9 @@ def report(airframe: Airframe, track: np.ndarray, speed: np.ndarray, folder: Pat
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--payload", type=float, default=0.0, help="kg, carried in the middle")
     parser.add_argument("--out", type=Path, default=Path("custom_airframe"))
     args = parser.parse_args()

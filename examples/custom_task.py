@@ -60,7 +60,9 @@ class Patrol(Task):
         """All on a short piece of the circle, at rest."""
         n, radius = self.context.num_drones, self.config.radius
         angle = rng.uniform(0, 2 * np.pi) + np.arange(n) * self.config.gap / radius
-        place = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(n, self.config.height)], axis=1)
+        place = np.stack(
+            [radius * np.cos(angle), radius * np.sin(angle), np.full(n, self.config.height)], axis=1
+        )
         still = np.zeros((n, 3))
         return Spawn(place, np.tile([0.0, 0.0, 0.0, 1.0], (n, 1)), still, still, goal=place)
 
@@ -74,17 +76,25 @@ class Patrol(Task):
         sector = np.floor(np.arctan2(y, x) / (2 * np.pi) * SECTORS) % SECTORS
         near = frame.alive & (np.abs(np.hypot(x, y) - self.config.radius) < self.config.d_safe)
         seen = np.any(near[..., None] & (sector[..., None] == np.arange(SECTORS)), axis=1)
-        frame.scene.memory["idle"][:] = np.where(seen, 0.0, frame.scene.memory["idle"] + self.context.period)
+        frame.scene.memory["idle"][:] = np.where(
+            seen, 0.0, frame.scene.memory["idle"] + self.context.period
+        )
 
     def info(self, frame: Frame) -> dict[str, np.ndarray]:
         """The worst idleness, the same for all drones."""
-        return {"idleness": np.broadcast_to(frame.scene.memory["idle"].max(axis=1, keepdims=True), frame.alive.shape)}
+        return {
+            "idleness": np.broadcast_to(
+                frame.scene.memory["idle"].max(axis=1, keepdims=True), frame.alive.shape
+            )
+        }
 
     def evaluate_step(self, frame: Frame) -> StepResult:
         """By the worst idleness, and by conflicts that begin."""
         idleness = self.info(frame)["idleness"]
         terms = {"idleness": idleness, "conflict": frame.conflict.onsets.astype(float)}
-        return StepResult(terms, terminated=frame.collision, success=idleness <= self.config.longest)
+        return StepResult(
+            terms, terminated=frame.collision, success=idleness <= self.config.longest
+        )
 
 
 class Rounds(Policy):
@@ -99,8 +109,13 @@ class Rounds(Policy):
     def act(self, observations, swarm):
         """Along the circle, and back to it."""
         position, config = observations[..., :3].astype(float), self.aviary.task.config
-        others = observations[..., 3:].reshape(*position.shape[:2], -1, 7)  # distance, position, velocity of each
-        there, angle = position[:, :, None] + others[..., 1:4], np.arctan2(position[..., 1], position[..., 0])
+        others = observations[..., 3:].reshape(
+            *position.shape[:2], -1, 7
+        )  # distance, position, velocity of each
+        there, angle = (
+            position[:, :, None] + others[..., 1:4],
+            np.arctan2(position[..., 1], position[..., 0]),
+        )
         gaps = (np.arctan2(there[..., 1], there[..., 0]) - angle[..., None]) % (2 * np.pi)
         ahead = np.min(gaps, axis=-1, where=others[..., 0] > 0, initial=2 * np.pi)
         behind = 2 * np.pi - np.max(gaps, axis=-1, where=others[..., 0] > 0, initial=0.0)
@@ -117,7 +132,9 @@ class Evenly(Rounds):
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seconds", type=int, default=120, help="of each flight")
     parser.add_argument("--drones", type=int, default=5)
     parser.add_argument("--seed", type=int, default=0)
@@ -129,7 +146,9 @@ if __name__ == "__main__":
     figure = blank_figure(8, 4.5)
     axes = figure.subplots()
     for policy in (Rounds, Evenly):
-        result = bulletuav.evaluate(Patrol, policy, episodes=10, seed=args.seed, **options).estimates()
+        result = bulletuav.evaluate(
+            Patrol, policy, episodes=10, seed=args.seed, **options
+        ).estimates()
         aviary = bulletuav.Aviary(Patrol, **options)
         observations, pilot, worst = aviary.reset(seeds=args.seed), policy(aviary), []
         while aviary.alive.any():
@@ -139,9 +158,13 @@ if __name__ == "__main__":
         told = f"success {result['success'].mean:.2f}, conflicts {result['conflicts'].mean:.1f}"
         print(f"{policy.name}: {told}, worst idleness at the end {worst[-1]:.1f} s")
         axes.plot(np.arange(1, len(worst) + 1) / 10, worst, label=policy.name)
-    ideal = 2 * np.pi * PatrolConfig.radius * (1 / args.drones - 1 / SECTORS) / CRUISE  # from leaving to being back
+    ideal = (
+        2 * np.pi * PatrolConfig.radius * (1 / args.drones - 1 / SECTORS) / CRUISE
+    )  # from leaving to being back
     axes.axhline(ideal, color="0.5", ls="--", label="evenly spread")
-    axes.set(xlabel="time (s)", ylabel="worst idleness (s)", title=f"{args.drones} drones on patrol")
+    axes.set(
+        xlabel="time (s)", ylabel="worst idleness (s)", title=f"{args.drones} drones on patrol"
+    )
     axes.grid(alpha=0.3)
     axes.legend()
     figure.savefig(args.out / "idleness.png", dpi=110)

@@ -62,7 +62,9 @@ def train(randomization: dict, steps: int, seed: int, path: Path) -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--steps", type=int, default=1_000_000, help="decisions of each training")
     parser.add_argument("--episodes", type=int, default=100, help="of each evaluation")
     parser.add_argument("--seed", type=int, default=0)
@@ -74,11 +76,20 @@ if __name__ == "__main__":
     for name, randomization in WORLDS.items():
         print(f"training in the {name} world", flush=True)
         train(randomization, args.steps, args.seed, args.out / name)
-    print("trained in".ljust(12) + "flown in".ljust(12) + "".join(metric.rjust(15) for metric in METRICS))
+    print(
+        "trained in".ljust(12)
+        + "flown in".ljust(12)
+        + "".join(metric.rjust(15) for metric in METRICS)
+    )
     for flown, randomization in WORLDS.items():
         for trained in WORLDS:
-            policy, options = f"ppo:{args.out / trained}.zip", {**OPTIONS, "randomization": randomization}
-            estimates = bulletuav.evaluate("hover", policy, args.episodes, seed=1000, trust=True, **options).estimates()
+            policy, options = (
+                f"ppo:{args.out / trained}.zip",
+                {**OPTIONS, "randomization": randomization},
+            )
+            estimates = bulletuav.evaluate(
+                "hover", policy, args.episodes, seed=1000, trust=True, **options
+            ).estimates()
             row = "".join(f"{estimates[metric].mean:15.3f}" for metric in METRICS)
             print(trained.ljust(12) + flown.ljust(12) + row)
     print(f"models are in {args.out}")

@@ -19,7 +19,13 @@ from stable_baselines3.common.utils import LinearSchedule
 import bulletuav
 from bulletuav.adapters.sb3 import DroneVecEnv, LivingReplay, Symlog
 
-OPTIONS = {"num_drones": 4, "difficulty": "easy", "action": "discrete", "horizon": 200, "goal_radius": 5.0}
+OPTIONS = {
+    "num_drones": 4,
+    "difficulty": "easy",
+    "action": "discrete",
+    "horizon": 200,
+    "goal_radius": 5.0,
+}
 WEIGHTS = {
     "progress": 0.05,
     "goal": 2.0,
@@ -34,14 +40,20 @@ METRICS = ("drone_success", "conflict", "conflicts", "goal_distance")
 
 
 def examine(path: Path, dynamics: str, episodes: int) -> None:
-    result = bulletuav.evaluate("crossing", f"dqn:{path}.zip", episodes, seed=1000, trust=True, dynamics=dynamics, **OPTIONS)
+    result = bulletuav.evaluate(
+        "crossing", f"dqn:{path}.zip", episodes, seed=1000, trust=True, dynamics=dynamics, **OPTIONS
+    )
     numbers = ", ".join(f"{metric} {result.estimates()[metric].mean:.2f}" for metric in METRICS)
     print(f"{path.name} in {dynamics}: {numbers}", flush=True)
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--steps", type=int, default=300_000, help="decisions of all slots together")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--steps", type=int, default=300_000, help="decisions of all slots together"
+    )
     parser.add_argument("--episodes", type=int, default=50, help="of each evaluation")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("dqn_discrete"))

@@ -18,7 +18,9 @@ from bulletuav.report.pictures import blank_figure
 
 HZ = 48  # decisions, which are setpoints, a second
 SPEED = 0.5  # m/s
-CORNERS = np.array([(-1.0, -1.0, 1.0), (1.0, -1.0, 1.0), (1.0, 1.0, 1.0), (-1.0, 1.0, 1.0), (-1.0, -1.0, 1.0)])
+CORNERS = np.array(
+    [(-1.0, -1.0, 1.0), (1.0, -1.0, 1.0), (1.0, 1.0, 1.0), (-1.0, 1.0, 1.0), (-1.0, -1.0, 1.0)]
+)
 
 
 def along_square(seconds: np.ndarray) -> np.ndarray:
@@ -66,7 +68,9 @@ def draw(time: np.ndarray, setpoint: np.ndarray, track: np.ndarray, path: Path) 
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seconds", type=float, default=20.0, help="of flight; a round takes 16")
     parser.add_argument("--out", type=Path, default=Path("pid_flight"))
     args = parser.parse_args()
@@ -76,6 +80,8 @@ if __name__ == "__main__":
     setpoint = along_square(time)
     track = fly(setpoint)
     error = 100 * np.linalg.norm(track - setpoint, axis=1)
-    print(f"error {error.mean():.1f} cm on average, {error.max():.1f} cm at most, {error[-1]:.1f} cm at the end")
+    print(
+        f"error {error.mean():.1f} cm on average, {error.max():.1f} cm at most, {error[-1]:.1f} cm at the end"
+    )
     draw(time, setpoint, track, args.out / "square.png")
     print(f"the picture is {args.out / 'square.png'}")

@@ -31,11 +31,23 @@ WEIGHTS = {  # those of the task divided by about 50, as networks like returns o
     "energy": -0.0005,
     "time": -0.02,
 }
-METRICS = ("success", "drone_success", "conflict", "conflicts", "collision", "path_efficiency", "length")
+METRICS = (
+    "success",
+    "drone_success",
+    "conflict",
+    "conflicts",
+    "collision",
+    "path_efficiency",
+    "length",
+)
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--steps", type=int, default=2_000_000, help="decisions of all slots together")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--steps", type=int, default=2_000_000, help="decisions of all slots together"
+    )
     parser.add_argument("--episodes", type=int, default=50, help="of the evaluation")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("ppo_crossing"))
@@ -54,7 +66,11 @@ if __name__ == "__main__":
         gamma=0.99,
         gae_lambda=0.95,
         rollout_buffer_class=LivingRollouts,  # drones leave at their goals; of slots without one nothing is learned
-        policy_kwargs={"features_extractor_class": Symlog, "net_arch": [64, 64], "log_std_init": -1.0},
+        policy_kwargs={
+            "features_extractor_class": Symlog,
+            "net_arch": [64, 64],
+            "log_std_init": -1.0,
+        },
         seed=args.seed,
         device="cpu",
         verbose=1,
@@ -66,7 +82,9 @@ if __name__ == "__main__":
     trained = f"ppo:{args.out / 'model.zip'}"
     print("\n" + "in bullet".ljust(10) + "".join(metric.rjust(17) for metric in METRICS))
     for name, policy in {"ppo": trained, "straight": "straight", "orca": "orca"}.items():
-        estimates = bulletuav.evaluate("crossing", policy, episodes=args.episodes, seed=1000, trust=True).estimates()
+        estimates = bulletuav.evaluate(
+            "crossing", policy, episodes=args.episodes, seed=1000, trust=True
+        ).estimates()
         print(name.ljust(10) + "".join(f"{estimates[metric].mean:17.2f}" for metric in METRICS))
 
     aviary = bulletuav.Aviary("crossing")

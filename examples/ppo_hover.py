@@ -25,8 +25,12 @@ WEIGHTS = {"distance": -1.0, "speed": -0.5}  # of the reward; the speed keeps it
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--steps", type=int, default=2_000_000, help="decisions of all drones together")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--steps", type=int, default=2_000_000, help="decisions of all drones together"
+    )
     parser.add_argument("--episodes", type=int, default=100, help="of the evaluation")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("ppo_hover"))
@@ -44,7 +48,10 @@ if __name__ == "__main__":
         learning_rate=LinearSchedule(1e-3, 1e-5, 1.0),
         gamma=0.97,  # looks about a second ahead, at 30 decisions a second
         gae_lambda=0.95,
-        policy_kwargs={"net_arch": [64, 64], "log_std_init": -1.5},  # begins with small noise: 0.2 of max_speed
+        policy_kwargs={
+            "net_arch": [64, 64],
+            "log_std_init": -1.5,
+        },  # begins with small noise: 0.2 of max_speed
         seed=args.seed,
         device="cpu",
         verbose=1,
@@ -54,10 +61,14 @@ if __name__ == "__main__":
     env.close()
 
     pilot = f"ppo:{args.out / 'model.zip'}"
-    result = bulletuav.evaluate("hover", pilot, episodes=args.episodes, seed=1000, dynamics="bullet", trust=True, **OPTIONS)
+    result = bulletuav.evaluate(
+        "hover", pilot, episodes=args.episodes, seed=1000, dynamics="bullet", trust=True, **OPTIONS
+    )
     for metric in ("success", "goal_distance", "collision"):
         estimate = result.estimates()[metric]
-        print(f"in bullet: {metric} {estimate.mean:.3f} ({estimate.low:.3f} to {estimate.high:.3f})")
+        print(
+            f"in bullet: {metric} {estimate.mean:.3f} ({estimate.low:.3f} to {estimate.high:.3f})"
+        )
 
     aviary = bulletuav.Aviary("hover", dynamics="bullet", start=((-0.5, -0.5, 1.5),), **OPTIONS)
     recording = fly_episode(aviary, find_policy(pilot, trust=True)(aviary), seed=0)

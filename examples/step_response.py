@@ -33,4 +33,6 @@ if __name__ == "__main__":
     all_effects = ("lag", "drag", "ground_effect", "downwash")
     for controller, effects in (("lee", all_effects), ("pid", all_effects[1:])):
         overshoot, settling = step_response(controller, effects)
-        print(f"{controller}: overshoot {overshoot:.1f} %, settles in {settling:.2f} s with {', '.join(effects)}")
+        print(
+            f"{controller}: overshoot {overshoot:.1f} %, settles in {settling:.2f} s with {', '.join(effects)}"
+        )

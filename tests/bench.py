@@ -41,10 +41,14 @@ class Bench:
         self.motion = Motion.none(worlds)
         tiled = (worlds, 1)
         cascade = Cascade.of(
-            controller, np.tile(parameter_rows(airframes), tiled), np.tile(gain_rows(airframes, max_speed), tiled)
+            controller,
+            np.tile(parameter_rows(airframes), tiled),
+            np.tile(gain_rows(airframes, max_speed), tiled),
         )
         parameters = np.tile(parameter_rows(airframes, effects), tiled)
-        self.dynamics = LADDER[dynamics](Flight(self.engine, parameters, cascade, self.dt, substeps, gravity))
+        self.dynamics = LADDER[dynamics](
+            Flight(self.engine, parameters, cascade, self.dt, substeps, gravity)
+        )
         self.swarm = Swarm.zeros(worlds, drones, len(self.airframe.rotors))
         self.swarm.position[..., 0] = 5 * np.arange(drones)
         self.swarm.position[..., 2] = 10
@@ -58,14 +62,20 @@ class Bench:
 
     def fly(self, level, setpoint, decisions=1):
         """Hold a setpoint (broadcast to all drones) for some decisions; returns the contacts of the last one."""
-        setpoint = np.broadcast_to(np.asarray(setpoint, float), (*self.alive.shape, np.shape(setpoint)[-1])).copy()
+        setpoint = np.broadcast_to(
+            np.asarray(setpoint, float), (*self.alive.shape, np.shape(setpoint)[-1])
+        ).copy()
         for _ in range(decisions):
-            contacts = self.dynamics.fly(self.swarm, self.alive, SetpointLevel(level), setpoint, self.wind, self.motion)
+            contacts = self.dynamics.fly(
+                self.swarm, self.alive, SetpointLevel(level), setpoint, self.wind, self.motion
+            )
         return contacts
 
     def spin(self, speed, decisions=1):
         """Hold rotor speeds (rad/s)."""
-        return self.fly(SetpointLevel.ROTOR, np.broadcast_to(speed, len(self.airframe.rotors)), decisions)
+        return self.fly(
+            SetpointLevel.ROTOR, np.broadcast_to(speed, len(self.airframe.rotors)), decisions
+        )
 
     def trace(self, level, setpoint, decisions):
         """(T, 3) position and velocity of the first drone after every decision."""

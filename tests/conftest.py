@@ -3,7 +3,9 @@ import placing
 import pytest
 from hypothesis import settings
 
-settings.register_profile("bulletuav", deadline=None, derandomize=True)  # the first call may compile
+settings.register_profile(
+    "bulletuav", deadline=None, derandomize=True
+)  # the first call may compile
 settings.load_profile("bulletuav")
 
 

@@ -67,7 +67,9 @@ BLOCKS = (
 
 def variations():
     """Give the options of all environments whose digest is taken."""
-    for task, dynamics, difficulty in itertools.product(bulletuav.list_tasks(), DYNAMICS, DIFFICULTIES):
+    for task, dynamics, difficulty in itertools.product(
+        bulletuav.list_tasks(), DYNAMICS, DIFFICULTIES
+    ):
         plain = {"task": task, "dynamics": dynamics, "difficulty": difficulty}
         if dynamics not in ROTORS and task == "hover":
             plain["action"] = "velocity"
@@ -78,21 +80,56 @@ def variations():
     for action, task in itertools.product(ACTIONS, ("crossing", "hover")):
         yield {"task": task, "action": action, "num_worlds": 5, "num_drones": 3}
     for block in BLOCKS:
-        yield {"task": "obstacles", "observation": ("position", block), "num_worlds": 5, "randomization": UNCERTAIN}
+        yield {
+            "task": "obstacles",
+            "observation": ("position", block),
+            "num_worlds": 5,
+            "randomization": UNCERTAIN,
+        }
     for images in (("rgb", "depth", "segmentation"), ("velocity", "ray_depth")):
-        yield {"task": "navigation", "observation": images, "camera_size": (16, 12), "num_worlds": 2}
-    for boundary, at_goal in itertools.product(("end", "soft", "hard", "open"), ("leave", "land", "hold")):
+        yield {
+            "task": "navigation",
+            "observation": images,
+            "camera_size": (16, 12),
+            "num_worlds": 2,
+        }
+    for boundary, at_goal in itertools.product(
+        ("end", "soft", "hard", "open"), ("leave", "land", "hold")
+    ):
         yield {"task": "converge", "boundary": boundary, "at_goal": at_goal, "num_worlds": 5}
     for ends in ("drone", "world"):
         yield {"task": "converge", "conflict_ends": ends, "contact_ends": ends, "num_worlds": 5}
-    weights = {"efficiency": 1.0, "speed_keeping": 1.0, "time": -1.0, "shaping": 1.0, "fairness": -0.1, "concession": 1.0}
+    weights = {
+        "efficiency": 1.0,
+        "speed_keeping": 1.0,
+        "time": -1.0,
+        "shaping": 1.0,
+        "fairness": -0.1,
+        "concession": 1.0,
+    }
     yield {"task": "pursuit", "weights": weights, "num_worlds": 5}
     yield {"task": "crossing", "preset": "uavconflict", "num_worlds": 5}
     yield {"task": "hover", "preset": "hover_aviary", "num_worlds": 5}
     yield {"task": "mec", "preset": "urbanmarl", "num_worlds": 5}
-    yield {"task": "crossing", "airframe": ["cf2x", "hummingbird", "firefly", "iris"], "num_worlds": 5}
-    yield {"task": "crossing", "controller": "pid", "airframe": "cf2x", "effects": ("drag", "downwash"), "num_worlds": 5}
-    yield {"task": "crossing", "wind": (3.0, 1.0, 0.5), "turbulence": "severe", "normalise": True, "num_worlds": 5}
+    yield {
+        "task": "crossing",
+        "airframe": ["cf2x", "hummingbird", "firefly", "iris"],
+        "num_worlds": 5,
+    }
+    yield {
+        "task": "crossing",
+        "controller": "pid",
+        "airframe": "cf2x",
+        "effects": ("drag", "downwash"),
+        "num_worlds": 5,
+    }
+    yield {
+        "task": "crossing",
+        "wind": (3.0, 1.0, 0.5),
+        "turbulence": "severe",
+        "normalise": True,
+        "num_worlds": 5,
+    }
     yield {"task": "crossing", "energy": "actuator", "battery_capacity": 0.05, "num_worlds": 5}
     yield {"task": "hover", "gravity": 0.0, "num_worlds": 5}
     yield {"task": "crossing", "horizon": 15, "num_worlds": 5}
@@ -146,7 +183,12 @@ def _fly(aviary):
             yield from _arrays(aviary.reset(over))
             yield from aviary.first_info().values()
     yield aviary.state()
-    yield from (aviary.swarm.position, aviary.swarm.quaternion, aviary.swarm.velocity, aviary.swarm.rates)
+    yield from (
+        aviary.swarm.position,
+        aviary.swarm.quaternion,
+        aviary.swarm.velocity,
+        aviary.swarm.rates,
+    )
     yield from (aviary.scene.goal, aviary.scene.obstacle, aviary.commanded)
     yield from (generator.random(2) for generator in aviary.rng)
 
@@ -173,7 +215,10 @@ def main():
     parser.add_argument("--every", type=int, default=1, help="only each nth line")
     args = parser.parse_args()
     chosen = list(variations())[:: args.every]
-    print(f"# {platform.machine()} {platform.libc_ver()} NumPy {np.__version__}: {len(chosen)} environments", flush=True)
+    print(
+        f"# {platform.machine()} {platform.libc_ver()} NumPy {np.__version__}: {len(chosen)} environments",
+        flush=True,
+    )
     with multiprocessing.get_context("spawn").Pool(args.jobs) as pool:
         for line in pool.imap(_line, chosen):
             print(line, flush=True)

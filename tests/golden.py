@@ -14,18 +14,35 @@ STEPS = 100
 def fly(task):
     """Observations, rewards and states of 100 steps of the default environment under smooth actions."""
     aviary = bulletuav.Aviary(task)
-    rows = {"observations": [aviary.reset(seeds=0)[0]], "rewards": [], "position": [], "quaternion": [], "rotor_speed": []}
+    rows = {
+        "observations": [aviary.reset(seeds=0)[0]],
+        "rewards": [],
+        "position": [],
+        "quaternion": [],
+        "rotor_speed": [],
+    }
     shape = (aviary.num_drones, aviary.action.low.shape[-1])
     phase = np.arange(np.prod(shape)).reshape(shape)
     for k in range(min(STEPS, aviary.options.horizon - 1)):
         if aviary.options.action == "rotor":  # a hover with small disturbances
-            hover = 2 * (aviary.options.airframe[0].hover_speed() / aviary.options.airframe[0].max_rotor_speed) ** 2 - 1
+            hover = (
+                2
+                * (
+                    aviary.options.airframe[0].hover_speed()
+                    / aviary.options.airframe[0].max_rotor_speed
+                )
+                ** 2
+                - 1
+            )
             action = hover + 0.001 * np.sin(0.9 * k + phase)
         else:
             size = 0.3  # small enough not to hit anything, where there is anything
             size = 0.1 if aviary.task.obstacles() else 0.05 if aviary.task.layouts() else size
             size *= min(1.0, aviary.options.decision_hz / 10)
-            action = size * np.sin(0.07 * k + phase) + aviary.scene.goal_velocity[0] / aviary.options.max_speed
+            action = (
+                size * np.sin(0.07 * k + phase)
+                + aviary.scene.goal_velocity[0] / aviary.options.max_speed
+            )
         step = aviary.step(action[None])
         rows["observations"].append(step.observations[0])
         rows["rewards"].append(step.rewards[0])

@@ -15,7 +15,13 @@ SMALL = {"area": 250.0, "num_layouts": 1}
 def city_of(*boxes, side=200.0):
     """A city made by hand, of boxes (low corner, high corner), without streets."""
     solids = Solids(np.array(boxes, dtype=float).reshape(-1, 2, 3))
-    return City("hand", side, solids, np.arange(len(boxes)), Streets(np.zeros((0, 2)), np.zeros((0, 2), dtype=int)))
+    return City(
+        "hand",
+        side,
+        solids,
+        np.arange(len(boxes)),
+        Streets(np.zeros((0, 2)), np.zeros((0, 2), dtype=int)),
+    )
 
 
 OPEN = city_of()
@@ -37,7 +43,11 @@ class Placing:
     def make(self, task, num_worlds=1, **options):
         """One that is started, by default small and kinematic."""
         small = {} if "city" in options else SMALL
-        self._made.append(bulletuav.Aviary(task, num_worlds, **{"dynamics": "single_integrator", **small, **options}))
+        self._made.append(
+            bulletuav.Aviary(
+                task, num_worlds, **{"dynamics": "single_integrator", **small, **options}
+            )
+        )
         self._made[-1].reset(seeds=0)
         return self._made[-1]
 
@@ -50,7 +60,15 @@ class Placing:
 
             def spawn(self, rng):
                 level = np.tile([0.0, 0, 0, 1], (len(start), 1))
-                return Spawn(start, level, 0 * start, 0 * start, start, layout=self.town.draw(rng), memory=memory)
+                return Spawn(
+                    start,
+                    level,
+                    0 * start,
+                    0 * start,
+                    start,
+                    layout=self.town.draw(rng),
+                    memory=memory,
+                )
 
         numbers = {"num_drones": len(start), "num_users": len(users), "mobility": "still"}
         return self.make(Placed, num_worlds, city=city, **{**numbers, **options})

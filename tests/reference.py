@@ -10,8 +10,22 @@ G = 9.80665
 class Reference:
     """One drone with constant rotor commands; forces as in the literature, nothing shared with the package."""
 
-    def __init__(self, airframe, command, *, wind=(0, 0, 0), lag=True, drag=True, ground_effect=True, gravity=G):
-        self.a, self.command, self.wind = airframe, np.asarray(command, float), np.asarray(wind, float)
+    def __init__(
+        self,
+        airframe,
+        command,
+        *,
+        wind=(0, 0, 0),
+        lag=True,
+        drag=True,
+        ground_effect=True,
+        gravity=G,
+    ):
+        self.a, self.command, self.wind = (
+            airframe,
+            np.asarray(command, float),
+            np.asarray(wind, float),
+        )
         self.lag, self.drag, self.ground_effect, self.gravity = lag, drag, ground_effect, gravity
         self.x, self.y, self.turn = np.array(airframe.rotors).T
         self.J = np.diag(airframe.inertia)
@@ -47,16 +61,27 @@ class Reference:
         initial_speeds = np.asarray(initial_speeds, float)
 
         def slope(t, s):
-            force, torque = self.wrench(s[:3], s[3:7] / np.linalg.norm(s[3:7]), s[7:10], self.speeds(initial_speeds, t))
+            force, torque = self.wrench(
+                s[:3], s[3:7] / np.linalg.norm(s[3:7]), s[7:10], self.speeds(initial_speeds, t)
+            )
             x, y, z, w = s[3:7]
             p, q, r = s[10:13]
             turn = 0.5 * np.array(
-                [w * p + y * r - z * q, w * q + z * p - x * r, w * r + x * q - y * p, -x * p - y * q - z * r]
+                [
+                    w * p + y * r - z * q,
+                    w * q + z * p - x * r,
+                    w * r + x * q - y * p,
+                    -x * p - y * q - z * r,
+                ]
             )
-            return np.concatenate([s[7:10], turn, force / self.a.mass, self.rates_slope(s[10:13], torque)])
+            return np.concatenate(
+                [s[7:10], turn, force / self.a.mass, self.rates_slope(s[10:13], torque)]
+            )
 
         start = np.concatenate([position, quaternion, velocity, rates])
-        end = solve_ivp(slope, (0, duration), start, rtol=1e-10, atol=1e-12, method="DOP853").y[:, -1]
+        end = solve_ivp(slope, (0, duration), start, rtol=1e-10, atol=1e-12, method="DOP853").y[
+            :, -1
+        ]
         return end[:3], end[3:7] / np.linalg.norm(end[3:7]), end[7:10], end[10:13]
 
     def engine_scheme(self, position, quaternion, velocity, rates, initial_speeds, dt, steps):

@@ -82,7 +82,10 @@ BAD = {
     "evil": Evil(),
 }
 LONGEST = 2000
-OWN = {task: [field.name for field in dataclasses.fields(find_task(task).Config)] for task in list_tasks()}
+OWN = {
+    task: [field.name for field in dataclasses.fields(find_task(task).Config)]
+    for task in list_tasks()
+}
 COMMON = [field.name for field in dataclasses.fields(EnvOptions)]
 CASES = [("hover", name) for name in COMMON] + [
     (task, name)
@@ -108,7 +111,11 @@ def refusal(call, limit=2.0):
 @pytest.mark.filterwarnings("ignore:controller 'pid'")
 @pytest.mark.parametrize(("task", "name"), CASES, ids=lambda value: value)
 def test_every_option_names_what_it_cannot_be(task, name):
-    few = {"num_layouts": 1, "area": 250.0} if "num_layouts" in OWN[task] and name not in ("num_layouts", "area") else {}
+    few = (
+        {"num_layouts": 1, "area": 250.0}
+        if "num_layouts" in OWN[task] and name not in ("num_layouts", "area")
+        else {}
+    )
     EnvSpec(task, 1, few)  # may compile
     for kind, value in BAD.items():
         told = refusal(lambda value=value: EnvSpec(task, 1, {**few, name: value}))
@@ -116,12 +123,32 @@ def test_every_option_names_what_it_cannot_be(task, name):
 
 
 def test_what_is_accepted_is_kept_as_numbers_of_one_type():
-    given = {"gravity": Fraction(9), "max_range": 10, "turbulence": np.int64(2), "wind": [1, Fraction(1, 2), 0]}
+    given = {
+        "gravity": Fraction(9),
+        "max_range": 10,
+        "turbulence": np.int64(2),
+        "wind": [1, Fraction(1, 2), 0],
+    }
     plan = EnvSpec(
-        "converge", 1, {**given, "num_drones": np.int64(3), "d_safe": Fraction(3), "radius": 90, "start_speed": [1, 2]}
+        "converge",
+        1,
+        {
+            **given,
+            "num_drones": np.int64(3),
+            "d_safe": Fraction(3),
+            "radius": 90,
+            "start_speed": [1, 2],
+        },
     )
     options, config = plan.options, plan.task.config
-    kept = [options.gravity, options.max_range, options.turbulence, *options.wind, config.d_safe, config.radius]
+    kept = [
+        options.gravity,
+        options.max_range,
+        options.turbulence,
+        *options.wind,
+        config.d_safe,
+        config.radius,
+    ]
     assert [type(value) for value in (*kept, *config.start_speed)] == [float] * 10
     assert type(options.num_drones) is int
 
@@ -133,7 +160,15 @@ def test_any_value_can_be_shown_in_a_line(value):
 
 
 def test_numbers_are_no_texts_nor_dates_nor_imaginary():
-    for value in ("0", ["1", "2"], [1j], np.array(["2020-01-01"], dtype="datetime64[D]"), [None], [[1], [2, 3]], [10**400]):
+    for value in (
+        "0",
+        ["1", "2"],
+        [1j],
+        np.array(["2020-01-01"], dtype="datetime64[D]"),
+        [None],
+        [[1], [2, 3]],
+        [10**400],
+    ):
         with pytest.raises(ValueError, match="these are not numbers"):
             numbers_of("these are", value)
     assert numbers_of("these are", [Fraction(1, 2), 2**70]).tolist() == [0.5, 2**70]
@@ -152,7 +187,9 @@ def test_numbers_are_no_texts_nor_dates_nor_imaginary():
         (1000, {"observation": ["rgb"], "camera_size": (4096, 4096)}, "1000 worlds of 1 drones"),
     ],
 )
-def test_worlds_that_do_not_fit_into_the_machine_are_refused_with_both_figures(worlds, options, asked):
+def test_worlds_that_do_not_fit_into_the_machine_are_refused_with_both_figures(
+    worlds, options, asked
+):
     told = refusal(lambda: EnvSpec("hover", worlds, options), 1.0)
     assert asked in told
     assert told.count(" GiB") == 2
@@ -166,7 +203,10 @@ def test_worlds_that_do_not_fit_into_the_machine_are_refused_with_both_figures(w
         (lambda: bulletuav.batch_env("hover", 10**7), "num_envs"),
         (lambda: bulletuav.parallel_env("hover", physics_hz=2**63), "physics_hz"),
         (lambda: bulletuav.parallel_env("hover", airframe=["cf2x"] * 10**5), "airframe"),
-        (lambda: bulletuav.parallel_env("hover", num_beams=1000, lidar_elevations=range(90)[:9]), "lidar_elevations"),
+        (
+            lambda: bulletuav.parallel_env("hover", num_beams=1000, lidar_elevations=range(90)[:9]),
+            "lidar_elevations",
+        ),
         (lambda: bulletuav.parallel_env("coverage", cell=0.01, num_layouts=1), "cell"),
         (lambda: bulletuav.parallel_env("mec", arrival_rate=1e5, num_layouts=1), "arrival_rate"),
         (lambda: bulletuav.parallel_env("obstacles", num_obstacles=10**9), "num_obstacles"),
@@ -235,35 +275,69 @@ def square(x, y, side=20.0, metres=False):
 
 def collection(*rings, height=10):
     features = [
-        {"type": "Feature", "properties": {"height": height}, "geometry": {"type": "Polygon", "coordinates": [ring]}}
+        {
+            "type": "Feature",
+            "properties": {"height": height},
+            "geometry": {"type": "Polygon", "coordinates": [ring]},
+        }
         for ring in rings
     ]
     return json.dumps({"type": "FeatureCollection", "features": features})
 
 
 CUBE = (
-    "o a\n" + "".join(f"v {x} {y} {z}\n" for x in (0, 10) for y in (0, 10) for z in (0, 10)) + "f -1 -2 -3 -4 -5 -6 -7 -8\n"
+    "o a\n"
+    + "".join(f"v {x} {y} {z}\n" for x in (0, 10) for y in (0, 10) for z in (0, 10))
+    + "f -1 -2 -3 -4 -5 -6 -7 -8\n"
 )
 FILES = {
-    "far.geojson": (collection(square(0, 0), square(0.27, 0)), {}, r"on a square of 300\d\d.* m: less than 4096 m"),
+    "far.geojson": (
+        collection(square(0, 0), square(0.27, 0)),
+        {},
+        r"on a square of 300\d\d.* m: less than 4096 m",
+    ),
     "metres.geojson": (
         collection(square(0, 0, metres=True), square(30_000, 0, metres=True)),
         {"metres": True},
         "30020 m: less than 4096 m",
     ),
-    "globe.geojson": (collection([[-180, -80], [180, -80], [180, 80], [-180, 80], [-180, -80]]), {}, "less than 4096 m"),
-    "giant.geojson": (collection(square(0, 0, 1e155, metres=True)), {"metres": True}, "less than 4096 m"),
+    "globe.geojson": (
+        collection([[-180, -80], [180, -80], [180, 80], [-180, 80], [-180, -80]]),
+        {},
+        "less than 4096 m",
+    ),
+    "giant.geojson": (
+        collection(square(0, 0, 1e155, metres=True)),
+        {"metres": True},
+        "less than 4096 m",
+    ),
     "point.geojson": (collection(square(0, 0, 1e-290)), {}, r"feature 0 \(from 0\) has no area"),
-    "tower.geojson": (collection(square(0, 0), height=1e300), {}, r"feature 0 .*its height is 1e\+300 m: from"),
-    "digits.geojson": (collection(square(0, 0), height=10**400), {}, r"feature 0 .*its height is 1000"),
+    "tower.geojson": (
+        collection(square(0, 0), height=1e300),
+        {},
+        r"feature 0 .*its height is 1e\+300 m: from",
+    ),
+    "digits.geojson": (
+        collection(square(0, 0), height=10**400),
+        {},
+        r"feature 0 .*its height is 1000",
+    ),
     "flag.geojson": (collection(square(0, 0), height=True), {}, "its height is True"),
     "deep.geojson": ("[" * 10**5, {}, "is not GeoJSON"),
     "long.geojson": ('{"features": ' + "1" * 5000 + "}", {}, "is not GeoJSON"),
-    "null.geojson": ('{"features": [null]}', {}, r"feature 0 .*its geometry cannot be read: a Polygon"),
+    "null.geojson": (
+        '{"features": [null]}',
+        {},
+        r"feature 0 .*its geometry cannot be read: a Polygon",
+    ),
     "empty.geojson": (collection([]), {}, r"feature 0 .*(empty|cannot be read)"),
     "latin.geojson": (b'{"features": "\xe9"}', {}, "is no text in UTF-8"),
     "latin.obj": (b"# caf\xe9\n", {}, "is no text in UTF-8"),
-    "far.obj": (CUBE + CUBE.replace("v 10", "v 30000").replace("o a", "o b"), {}, "less than 4096 m"),
+    "far.obj": (
+        CUBE + CUBE.replace("v 10", "v 30000").replace("o a", "o b"),
+        {},
+        "less than 4096 m",
+    ),
     "scaled.obj": (CUBE, {"scale": 1e4}, "less than 4096 m"),
     "more.obj": (CUBE, {"scale": 1e300}, "scale is 1e"),
     "wide.obj": (CUBE, {"side": 1e300}, r"side is 1e\+300 m: less than 4096 m"),
@@ -271,8 +345,16 @@ FILES = {
     "face.obj": (CUBE + "f\n", {}, "line 11 cannot be read: a face has three corners"),
     "words.obj": (CUBE + "f a b c\n", {}, "line 11 cannot be read: 'a' is no number of a vertex"),
     "flags.obj": (CUBE, {"y_up": 1}, "y_up is 1: True or False"),
-    "flags.geojson": (collection(square(0, 0)), {"metres": "zzz"}, "metres is 'zzz': True or False"),
-    "property.geojson": (collection(square(0, 0)), {"height": []}, r"height is \[\]: the name of a property"),
+    "flags.geojson": (
+        collection(square(0, 0)),
+        {"metres": "zzz"},
+        "metres is 'zzz': True or False",
+    ),
+    "property.geojson": (
+        collection(square(0, 0)),
+        {"height": []},
+        r"height is \[\]: the name of a property",
+    ),
 }
 
 
@@ -300,7 +382,9 @@ def test_paths_of_cities_that_are_none(tmp_path, read):
 def test_a_town_on_both_sides_of_the_antimeridian_is_the_town_that_it_is_elsewhere(tmp_path):
     def town(name, longitude):
         turn = 180 / math.pi / EARTH_RADIUS
-        rings = [square((longitude + 180 + turn * x) % 360 - 180, 0.001) for x in (-300, -40, 35, 280)]
+        rings = [
+            square((longitude + 180 + turn * x) % 360 - 180, 0.001) for x in (-300, -40, 35, 280)
+        ]
         path = tmp_path / f"{name}.geojson"
         path.write_text(collection(*rings))
         return from_geojson(path)
@@ -392,24 +476,45 @@ def second(name, value):
 
 
 STARTS = {
-    "below": (second("position", (0, 0, -5)), r"position of drone 1 .* is -5 m up, .*start it at z = 0.0\d+ m or more"),
+    "below": (
+        second("position", (0, 0, -5)),
+        r"position of drone 1 .* is -5 m up, .*start it at z = 0.0\d+ m or more",
+    ),
     "in the ground": (second("position", (0, 0, 0.01)), "is 0.01 m up, and its shape reaches"),
     "another tile": (second("position", (5000, 0, 2)), "start it less than 2047.9"),
     "parked": (second("position", (0, 0, 1e6)), "2000 m up"),
-    "nowhere": (second("position", NAN), "position of the spawn of task 'mine' is .*nan.*: finite numbers"),
-    "no attitude": (second("quaternion", 0), "quaternion of drone 1 .* has the norm 0: a unit quaternion"),
+    "nowhere": (
+        second("position", NAN),
+        "position of the spawn of task 'mine' is .*nan.*: finite numbers",
+    ),
+    "no attitude": (
+        second("quaternion", 0),
+        "quaternion of drone 1 .* has the norm 0: a unit quaternion",
+    ),
     "long attitude": (second("quaternion", lambda q: 5 * q), "has the norm 5"),
     "velocity": (second("velocity", INF), "velocity of the spawn"),
     "rates": (second("rates", NAN), "rates of the spawn"),
     "goal": (second("goal", NAN), "goal of the spawn"),
     "None": (lambda start: None, "spawn of task 'mine' gave None: a Spawn is needed"),
     "tuple": (tuple, "gave .*: a Spawn is needed"),
-    "one place": (lambda start: start._replace(position=start.position[:1]), r"has shape \(1, 3\): \(2, 3\) is needed"),
-    "no place": (lambda start: start._replace(position=None), "position of the spawn of task 'mine' is not numbers"),
+    "one place": (
+        lambda start: start._replace(position=start.position[:1]),
+        r"has shape \(1, 3\): \(2, 3\) is needed",
+    ),
+    "no place": (
+        lambda start: start._replace(position=None),
+        "position of the spawn of task 'mine' is not numbers",
+    ),
     "goals run nowhere": (lambda start: start._replace(goal_velocity=NAN), "goal_velocity"),
-    "obstacle": (lambda start: start._replace(obstacle=np.zeros((1, 3))), r"obstacle .* has shape \(1, 3\)"),
+    "obstacle": (
+        lambda start: start._replace(obstacle=np.zeros((1, 3))),
+        r"obstacle .* has shape \(1, 3\)",
+    ),
     "layout": (lambda start: start._replace(layout=5), "layout of the spawn of task 'mine' is 5"),
-    "no layout": (lambda start: start._replace(layout=None), "layout of the spawn of task 'mine' is None"),
+    "no layout": (
+        lambda start: start._replace(layout=None),
+        "layout of the spawn of task 'mine' is None",
+    ),
     "memory": (lambda start: start._replace(memory={"zzz": 1}), "unknown memory .*'zzz'"),
     "no memory": (lambda start: start._replace(memory=None), "memory .* is None: a dict"),
     "each other": (second("position", lambda p: 0 * p + (-1, 0, 2.0)), None),
@@ -424,7 +529,9 @@ def test_starts_that_cannot_be_are_refused_before_anything_is_written(case):
         assert re.search(message, told), told
 
 
-ROUND = [(math.cos(a), math.sin(a), z) for a in np.linspace(0, 2 * math.pi, 20_000) for z in (-1, 1)]
+ROUND = [
+    (math.cos(a), math.sin(a), z) for a in np.linspace(0, 2 * math.pi, 20_000) for z in (-1, 1)
+]
 
 
 @pytest.mark.parametrize(
@@ -440,12 +547,15 @@ def test_a_drone_may_stand_on_the_ground_and_no_deeper(urdf, shape, extremes, tu
     path = urdf("cf2x", ('<cylinder radius="0.0628" length="0.03"/>', shape))
     airframe, attitude = bulletuav.load_airframe(path), exponential(np.array(turn, dtype=float))
     x, y, z, w = attitude
-    up = np.array([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])  # in body axes
+    up = np.array(
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]
+    )  # in body axes
     lowest = 0.06 if extremes is None else -(np.array(extremes) * airframe.shape.half @ up).min()
 
     def at(height):
         return lambda start: start._replace(
-            position=np.array([[-1, 0, 3.0], [1, 0, height]]), quaternion=np.array([[0, 0, 0, 1.0], attitude])
+            position=np.array([[-1, 0, 3.0], [1, 0, height]]),
+            quaternion=np.array([[0, 0, 0, 1.0], attitude]),
         )
 
     assert starting(at(lowest + 1e-7), airframe=path) is None
@@ -473,9 +583,15 @@ def term(value):
         (lambda result: None, "evaluate_step of task 'mine' gave None: a StepResult"),
         (lambda result: result._replace(terms=None), "the terms None"),
         (lambda result: result._replace(terms={}), "no reward term 'alive'"),
-        (lambda result: result._replace(terms={**result.terms, "zzz": 1}), "unknown reward term .*'zzz'"),
+        (
+            lambda result: result._replace(terms={**result.terms, "zzz": 1}),
+            "unknown reward term .*'zzz'",
+        ),
         (lambda result: result._replace(terminated=None), r"None as terminated: an array \(2, 1\)"),
-        (lambda result: result._replace(success=result.success.astype(float)), "float64 as success: an array .* of bool"),
+        (
+            lambda result: result._replace(success=result.success.astype(float)),
+            "float64 as success: an array .* of bool",
+        ),
         (term(np.zeros((3, 5))), r"\(3, 5\) of float64 as reward term 'speed'"),
         (term(np.zeros(1)), "reward term 'speed'"),
         (term(np.zeros((2, 1), dtype=complex)), "complex128 as reward term 'speed'"),
@@ -555,7 +671,10 @@ def test_winds_that_are_no_numbers_are_named(answer):
 def test_arguments_of_a_flying_environment(flying, kind):
     value = BAD[kind]
     assert refusal(lambda: Aviary("hover", first_world=value)) is not None or value == 10**9
-    for call in (lambda: flying.aviary.render(value), lambda: flying.aviary._plan.require_world(value)):
+    for call in (
+        lambda: flying.aviary.render(value),
+        lambda: flying.aviary._plan.require_world(value),
+    ):
         told = refusal(call)
         assert told is None or "world is" in told
     for name, call in (
@@ -586,15 +705,21 @@ def test_modes_have_names():
 
 def test_curricula_and_evaluations_name_their_arguments(tmp_path):
     for levels in (None, 3, "easy", ["easy", "hard"], [None], [], {}, np.array(3)):
-        assert "levels" in refusal(lambda levels=levels: bulletuav.curriculum_env("hover", levels=levels))
+        assert "levels" in refusal(
+            lambda levels=levels: bulletuav.curriculum_env("hover", levels=levels)
+        )
     for name, value in itertools.product(("up", "down", "window"), (True, 10**400, NAN, "a")):
-        assert name in refusal(lambda name=name, value=value: bulletuav.curriculum_env("hover", **{name: value}))
+        assert name in refusal(
+            lambda name=name, value=value: bulletuav.curriculum_env("hover", **{name: value})
+        )
     assert refusal(lambda: bulletuav.curriculum_env("hover", up=Fraction(2))).startswith("down")
     for seed in (True, [], 1.5, -1, "a"):
         with pytest.raises(ValueError, match="seed is"):
             bulletuav.curriculum_env("hover").reset(seed=seed)
     for out in (True, 3, [], ""):
-        assert "out is" in refusal(lambda out=out: bulletuav.evaluate("hover", "random", 1, out=out))
+        assert "out is" in refusal(
+            lambda out=out: bulletuav.evaluate("hover", "random", 1, out=out)
+        )
     with pytest.raises(ValueError, match="progress is 3"):
         bulletuav.evaluate("hover", "random", 1, progress=3)
     with pytest.raises(ValueError, match="unknown agent 'zzz'"):
@@ -637,7 +762,9 @@ def test_policies_name_what_they_lack(source, message):
 def test_mobility_names_what_it_cannot_be(model):
     for field in dataclasses.fields(MOBILITY_MODELS[model]):
         for kind, value in BAD.items():
-            told = refusal(lambda field=field, value=value: find_mobility({"model": model, field.name: value}))
+            told = refusal(
+                lambda field=field, value=value: find_mobility({"model": model, field.name: value})
+            )
             assert told is None or field.name in told, f"{kind}: {told}"
     assert MOBILITY_MODELS[model]().max_speed < 10
 

@@ -135,7 +135,10 @@ def check_ppo_crossing(told, folder):
 
 
 def check_dqn_discrete(told, folder):
-    rows = numbers(r"ed in (?:point_mass|bullet): drone_success #, conflict #, conflicts #, goal_distance #", told)
+    rows = numbers(
+        r"ed in (?:point_mass|bullet): drone_success #, conflict #, conflicts #, goal_distance #",
+        told,
+    )
     assert len(rows) == 3
     assert (rows[:, 0] <= 1).all()
     assert (folder / "trained.zip").read_bytes() != (folder / "untrained.zip").read_bytes()
@@ -161,4 +164,8 @@ def check_curriculum(told, folder):
     assert (rows[:, 1:] <= 1).all()
 
 
-CHECKS = {name.removeprefix("check_"): check for name, check in list(globals().items()) if name.startswith("check_")}
+CHECKS = {
+    name.removeprefix("check_"): check
+    for name, check in list(globals().items())
+    if name.startswith("check_")
+}

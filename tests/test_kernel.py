@@ -19,16 +19,29 @@ def package(tmp_path):
     folder.mkdir()
     shutil.copy(kernel.__file__, folder / "kernel.py")
     (folder / "__init__.py").write_text("")
-    (folder / "helper.py").write_text("from small.kernel import kernel\n@kernel\ndef helper(x):\n    return x + 1\n")
+    (folder / "helper.py").write_text(
+        "from small.kernel import kernel\n@kernel\ndef helper(x):\n    return x + 1\n"
+    )
     (folder / "caller.py").write_text(
         "from small.helper import helper\nfrom small.kernel import kernel\n"
         "@kernel\ndef caller(x):\n    return helper(x) * 10\n"
     )
 
     def run():
-        env = {**os.environ, "PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+        env = {
+            **os.environ,
+            "PYTHONPATH": str(tmp_path),
+            "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
+        }
         code = "from small.caller import caller; print(caller(1), sum(caller.stats.cache_hits.values()))"
-        out = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True, cwd=tmp_path)
+        out = subprocess.run(
+            [sys.executable, "-c", code],
+            env=env,
+            capture_output=True,
+            text=True,
+            check=True,
+            cwd=tmp_path,
+        )
         return tuple(int(number) for number in out.stdout.split())
 
     return folder, run
@@ -56,7 +69,9 @@ def test_plain_numba_would_have_run_stale_code(package):
     folder, run = package
     for path in (folder / "helper.py", folder / "caller.py"):
         path.write_text(
-            path.read_text().replace("from small.kernel import kernel", "import numba\nkernel = numba.njit(cache=True)")
+            path.read_text().replace(
+                "from small.kernel import kernel", "import numba\nkernel = numba.njit(cache=True)"
+            )
         )
     assert run() == (20, 0)
     edit(folder / "helper.py", "x + 1", "x + 2")
@@ -81,7 +96,9 @@ def test_old_folders_are_forgotten_and_a_place_to_write_is_found(tmp_path, monke
         (folder.parent / f"old{k}").mkdir()
         os.utime(folder.parent / f"old{k}", (k, k))
     kernel.cache_folder()
-    assert sorted(path.name for path in folder.parent.iterdir()) == sorted([folder.name, *(f"old{k}" for k in range(5, 12))])
+    assert sorted(path.name for path in folder.parent.iterdir()) == sorted(
+        [folder.name, *(f"old{k}" for k in range(5, 12))]
+    )
     blocked = tmp_path / "file"
     blocked.write_text("")
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(blocked))

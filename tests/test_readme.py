@@ -57,8 +57,13 @@ def test_links_lead_somewhere():
 
 
 def test_the_run_of_the_page_on_learning_can_be(tmp_path):
-    (text,) = re.findall(r"```yaml\n(.*?)```", (ROOT / "docs" / "learning.md").read_text(), re.DOTALL)
+    (text,) = re.findall(
+        r"```yaml\n(.*?)```", (ROOT / "docs" / "learning.md").read_text(), re.DOTALL
+    )
     (tmp_path / "run.yaml").write_text(text)
     run = RunConfig.read(tmp_path / "run.yaml")
     assert run.steps == 4_000_000
-    assert run.options["weights"] == RunConfig.read(shipped("crossing") / "run.yaml").options["weights"]
+    assert (
+        run.options["weights"]
+        == RunConfig.read(shipped("crossing") / "run.yaml").options["weights"]
+    )

@@ -49,7 +49,12 @@ def poisoned_zip(path, poison):
     from base64 import b64encode
 
     with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("data", json.dumps({"policy_class": {":type:": "x", ":serialized:": b64encode(poison).decode()}}))
+        archive.writestr(
+            "data",
+            json.dumps(
+                {"policy_class": {":type:": "x", ":serialized:": b64encode(poison).decode()}}
+            ),
+        )
         archive.writestr("_stable_baselines3_version", "2.9.2")
 
 
@@ -83,7 +88,9 @@ def test_a_poisoned_model_is_refused_before_anything_of_it_runs(
         (tmp_path / "run.yaml").write_text(RunConfig("crossing").text())
         policy = "."
     poisoned_zip(tmp_path / "model.zip", poison)
-    refused([*COMMANDS[command], policy, "--out", "out"], capsys, "can run any code when it is read")
+    refused(
+        [*COMMANDS[command], policy, "--out", "out"], capsys, "can run any code when it is read"
+    )
     assert not sprung.exists()
     with pytest.raises(SystemExit):  # it is no whole model, but is read: that the test can fail
         main([*COMMANDS[command], policy, "--out", "out", "--trust"])
@@ -122,13 +129,22 @@ def test_resuming_reads_no_pickle(tmp_path, sprung, poison, capsys, monkeypatch)
     """Poisoned in every place where one could be: beside the files that are read, and instead of them."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "run").mkdir()
-    options = {"dynamics": "single_integrator", "num_drones": 2, "horizon": 4, "observation": ["goal"]}
+    options = {
+        "dynamics": "single_integrator",
+        "num_drones": 2,
+        "horizon": 4,
+        "observation": ["goal"],
+    }
     model = {"learning_starts": 8, "batch_size": 8, "buffer_size": 100}
     config = RunConfig("crossing", "sac", 0, 64, 2, options, model=model, evaluations=4, episodes=1)
     (tmp_path / "run" / "run.yaml").write_text(config.text())
     interrupted(tmp_path / "run")
     last = sorted((tmp_path / "run" / "checkpoints").iterdir())[-1]
-    assert {path.name for path in last.iterdir()} >= {"policy.safetensors", "training.safetensors", "replay.safetensors"}
+    assert {path.name for path in last.iterdir()} >= {
+        "policy.safetensors",
+        "training.safetensors",
+        "replay.safetensors",
+    }
     for name in ("000.zip.pkl", "replay.pkl", "policy.pth", "pytorch_variables.pth"):
         (last / name).write_bytes(poison)
     (tmp_path / "run" / "model.zip").write_bytes(poison)
@@ -143,7 +159,11 @@ def test_resuming_reads_no_pickle(tmp_path, sprung, poison, capsys, monkeypatch)
         last = sorted((tmp_path / "run" / "checkpoints").iterdir())[-1]
         kept = (last / name).read_bytes()
         (last / name).write_bytes(poison)
-        refused(["train", "--config", "run/run.yaml", "--out", "run"], capsys, "holds no checkpoint of this run")
+        refused(
+            ["train", "--config", "run/run.yaml", "--out", "run"],
+            capsys,
+            "holds no checkpoint of this run",
+        )
         (last / name).write_bytes(kept)
         (tmp_path / "run" / "state.json").write_text(as_int)
     assert not sprung.exists()
@@ -155,16 +175,27 @@ def test_checkpoints_of_an_older_version_are_not_read(tmp_path, sprung, poison):
     config = RunConfig("crossing", steps=32)
     (tmp_path / "checkpoints").mkdir()
     (tmp_path / "run.yaml").write_text(config.text())
-    (tmp_path / "state.json").write_text(json.dumps({"rows": [{"steps": 0, "decisions": 0}], "curriculum": {}}))
+    (tmp_path / "state.json").write_text(
+        json.dumps({"rows": [{"steps": 0, "decisions": 0}], "curriculum": {}})
+    )
     poisoned_zip(tmp_path / "checkpoints" / "000.zip", poison)
-    with pytest.raises(ValueError, match="checkpoints of an older version, which can run code when read"):
+    with pytest.raises(
+        ValueError, match="checkpoints of an older version, which can run code when read"
+    ):
         train(config, tmp_path)
     assert not sprung.exists()
 
 
 def test_files_that_are_not_what_they_are_called_are_refused(tmp_path, sprung, poison):
     path = tmp_path / "policy.safetensors"
-    for content in (poison, b"", b"\x00" * 8, b"\xff" * 64, b'\x08\x00\x00\x00\x00\x00\x00\x00{"a":0}', b"PK\x03\x04"):
+    for content in (
+        poison,
+        b"",
+        b"\x00" * 8,
+        b"\xff" * 64,
+        b'\x08\x00\x00\x00\x00\x00\x00\x00{"a":0}',
+        b"PK\x03\x04",
+    ):
         path.write_bytes(content)
         with pytest.raises(ValueError, match=re.escape(str(path))):
             read_weights(path)
@@ -189,14 +220,18 @@ def test_yaml_makes_plain_values_alone(text, said, tmp_path, sprung):
 @pytest.mark.parametrize(
     "entities",
     [
-        '<!ENTITY a0 "aaaaaaaaaa">' + "".join(f'<!ENTITY a{k} "{f"&a{k - 1};" * 10}">' for k in range(1, 10)),
+        '<!ENTITY a0 "aaaaaaaaaa">'
+        + "".join(f'<!ENTITY a{k} "{f"&a{k - 1};" * 10}">' for k in range(1, 10)),
         '<!ENTITY a9 SYSTEM "file:///etc/passwd">',
     ],
     ids=["expansion", "external"],
 )
 def test_entities_of_xml_neither_expand_without_end_nor_read_files(entities, tmp_path):
     text = bulletuav.load_airframe("cf2x").urdf.read_text()
-    text = text.replace('<robot name="cf2x">', f'<!DOCTYPE robot [{entities}]>\n<robot name="cf2x"><about>&a9;</about>')
+    text = text.replace(
+        '<robot name="cf2x">',
+        f'<!DOCTYPE robot [{entities}]>\n<robot name="cf2x"><about>&a9;</about>',
+    )
     (tmp_path / "own.urdf").write_text(text)
     with pytest.raises(ValueError, match=r"own\.urdf: not a readable XML file"):
         bulletuav.load_airframe(tmp_path / "own.urdf")
@@ -216,7 +251,9 @@ def test_what_reads_a_file_is_told():
         code = ast.unparse(tree)  # without comments
         if READS.search(code):
             found.add(path.relative_to(PACKAGE).as_posix())
-    rows = re.findall(r"^\| (`.*?) \|", (PACKAGE.parent / "SECURITY.md").read_text(), flags=re.MULTILINE)
+    rows = re.findall(
+        r"^\| (`.*?) \|", (PACKAGE.parent / "SECURITY.md").read_text(), flags=re.MULTILINE
+    )
     told = {name for row in rows for name in re.findall(r"`([\w/]+\.py)`", row)}
     assert found == told
 
@@ -224,7 +261,8 @@ def test_what_reads_a_file_is_told():
 def test_nothing_in_the_package_imports_pickle_to_read():
     for path in PACKAGE.rglob("*.py"):
         assert not re.search(
-            r"pickle\.loads?\(|torch\.load\(|allow_pickle=True|yaml\.(unsafe_)?load\((?!path)", path.read_text()
+            r"pickle\.loads?\(|torch\.load\(|allow_pickle=True|yaml\.(unsafe_)?load\((?!path)",
+            path.read_text(),
         )
 
 

@@ -26,7 +26,10 @@ def made(monkeypatch, tmp_path):
 @pytest.mark.parametrize("version", [(3, 12, 1), (3, 13, 0), (3, 14, 0)])
 def test_without_a_wheel_and_a_compiler_one_line_tells_what_to_do(version, made, monkeypatch):
     monkeypatch.setattr(sys, "version_info", version)
-    with pytest.raises(SystemExit, match=rf"no wheel for Python {version[0]}\.{version[1]}: .*apt-get install g\+\+"):
+    with pytest.raises(
+        SystemExit,
+        match=rf"no wheel for Python {version[0]}\.{version[1]}: .*apt-get install g\+\+",
+    ):
         runpy.run_path(str(SETUP))
     assert made == []
 

@@ -20,13 +20,23 @@ ROOMS = (
     ("network", "sensors"),
     ("tasks",),
     ("envs",),
-    ("policies", "adapters"),
+    ("policies",),
+    ("adapters",),
     ("analysis",),
-    ("training", "report", "bridges", "identification"),
-    ("commands", "cli", "__init__", "__main__"),
+    ("training",),
+    ("report", "bridges", "identification"),
+    ("commands",),
+    ("cli", "__init__"),
+    ("__main__",),
 )
 """Rooms of one line do not import each other, except where `NEIGHBOURS` says so"""
-NEIGHBOURS = {("policies", "adapters"), ("kernel", "errors"), ("registry", "errors"), ("files", "errors")}
+NEIGHBOURS = {
+    ("policies",),
+    ("adapters",),
+    ("kernel", "errors"),
+    ("registry", "errors"),
+    ("files", "errors"),
+}
 
 
 def imported(path: Path) -> Iterator[tuple[str, bool]]:

@@ -16,4 +16,11 @@ from gym_pybullet_drones.utils.enums import ActionType, ObservationType
 
 if __name__ == "__main__":
     # a DummyVecEnv of monitored environments, as in its examples/learn.py
-    learn(partial(make_vec_env, HoverAviary, env_kwargs={"act": ActionType.RPM, "obs": ObservationType.KIN}), HoverAviary)
+    learn(
+        partial(
+            make_vec_env,
+            HoverAviary,
+            env_kwargs={"act": ActionType.RPM, "obs": ObservationType.KIN},
+        ),
+        HoverAviary,
+    )

@@ -30,7 +30,12 @@ THEIRS = {  # steps, ends and volume of urbanmarl
     "height": (20.0, 120.0),
     "ceiling": 200.0,
 }
-EDGE = {"num_drones": 3, "num_users": 50, "decision_hz": 1, "autoreset_mode": AutoresetMode.SAME_STEP}  # as urbanmarl
+EDGE = {
+    "num_drones": 3,
+    "num_users": 50,
+    "decision_hz": 1,
+    "autoreset_mode": AutoresetMode.SAME_STEP,
+}  # as urbanmarl
 RAYS = 256 * 3 * 16
 
 
@@ -61,7 +66,9 @@ def crossing(drones: int):
 
 def batched_crossing(worlds: int, drones: int):
     """The batched environment on the cheapest dynamics: agent-decisions, to compare with point masses."""
-    env = bulletuav.batch_env("crossing", worlds, num_drones=drones, dynamics="single_integrator", randomization={})
+    env = bulletuav.batch_env(
+        "crossing", worlds, num_drones=drones, dynamics="single_integrator", randomization={}
+    )
     env.reset(seed=0)
     return partial(env.step, np.zeros((worlds, drones, 3))), worlds * drones
 
@@ -95,7 +102,9 @@ class Blind(LidarNavigation):
     observation = tuple(block for block in LidarNavigation.observation if block != "lidar")
     senses = ()
     reward_weights: ClassVar = {
-        term: weight for term, weight in LidarNavigation.reward_weights.items() if term != "proximity"
+        term: weight
+        for term, weight in LidarNavigation.reward_weights.items()
+        if term != "proximity"
     }
 
 
@@ -116,7 +125,10 @@ def beams_alone(worlds: int):
     azimuth = np.radians([beam.azimuth for beam in make_beams(CITY["num_beams"], (0.0,))])
     directions = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros_like(azimuth)], axis=1)
     swarm = aviary.swarm
-    return in_c(engine, *cast(swarm.position, swarm.quaternion, everyone, directions, CITY["max_range"], True)), worlds
+    return in_c(
+        engine,
+        *cast(swarm.position, swarm.quaternion, everyone, directions, CITY["max_range"], True),
+    ), worlds
 
 
 def in_c(engine: Engine, start: np.ndarray, end: np.ndarray, tile: np.ndarray):
@@ -124,7 +136,11 @@ def in_c(engine: Engine, start: np.ndarray, end: np.ndarray, tile: np.ndarray):
     port = engine.port
     if port is None:
         raise RuntimeError("needs the C extension: see `bulletuav doctor`")
-    start, end, fraction = start + port.offset[tile, 0], end + port.offset[tile, 0], np.empty(len(start))
+    start, end, fraction = (
+        start + port.offset[tile, 0],
+        end + port.offset[tile, 0],
+        np.empty(len(start)),
+    )
     first, last, result = (array.ctypes.data for array in (start, end, fraction))
 
     def call(_kept=(engine, start, end, fraction)) -> None:  # which must live as long
@@ -141,9 +157,13 @@ def street_rays(buildings: int, how: str):
     places = rng.uniform((-side / 2, -side / 2, 5), (side / 2, side / 2, 25), (4 * RAYS, 3))
     start = places[city.outdoors(places, 1.0)][:RAYS]
     azimuth = rng.uniform(-np.pi, np.pi, RAYS)
-    end = start + CITY["max_range"] * np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(RAYS)], axis=1)
+    end = start + CITY["max_range"] * np.stack(
+        [np.cos(azimuth), np.sin(azimuth), np.zeros(RAYS)], axis=1
+    )
     if how == "pybullet":
-        return partial(pybullet.rayTestBatch, start, end, numThreads=1, physicsClientId=_only(city.solids)), RAYS
+        return partial(
+            pybullet.rayTestBatch, start, end, numThreads=1, physicsClientId=_only(city.solids)
+        ), RAYS
     engine = Engine([load_airframe("cf2x")], 1, 1 / 240, layouts=[city.solids])
     tile = np.zeros(RAYS, dtype=np.int64)
     engine.set_layouts(tile[:1], np.ones(1, dtype=bool))
@@ -169,7 +189,10 @@ def _only(solids) -> int:
 
 def in_cities():
     """The cases of cities.py."""
-    cases = {"blind, 256": partial(city_hover, Blind, 256), "48 rays in C, 256": partial(beams_alone, 256)}
+    cases = {
+        "blind, 256": partial(city_hover, Blind, 256),
+        "48 rays in C, 256": partial(beams_alone, 256),
+    }
     cases["beams, 256"] = partial(city_hover, "lidar_navigation", 256)
     for buildings in (100, 400, 2500):
         for how in ("bulletuav", "C", "pybullet"):
@@ -177,7 +200,9 @@ def in_cities():
     city = partial(random_flight, "lidar_navigation", **CITY)
     for worlds in (1, 64, 256):
         cases[f"city, {worlds}"] = partial(city, worlds, 600, **PIECE)
-        cases[f"city at 240 Hz, {worlds}"] = partial(city, worlds, 600, dynamics="single_integrator")
+        cases[f"city at 240 Hz, {worlds}"] = partial(
+            city, worlds, 600, dynamics="single_integrator"
+        )
         cases[f"city by the second, {worlds}"] = partial(city, worlds, 100, **THEIRS)
     cases["city in the engine, 256"] = partial(city, 256, 10, dynamics="bullet")
     return cases

@@ -48,7 +48,13 @@ def flight(worlds: int, drones: int, contacts: bool):
 
 def reset(drones: int):
     """A reset of one world."""
-    sim = Sim(n_worlds=1, n_drones=drones, dynamics=Dynamics.first_principles, control=Control.state, freq=240)
+    sim = Sim(
+        n_worlds=1,
+        n_drones=drones,
+        dynamics=Dynamics.first_principles,
+        control=Control.state,
+        freq=240,
+    )
 
     def call() -> None:
         sim.reset()

@@ -18,7 +18,13 @@ from gym_pybullet_drones.utils.enums import Physics
 def aviary(num_drones: int, physics: Physics) -> CtrlAviary:
     """Drones on the grid of all simulators."""
     start = np.array(grid(num_drones))
-    return CtrlAviary(num_drones=num_drones, initial_xyzs=start, physics=physics, pyb_freq=240, ctrl_freq=240 // SUBSTEPS)
+    return CtrlAviary(
+        num_drones=num_drones,
+        initial_xyzs=start,
+        physics=physics,
+        pyb_freq=240,
+        ctrl_freq=240 // SUBSTEPS,
+    )
 
 
 def flight(num_drones: int, physics: Physics):

@@ -32,7 +32,12 @@ def quadx(num_drones: int):
 def hover(num_drones: int):
     """The PettingZoo environment, one action throughout, reset when all are done; those that are done count on."""
     start = np.array(grid(num_drones))
-    env = MAQuadXHoverEnv(start_pos=start, start_orn=np.zeros_like(start), flight_dome_size=100.0, agent_hz=240 // SUBSTEPS)
+    env = MAQuadXHoverEnv(
+        start_pos=start,
+        start_orn=np.zeros_like(start),
+        flight_dome_size=100.0,
+        agent_hz=240 // SUBSTEPS,
+    )
     env.reset(seed=1)
     actions = {agent: np.array([0.0, 0.0, 0.0, 0.3]) for agent in env.possible_agents}
 

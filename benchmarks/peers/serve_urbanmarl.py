@@ -11,7 +11,11 @@ from urbanmarl.envs.base_env import UrbanEnv
 
 SETTLE = 30  # steps: hardly an episode of random actions takes more
 SCENARIOS = {
-    "lidar_navigation": {"scenario": "uav_lidar_navigation", "num_lidar_beams": 16, "lidar_max_range": 60.0},
+    "lidar_navigation": {
+        "scenario": "uav_lidar_navigation",
+        "num_lidar_beams": 16,
+        "lidar_max_range": 60.0,
+    },
     "mec": {"scenario": "uavmec_offloading", "num_ues": 50},
 }
 

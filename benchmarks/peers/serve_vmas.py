@@ -13,7 +13,14 @@ import vmas
 def navigation(worlds: int, agents: int):
     """The navigation scenario: agents to goals, collisions, lidar and reward; a decision is one step."""
     torch.set_num_threads(1)
-    env = vmas.make_env("navigation", num_envs=worlds, n_agents=agents, device="cpu", continuous_actions=True, seed=0)
+    env = vmas.make_env(
+        "navigation",
+        num_envs=worlds,
+        n_agents=agents,
+        device="cpu",
+        continuous_actions=True,
+        seed=0,
+    )
     env.reset()
     actions = [torch.zeros(worlds, 2) for _ in range(agents)]
 
@@ -25,7 +32,14 @@ def navigation(worlds: int, agents: int):
 
 def reset(worlds: int, agents: int):
     """A reset of all worlds."""
-    env = vmas.make_env("navigation", num_envs=worlds, n_agents=agents, device="cpu", continuous_actions=True, seed=0)
+    env = vmas.make_env(
+        "navigation",
+        num_envs=worlds,
+        n_agents=agents,
+        device="cpu",
+        continuous_actions=True,
+        seed=0,
+    )
     return env.reset, 1
 
 

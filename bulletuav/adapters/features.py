@@ -46,22 +46,33 @@ class UserSum(BaseFeaturesExtractor):
         parts = 4 + num_drones + len(AHEAD)  # numbers of each user
         users, rest = divmod(observation_space.shape[0] - 3 - 6 * (num_drones - 1), parts)
         if rest or users < 1:
-            raise ValueError(f"features of {num_drones} drones and their users do not fit {observation_space.shape} numbers")
+            raise ValueError(
+                f"features of {num_drones} drones and their users do not fit {observation_space.shape} numbers"
+            )
         super().__init__(observation_space, 3 * num_drones + size)
         self._sizes = [3, 6 * (num_drones - 1), 4 * users, num_drones * users, len(AHEAD) * users]
         self.register_buffer("ways", torch.tensor(list(AHEAD.values())), persistent=False)
         known = 3 + 2 * num_drones + 1 + len(AHEAD)
-        self.each = nn.Sequential(nn.Linear(known, size), nn.ReLU(), nn.Linear(size, size), nn.ReLU())
+        self.each = nn.Sequential(
+            nn.Linear(known, size), nn.ReLU(), nn.Linear(size, size), nn.ReLU()
+        )
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
         """(B, 3 N + size) features of observations (B, D)."""
         own, others, users, sight, ahead = observations.split(self._sizes, 1)
-        others, users = others.unflatten(1, (-1, 6))[..., :3], users.unflatten(1, (-1, 4))[:, :, None, :3]
-        sight, ahead = (seen.unflatten(1, (-1, users.shape[1])).transpose(1, 2) for seen in (sight, ahead))
+        others, users = (
+            others.unflatten(1, (-1, 6))[..., :3],
+            users.unflatten(1, (-1, 4))[:, :, None, :3],
+        )
+        sight, ahead = (
+            seen.unflatten(1, (-1, users.shape[1])).transpose(1, 2) for seen in (sight, ahead)
+        )
         level = log_gain(torch.cat([users, users - others[:, None]], 2), sight)
         gain = log_gain(users - self.ways, ahead) - level[..., :1]
         lead = level[..., :1] - level[..., 1:].amax(2, keepdim=True)
-        known = torch.cat([users[:, :, 0] / FAR, level / 2 + 6, sight, lead / 2, gain / 2], 2)  # of the order of 1
+        known = torch.cat(
+            [users[:, :, 0] / FAR, level / 2 + 6, sight, lead / 2, gain / 2], 2
+        )  # of the order of 1
         each = self.each(known).sum(1) / math.sqrt(users.shape[1])
         return torch.cat([own / FAR, others.flatten(1) / FAR, each], 1)
 

@@ -103,7 +103,9 @@ class DroneVecEnv(Environment, VecEnv):
         self._task, self._stage_options = task, [{**options, **stage} for stage in stages]
         self.curriculum = curriculum or Curriculum(len(self._stage_options))
         if self.curriculum.count != len(self._stage_options):
-            raise ValueError(f"the curriculum has {self.curriculum.count} stages, and {len(self._stage_options)} are given")
+            raise ValueError(
+                f"the curriculum has {self.curriculum.count} stages, and {len(self._stage_options)} are given"
+            )
         plans = [EnvSpec(task, num_worlds, stage) for stage in self._stage_options]
         widest = max(plans, key=lambda plan: plan.options.num_drones)
         self.num_worlds, self.num_drones = num_worlds, widest.options.num_drones
@@ -114,20 +116,29 @@ class DroneVecEnv(Environment, VecEnv):
         self._stage = self.curriculum.stage
         self.decisions = 0
         self._actions: np.ndarray = np.empty(0)
-        super().__init__(num_worlds * self.num_drones, common_observation(plans), widest_action_space(widest.action))
+        super().__init__(
+            num_worlds * self.num_drones,
+            common_observation(plans),
+            widest_action_space(widest.action),
+        )
 
     @property
     def aviary(self) -> Aviary:
         """The worlds of the stage that is flown."""
         if self._stage not in self._aviaries:
-            self._aviaries[self._stage] = Aviary(self._task, self.num_worlds, **self._stage_options[self._stage])
+            self._aviaries[self._stage] = Aviary(
+                self._task, self.num_worlds, **self._stage_options[self._stage]
+            )
         return self._aviaries[self._stage]
 
     def seed(self, seed: int | None = None) -> list[int | None]:
         """From the next `reset` on world k has the seed s + k, at every stage; None goes on with its random numbers."""
         self._seed = None if seed is None else as_int("seed", seed, 0)
         self._unseeded = set(range(len(self._stage_options)))
-        return [None if seed is None else seed + slot // self.num_drones for slot in range(self.num_envs)]
+        return [
+            None if seed is None else seed + slot // self.num_drones
+            for slot in range(self.num_envs)
+        ]
 
     @exclusive
     def reset(self) -> Any:
@@ -147,7 +158,13 @@ class DroneVecEnv(Environment, VecEnv):
             self._returns: dict[str, np.ndarray] = {}
             self._success, self._collision = np.zeros((2, *shape), dtype=bool)
             self._conflicts, self._decisions = np.zeros((2, *shape))
-        for total in (*self._returns.values(), self._success, self._collision, self._conflicts, self._decisions):
+        for total in (
+            *self._returns.values(),
+            self._success,
+            self._collision,
+            self._conflicts,
+            self._decisions,
+        ):
             total[worlds] = 0
         return observations
 
@@ -164,7 +181,9 @@ class DroneVecEnv(Environment, VecEnv):
         self._add(step, flown)
         over = np.any(flown, axis=1) & ~np.any(aviary.alive, axis=1)
         for world in np.flatnonzero(over):
-            if self.curriculum.stage == self._stage:  # else this was an episode of a stage that is left by now
+            if (
+                self.curriculum.stage == self._stage
+            ):  # else this was an episode of a stage that is left by now
                 self.curriculum.record(float(self._success[world].mean()))
         change = self.curriculum.stage != self._stage
         ended = flown & (change | ~aviary.alive)
@@ -178,7 +197,9 @@ class DroneVecEnv(Environment, VecEnv):
         return self._rows(observations), rewards.astype(np.float32), dones, infos
 
     def _add(self, step: Step, flown: np.ndarray) -> None:
-        terms = {"": step.rewards} | {name: term for name, term in step.info.items() if name.startswith("reward/")}
+        terms = {"": step.rewards} | {
+            name: term for name, term in step.info.items() if name.startswith("reward/")
+        }
         for name, term in terms.items():
             self._returns[name] = self._returns.get(name, 0.0) + np.where(flown, term, 0.0)
         self._success = np.where(flown, step.info["success"], self._success)
@@ -204,7 +225,8 @@ class DroneVecEnv(Environment, VecEnv):
                 "terminal_observation": part(step.observations, (w, i)),
                 "TimeLimit.truncated": not step.terminated[w, i],
                 "is_success": bool(self._success[w, i]),
-                "episode": episode | {name: float(term[w, i]) for name, term in self._returns.items() if name},
+                "episode": episode
+                | {name: float(term[w, i]) for name, term in self._returns.items() if name},
             }
         return infos
 
@@ -212,7 +234,9 @@ class DroneVecEnv(Environment, VecEnv):
         """(slots, ...) from (W, N, ...) of a stage that may have fewer drones than there are slots for."""
         missing = self.num_drones - array.shape[1]
         if missing:
-            array = np.concatenate([array, np.full((len(array), missing, *array.shape[2:]), fill, array.dtype)], axis=1)
+            array = np.concatenate(
+                [array, np.full((len(array), missing, *array.shape[2:]), fill, array.dtype)], axis=1
+            )
         return array.reshape(-1, *array.shape[2:])
 
     def _rows(self, observations: Observation) -> Any:
@@ -221,7 +245,9 @@ class DroneVecEnv(Environment, VecEnv):
 
         def rows(array: np.ndarray) -> np.ndarray:
             wide = self._wide(array, 0)
-            return np.where(alive.reshape(-1, *[1] * (wide.ndim - 1)), wide, 0).astype(array.dtype, copy=False)
+            return np.where(alive.reshape(-1, *[1] * (wide.ndim - 1)), wide, 0).astype(
+                array.dtype, copy=False
+            )
 
         if isinstance(observations, dict):
             return {name: rows(array) for name, array in observations.items()}
@@ -238,11 +264,17 @@ class DroneVecEnv(Environment, VecEnv):
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
         """Refused: the slots share one environment. Raises NotImplementedError."""
-        raise NotImplementedError("slots share one environment, so that none has attributes of its own")
+        raise NotImplementedError(
+            "slots share one environment, so that none has attributes of its own"
+        )
 
-    def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
+    ) -> list[Any]:
         """Refused: the slots share one environment. Raises NotImplementedError."""
-        raise NotImplementedError(f"slots share one environment: call env.{method_name}, or env.aviary.{method_name}")
+        raise NotImplementedError(
+            f"slots share one environment: call env.{method_name}, or env.aviary.{method_name}"
+        )
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
         """By nothing."""
@@ -282,18 +314,44 @@ class LivingRollouts(RolloutBuffer):
 class LivingReplay(ReplayBuffer):
     """Of off-policy algorithms: keeps transitions that drones flew, one after the other, whatever slot they come from."""
 
-    def __init__(self, buffer_size: int, observation_space: Any, action_space: Any, device: Any = "auto", **kwargs: Any):
+    def __init__(
+        self,
+        buffer_size: int,
+        observation_space: Any,
+        action_space: Any,
+        device: Any = "auto",
+        **kwargs: Any,
+    ):
         if kwargs.get("optimize_memory_usage"):
-            raise ValueError("optimize_memory_usage is True: transitions of living drones alone do not follow each other")
-        super().__init__(buffer_size, observation_space, action_space, device, **{**kwargs, "n_envs": 1})
+            raise ValueError(
+                "optimize_memory_usage is True: transitions of living drones alone do not follow each other"
+            )
+        super().__init__(
+            buffer_size, observation_space, action_space, device, **{**kwargs, "n_envs": 1}
+        )
 
-    def add(self, obs: Any, next_obs: Any, action: Any, reward: Any, done: Any, infos: list[dict[str, Any]]) -> None:
+    def add(
+        self,
+        obs: Any,
+        next_obs: Any,
+        action: Any,
+        reward: Any,
+        done: Any,
+        infos: list[dict[str, Any]],
+    ) -> None:
         """Keep those with a reward."""
         flown = np.flatnonzero(~np.isnan(reward))
         action = np.asarray(action).reshape(len(reward), self.action_dim)
         places = (self.pos + np.arange(len(flown))) % self.buffer_size
-        self.observations[places, 0], self.next_observations[places, 0] = obs[flown], next_obs[flown]
-        self.actions[places, 0], self.rewards[places, 0], self.dones[places, 0] = action[flown], reward[flown], done[flown]
+        self.observations[places, 0], self.next_observations[places, 0] = (
+            obs[flown],
+            next_obs[flown],
+        )
+        self.actions[places, 0], self.rewards[places, 0], self.dones[places, 0] = (
+            action[flown],
+            reward[flown],
+            done[flown],
+        )
         self.timeouts[places, 0] = [infos[slot].get("TimeLimit.truncated", False) for slot in flown]
         self.full |= self.pos + len(flown) >= self.buffer_size
         self.pos = (self.pos + len(flown)) % self.buffer_size

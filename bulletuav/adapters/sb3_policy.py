@@ -40,12 +40,20 @@ def policy_arguments(model: Mapping[str, Any], num_drones: int, pictures: bool) 
     if features is not None and not pictures:
         arguments.setdefault("features_extractor_class", FEATURES[features])
     if features == "user_sum":
-        arguments["features_extractor_kwargs"] = {"num_drones": num_drones, **arguments.get("features_extractor_kwargs", {})}
+        arguments["features_extractor_kwargs"] = {
+            "num_drones": num_drones,
+            **arguments.get("features_extractor_kwargs", {}),
+        }
     return arguments
 
 
 def policy_network(
-    name: str, model: Mapping[str, Any], observed: Space, given: Space, num_drones: int, weights: Mapping[str, np.ndarray]
+    name: str,
+    model: Mapping[str, Any],
+    observed: Space,
+    given: Space,
+    num_drones: int,
+    weights: Mapping[str, np.ndarray],
 ) -> Callable[[Any], np.ndarray]:
     """Build the network of a run's policy and fill in its weights; nothing but numbers is read.
 
@@ -67,7 +75,11 @@ def policy_network(
     pictures = isinstance(observed, Dict)
     if isinstance(observed, Dict):
         observed = Dict({key: _channels_first(space) for key, space in observed.spaces.items()})
-    state = {known: torch.as_tensor(array) for known, array in weights.items() if known not in (LOW, HIGH)}
+    state = {
+        known: torch.as_tensor(array)
+        for known, array in weights.items()
+        if known not in (LOW, HIGH)
+    }
     if LOW in weights:
         given = Box(weights[LOW], weights[HIGH], dtype=np.float32)
     arguments = policy_arguments(model, num_drones, pictures)
@@ -86,6 +98,10 @@ def policy_network(
 
 def _channels_first(space: Space) -> Space:
     """The space as networks see it that SB3 made: it turns pictures."""
-    if isinstance(space, Box) and is_image_space(space) and not is_image_space_channels_first(space):
+    if (
+        isinstance(space, Box)
+        and is_image_space(space)
+        and not is_image_space_channels_first(space)
+    ):
         return VecTransposeImage.transpose_space(space)
     return space

@@ -30,7 +30,9 @@ class Result(NamedTuple):
 
 
 def measure(
-    sizes: tuple[int, ...] = SIZES, seconds: float = 0.3, progress: Callable[[], None] = lambda: None
+    sizes: tuple[int, ...] = SIZES,
+    seconds: float = 0.3,
+    progress: Callable[[], None] = lambda: None,
 ) -> list[Result]:
     """All cases of all sizes, interleaved over `ROUNDS`; `progress` is called after every measurement."""
     results = []
@@ -83,7 +85,9 @@ def floors(num_worlds: int, num_drones: int) -> tuple[Engine, dict[str, Callable
     engine = Engine([load_airframe("cf2x")] * num_drones, num_worlds, 1 / 240)
     swarm = Swarm.zeros(num_worlds, num_drones, 4)
     swarm.position[:] = [(2.0 * (i % 32), 2.0 * (i // 32), 1.0) for i in range(num_drones)]
-    swarm.velocity[:] = np.random.default_rng(0).normal(0, 0.01, swarm.velocity.shape)  # at rest the engine does less
+    swarm.velocity[:] = np.random.default_rng(0).normal(
+        0, 0.01, swarm.velocity.shape
+    )  # at rest the engine does less
     swarm.rates[:] = swarm.velocity
     everyone = np.ones((num_worlds, num_drones), dtype=bool)
     engine.set_states(swarm, everyone)

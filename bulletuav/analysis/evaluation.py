@@ -86,7 +86,10 @@ class Run:
 
     def batches(self) -> list[range]:
         """Episodes that fly together; episode e flies in tile e mod BATCH."""
-        return [range(first, min(first + BATCH, self.episodes)) for first in range(0, self.episodes, BATCH)]
+        return [
+            range(first, min(first + BATCH, self.episodes))
+            for first in range(0, self.episodes, BATCH)
+        ]
 
     def fly(self, batches: list[range]) -> Iterator[list[Row]]:
         """The metrics of each batch in turn."""
@@ -110,7 +113,10 @@ class Run:
             step = aviary.step(policy.act(observations, aviary.swarm))
             meter.record(step, flown)
             observations = step.observations
-        return [{"episode": episode, "seed": self.seed + episode, **meter.row(k)} for k, episode in enumerate(batch)]
+        return [
+            {"episode": episode, "seed": self.seed + episode, **meter.row(k)}
+            for k, episode in enumerate(batch)
+        ]
 
 
 def _untold(episodes: int) -> None:
@@ -139,20 +145,35 @@ def evaluate(
     """
     as_int("workers", workers, 1)
     if out is not None and (not isinstance(out, str | Path) or not str(out)):
-        raise ValueError(f"out is {shown(out)}: the path of a folder, or None to keep nothing, is needed")
+        raise ValueError(
+            f"out is {shown(out)}: the path of a folder, or None to keep nothing, is needed"
+        )
     if progress is None:
         progress = _untold
     if not callable(progress):
-        raise ValueError(f"progress is {shown(progress)}: a function of how many more episodes are done is needed")
+        raise ValueError(
+            f"progress is {shown(progress)}: a function of how many more episodes are done is needed"
+        )
     pilot = find_policy(policy, task, trust)
     options = {**pilot.options, **options}
-    run = Run(task, policy, as_int("seed", seed, 0), as_int("episodes", episodes, 1, MOST_EPISODES), options, trust)
+    run = Run(
+        task,
+        policy,
+        as_int("seed", seed, 0),
+        as_int("episodes", episodes, 1, MOST_EPISODES),
+        options,
+        trust,
+    )
     if out is not None and callable(options.get("wind")):
-        raise ValueError("wind is a function, which a folder cannot tell from another one: evaluate it without out")
+        raise ValueError(
+            "wind is a function, which a folder cannot tell from another one: evaluate it without out"
+        )
     about = _about(run, pilot)
     begin = time.perf_counter()
     store, flight = _Store(None if out is None else Path(out), about), 0.0
-    missing = [batch for batch in run.batches() if not all(episode in store.rows for episode in batch)]
+    missing = [
+        batch for batch in run.batches() if not all(episode in store.rows for episode in batch)
+    ]
     progress(episodes - sum(map(len, missing)))
     for rows in _flown(run, missing, workers):
         store.add(rows)
@@ -185,7 +206,9 @@ def _fingerprint(run: Run, plan: EnvSpec, model: Path | None) -> str:
     for kind in (type(plan.task), run.policy):
         if inspect.isclass(kind):
             digest.update(kind.__qualname__.encode())
-            with contextlib.suppress(OSError, TypeError):  # the source of a class from an interactive session is not known
+            with contextlib.suppress(
+                OSError, TypeError
+            ):  # the source of a class from an interactive session is not known
                 digest.update(Path(inspect.getfile(kind)).read_bytes())
     if model is not None:
         digest.update(model.read_bytes())
@@ -214,7 +237,9 @@ class _Store:
             replace_file(folder / RUN, json.dumps(about, indent=2) + "\n")
             self.add([])
         except OSError as error:
-            raise ValueError(f"{folder} cannot be a folder to write to: {error.strerror or error}") from None
+            raise ValueError(
+                f"{folder} cannot be a folder to write to: {error.strerror or error}"
+            ) from None
 
     def _load(self, folder: Path, about: dict[str, Any]) -> None:
         with _damaged(folder / RUN):
@@ -227,7 +252,9 @@ class _Store:
                 raise ValueError(f"its columns are {shown(table.fieldnames)}")
             for row in table:
                 numbers: Row = {name: float(row[name]) for name in COLUMNS}
-                self.rows[int(row["episode"])] = numbers | {name: int(row[name]) for name in ("episode", "seed")}
+                self.rows[int(row["episode"])] = numbers | {
+                    name: int(row[name]) for name in ("episode", "seed")
+                }
 
     def add(self, rows: list[Row]) -> None:
         """Keep the rows of a batch, on disk too, in the order of the episodes."""
@@ -246,7 +273,12 @@ def _damaged(path: Path) -> Iterator[None]:
     """Name the file that cannot be read as what it should be."""
     try:
         yield
-    except (ValueError, KeyError, TypeError, csv.Error) as error:  # no UTF-8 and no JSON are ValueErrors
+    except (
+        ValueError,
+        KeyError,
+        TypeError,
+        csv.Error,
+    ) as error:  # no UTF-8 and no JSON are ValueErrors
         raise ValueError(
             f"{path.parent} holds a run that is damaged ({path.name}: {error!r}): delete it or choose another folder"
         ) from None
@@ -254,7 +286,9 @@ def _damaged(path: Path) -> Iterator[None]:
 
 def _require_same(known: dict[str, Any], about: dict[str, Any], folder: Path) -> None:
     """Raise ValueError unless both tell of the same run, maybe of more or fewer episodes."""
-    known, about = ({**one["options"], **one, "options": 0, "episodes": 0} for one in (known, about))
+    known, about = (
+        {**one["options"], **one, "options": 0, "episodes": 0} for one in (known, about)
+    )
     for name in about:
         if known.get(name) != about[name]:
             raise ValueError(
@@ -272,7 +306,9 @@ def _flown(run: Run, batches: list[range], workers: int) -> Iterator[list[Row]]:
     try:
         for k in range(workers):
             mine, theirs = multiprocessing.Pipe()
-            process = multiprocessing.Process(target=_work, args=(theirs, run, batches[k::workers]), daemon=True)
+            process = multiprocessing.Process(
+                target=_work, args=(theirs, run, batches[k::workers]), daemon=True
+            )
             process.start()
             theirs.close()
             processes.append(process)
@@ -302,7 +338,9 @@ def _received(pipes: list[Connection]) -> Iterator[list[Row]]:
             try:
                 answer = pipe.recv()
             except EOFError:
-                raise RuntimeError("a worker process has died: memory may have run out; call again to go on") from None
+                raise RuntimeError(
+                    "a worker process has died: memory may have run out; call again to go on"
+                ) from None
             if isinstance(answer, Exception):
                 raise answer
             if answer is None:

@@ -81,15 +81,25 @@ class Meter:
         self._ideal = distances(aviary.swarm.position, self._goal)
         self._before, self._change = aviary.swarm.copy(), np.full((*shape, 3), np.nan)
         self._collided, self._succeeded = np.zeros((2, *shape), dtype=bool)
-        self._flown, self._jerk, self._energy, self._decisions, self._jerks, self._left = np.zeros((6, *shape))
+        self._flown, self._jerk, self._energy, self._decisions, self._jerks, self._left = np.zeros(
+            (6, *shape)
+        )
         self._conflicts, self._near, self._messages, self._steps = np.zeros((4, worlds))
         self._return = np.zeros(shape)
         self._separation, self._time_to_conflict = np.full((2, worlds), np.inf)
-        self._served, (self._completed, self._latency) = np.zeros(worlds), np.full((2, worlds), np.nan)
+        self._served, (self._completed, self._latency) = (
+            np.zeros(worlds),
+            np.full((2, worlds), np.nan),
+        )
 
     def record(self, step: Step, flown: np.ndarray) -> None:
         """Take one decision, which the drones of `flown` (W, N) flew."""
-        aviary, before, after, info = self._aviary, self._before, self._aviary.swarm.copy(), step.info
+        aviary, before, after, info = (
+            self._aviary,
+            self._before,
+            self._aviary.swarm.copy(),
+            step.info,
+        )
         self._collided |= info["collision"] & flown
         self._succeeded = np.where(flown, info["success"], self._succeeded)
         self._left = np.where(flown, info["goal_distance"], self._left)
@@ -149,7 +159,9 @@ class Meter:
             "goal_distance": self._left[w].mean(),
             "path_efficiency": efficiency.mean() if len(efficiency) else np.nan,
             "jerk": self._jerk[w].sum() / max(self._jerks[w].sum(), 1.0),
-            "energy": self._energy[w].mean() if aviary.setpoint_level == SetpointLevel.ROTOR else np.nan,
+            "energy": self._energy[w].mean()
+            if aviary.setpoint_level == SetpointLevel.ROTOR
+            else np.nan,
             "messages": self._messages[w] if aviary.communicates else np.nan,
             "fairness": jain(made_good / (self._decisions[w] * self._period)),
             "throughput": arrived.sum() / (length / 60),
@@ -158,7 +170,9 @@ class Meter:
             "latency": self._latency[w],
         }
         if aviary.task.num_targets:  # it has no goals: drones are to be anywhere
-            row |= dict.fromkeys(("goal_distance", "path_efficiency", "fairness", "throughput"), np.nan)
+            row |= dict.fromkeys(
+                ("goal_distance", "path_efficiency", "fairness", "throughput"), np.nan
+            )
         else:
             row["served"] = np.nan
         return {name: float(value) if np.isfinite(value) else np.nan for name, value in row.items()}

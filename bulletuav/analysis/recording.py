@@ -64,7 +64,9 @@ class Outcome(NamedTuple):
     time: float
 
 
-def fly_episode(aviary: Aviary, policy: Policy, seed: int, progress: Callable[[], None] = lambda: None) -> Recording:
+def fly_episode(
+    aviary: Aviary, policy: Policy, seed: int, progress: Callable[[], None] = lambda: None
+) -> Recording:
     """Fly one episode in world 0 from `seed`; `progress` is called after every decision."""
     observations = aviary.reset(seeds=seed)
     policy.reset(np.ones(aviary.num_worlds, dtype=bool))
@@ -84,7 +86,10 @@ def fly_episode(aviary: Aviary, policy: Policy, seed: int, progress: Callable[[]
 def _scene(aviary: Aviary) -> tuple[np.ndarray, ...]:
     """Of world 0 goals, obstacles, targets that count, and which of them are seen."""
     scene, active_targets = aviary.scene, aviary.task.active_targets(aviary.scene)[0]
-    target, seen = aviary.task.targets(scene)[0, active_targets], np.any(aviary.sight[0], axis=0)[active_targets]
+    target, seen = (
+        aviary.task.targets(scene)[0, active_targets],
+        np.any(aviary.sight[0], axis=0)[active_targets],
+    )
     return scene.goal[0].copy(), scene.obstacle[0].copy(), target, seen
 
 
@@ -128,7 +133,9 @@ def outcomes(recording: Recording) -> list[Outcome]:
     for drone in range(recording.position.shape[1]):
         last = int(recording.alive[:-1, drone].sum()) - 1
         flown = slice(0, last + 1)
-        distance = np.linalg.norm(recording.goal[last + 1, drone] - recording.position[last + 1, drone])
+        distance = np.linalg.norm(
+            recording.goal[last + 1, drone] - recording.position[last + 1, drone]
+        )
         rows.append(
             Outcome(
                 drone=drone,
@@ -145,22 +152,60 @@ def outcomes(recording: Recording) -> list[Outcome]:
 
 def save(recording: Recording, aviary: Aviary, policy: str, seed: int, folder: Path) -> list[Path]:
     """Write `trajectory.npz` (all arrays), `trajectory.csv` (a row a drone and time), `run.json` (options and outcomes)."""
-    arrays, table, run = (folder / name for name in ("trajectory.npz", "trajectory.csv", "run.json"))
+    arrays, table, run = (
+        folder / name for name in ("trajectory.npz", "trajectory.csv", "run.json")
+    )
     with whole_file(arrays) as part:
         np.savez_compressed(part, **asdict(recording))
-    header = ["time", "drone", "alive", "x", "y", "z", "qx", "qy", "qz", "qw", "vx", "vy", "vz", "p", "q", "r"]
+    header = [
+        "time",
+        "drone",
+        "alive",
+        "x",
+        "y",
+        "z",
+        "qx",
+        "qy",
+        "qz",
+        "qw",
+        "vx",
+        "vy",
+        "vz",
+        "p",
+        "q",
+        "r",
+    ]
     with whole_file(table) as part, part.open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(header)
         for t, time in enumerate(recording.time):
             for drone in range(recording.position.shape[1]):
-                state = (recording.position, recording.quaternion, recording.velocity, recording.rates)
+                state = (
+                    recording.position,
+                    recording.quaternion,
+                    recording.velocity,
+                    recording.rates,
+                )
                 numbers = np.concatenate([array[t, drone] for array in state])
-                writer.writerow([f"{time:.6g}", drone, int(recording.alive[t, drone]), *(f"{x:.9g}" for x in numbers)])
+                writer.writerow(
+                    [
+                        f"{time:.6g}",
+                        drone,
+                        int(recording.alive[t, drone]),
+                        *(f"{x:.9g}" for x in numbers),
+                    ]
+                )
     options = described(aviary.options, aviary.task.config)
-    about = {"bulletuav": __version__, "task": aviary.task.name, "policy": policy, "seed": seed, "options": options}
+    about = {
+        "bulletuav": __version__,
+        "task": aviary.task.name,
+        "policy": policy,
+        "seed": seed,
+        "options": options,
+    }
     about["outcomes"] = [
-        {name: value if value != np.inf else None for name, value in row._asdict().items()} for row in outcomes(recording)
+        {name: value if value != np.inf else None for name, value in row._asdict().items()}
+        for row in outcomes(recording)
     ]
     replace_file(run, json.dumps(about, indent=2) + "\n")
     return [arrays, table, run]

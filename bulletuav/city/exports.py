@@ -15,6 +15,8 @@ def write_obj(city: City, path: str | Path) -> None:
     about = f"# city {city.name}: a square of {city.side:g} m about the origin; metres, x east, y north, z up"
     pieces = (
         (f"building_{building}_piece_{piece}", corners, faces)
-        for piece, (building, (corners, faces)) in enumerate(zip(city.building, city.solids.faces, strict=True))
+        for piece, (building, (corners, faces)) in enumerate(
+            zip(city.building, city.solids.faces, strict=True)
+        )
     )
     replace_file(path, "\n".join([about, *obj_lines(pieces)]) + "\n")

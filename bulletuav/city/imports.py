@@ -48,7 +48,9 @@ def from_geojson(
     path = require_file("city", path, REMEDY)
     _check_flags(metres=metres)
     if not isinstance(height, str):
-        raise ValueError(f"height is {shown(height)}: the name of a property of the features is needed")
+        raise ValueError(
+            f"height is {shown(height)}: the name of a property of the features is needed"
+        )
     features, shapely = _features(path), _shapely()
     shapes = [_geometry(feature, where) for where, feature in features]
     if not metres and shapes:
@@ -60,14 +62,18 @@ def from_geojson(
     for (where, feature), shape in zip(features, shapes, strict=True):
         top = _height(feature, height, default_height, where)
         try:
-            parts = [piece for polygon in shapely.get_parts(shape) for piece in _convex_pieces(polygon)]
+            parts = [
+                piece for polygon in shapely.get_parts(shape) for piece in _convex_pieces(polygon)
+            ]
         except shapely.errors.ShapelyError as error:
             raise ValueError(f"{where} cannot be cut into convex pieces: {error}") from None
         pieces += [(where, _extruded(np.array(piece.exterior.coords)[:-1], top)) for piece in parts]
     return _assembled(path, pieces, side)
 
 
-def from_obj(path: str | Path, side: float | None = None, scale: float = 1.0, y_up: bool = False) -> City:
+def from_obj(
+    path: str | Path, side: float | None = None, scale: float = 1.0, y_up: bool = False
+) -> City:
     """A city from a Wavefront OBJ file: every object (every group, where no object is named) is a convex piece.
 
     A piece is the convex hull of its faces' corners; pieces whose names agree before `_piece_` make one building. Lengths
@@ -99,10 +105,18 @@ def from_obj(path: str | Path, side: float | None = None, scale: float = 1.0, y_
     points = finite("scale", scale, most=MOST_SCALE) * np.array(vertices).reshape(-1, 3)
     if y_up:
         points = points[:, [0, 2, 1]] * [1, -1, 1]
-    return _assembled(path, [(name.partition("_piece_")[0], points[np.unique(own)]) for name, own in corners.items()], side)
+    return _assembled(
+        path,
+        [(name.partition("_piece_")[0], points[np.unique(own)]) for name, own in corners.items()],
+        side,
+    )
 
 
-READERS: dict[str, Callable[..., City]] = {".geojson": from_geojson, ".json": from_geojson, ".obj": from_obj}
+READERS: dict[str, Callable[..., City]] = {
+    ".geojson": from_geojson,
+    ".json": from_geojson,
+    ".obj": from_obj,
+}
 """What reads a file, by its ending"""
 
 
@@ -139,21 +153,33 @@ def _assembled(path: Path, pieces: Sequence[tuple[str, np.ndarray]], side: float
     low, high = np.array(low), np.array(high)
     _check_extent(path, low, high, side)
     if not -TILE_PITCH < bottom <= top <= MOST_HEIGHT:
-        raise ValueError(f"{path} has buildings from {bottom:g} to {top:g} m up: at most {MOST_HEIGHT:g} m is possible")
+        raise ValueError(
+            f"{path} has buildings from {bottom:g} to {top:g} m up: at most {MOST_HEIGHT:g} m is possible"
+        )
     middle = np.zeros(3)
     if side is None:
         side = float((high - low).max())
         middle[:2] = (low + high) / 2
     elif max(*-low, *high) > side / 2:
-        raise ValueError(f"{path} does not fit into a side of {side!r} m: x, y go from {low} to {high} m")
+        raise ValueError(
+            f"{path} does not fit into a side of {side!r} m: x, y go from {low} to {high} m"
+        )
     hulls = [_hull(points - middle, f"{path}: {name}") for name, points in pieces]
     is_box = np.array([filled for _, filled in hulls])
     order = np.argsort(~is_box, kind="stable")
     boxes = [(points.min(axis=0), points.max(axis=0)) for points, filled in hulls if filled]
-    solids = Solids(np.array(boxes).reshape(-1, 2, 3), tuple(points for points, filled in hulls if not filled))
+    solids = Solids(
+        np.array(boxes).reshape(-1, 2, 3), tuple(points for points, filled in hulls if not filled)
+    )
     number = {name: k for k, name in enumerate(dict.fromkeys(name for name, _ in pieces))}
     building = np.array([number[name] for name, _ in pieces])[order]
-    bare = City(path.stem, float(side), solids, building, Streets(np.zeros((0, 2)), np.zeros((0, 2), dtype=int)))
+    bare = City(
+        path.stem,
+        float(side),
+        solids,
+        building,
+        Streets(np.zeros((0, 2)), np.zeros((0, 2), dtype=int)),
+    )
     return replace(bare, streets=free_streets(bare.side, bare.outdoors))
 
 
@@ -162,7 +188,10 @@ def _check_extent(path: Path, low: np.ndarray, high: np.ndarray, side: float | N
     if side is not None:
         extent, what = finite("side", side), "side is"
     else:
-        extent, what = float((high - low).max()), f"{path} has buildings, x, y from {low} to {high} m, on a square of"
+        extent, what = (
+            float((high - low).max()),
+            f"{path} has buildings, x, y from {low} to {high} m, on a square of",
+        )
     if extent >= TILE_PITCH:
         raise ValueError(
             f"{what} {extent:.6g} m: less than {TILE_PITCH:g} m is needed, where other worlds begin; cut a part out of the "
@@ -177,7 +206,9 @@ def _hull(points: np.ndarray, where: str) -> tuple[np.ndarray, bool]:
     try:
         hull = ConvexHull(points)
     except QhullError:
-        raise ValueError(f"{where} has no volume: a piece is the convex hull of at least four points off a plane") from None
+        raise ValueError(
+            f"{where} has no volume: a piece is the convex hull of at least four points off a plane"
+        ) from None
     return points[hull.vertices], hull.volume >= (1 - FLUSH) * np.prod(np.ptp(points, axis=0))
 
 
@@ -197,10 +228,14 @@ def _features(path: Path) -> list[tuple[str, dict[str, Any]]]:
     except ValueError as error:
         raise ValueError(f"{path} is not GeoJSON: {error}") from None
     except RecursionError:
-        raise ValueError(f"{path} is not GeoJSON: lists within lists, too deep to be read") from None
+        raise ValueError(
+            f"{path} is not GeoJSON: lists within lists, too deep to be read"
+        ) from None
     if not isinstance(content, dict) or not isinstance(content.get("features"), list):
         raise ValueError(f"{path} is no FeatureCollection")
-    return [(f"{path}, feature {k} (from 0)", feature) for k, feature in enumerate(content["features"])]
+    return [
+        (f"{path}, feature {k} (from 0)", feature) for k, feature in enumerate(content["features"])
+    ]
 
 
 def _geometry(feature: dict[str, Any], where: str) -> Any:
@@ -208,19 +243,25 @@ def _geometry(feature: dict[str, Any], where: str) -> Any:
     shapely = _shapely()
     geometry = feature.get("geometry") if isinstance(feature, dict) else None
     if not isinstance(geometry, dict):
-        raise ValueError(f"{where}: its geometry cannot be read: a Polygon or MultiPolygon is needed, not {shown(geometry)}")
+        raise ValueError(
+            f"{where}: its geometry cannot be read: a Polygon or MultiPolygon is needed, not {shown(geometry)}"
+        )
     try:
         shape = shapely.from_geojson(json.dumps(geometry))
     except shapely.errors.ShapelyError as error:
         raise ValueError(f"{where}: its geometry cannot be read: {error}") from None
     if shape.geom_type not in ("Polygon", "MultiPolygon"):
-        raise ValueError(f"{where} is a {shape.geom_type}: only Polygon and MultiPolygon are footprints")
+        raise ValueError(
+            f"{where} is a {shape.geom_type}: only Polygon and MultiPolygon are footprints"
+        )
     if shape.is_empty:
         raise ValueError(f"{where} is an empty {shape.geom_type}: it has no coordinates")
     if not shape.is_valid:
         raise ValueError(f"{where} is no valid polygon: {shapely.is_valid_reason(shape)}")
     if not np.isfinite(shape.bounds).all() or shape.area < LEAST_AREA:
-        raise ValueError(f"{where} has no area: its corners go from {shape.bounds[:2]} to {shape.bounds[2:]}")
+        raise ValueError(
+            f"{where} has no area: its corners go from {shape.bounds[:2]} to {shape.bounds[2:]}"
+        )
     return shapely.force_2d(shape)
 
 
@@ -229,9 +270,15 @@ def _projected(shapes: np.ndarray, path: Path) -> np.ndarray:
     shapely = _shapely()
     west, south, east, north = bounds = shapely.total_bounds(shapes)
     if (np.abs(bounds) > [180, 90, 180, 90]).any():
-        raise ValueError(f"{path} has coordinates from {bounds[:2]} to {bounds[2:]}, which are no degrees: are they metres?")
-    if east - west > 180:  # a town on both sides of the antimeridian: its west is counted on from 180
-        shapes = shapely.transform(shapes, lambda degrees: np.where([True, False], degrees % 360, degrees))
+        raise ValueError(
+            f"{path} has coordinates from {bounds[:2]} to {bounds[2:]}, which are no degrees: are they metres?"
+        )
+    if (
+        east - west > 180
+    ):  # a town on both sides of the antimeridian: its west is counted on from 180
+        shapes = shapely.transform(
+            shapes, lambda degrees: np.where([True, False], degrees % 360, degrees)
+        )
         west, south, east, north = shapely.total_bounds(shapes)
     middle = np.array([west + east, south + north]) / 2
     metres = EARTH_RADIUS * np.radians([math.cos(math.radians(middle[1])), 1])
@@ -245,13 +292,19 @@ def _height(feature: dict[str, Any], name: str, default: float | None, where: st
     if value is None:
         value = default
     try:
-        top = finite(name, float(value) if isinstance(value, str) else value)  # which some write as texts
+        top = finite(
+            name, float(value) if isinstance(value, str) else value
+        )  # which some write as texts
     except ValueError:
         top = math.nan
     if not 0 < top < math.inf:
-        raise ValueError(f"{where}: its {name} is {shown(value)}: metres above 0, or a default height, are needed")
+        raise ValueError(
+            f"{where}: its {name} is {shown(value)}: metres above 0, or a default height, are needed"
+        )
     if not LEAST_HEIGHT <= top <= MOST_HEIGHT:
-        raise ValueError(f"{where}: its {name} is {top:g} m: from {LEAST_HEIGHT:g} to {MOST_HEIGHT:g} m is possible")
+        raise ValueError(
+            f"{where}: its {name} is {top:g} m: from {LEAST_HEIGHT:g} to {MOST_HEIGHT:g} m is possible"
+        )
     return top
 
 

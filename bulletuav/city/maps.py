@@ -19,12 +19,20 @@ def draw_map(city: City, axes: Axes) -> None:
     for collection in (streets, prints):
         axes.add_collection(collection)
     axes.figure.colorbar(prints, ax=axes, label="height (m)", shrink=0.85)
-    axes.legend(handles=[streets], loc="center right", bbox_to_anchor=(1, BELOW), frameon=False, borderaxespad=0)
+    axes.legend(
+        handles=[streets],
+        loc="center right",
+        bbox_to_anchor=(1, BELOW),
+        frameon=False,
+        borderaxespad=0,
+    )
     _draw_scale(city.side, axes)
     half = city.side / 2
     axes.set(xlim=(-half, half), ylim=(-half, half), aspect="equal", facecolor=GROUND_COLOUR)
     axes.set(xlabel="x east (m)", ylabel="y north (m)")
-    axes.set_title(f"{city.name}: {len(city.heights)} buildings on {city.side:.4g} m x {city.side:.4g} m")
+    axes.set_title(
+        f"{city.name}: {len(city.heights)} buildings on {city.side:.4g} m x {city.side:.4g} m"
+    )
 
 
 def _draw_scale(side: float, axes: Axes) -> None:
@@ -33,5 +41,13 @@ def _draw_scale(side: float, axes: Axes) -> None:
     length = power * max(digit for digit in (1, 2, 5) if digit * power <= side / 5)
     ends = np.array([0, length]) - side / 2
     below = axes.get_xaxis_transform()
-    axes.plot(ends, [BELOW, BELOW], color="black", lw=4, solid_capstyle="butt", transform=below, clip_on=False)
+    axes.plot(
+        ends,
+        [BELOW, BELOW],
+        color="black",
+        lw=4,
+        solid_capstyle="butt",
+        transform=below,
+        clip_on=False,
+    )
     axes.text(ends[1] + side / 80, BELOW, f"{length:g} m", va="center", transform=below)

@@ -10,7 +10,9 @@ from bulletuav.city.streets import Streets
 from bulletuav.errors import finite, numbers_of, shown
 from bulletuav.geometry.solids import Solids, box_corners
 
-GROUP = 256  # points that are neighbours along x are asked together, as few pieces come into question
+GROUP = (
+    256  # points that are neighbours along x are asked together, as few pieces come into question
+)
 UPRIGHT = 1e-9  # facets whose normal rises less than this are walls
 
 
@@ -73,7 +75,11 @@ class City:
         top = np.zeros(len(flat))
         point, piece, _ = self._near(flat, 0.0)
         facets = self._facets[piece]
-        np.maximum.at(top, point, ((facets[..., :2] * flat[point, None]).sum(axis=-1) + facets[..., 2]).min(axis=1))
+        np.maximum.at(
+            top,
+            point,
+            ((facets[..., :2] * flat[point, None]).sum(axis=-1) + facets[..., 2]).min(axis=1),
+        )
         return top.reshape(plan.shape[:-1])
 
     @cached_property
@@ -92,15 +98,24 @@ class City:
         """Pairs of points (K, 2) and footprints within `reach` m: indices of both, and their distance (0 inside)."""
         order = np.argsort(plan[:, 0])
         groups = np.split(order, range(GROUP, len(order), GROUP))
-        point, piece, distance = zip(*(self._near_group(plan, group, reach) for group in groups), strict=True)
+        point, piece, distance = zip(
+            *(self._near_group(plan, group, reach) for group in groups), strict=True
+        )
         return np.concatenate(point), np.concatenate(piece), np.concatenate(distance)
 
-    def _near_group(self, plan: np.ndarray, group: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _near_group(
+        self, plan: np.ndarray, group: np.ndarray, reach: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """`_near` of the points with the indices `group`."""
         low, high = self.solids.bounds[:, 0] - reach, self.solids.bounds[:, 1] + reach
         x, y = plan.T
-        strip = np.flatnonzero((low[:, 0] <= x[group].max(initial=-np.inf)) & (high[:, 0] >= x[group].min(initial=np.inf)))
-        one, other = np.nonzero((x[group, None] >= low[strip, 0]) & (x[group, None] <= high[strip, 0]))
+        strip = np.flatnonzero(
+            (low[:, 0] <= x[group].max(initial=-np.inf))
+            & (high[:, 0] >= x[group].min(initial=np.inf))
+        )
+        one, other = np.nonzero(
+            (x[group, None] >= low[strip, 0]) & (x[group, None] <= high[strip, 0])
+        )
         point, piece = group[one], strip[other]
         beside = (y[point] >= low[piece, 1]) & (y[point] <= high[piece, 1])
         point, piece = point[beside], piece[beside]
@@ -124,14 +139,18 @@ def _padded(rows: Sequence[np.ndarray], columns: int) -> np.ndarray:
     """(P, K, C) of arrays (1 to K, C): short ones repeat their last entry."""
     longest = max(map(len, rows), default=1)
     index = [np.minimum(np.arange(longest), len(row) - 1) for row in rows]
-    return np.array([row[which] for row, which in zip(rows, index, strict=True)]).reshape(-1, longest, columns)
+    return np.array([row[which] for row, which in zip(rows, index, strict=True)]).reshape(
+        -1, longest, columns
+    )
 
 
 def _plan(points: np.ndarray) -> np.ndarray:
     """(..., 2) of points (..., 2 or 3). Raises ValueError unless they are finite numbers of such a shape."""
     points = numbers_of("points are", points)
     if not points.ndim or points.shape[-1] not in (2, 3) or not np.isfinite(points).all():
-        raise ValueError(f"points are {shown(points)}: finite (x, y) or (x, y, z), one or several, are needed")
+        raise ValueError(
+            f"points are {shown(points)}: finite (x, y) or (x, y, z), one or several, are needed"
+        )
     return points[..., :2]
 
 

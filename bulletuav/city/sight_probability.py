@@ -40,7 +40,9 @@ SURFACE_B = (
 )
 
 
-def p1410_los(statistics: Statistics, distance: np.ndarray, transmitter: np.ndarray, receiver: float = 1.5) -> np.ndarray:
+def p1410_los(
+    statistics: Statistics, distance: np.ndarray, transmitter: np.ndarray, receiver: float = 1.5
+) -> np.ndarray:
     """Chance that no roof reaches the ray between two antennas (Rec. ITU-R P.1410; Al-Hourani et al., WCL 2014).
 
     `distance` over ground and heights of the antennas, m, arrays of any shapes that go together. The ray passes a whole
@@ -65,4 +67,9 @@ def fitted_sigmoid(statistics: Statistics) -> Sigmoid:
     """The sigmoid of statistics of one's own, by the polynomial surfaces of Al-Hourani et al. (WCL 2014, table I)."""
     x, y = statistics.alpha * statistics.beta, statistics.gamma
     surfaces = (SURFACE_A, SURFACE_B)
-    return Sigmoid(*(sum(c * x**i * y**j for i, row in enumerate(one) for j, c in enumerate(row)) for one in surfaces))
+    return Sigmoid(
+        *(
+            sum(c * x**i * y**j for i, row in enumerate(one) for j, c in enumerate(row))
+            for one in surfaces
+        )
+    )

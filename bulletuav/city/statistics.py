@@ -33,10 +33,14 @@ class Statistics:
         for name, value in given.items():
             object.__setattr__(self, name, finite(name, value, most=MOST[name]))
         if not 0 < self.alpha < 1:
-            raise ValueError(f"alpha is {given['alpha']!r}: the built-up share of the ground lies between 0 and 1")
+            raise ValueError(
+                f"alpha is {given['alpha']!r}: the built-up share of the ground lies between 0 and 1"
+            )
         for name, unit in (("beta", "buildings per km^2"), ("gamma", "m")):
             if getattr(self, name) <= 0:
-                raise ValueError(f"{name} is {given[name]!r}: a positive number of {unit} is needed")
+                raise ValueError(
+                    f"{name} is {given[name]!r}: a positive number of {unit} is needed"
+                )
 
     @property
     def pitch(self) -> float:
@@ -91,6 +95,16 @@ def realised(city: City, target: Statistics | None = None) -> dict[str, tuple[fl
     found["width of streets, m"] = float(np.median(streets))
     from scipy import stats  # which takes longer to import than everything else
 
-    found["KS test of heights, p"] = float(stats.kstest(heights, stats.rayleigh(scale=target.gamma).cdf).pvalue)
-    aims = [target.alpha, target.beta, target.gamma, target.mean_height, math.nan, target.street, math.nan]
+    found["KS test of heights, p"] = float(
+        stats.kstest(heights, stats.rayleigh(scale=target.gamma).cdf).pvalue
+    )
+    aims = [
+        target.alpha,
+        target.beta,
+        target.gamma,
+        target.mean_height,
+        math.nan,
+        target.street,
+        math.nan,
+    ]
     return {name: (value, aim) for (name, value), aim in zip(found.items(), aims, strict=True)}

@@ -29,7 +29,10 @@ def _inside(points: np.ndarray, side: float) -> np.ndarray:
 
 
 def free_streets(
-    side: float, outdoors: Callable[[np.ndarray, float], np.ndarray], spacing: float = 15.0, margin: float = 1.0
+    side: float,
+    outdoors: Callable[[np.ndarray, float], np.ndarray],
+    spacing: float = 15.0,
+    margin: float = 1.0,
 ) -> Streets:
     """Streets of a city whose plan tells none: the greatest connected part of a lattice on free ground.
 
@@ -39,10 +42,14 @@ def free_streets(
     count = int(side / spacing) + 1
     nodes, edges = _lattice(spacing * (np.arange(count) - (count - 1) / 2))
     start, end = nodes[edges].swapaxes(0, 1)
-    along = np.linspace(0, 1, int(spacing / margin) + 2)[:, None, None]  # points at most `margin` apart
+    along = np.linspace(0, 1, int(spacing / margin) + 2)[
+        :, None, None
+    ]  # points at most `margin` apart
     free = outdoors(start + along * (end - start), margin).all(axis=0)
     if not free.any():
-        raise ValueError(f"there is no room for streets between the buildings of a city of {side:g} m: give a greater side")
+        raise ValueError(
+            f"there is no room for streets between the buildings of a city of {side:g} m: give a greater side"
+        )
     return _connected(nodes, edges[free])
 
 
@@ -51,7 +58,9 @@ def _lattice(stops: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     nodes = np.stack(np.meshgrid(stops, stops, indexing="ij"), axis=-1).reshape(-1, 2)
     index = np.arange(len(nodes)).reshape(len(stops), len(stops))
     pairs = [(index[:-1], index[1:]), (index[:, :-1], index[:, 1:])]
-    return nodes, np.concatenate([np.stack([one.ravel(), two.ravel()], axis=1) for one, two in pairs])
+    return nodes, np.concatenate(
+        [np.stack([one.ravel(), two.ravel()], axis=1) for one, two in pairs]
+    )
 
 
 def _connected(nodes: np.ndarray, edges: np.ndarray) -> Streets:

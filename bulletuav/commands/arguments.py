@@ -27,20 +27,33 @@ POLICY_HELP = f"{', '.join((*POLICIES, *SHIPPED_NAMES))}, the folder of a traini
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Arguments for the options that all tasks have, and --set for the others."""
-    parser.add_argument("--drones", type=int, dest="num_drones", metavar="N", help="number of drones")
+    parser.add_argument(
+        "--drones", type=int, dest="num_drones", metavar="N", help="number of drones"
+    )
     parser.add_argument("--airframe", help=f"{', '.join(available_airframes())}, or path of a URDF")
     parser.add_argument("--dynamics", help=f"{', '.join(LADDER)} (default: bullet)")
-    parser.add_argument("--action", help=f"{', '.join(ACTIONS)} (default: the task's, or one that the policy gives)")
+    parser.add_argument(
+        "--action", help=f"{', '.join(ACTIONS)} (default: the task's, or one that the policy gives)"
+    )
     parser.add_argument("--controller", help=f"{' or '.join(CONTROLLERS)} (default: lee)")
     parser.add_argument("--difficulty", help="easy, medium, hard or extreme")
-    parser.add_argument("--physics-hz", type=int, metavar="HZ", help="physics substeps a second (default: 240)")
+    parser.add_argument(
+        "--physics-hz", type=int, metavar="HZ", help="physics substeps a second (default: 240)"
+    )
     parser.add_argument("--decision-hz", type=int, metavar="HZ", help="decisions a second")
-    parser.add_argument("--horizon", type=int, metavar="STEPS", help="decisions until the episode is cut")
+    parser.add_argument(
+        "--horizon", type=int, metavar="STEPS", help="decisions until the episode is cut"
+    )
     parser.add_argument("--max-speed", type=float, metavar="M/S", help="speed limit")
-    parser.add_argument("--city", help="suburban, urban, dense, high_rise; alpha,beta,gamma; or a .geojson or .obj file")
+    parser.add_argument(
+        "--city",
+        help="suburban, urban, dense, high_rise; alpha,beta,gamma; or a .geojson or .obj file",
+    )
     parser.add_argument("--turbulence", help="Dryden gusts: light, moderate or severe")
     parser.add_argument("--preset", help="named set of options, see `bulletuav tasks TASK`")
-    parser.add_argument("--wind", type=float, nargs=3, metavar=("EAST", "NORTH", "UP"), help="steady wind in m/s")
+    parser.add_argument(
+        "--wind", type=float, nargs=3, metavar=("EAST", "NORTH", "UP"), help="steady wind in m/s"
+    )
     parser.add_argument(
         "--set",
         action="append",
@@ -53,13 +66,19 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def given_options(arguments: argparse.Namespace) -> dict[str, Any]:
     """Options as keyword arguments of an environment, from those given on the command line."""
     names = {field.name for field in dataclasses.fields(EnvOptions)} - {"seed"} | {"city"}
-    options = {name: value for name, value in vars(arguments).items() if name in names and value is not None}
+    options = {
+        name: value
+        for name, value in vars(arguments).items()
+        if name in names and value is not None
+    }
     if "city" in options:
         options["city"] = _value(options["city"])
     return literals("--set", arguments.set, options)
 
 
-def literals(option: str, pairs: Iterable[str], known: Mapping[str, Any] = MappingProxyType({})) -> dict[str, Any]:
+def literals(
+    option: str, pairs: Iterable[str], known: Mapping[str, Any] = MappingProxyType({})
+) -> dict[str, Any]:
     """The `known` values and those of NAME=VALUE pairs. Raises ValueError for another form, or a name that comes twice."""
     values = dict(known)
     for pair in pairs:
@@ -81,7 +100,11 @@ def _value(text: str) -> Any:
 def flyable_options(task: str, pilot: PolicySpec, options: dict[str, Any]) -> dict[str, Any]:
     """The options, with those that a trained policy needs, and an action that the policy can give where none is asked."""
     options = {**pilot.options, **options}
-    if not pilot.actions or "action" in options or resolve(find_task(task), options)[0].action in pilot.actions:
+    if (
+        not pilot.actions
+        or "action" in options
+        or resolve(find_task(task), options)[0].action in pilot.actions
+    ):
         return options
     return {**options, "action": pilot.actions[0]}
 
@@ -112,9 +135,13 @@ def add_trust(parser: argparse.ArgumentParser) -> None:
 
 def add_episodes(parser: argparse.ArgumentParser) -> None:
     """Arguments for how many episodes, from which seed, in how many processes."""
-    parser.add_argument("--episodes", type=int, default=100, help="of each policy in each task (default: 100)")
+    parser.add_argument(
+        "--episodes", type=int, default=100, help="of each policy in each task (default: 100)"
+    )
     parser.add_argument("--seed", type=int, default=0, help="episode e has seed + e (default: 0)")
-    parser.add_argument("--workers", type=int, default=1, help="processes; the results are the same (default: 1)")
+    parser.add_argument(
+        "--workers", type=int, default=1, help="processes; the results are the same (default: 1)"
+    )
     add_trust(parser)
 
 

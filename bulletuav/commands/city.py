@@ -44,19 +44,55 @@ GENERATOR = {"kind", "seed", "irregularity", *NUMBERS}
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What city, and where to."""
     parser.add_argument("--kind", help=f"{', '.join(KINDS)} (default: urban)")
-    parser.add_argument("--alpha", type=float, help="built-up share of the ground (default: the kind's)")
+    parser.add_argument(
+        "--alpha", type=float, help="built-up share of the ground (default: the kind's)"
+    )
     parser.add_argument("--beta", type=float, help="buildings per km^2 (default: the kind's)")
-    parser.add_argument("--gamma", type=float, metavar="M", help="most frequent height (default: the kind's)")
-    parser.add_argument("--irregularity", type=float, help="from 0, a regular grid (the default), to 1")
+    parser.add_argument(
+        "--gamma", type=float, metavar="M", help="most frequent height (default: the kind's)"
+    )
+    parser.add_argument(
+        "--irregularity", type=float, help="from 0, a regular grid (the default), to 1"
+    )
     parser.add_argument("--seed", type=int, help="(default: 0)")
-    parser.add_argument("--side", type=float, metavar="M", help="of the square (default: 500, or what an import needs)")
-    parser.add_argument("--import", type=Path, dest="file", metavar="FILE", help="footprints (GeoJSON), or pieces (OBJ)")
-    parser.add_argument("--height", metavar="NAME", help="GeoJSON: the property with the height in m (default: height)")
-    parser.add_argument("--default-height", type=float, metavar="M", help="GeoJSON: of buildings without a height")
-    parser.add_argument("--metres", action="store_true", default=None, help="GeoJSON: coordinates are no degrees but metres")
-    parser.add_argument("--scale", type=float, help="OBJ: metres in a unit of the file (default: 1)")
+    parser.add_argument(
+        "--side",
+        type=float,
+        metavar="M",
+        help="of the square (default: 500, or what an import needs)",
+    )
+    parser.add_argument(
+        "--import",
+        type=Path,
+        dest="file",
+        metavar="FILE",
+        help="footprints (GeoJSON), or pieces (OBJ)",
+    )
+    parser.add_argument(
+        "--height",
+        metavar="NAME",
+        help="GeoJSON: the property with the height in m (default: height)",
+    )
+    parser.add_argument(
+        "--default-height", type=float, metavar="M", help="GeoJSON: of buildings without a height"
+    )
+    parser.add_argument(
+        "--metres",
+        action="store_true",
+        default=None,
+        help="GeoJSON: coordinates are no degrees but metres",
+    )
+    parser.add_argument(
+        "--scale", type=float, help="OBJ: metres in a unit of the file (default: 1)"
+    )
     parser.add_argument("--y-up", action="store_true", default=None, help="OBJ: y points up, not z")
-    parser.add_argument("--out", type=Path, default=Path("city"), metavar="DIR", help="folder for the files (default: city)")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("city"),
+        metavar="DIR",
+        help="folder for the files (default: city)",
+    )
 
 
 def run(arguments: argparse.Namespace) -> None:
@@ -90,7 +126,9 @@ def _city(arguments: argparse.Namespace) -> tuple[City, Statistics | None]:
     own = {name: options[name] for name in NUMBERS if name in options}
     target = dataclasses.replace(choose("kind of city", kind, KINDS), **own)
     rng = np.random.default_rng(as_int("seed", options.get("seed", 0), least=0))
-    return generate(target if own else kind, options.get("side", 500.0), rng, options.get("irregularity", 0.0)), target
+    return generate(
+        target if own else kind, options.get("side", 500.0), rng, options.get("irregularity", 0.0)
+    ), target
 
 
 def _refuse_others(options: dict[str, Any], known: Container[str], what: str) -> None:
@@ -102,12 +140,22 @@ def _refuse_others(options: dict[str, Any], known: Container[str], what: str) ->
 
 def _described(city: City, measured: dict[str, tuple[float, float]]) -> dict[str, Any]:
     """What goes into statistics.json; what was not aimed at is null."""
-    told = {name: {"realised": value, "target": None if math.isnan(aim) else aim} for name, (value, aim) in measured.items()}
-    return {"name": city.name, "side_m": city.side, "buildings": len(city.heights), "statistics": told}
+    told = {
+        name: {"realised": value, "target": None if math.isnan(aim) else aim}
+        for name, (value, aim) in measured.items()
+    }
+    return {
+        "name": city.name,
+        "side_m": city.side,
+        "buildings": len(city.heights),
+        "statistics": told,
+    }
 
 
 def _table(city: City, measured: dict[str, tuple[float, float]]) -> Table:
-    table = Table(title=f"city {city.name}, {city.side:g} m x {city.side:g} m, {len(city.heights)} buildings")
+    table = Table(
+        title=f"city {city.name}, {city.side:g} m x {city.side:g} m, {len(city.heights)} buildings"
+    )
     for heading, side in (("statistic", "left"), ("realised", "right"), ("target", "right")):
         table.add_column(heading, justify=side)  # type: ignore[arg-type]
     for name, (value, aim) in measured.items():

@@ -37,15 +37,28 @@ ABOUT = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Who flies what, how often, where to, and the options."""
-    parser.add_argument("--tasks", required=True, type=_names, metavar="A,B", help="of `bulletuav tasks`")
+    parser.add_argument(
+        "--tasks", required=True, type=_names, metavar="A,B", help="of `bulletuav tasks`"
+    )
     parser.add_argument("--policies", required=True, type=_names, metavar="A,B", help=POLICY_HELP)
     parser.add_argument(
-        "--difficulties", type=_names, metavar="A,B", help="easy, medium, hard, extreme (default: the task's)"
+        "--difficulties",
+        type=_names,
+        metavar="A,B",
+        help="easy, medium, hard, extreme (default: the task's)",
     )
-    parser.add_argument("--against", metavar="POLICY", help="tell how much more the others have than this one of them")
+    parser.add_argument(
+        "--against",
+        metavar="POLICY",
+        help="tell how much more the others have than this one of them",
+    )
     add_episodes(parser)
     parser.add_argument(
-        "--out", type=Path, default=Path("leaderboard"), metavar="DIR", help="folder for the files (default: leaderboard)"
+        "--out",
+        type=Path,
+        default=Path("leaderboard"),
+        metavar="DIR",
+        help="folder for the files (default: leaderboard)",
     )
     add_options(parser)
 
@@ -65,7 +78,11 @@ def _each(option: str, values: list[str] | None) -> list[dict[str, str]]:
 def _flyable(task: str, policy: str, options: dict[str, Any], trust: bool) -> dict[str, Any]:
     """The options for a policy; of actions, one that was trained keeps its own, which the others may not be able to give."""
     pilot = find_policy(policy, task, trust)
-    chosen = {name: value for name, value in options.items() if name != "action" or not (pilot.model and pilot.actions)}
+    chosen = {
+        name: value
+        for name, value in options.items()
+        if name != "action" or not (pilot.model and pilot.actions)
+    }
     return flyable_options(task, pilot, chosen)
 
 
@@ -85,7 +102,10 @@ def run(arguments: argparse.Namespace) -> None:
         for policy in arguments.policies
         for one in _each("dynamics", dynamics)
     ]
-    cases = [(task, policy, _flyable(task, policy, options, arguments.trust)) for task, policy, options in cases]
+    cases = [
+        (task, policy, _flyable(task, policy, options, arguments.trust))
+        for task, policy, options in cases
+    ]
     with episodes_bar(arguments.episodes * len(cases)) as progress:
         for task, policy, options in cases:
             folder = out / "runs" / run_name(task, policy, options)

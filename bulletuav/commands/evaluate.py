@@ -40,7 +40,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("task", help="one of `bulletuav tasks`")
     parser.add_argument("--policy", help=f"who flies: {POLICY_HELP} (default: the task's)")
     add_episodes(parser)
-    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the files (default: one in evaluation/)")
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="folder for the files (default: one in evaluation/)"
+    )
     add_options(parser)
 
 
@@ -59,7 +61,9 @@ def run(arguments: argparse.Namespace) -> None:
     console.print(_table(result))
     if result.flight:
         pace = result.flight / result.seconds
-        console.print(f"{result.flight:.0f} s of flight in {result.seconds:.1f} s of wall time: {pace:.1f} times real time")
+        console.print(
+            f"{result.flight:.0f} s of flight in {result.seconds:.1f} s of wall time: {pace:.1f} times real time"
+        )
     else:
         console.print("all of these episodes were there already")
     tell_files(console, files)
@@ -73,7 +77,12 @@ def run_name(task: str, policy: str, options: dict[str, Any]) -> str:
 
 
 def evaluated(
-    arguments: argparse.Namespace, task: str, policy: str, options: dict[str, Any], out: Path, progress: Advance
+    arguments: argparse.Namespace,
+    task: str,
+    policy: str,
+    options: dict[str, Any],
+    out: Path,
+    progress: Advance,
 ) -> Evaluation:
     """`evaluate` with the command's arguments; an interrupt tells what is kept."""
     try:
@@ -89,15 +98,24 @@ def evaluated(
             **options,
         )
     except KeyboardInterrupt:
-        Console(stderr=True).print(f"interrupted: finished batches of episodes are kept in {out}; the same command goes on")
+        Console(stderr=True).print(
+            f"interrupted: finished batches of episodes are kept in {out}; the same command goes on"
+        )
         raise
 
 
 def _table(result: Evaluation) -> Table:
     about = result.about
     reads = ", which reads the true state" if about["reads_swarm"] else ""
-    table = Table(title=f"{about['task']}, policy {about['policy']}{reads}, {len(result.rows)} episodes")
-    for heading, side in (("metric", "left"), ("mean", "right"), ("95 % interval", "right"), ("what it is", "left")):
+    table = Table(
+        title=f"{about['task']}, policy {about['policy']}{reads}, {len(result.rows)} episodes"
+    )
+    for heading, side in (
+        ("metric", "left"),
+        ("mean", "right"),
+        ("95 % interval", "right"),
+        ("what it is", "left"),
+    ):
         table.add_column(heading, justify=side)  # type: ignore[arg-type]
     for name, one in result.estimates().items():
         if one.episodes:

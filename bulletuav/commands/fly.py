@@ -41,8 +41,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("task", help="one of `bulletuav tasks`")
     parser.add_argument("--policy", help=f"who flies: {POLICY_HELP} (default: the task's)")
     parser.add_argument("--seed", type=int, default=0, help="same seed, same flight (default: 0)")
-    parser.add_argument("--out", type=Path, default=Path("out"), metavar="DIR", help="folder for the files (default: out)")
-    parser.add_argument("--animation", choices=("gif", "mp4", "none"), default="gif", help="mp4 needs the extra 'video'")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("out"),
+        metavar="DIR",
+        help="folder for the files (default: out)",
+    )
+    parser.add_argument(
+        "--animation",
+        choices=("gif", "mp4", "none"),
+        default="gif",
+        help="mp4 needs the extra 'video'",
+    )
     add_trust(parser)
     add_options(parser)
 
@@ -52,7 +63,9 @@ def run(arguments: argparse.Namespace) -> None:
     as_int("seed", arguments.seed, 0)
     arguments.policy = arguments.policy or find_task(arguments.task).baseline
     pilot = find_policy(arguments.policy, arguments.task, arguments.trust)
-    aviary = Aviary(arguments.task, 1, **flyable_options(arguments.task, pilot, given_options(arguments)))
+    aviary = Aviary(
+        arguments.task, 1, **flyable_options(arguments.task, pilot, given_options(arguments))
+    )
     policy = pilot(aviary)
     if (arguments.out / EPISODES).exists():
         raise ValueError(f"--out {arguments.out} holds an evaluation: choose another folder")
@@ -72,7 +85,9 @@ def run(arguments: argparse.Namespace) -> None:
 def _draw(recording: Recording, aviary: Aviary, arguments: argparse.Namespace) -> list[Path]:
     airframes, d_safe = aviary.options.airframe, aviary.task.config.d_safe
     names = ", ".join(sorted({airframe.name for airframe in airframes}))
-    title = f"{arguments.task}: {aviary.num_drones} {names}, {arguments.policy}, seed {arguments.seed}"
+    title = (
+        f"{arguments.task}: {aviary.num_drones} {names}, {arguments.policy}, seed {arguments.seed}"
+    )
     tracks = arguments.out / "tracks.png"
     plot_tracks(recording, d_safe, title, tracks)
     if arguments.animation == "none":
@@ -86,8 +101,18 @@ def _draw(recording: Recording, aviary: Aviary, arguments: argparse.Namespace) -
 
 
 def _table(recording: Recording, task: str, aviary: Aviary) -> Table:
-    table = Table(title=f"{task}, drones: {aviary.num_drones}, d_safe {aviary.task.config.d_safe:g} m")
-    for heading in ("drone", "reached", "nearest m", "conflicts", "collisions", "to goal m", "time s"):
+    table = Table(
+        title=f"{task}, drones: {aviary.num_drones}, d_safe {aviary.task.config.d_safe:g} m"
+    )
+    for heading in (
+        "drone",
+        "reached",
+        "nearest m",
+        "conflicts",
+        "collisions",
+        "to goal m",
+        "time s",
+    ):
         table.add_column(heading, justify="right")
     for row in outcomes(recording):
         table.add_row(

@@ -26,7 +26,11 @@ def telling(what: str, total: int, unit: str) -> Iterator[Tell]:
         would come.
     """
     console = Console(stderr=True)
-    with _bar(console, what, total, unit) if console.is_terminal else _lines(what, total, unit) as tell:
+    with (
+        _bar(console, what, total, unit)
+        if console.is_terminal
+        else _lines(what, total, unit) as tell
+    ):
         yield tell
 
 
@@ -56,7 +60,9 @@ def _lines(what: str, total: int, unit: str) -> Iterator[Tell]:
             return
         told.append((now, done))
         share = f"{100 * done / total:.0f} %" if total else "all"
-        sys.stderr.write(f"{what}: {done:,.0f} of {total:,.0f} {unit} ({share}), {now - begin:.0f} s\n")
+        sys.stderr.write(
+            f"{what}: {done:,.0f} of {total:,.0f} {unit} ({share}), {now - begin:.0f} s\n"
+        )
         sys.stderr.flush()
 
     yield tell

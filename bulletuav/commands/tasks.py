@@ -13,7 +13,10 @@ from bulletuav.envs.options import EnvOptions
 from bulletuav.tasks import find_task, list_tasks
 from bulletuav.tasks.base import Task
 
-ABOUT = {"help": "list the tasks, or print one's MDP and options", "description": "List the tasks, or explain one."}
+ABOUT = {
+    "help": "list the tasks, or print one's MDP and options",
+    "description": "List the tasks, or explain one.",
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -68,7 +71,10 @@ def _explain(name: str) -> None:
         + ", ".join(f"{name}={value!r}" for name, value in task.defaults.items())
     )
     for name, values in task.presets.items():
-        print(f"Preset {name}: " + ", ".join(f"{option}={value!r}" for option, value in values.items()))
+        print(
+            f"Preset {name}: "
+            + ", ".join(f"{option}={value!r}" for option, value in values.items())
+        )
     print(f"\n{inspect.getdoc(task.Config)}\n")
     for field in dataclasses.fields(task.Config):
         default = field.default if field.default is not dataclasses.MISSING else {}

@@ -7,7 +7,13 @@ from typing import Any
 
 from rich.console import Console
 
-from bulletuav.commands.arguments import add_options, given_options, literals, out_folder, tell_files
+from bulletuav.commands.arguments import (
+    add_options,
+    given_options,
+    literals,
+    out_folder,
+    tell_files,
+)
 from bulletuav.commands.progress import telling
 from bulletuav.envs.resolve import resolve
 from bulletuav.files import replace_file
@@ -37,19 +43,46 @@ GIVEN = ("seed", "steps", "worlds", "evaluations", "episodes")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What is learned, by which algorithm, for how long, where to, and the options."""
     parser.add_argument("task", nargs="?", help="one of `bulletuav tasks`")
-    parser.add_argument("--config", type=Path, metavar="FILE", help="the run.yaml of a run, or one like it")
-    parser.add_argument("--all", action="store_true", help=f"train the package's policies: {', '.join(shipped_tasks())}")
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help="the run.yaml of a run, or one like it"
+    )
+    parser.add_argument(
+        "--all",
+        action="store_true",
+        help=f"train the package's policies: {', '.join(shipped_tasks())}",
+    )
     parser.add_argument("--algo", help=f"{', '.join(ALGORITHMS)} (default: ppo)")
     parser.add_argument("--steps", type=count, help="decisions of all drones together, such as 2e6")
     parser.add_argument("--seed", type=int, help="same seed, same weights (default: 0)")
-    parser.add_argument("--seeds", type=seeds, metavar="A,B", help="train once with each, and draw their curves together")
+    parser.add_argument(
+        "--seeds",
+        type=seeds,
+        metavar="A,B",
+        help="train once with each, and draw their curves together",
+    )
     parser.add_argument("--worlds", type=int, help="worlds that fly at once")
-    parser.add_argument("--evaluations", type=int, metavar="N", help="checkpoints with an evaluation on the way")
+    parser.add_argument(
+        "--evaluations", type=int, metavar="N", help="checkpoints with an evaluation on the way"
+    )
     parser.add_argument("--episodes", type=int, metavar="N", help="of each evaluation")
-    parser.add_argument("--curriculum", metavar="A,B", help="difficulties, easiest first, through which success leads")
-    parser.add_argument("--model", action="append", default=[], metavar="NAME=VALUE", help="setting of the algorithm")
-    parser.add_argument("--workers", type=int, default=1, help="runs at once, each a process, with --all or --seeds")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the files (default: one in training/)")
+    parser.add_argument(
+        "--curriculum",
+        metavar="A,B",
+        help="difficulties, easiest first, through which success leads",
+    )
+    parser.add_argument(
+        "--model",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="setting of the algorithm",
+    )
+    parser.add_argument(
+        "--workers", type=int, default=1, help="runs at once, each a process, with --all or --seeds"
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="folder for the files (default: one in training/)"
+    )
     add_options(parser)
 
 
@@ -73,7 +106,10 @@ def run(arguments: argparse.Namespace) -> None:
     for one, other in (("seed", "seeds"), ("difficulty", "curriculum")):
         if getattr(arguments, one) is not None and getattr(arguments, other):
             raise ValueError(f"--{one} and --{other}: give one of them")
-    configs = [_config(arguments, task) for task in (shipped_tasks() if arguments.all else [arguments.task])]
+    configs = [
+        _config(arguments, task)
+        for task in (shipped_tasks() if arguments.all else [arguments.task])
+    ]
     if arguments.all or arguments.seeds:
         _several(arguments, configs)
     else:
@@ -83,28 +119,45 @@ def run(arguments: argparse.Namespace) -> None:
 def _config(arguments: argparse.Namespace, task: str | None) -> RunConfig:
     """The settings of the file, the package's or the default ones, changed as the arguments say."""
     if arguments.config is not None:
-        base = RunConfig.read(arguments.config / CONFIG if arguments.config.is_dir() else arguments.config)
+        base = RunConfig.read(
+            arguments.config / CONFIG if arguments.config.is_dir() else arguments.config
+        )
     else:
         assert task is not None
         known = find_task(task).name in shipped_tasks()
-        base = dataclasses.replace(RunConfig.read(shipped(task) / CONFIG), seed=0) if known else RunConfig(task)
-    changes: dict[str, Any] = {name: getattr(arguments, name) for name in GIVEN if getattr(arguments, name) is not None}
+        base = (
+            dataclasses.replace(RunConfig.read(shipped(task) / CONFIG), seed=0)
+            if known
+            else RunConfig(task)
+        )
+    changes: dict[str, Any] = {
+        name: getattr(arguments, name) for name in GIVEN if getattr(arguments, name) is not None
+    }
     given, algo = given_options(arguments), arguments.algo or base.algo
     options = {**base.options, **given}
     if algo != base.algo:
         options = _with_action(base.task, algo, options)
     model = {**(base.model if algo == base.algo else {}), **literals("--model", arguments.model)}
     if arguments.curriculum:
-        changes |= {"stages": [{"difficulty": name} for name in arguments.curriculum.split(",")], "curriculum": {}}
+        changes |= {
+            "stages": [{"difficulty": name} for name in arguments.curriculum.split(",")],
+            "curriculum": {},
+        }
     else:  # what is given goes before what stages say
-        stages = [{name: value for name, value in stage.items() if name not in given} for stage in base.stages]
+        stages = [
+            {name: value for name, value in stage.items() if name not in given}
+            for stage in base.stages
+        ]
         changes["stages"] = stages if any(stage != stages[0] for stage in stages) else stages[:1]
     return dataclasses.replace(base, algo=algo, options=options, model=model, **changes)
 
 
 def _with_action(task: str, algo: str, options: dict[str, Any]) -> dict[str, Any]:
     """DQN chooses among discrete actions, by default those of `discrete`."""
-    if algo == "dqn" and resolve(find_task(task), options)[0].action not in ("discrete", "discrete_27"):
+    if algo == "dqn" and resolve(find_task(task), options)[0].action not in (
+        "discrete",
+        "discrete_27",
+    ):
         return {**options, "action": "discrete"}
     return options
 
@@ -112,7 +165,9 @@ def _with_action(task: str, algo: str, options: dict[str, Any]) -> dict[str, Any
 def _single(arguments: argparse.Namespace, config: RunConfig) -> None:
     from bulletuav.training.trainer import train  # from here on the extra is needed
 
-    out = out_folder(arguments.out or Path("training") / f"{config.task}-{config.algo}-{config.seed}")
+    out = out_folder(
+        arguments.out or Path("training") / f"{config.task}-{config.algo}-{config.seed}"
+    )
     with telling(f"training {config.task}", config.steps, "steps") as progress:
         rows = train(config, out, progress)
     _finish(out, [(config, rows)], [out / CONFIG, out / POLICY, out / CURVE])
@@ -121,7 +176,10 @@ def _single(arguments: argparse.Namespace, config: RunConfig) -> None:
 def _several(arguments: argparse.Namespace, configs: list[RunConfig]) -> None:
     out = out_folder(arguments.out or Path("training"))
     chosen = arguments.seeds or ([0, 1, 2] if arguments.seed is None else [arguments.seed])
-    campaign = Campaign([dataclasses.replace(config, seed=seed) for config in configs for seed in chosen], out / "runs")
+    campaign = Campaign(
+        [dataclasses.replace(config, seed=seed) for config in configs for seed in chosen],
+        out / "runs",
+    )
     with telling(f"training {len(campaign.configs)} runs", campaign.total, "steps") as progress:
         runs = campaign.train(arguments.workers, progress)
     _finish(out, runs, [])

@@ -24,10 +24,14 @@ def offsets(position: np.ndarray) -> np.ndarray:
 
 def in_cylinder(offset: np.ndarray, horizontal: float, vertical: float) -> np.ndarray:
     """Whether both the horizontal and the vertical separation are below their limits (m), as air traffic counts it."""
-    return (np.hypot(offset[..., 0], offset[..., 1]) < horizontal) & (np.abs(offset[..., 2]) < vertical)
+    return (np.hypot(offset[..., 0], offset[..., 1]) < horizontal) & (
+        np.abs(offset[..., 2]) < vertical
+    )
 
 
-def closest_point_of_approach(offset: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def closest_point_of_approach(
+    offset: np.ndarray, velocity: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Time (s, 0 when they part already) and distance (m) of the closest approach, both flying straight on.
 
     offset, velocity (..., 3): of the other relative to the one, m, m/s.
@@ -46,11 +50,18 @@ def time_to_conflict(offset: np.ndarray, velocity: np.ndarray, d_safe: float) ->
     root = along**2 - square * outside
     meets = (along < 0) & (root > 0)
     # The smaller root, as outside / (-along + sqrt(root)): it does not cancel where the two pass slowly.
-    time = np.divide(outside, -along + np.sqrt(np.maximum(root, 0.0)), out=np.full(root.shape, np.inf), where=meets)
+    time = np.divide(
+        outside,
+        -along + np.sqrt(np.maximum(root, 0.0)),
+        out=np.full(root.shape, np.inf),
+        where=meets,
+    )
     return np.where(outside < 0, 0.0, time)
 
 
-def conflict_probability(offset: np.ndarray, sigma: np.ndarray | float, d_safe: float) -> np.ndarray:
+def conflict_probability(
+    offset: np.ndarray, sigma: np.ndarray | float, d_safe: float
+) -> np.ndarray:
     """Probability that two are closer than `d_safe` (m) whose offset is known with an error of `sigma` (m) on each axis.
 
     offset (..., 3), m; sigma^2, of shape (...) or one for all, is the sum of both variances. The noncentral chi distribution
@@ -59,7 +70,10 @@ def conflict_probability(offset: np.ndarray, sigma: np.ndarray | float, d_safe: 
     """
     _refuse_unless_positive("sigma", sigma)
     _refuse_unless_positive("d_safe", d_safe)
-    radius, distance = d_safe / np.asarray(sigma, dtype=float), np.linalg.norm(offset, axis=-1) / sigma
+    radius, distance = (
+        d_safe / np.asarray(sigma, dtype=float),
+        np.linalg.norm(offset, axis=-1) / sigma,
+    )
     near, far = radius - distance, radius + distance
     density = np.exp(-0.5 * near**2) / math.sqrt(2 * math.pi)
     # (density(near) - density(far)) / distance without its 0 / 0
@@ -92,7 +106,9 @@ def conflict_probability_of(
     skew = np.abs(covariance - covariance.swapaxes(-1, -2)).max(axis=(-1, -2))
     good = (variance[..., 0] > 0) & (skew <= 1e-9 * variance[..., 2])
     if not good.all():
-        raise ValueError(f"covariance {covariance[~good][0].tolist()} m^2 is not symmetric positive definite")
+        raise ValueError(
+            f"covariance {covariance[~good][0].tolist()} m^2 is not symmetric positive definite"
+        )
     mean = np.einsum("...ji,...j->...i", axes, offset, order="C") / d_safe
     variance = np.array(np.broadcast_to(variance / d_safe**2, mean.shape), order="C")
     out = np.empty(mean.shape[:-1])
@@ -100,7 +116,9 @@ def conflict_probability_of(
     lost = np.isnan(out)
     if lost.any():
         where = np.broadcast_to(offset, mean.shape)[lost][0].tolist()
-        raise ValueError(f"no conflict probability to within {tolerance} at offset {where} m: try a larger tolerance")
+        raise ValueError(
+            f"no conflict probability to within {tolerance} at offset {where} m: try a larger tolerance"
+        )
     return out
 
 
@@ -114,7 +132,9 @@ def _refuse_unless_positive(name: str, value: np.ndarray | float) -> None:
 def _fill_ball_probability(mean, variance, tolerance, out):
     for k in range(len(out)):
         square = (mean[k, 0] ** 2, mean[k, 1] ** 2, mean[k, 2] ** 2)
-        out[k] = _ball_probability(square, (variance[k, 0], variance[k, 1], variance[k, 2]), tolerance)
+        out[k] = _ball_probability(
+            square, (variance[k, 0], variance[k, 1], variance[k, 2]), tolerance
+        )
 
 
 @func
@@ -154,7 +174,9 @@ def _saddle(square, variance):
             curvature += 2.0 * variance[i] * shrink**2 * (variance[i] + 2.0 * square[i] * shrink)
         width = 1.0 / math.sqrt(curvature)
         step = -slope / curvature
-        if not step > max(0.01 * width, 1e-9 * z):  # z so far out that rounding stops it belongs to a probability of 0
+        if not step > max(
+            0.01 * width, 1e-9 * z
+        ):  # z so far out that rounding stops it belongs to a probability of 0
             return z, width
         z += step
 

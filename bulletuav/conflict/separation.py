@@ -39,12 +39,16 @@ def _conflict(before, after, alive, d_safe, zone, separation, onsets, nearness):
                     nearness[w, k] += depth
 
 
-def conflict(before: np.ndarray, after: np.ndarray, alive: np.ndarray, d_safe: float, zone: float) -> Conflict:
+def conflict(
+    before: np.ndarray, after: np.ndarray, alive: np.ndarray, d_safe: float, zone: float
+) -> Conflict:
     """Separations while positions (W, N, 3) go straight from `before` to `after`; only living drones (W, N) count.
 
     A conflict that lasts is counted once, in the decision in which the separation falls below `d_safe` (m). The warning
     zone ends at a separation of `zone` (m), more than d_safe.
     """
-    result = Conflict(np.full(alive.shape, np.inf), np.zeros(alive.shape, dtype=np.int64), np.zeros(alive.shape))
+    result = Conflict(
+        np.full(alive.shape, np.inf), np.zeros(alive.shape, dtype=np.int64), np.zeros(alive.shape)
+    )
     _conflict(before, after, alive, d_safe, zone, *result)
     return result

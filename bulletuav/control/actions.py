@@ -77,7 +77,12 @@ def _with_yaw(vector: np.ndarray, yaw: np.ndarray | float = 0.0) -> np.ndarray:
 
 
 def _uniform(
-    flyable: ActionContext, name: str, level: SetpointLevel, labels: tuple[str, ...], decode, encode=None
+    flyable: ActionContext,
+    name: str,
+    level: SetpointLevel,
+    labels: tuple[str, ...],
+    decode,
+    encode=None,
 ) -> Action:
     """An action normalised to [-1, 1], with the same numbers for every drone."""
     drones = len(flyable.airframes)
@@ -94,7 +99,12 @@ def velocity(flyable: ActionContext) -> Action:
         return _with_yaw(limit_norm(action * speed, speed))
 
     return _uniform(
-        flyable, "velocity", SetpointLevel.VELOCITY, labels, decode, lambda velocity, commanded=None: velocity / speed
+        flyable,
+        "velocity",
+        SetpointLevel.VELOCITY,
+        labels,
+        decode,
+        lambda velocity, commanded=None: velocity / speed,
     )
 
 
@@ -127,7 +137,9 @@ def heading_speed(flyable: ActionContext) -> Action:
 
     def decode(action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
         heading, forward = np.pi * action[..., 0], speed * (action[..., 1] + 1) / 2
-        wanted = np.stack([forward * np.cos(heading), forward * np.sin(heading), speed * action[..., 2]], axis=-1)
+        wanted = np.stack(
+            [forward * np.cos(heading), forward * np.sin(heading), speed * action[..., 2]], axis=-1
+        )
         return _with_yaw(limit_norm(wanted, speed), heading)
 
     return _uniform(flyable, "heading_speed", SetpointLevel.VELOCITY, labels, decode)
@@ -135,8 +147,13 @@ def heading_speed(flyable: ActionContext) -> Action:
 
 def target_position(flyable: ActionContext) -> Action:
     """Position to fly to and stop at: -1 and 1 are the arena's lower and upper bounds of each axis. Yaw is held at 0."""
-    centre, half = (flyable.arena_low + flyable.arena_high) / 2, (flyable.arena_high - flyable.arena_low) / 2
-    labels = tuple(f"{axis} = {c:g} + {h:g} a m" for axis, c, h in zip("xyz", centre, half, strict=True))
+    centre, half = (
+        (flyable.arena_low + flyable.arena_high) / 2,
+        (flyable.arena_high - flyable.arena_low) / 2,
+    )
+    labels = tuple(
+        f"{axis} = {c:g} + {h:g} a m" for axis, c, h in zip("xyz", centre, half, strict=True)
+    )
 
     def decode(action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
         return _with_yaw(centre + half * action)
@@ -151,10 +168,17 @@ def attitude(flyable: ActionContext) -> Action:
     """Roll and pitch (over 55 degrees), yaw (over 180 degrees), collective thrust (-1 none, 1 the most)."""
     scale = np.array((MAX_TILT, MAX_TILT, np.pi))
     most = np.array([airframe.max_thrust for airframe in flyable.airframes])
-    labels = ("roll / 55 degrees", "pitch / 55 degrees", "yaw / 180 degrees", "2 thrust / max thrust - 1")
+    labels = (
+        "roll / 55 degrees",
+        "pitch / 55 degrees",
+        "yaw / 180 degrees",
+        "2 thrust / max thrust - 1",
+    )
 
     def decode(action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
-        return np.concatenate([scale * action[..., :3], (most * (action[..., 3] + 1) / 2)[..., None]], axis=-1)
+        return np.concatenate(
+            [scale * action[..., :3], (most * (action[..., 3] + 1) / 2)[..., None]], axis=-1
+        )
 
     return _uniform(flyable, "attitude", SetpointLevel.ATTITUDE, labels, decode)
 
@@ -162,21 +186,35 @@ def attitude(flyable: ActionContext) -> Action:
 def rates(flyable: ActionContext) -> Action:
     """Body rates (over 360, 360 and 180 degrees a second), collective thrust (-1 none, 1 the most)."""
     most = np.array([airframe.max_thrust for airframe in flyable.airframes])
-    labels = ("p / 360 degrees/s", "q / 360 degrees/s", "r / 180 degrees/s", "2 thrust / max thrust - 1")
+    labels = (
+        "p / 360 degrees/s",
+        "q / 360 degrees/s",
+        "r / 180 degrees/s",
+        "2 thrust / max thrust - 1",
+    )
 
     def decode(action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
-        return np.concatenate([MAX_RATES * action[..., :3], (most * (action[..., 3] + 1) / 2)[..., None]], axis=-1)
+        return np.concatenate(
+            [MAX_RATES * action[..., :3], (most * (action[..., 3] + 1) / 2)[..., None]], axis=-1
+        )
 
     return _uniform(flyable, "rates", SetpointLevel.RATES, labels, decode)
 
 
-def _per_rotor(flyable: ActionContext, name: str, label: str, low: float, high: np.ndarray, decode) -> Action:
+def _per_rotor(
+    flyable: ActionContext, name: str, label: str, low: float, high: np.ndarray, decode
+) -> Action:
     """An action with a number for each rotor; `high` (N,) bounds each drone's."""
     counts = [len(airframe.rotors) for airframe in flyable.airframes]
     exists = np.arange(max(counts)) < np.array(counts)[:, None]
     labels = tuple(tuple(f"rotor {r}{label}" for r in range(count)) for count in counts)
     return Action(
-        name, SetpointLevel.ROTOR, labels, np.where(exists, low, 0.0), np.where(exists, high[:, None], 0.0), decode
+        name,
+        SetpointLevel.ROTOR,
+        labels,
+        np.where(exists, low, 0.0),
+        np.where(exists, high[:, None], 0.0),
+        decode,
     )
 
 
@@ -187,7 +225,9 @@ def rotor(flyable: ActionContext) -> Action:
     def decode(action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
         return most * np.sqrt(0.5 * (action + 1))
 
-    return _per_rotor(flyable, "rotor", ": 2 thrust / max thrust - 1", -1.0, np.ones(len(most)), decode)
+    return _per_rotor(
+        flyable, "rotor", ": 2 thrust / max thrust - 1", -1.0, np.ones(len(most)), decode
+    )
 
 
 def rpm(flyable: ActionContext) -> Action:
@@ -198,10 +238,17 @@ def rpm(flyable: ActionContext) -> Action:
 
 def hover_rpm(flyable: ActionContext) -> Action:
     """Speed of each rotor about that of hover, +-5 %: the action of gym-pybullet-drones' HoverAviary."""
-    hover = np.array([airframe.hover_speed(flyable.gravity) for airframe in flyable.airframes])[:, None]
+    hover = np.array([airframe.hover_speed(flyable.gravity) for airframe in flyable.airframes])[
+        :, None
+    ]
     ones = np.ones(len(hover))
     return _per_rotor(
-        flyable, "hover_rpm", ": 20 (rpm / hover rpm - 1)", -1.0, ones, lambda action, commanded: hover * (1 + 0.05 * action)
+        flyable,
+        "hover_rpm",
+        ": 20 (rpm / hover rpm - 1)",
+        -1.0,
+        ones,
+        lambda action, commanded: hover * (1 + 0.05 * action),
     )
 
 

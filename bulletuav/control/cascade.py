@@ -55,7 +55,9 @@ def lee_rotors(level, setpoint, state, total_speed, nominal, gain, gravity, comm
         target = acceleration_setpoint(now, target, gain)
     if level <= SetpointLevel.ATTITUDE:
         if level <= SetpointLevel.ACCELERATION:
-            force = force_setpoint(target, quaternion, velocity, total_speed, gravity, nominal, gain)
+            force = force_setpoint(
+                target, quaternion, velocity, total_speed, gravity, nominal, gain
+            )
             thrust = dot(force, axes(quaternion)[2])
             desired = desired_axes(force, yaw)
         else:
@@ -71,7 +73,11 @@ def pid_errors(level, setpoint, state):
     if level == SetpointLevel.POSITION:
         away = (setpoint[0] - position[0], setpoint[1] - position[1], setpoint[2] - position[2])
         return away, (-velocity[0], -velocity[1], -velocity[2])
-    return (0.0, 0.0, 0.0), (setpoint[0] - velocity[0], setpoint[1] - velocity[1], setpoint[2] - velocity[2])
+    return (0.0, 0.0, 0.0), (
+        setpoint[0] - velocity[0],
+        setpoint[1] - velocity[1],
+        setpoint[2] - velocity[2],
+    )
 
 
 @func
@@ -100,11 +106,25 @@ def command_rotors(level, setpoint, w, i, swarm, cascade, dt, gravity, command):
             (memory[w, i, 0], memory[w, i, 1], memory[w, i, 2]),
             (memory[w, i, 3], memory[w, i, 4], memory[w, i, 5]),
         )
-        integrals = pid_rotors(away, slow, target[3], state[1], state[3], integrals, dt, gravity, nominal, gain, command)
+        integrals = pid_rotors(
+            away,
+            slow,
+            target[3],
+            state[1],
+            state[3],
+            integrals,
+            dt,
+            gravity,
+            nominal,
+            gain,
+            command,
+        )
         for k in range(3):
             memory[w, i, k], memory[w, i, 3 + k] = integrals[0][k], integrals[1][k]
     else:
         total_speed = 0.0
         for r in range(nominal.num_rotors):
             total_speed += swarm.rotor_speed[w, i, r]
-        lee_rotors(level, quat4(setpoint, w, i), state, total_speed, nominal, gain, gravity, command)
+        lee_rotors(
+            level, quat4(setpoint, w, i), state, total_speed, nominal, gain, gravity, command
+        )

@@ -72,7 +72,10 @@ def exact_pseudo_inverse(matrix: np.ndarray) -> np.ndarray:
     rows = [[Fraction(value) for value in row] for row in matrix.tolist()]
     size = len(rows)
     # Gauss-Jordan elimination of [A A^T | A]: what is left on the right is (A A^T)^-1 A.
-    gram = [[sum((a * b for a, b in zip(one, two, strict=True)), Fraction(0)) for two in rows] for one in rows]
+    gram = [
+        [sum((a * b for a, b in zip(one, two, strict=True)), Fraction(0)) for two in rows]
+        for one in rows
+    ]
     table = [left + right for left, right in zip(gram, rows, strict=True)]
     for k in range(size):
         pivot = next(i for i in range(k, size) if table[i][k])
@@ -81,7 +84,10 @@ def exact_pseudo_inverse(matrix: np.ndarray) -> np.ndarray:
         for i in range(size):
             if i != k:
                 factor = table[i][k]
-                table[i] = [value - factor * of_pivot for value, of_pivot in zip(table[i], table[k], strict=True)]
+                table[i] = [
+                    value - factor * of_pivot
+                    for value, of_pivot in zip(table[i], table[k], strict=True)
+                ]
     return np.array([[float(value) for value in row[size:]] for row in table]).T
 
 

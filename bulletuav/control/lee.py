@@ -18,7 +18,9 @@ def velocity_setpoint(position, target, gain):
     error = (target[0] - position[0], target[1] - position[1], target[2] - position[2])
     distance = math.sqrt(dot(error, error))
     rate = gain.position_frequency / (2.0 * gain.damping)
-    linear = gain.max_deceleration / (rate * rate)  # closer than this, the proportional law brakes gently enough
+    linear = gain.max_deceleration / (
+        rate * rate
+    )  # closer than this, the proportional law brakes gently enough
     if distance > linear:
         speed = math.sqrt(2.0 * gain.max_deceleration * (distance - 0.5 * linear))
         rate = min(speed, gain.max_speed) / distance
@@ -31,7 +33,11 @@ def velocity_setpoint(position, target, gain):
 def acceleration_setpoint(velocity, target, gain):
     """VELOCITY to ACCELERATION (m/s^2)."""
     rate = 2.0 * gain.damping * gain.position_frequency
-    return rate * (target[0] - velocity[0]), rate * (target[1] - velocity[1]), rate * (target[2] - velocity[2])
+    return (
+        rate * (target[0] - velocity[0]),
+        rate * (target[1] - velocity[1]),
+        rate * (target[2] - velocity[2]),
+    )
 
 
 @func
@@ -89,7 +95,11 @@ def rates_setpoint(quaternion, desired, gain):
     error = attitude_error(quaternion, desired)
     scale = -0.25 / gain.damping
     frequency = gain.attitude_frequency
-    return scale * frequency[0] * error[0], scale * frequency[1] * error[1], scale * frequency[2] * error[2]
+    return (
+        scale * frequency[0] * error[0],
+        scale * frequency[1] * error[1],
+        scale * frequency[2] * error[2],
+    )
 
 
 @func
@@ -115,7 +125,9 @@ def mix(thrust, torque, row, gain, command):
     most = row.thrust_coefficient * row.max_rotor_speed * row.max_rotor_speed
     share = 1.0
     for r in range(row.num_rotors):
-        lift = gain.mixer[r, 0] * thrust + gain.mixer[r, 1] * torque[0] + gain.mixer[r, 2] * torque[1]
+        lift = (
+            gain.mixer[r, 0] * thrust + gain.mixer[r, 1] * torque[0] + gain.mixer[r, 2] * torque[1]
+        )
         command[r] = min(max(lift, 0.0), most)
         turn = gain.mixer[r, 3] * torque[2]
         if command[r] + turn > most:
@@ -123,5 +135,7 @@ def mix(thrust, torque, row, gain, command):
         elif command[r] + turn < 0.0:
             share = min(share, -command[r] / turn)
     for r in range(row.num_rotors):
-        lift = max(command[r] + share * gain.mixer[r, 3] * torque[2], 0.0)  # rounding may leave it just below
+        lift = max(
+            command[r] + share * gain.mixer[r, 3] * torque[2], 0.0
+        )  # rounding may leave it just below
         command[r] = math.sqrt(lift / row.thrust_coefficient)

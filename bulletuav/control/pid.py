@@ -43,7 +43,10 @@ def pid_force(position_error, velocity_error, integral, row, gravity):
     return (
         FORCE_P[0] * position_error[0] + FORCE_I[0] * integral[0] + FORCE_D[0] * velocity_error[0],
         FORCE_P[1] * position_error[1] + FORCE_I[1] * integral[1] + FORCE_D[1] * velocity_error[1],
-        FORCE_P[2] * position_error[2] + FORCE_I[2] * integral[2] + FORCE_D[2] * velocity_error[2] + row.mass * gravity,
+        FORCE_P[2] * position_error[2]
+        + FORCE_I[2] * integral[2]
+        + FORCE_D[2] * velocity_error[2]
+        + row.mass * gravity,
     )
 
 
@@ -51,14 +54,35 @@ def pid_force(position_error, velocity_error, integral, row, gravity):
 def pid_torque(error, rates, integral):
     """Roll, pitch and yaw command (PWM units) against the attitude error (3,), whose negative `integral` holds."""
     return (
-        clipped(-TORQUE_P[0] * error[0] + TORQUE_I[0] * integral[0] - TORQUE_D[0] * rates[0], TORQUE_LIMIT),
-        clipped(-TORQUE_P[1] * error[1] + TORQUE_I[1] * integral[1] - TORQUE_D[1] * rates[1], TORQUE_LIMIT),
-        clipped(-TORQUE_P[2] * error[2] + TORQUE_I[2] * integral[2] - TORQUE_D[2] * rates[2], TORQUE_LIMIT),
+        clipped(
+            -TORQUE_P[0] * error[0] + TORQUE_I[0] * integral[0] - TORQUE_D[0] * rates[0],
+            TORQUE_LIMIT,
+        ),
+        clipped(
+            -TORQUE_P[1] * error[1] + TORQUE_I[1] * integral[1] - TORQUE_D[1] * rates[1],
+            TORQUE_LIMIT,
+        ),
+        clipped(
+            -TORQUE_P[2] * error[2] + TORQUE_I[2] * integral[2] - TORQUE_D[2] * rates[2],
+            TORQUE_LIMIT,
+        ),
     )
 
 
 @func
-def pid_rotors(position_error, velocity_error, yaw, quaternion, rates, integrals, dt, gravity, row, gain, command):
+def pid_rotors(
+    position_error,
+    velocity_error,
+    yaw,
+    quaternion,
+    rates,
+    integrals,
+    dt,
+    gravity,
+    row,
+    gain,
+    command,
+):
     """Rotor speeds (rad/s, into `command`) from position and velocity errors (m, m/s) and the yaw to hold (rad).
 
     `integrals` are those of the position error (3,) and, negative, of the attitude error (3,); returned dt later.

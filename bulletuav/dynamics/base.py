@@ -91,7 +91,13 @@ class Dynamics(ABC):
 
     @abstractmethod
     def fly(
-        self, swarm: Swarm, alive: np.ndarray, level: SetpointLevel, setpoint: np.ndarray, wind: np.ndarray, motion: Motion
+        self,
+        swarm: Swarm,
+        alive: np.ndarray,
+        level: SetpointLevel,
+        setpoint: np.ndarray,
+        wind: np.ndarray,
+        motion: Motion,
     ) -> Contacts:
         """Move the living drones (W, N) through one decision, in place, and tell what they touched.
 

@@ -36,7 +36,9 @@ def engine_torque(rates, torque, dt, row):
     k2 = body_acceleration(_ahead(rates, k1, 0.5 * dt), torque, row)
     k3 = body_acceleration(_ahead(rates, k2, 0.5 * dt), torque, row)
     k4 = body_acceleration(_ahead(rates, k3, dt), torque, row)
-    gyroscopic = cross(rates, (row.inertia[0] * rates[0], row.inertia[1] * rates[1], row.inertia[2] * rates[2]))
+    gyroscopic = cross(
+        rates, (row.inertia[0] * rates[0], row.inertia[1] * rates[1], row.inertia[2] * rates[2])
+    )
     return (
         gyroscopic[0] + row.inertia[0] * (k1[0] + 2 * k2[0] + 2 * k3[0] + k4[0]) / 6.0,
         gyroscopic[1] + row.inertia[1] * (k1[1] + 2 * k2[1] + 2 * k3[1] + k4[1]) / 6.0,
@@ -57,18 +59,37 @@ def drive(swarm, alive, level, setpoint, cascade, parameters, air, dt, force, to
                 decay = lag_decay(dt, row)
                 command_rotors(level, setpoint, w, i, swarm, cascade, dt, air.gravity, command)
                 for r in range(row.num_rotors):
-                    swarm.rotor_speed[w, i, r] = speed[r] = lagged(swarm.rotor_speed[w, i, r], command[r], decay)
+                    swarm.rotor_speed[w, i, r] = speed[r] = lagged(
+                        swarm.rotor_speed[w, i, r], command[r], decay
+                    )
                 around = (vec3(air.wind, w, i), air.surface[w, i], air.gravity)
                 quaternion, velocity = quat4(swarm.quaternion, w, i), vec3(swarm.velocity, w, i)
                 rotors = rotor_wrench(speed, row)
-                push, turn = wrench(quaternion, velocity, swarm.position[w, i, 2], rotors, around, wake[i], row)
+                push, turn = wrench(
+                    quaternion, velocity, swarm.position[w, i, 2], rotors, around, wake[i], row
+                )
                 turn = engine_torque(vec3(swarm.rates, w, i), turn, dt, row)
                 for k in range(3):
                     force[w, i, k], torque[w, i, k] = push[k], turn[k]
 
 
 @kernel
-def advance(port, substeps, near_ground, swarm, alive, level, setpoint, cascade, parameters, air, dt, force, torque, path):
+def advance(
+    port,
+    substeps,
+    near_ground,
+    swarm,
+    alive,
+    level,
+    setpoint,
+    cascade,
+    parameters,
+    air,
+    dt,
+    force,
+    torque,
+    path,
+):
     """Up to `substeps` substeps in one call; ends early after one that needs a closer look.
 
     That is one in which something touched or moved fast past something near; `path` holds the poses of the last substep.
@@ -102,7 +123,13 @@ class BulletDynamics(Dynamics):
         """Nothing to do: the engine's bodies are where the swarm is."""
 
     def fly(
-        self, swarm: Swarm, alive: np.ndarray, level: SetpointLevel, setpoint: np.ndarray, wind: np.ndarray, motion: Motion
+        self,
+        swarm: Swarm,
+        alive: np.ndarray,
+        level: SetpointLevel,
+        setpoint: np.ndarray,
+        wind: np.ndarray,
+        motion: Motion,
     ) -> Contacts:
         """Substeps through the engine, many in one call where nothing happens between them."""
         flight, engine, port = self.flight, self.flight.engine, self.flight.engine.port
@@ -127,7 +154,10 @@ class BulletDynamics(Dynamics):
         while flown < flight.substeps:
             substeps = 1 if motion.moving else flight.substeps - flown
             if motion.moving:
-                path.obstacle[:] = motion.at(flown / flight.substeps), motion.at((flown + 1) / flight.substeps)
+                path.obstacle[:] = (
+                    motion.at(flown / flight.substeps),
+                    motion.at((flown + 1) / flight.substeps),
+                )
                 engine.set_obstacles(path.obstacle[1], motion.quaternion, np.any(alive, axis=1))
             if port is not None:
                 new, eventful = advance(port, substeps, self._near_ground, *inputs, path)
@@ -135,14 +165,23 @@ class BulletDynamics(Dynamics):
                 new, eventful = self._advance(*inputs, path)
             flown += new
             if eventful:
-                for w, drone, other, force in engine.contacts():  # before catching, which forgets them
-                    touched[w, drone, other] = touched.get((w, drone, other), 0.0) + force * flight.dt
+                for (
+                    w,
+                    drone,
+                    other,
+                    force,
+                ) in engine.contacts():  # before catching, which forgets them
+                    touched[w, drone, other] = (
+                        touched.get((w, drone, other), 0.0) + force * flight.dt
+                    )
                 for key in catch_fast(engine, path, swarm, alive, flight.parameters):
                     touched.setdefault(key, 0.0)
         require_sane(swarm, alive, flight.engine.first_world)
         return Contacts.merge(touched)
 
-    def _advance(self, swarm, alive, level, setpoint, cascade, parameters, air, dt, force, torque, path: Path):
+    def _advance(
+        self, swarm, alive, level, setpoint, cascade, parameters, air, dt, force, torque, path: Path
+    ):
         """`advance` by one substep, through the world's own calls."""
         engine = self.flight.engine
         air.surface[:] = self._surface(swarm, alive)

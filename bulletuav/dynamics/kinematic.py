@@ -41,7 +41,11 @@ def lagged_velocity(velocity, command, wind, lag, drag, most, dt):
     While the limit does not act, v' = (v_cmd - v) / lag - drag (v - wind) is linear and solved exactly; while it does, the
     acceleration is held for dt.
     """
-    pull = ((command[0] - velocity[0]) / lag, (command[1] - velocity[1]) / lag, (command[2] - velocity[2]) / lag)
+    pull = (
+        (command[0] - velocity[0]) / lag,
+        (command[1] - velocity[1]) / lag,
+        (command[2] - velocity[2]) / lag,
+    )
     if dot(pull, pull) <= most * most:
         rate = 1.0 / lag + drag
         decay = math.exp(-rate * dt)
@@ -58,16 +62,28 @@ def lagged_velocity(velocity, command, wind, lag, drag, most, dt):
     a2 = pull[2] - drag * (velocity[2] - wind[2])
     half = 0.5 * dt * dt
     after = (velocity[0] + a0 * dt, velocity[1] + a1 * dt, velocity[2] + a2 * dt)
-    return after, (velocity[0] * dt + a0 * half, velocity[1] * dt + a1 * half, velocity[2] * dt + a2 * half)
+    return after, (
+        velocity[0] * dt + a0 * half,
+        velocity[1] * dt + a1 * half,
+        velocity[2] * dt + a2 * half,
+    )
 
 
 @func
 def accelerated(velocity, acceleration, fastest, dt):
     """Velocity and displacement of `double_integrator` after dt; past `fastest` m/s the velocity is cut to it."""
-    after = (velocity[0] + acceleration[0] * dt, velocity[1] + acceleration[1] * dt, velocity[2] + acceleration[2] * dt)
+    after = (
+        velocity[0] + acceleration[0] * dt,
+        velocity[1] + acceleration[1] * dt,
+        velocity[2] + acceleration[2] * dt,
+    )
     after = limited(after, fastest)
     half = 0.5 * dt
-    moved = (half * (velocity[0] + after[0]), half * (velocity[1] + after[1]), half * (velocity[2] + after[2]))
+    moved = (
+        half * (velocity[0] + after[0]),
+        half * (velocity[1] + after[1]),
+        half * (velocity[2] + after[2]),
+    )
     return after, moved
 
 
@@ -88,16 +104,26 @@ def advance(kind, swarm, alive, level, setpoint, cascade, parameters, air, dt, p
                 quaternion = from_euler(0.0, 0.0, wanted[3])
             for substep in range(path.position.shape[0] - 1):
                 if alive[w, i]:
-                    target = command_kinematic(level, kind == DOUBLE_INTEGRATOR, wanted, position, velocity, gain)
+                    target = command_kinematic(
+                        level, kind == DOUBLE_INTEGRATOR, wanted, position, velocity, gain
+                    )
                     if kind == DOUBLE_INTEGRATOR:
-                        velocity, moved = accelerated(velocity, limited(target, most), gain.max_speed, dt)
+                        velocity, moved = accelerated(
+                            velocity, limited(target, most), gain.max_speed, dt
+                        )
                     elif kind == POINT_MASS:
                         target = limited(target, gain.max_speed)
-                        velocity, moved = lagged_velocity(velocity, target, wind, lag, drag, most, dt)
+                        velocity, moved = lagged_velocity(
+                            velocity, target, wind, lag, drag, most, dt
+                        )
                     else:
                         velocity = limited(target, gain.max_speed)
                         moved = (velocity[0] * dt, velocity[1] * dt, velocity[2] * dt)
-                    position = (position[0] + moved[0], position[1] + moved[1], position[2] + moved[2])
+                    position = (
+                        position[0] + moved[0],
+                        position[1] + moved[1],
+                        position[2] + moved[2],
+                    )
                 for k in range(3):
                     path.position[substep + 1, w, i, k] = position[k]
                 for k in range(4):
@@ -115,7 +141,11 @@ class Kinematic(Dynamics):
     @property
     def consumes(self) -> SetpointLevel:
         """VELOCITY, or ACCELERATION for the double integrator."""
-        return SetpointLevel.ACCELERATION if self._kind == DOUBLE_INTEGRATOR else SetpointLevel.VELOCITY
+        return (
+            SetpointLevel.ACCELERATION
+            if self._kind == DOUBLE_INTEGRATOR
+            else SetpointLevel.VELOCITY
+        )
 
     def place(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Points have no tilt and no rates."""
@@ -124,7 +154,13 @@ class Kinematic(Dynamics):
         super().place(swarm, mask)
 
     def fly(
-        self, swarm: Swarm, alive: np.ndarray, level: SetpointLevel, setpoint: np.ndarray, wind: np.ndarray, motion: Motion
+        self,
+        swarm: Swarm,
+        alive: np.ndarray,
+        level: SetpointLevel,
+        setpoint: np.ndarray,
+        wind: np.ndarray,
+        motion: Motion,
     ) -> Contacts:
         """One compiled call, then the swept contact check."""
         flight = self.flight
@@ -134,5 +170,16 @@ class Kinematic(Dynamics):
         pieces, span = (1, flight.substeps) if straight else (flight.substeps, 1)
         path, dt = Path.begin(swarm, motion, pieces, span), flight.dt * span
         air = Air(wind, np.full(alive.shape, -np.inf), flight.gravity)
-        advance(self._kind, swarm, alive, int(level), setpoint, flight.cascade, flight.parameters, air, dt, path)
+        advance(
+            self._kind,
+            swarm,
+            alive,
+            int(level),
+            setpoint,
+            flight.cascade,
+            flight.parameters,
+            air,
+            dt,
+            path,
+        )
         return stop_at_first_touch(flight.engine, path, swarm, alive, flight.parameters)

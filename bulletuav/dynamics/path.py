@@ -38,9 +38,15 @@ class Path(NamedTuple):
     @classmethod
     def begin(cls, swarm: Swarm, motion: Motion, pieces: int, span: float = 1.0) -> "Path":
         """Room for a decision, with the present poses first."""
-        position, quaternion = (np.empty((pieces + 1, *array.shape)) for array in (swarm.position, swarm.quaternion))
+        position, quaternion = (
+            np.empty((pieces + 1, *array.shape)) for array in (swarm.position, swarm.quaternion)
+        )
         obstacle = np.empty((pieces + 1, *motion.before.shape))
-        obstacle[:] = motion.at(np.arange(pieces + 1)[:, None, None, None] / pieces) if motion.moving else motion.before
+        obstacle[:] = (
+            motion.at(np.arange(pieces + 1)[:, None, None, None] / pieces)
+            if motion.moving
+            else motion.before
+        )
         position[0], quaternion[0] = swarm.position, swarm.quaternion
         stop = np.full(swarm.position.shape[:2], np.inf)
         return cls(position, quaternion, obstacle, motion.quaternion, stop, float(span))
@@ -59,9 +65,13 @@ class Path(NamedTuple):
         share = time / self.span - s
         if who <= FIRST_OBSTACLE:
             k = FIRST_OBSTACLE - who
-            position = (1 - share) * self.obstacle[s, world, k] + share * self.obstacle[s + 1, world, k]
+            position = (1 - share) * self.obstacle[s, world, k] + share * self.obstacle[
+                s + 1, world, k
+            ]
             return who, position, self.obstacle_quaternion[world, k]
-        position = (1 - share) * self.position[s, world, who] + share * self.position[s + 1, world, who]
+        position = (1 - share) * self.position[s, world, who] + share * self.position[
+            s + 1, world, who
+        ]
         before, after = self.quaternion[s, world, who], self.quaternion[s + 1, world, who]
         quaternion = (1 - share) * before + share * after * (1 if inner(before, after) >= 0 else -1)
         return who, position, quaternion / length(quaternion)
@@ -74,7 +84,9 @@ class Path(NamedTuple):
             return self.pose(world, who, end)[1] - self.pose(world, who, begin)[1]
         s, track = (
             self.piece(begin),
-            self.obstacle[:, world, FIRST_OBSTACLE - who] if who < 0 else self.position[:, world, who],
+            self.obstacle[:, world, FIRST_OBSTACLE - who]
+            if who < 0
+            else self.position[:, world, who],
         )
         return track[s + 1] - track[s]
 

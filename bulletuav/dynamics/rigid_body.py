@@ -68,12 +68,19 @@ def advance(swarm, alive, level, setpoint, cascade, parameters, air, dt, path):
     """All substeps of one decision for all worlds; `swarm` and `path` (poses at every substep's end) are written."""
     num_drones, num_rotors = swarm.rotor_speed.shape[1:]
     wake, commands = np.empty(num_drones), np.empty((num_drones, num_rotors))
-    command, begin, middle, end = np.empty(num_rotors), np.empty(num_rotors), np.empty(num_rotors), np.empty(num_rotors)
+    command, begin, middle, end = (
+        np.empty(num_rotors),
+        np.empty(num_rotors),
+        np.empty(num_rotors),
+        np.empty(num_rotors),
+    )
     decay = np.empty((num_drones, 3, 2))
     for w in range(alive.shape[0]):
         for i in range(num_drones):
             for stage in range(3):  # begin, middle and end of a substep
-                decay[i, stage, 0], decay[i, stage, 1] = lag_decay(0.5 * stage * dt, parameters[w, i])
+                decay[i, stage, 0], decay[i, stage, 1] = lag_decay(
+                    0.5 * stage * dt, parameters[w, i]
+                )
         for substep in range(path.position.shape[0] - 1):
             wakes(w, swarm.position, alive, parameters, air.gravity, wake)
             for i in range(num_drones):
@@ -90,7 +97,11 @@ def advance(swarm, alive, level, setpoint, cascade, parameters, air, dt, path):
                         middle[r] = lagged(now, wanted, (decay[i, 1, 0], decay[i, 1, 1]))
                         end[r] = lagged(now, wanted, (decay[i, 2, 0], decay[i, 2, 1]))
                         swarm.rotor_speed[w, i, r] = end[r]
-                    rotors = (rotor_wrench(begin, row), rotor_wrench(middle, row), rotor_wrench(end, row))
+                    rotors = (
+                        rotor_wrench(begin, row),
+                        rotor_wrench(middle, row),
+                        rotor_wrench(end, row),
+                    )
                     around = (vec3(air.wind, w, i), air.surface[w, i], air.gravity)
                     put(swarm, w, i, _rk4(get(swarm, w, i), rotors, dt, around, wake[i], row))
                 for k in range(3):
@@ -108,12 +119,28 @@ class RigidBody(Dynamics):
         return SetpointLevel.ROTOR
 
     def fly(
-        self, swarm: Swarm, alive: np.ndarray, level: SetpointLevel, setpoint: np.ndarray, wind: np.ndarray, motion: Motion
+        self,
+        swarm: Swarm,
+        alive: np.ndarray,
+        level: SetpointLevel,
+        setpoint: np.ndarray,
+        wind: np.ndarray,
+        motion: Motion,
     ) -> Contacts:
         """One compiled call, then the swept contact check."""
         flight = self.flight
         path = Path.begin(swarm, motion, flight.substeps)
         air = Air(wind, self._surface(swarm, alive), flight.gravity)
-        advance(swarm, alive, int(level), setpoint, flight.cascade, flight.parameters, air, flight.dt, path)
+        advance(
+            swarm,
+            alive,
+            int(level),
+            setpoint,
+            flight.cascade,
+            flight.parameters,
+            air,
+            flight.dt,
+            path,
+        )
         require_sane(swarm, alive, flight.engine.first_world)
         return stop_at_first_touch(flight.engine, path, swarm, alive, flight.parameters)

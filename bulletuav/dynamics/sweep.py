@@ -51,8 +51,16 @@ def _meets_city(position, radius, city_grid, w, i):
     margin = radius[w, i] + TOUCH
     for s in range(position.shape[0] - 1):
         one, two = vec3(position[s], w, i), vec3(position[s + 1], w, i)
-        low = min(one[0], two[0]) - margin, min(one[1], two[1]) - margin, min(one[2], two[2]) - margin
-        high = max(one[0], two[0]) + margin, max(one[1], two[1]) + margin, max(one[2], two[2]) + margin
+        low = (
+            min(one[0], two[0]) - margin,
+            min(one[1], two[1]) - margin,
+            min(one[2], two[2]) - margin,
+        )
+        high = (
+            max(one[0], two[0]) + margin,
+            max(one[1], two[1]) + margin,
+            max(one[2], two[2]) + margin,
+        )
         if meets(city_grid, w, low, high):
             return True
     return False
@@ -69,14 +77,21 @@ def _near(one, two, w, i, j, within):
 def _meets(one, two, w, i, j, within):
     """Whether tracks i of `one` and j of `two` (S + 1, W, ., 3) come closer than `within` m."""
     for s in range(one.shape[0] - 1):
-        if closest_squared(_gap(one, two, s, w, i, j), _gap(one, two, s + 1, w, i, j))[1] < within * within:
+        if (
+            closest_squared(_gap(one, two, s, w, i, j), _gap(one, two, s + 1, w, i, j))[1]
+            < within * within
+        ):
             return True
     return False
 
 
 @func
 def _gap(one, two, s, w, i, j):
-    return two[s, w, j, 0] - one[s, w, i, 0], two[s, w, j, 1] - one[s, w, i, 1], two[s, w, j, 2] - one[s, w, i, 2]
+    return (
+        two[s, w, j, 0] - one[s, w, i, 0],
+        two[s, w, j, 1] - one[s, w, i, 1],
+        two[s, w, j, 2] - one[s, w, i, 2],
+    )
 
 
 @kernel
@@ -97,7 +112,9 @@ def _candidates(position, obstacle, alive, radius, obstacle_radius, city_grid):
                 found.append((w, i, CITY))
             for k in range(obstacle.shape[2]):
                 within = radius[w, i] + obstacle_radius[k] + TOUCH
-                near = _near(position, obstacle, w, i, k, within + reach[w, i] + obstacle_reach[w, k])
+                near = _near(
+                    position, obstacle, w, i, k, within + reach[w, i] + obstacle_reach[w, k]
+                )
                 if near and _meets(position, obstacle, w, i, k, within):
                     found.append((w, i, FIRST_OBSTACLE - k))
             farthest = position[0, w, i, 0] + radius[w, i] + reach[w, i] + widest + TOUCH
@@ -106,7 +123,9 @@ def _candidates(position, obstacle, alive, radius, obstacle_radius, city_grid):
                 if position[0, w, j, 0] > farthest:
                     break
                 within = radius[w, i] + radius[w, j] + TOUCH
-                near = alive[w, j] and _near(position, position, w, i, j, within + reach[w, i] + reach[w, j])
+                near = alive[w, j] and _near(
+                    position, position, w, i, j, within + reach[w, i] + reach[w, j]
+                )
                 if near and _meets(position, position, w, i, j, within):
                     found.append((w, min(i, j), max(i, j)))
     return found
@@ -118,7 +137,11 @@ def _place(path, w, i, time):
     held = min(time, path.stop[w, i]) / path.span
     s = min(int(held), path.position.shape[0] - 2)
     share, one, two = held - s, vec3(path.position[s], w, i), vec3(path.position[s + 1], w, i)
-    return one[0] + share * (two[0] - one[0]), one[1] + share * (two[1] - one[1]), one[2] + share * (two[2] - one[2])
+    return (
+        one[0] + share * (two[0] - one[0]),
+        one[1] + share * (two[1] - one[1]),
+        one[2] + share * (two[2] - one[2]),
+    )
 
 
 @func
@@ -153,7 +176,9 @@ def _partners(path, alive, radius, w, i):
     return found
 
 
-def _speed_bound(path: Path, pair: tuple[int, int, int], radius: np.ndarray, begin: float, end: float) -> float:
+def _speed_bound(
+    path: Path, pair: tuple[int, int, int], radius: np.ndarray, begin: float, end: float
+) -> float:
     """Most metres by which the gap between the shapes can shrink between two times: translation plus rotation of each."""
     w, one, two = pair
     s = path.piece(begin)
@@ -161,12 +186,16 @@ def _speed_bound(path: Path, pair: tuple[int, int, int], radius: np.ndarray, beg
     for drone in (one, two):
         if drone >= 0 and begin < path.stop[w, drone]:
             cosine = abs(inner(path.quaternion[s, w, drone], path.quaternion[s + 1, w, drone]))
-            turned = min(2 * np.arccos(min(1.0, cosine)), 2.0)  # no rotation moves a point by more than a diameter
+            turned = min(
+                2 * np.arccos(min(1.0, cosine)), 2.0
+            )  # no rotation moves a point by more than a diameter
             bound += float(turned * radius[w, drone])
     return bound
 
 
-def first_touch(engine: Engine, path: Path, pair: tuple[int, int, int], radius: np.ndarray) -> float:
+def first_touch(
+    engine: Engine, path: Path, pair: tuple[int, int, int], radius: np.ndarray
+) -> float:
     """Time in substeps of the pair's first touch, inf if none. A pair that starts in touch and parts does not count."""
     w, one, two = pair
 
@@ -191,7 +220,11 @@ def first_touch(engine: Engine, path: Path, pair: tuple[int, int, int], radius: 
 
 
 def _in_order(
-    path: Path, pairs: list[tuple[int, int, int]], alive: np.ndarray, radius: np.ndarray, touch: Callable
+    path: Path,
+    pairs: list[tuple[int, int, int]],
+    alive: np.ndarray,
+    radius: np.ndarray,
+    touch: Callable,
 ) -> Iterator[tuple[float, tuple[int, int, int]]]:
     """Touches (time, pair) in order of time, `touch` telling a pair's; after each its drones stop in the path.
 
@@ -215,19 +248,29 @@ def _in_order(
                     times[met] = touch(met)
 
 
-def stop_at_first_touch(engine: Engine, path: Path, swarm: Swarm, alive: np.ndarray, parameters: np.ndarray) -> Contacts:
+def stop_at_first_touch(
+    engine: Engine, path: Path, swarm: Swarm, alive: np.ndarray, parameters: np.ndarray
+) -> Contacts:
     """Stop every drone that touched something where it did, in order of time, and tell the contacts.
 
     The impulse is that of a stop: mass times the speed at the touch.
     """
     radius = parameters["collision_radius"]
-    pairs = _candidates(path.position, path.obstacle, alive, radius, engine.obstacle_radius, engine.city_grid)
+    pairs = _candidates(
+        path.position, path.obstacle, alive, radius, engine.obstacle_radius, engine.city_grid
+    )
     rows: dict[tuple[int, int, int], float] = {}
-    for time, (w, i, j) in _in_order(path, pairs, alive, radius, lambda pair: first_touch(engine, path, pair, radius)):
+    for time, (w, i, j) in _in_order(
+        path, pairs, alive, radius, lambda pair: first_touch(engine, path, pair, radius)
+    ):
         for drone, other in _both_sides(i, j):
             begin = path.piece(time) * path.span
-            speed = length(path.change(w, drone, begin, begin + path.span)) / (path.span * engine.dt)
-            rows[w, drone, other] = float(parameters["mass"][w, drone]) * speed * (time < path.stop[w, drone])
+            speed = length(path.change(w, drone, begin, begin + path.span)) / (
+                path.span * engine.dt
+            )
+            rows[w, drone, other] = (
+                float(parameters["mass"][w, drone]) * speed * (time < path.stop[w, drone])
+            )
     for w, i, _ in rows:
         _, swarm.position[w, i], swarm.quaternion[w, i] = path.pose(w, i, np.inf)
         swarm.velocity[w, i] = swarm.rates[w, i] = 0
@@ -256,12 +299,25 @@ def _crowded(position, moved, alive, radius, city_grid):
     return found
 
 
-def overlaps(engine: Engine, swarm: Swarm, moved: np.ndarray, alive: np.ndarray, parameters: np.ndarray) -> Contacts:
+def overlaps(
+    engine: Engine, swarm: Swarm, moved: np.ndarray, alive: np.ndarray, parameters: np.ndarray
+) -> Contacts:
     """Contacts, without impulse, of what the drones that were `moved` (W, N) touch where they are now."""
     rows: dict[tuple[int, int, int], float] = {}
-    for w, one, two in _crowded(swarm.position, moved, alive, parameters["collision_radius"], engine.city_grid):
-        there = (two, None, None) if two == CITY else (two, swarm.position[w, two], swarm.quaternion[w, two])
-        if engine.separation(w, (one, swarm.position[w, one], swarm.quaternion[w, one]), there, TOUCH) <= TOUCH:
+    for w, one, two in _crowded(
+        swarm.position, moved, alive, parameters["collision_radius"], engine.city_grid
+    ):
+        there = (
+            (two, None, None)
+            if two == CITY
+            else (two, swarm.position[w, two], swarm.quaternion[w, two])
+        )
+        if (
+            engine.separation(
+                w, (one, swarm.position[w, one], swarm.quaternion[w, one]), there, TOUCH
+            )
+            <= TOUCH
+        ):
             rows |= {(w, drone, other): 0.0 for drone, other in _both_sides(one, two)}
     return Contacts.merge(rows)
 
@@ -291,7 +347,10 @@ def suspects(path, alive, parameters, obstacle_radius, city_grid):
     if not _any_fast(path.position, path.obstacle, alive, parameters):
         return False
     radius = parameters.collision_radius
-    return len(_candidates(path.position, path.obstacle, alive, radius, obstacle_radius, city_grid)) > 0
+    return (
+        len(_candidates(path.position, path.obstacle, alive, radius, obstacle_radius, city_grid))
+        > 0
+    )
 
 
 def catch_fast(
@@ -319,13 +378,16 @@ def catch_fast(
         for drone, _ in _both_sides(one, two):
             asked[w, drone] = True
         before, after = (
-            engine.separation(w, path.pose(w, one, time), path.pose(w, two, time), 2 * TOUCH) for time in (0.0, 1.0)
+            engine.separation(w, path.pose(w, one, time), path.pose(w, two, time), 2 * TOUCH)
+            for time in (0.0, 1.0)
         )
         if before > TOUCH:
             return first_touch(engine, path, pair, radius)
         return 0.0 if after < before - far[w, one] else np.inf
 
-    pairs = _candidates(path.position, path.obstacle, alive, radius, engine.obstacle_radius, engine.city_grid)
+    pairs = _candidates(
+        path.position, path.obstacle, alive, radius, engine.obstacle_radius, engine.city_grid
+    )
     caught = [
         (w, drone, other)
         for _, (w, one, two) in _in_order(path, pairs, alive, radius, touch)

@@ -45,9 +45,13 @@ def make_speck(client: int) -> Shape:
     return bullet.createVisualShape(bullet.GEOM_BOX, halfExtents=[1e-3] * 3, physicsClientId=client)
 
 
-def _still(client: int, collision: Shape, group: int, visual: Shape, place: Iterable[float] = (0, 0, 0)) -> Body:
+def _still(
+    client: int, collision: Shape, group: int, visual: Shape, place: Iterable[float] = (0, 0, 0)
+) -> Body:
     """A body that nothing moves."""
-    body = bullet.createMultiBody(0, collision, visual, list(place), useMaximalCoordinates=1, physicsClientId=client)
+    body = bullet.createMultiBody(
+        0, collision, visual, list(place), useMaximalCoordinates=1, physicsClientId=client
+    )
     bullet.setCollisionFilterGroupMask(body, -1, group, MEETS[group], client)
     return body
 
@@ -58,7 +62,9 @@ def make_drone(client: int, airframe: Airframe, place: np.ndarray) -> Body:
     flags |= bullet.URDF_USE_MATERIAL_COLORS_FROM_MTL
     try:
         with silenced():
-            body = bullet.loadURDF(str(airframe.urdf), place.tolist(), flags=flags, physicsClientId=client)
+            body = bullet.loadURDF(
+                str(airframe.urdf), place.tolist(), flags=flags, physicsClientId=client
+            )
     except bullet.error as error:
         raise ValueError(f"{airframe.urdf}: the engine cannot load it: {error}") from None
     # Bullet damps velocities by 4 % a second and clamps them at 100 unless told otherwise; mass and inertia are ours, as
@@ -76,10 +82,14 @@ def make_drone(client: int, airframe: Airframe, place: np.ndarray) -> Body:
     return body
 
 
-def make_obstacles(client: int, obstacle: Obstacle, places: Iterable[Iterable[float]]) -> list[Body]:
+def make_obstacles(
+    client: int, obstacle: Obstacle, places: Iterable[Iterable[float]]
+) -> list[Body]:
     """One obstacle for each world."""
     collision = bullet.createCollisionShape(**_shape(obstacle), physicsClientId=client)
-    visual = bullet.createVisualShape(**_shape(obstacle), rgbaColor=obstacle.colour, physicsClientId=client)
+    visual = bullet.createVisualShape(
+        **_shape(obstacle), rgbaColor=obstacle.colour, physicsClientId=client
+    )
     return [_still(client, collision, SURFACE_GROUP, visual, place) for place in places]
 
 
@@ -113,7 +123,11 @@ def make_city(
 def _sight(client: int, vertices: np.ndarray, triangles: np.ndarray) -> Shape:
     flags, corners = bullet.GEOM_FORCE_CONCAVE_TRIMESH, triangles.ravel().tolist()
     return bullet.createCollisionShape(
-        bullet.GEOM_MESH, vertices=vertices.tolist(), indices=corners, flags=flags, physicsClientId=client
+        bullet.GEOM_MESH,
+        vertices=vertices.tolist(),
+        indices=corners,
+        flags=flags,
+        physicsClientId=client,
     )
 
 
@@ -123,7 +137,11 @@ def _parts(bounds: np.ndarray, apart: float) -> list[np.ndarray]:
     for group in apart_groups(bounds, apart):
         middle = bounds[group].mean(axis=1)
         strips = max(1, round((len(group) / COMPOUND) ** 0.5))
-        strip = np.argsort(np.argsort(middle[:, 0], kind="stable"), kind="stable") * strips // len(group)
+        strip = (
+            np.argsort(np.argsort(middle[:, 0], kind="stable"), kind="stable")
+            * strips
+            // len(group)
+        )
         order = group[np.lexsort((middle[:, 1], strip))]
         parts += np.array_split(order, -(-len(group) // COMPOUND))
     return parts
@@ -142,7 +160,9 @@ def _compound(client: int, solids: Solids, pieces: np.ndarray) -> Shape:
         path = Path(folder, "pieces.obj")
         path.write_text("\n".join(obj_lines(objects)) + "\n")
         with silenced():
-            return bullet.createCollisionShape(bullet.GEOM_MESH, fileName=str(path), physicsClientId=client)
+            return bullet.createCollisionShape(
+                bullet.GEOM_MESH, fileName=str(path), physicsClientId=client
+            )
 
 
 def make_facades(client: int, solids: Solids) -> list[Body]:

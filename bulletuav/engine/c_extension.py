@@ -49,17 +49,27 @@ def load(engine: str) -> Extension:
         return Extension(None, "", f"turned off by {SWITCH}=0")
     spec = importlib.util.find_spec("bulletuav.engine._batch")
     if spec is None or spec.origin is None:
-        return Extension(None, "", "not built: a C compiler and Python's headers are needed when bulletuav is installed")
+        return Extension(
+            None,
+            "",
+            "not built: a C compiler and Python's headers are needed when bulletuav is installed",
+        )
     try:
-        library = ctypes.PyDLL(spec.origin)  # which keeps the interpreter lock: the engine is not made for threads
+        library = ctypes.PyDLL(
+            spec.origin
+        )  # which keeps the interpreter lock: the engine is not made for threads
         for name, (result, arguments) in _SIGNATURES.items():
             function = getattr(library, name)
             function.restype, function.argtypes = result, arguments
     except (OSError, AttributeError) as error:
-        return Extension(None, spec.origin, f"built for something else, install bulletuav again: {error}")
+        return Extension(
+            None, spec.origin, f"built for something else, install bulletuav again: {error}"
+        )
     lacking = library.batch_find(os.fsencode(engine))
     if lacking:
-        return Extension(None, spec.origin, f"{Path(engine).name} does not offer {lacking.decode()}")
+        return Extension(
+            None, spec.origin, f"{Path(engine).name} does not offer {lacking.decode()}"
+        )
     return Extension(library, spec.origin, "")
 
 
@@ -84,7 +94,9 @@ class Port(NamedTuple):
 @kernel
 def surface_below(port, position, mask, surface):
     """`Engine.surface_below`, into `surface`."""
-    who, start, end = columns(position, mask, port.obstacle, port.obstacle_radius, port.city_grid, surface)
+    who, start, end = columns(
+        position, mask, port.obstacle, port.obstacle_radius, port.city_grid, surface
+    )
     if who.shape[0] == 0:
         return
     fraction, left = walk(port.city_grid, start, end, who[:, 0], port.obstacle_radius.size > 0)
@@ -93,7 +105,10 @@ def surface_below(port, position, mask, surface):
         first, last, share = np.empty((count, 3)), np.empty((count, 3)), np.empty(count)
         for k in range(count):
             m = left[k]
-            first[k], last[k] = start[m] + port.offset[who[m, 0], 0], end[m] + port.offset[who[m, 0], 0]
+            first[k], last[k] = (
+                start[m] + port.offset[who[m, 0], 0],
+                end[m] + port.offset[who[m, 0], 0],
+            )
         port.rays(port.session, count, first.ctypes, last.ctypes, VISIBLE, share.ctypes)
         fraction[left] = share
     land(surface, who, start, fraction)
@@ -135,14 +150,25 @@ class CExtension:
         self.functions = self._session, library.batch_substep, library.batch_rays
 
     def read(
-        self, mask: np.ndarray, position: np.ndarray, quaternion: np.ndarray, velocity: np.ndarray, omega: np.ndarray
+        self,
+        mask: np.ndarray,
+        position: np.ndarray,
+        quaternion: np.ndarray,
+        velocity: np.ndarray,
+        omega: np.ndarray,
     ) -> None:
         """As in `Calls`, here and below; one crossing for all bodies."""
-        self._library.batch_read(self._session, _at(mask, bool), *map(_at, (position, quaternion, velocity, omega)))
+        self._library.batch_read(
+            self._session, _at(mask, bool), *map(_at, (position, quaternion, velocity, omega))
+        )
 
-    def apply(self, mask: np.ndarray, position: np.ndarray, force: np.ndarray, torque: np.ndarray) -> None:
+    def apply(
+        self, mask: np.ndarray, position: np.ndarray, force: np.ndarray, torque: np.ndarray
+    ) -> None:
         """As in `Calls`, here and below; one crossing for all bodies."""
-        self._library.batch_apply(self._session, _at(mask, bool), *map(_at, (position, force, torque)))
+        self._library.batch_apply(
+            self._session, _at(mask, bool), *map(_at, (position, force, torque))
+        )
 
     def step(self) -> None:
         """The same command."""
@@ -153,7 +179,9 @@ class CExtension:
         room = 64
         while True:
             bodies, force = np.empty((room, 2), dtype=np.int32), np.empty(room)
-            count = self._library.batch_contacts(self._session, room, _at(bodies, np.int32), _at(force))
+            count = self._library.batch_contacts(
+                self._session, room, _at(bodies, np.int32), _at(force)
+            )
             if count <= room:
                 return bodies[:count], force[:count]
             room = count
@@ -161,16 +189,22 @@ class CExtension:
     def rays(self, start: np.ndarray, end: np.ndarray, groups: int) -> np.ndarray:
         """Straight into an array."""
         fraction = np.empty(len(start))
-        self._library.batch_rays(self._session, len(start), _at(start), _at(end), groups, _at(fraction))
+        self._library.batch_rays(
+            self._session, len(start), _at(start), _at(end), groups, _at(fraction)
+        )
         return fraction
 
     def pose(self, body: np.ndarray, position: np.ndarray, quaternion: np.ndarray) -> None:
         """A command each."""
-        self._library.batch_pose(self._session, len(body), _at(body, np.int32), _at(position), _at(quaternion))
+        self._library.batch_pose(
+            self._session, len(body), _at(body, np.int32), _at(position), _at(quaternion)
+        )
 
     def velocity(self, body: np.ndarray, velocity: np.ndarray, omega: np.ndarray) -> None:
         """A command each."""
-        self._library.batch_velocity(self._session, len(body), _at(body, np.int32), _at(velocity), _at(omega))
+        self._library.batch_velocity(
+            self._session, len(body), _at(body, np.int32), _at(velocity), _at(omega)
+        )
 
     def filter(self, body: np.ndarray, group: int, meets: int) -> None:
         """A command each."""

@@ -30,18 +30,34 @@ class EngineCalls:
         self._client, self._body = client, body.tolist()
 
     def read(
-        self, mask: np.ndarray, position: np.ndarray, quaternion: np.ndarray, velocity: np.ndarray, omega: np.ndarray
+        self,
+        mask: np.ndarray,
+        position: np.ndarray,
+        quaternion: np.ndarray,
+        velocity: np.ndarray,
+        omega: np.ndarray,
     ) -> None:
         """Write pose and velocity, world axes, of the drones of `mask`."""
-        flat = (position.reshape(-1, 3), quaternion.reshape(-1, 4), velocity.reshape(-1, 3), omega.reshape(-1, 3))
+        flat = (
+            position.reshape(-1, 3),
+            quaternion.reshape(-1, 4),
+            velocity.reshape(-1, 3),
+            omega.reshape(-1, 3),
+        )
         for k in np.flatnonzero(mask):
-            flat[0][k], flat[1][k] = bullet.getBasePositionAndOrientation(self._body[k], self._client)
+            flat[0][k], flat[1][k] = bullet.getBasePositionAndOrientation(
+                self._body[k], self._client
+            )
             flat[2][k], flat[3][k] = bullet.getBaseVelocity(self._body[k], self._client)
 
-    def apply(self, mask: np.ndarray, position: np.ndarray, force: np.ndarray, torque: np.ndarray) -> None:
+    def apply(
+        self, mask: np.ndarray, position: np.ndarray, force: np.ndarray, torque: np.ndarray
+    ) -> None:
         """One force (world axes, at `position`) and one torque (body axes) on each drone of `mask`, for the next step."""
         client, body = self._client, self._body
-        places, forces, torques = (array.reshape(-1, 3).tolist() for array in (position, force, torque))
+        places, forces, torques = (
+            array.reshape(-1, 3).tolist() for array in (position, force, torque)
+        )
         for k in np.flatnonzero(mask):
             bullet.applyExternalForce(body[k], -1, forces[k], places[k], bullet.WORLD_FRAME, client)
             bullet.applyExternalTorque(body[k], -1, torques[k], bullet.LINK_FRAME, client)
@@ -54,7 +70,9 @@ class EngineCalls:
         """Bodies (C, 2) and normal forces (C,) of the points at which bodies touch."""
         points = bullet.getContactPoints(physicsClientId=self._client)
         touching = [point for point in points if point[NORMAL_FORCE] > 0 or point[DISTANCE] < 0]
-        bodies = np.array([(point[BODY_A], point[BODY_B]) for point in touching], dtype=np.int32).reshape(-1, 2)
+        bodies = np.array(
+            [(point[BODY_A], point[BODY_B]) for point in touching], dtype=np.int32
+        ).reshape(-1, 2)
         return bodies, np.array([point[NORMAL_FORCE] for point in touching])
 
     def rays(self, start: np.ndarray, end: np.ndarray, groups: int) -> np.ndarray:
@@ -62,7 +80,9 @@ class EngineCalls:
         fraction = np.empty(len(start))
         for first in range(0, len(start), MAX_RAYS):
             part = slice(first, first + MAX_RAYS)
-            hits = bullet.rayTestBatch(start[part], end[part], collisionFilterMask=groups, physicsClientId=self._client)
+            hits = bullet.rayTestBatch(
+                start[part], end[part], collisionFilterMask=groups, physicsClientId=self._client
+            )
             fraction[part] = [hit[2] for hit in hits]
         return fraction
 

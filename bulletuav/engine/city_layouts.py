@@ -26,16 +26,22 @@ class LayoutBodies:
         """`offset` (W, 3) of the tiles, m; `diameter` of the largest drone, m."""
         self.solids, self.city_grid = tuple(solids), make_city_grid(solids, len(offset))
         self._tile = offset
-        self._cellar = [offset - [0, 0, OFFSTAGE_PITCH * (layout + 1)] for layout in range(len(self.solids))]
+        self._cellar = [
+            offset - [0, 0, OFFSTAGE_PITCH * (layout + 1)] for layout in range(len(self.solids))
+        ]
         pairs = [
-            make_city(client, one, diameter + GAP, places) for one, places in zip(self.solids, self._cellar, strict=True)
+            make_city(client, one, diameter + GAP, places)
+            for one, places in zip(self.solids, self._cellar, strict=True)
         ]
         self.body = [
-            np.array([meshes + compounds for meshes, compounds in of_worlds], dtype=np.int32) for of_worlds in pairs
+            np.array([meshes + compounds for meshes, compounds in of_worlds], dtype=np.int32)
+            for of_worlds in pairs
         ]
         self._solid = [[compounds for _, compounds in of_worlds] for of_worlds in pairs]
         self._client = client
-        self._facade: dict[int, list[int]] = {}  # made when a picture first needs them: the engine never frees their meshes
+        self._facade: dict[
+            int, list[int]
+        ] = {}  # made when a picture first needs them: the engine never frees their meshes
 
     def put(self, layout: np.ndarray, worlds: np.ndarray, calls: EngineCalls | CExtension) -> None:
         """Have layout `layout` (W,) stand in each of `worlds` (W,) bool; the others keep theirs."""
@@ -62,5 +68,7 @@ class LayoutBodies:
         if shown != NO_LAYOUT and shown not in self._facade:
             self._facade[shown] = make_facades(self._client, self.solids[shown])
         return [
-            (body, 0.0 if layout == shown else -OFFSTAGE_PITCH) for layout, bodies in self._facade.items() for body in bodies
+            (body, 0.0 if layout == shown else -OFFSTAGE_PITCH)
+            for layout, bodies in self._facade.items()
+            for body in bodies
         ]

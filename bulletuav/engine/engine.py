@@ -76,44 +76,82 @@ class Engine:
         with silenced():
             self._client = bullet.connect(bullet.GUI if live else bullet.DIRECT)
         self._finalizer = weakref.finalize(self, _disconnect, self._client)
-        self.shape, self.dt, self.first_world, self._live = (num_worlds, len(airframes)), dt, first_world, live
-        self._offset = np.array([tile_offset(first_world + k) for k in range(num_worlds)])[:, None, :]
+        self.shape, self.dt, self.first_world, self._live = (
+            (num_worlds, len(airframes)),
+            dt,
+            first_world,
+            live,
+        )
+        self._offset = np.array([tile_offset(first_world + k) for k in range(num_worlds)])[
+            :, None, :
+        ]
         self._configure(dt, live)
         self._floor, self._ground = make_floor(self._client), make_ground(self._client)
         self._parking = self._offset + [
-            (PARKING_PITCH * (i % PARKING_COLUMNS), PARKING_PITCH * (i // PARKING_COLUMNS), PARKING_HEIGHT)
+            (
+                PARKING_PITCH * (i % PARKING_COLUMNS),
+                PARKING_PITCH * (i // PARKING_COLUMNS),
+                PARKING_HEIGHT,
+            )
             for i in range(len(airframes))
         ]
         self._body = np.array(
             [
-                [make_drone(self._client, airframe, self._parking[w, i]) for i, airframe in enumerate(airframes)]
+                [
+                    make_drone(self._client, airframe, self._parking[w, i])
+                    for i, airframe in enumerate(airframes)
+                ]
                 for w in range(num_worlds)
             ],
             dtype=np.int32,
         )
         self.obstacle_radius = np.array([obstacle.radius for obstacle in obstacles])
         below = [(0, 0, -PARKING_HEIGHT)] * num_worlds
-        self._obstacle = np.array([make_obstacles(self._client, one, below) for one in obstacles], dtype=np.int32)
+        self._obstacle = np.array(
+            [make_obstacles(self._client, one, below) for one in obstacles], dtype=np.int32
+        )
         self._obstacle = self._obstacle.reshape(len(obstacles), num_worlds).T.copy()
         self._obstacle_place = np.full((*self._obstacle.shape, 3), -PARKING_HEIGHT)
         shapes = [airframe.shape for airframe in airframes]
-        self._shapes = np.array([shape.kind for shape in shapes]), np.array([shape.half for shape in shapes])
+        self._shapes = (
+            np.array([shape.kind for shape in shapes]),
+            np.array([shape.half for shape in shapes]),
+        )
         diameter = 2 * max(airframe.collision_radius for airframe in airframes)
         self._layout_bodies = LayoutBodies(self._client, layouts, self._offset[:, 0], diameter)
-        self._drone_of_body = {body: divmod(k, len(airframes)) for k, body in enumerate(self._body.ravel().tolist())}
-        self._label = np.full(bullet.getNumBodies(self._client) + 2, BUILDING, dtype=np.uint8)  # and of bodies made later
-        for bodies, label in ((self._body, DRONE), (self._obstacle, OBSTACLE), (self._floor, LAND), (-1, SKY)):
+        self._drone_of_body = {
+            body: divmod(k, len(airframes)) for k, body in enumerate(self._body.ravel().tolist())
+        }
+        self._label = np.full(
+            bullet.getNumBodies(self._client) + 2, BUILDING, dtype=np.uint8
+        )  # and of bodies made later
+        for bodies, label in (
+            (self._body, DRONE),
+            (self._obstacle, OBSTACLE),
+            (self._floor, LAND),
+            (-1, SKY),
+        ):
             self._label[bodies] = label
-        self._meaning = {body: FIRST_OBSTACLE - k for row in self._obstacle.tolist() for k, body in enumerate(row)}
-        self._meaning |= {body: CITY for bodies in self._layout_bodies.body for body in bodies.ravel().tolist()}
-        self._place = np.zeros((*self.shape, 3))  # positions as the engine gave them, for forces at the centre
+        self._meaning = {
+            body: FIRST_OBSTACLE - k
+            for row in self._obstacle.tolist()
+            for k, body in enumerate(row)
+        }
+        self._meaning |= {
+            body: CITY for bodies in self._layout_bodies.body for body in bodies.ravel().tolist()
+        }
+        self._place = np.zeros(
+            (*self.shape, 3)
+        )  # positions as the engine gave them, for forces at the centre
         self._omega = np.zeros((*self.shape, 3))
         self._calls = self._make_calls(live)
         self.park(np.ones(self.shape, dtype=bool))
 
     def _make_calls(self, live: bool) -> EngineCalls | CExtension:
         plain = EngineCalls(self._client, self._body.ravel())
-        if live or EXTENSION.library is None:  # the engine of a live view runs in a thread of its own
+        if (
+            live or EXTENSION.library is None
+        ):  # the engine of a live view runs in a thread of its own
             return plain
         with silenced():
             plugin = bullet.loadPlugin(EXTENSION.path, POSTFIX, physicsClientId=self._client)
@@ -122,7 +160,10 @@ class Engine:
                 raise RuntimeError("the engine refused the plugin")
             return CExtension(EXTENSION.library, self._body.ravel())
         except RuntimeError as error:
-            warnings.warn(f"{error}: bulletuav flies without its extension, slower; see `bulletuav doctor`", stacklevel=3)
+            warnings.warn(
+                f"{error}: bulletuav flies without its extension, slower; see `bulletuav doctor`",
+                stacklevel=3,
+            )
             return plain
 
     @property
@@ -150,7 +191,9 @@ class Engine:
             solverResidualThreshold=0,
             physicsClientId=self._client,
         )
-        bullet.setGravity(0, 0, 0, physicsClientId=self._client)  # weight is part of each drone's wrench
+        bullet.setGravity(
+            0, 0, 0, physicsClientId=self._client
+        )  # weight is part of each drone's wrench
         if live:
             bullet.configureDebugVisualizer(bullet.COV_ENABLE_GUI, 0, physicsClientId=self._client)
 
@@ -163,19 +206,25 @@ class Engine:
     def _show_city(self, world: int) -> None:
         """Have the floor and the right facade stand where pictures of a world are taken."""
         for body, height in [(self._floor, -FLOOR / 2), *self._layout_bodies.facades(world)]:
-            bullet.resetBasePositionAndOrientation(body, self._offset[world, 0] + [0, 0, height], [0, 0, 0, 1], self._client)
+            bullet.resetBasePositionAndOrientation(
+                body, self._offset[world, 0] + [0, 0, height], [0, 0, 0, 1], self._client
+            )
 
     @property
     def city_grid(self) -> CityGrid:
         """Where the pieces of the layouts are, and which layout stands in each world."""
         return self._layout_bodies.city_grid
 
-    def set_obstacles(self, position: np.ndarray, quaternion: np.ndarray, worlds: np.ndarray) -> None:
+    def set_obstacles(
+        self, position: np.ndarray, quaternion: np.ndarray, worlds: np.ndarray
+    ) -> None:
         """Put the obstacles of `worlds` (W,) at position (W, K, 3) with quaternion (W, K, 4)."""
         if self.obstacle_radius.size:
             self._obstacle_place[worlds] = position[worlds]
             place = (position + self._offset)[worlds].reshape(-1, 3)
-            self._calls.pose(self._obstacle[worlds].ravel(), place, quaternion[worlds].reshape(-1, 4))
+            self._calls.pose(
+                self._obstacle[worlds].ravel(), place, quaternion[worlds].reshape(-1, 4)
+            )
 
     def set_states(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Put the drones of `mask` (W, N) where `swarm` says, with its velocities, free of anything from their past."""
@@ -191,12 +240,18 @@ class Engine:
 
     def set_masses(self, world: int, mass: np.ndarray, inertia: np.ndarray) -> None:
         """Give the drones of one world mass (N,) kg and principal moments of inertia (N, 3) kg m^2."""
-        for body, m, moments in zip(self._body[world].tolist(), mass.tolist(), inertia.tolist(), strict=True):
-            bullet.changeDynamics(body, -1, mass=m, localInertiaDiagonal=moments, physicsClientId=self._client)
+        for body, m, moments in zip(
+            self._body[world].tolist(), mass.tolist(), inertia.tolist(), strict=True
+        ):
+            bullet.changeDynamics(
+                body, -1, mass=m, localInertiaDiagonal=moments, physicsClientId=self._client
+            )
 
     def set_poses(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Show the drones of `mask` (W, N) where `swarm` says, without touching velocities or contacts."""
-        self._calls.pose(self._body[mask], (swarm.position + self._offset)[mask], swarm.quaternion[mask])
+        self._calls.pose(
+            self._body[mask], (swarm.position + self._offset)[mask], swarm.quaternion[mask]
+        )
 
     def park(self, mask: np.ndarray) -> None:
         """Take the drones of `mask` (W, N) out of the airspace, to rest where nothing touches or sees them."""
@@ -251,7 +306,11 @@ class Engine:
         return self._meaning.get(body, GROUND)
 
     def cast_rays(
-        self, start: np.ndarray, end: np.ndarray, world: np.ndarray, drones: tuple[Swarm, np.ndarray] | None = None
+        self,
+        start: np.ndarray,
+        end: np.ndarray,
+        world: np.ndarray,
+        drones: tuple[Swarm, np.ndarray] | None = None,
     ) -> np.ndarray:
         """(M,) fraction of each ray from `start` to `end` (M, 3) in world `world` (M,) before it meets something; 1 if not.
 
@@ -271,7 +330,9 @@ class Engine:
     def surface_below(self, position: np.ndarray, mask: np.ndarray) -> np.ndarray:
         """(W, N) height z of the surface under each drone of `mask`, m; -inf outside `mask`."""
         surface = np.empty(self.shape)
-        who, start, end = columns(position, mask, self._obstacle_place, self.obstacle_radius, self.city_grid, surface)
+        who, start, end = columns(
+            position, mask, self._obstacle_place, self.obstacle_radius, self.city_grid, surface
+        )
         if len(who):
             land(surface, who, start, self.cast_rays(start, end, who[:, 0]))
         return surface
@@ -292,7 +353,9 @@ class Engine:
             default=np.inf,
         )
 
-    def _bodies_at(self, world: int, who: int, position: np.ndarray | None, quaternion: np.ndarray | None) -> list[int]:
+    def _bodies_at(
+        self, world: int, who: int, position: np.ndarray | None, quaternion: np.ndarray | None
+    ) -> list[int]:
         """The bodies of someone in a world, put there."""
         if who == GROUND:
             return [self._ground]
@@ -300,10 +363,14 @@ class Engine:
             return self._layout_bodies.solid_bodies(world)
         body = self._body[world, who] if who >= 0 else self._obstacle[world, FIRST_OBSTACLE - who]
         if position is not None:
-            bullet.resetBasePositionAndOrientation(body, position + self._offset[world, 0], quaternion, self._client)
+            bullet.resetBasePositionAndOrientation(
+                body, position + self._offset[world, 0], quaternion, self._client
+            )
         return [body]
 
-    def picture(self, world: int, view: np.ndarray, projection: np.ndarray, size: tuple[int, int]) -> Picture:
+    def picture(
+        self, world: int, view: np.ndarray, projection: np.ndarray, size: tuple[int, int]
+    ) -> Picture:
         """What a camera given by matrices (see `view`) in the world's own frame sees; needs no screen."""
         self._show_city(world)
         shift = np.eye(4)
@@ -321,7 +388,9 @@ class Engine:
         )
         bodies = np.asarray(bodies).reshape(height, width)
         pixels = np.asarray(pixels, dtype=np.uint8).reshape(height, width, 4)[..., :3].copy()
-        depth = metres(np.asarray(buffer, dtype=np.float64).reshape(height, width)).astype(np.float32)
+        depth = metres(np.asarray(buffer, dtype=np.float64).reshape(height, width)).astype(
+            np.float32
+        )
         return Picture(pixels, depth, self._label[np.minimum(bodies, len(self._label) - 2)])
 
     def look_at(self, world: int, target: np.ndarray, distance: float) -> None:
@@ -331,7 +400,9 @@ class Engine:
 
     def close(self) -> None:
         """Free the engine; a second call does nothing."""
-        self._calls = EngineCalls(self._client, self._body.ravel())  # which the engine's own errors guard from here on
+        self._calls = EngineCalls(
+            self._client, self._body.ravel()
+        )  # which the engine's own errors guard from here on
         self._finalizer()
 
     @property

@@ -10,8 +10,12 @@ from collections.abc import Iterator
 _ALONE = threading.RLock()
 """Held by the thread that has turned the process's output away: two at once would lose it for good"""
 
-if hasattr(os, "register_at_fork"):  # a child made meanwhile would stay without output, and with a lock that nobody opens
-    os.register_at_fork(before=_ALONE.acquire, after_in_parent=_ALONE.release, after_in_child=_ALONE.release)
+if hasattr(
+    os, "register_at_fork"
+):  # a child made meanwhile would stay without output, and with a lock that nobody opens
+    os.register_at_fork(
+        before=_ALONE.acquire, after_in_parent=_ALONE.release, after_in_child=_ALONE.release
+    )
 
 
 @contextlib.contextmanager
@@ -22,7 +26,9 @@ def silenced() -> Iterator[None]:
     """
     with _ALONE:
         for stream in (sys.stdout, sys.stderr):
-            with contextlib.suppress(AttributeError, ValueError, OSError):  # None without a console; closed; gone
+            with contextlib.suppress(
+                AttributeError, ValueError, OSError
+            ):  # None without a console; closed; gone
                 stream.flush()
         saved = {}
         for stream in (1, 2):

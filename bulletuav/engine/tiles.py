@@ -79,7 +79,9 @@ def within_tile(start, end):
         for k in range(2):
             change = end[m, k] - start[m, k]
             if abs(end[m, k]) > half:
-                share[m] = max(0.0, min(share[m], (math.copysign(half, change) - start[m, k]) / change))
+                share[m] = max(
+                    0.0, min(share[m], (math.copysign(half, change) - start[m, k]) / change)
+                )
         if share[m] < 1.0:
             for k in range(3):
                 last[m, k] = start[m, k] + share[m] * (end[m, k] - start[m, k])

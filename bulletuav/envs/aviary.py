@@ -47,32 +47,50 @@ class Aviary(Environment):
     generators, None before their first reset.
     """
 
-    def __init__(self, task: TaskSource, num_worlds: int = 1, *, first_world: int = 0, **options: Any):
+    def __init__(
+        self, task: TaskSource, num_worlds: int = 1, *, first_world: int = 0, **options: Any
+    ):
         """Build the worlds; see `Options` and the task's config. Raises ValueError for options that cannot be.
 
         `first_world`: number of the first of these worlds among those of several processes; world k is then the one that
         it would be in a single process.
         """
         self._plan = plan = EnvSpec(task, num_worlds, options)
-        self.options, self.task, self.action, self.observer = plan.options, plan.task, plan.action, plan.observer
+        self.options, self.task, self.action, self.observer = (
+            plan.options,
+            plan.task,
+            plan.action,
+            plan.observer,
+        )
         self.state_observer = plan.state_observer
         shape = self.num_worlds, self.num_drones = plan.num_worlds, self.options.num_drones
         live = self.options.render_mode == "human"
-        dt, self._first_world = 1 / self.options.physics_hz, as_int("first_world", first_world, 0, MOST_WORLDS)
+        dt, self._first_world = (
+            1 / self.options.physics_hz,
+            as_int("first_world", first_world, 0, MOST_WORLDS),
+        )
         obstacles, layouts = self.task.obstacles(), self.task.layouts()
-        self._engine = Engine(self.options.airframe, self.num_worlds, dt, obstacles, layouts, first_world, live)
+        self._engine = Engine(
+            self.options.airframe, self.num_worlds, dt, obstacles, layouts, first_world, live
+        )
         self._dynamics, self._cascade = self._make_dynamics()
         self.options.check_setpoint_levels(self.action.level, self._dynamics.consumes)
         self._camera = Camera(self._engine, self.options.render_size)
-        self.swarm = Swarm.zeros(*shape, max(len(airframe.rotors) for airframe in self.options.airframe))
+        self.swarm = Swarm.zeros(
+            *shape, max(len(airframe.rotors) for airframe in self.options.airframe)
+        )
         self.scene = Scene.empty(*shape, len(obstacles), self.task.memory())
         self.commanded = np.zeros((*shape, 3))
         self.alive = np.zeros(shape, dtype=bool)
         self.steps = np.zeros(self.num_worlds, dtype=np.int64)
-        self._wind = Wind(self.options.wind, self.options.wind20, shape, 1 / self.options.decision_hz)
+        self._wind = Wind(
+            self.options.wind, self.options.wind20, shape, 1 / self.options.decision_hz
+        )
         self._uncertainty = self._make_uncertainty()
         drawn = {} if self._uncertainty is None else self._uncertainty.drawn
-        self._senses = SensorSuite(plan.wanted, self.task, self.options, self._engine, self._dynamics, drawn)
+        self._senses = SensorSuite(
+            plan.wanted, self.task, self.options, self._engine, self._dynamics, drawn
+        )
         self._energy = Energy(self.options, self.parameters)
         self.rng: list[np.random.Generator | None] = [None] * self.num_worlds
         self._frame: Frame | None = None
@@ -86,17 +104,23 @@ class Aviary(Environment):
         cascade = Cascade.of(options.controller, nominal, gains)
         substeps = options.physics_hz // options.decision_hz
         self.parameters = actual
-        flight = Flight(self._engine, actual, cascade, 1 / options.physics_hz, substeps, options.gravity)
+        flight = Flight(
+            self._engine, actual, cascade, 1 / options.physics_hz, substeps, options.gravity
+        )
         return LADDER[options.dynamics](flight), cascade
 
     def _make_uncertainty(self) -> Uncertainty | None:
         if not self.options.randomization.active:
             return None
         period = 1 / self.options.decision_hz
-        return Uncertainty(self.options.randomization, self._engine, self.parameters, self._wind, period)
+        return Uncertainty(
+            self.options.randomization, self._engine, self.parameters, self._wind, period
+        )
 
     @exclusive
-    def reset(self, mask: np.ndarray | None = None, seeds: int | Sequence[int] | None = None) -> Observation:
+    def reset(
+        self, mask: np.ndarray | None = None, seeds: int | Sequence[int] | None = None
+    ) -> Observation:
         """Start new episodes in the worlds of `mask` (W,), all by default; returns observations (W, N, D) float32.
 
         `seeds`: an int s gives world k the seed s + k; a sequence gives each of the W worlds its own; None goes on with each
@@ -107,7 +131,13 @@ class Aviary(Environment):
         generators = self._generators(worlds, self._plan.seeds(seeds))
         spawns = [self.task.spawn(rng) for rng in generators]
         for spawn in spawns:  # all before anything of the worlds is written
-            check_spawn(self.task, spawn, self.options.airframe, self.scene.obstacle.shape[1], self.scene.memory)
+            check_spawn(
+                self.task,
+                spawn,
+                self.options.airframe,
+                self.scene.obstacle.shape[1],
+                self.scene.memory,
+            )
         for k, rng, spawn in zip(worlds, generators, spawns, strict=True):
             self.rng[k] = rng
             self._place(int(k), spawn)
@@ -120,7 +150,9 @@ class Aviary(Environment):
         chosen[worlds] = True
         self._dynamics.place(self.swarm, chosen)
         self._engine.set_layouts(self.scene.layout, np.any(chosen, axis=1))
-        self._engine.set_obstacles(self.scene.obstacle, self.scene.obstacle_quaternion, np.any(chosen, axis=1))
+        self._engine.set_obstacles(
+            self.scene.obstacle, self.scene.obstacle_quaternion, np.any(chosen, axis=1)
+        )
         now = self.swarm.copy()
         self._senses.take(now, now, self.scene, chosen, self.steps, self.rng)
         action = np.zeros((*self.alive.shape, self.action.low.shape[-1]))
@@ -128,7 +160,9 @@ class Aviary(Environment):
         if self._frame is not None:  # of the worlds that fly on
             action = np.where(chosen[..., None], action, self._frame.action)
             flown = chosen | self._frame.alive
-        frame = self._make_frame(now, now, action, Contacts.merge({}), flown, self.scene.goal.copy())
+        frame = self._make_frame(
+            now, now, action, Contacts.merge({}), flown, self.scene.goal.copy()
+        )
         if not self._judged:  # once: later verdicts are of the same form
             check_step_result(self.task, self.task.evaluate_step(frame), flown.shape)
             self._judged = True
@@ -139,16 +173,24 @@ class Aviary(Environment):
         if seeds is not None:
             return [np.random.default_rng(seeds[k]) for k in worlds]
         first = None if self.options.seed is None else self.options.seed + self._first_world
-        return [self.rng[k] or np.random.default_rng(None if first is None else first + int(k)) for k in worlds]
+        return [
+            self.rng[k] or np.random.default_rng(None if first is None else first + int(k))
+            for k in worlds
+        ]
 
     def _place(self, k: int, spawn: Spawn) -> None:
         for array, value in zip(self.swarm, spawn[:4], strict=False):
             array[k] = value
         for i, airframe in enumerate(self.options.airframe):
-            self.swarm.rotor_speed[k, i, : len(airframe.rotors)] = airframe.hover_speed(self.options.gravity)
+            self.swarm.rotor_speed[k, i, : len(airframe.rotors)] = airframe.hover_speed(
+                self.options.gravity
+            )
         self.scene.start[k], self.scene.goal[k] = spawn.position, spawn.goal
         self.scene.goal_velocity[k] = spawn.goal_velocity
-        self.scene.obstacle[k], self.scene.obstacle_velocity[k] = spawn.obstacle, spawn.obstacle_velocity
+        self.scene.obstacle[k], self.scene.obstacle_velocity[k] = (
+            spawn.obstacle,
+            spawn.obstacle_velocity,
+        )
         self.scene.layout[k] = spawn.layout
         for name, remembered in self.scene.memory.items():
             remembered[k] = spawn.memory.get(name, 0)
@@ -158,7 +200,13 @@ class Aviary(Environment):
         self.steps[k] = 0
 
     def _make_frame(
-        self, before: Swarm, after: Swarm, action: np.ndarray, contacts: Contacts, flown: np.ndarray, goal_before: np.ndarray
+        self,
+        before: Swarm,
+        after: Swarm,
+        action: np.ndarray,
+        contacts: Contacts,
+        flown: np.ndarray,
+        goal_before: np.ndarray,
     ) -> Frame:
         readings = {**self._energy.readings(), **self._senses.readings()}
         if self._uncertainty is not None:
@@ -206,7 +254,9 @@ class Aviary(Environment):
             self._camera.show(self.swarm, self.alive, 1 / self.options.decision_hz)
         reward = functools.reduce(np.add, weighted.values(), np.zeros(flown.shape))
         require_finite(self.task, weighted, reward)
-        return Step(observations, reward, terminated, truncated, self._info(frame, weighted, result.success))
+        return Step(
+            observations, reward, terminated, truncated, self._info(frame, weighted, result.success)
+        )
 
     def _fly(self, action: np.ndarray, flown: np.ndarray) -> Frame:
         """One decision of the drones of `flown` (W, N)."""
@@ -223,10 +273,19 @@ class Aviary(Environment):
         if motion.moving:
             self._engine.set_obstacles(self.scene.obstacle, self.scene.obstacle_quaternion, flying)
         if self.task.rebound is not None:
-            moved = confine(self.swarm, self.commanded, flown, self.task.arena_low, self.task.arena_high, self.task.rebound)
+            moved = confine(
+                self.swarm,
+                self.commanded,
+                flown,
+                self.task.arena_low,
+                self.task.arena_high,
+                self.task.rebound,
+            )
             if moved.any():
                 self._dynamics.place(self.swarm, moved)
-                contacts = contacts.joined(overlaps(self._engine, self.swarm, moved, flown, self.parameters))
+                contacts = contacts.joined(
+                    overlaps(self._engine, self.swarm, moved, flown, self.parameters)
+                )
         self.steps += flying
         if self._uncertainty is not None:
             self._uncertainty.sense(self.swarm, flown, self.rng)
@@ -243,7 +302,9 @@ class Aviary(Environment):
         after = self.scene.obstacle.copy() if moved else before
         return Motion(before, after, self.scene.obstacle_quaternion)
 
-    def _info(self, frame: Frame, weighted: dict[str, np.ndarray], success: np.ndarray) -> dict[str, np.ndarray]:
+    def _info(
+        self, frame: Frame, weighted: dict[str, np.ndarray], success: np.ndarray
+    ) -> dict[str, np.ndarray]:
         info = {f"reward/{name}": term for name, term in weighted.items()}
         info["success"] = success & frame.alive
         info["collision"] = frame.collision
@@ -253,13 +314,17 @@ class Aviary(Environment):
         info |= {name: frame.readings[name] for name in ("power", "charge")} | self.task.info(frame)
         if self._uncertainty is not None:
             info |= self._uncertainty.info()
-        return {name: np.array(value) for name, value in info.items()}  # whose callers may write into them
+        return {
+            name: np.array(value) for name, value in info.items()
+        }  # whose callers may write into them
 
     @exclusive
     def first_info(self) -> dict[str, np.ndarray]:
         """Info right after a reset: the keys of every step's info, terms at zero."""
         result = self.task.evaluate_step(self._current())
-        return self._info(self._current(), dict.fromkeys(result.terms, np.zeros(self.alive.shape)), result.success)
+        return self._info(
+            self._current(), dict.fromkeys(result.terms, np.zeros(self.alive.shape)), result.success
+        )
 
     def _current(self) -> Frame:
         if self._frame is None:
@@ -289,20 +354,26 @@ class Aviary(Environment):
         self._plan.require_world(world)
         flown = self._current().alive
         self._dynamics.show(self.swarm, self.alive)
-        self._engine.set_poses(self.swarm, flown & ~self.alive)  # those that just ended are still to be seen
+        self._engine.set_poses(
+            self.swarm, flown & ~self.alive
+        )  # those that just ended are still to be seen
         picture = self._camera.picture(world, self.swarm, self.scene.goal[world], flown)
         self._engine.park(flown & ~self.alive)
         return picture
 
     @exclusive
-    def line_of_sight(self, start: np.ndarray, end: np.ndarray, world: np.ndarray | int = 0) -> np.ndarray:
+    def line_of_sight(
+        self, start: np.ndarray, end: np.ndarray, world: np.ndarray | int = 0
+    ) -> np.ndarray:
         """(M,) bool: nothing but drones is between points `start` and `end` (M, 3), m, in worlds `world`, one or (M,).
 
         Raises ValueError for points that are not finite, or a world that there is not.
         """
         self.require_started()
         start, end = np.broadcast_arrays(points_of("start", start), points_of("end", end))
-        return line_of_sight(self._engine, start, end, np.broadcast_to(self._plan.worlds(world), len(start)))
+        return line_of_sight(
+            self._engine, start, end, np.broadcast_to(self._plan.worlds(world), len(start))
+        )
 
     @property
     def sight(self) -> np.ndarray:

@@ -28,10 +28,15 @@ class Curriculum:
 
     def __init__(self, count: int, up: float = 0.8, down: float = 0.2, window: int = 20):
         """Raises ValueError for rates or a window that cannot be."""
-        self.count, self.window = as_int("stages", count, 1, MOST_STAGES), as_int("window", window, 1, MOST_WINDOW)
+        self.count, self.window = (
+            as_int("stages", count, 1, MOST_STAGES),
+            as_int("window", window, 1, MOST_WINDOW),
+        )
         self.up, self.down = finite("up", up), finite("down", down)
         if not 0 <= self.down < self.up <= 1:
-            raise ValueError(f"down {self.down:g} and up {self.up:g}: 0 <= down < up <= 1 is needed")
+            raise ValueError(
+                f"down {self.down:g} and up {self.up:g}: 0 <= down < up <= 1 is needed"
+            )
         self.stage = 0
         self._recent: deque[float] = deque(maxlen=self.window)
 
@@ -46,7 +51,9 @@ class Curriculum:
         if len(self._recent) < self.window:
             return
         rate = self.success_rate
-        step = int(rate >= self.up and self.stage + 1 < self.count) - int(rate < self.down and self.stage > 0)
+        step = int(rate >= self.up and self.stage + 1 < self.count) - int(
+            rate < self.down and self.stage > 0
+        )
         if step:
             self.stage += step
             self._recent.clear()
@@ -68,7 +75,13 @@ class CurriculumAviary(Environment, ParallelEnv):
     as the widest stage's, states are padded with zeros. An episode's success is the share of its drones that succeeded.
     """
 
-    def __init__(self, task: TaskSource, stages: Sequence[Mapping[str, Any]], curriculum: Curriculum, **options: Any):
+    def __init__(
+        self,
+        task: TaskSource,
+        stages: Sequence[Mapping[str, Any]],
+        curriculum: Curriculum,
+        **options: Any,
+    ):
         """`stages`: options of each, easiest first, beside the common ones. Raises ValueError where their spaces differ."""
         self._task, self.curriculum = task, curriculum
         self._options = [{**options, **stage} for stage in stages]
@@ -80,9 +93,13 @@ class CurriculumAviary(Environment, ParallelEnv):
         self.agents: list[str] = []
         self.observation_spaces = dict.fromkeys(self.possible_agents, self.observation)
         self.action_spaces = {
-            agent: drone_action_space(self._widest.action, i) for i, agent in enumerate(self.possible_agents)
+            agent: drone_action_space(self._widest.action, i)
+            for i, agent in enumerate(self.possible_agents)
         }
-        self.metadata = {"name": f"bulletuav_{plans[0].task.name}_curriculum_v0", "render_modes": ["rgb_array", "human"]}
+        self.metadata = {
+            "name": f"bulletuav_{plans[0].task.name}_curriculum_v0",
+            "render_modes": ["rgb_array", "human"],
+        }
         self._made: dict[int, ParallelAviary] = {}
         self._successes: dict[str, float] = {}
         self._rng = np.random.default_rng(plans[0].options.seed)
@@ -136,7 +153,9 @@ class CurriculumAviary(Environment, ParallelEnv):
         return observations, rewards, terminated, truncated, self._with_level(infos)
 
     def _with_level(self, infos: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
-        return {agent: {**info, "stage": float(self.curriculum.stage)} for agent, info in infos.items()}
+        return {
+            agent: {**info, "stage": float(self.curriculum.stage)} for agent, info in infos.items()
+        }
 
     def state(self) -> np.ndarray:
         """Global state as `ParallelAviary.state`, with zeros for drones that the stage has not."""
@@ -168,8 +187,13 @@ def common_observation(plans: Sequence[EnvSpec]) -> Space:
             f"depend on the number of drones, such as 'neighbours' instead of 'all_neighbours' and 'identity'"
         )
     if len({plan.action.name for plan in plans}) > 1:
-        raise ValueError(f"the stages' actions are {[plan.action.name for plan in plans]}: one kind for all is needed")
-    return Box(np.min([plan.observer.low for plan in plans], axis=0), np.max([plan.observer.high for plan in plans], axis=0))
+        raise ValueError(
+            f"the stages' actions are {[plan.action.name for plan in plans]}: one kind for all is needed"
+        )
+    return Box(
+        np.min([plan.observer.low for plan in plans], axis=0),
+        np.max([plan.observer.high for plan in plans], axis=0),
+    )
 
 
 def check_stages(stages: Any) -> None:

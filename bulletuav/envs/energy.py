@@ -22,8 +22,12 @@ class Energy:
         self.power = np.zeros(parameters.shape)
         self._battery = Battery(parameters.shape, options.battery_capacity or math.inf)
         self._parameters, self._period = parameters, 1 / options.decision_hz
-        rotary_wing = options.energy == "zeng" and options.gravity > 0  # which knows power by the weight that it carries
-        wings = [airframe_wing(airframe, options.gravity) for airframe in options.airframe if rotary_wing]
+        rotary_wing = (
+            options.energy == "zeng" and options.gravity > 0
+        )  # which knows power by the weight that it carries
+        wings = [
+            airframe_wing(airframe, options.gravity) for airframe in options.airframe if rotary_wing
+        ]
         self._wings = np.array([wings] * len(parameters), dtype=ROTARY_WING) if wings else None
 
     def start(self, k: int) -> None:
@@ -31,7 +35,14 @@ class Energy:
         self._battery.start(k)
         self.power[k] = 0
 
-    def spend(self, before: Swarm, after: Swarm, wind: np.ndarray, payload: np.ndarray | float, flown: np.ndarray) -> None:
+    def spend(
+        self,
+        before: Swarm,
+        after: Swarm,
+        wind: np.ndarray,
+        payload: np.ndarray | float,
+        flown: np.ndarray,
+    ) -> None:
         """Take from the drones of `flown` (W, N) what a decision from `before` to `after` in `wind` (W, N, 3) m/s cost.
 
         `payload`: what their equipment takes beside flight, W.

@@ -39,10 +39,14 @@ class EnvSpec:
         self.task = _make_task(kind, config, self.options)
         self.action = _make_action(self.options, self.task)
         names, camera = self.options.observation or kind.observation, self.options.camera_size
-        self.observer = ObservationBuilder(names, self.task, self.action, camera, self.options.normalise)
+        self.observer = ObservationBuilder(
+            names, self.task, self.action, camera, self.options.normalise
+        )
         self.state_observer = ObservationBuilder(STATE, self.task, self.action)
         for name in kind.senses:
-            choose(f"reading among the senses of task {self.task.name!r}:", name, dict.fromkeys(NAMES))
+            choose(
+                f"reading among the senses of task {self.task.name!r}:", name, dict.fromkeys(NAMES)
+            )
         self.wanted = {*names, *kind.senses}
         self._require_memory(self._world_bytes())
 
@@ -50,7 +54,9 @@ class EnvSpec:
         """Raise ValueError where the worlds do not fit into the machine, at `each` bytes."""
         drones = self.options.num_drones
         what = f"{self.num_worlds} worlds of {drones} drones (num_worlds, num_drones) with what they observe"
-        require_memory(what, self.num_worlds * each, "lower num_worlds, num_drones, or what is observed")
+        require_memory(
+            what, self.num_worlds * each, "lower num_worlds, num_drones, or what is observed"
+        )
 
     def _world_bytes(self) -> float:
         """About what a world takes: bodies of drones, obstacles and cities, and what is kept of each drone at once.
@@ -58,10 +64,21 @@ class EnvSpec:
         That is what it observes, its pictures, the others, targets, and the task's memory.
         """
         pictures = math.prod(self.options.camera_size) if self.wanted.intersection(IMAGES) else 0
-        memory = sum(math.prod(shape) for shape in self.task.memory().values()) // self.options.num_drones
+        memory = (
+            sum(math.prod(shape) for shape in self.task.memory().values())
+            // self.options.num_drones
+        )
         others = self.options.num_drones if {"neighbours", "all_neighbours"} & self.wanted else 0
-        numbers = 2 * self.observer.low.size + 2 * pictures + 3 * others + 2 * self.task.num_targets + memory
-        things = OBSTACLE_BYTES * len(self.task.obstacles()) + LAYOUT_BYTES * len(self.task.layouts())
+        numbers = (
+            2 * self.observer.low.size
+            + 2 * pictures
+            + 3 * others
+            + 2 * self.task.num_targets
+            + memory
+        )
+        things = OBSTACLE_BYTES * len(self.task.obstacles()) + LAYOUT_BYTES * len(
+            self.task.layouts()
+        )
         return (BODY_BYTES + NUMBER_BYTES * numbers) * self.options.num_drones + things
 
     def mask(self, mask: np.ndarray | None) -> np.ndarray:
@@ -71,14 +88,22 @@ class EnvSpec:
         try:
             mask = np.asarray(mask)
         except ValueError:
-            raise ValueError(f"mask is {shown(mask)}: ({self.num_worlds},) bool is needed") from None
+            raise ValueError(
+                f"mask is {shown(mask)}: ({self.num_worlds},) bool is needed"
+            ) from None
         if mask.shape != (self.num_worlds,) or mask.dtype != bool:
-            raise ValueError(f"mask has shape {mask.shape} and type {mask.dtype}: ({self.num_worlds},) bool is needed")
+            raise ValueError(
+                f"mask has shape {mask.shape} and type {mask.dtype}: ({self.num_worlds},) bool is needed"
+            )
         return mask
 
     def require_world(self, world: Any) -> None:
         """Raise ValueError unless there is a world of that number."""
-        if not isinstance(world, int | np.integer) or isinstance(world, bool) or not 0 <= world < self.num_worlds:
+        if (
+            not isinstance(world, int | np.integer)
+            or isinstance(world, bool)
+            or not 0 <= world < self.num_worlds
+        ):
             raise self._no_world(world)
 
     def worlds(self, world: Any) -> np.ndarray:
@@ -92,7 +117,9 @@ class EnvSpec:
         return worlds
 
     def _no_world(self, world: Any) -> ValueError:
-        return ValueError(f"world is {shown(world)}: a whole number from 0 to {self.num_worlds - 1} is needed")
+        return ValueError(
+            f"world is {shown(world)}: a whole number from 0 to {self.num_worlds - 1} is needed"
+        )
 
     def seeds(self, seeds: Any) -> list[int] | None:
         """One seed for each world: from s on for an int s, None for None. Raises ValueError for what cannot be a seed."""
@@ -100,7 +127,9 @@ class EnvSpec:
             return None
         if isinstance(seeds, int | np.integer) and not isinstance(seeds, bool):
             return [as_int("seed", seeds, 0) + k for k in range(self.num_worlds)]
-        listed = isinstance(seeds, list | tuple) or (isinstance(seeds, np.ndarray) and seeds.ndim == 1)
+        listed = isinstance(seeds, list | tuple) or (
+            isinstance(seeds, np.ndarray) and seeds.ndim == 1
+        )
         if not listed or len(seeds) != self.num_worlds:
             raise ValueError(
                 f"seed is {shown(seeds)}: a whole number, or a list of {self.num_worlds}, one for each world, is needed"
@@ -115,15 +144,22 @@ class EnvSpec:
         actions = numbers_of("actions are", actions)
         shape = (*alive.shape, self.action.low.shape[-1])
         if actions.shape != shape:
-            raise ValueError(f"actions have shape {actions.shape}: (worlds, drones, {self.action.name}) = {shape} is needed")
+            raise ValueError(
+                f"actions have shape {actions.shape}: (worlds, drones, {self.action.name}) = {shape} is needed"
+            )
         finite = np.isfinite(actions)
         if not finite.all() and (bad := ~finite.all(axis=-1) & alive).any():
             w, i = np.argwhere(bad)[0]
-            raise ValueError(f"action of drone {i} in world {w} is {actions[w, i]}: finite numbers are needed")
+            raise ValueError(
+                f"action of drone {i} in world {w} is {actions[w, i]}: finite numbers are needed"
+            )
         if not alive.all():
             actions = np.where(alive[..., None], actions, 0.0)
         clipped = np.minimum(np.maximum(actions, self.action.low), self.action.high)
-        if self.action.choices is not None and (clipped != actions).any() | (clipped % 1 != 0).any():
+        if (
+            self.action.choices is not None
+            and (clipped != actions).any() | (clipped % 1 != 0).any()
+        ):
             w, i, _ = np.argwhere((clipped != actions) | (clipped % 1 != 0))[0]
             raise ValueError(
                 f"action of drone {i} in world {w} is {actions[w, i, 0]:g}: a whole number from 0 to "
@@ -151,13 +187,17 @@ def _make_task(kind: type[Task], config: Any, options: EnvOptions) -> Task:
     _check_arena(task, config, radius)
     _check_things(task)
     if config.d_safe <= 2 * radius:
-        raise ValueError(f"d_safe {config.d_safe:g} m must exceed the {2 * radius:.3g} m across of the largest drone")
+        raise ValueError(
+            f"d_safe {config.d_safe:g} m must exceed the {2 * radius:.3g} m across of the largest drone"
+        )
     return task
 
 
 def _check_arena(task: Task, config: Any, radius: float) -> None:
     """Raise ValueError where an arena is none, or reaches into that of other worlds."""
-    arena = numbers_of(f"arena_low and arena_high of task {task.name!r} are", [task.arena_low, task.arena_high])
+    arena = numbers_of(
+        f"arena_low and arena_high of task {task.name!r} are", [task.arena_low, task.arena_high]
+    )
     if arena.shape != (2, 3) or not np.isfinite(arena).all() or not (arena[0] < arena[1]).all():
         raise ValueError(
             f"arena_low and arena_high of task {task.name!r} are {shown(arena)}: lower and upper corner are needed"
@@ -167,7 +207,11 @@ def _check_arena(task: Task, config: Any, radius: float) -> None:
         finite(f"rebound of task {task.name!r}", task.rebound, 0, 1)
     reach = float(np.abs(arena[:, :2]).max())
     if 2 * (reach + radius) >= TILE_PITCH or arena[1, 2] >= PARKING_HEIGHT:
-        sizes = {field.name: getattr(config, field.name) for field in dataclasses.fields(config) if field.type is float}
+        sizes = {
+            field.name: getattr(config, field.name)
+            for field in dataclasses.fields(config)
+            if field.type is float
+        }
         large = [f"{name} {size:g}" for name, size in sizes.items() if size >= LARGE]
         raise ValueError(
             f"the arena reaches {reach:g} m aside and {arena[1, 2]:g} m up: less than {TILE_PITCH / 2:g} and "
@@ -181,10 +225,14 @@ def _check_things(task: Task) -> None:
     for name, kind in kinds.items():
         things = getattr(task, name)()
         if not isinstance(things, list | tuple) or not all(isinstance(one, kind) for one in things):
-            raise ValueError(f"{name} of task {task.name!r} gave {shown(things)}: a list of {kind.__name__} is needed")
+            raise ValueError(
+                f"{name} of task {task.name!r} gave {shown(things)}: a list of {kind.__name__} is needed"
+            )
     memory: Any = task.memory()
     if not isinstance(memory, Mapping):
-        raise ValueError(f"memory of task {task.name!r} gave {shown(memory)}: a dict of shapes by name is needed")
+        raise ValueError(
+            f"memory of task {task.name!r} gave {shown(memory)}: a dict of shapes by name is needed"
+        )
     for name, shape in memory.items():
         label = f"shape of memory {name!r} of task {task.name!r}"
         for side in as_sequence(label, shape):
@@ -195,5 +243,12 @@ def _make_action(options: EnvOptions, task: Task) -> Action:
     period = 1 / options.decision_hz
     return make_action(
         options.action,
-        ActionContext(options.airframe, options.max_speed, task.arena_low, task.arena_high, period, options.gravity),
+        ActionContext(
+            options.airframe,
+            options.max_speed,
+            task.arena_low,
+            task.arena_high,
+            period,
+            options.gravity,
+        ),
     )

@@ -22,7 +22,10 @@ class Environment:
     def __new__(cls, *args: Any, **kwargs: Any) -> Any:
         """Note the arguments, each as it is now: lists and dicts may change in the caller's hands."""
         self = super().__new__(cls)
-        self._made_from = tuple(map(copy.copy, args)), {name: copy.copy(value) for name, value in kwargs.items()}
+        self._made_from = (
+            tuple(map(copy.copy, args)),
+            {name: copy.copy(value) for name, value in kwargs.items()},
+        )
         self._busy = threading.RLock()
         return self
 

@@ -43,7 +43,9 @@ def _observation_space(aviary: Aviary) -> gymnasium.Space:
     if aviary.num_drones == 1:
         return aviary.observer.space()
     observer, drones = aviary.state_observer, aviary.num_drones
-    return gymnasium.spaces.Box(np.tile(observer.low, drones), np.tile(observer.high, drones), dtype=np.float32)
+    return gymnasium.spaces.Box(
+        np.tile(observer.low, drones), np.tile(observer.high, drones), dtype=np.float32
+    )
 
 
 def _central(aviary: Aviary, observations: Observation) -> Observation:
@@ -77,7 +79,13 @@ class CentralAviary(Environment, gymnasium.Env):
         over = not self.aviary.alive.any()
         truncated = over and bool(step.truncated.any())
         observation = part(_central(self.aviary, step.observations), 0)
-        return observation, float(step.rewards.mean()), over and not truncated, truncated, _of_world(step.info)
+        return (
+            observation,
+            float(step.rewards.mean()),
+            over and not truncated,
+            truncated,
+            _of_world(step.info),
+        )
 
     def render(self) -> np.ndarray | None:
         """A picture (height, width, 3) uint8 with render_mode "rgb_array"."""
@@ -99,7 +107,11 @@ class CentralVectorAviary(Environment, gymnasium.vector.VectorEnv):
     metadata = METADATA
 
     def __init__(
-        self, task: TaskSource, num_envs: int = 1, autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP, **options: Any
+        self,
+        task: TaskSource,
+        num_envs: int = 1,
+        autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP,
+        **options: Any,
     ):
         self._batch = BatchAviary(task, num_envs, autoreset_mode, **options)
         aviary = self.aviary = self._batch.aviary
@@ -116,7 +128,9 @@ class CentralVectorAviary(Environment, gymnasium.vector.VectorEnv):
         self.action_space = batch_space(self.single_action_space, self.num_envs)
 
     @exclusive
-    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+    def reset(
+        self, *, seed: Any = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
         """Start new episodes in all worlds, or in those of options["reset_mask"] (W,); seeds as in `BatchAviary.reset`."""
         observations, infos = self._batch.reset(seed=seed, options=options)
         return _central(self.aviary, observations), infos
@@ -131,8 +145,16 @@ class CentralVectorAviary(Environment, gymnasium.vector.VectorEnv):
         cut = self._batch.ended & truncated.any(axis=1)
         if "final_obs" in infos:
             alone = self.aviary.num_drones == 1
-            infos["final_obs"] = part(infos["final_obs"], (slice(None), 0)) if alone else infos["final_state"]
-        return _central(self.aviary, observations), rewards.mean(axis=1), self._batch.ended & ~cut, cut, infos
+            infos["final_obs"] = (
+                part(infos["final_obs"], (slice(None), 0)) if alone else infos["final_state"]
+            )
+        return (
+            _central(self.aviary, observations),
+            rewards.mean(axis=1),
+            self._batch.ended & ~cut,
+            cut,
+            infos,
+        )
 
     def render(self) -> tuple[np.ndarray | None, ...]:  # type: ignore[override]
         """Pictures of all worlds with render_mode "rgb_array"."""

@@ -121,14 +121,26 @@ class EnvOptions:
         if self.render_mode is not None:
             choose("render_mode", self.render_mode, dict.fromkeys(RENDER_MODES))
         for name in ("render_size", "camera_size"):
-            self._keep(name, tuple(as_int(name, side, 8, MOST_PIXELS) for side in as_sequence(name, getattr(self, name), 2)))
-        choices = {"dynamics": tuple(LADDER), "action": tuple(ACTIONS), "controller": tuple(CONTROLLERS)}
+            self._keep(
+                name,
+                tuple(
+                    as_int(name, side, 8, MOST_PIXELS)
+                    for side in as_sequence(name, getattr(self, name), 2)
+                ),
+            )
+        choices = {
+            "dynamics": tuple(LADDER),
+            "action": tuple(ACTIONS),
+            "controller": tuple(CONTROLLERS),
+        }
         choices |= {"lidar_frame": FRAMES, "energy": ENERGIES}
         for name, known in choices.items():
             choose(name, getattr(self, name), dict.fromkeys(known))
         _check_names("observation", "observation block", self.observation, NAMES)
         if self.observation is not None and not self.observation:
-            raise ValueError("observation is empty: name at least one block, or leave it out for the task's own")
+            raise ValueError(
+                "observation is empty: name at least one block, or leave it out for the task's own"
+            )
         _check_names("effects", "effect", self.effects, EFFECTS)
         if not isinstance(self.normalise, bool):
             raise ValueError(f"normalise is {shown(self.normalise)}: True or False is needed")
@@ -144,10 +156,15 @@ class EnvOptions:
         if self.max_range <= 0:
             raise ValueError(f"max_range is {self.max_range:g} m: it must be above 0")
         elevations = as_sequence("lidar_elevations", self.lidar_elevations, most=MOST_BEAMS)
-        self._keep("lidar_elevations", tuple(finite("lidar_elevations", elevation) for elevation in elevations))
+        self._keep(
+            "lidar_elevations",
+            tuple(finite("lidar_elevations", elevation) for elevation in elevations),
+        )
         for elevation in self.lidar_elevations:
             if not -90 <= elevation <= 90:
-                raise ValueError(f"lidar_elevations has {elevation:g} degrees: from -90 (down) to 90 (up) is needed")
+                raise ValueError(
+                    f"lidar_elevations has {elevation:g} degrees: from -90 (down) to 90 (up) is needed"
+                )
         if not self.lidar_elevations:
             raise ValueError("lidar_elevations is empty: give at least one angle")
         if self.num_beams * len(self.lidar_elevations) > MOST_BEAMS:
@@ -156,13 +173,20 @@ class EnvOptions:
                 f"{MOST_BEAMS} beams in all are possible"
             )
         if self.battery_capacity is not None:
-            self._keep("battery_capacity", finite("battery_capacity", self.battery_capacity, most=MOST_CAPACITY))
+            self._keep(
+                "battery_capacity",
+                finite("battery_capacity", self.battery_capacity, most=MOST_CAPACITY),
+            )
             if self.battery_capacity <= 0:
-                raise ValueError(f"battery_capacity is {self.battery_capacity:g} W h: it must be above 0; None for no limit")
+                raise ValueError(
+                    f"battery_capacity is {self.battery_capacity:g} W h: it must be above 0; None for no limit"
+                )
 
     def _check_flight(self) -> None:
         if len(self.airframe) != self.num_drones:
-            raise ValueError(f"{len(self.airframe)} airframes for {self.num_drones} drones: give one, or one for each drone")
+            raise ValueError(
+                f"{len(self.airframe)} airframes for {self.num_drones} drones: give one, or one for each drone"
+            )
         self._keep("max_speed", finite("max_speed", self.max_speed))
         slowest = min(self.airframe, key=lambda airframe: airframe.max_speed)
         if not 0 < self.max_speed <= slowest.max_speed:
@@ -196,7 +220,10 @@ class EnvOptions:
             check_field(self.wind)
         else:
             given = as_sequence("wind", self.wind, 3)
-            self._keep("wind", tuple(finite("wind", component, -MOST_WIND, MOST_WIND) for component in given))
+            self._keep(
+                "wind",
+                tuple(finite("wind", component, -MOST_WIND, MOST_WIND) for component in given),
+            )
         if isinstance(self.turbulence, str):
             choose("turbulence", self.turbulence, TURBULENCE)
         elif self.turbulence is not None:
@@ -210,7 +237,11 @@ class EnvOptions:
     @property
     def wind20(self) -> float:
         """Wind speed at 20 feet that sets the turbulence, m/s; 0 for none."""
-        return TURBULENCE[self.turbulence] if isinstance(self.turbulence, str) else self.turbulence or 0.0
+        return (
+            TURBULENCE[self.turbulence]
+            if isinstance(self.turbulence, str)
+            else self.turbulence or 0.0
+        )
 
     def check_setpoint_levels(self, action: SetpointLevel, dynamics: SetpointLevel) -> None:
         """Raise ValueError when the action's setpoint level cannot drive the dynamics through the controller."""
@@ -228,7 +259,9 @@ class EnvOptions:
                 f"controller 'pid' drives motors, and dynamics {self.dynamics!r} has none: use controller 'lee'"
             )
         if self.controller == "pid" and action not in PID_LEVELS:
-            raise ValueError(f"controller 'pid' takes no {action.name.lower()} setpoints: use controller 'lee'")
+            raise ValueError(
+                f"controller 'pid' takes no {action.name.lower()} setpoints: use controller 'lee'"
+            )
 
 
 def _check_names(name: str, what: str, given: Any, known: Sequence[str]) -> None:

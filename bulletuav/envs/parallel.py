@@ -33,11 +33,19 @@ class ParallelAviary(Environment, ParallelEnv):
         self.render_mode = settings.render_mode
         self.possible_agents = [f"drone_{i}" for i in range(settings.num_drones)]
         self.agents: list[str] = []
-        observer, action, state = self.aviary.observer, self.aviary.action, self.aviary.state_observer
+        observer, action, state = (
+            self.aviary.observer,
+            self.aviary.action,
+            self.aviary.state_observer,
+        )
         self.observation_spaces = {agent: observer.space() for agent in self.possible_agents}
-        self.action_spaces = {agent: drone_action_space(action, i) for i, agent in enumerate(self.possible_agents)}
+        self.action_spaces = {
+            agent: drone_action_space(action, i) for i, agent in enumerate(self.possible_agents)
+        }
         drones = settings.num_drones
-        self.state_space = Box(np.tile(state.low, drones), np.tile(state.high, drones), dtype=np.float32)
+        self.state_space = Box(
+            np.tile(state.low, drones), np.tile(state.high, drones), dtype=np.float32
+        )
 
     def observation_space(self, agent: str) -> Space:
         """The agent's observation space, the same object each time."""
@@ -80,18 +88,37 @@ class ParallelAviary(Environment, ParallelEnv):
         step = self.aviary.step(batch)
         rewards, terminated, truncated = (
             {agent: kind(value) for agent, value in self._by_agent(array).items()}
-            for array, kind in ((step.rewards, float), (step.terminated, bool), (step.truncated, bool))
+            for array, kind in (
+                (step.rewards, float),
+                (step.terminated, bool),
+                (step.truncated, bool),
+            )
         )
-        result = self._by_agent(step.observations), rewards, terminated, truncated, self._infos(step.info)
-        self.agents = [agent for agent in self.agents if not (terminated[agent] or truncated[agent])]
+        result = (
+            self._by_agent(step.observations),
+            rewards,
+            terminated,
+            truncated,
+            self._infos(step.info),
+        )
+        self.agents = [
+            agent for agent in self.agents if not (terminated[agent] or truncated[agent])
+        ]
         return result
 
     def _by_agent(self, array: Observation) -> dict[str, Any]:
-        return {agent: part(array, (0, i)) for i, agent in enumerate(self.possible_agents) if agent in self.agents}
+        return {
+            agent: part(array, (0, i))
+            for i, agent in enumerate(self.possible_agents)
+            if agent in self.agents
+        }
 
     def _infos(self, info: dict[str, np.ndarray]) -> dict[str, dict[str, float]]:
         columns = {name: self._by_agent(array) for name, array in info.items()}
-        return {agent: {name: float(column[agent]) for name, column in columns.items()} for agent in self.agents}
+        return {
+            agent: {name: float(column[agent]) for name, column in columns.items()}
+            for agent in self.agents
+        }
 
     def state(self) -> np.ndarray:
         """(17 N,) float32 global state for centralised critics; see `Aviary.state`."""
@@ -110,7 +137,9 @@ class ParallelAviary(Environment, ParallelEnv):
 def check_agents(actions: Any, agents: Sequence[str], possible: Sequence[str]) -> None:
     """Raise ValueError unless `actions` is a dict with all of `agents`, and no others than `possible` ones."""
     if not isinstance(actions, Mapping):
-        raise ValueError(f"actions are {shown(actions)}: a dict with an action for each of {list(agents)} is needed")
+        raise ValueError(
+            f"actions are {shown(actions)}: a dict with an action for each of {list(agents)} is needed"
+        )
     for agent in actions:
         if agent not in possible:
             raise unknown("agent in actions:", agent, possible)

@@ -69,7 +69,9 @@ class Randomization:
         if isinstance(given, cls):
             return given
         if given is not None and not isinstance(given, Mapping):
-            raise ValueError(f"randomization is {shown(given)}: a dict of names and numbers, or (low, high), is needed")
+            raise ValueError(
+                f"randomization is {shown(given)}: a dict of names and numbers, or (low, high), is needed"
+            )
         names = {field.name for field in dataclasses.fields(cls)}
         for name in given or {}:
             if name not in names:
@@ -93,13 +95,19 @@ class Randomization:
         if not isinstance(value, bool) and isinstance(value, numbers.Real):
             value = (value, value)
         low, high = as_sequence(label, value, 2)
-        return (low, high) if low == high == np.inf and name == "radio_range" else (finite(label, low), finite(label, high))
+        return (
+            (low, high)
+            if low == high == np.inf and name == "radio_range"
+            else (finite(label, low), finite(label, high))
+        )
 
     @property
     def active(self) -> tuple[str, ...]:
         """Names of what differs from none."""
         return tuple(
-            field.name for field in dataclasses.fields(self) if self.bounds(field.name) != (field.default, field.default)
+            field.name
+            for field in dataclasses.fields(self)
+            if self.bounds(field.name) != (field.default, field.default)
         )
 
 
@@ -145,7 +153,9 @@ class Uncertainty:
     drawn     what was drawn by name, (W, N); of worlds (W, 1), the wind's axes (W, 3)
     """
 
-    def __init__(self, spec: Randomization, engine: Engine, parameters: np.ndarray, wind: Wind, period: float):
+    def __init__(
+        self, spec: Randomization, engine: Engine, parameters: np.ndarray, wind: Wind, period: float
+    ):
         """`parameters` (W, N): the rows that the dynamics flies with, which it changes; `period` of decisions, s."""
         self._spec, self._engine, self._wind = spec, engine, wind
         self._parameters, self._nominal = parameters, parameters.copy()
@@ -184,11 +194,15 @@ class Uncertainty:
     def drain(self, time: np.ndarray) -> None:
         """Weaken the rotors by what the batteries lost after `time` (W,) s of flight."""
         if "battery" in self.drawn:
-            left = np.maximum(1 - self.drawn["battery"] * time[:, None] / 60, LEAST_THRUST) * self.drawn.get("thrust", 1.0)
+            left = np.maximum(
+                1 - self.drawn["battery"] * time[:, None] / 60, LEAST_THRUST
+            ) * self.drawn.get("thrust", 1.0)
             for parameter in FACTORS["thrust"]:
                 self._parameters[parameter][:] = left * self._nominal[parameter]
 
-    def sense(self, swarm: Swarm, flown: np.ndarray, rngs: Sequence[np.random.Generator | None]) -> None:
+    def sense(
+        self, swarm: Swarm, flown: np.ndarray, rngs: Sequence[np.random.Generator | None]
+    ) -> None:
         """The readings after a decision, in the worlds where any drone of `flown` (W, N) flew it."""
         flying = np.any(flown, axis=1)
         if self._gps is not None:
@@ -209,10 +223,17 @@ class Uncertainty:
         """What drones know of themselves and of each other, by the names that `Frame` tells, as it is now."""
         readings: dict[str, np.ndarray] = {}
         if self._gps is not None:
-            readings |= {"position": self._gps.position.copy(), "velocity": self._gps.velocity.copy()}
+            readings |= {
+                "position": self._gps.position.copy(),
+                "velocity": self._gps.velocity.copy(),
+            }
         if self._radio is not None:
             message = self._radio.message.copy()
-            readings |= {"heard_position": message[..., :3], "heard_velocity": message[..., 3:], "heard": self._radio.heard}
+            readings |= {
+                "heard_position": message[..., :3],
+                "heard_velocity": message[..., 3:],
+                "heard": self._radio.heard,
+            }
         return readings
 
     @property
@@ -224,13 +245,23 @@ class Uncertainty:
         """What was drawn, and the messages that came in the last decision where there is communication, (W, N) by name."""
         if self._told is None:
             self._told = self._tell()
-        return self._told if self._radio is None else self._told | {"messages": self._radio.received.copy()}
+        return (
+            self._told
+            if self._radio is None
+            else self._told | {"messages": self._radio.received.copy()}
+        )
 
     def _tell(self) -> dict[str, np.ndarray]:
         told: dict[str, np.ndarray] = {}
         for name, values in self.drawn.items():
-            axes = {f"{name}_{axis}": values[:, [k]] for k, axis in enumerate("xyz")} if name == "wind" else {name: values}
+            axes = (
+                {f"{name}_{axis}": values[:, [k]] for k, axis in enumerate("xyz")}
+                if name == "wind"
+                else {name: values}
+            )
             for key, column in axes.items():
                 told[f"random/{key}"] = np.broadcast_to(column, self._parameters.shape).copy()
-                told[f"random/{key}"].flags.writeable = False  # one array for all infos of the episode
+                told[
+                    f"random/{key}"
+                ].flags.writeable = False  # one array for all infos of the episode
         return told

@@ -71,12 +71,16 @@ class Camera:
         line = (np.arange(-GRID_LINES, GRID_LINES + 1)) * pitch
         across, along = np.meshgrid(line, line[:-1], indexing="ij")
         zero = np.zeros(across.size)
-        one = [np.stack([across.ravel(), along.ravel() + step, zero], axis=1) for step in (0, pitch)]
+        one = [
+            np.stack([across.ravel(), along.ravel() + step, zero], axis=1) for step in (0, pitch)
+        ]
         other = [end[:, [1, 0, 2]] for end in one]
         centre = np.round(target / pitch) * pitch * [1, 1, 0]
         return np.concatenate([np.stack(one, axis=1), np.stack(other, axis=1)]) + centre
 
-    def _draw_lines(self, pen: ImageDraw.ImageDraw, lines: np.ndarray, matrix: np.ndarray, colour) -> None:
+    def _draw_lines(
+        self, pen: ImageDraw.ImageDraw, lines: np.ndarray, matrix: np.ndarray, colour
+    ) -> None:
         """Lines (L, 2, 3) that lie before the camera."""
         place, before = self._project(lines.reshape(-1, 3), matrix)
         place, before = place.reshape(-1, 4), np.all(before.reshape(-1, 2), axis=1)
@@ -89,6 +93,6 @@ class Camera:
         clip = np.concatenate([points, np.ones((len(points), 1))], axis=1) @ matrix.T
         depth = np.where(np.abs(clip[:, 3]) > 1e-6, clip[:, 3], 1e-6)
         width, height = self._size
-        return np.stack([(1 + clip[:, 0] / depth) / 2 * width, (1 - clip[:, 1] / depth) / 2 * height], axis=1), clip[
-            :, 3
-        ] > 0.1
+        return np.stack(
+            [(1 + clip[:, 0] / depth) / 2 * width, (1 - clip[:, 1] / depth) / 2 * height], axis=1
+        ), clip[:, 3] > 0.1

@@ -41,17 +41,32 @@ def resolve(task: type[Task], given: Mapping[str, Any]) -> tuple[EnvOptions, Any
     changes = choose("difficulty", difficulty, dict(task.difficulties))
     if given.get("preset") is not None and not task.presets:
         raise ValueError(f"preset is {shown(given['preset'])}: task {task.name!r} has none")
-    preset = {} if given.get("preset") is None else choose("preset", given["preset"], dict(task.presets))
+    preset = (
+        {} if given.get("preset") is None else choose("preset", given["preset"], dict(task.presets))
+    )
     usual = {**task.defaults, **changes, **preset}
     for name in usual:
-        choose(f"option among the defaults of task {task.name!r}:", name, dict.fromkeys(common | own))
+        choose(
+            f"option among the defaults of task {task.name!r}:", name, dict.fromkeys(common | own)
+        )
     values = {**usual, **given, "difficulty": difficulty}
     for name in ("num_drones", "airframe", "action", "decision_hz", "horizon", "max_speed"):
         if name not in values:
-            raise ValueError(f"defaults of task {task.name!r} lack {name}: it is needed there, or as an option")
+            raise ValueError(
+                f"defaults of task {task.name!r} lack {name}: it is needed there, or as an option"
+            )
     if isinstance(given.get("weights"), Mapping):
         values["weights"] = {**preset.get("weights", {}), **given["weights"]}
-    for name in ("num_drones", "airframe", "action", "decision_hz", "horizon", "max_speed", "dynamics", "controller"):
+    for name in (
+        "num_drones",
+        "airframe",
+        "action",
+        "decision_hz",
+        "horizon",
+        "max_speed",
+        "dynamics",
+        "controller",
+    ):
         if values.get(name, "") is None:
             raise ValueError(f"{name} is None: leave it out for the task's default")
     _make_lists(values)
@@ -68,7 +83,9 @@ def _make_lists(values: dict[str, Any]) -> None:
         if isinstance(values.get(name), str):
             values[name] = (values[name],)
         elif name in values and not _is_single(name, values[name]):
-            values[name] = as_sequence(name, values[name], most=MOST_NAMES if name in NAMED else None)
+            values[name] = as_sequence(
+                name, values[name], most=MOST_NAMES if name in NAMED else None
+            )
 
 
 def _is_single(name: str, value: Any) -> bool:
@@ -89,7 +106,8 @@ def _find_airframes(values: dict[str, Any], given: Mapping[str, Any]) -> None:
         values["airframe"] = (load_airframe(values["airframe"]),) * values["num_drones"]
     if "max_speed" not in given:
         values["max_speed"] = min(
-            finite("max_speed", values["max_speed"]), *(airframe.max_speed for airframe in values["airframe"])
+            finite("max_speed", values["max_speed"]),
+            *(airframe.max_speed for airframe in values["airframe"]),
         )
 
 
@@ -99,14 +117,21 @@ def _checked_config(config: Any) -> Any:
     A field's metadata may tell its "least" and "most". Raises ValueError for values that a field's type cannot hold; float
     fields are sizes, so not negative.
     """
-    stored = {field.name: _checked(field, getattr(config, field.name)) for field in dataclasses.fields(config) if field.init}
+    stored = {
+        field.name: _checked(field, getattr(config, field.name))
+        for field in dataclasses.fields(config)
+        if field.init
+    }
     if stored["d_safe"] == 0:
         raise ValueError("d_safe is 0: it must be above 0")
     return dataclasses.replace(config, **stored)
 
 
 def _checked(field: dataclasses.Field, value: Any) -> Any:
-    name, most = field.name, field.metadata.get("most", MOST_COUNT if field.type is int else MOST_SIZE)
+    name, most = (
+        field.name,
+        field.metadata.get("most", MOST_COUNT if field.type is int else MOST_SIZE),
+    )
     if field.type is int:
         return as_int(name, value, field.metadata.get("least", 1), most)
     if field.type is bool and not isinstance(value, bool):
@@ -121,9 +146,13 @@ def _checked(field: dataclasses.Field, value: Any) -> Any:
         return tuple(finite(name, number, most=most) for number in as_sequence(name, value, 2))
     elif name == "weights":
         if not isinstance(value, Mapping):
-            raise ValueError(f"weights is {shown(value)}: a dict from reward terms to weights is needed")
+            raise ValueError(
+                f"weights is {shown(value)}: a dict from reward terms to weights is needed"
+            )
         return {
-            term: finite(f"weights: weight of reward term {shown(term)}", one, -MOST_WEIGHT, MOST_WEIGHT)
+            term: finite(
+                f"weights: weight of reward term {shown(term)}", one, -MOST_WEIGHT, MOST_WEIGHT
+            )
             for term, one in value.items()
         }
     return value

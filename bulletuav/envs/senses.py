@@ -39,7 +39,12 @@ class SensorSuite:
         drawn: dict[str, np.ndarray],
     ):
         """`wanted` names readings; `drawn` what is uncertain, (W, N) by name, which sensors read where it stands."""
-        self._engine, self._dynamics, self._task, self._range = engine, dynamics, task, options.max_range
+        self._engine, self._dynamics, self._task, self._range = (
+            engine,
+            dynamics,
+            task,
+            options.max_range,
+        )
         self._lidar = self._imu = self._cameras = None
         if "lidar" in wanted:
             self._lidar = Lidar(engine, task.context.beams, options.max_range, options.lidar_frame)
@@ -55,7 +60,9 @@ class SensorSuite:
         self._sight = np.zeros((*engine.shape, task.num_targets), dtype=bool)
         ahead = (*engine.shape, len(AHEAD), task.num_targets)
         self._ahead = np.zeros(ahead, dtype=bool) if "sight_ahead" in wanted else None
-        self._clearance = np.full(engine.shape, options.max_range) if "clearance" in wanted else None
+        self._clearance = (
+            np.full(engine.shape, options.max_range) if "clearance" in wanted else None
+        )
 
     def start(self, k: int, swarm: Swarm, rng: np.random.Generator) -> None:
         """World k begins."""
@@ -83,11 +90,15 @@ class SensorSuite:
         if self._clearance is not None:
             self._clearance[mask] = clearances(self._engine, mask, self._range)[mask]
         if self._task.num_targets:
-            self._sight[mask] = sights(self._engine, after.position, self._task.targets(scene), mask)[mask]
+            self._sight[mask] = sights(
+                self._engine, after.position, self._task.targets(scene), mask
+            )[mask]
         if self._ahead is not None and self._task.num_targets:
             self._look_ahead(self._ahead, after.position, self._task.targets(scene), mask)
 
-    def _look_ahead(self, ahead: np.ndarray, position: np.ndarray, targets: np.ndarray, mask: np.ndarray) -> None:
+    def _look_ahead(
+        self, ahead: np.ndarray, position: np.ndarray, targets: np.ndarray, mask: np.ndarray
+    ) -> None:
         """From places within the airspace."""
         low, high = self._task.arena_low, self._task.arena_high
         for k, way in enumerate(AHEAD.values()):
@@ -96,7 +107,9 @@ class SensorSuite:
 
     def readings(self) -> dict[str, np.ndarray]:
         """The readings by the names that `Frame` tells, as they are now."""
-        readings: dict[str, np.ndarray] = {} if self._cameras is None else dict(self._cameras.pictures)
+        readings: dict[str, np.ndarray] = (
+            {} if self._cameras is None else dict(self._cameras.pictures)
+        )
         if self._lidar is not None:
             readings["lidar"] = self._lidar.ranges.copy()
         if self._imu is not None:

@@ -12,7 +12,11 @@ def drone_action_space(action: Action, drone: int) -> Space:
     if action.choices is not None:
         return Discrete(action.choices)
     size = action.size(drone)
-    return Box(action.low[drone, :size].astype(np.float32), action.high[drone, :size].astype(np.float32), dtype=np.float32)
+    return Box(
+        action.low[drone, :size].astype(np.float32),
+        action.high[drone, :size].astype(np.float32),
+        dtype=np.float32,
+    )
 
 
 def widest_action_space(action: Action) -> Space:
@@ -28,7 +32,9 @@ def joint_action_space(action: Action) -> Space:
     if action.choices is not None:
         return MultiDiscrete([action.choices] * drones)
     parts = [drone_action_space(action, drone) for drone in range(drones)]
-    low, high = (np.concatenate([getattr(part, side) for part in parts]) for side in ("low", "high"))
+    low, high = (
+        np.concatenate([getattr(part, side) for part in parts]) for side in ("low", "high")
+    )
     return Box(low, high, dtype=np.float32)
 
 

@@ -27,7 +27,9 @@ def autoreset(mode: Any) -> AutoresetMode:
 def reset_mask(options: Any) -> Any:
     """What a reset's options tell of worlds. Raises ValueError unless they are a dict, None for none."""
     if options is not None and not isinstance(options, Mapping):
-        raise ValueError(f"options is {shown(options)}: a dict such as {{'reset_mask': mask}}, or None, is needed")
+        raise ValueError(
+            f"options is {shown(options)}: a dict such as {{'reset_mask': mask}}, or None, is needed"
+        )
     return (options or {}).get("reset_mask")
 
 
@@ -70,7 +72,9 @@ class BatchAviary(Environment):
         return self._ended.copy()
 
     @exclusive
-    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
+    def reset(
+        self, *, seed: Any = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
         """Start new episodes in all worlds, or in those of options["reset_mask"] (W,).
 
         `seed`: an int s gives world k the seed s + k; a sequence gives one to each; None goes on with each world's own.
@@ -81,7 +85,9 @@ class BatchAviary(Environment):
         return observations, dict(self.aviary.first_info())
 
     @exclusive
-    def step(self, actions: np.ndarray) -> tuple[Observation, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[Observation, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """One decision of all worlds with actions (W, N, A), or (W, N) choices of a discrete action.
 
         Returns observations, rewards (W, N), terminated (W, N), truncated (W, N) and infos (W, N) by name.
@@ -98,7 +104,11 @@ class BatchAviary(Environment):
             observations = self.aviary.reset(fresh)
             infos |= self._with_fresh(infos, fresh)
         if self._ended.any() and self.autoreset_mode == AutoresetMode.SAME_STEP:
-            infos |= {"final_obs": observations, "final_state": self.aviary.state(), "final_info": info}
+            infos |= {
+                "final_obs": observations,
+                "final_state": self.aviary.state(),
+                "final_info": info,
+            }
             infos |= {"_final_obs": self.ended, "_final_info": self.ended}
             observations = self.aviary.reset(self._ended)
             infos |= self._with_fresh(info, self._ended)

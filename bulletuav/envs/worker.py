@@ -21,24 +21,37 @@ class Shared:
         """layout: shape and type of each."""
         self._layout = layout
         self._memory = {
-            name: context.RawArray(ctypes.c_byte, max(1, math.prod(shape) * np.dtype(kind).itemsize))
+            name: context.RawArray(
+                ctypes.c_byte, max(1, math.prod(shape) * np.dtype(kind).itemsize)
+            )
             for name, (shape, kind) in layout.items()
         }
 
     def arrays(self, first: int, last: int) -> dict[str, np.ndarray]:
         """Views on the worlds from `first` up to `last`."""
         return {
-            name: np.frombuffer(self._memory[name], dtype=kind, count=math.prod(shape)).reshape(shape)[first:last]
+            name: np.frombuffer(self._memory[name], dtype=kind, count=math.prod(shape)).reshape(
+                shape
+            )[first:last]
             for name, (shape, kind) in self._layout.items()
         }
 
 
-def work(pipe: Connection, shared: Shared, first: int, last: int, arguments: tuple, options: dict[str, Any]) -> None:
+def work(
+    pipe: Connection,
+    shared: Shared,
+    first: int,
+    last: int,
+    arguments: tuple,
+    options: dict[str, Any],
+) -> None:
     """A worker: the worlds from `first` up to `last`, asked by (method, keyword arguments) until None comes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # an interrupt is for the process that asks
     arrays = shared.arrays(first, last)
     try:
-        batch = BatchAviary(arguments[0], last - first, *arguments[1:], first_world=first, **options)
+        batch = BatchAviary(
+            arguments[0], last - first, *arguments[1:], first_world=first, **options
+        )
     except Exception as error:
         pipe.send(portable(error))
         return
@@ -47,7 +60,9 @@ def work(pipe: Connection, shared: Shared, first: int, last: int, arguments: tup
         method, keywords = question
         try:
             if method == "step":
-                keywords = {"actions": arrays["action"][..., 0] if keywords["choices"] else arrays["action"]}
+                keywords = {
+                    "actions": arrays["action"][..., 0] if keywords["choices"] else arrays["action"]
+                }
             answer = getattr(batch, method)(**keywords)
             if method in ("step", "reset"):
                 observations, *judged, answer = answer
@@ -68,7 +83,9 @@ def work(pipe: Connection, shared: Shared, first: int, last: int, arguments: tup
 def portable(error: Exception) -> Exception:
     """The error, or one that says the same and surely survives the way to another process."""
     return (
-        error if type(error) in (ValueError, RuntimeError, ImportError) else RuntimeError(f"{type(error).__name__}: {error}")
+        error
+        if type(error) in (ValueError, RuntimeError, ImportError)
+        else RuntimeError(f"{type(error).__name__}: {error}")
     )
 
 

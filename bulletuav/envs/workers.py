@@ -80,7 +80,9 @@ class WorkerAviary(Environment):
         self.num_envs, self.num_drones = plan.num_worlds, plan.options.num_drones
         _check_processes(workers, start_method, timeout)
         if workers > self.num_envs:
-            raise ValueError(f"workers is {workers}: at most one for each of the {self.num_envs} worlds is needed")
+            raise ValueError(
+                f"workers is {workers}: at most one for each of the {self.num_envs} worlds is needed"
+            )
         if plan.options.render_mode == "human":
             raise ValueError("render_mode is 'human': a live view needs workers=1")
         self._timeout = float(timeout)
@@ -97,7 +99,9 @@ class WorkerAviary(Environment):
         self._started = False
         with self._closed_by_errors():
             for part in self._parts:
-                self._start(context, (shared, part.start, part.stop, (task, self.autoreset_mode), options))
+                self._start(
+                    context, (shared, part.start, part.stop, (task, self.autoreset_mode), options)
+                )
             _raised(self._answers(list(range(workers))))
 
     def _start(self, context: Any, arguments: tuple) -> None:
@@ -173,7 +177,10 @@ class WorkerAviary(Environment):
 
     def _observations(self) -> Observation:
         if isinstance(self.observation_space, Dict):
-            return {name: self._arrays[f"observation/{name}"].copy() for name in self.observation_space.spaces}
+            return {
+                name: self._arrays[f"observation/{name}"].copy()
+                for name in self.observation_space.spaces
+            }
         return self._arrays["observation/"].copy()
 
     @property
@@ -187,14 +194,19 @@ class WorkerAviary(Environment):
         return self._arrays["ended"].copy()
 
     @exclusive
-    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
+    def reset(
+        self, *, seed: Any = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
         """As `BatchAviary.reset`."""
         mask = self._plan.mask(reset_mask(options))
         seeds = self._plan.seeds(seed)
         infos = self._ask(
             "reset",
             {
-                k: {"seed": None if seeds is None else seeds[part], "options": {"reset_mask": mask[part]}}
+                k: {
+                    "seed": None if seeds is None else seeds[part],
+                    "options": {"reset_mask": mask[part]},
+                }
                 for k, part in enumerate(self._parts)
             },
         )
@@ -202,7 +214,9 @@ class WorkerAviary(Environment):
         return self._observations(), _merged(self._parts, infos, self.num_envs)
 
     @exclusive
-    def step(self, actions: np.ndarray) -> tuple[Observation, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[Observation, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """As `BatchAviary.step`."""
         if not self._started:
             raise RuntimeError("the worlds have not been started: call reset() first")
@@ -210,8 +224,16 @@ class WorkerAviary(Environment):
         actions = np.asarray(actions)[..., None] if choices else np.asarray(actions)
         self._arrays["action"][:] = self._plan.actions(actions, self._arrays["alive"])
         infos = self._ask("step", self._all(choices=choices))
-        reward, terminated, truncated = (self._arrays[name].copy() for name in ("reward", "terminated", "truncated"))
-        return self._observations(), reward, terminated, truncated, _merged(self._parts, infos, self.num_envs)
+        reward, terminated, truncated = (
+            self._arrays[name].copy() for name in ("reward", "terminated", "truncated")
+        )
+        return (
+            self._observations(),
+            reward,
+            terminated,
+            truncated,
+            _merged(self._parts, infos, self.num_envs),
+        )
 
     @exclusive
     def state(self) -> np.ndarray:
@@ -243,10 +265,14 @@ def _merged(parts: list[slice], infos: list[dict[str, Any]], num_envs: int) -> d
     """One dict of the infos of `parts`; worlds of parts that lack an entry (final ones) get zeros."""
     merged: dict[str, Any] = {}
     for name in dict.fromkeys(name for info in infos for name in info):
-        given = [(part, info[name]) for part, info in zip(parts, infos, strict=True) if name in info]
+        given = [
+            (part, info[name]) for part, info in zip(parts, infos, strict=True) if name in info
+        ]
         first = given[0][1]
         if isinstance(first, dict):
-            merged[name] = _merged([part for part, _ in given], [value for _, value in given], num_envs)
+            merged[name] = _merged(
+                [part for part, _ in given], [value for _, value in given], num_envs
+            )
             continue
         merged[name] = np.zeros((num_envs, *first.shape[1:]), dtype=first.dtype)
         for part, value in given:
@@ -279,4 +305,6 @@ def batch_env(
     _check_processes(workers, start_method, timeout)
     if workers == 1:
         return BatchAviary(task, num_envs, **options)
-    return WorkerAviary(task, num_envs, workers=workers, start_method=start_method, timeout=timeout, **options)
+    return WorkerAviary(
+        task, num_envs, workers=workers, start_method=start_method, timeout=timeout, **options
+    )

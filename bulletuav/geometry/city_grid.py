@@ -68,7 +68,9 @@ def make_city_grid(layouts: Sequence[Solids], num_worlds: int) -> CityGrid:
 
 
 def _levels(solids: Solids) -> tuple[float, float]:
-    return solids.bounds[:, 0, 2].min(initial=0.0) - 1.0, solids.bounds[:, 1, 2].max(initial=0.0) + 1.0
+    return solids.bounds[:, 0, 2].min(initial=0.0) - 1.0, solids.bounds[:, 1, 2].max(
+        initial=0.0
+    ) + 1.0
 
 
 @func

@@ -22,7 +22,9 @@ class Obstacle:
         choose("kind of obstacle", self.kind, SIZES)
         size = as_sequence("size of an obstacle", self.size, SIZES[self.kind])
         if min(finite("size of an obstacle", one, most=LARGEST) for one in size) <= 0:
-            raise ValueError(f"size of an obstacle is {shown(self.size)}: metres above 0 are needed")
+            raise ValueError(
+                f"size of an obstacle is {shown(self.size)}: metres above 0 are needed"
+            )
         for share in as_sequence("colour", self.colour, 4):
             finite("colour of an obstacle", share, 0, 1)
 

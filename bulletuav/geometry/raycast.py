@@ -37,16 +37,27 @@ def _next_line(start, change, cell, step, city_grid):
 @func
 def _buildings(city_grid, layout, start, change):
     """Share at which a ray meets the first box of a layout, 1 if none."""
-    least, last = slab(start[2], change[2], city_grid.heights[layout, 0], city_grid.heights[layout, 1])
-    least, last = max(least, 0.0), min(last, 1.0)  # between them it is over the grid, and no higher than roofs
+    least, last = slab(
+        start[2], change[2], city_grid.heights[layout, 0], city_grid.heights[layout, 1]
+    )
+    least, last = (
+        max(least, 0.0),
+        min(last, 1.0),
+    )  # between them it is over the grid, and no higher than roofs
     for k in range(2):
         one, two = slab(start[k], change[k], -city_grid.reach, city_grid.reach)
         least, last = max(least, one), min(last, two)
     if least > last:
         return 1.0
     scale = 0.5 * city_grid.cells / city_grid.reach
-    column = min(max(math.floor((start[0] + least * change[0] + city_grid.reach) * scale), 0), city_grid.cells - 1)
-    row = min(max(math.floor((start[1] + least * change[1] + city_grid.reach) * scale), 0), city_grid.cells - 1)
+    column = min(
+        max(math.floor((start[0] + least * change[0] + city_grid.reach) * scale), 0),
+        city_grid.cells - 1,
+    )
+    row = min(
+        max(math.floor((start[1] + least * change[1] + city_grid.reach) * scale), 0),
+        city_grid.cells - 1,
+    )
     east = 1 if change[0] > 0.0 else -1 if change[0] < 0.0 else 0
     north = 1 if change[1] > 0.0 else -1 if change[1] < 0.0 else 0
     found = np.inf

@@ -6,7 +6,15 @@ Formulas: J. Diebel, Representing Attitude (2006); the exponential map is exact.
 
 import math
 
+import numpy as np
+
 from bulletuav.kernel import func
+
+Vec3 = tuple[float, float, float]
+Quat4 = tuple[float, float, float, float]
+Vec3Like = Vec3 | np.ndarray
+Quat4Like = Quat4 | np.ndarray
+"""What compiled functions take: a tuple of numbers, or an array (3,) or (4,)"""
 
 
 @func

@@ -85,6 +85,8 @@ def meet_drones(fraction, start, end, world, swarm, mask, kind, half):
                 continue
             attitude = quat4(swarm.quaternion, w, i)
             change = (there[0] - here[0], there[1] - here[1], there[2] - here[2])
-            enters, leaves = inside(kind[i], size, to_body(attitude, here), to_body(attitude, change))
+            enters, leaves = inside(
+                kind[i], size, to_body(attitude, here), to_body(attitude, change)
+            )
             if 0.0 <= enters <= leaves:
                 fraction[m] = min(fraction[m], enters)

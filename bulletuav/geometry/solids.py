@@ -35,7 +35,9 @@ class Solids:
     @cached_property
     def faces(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """Of each piece its corners (V, 3), m, and triangles (T, 3) of them that turn left seen from outside."""
-        return [(box_corners(box), BOX_TRIANGLES) for box in self.boxes] + [_hull_faces(hull) for hull in self.hulls]
+        return [(box_corners(box), BOX_TRIANGLES) for box in self.boxes] + [
+            _hull_faces(hull) for hull in self.hulls
+        ]
 
     @cached_property
     def mesh(self) -> tuple[np.ndarray, np.ndarray]:
@@ -53,7 +55,9 @@ def joined(faces: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, 
     counts = np.cumsum([0] + [len(corners) for corners, _ in faces])
     triangles = [triangle + first for (_, triangle), first in zip(faces, counts, strict=False)]
     vertices = [corners for corners, _ in faces]
-    return np.concatenate([np.zeros((0, 3)), *vertices]), np.concatenate([np.zeros((0, 3), dtype=int), *triangles])
+    return np.concatenate([np.zeros((0, 3)), *vertices]), np.concatenate(
+        [np.zeros((0, 3), dtype=int), *triangles]
+    )
 
 
 def box_corners(box: np.ndarray) -> np.ndarray:
@@ -64,7 +68,10 @@ def box_corners(box: np.ndarray) -> np.ndarray:
 
 def _hull_faces(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """`Solids.faces` of the convex hull of points (V, 3). Raises ValueError where they span no volume."""
-    from scipy.spatial import ConvexHull, QhullError  # which takes long to import, and boxes do without
+    from scipy.spatial import (
+        ConvexHull,
+        QhullError,
+    )  # which takes long to import, and boxes do without
 
     try:
         hull = ConvexHull(corners)

@@ -22,7 +22,9 @@ class Picture(NamedTuple):
     labels: np.ndarray
 
 
-def view_matrix(eye: np.ndarray, target: np.ndarray, up: Sequence[float] = (0.0, 0.0, 1.0)) -> np.ndarray:
+def view_matrix(
+    eye: np.ndarray, target: np.ndarray, up: Sequence[float] = (0.0, 0.0, 1.0)
+) -> np.ndarray:
     """(4, 4) from the world to a camera at `eye` looking at `target`, m: x right, y up, z backward."""
     back = (eye - target) / np.linalg.norm(eye - target)
     right = np.cross(up, back)

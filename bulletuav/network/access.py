@@ -56,9 +56,15 @@ def uplink_rates(power, assignment, bandwidth, noise, access, activity):
                     continue
                 signal = power[w, i, j]
                 if access == OFDMA:
-                    rates[w, j] = capacity(bandwidth / count[i], count[i] * signal / (noise + activity * others))
+                    rates[w, j] = capacity(
+                        bandwidth / count[i], count[i] * signal / (noise + activity * others)
+                    )
                 elif access == TDMA:
-                    rates[w, j] = capacity(bandwidth, signal / (noise + activity * slots)) / count[i]
+                    rates[w, j] = (
+                        capacity(bandwidth, signal / (noise + activity * slots)) / count[i]
+                    )
                 else:
-                    rates[w, j] = capacity(bandwidth, signal / (noise + activity * (everybody - signal)))
+                    rates[w, j] = capacity(
+                        bandwidth, signal / (noise + activity * (everybody - signal))
+                    )
     return rates

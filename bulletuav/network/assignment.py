@@ -51,7 +51,9 @@ def assign(strategy, position, alive, users, power, capacity, demand, load):
                 elif strategy == NEAREST:
                     score = -(east * east + north * north + up * up)
                 else:
-                    score = dtlcm_score(math.sqrt(east * east + north * north), capacity, demand, load[w, i])
+                    score = dtlcm_score(
+                        math.sqrt(east * east + north * north), capacity, demand, load[w, i]
+                    )
                 if score > best:
                     best, chosen[w, j] = score, i
     return chosen

@@ -10,6 +10,8 @@ def watch(dwell_time, mean, sight, alive, period):
         for i in range(sight.shape[1]):
             total = 0.0
             for j in range(sight.shape[2]):
-                dwell_time[w, i, j] = dwell_time[w, i, j] + period if alive[w, i] and sight[w, i, j] else 0.0
+                dwell_time[w, i, j] = (
+                    dwell_time[w, i, j] + period if alive[w, i] and sight[w, i, j] else 0.0
+                )
                 total += dwell_time[w, i, j]
             mean[w, i] = total / sight.shape[2]

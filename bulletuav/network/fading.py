@@ -5,7 +5,9 @@ import numpy as np
 from bulletuav.errors import numbers_of
 
 
-def rician_gain(k: float | np.ndarray, rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
+def rician_gain(
+    k: float | np.ndarray, rng: np.random.Generator, shape: tuple[int, ...]
+) -> np.ndarray:
     """Power gains |h|^2 of the given shape, with mean 1: h = sqrt(K / (K + 1)) + CN(0, 1 / (K + 1)) (S. O. Rice, 1944).
 
     K, not in dB, is the power of the direct path over that of all others; 0 is Rayleigh fading, gains that are Exp(1). Any
@@ -17,6 +19,8 @@ def rician_gain(k: float | np.ndarray, rng: np.random.Generator, shape: tuple[in
     try:
         factor = np.broadcast_to(factor, shape)
     except ValueError:
-        raise ValueError(f"the Rician K has shape {factor.shape}: one that broadcasts to {shape} is needed") from None
+        raise ValueError(
+            f"the Rician K has shape {factor.shape}: one that broadcasts to {shape} is needed"
+        ) from None
     in_phase, quadrature = rng.standard_normal((2, *shape))
     return ((np.sqrt(2 * factor) + in_phase) ** 2 + quadrature**2) / (2 * (factor + 1))

@@ -21,7 +21,12 @@ SPEED_OF_LIGHT = 299792458.0  # m/s
 NLOS_EXPONENT = 3.19
 EXPONENTS = {"urbanmarl": 3.5, "umi_ci": NLOS_EXPONENT}
 """For `log_distance` without a line of sight: of UrbanMARL 0.3.1, and of `umi_close_in_nlos`"""
-EXCESS = {"suburban": (0.1, 21.0), "urban": (1.0, 20.0), "dense": (1.6, 23.0), "high_rise": (2.3, 34.0)}
+EXCESS = {
+    "suburban": (0.1, 21.0),
+    "urban": (1.0, 20.0),
+    "dense": (1.6, 23.0),
+    "high_rise": (2.3, 34.0),
+}
 """dB beyond free space with a line of sight and without, for `mean_path_loss`: the customary values for 2 GHz
 (I. Bor-Yaliniz, A. El-Keyi, H. Yanikomeroglu, IEEE ICC 2016)"""
 LOW = 22.5  # m, up to which TR 36.777 leaves drones to TR 38.901
@@ -77,11 +82,17 @@ def _dual_slope(distance, base, user, frequency, intercept, slope):
     The environment has an effective height of 1 m (UMa draws it at random for users above 13 m: not here); antennas below
     count as at it.
     """
-    breakpoint = 4.0 * max(base - 1.0, 0.0) * max(user - 1.0, 0.0) * frequency * 1e9 / 3e8  # c as the standard has it
+    breakpoint = (
+        4.0 * max(base - 1.0, 0.0) * max(user - 1.0, 0.0) * frequency * 1e9 / 3e8
+    )  # c as the standard has it
     near, span = intercept + 20.0 * math.log10(frequency), math.log10(_span(distance, base, user))
     if distance <= breakpoint:
         return near + slope * span
-    return near + 40.0 * span - (20.0 - 0.5 * slope) * math.log10(max(breakpoint**2 + (base - user) ** 2, 1.0))
+    return (
+        near
+        + 40.0 * span
+        - (20.0 - 0.5 * slope) * math.log10(max(breakpoint**2 + (base - user) ** 2, 1.0))
+    )
 
 
 @elementwise
@@ -93,7 +104,12 @@ def umi_los(distance, base, user, frequency):
 @elementwise
 def umi_nlos(distance, base, user, frequency):
     """TR 38.901 UMi street canyon, no line of sight (dB)."""
-    loss = 22.4 + 35.3 * math.log10(_span(distance, base, user)) + 21.3 * math.log10(frequency) - 0.3 * (user - 1.5)
+    loss = (
+        22.4
+        + 35.3 * math.log10(_span(distance, base, user))
+        + 21.3 * math.log10(frequency)
+        - 0.3 * (user - 1.5)
+    )
     return max(umi_los(distance, base, user, frequency), loss)
 
 
@@ -115,7 +131,12 @@ def uma_los(distance, base, user, frequency):
 @elementwise
 def uma_nlos(distance, base, user, frequency):
     """TR 38.901 UMa, no line of sight (dB)."""
-    loss = 13.54 + 39.08 * math.log10(_span(distance, base, user)) + 20.0 * math.log10(frequency) - 0.6 * (user - 1.5)
+    loss = (
+        13.54
+        + 39.08 * math.log10(_span(distance, base, user))
+        + 20.0 * math.log10(frequency)
+        - 0.6 * (user - 1.5)
+    )
     return max(uma_los(distance, base, user, frequency), loss)
 
 
@@ -150,7 +171,9 @@ def umi_av_los(distance, drone, base, frequency):
     if drone <= LOW:
         return umi_los(distance, base, drone, frequency)
     span = _span(distance, drone, base)
-    loss = 30.9 + (22.25 - 0.5 * math.log10(drone)) * math.log10(span) + 20.0 * math.log10(frequency)
+    loss = (
+        30.9 + (22.25 - 0.5 * math.log10(drone)) * math.log10(span) + 20.0 * math.log10(frequency)
+    )
     return max(free_space(span, frequency), loss)
 
 
@@ -181,7 +204,11 @@ def uma_av_nlos(distance, drone, base, frequency):
     if drone <= LOW:
         return uma_nlos(distance, base, drone, frequency)
     slope = 46.0 - 7.0 * math.log10(min(drone, 100.0))
-    return -17.5 + slope * math.log10(_span(distance, drone, base)) + 20.0 * math.log10(40.0 * math.pi * frequency / 3.0)
+    return (
+        -17.5
+        + slope * math.log10(_span(distance, drone, base))
+        + 20.0 * math.log10(40.0 * math.pi * frequency / 3.0)
+    )
 
 
 @elementwise
@@ -199,7 +226,11 @@ def uma_av_los_probability(distance, drone):
     if drone <= LOW:
         return uma_los_probability(distance, drone)
     height = math.log10(drone)
-    return 1.0 if drone > 100.0 else _sight(distance, max(460.0 * height - 700.0, 18.0), 4300.0 * height - 3800.0)
+    return (
+        1.0
+        if drone > 100.0
+        else _sight(distance, max(460.0 * height - 700.0, 18.0), 4300.0 * height - 3800.0)
+    )
 
 
 @elementwise
@@ -230,12 +261,38 @@ class Validity(NamedTuple):
     user: tuple[float, float] = (0.0, math.inf)
 
 
-RADIO = Validity("log-distance", frequency=(3e-6, 3000.0))  # VLF to the end of radio (ITU Radio Regulations, 1.5)
-UMI = Validity("TR 38.901 UMi", frequency=(0.5, 100.0), distance=(10.0, 5000.0), drone=(10.0, 10.0), user=(1.5, 22.5))
-UMA = Validity("TR 38.901 UMa", frequency=(0.5, 100.0), distance=(10.0, 5000.0), drone=(25.0, 25.0), user=(1.5, 22.5))
+RADIO = Validity(
+    "log-distance", frequency=(3e-6, 3000.0)
+)  # VLF to the end of radio (ITU Radio Regulations, 1.5)
+UMI = Validity(
+    "TR 38.901 UMi",
+    frequency=(0.5, 100.0),
+    distance=(10.0, 5000.0),
+    drone=(10.0, 10.0),
+    user=(1.5, 22.5),
+)
+UMA = Validity(
+    "TR 38.901 UMa",
+    frequency=(0.5, 100.0),
+    distance=(10.0, 5000.0),
+    drone=(25.0, 25.0),
+    user=(1.5, 22.5),
+)
 # TR 36.777 leaves the frequency open: its subject is LTE, so below 6 GHz (our choice)
-UMI_AV = Validity("TR 36.777 UMi-AV", frequency=(0.5, 6.0), distance=(0.0, 4000.0), drone=(1.5, 300.0), user=(10.0, 10.0))
-UMA_AV = Validity("TR 36.777 UMa-AV", frequency=(0.5, 6.0), distance=(0.0, 4000.0), drone=(1.5, 300.0), user=(25.0, 25.0))
+UMI_AV = Validity(
+    "TR 36.777 UMi-AV",
+    frequency=(0.5, 6.0),
+    distance=(0.0, 4000.0),
+    drone=(1.5, 300.0),
+    user=(10.0, 10.0),
+)
+UMA_AV = Validity(
+    "TR 36.777 UMa-AV",
+    frequency=(0.5, 6.0),
+    distance=(0.0, 4000.0),
+    drone=(1.5, 300.0),
+    user=(25.0, 25.0),
+)
 
 
 @dataclass(frozen=True)
@@ -250,11 +307,17 @@ class Model:
 
 
 PATHLOSS_MODELS = {
-    "log_distance": Model(log_distance_los, log_distance_nlos, Shadowing(0.0, 0.0), Shadowing(0.0, 0.0), RADIO),
+    "log_distance": Model(
+        log_distance_los, log_distance_nlos, Shadowing(0.0, 0.0), Shadowing(0.0, 0.0), RADIO
+    ),
     "umi": Model(umi_los, umi_nlos, Shadowing(4.0, 4.0), Shadowing(7.82, 7.82), UMI),
     "uma": Model(uma_los, uma_nlos, Shadowing(4.0, 4.0), Shadowing(6.0, 6.0), UMA),
-    "umi_av": Model(umi_av_los, umi_av_nlos, Shadowing(4.0, 5.0, 0.01, 2.0), Shadowing(7.82, 8.0), UMI_AV),
-    "uma_av": Model(uma_av_los, uma_av_nlos, Shadowing(4.0, 4.64, 0.0066), Shadowing(6.0, 6.0), UMA_AV),
+    "umi_av": Model(
+        umi_av_los, umi_av_nlos, Shadowing(4.0, 5.0, 0.01, 2.0), Shadowing(7.82, 8.0), UMI_AV
+    ),
+    "uma_av": Model(
+        uma_av_los, uma_av_nlos, Shadowing(4.0, 4.64, 0.0066), Shadowing(6.0, 6.0), UMA_AV
+    ),
 }
 
 Values = float | np.ndarray | None
@@ -269,7 +332,12 @@ def check_validity(
     a drone or user stands for its base at another height: drones do that for TR 38.901, users for TR 36.777.
     """
     model = choose("path loss model", name, PATHLOSS_MODELS)
-    for quantity, value in (("frequency", frequency), ("distance", distance), ("drone", drone), ("user", user)):
+    for quantity, value in (
+        ("frequency", frequency),
+        ("distance", distance),
+        ("drone", drone),
+        ("user", user),
+    ):
         if value is None:
             continue
         low, high = getattr(model.validity, quantity)

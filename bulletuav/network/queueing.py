@@ -108,7 +108,10 @@ def response_exceeds(servers, arrival_rate, service_rate, time):
     gap = abs(spare - service_rate)
     span = -math.expm1(-gap * time) / gap if gap > 0.0 else time
     waiting = erlang_c(servers, arrival_rate / service_rate)
-    return math.exp(-service_rate * time) + waiting * service_rate * math.exp(-min(spare, service_rate) * time) * span
+    return (
+        math.exp(-service_rate * time)
+        + waiting * service_rate * math.exp(-min(spare, service_rate) * time) * span
+    )
 
 
 @elementwise

@@ -67,13 +67,17 @@ class Arrivals:
         rates = numbers_of("rates are", rates)
         low, high = (finite("bits", value) for value in as_sequence("bits", bits, 2))
         if not 0 < low <= high:
-            raise ValueError(f"bits are {bits!r}: (low, high) above 0 in ascending order are needed")
+            raise ValueError(
+                f"bits are {bits!r}: (low, high) above 0 in ascending order are needed"
+            )
         if not finite("dt", dt) > 0:
             raise ValueError(f"dt is {dt!r}: seconds above 0 are needed")
         if rates.ndim != 1 or not rates.size:
             raise ValueError(f"rates have shape {rates.shape}: (users,) is needed")
         if not (np.isfinite(rates) & (rates >= 0)).all():
-            raise ValueError(f"rates are {rates!r}: finite numbers of tasks per second, at least 0, are needed")
+            raise ValueError(
+                f"rates are {rates!r}: finite numbers of tasks per second, at least 0, are needed"
+            )
         self._cumulative, self._decision = np.cumsum(rates), (float(dt), low, high)
         self._mean = float(self._cumulative[-1] * dt)
 
@@ -118,7 +122,9 @@ def _spread(first, uniform, cumulative, dt, low, high):
 
 
 @kernel
-def serve(tasks, assignment, uplink, cycles_per_bit, core_frequency, deadline, dt, link_free, core_free):
+def serve(
+    tasks, assignment, uplink, cycles_per_bit, core_frequency, deadline, dt, link_free, core_free
+):
     """Simulate uploads and queues of one decision of `dt` s; returns `Served`.
 
     `tasks` of users with drones `assignment` (W, U), -1 for none, and uplinks of `uplink` (W, U) bit/s; cores do
@@ -137,7 +143,12 @@ def serve(tasks, assignment, uplink, cycles_per_bit, core_frequency, deadline, d
     worlds, drones, cores = core_free.shape
     shape, counts = (worlds, drones), tasks.first[1:] - tasks.first[:-1]
     arrived, completed = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.int64)
-    latency, busy, backlog, cycles = np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros(shape)
+    latency, busy, backlog, cycles = (
+        np.zeros(shape),
+        np.zeros(shape),
+        np.zeros(shape),
+        np.zeros(shape),
+    )
     order, arrival = np.empty(counts.max(), dtype=np.int64), np.empty(counts.max())
     lost, pace = deadline if deadline < np.inf else 0.0, cycles_per_bit / core_frequency
     left = np.empty((drones, cores))
@@ -147,7 +158,18 @@ def serve(tasks, assignment, uplink, cycles_per_bit, core_frequency, deadline, d
                 busy[w, n] += min(core_free[w, n, c], dt)
                 left[n, c] = max(core_free[w, n, c] - dt, 0.0)
         for i in range(
-            _upload(tasks, w, assignment[w], uplink[w], pace, deadline, link_free[w], arrived[w], order, arrival)
+            _upload(
+                tasks,
+                w,
+                assignment[w],
+                uplink[w],
+                pace,
+                deadline,
+                link_free[w],
+                arrived[w],
+                order,
+                arrival,
+            )
         ):
             k = order[i]
             n, need = assignment[w, tasks.user[k]], tasks.bits[k] * cycles_per_bit
@@ -183,7 +205,9 @@ def _first_free(core_free):
 
 
 @kernel
-def _upload(tasks, w, assignment, uplink, seconds_per_bit, deadline, link_free, arrived, order, arrival):
+def _upload(
+    tasks, w, assignment, uplink, seconds_per_bit, deadline, link_free, arrived, order, arrival
+):
     """Send the tasks of world `w`: how many reach a server, with `order`, which, and `arrival`, when, in order of arrival.
 
     Equal times keep the order of generation. They are nearly in order when they come, so insertion sorts fast.
@@ -210,7 +234,18 @@ def _upload(tasks, w, assignment, uplink, seconds_per_bit, deadline, link_free, 
 
 
 @kernel
-def serve_on_average(tasks, assignment, uplink, drones, cycles_per_bit, cores, arrival_rate, service_rate, deadline, dt):
+def serve_on_average(
+    tasks,
+    assignment,
+    uplink,
+    drones,
+    cycles_per_bit,
+    cores,
+    arrival_rate,
+    service_rate,
+    deadline,
+    dt,
+):
     """`Served` where tasks wait for as long as on average: the response of M/M/c to what the users of a drone offer.
 
     As `serve`, but nobody waits for a user's earlier tasks, and nothing is carried over. Each user generates `arrival_rate`
@@ -220,7 +255,12 @@ def serve_on_average(tasks, assignment, uplink, drones, cycles_per_bit, cores, a
     worlds = len(tasks.first) - 1
     shape, counts = (worlds, drones), tasks.first[1:] - tasks.first[:-1]
     arrived, completed = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.int64)
-    latency, busy, backlog, cycles = np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros(shape)
+    latency, busy, backlog, cycles = (
+        np.zeros(shape),
+        np.zeros(shape),
+        np.zeros(shape),
+        np.zeros(shape),
+    )
     response, lost = np.empty(drones), deadline if deadline < np.inf else 0.0
     for w in range(worlds):
         for n in range(drones):

@@ -76,14 +76,32 @@ def path_loss(link, seen, ground, drone, user):
     """Path loss (dB) over `ground`, m, between heights of drone and user, m, with a line of sight or without."""
     frequency = link.frequency
     if link.model == UMI:
-        return umi_los(ground, drone, user, frequency) if seen else umi_nlos(ground, drone, user, frequency)
+        return (
+            umi_los(ground, drone, user, frequency)
+            if seen
+            else umi_nlos(ground, drone, user, frequency)
+        )
     if link.model == UMA:
-        return uma_los(ground, drone, user, frequency) if seen else uma_nlos(ground, drone, user, frequency)
+        return (
+            uma_los(ground, drone, user, frequency)
+            if seen
+            else uma_nlos(ground, drone, user, frequency)
+        )
     if link.model == UMI_AV:
-        return umi_av_los(ground, drone, user, frequency) if seen else umi_av_nlos(ground, drone, user, frequency)
+        return (
+            umi_av_los(ground, drone, user, frequency)
+            if seen
+            else umi_av_nlos(ground, drone, user, frequency)
+        )
     if link.model == UMA_AV:
-        return uma_av_los(ground, drone, user, frequency) if seen else uma_av_nlos(ground, drone, user, frequency)
-    return log_distance(math.hypot(ground, drone - user), frequency, link.n_los if seen else link.n_nlos)
+        return (
+            uma_av_los(ground, drone, user, frequency)
+            if seen
+            else uma_av_nlos(ground, drone, user, frequency)
+        )
+    return log_distance(
+        math.hypot(ground, drone - user), frequency, link.n_los if seen else link.n_nlos
+    )
 
 
 @kernel
@@ -97,7 +115,9 @@ def received_power(link, position, quaternion, users, sight):
             for j in range(count):
                 east, north = users[w, j, 0] - position[w, i, 0], users[w, j, 1] - position[w, i, 1]
                 height = users[w, j, 2] - position[w, i, 2]
-                gain_db = -path_loss(link, sight[w, i, j], math.hypot(east, north), position[w, i, 2], users[w, j, 2])
+                gain_db = -path_loss(
+                    link, sight[w, i, j], math.hypot(east, north), position[w, i, 2], users[w, j, 2]
+                )
                 if link.directional:
                     x, y, z = to_body(turn, (east, north, height))
                     gain_db += gain_towards(x, y, z, PEAK)
@@ -148,4 +168,6 @@ class Uplink:
     def rates(self, power: np.ndarray, servers: np.ndarray, activity: float) -> np.ndarray:
         """`uplink_rates` (W, U), bit/s, of users whose drones (W, U) receive `power` (W, N, U) W."""
         config = self.config
-        return uplink_rates(power, servers, config.bandwidth, self.noise, ACCESS[config.access], activity)
+        return uplink_rates(
+            power, servers, config.bandwidth, self.noise, ACCESS[config.access], activity
+        )

@@ -20,7 +20,17 @@ from bulletuav.tasks import TaskSource, find_task
 
 POLICIES: dict[str, type[Policy]] = {
     policy.name: policy
-    for policy in (StraightLine, PotentialField, Orca, Planner, RandomActions, Centroid, Hotspot, KMeans, Oracle)
+    for policy in (
+        StraightLine,
+        PotentialField,
+        Orca,
+        Planner,
+        RandomActions,
+        Centroid,
+        Hotspot,
+        KMeans,
+        Oracle,
+    )
 }
 PolicySource = str | Path | type[Policy]
 NEEDED = ("name", "actions", "reads_swarm")
@@ -49,7 +59,9 @@ class PolicySpec(NamedTuple):
         return self.make(aviary)
 
 
-def find_policy(source: PolicySource, task: TaskSource | None = None, trust: bool = False) -> PolicySpec:
+def find_policy(
+    source: PolicySource, task: TaskSource | None = None, trust: bool = False
+) -> PolicySpec:
     """Find a policy.
 
     Args:
@@ -67,7 +79,9 @@ def find_policy(source: PolicySource, task: TaskSource | None = None, trust: boo
         _require_policy(source)
         return PolicySpec(source.name, source.actions, source.reads_swarm, source)
     if not isinstance(source, str | Path) or not str(source):
-        raise ValueError(f"policy is {shown(source)}: a name, a run's folder, 'ppo:model.zip', or a class is needed")
+        raise ValueError(
+            f"policy is {shown(source)}: a name, a run's folder, 'ppo:model.zip', or a class is needed"
+        )
     source = str(source)
     if source in SHIPPED_NAMES:
         if task is None:
@@ -80,8 +94,12 @@ def find_policy(source: PolicySource, task: TaskSource | None = None, trust: boo
     if colon:
         choose("algorithm", algorithm, dict.fromkeys(ALGORITHMS))
         if not path:
-            raise ValueError(f"policy is {source!r}: the path of a model is needed after the colon, such as 'ppo:model.zip'")
-        path = path if Path(path).is_file() else f"{path}.zip"  # which the library adds to names without it
+            raise ValueError(
+                f"policy is {source!r}: the path of a model is needed after the colon, such as 'ppo:model.zip'"
+            )
+        path = (
+            path if Path(path).is_file() else f"{path}.zip"
+        )  # which the library adds to names without it
         return _model(source, algorithm, Path(path), trust)
     kind = choose("policy", source, {**POLICIES, **dict.fromkeys(SHIPPED_NAMES)})
     return PolicySpec(kind.name, kind.actions, kind.reads_swarm, kind)
@@ -89,16 +107,27 @@ def find_policy(source: PolicySource, task: TaskSource | None = None, trust: boo
 
 def _require_policy(kind: type[Policy]) -> None:
     """Raise ValueError, naming what is missing, unless a class has what a policy is made of."""
-    lacks = [*sorted(kind.__abstractmethods__), *(name for name in NEEDED if not hasattr(kind, name))]
+    lacks = [
+        *sorted(kind.__abstractmethods__),
+        *(name for name in NEEDED if not hasattr(kind, name)),
+    ]
     if lacks:
-        raise ValueError(f"policy {kind.__name__} has no {lacks[0]}: a policy needs it, see bulletuav.policies.base.Policy")
+        raise ValueError(
+            f"policy {kind.__name__} has no {lacks[0]}: a policy needs it, see bulletuav.policies.base.Policy"
+        )
 
 
 def _run(folder: Path, name: str, trust: bool) -> PolicySpec:
     """The policy of a run, or of a checkpoint two folders below it."""
-    home = folder if folder.parent.name != CHECKPOINTS or (folder / CONFIG).exists() else folder.parents[1]
+    home = (
+        folder
+        if folder.parent.name != CHECKPOINTS or (folder / CONFIG).exists()
+        else folder.parents[1]
+    )
     config, path = RunConfig.read(home / CONFIG), folder / POLICY
-    if not path.is_file() and (folder / OLD_MODEL).is_file():  # of a version that kept models as stable-baselines3 does
+    if (
+        not path.is_file() and (folder / OLD_MODEL).is_file()
+    ):  # of a version that kept models as stable-baselines3 does
         pilot = _model(name, config.algo, folder / OLD_MODEL, trust)
     else:
         pilot = _file(name, path, lambda aviary: Trained(aviary, config, path))

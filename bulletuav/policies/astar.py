@@ -14,9 +14,23 @@ import numpy as np
 from bulletuav.geometry.rotation import dot
 from bulletuav.kernel import func, kernel
 
-STEPS = np.array([(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if (x, y, z) != (0, 0, 0)])
-UNIT = 2**40  # of lengths in A*, to a cell: whole numbers, so that ways of the same length tie exactly
-EDGE, FACE, SPACE = UNIT, round(UNIT * math.sqrt(2)), round(UNIT * math.sqrt(3))  # steps along 1, 2 and 3 axes
+STEPS = np.array(
+    [
+        (x, y, z)
+        for x in (-1, 0, 1)
+        for y in (-1, 0, 1)
+        for z in (-1, 0, 1)
+        if (x, y, z) != (0, 0, 0)
+    ]
+)
+UNIT = (
+    2**40
+)  # of lengths in A*, to a cell: whole numbers, so that ways of the same length tie exactly
+EDGE, FACE, SPACE = (
+    UNIT,
+    round(UNIT * math.sqrt(2)),
+    round(UNIT * math.sqrt(3)),
+)  # steps along 1, 2 and 3 axes
 UNREACHED = 2**62
 
 
@@ -31,7 +45,9 @@ class Voxels(NamedTuple):
     size: float
 
 
-def voxels(bounds: np.ndarray, low: np.ndarray, high: np.ndarray, size: float, clearance: float) -> Voxels:
+def voxels(
+    bounds: np.ndarray, low: np.ndarray, high: np.ndarray, size: float, clearance: float
+) -> Voxels:
     """The cells of an arena with corners low, high (3,), m, free where they are wholly in it and clear of everything.
 
     Occupied are those with a centre in a box of bounds (P, 2, 3), m, grown on each side by `clearance`, m, or no higher
@@ -79,7 +95,11 @@ def nearest_free(grid, point):
         for y in range(grid.occupied.shape[1]):
             for z in range(grid.occupied.shape[2]):
                 if not grid.occupied[x, y, z]:
-                    gap = _offset(grid, point, 0, x), _offset(grid, point, 1, y), _offset(grid, point, 2, z)
+                    gap = (
+                        _offset(grid, point, 0, x),
+                        _offset(grid, point, 1, y),
+                        _offset(grid, point, 2, z),
+                    )
                     square = dot(gap, gap)
                     if square < least:
                         least, best = square, (x, y, z)
@@ -125,7 +145,11 @@ def shortest_path(occupied, start, goal):
         x, y, z = STEPS[k]
         offset[k] = (x * shape[1] + y) * shape[2] + z
         length[k] = octile(x, y, z)
-    blocked, cost, came_from = occupied.ravel(), np.full(occupied.size, UNREACHED), np.full(occupied.size, -1)
+    blocked, cost, came_from = (
+        occupied.ravel(),
+        np.full(occupied.size, UNREACHED),
+        np.full(occupied.size, -1),
+    )
     first = (start[0] * shape[1] + start[1]) * shape[2] + start[2]
     last = (goal[0] * shape[1] + goal[1]) * shape[2] + goal[2]
     left = octile(goal[0] - start[0], goal[1] - start[1], goal[2] - start[2])

@@ -22,7 +22,10 @@ from bulletuav.policies.potential import INFLUENCE
 from bulletuav.vehicle.swarm import Swarm
 
 HIGHEST = 0.93  # of the ceiling: room for gusts
-STEP_DOWN, STEPS = 0.01, 10  # of the ceiling, by which the next drone is lower, so that ways above the roofs do not meet
+STEP_DOWN, STEPS = (
+    0.01,
+    10,
+)  # of the ceiling, by which the next drone is lower, so that ways above the roofs do not meet
 PERIOD = 2.0  # s, between looks at targets that move
 TOLERANCE = 4.0  # m, by which a place moves before its drone does
 HOTSPOT = 50.0  # m, radius: seen at 60 degrees or more from below the default ceiling
@@ -46,17 +49,25 @@ class Placement(PathFollower):
                 f"choose a task with users or ground to see"
             )
         super().__init__(aviary)
-        self.height = task.arena_high[2] * (HIGHEST - STEP_DOWN * (np.arange(shape[1]) % STEPS))  # (N,) m
-        self.apart = float(max(getattr(task.config, "min_separation", 0.0), INFLUENCE * task.config.d_safe))  # m
+        self.height = task.arena_high[2] * (
+            HIGHEST - STEP_DOWN * (np.arange(shape[1]) % STEPS)
+        )  # (N,) m
+        self.apart = float(
+            max(getattr(task.config, "min_separation", 0.0), INFLUENCE * task.config.d_safe)
+        )  # m
         self._every = max(1, round(PERIOD * aviary.options.decision_hz))
         self._place = np.zeros((*shape, 3))
         self._placed = np.zeros(shape, dtype=bool)  # which drones lived when places were made
-        self._targets = np.zeros((shape[0], task.num_targets, 3))  # at that time; infinite where they did not count
+        self._targets = np.zeros(
+            (shape[0], task.num_targets, 3)
+        )  # at that time; infinite where they did not count
 
     def goals(self, swarm: Swarm) -> np.ndarray:
         """The places."""
         aviary, scene, alive = self.aviary, self.aviary.scene, self.aviary.alive
-        targets = np.where(aviary.task.active_targets(scene)[..., None], aviary.task.targets(scene), np.inf)
+        targets = np.where(
+            aviary.task.active_targets(scene)[..., None], aviary.task.targets(scene), np.inf
+        )
         anew = ((alive & (self._count == 0)) | (alive != self._placed)).any(axis=1)
         moved = (targets != self._targets).any(axis=(1, 2)) & (aviary.steps % self._every == 0)
         for w in np.flatnonzero((anew | moved) & alive.any(axis=1)).tolist():
@@ -70,7 +81,9 @@ class Placement(PathFollower):
         flat, before = position[flying, :2], None if anew else self._place[w, flying, :2]
         if active_targets.any():
             flat = self.places(w, targets[active_targets], flat, before)
-        place = np.array([self._free(w, over) for over in np.column_stack([flat, self.height[flying]])])
+        place = np.array(
+            [self._free(w, over) for over in np.column_stack([flat, self.height[flying]])]
+        )
         away = anew | (np.linalg.norm(place - self._place[w, flying], axis=1) > TOLERANCE)
         self._place[w, flying[away]], self._count[w, flying[away]] = place[away], 0
 
@@ -80,10 +93,16 @@ class Placement(PathFollower):
         if grid.occupied.all():
             return place
         cell = nearest_free(grid, place)
-        return place if cell == cell_of(grid, place) else grid.origin + grid.size * (np.array(cell) + 0.5)
+        return (
+            place
+            if cell == cell_of(grid, place)
+            else grid.origin + grid.size * (np.array(cell) + 0.5)
+        )
 
     @abstractmethod
-    def places(self, w: int, targets: np.ndarray, position: np.ndarray, before: np.ndarray | None) -> np.ndarray:
+    def places(
+        self, w: int, targets: np.ndarray, position: np.ndarray, before: np.ndarray | None
+    ) -> np.ndarray:
         """(K, 2) where in world w, m, K drones at `position` (K, 2) are to hover for targets (M, 3), one or more.
 
         `before` (K, 2): where they were to hover until now; None when they are placed for the first time, or are fewer now.
@@ -95,7 +114,9 @@ class Centroid(Placement):
 
     name = "centroid"
 
-    def places(self, w: int, targets: np.ndarray, position: np.ndarray, before: np.ndarray | None) -> np.ndarray:
+    def places(
+        self, w: int, targets: np.ndarray, position: np.ndarray, before: np.ndarray | None
+    ) -> np.ndarray:
         """The ring, with the least sum of ways there."""
         low, high = self.aviary.task.arena_low[:2], self.aviary.task.arena_high[:2]
         centroid = targets[:, :2].mean(axis=0)
@@ -110,7 +131,9 @@ class Hotspot(Placement):
 
     name = "hotspot"
 
-    def places(self, w: int, targets: np.ndarray, position: np.ndarray, before: np.ndarray | None) -> np.ndarray:
+    def places(
+        self, w: int, targets: np.ndarray, position: np.ndarray, before: np.ndarray | None
+    ) -> np.ndarray:
         """As many hotspots as drones."""
         points = targets[:, :2]
         distance = cdist(points, points)
@@ -124,7 +147,9 @@ class KMeans(Placement):
 
     name = "kmeans"
 
-    def places(self, w: int, targets: np.ndarray, position: np.ndarray, before: np.ndarray | None) -> np.ndarray:
+    def places(
+        self, w: int, targets: np.ndarray, position: np.ndarray, before: np.ndarray | None
+    ) -> np.ndarray:
         """The means, with the least sum of ways there."""
         points = targets[:, :2]
         start = farthest_first(points, len(position)) if before is None else before
@@ -139,7 +164,9 @@ class Oracle(Placement):
 
     name = "oracle"
 
-    def places(self, w: int, targets: np.ndarray, position: np.ndarray, before: np.ndarray | None) -> np.ndarray:
+    def places(
+        self, w: int, targets: np.ndarray, position: np.ndarray, before: np.ndarray | None
+    ) -> np.ndarray:
         """Taken greedily at first; from then on a drone goes elsewhere only to serve what no other drone serves so well."""
         count, grid = len(position), self._grid_places(w)
         tried = np.concatenate([position if before is None else before, grid])
@@ -147,7 +174,12 @@ class Oracle(Placement):
         if before is not None:
             return tried[best_responses(service_quality, tried, np.arange(count), self.apart)]
         return matched(
-            tried[greedy_coverage(service_quality, cdist(tried, targets[:, :2]), tried, count, self.apart)], position
+            tried[
+                greedy_coverage(
+                    service_quality, cdist(tried, targets[:, :2]), tried, count, self.apart
+                )
+            ],
+            position,
         )
 
     def _grid_places(self, w: int) -> np.ndarray:
@@ -161,5 +193,9 @@ class Oracle(Placement):
     def _worth(self, w: int, places: np.ndarray, targets: np.ndarray) -> np.ndarray:
         """(C, M) what targets (M, 3) are worth to a drone at places (C, 2), from 0 to 1."""
         start = np.insert(places, 2, self.height.min(), axis=1)
-        seen = self.aviary.line_of_sight(np.repeat(start, len(targets), axis=0), np.tile(targets, (len(places), 1)), w)
-        return self.aviary.task.service_quality(start, targets, seen.reshape(len(places), len(targets)))
+        seen = self.aviary.line_of_sight(
+            np.repeat(start, len(targets), axis=0), np.tile(targets, (len(places), 1)), w
+        )
+        return self.aviary.task.service_quality(
+            start, targets, seen.reshape(len(places), len(targets))
+        )

@@ -9,15 +9,23 @@ from scipy.spatial.distance import cdist
 ROUNDS = 100  # of Lloyd's iteration, which is done after some ten
 
 
-def ring(centre: np.ndarray, count: int, apart: float, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+def ring(
+    centre: np.ndarray, count: int, apart: float, low: np.ndarray, high: np.ndarray
+) -> np.ndarray:
     """(count, 2) places about `centre` (2,), evenly on a circle whose neighbours are `apart`, the first one east of it.
 
     The circle is moved, and where it must be shrunk, into the rectangle with corners `low`, `high` (2,). One place is the
     centre itself.
     """
-    radius = 0.0 if count == 1 else min(0.5 * apart / math.sin(math.pi / count), 0.5 * float((high - low).min()))
+    radius = (
+        0.0
+        if count == 1
+        else min(0.5 * apart / math.sin(math.pi / count), 0.5 * float((high - low).min()))
+    )
     angle = 2 * np.pi * np.arange(count) / count
-    return np.clip(centre, low + radius, high - radius) + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return np.clip(centre, low + radius, high - radius) + radius * np.stack(
+        [np.cos(angle), np.sin(angle)], axis=1
+    )
 
 
 def farthest_first(points: np.ndarray, count: int) -> np.ndarray:
@@ -40,13 +48,18 @@ def kmeans(points: np.ndarray, centres: np.ndarray) -> np.ndarray:
         nearest = cdist(points, centres).argmin(axis=1)
         member = nearest == np.arange(len(centres))[:, None]
         count = member.sum(axis=1, keepdims=True)
-        before, centres = centres, np.where(count > 0, member @ points / np.maximum(count, 1), centres)
+        before, centres = (
+            centres,
+            np.where(count > 0, member @ points / np.maximum(count, 1), centres),
+        )
         if (centres == before).all():
             break
     return centres
 
 
-def greedy_coverage(serves: np.ndarray, distance: np.ndarray, places: np.ndarray, count: int, apart: float) -> np.ndarray:
+def greedy_coverage(
+    serves: np.ndarray, distance: np.ndarray, places: np.ndarray, count: int, apart: float
+) -> np.ndarray:
     """(count,) indices of places (C, 2), one after the other that which adds most; among equals the nearest to its targets.
 
     `serves` (C, U): how well, from 0 to 1, each place would serve each target, which the best of those taken serves;
@@ -67,7 +80,9 @@ def greedy_coverage(serves: np.ndarray, distance: np.ndarray, places: np.ndarray
     return np.array(taken)
 
 
-def best_responses(serves: np.ndarray, places: np.ndarray, taken: np.ndarray, apart: float) -> np.ndarray:
+def best_responses(
+    serves: np.ndarray, places: np.ndarray, taken: np.ndarray, apart: float
+) -> np.ndarray:
     """(K,) indices of places (C, 2) after each of K drones, in turn, left its one of `taken` (K,) for a better one.
 
     Better is what adds more to what the others serve; among equals it takes the nearest, so it stays at no worse a

@@ -43,21 +43,29 @@ class UserFeatures:
         others, parts = 6 * (self.num_drones - 1), 4 + self.num_drones + len(AHEAD)
         users, rest = divmod(count - 3 - others, parts)
         if rest or users < 1:
-            raise ValueError(f"features of {self.num_drones} drones and their users do not fit {count} numbers")
+            raise ValueError(
+                f"features of {self.num_drones} drones and their users do not fit {count} numbers"
+            )
         return [3, others, 4 * users, self.num_drones * users, len(AHEAD) * users]
 
     def __call__(self, rows: np.ndarray) -> np.ndarray:
         """Compute (M, 3 N + F) features of observations (M, D)."""
         count = len(rows)
-        own, others, users, sight, ahead = np.split(rows, np.cumsum(self.sizes(rows.shape[1]))[:-1], axis=1)
+        own, others, users, sight, ahead = np.split(
+            rows, np.cumsum(self.sizes(rows.shape[1]))[:-1], axis=1
+        )
         others = others.reshape(count, -1, 6)[..., :3]
         users = users.reshape(count, -1, 4)[:, :, None, :3]
-        sight, ahead = (seen.reshape(count, -1, users.shape[1]).transpose(0, 2, 1) for seen in (sight, ahead))
+        sight, ahead = (
+            seen.reshape(count, -1, users.shape[1]).transpose(0, 2, 1) for seen in (sight, ahead)
+        )
         # How loud each user is at each drone, first the one that asks, and at the places around it.
         now = log_gain(np.concatenate([users, users - others[:, None]], axis=2), sight)
         gain = log_gain(users - self._ways, ahead) - now[..., :1]
         lead = now[..., :1] - now[..., 1:].max(axis=2, keepdims=True)
-        known = np.concatenate([users[:, :, 0] / FAR, now / 2 + 6, sight, lead / 2, gain / 2], axis=2)
+        known = np.concatenate(
+            [users[:, :, 0] / FAR, now / 2 + 6, sight, lead / 2, gain / 2], axis=2
+        )
         for weight, bias in self._layers:
             known = np.maximum(known @ weight.T + bias, 0)
         each = known.sum(axis=1) / np.sqrt(users.shape[1])
@@ -67,5 +75,7 @@ class UserFeatures:
 def log_gain(offset: np.ndarray, seen: np.ndarray) -> np.ndarray:
     """Logarithm of received power over that at 1 m, for offsets (..., 3), m; see `log_distance` in `network.pathloss`."""
     distance = np.sqrt((offset * offset).sum(axis=-1))
-    exponent = np.where(seen > 0.5, np.float32(LINE_OF_SIGHT), np.float32(BLOCKED))  # as in training
+    exponent = np.where(
+        seen > 0.5, np.float32(LINE_OF_SIGHT), np.float32(BLOCKED)
+    )  # as in training
     return -exponent * np.log(distance + 1)

@@ -55,7 +55,12 @@ def descend(rows, frame, depth, k, linear):
 
     -1 where the boundary is out of the ball, or wholly outside one of the half-spaces 0 to k - 1.
     """
-    n, bound, centre, radius = vec3(rows, depth, k), rows[depth, k, 3], vec3(frame, depth, 0), frame[depth, 0, 3]
+    n, bound, centre, radius = (
+        vec3(rows, depth, k),
+        rows[depth, k, 3],
+        vec3(frame, depth, 0),
+        frame[depth, 0, 3],
+    )
     height, count, to_point = (
         bound - dot(n, centre),
         0,

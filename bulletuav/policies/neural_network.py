@@ -42,7 +42,9 @@ def _relu(values: np.ndarray) -> np.ndarray:
     return np.maximum(values, 0.0)
 
 
-_ON_POLICY = Actor(("mlp_extractor.policy_net", "action_net"), "features_extractor.", np.tanh, False)
+_ON_POLICY = Actor(
+    ("mlp_extractor.policy_net", "action_net"), "features_extractor.", np.tanh, False
+)
 _TD3 = Actor(("actor.mu",), "actor.features_extractor.", _relu, True)
 ACTORS = {
     "ppo": _ON_POLICY,
@@ -64,18 +66,24 @@ def read_weights(path: Path) -> dict[str, np.ndarray]:
     try:
         weights = load_file(path)
     except FileNotFoundError:
-        raise FileNotFoundError(f"no policy {path}: the folder of a run that was trained holds one") from None
+        raise FileNotFoundError(
+            f"no policy {path}: the folder of a run that was trained holds one"
+        ) from None
     except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{path} is no safetensors file: {error}") from None
     for name, array in weights.items():
         if not np.isfinite(array).all():
-            raise ValueError(f"{path}: {name} holds a number that is not finite; train the policy again")
+            raise ValueError(
+                f"{path}: {name} holds a number that is not finite; train the policy again"
+            )
     return weights
 
 
 def is_plain(algorithm: str, model: Mapping[str, Any]) -> bool:
     """Tell whether `Network` knows the layers that an algorithm with these settings learns, for vectors of numbers."""
-    explored = model.get("use_sde", False) and algorithm == "sac"  # whose last layer has a clip of its own
+    explored = (
+        model.get("use_sde", False) and algorithm == "sac"
+    )  # whose last layer has a clip of its own
     return not explored and set(model.get("policy_kwargs", {})) <= set(SETTINGS)
 
 
@@ -119,7 +127,11 @@ class Network:
             except ValueError:
                 return False
             observed = expected
-        return (observed, given, choices) == (expected, len(self._layers[-1][1]), self._bounds is None)
+        return (observed, given, choices) == (
+            expected,
+            len(self._layers[-1][1]),
+            self._bounds is None,
+        )
 
     def __call__(self, rows: np.ndarray) -> np.ndarray:
         """Choose actions.
@@ -147,10 +159,17 @@ class Network:
 
 def _dense(weights: Weights, name: str) -> Layers:
     """The dense layers of that name, or of the stack of that name in the order of their numbers."""
-    numbers = {int(match[1]) for known in weights if (match := re.fullmatch(rf"{re.escape(name)}\.(\d+)\.weight", known))}
+    numbers = {
+        int(match[1])
+        for known in weights
+        if (match := re.fullmatch(rf"{re.escape(name)}\.(\d+)\.weight", known))
+    }
     names = [f"{name}.{number}" for number in sorted(numbers)] or ([] if name in STACKS else [name])
     try:
-        layers = [(weights[f"{one}.weight"].astype(float), weights[f"{one}.bias"].astype(float)) for one in names]
+        layers = [
+            (weights[f"{one}.weight"].astype(float), weights[f"{one}.bias"].astype(float))
+            for one in names
+        ]
     except KeyError as error:
         raise ValueError(f"it lacks {error.args[0]}") from None
     return layers
@@ -160,6 +179,12 @@ def _require_chain(layers: Layers) -> None:
     """Raise ValueError unless each layer takes as many numbers as the one before it gives."""
     sizes = None
     for weight, bias in layers:
-        if weight.ndim != 2 or bias.shape != weight.shape[:1] or sizes not in (None, weight.shape[1]):
-            raise ValueError(f"a layer of weights {weight.shape} and biases {bias.shape} does not fit the one before it")
+        if (
+            weight.ndim != 2
+            or bias.shape != weight.shape[:1]
+            or sizes not in (None, weight.shape[1])
+        ):
+            raise ValueError(
+                f"a layer of weights {weight.shape} and biases {bias.shape} does not fit the one before it"
+            )
         sizes = len(bias)

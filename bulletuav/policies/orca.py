@@ -22,7 +22,9 @@ BRAKING = 2.0  # s in which velocities lead to a wall at the earliest: stopping 
 RECOVERY = 1.0  # s in which to leave a zone entered; within one decision no quadrotor could
 MARGIN = 1.5  # m, beyond d_safe and contact: how far lag, wind and overshoot carry a drone off its velocity
 NEIGHBOURS = 32  # the nearest drones: with 16, twenty that meet at one point overlook those behind
-TO_RIGHT = np.array(((1, -0.01, 0), (0.01, 1, 0), (0, 0, 1)))  # a turn of 0.01 rad: exactly head-on, drones would only stop
+TO_RIGHT = np.array(
+    ((1, -0.01, 0), (0.01, 1, 0), (0, 0, 1))
+)  # a turn of 0.01 rad: exactly head-on, drones would only stop
 LOWEST_CORNER = (-np.inf, -np.inf, 0.0)  # m, lower corner of the world
 NO_DIRECTION = 1e-9  # m/s, m: below this a direction is none
 
@@ -72,9 +74,15 @@ class Orca(Policy):
         radius = np.array([obstacle.radius + body + MARGIN for obstacle in task.obstacles()])
         low, high = np.maximum(task.arena_low, LOWEST_CORNER) + body, task.arena_high - body
         around = Surroundings(scene.obstacle, scene.obstacle_velocity, radius, low, high)
-        rules = Rules(max(task.config.d_safe, 2 * body) + MARGIN, HORIZON, BRAKING, RECOVERY, float(speed))
-        wanted = preferred_velocity(scene.goal, scene.goal_velocity, swarm.position, speed) @ TO_RIGHT
-        return self.encoded(orca_velocities(swarm.position, swarm.velocity, wanted, aviary.alive, rules, around))
+        rules = Rules(
+            max(task.config.d_safe, 2 * body) + MARGIN, HORIZON, BRAKING, RECOVERY, float(speed)
+        )
+        wanted = (
+            preferred_velocity(scene.goal, scene.goal_velocity, swarm.position, speed) @ TO_RIGHT
+        )
+        return self.encoded(
+            orca_velocities(swarm.position, swarm.velocity, wanted, aviary.alive, rules, around)
+        )
 
 
 @kernel
@@ -85,7 +93,11 @@ def orca_velocities(position, velocity, preferred, alive, rules, around):
     """
     result = np.zeros(position.shape)
     rows = np.empty((DEPTH, rules.neighbours + around.ball_radius.size + 6, 4))
-    spare, near, distance = np.empty_like(rows), np.empty(rules.neighbours, np.int64), np.empty(rules.neighbours)
+    spare, near, distance = (
+        np.empty_like(rows),
+        np.empty(rules.neighbours, np.int64),
+        np.empty(rules.neighbours),
+    )
     for w in range(alive.shape[0]):
         for i in range(alive.shape[1]):
             if alive[w, i]:
@@ -104,7 +116,9 @@ def _drones(rows, position, velocity, alive, rules, near, distance, w, i):
     for k in range(_nearest(position, alive, near, distance, w, i)):
         j = near[k]
         gap, other = offset(position, w, i, j), vec3(velocity, w, j)
-        count = _add(rows, count, half_space(gap, own, other, rules.separation, rules, 0.5), rules.max_speed)
+        count = _add(
+            rows, count, half_space(gap, own, other, rules.separation, rules, 0.5), rules.max_speed
+        )
     return count
 
 
@@ -113,7 +127,12 @@ def _balls(rows, count, position, velocity, rules, around, w, i):
     here, own = vec3(position, w, i), vec3(velocity, w, i)
     for k in range(around.ball_radius.size):
         gap, other = along(vec3(around.ball, w, k), -1.0, here), vec3(around.ball_velocity, w, k)
-        count = _add(rows, count, half_space(gap, own, other, around.ball_radius[k], rules, 1.0), rules.max_speed)
+        count = _add(
+            rows,
+            count,
+            half_space(gap, own, other, around.ball_radius[k], rules, 1.0),
+            rules.max_speed,
+        )
     return count
 
 
@@ -177,7 +196,9 @@ def _leg(gap, relative, radius):
     right, _ = _unit(cross(axis, (0.0, 0.0, 1.0)), cross(axis, (1.0, 0.0, 0.0)))
     aside, _ = _unit(sideways, right)  # head-on both turn to their right
     sine = radius / distance
-    n = along((-sine * axis[0], -sine * axis[1], -sine * axis[2]), math.sqrt(1.0 - sine * sine), aside)
+    n = along(
+        (-sine * axis[0], -sine * axis[1], -sine * axis[2]), math.sqrt(1.0 - sine * sine), aside
+    )
     return n, -dot(n, relative)
 
 

@@ -47,9 +47,13 @@ class PathFollower(Policy):
 
     def __init__(self, aviary: Aviary):
         super().__init__(aviary)
-        self._grids: dict[int, tuple[Solids, Voxels]] = {}  # by the id of the solids, kept here lest others get it
+        self._grids: dict[
+            int, tuple[Solids, Voxels]
+        ] = {}  # by the id of the solids, kept here lest others get it
         self._way = np.zeros((*aviary.alive.shape, 2, 3))
-        self._count = np.zeros(aviary.alive.shape, dtype=np.int64)  # of waypoints; 0 before there is a plan
+        self._count = np.zeros(
+            aviary.alive.shape, dtype=np.int64
+        )  # of waypoints; 0 before there is a plan
         self._next = np.ones(aviary.alive.shape, dtype=np.int64)
 
     def reset(self, mask: np.ndarray) -> None:
@@ -62,9 +66,13 @@ class PathFollower(Policy):
         for w, i in np.argwhere(aviary.alive & (self._count == 0)).tolist():
             self._keep(w, i, self._plan(w, swarm.position[w, i], goal[w, i]))
         limits = Limits(speed, ACCELERATION, DELAY, HALF_WIDTH)
-        wanted, self._next = follow(swarm.position, swarm.velocity, self._way, self._count, self._next, limits)
+        wanted, self._next = follow(
+            swarm.position, swarm.velocity, self._way, self._count, self._next, limits
+        )
         field = make_field(aviary, surfaces=0.0)
-        push = repulsion(swarm.position, aviary.alive, np.zeros((len(aviary.alive), 0, 3)), np.zeros(0), field)
+        push = repulsion(
+            swarm.position, aviary.alive, np.zeros((len(aviary.alive), 0, 3)), np.zeros(0), field
+        )
         return self.encoded(limit_norm(wanted + limit_norm(push, APPROACH * HALF_WIDTH), speed))
 
     @abstractmethod
@@ -111,7 +119,11 @@ def follow(position, velocity, way, count, target, limits):
     for w in range(count.shape[0]):
         for i in range(count.shape[1]):
             if count[w, i] > 0:
-                here, moving, points = vec3(position, w, i), vec3(velocity, w, i), way[w, i, : count[w, i]]
+                here, moving, points = (
+                    vec3(position, w, i),
+                    vec3(velocity, w, i),
+                    way[w, i, : count[w, i]],
+                )
                 target[w, i] = next_waypoint(points, target[w, i], here, moving, limits)
                 wanted = velocity_along(points, target[w, i], here, limits)
                 for axis in range(3):
@@ -164,7 +176,9 @@ def corner_speed(cosine, length, limits):
     r tan(theta / 2) that of the points where it touches, at most half a leg.
     """
     half = math.sqrt(min(max(0.5 + 0.5 * cosine, 0.0), 1.0))  # cos(theta / 2)
-    radius = min(limits.half_width * half / (1.0 - half), 0.5 * length * half / math.sqrt(1.0 - half * half))
+    radius = min(
+        limits.half_width * half / (1.0 - half), 0.5 * length * half / math.sqrt(1.0 - half * half)
+    )
     return math.sqrt(limits.acceleration * radius)
 
 

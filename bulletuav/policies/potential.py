@@ -39,7 +39,14 @@ def make_field(aviary: Aviary, surfaces: float = SURFACES) -> Field:
     """The field for the drones of an aviary; `surfaces` is the scale of the push from these, d_safe."""
     body = aviary.task.context.collision_radius
     scale = float(max(aviary.task.config.d_safe, 2 * body))
-    return Field(STRENGTH * aviary.options.max_speed, scale, surfaces * scale, INFLUENCE * scale, CONTACT * scale, body)
+    return Field(
+        STRENGTH * aviary.options.max_speed,
+        scale,
+        surfaces * scale,
+        INFLUENCE * scale,
+        CONTACT * scale,
+        body,
+    )
 
 
 class PotentialField(Policy):
@@ -78,7 +85,11 @@ def repulsion(position, alive, obstacle, obstacle_radius, field):
                     _push(result, w, i, offset(position, w, j, i), 0.0, field.drones, field)
             here = vec3(position, w, i)
             for k in range(obstacle_radius.size):
-                away = here[0] - obstacle[w, k, 0], here[1] - obstacle[w, k, 1], here[2] - obstacle[w, k, 2]
+                away = (
+                    here[0] - obstacle[w, k, 0],
+                    here[1] - obstacle[w, k, 1],
+                    here[2] - obstacle[w, k, 2],
+                )
                 _push(result, w, i, away, obstacle_radius[k] + field.body, field.surfaces, field)
             _push(result, w, i, (0.0, 0.0, here[2]), field.body, field.surfaces, field)
     return result

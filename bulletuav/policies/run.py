@@ -45,7 +45,13 @@ LIMITS = {
     "episodes": (1, 10**6),
 }
 """Least and most of whole numbers of a run"""
-_REPLAY = {"learning_starts": 10_000, "batch_size": 1024, "buffer_size": 300_000, "train_freq": 1, "gamma": 0.99}
+_REPLAY = {
+    "learning_starts": 10_000,
+    "batch_size": 1024,
+    "buffer_size": 300_000,
+    "train_freq": 1,
+    "gamma": 0.99,
+}
 DEFAULTS: dict[str, dict[str, Any]] = {
     "ppo": {
         "n_steps": 64,
@@ -127,7 +133,12 @@ class RunConfig:
         if "task" not in values:
             raise ValueError("a run without a task: say which")
         counts = {field.name for field in dataclasses.fields(cls) if field.type is int}
-        return cls(**{name: whole_number(value) if name in counts else value for name, value in values.items()})
+        return cls(
+            **{
+                name: whole_number(value) if name in counts else value
+                for name, value in values.items()
+            }
+        )
 
     @classmethod
     def read(cls, path: Path) -> "RunConfig":
@@ -137,9 +148,13 @@ class RunConfig:
         except (yaml.YAMLError, UnicodeDecodeError) as error:
             raise ValueError(f"{path} is no YAML file: {error}") from None
         except (FileNotFoundError, IsADirectoryError):
-            raise FileNotFoundError(f"no file {path}: the run.yaml of a run, or one like it, is needed") from None
+            raise FileNotFoundError(
+                f"no file {path}: the run.yaml of a run, or one like it, is needed"
+            ) from None
         if not isinstance(values, Mapping):
-            raise ValueError(f"{path} holds {values!r}: names with values are needed, such as task: crossing")
+            raise ValueError(
+                f"{path} holds {values!r}: names with values are needed, such as task: crossing"
+            )
         try:
             return cls.of(values)
         except ValueError as error:
@@ -171,7 +186,11 @@ class RunConfig:
         """The options that hold wherever the policy flies: those of `INTERFACE`, also where a preset or so gives them."""
         given, own, usual = self._given, self._resolved, resolve(find_task(self.task), {})[0]
         values = {name: getattr(own, name) for name in INTERFACE}
-        return {name: value for name, value in values.items() if name in given or value != getattr(usual, name)}
+        return {
+            name: value
+            for name, value in values.items()
+            if name in given or value != getattr(usual, name)
+        }
 
     @property
     def action(self) -> str:
@@ -225,5 +244,7 @@ class _Loader(yaml.SafeLoader):
 
 
 _Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float", re.compile(r"^[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$"), list("-+0123456789")
+    "tag:yaml.org,2002:float",
+    re.compile(r"^[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$"),
+    list("-+0123456789"),
 )

@@ -25,9 +25,13 @@ class StraightLine(Policy):
         scene, options = self.aviary.scene, self.aviary.options
         if options.action == "target_position":
             return self.encoded(scene.goal)
-        return self.encoded(preferred_velocity(scene.goal, scene.goal_velocity, swarm.position, options.max_speed))
+        return self.encoded(
+            preferred_velocity(scene.goal, scene.goal_velocity, swarm.position, options.max_speed)
+        )
 
 
-def preferred_velocity(goal: np.ndarray, goal_velocity: np.ndarray, position: np.ndarray, max_speed: float) -> np.ndarray:
+def preferred_velocity(
+    goal: np.ndarray, goal_velocity: np.ndarray, position: np.ndarray, max_speed: float
+) -> np.ndarray:
     """(W, N, 3) m/s towards goals (W, N, 3) from positions, and with them, at up to `max_speed`."""
     return limit_norm(APPROACH * (goal - position) + goal_velocity, max_speed)

@@ -86,11 +86,17 @@ class Trained(SharedPolicy):
                     )
                 self._choose_rows = network
             else:
-                from bulletuav.adapters.sb3_policy import policy_network  # the extra is needed from here on
+                from bulletuav.adapters.sb3_policy import (
+                    policy_network,
+                )  # the extra is needed from here on
 
-                self._choose_rows = policy_network(algo, model, space, action, aviary.num_drones, weights)
+                self._choose_rows = policy_network(
+                    algo, model, space, action, aviary.num_drones, weights
+                )
         except ValueError as error:
-            raise ValueError(f"{path} is no policy of {algo} for this environment: {error}") from None
+            raise ValueError(
+                f"{path} is no policy of {algo} for this environment: {error}"
+            ) from None
 
     def _choose(self, rows: Any) -> np.ndarray:
         return self._choose_rows(rows)
@@ -121,15 +127,21 @@ class Sb3Model(SharedPolicy):
         with sb3.own_random():
             try:
                 self._model: Any = sb3.algorithm(algorithm).load(path, device="cpu")
-            except Exception as error:  # the library raises whatever it stumbles over in a file of another kind
+            except (
+                Exception
+            ) as error:  # the library raises whatever it stumbles over in a file of another kind
                 raise ValueError(f"{path} is no model of {algorithm}: {error}") from None
         for name, own, needed in (
             ("observations", aviary.observer.space(), self._model.observation_space),
             ("actions", widest_action_space(aviary.action), self._model.action_space),
         ):
             if own.shape != needed.shape or type(own) is not type(needed):
-                kinds = [f"{type(space).__name__} of shape {space.shape}" for space in (needed, own)]
-                raise ValueError(f"{path} was trained for {name} in a {kinds[0]}, and here they are in a {kinds[1]}")
+                kinds = [
+                    f"{type(space).__name__} of shape {space.shape}" for space in (needed, own)
+                ]
+                raise ValueError(
+                    f"{path} was trained for {name} in a {kinds[0]}, and here they are in a {kinds[1]}"
+                )
 
     def _choose(self, rows: Any) -> np.ndarray:
         return self._model.predict(rows, deterministic=True)[0]

@@ -29,7 +29,10 @@ def examine() -> list[Finding]:
     """Everything that `bulletuav doctor` prints."""
     findings = [
         Finding("bulletuav", __version__),
-        Finding("Python", f"{platform.python_version()} on {platform.platform()}, {os.cpu_count()} cores"),
+        Finding(
+            "Python",
+            f"{platform.python_version()} on {platform.platform()}, {os.cpu_count()} cores",
+        ),
         *(Finding(name, importlib.metadata.version(name)) for name in PACKAGES),
         Finding("engine", f"Bullet API {ENGINE_VERSION}"),
         _extension(),
@@ -39,7 +42,9 @@ def examine() -> list[Finding]:
     for module, extra in EXTRAS.items():
         found = importlib.util.find_spec(module) is not None
         findings.append(
-            Finding(f"extra {extra}", "installed") if found else Finding(f"extra {extra}", "missing", install(extra))
+            Finding(f"extra {extra}", "installed")
+            if found
+            else Finding(f"extra {extra}", "missing", install(extra))
         )
     return findings
 
@@ -47,12 +52,18 @@ def examine() -> list[Finding]:
 def _extension() -> Finding:
     """Whether the engine really takes the extension, not only whether it is there."""
     if EXTENSION.library is None:
-        return Finding("C extension", "not active, bullet flies several times slower", EXTENSION.missing)
+        return Finding(
+            "C extension", "not active, bullet flies several times slower", EXTENSION.missing
+        )
     engine = Engine([load_airframe("cf2x")], 1, 1 / 240)
     active = engine.port is not None
     engine.close()
     if not active:
-        return Finding("C extension", "not active, bullet flies several times slower", "the installed pybullet refuses it")
+        return Finding(
+            "C extension",
+            "not active, bullet flies several times slower",
+            "the installed pybullet refuses it",
+        )
     return Finding("C extension", "active")
 
 

@@ -52,7 +52,9 @@ def plot_tracks(recording: Recording, d_safe: float, title: str, path: Path) -> 
     """
     figure = blank_figure(12, 6.5)
     grid = figure.add_gridspec(2, 2, width_ratios=[1.15, 1])
-    above, altitude, apart = (figure.add_subplot(cell) for cell in (grid[:, 0], grid[0, 1], grid[1, 1]))
+    above, altitude, apart = (
+        figure.add_subplot(cell) for cell in (grid[:, 0], grid[0, 1], grid[1, 1])
+    )
     drones = recording.position.shape[1]
     for drone, colour in enumerate(_colours(drones)):
         end = int(recording.alive[:-1, drone].sum()) + 1
@@ -63,17 +65,27 @@ def plot_tracks(recording: Recording, d_safe: float, title: str, path: Path) -> 
         if not recording.target.shape[1]:
             above.plot(*goal[-1, :2], "x", color=colour, ms=8, mew=2)
         if drones <= MOST_NUMBERS:
-            above.annotate(str(drone), (track[0, 0], track[0, 1]), textcoords="offset points", xytext=(5, -11), fontsize=8)
+            above.annotate(
+                str(drone),
+                (track[0, 0], track[0, 1]),
+                textcoords="offset points",
+                xytext=(5, -11),
+                fontsize=8,
+            )
         altitude.plot(time, track[:, 2], color=colour, lw=1.2)
         if drones > 1:
             gaps = recording.separation[: end - 1, drone]
             apart.plot(time[1:], np.where(np.isfinite(gaps), gaps, np.nan), color=colour, lw=1.2)
         else:
             apart.plot(time, np.linalg.norm(goal - track, axis=1), color=colour, lw=1.2)
-    for track, radius in zip(recording.obstacle.swapaxes(0, 1), recording.obstacle_radius, strict=True):
+    for track, radius in zip(
+        recording.obstacle.swapaxes(0, 1), recording.obstacle_radius, strict=True
+    ):
         above.plot(track[:, 0], track[:, 1], color="0.6", lw=1)
         for row, style in ((0, ":"), (-1, "-")):  # where it was and where it came to
-            above.add_patch(Circle(track[row, :2], radius, fc="0.85", ec="0.5", ls=style, alpha=0.6, zorder=0))
+            above.add_patch(
+                Circle(track[row, :2], radius, fc="0.85", ec="0.5", ls=style, alpha=0.6, zorder=0)
+            )
     _draw_buildings(above, recording)
     _draw_targets(above, recording)
     _mark(above, recording, recording.conflicts > 0, "o", "conflict begins", mfc="none")
@@ -86,7 +98,9 @@ def plot_tracks(recording: Recording, d_safe: float, title: str, path: Path) -> 
     apart.set(xlabel="time (s)", ylabel="distance to goal (m)")
     if drones > 1:
         apart.axhline(d_safe, color="crimson", ls="--", lw=1, label=f"d_safe {d_safe:g} m")
-        nearest = float(np.min(recording.separation, where=np.isfinite(recording.separation), initial=np.inf))
+        nearest = float(
+            np.min(recording.separation, where=np.isfinite(recording.separation), initial=np.inf)
+        )
         top = max(5 * d_safe, 2 * nearest if np.isfinite(nearest) else 0.0)
         apart.set(ylabel="nearest drone (m)", ylim=(0, top))
         apart.legend(loc="upper right")
@@ -98,7 +112,9 @@ def plot_tracks(recording: Recording, d_safe: float, title: str, path: Path) -> 
 def _draw_buildings(axes: Axes, recording: Recording) -> None:
     """The pieces' bounding boxes from above, the higher the darker."""
     low, high = recording.building[:, 0], recording.building[:, 1]
-    for south_west, north_east in sorted(zip(low.tolist(), high.tolist(), strict=True), key=lambda piece: piece[1][2]):
+    for south_west, north_east in sorted(
+        zip(low.tolist(), high.tolist(), strict=True), key=lambda piece: piece[1][2]
+    ):
         width, length = north_east[0] - south_west[0], north_east[1] - south_west[1]
         shade = 0.9 - 0.5 * north_east[2] / high[:, 2].max()
         axes.add_patch(Rectangle(south_west[:2], width, length, fc=str(shade), ec="none", zorder=0))
@@ -107,13 +123,17 @@ def _draw_buildings(axes: Axes, recording: Recording) -> None:
 def _draw_targets(axes: Axes, recording: Recording) -> None:
     """Targets, by whether they are seen, and the ways of those that move."""
     way, seen = recording.target[..., :2], recording.seen[-1]
-    axes.add_collection(LineCollection(list(way.swapaxes(0, 1)), colors="0.7", linewidths=0.6, zorder=1))
+    axes.add_collection(
+        LineCollection(list(way.swapaxes(0, 1)), colors="0.7", linewidths=0.6, zorder=1)
+    )
     for some, colour, label in ((seen, SEEN, "in sight"), (~seen, UNSEEN, "out of sight")):
         if some.any():
             axes.plot(*way[-1, some].T, ".", color=colour, ms=4, label=label, zorder=1)
 
 
-def _mark(axes: Axes, recording: Recording, events: np.ndarray, marker: str, label: str, **style: Any) -> None:
+def _mark(
+    axes: Axes, recording: Recording, events: np.ndarray, marker: str, label: str, **style: Any
+) -> None:
     """Marks where events (T, N) happened, if any."""
     hit = np.argwhere(events)
     if len(hit):
@@ -139,9 +159,13 @@ class Animation:
         self._axes = self.figure.add_subplot()
         reach = 0.56 * span + d_safe / 2
         self._axes.set(
-            xlim=middle[0] + np.array([-reach, reach]), ylim=middle[1] + np.array([-reach, reach]), aspect="equal"
+            xlim=middle[0] + np.array([-reach, reach]),
+            ylim=middle[1] + np.array([-reach, reach]),
+            aspect="equal",
         )
-        events = "Dots: targets, green in sight." if recording.target.shape[1] else "Crosses: goals."
+        events = (
+            "Dots: targets, green in sight." if recording.target.shape[1] else "Crosses: goals."
+        )
         self._axes.set(
             xlabel=(
                 f"x east (m)\n\nDiscs: drones, drawn {drawn:.2g} m across (real {drone_size:.2g} m), pale once they have "
@@ -154,7 +178,9 @@ class Animation:
         self._axes.grid(alpha=0.3)
         _draw_buildings(self._axes, recording)
         self._text = self._axes.set_title(" ")
-        self._bodies = self._circles(2 * recording.obstacle_radius, facecolors="0.8", edgecolors="0.5")
+        self._bodies = self._circles(
+            2 * recording.obstacle_radius, facecolors="0.8", edgecolors="0.5"
+        )
         self._goals = self._axes.scatter([], [], marker="x", s=60, linewidths=1.6)
         self._targets = self._axes.scatter([], [], marker=".", s=16)
         self._trails = LineCollection([], linewidths=1.2)
@@ -186,7 +212,13 @@ class Animation:
     def _circles(self, diameter: np.ndarray, **style: Any) -> EllipseCollection:
         angles, nowhere = np.zeros(len(diameter)), np.zeros((len(diameter), 2))
         circles = EllipseCollection(
-            diameter, diameter, angles, units="x", offsets=nowhere, transOffset=self._axes.transData, **style
+            diameter,
+            diameter,
+            angles,
+            units="x",
+            offsets=nowhere,
+            transOffset=self._axes.transData,
+            **style,
         )
         self._axes.add_collection(circles)
         return circles
@@ -194,7 +226,11 @@ class Animation:
     def draw(self, row: int) -> np.ndarray:
         """(height, width, 3) uint8 picture of one row of the recording."""
         recording = self._recording
-        position, goal, alive = recording.position[row, :, :2], recording.goal[row, :, :2], recording.alive[row]
+        position, goal, alive = (
+            recording.position[row, :, :2],
+            recording.goal[row, :, :2],
+            recording.alive[row],
+        )
         colours = self._colours.copy()
         colours[~alive, 3] = GONE
         edges = np.where(alive[:, None], (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0, GONE))
@@ -251,5 +287,7 @@ def _save_video(path: Path, pictures: Iterator[np.ndarray]) -> None:
         writer.send(picture)
         count += 1
     writer.close()
-    if imageio_ffmpeg.count_frames_and_secs(str(path))[0] < count:  # it does not tell of a full disk
+    if (
+        imageio_ffmpeg.count_frames_and_secs(str(path))[0] < count
+    ):  # it does not tell of a full disk
         raise OSError("fewer pictures were written than there are; is the disk full?")

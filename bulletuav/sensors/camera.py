@@ -19,7 +19,14 @@ class DroneCameras:
     rays meet the collision shapes of drones; by rays it takes a tenth of the time.
     """
 
-    def __init__(self, engine: Engine, names: list[str], radius: np.ndarray, size: tuple[int, int], every: int):
+    def __init__(
+        self,
+        engine: Engine,
+        names: list[str],
+        radius: np.ndarray,
+        size: tuple[int, int],
+        every: int,
+    ):
         """`radius` (N,) m ahead of the centre sits the lens; `size` (width, height) pixels; exposed every so many steps."""
         self._engine, self._radius, self._size, self._every = engine, radius, size, every
         width, height = size
@@ -35,7 +42,9 @@ class DroneCameras:
         # Through the corners at which the renderer looks into pixels, to the plane FAR ahead: shares of them are depths.
         left = half * width / height * (1 - 2 * np.arange(width) / width)
         up = half * (1 - 2 * (np.arange(height) + 1) / height)
-        self._rays = FAR * np.stack(np.broadcast_arrays(1.0, left[None, :], up[:, None]), axis=-1).reshape(-1, 3)
+        self._rays = FAR * np.stack(
+            np.broadcast_arrays(1.0, left[None, :], up[:, None]), axis=-1
+        ).reshape(-1, 3)
 
     def expose(self, swarm: Swarm, mask: np.ndarray, steps: np.ndarray) -> None:
         """Take new pictures of the drones of `mask` (W, N) in worlds whose step count (W,) says so."""
@@ -50,7 +59,9 @@ class DroneCameras:
         for w, i in due.tolist():
             forward, _, up = (np.array(axis) for axis in axes(swarm.quaternion[w, i]))
             eye = swarm.position[w, i] + self._radius[i] * forward
-            seen = self._engine.picture(w, view_matrix(eye, eye + forward, up.tolist()), projection, self._size)
+            seen = self._engine.picture(
+                w, view_matrix(eye, eye + forward, up.tolist()), projection, self._size
+            )
             for name, picture in zip(RENDERED, (seen.pixels, seen.depth, seen.labels), strict=True):
                 if name in self.pictures:
                     self.pictures[name][w, i] = picture
@@ -58,7 +69,9 @@ class DroneCameras:
     def _cast(self, swarm: Swarm, mask: np.ndarray, due: np.ndarray) -> None:
         """One batch of rays for all cameras."""
         where, who = due.T
-        frames = np.array([np.stack(axes(quaternion)) for quaternion in swarm.quaternion[where, who]])
+        frames = np.array(
+            [np.stack(axes(quaternion)) for quaternion in swarm.quaternion[where, who]]
+        )
         eye = swarm.position[where, who] + self._radius[who, None] * frames[:, 0]
         start = np.repeat(eye, len(self._rays), axis=0)
         end = start + (self._rays @ frames).reshape(-1, 3)

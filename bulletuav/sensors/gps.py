@@ -4,7 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-VELOCITY_SHARE = 0.1  # 1/s; error of a velocity, measured by Doppler shift, for each metre of position error
+VELOCITY_SHARE = (
+    0.1  # 1/s; error of a velocity, measured by Doppler shift, for each metre of position error
+)
 
 
 class Gps:
@@ -23,7 +25,9 @@ class Gps:
         self._normal, self._uniform = np.zeros((*shape, 3, 3)), np.zeros(shape)
         self._root = np.sqrt(period)
 
-    def start(self, k: int, position: np.ndarray, velocity: np.ndarray, rng: np.random.Generator) -> None:
+    def start(
+        self, k: int, position: np.ndarray, velocity: np.ndarray, rng: np.random.Generator
+    ) -> None:
         """First readings of world k, whose drones are at (N, 3) m and fly at (N, 3) m/s; they do not fail."""
         self._drift[k] = 0
         errors = self.noise[k][:, None, None] * rng.standard_normal((len(position), 2, 3))

@@ -16,7 +16,11 @@ def specific_force(quaternion, before, after, period, gravity):
 
     Source: P. D. Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems (2013).
     """
-    x, y, z = (after[0] - before[0]) / period, (after[1] - before[1]) / period, (after[2] - before[2]) / period
+    x, y, z = (
+        (after[0] - before[0]) / period,
+        (after[1] - before[1]) / period,
+        (after[2] - before[2]) / period,
+    )
     return to_body(quaternion, (x, y, z + gravity))
 
 
@@ -26,7 +30,10 @@ def _measure(worlds, before, after, period, gravity, scale, normal, root, bias, 
     for w in worlds:
         for i in range(reading.shape[1]):
             _, quaternion, velocity, rates = get(after, w, i)
-            truth = specific_force(quaternion, vec3(before.velocity, w, i), velocity, period, gravity), rates
+            truth = (
+                specific_force(quaternion, vec3(before.velocity, w, i), velocity, period, gravity),
+                rates,
+            )
             for s in range(2):
                 for k in range(3):
                     bias[w, i, s, k] += root * scale[w, i, s] * normal[w, i, s, k]
@@ -45,7 +52,9 @@ class Imu:
 
     def __init__(self, shape: tuple[int, int], period: float, gravity: float = STANDARD_GRAVITY):
         """`period` between readings, s; `gravity` m/s^2."""
-        self.acceleration_noise, self.rates_noise, self.acceleration_walk, self.rates_walk = np.zeros((4, *shape))
+        self.acceleration_noise, self.rates_noise, self.acceleration_walk, self.rates_walk = (
+            np.zeros((4, *shape))
+        )
         self._bias, self._reading = np.zeros((2, *shape, 2, 3))
         self.acceleration, self.rates = self._reading[:, :, 0], self._reading[:, :, 1]
         self._normal = np.zeros((*shape, 4, 3))  # for the two walks, then for the two noises
@@ -57,7 +66,13 @@ class Imu:
         self._draw(k, rng)
         self._take(np.array([k]), swarm, swarm, 0.0)
 
-    def read(self, before: Swarm, after: Swarm, flying: np.ndarray, rngs: Sequence[np.random.Generator | None]) -> None:
+    def read(
+        self,
+        before: Swarm,
+        after: Swarm,
+        flying: np.ndarray,
+        rngs: Sequence[np.random.Generator | None],
+    ) -> None:
         """Readings after a decision in the worlds of `flying` (W,), of the swarm `before` and `after` it.
 
         The acceleration is the mean over the decision, attitude and rates are those after it. Each world draws from its own
@@ -76,7 +91,18 @@ class Imu:
     def _take(self, worlds: np.ndarray, before: Swarm, after: Swarm, root: float) -> None:
         """`root` of the time in s that biases walked."""
         scale = np.stack(self._scales(), axis=-1)
-        _measure(worlds, before, after, self._period, self._gravity, scale, self._normal, root, self._bias, self._reading)
+        _measure(
+            worlds,
+            before,
+            after,
+            self._period,
+            self._gravity,
+            scale,
+            self._normal,
+            root,
+            self._bias,
+            self._reading,
+        )
 
     def _scales(self) -> tuple[np.ndarray, ...]:
         return self.acceleration_walk, self.rates_walk, self.acceleration_noise, self.rates_noise

@@ -23,7 +23,9 @@ class Beam(NamedTuple):
 
 def make_beams(num_beams: int, elevations: Sequence[float]) -> tuple[Beam, ...]:
     """`num_beams` evenly around at each elevation, the first ahead."""
-    return tuple(Beam(360.0 * k / num_beams, elevation) for elevation in elevations for k in range(num_beams))
+    return tuple(
+        Beam(360.0 * k / num_beams, elevation) for elevation in elevations for k in range(num_beams)
+    )
 
 
 class Lidar:
@@ -40,33 +42,48 @@ class Lidar:
         """`max_range` in m; `frame` one of FRAMES."""
         azimuth, elevation = np.radians(np.array(beams, dtype=float)).T
         level = np.cos(elevation)
-        self._directions = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], axis=1)
+        self._directions = np.stack(
+            [level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], axis=1
+        )
         self._engine, self._range, self._turns = engine, max_range, frame == "yaw"
         self.noise, self.dropout = np.zeros((2, *engine.shape))
         self.ranges = np.full((*engine.shape, len(beams)), max_range)
 
-    def scan(self, swarm: Swarm, mask: np.ndarray, rngs: Sequence[np.random.Generator | None]) -> None:
+    def scan(
+        self, swarm: Swarm, mask: np.ndarray, rngs: Sequence[np.random.Generator | None]
+    ) -> None:
         """New ranges of the drones of `mask` (W, N); others keep theirs, and are not seen.
 
         Each world draws from its own generator, if its drones' readings are uncertain.
         """
-        start, end, world = cast(swarm.position, swarm.quaternion, mask, self._directions, self._range, self._turns)
+        start, end, world = cast(
+            swarm.position, swarm.quaternion, mask, self._directions, self._range, self._turns
+        )
         share = self._engine.cast_rays(start, end, world, (swarm, mask))
         ranges = self._range * share.reshape(-1, len(self._directions))
         if self.noise.any() or self.dropout.any():
             self._blur(ranges, mask, rngs)
         self.ranges[mask] = ranges
 
-    def _blur(self, ranges: np.ndarray, mask: np.ndarray, rngs: Sequence[np.random.Generator | None]) -> None:
+    def _blur(
+        self, ranges: np.ndarray, mask: np.ndarray, rngs: Sequence[np.random.Generator | None]
+    ) -> None:
         """Noise and losses for `ranges` (M, B) of the drones of `mask`."""
         where = np.nonzero(mask)[0]
         for w in np.unique(where).tolist():
             rng = rngs[w]
             assert rng is not None  # a world that flies was reset
-            error, luck = rng.standard_normal(self.ranges[w].shape), rng.random(self.ranges[w].shape)
+            error, luck = (
+                rng.standard_normal(self.ranges[w].shape),
+                rng.random(self.ranges[w].shape),
+            )
             noise, dropout = self.noise[w, mask[w], None], self.dropout[w, mask[w], None]
             true = ranges[where == w]
-            seen = np.where(true < self._range, np.clip(true + noise * error[mask[w]], 0.0, self._range), self._range)
+            seen = np.where(
+                true < self._range,
+                np.clip(true + noise * error[mask[w]], 0.0, self._range),
+                self._range,
+            )
             ranges[where == w] = np.where(luck[mask[w]] < dropout, self._range, seen)
 
 

@@ -8,7 +8,22 @@ MEMORY = 1.0  # s; a drone that was not heard for longer is forgotten
 
 
 @kernel
-def _hear(sent, earlier, between, position, range_, loss, luck, flying, delay, period, start, message, age, received):
+def _hear(
+    sent,
+    earlier,
+    between,
+    position,
+    range_,
+    loss,
+    luck,
+    flying,
+    delay,
+    period,
+    start,
+    message,
+    age,
+    received,
+):
     """Deliver messages (N, 6) to all pairs (i, j) of one world; see `Radio`."""
     drones = flying.shape[0]
     for i in range(drones):
@@ -56,19 +71,35 @@ class Radio:
         """(W, N, N) whose last message is at most a second (and the delay) old."""
         return self._age <= MEMORY + self.delay[:, None, None]
 
-    def start(self, k: int, known: np.ndarray, position: np.ndarray, rng: np.random.Generator) -> None:
+    def start(
+        self, k: int, known: np.ndarray, position: np.ndarray, rng: np.random.Generator
+    ) -> None:
         """World k begins: all within range have heard of each other, as they are."""
         self._sent[:, k] = known
         self._age[k] = np.inf
         self._deliver(k, position, np.ones(len(position), dtype=bool), rng, True)
 
-    def hear(self, k: int, known: np.ndarray, position: np.ndarray, flying: np.ndarray, rng: np.random.Generator) -> None:
+    def hear(
+        self,
+        k: int,
+        known: np.ndarray,
+        position: np.ndarray,
+        flying: np.ndarray,
+        rng: np.random.Generator,
+    ) -> None:
         """One decision of world k later: drones know (N, 6) of themselves and are at `position` (N, 3)."""
         self._sent[1:, k] = self._sent[:-1, k]
         self._sent[0, k] = known
         self._deliver(k, position, flying, rng, False)
 
-    def _deliver(self, k: int, position: np.ndarray, flying: np.ndarray, rng: np.random.Generator, start: bool) -> None:
+    def _deliver(
+        self,
+        k: int,
+        position: np.ndarray,
+        flying: np.ndarray,
+        rng: np.random.Generator,
+        start: bool,
+    ) -> None:
         steps, between = divmod(self.delay[k] / self._period, 1)
         luck = rng.random((len(flying), len(flying)))
         _hear(

@@ -7,7 +7,9 @@ from bulletuav.kernel import kernel
 from bulletuav.vehicle.swarm import CITY, FIRST_OBSTACLE, GROUND
 
 
-def line_of_sight(engine: Engine, start: np.ndarray, end: np.ndarray, where: np.ndarray) -> np.ndarray:
+def line_of_sight(
+    engine: Engine, start: np.ndarray, end: np.ndarray, where: np.ndarray
+) -> np.ndarray:
     """(M,) bool: nothing but drones between points `start` and `end` (M, 3), m, in worlds `where` (M,).
 
     Either way gives the same answer: the ray goes from the higher point to the lower, on the level by x, then y.
@@ -35,7 +37,9 @@ def _links(position, targets, mask, start, end, where):
                 m += 1
 
 
-def sights(engine: Engine, position: np.ndarray, targets: np.ndarray, mask: np.ndarray) -> np.ndarray:
+def sights(
+    engine: Engine, position: np.ndarray, targets: np.ndarray, mask: np.ndarray
+) -> np.ndarray:
     """(W, N, U) bool: which of `targets` (W, U, 3) the drones of `mask` (W, N) at `position` (W, N, 3) see; others none."""
     count = targets.shape[1]
     rays = np.count_nonzero(mask) * count
@@ -57,6 +61,10 @@ def clearances(engine: Engine, mask: np.ndarray, most: float) -> np.ndarray:
     obstacles = range(FIRST_OBSTACLE, FIRST_OBSTACLE - len(engine.obstacle_radius), -1)
     for w, i in np.argwhere(mask).tolist():
         others = [*np.flatnonzero(mask[w]).tolist(), GROUND, CITY, *obstacles]
-        gaps = [engine.separation(w, (i, None, None), (other, None, None), most) for other in others if other != i]
+        gaps = [
+            engine.separation(w, (i, None, None), (other, None, None), most)
+            for other in others
+            if other != i
+        ]
         result[w, i] = min(most, *gaps)
     return result

@@ -60,7 +60,13 @@ class Scene(NamedTuple):
     memory: Mapping[str, np.ndarray]
 
     @classmethod
-    def empty(cls, num_worlds: int, num_drones: int, num_obstacles: int, memory: Mapping[str, tuple[int, ...]]) -> "Scene":
+    def empty(
+        cls,
+        num_worlds: int,
+        num_drones: int,
+        num_obstacles: int,
+        memory: Mapping[str, tuple[int, ...]],
+    ) -> "Scene":
         """All at the origin, unturned; `memory` tells the shape of each array in one world."""
         of_drones, of_obstacles = (num_worlds, num_drones, 3), (num_worlds, num_obstacles, 3)
         turns = np.tile([0.0, 0.0, 0.0, 1.0], (num_worlds, num_obstacles, 1))
@@ -68,7 +74,9 @@ class Scene(NamedTuple):
         remembered = {name: np.zeros((num_worlds, *shape)) for name, shape in memory.items()}
         obstacle, obstacle_velocity = np.zeros((2, *of_obstacles))
         layout = np.full(num_worlds, NO_LAYOUT)
-        return cls(goal, goal_velocity, start, obstacle, obstacle_velocity, turns, layout, remembered)
+        return cls(
+            goal, goal_velocity, start, obstacle, obstacle_velocity, turns, layout, remembered
+        )
 
 
 @dataclass(frozen=True)
@@ -118,7 +126,9 @@ class Frame:
     @cached_property
     def conflict(self) -> Conflict:
         """Separations within the decision."""
-        return conflict(self.before.position, self.after.position, self.alive, self.d_safe, self.zone)
+        return conflict(
+            self.before.position, self.after.position, self.alive, self.d_safe, self.zone
+        )
 
     @property
     def known_position(self) -> np.ndarray:
@@ -237,7 +247,13 @@ class Task(ABC):
         """(W, num_targets) bool: targets that count, all by default."""
         return np.ones((len(scene.goal), self.num_targets), dtype=bool)
 
-    def advance(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rng: Sequence[np.random.Generator | None]) -> bool:
+    def advance(
+        self,
+        scene: Scene,
+        time: np.ndarray,
+        flying: np.ndarray,
+        rng: Sequence[np.random.Generator | None],
+    ) -> bool:
         """Move goals and obstacles of the worlds that fly (W,) through one decision from `time` (W,), in place.
 
         Called before the drones fly. Returns whether obstacles moved; by default nothing does.
@@ -266,7 +282,9 @@ class Task(ABC):
         """(W, N) share of the targets that some living drone sees, the same for all."""
         return served_share(frame.readings["sight"], frame.alive, self.active_targets(frame.scene))
 
-    def service_quality(self, place: np.ndarray, targets: np.ndarray, sight: np.ndarray) -> np.ndarray:
+    def service_quality(
+        self, place: np.ndarray, targets: np.ndarray, sight: np.ndarray
+    ) -> np.ndarray:
         """(C, U) from 0 to 1: what targets (U, 3), m, are worth to drones at places (C, 3), by `sight` (C, U) bool.
 
         For policies that know everything; by default whether they are seen.
@@ -276,8 +294,15 @@ class Task(ABC):
     def outside(self, frame: Frame) -> np.ndarray:
         """(W, N) bool: outside the arena after the decision, or held back at its bounds."""
         if self.rebound is not None:  # which left them right at the bounds
-            return np.any((frame.after.position <= self.arena_low) | (frame.after.position >= self.arena_high), axis=-1)
-        return np.any((frame.after.position < self.arena_low) | (frame.after.position > self.arena_high), axis=-1)
+            return np.any(
+                (frame.after.position <= self.arena_low)
+                | (frame.after.position >= self.arena_high),
+                axis=-1,
+            )
+        return np.any(
+            (frame.after.position < self.arena_low) | (frame.after.position > self.arena_high),
+            axis=-1,
+        )
 
     @abstractmethod
     def evaluate_step(self, frame: Frame) -> StepResult:
@@ -287,7 +312,9 @@ class Task(ABC):
 def affected(happened: np.ndarray, frame: Frame, whom: str) -> np.ndarray:
     """(W, N): the drones to which it happened, or, for "world", all drones of their worlds."""
     if whom == "world":
-        return np.broadcast_to(np.any(happened & frame.alive, axis=1, keepdims=True), happened.shape)
+        return np.broadcast_to(
+            np.any(happened & frame.alive, axis=1, keepdims=True), happened.shape
+        )
     return happened
 
 
@@ -302,4 +329,6 @@ def merged_weights(defaults: Mapping[str, float], changes: Mapping[str, float]) 
 def refuse_early_end(max_distance: float, start_offset: float) -> None:
     """Raise ValueError when a drone that starts off its goal by `start_offset` m on each axis is too far from it already."""
     if max_distance <= start_offset * np.sqrt(3):
-        raise ValueError(f"max_distance {max_distance:g} m must exceed the start offset of {start_offset:g} m")
+        raise ValueError(
+            f"max_distance {max_distance:g} m must exceed the start offset of {start_offset:g} m"
+        )

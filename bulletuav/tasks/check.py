@@ -19,7 +19,11 @@ GRAZE = 1e-6  # m, that a drone which stands on the ground may be in it
 
 
 def check_spawn(
-    task: Task, spawn: Any, airframes: Sequence[Airframe], obstacles: int, remembered: Mapping[str, np.ndarray]
+    task: Task,
+    spawn: Any,
+    airframes: Sequence[Airframe],
+    obstacles: int,
+    remembered: Mapping[str, np.ndarray],
 ) -> None:
     """Refuse a start that no world can have, before anything of it is written.
 
@@ -37,10 +41,18 @@ def check_spawn(
         raise ValueError(f"spawn of task {task.name!r} gave {shown(spawn)}: a Spawn is needed")
     drones, things = (len(airframes), 3), (obstacles, 3)
     shapes = (drones, (len(airframes), 4), drones, drones, drones, drones, things, things)
-    values = [_numbers(task, name, value, shape) for name, value, shape in zip(Spawn._fields, spawn, shapes, strict=False)]
+    values = [
+        _numbers(task, name, value, shape)
+        for name, value, shape in zip(Spawn._fields, spawn, shapes, strict=False)
+    ]
     if not np.isfinite(np.concatenate(values, axis=None)).all():
         wrong = [k for k, value in enumerate(values) if not np.isfinite(value).all()]
-        raise _refused(task, Spawn._fields[wrong[0]], f"is {shown(values[wrong[0]])}", "finite numbers are needed")
+        raise _refused(
+            task,
+            Spawn._fields[wrong[0]],
+            f"is {shown(values[wrong[0]])}",
+            "finite numbers are needed",
+        )
     _check_memory(task, spawn, remembered)
     _check_places(task, values[0], values[1], airframes)
     refuse_overlap(values[0], task.context.collision_radius)
@@ -57,7 +69,9 @@ def _numbers(task: Task, name: str, value: Any, shape: tuple[int, int]) -> np.nd
     if type(value) is float and name == "goal_velocity":
         return np.array(value)
     array = numbers_of(f"{name} of the spawn of task {task.name!r} is", value)
-    if array.shape != shape and (name not in ("goal", "goal_velocity") or array.shape not in ((), (3,), (1, 3))):
+    if array.shape != shape and (
+        name not in ("goal", "goal_velocity") or array.shape not in ((), (3,), (1, 3))
+    ):
         raise _refused(task, name, f"has shape {array.shape}", f"{shape} is needed")
     return array
 
@@ -67,22 +81,30 @@ def _check_memory(task: Task, spawn: Spawn, remembered: Mapping[str, np.ndarray]
     if spawn.layout != NO_LAYOUT or layouts:
         as_int(f"layout of the spawn of task {task.name!r}", spawn.layout, NO_LAYOUT, layouts - 1)
     if not isinstance(spawn.memory, Mapping):
-        raise _refused(task, "memory", f"is {shown(spawn.memory)}", "a dict of arrays by name is needed")
+        raise _refused(
+            task, "memory", f"is {shown(spawn.memory)}", "a dict of arrays by name is needed"
+        )
     for name, value in spawn.memory.items():
         if name not in remembered:
             raise unknown(f"memory in the spawn of task {task.name!r}:", name, remembered)
         if np.shape(value) not in ((), remembered[name].shape[1:]):
             what = f"has shape {np.shape(value)}"
-            raise _refused(task, f"memory {name!r}", what, f"{remembered[name].shape[1:]} is needed")
+            raise _refused(
+                task, f"memory {name!r}", what, f"{remembered[name].shape[1:]} is needed"
+            )
 
 
-def _check_places(task: Task, position: np.ndarray, quaternion: np.ndarray, airframes: Sequence[Airframe]) -> None:
+def _check_places(
+    task: Task, position: np.ndarray, quaternion: np.ndarray, airframes: Sequence[Airframe]
+) -> None:
     """Raise ValueError unless all are turned by unit quaternions, in the world's own tile and not in the ground."""
     off = np.abs(np.einsum("ij,ij->i", quaternion, quaternion) - 1)
     if off.max() > 2 * UNIT:
         i = int(off.argmax())
         what = f"has the norm {np.linalg.norm(quaternion[i]):g}"
-        raise _refused(task, f"quaternion of drone {i}", what, "a unit quaternion is needed: divide by it")
+        raise _refused(
+            task, f"quaternion of drone {i}", what, "a unit quaternion is needed: divide by it"
+        )
     radius, height = task.context.collision_radius, position[:, 2]
     half, aside = TILE_PITCH / 2 - radius, np.abs(position[:, :2])
     if aside.max() >= half or height.max() >= PARKING_HEIGHT:
@@ -95,16 +117,25 @@ def _check_places(task: Task, position: np.ndarray, quaternion: np.ndarray, airf
     if (sunk := height < depth - GRAZE).any():
         i = int(sunk.argmax())
         what = f"is {height[i]:g} m up, and its shape reaches {depth[i]:g} m down"
-        raise _refused(task, f"position of drone {i}", what, f"start it at z = {depth[i]:.6g} m or more")
+        raise _refused(
+            task, f"position of drone {i}", what, f"start it at z = {depth[i]:.6g} m or more"
+        )
 
 
 def _depth(shapes: Sequence[Shape], quaternion: np.ndarray) -> np.ndarray:
     """(N,) how far collision shapes, turned by (N, 4), reach down from their middle, m."""
-    kind, half = np.array([shape.kind for shape in shapes]), np.array([shape.half for shape in shapes])
+    kind, half = (
+        np.array([shape.kind for shape in shapes]),
+        np.array([shape.half for shape in shapes]),
+    )
     x, y, z, w = quaternion.T
-    down = np.abs([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]).T  # of the body's axes
+    down = np.abs(
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]
+    ).T  # of the body's axes
     rim = half[:, 0] * np.hypot(down[:, 0], down[:, 1]) + half[:, 2] * down[:, 2]
-    return np.select([kind == SPHERE, kind == CYLINDER], [half[:, 0], rim], (half * down).sum(axis=1))
+    return np.select(
+        [kind == SPHERE, kind == CYLINDER], [half[:, 0], rim], (half * down).sum(axis=1)
+    )
 
 
 def check_step_result(task: Task, result: Any, shape: tuple[int, int]) -> None:
@@ -117,21 +148,31 @@ def check_step_result(task: Task, result: Any, shape: tuple[int, int]) -> None:
     if not isinstance(result, StepResult):
         raise ValueError(f"{judged} {shown(result)}: a StepResult is needed")
     if not isinstance(result.terms, Mapping):
-        raise ValueError(f"{judged} the terms {shown(result.terms)}: a dict of arrays by name is needed")
+        raise ValueError(
+            f"{judged} the terms {shown(result.terms)}: a dict of arrays by name is needed"
+        )
     for name in result.terms:
         if name not in task.weights:
             raise unknown(f"reward term in what {judged},", name, task.weights)
     for name, weight in task.weights.items():
         if weight != 0 and name not in result.terms:
-            raise ValueError(f"{judged} no reward term {name!r}: its weight is {weight:g}; give it, or the weight 0")
+            raise ValueError(
+                f"{judged} no reward term {name!r}: its weight is {weight:g}; give it, or the weight 0"
+            )
     wanted = {f"reward term {name!r}": (term, "iufb") for name, term in result.terms.items()}
     wanted |= {name: (getattr(result, name), "b") for name in ("terminated", "success")}
     for name, (value, kinds) in wanted.items():
         array = value if isinstance(value, np.ndarray) else np.asarray(None)
         if array.shape != shape or array.dtype.kind not in kinds:
-            form = f"an array {array.shape} of {array.dtype}" if isinstance(value, np.ndarray) else shown(value)
+            form = (
+                f"an array {array.shape} of {array.dtype}"
+                if isinstance(value, np.ndarray)
+                else shown(value)
+            )
             kind = "bool" if kinds == "b" else "numbers"
-            raise ValueError(f"{judged} {form} as {name}: an array {shape} (worlds, drones) of {kind} is needed")
+            raise ValueError(
+                f"{judged} {form} as {name}: an array {shape} (worlds, drones) of {kind} is needed"
+            )
 
 
 def require_finite(task: Task, terms: Mapping[str, np.ndarray], reward: np.ndarray) -> None:

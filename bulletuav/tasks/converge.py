@@ -91,6 +91,8 @@ class Converge(Airspace):
     def spawn(self, rng: np.random.Generator) -> Spawn:
         """On the circle, in flight towards its centre."""
         angle = 2 * np.pi * np.arange(self.context.num_drones) / self.context.num_drones
-        place = self.config.radius * np.stack([np.cos(angle), np.sin(angle), np.zeros(len(angle))], axis=1)
+        place = self.config.radius * np.stack(
+            [np.cos(angle), np.sin(angle), np.zeros(len(angle))], axis=1
+        )
         height = np.array([0.0, 0.0, self.config.altitude])
         return self.launch(self.config.scattered(place + height, rng), height - place, rng)

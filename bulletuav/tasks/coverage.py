@@ -8,7 +8,14 @@ import numpy as np
 
 from bulletuav.conflict.measures import offsets
 from bulletuav.tasks.base import Frame, Scene, Spawn, StepResult, TaskContext
-from bulletuav.tasks.families.urban import DEFAULTS, URBAN_DIFFICULTIES, UrbanConfig, UrbanTask, check_share, ground_cells
+from bulletuav.tasks.families.urban import (
+    DEFAULTS,
+    URBAN_DIFFICULTIES,
+    UrbanConfig,
+    UrbanTask,
+    check_share,
+    ground_cells,
+)
 
 MOST_CELLS = 1e6  # of a raster
 
@@ -84,17 +91,27 @@ class Coverage(UrbanTask):
     Config = CoverageConfig
     config: CoverageConfig
     defaults: ClassVar = {**DEFAULTS, "horizon": 300}
-    difficulties: ClassVar = {**URBAN_DIFFICULTIES, "extreme": {**URBAN_DIFFICULTIES["extreme"], "min_separation": 50.0}}
+    difficulties: ClassVar = {
+        **URBAN_DIFFICULTIES,
+        "extreme": {**URBAN_DIFFICULTIES["extreme"], "min_separation": 50.0},
+    }
     baseline = "kmeans"
     observation = ("position", "velocity", "battery", "neighbours", "seen_share")
-    reward_weights: ClassVar = {"covered": 1.0, "close": -5.0, "collision": -10.0, "out_of_bounds": -10.0}
+    reward_weights: ClassVar = {
+        "covered": 1.0,
+        "close": -5.0,
+        "collision": -10.0,
+        "out_of_bounds": -10.0,
+    }
 
     def __init__(self, config: CoverageConfig, context: TaskContext):
         """Raises ValueError where the city leaves no room to fly, or its ground has no square outdoors."""
         super().__init__(config, context)
         check_share("wanted", config.wanted)
         if not 0 < config.cell <= min(city.side for city in self.town.cities):
-            raise ValueError(f"cell is {config.cell:g} m: it must be above 0 and at most the side of the city")
+            raise ValueError(
+                f"cell is {config.cell:g} m: it must be above 0 and at most the side of the city"
+            )
         widest = max(city.side for city in self.town.cities)
         if (widest / config.cell) ** 2 > MOST_CELLS:
             raise ValueError(
@@ -103,10 +120,17 @@ class Coverage(UrbanTask):
             )
         cells = [ground_cells(city, config.cell) for city in self.town.cities]
         if not all(map(len, cells)):
-            raise ValueError(f"cell is {config.cell:g} m: the middle of no such square is outdoors; make it smaller")
+            raise ValueError(
+                f"cell is {config.cell:g} m: the middle of no such square is outdoors; make it smaller"
+            )
         self.num_targets = max(map(len, cells))
         # All layouts have as many rows: short lists repeat their first cell, and it does not count.
-        self._cells = np.array([np.concatenate([c, np.repeat(c[:1], self.num_targets - len(c), axis=0)]) for c in cells])
+        self._cells = np.array(
+            [
+                np.concatenate([c, np.repeat(c[:1], self.num_targets - len(c), axis=0)])
+                for c in cells
+            ]
+        )
         self._counts = np.array([np.arange(self.num_targets) < len(c) for c in cells])
 
     def targets(self, scene: Scene) -> np.ndarray:

@@ -74,10 +74,25 @@ class Crossing(Airspace):
     Config = CrossingConfig
     config: CrossingConfig
     difficulties: ClassVar = {
-        "easy": {"num_drones": 4, "lane_spacing": 20.0, "altitude_spread": 10.0, **UNCERTAINTY["easy"]},
+        "easy": {
+            "num_drones": 4,
+            "lane_spacing": 20.0,
+            "altitude_spread": 10.0,
+            **UNCERTAINTY["easy"],
+        },
         "medium": UNCERTAINTY["medium"],
-        "hard": {"num_drones": 20, "lane_spacing": 12.0, "altitude_spread": 4.0, **UNCERTAINTY["hard"]},
-        "extreme": {"num_drones": 100, "lane_spacing": 12.0, "altitude_spread": 4.0, **UNCERTAINTY["extreme"]},
+        "hard": {
+            "num_drones": 20,
+            "lane_spacing": 12.0,
+            "altitude_spread": 4.0,
+            **UNCERTAINTY["hard"],
+        },
+        "extreme": {
+            "num_drones": 100,
+            "lane_spacing": 12.0,
+            "altitude_spread": 4.0,
+            **UNCERTAINTY["extreme"],
+        },
     }
 
     def __init__(self, config: CrossingConfig, context: TaskContext):
@@ -100,7 +115,9 @@ class Crossing(Airspace):
             )
         rise = config.altitude_spread / 2 + config.jitter
         if config.altitude - rise <= context.collision_radius:
-            raise ValueError(f"altitude {config.altitude:g} m is too low for altitude_spread {config.altitude_spread:g} m")
+            raise ValueError(
+                f"altitude {config.altitude:g} m is too low for altitude_spread {config.altitude_spread:g} m"
+            )
         reach = max(config.half_length + depth, width) + config.margin
         self.arena_low = np.array([-reach, -reach, 0.0])
         self.arena_high = np.array([reach, reach, config.altitude + rise + config.margin])
@@ -117,7 +134,12 @@ class Crossing(Airspace):
         start, goal = np.zeros((n, 3)), np.zeros((n, 3))
         for axis, team in ((1, slice(0, self._north)), (0, slice(self._north, n))):
             side, back = self._formation(len(start[team]))
-            start[team, axis], goal[team, axis] = -config.half_length - back, config.half_length - back
+            start[team, axis], goal[team, axis] = (
+                -config.half_length - back,
+                config.half_length - back,
+            )
             start[team, 1 - axis] = goal[team, 1 - axis] = side
-        start[:, 2] = goal[:, 2] = config.altitude + config.altitude_spread * rng.uniform(-0.5, 0.5, n)
+        start[:, 2] = goal[:, 2] = config.altitude + config.altitude_spread * rng.uniform(
+            -0.5, 0.5, n
+        )
         return self.launch(config.scattered(start, rng), goal, rng)

@@ -82,7 +82,8 @@ class Default(UrbanTask):
         """Terms of the reward, whose episode ends, and who succeeded, after a decision."""
         reached = (frame.distance <= self.config.goal_radius) & ~frame.collision
         terms = {
-            "progress": (frame.distance_before - frame.distance) / (self.context.max_speed * self.context.period),
+            "progress": (frame.distance_before - frame.distance)
+            / (self.context.max_speed * self.context.period),
             "goal": reached.astype(float),
             "collision": frame.collision.astype(float),
             "time": np.ones(frame.alive.shape),

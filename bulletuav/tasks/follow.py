@@ -8,7 +8,15 @@ import numpy as np
 
 from bulletuav.errors import choose
 from bulletuav.geometry.obstacle import Obstacle
-from bulletuav.tasks.base import Frame, Scene, Spawn, StepResult, Task, TaskContext, refuse_early_end
+from bulletuav.tasks.base import (
+    Frame,
+    Scene,
+    Spawn,
+    StepResult,
+    Task,
+    TaskContext,
+    refuse_early_end,
+)
 from bulletuav.tasks.check import refuse_overlap
 
 TARGETS = {
@@ -100,12 +108,18 @@ class Follow(Task):
         super().__init__(config, context)
         self._body, self._height, above = choose("target", config.target, TARGETS)
         if config.target_speed >= context.max_speed:
-            raise ValueError(f"target_speed {config.target_speed:g} m/s must be below max_speed {context.max_speed:g} m/s")
+            raise ValueError(
+                f"target_speed {config.target_speed:g} m/s must be below max_speed {context.max_speed:g} m/s"
+            )
         angle = 2 * np.pi * np.arange(context.num_drones) / context.num_drones
-        circle = config.distance * np.stack([-np.cos(angle), -np.sin(angle), np.zeros(len(angle))], axis=1)
+        circle = config.distance * np.stack(
+            [-np.cos(angle), -np.sin(angle), np.zeros(len(angle))], axis=1
+        )
         self._station = circle + np.array((0, 0, above))
         refuse_overlap(self._station, context.collision_radius + config.start_offset * np.sqrt(3))
-        nearest = float(np.linalg.norm(self._station, axis=1).min()) - config.start_offset * np.sqrt(3)
+        nearest = float(
+            np.linalg.norm(self._station, axis=1).min()
+        ) - config.start_offset * np.sqrt(3)
         if nearest <= self._body.radius + context.collision_radius:
             raise ValueError(
                 f"distance {config.distance:g} m with start_offset {config.start_offset:g} m is too close to the target, "
@@ -113,11 +127,16 @@ class Follow(Task):
             )
         lowest = self._height + above - config.start_offset
         if lowest <= context.collision_radius:
-            raise ValueError(f"start_offset {config.start_offset:g} m is too large: drones could start {lowest:.3g} m up")
+            raise ValueError(
+                f"start_offset {config.start_offset:g} m is too large: drones could start {lowest:.3g} m up"
+            )
         refuse_early_end(config.max_distance, config.start_offset)
         reach = config.arena + config.distance + config.max_distance
         top = self._height + above + config.max_distance
-        self.arena_low, self.arena_high = np.array([-reach, -reach, 0.0]), np.array([reach, reach, top])
+        self.arena_low, self.arena_high = (
+            np.array([-reach, -reach, 0.0]),
+            np.array([reach, reach, top]),
+        )
 
     def obstacles(self) -> Sequence[Obstacle]:
         """The target."""
@@ -132,9 +151,24 @@ class Follow(Task):
         offset = rng.uniform(-config.start_offset, config.start_offset, (n, 3))
         goal = target + self._station
         upright = np.tile([0.0, 0.0, 0.0, 1.0], (n, 1))
-        return Spawn(goal + offset, upright, np.zeros((n, 3)), np.zeros((n, 3)), goal, velocity, target, velocity)
+        return Spawn(
+            goal + offset,
+            upright,
+            np.zeros((n, 3)),
+            np.zeros((n, 3)),
+            goal,
+            velocity,
+            target,
+            velocity,
+        )
 
-    def advance(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rng: Sequence[np.random.Generator | None]) -> bool:
+    def advance(
+        self,
+        scene: Scene,
+        time: np.ndarray,
+        flying: np.ndarray,
+        rng: Sequence[np.random.Generator | None],
+    ) -> bool:
         """Drive the target of every world that flies, its stations with it."""
         config, period = self.config, self.context.period
         for w in np.flatnonzero(flying).tolist():
@@ -142,10 +176,14 @@ class Follow(Task):
             assert generator is not None  # a world that flies was reset
             x, y, _ = scene.obstacle[w, 0]
             vx, vy, _ = scene.obstacle_velocity[w, 0]
-            heading = np.arctan2(vy, vx) + config.turn * np.sqrt(period) * generator.standard_normal()
+            heading = (
+                np.arctan2(vy, vx) + config.turn * np.sqrt(period) * generator.standard_normal()
+            )
             if np.hypot(x, y) > config.arena and x * vx + y * vy > 0:
                 heading = np.arctan2(-y, -x)
-            scene.obstacle_velocity[w, 0] = config.target_speed * np.array([np.cos(heading), np.sin(heading), 0.0])
+            scene.obstacle_velocity[w, 0] = config.target_speed * np.array(
+                [np.cos(heading), np.sin(heading), 0.0]
+            )
             scene.obstacle[w, 0] += period * scene.obstacle_velocity[w, 0]
             scene.goal[w] = scene.obstacle[w, 0] + self._station
             scene.goal_velocity[w] = scene.obstacle_velocity[w, 0]

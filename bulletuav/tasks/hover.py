@@ -40,7 +40,9 @@ def _positions(start: object, count: int) -> np.ndarray:
     except ValueError:
         positions = np.empty(0)
     if positions.shape != (count, 3) or not np.isfinite(positions).all():
-        raise ValueError(f"start is {shown(start)}: {count} finite positions (x, y, z) in metres are needed")
+        raise ValueError(
+            f"start is {shown(start)}: {count} finite positions (x, y, z) in metres are needed"
+        )
     return positions
 
 
@@ -90,7 +92,13 @@ class Hover(Task):
     }
     difficulties: ClassVar = {
         "easy": {},
-        "medium": {"height": 3.0, "spacing": 4.0, "start_offset": 1.0, "start_speed": 1.0, "start_tilt": 20.0},
+        "medium": {
+            "height": 3.0,
+            "spacing": 4.0,
+            "start_offset": 1.0,
+            "start_speed": 1.0,
+            "start_tilt": 20.0,
+        },
         "hard": {
             "height": 5.0,
             "spacing": 5.0,
@@ -128,7 +136,9 @@ class Hover(Task):
         columns = int(np.ceil(np.sqrt(context.num_drones)))
         index = np.arange(context.num_drones)
         grid = np.stack([index % columns, index // columns], axis=1) * config.spacing
-        self.target = np.concatenate([grid - grid.mean(axis=0), np.full((len(index), 1), config.height)], axis=1)
+        self.target = np.concatenate(
+            [grid - grid.mean(axis=0), np.full((len(index), 1), config.height)], axis=1
+        )
         self.arena_low = self.target.min(axis=0) - config.max_distance
         self.arena_high = self.target.max(axis=0) + config.max_distance
         self.arena_low[2] = 0.0
@@ -139,7 +149,9 @@ class Hover(Task):
         if config.start is not None:
             start = _positions(config.start, len(self.target))
             if ((start < self.arena_low) | (start > self.arena_high)).any():
-                raise ValueError(f"start is {shown(config.start)}: positions inside the arena are needed")
+                raise ValueError(
+                    f"start is {shown(config.start)}: positions inside the arena are needed"
+                )
             refuse_overlap(start, radius)
             lowest = start[:, 2].min()
         else:
@@ -159,7 +171,9 @@ class Hover(Task):
         """Near the targets, disturbed as much as the difficulty says."""
         config, shape = self.config, self.target.shape
         offset = rng.uniform(-config.start_offset, config.start_offset, shape)
-        position = self.target + offset if config.start is None else np.asarray(config.start, dtype=float)
+        position = (
+            self.target + offset if config.start is None else np.asarray(config.start, dtype=float)
+        )
         axis = rng.normal(size=shape)
         axis /= np.linalg.norm(axis, axis=1, keepdims=True)
         angle = np.radians(config.start_tilt) * rng.uniform(0, 1, (len(axis), 1))

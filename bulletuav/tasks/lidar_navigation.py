@@ -63,7 +63,10 @@ class LidarNavigation(UrbanFlight):
     Config = LidarNavigationConfig
     config: LidarNavigationConfig
     difficulties: ClassVar = {
-        difficulty: {**options, "randomization": {**options.get("randomization", {}), **RANGES[difficulty]}}
+        difficulty: {
+            **options,
+            "randomization": {**options.get("randomization", {}), **RANGES[difficulty]},
+        }
         for difficulty, options in URBAN_DIFFICULTIES.items()
     }
     observation = ("velocity", "goal", "battery", "lidar")
@@ -74,4 +77,6 @@ class LidarNavigation(UrbanFlight):
         """Raises ValueError where the city leaves no room to fly."""
         super().__init__(config, context)
         if config.proximity_range == 0:
-            raise ValueError("proximity_range is 0 m: it must be above 0; to leave the term out, weigh it by 0")
+            raise ValueError(
+                "proximity_range is 0 m: it must be above 0; to leave the term out, weigh it by 0"
+            )

@@ -149,7 +149,12 @@ class Los(UsersTask):
     config: LosConfig
     defaults: ClassVar = {**DEFAULTS, "horizon": 300}
     observation = ("position", "velocity", "battery", "neighbours", "targets")
-    reward_weights: ClassVar = {"sight": 1.0, "served": 0.0, "collision": -10.0, "out_of_bounds": -10.0}
+    reward_weights: ClassVar = {
+        "sight": 1.0,
+        "served": 0.0,
+        "collision": -10.0,
+        "out_of_bounds": -10.0,
+    }
 
     def evaluate_step(self, frame: Frame) -> StepResult:
         """Shares of users in sight, and ends by contact or outside the airspace."""

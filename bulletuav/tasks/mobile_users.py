@@ -108,7 +108,12 @@ class MobileUsers(UsersTask):
     config: MobileUsersConfig
     presets: ClassVar = {"urbanmarl": {**URBANMARL, "mobility": "manhattan"}}
     observation = ("position", "battery", "centroids", "sight_matrix")
-    reward_weights: ClassVar = {"sight": 1.0, "dwell_time": 0.5, "collision": -2.0, "out_of_bounds": 0.0}
+    reward_weights: ClassVar = {
+        "sight": 1.0,
+        "dwell_time": 0.5,
+        "collision": -2.0,
+        "out_of_bounds": 0.0,
+    }
 
     def evaluate_step(self, frame: Frame) -> StepResult:
         """Share of users in sight, how long they have been, and ends by contact or outside the airspace."""

@@ -8,7 +8,13 @@ import numpy as np
 
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.tasks.base import Scene, Spawn, TaskContext
-from bulletuav.tasks.families.airspace import REWARD_WEIGHTS, UNCERTAINTY, Airspace, AirspaceConfig, clearance
+from bulletuav.tasks.families.airspace import (
+    REWARD_WEIGHTS,
+    UNCERTAINTY,
+    Airspace,
+    AirspaceConfig,
+    clearance,
+)
 
 GOLDEN = (np.sqrt(5) - 1) / 2  # spreads sizes evenly over any number of obstacles
 FULL = 0.3  # share of the space that drones and obstacles may keep others out of
@@ -128,14 +134,20 @@ class Obstacles(Airspace):
         super().__init__(config, context)
         low, high = config.obstacle_radius
         if not 0 < low <= high:
-            raise ValueError(f"obstacle_radius is {config.obstacle_radius}: from low to high, above 0, is needed")
+            raise ValueError(
+                f"obstacle_radius is {config.obstacle_radius}: from low to high, above 0, is needed"
+            )
         if config.num_moving > config.num_obstacles:
-            raise ValueError(f"num_moving {config.num_moving} of {config.num_obstacles} obstacles: at most all can move")
+            raise ValueError(
+                f"num_moving {config.num_moving} of {config.num_obstacles} obstacles: at most all can move"
+            )
         side, rise = config.area / 2, config.altitude_spread / 2
         self._low = np.array([-side, -side, config.altitude - rise])
         self._high = np.array([side, side, config.altitude + rise])
         if self._low[2] - config.jitter <= context.collision_radius:
-            raise ValueError(f"altitude {config.altitude:g} m is too low for altitude_spread {config.altitude_spread:g} m")
+            raise ValueError(
+                f"altitude {config.altitude:g} m is too low for altitude_spread {config.altitude_spread:g} m"
+            )
         index = np.arange(config.num_obstacles)
         self._radius = low + (high - low) * (index * GOLDEN % 1)
         self._bodies = tuple(_body(k, radius) for k, radius in enumerate(self._radius.tolist()))
@@ -157,20 +169,26 @@ class Obstacles(Airspace):
                 f"{taken / room:.0%} of the space, at most {FULL:.0%} is possible: widen area or altitude_spread"
             )
         if config.leg > 0.5 * config.area:
-            raise ValueError(f"leg {config.leg:g} m is too long for an area of {config.area:g} m: at most half of it")
+            raise ValueError(
+                f"leg {config.leg:g} m is too long for an area of {config.area:g} m: at most half of it"
+            )
 
     def obstacles(self) -> Sequence[Obstacle]:
         """The bodies, those that move first."""
         return self._bodies
 
-    def _places(self, rng: np.random.Generator, obstacle: np.ndarray, start: np.ndarray | None) -> np.ndarray:
+    def _places(
+        self, rng: np.random.Generator, obstacle: np.ndarray, start: np.ndarray | None
+    ) -> np.ndarray:
         """(N, 3) random places, clear of each other and of obstacles, `leg` from each drone's `start` where it is given."""
         places = np.empty((self.context.num_drones, 3))
         for i in range(len(places)):
             while True:
                 place = rng.uniform(self._low, self._high)
                 clear = np.all(np.linalg.norm(places[:i] - place, axis=1) > self._apart)
-                clear &= np.all(np.linalg.norm(obstacle - place, axis=1) > self._radius + self._apart / 2)
+                clear &= np.all(
+                    np.linalg.norm(obstacle - place, axis=1) > self._radius + self._apart / 2
+                )
                 if clear and (start is None or np.linalg.norm(start[i] - place) >= self.config.leg):
                     break
             places[i] = place

@@ -105,7 +105,9 @@ class Pursuit(Airspace):
         """Raises ValueError where drones could start in conflict or in touch with the ground, or are too slow."""
         super().__init__(config, context)
         if not 0 < config.speed[0] <= config.speed[1] <= context.max_speed:
-            raise ValueError(f"speed is {config.speed}: from low to high, above 0 and up to max_speed {context.max_speed:g}")
+            raise ValueError(
+                f"speed is {config.speed}: from low to high, above 0 and up to max_speed {context.max_speed:g}"
+            )
         if context.num_drones * config.spacing > 2 * np.pi * config.radius:
             raise ValueError(
                 f"{context.num_drones} drones with spacing {config.spacing:g} m do not fit on a circle of radius "
@@ -130,7 +132,9 @@ class Pursuit(Airspace):
     def _track(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Goals (..., N, 3) m and their velocities at `time` (...,) s."""
         way = self._pace * np.asarray(time)[..., None]
-        angle = (np.arange(len(self._pace)) * self.config.spacing - np.minimum(way, self._way)) / self.config.radius
+        angle = (
+            np.arange(len(self._pace)) * self.config.spacing - np.minimum(way, self._way)
+        ) / self.config.radius
         zero = np.zeros_like(angle)
         place = self.config.radius * np.stack([np.cos(angle), np.sin(angle), zero], axis=-1)
         pace = np.where(way < self._way, self._pace, 0.0)[..., None]
@@ -141,7 +145,9 @@ class Pursuit(Airspace):
     def spawn(self, rng: np.random.Generator) -> Spawn:
         """Queued on the circle, in flight along it."""
         goal, velocity = self._track(np.zeros(()))
-        return self.launch(self.config.scattered(goal, rng), goal, rng, velocity)._replace(goal_velocity=velocity)
+        return self.launch(self.config.scattered(goal, rng), goal, rng, velocity)._replace(
+            goal_velocity=velocity
+        )
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
         """Beside those of every airspace `conflicts`: how many each drone has had."""
@@ -160,7 +166,9 @@ class Pursuit(Airspace):
 
     def ahead(self, goal: np.ndarray, time: np.ndarray) -> np.ndarray:
         """What is left of the laps, m."""
-        return super().ahead(goal, time) + np.maximum(self._way - self._pace * np.asarray(time)[:, None], 0.0)
+        return super().ahead(goal, time) + np.maximum(
+            self._way - self._pace * np.asarray(time)[:, None], 0.0
+        )
 
     def arrived(self, frame: Frame) -> np.ndarray:
         """At the goal, which has come to its end."""

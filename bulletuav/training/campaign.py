@@ -29,7 +29,9 @@ class Campaign:
         """The folder of a run."""
         return self._folder / config.task / str(config.seed)
 
-    def train(self, workers: int = 1, progress: Callable[[int], None] = lambda steps: None) -> list[Learned]:
+    def train(
+        self, workers: int = 1, progress: Callable[[int], None] = lambda steps: None
+    ) -> list[Learned]:
         """Train all, `workers` at once; finished ones are not trained again, others go on from their last checkpoint.
 
         `progress` is told the steps done so far by all. Raises what a run raises, and what the others have done since their
@@ -38,10 +40,16 @@ class Campaign:
         as_int("workers", workers, 1)
         context = multiprocessing.get_context("spawn")  # PyTorch's threads do not survive a fork
         others = set(multiprocessing.active_children())
-        with ProcessPoolExecutor(workers, mp_context=context, initializer=_leave_interrupts) as pool:
+        with ProcessPoolExecutor(
+            workers, mp_context=context, initializer=_leave_interrupts
+        ) as pool:
             try:
-                futures = [pool.submit(_train, config, self.place(config)) for config in self.configs]
-                while wait(futures, LOOK, FIRST_EXCEPTION).not_done and not any(map(_failed, futures)):
+                futures = [
+                    pool.submit(_train, config, self.place(config)) for config in self.configs
+                ]
+                while wait(futures, LOOK, FIRST_EXCEPTION).not_done and not any(
+                    map(_failed, futures)
+                ):
                     progress(sum(_steps(self.place(config)) for config in self.configs))
                 for future in filter(_failed, futures):
                     future.result()  # raises what the run raised
@@ -50,7 +58,9 @@ class Campaign:
                     process.kill()  # a stopped one hears nothing else
                 raise
         progress(self.total)
-        return [(config, future.result()) for config, future in zip(self.configs, futures, strict=True)]
+        return [
+            (config, future.result()) for config, future in zip(self.configs, futures, strict=True)
+        ]
 
 
 def _failed(future: Future) -> bool:
@@ -68,7 +78,9 @@ def _train(config: RunConfig, folder: Path) -> list[Row]:
 
     def stay(steps: int) -> None:
         if parent is not None and not parent.is_alive():
-            os._exit(1)  # it was killed: nobody waits for this run, and who resumes it wants the folder
+            os._exit(
+                1
+            )  # it was killed: nobody waits for this run, and who resumes it wants the folder
 
     return train(config, folder, stay)
 
@@ -89,6 +101,12 @@ def learning_table(runs: Sequence[Learned]) -> str:
     for config, rows in runs:
         last, seconds = rows[-1], sum(row["seconds"] for row in rows)
         found = ["-" if math.isnan(last[name]) else f"{last[name]:.2f}" for name in shown]
-        pace = [f"{last['steps']:,.0f}", f"{seconds / 60:.1f}", f"{last['steps'] / max(seconds, 1e-9):,.0f}"]
-        lines.append("| " + " | ".join([config.task, config.algo, str(config.seed), *pace, *found]) + " |")
+        pace = [
+            f"{last['steps']:,.0f}",
+            f"{seconds / 60:.1f}",
+            f"{last['steps'] / max(seconds, 1e-9):,.0f}",
+        ]
+        lines.append(
+            "| " + " | ".join([config.task, config.algo, str(config.seed), *pace, *found]) + " |"
+        )
     return "\n".join(lines) + "\n"

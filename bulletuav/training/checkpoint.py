@@ -21,7 +21,14 @@ try:
 except ImportError:
     raise missing("training", "sb3") from None
 
-COUNTERS = ("num_timesteps", "_n_updates", "_n_calls", "_episode_num", "_current_progress_remaining", "exploration_rate")
+COUNTERS = (
+    "num_timesteps",
+    "_n_updates",
+    "_n_calls",
+    "_episode_num",
+    "_current_progress_remaining",
+    "exploration_rate",
+)
 """Numbers of a model that its learning depends on, of those algorithms that have them"""
 
 
@@ -34,7 +41,11 @@ def save(model: Any, folder: Path) -> None:
             where the algorithm has a replay buffer, replay.safetensors.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    bounds = {LOW: model.action_space.low, HIGH: model.action_space.high} if isinstance(model.action_space, Box) else {}
+    bounds = (
+        {LOW: model.action_space.low, HIGH: model.action_space.high}
+        if isinstance(model.action_space, Box)
+        else {}
+    )
     _write({**_arrays(model.policy.state_dict()), **bounds}, folder / POLICY)
     rest: dict[str, np.ndarray] = {}
     for name in _optimizers(model):
@@ -56,11 +67,15 @@ def restore(model: Any, folder: Path) -> None:
     """
     try:
         weights = read_weights(folder / POLICY)
-        model.policy.load_state_dict({name: torch.as_tensor(weights[name]) for name in model.policy.state_dict()})
+        model.policy.load_state_dict(
+            {name: torch.as_tensor(weights[name]) for name in model.policy.state_dict()}
+        )
         rest = read_weights(folder / TRAINING)
         for name in _optimizers(model):
             optimizer = recursive_getattr(model, name)
-            optimizer.load_state_dict({**optimizer.state_dict(), "state": _states(rest, f"{name}/")})
+            optimizer.load_state_dict(
+                {**optimizer.state_dict(), "state": _states(rest, f"{name}/")}
+            )
         for name in _variables(model):
             recursive_setattr(model, f"{name}.data", torch.as_tensor(rest[name]))
         with safe_open(folder / TRAINING, "numpy") as file:
@@ -71,7 +86,9 @@ def restore(model: Any, folder: Path) -> None:
         if getattr(model, "replay_buffer", None) is not None:
             _fill(model.replay_buffer, load_file(folder / REPLAY))
     except (KeyError, TypeError, OSError, RuntimeError, ValueError, SafetensorError) as error:
-        raise ValueError(f"{folder} holds no checkpoint of this run ({error}): choose another folder") from None
+        raise ValueError(
+            f"{folder} holds no checkpoint of this run ({error}): choose another folder"
+        ) from None
 
 
 def _write(arrays: dict[str, np.ndarray], path: Path, about: dict[str, str] | None = None) -> None:
@@ -87,12 +104,19 @@ def _optimizers(model: Any) -> list[str]:
 
 
 def _variables(model: Any) -> list[str]:
-    return [name for name in model._get_torch_save_params()[1] if recursive_getattr(model, name) is not None]
+    return [
+        name
+        for name in model._get_torch_save_params()[1]
+        if recursive_getattr(model, name) is not None
+    ]
 
 
 def _arrays(values: dict[str, Any]) -> dict[str, np.ndarray]:
     """Copies, as some of the tensors share their memory."""
-    return {name: np.array(torch.as_tensor(value).detach().cpu().numpy()) for name, value in values.items()}
+    return {
+        name: np.array(torch.as_tensor(value).detach().cpu().numpy())
+        for name, value in values.items()
+    }
 
 
 def _states(arrays: dict[str, np.ndarray], begin: str) -> dict[int, dict[str, Any]]:
@@ -102,7 +126,9 @@ def _states(arrays: dict[str, np.ndarray], begin: str) -> dict[int, dict[str, An
         if name.startswith(begin):
             index, key = name.removeprefix(begin).split("/")
             is_step = array.ndim == 0 and array.dtype.kind == "i"
-            states.setdefault(int(index), {})[key] = int(array) if is_step else torch.as_tensor(array)
+            states.setdefault(int(index), {})[key] = (
+                int(array) if is_step else torch.as_tensor(array)
+            )
     return states
 
 

@@ -46,7 +46,9 @@ class Store:
             else:
                 replace_file(folder / CONFIG, f"{about}\n{config.text()}")
         except OSError as error:
-            raise ValueError(f"{folder} cannot be a folder to write to: {error.strerror or error}") from None
+            raise ValueError(
+                f"{folder} cannot be a folder to write to: {error.strerror or error}"
+            ) from None
 
     def _load(self, about: str) -> None:
         known, own = RunConfig.read(self.folder / CONFIG).plain(), self._config.plain()
@@ -65,10 +67,15 @@ class Store:
             if not (self.last / POLICY).exists():
                 raise FileNotFoundError(f"no {self.last / POLICY}")
         except (json.JSONDecodeError, KeyError, TypeError, FileNotFoundError) as error:
-            raise ValueError(f"{self.folder} holds a run that is damaged ({error!r}): choose another folder") from None
+            raise ValueError(
+                f"{self.folder} holds a run that is damaged ({error!r}): choose another folder"
+            ) from None
         begun = (self.folder / CONFIG).read_text().splitlines()[0]
         if begun != about and not self.finished:
-            warnings.warn(f"{self.folder} was begun with {begun[2:]}: weights may come out differently now", stacklevel=4)
+            warnings.warn(
+                f"{self.folder} was begun with {begun[2:]}: weights may come out differently now",
+                stacklevel=4,
+            )
 
     @property
     def finished(self) -> bool:
@@ -118,8 +125,12 @@ def opened(folder: Path, config: RunConfig) -> Iterator[Store]:
         lock = FileLock(folder / "lock", timeout=0)
         lock.acquire()
     except Timeout:
-        raise ValueError(f"{folder} is being trained in by another process: wait, or choose another folder") from None
+        raise ValueError(
+            f"{folder} is being trained in by another process: wait, or choose another folder"
+        ) from None
     except OSError as error:
-        raise ValueError(f"{folder} cannot be a folder to write to: {error.strerror or error}") from None
+        raise ValueError(
+            f"{folder} cannot be a folder to write to: {error.strerror or error}"
+        ) from None
     with lock:
         yield Store(folder, config)

@@ -45,12 +45,24 @@ def _train(config: RunConfig, store: Store, progress: Progress) -> None:
     if importlib.util.find_spec("tensorboard") is None:
         raise missing("training, which tells TensorBoard of its curves,", "sb3")
     curriculum = Curriculum(len(config.stages), **config.curriculum)
-    env = DroneVecEnv(config.task, config.worlds, config.stages, curriculum, config.shared_reward, **config.options)
+    env = DroneVecEnv(
+        config.task,
+        config.worlds,
+        config.stages,
+        curriculum,
+        config.shared_reward,
+        **config.options,
+    )
     try:
         model = _model(config, env, store)
         model.set_logger(configure(str(store.folder / "tensorboard"), ["tensorboard"]))
         chapters = _Chapters(config, env, store, progress)
-        model.learn(config.steps - model.num_timesteps, callback=chapters, log_interval=None, reset_num_timesteps=False)
+        model.learn(
+            config.steps - model.num_timesteps,
+            callback=chapters,
+            log_interval=None,
+            reset_num_timesteps=False,
+        )
         chapters.end()
     finally:
         env.close()
@@ -81,7 +93,9 @@ class _Chapters(BaseCallback):
         if not self._store.rows:
             self.end()  # what a policy does before it learns begins the curve
         steps, rows = self.model.num_timesteps, self._store.rows
-        if steps > rows[-1]["steps"] and steps * self._config.evaluations >= self._config.steps * len(rows):
+        if steps > rows[-1][
+            "steps"
+        ] and steps * self._config.evaluations >= self._config.steps * len(rows):
             self.end()
         if not self._open:
             self._begin()
@@ -89,7 +103,10 @@ class _Chapters(BaseCallback):
     def _begin(self) -> None:
         """New episodes, and random numbers that know nothing of the past."""
         model: Any = self.model
-        seed = np.random.SeedSequence([self._config.seed, len(self._store.rows)]).generate_state(1)[0] >> 1
+        seed = (
+            np.random.SeedSequence([self._config.seed, len(self._store.rows)]).generate_state(1)[0]
+            >> 1
+        )
         model.set_random_seed(int(seed))
         model._last_obs = model.env.reset()  # of the wrapper that SB3 puts around pictures, too
         if model.use_sde:  # SB3 drew its noise just before
@@ -110,7 +127,9 @@ class _Chapters(BaseCallback):
         seconds = time.perf_counter() - self._start if self._open else 0.0
         config, folder = self._config, self._store.next
         checkpoint.save(model, folder)
-        found = evaluate(config.task, folder, config.episodes, EVALUATION_SEED, **config.evaluated).estimates()
+        found = evaluate(
+            config.task, folder, config.episodes, EVALUATION_SEED, **config.evaluated
+        ).estimates()
         row = {
             "steps": model.num_timesteps,
             "decisions": self._env.decisions,
@@ -126,8 +145,18 @@ class _Chapters(BaseCallback):
         self._episodes, self._open = [], False
 
     def _mean(self, key: str) -> float:
-        return float(np.mean([episode[key] for episode in self._episodes])) if self._episodes else np.nan
+        return (
+            float(np.mean([episode[key] for episode in self._episodes]))
+            if self._episodes
+            else np.nan
+        )
 
 
-TOLD = {"return": "r", "decisions": "l", "success": "success", "conflicts": "conflicts", "collision": "collision"}
+TOLD = {
+    "return": "r",
+    "decisions": "l",
+    "success": "success",
+    "conflicts": "conflicts",
+    "collision": "collision",
+}
 """Of the episodes of a chapter: columns of the curve, and their keys in infos"""

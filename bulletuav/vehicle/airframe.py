@@ -15,7 +15,11 @@ from bulletuav.errors import require_file, shown, unknown
 from bulletuav.geometry.shapes import BOX, CYLINDER, SPHERE, Shape
 
 _PACKAGE = Path(__file__).parents[1]
-URDF_FOLDER = next(folder / "assets" / "urdf" for folder in (_PACKAGE, _PACKAGE.parent) if (folder / "assets").is_dir())
+URDF_FOLDER = next(
+    folder / "assets" / "urdf"
+    for folder in (_PACKAGE, _PACKAGE.parent)
+    if (folder / "assets").is_dir()
+)
 """In the package of a wheel; beside it in a checkout"""
 MAX_ROTORS = 8
 TAGS = (
@@ -85,7 +89,9 @@ class Airframe:
     def collision_radius(self) -> float:
         """Radius of the sphere about the centre of mass that holds the collision shape, m."""
         across, _, rise = self.shape.half
-        return {SPHERE: across, CYLINDER: math.hypot(across, rise)}.get(self.shape.kind, math.hypot(*self.shape.half))
+        return {SPHERE: across, CYLINDER: math.hypot(across, rise)}.get(
+            self.shape.kind, math.hypot(*self.shape.half)
+        )
 
     @property
     def thinnest(self) -> float:
@@ -125,12 +131,16 @@ def load_airframe(source: "str | Path | Airframe") -> Airframe:
     if isinstance(source, Airframe):
         return source
     if not isinstance(source, str | Path):
-        raise ValueError(f"airframe is {shown(source)}: a name, the path of a URDF, or an Airframe is needed")
+        raise ValueError(
+            f"airframe is {shown(source)}: a name, the path of a URDF, or an Airframe is needed"
+        )
     if isinstance(source, str) and not source.endswith(".urdf"):
         if source not in available_airframes():
             raise unknown("airframe", source, available_airframes())
         source = URDF_FOLDER / f"{source}.urdf"
-    path = require_file("airframe", source, f"pass the path of a URDF or one of {available_airframes()}").resolve()
+    path = require_file(
+        "airframe", source, f"pass the path of a URDF or one of {available_airframes()}"
+    ).resolve()
     return _Reader(path).airframe()
 
 
@@ -151,7 +161,9 @@ class _Reader:
     def element(self, tag: str, parent: ElementTree.Element | None = None) -> ElementTree.Element:
         found = (self.root if parent is None else parent).find(tag)
         if found is None:
-            raise self.refuse(tag, "missing", "every airframe needs it; assets/urdf/cf2x.urdf shows the form")
+            raise self.refuse(
+                tag, "missing", "every airframe needs it; assets/urdf/cf2x.urdf shows the form"
+            )
         return found
 
     def number(
@@ -166,11 +178,17 @@ class _Reader:
         text = element.get(attribute)
         label = f"{element.tag} {attribute}"
         try:
-            value = float("missing" if text is None or "_" in text else text)  # the engine knows no 1_000
+            value = float(
+                "missing" if text is None or "_" in text else text
+            )  # the engine knows no 1_000
         except ValueError:
-            raise self.refuse(label, text if text is not None else "missing", "a number is needed") from None
+            raise self.refuse(
+                label, text if text is not None else "missing", "a number is needed"
+            ) from None
         if not math.isfinite(value) or value < low or (strict and value == low):
-            raise self.refuse(label, text, f"it must be finite and {'above' if strict else 'at least'} {low:g}")
+            raise self.refuse(
+                label, text, f"it must be finite and {'above' if strict else 'at least'} {low:g}"
+            )
         if value != 0 and not SMALLEST <= abs(value) <= most:
             raise self.refuse(label, text, f"sizes from {SMALLEST:g} to {most:g} can be flown with")
         return value
@@ -179,15 +197,23 @@ class _Reader:
         return self.number(self.element(f"airframe/{tag}"), "value", low=0, most=most)
 
     def not_negative(self, tag: str, attribute: str, most: float) -> float:
-        return self.number(self.element(f"airframe/{tag}"), attribute, low=0, strict=False, most=most)
+        return self.number(
+            self.element(f"airframe/{tag}"), attribute, low=0, strict=False, most=most
+        )
 
     def airframe(self) -> Airframe:
         links = self.root.findall("link")
         if len(links) != 1 or self.root.find("joint") is not None:
-            raise self.refuse("link", f"{len(links)} links", "exactly one link and no joint (propellers are visuals)")
+            raise self.refuse(
+                "link",
+                f"{len(links)} links",
+                "exactly one link and no joint (propellers are visuals)",
+            )
         for element in self.element("airframe"):
             if isinstance(element.tag, str) and element.tag not in TAGS:
-                raise self.refuse(f"airframe/{element.tag}", "unknown", str(unknown("tag", element.tag, TAGS)))
+                raise self.refuse(
+                    f"airframe/{element.tag}", "unknown", str(unknown("tag", element.tag, TAGS))
+                )
         shape = self._collision_shape()
         for element in (self.root, links[0]):
             if not element.get("name"):
@@ -214,7 +240,9 @@ class _Reader:
         if airframe.max_thrust <= airframe.mass * STANDARD_GRAVITY:
             thrust = f"{airframe.max_rotor_speed:g} (thrust {airframe.max_thrust:.4g} N)"
             weight = airframe.mass * STANDARD_GRAVITY
-            raise self.refuse("max_rotor_speed", thrust, f"the drone weighs {weight:.4g} N and cannot hover")
+            raise self.refuse(
+                "max_rotor_speed", thrust, f"the drone weighs {weight:.4g} N and cannot hover"
+            )
         if airframe.max_thrust > STRONGEST * airframe.mass * STANDARD_GRAVITY:
             thrust = f"{airframe.thrust_coefficient:g} (thrust {airframe.max_thrust:.4g} N)"
             raise self.refuse(
@@ -223,7 +251,9 @@ class _Reader:
                 f"at most {STRONGEST:g} times the weight of {airframe.mass:g} kg can be flown with",
             )
         if np.linalg.matrix_rank(airframe.allocation()) < 4:
-            raise self.refuse("rotor", airframe.rotors, "these rotors cannot turn the body about all three axes")
+            raise self.refuse(
+                "rotor", airframe.rotors, "these rotors cannot turn the body about all three axes"
+            )
         return airframe
 
     def _require_centred(self, parent: ElementTree.Element, reason: str) -> None:
@@ -236,34 +266,57 @@ class _Reader:
 
     def _inertia(self) -> tuple[float, float, float]:
         inertial = self.element("link/inertial")
-        self._require_centred(inertial, "the link frame must be the principal frame at the centre of mass")
+        self._require_centred(
+            inertial, "the link frame must be the principal frame at the centre of mass"
+        )
         element = self.element("inertia", inertial)
         for key in ("ixy", "ixz", "iyz"):
             if key in element.attrib and self.number(element, key) != 0:
-                raise self.refuse(f"inertia {key}", element.get(key), "use principal axes: off-diagonal terms must be 0")
+                raise self.refuse(
+                    f"inertia {key}",
+                    element.get(key),
+                    "use principal axes: off-diagonal terms must be 0",
+                )
         ixx, iyy, izz = (self.number(element, key, low=0) for key in ("ixx", "iyy", "izz"))
         if 2 * max(ixx, iyy, izz) > (ixx + iyy + izz) * (1 + 1e-9):
             text = f"({ixx:g}, {iyy:g}, {izz:g})"
-            raise self.refuse("inertia", text, "no body has it: each moment is at most the sum of the other two")
+            raise self.refuse(
+                "inertia", text, "no body has it: each moment is at most the sum of the other two"
+            )
         return ixx, iyy, izz
 
     def _rotors(self) -> tuple[tuple[float, float, int], ...]:
         elements = self.root.findall("airframe/rotor")
         if not 4 <= len(elements) <= MAX_ROTORS:
-            raise self.refuse("rotor", f"there {len(elements)} times", f"between 4 and {MAX_ROTORS} rotors are supported")
+            raise self.refuse(
+                "rotor",
+                f"there {len(elements)} times",
+                f"between 4 and {MAX_ROTORS} rotors are supported",
+            )
         turns = {"cw": 1, "ccw": -1}
         for element in elements:
             if element.get("spin") not in turns:
-                raise self.refuse("rotor spin", element.get("spin", "missing"), "it must be cw or ccw, seen from above")
+                raise self.refuse(
+                    "rotor spin",
+                    element.get("spin", "missing"),
+                    "it must be cw or ccw, seen from above",
+                )
         return tuple(
-            (self.number(e, "x", most=WIDEST), self.number(e, "y", most=WIDEST), turns[e.get("spin", "")]) for e in elements
+            (
+                self.number(e, "x", most=WIDEST),
+                self.number(e, "y", most=WIDEST),
+                turns[e.get("spin", "")],
+            )
+            for e in elements
         )
 
     def _collision_shape(self) -> Shape:
         shapes = self.root.findall("link/collision")
         if len(shapes) != 1:
             raise self.refuse(
-                "collision", f"there {len(shapes)} times", "exactly one convex shape keeps contacts reproducible"
+                "collision",
+                f"there {len(shapes)} times",
+                "exactly one convex shape keeps contacts reproducible",
             )
         self._require_centred(shapes[0], "the collision shape must be centred and not turned")
         geometry = self.element("geometry", shapes[0])
@@ -283,14 +336,20 @@ class _Reader:
         if len(size) == 3 and all(THINNEST <= side <= WIDEST for side in size):
             return Shape(BOX, (size[0] / 2, size[1] / 2, size[2] / 2))
         raise self.refuse(
-            "box size", shape.get("size", "missing"), f"three positive numbers from {THINNEST:g} to {WIDEST:g} are needed"
+            "box size",
+            shape.get("size", "missing"),
+            f"three positive numbers from {THINNEST:g} to {WIDEST:g} are needed",
         )
 
     def _side(self, shape: ElementTree.Element, attribute: str) -> float:
         """A length of the collision shape, m."""
         side = self.number(shape, attribute, low=0, most=WIDEST)
         if side < THINNEST:
-            raise self.refuse(f"{shape.tag} {attribute}", shape.get(attribute), f"at least {THINNEST:g} m is needed")
+            raise self.refuse(
+                f"{shape.tag} {attribute}",
+                shape.get(attribute),
+                f"at least {THINNEST:g} m is needed",
+            )
         return side
 
     def _pwm(self) -> Pwm | None:

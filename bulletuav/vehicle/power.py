@@ -87,7 +87,9 @@ def rotary_wing(
 
 
 W20 = rotary_wing(weight=20.0, radius=0.4, disc_area=0.503, rotor_speed=300.0, parasite_area=0.0151)
-W100 = rotary_wing(weight=100.0, radius=0.5, disc_area=0.79, rotor_speed=400.0, parasite_area=0.01185)
+W100 = rotary_wing(
+    weight=100.0, radius=0.5, disc_area=0.79, rotor_speed=400.0, parasite_area=0.01185
+)
 """The drones of 20 N (published) and of 100 N (earlier preprint) of Zeng, Xu and Zhang; their constants must not be mixed"""
 
 
@@ -95,7 +97,9 @@ def airframe_wing(airframe: Airframe, gravity: float = STANDARD_GRAVITY) -> Rota
     """Constants of an airframe at sea level: of its mass, propellers and hover speed under `gravity`, m/s^2."""
     radius = airframe.propeller_radius
     area = len(airframe.rotors) * math.pi * radius**2
-    return rotary_wing(airframe.mass * gravity, radius, area, airframe.hover_speed(gravity), PARASITE_SHARE * area)
+    return rotary_wing(
+        airframe.mass * gravity, radius, area, airframe.hover_speed(gravity), PARASITE_SHARE * area
+    )
 
 
 @func

@@ -44,7 +44,12 @@ class Swarm(NamedTuple):
 @func
 def get(swarm, w, i):
     """(position, quaternion, velocity, rates) of one drone, as tuples."""
-    return vec3(swarm.position, w, i), quat4(swarm.quaternion, w, i), vec3(swarm.velocity, w, i), vec3(swarm.rates, w, i)
+    return (
+        vec3(swarm.position, w, i),
+        quat4(swarm.quaternion, w, i),
+        vec3(swarm.velocity, w, i),
+        vec3(swarm.rates, w, i),
+    )
 
 
 @func
@@ -52,7 +57,11 @@ def put(swarm, w, i, state):
     """Set what `get` gets."""
     position, quaternion, velocity, rates = state
     for k in range(3):
-        swarm.position[w, i, k], swarm.velocity[w, i, k], swarm.rates[w, i, k] = position[k], velocity[k], rates[k]
+        swarm.position[w, i, k], swarm.velocity[w, i, k], swarm.rates[w, i, k] = (
+            position[k],
+            velocity[k],
+            rates[k],
+        )
     for k in range(4):
         swarm.quaternion[w, i, k] = quaternion[k]
 

@@ -53,13 +53,18 @@ def second_order(one, two, share, noise_one, noise_two):
     decay = math.exp(-r)
     a, b, c, d = decay * (1.0 + r), decay * r, -decay * r, decay * (1.0 - r)
     square = decay * decay
-    p = r**3 * (4.0 / 3.0 - 2.0 * r) if r < 1e-3 else 1.0 - a * a - b * b  # its terms cancel for small r
+    p = (
+        r**3 * (4.0 / 3.0 - 2.0 * r) if r < 1e-3 else 1.0 - a * a - b * b
+    )  # its terms cancel for small r
     q = 2.0 * r * r * square
     rest = -math.expm1(-2.0 * r) + square * (2.0 * r - 2.0 * r * r)
     left = math.sqrt(p)
     low = q / left if left > 0.0 else 0.0
     right = math.sqrt(max(rest - low * low, 0.0))
-    return a * one + b * two + left * noise_one, c * one + d * two + low * noise_one + right * noise_two
+    return (
+        a * one + b * two + left * noise_one,
+        c * one + d * two + low * noise_one + right * noise_two,
+    )
 
 
 @kernel
@@ -94,7 +99,13 @@ class Wind:
     steady  (W, 3) that of each world, which may be set; beside a field it adds to it
     """
 
-    def __init__(self, steady: tuple[float, float, float] | WindField, wind20: float, shape: tuple[int, int], dt: float):
+    def __init__(
+        self,
+        steady: tuple[float, float, float] | WindField,
+        wind20: float,
+        shape: tuple[int, int],
+        dt: float,
+    ):
         """`wind20`: wind speed at 20 feet that sets the turbulence, m/s; shape (W, N); dt between samples, s."""
         self._field = steady if callable(steady) else None
         self.given = np.zeros(3) if callable(steady) else np.array(steady, dtype=float)
@@ -109,7 +120,11 @@ class Wind:
             self._gusts[world] = rng.standard_normal(self._gusts[world].shape)
 
     def sample(
-        self, swarm: Swarm, time: np.ndarray, rngs: Sequence[np.random.Generator | None], flying: np.ndarray
+        self,
+        swarm: Swarm,
+        time: np.ndarray,
+        rngs: Sequence[np.random.Generator | None],
+        flying: np.ndarray,
     ) -> np.ndarray:
         """(W, N, 3) m/s for the next decision; `time` (W,) s; only worlds of `flying` (W,) draw from their generators.
 
@@ -125,7 +140,16 @@ class Wind:
                 rng = rngs[k]
                 assert rng is not None  # a world that flies was reset
                 noise[k] = rng.standard_normal(noise[k].shape)
-            advance_gusts(self._gusts, noise, swarm.position, swarm.velocity, self.steady, self._wind20, self._dt, wind)
+            advance_gusts(
+                self._gusts,
+                noise,
+                swarm.position,
+                swarm.velocity,
+                self.steady,
+                self._wind20,
+                self._dt,
+                wind,
+            )
         return wind
 
     def _checked(self, wind: object) -> np.ndarray:
@@ -147,7 +171,9 @@ class Wind:
 def check_field(wind: WindField) -> None:
     """Raise ValueError unless a wind function takes positions and times; one that does not tell what it takes may pass."""
     if inspect.isclass(wind):
-        raise ValueError(f"wind is the class {wind.__name__}: a function of positions and times is needed")
+        raise ValueError(
+            f"wind is the class {wind.__name__}: a function of positions and times is needed"
+        )
     try:
         signature = inspect.signature(wind)
     except (TypeError, ValueError):  # of functions written in C
@@ -155,4 +181,6 @@ def check_field(wind: WindField) -> None:
     try:
         signature.bind(None, None)
     except TypeError as error:
-        raise ValueError(f"wind is a function that does not take positions and times: {error}") from None
+        raise ValueError(
+            f"wind is a function that does not take positions and times: {error}"
+        ) from None

@@ -31,7 +31,8 @@ def body_acceleration(rates, torque, row):
     """Euler's equation, J^-1 (M - w x J w), rad/s^2 in body axes."""
     jx, jy, jz = row.inertia[0], row.inertia[1], row.inertia[2]
     return (
-        (torque[0] - (jz - jy) * rates[1] * rates[2]) * (1.0 / jx),  # divisions that several calls for one drone share
+        (torque[0] - (jz - jy) * rates[1] * rates[2])
+        * (1.0 / jx),  # divisions that several calls for one drone share
         (torque[1] - (jx - jz) * rates[2] * rates[0]) * (1.0 / jy),
         (torque[2] - (jy - jx) * rates[0] * rates[1]) * (1.0 / jz),
     )

@@ -28,7 +28,9 @@ def row(own, others, targets, flags):
 
 def made(size=None):
     torch.manual_seed(0)
-    return UserSum(space(3 + 6 * (DRONES - 1) + USERS * (4 + DRONES + 4) if size is None else size), DRONES, 8)
+    return UserSum(
+        space(3 + 6 * (DRONES - 1) + USERS * (4 + DRONES + 4) if size is None else size), DRONES, 8
+    )
 
 
 def test_symlog_is_odd_and_nearly_the_identity_at_zero():
@@ -46,21 +48,30 @@ def test_the_order_of_users_does_not_matter_and_who_they_are_does():
     own, others, targets, flags = numbers
     features = layer(row(*numbers))
     assert features.shape == (1, layer.features_dim) == (1, 3 * DRONES + 8)
-    torch.testing.assert_close(layer(row(own, others, targets[:, order], flags[:, :, order])), features)
+    torch.testing.assert_close(
+        layer(row(own, others, targets[:, order], flags[:, :, order])), features
+    )
     seen = flags.copy()
     seen[0, 2] = 1 - seen[0, 2]  # from the east
     assert not torch.allclose(layer(row(own, others, targets, seen)), features)
-    np.testing.assert_allclose(features[0, :6].detach() * 100, np.concatenate([own[0], others[0, :3]]), rtol=1e-5)
+    np.testing.assert_allclose(
+        features[0, :6].detach() * 100, np.concatenate([own[0], others[0, :3]]), rtol=1e-5
+    )
 
 
 def test_gain_is_that_of_log_distance():
     """Beyond 1 m: 20 and 31.9 dB a decade."""
     offset = torch.tensor([[30.0, 40.0, 0.0], [300.0, 400.0, 0.0]])
     decibel = 10 / np.log(10) * log_gain(offset, torch.tensor([1.0, 0.0]))
-    loss = [log_distance(distance + 1, 2.4e9, n) - log_distance(1.0, 2.4e9, n) for distance, n in ((50, 2.0), (500, 3.19))]
+    loss = [
+        log_distance(distance + 1, 2.4e9, n) - log_distance(1.0, 2.4e9, n)
+        for distance, n in ((50, 2.0), (500, 3.19))
+    ]
     np.testing.assert_allclose(-decibel.numpy(), loss, rtol=1e-5)
 
 
 def test_numbers_that_do_not_fit_are_refused():
-    with pytest.raises(ValueError, match=r"features of 2 drones and their users do not fit \(50,\)"):
+    with pytest.raises(
+        ValueError, match=r"features of 2 drones and their users do not fit \(50,\)"
+    ):
         made(50)

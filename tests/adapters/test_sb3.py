@@ -124,7 +124,9 @@ def filled(kind, rewards, starts, values, last_done, gamma=0.9):
     for t in range(steps):
         seen = np.stack([np.full(slots, t), np.arange(slots)], axis=1).astype(np.float32)
         estimate = torch.tensor(values[t], dtype=torch.float32)
-        buffer.add(seen, np.zeros((slots, 1)), rewards[t].copy(), starts[t], estimate, torch.zeros(slots))
+        buffer.add(
+            seen, np.zeros((slots, 1)), rewards[t].copy(), starts[t], estimate, torch.zeros(slots)
+        )
     buffer.compute_returns_and_advantage(torch.tensor(values[-1], dtype=torch.float32), last_done)
     return buffer
 
@@ -144,7 +146,9 @@ def test_rollouts_give_what_was_flown_and_advantages_as_without_empty_slots():
     batches = list(living.get(4))
     assert [len(batch.actions) for batch in batches] == [4, 4, 3, 3]
     seen = torch.cat([batch.observations for batch in batches]).numpy().astype(int)
-    assert sorted(map(tuple, seen)) == [(t, s) for t in range(8) for s in range(2) if not (s == 1 and t in (3, 4))]
+    assert sorted(map(tuple, seen)) == [
+        (t, s) for t in range(8) for s in range(2) if not (s == 1 and t in (3, 4))
+    ]
     advantages = torch.cat([batch.advantages for batch in batches]).numpy()
     np.testing.assert_allclose(advantages, expected[seen[:, 0], seen[:, 1]], rtol=1e-6)
     by_hand = rewards[2, 1] - values[2, 1]  # the last of an episode that an event ended
@@ -180,7 +184,15 @@ def test_without_the_buffers_empty_slots_are_an_error():
 
 def trained(seed):
     env = DroneVecEnv("converge", 2, **BREAK)
-    model = PPO("MlpPolicy", env, seed=seed, device="cpu", n_steps=64, batch_size=128, rollout_buffer_class=LivingRollouts)
+    model = PPO(
+        "MlpPolicy",
+        env,
+        seed=seed,
+        device="cpu",
+        n_steps=64,
+        batch_size=128,
+        rollout_buffer_class=LivingRollouts,
+    )
     model.learn(800)
     env.close()
     return torch.cat([weights.detach().ravel() for weights in model.policy.parameters()])
@@ -195,7 +207,9 @@ def test_the_same_seed_gives_the_same_weights_and_another_seed_others():
 
 def test_a_model_is_saved_and_goes_on_with_another_environment(tmp_path):
     env = DroneVecEnv("converge", 2, action="discrete", **BREAK)
-    model = DQN("MlpPolicy", env, seed=0, device="cpu", learning_starts=50, replay_buffer_class=LivingReplay)
+    model = DQN(
+        "MlpPolicy", env, seed=0, device="cpu", learning_starts=50, replay_buffer_class=LivingReplay
+    )
     model.learn(200)
     model.save(tmp_path / "model")
     observation = env.reset()
@@ -209,7 +223,9 @@ def test_a_model_is_saved_and_goes_on_with_another_environment(tmp_path):
 
 def test_success_leads_through_the_levels_and_a_change_truncates():
     stages = [{"num_drones": 1, "horizon": 3}, {"num_drones": 2, "horizon": 6}]
-    env = DroneVecEnv("hover", 2, stages, Curriculum(2, window=2), dynamics="single_integrator", action="velocity")
+    env = DroneVecEnv(
+        "hover", 2, stages, Curriculum(2, window=2), dynamics="single_integrator", action="velocity"
+    )
     assert env.num_envs == 4
     env.seed(0)
     observations = env.reset()
@@ -230,7 +246,12 @@ def test_success_leads_through_the_levels_and_a_change_truncates():
 
 
 def test_levels_are_not_passed_over_when_many_worlds_end_at_once():
-    easy = {"dynamics": "single_integrator", "action": "velocity", "horizon": 2, "goal_radius": 10.0}
+    easy = {
+        "dynamics": "single_integrator",
+        "action": "velocity",
+        "horizon": 2,
+        "goal_radius": 10.0,
+    }
     env = DroneVecEnv("hover", 8, [{}] * 4, Curriculum(4, window=2), **easy)
     env.reset()
     told = []
@@ -247,7 +268,9 @@ def test_a_reward_that_is_not_finite_is_an_error_and_no_empty_slot():
 
         def evaluate_step(self, frame):
             result = super().evaluate_step(frame)
-            return result._replace(terms=result.terms | {"speed": np.full(frame.alive.shape, np.nan)})
+            return result._replace(
+                terms=result.terms | {"speed": np.full(frame.alive.shape, np.nan)}
+            )
 
     env = DroneVecEnv(Undefined, 1, dynamics="single_integrator", action="velocity")
     env.reset()
@@ -294,7 +317,12 @@ def test_what_slots_share_they_share():
 
 
 def test_pictures_come_slot_by_slot():
-    options = {"num_drones": 1, "observation": ("goal_offset", "rgb"), "camera_size": (16, 12), "action": "velocity"}
+    options = {
+        "num_drones": 1,
+        "observation": ("goal_offset", "rgb"),
+        "camera_size": (16, 12),
+        "action": "velocity",
+    }
     env = DroneVecEnv("hover", 2, horizon=2, **options)
     assert isinstance(env.observation_space, Dict)
     observations = env.reset()
@@ -307,10 +335,20 @@ def test_pictures_come_slot_by_slot():
 
 
 def test_a_shared_reward_is_the_mean_of_the_world():
-    own, shared = (DroneVecEnv("converge", 2, shared_reward=share, **BREAK) for share in (False, True))
-    alone, together = (np.array(rolled(env, 200, np.random.default_rng(0))[1]) for env in (own, shared))
+    own, shared = (
+        DroneVecEnv("converge", 2, shared_reward=share, **BREAK) for share in (False, True)
+    )
+    alone, together = (
+        np.array(rolled(env, 200, np.random.default_rng(0))[1]) for env in (own, shared)
+    )
     np.testing.assert_array_equal(np.isnan(alone), np.isnan(together))
-    mean = np.nan_to_num(alone).reshape(200, 2, 3).mean(axis=2, keepdims=True).repeat(3, axis=2).reshape(200, 6)
+    mean = (
+        np.nan_to_num(alone)
+        .reshape(200, 2, 3)
+        .mean(axis=2, keepdims=True)
+        .repeat(3, axis=2)
+        .reshape(200, 6)
+    )
     flown = ~np.isnan(alone)
     assert not flown.all()
     np.testing.assert_allclose(together[flown], mean[flown], rtol=1e-4, atol=1e-4)

@@ -56,7 +56,9 @@ def test_workers_change_no_bit(policy, workers, tmp_path):
     np.testing.assert_array_equal(numbers(one), numbers(more))
     assert one.about == more.about
     assert one.about["batch"] == BATCH
-    assert (tmp_path / "one" / "episodes.csv").read_text() == (tmp_path / "more" / "episodes.csv").read_text()
+    assert (tmp_path / "one" / "episodes.csv").read_text() == (
+        tmp_path / "more" / "episodes.csv"
+    ).read_text()
 
 
 def test_an_interrupted_run_goes_on_where_it_was(tmp_path, straight, monkeypatch):
@@ -73,7 +75,9 @@ def test_an_interrupted_run_goes_on_where_it_was(tmp_path, straight, monkeypatch
     monkeypatch.setattr(evaluation.Run, "_episodes", watched)
     with pytest.raises(KeyboardInterrupt):
         evaluate("converge", "straight", 13, 4, out=tmp_path, **QUICK)
-    (tmp_path / "episodes.csv.part").write_text("epis")  # as an interruption while writing leaves it
+    (tmp_path / "episodes.csv.part").write_text(
+        "epis"
+    )  # as an interruption while writing leaves it
     told = []
     result = evaluate("converge", "straight", 13, 4, out=tmp_path, progress=told.append, **QUICK)
     assert flown == [range(10), "interrupted", range(10, 13)]
@@ -103,7 +107,8 @@ def test_a_folder_of_another_run_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "text"), [("run.json", ""), ("run.json", "[]"), ("run.json", "{}"), ("episodes.csv", "a,b\n1,2\n")]
+    ("name", "text"),
+    [("run.json", ""), ("run.json", "[]"), ("run.json", "{}"), ("episodes.csv", "a,b\n1,2\n")],
 )
 def test_a_damaged_folder_is_told(tmp_path, name, text):
     evaluate("converge", "straight", 2, out=tmp_path, **QUICK)
@@ -124,7 +129,14 @@ def test_what_a_folder_cannot_tell_apart_is_not_taken_for_the_same(tmp_path):
         with pytest.raises(ValueError, match="its fingerprint is"):
             evaluate(task, policy, 2, out=tmp_path, **QUICK)
     with pytest.raises(ValueError, match="wind is a function"):
-        evaluate("converge", "straight", 2, out=tmp_path, wind=lambda position, time: np.zeros_like(position), **QUICK)
+        evaluate(
+            "converge",
+            "straight",
+            2,
+            out=tmp_path,
+            wind=lambda position, time: np.zeros_like(position),
+            **QUICK,
+        )
 
 
 class Broken(Policy):
@@ -147,7 +159,9 @@ def fail():
     raise KeyError("no such thing")
 
 
-@pytest.mark.parametrize(("fault", "said"), [(die, "worker process has died"), (fail, "no such thing")])
+@pytest.mark.parametrize(
+    ("fault", "said"), [(die, "worker process has died"), (fail, "no such thing")]
+)
 def test_the_end_of_a_worker_is_told(fault, said, monkeypatch):
     monkeypatch.setattr(Broken, "fault", staticmethod(fault))
     with pytest.raises(RuntimeError, match=said):
@@ -190,22 +204,35 @@ def test_summary_pictures_and_leaderboard(straight, tmp_path):
     assert markdown([straight, orca], "potential") == text  # which is not among them
     paired = markdown([straight, orca], "orca")
     (line,) = paired.split("More than `orca` in the same episodes:")[1].strip().splitlines()[2:3]
-    difference = np.array([one["length"] - two["length"] for one, two in zip(straight.rows, orca.rows, strict=True)])
+    difference = np.array(
+        [one["length"] - two["length"] for one, two in zip(straight.rows, orca.rows, strict=True)]
+    )
     assert f"| {difference.mean():.2f} [" in line
-    assert "| 1.00 [1.00, 1.00] |" in line  # straight has a conflict in every episode, and orca in none
+    assert (
+        "| 1.00 [1.00, 1.00] |" in line
+    )  # straight has a conflict in every episode, and orca in none
     assert line.startswith("| straight")
     write_csv([straight, orca], tmp_path / "board.csv")
     with (tmp_path / "board.csv").open() as file:
         rows = list(csv.DictReader(file))
     row = next(row for row in rows if row["policy"] == "orca" and row["metric"] == "conflict")
-    assert (row["mean"], row["episodes"], row["task"], row["drones"]) == ("0.0", "13", "converge", "3")
+    assert (row["mean"], row["episodes"], row["task"], row["drones"]) == (
+        "0.0",
+        "13",
+        "converge",
+        "3",
+    )
 
 
 def test_runs_in_another_city_are_not_gone_on_with(tmp_path):
     path, options = tmp_path / "town.obj", {"dynamics": "point_mass", "leg": 50.0, "horizon": 5}
     for kind in ("suburban", "high_rise"):
         write_obj(generate(kind, 200.0, np.random.default_rng(0)), path)
-        expected = contextlib.nullcontext() if kind == "suburban" else pytest.raises(ValueError, match="its fingerprint is")
+        expected = (
+            contextlib.nullcontext()
+            if kind == "suburban"
+            else pytest.raises(ValueError, match="its fingerprint is")
+        )
         with expected:
             evaluate("navigation", "straight", 1, out=tmp_path / "out", city=str(path), **options)
 
@@ -213,15 +240,24 @@ def test_runs_in_another_city_are_not_gone_on_with(tmp_path):
 def cells(text):
     """Of each table of a leaderboard the cells of its rows, the headings first."""
     tables = [part.splitlines() for part in text.split("### ")[1:]]
-    rows = [[line for line in table if line.startswith("|") and not line.startswith("|---")] for table in tables]
-    return [[[cell.strip() for cell in line.strip("|").split("|")] for line in table] for table in rows]
+    rows = [
+        [line for line in table if line.startswith("|") and not line.startswith("|---")]
+        for table in tables
+    ]
+    return [
+        [[cell.strip() for cell in line.strip("|").split("|")] for line in table] for table in rows
+    ]
 
 
 @pytest.fixture(scope="module")
 def served():
     """Two policies and two dynamics in a task over users."""
     options = {"area": 250.0, "num_layouts": 1, "horizon": 4, "num_drones": 2}
-    ways = [(dynamics, policy) for policy in ("random", "kmeans") for dynamics in ("single_integrator", "point_mass")]
+    ways = [
+        (dynamics, policy)
+        for policy in ("random", "kmeans")
+        for dynamics in ("single_integrator", "point_mass")
+    ]
     return [evaluate("mec", policy, 2, dynamics=dynamics, **options) for dynamics, policy in ways]
 
 
@@ -239,7 +275,10 @@ def test_columns_that_no_episode_has_are_left_out(straight, served):
 
 def test_a_cell_that_an_evaluation_has_not_is_a_dash():
     """Who flies at random is not at its goal after half a second."""
-    lost, there = evaluate("converge", "random", 2, **QUICK | {"horizon": 5}), evaluate("converge", "orca", 2, **QUICK)
+    lost, there = (
+        evaluate("converge", "random", 2, **QUICK | {"horizon": 5}),
+        evaluate("converge", "orca", 2, **QUICK),
+    )
     assert there.estimates()["success"].mean == 1
     (table,) = cells(markdown([lost, there]))
     ways = [row[table[0].index("efficiency")] for row in table[1:]]
@@ -249,14 +288,19 @@ def test_a_cell_that_an_evaluation_has_not_is_a_dash():
 
 def test_dynamics_have_a_column_where_there_are_several(served, tmp_path):
     text = markdown(served)
-    assert "### mec, easy: 2 drones, single_integrator at 240 Hz, point_mass at 240 Hz, 2 episodes" in text
+    assert (
+        "### mec, easy: 2 drones, single_integrator at 240 Hz, point_mass at 240 Hz, 2 episodes"
+        in text
+    )
     (table,) = cells(text)
     assert table[0] == ["policy", "dynamics", *COMMON, "served", "completed", "latency s"]
     single, point = "single_integrator at 240 Hz", "point_mass at 240 Hz"
     ways = [["random", single], ["random", point], ["kmeans \\*", single], ["kmeans \\*", point]]
     assert [row[:2] for row in table[1:]] == ways
     for row, result in zip(table[1:], served, strict=True):
-        assert row[table[0].index("completed")].startswith(f"{result.estimates()['completed'].mean:.2f} [")
+        assert row[table[0].index("completed")].startswith(
+            f"{result.estimates()['completed'].mean:.2f} ["
+        )
     (one,) = cells(markdown(served[::2]))
     assert "dynamics" not in one[0]
     plot_leaderboard(served, tmp_path / "all.png")
@@ -264,4 +308,6 @@ def test_dynamics_have_a_column_where_there_are_several(served, tmp_path):
     with (tmp_path / "board.csv").open() as file:
         rows = [row for row in csv.DictReader(file) if row["metric"] == "completed"]
     assert [row["dynamics"] for row in rows] == ["single_integrator", "point_mass"] * 2
-    assert [float(row["mean"]) for row in rows] == [result.estimates()["completed"].mean for result in served]
+    assert [float(row["mean"]) for row in rows] == [
+        result.estimates()["completed"].mean for result in served
+    ]

@@ -14,7 +14,8 @@ from bulletuav.policies import find_policy
 
 
 @pytest.mark.parametrize(
-    ("values", "expected"), [((1, 1, 1, 1), 1), ((1, 0, 0, 0), 0.25), ((1, 2, 3), 0.857143), ((0, 0), 1), ((5,), 1)]
+    ("values", "expected"),
+    [((1, 1, 1, 1), 1), ((1, 0, 0, 0), 0.25), ((1, 2, 3), 0.857143), ((0, 0), 1), ((5,), 1)],
 )
 def test_jain(values, expected):
     assert jain(np.array(values, float)) == pytest.approx(expected, abs=1e-6)
@@ -33,7 +34,9 @@ def test_soonest_conflict_agrees_with_the_measure_of_all_pairs():
 
 def metered(task, act, seeds=0, worlds=1, **options):
     """Rows of one episode a world."""
-    aviary = bulletuav.Aviary(task, worlds, randomization=options.pop("randomization", {}), **options)
+    aviary = bulletuav.Aviary(
+        task, worlds, randomization=options.pop("randomization", {}), **options
+    )
     aviary.reset(seeds=seeds)
     meter = Meter(aviary)
     while aviary.alive.any():
@@ -43,7 +46,12 @@ def metered(task, act, seeds=0, worlds=1, **options):
     return [meter.row(w) for w in range(worlds)]
 
 
-EXACT = {"dynamics": "single_integrator", "jitter": 0.0, "altitude_spread": 0.0, "start_speed": (10.0, 10.0)}
+EXACT = {
+    "dynamics": "single_integrator",
+    "jitter": 0.0,
+    "altitude_spread": 0.0,
+    "start_speed": (10.0, 10.0),
+}
 
 
 def at_ten(aviary):
@@ -66,7 +74,10 @@ def test_one_drone_that_flies_straight_by_hand():
     assert row["jerk"] == pytest.approx(0, abs=1e-9)
     assert row["fairness"] == 1
     assert row["throughput"] == pytest.approx(60 / 19.8)
-    assert all(np.isnan(row[name]) for name in ("energy", "messages", "min_separation", "min_time_to_conflict"))
+    assert all(
+        np.isnan(row[name])
+        for name in ("energy", "messages", "min_separation", "min_time_to_conflict")
+    )
 
 
 def test_two_that_cross_by_hand():
@@ -119,7 +130,11 @@ def test_jerk_and_efficiency_by_hand():
     steps = 198 + 20
     assert row["length"] == pytest.approx(steps / 10)
     assert row["path_efficiency"] == pytest.approx(198 / (steps - 0), rel=1e-9)
-    changes = [np.sqrt(2) * 10, 20.0, np.sqrt(2) * 10]  # at three decisions; each a jump up and down of acceleration
+    changes = [
+        np.sqrt(2) * 10,
+        20.0,
+        np.sqrt(2) * 10,
+    ]  # at three decisions; each a jump up and down of acceleration
     assert row["jerk"] == pytest.approx(2 * sum(changes) / 0.1**2 / (steps - 1), rel=1e-9)
 
 
@@ -141,7 +156,9 @@ def test_messages_are_counted():
 
 def test_pursuit_counts_the_way_of_the_goal():
     """Following the goal round the circle at its pace is as short as can be."""
-    aviary = bulletuav.Aviary("pursuit", num_drones=1, dynamics="point_mass", jitter=0.0, randomization={})
+    aviary = bulletuav.Aviary(
+        "pursuit", num_drones=1, dynamics="point_mass", jitter=0.0, randomization={}
+    )
     aviary.reset(seeds=0)
     meter, policy = Meter(aviary), find_policy("straight")(aviary)
     while aviary.alive.any():
@@ -154,9 +171,21 @@ def test_pursuit_counts_the_way_of_the_goal():
 
 
 def test_worlds_are_measured_apart():
-    rows = metered("converge", lambda aviary: np.zeros((3, 2, 3)), worlds=3, num_drones=2, horizon=20, dynamics="point_mass")
+    rows = metered(
+        "converge",
+        lambda aviary: np.zeros((3, 2, 3)),
+        worlds=3,
+        num_drones=2,
+        horizon=20,
+        dynamics="point_mass",
+    )
     (alone,) = metered(
-        "converge", lambda aviary: np.zeros((1, 2, 3)), seeds=1, num_drones=2, horizon=20, dynamics="point_mass"
+        "converge",
+        lambda aviary: np.zeros((1, 2, 3)),
+        seeds=1,
+        num_drones=2,
+        horizon=20,
+        dynamics="point_mass",
     )
     np.testing.assert_array_equal(list(rows[1].values()), list(alone.values()))
     assert rows[0] != rows[1]
@@ -174,7 +203,9 @@ def test_intervals_of_rates_are_wilsons_and_of_means_the_bootstraps():
     assert mean.episodes == 400
     assert mean.mean == pytest.approx(sample.mean())
     half = 1.96 * sample.std() / 20
-    np.testing.assert_allclose((mean.low, mean.high), (sample.mean() - half, sample.mean() + half), atol=0.03)
+    np.testing.assert_allclose(
+        (mean.low, mean.high), (sample.mean() - half, sample.mean() + half), atol=0.03
+    )
     assert estimate("length", [*sample]) == estimate("length", [*sample])
     assert estimate("length", [2.0, 2.0])[:3] == (2, 2, 2)
     nothing = estimate("energy", [np.nan])
@@ -183,7 +214,14 @@ def test_intervals_of_rates_are_wilsons_and_of_means_the_bootstraps():
 
 
 def test_a_conflict_that_was_there_from_the_start_is_one():
-    row = metered("hover", lambda aviary: np.zeros((1, 2, 4)), action="hover_rpm", num_drones=2, horizon=5, d_safe=5.0)[0]
+    row = metered(
+        "hover",
+        lambda aviary: np.zeros((1, 2, 4)),
+        action="hover_rpm",
+        num_drones=2,
+        horizon=5,
+        d_safe=5.0,
+    )[0]
     assert row["conflict"] == 1
     assert row["conflicts"] == 0
     assert row["min_separation"] < 5
@@ -192,27 +230,46 @@ def test_a_conflict_that_was_there_from_the_start_is_one():
 # Service to users
 
 PLAIN = City(
-    "plain", 200.0, Solids(np.zeros((0, 2, 3))), np.zeros(0, dtype=int), Streets(np.zeros((0, 2)), np.zeros((0, 2), int))
+    "plain",
+    200.0,
+    Solids(np.zeros((0, 2, 3))),
+    np.zeros(0, dtype=int),
+    Streets(np.zeros((0, 2)), np.zeros((0, 2), int)),
 )
-HOVER = {"city": PLAIN, "mobility": "still", "dynamics": "single_integrator", "height": (20.0, 20.0), "horizon": 10}
+HOVER = {
+    "city": PLAIN,
+    "mobility": "still",
+    "dynamics": "single_integrator",
+    "height": (20.0, 20.0),
+    "horizon": 10,
+}
 GOALS = ("goal_distance", "path_efficiency", "fairness", "throughput")
 SERVICE = ("served", "completed", "latency")
 
 
 def dive(*drones):
     """These drones dive, the others hover."""
-    return lambda aviary: np.where(np.isin(np.arange(aviary.num_drones), drones)[:, None], (0, 0, -1.0), 0.0)[None]
+    return lambda aviary: np.where(
+        np.isin(np.arange(aviary.num_drones), drones)[:, None], (0, 0, -1.0), 0.0
+    )[None]
 
 
 def test_what_is_served_is_of_the_episode_as_planned():
     """In the plain everybody is in sight. From 20 m up the second decision of 15 m ends on the ground: 2 of 10 s."""
     for task in ("mobile_users", "mec"):
-        for drones, dives, length, served in ((1, (), 10, 1.0), (1, (0,), 2, 0.2), (2, (0,), 10, 1.0), (2, (0, 1), 2, 0.2)):
+        for drones, dives, length, served in (
+            (1, (), 10, 1.0),
+            (1, (0,), 2, 0.2),
+            (2, (0,), 10, 1.0),
+            (2, (0, 1), 2, 0.2),
+        ):
             (row,) = metered(task, dive(*dives), num_drones=drones, decision_hz=1, **HOVER)
             assert row["length"] == length
             assert row["served"] == pytest.approx(served)
             assert row["collision"] == (length == 2 or bool(dives))
-    (row,) = metered("los", dive(0), num_drones=1, decision_hz=5, max_speed=10.0, **HOVER)  # 2 m a decision: all 10
+    (row,) = metered(
+        "los", dive(0), num_drones=1, decision_hz=5, max_speed=10.0, **HOVER
+    )  # 2 m a decision: all 10
     assert row["served"] == pytest.approx(1.0)
 
 
@@ -227,7 +284,10 @@ def test_a_share_that_is_served_is_the_mean_over_time():
         for w in range(2):
             ways = [(i, j) for i in np.flatnonzero(flown[w]) for j in range(20)]
             start, end = (
-                np.array(ends) for ends in zip(*((aviary.swarm.position[w, i], users[w, j]) for i, j in ways), strict=True)
+                np.array(ends)
+                for ends in zip(
+                    *((aviary.swarm.position[w, i], users[w, j]) for i, j in ways), strict=True
+                )
             )
             free = aviary.line_of_sight(start, end, w)
             seen[w] = len({j for (_, j), one in zip(ways, free, strict=True) if one}) / 20
@@ -241,7 +301,13 @@ def test_a_share_that_is_served_is_the_mean_over_time():
 @pytest.mark.parametrize("dives", [(), (0, 1)])
 def test_what_is_completed_and_how_late_is_what_was_told_last(dives):
     """Shares fall where more tasks come than in the mean, and are late: those of greater size are."""
-    options = {"num_drones": 2, "num_users": 5, "arrival_rate": 0.3, "deadline": 0.3, "decision_hz": 1}
+    options = {
+        "num_drones": 2,
+        "num_users": 5,
+        "arrival_rate": 0.3,
+        "deadline": 0.3,
+        "decision_hz": 1,
+    }
     aviary = bulletuav.Aviary("mec", 8, **options, **HOVER)
     aviary.reset(seeds=0)
     meter, act, told = Meter(aviary), dive(*dives), []
@@ -277,4 +343,6 @@ def test_episodes_have_the_metrics_of_their_task_alone(task, missing):
     (row,) = metered(task, dive(), **({} if task == "crossing" else HOVER) | options)
     assert set(row) == set(METRICS)
     for name in (*GOALS, *SERVICE):
-        assert np.isnan(row[name]) == (name in missing or (task, name) == ("crossing", "path_efficiency")), name
+        assert np.isnan(row[name]) == (
+            name in missing or (task, name) == ("crossing", "path_efficiency")
+        ), name

@@ -14,10 +14,18 @@ from bulletuav.report.pictures import Animation, plot_tracks
 @pytest.fixture(scope="module")
 def flown():
     """A short crossing of three drones, two of which collide."""
-    options = {"num_drones": 3, "jitter": 0.0, "altitude_spread": 0.0, "half_length": 20.0, "start_speed": (10.0, 10.0)}
+    options = {
+        "num_drones": 3,
+        "jitter": 0.0,
+        "altitude_spread": 0.0,
+        "half_length": 20.0,
+        "start_speed": (10.0, 10.0),
+    }
     aviary = bulletuav.Aviary("crossing", dynamics="rigid_body", lanes=1, **options)
     calls = []
-    recording = fly_episode(aviary, find_policy("straight")(aviary), seed=0, progress=lambda: calls.append(1))
+    recording = fly_episode(
+        aviary, find_policy("straight")(aviary), seed=0, progress=lambda: calls.append(1)
+    )
     yield aviary, recording, len(calls)
     aviary.close()
 
@@ -36,7 +44,11 @@ def test_recording_holds_every_decision(flown):
 def test_outcomes_by_hand(flown):
     _, recording, _ = flown
     rows = outcomes(recording)
-    assert [row.reached for row in rows] == [False, True, False]  # 0 and 2 meet in the middle, 1 follows behind 0
+    assert [row.reached for row in rows] == [
+        False,
+        True,
+        False,
+    ]  # 0 and 2 meet in the middle, 1 follows behind 0
     assert [row.collisions for row in rows] == [1, 0, 1]
     assert rows[0].conflicts == rows[2].conflicts == 1
     assert rows[0].min_separation < 0.6
@@ -62,9 +74,15 @@ def test_files_hold_what_was_flown(flown, tmp_path):
     assert len(rows) == len(recording.time) * 3
     row = rows[3 * 5 + 2]
     assert (float(row["time"]), int(row["drone"])) == (0.5, 2)
-    np.testing.assert_allclose([float(row[axis]) for axis in "xyz"], recording.position[5, 2], rtol=1e-8)
+    np.testing.assert_allclose(
+        [float(row[axis]) for axis in "xyz"], recording.position[5, 2], rtol=1e-8
+    )
     about = json.loads(run.read_text())
-    assert (about["task"], about["seed"], about["options"]["airframe"]) == ("crossing", 0, ["hummingbird"] * 3)
+    assert (about["task"], about["seed"], about["options"]["airframe"]) == (
+        "crossing",
+        0,
+        ["hummingbird"] * 3,
+    )
     assert about["options"]["half_length"] == 20
     assert about["outcomes"][1]["reached"]
     assert about["outcomes"][0]["collisions"] == 1
@@ -74,7 +92,8 @@ def test_pictures_are_drawn(flown, tmp_path):
     _, recording, _ = flown
     plot_tracks(recording, 5.0, "title", tmp_path / "tracks.png")
     alone = {
-        name: value[:, :1] if value.ndim > 1 and name != "building" else value for name, value in vars(recording).items()
+        name: value[:, :1] if value.ndim > 1 and name != "building" else value
+        for name, value in vars(recording).items()
     }
     plot_tracks(type(recording)(**alone), 5.0, "one drone", tmp_path / "alone.png")
     with Image.open(tmp_path / "tracks.png") as image:
@@ -92,7 +111,10 @@ def test_pictures_are_drawn(flown, tmp_path):
 
 def test_long_flights_are_drawn_in_few_frames(flown):
     _, recording, _ = flown
-    repeated = {name: np.repeat(value, 40, axis=0) if len(value) > 3 else value for name, value in vars(recording).items()}
+    repeated = {
+        name: np.repeat(value, 40, axis=0) if len(value) > 3 else value
+        for name, value in vars(recording).items()
+    }
     repeated["alive"] = np.ones((len(repeated["time"]), 3), dtype=bool)
     assert len(Animation(type(recording)(**repeated), 5.0, 0.55, "title")) <= 151
 
@@ -114,7 +136,10 @@ def test_video_is_written(flown, tmp_path):
 
 def test_policies_say_which_actions_they_give():
     aviary = bulletuav.Aviary("hover")
-    with pytest.raises(ValueError, match="gives velocity or velocity_increment or target_position actions, not 'rotor'"):
+    with pytest.raises(
+        ValueError,
+        match="gives velocity or velocity_increment or target_position actions, not 'rotor'",
+    ):
         find_policy("straight")(aviary)
     with pytest.raises(ValueError, match="did you mean 'straight'"):
         find_policy("strait")
@@ -146,7 +171,9 @@ def test_users_are_recorded_and_drawn_by_whether_they_are_seen(tmp_path):
     plot_tracks(recording, 2.0, "users", tmp_path / "tracks.png")
     assert (tmp_path / "tracks.png").stat().st_size > 10000
     picture = Animation(recording, 2.0, 0.55, "users").draw(20).astype(int)
-    green, red = (np.abs(picture - colour).max(axis=-1) < 30 for colour in ((34, 136, 51), (204, 51, 17)))
+    green, red = (
+        np.abs(picture - colour).max(axis=-1) < 30 for colour in ((34, 136, 51), (204, 51, 17))
+    )
     assert green.any() == recording.seen[20].any()
     assert red.any() == (~recording.seen[20]).any()
     aviary.close()

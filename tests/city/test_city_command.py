@@ -37,7 +37,9 @@ def test_an_imported_city_and_one_number_of_ones_own(tmp_path, capsys):
     run("--import", str(tmp_path / "city.obj"), "--scale", "2", "--out", str(tmp_path / "again"))
     again = json.loads((tmp_path / "again" / "statistics.json").read_text())
     high = "greatest height, m"
-    assert again["statistics"][high]["realised"] == pytest.approx(2 * told["statistics"][high]["realised"])
+    assert again["statistics"][high]["realised"] == pytest.approx(
+        2 * told["statistics"][high]["realised"]
+    )
     assert "KS test" not in capsys.readouterr().out.rpartition("statistic ")[2]
 
 
@@ -46,8 +48,14 @@ def test_an_imported_city_and_one_number_of_ones_own(tmp_path, capsys):
     [
         (["--kind", "urbane"], "unknown kind of city 'urbane': did you mean 'urban'"),
         (["--metres"], "--metres has no meaning for a generated city"),
-        (["--import", "a.obj", "--default-height", "3"], "--default-height has no meaning for an import of a.obj"),
-        (["--import", "a.geojson", "--kind", "urban"], "--kind has no meaning for an import of a.geojson"),
+        (
+            ["--import", "a.obj", "--default-height", "3"],
+            "--default-height has no meaning for an import of a.obj",
+        ),
+        (
+            ["--import", "a.geojson", "--kind", "urban"],
+            "--kind has no meaning for an import of a.geojson",
+        ),
         (["--import", "a.stl"], "unknown kind of file 'a.stl' with ending '.stl'"),
         (["--seed", "-1"], "seed is -1: a whole number"),
     ],

@@ -15,11 +15,18 @@ from bulletuav.report.pictures import blank_figure
 
 SQUARE = [[0, 0], [20, 0], [20, 10], [0, 10], [0, 0]]
 BENT = [[40, 0], [70, 0], [70, 10], [52, 10], [50, 40], [40, 40], [40, 0]]
-YARD = [[[0, 30], [30, 30], [30, 60], [0, 60], [0, 30]], [[10, 40], [20, 40], [20, 50], [10, 50], [10, 40]]]
+YARD = [
+    [[0, 30], [30, 30], [30, 60], [0, 60], [0, 30]],
+    [[10, 40], [20, 40], [20, 50], [10, 50], [10, 40]],
+]
 
 
 def feature(*rings, height: object = 12, kind="Polygon"):
-    return {"type": "Feature", "properties": {"height": height}, "geometry": {"type": kind, "coordinates": rings}}
+    return {
+        "type": "Feature",
+        "properties": {"height": height},
+        "geometry": {"type": kind, "coordinates": rings},
+    }
 
 
 @pytest.fixture
@@ -75,7 +82,10 @@ def test_obj_of_hulls_round_trip(tmp_path, geojson):
 def test_obj_by_others(obj):
     wedge = "v 0 0 0\nv 40 0 0\nv 0 0 -40\nv 0 20 0\nf 1 2 3 \nf -1/1/1 2//3 1\nf 3 4 1\n"
     unused = "v 900 900 900\n"
-    box = "".join(f"v {x} {y} {z}\n" for x in (100, 120) for y in (0, 30) for z in (0, 10)) + "f 6 7 8 9\nf 10 11 12 13\n"
+    box = (
+        "".join(f"v {x} {y} {z}\n" for x in (100, 120) for y in (0, 30) for z in (0, 10))
+        + "f 6 7 8 9\nf 10 11 12 13\n"
+    )
     text = f"# by hand\nmtllib no.mtl\ng wedge # a ramp\n{wedge}{unused}g shop\n{box}"
     made = from_obj(obj(text), scale=0.5, y_up=True)
     assert made.name == "town"
@@ -120,12 +130,19 @@ def test_a_city_without_free_ground(geojson):
 
 
 def test_footprints_in_metres(geojson):
-    made = from_geojson(geojson(feature(SQUARE), feature(BENT, height=30), feature(*YARD, height="9")), metres=True)
+    made = from_geojson(
+        geojson(feature(SQUARE), feature(BENT, height=30), feature(*YARD, height="9")), metres=True
+    )
     assert made.side == 70
     assert made.heights.tolist() == [12, 30, 9]
     assert made.solids.boxes[0].tolist() == [[-35, -30, 0], [-15, -20, 12]]
-    for building, polygon in enumerate((shapely.Polygon(SQUARE), shapely.Polygon(BENT), shapely.Polygon(YARD[0], YARD[1:]))):
-        pieces = [shapely.Polygon(made.footprints[piece]) for piece in np.flatnonzero(made.building == building)]
+    for building, polygon in enumerate(
+        (shapely.Polygon(SQUARE), shapely.Polygon(BENT), shapely.Polygon(YARD[0], YARD[1:]))
+    ):
+        pieces = [
+            shapely.Polygon(made.footprints[piece])
+            for piece in np.flatnonzero(made.building == building)
+        ]
         moved = shapely.transform(polygon, lambda points: points - [35, 30])
         assert sum(piece.area for piece in pieces) == pytest.approx(polygon.area, rel=1e-9)
         assert shapely.union_all(pieces).symmetric_difference(moved).area < 1e-9
@@ -160,11 +177,22 @@ def test_footprints_in_degrees(geojson):
         ({"properties": {"height": "tall"}}, r"feature 1 \(from 0\): its height is 'tall'"),
         ({"properties": {"height": -3}}, r"feature 1 \(from 0\): its height is -3"),
         ({"properties": {"height": [3]}}, r"feature 1 \(from 0\): its height is \[3\]"),
-        ({"geometry": {"type": "Point", "coordinates": [1, 2]}}, r"feature 1 \(from 0\) is a Point"),
-        ({"geometry": None}, r"feature 1 \(from 0\): its geometry cannot be read"),
-        ({"geometry": {"type": "Polygon", "coordinates": [[1]]}}, r"feature 1 \(from 0\): its geometry cannot be read"),
         (
-            {"geometry": {"type": "Polygon", "coordinates": [[[0, 0], [5, 5], [5, 0], [0, 5], [0, 0]]]}},
+            {"geometry": {"type": "Point", "coordinates": [1, 2]}},
+            r"feature 1 \(from 0\) is a Point",
+        ),
+        ({"geometry": None}, r"feature 1 \(from 0\): its geometry cannot be read"),
+        (
+            {"geometry": {"type": "Polygon", "coordinates": [[1]]}},
+            r"feature 1 \(from 0\): its geometry cannot be read",
+        ),
+        (
+            {
+                "geometry": {
+                    "type": "Polygon",
+                    "coordinates": [[[0, 0], [5, 5], [5, 0], [0, 5], [0, 0]]],
+                }
+            },
             r"feature 1 \(from 0\) is no valid polygon: Self-intersection",
         ),
     ],

@@ -58,12 +58,18 @@ def test_a_city_has_its_statistics(kind, irregularity):
 def test_a_regular_city_is_a_grid_of_equal_blocks():
     made = city()
     low, high = made.solids.boxes.swapaxes(0, 1)
-    assert made.heights.shape == made.building.shape == (121,)  # 11 x 11 blocks of 45.45 m are nearest to 44.72 m
+    assert (
+        made.heights.shape == made.building.shape == (121,)
+    )  # 11 x 11 blocks of 45.45 m are nearest to 44.72 m
     assert np.ptp(high[:, :2] - low[:, :2]) < 1e-9
-    np.testing.assert_allclose(np.unique(np.round((low + high)[:, 0] / 2, 6)), (np.arange(11) - 5) * 500 / 11, atol=1e-6)
+    np.testing.assert_allclose(
+        np.unique(np.round((low + high)[:, 0] / 2, 6)), (np.arange(11) - 5) * 500 / 11, atol=1e-6
+    )
     assert not low[:, 2].any()
     assert (made.heights == high[:, 2]).all()
-    np.testing.assert_allclose(made.clearance(along(made.streets, [0.5]), 500), (1 - math.sqrt(0.3)) * 500 / 11 / 2)
+    np.testing.assert_allclose(
+        made.clearance(along(made.streets, [0.5]), 500), (1 - math.sqrt(0.3)) * 500 / 11 / 2
+    )
 
 
 @pytest.mark.parametrize("irregularity", [0.0, 1.0])
@@ -75,14 +81,21 @@ def test_the_seed_decides(irregularity):
     assert np.array_equal(one.streets.nodes, same.streets.nodes)
     assert np.array_equal(one.streets.edges, same.streets.edges)
     assert not np.array_equal(one.heights, other.heights)
-    assert (irregularity == 0) == np.array_equal(one.solids.boxes[:9, :, :2], other.solids.boxes[:9, :, :2])
+    assert (irregularity == 0) == np.array_equal(
+        one.solids.boxes[:9, :, :2], other.solids.boxes[:9, :, :2]
+    )
 
 
 @settings(max_examples=60)
 @given(
-    st.floats(0.01, 0.97), st.floats(2, 14), st.one_of(st.just(0.0), st.just(1.0), st.floats(0, 1)), st.integers(0, 2**32)
+    st.floats(0.01, 0.97),
+    st.floats(2, 14),
+    st.one_of(st.just(0.0), st.just(1.0), st.floats(0, 1)),
+    st.integers(0, 2**32),
 )
-def test_any_irregular_city_is_built_as_dense_with_passable_streets(alpha, blocks, irregularity, seed):
+def test_any_irregular_city_is_built_as_dense_with_passable_streets(
+    alpha, blocks, irregularity, seed
+):
     target = Statistics(alpha, 400, 10)
     made = generate(target, blocks * target.pitch, np.random.default_rng(seed), irregularity)
     low, high = made.solids.boxes.swapaxes(0, 1)
@@ -105,7 +118,9 @@ def test_an_irregular_city_has_all_that_is_promised():
     assert (tops == made.heights[made.building]).all()
     second = np.flatnonzero(np.arange(len(tops)) >= len(pieces))
     one, two = made.solids.boxes[made.building[second]], made.solids.boxes[second]
-    assert ((one[:, 0, 1] == two[:, 1, 1]) | (one[:, 1, 1] == two[:, 0, 1])).all()  # the arms of an L touch
+    assert (
+        (one[:, 0, 1] == two[:, 1, 1]) | (one[:, 1, 1] == two[:, 0, 1])
+    ).all()  # the arms of an L touch
     blocks = (len(np.unique(made.streets.nodes[:, 0])) - 1) ** 2
     assert 0.1 < 1 - len(pieces) / blocks < 0.2  # parks
     shape = np.ptp(made.solids.boxes[: len(pieces), :, :2], axis=1)

@@ -16,7 +16,10 @@ def some_city(seed, hulls=6):
     rng = np.random.default_rng(seed)
     corner = rng.uniform(-40, 30, (5, 3)) * [1, 1, 0]
     boxes = np.stack([corner, corner + rng.uniform(2, 20, (5, 3))], axis=1)
-    clouds = tuple(rng.uniform(-40, 25, 3) * [1, 1, 0] + rng.uniform(0, 20, (rng.integers(4, 12), 3)) for _ in range(hulls))
+    clouds = tuple(
+        rng.uniform(-40, 25, 3) * [1, 1, 0] + rng.uniform(0, 20, (rng.integers(4, 12), 3))
+        for _ in range(hulls)
+    )
     return City("some", 100.0, Solids(boxes, clouds), np.arange(5 + hulls), NO_STREETS), rng
 
 
@@ -37,7 +40,9 @@ def test_queries_against_brute_force(hulls):
     made, rng = some_city(1, hulls)
     points = rng.uniform(-45, 35, (150, 2))
     shapes = [shapely.MultiPoint(corners[:, :2]).convex_hull for corners in corners_of(made)]
-    gap = np.array([min(shapely.distance(shape, shapely.Point(point)) for shape in shapes) for point in points])
+    gap = np.array(
+        [min(shapely.distance(shape, shapely.Point(point)) for shape in shapes) for point in points]
+    )
     assert 10 < (gap == 0).sum() < 120
     np.testing.assert_allclose(made.clearance(points, 200), gap, atol=1e-9)
     np.testing.assert_allclose(made.clearance(points, 2), np.minimum(gap, 2), atol=1e-9)
@@ -58,9 +63,19 @@ def test_shapes_of_queries():
 
 
 def test_a_wall_is_not_outdoors():
-    made = City("one", 100.0, Solids(np.array([[[0.0, 0, 0], [10, 10, 7]]])), np.array([0]), NO_STREETS)
-    assert made.outdoors([[10.0, 5], [10.001, 5], [13, 14], [13, 14]], 0).tolist() == [False, True, True, True]
-    assert made.outdoors([[13.0, 14], [13, 14.001]], 5).tolist() == [False, True]  # round the corner
+    made = City(
+        "one", 100.0, Solids(np.array([[[0.0, 0, 0], [10, 10, 7]]])), np.array([0]), NO_STREETS
+    )
+    assert made.outdoors([[10.0, 5], [10.001, 5], [13, 14], [13, 14]], 0).tolist() == [
+        False,
+        True,
+        True,
+        True,
+    ]
+    assert made.outdoors([[13.0, 14], [13, 14.001]], 5).tolist() == [
+        False,
+        True,
+    ]  # round the corner
     assert made.roof([[10.0, 5, 99], [10.001, 5, 99]]).tolist() == [7, 0]
     assert made.coverage == pytest.approx(0.01)
 
@@ -91,8 +106,12 @@ def test_free_streets_go_round_buildings():
     streets = free_streets(made.side, made.outdoors, spacing=10.0)
     ends = streets.nodes[streets.edges]
     assert np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1) == pytest.approx(10)
-    points = ends[:, None, 0] + np.linspace(0, 1, 101)[:, None] * (ends[:, None, 1] - ends[:, None, 0])
+    points = ends[:, None, 0] + np.linspace(0, 1, 101)[:, None] * (
+        ends[:, None, 1] - ends[:, None, 0]
+    )
     assert made.outdoors(points, 0.5).all()
-    assert streets.nodes[:, 1].max() == 10  # the part behind the wall, which is smaller, is not in the graph
+    assert (
+        streets.nodes[:, 1].max() == 10
+    )  # the part behind the wall, which is smaller, is not in the graph
     assert [-20.0, -20.0] in streets.nodes.tolist()
     assert set(np.unique(streets.edges)) == set(range(len(streets.nodes)))

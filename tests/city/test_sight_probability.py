@@ -89,7 +89,9 @@ def test_rays_in_generated_cities(kind):
         angle = rng.uniform(0, 2 * np.pi, len(users))
         towards = np.column_stack([np.cos(angle), np.sin(angle)])
         for k, (distance, height) in enumerate(RAYS):
-            drones = np.column_stack([users[:, :2] + distance * towards, np.full(len(users), height)])
+            drones = np.column_stack(
+                [users[:, :2] + distance * towards, np.full(len(users), height)]
+            )
             found[k] = 1 - blocked(users, drones, city.solids.boxes).mean()
     expected = [row[list(KINDS).index(kind)] for row in RAYS.values()]
     assert clear.mean(axis=0) == pytest.approx(expected, abs=0.03)

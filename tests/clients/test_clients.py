@@ -63,7 +63,9 @@ def test_torchrl_sends_actions_of_all_possible_agents():
         one.reset(seed=3)
     while env.agents:
         actions = {agent: np.full(3, 0.5, np.float32) for agent in env.agents}
-        gone = {agent: np.full(7, np.nan) for agent in env.possible_agents if agent not in env.agents}
+        gone = {
+            agent: np.full(7, np.nan) for agent in env.possible_agents if agent not in env.agents
+        }
         for mine, other in zip(env.step(actions | gone), alone.step(actions), strict=True):
             np.testing.assert_equal(mine, other)
     with pytest.raises(ValueError, match="unknown agent in actions: 'drone_7': did you mean"):
@@ -81,7 +83,9 @@ def test_supersuit_steps_nobody_after_every_episode():
 
 def test_a_curriculum_takes_the_same_calls():
     levels = ({"num_drones": 2}, {"num_drones": 4})
-    env = bulletuav.curriculum_env("crossing", levels, dynamics="point_mass", horizon=HORIZON, seed=0)
+    env = bulletuav.curriculum_env(
+        "crossing", levels, dynamics="point_mass", horizon=HORIZON, seed=0
+    )
     for results, flown in episodes(env, lambda env: env.possible_agents, 2):
         assert set(results[1]) == set(flown)
         assert env.step({}) == EMPTY
@@ -90,7 +94,9 @@ def test_a_curriculum_takes_the_same_calls():
     env.close()
 
 
-@pytest.mark.parametrize("make", [make_env, lambda: bulletuav.curriculum_env("crossing", dynamics="point_mass")])
+@pytest.mark.parametrize(
+    "make", [make_env, lambda: bulletuav.curriculum_env("crossing", dynamics="point_mass")]
+)
 def test_before_the_first_reset_and_after_close_a_step_is_refused(make):
     env = make()
     with pytest.raises(RuntimeError, match="call reset"):

@@ -25,7 +25,15 @@ def test_the_main_job_from_another_directory(tmp_path):
     command = [sys.executable, "-m", "bulletuav", *MAIN_JOB, "--horizon", "30", "--out", "result"]
     run = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=True)
     assert {path.name for path in (tmp_path / "result").iterdir()} == FILES
-    for word in ("drone_7", "reached", "nearest", "conflicts", "collisions", "time s", "result/flight.gif"):
+    for word in (
+        "drone_7",
+        "reached",
+        "nearest",
+        "conflicts",
+        "collisions",
+        "time s",
+        "result/flight.gif",
+    ):
         assert word in run.stdout
     assert "flying" in run.stderr
     assert "pybullet" not in run.stdout + run.stderr
@@ -46,10 +54,24 @@ def test_flying_with_options(tmp_path, capsys):
         "--animation",
         "none",
     ]
-    main(["fly", "hover", *options, "--set", "height=3.0", "--set", "effects=('drag',)", "--out", str(tmp_path)])
+    main(
+        [
+            "fly",
+            "hover",
+            *options,
+            "--set",
+            "height=3.0",
+            "--set",
+            "effects=('drag',)",
+            "--out",
+            str(tmp_path),
+        ]
+    )
     assert not (tmp_path / "flight.gif").exists()
     assert '"height": 3.0' in (tmp_path / "run.json").read_text()
-    assert '"action": "velocity"' in (tmp_path / "run.json").read_text()  # the policy's, as hover's own is not one
+    assert (
+        '"action": "velocity"' in (tmp_path / "run.json").read_text()
+    )  # the policy's, as hover's own is not one
     assert "drone_0" in capsys.readouterr().out
 
 
@@ -80,7 +102,11 @@ def test_values_in_the_ways_people_write_them(tmp_path):
         ]
     )
     options = json.loads((tmp_path / "run.json").read_text())["options"]
-    assert (options["wind"], options["weights"], options["observation"]) == ([1, 0, 0], {"goal": 10}, ["position", "goal"])
+    assert (options["wind"], options["weights"], options["observation"]) == (
+        [1, 0, 0],
+        {"goal": 10},
+        ["position", "goal"],
+    )
 
 
 def test_no_animation_of_an_earlier_flight_is_left(tmp_path):
@@ -98,23 +124,63 @@ def test_the_benchmark_prints_every_dynamics_and_the_floor(capsys):
 
 def test_tasks_are_listed_and_explained(capsys):
     main(["tasks"])
-    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == bulletuav.list_tasks()
+    assert [
+        line.split()[0] for line in capsys.readouterr().out.splitlines()
+    ] == bulletuav.list_tasks()
     main(["tasks", "crossing"])
     said = capsys.readouterr().out
-    for word in ("Observation", "goal distance", "Action", "Reward", "End:", "lane_spacing", "15.0", "decision_hz=10"):
+    for word in (
+        "Observation",
+        "goal distance",
+        "Action",
+        "Reward",
+        "End:",
+        "lane_spacing",
+        "15.0",
+        "decision_hz=10",
+    ):
         assert word in said
 
 
 def test_the_observation_is_printed_number_by_number_with_the_options_given(capsys):
-    main(["tasks", "crossing", "--observation", "--drones", "3", "--set", "observation=identity,goal,rgb"])
+    main(
+        [
+            "tasks",
+            "crossing",
+            "--observation",
+            "--drones",
+            "3",
+            "--set",
+            "observation=identity,goal,rgb",
+        ]
+    )
     said = capsys.readouterr().out
-    for word in ("index", "is drone 2", "goal distance", "375.068", "rgb", "picture", "one drone of 3"):
+    for word in (
+        "index",
+        "is drone 2",
+        "goal distance",
+        "375.068",
+        "rgb",
+        "picture",
+        "one drone of 3",
+    ):
         assert word in said
     assert "is drone 3" not in said
 
 
 def test_evaluating_prints_and_writes_and_goes_on(tmp_path, capsys):
-    command = ["evaluate", "converge", "--policy", "orca", "--episodes", "3", "--workers", "2", "--dynamics", "point_mass"]
+    command = [
+        "evaluate",
+        "converge",
+        "--policy",
+        "orca",
+        "--episodes",
+        "3",
+        "--workers",
+        "2",
+        "--dynamics",
+        "point_mass",
+    ]
     command += ["--drones", "3", "--set", "radius=20.0", "--out", str(tmp_path / "run")]
     main(command)
     said = capsys.readouterr()
@@ -133,15 +199,30 @@ def test_evaluating_prints_and_writes_and_goes_on(tmp_path, capsys):
         "summary.png",
     }
     main(command)
-    table, again = ([line for line in text.splitlines() if "│" in line] for text in (said.out, capsys.readouterr().out))
+    table, again = (
+        [line for line in text.splitlines() if "│" in line]
+        for text in (said.out, capsys.readouterr().out)
+    )
     assert table == again
 
 
 def test_a_flight_does_not_go_into_the_folder_of_an_evaluation(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    common = ["converge", "--dynamics", "point_mass", "--drones", "1", "--horizon", "3", "--set", "normalise=true"]
+    common = [
+        "converge",
+        "--dynamics",
+        "point_mass",
+        "--drones",
+        "1",
+        "--horizon",
+        "3",
+        "--set",
+        "normalise=true",
+    ]
     main(["evaluate", *common, "--episodes", "1"])
-    assert (tmp_path / "evaluation" / "converge-default-point_mass-straight" / "episodes.csv").exists()
+    assert (
+        tmp_path / "evaluation" / "converge-default-point_mass-straight" / "episodes.csv"
+    ).exists()
     with pytest.raises(SystemExit):
         main(["fly", *common, "--out", "evaluation/converge-default-point_mass-straight"])
     assert "holds an evaluation" in capsys.readouterr().err
@@ -159,19 +240,56 @@ def test_an_interrupted_evaluation_tells_what_is_kept(tmp_path, capsys, monkeypa
 
 
 def test_comparing_writes_a_leaderboard(tmp_path, capsys):
-    common = ["--episodes", "2", "--dynamics", "point_mass", "--drones", "2", "--horizon", "30", "--out", str(tmp_path)]
-    main(["compare", "--policies", "straight,random", "--tasks", "converge,follow", "--difficulties", "easy,hard", *common])
+    common = [
+        "--episodes",
+        "2",
+        "--dynamics",
+        "point_mass",
+        "--drones",
+        "2",
+        "--horizon",
+        "30",
+        "--out",
+        str(tmp_path),
+    ]
+    main(
+        [
+            "compare",
+            "--policies",
+            "straight,random",
+            "--tasks",
+            "converge,follow",
+            "--difficulties",
+            "easy,hard",
+            *common,
+        ]
+    )
     said = capsys.readouterr().out
     assert said.count("### ") == 4
     assert "| straight \\* |" in said
     assert (tmp_path / "leaderboard.md").read_text() in said
-    assert {path.name for path in tmp_path.iterdir()} == {"leaderboard.md", "leaderboard.csv", "leaderboard.png", "runs"}
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "leaderboard.md",
+        "leaderboard.csv",
+        "leaderboard.png",
+        "runs",
+    }
     assert len(list((tmp_path / "runs").iterdir())) == 8
     main(["compare", "--policies", "straight", "--tasks", "converge", *common])
     assert "### converge, medium: 2 drones" in capsys.readouterr().out
 
 
-COMPARED = ["compare", "--policies", "random", "--tasks", "mobile_users", "--episodes", "2", "--horizon", "3"]
+COMPARED = [
+    "compare",
+    "--policies",
+    "random",
+    "--tasks",
+    "mobile_users",
+    "--episodes",
+    "2",
+    "--horizon",
+    "3",
+]
 COMPARED += ["--set", "area=250.0", "--set", "num_layouts=1"]
 
 
@@ -183,8 +301,14 @@ def test_comparing_dynamics(tmp_path, capsys):
     assert ["single_integrator at 240 Hz" in row for row in rows] == [True, False]
     assert ["point_mass at 240 Hz" in row for row in rows] == [False, True]
     assert len({row.split("|")[8] for row in rows}) == 2  # which fly otherwise
-    runs = {path.name: json.loads((path / "run.json").read_text()) for path in (tmp_path / "runs").iterdir()}
-    assert {run["options"]["dynamics"] for run in runs.values()} == {"single_integrator", "point_mass"}
+    runs = {
+        path.name: json.loads((path / "run.json").read_text())
+        for path in (tmp_path / "runs").iterdir()
+    }
+    assert {run["options"]["dynamics"] for run in runs.values()} == {
+        "single_integrator",
+        "point_mass",
+    }
     assert len(runs) == 2
     main([*COMPARED, "--dynamics", "point_mass", "--out", str(tmp_path)])  # goes on with its run
     again = [line for line in capsys.readouterr().out.splitlines() if line.startswith("| random |")]
@@ -193,12 +317,22 @@ def test_comparing_dynamics(tmp_path, capsys):
 
 def test_dynamics_are_listed_as_tasks_are(tmp_path, capsys):
     """With spaces, and each once."""
-    main([*COMPARED, "--dynamics", "single_integrator, point_mass,point_mass", "--out", str(tmp_path)])
+    main(
+        [
+            *COMPARED,
+            "--dynamics",
+            "single_integrator, point_mass,point_mass",
+            "--out",
+            str(tmp_path),
+        ]
+    )
     rows = [line for line in capsys.readouterr().out.splitlines() if line.startswith("| random |")]
     assert len(rows) == 2
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["fly", "--help"], ["tasks", "--help"], ["--version"]])
+@pytest.mark.parametrize(
+    "arguments", [["--help"], ["fly", "--help"], ["tasks", "--help"], ["--version"]]
+)
 def test_help(arguments, capsys):
     with pytest.raises(SystemExit) as end:
         main(arguments)
@@ -213,7 +347,10 @@ def test_help(arguments, capsys):
     [
         (["fly", "crosing"], "did you mean 'crossing'"),
         (["fly", "crossing", "--drone", "8"], "unknown argument --drone: did you mean --drones"),
-        (["fly", "crossing", "--quick"], "unknown argument --quick: options without an argument of their own go by --set"),
+        (
+            ["fly", "crossing", "--quick"],
+            "unknown argument --quick: options without an argument of their own go by --set",
+        ),
         (["doctor", "--quick"], "unknown argument --quick: there is none of that name"),
         (["fly", "crossing", "--drones", "many"], "invalid int value: 'many'"),
         (["fly", "crossing", "--drones", "0"], "num_drones is 0"),
@@ -223,9 +360,18 @@ def test_help(arguments, capsys):
         (["fly", "crossing", "--set", "difficulty=esy"], "did you mean 'easy'"),
         (["fly", "crossing", "--decision-hz", "7"], "does not divide"),
         (["fly", "crossing", "--airframe", "nowhere.urdf"], "nowhere.urdf"),
-        (["fly", "crossing", "--action", "rpm"], "gives velocity or velocity_increment or target_position actions"),
-        (["fly", "crossing", "--out", "/dev/null/x"], "--out /dev/null/x cannot be a folder to write to"),
-        (["fly", "crossing", "--drones", "2", "--set", "num_drones=3"], "num_drones is given twice"),
+        (
+            ["fly", "crossing", "--action", "rpm"],
+            "gives velocity or velocity_increment or target_position actions",
+        ),
+        (
+            ["fly", "crossing", "--out", "/dev/null/x"],
+            "--out /dev/null/x cannot be a folder to write to",
+        ),
+        (
+            ["fly", "crossing", "--drones", "2", "--set", "num_drones=3"],
+            "num_drones is given twice",
+        ),
         (["fly", "crossing", "--set", "wind=nan,0,0"], "wind is nan: a finite number"),
         (["fly", "crossing", "--set", "weights=goal:1"], "weights is 'goal:1': a dict"),
         (["fly", "crossing", "--set", "start_speed=3"], "start_speed is 3: a list or tuple"),
@@ -233,16 +379,32 @@ def test_help(arguments, capsys):
         (["benchmark", "--drones", "0"], "numbers above 0 are needed"),
         (["fly", "crossing", "--seed", "-3"], "seed is -3"),
         (["evaluate", "converge", "--episodes", "0"], "episodes is 0"),
-        (["evaluate", "converge", "--policy", "ppo:nowhere.zip", "--episodes", "1"], "no model nowhere.zip"),
+        (
+            ["evaluate", "converge", "--policy", "ppo:nowhere.zip", "--episodes", "1"],
+            "no model nowhere.zip",
+        ),
         (["compare", "--policies", "straight"], "required: --tasks"),
         (["compare", "--policies", ",", "--tasks", "converge"], "',' names nothing"),
         (["evaluate", "converge", "--set", "radius={[]:1}"], "radius is '{[]:1}'"),
         (["compare", "--policies", "strait", "--tasks", "converge"], "did you mean 'straight'"),
         (
-            ["compare", "--policies", "straight", "--tasks", "converge", "--difficulty", "easy", "--difficulties", "hard"],
+            [
+                "compare",
+                "--policies",
+                "straight",
+                "--tasks",
+                "converge",
+                "--difficulty",
+                "easy",
+                "--difficulties",
+                "hard",
+            ],
             "give one of them",
         ),
-        ([*COMPARED, "--dynamics", "point_mass,point_mas"], "unknown dynamics 'point_mas': did you mean 'point_mass'"),
+        (
+            [*COMPARED, "--dynamics", "point_mass,point_mas"],
+            "unknown dynamics 'point_mas': did you mean 'point_mass'",
+        ),
         ([*COMPARED, "--set", "dynamics=5"], "unknown dynamics '5'"),
         ([*COMPARED, "--against", "orc"], "unknown policy in --against, 'orc'"),
         (["tasks", "hoover"], "did you mean 'hover'"),
@@ -281,7 +443,9 @@ def test_the_doctor_tells_what_is_active(capsys, monkeypatch):
     assert state["C extension"] == ("C extension", "active", "")
     assert state["extra sb3"].state == "installed"
     monkeypatch.setenv("DISPLAY", "")
-    assert {finding.subject: finding for finding in doctor.examine()}["live view"].state == "not available"
+    assert {finding.subject: finding for finding in doctor.examine()}[
+        "live view"
+    ].state == "not available"
 
 
 def test_the_doctor_tells_what_is_missing(monkeypatch, capsys):
@@ -293,7 +457,9 @@ def test_the_doctor_tells_what_is_missing(monkeypatch, capsys):
     assert found["C extension"].remedy == "no compiler"
     assert found["C extension"].state.startswith("not active")
     assert found["extra video"][:2] == ("extra video", "missing")
-    assert re.fullmatch(r"pip install -c \S+/constraints\.txt -e '\S+\[video\]'", found["extra video"].remedy)
+    assert re.fullmatch(
+        r"pip install -c \S+/constraints\.txt -e '\S+\[video\]'", found["extra video"].remedy
+    )
     assert found["live view"].state == "available"
     monkeypatch.setattr("bulletuav.commands.doctor.examine", lambda: list(found.values()))
     main(["doctor"])
@@ -307,7 +473,11 @@ def test_a_reader_that_has_seen_enough_is_no_error():
     """`bulletuav tasks mec | head -1`: quiet, whether it prints lines or a table by rich."""
     commands = (["tasks", "mec"], ["tasks", "mec", "--observation"])
     running = [
-        subprocess.Popen([sys.executable, "-m", "bulletuav", *command], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        subprocess.Popen(
+            [sys.executable, "-m", "bulletuav", *command],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+        )
         for command in commands
     ]
     for shown in running:
@@ -348,7 +518,12 @@ def test_how_far_it_is_is_a_bar_on_a_terminal():
     mine, theirs = os.openpty()
     program = "from bulletuav.commands.progress import telling\n"
     program += "with telling('flying', 3, 'episodes') as tell:\n    [tell(k) for k in range(4)]"
-    subprocess.run([sys.executable, "-c", program], check=True, stderr=theirs, env={**os.environ, "TERM": "xterm"})
+    subprocess.run(
+        [sys.executable, "-c", program],
+        check=True,
+        stderr=theirs,
+        env={**os.environ, "TERM": "xterm"},
+    )
     os.close(theirs)
     assert "3 of 3 episodes" in os.read(mine, 65536).decode()
     os.close(mine)
@@ -368,10 +543,26 @@ def full_disk():
         (3000, ["fly", "hover", "--horizon", "5", "--dynamics", "rigid_body"]),
         (3000, ["city", "--kind", "urban", "--side", "200"]),
         (0, ["evaluate", "hover", "--episodes", "1", "--horizon", "5", "--dynamics", "rigid_body"]),
-        (3000, ["train", "converge", "--steps", "16", "--worlds", "1", "--evaluations", "1", "--episodes", "1"]),
+        (
+            3000,
+            [
+                "train",
+                "converge",
+                "--steps",
+                "16",
+                "--worlds",
+                "1",
+                "--evaluations",
+                "1",
+                "--episodes",
+                "1",
+            ],
+        ),
     ],
 )
-def test_a_full_disk_ends_in_one_line_that_names_the_file(room, command, tmp_path, full_disk, capsys):
+def test_a_full_disk_ends_in_one_line_that_names_the_file(
+    room, command, tmp_path, full_disk, capsys
+):
     out = tmp_path / "out"
     if command[0] == "train":
         command = [*command, "--dynamics", "single_integrator", "--horizon", "4"]
@@ -384,6 +575,8 @@ def test_a_full_disk_ends_in_one_line_that_names_the_file(room, command, tmp_pat
     last = capsys.readouterr().err.splitlines()[-1]
     assert str(out) in last
     assert "too large" in last
-    files = [path for path in out.rglob("*") if path.is_file() and path.parent.name != "tensorboard"]
+    files = [
+        path for path in out.rglob("*") if path.is_file() and path.parent.name != "tensorboard"
+    ]
     assert not [path for path in files if path.name.startswith(".part-")]
     assert all(path.stat().st_size <= room for path in files)

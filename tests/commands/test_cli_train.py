@@ -9,8 +9,30 @@ from bulletuav.policies.run import RunConfig, shipped, shipped_tasks
 from bulletuav.training import trainer
 from bulletuav.training.campaign import Campaign
 
-TINY = ["--steps", "64", "--worlds", "2", "--drones", "2", "--difficulty", "easy", "--horizon", "8", "--evaluations", "1"]
-TINY += ["--episodes", "1", "--dynamics", "single_integrator", "--model", "n_steps=8", "--model", "batch_size=32"]
+TINY = [
+    "--steps",
+    "64",
+    "--worlds",
+    "2",
+    "--drones",
+    "2",
+    "--difficulty",
+    "easy",
+    "--horizon",
+    "8",
+    "--evaluations",
+    "1",
+]
+TINY += [
+    "--episodes",
+    "1",
+    "--dynamics",
+    "single_integrator",
+    "--model",
+    "n_steps=8",
+    "--model",
+    "batch_size=32",
+]
 SHORT = ["--horizon", "8", "--dynamics", "single_integrator", "--drones", "2"]
 
 
@@ -23,7 +45,10 @@ def test_a_run_trains_flies_is_evaluated_and_goes_on(tmp_path, capsys, monkeypat
         assert f"wrote run/{name}" in out
         assert (tmp_path / "run" / name).stat().st_size
     main(["fly", "obstacles", "--policy", "run", *SHORT, "--animation", "none", "--out", "flight"])
-    assert json.loads((tmp_path / "flight" / "run.json").read_text())["options"]["observation"] == ["goal", "velocity"]
+    assert json.loads((tmp_path / "flight" / "run.json").read_text())["options"]["observation"] == [
+        "goal",
+        "velocity",
+    ]
     main(["evaluate", "obstacles", "--policy", "run", *SHORT, "--episodes", "2", "--out", "found"])
     assert json.loads((tmp_path / "found" / "summary.json").read_text())["policy"] == "run"
     before = (tmp_path / "run" / "policy.safetensors").read_bytes()
@@ -51,10 +76,29 @@ def test_several_seeds_make_one_table_and_one_picture(tmp_path, capsys, monkeypa
     assert "wrote runs/curves.png" in capsys.readouterr().out
 
 
-def test_dqn_chooses_among_discrete_actions_and_difficulties_make_a_curriculum(tmp_path, monkeypatch):
+def test_dqn_chooses_among_discrete_actions_and_difficulties_make_a_curriculum(
+    tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
-    tiny = [*TINY[:4], "--evaluations", "1", "--episodes", "1", "--dynamics", "single_integrator", "--horizon", "8"]
-    settings = ["--model", "learning_starts=8", "--model", "batch_size=8", "--set", "observation=goal"]
+    tiny = [
+        *TINY[:4],
+        "--evaluations",
+        "1",
+        "--episodes",
+        "1",
+        "--dynamics",
+        "single_integrator",
+        "--horizon",
+        "8",
+    ]
+    settings = [
+        "--model",
+        "learning_starts=8",
+        "--model",
+        "batch_size=8",
+        "--set",
+        "observation=goal",
+    ]
     main(["train", "obstacles", "--algo", "dqn", *tiny, *settings, "--curriculum", "easy,medium"])
     run = RunConfig.read(tmp_path / "training" / "obstacles-dqn-0" / "run.yaml")
     assert run.options["action"] == "discrete"
@@ -86,23 +130,56 @@ def test_beside_other_actions_a_trained_policy_keeps_its_own(tmp_path, monkeypat
     monkeypatch.chdir(tmp_path)
     both = ["--tasks", "crossing", "--policies", "straight,untrained", "--episodes", "2"]
     main(["compare", *both, "--action", "target_position", *SHORT])
-    told = [json.loads(path.read_text()) for path in tmp_path.glob("leaderboard/runs/*/summary.json")]
+    told = [
+        json.loads(path.read_text()) for path in tmp_path.glob("leaderboard/runs/*/summary.json")
+    ]
     given = {one["policy"]: one["options"]["action"] for one in told}
     assert given == {"straight": "target_position", "untrained": "velocity"}
 
 
 @pytest.mark.parametrize("task", shipped_tasks())
-def test_a_shipped_policy_flies_its_task_without_what_it_was_trained_with(task, tmp_path, capsys, monkeypatch):
+def test_a_shipped_policy_flies_its_task_without_what_it_was_trained_with(
+    task, tmp_path, capsys, monkeypatch
+):
     """As after the README's installation."""
     for name in ("torch", "stable_baselines3", "tensorboard", "filelock"):
         monkeypatch.setitem(sys.modules, name, None)
     for name in [name for name in sys.modules if name.startswith("bulletuav.adapters")]:
         monkeypatch.delitem(sys.modules, name)
     if task == shipped_tasks()[0]:
-        main(["fly", task, "--policy", "untrained", "--horizon", "5", "--animation", "none", "--out", str(tmp_path)])
-    main(["fly", task, "--policy", "trained", "--horizon", "5", "--animation", "none", "--out", str(tmp_path)])
+        main(
+            [
+                "fly",
+                task,
+                "--policy",
+                "untrained",
+                "--horizon",
+                "5",
+                "--animation",
+                "none",
+                "--out",
+                str(tmp_path),
+            ]
+        )
+    main(
+        [
+            "fly",
+            task,
+            "--policy",
+            "trained",
+            "--horizon",
+            "5",
+            "--animation",
+            "none",
+            "--out",
+            str(tmp_path),
+        ]
+    )
     assert "drone_0" in capsys.readouterr().out
-    assert {path.suffix for path in shipped(task).rglob("*") if path.is_file()} == {".yaml", ".safetensors"}
+    assert {path.suffix for path in shipped(task).rglob("*") if path.is_file()} == {
+        ".yaml",
+        ".safetensors",
+    }
 
 
 @pytest.mark.parametrize(
@@ -121,11 +198,26 @@ def test_a_shipped_policy_flies_its_task_without_what_it_was_trained_with(task, 
         (["train", "--config", "nowhere.yaml"], "no file nowhere.yaml"),
         (["train", "--config", "."], "no file run.yaml"),
         (["train", "crossing", "--seeds", "a,b"], "invalid seeds value: 'a,b'"),
-        (["train", "crossing", "--difficulty", "easy", "--curriculum", "easy,hard"], "--difficulty and --curriculum"),
-        (["train", "crossing", "--set", "lanespacing=3", "--out", "x"], "did you mean 'lane_spacing'"),
-        (["fly", "crossing", "--policy", "trained", "--action", "target_position"], "gives velocity actions, not"),
-        (["evaluate", "crossing", "--policy", "trained", "--action", "attitude"], "gives velocity actions, not"),
-        (["fly", "pursuit", "--policy", "trained"], "no policy for task 'pursuit' comes with the package"),
+        (
+            ["train", "crossing", "--difficulty", "easy", "--curriculum", "easy,hard"],
+            "--difficulty and --curriculum",
+        ),
+        (
+            ["train", "crossing", "--set", "lanespacing=3", "--out", "x"],
+            "did you mean 'lane_spacing'",
+        ),
+        (
+            ["fly", "crossing", "--policy", "trained", "--action", "target_position"],
+            "gives velocity actions, not",
+        ),
+        (
+            ["evaluate", "crossing", "--policy", "trained", "--action", "attitude"],
+            "gives velocity actions, not",
+        ),
+        (
+            ["fly", "pursuit", "--policy", "trained"],
+            "no policy for task 'pursuit' comes with the package",
+        ),
     ],
 )
 def test_bad_input_ends_in_one_line(arguments, said, capsys, tmp_path, monkeypatch):

@@ -49,7 +49,9 @@ def test_medians_of_interleaved_rounds():
             return next(self.rates)
 
     one = compare.Comparison("a", "x", "peer", "y", "things/s", 2.0)
-    row = compare.measure(one, {"bulletuav": Fixed(10.0, 40.0, 30.0), "peer": Fixed(5.0, 10.0, 3.0)}, 3, 1.0)
+    row = compare.measure(
+        one, {"bulletuav": Fixed(10.0, 40.0, 30.0), "peer": Fixed(5.0, 10.0, 3.0)}, 3, 1.0
+    )
     assert (row.ours, row.theirs, row.ratio) == (30.0, 5.0, 4.0)
 
 
@@ -67,7 +69,9 @@ def test_every_case_of_ours_is_served_and_errors_are_told():
 @pytest.mark.slow
 def test_a_simulator_that_is_not_there_is_left_out(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(compare, "starts", lambda rounds: {"warm": 1.0, "cold": 2.0})
-    monkeypatch.setattr(compare, "install", lambda peer, folder: sys.executable)  # which has no VMAS
+    monkeypatch.setattr(
+        compare, "install", lambda peer, folder: sys.executable
+    )  # which has no VMAS
     compare.main(["--peers", "VMAS", "--rounds", "1", "--seconds", "0.01", "--out", str(tmp_path)])
     captured = capsys.readouterr()
     assert (
@@ -103,7 +107,9 @@ def test_a_folder_that_is_no_checkout(tmp_path, capsys):
 
 def test_starts_measure_warm_and_cold(monkeypatch):
     folders = []
-    monkeypatch.setattr(subprocess, "run", lambda command, check, env, cwd: folders.append(env["NUMBA_CACHE_DIR"]))
+    monkeypatch.setattr(
+        subprocess, "run", lambda command, check, env, cwd: folders.append(env["NUMBA_CACHE_DIR"])
+    )
     assert set(compare.starts(2)) == {"warm", "cold"}
     assert len(folders) == 3
     assert len(set(folders)) == 1
@@ -113,7 +119,9 @@ def test_starts_measure_warm_and_cold(monkeypatch):
 def test_cases_in_cities_are_served(tmp_path, capsys, monkeypatch):
     cases = [one for one in cities.comparisons() if one.theirs.rpartition(", ")[2] in ("1", "100")]
     server = compare.Server(sys.executable, "serve_bulletuav.py")
-    for case in {one.ours for one in cases} | {one.theirs for one in cases if one.peer == cities.FLOOR}:
+    for case in {one.ours for one in cases} | {
+        one.theirs for one in cases if one.peer == cities.FLOOR
+    }:
         assert server.rate(case, 0.001) > 0
     server.close()
     monkeypatch.setattr(cities, "install", lambda peer, folder: sys.executable)
@@ -125,7 +133,9 @@ def test_cases_in_cities_are_served(tmp_path, capsys, monkeypatch):
 
 def test_cases_of_edge_computing_are_served(tmp_path, capsys, monkeypatch):
     rows = edge.comparisons()
-    assert [(one.theirs, one.goal) for one in rows[:-1]] == [(f"mec, {count}", 10.0) for count in (1, 1, 64, 64, 256, 256)]
+    assert [(one.theirs, one.goal) for one in rows[:-1]] == [
+        (f"mec, {count}", 10.0) for count in (1, 1, 64, 64, 256, 256)
+    ]
     alone = [one._replace(peer="real time") for one in rows if one.theirs == "mec, 1"]
     monkeypatch.setattr(edge, "install", lambda peer, folder: sys.executable)
     monkeypatch.setattr(edge, "comparisons", lambda: alone)

@@ -24,25 +24,35 @@ spread = st.tuples(*[st.floats(-4, 4)] * 3).map(lambda powers: 10.0 ** np.array(
 turn = st.integers(0, 2**32 - 1).map(lambda seed: Rotation.random(random_state=seed).as_matrix())
 
 
-@pytest.mark.parametrize(("distance", "sigma", "d_safe", "figure"), [(0, 1, 1, 0.198748), (10, 3, 5, 0.0179474)])
+@pytest.mark.parametrize(
+    ("distance", "sigma", "d_safe", "figure"), [(0, 1, 1, 0.198748), (10, 3, 5, 0.0179474)]
+)
 def test_probability_oracles(distance, sigma, d_safe, figure):
     offset = np.array([0.0, distance, 0.0])
     assert conflict_probability(offset, sigma, d_safe) == pytest.approx(figure, rel=1e-5)
-    assert conflict_probability_of(offset, sigma**2 * np.eye(3), d_safe) == pytest.approx(figure, rel=1e-5)
+    assert conflict_probability_of(offset, sigma**2 * np.eye(3), d_safe) == pytest.approx(
+        figure, rel=1e-5
+    )
 
 
 def test_isotropic_probability_is_noncentral_chi_square():
     distance, sigma = np.geomspace(1e-12, 30, 60)[:, None], np.geomspace(0.2, 1e3, 40)
     found = conflict_probability(distance[..., None] * (0, 0.6, 0.8), sigma, 5.0)
-    np.testing.assert_allclose(found, ncx2.cdf((5 / sigma) ** 2, 3, (distance / sigma) ** 2), rtol=0, atol=1e-12)
-    assert conflict_probability(np.zeros(3), 2.0, 5.0) == pytest.approx(conflict_probability(np.full(3, 1e-9), 2.0, 5.0))
+    np.testing.assert_allclose(
+        found, ncx2.cdf((5 / sigma) ** 2, 3, (distance / sigma) ** 2), rtol=0, atol=1e-12
+    )
+    assert conflict_probability(np.zeros(3), 2.0, 5.0) == pytest.approx(
+        conflict_probability(np.full(3, 1e-9), 2.0, 5.0)
+    )
 
 
 def test_isotropic_probability_at_the_extremes():
     # Where sigma is small the ball is a half space: half of it on the edge, less the curvature's sigma / (d sqrt(2 pi)).
     for sigma in (1e-3, 1e-6, 1e-9):
         edge = 0.5 - sigma / (5 * np.sqrt(2 * np.pi))
-        assert conflict_probability(np.array([5.0, 0, 0]), sigma, 5.0) == pytest.approx(edge, abs=1e-12)
+        assert conflict_probability(np.array([5.0, 0, 0]), sigma, 5.0) == pytest.approx(
+            edge, abs=1e-12
+        )
         assert conflict_probability(np.array([1.0, 0, 0]), sigma, 5.0) == 1
         assert conflict_probability(np.array([9.0, 0, 0]), sigma, 5.0) == 0
 
@@ -53,7 +63,9 @@ def test_probability_with_any_covariance_against_monte_carlo():
         root = rng.normal(size=(3, 3)) * (1.0, 1.0, stretch)
         covariance, offset = root @ root.T + 0.1 * np.eye(3), rng.normal(size=3) * 2
         drawn = np.linalg.norm(rng.multivariate_normal(offset, covariance, 400_000), axis=1) < 2.5
-        assert conflict_probability_of(offset, covariance, 2.5) == pytest.approx(drawn.mean(), abs=4 * 0.5 / 400_000**0.5)
+        assert conflict_probability_of(offset, covariance, 2.5) == pytest.approx(
+            drawn.mean(), abs=4 * 0.5 / 400_000**0.5
+        )
 
 
 def test_probability_with_a_flat_covariance_does_not_underflow():
@@ -67,12 +79,19 @@ def test_probability_with_a_flat_covariance_does_not_underflow():
 
 @pytest.mark.parametrize(
     ("mean", "sigmas", "d_safe"),
-    [((1, 2, 3), (1, 2, 3), 4), ((0, 0, 5), (0.3, 0.5, 1), 5), ((4.9, 0, 0), (0.1, 1, 1), 5), ((0, 0.5, 0), (2, 9, 30), 1)],
+    [
+        ((1, 2, 3), (1, 2, 3), 4),
+        ((0, 0, 5), (0.3, 0.5, 1), 5),
+        ((4.9, 0, 0), (0.1, 1, 1), 5),
+        ((0, 0.5, 0), (2, 9, 30), 1),
+    ],
 )
 def test_probability_with_any_covariance_against_quadrature(mean, sigmas, d_safe):
     def column(angle, radius):
         x, y, half = radius * np.cos(angle), radius * np.sin(angle), np.sqrt(d_safe**2 - radius**2)
-        density = np.exp(-0.5 * (((x - mean[0]) / sigmas[0]) ** 2 + ((y - mean[1]) / sigmas[1]) ** 2))
+        density = np.exp(
+            -0.5 * (((x - mean[0]) / sigmas[0]) ** 2 + ((y - mean[1]) / sigmas[1]) ** 2)
+        )
         inside = ndtr((half - mean[2]) / sigmas[2]) - ndtr((-half - mean[2]) / sigmas[2])
         return radius * density * inside / (2 * np.pi * sigmas[0] * sigmas[1])
 
@@ -85,7 +104,9 @@ def test_probability_with_errors_far_from_d_safe():
     # Tiny in two axes: the normal distribution on a chord. Huge: the density at the centre times the volume.
     offset, sigmas = np.array([0.3, 0.0, 0.0]), np.array([2.0, 1e-7, 1e-7])
     chord = ndtr((1 - 0.3) / 2) - ndtr((-1 - 0.3) / 2)
-    assert conflict_probability_of(offset, np.diag(sigmas**2), 1.0) == pytest.approx(chord, abs=1e-9)
+    assert conflict_probability_of(offset, np.diag(sigmas**2), 1.0) == pytest.approx(
+        chord, abs=1e-9
+    )
     wide = conflict_probability_of(offset, np.diag([1e4, 1e6, 1e8]), 1.0, tolerance=1e-15)
     assert wide == pytest.approx(4 / 3 * np.pi / ((2 * np.pi) ** 1.5 * 1e9), rel=1e-4)
     for far in (1e3, 1e50, 1e100):
@@ -93,16 +114,20 @@ def test_probability_with_errors_far_from_d_safe():
 
 
 @given(vector, spread, turn, turn, st.floats(0.1, 30), st.floats(1, 2))
-def test_probability_is_one_turns_along_and_grows_with_d_safe(offset, sigmas, axes, rotation, d_safe, more):
+def test_probability_is_one_turns_along_and_grows_with_d_safe(
+    offset, sigmas, axes, rotation, d_safe, more
+):
     covariance = axes @ np.diag(sigmas**2) @ axes.T
     covariance += 1e-6 * np.trace(covariance) * np.eye(3)  # rounding must not matter
     found = conflict_probability_of(offset, covariance, d_safe)
     assert 0 <= found <= 1
-    assert conflict_probability_of(rotation @ offset, rotation @ covariance @ rotation.T, d_safe) == pytest.approx(
-        found, abs=3e-9
-    )
+    assert conflict_probability_of(
+        rotation @ offset, rotation @ covariance @ rotation.T, d_safe
+    ) == pytest.approx(found, abs=3e-9)
     assert conflict_probability_of(offset, covariance, d_safe * more) >= found - 2e-9
-    assert conflict_probability_of(offset, covariance, d_safe, 1e-6) == pytest.approx(found, abs=1e-6)
+    assert conflict_probability_of(offset, covariance, d_safe, 1e-6) == pytest.approx(
+        found, abs=1e-6
+    )
 
 
 @given(vector, st.floats(-3, 4), st.floats(0.1, 30))
@@ -155,13 +180,17 @@ def test_a_probability_out_of_reach_is_refused():
     ],
 )
 def test_time_to_conflict_oracles(offset, velocity, seconds):
-    assert time_to_conflict(np.array(offset, float), np.array(velocity, float), 5.0) == pytest.approx(seconds)
+    assert time_to_conflict(
+        np.array(offset, float), np.array(velocity, float), 5.0
+    ) == pytest.approx(seconds)
 
 
 @given(vector, vector, st.floats(0.5, 20))
 def test_closest_approach_and_time_to_conflict_agree_with_the_path(offset, velocity, d_safe):
     time, distance = closest_point_of_approach(offset, velocity)
-    best = minimize_scalar(lambda t: np.linalg.norm(offset + velocity * t), bounds=(0, 2 * time + 1), method="bounded")
+    best = minimize_scalar(
+        lambda t: np.linalg.norm(offset + velocity * t), bounds=(0, 2 * time + 1), method="bounded"
+    )
     assert distance <= best.fun + 1e-9 * (1 + best.fun)
     assert distance == pytest.approx(np.linalg.norm(offset + velocity * time))
     enters = time_to_conflict(offset, velocity, d_safe)
@@ -203,5 +232,9 @@ def test_all_pairs_of_500_at_once():
     assert results["in cylinder"][i, j] == in_cylinder(apart[i, j], 20.0, 10.0)
     assert results["time"][i, j] == time_to_conflict(apart[i, j], passing[i, j], 5.0)
     assert results["chance"][i, j] == conflict_probability(apart[i, j], 2.0, 5.0)
-    assert results["any chance"][i, j] == pytest.approx(conflict_probability_of(apart[i, j], both[i, j], 5.0), abs=1e-12)
-    np.testing.assert_allclose(conflict_probability_of(apart, 4 * np.eye(3), 5.0), results["chance"], rtol=0, atol=1e-9)
+    assert results["any chance"][i, j] == pytest.approx(
+        conflict_probability_of(apart[i, j], both[i, j], 5.0), abs=1e-12
+    )
+    np.testing.assert_allclose(
+        conflict_probability_of(apart, 4 * np.eye(3), 5.0), results["chance"], rtol=0, atol=1e-9
+    )

@@ -8,12 +8,21 @@ from bulletuav.control.setpoint import SetpointLevel
 
 @pytest.fixture
 def flyable():
-    return ActionContext([load_airframe("cf2x")], 10.0, np.array((-20.0, -10, 0)), np.array((20.0, 30, 8)), 0.1, 9.80665)
+    return ActionContext(
+        [load_airframe("cf2x")],
+        10.0,
+        np.array((-20.0, -10, 0)),
+        np.array((20.0, 30, 8)),
+        0.1,
+        9.80665,
+    )
 
 
 def decode(name, flyable, action):
     commanded = np.array([[(1.0, 2.0, -1.0)]])
-    return make_action(name, flyable).decode(np.array(action, float).reshape(1, 1, -1), commanded)[0, 0]
+    return make_action(name, flyable).decode(np.array(action, float).reshape(1, 1, -1), commanded)[
+        0, 0
+    ]
 
 
 def test_velocity_scales_and_limits_the_norm(flyable):
@@ -27,34 +36,58 @@ def test_target_position_spans_the_arena(flyable):
 
 def test_rotor_is_linear_in_thrust(flyable):
     most = flyable.airframes[0].max_rotor_speed
-    np.testing.assert_allclose(decode("rotor", flyable, (-1, 1, 0, -0.5)) ** 2, np.array((0, 1, 0.5, 0.25)) * most**2)
+    np.testing.assert_allclose(
+        decode("rotor", flyable, (-1, 1, 0, -0.5)) ** 2, np.array((0, 1, 0.5, 0.25)) * most**2
+    )
 
 
 def test_velocity_increment_adds_to_what_was_commanded(flyable):
     np.testing.assert_allclose(decode("velocity_increment", flyable, (0.5, -1, 0)), (1.5, 1, -1, 0))
-    fast = make_action("velocity_increment", flyable).decode(np.ones((1, 1, 3)), np.array([[(6.0, 8.0, 0.0)]]))
+    fast = make_action("velocity_increment", flyable).decode(
+        np.ones((1, 1, 3)), np.array([[(6.0, 8.0, 0.0)]])
+    )
     assert np.linalg.norm(fast[0, 0, :3]) == pytest.approx(10)
 
 
 def test_heading_speed_points_the_nose(flyable):
-    np.testing.assert_allclose(decode("heading_speed", flyable, (0.5, 0, 0)), (0, 5, 0, np.pi / 2), atol=1e-12)
-    np.testing.assert_allclose(decode("heading_speed", flyable, (0, -1, 0.3)), (0, 0, 3, 0), atol=1e-12)
-    np.testing.assert_allclose(np.linalg.norm(decode("heading_speed", flyable, (0.2, 1, 1))[:3]), 10)
+    np.testing.assert_allclose(
+        decode("heading_speed", flyable, (0.5, 0, 0)), (0, 5, 0, np.pi / 2), atol=1e-12
+    )
+    np.testing.assert_allclose(
+        decode("heading_speed", flyable, (0, -1, 0.3)), (0, 0, 3, 0), atol=1e-12
+    )
+    np.testing.assert_allclose(
+        np.linalg.norm(decode("heading_speed", flyable, (0.2, 1, 1))[:3]), 10
+    )
 
 
 def test_attitude_and_rates_scale(flyable):
     most = flyable.airframes[0].max_thrust
-    np.testing.assert_allclose(decode("attitude", flyable, (1, -1, 0.5, 0)), (*np.radians((55, -55, 90)), most / 2))
-    np.testing.assert_allclose(decode("rates", flyable, (1, -0.5, 1, 1)), (2 * np.pi, -np.pi, np.pi, most))
+    np.testing.assert_allclose(
+        decode("attitude", flyable, (1, -1, 0.5, 0)), (*np.radians((55, -55, 90)), most / 2)
+    )
+    np.testing.assert_allclose(
+        decode("rates", flyable, (1, -0.5, 1, 1)), (2 * np.pi, -np.pi, np.pi, most)
+    )
 
 
 def test_hover_rpm_is_five_percent_about_hover(flyable):
     hover = flyable.airframes[0].hover_speed()
-    np.testing.assert_allclose(decode("hover_rpm", flyable, (0, 1, -1, 0)), hover * np.array((1, 1.05, 0.95, 1)))
+    np.testing.assert_allclose(
+        decode("hover_rpm", flyable, (0, 1, -1, 0)), hover * np.array((1, 1.05, 0.95, 1))
+    )
 
 
 def test_discrete_directions(flyable):
-    expected = [(0, 0, 0), (10, 0, 0), (-10, 0, 0), (0, 10, 0), (0, -10, 0), (0, 0, 10), (0, 0, -10)]
+    expected = [
+        (0, 0, 0),
+        (10, 0, 0),
+        (-10, 0, 0),
+        (0, 10, 0),
+        (0, -10, 0),
+        (0, 0, 10),
+        (0, 0, -10),
+    ]
     np.testing.assert_allclose([decode("discrete", flyable, k)[:3] for k in range(7)], expected)
     table = np.array([decode("discrete_27", flyable, k)[:3] for k in range(27)])
     assert len(np.unique(table.round(6), axis=0)) == 27
@@ -63,14 +96,23 @@ def test_discrete_directions(flyable):
 
 
 def test_drones_with_fewer_rotors_read_fewer_numbers():
-    both = ActionContext([load_airframe("cf2x"), load_airframe("firefly")], 5.0, np.zeros(3), np.ones(3), 0.1, 9.80665)
+    both = ActionContext(
+        [load_airframe("cf2x"), load_airframe("firefly")],
+        5.0,
+        np.zeros(3),
+        np.ones(3),
+        0.1,
+        9.80665,
+    )
     action = make_action("rotor", both)
     assert (action.size(0), action.size(1), action.low.shape) == (4, 6, (2, 6))
     assert (action.low[0, 4:] == action.high[0, 4:]).all()
 
 
 def test_rpm_is_raw(flyable):
-    np.testing.assert_allclose(decode("rpm", flyable, (0, 60, 14473, 60)), (0, 2 * np.pi, 14473 * np.pi / 30, 2 * np.pi))
+    np.testing.assert_allclose(
+        decode("rpm", flyable, (0, 60, 14473, 60)), (0, 2 * np.pi, 14473 * np.pi / 30, 2 * np.pi)
+    )
     assert make_action("rpm", flyable).high[0, 0] == pytest.approx(2273.5 * 30 / np.pi)
 
 
@@ -78,7 +120,9 @@ def test_rpm_is_raw(flyable):
 def test_encoding_is_the_inverse(flyable, name):
     action = make_action(name, flyable)
     setpoint = np.array((1.5, -2.0, 3.0)).reshape(1, 1, 3)
-    np.testing.assert_allclose(action.decode(action.encode(setpoint), np.zeros((1, 1, 3)))[..., :3], setpoint)
+    np.testing.assert_allclose(
+        action.decode(action.encode(setpoint), np.zeros((1, 1, 3)))[..., :3], setpoint
+    )
 
 
 def test_every_action_has_a_label_and_bounds_for_each_number(flyable):
@@ -93,5 +137,6 @@ def test_every_action_has_a_label_and_bounds_for_each_number(flyable):
 
 def test_limit_norm_keeps_direction_and_short_vectors():
     np.testing.assert_allclose(
-        limit_norm(np.array([[(3.0, 4, 0), (0.3, 0.4, 0), (0, 0, 0)]]), 1.0), [[(0.6, 0.8, 0), (0.3, 0.4, 0), (0, 0, 0)]]
+        limit_norm(np.array([[(3.0, 4, 0), (0.3, 0.4, 0), (0, 0, 0)]]), 1.0),
+        [[(0.6, 0.8, 0), (0.3, 0.4, 0), (0, 0, 0)]],
     )

@@ -28,7 +28,9 @@ def test_rounding_does_not_depend_on_the_order_of_the_rotors():
     """Which a library's sums do: the exact inverse is permuted, to the bit."""
     allocation = load_airframe("firefly").allocation()
     order = [3, 0, 5, 1, 4, 2]
-    np.testing.assert_array_equal(exact_pseudo_inverse(allocation[:, order]), exact_pseudo_inverse(allocation)[order])
+    np.testing.assert_array_equal(
+        exact_pseudo_inverse(allocation[:, order]), exact_pseudo_inverse(allocation)[order]
+    )
 
 
 def test_a_pivot_that_is_zero_is_exchanged():

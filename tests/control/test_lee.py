@@ -26,20 +26,28 @@ def test_the_published_control_law_numerically():
     gain["attitude_frequency"], gain["position_frequency"] = 10.0, 2.5
     gain["max_deceleration"] = gain["max_speed"] = np.inf  # the published law knows no limits
     q = np.array((-0.06407135, 0.09115755, 0.1534393, 0.98185617))
-    rates, position, velocity = np.array((0.5, -0.4, 0.2)), np.array((1.0, 2, 3)), np.array((0.1, -0.2, 0.3))
+    rates, position, velocity = (
+        np.array((0.5, -0.4, 0.2)),
+        np.array((1.0, 2, 3)),
+        np.array((0.1, -0.2, 0.3)),
+    )
     towards = np.array(lee.velocity_setpoint(position, (0.0, 0.0, 5.0), gain)) + (1, 0, 0)
     acceleration = np.array(lee.acceleration_setpoint(velocity, towards, gain)) + (0, 0.5, 0)
     force = lee.force_setpoint(acceleration, q, velocity, 0.0, G, row, gain)
     desired = lee.desired_axes(force, 0.0)
     torque = lee.torque_setpoint(rates, lee.rates_setpoint(q, desired, gain), row, gain)
-    assert np.dot(force, Rotation.from_quat(q).as_matrix()[:, 2]) == pytest.approx(13.201496, abs=2e-6)
+    assert np.dot(force, Rotation.from_quat(q).as_matrix()[:, 2]) == pytest.approx(
+        13.201496, abs=2e-6
+    )
     np.testing.assert_allclose(torque, (0.323162, -0.185980, -0.357685), atol=2e-6)
 
 
 def test_gains_follow_the_slower_motor_lag():
     for name, frequency in (("cf2x", 1 / 0.13), ("hummingbird", 10.0)):
         _, _, gain = rows(name)
-        np.testing.assert_allclose(gain["attitude_frequency"], (frequency, frequency, frequency / 2))
+        np.testing.assert_allclose(
+            gain["attitude_frequency"], (frequency, frequency, frequency / 2)
+        )
         assert gain["position_frequency"] == pytest.approx(frequency / 4)
 
 
@@ -48,7 +56,9 @@ def test_mixing_is_the_inverse_of_the_rotors(roll, pitch, yaw, share):
     for name in NAMES:
         airframe, row, gain = rows(name)
         room = 0.09 * airframe.max_thrust * airframe.arm
-        torque = np.array((roll * room, pitch * room, yaw * 0.09 * airframe.max_thrust * airframe.torque_ratio))
+        torque = np.array(
+            (roll * room, pitch * room, yaw * 0.09 * airframe.max_thrust * airframe.torque_ratio)
+        )
         command = np.empty(len(airframe.rotors))
         lee.mix(share * airframe.max_thrust * 0.8, torque, row, gain, command)
         assert (command <= airframe.max_rotor_speed).all()
@@ -80,14 +90,18 @@ def test_rotors_are_never_asked_for_more_than_they_can_do():
 @given(st.tuples(*[st.floats(-500, 500)] * 3), st.floats(-3.1, 3.1))
 def test_the_desired_force_is_flyable_and_its_axes_right_handed(acceleration, yaw):
     airframe, row, gain = rows("cf2x")
-    force = np.array(lee.force_setpoint(acceleration, (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), 0.0, G, row, gain))
+    force = np.array(
+        lee.force_setpoint(acceleration, (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), 0.0, G, row, gain)
+    )
     assert np.linalg.norm(force) <= 0.9 * airframe.max_thrust * (1 + 1e-12)
     assert np.hypot(*force[:2]) <= np.tan(np.radians(55)) * force[2] * (1 + 1e-12)
     R = np.array(lee.desired_axes(force, yaw)).T
     np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-12)
     assert np.linalg.det(R) == pytest.approx(1)
     np.testing.assert_allclose(R[:, 2] * np.linalg.norm(force), force, atol=1e-12)
-    assert R[:, 1] @ (np.cos(yaw), np.sin(yaw), 0) == pytest.approx(0, abs=1e-12)  # the nose in the plane of the yaw
+    assert R[:, 1] @ (np.cos(yaw), np.sin(yaw), 0) == pytest.approx(
+        0, abs=1e-12
+    )  # the nose in the plane of the yaw
 
 
 @given(st.floats(0, 500))
@@ -112,7 +126,9 @@ def settle(trace, target, axis, hz):
 
 @pytest.mark.parametrize("dynamics", ["bullet", "rigid_body"])
 @pytest.mark.parametrize("axis", [0, 1, 2])
-@pytest.mark.parametrize(("name", "limit"), [(name, 1.75 if name.startswith("cf2") else 1.5) for name in NAMES])
+@pytest.mark.parametrize(
+    ("name", "limit"), [(name, 1.75 if name.startswith("cf2") else 1.5) for name in NAMES]
+)
 def test_step_of_one_metre(make_bench, name, limit, axis, dynamics):
     bench = make_bench(dynamics, name, substeps=2)
     target = np.array((0.0, 0, 10, 0))

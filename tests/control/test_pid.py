@@ -15,13 +15,22 @@ def test_one_step_of_the_crazyflies_pid_by_hand():
     cf2x = load_airframe("cf2x")
     row, gain = parameter_rows([cf2x])[0], gain_rows([cf2x], 20.0)[0]
     q = Rotation.from_euler("xyz", (0.05, -0.1, 0.2)).as_quat()
-    rates, away, slow = np.array((0.1, -0.2, 0.3)), np.array((0.3, -0.2, 0.5)), np.array((-0.1, 0.2, 0.05))
+    rates, away, slow = (
+        np.array((0.1, -0.2, 0.3)),
+        np.array((0.3, -0.2, 0.5)),
+        np.array((-0.1, 0.2, 0.05)),
+    )
     command, dt, none = np.empty(4), 1 / 240, (0.0, 0.0, 0.0)
     integrals = pid_rotors(away, slow, 0.0, q, rates, (none, none), dt, G, row, gain, command)
 
     R = Rotation.from_quat(q).as_matrix()
     integral = away * dt
-    force = np.array((0.4, 0.4, 1.25)) * away + 0.05 * integral + np.array((0.2, 0.2, 0.5)) * slow + (0, 0, cf2x.mass * G)
+    force = (
+        np.array((0.4, 0.4, 1.25)) * away
+        + 0.05 * integral
+        + np.array((0.2, 0.2, 0.5)) * slow
+        + (0, 0, cf2x.mass * G)
+    )
     base = (np.sqrt(force @ R[:, 2] / (4 * 3.16e-10)) - 4070.3) / 0.2685
     z = force / np.linalg.norm(force)
     y = np.cross(z, (1, 0, 0))
@@ -43,7 +52,19 @@ def test_integrals_and_torques_are_bounded():
     q = Rotation.from_euler("x", 90, degrees=True).as_quat()
     integrals = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     for _ in range(10000):
-        integrals = pid_rotors((9.0, 9.0, 9.0), (0.0,) * 3, 2.0, q, (0.0,) * 3, integrals, 0.1, G, row, gain, np.empty(4))
+        integrals = pid_rotors(
+            (9.0, 9.0, 9.0),
+            (0.0,) * 3,
+            2.0,
+            q,
+            (0.0,) * 3,
+            integrals,
+            0.1,
+            G,
+            row,
+            gain,
+            np.empty(4),
+        )
     np.testing.assert_array_equal(integrals[0], (2.0, 2.0, 0.15))
     assert np.abs(integrals[1][:2]).max() <= 1.0
     assert 1.0 < abs(integrals[1][2]) <= 1500

@@ -51,7 +51,9 @@ def test_bullet_free_fall_is_the_semi_implicit_sum_with_exact_velocity(make_benc
     bench = fall(make_bench, "bullet", 240)
     bench.spin(0.0)
     assert bench.swarm.velocity[0, 0, 2] == pytest.approx(-G, abs=1e-6)
-    assert bench.swarm.position[0, 0, 2] - 1000 == pytest.approx(-G * 240 * 241 / 2 / 240**2, abs=1e-6)
+    assert bench.swarm.position[0, 0, 2] - 1000 == pytest.approx(
+        -G * 240 * 241 / 2 / 240**2, abs=1e-6
+    )
 
 
 def test_bullet_converges_with_first_order(make_bench):
@@ -147,7 +149,9 @@ def powered(make_bench, dynamics, airframe, **options):
     bench.swarm.velocity[:] = 1, 2, 0.5
     bench.swarm.rates[:] = 0.2, -0.1, 0.3
     bench.start = Swarm(*(array[0, 0].copy() for array in bench.swarm.copy()))
-    bench.command = bench.airframe.hover_speed() * np.resize([1.08, 1.08, 1.09, 1.08], len(bench.airframe.rotors))
+    bench.command = bench.airframe.hover_speed() * np.resize(
+        [1.08, 1.08, 1.09, 1.08], len(bench.airframe.rotors)
+    )
     return bench.place()
 
 
@@ -196,10 +200,15 @@ def test_rpm_obeys_the_plain_quadrotor_equations(dynamics):
     rpm = np.array([14600.0, 14610.0, 14605.0, 14602.0])
     for _ in range(30):
         env.step({"drone_0": rpm})
-    model = Reference(load_airframe("cf2x"), rpm * 2 * np.pi / 60, lag=False, drag=False, ground_effect=False)
+    model = Reference(
+        load_airframe("cf2x"), rpm * 2 * np.pi / 60, lag=False, drag=False, ground_effect=False
+    )
     begin = [array[0] for array in start]
     same_state(
-        env.aviary.swarm, model.solve(*begin, 1.0) if dynamics == "rigid_body" else model.engine_scheme(*begin, 1 / 240, 240)
+        env.aviary.swarm,
+        model.solve(*begin, 1.0)
+        if dynamics == "rigid_body"
+        else model.engine_scheme(*begin, 1 / 240, 240),
     )
     env.close()
 

@@ -39,7 +39,9 @@ def test_double_integrator_limits_acceleration_and_speed_by_norm(make_bench):
     bench = make_bench("double_integrator", max_speed=6.0)
     _, _, most = constants(bench)
     bench.fly(SetpointLevel.ACCELERATION, (300.0, 400.0, 0.0, 0.0))
-    np.testing.assert_allclose(bench.swarm.velocity[0, 0], 0.1 * most * np.array((0.6, 0.8, 0)), rtol=1e-12)
+    np.testing.assert_allclose(
+        bench.swarm.velocity[0, 0], 0.1 * most * np.array((0.6, 0.8, 0)), rtol=1e-12
+    )
     bench.fly(SetpointLevel.ACCELERATION, (3.0, 4.0, 0.0, 0.0), decisions=40)
     np.testing.assert_allclose(bench.swarm.velocity[0, 0], (3.6, 4.8, 0), rtol=1e-12)
 
@@ -87,7 +89,9 @@ def test_positions_are_reached_and_yaw_is_shown(make_bench, dynamics):
     bench = make_bench(dynamics)
     bench.fly(SetpointLevel.POSITION, (3.0, -2.0, 12.0, 0.5), decisions=80)
     np.testing.assert_allclose(bench.swarm.position[0, 0], (3, -2, 12), atol=0.01)
-    np.testing.assert_allclose(bench.swarm.quaternion[0, 0], (0, 0, np.sin(0.25), np.cos(0.25)), atol=1e-12)
+    np.testing.assert_allclose(
+        bench.swarm.quaternion[0, 0], (0, 0, np.sin(0.25), np.cos(0.25)), atol=1e-12
+    )
     assert not bench.swarm.rates.any()
 
 

@@ -150,7 +150,12 @@ def test_a_flight_that_diverges_is_named_and_can_be_reset(urdf, dynamics):
 
     with pytest.raises(RuntimeError, match="flight of drone 0 in world 0 diverged.*physics_hz"):
         fly_on()
-    hover = 2 * (aviary.options.airframe[0].hover_speed() / aviary.options.airframe[0].max_rotor_speed) ** 2 - 1
+    hover = (
+        2
+        * (aviary.options.airframe[0].hover_speed() / aviary.options.airframe[0].max_rotor_speed)
+        ** 2
+        - 1
+    )
     aviary.reset(seeds=0)
     aviary.step(np.full((1, 1, 4), hover))
     aviary.close()
@@ -185,7 +190,9 @@ def flown(make_bench, dynamics, position, velocity, seconds=1.0):
     bench.swarm.position[0] = position
     bench.swarm.velocity[0] = velocity
     bench.place()
-    setpoint = np.concatenate([np.array(velocity, dtype=float), np.zeros((len(position), 1))], axis=1)[None]
+    setpoint = np.concatenate(
+        [np.array(velocity, dtype=float), np.zeros((len(position), 1))], axis=1
+    )[None]
     return bench.swarm, bench.fly(SetpointLevel.VELOCITY, setpoint)
 
 
@@ -193,14 +200,18 @@ def flown(make_bench, dynamics, position, velocity, seconds=1.0):
 @pytest.mark.parametrize("dynamics", STRAIGHT)
 def test_the_impulse_does_not_depend_on_how_a_decision_is_cut(make_bench, dynamics, seconds):
     _, contacts = flown(make_bench, dynamics, [(0, 0, 0.5)], [(0, 0, -10)], seconds)
-    assert contacts.impulse == pytest.approx(10 * 0.716, rel=1e-3 if dynamics == "single_integrator" else 0.1)
+    assert contacts.impulse == pytest.approx(
+        10 * 0.716, rel=1e-3 if dynamics == "single_integrator" else 0.1
+    )
 
 
 @pytest.mark.parametrize(("height", "touches"), [(2.83, False), (0.09, True)])
 @pytest.mark.parametrize("dynamics", STRAIGHT)
 def test_who_fell_lies_where_it_fell_while_others_pass(make_bench, dynamics, height, touches):
     """The first is on the ground after 0.46 s, the second comes over that place after 0.6 s, high or low."""
-    swarm, contacts = flown(make_bench, dynamics, [(0, 0, 7), (-8.4, 0, height)], [(0, 0, -15), (14, 0, 0)])
+    swarm, contacts = flown(
+        make_bench, dynamics, [(0, 0, 7), (-8.4, 0, height)], [(0, 0, -15), (14, 0, 0)]
+    )
     assert (0, GROUND) in zip(contacts.drone.tolist(), contacts.other.tolist(), strict=True)
     assert ((1, 0) in zip(contacts.drone.tolist(), contacts.other.tolist(), strict=True)) == touches
     assert swarm.position[0, 0] == pytest.approx([0, 0, 0.055], abs=0.01)

@@ -38,7 +38,9 @@ def crosses(body, start, end, target, turns):
     begin = turn.apply(start - target)
     way = turn.apply(end - target) - begin
     if body.kind == "sphere":
-        nearest = np.clip(-(begin * way).sum(axis=1) / np.maximum((way**2).sum(axis=1), 1e-12), 0, 1)
+        nearest = np.clip(
+            -(begin * way).sum(axis=1) / np.maximum((way**2).sum(axis=1), 1e-12), 0, 1
+        )
         return np.linalg.norm(begin + nearest[:, None] * way, axis=1) < body.size[0] - SLACK
     half = np.array(body.size) / 2 - SLACK
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -50,7 +52,14 @@ def crosses(body, start, end, target, turns):
 def range_of_shots(make_bench, dynamics, airframe, shots):
     """A bench whose world k is one shot at body k mod 5, turned at random, from a random direction at 5 to 40 m/s."""
     bench = make_bench(
-        dynamics, airframe, worlds=shots, effects=(), obstacles=BODIES, substeps=1, max_speed=100.0, gravity=0.0
+        dynamics,
+        airframe,
+        worlds=shots,
+        effects=(),
+        obstacles=BODIES,
+        substeps=1,
+        max_speed=100.0,
+        gravity=0.0,
     )
     rng = np.random.default_rng(0)
     aim = rng.normal(size=(shots, 3))
@@ -69,7 +78,13 @@ def range_of_shots(make_bench, dynamics, airframe, shots):
     bench.swarm.quaternion[:, 0] = Rotation.random(shots, rng=rng).as_quat()
     bench.swarm.rotor_speed[:] = 0
     bench.place()
-    bench.aim, bench.speed, bench.chosen, bench.target, bench.turns = aim, speed, chosen, target, turns
+    bench.aim, bench.speed, bench.chosen, bench.target, bench.turns = (
+        aim,
+        speed,
+        chosen,
+        target,
+        turns,
+    )
     bench.distance = distance
     return bench
 
@@ -82,7 +97,9 @@ def test_no_shot_passes(make_bench, airframe, dynamics, shots):
     level = bench.dynamics.consumes
     setpoint = {
         SetpointLevel.ROTOR: np.zeros((shots, 1, 6)),
-        SetpointLevel.VELOCITY: np.concatenate([bench.swarm.velocity, np.zeros((shots, 1, 1))], axis=-1),
+        SetpointLevel.VELOCITY: np.concatenate(
+            [bench.swarm.velocity, np.zeros((shots, 1, 1))], axis=-1
+        ),
         SetpointLevel.ACCELERATION: np.zeros((shots, 1, 4)),
     }[level]
     met = np.zeros((shots, 1), dtype=bool)
@@ -91,7 +108,9 @@ def test_no_shot_passes(make_bench, airframe, dynamics, shots):
     steps = int(np.ceil((2 * bench.distance / bench.speed).max() * 240))
     for _ in range(steps):
         bench.alive &= ~met if dynamics != "bullet" else True
-        contacts = bench.dynamics.fly(bench.swarm, bench.alive, level, setpoint, bench.wind, bench.motion)
+        contacts = bench.dynamics.fly(
+            bench.swarm, bench.alive, level, setpoint, bench.wind, bench.motion
+        )
         assert (contacts.other == FIRST_OBSTACLE - bench.chosen[contacts.world]).all()
         met |= contacts.mask(met.shape)
         for k, body in enumerate(BODIES):
@@ -103,7 +122,9 @@ def test_no_shot_passes(make_bench, airframe, dynamics, shots):
     if dynamics != "bullet":  # stopped at the first touch, outside
         for k, body in enumerate(BODIES):
             mine = bench.chosen == k
-            assert not inside(body, bench.swarm.position[mine, 0], bench.target, bench.turns[mine, k]).any()
+            assert not inside(
+                body, bench.swarm.position[mine, 0], bench.target, bench.turns[mine, k]
+            ).any()
         assert not bench.swarm.velocity.any()
 
 
@@ -112,13 +133,19 @@ def test_a_moving_body_hits_a_drone_that_hovers(make_bench, dynamics):
     bench = make_bench(dynamics, "cf2x", obstacles=(Obstacle("box", (1.0, 1.0, 1.0)),), effects=())
     turn = np.array([[(0.0, 0.0, 0.0, 1.0)]])
     bench.place()
-    level = SetpointLevel.ROTOR if bench.dynamics.consumes == SetpointLevel.ROTOR else SetpointLevel.POSITION
+    level = (
+        SetpointLevel.ROTOR
+        if bench.dynamics.consumes == SetpointLevel.ROTOR
+        else SetpointLevel.POSITION
+    )
     hover = bench.airframe.hover_speed()
     seen = []
     for k in range(20):
         places = [np.array([[(-3.0 + 0.2 * step, 0.0, 10.0)]]) for step in (k, k + 1)]
         bench.motion = Motion(*places, turn)
-        contacts = bench.fly(level, (hover,) * 4 if level == SetpointLevel.ROTOR else (0.0, 0.0, 10.0, 0.0))
+        contacts = bench.fly(
+            level, (hover,) * 4 if level == SetpointLevel.ROTOR else (0.0, 0.0, 10.0, 0.0)
+        )
         seen += contacts.other.tolist()
         if seen:
             break
@@ -127,7 +154,11 @@ def test_a_moving_body_hits_a_drone_that_hovers(make_bench, dynamics):
 
 
 def test_rays_see_obstacles(make_bench):
-    bench = make_bench("bullet", obstacles=(Obstacle("box", (4.0, 4.0, 2.0)), Obstacle("sphere", (1.0,))), worlds=2)
+    bench = make_bench(
+        "bullet", obstacles=(Obstacle("box", (4.0, 4.0, 2.0)), Obstacle("sphere", (1.0,))), worlds=2
+    )
     places = np.array([[(0.0, 0, 5), (3.0, 0, 20)], [(50.0, 0, 5), (0.0, 0, 4)]])
     bench.engine.set_obstacles(places, np.tile((0.0, 0, 0, 1), (2, 2, 1)), np.ones(2, dtype=bool))
-    np.testing.assert_allclose(bench.engine.surface_below(bench.swarm.position, bench.alive)[:, 0], (6.0, 5.0), atol=1e-6)
+    np.testing.assert_allclose(
+        bench.engine.surface_below(bench.swarm.position, bench.alive)[:, 0], (6.0, 5.0), atol=1e-6
+    )

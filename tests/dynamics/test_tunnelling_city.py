@@ -19,21 +19,32 @@ LOWEST = 1.0  # m: nothing is fired or hits below, where the ground would be in 
 def block(size, turn=0.0, lift=0.0):
     """Corners (8, 3) of a box about the z axis, its lower face at `lift` m, turned by `turn` degrees."""
     half = np.array(size) / 2
-    corners = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * half + (0, 0, half[2] + lift)
+    corners = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * half + (
+        0,
+        0,
+        half[2] + lift,
+    )
     return Rotation.from_euler("z", turn, degrees=True).apply(corners)
 
 
 def house():
     """Walls 4 m high under a gabled roof, whose ridge is 7 m high; the whole turned."""
     gables = np.array([(x, 0.0, 7.0) for x in (-5, 5)])
-    return Rotation.from_euler("z", 25, degrees=True).apply(np.concatenate([block((10, 6, 4)), gables]))
+    return Rotation.from_euler("z", 25, degrees=True).apply(
+        np.concatenate([block((10, 6, 4)), gables])
+    )
 
 
-BOXES = (block((10, 8, 12)), block((0.2, 8, 10)), block((8, 8, 0.2), lift=5))  # a building, a thin wall, a thin roof
+BOXES = (
+    block((10, 8, 12)),
+    block((0.2, 8, 10)),
+    block((8, 8, 0.2), lift=5),
+)  # a building, a thin wall, a thin roof
 HULLS = (house(), block((0.2, 8, 10), 30), block((3, 3, 9), 45), block((8, 5, 0.2), 15, lift=5))
 PIECES = [piece + (PITCH * k, 0, 0) for k, piece in enumerate(BOXES + HULLS)]
 SOLIDS = Solids(
-    np.array([(piece.min(axis=0), piece.max(axis=0)) for piece in PIECES[: len(BOXES)]]), tuple(PIECES[len(BOXES) :])
+    np.array([(piece.min(axis=0), piece.max(axis=0)) for piece in PIECES[: len(BOXES)]]),
+    tuple(PIECES[len(BOXES) :]),
 )
 
 
@@ -54,14 +65,26 @@ def events(piece, rng, count):
     for k in range(count):
         while True:
             face = rng.integers(len(hull.simplices))
-            share = rng.dirichlet((1, 1, 1)) * (1, 1, k % 2)  # of its corners; two of them make an edge
+            share = rng.dirichlet((1, 1, 1)) * (
+                1,
+                1,
+                k % 2,
+            )  # of its corners; two of them make an edge
             target[k] = share @ piece[hull.simplices[face]] / share.sum()
-            near = hull.equations[np.abs(hull.equations[:, :3] @ target[k] + hull.equations[:, 3]) < 1e-9]
+            near = hull.equations[
+                np.abs(hull.equations[:, :3] @ target[k] + hull.equations[:, 3]) < 1e-9
+            ]
             away = rng.normal(size=3)
             away /= np.linalg.norm(away)
             begin = target[k] + REACH * away
-            outside = (hull.equations[:, :3] @ begin + hull.equations[:, 3]).max() > 0.6  # no drone's radius is greater
-            if min(target[k, 2], begin[2]) > LOWEST and outside and (near[:, :3] @ away > 0.2).all():
+            outside = (
+                hull.equations[:, :3] @ begin + hull.equations[:, 3]
+            ).max() > 0.6  # no drone's radius is greater
+            if (
+                min(target[k, 2], begin[2]) > LOWEST
+                and outside
+                and (near[:, :3] @ away > 0.2).all()
+            ):
                 break
         aim[k] = -away
     return target, aim
@@ -97,7 +120,9 @@ def test_no_shot_passes(make_bench, airframe, dynamics, shots):
     one = range_of_shots(make_bench, dynamics, airframe, shots)
     setpoint = {
         SetpointLevel.ROTOR: np.zeros((shots, 1, 6)),
-        SetpointLevel.VELOCITY: np.concatenate([one.swarm.velocity, np.zeros((shots, 1, 1))], axis=-1),
+        SetpointLevel.VELOCITY: np.concatenate(
+            [one.swarm.velocity, np.zeros((shots, 1, 1))], axis=-1
+        ),
         SetpointLevel.ACCELERATION: np.zeros((shots, 1, 4)),
     }[one.dynamics.consumes]
     planes = [ConvexHull(piece).equations for piece in PIECES]
@@ -106,7 +131,9 @@ def test_no_shot_passes(make_bench, airframe, dynamics, shots):
     for _ in range(int(np.ceil(2 * REACH / 5 * 240))):
         one.alive &= ~met if dynamics != "bullet" else True
         before = one.swarm.position[:, 0].copy()
-        contacts = one.dynamics.fly(one.swarm, one.alive, one.dynamics.consumes, setpoint, one.wind, one.motion)
+        contacts = one.dynamics.fly(
+            one.swarm, one.alive, one.dynamics.consumes, setpoint, one.wind, one.motion
+        )
         assert set(contacts.other[~met[contacts.world, 0]]) <= {CITY}
         met |= contacts.mask(met.shape)
         for k, sides in enumerate(planes):
@@ -121,6 +148,12 @@ def test_no_shot_passes(make_bench, airframe, dynamics, shots):
 def test_a_pass_is_known_when_it_is_seen():
     """Through the thin wall at x = 40 in one leap, into it, along it, over it, away from it, and not as deep as that."""
     planes = ConvexHull(PIECES[1]).equations
-    start = np.array([(39.0, 0, 5), (39, 0, 5), (39.88, -9, 5), (39, 0, 10.1), (39, 0, 5), (39, 0, 5)])
-    end = np.array([(41.0, 0, 5), (39.96, 0, 5), (39.88, 9, 5), (41, 0, 10.1), (38, 0, 5), (39.94, 0, 5)])
-    np.testing.assert_array_equal(crosses(planes, start, end, 0.05), (True, True, False, False, False, False))
+    start = np.array(
+        [(39.0, 0, 5), (39, 0, 5), (39.88, -9, 5), (39, 0, 10.1), (39, 0, 5), (39, 0, 5)]
+    )
+    end = np.array(
+        [(41.0, 0, 5), (39.96, 0, 5), (39.88, 9, 5), (41, 0, 10.1), (38, 0, 5), (39.94, 0, 5)]
+    )
+    np.testing.assert_array_equal(
+        crosses(planes, start, end, 0.05), (True, True, False, False, False, False)
+    )

@@ -19,7 +19,9 @@ from bulletuav.engine.calls import MAX_RAYS, SURFACE_GROUP, bullet
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.vehicle.swarm import Motion
 
-needs_extension = pytest.mark.skipif(os.environ.get(SWITCH) == "0", reason="the extension is turned off")
+needs_extension = pytest.mark.skipif(
+    os.environ.get(SWITCH) == "0", reason="the extension is turned off"
+)
 
 
 @pytest.fixture
@@ -69,7 +71,10 @@ def test_flights_are_the_same_to_the_bit(pair, airframe):
 @needs_extension
 def test_heaps_with_contacts_are_the_same_to_the_bit(pair):
     benches = pair("bullet", worlds=2, drones=12)
-    for seed in (1, 2):  # the second after a reset in place, with the first one's contacts behind it
+    for seed in (
+        1,
+        2,
+    ):  # the second after a reset in place, with the first one's contacts behind it
         scatter(benches, seed, 0.4)
         touched = 0
         for _ in range(20):
@@ -93,7 +98,10 @@ def test_fast_flight_among_moving_obstacles_is_the_same_to_the_bit(pair):
         motion = Motion(before, before + (0.4, 0.3, 0), turns)
         setpoint = np.broadcast_to((0.0, 0, 4, 0), (2, 6, 4)).copy()
         contacts = [
-            one.dynamics.fly(one.swarm, one.alive, SetpointLevel.POSITION, setpoint, one.wind, motion) for one in benches
+            one.dynamics.fly(
+                one.swarm, one.alive, SetpointLevel.POSITION, setpoint, one.wind, motion
+            )
+            for one in benches
         ]
         same(*benches)
         for mine, theirs in zip(*contacts, strict=True):
@@ -104,13 +112,17 @@ def test_fast_flight_among_moving_obstacles_is_the_same_to_the_bit(pair):
 
 @needs_extension
 def test_every_call_alone_is_the_same_to_the_bit(pair):
-    fast, plain = benches = pair("bullet", worlds=2, drones=100, obstacles=(Obstacle("box", (4.0, 4.0, 1.0)),))
+    fast, plain = benches = pair(
+        "bullet", worlds=2, drones=100, obstacles=(Obstacle("box", (4.0, 4.0, 1.0)),)
+    )
     scatter(benches, 5, 1.0)
     mask = np.random.default_rng(0).random((2, 100)) < 0.7
     force = np.random.default_rng(1).normal(size=(2, 2, 100, 3))
     for one in benches:
         assert isinstance(one.engine._calls, CExtension) == (one is fast)
-        one.engine.set_obstacles(np.full((2, 1, 3), 0.5), np.tile((0.0, 0, 0, 1), (2, 1, 1)), np.array([True, False]))
+        one.engine.set_obstacles(
+            np.full((2, 1, 3), 0.5), np.tile((0.0, 0, 0, 1), (2, 1, 1)), np.array([True, False])
+        )
         one.engine.apply_wrenches(*force, mask)
         one.engine.step()
         one.engine.step()
@@ -120,7 +132,9 @@ def test_every_call_alone_is_the_same_to_the_bit(pair):
     assert len(contacts) > 64  # more than the extension has room for at first
     assert contacts == plain.engine.contacts()
     start = np.random.default_rng(2).uniform(-3, 3, (MAX_RAYS + 100, 3)) + (0, 0, 3)
-    fractions = [one.engine._calls.rays(start, start - (0.5, 0.2, 4), SURFACE_GROUP) for one in benches]
+    fractions = [
+        one.engine._calls.rays(start, start - (0.5, 0.2, 4), SURFACE_GROUP) for one in benches
+    ]
     assert fractions[0].tobytes() == fractions[1].tobytes()
     assert 100 < (fractions[0] < 1).sum() < len(start)
 
@@ -128,12 +142,21 @@ def test_every_call_alone_is_the_same_to_the_bit(pair):
 @needs_extension
 def test_surface_below_an_edge_inside_the_compiled_loop(pair):
     """Ground effect over a box and beside it: the ray from the compiled loop meets what the one from Python meets."""
-    benches = pair("bullet", drones=3, obstacles=(Obstacle("box", (2.0, 2.0, 1.0)),), effects=("ground_effect",))
+    benches = pair(
+        "bullet",
+        drones=3,
+        obstacles=(Obstacle("box", (2.0, 2.0, 1.0)),),
+        effects=("ground_effect",),
+    )
     at = np.array([[[0.0, 0, 0.5]]])
     lifts = []
     for one in benches:
         one.engine.set_obstacles(at, np.tile((0.0, 0, 0, 1), (1, 1, 1)), np.array([True]))
-        one.swarm.position[0] = (0, 0, 1.3), (1.2, 0, 1.3), (9, 0, 1.3)  # above, in the bounding sphere only, far away
+        one.swarm.position[0] = (
+            (0, 0, 1.3),
+            (1.2, 0, 1.3),
+            (9, 0, 1.3),
+        )  # above, in the bounding sphere only, far away
         one.place().spin(one.airframe.hover_speed())
         lifts.append(one.swarm.velocity[0, :, 2].copy())
     same(*benches)
@@ -157,7 +180,10 @@ def test_the_switch_turns_it_off(monkeypatch):
 @needs_extension
 def test_a_module_that_lacks_a_function_is_named(make_bench):
     assert load(_ctypes.__file__).missing.endswith("does not offer b3InitStepSimulationCommand")
-    assert load("/nowhere/pybullet.so").missing == "pybullet.so does not offer a loaded pybullet module"
+    assert (
+        load("/nowhere/pybullet.so").missing
+        == "pybullet.so does not offer a loaded pybullet module"
+    )
     make_bench("bullet").place().spin(0.0)  # what was found before still works
 
 
@@ -202,10 +228,21 @@ def test_a_smoke_set_without_the_extension():
     ]
     command = [sys.executable, "-m", "pytest", "-n0", "-p", "no:cacheprovider", *files]
     # Some take long, and no other way through the code: users on the ground, and what only differs in them.
-    users = " and ".join(f"not always_did[{task}]" for task in ("coverage", "default", "los", "mec", "mec_advanced"))
-    skip = ["-k", f"not smoke and not thousand and not trace and {users} and not mobile_users and not follow"]
+    users = " and ".join(
+        f"not always_did[{task}]" for task in ("coverage", "default", "los", "mec", "mec_advanced")
+    )
+    skip = [
+        "-k",
+        f"not smoke and not thousand and not trace and {users} and not mobile_users and not follow",
+    ]
     done = subprocess.run(
-        command + skip, cwd=root, env={**os.environ, SWITCH: "0"}, capture_output=True, text=True, timeout=250, check=False
+        command + skip,
+        cwd=root,
+        env={**os.environ, SWITCH: "0"},
+        capture_output=True,
+        text=True,
+        timeout=250,
+        check=False,
     )
     assert done.returncode == 0, done.stdout[-3000:]
 

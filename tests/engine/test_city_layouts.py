@@ -17,7 +17,9 @@ from bulletuav.geometry.city_grid import NO_LAYOUT
 from bulletuav.geometry.solids import Solids, box_corners
 from bulletuav.vehicle.swarm import CITY, GROUND
 
-needs_extension = pytest.mark.skipif(os.environ.get(SWITCH) == "0", reason="the extension is turned off")
+needs_extension = pytest.mark.skipif(
+    os.environ.get(SWITCH) == "0", reason="the extension is turned off"
+)
 HALF = 0.055  # m, half the height of a hummingbird; its radius is 0.27 m
 TURN = np.radians(np.arange(0, 360, 60))
 RING = 4 * np.stack([np.cos(TURN), np.sin(TURN)], axis=1) + (30, 0)
@@ -43,7 +45,10 @@ def make_town(make_bench):
 def stand(one, layout, mask=None):
     """Have a layout, one or (W,), stand in the worlds of `mask`."""
     worlds = len(one.alive)
-    one.engine.set_layouts(np.broadcast_to(layout, worlds), np.ones(worlds, dtype=bool) if mask is None else np.array(mask))
+    one.engine.set_layouts(
+        np.broadcast_to(layout, worlds),
+        np.ones(worlds, dtype=bool) if mask is None else np.array(mask),
+    )
 
 
 def distance(one, start, way, world=0, most=100.0):
@@ -68,7 +73,9 @@ def test_rays_meet_the_surfaces_exactly(make_town):
         ((15, 0, 9), (-1, 0, 0), 100.0),  # over the box
         ((15, 0, 50), DOWN, 50.0),
     ):
-        assert distance(one, start, way) == pytest.approx(expected, abs=1e-6)  # hulls that drones touch are 1 mm thicker
+        assert distance(one, start, way) == pytest.approx(
+            expected, abs=1e-6
+        )  # hulls that drones touch are 1 mm thicker
 
 
 def test_rays_from_inside_meet_the_wall(make_town):
@@ -85,8 +92,17 @@ def test_a_thin_wall_is_seen(make_town, thickness):
 
 def test_surface_below_streets_roofs_and_hulls(make_town):
     one = make_town((TOWN,), drones=6)
-    one.swarm.position[0] = (0, 0, 30), (4.9, -4.9, 9), (5.1, 0, 30), (30, 0, 30), (33.9, 0, 30), (33.9, 1, 30)
-    assert one.engine.surface_below(one.swarm.position, one.alive)[0] == pytest.approx((8, 8, 0, 12, 12, 0), abs=1e-6)
+    one.swarm.position[0] = (
+        (0, 0, 30),
+        (4.9, -4.9, 9),
+        (5.1, 0, 30),
+        (30, 0, 30),
+        (33.9, 0, 30),
+        (33.9, 1, 30),
+    )
+    assert one.engine.surface_below(one.swarm.position, one.alive)[0] == pytest.approx(
+        (8, 8, 0, 12, 12, 0), abs=1e-6
+    )
 
 
 @pytest.mark.parametrize("irregularity", [0.0, 1.0])
@@ -97,7 +113,9 @@ def test_surface_below_a_generated_city(make_town, irregularity):
     one.swarm.position[0] = np.column_stack([rng.uniform(-210, 210, (500, 2)), np.full(500, 150.0)])
     roofs = city.roof(one.swarm.position[0])
     assert 150 < (roofs > 0).sum() < 350
-    np.testing.assert_allclose(one.engine.surface_below(one.swarm.position, one.alive)[0], roofs, atol=1e-6)
+    np.testing.assert_allclose(
+        one.engine.surface_below(one.swarm.position, one.alive)[0], roofs, atol=1e-6
+    )
 
 
 # What drones touch
@@ -111,7 +129,11 @@ def test_a_drone_falls_on_a_roof_and_rests_there(make_town, dynamics):
     one.place()
     contacts = [one.spin(0.0) for _ in range(10)]
     np.testing.assert_allclose(one.swarm.position[0, :, 2], (8 + HALF, 12 + HALF, HALF), atol=3e-3)
-    touched = {(drone, other) for hits in contacts for drone, other in zip(hits.drone, hits.other, strict=True)}
+    touched = {
+        (drone, other)
+        for hits in contacts
+        for drone, other in zip(hits.drone, hits.other, strict=True)
+    }
     assert touched == {(0, CITY), (1, CITY), (2, GROUND)}
     if dynamics == "bullet":
         np.testing.assert_allclose(contacts[-1].impulse, 0.716 * 9.80665 * 0.1, rtol=0.05)
@@ -127,8 +149,14 @@ def test_a_wall_stops_a_drone(make_town, dynamics):
     one.swarm.rotor_speed[:] = 0
     one.place()
     contacts = [one.spin(0.0) for _ in range(5)]
-    assert {(d, o) for hits in contacts for d, o in zip(hits.drone, hits.other, strict=True)} == {(0, CITY), (1, CITY)}
-    gap = -5 - one.swarm.position[0, 0, 0], (30, 0, 6) @ way - one.swarm.position[0, 1] @ way - 2 * np.sqrt(3)
+    assert {(d, o) for hits in contacts for d, o in zip(hits.drone, hits.other, strict=True)} == {
+        (0, CITY),
+        (1, CITY),
+    }
+    gap = (
+        -5 - one.swarm.position[0, 0, 0],
+        (30, 0, 6) @ way - one.swarm.position[0, 1] @ way - 2 * np.sqrt(3),
+    )
     if dynamics == "bullet":  # stopped, or thrown back a little
         assert all(0.265 < one_gap < 0.4 for one_gap in gap)
         assert all(one.swarm.velocity[0] @ way < 0.1)
@@ -191,13 +219,24 @@ def test_another_layout_takes_its_place(make_town, dynamics):
     one = make_town((TOWN, TOWER), dynamics, effects=(), gravity=0.0)
 
     def shot():
-        one.swarm.position[:], one.swarm.velocity[:], one.swarm.rotor_speed[:] = (-7, 0, 7), (20, 0, 0), 0
+        one.swarm.position[:], one.swarm.velocity[:], one.swarm.rotor_speed[:] = (
+            (-7, 0, 7),
+            (20, 0, 0),
+            0,
+        )
         one.swarm.quaternion[:], one.swarm.rates[:] = (0, 0, 0, 1), 0
         contacts = one.place().spin(0.0, 2)
         seen = distance(one, (-25, 0, 4), (1, 0, 0)), distance(one, (0, 0, 50), DOWN)
         return seen, float(one.swarm.position[0, 0, 0]), list(contacts.other)
 
-    for layout, wall, roof in ((0, 20, 42), (1, 23, 30), (0, 20, 42), (NO_LAYOUT, 100, 50), (1, 23, 30), (1, 23, 30)):
+    for layout, wall, roof in (
+        (0, 20, 42),
+        (1, 23, 30),
+        (0, 20, 42),
+        (NO_LAYOUT, 100, 50),
+        (1, 23, 30),
+        (1, 23, 30),
+    ):
         stand(one, layout)
         seen, x, _ = shot()
         assert seen == pytest.approx((wall, roof), abs=1e-6)
@@ -215,9 +254,13 @@ def test_a_world_has_its_own_layout_and_only_those_asked_for_change(make_town):
         return [round(50 - distance(one, (0, 0, 50), DOWN, world), 6) for world in range(3)]
 
     assert roofs() == [8, 20, 0]
-    assert [distance(one, (50, 0, 6), (-1, 0, 0), world) for world in range(3)] == pytest.approx([16, 48, 100], abs=1e-6)
+    assert [distance(one, (50, 0, 6), (-1, 0, 0), world) for world in range(3)] == pytest.approx(
+        [16, 48, 100], abs=1e-6
+    )
     one.swarm.position[:] = 0, 0, 40
-    assert one.engine.surface_below(one.swarm.position, one.alive)[:, 0] == pytest.approx([8, 20, 0], abs=1e-6)
+    assert one.engine.surface_below(one.swarm.position, one.alive)[:, 0] == pytest.approx(
+        [8, 20, 0], abs=1e-6
+    )
     stand(one, [1, 0, 0], mask=[False, True, False])
     assert roofs() == [8, 8, 0]
     stand(one, [1, NO_LAYOUT, 1], mask=[True, True, True])
@@ -236,7 +279,9 @@ def test_drones_touch_what_stands_in_their_own_world(make_town):
 
 
 def test_resets_make_no_bodies_and_remove_none():
-    aviary = bulletuav.Aviary("navigation", 2, area=150.0, leg=50.0, num_layouts=3, irregularity=0.5, seed=0)
+    aviary = bulletuav.Aviary(
+        "navigation", 2, area=150.0, leg=50.0, num_layouts=3, irregularity=0.5, seed=0
+    )
     client = aviary._engine._client
 
     def bodies():
@@ -266,7 +311,9 @@ def test_rays_and_flights_are_the_same_to_the_bit_without_the_extension(make_tow
     rng = np.random.default_rng(1)
     start, end = rng.uniform(-70, 70, (2, 5000, 3)) + (0, 0, 72)
     where = rng.integers(2, size=5000)
-    fractions = [one.engine.cast_rays(start, end, where, (one.swarm, one.alive)) for one in (fast, plain)]
+    fractions = [
+        one.engine.cast_rays(start, end, where, (one.swarm, one.alive)) for one in (fast, plain)
+    ]
     assert fractions[0].tobytes() == fractions[1].tobytes()
     assert 100 < (fractions[0] < 1).sum() < 4900
     touched = []
@@ -275,8 +322,12 @@ def test_rays_and_flights_are_the_same_to_the_bit_without_the_extension(make_tow
             stand(one, layout)
             scatter(one)
         for _ in range(10):
-            contacts = [one.fly(SetpointLevel.VELOCITY, (3.0, 1.0, -6.0, 0.0)) for one in (fast, plain)]
-            for mine, theirs in zip((*fast.swarm, *contacts[0]), (*plain.swarm, *contacts[1]), strict=True):
+            contacts = [
+                one.fly(SetpointLevel.VELOCITY, (3.0, 1.0, -6.0, 0.0)) for one in (fast, plain)
+            ]
+            for mine, theirs in zip(
+                (*fast.swarm, *contacts[0]), (*plain.swarm, *contacts[1]), strict=True
+            ):
                 assert mine.tobytes() == theirs.tobytes()
             touched += contacts[0].other.tolist()
     assert touched.count(CITY) > 30
@@ -289,14 +340,21 @@ def rubble(seed):
     """80 boxes of 0.2 to 1 m over each other."""
     rng = np.random.default_rng(seed)
     low = np.column_stack([rng.uniform(-2, 2, (80, 2)), np.zeros(80)])
-    return Solids(np.stack([low, low + np.column_stack([rng.uniform(0.2, 0.6, (80, 2)), rng.uniform(0.2, 1, 80)])], axis=1))
+    return Solids(
+        np.stack(
+            [low, low + np.column_stack([rng.uniform(0.2, 0.6, (80, 2)), rng.uniform(0.2, 1, 80)])],
+            axis=1,
+        )
+    )
 
 
 def scatter(one, mask=None):
     """Drones at rest side by side, 0.6 m apart, 1.5 m up."""
     mask = one.alive if mask is None else mask
     drones = one.alive.shape[1]
-    places = [(1.2 * (i // 2 % 3) - 1.2, 1.2 * (i % 2) - 0.6, 1.5 + 0.6 * (i // 6)) for i in range(drones)]
+    places = [
+        (1.2 * (i // 2 % 3) - 1.2, 1.2 * (i % 2) - 0.6, 1.5 + 0.6 * (i // 6)) for i in range(drones)
+    ]
     one.swarm.position[mask] = np.tile(places, (mask.sum() // drones, 1))
     one.swarm.quaternion[mask] = 0, 0, 0, 1
     one.swarm.velocity[mask] = one.swarm.rates[mask] = 0
@@ -312,7 +370,9 @@ def stumble(one, decisions, seeds, k=0):
     for _ in range(decisions):
         velocity = [rng.uniform((-6, -6, -7), (6, 6, -1), (drones, 3)) for rng in streams]
         setpoint = np.concatenate([velocity, np.zeros((len(seeds), drones, 1))], axis=-1)
-        contacts = one.dynamics.fly(one.swarm, one.alive, SetpointLevel.VELOCITY, setpoint, one.wind, one.motion)
+        contacts = one.dynamics.fly(
+            one.swarm, one.alive, SetpointLevel.VELOCITY, setpoint, one.wind, one.motion
+        )
         seen.append(b"".join(array[k].tobytes() for array in one.swarm))
         touches += int(((contacts.world == k) & (contacts.other == CITY)).sum())
     assert touches > 3 * decisions  # otherwise nothing was tested
@@ -360,17 +420,25 @@ def test_a_world_of_an_environment_does_not_feel_the_others():
 
     def run(others, worlds=3, first_world=0):
         town = {"city": "dense", "area": 150.0, "leg": 50.0, "irregularity": 0.5}
-        aviary = bulletuav.Aviary("lidar_navigation", worlds, first_world=first_world, horizon=40, **town)
+        aviary = bulletuav.Aviary(
+            "lidar_navigation", worlds, first_world=first_world, horizon=40, **town
+        )
         k = 1 - first_world
         observations, seen, hits = aviary.reset(seeds=first_world), [], 0
         seen.append(observations[k].tobytes())
         streams = [np.random.default_rng(7 if w == k else others + w) for w in range(worlds)]
         mean = [rng.uniform(-1, 1, (3, 3)) * (1, 1, 0.2) for rng in streams]
         for _ in range(200):
-            action = np.array([m + rng.uniform(-0.1, 0.1, (3, 3)) for m, rng in zip(mean, streams, strict=True)])
+            action = np.array(
+                [m + rng.uniform(-0.1, 0.1, (3, 3)) for m, rng in zip(mean, streams, strict=True)]
+            )
             step = aviary.step(action)
             hits += int(step.info["collision"][k].sum())
-            seen.append(b"".join(array[k].tobytes() for array in (*aviary.swarm, step.observations, step.rewards)))
+            seen.append(
+                b"".join(
+                    array[k].tobytes() for array in (*aviary.swarm, step.observations, step.rewards)
+                )
+            )
             over = ~aviary.alive.any(axis=1)
             if over.any():
                 observations = aviary.reset(over)
@@ -387,18 +455,31 @@ def test_a_world_of_an_environment_does_not_feel_the_others():
 
 def test_a_city_of_thousands_of_boxes_is_built_and_seen(make_town):
     """More than one mesh of the engine holds: 36 corners of triangles for each box."""
-    place = 4.0 * np.stack(np.meshgrid(np.arange(70), np.arange(60), indexing="ij"), axis=-1).reshape(-1, 2) - 140
+    place = (
+        4.0
+        * np.stack(np.meshgrid(np.arange(70), np.arange(60), indexing="ij"), axis=-1).reshape(-1, 2)
+        - 140
+    )
     low = np.concatenate([place, np.zeros((len(place), 1))], axis=1)
-    hull = box_corners(np.array([(60.5, 60.5, 9), (61.5, 61.5, 10)]))  # with it, rays are the engine's
+    hull = box_corners(
+        np.array([(60.5, 60.5, 9), (61.5, 61.5, 10)])
+    )  # with it, rays are the engine's
     one = make_town((Solids(np.stack([low, low + (2.0, 2.0, 3.0)], axis=1), (hull,)),))
     start = np.concatenate([place + 1, np.full((len(place), 1), 20.0)], axis=1)
     fraction = one.engine.cast_rays(start, start - (0, 0, 20), np.zeros(len(start), dtype=int))
-    assert np.isclose(fraction, 17 / 20, atol=1e-6).sum() == len(place) - 1  # the hull hangs above one of them
+    assert (
+        np.isclose(fraction, 17 / 20, atol=1e-6).sum() == len(place) - 1
+    )  # the hull hangs above one of them
     assert np.isclose(fraction, 10 / 20, atol=1e-6).sum() == 1
     assert len(one.engine._layouts.facades(0)) == 2
 
 
 def test_nothing_stands_in_a_city_without_buildings(make_town):
     one = make_town((Solids(np.zeros((0, 2, 3))),))
-    assert one.engine.cast_rays(np.array([(0, 0, 9.0)]), np.array([(9, 0, 9.0)]), np.zeros(1, dtype=int)) == 1
+    assert (
+        one.engine.cast_rays(
+            np.array([(0, 0, 9.0)]), np.array([(9, 0, 9.0)]), np.zeros(1, dtype=int)
+        )
+        == 1
+    )
     assert one.engine._layouts.facades(0) == []

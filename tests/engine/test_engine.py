@@ -49,10 +49,14 @@ def test_wrenches_act_at_the_centre_in_their_frames(make_bench):
 
 def test_rays_see_the_ground_and_no_drones(make_bench):
     one = make_bench("bullet", worlds=2, drones=2).place()
-    np.testing.assert_allclose(one.engine.surface_below(one.swarm.position, one.alive), 0, atol=1e-9)
+    np.testing.assert_allclose(
+        one.engine.surface_below(one.swarm.position, one.alive), 0, atol=1e-9
+    )
     start = np.array([(0.0, 0, 10), (0.0, 0, 10), (0.0, 0, 10)])
     end = np.array([(0.0, 0, -10), (0.0, 0, 5), (1.0, 0, 20)])
-    np.testing.assert_allclose(one.engine.cast_rays(start, end, np.array([1, 0, 1])), (0.5, 1, 1), atol=1e-12)
+    np.testing.assert_allclose(
+        one.engine.cast_rays(start, end, np.array([1, 0, 1])), (0.5, 1, 1), atol=1e-12
+    )
     half = one.alive.copy()
     half[0] = False
     assert np.isneginf(one.engine.surface_below(one.swarm.position, half)[0]).all()
@@ -88,7 +92,9 @@ def test_colliding_drones_are_both_told_and_push_equally(make_bench):
     assert list(zip(contacts.drone, contacts.other, strict=True)) == [(0, 1), (1, 0)]
     change = np.abs(one.swarm.velocity[0, :, 0] - (2, -2))
     np.testing.assert_allclose(contacts.impulse, 0.716 * change, rtol=1e-3)
-    assert 2 * 0.716 <= contacts.impulse[0] < 4 * 0.716  # between sticking and bouncing back in full
+    assert (
+        2 * 0.716 <= contacts.impulse[0] < 4 * 0.716
+    )  # between sticking and bouncing back in full
     np.testing.assert_allclose(one.swarm.velocity[0].sum(axis=0), 0, atol=1e-6)
     np.testing.assert_array_equal(contacts.mask((1, 2)), [[True, True]])
 
@@ -127,11 +133,16 @@ def heap(one, mask=None):
 
 def shake(one, decisions, seed, world=0):
     """Random rotor speeds from one stream a world; returns the bytes of everything in `world`."""
-    streams = [np.random.default_rng(seed if w == world else 1000 + w + seed) for w in range(one.alive.shape[0])]
+    streams = [
+        np.random.default_rng(seed if w == world else 1000 + w + seed)
+        for w in range(one.alive.shape[0])
+    ]
     seen, touched = [], 0
     for _ in range(decisions):
         speeds = np.array([rng.uniform(0, 500, (one.alive.shape[1], 4)) for rng in streams])
-        contacts = one.dynamics.fly(one.swarm, one.alive, bench.SetpointLevel.ROTOR, speeds, one.wind, one.motion)
+        contacts = one.dynamics.fly(
+            one.swarm, one.alive, bench.SetpointLevel.ROTOR, speeds, one.wind, one.motion
+        )
         seen.append(b"".join(array[world].tobytes() for array in one.swarm))
         touched += int((contacts.world == world).sum())
     assert touched > decisions  # otherwise nothing was tested

@@ -87,7 +87,9 @@ def test_with_one_drone_it_is_that_drones_own_environment():
 
 
 def test_the_episode_is_cut_when_time_ends_it_for_one_and_over_when_all_crashed():
-    env = gymnasium.make("bulletuav/Hover-v0", num_drones=2, action="velocity", horizon=60).unwrapped
+    env = gymnasium.make(
+        "bulletuav/Hover-v0", num_drones=2, action="velocity", horizon=60
+    ).unwrapped
     for second, expected in ((0.0, (False, True)), (-1.0, (True, False))):
         env.reset(seed=0)
         over = (False, False)
@@ -110,7 +112,9 @@ def test_the_aec_form_passes_pettingzoos_checks(task):
 
 def terminal(mode, **options):
     """Two worlds of one drone; world 1 dives and ends first. Returns rows of (obs, reward, terminated, truncated, info)."""
-    env = bulletuav.batch_env("hover", 2, autoreset_mode=mode, action="velocity", horizon=30, height=1.5, **options)
+    env = bulletuav.batch_env(
+        "hover", 2, autoreset_mode=mode, action="velocity", horizon=30, height=1.5, **options
+    )
     first, _ = env.reset(seed=0)
     rows = [(first, None, None, None, None)]
     for _ in range(40):
@@ -129,7 +133,9 @@ def test_next_step_returns_the_first_observation_in_the_step_after_the_last():
     assert not after[3][1, 0]
     fresh = bulletuav.Aviary("hover", 2, action="velocity", height=1.5, horizon=30)
     fresh.reset(seeds=0)
-    np.testing.assert_array_equal(after[0][1], fresh.reset()[1])  # goes on with the world's own random numbers
+    np.testing.assert_array_equal(
+        after[0][1], fresh.reset()[1]
+    )  # goes on with the world's own random numbers
     assert rows[30][3][0, 0]  # truncated
     assert rows[31][1][0, 0] == 0
     assert env.alive.all()
@@ -166,7 +172,9 @@ def test_disabled_waits_for_the_caller():
 def test_infos_and_observations_of_a_new_episode_belong_together(mode):
     _, rows = terminal(mode)
     for observation, _, _, _, info in rows[1:]:
-        np.testing.assert_allclose(np.linalg.norm(observation[..., 4:7], axis=-1), info["goal_distance"], rtol=1e-5)
+        np.testing.assert_allclose(
+            np.linalg.norm(observation[..., 4:7], axis=-1), info["goal_distance"], rtol=1e-5
+        )
     ends = [row for row in rows[1:] if row[2].any() or row[3].any()]
     assert any(row[4].get("final_info", row[4])["collision"].any() for row in ends)
 
@@ -180,7 +188,9 @@ def test_make_knows_the_render_modes(recwarn):
 
 
 def test_a_world_goes_on_until_its_last_drone():
-    env = bulletuav.batch_env("hover", 1, num_drones=2, action="velocity", horizon=60, autoreset_mode="NextStep")
+    env = bulletuav.batch_env(
+        "hover", 1, num_drones=2, action="velocity", horizon=60, autoreset_mode="NextStep"
+    )
     env.reset(seed=0)
     for k in range(60):
         *_, terminated, truncated, _ = env.step(np.array([[(0, 0, -1.0), (0, 0, 0)]]))
@@ -210,7 +220,12 @@ def test_batch_shapes_seeds_and_state():
 @pytest.mark.parametrize(("task", "drones"), [("hover", 1), ("crossing", 2), ("follow", 1)])
 def test_vector_environments(task, drones, mode):
     env = gymnasium.make_vec(
-        environment_id(task), num_envs=3, num_drones=drones, horizon=7, vector_kwargs=None, autoreset_mode=mode
+        environment_id(task),
+        num_envs=3,
+        num_drones=drones,
+        horizon=7,
+        vector_kwargs=None,
+        autoreset_mode=mode,
     )
     assert env.metadata["autoreset_mode"] == mode
     first, _ = env.reset(seed=3)
@@ -275,7 +290,9 @@ def test_discrete_actions_in_every_face():
 @pytest.mark.parametrize("dynamics", ["bullet", "rigid_body"])
 def test_mixed_swarms_fly_each_by_its_own_constants(dynamics):
     fleet = ("cf2x", "firefly", "hummingbird")
-    env = bulletuav.parallel_env("hover", airframe=fleet, dynamics=dynamics, spacing=4.0, action="rotor")
+    env = bulletuav.parallel_env(
+        "hover", airframe=fleet, dynamics=dynamics, spacing=4.0, action="rotor"
+    )
     env.reset(seed=0)
     assert [env.action_space(agent).shape for agent in env.agents] == [(4,), (6,), (4,)]
     hover = {}
@@ -304,7 +321,9 @@ def test_mixed_swarms_fly_each_by_its_own_constants(dynamics):
 
 def test_pictures_are_observed_as_uint8_and_metres():
     options = {"observation": ("rates", "rgb", "depth"), "camera_size": (32, 24)}
-    env = bulletuav.parallel_env("hover", num_drones=2, start=((-1.0, 0, 2), (1.0, 0, 2)), action="velocity", **options)
+    env = bulletuav.parallel_env(
+        "hover", num_drones=2, start=((-1.0, 0, 2), (1.0, 0, 2)), action="velocity", **options
+    )
     observations, _ = env.reset(seed=0)
     one = observations["drone_0"]
     assert (one["rgb"].shape, one["rgb"].dtype) == ((24, 32, 3), np.uint8)
@@ -315,7 +334,9 @@ def test_pictures_are_observed_as_uint8_and_metres():
     ahead = one["depth"][11:13, 15:17].min()
     assert 2 - 2 * radius - 0.02 < ahead < 2 - radius
     ground = one["depth"][-1, 16]
-    assert ground == pytest.approx(2.04, abs=0.06)  # the last row looks down by 45 degrees at its edge, a little less inside
+    assert ground == pytest.approx(
+        2.04, abs=0.06
+    )  # the last row looks down by 45 degrees at its edge, a little less inside
     assert one["depth"][0, 0] == 2000  # sky
     only = bulletuav.parallel_env("hover", observation="depth", camera_size=(16, 12))
     assert set(only.reset(seed=0)[0]["drone_0"]) == {"depth"}
@@ -323,7 +344,9 @@ def test_pictures_are_observed_as_uint8_and_metres():
 
 
 def test_pictures_are_taken_at_their_own_rate():
-    env = bulletuav.batch_env("hover", 2, observation=("rgb",), camera_size=(16, 12), camera_hz=10, action="velocity")
+    env = bulletuav.batch_env(
+        "hover", 2, observation=("rgb",), camera_size=(16, 12), camera_hz=10, action="velocity"
+    )
     before, _ = env.reset(seed=0)
     changed = []
     for _ in range(6):
@@ -335,12 +358,16 @@ def test_pictures_are_taken_at_their_own_rate():
 
 
 def test_pictures_go_through_gymnasium():
-    env = gymnasium.make("bulletuav/Hover-v0", observation=("attitude", "rgb"), camera_size=(16, 12))
+    env = gymnasium.make(
+        "bulletuav/Hover-v0", observation=("attitude", "rgb"), camera_size=(16, 12)
+    )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         check_env(env.unwrapped, skip_render_check=True)
     env.close()
-    vector = gymnasium.make_vec("bulletuav/Hover-v0", num_envs=2, observation=("attitude", "rgb"), camera_size=(16, 12))
+    vector = gymnasium.make_vec(
+        "bulletuav/Hover-v0", num_envs=2, observation=("attitude", "rgb"), camera_size=(16, 12)
+    )
     first, _ = vector.reset(seed=0)
     assert vector.observation_space.contains(first)
     vector.close()

@@ -17,9 +17,16 @@ def fly(aviary, seed, steps=40, action_seed=0):
     rng = np.random.default_rng(action_seed)
     seen = [aviary.reset(seeds=seed).tobytes()]
     for _ in range(steps):
-        actions = rng.uniform(aviary.action.low, aviary.action.high, (*aviary.alive.shape, aviary.action.low.shape[-1]))
+        actions = rng.uniform(
+            aviary.action.low,
+            aviary.action.high,
+            (*aviary.alive.shape, aviary.action.low.shape[-1]),
+        )
         step = aviary.step(actions)
-        seen += [array.tobytes() for array in (*step[:4], *step.info.values(), *aviary.swarm, aviary.state())]
+        seen += [
+            array.tobytes()
+            for array in (*step[:4], *step.info.values(), *aviary.swarm, aviary.state())
+        ]
     return b"".join(seen)
 
 
@@ -43,7 +50,9 @@ def test_the_bits_hold_through_contacts():
     """Drones that fall on each other and on the ground, in both dynamics, with dead ones leaving in between."""
     start = [(0.02 * i, 0.0, 0.12 + 0.14 * i) for i in range(6)]
     for dynamics in ("bullet", "rigid_body"):
-        aviary = bulletuav.Aviary("hover", num_drones=6, start=start, dynamics=dynamics, action="rotor")
+        aviary = bulletuav.Aviary(
+            "hover", num_drones=6, start=start, dynamics=dynamics, action="rotor"
+        )
         runs = []
         for _ in range(3):
             aviary.reset(seeds=0)
@@ -92,7 +101,9 @@ def test_a_world_agrees_with_the_same_world_alone(dynamics):
         many.step(np.repeat(action, 3, axis=0))
         alone.step(action)
     tolerance = {"bullet": 1e-9, "rigid_body": 0}[dynamics]
-    np.testing.assert_allclose(many.swarm.position[2], alone.swarm.position[0], rtol=0, atol=tolerance)
+    np.testing.assert_allclose(
+        many.swarm.position[2], alone.swarm.position[0], rtol=0, atol=tolerance
+    )
     many.close()
     alone.close()
 
@@ -102,7 +113,11 @@ def test_pictures_do_not_change_the_flight():
         runs = []
         for look in (False, True):
             aviary = bulletuav.Aviary(
-                "hover", num_drones=2, dynamics=dynamics, render_mode="rgb_array", render_size=(32, 32)
+                "hover",
+                num_drones=2,
+                dynamics=dynamics,
+                render_mode="rgb_array",
+                render_size=(32, 32),
             )
             aviary.reset(seeds=0)
             for _ in range(20):

@@ -35,7 +35,12 @@ def test_levels_follow_the_success_rate():
 
 @pytest.mark.parametrize(
     "options",
-    [{"count": 0}, {"count": 2, "up": 0.2, "down": 0.8}, {"count": 2, "window": 0}, {"count": 2, "up": float("nan")}],
+    [
+        {"count": 0},
+        {"count": 2, "up": 0.2, "down": 0.8},
+        {"count": 2, "window": 0},
+        {"count": 2, "up": float("nan")},
+    ],
 )
 def test_what_cannot_be_is_refused(options):
     with pytest.raises(ValueError, match=r"is needed"):
@@ -102,7 +107,9 @@ def test_an_episode_that_is_left_early_is_not_counted():
 
 
 def test_it_is_a_pettingzoo_environment_and_its_spaces_hold_all_levels():
-    env = curriculum_env("crossing", ({"num_drones": 4}, {"num_drones": 4, "half_length": 150.0}), window=1, **FAST)
+    env = curriculum_env(
+        "crossing", ({"num_drones": 4}, {"num_drones": 4, "half_length": 150.0}), window=1, **FAST
+    )
     parallel_api_test(env, num_cycles=300)
     space = env.observation_space("drone_0")
     for _ in range(3):

@@ -15,7 +15,13 @@ import pytest
 import bulletuav
 from bulletuav.adapters.sb3 import DroneVecEnv
 
-OPTIONS = {"dynamics": "point_mass", "num_drones": 3, "difficulty": "medium", "horizon": 6, "seed": 7}
+OPTIONS = {
+    "dynamics": "point_mass",
+    "num_drones": 3,
+    "difficulty": "medium",
+    "horizon": 6,
+    "seed": 7,
+}
 NOISY = {"gps_noise": 1.0, "wind": (0.0, 1.0), "radio_delay": 0.2}
 
 
@@ -32,8 +38,12 @@ MAKERS = {
     "parallel_env": lambda **options: bulletuav.parallel_env("crossing", **options),
     "aec_env": lambda **options: bulletuav.aec_env("crossing", **options),
     "batch_env": lambda **options: bulletuav.batch_env("crossing", 2, **options),
-    "batch_env, workers": lambda **options: bulletuav.batch_env("crossing", 2, workers=2, start_method="fork", **options),
-    "curriculum_env": lambda **options: bulletuav.curriculum_env("crossing", ({"d_safe": 5.0}, {"d_safe": 6.0}), **options),
+    "batch_env, workers": lambda **options: bulletuav.batch_env(
+        "crossing", 2, workers=2, start_method="fork", **options
+    ),
+    "curriculum_env": lambda **options: bulletuav.curriculum_env(
+        "crossing", ({"d_safe": 5.0}, {"d_safe": 6.0}), **options
+    ),
     "gymnasium.make": gymnasium_env,
     "gymnasium.make_vec": vector_env,
     "DroneVecEnv": lambda **options: DroneVecEnv("crossing", 2, **options),
@@ -46,7 +56,11 @@ def act(env, k):
     if isinstance(env, bulletuav.Aviary):
         return env.step(wave.reshape(2, 3, 3))
     if hasattr(env, "agent_selection"):
-        env.step(None if env.terminations[env.agent_selection] or env.truncations[env.agent_selection] else wave[:3])
+        env.step(
+            None
+            if env.terminations[env.agent_selection] or env.truncations[env.agent_selection]
+            else wave[:3]
+        )
         return env.last() if env.agents else ()
     if hasattr(env, "possible_agents"):
         return env.step({agent: wave[3 * i : 3 * i + 3] for i, agent in enumerate(env.agents)})
@@ -135,7 +149,9 @@ def reachable(root):
             left += list(one.values())
         elif isinstance(one, list | tuple | set):
             left += list(one)
-        elif type(one).__module__.startswith(("bulletuav", "pettingzoo")) or callable(getattr(one, "func", None)):
+        elif type(one).__module__.startswith(("bulletuav", "pettingzoo")) or callable(
+            getattr(one, "func", None)
+        ):
             left += list(getattr(one, "__dict__", {}).values())
             left += [cell.cell_contents for cell in getattr(one, "__closure__", None) or ()]
     return found
@@ -212,7 +228,9 @@ print("told", file=sys.stderr)
 
 
 def test_environments_in_threads_keep_the_output_and_the_bits():
-    done = subprocess.run([sys.executable, "-c", THREADS], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", THREADS], capture_output=True, text=True, check=False
+    )
     assert (done.stdout, done.stderr, done.returncode) == ("said\n", "told\n", 0)
 
 
@@ -234,7 +252,9 @@ for _ in range(20):
 stop.set()
 thread.join()
 """
-    done = subprocess.run([sys.executable, "-W", "ignore", "-c", program], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", program], capture_output=True, text=True, check=False
+    )
     assert (done.stdout, done.returncode) == ("x" * 20, 0)
 
 
@@ -242,7 +262,12 @@ thread.join()
 def test_a_process_without_standard_streams_can_fly(closed, tmp_path):
     program = f"import os; [os.close(k) for k in ({closed},)]; import bulletuav; bulletuav.Aviary('hover').reset(); "
     program += f"open({str(tmp_path / 'done')!r}, 'w').close()"
-    subprocess.run([sys.executable, "-c", program], check=False, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    subprocess.run(
+        [sys.executable, "-c", program],
+        check=False,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
     assert (tmp_path / "done").exists()
 
 
@@ -258,7 +283,9 @@ class Waiting:
         return np.zeros_like(position)
 
 
-@pytest.mark.parametrize("name", ["Aviary", "parallel_env", "batch_env", "gymnasium.make", "DroneVecEnv"])
+@pytest.mark.parametrize(
+    "name", ["Aviary", "parallel_env", "batch_env", "gymnasium.make", "DroneVecEnv"]
+)
 def test_a_second_thread_is_refused_and_the_first_flies_on(name):
     wind = Waiting()
     env = MAKERS[name](**OPTIONS, wind=wind)

@@ -33,7 +33,9 @@ def growth(env, steps, warm):
 
 @pytest.mark.parametrize("dynamics", ["bullet", "rigid_body"])
 def test_no_growth_over_some_thousand_steps_with_crashes_and_resets(dynamics):
-    env = bulletuav.batch_env("hover", 4, dynamics=dynamics, horizon=100, decision_hz=48, height=0.7, max_distance=50.0)
+    env = bulletuav.batch_env(
+        "hover", 4, dynamics=dynamics, horizon=100, decision_hz=48, height=0.7, max_distance=50.0
+    )
     assert growth(env, 4000, 1000) < 2 * MEGABYTE
 
 
@@ -41,12 +43,21 @@ def test_no_growth_over_some_thousand_steps_with_crashes_and_resets(dynamics):
 @pytest.mark.parametrize("dynamics", ["bullet", "rigid_body"])
 def test_no_growth_over_a_million_steps(dynamics):
     env = bulletuav.batch_env(
-        "hover", 1, dynamics=dynamics, physics_hz=240, decision_hz=240, horizon=500, height=0.7, max_distance=50.0
+        "hover",
+        1,
+        dynamics=dynamics,
+        physics_hz=240,
+        decision_hz=240,
+        horizon=500,
+        height=0.7,
+        max_distance=50.0,
     )
     assert growth(env, 1_000_000, 50_000) < 4 * MEGABYTE
 
 
-@pytest.mark.parametrize(("worlds", "drones", "most"), [(64, 8, 150), pytest.param(1, 1000, 250, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("worlds", "drones", "most"), [(64, 8, 150), pytest.param(1, 1000, 250, marks=pytest.mark.slow)]
+)
 def test_memory_of_large_swarms(worlds, drones, most):
     """In a process of its own, for the engine keeps what it once took."""
     program = (
@@ -58,14 +69,18 @@ def test_memory_of_large_swarms(worlds, drones, most):
         f"env.step(np.zeros(({worlds}, {drones}, 3)))\n"
         "print(psutil.Process().memory_info().rss - before)\n"
     )
-    out = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    out = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
     assert int(out.stdout) < most * MEGABYTE
 
 
 @pytest.mark.parametrize("resets", [300, pytest.param(10_000, marks=pytest.mark.slow)])
 def test_no_growth_over_resets_in_cities(resets):
     """Layouts are made once and moved by pose; four worlds, each reset by itself."""
-    aviary = bulletuav.Aviary("lidar_navigation", 4, area=150.0, leg=40.0, num_layouts=3, irregularity=0.5, seed=0)
+    aviary = bulletuav.Aviary(
+        "lidar_navigation", 4, area=150.0, leg=40.0, num_layouts=3, irregularity=0.5, seed=0
+    )
     aviary.reset()
     action = np.zeros((4, 3, 3))
     stood = set()

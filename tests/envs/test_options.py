@@ -9,7 +9,11 @@ BAD = [
     ("hover", {"num_drones": None}, "num_drones is None"),
     ("hover", {"horizon": 0}, "horizon is 0"),
     ("hover", {"physics_hz": -240}, "physics_hz is -240"),
-    ("hover", {"decision_hz": 50}, r"decision_hz 50 does not divide physics_hz 240: try \[40, 48, 60\]"),
+    (
+        "hover",
+        {"decision_hz": 50},
+        r"decision_hz 50 does not divide physics_hz 240: try \[40, 48, 60\]",
+    ),
     ("hover", {"decision_hz": 480}, "does not divide"),
     ("hover", {"seed": -1}, "seed is -1"),
     ("hover", {"airframe": "cf3x"}, "did you mean 'cf2x'"),
@@ -31,7 +35,11 @@ BAD = [
     ("hover", {"wind": (1.0, 2.0, float("inf"))}, "wind is inf"),
     ("hover", {"gravity": -9.8}, "gravity is -9.8"),
     ("hover", {"gravity": 0.0, "action": "velocity"}, "needs gravity"),
-    ("hover", {"controller": "pid", "airframe": "hummingbird", "action": "velocity", "effects": ()}, "no <pwm> tag"),
+    (
+        "hover",
+        {"controller": "pid", "airframe": "hummingbird", "action": "velocity", "effects": ()},
+        "no <pwm> tag",
+    ),
     ("hover", {"num_drone": 3}, "did you mean 'num_drones'"),
     ("hover", {"spacing": 0.5, "num_drones": 4}, "may overlap"),
     ("hover", {"spacing": float("nan")}, "spacing is nan"),
@@ -98,7 +106,9 @@ BAD = [
 ]
 
 
-@pytest.mark.parametrize(("task", "options", "said"), BAD, ids=[f"{task}-{options}" for task, options, _ in BAD])
+@pytest.mark.parametrize(
+    ("task", "options", "said"), BAD, ids=[f"{task}-{options}" for task, options, _ in BAD]
+)
 def test_what_cannot_be_is_refused_at_construction_with_the_value_and_a_remedy(task, options, said):
     with pytest.raises(ValueError, match=said):
         bulletuav.parallel_env(task, **options)
@@ -131,9 +141,16 @@ def test_a_drone_must_fit_into_d_safe():
 
 def test_given_values_go_before_the_difficulty_and_that_before_defaults():
     hard = bulletuav.Aviary("hover", difficulty="hard", height=8.0)
-    assert (hard.task.config.height, hard.task.config.start_tilt, hard.options.horizon) == (8.0, 60.0, 240)
+    assert (hard.task.config.height, hard.task.config.start_tilt, hard.options.horizon) == (
+        8.0,
+        60.0,
+        240,
+    )
     easy = bulletuav.Aviary("crossing", difficulty="easy")
-    assert (easy.num_drones, bulletuav.Aviary("crossing", difficulty="easy", num_drones=3).num_drones) == (4, 3)
+    assert (
+        easy.num_drones,
+        bulletuav.Aviary("crossing", difficulty="easy", num_drones=3).num_drones,
+    ) == (4, 3)
 
 
 def test_a_slow_airframe_lowers_the_default_speed_only(urdf):
@@ -145,7 +162,11 @@ def test_a_slow_airframe_lowers_the_default_speed_only(urdf):
 
 
 def test_own_airframe_from_a_path_flies(urdf):
-    own = urdf("cf2x", ('robot name="cf2x"', 'robot name="mine"'), ('<mass value="0.027"/>', '<mass value="0.030"/>'))
+    own = urdf(
+        "cf2x",
+        ('robot name="cf2x"', 'robot name="mine"'),
+        ('<mass value="0.027"/>', '<mass value="0.030"/>'),
+    )
     aviary = bulletuav.Aviary("hover", airframe=own, action="target_position")
     aviary.reset(seeds=0)
     for _ in range(90):
@@ -176,7 +197,12 @@ def test_each_effect_can_be_switched_off_and_matters(effect):
     effects = ("lag", "drag", "ground_effect", "downwash")
     for chosen in (effects, tuple(one for one in effects if one != effect)):
         aviary = bulletuav.Aviary(
-            "hover", num_drones=2, start=((0, 0, 0.2), (0, 0, 0.7)), wind=(2.0, 0, 0), effects=chosen, dynamics="rigid_body"
+            "hover",
+            num_drones=2,
+            start=((0, 0, 0.2), (0, 0, 0.7)),
+            wind=(2.0, 0, 0),
+            effects=chosen,
+            dynamics="rigid_body",
         )
         aviary.reset(seeds=0)
         aviary.step(np.full((1, 2, 4), -0.1))

@@ -24,11 +24,14 @@ def test_pettingzoo_seeding(task):
 
 @pytest.mark.parametrize("dynamics", ["bullet", "rigid_body"])
 @pytest.mark.parametrize(
-    ("task", "action"), [("hover", "rotor"), ("hover", "rpm"), ("hover", "target_position"), ("crossing", "velocity")]
+    ("task", "action"),
+    [("hover", "rotor"), ("hover", "rpm"), ("hover", "target_position"), ("crossing", "velocity")],
 )
 def test_everything_observed_is_float32_finite_and_in_its_space(task, action, dynamics):
     """Thousands of drone steps with random and extreme actions."""
-    env = bulletuav.parallel_env(task, action=action, dynamics=dynamics, num_drones=4, difficulty="hard")
+    env = bulletuav.parallel_env(
+        task, action=action, dynamics=dynamics, num_drones=4, difficulty="hard"
+    )
     rng = np.random.default_rng(0)
     observations, infos = env.reset(seed=0)
     for step in range(600):
@@ -43,7 +46,9 @@ def test_everything_observed_is_float32_finite_and_in_its_space(task, action, dy
         extreme = rng.choice([space.low[0], space.high[0]], (4, *space.shape)).astype(np.float32)
         random = rng.uniform(space.low, space.high, (4, *space.shape)).astype(np.float32)
         chosen = extreme if step // 50 % 2 else random
-        observations, rewards, *_, infos = env.step({agent: chosen[int(agent[6:])] for agent in env.agents})
+        observations, rewards, *_, infos = env.step(
+            {agent: chosen[int(agent[6:])] for agent in env.agents}
+        )
         assert np.isfinite(list(rewards.values())).all()
     env.close()
 
@@ -53,14 +58,23 @@ def test_agents_leave_one_by_one():
     env.reset(seed=0)
     assert env.agents == env.possible_agents == ["drone_0", "drone_1", "drone_2"]
     while "drone_1" in env.agents:
-        actions = {agent: np.array((0, 0, -1.0 if agent == "drone_1" else 0), np.float32) for agent in env.agents}
+        actions = {
+            agent: np.array((0, 0, -1.0 if agent == "drone_1" else 0), np.float32)
+            for agent in env.agents
+        }
         *_, terminated, truncated, infos = env.step(actions)
-    assert (terminated["drone_1"], truncated["drone_1"], infos["drone_1"]["collision"]) == (True, False, 1.0)
+    assert (terminated["drone_1"], truncated["drone_1"], infos["drone_1"]["collision"]) == (
+        True,
+        False,
+        1.0,
+    )
     assert env.agents == ["drone_0", "drone_2"]
     observations, *_ = env.step({agent: np.zeros(3, np.float32) for agent in env.agents})
     assert list(observations) == ["drone_0", "drone_2"]
     while env.agents:
-        *_, terminated, truncated, _ = env.step({agent: np.zeros(3, np.float32) for agent in env.agents})
+        *_, terminated, truncated, _ = env.step(
+            {agent: np.zeros(3, np.float32) for agent in env.agents}
+        )
     assert truncated == {"drone_0": True, "drone_2": True}
     assert not any(terminated.values())
     assert env.step({}) == ({}, {}, {}, {}, {})
@@ -86,7 +100,10 @@ def test_bad_actions_name_the_agent_and_leave_the_environment_usable():
         ({"drone_0": np.zeros(4)}, r"actions lack \['drone_1'\]"),
         ({**good, "drone_7": np.zeros(4)}, "unknown agent in actions: 'drone_7'"),
         ({**good, None: np.zeros(4), 3: 1}, "unknown agent in actions: None"),
-        *((wrong, "a dict with an action for each of") for wrong in (None, 0, [[1, 2]], np.zeros((2, 4)), {"drone_0"})),
+        *(
+            (wrong, "a dict with an action for each of")
+            for wrong in (None, 0, [[1, 2]], np.zeros((2, 4)), {"drone_0"})
+        ),
         ({**good, "drone_1": np.zeros(3)}, r"action of drone_1 has shape \(3,\)"),
         ({**good, "drone_1": np.full(4, np.nan)}, "action of drone 1"),
     ):

@@ -37,16 +37,22 @@ def test_it_is_off_unless_a_difficulty_says_so():
 
 
 def test_what_is_drawn_is_within_its_range_and_told_and_changes_with_the_episode():
-    aviary = bulletuav.Aviary("converge", 30, randomization=EVERYTHING, num_drones=3, dynamics="rigid_body")
+    aviary = bulletuav.Aviary(
+        "converge", 30, randomization=EVERYTHING, num_drones=3, dynamics="rigid_body"
+    )
     aviary.reset(seeds=0)
     first = aviary.first_info()
     for name, (low, high) in EVERYTHING.items():
-        for key in [f"random/wind_{axis}" for axis in "xyz"] if name == "wind" else [f"random/{name}"]:
+        for key in (
+            [f"random/wind_{axis}" for axis in "xyz"] if name == "wind" else [f"random/{name}"]
+        ):
             values = first[key]
             assert values.shape == (30, 3)
             assert (low <= values).all()
             assert (values <= high).all()
-            assert values.min() < low + 0.2 * (high - low) < high - 0.2 * (high - low) < values.max()
+            assert (
+                values.min() < low + 0.2 * (high - low) < high - 0.2 * (high - low) < values.max()
+            )
             assert (np.ptp(values, axis=1) == 0).all() == name.startswith(("wind", "radio"))
     step = aviary.step(np.zeros((30, 3, 3)))
     np.testing.assert_array_equal(step.info["random/mass"], first["random/mass"])
@@ -60,12 +66,19 @@ def test_what_is_drawn_is_within_its_range_and_told_and_changes_with_the_episode
 
 @pytest.mark.parametrize("dynamics", ["bullet", "rigid_body"])
 def test_same_seed_same_bits_whatever_was_before_and_whoever_flies_beside(dynamics):
-    options = {"randomization": EVERYTHING, "num_drones": 3, "dynamics": dynamics, "turbulence": "light"}
+    options = {
+        "randomization": EVERYTHING,
+        "num_drones": 3,
+        "dynamics": dynamics,
+        "turbulence": "light",
+    }
 
     def fly(aviary, seeds, world):
         observations = [aviary.reset(seeds=seeds)[world]]
         for k in range(12):
-            observations.append(aviary.step(np.full((aviary.num_worlds, 3, 3), 0.05 * k)).observations[world])
+            observations.append(
+                aviary.step(np.full((aviary.num_worlds, 3, 3), 0.05 * k)).observations[world]
+            )
         return np.array(observations)
 
     one = bulletuav.Aviary("converge", 2, **options)
@@ -147,7 +160,9 @@ def test_a_battery_weakens_with_time_down_to_half():
 
 
 def test_wind_of_an_episode_adds_to_the_steady_one():
-    aviary = bulletuav.Aviary("hover", 20, wind=(1.0, 2.0, 0.0), randomization={"wind": (-3.0, 3.0)})
+    aviary = bulletuav.Aviary(
+        "hover", 20, wind=(1.0, 2.0, 0.0), randomization={"wind": (-3.0, 3.0)}
+    )
     aviary.reset(seeds=0)
     info = aviary.first_info()
     drawn = np.stack([info[f"random/wind_{axis}"] for axis in "xyz"], axis=-1)
@@ -157,7 +172,9 @@ def test_wind_of_an_episode_adds_to_the_steady_one():
 
 
 def test_gps_noise_is_in_observations_and_not_in_the_state():
-    aviary = bulletuav.Aviary("converge", 50, randomization={"gps_noise": 1.5}, dynamics="point_mass")
+    aviary = bulletuav.Aviary(
+        "converge", 50, randomization={"gps_noise": 1.5}, dynamics="point_mass"
+    )
     observations = aviary.reset(seeds=0)
     error = observations[..., :3] - aviary.swarm.position
     assert error.std() == pytest.approx(1.5, rel=0.05)
@@ -175,12 +192,18 @@ def test_gps_noise_is_in_observations_and_not_in_the_state():
 
 
 def test_neighbours_beyond_the_radio_are_not_seen_and_messages_counted():
-    options = {"num_drones": 4, "dynamics": "point_mass", "observation": ("neighbours", "all_neighbours")}
+    options = {
+        "num_drones": 4,
+        "dynamics": "point_mass",
+        "observation": ("neighbours", "all_neighbours"),
+    }
     aviary = bulletuav.Aviary("converge", randomization={"radio_range": 120.0}, **options)
     observations = aviary.reset(seeds=0)  # neighbours 113 m apart, antipodes 160 m
     assert aviary.communicates
     np.testing.assert_array_equal((observations[0, :, 0:21:7] > 0).sum(axis=1), 2)
-    np.testing.assert_array_equal((observations[0, :, 21:].reshape(4, 3, 6) != 0).all(axis=-1).sum(axis=1), 2)
+    np.testing.assert_array_equal(
+        (observations[0, :, 21:].reshape(4, 3, 6) != 0).all(axis=-1).sum(axis=1), 2
+    )
     info = aviary.step(np.zeros((1, 4, 3))).info
     np.testing.assert_array_equal(info["messages"], 2)
     aviary.close()

@@ -11,7 +11,9 @@ from bulletuav.geometry.view import AIR
 @pytest.mark.parametrize("dynamics", ["bullet", "rigid_body"])
 @pytest.mark.parametrize("task", ["hover", "crossing"])
 def test_headless_picture_shows_drones_goals_ground_and_sky(task, dynamics):
-    env = bulletuav.parallel_env(task, dynamics=dynamics, render_mode="rgb_array", render_size=(320, 240))
+    env = bulletuav.parallel_env(
+        task, dynamics=dynamics, render_mode="rgb_array", render_size=(320, 240)
+    )
     env.reset(seed=0)
     picture = env.render()
     assert picture.shape == (240, 320, 3)
@@ -24,23 +26,32 @@ def test_headless_picture_shows_drones_goals_ground_and_sky(task, dynamics):
 
 
 def test_the_drone_itself_is_drawn_where_its_ring_is():
-    env = bulletuav.parallel_env("hover", dynamics="rigid_body", render_mode="rgb_array", start=((0.0, 0.0, 2.0),))
+    env = bulletuav.parallel_env(
+        "hover", dynamics="rigid_body", render_mode="rgb_array", start=((0.0, 0.0, 2.0),)
+    )
     env.reset(seed=0)
     picture = env.render().astype(int)
     rows, columns = np.nonzero((picture == DRONE).all(axis=-1))
-    inside = picture[int(rows.mean()) - 12 : int(rows.mean()) + 12, int(columns.mean()) - 12 : int(columns.mean()) + 12]
+    inside = picture[
+        int(rows.mean()) - 12 : int(rows.mean()) + 12,
+        int(columns.mean()) - 12 : int(columns.mean()) + 12,
+    ]
     blue = (inside[..., 2] > inside[..., 0] + 40).sum()  # rear propellers
     assert blue > 5
     env.close()
 
 
 def test_every_world_is_drawn_on_its_ground():
-    aviary = bulletuav.Aviary("hover", 3, render_mode="rgb_array", render_size=(160, 120), start=((0.0, 0.0, 2.0),))
+    aviary = bulletuav.Aviary(
+        "hover", 3, render_mode="rgb_array", render_size=(160, 120), start=((0.0, 0.0, 2.0),)
+    )
     aviary.reset(seeds=0)
     pictures = [aviary.render(world) for world in (0, 1, 2, 0)]
     assert (pictures[0] == GRID).all(axis=-1).sum() > 50
     for picture in pictures[1:]:
-        assert (picture != pictures[0]).any(axis=-1).mean() < 0.05  # but for rounding: the renderer is in single precision
+        assert (picture != pictures[0]).any(
+            axis=-1
+        ).mean() < 0.05  # but for rounding: the renderer is in single precision
     with pytest.raises(ValueError, match="world is 3"):
         aviary.render(3)
     aviary.close()
@@ -48,13 +59,18 @@ def test_every_world_is_drawn_on_its_ground():
 
 @pytest.mark.parametrize("dynamics", ["bullet", "rigid_body"])
 def test_the_last_picture_still_shows_who_finished(dynamics):
-    env = bulletuav.parallel_env("hover", horizon=1, render_mode="rgb_array", dynamics=dynamics, start=((0.0, 0.0, 2.0),))
+    env = bulletuav.parallel_env(
+        "hover", horizon=1, render_mode="rgb_array", dynamics=dynamics, start=((0.0, 0.0, 2.0),)
+    )
     env.reset(seed=0)
     env.step({"drone_0": np.full(4, -0.1, np.float32)})
     assert env.agents == []
     picture = env.render().astype(int)
     rows, columns = np.nonzero((picture == DRONE).all(axis=-1))
-    inside = picture[int(rows.mean()) - 12 : int(rows.mean()) + 12, int(columns.mean()) - 12 : int(columns.mean()) + 12]
+    inside = picture[
+        int(rows.mean()) - 12 : int(rows.mean()) + 12,
+        int(columns.mean()) - 12 : int(columns.mean()) + 12,
+    ]
     assert (inside[..., 2] > inside[..., 0] + 40).sum() > 5
     env.close()
 

@@ -35,8 +35,14 @@ def manoeuvre(aviary, action):
         "velocity": lambda: ((MOVE, 0, 0), east),
         "velocity_increment": lambda: ((1.0, 0, 0), lambda s, p: s.velocity[0] > 0.3),
         "heading_speed": lambda: ((0.5, 2 * MOVE - 1, 0), north),
-        "target_position": lambda: (aviary.action.encode(goal), lambda s, p: s.position[0] - p[0] > 0.4),
-        "attitude": lambda: ((0.1, 0, 0, hover), lambda s, p: abs(tilt(s)[0] - 0.1 * math.radians(55)) < 0.02),
+        "target_position": lambda: (
+            aviary.action.encode(goal),
+            lambda s, p: s.position[0] - p[0] > 0.4,
+        ),
+        "attitude": lambda: (
+            (0.1, 0, 0, hover),
+            lambda s, p: abs(tilt(s)[0] - 0.1 * math.radians(55)) < 0.02,
+        ),
         "rates": lambda: ((0, 0, 0.1, hover), lambda s, p: abs(s.rates[2] - 0.1 * math.pi) < 0.02),
         "rotor": lambda: ((hover,) * rotors, still),
         "rpm": lambda: ((airframe.hover_speed() * 30 / math.pi,) * rotors, still),
@@ -48,7 +54,12 @@ def manoeuvre(aviary, action):
 
 def build(airframe, dynamics, controller, action):
     """The aviary, or None where the combination is refused; a refusal must be one that the levels explain."""
-    options = {"airframe": airframe, "dynamics": dynamics, "controller": controller, "action": action}
+    options = {
+        "airframe": airframe,
+        "dynamics": dynamics,
+        "controller": controller,
+        "action": action,
+    }
     effects = ("drag", "downwash") if controller == "pid" else ("lag", "drag", "downwash")
     try:
         return bulletuav.Aviary("hover", height=10.0, max_speed=2.0, effects=effects, **options)
@@ -72,12 +83,21 @@ def test_every_allowed_combination_flies_its_manoeuvre(airframe, dynamics, contr
         held, arrived = manoeuvre(aviary, action)
         for _ in range(30):
             aviary.step(np.reshape(np.asarray(held, float), (1, 1, -1)))
-        assert arrived(aviary.swarm.world(0).__class__(*(array[0, 0] for array in aviary.swarm)), start), action
+        assert arrived(
+            aviary.swarm.world(0).__class__(*(array[0, 0] for array in aviary.swarm)), start
+        ), action
         flown.append(action)
         aviary.close()
     kinematic = dynamics not in ("bullet", "rigid_body")
     crazyflie = airframe in ("cf2x", "cf2p")
-    velocities = ["velocity", "velocity_increment", "heading_speed", "target_position", "discrete", "discrete_27"]
+    velocities = [
+        "velocity",
+        "velocity_increment",
+        "heading_speed",
+        "target_position",
+        "discrete",
+        "discrete_27",
+    ]
     if controller == "pid":
         rotors = ["rotor", "rpm", "hover_rpm"]
         expected = [] if kinematic or not crazyflie else [*velocities, *rotors]
@@ -96,11 +116,22 @@ def test_an_airframe_of_ones_own_needs_a_urdf_and_nothing_else(urdf, dynamics):
     """An octocopter, by replacing the rotors of the hummingbird."""
     text = bulletuav.load_airframe("hummingbird").urdf.read_text()
     first, last = text.index("<rotor x"), text.rindex("<rotor x")
-    places = [(math.cos(k * math.pi / 4), math.sin(k * math.pi / 4), ("cw", "ccw")[k % 2]) for k in range(8)]
-    eight = "".join(f'<rotor x="{0.3 * x:.6f}" y="{0.3 * y:.6f}" spin="{spin}"/>' for x, y, spin in places)
-    changes = ((text[first : text.index("/>", last) + 2], eight), ("0.716", "1.4"), ('radius="0.27"', 'radius="0.4"'))
+    places = [
+        (math.cos(k * math.pi / 4), math.sin(k * math.pi / 4), ("cw", "ccw")[k % 2])
+        for k in range(8)
+    ]
+    eight = "".join(
+        f'<rotor x="{0.3 * x:.6f}" y="{0.3 * y:.6f}" spin="{spin}"/>' for x, y, spin in places
+    )
+    changes = (
+        (text[first : text.index("/>", last) + 2], eight),
+        ("0.716", "1.4"),
+        ('radius="0.27"', 'radius="0.4"'),
+    )
     own = urdf("hummingbird", *changes, ('robot name="hummingbird"', 'robot name="octo"'))
-    aviary = bulletuav.Aviary("hover", airframe=own, dynamics=dynamics, action="target_position", height=5.0)
+    aviary = bulletuav.Aviary(
+        "hover", airframe=own, dynamics=dynamics, action="target_position", height=5.0
+    )
     aviary.reset(seeds=0)
     for _ in range(120):
         step = aviary.step(aviary.action.encode(aviary.scene.goal))
@@ -114,7 +145,9 @@ def test_the_ladder_agrees_on_a_gentle_flight(airframe):
     """The same velocity command for three seconds: every level covers the same way, to a few percent."""
     ways = {}
     for dynamics in LADDER:
-        aviary = bulletuav.Aviary("hover", airframe=airframe, dynamics=dynamics, action="velocity", height=10.0)
+        aviary = bulletuav.Aviary(
+            "hover", airframe=airframe, dynamics=dynamics, action="velocity", height=10.0
+        )
         aviary.reset(seeds=0)
         start = aviary.swarm.position[0, 0].copy()
         for _ in range(90):
@@ -130,8 +163,13 @@ def test_the_ladder_agrees_on_a_gentle_flight(airframe):
 
 
 def product():
-    for task, dynamics, airframe, action in itertools.product(bulletuav.list_tasks(), LADDER, AIRFRAMES, ACTIONS):
-        if dynamics in ("bullet", "rigid_body") or ACTION_LEVELS[action] <= KINEMATIC_LEVELS[dynamics]:
+    for task, dynamics, airframe, action in itertools.product(
+        bulletuav.list_tasks(), LADDER, AIRFRAMES, ACTIONS
+    ):
+        if (
+            dynamics in ("bullet", "rigid_body")
+            or ACTION_LEVELS[action] <= KINEMATIC_LEVELS[dynamics]
+        ):
             yield task, dynamics, airframe, action
 
 
@@ -158,7 +196,10 @@ ACTION_LEVELS = {
 def covering(cases):
     """A greedy sample in which every pair of values that occurs, occurs."""
     cases = list(cases)
-    pairs = {case: {(i, case[i], j, case[j]) for i, j in itertools.combinations(range(4), 2)} for case in cases}
+    pairs = {
+        case: {(i, case[i], j, case[j]) for i, j in itertools.combinations(range(4), 2)}
+        for case in cases
+    }
     missing = set().union(*pairs.values())
     while missing:
         best = max(cases, key=lambda case: len(pairs[case] & missing))
@@ -171,7 +212,10 @@ SAMPLE = set(covering(product()))
 
 @pytest.mark.parametrize(
     "case",
-    [pytest.param(case, id="-".join(case), marks=[] if case in SAMPLE else pytest.mark.slow) for case in product()],
+    [
+        pytest.param(case, id="-".join(case), marks=[] if case in SAMPLE else pytest.mark.slow)
+        for case in product()
+    ],
 )
 def test_same_seed_same_bits(case):
     task, dynamics, airframe, action = case
@@ -179,7 +223,13 @@ def test_same_seed_same_bits(case):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         aviary = bulletuav.Aviary(
-            task, 2, num_drones=2, dynamics=dynamics, airframe=airframe, action=action, turbulence="light"
+            task,
+            2,
+            num_drones=2,
+            dynamics=dynamics,
+            airframe=airframe,
+            action=action,
+            turbulence="light",
         )
     for past in (0, 1):
         if past:
@@ -188,7 +238,9 @@ def test_same_seed_same_bits(case):
         bits = [aviary.reset(seeds=0).tobytes()]
         for k in range(8):
             step = aviary.step(_random(aviary, k, other=past))
-            bits += [array[0].tobytes() for array in (*step[:4], *step.info.values(), *aviary.swarm)]
+            bits += [
+                array[0].tobytes() for array in (*step[:4], *step.info.values(), *aviary.swarm)
+            ]
         runs.append(b"".join(bits))
     assert runs[0] == runs[1]
     aviary.close()

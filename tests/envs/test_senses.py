@@ -7,13 +7,28 @@ import bulletuav
 from bulletuav.geometry.obstacle import Obstacle
 
 TOWN = {"area": 200.0, "num_layouts": 1, "leg": 60.0, "num_drones": 3, "min_separation": 3.0}
-LOOKING = ("position", "lidar", "imu", "clearance", "rgb", "depth", "ray_depth", "segmentation", "targets")
+LOOKING = (
+    "position",
+    "lidar",
+    "imu",
+    "clearance",
+    "rgb",
+    "depth",
+    "ray_depth",
+    "segmentation",
+    "targets",
+)
 
 
 def flight(observation, dynamics, **options):
     """States over some decisions that end in contact with a building or the ground."""
     aviary = bulletuav.Aviary(
-        "navigation", 2, observation=observation, dynamics=dynamics, camera_size=(16, 12), **TOWN | options
+        "navigation",
+        2,
+        observation=observation,
+        dynamics=dynamics,
+        camera_size=(16, 12),
+        **TOWN | options,
     )
     aviary.reset(seeds=3)
     rows, touched = [], False
@@ -32,7 +47,9 @@ def test_looking_leaves_the_flight_as_it_is(dynamics):
 
 
 def test_the_task_itself_may_need_a_sensor():
-    aviary = bulletuav.Aviary("lidar_navigation", observation="velocity", dynamics="point_mass", **TOWN)
+    aviary = bulletuav.Aviary(
+        "lidar_navigation", observation="velocity", dynamics="point_mass", **TOWN
+    )
     aviary.reset(seeds=0)
     assert aviary._frame.readings["lidar"].shape == (1, 3, 16)
     aviary.close()
@@ -62,5 +79,7 @@ def test_long_rays_end_at_the_tile_of_their_world(make_bench):
     start, end = np.array([(2000.0, 0, 50)]), np.array([(2400.0, 0, 50), (1600.0, 0, 50.0)])
     starts = np.repeat(start, 2, axis=0)
     assert bench.engine.cast_rays(starts, end, np.zeros(2, dtype=int)).tolist() == [1, 1]
-    inside = bench.engine.cast_rays(np.array([(-1000.0, 0, 50)]), np.array([(-2900.0, 0, 50)]), np.ones(1, dtype=int))
+    inside = bench.engine.cast_rays(
+        np.array([(-1000.0, 0, 50)]), np.array([(-2900.0, 0, 50)]), np.ones(1, dtype=int)
+    )
     np.testing.assert_allclose(inside, 850 / 1900, atol=1e-6)

@@ -22,10 +22,19 @@ def rolled(workers, task="crossing", steps=25, num_envs=5, **options):
     observations, infos = env.reset(seed=3)
     rows = [{"observations": observations, **infos}]
     for _ in range(steps):
-        shape = (num_envs, 3) if env.action_space.shape == () else (num_envs, 3, *env.action_space.shape)
+        shape = (
+            (num_envs, 3)
+            if env.action_space.shape == ()
+            else (num_envs, 3, *env.action_space.shape)
+        )
         actions = rng.integers(0, 7, shape) if len(shape) == 2 else rng.uniform(-1, 1, shape)
         observations, rewards, terminated, truncated, infos = env.step(actions)
-        row = {"observations": observations, "rewards": rewards, "terminated": terminated, "truncated": truncated}
+        row = {
+            "observations": observations,
+            "rewards": rewards,
+            "terminated": terminated,
+            "truncated": truncated,
+        }
         rows.append({**row, **infos, "alive": env.alive, "ended": env.ended, "state": env.state()})
     env.close()
     return rows
@@ -38,7 +47,9 @@ def same(one, two, masks):
             same(value, two[name], masks)
         else:
             chosen = slice(None) if masks is None else masks
-            np.testing.assert_array_equal(np.asarray(value)[chosen], np.asarray(two[name])[chosen], err_msg=name)
+            np.testing.assert_array_equal(
+                np.asarray(value)[chosen], np.asarray(two[name])[chosen], err_msg=name
+            )
             assert np.asarray(value).dtype == np.asarray(two[name]).dtype
 
 
@@ -48,7 +59,15 @@ def same(one, two, masks):
         (2, {}),
         (5, {"dynamics": "rigid_body", "turbulence": "moderate"}),
         (2, {"task": "hover", "action": "discrete", "dynamics": "point_mass", "seed": 7}),
-        (2, {"task": "hover", "observation": ("position", "rgb"), "camera_size": (16, 12), "action": "velocity"}),
+        (
+            2,
+            {
+                "task": "hover",
+                "observation": ("position", "rgb"),
+                "camera_size": (16, 12),
+                "action": "velocity",
+            },
+        ),
         (2, {"start_method": "spawn", "dynamics": "single_integrator"}),
     ],
 )
@@ -81,18 +100,24 @@ class OddError(Exception):
 
 def test_an_error_in_one_worker_is_told_and_no_answer_taken_for_another():
     def wind(position, time):
-        if (time > 0.2).any() and len(position) == 2:  # the second of two workers has two of three worlds
+        if (time > 0.2).any() and len(
+            position
+        ) == 2:  # the second of two workers has two of three worlds
             raise OddError("blown", "away")
         return np.zeros_like(position)
 
-    env = bulletuav.batch_env("hover", 3, workers=2, action="velocity", wind=wind, start_method="fork")
+    env = bulletuav.batch_env(
+        "hover", 3, workers=2, action="velocity", wind=wind, start_method="fork"
+    )
     env.reset(seed=0)
     with pytest.raises(RuntimeError, match="OddError: blown away"):  # noqa: PT012, it comes at some step
         for _ in range(20):
             env.step(np.zeros((3, 1, 3)))
     fresh = bulletuav.batch_env("hover", 3, action="velocity")
     np.testing.assert_array_equal(env.reset(seed=4)[0], fresh.reset(seed=4)[0])
-    np.testing.assert_array_equal(env.step(np.ones((3, 1, 3)))[1], fresh.step(np.ones((3, 1, 3)))[1])
+    np.testing.assert_array_equal(
+        env.step(np.ones((3, 1, 3)))[1], fresh.step(np.ones((3, 1, 3)))[1]
+    )
     env.close()
     fresh.close()
 
@@ -120,9 +145,19 @@ def test_an_interrupt_ends_the_processes(monkeypatch):
 @pytest.mark.parametrize("start_method", ["fork", "spawn"])
 def test_a_worker_that_is_stopped_or_killed_ends_in_words(start_method):
     """In much less than a process takes to end by itself; PATIENCE is for those that could."""
-    options = {"dynamics": "point_mass", "action": "velocity", "workers": 2, "start_method": start_method}
-    for sign, said in ((signal.SIGSTOP, "has not answered for 0.5 s"), (signal.SIGKILL, "has died")):
-        env = bulletuav.batch_env("hover", 2, timeout=30 if start_method == "spawn" else 5, **options)
+    options = {
+        "dynamics": "point_mass",
+        "action": "velocity",
+        "workers": 2,
+        "start_method": start_method,
+    }
+    for sign, said in (
+        (signal.SIGSTOP, "has not answered for 0.5 s"),
+        (signal.SIGKILL, "has died"),
+    ):
+        env = bulletuav.batch_env(
+            "hover", 2, timeout=30 if start_method == "spawn" else 5, **options
+        )
         env.reset(seed=0)
         env._timeout = 0.5
         children = [psutil.Process(process.pid) for process in env._processes]
@@ -146,7 +181,9 @@ def test_processes_that_cannot_be_are_refused_however_many_there_are(workers):
     ):
         with pytest.raises(ValueError, match=said):
             bulletuav.batch_env("hover", **{"num_envs": 2, "workers": workers, **wrong})
-    env = bulletuav.batch_env("hover", 2, workers=workers, start_method="fork", autoreset_mode="SAME_STEP")
+    env = bulletuav.batch_env(
+        "hover", 2, workers=workers, start_method="fork", autoreset_mode="SAME_STEP"
+    )
     with pytest.raises(ValueError, match="options is 3: a dict"):
         env.reset(seed=0, options=3)
     env.reset(seed=0)
@@ -187,11 +224,19 @@ def test_a_diverged_flight_is_named_by_its_world_among_all():
     places.close()
 
     def storm(position, time):
-        return np.where(np.abs(position - doomed).max(axis=-1, keepdims=True) < 1e-9, 1e20, 0.0) * np.ones(3)
+        return np.where(
+            np.abs(position - doomed).max(axis=-1, keepdims=True) < 1e-9, 1e20, 0.0
+        ) * np.ones(3)
 
     for workers in (1, 2):
         env = bulletuav.batch_env(
-            "hover", 4, workers=workers, action="velocity", dynamics="rigid_body", wind=storm, start_method="fork"
+            "hover",
+            4,
+            workers=workers,
+            action="velocity",
+            dynamics="rigid_body",
+            wind=storm,
+            start_method="fork",
         )
         env.reset(seed=0)
         with pytest.raises(RuntimeError, match="drone 0 in world 3 diverged"):
@@ -203,13 +248,22 @@ def test_options_that_processes_cannot_have():
     with pytest.raises(ValueError, match="did you mean 'spawn'"):
         bulletuav.batch_env("hover", 2, workers=2, start_method="spown")
     with pytest.raises(ValueError, match="no lambda"):
-        bulletuav.batch_env("hover", 2, workers=2, start_method="spawn", wind=lambda position, time: position)
+        bulletuav.batch_env(
+            "hover", 2, workers=2, start_method="spawn", wind=lambda position, time: position
+        )
 
 
 def test_partial_resets_and_seeds():
-    envs = [bulletuav.batch_env("hover", 3, workers=workers, autoreset_mode="Disabled") for workers in (1, 2)]
+    envs = [
+        bulletuav.batch_env("hover", 3, workers=workers, autoreset_mode="Disabled")
+        for workers in (1, 2)
+    ]
     mask = np.array([False, True, True])
-    for seed, options in ((5, None), ([1, 2, 3], {"reset_mask": mask}), (None, {"reset_mask": ~mask})):
+    for seed, options in (
+        (5, None),
+        ([1, 2, 3], {"reset_mask": mask}),
+        (None, {"reset_mask": ~mask}),
+    ):
         one, two = (env.reset(seed=seed, options=options)[0] for env in envs)
         np.testing.assert_array_equal(one, two)
     for env in envs:
@@ -217,7 +271,9 @@ def test_partial_resets_and_seeds():
 
 
 def test_bad_input_is_refused_and_the_worlds_fly_on():
-    env = bulletuav.batch_env("hover", 4, workers=2, action="velocity", render_mode="rgb_array", render_size=(32, 24))
+    env = bulletuav.batch_env(
+        "hover", 4, workers=2, action="velocity", render_mode="rgb_array", render_size=(32, 24)
+    )
     with pytest.raises(RuntimeError, match=r"call reset\(\) first"):
         env.step(np.zeros((4, 1, 3)))
     env.reset(seed=0)

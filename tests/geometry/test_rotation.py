@@ -8,7 +8,11 @@ from bulletuav.geometry import rotation
 
 number = st.floats(-3, 3)
 vectors = st.tuples(number, number, number)
-quaternions = st.tuples(number, number, number, number).filter(lambda q: np.linalg.norm(q) > 0.1).map(rotation.normalised)
+quaternions = (
+    st.tuples(number, number, number, number)
+    .filter(lambda q: np.linalg.norm(q) > 0.1)
+    .map(rotation.normalised)
+)
 
 
 @given(quaternions, vectors)
@@ -22,12 +26,16 @@ def test_turning_vectors_agrees_with_scipy(q, v):
 @given(vectors)
 def test_exponential_agrees_with_scipy(v):
     expected = Rotation.from_rotvec(v).as_matrix()
-    np.testing.assert_allclose(Rotation.from_quat(rotation.exponential(v)).as_matrix(), expected, atol=1e-12)
+    np.testing.assert_allclose(
+        Rotation.from_quat(rotation.exponential(v)).as_matrix(), expected, atol=1e-12
+    )
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-13, 1e-9, 1e-6])
 def test_exponential_of_small_angles(angle):
-    np.testing.assert_allclose(rotation.exponential((angle, 0.0, 0.0)), (angle / 2, 0, 0, 1), rtol=1e-12)
+    np.testing.assert_allclose(
+        rotation.exponential((angle, 0.0, 0.0)), (angle / 2, 0, 0, 1), rtol=1e-12
+    )
 
 
 @given(st.floats(-3, 3), st.floats(-1.5, 1.5), st.floats(-3, 3))

@@ -20,14 +20,21 @@ HALF = {SPHERE: (0.5, 0.5, 0.5), CYLINDER: (0.5, 0.5, 0.2), BOX: (0.5, 0.3, 0.2)
         (SPHERE, (-2, 0, 0), (4, 0, 0), (0.375, 0.625)),  # from x = -0.5 to 0.5
         (CYLINDER, (-2, 0.3, 0), (4, 0, 0), (0.4, 0.6)),  # the chord at y = 0.3 ends at x = 0.4
         (CYLINDER, (0.1, 0, 1), (0, 0, -2), (0.4, 0.6)),  # through both faces
-        (CYLINDER, (-2, 0, -2), (4, 0, 4), (0.45, 0.55)),  # the faces at z = 0.2 are nearer than the side
+        (
+            CYLINDER,
+            (-2, 0, -2),
+            (4, 0, 4),
+            (0.45, 0.55),
+        ),  # the faces at z = 0.2 are nearer than the side
         (BOX, (0, -1, 0), (0, 2, 0), (0.35, 0.65)),
         (BOX, (0, 0, 0), (1, 0, 0), (-0.5, 0.5)),  # from inside
     ],
 )
 def test_lines_through_shapes_by_hand(kind, start, change, shares):
     np.testing.assert_allclose(
-        inside(kind, HALF[kind], tuple(map(float, start)), tuple(map(float, change))), shares, atol=1e-12
+        inside(kind, HALF[kind], tuple(map(float, start)), tuple(map(float, change))),
+        shares,
+        atol=1e-12,
     )
 
 
@@ -39,7 +46,9 @@ def test_lines_that_miss(kind):
         ((-2, 0, 0.6), (4, 0, 0)),
         ((9, 9, 9), (0, 0, 0)),
     ):
-        enters, leaves = inside(kind, HALF[kind], tuple(map(float, start)), tuple(map(float, change)))
+        enters, leaves = inside(
+            kind, HALF[kind], tuple(map(float, start)), tuple(map(float, change))
+        )
         assert enters > leaves
 
 
@@ -61,24 +70,44 @@ def test_points_between_are_inside_and_the_others_outside(kind):
 
 
 @pytest.mark.parametrize(
-    "geometry", ['<cylinder radius="0.3" length="0.2"/>', '<box size="0.6 0.4 0.2"/>', '<sphere radius="0.3"/>']
+    "geometry",
+    [
+        '<cylinder radius="0.3" length="0.2"/>',
+        '<box size="0.6 0.4 0.2"/>',
+        '<sphere radius="0.3"/>',
+    ],
 )
 def test_the_engine_sees_bodies_at_rest_the_same(urdf, geometry):
     text = bulletuav.load_airframe("hummingbird").urdf.read_text()
     old = re.search(r"<collision>.*?</collision>", text, re.DOTALL).group()
-    airframe = bulletuav.load_airframe(urdf("hummingbird", (old, f"<collision><geometry>{geometry}</geometry></collision>")))
+    airframe = bulletuav.load_airframe(
+        urdf("hummingbird", (old, f"<collision><geometry>{geometry}</geometry></collision>"))
+    )
     rng = np.random.default_rng(1)
     swarm, turn = Swarm.zeros(1, 1, 4), Rotation.random(rng=rng).as_quat()
     swarm.position[:], swarm.quaternion[:] = (1, 2, 3), turn
     client = bullet.connect(bullet.DIRECT)
     flags = bullet.URDF_USE_IMPLICIT_CYLINDER
-    bullet.loadURDF(str(airframe.urdf), (1, 2, 3), turn.tolist(), flags=flags, physicsClientId=client)
+    bullet.loadURDF(
+        str(airframe.urdf), (1, 2, 3), turn.tolist(), flags=flags, physicsClientId=client
+    )
     start = np.array((1, 2, 3)) + 2 * Rotation.random(2000, rng=rng).apply((1, 0, 0))
     end = 2 * np.array((1, 2, 3)) - start + rng.uniform(-0.4, 0.4, start.shape)
     engine = np.array([hit[2] for hit in bullet.rayTestBatch(start, end, physicsClientId=client)])
     bullet.disconnect(client)
     fraction = np.ones(len(start))
     kind, half = np.array([airframe.shape.kind]), np.array([airframe.shape.half])
-    meet_drones(fraction, start, end, np.zeros(len(start), dtype=int), swarm, np.ones((1, 1), dtype=bool), kind, half)
+    meet_drones(
+        fraction,
+        start,
+        end,
+        np.zeros(len(start), dtype=int),
+        swarm,
+        np.ones((1, 1), dtype=bool),
+        kind,
+        half,
+    )
     assert 0.2 < (fraction < 1).mean() < 1
-    assert (np.abs(fraction - engine) > 1e-3).mean() < 0.01  # the engine rounds edges, and iterates to its own tolerance
+    assert (
+        np.abs(fraction - engine) > 1e-3
+    ).mean() < 0.01  # the engine rounds edges, and iterates to its own tolerance

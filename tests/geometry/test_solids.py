@@ -23,7 +23,11 @@ def volume(vertices, triangles):
 
 def closed(triangles):
     """Whether each edge has one triangle on either side."""
-    edges = [(a, b) for face in triangles.tolist() for a, b in zip(face, face[1:] + face[:1], strict=True)]
+    edges = [
+        (a, b)
+        for face in triangles.tolist()
+        for a, b in zip(face, face[1:] + face[:1], strict=True)
+    ]
     return len(set(edges)) == len(edges) and all((b, a) in set(edges) for a, b in edges)
 
 
@@ -54,7 +58,9 @@ def test_a_tetrahedron_turns_outward_in_any_order_of_its_corners(order):
 @pytest.mark.parametrize("seed", range(20))
 def test_the_surface_of_a_hull_is_closed_outward_and_of_its_volume(seed):
     rng = np.random.default_rng(seed)
-    points = rng.normal(size=(40, 3)) * (3, 1, 0.2) + rng.uniform(-100, 100, 3)  # most of them inside the others
+    points = rng.normal(size=(40, 3)) * (3, 1, 0.2) + rng.uniform(
+        -100, 100, 3
+    )  # most of them inside the others
     ((vertices, triangles),) = Solids(NO_BOXES, (points,)).faces
     assert volume(vertices, triangles) == pytest.approx(ConvexHull(points).volume)
     assert closed(triangles)
@@ -67,7 +73,9 @@ def test_the_mesh_is_all_surfaces_boxes_first():
     assert closed(triangles)
     assert len(triangles) == 12 + 12 + 4 + 4
     np.testing.assert_array_equal(vertices[:8], box_corners(CUBE))
-    np.testing.assert_array_equal(solids.bounds[[1, 2]], [[(5, 5, 5), (7, 7, 7)], [(-10, -10, -10), (-9, -9, -9)]])
+    np.testing.assert_array_equal(
+        solids.bounds[[1, 2]], [[(5, 5, 5), (7, 7, 7)], [(-10, -10, -10), (-9, -9, -9)]]
+    )
 
 
 def test_nothing_has_an_empty_mesh():
@@ -77,7 +85,9 @@ def test_nothing_has_an_empty_mesh():
 
 
 @pytest.mark.parametrize(
-    "flat", [CORNER * (1, 1, 0), CORNER[:3], CORNER * (1, 0, 0), np.ones((6, 3))], ids=["plane", "triangle", "line", "point"]
+    "flat",
+    [CORNER * (1, 1, 0), CORNER[:3], CORNER * (1, 0, 0), np.ones((6, 3))],
+    ids=["plane", "triangle", "line", "point"],
 )
 def test_a_piece_without_volume_is_refused(flat):
     with pytest.raises(ValueError, match=r"corners \[\[.* m spans no volume"):
@@ -147,7 +157,9 @@ def overlaps(bounds, low, high):
 @pytest.mark.parametrize("spread", [20.0, 100.0, 300.0])
 def test_the_grid_finds_what_asking_every_piece_finds(spread):
     rng = np.random.default_rng(3)
-    hulls = tuple(spread * (rng.normal(size=(10, 3)) / 10 + rng.uniform(-1, 1, 3)) for _ in range(5))
+    hulls = tuple(
+        spread * (rng.normal(size=(10, 3)) / 10 + rng.uniform(-1, 1, 3)) for _ in range(5)
+    )
     layouts = (
         Solids(random_boxes(rng, 40, spread, spread / 2)),
         Solids(random_boxes(rng, 5, spread, spread), hulls),
@@ -155,9 +167,15 @@ def test_the_grid_finds_what_asking_every_piece_finds(spread):
     city_grid = make_city_grid(layouts, 3)
     city_grid.layout[:] = 1, NO_LAYOUT, 0
     found = 0
-    for low, high in random_boxes(rng, 2000, 1.3 * spread, spread / 5):  # some reach over the grid's edge, some lie beyond
+    for low, high in random_boxes(
+        rng, 2000, 1.3 * spread, spread / 5
+    ):  # some reach over the grid's edge, some lie beyond
         expected = [overlaps(layouts[k].bounds, low, high) for k in (1, 0)]
-        assert [meets(city_grid, w, tuple(low), tuple(high)) for w in range(3)] == [expected[0], False, expected[1]]
+        assert [meets(city_grid, w, tuple(low), tuple(high)) for w in range(3)] == [
+            expected[0],
+            False,
+            expected[1],
+        ]
         found += sum(expected)
     assert 150 < found < 3500
 
@@ -175,14 +193,22 @@ def test_columns_reach_from_the_ground_to_the_sky():
 
 def test_pieces_at_the_grids_edge_are_found_and_beyond_it_is_nothing():
     reach = 4 * GRID_CELL
-    edge = np.array([[(reach - 1, -1.0, 0), (reach, 1, 5)], [(-reach, -reach, 0), (-reach + 1, -reach + 1, 5)]])
+    edge = np.array(
+        [[(reach - 1, -1.0, 0), (reach, 1, 5)], [(-reach, -reach, 0), (-reach + 1, -reach + 1, 5)]]
+    )
     city_grid = make_city_grid((Solids(edge),), 1)
     city_grid.layout[:] = 0
     assert (city_grid.reach, city_grid.cells) == (reach, 8)
     assert meets(city_grid, 0, (reach - 0.5, 0.0, 1.0), (reach + 0.5, 0.0, 1.0))
     assert meets(city_grid, 0, (-reach - 9, -reach - 9, 1.0), (-reach, -reach, 1.0))
     assert meets(city_grid, 0, (-1e6, -1e6, -1e6), (1e6, 1e6, 1e6))
-    for x, y in ((reach + 0.1, 0.0), (1e6, 0.0), (0.0, 1e6), (-reach - 0.1, -reach), (-reach, -reach - 0.1)):
+    for x, y in (
+        (reach + 0.1, 0.0),
+        (1e6, 0.0),
+        (0.0, 1e6),
+        (-reach - 0.1, -reach),
+        (-reach, -reach - 0.1),
+    ):
         assert not meets(city_grid, 0, (x, y, 1.0), (x, y, 1.0))
 
 

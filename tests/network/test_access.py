@@ -17,7 +17,9 @@ LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
 
 def rates(power, servers, access, activity=1.0):
     """(U,) of one world."""
-    return uplink_rates(np.array([power], dtype=float), np.array([servers]), BAND, NOISE, access, activity)[0]
+    return uplink_rates(
+        np.array([power], dtype=float), np.array([servers]), BAND, NOISE, access, activity
+    )[0]
 
 
 def scattered(seed, drones=3, users=20):
@@ -44,9 +46,15 @@ def test_a_single_user_has_all_of_the_band_however_it_is_shared():
 
 def test_shares_of_one_drone_by_hand():
     power = [[8 * NOISE, 3 * NOISE]]
-    assert rates(power, [0, 0], OFDMA) == pytest.approx([BAND / 2 * np.log2(17), BAND / 2 * np.log2(7)])
-    assert rates(power, [0, 0], TDMA) == pytest.approx([BAND / 2 * np.log2(9), BAND / 2 * np.log2(4)])
-    assert rates(power, [0, 0], SHARED) == pytest.approx([BAND * np.log2(1 + 8 / 4), BAND * np.log2(1 + 3 / 9)])
+    assert rates(power, [0, 0], OFDMA) == pytest.approx(
+        [BAND / 2 * np.log2(17), BAND / 2 * np.log2(7)]
+    )
+    assert rates(power, [0, 0], TDMA) == pytest.approx(
+        [BAND / 2 * np.log2(9), BAND / 2 * np.log2(4)]
+    )
+    assert rates(power, [0, 0], SHARED) == pytest.approx(
+        [BAND * np.log2(1 + 8 / 4), BAND * np.log2(1 + 3 / 9)]
+    )
 
 
 def test_interference_from_another_drone_by_hand():
@@ -83,7 +91,9 @@ def test_one_more_user_of_another_drone_never_raises_a_rate(access, seed):
     before = rates(power, servers, access)
     for newcomer in np.flatnonzero(servers == NOBODY):
         for drone in range(3):
-            after = rates(power, np.where(np.arange(len(servers)) == newcomer, drone, servers), access)
+            after = rates(
+                power, np.where(np.arange(len(servers)) == newcomer, drone, servers), access
+            )
             others = (servers != drone) & (servers != NOBODY)
             assert (after[others] <= before[others] * (1 + 1e-12)).all()
 
@@ -150,7 +160,9 @@ def received(config, position, users, sight, quaternion=LEVEL, rng=None):
     """(U,) W of one drone."""
     position, users = np.array([[position]], dtype=float), np.array([users], dtype=float)
     sight = np.array([[sight]])
-    return Uplink(config).received(position, np.array([[quaternion]]), users, sight, [rng], np.array([True]))[0, 0]
+    return Uplink(config).received(
+        position, np.array([[quaternion]]), users, sight, [rng], np.array([True])
+    )[0, 0]
 
 
 def test_power_falls_with_the_exponent_of_the_sight():
@@ -161,7 +173,12 @@ def test_power_falls_with_the_exponent_of_the_sight():
 
 @pytest.mark.parametrize("model", ["umi", "uma", "umi_av", "uma_av"])
 def test_named_models_are_those_of_the_standards(model):
-    got = received(RadioConfig(path_loss=model, frequency=2.0), (0, 0, 50), [(300, 0, 1.5), (300, 0, 1.5)], [True, False])
+    got = received(
+        RadioConfig(path_loss=model, frequency=2.0),
+        (0, 0, 50),
+        [(300, 0, 1.5), (300, 0, 1.5)],
+        [True, False],
+    )
     standard = PATHLOSS_MODELS[model]
     expected = [standard.los(300.0, 50.0, 1.5, 2.0), standard.nlos(300.0, 50.0, 1.5, 2.0)]
     assert -decibel(got / 0.5) == pytest.approx(expected)
@@ -170,17 +187,21 @@ def test_named_models_are_those_of_the_standards(model):
 def test_an_antenna_that_looks_down_gains_below_and_loses_aside():
     users = [(0, 0, 0), (0, 100, 50), (1000, 0, 50)]
     plain, directed = (
-        received(RadioConfig(antenna=kind), (0, 0, 50), users, [True] * 3) for kind in ("isotropic", "downward")
+        received(RadioConfig(antenna=kind), (0, 0, 50), users, [True] * 3)
+        for kind in ("isotropic", "downward")
     )
     assert decibel(directed / plain) == pytest.approx([8.0, -15.005917, -15.005917], abs=1e-6)
 
 
 def test_the_antenna_tilts_with_the_drone():
     pitch = np.radians(30.0)
-    tilted = np.array([0.0, np.sin(pitch / 2), 0.0, np.cos(pitch / 2)])  # nose down: -z of the body turns to the rear
+    tilted = np.array(
+        [0.0, np.sin(pitch / 2), 0.0, np.cos(pitch / 2)]
+    )  # nose down: -z of the body turns to the rear
     users = [(50 * np.tan(-pitch), 0, 0), (50 * np.tan(pitch), 0, 0)]
     plain, directed = (
-        received(RadioConfig(antenna=kind), (0, 0, 50), users, [True] * 2, tilted) for kind in ("isotropic", "downward")
+        received(RadioConfig(antenna=kind), (0, 0, 50), users, [True] * 2, tilted)
+        for kind in ("isotropic", "downward")
     )
     assert decibel(directed / plain) == pytest.approx([PEAK, element_gain(90.0, 60.0, PEAK)])
 
@@ -189,14 +210,22 @@ def test_fading_keeps_the_mean_and_draws_by_the_sight():
     users = np.tile([30.0, 0, 0], (40000, 1))
     still = received(RadioConfig(), (0, 0, 50), users, np.arange(40000) % 2 == 0)
     faded = received(
-        RadioConfig(fading="rician"), (0, 0, 50), users, np.arange(40000) % 2 == 0, rng=np.random.default_rng(0)
+        RadioConfig(fading="rician"),
+        (0, 0, 50),
+        users,
+        np.arange(40000) % 2 == 0,
+        rng=np.random.default_rng(0),
     )
     gain = faded / still
     assert gain[::2].mean() == pytest.approx(1.0, abs=0.015)
     assert gain[::2].var() == pytest.approx(21 / 121, rel=0.05)  # (1 + 2 K) / (1 + K)^2 with K = 10
     assert gain[1::2].var() == pytest.approx(1.0, rel=0.1)
     all_scattered = received(
-        RadioConfig(fading="rayleigh"), (0, 0, 50), users, np.ones(40000, dtype=bool), rng=np.random.default_rng(1)
+        RadioConfig(fading="rayleigh"),
+        (0, 0, 50),
+        users,
+        np.ones(40000, dtype=bool),
+        rng=np.random.default_rng(1),
     )
     assert (all_scattered / still[0]).var() == pytest.approx(1.0, rel=0.1)
 

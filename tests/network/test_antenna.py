@@ -54,7 +54,8 @@ def test_element(direction):
 
 
 @pytest.mark.parametrize(
-    ("direction", "gain"), [((90, 0), 5), ((90, 45), 2), ((45, 45), -1), ((90, 180), -20), ((0, 90), -19)]
+    ("direction", "gain"),
+    [((90, 0), 5), ((90, 45), 2), ((45, 45), -1), ((90, 180), -20), ((0, 90), -19)],
 )
 def test_indoor_element(direction, gain):
     assert indoor_gain(*direction, INDOOR_PEAK) == pytest.approx(gain, abs=1e-12)
@@ -63,7 +64,9 @@ def test_indoor_element(direction, gain):
 @pytest.mark.parametrize("direction", TURNED)
 def test_turned_antennas(direction):
     zenith, azimuth = local_zenith(*direction), local_azimuth(*direction)
-    assert (zenith, azimuth, element_gain(zenith, azimuth, PEAK)) == pytest.approx(TURNED[direction], abs=6e-5)
+    assert (zenith, azimuth, element_gain(zenith, azimuth, PEAK)) == pytest.approx(
+        TURNED[direction], abs=6e-5
+    )
 
 
 @given(st.floats(1, 179), st.floats(-179, 179), st.floats(-90, 90))
@@ -96,13 +99,17 @@ def test_looking_down_in_the_principal_planes(psi, east, north):
         assert gain_towards(0.0, north, 0.0, PEAK) == pytest.approx(NADIR[psi], abs=6e-4)
         return
     aside, down = math.sin(math.radians(psi)), math.cos(math.radians(psi))
-    assert gain_towards(east * aside, north * aside, -down, PEAK) == pytest.approx(NADIR[psi], abs=6e-4)
+    assert gain_towards(east * aside, north * aside, -down, PEAK) == pytest.approx(
+        NADIR[psi], abs=6e-4
+    )
 
 
 def test_looking_down_is_a_downtilt_of_90_degrees():
     x, y, z = directions(20_000, 2)
     zenith, azimuth = np.degrees(np.arccos(z)), np.degrees(np.arctan2(y, x))
-    turned = element_gain(local_zenith(zenith, azimuth, 0.0, 90.0), local_azimuth(zenith, azimuth, 0.0, 90.0), PEAK)
+    turned = element_gain(
+        local_zenith(zenith, azimuth, 0.0, 90.0), local_azimuth(zenith, azimuth, 0.0, 90.0), PEAK
+    )
     np.testing.assert_allclose(gain_towards(x, y, z, PEAK), turned, atol=1e-5)
 
 
@@ -130,13 +137,17 @@ def test_mirror_images_and_lengths_do_not_matter(x, y, z):
 @given(st.floats(0, 89))
 def test_ahead_and_aside_are_alike(psi):
     aside, down = math.sin(math.radians(psi)), math.cos(math.radians(psi))
-    assert gain_towards(aside, 0.0, -down, PEAK) == pytest.approx(gain_towards(0.0, aside, -down, PEAK), abs=1e-9)
+    assert gain_towards(aside, 0.0, -down, PEAK) == pytest.approx(
+        gain_towards(0.0, aside, -down, PEAK), abs=1e-9
+    )
 
 
 @given(components, components, components)
 def test_most_straight_below_and_never_more_than_30_less(x, y, z):
     assert PEAK - 30 <= gain_towards(x, y, z, PEAK) <= PEAK
-    assert gain_towards(x, y, z, 0.0) == pytest.approx(gain_towards(x, y, z, PEAK) - PEAK, abs=1e-12)
+    assert gain_towards(x, y, z, 0.0) == pytest.approx(
+        gain_towards(x, y, z, PEAK) - PEAK, abs=1e-12
+    )
 
 
 @pytest.mark.parametrize("zero", [0.0, -0.0])

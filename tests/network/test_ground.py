@@ -35,7 +35,12 @@ def askew_city():
 @pytest.fixture(scope="module")
 def cities():
     rng = np.random.default_rng(0)
-    made = [generate("urban", 300.0, rng), generate("dense", 250.0, rng, 1.0), askew_city(), city_of([], 123.4)]
+    made = [
+        generate("urban", 300.0, rng),
+        generate("dense", 250.0, rng, 1.0),
+        askew_city(),
+        city_of([], 123.4),
+    ]
     return (*made, city_of([[[2, 2, 0], [6, 6, 9]]], 20.0))
 
 
@@ -86,11 +91,23 @@ def test_places_are_uniform_over_free_ground(ground):
 @pytest.mark.parametrize(
     ("start", "way", "end", "share", "stopped"),
     [
-        ((-3.5, 4.25), (10.0, 0.0), (1.0, 4.25), 0.45, 0),  # the cell from 1 to 2 m touches the building from 2 to 6 m
+        (
+            (-3.5, 4.25),
+            (10.0, 0.0),
+            (1.0, 4.25),
+            0.45,
+            0,
+        ),  # the cell from 1 to 2 m touches the building from 2 to 6 m
         ((9.5, 4.25), (-5.0, 0.0), (7.0, 4.25), 0.5, 0),
         ((4.25, -9.0), (0.0, 16.0), (4.25, 1.0), 0.625, 1),
         ((-3.5, -8.0), (-13.0, 0.0), (-10.0, -8.0), 0.5, 0),
-        ((-0.5, -0.75), (3.0, 3.5), (1.0, 1.0), 0.5, 1),  # at a corner of cells: first into the next column, then not north
+        (
+            (-0.5, -0.75),
+            (3.0, 3.5),
+            (1.0, 1.0),
+            0.5,
+            1,
+        ),  # at a corner of cells: first into the next column, then not north
         ((-0.5, -0.5), (0.25, -0.25), (-0.25, -0.75), 1.0, -1),
         ((8.5, -9.5), (0.0, 19.0), (8.5, 9.5), 1.0, -1),
         ((4.0, 4.0), (9.0, 9.0), (4.0, 4.0), 0.0, -1),  # in a building
@@ -126,14 +143,18 @@ def test_walk_agrees_with_points_along_it(cities, ground, layout):
         if axis >= 0:
             stopped += 1
             beyond = end + np.sign(way) * np.eye(2)[axis] * 1e-7
-            assert np.abs(beyond).max() >= ground.raster.reach or not is_free(ground, layout, beyond)
+            assert np.abs(beyond).max() >= ground.raster.reach or not is_free(
+                ground, layout, beyond
+            )
     assert 60 < stopped < 200
 
 
 def test_a_bounce_folds_the_way():
     ground = Ground([city_of([], 20.0)])
     rng = np.random.default_rng(5)
-    for start, way in zip(rng.uniform(-9, 9, (200, 2)), rng.uniform(-150, 150, (200, 2)), strict=True):
+    for start, way in zip(
+        rng.uniform(-9, 9, (200, 2)), rng.uniform(-150, 150, (200, 2)), strict=True
+    ):
         x, y, *turned = bounce(ground.raster, 0, *start, *way)
         walls = np.floor((start + way + 10) / 20)
         mirrored = np.where(walls % 2 == 0, 1, -1)
@@ -147,7 +168,12 @@ def test_a_bounce_in_a_lane_one_cell_wide():
     ground = Ground([City("lane", 100.0, Solids(walls), np.arange(2), streets)])
     assert np.array_equal(np.argwhere(ground.raster.free[0])[:, 0], np.full(100, 50))
     x, y, turned_x, turned_y = bounce(ground.raster, 0, 0.5, -45.0, 30.2, 70.0)
-    assert (x, y, turned_x, turned_y) == (pytest.approx(0.7, abs=1e-7), pytest.approx(25.0, abs=1e-7), 1.0, 1.0)
+    assert (x, y, turned_x, turned_y) == (
+        pytest.approx(0.7, abs=1e-7),
+        pytest.approx(25.0, abs=1e-7),
+        1.0,
+        1.0,
+    )
 
 
 def test_street_places_are_uniform_along_streets():
@@ -163,7 +189,9 @@ def test_street_places_are_uniform_along_streets():
             assert here.mean() == pytest.approx(share, abs=4 * np.sqrt(share / 50_000))
             assert along[here].min() >= 0
             assert along[here].max() < length
-            assert along[here].mean() == pytest.approx(length / 2, abs=4 * length / np.sqrt(12 * here.sum()))
+            assert along[here].mean() == pytest.approx(
+                length / 2, abs=4 * length / np.sqrt(12 * here.sum())
+            )
 
 
 def test_graph_has_the_streets_of_each_layout(cities, ground):
@@ -187,7 +215,9 @@ def test_a_large_city():
 
 
 def full_city(streets):
-    return City("full", 20.0, Solids(np.array([[[-10.0, -10, 0], [10, 10, 9]]])), np.array([0]), streets)
+    return City(
+        "full", 20.0, Solids(np.array([[[-10.0, -10, 0], [10, 10, 9]]])), np.array([0]), streets
+    )
 
 
 def streets_of(streets):
@@ -205,7 +235,10 @@ def streets_of(streets):
         (lambda: Ground([city_of([], 20.0)], height=-1.0), "height is -1.0 m"),
         (lambda: Ground([full_city(city_of([], 20.0).streets)]), "'full' has no free cell of 1 m"),
         (lambda: streets_of(NO_STREETS), "'own' has no streets"),
-        (lambda: streets_of(Streets(np.zeros((3, 2)), np.array([[1, 2]]))), "'own' has a street of no length at node 1"),
+        (
+            lambda: streets_of(Streets(np.zeros((3, 2)), np.array([[1, 2]]))),
+            "'own' has a street of no length at node 1",
+        ),
     ],
 )
 def test_impossible_grounds_are_named(make, message):

@@ -62,7 +62,9 @@ def test_rate_against_one_interferer():
 
 
 def test_capacity():
-    assert capacity(BAND, np.array([0.0, 1, 3, 255])) == pytest.approx([0, BAND, 2 * BAND, 8 * BAND])
+    assert capacity(BAND, np.array([0.0, 1, 3, 255])) == pytest.approx(
+        [0, BAND, 2 * BAND, 8 * BAND]
+    )
     assert capacity(BAND, 1e-20) == pytest.approx(BAND * 1e-20 / math.log(2), rel=1e-12)
 
 
@@ -108,7 +110,9 @@ def test_every_link_can_have_its_own_k():
 
 
 def test_same_seed_same_fading():
-    one, other, third = (rician_gain(2.0, np.random.default_rng(seed), (4, 5)) for seed in (6, 6, 7))
+    one, other, third = (
+        rician_gain(2.0, np.random.default_rng(seed), (4, 5)) for seed in (6, 6, 7)
+    )
     np.testing.assert_array_equal(one, other)
     assert (one != third).all()
 

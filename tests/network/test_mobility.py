@@ -19,13 +19,24 @@ from bulletuav.network.mobility.manhattan import next_node
 from bulletuav.network.mobility.waypoint import Waypoint
 
 WALKS = [name for name in MOBILITY_MODELS if name != "still"]
-COURTYARD = [[[-9, -9, 0], [9, -1.2, 9]], [[-9, 1.2, 0], [9, 9, 9]], [[-9, -9, 0], [-1.2, 9, 9]], [[1.2, -9, 0], [9, 9, 9]]]
+COURTYARD = [
+    [[-9, -9, 0], [9, -1.2, 9]],
+    [[-9, 1.2, 0], [9, 9, 9]],
+    [[-9, -9, 0], [-1.2, 9, 9]],
+    [[1.2, -9, 0], [9, 9, 9]],
+]
 
 
 def city_of(side, boxes=(), hulls=(), streets=None):
     """A city without a grid, on whose free ground streets are laid where none are given."""
     solids = Solids(np.array(boxes, float).reshape(-1, 2, 3), hulls)
-    bare = City("own", side, solids, np.arange(len(boxes) + len(hulls)), Streets(np.zeros((0, 2)), np.zeros((0, 2), int)))
+    bare = City(
+        "own",
+        side,
+        solids,
+        np.arange(len(boxes) + len(hulls)),
+        Streets(np.zeros((0, 2)), np.zeros((0, 2), int)),
+    )
     return replace(bare, streets=free_streets(side, bare.outdoors) if streets is None else streets)
 
 
@@ -34,7 +45,11 @@ def askew_city():
     rng = np.random.default_rng(3)
     hulls = []
     for _ in range(40):
-        angle, middle, size = rng.uniform(0, np.pi), rng.uniform(-140, 140, 2), rng.uniform(2, 16, 2)
+        angle, middle, size = (
+            rng.uniform(0, np.pi),
+            rng.uniform(-140, 140, 2),
+            rng.uniform(2, 16, 2),
+        )
         turned = [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]
         outline = middle + np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * size @ turned
         hulls.append(np.column_stack([np.tile(outline, (2, 1)), np.repeat([0.0, 20.0], 4)]))
@@ -44,7 +59,11 @@ def askew_city():
 @pytest.fixture(scope="module")
 def cities():
     rng = np.random.default_rng(0)
-    grids = [generate("urban", 300.0, rng), generate("dense", 350.0, rng, 1.0), generate("suburban", 250.0, rng, 0.5)]
+    grids = [
+        generate("urban", 300.0, rng),
+        generate("dense", 350.0, rng, 1.0),
+        generate("suburban", 250.0, rng, 0.5),
+    ]
     return (*grids, askew_city(), city_of(200.0))
 
 
@@ -59,9 +78,14 @@ class Crowd:
     def __init__(self, model, ground, layouts, count, seed=0):
         self.model, self.ground, self.layout = find_mobility(model), ground, np.array(layouts)
         self.rng = [np.random.default_rng((seed, k)) for k in range(len(layouts))]
-        worlds = [self.model.start(rng, ground, layout, count) for rng, layout in zip(self.rng, layouts, strict=True)]
+        worlds = [
+            self.model.start(rng, ground, layout, count)
+            for rng, layout in zip(self.rng, layouts, strict=True)
+        ]
         self.state = {name: np.stack([world[name] for world in worlds]) for name in worlds[0]}
-        assert {name: array.shape[1:] for name, array in self.state.items()} == self.model.state(count)
+        assert {name: array.shape[1:] for name, array in self.state.items()} == self.model.state(
+            count
+        )
         assert {array.dtype for array in self.state.values()} == {np.dtype(float)}
 
     def move(self, dt=1.0, flying=None, steps=1):
@@ -92,7 +116,9 @@ def test_long_walks_stay_outdoors_in_bounds_and_slow(cities, ground, name):
     assert (users[..., 2] == 1.5).all()
     steps = np.linalg.norm(np.diff(users, axis=0), axis=-1)
     assert steps.max() <= crowd.model.max_speed + 1e-7
-    assert (np.linalg.norm(crowd.state["user_velocity"], axis=-1) <= crowd.model.max_speed + 1e-9).all()
+    assert (
+        np.linalg.norm(crowd.state["user_velocity"], axis=-1) <= crowd.model.max_speed + 1e-9
+    ).all()
     if name != "still":
         assert np.median(steps.sum(axis=0)) > 300  # m
         assert (np.ptp(users, axis=0).max(axis=-1) > 5).mean() > 0.99
@@ -115,7 +141,9 @@ def test_any_step_keeps_the_rules(cities, ground, name, dt):
     for layout, city in enumerate(cities):
         assert city.outdoors(users[:, layout]).all()
         assert np.abs(users[:, layout, :, :2]).max() <= city.side / 2 + 1e-9
-    assert np.linalg.norm(np.diff(users, axis=0), axis=-1).max() <= crowd.model.max_speed * dt + 1e-6
+    assert (
+        np.linalg.norm(np.diff(users, axis=0), axis=-1).max() <= crowd.model.max_speed * dt + 1e-6
+    )
 
 
 @pytest.mark.parametrize("name", WALKS)
@@ -130,7 +158,9 @@ def test_small_steps_lead_as_far_as_large_ones(ground, name):
             now = crowd.move(dt, steps=round(span / dt))[-1]
             gone[-1].append(((now - start)[..., :2] ** 2).sum(axis=-1))
     for small, large in zip(*gone, strict=True):
-        assert small.mean() == pytest.approx(large.mean(), abs=4 * math.hypot(standard_error(small), standard_error(large)))
+        assert small.mean() == pytest.approx(
+            large.mean(), abs=4 * math.hypot(standard_error(small), standard_error(large))
+        )
         assert standard_error(large) < 0.05 * large.mean()
 
 
@@ -149,7 +179,9 @@ def test_worlds_do_not_feel_each_other(ground, name):
 
 @pytest.mark.parametrize("name", WALKS)
 def test_seeds_tell_walks(ground, name):
-    one, same, other = (Crowd(name, ground, [0, 3], 10, seed).move(0.5, steps=20) for seed in (1, 1, 2))
+    one, same, other = (
+        Crowd(name, ground, [0, 3], 10, seed).move(0.5, steps=20) for seed in (1, 1, 2)
+    )
     assert np.array_equal(one, same)
     assert not np.isclose(one, other).all(axis=-1).any()
 
@@ -172,14 +204,18 @@ def test_streams_are_those_of_splitmix64():
         4593380528125082431,
         16408922859458223821,
     )
-    assert [uniform(np.uint64(1234567), k) for k in range(5)] == [(value >> 11) * 2.0**-53 for value in known]
+    assert [uniform(np.uint64(1234567), k) for k in range(5)] == [
+        (value >> 11) * 2.0**-53 for value in known
+    ]
 
 
 # ---- Gauss-Markov -----------------------------------------------------------------------------------------------------
 
 
 def test_gauss_markov_step():
-    found = gauss_markov(np.array([1.0, 0.0]), np.array([0.5, 0.0]), 0.75, 0.5, np.array([1.0, -1.0]))
+    found = gauss_markov(
+        np.array([1.0, 0.0]), np.array([0.5, 0.0]), 0.75, 0.5, np.array([1.0, -1.0])
+    )
     assert found == pytest.approx((1.2057189, -0.3307189), abs=5e-8)
     assert math.exp(-1 / CORRELATION_TIME) == pytest.approx(0.75, abs=1e-12)
     assert pytest.approx(3.476059, abs=5e-7) == CORRELATION_TIME
@@ -187,7 +223,9 @@ def test_gauss_markov_step():
 
 def test_gauss_markov_limits():
     assert gauss_markov(1.3, 0.2, 1.0, 0.5, 2.0) == 1.3  # no time
-    assert gauss_markov(1.3, 0.2, 0.0, 0.5, 2.0) == pytest.approx(1.2, abs=1e-15)  # long after: mean and deviation alone
+    assert gauss_markov(1.3, 0.2, 0.0, 0.5, 2.0) == pytest.approx(
+        1.2, abs=1e-15
+    )  # long after: mean and deviation alone
 
 
 @pytest.mark.parametrize("dt", [0.1, 1.0, 4.0])
@@ -226,16 +264,22 @@ def test_gauss_markov_speed_is_cut_at_four_deviations():
 
 def test_gauss_markov_users_turn_away_from_walls():
     """One cell is closed before the wall, whose face is at x = 0."""
-    crowd = Crowd(GaussMarkov(deviation=0.0), Ground([city_of(100.0, [[[0, -50, 0], [9, 50, 9]]])]), [0], 3)
+    crowd = Crowd(
+        GaussMarkov(deviation=0.0), Ground([city_of(100.0, [[[0, -50, 0], [9, 50, 9]]])]), [0], 3
+    )
     crowd.state["users"][0, :, :2] = [[-2.0, 0], [-1.5, 0], [-48.5, -48.5]]
     crowd.state["user_velocity"][0] = [[3.0, 1], [3, 1], [-2, -1]]
     crowd.state["user_mean_velocity"][0] = [[3.0, 1], [-3, 1], [-2, -1]]
     crowd.move(2.0)
-    pace = (2 * 0.75**2 - 1) * 3  # of the second, who comes from a mean that leads away from the wall
+    pace = (
+        2 * 0.75**2 - 1
+    ) * 3  # of the second, who comes from a mean that leads away from the wall
     assert crowd.state["users"][0, :, :2] == pytest.approx(
         np.array([[-6, 2], [-0.5 - 2 * pace, 2], [-47.5, -49.5]]), abs=1e-7
     )
-    assert crowd.state["user_velocity"][0] == pytest.approx(np.array([[-3, 1], [-pace, 1], [2, 1]]), abs=1e-12)
+    assert crowd.state["user_velocity"][0] == pytest.approx(
+        np.array([[-3, 1], [-pace, 1], [2, 1]]), abs=1e-12
+    )
     assert crowd.state["user_mean_velocity"][0].tolist() == [[-3, 1], [-3, 1], [2, 1]]
 
 
@@ -244,7 +288,12 @@ def test_gauss_markov_users_turn_away_from_walls():
 
 def star(*angles):
     """Ground with a node 0 from which streets lead to nodes 1, 2, ... at these angles, degrees."""
-    nodes = 40 * np.array([(0, 0), *((math.cos(math.radians(angle)), math.sin(math.radians(angle))) for angle in angles)])
+    nodes = 40 * np.array(
+        [
+            (0, 0),
+            *((math.cos(math.radians(angle)), math.sin(math.radians(angle))) for angle in angles),
+        ]
+    )
     edges = np.array([(0, k + 1) for k in range(len(angles))])
     return Ground([city_of(100.0, streets=Streets(nodes, edges))])
 
@@ -300,11 +349,15 @@ def test_manhattan_users_keep_to_streets_and_to_their_speed(cities, ground):
         crowd.move()
         behind, ahead, along = np.moveaxis(crowd.state["user_street"], -1, 0)
         for world, layout in enumerate(crowd.layout):
-            one, two = (ground.graph.node[layout, nodes[world].astype(int)] for nodes in (behind, ahead))
+            one, two = (
+                ground.graph.node[layout, nodes[world].astype(int)] for nodes in (behind, ahead)
+            )
             heading = (two - one) / np.linalg.norm(two - one, axis=1)[:, None]
             place = one + along[world][:, None] * heading
             np.testing.assert_allclose(crowd.state["users"][world, :, :2], place, atol=1e-9)
-            np.testing.assert_allclose(crowd.state["user_velocity"][world], speed[world][:, None] * heading, atol=1e-12)
+            np.testing.assert_allclose(
+                crowd.state["user_velocity"][world], speed[world][:, None] * heading, atol=1e-12
+            )
             back = (behind[world] == before[world, :, 1]) & (ahead[world] == before[world, :, 0])
             assert ends[layout, behind[world][back].astype(int)].all()
             turned += back.sum()
@@ -317,7 +370,13 @@ def test_manhattan_users_keep_to_streets_and_to_their_speed(cities, ground):
 def test_manhattan_carries_the_rest_of_the_way_over_nodes():
     """A ring of streets without crossings, 160 m round: where one is after any step is known."""
     corners = np.array([[-20.0, -20], [0, -20], [20, -20], [20, 20], [-20, 20]])
-    ring = Ground([city_of(100.0, streets=Streets(corners, np.array([[0, 1], [1, 2], [2, 3], [3, 4], [4, 0]])))])
+    ring = Ground(
+        [
+            city_of(
+                100.0, streets=Streets(corners, np.array([[0, 1], [1, 2], [2, 3], [3, 4], [4, 0]]))
+            )
+        ]
+    )
     crowd = Crowd("manhattan", ring, [0], 1)
     crowd.state["user_street"][0, 0] = 0, 1, 5.0
     crowd.state["user_speed"][:] = 2.0
@@ -349,12 +408,17 @@ def test_headings_blend_on_the_circle():
 def test_hotspot_users_turn_towards_their_hotspot(steps):
     model = Hotspot(speed=(1e-6, 1e-6), drift=(0.0, 0.0), wobble=0.0, num_hotspots=1)
     crowd = Crowd(model, Ground([city_of(200.0)]), [0], 1)
-    crowd.state["users"][0, 0, :2], crowd.state["hotspots"][0, 0] = (0, 0), 90 * np.array([-np.cos(0.3), -np.sin(0.3)])
+    crowd.state["users"][0, 0, :2], crowd.state["hotspots"][0, 0] = (
+        (0, 0),
+        90 * np.array([-np.cos(0.3), -np.sin(0.3)]),
+    )
     crowd.state["user_heading"][0, 0] = -np.cos(0.3), np.sin(0.3)
     crowd.move(1 / steps, steps=steps)
     blend = np.array([-np.cos(0.3), (0.4 - 0.6) * np.sin(0.3)])
     assert crowd.state["user_heading"][0, 0] == pytest.approx(blend, abs=1e-6)
-    assert crowd.state["user_velocity"][0, 0] == pytest.approx(1e-6 * blend / np.linalg.norm(blend), abs=1e-12)
+    assert crowd.state["user_velocity"][0, 0] == pytest.approx(
+        1e-6 * blend / np.linalg.norm(blend), abs=1e-12
+    )
 
 
 def test_hotspots_and_their_users_turn_at_walls():
@@ -376,7 +440,9 @@ def test_hotspot_users_gather_and_mill_around(cities, ground):
     crowd = Crowd("hotspot", ground, [0, 1, 2, 3, 4] * 2, 60)
 
     def gaps():
-        own = np.take_along_axis(crowd.state["hotspots"], crowd.state["user_hotspot"].astype(int)[..., None], axis=1)
+        own = np.take_along_axis(
+            crowd.state["hotspots"], crowd.state["user_hotspot"].astype(int)[..., None], axis=1
+        )
         return np.linalg.norm(crowd.state["users"][..., :2] - own, axis=-1)
 
     before = np.median(gaps())
@@ -413,7 +479,9 @@ def test_waypoint_speed_is_the_harmonic_mean():
     assert error < 0.01
     assert means.mean() == pytest.approx(1.3953, abs=4 * error)
     early = speeds[:5].mean(axis=0).ravel()
-    assert early.mean() == pytest.approx(1.3953, abs=4 * standard_error(early))  # from the start, no decay
+    assert early.mean() == pytest.approx(
+        1.3953, abs=4 * standard_error(early)
+    )  # from the start, no decay
     assert speeds[speeds > 0].min() >= 0.5
     assert speeds.max() <= 3.0
 
@@ -433,7 +501,9 @@ def test_waypoint_arrival_pause_and_next_leg_in_one_step():
     crowd.move(2.0)
     way = crowd.state["user_goal"][0, 0] - (6.0, 8.0)
     assert place[:2] == pytest.approx((6, 8) + 2.0 * way / np.linalg.norm(way), abs=1e-12)
-    assert crowd.state["user_velocity"][0, 0] == pytest.approx(2.0 * way / np.linalg.norm(way), abs=1e-12)
+    assert crowd.state["user_velocity"][0, 0] == pytest.approx(
+        2.0 * way / np.linalg.norm(way), abs=1e-12
+    )
     crowd.state["user_goal"][0, 0] = place[:2] + (0.0, 1.0)
     goal = crowd.state["user_goal"][0, 0].copy()
     crowd.move(0.5 + 3.0 + 0.25)
@@ -441,7 +511,9 @@ def test_waypoint_arrival_pause_and_next_leg_in_one_step():
 
 
 def test_waypoint_speeds_and_pauses_are_uniform_and_independent():
-    crowd = Crowd(Waypoint(speed=(1.0, 2.0), pause=(10.0, 50.0)), Ground([city_of(100.0)]), [0] * 4, 1000)
+    crowd = Crowd(
+        Waypoint(speed=(1.0, 2.0), pause=(10.0, 50.0)), Ground([city_of(100.0)]), [0] * 4, 1000
+    )
     crowd.state["user_goal"] += 0.1
     crowd.move()
     speed, pause = crowd.state["user_speed"].ravel(), crowd.state["user_pause"].ravel()
@@ -488,7 +560,9 @@ def test_waypoint_users_who_see_no_place_look_again_after_a_second():
 
 def test_waypoint_share_of_time_at_rest():
     """Pauses of 10 s after legs at 1 m/s, as long as the mean distance of two places in a square: 0.521405 of its side."""
-    crowd = Crowd(Waypoint(speed=(1.0, 1.0), pause=(10.0, 10.0)), Ground([city_of(60.0)]), [0] * 20, 50)
+    crowd = Crowd(
+        Waypoint(speed=(1.0, 1.0), pause=(10.0, 10.0)), Ground([city_of(60.0)]), [0] * 20, 50
+    )
     crowd.move(500.0)
     resting = np.empty((100, 20, 50))
     for row in resting:

@@ -64,7 +64,9 @@ def test_free_space(distance):
 
 @pytest.mark.parametrize("distance", LOG_DISTANCE)
 def test_log_distance(distance):
-    assert log_distance(distance, 29.0, EXPONENTS["urbanmarl"]) == pytest.approx(LOG_DISTANCE[distance], abs=6e-6)
+    assert log_distance(distance, 29.0, EXPONENTS["urbanmarl"]) == pytest.approx(
+        LOG_DISTANCE[distance], abs=6e-6
+    )
 
 
 @pytest.mark.parametrize("distance", CLOSE_IN)
@@ -76,7 +78,9 @@ def test_close_in_law_has_its_own_constant(distance):
 
 @given(st.floats(1, 1e5), st.floats(0.1, 300))
 def test_log_distance_with_2_is_free_space(distance, frequency):
-    assert log_distance(distance, frequency, 2.0) == pytest.approx(free_space(distance, frequency), rel=1e-12)
+    assert log_distance(distance, frequency, 2.0) == pytest.approx(
+        free_space(distance, frequency), rel=1e-12
+    )
 
 
 def test_antennas_that_touch_are_a_metre_apart():
@@ -99,12 +103,16 @@ def test_mean_path_loss(place):
     kind, elevation = place
     chance = elevation_los(elevation, SIGMOIDS[kind])
     distance = 100 / math.sin(math.radians(elevation))
-    assert mean_path_loss(distance, 2.0, chance, *EXCESS[kind]) == pytest.approx(MEAN[place], abs=6e-5)
+    assert mean_path_loss(distance, 2.0, chance, *EXCESS[kind]) == pytest.approx(
+        MEAN[place], abs=6e-5
+    )
 
 
 def test_excess_loss():
     found = [
-        mean_path_loss(100.0, 2.0, chance, *EXCESS[kind]) - free_space(100.0, 2.0) for kind in SIGMOIDS for chance in (1, 0)
+        mean_path_loss(100.0, 2.0, chance, *EXCESS[kind]) - free_space(100.0, 2.0)
+        for kind in SIGMOIDS
+        for chance in (1, 0)
     ]
     assert found == pytest.approx([0.1, 21, 1, 20, 1.6, 23, 2.3, 34], abs=1e-12)
 
@@ -125,14 +133,23 @@ def test_tr_38901(link):
 @given(st.floats(2, 60), st.floats(1.5, 22.5), st.floats(0.5, 100))
 def test_loss_in_sight_bends_at_the_breakpoint_without_a_jump(law, base, user, frequency):
     bend = 4 * (base - 1) * (user - 1) * frequency * 1e9 / 3e8
-    before, after = law(bend * (1 - 1e-9), base, user, frequency), law(bend * (1 + 1e-9), base, user, frequency)
+    before, after = (
+        law(bend * (1 - 1e-9), base, user, frequency),
+        law(bend * (1 + 1e-9), base, user, frequency),
+    )
     assert after == pytest.approx(before, abs=1e-6)
     far = max(bend, 1.0) * 1e4
-    assert law(10 * far, base, user, frequency) - law(far, base, user, frequency) == pytest.approx(40, abs=1e-5)
+    assert law(10 * far, base, user, frequency) - law(far, base, user, frequency) == pytest.approx(
+        40, abs=1e-5
+    )
 
 
 def test_antennas_on_the_ground_have_no_breakpoint():
-    assert umi_los(100, 0.0, 1.5, 2) == umi_los(100, 1.5, 0.0, 2) == pytest.approx(115.076820, abs=6e-7)
+    assert (
+        umi_los(100, 0.0, 1.5, 2)
+        == umi_los(100, 1.5, 0.0, 2)
+        == pytest.approx(115.076820, abs=6e-7)
+    )
     assert umi_los(100, 1.0, 1.0, 1) == pytest.approx(112.4, abs=1e-9)
     assert umi_los(100, 0.0, 0.9, 2) == umi_los(100, 0.9, 0.0, 2)
 
@@ -168,7 +185,9 @@ def test_tr_36777(place):
 @pytest.mark.parametrize(("aerial", "ground"), [("umi_av", "umi"), ("uma_av", "uma")])
 def test_low_drones_of_tr_36777_are_terminals_of_tr_38901(aerial, ground):
     assert both(aerial, 800.0, 22.5, 1.5, 2.0) == both(ground, 800.0, 1.5, 22.5, 2.0)
-    for above, below in zip(both(aerial, 800.0, 22.6, 1.5, 2.0), both(ground, 800.0, 1.5, 22.6, 2.0), strict=True):
+    for above, below in zip(
+        both(aerial, 800.0, 22.6, 1.5, 2.0), both(ground, 800.0, 1.5, 22.6, 2.0), strict=True
+    ):
         assert abs(above - below) > 0.1
     assert umi_av_los_probability(80.0, 20.0) == umi_los_probability(80.0)
     assert uma_av_los_probability(80.0, 20.0) == uma_los_probability(80.0, 20.0)
@@ -177,9 +196,9 @@ def test_low_drones_of_tr_36777_are_terminals_of_tr_38901(aerial, ground):
 def test_uma_av_drones_above_100_metres_are_seen():
     assert uma_av_los_probability(3000.0, 100.0) < 0.6
     assert uma_av_los_probability(3000.0, 100.1) == 1
-    assert PATHLOSS_MODELS["uma_av"].nlos(200.0, 250.0, 250.0, 2.0) == PATHLOSS_MODELS["uma_av"].nlos(
-        200.0, 100.0, 100.0, 2.0
-    )
+    assert PATHLOSS_MODELS["uma_av"].nlos(200.0, 250.0, 250.0, 2.0) == PATHLOSS_MODELS[
+        "uma_av"
+    ].nlos(200.0, 100.0, 100.0, 2.0)
 
 
 @pytest.mark.parametrize("law", [umi_av_los_probability, uma_av_los_probability])
@@ -190,7 +209,10 @@ def test_low_aerial_drones_too_are_seen_up_to_18_metres(law):
 
 def test_umi_av_in_sight_is_never_better_than_free_space():
     drone, distance = np.array([[30.0], [300]]), np.geomspace(1, 4000, 50)
-    loss, least = umi_av_los(distance, drone, 10.0, 2.0), free_space(np.hypot(distance, drone - 10), 2.0)
+    loss, least = (
+        umi_av_los(distance, drone, 10.0, 2.0),
+        free_space(np.hypot(distance, drone - 10), 2.0),
+    )
     assert (loss >= least).all()
     assert umi_av_los(0.0, 300.0, 300.0, 2.0) == free_space(1.0, 2.0)
 
@@ -261,9 +283,15 @@ def test_laws_of_arrays_and_in_kernels_are_those_of_numbers():
             found[9, i] = pathloss.uma_av_nlos(d, drone, user, frequency)
         return found
 
-    arrays = [law(distance, 60.0, 1.5, 2.0) for model in PATHLOSS_MODELS.values() for law in (model.los, model.nlos)]
+    arrays = [
+        law(distance, 60.0, 1.5, 2.0)
+        for model in PATHLOSS_MODELS.values()
+        for law in (model.los, model.nlos)
+    ]
     numbers = [
-        [law(d, 60.0, 1.5, 2.0) for d in distance] for model in PATHLOSS_MODELS.values() for law in (model.los, model.nlos)
+        [law(d, 60.0, 1.5, 2.0) for d in distance]
+        for model in PATHLOSS_MODELS.values()
+        for law in (model.los, model.nlos)
     ]
     np.testing.assert_array_equal(losses(distance, 60.0, 1.5, 2.0), arrays)
     np.testing.assert_array_equal(arrays, numbers)
@@ -275,11 +303,19 @@ def test_laws_of_arrays_and_in_kernels_are_those_of_numbers():
         ("umi", {"frequency": 0.4}, "frequency is 0.4: TR 38.901 UMi is for 0.5 to 100 GHz"),
         ("uma", {"frequency": 101}, "frequency is 101: TR 38.901 UMa is for 0.5 to 100 GHz"),
         ("uma_av", {"frequency": 29}, "frequency is 29: TR 36.777 UMa-AV is for 0.5 to 6 GHz"),
-        ("log_distance", {"frequency": 29e9}, "frequency is .*: log-distance is for 3e-06 to 3000 GHz"),
+        (
+            "log_distance",
+            {"frequency": 29e9},
+            "frequency is .*: log-distance is for 3e-06 to 3000 GHz",
+        ),
         ("log_distance", {"frequency": math.nan}, "frequency is nan"),
         ("log_distance", {"frequency": 2, "drone": math.inf}, "drone is inf"),
         ("umi", {"frequency": 2, "distance": 9.9}, "distance is 9.9: .* 10 to 5000 m"),
-        ("umi_av", {"frequency": 2, "distance": [10, 4001]}, "distance is .10, 4001.: .* 0 to 4000 m"),
+        (
+            "umi_av",
+            {"frequency": 2, "distance": [10, 4001]},
+            "distance is .10, 4001.: .* 0 to 4000 m",
+        ),
         ("umi_av", {"frequency": 2, "drone": 301}, "drone is 301: .* 1.5 to 300 m"),
         ("uma", {"frequency": 2, "user": 0}, "user is 0: .* 1.5 to 22.5 m"),
         ("uma", {"frequency": 2, "drone": math.nan}, "drone is nan"),
@@ -292,7 +328,9 @@ def test_what_a_model_is_not_for_is_refused_by_name(name, values, message):
         check_validity(name, **values)
 
 
-@pytest.mark.parametrize(("name", "end", "height"), [("umi", "drone", 10), ("uma", "drone", 25), ("umi_av", "user", 10)])
+@pytest.mark.parametrize(
+    ("name", "end", "height"), [("umi", "drone", 10), ("uma", "drone", 25), ("umi_av", "user", 10)]
+)
 def test_a_base_at_another_height_is_warned_about(name, end, height):
     with pytest.warns(UserWarning, match=f"{end} is 5.0: .* the base, which .* has at {height} m"):
         check_validity(name, 2.0, **{end: 5.0})
@@ -312,6 +350,14 @@ def test_ranges_are_those_of_the_standards():
 def test_what_a_model_is_for_passes():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert check_validity("umi", 29.0, np.array([10.0, 5000]), 10.0, (1.5, 22.5)) is PATHLOSS_MODELS["umi"]
-        assert check_validity("uma_av", 6.0, 0.0, np.linspace(1.5, 300, 9), 25) is PATHLOSS_MODELS["uma_av"]
-        assert check_validity("log_distance", 29.0, 0.0, 500.0, 0.0) is PATHLOSS_MODELS["log_distance"]
+        assert (
+            check_validity("umi", 29.0, np.array([10.0, 5000]), 10.0, (1.5, 22.5))
+            is PATHLOSS_MODELS["umi"]
+        )
+        assert (
+            check_validity("uma_av", 6.0, 0.0, np.linspace(1.5, 300, 9), 25)
+            is PATHLOSS_MODELS["uma_av"]
+        )
+        assert (
+            check_validity("log_distance", 29.0, 0.0, 500.0, 0.0) is PATHLOSS_MODELS["log_distance"]
+        )

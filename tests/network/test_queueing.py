@@ -23,12 +23,44 @@ from bulletuav.network.queueing import (
 # rho, P0, Erlang B, Erlang C, Lq, Wq, W, rounded to nine decimals
 TABLE = {
     (1, 0.5, 1): (0.5, 0.5, 0.333333333, 0.5, 0.5, 1.0, 2.0),
-    (2, 1.5, 1): (0.75, 0.142857143, 0.310344828, 0.642857143, 1.928571429, 1.285714286, 2.285714286),
+    (2, 1.5, 1): (
+        0.75,
+        0.142857143,
+        0.310344828,
+        0.642857143,
+        1.928571429,
+        1.285714286,
+        2.285714286,
+    ),
     (4, 3, 1): (0.75, 0.037735849, 0.206106870, 0.509433962, 1.528301887, 0.509433962, 1.509433962),
-    (4, 3.9, 1): (0.975, 0.002451191, 0.300939290, 0.945114164, 36.859452404, 9.451141642, 10.451141642),
+    (4, 3.9, 1): (
+        0.975,
+        0.002451191,
+        0.300939290,
+        0.945114164,
+        36.859452404,
+        9.451141642,
+        10.451141642,
+    ),
     (8, 6, 1): (0.75, 0.002142376, 0.121875784, 0.356981086, 1.070943258, 0.178490543, 1.178490543),
-    (4, 5, 4): (0.3125, 0.285328290, 0.029413149, 0.042218319, 0.019190145, 0.003838029, 0.253838029),
-    (4, 15, 4): (0.9375, 0.006561411, 0.286002407, 0.865029731, 12.975445971, 0.865029731, 1.115029731),
+    (4, 5, 4): (
+        0.3125,
+        0.285328290,
+        0.029413149,
+        0.042218319,
+        0.019190145,
+        0.003838029,
+        0.253838029,
+    ),
+    (4, 15, 4): (
+        0.9375,
+        0.006561411,
+        0.286002407,
+        0.865029731,
+        12.975445971,
+        0.865029731,
+        1.115029731,
+    ),
     (64, 60, 1): (0.9375, 0.0, 0.060362738, 0.506866271, 7.602994065, 0.126716568, 1.126716568),
 }
 TIMES = np.array([0.0, 0.1, 0.5, 1.0, 2.0, 5.0, 20.0])
@@ -87,8 +119,12 @@ def test_births_and_deaths_balance(queue):
     n = np.arange(len(chance))
     assert empty_probability(*queue) == pytest.approx(chance[0], rel=1e-9)
     assert wait_exceeds(*queue, 0.0) == pytest.approx(chance[servers:].sum(), rel=1e-9)
-    assert mean_queue_length(*queue) == pytest.approx((np.maximum(n - servers, 0) * chance).sum(), rel=1e-9)
-    assert arrival_rate * mean_response(*queue) == pytest.approx((n * chance).sum(), rel=1e-9)  # Little's law
+    assert mean_queue_length(*queue) == pytest.approx(
+        (np.maximum(n - servers, 0) * chance).sum(), rel=1e-9
+    )
+    assert arrival_rate * mean_response(*queue) == pytest.approx(
+        (n * chance).sum(), rel=1e-9
+    )  # Little's law
 
 
 @pytest.mark.parametrize("queue", [(1, 0.5, 1.0), (4, 3.0, 1.0), (4, 5.0, 4.0), (64, 60.0, 1.0)])
@@ -107,24 +143,44 @@ def test_one_server():
     assert erlang_c(1, arrival_rate / rate) == pytest.approx(arrival_rate / rate, rel=1e-15)
     assert empty_probability(1, arrival_rate, rate) == pytest.approx(spare / rate, rel=1e-15)
     assert mean_response(1, arrival_rate, rate) == pytest.approx(1 / spare, rel=1e-14)
-    np.testing.assert_allclose(response_exceeds(1, arrival_rate, rate, TIMES), np.exp(-spare * TIMES), rtol=1e-13)
+    np.testing.assert_allclose(
+        response_exceeds(1, arrival_rate, rate, TIMES), np.exp(-spare * TIMES), rtol=1e-13
+    )
 
 
 def test_without_arrivals_only_the_service_takes_time():
-    assert (erlang_b(4, 0.0), erlang_c(4, 0.0), mean_wait(4, 0.0, 2.0), mean_queue_length(4, 0.0, 2.0)) == (0, 0, 0, 0)
-    assert (empty_probability(4, 0.0, 2.0), mean_response(4, 0.0, 2.0), utilisation(4, 0.0, 2.0)) == (1, 0.5, 0)
-    np.testing.assert_allclose(response_exceeds(4, 0.0, 2.0, TIMES), np.exp(-2.0 * TIMES), rtol=1e-15)
+    assert (
+        erlang_b(4, 0.0),
+        erlang_c(4, 0.0),
+        mean_wait(4, 0.0, 2.0),
+        mean_queue_length(4, 0.0, 2.0),
+    ) == (0, 0, 0, 0)
+    assert (
+        empty_probability(4, 0.0, 2.0),
+        mean_response(4, 0.0, 2.0),
+        utilisation(4, 0.0, 2.0),
+    ) == (1, 0.5, 0)
+    np.testing.assert_allclose(
+        response_exceeds(4, 0.0, 2.0, TIMES), np.exp(-2.0 * TIMES), rtol=1e-15
+    )
 
 
 def test_full_load_is_approached_and_has_no_steady_state():
     arrival_rate = 4 - 4 * np.array([1e-2, 1e-4, 1e-6])
     assert 1 - erlang_c(4, arrival_rate) == pytest.approx(0, abs=0.03)
     assert (np.diff(erlang_c(4, arrival_rate)) > 0).all()
-    assert (4 - arrival_rate[-1]) * mean_wait(4, arrival_rate[-1], 1.0) == pytest.approx(1, rel=1e-5)
+    assert (4 - arrival_rate[-1]) * mean_wait(4, arrival_rate[-1], 1.0) == pytest.approx(
+        1, rel=1e-5
+    )
     for arrival_rate in (4.0, 4.1, 100.0):
         queue = (4, arrival_rate, 1.0)
         assert mean_wait(*queue) == mean_response(*queue) == mean_queue_length(*queue) == math.inf
-        assert erlang_c(4, arrival_rate) == wait_exceeds(*queue, 9.0) == response_exceeds(*queue, math.inf) == 1
+        assert (
+            erlang_c(4, arrival_rate)
+            == wait_exceeds(*queue, 9.0)
+            == response_exceeds(*queue, math.inf)
+            == 1
+        )
         assert empty_probability(*queue) == 0
 
 
@@ -133,18 +189,24 @@ def test_many_servers_stay_exact(servers, load):
     expected = math.exp(poisson.logpmf(servers, load) - poisson.logcdf(servers, load))
     assert erlang_b(servers, load) == pytest.approx(expected, rel=1e-9)
     assert 0 <= erlang_c(servers, load) < 1
-    assert empty_probability(servers, load, 1.0) == pytest.approx(math.exp(-load), rel=1e-3, abs=1e-300)
+    assert empty_probability(servers, load, 1.0) == pytest.approx(
+        math.exp(-load), rel=1e-3, abs=1e-300
+    )
     assert math.isfinite(mean_response(servers, load, 1.0))
 
 
 def test_late_chances_meet_where_both_rates_are_equal():
-    near = response_exceeds(4, 3.0 + np.array([-1e-3, -1e-7, -1e-12, 0.0, 1e-12, 1e-7, 1e-3]), 1.0, 2.0)
+    near = response_exceeds(
+        4, 3.0 + np.array([-1e-3, -1e-7, -1e-12, 0.0, 1e-12, 1e-7, 1e-3]), 1.0, 2.0
+    )
     assert (np.diff(near) >= 0).all()
     assert near == pytest.approx(near[3], rel=2e-3)
     assert near[[1, 2, 4, 5]] == pytest.approx(near[3], rel=2e-7)
     assert response_exceeds(4, 3.0, 1.0, TIMES[0]) == 1
     assert response_exceeds([4, 1, 200], [3.0, 0.9, 10.0], 1.0, math.inf).tolist() == [0, 0, 0]
-    assert response_exceeds([1, 200], [0.999, 10.0], 1.0, 5e3) == pytest.approx([math.exp(-5), 0], rel=1e-12, abs=1e-300)
+    assert response_exceeds([1, 200], [0.999, 10.0], 1.0, 5e3) == pytest.approx(
+        [math.exp(-5), 0], rel=1e-12, abs=1e-300
+    )
 
 
 @pytest.mark.parametrize("arrival_rate", [0.4, 2.9995, 3.0005, 3.7])
@@ -156,7 +218,9 @@ def test_late_chances_are_those_of_two_exponentials(arrival_rate):
 
 def test_units_of_time_do_not_matter():
     assert 60 * mean_wait(4, 60 * 3.0, 60.0) == pytest.approx(mean_wait(4, 3.0, 1.0), rel=1e-14)
-    assert response_exceeds(4, 60 * 3.9, 60.0, 0.5) == pytest.approx(response_exceeds(4, 3.9, 1.0, 30.0), rel=1e-13)
+    assert response_exceeds(4, 60 * 3.9, 60.0, 0.5) == pytest.approx(
+        response_exceeds(4, 3.9, 1.0, 30.0), rel=1e-13
+    )
 
 
 def test_a_faster_or_larger_server_waits_less():
@@ -165,7 +229,9 @@ def test_a_faster_or_larger_server_waits_less():
     assert wait.shape == (32, 9)
     assert (np.diff(wait, axis=0) < 0).all()
     assert (np.diff(wait, axis=1) < 0).all()
-    assert mean_wait(1, 3.0, 4.0) < mean_wait(4, 3.0, 1.0) + 3 / 4  # one fast server answers before four slow ones
+    assert (
+        mean_wait(1, 3.0, 4.0) < mean_wait(4, 3.0, 1.0) + 3 / 4
+    )  # one fast server answers before four slow ones
 
 
 def test_kernels_call_them():
@@ -184,12 +250,16 @@ def test_computing_in_numbers():
     assert service_rate(2e9, 1.25e6, 800) == pytest.approx(2, rel=1e-15)
     assert compute_energy(1e-28, 5e9, 1.25e9) == pytest.approx(3.125, rel=1e-14)
     assert core_power(1e-28, 5e9) == pytest.approx(12.5, rel=1e-14)
-    assert 4 * core_power(1e-28, 5_000_000_000) == pytest.approx(50, rel=1e-14)  # whole numbers do not overflow
+    assert 4 * core_power(1e-28, 5_000_000_000) == pytest.approx(
+        50, rel=1e-14
+    )  # whole numbers do not overflow
 
 
 def test_energy_is_power_over_the_time_of_the_work():
     frequency, cycles = np.array([1e9, 2e9, 7e9]), 3e9
-    np.testing.assert_allclose(compute_energy(2e-28, frequency, cycles), core_power(2e-28, frequency) * cycles / frequency)
+    np.testing.assert_allclose(
+        compute_energy(2e-28, frequency, cycles), core_power(2e-28, frequency) * cycles / frequency
+    )
 
 
 def test_latency_of_a_task_end_to_end():

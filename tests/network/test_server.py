@@ -24,7 +24,12 @@ def world_of(tasks, w):
 
 def part(tasks, some, since=0.0):
     """Some of the tasks of one world, with the times since `since`."""
-    return Tasks(np.array([0, np.count_nonzero(some)]), tasks.user[some], tasks.time[some] - since, tasks.bits[some])
+    return Tasks(
+        np.array([0, np.count_nonzero(some)]),
+        tasks.user[some],
+        tasks.time[some] - since,
+        tasks.bits[some],
+    )
 
 
 def tasks_of(*tasks):
@@ -36,11 +41,16 @@ def tasks_of(*tasks):
 class Server:
     """One world or several whose cores do a cycle per second and need one per bit: a task of b bits takes b seconds."""
 
-    def __init__(self, users=1, drones=1, cores=1, worlds=1, uplink=INF, deadline=INF, frequency=1.0):
+    def __init__(
+        self, users=1, drones=1, cores=1, worlds=1, uplink=INF, deadline=INF, frequency=1.0
+    ):
         self.assignment = np.zeros((worlds, users), dtype=np.int64)
         self.uplink = np.empty((worlds, users))
         self.uplink[:] = uplink
-        self.link_free, self.core_free = np.zeros((worlds, users)), np.zeros((worlds, drones, cores))
+        self.link_free, self.core_free = (
+            np.zeros((worlds, users)),
+            np.zeros((worlds, drones, cores)),
+        )
         self.deadline, self.frequency = deadline, frequency
 
     def __call__(self, tasks, dt=1.0):
@@ -65,7 +75,13 @@ def test_one_core_serves_two_tasks_in_turn():
     assert (served.generated, served.arrived, served.completed, served.cycles) == (2, 2, 2, 2)
     assert (served.latency, served.busy, served.backlog) == (1.0 + 1.5, 1.0, 1.0)
     rest = server(tasks_of())
-    assert (rest.generated, rest.arrived, rest.latency, rest.busy, rest.backlog) == (0, 0, 0, 1.0, 0)
+    assert (rest.generated, rest.arrived, rest.latency, rest.busy, rest.backlog) == (
+        0,
+        0,
+        0,
+        1.0,
+        0,
+    )
 
 
 def test_cores_share_the_work():
@@ -99,7 +115,9 @@ def test_an_upload_that_would_be_late_is_not_begun():
     assert (served.arrived, served.completed, served.latency) == (3, 2, 0.5 + 0.625 + 0.5)
     assert server.link_free.tolist() == [[0.0, 0.0]]
     server(tasks_of((0.0, 0, 1.0), (0.25, 0, 1.0), (0.5, 0, 1.0)), 0.75)
-    assert server.link_free.tolist() == [[0.25, 0.0]]  # the third took the time that the second would have needed
+    assert server.link_free.tolist() == [
+        [0.25, 0.0]
+    ]  # the third took the time that the second would have needed
     server.link_free[:] = 5.0  # left by tasks with more time
     assert server(tasks_of((0.0, 0, 1.0))).completed == 0
     assert server.link_free.tolist() == [[4.0, 4.0]]
@@ -129,7 +147,12 @@ def test_users_without_drone_or_rate_lose_their_tasks_at_once(deadline, active_t
     server = Server(users=2, uplink=[[1.0, 0.0]], deadline=deadline)
     server.assignment[:] = [[-1, 0]]
     served = server(tasks_of((0.0, 0, 0.1), (0.0, 1, 0.1)))
-    assert (served.generated, served.arrived, served.completed, served.latency) == (2, 1, 0, active_targets)
+    assert (served.generated, served.arrived, served.completed, served.latency) == (
+        2,
+        1,
+        0,
+        active_targets,
+    )
     assert np.count_nonzero(server.link_free) == np.count_nonzero(server.core_free) == 0
 
 
@@ -145,7 +168,10 @@ def test_a_core_does_not_wait_for_an_upload_under_way():
 @pytest.mark.parametrize("deadline", [INF, 0.3])
 def test_one_decision_equals_two_of_half_its_length(deadline):
     tasks = draw(1, [3.0, 5.0, 9.0], 2.0, seed=4, bits=(0.1, 0.3))
-    early, late = tasks.time < 0.9, tasks.time >= 1.0  # between them an upload would cross the boundary
+    early, late = (
+        tasks.time < 0.9,
+        tasks.time >= 1.0,
+    )  # between them an upload would cross the boundary
     one, two = (Server(users=3, cores=3, uplink=40.0, deadline=deadline) for _ in range(2))
     together = totals(one(part(tasks, early | late), 2.0))
     first = two(part(tasks, early))
@@ -156,7 +182,9 @@ def test_one_decision_equals_two_of_half_its_length(deadline):
     assert (together["completed"] < together["arrived"]) == (deadline < INF)
     for name, value in together.items():
         np.testing.assert_allclose(apart[name], value, rtol=1e-12, err_msg=name)
-    np.testing.assert_allclose(np.sort(two.core_free), np.sort(one.core_free), atol=1e-12)  # idle cores are alike
+    np.testing.assert_allclose(
+        np.sort(two.core_free), np.sort(one.core_free), atol=1e-12
+    )  # idle cores are alike
     np.testing.assert_allclose(two.link_free, one.link_free, atol=1e-12)
 
 
@@ -164,7 +192,15 @@ def test_one_decision_equals_two_of_half_its_length(deadline):
 def test_work_is_done_once(deadline):
     """However uploads cross the ends of decisions and cores idle until they come."""
     worlds, drones, cores, dt = 20, 3, 2, 0.25
-    server = Server(users=12, drones=drones, cores=cores, worlds=worlds, uplink=6.0, deadline=deadline, frequency=3.0)
+    server = Server(
+        users=12,
+        drones=drones,
+        cores=cores,
+        worlds=worlds,
+        uplink=6.0,
+        deadline=deadline,
+        frequency=3.0,
+    )
     server.assignment[:] = np.arange(12) % (drones + 1) - 1
     rngs, results = generators(worlds), []
     for step in range(200):
@@ -207,14 +243,19 @@ def test_exponential_sizes_meet_erlang(cores, arrival_rate, rate):
     late = np.array([1.0, 4.0]) / rate
     waits, missed, results = [], [], []
     for step in range(60):
-        tasks = Arrivals(np.full(users, arrival_rate / users), dt, (1.0, 1.0)).draw(rngs, np.ones(worlds, dtype=bool))
+        tasks = Arrivals(np.full(users, arrival_rate / users), dt, (1.0, 1.0)).draw(
+            rngs, np.ones(worlds, dtype=bool)
+        )
         served = server(tasks._replace(bits=rng.exponential(size=len(tasks.bits))), dt)
         if step < 10:  # it began empty
             continue
         results.append(served)
         waits.append(server.core_free[:, 0].min(axis=1))
         one_each = Tasks(
-            np.arange(worlds + 1), np.zeros(worlds, dtype=np.int64), np.zeros(worlds), rng.exponential(size=worlds)
+            np.arange(worlds + 1),
+            np.zeros(worlds, dtype=np.int64),
+            np.zeros(worlds),
+            rng.exponential(size=worlds),
         )
         for time in late:
             probe = Server(users=users, cores=cores, worlds=worlds, frequency=rate, deadline=time)
@@ -225,7 +266,9 @@ def test_exponential_sizes_meet_erlang(cores, arrival_rate, rate):
     wait = (total["latency"] - total["cycles"] / rate)[:, 0] / total["completed"].mean()
     missed = np.reshape(missed, (-1, 2, worlds)).mean(axis=0)
     compared = [(wait, mean_wait(*queue)), (total["busy"][:, 0] / (50 * dt), arrival_rate / rate)]
-    compared += [(np.mean(np.array(waits) > t, axis=0), wait_exceeds(*queue, t)) for t in (0.0, 0.5 / rate)]
+    compared += [
+        (np.mean(np.array(waits) > t, axis=0), wait_exceeds(*queue, t)) for t in (0.0, 0.5 / rate)
+    ]
     compared += [(missed[k], response_exceeds(*queue, late[k])) for k in range(2)]
     for values, expected in compared:
         mean, error = error_of(values)
@@ -299,7 +342,9 @@ def test_users_of_rate_0_have_no_tasks(number, user):
         def random(self, count):
             return np.full(count, number) if number else np.array([0.5, 0.5, 0, 0, 0.5, 0.5, 0.5])
 
-    tasks = Arrivals([0, 0.1, 0, 0.1, 0], 1.0, (1.0, 1.0)).draw([Fixed(np.random.PCG64())], np.array([True]))
+    tasks = Arrivals([0, 0.1, 0, 0.1, 0], 1.0, (1.0, 1.0)).draw(
+        [Fixed(np.random.PCG64())], np.array([True])
+    )
     assert tasks.user.tolist() == [user, user]
 
 

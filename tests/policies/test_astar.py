@@ -8,12 +8,22 @@ from scipy.sparse.csgraph import dijkstra
 import bulletuav
 import bulletuav.policies.planner as planner
 from bulletuav.geometry.solids import Solids
-from bulletuav.policies.astar import Voxels, is_clear, nearest_free, plan, shortened, shortest_path, voxels
+from bulletuav.policies.astar import (
+    Voxels,
+    is_clear,
+    nearest_free,
+    plan,
+    shortened,
+    shortest_path,
+    voxels,
+)
 from bulletuav.policies.planner import Limits, Planner, braking, corner_speed, follow
 
 LIMITS = Limits(speed=15.0, acceleration=5.0, delay=0.6, half_width=2.0)
 NOTHING = np.zeros((0, 2, 3))
-WALL = np.array([[(40.0, 0.0, 0.0), (45.0, 70.0, 60.0)]])  # from the south, with a gap of 30 m in the north
+WALL = np.array(
+    [[(40.0, 0.0, 0.0), (45.0, 70.0, 60.0)]]
+)  # from the south, with a gap of 30 m in the north
 LOW, HIGH = np.zeros(3), np.array((100.0, 100.0, 60.0))
 
 
@@ -30,17 +40,23 @@ def length(points):
 def distance(points, boxes):
     """(M,) from points (M, 3) to the nearest of boxes (P, 2, 3)."""
     points = points[:, None]
-    return np.linalg.norm(np.maximum(0, np.maximum(boxes[:, 0] - points, points - boxes[:, 1])), axis=-1).min(axis=1)
+    return np.linalg.norm(
+        np.maximum(0, np.maximum(boxes[:, 0] - points, points - boxes[:, 1])), axis=-1
+    ).min(axis=1)
 
 
 def along(way, apart=0.05):
     """Points (M, 3) of a way, a little apart."""
     legs = itertools.pairwise(way)
-    return np.concatenate([np.linspace(a, b, 2 + int(np.linalg.norm(b - a) / apart)) for a, b in legs])
+    return np.concatenate(
+        [np.linspace(a, b, 2 + int(np.linalg.norm(b - a) / apart)) for a, b in legs]
+    )
 
 
 def test_cells_are_occupied_where_their_centre_is_too_near():
-    boxes = np.array([[(10, 12, 0), (20, 14, 9)], [(-50, 20, 3), (3, 21, 5)], [(27, 5, 8), (60, 6, 70)]], float)
+    boxes = np.array(
+        [[(10, 12, 0), (20, 14, 9)], [(-50, 20, 3), (3, 21, 5)], [(27, 5, 8), (60, 6, 70)]], float
+    )
     low, high = np.array((-2.0, 0, 0)), np.array((31.0, 28, 22))
     grid = voxels(boxes, low, high, 2.0, 3.5)
     assert grid.occupied.shape == (18, 16, 13)  # whole cells in the arena, and the rim
@@ -84,13 +100,19 @@ def test_paths_are_as_short_as_those_of_dijkstra(seed):
         assert not occupied[tuple(path.T)].any()
         assert np.abs(np.diff(path, axis=0)).max(initial=1) == 1
         assert length(path) == pytest.approx(lengths[i, j], abs=1e-9)
-        assert length(shortest_path(occupied, tuple(cells[j]), tuple(cells[i]))) == pytest.approx(length(path), abs=1e-9)
+        assert length(shortest_path(occupied, tuple(cells[j]), tuple(cells[i]))) == pytest.approx(
+            length(path), abs=1e-9
+        )
 
 
 def test_path_in_empty_space_is_straight():
     occupied = random_grid(0, shape=(9, 9, 9), share=0.0)
-    np.testing.assert_array_equal(shortest_path(occupied, (1, 4, 2), (6, 4, 2)), [(x, 4, 2) for x in range(1, 7)])
-    np.testing.assert_array_equal(shortest_path(occupied, (7, 7, 1), (3, 3, 5)), [(7 - k, 7 - k, 1 + k) for k in range(5)])
+    np.testing.assert_array_equal(
+        shortest_path(occupied, (1, 4, 2), (6, 4, 2)), [(x, 4, 2) for x in range(1, 7)]
+    )
+    np.testing.assert_array_equal(
+        shortest_path(occupied, (7, 7, 1), (3, 3, 5)), [(7 - k, 7 - k, 1 + k) for k in range(5)]
+    )
     np.testing.assert_array_equal(shortest_path(occupied, (2, 2, 2), (2, 2, 2)), [(2, 2, 2)])
 
 
@@ -112,9 +134,12 @@ def test_segments_are_clear_unless_they_cut_an_occupied_cell():
     rng, seen = np.random.default_rng(1), 0
     for _ in range(300):
         start, end = (
-            grid.origin + 1.5 * (0.2 + rng.uniform(0, 1, 3) * (np.array(grid.occupied.shape) - 0.4)) for _ in range(2)
+            grid.origin + 1.5 * (0.2 + rng.uniform(0, 1, 3) * (np.array(grid.occupied.shape) - 0.4))
+            for _ in range(2)
         )
-        enter, leave = np.sort(((low - start) / (end - start), (low + 1.5 - start) / (end - start)), axis=0)
+        enter, leave = np.sort(
+            ((low - start) / (end - start), (low + 1.5 - start) / (end - start)), axis=0
+        )
         cuts = (enter.max(axis=1).clip(0) < leave.min(axis=1).clip(None, 1)).any()
         assert is_clear(grid, start, end) == is_clear(grid, end, start) == (not cuts)
         seen += not cuts
@@ -149,7 +174,10 @@ def test_ways_through_random_cities_keep_clear(seed):
     corner = np.append(rng.uniform(0, 90, (25, 2)), np.zeros((25, 1)), axis=1)
     boxes = np.stack([corner, corner + rng.uniform((4, 4, 10), (15, 15, 60), (25, 3))], axis=1)
     grid = voxels(boxes, LOW, HIGH, 3.0, 3.5)
-    start, goal = (grid.origin + 3.0 * (np.array(nearest_free(grid, rng.uniform(LOW, HIGH))) + 0.4) for _ in range(2))
+    start, goal = (
+        grid.origin + 3.0 * (np.array(nearest_free(grid, rng.uniform(LOW, HIGH))) + 0.4)
+        for _ in range(2)
+    )
     way = plan(grid, start, goal)
     np.testing.assert_array_equal(way[[0, -1]], [start, goal])
     assert distance(along(way), boxes).min() >= 3.5 - 1.5
@@ -211,20 +239,28 @@ def one(way, position, velocity=(0, 0, 0), target=1):
     """The velocity of a single drone, and its waypoint."""
     args = (np.array(value, float).reshape(1, 1, -1) for value in (position, velocity))
     way = np.array(way, float)
-    result, target = follow(*args, way[None, None], np.array([[len(way)]]), np.array([[target]]), LIMITS)
+    result, target = follow(
+        *args, way[None, None], np.array([[len(way)]]), np.array([[target]]), LIMITS
+    )
     return result[0, 0], target[0, 0]
 
 
 def test_velocity_along_a_long_leg_and_back_to_it():
     np.testing.assert_allclose(one([(0, 0, 9), (500, 0, 9)], (50, 0, 9))[0], (15, 0, 0))
     np.testing.assert_allclose(one([(0, 0, 9), (500, 0, 9)], (50, 1, 7.5))[0], (15, -1, 1.5))
-    np.testing.assert_allclose(one([(0, 0, 9), (500, 0, 9)], (50, 0, 15))[0], (5, 0, -6))  # three half widths off
+    np.testing.assert_allclose(
+        one([(0, 0, 9), (500, 0, 9)], (50, 0, 15))[0], (5, 0, -6)
+    )  # three half widths off
 
 
 def test_the_goal_is_approached_like_by_policy_straight():
-    np.testing.assert_allclose(one([(0, 0, 9), (50, 0, 9)], (49.5, 0.2, 9))[0], (0.5, -0.2, 0), atol=1e-12)
+    np.testing.assert_allclose(
+        one([(0, 0, 9), (50, 0, 9)], (49.5, 0.2, 9))[0], (0.5, -0.2, 0), atol=1e-12
+    )
     np.testing.assert_allclose(one([(0, 0, 9), (50, 0, 9)], (51, 0, 9))[0], (-1, 0, 0), atol=1e-12)
-    np.testing.assert_allclose(one([(0, 0, 9), (0, 0, 9)], (0, 1, 9))[0], (0, -1, 0), atol=1e-12)  # a start at the goal
+    np.testing.assert_allclose(
+        one([(0, 0, 9), (0, 0, 9)], (0, 1, 9))[0], (0, -1, 0), atol=1e-12
+    )  # a start at the goal
 
 
 def test_waypoints_are_left_when_near_or_within_the_delay_or_passed():
@@ -240,12 +276,18 @@ def test_waypoints_are_left_when_near_or_within_the_delay_or_passed():
 def test_several_short_legs_ahead_are_braked_for_in_time():
     """The corner after the next one is a turn back: 2 m before it the speed is at most 2.4 m/s."""
     way = [(0, 0, 9), (50, 0, 9), (52, 0, 9), (0, 0, 9)]
-    np.testing.assert_allclose(one(way, (48, 0, 9))[0], (braking(2.0, braking(2.0, 0.0, LIMITS), LIMITS), 0, 0))
+    np.testing.assert_allclose(
+        one(way, (48, 0, 9))[0], (braking(2.0, braking(2.0, 0.0, LIMITS), LIMITS), 0, 0)
+    )
 
 
 def test_drones_without_a_way_get_no_velocity_and_worlds_do_not_mix():
     rng = np.random.default_rng(0)
-    position, velocity, way = rng.normal(0, 5, (2, 3, 3)), rng.normal(0, 1, (2, 3, 3)), rng.normal(0, 20, (2, 3, 4, 3))
+    position, velocity, way = (
+        rng.normal(0, 5, (2, 3, 3)),
+        rng.normal(0, 1, (2, 3, 3)),
+        rng.normal(0, 20, (2, 3, 4, 3)),
+    )
     count, target = np.array([(4, 0, 2), (3, 4, 4)]), np.ones((2, 3), int)
     result, reached = follow(position, velocity, way, count, target, LIMITS)
     assert (result[0, 1] == 0).all()
@@ -309,7 +351,9 @@ def fly(aviary, policy):
 
 
 @pytest.mark.parametrize(
-    "aviary", [{"action": action, "num_drones": 2} for action in ("velocity", "velocity_increment")], indirect=True
+    "aviary",
+    [{"action": action, "num_drones": 2} for action in ("velocity", "velocity_increment")],
+    indirect=True,
 )
 def test_planner_flies_around_the_block(aviary):
     least, arrived = fly(aviary, Planner(aviary))

@@ -42,9 +42,13 @@ def scatter(points, centres):
 
 def test_rings_by_hand():
     np.testing.assert_allclose(ring(SHIFT, 1, 20.0, LOW, HIGH), [SHIFT])
-    np.testing.assert_allclose(ring(SHIFT, 2, 20.0, LOW, HIGH), SHIFT + [(10, 0), (-10, 0)], atol=1e-12)
     np.testing.assert_allclose(
-        ring(SHIFT, 4, 20.0, LOW, HIGH), SHIFT + np.sqrt(200) * np.array([(1, 0), (0, 1), (-1, 0), (0, -1)]), atol=1e-12
+        ring(SHIFT, 2, 20.0, LOW, HIGH), SHIFT + [(10, 0), (-10, 0)], atol=1e-12
+    )
+    np.testing.assert_allclose(
+        ring(SHIFT, 4, 20.0, LOW, HIGH),
+        SHIFT + np.sqrt(200) * np.array([(1, 0), (0, 1), (-1, 0), (0, -1)]),
+        atol=1e-12,
     )
 
 
@@ -64,7 +68,9 @@ def test_rings_are_moved_and_shrunk_to_fit():
 
 def test_the_farthest_come_first():
     points = np.array([(0, 0), (1, 0), (10, 0), (0, 20), (-1, 1)], float)
-    np.testing.assert_array_equal(farthest_first(points, 4), points[[1, 3, 2, 4]])  # the mean is (2, 4.2)
+    np.testing.assert_array_equal(
+        farthest_first(points, 4), points[[1, 3, 2, 4]]
+    )  # the mean is (2, 4.2)
     np.testing.assert_array_equal(farthest_first(points[:2], 3), points[[0, 1, 0]])
 
 
@@ -73,7 +79,9 @@ def test_two_clusters_have_two_centres():
     np.testing.assert_allclose(centres[np.argsort(centres[:, 0])], [(-50, 0), (70, 10)])
 
     start = np.array([(-40.0, 0), (60, 0), (0, 900)])
-    np.testing.assert_allclose(kmeans(TWO_CLUSTERS, start), [(-50, 0), (70, 10), (0, 900)])  # without points it stays
+    np.testing.assert_allclose(
+        kmeans(TWO_CLUSTERS, start), [(-50, 0), (70, 10), (0, 900)]
+    )  # without points it stays
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -81,12 +89,16 @@ def test_means_are_those_of_scipy_and_scatter_less_than_their_start(seed):
     points = scattered(seed)
     start = farthest_first(points, 4)
     centres = kmeans(points, start)
-    np.testing.assert_allclose(centres, kmeans2(points, start, iter=100, minit="matrix")[0], atol=1e-9)
+    np.testing.assert_allclose(
+        centres, kmeans2(points, start, iter=100, minit="matrix")[0], atol=1e-9
+    )
     assert scatter(points, centres) < scatter(points, start)
 
 
 # Places A to D and the targets that they serve
-SERVES = np.array([(1, 1, 1, 1, 0, 0), (1, 1, 0, 0, 1, 0), (0, 0, 1, 1, 0, 1), (0, 0, 0, 0, 0, 0)], float)
+SERVES = np.array(
+    [(1, 1, 1, 1, 0, 0), (1, 1, 0, 0, 1, 0), (0, 0, 1, 1, 0, 1), (0, 0, 0, 0, 0, 0)], float
+)
 PLACES = np.array([(0.0, 0), (10, 0), (0, 10), (50, 50)])
 
 
@@ -115,20 +127,33 @@ def test_greedy_coverage_keeps_its_guarantee(seed):
 
 
 def test_a_drone_leaves_its_place_only_for_a_better_one():
-    assert best_responses(SERVES, PLACES, np.array([0, 1]), 0.0).tolist() == [2, 1]  # C adds as much as A and one more
+    assert best_responses(SERVES, PLACES, np.array([0, 1]), 0.0).tolist() == [
+        2,
+        1,
+    ]  # C adds as much as A and one more
     assert best_responses(SERVES, PLACES, np.array([2, 1]), 0.0).tolist() == [2, 1]
     nearer = PLACES + [(0, 0), (-9, 0), (0, 0), (0, 0)]
     alike = SERVES.copy()
     alike[1] = alike[2]
     assert best_responses(alike, nearer, np.array([3]), 0.0).tolist() == [0]
-    assert best_responses(alike[1:], nearer[1:], np.array([2]), 0.0).tolist() == [1]  # B and C add as much, C is nearer
-    assert best_responses(alike, nearer, np.array([0, 0]), 11.0).tolist() == [3, 0]  # D alone is as far from A
+    assert best_responses(alike[1:], nearer[1:], np.array([2]), 0.0).tolist() == [
+        1
+    ]  # B and C add as much, C is nearer
+    assert best_responses(alike, nearer, np.array([0, 0]), 11.0).tolist() == [
+        3,
+        0,
+    ]  # D alone is as far from A
 
 
 def test_matches_have_the_least_sum_of_ways():
     places, position = scattered(1, 6), scattered(2, 6)
-    sums = [np.linalg.norm(places[list(order)] - position, axis=1).sum() for order in itertools.permutations(range(6))]
-    assert np.linalg.norm(matched(places, position) - position, axis=1).sum() == pytest.approx(min(sums))
+    sums = [
+        np.linalg.norm(places[list(order)] - position, axis=1).sum()
+        for order in itertools.permutations(range(6))
+    ]
+    assert np.linalg.norm(matched(places, position) - position, axis=1).sum() == pytest.approx(
+        min(sums)
+    )
 
 
 def test_the_first_takes_the_nearest_even_when_the_next_has_far_to_go():
@@ -154,7 +179,13 @@ class Walking(Los):
 def city_of(*boxes, side=300.0):
     """A city made by hand, of boxes (low corner, high corner)."""
     solids = Solids(np.array(boxes, dtype=float).reshape(-1, 2, 3))
-    return City("hand", side, solids, np.arange(len(boxes)), Streets(np.zeros((0, 2)), np.zeros((0, 2), dtype=int)))
+    return City(
+        "hand",
+        side,
+        solids,
+        np.arange(len(boxes)),
+        Streets(np.zeros((0, 2)), np.zeros((0, 2), dtype=int)),
+    )
 
 
 TOWER = city_of(((-40, -40, 0), (40, 40, 130)))  # higher than the ceiling
@@ -195,7 +226,10 @@ def fly(aviary, policy, decisions, seeds=0, users=None):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_tasks_without_targets_are_refused(make, name):
-    with pytest.raises(ValueError, match=f"policy '{name}' places drones over a task's targets, and task 'hover' has none"):
+    with pytest.raises(
+        ValueError,
+        match=f"policy '{name}' places drones over a task's targets, and task 'hover' has none",
+    ):
         find_policy(name)(make("hover", action="velocity"))
 
 
@@ -206,7 +240,9 @@ def test_drones_come_to_rest_at_their_places_below_the_ceiling(make, name, actio
     policy = find_policy(name)(aviary)
     _, served, ended = fly(aviary, policy, 300)
     assert not ended
-    np.testing.assert_allclose(aviary.swarm.position, policy.goals(aviary.swarm), atol=2.0)  # one may push the other
+    np.testing.assert_allclose(
+        aviary.swarm.position, policy.goals(aviary.swarm), atol=2.0
+    )  # one may push the other
     np.testing.assert_allclose(policy.goals(aviary.swarm)[0, :, 2], (111.6, 110.4))
     assert served == 1
 
@@ -228,14 +264,18 @@ def test_places_by_hand(make, name, expected):
     np.testing.assert_allclose(policy.goals(aviary.swarm)[0, :, :2], expected)
 
 
-@pytest.mark.parametrize(("name", "turn"), [("centroid", np.eye(2)), ("hotspot", TURN), ("kmeans", TURN)])
+@pytest.mark.parametrize(
+    ("name", "turn"), [("centroid", np.eye(2)), ("hotspot", TURN), ("kmeans", TURN)]
+)
 def test_places_turn_and_move_with_targets_and_drones(make, name, turn):
     """The first place of a ring is always in the east."""
     policy = find_policy(name)(make(city=OPEN))
     targets, position = np.insert(scattered(5), 2, 1.5, axis=1), scattered(6, 3)
     moved = np.insert(targets[:, :2] @ turn.T + SHIFT, 2, 1.5, axis=1)
     expected = policy.places(0, targets, position, None) @ turn.T + SHIFT
-    np.testing.assert_allclose(policy.places(0, moved, position @ turn.T + SHIFT, None), expected, atol=1e-9)
+    np.testing.assert_allclose(
+        policy.places(0, moved, position @ turn.T + SHIFT, None), expected, atol=1e-9
+    )
 
 
 def test_places_in_buildings_give_way(make):
@@ -252,7 +292,9 @@ def test_the_oracle_looks_behind_the_tower(make):
     policy = find_policy("oracle")(aviary)
     begin(aviary, policy, users=[(-44, 0), (44, 0)])
     places = policy.goals(aviary.swarm)[0]
-    seen = aviary.line_of_sight(np.repeat(places, 2, axis=0), np.tile([(-44, 0, 1.5), (44, 0, 1.5)], (2, 1))).reshape(2, 2)
+    seen = aviary.line_of_sight(
+        np.repeat(places, 2, axis=0), np.tile([(-44, 0, 1.5), (44, 0, 1.5)], (2, 1))
+    ).reshape(2, 2)
     assert sorted(seen.tolist()) == [[False, True], [True, False]]
 
 
@@ -262,7 +304,9 @@ def test_the_oracle_follows_around_the_tower(make):
     begin(aviary, policy)
     for decision, x in ((0, -44), (20, 44), (40, -44)):
         aviary.steps[:], aviary.scene.memory["users"][0] = decision, [(x, -9, 1.5), (x, 9, 1.5)]
-        assert aviary.line_of_sight(policy.goals(aviary.swarm)[0], aviary.scene.memory["users"][0]).all()
+        assert aviary.line_of_sight(
+            policy.goals(aviary.swarm)[0], aviary.scene.memory["users"][0]
+        ).all()
         policy.act(None, aviary.swarm)
 
 
@@ -279,7 +323,10 @@ def test_the_living_share_the_places_anew(make, name):
     begin(alone, twin, users=aviary.scene.memory["users"][:, :, :2])
     alone.swarm.position[0] = aviary.swarm.position[0, [0, 2]]
     np.testing.assert_allclose(after[0, [0, 2], :2], twin.goals(alone.swarm)[0, :, :2], atol=1e-9)
-    assert (after[0, [0, 2]] != before[0, [0, 2]]).any() or name in ("hotspot", "oracle")  # whose last place was left
+    assert (after[0, [0, 2]] != before[0, [0, 2]]).any() or name in (
+        "hotspot",
+        "oracle",
+    )  # whose last place was left
 
 
 @pytest.mark.parametrize("name", ["centroid", "kmeans"])
@@ -292,7 +339,9 @@ def test_places_follow_users_every_two_seconds(make, name, hertz):
     for decision in range(1, 6 * hertz + 1):
         observations = aviary.step(policy.act(observations, aviary.swarm)).observations
         moved = (policy.goals(aviary.swarm) - first)[0, :, :2]
-        np.testing.assert_allclose(moved, [(6 * (decision // (2 * hertz)), 0)] * 2, atol=1e-9)  # at 3 m/s
+        np.testing.assert_allclose(
+            moved, [(6 * (decision // (2 * hertz)), 0)] * 2, atol=1e-9
+        )  # at 3 m/s
 
 
 def test_places_stay_while_targets_do(make, monkeypatch):
@@ -323,11 +372,15 @@ def test_actions_follow_from_the_seed_alone(make, name):
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("options", [{}, {"num_drones": 6}, {"num_drones": 5, "task": Walking, "decision_hz": 1}])
+@pytest.mark.parametrize(
+    "options", [{}, {"num_drones": 6}, {"num_drones": 5, "task": Walking, "decision_hz": 1}]
+)
 def test_nobody_collides(make, name, options):
     """In the easy city, and between towers higher than the ceiling."""
     aviary = make(num_worlds=3, num_layouts=3, **options, city="high_rise" if options else "urban")
-    assert (max(solids.bounds[:, 1, 2].max() for solids in aviary.task.layouts()) > 120) == bool(options)
+    assert (max(solids.bounds[:, 1, 2].max() for solids in aviary.task.layouts()) > 120) == bool(
+        options
+    )
     assert not fly(aviary, find_policy(name)(aviary), 40 if "task" in options else 200)[2]
 
 

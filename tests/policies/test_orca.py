@@ -30,7 +30,12 @@ REFERENCE = {
             (-6, 0.2, 0, 1.2, 0.1, 0, 1.5, 0, 0),
             (0, -6.5, 0, 0, 1, 0, 0, 1.5, 0),
         ],
-        [(-1.31739, -0.1087623, 0), (-0.0349177, -1.115853, 0), (1.308895, 0.00488691, 0), (-0.01454785, 1.238875, 0)],
+        [
+            (-1.31739, -0.1087623, 0),
+            (-0.0349177, -1.115853, 0),
+            (1.308895, 0.00488691, 0),
+            (-0.01454785, 1.238875, 0),
+        ],
     ),
     "example Sphere, six agents at the start": (
         (0.125, 10, 1.5, 2),
@@ -107,18 +112,24 @@ numbers = st.integers(0, 2**32 - 1).map(np.random.default_rng)
 def around(ball=(), ball_velocity=(), ball_radius=(), low=OPEN[0], high=OPEN[1]):
     """Surroundings of one world."""
     places, speeds = (np.array(a, float).reshape(1, -1, 3) for a in (ball, ball_velocity))
-    return Surroundings(places, speeds, np.array(ball_radius, float), np.array(low, float), np.array(high, float))
+    return Surroundings(
+        places, speeds, np.array(ball_radius, float), np.array(low, float), np.array(high, float)
+    )
 
 
 def velocities(state, rules, surroundings=None, alive=None):
     """New velocities (N, 3) of rows of position, velocity and preferred velocity, in one world."""
-    position, velocity, preferred = np.array(state, float).reshape(1, -1, 3, 3).transpose(2, 0, 1, 3).copy()
+    position, velocity, preferred = (
+        np.array(state, float).reshape(1, -1, 3, 3).transpose(2, 0, 1, 3).copy()
+    )
     alive = np.ones(position.shape[:2], bool) if alive is None else np.array([alive])
     return orca_velocities(position, velocity, preferred, alive, rules, surroundings or around())[0]
 
 
 def crowd(rng, drones=8, side=8.0):
-    return np.concatenate([rng.uniform(-side, side, (drones, 3)), rng.uniform(-1.5, 1.5, (drones, 6))], axis=1)
+    return np.concatenate(
+        [rng.uniform(-side, side, (drones, 3)), rng.uniform(-1.5, 1.5, (drones, 6))], axis=1
+    )
 
 
 @pytest.mark.parametrize("name", REFERENCE)
@@ -130,7 +141,9 @@ def test_velocities_are_those_of_the_reference_library(name):
 
 def half_spaces(rng, count=10):
     n = rng.normal(size=(count, 3))
-    return np.column_stack([n / np.linalg.norm(n, axis=1, keepdims=True), rng.uniform(-6, 2, count)])
+    return np.column_stack(
+        [n / np.linalg.norm(n, axis=1, keepdims=True), rng.uniform(-6, 2, count)]
+    )
 
 
 def rows(spaces):
@@ -143,9 +156,15 @@ def minimum(cost, gradient, begin, spaces, slack):
     """Of SLSQP, over velocities of up to 5 m/s, and how much they may miss the half-spaces where `slack` is 1."""
     normals = np.column_stack([spaces[:, :3], np.full(len(spaces), slack)])
     inside = {"type": "ineq", "fun": lambda x: normals @ x - spaces[:, 3], "jac": lambda x: normals}
-    ball = {"type": "ineq", "fun": lambda x: 25 - x[:3] @ x[:3], "jac": lambda x: -2 * np.append(x[:3], 0)}
+    ball = {
+        "type": "ineq",
+        "fun": lambda x: 25 - x[:3] @ x[:3],
+        "jac": lambda x: -2 * np.append(x[:3], 0),
+    }
     options = {"ftol": 1e-14, "maxiter": 500}
-    return minimize(cost, begin, jac=gradient, constraints=[inside, ball], method="SLSQP", options=options).x
+    return minimize(
+        cost, begin, jac=gradient, constraints=[inside, ball], method="SLSQP", options=options
+    ).x
 
 
 @given(numbers)
@@ -155,8 +174,13 @@ def test_linear_program_finds_the_optimum(rng):
     met, nearby = nearest(room, len(spaces), tuple(wanted), 5.0, False)
     best = np.array(best_velocity(room, spare, len(spaces), tuple(wanted), 5.0))
     assert np.linalg.norm(best) <= 5 + 1e-9
-    least = minimum(lambda x: x[3], lambda x: np.array((0, 0, 0, 1.0)), np.array((0, 0, 0, 9.0)), spaces, 1)
-    assert np.max(spaces[:, 3] - spaces[:, :3] @ best) == pytest.approx(max(least[3], 0), abs=1e-6) or least[3] < 0
+    least = minimum(
+        lambda x: x[3], lambda x: np.array((0, 0, 0, 1.0)), np.array((0, 0, 0, 9.0)), spaces, 1
+    )
+    assert (
+        np.max(spaces[:, 3] - spaces[:, :3] @ best) == pytest.approx(max(least[3], 0), abs=1e-6)
+        or least[3] < 0
+    )
     if least[3] < -1e-3:
         assert met == len(spaces)
         np.testing.assert_array_equal(best, nearby)
@@ -176,21 +200,33 @@ def test_linear_program_finds_the_optimum(rng):
     ("spaces", "wanted", "expected"),
     [
         ([(1, 0, 0, 1), (1, 0, 0, 2)], (0, 0, 0), (2, 0, 0)),  # parallel
-        ([(1, 0, 0, 1), (-1, 0, 0, 1)], (3, 1, 0), (0, 0, 0)),  # contradicting: in the middle of both
+        (
+            [(1, 0, 0, 1), (-1, 0, 0, 1)],
+            (3, 1, 0),
+            (0, 0, 0),
+        ),  # contradicting: in the middle of both
         ([(1, 0, 0, 9)], (0, 1, 0), (5, 0, 0)),  # beyond the ball
         ([(1, 0, 0, 9), (1, 0, 0, 10)], (0, 1, 0), (5, 0, 0)),  # both
         ([(1, 0, 0, 1), (0, 1, 0, 2), (0, 0, 1, 3)], (0, 0, 0), (1, 2, 3)),  # a corner
-        ([(1, 0, 0, 0), (0.6, 0.8, 0, 0), (0.6, -0.8, 0, 0)], (-1, 0, 0), (0, 0, 0)),  # three planes through a line
+        (
+            [(1, 0, 0, 0), (0.6, 0.8, 0, 0), (0.6, -0.8, 0, 0)],
+            (-1, 0, 0),
+            (0, 0, 0),
+        ),  # three planes through a line
     ],
 )
 def test_linear_program_by_hand(spaces, wanted, expected):
     room, spare = rows(np.array(spaces, float))
-    np.testing.assert_allclose(best_velocity(room, spare, len(spaces), wanted, 5.0), expected, atol=1e-9)
+    np.testing.assert_allclose(
+        best_velocity(room, spare, len(spaces), wanted, 5.0), expected, atol=1e-9
+    )
 
 
 def test_half_space_of_a_head_on_pair_by_hand():
     """10 m apart, to stay 1 m apart for 2 s: together 4.5 m/s, so 2.25 m/s each."""
-    n, bound = half_space((10.0, 0, 0), (1.0, 0, 0), (-1.0, 0, 0), 1.0, Rules(1.0, 2.0, 1.0, 0.1, 2.0), 0.5)
+    n, bound = half_space(
+        (10.0, 0, 0), (1.0, 0, 0), (-1.0, 0, 0), 1.0, Rules(1.0, 2.0, 1.0, 0.1, 2.0), 0.5
+    )
     np.testing.assert_allclose((*n, bound), (-1, 0, 0, -2.25))
 
 
@@ -203,7 +239,9 @@ def test_head_on_pair_keeps_apart(axis):
     for _ in range(200):
         wanted = goal - position
         wanted *= 2 / np.maximum(np.linalg.norm(wanted, axis=1, keepdims=True), 2)
-        velocity = velocities(np.concatenate([position, velocity, wanted @ TO_RIGHT], axis=1), rules)
+        velocity = velocities(
+            np.concatenate([position, velocity, wanted @ TO_RIGHT], axis=1), rules
+        )
         position = position + 0.1 * velocity
         least = min(least, np.linalg.norm(position[0] - position[1]))
     assert least >= 2 - 1e-3
@@ -214,10 +252,16 @@ def test_head_on_pair_keeps_apart(axis):
 @pytest.mark.parametrize(("axis", "sideways"), [((1, 0, 0), (0, -1, 0)), ((0, 0, 1), (0, 1, 0))])
 def test_fast_head_on_pair_turns_to_its_right(axis, sideways):
     """Nearest to the cone, at equal distance from all of it; on a vertical any side that both agree on."""
-    gap, own, back = tuple(8.0 * np.array(axis)), tuple(3.0 * np.array(axis)), tuple(-3.0 * np.array(axis))
+    gap, own, back = (
+        tuple(8.0 * np.array(axis)),
+        tuple(3.0 * np.array(axis)),
+        tuple(-3.0 * np.array(axis)),
+    )
     rules = Rules(2.0, 8.0, 1.0, 0.1, 3.0)
     n, bound = half_space(gap, own, back, 2.0, rules, 0.5)
-    np.testing.assert_allclose(n, -0.25 * np.array(axis) + np.sqrt(1 - 0.25**2) * np.array(sideways), atol=1e-12)
+    np.testing.assert_allclose(
+        n, -0.25 * np.array(axis) + np.sqrt(1 - 0.25**2) * np.array(sideways), atol=1e-12
+    )
     assert bound == pytest.approx(-0.25 * 3 + 0.5 * 0.25 * 6)
     other, same = half_space(tuple(-8.0 * np.array(axis)), back, own, 2.0, rules, 0.5)
     np.testing.assert_allclose((*other, same), (*(-np.array(n)), bound))
@@ -229,13 +273,18 @@ def test_the_order_of_drones_and_their_heading_do_not_matter(rng):
     expected = velocities(state, rules)
     order, angle = rng.permutation(len(state)), rng.uniform(0, 2 * np.pi)
     np.testing.assert_allclose(velocities(state[order], rules), expected[order], atol=1e-6)
-    turn = np.array(((np.cos(angle), -np.sin(angle), 0), (np.sin(angle), np.cos(angle), 0), (0, 0, 1)))
+    turn = np.array(
+        ((np.cos(angle), -np.sin(angle), 0), (np.sin(angle), np.cos(angle), 0), (0, 0, 1))
+    )
     turned = (state.reshape(-1, 3, 3) @ turn.T).reshape(-1, 9)
     np.testing.assert_allclose(velocities(turned, rules), expected @ turn.T, atol=1e-6)
 
 
 def test_only_the_nearest_living_drones_count():
-    state, rules = crowd(np.random.default_rng(1), drones=12, side=3.0), Rules(1.6, 4.0, 1.0, 0.25, 1.5)
+    state, rules = (
+        crowd(np.random.default_rng(1), drones=12, side=3.0),
+        Rules(1.6, 4.0, 1.0, 0.25, 1.5),
+    )
     distance = np.linalg.norm(state[:, :3] - state[0, :3], axis=1)
     near = np.argsort(distance)[:4]
     few = velocities(state, rules._replace(neighbours=3))[0]
@@ -251,13 +300,17 @@ def test_obstacles_leave_all_the_avoiding_to_the_drone():
     """Ball of 1 m, 10 m off, coming at 1 m/s: in 2 s they may close 9 m, so the drone may fly at 3.5 m/s."""
     rules = Rules(1.0, 2.0, 1.0, 0.1, 5.0)
     ball = around([(10, 0, 0)], [(-1, 0, 0)], [1])
-    np.testing.assert_allclose(velocities([(0, 0, 0, 1, 0, 0, 5, 0, 0)], rules, ball), [(3.5, 0, 0)])
+    np.testing.assert_allclose(
+        velocities([(0, 0, 0, 1, 0, 0, 5, 0, 0)], rules, ball), [(3.5, 0, 0)]
+    )
 
 
 def test_walls_stop_drones():
     """With 2 s to a wall: half its distance a second, and back from outside."""
     box, rules = around(low=(-10, -10, 0), high=(10, 10, 20)), Rules(1.0, 2.0, 2.0, 0.1, 5.0)
-    np.testing.assert_allclose(velocities([(0, 4, 3, 0, 0, 0, 0, 4, -3)], rules, box), [(0, 3, -1.5)])
+    np.testing.assert_allclose(
+        velocities([(0, 4, 3, 0, 0, 0, 0, 4, -3)], rules, box), [(0, 3, -1.5)]
+    )
     np.testing.assert_allclose(velocities([(0, 0, -2, 0, 0, 0, 0, 0, 0)], rules, box), [(0, 0, 1)])
 
 
@@ -289,6 +342,7 @@ def test_policy_crosses_without_conflict(fly):
 
 def test_policy_gives_velocities_only():
     with pytest.raises(
-        ValueError, match="policy 'orca' gives velocity or velocity_increment actions, not 'rotor': choose action='velocity'"
+        ValueError,
+        match="policy 'orca' gives velocity or velocity_increment actions, not 'rotor': choose action='velocity'",
     ):
         Orca(bulletuav.Aviary("crossing", action="rotor"))

@@ -22,7 +22,9 @@ def fly(aviary, policy, seeds=0):
 def test_random_actions_follow_from_the_seed_and_fill_the_bounds():
     for action in ("velocity", "rpm", "discrete_27"):
         dynamics = "rigid_body" if action == "rpm" else "point_mass"
-        aviary = bulletuav.Aviary("converge", 2, action=action, horizon=60, **CALM | {"dynamics": dynamics})
+        aviary = bulletuav.Aviary(
+            "converge", 2, action=action, horizon=60, **CALM | {"dynamics": dynamics}
+        )
         policy = find_policy("random")(aviary)
         first = fly(aviary, policy, [3, 4])
         np.testing.assert_array_equal(fly(aviary, policy, [3, 4])[:5], first[:5])
@@ -63,11 +65,15 @@ def models(tmp_path_factory):
         def __init__(self, action):
             aviary = bulletuav.Aviary("converge", action=action, **CALM)
             self.observation_space = aviary.observer.space()
-            self.action_space = bulletuav.batch_env("converge", 1, action=action, **CALM).action_space
+            self.action_space = bulletuav.batch_env(
+                "converge", 1, action=action, **CALM
+            ).action_space
             aviary.close()
 
     for algorithm, action in (("PPO", "velocity"), ("DQN", "discrete")):
-        model = getattr(stable_baselines3, algorithm)("MlpPolicy", Alone(action), seed=0, device="cpu")
+        model = getattr(stable_baselines3, algorithm)(
+            "MlpPolicy", Alone(action), seed=0, device="cpu"
+        )
         model.save(folder / algorithm.lower())
     return folder
 
@@ -91,8 +97,12 @@ def test_a_trained_model_flies_each_drone_by_its_own_observation(models, algorit
 
 
 def test_a_trained_model_is_evaluated_like_any_policy(models):
-    result = bulletuav.evaluate("converge", f"ppo:{models / 'ppo.zip'}", 3, horizon=10, trust=True, **CALM)
-    without_ending = bulletuav.evaluate("converge", f"ppo:{models / 'ppo'}", 3, horizon=10, trust=True, **CALM)
+    result = bulletuav.evaluate(
+        "converge", f"ppo:{models / 'ppo.zip'}", 3, horizon=10, trust=True, **CALM
+    )
+    without_ending = bulletuav.evaluate(
+        "converge", f"ppo:{models / 'ppo'}", 3, horizon=10, trust=True, **CALM
+    )
     for row, same in zip(without_ending.rows, result.rows, strict=True):
         np.testing.assert_array_equal(list(row.values()), list(same.values()))
     assert not result.about["reads_swarm"]
@@ -129,11 +139,19 @@ def test_a_model_that_sees_pictures(tmp_path):
     import gymnasium
     import stable_baselines3
 
-    options = CALM | {"num_drones": 1, "observation": ("goal", "rgb"), "camera_size": (36, 36), "horizon": 3}
+    options = CALM | {
+        "num_drones": 1,
+        "observation": ("goal", "rgb"),
+        "camera_size": (36, 36),
+        "horizon": 3,
+    }
     aviary = bulletuav.Aviary("converge", **options)
 
     class Alone(gymnasium.Env):
-        observation_space, action_space = aviary.observer.space(), bulletuav.batch_env("converge", 1, **options).action_space
+        observation_space, action_space = (
+            aviary.observer.space(),
+            bulletuav.batch_env("converge", 1, **options).action_space,
+        )
 
     stable_baselines3.PPO("MultiInputPolicy", Alone(), seed=0, device="cpu").save(tmp_path / "eyes")
     policy = find_policy(f"ppo:{tmp_path / 'eyes.zip'}", trust=True)(aviary)

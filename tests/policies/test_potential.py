@@ -12,7 +12,9 @@ HIGH = 100.0  # m, far from the ground
 def push(position, alive=None, obstacle=(), radius=(), field=FIELD):
     position = np.array([position], float)
     alive = np.ones(position.shape[:2], bool) if alive is None else np.array([alive])
-    return repulsion(position, alive, np.array(obstacle, float).reshape(1, -1, 3), np.array(radius, float), field)[0]
+    return repulsion(
+        position, alive, np.array(obstacle, float).reshape(1, -1, 3), np.array(radius, float), field
+    )[0]
 
 
 def test_push_of_a_pair_by_hand():
@@ -27,7 +29,9 @@ def test_pushes_are_the_gradient_of_the_potential():
         return 0.5 * 80 * (1 / np.linalg.norm(place) - 1 / 8) ** 2
 
     place, h = np.array((1.0, -2.0, 2.5)), 1e-5
-    gradient = [(potential(place + h * axis) - potential(place - h * axis)) / (2 * h) for axis in np.eye(3)]
+    gradient = [
+        (potential(place + h * axis) - potential(place - h * axis)) / (2 * h) for axis in np.eye(3)
+    ]
     lift = np.array((0, 0, HIGH))
     np.testing.assert_allclose(push([place + lift, lift])[0], -np.array(gradient), rtol=1e-6)
 
@@ -44,7 +48,9 @@ def test_the_dead_neither_push_nor_are_pushed():
 
 def test_obstacles_and_the_ground_push_from_their_surface():
     """4 m from surface to surface: 10 * 1^3 (1/4 - 1/8) / 4^2 = 0.078125 m/s."""
-    np.testing.assert_allclose(push([(0, 0, HIGH)], obstacle=[(7.5, 0, HIGH)], radius=[3]), [(-0.078125, 0, 0)])
+    np.testing.assert_allclose(
+        push([(0, 0, HIGH)], obstacle=[(7.5, 0, HIGH)], radius=[3]), [(-0.078125, 0, 0)]
+    )
     np.testing.assert_allclose(push([(0, 0, 4.5)]), [(0, 0, 0.078125)])
 
 

@@ -17,7 +17,13 @@ from bulletuav.policies.trained import Trained
 from bulletuav.training import checkpoint
 from bulletuav.training.models import make_model
 
-CALM = {"dynamics": "single_integrator", "num_drones": 2, "difficulty": "easy", "horizon": 8, "observation": ["goal"]}
+CALM = {
+    "dynamics": "single_integrator",
+    "num_drones": 2,
+    "difficulty": "easy",
+    "horizon": 8,
+    "observation": ["goal"],
+}
 
 
 @pytest.mark.parametrize("task", shipped_tasks())
@@ -27,7 +33,10 @@ def test_numpy_flies_as_pytorch_learned(task):
     aviary = bulletuav.Aviary(task, 2, **pilot.options)
     policy, observations = pilot(aviary), aviary.reset(seeds=0)
     weights = read_weights(pilot.model)
-    space, action = aviary.observer.space(), bulletuav.batch_env(task, 1, **pilot.options).action_space
+    space, action = (
+        aviary.observer.space(),
+        bulletuav.batch_env(task, 1, **pilot.options).action_space,
+    )
     chosen = policy_network(config.algo, config.settings, space, action, aviary.num_drones, weights)
     learned = chosen.__closure__[0].cell_contents.double()
     for _ in range(20):
@@ -35,7 +44,11 @@ def test_numpy_flies_as_pytorch_learned(task):
         rows = observations.reshape(-1, observations.shape[-1])
         with torch.no_grad():
             features = learned.pi_features_extractor(torch.as_tensor(rows).double())
-            exact = learned.action_net(learned.mlp_extractor.forward_actor(features)).numpy().reshape(actions.shape)
+            exact = (
+                learned.action_net(learned.mlp_extractor.forward_actor(features))
+                .numpy()
+                .reshape(actions.shape)
+            )
         np.testing.assert_allclose(actions, np.clip(exact, action.low, action.high), atol=1e-9)
         observations = aviary.step(actions).observations
     aviary.close()
@@ -68,10 +81,15 @@ def test_every_algorithms_actor_is_flown_as_it_is_learned(case, tmp_path):
     policy, rng = Trained(aviary, config, tmp_path / "policy.safetensors"), np.random.default_rng(0)
     aviary.reset(seeds=0)
     for size in (0.0, 0.1, 3.0):
-        observations = (size * rng.normal(size=(1, 2, *env.observation_space.shape))).astype(np.float32)
+        observations = (size * rng.normal(size=(1, 2, *env.observation_space.shape))).astype(
+            np.float32
+        )
         expected, _ = model.predict(observations[0], deterministic=True)
         np.testing.assert_allclose(
-            policy.act(observations, aviary.swarm)[0], np.reshape(expected, (2, -1)), atol=1e-6, rtol=0
+            policy.act(observations, aviary.swarm)[0],
+            np.reshape(expected, (2, -1)),
+            atol=1e-6,
+            rtol=0,
         )
     assert is_plain(algo, config.settings) == (case != "sac, noise of states")
     aviary.close()
@@ -81,24 +99,46 @@ def test_every_algorithms_actor_is_flown_as_it_is_learned(case, tmp_path):
 def test_a_network_by_hand():
     """tanh(1 * 0.5) * 2 + 0.25 = 1.17423..., clipped to 1; ReLU and tanh into [2, 6] for TD3."""
     layers = {"policy_net.0": ([[1.0]], [0.0])}
-    weights = {f"mlp_extractor.{name}.weight": np.array(w, dtype=np.float32) for name, (w, _) in layers.items()}
-    weights |= {f"mlp_extractor.{name}.bias": np.array(b, dtype=np.float32) for name, (_, b) in layers.items()}
-    weights |= {"action_net.weight": np.array([[2.0]], np.float32), "action_net.bias": np.array([0.25], np.float32)}
-    bounds = {"action.low": np.array([-1.0], np.float32), "action.high": np.array([1.0], np.float32)}
+    weights = {
+        f"mlp_extractor.{name}.weight": np.array(w, dtype=np.float32)
+        for name, (w, _) in layers.items()
+    }
+    weights |= {
+        f"mlp_extractor.{name}.bias": np.array(b, dtype=np.float32)
+        for name, (_, b) in layers.items()
+    }
+    weights |= {
+        "action_net.weight": np.array([[2.0]], np.float32),
+        "action_net.bias": np.array([0.25], np.float32),
+    }
+    bounds = {
+        "action.low": np.array([-1.0], np.float32),
+        "action.high": np.array([1.0], np.float32),
+    }
     free = {"action.low": np.array([-9.0], np.float32), "action.high": np.array([9.0], np.float32)}
     model = {"features": None}
     assert Network(weights | free, "ppo", model)(np.array([[0.5]]))[0, 0] == pytest.approx(
         2 * np.tanh(0.5) + 0.25, abs=1e-12
     )
     assert Network(weights | bounds, "ppo", model)(np.array([[0.5]]))[0, 0] == 1.0
-    td3 = {"actor.mu.0.weight": np.array([[1.0], [-1.0]], np.float32), "actor.mu.0.bias": np.zeros(2, np.float32)}
-    td3 |= {"actor.mu.2.weight": np.array([[0.5, 0.5]], np.float32), "actor.mu.2.bias": np.zeros(1, np.float32)}
+    td3 = {
+        "actor.mu.0.weight": np.array([[1.0], [-1.0]], np.float32),
+        "actor.mu.0.bias": np.zeros(2, np.float32),
+    }
+    td3 |= {
+        "actor.mu.2.weight": np.array([[0.5, 0.5]], np.float32),
+        "actor.mu.2.bias": np.zeros(1, np.float32),
+    }
     td3 |= {"action.low": np.array([2.0], np.float32), "action.high": np.array([6.0], np.float32)}
-    assert Network(td3, "td3", model)(np.array([[-3.0]]))[0, 0] == pytest.approx(4 + 2 * np.tanh(1.5), abs=1e-12)
+    assert Network(td3, "td3", model)(np.array([[-3.0]]))[0, 0] == pytest.approx(
+        4 + 2 * np.tanh(1.5), abs=1e-12
+    )
 
 
 def test_features_by_hand():
-    np.testing.assert_allclose(symlog(np.array([-2.0, 0.0, 1.0]), 3.0), [-np.log(7), 0.0, np.log(4)], rtol=1e-15)
+    np.testing.assert_allclose(
+        symlog(np.array([-2.0, 0.0, 1.0]), 3.0), [-np.log(7), 0.0, np.log(4)], rtol=1e-15
+    )
     gains = log_gain(np.array([[3.0, 4.0, 0.0], [0.0, 0.0, 0.0]]), np.array([1.0, 0.0]))
     np.testing.assert_allclose(gains, [-2 * np.log(6), 0.0], atol=1e-15)
 
@@ -120,11 +160,23 @@ def test_users_count_whatever_their_order():
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda w: {name: array for name, array in w.items() if name != "action_net.bias"}, "lacks action_net.bias"),
-        (lambda w: {**w, "action_net.weight": np.zeros((3, 7), np.float32)}, "does not fit the one before it"),
-        (lambda w: {**w, "action_net.bias": np.zeros((3, 1), np.float32)}, "does not fit the one before it"),
+        (
+            lambda w: {name: array for name, array in w.items() if name != "action_net.bias"},
+            "lacks action_net.bias",
+        ),
+        (
+            lambda w: {**w, "action_net.weight": np.zeros((3, 7), np.float32)},
+            "does not fit the one before it",
+        ),
+        (
+            lambda w: {**w, "action_net.bias": np.zeros((3, 1), np.float32)},
+            "does not fit the one before it",
+        ),
         (lambda w: {**w, "action_net.bias": np.full(3, np.nan, np.float32)}, "not finite"),
-        (lambda w: {name: array for name, array in w.items() if not name.startswith("action.")}, "to 3 choices"),
+        (
+            lambda w: {name: array for name, array in w.items() if not name.startswith("action.")},
+            "to 3 choices",
+        ),
         (lambda w: {}, "lacks action_net.weight"),
     ],
 )

@@ -32,7 +32,9 @@ def photograph():
         every = np.ones((worlds, drones), dtype=bool)
         engine.set_layouts(np.zeros(worlds, dtype=int), every[:, 0])
         if obstacle is not None:
-            engine.set_obstacles(np.full((worlds, 1, 3), obstacle), np.tile(LEVEL, (worlds, 1, 1)), every[:, 0])
+            engine.set_obstacles(
+                np.full((worlds, 1, 3), obstacle), np.tile(LEVEL, (worlds, 1, 1)), every[:, 0]
+            )
         swarm = Swarm.zeros(worlds, drones, 4)
         swarm.position[:], swarm.quaternion[:] = position, quaternion
         engine.set_states(swarm, every)
@@ -53,7 +55,9 @@ def pixel(ahead, left, up):
 def flat(labels, depth):
     """(H, W) pixels whose neighbours all show the same, in one plane: away from edges."""
     inner = np.zeros(labels.shape, dtype=bool)
-    inverse = np.pad(1 / depth.astype(float), 1, mode="edge")  # linear in the pixels' places on a plane
+    inverse = np.pad(
+        1 / depth.astype(float), 1, mode="edge"
+    )  # linear in the pixels' places on a plane
     shown = np.pad(labels, 1, mode="edge")
     inner[:] = True
     for row in range(3):
@@ -105,7 +109,9 @@ def test_what_is_nowhere_is_far(photograph):
 
 def test_pixels_are_labelled_by_what_they_show(photograph):
     """A tower ahead, an obstacle to its left, another drone to its right; ground below and sky above them."""
-    pictures = photograph(TOWER, [(0, 0, 30), (RADIUS + 5, -4, 30)], FACING, obstacle=(RADIUS + 10, 9, 30))
+    pictures = photograph(
+        TOWER, [(0, 0, 30), (RADIUS + 5, -4, 30)], FACING, obstacle=(RADIUS + 10, 9, 30)
+    )
     labels = pictures["segmentation"][0]
     for label, (ahead, left, up) in (
         (BUILDING, (20, 0, 0)),
@@ -122,7 +128,9 @@ def test_pixels_are_labelled_by_what_they_show(photograph):
 
 def test_obstacles_and_drones_are_as_far_as_they_are(photograph):
     """A ball of 1 m 10 m ahead and to the left; a drone 5 m ahead, whose collision shape is what rays see of it."""
-    pictures = photograph(TOWER, [(0, 0, 30), (RADIUS + 5, -4, 30)], FACING, obstacle=(RADIUS + 10, 9, 30))
+    pictures = photograph(
+        TOWER, [(0, 0, 30), (RADIUS + 5, -4, 30)], FACING, obstacle=(RADIUS + 10, 9, 30)
+    )
     depth, rays = pictures["depth"][0], pictures["ray_depth"][0]
     ball, drone = pixel(10, 9, 0), pixel(5, -4, 0)
     assert 8.9 < rays[ball] < 9.5
@@ -134,4 +142,6 @@ def test_obstacles_and_drones_are_as_far_as_they_are(photograph):
 def test_every_world_is_photographed_where_it_is(photograph):
     here, there = (photograph(TOWER, (0, 0, 30), world=k, worlds=4) for k in (0, 3))
     np.testing.assert_allclose(here["ray_depth"], there["ray_depth"], rtol=1e-6)
-    assert (here["segmentation"] == there["segmentation"]).mean() > 0.99  # the renderer is in single precision
+    assert (
+        here["segmentation"] == there["segmentation"]
+    ).mean() > 0.99  # the renderer is in single precision

@@ -30,7 +30,9 @@ def test_white_noise_has_the_standard_deviation_asked_for():
     gps.noise[:] = (2.0, 0.5)
     rows = readings(gps, 20000)
     np.testing.assert_allclose(rows[:, 0].std(axis=0), [[2.0] * 3, [0.5] * 3], rtol=0.03)
-    np.testing.assert_allclose(rows[:, 1].std(axis=0), VELOCITY_SHARE * np.array([[2.0] * 3, [0.5] * 3]), rtol=0.03)
+    np.testing.assert_allclose(
+        rows[:, 1].std(axis=0), VELOCITY_SHARE * np.array([[2.0] * 3, [0.5] * 3]), rtol=0.03
+    )
     correlation = np.corrcoef(rows[:-1, 0, 0, 0], rows[1:, 0, 0, 0])[0, 1]
     assert abs(correlation) < 0.03
 

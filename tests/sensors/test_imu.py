@@ -40,7 +40,13 @@ def errors(imu, count, seed=0):
 
 @pytest.mark.parametrize(
     ("axis", "degrees", "force"),
-    [("x", 0, (0, 0, G)), ("x", 90, (0, G, 0)), ("y", 90, (-G, 0, 0)), ("z", 77, (0, 0, G)), ("x", 180, (0, 0, -G))],
+    [
+        ("x", 0, (0, 0, G)),
+        ("x", 90, (0, G, 0)),
+        ("y", 90, (-G, 0, 0)),
+        ("z", 77, (0, 0, G)),
+        ("x", 180, (0, 0, -G)),
+    ],
 )
 def test_at_rest_it_feels_gravity_upwards(axis, degrees, force):
     acceleration, rates = feel(attitude=Rotation.from_euler(axis, degrees, degrees=True))
@@ -52,7 +58,10 @@ def test_in_free_fall_it_feels_nothing_however_it_turns():
     for seed in range(5):
         attitude = Rotation.random(random_state=seed)
         acceleration, rates = feel(
-            attitude=attitude, before=(3.0, -2.0, 1.0), velocity=(3.0, -2.0, 1.0 - 0.1 * G), rates=2.0
+            attitude=attitude,
+            before=(3.0, -2.0, 1.0),
+            velocity=(3.0, -2.0, 1.0 - 0.1 * G),
+            rates=2.0,
         )
         np.testing.assert_allclose(acceleration, 0, atol=1e-13)
         np.testing.assert_array_equal(rates, 2.0)
@@ -60,7 +69,9 @@ def test_in_free_fall_it_feels_nothing_however_it_turns():
 
 def test_acceleration_to_the_north_is_felt_ahead_when_facing_it():
     north = Rotation.from_euler("z", 90, degrees=True)
-    acceleration, _ = feel(period=0.02, attitude=north, before=(0.0, 1.0, 0.0), velocity=(0.0, 1.1, 0.0))
+    acceleration, _ = feel(
+        period=0.02, attitude=north, before=(0.0, 1.0, 0.0), velocity=(0.0, 1.1, 0.0)
+    )
     np.testing.assert_allclose(acceleration, (5, 0, G), atol=1e-12)
     acceleration, _ = feel(gravity=1.62, velocity=(-0.3, 0.2, 0.1))
     np.testing.assert_allclose(acceleration, (-3, 2, 2.62), atol=1e-12)
@@ -80,7 +91,9 @@ def test_white_noise_has_the_standard_deviation_asked_for(kind):
     rows = errors(imu, count)
     expected = np.zeros((2, 2, 3))
     expected[kind] = [[2.0] * 3, [0.5] * 3]
-    np.testing.assert_allclose(rows.std(axis=0), expected, rtol=5 / math.sqrt(2 * count))  # five of its standard errors
+    np.testing.assert_allclose(
+        rows.std(axis=0), expected, rtol=5 / math.sqrt(2 * count)
+    )  # five of its standard errors
     assert (np.abs(rows.mean(axis=0)) <= 5 * expected / math.sqrt(count)).all()
     columns = rows[:, kind].reshape(count, 6)
     correlations = np.corrcoef(np.concatenate([columns[:-1], columns[1:]], axis=1).T) - np.eye(12)
@@ -112,16 +125,23 @@ def test_accelerometer_and_gyroscope_err_apart_from_each_other():
 
 def test_white_noise_and_steps_of_the_bias_are_independent():
     imu, count = Imu((1, 1), 1.0), 20000
-    imu.acceleration_noise[:] = imu.acceleration_walk[:] = imu.rates_noise[:] = imu.rates_walk[:] = 1.0
+    imu.acceleration_noise[:] = imu.acceleration_walk[:] = imu.rates_noise[:] = imu.rates_walk[
+        :
+    ] = 1.0
     steps = np.diff(errors(imu, count)[:, :, 0], axis=0)
-    np.testing.assert_allclose(steps.var(axis=0), 1 + 2, rtol=5 * math.sqrt(22 / 9 / count))  # 2 sum of squared correlations
+    np.testing.assert_allclose(
+        steps.var(axis=0), 1 + 2, rtol=5 * math.sqrt(22 / 9 / count)
+    )  # 2 sum of squared correlations
 
 
 def test_the_first_readings_of_an_episode_are_of_steady_flight_with_noise_but_without_bias():
     imu, drones = Imu((2, 2000), 0.1), 2000
     imu.rates_walk[:] = 100.0
     imu.acceleration_noise[1] = 2.0
-    swarm, rng = swarm_of(2, drones, velocity=(5.0, 0.0, 0.0), rates=(0.1, 0.2, 0.3)), np.random.default_rng(0)
+    swarm, rng = (
+        swarm_of(2, drones, velocity=(5.0, 0.0, 0.0), rates=(0.1, 0.2, 0.3)),
+        np.random.default_rng(0),
+    )
     imu.start(1, swarm, rng)
     np.testing.assert_array_equal(imu.rates[1], np.tile((0.1, 0.2, 0.3), (drones, 1)))
     white = imu.acceleration[1] - (0, 0, G)
@@ -135,7 +155,9 @@ def test_the_first_readings_of_an_episode_are_of_steady_flight_with_noise_but_wi
 
 def test_worlds_that_do_not_fly_keep_their_readings_and_draw_nothing():
     imu, swarm = Imu((2, 1), 0.1), swarm_of(2, 1)
-    imu.acceleration_noise[:] = imu.rates_noise[:] = imu.acceleration_walk[:] = imu.rates_walk[:] = 1.0
+    imu.acceleration_noise[:] = imu.rates_noise[:] = imu.acceleration_walk[:] = imu.rates_walk[
+        :
+    ] = 1.0
     rng = np.random.default_rng(0)
     for k in range(2):
         imu.start(k, swarm, rng)

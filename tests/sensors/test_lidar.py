@@ -25,7 +25,9 @@ def make_world():
     made = []
 
     def make(layouts=(), worlds=1, drones=1, airframe="hummingbird", obstacles=()):
-        one = Engine([bulletuav.load_airframe(airframe)] * drones, worlds, 1 / 240, obstacles, layouts)
+        one = Engine(
+            [bulletuav.load_airframe(airframe)] * drones, worlds, 1 / 240, obstacles, layouts
+        )
         if layouts:
             one.set_layouts(np.zeros(worlds, dtype=int), np.ones(worlds, dtype=bool))
         made.append(one)
@@ -49,11 +51,17 @@ def scan(engine, swarm, beams, frame="yaw", mask=None, rngs=None, **uncertain):
     lidar = Lidar(engine, beams, FAR, frame)
     for name, value in uncertain.items():
         getattr(lidar, name)[:] = value
-    lidar.scan(swarm, np.ones(engine.shape, dtype=bool) if mask is None else mask, rngs or [None] * engine.shape[0])
+    lidar.scan(
+        swarm,
+        np.ones(engine.shape, dtype=bool) if mask is None else mask,
+        rngs or [None] * engine.shape[0],
+    )
     return lidar.ranges
 
 
-both_ways = pytest.mark.parametrize("obstacles", [(), (Obstacle("sphere", (1.0,)),)], ids=["walk", "engine"])
+both_ways = pytest.mark.parametrize(
+    "obstacles", [(), (Obstacle("sphere", (1.0,)),)], ids=["walk", "engine"]
+)
 """Where there are obstacles, here nowhere near, rays are the engine's."""
 
 
@@ -86,7 +94,9 @@ def test_level_beams_above_a_roof_miss(make_world, obstacles):
 @both_ways
 @pytest.mark.parametrize("thickness", [0.5, 0.05])
 def test_a_thin_wall_is_seen_where_it_stands(make_world, thickness, obstacles):
-    engine = make_world((Solids(np.array([[(20.0, -5, 0), (20 + thickness, 5, 60)]])),), obstacles=obstacles)
+    engine = make_world(
+        (Solids(np.array([[(20.0, -5, 0), (20 + thickness, 5, 60)]])),), obstacles=obstacles
+    )
     assert scan(engine, swarm_at(engine, (0, 0, 30)), level(0))[0, 0] == pytest.approx(20, abs=1e-6)
 
 
@@ -97,19 +107,25 @@ def test_beams_that_look_down_see_ground_and_roof(make_world, obstacles):
     beams = [Beam(90, -90), Beam(90, -45), Beam(90, -31), Beam(90, -29), Beam(0, -10)]
     ranges = scan(engine, swarm_at(engine, (0, 0, 30)), beams)[0, 0]
     np.testing.assert_allclose(
-        ranges, (30, 42.426407, 30 / np.sin(np.radians(31)), FAR, 5 / np.sin(np.radians(10))), atol=1e-6
+        ranges,
+        (30, 42.426407, 30 / np.sin(np.radians(31)), FAR, 5 / np.sin(np.radians(10))),
+        atol=1e-6,
     )
 
 
 def test_obstacles_are_seen(make_world):
     engine = make_world(obstacles=(Obstacle("sphere", (2.0,)),))
     engine.set_obstacles(np.array([[(0.0, 15, 30)]]), np.array([[LEVEL]]), np.array([True]))
-    np.testing.assert_allclose(scan(engine, swarm_at(engine, (0, 0, 30)), level(90, 0))[0, 0], (13, FAR), atol=1e-3)
+    np.testing.assert_allclose(
+        scan(engine, swarm_at(engine, (0, 0, 30)), level(90, 0))[0, 0], (13, FAR), atol=1e-3
+    )
 
 
 def test_what_is_at_the_end_of_the_range_is_seen_and_beyond_it_is_not(make_world):
     engine = make_world((tower(60),))
-    assert scan(engine, swarm_at(engine, (-39.99, 0, 30)), level(0))[0, 0] == pytest.approx(59.99, abs=1e-6)
+    assert scan(engine, swarm_at(engine, (-39.99, 0, 30)), level(0))[0, 0] == pytest.approx(
+        59.99, abs=1e-6
+    )
     assert scan(engine, swarm_at(engine, (-40.01, 0, 30)), level(0))[0, 0] == FAR
 
 
@@ -122,7 +138,9 @@ def test_the_shape_of_another_drone_is_seen(make_world, airframe, tilt):
     """A disc of radius r and half-height h ahead, tilted towards the beam: its rim r / cos, or its face h / sin, is met."""
     engine = make_world(drones=2, airframe=airframe)
     low, high = disc(airframe)
-    swarm = swarm_at(engine, [(0, 0, 100), (10, 0, 100)], Rotation.from_euler("y", tilt, degrees=True).as_quat())
+    swarm = swarm_at(
+        engine, [(0, 0, 100), (10, 0, 100)], Rotation.from_euler("y", tilt, degrees=True).as_quat()
+    )
     met = low if tilt == 0 else min(low / np.cos(np.radians(tilt)), high / np.sin(np.radians(tilt)))
     ranges = scan(engine, swarm, level(0, 180))[0]
     np.testing.assert_allclose(ranges, [(10 - met, FAR), (FAR, 10 - met)], atol=2e-3)
@@ -140,10 +158,17 @@ def disc(airframe):
 def test_no_drone_sees_itself(make_world, airframe, tilt):
     """In 200 directions, with another drone in the engine, out of range."""
     engine = make_world(drones=2, airframe=airframe)
-    swarm = swarm_at(engine, [(0, 0, 500), (0, 100, 500)], Rotation.from_euler("zx", (20, tilt), degrees=True).as_quat())
+    swarm = swarm_at(
+        engine,
+        [(0, 0, 500), (0, 100, 500)],
+        Rotation.from_euler("zx", (20, tilt), degrees=True).as_quat(),
+    )
     way = Rotation.random(200, rng=np.random.default_rng(0)).apply((1, 0, 0))
     beams = [
-        Beam(*angles) for angles in np.degrees(np.stack([np.arctan2(way[:, 1], way[:, 0]), np.arcsin(way[:, 2])], axis=1))
+        Beam(*angles)
+        for angles in np.degrees(
+            np.stack([np.arctan2(way[:, 1], way[:, 0]), np.arcsin(way[:, 2])], axis=1)
+        )
     ]
     assert (scan(engine, swarm, beams) == FAR).all()
 
@@ -178,12 +203,18 @@ def test_a_drone_that_flies_fast_is_seen_where_it_is(make_bench, dynamics):
     bench = make_bench(dynamics, drones=2, effects=(), gravity=0.0)
     bench.swarm.position[0], bench.swarm.velocity[0, 1] = [(0, 0, 100), (10, -4, 100)], (0, 20, 0)
     bench.swarm.rotor_speed[:] = 0
-    setpoint = {SetpointLevel.ROTOR: np.zeros((1, 2, 4)), SetpointLevel.ACCELERATION: np.zeros((1, 2, 4))}.get(
-        bench.dynamics.consumes, np.concatenate([bench.swarm.velocity, np.zeros((1, 2, 1))], axis=-1)
+    setpoint = {
+        SetpointLevel.ROTOR: np.zeros((1, 2, 4)),
+        SetpointLevel.ACCELERATION: np.zeros((1, 2, 4)),
+    }.get(
+        bench.dynamics.consumes,
+        np.concatenate([bench.swarm.velocity, np.zeros((1, 2, 1))], axis=-1),
     )
     bench.place()
     for _ in range(2):
-        bench.dynamics.fly(bench.swarm, bench.alive, bench.dynamics.consumes, setpoint, bench.wind, bench.motion)
+        bench.dynamics.fly(
+            bench.swarm, bench.alive, bench.dynamics.consumes, setpoint, bench.wind, bench.motion
+        )
     bench.dynamics.show(bench.swarm, bench.alive)
     x, y, _ = bench.swarm.position[0, 1]
     assert (x, y) == pytest.approx((10, 0), abs=1e-6)
@@ -223,7 +254,9 @@ def test_a_drone_on_its_nose_still_has_some_heading(make_world):
 def many(engine, count, **uncertain):
     """(count, 100) ranges of a tower 20 m ahead."""
     swarm, rng = swarm_at(engine, (0, 0, 30)), [np.random.default_rng(0)]
-    return np.array([scan(engine, swarm, level(*[0] * 100), rngs=rng, **uncertain)[0, 0] for _ in range(count)])
+    return np.array(
+        [scan(engine, swarm, level(*[0] * 100), rngs=rng, **uncertain)[0, 0] for _ in range(count)]
+    )
 
 
 def test_noise_has_its_mean_and_deviation(make_world):
@@ -248,14 +281,22 @@ def test_ranges_stay_within_their_bounds(make_world):
 
 def test_what_is_not_hit_stays_so_under_noise(make_world):
     engine = make_world((tower(60),))
-    ranges = scan(engine, swarm_at(engine, (0, 0, 30)), level(*[180] * 100), rngs=[np.random.default_rng(0)], noise=5.0)
+    ranges = scan(
+        engine,
+        swarm_at(engine, (0, 0, 30)),
+        level(*[180] * 100),
+        rngs=[np.random.default_rng(0)],
+        noise=5.0,
+    )
     assert (ranges == FAR).all()
 
 
 def test_each_drone_has_its_own_noise(make_world):
     engine = make_world((tower(60),), drones=2)
     swarm = swarm_at(engine, [(0, 0, 30), (0, 2, 30)])
-    ranges = scan(engine, swarm, level(0), rngs=[np.random.default_rng(0)], noise=[[0.5, 0.0]])[0, :, 0]
+    ranges = scan(engine, swarm, level(0), rngs=[np.random.default_rng(0)], noise=[[0.5, 0.0]])[
+        0, :, 0
+    ]
     assert ranges[1] == pytest.approx(20, abs=1e-6)
     assert abs(ranges[0] - 20) > 1e-3
 
@@ -267,7 +308,9 @@ def test_the_same_seed_gives_the_same_bits_whatever_other_worlds_read(make_world
     def read(seeds, noise, mask=None):
         rngs = [np.random.default_rng(seed) for seed in seeds]
         noise = np.broadcast_to(np.array(noise)[:, None], (2, 2))
-        return scan(engine, swarm, make_beams(16, (0.0,)), mask=mask, rngs=rngs, noise=noise, dropout=0.1)[1]
+        return scan(
+            engine, swarm, make_beams(16, (0.0,)), mask=mask, rngs=rngs, noise=noise, dropout=0.1
+        )[1]
 
     bits = read((1, 2), (0.3, 0.3)).tobytes()
     assert read((5, 2), (0.3, 0.3)).tobytes() == bits
@@ -280,7 +323,14 @@ def test_a_drone_reads_the_same_whether_or_not_another_has_left(make_world):
     engine = make_world((tower(60),), drones=2)
     swarm = swarm_at(engine, [(0, 0, 30), (0, 2, 30)])
     ranges = [
-        scan(engine, swarm, level(0, 10), mask=np.array([[first, True]]), rngs=[np.random.default_rng(3)], noise=0.3)[0, 1]
+        scan(
+            engine,
+            swarm,
+            level(0, 10),
+            mask=np.array([[first, True]]),
+            rngs=[np.random.default_rng(3)],
+            noise=0.3,
+        )[0, 1]
         for first in (True, False)
     ]
     assert ranges[0].tobytes() == ranges[1].tobytes()
@@ -303,8 +353,17 @@ def test_who_does_not_scan_keeps_its_ranges(make_world):
 @pytest.mark.parametrize("dynamics", LADDER)
 def test_every_dynamics_sees_the_same_and_only_who_flies(make_world, dynamics):
     """After 30 decisions, in which some crash: what a world apart sees from where they are."""
-    town = {"area": 200.0, "leg": 20.0, "num_drones": 12, "min_separation": 3.0, "num_layouts": 2, "height": (2.0, 12.0)}
-    aviary = bulletuav.Aviary("lidar_navigation", 2, dynamics=dynamics, action="velocity", max_speed=8.0, **town)
+    town = {
+        "area": 200.0,
+        "leg": 20.0,
+        "num_drones": 12,
+        "min_separation": 3.0,
+        "num_layouts": 2,
+        "height": (2.0, 12.0),
+    }
+    aviary = bulletuav.Aviary(
+        "lidar_navigation", 2, dynamics=dynamics, action="velocity", max_speed=8.0, **town
+    )
     aviary.reset(seeds=3)
     action = np.random.default_rng(0).uniform(-1, 1, (2, 12, 3)) * (1, 1, 0.2)
     for _ in range(30):

@@ -17,7 +17,9 @@ def listen(radio, steps, rng, flying=None):
     radio.start(0, line(0), line(0)[:, :3], rng)
     for k in range(1, steps + 1):
         known = line(k * PERIOD)
-        radio.hear(0, known, known[:, :3], np.ones(3, dtype=bool) if flying is None else flying, rng)
+        radio.hear(
+            0, known, known[:, :3], np.ones(3, dtype=bool) if flying is None else flying, rng
+        )
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.005, 0.05, 0.1, 0.23])

@@ -21,7 +21,9 @@ EDGE = 2e-4  # of a building's size: by so much, millimetres, the engine's trian
 
 
 def open_world(layouts=(), worlds=1, drones=1, airframe="hummingbird", obstacles=(), stands=0):
-    engine = Engine([bulletuav.load_airframe(airframe)] * drones, worlds, 1 / 240, obstacles, layouts)
+    engine = Engine(
+        [bulletuav.load_airframe(airframe)] * drones, worlds, 1 / 240, obstacles, layouts
+    )
     if layouts:
         engine.set_layouts(np.broadcast_to(stands, worlds), np.ones(worlds, dtype=bool))
     return engine
@@ -57,7 +59,9 @@ def put(engine, position, quaternion=LEVEL):
 
 
 def clear(engine, start, end, where=0):
-    start, end = np.broadcast_arrays(np.atleast_2d(start).astype(float), np.atleast_2d(end).astype(float))
+    start, end = np.broadcast_arrays(
+        np.atleast_2d(start).astype(float), np.atleast_2d(end).astype(float)
+    )
     return line_of_sight(engine, start, end, np.broadcast_to(where, len(start)))
 
 
@@ -73,7 +77,9 @@ def places(rng, count, top):
 # Lines of sight
 
 
-@pytest.mark.parametrize(("height", "seen"), [(40, True), (41, False), (40.89, True), (40.901, False)])
+@pytest.mark.parametrize(
+    ("height", "seen"), [(40, True), (41, False), (40.89, True), (40.901, False)]
+)
 def test_a_building_blocks_from_its_height_on(make_world, height, seen):
     """From 100 m to 1.5 m over 100 m: 60.6 m high at x = 40, 40.9 m at x = 60."""
     engine = make_world((Solids(np.array([[(40.0, -5, 0), (60, 5, height)]])),))
@@ -84,7 +90,9 @@ def test_a_building_blocks_from_its_height_on(make_world, height, seen):
 def test_each_world_is_asked_for_itself(make_world):
     layouts = [Solids(np.array([[(40.0, -5, 0), (60, 5, height)]])) for height in (40, 41)]
     engine = make_world(layouts, worlds=3, stands=[0, 1, NO_LAYOUT])
-    np.testing.assert_array_equal(clear(engine, [(0, 0, 100)] * 4, (100, 0, 1.5), [0, 1, 2, 1]), (True, False, True, False))
+    np.testing.assert_array_equal(
+        clear(engine, [(0, 0, 100)] * 4, (100, 0, 1.5), [0, 1, 2, 1]), (True, False, True, False)
+    )
 
 
 def test_the_ground_blocks_and_what_is_no_way_apart_is_in_sight(make_world):
@@ -99,7 +107,9 @@ def test_obstacles_block_and_drones_do_not(make_world):
     put(engine, [(0, 0, 10), (10, 0, 10), (20, 0, 10)])
     assert clear(engine, (0, 0, 10), (20, 0, 10)) == [True]
     engine.set_obstacles(np.array([[(5.0, 0.5, 10)]]), np.array([[LEVEL]]), np.array([True]))
-    np.testing.assert_array_equal(clear(engine, (0, 0, 10), [(20, 0, 10), (20, -9, 10)]), (False, True))
+    np.testing.assert_array_equal(
+        clear(engine, (0, 0, 10), [(20, 0, 10), (20, -9, 10)]), (False, True)
+    )
 
 
 def test_either_way_is_the_same(town):
@@ -125,7 +135,10 @@ def test_either_way_is_the_same_where_links_just_touch(town):
         middle = (free + hidden) / 2
         seen = clear(town, start, middle)
         np.testing.assert_array_equal(clear(town, middle, start), seen)
-        free, hidden = np.where(seen[:, None], middle, free), np.where(seen[:, None], hidden, middle)
+        free, hidden = (
+            np.where(seen[:, None], middle, free),
+            np.where(seen[:, None], hidden, middle),
+        )
     assert np.linalg.norm(free - hidden, axis=1).max() < 1e-12
 
 
@@ -145,7 +158,9 @@ def test_who_rises_loses_nothing_from_sight(town):
     free = clear(town, start, end) & (end[:, 2] > CITY.roof(end))
     start, end = start[free], end[free]
     assert len(start) > 5000
-    rises = np.stack([np.zeros((2, len(start))), rng.exponential(10, (2, len(start)))])[:, :, :, None] * (0, 0, 1)
+    rises = np.stack([np.zeros((2, len(start))), rng.exponential(10, (2, len(start)))])[
+        :, :, :, None
+    ] * (0, 0, 1)
     assert clear(town, start + rises[1, 0], end).all()
     assert clear(town, start, end + rises[1, 1]).all()
     assert clear(town, start + rises[1, 0], end + rises[1, 1]).all()
@@ -192,21 +207,29 @@ def test_drones_see_targets_of_their_own_world(make_world):
     position = np.array([[(0.0, 0, 100), (50, 20, 100)]] * 2)
     targets = np.array([[(100.0, 0, 1.5), (20, 0, 1.5)]] * 2)
     seen = sights(engine, position, targets, np.ones((2, 2), dtype=bool))
-    np.testing.assert_array_equal(seen, [[(True, True), (True, True)], [(False, True), (True, True)]])
+    np.testing.assert_array_equal(
+        seen, [[(True, True), (True, True)], [(False, True), (True, True)]]
+    )
     seen = sights(engine, position, targets, np.array([[True, False], [False, False]]))
-    np.testing.assert_array_equal(seen, [[(True, True), (False, False)], [(False, False), (False, False)]])
+    np.testing.assert_array_equal(
+        seen, [[(True, True), (False, False)], [(False, False), (False, False)]]
+    )
 
 
 @pytest.mark.parametrize("dynamics", ["bullet", "point_mass"])
 def test_an_environment_tells_who_sees_users_and_each_other(dynamics):
-    aviary = bulletuav.Aviary("los", 2, num_drones=4, dynamics=dynamics, area=250.0, height=(5.0, 20.0), num_layouts=2)
+    aviary = bulletuav.Aviary(
+        "los", 2, num_drones=4, dynamics=dynamics, area=250.0, height=(5.0, 20.0), num_layouts=2
+    )
     with pytest.raises(RuntimeError, match="call reset"):
         aviary.line_of_sight((0, 0, 1), (1, 0, 1))
     aviary.reset(seeds=0)
     for _ in range(5):
         aviary.step(np.random.default_rng(0).uniform(-1, 1, (2, 4, 3)))
     position, users = aviary.swarm.position, aviary.scene.memory["users"]
-    start, end = (array.reshape(-1, 3) for array in np.broadcast_arrays(position[:, :, None], users[:, None]))
+    start, end = (
+        array.reshape(-1, 3) for array in np.broadcast_arrays(position[:, :, None], users[:, None])
+    )
     where = np.repeat([0, 1], 4 * users.shape[1])
     boxes = [aviary.solids(world).boxes for world in (0, 1)]
     expected = np.concatenate([slab(boxes[w], start[where == w], end[where == w]) for w in (0, 1)])
@@ -225,7 +248,9 @@ def test_an_environment_tells_who_sees_users_and_each_other(dynamics):
 def nearest(engine, position, quaternion=LEVEL, most=50.0, mask=None):
     """(N,) clearances of the drones of world 0."""
     put(engine, position, quaternion)
-    return clearances(engine, np.ones(engine.shape, dtype=bool) if mask is None else np.array(mask), most)[0]
+    return clearances(
+        engine, np.ones(engine.shape, dtype=bool) if mask is None else np.array(mask), most
+    )[0]
 
 
 BLOCK = Solids(np.array([[(-5.0, -5, 0), (5, 5, 8)]]))
@@ -259,12 +284,18 @@ def test_distance_from_a_hull(make_world):
 
 def test_distance_from_an_obstacle(make_world):
     engine = make_world(obstacles=(Obstacle("sphere", (1.0,)), Obstacle("box", (2.0, 2.0, 2.0))))
-    engine.set_obstacles(np.array([[(4.0, 0, 20), (0, -3, 20)]]), np.array([[LEVEL] * 2]), np.array([True]))
+    engine.set_obstacles(
+        np.array([[(4.0, 0, 20), (0, -3, 20)]]), np.array([[LEVEL] * 2]), np.array([True])
+    )
     assert nearest(engine, (0, 0, 20)) == pytest.approx(2 - RADIUS, abs=1e-3)  # the box
-    assert nearest(engine, (1, 1, 20)) == pytest.approx(np.sqrt(10) - 1 - RADIUS, abs=1e-3)  # the sphere
+    assert nearest(engine, (1, 1, 20)) == pytest.approx(
+        np.sqrt(10) - 1 - RADIUS, abs=1e-3
+    )  # the sphere
 
 
-@pytest.mark.parametrize(("apart", "expected"), [((2, 0, 0), 2 - 2 * RADIUS), ((0, 0, 2), 2 - 2 * HALF)])
+@pytest.mark.parametrize(
+    ("apart", "expected"), [((2, 0, 0), 2 - 2 * RADIUS), ((0, 0, 2), 2 - 2 * HALF)]
+)
 def test_distance_from_another_drone(make_world, apart, expected):
     distance = nearest(make_world(drones=2), [(0, 0, 30), np.add((0, 0, 30), apart)])
     np.testing.assert_allclose(distance, expected, atol=1e-3)
@@ -281,16 +312,22 @@ def test_distance_of_a_tilted_shape(make_world, airframe):
     high = one.thinnest / 2
     wide = np.sqrt(one.collision_radius**2 - high**2)
     attitude = Rotation.from_euler("ZX", (30, 30), degrees=True).as_quat()
-    assert nearest(engine, (0, 0, 3), attitude) == pytest.approx(3 - wide / 2 - high * np.sqrt(0.75), abs=2e-3)
+    assert nearest(engine, (0, 0, 3), attitude) == pytest.approx(
+        3 - wide / 2 - high * np.sqrt(0.75), abs=2e-3
+    )
 
 
 def test_who_is_far_or_not_asked_for_has_the_limit(make_world):
     engine = make_world((BLOCK,), drones=3)
     places = [(20, 0, 6), (20, 3, 6), (0, 0, 40)]
-    np.testing.assert_allclose(nearest(engine, places, most=4.0), (3 - 2 * RADIUS, 3 - 2 * RADIUS, 4), atol=1e-3)
+    np.testing.assert_allclose(
+        nearest(engine, places, most=4.0), (3 - 2 * RADIUS, 3 - 2 * RADIUS, 4), atol=1e-3
+    )
     np.testing.assert_allclose(nearest(engine, places, most=2.0), 2.0)
     masked = nearest(engine, places, most=10.0, mask=[[True, False, False]])
-    np.testing.assert_allclose(masked, (6 - HALF, 10, 10), atol=1e-3)  # who is not asked for is not met either
+    np.testing.assert_allclose(
+        masked, (6 - HALF, 10, 10), atol=1e-3
+    )  # who is not asked for is not met either
 
 
 def test_other_worlds_and_parked_layouts_are_far(make_world):

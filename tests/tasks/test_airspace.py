@@ -9,7 +9,14 @@ from bulletuav.vehicle.swarm import Swarm
 
 AIRSPACES = ("crossing", "converge", "pursuit", "obstacles")
 CALM = {"dynamics": "rigid_body", "randomization": {}}
-ASKED = {"efficiency": 1.0, "speed_keeping": 0.5, "time": -0.1, "shaping": 1.0, "fairness": -0.1, "concession": 2.0}
+ASKED = {
+    "efficiency": 1.0,
+    "speed_keeping": 0.5,
+    "time": -0.1,
+    "shaping": 1.0,
+    "fairness": -0.1,
+    "concession": 2.0,
+}
 
 
 def towards_goal(aviary):
@@ -39,7 +46,9 @@ def test_the_reward_is_the_sum_of_its_terms_every_one_in_info(task):
     terms = [name for name in steps[0].info if name.startswith("reward/")]
     assert {name.removeprefix("reward/") for name in terms} == set(aviary.task.weights)
     for step in steps:
-        np.testing.assert_allclose(sum(step.info[name] for name in terms), step.rewards, rtol=1e-12, atol=1e-9)
+        np.testing.assert_allclose(
+            sum(step.info[name] for name in terms), step.rewards, rtol=1e-12, atol=1e-9
+        )
 
 
 @pytest.mark.parametrize("task", AIRSPACES)
@@ -57,20 +66,28 @@ def test_terms_without_weight_are_left_out(task):
 def test_progress_is_positive_when_approaching_and_reaching_the_goal_beats_standing_still(task):
     returns = {}
     for name, act in (("reach", towards_goal), ("still", lambda aviary: np.zeros((1, 1, 3)))):
-        aviary = bulletuav.Aviary(task, num_drones=1, num_moving=0, **CALM) if task == "obstacles" else None
+        aviary = (
+            bulletuav.Aviary(task, num_drones=1, num_moving=0, **CALM)
+            if task == "obstacles"
+            else None
+        )
         aviary = aviary or bulletuav.Aviary(task, num_drones=1, **CALM)
         steps = fly(aviary, act)
         returns[name] = sum(step.rewards[0, 0] for step in steps)
         if name == "reach":
             assert steps[-1].info["success"].all()
-            assert (column(steps[5:], "reward/progress") > 0).all()  # after it has turned towards it
+            assert (
+                column(steps[5:], "reward/progress") > 0
+            ).all()  # after it has turned towards it
     assert returns["reach"] > returns["still"] + 40
 
 
 def test_optional_terms_by_hand():
     """One drone that flies straight on at 10 m/s."""
     options = {"num_drones": 1, "jitter": 0.0, "altitude_spread": 0.0, "start_speed": (10.0, 10.0)}
-    aviary = bulletuav.Aviary("crossing", weights=ASKED, **options, **(CALM | {"dynamics": "single_integrator"}))
+    aviary = bulletuav.Aviary(
+        "crossing", weights=ASKED, **options, **(CALM | {"dynamics": "single_integrator"})
+    )
     aviary.reset(seeds=0)
     info = aviary.step(np.array([[(0.0, 0.5, 0.0)]])).info  # 200 m to go, 1 m flown
     assert info["reward/efficiency"][0, 0] == pytest.approx(1 / 200)
@@ -85,7 +102,11 @@ def test_optional_terms_by_hand():
 
 @pytest.mark.parametrize(
     ("task", "options", "more"),
-    [("crossing", {}, 0.0), ("converge", {"at_goal": "land"}, 39.5), ("pursuit", {"start_speed": (9.0, 9.0)}, 120 * np.pi)],
+    [
+        ("crossing", {}, 0.0),
+        ("converge", {"at_goal": "land"}, 39.5),
+        ("pursuit", {"start_speed": (9.0, 9.0)}, 120 * np.pi),
+    ],
 )
 def test_shaping_telescopes_to_the_potential_of_the_start_whatever_was_done(task, options, more):
     """The discounted sum over an episode that terminates is -Phi(start): it cannot change which policy is best.
@@ -119,12 +140,20 @@ def test_fairness_is_the_variance_of_the_rewards_nearby():
     np.testing.assert_allclose(found[0, :3], np.var([1, 2, 6]))
     assert found[0, 3] == 0
     alive[0, 2] = False
-    np.testing.assert_allclose(variance_nearby(reward, position, alive, 50.0)[0], [0.25, 0.25, 0, 0])
+    np.testing.assert_allclose(
+        variance_nearby(reward, position, alive, 50.0)[0], [0.25, 0.25, 0, 0]
+    )
 
 
 def test_concession_pays_the_drone_that_made_way():
     """Two on a collision course: drone 0 climbs over drone 1, which flies straight on."""
-    options = {"num_drones": 2, "jitter": 0.0, "altitude_spread": 0.0, "start_speed": (10.0, 10.0), "half_length": 50.0}
+    options = {
+        "num_drones": 2,
+        "jitter": 0.0,
+        "altitude_spread": 0.0,
+        "start_speed": (10.0, 10.0),
+        "half_length": 50.0,
+    }
 
     def climb(aviary):
         action = towards_goal(aviary)
@@ -148,16 +177,26 @@ def test_encounters_by_hand():
 
     encounter, effort = np.zeros((2, 1, 2, 2))
     alive = np.ones((1, 2), dtype=bool)
-    follow_encounters(encounter, effort, swarm((0, 250), (10, -10)), swarm((1, 249), (10, -10)), 5.0, alive)
+    follow_encounters(
+        encounter, effort, swarm((0, 250), (10, -10)), swarm((1, 249), (10, -10)), 5.0, alive
+    )
     assert not encounter.any()  # they would meet, in 12.5 s
-    follow_encounters(encounter, effort, swarm((0, 100), (10, -10)), swarm((1, 99), (10, -7)), 5.0, alive)
+    follow_encounters(
+        encounter, effort, swarm((0, 100), (10, -10)), swarm((1, 99), (10, -7)), 5.0, alive
+    )
     assert encounter[0, 0, 1] == encounter[0, 1, 0] == CLEAR
     assert (effort[0, 0, 1], effort[0, 1, 0]) == (0, 3)
-    follow_encounters(encounter, effort, swarm((0, 100), (-10, 10)), swarm((-1, 101), (0, 10)), 5.0, alive)
+    follow_encounters(
+        encounter, effort, swarm((0, 100), (-10, 10)), swarm((-1, 101), (0, 10)), 5.0, alive
+    )
     assert effort[0, 0, 1] == 0  # they part
-    follow_encounters(encounter, effort, swarm((0, 100), (10, -10)), swarm((48, 52), (10, -10)), 5.0, alive)
+    follow_encounters(
+        encounter, effort, swarm((0, 100), (10, -10)), swarm((48, 52), (10, -10)), 5.0, alive
+    )
     assert encounter[0, 0, 1] == CONFLICT
-    follow_encounters(encounter, effort, swarm((0, 100), (10, -10)), swarm((1, 99), (10, -10)), 5.0, ~alive)
+    follow_encounters(
+        encounter, effort, swarm((0, 100), (10, -10)), swarm((1, 99), (10, -10)), 5.0, ~alive
+    )
     assert encounter[0, 0, 1] == CONFLICT
 
 
@@ -195,7 +234,12 @@ def test_land_asks_to_go_down_to_the_ground_first():
 @pytest.mark.parametrize("dynamics", ["bullet", "rigid_body", "point_mass"])
 @pytest.mark.parametrize(("boundary", "rebound"), [("soft", 0.8), ("hard", 0.0)])
 def test_walls_throw_back_or_stop(boundary, rebound, dynamics):
-    options = {"num_drones": 1, "start_speed": (15.0, 15.0), "dynamics": dynamics, "randomization": {}}
+    options = {
+        "num_drones": 1,
+        "start_speed": (15.0, 15.0),
+        "dynamics": dynamics,
+        "randomization": {},
+    }
     aviary = bulletuav.Aviary("converge", boundary=boundary, action="velocity_increment", **options)
     aviary.reset(seeds=0)
     while True:
@@ -207,7 +251,9 @@ def test_walls_throw_back_or_stop(boundary, rebound, dynamics):
     assert not step.terminated.any()
     after = aviary.swarm.velocity[0, 0]
     assert after[0] <= 0
-    assert after[0] == pytest.approx(-rebound * before[0], rel=0.2)  # it still sped up a little in this decision
+    assert after[0] == pytest.approx(
+        -rebound * before[0], rel=0.2
+    )  # it still sped up a little in this decision
     np.testing.assert_allclose(after[1:], before[1:], atol=0.3)
     assert aviary.commanded[0, 0, 0] <= 0
     assert step.info["reward/out_of_bounds"][0, 0] == -50
@@ -234,7 +280,9 @@ HEAD_ON = {
 }
 
 
-@pytest.mark.parametrize(("affected", "ended"), [("drone", (True, False, True)), ("world", (True, True, True))])
+@pytest.mark.parametrize(
+    ("affected", "ended"), [("drone", (True, False, True)), ("world", (True, True, True))]
+)
 @pytest.mark.parametrize("what", ["contact_ends", "conflict_ends"])
 def test_contact_and_conflict_end_whose_episode_they_should(what, affected, ended):
     steps = fly(bulletuav.Aviary("crossing", **{what: affected}, **HEAD_ON, **CALM))
@@ -250,11 +298,22 @@ def test_contact_and_conflict_end_whose_episode_they_should(what, affected, ende
 def test_uavconflict_takes_the_sizes_and_constants_of_the_gym(task):
     aviary = bulletuav.Aviary(task, preset="uavconflict")
     options = aviary.options
-    assert (options.num_drones, options.max_speed, options.decision_hz, options.horizon) == (8, 20.0, 10, 500)
+    assert (options.num_drones, options.max_speed, options.decision_hz, options.horizon) == (
+        8,
+        20.0,
+        10,
+        500,
+    )
     assert options.action == "velocity_increment"
     assert aviary.reset(seeds=0).shape == (1, 8, 6 + 4 + 8 + 6 * 7)
     weights = aviary.task.weights
-    assert [weights[name] for name in ("progress", "goal", "conflict", "warning", "energy")] == [10, 50, -200, -5, -0.01]
+    assert [weights[name] for name in ("progress", "goal", "conflict", "warning", "energy")] == [
+        10,
+        50,
+        -200,
+        -5,
+        -0.01,
+    ]
     assert weights["speed_keeping"] == 0.5
     assert aviary.task.config.d_safe == 5
     aviary.close()
@@ -268,7 +327,9 @@ def test_a_preset_and_weights_of_ones_own_go_together():
 
 
 def test_a_conflict_ends_the_episode_of_uavconflict_for_all():
-    aviary = bulletuav.Aviary("converge", preset="uavconflict", dynamics="point_mass", action="velocity")
+    aviary = bulletuav.Aviary(
+        "converge", preset="uavconflict", dynamics="point_mass", action="velocity"
+    )
     steps = fly(aviary)
     assert steps[-1].terminated.all()
     assert steps[-1].info["conflicts"].any()

@@ -74,12 +74,23 @@ def test_link_rates_are_those_of_shannon(put):
     np.testing.assert_allclose(fly(aviary, STAY).observations[0, 0] * 1e6, expected, rtol=1e-6)
 
 
-FLY, GHZ, SEEN, HID = math.log10(50), math.log10(5), math.log10(48.5), math.log10(math.hypot(40, 48.5))
+FLY, GHZ, SEEN, HID = (
+    math.log10(50),
+    math.log10(5),
+    math.log10(48.5),
+    math.log10(math.hypot(40, 48.5)),
+)
 LOSSES = {
     "umi": (32.4 + 21 * SEEN + 20 * GHZ, 22.4 + 35.3 * HID + 21.3 * GHZ),
     "uma": (28 + 22 * SEEN + 20 * GHZ, 13.54 + 39.08 * HID + 20 * GHZ),
-    "umi_av": (30.9 + (22.25 - 0.5 * FLY) * SEEN + 20 * GHZ, 32.4 + (43.2 - 7.6 * FLY) * HID + 20 * GHZ),
-    "uma_av": (28 + 22 * SEEN + 20 * GHZ, -17.5 + (46 - 7 * FLY) * HID + 20 * math.log10(40 * math.pi * 5 / 3)),
+    "umi_av": (
+        30.9 + (22.25 - 0.5 * FLY) * SEEN + 20 * GHZ,
+        32.4 + (43.2 - 7.6 * FLY) * HID + 20 * GHZ,
+    ),
+    "uma_av": (
+        28 + 22 * SEEN + 20 * GHZ,
+        -17.5 + (46 - 7 * FLY) * HID + 20 * math.log10(40 * math.pi * 5 / 3),
+    ),
 }
 """dB, of TR 38.901 and TR 36.777, at 5 GHz to a user 48.5 m right below and to one behind the wall"""
 
@@ -98,7 +109,9 @@ def test_path_losses_for_other_bands_are_refused(make, name):
         make("mec", path_loss=name)
 
 
-@pytest.mark.parametrize(("fading", "variance"), [("none", 0.0), ("rician", 21 / 121), ("rayleigh", 1.0)])
+@pytest.mark.parametrize(
+    ("fading", "variance"), [("none", 0.0), ("rician", 21 / 121), ("rayleigh", 1.0)]
+)
 def test_fading_spreads_the_power_and_keeps_its_mean(put, fading, variance):
     """With the factor K the power of a Rician channel has the variance (2 K + 1) / (K + 1)^2; here it is 10."""
     users = [(48 * math.cos(k), 48 * math.sin(k), 1.5) for k in range(20)]
@@ -118,7 +131,9 @@ def test_a_task_takes_its_upload_and_its_cycles_where_nothing_waits(put):
 
 
 def test_sizes_of_tasks_are_between_their_ends(put):
-    aviary = put("mec", OPEN, [(0, 0, 50)], [(0, 0, 1.5)], 20, arrival_rate=0.3, task_bits=(1e6, 2e6))
+    aviary = put(
+        "mec", OPEN, [(0, 0, 50)], [(0, 0, 1.5)], 20, arrival_rate=0.3, task_bits=(1e6, 2e6)
+    )
     bits = alone(aviary, 30) / (1 / shannon(friis(48.5) / NOISE) + 1000 / 5e9)
     assert 1e6 <= bits.min() < 1.1e6
     assert 1.9e6 < bits.max() <= 2e6
@@ -126,7 +141,9 @@ def test_sizes_of_tasks_are_between_their_ends(put):
 
 
 OWN, CROSS = friis(math.hypot(20, 48.5)), friis(math.hypot(100, 20, 48.5))
-SHARE = 0.15 * 2.0  # of the time in which a user may send: of its rate of tasks, each given up after the deadline
+SHARE = (
+    0.15 * 2.0
+)  # of the time in which a user may send: of its rate of tasks, each given up after the deadline
 RATES = {
     "ofdma": shannon(2 * OWN / (NOISE + SHARE * 2 * CROSS), BAND / 2),
     "tdma": shannon(OWN / (NOISE + SHARE * CROSS)) / 2,
@@ -156,21 +173,31 @@ def busy(aviary, decisions=12):
     return np.flatnonzero(done).tolist()
 
 
-@pytest.mark.parametrize(("assignment", "who"), [("nearest", [0]), ("max_rate", [1]), ("dtlcm", [1])])
+@pytest.mark.parametrize(
+    ("assignment", "who"), [("nearest", [0]), ("max_rate", [1]), ("dtlcm", [1])]
+)
 def test_a_near_drone_behind_a_wall(put, assignment, who):
     """49 m to the first one, through the wall, 64 m to the second; over ground 40 m and 30 m."""
-    options = {"assignment": assignment, "arrival_rate": 2.0, "num_cores": 40}  # which no load can turn
+    options = {
+        "assignment": assignment,
+        "arrival_rate": 2.0,
+        "num_cores": 40,
+    }  # which no load can turn
     assert busy(put("mec", WALL, [(0, 0, 30), (70, 0, 58)], [(40, 0, 1.5)], **options)) == who
 
 
-@pytest.mark.parametrize(("assignment", "who"), [("nearest", [1]), ("max_rate", [1]), ("dtlcm", [0])])
+@pytest.mark.parametrize(
+    ("assignment", "who"), [("nearest", [1]), ("max_rate", [1]), ("dtlcm", [0])]
+)
 def test_a_drone_high_above(put, assignment, who):
     """108.5 m up, and 60.6 m aside."""
     options = {"assignment": assignment, "arrival_rate": 2.0, "num_cores": 40}
     assert busy(put("mec", OPEN, [(0, 0, 110), (60, 0, 10)], [(0, 0, 1.5)], **options)) == who
 
 
-@pytest.mark.parametrize(("assignment", "who"), [("nearest", [0]), ("max_rate", [0]), ("dtlcm", [0, 1])])
+@pytest.mark.parametrize(
+    ("assignment", "who"), [("nearest", [0]), ("max_rate", [0]), ("dtlcm", [0, 1])]
+)
 def test_a_loaded_drone_is_relieved_by_an_idle_one(put, assignment, who):
     options = {"assignment": assignment, "arrival_rate": 2.0}
     assert busy(put("mec", OPEN, [(-30, 0, 50), (30, 0, 50)], [(0, 0, 1.5)], **options)) == who
@@ -194,7 +221,14 @@ def test_users_whom_nobody_hears_lose_their_tasks(put, assignment, active_target
 
 def test_lost_tasks_count_the_deadline(put):
     """One user is heard, 49 m away, another is not: the mean is that of tasks of the one and deadlines of the other."""
-    options = {"arrival_rate": 0.1, "horizon": 200, "num_cores": 20, "deadline": 1.5, **EQUAL, **DEAF}
+    options = {
+        "arrival_rate": 0.1,
+        "horizon": 200,
+        "num_cores": 20,
+        "deadline": 1.5,
+        **EQUAL,
+        **DEAF,
+    }
     aviary = put("mec", WALL, [(0, 0, 50)], [(0, 0, 1.5), (40, 0, 1.5)], 5, **options)
     info, memory = hovered(aviary).info, aviary.scene.memory
     done = 1e6 / shannon(friis(48.5) / NOISE) + COMPUTED
@@ -202,12 +236,20 @@ def test_lost_tasks_count_the_deadline(put):
     assert (lost > 5).all()
     assert (memory["finished"] > 5).all()
     expected = (memory["finished"] * done + lost * 1.5) / memory["generated"]
-    np.testing.assert_allclose(info["latency"][:, 0], expected, rtol=1e-3)  # but for a task that waits for another's upload
+    np.testing.assert_allclose(
+        info["latency"][:, 0], expected, rtol=1e-3
+    )  # but for a task that waits for another's upload
 
 
 def test_who_is_dead_serves_nobody_and_others_take_over(put):
     """Two fast servers, one above each user; the first dives, and the other has all tasks, until that dives too."""
-    options = {"arrival_rate": 6.0, "core_frequency": 50e9, "capacitance": 0.0, "horizon": 30, **EQUAL}
+    options = {
+        "arrival_rate": 6.0,
+        "core_frequency": 50e9,
+        "capacitance": 0.0,
+        "horizon": 30,
+        **EQUAL,
+    }
     aviary = put("mec", OPEN, [(-30, 0, 20), (30, 0, 20)], [(-30, 5, 1.5), (30, 5, 1.5)], **options)
     memory = aviary.scene.memory
     while aviary.alive.all():
@@ -222,7 +264,9 @@ def test_who_is_dead_serves_nobody_and_others_take_over(put):
     while aviary.alive.any():
         step = fly(aviary, DOWN)
     generated, seconds = memory["generated"].copy(), aviary.steps
-    expected = memory["finished"] / (generated + 2 * 6.0 * (30 - seconds))  # those to come are not completed
+    expected = memory["finished"] / (
+        generated + 2 * 6.0 * (30 - seconds)
+    )  # those to come are not completed
     assert step.info["completed"][0] == pytest.approx(np.tile(expected, 2))
     step = fly(aviary, STAY)
     assert memory["generated"] == generated
@@ -235,10 +279,16 @@ def test_more_drones_complete_more(put):
     users = [(x, y, 1.5) for x in (-50, 50) for y in (-50, 50)]
     places = [[(0, 0, 40)], [(-50, 0, 40), (50, 0, 40)], [(x, y, 40) for x, y, _ in users]]
     options = {"num_cores": 1, "arrival_rate": 2.0, "horizon": 30}
-    shares = [hovered(put("mec", OPEN, drones, users, 5, **options)).info["completed"].mean() for drones in places]
+    shares = [
+        hovered(put("mec", OPEN, drones, users, 5, **options)).info["completed"].mean()
+        for drones in places
+    ]
     assert shares[0] + 0.1 < shares[1]
     assert shares[1] + 0.05 < shares[2] <= 1
-    unlimited = [hovered(put("mec", OPEN, drones, users, 5, horizon=30)).info["completed"].min() for drones in places]
+    unlimited = [
+        hovered(put("mec", OPEN, drones, users, 5, horizon=30)).info["completed"].min()
+        for drones in places
+    ]
     assert unlimited == [1.0] * 3
 
 
@@ -248,7 +298,14 @@ def test_more_drones_complete_more(put):
 @pytest.mark.parametrize("queue", ["simulated", "erlang"])
 def test_shares_are_of_the_episode_as_planned(make, queue):
     """After t of 20 s of 30 users at 0.5 / s as many more are expected in each second that is left."""
-    options = {"num_users": 30, "arrival_rate": 0.5, "horizon": 20, "num_cores": 2, "wanted": 0.2, "queue": queue}
+    options = {
+        "num_users": 30,
+        "arrival_rate": 0.5,
+        "horizon": 20,
+        "num_cores": 2,
+        "wanted": 0.2,
+        "queue": queue,
+    }
     aviary, rng = make("mec", 6, city=OPEN, **options), np.random.default_rng(0)
     memory, finished, count = aviary.scene.memory, np.zeros(6), np.zeros(6)
     for t in range(1, 21):
@@ -259,7 +316,9 @@ def test_shares_are_of_the_episode_as_planned(make, queue):
         count = memory["generated"].copy()
         assert ((finished <= count) & (finished == memory["finished"])).all()
         expected = finished / (count + 15 * (20 - t))
-        np.testing.assert_allclose(step.info["completed"], np.tile(expected[:, None], 3), rtol=1e-12)
+        np.testing.assert_allclose(
+            step.info["completed"], np.tile(expected[:, None], 3), rtol=1e-12
+        )
         np.testing.assert_array_equal(step.info["success"], step.info["completed"] >= 0.2)
         assert ((step.info["latency"] > 0) & (step.info["latency"] <= 1)).all()
         assert ((memory["completed_share"] >= 0) & (memory["completed_share"] <= 1)).all()
@@ -287,13 +346,19 @@ def test_after_a_reset_nothing_was_done(make):
 def test_a_reset_of_one_world_leaves_the_books_of_others(make):
     rows = []
     for mask in (None, np.array([True, False])):
-        aviary = make("mec", 2, arrival_rate=2.0, fading="rayleigh", mobility="hotspot", num_cores=1)
+        aviary = make(
+            "mec", 2, arrival_rate=2.0, fading="rayleigh", mobility="hotspot", num_cores=1
+        )
         own = []
         for k in range(6):
             if k == 3 and mask is not None:
                 aviary.reset(mask)
             step = fly(aviary, STAY)
-            own += [step.observations[1].tobytes(), step.rewards[1].tobytes(), step.info["completed"][1].tobytes()]
+            own += [
+                step.observations[1].tobytes(),
+                step.rewards[1].tobytes(),
+                step.info["completed"][1].tobytes(),
+            ]
         rows.append(own)
     assert rows[0] == rows[1]
 
@@ -323,7 +388,9 @@ def test_an_overloaded_server_works_without_a_break(put):
         utilisation, queue, latency, share = step.observations[0, 0]
         if t > 0:
             assert utilisation == pytest.approx(1)
-            assert step.info["power"] == pytest.approx(hover_power() + 2 * CORE, rel=0.05 if t == 1 else 1e-12)
+            assert step.info["power"] == pytest.approx(
+                hover_power() + 2 * CORE, rel=0.05 if t == 1 else 1e-12
+            )
         assert 0 < queue <= 10  # two cores do as many in the second of the deadline
         assert 0.5 < latency <= 1
         assert 0.1 < share < 0.7
@@ -344,9 +411,19 @@ def test_a_user_sends_one_task_after_the_other(put):
 
 def test_the_queue_is_the_work_that_is_left(put):
     """Of tasks that each take 20 s of a core, the first that came alone: what is left of it, in tasks."""
-    options = {"arrival_rate": 0.05, "cycles_per_bit": 1e5, "deadline": 60.0, "num_cores": 2, **EQUAL}
+    options = {
+        "arrival_rate": 0.05,
+        "cycles_per_bit": 1e5,
+        "deadline": 60.0,
+        "num_cores": 2,
+        **EQUAL,
+    }
     aviary = put("mec", OPEN, [(0, 0, 50)], [(0, 0, 1.5)], 9, observation=("server",), **options)
-    generated, upload, found = aviary.scene.memory["generated"], 1e6 / shannon(friis(48.5) / NOISE), 0
+    generated, upload, found = (
+        aviary.scene.memory["generated"],
+        1e6 / shannon(friis(48.5) / NOISE),
+        0,
+    )
     left = np.zeros(9)
     for _ in range(30):
         before = generated.copy()
@@ -388,37 +465,65 @@ def test_rewards_of_a_task_that_came_alone(put):
     """Of 0.3 tasks that are expected, -0.5 of their latency over the deadline, -0.1 of the power over 50 W, sight."""
     options = {"arrival_rate": 0.3, "deadline": 2.0, "power_scale": 50.0, **EQUAL}
     aviary = put("mec", OPEN, [(0, 0, 50)], [(0, 0, 1.5)], **options)
-    latency, memory, seen = 1e6 / shannon(friis(48.5) / NOISE) + COMPUTED, aviary.scene.memory, set()
+    latency, memory, seen = (
+        1e6 / shannon(friis(48.5) / NOISE) + COMPUTED,
+        aviary.scene.memory,
+        set(),
+    )
     for t in range(1, 40):
         before, idle = memory["generated"][0], not memory["core_free"].any()
         step = fly(aviary, STAY)
         count = int(memory["generated"][0] - before)
         power = step.info["power"][0, 0]
         if count == 0 or (count == 1 and idle):
-            terms = (count / 0.3, -0.5 * count * latency / 2 / 0.3, -0.1 * power / 50, 0.3 * math.tanh(0.1 * t))
+            terms = (
+                count / 0.3,
+                -0.5 * count * latency / 2 / 0.3,
+                -0.1 * power / 50,
+                0.3 * math.tanh(0.1 * t),
+            )
             names = ("tasks", "latency", "energy", "dwell_time")
-            np.testing.assert_allclose([step.info[f"reward/{name}"][0, 0] for name in names], terms, rtol=1e-9, atol=1e-15)
+            np.testing.assert_allclose(
+                [step.info[f"reward/{name}"][0, 0] for name in names], terms, rtol=1e-9, atol=1e-15
+            )
             assert step.rewards[0, 0] == pytest.approx(sum(terms))
             seen.add((count, bool(power > hover_power() + 1e-9)))
     assert seen == {(0, False), (0, True), (1, False), (1, True)}
 
 
-ANCHOR = [("mec", 50, 20, 0.253838029, 100 * 20 / 49, 0.3708998), ("mec_advanced", 10, 6, 0.15, 77.0, 0.3060586)]
+ANCHOR = [
+    ("mec", 50, 20, 0.253838029, 100 * 20 / 49, 0.3708998),
+    ("mec_advanced", 10, 6, 0.15, 77.0, 0.3060586),
+]
 """20 / 50 - 0.5 * 0.2538 - 0.1 * 20 / 49 + 0.3 tanh 0.5 and 2 * 6 / 10 - 1.5 * 0.15 / 0.2 + 0.5 tanh 0.5
 
 There every user has a task a step, and the latency is that of the server: so much for each that is expected."""
 
 
-@pytest.mark.parametrize(("task", "users", "completed", "latency", "power", "reward"), ANCHOR, ids=EDGE)
+@pytest.mark.parametrize(
+    ("task", "users", "completed", "latency", "power", "reward"), ANCHOR, ids=EDGE
+)
 def test_rewards_add_up_to_those_of_the_anchor(put, task, users, completed, latency, power, reward):
-    aviary = put(task, OPEN, [(0, 0, 50)], [(k, 0, 1.5) for k in range(users)], arrival_rate=1.0, power_scale=100.0)
+    aviary = put(
+        task,
+        OPEN,
+        [(0, 0, 50)],
+        [(k, 0, 1.5) for k in range(users)],
+        arrival_rate=1.0,
+        power_scale=100.0,
+    )
     for _ in range(5):
         fly(aviary, STAY)
-    aviary.scene.memory["completed"][:], aviary.scene.memory["delay_completed"][:] = completed, users * latency
+    aviary.scene.memory["completed"][:], aviary.scene.memory["delay_completed"][:] = (
+        completed,
+        users * latency,
+    )
     frame = aviary._frame
     frame = dataclasses.replace(frame, readings={**frame.readings, "power": np.full((1, 1), power)})
     terms, weights = aviary.task.evaluate_step(frame).terms, aviary.task.weights
-    assert sum(weights[name] * terms[name][0, 0] for name in terms) == pytest.approx(reward, abs=5e-8)
+    assert sum(weights[name] * terms[name][0, 0] for name in terms) == pytest.approx(
+        reward, abs=5e-8
+    )
 
 
 @pytest.mark.parametrize("task", EDGE)
@@ -441,19 +546,32 @@ def test_judging_twice_changes_nothing(make, task):
 
 # The mean response instead of a simulation
 
-STEADY = [(1, 2.0, 1 / 3), (1, 4.0, 1.0), (2, 4.0, 0.2 / (1 - 0.4**2)), (2, 8.0, 0.2 / (1 - 0.8**2))]
+STEADY = [
+    (1, 2.0, 1 / 3),
+    (1, 4.0, 1.0),
+    (2, 4.0, 0.2 / (1 - 0.4**2)),
+    (2, 8.0, 0.2 / (1 - 0.8**2)),
+]
 """Cores of 5 tasks/s, tasks/s, and the mean response, s: 1 / (mu - lambda) of one core, 1 / (mu (1 - rho^2)) of two"""
 
 
 @pytest.mark.parametrize(("cores", "rate", "response"), STEADY)
 def test_every_task_takes_its_upload_and_the_mean_response(put, cores, rate, response):
-    options = {"num_cores": cores, "arrival_rate": rate, "deadline": 5.0, "queue": "erlang", **EQUAL}
+    options = {
+        "num_cores": cores,
+        "arrival_rate": rate,
+        "deadline": 5.0,
+        "queue": "erlang",
+        **EQUAL,
+    }
     aviary = put("mec", OPEN, [(0, 0, 50)], [(0, 0, 1.5)], **options)
     for t in range(10):
         step = fly(aviary, STAY)
         work = cores * CORE * rate / (5 * cores) if t > 0 else 0.0
         assert step.info["power"] == pytest.approx(hover_power() + work)
-    assert step.info["latency"] == pytest.approx(1e6 / shannon(friis(48.5) / NOISE) + response, rel=1e-12)
+    assert step.info["latency"] == pytest.approx(
+        1e6 / shannon(friis(48.5) / NOISE) + response, rel=1e-12
+    )
     assert aviary.scene.memory["utilisation"] == pytest.approx(rate / (5 * cores))
     assert aviary.scene.memory["finished"] == aviary.scene.memory["generated"]
 
@@ -461,7 +579,13 @@ def test_every_task_takes_its_upload_and_the_mean_response(put, cores, rate, res
 @pytest.mark.parametrize(("cores", "rate", "response"), STEADY)
 def test_the_mean_queue_is_of_those_who_wait_or_are_computed(put, cores, rate, response):
     """Rate times response (Little's law), as the task's memory has it."""
-    options = {"num_cores": cores, "arrival_rate": rate, "deadline": 5.0, "queue": "erlang", **EQUAL}
+    options = {
+        "num_cores": cores,
+        "arrival_rate": rate,
+        "deadline": 5.0,
+        "queue": "erlang",
+        **EQUAL,
+    }
     aviary = put("mec", OPEN, [(0, 0, 50)], [(0, 0, 1.5)], observation=("server",), **options)
     assert fly(aviary, STAY).observations[0, 0, 1] == pytest.approx(rate * response, rel=1e-6)
 
@@ -470,17 +594,27 @@ def test_the_mean_queue_is_of_those_who_wait_or_are_computed(put, cores, rate, r
 @pytest.mark.parametrize("rate", [5.0, 50.0])
 def test_a_queue_without_end_completes_nothing(put, rate, normalise):
     """At 5 tasks/s one core is at its limit; the second drone serves nobody."""
-    options = {"num_cores": 1, "arrival_rate": rate, "queue": "erlang", "normalise": normalise, **EQUAL}
+    options = {
+        "num_cores": 1,
+        "arrival_rate": rate,
+        "queue": "erlang",
+        "normalise": normalise,
+        **EQUAL,
+    }
     aviary = put("mec", OPEN, [(0, 0, 50), (-90, -90, 100)], [(0, 0, 1.5)], **options)
     low = -1 if normalise else 0
     for t in range(4):
         step = fly(aviary, STAY)
         assert np.isfinite(step.observations).all()
         assert np.isfinite(step.rewards).all()
-        np.testing.assert_array_equal(step.observations[0, :, -4:], [(1, 1 if normalise else 100, 1, low), (low,) * 4])
+        np.testing.assert_array_equal(
+            step.observations[0, :, -4:], [(1, 1 if normalise else 100, 1, low), (low,) * 4]
+        )
         assert step.info["reward/tasks"].tolist() == [[0, 0]]
         assert step.info["reward/latency"].tolist() == [[0, 0]]
-        np.testing.assert_allclose(step.info["power"][0], (hover_power() + (t > 0) * CORE, hover_power()))
+        np.testing.assert_allclose(
+            step.info["power"][0], (hover_power() + (t > 0) * CORE, hover_power())
+        )
     assert (step.info["completed"] == 0).all()
     assert (step.info["latency"] == 1).all()
 
@@ -493,7 +627,9 @@ def test_the_load_of_the_mean_response_is_that_of_the_drones_own_users(put):
     fly(aviary, STAY)
     np.testing.assert_allclose(aviary.scene.memory["utilisation"][0], (0.8, 0.4))
     assert (aviary.scene.memory["latency"][0] > (1, 1 / 3)).all()
-    np.testing.assert_allclose(aviary.scene.memory["latency"][0], (1, 1 / 3), atol=0.15)  # and the upload
+    np.testing.assert_allclose(
+        aviary.scene.memory["latency"][0], (1, 1 / 3), atol=0.15
+    )  # and the upload
 
 
 # A decision's length
@@ -527,13 +663,21 @@ BELOW = np.array([(0, 0, 1.5), (-48.5, 0, 1.5), (0, 48.5, 1.5), (48.5, 0, 1.5), 
 
 def test_antennas_look_down_by_hand(put):
     """8 dBi below; 12 (45 / 65)^2 dB less at 45 degrees, and 12 (61.7 / 65)^2 at 61.7."""
-    aviary = put("mec_advanced", OPEN, [(0, 0, 50)], BELOW, observation=("link_rates",), bandwidth=BAND)
-    gain = gained(fly(aviary, STAY).observations[0, 0].astype(float), np.linalg.norm(BELOW - (0, 0, 50), axis=1))
+    aviary = put(
+        "mec_advanced", OPEN, [(0, 0, 50)], BELOW, observation=("link_rates",), bandwidth=BAND
+    )
+    gain = gained(
+        fly(aviary, STAY).observations[0, 0].astype(float),
+        np.linalg.norm(BELOW - (0, 0, 50), axis=1),
+    )
     aside = 8 - 12 * (45 / 65) ** 2
     far = 8 - 12 * (math.degrees(math.atan2(90, 48.5)) / 65) ** 2
     np.testing.assert_allclose(gain, (8, aside, aside, aside, far), atol=1e-4)
     isotropic = put("mec", OPEN, [(0, 0, 50)], BELOW, observation=("link_rates",))
-    even = gained(fly(isotropic, STAY).observations[0, 0].astype(float), np.linalg.norm(BELOW - (0, 0, 50), axis=1))
+    even = gained(
+        fly(isotropic, STAY).observations[0, 0].astype(float),
+        np.linalg.norm(BELOW - (0, 0, 50), axis=1),
+    )
     np.testing.assert_allclose(even, 0, atol=1e-4)
 
 
@@ -543,7 +687,12 @@ NEAR = np.array([(0, 0, 1.5), (-20, 0, 1.5), (20, 0, 1.5)])
 @pytest.mark.parametrize("dynamics", ["bullet", "rigid_body"])
 def test_antennas_tilt_with_the_drone(put, dynamics):
     """Who speeds up to the east looks to the west: by the angle between the body's -z and the way to a user in its plane."""
-    options = {"observation": ("link_rates",), "bandwidth": BAND, "dynamics": dynamics, "decision_hz": 10}
+    options = {
+        "observation": ("link_rates",),
+        "bandwidth": BAND,
+        "dynamics": dynamics,
+        "decision_hz": 10,
+    }
     aviary = put("mec_advanced", OPEN, [(0, 0, 50)], NEAR, **options)
     for _ in range(4):
         observation = fly(aviary, EAST).observations[0, 0].astype(float)
@@ -562,7 +711,11 @@ def test_who_hovers_well_can_do_the_advanced_task(put):
     rng = np.random.default_rng(0)
     users = np.column_stack([rng.uniform(-100, 100, (10, 2)), np.full(10, 1.5)])
     for height in (30, 100):
-        step = hovered(put("mec_advanced", OPEN, [(-60, 0, height), (0, 60, height), (60, 0, height)], users, 3))
+        step = hovered(
+            put(
+                "mec_advanced", OPEN, [(-60, 0, height), (0, 60, height), (60, 0, height)], users, 3
+            )
+        )
         assert step.info["success"].all()
         assert step.info["completed"].min() > 0.85
 
@@ -575,7 +728,12 @@ def test_the_preset_has_the_sizes_that_it_is_named_after(make, task, users):
     options, config = resolve(find_task(task), {"preset": "urbanmarl"})
     assert (options.num_drones, config.num_users, config.area) == (3, users, 500)
     assert (options.decision_hz, options.horizon, options.dynamics) == (1, 100, "single_integrator")
-    assert (config.queue, config.assignment, config.n_nlos, config.contact_ends) == ("erlang", "dtlcm", 3.5, "world")
+    assert (config.queue, config.assignment, config.n_nlos, config.contact_ends) == (
+        "erlang",
+        "dtlcm",
+        3.5,
+        "world",
+    )
     aviary = make(task, preset="urbanmarl", **SMALL)
     for k in range(1, 101):
         step = fly(aviary, STAY)
@@ -585,7 +743,10 @@ def test_the_preset_has_the_sizes_that_it_is_named_after(make, task, users):
 
 NAN = float("nan")
 BAD = [
-    ({"task_bits": (2e6, 1e6)}, r"task_bits is \(2000000.0, 1000000.0\): from low to high, above 0"),
+    (
+        {"task_bits": (2e6, 1e6)},
+        r"task_bits is \(2000000.0, 1000000.0\): from low to high, above 0",
+    ),
     ({"task_bits": (0.0, 1e6)}, "task_bits is"),
     ({"task_bits": 1e6}, "task_bits is 1000000.0: a list or tuple of 2"),
     ({"task_bits": (NAN, 1e6)}, "task_bits is nan"),
@@ -633,7 +794,13 @@ SHAPES = {
     "plain": {},
     "preset": {"preset": "urbanmarl"},
     "fading": {"fading": "rician", "access": "tdma", "path_loss": "umi", "mobility": "manhattan"},
-    "shared": {"fading": "rayleigh", "access": "shared", "path_loss": "uma", "assignment": "nearest", "normalise": True},
+    "shared": {
+        "fading": "rayleigh",
+        "access": "shared",
+        "path_loss": "uma",
+        "assignment": "nearest",
+        "normalise": True,
+    },
     "drones": {
         "path_loss": "umi_av",
         "frequency": 2.0,
@@ -650,15 +817,25 @@ SHAPES = {
         "contact_ends": "world",
         "decision_hz": 2,
     },
-    "tilted": {"dynamics": "rigid_body", "decision_hz": 10, "arrival_rate": 20.0, "boundary": "end"},
-    "all": {"observation": ("power", "dwell_time", "server", "link_rates", "centroids", "sight_matrix"), "num_users": 12},
+    "tilted": {
+        "dynamics": "rigid_body",
+        "decision_hz": 10,
+        "arrival_rate": 20.0,
+        "boundary": "end",
+    },
+    "all": {
+        "observation": ("power", "dwell_time", "server", "link_rates", "centroids", "sight_matrix"),
+        "num_users": 12,
+    },
 }
 
 
 @pytest.mark.parametrize("options", SHAPES.values(), ids=SHAPES)
 @pytest.mark.parametrize("task", EDGE)
 def test_numbers_are_finite_and_within_their_bounds_in_whole_random_episodes(task, options):
-    env = bulletuav.batch_env(task, 3, autoreset_mode=AutoresetMode.SAME_STEP, **{"horizon": 8, **SMALL, **options})
+    env = bulletuav.batch_env(
+        task, 3, autoreset_mode=AutoresetMode.SAME_STEP, **{"horizon": 8, **SMALL, **options}
+    )
     observations, infos = env.reset(seed=0)
     rng, names = np.random.default_rng(0), set(infos)
     assert {"served", "completed", "latency", "power", "charge"} <= names
@@ -682,9 +859,13 @@ def test_agents_of_pettingzoo_get_the_same_infos_at_reset_and_at_every_step(task
     names = set(infos["drone_0"])
     assert {"served", "completed", "latency", "reward/tasks", "reward/energy"} <= names
     while env.agents:
-        assert all(env.observation_space(agent).contains(observations[agent]) for agent in env.agents)
+        assert all(
+            env.observation_space(agent).contains(observations[agent]) for agent in env.agents
+        )
         flying = list(env.agents)
-        observations, _, _, truncated, infos = env.step(dict.fromkeys(flying, np.zeros(3, np.float32)))
+        observations, _, _, truncated, infos = env.step(
+            dict.fromkeys(flying, np.zeros(3, np.float32))
+        )
         assert all(set(infos[agent]) == names for agent in flying)
         assert len({(infos[agent]["completed"], infos[agent]["latency"]) for agent in flying}) == 1
     assert all(truncated.values())
@@ -695,7 +876,16 @@ def test_agents_of_pettingzoo_get_the_same_infos_at_reset_and_at_every_step(task
 def test_the_number_of_processes_changes_no_bit(task):
     rows = []
     for workers in (1, 2):
-        env = bulletuav.batch_env(task, 3, workers=workers, seed=3, horizon=4, fading="rician", mobility="hotspot", **SMALL)
+        env = bulletuav.batch_env(
+            task,
+            3,
+            workers=workers,
+            seed=3,
+            horizon=4,
+            fading="rician",
+            mobility="hotspot",
+            **SMALL,
+        )
         rng, own = np.random.default_rng(0), [env.reset()[0].tobytes()]
         for _ in range(9):
             observations, rewards, *_, infos = env.step(rng.uniform(-1, 1, (3, 3, 3)))
@@ -721,7 +911,9 @@ def test_to_serve_pays_more_than_to_hover_and_that_more_than_to_crash(task, pres
         returns[name] = 0.0
         while aviary.alive.any():
             actions = {"crash": np.tile([0.0, 0, -1], (4, 3, 1)), "hover": np.zeros((4, 3, 3))}
-            step = aviary.step(actions[name] if name in actions else policy.act(observations, aviary.swarm))
+            step = aviary.step(
+                actions[name] if name in actions else policy.act(observations, aviary.swarm)
+            )
             observations = step.observations
             returns[name] += step.rewards.mean()
         aviary.close()

@@ -20,7 +20,9 @@ def test_a_policy_that_flies_to_its_station_keeps_it(target, dynamics):
 
 
 def test_the_target_drives_at_its_speed_and_its_stations_with_it():
-    aviary = bulletuav.Aviary("follow", 2, num_drones=2, target_speed=4.0, dynamics="single_integrator")
+    aviary = bulletuav.Aviary(
+        "follow", 2, num_drones=2, target_speed=4.0, dynamics="single_integrator"
+    )
     aviary.reset(seeds=0)
     stations = aviary.scene.goal - aviary.scene.obstacle
     for _ in range(50):
@@ -28,17 +30,25 @@ def test_the_target_drives_at_its_speed_and_its_stations_with_it():
         aviary.step(aviary.action.encode(aviary.scene.goal_velocity))
         np.testing.assert_allclose(np.linalg.norm(aviary.scene.obstacle - before, axis=-1), 0.4)
         np.testing.assert_allclose(aviary.scene.goal - aviary.scene.obstacle, stations, atol=1e-12)
-        np.testing.assert_allclose(aviary.scene.goal_velocity[:, 0], (aviary.scene.obstacle - before)[:, 0] / 0.1)
+        np.testing.assert_allclose(
+            aviary.scene.goal_velocity[:, 0], (aviary.scene.obstacle - before)[:, 0] / 0.1
+        )
     assert (aviary.scene.obstacle[0] != aviary.scene.obstacle[1]).any()
     aviary.close()
 
 
 def test_the_target_turns_home_at_the_edge():
-    aviary = bulletuav.Aviary("follow", arena=10.0, turn=0.0, horizon=2000, dynamics="single_integrator")
+    aviary = bulletuav.Aviary(
+        "follow", arena=10.0, turn=0.0, horizon=2000, dynamics="single_integrator"
+    )
     aviary.reset(seeds=0)
     reach = 0.0
     for _ in range(300):
-        aviary.step(aviary.action.encode(aviary.scene.goal - aviary.swarm.position + aviary.scene.goal_velocity))
+        aviary.step(
+            aviary.action.encode(
+                aviary.scene.goal - aviary.swarm.position + aviary.scene.goal_velocity
+            )
+        )
         reach = max(reach, float(np.linalg.norm(aviary.scene.obstacle[0, 0, :2])))
     assert 10 < reach < 11
     aviary.close()
@@ -64,7 +74,13 @@ def test_reward_by_hand_and_the_target_can_be_hit(dynamics):
 @pytest.mark.parametrize("physics_hz", [10, 20, 240])
 @pytest.mark.parametrize("dynamics", ["bullet", "rigid_body", "single_integrator"])
 def test_a_fast_target_does_not_jump_over_a_drone_in_its_way(dynamics, physics_hz):
-    options = {"target": "drone", "target_speed": 14.0, "turn": 0.0, "effects": (), "gravity": 9.80665}
+    options = {
+        "target": "drone",
+        "target_speed": 14.0,
+        "turn": 0.0,
+        "effects": (),
+        "gravity": 9.80665,
+    }
     aviary = bulletuav.Aviary("follow", dynamics=dynamics, physics_hz=physics_hz, **options)
     aviary.reset(seeds=0)
     way = aviary.scene.goal_velocity[0, 0] / 14
@@ -81,7 +97,9 @@ def test_the_targets_velocity_is_seen_from_the_start():
     aviary = bulletuav.Aviary("follow", turn=0.0)
     first = aviary.reset(seeds=0)[0, 0, 13:]
     assert np.linalg.norm(first) == pytest.approx(5, rel=1e-6)
-    np.testing.assert_allclose(aviary.step(np.zeros((1, 1, 3))).observations[0, 0, 13:], first, rtol=1e-6)
+    np.testing.assert_allclose(
+        aviary.step(np.zeros((1, 1, 3))).observations[0, 0, 13:], first, rtol=1e-6
+    )
     aviary.close()
 
 
@@ -98,7 +116,12 @@ def test_left_behind_is_the_end():
 def test_preset_hover_aviary_is_that_of_gym_pybullet_drones():
     aviary = bulletuav.Aviary("hover", preset="hover_aviary")
     options = aviary.options
-    assert (options.physics_hz, options.decision_hz, options.horizon, options.action) == (240, 30, 240, "hover_rpm")
+    assert (options.physics_hz, options.decision_hz, options.horizon, options.action) == (
+        240,
+        30,
+        240,
+        "hover_rpm",
+    )
     assert options.airframe[0].name == "cf2x"
     assert bulletuav.Aviary("hover", preset="hover_aviary", horizon=10).options.horizon == 10
     aviary.reset(seeds=0)

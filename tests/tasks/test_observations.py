@@ -22,14 +22,18 @@ def test_identity_and_all_neighbours_by_hand():
     for i in range(3):
         np.testing.assert_array_equal(rows[i, :3], np.eye(3)[i])
         others = [j for j in range(3) if j != i]
-        expected = np.concatenate([[*(position[j] - position[i]), *(velocity[j] - velocity[i])] for j in others])
+        expected = np.concatenate(
+            [[*(position[j] - position[i]), *(velocity[j] - velocity[i])] for j in others]
+        )
         np.testing.assert_allclose(rows[i, 3:], expected, rtol=1e-5)
     aviary.close()
 
 
 def test_gone_neighbours_leave_zeros():
     options = {"num_drones": 2, "lanes": 1, "jitter": 0.0, "altitude_spread": 0.0, "margin": 1.0}
-    aviary = bulletuav.Aviary("crossing", observation=("neighbours", "all_neighbours"), **options, **CALM)
+    aviary = bulletuav.Aviary(
+        "crossing", observation=("neighbours", "all_neighbours"), **options, **CALM
+    )
     aviary.reset(seeds=0)
     while aviary.alive[0, 1]:
         rows = aviary.step(np.array([[(0, 0, 0), (-1.0, 0, 0)]])).observations[0]
@@ -71,7 +75,9 @@ def test_a_task_without_obstacles_observes_none():
 
 
 def test_the_last_action_is_zero_first_and_then_what_was_told():
-    aviary = bulletuav.Aviary("hover", observation="last_action", action="rpm", dynamics="rigid_body")
+    aviary = bulletuav.Aviary(
+        "hover", observation="last_action", action="rpm", dynamics="rigid_body"
+    )
     assert not aviary.reset(seeds=0).any()
     np.testing.assert_allclose(aviary.step(np.full((1, 1, 4), 14000.0)).observations, 14000)
     assert aviary.observer.space().high[0] == pytest.approx(aviary.action.high[0, 0])
@@ -94,14 +100,24 @@ def test_normalised_observations_are_the_raw_ones_scaled_from_their_bounds(task)
     np.testing.assert_allclose(rows[True], 2 * (rows[False] - low) / (high - low) - 1, atol=1e-6)
 
 
-SHOWS = {"dwell_time": "dwell_time", "server": "queue", "link_rates": "received"}  # what some tasks alone remember
+SHOWS = {
+    "dwell_time": "dwell_time",
+    "server": "queue",
+    "link_rates": "received",
+}  # what some tasks alone remember
 
 
 def test_every_block_can_be_asked_for_in_every_task_that_has_what_it_shows():
     for task in bulletuav.list_tasks():
         remembered = EnvSpec(task, 1, {}).task.memory()
-        vectors = tuple(name for name in NAMES if name not in IMAGES and (name not in SHOWS or SHOWS[name] in remembered))
-        aviary = bulletuav.Aviary(task, observation=vectors, num_drones=2, randomization={"radio_loss": 0.1})
+        vectors = tuple(
+            name
+            for name in NAMES
+            if name not in IMAGES and (name not in SHOWS or SHOWS[name] in remembered)
+        )
+        aviary = bulletuav.Aviary(
+            task, observation=vectors, num_drones=2, randomization={"radio_loss": 0.1}
+        )
         rows = aviary.reset(seeds=0)
         assert rows.shape[-1] == len(aviary.observer.labels)
         assert aviary.observer.space().contains(rows[0, 0])

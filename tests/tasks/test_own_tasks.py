@@ -49,7 +49,13 @@ def test_tasks_of_another_package_are_found(installed):
 
 
 @pytest.mark.parametrize(
-    "place", ["other_package:not_a_task", "other_package:Nothing", "no_package:Task", "bulletuav.tasks.hover:Hover"]
+    "place",
+    [
+        "other_package:not_a_task",
+        "other_package:Nothing",
+        "no_package:Task",
+        "bulletuav.tasks.hover:Hover",
+    ],
 )
 def test_what_is_no_new_task_is_left_out_with_a_warning(installed, place):
     installed(broken=place, higher="other_package:Higher")

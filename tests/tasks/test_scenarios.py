@@ -47,7 +47,9 @@ def test_converge_starts_on_a_circle_and_leads_to_antipodes():
     assert np.abs(off).max(axis=(0, 1)).min() > 0.9  # on each axis
     np.testing.assert_allclose(aviary.scene.goal[0], circle * (-1, -1, 1), atol=1e-12)
     along = (aviary.swarm.velocity * (aviary.scene.goal - aviary.swarm.position)).sum(axis=-1)
-    np.testing.assert_allclose(along, np.linalg.norm(aviary.swarm.velocity, axis=-1) * aviary.first_info()["goal_distance"])
+    np.testing.assert_allclose(
+        along, np.linalg.norm(aviary.swarm.velocity, axis=-1) * aviary.first_info()["goal_distance"]
+    )
     aviary.close()
 
 
@@ -70,7 +72,9 @@ def test_pursuit_goals_run_clockwise_each_at_its_pace_and_stop_after_a_lap():
 def test_pursuit_succeeds_after_a_lap_only_without_conflict():
     """Alone a drone flies its lap; four fly them too, but the faster overtake through the slower, in conflict."""
     for drones, success in ((1, True), (4, False)):
-        aviary = bulletuav.Aviary("pursuit", num_drones=drones, dynamics="point_mass", jitter=0.5, **CALM)
+        aviary = bulletuav.Aviary(
+            "pursuit", num_drones=drones, dynamics="point_mass", jitter=0.5, **CALM
+        )
         policy, conflicts = find_policy("straight")(aviary), np.zeros(drones)
         observations = aviary.reset(seeds=0)
         while aviary.alive.any():
@@ -104,14 +108,21 @@ def test_obstacles_start_clear_and_everything_has_its_room():
 
 def test_moving_obstacles_are_reflected_at_the_bounds():
     aviary = bulletuav.Aviary(
-        "obstacles", num_drones=1, dynamics="single_integrator", obstacle_speed=40.0, horizon=300, **CALM
+        "obstacles",
+        num_drones=1,
+        dynamics="single_integrator",
+        obstacle_speed=40.0,
+        horizon=300,
+        **CALM,
     )
     aviary.reset(seeds=0)
     place, velocity = aviary.scene.obstacle[0].copy(), aviary.scene.obstacle_velocity[0].copy()
     low, high = np.array((-100, -100, 20.0)), np.array((100, 100, 60.0))
     for step in range(1, 200):
         aviary.step(np.zeros((1, 1, 3)))
-        folded = (place + 0.1 * step * velocity - low) % (2 * (high - low))  # a triangle wave in closed form
+        folded = (place + 0.1 * step * velocity - low) % (
+            2 * (high - low)
+        )  # a triangle wave in closed form
         folded = low + np.minimum(folded, 2 * (high - low) - folded)
         np.testing.assert_allclose(aviary.scene.obstacle[0], folded, atol=1e-9)
         np.testing.assert_allclose(np.abs(aviary.scene.obstacle_velocity[0]), np.abs(velocity))

@@ -10,7 +10,11 @@ import bulletuav
 from bulletuav.tasks import find_task
 from bulletuav.tasks.base import Spawn
 
-CALM = {"randomization": {}, "num_drones": 4, "weights": {"efficiency": 1.0, "speed_keeping": 0.5, "fairness": -0.1}}
+CALM = {
+    "randomization": {},
+    "num_drones": 4,
+    "weights": {"efficiency": 1.0, "speed_keeping": 0.5, "fairness": -0.1},
+}
 OBSERVATION = ("position", "velocity", "goal", "goal_offset", "neighbours")
 ACTIONS = {"rates": 4, "velocity": 3}
 PER_DRONE = ("position", "quaternion", "velocity", "rates", "goal", "goal_velocity")
@@ -28,7 +32,9 @@ def changed(name, change):
 
 
 def flown(task, actions, dynamics, seed, action="velocity"):
-    aviary = bulletuav.Aviary(task, dynamics=dynamics, action=action, observation=OBSERVATION, **CALM)
+    aviary = bulletuav.Aviary(
+        task, dynamics=dynamics, action=action, observation=OBSERVATION, **CALM
+    )
     rows = [aviary.reset(seeds=seed)[0]]
     rewards = []
     for action in actions:
@@ -78,20 +84,29 @@ def turned_spawn(spawn, angle):
     return Spawn(**parts)
 
 
-@pytest.mark.parametrize(("dynamics", "action"), [("bullet", "rates"), ("rigid_body", "rates"), ("point_mass", "velocity")])
+@pytest.mark.parametrize(
+    ("dynamics", "action"),
+    [("bullet", "rates"), ("rigid_body", "rates"), ("point_mass", "velocity")],
+)
 @settings(max_examples=5, deadline=None)
 @given(st.floats(0, 6.28), st.integers(0, 10**6))
-def test_turning_the_scene_about_the_vertical_turns_vectors_and_changes_nothing_else(dynamics, action, angle, seed):
+def test_turning_the_scene_about_the_vertical_turns_vectors_and_changes_nothing_else(
+    dynamics, action, angle, seed
+):
     """Drones are turned with the scene; `rates` are those of the body, and a point has no nose."""
     actions = np.random.default_rng(seed).uniform(-0.1, 0.1, (8, 4, ACTIONS[action]))
     options = {"dynamics": dynamics, "seed": seed, "action": action}
     rows, rewards, labels = flown(changed("converge", lambda spawn: spawn), actions, **options)
     if action == "velocity":
         actions = turned(actions, angle)
-    rows_2, rewards_2, _ = flown(changed("converge", lambda spawn: turned_spawn(spawn, angle)), actions, **options)
+    rows_2, rewards_2, _ = flown(
+        changed("converge", lambda spawn: turned_spawn(spawn, angle)), actions, **options
+    )
     expected = rows.copy()
     for k, label in enumerate(labels):
         if label.endswith(" x"):
             expected[..., k : k + 3] = turned(rows[..., k : k + 3], angle)
-    np.testing.assert_allclose(rows_2, expected, atol=2e-5, rtol=1e-6)  # float32 observations of up to 100 m
+    np.testing.assert_allclose(
+        rows_2, expected, atol=2e-5, rtol=1e-6
+    )  # float32 observations of up to 100 m
     np.testing.assert_allclose(rewards_2, rewards, atol=1e-6)

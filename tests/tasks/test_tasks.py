@@ -21,9 +21,14 @@ def test_the_docstring_lists_every_number_of_the_observation(name):
     """The table in the docstring is the one that the code makes."""
     aviary = bulletuav.Aviary(name)
     documented = re.findall(
-        r"^\s*(\d+)\s{2,}(\S.*?\S)\s{2,}(\S+)\s+(\[.*?\])", inspect.getdoc(find_task(name)), re.MULTILINE
+        r"^\s*(\d+)\s{2,}(\S.*?\S)\s{2,}(\S+)\s+(\[.*?\])",
+        inspect.getdoc(find_task(name)),
+        re.MULTILINE,
     )
-    made = [(str(k), x.name, x.unit, f"[{x.low:g}, {x.high:g}]") for k, x in enumerate(aviary.observer.labels)]
+    made = [
+        (str(k), x.name, x.unit, f"[{x.low:g}, {x.high:g}]")
+        for k, x in enumerate(aviary.observer.labels)
+    ]
     assert documented == made
     assert len(made) == aviary.reset(seeds=0).shape[-1]
     aviary.close()
@@ -59,7 +64,9 @@ def test_every_difficulty_starts_clear_of_everything(name, difficulty):
     assert (position > aviary.task.arena_low).all()
     assert (position < aviary.task.arena_high).all()
     assert (aviary.scene.goal < aviary.task.arena_high).all()
-    assert not aviary.step(np.zeros((*aviary.alive.shape, aviary.action.low.shape[-1]))).terminated.any()
+    assert not aviary.step(
+        np.zeros((*aviary.alive.shape, aviary.action.low.shape[-1]))
+    ).terminated.any()
     aviary.close()
 
 
@@ -69,11 +76,18 @@ def test_every_difficulty_starts_clear_of_everything(name, difficulty):
 def test_hover_reward_by_hand():
     aviary = bulletuav.Aviary("hover", dynamics="rigid_body", effects=(), start=((1.0, 0.0, 2.0),))
     aviary.reset(seeds=0)
-    hover = 2 * aviary.options.airframe[0].hover_speed() ** 2 / aviary.options.airframe[0].max_rotor_speed ** 2 - 1
+    hover = (
+        2
+        * aviary.options.airframe[0].hover_speed() ** 2
+        / aviary.options.airframe[0].max_rotor_speed ** 2
+        - 1
+    )
     step = aviary.step(np.full((1, 1, 4), hover))
     assert step.rewards[0, 0] == pytest.approx(1 - 0.1 * 1.0, abs=1e-6)
     np.testing.assert_allclose(
-        [step.info[f"reward/{term}"][0, 0] for term in ("alive", "distance", "speed")], (1, -0.1, 0), atol=1e-6
+        [step.info[f"reward/{term}"][0, 0] for term in ("alive", "distance", "speed")],
+        (1, -0.1, 0),
+        atol=1e-6,
     )
     aviary.close()
 
@@ -87,7 +101,11 @@ def test_hover_ends_on_contact_and_far_away_and_at_the_horizon():
         result = aviary.step(actions)
         for w in range(3):
             if result.terminated[w, 0] or result.truncated[w, 0]:
-                ended[w] = (step, bool(result.terminated[w, 0]), bool(result.info["collision"][w, 0]))
+                ended[w] = (
+                    step,
+                    bool(result.terminated[w, 0]),
+                    bool(result.info["collision"][w, 0]),
+                )
     assert ended[0][0] < 60
     assert ended[0][1:] == (True, True)
     assert ended[1] == (90, False, False)
@@ -107,7 +125,10 @@ def test_hover_success_and_start_options():
     aviary = bulletuav.Aviary("hover", num_drones=2, start=start, action="target_position")
     aviary.reset(seeds=0)
     np.testing.assert_array_equal(aviary.swarm.position[0], start)
-    assert list(aviary.first_info()["success"][0]) == [False, False]  # targets stand at x = -1 and 1
+    assert list(aviary.first_info()["success"][0]) == [
+        False,
+        False,
+    ]  # targets stand at x = -1 and 1
     goal = aviary.action.encode(aviary.scene.goal)
     for _ in range(150):
         result = aviary.step(goal)
@@ -120,7 +141,9 @@ def test_hover_disturbances_grow_with_difficulty():
     for difficulty in ("easy", "hard"):
         aviary = bulletuav.Aviary("hover", 50, difficulty=difficulty)
         aviary.reset(seeds=0)
-        tilt[difficulty] = np.degrees(2 * np.arccos(np.clip(aviary.swarm.quaternion[:, 0, 3], -1, 1))).max()
+        tilt[difficulty] = np.degrees(
+            2 * np.arccos(np.clip(aviary.swarm.quaternion[:, 0, 3], -1, 1))
+        ).max()
         assert (aviary.swarm.rates != 0).any() == (difficulty == "hard")
         assert (aviary.swarm.velocity != 0).any() == (difficulty == "hard")
         aviary.close()
@@ -143,7 +166,9 @@ def test_crossing_teams_start_and_end_where_the_scenario_says():
     np.testing.assert_allclose(np.sort(goal[4:, 1]), (-15, 0, 15))
     speed = np.linalg.norm(aviary.swarm.velocity[0], axis=1)
     assert ((speed >= 5) & (speed <= 15)).all()
-    towards = ((goal - start) * aviary.swarm.velocity[0]).sum(axis=1) / np.linalg.norm(goal - start, axis=1)
+    towards = ((goal - start) * aviary.swarm.velocity[0]).sum(axis=1) / np.linalg.norm(
+        goal - start, axis=1
+    )
     np.testing.assert_allclose(towards, speed, rtol=1e-9)
     assert (np.abs(start[:, 2] - 40) <= 4).all()
     aviary.close()
@@ -205,7 +230,13 @@ def test_standing_still_earns_less_than_reaching_the_goal():
 @pytest.mark.parametrize("dynamics", ["bullet", "rigid_body"])
 def test_conflict_and_collision_are_told_apart(dynamics):
     """Two drones on one crossing point: first in conflict, both told once, then in contact, which ends them."""
-    options = {"num_drones": 2, "jitter": 0.0, "altitude_spread": 0.0, "start_speed": (10.0, 10.0), "half_length": 20.0}
+    options = {
+        "num_drones": 2,
+        "jitter": 0.0,
+        "altitude_spread": 0.0,
+        "start_speed": (10.0, 10.0),
+        "half_length": 20.0,
+    }
     aviary = bulletuav.Aviary("crossing", dynamics=dynamics, **options)
     aviary.reset(seeds=0)
     rows = []

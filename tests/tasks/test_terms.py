@@ -21,7 +21,13 @@ def test_conflict_agrees_with_dense_sampling_of_the_straight_paths(seed, drones)
     result = conflict(before, after, alive, d_safe, 2 * d_safe)
     paths = before[0] + np.linspace(0, 1, 4001)[:, None, None] * (after[0] - before[0])
     for i in range(drones):
-        gaps = np.array([np.linalg.norm(paths[:, j] - paths[:, i], axis=1) for j in range(drones) if j != i and alive[0, j]])
+        gaps = np.array(
+            [
+                np.linalg.norm(paths[:, j] - paths[:, i], axis=1)
+                for j in range(drones)
+                if j != i and alive[0, j]
+            ]
+        )
         if not alive[0, i] or not len(gaps):
             assert result.separation[0, i] == np.inf
             assert result.onsets[0, i] == result.nearness[0, i] == 0
@@ -31,7 +37,9 @@ def test_conflict_agrees_with_dense_sampling_of_the_straight_paths(seed, drones)
         clear = np.abs(least - d_safe) > 0.02
         if clear.all():
             assert result.onsets[0, i] == ((least < d_safe) & (gaps[:, 0] >= d_safe)).sum()
-        assert result.nearness[0, i] == pytest.approx(np.clip(2 - least / d_safe, 0, 1).sum(), abs=0.02)
+        assert result.nearness[0, i] == pytest.approx(
+            np.clip(2 - least / d_safe, 0, 1).sum(), abs=0.02
+        )
 
 
 def test_a_fast_pass_between_two_decisions_is_seen_and_counted_once():
@@ -44,7 +52,9 @@ def test_a_fast_pass_between_two_decisions_is_seen_and_counted_once():
     np.testing.assert_array_equal(conflict(passing, passing, alive, 5.0, 10.0).onsets, 0)
     near = np.array([[(0.0, 0, 0), (4.0, 0, 0)]])
     nearer = np.array([[(0.0, 0, 0), (3.0, 0, 0)]])
-    np.testing.assert_array_equal(conflict(near, nearer, alive, 5.0, 10.0).onsets, 0)  # it lasts, it does not begin
+    np.testing.assert_array_equal(
+        conflict(near, nearer, alive, 5.0, 10.0).onsets, 0
+    )  # it lasts, it does not begin
     np.testing.assert_array_equal(conflict(near, nearer, alive, 3.5, 7.0).onsets, 1)
 
 
@@ -61,7 +71,10 @@ def test_neighbours_are_the_nearest_present_others(seed, drones):
     distance = cdist(position[0], position[0])
     for i in range(drones):
         others = [j for j in np.argsort(distance[i]) if j != i and present[0, j]][:NEIGHBOURS]
-        expected = [(distance[i, j], *(position[0, j] - position[0, i]), *(velocity[0, j] - velocity[0, i])) for j in others]
+        expected = [
+            (distance[i, j], *(position[0, j] - position[0, i]), *(velocity[0, j] - velocity[0, i]))
+            for j in others
+        ]
         expected += [(0.0,) * 7] * (NEIGHBOURS - len(others))
         np.testing.assert_allclose(out[0, i].reshape(NEIGHBOURS, 7), expected, atol=1e-12)
 

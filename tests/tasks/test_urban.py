@@ -43,7 +43,9 @@ def placed(task, position, goal=None, users=None):
         def spawn(self, rng):
             level = np.tile([0.0, 0, 0, 1], (len(start), 1))
             way = start + (0.0, -90, 0) if goal is None else np.array(goal, dtype=float)
-            return Spawn(start, level, 0 * start, 0 * start, way, layout=self.town.draw(rng), memory=memory)
+            return Spawn(
+                start, level, 0 * start, 0 * start, way, layout=self.town.draw(rng), memory=memory
+            )
 
     return Placed
 
@@ -57,7 +59,9 @@ def make():
         small = {} if "city" in options or task == "hover" else {"area": 250.0, "num_layouts": 1}
         if task in FLIGHTS:
             small["leg"] = 100.0
-        made.append(bulletuav.Aviary(task, num_worlds, **{"dynamics": "rigid_body", **small, **options}))
+        made.append(
+            bulletuav.Aviary(task, num_worlds, **{"dynamics": "rigid_body", **small, **options})
+        )
         made[-1].reset(seeds=0)
         return made[-1]
 
@@ -101,7 +105,14 @@ def blocked(start, end, box):
 @pytest.mark.parametrize("kind", ["suburban", "urban", "high_rise", (0.6, 400.0, 12.0)])
 @pytest.mark.parametrize("task", URBAN)
 def test_everybody_starts_outdoors_with_room_and_apart(task, kind):
-    options = {"city": kind, "area": 300.0, "irregularity": 1.0, "num_layouts": 3, "num_drones": 5, "min_separation": 30.0}
+    options = {
+        "city": kind,
+        "area": 300.0,
+        "irregularity": 1.0,
+        "num_layouts": 3,
+        "num_drones": 5,
+        "min_separation": 30.0,
+    }
     plan = EnvSpec(task, 1, options | ({"leg": 120.0} if task in FLIGHTS else {}))
     low, high = (20, 60) if task in ("los", "coverage") else (5, 25)
     drawn = set()
@@ -126,8 +137,12 @@ def test_everybody_starts_outdoors_with_room_and_apart(task, kind):
 
 def test_places_are_spread_over_all_streets_and_heights():
     """Halves of the square, and of the heights, get about as many: 600 places, five standard deviations are 61."""
-    plan = EnvSpec("los", 1, {"num_drones": 6, "area": 300.0, "num_layouts": 1, "min_separation": 10.0})
-    places = np.concatenate([plan.task.spawn(np.random.default_rng(seed)).position for seed in range(100)])
+    plan = EnvSpec(
+        "los", 1, {"num_drones": 6, "area": 300.0, "num_layouts": 1, "min_separation": 10.0}
+    )
+    places = np.concatenate(
+        [plan.task.spawn(np.random.default_rng(seed)).position for seed in range(100)]
+    )
     for axis, middle in enumerate((0.0, 0.0, 40.0)):
         assert 239 < (places[:, axis] > middle).sum() < 361
     assert (np.ptp(places, axis=0) > (280, 280, 38)).all()
@@ -149,8 +164,12 @@ def test_layouts_differ_and_come_from_the_city_seed_alone():
     for one, other in zip(mine, boxes(num_layouts=4, seed=9, num_drones=1), strict=True):
         np.testing.assert_array_equal(one, other)
     for one, other in zip(mine[1:], boxes(num_layouts=3, city_seed=1), strict=True):
-        np.testing.assert_array_equal(one, other)  # city_seed is that of the first; the next ones follow
-    assert not {one.tobytes() for one in mine} & {one.tobytes() for one in boxes(num_layouts=4, city_seed=4)}
+        np.testing.assert_array_equal(
+            one, other
+        )  # city_seed is that of the first; the next ones follow
+    assert not {one.tobytes() for one in mine} & {
+        one.tobytes() for one in boxes(num_layouts=4, city_seed=4)
+    }
 
 
 @pytest.mark.parametrize("task", ["lidar_navigation", "los"])
@@ -174,7 +193,10 @@ def test_a_city_made_by_hand(make):
     assert aviary.task.town.cities == (WALL,)
     assert aviary.solids(0) is WALL.solids
     np.testing.assert_array_equal(aviary.task.arena_high, (100, 100, 120))
-    assert list(aviary.line_of_sight([(0, 0, 10), (0, 70, 10)], [(30, 0, 10), (30, 70, 10)])) == [False, True]
+    assert list(aviary.line_of_sight([(0, 0, 10), (0, 70, 10)], [(30, 0, 10), (30, 70, 10)])) == [
+        False,
+        True,
+    ]
 
 
 def test_a_city_of_ones_own_statistics():
@@ -188,7 +210,10 @@ def test_a_city_of_ones_own_statistics():
 def test_a_city_of_footprints_in_degrees(make, tmp_path):
     """At 60 degrees north a degree of longitude is half as long as one of latitude, 111,195 m."""
     features = []
-    for west, south, height in ((10.0, 60.0, 12.0), (10.0036, 60.0018, 30.0)):  # each 22.2 m x 22.2 m, in two corners
+    for west, south, height in (
+        (10.0, 60.0, 12.0),
+        (10.0036, 60.0018, 30.0),
+    ):  # each 22.2 m x 22.2 m, in two corners
         east, north = west + 0.0004, south + 0.0002
         ring = [(west, south), (east, south), (east, north), (west, north), (west, south)]
         features.append(
@@ -205,8 +230,12 @@ def test_a_city_of_footprints_in_degrees(make, tmp_path):
         bounds = aviary.solids(0).bounds
         reach = 0.002 * 111195 / 2
         np.testing.assert_allclose(aviary.task.arena_high, (reach, reach, 120), atol=0.02)
-        np.testing.assert_allclose(bounds[:, 1] - bounds[:, 0], [(22.24, 22.24, 12), (22.24, 22.24, 30)], atol=0.02)
-        np.testing.assert_allclose(bounds[:, 0, :2], [(-reach, -reach), (reach - 22.24, reach - 22.24)], atol=0.02)
+        np.testing.assert_allclose(
+            bounds[:, 1] - bounds[:, 0], [(22.24, 22.24, 12), (22.24, 22.24, 30)], atol=0.02
+        )
+        np.testing.assert_allclose(
+            bounds[:, 0, :2], [(-reach, -reach), (reach - 22.24, reach - 22.24)], atol=0.02
+        )
 
 
 @pytest.mark.parametrize("name", ["town.obj", "TOWN.OBJ"])
@@ -216,7 +245,9 @@ def test_a_city_of_an_obj_file(tmp_path, name):
     for source in (tmp_path / name, str(tmp_path / name)):
         (read,) = town(city=source, num_layouts=4, leg=50.0).cities
         assert len(read.heights) == len(city.heights)
-        np.testing.assert_allclose(read.solids.boxes[:, 1, 2], city.solids.boxes[:, 1, 2], rtol=1e-6)
+        np.testing.assert_allclose(
+            read.solids.boxes[:, 1, 2], city.solids.boxes[:, 1, 2], rtol=1e-6
+        )
 
 
 REFUSED = [
@@ -239,17 +270,25 @@ REFUSED = [
     ({"num_layouts": 0}, "num_layouts is 0: a whole number, at least 1"),
     ({"city_seed": -1}, "city_seed is -1: a whole number, at least 0"),
     ({"height": (30.0, 20.0)}, r"height is \(30.0, 20.0\): from low to high"),
-    ({"height": (0.2, 20.0)}, r"height is \(0.2, 20.0\).*0.276 m, where a drone touches the ground"),
+    (
+        {"height": (0.2, 20.0)},
+        r"height is \(0.2, 20.0\).*0.276 m, where a drone touches the ground",
+    ),
     ({"height": (20.0, 120.0)}, r"height is \(20.0, 120.0\).*ceiling 120 m"),
     ({"height": (float("nan"), 20.0)}, "height is nan"),
     ({"height": 5.0}, "height is 5.0: a list or tuple of 2"),
     ({"ceiling": 2000.0}, "2000 m up"),
-    ({"min_separation": 0.0}, "min_separation"),  # starts that could overlap are refused at construction
+    (
+        {"min_separation": 0.0},
+        "min_separation",
+    ),  # starts that could overlap are refused at construction
     ({"min_separation": float("inf")}, "min_separation is inf"),
 ]
 
 
-@pytest.mark.parametrize(("options", "message"), REFUSED, ids=[str(options) for options, _ in REFUSED])
+@pytest.mark.parametrize(
+    ("options", "message"), REFUSED, ids=[str(options) for options, _ in REFUSED]
+)
 def test_towns_that_cannot_be(options, message):
     with pytest.raises(ValueError, match=message):
         EnvSpec("default", 1, {"area": 250.0, **options})
@@ -265,7 +304,10 @@ def test_a_file_that_is_not_there(name):
     ("options", "message"),
     [
         ({"min_separation": 300.0}, "3 drones with min_separation 300 m.* side 250 m"),
-        ({"min_separation": 60.0, "num_drones": 40}, "40 drones with min_separation 60 m.* side 250 m"),
+        (
+            {"min_separation": 60.0, "num_drones": 40},
+            "40 drones with min_separation 60 m.* side 250 m",
+        ),
     ],
 )
 def test_too_little_room_for_so_many(options, message):
@@ -284,14 +326,22 @@ def test_where_there_is_room_no_reset_fails_by_bad_luck():
     ("task", "options", "message"),
     [
         ("lidar_navigation", {"proximity_range": 0.0}, "proximity_range is 0"),
-        ("navigation", {"area": 250.0, "leg": 400.0}, "leg is 400 m: less than .* is needed in this city"),
+        (
+            "navigation",
+            {"area": 250.0, "leg": 400.0},
+            "leg is 400 m: less than .* is needed in this city",
+        ),
         ("los", {"area": 5000.0}, "area is 5000 m: less than 4096 m"),
         ("los", {"num_users": 0}, "num_users is 0"),
         ("los", {"wanted": 1.5}, "wanted is 1.5"),
         ("coverage", {"wanted": 1.5}, "wanted is 1.5"),
         ("coverage", {"cell": 0.0}, "cell is 0 m: it must be above 0"),
         ("coverage", {"cell": 300.0}, "cell is 300 m: .* at most the side"),
-        ("coverage", {"city": TOWER, "cell": 200.0}, "cell is 200 m: the middle of no such square .* smaller"),
+        (
+            "coverage",
+            {"city": TOWER, "cell": 200.0},
+            "cell is 200 m: the middle of no such square .* smaller",
+        ),
     ],
 )
 def test_options_of_the_tasks_that_cannot_be(task, options, message):
@@ -299,7 +349,12 @@ def test_options_of_the_tasks_that_cannot_be(task, options, message):
         EnvSpec(task, 1, {"area": 250.0, **options})
 
 
-LEVELS = {"easy": (3, "urban", 0), "medium": (5, "urban", 0.5), "hard": (8, "dense", 0.5), "extreme": (16, "high_rise", 1)}
+LEVELS = {
+    "easy": (3, "urban", 0),
+    "medium": (5, "urban", 0.5),
+    "hard": (8, "dense", 0.5),
+    "extreme": (16, "high_rise", 1),
+}
 RANGES = {"easy": (0, 0), "medium": (0.1, 0), "hard": (0.3, 0.01), "extreme": (0.5, 0.05)}
 
 
@@ -321,7 +376,9 @@ def test_difficulties_are_those_of_the_docstring(task, level):
 
 
 @pytest.mark.parametrize("dynamics", ["bullet", "rigid_body", "point_mass"])
-@pytest.mark.parametrize(("task", "weight"), list(zip(URBAN, (-200, -200, -10, -10, -10), strict=True)))
+@pytest.mark.parametrize(
+    ("task", "weight"), list(zip(URBAN, (-200, -200, -10, -10, -10), strict=True))
+)
 def test_a_wall_ends_the_episode_of_who_flies_into_it(put, task, weight, dynamics):
     aviary = put(task, WALL, [(0, 0, 10), (-50, -20, 30)], dynamics=dynamics)
     for _ in range(30):
@@ -333,13 +390,17 @@ def test_a_wall_ends_the_episode_of_who_flies_into_it(put, task, weight, dynamic
     assert step.info["collision"][0].tolist() == [True, False]
     assert step.info["reward/collision"][0].tolist() == [weight, 0]
     assert not step.info["success"][0, 0] or task in ("los", "coverage")  # which all share
-    assert 7.5 < aviary.swarm.position[0, 0, 0] < 10  # at most one decision's 1.5 m before the wall, never through it
+    assert (
+        7.5 < aviary.swarm.position[0, 0, 0] < 10
+    )  # at most one decision's 1.5 m before the wall, never through it
     aviary.step(np.array([(STAY, STAY)]))
     assert aviary.alive[0].tolist() == [False, True]
 
 
 @pytest.mark.parametrize("way", [UP, WEST])
-@pytest.mark.parametrize(("task", "weight"), list(zip(URBAN, (-50, -50, -10, -10, None), strict=True)))
+@pytest.mark.parametrize(
+    ("task", "weight"), list(zip(URBAN, (-50, -50, -10, -10, None), strict=True))
+)
 def test_leaving_the_city_ends_the_episode(put, task, weight, way):
     """Two metres below a ceiling of 40 m, and as far from the edge: the second decision of 1.5 m is out."""
     options = {"ceiling": 40.0, "height": (5.0, 25.0)}
@@ -406,15 +467,23 @@ def test_proximity_by_hand(put, distance, nearness):
 
 
 def test_proximity_follows_its_option_and_weight(put):
-    aviary = put("lidar_navigation", WALL, [(0, 0, 10)], proximity_range=20.0, weights={"proximity": -3.0})
-    assert aviary.step(np.array([[STAY]])).info["reward/proximity"][0, 0] == pytest.approx(-1.5, abs=1e-5)
+    aviary = put(
+        "lidar_navigation", WALL, [(0, 0, 10)], proximity_range=20.0, weights={"proximity": -3.0}
+    )
+    assert aviary.step(np.array([[STAY]])).info["reward/proximity"][0, 0] == pytest.approx(
+        -1.5, abs=1e-5
+    )
 
 
 def test_ranges_stand_at_their_place_in_the_observation(put):
     """4 m before a wall to the east: 4 m ahead, 4 / cos(angle) aside, nothing along it and behind."""
     aviary = put("lidar_navigation", WALL, [(6, 0, 10)])
     observation = aviary.reset(seeds=0)[0, 0]
-    assert [label.name for label in aviary.observer.labels][7:10] == ["charge", "beam 0", "beam 22.5"]
+    assert [label.name for label in aviary.observer.labels][7:10] == [
+        "charge",
+        "beam 0",
+        "beam 22.5",
+    ]
     ahead = 4 / np.cos(np.radians(22.5 * np.arange(4)))  # 0, 22.5, 45, 67.5 degrees
     ranges = [*ahead, *[60.0] * 9, *ahead[:0:-1]]
     np.testing.assert_allclose(observation[8:], ranges, atol=1e-4)
@@ -440,19 +509,25 @@ def test_goals_lie_far_away_behind_buildings(make):
 # los
 
 DRONES = np.array([(-50.0, 0, 10), (-50.0, 40, 10)])
-USERS = np.array([(40.0, 0, 1.5), (20.0, 0, 1.5), (-30.0, -20, 1.5), (40.0, -30, 1.5), (30.0, -40, 1.5)])
+USERS = np.array(
+    [(40.0, 0, 1.5), (20.0, 0, 1.5), (-30.0, -20, 1.5), (40.0, -30, 1.5), (30.0, -40, 1.5)]
+)
 SEEN = np.array([(0, 0, 1, 1, 1), (1, 0, 1, 0, 0)], dtype=bool)
 """At TOWER. From the second drone to user 0 the line passes x = 10 at y = 13.3, beside the tower; to user 1 at 5.7; to
 users 3 and 4 it passes x = -10 at 8.9 and 0. From the first drone those pass x = -10 at -13.3 and -20."""
 
 
 def test_sight_by_hand(put):
-    exact = [[not blocked(drone, user, TOWER.solids.boxes[0]) for user in USERS] for drone in DRONES]
+    exact = [
+        [not blocked(drone, user, TOWER.solids.boxes[0]) for user in USERS] for drone in DRONES
+    ]
     np.testing.assert_array_equal(exact, SEEN)
     aviary = put("los", TOWER, DRONES, users=USERS, weights={"served": 2.0})
     step = aviary.step(np.zeros((1, 2, 3)))
     np.testing.assert_allclose(step.info["reward/sight"][0], (0.6, 0.4))
-    np.testing.assert_allclose(step.info["reward/served"][0], 2 * 0.8)  # of 5 users each but the second
+    np.testing.assert_allclose(
+        step.info["reward/served"][0], 2 * 0.8
+    )  # of 5 users each but the second
     np.testing.assert_allclose(step.rewards[0], (2.2, 2.0))
     assert not step.terminated.any()
 
@@ -466,7 +541,10 @@ def test_success_is_to_serve_as_many_as_wanted(put, wanted, success):
 def test_targets_are_observed_where_they_are_and_whether_they_are_seen(put):
     aviary = put("los", TOWER, DRONES, users=USERS)
     moved = np.array([(0.0, 0.15, 0), (0.15, 0, 0)])
-    for observation, place in ((aviary.reset(seeds=0), DRONES), (aviary.step(np.array([moved / 1.5])).observations, None)):
+    for observation, place in (
+        (aviary.reset(seeds=0), DRONES),
+        (aviary.step(np.array([moved / 1.5])).observations, None),
+    ):
         place = DRONES + moved if place is None else place
         told = observation[0, :, -20:].reshape(2, 5, 4)
         np.testing.assert_allclose(told[..., :3], USERS - place[:, None], rtol=1e-6)
@@ -493,7 +571,12 @@ def share_seen(drones, city):
     """(N,) share of the 10 m squares outdoors that each drone sees, and that of them all, by `blocked`."""
     middle = np.arange(-95.0, 100, 10)
     low, high = city.solids.boxes[0]
-    cells = [(x, y, 1.5) for x in middle for y in middle if not (low[0] <= x <= high[0] and low[1] <= y <= high[1])]
+    cells = [
+        (x, y, 1.5)
+        for x in middle
+        for y in middle
+        if not (low[0] <= x <= high[0] and low[1] <= y <= high[1])
+    ]
     seen = np.array([[not blocked(drone, cell, (low, high)) for cell in cells] for drone in drones])
     return seen.mean(axis=1), seen.any(axis=0).mean(), seen.shape[1]
 
@@ -525,7 +608,9 @@ def test_a_drone_that_left_covers_nothing(put):
     while aviary.alive.all():
         aviary.step(np.array([[(0, 0, -1.0), STAY]]))
     step = aviary.step(np.zeros((1, 2, 3)))
-    np.testing.assert_allclose(step.info["reward/covered"][0], (0, share_seen(drones[1:], TOWER)[1]))
+    np.testing.assert_allclose(
+        step.info["reward/covered"][0], (0, share_seen(drones[1:], TOWER)[1])
+    )
 
 
 def test_drones_that_are_near_each_other_all_pay_the_same(put):
@@ -554,10 +639,16 @@ def test_layouts_of_unequal_size_count_their_own_squares(put, unequal):
     drones, cities = unequal
     aviary = put("coverage", None, drones)
     for layout in (0, 1):
-        seed = next(k for k in range(20) if aviary.reset(seeds=k) is not None and aviary.scene.layout[0] == layout)
+        seed = next(
+            k
+            for k in range(20)
+            if aviary.reset(seeds=k) is not None and aviary.scene.layout[0] == layout
+        )
         aviary.reset(seeds=seed)
         step = aviary.step(np.zeros((1, 1, 3)))
-        np.testing.assert_allclose(step.info["reward/covered"][0], share_seen(drones, cities[layout])[1])
+        np.testing.assert_allclose(
+            step.info["reward/covered"][0], share_seen(drones, cities[layout])[1]
+        )
 
 
 def test_the_share_that_a_drone_sees_is_that_of_the_squares_there_are(put, unequal):
@@ -581,13 +672,19 @@ def hover_power(gravity=9.80665):
 def test_power_in_hover_is_that_of_the_formula(put):
     aviary = put("los", WALL, DRONES, users=USERS)
     assert (aviary.first_info()["power"] == 0).all()
-    np.testing.assert_allclose(aviary.step(np.zeros((1, 2, 3))).info["power"], hover_power(), rtol=1e-12)
+    np.testing.assert_allclose(
+        aviary.step(np.zeros((1, 2, 3))).info["power"], hover_power(), rtol=1e-12
+    )
 
 
 def test_wind_counts(put):
     """At rest in wind of 6 m/s from the side costs what flying at 6 m/s costs in calm air."""
     wing = airframe_wing(bulletuav.load_airframe("hummingbird"))
-    windy = put("los", WALL, DRONES, users=USERS, wind=(0.0, 6.0, 0.0)).step(np.zeros((1, 2, 3))).info["power"]
+    windy = (
+        put("los", WALL, DRONES, users=USERS, wind=(0.0, 6.0, 0.0))
+        .step(np.zeros((1, 2, 3)))
+        .info["power"]
+    )
     np.testing.assert_allclose(windy, sum(level_power(6.0, wing)), rtol=1e-12)
     with_it = put("los", WALL, DRONES, users=USERS, wind=(0.0, 6.0, 0.0))
     for _ in range(2):  # the mean of the speeds before and after counts
@@ -607,11 +704,17 @@ def test_an_empty_battery_ends_the_episode_then_and_only_then(put, horizon):
     used, charge = np.zeros(2), [label.name for label in aviary.observer.labels].index("charge")
     for k in range(1, 6):
         step = aviary.step(np.array([(STAY, (0, -0.5, 0))]))
-        np.testing.assert_allclose(step.info["power"][0], (hover_power(), mean if k == 1 else flying), rtol=1e-9)
+        np.testing.assert_allclose(
+            step.info["power"][0], (hover_power(), mean if k == 1 else flying), rtol=1e-9
+        )
         used += step.info["power"][0] * PERIOD
-        np.testing.assert_allclose(step.info["charge"][0], np.maximum(1 - used / energy, 0), atol=1e-12)
+        np.testing.assert_allclose(
+            step.info["charge"][0], np.maximum(1 - used / energy, 0), atol=1e-12
+        )
         if aviary.alive.all():
-            np.testing.assert_array_equal(step.observations[0, :, charge], step.info["charge"][0].astype(np.float32))
+            np.testing.assert_array_equal(
+                step.observations[0, :, charge], step.info["charge"][0].astype(np.float32)
+            )
         assert step.terminated[0].tolist() == [k == 5, False]
         assert step.truncated[0].tolist() == [False, horizon == k]
     assert not step.info["collision"].any()
@@ -642,8 +745,15 @@ def test_what_flying_costs_is_drained_of_worlds_that_fly_alone(make):
 @pytest.mark.parametrize("dynamics", ["bullet", "rigid_body"])
 def test_power_of_the_rotors(make, dynamics):
     """In hover torque times speed, k_m w^3, of four rotors; the rotary-wing formula is of the same order."""
-    options = {"airframe": "hummingbird", "action": "hover_rpm", "effects": (), "battery_capacity": 1.0}
-    aviary = make("hover", energy="actuator", dynamics=dynamics, observation=("battery",), **options)
+    options = {
+        "airframe": "hummingbird",
+        "action": "hover_rpm",
+        "effects": (),
+        "battery_capacity": 1.0,
+    }
+    aviary = make(
+        "hover", energy="actuator", dynamics=dynamics, observation=("battery",), **options
+    )
     airframe = aviary.options.airframe[0]
     expected = 4 * airframe.thrust_coefficient * airframe.torque_ratio * airframe.hover_speed() ** 3
     for k in range(1, 4):
@@ -655,14 +765,19 @@ def test_power_of_the_rotors(make, dynamics):
 
 @pytest.mark.parametrize("dynamics", ["point_mass", "double_integrator", "single_integrator"])
 def test_dynamics_without_rotors_know_no_power_of_rotors(dynamics):
-    with pytest.raises(ValueError, match=f"energy is 'actuator', and dynamics '{dynamics}' has no rotors: use 'zeng'"):
+    with pytest.raises(
+        ValueError,
+        match=f"energy is 'actuator', and dynamics '{dynamics}' has no rotors: use 'zeng'",
+    ):
         bulletuav.Aviary("los", city=WALL, dynamics=dynamics, energy="actuator")
 
 
 @pytest.mark.parametrize("energy", ["zeng", "actuator"])
 def test_power_without_gravity_is_that_of_the_rotors(make, energy):
     """Rotors at rest take nothing; at full speed, from one decision to the next, 4 k_m w^3."""
-    aviary = make("hover", gravity=0.0, action="rotor", effects=(), energy=energy, battery_capacity=1.0)
+    aviary = make(
+        "hover", gravity=0.0, action="rotor", effects=(), energy=energy, battery_capacity=1.0
+    )
     step = aviary.step(np.full((1, 1, 4), -1.0))
     assert step.info["power"][0, 0] == 0
     assert step.info["charge"][0, 0] == 1
@@ -681,8 +796,14 @@ BAD = [
         ({"num_beams": value}, f"num_beams is {value!r}: a whole number, at least 1")
         for value in (0, -1, 2.5, NAN, "x", None)
     ),
-    *(({"max_range": value}, f"max_range is {value:g} m: it must be above 0") for value in (0, -1.0)),
-    *(({"max_range": value}, f"max_range is {value!r}: a finite number") for value in (NAN, float("inf"), "x", None)),
+    *(
+        ({"max_range": value}, f"max_range is {value:g} m: it must be above 0")
+        for value in (0, -1.0)
+    ),
+    *(
+        ({"max_range": value}, f"max_range is {value!r}: a finite number")
+        for value in (NAN, float("inf"), "x", None)
+    ),
     ({"lidar_elevations": ()}, "lidar_elevations is empty: give at least one"),
     ({"lidar_elevations": 30.0}, "lidar_elevations is 30.0: a list or tuple"),
     ({"lidar_elevations": (0.0, 91.0)}, "lidar_elevations has 91 degrees: from -90"),
@@ -692,8 +813,14 @@ BAD = [
     ({"lidar_frame": "yw"}, "unknown lidar_frame 'yw': did you mean 'yaw'"),
     ({"lidar_frame": "body"}, "unknown lidar_frame 'body': choose from world, yaw"),
     ({"lidar_frame": ""}, "unknown lidar_frame ''"),
-    *(({"battery_capacity": value}, f"battery_capacity is {value:g} W h: it must be above 0") for value in (0, -1.0)),
-    *(({"battery_capacity": value}, f"battery_capacity is {value!r}: a finite number") for value in (NAN, "x")),
+    *(
+        ({"battery_capacity": value}, f"battery_capacity is {value:g} W h: it must be above 0")
+        for value in (0, -1.0)
+    ),
+    *(
+        ({"battery_capacity": value}, f"battery_capacity is {value!r}: a finite number")
+        for value in (NAN, "x")
+    ),
     ({"energy": "zen"}, "unknown energy 'zen': did you mean 'zeng'"),
     ({"energy": ""}, "unknown energy ''"),
     ({"observation": ("lidr",)}, "did you mean 'lidar'"),
@@ -713,20 +840,38 @@ def test_beams_are_as_many_and_as_high_as_asked_for(put):
     ahead = 5 / np.cos(np.radians(30))
     expected = (5, 25, ahead, 25, ahead, 20)  # ahead, behind; 10 m down at 30 degrees are 20 m
     np.testing.assert_allclose(aviary.reset(seeds=0)[0, 0, 8:], expected, atol=1e-4)
-    names = ["beam 0", "beam 180", "beam 0 up 30", "beam 180 up 30", "beam 0 up -30", "beam 180 up -30"]
+    names = [
+        "beam 0",
+        "beam 180",
+        "beam 0 up 30",
+        "beam 180 up 30",
+        "beam 0 up -30",
+        "beam 180 up -30",
+    ]
     assert [label.name for label in aviary.observer.labels[8:]] == names
     assert {label.high for label in aviary.observer.labels[8:]} == {25.0}
 
 
 @pytest.mark.parametrize(("frame", "expected"), [("yaw", 60.0), ("world", 5.0)])
 def test_beams_turn_with_the_nose_or_do_not(put, frame, expected):
-    aviary = put("lidar_navigation", WALL, [(5, 0, 10)], lidar_frame=frame, action="attitude", dynamics="rigid_body")
+    aviary = put(
+        "lidar_navigation",
+        WALL,
+        [(5, 0, 10)],
+        lidar_frame=frame,
+        action="attitude",
+        dynamics="rigid_body",
+    )
     half = np.pi / 4  # of a turn to the north
     aviary.swarm.quaternion[0, 0] = (0, 0, np.sin(half), np.cos(half))
-    aviary._senses.take(aviary.swarm, aviary.swarm, aviary.scene, aviary.alive, aviary.steps, aviary.rng)
+    aviary._senses.take(
+        aviary.swarm, aviary.swarm, aviary.scene, aviary.alive, aviary.steps, aviary.rng
+    )
     ranges = aviary._senses.readings()["lidar"][0, 0]
     assert ranges[0] == pytest.approx(expected, abs=1e-4)
-    assert ranges[12 if frame == "yaw" else 0] == pytest.approx(5.0, abs=1e-4)  # 270 degrees to the left
+    assert ranges[12 if frame == "yaw" else 0] == pytest.approx(
+        5.0, abs=1e-4
+    )  # 270 degrees to the left
 
 
 @pytest.mark.parametrize(
@@ -759,13 +904,21 @@ def test_readings_hold_what_was_asked_for(make, task, observation, read):
 
 def rolled(task, workers):
     """Everything that comes out of a rollout over two episodes of random flight."""
-    options = {"area": 250.0, "num_layouts": 2, "dynamics": "rigid_body", "difficulty": "medium", "num_drones": 2}
+    options = {
+        "area": 250.0,
+        "num_layouts": 2,
+        "dynamics": "rigid_body",
+        "difficulty": "medium",
+        "num_drones": 2,
+    }
     options |= {"horizon": 5, "seed": 3} | ({"leg": 100.0} if task in FLIGHTS else {})
     env = bulletuav.batch_env(task, 3, workers=workers, **options)
     rng, rows = np.random.default_rng(0), [env.reset()]
     for _ in range(11):
         *arrays, infos = env.step(rng.uniform(-1, 1, (3, 2, 3)))
-        rows.append((np.concatenate([np.asarray(array, dtype=float).ravel() for array in arrays]), infos))
+        rows.append(
+            (np.concatenate([np.asarray(array, dtype=float).ravel() for array in arrays]), infos)
+        )
     env.close()
     return rows
 
@@ -785,7 +938,13 @@ def test_a_reset_of_one_world_leaves_what_others_sense_untouched(make):
     """Ranges are noisy: a second scan would differ."""
     options = {"difficulty": "medium", "num_layouts": 3, "num_drones": 3}
     env = bulletuav.batch_env(
-        "lidar_navigation", 3, autoreset_mode="Disabled", area=250.0, leg=100.0, dynamics="rigid_body", **options
+        "lidar_navigation",
+        3,
+        autoreset_mode="Disabled",
+        area=250.0,
+        leg=100.0,
+        dynamics="rigid_body",
+        **options,
     )
     env.reset(seed=0)
     before = env.step(np.zeros((3, 3, 3)))[0]
@@ -812,7 +971,9 @@ def test_the_planner_brings_everybody_to_the_goal(make, action):
         policy.reset(np.ones(5, dtype=bool))
         layouts.append(aviary.scene.layout.copy())
         reached, crashed = np.zeros((2, 5, 2), dtype=bool)
-        straight = aviary.line_of_sight(aviary.scene.start[:, 0], aviary.scene.goal[:, 0], np.arange(5))
+        straight = aviary.line_of_sight(
+            aviary.scene.start[:, 0], aviary.scene.goal[:, 0], np.arange(5)
+        )
         while aviary.alive.any():
             step = aviary.step(policy.act(observations, aviary.swarm))
             observations = step.observations
@@ -834,7 +995,13 @@ def test_everything_seen_is_all_of_it_exactly():
 
 def test_an_empty_battery_ends_the_episode_for_the_task_too():
     """Shaping counts no potential after an end: it is then the whole way before."""
-    options = {"weights": {"shaping": 1.0}, "area": 250.0, "leg": 100.0, "dynamics": "point_mass", "num_layouts": 1}
+    options = {
+        "weights": {"shaping": 1.0},
+        "area": 250.0,
+        "leg": 100.0,
+        "dynamics": "point_mass",
+        "num_layouts": 1,
+    }
     aviary = bulletuav.Aviary("navigation", battery_capacity=1e-4, **options)
     aviary.reset(seeds=0)
     way = np.linalg.norm(aviary.scene.goal - aviary.swarm.position, axis=-1)
@@ -846,11 +1013,19 @@ def test_an_empty_battery_ends_the_episode_for_the_task_too():
 
 @pytest.mark.parametrize("task", ["los", "coverage"])
 def test_infos_tell_what_is_served(task):
-    options = {"num_drones": 2, "area": 250.0, "num_layouts": 1, "dynamics": "point_mass", "min_separation": 20.0}
+    options = {
+        "num_drones": 2,
+        "area": 250.0,
+        "num_layouts": 1,
+        "dynamics": "point_mass",
+        "min_separation": 20.0,
+    }
     aviary = bulletuav.Aviary(task, 2, **options)
     aviary.reset(seeds=0)
     step = aviary.step(np.zeros((2, 2, 3)))
     seen = aviary._frame.readings["sight"].any(axis=1)
-    np.testing.assert_allclose(step.info["served"], np.repeat(seen.mean(axis=-1)[:, None], 2, axis=1))
+    np.testing.assert_allclose(
+        step.info["served"], np.repeat(seen.mean(axis=-1)[:, None], 2, axis=1)
+    )
     assert 0 < step.info["served"].min() < 1
     aviary.close()

@@ -54,7 +54,15 @@ def test_users_start_outdoors(task, mobility):
 @pytest.mark.parametrize("hz", [1, 5])
 @pytest.mark.parametrize("mobility", MOBILITY_MODELS)
 def test_users_walk_whole_episodes_outdoors_and_no_faster_than_they_can(make, mobility, hz):
-    aviary = make("mobile_users", 2, mobility=mobility, decision_hz=hz, horizon=100 * hz, num_users=30, num_drones=1)
+    aviary = make(
+        "mobile_users",
+        2,
+        mobility=mobility,
+        decision_hz=hz,
+        horizon=100 * hz,
+        num_users=30,
+        num_drones=1,
+    )
     city, places = aviary.task.town.cities[0], [aviary.scene.memory["users"].copy()]
     while aviary.alive.any():
         fly(aviary, STAY)
@@ -72,7 +80,9 @@ def test_users_walk_whole_episodes_outdoors_and_no_faster_than_they_can(make, mo
 
 @pytest.mark.parametrize("mobility", MOBILITY_MODELS)
 def test_users_of_a_world_know_nothing_of_others(make, mobility):
-    many, one = (make("mobile_users", worlds, mobility=mobility, num_layouts=2) for worlds in (4, 1))
+    many, one = (
+        make("mobile_users", worlds, mobility=mobility, num_layouts=2) for worlds in (4, 1)
+    )
     rng = np.random.default_rng(0)
     for seed in (20, 40):
         many.reset(seeds=seed)
@@ -83,7 +93,9 @@ def test_users_of_a_world_know_nothing_of_others(make, mobility):
             if k == 6:
                 many.reset(np.array([True, False, False, True]))
             mine, alone = many.step(actions), one.step(actions[2:3])
-            np.testing.assert_array_equal(many.scene.memory["users"][2], one.scene.memory["users"][0])
+            np.testing.assert_array_equal(
+                many.scene.memory["users"][2], one.scene.memory["users"][0]
+            )
             np.testing.assert_array_equal(mine.rewards[2], alone.rewards[0])
             np.testing.assert_array_equal(mine.observations[2], alone.observations[0])
         others = many.scene.memory["users"]
@@ -114,20 +126,28 @@ def test_ways_of_walking_by_name_by_dict_and_ready_made(make):
 
     assert walked("waypoint") == walked({"model": "waypoint"}) == walked(Waypoint())
     brisk = {"model": "waypoint", "pause": (0.0, 0.0), "speed": (3.0, 3.0)}
-    assert walked(brisk) == walked(Waypoint(pause=(0.0, 0.0), speed=(3.0, 3.0))) != walked("waypoint")
+    assert (
+        walked(brisk) == walked(Waypoint(pause=(0.0, 0.0), speed=(3.0, 3.0))) != walked("waypoint")
+    )
     assert walked({"model": "gauss_markov", "deviation": 0.0}) == walked(GaussMarkov(deviation=0.0))
 
 
 def test_evaluations_take_ways_of_walking_ready_made():
     options = {"horizon": 3, **SMALL}
-    made = bulletuav.evaluate("mobile_users", "random", 2, mobility=Waypoint(speed=(3.0, 3.0)), **options)
-    told = bulletuav.evaluate("mobile_users", "random", 2, mobility={"model": "waypoint", "speed": (3.0, 3.0)}, **options)
+    made = bulletuav.evaluate(
+        "mobile_users", "random", 2, mobility=Waypoint(speed=(3.0, 3.0)), **options
+    )
+    told = bulletuav.evaluate(
+        "mobile_users", "random", 2, mobility={"model": "waypoint", "speed": (3.0, 3.0)}, **options
+    )
     assert made.rows == told.rows
 
 
 def test_options_of_walking_count(make):
     """Users of 2 m/s on streets are 2 m further, or round a corner, after a second."""
-    aviary = make("mobile_users", mobility={"model": "manhattan", "speed": (2.0, 2.0)}, num_users=50)
+    aviary = make(
+        "mobile_users", mobility={"model": "manhattan", "speed": (2.0, 2.0)}, num_users=50
+    )
     before = aviary.scene.memory["users"].copy()
     fly(aviary, STAY)
     way = np.linalg.norm(aviary.scene.memory["users"] - before, axis=-1)
@@ -137,14 +157,23 @@ def test_options_of_walking_count(make):
 
 BAD = [
     ({"mobility": "manhatan"}, "unknown mobility model 'manhatan': did you mean 'manhattan'"),
-    ({"mobility": {"model": "waypont"}}, "unknown mobility model 'waypont': did you mean 'waypoint'"),
-    ({"mobility": {"pause": (0, 5)}}, "unknown mobility model None: choose from gauss_markov, hotspot, manhattan, still"),
+    (
+        {"mobility": {"model": "waypont"}},
+        "unknown mobility model 'waypont': did you mean 'waypoint'",
+    ),
+    (
+        {"mobility": {"pause": (0, 5)}},
+        "unknown mobility model None: choose from gauss_markov, hotspot, manhattan, still",
+    ),
     ({"mobility": 5}, "unknown mobility model 5"),
     (
         {"mobility": {"model": "waypoint", "pauses": (0, 5)}},
         "unknown option of mobility model 'waypoint'.*did you mean 'pause'",
     ),
-    ({"mobility": {"model": "waypoint", "pause": (5, 0)}}, r"pause is \(5, 0\) s: from low to high"),
+    (
+        {"mobility": {"model": "waypoint", "pause": (5, 0)}},
+        r"pause is \(5, 0\) s: from low to high",
+    ),
     ({"mobility": {"model": "manhattan", "speed": (0, 1)}}, r"speed is \(0, 1\) m/s"),
     ({"num_users": 0}, "num_users is 0: a whole number, at least 1"),
     ({"num_users": 2.5}, "num_users is 2.5"),
@@ -152,8 +181,14 @@ BAD = [
     ({"boundary": "sof"}, "unknown boundary 'sof': did you mean 'soft'"),
     ({"contact_ends": "worlds"}, "unknown contact_ends 'worlds': did you mean 'world'"),
     ({"weights": {"dwel_time": 1.0}}, "unknown reward term 'dwel_time': did you mean 'dwell_time'"),
-    ({"observation": ("server",)}, "observation block 'server' shows what task 'mobile_users' does not have"),
-    ({"observation": ("link_rates",)}, "observation block 'link_rates' shows what task 'mobile_users' does not have"),
+    (
+        {"observation": ("server",)},
+        "observation block 'server' shows what task 'mobile_users' does not have",
+    ),
+    (
+        {"observation": ("link_rates",)},
+        "observation block 'link_rates' shows what task 'mobile_users' does not have",
+    ),
 ]
 
 
@@ -165,7 +200,8 @@ def test_options_that_cannot_be(options, message):
 
 def test_tasks_without_users_have_no_dwell_time():
     with pytest.raises(
-        ValueError, match="observation block 'dwell_time' shows what task 'hover' does not have: leave it out"
+        ValueError,
+        match="observation block 'dwell_time' shows what task 'hover' does not have: leave it out",
     ):
         EnvSpec("hover", 1, {"observation": ("position", "dwell_time")})
 
@@ -176,7 +212,9 @@ def test_where_there_are_no_streets_nobody_can_walk_on_them(task):
         bulletuav.Aviary(task, city=WALL, mobility="manhattan")
     for mobility in MOBILITY_MODELS:
         if mobility != "manhattan":
-            spawn = EnvSpec(task, 1, {"city": WALL, "mobility": mobility}).task.spawn(np.random.default_rng(0))
+            spawn = EnvSpec(task, 1, {"city": WALL, "mobility": mobility}).task.spawn(
+                np.random.default_rng(0)
+            )
             assert WALL.outdoors(spawn.memory["users"]).all()
 
 
@@ -185,13 +223,21 @@ def test_where_there_are_no_streets_nobody_can_walk_on_them(task):
 
 def test_seconds_of_sight_are_counted_and_lost_behind_a_wall(put):
     """From (0, 55) to a user at (40, 70) the line passes x = 10 at y = 58.75, beside the wall; from (0, 40) at 47.5."""
-    aviary = put("mobile_users", WALL, [(0, 70, 10)], [(40, 70, 1.5), (0, 0, 1.5)], observation=("dwell_time",))
+    aviary = put(
+        "mobile_users",
+        WALL,
+        [(0, 70, 10)],
+        [(40, 70, 1.5), (0, 0, 1.5)],
+        observation=("dwell_time",),
+    )
     seconds = []
     for way in (STAY, STAY, SOUTH, SOUTH, STAY, NORTH, STAY):
         step = fly(aviary, way)
         seconds.append(aviary.scene.memory["dwell_time"][0, 0].tolist())
         assert step.observations[0, 0] == pytest.approx(np.mean(seconds[-1]))
-        assert step.info["reward/dwell_time"][0, 0] == pytest.approx(0.5 * np.tanh(0.1 * np.mean(seconds[-1])))
+        assert step.info["reward/dwell_time"][0, 0] == pytest.approx(
+            0.5 * np.tanh(0.1 * np.mean(seconds[-1]))
+        )
     assert seconds == [[1, 1], [2, 2], [3, 3], [0, 4], [0, 5], [1, 6], [2, 7]]
 
 
@@ -221,7 +267,14 @@ def test_sight_of_users_who_walk_out_of_it_starts_anew(make):
 
 
 def test_who_is_dead_has_seen_nobody_and_a_reset_forgets(put):
-    aviary = put("mobile_users", OPEN, [(0, 0, 40), (50, 0, 40)], [(40, 0, 1.5)], 2, observation=("dwell_time",))
+    aviary = put(
+        "mobile_users",
+        OPEN,
+        [(0, 0, 40), (50, 0, 40)],
+        [(40, 0, 1.5)],
+        2,
+        observation=("dwell_time",),
+    )
     for seconds in (1, 2):  # 15 m down in each; the third ends on the ground
         step = fly(aviary, DOWN, STAY)
         assert step.observations[..., 0].tolist() == [[seconds, seconds]] * 2
@@ -249,7 +302,13 @@ def test_reward_of_seeing_three_in_five_for_ten_seconds(put):
 
 def test_reward_of_sight_that_lasts(put):
     expected = {1: 0.0996680, 5: 0.4621172, 10: 0.7615942, 20: 0.9640276}  # of the weight 1
-    aviary = put("mobile_users", OPEN, [(0, 0, 30)], [(9, 0, 1.5), (0, 9, 1.5)], weights={"dwell_time": 1.0, "sight": 0.0})
+    aviary = put(
+        "mobile_users",
+        OPEN,
+        [(0, 0, 30)],
+        [(9, 0, 1.5), (0, 9, 1.5)],
+        weights={"dwell_time": 1.0, "sight": 0.0},
+    )
     for seconds in range(1, 21):
         step = fly(aviary, STAY)
         assert step.rewards[0, 0] == step.info["reward/dwell_time"][0, 0]
@@ -279,7 +338,9 @@ def test_bounds_hold_drones_back_by_hand(put, boundary, left):
     aviary = put("mobile_users", OPEN, [(-95, 0, 30), (0, 0, 60)], [(0, 0, 1.5)], **options)
     step = fly(aviary, (-0.8, 0.6, 0.0), UP)
     np.testing.assert_allclose(aviary.swarm.position[0], [(-100, 9, 30), (0, 0, 65)], atol=1e-9)
-    np.testing.assert_allclose(aviary.swarm.velocity[0], [(left * 12, 9, 0), (0, 0, -left * 15)], atol=1e-9)
+    np.testing.assert_allclose(
+        aviary.swarm.velocity[0], [(left * 12, 9, 0), (0, 0, -left * 15)], atol=1e-9
+    )
     assert step.info["reward/out_of_bounds"][0].tolist() == [-3, -3]
     assert not step.terminated.any()
     assert not step.info["collision"].any()
@@ -318,15 +379,26 @@ def test_the_bounds_can_end_it_instead(put):
 
 
 def test_defaults_of_the_bounds():
-    for task, boundary in (("los", "end"), ("mobile_users", "hard"), ("mec", "hard"), ("mec_advanced", "hard")):
-        assert EnvSpec(task, 1, {"city": OPEN, "mobility": "still"}).task.config.boundary == boundary
+    for task, boundary in (
+        ("los", "end"),
+        ("mobile_users", "hard"),
+        ("mec", "hard"),
+        ("mec_advanced", "hard"),
+    ):
+        assert (
+            EnvSpec(task, 1, {"city": OPEN, "mobility": "still"}).task.config.boundary == boundary
+        )
 
 
 @pytest.mark.parametrize("dynamics", ["single_integrator", "rigid_body"])
-@pytest.mark.parametrize(("ends", "over"), [("drone", [True, False, False]), ("world", [True, True, True])])
+@pytest.mark.parametrize(
+    ("ends", "over"), [("drone", [True, False, False]), ("world", [True, True, True])]
+)
 def test_contact_ends_the_drones_episode_or_the_worlds(put, ends, over, dynamics):
     options = {"contact_ends": ends, "dynamics": dynamics}
-    aviary = put("mobile_users", OPEN, [(0, 0, 22), (50, 0, 40), (-50, 0, 40)], [(0, 9, 1.5)], 2, **options)
+    aviary = put(
+        "mobile_users", OPEN, [(0, 0, 22), (50, 0, 40), (-50, 0, 40)], [(0, 9, 1.5)], 2, **options
+    )
     still = np.zeros((2, 3, 3))
     dives = still.copy()
     dives[0, 0] = DOWN
@@ -366,7 +438,9 @@ def test_centroids_by_hand(put):
     np.testing.assert_allclose(fly(aviary, STAY).observations[0], expected)
     while aviary.alive.all():
         step = fly(aviary, STAY, DOWN, STAY)
-    np.testing.assert_allclose(step.observations[0, [0, 2]], [(*everybody, *everybody)] * 2)  # all are the first one's now
+    np.testing.assert_allclose(
+        step.observations[0, [0, 2]], [(*everybody, *everybody)] * 2
+    )  # all are the first one's now
     observations = fly(aviary, STAY, STAY, NORTH).observations  # 15 m at a time
     for _ in range(6):
         observations = fly(aviary, STAY, STAY, NORTH).observations
@@ -377,12 +451,22 @@ def test_centroids_by_hand(put):
 
 
 def test_own_centroids_follow_the_drones(put):
-    aviary = put("mobile_users", OPEN, [(-30, 0, 30), (30, 0, 30)], [(-20, 5, 1.5), (5, 10, 1.5), (40, 0, 1.5)])
-    expected = {STAY: [(-20, 5), (22.5, 5)], EAST: [(-7.5, 7.5), (40, 0)]}  # then 15 m and 25 m from the second user
+    aviary = put(
+        "mobile_users",
+        OPEN,
+        [(-30, 0, 30), (30, 0, 30)],
+        [(-20, 5, 1.5), (5, 10, 1.5), (40, 0, 1.5)],
+    )
+    expected = {
+        STAY: [(-20, 5), (22.5, 5)],
+        EAST: [(-7.5, 7.5), (40, 0)],
+    }  # then 15 m and 25 m from the second user
     for way, own in expected.items():
         observations = fly(aviary, way, STAY).observations
         np.testing.assert_allclose(told(aviary, observations, "own centroid")[0], own)
-        np.testing.assert_allclose(told(aviary, observations, "centroid")[0], [(25 / 3, 5)] * 2, rtol=1e-6)
+        np.testing.assert_allclose(
+            told(aviary, observations, "centroid")[0], [(25 / 3, 5)] * 2, rtol=1e-6
+        )
 
 
 def test_the_matrix_of_sight_has_the_own_row_first_and_those_of_others_by_index(put):
@@ -391,7 +475,12 @@ def test_the_matrix_of_sight_has_the_own_row_first_and_those_of_others_by_index(
     for observations in (aviary.reset(seeds=0), fly(aviary, STAY).observations):
         np.testing.assert_array_equal(observations[0, :, 8:].reshape(3, 3, 5), expected)
     names = [label.name for label in aviary.observer.labels[8:]]
-    assert (names[0], names[5], names[10], names[14]) == ("own sees 1", "other 1 sees 1", "other 2 sees 1", "other 2 sees 5")
+    assert (names[0], names[5], names[10], names[14]) == (
+        "own sees 1",
+        "other 1 sees 1",
+        "other 2 sees 1",
+        "other 2 sees 5",
+    )
     while aviary.alive.all():
         fly(aviary, STAY, DOWN, STAY)
     rows = fly(aviary, STAY).observations[0, :, 8:].reshape(3, 3, 5)
@@ -401,10 +490,14 @@ def test_the_matrix_of_sight_has_the_own_row_first_and_those_of_others_by_index(
 
 @pytest.mark.parametrize("task", ["los", "mobile_users"])
 def test_power_is_told(put, task):
-    aviary = put(task, OPEN, [(0, 0, 30), (50, 0, 30)], [(0, 9, 1.5)], observation=("position", "power"))
+    aviary = put(
+        task, OPEN, [(0, 0, 30), (50, 0, 30)], [(0, 9, 1.5)], observation=("position", "power")
+    )
     assert (told(aviary, aviary.reset(seeds=0), "power") == 0).all()
     step = fly(aviary, STAY, NORTH)
-    np.testing.assert_allclose(told(aviary, step.observations, "power")[..., 0], step.info["power"], rtol=1e-6)
+    np.testing.assert_allclose(
+        told(aviary, step.observations, "power")[..., 0], step.info["power"], rtol=1e-6
+    )
     assert step.info["power"][0, 0] != step.info["power"][0, 1]
 
 
@@ -414,17 +507,29 @@ def test_power_is_told(put, task):
 def test_the_preset_has_the_sizes_that_it_is_named_after(make):
     aviary = make("mobile_users", preset="urbanmarl", area=500.0)
     options, task = aviary.options, aviary.task
-    assert (options.num_drones, task.num_targets, options.decision_hz, options.horizon) == (3, 50, 1, 100)
+    assert (options.num_drones, task.num_targets, options.decision_hz, options.horizon) == (
+        3,
+        50,
+        1,
+        100,
+    )
     assert (options.dynamics, task.config.contact_ends, task.mobility) == (
         "single_integrator",
         "world",
         find_mobility("manhattan"),
     )
-    np.testing.assert_array_equal((task.arena_low, task.arena_high), [(-250, -250, 0), (250, 250, 200)])
+    np.testing.assert_array_equal(
+        (task.arena_low, task.arena_high), [(-250, -250, 0), (250, 250, 200)]
+    )
     for k in range(1, 101):
         step = fly(aviary, STAY)
         assert step.truncated.all() == step.truncated.any() == (k == 100)
-    assert EnvSpec("mobile_users", 1, {"preset": "urbanmarl", "num_users": 7, **SMALL}).task.num_targets == 7
+    assert (
+        EnvSpec(
+            "mobile_users", 1, {"preset": "urbanmarl", "num_users": 7, **SMALL}
+        ).task.num_targets
+        == 7
+    )
 
 
 def test_sight_ahead_is_what_would_be_seen_from_there(put):
@@ -438,7 +543,9 @@ def test_sight_ahead_is_what_would_be_seen_from_there(put):
     for i, at in enumerate(aviary.swarm.position[0]):
         for k, way in enumerate(((30, 0, 0), (0, 30, 0), (-30, 0, 0), (0, -30, 0))):
             there = np.clip(at + way, low, high)
-            np.testing.assert_array_equal(seen[i, k], aviary.line_of_sight(there, aviary.scene.memory["users"][0]))
+            np.testing.assert_array_equal(
+                seen[i, k], aviary.line_of_sight(there, aviary.scene.memory["users"][0])
+            )
     assert (seen[0] != seen[0, :1]).any()
 
 
@@ -459,13 +566,24 @@ SHAPES = {
         )
     },
     "ends": {"boundary": "end", "contact_ends": "world", "mobility": "gauss_markov"},
-    "soft": {"boundary": "soft", "dynamics": "rigid_body", "decision_hz": 10, "mobility": "waypoint"},
+    "soft": {
+        "boundary": "soft",
+        "dynamics": "rigid_body",
+        "decision_hz": 10,
+        "mobility": "waypoint",
+    },
 }
 
 
 @pytest.mark.parametrize("options", SHAPES.values(), ids=SHAPES)
 def test_numbers_are_finite_and_within_their_bounds_in_whole_random_episodes(options):
-    env = bulletuav.batch_env("mobile_users", 3, autoreset_mode=AutoresetMode.SAME_STEP, horizon=12, **{**SMALL, **options})
+    env = bulletuav.batch_env(
+        "mobile_users",
+        3,
+        autoreset_mode=AutoresetMode.SAME_STEP,
+        horizon=12,
+        **{**SMALL, **options},
+    )
     observations, infos = env.reset(seed=0)
     rng, names = np.random.default_rng(0), set(infos)
     for _ in range(30):
@@ -487,9 +605,13 @@ def test_agents_of_pettingzoo_get_the_same_infos_at_reset_and_at_every_step():
     names = set(infos["drone_0"])
     assert {"served", "power", "charge", "reward/dwell_time"} <= names
     while env.agents:
-        assert all(env.observation_space(agent).contains(observations[agent]) for agent in env.agents)
+        assert all(
+            env.observation_space(agent).contains(observations[agent]) for agent in env.agents
+        )
         flying = list(env.agents)
-        observations, _, _, truncated, infos = env.step(dict.fromkeys(flying, np.zeros(3, np.float32)))
+        observations, _, _, truncated, infos = env.step(
+            dict.fromkeys(flying, np.zeros(3, np.float32))
+        )
         assert all(set(infos[agent]) == names for agent in flying)
     assert all(truncated.values())
     env.close()
@@ -498,11 +620,17 @@ def test_agents_of_pettingzoo_get_the_same_infos_at_reset_and_at_every_step():
 def test_the_number_of_processes_changes_no_bit():
     rows = []
     for workers in (1, 2):
-        env = bulletuav.batch_env("mobile_users", 3, workers=workers, seed=3, horizon=4, mobility="hotspot", **SMALL)
+        env = bulletuav.batch_env(
+            "mobile_users", 3, workers=workers, seed=3, horizon=4, mobility="hotspot", **SMALL
+        )
         rng, own = np.random.default_rng(0), [env.reset()[0].tobytes()]
         for _ in range(9):
             observations, rewards, *_, infos = env.step(rng.uniform(-1, 1, (3, 3, 3)))
-            own += [observations.tobytes(), rewards.tobytes(), np.asarray(infos["served"]).tobytes()]
+            own += [
+                observations.tobytes(),
+                rewards.tobytes(),
+                np.asarray(infos["served"]).tobytes(),
+            ]
         rows.append(own)
         env.close()
     assert rows[0] == rows[1]

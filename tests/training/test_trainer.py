@@ -26,7 +26,13 @@ from bulletuav.training.models import make_model
 from bulletuav.training.store import Store, opened
 from bulletuav.training.trainer import train
 
-OPTIONS = {"dynamics": "single_integrator", "num_drones": 2, "difficulty": "easy", "horizon": 12, "observation": ["goal"]}
+OPTIONS = {
+    "dynamics": "single_integrator",
+    "num_drones": 2,
+    "difficulty": "easy",
+    "horizon": 12,
+    "observation": ["goal"],
+}
 MODELS = {
     "ppo": {"n_steps": 16, "batch_size": 64},
     "a2c": {"n_steps": 8},
@@ -40,7 +46,14 @@ MODELS = {
 def config(**changes):
     algo = changes.setdefault("algo", "ppo")
     options = {**OPTIONS, "action": "discrete"} if algo == "dqn" else OPTIONS
-    usual = {"steps": 200, "worlds": 2, "options": options, "model": MODELS[algo], "evaluations": 3, "episodes": 1}
+    usual = {
+        "steps": 200,
+        "worlds": 2,
+        "options": options,
+        "model": MODELS[algo],
+        "evaluations": 3,
+        "episodes": 1,
+    }
     evaluation = {"dynamics": "single_integrator", "horizon": 5}
     return RunConfig("converge", **{**usual, "evaluation": evaluation, **changes})
 
@@ -64,7 +77,10 @@ def interrupt_after(steps):
 CASES = {algo: {"algo": algo} for algo in MODELS} | {
     "chapters shorter than a rollout": {"evaluations": 20},
     "ppo, noise of states": {"model": {**MODELS["ppo"], "use_sde": True}},
-    "sac, noise of states": {"algo": "sac", "model": {**MODELS["sac"], "use_sde": True, "train_freq": [4, "step"]}},
+    "sac, noise of states": {
+        "algo": "sac",
+        "model": {**MODELS["sac"], "use_sde": True, "train_freq": [4, "step"]},
+    },
 }
 
 
@@ -76,7 +92,8 @@ SLOW = {"ddpg": pytest.mark.slow}  # which is TD3 with other settings
 
 
 @pytest.mark.parametrize(
-    "changes", [pytest.param(changes, id=name, marks=SLOW.get(name, ())) for name, changes in CASES.items()]
+    "changes",
+    [pytest.param(changes, id=name, marks=SLOW.get(name, ())) for name, changes in CASES.items()],
 )
 def test_an_interrupted_run_goes_on_to_the_weights_of_one_that_was_not(tmp_path, changes):
     learner = config(**changes)
@@ -90,11 +107,17 @@ def test_an_interrupted_run_goes_on_to_the_weights_of_one_that_was_not(tmp_path,
     np.testing.assert_array_equal(weights(tmp_path / "cut"), whole)
     assert not np.array_equal(weights(tmp_path / "whole", FIRST), whole)
     assert len(list((tmp_path / "whole").glob("checkpoints/*/training.safetensors"))) == 1
-    assert len(list((tmp_path / "whole").glob("checkpoints/*/replay.safetensors"))) == (learner.algo not in ("ppo", "a2c"))
+    assert len(list((tmp_path / "whole").glob("checkpoints/*/replay.safetensors"))) == (
+        learner.algo not in ("ppo", "a2c")
+    )
 
 
-@pytest.mark.parametrize(("name", "call"), [("shutil.copyfile", 4), ("replace_file", 8), ("replace_file", 9)])
-def test_a_kill_between_two_files_of_the_last_chapter_costs_no_more_than_it(tmp_path, monkeypatch, run, name, call):
+@pytest.mark.parametrize(
+    ("name", "call"), [("shutil.copyfile", 4), ("replace_file", 8), ("replace_file", 9)]
+)
+def test_a_kill_between_two_files_of_the_last_chapter_costs_no_more_than_it(
+    tmp_path, monkeypatch, run, name, call
+):
     calls = []
     original = shutil.copyfile if name == "shutil.copyfile" else replace_file
 
@@ -172,7 +195,9 @@ def test_a_folder_that_another_process_trains_in_is_refused(tmp_path):
 def test_a_run_ends_with_the_process_that_wants_it(tmp_path):
     """Killed, so that it cannot end its runs itself."""
     script = "from training.test_trainer import config; from bulletuav.training.campaign import Campaign; "
-    script += f"Campaign([config(steps=10**7)], __import__('pathlib').Path({str(tmp_path)!r})).train()"
+    script += (
+        f"Campaign([config(steps=10**7)], __import__('pathlib').Path({str(tmp_path)!r})).train()"
+    )
     process = subprocess.Popen([sys.executable, "-c", script], cwd=Path(__file__).parents[1])
     store = tmp_path / "converge" / "0"
     wait_until(lambda: (store / "state.json").exists())
@@ -227,7 +252,9 @@ def test_what_a_preset_says_of_actions_holds_where_the_policy_flies():
     assert told.interface == {"action": "hover_rpm"}
     assert told.evaluated == {"action": "hover_rpm", "preset": "hover_aviary"}
     stages = [{"num_drones": 2}, {"num_drones": 4, "decision_hz": 5}]
-    told = RunConfig("converge", options={"dynamics": "point_mass", "difficulty": "easy"}, stages=stages)
+    told = RunConfig(
+        "converge", options={"dynamics": "point_mass", "difficulty": "easy"}, stages=stages
+    )
     assert told.evaluated == {"num_drones": 4, "decision_hz": 5, "difficulty": "easy"}
 
 
@@ -254,7 +281,9 @@ def test_untrained_is_what_the_run_began_with(run):
     model = make_model(config(), env)
     env.close()
     aviary.close()
-    np.testing.assert_allclose(actions[0][0], model.predict(observations[0], deterministic=True)[0], atol=1e-6)
+    np.testing.assert_allclose(
+        actions[0][0], model.predict(observations[0], deterministic=True)[0], atol=1e-6
+    )
     assert not np.array_equal(actions[0], actions[1])
     np.testing.assert_array_equal(actions[1], actions[2])
 
@@ -284,7 +313,9 @@ def test_a_curriculum_goes_on_where_it_was(tmp_path):
     learner = config(stages=stages, curriculum=easy, options={**OPTIONS, "goal_radius": 300.0})
     rows = train(learner, tmp_path / "whole")
     assert rows[-1]["stage"] == 1
-    assert rows[-1]["decisions"] < rows[-1]["steps"]  # the slot of the second drone was empty at first
+    assert (
+        rows[-1]["decisions"] < rows[-1]["steps"]
+    )  # the slot of the second drone was empty at first
     with pytest.raises(KeyboardInterrupt):
         train(learner, tmp_path / "cut", interrupt_after(150))
     train(learner, tmp_path / "cut")
@@ -303,9 +334,15 @@ def test_a_curriculum_goes_on_where_it_was(tmp_path):
         ({"model": {"normalize_advantage": 3}}, "normalize_advantage"),
         ({"model": {"features": "user_sum"}}, "do not fit"),
         ({"algo": "td3", "model": {"action_noise": "loud"}}, "action_noise is 'loud'"),
-        ({"algo": "sac", "model": {"optimize_memory_usage": True}}, "optimize_memory_usage is True"),
+        (
+            {"algo": "sac", "model": {"optimize_memory_usage": True}},
+            "optimize_memory_usage is True",
+        ),
         ({"model": {"features": "symlg"}}, "did you mean 'symlog'"),
-        ({"algo": "sac", "options": {**OPTIONS, "action": "discrete"}, "model": {}}, "model sac.*only supports"),
+        (
+            {"algo": "sac", "options": {**OPTIONS, "action": "discrete"}, "model": {}},
+            "model sac.*only supports",
+        ),
         ({"options": {**OPTIONS, "observation": ["goal", "rgb"]}}, "one drone a world"),
     ],
 )
@@ -315,14 +352,23 @@ def test_settings_that_cannot_be_are_refused(tmp_path, changes, said):
 
 
 def test_pictures_can_be_learned_from(tmp_path):
-    options = {"num_drones": 1, "observation": ["goal", "rgb"], "camera_size": [36, 36], "dynamics": "single_integrator"}
-    learner = config(options={**options, "horizon": 4}, steps=32, model={"n_steps": 8}, evaluations=1)
+    options = {
+        "num_drones": 1,
+        "observation": ["goal", "rgb"],
+        "camera_size": [36, 36],
+        "dynamics": "single_integrator",
+    }
+    learner = config(
+        options={**options, "horizon": 4}, steps=32, model={"n_steps": 8}, evaluations=1
+    )
     assert train(learner, tmp_path)[-1]["steps"] == 32
 
 
 def test_learning_rates_may_fall_and_features_be_left_out():
     env = DroneVecEnv("converge", 1, **OPTIONS)
-    model = make_model(config(model={"n_steps": 8, "learning_rate": [1e-3, 1e-4], "features": None}), env)
+    model = make_model(
+        config(model={"n_steps": 8, "learning_rate": [1e-3, 1e-4], "features": None}), env
+    )
     assert model.lr_schedule(1.0) == 1e-3
     assert model.lr_schedule(0.5) == pytest.approx(5.5e-4)
     assert model.lr_schedule(0.0) == pytest.approx(1e-4)
@@ -381,7 +427,9 @@ def test_a_configuration_that_cannot_be_is_refused(tmp_path, text, said):
 
 
 def test_steps_may_be_written_as_people_do(tmp_path):
-    (tmp_path / "run.yaml").write_text("task: crossing\nsteps: 2e6\nmodel: {gamma: 9.9e-1, learning_rate: [1e-3, 1e-5]}\n")
+    (tmp_path / "run.yaml").write_text(
+        "task: crossing\nsteps: 2e6\nmodel: {gamma: 9.9e-1, learning_rate: [1e-3, 1e-5]}\n"
+    )
     told = RunConfig.read(tmp_path / "run.yaml")
     assert told.steps == 2_000_000
     assert told.model == {"gamma": 0.99, "learning_rate": [1e-3, 1e-5]}
@@ -392,14 +440,23 @@ def test_steps_may_be_written_as_people_do(tmp_path):
 def test_a_configuration_is_the_same_after_a_file(tmp_path):
     told = dataclasses.replace(
         config(),
-        options={**OPTIONS, "start_speed": (1.0, 2.0), "max_speed": np.float64(9.0), "wind": np.array([1.0, 0.0, 0.0])},
+        options={
+            **OPTIONS,
+            "start_speed": (1.0, 2.0),
+            "max_speed": np.float64(9.0),
+            "wind": np.array([1.0, 0.0, 0.0]),
+        },
     )
     (tmp_path / "run.yaml").write_text(told.text())
     assert RunConfig.read(tmp_path / "run.yaml").text() == told.text()
 
 
-def test_the_best_run_is_shipped_without_what_only_training_needs(run, tmp_path, monkeypatch, capsys):
-    spec = importlib.util.spec_from_file_location("ship", Path(__file__).parents[2] / "benchmarks" / "ship.py")
+def test_the_best_run_is_shipped_without_what_only_training_needs(
+    run, tmp_path, monkeypatch, capsys
+):
+    spec = importlib.util.spec_from_file_location(
+        "ship", Path(__file__).parents[2] / "benchmarks" / "ship.py"
+    )
     ship = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(ship)
     package, learned = tmp_path / "trained", tmp_path / "learned" / "runs" / "converge"
@@ -416,12 +473,20 @@ def test_the_best_run_is_shipped_without_what_only_training_needs(run, tmp_path,
     monkeypatch.setattr(ship, "shipped_tasks", lambda: ["converge"])
     monkeypatch.setattr("sys.argv", ["ship.py", str(tmp_path / "learned"), "--episodes", "2"])
     ship.main()
-    assert f"converge: seed {best} (return {outcomes['0']:.2f}, {outcomes['1']:.2f})" in capsys.readouterr().out
+    assert (
+        f"converge: seed {best} (return {outcomes['0']:.2f}, {outcomes['1']:.2f})"
+        in capsys.readouterr().out
+    )
     assert (package / "converge" / "run.yaml").read_text().startswith("# ours\n")
     assert RunConfig.read(package / "converge" / "run.yaml").seed == int(best)
     np.testing.assert_array_equal(weights(package / "converge"), weights(learned / best))
-    np.testing.assert_array_equal(weights(package / "converge", FIRST), weights(learned / best, FIRST))
-    assert {path.name for path in package.rglob("*") if path.is_file()} == {"run.yaml", "policy.safetensors"}
+    np.testing.assert_array_equal(
+        weights(package / "converge", FIRST), weights(learned / best, FIRST)
+    )
+    assert {path.name for path in package.rglob("*") if path.is_file()} == {
+        "run.yaml",
+        "policy.safetensors",
+    }
     (learned / best / "run.yaml").write_text(config(seed=int(best), steps=7).text())
     with pytest.raises(SystemExit, match="other settings"):
         ship.main()

@@ -79,7 +79,9 @@ def test_own_urdf_with_six_rotors(urdf):
     text = load_airframe("hummingbird").urdf.read_text()
     first, last = text.index("<rotor x"), text.rindex("<rotor x")
     own = urdf(
-        "hummingbird", (text[first : text.index("/>", last) + 2], rotors), ('robot name="hummingbird"', 'robot name="six"')
+        "hummingbird",
+        (text[first : text.index("/>", last) + 2], rotors),
+        ('robot name="hummingbird"', 'robot name="six"'),
     )
     airframe = load_airframe(own)
     assert (airframe.name, len(airframe.rotors), airframe.urdf) == ("six", 6, own.resolve())
@@ -92,11 +94,26 @@ REFUSED = [
     ('<mass value="0.027"/>', '<mass value="-1"/>', "mass value", "-1"),
     ('<mass value="0.027"/>', '<mass value="heavy"/>', "mass value", "heavy"),
     ('<thrust_coefficient value="2.8816e-8"/>', "", "thrust_coefficient", "missing"),
-    ('<thrust_coefficient value="2.8816e-8"/>', '<thrust_coefficient value="nan"/>', "thrust_coefficient", "nan"),
-    ('<thrust_coefficient value="2.8816e-8"/>', '<thrust_coefficient value="0"/>', "thrust_coefficient", "0"),
+    (
+        '<thrust_coefficient value="2.8816e-8"/>',
+        '<thrust_coefficient value="nan"/>',
+        "thrust_coefficient",
+        "nan",
+    ),
+    (
+        '<thrust_coefficient value="2.8816e-8"/>',
+        '<thrust_coefficient value="0"/>',
+        "thrust_coefficient",
+        "0",
+    ),
     ('up="0.065"', 'up="-0.1"', "motor_lag up", "-0.1"),
     ('up="0.065"', "", "motor_lag up", "missing"),
-    ('<max_rotor_speed value="2273.5"/>', '<max_rotor_speed value="1000"/>', "max_rotor_speed", "cannot hover"),
+    (
+        '<max_rotor_speed value="2273.5"/>',
+        '<max_rotor_speed value="1000"/>',
+        "max_rotor_speed",
+        "cannot hover",
+    ),
     ('izz="2.17e-5"', 'izz="2.9e-5"', "inertia", "no body has it"),
     ('izz="2.17e-5"', 'izz="0"', "inertia izz", "0"),
     ('ixy="0"', 'ixy="1e-6"', "inertia ixy", "principal axes"),
@@ -106,13 +123,33 @@ REFUSED = [
     ('<origin xyz="0 0 0" rpy="0 0 0"/>', '<origin xyz="0 0"/>', "origin xyz", "0 0"),
     ('<robot name="cf2x">', "<robot>", "robot name", "missing"),
     ('<link name="base">', "<link>", "link name", "missing"),
-    ('<cylinder radius="0.0628"', '<sphere radius="1"/><cylinder radius="0.0628"', "collision geometry", "one cylinder"),
-    ('<origin xyz="0 0 0" rpy="0 0 0"/>', '<origin xyz="0 0 0.1" rpy="0 0 0"/>', "origin xyz", "centre of mass"),
+    (
+        '<cylinder radius="0.0628"',
+        '<sphere radius="1"/><cylinder radius="0.0628"',
+        "collision geometry",
+        "one cylinder",
+    ),
+    (
+        '<origin xyz="0 0 0" rpy="0 0 0"/>',
+        '<origin xyz="0 0 0.1" rpy="0 0 0"/>',
+        "origin xyz",
+        "centre of mass",
+    ),
     ('spin="ccw"', 'spin="left"', "rotor spin", "left"),
     ('<rotor x="0.028072" y="-0.028072" spin="ccw"/>', "", "rotor", "3 times"),
     ('x="-0.028072"', 'x="0.028072"', "rotor", "cannot turn"),
-    ('<cylinder radius="0.0628" length="0.03"/>', '<mesh filename="x"/>', "collision geometry", "cylinder, box or sphere"),
-    ('<cylinder radius="0.0628" length="0.03"/>', '<box size="1 2"/>', "box size", "three positive"),
+    (
+        '<cylinder radius="0.0628" length="0.03"/>',
+        '<mesh filename="x"/>',
+        "collision geometry",
+        "cylinder, box or sphere",
+    ),
+    (
+        '<cylinder radius="0.0628" length="0.03"/>',
+        '<box size="1 2"/>',
+        "box size",
+        "three positive",
+    ),
     ("<collision>", '<collision><origin xyz="0 0 1"/>', "collision origin", "centred"),
     ("<collision>", "<collision/><collision>", "collision", "2 times"),
     ("</link>", '</link><link name="prop"/>', "link", "2 links"),
@@ -121,7 +158,9 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("old", "new", "tag", "said"), REFUSED)
-def test_what_is_missing_or_not_physical_is_refused_with_file_tag_and_value(urdf, old, new, tag, said):
+def test_what_is_missing_or_not_physical_is_refused_with_file_tag_and_value(
+    urdf, old, new, tag, said
+):
     path = urdf("cf2x", (old, new))
     with pytest.raises(ValueError, match="own.urdf") as error:
         load_airframe(path)
@@ -132,11 +171,16 @@ def test_what_is_missing_or_not_physical_is_refused_with_file_tag_and_value(urdf
 def test_flat_bodies_are_taken_whatever_the_rounding(urdf):
     """Ixx + Iyy = Izz is a flat body; the engine, which compares without tolerance, is given our numbers."""
     for ixx, iyy, izz in (("2.7e-5", "2.8e-5", "5.5e-5"), ("7e-6", "26e-6", "33e-6")):
-        path = urdf("cf2x", ('ixx="1.4e-5" iyy="1.4e-5" izz="2.17e-5"', f'ixx="{ixx}" iyy="{iyy}" izz="{izz}"'))
+        path = urdf(
+            "cf2x",
+            ('ixx="1.4e-5" iyy="1.4e-5" izz="2.17e-5"', f'ixx="{ixx}" iyy="{iyy}" izz="{izz}"'),
+        )
         assert load_airframe(path).inertia == (float(ixx), float(iyy), float(izz))
         one = bench.Bench("bullet", path, effects=(), gravity=0.0)
         one.place()
-        one.engine.apply_wrenches(np.zeros((1, 1, 3)), np.array([[[float(ixx), float(iyy), float(izz)]]]), one.alive)
+        one.engine.apply_wrenches(
+            np.zeros((1, 1, 3)), np.array([[[float(ixx), float(iyy), float(izz)]]]), one.alive
+        )
         one.engine.step()
         one.engine.read_states(one.swarm, one.alive)
         np.testing.assert_allclose(one.swarm.rates[0, 0] * 240, 1, rtol=1e-9)
@@ -163,7 +207,15 @@ def test_other_collision_shapes(urdf, shape):
 def test_effects_are_switched_off_by_zero_constants():
     cf2x = load_airframe("cf2x")
     full, none = parameter_rows([cf2x])[0], parameter_rows([cf2x], ())[0]
-    touched = {"lag_up", "lag_down", "drag_xy", "drag_z", "ground_effect_gain", "downwash_gain", "downwash_radius"}
+    touched = {
+        "lag_up",
+        "lag_down",
+        "drag_xy",
+        "drag_z",
+        "ground_effect_gain",
+        "downwash_gain",
+        "downwash_radius",
+    }
     for field in full.dtype.names:
         if field in touched:
             assert full[field] > 0

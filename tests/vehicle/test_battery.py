@@ -3,7 +3,12 @@ import pytest
 
 from bulletuav.vehicle.battery import Battery
 
-HOVER, LONGEST, FARTHEST, FARTHEST_SPEED = 168.4842, 126.0027, 161.5216, 18.295  # W, W, W, m/s, see test_power.py
+HOVER, LONGEST, FARTHEST, FARTHEST_SPEED = (
+    168.4842,
+    126.0027,
+    161.5216,
+    18.295,
+)  # W, W, W, m/s, see test_power.py
 
 
 def time_to_depletion(power, capacity, seconds):
@@ -21,7 +26,9 @@ def test_how_long_89_watt_hours_last(power, minutes):
 
 
 def test_how_far_89_watt_hours_reach():
-    assert time_to_depletion(FARTHEST, 89.2, 0.1) * FARTHEST_SPEED / 1000 == pytest.approx(36.37, abs=5e-3)
+    assert time_to_depletion(FARTHEST, 89.2, 0.1) * FARTHEST_SPEED / 1000 == pytest.approx(
+        36.37, abs=5e-3
+    )
 
 
 def test_the_share_left_is_what_was_not_taken_whatever_the_period():

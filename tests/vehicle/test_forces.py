@@ -51,7 +51,9 @@ def test_without_lag_the_command_is_the_speed():
 def test_hover_balances_weight_to_1e9(name):
     airframe, row = row_of(name)
     speed = np.full(len(airframe.rotors), airframe.hover_speed())
-    force, torque = wrench((0.0, 0.0, 0.0, 1.0), np.zeros(3), 1e9, rotor_wrench(speed, row), still_air(), 0.0, row)
+    force, torque = wrench(
+        (0.0, 0.0, 0.0, 1.0), np.zeros(3), 1e9, rotor_wrench(speed, row), still_air(), 0.0, row
+    )
     np.testing.assert_allclose(force, 0, atol=1e-9)
     np.testing.assert_allclose(torque, 0, atol=1e-9)
 
@@ -63,7 +65,9 @@ def test_torques_of_single_rotors_by_hand():
         speed[r] = 1000.0
         thrust, torque, total = rotor_wrench(speed, row)
         assert (thrust, total) == (pytest.approx(0.028816), 1000.0)
-        np.testing.assert_allclose(torque, (y * 0.028816, -x * 0.028816, turn * 0.028816 * 0.00596), rtol=1e-12)
+        np.testing.assert_allclose(
+            torque, (y * 0.028816, -x * 0.028816, turn * 0.028816 * 0.00596), rtol=1e-12
+        )
 
 
 def test_faster_clockwise_rotors_turn_the_crazyflie_to_the_left():
@@ -91,7 +95,9 @@ def test_level_flight_at_20_m_s_needs_the_published_tilt_and_rotor_speed(name, t
     airframe, row = row_of(name)
     pitch = Rotation.from_euler("y", tilt, degrees=True).as_quat()
     speeds = np.full(len(airframe.rotors), speed)
-    force, _ = wrench(pitch, np.array([20.0, 0, 0]), 1e9, rotor_wrench(speeds, row), still_air(), 0.0, row)
+    force, _ = wrench(
+        pitch, np.array([20.0, 0, 0]), 1e9, rotor_wrench(speeds, row), still_air(), 0.0, row
+    )
     np.testing.assert_allclose(np.array(force) / (airframe.mass * G), 0, atol=4e-4)
 
 
@@ -111,9 +117,19 @@ def test_drag_takes_power_and_turns_with_the_body(v, turn):
 def test_drag_is_relative_to_the_air_and_linear_in_rotor_speed():
     _, row = row_of("hummingbird")
     speeds, q = np.full(4, 450.0), (0.0, 0.0, 0.0, 1.0)
-    with_wind, _ = wrench(q, np.array([3.0, 0, 0]), 1e9, rotor_wrench(speeds, row), still_air(wind=(3.0, 0, 0)), 0.0, row)
+    with_wind, _ = wrench(
+        q,
+        np.array([3.0, 0, 0]),
+        1e9,
+        rotor_wrench(speeds, row),
+        still_air(wind=(3.0, 0, 0)),
+        0.0,
+        row,
+    )
     np.testing.assert_allclose(with_wind[:2], 0, atol=1e-15)
-    np.testing.assert_allclose(rotor_drag(q, (1.0, 2.0, 3.0), 1800.0, row), (-8.06428e-5 * 1800, -2 * 8.06428e-5 * 1800, 0))
+    np.testing.assert_allclose(
+        rotor_drag(q, (1.0, 2.0, 3.0), 1800.0, row), (-8.06428e-5 * 1800, -2 * 8.06428e-5 * 1800, 0)
+    )
 
 
 # Ground effect
@@ -151,14 +167,18 @@ def test_ground_effect_is_bounded_falls_with_height_and_fades_with_tilt(name):
 def test_thrust_grows_near_the_surface_wherever_it_is():
     airframe, row = row_of("hummingbird")
     speed, q = np.full(4, airframe.hover_speed()), (0.0, 0.0, 0.0, 1.0)
-    force, _ = wrench(q, np.zeros(3), 30.1, rotor_wrench(speed, row), still_air(surface=30.0), 0.0, row)
+    force, _ = wrench(
+        q, np.zeros(3), 30.1, rotor_wrench(speed, row), still_air(surface=30.0), 0.0, row
+    )
     assert force[2] == pytest.approx(0.0625 * airframe.mass * G, rel=1e-9)
 
 
 # Downwash
 
 
-@pytest.mark.parametrize(("aside", "figures"), [(0.0, (0.26478, 0.07584, 0.01896)), (0.1, (0.07463, 0.02138, 0.01693))])
+@pytest.mark.parametrize(
+    ("aside", "figures"), [(0.0, (0.26478, 0.07584, 0.01896)), (0.1, (0.07463, 0.02138, 0.01693))]
+)
 def test_downwash_figures_of_the_crazyflie(aside, figures):
     _, row = row_of("cf2x")
     for drop, figure in zip((0.5, 1.0, 2.0), figures, strict=True):
@@ -172,7 +192,9 @@ def test_downwash_has_no_singularity_and_never_exceeds_the_weight_above(name):
         for aside in (0.0, 0.5, 5.0, 1e6):
             force = downwash(aside**2, drop, G, row)
             assert 0 <= force <= airframe.mass * G
-    assert downwash(0.25, 1e-3, G, row_of("cf2x")[1]) < 1e-6  # the unbounded formula gives nine weights here
+    assert (
+        downwash(0.25, 1e-3, G, row_of("cf2x")[1]) < 1e-6
+    )  # the unbounded formula gives nine weights here
     assert downwash(0.0, 0.0, G, row) == downwash(0.0, -1.0, G, row) == 0
     assert downwash(0.0, 0.5, G, row_of(name, ())[1]) == 0
 
@@ -191,7 +213,9 @@ def test_downwash_adds_up_over_living_drones_above():
     expected = downwash(0.0, 1.0, G, row) + downwash(0.01, 2.0, G, row)
     assert wakes_of(position, alive, parameters)[0] == pytest.approx(expected, rel=1e-12)
     alive[0, 1] = False
-    assert wakes_of(position, alive, parameters)[0] == pytest.approx(downwash(0.01, 2.0, G, row), rel=1e-12)
+    assert wakes_of(position, alive, parameters)[0] == pytest.approx(
+        downwash(0.01, 2.0, G, row), rel=1e-12
+    )
     assert wakes_of(position, alive, parameters)[2] == 0
 
 

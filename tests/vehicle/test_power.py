@@ -62,9 +62,17 @@ def test_constants_of_the_drone_of_100_newtons():
     assert W100.tip_speed == pytest.approx(200, rel=1e-15)
 
 
-@pytest.mark.parametrize("wrong", [{"weight": 0.0}, {"disc_area": -0.5}, {"density": math.nan}, {"solidity": math.inf}])
+@pytest.mark.parametrize(
+    "wrong", [{"weight": 0.0}, {"disc_area": -0.5}, {"density": math.nan}, {"solidity": math.inf}]
+)
 def test_constants_that_are_no_drone_are_refused_by_name(wrong):
-    good = {"weight": 20.0, "radius": 0.4, "disc_area": 0.503, "rotor_speed": 300.0, "parasite_area": 0.0151}
+    good = {
+        "weight": 20.0,
+        "radius": 0.4,
+        "disc_area": 0.503,
+        "rotor_speed": 300.0,
+        "parasite_area": 0.0151,
+    }
     with pytest.raises(ValueError, match=f"{next(iter(wrong))} is "):
         rotary_wing(**good | wrong)
 
@@ -106,17 +114,23 @@ def test_terms_of_level_flight(speed, terms, total):
 def test_level_flight_with_published_roundings():
     wing = ROUNDED._replace(blade=79.86, induced=88.63)
     totals = [level(speed, wing) for speed in (0, 10, 20, 25)]
-    np.testing.assert_allclose(totals, (168.4900, 126.0337, 178.3003, 248.9568), rtol=0, atol=5.1e-5)
+    np.testing.assert_allclose(
+        totals, (168.4900, 126.0337, 178.3003, 248.9568), rtol=0, atol=5.1e-5
+    )
     heavy = W100._replace(induced_velocity=7.2)
     totals = [level(speed, heavy) for speed in (0, 10, 20, 30)]
-    np.testing.assert_allclose(totals, (1371.3215, 1107.6184, 938.4534, 1005.2614), rtol=0, atol=5.1e-5)
+    np.testing.assert_allclose(
+        totals, (1371.3215, 1107.6184, 938.4534, 1005.2614), rtol=0, atol=5.1e-5
+    )
 
 
 def test_speeds_of_longest_flight_and_of_longest_way():
     longest = minimize_scalar(level, bounds=(1, 40), method="bounded", options={"xatol": 1e-9})
     assert longest.x == pytest.approx(10.212, abs=5e-4)
     assert longest.fun == pytest.approx(126.0027, abs=5e-5)
-    farthest = minimize_scalar(lambda v: level(v) / v, bounds=(1, 40), method="bounded", options={"xatol": 1e-9})
+    farthest = minimize_scalar(
+        lambda v: level(v) / v, bounds=(1, 40), method="bounded", options={"xatol": 1e-9}
+    )
     assert farthest.x == pytest.approx(18.295, abs=5e-4)
     assert farthest.fun == pytest.approx(8.828728, abs=5e-7)
     assert level(18.295) == pytest.approx(161.5216, abs=5e-5)
@@ -125,20 +139,27 @@ def test_speeds_of_longest_flight_and_of_longest_way():
 @given(st.floats(0, 20))
 def test_the_induced_term_is_the_published_one_at_low_speed(speed):
     x = speed**2 / (2 * 4.03**2)
-    assert level_power(speed, ROUNDED)[1] == pytest.approx(88.6279 * math.sqrt(math.sqrt(1 + x**2) - x), rel=1e-12)
+    assert level_power(speed, ROUNDED)[1] == pytest.approx(
+        88.6279 * math.sqrt(math.sqrt(1 + x**2) - x), rel=1e-12
+    )
 
 
 @pytest.mark.parametrize("speed", [500.0, 5e4])
 def test_the_induced_term_does_not_cancel_at_high_speed(speed):
     x = speed**2 / (2 * 4.03**2)
-    series = 88.6279 * 4.03 / speed * (1 - 1 / (8 * x**2))  # the published form is off 1e-9 and 100 % here
+    series = (
+        88.6279 * 4.03 / speed * (1 - 1 / (8 * x**2))
+    )  # the published form is off 1e-9 and 100 % here
     assert level_power(speed, ROUNDED)[1] == pytest.approx(series, rel=1e-13)
 
 
 # Climb and descent
 
 
-@pytest.mark.parametrize(("climb", "power"), [(2, 22.444), (5, 64.249), (10, 147.838), (-2, -8.513), (-5, -18.361), (0, 0)])
+@pytest.mark.parametrize(
+    ("climb", "power"),
+    [(2, 22.444), (5, 64.249), (10, 147.838), (-2, -8.513), (-5, -18.361), (0, 0)],
+)
 def test_power_of_vertical_flight(climb, power):
     assert vertical_power(float(climb), ROUNDED) == pytest.approx(power, abs=5.1e-4)
 
@@ -152,7 +173,9 @@ def test_climb_and_windmill_brake_balance_momentum(x):
     assert through * (through + x + 2.05) == pytest.approx(-1, rel=1e-9)
 
 
-@pytest.mark.parametrize(("x", "induced"), [(-0.5, 1.3933125), (-1.0, 1.816), (-1.5, 2.0828125), (-2.0, 1.026)])
+@pytest.mark.parametrize(
+    ("x", "induced"), [(-0.5, 1.3933125), (-1.0, 1.816), (-1.5, 2.0828125), (-2.0, 1.026)]
+)
 def test_vortex_ring_by_hand(x, induced):
     assert axial_inflow(x) - x == pytest.approx(induced, rel=1e-13)
 
@@ -160,7 +183,9 @@ def test_vortex_ring_by_hand(x, induced):
 def test_inflow_has_no_step():
     x = np.arange(-4, 1, 1e-4)
     inflow = np.array([axial_inflow(value) for value in x])
-    assert np.abs(np.diff(inflow)).max() < 6.5e-4  # the steepest, where the fit meets the windmill brake, is 6.3
+    assert (
+        np.abs(np.diff(inflow)).max() < 6.5e-4
+    )  # the steepest, where the fit meets the windmill brake, is 6.3
 
 
 # All of it
@@ -196,7 +221,9 @@ def test_hover_is_the_limit_of_slow_flight():
     assert propulsion_power((0.0, 0.0, 0.0), ROUNDED) == hover
     for speed in (1e-1, 1e-3, 1e-5):
         slow = propulsion_power((speed, 0.0, 0.0), ROUNDED)
-        assert slow == pytest.approx(hover - ROUNDED.induced * (speed / 4.03) ** 2 / 4, abs=2e-2 * speed**2 + 1e-12)
+        assert slow == pytest.approx(
+            hover - ROUNDED.induced * (speed / 4.03) ** 2 / 4, abs=2e-2 * speed**2 + 1e-12
+        )
 
 
 def test_mixed_swarms_take_each_drone_by_its_own_row():
@@ -218,7 +245,9 @@ def test_rotors_in_hover_take_weight_times_torque_ratio_times_speed(name):
     airframe = load_airframe(name)
     speed = np.full((1, 1, len(airframe.rotors)), airframe.hover_speed())
     power = actuator_power(speed, speed, parameter_rows([airframe])[None])[0, 0]
-    assert power == pytest.approx(airframe.mass * 9.80665 * airframe.torque_ratio * airframe.hover_speed(), rel=1e-12)
+    assert power == pytest.approx(
+        airframe.mass * 9.80665 * airframe.torque_ratio * airframe.hover_speed(), rel=1e-12
+    )
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -236,7 +265,9 @@ def test_rotors_that_speed_up_take_the_mean_of_both_ends():
     rows = np.array([(2e-9,), (1e-9,)], dtype=[("torque_coefficient", "f8")])[None]
     before = np.array([[[1000.0, 0.0, 0.0, 0.0], [0.0] * 4]])
     after = np.array([[[1000.0, 1000.0, 0.0, 0.0], [2000.0] * 4]])
-    np.testing.assert_allclose(actuator_power(before, after, rows), [[2 * (1 + 2) / 2, 4 * 8 / 2]], rtol=1e-12)
+    np.testing.assert_allclose(
+        actuator_power(before, after, rows), [[2 * (1 + 2) / 2, 4 * 8 / 2]], rtol=1e-12
+    )
 
 
 def test_at_ten_metres_a_second_the_formula_gains_by_inflow_and_the_rotors_hardly():
@@ -261,7 +292,9 @@ def test_at_ten_metres_a_second_the_formula_gains_by_inflow_and_the_rotors_hardl
             assert aviary.swarm.velocity[0, 0, 0] == pytest.approx(10 * speed, abs=0.02)
             power[energy, speed] = step.info["power"][0, 0]
         aviary.close()
-    assert power["actuator", 0.0] == pytest.approx(0.716 * 9.80665 * 0.016 * 453.1478, rel=1e-3)  # 50.9 W
+    assert power["actuator", 0.0] == pytest.approx(
+        0.716 * 9.80665 * 0.016 * 453.1478, rel=1e-3
+    )  # 50.9 W
     assert power["zeng", 0.0] == pytest.approx(37.96, abs=0.01)
     assert power["zeng", 1.0] == pytest.approx(20.73, abs=0.03)
     assert 0.95 < power["actuator", 1.0] / power["actuator", 0.0] < 1.0

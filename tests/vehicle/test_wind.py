@@ -43,7 +43,9 @@ def ensemble(dt, lag_steps, airspeed=10.0, worlds=4000, altitude=50.0):
     swarm.position[..., 2] = altitude
     swarm.velocity[..., 0] = airspeed
     flying = np.ones(worlds, dtype=bool)
-    samples = [wind.sample(swarm, np.zeros(worlds), rngs, flying)[:, 0] for _ in range(lag_steps + 1)]
+    samples = [
+        wind.sample(swarm, np.zeros(worlds), rngs, flying)[:, 0] for _ in range(lag_steps + 1)
+    ]
     return samples[0], samples[-1]
 
 
@@ -68,14 +70,18 @@ def test_autocorrelation(dt, steps):
 @pytest.mark.parametrize("share", [1e-8, 1e-6, 5e-6, 7e-6, 1e-4, 9.9e-4, 1.01e-3, 0.03, 1.0, 10.0])
 def test_unit_variance_is_stationary_for_any_share(share):
     """M M^T + L L^T = 1 exactly, with M the transition and L the noise of one step, read off the filter's answers."""
-    transition = np.array([second_order(*unit, share, 0.0, 0.0) for unit in ((1.0, 0.0), (0.0, 1.0))]).T
+    transition = np.array(
+        [second_order(*unit, share, 0.0, 0.0) for unit in ((1.0, 0.0), (0.0, 1.0))]
+    ).T
     noise = np.array([second_order(0.0, 0.0, share, *unit) for unit in ((1.0, 0.0), (0.0, 1.0))]).T
     defect = transition @ transition.T + noise @ noise.T - np.eye(2)
     assert np.abs(defect).max() < 1e-12
     exact = expm(share * np.array([(0.0, 1.0), (-1.0, -2.0)]))  # x' = A x with tau = 1
     scale = np.sqrt((0.25, 0.25))
     np.testing.assert_allclose(transition, exact * scale[:, None] / scale, atol=1e-12)
-    assert first_order(0.0, share, 1.0) ** 2 + first_order(1.0, share, 0.0) ** 2 == pytest.approx(1, abs=1e-14)
+    assert first_order(0.0, share, 1.0) ** 2 + first_order(1.0, share, 0.0) ** 2 == pytest.approx(
+        1, abs=1e-14
+    )
 
 
 def test_gusts_turn_with_the_steady_wind():
@@ -97,9 +103,13 @@ def test_wind_as_a_function_of_place_and_time():
 
     def field(position, time):
         calls.append((position.shape, time.copy()))
-        return np.stack([position[..., 2], 0 * position[..., 0], 0 * position[..., 0] + time[:, None]], axis=-1)
+        return np.stack(
+            [position[..., 2], 0 * position[..., 0], 0 * position[..., 0] + time[:, None]], axis=-1
+        )
 
-    aviary = bulletuav.Aviary("hover", 2, num_drones=2, wind=field, dynamics="point_mass", action="velocity")
+    aviary = bulletuav.Aviary(
+        "hover", 2, num_drones=2, wind=field, dynamics="point_mass", action="velocity"
+    )
     aviary.reset(seeds=0)
     for _ in range(3):
         aviary.step(np.zeros((2, 2, 3)))
@@ -112,7 +122,9 @@ def test_wind_as_a_function_of_place_and_time():
 @pytest.mark.parametrize("answer", [np.zeros(3), np.full((1, 1, 3), np.nan)])
 def test_a_wind_function_that_answers_wrongly_is_named_and_nothing_is_lost(answer):
     good = [True]
-    aviary = bulletuav.Aviary("hover", wind=lambda position, time: np.zeros((1, 1, 3)) if good[0] else answer)
+    aviary = bulletuav.Aviary(
+        "hover", wind=lambda position, time: np.zeros((1, 1, 3)) if good[0] else answer
+    )
     aviary.reset(seeds=0)
     good[0] = False
     with pytest.raises(ValueError, match="the wind function gave shape"):
@@ -126,7 +138,9 @@ def test_a_wind_function_that_answers_wrongly_is_named_and_nothing_is_lost(answe
 def test_turbulence_shakes_reproducibly_and_world_by_world():
     ends = []
     for worlds in (1, 3):
-        aviary = bulletuav.Aviary("hover", worlds, turbulence="severe", action="velocity", dynamics="rigid_body")
+        aviary = bulletuav.Aviary(
+            "hover", worlds, turbulence="severe", action="velocity", dynamics="rigid_body"
+        )
         for _ in range(2):
             aviary.reset(seeds=[7, 8, 9][:worlds])
             for _ in range(30):

@@ -39,7 +39,9 @@ class Mobility(ABC):
         given = getattr(self, name)
         value = finite(name, given, most=most)
         if value < 0 or (above_zero and value == 0):
-            raise ValueError(f"{name} is {given!r}{unit}: a number {'above' if above_zero else 'from'} 0 is needed")
+            raise ValueError(
+                f"{name} is {given!r}{unit}: a number {'above' if above_zero else 'from'} 0 is needed"
+            )
         self._keep(name, value)
 
     @property
@@ -58,7 +60,15 @@ class Mobility(ABC):
     def start(self, rng: np.random.Generator, ground: Ground, layout: int, count: int) -> State:
         """The arrays of `state` in a new world that has this layout."""
 
-    def move(self, state: State, ground: Ground, layout: np.ndarray, flying: np.ndarray, dt: float, rng: Generators) -> None:
+    def move(
+        self,
+        state: State,
+        ground: Ground,
+        layout: np.ndarray,
+        flying: np.ndarray,
+        dt: float,
+        rng: Generators,
+    ) -> None:
         """Move the users of the worlds `flying` (W,) bool through `dt` s, in place; the other worlds stay as they are.
 
         `state` holds the arrays of all worlds, `layout` (W,) int those of the worlds. World k draws from `rng[k]` alone,
@@ -70,7 +80,13 @@ class Mobility(ABC):
 
     @abstractmethod
     def _move(
-        self, state: State, ground: Ground, layout: np.ndarray, flying: np.ndarray, dt: float, rng: Generators
+        self,
+        state: State,
+        ground: Ground,
+        layout: np.ndarray,
+        flying: np.ndarray,
+        dt: float,
+        rng: Generators,
     ) -> None: ...
 
 
@@ -92,7 +108,9 @@ class Walking(Mobility):
         return self.speed[1]
 
 
-def check_range(name: str, value: Any, unit: str, most: float, above_zero: bool) -> tuple[float, float]:
+def check_range(
+    name: str, value: Any, unit: str, most: float, above_zero: bool
+) -> tuple[float, float]:
     """(low, high) as floats. Raises ValueError unless they are in order, up to `most`, and low at least 0, or above it."""
     low, high = (finite(name, end, most=most) for end in as_sequence(name, value, 2))
     if not 0 <= low <= high or (above_zero and low == 0):

@@ -11,7 +11,15 @@ from typing import ClassVar
 import numpy as np
 
 from bulletuav.kernel import elementwise, kernel
-from bulletuav.network.mobility.base import LONGEST, MOST_SPEED, Generators, State, Walking, headings, normals
+from bulletuav.network.mobility.base import (
+    LONGEST,
+    MOST_SPEED,
+    Generators,
+    State,
+    Walking,
+    headings,
+    normals,
+)
 from bulletuav.network.mobility.ground import Ground, bounce, length
 
 CORRELATION_TIME = -1 / math.log(0.75)  # s; velocities a second apart have the correlation 0.75
@@ -67,12 +75,29 @@ class GaussMarkov(Walking):
         return {"users": places, "user_velocity": velocity, "user_mean_velocity": mean}
 
     def _move(
-        self, state: State, ground: Ground, layout: np.ndarray, flying: np.ndarray, dt: float, rng: Generators
+        self,
+        state: State,
+        ground: Ground,
+        layout: np.ndarray,
+        flying: np.ndarray,
+        dt: float,
+        rng: Generators,
     ) -> None:
         velocity, mean = state["user_velocity"], state["user_mean_velocity"]
         noise = normals(rng, flying, *velocity.shape[1:])
         keep = math.exp(-dt / self.correlation_time)
-        advance(state["users"], velocity, mean, noise, ground.raster, layout, flying, dt, keep, self.deviation)
+        advance(
+            state["users"],
+            velocity,
+            mean,
+            noise,
+            ground.raster,
+            layout,
+            flying,
+            dt,
+            keep,
+            self.deviation,
+        )
 
 
 @kernel

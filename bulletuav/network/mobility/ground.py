@@ -64,7 +64,9 @@ class Ground:
         self._cells = [np.flatnonzero(free).astype(np.int32) for free in self.raster.free]
         for city, cells in zip(cities, self._cells, strict=True):
             if not len(cells):
-                raise ValueError(f"city {city.name!r} has no free cell of {cell:g} m: lower cell, or give a greater side")
+                raise ValueError(
+                    f"city {city.name!r} has no free cell of {cell:g} m: lower cell, or give a greater side"
+                )
 
     @cached_property
     def graph(self) -> Graph:
@@ -112,7 +114,9 @@ def _raster(cities: Sequence[City], cell: float) -> Raster:
 def _graph(cities: Sequence[City]) -> Graph:
     for city in cities:
         if not len(city.streets.edges):
-            raise ValueError(f"city {city.name!r} has no streets: users need some, see bulletuav.city.streets.free_streets")
+            raise ValueError(
+                f"city {city.name!r} has no streets: users need some, see bulletuav.city.streets.free_streets"
+            )
     nodes = max(len(city.streets.nodes) for city in cities)
     most = max(int(np.bincount(city.streets.edges.ravel()).max()) for city in cities)
     graph = Graph(np.zeros((len(cities), nodes, 2)), np.full((len(cities), nodes, most), OFF_GRID))
@@ -131,7 +135,9 @@ def _both_ways(city: City) -> tuple[np.ndarray, np.ndarray]:
     ways = np.concatenate([edges, edges[:, ::-1]])
     length = np.linalg.norm(np.diff(city.streets.nodes[ways], axis=1)[:, 0], axis=1)
     if not (length > 0).all():
-        raise ValueError(f"city {city.name!r} has a street of no length at node {ways[length.argmin(), 0]}: leave it out")
+        raise ValueError(
+            f"city {city.name!r} has a street of no length at node {ways[length.argmin(), 0]}: leave it out"
+        )
     return ways, np.concatenate([[0], np.cumsum(length)])
 
 
@@ -147,7 +153,9 @@ def cover(free, outline, cell, reach):
     high = np.empty(2, dtype=np.int64)
     for axis in range(2):
         low[axis] = max(0, math.floor((outline[:, axis].min() - MARGIN + reach) / cell))
-        high[axis] = min(len(free), math.floor((outline[:, axis].max() + MARGIN + reach) / cell) + 1)
+        high[axis] = min(
+            len(free), math.floor((outline[:, axis].max() + MARGIN + reach) / cell) + 1
+        )
     for i in range(low[0], high[0]):
         for j in range(low[1], high[1]):
             x, y = (i + 0.5) * cell - reach, (j + 0.5) * cell - reach
@@ -197,8 +205,14 @@ def walk(raster, layout, x, y, way_x, way_y):
     if not is_free(raster, layout, column, row):
         return x, y, 0.0, -1
     east, north = 1 if way_x > 0.0 else -1, 1 if way_y > 0.0 else -1
-    next_x = ((column + max(east, 0)) * raster.cell - raster.reach - x) / way_x if way_x != 0.0 else np.inf
-    next_y = ((row + max(north, 0)) * raster.cell - raster.reach - y) / way_y if way_y != 0.0 else np.inf
+    next_x = (
+        ((column + max(east, 0)) * raster.cell - raster.reach - x) / way_x
+        if way_x != 0.0
+        else np.inf
+    )
+    next_y = (
+        ((row + max(north, 0)) * raster.cell - raster.reach - y) / way_y if way_y != 0.0 else np.inf
+    )
     share, stopped = 1.0, -1
     while min(next_x, next_y) < 1.0:
         if next_x <= next_y:
@@ -213,7 +227,12 @@ def walk(raster, layout, x, y, way_x, way_y):
                 break
             row += north
             next_y += raster.cell / abs(way_y)
-    return within(x + share * way_x, column, raster), within(y + share * way_y, row, raster), share, stopped
+    return (
+        within(x + share * way_x, column, raster),
+        within(y + share * way_y, row, raster),
+        share,
+        stopped,
+    )
 
 
 @func
@@ -222,7 +241,9 @@ def bounce(raster, layout, x, y, way_x, way_y):
     turned_x, turned_y, left = 1.0, 1.0, 1.0
     stopped = 0
     while stopped >= 0 and left > 0.0:
-        x, y, share, stopped = walk(raster, layout, x, y, left * turned_x * way_x, left * turned_y * way_y)
+        x, y, share, stopped = walk(
+            raster, layout, x, y, left * turned_x * way_x, left * turned_y * way_y
+        )
         left *= 1.0 - share
         if stopped == 0:
             turned_x = -turned_x

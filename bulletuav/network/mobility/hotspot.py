@@ -8,7 +8,16 @@ import numpy as np
 
 from bulletuav.errors import as_int
 from bulletuav.kernel import kernel
-from bulletuav.network.mobility.base import LONGEST, MOST_SPEED, Generators, State, Walking, check_range, headings, normals
+from bulletuav.network.mobility.base import (
+    LONGEST,
+    MOST_SPEED,
+    Generators,
+    State,
+    Walking,
+    check_range,
+    headings,
+    normals,
+)
 from bulletuav.network.mobility.gauss_markov import gauss_markov
 from bulletuav.network.mobility.ground import Ground, bounce, length
 
@@ -59,7 +68,11 @@ class Hotspot(Walking):
 
     def start(self, rng: np.random.Generator, ground: Ground, layout: int, count: int) -> State:
         """Users and hotspots at random places, with random headings."""
-        number, speed, heading = self.num_hotspots, rng.uniform(*self.speed, count), headings(rng, count)
+        number, speed, heading = (
+            self.num_hotspots,
+            rng.uniform(*self.speed, count),
+            headings(rng, count),
+        )
         return {
             "users": ground.places(rng, layout, count),
             "user_velocity": speed[:, None] * heading,
@@ -71,14 +84,28 @@ class Hotspot(Walking):
         }
 
     def _move(
-        self, state: State, ground: Ground, layout: np.ndarray, flying: np.ndarray, dt: float, rng: Generators
+        self,
+        state: State,
+        ground: Ground,
+        layout: np.ndarray,
+        flying: np.ndarray,
+        dt: float,
+        rng: Generators,
     ) -> None:
         where = (ground.raster, layout, flying, dt)
         drift(state["hotspots"], state["hotspot_velocity"], *where)
-        own = (state["users"], state["user_velocity"], state["user_heading"], state["user_speed"], state["user_hotspot"])
+        own = (
+            state["users"],
+            state["user_velocity"],
+            state["user_heading"],
+            state["user_speed"],
+            state["user_hotspot"],
+        )
         noise = normals(rng, flying, *state["user_heading"].shape[1:])
         keep = math.exp(-dt / self.turning_time)
-        advance(*own, state["hotspots"], noise, *where, keep, float(self.radius), float(self.wobble))
+        advance(
+            *own, state["hotspots"], noise, *where, keep, float(self.radius), float(self.wobble)
+        )
 
 
 @kernel
@@ -89,12 +116,29 @@ def drift(hotspots, velocity, raster, layout, flying, dt):
             continue
         for h in range(hotspots.shape[1]):
             place, way = hotspots[w, h], velocity[w, h]
-            place[0], place[1], turned_x, turned_y = bounce(raster, layout[w], place[0], place[1], dt * way[0], dt * way[1])
+            place[0], place[1], turned_x, turned_y = bounce(
+                raster, layout[w], place[0], place[1], dt * way[0], dt * way[1]
+            )
             way[0], way[1] = turned_x * way[0], turned_y * way[1]
 
 
 @kernel
-def advance(users, velocity, heading, speed, hotspot, hotspots, noise, raster, layout, flying, dt, keep, radius, wobble):
+def advance(
+    users,
+    velocity,
+    heading,
+    speed,
+    hotspot,
+    hotspots,
+    noise,
+    raster,
+    layout,
+    flying,
+    dt,
+    keep,
+    radius,
+    wobble,
+):
     """Move users (W, U, 3) through dt s; noise (W, U, 2) is standard normal."""
     for w in range(users.shape[0]):
         if not flying[w]:

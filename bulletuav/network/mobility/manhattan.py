@@ -31,11 +31,17 @@ class Manhattan(Walking):
     def __post_init__(self):
         super().__post_init__()
         self._keep(
-            "turns", tuple(finite("turns", weight, most=MOST_WEIGHT) for weight in as_sequence("turns", self.turns, 3))
+            "turns",
+            tuple(
+                finite("turns", weight, most=MOST_WEIGHT)
+                for weight in as_sequence("turns", self.turns, 3)
+            ),
         )
         for weight in self.turns:
             if not weight > 0:  # it may be that of a node's only way on
-                raise ValueError(f"turns has {weight!r}: three numbers above 0 are needed, of straight on, left and right")
+                raise ValueError(
+                    f"turns has {weight!r}: three numbers above 0 are needed, of straight on, left and right"
+                )
 
     def state(self, count: int) -> dict[str, tuple[int, ...]]:
         """Also "user_speed" (U,) m/s and "user_street" (U, 3): the node behind, the node ahead, and m from the first."""
@@ -51,10 +57,21 @@ class Manhattan(Walking):
         behind, ahead = ground.graph.node[layout, street[:, :2].astype(int).T]
         heading = (ahead - behind) / np.linalg.norm(ahead - behind, axis=1)[:, None]
         users = ground.raised(behind + street[:, 2:] * heading)
-        return {"users": users, "user_velocity": speed[:, None] * heading, "user_speed": speed, "user_street": street}
+        return {
+            "users": users,
+            "user_velocity": speed[:, None] * heading,
+            "user_speed": speed,
+            "user_street": street,
+        }
 
     def _move(
-        self, state: State, ground: Ground, layout: np.ndarray, flying: np.ndarray, dt: float, rng: Generators
+        self,
+        state: State,
+        ground: Ground,
+        layout: np.ndarray,
+        flying: np.ndarray,
+        dt: float,
+        rng: Generators,
     ) -> None:
         own = (state["users"], state["user_velocity"], state["user_speed"], state["user_street"])
         advance(*own, keys(rng, flying), ground.graph, layout, flying, dt, self.turns)

@@ -20,6 +20,12 @@ class Still(Mobility):
         return {"users": ground.places(rng, layout, count), "user_velocity": np.zeros((count, 2))}
 
     def _move(
-        self, state: State, ground: Ground, layout: np.ndarray, flying: np.ndarray, dt: float, rng: Generators
+        self,
+        state: State,
+        ground: Ground,
+        layout: np.ndarray,
+        flying: np.ndarray,
+        dt: float,
+        rng: Generators,
     ) -> None:
         pass

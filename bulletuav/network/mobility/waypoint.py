@@ -10,7 +10,15 @@ from typing import ClassVar
 import numpy as np
 
 from bulletuav.kernel import func, kernel
-from bulletuav.network.mobility.base import LONGEST, Generators, State, Walking, check_range, keys, uniform
+from bulletuav.network.mobility.base import (
+    LONGEST,
+    Generators,
+    State,
+    Walking,
+    check_range,
+    keys,
+    uniform,
+)
 from bulletuav.network.mobility.ground import Ground, cell_of, is_free, length, walk
 
 TRIES = 100
@@ -38,7 +46,11 @@ class Waypoint(Walking):
 
     def state(self, count: int) -> dict[str, tuple[int, ...]]:
         """Also "user_goal" (U, 2) m, "user_speed" (U,) m/s of this or the next leg, "user_pause" (U,) s that is left."""
-        return super().state(count) | {"user_goal": (count, 2), "user_speed": (count,), "user_pause": (count,)}
+        return super().state(count) | {
+            "user_goal": (count, 2),
+            "user_speed": (count,),
+            "user_pause": (count,),
+        }
 
     def start(self, rng: np.random.Generator, ground: Ground, layout: int, count: int) -> State:
         """At random places, from which they set out when they first move."""
@@ -53,9 +65,21 @@ class Waypoint(Walking):
         }
 
     def _move(
-        self, state: State, ground: Ground, layout: np.ndarray, flying: np.ndarray, dt: float, rng: Generators
+        self,
+        state: State,
+        ground: Ground,
+        layout: np.ndarray,
+        flying: np.ndarray,
+        dt: float,
+        rng: Generators,
     ) -> None:
-        own = (state["users"], state["user_velocity"], state["user_goal"], state["user_speed"], state["user_pause"])
+        own = (
+            state["users"],
+            state["user_velocity"],
+            state["user_goal"],
+            state["user_speed"],
+            state["user_pause"],
+        )
         ranges = (*self.speed, *self.pause)
         advance(*own, keys(rng, flying), ground.raster, layout, flying, dt, ranges)
 
@@ -77,7 +101,9 @@ def advance(users, velocity, goal, speed, pause, key, raster, layout, flying, dt
                     spent = min(pause[w, i], left)
                     pause[w, i] -= spent
                 elif gap == 0.0:
-                    aim[0], aim[1], drawn = seen_place(raster, layout[w], place[0], place[1], key[w], drawn)
+                    aim[0], aim[1], drawn = seen_place(
+                        raster, layout[w], place[0], place[1], key[w], drawn
+                    )
                     if aim[0] == place[0] and aim[1] == place[1]:
                         pause[w, i] = LOOK
                 elif gap > left * speed[w, i]:
@@ -93,7 +119,9 @@ def advance(users, velocity, goal, speed, pause, key, raster, layout, flying, dt
                 left -= spent
             gap = length(aim[0] - place[0], aim[1] - place[1])
             for axis in range(2):
-                velocity[w, i, axis] = speed[w, i] * (aim[axis] - place[axis]) / gap if gap > 0.0 else 0.0
+                velocity[w, i, axis] = (
+                    speed[w, i] * (aim[axis] - place[axis]) / gap if gap > 0.0 else 0.0
+                )
 
 
 @func

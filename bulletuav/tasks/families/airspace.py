@@ -8,7 +8,16 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from bulletuav.geometry.closest_approach import distances
-from bulletuav.tasks.base import REBOUND, Frame, Scene, Spawn, StepResult, Task, TaskContext, affected
+from bulletuav.tasks.base import (
+    REBOUND,
+    Frame,
+    Scene,
+    Spawn,
+    StepResult,
+    Task,
+    TaskContext,
+    affected,
+)
 from bulletuav.tasks.rewards.airspace import REWARDS, StepEvents, follow_encounters, variance_nearby
 
 TOUCHDOWN, TOUCHDOWN_SPEED = 1.0, 2.0
@@ -31,7 +40,9 @@ REWARD_WEIGHTS = {
 UNCERTAINTY: dict[str, dict[str, Any]] = {
     "easy": {},
     "medium": {"randomization": {"gps_noise": (0.5, 1.5)}},
-    "hard": {"randomization": {"gps_noise": (0.5, 3.0), "gps_walk": (0.0, 0.1), "wind": (-3.0, 3.0)}},
+    "hard": {
+        "randomization": {"gps_noise": (0.5, 3.0), "gps_walk": (0.0, 0.1), "wind": (-3.0, 3.0)}
+    },
     "extreme": {
         "turbulence": "light",
         "randomization": {
@@ -112,7 +123,9 @@ class FlightConfig:
                 f"start_speed is {self.start_speed}: from low to high within 0 and max_speed {context.max_speed:g}"
             )
         if self.warning_zone <= 1:
-            raise ValueError(f"warning_zone is {self.warning_zone:g}: it must end beyond d_safe, at more than 1")
+            raise ValueError(
+                f"warning_zone is {self.warning_zone:g}: it must end beyond d_safe, at more than 1"
+            )
         if self.discount > 1:
             raise ValueError(f"discount is {self.discount:g}: from 0 to 1 is needed")
 
@@ -129,7 +142,9 @@ class AirspaceConfig(FlightConfig):
         """See `FlightConfig.check`; also refuses jitter beyond the bounds."""
         super().check(context)
         if self.margin <= self.jitter:
-            raise ValueError(f"margin {self.margin:g} m must exceed jitter {self.jitter:g} m: starts must be in the arena")
+            raise ValueError(
+                f"margin {self.margin:g} m must exceed jitter {self.jitter:g} m: starts must be in the arena"
+            )
 
     def scattered(self, places: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """Places (N, 3), m, each axis up to `jitter` off."""
@@ -141,12 +156,18 @@ def clearance(config: FlightConfig, context: TaskContext) -> float:
     return max(2 * context.collision_radius, config.d_safe)
 
 
-def circle_arena(config: AirspaceConfig, context: TaskContext, radius: float) -> tuple[np.ndarray, np.ndarray]:
+def circle_arena(
+    config: AirspaceConfig, context: TaskContext, radius: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Corners (3,), m, of the arena of drones on a circle. Raises ValueError where they could touch the ground."""
     if config.altitude - config.jitter <= context.collision_radius:
-        raise ValueError(f"altitude {config.altitude:g} m is too low for jitter {config.jitter:g} m")
+        raise ValueError(
+            f"altitude {config.altitude:g} m is too low for jitter {config.jitter:g} m"
+        )
     reach = radius + config.margin
-    return np.array([-reach, -reach, 0.0]), np.array([reach, reach, config.altitude + config.margin])
+    return np.array([-reach, -reach, 0.0]), np.array(
+        [reach, reach, config.altitude + config.margin]
+    )
 
 
 def between_neighbours(config: AirspaceConfig, chord: float) -> float:
@@ -204,7 +225,11 @@ class Airspace(Task):
         """Start of one world."""
 
     def launch(
-        self, start: np.ndarray, goal: np.ndarray, rng: np.random.Generator, along: np.ndarray | None = None
+        self,
+        start: np.ndarray,
+        goal: np.ndarray,
+        rng: np.random.Generator,
+        along: np.ndarray | None = None,
     ) -> Spawn:
         """Drones at `start` (N, 3), in flight, noses to the east.
 
@@ -214,7 +239,13 @@ class Airspace(Task):
         along = goal - start if along is None else along
         heading = along / np.linalg.norm(along, axis=1, keepdims=True)
         velocity = heading * rng.uniform(low, high, (len(start), 1))
-        return Spawn(start, np.tile([0.0, 0.0, 0.0, 1.0], (len(start), 1)), velocity, np.zeros_like(start), goal)
+        return Spawn(
+            start,
+            np.tile([0.0, 0.0, 0.0, 1.0], (len(start), 1)),
+            velocity,
+            np.zeros_like(start),
+            goal,
+        )
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
         """`reached`: when each drone first came to its goal, s, 0 before; `way`: how far it has to go from its start, m.
@@ -222,7 +253,11 @@ class Airspace(Task):
         Where concession counts, the pairs' encounters.
         """
         drones = self.context.num_drones
-        pairs = {"encounter": (drones, drones), "effort": (drones, drones)} if self.weights["concession"] else {}
+        pairs = (
+            {"encounter": (drones, drones), "effort": (drones, drones)}
+            if self.weights["concession"]
+            else {}
+        )
         return {"reached": (drones,), "way": (drones,), **pairs}
 
     def advance(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rng: Any) -> bool:
@@ -256,7 +291,14 @@ class Airspace(Task):
         new = self.arrived(frame) & frame.alive & ~frame.collision & (memory["reached"] == 0)
         np.copyto(memory["reached"], frame.time[:, None], where=new)
         if "encounter" in memory:
-            follow_encounters(memory["encounter"], memory["effort"], frame.before, frame.after, frame.d_safe, frame.alive)
+            follow_encounters(
+                memory["encounter"],
+                memory["effort"],
+                frame.before,
+                frame.after,
+                frame.d_safe,
+                frame.alive,
+            )
 
     def finished(self, frame: Frame) -> np.ndarray:
         """(W, N) bool: at the goal, or landed where that is asked for, and not by a crash."""
@@ -265,7 +307,13 @@ class Airspace(Task):
         aside = np.linalg.norm((frame.after.position - frame.scene.goal)[..., :2], axis=-1)
         slow = np.linalg.norm(frame.after.velocity, axis=-1) <= TOUCHDOWN_SPEED
         low = frame.after.position[..., 2] <= TOUCHDOWN
-        return (frame.scene.memory["reached"] > 0) & low & slow & (aside <= self.config.goal_radius) & ~frame.collision
+        return (
+            (frame.scene.memory["reached"] > 0)
+            & low
+            & slow
+            & (aside <= self.config.goal_radius)
+            & ~frame.collision
+        )
 
     def succeeded(self, frame: Frame, finished: np.ndarray) -> np.ndarray:
         """(W, N) bool: of those that finished, the ones that did as the task wants; by default all."""
@@ -284,7 +332,9 @@ class Airspace(Task):
         if config.boundary == "end":
             terminated = terminated | outside
         if config.conflict_ends != "nothing":
-            terminated = terminated | affected(frame.conflict.separation < config.d_safe, frame, config.conflict_ends)
+            terminated = terminated | affected(
+                frame.conflict.separation < config.d_safe, frame, config.conflict_ends
+            )
         new = (reached > 0) & (reached == frame.time[:, None])
         events = StepEvents(new, outside, terminated, terminated | frame.last[:, None])
         return StepResult(self._terms(frame, events), terminated, self.succeeded(frame, finished))
@@ -294,6 +344,10 @@ class Airspace(Task):
         names = [name for name, weight in self.weights.items() if weight and name != "fairness"]
         terms = {name: REWARDS[name](self, frame, events) for name in names}
         if self.weights["fairness"]:
-            total = sum((self.weights[name] * terms[name] for name in names), np.zeros(frame.alive.shape))
-            terms["fairness"] = variance_nearby(total, frame.after.position, frame.alive, self.config.fairness_range)
+            total = sum(
+                (self.weights[name] * terms[name] for name in names), np.zeros(frame.alive.shape)
+            )
+            terms["fairness"] = variance_nearby(
+                total, frame.after.position, frame.alive, self.config.fairness_range
+            )
         return terms

@@ -65,7 +65,9 @@ class EdgeTask(UsersTask):
         super().__init__(config, context)
         low, high = config.task_bits
         if not 0 < low <= high:
-            raise ValueError(f"task_bits is {config.task_bits}: from low to high, above 0, is needed")
+            raise ValueError(
+                f"task_bits is {config.task_bits}: from low to high, above 0, is needed"
+            )
         mean = config.arrival_rate * config.num_users * context.period
         if mean > MOST_TASKS:
             raise ValueError(
@@ -79,11 +81,19 @@ class EdgeTask(UsersTask):
                 raise ValueError(f"{name} is {getattr(config, name):g}: it must be above 0")
         self.uplink = Uplink(config)
         self._demand = (low + high) / 2 * config.cycles_per_bit
-        self._activity = min(config.arrival_rate * config.deadline, 1.0)  # uploads end at the deadline: a user sends no more
-        self._expected = max(config.arrival_rate * config.num_users * context.period, 1e-9)  # tasks in a decision
-        self._compute_power = config.num_cores * float(core_power(config.capacitance, config.core_frequency))
+        self._activity = min(
+            config.arrival_rate * config.deadline, 1.0
+        )  # uploads end at the deadline: a user sends no more
+        self._expected = max(
+            config.arrival_rate * config.num_users * context.period, 1e-9
+        )  # tasks in a decision
+        self._compute_power = config.num_cores * float(
+            core_power(config.capacitance, config.core_frequency)
+        )
         self._capacity = config.num_cores * config.core_frequency
-        self._service_rate = float(service_rate(config.core_frequency, (low + high) / 2, config.cycles_per_bit))
+        self._service_rate = float(
+            service_rate(config.core_frequency, (low + high) / 2, config.cycles_per_bit)
+        )
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
         """Beside that of users what drones did in the last decision, and the world in this episode.
@@ -112,33 +122,62 @@ class EdgeTask(UsersTask):
         super().update_memory(frame, rng)
         memory, config, period = frame.scene.memory, self.config, self.context.period
         flying, after, users = np.any(frame.alive, axis=1), frame.after, memory["users"]
-        power = self.uplink.received(after.position, after.quaternion, users, frame.readings["sight"], rng, flying)
+        power = self.uplink.received(
+            after.position, after.quaternion, users, frame.readings["sight"], rng, flying
+        )
         load, strategy = memory["utilisation"] * self._capacity, STRATEGIES[config.assignment]
-        servers = assign(strategy, after.position, frame.alive, users, power, self._capacity, self._demand, load)
+        servers = assign(
+            strategy, after.position, frame.alive, users, power, self._capacity, self._demand, load
+        )
         rates = self.uplink.rates(power, servers, self._activity)
         tasks = self._arrivals.draw(rng, flying)
         if config.queue == "simulated":
             work = (config.cycles_per_bit, config.core_frequency, config.deadline, period)
             served = serve(tasks, servers, rates, *work, memory["link_free"], memory["core_free"])
         else:
-            queue = (config.num_cores, config.arrival_rate, self._service_rate, config.deadline, period)
-            served = serve_on_average(tasks, servers, rates, frame.alive.shape[1], config.cycles_per_bit, *queue)
+            queue = (
+                config.num_cores,
+                config.arrival_rate,
+                self._service_rate,
+                config.deadline,
+                period,
+            )
+            served = serve_on_average(
+                tasks, servers, rates, frame.alive.shape[1], config.cycles_per_bit, *queue
+            )
         memory["received"][:] = power
-        left = config.arrival_rate * config.num_users * np.maximum(self.context.duration - frame.time, 0.0)
+        left = (
+            config.arrival_rate
+            * config.num_users
+            * np.maximum(self.context.duration - frame.time, 0.0)
+        )
         active_targets = ServiceStats(*(memory[name] for name in ServiceStats._fields))
         count(
-            served, active_targets, left, config.deadline, config.num_cores * period, config.num_cores * self._service_rate
+            served,
+            active_targets,
+            left,
+            config.deadline,
+            config.num_cores * period,
+            config.num_cores * self._service_rate,
         )
 
-    def service_quality(self, place: np.ndarray, targets: np.ndarray, sight: np.ndarray) -> np.ndarray:
+    def service_quality(
+        self, place: np.ndarray, targets: np.ndarray, sight: np.ndarray
+    ) -> np.ndarray:
         """Share of a user's tasks that would be in time, if each drone had as many users, with nobody else and no queue."""
         config, upright = self.config, np.tile([0.0, 0.0, 0.0, 1.0], (1, len(place), 1))
-        power = self.uplink.received(place[None], upright, targets[None], sight[None], [None], np.zeros(1, dtype=bool))[0]
+        power = self.uplink.received(
+            place[None], upright, targets[None], sight[None], [None], np.zeros(1, dtype=bool)
+        )[0]
         users = max(len(targets) / self.context.num_drones, 1.0)
         rate = capacity(config.bandwidth / users, users * power / self.uplink.noise)
         low, high = config.task_bits
-        largest = config.deadline / (1 / np.maximum(rate, 1e-9) + config.cycles_per_bit / config.core_frequency)
-        return np.where(largest < low, 0.0, np.minimum((largest - low) / max(high - low, 1e-9), 1.0))
+        largest = config.deadline / (
+            1 / np.maximum(rate, 1e-9) + config.cycles_per_bit / config.core_frequency
+        )
+        return np.where(
+            largest < low, 0.0, np.minimum((largest - low) / max(high - low, 1e-9), 1.0)
+        )
 
     def info(self, frame: Frame) -> dict[str, np.ndarray]:
         """Beside `served`: `completed`, share of the tasks of the episode, and `latency`, s, so far; the same for all.
@@ -146,7 +185,11 @@ class EdgeTask(UsersTask):
         Tasks that are yet to come, as many as in the mean, are not completed: so ending early does not raise the share.
         """
         memory = frame.scene.memory
-        return {**super().info(frame), "completed": memory["share"].copy(), "latency": memory["mean_latency"].copy()}
+        return {
+            **super().info(frame),
+            "completed": memory["share"].copy(),
+            "latency": memory["mean_latency"].copy(),
+        }
 
     def evaluate_step(self, frame: Frame) -> StepResult:
         """What was computed, and ends by contact or outside the airspace."""

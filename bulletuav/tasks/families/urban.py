@@ -28,7 +28,12 @@ URBAN_DIFFICULTIES: dict[str, dict[str, Any]] = {
     "easy": UNCERTAINTY["easy"],
     "medium": {"num_drones": 5, "irregularity": 0.5, **UNCERTAINTY["medium"]},
     "hard": {"num_drones": 8, "city": "dense", "irregularity": 0.5, **UNCERTAINTY["hard"]},
-    "extreme": {"num_drones": 16, "city": "high_rise", "irregularity": 1.0, **UNCERTAINTY["extreme"]},
+    "extreme": {
+        "num_drones": 16,
+        "city": "high_rise",
+        "irregularity": 1.0,
+        **UNCERTAINTY["extreme"],
+    },
 }
 """What a difficulty makes of a city and of its airspace"""
 
@@ -82,12 +87,19 @@ def make_cities(config: UrbanConfig) -> tuple[City, ...]:
     else:
         kind = _own_statistics(kind)
     if config.irregularity > 1:
-        raise ValueError(f"irregularity is {config.irregularity!r}: a number from 0 (regular) to 1 is needed")
+        raise ValueError(
+            f"irregularity is {config.irregularity!r}: a number from 0 (regular) to 1 is needed"
+        )
     if config.area >= TILE_PITCH:
-        raise ValueError(f"area is {config.area:g} m: less than {TILE_PITCH:g} m is needed, where other worlds begin")
+        raise ValueError(
+            f"area is {config.area:g} m: less than {TILE_PITCH:g} m is needed, where other worlds begin"
+        )
     seeds = range(config.city_seed, config.city_seed + config.num_layouts)
     try:
-        return tuple(generate(kind, config.area, np.random.default_rng(seed), config.irregularity) for seed in seeds)
+        return tuple(
+            generate(kind, config.area, np.random.default_rng(seed), config.irregularity)
+            for seed in seeds
+        )
     except ValueError as error:
         raise ValueError(f"area is {config.area:g} m: its {error}") from None
 
@@ -96,7 +108,9 @@ def _own_statistics(given: Any) -> Statistics:
     try:
         return Statistics(*as_sequence("city", given, 3))
     except ValueError as error:
-        raise ValueError(f"city is {shown(given)}, (alpha, beta, gamma) or a name or file: {error}") from None
+        raise ValueError(
+            f"city is {shown(given)}, (alpha, beta, gamma) or a name or file: {error}"
+        ) from None
 
 
 def check_share(name: str, value: float) -> None:
@@ -124,7 +138,10 @@ class CityLayouts:
         self.config, self.cities = config, make_cities(config)
         self.solids: tuple[Solids, ...] = tuple(city.solids for city in self.cities)
         reach = max(city.side for city in self.cities) / 2
-        self.low, self.high = np.array([-reach, -reach, 0.0]), np.array([reach, reach, config.ceiling])
+        self.low, self.high = (
+            np.array([-reach, -reach, 0.0]),
+            np.array([reach, reach, config.ceiling]),
+        )
         if context.num_drones > 1 and config.min_separation >= math.dist(self.low, self.high):
             raise ValueError(
                 f"min_separation is {config.min_separation:g} m: less than {math.dist(self.low, self.high):.4g} m, as far "
@@ -141,9 +158,13 @@ class CityLayouts:
 
     def require(self, leg: float) -> None:
         """Raise ValueError unless in every city two places are `leg` m apart."""
-        widest = min(float(np.linalg.norm(np.ptp(raster, axis=0) + PLACES_CELL)) for raster in self._raster)
+        widest = min(
+            float(np.linalg.norm(np.ptp(raster, axis=0) + PLACES_CELL)) for raster in self._raster
+        )
         if leg >= widest:
-            raise ValueError(f"leg is {leg:g} m: less than {widest:.4g} m is needed in this city, or raise area")
+            raise ValueError(
+                f"leg is {leg:g} m: less than {widest:.4g} m is needed in this city, or raise area"
+            )
 
     def draw(self, rng: np.random.Generator) -> int:
         """A layout."""
@@ -152,27 +173,43 @@ class CityLayouts:
     def outdoors(self, rng: np.random.Generator, layout: int, count: int) -> np.ndarray:
         """(count, 2) random places outdoors, with room for a drone, m."""
         raster = self._raster[layout]
-        return raster[rng.integers(len(raster), size=count)] + rng.uniform(-PLACES_CELL / 2, PLACES_CELL / 2, (count, 2))
+        return raster[rng.integers(len(raster), size=count)] + rng.uniform(
+            -PLACES_CELL / 2, PLACES_CELL / 2, (count, 2)
+        )
 
     def places(self, rng: np.random.Generator, layout: int, count: int) -> np.ndarray:
         """(count, 3) places for drones, `min_separation` apart. Raises ValueError where there is no room for so many."""
         return self._drawn(rng, layout, count, None, 0.0)
 
-    def legs(self, rng: np.random.Generator, layout: int, count: int, leg: float) -> tuple[np.ndarray, np.ndarray]:
+    def legs(
+        self, rng: np.random.Generator, layout: int, count: int, leg: float
+    ) -> tuple[np.ndarray, np.ndarray]:
         """(count, 3) starts and goals, `leg` m or more between the two of each drone; else as `places`."""
         for _ in range(TRIES):
             start = self.places(rng, layout, count)
-            with contextlib.suppress(ValueError):  # a start in the middle may have nowhere so far away
+            with contextlib.suppress(
+                ValueError
+            ):  # a start in the middle may have nowhere so far away
                 return start, self._drawn(rng, layout, count, start, leg)
         raise self._no_room(layout, count, f" and leg {leg:g} m")
 
-    def _drawn(self, rng: np.random.Generator, layout: int, count: int, start: np.ndarray | None, leg: float) -> np.ndarray:
+    def _drawn(
+        self,
+        rng: np.random.Generator,
+        layout: int,
+        count: int,
+        start: np.ndarray | None,
+        leg: float,
+    ) -> np.ndarray:
         low, high = self.config.height
         found = np.empty((count, 3))
         for i in range(count):
             for _ in range(TRIES):
                 found[i, :2], found[i, 2] = self.outdoors(rng, layout, 1)[0], rng.uniform(low, high)
-                apart = np.linalg.norm(found[:i] - found[i], axis=1).min(initial=np.inf) >= self.config.min_separation
+                apart = (
+                    np.linalg.norm(found[:i] - found[i], axis=1).min(initial=np.inf)
+                    >= self.config.min_separation
+                )
                 if apart and (start is None or np.linalg.norm(start[i] - found[i]) >= leg):
                     break
             else:
@@ -189,7 +226,9 @@ class CityLayouts:
         """Drones at rest at random places, which are their goals too."""
         place = self.places(rng, layout, count)
         upright = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
-        return Spawn(place, upright, np.zeros_like(place), np.zeros_like(place), place, layout=layout)
+        return Spawn(
+            place, upright, np.zeros_like(place), np.zeros_like(place), place, layout=layout
+        )
 
 
 def _outdoors(city: City, cell: float, margin: float, edge: float = 0.0) -> np.ndarray:

@@ -10,7 +10,13 @@ from bulletuav.network.dwell_time import watch
 from bulletuav.network.mobility import find_mobility
 from bulletuav.network.mobility.ground import Ground
 from bulletuav.tasks.base import REBOUND, Frame, Scene, Spawn, TaskContext, affected
-from bulletuav.tasks.families.urban import DEFAULTS, USER_HEIGHT, UrbanConfig, UrbanTask, check_share
+from bulletuav.tasks.families.urban import (
+    DEFAULTS,
+    USER_HEIGHT,
+    UrbanConfig,
+    UrbanTask,
+    check_share,
+)
 
 DWELL_TIME_SCALE = 0.1  # 1/s
 
@@ -46,7 +52,12 @@ class UsersTask(UrbanTask):
 
     config: UsersConfig
     baseline = "kmeans"
-    defaults: ClassVar = {**DEFAULTS, "dynamics": "single_integrator", "decision_hz": 1, "horizon": 100}
+    defaults: ClassVar = {
+        **DEFAULTS,
+        "dynamics": "single_integrator",
+        "decision_hz": 1,
+        "horizon": 100,
+    }
 
     def __init__(self, config: UsersConfig, context: TaskContext):
         """Raises ValueError where the city leaves no room to fly or to walk."""
@@ -60,7 +71,11 @@ class UsersTask(UrbanTask):
     def memory(self) -> Mapping[str, tuple[int, ...]]:
         """`users`, where they are, m, and what their walk keeps; `dwell_time`, how long drones see them, s, and its mean."""
         count, drones = self.config.num_users, self.context.num_drones
-        return {**self.mobility.state(count), "dwell_time": (drones, count), "mean_dwell_time": (drones,)}
+        return {
+            **self.mobility.state(count),
+            "dwell_time": (drones, count),
+            "mean_dwell_time": (drones,),
+        }
 
     def targets(self, scene: Scene) -> np.ndarray:
         """The users."""
@@ -70,24 +85,46 @@ class UsersTask(UrbanTask):
         """Drones at rest and users, outdoors."""
         layout = self.town.draw(rng)
         start = self.town.hovering(rng, layout, self.context.num_drones)
-        return start._replace(memory=self.mobility.start(rng, self.ground, layout, self.config.num_users))
+        return start._replace(
+            memory=self.mobility.start(rng, self.ground, layout, self.config.num_users)
+        )
 
-    def advance(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rng: Sequence[np.random.Generator | None]) -> bool:
+    def advance(
+        self,
+        scene: Scene,
+        time: np.ndarray,
+        flying: np.ndarray,
+        rng: Sequence[np.random.Generator | None],
+    ) -> bool:
         """Users walk."""
-        self.mobility.move(scene.memory, self.ground, scene.layout, flying, self.context.period, rng)
+        self.mobility.move(
+            scene.memory, self.ground, scene.layout, flying, self.context.period, rng
+        )
         return False
 
     def update_memory(self, frame: Frame, rng: Sequence[np.random.Generator | None]) -> None:
         """For how long each living drone has seen each user without a break."""
         memory = frame.scene.memory
-        watch(memory["dwell_time"], memory["mean_dwell_time"], frame.readings["sight"], frame.alive, self.context.period)
+        watch(
+            memory["dwell_time"],
+            memory["mean_dwell_time"],
+            frame.readings["sight"],
+            frame.alive,
+            self.context.period,
+        )
 
     def ends(self, frame: Frame) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """(W, N) bool, whose episode ends in contact or outside the airspace, and the terms that say so."""
-        outside, ended = self.outside(frame), affected(frame.collision, frame, self.config.contact_ends)
+        outside, ended = (
+            self.outside(frame),
+            affected(frame.collision, frame, self.config.contact_ends),
+        )
         if self.config.boundary == "end":
             ended = ended | outside
-        return ended, {"collision": frame.collision.astype(float), "out_of_bounds": outside.astype(float)}
+        return ended, {
+            "collision": frame.collision.astype(float),
+            "out_of_bounds": outside.astype(float),
+        }
 
 
 def dwell_time_bonus(frame: Frame) -> np.ndarray:

@@ -40,7 +40,9 @@ class Block:
     compute: Callable[["Frame", np.ndarray], np.ndarray]
 
 
-def vector_labels(name: str, unit: str, low: Iterable[float], high: Iterable[float]) -> tuple[Label, ...]:
+def vector_labels(
+    name: str, unit: str, low: Iterable[float], high: Iterable[float]
+) -> tuple[Label, ...]:
     """Labels of x, y and z."""
     return tuple(Label(f"{name} {k}", unit, a, b) for k, a, b in zip("xyz", low, high, strict=True))
 
@@ -59,24 +61,34 @@ def attitude(task: "Task") -> Block:
         return np.where(quaternion[..., 3:] < 0, -quaternion, quaternion)
 
     low = (-1.0, -1.0, -1.0, 0.0)
-    return Block(tuple(Label(f"quaternion {k}", "1", a, 1.0) for k, a in zip("xyzw", low, strict=True)), compute)
+    return Block(
+        tuple(Label(f"quaternion {k}", "1", a, 1.0) for k, a in zip("xyzw", low, strict=True)),
+        compute,
+    )
 
 
 def velocity(task: "Task") -> Block:
     """Own velocity, world axes."""
     bound = np.full(3, 2 * task.context.max_speed)
-    return Block(vector_labels("velocity", "m/s", -bound, bound), lambda frame, present: frame.known_velocity)
+    return Block(
+        vector_labels("velocity", "m/s", -bound, bound), lambda frame, present: frame.known_velocity
+    )
 
 
 def rates(task: "Task") -> Block:
     """Own angular velocity, body axes."""
     bound = np.full(3, MAX_BODY_RATE)
-    return Block(vector_labels("rates", "rad/s", -bound, bound), lambda frame, present: frame.after.rates)
+    return Block(
+        vector_labels("rates", "rad/s", -bound, bound), lambda frame, present: frame.after.rates
+    )
 
 
 def goal_position(task: "Task") -> Block:
     """The goal's position, world axes."""
-    return Block(vector_labels("goal", "m", task.arena_low, task.arena_high), lambda frame, present: frame.scene.goal)
+    return Block(
+        vector_labels("goal", "m", task.arena_low, task.arena_high),
+        lambda frame, present: frame.scene.goal,
+    )
 
 
 def goal_offset(task: "Task") -> Block:
@@ -89,7 +101,10 @@ def goal_offset(task: "Task") -> Block:
 def goal_velocity(task: "Task") -> Block:
     """The goal's velocity, world axes."""
     bound = np.full(3, 2 * task.context.max_speed)
-    return Block(vector_labels("goal velocity", "m/s", -bound, bound), lambda frame, present: frame.scene.goal_velocity)
+    return Block(
+        vector_labels("goal velocity", "m/s", -bound, bound),
+        lambda frame, present: frame.scene.goal_velocity,
+    )
 
 
 def goal(task: "Task") -> Block:
@@ -102,12 +117,20 @@ def goal(task: "Task") -> Block:
 
     furthest = float(np.linalg.norm(task.arena_high - task.arena_low))
     one = np.ones(3)
-    return Block((*vector_labels("goal direction", "1", -one, one), Label("goal distance", "m", 0.0, furthest)), compute)
+    return Block(
+        (
+            *vector_labels("goal direction", "1", -one, one),
+            Label("goal distance", "m", 0.0, furthest),
+        ),
+        compute,
+    )
 
 
 def alive(task: "Task") -> Block:
     """1 while the drone flies, else 0."""
-    return Block((Label("alive", "1", 0.0, 1.0),), lambda frame, present: present[..., None].astype(float))
+    return Block(
+        (Label("alive", "1", 0.0, 1.0),), lambda frame, present: present[..., None].astype(float)
+    )
 
 
 def identity(task: "Task") -> Block:
@@ -124,11 +147,15 @@ def _relative(task: "Task", name: str) -> tuple[Label, ...]:
     """Labels of another's position and velocity as seen from the drone."""
     size = task.arena_high - task.arena_low
     speed = np.full(3, 4 * task.context.max_speed)
-    return *vector_labels(f"{name} position", "m", -size, size), *vector_labels(f"{name} velocity", "m/s", -speed, speed)
+    return *vector_labels(f"{name} position", "m", -size, size), *vector_labels(
+        f"{name} velocity", "m/s", -speed, speed
+    )
 
 
 def _distance(task: "Task", name: str) -> Label:
-    return Label(f"{name} distance", "m", 0.0, float(np.linalg.norm(task.arena_high - task.arena_low)))
+    return Label(
+        f"{name} distance", "m", 0.0, float(np.linalg.norm(task.arena_high - task.arena_low))
+    )
 
 
 def neighbours(task: "Task") -> Block:
@@ -150,13 +177,19 @@ def all_neighbours(task: "Task") -> Block:
     """All other drones by index: relative position and velocity; zeros for those that are not there."""
     drones = task.context.num_drones
     labels = tuple(label for k in range(1, drones) for label in _relative(task, f"other {k}"))
-    others = np.array([[j for j in range(drones) if j != i] for i in range(drones)], dtype=int).reshape(drones, drones - 1)
+    others = np.array(
+        [[j for j in range(drones) if j != i] for i in range(drones)], dtype=int
+    ).reshape(drones, drones - 1)
 
     def compute(frame, present):
         position, velocity, known = heard(frame, present)
         own = np.concatenate([frame.known_position, frame.known_velocity], axis=-1)
-        seen = np.where(known[..., None], np.concatenate([position, velocity], axis=-1) - own[:, :, None], 0.0)
-        return np.take_along_axis(seen, others[None, :, :, None], axis=2).reshape(*present.shape, len(labels))
+        seen = np.where(
+            known[..., None], np.concatenate([position, velocity], axis=-1) - own[:, :, None], 0.0
+        )
+        return np.take_along_axis(seen, others[None, :, :, None], axis=2).reshape(
+            *present.shape, len(labels)
+        )
 
     return Block(labels, compute)
 
@@ -191,7 +224,9 @@ def obstacles(task: "Task") -> Block:
 def last_action(action: Action) -> Block:
     """What the drone was told last, zeros at the start."""
     bounds = zip(action.low.min(axis=0), action.high.max(axis=0), strict=True)
-    labels = tuple(Label(f"action {k}", "1", float(low), float(high)) for k, (low, high) in enumerate(bounds))
+    labels = tuple(
+        Label(f"action {k}", "1", float(low), float(high)) for k, (low, high) in enumerate(bounds)
+    )
     return Block(labels, lambda frame, present: frame.action)
 
 

@@ -69,7 +69,9 @@ class ObservationBuilder:
         normalise: bool = False,
     ):
         """Raises ValueError for a block that does not exist."""
-        makers: dict[str, Callable[[], Block]] = {name: partial(maker, task) for name, maker in BLOCKS.items()}
+        makers: dict[str, Callable[[], Block]] = {
+            name: partial(maker, task) for name, maker in BLOCKS.items()
+        }
         makers[motion.last_action.__name__] = partial(motion.last_action, action)
         self.images = [name for name in names if name in IMAGES]
         vectors = [name for name in names if name not in IMAGES]
@@ -100,7 +102,9 @@ class ObservationBuilder:
         if self._blocks:
             parts = [block.compute(frame, present) for block in self._blocks]
             vector = np.concatenate(parts, axis=-1, dtype=np.float32)
-            vector = np.minimum(np.maximum(vector, self._low), self._high)  # np.clip takes twice as long
+            vector = np.minimum(
+                np.maximum(vector, self._low), self._high
+            )  # np.clip takes twice as long
             if self._normalise:
                 vector = np.minimum(np.maximum((vector - self._middle) / self._half, -1.0), 1.0)
             seen["vector"] = vector

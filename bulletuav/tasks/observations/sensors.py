@@ -13,7 +13,12 @@ if TYPE_CHECKING:
     from bulletuav.tasks.base import Frame, Task
 
 MAX_FORCE = 100.0  # m/s^2
-AHEAD = {"east": (30.0, 0.0, 0.0), "north": (0.0, 30.0, 0.0), "west": (-30.0, 0.0, 0.0), "south": (0.0, -30.0, 0.0)}
+AHEAD = {
+    "east": (30.0, 0.0, 0.0),
+    "north": (0.0, 30.0, 0.0),
+    "west": (-30.0, 0.0, 0.0),
+    "south": (0.0, -30.0, 0.0),
+}
 """Ways, m, at whose ends `sight_ahead` looks"""
 
 
@@ -21,7 +26,12 @@ def lidar(task: "Task") -> Block:
     """Ranges of the beams."""
     reach = task.context.max_range
     labels = tuple(
-        Label(f"beam {beam.azimuth:g}" + (f" up {beam.elevation:g}" if beam.elevation else ""), "m", 0.0, reach)
+        Label(
+            f"beam {beam.azimuth:g}" + (f" up {beam.elevation:g}" if beam.elevation else ""),
+            "m",
+            0.0,
+            reach,
+        )
         for beam in task.context.beams
     )
     return Block(labels, _reading("lidar"))
@@ -30,7 +40,10 @@ def lidar(task: "Task") -> Block:
 def imu(task: "Task") -> Block:
     """Specific force and angular velocity, body axes."""
     labels = vector_labels("force", "m/s^2", [-MAX_FORCE] * 3, [MAX_FORCE] * 3)
-    return Block((*labels, *vector_labels("rates", "rad/s", [-MAX_BODY_RATE] * 3, [MAX_BODY_RATE] * 3)), _reading("imu"))
+    return Block(
+        (*labels, *vector_labels("rates", "rad/s", [-MAX_BODY_RATE] * 3, [MAX_BODY_RATE] * 3)),
+        _reading("imu"),
+    )
 
 
 def clearance(task: "Task") -> Block:
@@ -48,7 +61,10 @@ def targets(task: "Task") -> Block:
     size = task.arena_high - task.arena_low
     labels: list[Label] = []
     for k in range(1, task.num_targets + 1):
-        labels += [*vector_labels(f"target {k}", "m", -size, size), Label(f"target {k} seen", "1", 0.0, 1.0)]
+        labels += [
+            *vector_labels(f"target {k}", "m", -size, size),
+            Label(f"target {k} seen", "1", 0.0, 1.0),
+        ]
 
     def compute(frame, present):
         places = task.targets(frame.scene)
@@ -63,14 +79,20 @@ def seen_share(task: "Task") -> Block:
     """Share of the task's targets that the drone sees."""
 
     def compute(frame, present):
-        return share_of(frame.readings["sight"], task.active_targets(frame.scene)[:, None])[..., None]
+        return share_of(frame.readings["sight"], task.active_targets(frame.scene)[:, None])[
+            ..., None
+        ]
 
     return Block((Label("seen share", "1", 0.0, 1.0),), compute)
 
 
 def sight_ahead(task: "Task") -> Block:
     """Which targets the drone would see from 30 m east, north, west and south of it, by a map: how sight would change."""
-    labels = [Label(f"{way} sees {k}", "1", 0.0, 1.0) for way in AHEAD for k in range(1, task.num_targets + 1)]
+    labels = [
+        Label(f"{way} sees {k}", "1", 0.0, 1.0)
+        for way in AHEAD
+        for k in range(1, task.num_targets + 1)
+    ]
     return Block(tuple(labels), _reading("sight_ahead"))
 
 

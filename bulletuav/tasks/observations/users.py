@@ -18,7 +18,10 @@ MAX_QUEUE = 100.0  # tasks
 
 def power(task: "Task") -> Block:
     """Power that the drone takes, mean of the decision."""
-    return Block((Label("power", "W", 0.0, MAX_POWER),), lambda frame, present: frame.readings["power"][..., None])
+    return Block(
+        (Label("power", "W", 0.0, MAX_POWER),),
+        lambda frame, present: frame.readings["power"][..., None],
+    )
 
 
 def centroids(task: "Task") -> Block:
@@ -36,7 +39,10 @@ def centroids(task: "Task") -> Block:
         gap = np.where(present[..., None], gap, np.inf)
         own = (gap == gap.min(axis=1, keepdims=True)) & active_targets[:, None] & present[..., None]
         own = np.where(own.any(axis=-1, keepdims=True), own, active_targets[:, None])
-        of_all, of_own = (_mean(place, weight) for weight in (np.broadcast_to(active_targets[:, None], own.shape), own))
+        of_all, of_own = (
+            _mean(place, weight)
+            for weight in (np.broadcast_to(active_targets[:, None], own.shape), own)
+        )
         return np.concatenate([of_all, of_own], axis=-1)
 
     return Block(labels, compute)
@@ -51,7 +57,9 @@ def sight_matrix(task: "Task") -> Block:
     """Which drone sees which target: the drone itself first, then the others by index."""
     drones, count = task.context.num_drones, task.num_targets
     names = ["own", *(f"other {k}" for k in range(1, drones))]
-    labels = tuple(Label(f"{name} sees {j}", "1", 0.0, 1.0) for name in names for j in range(1, count + 1))
+    labels = tuple(
+        Label(f"{name} sees {j}", "1", 0.0, 1.0) for name in names for j in range(1, count + 1)
+    )
     order = np.array([[i, *(j for j in range(drones) if j != i)] for i in range(drones)])
 
     def compute(frame, present):
@@ -78,18 +86,28 @@ def server(task: "Task") -> Block:
         Label("latency", "s", 0.0, float(task.config.deadline)),
         Label("completed share", "1", 0.0, 1.0),
     )
-    return Block(labels, lambda frame, present: np.stack([frame.scene.memory[name] for name in names], axis=-1))
+    return Block(
+        labels,
+        lambda frame, present: np.stack([frame.scene.memory[name] for name in names], axis=-1),
+    )
 
 
 def link_rates(task: "Task") -> Block:
     """Rate that each user would reach to the drone if it had it for itself."""
     _require(task, "link_rates", ["received"])
     band, noise = task.config.bandwidth, task.uplink.noise  # type: ignore[attr-defined]
-    labels = tuple(Label(f"rate of user {j}", "Mbit/s", 0.0, MAX_DATA_RATE) for j in range(1, task.num_targets + 1))
-    return Block(labels, lambda frame, present: capacity(band, frame.scene.memory["received"] / noise) / 1e6)
+    labels = tuple(
+        Label(f"rate of user {j}", "Mbit/s", 0.0, MAX_DATA_RATE)
+        for j in range(1, task.num_targets + 1)
+    )
+    return Block(
+        labels, lambda frame, present: capacity(band, frame.scene.memory["received"] / noise) / 1e6
+    )
 
 
 def _require(task: "Task", block: str, names: Sequence[str]) -> None:
     """Raise ValueError unless the task remembers what the block shows."""
     if not task.memory().keys() >= set(names):
-        raise ValueError(f"observation block {block!r} shows what task {task.name!r} does not have: leave it out")
+        raise ValueError(
+            f"observation block {block!r} shows what task {task.name!r} does not have: leave it out"
+        )

@@ -89,7 +89,9 @@ def shaping(task: "Airspace", frame: "Frame", events: StepEvents) -> np.ndarray:
 
     Leaves optimal policies as they are: A. Ng, D. Harada, S. Russell, Policy invariance under reward transformations, 1999.
     """
-    return task.way_before(frame) - task.config.discount * np.where(events.terminated, 0.0, task.way(frame))
+    return task.way_before(frame) - task.config.discount * np.where(
+        events.terminated, 0.0, task.way(frame)
+    )
 
 
 def concession(task: "Airspace", frame: "Frame", events: StepEvents) -> np.ndarray:
@@ -105,9 +107,13 @@ def concession(task: "Airspace", frame: "Frame", events: StepEvents) -> np.ndarr
 
 def obstacle_warning(task: "Airspace", frame: "Frame", events: StepEvents) -> np.ndarray:
     """Summed over obstacles: from 0 at d_safe from their bounding spheres, linear, to 1 at contact with them."""
-    reach = np.array([obstacle.radius for obstacle in task.obstacles()]) + task.context.collision_radius
+    reach = (
+        np.array([obstacle.radius for obstacle in task.obstacles()]) + task.context.collision_radius
+    )
     offset = frame.scene.obstacle[:, None] - frame.after.position[:, :, None]
-    return np.clip(1 - (np.linalg.norm(offset, axis=-1) - reach) / frame.d_safe, 0.0, 1.0).sum(axis=-1)
+    return np.clip(1 - (np.linalg.norm(offset, axis=-1) - reach) / frame.d_safe, 0.0, 1.0).sum(
+        axis=-1
+    )
 
 
 def proximity(task: "Airspace", frame: "Frame", events: StepEvents) -> np.ndarray:
@@ -166,7 +172,11 @@ def follow_encounters(encounter, effort, before, after, d_safe, alive):
                 state = encounter[w, i, j]
                 if along < 0.0:
                     meeting = -along / fast
-                    if state == NONE and meeting < LOOK_AHEAD and dot(gap, gap) + meeting * along < d_safe * d_safe:
+                    if (
+                        state == NONE
+                        and meeting < LOOK_AHEAD
+                        and dot(gap, gap) + meeting * along < d_safe * d_safe
+                    ):
                         state = CLEAR
                     if state != NONE:
                         effort[w, i, j] += _change(before, after, w, i)

@@ -1,0 +1,148 @@
+"""One registry of ingredients by name: tasks, dynamics, sensors, policies and what else can be chosen.
+
+An ingredient is given by its name, as `module:Name`, or as the object itself. Names come from three places:
+the decorator `register`, entry points of other packages in the group `bulletuav.<kind>`, and the files of
+airframes. Nothing is imported before somebody asks for its kind.
+"""
+
+import importlib
+import importlib.metadata
+import pkgutil
+import warnings
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from bulletuav.errors import nearest, shown, unknown
+
+Ingredient = TypeVar("Ingredient")
+
+PACKAGES = {
+    "task": "bulletuav.tasks",
+    "airframe": "bulletuav.vehicle.airframe",
+    "dynamics": "bulletuav.dynamics",
+    "action": "bulletuav.control.actions",
+    "controller": "bulletuav.control.cascade",
+    "sensor": "bulletuav.sensors",
+    "observation": "bulletuav.tasks.observations",
+    "reward": "bulletuav.tasks.rewards",
+    "metric": "bulletuav.analysis.metrics",
+    "policy": "bulletuav.policies",
+    "mobility": "bulletuav.network.mobility",
+}
+"""Where the package's own ingredients of each kind are: a module, or a package whose modules are all imported"""
+
+_registered: dict[str, dict[str, Any]] = {kind: {} for kind in PACKAGES}
+_loaded: set[str] = set()
+
+
+def register(kind: str, name: str | None = None) -> Callable[[Ingredient], Ingredient]:
+    """Make a decorator that gives an ingredient its name.
+
+    Args:
+        kind: One of `PACKAGES`, such as "sensor".
+        name: What users call it; the object's `name`, or else `__name__`, when left out.
+
+    Returns:
+        The decorator; it returns the object unchanged.
+
+    Raises:
+        ValueError: There is no such kind, or the name belongs to another ingredient already.
+    """
+    table = _table(kind)
+
+    def decorated(ingredient: Ingredient) -> Ingredient:
+        own = name or getattr(ingredient, "name", None) or getattr(ingredient, "__name__", None)
+        if not isinstance(own, str) or not own.isidentifier():
+            raise ValueError(
+                f"name of {kind} {shown(ingredient)} is {shown(own)}: a word is needed"
+            )
+        if own in table and not _is_same(table[own], ingredient):
+            raise ValueError(f"{kind} {own!r} is registered already: choose another name")
+        table[own] = ingredient
+        return ingredient
+
+    return decorated
+
+
+def find(kind: str, source: Any, accepts: Callable[[Any], bool]) -> Any:
+    """Find an ingredient.
+
+    Args:
+        kind: One of `PACKAGES`.
+        source: Its name; `module:Name`, which imports that module; or the object itself.
+        accepts: Whether an object can be an ingredient of this kind.
+
+    Returns:
+        The object.
+
+    Raises:
+        ValueError: There is none of that name (the nearest are told), the module cannot be imported, or what was
+            given is no ingredient of this kind.
+    """
+    if not isinstance(source, str):
+        if accepts(source):
+            return source
+        raise unknown(kind, source, names(kind))
+    module, colon, attribute = source.partition(":")
+    if colon:
+        return _imported(kind, module, attribute, accepts)
+    _load(kind)
+    if source not in _table(kind):
+        raise unknown(kind, source, names(kind))
+    return _table(kind)[source]
+
+
+def names(kind: str) -> list[str]:
+    """List the names of all ingredients of a kind, sorted."""
+    _load(kind)
+    return sorted(_table(kind))
+
+
+def _table(kind: str) -> dict[str, Any]:
+    if kind not in _registered:
+        raise unknown("kind of ingredient", kind, PACKAGES)
+    return _registered[kind]
+
+
+def _is_same(one: Any, other: Any) -> bool:
+    """Tell whether two objects come from the same line of code, such as before and after a reload."""
+    return all(
+        getattr(one, name, one) == getattr(other, name, other)
+        for name in ("__module__", "__qualname__")
+    )
+
+
+def _load(kind: str) -> None:
+    """Import the package's own ingredients of a kind, and those of entry points, once."""
+    if kind in _loaded:
+        return
+    _table(kind)
+    _loaded.add(kind)  # before importing: what is imported may ask for names of its own kind
+    home = importlib.import_module(PACKAGES[kind])
+    for found in pkgutil.iter_modules(getattr(home, "__path__", ())):
+        importlib.import_module(f"{PACKAGES[kind]}.{found.name}")
+    group = f"bulletuav.{kind}"
+    for point in importlib.metadata.entry_points(group=group):
+        try:
+            register(kind, point.name)(point.load())
+        except Exception as error:  # whatever another package does, our ingredients stay
+            warnings.warn(
+                f"entry point {point.name!r} of {group} is left out: {error}", stacklevel=3
+            )
+
+
+def _imported(kind: str, module: str, attribute: str, accepts: Callable[[Any], bool]) -> Any:
+    """Import `module:attribute`."""
+    given = f"{kind} {module}:{attribute}"
+    try:
+        home = importlib.import_module(module)
+    except (ImportError, ValueError) as error:  # ValueError: an empty name
+        raise ValueError(f"{given} cannot be imported: {error}") from None
+    if not hasattr(home, attribute):
+        raise ValueError(
+            f"{given} is not there: {nearest(attribute, [one for one in vars(home) if one[0] != '_'])}"
+        )
+    found = getattr(home, attribute)
+    if not accepts(found):
+        raise ValueError(f"{given} is {shown(found)}: that is no {kind}")
+    return found
