@@ -7,7 +7,7 @@ from gymnasium.spaces import Box
 
 from bulletuav.errors import missing
 from bulletuav.policies.features import BLOCKED, FAR, LINE_OF_SIGHT
-from bulletuav.tasks.observations.sensors import AHEAD
+from bulletuav.sensors.sight import AHEAD
 
 try:
     import torch

@@ -1,4 +1,4 @@
-"""The batched core: W independent worlds of N drones through one decision at a time. Faces are thin wrappers of it."""
+"""The batched core: W independent worlds of N drones through one decision at a time."""
 
 import dataclasses
 import functools
@@ -18,154 +18,160 @@ from bulletuav.envs.energy import Energy
 from bulletuav.envs.env_spec import MOST_WORLDS, EnvSpec
 from bulletuav.envs.environment import Environment, exclusive
 from bulletuav.envs.randomization import Uncertainty
-from bulletuav.envs.renderer import Camera
-from bulletuav.envs.senses import SensorSuite
+from bulletuav.envs.renderer import Renderer
 from bulletuav.envs.step import Step
 from bulletuav.errors import as_int, points_of
 from bulletuav.geometry.city_grid import NO_LAYOUT
 from bulletuav.geometry.solids import Solids
+from bulletuav.sensors.base import Moment
 from bulletuav.sensors.sight import line_of_sight
+from bulletuav.sensors.suite import SensorSuite
 from bulletuav.tasks import TaskSource
-from bulletuav.tasks.base import Frame, Scene, Spawn
-from bulletuav.tasks.check import check_spawn, check_step_result, require_finite
+from bulletuav.tasks.base import Task
+from bulletuav.tasks.check import check_info, check_spawn, check_step_result, require_finite
+from bulletuav.tasks.frame import Frame, Scene, Spawn
 from bulletuav.tasks.observations.observer import Observation
 from bulletuav.vehicle.parameters import parameter_rows
 from bulletuav.vehicle.swarm import Contacts, Motion, Swarm, confine
 from bulletuav.vehicle.wind import Wind
 
 NOTHING_STANDS = Solids(np.zeros((0, 2, 3)))
+UNSTARTED = np.random.default_rng(0)
+"""Generator of worlds before their first reset; nothing draws from it"""
 
 
 class Aviary(Environment):
     """W worlds of N drones flying one task.
 
-    Never resets by itself: a drone whose episode ended leaves the airspace and is masked by `alive` (W, N) until its world
-    is reset. World k's random numbers come from seed + k alone, and nothing that other worlds do changes world k.
+    Never resets by itself: a drone whose episode ended leaves the airspace and is masked by `alive`
+    until its world is reset. World k's random numbers come from seed + k alone, and nothing that
+    other worlds do changes world k.
 
-    Public state, to read: options, task, action, observer, swarm, scene, alive, steps (W,), commanded (W, N, 3) (velocities
-    commanded last, m/s), parameters (W, N) (rows of `PARAMETERS` that the drones fly with) and rng, the worlds' random
-    generators, None before their first reset.
+    Attributes:
+        options: Common options.
+        task: The task.
+        action: What actions mean.
+        observer: Makes observations; tells labels, and splits by name.
+        swarm: State of the drones, (W, N, ...).
+        scene: Goals, obstacles and the task's memory.
+        alive: (W, N) bool, drones whose episode goes on.
+        steps: (W,) decisions since the reset.
+        commanded: (W, N, 3) velocities commanded last, m/s.
+        parameters: (W, N) rows of `PARAMETERS` with which the drones fly.
+        rng: Random generator of each world.
     """
 
     def __init__(
         self, task: TaskSource, num_worlds: int = 1, *, first_world: int = 0, **options: Any
-    ):
-        """Build the worlds; see `Options` and the task's config. Raises ValueError for options that cannot be.
+    ) -> None:
+        """Build the worlds.
 
-        `first_world`: number of the first of these worlds among those of several processes; world k is then the one that
-        it would be in a single process.
+        Args:
+            task: Name of a task, `module:Name`, or its class.
+            num_worlds: W.
+            first_world: Number of the first of these worlds among those of several processes; world k
+                is then the one that it would be in a single process.
+            **options: See `EnvOptions` and the task's config.
+
+        Raises:
+            ValueError: An option cannot be.
         """
-        self._plan = plan = EnvSpec(task, num_worlds, options)
-        self.options, self.task, self.action, self.observer = (
-            plan.options,
-            plan.task,
-            plan.action,
-            plan.observer,
-        )
-        self.state_observer = plan.state_observer
-        shape = self.num_worlds, self.num_drones = plan.num_worlds, self.options.num_drones
-        live = self.options.render_mode == "human"
-        dt, self._first_world = (
-            1 / self.options.physics_hz,
-            as_int("first_world", first_world, 0, MOST_WORLDS),
-        )
-        obstacles, layouts = self.task.obstacles(), self.task.layouts()
+        self._spec = spec = EnvSpec(task, num_worlds, options)
+        self.options, self.task, self.action = spec.options, spec.task, spec.action
+        self.observer, self.state_observer = spec.observer, spec.state_observer
+        self.num_worlds, self.num_drones = spec.num_worlds, self.options.num_drones
+        self._first_world = as_int("first_world", first_world, 0, MOST_WORLDS)
+        obstacles = self.task.obstacles()
         self._engine = Engine(
-            self.options.airframe, self.num_worlds, dt, obstacles, layouts, first_world, live
+            self.options.airframe,
+            self.num_worlds,
+            1 / self.options.physics_hz,
+            obstacles,
+            self.task.layouts(),
+            first_world,
+            self.options.render_mode == "human",
         )
         self._dynamics, self._cascade = self._make_dynamics()
         self.options.check_setpoint_levels(self.action.level, self._dynamics.consumes)
-        self._camera = Camera(self._engine, self.options.render_size)
-        self.swarm = Swarm.zeros(
-            *shape, max(len(airframe.rotors) for airframe in self.options.airframe)
-        )
+        self._renderer = Renderer(self._engine, self.options.render_size)
+        shape = (self.num_worlds, self.num_drones)
+        rotors = max(len(airframe.rotors) for airframe in self.options.airframe)
+        self.swarm = Swarm.zeros(*shape, rotors)
         self.scene = Scene.empty(*shape, len(obstacles), self.task.memory())
         self.commanded = np.zeros((*shape, 3))
         self.alive = np.zeros(shape, dtype=bool)
         self.steps = np.zeros(self.num_worlds, dtype=np.int64)
-        self._wind = Wind(
-            self.options.wind, self.options.wind20, shape, 1 / self.options.decision_hz
-        )
-        self._uncertainty = self._make_uncertainty()
-        drawn = {} if self._uncertainty is None else self._uncertainty.drawn
-        self._senses = SensorSuite(
-            plan.wanted, self.task, self.options, self._engine, self._dynamics, drawn
-        )
+        period = 1 / self.options.decision_hz
+        self._wind = Wind(self.options.wind, self.options.wind20, shape, period)
+        randomization = self.options.randomization
+        self._uncertainty = Uncertainty(randomization, self._engine, self.parameters, self._wind)
+        drawn = self._uncertainty.drawn
+        self._sensors = SensorSuite(spec.sensors, spec.setup, self._engine, drawn)
         self._energy = Energy(self.options, self.parameters)
-        self.rng: list[np.random.Generator | None] = [None] * self.num_worlds
+        self.rng: list[np.random.Generator] = [UNSTARTED] * self.num_worlds
         self._frame: Frame | None = None
-        self._judged = False
+        self._checked = False
 
     def _make_dynamics(self) -> tuple[Dynamics, Cascade]:
         options, worlds = self.options, (self.num_worlds, 1)
-        actual = np.tile(parameter_rows(options.airframe, options.effects), worlds)
-        nominal = actual.copy()
+        self.parameters = np.tile(parameter_rows(options.airframe, options.effects), worlds)
         gains = np.tile(gain_rows(options.airframe, options.max_speed), worlds)
-        cascade = Cascade.of(options.controller, nominal, gains)
-        substeps = options.physics_hz // options.decision_hz
-        self.parameters = actual
+        cascade = Cascade.of(options.controller, self.parameters.copy(), gains)
         flight = Flight(
-            self._engine, actual, cascade, 1 / options.physics_hz, substeps, options.gravity
+            self._engine,
+            self.parameters,
+            cascade,
+            1 / options.physics_hz,
+            options.physics_hz // options.decision_hz,
+            options.gravity,
         )
         return LADDER[options.dynamics](flight), cascade
-
-    def _make_uncertainty(self) -> Uncertainty | None:
-        if not self.options.randomization.active:
-            return None
-        period = 1 / self.options.decision_hz
-        return Uncertainty(
-            self.options.randomization, self._engine, self.parameters, self._wind, period
-        )
 
     @exclusive
     def reset(
         self, mask: np.ndarray | None = None, seeds: int | Sequence[int] | None = None
     ) -> Observation:
-        """Start new episodes in the worlds of `mask` (W,), all by default; returns observations (W, N, D) float32.
+        """Start new episodes.
 
-        `seeds`: an int s gives world k the seed s + k; a sequence gives each of the W worlds its own; None goes on with each
-        world's random numbers (which begin from the option `seed`, or from entropy).
+        Args:
+            mask: (W,) bool, worlds to reset; all when left out.
+            seeds: An int s gives world k the seed s + k; a sequence gives each of the W worlds its
+                own; None goes on with each world's random numbers, which begin from the option
+                `seed`, or from entropy.
+
+        Returns:
+            Observations of all worlds, (W, N, D) float32 or a dict.
+
+        Raises:
+            ValueError: The task's start cannot be; the worlds stay as they were.
+            RuntimeError: The environment is closed.
         """
         self._require_open()
-        worlds = np.flatnonzero(self._plan.mask(mask))
-        generators = self._generators(worlds, self._plan.seeds(seeds))
-        spawns = [self.task.spawn(rng) for rng in generators]
-        for spawn in spawns:  # all before anything of the worlds is written
-            check_spawn(
-                self.task,
-                spawn,
-                self.options.airframe,
-                self.scene.obstacle.shape[1],
-                self.scene.memory,
+        worlds = np.flatnonzero(self._spec.mask(mask))
+        generators = self._generators(worlds, self._spec.seeds(seeds))
+        spawns = list(self.task.spawn_many(generators))
+        if len(spawns) != len(generators):
+            raise ValueError(
+                f"spawn_many of task {self.task.name!r} gave {len(spawns)} starts: {len(generators)} "
+                f"are needed, one for each generator"
             )
-        for k, rng, spawn in zip(worlds, generators, spawns, strict=True):
-            self.rng[k] = rng
-            self._place(int(k), spawn)
-            self._wind.reset(int(k), rng)
-            if self._uncertainty is not None:
-                self._uncertainty.start(int(k), self.swarm, rng)
-            self._senses.start(int(k), self.swarm, rng)
-            self._energy.start(int(k))
+        for spawn in spawns:  # all before anything of the worlds is written
+            things = self.scene.obstacle.shape[1]
+            check_spawn(self.task, spawn, self.options.airframe, things, self.scene.memory)
+        for k, rng, spawn in zip(worlds.tolist(), generators, spawns, strict=True):
+            self._start(k, rng, spawn)
         chosen = np.zeros(self.alive.shape, dtype=bool)
         chosen[worlds] = True
         self._dynamics.place(self.swarm, chosen)
-        self._engine.set_layouts(self.scene.layout, np.any(chosen, axis=1))
-        self._engine.set_obstacles(
-            self.scene.obstacle, self.scene.obstacle_quaternion, np.any(chosen, axis=1)
-        )
-        now = self.swarm.copy()
-        self._senses.take(now, now, self.scene, chosen, self.steps, self.rng)
-        action = np.zeros((*self.alive.shape, self.action.low.shape[-1]))
-        flown = chosen
-        if self._frame is not None:  # of the worlds that fly on
-            action = np.where(chosen[..., None], action, self._frame.action)
-            flown = chosen | self._frame.alive
-        frame = self._make_frame(
-            now, now, action, Contacts.merge({}), flown, self.scene.goal.copy()
-        )
-        if not self._judged:  # once: later verdicts are of the same form
-            check_step_result(self.task, self.task.evaluate_step(frame), flown.shape)
-            self._judged = True
+        reset = np.any(chosen, axis=1)
+        self._engine.set_layouts(self.scene.layout, reset)
+        self._engine.set_obstacles(self.scene.obstacle, self.scene.obstacle_quaternion, reset)
+        frame = self._first_frame(chosen)
+        self._start_memory(frame, chosen)
+        if not self._checked:  # once: later results are of the same form
+            check_step_result(self.task, self.task.evaluate_step(frame), chosen.shape)
+            check_info(self.task, self.task.info(frame), chosen.shape)
+            self._checked = True
         self._frame = frame
         return self.observer.observe(self._frame, self.alive)
 
@@ -174,30 +180,67 @@ class Aviary(Environment):
             return [np.random.default_rng(seeds[k]) for k in worlds]
         first = None if self.options.seed is None else self.options.seed + self._first_world
         return [
-            self.rng[k] or np.random.default_rng(None if first is None else first + int(k))
+            np.random.default_rng(None if first is None else first + int(k))
+            if self.rng[k] is UNSTARTED
+            else self.rng[k]
             for k in worlds
         ]
 
+    def _start(self, k: int, rng: np.random.Generator, spawn: Spawn) -> None:
+        """Write the start of world k, and draw what is uncertain in it."""
+        self.rng[k] = rng
+        self._place(k, spawn)
+        self._wind.reset(k, rng)
+        self._uncertainty.reset(k, rng)
+        self._sensors.reset(k, self.swarm, rng)
+        self._energy.start(k)
+
     def _place(self, k: int, spawn: Spawn) -> None:
-        for array, value in zip(self.swarm, spawn[:4], strict=False):
-            array[k] = value
+        swarm, scene = self.swarm, self.scene
+        swarm.position[k], swarm.quaternion[k] = spawn.position, spawn.quaternion
+        swarm.velocity[k], swarm.rates[k] = spawn.velocity, spawn.rates
         for i, airframe in enumerate(self.options.airframe):
-            self.swarm.rotor_speed[k, i, : len(airframe.rotors)] = airframe.hover_speed(
-                self.options.gravity
-            )
-        self.scene.start[k], self.scene.goal[k] = spawn.position, spawn.goal
-        self.scene.goal_velocity[k] = spawn.goal_velocity
-        self.scene.obstacle[k], self.scene.obstacle_velocity[k] = (
-            spawn.obstacle,
-            spawn.obstacle_velocity,
-        )
-        self.scene.layout[k] = spawn.layout
-        for name, remembered in self.scene.memory.items():
+            hover = airframe.hover_speed(self.options.gravity)
+            swarm.rotor_speed[k, i, : len(airframe.rotors)] = hover
+        scene.start[k], scene.goal[k] = spawn.position, spawn.goal
+        scene.goal_velocity[k] = spawn.goal_velocity
+        scene.obstacle[k], scene.obstacle_velocity[k] = spawn.obstacle, spawn.obstacle_velocity
+        scene.layout[k] = spawn.layout
+        for name, remembered in scene.memory.items():
             remembered[k] = spawn.memory.get(name, 0)
         self._cascade.memory[k] = 0
         self.commanded[k] = spawn.velocity
         self.alive[k] = True
         self.steps[k] = 0
+
+    def _first_frame(self, chosen: np.ndarray) -> Frame:
+        """Make the frame right after a reset of the drones of `chosen` (W, N)."""
+        now = self.swarm.copy()
+        readings = self._measure(now, now, chosen)
+        action = np.zeros((*self.alive.shape, self.action.low.shape[-1]))
+        flown = chosen
+        if self._frame is not None:  # of the worlds that fly on
+            action = np.where(chosen[..., None], action, self._frame.action)
+            flown = chosen | self._frame.alive
+        contacts, goal = Contacts.merge({}), self.scene.goal.copy()
+        return self._make_frame(now, now, action, contacts, flown, goal, readings)
+
+    def _start_memory(self, frame: Frame, chosen: np.ndarray) -> None:
+        """Let the task fill the memory of the worlds that were reset; others keep theirs."""
+        if type(self.task).start_memory is Task.start_memory:
+            return
+        memory = self.scene.memory
+        kept = {name: array.copy() for name, array in memory.items()}
+        self.task.start_memory(frame)
+        others = ~np.any(chosen, axis=1)
+        for name, array in kept.items():
+            memory[name][others] = array[others]
+
+    def _measure(self, before: Swarm, after: Swarm, mask: np.ndarray) -> dict[str, np.ndarray]:
+        """Measure with all sensors, from the drones of `mask` (W, N)."""
+        targets = self.task.targets(self.scene)
+        moment = Moment(before, after, targets, mask, self.steps, self.rng, {})
+        return {**self._energy.readings(), **self._sensors.measure(moment, self._dynamics.show)}
 
     def _make_frame(
         self,
@@ -207,36 +250,37 @@ class Aviary(Environment):
         contacts: Contacts,
         flown: np.ndarray,
         goal_before: np.ndarray,
+        readings: dict[str, np.ndarray],
     ) -> Frame:
-        readings = {**self._energy.readings(), **self._senses.readings()}
-        if self._uncertainty is not None:
-            readings |= self._uncertainty.readings()
-        time, last = self.steps / self.options.decision_hz, self.steps >= self.options.horizon
-        task = self.task
         return Frame(
-            before,
-            after,
-            action,
-            self.scene,
-            contacts,
-            flown,
-            time,
-            last,
-            task.config.d_safe,
-            task.zone,
-            goal_before,
-            readings,
+            before=before,
+            after=after,
+            action=action,
+            scene=self.scene,
+            contacts=contacts,
+            alive=flown,
+            time=self.steps / self.options.decision_hz,
+            last=self.steps >= self.options.horizon,
+            d_safe=self.task.config.d_safe,
+            zone=self.task.zone,
+            goal_before=goal_before,
+            readings=readings,
         )
 
     @exclusive
     def step(self, actions: np.ndarray) -> Step:
-        """Fly one decision with actions (W, N, A), those beyond the bounds clipped to them.
+        """Fly one decision.
 
-        Raises ValueError for a wrong shape or a number that is not finite in a living drone's action (the worlds stay as
-        they were), RuntimeError before the first reset or after `close`.
+        Args:
+            actions: (W, N, A); those beyond the bounds are clipped to them.
+
+        Raises:
+            ValueError: A wrong shape, or a number that is not finite in a living drone's action; the
+                worlds stay as they were.
+            RuntimeError: Before the first reset or after `close`.
         """
         self.require_started()
-        frame = self._fly(self._plan.actions(actions, self.alive), self.alive.copy())
+        frame = self._fly(self._spec.actions(actions, self.alive), self.alive.copy())
         self.task.update_memory(frame, self.rng)
         flown, result = frame.alive, self.task.evaluate_step(frame)
         terminated = (result.terminated | frame.depleted) & flown
@@ -245,21 +289,21 @@ class Aviary(Environment):
         self._frame = frame
         self.alive = present & ~truncated
         observations = self.observer.observe(frame, present)
-        weighted = {name: self.task.weights[name] * term for name, term in result.terms.items()}
+        terms = {**result.terms, **self.task.extra_terms(frame)}
+        weighted = {name: self.task.weights[name] * term for name, term in terms.items()}
         if not flown.all():
             weighted = {name: np.where(flown, term, 0.0) for name, term in weighted.items()}
         self._engine.park(flown & ~self.alive)
         if self.options.render_mode == "human":
             self._dynamics.show(self.swarm, self.alive)
-            self._camera.show(self.swarm, self.alive, 1 / self.options.decision_hz)
+            self._renderer.show(self.swarm, self.alive, 1 / self.options.decision_hz)
         reward = functools.reduce(np.add, weighted.values(), np.zeros(flown.shape))
         require_finite(self.task, weighted, reward)
-        return Step(
-            observations, reward, terminated, truncated, self._info(frame, weighted, result.success)
-        )
+        info = self._info(frame, weighted, result.success)
+        return Step(observations, reward, terminated, truncated, info)
 
     def _fly(self, action: np.ndarray, flown: np.ndarray) -> Frame:
-        """One decision of the drones of `flown` (W, N)."""
+        """Fly one decision of the drones of `flown` (W, N)."""
         flying, time = np.any(flown, axis=1), self.steps / self.options.decision_hz
         wind = self._wind.sample(self.swarm, time, self.rng, flying)
         before, goal_before = self.swarm.copy(), self.scene.goal.copy()
@@ -267,38 +311,35 @@ class Aviary(Environment):
         setpoint = self.action.decode(action, self.commanded)
         if self.action.level == SetpointLevel.VELOCITY:
             self.commanded = setpoint[..., :3]
-        if self._uncertainty is not None:
-            self._uncertainty.drain(time)
-        contacts = self._dynamics.fly(self.swarm, flown, self.action.level, setpoint, wind, motion)
+        self._uncertainty.drain(time)
+        level = self.action.level
+        contacts = self._dynamics.fly(self.swarm, flown, level, setpoint, wind, motion)
         if motion.moving:
-            self._engine.set_obstacles(self.scene.obstacle, self.scene.obstacle_quaternion, flying)
+            turns = self.scene.obstacle_quaternion
+            self._engine.set_obstacles(self.scene.obstacle, turns, flying)
         if self.task.rebound is not None:
-            moved = confine(
-                self.swarm,
-                self.commanded,
-                flown,
-                self.task.arena_low,
-                self.task.arena_high,
-                self.task.rebound,
-            )
-            if moved.any():
-                self._dynamics.place(self.swarm, moved)
-                contacts = contacts.joined(
-                    overlaps(self._engine, self.swarm, moved, flown, self.parameters)
-                )
+            contacts = self._confine(contacts, flown, self.task.rebound)
         self.steps += flying
-        if self._uncertainty is not None:
-            self._uncertainty.sense(self.swarm, flown, self.rng)
         after = self.swarm.copy()
-        self._energy.spend(before, after, wind, self.task.payload_power(self.scene), flown)
-        self._senses.take(before, after, self.scene, flown, self.steps, self.rng)
-        return self._make_frame(before, after, action, contacts, flown, goal_before)
+        payload = self.task.payload_power(self.scene)
+        self._energy.spend(before, after, wind, payload, flown)
+        readings = self._measure(before, after, flown)
+        return self._make_frame(before, after, action, contacts, flown, goal_before, readings)
+
+    def _confine(self, contacts: Contacts, flown: np.ndarray, rebound: float) -> Contacts:
+        """Put drones back that left the arena; tells contacts with what they meet there, too."""
+        low, high = self.task.arena_low, self.task.arena_high
+        moved = confine(self.swarm, self.commanded, flown, low, high, rebound)
+        if not moved.any():
+            return contacts
+        self._dynamics.place(self.swarm, moved)
+        return contacts.joined(overlaps(self._engine, self.swarm, moved, flown, self.parameters))
 
     def _move_scene(self, flying: np.ndarray) -> Motion:
-        """Let the task move goals and obstacles of the worlds that fly; tells where obstacles go meanwhile."""
+        """Let the task move goals and obstacles; tells where obstacles go meanwhile."""
         before = self.scene.obstacle.copy()
         time = self.steps / self.options.decision_hz
-        moved = self.task.advance(self.scene, time, flying, self.rng)
+        moved = self.task.move_scene(self.scene, time, flying, self.rng)
         after = self.scene.obstacle.copy() if moved else before
         return Motion(before, after, self.scene.obstacle_quaternion)
 
@@ -311,20 +352,18 @@ class Aviary(Environment):
         info["conflicts"] = frame.conflict.onsets
         info["separation"] = frame.conflict.separation
         info["goal_distance"] = frame.distance
-        info |= {name: frame.readings[name] for name in ("power", "charge")} | self.task.info(frame)
-        if self._uncertainty is not None:
-            info |= self._uncertainty.info()
-        return {
-            name: np.array(value) for name, value in info.items()
-        }  # whose callers may write into them
+        info |= {name: frame.readings[name] for name in ("power", "charge")}
+        info |= {**self.task.info(frame), **self._uncertainty.info(), **self._sensors.info()}
+        return {name: np.array(value) for name, value in info.items()}  # for callers to write into
 
     @exclusive
     def first_info(self) -> dict[str, np.ndarray]:
-        """Info right after a reset: the keys of every step's info, terms at zero."""
-        result = self.task.evaluate_step(self._current())
-        return self._info(
-            self._current(), dict.fromkeys(result.terms, np.zeros(self.alive.shape)), result.success
-        )
+        """Tell the infos right after a reset: the keys of every step's info, terms at zero."""
+        frame = self._current()
+        result = self.task.evaluate_step(frame)
+        names = [*result.terms, *self.task.extra_terms(frame)]
+        nothing = dict.fromkeys(names, np.zeros(self.alive.shape))
+        return self._info(frame, nothing, result.success)
 
     def _current(self) -> Frame:
         if self._frame is None:
@@ -333,11 +372,14 @@ class Aviary(Environment):
 
     @exclusive
     def state(self) -> np.ndarray:
-        """(W, N * 17) float32: the true position, attitude, velocity, rates, goal position and alive of every drone."""
+        """Tell the global state.
+
+        Returns:
+            (W, N * 17) float32: the true position, attitude, velocity, rates, goal position and alive
+            of every drone.
+        """
         self._require_open()
-        frame = self._current()
-        if self._uncertainty is not None:
-            frame = dataclasses.replace(frame, readings={})
+        frame = dataclasses.replace(self._current(), readings={})
         state = self.state_observer.observe(frame, self.alive)
         assert isinstance(state, np.ndarray)  # no pictures among its blocks
         return state.reshape(self.num_worlds, -1)
@@ -351,13 +393,13 @@ class Aviary(Environment):
         self._require_open()
         if self.options.render_mode != "rgb_array":
             return None
-        self._plan.require_world(world)
+        self._spec.require_world(world)
         flown = self._current().alive
         self._dynamics.show(self.swarm, self.alive)
         self._engine.set_poses(
             self.swarm, flown & ~self.alive
         )  # those that just ended are still to be seen
-        picture = self._camera.picture(world, self.swarm, self.scene.goal[world], flown)
+        picture = self._renderer.picture(world, self.swarm, self.scene.goal[world], flown)
         self._engine.park(flown & ~self.alive)
         return picture
 
@@ -372,7 +414,7 @@ class Aviary(Environment):
         self.require_started()
         start, end = np.broadcast_arrays(points_of("start", start), points_of("end", end))
         return line_of_sight(
-            self._engine, start, end, np.broadcast_to(self._plan.worlds(world), len(start))
+            self._engine, start, end, np.broadcast_to(self._spec.worlds(world), len(start))
         )
 
     @property
@@ -382,7 +424,7 @@ class Aviary(Environment):
 
     def solids(self, world: int = 0) -> Solids:
         """What stands in a world, beside obstacles."""
-        layout = self.scene.layout[self._plan.worlds(world)]
+        layout = self.scene.layout[self._spec.worlds(world)]
         return NOTHING_STANDS if layout == NO_LAYOUT else self.task.layouts()[layout]
 
     @property
@@ -393,7 +435,7 @@ class Aviary(Environment):
     @property
     def communicates(self) -> bool:
         """Whether messages between drones are simulated, with infos that count them."""
-        return self._uncertainty is not None and self._uncertainty.communicates
+        return "radio" in self._sensors.sensors
 
     def require_started(self) -> None:
         """Raise RuntimeError before the first reset and after `close`."""

@@ -1,85 +1,159 @@
-"""What an environment is before there is an engine: options, task, action, observation, and what is asked of them."""
+"""Validated options, task, action and observation of an environment, before there is an engine."""
 
-import dataclasses
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from bulletuav.control.actions import Action, ActionContext, make_action
-from bulletuav.engine.engine import PARKING_HEIGHT
-from bulletuav.engine.tiles import TILE_PITCH
-from bulletuav.envs.options import EnvOptions
+from bulletuav.envs.options import EnvOptions, check_names
 from bulletuav.envs.resolve import resolve
-from bulletuav.errors import as_int, as_sequence, choose, finite, numbers_of, require_memory, shown
-from bulletuav.geometry.obstacle import Obstacle
-from bulletuav.geometry.solids import Solids
+from bulletuav.errors import as_int, numbers_of, require_memory, shown, unknown
+from bulletuav.sensors.base import SensorSetup
+from bulletuav.sensors.camera import IMAGES
 from bulletuav.sensors.lidar import make_beams
+from bulletuav.sensors.suite import known_sensors, provider
 from bulletuav.tasks import TaskSource, find_task
-from bulletuav.tasks.base import Task, TaskContext
-from bulletuav.tasks.observations.observer import IMAGES, NAMES, STATE, ObservationBuilder
+from bulletuav.tasks.base import Task, TaskConfig
+from bulletuav.tasks.check import check_arena, check_bodies
+from bulletuav.tasks.frame import TaskContext
+from bulletuav.tasks.observations.observer import (
+    STATE,
+    ObservationBuilder,
+    known_observations,
+    needed_readings,
+    observation_name,
+)
 
 MOST_WORLDS = 1_000_000
 BODY_BYTES, OBSTACLE_BYTES, LAYOUT_BYTES = 100_000, 5_000, 100_000
 """Of a drone, an obstacle and a city in one world of the engine, measured"""
 NUMBER_BYTES = 8
-LARGE = 100.0  # m, of an option that may be to blame for an arena that is too large
+ENERGY_READINGS = frozenset({"charge", "power"})
+"""Readings that come from the battery, not from a sensor"""
 
 
 class EnvSpec:
-    """Checked options and what follows from them: task, action, observer and state_observer."""
+    """Validated options of an environment, and what follows from them.
 
-    def __init__(self, task: TaskSource, num_worlds: int, options: dict[str, Any]):
-        """See `Aviary`. Raises ValueError for options that cannot be."""
+    Attributes:
+        num_worlds: W.
+        options: Common options.
+        task: The task that is flown.
+        action: What the drones' actions mean.
+        observer: Makes the observations.
+        state_observer: Makes the global state.
+        sensors: All sensors that there are, by name.
+        setup: What sensors know of their environment.
+    """
+
+    def __init__(self, task: TaskSource, num_worlds: int, options: dict[str, Any]) -> None:
+        """Check everything; see `Aviary`.
+
+        Raises:
+            ValueError: An option cannot be.
+        """
         kind = find_task(task)
         self.num_worlds = as_int("num_worlds", num_worlds, 1, MOST_WORLDS)
         self.options, config = resolve(kind, options)
         self._require_memory(BODY_BYTES * self.options.num_drones)
         self.task = _make_task(kind, config, self.options)
         self.action = _make_action(self.options, self.task)
-        names, camera = self.options.observation or kind.observation, self.options.camera_size
+        self.sensors = known_sensors(self.options.sensors)
+        sources = kind.observation if self.options.observation is None else self.options.observation
+        self._check_observation(sources)
+        self.setup = self._make_setup(self._wanted(sources))
+        readings = frozenset(name for one in self.sensors.values() for name in one.gives)
+        binding = self.task.bind(readings | ENERGY_READINGS, self.options.reward)
+        parts = (self.task, self.action, binding, self.sensors, self.setup)
+        form: Any = self.options.observation_format
         self.observer = ObservationBuilder(
-            names, self.task, self.action, camera, self.options.normalise
+            sources, *parts, normalise=self.options.normalise, form=form
         )
-        self.state_observer = ObservationBuilder(STATE, self.task, self.action)
-        for name in kind.senses:
-            choose(
-                f"reading among the senses of task {self.task.name!r}:", name, dict.fromkeys(NAMES)
-            )
-        self.wanted = {*names, *kind.senses}
+        self.state_observer = ObservationBuilder(STATE, *parts)
+        self._names = {observation_name(source) for source in sources}
         self._require_memory(self._world_bytes())
 
-    def _require_memory(self, each: float) -> None:
-        """Raise ValueError where the worlds do not fit into the machine, at `each` bytes."""
-        drones = self.options.num_drones
-        what = f"{self.num_worlds} worlds of {drones} drones (num_worlds, num_drones) with what they observe"
-        require_memory(
-            what, self.num_worlds * each, "lower num_worlds, num_drones, or what is observed"
+    def _check_observation(self, sources: tuple[Any, ...]) -> None:
+        """Refuse names of observations that there are not, or that are there twice."""
+        if not sources:
+            raise ValueError(
+                "observation is empty: name at least one block, or leave it out for the task's own"
+            )
+        known = known_observations(self.sensors)
+        plain = tuple(one for one in sources if isinstance(one, str) and ":" not in one)
+        check_names("observation", "observation block", plain, known)
+        names = [observation_name(source) for source in sources]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(
+                    f"observation has {name!r} {names.count(name)} times: name it once"
+                )
+        for one in sources:
+            if not isinstance(one, str) and not callable(one) and not hasattr(one, "labels"):
+                raise ValueError(f"observation: {unknown('observation block', one, known)}")
+
+    def _wanted(self, sources: tuple[Any, ...]) -> frozenset[str]:
+        """List the readings that observations, the task and reward terms need."""
+        kind = type(self.task)
+        terms = [value[0] for value in self.options.reward.values()]
+        terms += [value[0] for value in kind.reward.values() if isinstance(value, tuple)]
+        terms += [*kind.ends, *([kind.success] if kind.success else [])]
+        asked = needed_readings([*sources, *terms], self.sensors)
+        for name in kind.required_sensors:
+            if provider(self.sensors, name) is None:
+                what = f"reading among the required_sensors of task {self.task.name!r}:"
+                given = {reading for one in self.sensors.values() for reading in one.gives}
+                raise unknown(what, name, given)
+        given = [one.name for one in self.options.sensors if hasattr(one, "name")]
+        own = {reading for name in given for reading in self.sensors[name].gives}
+        return frozenset({*asked, *kind.required_sensors, *own})
+
+    def _make_setup(self, wanted: frozenset[str]) -> SensorSetup:
+        options, context = self.options, self.task.context
+        randomization = options.randomization
+        delays = "radio_delay" in randomization.known
+        return SensorSetup(
+            shape=(self.num_worlds, options.num_drones),
+            period=context.period,
+            gravity=options.gravity,
+            radius=tuple(airframe.collision_radius for airframe in options.airframe),
+            max_range=options.max_range,
+            beams=context.beams,
+            beam_frame=options.lidar_frame,
+            camera_size=options.camera_size,
+            camera_every=options.decision_hz // (options.camera_hz or options.decision_hz),
+            num_targets=self.task.num_targets,
+            arena=(self.task.arena_low, self.task.arena_high),
+            wanted=wanted,
+            longest_delay=randomization.bounds("radio_delay")[1] if delays else 0.0,
         )
+
+    def _require_memory(self, each: float) -> None:
+        """Refuse worlds that do not fit into the machine, at `each` bytes."""
+        drones = self.options.num_drones
+        what = (
+            f"{self.num_worlds} worlds of {drones} drones (num_worlds, num_drones) with what they "
+            f"observe"
+        )
+        remedy = "lower num_worlds, num_drones, or what is observed"
+        require_memory(what, self.num_worlds * each, remedy)
 
     def _world_bytes(self) -> float:
-        """About what a world takes: bodies of drones, obstacles and cities, and what is kept of each drone at once.
+        """Estimate what a world takes.
 
-        That is what it observes, its pictures, the others, targets, and the task's memory.
+        That is bodies of drones, obstacles and cities, and what is kept of each drone: what it
+        observes, its pictures, the others, targets, and the task's memory.
         """
-        pictures = math.prod(self.options.camera_size) if self.wanted.intersection(IMAGES) else 0
-        memory = (
-            sum(math.prod(shape) for shape in self.task.memory().values())
-            // self.options.num_drones
-        )
-        others = self.options.num_drones if {"neighbours", "all_neighbours"} & self.wanted else 0
-        numbers = (
-            2 * self.observer.low.size
-            + 2 * pictures
-            + 3 * others
-            + 2 * self.task.num_targets
-            + memory
-        )
-        things = OBSTACLE_BYTES * len(self.task.obstacles()) + LAYOUT_BYTES * len(
-            self.task.layouts()
-        )
-        return (BODY_BYTES + NUMBER_BYTES * numbers) * self.options.num_drones + things
+        drones, task = self.options.num_drones, self.task
+        images = self._names.intersection(IMAGES)
+        pictures = math.prod(self.options.camera_size) if images else 0
+        memory = sum(math.prod(shape) for shape in task.memory().values()) // drones
+        others = drones if {"neighbours", "all_neighbours"} & self._names else 0
+        observed = 2 * self.observer.low.size + 2 * pictures + 3 * others
+        numbers = observed + 2 * task.num_targets + memory
+        things = OBSTACLE_BYTES * len(task.obstacles()) + LAYOUT_BYTES * len(task.layouts())
+        return (BODY_BYTES + NUMBER_BYTES * numbers) * drones + things
 
     def mask(self, mask: np.ndarray | None) -> np.ndarray:
         """(W,) worlds to reset, all for None. Raises ValueError for another shape or type."""
@@ -168,7 +242,7 @@ class EnvSpec:
         return clipped
 
 
-def _make_task(kind: type[Task], config: Any, options: EnvOptions) -> Task:
+def _make_task(kind: type[Task[Any]], config: TaskConfig, options: EnvOptions) -> Task[Any]:
     radius = max(airframe.collision_radius for airframe in options.airframe)
     period = 1 / options.decision_hz
     task = kind(
@@ -184,8 +258,8 @@ def _make_task(kind: type[Task], config: Any, options: EnvOptions) -> Task:
             options.max_range,
         ),
     )
-    _check_arena(task, config, radius)
-    _check_things(task)
+    check_arena(task, config, radius)
+    check_bodies(task)
     if config.d_safe <= 2 * radius:
         raise ValueError(
             f"d_safe {config.d_safe:g} m must exceed the {2 * radius:.3g} m across of the largest drone"
@@ -193,53 +267,7 @@ def _make_task(kind: type[Task], config: Any, options: EnvOptions) -> Task:
     return task
 
 
-def _check_arena(task: Task, config: Any, radius: float) -> None:
-    """Raise ValueError where an arena is none, or reaches into that of other worlds."""
-    arena = numbers_of(
-        f"arena_low and arena_high of task {task.name!r} are", [task.arena_low, task.arena_high]
-    )
-    if arena.shape != (2, 3) or not np.isfinite(arena).all() or not (arena[0] < arena[1]).all():
-        raise ValueError(
-            f"arena_low and arena_high of task {task.name!r} are {shown(arena)}: lower and upper corner are needed"
-        )
-    finite(f"zone of task {task.name!r}", task.zone)
-    if task.rebound is not None:
-        finite(f"rebound of task {task.name!r}", task.rebound, 0, 1)
-    reach = float(np.abs(arena[:, :2]).max())
-    if 2 * (reach + radius) >= TILE_PITCH or arena[1, 2] >= PARKING_HEIGHT:
-        sizes = {
-            field.name: getattr(config, field.name)
-            for field in dataclasses.fields(config)
-            if field.type is float
-        }
-        large = [f"{name} {size:g}" for name, size in sizes.items() if size >= LARGE]
-        raise ValueError(
-            f"the arena reaches {reach:g} m aside and {arena[1, 2]:g} m up: less than {TILE_PITCH / 2:g} and "
-            f"{PARKING_HEIGHT:g} m are needed, where other worlds begin; lower {' or '.join(large) or 'num_drones'}"
-        )
-
-
-def _check_things(task: Task) -> None:
-    """Raise ValueError where a task's bodies, cities or memory are none."""
-    kinds: dict[str, type] = {"obstacles": Obstacle, "layouts": Solids}
-    for name, kind in kinds.items():
-        things = getattr(task, name)()
-        if not isinstance(things, list | tuple) or not all(isinstance(one, kind) for one in things):
-            raise ValueError(
-                f"{name} of task {task.name!r} gave {shown(things)}: a list of {kind.__name__} is needed"
-            )
-    memory: Any = task.memory()
-    if not isinstance(memory, Mapping):
-        raise ValueError(
-            f"memory of task {task.name!r} gave {shown(memory)}: a dict of shapes by name is needed"
-        )
-    for name, shape in memory.items():
-        label = f"shape of memory {name!r} of task {task.name!r}"
-        for side in as_sequence(label, shape):
-            as_int(label, side, 0)
-
-
-def _make_action(options: EnvOptions, task: Task) -> Action:
+def _make_action(options: EnvOptions, task: Task[Any]) -> Action:
     period = 1 / options.decision_hz
     return make_action(
         options.action,

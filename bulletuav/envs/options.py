@@ -1,8 +1,8 @@
 """Options of an environment: from keyword arguments to checked, frozen values."""
 
 import warnings
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 from bulletuav.control.actions import ACTIONS
@@ -12,12 +12,20 @@ from bulletuav.dynamics.ladder import LADDER
 from bulletuav.envs.randomization import CERTAIN, Randomization
 from bulletuav.errors import as_int, as_sequence, choose, finite, shown, unknown
 from bulletuav.sensors.lidar import FRAMES
-from bulletuav.tasks.observations.observer import NAMES
 from bulletuav.vehicle.airframe import EFFECTS, STANDARD_GRAVITY, Airframe
 from bulletuav.vehicle.wind import MOST_WIND, TURBULENCE, WindField, check_field
 
 ENERGIES = ("zeng", "actuator")
-SEVERAL = ("observation", "effects", "wind", "render_size", "camera_size", "lidar_elevations")
+FORMATS = ("vector", "dict")
+SEVERAL = (
+    "observation",
+    "sensors",
+    "effects",
+    "wind",
+    "render_size",
+    "camera_size",
+    "lidar_elevations",
+)
 RENDER_MODES = ("rgb_array", "human")
 ROTOR_ACTIONS = ("rotor", "rpm")
 MOST_DRONES = 10_000
@@ -38,44 +46,56 @@ COUNTS = {
     "num_beams": MOST_BEAMS,
 }
 """Whole numbers above 0, and the most that each can be"""
-NAMED = ("observation", "effects")
+NAMED = ("observation", "sensors", "effects")
 
 
 @dataclass(frozen=True)
 class EnvOptions:
     """Options common to all tasks. Every ValueError names the value and the remedy.
 
-    num_drones   drones in a world
-    airframe     name of an airframe, path of a URDF, or an `Airframe`; or one of these for each drone
-    dynamics     "bullet" (the engine), "rigid_body" (the same forces by RK4), "point_mass", "double_integrator" or
-                 "single_integrator"
-    action       a name in `bulletuav.control.actions.ACTIONS`
-    observation  names of observation blocks, side by side; None for the task's own
-    num_neighbours  how many of the nearest drones, and obstacles, are observed
-    normalise    whether observations are scaled from their bounds to [-1, 1]
-    difficulty   "easy", "medium", "hard" or "extreme": values of other options, which you can still override
-    preset       a named set of values of other options, see the task; goes before the difficulty
-    physics_hz   substeps a second
-    decision_hz  decisions a second; must divide physics_hz
-    horizon      decisions until truncation
-    max_speed    m/s, scale of velocity actions; at most the airframe's
-    seed         of the first reset when `reset` is given none
-    render_mode  None, "rgb_array" (pictures, no screen needed) or "human" (a live window)
-    render_size  width and height of pictures, pixels
-    controller   "lee" (geometric) or "pid" (the Crazyflie's own)
-    effects      which of "lag", "drag", "ground_effect", "downwash" are simulated
-    wind         steady wind (east, north, up), m/s, or a function of positions (W, N, 3) m and times (W,) s to (W, N, 3) m/s
-    randomization  what is uncertain, see `bulletuav.envs.randomization.Randomization`: a dict such as {"gps_noise": 1.0}
-    turbulence   Dryden gusts: None, "light", "moderate", "severe", or the wind speed at 20 feet that sets them, m/s
-    camera_size  width and height of the drones' cameras, pixels (observations "rgb", "depth", "segmentation", "ray_depth")
-    camera_hz    their pictures a second; must divide decision_hz; None for one a decision
-    gravity      m/s^2; 0 switches weight off
-    num_beams    of the range finder (observation "lidar"), evenly around at each of its elevations
-    max_range    how far range finder and clearance reach, m
-    lidar_elevations  degrees above the horizon
-    lidar_frame  "yaw" (the first beam along the drone's heading) or "world" (to the east)
-    battery_capacity  W h; a drone's episode ends with its charge; None for batteries that never empty
-    energy       what takes charge: "zeng" (rotary-wing formula) or "actuator" (the simulated rotors; also without gravity)
+    Attributes:
+        num_drones: Drones in a world.
+        airframe: Name of an airframe, path of a URDF, or an `Airframe`; or one of these for each drone.
+        action: What the drones' actions mean: a name in `bulletuav.control.actions.ACTIONS`.
+        decision_hz: Decisions a second; must divide physics_hz.
+        horizon: Decisions until truncation.
+        max_speed: Scale of velocity actions, m/s; at most the airframe's.
+        dynamics: "bullet" (the engine), "rigid_body" (the same forces by RK4), "point_mass",
+            "double_integrator" or "single_integrator".
+        observation: Names of observation blocks and of sensors' readings, or blocks, side by side;
+            None for the task's own.
+        observation_format: "vector", or "dict" with an entry for each block.
+        sensors: Sensors of one's own, or others in place of the package's: objects or names.
+        reward: Reward terms beside the task's: (term, weight) by name.
+        num_neighbours: How many of the nearest drones, and obstacles, are observed.
+        normalise: Whether observations are scaled from their bounds to [-1, 1].
+        difficulty: "easy", "medium", "hard" or "extreme": values of other options, which you can
+            still override.
+        preset: A named set of values of other options, see the task; goes before the difficulty.
+        physics_hz: Substeps a second.
+        seed: Of the first reset when `reset` is given none.
+        render_mode: None, "rgb_array" (pictures, no screen needed) or "human" (a live window).
+        render_size: Width and height of pictures, pixels.
+        controller: "lee" (geometric) or "pid" (the Crazyflie's own).
+        effects: Which of "lag", "drag", "ground_effect", "downwash" are simulated.
+        wind: Steady wind (east, north, up), m/s, or a function of positions (W, N, 3) m and times
+            (W,) s that gives (W, N, 3) m/s.
+        turbulence: Dryden gusts: None, "light", "moderate", "severe", or the wind speed at 20 feet
+            that sets them, m/s.
+        randomization: What is uncertain, such as {"gps_noise": 1.0}; see
+            `bulletuav.envs.randomization.Randomization`.
+        camera_size: Width and height of the drones' cameras, pixels (observations "rgb", "depth",
+            "segmentation", "ray_depth").
+        camera_hz: Their pictures a second; must divide decision_hz; None for one a decision.
+        gravity: m/s^2; 0 switches weight off.
+        num_beams: Of the range finder (observation "lidar"), evenly around at each elevation.
+        max_range: How far range finder and clearance reach, m.
+        lidar_elevations: Degrees above the horizon.
+        lidar_frame: "yaw" (the first beam along the drone's heading) or "world" (to the east).
+        battery_capacity: W h; a drone's episode ends with its charge; None for batteries that never
+            empty.
+        energy: What takes charge: "zeng" (rotary-wing formula) or "actuator" (the simulated rotors;
+            also without gravity).
     """
 
     num_drones: int
@@ -85,7 +105,10 @@ class EnvOptions:
     horizon: int
     max_speed: float
     dynamics: str = "bullet"
-    observation: tuple[str, ...] | None = None
+    observation: tuple[Any, ...] | None = None
+    observation_format: str = "vector"
+    sensors: tuple[Any, ...] = ()
+    reward: Mapping[str, tuple[Any, float]] = field(default_factory=dict)
     num_neighbours: int = 3
     normalise: bool = False
     difficulty: str = "easy"
@@ -133,19 +156,33 @@ class EnvOptions:
             "action": tuple(ACTIONS),
             "controller": tuple(CONTROLLERS),
         }
-        choices |= {"lidar_frame": FRAMES, "energy": ENERGIES}
+        choices |= {"lidar_frame": FRAMES, "energy": ENERGIES, "observation_format": FORMATS}
         for name, known in choices.items():
             choose(name, getattr(self, name), dict.fromkeys(known))
-        _check_names("observation", "observation block", self.observation, NAMES)
         if self.observation is not None and not self.observation:
             raise ValueError(
                 "observation is empty: name at least one block, or leave it out for the task's own"
             )
-        _check_names("effects", "effect", self.effects, EFFECTS)
+        check_names("effects", "effect", self.effects, EFFECTS)
         if not isinstance(self.normalise, bool):
             raise ValueError(f"normalise is {shown(self.normalise)}: True or False is needed")
+        self._check_reward()
         self._check_sensors()
         self._check_flight()
+
+    def _check_reward(self) -> None:
+        if not isinstance(self.reward, Mapping):
+            raise ValueError(
+                f"reward is {shown(self.reward)}: a dict from names to (term, weight) is needed; "
+                f"weights of the task's own terms are changed by `weights`"
+            )
+        for name, value in self.reward.items():
+            if not isinstance(name, str) or not isinstance(value, list | tuple) or len(value) != 2:
+                raise ValueError(
+                    f"reward has {shown(name)}: {shown(value)}; (term, weight) is needed, such as "
+                    f"(my_term, -0.1)"
+                )
+            finite(f"reward: weight of {name!r}", value[1], -MOST_WEIGHT, MOST_WEIGHT)
 
     def _keep(self, name: str, value: Any) -> None:
         """Store the value as its check gave it, so that kernels see one type of it."""
@@ -264,7 +301,7 @@ class EnvOptions:
             )
 
 
-def _check_names(name: str, what: str, given: Any, known: Sequence[str]) -> None:
+def check_names(name: str, what: str, given: Any, known: Sequence[str]) -> None:
     """Raise ValueError for a name that is not known, or is there twice."""
     for one in given or ():
         if not isinstance(one, str) or one not in known:

@@ -16,7 +16,7 @@ GRID_LINES = 25
 FIELD_OF_VIEW = 60.0  # degrees, vertical
 
 
-class Camera:
+class Renderer:
     """Looks at one world from the south-west and above."""
 
     def __init__(self, engine: Engine, size: tuple[int, int]):

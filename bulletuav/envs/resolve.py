@@ -15,20 +15,24 @@ from bulletuav.envs.options import (
     SEVERAL,
     EnvOptions,
 )
-from bulletuav.envs.randomization import Randomization
+from bulletuav.envs.randomization import Randomization, known_uncertainties
 from bulletuav.errors import UnknownOptionError, as_int, as_sequence, choose, finite, nearest, shown
-from bulletuav.tasks.base import Task
+from bulletuav.sensors.base import Sensor
+from bulletuav.sensors.suite import known_sensors
+from bulletuav.tasks.base import DEFAULTS, Task
+from bulletuav.tasks.observations.base import Block
 from bulletuav.vehicle.airframe import load_airframe
 
 
-def resolve(task: type[Task], given: Mapping[str, Any]) -> tuple[EnvOptions, Any]:
-    """Common options and the task's config from keyword arguments.
+def resolve(task: type[Task[Any]], given: Mapping[str, Any]) -> tuple[EnvOptions, Any]:
+    """Make common options and the task's config from keyword arguments.
 
-    What is given goes before the preset's values, those before the difficulty's, those before the task's defaults.
+    What is given goes before the preset's values, those before the difficulty's, those before the
+    task's defaults.
 
     Raises:
         UnknownOptionError: There is no such option; a TypeError too. The nearest names are told.
-        ValueError: Of an unknown preset or difficulty, with the nearest names, or a value that cannot be.
+        ValueError: A preset or difficulty is unknown (the nearest are told), or a value cannot be.
     """
     common = {field.name for field in dataclasses.fields(EnvOptions)}
     own = {field.name for field in dataclasses.fields(task.Config)}
@@ -44,17 +48,12 @@ def resolve(task: type[Task], given: Mapping[str, Any]) -> tuple[EnvOptions, Any
     preset = (
         {} if given.get("preset") is None else choose("preset", given["preset"], dict(task.presets))
     )
-    usual = {**task.defaults, **changes, **preset}
+    usual = {**DEFAULTS, **task.defaults, **changes, **preset}
     for name in usual:
         choose(
             f"option among the defaults of task {task.name!r}:", name, dict.fromkeys(common | own)
         )
     values = {**usual, **given, "difficulty": difficulty}
-    for name in ("num_drones", "airframe", "action", "decision_hz", "horizon", "max_speed"):
-        if name not in values:
-            raise ValueError(
-                f"defaults of task {task.name!r} lack {name}: it is needed there, or as an option"
-            )
     if isinstance(given.get("weights"), Mapping):
         values["weights"] = {**preset.get("weights", {}), **given["weights"]}
     for name in (
@@ -71,7 +70,8 @@ def resolve(task: type[Task], given: Mapping[str, Any]) -> tuple[EnvOptions, Any
             raise ValueError(f"{name} is None: leave it out for the task's default")
     _make_lists(values)
     _find_airframes(values, given)
-    values["randomization"] = Randomization.of(values.get("randomization"))
+    known = known_uncertainties(known_sensors(values.get("sensors", ())))
+    values["randomization"] = Randomization(values.get("randomization"), known)
     options = EnvOptions(**{name: value for name, value in values.items() if name in common})
     config = task.Config(**{name: value for name, value in values.items() if name in own})
     return options, _checked_config(config)
@@ -82,10 +82,17 @@ def _make_lists(values: dict[str, Any]) -> None:
     for name in SEVERAL:
         if isinstance(values.get(name), str):
             values[name] = (values[name],)
+        elif name in ("observation", "sensors") and _is_object(values.get(name)):
+            values[name] = (values[name],)
         elif name in values and not _is_single(name, values[name]):
             values[name] = as_sequence(
                 name, values[name], most=MOST_NAMES if name in NAMED else None
             )
+
+
+def _is_object(value: Any) -> bool:
+    """Tell whether one ingredient was given, and not several."""
+    return callable(value) or isinstance(value, Sensor | Block)
 
 
 def _is_single(name: str, value: Any) -> bool:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bulletuav.tasks.observations.sensors import AHEAD
+from bulletuav.sensors.sight import AHEAD
 
 LINE_OF_SIGHT, BLOCKED = 2.0, 3.19  # path loss exponents of `mec`
 FAR = 100.0  # m, unit of positions

@@ -1,66 +1,91 @@
-"""A camera on every drone, looking forward: pictures by the engine's renderer, or depths by its rays."""
+"""A camera on every drone that looks forward: pictures by the renderer, or depths by rays."""
+
+from collections.abc import Mapping
+from typing import ClassVar
 
 import numpy as np
 
 from bulletuav.engine.engine import Engine
 from bulletuav.geometry.rotation import axes
-from bulletuav.geometry.view import FAR, projection_matrix, view_matrix
+from bulletuav.geometry.view import DRONE, FAR, SKY, projection_matrix, view_matrix
+from bulletuav.registry import register
+from bulletuav.sensors.base import Image, Label, Moment, Sensor, SensorSetup
 from bulletuav.vehicle.swarm import Swarm
 
-FIELD_OF_VIEW = 90.0  # degrees, vertical
+FIELD_OF_VIEW = 90.0
+"""Degrees, vertical"""
 RENDERED = ("rgb", "depth", "segmentation")
+IMAGES = {
+    "rgb": Image(0, 255, np.uint8, (3,)),
+    "depth": Image(0.0, FAR, np.float32, ()),
+    "segmentation": Image(SKY, DRONE, np.uint8, ()),
+    "ray_depth": Image(0.0, FAR, np.float32, ()),
+}
 
 
-class DroneCameras:
-    """Forward cameras at the front of each drone, fixed to the body; pictures are held between exposures.
+@register("sensor")
+class Camera(Sensor):
+    """Forward cameras at the front of each drone, fixed to the body.
 
-    pictures: those asked for of "rgb" (W, N, H, W, 3) uint8, "segmentation" (W, N, H, W) uint8 (see `view.SKY`), "depth" and
-    "ray_depth" (W, N, H, W) float32, m along the view axis. The latter two differ by what the renderer rounds, and in that
-    rays meet the collision shapes of drones; by rays it takes a tenth of the time.
+    Pictures are held between exposures. "depth" and "ray_depth" differ by what the renderer rounds,
+    and in that rays meet the collision shapes of drones; rays take a tenth of the time.
+
+    Attributes:
+        pictures: Those asked for of "rgb" (W, N, height, width, 3) uint8, "segmentation" (W, N,
+            height, width) uint8 (see `geometry.view.SKY`), "depth" and "ray_depth" (W, N, height,
+            width) float32, m along the view axis.
     """
 
-    def __init__(
-        self,
-        engine: Engine,
-        names: list[str],
-        radius: np.ndarray,
-        size: tuple[int, int],
-        every: int,
-    ):
-        """`radius` (N,) m ahead of the centre sits the lens; `size` (width, height) pixels; exposed every so many steps."""
-        self._engine, self._radius, self._size, self._every = engine, radius, size, every
-        width, height = size
-        shape = (*engine.shape, height, width)
-        blank: dict[str, np.ndarray] = {
-            "rgb": np.zeros((*shape, 3), dtype=np.uint8),
-            "segmentation": np.zeros(shape, dtype=np.uint8),
-            "depth": np.full(shape, FAR, dtype=np.float32),
-            "ray_depth": np.full(shape, FAR, dtype=np.float32),
+    name = "camera"
+    gives = tuple(IMAGES)
+    needs_bodies: ClassVar = True
+
+    def labels(self, setup: SensorSetup) -> Mapping[str, tuple[Label, ...] | Image]:
+        """Tell the pixels of each picture."""
+        return dict(IMAGES)
+
+    def attach(self, setup: SensorSetup, engine: Engine) -> None:
+        """Make blank pictures, and the rays of one camera."""
+        super().attach(setup, engine)
+        self._radius = np.array(setup.radius)
+        width, height = setup.camera_size
+        shape = (*setup.shape, height, width)
+        self.pictures = {
+            name: np.full(
+                (*shape, *image.pixel), FAR if image.dtype == np.float32 else 0, image.dtype
+            )
+            for name, image in IMAGES.items()
+            if name in setup.wanted
         }
-        self.pictures = {name: blank[name] for name in names}
         half = np.tan(np.radians(FIELD_OF_VIEW) / 2)
-        # Through the corners at which the renderer looks into pixels, to the plane FAR ahead: shares of them are depths.
+        # Through the corners at which the renderer looks into pixels, to the plane FAR ahead:
+        # shares of them are depths.
         left = half * width / height * (1 - 2 * np.arange(width) / width)
         up = half * (1 - 2 * (np.arange(height) + 1) / height)
         self._rays = FAR * np.stack(
             np.broadcast_arrays(1.0, left[None, :], up[:, None]), axis=-1
         ).reshape(-1, 3)
 
-    def expose(self, swarm: Swarm, mask: np.ndarray, steps: np.ndarray) -> None:
-        """Take new pictures of the drones of `mask` (W, N) in worlds whose step count (W,) says so."""
-        due = np.argwhere(mask & (steps % self._every == 0)[:, None])
+    def measure(self, moment: Moment) -> Mapping[str, np.ndarray]:
+        """Take new pictures in worlds whose step count says so; others show the last ones."""
+        swarm, mask = moment.after, moment.mask
+        exposed = moment.steps % self.setup.camera_every == 0
+        due = np.argwhere(mask & exposed[:, None])
         if not self.pictures.keys().isdisjoint(RENDERED):
             self._render(swarm, due)
         if "ray_depth" in self.pictures and len(due):
             self._cast(swarm, mask, due)
+        return dict(self.pictures)
 
     def _render(self, swarm: Swarm, due: np.ndarray) -> None:
-        projection = projection_matrix(self._size[0] / self._size[1], FIELD_OF_VIEW)
+        projection = projection_matrix(
+            self.setup.camera_size[0] / self.setup.camera_size[1], FIELD_OF_VIEW
+        )
         for w, i in due.tolist():
             forward, _, up = (np.array(axis) for axis in axes(swarm.quaternion[w, i]))
             eye = swarm.position[w, i] + self._radius[i] * forward
-            seen = self._engine.picture(
-                w, view_matrix(eye, eye + forward, up.tolist()), projection, self._size
+            seen = self.engine.picture(
+                w, view_matrix(eye, eye + forward, up.tolist()), projection, self.setup.camera_size
             )
             for name, picture in zip(RENDERED, (seen.pixels, seen.depth, seen.labels), strict=True):
                 if name in self.pictures:
@@ -75,5 +100,7 @@ class DroneCameras:
         eye = swarm.position[where, who] + self._radius[who, None] * frames[:, 0]
         start = np.repeat(eye, len(self._rays), axis=0)
         end = start + (self._rays @ frames).reshape(-1, 3)
-        share = self._engine.cast_rays(start, end, np.repeat(where, len(self._rays)), (swarm, mask))
-        self.pictures["ray_depth"][where, who] = FAR * share.reshape(-1, *self._size[::-1])
+        share = self.engine.cast_rays(start, end, np.repeat(where, len(self._rays)), (swarm, mask))
+        self.pictures["ray_depth"][where, who] = FAR * share.reshape(
+            -1, *self.setup.camera_size[::-1]
+        )

@@ -1,55 +1,79 @@
 """Satellite positioning: white noise, a random walk, and readings that fail to come."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 
-VELOCITY_SHARE = (
-    0.1  # 1/s; error of a velocity, measured by Doppler shift, for each metre of position error
-)
+from bulletuav.engine.engine import Engine
+from bulletuav.registry import register
+from bulletuav.sensors.base import Image, Label, Moment, Sensor, SensorSetup, Uncertain
+from bulletuav.vehicle.swarm import Swarm
+
+VELOCITY_SHARE = 0.1
+"""1/s; error of a velocity, measured by Doppler shift, for each metre of position error"""
 
 
-class Gps:
-    """What W worlds of N drones read of themselves; a reading that fails leaves the last one.
+@register("sensor")
+class Gps(Sensor):
+    """What drones know of their position and velocity; a reading that fails leaves the last one.
 
-    noise     (W, N) standard deviation of each axis, m; a tenth of it, in m/s, for velocities
-    walk      (W, N) random walk of each axis, m after one second, growing with the root of time
-    dropout   (W, N) probability that a reading fails
-    position, velocity  (W, N, 3) the readings, m, m/s
+    Attributes:
+        noise: (W, N) standard deviation of each axis, m; a tenth of it, in m/s, for velocities.
+        walk: (W, N) random walk of each axis, m after one second, growing with the root of time.
+        dropout: (W, N) probability that a reading fails.
+        position: (W, N, 3) the readings, m.
+        velocity: (W, N, 3) the readings, m/s.
     """
 
-    def __init__(self, shape: tuple[int, int], period: float):
-        """`period` between readings, s."""
-        self.noise, self.walk, self.dropout = np.zeros((3, *shape))
-        self.position, self.velocity, self._drift = np.zeros((3, *shape, 3))
-        self._normal, self._uniform = np.zeros((*shape, 3, 3)), np.zeros(shape)
-        self._root = np.sqrt(period)
+    name = "gps"
+    gives = ("position", "velocity")
+    uncertain: ClassVar = {
+        "noise": Uncertain(0.0, 1000.0),
+        "walk": Uncertain(0.0, 1000.0),
+        "dropout": Uncertain(0.0, 1.0),
+    }
+    always_if_uncertain = True
 
-    def start(
-        self, k: int, position: np.ndarray, velocity: np.ndarray, rng: np.random.Generator
-    ) -> None:
-        """First readings of world k, whose drones are at (N, 3) m and fly at (N, 3) m/s; they do not fail."""
-        self._drift[k] = 0
-        errors = self.noise[k][:, None, None] * rng.standard_normal((len(position), 2, 3))
-        self.position[k] = position + errors[:, 0]
-        self.velocity[k] = velocity + VELOCITY_SHARE * errors[:, 1]
+    noise: np.ndarray
+    walk: np.ndarray
+    dropout: np.ndarray
 
-    def read(
-        self,
-        position: np.ndarray,
-        velocity: np.ndarray,
-        flying: np.ndarray,
-        rngs: Sequence[np.random.Generator | None],
-    ) -> None:
-        """The next readings in the worlds of `flying` (W,), of true states (W, N, 3); each draws from its own generator."""
+    def labels(self, setup: SensorSetup) -> Mapping[str, tuple[Label, ...] | Image]:
+        """Tell nothing: the observations "position" and "velocity" show these readings."""
+        return {}
+
+    def attach(self, setup: SensorSetup, engine: Engine) -> None:
+        """Make arrays for readings and random numbers."""
+        super().attach(setup, engine)
+        self.position, self.velocity, self._drift = np.zeros((3, *setup.shape, 3))
+        self._normal = np.zeros((*setup.shape, 3, 3))  # for the walk, then the two noises
+        self._uniform = np.zeros(setup.shape)
+        self._root = np.sqrt(setup.period)
+
+    def reset(self, world: int, swarm: Swarm, known: Swarm, rng: np.random.Generator) -> None:
+        """Take the first readings of a world; they do not fail."""
+        self._drift[world] = 0
+        normal = rng.standard_normal((self.setup.shape[1], 2, 3))
+        errors = self.noise[world][:, None, None] * normal
+        self.position[world] = swarm.position[world] + errors[:, 0]
+        self.velocity[world] = swarm.velocity[world] + VELOCITY_SHARE * errors[:, 1]
+
+    def measure(self, moment: Moment) -> Mapping[str, np.ndarray]:
+        """Take the next readings in the worlds that flew a decision."""
+        if moment.flying.any():
+            self._read(moment.after, moment.flying, moment.rngs)
+        return {"position": self.position.copy(), "velocity": self.velocity.copy()}
+
+    def _read(self, swarm: Swarm, flying: np.ndarray, rngs: Sequence[np.random.Generator]) -> None:
         for k in np.flatnonzero(flying).tolist():
-            rng = rngs[k]
-            assert rng is not None  # a world that flies was reset
-            rng.standard_normal(out=self._normal[k])
-            rng.random(out=self._uniform[k])
+            rngs[k].standard_normal(out=self._normal[k])
+            rngs[k].random(out=self._uniform[k])
         moves = flying[:, None, None]
+        # The walk goes on even where a reading fails.
         self._drift += moves * (self._root * self.walk[..., None] * self._normal[:, :, 0])
         errors = self.noise[..., None, None] * self._normal[:, :, 1:]
         comes = moves & (self._uniform >= self.dropout)[..., None]
-        np.copyto(self.position, position + self._drift + errors[:, :, 0], where=comes)
-        np.copyto(self.velocity, velocity + VELOCITY_SHARE * errors[:, :, 1], where=comes)
+        position = swarm.position + self._drift + errors[:, :, 0]
+        np.copyto(self.position, position, where=comes)
+        np.copyto(self.velocity, swarm.velocity + VELOCITY_SHARE * errors[:, :, 1], where=comes)

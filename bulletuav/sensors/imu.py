@@ -1,108 +1,152 @@
 """Inertial measurement: an accelerometer and a gyroscope with white noise and biases that walk."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping
+from typing import ClassVar
 
 import numpy as np
 
-from bulletuav.geometry.rotation import to_body, vec3
+from bulletuav.engine.engine import Engine
+from bulletuav.geometry.rotation import Quat4Like, Vec3, Vec3Like, to_body, vec3
 from bulletuav.kernel import func, kernel
-from bulletuav.vehicle.airframe import STANDARD_GRAVITY
+from bulletuav.registry import register
+from bulletuav.sensors.base import (
+    Moment,
+    Sensor,
+    SensorSetup,
+    Uncertain,
+    vector_labels,
+)
 from bulletuav.vehicle.swarm import Swarm, get
+
+MAX_FORCE = 100.0
+"""m/s^2, bound of an observed specific force"""
+MAX_BODY_RATE = 50.0
+"""rad/s, bound of an observed angular velocity"""
 
 
 @func
-def specific_force(quaternion, before, after, period, gravity):
-    """What an accelerometer feels (m/s^2, body): R^T (a - g), a the mean acceleration from one velocity to another (world).
+def specific_force(
+    quaternion: Quat4Like, before: Vec3Like, after: Vec3Like, period: float, gravity: float
+) -> Vec3:
+    """Compute what an accelerometer feels: R^T (a - g).
 
-    Source: P. D. Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems (2013).
+    Args:
+        quaternion: Attitude, body to world.
+        before: Velocity before, m/s, world axes.
+        after: Velocity after, m/s, world axes.
+        period: Time between the two, s; a is the mean acceleration in it.
+        gravity: m/s^2.
+
+    Returns:
+        Specific force, m/s^2, body axes.
+
+    Source: P. D. Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation
+    Systems (2013).
     """
-    x, y, z = (
-        (after[0] - before[0]) / period,
-        (after[1] - before[1]) / period,
-        (after[2] - before[2]) / period,
-    )
+    x = (after[0] - before[0]) / period
+    y = (after[1] - before[1]) / period
+    z = (after[2] - before[2]) / period
     return to_body(quaternion, (x, y, z + gravity))
 
 
 @kernel
-def _measure(worlds, before, after, period, gravity, scale, normal, root, bias, reading):
-    """Advance bias and reading (W, N, 2, 3) of the listed worlds; scale (W, N, 4) and normal (W, N, 4, 3) as in `Imu`."""
+def _measure(
+    worlds: np.ndarray,
+    before: Swarm,
+    after: Swarm,
+    period: float,
+    gravity: float,
+    scale: np.ndarray,
+    normal: np.ndarray,
+    root: float,
+    bias: np.ndarray,
+    reading: np.ndarray,
+) -> None:
+    """Advance bias and reading (W, N, 2, 3) of the listed worlds.
+
+    `scale` (W, N, 4) and `normal` (W, N, 4, 3) are for the two walks, then the two noises.
+    """
     for w in worlds:
         for i in range(reading.shape[1]):
             _, quaternion, velocity, rates = get(after, w, i)
-            truth = (
-                specific_force(quaternion, vec3(before.velocity, w, i), velocity, period, gravity),
-                rates,
-            )
+            start = vec3(before.velocity, w, i)
+            force = specific_force(quaternion, start, velocity, period, gravity)
+            truth = force, rates
             for s in range(2):
                 for k in range(3):
+                    # The bias walks, then white noise is added to truth and bias.
                     bias[w, i, s, k] += root * scale[w, i, s] * normal[w, i, s, k]
                     white = scale[w, i, 2 + s] * normal[w, i, 2 + s, k]
                     reading[w, i, s, k] = truth[s][k] + bias[w, i, s, k] + white
 
 
-class Imu:
-    """What W worlds of N drones feel of their motion, in body axes FLU.
+@register("sensor")
+class Imu(Sensor):
+    """What drones feel of their motion, in body axes (forward, left, up).
 
-    acceleration_noise, rates_noise  (W, N) standard deviation of each axis, m/s^2, rad/s
-    acceleration_walk, rates_walk    (W, N) random walk of each axis's bias after one second, growing with the root of time
-    acceleration  (W, N, 3) specific force, m/s^2: gravity upwards at rest, none in free fall
-    rates         (W, N, 3) angular velocity, rad/s
+    Attributes:
+        accelerometer_noise: (W, N) standard deviation of each axis, m/s^2.
+        gyroscope_noise: (W, N) standard deviation of each axis, rad/s.
+        accelerometer_walk: (W, N) random walk of each axis's bias after one second, m/s^2.
+        gyroscope_walk: (W, N) the same, rad/s; both grow with the root of time.
+        acceleration: (W, N, 3) specific force, m/s^2: gravity upwards at rest, none in free fall.
+        rates: (W, N, 3) angular velocity, rad/s.
     """
 
-    def __init__(self, shape: tuple[int, int], period: float, gravity: float = STANDARD_GRAVITY):
-        """`period` between readings, s; `gravity` m/s^2."""
-        self.acceleration_noise, self.rates_noise, self.acceleration_walk, self.rates_walk = (
-            np.zeros((4, *shape))
-        )
-        self._bias, self._reading = np.zeros((2, *shape, 2, 3))
-        self.acceleration, self.rates = self._reading[:, :, 0], self._reading[:, :, 1]
-        self._normal = np.zeros((*shape, 4, 3))  # for the two walks, then for the two noises
-        self._period, self._gravity = period, gravity
+    name = "imu"
+    prefix = ""
+    numbers = (
+        *vector_labels("force", "m/s^2", [-MAX_FORCE] * 3, [MAX_FORCE] * 3),
+        *vector_labels("rates", "rad/s", [-MAX_BODY_RATE] * 3, [MAX_BODY_RATE] * 3),
+    )
+    uncertain: ClassVar = {
+        "accelerometer_noise": Uncertain(0.0, 1000.0),
+        "accelerometer_walk": Uncertain(0.0, 1000.0),
+        "gyroscope_noise": Uncertain(0.0, 1000.0),
+        "gyroscope_walk": Uncertain(0.0, 1000.0),
+    }
 
-    def start(self, k: int, swarm: Swarm, rng: np.random.Generator) -> None:
-        """First readings of world k, whose drones fly steadily so far; its biases are none yet."""
-        self._bias[k] = 0
-        self._draw(k, rng)
-        self._take(np.array([k]), swarm, swarm, 0.0)
+    accelerometer_noise: np.ndarray
+    accelerometer_walk: np.ndarray
+    gyroscope_noise: np.ndarray
+    gyroscope_walk: np.ndarray
 
-    def read(
-        self,
-        before: Swarm,
-        after: Swarm,
-        flying: np.ndarray,
-        rngs: Sequence[np.random.Generator | None],
-    ) -> None:
-        """Readings after a decision in the worlds of `flying` (W,), of the swarm `before` and `after` it.
+    def attach(self, setup: SensorSetup, engine: Engine) -> None:
+        """Make arrays for biases, readings and random numbers."""
+        super().attach(setup, engine)
+        self._bias, self._reading = np.zeros((2, *setup.shape, 2, 3))
+        self.acceleration = self._reading[:, :, 0]
+        self.rates = self._reading[:, :, 1]
+        self._normal = np.zeros((*setup.shape, 4, 3))  # for the two walks, then for the two noises
 
-        The acceleration is the mean over the decision, attitude and rates are those after it. Each world draws from its own
-        generator, if noise or walk is asked for.
+    def reset(self, world: int, swarm: Swarm, known: Swarm, rng: np.random.Generator) -> None:
+        """Take the first readings of a world, whose drones flew steadily; biases are none yet."""
+        self._bias[world] = 0
+        self._draw(world, rng)
+        self._take(np.array([world]), swarm, swarm, 0.0)
+
+    def measure(self, moment: Moment) -> Mapping[str, np.ndarray]:
+        """Measure in the worlds that flew: mean acceleration of the decision, rates after it.
+
+        Each world draws from its own generator, if noise or walk is asked for.
         """
-        worlds = np.flatnonzero(flying)
+        worlds = np.flatnonzero(moment.flying)
         for k in worlds.tolist():
-            self._draw(k, rngs[k])
-        self._take(worlds, before, after, np.sqrt(self._period))
+            self._draw(k, moment.rngs[k])
+        self._take(worlds, moment.before, moment.after, np.sqrt(self.setup.period))
+        return {"imu": np.concatenate([self.acceleration, self.rates], axis=-1)}
 
-    def _draw(self, k: int, rng: np.random.Generator | None) -> None:
-        if any(scale[k].any() for scale in self._scales()):
-            assert rng is not None  # a world that flies was reset
-            rng.standard_normal(out=self._normal[k])
+    def _draw(self, world: int, rng: np.random.Generator) -> None:
+        if any(scale[world].any() for scale in self._scales()):
+            rng.standard_normal(out=self._normal[world])
 
     def _take(self, worlds: np.ndarray, before: Swarm, after: Swarm, root: float) -> None:
-        """`root` of the time in s that biases walked."""
+        """Measure in `worlds`; `root` of the time in s that biases walked."""
+        period, gravity = self.setup.period, self.setup.gravity
         scale = np.stack(self._scales(), axis=-1)
-        _measure(
-            worlds,
-            before,
-            after,
-            self._period,
-            self._gravity,
-            scale,
-            self._normal,
-            root,
-            self._bias,
-            self._reading,
-        )
+        state = (self._normal, root, self._bias, self._reading)
+        _measure(worlds, before, after, period, gravity, scale, *state)
 
     def _scales(self) -> tuple[np.ndarray, ...]:
-        return self.acceleration_walk, self.rates_walk, self.acceleration_noise, self.rates_noise
+        walks = (self.accelerometer_walk, self.gyroscope_walk)
+        return *walks, self.accelerometer_noise, self.gyroscope_noise

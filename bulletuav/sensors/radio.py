@@ -1,29 +1,37 @@
 """Drones tell each other where they are: messages with a delay, a range and losses."""
 
+from collections.abc import Mapping
+from typing import ClassVar
+
 import numpy as np
 
+from bulletuav.engine.engine import Engine
 from bulletuav.kernel import kernel
+from bulletuav.registry import register
+from bulletuav.sensors.base import Image, Label, Moment, Sensor, SensorSetup, Uncertain
+from bulletuav.vehicle.swarm import Swarm
 
-MEMORY = 1.0  # s; a drone that was not heard for longer is forgotten
+MEMORY = 1.0
+"""s; a drone that was not heard for longer is forgotten"""
 
 
 @kernel
 def _hear(
-    sent,
-    earlier,
-    between,
-    position,
-    range_,
-    loss,
-    luck,
-    flying,
-    delay,
-    period,
-    start,
-    message,
-    age,
-    received,
-):
+    sent: np.ndarray,
+    earlier: np.ndarray,
+    between: float,
+    position: np.ndarray,
+    range_: float,
+    loss: float,
+    luck: np.ndarray,
+    flying: np.ndarray,
+    delay: float,
+    period: float,
+    start: bool,
+    message: np.ndarray,
+    age: np.ndarray,
+    received: np.ndarray,
+) -> None:
     """Deliver messages (N, 6) to all pairs (i, j) of one world; see `Radio`."""
     drones = flying.shape[0]
     for i in range(drones):
@@ -32,89 +40,115 @@ def _hear(
             age[i, j] += period
             if i == j or not (flying[i] and flying[j]):
                 continue
+            # Is the sender within range, and is the message not lost?
             square = 0.0
             for k in range(3):
                 square += (position[j, k] - position[i, k]) ** 2
             if square > range_ * range_ or (luck[i, j] < loss and not start):
                 continue
+            # What the sender knew `delay` ago, between two of its decisions.
             for k in range(6):
                 message[i, j, k] = sent[j, k] + between * (earlier[j, k] - sent[j, k])
             age[i, j] = delay
             received[i] += 1
 
 
-class Radio:
+@register("sensor")
+class Radio(Sensor):
     """Every drone always tells the others its position and velocity, as far as it knows them.
 
-    At a decision drone i hears what drone j knew `delay` ago (between two decisions: interpolated), if j is within `range`
-    and the message is not lost; otherwise what it heard last stays, for up to a second.
+    At a decision drone i hears what drone j knew `delay` ago, interpolated between two decisions.
+    It hears it if j is within `range` and the message is not lost. Otherwise what it heard last
+    stays, for up to a second.
 
-    delay, loss, range  (W,) s, probability, m
-    message   (W, N, N, 6) what i last heard of j
-    heard     (W, N, N) whom i has heard of
-    received  (W, N) messages that came in the last decision
+    Attributes:
+        delay: (W,) s.
+        loss: (W,) probability that a message is lost.
+        range: (W,) how far messages reach, m.
+        message: (W, N, N, 6) position and velocity that i last heard of j.
+        received: (W, N) messages that came in the last decision.
     """
 
-    def __init__(self, shape: tuple[int, int], period: float, longest: float):
-        """`period` between decisions, `longest` delay, s."""
-        worlds, drones = shape
-        self.delay, self.loss = np.zeros((2, worlds))
-        self.range = np.full(worlds, np.inf)
-        self._period = period
-        self._sent = np.zeros((2 + int(longest / period), worlds, drones, 6))  # the latest first
+    name = "radio"
+    gives = ("heard", "heard_position", "heard_velocity")
+    uncertain: ClassVar = {
+        "delay": Uncertain(0.0, 10.0, per="world"),
+        "loss": Uncertain(0.0, 1.0, per="world"),
+        "range": Uncertain(0.0, np.inf, usual=np.inf, per="world"),
+    }
+    always_if_uncertain = True
+
+    delay: np.ndarray
+    loss: np.ndarray
+    range: np.ndarray
+
+    def labels(self, setup: SensorSetup) -> Mapping[str, tuple[Label, ...] | Image]:
+        """Tell nothing: the observations of other drones show what was heard."""
+        return {}
+
+    def attach(self, setup: SensorSetup, engine: Engine) -> None:
+        """Make arrays for messages on their way and for those that were heard."""
+        super().attach(setup, engine)
+        worlds, drones = setup.shape
+        past = 2 + int(setup.longest_delay / setup.period)
+        self._sent = np.zeros((past, worlds, drones, 6))  # the latest first
         self.message = np.zeros((worlds, drones, drones, 6))
         self._age = np.full((worlds, drones, drones), np.inf)
-        self.received = np.zeros(shape, dtype=np.int64)
+        self.received = np.zeros(setup.shape, dtype=np.int64)
 
     @property
     def heard(self) -> np.ndarray:
-        """(W, N, N) whose last message is at most a second (and the delay) old."""
-        return self._age <= MEMORY + self.delay[:, None, None]
+        """(W, N, N) bool: whose last message is at most a second (and the delay) old."""
+        known: np.ndarray = self._age <= MEMORY + self.delay[:, None, None]
+        return known
 
-    def start(
-        self, k: int, known: np.ndarray, position: np.ndarray, rng: np.random.Generator
-    ) -> None:
-        """World k begins: all within range have heard of each other, as they are."""
-        self._sent[:, k] = known
-        self._age[k] = np.inf
-        self._deliver(k, position, np.ones(len(position), dtype=bool), rng, True)
+    def reset(self, world: int, swarm: Swarm, known: Swarm, rng: np.random.Generator) -> None:
+        """Begin an episode: all within range have heard of each other, as they are."""
+        told = np.concatenate([known.position[world], known.velocity[world]], axis=-1)
+        self._sent[:, world] = told
+        self._age[world] = np.inf
+        everyone = np.ones(self.setup.shape[1], dtype=bool)
+        self._deliver(world, swarm.position[world], everyone, rng, start=True)
 
-    def hear(
-        self,
-        k: int,
-        known: np.ndarray,
-        position: np.ndarray,
-        flying: np.ndarray,
-        rng: np.random.Generator,
-    ) -> None:
-        """One decision of world k later: drones know (N, 6) of themselves and are at `position` (N, 3)."""
-        self._sent[1:, k] = self._sent[:-1, k]
-        self._sent[0, k] = known
-        self._deliver(k, position, flying, rng, False)
+    def measure(self, moment: Moment) -> Mapping[str, np.ndarray]:
+        """Send what drones know of themselves, and hear, in the worlds that flew a decision."""
+        for k in np.flatnonzero(moment.flying).tolist():
+            self._sent[1:, k] = self._sent[:-1, k]
+            self._sent[0, k] = np.concatenate([moment.position[k], moment.velocity[k]], axis=-1)
+            place, mask = moment.after.position[k], moment.mask[k]
+            self._deliver(k, place, mask, moment.rngs[k], start=False)
+        message = self.message.copy()
+        heard = {"heard_position": message[..., :3], "heard_velocity": message[..., 3:]}
+        return {**heard, "heard": self.heard}
+
+    def info(self) -> Mapping[str, np.ndarray]:
+        """Tell the messages that came in the last decision."""
+        return {"messages": self.received}
 
     def _deliver(
         self,
-        k: int,
+        world: int,
         position: np.ndarray,
         flying: np.ndarray,
         rng: np.random.Generator,
+        *,
         start: bool,
     ) -> None:
-        steps, between = divmod(self.delay[k] / self._period, 1)
+        steps, between = divmod(self.delay[world] / self.setup.period, 1)
         luck = rng.random((len(flying), len(flying)))
         _hear(
-            self._sent[int(steps), k],
-            self._sent[int(steps) + 1, k],
+            self._sent[int(steps), world],
+            self._sent[int(steps) + 1, world],
             between,
             position,
-            self.range[k],
-            self.loss[k],
+            self.range[world],
+            self.loss[world],
             luck,
             flying,
-            self.delay[k],
-            self._period,
+            self.delay[world],
+            self.setup.period,
             start,
-            self.message[k],
-            self._age[k],
-            self.received[k],
+            self.message[world],
+            self._age[world],
+            self.received[world],
         )

@@ -1,325 +1,341 @@
-"""What a task is made of: it spawns worlds, names reward terms and ends episodes; everything is batched (W, N, ...)."""
+"""What a task is: a Markov decision process whose parts a reader sees at the top of its class."""
 
+import dataclasses
+import typing
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
-from bulletuav.conflict.separation import Conflict, conflict
 from bulletuav.errors import unknown
-from bulletuav.geometry.city_grid import NO_LAYOUT
-from bulletuav.geometry.closest_approach import distances
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.solids import Solids
-from bulletuav.sensors.lidar import Beam
-from bulletuav.tasks.observations.sensors import served_share
-from bulletuav.vehicle.swarm import Contacts, Swarm
+from bulletuav.tasks.frame import Frame, Scene, Spawn, StepResult, TaskContext
+from bulletuav.tasks.ingredients import Binding, Bound, find_term
 
-NOTHING = np.zeros((0, 3))
 REBOUND = {"soft": 0.8, "hard": 0.0}
 """Share of the speed against a wall that is left, reversed, by the option `boundary`"""
-
-
-class Spawn(NamedTuple):
-    """Start of one world: position (N, 3) m, quaternion (N, 4), velocity (N, 3) m/s, rates (N, 3) rad/s, goal (N, 3) m.
-
-    Velocity of the goals (N, 3), m/s. Of the task's K obstacles position and velocity (K, 3). `layout`: which of the task's
-    layouts stands there. `memory`: what the task remembers from the start, by name.
-    """
-
-    position: np.ndarray
-    quaternion: np.ndarray
-    velocity: np.ndarray
-    rates: np.ndarray
-    goal: np.ndarray
-    goal_velocity: np.ndarray | float = 0.0
-    obstacle: np.ndarray = NOTHING
-    obstacle_velocity: np.ndarray = NOTHING
-    layout: int = NO_LAYOUT
-    memory: Mapping[str, np.ndarray] = MappingProxyType({})
-
-
-class Scene(NamedTuple):
-    """Beside the drones: goals (W, N, 3) m, m/s, start positions (W, N, 3) m; obstacles (W, K, 3) m, m/s, (W, K, 4).
-
-    `layout` (W,): which of the task's layouts stands in each world, or NO_LAYOUT. `memory`: the task's own arrays (W, ...) by
-    name, zero when a world starts, unless its spawn says otherwise.
-    """
-
-    goal: np.ndarray
-    goal_velocity: np.ndarray
-    start: np.ndarray
-    obstacle: np.ndarray
-    obstacle_velocity: np.ndarray
-    obstacle_quaternion: np.ndarray
-    layout: np.ndarray
-    memory: Mapping[str, np.ndarray]
-
-    @classmethod
-    def empty(
-        cls,
-        num_worlds: int,
-        num_drones: int,
-        num_obstacles: int,
-        memory: Mapping[str, tuple[int, ...]],
-    ) -> "Scene":
-        """All at the origin, unturned; `memory` tells the shape of each array in one world."""
-        of_drones, of_obstacles = (num_worlds, num_drones, 3), (num_worlds, num_obstacles, 3)
-        turns = np.tile([0.0, 0.0, 0.0, 1.0], (num_worlds, num_obstacles, 1))
-        goal, goal_velocity, start = np.zeros((3, *of_drones))
-        remembered = {name: np.zeros((num_worlds, *shape)) for name, shape in memory.items()}
-        obstacle, obstacle_velocity = np.zeros((2, *of_obstacles))
-        layout = np.full(num_worlds, NO_LAYOUT)
-        return cls(
-            goal, goal_velocity, start, obstacle, obstacle_velocity, turns, layout, remembered
-        )
+DEFAULTS: Mapping[str, Any] = MappingProxyType(
+    {
+        "num_drones": 1,
+        "airframe": "hummingbird",
+        "action": "velocity",
+        "decision_hz": 10,
+        "horizon": 300,
+        "max_speed": 10.0,
+    }
+)
+"""Options of a task that tells nothing else"""
+Rngs = Sequence[np.random.Generator]
+Term = Callable[..., Any]
+Weighted = float | tuple[Term | str, float]
 
 
 @dataclass(frozen=True)
-class TaskContext:
-    """The swarm that a task is set for: size, largest collision radius (m), speed limit (m/s), decision period (s).
+class TaskConfig:
+    """Options of a task beside those that all tasks have. Derive from it, as a frozen dataclass.
 
-    `num_neighbours`: how many other drones, obstacles and buildings a drone observes; `duration`: of an episode, s;
-    `beams` of the range finder, which reaches `max_range` m.
+    Float fields are sizes: finite and not negative. A field's metadata may tell the "least" of a
+    whole number (1 unless told), and the "most" of any number (1e9 unless told).
+
+    Attributes:
+        d_safe: Separation below which two drones are in conflict, m.
+        weights: Changes of the weights of reward terms, by name.
     """
 
-    num_drones: int
-    collision_radius: float
-    max_speed: float
-    period: float
-    num_neighbours: int
-    duration: float
-    beams: tuple[Beam, ...]
-    max_range: float
+    d_safe: float = 1.0
+    weights: Mapping[str, float] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
-class Frame:
-    """One decision, for a task to judge. Arrays (W, N, ...); `alive` are the drones that flew it, `time` (W,) s since reset.
-
-    `last` (W,) tells where the horizon is reached; the warning zone about a drone ends at `zone` m; the goals were at
-    `goal_before` (W, N, 3), m, before the decision and move ahead of the drones. `readings` are what sensors measured after
-    it, by name, as far as the observation or the task asks for it: pictures; "lidar" (W, N, B) m; "imu" (W, N, 6);
-    "clearance" (W, N) m; "sight" (W, N, U), whether the task's targets are in sight; "charge" (W, N), what is left in
-    batteries; "power" (W, N) W, that it took; with randomization also what drones know of themselves, "position" and
-    "velocity" (W, N, 3), and with communication what drone i last heard of drone j, "heard_position" and "heard_velocity"
-    (W, N, N, 3), where "heard" (W, N, N).
-    """
-
-    before: Swarm
-    after: Swarm
-    action: np.ndarray
-    scene: Scene
-    contacts: Contacts
-    alive: np.ndarray
-    time: np.ndarray
-    last: np.ndarray
-    d_safe: float
-    zone: float
-    goal_before: np.ndarray
-    readings: Mapping[str, np.ndarray] = field(default_factory=dict)
-
-    @cached_property
-    def conflict(self) -> Conflict:
-        """Separations within the decision."""
-        return conflict(
-            self.before.position, self.after.position, self.alive, self.d_safe, self.zone
-        )
-
-    @property
-    def known_position(self) -> np.ndarray:
-        """(W, N, 3) where the drones think that they are, m."""
-        return self.readings.get("position", self.after.position)
-
-    @property
-    def known_velocity(self) -> np.ndarray:
-        """(W, N, 3) how they think that they move, m/s."""
-        return self.readings.get("velocity", self.after.velocity)
-
-    @cached_property
-    def known_distance(self) -> np.ndarray:
-        """(W, N) from there to the goal, m."""
-        return distances(self.scene.goal, self.known_position)
-
-    @property
-    def depleted(self) -> np.ndarray:
-        """(W, N) bool: the battery is empty."""
-        return self.readings["charge"] <= 0
-
-    @property
-    def seen(self) -> np.ndarray:
-        """(W, N, U) bool: which of the task's targets the drones saw that flew the decision."""
-        return self.readings["sight"] & self.alive[..., None]
-
-    @cached_property
-    def collision(self) -> np.ndarray:
-        """(W, N) bool: contact of collision shapes."""
-        return self.contacts.mask(self.alive.shape)
-
-    @cached_property
-    def distance(self) -> np.ndarray:
-        """(W, N) distance to the goal after the decision, m."""
-        return distances(self.scene.goal, self.after.position)
-
-    @cached_property
-    def distance_before(self) -> np.ndarray:
-        """(W, N) distance to the goal before the decision, m."""
-        return distances(self.scene.goal, self.before.position)
+Config = TypeVar("Config", bound=TaskConfig)
 
 
-class StepResult(NamedTuple):
-    """What a task makes of a frame.
+class Task(ABC, Generic[Config]):
+    """A task. A subclass's docstring tells its MDP, its attributes hold the parts.
 
-    terms       unweighted reward terms by name, (W, N) each; the reward is their sum times the task's `weights`
-    terminated  (W, N) bool: drones whose episode ends here, in success or failure
-    success     (W, N) bool: drones that are where the task wants them
-    """
+    A whole one, in which drones come to a point 10 m up and stay there:
 
-    terms: dict[str, np.ndarray]
-    terminated: np.ndarray
-    success: np.ndarray
+        @dataclass(frozen=True)
+        class PerchConfig(TaskConfig):
+            height: float = 10.0
 
+        @reward
+        def near(distance):
+            return 1.0 / (1.0 + distance)
 
-class Task(ABC):
-    """A task. A subclass's docstring is its MDP; class attributes hold its defaults, methods its ingredients.
+        @end
+        def there(distance):
+            return distance < 0.5
 
-    name         what `parallel_env` calls it
-    Config       frozen dataclass of the task's own options; needs `d_safe` (m) and `weights` (of the reward terms);
-                 its float fields are sizes, finite and not negative; a field's metadata may tell the "least" of a whole
-                 number, and the "most" of any (1e9 unless told)
-    defaults     values of the common options where they differ from the package's
-    difficulties for each difficulty the options that it sets, common or own
-    presets      named sets of values of options
-    observation  names of the observation blocks
-    senses       readings that the task itself judges by, such as "lidar"
-    baseline     policy that flies it when none is named
-    reward_weights  of the reward terms by name, unless the config's `weights` change them
+        class Perch(Task[PerchConfig]):
+            name = "perch"
+            observation = ("velocity", "goal_offset")
+            reward = {"near": (near, 1.0), "collision": -10.0}
+            ends = (collision,)
+            success = there
+
+            def spawn(self, rng):
+                n = self.context.num_drones
+                start = rng.uniform(-5.0, 5.0, (n, 3)) + (0.0, 0.0, 10.0)
+                return Spawn(position=start, goal=np.array((0.0, 0.0, self.config.height)))
+
+    `bulletuav.check_task(Perch)` looks for mistakes. Everything is batched: arrays are (W, N, ...) for
+    W worlds of N drones.
+
+    Attributes:
+        name: What users call it.
+        Config: Class of its own options; taken from `Task[...]`.
+        defaults: Values of the common options where they differ from `DEFAULTS`.
+        difficulties: For each difficulty the options that it sets, common or own.
+        presets: Named sets of values of options.
+        observation: Names of observation blocks, or such blocks.
+        required_sensors: Readings that the task itself works with, such as "lidar".
+        reward: Weight of each reward term by name, or (term, weight). Names are looked up in the
+            registry of rewards.
+        ends: What ends a drone's episode.
+        success: What tells that a drone is where the task wants it.
+        events: Names of what `terminated` puts into `Frame.derived` for terms.
+        computed_terms: Names of terms that `reward_terms` itself computes, from the others.
+        baseline: Policy that flies it when none is named.
+        rebound: Share of the speed that is left, reversed, to a drone at the arena's bounds; None
+            where they hold nobody back.
+        num_targets: How many points drones are to see.
+        zone: Separation at which the warning zone about a drone ends, m.
+        arena_low: (3,) lower corner of the space to which positions are scaled, m.
+        arena_high: (3,) its upper corner, m.
     """
 
     name: ClassVar[str]
-    Config: ClassVar[type]
-    defaults: ClassVar[Mapping[str, Any]]
-    difficulties: ClassVar[Mapping[str, Mapping[str, Any]]]
+    Config: ClassVar[type[TaskConfig]] = TaskConfig
+    defaults: ClassVar[Mapping[str, Any]] = MappingProxyType({})
+    difficulties: ClassVar[Mapping[str, Mapping[str, Any]]] = MappingProxyType({"easy": {}})
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = MappingProxyType({})
-    observation: ClassVar[tuple[str, ...]]
-    senses: ClassVar[tuple[str, ...]] = ()
+    observation: ClassVar[tuple[Any, ...]]
+    required_sensors: ClassVar[tuple[str, ...]] = ()
+    reward: ClassVar[Mapping[str, Weighted]]
+    ends: ClassVar[tuple[Term, ...]] = ()
+    success: ClassVar[Term | None] = None
+    events: ClassVar[tuple[str, ...]] = ()
+    computed_terms: ClassVar[tuple[str, ...]] = ()
     baseline: ClassVar[str] = "straight"
-    reward_weights: ClassVar[Mapping[str, float]]
 
     rebound: float | None = None
-    """share of the speed that is left, reversed, to a drone at the arena's bounds; None where they hold nobody back"""
-    num_targets = 0
-    """how many points drones are to see"""
+    num_targets: int = 0
     zone: float
-    """where the warning zone about a drone ends, m"""
-    arena_low: np.ndarray
-    """(3,) lower corner of the space that observations and target positions are scaled to, m"""
-    arena_high: np.ndarray
-    """(3,) its upper corner, m"""
+    arena_low: np.ndarray = np.array((-100.0, -100.0, 0.0))
+    arena_high: np.ndarray = np.array((100.0, 100.0, 100.0))
 
-    def __init__(self, config: Any, context: TaskContext):
+    def __init_subclass__(cls) -> None:
+        """Take the class of the config from `Task[...]`."""
+        for base in vars(cls).get("__orig_bases__", ()):
+            for given in typing.get_args(base):
+                if "Config" not in vars(cls) and isinstance(given, type):
+                    cls.Config = given
+
+    def __init__(self, config: Config, context: TaskContext) -> None:
+        """Keep options and context, and find out the weights of reward terms.
+
+        Args:
+            config: The task's own options.
+            context: The swarm and the sensors that it is for.
+
+        Raises:
+            ValueError: The options cannot be.
+        """
         self.config = config
         self.context = context
-        self.weights = merged_weights(self.reward_weights, config.weights)
+        self.weights = merged_weights(
+            {name: _weight(value) for name, value in self.reward.items()}, config.weights
+        )
         self.zone = 2 * config.d_safe
+        self._terms: dict[str, Bound] = {}
+        self._ends: tuple[Bound, ...] = ()
+        self._success: Bound | None = None
+        self._extra: dict[str, Bound] = {}
+
+    def bind(self, readings: frozenset[str], extra: Mapping[str, tuple[Any, float]]) -> Binding:
+        """Find out what the arguments of its ingredients stand for; called once, before the first frame.
+
+        Args:
+            readings: Names of sensors' readings.
+            extra: Reward terms beside its own: (term, weight) by name.
+
+        Returns:
+            What names stand for, for observation blocks.
+
+        Raises:
+            ValueError: An ingredient asks for a name that there is not, or a term is not known.
+        """
+        kind = type(self)
+        numbers = {**_numbers(self.context), **_numbers(self.config), "zone": self.zone}
+        quantities = {"outside": self.outside, **self.quantities()}
+        names = (readings, frozenset(self.memory()))
+        binding = Binding(self.name, *names, quantities, frozenset(self.events), numbers)
+        self.weights |= {name: weight for name, (_, weight) in extra.items()}
+        self._extra = {name: self._bound(binding, name, term) for name, (term, _) in extra.items()}
+        for name, value in self.reward.items():
+            # A task that evaluates decisions by itself gives the terms that it only names.
+            own = isinstance(value, tuple) or kind.evaluate_step is Task.evaluate_step
+            if own and name not in self.computed_terms and self.weights[name]:
+                term = value[0] if isinstance(value, tuple) else name
+                self._terms[name] = self._bound(binding, name, term)
+        self._ends = tuple(
+            Bound(one, binding, f"end {getattr(one, '__name__', one)!r}", bool) for one in kind.ends
+        )
+        if kind.success is not None:
+            self._success = Bound(kind.success, binding, "success", bool)
+        return binding
+
+    def _bound(self, binding: Binding, name: str, term: Any) -> Bound:
+        return Bound(find_term("reward", term), binding, f"reward term {name!r}", float)
 
     @abstractmethod
     def spawn(self, rng: np.random.Generator) -> Spawn:
-        """Start of one world."""
+        """Draw the start of one world."""
+
+    def spawn_many(self, rngs: Rngs) -> Sequence[Spawn]:
+        """Draw the starts of several worlds, each from its own generator; by default one by one."""
+        return [self.spawn(rng) for rng in rngs]
 
     def obstacles(self) -> Sequence[Obstacle]:
-        """The bodies in every world, none by default."""
+        """List the bodies that are in every world; none by default."""
         return ()
 
     def layouts(self) -> Sequence[Solids]:
-        """What can stand in a world, one at a time: cities, none by default."""
+        """List what can stand in a world, one at a time, such as cities; nothing by default."""
         return ()
 
     def targets(self, scene: Scene) -> np.ndarray:
-        """(W, num_targets, 3) points, m, that drones are to see; none by default."""
+        """Tell the points that drones are to see, (W, num_targets, 3) m; none by default."""
         return np.zeros((len(scene.goal), 0, 3))
 
-    def active_targets(self, scene: Scene) -> np.ndarray:
-        """(W, num_targets) bool: targets that count, all by default."""
-        return np.ones((len(scene.goal), self.num_targets), dtype=bool)
+    def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
+        """Move goals and obstacles through one decision, before the drones fly it.
 
-    def advance(
-        self,
-        scene: Scene,
-        time: np.ndarray,
-        flying: np.ndarray,
-        rng: Sequence[np.random.Generator | None],
-    ) -> bool:
-        """Move goals and obstacles of the worlds that fly (W,) through one decision from `time` (W,), in place.
+        Args:
+            scene: To be changed in place, in the worlds of `flying`.
+            time: (W,) since each world's reset, s.
+            flying: (W,) bool, worlds that fly.
+            rngs: Random generator of each world.
 
-        Called before the drones fly. Returns whether obstacles moved; by default nothing does.
+        Returns:
+            Whether obstacles moved; by default nothing does.
         """
         return False
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
-        """Arrays that the task keeps in `scene.memory` over an episode: shape in one world by name; none by default."""
+        """Tell what the task keeps in `scene.memory` over an episode.
+
+        Returns:
+            Shape of each array in one world by name; none by default.
+        """
         return {}
 
-    def update_memory(self, frame: Frame, rng: Sequence[np.random.Generator | None]) -> None:  # noqa: B027
-        """Bring `scene.memory` up to date after a decision, before it is judged; by default nothing to do.
+    def start_memory(self, frame: Frame) -> None:  # noqa: B027
+        """Fill the memory of worlds that were reset from their first frame; draws nothing.
 
-        `rng`: the generator of each world; None before its first reset.
+        For what the first observation shows of memory, such as a sensor's reading that is kept. What it
+        writes of other worlds is dropped. By default there is nothing to do.
+        """
+
+    def update_memory(self, frame: Frame, rngs: Rngs) -> None:  # noqa: B027
+        """Bring `scene.memory` up to date after a decision, before it is evaluated.
+
+        Args:
+            frame: The decision.
+            rngs: Random generator of each world.
         """
 
     def payload_power(self, scene: Scene) -> np.ndarray | float:
-        """(W, N) what the drones' equipment takes beside flight, W; by default nothing."""
+        """Tell what the drones' equipment takes beside flight, (W, N) W; nothing by default."""
         return 0.0
 
-    def info(self, frame: Frame) -> dict[str, np.ndarray]:
-        """What else infos tell, (W, N) by name; by default the share of the targets that is served, where there are any."""
-        return {"served": self.served(frame)} if self.num_targets else {}
+    def quantities(self) -> Mapping[str, Any]:
+        """Tell what the task works out of a frame, by the names that its ingredients use.
 
-    def served(self, frame: Frame) -> np.ndarray:
-        """(W, N) share of the targets that some living drone sees, the same for all."""
-        return served_share(frame.readings["sight"], frame.alive, self.active_targets(frame.scene))
-
-    def service_quality(
-        self, place: np.ndarray, targets: np.ndarray, sight: np.ndarray
-    ) -> np.ndarray:
-        """(C, U) from 0 to 1: what targets (U, 3), m, are worth to drones at places (C, 3), by `sight` (C, U) bool.
-
-        For policies that know everything; by default whether they are seen.
+        Returns:
+            Functions of a frame that give (W, N, ...), or numbers. "outside" is always there.
         """
-        return sight.astype(float)
+        return {}
+
+    def info(self, frame: Frame) -> dict[str, np.ndarray]:
+        """Tell what infos say beside rewards, success and the like, (W, N) by name; nothing by default."""
+        return {}
 
     def outside(self, frame: Frame) -> np.ndarray:
-        """(W, N) bool: outside the arena after the decision, or held back at its bounds."""
+        """Tell who is outside the arena after the decision, or held back at its bounds, (W, N) bool."""
+        position = frame.after.position
         if self.rebound is not None:  # which left them right at the bounds
-            return np.any(
-                (frame.after.position <= self.arena_low)
-                | (frame.after.position >= self.arena_high),
-                axis=-1,
-            )
-        return np.any(
-            (frame.after.position < self.arena_low) | (frame.after.position > self.arena_high),
-            axis=-1,
-        )
+            beyond = (position <= self.arena_low) | (position >= self.arena_high)
+        else:
+            beyond = (position < self.arena_low) | (position > self.arena_high)
+        outside: np.ndarray = np.any(beyond, axis=-1)
+        return outside
 
-    @abstractmethod
+    def terminated(self, frame: Frame) -> np.ndarray:
+        """Tell whose episode ends here, (W, N) bool; by default by any of `ends`."""
+        ended = np.zeros(frame.alive.shape, dtype=bool)
+        for one in self._ends:
+            ended |= one(frame)
+        return ended
+
+    def succeeded(self, frame: Frame) -> np.ndarray:
+        """Tell who is where the task wants it, (W, N) bool; by default by `success`."""
+        if self._success is None:
+            return np.zeros(frame.alive.shape, dtype=bool)
+        return self._success(frame)
+
+    def reward_terms(self, frame: Frame) -> dict[str, np.ndarray]:
+        """Compute the reward terms whose weight is not 0, unweighted, (W, N) by name."""
+        return {name: term(frame) for name, term in self._terms.items()}
+
+    def extra_terms(self, frame: Frame) -> dict[str, np.ndarray]:
+        """Compute the terms that the option `reward` added."""
+        return {name: term(frame) for name, term in self._extra.items() if self.weights[name]}
+
     def evaluate_step(self, frame: Frame) -> StepResult:
-        """Reward terms, ends and successes of a decision. Changes nothing: it may be asked twice."""
+        """Work out ends, successes and reward terms of a decision, in this order.
+
+        Changes nothing of the world: it may be asked twice.
+        """
+        terminated, success = self.terminated(frame), self.succeeded(frame)
+        return StepResult(self.reward_terms(frame), terminated, success)
+
+
+def _weight(value: Weighted) -> float:
+    return value[1] if isinstance(value, tuple) else value
+
+
+def _numbers(options: Any) -> dict[str, Any]:
+    """List the numbers among the fields of a dataclass."""
+    values = {one.name: getattr(options, one.name) for one in dataclasses.fields(options)}
+    return {
+        name: value
+        for name, value in values.items()
+        if isinstance(value, bool | int | float)
+        or (isinstance(value, tuple) and all(isinstance(one, float) for one in value))
+    }
 
 
 def affected(happened: np.ndarray, frame: Frame, whom: str) -> np.ndarray:
-    """(W, N): the drones to which it happened, or, for "world", all drones of their worlds."""
+    """Tell whose episode is concerned, (W, N) bool.
+
+    Args:
+        happened: (W, N) bool, drones to which it happened.
+        frame: The decision.
+        whom: "drone" for these, "world" for all drones of their worlds.
+    """
     if whom == "world":
-        return np.broadcast_to(
-            np.any(happened & frame.alive, axis=1, keepdims=True), happened.shape
-        )
+        any_drone = np.any(happened & frame.alive, axis=1, keepdims=True)
+        return np.broadcast_to(any_drone, happened.shape)
     return happened
 
 
 def merged_weights(defaults: Mapping[str, float], changes: Mapping[str, float]) -> dict[str, float]:
-    """Reward weights with some of them changed. Raises ValueError for a term that does not exist."""
+    """Change some reward weights. Raises ValueError for a term that does not exist."""
     for term in changes:
         if term not in defaults:
             raise ValueError(f"weights: {unknown('reward term', term, defaults)}")
@@ -327,7 +343,11 @@ def merged_weights(defaults: Mapping[str, float], changes: Mapping[str, float]) 
 
 
 def refuse_early_end(max_distance: float, start_offset: float) -> None:
-    """Raise ValueError when a drone that starts off its goal by `start_offset` m on each axis is too far from it already."""
+    """Refuse starts, up to `start_offset` m off the goal on each axis, that are too far from it.
+
+    Raises:
+        ValueError: They can be farther than `max_distance`, m, where an episode ends.
+    """
     if max_distance <= start_offset * np.sqrt(3):
         raise ValueError(
             f"max_distance {max_distance:g} m must exceed the start offset of {start_offset:g} m"

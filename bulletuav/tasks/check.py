@@ -1,5 +1,6 @@
-"""Checks of what a task gives: its starts before anything is written, its verdicts once, its rewards in every decision."""
+"""Checks of what a task gives: starts before anything is written, results and infos once, rewards always."""
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -8,18 +9,25 @@ from scipy.spatial import cKDTree
 
 from bulletuav.engine.engine import PARKING_HEIGHT
 from bulletuav.engine.tiles import TILE_PITCH
-from bulletuav.errors import as_int, numbers_of, shown, unknown
+from bulletuav.errors import as_int, as_sequence, finite, numbers_of, shown, unknown
 from bulletuav.geometry.city_grid import NO_LAYOUT
+from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.shapes import CYLINDER, SPHERE, Shape
-from bulletuav.tasks.base import Spawn, StepResult, Task
+from bulletuav.geometry.solids import Solids
+from bulletuav.tasks.base import Task
+from bulletuav.tasks.frame import Spawn, StepResult
 from bulletuav.vehicle.airframe import Airframe
 
-UNIT = 1e-6  # that the norm of a start's quaternion may be off 1
-GRAZE = 1e-6  # m, that a drone which stands on the ground may be in it
+UNIT = 1e-6
+"""How far the norm of a start's quaternion may be off 1"""
+GRAZE = 1e-6
+"""m, how deep a drone that stands on the ground may be in it"""
+LARGE = 100.0
+"""m, of an option that may be to blame for an arena that is too large"""
 
 
 def check_spawn(
-    task: Task,
+    task: Task[Any],
     spawn: Any,
     airframes: Sequence[Airframe],
     obstacles: int,
@@ -40,43 +48,45 @@ def check_spawn(
     if not isinstance(spawn, Spawn):
         raise ValueError(f"spawn of task {task.name!r} gave {shown(spawn)}: a Spawn is needed")
     drones, things = (len(airframes), 3), (obstacles, 3)
-    shapes = (drones, (len(airframes), 4), drones, drones, drones, drones, things, things)
-    values = [
-        _numbers(task, name, value, shape)
-        for name, value, shape in zip(Spawn._fields, spawn, shapes, strict=False)
-    ]
-    if not np.isfinite(np.concatenate(values, axis=None)).all():
-        wrong = [k for k, value in enumerate(values) if not np.isfinite(value).all()]
-        raise _refused(
-            task,
-            Spawn._fields[wrong[0]],
-            f"is {shown(values[wrong[0]])}",
-            "finite numbers are needed",
-        )
+    shapes = {name: drones for name in ("position", "goal", "velocity", "rates", "goal_velocity")}
+    shapes |= {"quaternion": (len(airframes), 4), "obstacle": things, "obstacle_velocity": things}
+    values = {
+        name: _numbers(task, name, getattr(spawn, name), shape) for name, shape in shapes.items()
+    }
+    if not np.isfinite(np.concatenate(list(values.values()), axis=None)).all():
+        name = next(name for name, value in values.items() if not np.isfinite(value).all())
+        raise _refused(task, name, f"is {shown(values[name])}", "finite numbers are needed")
     _check_memory(task, spawn, remembered)
-    _check_places(task, values[0], values[1], airframes)
-    refuse_overlap(values[0], task.context.collision_radius)
+    quaternion = np.broadcast_to(values["quaternion"], shapes["quaternion"])
+    _check_places(task, values["position"], quaternion, airframes)
+    refuse_overlap(values["position"], task.context.collision_radius)
 
 
-def _refused(task: Task, name: str, what: str, remedy: str) -> ValueError:
+def _refused(task: Task[Any], name: str, what: str, remedy: str) -> ValueError:
     return ValueError(f"{name} of the spawn of task {task.name!r} {what}: {remedy}")
 
 
-def _numbers(task: Task, name: str, value: Any, shape: tuple[int, int]) -> np.ndarray:
-    """A field of a spawn. Raises ValueError unless it is numbers of this shape; one goal may be that of all drones."""
+ONE_FOR_ALL = {
+    "goal": ((3,), (1, 3)),
+    "velocity": ((), (3,), (1, 3)),
+    "quaternion": ((4,), (1, 4)),
+    "rates": ((), (3,), (1, 3)),
+    "goal_velocity": ((), (3,), (1, 3)),
+}
+"""Shapes of what may be given once for all drones"""
+
+
+def _numbers(task: Task[Any], name: str, value: Any, shape: tuple[int, int]) -> np.ndarray:
+    """Take a field of a spawn as an array. Raises ValueError unless it is numbers of this shape."""
     if isinstance(value, np.ndarray) and value.dtype.kind == "f" and value.shape == shape:
         return value
-    if type(value) is float and name == "goal_velocity":
-        return np.array(value)
     array = numbers_of(f"{name} of the spawn of task {task.name!r} is", value)
-    if array.shape != shape and (
-        name not in ("goal", "goal_velocity") or array.shape not in ((), (3,), (1, 3))
-    ):
+    if array.shape != shape and array.shape not in ONE_FOR_ALL.get(name, ()):
         raise _refused(task, name, f"has shape {array.shape}", f"{shape} is needed")
     return array
 
 
-def _check_memory(task: Task, spawn: Spawn, remembered: Mapping[str, np.ndarray]) -> None:
+def _check_memory(task: Task[Any], spawn: Spawn, remembered: Mapping[str, np.ndarray]) -> None:
     layouts = len(task.layouts())
     if spawn.layout != NO_LAYOUT or layouts:
         as_int(f"layout of the spawn of task {task.name!r}", spawn.layout, NO_LAYOUT, layouts - 1)
@@ -95,7 +105,7 @@ def _check_memory(task: Task, spawn: Spawn, remembered: Mapping[str, np.ndarray]
 
 
 def _check_places(
-    task: Task, position: np.ndarray, quaternion: np.ndarray, airframes: Sequence[Airframe]
+    task: Task[Any], position: np.ndarray, quaternion: np.ndarray, airframes: Sequence[Airframe]
 ) -> None:
     """Raise ValueError unless all are turned by unit quaternions, in the world's own tile and not in the ground."""
     off = np.abs(np.einsum("ij,ij->i", quaternion, quaternion) - 1)
@@ -138,7 +148,7 @@ def _depth(shapes: Sequence[Shape], quaternion: np.ndarray) -> np.ndarray:
     )
 
 
-def check_step_result(task: Task, result: Any, shape: tuple[int, int]) -> None:
+def check_step_result(task: Task[Any], result: Any, shape: tuple[int, int]) -> None:
     """Refuse a step result that rewards cannot be made of: types, names of terms and shapes (W, N).
 
     Raises:
@@ -175,7 +185,37 @@ def check_step_result(task: Task, result: Any, shape: tuple[int, int]) -> None:
             )
 
 
-def require_finite(task: Task, terms: Mapping[str, np.ndarray], reward: np.ndarray) -> None:
+def check_info(task: Task[Any], info: Any, shape: tuple[int, int]) -> None:
+    """Refuse infos of a task that nobody can tell apart by drones: types, names and shapes (W, N).
+
+    Raises:
+        ValueError: With the task, the name and the remedy.
+    """
+    told = f"info of task {task.name!r} gave"
+    if not isinstance(info, Mapping):
+        raise ValueError(f"{told} {shown(info)}: a dict of arrays by name is needed")
+    for name, value in info.items():
+        if not isinstance(name, str):
+            raise ValueError(f"{told} the name {shown(name)}: a text is needed")
+        if not isinstance(value, np.ndarray) or value.shape != shape:
+            form = f"an array {value.shape}" if isinstance(value, np.ndarray) else shown(value)
+            raise ValueError(
+                f"{told} {form} as {name!r}: an array {shape} (worlds, drones) is needed; "
+                f"np.broadcast_to makes one of a number"
+            )
+
+
+def check_memory_names(task: Task[Any], before: set[str], after: set[str]) -> None:
+    """Refuse memory that was added under a name which `memory` does not tell.
+
+    Raises:
+        ValueError: The name is told, with the nearest ones.
+    """
+    for name in sorted(after - before):
+        raise unknown(f"memory that task {task.name!r} writes:", name, before)
+
+
+def require_finite(task: Task[Any], terms: Mapping[str, np.ndarray], reward: np.ndarray) -> None:
     """Raise ValueError, naming the term, where a reward (W, N) is no finite number."""
     if np.isfinite(reward).all():
         return
@@ -199,3 +239,49 @@ def refuse_overlap(position: np.ndarray, radius: float) -> None:
             f"start positions of drones {i} and {j} overlap: {gap:.3g} m apart, their collision shapes need more than "
             f"{2 * radius:.3g} m; move them or widen the spacing"
         )
+
+
+def check_arena(task: Task[Any], config: Any, radius: float) -> None:
+    """Raise ValueError where an arena is none, or reaches into that of other worlds."""
+    arena = numbers_of(
+        f"arena_low and arena_high of task {task.name!r} are", [task.arena_low, task.arena_high]
+    )
+    if arena.shape != (2, 3) or not np.isfinite(arena).all() or not (arena[0] < arena[1]).all():
+        raise ValueError(
+            f"arena_low and arena_high of task {task.name!r} are {shown(arena)}: lower and upper corner are needed"
+        )
+    finite(f"zone of task {task.name!r}", task.zone)
+    if task.rebound is not None:
+        finite(f"rebound of task {task.name!r}", task.rebound, 0, 1)
+    reach = float(np.abs(arena[:, :2]).max())
+    if 2 * (reach + radius) >= TILE_PITCH or arena[1, 2] >= PARKING_HEIGHT:
+        sizes = {
+            field.name: getattr(config, field.name)
+            for field in dataclasses.fields(config)
+            if field.type is float
+        }
+        large = [f"{name} {size:g}" for name, size in sizes.items() if size >= LARGE]
+        raise ValueError(
+            f"the arena reaches {reach:g} m aside and {arena[1, 2]:g} m up: less than {TILE_PITCH / 2:g} and "
+            f"{PARKING_HEIGHT:g} m are needed, where other worlds begin; lower {' or '.join(large) or 'num_drones'}"
+        )
+
+
+def check_bodies(task: Task[Any]) -> None:
+    """Raise ValueError where a task's bodies, cities or memory are none."""
+    kinds: dict[str, type] = {"obstacles": Obstacle, "layouts": Solids}
+    for name, kind in kinds.items():
+        things = getattr(task, name)()
+        if not isinstance(things, list | tuple) or not all(isinstance(one, kind) for one in things):
+            raise ValueError(
+                f"{name} of task {task.name!r} gave {shown(things)}: a list of {kind.__name__} is needed"
+            )
+    memory: Any = task.memory()
+    if not isinstance(memory, Mapping):
+        raise ValueError(
+            f"memory of task {task.name!r} gave {shown(memory)}: a dict of shapes by name is needed"
+        )
+    for name, shape in memory.items():
+        label = f"shape of memory {name!r} of task {task.name!r}"
+        for side in as_sequence(label, shape):
+            as_int(label, side, 0)

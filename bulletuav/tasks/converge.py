@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from bulletuav.tasks.base import Spawn, TaskContext
+from bulletuav.registry import register
 from bulletuav.tasks.families.airspace import (
     UNCERTAINTY,
     Airspace,
@@ -14,6 +14,7 @@ from bulletuav.tasks.families.airspace import (
     circle_arena,
     clearance,
 )
+from bulletuav.tasks.frame import Spawn, TaskContext
 
 
 @dataclass(frozen=True)
@@ -23,41 +24,11 @@ class ConvergeConfig(AirspaceConfig):
     radius: float = 80.0
 
 
-class Converge(Airspace):
+@register("task")
+class Converge(Airspace[ConvergeConfig]):
     """Drones on a circle, evenly spread, each to its antipode through the centre: where large swarms meet at one point.
 
-    Observation, per drone, Box(31) float32, clipped to its bounds (here for max_speed 20 and 8 drones):
-      0  position x              m     [-110, 110]
-      1  position y              m     [-110, 110]
-      2  position z              m     [0, 70]
-      3  velocity x              m/s   [-40, 40]
-      4  velocity y              m/s   [-40, 40]
-      5  velocity z              m/s   [-40, 40]
-      6  goal direction x        1     [-1, 1]
-      7  goal direction y        1     [-1, 1]
-      8  goal direction z        1     [-1, 1]
-      9  goal distance           m     [0, 318.904]
-     10  neighbour 1 distance    m     [0, 318.904]
-     11  neighbour 1 position x  m     [-220, 220]
-     12  neighbour 1 position y  m     [-220, 220]
-     13  neighbour 1 position z  m     [-70, 70]
-     14  neighbour 1 velocity x  m/s   [-80, 80]
-     15  neighbour 1 velocity y  m/s   [-80, 80]
-     16  neighbour 1 velocity z  m/s   [-80, 80]
-     17  neighbour 2 distance    m     [0, 318.904]
-     18  neighbour 2 position x  m     [-220, 220]
-     19  neighbour 2 position y  m     [-220, 220]
-     20  neighbour 2 position z  m     [-70, 70]
-     21  neighbour 2 velocity x  m/s   [-80, 80]
-     22  neighbour 2 velocity y  m/s   [-80, 80]
-     23  neighbour 2 velocity z  m/s   [-80, 80]
-     24  neighbour 3 distance    m     [0, 318.904]
-     25  neighbour 3 position x  m     [-220, 220]
-     26  neighbour 3 position y  m     [-220, 220]
-     27  neighbour 3 position z  m     [-70, 70]
-     28  neighbour 3 velocity x  m/s   [-80, 80]
-     29  neighbour 3 velocity y  m/s   [-80, 80]
-     30  neighbour 3 velocity z  m/s   [-80, 80]
+    Observation, per drone, Box(31) with the defaults; `bulletuav tasks converge` lists each number:
     World axes (east, north, up). Neighbours are the nearest living drones, nearest first, relative to the drone; zeros where
     there are fewer.
 
@@ -67,8 +38,6 @@ class Converge(Airspace):
     """
 
     name = "converge"
-    Config = ConvergeConfig
-    config: ConvergeConfig
     difficulties: ClassVar = {
         "easy": {"num_drones": 4, **UNCERTAINTY["easy"]},
         "medium": UNCERTAINTY["medium"],

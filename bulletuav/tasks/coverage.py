@@ -1,13 +1,14 @@
 """Task `coverage`: drones spread so that as much of the streets as possible is in line of sight of some drone."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import ClassVar
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 
 from bulletuav.conflict.measures import offsets
-from bulletuav.tasks.base import Frame, Scene, Spawn, StepResult, TaskContext
+from bulletuav.registry import register
+from bulletuav.tasks.ends import collision, leaves_arena
 from bulletuav.tasks.families.urban import (
     DEFAULTS,
     URBAN_DIFFICULTIES,
@@ -16,6 +17,10 @@ from bulletuav.tasks.families.urban import (
     check_share,
     ground_cells,
 )
+from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
+from bulletuav.tasks.ingredients import reward
+from bulletuav.tasks.rewards.users import served
+from bulletuav.tasks.targets import TargetTask
 
 MOST_CELLS = 1e6  # of a raster
 
@@ -33,42 +38,19 @@ class CoverageConfig(UrbanConfig):
     wanted: float = 0.9
     height: tuple[float, float] = (20.0, 60.0)
     min_separation: float = 100.0
-    weights: Mapping[str, float] = field(default_factory=dict)
 
 
-class Coverage(UrbanTask):
+@reward
+def close(drones_too_near: float) -> float:
+    """Other drones nearer than `min_separation`."""
+    return drones_too_near
+
+
+@register("task")
+class Coverage(UrbanTask[CoverageConfig], TargetTask[CoverageConfig]):
     """Spread over a city, apart from each other, and see the most of its streets.
 
-    Observation, per drone, Box(29) float32, clipped to its bounds (here with the defaults):
-      0  position x              m    [-250, 250]
-      1  position y              m    [-250, 250]
-      2  position z              m    [0, 120]
-      3  velocity x              m/s  [-30, 30]
-      4  velocity y              m/s  [-30, 30]
-      5  velocity z              m/s  [-30, 30]
-      6  charge                  1    [0, 1]
-      7  neighbour 1 distance    m    [0, 717.217]
-      8  neighbour 1 position x  m    [-500, 500]
-      9  neighbour 1 position y  m    [-500, 500]
-     10  neighbour 1 position z  m    [-120, 120]
-     11  neighbour 1 velocity x  m/s  [-60, 60]
-     12  neighbour 1 velocity y  m/s  [-60, 60]
-     13  neighbour 1 velocity z  m/s  [-60, 60]
-     14  neighbour 2 distance    m    [0, 717.217]
-     15  neighbour 2 position x  m    [-500, 500]
-     16  neighbour 2 position y  m    [-500, 500]
-     17  neighbour 2 position z  m    [-120, 120]
-     18  neighbour 2 velocity x  m/s  [-60, 60]
-     19  neighbour 2 velocity y  m/s  [-60, 60]
-     20  neighbour 2 velocity z  m/s  [-60, 60]
-     21  neighbour 3 distance    m    [0, 717.217]
-     22  neighbour 3 position x  m    [-500, 500]
-     23  neighbour 3 position y  m    [-500, 500]
-     24  neighbour 3 position z  m    [-120, 120]
-     25  neighbour 3 velocity x  m/s  [-60, 60]
-     26  neighbour 3 velocity y  m/s  [-60, 60]
-     27  neighbour 3 velocity z  m/s  [-60, 60]
-     28  seen share              1    [0, 1]
+    Observation, per drone, Box(29) with the defaults; `bulletuav tasks coverage` lists each number:
     World axes (east, north, up). Neighbours are the nearest living drones, nearest first, relative to the drone; zeros where
     there are fewer. The last number is the share of the squares that the drone itself sees.
 
@@ -88,8 +70,6 @@ class Coverage(UrbanTask):
     """
 
     name = "coverage"
-    Config = CoverageConfig
-    config: CoverageConfig
     defaults: ClassVar = {**DEFAULTS, "horizon": 300}
     difficulties: ClassVar = {
         **URBAN_DIFFICULTIES,
@@ -97,12 +77,13 @@ class Coverage(UrbanTask):
     }
     baseline = "kmeans"
     observation = ("position", "velocity", "battery", "neighbours", "seen_share")
-    reward_weights: ClassVar = {
-        "covered": 1.0,
-        "close": -5.0,
+    reward: ClassVar = {
+        "covered": (served, 1.0),
+        "close": (close, -5.0),
         "collision": -10.0,
         "out_of_bounds": -10.0,
     }
+    ends = (collision, leaves_arena)
 
     def __init__(self, config: CoverageConfig, context: TaskContext):
         """Raises ValueError where the city leaves no room to fly, or its ground has no square outdoors."""
@@ -145,16 +126,17 @@ class Coverage(UrbanTask):
         """At rest, anywhere outdoors."""
         return self.town.hovering(rng, self.town.draw(rng), self.context.num_drones)
 
-    def evaluate_step(self, frame: Frame) -> StepResult:
-        """The share of the ground in sight, drones too near, and ends by contact or outside the airspace."""
-        covered = self.served(frame)
+    def quantities(self) -> Mapping[str, Any]:
+        """Tell the share of the ground in sight, and how many drones are too near."""
+        return {"served": self.served, "drones_too_near": self._drones_too_near}
+
+    def _drones_too_near(self, frame: Frame) -> np.ndarray:
+        """Count the living drones nearer than `min_separation`, (W, N)."""
         near = np.linalg.norm(offsets(frame.after.position), axis=-1) < self.config.min_separation
         others = frame.alive[:, None] & ~np.eye(self.context.num_drones, dtype=bool)
-        outside = self.outside(frame)
-        terms = {
-            "covered": covered,
-            "close": (near & others).sum(axis=-1).astype(float),
-            "collision": frame.collision.astype(float),
-            "out_of_bounds": outside.astype(float),
-        }
-        return StepResult(terms, frame.collision | outside, covered >= self.config.wanted)
+        count: np.ndarray = (near & others).sum(axis=-1).astype(float)
+        return count
+
+    def succeeded(self, frame: Frame) -> np.ndarray:
+        """Tell whether the wanted share of the ground is covered."""
+        return self.served(frame) >= self.config.wanted

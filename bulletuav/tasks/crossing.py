@@ -5,8 +5,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from bulletuav.tasks.base import Spawn, TaskContext
+from bulletuav.registry import register
 from bulletuav.tasks.families.airspace import UNCERTAINTY, Airspace, AirspaceConfig, clearance
+from bulletuav.tasks.frame import Spawn, TaskContext
 
 
 @dataclass(frozen=True)
@@ -24,43 +25,13 @@ class CrossingConfig(AirspaceConfig):
     lane_spacing: float = 15.0
 
 
-class Crossing(Airspace):
+@register("task")
+class Crossing(Airspace[CrossingConfig]):
     """Two teams at right angles through one airspace: (0, -100) to (0, 100) and (-100, 0) to (100, 0).
 
     The first half of the drones flies north, the others east; each has its lane and its own goal, straight ahead.
 
-    Observation, per drone, Box(31) float32, clipped to its bounds (here for max_speed 20 and 8 drones):
-      0  position x              m     [-130, 130]
-      1  position y              m     [-130, 130]
-      2  position z              m     [0, 74]
-      3  velocity x              m/s   [-40, 40]
-      4  velocity y              m/s   [-40, 40]
-      5  velocity z              m/s   [-40, 40]
-      6  goal direction x        1     [-1, 1]
-      7  goal direction y        1     [-1, 1]
-      8  goal direction z        1     [-1, 1]
-      9  goal distance           m     [0, 375.068]
-     10  neighbour 1 distance    m     [0, 375.068]
-     11  neighbour 1 position x  m     [-260, 260]
-     12  neighbour 1 position y  m     [-260, 260]
-     13  neighbour 1 position z  m     [-74, 74]
-     14  neighbour 1 velocity x  m/s   [-80, 80]
-     15  neighbour 1 velocity y  m/s   [-80, 80]
-     16  neighbour 1 velocity z  m/s   [-80, 80]
-     17  neighbour 2 distance    m     [0, 375.068]
-     18  neighbour 2 position x  m     [-260, 260]
-     19  neighbour 2 position y  m     [-260, 260]
-     20  neighbour 2 position z  m     [-74, 74]
-     21  neighbour 2 velocity x  m/s   [-80, 80]
-     22  neighbour 2 velocity y  m/s   [-80, 80]
-     23  neighbour 2 velocity z  m/s   [-80, 80]
-     24  neighbour 3 distance    m     [0, 375.068]
-     25  neighbour 3 position x  m     [-260, 260]
-     26  neighbour 3 position y  m     [-260, 260]
-     27  neighbour 3 position z  m     [-74, 74]
-     28  neighbour 3 velocity x  m/s   [-80, 80]
-     29  neighbour 3 velocity y  m/s   [-80, 80]
-     30  neighbour 3 velocity z  m/s   [-80, 80]
+    Observation, per drone, Box(31) with the defaults; `bulletuav tasks crossing` lists each number:
     World axes (east, north, up). Neighbours are the nearest living drones, nearest first, relative to the drone; zeros where
     there are fewer.
 
@@ -71,8 +42,6 @@ class Crossing(Airspace):
     """
 
     name = "crossing"
-    Config = CrossingConfig
-    config: CrossingConfig
     difficulties: ClassVar = {
         "easy": {
             "num_drones": 4,

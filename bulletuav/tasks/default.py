@@ -1,13 +1,15 @@
 """Task `default`: a short, complete task in a city. Copy this file to begin one of your own (see CONTRIBUTING.md)."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
-from bulletuav.tasks.base import Frame, Spawn, StepResult
+from bulletuav.registry import register
+from bulletuav.tasks.ends import collision, leaves_arena
 from bulletuav.tasks.families.urban import DEFAULTS, UrbanConfig, UrbanTask
+from bulletuav.tasks.frame import Spawn
+from bulletuav.tasks.ingredients import end, reward
 
 
 @dataclass(frozen=True)
@@ -16,37 +18,33 @@ class DefaultConfig(UrbanConfig):
 
     d_safe: float = 2.0
     goal_radius: float = 5.0
-    weights: Mapping[str, float] = field(default_factory=dict)
 
 
-class Default(UrbanTask):
+@reward
+def speed_made_good(
+    distance_before: float, distance: float, max_speed: float, period: float
+) -> float:
+    """Speed towards the goal over max_speed."""
+    return (distance_before - distance) / (max_speed * period)
+
+
+@reward
+def arrival(distance: float, goal_radius: float, collision: bool) -> float:
+    """1 on reaching the goal."""
+    return 1.0 if distance <= goal_radius and not collision else 0.0
+
+
+@end
+def arrived(distance: float, goal_radius: float, collision: bool) -> bool:
+    """Tell whether the goal is reached, without a crash."""
+    return distance <= goal_radius and not collision
+
+
+@register("task")
+class Default(UrbanTask[DefaultConfig]):
     """Fly through a city to a goal.
 
-    Observation, per drone, Box(24) float32, clipped to its bounds (here with the defaults):
-      0  velocity x        m/s  [-30, 30]
-      1  velocity y        m/s  [-30, 30]
-      2  velocity z        m/s  [-30, 30]
-      3  goal direction x  1    [-1, 1]
-      4  goal direction y  1    [-1, 1]
-      5  goal direction z  1    [-1, 1]
-      6  goal distance     m    [0, 717.217]
-      7  charge            1    [0, 1]
-      8  beam 0            m    [0, 60]
-      9  beam 22.5         m    [0, 60]
-     10  beam 45           m    [0, 60]
-     11  beam 67.5         m    [0, 60]
-     12  beam 90           m    [0, 60]
-     13  beam 112.5        m    [0, 60]
-     14  beam 135          m    [0, 60]
-     15  beam 157.5        m    [0, 60]
-     16  beam 180          m    [0, 60]
-     17  beam 202.5        m    [0, 60]
-     18  beam 225          m    [0, 60]
-     19  beam 247.5        m    [0, 60]
-     20  beam 270          m    [0, 60]
-     21  beam 292.5        m    [0, 60]
-     22  beam 315          m    [0, 60]
-     23  beam 337.5        m    [0, 60]
+    Observation, per drone, Box(24) with the defaults; `bulletuav tasks default` lists each number:
     World axes (east, north, up). Beams are level, at so many degrees to the left of the drone's nose; 60 m is also the range
     of what is not hit.
 
@@ -65,27 +63,20 @@ class Default(UrbanTask):
     """
 
     name = "default"
-    Config = DefaultConfig
-    config: DefaultConfig
     defaults: ClassVar = {**DEFAULTS, "horizon": 600}
     observation = ("velocity", "goal", "battery", "lidar")
     baseline = "planner"
-    reward_weights: ClassVar = {"progress": 1.0, "goal": 10.0, "collision": -10.0, "time": -0.1}
+    reward: ClassVar = {
+        "progress": (speed_made_good, 1.0),
+        "goal": (arrival, 10.0),
+        "collision": -10.0,
+        "time": -0.1,
+    }
+    ends = (arrived, collision, leaves_arena)
+    success = arrived
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
         """The start of one world: at rest outdoors, goals outdoors."""
         layout = self.town.draw(rng)
         goal = self.town.places(rng, layout, self.context.num_drones)
         return self.town.hovering(rng, layout, self.context.num_drones)._replace(goal=goal)
-
-    def evaluate_step(self, frame: Frame) -> StepResult:
-        """Terms of the reward, whose episode ends, and who succeeded, after a decision."""
-        reached = (frame.distance <= self.config.goal_radius) & ~frame.collision
-        terms = {
-            "progress": (frame.distance_before - frame.distance)
-            / (self.context.max_speed * self.context.period),
-            "goal": reached.astype(float),
-            "collision": frame.collision.astype(float),
-            "time": np.ones(frame.alive.shape),
-        }
-        return StepResult(terms, reached | frame.collision | self.outside(frame), reached)

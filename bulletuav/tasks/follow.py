@@ -1,23 +1,19 @@
 """Task `follow`: drones keep their stations about a moving target."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
 from bulletuav.errors import choose
 from bulletuav.geometry.obstacle import Obstacle
-from bulletuav.tasks.base import (
-    Frame,
-    Scene,
-    Spawn,
-    StepResult,
-    Task,
-    TaskContext,
-    refuse_early_end,
-)
+from bulletuav.registry import register
+from bulletuav.tasks.base import Rngs, Task, TaskConfig, refuse_early_end
 from bulletuav.tasks.check import refuse_overlap
+from bulletuav.tasks.ends import at_goal, collision, too_far
+from bulletuav.tasks.frame import Scene, Spawn, TaskContext
+from bulletuav.tasks.rewards.station import speed_to_goal
 
 TARGETS = {
     "vehicle": (Obstacle("box", (3.0, 3.0, 1.6), (0.75, 0.2, 0.15, 1.0)), 0.8, 8.0),
@@ -27,7 +23,7 @@ TARGETS = {
 
 
 @dataclass(frozen=True)
-class FollowConfig:
+class FollowConfig(TaskConfig):
     """Options of `follow`, m, m/s, rad/s.
 
     The `target` ("vehicle" or "drone") drives at `target_speed`; its heading wanders by `turn` (rad after one second,
@@ -43,32 +39,16 @@ class FollowConfig:
     d_safe: float = 2.0
     goal_radius: float = 1.0
     max_distance: float = 40.0
-    weights: Mapping[str, float] = field(default_factory=dict)
 
 
-class Follow(Task):
+@register("task")
+class Follow(Task[FollowConfig]):
     """Keep a station about a moving target, each drone its own.
 
     The target is a body that can be hit: a ground vehicle or another drone. Stations are spread evenly on a circle of 6 m
     about it, 8 m above a vehicle, level with a drone, and move with it.
 
-    Observation, per drone, Box(16) float32, clipped to its bounds (here for max_speed 15):
-      0  quaternion x             1      [-1, 1]
-      1  quaternion y             1      [-1, 1]
-      2  quaternion z             1      [-1, 1]
-      3  quaternion w             1      [0, 1]
-      4  goal offset x            m      [-252, 252]
-      5  goal offset y            m      [-252, 252]
-      6  goal offset z            m      [-48.8, 48.8]
-      7  velocity x               m/s    [-30, 30]
-      8  velocity y               m/s    [-30, 30]
-      9  velocity z               m/s    [-30, 30]
-     10  rates x                  rad/s  [-50, 50]
-     11  rates y                  rad/s  [-50, 50]
-     12  rates z                  rad/s  [-50, 50]
-     13  goal velocity x          m/s    [-30, 30]
-     14  goal velocity y          m/s    [-30, 30]
-     15  goal velocity z          m/s    [-30, 30]
+    Observation, per drone, Box(16) with the defaults; `bulletuav tasks follow` lists each number:
     Quaternion body to world; goal offset from the drone to its station, velocities in world axes (east, north, up); rates in
     body axes (forward, left, up).
 
@@ -85,7 +65,6 @@ class Follow(Task):
     """
 
     name = "follow"
-    Config = FollowConfig
     defaults: ClassVar = {
         "num_drones": 1,
         "airframe": "hummingbird",
@@ -101,7 +80,9 @@ class Follow(Task):
         "extreme": {"target_speed": 12.0, "turn": 1.2},
     }
     observation = ("attitude", "goal_offset", "velocity", "rates", "goal_velocity")
-    reward_weights: ClassVar = {"alive": 1.0, "distance": -0.1, "speed": -0.05}
+    reward: ClassVar = {"alive": 1.0, "distance": -0.1, "speed": (speed_to_goal, -0.05)}
+    ends = (collision, too_far)
+    success = at_goal
 
     def __init__(self, config: FollowConfig, context: TaskContext):
         """Raises ValueError for an unknown target, stations too close together or a target faster than the drones."""
@@ -150,35 +131,22 @@ class Follow(Task):
         velocity = config.target_speed * np.array([[np.cos(heading), np.sin(heading), 0.0]])
         offset = rng.uniform(-config.start_offset, config.start_offset, (n, 3))
         goal = target + self._station
-        upright = np.tile([0.0, 0.0, 0.0, 1.0], (n, 1))
         return Spawn(
-            goal + offset,
-            upright,
-            np.zeros((n, 3)),
-            np.zeros((n, 3)),
-            goal,
-            velocity,
-            target,
-            velocity,
+            position=goal + offset,
+            goal=goal,
+            goal_velocity=velocity,
+            obstacle=target,
+            obstacle_velocity=velocity,
         )
 
-    def advance(
-        self,
-        scene: Scene,
-        time: np.ndarray,
-        flying: np.ndarray,
-        rng: Sequence[np.random.Generator | None],
-    ) -> bool:
+    def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
         """Drive the target of every world that flies, its stations with it."""
         config, period = self.config, self.context.period
         for w in np.flatnonzero(flying).tolist():
-            generator = rng[w]
-            assert generator is not None  # a world that flies was reset
             x, y, _ = scene.obstacle[w, 0]
             vx, vy, _ = scene.obstacle_velocity[w, 0]
-            heading = (
-                np.arctan2(vy, vx) + config.turn * np.sqrt(period) * generator.standard_normal()
-            )
+            turn = config.turn * np.sqrt(period) * rngs[w].standard_normal()
+            heading = np.arctan2(vy, vx) + turn
             if np.hypot(x, y) > config.arena and x * vx + y * vy > 0:
                 heading = np.arctan2(-y, -x)
             scene.obstacle_velocity[w, 0] = config.target_speed * np.array(
@@ -188,13 +156,3 @@ class Follow(Task):
             scene.goal[w] = scene.obstacle[w, 0] + self._station
             scene.goal_velocity[w] = scene.obstacle_velocity[w, 0]
         return True
-
-    def evaluate_step(self, frame: Frame) -> StepResult:
-        """Being there, distance to the station (m) and speed relative to it (m/s).
-
-        Ends: contact, or too far away. Success: at the station.
-        """
-        speed = np.linalg.norm(frame.after.velocity - frame.scene.goal_velocity, axis=-1)
-        terms = {"alive": np.ones(frame.alive.shape), "distance": frame.distance, "speed": speed}
-        lost = frame.collision | (frame.distance > self.config.max_distance)
-        return StepResult(terms, lost, frame.distance <= self.config.goal_radius)

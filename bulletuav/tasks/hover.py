@@ -1,6 +1,5 @@
 """Task `hover`: every drone reaches its own target and holds it."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar
 
@@ -8,12 +7,15 @@ import numpy as np
 
 from bulletuav.errors import numbers_of, shown
 from bulletuav.geometry.rotation import exponential
-from bulletuav.tasks.base import Frame, Spawn, StepResult, Task, TaskContext, refuse_early_end
+from bulletuav.registry import register
+from bulletuav.tasks.base import Task, TaskConfig, refuse_early_end
 from bulletuav.tasks.check import refuse_overlap
+from bulletuav.tasks.ends import at_goal, collision, too_far
+from bulletuav.tasks.frame import Spawn, TaskContext
 
 
 @dataclass(frozen=True)
-class HoverConfig:
+class HoverConfig(TaskConfig):
     """Options of `hover`, m, m/s, degrees, rad/s.
 
     Targets stand `spacing` apart on a square grid at `height`. A drone starts within `start_offset` of its target on each
@@ -30,7 +32,6 @@ class HoverConfig:
     start: tuple[tuple[float, float, float], ...] | None = None
     goal_radius: float = 0.1
     max_distance: float = 20.0
-    weights: Mapping[str, float] = field(default_factory=dict)
 
 
 def _positions(start: object, count: int) -> np.ndarray:
@@ -46,23 +47,11 @@ def _positions(start: object, count: int) -> np.ndarray:
     return positions
 
 
-class Hover(Task):
+@register("task")
+class Hover(Task[HoverConfig]):
     """Reach a target and hold it, each drone its own.
 
-    Observation, per drone, Box(13) float32, clipped to its bounds (here for max_speed 5 and one drone):
-      0  quaternion x             1      [-1, 1]
-      1  quaternion y             1      [-1, 1]
-      2  quaternion z             1      [-1, 1]
-      3  quaternion w             1      [0, 1]
-      4  goal offset x            m      [-40, 40]
-      5  goal offset y            m      [-40, 40]
-      6  goal offset z            m      [-22, 22]
-      7  velocity x               m/s    [-10, 10]
-      8  velocity y               m/s    [-10, 10]
-      9  velocity z               m/s    [-10, 10]
-     10  rates x                  rad/s  [-50, 50]
-     11  rates y                  rad/s  [-50, 50]
-     12  rates z                  rad/s  [-50, 50]
+    Observation, per drone, Box(13) with the defaults; `bulletuav tasks hover` lists each number:
     Quaternion body to world; goal offset from the drone to its target and velocity in world axes (east, north, up); rates in
     body axes (forward, left, up).
 
@@ -81,7 +70,6 @@ class Hover(Task):
     """
 
     name = "hover"
-    Config = HoverConfig
     defaults: ClassVar = {
         "num_drones": 1,
         "airframe": "cf2x",
@@ -127,7 +115,9 @@ class Hover(Task):
         }
     }
     observation = ("attitude", "goal_offset", "velocity", "rates")
-    reward_weights: ClassVar = {"alive": 1.0, "distance": -0.1, "speed": -0.05}
+    reward: ClassVar = {"alive": 1.0, "distance": -0.1, "speed": -0.05}
+    ends = (collision, too_far)
+    success = at_goal
 
     def __init__(self, config: HoverConfig, context: TaskContext):
         """Raises ValueError where start positions could overlap each other or the ground."""
@@ -180,11 +170,10 @@ class Hover(Task):
         quaternion = np.array([exponential(turn) for turn in angle * axis])
         velocity = rng.uniform(-1, 1, shape) / np.sqrt(3) * config.start_speed
         rates = rng.uniform(-1, 1, shape) / np.sqrt(3) * config.start_rates
-        return Spawn(position, quaternion, velocity, rates, self.target.copy())
-
-    def evaluate_step(self, frame: Frame) -> StepResult:
-        """Being there, distance (m) and speed (m/s). Ends: contact, or too far away. Success: at the target."""
-        speed = np.linalg.norm(frame.after.velocity, axis=-1)
-        terms = {"alive": np.ones(frame.alive.shape), "distance": frame.distance, "speed": speed}
-        lost = frame.collision | (frame.distance > self.config.max_distance)
-        return StepResult(terms, lost, frame.distance <= self.config.goal_radius)
+        return Spawn(
+            position=position,
+            goal=self.target.copy(),
+            velocity=velocity,
+            quaternion=quaternion,
+            rates=rates,
+        )

@@ -3,9 +3,10 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from bulletuav.tasks.base import TaskContext
+from bulletuav.registry import register
 from bulletuav.tasks.families.airspace import REWARD_WEIGHTS
 from bulletuav.tasks.families.urban import URBAN_DIFFICULTIES, UrbanFlight, UrbanFlightConfig
+from bulletuav.tasks.frame import TaskContext
 
 RANGES: dict[str, dict[str, float]] = {
     "easy": {},
@@ -23,34 +24,11 @@ class LidarNavigationConfig(UrbanFlightConfig):
     proximity_range: float = 5.0
 
 
-class LidarNavigation(UrbanFlight):
+@register("task")
+class LidarNavigation(UrbanFlight[LidarNavigationConfig]):
     """Through a city to a goal, seeing what is near by a range finder; nothing tells where one is.
 
-    Observation, per drone, Box(24) float32, clipped to its bounds (here with the defaults):
-      0  velocity x        m/s  [-30, 30]
-      1  velocity y        m/s  [-30, 30]
-      2  velocity z        m/s  [-30, 30]
-      3  goal direction x  1    [-1, 1]
-      4  goal direction y  1    [-1, 1]
-      5  goal direction z  1    [-1, 1]
-      6  goal distance     m    [0, 717.217]
-      7  charge            1    [0, 1]
-      8  beam 0            m    [0, 60]
-      9  beam 22.5         m    [0, 60]
-     10  beam 45           m    [0, 60]
-     11  beam 67.5         m    [0, 60]
-     12  beam 90           m    [0, 60]
-     13  beam 112.5        m    [0, 60]
-     14  beam 135          m    [0, 60]
-     15  beam 157.5        m    [0, 60]
-     16  beam 180          m    [0, 60]
-     17  beam 202.5        m    [0, 60]
-     18  beam 225          m    [0, 60]
-     19  beam 247.5        m    [0, 60]
-     20  beam 270          m    [0, 60]
-     21  beam 292.5        m    [0, 60]
-     22  beam 315          m    [0, 60]
-     23  beam 337.5        m    [0, 60]
+    Observation, per drone, Box(24) with the defaults; `bulletuav tasks lidar_navigation` lists each number:
     World axes (east, north, up). Beams are level, at so many degrees to the left of the drone's nose; 60 m is also the range
     of what is not hit.
 
@@ -60,8 +38,6 @@ class LidarNavigation(UrbanFlight):
     """
 
     name = "lidar_navigation"
-    Config = LidarNavigationConfig
-    config: LidarNavigationConfig
     difficulties: ClassVar = {
         difficulty: {
             **options,
@@ -70,8 +46,8 @@ class LidarNavigation(UrbanFlight):
         for difficulty, options in URBAN_DIFFICULTIES.items()
     }
     observation = ("velocity", "goal", "battery", "lidar")
-    senses = ("lidar",)
-    reward_weights: ClassVar = {**REWARD_WEIGHTS, "proximity": -1.0}
+    required_sensors = ("lidar",)
+    reward: ClassVar = {**REWARD_WEIGHTS, "proximity": -1.0}
 
     def __init__(self, config: LidarNavigationConfig, context: TaskContext):
         """Raises ValueError where the city leaves no room to fly."""

@@ -3,8 +3,10 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
+from bulletuav.registry import register
 from bulletuav.tasks.families.edge import EdgeConfig, EdgeTask
 from bulletuav.tasks.families.urbanmarl import URBANMARL
+from bulletuav.tasks.rewards.users import power_share
 
 
 @dataclass(frozen=True)
@@ -12,18 +14,11 @@ class MecConfig(EdgeConfig):
     """Options of `mec`: those of `EdgeConfig`."""
 
 
-class Mec(EdgeTask):
+@register("task")
+class Mec(EdgeTask[MecConfig]):
     """Be where users can offload their tasks, so that as many as can be are computed in time.
 
-    Observation, per drone, Box(8) float32, clipped to its bounds (here with the defaults):
-      0  position x       m      [-250, 250]
-      1  position y       m      [-250, 250]
-      2  position z       m      [0, 120]
-      3  charge           1      [0, 1]
-      4  utilisation      1      [0, 1]
-      5  queue            tasks  [0, 100]
-      6  latency          s      [0, 1]
-      7  completed share  1      [0, 1]
+    Observation, per drone, Box(8) with the defaults; `bulletuav tasks mec` lists each number:
     World axes (east, north, up). Utilisation of the drone's cores, tasks (of mean size) in its queue, latency and completed
     share of its users' tasks are those of the last decision; 0 at the start and where no task came.
 
@@ -43,8 +38,6 @@ class Mec(EdgeTask):
     """
 
     name = "mec"
-    Config = MecConfig
-    config: MecConfig
     presets: ClassVar = {
         "urbanmarl": {
             **URBANMARL,
@@ -55,10 +48,10 @@ class Mec(EdgeTask):
         }
     }
     observation = ("position", "battery", "server")
-    reward_weights: ClassVar = {
+    reward: ClassVar = {
         "tasks": 1.0,
         "latency": -0.5,
-        "energy": -0.1,
+        "energy": (power_share, -0.1),
         "dwell_time": 0.3,
         "collision": -2.0,
         "out_of_bounds": 0.0,

@@ -3,8 +3,10 @@
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
+from bulletuav.registry import register
 from bulletuav.tasks.families.edge import EdgeConfig, EdgeTask
 from bulletuav.tasks.families.urbanmarl import URBANMARL
+from bulletuav.tasks.rewards.users import power_share
 
 
 @dataclass(frozen=True)
@@ -20,32 +22,11 @@ class MecAdvancedConfig(EdgeConfig):
     antenna: Literal["isotropic", "downward"] = "downward"
 
 
-class MecAdvanced(EdgeTask):
+@register("task")
+class MecAdvanced(EdgeTask[MecAdvancedConfig]):
     """Serve few users with many urgent tasks through directional antennas.
 
-    Observation, per drone, Box(22) float32, clipped to its bounds (here with the defaults):
-      0  position x       m       [-250, 250]
-      1  position y       m       [-250, 250]
-      2  position z       m       [0, 120]
-      3  velocity x       m/s     [-30, 30]
-      4  velocity y       m/s     [-30, 30]
-      5  velocity z       m/s     [-30, 30]
-      6  charge           1       [0, 1]
-      7  power            W       [0, 1000]
-      8  rate of user 1   Mbit/s  [0, 500]
-      9  rate of user 2   Mbit/s  [0, 500]
-     10  rate of user 3   Mbit/s  [0, 500]
-     11  rate of user 4   Mbit/s  [0, 500]
-     12  rate of user 5   Mbit/s  [0, 500]
-     13  rate of user 6   Mbit/s  [0, 500]
-     14  rate of user 7   Mbit/s  [0, 500]
-     15  rate of user 8   Mbit/s  [0, 500]
-     16  rate of user 9   Mbit/s  [0, 500]
-     17  rate of user 10  Mbit/s  [0, 500]
-     18  utilisation      1       [0, 1]
-     19  queue            tasks   [0, 100]
-     20  latency          s       [0, 0.2]
-     21  completed share  1       [0, 1]
+    Observation, per drone, Box(22) with the defaults; `bulletuav tasks mec_advanced` lists each number:
     World axes (east, north, up). The rate of a user is what it would reach to the drone for itself, through the drone's
     antenna (3GPP TR 38.901, 8 dBi, along the body's -z: it tilts with the drone). Utilisation of the drone's cores, tasks
     (of mean size) in its queue, latency and completed share of its users' tasks, rates and power are those of the last
@@ -67,8 +48,6 @@ class MecAdvanced(EdgeTask):
     """
 
     name = "mec_advanced"
-    Config = MecAdvancedConfig
-    config: MecAdvancedConfig
     presets: ClassVar = {
         "urbanmarl": {
             **URBANMARL,
@@ -81,10 +60,10 @@ class MecAdvanced(EdgeTask):
         }
     }
     observation = ("position", "velocity", "battery", "power", "link_rates", "server")
-    reward_weights: ClassVar = {
+    reward: ClassVar = {
         "tasks": 2.0,
         "latency": -1.5,
-        "energy": 0.0,
+        "energy": (power_share, 0.0),
         "dwell_time": 0.5,
         "collision": -5.0,
         "out_of_bounds": 0.0,

@@ -1,13 +1,14 @@
 """Task `obstacles`: free flight among spheres and boxes, some of which move."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from bulletuav.geometry.obstacle import Obstacle
-from bulletuav.tasks.base import Scene, Spawn, TaskContext
+from bulletuav.registry import register
+from bulletuav.tasks.base import Rngs
 from bulletuav.tasks.families.airspace import (
     REWARD_WEIGHTS,
     UNCERTAINTY,
@@ -15,6 +16,8 @@ from bulletuav.tasks.families.airspace import (
     AirspaceConfig,
     clearance,
 )
+from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
+from bulletuav.tasks.ingredients import reward
 
 GOLDEN = (np.sqrt(5) - 1) / 2  # spreads sizes evenly over any number of obstacles
 FULL = 0.3  # share of the space that drones and obstacles may keep others out of
@@ -41,65 +44,17 @@ class ObstaclesConfig(AirspaceConfig):
     start_speed: tuple[float, float] = (0.0, 5.0)  # slow enough to stop before an obstacle
 
 
-class Obstacles(Airspace):
+@reward
+def obstacle_warning(obstacle_nearness: float) -> float:
+    """Summed over obstacles: from 0 at d_safe from bounding spheres, linear, to 1 at contact."""
+    return obstacle_nearness
+
+
+@register("task")
+class Obstacles(Airspace[ObstaclesConfig]):
     """From anywhere to anywhere among bodies that can be hit, some of which move.
 
-    Observation, per drone, Box(55) float32, clipped to its bounds (here for max_speed 20 and 8 drones):
-      0  position x              m     [-130, 130]
-      1  position y              m     [-130, 130]
-      2  position z              m     [0, 90]
-      3  velocity x              m/s   [-40, 40]
-      4  velocity y              m/s   [-40, 40]
-      5  velocity z              m/s   [-40, 40]
-      6  goal direction x        1     [-1, 1]
-      7  goal direction y        1     [-1, 1]
-      8  goal direction z        1     [-1, 1]
-      9  goal distance           m     [0, 378.55]
-     10  neighbour 1 distance    m     [0, 378.55]
-     11  neighbour 1 position x  m     [-260, 260]
-     12  neighbour 1 position y  m     [-260, 260]
-     13  neighbour 1 position z  m     [-90, 90]
-     14  neighbour 1 velocity x  m/s   [-80, 80]
-     15  neighbour 1 velocity y  m/s   [-80, 80]
-     16  neighbour 1 velocity z  m/s   [-80, 80]
-     17  neighbour 2 distance    m     [0, 378.55]
-     18  neighbour 2 position x  m     [-260, 260]
-     19  neighbour 2 position y  m     [-260, 260]
-     20  neighbour 2 position z  m     [-90, 90]
-     21  neighbour 2 velocity x  m/s   [-80, 80]
-     22  neighbour 2 velocity y  m/s   [-80, 80]
-     23  neighbour 2 velocity z  m/s   [-80, 80]
-     24  neighbour 3 distance    m     [0, 378.55]
-     25  neighbour 3 position x  m     [-260, 260]
-     26  neighbour 3 position y  m     [-260, 260]
-     27  neighbour 3 position z  m     [-90, 90]
-     28  neighbour 3 velocity x  m/s   [-80, 80]
-     29  neighbour 3 velocity y  m/s   [-80, 80]
-     30  neighbour 3 velocity z  m/s   [-80, 80]
-     31  obstacle 1 distance     m     [0, 378.55]
-     32  obstacle 1 position x   m     [-260, 260]
-     33  obstacle 1 position y   m     [-260, 260]
-     34  obstacle 1 position z   m     [-90, 90]
-     35  obstacle 1 velocity x   m/s   [-80, 80]
-     36  obstacle 1 velocity y   m/s   [-80, 80]
-     37  obstacle 1 velocity z   m/s   [-80, 80]
-     38  obstacle 1 radius       m     [0, 9.6099]
-     39  obstacle 2 distance     m     [0, 378.55]
-     40  obstacle 2 position x   m     [-260, 260]
-     41  obstacle 2 position y   m     [-260, 260]
-     42  obstacle 2 position z   m     [-90, 90]
-     43  obstacle 2 velocity x   m/s   [-80, 80]
-     44  obstacle 2 velocity y   m/s   [-80, 80]
-     45  obstacle 2 velocity z   m/s   [-80, 80]
-     46  obstacle 2 radius       m     [0, 9.6099]
-     47  obstacle 3 distance     m     [0, 378.55]
-     48  obstacle 3 position x   m     [-260, 260]
-     49  obstacle 3 position y   m     [-260, 260]
-     50  obstacle 3 position z   m     [-90, 90]
-     51  obstacle 3 velocity x   m/s   [-80, 80]
-     52  obstacle 3 velocity y   m/s   [-80, 80]
-     53  obstacle 3 velocity z   m/s   [-80, 80]
-     54  obstacle 3 radius       m     [0, 9.6099]
+    Observation, per drone, Box(55) with the defaults; `bulletuav tasks obstacles` lists each number:
     World axes (east, north, up). Neighbours are the nearest living drones, nearest first, relative to the drone; zeros where
     there are fewer.
 
@@ -112,10 +67,8 @@ class Obstacles(Airspace):
     """
 
     name = "obstacles"
-    Config = ObstaclesConfig
-    config: ObstaclesConfig
     observation = ("position", "velocity", "goal", "neighbours", "obstacles")
-    reward_weights: ClassVar = {**REWARD_WEIGHTS, "obstacle_warning": -5.0}
+    reward: ClassVar = {**REWARD_WEIGHTS, "obstacle_warning": (obstacle_warning, -5.0)}
     difficulties: ClassVar = {
         "easy": {"num_drones": 4, "num_moving": 0, **UNCERTAINTY["easy"]},
         "medium": UNCERTAINTY["medium"],
@@ -205,9 +158,22 @@ class Obstacles(Airspace):
         start = config.scattered(start, rng)
         return self.launch(start, goal, rng)._replace(obstacle=obstacle, obstacle_velocity=velocity)
 
-    def advance(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rng: Any) -> bool:
-        """Obstacles move straight on and are reflected at the bounds."""
-        super().advance(scene, time, flying, rng)
+    def quantities(self) -> Mapping[str, Any]:
+        """Tell beside the ways to goals how near obstacles are."""
+        return {**super().quantities(), "obstacle_nearness": self._obstacle_nearness}
+
+    def _obstacle_nearness(self, frame: Frame) -> np.ndarray:
+        """Sum up over obstacles how deep each drone is within d_safe of them, (W, N)."""
+        radius = np.array([obstacle.radius for obstacle in self.obstacles()])
+        reach = radius + self.context.collision_radius
+        offset = frame.scene.obstacle[:, None] - frame.after.position[:, :, None]
+        gap = np.linalg.norm(offset, axis=-1) - reach
+        depth: np.ndarray = np.clip(1 - gap / frame.d_safe, 0.0, 1.0).sum(axis=-1)
+        return depth
+
+    def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
+        """Move obstacles straight on, reflected at the bounds."""
+        super().move_scene(scene, time, flying, rngs)
         if not self.config.num_moving:
             return False
         place = scene.obstacle[flying] + self.context.period * scene.obstacle_velocity[flying]

@@ -1,12 +1,13 @@
 """Task `pursuit`: a queue of drones on one circular track, the fastest last, so that they have to overtake."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
-from bulletuav.tasks.base import Frame, Scene, Spawn, TaskContext
+from bulletuav.registry import register
+from bulletuav.tasks.base import Rngs
 from bulletuav.tasks.families.airspace import (
     UNCERTAINTY,
     Airspace,
@@ -15,6 +16,7 @@ from bulletuav.tasks.families.airspace import (
     circle_arena,
     clearance,
 )
+from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
 
 
 @dataclass(frozen=True)
@@ -31,47 +33,14 @@ class PursuitConfig(AirspaceConfig):
     laps: int = 1
 
 
-class Pursuit(Airspace):
+@register("task")
+class Pursuit(Airspace[PursuitConfig]):
     """A queue on a circle, clockwise; who follows is faster than who leads, so overtaking conflicts arise.
 
     Each drone's goal runs ahead on the circle at the drone's own pace, from the drone's start round to it again, where it
     stops. Drone 0 leads.
 
-    Observation, per drone, Box(34) float32, clipped to its bounds (here for max_speed 20 and 8 drones):
-      0  position x              m     [-90, 90]
-      1  position y              m     [-90, 90]
-      2  position z              m     [0, 70]
-      3  velocity x              m/s   [-40, 40]
-      4  velocity y              m/s   [-40, 40]
-      5  velocity z              m/s   [-40, 40]
-      6  goal direction x        1     [-1, 1]
-      7  goal direction y        1     [-1, 1]
-      8  goal direction z        1     [-1, 1]
-      9  goal distance           m     [0, 264.008]
-     10  goal velocity x         m/s   [-40, 40]
-     11  goal velocity y         m/s   [-40, 40]
-     12  goal velocity z         m/s   [-40, 40]
-     13  neighbour 1 distance    m     [0, 264.008]
-     14  neighbour 1 position x  m     [-180, 180]
-     15  neighbour 1 position y  m     [-180, 180]
-     16  neighbour 1 position z  m     [-70, 70]
-     17  neighbour 1 velocity x  m/s   [-80, 80]
-     18  neighbour 1 velocity y  m/s   [-80, 80]
-     19  neighbour 1 velocity z  m/s   [-80, 80]
-     20  neighbour 2 distance    m     [0, 264.008]
-     21  neighbour 2 position x  m     [-180, 180]
-     22  neighbour 2 position y  m     [-180, 180]
-     23  neighbour 2 position z  m     [-70, 70]
-     24  neighbour 2 velocity x  m/s   [-80, 80]
-     25  neighbour 2 velocity y  m/s   [-80, 80]
-     26  neighbour 2 velocity z  m/s   [-80, 80]
-     27  neighbour 3 distance    m     [0, 264.008]
-     28  neighbour 3 position x  m     [-180, 180]
-     29  neighbour 3 position y  m     [-180, 180]
-     30  neighbour 3 position z  m     [-70, 70]
-     31  neighbour 3 velocity x  m/s   [-80, 80]
-     32  neighbour 3 velocity y  m/s   [-80, 80]
-     33  neighbour 3 velocity z  m/s   [-80, 80]
+    Observation, per drone, Box(34) with the defaults; `bulletuav tasks pursuit` lists each number:
     World axes (east, north, up). Neighbours are the nearest living drones, nearest first, relative to the drone; zeros where
     there are fewer.
 
@@ -84,8 +53,6 @@ class Pursuit(Airspace):
     """
 
     name = "pursuit"
-    Config = PursuitConfig
-    config: PursuitConfig
     observation = ("position", "velocity", "goal", "goal_velocity", "neighbours")
     difficulties: ClassVar = {
         "easy": {"num_drones": 4, **UNCERTAINTY["easy"]},
@@ -153,16 +120,16 @@ class Pursuit(Airspace):
         """Beside those of every airspace `conflicts`: how many each drone has had."""
         return {**super().memory(), "conflicts": (self.context.num_drones,)}
 
-    def update_memory(self, frame: Frame, rng: Sequence[np.random.Generator | None]) -> None:
-        """Conflicts too."""
-        super().update_memory(frame, rng)
+    def update_memory(self, frame: Frame, rngs: Rngs) -> None:
+        """Count conflicts, too."""
+        super().update_memory(frame, rngs)
         frame.scene.memory["conflicts"][:] += np.where(frame.alive, frame.conflict.onsets, 0)
 
-    def advance(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rng: Any) -> bool:
-        """Goals run on."""
+    def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
+        """Let goals run on."""
         goal, velocity = self._track(time + self.context.period)
         scene.goal[flying], scene.goal_velocity[flying] = goal[flying], velocity[flying]
-        return super().advance(scene, time, flying, rng)
+        return super().move_scene(scene, time, flying, rngs)
 
     def ahead(self, goal: np.ndarray, time: np.ndarray) -> np.ndarray:
         """What is left of the laps, m."""
@@ -175,6 +142,6 @@ class Pursuit(Airspace):
         ended = self._pace * frame.time[:, None] >= self._way
         return ended & super().arrived(frame)
 
-    def succeeded(self, frame: Frame, finished: np.ndarray) -> np.ndarray:
-        """There without any conflict."""
-        return finished & (frame.scene.memory["conflicts"] == 0)
+    def succeeded(self, frame: Frame) -> np.ndarray:
+        """Tell who finished without any conflict."""
+        return super().succeeded(frame) & (frame.scene.memory["conflicts"] == 0)

@@ -1,24 +1,15 @@
-"""What tasks with goals in one shared airspace have in common: options, reward terms, ends, and what is uncertain."""
+"""Flights to goals through one shared airspace: options, reward weights, ends, uncertainty."""
 
-from abc import abstractmethod
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, Generic, Literal, TypeVar
 
 import numpy as np
 
 from bulletuav.geometry.closest_approach import distances
-from bulletuav.tasks.base import (
-    REBOUND,
-    Frame,
-    Scene,
-    Spawn,
-    StepResult,
-    Task,
-    TaskContext,
-    affected,
-)
-from bulletuav.tasks.rewards.airspace import REWARDS, StepEvents, follow_encounters, variance_nearby
+from bulletuav.tasks.base import REBOUND, Rngs, Task, TaskConfig, Weighted, affected
+from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
+from bulletuav.tasks.rewards.airspace import follow_encounters, variance_nearby
 
 TOUCHDOWN, TOUCHDOWN_SPEED = 1.0, 2.0
 """Height above the ground, m, and speed, m/s, below which a drone has landed"""
@@ -90,7 +81,7 @@ UAVCONFLICT: dict[str, Any] = {
 
 
 @dataclass(frozen=True)
-class FlightConfig:
+class FlightConfig(TaskConfig):
     """Options that all flights to goals have in common, m, m/s.
 
     at_goal        "leave": a drone that reaches its goal leaves the airspace; "land": it has to go down to the ground below
@@ -114,7 +105,6 @@ class FlightConfig:
     warning_zone: float = 2.0
     fairness_range: float = 50.0
     discount: float = 0.99
-    weights: Mapping[str, float] = field(default_factory=dict)
 
     def check(self, context: TaskContext) -> None:
         """Raise ValueError for speeds that no drone has, or a warning zone that ends where it begins."""
@@ -151,6 +141,9 @@ class AirspaceConfig(FlightConfig):
         return places + rng.uniform(-self.jitter, self.jitter, places.shape)
 
 
+FlightConfigT = TypeVar("FlightConfigT", bound=FlightConfig)
+
+
 def clearance(config: FlightConfig, context: TaskContext) -> float:
     """Distance between two drones below which they conflict or touch, m."""
     return max(2 * context.collision_radius, config.d_safe)
@@ -175,7 +168,7 @@ def between_neighbours(config: AirspaceConfig, chord: float) -> float:
     return chord - 2 * np.sqrt(2) * config.jitter
 
 
-class Airspace(Task):
+class Airspace(Task[FlightConfigT], Generic[FlightConfigT]):
     """A task of flights to goals in one airspace; a task adds where they start and where they go.
 
     Action, per drone, by default `velocity`, Box(3) in [-1, 1]: velocity over max_speed, its norm limited to max_speed;
@@ -198,8 +191,6 @@ class Airspace(Task):
     Preset uavconflict: sizes, observation and reward constants of UAVConflictGym.
     """
 
-    Config = FlightConfig
-    config: FlightConfig
     defaults: ClassVar = {
         "num_drones": 8,
         "airframe": "hummingbird",
@@ -211,18 +202,16 @@ class Airspace(Task):
     }
     presets: ClassVar = {"uavconflict": UAVCONFLICT}
     observation: ClassVar[tuple[str, ...]] = ("position", "velocity", "goal", "neighbours")
-    reward_weights: ClassVar = REWARD_WEIGHTS
+    reward: ClassVar[Mapping[str, Weighted]] = REWARD_WEIGHTS
+    events = ("reached", "terminated", "ended")
+    computed_terms = ("fairness",)
 
-    def __init__(self, config: FlightConfig, context: TaskContext):
+    def __init__(self, config: FlightConfigT, context: TaskContext) -> None:
         """Raises ValueError for options that cannot be."""
         super().__init__(config, context)
         config.check(context)
         self.rebound = REBOUND.get(config.boundary)
         self.zone = config.warning_zone * config.d_safe
-
-    @abstractmethod
-    def spawn(self, rng: np.random.Generator) -> Spawn:
-        """Start of one world."""
 
     def launch(
         self,
@@ -239,115 +228,111 @@ class Airspace(Task):
         along = goal - start if along is None else along
         heading = along / np.linalg.norm(along, axis=1, keepdims=True)
         velocity = heading * rng.uniform(low, high, (len(start), 1))
-        return Spawn(
-            start,
-            np.tile([0.0, 0.0, 0.0, 1.0], (len(start), 1)),
-            velocity,
-            np.zeros_like(start),
-            goal,
-        )
+        return Spawn(position=start, goal=goal, velocity=velocity)
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
-        """`reached`: when each drone first came to its goal, s, 0 before; `way`: how far it has to go from its start, m.
+        """Tell what is kept of each drone, and where concession counts, of pairs.
 
-        Where concession counts, the pairs' encounters.
+        "reached" is when a drone first came to its goal, s, 0 before; "first_way" how far it had to
+        go from its start, m. "encounter" and "effort" are of pairs; see `follow_encounters`.
         """
         drones = self.context.num_drones
-        pairs = (
-            {"encounter": (drones, drones), "effort": (drones, drones)}
-            if self.weights["concession"]
-            else {}
-        )
-        return {"reached": (drones,), "way": (drones,), **pairs}
+        shapes: dict[str, tuple[int, ...]] = {"reached": (drones,), "first_way": (drones,)}
+        if self.weights.get("concession"):
+            shapes |= {"encounter": (drones, drones), "effort": (drones, drones)}
+        return shapes
 
-    def advance(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rng: Any) -> bool:
-        """The goals of drones that are to land move to the ground once they have reached them."""
+    def quantities(self) -> Mapping[str, Any]:
+        """Tell the ways to the goal, which terms read."""
+        return {"way": self.way, "way_before": self.way_before}
+
+    def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
+        """Move the goals of drones that are to land to the ground, once they have reached them."""
         if self.config.at_goal == "land":
             down = (scene.memory["reached"] > 0) & flying[:, None]
             scene.goal[..., 2] = np.where(down, TOUCHDOWN / 2, scene.goal[..., 2])
         return False
 
     def ahead(self, goal: np.ndarray, time: np.ndarray) -> np.ndarray | float:
-        """(W, N) how far goals at (W, N, 3) m have yet to move at `time` (W,) s: to the ground for landing, else not."""
+        """Tell how far goals have yet to move: to the ground for landing, else not at all.
+
+        Args:
+            goal: (W, N, 3) where they are, m.
+            time: (W,) s.
+
+        Returns:
+            (W, N) m.
+        """
         return goal[..., 2] - TOUCHDOWN / 2 if self.config.at_goal == "land" else 0.0
 
     def way(self, frame: Frame) -> np.ndarray:
-        """(W, N) how far it is to the goal and on with it to where it stops, after the decision, m."""
+        """Compute how far it is to the goal and on with it to where it stops, (W, N) m."""
         return frame.distance + self.ahead(frame.scene.goal, frame.time)
 
     def way_before(self, frame: Frame) -> np.ndarray:
-        """(W, N) the same before the decision."""
+        """Compute the same before the decision."""
         ahead = self.ahead(frame.goal_before, frame.time - self.context.period)
         return distances(frame.goal_before, frame.before.position) + ahead
 
     def arrived(self, frame: Frame) -> np.ndarray:
-        """(W, N) bool: at the goal."""
+        """Tell who is at the goal, (W, N) bool."""
         return frame.distance <= self.config.goal_radius
 
-    def update_memory(self, frame: Frame, rng: Sequence[np.random.Generator | None]) -> None:
-        """When goals were reached, how far it was to them at the start, and who made way."""
+    def update_memory(self, frame: Frame, rngs: Rngs) -> None:
+        """Note when goals were reached, how far it was to them at the start, and who made way."""
         memory = frame.scene.memory
-        np.copyto(memory["way"], self.way_before(frame), where=memory["way"] == 0)
+        first = memory["first_way"]
+        np.copyto(first, self.way_before(frame), where=first == 0)
         new = self.arrived(frame) & frame.alive & ~frame.collision & (memory["reached"] == 0)
         np.copyto(memory["reached"], frame.time[:, None], where=new)
         if "encounter" in memory:
-            follow_encounters(
-                memory["encounter"],
-                memory["effort"],
-                frame.before,
-                frame.after,
-                frame.d_safe,
-                frame.alive,
-            )
+            pairs = (memory["encounter"], memory["effort"])
+            follow_encounters(*pairs, frame.before, frame.after, frame.d_safe, frame.alive)
 
     def finished(self, frame: Frame) -> np.ndarray:
-        """(W, N) bool: at the goal, or landed where that is asked for, and not by a crash."""
+        """Tell who is at the goal, or landed where that is asked for, without a crash."""
         if self.config.at_goal != "land":
             return self.arrived(frame) & ~frame.collision
         aside = np.linalg.norm((frame.after.position - frame.scene.goal)[..., :2], axis=-1)
+        near = aside <= self.config.goal_radius
         slow = np.linalg.norm(frame.after.velocity, axis=-1) <= TOUCHDOWN_SPEED
         low = frame.after.position[..., 2] <= TOUCHDOWN
-        return (
-            (frame.scene.memory["reached"] > 0)
-            & low
-            & slow
-            & (aside <= self.config.goal_radius)
-            & ~frame.collision
-        )
+        been_there = frame.scene.memory["reached"] > 0
+        landed: np.ndarray = been_there & low & slow & near & ~frame.collision
+        return landed
 
-    def succeeded(self, frame: Frame, finished: np.ndarray) -> np.ndarray:
-        """(W, N) bool: of those that finished, the ones that did as the task wants; by default all."""
-        return finished
+    def succeeded(self, frame: Frame) -> np.ndarray:
+        """Tell who did as the task wants, (W, N) bool; by default all that finished."""
+        found = frame.derived.get("finished")
+        return self.finished(frame) if found is None else found
 
-    def evaluate_step(self, frame: Frame) -> StepResult:
-        """The weighted terms, the ends that the options ask for, and who is at its goal."""
-        config, reached = self.config, frame.scene.memory["reached"]
+    def terminated(self, frame: Frame) -> np.ndarray:
+        """Tell whose episode ends as the options ask for, and derive the events that terms read."""
+        config = self.config
         finished = self.finished(frame)
-        outside = self.outside(frame)
-        terminated = affected(frame.collision, frame, config.contact_ends) | frame.depleted
+        ended = affected(frame.collision, frame, config.contact_ends) | frame.depleted
         if config.at_goal == "hold":
-            terminated = terminated | np.all(finished | ~frame.alive, axis=1, keepdims=True)
+            ended = ended | np.all(finished | ~frame.alive, axis=1, keepdims=True)
         else:
-            terminated = terminated | finished
+            ended = ended | finished
         if config.boundary == "end":
-            terminated = terminated | outside
+            ended = ended | self.outside(frame)
         if config.conflict_ends != "nothing":
-            terminated = terminated | affected(
-                frame.conflict.separation < config.d_safe, frame, config.conflict_ends
-            )
-        new = (reached > 0) & (reached == frame.time[:, None])
-        events = StepEvents(new, outside, terminated, terminated | frame.last[:, None])
-        return StepResult(self._terms(frame, events), terminated, self.succeeded(frame, finished))
+            close = frame.conflict.separation < config.d_safe
+            ended = ended | affected(close, frame, config.conflict_ends)
+        reached = frame.scene.memory["reached"]
+        frame.derived["finished"] = finished
+        frame.derived["reached"] = (reached > 0) & (reached == frame.time[:, None])
+        frame.derived["terminated"] = ended
+        frame.derived["ended"] = ended | frame.last[:, None]
+        return ended
 
-    def _terms(self, frame: Frame, events: StepEvents) -> dict[str, np.ndarray]:
-        """The reward terms whose weight is not zero; `fairness` compares what the others come to."""
-        names = [name for name, weight in self.weights.items() if weight and name != "fairness"]
-        terms = {name: REWARDS[name](self, frame, events) for name in names}
-        if self.weights["fairness"]:
-            total = sum(
-                (self.weights[name] * terms[name] for name in names), np.zeros(frame.alive.shape)
-            )
-            terms["fairness"] = variance_nearby(
-                total, frame.after.position, frame.alive, self.config.fairness_range
-            )
+    def reward_terms(self, frame: Frame) -> dict[str, np.ndarray]:
+        """Compute the terms; `fairness` compares what the others come to."""
+        terms = super().reward_terms(frame)
+        if self.weights.get("fairness"):
+            weighted = (self.weights[name] * term for name, term in terms.items())
+            total = sum(weighted, np.zeros(frame.alive.shape))
+            near = (frame.after.position, frame.alive, self.config.fairness_range)
+            terms["fairness"] = variance_nearby(total, *near)
         return terms

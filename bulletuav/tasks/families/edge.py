@@ -1,19 +1,20 @@
 """Edge computing from the air: users send tasks to the drones, which compute them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Generic, Literal, TypeVar
 
 import numpy as np
 
 from bulletuav.network.assignment import STRATEGIES, assign
 from bulletuav.network.link import capacity
 from bulletuav.network.queueing import core_power, service_rate
-from bulletuav.network.server import Arrivals, serve, serve_on_average
+from bulletuav.network.server import Arrivals, Served, Tasks, serve, serve_on_average
 from bulletuav.network.service_stats import ServiceStats, count
 from bulletuav.network.uplink import RadioConfig, Uplink
-from bulletuav.tasks.base import Frame, Scene, StepResult, TaskContext
-from bulletuav.tasks.families.users import UsersConfig, UsersTask, dwell_time_bonus
+from bulletuav.tasks.base import Rngs
+from bulletuav.tasks.families.users import UsersConfig, UsersTask
+from bulletuav.tasks.frame import Frame, Scene, TaskContext
 
 MOST_TASKS = 1e6  # of a world in a decision, in the mean
 
@@ -47,7 +48,10 @@ class EdgeConfig(RadioConfig, UsersConfig):
     power_scale: float = 400.0
 
 
-class EdgeTask(UsersTask):
+EdgeConfigT = TypeVar("EdgeConfigT", bound=EdgeConfig)
+
+
+class EdgeTask(UsersTask[EdgeConfigT], Generic[EdgeConfigT]):
     """Users produce tasks, send them to the drone that serves them, and it computes them on its cores.
 
     A task of D bits takes D / rate to upload, one of a user after the other, then waits for a core of the drone, first come
@@ -58,9 +62,7 @@ class EdgeTask(UsersTask):
     nothing for the weights that tasks have: who serves nobody only pays for its flight.
     """
 
-    config: EdgeConfig
-
-    def __init__(self, config: EdgeConfig, context: TaskContext):
+    def __init__(self, config: EdgeConfigT, context: TaskContext) -> None:
         """Raises ValueError for sizes that cannot be, or where the city leaves no room to fly or to walk."""
         super().__init__(config, context)
         low, high = config.task_bits
@@ -113,92 +115,87 @@ class EdgeTask(UsersTask):
             "core_free": (drones, self.config.num_cores),
         }
 
+    def quantities(self) -> Mapping[str, Any]:
+        """Tell how many tasks all users are expected to have in a decision."""
+        return {**super().quantities(), "expected_tasks": self._expected}
+
     def payload_power(self, scene: Scene) -> np.ndarray:
-        """Of the cores that were busy in the last decision."""
+        """Tell what the cores take that were busy in the last decision, (W, N) W."""
         return scene.memory["utilisation"] * self._compute_power
 
-    def update_memory(self, frame: Frame, rng: Sequence[np.random.Generator | None]) -> None:
-        """Rates, tasks of the decision, and what became of them."""
-        super().update_memory(frame, rng)
-        memory, config, period = frame.scene.memory, self.config, self.context.period
+    def update_memory(self, frame: Frame, rngs: Rngs) -> None:
+        """Work out rates, tasks of the decision, and what became of them."""
+        super().update_memory(frame, rngs)
+        memory, config = frame.scene.memory, self.config
         flying, after, users = np.any(frame.alive, axis=1), frame.after, memory["users"]
-        power = self.uplink.received(
-            after.position, after.quaternion, users, frame.readings["sight"], rng, flying
-        )
+        # Who serves whom, at which rate.
+        sight = frame.readings["sight"]
+        pose = (after.position, after.quaternion)
+        power = self.uplink.received(*pose, users, sight, rngs, flying)
         load, strategy = memory["utilisation"] * self._capacity, STRATEGIES[config.assignment]
-        servers = assign(
-            strategy, after.position, frame.alive, users, power, self._capacity, self._demand, load
-        )
+        who = (strategy, after.position, frame.alive, users, power)
+        servers = assign(*who, self._capacity, self._demand, load)
         rates = self.uplink.rates(power, servers, self._activity)
-        tasks = self._arrivals.draw(rng, flying)
+        memory["received"][:] = power
+        # What becomes of the tasks that users have in this decision.
+        served = self._serve(self._arrivals.draw(rngs, flying), servers, rates, memory)
+        remaining = np.maximum(self.context.duration - frame.time, 0.0)
+        left = config.arrival_rate * config.num_users * remaining
+        stats = ServiceStats(*(memory[name] for name in ServiceStats._fields))
+        core_time = config.num_cores * self.context.period
+        most = config.num_cores * self._service_rate
+        count(served, stats, left, config.deadline, core_time, most)
+
+    def _serve(
+        self,
+        tasks: Tasks,
+        servers: np.ndarray,
+        rates: np.ndarray,
+        memory: Mapping[str, np.ndarray],
+    ) -> Served:
+        """Compute the tasks of a decision, one by one or in the mean."""
+        config, period = self.config, self.context.period
         if config.queue == "simulated":
             work = (config.cycles_per_bit, config.core_frequency, config.deadline, period)
-            served = serve(tasks, servers, rates, *work, memory["link_free"], memory["core_free"])
-        else:
-            queue = (
-                config.num_cores,
-                config.arrival_rate,
-                self._service_rate,
-                config.deadline,
-                period,
-            )
-            served = serve_on_average(
-                tasks, servers, rates, frame.alive.shape[1], config.cycles_per_bit, *queue
-            )
-        memory["received"][:] = power
-        left = (
-            config.arrival_rate
-            * config.num_users
-            * np.maximum(self.context.duration - frame.time, 0.0)
-        )
-        active_targets = ServiceStats(*(memory[name] for name in ServiceStats._fields))
-        count(
-            served,
-            active_targets,
-            left,
-            config.deadline,
-            config.num_cores * period,
-            config.num_cores * self._service_rate,
+            return serve(tasks, servers, rates, *work, memory["link_free"], memory["core_free"])
+        drones = self.context.num_drones
+        cores = (config.num_cores, config.arrival_rate, self._service_rate)
+        limits = (config.deadline, period)
+        return serve_on_average(
+            tasks, servers, rates, drones, config.cycles_per_bit, *cores, *limits
         )
 
     def service_quality(
         self, place: np.ndarray, targets: np.ndarray, sight: np.ndarray
     ) -> np.ndarray:
-        """Share of a user's tasks that would be in time, if each drone had as many users, with nobody else and no queue."""
-        config, upright = self.config, np.tile([0.0, 0.0, 0.0, 1.0], (1, len(place), 1))
-        power = self.uplink.received(
-            place[None], upright, targets[None], sight[None], [None], np.zeros(1, dtype=bool)
-        )[0]
+        """Tell the share of a user's tasks that would be in time.
+
+        If each drone had as many users, with nobody else and no queue; see `TargetTask`.
+        """
+        config = self.config
+        upright = np.tile([0.0, 0.0, 0.0, 1.0], (1, len(place), 1))
+        nobody = np.zeros(1, dtype=bool)
+        pose = (place[None], upright)
+        power = self.uplink.received(*pose, targets[None], sight[None], [None], nobody)[0]
+        # The rate that is left to each user, and the largest task that is in time at that rate.
         users = max(len(targets) / self.context.num_drones, 1.0)
         rate = capacity(config.bandwidth / users, users * power / self.uplink.noise)
         low, high = config.task_bits
-        largest = config.deadline / (
-            1 / np.maximum(rate, 1e-9) + config.cycles_per_bit / config.core_frequency
-        )
-        return np.where(
-            largest < low, 0.0, np.minimum((largest - low) / max(high - low, 1e-9), 1.0)
-        )
+        computing = config.cycles_per_bit / config.core_frequency
+        largest = config.deadline / (1 / np.maximum(rate, 1e-9) + computing)
+        share = np.minimum((largest - low) / max(high - low, 1e-9), 1.0)
+        return np.where(largest < low, 0.0, share)
 
     def info(self, frame: Frame) -> dict[str, np.ndarray]:
-        """Beside `served`: `completed`, share of the tasks of the episode, and `latency`, s, so far; the same for all.
+        """Tell beside `served` the episode's `completed` share of tasks and `latency`, s, so far.
 
-        Tasks that are yet to come, as many as in the mean, are not completed: so ending early does not raise the share.
+        The same for all drones. Tasks that are yet to come, as many as in the mean, are not
+        completed: so ending early does not raise the share.
         """
         memory = frame.scene.memory
-        return {
-            **super().info(frame),
-            "completed": memory["share"].copy(),
-            "latency": memory["mean_latency"].copy(),
-        }
+        told = {"completed": memory["share"].copy(), "latency": memory["mean_latency"].copy()}
+        return {**super().info(frame), **told}
 
-    def evaluate_step(self, frame: Frame) -> StepResult:
-        """What was computed, and ends by contact or outside the airspace."""
-        memory, config = frame.scene.memory, self.config
-        ended, terms = self.ends(frame)
-        terms |= {
-            "tasks": memory["completed"] / self._expected,
-            "latency": memory["delay_completed"] / (config.deadline * self._expected),
-            "energy": frame.readings["power"] / config.power_scale,
-            "dwell_time": dwell_time_bonus(frame),
-        }
-        return StepResult(terms, ended, memory["share"] >= config.wanted)
+    def succeeded(self, frame: Frame) -> np.ndarray:
+        """Tell whether the wanted share of tasks is completed."""
+        return frame.scene.memory["share"] >= self.config.wanted

@@ -5,7 +5,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
@@ -16,8 +16,9 @@ from bulletuav.city.statistics import KINDS, Statistics
 from bulletuav.engine.tiles import TILE_PITCH
 from bulletuav.errors import as_sequence, choose, shown
 from bulletuav.geometry.solids import Solids
-from bulletuav.tasks.base import Spawn, Task, TaskContext
+from bulletuav.tasks.base import Task, TaskConfig
 from bulletuav.tasks.families.airspace import UNCERTAINTY, Airspace, FlightConfig
+from bulletuav.tasks.frame import Spawn, TaskContext
 
 PLACES_CELL = 4.0  # m, of the raster from which places are drawn
 ROOM = 1.0  # m, beyond its radius, between a drone that starts, or a goal, and buildings
@@ -50,7 +51,7 @@ DEFAULTS: dict[str, Any] = {
 
 
 @dataclass(frozen=True)
-class UrbanConfig:
+class UrbanConfig(TaskConfig):
     """Options of flights in a city, m.
 
     city           "suburban", "urban", "dense", "high_rise"; (alpha, beta, gamma), see `city.statistics.Statistics`; the
@@ -225,10 +226,7 @@ class CityLayouts:
     def hovering(self, rng: np.random.Generator, layout: int, count: int) -> Spawn:
         """Drones at rest at random places, which are their goals too."""
         place = self.places(rng, layout, count)
-        upright = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
-        return Spawn(
-            place, upright, np.zeros_like(place), np.zeros_like(place), place, layout=layout
-        )
+        return Spawn(position=place, goal=place, layout=layout)
 
 
 def _outdoors(city: City, cell: float, margin: float, edge: float = 0.0) -> np.ndarray:
@@ -246,13 +244,15 @@ def ground_cells(city: City, cell: float) -> np.ndarray:
     return np.concatenate([places, np.full((len(places), 1), USER_HEIGHT)], axis=1)
 
 
-class UrbanTask(Task):
+UrbanConfigT = TypeVar("UrbanConfigT", bound=UrbanConfig)
+
+
+class UrbanTask(Task[UrbanConfigT], Generic[UrbanConfigT]):
     """A task in a city: its bounds are those of the city and its ceiling."""
 
-    config: UrbanConfig
     difficulties: ClassVar = URBAN_DIFFICULTIES
 
-    def __init__(self, config: Any, context: TaskContext):
+    def __init__(self, config: UrbanConfigT, context: TaskContext) -> None:
         """Raises ValueError where the city leaves no room to fly."""
         super().__init__(config, context)
         self.town = CityLayouts(config, context)
@@ -272,7 +272,12 @@ class UrbanFlightConfig(UrbanConfig, FlightConfig):
     start_speed: tuple[float, float] = (0.0, 0.0)
 
 
-class UrbanFlight(UrbanTask, Airspace):
+UrbanFlightConfigT = TypeVar("UrbanFlightConfigT", bound=UrbanFlightConfig)
+
+
+class UrbanFlight(
+    UrbanTask[UrbanFlightConfigT], Airspace[UrbanFlightConfigT], Generic[UrbanFlightConfigT]
+):
     """A task of flights to goals through a city; a task adds what drones observe.
 
     Starts, at rest, and goals lie outdoors. d_safe is 2 m, episodes are truncated after 600 decisions. Contact with a
@@ -282,13 +287,11 @@ class UrbanFlight(UrbanTask, Airspace):
     high_rise, 1.
     """
 
-    Config = UrbanFlightConfig
-    config: UrbanFlightConfig
     defaults: ClassVar = {**DEFAULTS, "horizon": 600, "difficulty": "easy"}
     presets: ClassVar = {}
     baseline = "planner"
 
-    def __init__(self, config: UrbanFlightConfig, context: TaskContext):
+    def __init__(self, config: UrbanFlightConfigT, context: TaskContext) -> None:
         """Raises ValueError where the city leaves no room to fly, or is too small for a leg."""
         super().__init__(config, context)
         self.town.require(config.leg)

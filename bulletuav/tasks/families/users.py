@@ -1,15 +1,15 @@
 """Drones over a city that serve users on the ground, who may walk."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Generic, Literal, TypeVar
 
 import numpy as np
 
 from bulletuav.network.dwell_time import watch
 from bulletuav.network.mobility import find_mobility
 from bulletuav.network.mobility.ground import Ground
-from bulletuav.tasks.base import REBOUND, Frame, Scene, Spawn, TaskContext, affected
+from bulletuav.tasks.base import REBOUND, Rngs, affected
 from bulletuav.tasks.families.urban import (
     DEFAULTS,
     USER_HEIGHT,
@@ -17,8 +17,8 @@ from bulletuav.tasks.families.urban import (
     UrbanTask,
     check_share,
 )
-
-DWELL_TIME_SCALE = 0.1  # 1/s
+from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
+from bulletuav.tasks.targets import TargetTask
 
 
 @dataclass(frozen=True)
@@ -40,17 +40,18 @@ class UsersConfig(UrbanConfig):
     boundary: Literal["end", "soft", "hard"] = "hard"
     contact_ends: Literal["drone", "world"] = "drone"
     height: tuple[float, float] = (20.0, 60.0)
-    weights: Mapping[str, float] = field(default_factory=dict)
 
 
-class UsersTask(UrbanTask):
+UsersConfigT = TypeVar("UsersConfigT", bound=UsersConfig)
+
+
+class UsersTask(UrbanTask[UsersConfigT], TargetTask[UsersConfigT], Generic[UsersConfigT]):
     """A task over users: drones start at rest anywhere outdoors, and so do users.
 
     It ends for a drone on contact of collision shapes and with an empty battery; at the bounds of the city's square and its
     ceiling drones stop.
     """
 
-    config: UsersConfig
     baseline = "kmeans"
     defaults: ClassVar = {
         **DEFAULTS,
@@ -59,7 +60,7 @@ class UsersTask(UrbanTask):
         "horizon": 100,
     }
 
-    def __init__(self, config: UsersConfig, context: TaskContext):
+    def __init__(self, config: UsersConfigT, context: TaskContext) -> None:
         """Raises ValueError where the city leaves no room to fly or to walk."""
         super().__init__(config, context)
         check_share("wanted", config.wanted)
@@ -89,44 +90,27 @@ class UsersTask(UrbanTask):
             memory=self.mobility.start(rng, self.ground, layout, self.config.num_users)
         )
 
-    def advance(
-        self,
-        scene: Scene,
-        time: np.ndarray,
-        flying: np.ndarray,
-        rng: Sequence[np.random.Generator | None],
-    ) -> bool:
-        """Users walk."""
-        self.mobility.move(
-            scene.memory, self.ground, scene.layout, flying, self.context.period, rng
-        )
+    def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
+        """Let users walk."""
+        period = self.context.period
+        self.mobility.move(scene.memory, self.ground, scene.layout, flying, period, rngs)
         return False
 
-    def update_memory(self, frame: Frame, rng: Sequence[np.random.Generator | None]) -> None:
-        """For how long each living drone has seen each user without a break."""
-        memory = frame.scene.memory
-        watch(
-            memory["dwell_time"],
-            memory["mean_dwell_time"],
-            frame.readings["sight"],
-            frame.alive,
-            self.context.period,
-        )
+    def update_memory(self, frame: Frame, rngs: Rngs) -> None:
+        """Note for how long each living drone has seen each user without a break."""
+        memory, sight = frame.scene.memory, frame.readings["sight"]
+        times = (memory["dwell_time"], memory["mean_dwell_time"])
+        watch(*times, sight, frame.alive, self.context.period)
 
-    def ends(self, frame: Frame) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """(W, N) bool, whose episode ends in contact or outside the airspace, and the terms that say so."""
-        outside, ended = (
-            self.outside(frame),
-            affected(frame.collision, frame, self.config.contact_ends),
-        )
-        if self.config.boundary == "end":
-            ended = ended | outside
-        return ended, {
-            "collision": frame.collision.astype(float),
-            "out_of_bounds": outside.astype(float),
-        }
+    def quantities(self) -> Mapping[str, Any]:
+        """Tell the share of users that is served."""
+        return {"served": self.served}
 
+    def terminated(self, frame: Frame) -> np.ndarray:
+        """Tell whose episode ends in contact, or outside the airspace where that ends it."""
+        ended = affected(frame.collision, frame, self.config.contact_ends)
+        return ended | self.outside(frame) if self.config.boundary == "end" else ended
 
-def dwell_time_bonus(frame: Frame) -> np.ndarray:
-    """(W, N) tanh(0.1 s) of the mean seconds s for which the drone has seen users without a break: from 0 to 1."""
-    return np.tanh(DWELL_TIME_SCALE * frame.scene.memory["mean_dwell_time"])
+    def succeeded(self, frame: Frame) -> np.ndarray:
+        """Tell whether the wanted share of users is served."""
+        return self.served(frame) >= self.config.wanted

@@ -1,120 +1,259 @@
-"""What drones observe: blocks of numbers and pictures, chosen by name."""
+"""Observations of all drones: blocks of numbers side by side, and pictures."""
 
-from collections.abc import Callable, Sequence
-from functools import partial
-from typing import TYPE_CHECKING, Any
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Literal
 
 import numpy as np
 from gymnasium.spaces import Box, Dict, Space
 
 from bulletuav.control.actions import Action
-from bulletuav.errors import choose
-from bulletuav.tasks.observations import motion, sensors, users
-from bulletuav.tasks.observations.motion import Block
-from bulletuav.tasks.observations.sensors import IMAGES
+from bulletuav.errors import shown, unknown
+from bulletuav.registry import find, names
+from bulletuav.sensors.base import Image, Label, Sensor, SensorSetup
+from bulletuav.sensors.suite import provider, reading_labels
+from bulletuav.tasks.frame import Frame
+from bulletuav.tasks.ingredients import Binding, Bound
+from bulletuav.tasks.observations.base import Block
 
-if TYPE_CHECKING:
-    from bulletuav.tasks.base import Frame, Task
-
-BLOCKS: dict[str, Callable[["Task"], Block]] = {
-    block.__name__: block
-    for block in (
-        motion.position,
-        motion.attitude,
-        motion.velocity,
-        motion.rates,
-        motion.goal_position,
-        motion.goal_offset,
-        motion.goal_velocity,
-        motion.goal,
-        motion.alive,
-        motion.identity,
-        motion.neighbours,
-        motion.all_neighbours,
-        motion.obstacles,
-        sensors.lidar,
-        sensors.imu,
-        sensors.clearance,
-        sensors.battery,
-        sensors.targets,
-        sensors.seen_share,
-        sensors.sight_ahead,
-        users.power,
-        users.centroids,
-        users.sight_matrix,
-        users.dwell_time,
-        users.server,
-        users.link_rates,
-    )
-}
-NAMES = (*BLOCKS, motion.last_action.__name__, *IMAGES)
 STATE = ("position", "attitude", "velocity", "rates", "goal_position", "alive")
-
+"""Blocks of the global state, of every drone"""
 Observation = np.ndarray | dict[str, np.ndarray]
+Format = Literal["vector", "dict"]
+Write = Callable[[Frame, np.ndarray, np.ndarray], None]
+VECTOR = "vector"
+
+
+def observation_name(source: Any) -> str:
+    """Tell the name of a block: a name itself, what follows the colon, or that of a function."""
+    if isinstance(source, str):
+        return source.rpartition(":")[2]
+    return str(getattr(source, "__name__", type(source).__name__))
+
+
+def known_observations(sensors: Mapping[str, Sensor]) -> list[str]:
+    """List what can be observed by name: registered blocks and readings of sensors."""
+    readings = {
+        reading for one in sensors.values() for reading in one.gives if _is_shown(one, reading)
+    }
+    return sorted({*names("observation"), *readings})
+
+
+def _is_shown(sensor: Sensor, reading: str) -> bool:
+    return reading in sensor.labels(SensorSetup())
 
 
 class ObservationBuilder:
-    """The named blocks of a task side by side: one vector, or, with pictures among them, a dict.
+    """The blocks of an observation side by side: one vector, or a dict.
 
-    Vectors are float32, clipped to their bounds, and with `normalise` scaled from the bounds to [-1, 1]. The dict's keys are
-    "vector" (where there is one) and the pictures' names.
+    Vectors are float32, clipped to their bounds, and with `normalise` scaled from the bounds to
+    [-1, 1]. With pictures among them an observation is a dict of "vector" (where there are numbers)
+    and the pictures; in the format "dict" it has an entry for each block.
+
+    Attributes:
+        labels: Name, unit and bounds of each number of the vector.
+        slices: Which numbers of the vector each block has, by name.
+        images: Names of the pictures.
     """
 
     def __init__(
         self,
-        names: Sequence[str],
-        task: "Task",
+        sources: Sequence[Any],
+        task: Any,
         action: Action,
-        camera_size: tuple[int, int] = (64, 48),
+        binding: Binding,
+        sensors: Mapping[str, Sensor],
+        setup: SensorSetup,
+        *,
         normalise: bool = False,
-    ):
-        """Raises ValueError for a block that does not exist."""
-        makers: dict[str, Callable[[], Block]] = {
-            name: partial(maker, task) for name, maker in BLOCKS.items()
-        }
-        makers[motion.last_action.__name__] = partial(motion.last_action, action)
-        self.images = [name for name in names if name in IMAGES]
-        vectors = [name for name in names if name not in IMAGES]
-        self._blocks = [choose("observation block", name, makers)() for name in vectors]
-        self.labels = [label for block in self._blocks for label in block.labels]
+        form: Format = "vector",
+    ) -> None:
+        """Make the blocks.
+
+        Args:
+            sources: Names of blocks and readings, or blocks themselves.
+            task: The task that drones fly.
+            action: What they are told.
+            binding: What argument names of blocks stand for.
+            sensors: All sensors that there are, by name.
+            setup: What they know of their environment.
+            normalise: Whether numbers are scaled to [-1, 1].
+            form: "vector", or "dict" with an entry for each block.
+
+        Raises:
+            ValueError: A block does not exist, or is none.
+        """
+        self.labels: list[Label] = []
+        self.slices: dict[str, slice] = {}
+        self.images: dict[str, Image] = {}
+        self._writers: list[tuple[slice, Write]] = []
+        self._size, self._form, self._normalise = setup.camera_size, form, normalise
+        for source in sources:
+            made = _make(source, task, action, binding, sensors, setup)
+            if isinstance(made, Image):
+                self.images[observation_name(source)] = made
+                continue
+            labels, write = made
+            part = slice(len(self.labels), len(self.labels) + len(labels))
+            self.labels += labels
+            self.slices[observation_name(source)] = part
+            self._writers.append((part, write))
         self._low = np.array([label.low for label in self.labels], dtype=np.float32)
         self._high = np.array([label.high for label in self.labels], dtype=np.float32)
         self._middle, self._half = (self._low + self._high) / 2, (self._high - self._low) / 2
-        self._normalise = normalise
         ones = np.ones_like(self._low)
         self.low, self.high = (-ones, ones) if normalise else (self._low, self._high)
-        self._camera_shape = camera_size[::-1]
 
     def space(self) -> Box | Dict:
-        """One drone's observation space, a new object each time."""
-        vector = Box(self.low, self.high, dtype=np.float32)
-        if not self.images:
-            return vector
-        spaces: dict[str, Space] = {"vector": vector} if self.labels else {}
-        for name in self.images:
-            low, high, kind, pixel = IMAGES[name]
-            spaces[name] = Box(low, high, (*self._camera_shape, *pixel), kind)
+        """Make one drone's observation space, a new object each time."""
+        if not self.images and self._form == VECTOR:
+            return Box(self.low, self.high, dtype=np.float32)
+        spaces: dict[str, Space[Any]] = {}
+        if self._form == VECTOR:
+            if self.labels:
+                spaces[VECTOR] = Box(self.low, self.high, dtype=np.float32)
+        else:
+            for name, part in self.slices.items():
+                spaces[name] = Box(self.low[part], self.high[part], dtype=np.float32)
+        width, height = self._size
+        for name, image in self.images.items():
+            shape = (height, width, *image.pixel)
+            spaces[name] = Box(image.low, image.high, shape, image.dtype)
         return Dict(spaces)
 
-    def observe(self, frame: "Frame", present: np.ndarray) -> Observation:
-        """(W, N, D) float32 after the frame, or the dict; `present` (W, N) are the drones that can still be met."""
+    def observe(self, frame: Frame, present: np.ndarray) -> Observation:
+        """Observe.
+
+        Args:
+            frame: The decision, or the first frame after a reset.
+            present: (W, N) bool, drones that can still be met after it.
+
+        Returns:
+            (W, N, D) float32, or a dict of arrays (W, N, ...).
+        """
         seen: dict[str, np.ndarray] = {}
-        if self._blocks:
-            parts = [block.compute(frame, present) for block in self._blocks]
-            vector = np.concatenate(parts, axis=-1, dtype=np.float32)
+        if self.labels:
+            vector = np.zeros((*present.shape, len(self.labels)), dtype=np.float32)
+            for part, write in self._writers:
+                write(frame, present, vector[..., part])
             vector = np.minimum(
                 np.maximum(vector, self._low), self._high
             )  # np.clip takes twice as long
             if self._normalise:
                 vector = np.minimum(np.maximum((vector - self._middle) / self._half, -1.0), 1.0)
-            seen["vector"] = vector
-        if not self.images:
-            return seen["vector"]
+            seen = {VECTOR: vector} if self._form == VECTOR else self.split(vector)
+        if not self.images and self._form == VECTOR:
+            return seen[VECTOR]
         return seen | {name: frame.readings[name].copy() for name in self.images}
 
+    def split(self, observation: Any) -> dict[str, Any]:
+        """Split observations by the names of their blocks.
 
-def part(observations: Observation, index) -> Any:
-    """`observations[index]`, of each entry where they are a dict."""
+        Args:
+            observation: (..., D) of one or more drones, or a dict with "vector" in it.
+
+        Returns:
+            Arrays (..., numbers of the block) by name, views of the given one; pictures as they are.
+
+        Raises:
+            ValueError: It has another number of numbers than an observation has.
+        """
+        if isinstance(observation, Mapping):
+            rest = {name: value for name, value in observation.items() if name != VECTOR}
+            return (self.split(observation[VECTOR]) if VECTOR in observation else {}) | rest
+        vector = np.asarray(observation)
+        if vector.ndim == 0 or vector.shape[-1] != len(self.labels):
+            raise ValueError(
+                f"observation is an array {vector.shape}: {len(self.labels)} numbers are needed, "
+                f"one for each label"
+            )
+        return {name: vector[..., part] for name, part in self.slices.items()}
+
+
+def _make(
+    source: Any,
+    task: Any,
+    action: Action,
+    binding: Binding,
+    sensors: Mapping[str, Sensor],
+    setup: SensorSetup,
+) -> tuple[tuple[Label, ...], Write] | Image:
+    """Make the labels and the writer of a block, or a picture."""
+    name = observation_name(source)
+    if isinstance(source, str) and ":" not in source and source not in names("observation"):
+        labels = reading_labels(sensors, source, setup)
+        if labels is None:
+            raise unknown("observation block", source, known_observations(sensors))
+        return labels if isinstance(labels, Image) else (labels, _reading_writer(source))
+    block = source if isinstance(source, Block) else find("observation", source, callable)
+    who = f"observation block {name!r}"
+    if getattr(block, "ingredient", None) == "block":
+        wants_action = "action" in inspect.signature(block.labels).parameters
+        labels = tuple(block.labels(action if wants_action else task))
+        return _checked(labels, who), _bound_writer(
+            Bound(block, binding, who, np.float32, len(labels))
+        )
+    made = block if isinstance(block, Block) else block(task)
+    if not isinstance(made, Block):
+        raise ValueError(
+            f"{who} gave {shown(made)} for the task: a Block is needed; decorate a function of one "
+            f"drone's numbers with @block(labels)"
+        )
+    return _checked(made.labels, who), _block_writer(made, who)
+
+
+def _checked(labels: Any, who: str) -> tuple[Label, ...]:
+    if not all(isinstance(one, Label) for one in labels):
+        raise ValueError(f"labels of {who} are {shown(labels)}: Label(name, unit, low, high) each")
+    return tuple(labels)
+
+
+def _reading_writer(reading: str) -> Write:
+    def write(frame: Frame, present: np.ndarray, out: np.ndarray) -> None:
+        out[...] = frame.readings[reading].reshape(out.shape)
+
+    return write
+
+
+def _bound_writer(bound: Bound) -> Write:
+    def write(frame: Frame, present: np.ndarray, out: np.ndarray) -> None:
+        bound(frame, present, out)
+
+    return write
+
+
+def _block_writer(block: Block, who: str) -> Write:
+    def write(frame: Frame, present: np.ndarray, out: np.ndarray) -> None:
+        numbers = block.compute(frame, present)
+        if np.shape(numbers) != out.shape:
+            raise ValueError(
+                f"{who} gave an array {np.shape(numbers)}: {out.shape} is needed, a number for each "
+                f"of its labels"
+            )
+        out[...] = numbers
+
+    return write
+
+
+def needed_readings(sources: Sequence[Any], sensors: Mapping[str, Sensor]) -> set[str]:
+    """List the readings that observations show, or that functions among them ask for by name."""
+    wanted: set[str] = set()
+    for source in sources:
+        name = observation_name(source)
+        if provider(sensors, name) is not None:
+            wanted.add(name)
+        block = source
+        if isinstance(source, str) and (":" in source or source in names("observation")):
+            block = find("observation", source, callable)
+        if getattr(block, "ingredient", None):
+            asked = inspect.signature(block).parameters
+            readings = {one.removeprefix("all_") for one in asked}
+            wanted |= {one for one in readings if provider(sensors, one) is not None}
+    return wanted
+
+
+def part(observations: Observation, index: Any) -> Any:
+    """Take `observations[index]`, of each entry where they are a dict."""
     if isinstance(observations, dict):
         return {name: array[index] for name, array in observations.items()}
     return observations[index]

@@ -1,175 +1,176 @@
-"""Reward terms of flights to goals through a shared airspace, by name; a task weights them.
-
-Each takes the task, the frame and its marks, and gives (W, N), unweighted.
-"""
+"""Reward terms of flights to goals through a shared airspace."""
 
 import math
-from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from bulletuav.geometry.closest_approach import closest_squared, offset
-from bulletuav.geometry.rotation import dot, vec3
+from bulletuav.geometry.rotation import Vec3, dot, vec3
 from bulletuav.kernel import func, kernel
-
-if TYPE_CHECKING:
-    from bulletuav.tasks.base import Frame
-    from bulletuav.tasks.families.airspace import Airspace
-
-
-class StepEvents(NamedTuple):
-    """What happened to each drone in a decision, (W, N) bool.
-
-    reached     came to its goal, for the first time
-    outside     is outside the arena, or was thrown back at its bounds
-    terminated  its episode ended here, for good or ill
-    ended       that, or the horizon cut it
-    """
-
-    reached: np.ndarray
-    outside: np.ndarray
-    terminated: np.ndarray
-    ended: np.ndarray
+from bulletuav.registry import register
+from bulletuav.tasks.frame import Frame
+from bulletuav.tasks.ingredients import reward
+from bulletuav.vehicle.swarm import Swarm
 
 
-def progress(task: "Airspace", frame: "Frame", events: StepEvents) -> np.ndarray:
+@register("reward")
+@reward
+def progress(distance_before: float, distance: float) -> float:
     """Metres nearer to the goal than before the decision."""
-    return frame.distance_before - frame.distance
+    return distance_before - distance
 
 
-def goal(task: "Airspace", frame: "Frame", events: StepEvents) -> np.ndarray:
+@register("reward")
+@reward
+def goal(reached: bool) -> float:
     """1 on reaching it, once."""
-    return events.reached.astype(float)
+    return 1.0 if reached else 0.0
 
 
-def conflict(task: "Airspace", frame: "Frame", events: StepEvents) -> np.ndarray:
+@register("reward")
+@reward
+def conflict(conflicts: int) -> float:
     """Other drones with which a conflict began."""
-    return frame.conflict.onsets.astype(float)
+    return float(conflicts)
 
 
-def warning(task: "Airspace", frame: "Frame", events: StepEvents) -> np.ndarray:
+@register("reward")
+@reward
+def warning(nearness: float) -> float:
     """Summed over other drones: from 0 at the edge of the warning zone, linear, to 1 at d_safe."""
-    return frame.conflict.nearness
+    return nearness
 
 
-def collision(task: "Airspace", frame: "Frame", events: StepEvents) -> np.ndarray:
+@register("reward")
+@reward
+def collision(collision: bool) -> float:
     """1 on contact of collision shapes."""
-    return frame.collision.astype(float)
+    return 1.0 if collision else 0.0
 
 
-def out_of_bounds(task: "Airspace", frame: "Frame", events: StepEvents) -> np.ndarray:
+@register("reward")
+@reward
+def out_of_bounds(outside: bool) -> float:
     """1 outside the arena, or thrown back at its bounds."""
-    return events.outside.astype(float)
+    return 1.0 if outside else 0.0
 
 
-def energy(task: "Airspace", frame: "Frame", events: StepEvents) -> np.ndarray:
+@register("reward")
+@reward
+def energy(velocity: Vec3, velocity_before: Vec3) -> float:
     """Square of the velocity change, (m/s)^2."""
-    return ((frame.after.velocity - frame.before.velocity) ** 2).sum(axis=-1)
+    x = velocity[0] - velocity_before[0]
+    y = velocity[1] - velocity_before[1]
+    z = velocity[2] - velocity_before[2]
+    return x * x + y * y + z * z
 
 
-def efficiency(task: "Airspace", frame: "Frame", events: StepEvents) -> np.ndarray:
-    """1 at the goal, 0 as far from it as at the start: 1 - d / d0, of the way to where the goal stops."""
-    return 1 - task.way(frame) / np.maximum(frame.scene.memory["way"], task.config.goal_radius)
+@register("reward")
+@reward
+def efficiency(way: float, first_way: float, goal_radius: float) -> float:
+    """1 at the goal, 0 as far from it as at the start: 1 - d / d0, of the way to its end."""
+    return 1 - way / max(first_way, goal_radius)
 
 
-def speed_keeping(task: "Airspace", frame: "Frame", events: StepEvents) -> np.ndarray:
+@register("reward")
+@reward
+def speed_keeping(velocity: Vec3, max_speed: float) -> float:
     """1 at a speed between 0.3 and 0.8 of max_speed."""
-    share = np.linalg.norm(frame.after.velocity, axis=-1) / task.context.max_speed
-    return ((share > 0.3) & (share < 0.8)).astype(float)
+    speed = math.sqrt(velocity[0] ** 2 + velocity[1] ** 2 + velocity[2] ** 2)
+    share = speed / max_speed
+    return 1.0 if 0.3 < share < 0.8 else 0.0
 
 
-def time(task: "Airspace", frame: "Frame", events: StepEvents) -> np.ndarray:
+@register("reward")
+@reward
+def time() -> float:
     """1 a decision."""
-    return np.ones(frame.alive.shape)
+    return 1.0
 
 
-def shaping(task: "Airspace", frame: "Frame", events: StepEvents) -> np.ndarray:
-    """The discounted potential after, less that before: -the way to where the goal stops, m, 0 where the episode terminates.
+@register("reward")
+@reward
+def shaping(way: float, way_before: float, terminated: bool, discount: float) -> float:
+    """The discounted potential after, less that before.
 
-    Leaves optimal policies as they are: A. Ng, D. Harada, S. Russell, Policy invariance under reward transformations, 1999.
+    The potential is minus the way to where the goal stops, m, and 0 where the episode terminates. It
+    leaves optimal policies as they are: A. Ng, D. Harada, S. Russell, Policy invariance under reward
+    transformations, 1999.
     """
-    return task.way_before(frame) - task.config.discount * np.where(
-        events.terminated, 0.0, task.way(frame)
-    )
+    return way_before - discount * (0.0 if terminated else way)
 
 
-def concession(task: "Airspace", frame: "Frame", events: StepEvents) -> np.ndarray:
-    """At the end of a drone's episode: for how many drones it made way, less how many made way for it; 0 at least.
+@register("reward")
+def concession(frame: Frame) -> np.ndarray:
+    """At the end of an episode: for how many drones it made way, less how many made way for it.
 
-    See `follow_encounters`.
+    0 at least; see `follow_encounters`.
     """
     memory = frame.scene.memory
     met, effort = memory["encounter"] == CLEAR, memory["effort"]
     yielded = np.sign(effort - effort.swapaxes(1, 2))
-    return np.where(events.ended, np.maximum((met * yielded).sum(axis=2), 0.0), 0.0)
+    balance = np.maximum((met * yielded).sum(axis=2), 0.0)
+    return np.where(frame.derived["ended"], balance, 0.0)
 
 
-def obstacle_warning(task: "Airspace", frame: "Frame", events: StepEvents) -> np.ndarray:
-    """Summed over obstacles: from 0 at d_safe from their bounding spheres, linear, to 1 at contact with them."""
-    reach = (
-        np.array([obstacle.radius for obstacle in task.obstacles()]) + task.context.collision_radius
-    )
-    offset = frame.scene.obstacle[:, None] - frame.after.position[:, :, None]
-    return np.clip(1 - (np.linalg.norm(offset, axis=-1) - reach) / frame.d_safe, 0.0, 1.0).sum(
-        axis=-1
-    )
-
-
-def proximity(task: "Airspace", frame: "Frame", events: StepEvents) -> np.ndarray:
+@register("reward")
+@reward
+def proximity(lidar: np.ndarray, proximity_range: float) -> float:
     """From 0 where the shortest range is `proximity_range`, linear, to 1 at 0 m."""
-    reach: float = task.config.proximity_range  # type: ignore[attr-defined]
-    return np.maximum(0.0, 1 - frame.readings["lidar"].min(axis=-1) / reach)
+    shortest = lidar[0]
+    for k in range(1, len(lidar)):
+        shortest = min(shortest, lidar[k])
+    return max(0.0, 1 - shortest / proximity_range)
 
 
-REWARDS: dict[str, Callable[["Airspace", "Frame", StepEvents], np.ndarray]] = {
-    term.__name__: term
-    for term in (
-        progress,
-        goal,
-        conflict,
-        warning,
-        collision,
-        out_of_bounds,
-        energy,
-        efficiency,
-        speed_keeping,
-        time,
-        shaping,
-        concession,
-        obstacle_warning,
-        proximity,
-    )
-}
 NONE, CLEAR, CONFLICT = 0.0, 1.0, 2.0
-"""Between two drones: no encounter yet; an encounter that stayed clear; one that became a conflict"""
-LOOK_AHEAD = 10.0  # s
+"""Between two drones: no encounter yet, one that stayed clear, one that became a conflict"""
+LOOK_AHEAD = 10.0
+"""s"""
 
 
 @func
-def _change(before, after, w, i):
-    """Size of a drone's velocity change, m/s."""
+def _change(before: Swarm, after: Swarm, w: int, i: int) -> float:
+    """Compute the size of a drone's velocity change, m/s."""
     own, new = vec3(before.velocity, w, i), vec3(after.velocity, w, i)
     return math.sqrt((new[0] - own[0]) ** 2 + (new[1] - own[1]) ** 2 + (new[2] - own[2]) ** 2)
 
 
 @kernel
-def follow_encounters(encounter, effort, before, after, d_safe, alive):
-    """Bring the encounters of all pairs (W, N, N) up to date after a decision, from the swarms before and after it.
+def follow_encounters(
+    encounter: np.ndarray,
+    effort: np.ndarray,
+    before: Swarm,
+    after: Swarm,
+    d_safe: float,
+    alive: np.ndarray,
+) -> None:
+    """Bring the encounters of all pairs up to date after a decision.
 
-    An encounter begins when two living drones would come closer than d_safe (m) within 10 s if both flew straight on from
-    where they were before the decision. From then on, until they part, `effort` sums up each one's change of velocity, m/s:
-    of the two, the drone with the larger sum is the one that makes way. It is a conflict once they are closer than d_safe.
+    An encounter begins when two living drones would come closer than d_safe within 10 s, if both flew
+    straight on from where they were. From then on, until they part, `effort` sums up each one's change
+    of velocity: of the two, the drone with the larger sum makes way. It is a conflict once they are
+    closer than d_safe.
+
+    Args:
+        encounter: (W, N, N) state of each pair: NONE, CLEAR or CONFLICT; changed in place.
+        effort: (W, N, N) m/s; changed in place.
+        before: Swarm before the decision.
+        after: Swarm after it.
+        d_safe: m.
+        alive: (W, N) bool, drones that flew the decision.
     """
     for w in range(alive.shape[0]):
         for i in range(alive.shape[1]):
             for j in range(i + 1, alive.shape[1]):
                 if not (alive[w, i] and alive[w, j]):
                     continue
+                # How the two move towards each other, and how close they come in the decision.
                 gap, speed = offset(before.position, w, i, j), offset(before.velocity, w, i, j)
                 along, fast = dot(gap, speed), dot(speed, speed)
                 _, least = closest_squared(gap, offset(after.position, w, i, j))
                 state = encounter[w, i, j]
+                # While they near each other an encounter may begin, and efforts count.
                 if along < 0.0:
                     meeting = -along / fast
                     if (
@@ -187,11 +188,24 @@ def follow_encounters(encounter, effort, before, after, d_safe, alive):
 
 
 @kernel
-def variance_nearby(reward, position, alive, reach):
-    """(W, N) variance of the rewards of the living drones within `reach` m of each, itself among them."""
+def variance_nearby(
+    reward: np.ndarray, position: np.ndarray, alive: np.ndarray, reach: float
+) -> np.ndarray:
+    """Compute the variance of the rewards of living drones near each one, itself among them.
+
+    Args:
+        reward: (W, N).
+        position: (W, N, 3) m.
+        alive: (W, N) bool.
+        reach: How far the others may be, m.
+
+    Returns:
+        (W, N), 0 for drones that are not alive.
+    """
     result = np.zeros(reward.shape)
     for w in range(alive.shape[0]):
         for i in range(alive.shape[1]):
+            # Count, sum and sum of squares of those within reach.
             count, total, square = 0, 0.0, 0.0
             for j in range(alive.shape[1]):
                 gap = 0.0

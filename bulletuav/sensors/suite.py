@@ -1,0 +1,184 @@
+"""All sensors of an environment: those that its observations and its task ask for."""
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from bulletuav.engine.engine import Engine
+from bulletuav.errors import shown
+from bulletuav.registry import find, names
+from bulletuav.sensors.base import (
+    Image,
+    Label,
+    Moment,
+    Sensor,
+    SensorSetup,
+    Uncertain,
+    check_readings,
+)
+from bulletuav.sensors.gps import Gps
+from bulletuav.vehicle.swarm import Swarm
+
+ORDER = ("gps", "radio", "imu", "lidar", "camera", "clearance", "sight", "sight_ahead")
+"""In which the package's own sensors measure, and draw random numbers; others follow"""
+
+
+def find_sensor(source: Any) -> Sensor:
+    """Find a sensor: an object, a class, a registered name, or `module:Name`.
+
+    Raises:
+        ValueError: There is none of that name, or it is no sensor.
+    """
+    found = find("sensor", source, _is_sensor)
+    sensor: Sensor = found() if isinstance(found, type) else found
+    return sensor
+
+
+def _is_sensor(found: Any) -> bool:
+    return isinstance(found, Sensor) or (isinstance(found, type) and issubclass(found, Sensor))
+
+
+def known_sensors(given: Iterable[Any] = ()) -> dict[str, Sensor]:
+    """List all sensors by name: the package's own and registered ones, and those that were given.
+
+    A given sensor replaces the registered one of its name.
+
+    Raises:
+        ValueError: Two given sensors bear the same name, or one is none.
+    """
+    own: dict[str, Sensor] = {}
+    for source in given:
+        sensor = find_sensor(source)
+        if sensor.name in own:
+            raise ValueError(f"sensors has {sensor.name!r} twice: give each a name of its own")
+        own[sensor.name] = sensor
+    order = [*ORDER, *(name for name in names("sensor") if name not in ORDER)]
+    return {**{name: find_sensor(name) for name in order}, **own}
+
+
+def uncertain_parameters(sensors: Mapping[str, Sensor]) -> dict[str, Uncertain]:
+    """List what `randomization` can set of sensors, by the names that it uses."""
+    return {
+        f"{sensor.prefix}{key}": parameter
+        for sensor in sensors.values()
+        for key, parameter in sensor.uncertain.items()
+    }
+
+
+def provider(sensors: Mapping[str, Sensor], reading: str) -> Sensor | None:
+    """Find the sensor whose reading can be observed, the last of several; None where there is none."""
+    setup = SensorSetup()
+    found = [
+        one for one in sensors.values() if reading in one.gives and reading in one.labels(setup)
+    ]
+    return found[-1] if found else None
+
+
+class SensorSuite:
+    """The sensors of an environment, in the order in which they measure.
+
+    Attributes:
+        sensors: Those that work, by name.
+    """
+
+    def __init__(
+        self,
+        sensors: Mapping[str, Sensor],
+        setup: SensorSetup,
+        engine: Engine,
+        drawn: Mapping[str, np.ndarray],
+    ) -> None:
+        """Attach the sensors that are needed.
+
+        Args:
+            sensors: All that there are, by name.
+            setup: What they know of their environment.
+            engine: The engine in which drones fly.
+            drawn: What `randomization` draws, by name: (W, N), or (W, 1) for worlds. Sensors read
+                these arrays where they stand.
+        """
+        self.sensors: dict[str, Sensor] = {}
+        self._labels: dict[str, Mapping[str, tuple[Label, ...] | Image]] = {}
+        self._unchecked: set[str] = set()
+        for name, sensor in sensors.items():
+            uncertain = {f"{sensor.prefix}{key}": key for key in sensor.uncertain}
+            needed = bool(setup.wanted.intersection(sensor.gives)) or name == "sight"
+            if not needed and not (
+                sensor.always_if_uncertain and not drawn.keys().isdisjoint(uncertain)
+            ):
+                continue
+            attached = sensor.attached(setup, engine)
+            for public, key in uncertain.items():
+                if public in drawn:
+                    per_world = sensor.uncertain[key].per == "world"
+                    setattr(attached, key, drawn[public][:, 0] if per_world else drawn[public])
+            self.sensors[name] = attached
+            self._labels[name] = attached.labels(setup)
+            self._unchecked.add(name)
+        self._readings: dict[str, np.ndarray] = {}
+
+    def reset(self, world: int, swarm: Swarm, rng: np.random.Generator) -> None:
+        """Begin a new episode of one world."""
+        known = swarm
+        for sensor in self.sensors.values():
+            sensor.reset(world, swarm, known, rng)
+            if isinstance(sensor, Gps):
+                known = swarm._replace(position=sensor.position, velocity=sensor.velocity)
+
+    def measure(
+        self, moment: Moment, show: Callable[[Swarm, np.ndarray], None]
+    ) -> dict[str, np.ndarray]:
+        """Measure with all sensors.
+
+        Args:
+            moment: State, drones that measure, and random generators; its readings are filled.
+            show: Put the engine's bodies of some drones where the swarm is.
+
+        Returns:
+            All readings by name.
+
+        Raises:
+            ValueError: A sensor gave something else than its labels promise (looked at once).
+        """
+        shown_bodies = False
+        for name, sensor in self.sensors.items():
+            if sensor.needs_bodies and not shown_bodies:
+                show(moment.after, moment.mask)
+                shown_bodies = True
+            readings = sensor.measure(moment)
+            if name in self._unchecked:
+                check_readings(sensor, self._labels[name], readings, moment)
+                self._unchecked.discard(name)
+            moment.readings.update(readings)
+        self._readings = moment.readings
+        return self._readings
+
+    @property
+    def readings(self) -> dict[str, np.ndarray]:
+        """What sensors measured last, by name."""
+        return self._readings
+
+    def info(self) -> dict[str, np.ndarray]:
+        """Tell what infos say of sensors, (W, N) by name."""
+        return {key: value for one in self.sensors.values() for key, value in one.info().items()}
+
+
+def reading_labels(
+    sensors: Mapping[str, Sensor], reading: str, setup: SensorSetup
+) -> tuple[Label, ...] | Image | None:
+    """Tell what a reading is; None where no sensor has labels for it.
+
+    Raises:
+        ValueError: A sensor tells no labels for what it gives.
+    """
+    sensor = provider(sensors, reading)
+    if sensor is None:
+        return None
+    label = sensor.labels(setup).get(reading)
+    if isinstance(label, tuple) and not isinstance(label, Image) and not label:
+        raise ValueError(
+            f"reading {reading!r} of sensor {shown(sensor.name)} has no labels: give the sensor "
+            f"`numbers`, one Label for each"
+        )
+    return label

@@ -1,0 +1,291 @@
+"""What a task works on: starts, scenes, decisions, and what it makes of them."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+
+from bulletuav.conflict.separation import Conflict, conflict
+from bulletuav.errors import unknown
+from bulletuav.geometry.city_grid import NO_LAYOUT
+from bulletuav.geometry.closest_approach import distances
+from bulletuav.sensors.lidar import Beam
+from bulletuav.vehicle.swarm import Contacts, Swarm
+
+NO_OBSTACLES = np.zeros((0, 3))
+UPRIGHT = (0.0, 0.0, 0.0, 1.0)
+
+
+class Spawn(NamedTuple):
+    """Start of one world of N drones. Only position and goal are needed.
+
+    Attributes:
+        position: (N, 3) m.
+        goal: (N, 3) m, or one (3,) for all.
+        velocity: (N, 3) m/s, or one number or (3,) for all.
+        quaternion: (N, 4) body to world (x, y, z, w), or one (4,) for all; level, nose to the east.
+        rates: (N, 3) rad/s, body axes, or one number or (3,) for all.
+        goal_velocity: (N, 3) m/s, or one number or (3,) for all.
+        obstacle: (K, 3) position of the task's obstacles, m.
+        obstacle_velocity: (K, 3) m/s.
+        layout: Index of the city that stands in the world, among the task's `layouts`.
+        memory: What the task remembers from the start, by name.
+    """
+
+    position: np.ndarray
+    goal: np.ndarray
+    velocity: np.ndarray | float = 0.0
+    quaternion: np.ndarray | tuple[float, float, float, float] = UPRIGHT
+    rates: np.ndarray | float = 0.0
+    goal_velocity: np.ndarray | float = 0.0
+    obstacle: np.ndarray = NO_OBSTACLES
+    obstacle_velocity: np.ndarray = NO_OBSTACLES
+    layout: int = NO_LAYOUT
+    memory: Mapping[str, np.ndarray] = MappingProxyType({})
+
+
+class Memory(dict[str, np.ndarray]):
+    """The arrays that a task keeps over an episode, by name; they are written into, never replaced."""
+
+    def __setitem__(self, name: str, value: object) -> None:
+        """Refuse: the environment keeps the arrays.
+
+        Raises:
+            ValueError: Always; the remedy is told.
+        """
+        if name not in self:
+            raise unknown("memory", name, self)
+        raise ValueError(
+            f"memory {name!r} cannot be replaced: write into it, memory[{name!r}][:] = ..."
+        )
+
+    def __missing__(self, name: str) -> np.ndarray:
+        """Refuse a name that the task's `memory` does not tell.
+
+        Raises:
+            KeyError: Always; the nearest names are told.
+        """
+        raise KeyError(str(unknown("memory", name, self)))
+
+
+class Scene(NamedTuple):
+    """What is there beside the drones, in W worlds of N drones and K obstacles.
+
+    Attributes:
+        goal: (W, N, 3) m.
+        goal_velocity: (W, N, 3) m/s.
+        start: (W, N, 3) where the drones started, m.
+        obstacle: (W, K, 3) m.
+        obstacle_velocity: (W, K, 3) m/s.
+        obstacle_quaternion: (W, K, 4) body to world.
+        layout: (W,) index of the city that stands in each world, or NO_LAYOUT.
+        memory: The task's own arrays (W, ...) by name, zero when a world starts unless its spawn
+            or the task's `start_memory` says otherwise.
+    """
+
+    goal: np.ndarray
+    goal_velocity: np.ndarray
+    start: np.ndarray
+    obstacle: np.ndarray
+    obstacle_velocity: np.ndarray
+    obstacle_quaternion: np.ndarray
+    layout: np.ndarray
+    memory: Mapping[str, np.ndarray]
+
+    @classmethod
+    def empty(
+        cls,
+        num_worlds: int,
+        num_drones: int,
+        num_obstacles: int,
+        memory: Mapping[str, tuple[int, ...]],
+    ) -> "Scene":
+        """Make a scene with everything at the origin.
+
+        Args:
+            num_worlds: W.
+            num_drones: N.
+            num_obstacles: K.
+            memory: Shape of each of the task's arrays in one world, by name.
+        """
+        of_drones = (num_worlds, num_drones, 3)
+        of_obstacles = (num_worlds, num_obstacles, 3)
+        return cls(
+            goal=np.zeros(of_drones),
+            goal_velocity=np.zeros(of_drones),
+            start=np.zeros(of_drones),
+            obstacle=np.zeros(of_obstacles),
+            obstacle_velocity=np.zeros(of_obstacles),
+            obstacle_quaternion=np.tile(UPRIGHT, (num_worlds, num_obstacles, 1)),
+            layout=np.full(num_worlds, NO_LAYOUT),
+            memory=Memory((name, np.zeros((num_worlds, *shape))) for name, shape in memory.items()),
+        )
+
+
+@dataclass(frozen=True)
+class TaskContext:
+    """The swarm and the sensors that a task is made for.
+
+    Attributes:
+        num_drones: Drones in a world.
+        collision_radius: Of the largest drone, m.
+        max_speed: Speed limit, m/s.
+        period: Time between decisions, s.
+        num_neighbours: How many of the nearest drones, obstacles and buildings a drone observes.
+        duration: Of an episode, s.
+        beams: Of the range finder.
+        max_range: How far the range finder reaches, m.
+    """
+
+    num_drones: int
+    collision_radius: float
+    max_speed: float
+    period: float
+    num_neighbours: int
+    duration: float
+    beams: tuple[Beam, ...]
+    max_range: float
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One decision of W worlds of N drones, or a reset.
+
+    Attributes:
+        before: Swarm before the decision.
+        after: Swarm after it.
+        action: (W, N, A) what the drones were told.
+        scene: Goals, obstacles and memory, after the decision.
+        contacts: What touched what.
+        alive: (W, N) bool, drones that flew the decision.
+        time: (W,) since each world's reset, s.
+        last: (W,) bool, where the horizon is reached.
+        d_safe: Separation below which two drones are in conflict, m.
+        zone: Separation at which the warning zone about a drone ends, m.
+        goal_before: (W, N, 3) where goals were before the decision, m; they move before drones do.
+        readings: What sensors measured, by name; see `bulletuav.sensors`. Always there: "charge"
+            (W, N), share left in batteries, "power" (W, N) W, and "sight" (W, N, U) bool, which of
+            the task's targets are seen. With GPS noise "position" and "velocity" (W, N, 3), with
+            communication "heard_position", "heard_velocity" (W, N, N, 3) and "heard" (W, N, N).
+        derived: What the task works out of the decision for its terms, by name; see `Task.events`.
+    """
+
+    before: Swarm
+    after: Swarm
+    action: np.ndarray
+    scene: Scene
+    contacts: Contacts
+    alive: np.ndarray
+    time: np.ndarray
+    last: np.ndarray
+    d_safe: float
+    zone: float
+    goal_before: np.ndarray
+    readings: Mapping[str, np.ndarray] = field(default_factory=dict)
+    derived: dict[str, np.ndarray] = field(default_factory=dict)
+
+    @cached_property
+    def conflict(self) -> Conflict:
+        """Separations within the decision."""
+        before, after = self.before.position, self.after.position
+        return conflict(before, after, self.alive, self.d_safe, self.zone)
+
+    @property
+    def known_position(self) -> np.ndarray:
+        """(W, N, 3) where the drones think that they are, m."""
+        return self.readings.get("position", self.after.position)
+
+    @property
+    def known_velocity(self) -> np.ndarray:
+        """(W, N, 3) how they think that they move, m/s."""
+        return self.readings.get("velocity", self.after.velocity)
+
+    @cached_property
+    def known_distance(self) -> np.ndarray:
+        """(W, N) from there to the goal, m."""
+        return distances(self.scene.goal, self.known_position)
+
+    @property
+    def depleted(self) -> np.ndarray:
+        """(W, N) bool: the battery is empty."""
+        empty: np.ndarray = self.readings["charge"] <= 0
+        return empty
+
+    @property
+    def seen(self) -> np.ndarray:
+        """(W, N, U) bool: which of the task's targets the drones saw that flew the decision."""
+        seen: np.ndarray = self.readings["sight"] & self.alive[..., None]
+        return seen
+
+    @cached_property
+    def collision(self) -> np.ndarray:
+        """(W, N) bool: contact of collision shapes."""
+        return self.contacts.mask(self.alive.shape)
+
+    @cached_property
+    def distance(self) -> np.ndarray:
+        """(W, N) distance to the goal after the decision, m."""
+        return distances(self.scene.goal, self.after.position)
+
+    @cached_property
+    def distance_before(self) -> np.ndarray:
+        """(W, N) distance to the goal before the decision, m."""
+        return distances(self.scene.goal, self.before.position)
+
+
+class StepResult(NamedTuple):
+    """What a task makes of a frame.
+
+    Attributes:
+        terms: Unweighted reward terms by name, (W, N) each. The reward is their sum, each times
+            its weight.
+        terminated: (W, N) bool, drones whose episode ends here, in success or failure.
+        success: (W, N) bool, drones that are where the task wants them.
+    """
+
+    terms: dict[str, np.ndarray]
+    terminated: np.ndarray
+    success: np.ndarray
+
+
+Reader = Callable[[Frame], np.ndarray]
+FIELDS: Mapping[str, tuple[str, Reader]] = MappingProxyType(
+    {
+        "position": ("m", lambda frame: frame.after.position),
+        "velocity": ("m/s", lambda frame: frame.after.velocity),
+        "quaternion": ("body to world", lambda frame: frame.after.quaternion),
+        "rates": ("rad/s, body axes", lambda frame: frame.after.rates),
+        "rotor_speed": ("rad/s", lambda frame: frame.after.rotor_speed),
+        "position_before": ("m, before the decision", lambda frame: frame.before.position),
+        "velocity_before": ("m/s, before the decision", lambda frame: frame.before.velocity),
+        "quaternion_before": ("before the decision", lambda frame: frame.before.quaternion),
+        "rates_before": ("rad/s, before the decision", lambda frame: frame.before.rates),
+        "known_position": ("m, as the drone knows it", lambda frame: frame.known_position),
+        "known_velocity": ("m/s, as the drone knows it", lambda frame: frame.known_velocity),
+        "known_distance": ("m, to the goal, as known", lambda frame: frame.known_distance),
+        "goal": ("m", lambda frame: frame.scene.goal),
+        "goal_before": ("m, before the decision", lambda frame: frame.goal_before),
+        "goal_velocity": ("m/s", lambda frame: frame.scene.goal_velocity),
+        "start": ("m, where it started", lambda frame: frame.scene.start),
+        "obstacle": ("m, of all obstacles", lambda frame: frame.scene.obstacle),
+        "obstacle_velocity": ("m/s, of all obstacles", lambda frame: frame.scene.obstacle_velocity),
+        "distance": ("m, to the goal", lambda frame: frame.distance),
+        "distance_before": ("m, to the goal, before", lambda frame: frame.distance_before),
+        "action": ("what it was told", lambda frame: frame.action),
+        "alive": ("whether it flew the decision", lambda frame: frame.alive),
+        "collision": ("whether its shape touched anything", lambda frame: frame.collision),
+        "depleted": ("whether its battery is empty", lambda frame: frame.depleted),
+        "conflicts": ("conflicts that began", lambda frame: frame.conflict.onsets),
+        "separation": ("m, from the nearest drone", lambda frame: frame.conflict.separation),
+        "nearness": ("depth in warning zones", lambda frame: frame.conflict.nearness),
+        "time": ("s since the reset", lambda frame: frame.time),
+        "last": ("whether the horizon is reached", lambda frame: frame.last),
+    }
+)
+"""What ingredients can ask for by argument name: unit or meaning, and how it is read from a frame.
+
+`all_` before a name asks for the array of all drones (or obstacles) of the world.
+"""

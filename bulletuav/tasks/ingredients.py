@@ -1,0 +1,311 @@
+"""Rewards, ends and observation blocks as functions whose argument names say what they read.
+
+A function of one drone's numbers is compiled and called for every drone:
+
+    @reward
+    def progress(distance_before, distance):
+        return distance_before - distance
+
+A function of the argument `frame` gets all drones of all worlds at once, as NumPy arrays (W, N, ...):
+
+    def smoothness(frame):
+        return -np.abs(frame.action).max(axis=-1)
+
+Argument names are fields of a frame (`tasks.frame.FIELDS`), with `all_` before them those of all drones of the
+world; readings of sensors; the task's memory and quantities; numbers of its config and context. `i` is the
+drone's index, and `out` room to write to.
+"""
+
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import FunctionType
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+
+import numba
+import numpy as np
+
+from bulletuav.errors import nearest, shown
+from bulletuav.registry import find
+from bulletuav.sensors.base import Label
+from bulletuav.tasks.frame import FIELDS, Frame
+from bulletuav.tasks.loops import TUPLES, Form, make_loop
+
+if TYPE_CHECKING:
+    pass
+
+Ingredient = TypeVar("Ingredient", bound=Callable[..., Any])
+ALL = "all_"
+WHOLE = "frame"
+"""The argument by which a function asks for all drones at once"""
+
+
+def reward(function: Ingredient) -> Ingredient:
+    """Mark a function as a reward term of one drone's numbers; it stays a plain function.
+
+    The term is told, unweighted or weighted, by the function's name. An undecorated function of `frame` that
+    returns (W, N) is a reward term, too.
+    """
+    return _marked(function, "reward")
+
+
+def end(function: Ingredient) -> Ingredient:
+    """Mark a function as an end: it tells whether a drone's episode is over, or has come to success."""
+    return _marked(function, "end")
+
+
+def block(
+    labels: Callable[[Any], tuple[Label, ...]] | tuple[Label, ...] | list[Label],
+) -> Callable[[Ingredient], Ingredient]:
+    """Make a decorator that marks a function as an observation block.
+
+    Args:
+        labels: One `Label` for each number that it gives, or a function that makes them for a task.
+
+    Returns:
+        The decorator. The function returns a number (for one label), as many numbers as there are labels, or
+        writes them to its argument `out`; one of `frame` returns an array (W, N, labels).
+    """
+
+    def decorated(function: Ingredient) -> Ingredient:
+        function.labels = labels if callable(labels) else lambda task: tuple(labels)  # type: ignore[attr-defined]
+        return _marked(function, "block")
+
+    return decorated
+
+
+def _marked(function: Ingredient, kind: str) -> Ingredient:
+    if not isinstance(function, FunctionType):
+        raise TypeError(f"@{kind} is for functions, and {shown(function)} is none")
+    function.ingredient = kind  # type: ignore[attr-defined]
+    return function
+
+
+class Source(NamedTuple):
+    """Where an argument comes from.
+
+    Attributes:
+        read: Gives an array, or a number, of a frame and the drones that are present.
+        per_drone: Whether the array has an entry for each drone; None for what is looked at when it comes.
+    """
+
+    read: Callable[[Frame, np.ndarray], Any]
+    whole_world: bool = False
+
+
+@dataclass(frozen=True)
+class Binding:
+    """What argument names of a task's ingredients stand for, beside fields of a frame.
+
+    Attributes:
+        task: Name of the task, for messages.
+        readings: Names of sensors' readings.
+        memory: Names of the task's arrays.
+        quantities: What the task works out of a frame, by name: functions of it, or numbers.
+        events: Names of what it puts into `Frame.derived`.
+        numbers: Numbers of its config and context, by name.
+    """
+
+    task: str
+    readings: frozenset[str]
+    memory: frozenset[str]
+    quantities: Mapping[str, Any]
+    events: frozenset[str]
+    numbers: Mapping[str, Any]
+
+    def source(self, name: str, who: str) -> Source:
+        """Find what an argument name stands for. Raises ValueError with the nearest names."""
+        whole_world = name.startswith(ALL)
+        key = name.removeprefix(ALL)
+        if key == "present":
+            return Source(lambda frame, present: present, whole_world)
+        if key in self.events:
+            return Source(lambda frame, present: frame.derived[key], whole_world)
+        if key in self.quantities:
+            quantity = self.quantities[key]
+            if not callable(quantity):
+                return Source(lambda frame, present: quantity)
+            return Source(lambda frame, present: quantity(frame), whole_world)
+        if key in FIELDS:
+            read = FIELDS[key][1]
+            return Source(lambda frame, present: read(frame), whole_world)
+        if key in self.readings:
+            return Source(lambda frame, present: frame.readings[key], whole_world)
+        if key in self.memory:
+            return Source(lambda frame, present: frame.scene.memory[key], whole_world)
+        if name in self.numbers:
+            number = self.numbers[name]
+            return Source(lambda frame, present: number)
+        known = {*FIELDS, *self.readings, *self.memory, *self.quantities, *self.events}
+        choices = {
+            *known,
+            *(ALL + one for one in known),
+            *self.numbers,
+            "i",
+            "out",
+            "present",
+            WHOLE,
+        }
+        raise ValueError(
+            f"{who} of task {self.task!r} asks for {name!r}, which is no field, reading, memory or "
+            f"number of the task: {nearest(name, choices)}"
+        )
+
+
+class Bound:
+    """An ingredient of a task: give it a frame, and get the numbers of all drones."""
+
+    def __init__(
+        self, function: Any, binding: Binding, who: str, dtype: Any, labels: int | None = None
+    ) -> None:
+        """Find what the function's arguments stand for.
+
+        Args:
+            function: The ingredient.
+            binding: What names stand for.
+            who: What it is in messages, such as "reward term 'progress'".
+            dtype: NumPy type of what it gives.
+            labels: Numbers a drone, for a block; None for one number (W, N).
+
+        Raises:
+            ValueError: It is no function, or asks for a name that there is not.
+        """
+        if not callable(function):
+            raise ValueError(f"{who} is {shown(function)}: a function is needed")
+        self._function, self._who = function, f"{who} of task {binding.task!r}"
+        self._dtype, self._labels = dtype, labels
+        self._names = list(inspect.signature(function).parameters)
+        self.whole = WHOLE in self._names
+        self._sources = {
+            name: binding.source(name, who)
+            for name in self._names
+            if name not in ("i", "out", WHOLE)
+        }
+        self._loop: Callable[..., None] | None = None
+        if self.whole and len(self._names) > 1:
+            raise ValueError(
+                f"{self._who} has arguments beside frame: {self._names}; one of all drones takes the "
+                f"frame alone"
+            )
+        if not self.whole and not isinstance(function, FunctionType):
+            raise ValueError(f"{self._who} is {shown(function)}: a plain function is needed")
+
+    def __call__(
+        self, frame: Frame, present: np.ndarray | None = None, out: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Compute for all drones.
+
+        Args:
+            frame: The decision.
+            present: (W, N) drones that can still be met after it; those that flew it when left out.
+            out: Array to fill, (W, N) or (W, N, labels); a new one when left out.
+
+        Returns:
+            The filled array.
+
+        Raises:
+            ValueError: The function gave something of another shape or type, or failed; it is named.
+        """
+        present = frame.alive if present is None else present
+        if out is None:
+            width = () if self._labels is None else (self._labels,)
+            out = np.zeros((*frame.alive.shape, *width), dtype=self._dtype)
+        if self.whole:
+            out[...] = self._checked(self._function(frame), out.shape)
+            return out
+        given = {name: source.read(frame, present) for name, source in self._sources.items()}
+        if self._loop is None:
+            self._loop = self._make_loop(given, out)
+        try:
+            self._loop(*given.values(), out)
+        except (ZeroDivisionError, IndexError) as error:
+            raise ValueError(f"{self._who} failed: {error}") from None
+        return out
+
+    def _checked(self, given: Any, shape: tuple[int, ...]) -> np.ndarray:
+        kinds = "b" if self._dtype is bool else "fiub"
+        if (
+            not isinstance(given, np.ndarray)
+            or given.shape != shape
+            or given.dtype.kind not in kinds
+        ):
+            form = (
+                f"an array {given.shape} of {given.dtype}"
+                if isinstance(given, np.ndarray)
+                else shown(given)
+            )
+            what = "bool" if self._dtype is bool else "numbers"
+            raise ValueError(f"{self._who} gave {form}: an array {shape} of {what} is needed")
+        return given
+
+    def _make_loop(self, given: Mapping[str, Any], out: np.ndarray) -> Callable[..., None]:
+        """Try the function once in plain Python, then compile its loop."""
+        forms: list[tuple[str, Form]] = []
+        for name in self._names:
+            if name in ("i", "out"):
+                forms.append((name, "index" if name == "i" else "out"))
+            else:
+                forms.append((name, self._form(name, given[name], out.shape)))
+        self._try(forms, given, out)
+        results = None if "out" in self._names else self._labels or 0
+        loop = make_loop(self._function, forms, results)
+        try:
+            loop(*given.values(), out)
+        except numba.core.errors.NumbaError as error:
+            raise ValueError(
+                f"{self._who} cannot be compiled: {str(error).strip().splitlines()[-1]}; write it with plain "
+                f"numbers and `math`, or as a function of `frame` with NumPy"
+            ) from None
+        return loop
+
+    def _form(self, name: str, value: Any, shape: tuple[int, ...]) -> Form:
+        if not isinstance(value, np.ndarray):
+            return "number"
+        if self._sources[name].whole_world:
+            return "array"
+        if value.ndim == 1:
+            return "world"
+        if value.shape[:2] != shape[:2]:
+            raise ValueError(
+                f"{self._who} asks for {name!r}, an array {value.shape} that has no entry for each of "
+                f"the {shape[1]} drones: ask for {ALL + name!r}"
+            )
+        if value.ndim == 2:
+            return "drone"
+        return value.shape[2] if value.ndim == 3 and value.shape[2] in TUPLES else "drone"
+
+    def _try(
+        self, forms: list[tuple[str, Form]], given: Mapping[str, Any], out: np.ndarray
+    ) -> None:
+        """Call the function for the first drone, so that its own errors are seen; compiled code hides them."""
+        room = np.zeros(out.shape[2:], dtype=np.float64)
+        values = []
+        for name, form in forms:
+            if form in ("index", "out", "number"):
+                values.append(0 if form == "index" else room if form == "out" else given[name])
+            elif form in ("world", "array"):
+                values.append(given[name][0])
+            else:
+                one = given[name][0, 0]
+                values.append(tuple(one.tolist()) if isinstance(form, int) else one)
+        try:
+            with np.errstate(all="ignore"):
+                result = self._function(*values)
+        except ZeroDivisionError:
+            return  # the compiled loop gives inf or NaN, as NumPy does
+        except Exception as error:
+            raise ValueError(f"{self._who} failed: {type(error).__name__}: {error}") from error
+        if "out" in self._names:
+            return
+        numbers = result if isinstance(result, tuple) else (result,)
+        wanted = self._labels or 1
+        if len(numbers) != wanted or not all(np.ndim(one) == 0 for one in numbers):
+            raise ValueError(
+                f"{self._who} gave {shown(result)}: {wanted} number{'s' * (wanted > 1)} of one drone "
+                f"{'are' if wanted > 1 else 'is'} needed"
+            )
+
+
+def find_term(kind: str, source: Any) -> Any:
+    """Find a reward term or an observation: a function, a registered name, or `module:Name`."""
+    return find(kind, source, callable)

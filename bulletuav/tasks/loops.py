@@ -1,0 +1,120 @@
+"""Loops over all drones of all worlds, generated for a function of one drone's numbers.
+
+The loop of an ingredient of the package is written to a file in the folder of compiled kernels, so that numba
+keeps its machine code. That of a user's function is compiled anew in each process.
+"""
+
+import functools
+import hashlib
+import importlib.util
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import FunctionType
+from typing import Any
+
+import numba
+
+from bulletuav.files import replace_file
+from bulletuav.kernel import cache_folder
+
+TUPLES = (2, 3, 4)
+"""Vectors of so many numbers reach a function as tuples, which cost nothing; longer ones as arrays"""
+Form = str | int
+"""How an argument is read: "drone", "world", "array", "number", "index", "out", or how many numbers it has"""
+
+_EXPRESSIONS = {
+    "drone": "{name}[w, i]",
+    "world": "{name}[w]",
+    "array": "{name}[w]",
+    "number": "{name}",
+    "index": "i",
+    "out": "out[w, i]",
+}
+
+
+def make_loop(
+    function: FunctionType, forms: Sequence[tuple[str, Form]], results: int | None
+) -> Callable[..., None]:
+    """Compile a loop that fills an array with what a function gives for each drone.
+
+    Args:
+        function: Of one drone's numbers.
+        forms: Name and form of each of its arguments.
+        results: 0 for one number in `out` (W, N); k for k numbers in `out` (W, N, k), a plain number or a
+            tuple; None where the function itself writes to its argument `out`.
+
+    Returns:
+        A compiled function of the arrays (of those arguments that are any) and of `out`.
+    """
+    return _compiled(function, tuple(forms), results)
+
+
+@functools.cache
+def _compiled(
+    function: FunctionType, forms: tuple[tuple[str, Form], ...], results: int | None
+) -> Callable[..., None]:
+    source = _source(function.__name__, forms, results)
+    home = function.__module__
+    if home.startswith("bulletuav.") and function.__qualname__ == function.__name__:
+        return _from_file(home, function.__name__, source)
+    space: dict[str, Any] = {"function": _inlined(function)}
+    exec(compile(source, f"<loop of {function.__qualname__}>", "exec"), space)
+    return _uncached(space["loop"])
+
+
+def _source(name: str, forms: tuple[tuple[str, Form], ...], results: int | None) -> str:
+    """Write the loop."""
+    given = [name for name, form in forms if form not in ("index", "out")]
+    call = f"function({', '.join(_expression(*form) for form in forms)})"
+    body = [f"def loop({', '.join([*given, 'out'])}):", f'    """Loop over drones for {name}."""']
+    body += ["    for w in range(out.shape[0]):", "        for i in range(out.shape[1]):"]
+    if results is None:
+        body += [f"            {call}"]
+    elif results == 0:
+        body += [f"            out[w, i] = {call}"]
+    elif results == 1:
+        body += [f"            out[w, i, 0] = {call}"]
+    else:
+        body += [f"            result = {call}"]
+        body += [f"            out[w, i, {k}] = result[{k}]" for k in range(results)]
+    return "\n".join([*body, ""])
+
+
+def _expression(name: str, form: Form) -> str:
+    if isinstance(form, int):
+        return "(" + ", ".join(f"{name}[w, i, {k}]" for k in range(form)) + ")"
+    return _EXPRESSIONS[form].format(name=name)
+
+
+def _from_file(module: str, name: str, source: str) -> Callable[..., None]:
+    """Load the loop of an ingredient of the package from its file, which is written where it is not there yet."""
+    text = (
+        f'"""Generated: the loop of `{module}.{name}`."""\n\n'
+        "from bulletuav.kernel import func, kernel\n"
+        f"from {module} import {name} as plain\n\n"
+        "function = func(plain)\n\n\n"
+        f"@kernel\n{source}"
+    )
+    stamp = hashlib.sha256(text.encode()).hexdigest()[:12]
+    path = Path(cache_folder(), "loops", f"{name}_{stamp}.py")
+    if not path.is_file():
+        path.parent.mkdir(exist_ok=True)
+        replace_file(path, text)
+    spec = importlib.util.spec_from_file_location(f"_bulletuav_loop_{path.stem}", path)
+    assert spec is not None
+    assert spec.loader is not None  # a file of Python source has both
+    loaded = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = loaded  # where numba looks for it when it loads machine code
+    spec.loader.exec_module(loaded)
+    loop: Callable[..., None] = loaded.loop
+    return loop
+
+
+def _inlined(function: FunctionType) -> Any:
+    return numba.njit(error_model="numpy", forceinline=True)(function)
+
+
+def _uncached(loop: Callable[..., None]) -> Callable[..., None]:
+    compiled: Callable[..., None] = numba.njit(error_model="numpy")(loop)
+    return compiled

@@ -1,0 +1,49 @@
+"""Observation blocks: named numbers that drones observe, with unit and bounds."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bulletuav.sensors.base import Label, vector_labels
+from bulletuav.tasks.frame import Frame
+
+__all__ = ["Block", "Label", "Maker", "require_memory", "vector_labels"]
+
+Compute = Callable[[Frame, np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Block:
+    """Some numbers of an observation, computed for all drones at once.
+
+    Attributes:
+        labels: Name, unit and bounds of each number.
+        compute: Gives (W, N, len(labels)) of a frame and `present` (W, N), the drones that can
+            still be met after it.
+    """
+
+    labels: tuple[Label, ...]
+    compute: Compute
+
+
+Maker = Callable[[Any], Block]
+"""Makes a block for a task"""
+
+
+def require_memory(task: Any, block: str, names: tuple[str, ...]) -> None:
+    """Refuse a block that shows what the task does not remember.
+
+    Raises:
+        ValueError: The task has no memory of one of these names.
+    """
+    if not task.memory().keys() >= set(names):
+        raise refused(task, block)
+
+
+def refused(task: Any, block: str) -> ValueError:
+    """Make an error for a block that shows what a task does not have."""
+    return ValueError(
+        f"observation block {block!r} shows what task {task.name!r} does not have: leave it out"
+    )

@@ -1,0 +1,165 @@
+"""Observation blocks about other drones and obstacles."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from bulletuav.geometry.closest_approach import keep_nearest
+from bulletuav.kernel import kernel
+from bulletuav.registry import register
+from bulletuav.sensors.base import Label, vector_labels
+from bulletuav.tasks.frame import Frame
+from bulletuav.tasks.observations.base import Block
+
+PER_NEIGHBOUR, PER_OBSTACLE = 7, 8
+"""Numbers of each: distance, relative position, relative velocity; of obstacles the radius, too"""
+
+
+def _relative(task: Any, name: str) -> tuple[Label, ...]:
+    """Label another's position and velocity as seen from the drone."""
+    size = task.arena_high - task.arena_low
+    speed = np.full(3, 4 * task.context.max_speed)
+    position = vector_labels(f"{name} position", "m", -size, size)
+    return (*position, *vector_labels(f"{name} velocity", "m/s", -speed, speed))
+
+
+def _distance(task: Any, name: str) -> Label:
+    furthest = float(np.linalg.norm(task.arena_high - task.arena_low))
+    return Label(f"{name} distance", "m", 0.0, furthest)
+
+
+@register("observation")
+def neighbours(task: Any) -> Block:
+    """The nearest other drones: distance, relative position and velocity.
+
+    Nearest first; zeros where there are fewer.
+    """
+    count = task.context.num_neighbours
+    labels: list[Label] = []
+    for k in range(1, count + 1):
+        labels += [_distance(task, f"neighbour {k}"), *_relative(task, f"neighbour {k}")]
+
+    def compute(frame: Frame, present: np.ndarray) -> np.ndarray:
+        out = np.zeros((*present.shape, len(labels)))
+        position, velocity, known = heard(frame, present)
+        own = (frame.known_position, frame.known_velocity)
+        nearest(*own, position, velocity, known, count, out)
+        return out
+
+    return Block(tuple(labels), compute)
+
+
+@register("observation")
+def all_neighbours(task: Any) -> Block:
+    """All other drones by index: relative position and velocity.
+
+    Zeros for those that are not there.
+    """
+    drones = task.context.num_drones
+    labels = tuple(label for k in range(1, drones) for label in _relative(task, f"other {k}"))
+    listed = [[j for j in range(drones) if j != i] for i in range(drones)]
+    others = np.array(listed, dtype=int).reshape(drones, drones - 1)
+
+    def compute(frame: Frame, present: np.ndarray) -> np.ndarray:
+        position, velocity, known = heard(frame, present)
+        own = np.concatenate([frame.known_position, frame.known_velocity], axis=-1)
+        theirs = np.concatenate([position, velocity], axis=-1)
+        seen = np.where(known[..., None], theirs - own[:, :, None], 0.0)
+        ordered = np.take_along_axis(seen, others[None, :, :, None], axis=2)
+        return ordered.reshape(*present.shape, len(labels))
+
+    return Block(labels, compute)
+
+
+@register("observation")
+def obstacles(task: Any) -> Block:
+    """The nearest obstacles: distance to bounding sphere, relative position and velocity, radius.
+
+    Nearest first; zeros where there are fewer.
+    """
+    radius = np.array([obstacle.radius for obstacle in task.obstacles()])
+    count = task.context.num_neighbours
+    observed = min(count, len(radius))
+    labels: list[Label] = []
+    for k in range(1, count + 1):
+        labels += [_distance(task, f"obstacle {k}"), *_relative(task, f"obstacle {k}")]
+        labels.append(Label(f"obstacle {k} radius", "m", 0.0, float(radius.max(initial=1.0))))
+
+    def compute(frame: Frame, present: np.ndarray) -> np.ndarray:
+        out = np.zeros((*present.shape, count, PER_OBSTACLE))
+        scene = frame.scene
+        offset = scene.obstacle[:, None] - frame.known_position[:, :, None]
+        gap = np.maximum(np.linalg.norm(offset, axis=-1) - radius, 0.0)
+        order = np.argsort(gap, axis=-1, kind="stable")[..., :observed, None]
+        speed = scene.obstacle_velocity[:, None] - frame.known_velocity[:, :, None]
+        out[..., :observed, :1] = np.take_along_axis(gap[..., None], order, axis=2)
+        out[..., :observed, 1:4] = np.take_along_axis(offset, order, axis=2)
+        out[..., :observed, 4:7] = np.take_along_axis(speed, order, axis=2)
+        out[..., :observed, 7] = radius[order[..., 0]]
+        return out.reshape(*present.shape, len(labels))
+
+    return Block(tuple(labels), compute)
+
+
+def heard(frame: Frame, present: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Tell what drones know of each other; without communication what the others know of themselves.
+
+    Args:
+        frame: The decision.
+        present: (W, N) bool, drones that can still be met.
+
+    Returns:
+        Position and velocity (W, N, N, 3) of drone j as drone i knows them, and whether it knows of
+        it, (W, N, N) bool.
+    """
+    if "heard" in frame.readings:
+        known = frame.readings["heard"] & present[:, None, :]
+        return frame.readings["heard_position"], frame.readings["heard_velocity"], known
+    worlds, drones = present.shape
+    shape = (worlds, drones, drones, 3)
+    others = present[:, None, :] & ~np.eye(drones, dtype=bool)
+    return (
+        np.broadcast_to(frame.known_position[:, None], shape),
+        np.broadcast_to(frame.known_velocity[:, None], shape),
+        others,
+    )
+
+
+@kernel
+def nearest(
+    position: np.ndarray,
+    velocity: np.ndarray,
+    their_position: np.ndarray,
+    their_velocity: np.ndarray,
+    known: np.ndarray,
+    count: int,
+    out: np.ndarray,
+) -> None:
+    """Fill `out` (W, N, 7 count) with the nearest others that are `known` (W, N, N).
+
+    See `heard` for what drones know of each other.
+    """
+    drones = known.shape[1]
+    near, distance = np.empty(count, dtype=np.int64), np.empty(count)
+    for w in range(known.shape[0]):
+        for i in range(drones):
+            # Sort the nearest ones in, one after the other.
+            found = 0
+            for j in range(drones):
+                if not known[w, i, j]:
+                    continue
+                square = 0.0
+                for k in range(3):
+                    square += (their_position[w, i, j, k] - position[w, i, k]) ** 2
+                found = keep_nearest(near, distance, found, j, math.sqrt(square))
+            # Write them, as seen from the drone.
+            for slot in range(found):
+                j = near[slot]
+                first = PER_NEIGHBOUR * slot
+                out[w, i, first] = distance[slot]
+                for k in range(3):
+                    gap = their_position[w, i, j, k] - position[w, i, k]
+                    speed = their_velocity[w, i, j, k] - velocity[w, i, k]
+                    out[w, i, first + 1 + k] = gap
+                    out[w, i, first + 4 + k] = speed

@@ -1,0 +1,122 @@
+"""Observation blocks about targets that drones see, and about charge and power."""
+
+from typing import Any
+
+import numpy as np
+
+from bulletuav.registry import register
+from bulletuav.sensors.base import Label, vector_labels
+from bulletuav.tasks.frame import Frame
+from bulletuav.tasks.ingredients import block
+from bulletuav.tasks.observations.base import Block, refused
+from bulletuav.tasks.targets import TargetTask, share_of
+
+MAX_POWER = 1000.0
+"""W, bound of observed power"""
+
+
+@register("observation")
+@block([Label("charge", "1", 0.0, 1.0)])
+def battery(charge: float) -> float:
+    """What is left of the charge."""
+    return charge
+
+
+@register("observation")
+@block([Label("power", "W", 0.0, MAX_POWER)])
+def power(power: float) -> float:
+    """Power that the drone takes, mean of the decision."""
+    return power
+
+
+@register("observation")
+def targets(task: Any) -> Block:
+    """The task's targets: position as seen from the drone, world axes, and whether it sees them."""
+    size = task.arena_high - task.arena_low
+    labels: list[Label] = []
+    for k in range(1, task.num_targets + 1):
+        offset = vector_labels(f"target {k}", "m", -size, size)
+        labels += [*offset, Label(f"target {k} seen", "1", 0.0, 1.0)]
+
+    def compute(frame: Frame, present: np.ndarray) -> np.ndarray:
+        places = task.targets(frame.scene)
+        offset = places[:, None] - frame.known_position[:, :, None]
+        seen = frame.readings["sight"][..., None]
+        return np.concatenate([offset, seen], axis=-1).reshape(*present.shape, len(labels))
+
+    return Block(tuple(labels), compute)
+
+
+@register("observation")
+def seen_share(task: Any) -> Block:
+    """Share of the task's active targets that the drone sees."""
+    task = require_targets(task, "seen_share")
+
+    def compute(frame: Frame, present: np.ndarray) -> np.ndarray:
+        active = task.active_targets(frame.scene)[:, None]
+        return share_of(frame.readings["sight"], active)[..., None]
+
+    return Block((Label("seen share", "1", 0.0, 1.0),), compute)
+
+
+@register("observation")
+def centroids(task: Any) -> Block:
+    """Over ground, the centroid of all active targets, and that of the drone's own ones.
+
+    Its own are those nearer to it than to other living drones; all where it has none.
+    """
+    task = require_targets(task, "centroids")
+    bounds = [(task.arena_low[axis], task.arena_high[axis]) for axis in (0, 1)]
+    labels = tuple(
+        Label(f"{whose}centroid {axis}", "m", float(low), float(high))
+        for whose in ("", "own ")
+        for axis, (low, high) in zip("xy", bounds, strict=True)
+    )
+
+    def compute(frame: Frame, present: np.ndarray) -> np.ndarray:
+        place = task.targets(frame.scene)[..., :2]
+        active = task.active_targets(frame.scene)[:, None]
+        gap = np.linalg.norm(place[:, None] - frame.known_position[:, :, None, :2], axis=-1)
+        gap = np.where(present[..., None], gap, np.inf)
+        own = (gap == gap.min(axis=1, keepdims=True)) & active & present[..., None]
+        own = np.where(own.any(axis=-1, keepdims=True), own, active)
+        of_all = _mean(place, np.broadcast_to(active, own.shape))
+        return np.concatenate([of_all, _mean(place, own)], axis=-1)
+
+    return Block(labels, compute)
+
+
+def _mean(place: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """Average the places (W, U, 2) that are `chosen` (W, N, U), to (W, N, 2)."""
+    mean: np.ndarray = (
+        chosen.astype(float) @ place / np.maximum(chosen.sum(axis=-1, keepdims=True), 1)
+    )
+    return mean
+
+
+@register("observation")
+def sight_matrix(task: Any) -> Block:
+    """Which drone sees which target: the drone itself first, then the others by index."""
+    drones, count = task.context.num_drones, task.num_targets
+    names = ["own", *(f"other {k}" for k in range(1, drones))]
+    labels = tuple(
+        Label(f"{name} sees {j}", "1", 0.0, 1.0) for name in names for j in range(1, count + 1)
+    )
+    order = np.array([[i, *(j for j in range(drones) if j != i)] for i in range(drones)])
+
+    def compute(frame: Frame, present: np.ndarray) -> np.ndarray:
+        seen = frame.readings["sight"] & present[..., None]
+        return seen[:, order].reshape(*present.shape, len(labels))
+
+    return Block(labels, compute)
+
+
+def require_targets(task: Any, name: str) -> TargetTask[Any]:
+    """Refuse a block of targets for a task that has none.
+
+    Raises:
+        ValueError: It has none.
+    """
+    if not isinstance(task, TargetTask):
+        raise refused(task, name)
+    return task

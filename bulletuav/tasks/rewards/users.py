@@ -1,0 +1,52 @@
+"""Reward terms of seeing and serving targets, such as users on the ground."""
+
+import numpy as np
+
+from bulletuav.registry import register
+from bulletuav.tasks.frame import Frame
+from bulletuav.tasks.ingredients import reward
+
+DWELL_TIME_SCALE = 0.1
+"""1/s"""
+
+
+@register("reward")
+def sight(frame: Frame) -> np.ndarray:
+    """Share of the targets that the drone sees."""
+    share: np.ndarray = frame.seen.mean(axis=-1)
+    return share
+
+
+@register("reward")
+@reward
+def served(served: float) -> float:
+    """Share of the active targets that some living drone sees."""
+    return served
+
+
+@register("reward")
+def dwell_time(frame: Frame) -> np.ndarray:
+    """tanh(0.1 s) of the mean seconds s for which the drone has seen users: from 0 to 1."""
+    bonus: np.ndarray = np.tanh(DWELL_TIME_SCALE * frame.scene.memory["mean_dwell_time"])
+    return bonus
+
+
+@register("reward")
+@reward
+def tasks(completed: float, expected_tasks: float) -> float:
+    """Completed tasks of the decision over those that all users are expected to have in one."""
+    return completed / expected_tasks
+
+
+@register("reward")
+@reward
+def latency(delay_completed: float, deadline: float, expected_tasks: float) -> float:
+    """Latencies of the completed tasks over the deadline, and over the expected tasks."""
+    return delay_completed / (deadline * expected_tasks)
+
+
+@register("reward")
+@reward
+def power_share(power: float, power_scale: float) -> float:
+    """Power that the drone takes over what full thrust and busy cores take."""
+    return power / power_scale
