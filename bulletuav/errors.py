@@ -68,7 +68,8 @@ def shown(value: object) -> str:
             text = repr(value)
         else:
             text = _SHOWN.repr(value)
-    except Exception:  # a number of too many digits, or an object whose repr is broken
+    # A number of too many digits, or an object whose repr is broken.
+    except Exception:
         text = f"<{type(value).__name__} that cannot be shown>"
     text = " ".join(text.split("\n"))
     return text if len(text) <= 2 * MOST_SHOWN else f"{text[:MOST_SHOWN]}..."
@@ -125,7 +126,8 @@ def memory() -> int:
     """Tell how many bytes of memory this machine has, or `USUAL_MEMORY` where it does not say."""
     try:
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    except (AttributeError, ValueError, OSError):  # Windows has no sysconf
+    # Windows has no sysconf.
+    except (AttributeError, ValueError, OSError):
         return USUAL_MEMORY
 
 
@@ -241,7 +243,8 @@ def finite(
             number = float(value)
         else:
             number = math.nan
-    except (OverflowError, ValueError, TypeError):  # a whole number or fraction beyond all floats
+    # A whole number or fraction beyond all floats.
+    except (OverflowError, ValueError, TypeError):
         number = math.inf
     if not math.isfinite(number):
         raise ValueError(f"{name} is {shown(value)}: a finite number is needed")

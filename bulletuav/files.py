@@ -21,6 +21,7 @@ def whole_file(path: str | Path) -> Iterator[Path]:
     Raises:
         OSError: It cannot be written, such as for a full disk; the message names the file.
     """
+    # Within one folder a file replaces another one at a stroke.
     path = Path(path)
     part = path.with_name(f".part-{path.name}")
     try:

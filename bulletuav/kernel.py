@@ -68,6 +68,7 @@ def cache_folder() -> Path:
     for base in candidates:
         folder = base / "bulletuav-kernels" / source_hash(but="tasks")
         with contextlib.suppress(OSError):
+            # Others may write to the folder for temporary files, but must not to ours in it.
             if base == spare and not _is_private(spare):
                 continue
             folder.mkdir(parents=True, exist_ok=True)
@@ -90,7 +91,8 @@ def _is_private(folder: Path) -> bool:
 
 def _forget_old_folders(current: Path) -> None:
     """Remove the folders of other sources, but for the ones used last."""
-    with contextlib.suppress(OSError):  # another process may be tidying too
+    # Another process may be tidying too: what it has removed is no error.
+    with contextlib.suppress(OSError):
         os.utime(current)
         others = [path for path in current.parent.iterdir() if path != current]
         newest_first = sorted(others, key=lambda path: path.stat().st_mtime, reverse=True)

@@ -230,7 +230,8 @@ def _ball_probability(square: Vec3, variance: Vec3, tolerance: float) -> float:
         while True:
             term = _term(k * step, saddle, width, square, variance)
             total += term.real
-            if not abs(term) > 1e-3 * tolerance:  # the rest falls double exponentially
+            # The terms that are left fall double exponentially.
+            if not abs(term) > 1e-3 * tolerance:
                 break
             k += 1 if halving == 0 else 2
         if abs(step * total - last) <= tolerance:

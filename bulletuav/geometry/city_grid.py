@@ -54,6 +54,7 @@ def make_city_grid(layouts: Sequence[Solids], num_worlds: int) -> CityGrid:
     Returns:
         The grid; no layout stands in any world yet.
     """
+    # A square that holds all pieces of all layouts, at least two cells wide.
     bounds = np.concatenate([np.zeros((0, 2, 3)), *(solids.bounds for solids in layouts)])
     reach = float(np.abs(bounds[..., :2]).max(initial=GRID_CELL))
     count = math.ceil(2 * reach / GRID_CELL)
@@ -144,6 +145,7 @@ def meets(city_grid: CityGrid, w: int, low: Vec3Like, high: Vec3Like) -> bool:
     layout = city_grid.layout[w]
     if layout == NO_LAYOUT:
         return False
+    # Only pieces in the cells that the box touches can overlap it.
     left, right, bottom, top = reached(city_grid, low[0], high[0], low[1], high[1])
     for i in range(left, right):
         for j in range(bottom, top):

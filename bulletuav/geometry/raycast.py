@@ -94,6 +94,7 @@ def _buildings(city_grid: CityGrid, layout: int, start: Vec3Like, change: Vec3Li
     least, last = _over_grid(city_grid, layout, start, change)
     if least > last:
         return 1.0
+    # Begin in the cell where the ray comes over the grid.
     column = _cell_of(start[0] + least * change[0], city_grid)
     row = _cell_of(start[1] + least * change[1], city_grid)
     east = _step_of(change[0])

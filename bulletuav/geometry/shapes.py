@@ -55,6 +55,7 @@ def slab(start: float, change: float, low: float, high: float) -> tuple[float, f
     Returns:
         The shares of entry and exit; (inf, -inf) where the line never is inside.
     """
+    # A line along the slab is inside all the way or never.
     if change == 0.0:
         return (-np.inf, np.inf) if low <= start <= high else (np.inf, -np.inf)
     one = (low - start) / change
@@ -77,6 +78,7 @@ def inside_box(
     Returns:
         The shares of entry and exit; the first is larger where the line never is inside.
     """
+    # The box is where three slabs overlap: the last entry and the first exit count.
     enters = -np.inf
     leaves = np.inf
     for k in range(3):
@@ -92,6 +94,7 @@ def _inside_round(along: float, square: float, outside: float) -> tuple[float, f
 
     This is the squared distance from a centre or an axis less the squared radius.
     """
+    # The line keeps its distance: it is inside all the way or never.
     if square == 0.0:
         return (-np.inf, np.inf) if outside <= 0.0 else (np.inf, -np.inf)
     root = along * along - square * outside

@@ -43,6 +43,7 @@ def view_matrix(
     Returns:
         (4, 4) matrix from the world to the camera: x right, y up, z backward.
     """
+    # The camera's axes in the world are the rows of its rotation.
     back = (eye - target) / np.linalg.norm(eye - target)
     right = np.cross(up, back)
     right /= np.linalg.norm(right)

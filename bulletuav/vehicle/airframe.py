@@ -231,6 +231,7 @@ def _read_airframe(path: Path) -> Airframe:
     for element in (urdf.root, urdf.element("link")):
         if not element.get("name"):
             raise urdf.refusal(f"{element.tag} name", "missing", "the engine needs it")
+    # Each number is read within the bounds that the dynamics can compute with.
     airframe = Airframe(
         name=urdf.root.get("name", ""),
         urdf=urdf.path,

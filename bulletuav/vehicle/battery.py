@@ -61,5 +61,6 @@ class Battery:
             seconds: How long it is taken.
             flying: (W, N) bool, the drones whose batteries are drained.
         """
+        # The power of drones that do not fly may be NaN.
         used = np.where(flying, power * seconds / self._energy, 0.0)
         np.maximum(self.charge - used, 0.0, out=self.charge)

@@ -89,6 +89,7 @@ def rotary_wing(
     Raises:
         ValueError: A number is not finite and above 0.
     """
+    # All arguments, by their names.
     for name, value in locals().copy().items():
         if not finite(name, value) > 0:
             raise ValueError(f"{name} is {value!r}: a number above 0 is needed")
@@ -181,11 +182,14 @@ def axial_inflow(x: float) -> float:
     Returns:
         The inflow, in induced velocities of hover.
     """
+    # Climb.
     if x >= 0.0:
         return 0.5 * x + math.sqrt(0.25 * x * x + 1.0)
+    # Vortex ring: climb rate plus the fit of the induced velocity.
     ring = x + (1.0 + x * (-1.125 + x * (-1.372 + x * (-1.718 - 0.655 * x))))
     if x > -2.0:
         return ring
+    # Windmill brake, from where it exceeds the fit.
     return max(ring, 0.5 * x - math.sqrt(0.25 * x * x - 1.0))
 
 

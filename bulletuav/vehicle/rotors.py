@@ -26,6 +26,7 @@ def lag_decay(elapsed: float, row: ParameterRow) -> tuple[float, float]:
     Returns:
         The share for rotors that speed up, and for rotors that slow down.
     """
+    # Most motors have one time constant: they need one exponential.
     up = math.exp(-elapsed / row.lag_up) if row.lag_up > 0.0 else 0.0
     if row.lag_down == row.lag_up:
         return up, up
@@ -62,6 +63,7 @@ def rotor_wrench(speed: np.ndarray, row: ParameterRow) -> tuple[float, Vec3, flo
     thrust = torque_x = torque_y = torque_z = total = 0.0
     for r in range(row.num_rotors):
         now = speed[r]
+        # Thrust at the rotor's place turns the body, and so does its drag torque.
         force = row.thrust_coefficient * now * now
         thrust += force
         torque_x += row.rotor_y[r] * force

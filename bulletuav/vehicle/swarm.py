@@ -112,6 +112,7 @@ def confine(
             if not flown[w, i]:
                 continue
             for k in range(3):
+                # Each axis by itself: a drone in a corner has left two or three sides.
                 place = swarm.position[w, i, k]
                 inside = min(max(place, low[k]), high[k])
                 if inside == place:
@@ -194,6 +195,7 @@ class Contacts(NamedTuple):
         Args:
             rows: Impulse of each (world, drone, other), N s.
         """
+        # An empty array has no columns to split.
         if not rows:
             nothing = np.zeros(0, dtype=np.int64)
             return cls(world=nothing, drone=nothing, other=nothing, impulse=np.zeros(0))

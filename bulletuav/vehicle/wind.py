@@ -221,7 +221,8 @@ class Wind:
             noise = np.zeros_like(self._gusts)
             for k in np.flatnonzero(flying).tolist():
                 rng = rngs[k]
-                assert rng is not None  # a world that flies was reset
+                # A world that flies was reset, and so has its generator.
+                assert rng is not None
                 noise[k] = rng.standard_normal(noise[k].shape)
             advance_gusts(
                 self._gusts,
@@ -271,7 +272,8 @@ def check_field(wind: WindField) -> None:
         )
     try:
         signature = inspect.signature(wind)
-    except (TypeError, ValueError):  # of functions written in C
+    # Functions written in C do not tell what they take.
+    except (TypeError, ValueError):
         return
     try:
         signature.bind(None, None)
