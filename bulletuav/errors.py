@@ -1,4 +1,9 @@
-"""Messages that name the wrong value and the remedy."""
+"""Checks of what users give, and error messages that name the wrong value and the remedy.
+
+Functions that return an error (`unknown`, `missing`) leave the `raise` to the caller. Functions
+that check (`as_int`, `finite`, `as_sequence`, `numbers_of`, `points_of`) return the value in the
+type that the package keeps, and raise ValueError otherwise.
+"""
 
 import difflib
 import math
@@ -8,105 +13,153 @@ import reprlib
 import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
-MOST_SHOWN = 200  # letters of a value in a message
-USUAL_MEMORY = 16 * 2**30  # bytes, where the machine does not tell how much it has
+Entry = TypeVar("Entry")
+
+MOST_SHOWN = 200
+"""Most characters of a value that a message shows."""
+USUAL_MEMORY = 16 * 2**30
+"""Bytes of memory that are assumed where the machine does not tell how much it has."""
 GIB = 2**30
+"""Bytes in a gibibyte."""
+
+CHECKOUT = Path(__file__).parents[1]
+"""Folder of constraints.txt in a checkout: beside the package."""
+SHARED = Path(sys.prefix, "share", "bulletuav")
+"""Folder of constraints.txt after an install: where the wheel puts it."""
 
 
 class _Shown(reprlib.Repr):
-    """Of lists and texts as much as a message holds; arrays and objects are cut, too."""
+    """A repr that cuts long lists, texts and numbers, so that they fit into a message."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.maxlevel, self.maxlist, self.maxtuple, self.maxset, self.maxdict = 4, 12, 12, 12, 12
-        self.maxstring = self.maxother = self.maxlong = MOST_SHOWN
+        self.maxlevel = 4
+        self.maxlist = 12
+        self.maxtuple = 12
+        self.maxset = 12
+        self.maxdict = 12
+        self.maxstring = MOST_SHOWN
+        self.maxother = MOST_SHOWN
+        self.maxlong = MOST_SHOWN
 
 
 _SHOWN = _Shown()
 
 
 class UnknownOptionError(ValueError, TypeError):
-    """An option that there is not: a wrong value for us, a wrong keyword for whoever passes keywords on."""
+    """Error for an option that does not exist.
+
+    It is a ValueError, as all refused values are, and also a TypeError, which Python raises for an
+    unknown keyword: callers that pass keywords on expect that one.
+    """
 
 
 def shown(value: object) -> str:
-    """What a value looks like in a message: its repr, cut where it is long; never raises."""
+    """Format a value for a message: its repr on one line, cut where it is long.
+
+    Never raises, whatever the value's own repr does.
+    """
     try:
-        text = (
-            repr(value)
-            if isinstance(value, float | str) and len(str(value)) < MOST_SHOWN
-            else _SHOWN.repr(value)
-        )
-    except Exception:  # a number of too many digits, or an object whose repr is broken
+        if isinstance(value, float | str) and len(str(value)) < MOST_SHOWN:
+            text = repr(value)
+        else:
+            text = _SHOWN.repr(value)
+    # A number of too many digits, or an object whose repr is broken.
+    except Exception:
         text = f"<{type(value).__name__} that cannot be shown>"
     text = " ".join(text.split("\n"))
     return text if len(text) <= 2 * MOST_SHOWN else f"{text[:MOST_SHOWN]}..."
 
 
 def unknown(what: str, name: object, choices: Iterable[str]) -> ValueError:
-    """An error for a name that is not among `choices`, offering the nearest ones."""
+    """Make the error for a name that is not among the choices.
+
+    Args:
+        what: What the name stands for, such as "task".
+        name: The value that was given.
+        choices: The names that exist; the nearest ones are offered.
+
+    Returns:
+        The error, for the caller to raise.
+    """
     return ValueError(f"unknown {what} {shown(name)}: {nearest(name, choices)}")
 
 
 def nearest(name: object, choices: Iterable[str]) -> str:
-    """Offer the choices nearest to a name, or all where none is near."""
+    """Offer the choices nearest to a name, or all of them where none is near."""
     choices = sorted(choices)
     text = name[:MOST_SHOWN] if isinstance(name, str) else ""
     near = difflib.get_close_matches(text, choices, n=3, cutoff=0.5)
-    return (
-        f"did you mean {' or '.join(map(repr, near))}?"
-        if near
-        else f"choose from {', '.join(choices)}"
-    )
-
-
-CHECKOUT, SHARED = Path(__file__).parents[1], Path(sys.prefix, "share", "bulletuav")
-"""Where constraints.txt is: beside the package in a checkout, else where the wheel puts it"""
+    if near:
+        return f"did you mean {' or '.join(map(repr, near))}?"
+    return f"choose from {', '.join(choices)}"
 
 
 def install(extra: str) -> str:
-    """The command that installs an extra at tested versions; without them pip fetches a PyTorch of several gigabytes."""
+    """Tell the command that installs an extra at tested versions.
+
+    The versions come from constraints.txt: without them pip fetches a PyTorch of several gigabytes.
+    """
     if (CHECKOUT / "setup.cfg").is_file():
         return f"pip install -c {CHECKOUT / 'constraints.txt'} -e '{CHECKOUT}[{extra}]'"
     return f"pip install -c {SHARED / 'constraints.txt'} 'bulletuav[{extra}]'"
 
 
 def missing(what: str, extra: str) -> ImportError:
-    """An error for `what`, that the user wanted to do, such as "training", and that takes an extra."""
+    """Make the error for something that needs an extra which is not installed.
+
+    Args:
+        what: What the user wanted to do, such as "training".
+        extra: Name of the extra, such as "sb3".
+
+    Returns:
+        The error, for the caller to raise; it tells the command that installs the extra.
+    """
     return ImportError(f"{what} needs the extra {extra!r}: {install(extra)}")
 
 
 def memory() -> int:
-    """Bytes of memory that this machine has."""
+    """Tell how many bytes of memory this machine has, or `USUAL_MEMORY` where it does not say."""
     try:
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    except (AttributeError, ValueError, OSError):  # not on Windows
+    # Windows has no sysconf.
+    except (AttributeError, ValueError, OSError):
         return USUAL_MEMORY
 
 
 def require_memory(what: str, needed: float, remedy: str) -> None:
-    """Refuse what this machine cannot hold, before anything of it is made.
+    """Refuse what this machine cannot hold, before any of it is allocated.
 
     Args:
-        what: Is asked for.
+        what: What is asked for, in the plural.
         needed: Bytes that it takes, about.
-        remedy: What to do.
+        remedy: What the user can do.
 
     Raises:
         ValueError: It is more than the machine has; both figures are named.
     """
-    if needed > memory():
+    available = memory()
+    if needed > available:
         raise ValueError(
-            f"{what} need about {needed / GIB:.3g} GiB, and this machine has {memory() / GIB:.3g} GiB: {remedy}"
+            f"{what} need about {needed / GIB:.3g} GiB, "
+            f"and this machine has {available / GIB:.3g} GiB: {remedy}"
         )
 
 
-def require_file(what: str, path: Any, remedy: str) -> Path:
-    """The path of a file that is there.
+def require_file(what: str, path: object, remedy: str) -> Path:
+    """Check that a path leads to a file.
+
+    Args:
+        what: What the file is, such as "airframe".
+        path: The path that was given; "~" is expanded.
+        remedy: What the user can do.
+
+    Returns:
+        The path.
 
     Raises:
         ValueError: It is no path at all.
@@ -120,11 +173,8 @@ def require_file(what: str, path: Any, remedy: str) -> Path:
         found = Path(path).expanduser()
         if found.is_file():
             return found
-    except (
-        OSError,
-        ValueError,
-        RuntimeError,
-    ) as error:  # too long a name, a NUL in it, nobody's home
+    # The name is too long or holds a NUL, or the home folder is of nobody.
+    except (OSError, ValueError, RuntimeError) as error:
         raise ValueError(
             f"{what} {shown(str(path))} is no path of a file: {error.args[-1]}; {remedy}"
         ) from None
@@ -132,7 +182,11 @@ def require_file(what: str, path: Any, remedy: str) -> Path:
 
 
 def read_file(path: Path) -> str:
-    """The text of a file, UTF-8. Raises ValueError, which names it, where it is none or cannot be read."""
+    """Read a text file in UTF-8.
+
+    Raises:
+        ValueError: It is no text in UTF-8, or cannot be read; the message names the file.
+    """
     try:
         return path.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
@@ -143,8 +197,21 @@ def read_file(path: Path) -> str:
         raise ValueError(f"{path} cannot be read: {error.strerror}") from None
 
 
-def as_int(name: str, value: Any, least: int, most: int | None = None) -> int:
-    """`value` as an int. Raises ValueError unless it is a whole number, at least `least` and at most `most`."""
+def as_int(name: str, value: object, least: int, most: int | None = None) -> int:
+    """Check that a value is a whole number within bounds.
+
+    Args:
+        name: What the number is, for the message.
+        value: A Python or numpy integer; bools are refused.
+        least: Least number allowed.
+        most: Greatest number allowed; any when left out.
+
+    Returns:
+        The value as an int.
+
+    Raises:
+        ValueError: It is no whole number, or out of bounds.
+    """
     if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < least:
         raise ValueError(f"{name} is {shown(value)}: a whole number, at least {least}, is needed")
     if most is not None and value > most:
@@ -154,18 +221,30 @@ def as_int(name: str, value: Any, least: int, most: int | None = None) -> int:
     return int(value)
 
 
-def finite(name: str, value: Any, least: float | None = None, most: float | None = None) -> float:
-    """`value` as a float, which is what to keep. Raises ValueError unless it is a finite number within the bounds.
+def finite(
+    name: str, value: object, least: float | None = None, most: float | None = None
+) -> float:
+    """Check that a value is a finite number within bounds.
 
-    Bools are none. Without `most` any finite number is.
+    Args:
+        name: What the number is, for the message.
+        value: Any real number; bools are refused.
+        least: Least number allowed; any when left out.
+        most: Greatest number allowed; any finite one when left out.
+
+    Returns:
+        The value as a float, which is what to keep.
+
+    Raises:
+        ValueError: It is no finite number, or out of bounds.
     """
     try:
-        number = (
-            float(value)
-            if not isinstance(value, bool | np.bool_) and isinstance(value, numbers.Real)
-            else math.nan
-        )
-    except (OverflowError, ValueError, TypeError):  # a whole number or a fraction beyond all floats
+        if not isinstance(value, bool | np.bool_) and isinstance(value, numbers.Real):
+            number = float(value)
+        else:
+            number = math.nan
+    # A whole number or fraction beyond all floats.
+    except (OverflowError, ValueError, TypeError):
         number = math.inf
     if not math.isfinite(number):
         raise ValueError(f"{name} is {shown(value)}: a finite number is needed")
@@ -176,8 +255,23 @@ def finite(name: str, value: Any, least: float | None = None, most: float | None
     return number
 
 
-def as_sequence(name: str, value: Any, count: int | None = None, most: int | None = None) -> tuple:
-    """`value` as a tuple. Raises ValueError unless it is a list or tuple, of `count` entries or up to `most` where given."""
+def as_sequence(
+    name: str, value: Any, count: int | None = None, most: int | None = None
+) -> tuple[Any, ...]:
+    """Check that a value is a list, a tuple or an array of one axis.
+
+    Args:
+        name: What the values are, for the message.
+        value: What was given.
+        count: How many entries it must have; any number when left out.
+        most: How many entries it may have; any number when left out.
+
+    Returns:
+        Its entries as a tuple.
+
+    Raises:
+        ValueError: It is none of these, or has another number of entries.
+    """
     listed = isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim == 1)
     if not listed or count not in (None, len(value)):
         of = "" if count is None else f" of {count} values"
@@ -187,26 +281,50 @@ def as_sequence(name: str, value: Any, count: int | None = None, most: int | Non
     return tuple(value)
 
 
-def numbers_of(subject: str, value: Any) -> np.ndarray:
-    """`value` as a float64 array. Raises ValueError ("`subject` not numbers") for anything that is not made of them."""
+def numbers_of(subject: str, value: object) -> np.ndarray:
+    """Check that a value is made of real numbers.
+
+    Args:
+        subject: Start of the message, which goes on with "not numbers", such as "positions are".
+        value: A number, nested lists of numbers or an array, of any shape.
+
+    Returns:
+        The value as a float64 array.
+
+    Raises:
+        ValueError: Something in it is no real number.
+    """
     try:
         array = np.asarray(value)
         real = array.dtype.kind in "fiub" or (
             array.dtype.kind == "O" and all(map(_is_real, array.flat))
         )
-        if not real:  # NumPy makes numbers of texts, dates and None, and drops what is imaginary
+        # NumPy would make numbers of texts, dates and None, and drop what is imaginary.
+        if not real:
             raise TypeError(f"{shown(value)} has others than real ones")
         return np.asarray(array, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"{subject} not numbers: {error}") from None
 
 
-def _is_real(value: Any) -> bool:
+def _is_real(value: object) -> bool:
+    """Tell whether a value is a real number."""
     return isinstance(value, numbers.Real)
 
 
-def points_of(name: str, value: Any) -> np.ndarray:
-    """`value` as an array (M, 3) of points, one or more. Raises ValueError unless it is finite numbers of that shape."""
+def points_of(name: str, value: object) -> np.ndarray:
+    """Check that a value is one or more finite points.
+
+    Args:
+        name: What the points are, for the message.
+        value: A point (3,), or points (M, 3).
+
+    Returns:
+        The points as a float64 array (M, 3).
+
+    Raises:
+        ValueError: It is not finite numbers of such a shape.
+    """
     points = np.atleast_2d(numbers_of(f"{name} is", value))
     if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
         raise ValueError(
@@ -215,8 +333,20 @@ def points_of(name: str, value: Any) -> np.ndarray:
     return points
 
 
-def choose(what: str, name: Any, table: Mapping[str, Any]) -> Any:
-    """`table[name]`, or `unknown` when it is not there."""
+def choose(what: str, name: object, table: Mapping[str, Entry]) -> Entry:
+    """Look a name up in a table.
+
+    Args:
+        what: What the name stands for, for the message.
+        name: The name that was given.
+        table: The entries by their names.
+
+    Returns:
+        The entry of that name.
+
+    Raises:
+        ValueError: There is none of that name; the nearest ones are offered.
+    """
     if not isinstance(name, str) or name not in table:
         raise unknown(what, name, table)
     return table[name]

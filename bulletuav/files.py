@@ -12,13 +12,18 @@ def whole_file(path: str | Path) -> Iterator[Path]:
 
     An error or an interrupt leaves the file as it was, and nothing beside it.
 
+    Args:
+        path: The file to write or to replace.
+
+    Yields:
+        A file beside it with the same ending, which tells libraries what format to write.
+
     Raises:
         OSError: It cannot be written, such as for a full disk; the message names the file.
     """
+    # Within one folder a file replaces another one at a stroke.
     path = Path(path)
-    part = path.with_name(
-        f".part-{path.name}"
-    )  # whose ending stays: it tells libraries what to write
+    part = path.with_name(f".part-{path.name}")
     try:
         yield part
         os.replace(part, path)
@@ -29,6 +34,10 @@ def whole_file(path: str | Path) -> Iterator[Path]:
 
 
 def replace_file(path: str | Path, text: str) -> None:
-    """Write a text file as a whole or, when interrupted, not at all. Raises OSError that names it."""
+    """Write a text file as a whole or, when interrupted, not at all.
+
+    Raises:
+        OSError: It cannot be written; the message names the file.
+    """
     with whole_file(path) as part:
         part.write_text(text)

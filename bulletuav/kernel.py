@@ -1,9 +1,13 @@
-"""Compilation of the hot loops: `kernel`, `formula` and `elementwise` are numba's, with a cache that cannot go stale.
+"""Compilation of the hot loops by numba, with a cache on disk that cannot go stale.
 
-Numba stamps a cached function with its own source file only, so machine code that inlined a helper from another file
-survives an edit of that helper. Here the cache lives in a folder named by a hash of every source file of the package:
-any edit, upgrade or downgrade starts from an empty folder. Only the files right in `tasks/` do not count: a test holds that
-no file with kernels imports one, and those in them bear numba's stamp.
+`kernel` compiles loops over arrays, `func` the functions of one drone that they call, and
+`elementwise` functions of numbers that broadcast over arrays.
+
+Numba stamps a cached function with its own source file only. Machine code that inlined a helper
+from another file therefore survives an edit of that helper. Here the cache lives in a folder named
+by a hash of every source file of the package: any edit, upgrade or downgrade starts from an empty
+folder. Only the files right in `tasks/` do not count: a test holds that no file with kernels
+imports one, and the kernels in them bear numba's stamp.
 """
 
 import contextlib
@@ -19,37 +23,52 @@ from typing import Any, TypeVar, cast
 import numba
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+"""Type of a function that is compiled; the decorators keep its signature."""
 
 _PACKAGE = Path(__file__).parent
 _FOLDERS_KEPT = 8
 
 
 def source_hash(package: Path = _PACKAGE, but: str | None = None) -> str:
-    """Hash of the paths and contents of all Python files below `package`, but those right in the folder `but`."""
+    """Hash the Python files of a package, and the version of numba.
+
+    Args:
+        package: Folder of the package; all files below it count, by path and content.
+        but: A folder below it, such as "tasks", whose files do not count; those in its own
+            folders do.
+
+    Returns:
+        16 hexadecimal digits.
+    """
     digest = hashlib.sha256(numba.__version__.encode())
     for path in sorted(package.rglob("*.py")):
         if path.parent.relative_to(package).as_posix() == but:
             continue
-        digest.update(
-            path.relative_to(package).as_posix().encode() + b"\0" + path.read_bytes() + b"\0"
-        )
+        name = path.relative_to(package).as_posix().encode()
+        digest.update(name + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()[:16]
 
 
 def cache_folder() -> Path:
-    """Folder for the compiled kernels of exactly these sources: below `NUMBA_CACHE_DIR`, else the user's cache folder.
+    """Make the folder for the compiled kernels of exactly these sources.
 
-    Where neither can be written to it is below the folder for temporary files, if nobody else can write there: what numba
-    reads from its cache can run code.
+    It is below `NUMBA_CACHE_DIR`, or else below the user's cache folder. Where neither can be
+    written to, it is below the folder for temporary files, if nobody else can write there: what
+    numba reads from its cache can run code.
+
+    Raises:
+        OSError: No folder can be written to.
     """
     chosen = (
         numba.config.CACHE_DIR or os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     )
-    spare = Path(tempfile.gettempdir(), f"bulletuav-{os.getuid() if hasattr(os, 'getuid') else ''}")
+    user = os.getuid() if hasattr(os, "getuid") else ""
+    spare = Path(tempfile.gettempdir(), f"bulletuav-{user}")
     candidates = [Path(chosen), spare]
     for base in candidates:
         folder = base / "bulletuav-kernels" / source_hash(but="tasks")
         with contextlib.suppress(OSError):
+            # Others may write to the folder for temporary files, but must not to ours in it.
             if base == spare and not _is_private(spare):
                 continue
             folder.mkdir(parents=True, exist_ok=True)
@@ -62,24 +81,22 @@ def cache_folder() -> Path:
 
 
 def _is_private(folder: Path) -> bool:
-    """Make a folder, and tell whether it is this user's alone."""
+    """Make a folder, and tell whether only this user can write to it."""
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     about = folder.lstat()
     others_write = stat.S_IMODE(about.st_mode) & (stat.S_IWGRP | stat.S_IWOTH)
-    return (
-        stat.S_ISDIR(about.st_mode)
-        and not others_write
-        and (not hasattr(os, "getuid") or about.st_uid == os.getuid())
-    )
+    is_ours = not hasattr(os, "getuid") or about.st_uid == os.getuid()
+    return stat.S_ISDIR(about.st_mode) and not others_write and is_ours
 
 
 def _forget_old_folders(current: Path) -> None:
-    with contextlib.suppress(OSError):  # another process may be tidying too
+    """Remove the folders of other sources, but for the ones used last."""
+    # Another process may be tidying too: what it has removed is no error.
+    with contextlib.suppress(OSError):
         os.utime(current)
         others = [path for path in current.parent.iterdir() if path != current]
-        for path in sorted(others, key=lambda path: path.stat().st_mtime, reverse=True)[
-            _FOLDERS_KEPT - 1 :
-        ]:
+        newest_first = sorted(others, key=lambda path: path.stat().st_mtime, reverse=True)
+        for path in newest_first[_FOLDERS_KEPT - 1 :]:
             shutil.rmtree(path, ignore_errors=True)
 
 
@@ -87,32 +104,40 @@ _CACHE = cache_folder()
 
 
 def kernel(function: Function) -> Function:
-    """Compile `function`, a loop over arrays, with numba, cached on disk under the hash of the package's sources.
+    """Compile a loop over arrays, cached on disk under the hash of the package's sources.
 
-    Division by zero gives inf or NaN as in numpy; nothing is reordered (no fast-math), so results are reproducible.
+    Division by zero gives inf or NaN as in numpy. Nothing is reordered (no fast-math), so results
+    are reproducible.
     """
     return _compiled(function, forceinline=False)
 
 
 def func(function: Function) -> Function:
-    """Compile `function`, of one drone's numbers, like `kernel`; it becomes part of every kernel that calls it."""
+    """Compile a function of one drone's numbers, which becomes part of every kernel that calls it.
+
+    Numbers are computed as in `kernel`.
+    """
     return _compiled(function, forceinline=True)
 
 
 def elementwise(function: Function) -> Function:
-    """Compile `function`, of numbers (in their order) to a number: kernels call it, and users with arrays that broadcast."""
+    """Compile a function of numbers to a number, which also takes arrays that broadcast.
+
+    Kernels call it with numbers, users with arrays. It takes no keywords: numbers come in order.
+    """
     with _cached():
         return cast(Function, numba.vectorize(nopython=True, cache=True)(function))
 
 
 def _compiled(function: Function, **options: bool) -> Function:
+    """Compile a function with numba's options."""
     with _cached():
         return cast(Function, numba.njit(cache=True, error_model="numpy", **options)(function))
 
 
 @contextlib.contextmanager
 def _cached() -> Iterator[None]:
-    """What is compiled meanwhile keeps its machine code in the folder."""
+    """Let numba keep what is compiled meanwhile in our folder, and set its option back after."""
     before = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = str(_CACHE)
     try:

@@ -1,8 +1,9 @@
-"""One registry of ingredients by name: tasks, dynamics, sensors, policies and what else can be chosen.
+"""One registry of ingredients by name: tasks, dynamics, sensors, policies and other choices.
 
-An ingredient is given by its name, as `module:Name`, or as the object itself. Names come from three places:
-the decorator `register`, entry points of other packages in the group `bulletuav.<kind>`, and the files of
-airframes. Nothing is imported before somebody asks for its kind.
+An ingredient is given by its name, as `module:Name`, or as the object itself. Names come from
+three places: the decorator `register`, entry points of other packages in the group
+`bulletuav.<kind>`, and the files of airframes. Nothing is imported before somebody asks for its
+kind.
 """
 
 import importlib
@@ -29,7 +30,10 @@ PACKAGES = {
     "policy": "bulletuav.policies",
     "mobility": "bulletuav.network.mobility",
 }
-"""Where the package's own ingredients of each kind are: a module, or a package whose modules are all imported"""
+"""Where the package's own ingredients of each kind are.
+
+Either a module, or a package whose modules are all imported.
+"""
 
 _registered: dict[str, dict[str, Any]] = {kind: {} for kind in PACKAGES}
 _loaded: set[str] = set()
@@ -76,8 +80,8 @@ def find(kind: str, source: Any, accepts: Callable[[Any], bool]) -> Any:
         The object.
 
     Raises:
-        ValueError: There is none of that name (the nearest are told), the module cannot be imported, or what was
-            given is no ingredient of this kind.
+        ValueError: There is none of that name (the nearest are told), the module cannot be
+            imported, or what was given is no ingredient of this kind.
     """
     if not isinstance(source, str):
         if accepts(source):
@@ -105,7 +109,7 @@ def _table(kind: str) -> dict[str, Any]:
 
 
 def _is_same(one: Any, other: Any) -> bool:
-    """Tell whether two objects come from the same line of code, such as before and after a reload."""
+    """Tell whether two objects come from the same code, such as before and after a reload."""
     return all(
         getattr(one, name, one) == getattr(other, name, other)
         for name in ("__module__", "__qualname__")
@@ -139,9 +143,8 @@ def _imported(kind: str, module: str, attribute: str, accepts: Callable[[Any], b
     except (ImportError, ValueError) as error:  # ValueError: an empty name
         raise ValueError(f"{given} cannot be imported: {error}") from None
     if not hasattr(home, attribute):
-        raise ValueError(
-            f"{given} is not there: {nearest(attribute, [one for one in vars(home) if one[0] != '_'])}"
-        )
+        public = [one for one in vars(home) if one[0] != "_"]
+        raise ValueError(f"{given} is not there: {nearest(attribute, public)}")
     found = getattr(home, attribute)
     if not accepts(found):
         raise ValueError(f"{given} is {shown(found)}: that is no {kind}")

@@ -14,7 +14,7 @@ from bulletuav import kernel
 
 @pytest.fixture
 def package(tmp_path):
-    """A package with our `kernel` module, a helper in one file and its compiled caller in another."""
+    """A package of our `kernel` module, a helper in one file and its compiled caller in another."""
     folder = tmp_path / "small"
     folder.mkdir()
     shutil.copy(kernel.__file__, folder / "kernel.py")
@@ -33,7 +33,10 @@ def package(tmp_path):
             "PYTHONPATH": str(tmp_path),
             "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
         }
-        code = "from small.caller import caller; print(caller(1), sum(caller.stats.cache_hits.values()))"
+        code = (
+            "from small.caller import caller; "
+            "print(caller(1), sum(caller.stats.cache_hits.values()))"
+        )
         out = subprocess.run(
             [sys.executable, "-c", code],
             env=env,
@@ -117,11 +120,11 @@ def test_the_global_setting_of_numba_is_left_alone():
 
 
 def test_a_new_task_leaves_the_kernels_as_they_are(tmp_path):
-    (tmp_path / "tasks" / "terms").mkdir(parents=True)
+    (tmp_path / "tasks" / "rewards").mkdir(parents=True)
     before = kernel.source_hash(tmp_path, but="tasks")
     (tmp_path / "tasks" / "mine.py").write_text("x = 1")
     assert kernel.source_hash(tmp_path, but="tasks") == before != kernel.source_hash(tmp_path)
-    (tmp_path / "tasks" / "terms" / "mine.py").write_text("x = 1")
+    (tmp_path / "tasks" / "rewards" / "mine.py").write_text("x = 1")
     assert kernel.source_hash(tmp_path, but="tasks") != before
 
 
@@ -130,6 +133,6 @@ def test_kernels_use_nothing_of_task_files():
     package = Path(bulletuav.__file__).parent
     for path in package.rglob("*.py"):
         text = path.read_text()
-        if "@kernel" in text or "@formula" in text:
+        if "@kernel" in text or "@func" in text:
             names = re.findall(r"^from bulletuav\.tasks(?:\.(\w+))? import", text, re.MULTILINE)
-            assert set(names) <= {"terms"}, path
+            assert set(names) <= {"observations", "rewards"}, path

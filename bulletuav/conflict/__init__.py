@@ -1,1 +1,4 @@
-"""Measures of conflict between drones: separation, closest approach, time to conflict, probability."""
+"""Measures of conflict between drones.
+
+Separation within a decision, closest approach, time to conflict, and its probability.
+"""

@@ -1,4 +1,7 @@
-"""Conflict: separation below d_safe (never to be mixed with collision, which is contact of collision shapes)."""
+"""Conflict: a separation below d_safe.
+
+Never to be mixed with collision, which is contact of collision shapes.
+"""
 
 import math
 from typing import NamedTuple
@@ -10,11 +13,13 @@ from bulletuav.kernel import kernel
 
 
 class Conflict(NamedTuple):
-    """Separations of each drone from the others within one decision, all (W, N).
+    """Separations of each drone from the others within one decision.
 
-    separation  closest distance to another living drone, m; inf when alone
-    onsets      other drones with which a conflict began, count
-    nearness    sum over others of how deep they came into the warning zone, from its edge (0) to d_safe (1)
+    Attributes:
+        separation: (W, N) closest distance to another living drone, m; inf when alone.
+        onsets: (W, N) number of other drones with which a conflict began.
+        nearness: (W, N) sum over the others of how deep they came into the warning zone, from its
+            edge (0) to d_safe (1).
     """
 
     separation: np.ndarray
@@ -23,16 +28,32 @@ class Conflict(NamedTuple):
 
 
 @kernel
-def _conflict(before, after, alive, d_safe, zone, separation, onsets, nearness):
+def _fill_conflict(
+    before: np.ndarray,
+    after: np.ndarray,
+    alive: np.ndarray,
+    d_safe: float,
+    zone: float,
+    separation: np.ndarray,
+    onsets: np.ndarray,
+    nearness: np.ndarray,
+) -> None:
+    """Fill the arrays of a `Conflict`."""
     for w in range(alive.shape[0]):
         for i in range(alive.shape[1]):
             for j in range(i + 1, alive.shape[1]):
                 if not (alive[w, i] and alive[w, j]):
                     continue
-                start, least = closest_squared(offset(before, w, i, j), offset(after, w, i, j))
-                start, least = math.sqrt(start), math.sqrt(least)
+                # How close the pair comes on its way, and at its start.
+                at_start = offset(before, w, i, j)
+                at_end = offset(after, w, i, j)
+                start_squared, least_squared = closest_squared(at_start, at_end)
+                start = math.sqrt(start_squared)
+                least = math.sqrt(least_squared)
+                # A conflict that lasts began in an earlier decision.
                 began = 1 if least < d_safe <= start else 0
                 depth = min(1.0, max(0.0, (zone - least) / (zone - d_safe)))
+                # Both drones of the pair count it.
                 for k in (i, j):
                     separation[w, k] = min(separation[w, k], least)
                     onsets[w, k] += began
@@ -42,13 +63,25 @@ def _conflict(before, after, alive, d_safe, zone, separation, onsets, nearness):
 def conflict(
     before: np.ndarray, after: np.ndarray, alive: np.ndarray, d_safe: float, zone: float
 ) -> Conflict:
-    """Separations while positions (W, N, 3) go straight from `before` to `after`; only living drones (W, N) count.
+    """Measure separations while all drones go straight from one position to the next.
 
-    A conflict that lasts is counted once, in the decision in which the separation falls below `d_safe` (m). The warning
-    zone ends at a separation of `zone` (m), more than d_safe.
+    A conflict that lasts is counted once, in the decision in which the separation falls below
+    `d_safe`.
+
+    Args:
+        before: (W, N, 3) positions at the start of the decision, m.
+        after: (W, N, 3) positions at its end, m.
+        alive: (W, N) bool, the drones that count.
+        d_safe: Separation below which two drones are in conflict, m.
+        zone: Separation at which the warning zone ends, m; more than `d_safe`.
+
+    Returns:
+        The separations of each drone.
     """
     result = Conflict(
-        np.full(alive.shape, np.inf), np.zeros(alive.shape, dtype=np.int64), np.zeros(alive.shape)
+        separation=np.full(alive.shape, np.inf),
+        onsets=np.zeros(alive.shape, dtype=np.int64),
+        nearness=np.zeros(alive.shape),
     )
-    _conflict(before, after, alive, d_safe, zone, *result)
+    _fill_conflict(before, after, alive, d_safe, zone, *result)
     return result

@@ -1,40 +1,53 @@
-"""Distances, and how close two points come that both move straight."""
+"""Distances, and how close two points come when both move straight."""
 
 import math
 
 import numpy as np
 
-from bulletuav.geometry.rotation import dot
+from bulletuav.geometry.rotation import Vec3, Vec3Like, dot, minus, vec3
 from bulletuav.kernel import func, kernel
 
 
 @func
-def offset(position, w, i, j):
-    """From point i to point j of world w of `position` (W, N, 3), as a tuple."""
-    return (
-        position[w, j, 0] - position[w, i, 0],
-        position[w, j, 1] - position[w, i, 1],
-        position[w, j, 2] - position[w, i, 2],
-    )
+def offset(position: np.ndarray, w: int, i: int, j: int) -> Vec3:
+    """Return the vector from point i to point j of world w of `position` (W, N, 3)."""
+    return minus(vec3(position, w, j), vec3(position, w, i))
 
 
 @func
-def keep_nearest(near, distance, found, j, gap):
-    """Insert j at `gap` into the first `found` of near and distance, nearest first, if there is room; how many there are."""
+def keep_nearest(near: np.ndarray, distance: np.ndarray, found: int, j: int, gap: float) -> int:
+    """Insert a point into a list of the nearest ones, if there is room for it.
+
+    Args:
+        near: (K,) indices of the nearest points so far, nearest first; changed in place.
+        distance: (K,) their distances, m; changed in place.
+        found: How many entries of both are in use.
+        j: Index of the new point.
+        gap: Its distance, m.
+
+    Returns:
+        How many entries are in use now, at most K.
+    """
     if found == near.size and gap >= distance[found - 1]:
         return found
     found = min(found + 1, near.size)
+    # Move what is farther than the new point one slot back; the last falls out of a full list.
     slot = found - 1
     while slot > 0 and distance[slot - 1] > gap:
-        near[slot], distance[slot] = near[slot - 1], distance[slot - 1]
+        near[slot] = near[slot - 1]
+        distance[slot] = distance[slot - 1]
         slot -= 1
-    near[slot], distance[slot] = j, gap
+    near[slot] = j
+    distance[slot] = gap
     return found
 
 
 @kernel
-def distances(one, two):
-    """(W, N) distances between points (W, N, 3) of the same index; faster than numpy where there are few."""
+def distances(one: np.ndarray, two: np.ndarray) -> np.ndarray:
+    """Return the distances (W, N), m, between points (W, N, 3) of the same index.
+
+    Faster than numpy where there are few points.
+    """
     result = np.empty(one.shape[:2])
     for w in range(one.shape[0]):
         for i in range(one.shape[1]):
@@ -46,11 +59,22 @@ def distances(one, two):
 
 
 @func
-def closest_squared(gap, later):
-    """Squared distance at the start, and least, of two points whose offset moves straight from `gap` to `later`."""
-    change = (later[0] - gap[0], later[1] - gap[1], later[2] - gap[2])
-    along, square, start = dot(gap, change), dot(change, change), dot(gap, gap)
+def closest_squared(gap: Vec3Like, later: Vec3Like) -> tuple[float, float]:
+    """Return how close two points come while both move straight.
+
+    Args:
+        gap: Offset of the points at the start, m.
+        later: Their offset at the end, m.
+
+    Returns:
+        Their squared distance at the start, and the least on the way, m^2.
+    """
+    change = minus(later, gap)
+    along = dot(gap, change)
+    square = dot(change, change)
+    start = dot(gap, gap)
     least = start
+    # The squared distance is a parabola in time; its vertex counts where it lies on the way.
     if along < 0.0:
         time = min(1.0, -along / square)
         least = max(0.0, start + 2.0 * time * along + time * time * square)

@@ -6,19 +6,29 @@ from dataclasses import dataclass
 from bulletuav.errors import as_sequence, choose, finite, shown
 
 SIZES = {"box": 3, "sphere": 1}
-"""Kinds, and how many numbers tell their size"""
-LARGEST = 4096.0  # m
+"""Kinds of obstacles, and how many numbers tell their size."""
+LARGEST = 4096.0
+"""Greatest edge or radius of an obstacle, m."""
 
 
 @dataclass(frozen=True)
 class Obstacle:
-    """`kind` "box" (size: three edges, m) or "sphere" (size: radius, m); colour red, green, blue, alpha from 0 to 1."""
+    """A body that stands or moves in a world, and that drones can hit.
+
+    Attributes:
+        kind: "box" or "sphere".
+        size: Three edges of a box, or the radius of a sphere, m.
+        colour: Red, green, blue and opacity, from 0 to 1.
+
+    Raises:
+        ValueError: The kind is unknown, or a number is out of its bounds.
+    """
 
     kind: str
     size: tuple[float, ...]
     colour: tuple[float, float, float, float] = (0.55, 0.57, 0.62, 1.0)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         choose("kind of obstacle", self.kind, SIZES)
         size = as_sequence("size of an obstacle", self.size, SIZES[self.kind])
         if min(finite("size of an obstacle", one, most=LARGEST) for one in size) <= 0:

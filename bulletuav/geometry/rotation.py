@@ -1,6 +1,9 @@
-"""Rotations of one drone as compiled functions: quaternions (x, y, z, w) turn body FLU axes into world ENU axes.
+"""Vectors and rotations of one drone as compiled functions.
 
-Vectors and quaternions come as arrays or tuples and leave as tuples, so nothing is allocated.
+Quaternions are (x, y, z, w) and turn body axes (FLU: x forward, y left, z up) into world axes
+(ENU: x east, y north, z up). Vectors and quaternions come as arrays or tuples and leave as tuples,
+so nothing is allocated.
+
 Formulas: J. Diebel, Representing Attitude (2006); the exponential map is exact.
 """
 
@@ -11,47 +14,69 @@ import numpy as np
 from bulletuav.kernel import func
 
 Vec3 = tuple[float, float, float]
+"""Vector (x, y, z) that compiled functions return."""
 Quat4 = tuple[float, float, float, float]
+"""Quaternion (x, y, z, w) that compiled functions return."""
 Vec3Like = Vec3 | np.ndarray
+"""Vector that compiled functions take: a tuple of three numbers or an array (3,)."""
 Quat4Like = Quat4 | np.ndarray
-"""What compiled functions take: a tuple of numbers, or an array (3,) or (4,)"""
+"""Quaternion that compiled functions take: a tuple of four numbers or an array (4,)."""
 
 
 @func
-def vec3(array, w, i):
-    """array[w, i] (3,) as a tuple: unlike a view it costs nothing."""
+def vec3(array: np.ndarray, w: int, i: int) -> Vec3:
+    """Return array[w, i] (3,) as a tuple: unlike a view it costs nothing."""
     return array[w, i, 0], array[w, i, 1], array[w, i, 2]
 
 
 @func
-def quat4(array, w, i):
-    """array[w, i] (4,) as a tuple."""
+def quat4(array: np.ndarray, w: int, i: int) -> Quat4:
+    """Return array[w, i] (4,) as a tuple: unlike a view it costs nothing."""
     return array[w, i, 0], array[w, i, 1], array[w, i, 2], array[w, i, 3]
 
 
 @func
-def cross(a, b):
-    """Vector product a x b."""
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+def point(array: np.ndarray, m: int) -> Vec3:
+    """Return array[m] (3,) as a tuple: unlike a view it costs nothing."""
+    return array[m, 0], array[m, 1], array[m, 2]
 
 
 @func
-def dot(a, b):
-    """Scalar product of two vectors of three."""
+def minus(a: Vec3Like, b: Vec3Like) -> Vec3:
+    """Return the difference a - b."""
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@func
+def cross(a: Vec3Like, b: Vec3Like) -> Vec3:
+    """Return the vector product a x b."""
+    return (
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    )
+
+
+@func
+def dot(a: Vec3Like, b: Vec3Like) -> float:
+    """Return the scalar product of two vectors of three numbers."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @func
-def normalised(q):
-    """The unit quaternion q / |q|."""
+def normalised(q: Quat4Like) -> Quat4:
+    """Return the unit quaternion q / |q|."""
     scale = 1.0 / math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     return q[0] * scale, q[1] * scale, q[2] * scale, q[3] * scale
 
 
 @func
-def axes(q):
-    """The body's x, y and z axes in the world: the columns of the rotation matrix."""
-    x, y, z, w = q[0], q[1], q[2], q[3]
+def axes(q: Quat4Like) -> tuple[Vec3, Vec3, Vec3]:
+    """Return the body's x, y and z axes in the world: the columns of the rotation matrix R."""
+    x = q[0]
+    y = q[1]
+    z = q[2]
+    w = q[3]
     return (
         (1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)),
         (2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)),
@@ -60,8 +85,8 @@ def axes(q):
 
 
 @func
-def to_world(q, v):
-    """R v: a body vector in world axes."""
+def to_world(q: Quat4Like, v: Vec3Like) -> Vec3:
+    """Turn a vector from body axes into world axes: R v."""
     bx, by, bz = axes(q)
     return (
         bx[0] * v[0] + by[0] * v[1] + bz[0] * v[2],
@@ -71,26 +96,39 @@ def to_world(q, v):
 
 
 @func
-def to_body(q, v):
-    """R^T v: a world vector in body axes."""
+def to_body(q: Quat4Like, v: Vec3Like) -> Vec3:
+    """Turn a vector from world axes into body axes: R^T v."""
     bx, by, bz = axes(q)
     return dot(bx, v), dot(by, v), dot(bz, v)
 
 
 @func
-def exponential(v):
-    """Quaternion of the rotation by |v| radians about v."""
+def exponential(v: Vec3Like) -> Quat4:
+    """Return the quaternion of the rotation by |v| radians about v (the exponential map)."""
     angle = math.sqrt(dot(v, v))
+    # Below the limit sin(angle / 2) / angle is 1/2 to the last digit, and 0 / 0 is avoided.
     scale = math.sin(0.5 * angle) / angle if angle > 1e-12 else 0.5
     return scale * v[0], scale * v[1], scale * v[2], math.cos(0.5 * angle)
 
 
 @func
-def from_euler(roll, pitch, yaw):
-    """Quaternion of yaw, then pitch, then roll about the moving z, y, x axes (the aerospace order)."""
-    cr, sr = math.cos(0.5 * roll), math.sin(0.5 * roll)
-    cp, sp = math.cos(0.5 * pitch), math.sin(0.5 * pitch)
-    cy, sy = math.cos(0.5 * yaw), math.sin(0.5 * yaw)
+def from_euler(roll: float, pitch: float, yaw: float) -> Quat4:
+    """Return the quaternion of Euler angles in the aerospace order.
+
+    Args:
+        roll: Last turn, about the moved x axis, rad.
+        pitch: Second turn, about the moved y axis, rad.
+        yaw: First turn, about the z axis, rad.
+
+    Returns:
+        The quaternion, body to world.
+    """
+    cr = math.cos(0.5 * roll)
+    sr = math.sin(0.5 * roll)
+    cp = math.cos(0.5 * pitch)
+    sp = math.sin(0.5 * pitch)
+    cy = math.cos(0.5 * yaw)
+    sy = math.sin(0.5 * yaw)
     return (
         sr * cp * cy - cr * sp * sy,
         cr * sp * cy + sr * cp * sy,

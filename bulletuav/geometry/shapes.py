@@ -1,49 +1,100 @@
 """Rays and the collision shapes of drones: a sphere, a cylinder along the body's z axis, or a box.
 
-Each is convex, so a line is inside it between two points (T. Kay and J. Kajiya, Ray tracing complex scenes, 1986).
+Each shape is convex, so a line is inside it between two points (T. Kay and J. Kajiya, Ray tracing
+complex scenes, 1986). Functions describe a ray by its point `start` and its vector `change`, and a
+point on it by the share t of the way: start + t change. Where a line never is inside, the share at
+which it enters is larger than the one at which it leaves.
 """
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from bulletuav.geometry.closest_approach import closest_squared
-from bulletuav.geometry.rotation import dot, quat4, to_body, vec3
+from bulletuav.geometry.rotation import Vec3Like, dot, minus, point, quat4, to_body, vec3
 from bulletuav.kernel import func, kernel
 
 SPHERE, CYLINDER, BOX = range(3)
 
 
 class Shape(NamedTuple):
-    """`kind` SPHERE, CYLINDER or BOX; `half`: half extents of its bounding box in body axes, m."""
+    """Collision shape of a drone, about its centre of mass.
+
+    Attributes:
+        kind: SPHERE, CYLINDER or BOX.
+        half: Half extents of its bounding box in body axes, m.
+    """
 
     kind: int
     half: tuple[float, float, float]
 
 
+class Poses(Protocol):
+    """What rays need to know of a swarm of W worlds of N drones."""
+
+    @property
+    def position(self) -> np.ndarray:
+        """Centres of mass (W, N, 3), m."""
+
+    @property
+    def quaternion(self) -> np.ndarray:
+        """Attitudes (W, N, 4), body to world, (x, y, z, w)."""
+
+
 @func
-def slab(start, change, low, high):
-    """Shares t at which start + t change enters and leaves the slab from `low` to `high`; inf, -inf where it never does."""
+def slab(start: float, change: float, low: float, high: float) -> tuple[float, float]:
+    """Return the shares t at which a line enters and leaves a slab.
+
+    Args:
+        start: Coordinate of the line at t = 0, m.
+        change: Change of this coordinate from t = 0 to t = 1, m.
+        low: Where the slab begins, m.
+        high: Where it ends, m.
+
+    Returns:
+        The shares of entry and exit; (inf, -inf) where the line never is inside.
+    """
+    # A line along the slab is inside all the way or never.
     if change == 0.0:
         return (-np.inf, np.inf) if low <= start <= high else (np.inf, -np.inf)
-    one, two = (low - start) / change, (high - start) / change
+    one = (low - start) / change
+    two = (high - start) / change
     return min(one, two), max(one, two)
 
 
 @func
-def inside_box(start, change, low, high):
-    """Shares t between which start + t change is in the box between two corners; the first is larger where it never is."""
-    enters, leaves = -np.inf, np.inf
+def inside_box(
+    start: Vec3Like, change: Vec3Like, low: Vec3Like, high: Vec3Like
+) -> tuple[float, float]:
+    """Return the shares t between which a line is in the box between two corners.
+
+    Args:
+        start: Point of the line at t = 0, m.
+        change: Vector from there to the point at t = 1, m.
+        low: Corner of least coordinates, m.
+        high: Corner of greatest coordinates, m.
+
+    Returns:
+        The shares of entry and exit; the first is larger where the line never is inside.
+    """
+    # The box is where three slabs overlap: the last entry and the first exit count.
+    enters = -np.inf
+    leaves = np.inf
     for k in range(3):
         one, two = slab(start[k], change[k], low[k], high[k])
-        enters, leaves = max(enters, one), min(leaves, two)
+        enters = max(enters, one)
+        leaves = min(leaves, two)
     return enters, leaves
 
 
 @func
-def _round(along, square, outside):
-    """Roots t of t^2 square + 2 t along + outside, squared distance less squared radius; inf, -inf for none."""
+def _inside_round(along: float, square: float, outside: float) -> tuple[float, float]:
+    """Return the roots t of t^2 square + 2 t along + outside, or (inf, -inf) for none.
+
+    This is the squared distance from a centre or an axis less the squared radius.
+    """
+    # The line keeps its distance: it is inside all the way or never.
     if square == 0.0:
         return (-np.inf, np.inf) if outside <= 0.0 else (np.inf, -np.inf)
     root = along * along - square * outside
@@ -54,39 +105,74 @@ def _round(along, square, outside):
 
 
 @func
-def inside(kind, half, start, change):
-    """Shares t between which start + t change (body axes) is inside the shape; the first is larger where it never is."""
+def inside(kind: int, half: Vec3Like, start: Vec3Like, change: Vec3Like) -> tuple[float, float]:
+    """Return the shares t between which a line is inside a collision shape.
+
+    Args:
+        kind: SPHERE, CYLINDER or BOX.
+        half: Half extents of the shape, m.
+        start: Point of the line at t = 0, in body axes from the centre, m.
+        change: Vector from there to the point at t = 1, in body axes, m.
+
+    Returns:
+        The shares of entry and exit; the first is larger where the line never is inside.
+    """
     if kind == SPHERE:
-        return _round(dot(start, change), dot(change, change), dot(start, start) - half[0] ** 2)
+        outside = dot(start, start) - half[0] ** 2
+        return _inside_round(dot(start, change), dot(change, change), outside)
     if kind == BOX:
         return inside_box(start, change, (-half[0], -half[1], -half[2]), half)
+    # A cylinder is where a slab along z and a round column about it overlap.
     enters, leaves = slab(start[2], change[2], -half[2], half[2])
-    along, square = start[0] * change[0] + start[1] * change[1], change[0] ** 2 + change[1] ** 2
-    one, two = _round(along, square, start[0] ** 2 + start[1] ** 2 - half[0] ** 2)
+    along = start[0] * change[0] + start[1] * change[1]
+    square = change[0] ** 2 + change[1] ** 2
+    outside = start[0] ** 2 + start[1] ** 2 - half[0] ** 2
+    one, two = _inside_round(along, square, outside)
     return max(enters, one), min(leaves, two)
 
 
 @kernel
-def meet_drones(fraction, start, end, world, swarm, mask, kind, half):
-    """Lower `fraction` (M,) of rays (M, 3) in worlds (M,) to where they enter the shape of a drone of `mask` (W, N).
+def meet_drones(
+    fraction: np.ndarray,
+    start: np.ndarray,
+    end: np.ndarray,
+    world: np.ndarray,
+    swarm: Poses,
+    mask: np.ndarray,
+    kind: np.ndarray,
+    half: np.ndarray,
+) -> None:
+    """Shorten rays to where they enter the collision shape of a drone.
 
-    kind (N,), half (N, 3) of the shapes. Drones in which a ray starts are not seen by it.
+    Drones in which a ray starts are not seen by it.
+
+    Args:
+        fraction: (M,) share of each ray that is free so far; lowered in place.
+        start: (M, 3) where the rays begin, m.
+        end: (M, 3) where they end, m.
+        world: (M,) index of the world of each ray.
+        swarm: State of the drones.
+        mask: (W, N) bool, which drones can be met.
+        kind: (N,) kinds of the shapes.
+        half: (N, 3) half extents of the shapes, m.
     """
     for m in range(world.shape[0]):
         w = world[m]
         for i in range(mask.shape[1]):
             if not mask[w, i]:
                 continue
+            # The ray as seen from the drone's centre.
             place = vec3(swarm.position, w, i)
-            here = (start[m, 0] - place[0], start[m, 1] - place[1], start[m, 2] - place[2])
-            there = (end[m, 0] - place[0], end[m, 1] - place[1], end[m, 2] - place[2])
-            size = (half[i, 0], half[i, 1], half[i, 2])
+            here = minus(point(start, m), place)
+            there = minus(point(end, m), place)
+            # Most rays pass outside the bounding sphere: these are sorted out first.
+            size = point(half, i)
             if closest_squared(here, there)[1] > dot(size, size):
                 continue
+            # The others meet the shape in the drone's body axes.
             attitude = quat4(swarm.quaternion, w, i)
-            change = (there[0] - here[0], there[1] - here[1], there[2] - here[2])
-            enters, leaves = inside(
-                kind[i], size, to_body(attitude, here), to_body(attitude, change)
-            )
+            body_here = to_body(attitude, here)
+            body_change = to_body(attitude, minus(there, here))
+            enters, leaves = inside(kind[i], size, body_here, body_change)
             if 0.0 <= enters <= leaves:
                 fraction[m] = min(fraction[m], enters)

@@ -1,4 +1,9 @@
-"""Solid things that stand still during an episode, made of convex pieces: axis-aligned boxes, and hulls for all else."""
+"""Solid things that stand still during an episode, made of convex pieces.
+
+A piece is an axis-aligned box, or the convex hull of points for everything else. A mesh is a pair
+of arrays: corners (V, 3), m, and triangles (T, 3), which are indices of corners and turn left seen
+from outside.
+"""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -6,21 +11,28 @@ from functools import cached_property
 
 import numpy as np
 
+Mesh = tuple[np.ndarray, np.ndarray]
+"""Corners (V, 3), m, and triangles (T, 3)."""
+
 BOX_TRIANGLES = np.array(
     [
         (0, 2, 1), (1, 2, 3), (4, 5, 6), (5, 7, 6), (0, 1, 4), (1, 5, 4),
         (2, 6, 3), (3, 6, 7), (0, 4, 2), (2, 4, 6), (1, 3, 5), (3, 7, 5),
     ]
 )  # fmt: skip
-"""Faces of a box, turning left seen from outside; corner k has x, y, z at the high end where bits 0, 1, 2 of k are set"""
+"""Triangles of a box.
+
+Corner k has x, y, z at the high end where bits 0, 1, 2 of k are set.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Solids:
-    """Convex pieces: boxes first, then hulls.
+    """Convex pieces: boxes first, then hulls. There are P of them.
 
-    boxes  (B, 2, 3) low and high corner of each box, m
-    hulls  of each other piece its corners (V, 3), m, in any order
+    Attributes:
+        boxes: (B, 2, 3) low and high corner of each box, m.
+        hulls: Corners (V, 3), m, in any order, of each other piece.
     """
 
     boxes: np.ndarray
@@ -28,64 +40,79 @@ class Solids:
 
     @cached_property
     def bounds(self) -> np.ndarray:
-        """(P, 2, 3) low and high corner of each piece's bounding box, m."""
+        """Low and high corner (P, 2, 3) of the bounding box of each piece, m."""
         of_hulls = [(hull.min(axis=0), hull.max(axis=0)) for hull in self.hulls]
         return np.concatenate([self.boxes, np.array(of_hulls).reshape(-1, 2, 3)])
 
     @cached_property
-    def faces(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Of each piece its corners (V, 3), m, and triangles (T, 3) of them that turn left seen from outside."""
-        return [(box_corners(box), BOX_TRIANGLES) for box in self.boxes] + [
-            _hull_faces(hull) for hull in self.hulls
-        ]
+    def faces(self) -> list[Mesh]:
+        """Mesh of each piece."""
+        of_boxes = [(box_corners(box), BOX_TRIANGLES) for box in self.boxes]
+        return of_boxes + [_hull_faces(hull) for hull in self.hulls]
 
     @cached_property
-    def mesh(self) -> tuple[np.ndarray, np.ndarray]:
-        """Surfaces of all pieces as vertices (V, 3), m, and triangles (T, 3)."""
-        return joined(self.faces)
+    def mesh(self) -> Mesh:
+        """Mesh of all pieces together."""
+        return join_meshes(self.faces)
 
-    def meshes(self, most: int) -> list[tuple[np.ndarray, np.ndarray]]:
-        """The mesh in parts of about `most` corners of triangles."""
-        part = np.cumsum([3 * len(triangles) for _, triangles in self.faces], dtype=int) // most
-        return [joined([self.faces[p] for p in np.flatnonzero(part == k)]) for k in np.unique(part)]
+    def meshes(self, most: int) -> list[Mesh]:
+        """Split the mesh into parts of about `most` corners of triangles, whole pieces each."""
+        corners = [3 * len(triangles) for _, triangles in self.faces]
+        part = np.cumsum(corners, dtype=int) // most
+        return [
+            join_meshes([self.faces[p] for p in np.flatnonzero(part == k)]) for k in np.unique(part)
+        ]
 
 
-def joined(faces: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
-    """One mesh of several."""
-    counts = np.cumsum([0] + [len(corners) for corners, _ in faces])
-    triangles = [triangle + first for (_, triangle), first in zip(faces, counts, strict=False)]
+def join_meshes(faces: Sequence[Mesh]) -> Mesh:
+    """Make one mesh of several, which keep their order."""
     vertices = [corners for corners, _ in faces]
-    return np.concatenate([np.zeros((0, 3)), *vertices]), np.concatenate(
-        [np.zeros((0, 3), dtype=int), *triangles]
+    # Triangles count from the first corner of their own mesh on.
+    firsts = np.cumsum([0] + [len(corners) for corners in vertices])
+    triangles = [one + first for (_, one), first in zip(faces, firsts, strict=False)]
+    return (
+        np.concatenate([np.zeros((0, 3)), *vertices]),
+        np.concatenate([np.zeros((0, 3), dtype=int), *triangles]),
     )
 
 
 def box_corners(box: np.ndarray) -> np.ndarray:
-    """(8, 3) corners of a box (2, 3) in the order of `BOX_TRIANGLES`."""
+    """Return the corners (8, 3) of a box (2, 3) in the order of `BOX_TRIANGLES`."""
     which = np.arange(8)
     return np.stack([box[which >> axis & 1, axis] for axis in range(3)], axis=1)
 
 
-def _hull_faces(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """`Solids.faces` of the convex hull of points (V, 3). Raises ValueError where they span no volume."""
-    from scipy.spatial import (
-        ConvexHull,
-        QhullError,
-    )  # which takes long to import, and boxes do without
+def _hull_faces(corners: np.ndarray) -> Mesh:
+    """Return the mesh of the convex hull of points (V, 3).
+
+    Raises:
+        ValueError: The points span no volume.
+    """
+    # SciPy's hulls take long to import, and boxes do without.
+    from scipy.spatial import ConvexHull, QhullError
 
     try:
         hull = ConvexHull(corners)
     except QhullError:
         raise ValueError(f"a piece with the corners {corners.tolist()} m spans no volume") from None
     faces = hull.simplices.astype(int)
+    # Turn those faces round whose normal does not point along the outward one of the hull.
     a, b, c = (corners[faces[:, k]] for k in range(3))
-    inward = (np.cross(b - a, c - a) * hull.equations[:, :3]).sum(axis=1) < 0
+    normals = np.cross(b - a, c - a)
+    inward = (normals * hull.equations[:, :3]).sum(axis=1) < 0
     faces[inward] = faces[inward][:, ::-1]
     return corners, faces
 
 
 def obj_lines(pieces: Iterable[tuple[str, np.ndarray, np.ndarray]]) -> Iterator[str]:
-    """Lines of a Wavefront OBJ file, an object for each piece: name, corners (V, 3), triangles (T, 3); with all digits."""
+    """Write pieces as a Wavefront OBJ file, one object each, with all digits.
+
+    Args:
+        pieces: Name, corners (V, 3) and triangles (T, 3) of each.
+
+    Yields:
+        The lines of the file.
+    """
     first = 1
     for name, corners, triangles in pieces:
         yield f"o {name}"
@@ -95,12 +122,20 @@ def obj_lines(pieces: Iterable[tuple[str, np.ndarray, np.ndarray]]) -> Iterator[
 
 
 def apart_groups(bounds: np.ndarray, apart: float) -> list[np.ndarray]:
-    """Indices of pieces with these bounding boxes (P, 2, 3), in groups whose members keep `apart` m from each other.
+    """Group pieces so that the members of a group keep a distance from each other.
 
-    Greedy graph colouring: few groups, the same for the same pieces.
+    Greedy graph colouring: few groups, and the same for the same pieces.
+
+    Args:
+        bounds: (P, 2, 3) bounding boxes of the pieces, m.
+        apart: The distance along at least one axis, m.
+
+    Returns:
+        Indices of the pieces of each group.
     """
     colour = np.full(len(bounds), -1)
     for p, (low, high) in enumerate(bounds):
+        # Take the first colour that no close piece has.
         gap = np.maximum(bounds[:p, 0] - high, low - bounds[:p, 1]).max(axis=1, initial=-np.inf)
         taken = set(colour[:p][gap < apart].tolist())
         colour[p] = next(k for k in range(p + 1) if k not in taken)

@@ -5,17 +5,25 @@ from typing import NamedTuple
 
 import numpy as np
 
-NEAR, FAR = 0.05, 2000.0  # m, what cameras see
-
+NEAR = 0.05
+"""Distance along the view axis at which cameras begin to see, m."""
+FAR = 2000.0
+"""Distance along the view axis to which cameras see, m."""
 
 AIR = (206, 224, 240)
-"""Colour of the sky"""
+"""Colour of the sky: red, green, blue, from 0 to 255."""
 SKY, LAND, BUILDING, OBSTACLE, DRONE = range(5)
-"""What a pixel shows"""
+"""Labels of what a pixel shows."""
 
 
 class Picture(NamedTuple):
-    """pixels (H, W, 3) uint8; depth (H, W) float32, m along the view axis, FAR where nothing is; labels (H, W) uint8."""
+    """An image of a camera, H pixels high and W wide.
+
+    Attributes:
+        pixels: (H, W, 3) uint8, red, green, blue.
+        depth: (H, W) float32, distance along the view axis, m; FAR where nothing is.
+        labels: (H, W) uint8, what each pixel shows: SKY, LAND, BUILDING, OBSTACLE or DRONE.
+    """
 
     pixels: np.ndarray
     depth: np.ndarray
@@ -25,7 +33,17 @@ class Picture(NamedTuple):
 def view_matrix(
     eye: np.ndarray, target: np.ndarray, up: Sequence[float] = (0.0, 0.0, 1.0)
 ) -> np.ndarray:
-    """(4, 4) from the world to a camera at `eye` looking at `target`, m: x right, y up, z backward."""
+    """Return the view matrix of a camera that looks at a point.
+
+    Args:
+        eye: (3,) where the camera is, m.
+        target: (3,) where it looks, m.
+        up: Direction that is up in the image.
+
+    Returns:
+        (4, 4) matrix from the world to the camera: x right, y up, z backward.
+    """
+    # The camera's axes in the world are the rows of its rotation.
     back = (eye - target) / np.linalg.norm(eye - target)
     right = np.cross(up, back)
     right /= np.linalg.norm(right)
@@ -36,13 +54,22 @@ def view_matrix(
 
 
 def projection_matrix(aspect: float, field_of_view: float) -> np.ndarray:
-    """(4, 4) perspective; aspect is width over height, the field of view vertical, degrees."""
+    """Return the perspective projection between NEAR and FAR.
+
+    Args:
+        aspect: Width of the image over its height.
+        field_of_view: Vertical angle of view, degrees.
+
+    Returns:
+        (4, 4) matrix from the camera to clip space.
+    """
     scale = 1 / np.tan(np.radians(field_of_view) / 2)
     matrix = np.diag([scale / aspect, scale, (FAR + NEAR) / (NEAR - FAR), 0.0])
-    matrix[2, 3], matrix[3, 2] = 2 * FAR * NEAR / (NEAR - FAR), -1.0
+    matrix[2, 3] = 2 * FAR * NEAR / (NEAR - FAR)
+    matrix[3, 2] = -1.0
     return matrix
 
 
 def metres(buffer: np.ndarray) -> np.ndarray:
-    """Depth along the view axis, m, from a depth buffer in [0, 1]."""
+    """Turn a depth buffer in [0, 1] into depth along the view axis, m."""
     return NEAR * FAR / (FAR - (FAR - NEAR) * buffer)

@@ -4,17 +4,28 @@ import numpy as np
 
 from bulletuav.errors import numbers_of
 
-WATT_HOUR = 3600.0  # J
+WATT_HOUR = 3600.0
+"""Joules in a watt-hour."""
 
 
 class Battery:
-    """What W worlds of N drones have left.
+    """The batteries of W worlds of N drones.
 
-    charge  (W, N) share left, from 0 to 1; full until it is started otherwise
+    Attributes:
+        charge: (W, N) share of the energy that is left, from 0 to 1; full until started otherwise.
     """
 
-    def __init__(self, shape: tuple[int, int], capacity: float | np.ndarray):
-        """`capacity` W h, of all or (N,) or (W, N). Raises ValueError unless it is above 0; infinite ones never empty."""
+    def __init__(self, shape: tuple[int, int], capacity: float | np.ndarray) -> None:
+        """Make full batteries.
+
+        Args:
+            shape: (W, N).
+            capacity: Energy of each, W h: one number for all, (N,) or (W, N). Batteries of
+                infinite capacity never empty.
+
+        Raises:
+            ValueError: A capacity is not above 0.
+        """
         given = numbers_of(f"capacity is {capacity!r}:", capacity)
         if not (given > 0).all():
             raise ValueError(f"capacity is {capacity!r}: watt-hours above 0 are needed")
@@ -23,17 +34,33 @@ class Battery:
 
     @property
     def depleted(self) -> np.ndarray:
-        """(W, N) bool: which are empty."""
-        return self.charge <= 0
+        """Which batteries are empty, (W, N) bool."""
+        empty: np.ndarray = self.charge <= 0
+        return empty
 
     def start(self, k: int, charge: float | np.ndarray = 1.0) -> None:
-        """World k begins with a share `charge`, of all or (N,). Raises ValueError unless it is above 0 and at most 1."""
+        """Set the charge of a world at the start of an episode.
+
+        Args:
+            k: Index of the world.
+            charge: Share of the energy: one number for all, or (N,).
+
+        Raises:
+            ValueError: A share is not above 0 and at most 1.
+        """
         given = numbers_of(f"charge is {charge!r}:", charge)
         if not ((given > 0) & (given <= 1)).all():
             raise ValueError(f"charge is {charge!r}: a share above 0 and at most 1 is needed")
         self.charge[k] = given
 
     def drain(self, power: np.ndarray, seconds: float, flying: np.ndarray) -> None:
-        """Take `power` (W, N) W, at least 0, for `seconds` from the drones of `flying` (W, N), down to 0."""
+        """Take energy out, down to empty.
+
+        Args:
+            power: (W, N) power of each drone, at least 0, W.
+            seconds: How long it is taken.
+            flying: (W, N) bool, the drones whose batteries are drained.
+        """
+        # The power of drones that do not fly may be NaN.
         used = np.where(flying, power * seconds / self._energy, 0.0)
         np.maximum(self.charge - used, 0.0, out=self.charge)

@@ -1,8 +1,9 @@
-"""Power that rotors need, W: from the velocity through the air, or from the torque of the simulated rotors.
+"""Power that rotors need, from the velocity through the air or from the torque of the rotors.
 
-Level flight: Y. Zeng, J. Xu, R. Zhang, Energy Minimization for Wireless Communication with Rotary-Wing UAV, IEEE TWC 18(4),
-2019. Climb and descent, which are not in it: axial momentum theory and the vortex-ring fit of J. G. Leishman, Principles of
-Helicopter Aerodynamics (2006), chapter 2. What the vertical motion adds in hover is added at every level speed (our choice).
+Level flight: Y. Zeng, J. Xu, R. Zhang, Energy Minimization for Wireless Communication with
+Rotary-Wing UAV, IEEE TWC 18(4), 2019. Climb and descent, which are not in it: axial momentum theory
+and the vortex-ring fit of J. G. Leishman, Principles of Helicopter Aerodynamics (2006), chapter 2.
+What the vertical motion adds in hover is added at every level speed (our choice).
 """
 
 import math
@@ -11,30 +12,36 @@ from typing import NamedTuple
 import numpy as np
 
 from bulletuav.errors import finite
-from bulletuav.geometry.rotation import vec3
+from bulletuav.geometry.rotation import Vec3Like, vec3
 from bulletuav.kernel import func, kernel
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY, Airframe
 
-DENSITY = 1.225  # kg/m^3, standard atmosphere at sea level
+# Airframes do not tell the following numbers. They get those of Zeng, Xu and Zhang (our choice).
+DENSITY = 1.225
+"""Density of the air, kg/m^3: standard atmosphere at sea level."""
 PROFILE_DRAG = 0.012
+"""Profile drag coefficient of the blades."""
 SOLIDITY = 0.05
-INDUCED_EXCESS = 0.1  # share of the ideal induced power that real rotors lose on top of it
-PARASITE_SHARE = 0.03  # flat-plate area of the fuselage, in disc areas
-"""What Zeng, Xu and Zhang take; airframes do not tell theirs, so they get the same (our choice)"""
+"""Area of the blades over that of the discs."""
+INDUCED_EXCESS = 0.1
+"""Share of the ideal induced power that real rotors lose on top of it."""
+PARASITE_SHARE = 0.03
+"""Flat-plate area of the fuselage, in disc areas."""
 
 
 class RotaryWing(NamedTuple):
     """Constants of one drone's propulsion power.
 
-    blade             profile power of the blades in hover, W
-    induced           induced power in hover, W
-    tip_speed         of the blades, m/s
-    induced_velocity  of the air through the discs in hover, m/s
-    drag_ratio        flat-plate area of the fuselage over the area of the blades
-    density           of the air, kg/m^3
-    solidity          area of the blades over that of the discs
-    disc_area         of all rotors, m^2
-    weight            N
+    Attributes:
+        blade: Profile power of the blades in hover, W.
+        induced: Induced power in hover, W.
+        tip_speed: Speed of the blade tips, m/s.
+        induced_velocity: Speed of the air through the discs in hover, m/s.
+        drag_ratio: Flat-plate area of the fuselage over the area of the blades.
+        density: Density of the air, kg/m^3.
+        solidity: Area of the blades over that of the discs.
+        disc_area: Area of the discs of all rotors, m^2.
+        weight: Weight, N.
     """
 
     blade: float
@@ -49,7 +56,7 @@ class RotaryWing(NamedTuple):
 
 
 ROTARY_WING = np.dtype([(name, "f8") for name in RotaryWing._fields])
-"""Rows for `propulsion`: np.array of a list of `RotaryWing` with this dtype is (N,)"""
+"""Type of rows for `propulsion`: np.array of a list of `RotaryWing` with this dtype is (N,)."""
 
 
 def rotary_wing(
@@ -63,11 +70,26 @@ def rotary_wing(
     profile_drag: float = PROFILE_DRAG,
     induced_excess: float = INDUCED_EXCESS,
 ) -> RotaryWing:
-    """Constants by the appendix of Zeng, Xu and Zhang (2019).
+    """Compute the constants by the appendix of Zeng, Xu and Zhang (2019).
 
-    weight (N), radius of the rotors (m), area of all their discs (m^2), rotor speed in hover (rad/s), flat-plate area of the
-    fuselage (m^2), density of the air (kg/m^3). Raises ValueError unless all numbers are finite and above 0.
+    Args:
+        weight: Weight of the drone, N.
+        radius: Radius of the rotors, m.
+        disc_area: Area of the discs of all rotors, m^2.
+        rotor_speed: Rotor speed in hover, rad/s.
+        parasite_area: Flat-plate area of the fuselage, m^2.
+        density: Density of the air, kg/m^3.
+        solidity: Area of the blades over that of the discs.
+        profile_drag: Profile drag coefficient of the blades.
+        induced_excess: Share of the ideal induced power that is lost on top of it.
+
+    Returns:
+        The constants.
+
+    Raises:
+        ValueError: A number is not finite and above 0.
     """
+    # All arguments, by their names.
     for name, value in locals().copy().items():
         if not finite(name, value) > 0:
             raise ValueError(f"{name} is {value!r}: a number above 0 is needed")
@@ -87,29 +109,57 @@ def rotary_wing(
 
 
 W20 = rotary_wing(weight=20.0, radius=0.4, disc_area=0.503, rotor_speed=300.0, parasite_area=0.0151)
+"""The drone of 20 N of Zeng, Xu and Zhang, as published.
+
+Its constants must not be mixed with those of `W100`.
+"""
 W100 = rotary_wing(
     weight=100.0, radius=0.5, disc_area=0.79, rotor_speed=400.0, parasite_area=0.01185
 )
-"""The drones of 20 N (published) and of 100 N (earlier preprint) of Zeng, Xu and Zhang; their constants must not be mixed"""
+"""The drone of 100 N of their earlier preprint.
+
+Its constants must not be mixed with those of `W20`.
+"""
 
 
 def airframe_wing(airframe: Airframe, gravity: float = STANDARD_GRAVITY) -> RotaryWing:
-    """Constants of an airframe at sea level: of its mass, propellers and hover speed under `gravity`, m/s^2."""
+    """Compute the constants of an airframe at sea level.
+
+    Args:
+        airframe: Its mass, propellers and hover speed count.
+        gravity: Gravity, m/s^2.
+
+    Returns:
+        The constants.
+    """
     radius = airframe.propeller_radius
     area = len(airframe.rotors) * math.pi * radius**2
     return rotary_wing(
-        airframe.mass * gravity, radius, area, airframe.hover_speed(gravity), PARASITE_SHARE * area
+        weight=airframe.mass * gravity,
+        radius=radius,
+        disc_area=area,
+        rotor_speed=airframe.hover_speed(gravity),
+        parasite_area=PARASITE_SHARE * area,
     )
 
 
 @func
-def level_power(speed, wing):
-    """Blade, induced and parasite power (W) of straight level flight at `speed` m/s, at least 0.
+def level_power(speed: float, wing: RotaryWing) -> tuple[float, float, float]:
+    """Return the power of straight level flight.
 
-    Zeng, Xu and Zhang (2019), eq. 12. The induced term is there Pi (sqrt(1 + x^2) - x)^(1/2) with x = V^2 / (2 v0^2), a
-    difference that cancels at high speed; the quotient here equals it and does not.
+    Zeng, Xu and Zhang (2019), eq. 12. The induced term is there Pi (sqrt(1 + x^2) - x)^(1/2) with
+    x = V^2 / (2 v0^2), a difference that cancels at high speed. The quotient here equals it and
+    does not cancel.
+
+    Args:
+        speed: Speed through the air, at least 0, m/s.
+        wing: Constants of the drone.
+
+    Returns:
+        Blade, induced and parasite power, W.
     """
-    tip, x = speed / wing.tip_speed, 0.5 * (speed / wing.induced_velocity) ** 2
+    tip = speed / wing.tip_speed
+    x = 0.5 * (speed / wing.induced_velocity) ** 2
     parasite_area = wing.drag_ratio * wing.solidity * wing.disc_area
     return (
         wing.blade * (1.0 + 3.0 * tip * tip),
@@ -119,39 +169,73 @@ def level_power(speed, wing):
 
 
 @func
-def axial_inflow(x):
-    """Air through the disc in vertical flight, climb rate `x` plus induced velocity, all in induced velocities of hover.
+def axial_inflow(x: float) -> float:
+    """Return the air through the disc in vertical flight: climb rate plus induced velocity.
 
-    Climb: momentum theory. Descent to -2: Leishman's fit of the vortex ring. Faster: the windmill brake of momentum theory;
-    it misses the end of the fit by 0.026, so the fit goes on until they meet, near -2.04 (our choice).
+    Climb: momentum theory. Descent to -2: Leishman's fit of the vortex ring. Faster: the windmill
+    brake of momentum theory. That misses the end of the fit by 0.026, so the fit goes on until they
+    meet, near -2.04 (our choice).
+
+    Args:
+        x: Climb rate, in induced velocities of hover; negative in descent.
+
+    Returns:
+        The inflow, in induced velocities of hover.
     """
+    # Climb.
     if x >= 0.0:
         return 0.5 * x + math.sqrt(0.25 * x * x + 1.0)
+    # Vortex ring: climb rate plus the fit of the induced velocity.
     ring = x + (1.0 + x * (-1.125 + x * (-1.372 + x * (-1.718 - 0.655 * x))))
     if x > -2.0:
         return ring
+    # Windmill brake, from where it exceeds the fit.
     return max(ring, 0.5 * x - math.sqrt(0.25 * x * x - 1.0))
 
 
 @func
-def vertical_power(climb, wing):
-    """What climbing at `climb` m/s adds to the power of hover, W; mostly negative in descent: weight (Vc + v_i - v0)."""
+def vertical_power(climb: float, wing: RotaryWing) -> float:
+    """Return what a climb adds to the power of hover: weight (Vc + v_i - v0).
+
+    Args:
+        climb: Climb rate Vc, m/s; negative in descent.
+        wing: Constants of the drone.
+
+    Returns:
+        The power, W; mostly negative in descent.
+    """
     return wing.weight * wing.induced_velocity * (axial_inflow(climb / wing.induced_velocity) - 1.0)
 
 
 @func
-def propulsion_power(velocity, wing):
-    """Power (W) at `velocity` (3,) m/s through the air, ENU: level flight and climb, at least the blades' in hover.
+def propulsion_power(velocity: Vec3Like, wing: RotaryWing) -> float:
+    """Return the power at a velocity: that of level flight and climb.
 
-    Rotors turn in descent too: none of the power that the air gives back is stored (our choice).
+    It is at least the power of the blades in hover. Rotors turn in descent too, and none of the
+    power that the air gives back is stored (our choice).
+
+    Args:
+        velocity: (3,) velocity through the air, world axes, m/s.
+        wing: Constants of the drone.
+
+    Returns:
+        The power, W.
     """
     blade, induced, parasite = level_power(math.hypot(velocity[0], velocity[1]), wing)
     return max(blade + induced + parasite + vertical_power(velocity[2], wing), wing.blade)
 
 
 @kernel
-def propulsion(velocity, wings):
-    """`propulsion_power` (W, N), W, at velocities (W, N, 3) m/s, by `wings` (W, N) of `ROTARY_WING`."""
+def propulsion(velocity: np.ndarray, wings: np.ndarray) -> np.ndarray:
+    """Return `propulsion_power` of all drones.
+
+    Args:
+        velocity: (W, N, 3) velocities through the air, world axes, m/s.
+        wings: (W, N) rows of `ROTARY_WING`.
+
+    Returns:
+        (W, N) power, W.
+    """
     power = np.empty(wings.shape)
     for w in range(wings.shape[0]):
         for i in range(wings.shape[1]):
@@ -160,8 +244,18 @@ def propulsion(velocity, wings):
 
 
 def actuator_power(before: np.ndarray, after: np.ndarray, parameters: np.ndarray) -> np.ndarray:
-    """Mean power (W, N), W, of the rotors against their torque k_m w^2 over a decision, by the trapezium rule.
+    """Return the mean power of the rotors against their torque k_m w^2 over a decision.
 
-    Rotor speeds `before` and `after` it (W, N, R) rad/s; `parameters` rows (W, N) of `airframe.PARAMETERS`.
+    The mean is taken by the trapezium rule.
+
+    Args:
+        before: (W, N, R) rotor speeds at the start of the decision, rad/s.
+        after: (W, N, R) rotor speeds at its end, rad/s.
+        parameters: (W, N) rows of `parameters.PARAMETERS`.
+
+    Returns:
+        (W, N) power, W.
     """
-    return parameters["torque_coefficient"] * ((before**3 + after**3) / 2).sum(axis=-1)
+    mean_cubes = ((before**3 + after**3) / 2).sum(axis=-1)
+    power: np.ndarray = parameters["torque_coefficient"] * mean_cubes
+    return power

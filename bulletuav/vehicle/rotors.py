@@ -1,37 +1,69 @@
 """Rotors of one drone: first-order speed lag, thrust k_f w^2 and reaction torque k_m w^2.
 
 Source: R. Mahony, V. Kumar, P. Corke, Multirotor Aerial Vehicles, IEEE RAM 2012.
-`row` is one row of `airframe.PARAMETERS`.
 """
 
 import math
 
-from bulletuav.kernel import func
+import numpy as np
 
-RPM = 2.0 * math.pi / 60.0  # rad/s
+from bulletuav.geometry.rotation import Vec3
+from bulletuav.kernel import func
+from bulletuav.vehicle.parameters import ParameterRow
+
+RPM = 2.0 * math.pi / 60.0
+"""One revolution a minute, rad/s."""
 
 
 @func
-def lag_decay(elapsed, row):
-    """Share of the way to a command that is left after `elapsed` seconds, for rotors that speed up and that slow down."""
+def lag_decay(elapsed: float, row: ParameterRow) -> tuple[float, float]:
+    """Return the share of the way to a command that rotors have left after a time.
+
+    Args:
+        elapsed: Time since the command, s.
+        row: Constants of the drone.
+
+    Returns:
+        The share for rotors that speed up, and for rotors that slow down.
+    """
+    # Most motors have one time constant: they need one exponential.
     up = math.exp(-elapsed / row.lag_up) if row.lag_up > 0.0 else 0.0
     if row.lag_down == row.lag_up:
         return up, up
-    return up, math.exp(-elapsed / row.lag_down) if row.lag_down > 0.0 else 0.0
+    down = math.exp(-elapsed / row.lag_down) if row.lag_down > 0.0 else 0.0
+    return up, down
 
 
 @func
-def lagged(speed, command, decay):
-    """Rotor speed on the way from `speed` to `command` (rad/s), exact for a constant command; `decay` from `lag_decay`."""
+def lagged(speed: float, command: float, decay: tuple[float, float]) -> float:
+    """Return the speed of a rotor on its way to a command, exact while the command is constant.
+
+    Args:
+        speed: Speed at the time of the command, rad/s.
+        command: Speed that is commanded, rad/s.
+        decay: What `lag_decay` returns for the time since.
+
+    Returns:
+        The speed now, rad/s.
+    """
     return command + (speed - command) * (decay[0] if command > speed else decay[1])
 
 
 @func
-def rotor_wrench(speed, row):
-    """Thrust (N), body torques (N m) and sum of the rotor speeds (R,), rad/s."""
+def rotor_wrench(speed: np.ndarray, row: ParameterRow) -> tuple[float, Vec3, float]:
+    """Return what the rotors do to the body.
+
+    Args:
+        speed: (R,) rotor speeds, rad/s.
+        row: Constants of the drone.
+
+    Returns:
+        Thrust (N), torque about the body axes (N m), and sum of the rotor speeds (rad/s).
+    """
     thrust = torque_x = torque_y = torque_z = total = 0.0
     for r in range(row.num_rotors):
         now = speed[r]
+        # Thrust at the rotor's place turns the body, and so does its drag torque.
         force = row.thrust_coefficient * now * now
         thrust += force
         torque_x += row.rotor_y[r] * force

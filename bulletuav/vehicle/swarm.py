@@ -4,18 +4,24 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.geometry.rotation import quat4, vec3
+from bulletuav.geometry.rotation import Quat4, Vec3, quat4, vec3
 from bulletuav.kernel import func, kernel
+
+State = tuple[Vec3, Quat4, Vec3, Vec3]
+"""Position, quaternion, velocity and rates of one drone, as in `Swarm`."""
 
 
 class Swarm(NamedTuple):
-    """State of W worlds of N drones, float64, SI units, world ENU, body FLU. Compiled functions take it as it is.
+    """State of W worlds of N drones, float64, SI units; compiled functions take it as it is.
 
-    position    (W, N, 3) centre of mass in the world's own frame, m
-    quaternion  (W, N, 4) body to world, (x, y, z, w)
-    velocity    (W, N, 3) of the centre of mass, world axes, m/s
-    rates       (W, N, 3) angular velocity, body axes, rad/s
-    rotor_speed (W, N, R) rad/s, R the largest rotor count in the swarm
+    World axes are ENU, body axes FLU.
+
+    Attributes:
+        position: (W, N, 3) centre of mass in the world's own frame, m.
+        quaternion: (W, N, 4) attitude, body to world, (x, y, z, w).
+        velocity: (W, N, 3) velocity of the centre of mass, world axes, m/s.
+        rates: (W, N, 3) angular velocity, body axes, rad/s.
+        rotor_speed: (W, N, R) rotor speeds, rad/s; R is the largest rotor count in the swarm.
     """
 
     position: np.ndarray
@@ -26,24 +32,30 @@ class Swarm(NamedTuple):
 
     @classmethod
     def zeros(cls, num_worlds: int, num_drones: int, num_rotors: int) -> "Swarm":
-        """At rest at the origin, level, rotors stopped."""
+        """Make a swarm at rest at the origin, level, with stopped rotors.
+
+        Args:
+            num_worlds: W.
+            num_drones: N.
+            num_rotors: R.
+        """
         shape = (num_worlds, num_drones)
         swarm = cls(*(np.zeros((*shape, size)) for size in (3, 4, 3, 3, num_rotors)))
         swarm.quaternion[..., 3] = 1
         return swarm
 
     def copy(self) -> "Swarm":
-        """The same state in arrays of its own."""
+        """Return the same state in arrays of its own."""
         return Swarm(*[array.copy() for array in self])
 
     def world(self, index: int) -> "Swarm":
-        """One world's state; each array loses its first axis. A view, not a copy."""
+        """Return the state of one world, as views: each array loses its first axis."""
         return Swarm(*(array[index] for array in self))
 
 
 @func
-def get(swarm, w, i):
-    """(position, quaternion, velocity, rates) of one drone, as tuples."""
+def get(swarm: Swarm, w: int, i: int) -> State:
+    """Return the state of one drone as tuples."""
     return (
         vec3(swarm.position, w, i),
         quat4(swarm.quaternion, w, i),
@@ -53,29 +65,46 @@ def get(swarm, w, i):
 
 
 @func
-def put(swarm, w, i, state):
-    """Set what `get` gets."""
+def put(swarm: Swarm, w: int, i: int, state: State) -> None:
+    """Set the state of one drone, in the form that `get` returns."""
     position, quaternion, velocity, rates = state
     for k in range(3):
-        swarm.position[w, i, k], swarm.velocity[w, i, k], swarm.rates[w, i, k] = (
-            position[k],
-            velocity[k],
-            rates[k],
-        )
+        swarm.position[w, i, k] = position[k]
+        swarm.velocity[w, i, k] = velocity[k]
+        swarm.rates[w, i, k] = rates[k]
     for k in range(4):
         swarm.quaternion[w, i, k] = quaternion[k]
 
 
 @func
-def _turned(velocity, beyond, rebound):
+def _turned_back(velocity: float, beyond: float, rebound: float) -> float:
+    """Return a velocity across a side, turned back if it leads further beyond that side."""
     return -rebound * velocity if velocity * beyond > 0.0 else velocity
 
 
 @kernel
-def confine(swarm, commanded, flown, low, high, rebound):
-    """Put drones of `flown` (W, N) outside a box (3,), m, back to its sides; (W, N) bool: which.
+def confine(
+    swarm: Swarm,
+    commanded: np.ndarray,
+    flown: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    rebound: float,
+) -> np.ndarray:
+    """Put drones that left a box back to its sides.
 
-    Across a side that they left their velocity, and that `commanded` (W, N, 3), turns back, to the share `rebound`.
+    Across a side that they left, their velocity turns back, and so does the commanded one.
+
+    Args:
+        swarm: The state; changed in place.
+        commanded: (W, N, 3) commanded velocities, m/s; changed in place.
+        flown: (W, N) bool, the drones that count.
+        low: (3,) low corner of the box, m.
+        high: (3,) high corner of the box, m.
+        rebound: Share of the velocity that turns back.
+
+    Returns:
+        (W, N) bool, the drones that were put back.
     """
     moved = np.zeros(flown.shape, dtype=np.bool_)
     for w in range(flown.shape[0]):
@@ -83,21 +112,26 @@ def confine(swarm, commanded, flown, low, high, rebound):
             if not flown[w, i]:
                 continue
             for k in range(3):
+                # Each axis by itself: a drone in a corner has left two or three sides.
                 place = swarm.position[w, i, k]
                 inside = min(max(place, low[k]), high[k])
                 if inside == place:
                     continue
                 moved[w, i] = True
-                swarm.velocity[w, i, k] = _turned(swarm.velocity[w, i, k], place - inside, rebound)
-                commanded[w, i, k] = _turned(commanded[w, i, k], place - inside, rebound)
+                beyond = place - inside
+                swarm.velocity[w, i, k] = _turned_back(swarm.velocity[w, i, k], beyond, rebound)
+                commanded[w, i, k] = _turned_back(commanded[w, i, k], beyond, rebound)
                 swarm.position[w, i, k] = inside
     return moved
 
 
 class Motion(NamedTuple):
-    """Where the K obstacles of each world go during a decision: straight from `before` to `after`, without turning.
+    """Motion of the K obstacles of each world during a decision: straight, without turning.
 
-    before, after (W, K, 3) m, the same array where nothing moves; quaternion (W, K, 4)
+    Attributes:
+        before: (W, K, 3) positions at the start, m.
+        after: (W, K, 3) positions at the end, m; the same array where nothing moves.
+        quaternion: (W, K, 4) attitudes.
     """
 
     before: np.ndarray
@@ -106,9 +140,9 @@ class Motion(NamedTuple):
 
     @classmethod
     def none(cls, num_worlds: int) -> "Motion":
-        """No obstacles."""
+        """Make the motion of no obstacles."""
         nowhere = np.zeros((num_worlds, 0, 3))
-        return cls(nowhere, nowhere, np.zeros((num_worlds, 0, 4)))
+        return cls(before=nowhere, after=nowhere, quaternion=np.zeros((num_worlds, 0, 4)))
 
     @property
     def moving(self) -> bool:
@@ -116,22 +150,37 @@ class Motion(NamedTuple):
         return self.after is not self.before
 
     def at(self, share: float | np.ndarray) -> np.ndarray:
-        """(W, K, 3) positions after a share of the decision, or (S, W, K, 3) after shares (S, 1, 1, 1)."""
-        return self.before + share * (self.after - self.before)
+        """Return the positions after a share of the decision.
+
+        Args:
+            share: From 0 to 1: one number, or S shares as (S, 1, 1, 1).
+
+        Returns:
+            (W, K, 3) positions, m, or (S, W, K, 3) for S shares.
+        """
+        position: np.ndarray = self.before + share * (self.after - self.before)
+        return position
 
 
-GROUND, CITY = -1, -2
+GROUND = -1
+"""`other` of a contact with the ground."""
+CITY = -2
+"""`other` of a contact with the city."""
 FIRST_OBSTACLE = -3
-"""`other` of a contact: a drone's index, GROUND, CITY, or FIRST_OBSTACLE - k for obstacle k"""
+"""`other` of a contact with obstacle 0; it is FIRST_OBSTACLE - k for obstacle k."""
 
 
 class Contacts(NamedTuple):
-    """Contacts of collision shapes during one decision, one row per touching drone (a pair gives two rows).
+    """Contacts of collision shapes during one decision.
 
-    world   (C,) index of the world
-    drone   (C,) index of the drone
-    other   (C,) index of the drone that it touches, GROUND, CITY, or FIRST_OBSTACLE - k for obstacle k
-    impulse (C,) N s along the contact normal, summed over the decision
+    There is one row for each touching drone, so a pair gives two rows.
+
+    Attributes:
+        world: (C,) index of the world.
+        drone: (C,) index of the drone.
+        other: (C,) index of the drone that it touches, GROUND, CITY, or FIRST_OBSTACLE - k for
+            obstacle k.
+        impulse: (C,) impulse along the contact normal, summed over the decision, N s.
     """
 
     world: np.ndarray
@@ -141,20 +190,33 @@ class Contacts(NamedTuple):
 
     @classmethod
     def merge(cls, rows: dict[tuple[int, int, int], float]) -> "Contacts":
-        """From {(world, drone, other): impulse}, in sorted order."""
+        """Make contacts from a dictionary, in sorted order.
+
+        Args:
+            rows: Impulse of each (world, drone, other), N s.
+        """
+        # An empty array has no columns to split.
         if not rows:
             nothing = np.zeros(0, dtype=np.int64)
-            return cls(nothing, nothing, nothing, np.zeros(0))
+            return cls(world=nothing, drone=nothing, other=nothing, impulse=np.zeros(0))
         keys = sorted(rows)
         world, drone, other = np.array(keys, dtype=np.int64).reshape(len(keys), 3).T
-        return cls(world, drone, other, np.array([rows[key] for key in keys], dtype=np.float64))
+        impulse = np.array([rows[key] for key in keys], dtype=np.float64)
+        return cls(world=world, drone=drone, other=other, impulse=impulse)
 
     def joined(self, others: "Contacts") -> "Contacts":
-        """These and others, one after the other."""
+        """Return these and other contacts, one after the other."""
         return Contacts(*(np.concatenate(columns) for columns in zip(self, others, strict=True)))
 
     def mask(self, shape: tuple[int, int]) -> np.ndarray:
-        """(W, N) bool: which drones touched anything."""
+        """Tell which drones touched anything.
+
+        Args:
+            shape: (W, N).
+
+        Returns:
+            (W, N) bool.
+        """
         touched = np.zeros(shape, dtype=bool)
         if len(self.world):
             touched[self.world, self.drone] = True

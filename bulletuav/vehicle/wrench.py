@@ -1,23 +1,42 @@
-"""The one wrench per drone and substep that every six-degree-of-freedom dynamics shares."""
+"""The wrench on one drone (force and torque) that every six-degree-of-freedom dynamics shares."""
 
-from bulletuav.geometry.rotation import axes
+from bulletuav.geometry.rotation import Quat4Like, Vec3, Vec3Like, axes, minus
 from bulletuav.kernel import func
 from bulletuav.vehicle.aerodynamics import ground_effect, rotor_drag
+from bulletuav.vehicle.parameters import ParameterRow
 
 
 @func
-def wrench(quaternion, velocity, altitude, rotors, air, downwash, row):
-    """Force (N, world) and torque (N m, body) on one drone.
+def wrench(
+    quaternion: Quat4Like,
+    velocity: Vec3Like,
+    altitude: float,
+    rotors: tuple[float, Vec3, float],
+    air: tuple[Vec3Like, float, float],
+    downwash: float,
+    row: ParameterRow,
+) -> tuple[Vec3, Vec3]:
+    """Return force and torque on one drone.
 
-    rotors: what `rotor_wrench` tells; air: (wind (3,) m/s, surface height below m, gravity m/s^2); downwash: N, from the
-    other drones.
+    Args:
+        quaternion: Attitude, body to world.
+        velocity: Velocity, world axes, m/s.
+        altitude: Height of the centre of mass in the world, m.
+        rotors: What `rotors.rotor_wrench` returns.
+        air: Wind, world axes, m/s; height of the surface below, m; gravity, m/s^2.
+        downwash: Downward force of the wakes of other drones, N.
+        row: Constants of the drone.
+
+    Returns:
+        The force, world axes, N, and the torque, body axes, N m.
     """
     wind, surface, gravity = air
     thrust, torque, total_speed = rotors
+    # Thrust along the body's z axis, more near the surface.
     up = axes(quaternion)[2]
     thrust *= 1.0 + ground_effect(altitude - surface, up[2], row)
-    against = (velocity[0] - wind[0], velocity[1] - wind[1], velocity[2] - wind[2])
-    drag = rotor_drag(quaternion, against, total_speed, row)
+    # Drag against the air, which moves with the wind.
+    drag = rotor_drag(quaternion, minus(velocity, wind), total_speed, row)
     force = (
         thrust * up[0] + drag[0],
         thrust * up[1] + drag[1],
@@ -27,12 +46,23 @@ def wrench(quaternion, velocity, altitude, rotors, air, downwash, row):
 
 
 @func
-def body_acceleration(rates, torque, row):
-    """Euler's equation, J^-1 (M - w x J w), rad/s^2 in body axes."""
-    jx, jy, jz = row.inertia[0], row.inertia[1], row.inertia[2]
+def body_acceleration(rates: Vec3Like, torque: Vec3Like, row: ParameterRow) -> Vec3:
+    """Return the angular acceleration by Euler's equation, J^-1 (M - w x J w).
+
+    Args:
+        rates: Angular velocity w, body axes, rad/s.
+        torque: Torque M, body axes, N m.
+        row: Constants of the drone.
+
+    Returns:
+        The angular acceleration, body axes, rad/s^2.
+    """
+    jx = row.inertia[0]
+    jy = row.inertia[1]
+    jz = row.inertia[2]
+    # Written with 1 / J, divisions that several calls for one drone share.
     return (
-        (torque[0] - (jz - jy) * rates[1] * rates[2])
-        * (1.0 / jx),  # divisions that several calls for one drone share
+        (torque[0] - (jz - jy) * rates[1] * rates[2]) * (1.0 / jx),
         (torque[1] - (jx - jz) * rates[2] * rates[0]) * (1.0 / jy),
         (torque[2] - (jy - jx) * rates[0] * rates[1]) * (1.0 / jz),
     )

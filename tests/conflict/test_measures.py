@@ -47,7 +47,8 @@ def test_isotropic_probability_is_noncentral_chi_square():
 
 
 def test_isotropic_probability_at_the_extremes():
-    # Where sigma is small the ball is a half space: half of it on the edge, less the curvature's sigma / (d sqrt(2 pi)).
+    # Where sigma is small the ball is a half space: half of it on the edge, less the share
+    # sigma / (d sqrt(2 pi)) of the curvature.
     for sigma in (1e-3, 1e-6, 1e-9):
         edge = 0.5 - sigma / (5 * np.sqrt(2 * np.pi))
         assert conflict_probability(np.array([5.0, 0, 0]), sigma, 5.0) == pytest.approx(
@@ -101,7 +102,8 @@ def test_probability_with_any_covariance_against_quadrature(mean, sigmas, d_safe
 
 
 def test_probability_with_errors_far_from_d_safe():
-    # Tiny in two axes: the normal distribution on a chord. Huge: the density at the centre times the volume.
+    # Tiny in two axes: the normal distribution on a chord. Huge: the density at the centre times
+    # the volume.
     offset, sigmas = np.array([0.3, 0.0, 0.0]), np.array([2.0, 1e-7, 1e-7])
     chord = ndtr((1 - 0.3) / 2) - ndtr((-1 - 0.3) / 2)
     assert conflict_probability_of(offset, np.diag(sigmas**2), 1.0) == pytest.approx(

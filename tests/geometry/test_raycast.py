@@ -36,7 +36,8 @@ def cast(engine, start, end):
 def test_a_tower_by_hand(make_world):
     engine = make_world(Solids(TOWER))
     ends = [(60, 0, 30), (-60, 0, 30), (60, 0, 90), (0, 0, -30), (30, 0, 90)]
-    # to the wall at x = 20; away; to the wall where z = 50; to the ground half way; over the roof, as z = 70 at the wall
+    # To the wall at x = 20; away; to the wall where z = 50; to the ground half way; and over the
+    # roof, as z = 70 at the wall.
     np.testing.assert_allclose(
         cast(engine, [(0, 0, 30)] * 5, ends), (20 / 60, 1, 20 / 60, 0.5, 1), atol=1e-12
     )
@@ -57,20 +58,16 @@ def test_the_engine_gives_the_same(make_world, irregularity):
     way = rng.normal(size=start.shape)
     way[:5000, 2] = way[5000:6000, 0] = way[6000:7000, 1] = 0  # level, and along the axes
     way *= rng.uniform(1, 300, (len(start), 1)) / np.linalg.norm(way, axis=1, keepdims=True)
-    walked, engine = (
-        cast(engine, start, start + way),
-        engine._calls.rays(start, start + way, VISIBLE),
-    )
-    apart = np.abs(walked - engine) * np.linalg.norm(way, axis=1)
+    walked = cast(engine, start, start + way)
+    reference = engine._calls.rays(start, start + way, VISIBLE)
+    apart = np.abs(walked - reference) * np.linalg.norm(way, axis=1)
     assert (walked < 1).mean() > 0.3
-    assert (
-        apart > 1e-6
-    ).mean() < 2e-4  # those that graze an edge, where the engine's triangles are wider
+    # Those that differ graze an edge, where the engine's triangles are wider.
+    assert (apart > 1e-6).mean() < 2e-4
     beside = np.cross(way, rng.normal(size=way.shape))
     beside *= 0.05 / np.linalg.norm(beside, axis=1, keepdims=True)
-    for k in np.flatnonzero(
-        apart > 1e-6
-    ):  # a hand's breadth aside both tell the same, on one side at least
+    # A hand's breadth aside both tell the same, on one side at least.
+    for k in np.flatnonzero(apart > 1e-6):
         sides = start[k] + [beside[k], -beside[k]]
         gaps = cast(engine, sides, sides + way[k]) - engine._calls.rays(
             sides, sides + way[k], VISIBLE
@@ -81,9 +78,8 @@ def test_the_engine_gives_the_same(make_world, irregularity):
 def test_what_is_no_box_is_left_to_the_engine(make_world):
     ramp = np.array([(10.0, -5, 0), (20, -5, 0), (20, -5, 10), (10, 5, 0), (20, 5, 0), (20, 5, 10)])
     engine = make_world(Solids(TOWER, (ramp,)))
-    assert cast(engine, (0, 0, 5), (30, 0, 5))[0] == pytest.approx(
-        0.5
-    )  # the ramp is 5 m high at x = 15
+    # The ramp is 5 m high at x = 15.
+    assert cast(engine, (0, 0, 5), (30, 0, 5))[0] == pytest.approx(0.5)
     _, left = walk(engine.city_grid, np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1, int), False)
     assert left.tolist() == [0]
 

@@ -1,4 +1,4 @@
-"""Rays and shapes: by hand, beside the engine's rays at bodies that rest, and beside points on the way."""
+"""Rays and shapes by hand, beside the engine's rays at bodies that rest, and point by point."""
 
 import re
 
@@ -20,12 +20,8 @@ HALF = {SPHERE: (0.5, 0.5, 0.5), CYLINDER: (0.5, 0.5, 0.2), BOX: (0.5, 0.3, 0.2)
         (SPHERE, (-2, 0, 0), (4, 0, 0), (0.375, 0.625)),  # from x = -0.5 to 0.5
         (CYLINDER, (-2, 0.3, 0), (4, 0, 0), (0.4, 0.6)),  # the chord at y = 0.3 ends at x = 0.4
         (CYLINDER, (0.1, 0, 1), (0, 0, -2), (0.4, 0.6)),  # through both faces
-        (
-            CYLINDER,
-            (-2, 0, -2),
-            (4, 0, 4),
-            (0.45, 0.55),
-        ),  # the faces at z = 0.2 are nearer than the side
+        # the faces at z = 0.2 are nearer than the side
+        (CYLINDER, (-2, 0, -2), (4, 0, 4), (0.45, 0.55)),
         (BOX, (0, -1, 0), (0, 2, 0), (0.35, 0.65)),
         (BOX, (0, 0, 0), (1, 0, 0), (-0.5, 0.5)),  # from inside
     ],
@@ -93,7 +89,8 @@ def test_the_engine_sees_bodies_at_rest_the_same(urdf, geometry):
     )
     start = np.array((1, 2, 3)) + 2 * Rotation.random(2000, rng=rng).apply((1, 0, 0))
     end = 2 * np.array((1, 2, 3)) - start + rng.uniform(-0.4, 0.4, start.shape)
-    engine = np.array([hit[2] for hit in bullet.rayTestBatch(start, end, physicsClientId=client)])
+    hits = bullet.rayTestBatch(start, end, physicsClientId=client)
+    reference = np.array([hit[2] for hit in hits])
     bullet.disconnect(client)
     fraction = np.ones(len(start))
     kind, half = np.array([airframe.shape.kind]), np.array([airframe.shape.half])
@@ -108,6 +105,5 @@ def test_the_engine_sees_bodies_at_rest_the_same(urdf, geometry):
         half,
     )
     assert 0.2 < (fraction < 1).mean() < 1
-    assert (
-        np.abs(fraction - engine) > 1e-3
-    ).mean() < 0.01  # the engine rounds edges, and iterates to its own tolerance
+    # The engine rounds edges, and iterates to its own tolerance.
+    assert (np.abs(fraction - reference) > 1e-3).mean() < 0.01

@@ -16,7 +16,7 @@ NO_BOXES = np.zeros((0, 2, 3))
 
 
 def volume(vertices, triangles):
-    """Enclosed by a closed surface whose triangles turn left seen from outside; negative where they turn right."""
+    """Volume within a closed surface whose triangles turn left; negative where they turn right."""
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
     return (a * np.cross(b, c)).sum() / 6
 

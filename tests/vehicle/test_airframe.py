@@ -1,13 +1,16 @@
 import math
+import sys
+import types
 
 import bench
 import numpy as np
 import pytest
 
-from bulletuav import Airframe, available_airframes, load_airframe
+from bulletuav import Airframe, available_airframes, load_airframe, registry
 from bulletuav.vehicle.parameters import parameter_rows
 
-# Computed by hand from published constants: hover speed (rad/s), most thrust (N), thrust to weight, drag at hover (N s/m).
+# Computed by hand from published constants: hover speed (rad/s), most thrust (N), thrust to weight,
+# drag at hover (N s/m).
 FIGURES = {
     "cf2p": (1515.64, 0.5958, 2.25, (0.00556, 0.00625)),
     "racer": (1623.14, 33.94, 4.17, (0.266, 0.422)),
@@ -30,8 +33,9 @@ def test_published_figures(name):
     assert airframe.drag_z * total == pytest.approx(drag[1], rel=1e-3)
 
 
-# Rotors that spin counter-clockwise seen from above, by where they sit (m): RotorS' xacro files for hummingbird, iris and
-# firefly (front left, back left, right), Bitcraze's motor map for the Crazyflie (M1, M3), Betaflight's quad X for the racer.
+# Rotors that spin counter-clockwise seen from above, by where they sit (m): RotorS' xacro files for
+# hummingbird, iris and firefly (front left, back left, right), Bitcraze's motor map for the
+# Crazyflie (M1, M3), Betaflight's quad X for the racer.
 COUNTER_CLOCKWISE = {
     "cf2p": {(0.0397, 0.0), (-0.0397, 0.0)},
     "cf2x": {(0.028072, -0.028072), (-0.028072, 0.028072)},
@@ -72,10 +76,10 @@ def test_all_shipped_airframes_load_and_are_frozen():
 
 
 def test_own_urdf_with_six_rotors(urdf):
-    rotors = "".join(
-        f'<rotor x="{0.2 * math.cos(k * math.pi / 3):.6f}" y="{0.2 * math.sin(k * math.pi / 3):.6f}" spin="{spin}"/>'
-        for k, spin in enumerate(["cw", "ccw"] * 3)
-    )
+    rotors = ""
+    for k, spin in enumerate(["cw", "ccw"] * 3):
+        x, y = 0.2 * math.cos(k * math.pi / 3), 0.2 * math.sin(k * math.pi / 3)
+        rotors += f'<rotor x="{x:.6f}" y="{y:.6f}" spin="{spin}"/>'
     text = load_airframe("hummingbird").urdf.read_text()
     first, last = text.index("<rotor x"), text.rindex("<rotor x")
     own = urdf(
@@ -169,7 +173,7 @@ def test_what_is_missing_or_not_physical_is_refused_with_file_tag_and_value(
 
 
 def test_flat_bodies_are_taken_whatever_the_rounding(urdf):
-    """Ixx + Iyy = Izz is a flat body; the engine, which compares without tolerance, is given our numbers."""
+    """Ixx + Iyy = Izz is a flat body; the engine, which has no tolerance, is given our numbers."""
     for ixx, iyy, izz in (("2.7e-5", "2.8e-5", "5.5e-5"), ("7e-6", "26e-6", "33e-6")):
         path = urdf(
             "cf2x",
@@ -196,6 +200,26 @@ def test_broken_missing_and_unknown(tmp_path):
         load_airframe(tmp_path / "nowhere.urdf")
     with pytest.raises(ValueError, match="did you mean 'hummingbird'"):
         load_airframe("humingbird")
+
+
+def test_airframes_have_names_in_the_registry(urdf, monkeypatch):
+    assert set(available_airframes()) <= set(registry.names("airframe"))
+    own = urdf("cf2x", ('robot name="cf2x"', 'robot name="own"'))
+    module = types.ModuleType("drones")
+    module.Own, module.FILE, module.OTHER = load_airframe(own), own, 3
+    monkeypatch.setitem(sys.modules, "drones", module)
+    assert load_airframe("drones:Own") is module.Own
+    assert load_airframe("drones:FILE") == module.Own
+    with pytest.raises(ValueError, match="drones:OTHER is 3: that is no airframe"):
+        load_airframe("drones:OTHER")
+    for one in (module.Own, own, str(own)):
+        monkeypatch.setitem(registry._registered["airframe"], "mine", one)
+        assert load_airframe("mine") == module.Own
+    with pytest.raises(ValueError, match="did you mean 'mine'"):
+        load_airframe("min")
+    monkeypatch.setitem(registry._registered["airframe"], "mine", 3)
+    with pytest.raises(ValueError, match="airframe mine is 3"):
+        load_airframe("mine")
 
 
 @pytest.mark.parametrize("shape", ['<box size="0.1 0.1 0.05"/>', '<sphere radius="0.075"/>'])

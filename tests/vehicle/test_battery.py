@@ -3,12 +3,11 @@ import pytest
 
 from bulletuav.vehicle.battery import Battery
 
-HOVER, LONGEST, FARTHEST, FARTHEST_SPEED = (
-    168.4842,
-    126.0027,
-    161.5216,
-    18.295,
-)  # W, W, W, m/s, see test_power.py
+# W, W, W, m/s, see test_power.py
+HOVER = 168.4842
+LONGEST = 126.0027
+FARTHEST = 161.5216
+FARTHEST_SPEED = 18.295
 
 
 def time_to_depletion(power, capacity, seconds):

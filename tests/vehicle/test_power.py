@@ -252,7 +252,10 @@ def test_rotors_in_hover_take_weight_times_torque_ratio_times_speed(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_rotors_in_hover_take_more_than_momentum_theory_and_less_than_twice_the_formula(name):
-    """Merit figures (ideal over real power) of small propellers are 0.4 to 0.7; the formula's constants have more."""
+    """Merit figures (ideal over real power) of small propellers are 0.4 to 0.7.
+
+    The formula's constants have more.
+    """
     airframe = load_airframe(name)
     wing = airframe_wing(airframe)
     speed = np.full((1, 1, len(airframe.rotors)), airframe.hover_speed())
@@ -271,7 +274,10 @@ def test_rotors_that_speed_up_take_the_mean_of_both_ends():
 
 
 def test_at_ten_metres_a_second_the_formula_gains_by_inflow_and_the_rotors_hardly():
-    """docs/service.md tells why: the simulated rotors' torque knows nothing of the air that comes from ahead."""
+    """The simulated rotors' torque knows nothing of the air that comes from ahead.
+
+    docs/service.md tells why.
+    """
     power = {}
     for energy in ("zeng", "actuator"):
         aviary = Aviary(

@@ -34,7 +34,10 @@ def test_named_levels():
 
 
 def ensemble(dt, lag_steps, airspeed=10.0, worlds=4000, altitude=50.0):
-    """Gusts of 4,000 independent drones now and `lag_steps` later; standard error of a variance: 2.2 %."""
+    """Gusts of 4,000 independent drones now and `lag_steps` later.
+
+    The standard error of a variance is 2.2 %.
+    """
     wind = Wind((0.0, 0.0, 0.0), W20, (worlds, 1), dt)
     rngs = [np.random.default_rng(k) for k in range(worlds)]
     for k, rng in enumerate(rngs):
@@ -69,7 +72,10 @@ def test_autocorrelation(dt, steps):
 
 @pytest.mark.parametrize("share", [1e-8, 1e-6, 5e-6, 7e-6, 1e-4, 9.9e-4, 1.01e-3, 0.03, 1.0, 10.0])
 def test_unit_variance_is_stationary_for_any_share(share):
-    """M M^T + L L^T = 1 exactly, with M the transition and L the noise of one step, read off the filter's answers."""
+    """M M^T + L L^T = 1 exactly, with M the transition and L the noise of one step.
+
+    Both are read off the filter's answers.
+    """
     transition = np.array(
         [second_order(*unit, share, 0.0, 0.0) for unit in ((1.0, 0.0), (0.0, 1.0))]
     ).T
@@ -85,7 +91,7 @@ def test_unit_variance_is_stationary_for_any_share(share):
 
 
 def test_gusts_turn_with_the_steady_wind():
-    """With the wind from the south, `along` is north: the same random numbers, turned by 90 degrees."""
+    """With the wind from the south, `along` is north: the same numbers, turned by 90 degrees."""
     samples = []
     for steady in ((5.0, 0.0, 0.0), (0.0, 5.0, 0.0)):
         wind = Wind(steady, W20, (1, 1), 0.1)

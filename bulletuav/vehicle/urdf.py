@@ -1,0 +1,187 @@
+"""Reading of one-link URDF files: numbers within bounds, the inertia and the collision shape.
+
+Every refusal names the file, the tag and the value.
+"""
+
+import math
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+from bulletuav.errors import shown
+from bulletuav.geometry.shapes import BOX, CYLINDER, SPHERE, Shape
+
+SMALLEST = 1e-20
+"""Least size of a number but 0: squares of such numbers, and products of a few, are no 0."""
+LARGEST = 1e9
+"""Greatest size of a number: squares of such numbers, and products of a few, are finite."""
+WIDEST = 100.0
+"""Greatest length on a drone, m."""
+THINNEST = 1e-4
+"""Least side of a collision shape, m: the engine's margins are as large as thinner ones."""
+LONGEST = 200
+"""Most characters of a value that a message shows."""
+
+
+class UrdfFile:
+    """A URDF file whose values are read by tag and checked.
+
+    Attributes:
+        path: Where the file is.
+        root: Its `<robot>` element.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Parse the file.
+
+        Args:
+            path: Where it is.
+
+        Raises:
+            ValueError: It is no XML.
+        """
+        self.path = path
+        try:
+            self.root = ElementTree.parse(path).getroot()
+        except (ElementTree.ParseError, LookupError, ValueError) as error:
+            raise ValueError(f"{path}: not a readable XML file: {error}") from None
+
+    def refusal(self, tag: str, value: object, reason: str) -> ValueError:
+        """Make the error for a value, for the caller to raise."""
+        text = value if isinstance(value, str) and len(value) < LONGEST else shown(value)
+        return ValueError(f"{self.path}: <{tag}> is {text}: {reason}")
+
+    def element(self, tag: str, parent: ElementTree.Element | None = None) -> ElementTree.Element:
+        """Find an element that must be there.
+
+        Args:
+            tag: Its tag, or the path of tags to it.
+            parent: Where to search; the root when left out.
+
+        Returns:
+            The element.
+
+        Raises:
+            ValueError: There is none.
+        """
+        found = (self.root if parent is None else parent).find(tag)
+        if found is None:
+            reason = "every airframe needs it; assets/urdf/cf2x.urdf shows the form"
+            raise self.refusal(tag, "missing", reason)
+        return found
+
+    def number(
+        self,
+        element: ElementTree.Element,
+        attribute: str,
+        low: float = -math.inf,
+        strict: bool = True,
+        most: float = LARGEST,
+    ) -> float:
+        """Read a finite number from an attribute.
+
+        Args:
+            element: The element that has it.
+            attribute: Its name.
+            low: The number must be above this.
+            strict: False where the number may also equal `low`.
+            most: Greatest size of the number.
+
+        Returns:
+            The number.
+
+        Raises:
+            ValueError: It is missing, no number or out of bounds.
+        """
+        text = element.get(attribute)
+        label = f"{element.tag} {attribute}"
+        # Python takes 1_000 for a number; the engine, which reads the file as well, does not.
+        readable = "missing" if text is None or "_" in text else text
+        try:
+            value = float(readable)
+        except ValueError:
+            written = text if text is not None else "missing"
+            raise self.refusal(label, written, "a number is needed") from None
+        if not math.isfinite(value) or value < low or (strict and value == low):
+            bound = f"{'above' if strict else 'at least'} {low:g}"
+            raise self.refusal(label, text, f"it must be finite and {bound}")
+        if value != 0 and not SMALLEST <= abs(value) <= most:
+            reason = f"sizes from {SMALLEST:g} to {most:g} can be flown with"
+            raise self.refusal(label, text, reason)
+        return value
+
+    def inertia(self) -> tuple[float, float, float]:
+        """Read the principal moments of inertia (x, y, z), kg m^2.
+
+        Raises:
+            ValueError: The link frame is not the principal frame, or no body has such moments.
+        """
+        inertial = self.element("link/inertial")
+        self._require_centred(
+            inertial, "the link frame must be the principal frame at the centre of mass"
+        )
+        element = self.element("inertia", inertial)
+        for key in ("ixy", "ixz", "iyz"):
+            if key in element.attrib and self.number(element, key) != 0:
+                reason = "use principal axes: off-diagonal terms must be 0"
+                raise self.refusal(f"inertia {key}", element.get(key), reason)
+        ixx, iyy, izz = (self.number(element, key, low=0) for key in ("ixx", "iyy", "izz"))
+        # The triangle inequality of moments; rounding must not refuse flat bodies.
+        if 2 * max(ixx, iyy, izz) > (ixx + iyy + izz) * (1 + 1e-9):
+            text = f"({ixx:g}, {iyy:g}, {izz:g})"
+            reason = "no body has it: each moment is at most the sum of the other two"
+            raise self.refusal("inertia", text, reason)
+        return ixx, iyy, izz
+
+    def collision_shape(self) -> Shape:
+        """Read the collision shape.
+
+        Raises:
+            ValueError: There is not exactly one, it is not centred or turned, or none of cylinder,
+                box and sphere.
+        """
+        shapes = self.root.findall("link/collision")
+        if len(shapes) != 1:
+            reason = "exactly one convex shape keeps contacts reproducible"
+            raise self.refusal("collision", f"there {len(shapes)} times", reason)
+        self._require_centred(shapes[0], "the collision shape must be centred and not turned")
+        geometry = self.element("geometry", shapes[0])
+        kinds = [shape.tag for shape in geometry]
+        if kinds not in (["cylinder"], ["box"], ["sphere"]):
+            reason = "it must be one cylinder, box or sphere"
+            raise self.refusal("collision geometry", kinds, reason)
+        shape = geometry[0]
+        if shape.tag == "sphere":
+            radius = self._side(shape, "radius")
+            return Shape(SPHERE, (radius, radius, radius))
+        if shape.tag == "cylinder":
+            radius = self._side(shape, "radius")
+            length = self._side(shape, "length")
+            return Shape(CYLINDER, (radius, radius, length / 2))
+        return self._box(shape)
+
+    def _box(self, shape: ElementTree.Element) -> Shape:
+        """Read a box from its three edges."""
+        try:
+            size = [float(part) for part in shape.get("size", "").split()]
+        except ValueError:
+            size = []
+        if len(size) == 3 and all(THINNEST <= side <= WIDEST for side in size):
+            return Shape(BOX, (size[0] / 2, size[1] / 2, size[2] / 2))
+        reason = f"three positive numbers from {THINNEST:g} to {WIDEST:g} are needed"
+        raise self.refusal("box size", shape.get("size", "missing"), reason)
+
+    def _side(self, shape: ElementTree.Element, attribute: str) -> float:
+        """Read a length of the collision shape, m."""
+        side = self.number(shape, attribute, low=0, most=WIDEST)
+        if side < THINNEST:
+            reason = f"at least {THINNEST:g} m is needed"
+            raise self.refusal(f"{shape.tag} {attribute}", shape.get(attribute), reason)
+        return side
+
+    def _require_centred(self, parent: ElementTree.Element, reason: str) -> None:
+        """Refuse an `<origin>` that is not all zeros."""
+        origin = parent.find("origin")
+        for key in ("xyz", "rpy"):
+            text = "0 0 0" if origin is None else origin.get(key, "0 0 0")
+            if [part.strip("+-0.e") for part in text.split()] != ["", "", ""]:
+                raise self.refusal(f"{parent.tag} origin {key}", text, reason)
