@@ -73,7 +73,8 @@ class Cascade(NamedTuple):
             The controller.
         """
         memory = np.zeros((*gains.shape, MEMORY))
-        return cls(CONTROLLERS[controller], nominal, gains, memory)
+        number = CONTROLLERS[controller]
+        return cls(controller=number, nominal=nominal, gains=gains, memory=memory)
 
 
 @func
@@ -111,6 +112,7 @@ def lee_rotors(
     if level <= SetpointLevel.VELOCITY:
         velocity = target
         target = acceleration_setpoint(current_velocity, target, gain)
+    # Attitude: along the force that accelerates the drone, or as the setpoint says.
     if level <= SetpointLevel.ATTITUDE:
         if level <= SetpointLevel.ACCELERATION:
             force = force_setpoint(
@@ -121,7 +123,8 @@ def lee_rotors(
         else:
             desired = axes(from_euler(target[0], target[1], target[2]))
         target = rates_setpoint(quaternion, desired, gain)
-    mix(thrust, torque_setpoint(rates, target, nominal, gain), nominal, gain, command)
+    torque = torque_setpoint(rates, target, nominal, gain)
+    mix(thrust, torque, nominal, gain, command)
 
 
 @func
@@ -143,6 +146,60 @@ def pid_errors(level: int, setpoint: Quat4Like, state: State) -> tuple[Vec3, Vec
         return away, (-velocity[0], -velocity[1], -velocity[2])
     slow = (setpoint[0] - velocity[0], setpoint[1] - velocity[1], setpoint[2] - velocity[2])
     return (0.0, 0.0, 0.0), slow
+
+
+@func
+def step_pid(
+    level: int,
+    setpoint: Quat4Like,
+    state: State,
+    memory: np.ndarray,
+    w: int,
+    i: int,
+    dt: float,
+    gravity: float,
+    nominal: np.record,
+    gain: np.record,
+    command: np.ndarray,
+) -> None:
+    """Run the PID of one drone for one step, and advance its integrals.
+
+    Args:
+        level: POSITION or VELOCITY of `SetpointLevel`.
+        setpoint: The setpoint's four numbers.
+        state: State of the drone.
+        memory: (W, N, 6) integrals of all drones.
+        w: Index of the world.
+        i: Index of the drone.
+        dt: Time since the last step, s.
+        gravity: Gravitational acceleration, m/s^2.
+        nominal: Row of `PARAMETERS`.
+        gain: Row of `GAINS`.
+        command: (R,) speed of each rotor, rad/s, which is written.
+    """
+    position_error, velocity_error = pid_errors(level, setpoint, state)
+    # Out of the memory as tuples, and back into it.
+    integrals = (
+        (memory[w, i, 0], memory[w, i, 1], memory[w, i, 2]),
+        (memory[w, i, 3], memory[w, i, 4], memory[w, i, 5]),
+    )
+    _, quaternion, _, rates = state
+    integrals = pid_rotors(
+        position_error,
+        velocity_error,
+        setpoint[3],
+        quaternion,
+        rates,
+        integrals,
+        dt,
+        gravity,
+        nominal,
+        gain,
+        command,
+    )
+    for k in range(3):
+        memory[w, i, k] = integrals[0][k]
+        memory[w, i, 3 + k] = integrals[1][k]
 
 
 @func
@@ -210,27 +267,7 @@ def command_rotors(
             command[r] = min(max(setpoint[w, i, r], 0.0), nominal.max_rotor_speed)
     elif controller == PID:
         target = quat4(setpoint, w, i)
-        away, slow = pid_errors(level, target, state)
-        integrals = (
-            (memory[w, i, 0], memory[w, i, 1], memory[w, i, 2]),
-            (memory[w, i, 3], memory[w, i, 4], memory[w, i, 5]),
-        )
-        integrals = pid_rotors(
-            away,
-            slow,
-            target[3],
-            state[1],
-            state[3],
-            integrals,
-            dt,
-            gravity,
-            nominal,
-            gain,
-            command,
-        )
-        for k in range(3):
-            memory[w, i, k] = integrals[0][k]
-            memory[w, i, 3 + k] = integrals[1][k]
+        step_pid(level, target, state, memory, w, i, dt, gravity, nominal, gain, command)
     else:
         # The drag that Lee's controller compensates grows with the speed of all rotors.
         total_speed = 0.0

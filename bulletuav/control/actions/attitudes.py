@@ -37,7 +37,13 @@ def attitude(context: ActionContext) -> Action:
     def decode(action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
         return _with_thrust(scale * action[..., :3], action[..., 3], most)
 
-    return normalised(context, "attitude", SetpointLevel.ATTITUDE, labels, decode)
+    return normalised(
+        context,
+        name="attitude",
+        level=SetpointLevel.ATTITUDE,
+        labels=labels,
+        decode=decode,
+    )
 
 
 @register("action")
@@ -57,4 +63,10 @@ def rates(context: ActionContext) -> Action:
     def decode(action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
         return _with_thrust(MAX_RATES * action[..., :3], action[..., 3], most)
 
-    return normalised(context, "rates", SetpointLevel.RATES, labels, decode)
+    return normalised(
+        context,
+        name="rates",
+        level=SetpointLevel.RATES,
+        labels=labels,
+        decode=decode,
+    )

@@ -23,7 +23,14 @@ def velocity(context: ActionContext) -> Action:
         share: np.ndarray = velocity / speed
         return share
 
-    return normalised(context, "velocity", SetpointLevel.VELOCITY, labels, decode, encode)
+    return normalised(
+        context,
+        name="velocity",
+        level=SetpointLevel.VELOCITY,
+        labels=labels,
+        decode=decode,
+        encode=encode,
+    )
 
 
 @register("action")
@@ -47,7 +54,14 @@ def velocity_increment(context: ActionContext) -> Action:
         share: np.ndarray = change / np.maximum(largest, 1.0)
         return share
 
-    return normalised(context, "velocity_increment", SetpointLevel.VELOCITY, labels, decode, encode)
+    return normalised(
+        context,
+        name="velocity_increment",
+        level=SetpointLevel.VELOCITY,
+        labels=labels,
+        decode=decode,
+        encode=encode,
+    )
 
 
 @register("action")
@@ -70,7 +84,13 @@ def heading_speed(context: ActionContext) -> Action:
         wanted = np.stack([east, north, climb], axis=-1)
         return with_yaw(limit_norm(wanted, speed), heading)
 
-    return normalised(context, "heading_speed", SetpointLevel.VELOCITY, labels, decode)
+    return normalised(
+        context,
+        name="heading_speed",
+        level=SetpointLevel.VELOCITY,
+        labels=labels,
+        decode=decode,
+    )
 
 
 @register("action")
@@ -93,4 +113,11 @@ def target_position(context: ActionContext) -> Action:
         share: np.ndarray = (position - centre) / half
         return share
 
-    return normalised(context, "target_position", SetpointLevel.POSITION, labels, decode, encode)
+    return normalised(
+        context,
+        name="target_position",
+        level=SetpointLevel.POSITION,
+        labels=labels,
+        decode=decode,
+        encode=encode,
+    )

@@ -39,7 +39,14 @@ def rotor(context: ActionContext) -> Action:
     def decode(action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
         return most * np.sqrt(0.5 * (action + 1))
 
-    return _per_rotor(context, "rotor", ": 2 thrust / max thrust - 1", -1.0, ones, decode)
+    return _per_rotor(
+        context,
+        name="rotor",
+        label=": 2 thrust / max thrust - 1",
+        low=-1.0,
+        high=ones,
+        decode=decode,
+    )
 
 
 @register("action")
@@ -50,7 +57,14 @@ def rpm(context: ActionContext) -> Action:
     def decode(action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
         return action * RPM
 
-    return _per_rotor(context, "rpm", ", rpm", 0.0, most, decode)
+    return _per_rotor(
+        context,
+        name="rpm",
+        label=", rpm",
+        low=0.0,
+        high=most,
+        decode=decode,
+    )
 
 
 @register("action")
@@ -66,4 +80,11 @@ def hover_rpm(context: ActionContext) -> Action:
     def decode(action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
         return hover * (1 + HOVER_RPM_RANGE * action)
 
-    return _per_rotor(context, "hover_rpm", ": 20 (rpm / hover rpm - 1)", -1.0, ones, decode)
+    return _per_rotor(
+        context,
+        name="hover_rpm",
+        label=": 20 (rpm / hover rpm - 1)",
+        low=-1.0,
+        high=ones,
+        decode=decode,
+    )
