@@ -1,4 +1,4 @@
-"""From a setpoint at any level down to rotor speeds, for one drone, in every physics substep.
+"""The cascade from a setpoint at any level down to rotor speeds, for one drone and substep.
 
 A controller is part of the compiled loop over drones. So a new one is a function here, a number in
 `CONTROLLERS`, and a branch in `command_rotors`: it cannot be given as an object from outside.
@@ -116,7 +116,13 @@ def lee_rotors(
     if level <= SetpointLevel.ATTITUDE:
         if level <= SetpointLevel.ACCELERATION:
             force = force_setpoint(
-                target, quaternion, velocity, total_speed, gravity, nominal, gain
+                target,
+                quaternion,
+                velocity,
+                total_speed,
+                gravity,
+                nominal,
+                gain,
             )
             thrust = dot(force, axes(quaternion)[2])
             desired = desired_axes(force, yaw)
@@ -274,5 +280,12 @@ def command_rotors(
         for r in range(nominal.num_rotors):
             total_speed += swarm.rotor_speed[w, i, r]
         lee_rotors(
-            level, quat4(setpoint, w, i), state, total_speed, nominal, gain, gravity, command
+            level,
+            quat4(setpoint, w, i),
+            state,
+            total_speed,
+            nominal,
+            gain,
+            gravity,
+            command,
         )

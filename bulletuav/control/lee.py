@@ -170,7 +170,9 @@ def attitude_error(quaternion: Quat4Like, desired: tuple[Vec3, Vec3, Vec3]) -> V
 
 @func
 def rates_setpoint(
-    quaternion: Quat4Like, desired: tuple[Vec3, Vec3, Vec3], gain: np.record
+    quaternion: Quat4Like,
+    desired: tuple[Vec3, Vec3, Vec3],
+    gain: np.record,
 ) -> Vec3:
     """Step from ATTITUDE to RATES: -(w_R / 2z) e_R with e_R = vee(Rc^T R - R^T Rc) / 2.
 
@@ -218,7 +220,11 @@ def torque_setpoint(rates: Vec3Like, target: Vec3Like, row: np.record, gain: np.
 
 @func
 def mix(
-    thrust: float, torque: Vec3Like, row: np.record, gain: np.record, command: np.ndarray
+    thrust: float,
+    torque: Vec3Like,
+    row: np.record,
+    gain: np.record,
+    command: np.ndarray,
 ) -> None:
     """Share collective thrust and torques out among the rotors, within what each can do.
 

@@ -1,4 +1,4 @@
-"""Actions: what the numbers of an agent mean, and how they become setpoints.
+"""Actions: meanings of the numbers that an agent gives, and how they become setpoints.
 
 Each function that is registered as "action" makes one kind of action for the drones of an
 `ActionContext`. Unless its docstring says otherwise, each number is from -1 to 1.
@@ -47,7 +47,7 @@ def make_action(source: str | ActionMaker, context: ActionContext) -> Action:
 
     Args:
         source: Name of an action, `module:name` of its maker, or the maker itself.
-        context: What the maker may know.
+        context: Facts about the environment.
 
     Returns:
         The action.

@@ -18,7 +18,7 @@ Encoder = Callable[..., np.ndarray]
 
 @dataclass(frozen=True)
 class ActionContext:
-    """What the makers of actions may know of an environment.
+    """Facts about an environment that the makers of actions may use.
 
     Attributes:
         airframes: Airframe of each of N drones.
@@ -42,7 +42,7 @@ class Action:
     """A kind of action: A numbers of each of N drones become setpoints at one level.
 
     Attributes:
-        name: What users call it.
+        name: Name by which users choose it.
         level: Level of the setpoints.
         labels: For each drone, the meaning and scale of each number that it reads. Drones with
             fewer rotors than others read fewer than A.

@@ -12,7 +12,12 @@ HOVER_RPM_RANGE = 0.05
 
 
 def _per_rotor(
-    context: ActionContext, name: str, label: str, low: float, high: np.ndarray, decode: Decoder
+    context: ActionContext,
+    name: str,
+    label: str,
+    low: float,
+    high: np.ndarray,
+    decode: Decoder,
 ) -> Action:
     """Make an action with a number for each rotor; `high` (N,) bounds the numbers of each drone."""
     counts = [len(airframe.rotors) for airframe in context.airframes]
