@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bulletuav.control.gains import GainRow
 from bulletuav.control.lee import (
     acceleration_setpoint,
     desired_axes,
@@ -84,7 +85,7 @@ def lee_rotors(
     state: State,
     total_speed: float,
     nominal: np.record,
-    gain: np.record,
+    gain: GainRow,
     gravity: float,
     command: np.ndarray,
 ) -> None:
@@ -165,7 +166,7 @@ def step_pid(
     dt: float,
     gravity: float,
     nominal: np.record,
-    gain: np.record,
+    gain: GainRow,
     command: np.ndarray,
 ) -> None:
     """Run the PID of one drone for one step, and advance its integrals.
@@ -215,7 +216,7 @@ def command_kinematic(
     setpoint: Quat4Like,
     position: Vec3Like,
     velocity: Vec3Like,
-    gain: np.record,
+    gain: GainRow,
 ) -> Vec3:
     """Compute the command of a drone that is moved by velocities or accelerations.
 

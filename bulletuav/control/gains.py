@@ -6,6 +6,7 @@ They follow from the frequencies that the drone's motors allow.
 import math
 from collections.abc import Sequence
 from fractions import Fraction
+from typing import Protocol
 
 import numpy as np
 
@@ -13,22 +14,22 @@ from bulletuav.vehicle.airframe import MAX_ROTORS, Airframe
 
 GAINS = np.dtype(
     [
-        ("attitude_frequency", "f8", 3),  # rad/s about x, y, z
-        ("position_frequency", "f8"),  # rad/s
+        ("attitude_frequency", "f8", 3),
+        ("position_frequency", "f8"),
         ("damping", "f8"),
-        ("max_speed", "f8"),  # m/s
-        ("max_deceleration", "f8"),  # m/s^2, towards a target position
-        ("max_tilt", "f8"),  # tangent of the angle
-        ("max_thrust", "f8"),  # N, all rotors
-        ("mixer", "f8", (MAX_ROTORS, 4)),  # thrust of each rotor from collective thrust and torques
-        ("pid_mixer", "f8", (MAX_ROTORS, 3)),  # PWM of each rotor from the PID's torques
-        ("pwm_slope", "f8"),  # rpm = slope pwm + intercept
+        ("max_speed", "f8"),
+        ("max_deceleration", "f8"),
+        ("max_tilt", "f8"),
+        ("max_thrust", "f8"),
+        ("mixer", "f8", (MAX_ROTORS, 4)),
+        ("pid_mixer", "f8", (MAX_ROTORS, 3)),
+        ("pwm_slope", "f8"),
         ("pwm_intercept", "f8"),
         ("pwm_min", "f8"),
         ("pwm_max", "f8"),
     ]
 )
-"""Columns of the gains of one drone"""
+"""Type of the rows; `GainRow` tells what the fields are"""
 
 DAMPING = 0.8
 """Damping ratio of all loops"""
@@ -38,6 +39,40 @@ MAX_TILT = math.radians(55)
 """Largest tilt that controllers ask for, rad"""
 MAX_DECELERATION = 5.0
 """Braking towards a target position, m/s^2"""
+
+
+class GainRow(Protocol):
+    """One row of `GAINS` as compiled functions see it.
+
+    Attributes:
+        attitude_frequency: (3,) frequencies of the attitude loop about x, y, z, rad/s.
+        position_frequency: Frequency of the position loop, rad/s.
+        damping: Damping ratio of all loops.
+        max_speed: Highest speed towards a target position, m/s.
+        max_deceleration: Braking towards a target position, m/s^2.
+        max_tilt: Tangent of the largest tilt.
+        max_thrust: Thrust of all rotors at their highest speed, N.
+        mixer: (MAX_ROTORS, 4) thrust of each rotor from collective thrust and torques.
+        pid_mixer: (MAX_ROTORS, 3) PWM of each rotor from the PID's torques.
+        pwm_slope: Slope of rpm = slope pwm + intercept.
+        pwm_intercept: Intercept of rpm = slope pwm + intercept.
+        pwm_min: Smallest PWM.
+        pwm_max: Largest PWM.
+    """
+
+    attitude_frequency: np.ndarray
+    position_frequency: float
+    damping: float
+    max_speed: float
+    max_deceleration: float
+    max_tilt: float
+    max_thrust: float
+    mixer: np.ndarray
+    pid_mixer: np.ndarray
+    pwm_slope: float
+    pwm_intercept: float
+    pwm_min: float
+    pwm_max: float
 
 
 def gain_rows(airframes: Sequence[Airframe], max_speed: float) -> np.ndarray:

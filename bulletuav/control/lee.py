@@ -15,6 +15,7 @@ import math
 
 import numpy as np
 
+from bulletuav.control.gains import GainRow
 from bulletuav.geometry.rotation import (
     Quat4Like,
     Vec3,
@@ -29,7 +30,7 @@ from bulletuav.kernel import func
 
 
 @func
-def velocity_setpoint(position: Vec3Like, target: Vec3Like, gain: np.record) -> Vec3:
+def velocity_setpoint(position: Vec3Like, target: Vec3Like, gain: GainRow) -> Vec3:
     """Step from POSITION to VELOCITY: fly towards the target, slowly enough to brake.
 
     Args:
@@ -54,7 +55,7 @@ def velocity_setpoint(position: Vec3Like, target: Vec3Like, gain: np.record) -> 
 
 
 @func
-def acceleration_setpoint(velocity: Vec3Like, target: Vec3Like, gain: np.record) -> Vec3:
+def acceleration_setpoint(velocity: Vec3Like, target: Vec3Like, gain: GainRow) -> Vec3:
     """Step from VELOCITY to ACCELERATION.
 
     Args:
@@ -81,7 +82,7 @@ def force_setpoint(
     total_speed: float,
     gravity: float,
     row: np.record,
-    gain: np.record,
+    gain: GainRow,
 ) -> Vec3:
     """Step from ACCELERATION to the force wanted from the rotors.
 
@@ -172,7 +173,7 @@ def attitude_error(quaternion: Quat4Like, desired: tuple[Vec3, Vec3, Vec3]) -> V
 def rates_setpoint(
     quaternion: Quat4Like,
     desired: tuple[Vec3, Vec3, Vec3],
-    gain: np.record,
+    gain: GainRow,
 ) -> Vec3:
     """Step from ATTITUDE to RATES: -(w_R / 2z) e_R with e_R = vee(Rc^T R - R^T Rc) / 2.
 
@@ -195,7 +196,7 @@ def rates_setpoint(
 
 
 @func
-def torque_setpoint(rates: Vec3Like, target: Vec3Like, row: np.record, gain: np.record) -> Vec3:
+def torque_setpoint(rates: Vec3Like, target: Vec3Like, row: np.record, gain: GainRow) -> Vec3:
     """Step from RATES to a body torque: -k_W (W - W_target) + W x J W.
 
     Args:
@@ -223,7 +224,7 @@ def mix(
     thrust: float,
     torque: Vec3Like,
     row: np.record,
-    gain: np.record,
+    gain: GainRow,
     command: np.ndarray,
 ) -> None:
     """Share collective thrust and torques out among the rotors, within what each can do.

@@ -12,6 +12,7 @@ import math
 
 import numpy as np
 
+from bulletuav.control.gains import GainRow
 from bulletuav.control.lee import attitude_error, desired_axes
 from bulletuav.geometry.rotation import Quat4Like, Vec3, Vec3Like, axes, dot
 from bulletuav.kernel import func
@@ -119,7 +120,7 @@ def pid_rotors(
     dt: float,
     gravity: float,
     row: np.record,
-    gain: np.record,
+    gain: GainRow,
     command: np.ndarray,
 ) -> tuple[Vec3, Vec3]:
     """Compute the rotor speeds of one step of the PID.
