@@ -1,1 +1,1 @@
-"""Setpoint levels, controllers and the actions that they fly."""
+"""Setpoint levels, controllers, and the actions that they carry out."""

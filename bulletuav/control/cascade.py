@@ -1,9 +1,16 @@
-"""From a setpoint at any level down to rotor speeds, for one drone, in every physics substep."""
+"""The cascade from a setpoint at any level down to rotor speeds, for one drone and substep.
 
+A controller is part of the compiled loop over drones. So a new one is a function here, a number in
+`CONTROLLERS`, and a branch in `command_rotors`: it cannot be given as an object from outside.
+"""
+
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
+from bulletuav.control.gains import GainRow
 from bulletuav.control.lee import (
     acceleration_setpoint,
     desired_axes,
@@ -15,20 +22,38 @@ from bulletuav.control.lee import (
 )
 from bulletuav.control.pid import MEMORY, pid_rotors
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.geometry.rotation import axes, dot, from_euler, quat4
+from bulletuav.geometry.rotation import (
+    Quat4,
+    Quat4Like,
+    Vec3,
+    Vec3Like,
+    axes,
+    dot,
+    from_euler,
+    quat4,
+)
 from bulletuav.kernel import func
-from bulletuav.vehicle.swarm import get
+from bulletuav.vehicle.swarm import Swarm, get
 
-CONTROLLERS = {"lee": 0, "pid": 1}
-PID = CONTROLLERS["pid"]
+LEE = 0
+PID = 1
+CONTROLLERS: Mapping[str, int] = MappingProxyType({"lee": LEE, "pid": PID})
+"""Controllers by name, with the number that compiled code knows them by; read-only"""
 PID_LEVELS = (SetpointLevel.POSITION, SetpointLevel.VELOCITY, SetpointLevel.ROTOR)
+"""Setpoint levels that the PID can start from"""
+
+State = tuple[Vec3, Quat4, Vec3, Vec3]
+"""Position (m), quaternion, velocity (m/s) and body rates (rad/s) of one drone"""
 
 
 class Cascade(NamedTuple):
-    """A controller for all drones.
+    """The controller of W worlds of N drones, with its gains and its memory.
 
-    controller (a value of `CONTROLLERS`); nominal (W, N) rows of `PARAMETERS` that it believes in; gains (W, N) rows of
-    `GAINS`; memory (W, N, 6) integrals of the PID, zero at reset.
+    Attributes:
+        controller: A value of `CONTROLLERS`.
+        nominal: (W, N) rows of `PARAMETERS` that the controller believes in.
+        gains: (W, N) rows of `GAINS`.
+        memory: (W, N, 6) integrals of the PID, zero at reset.
     """
 
     controller: int
@@ -38,51 +63,174 @@ class Cascade(NamedTuple):
 
     @classmethod
     def of(cls, controller: str, nominal: np.ndarray, gains: np.ndarray) -> "Cascade":
-        """The named controller with empty memory."""
-        return cls(CONTROLLERS[controller], nominal, gains, np.zeros((*gains.shape, MEMORY)))
+        """Make a controller whose memory is empty.
+
+        Args:
+            controller: A name in `CONTROLLERS`.
+            nominal: (W, N) rows of `PARAMETERS`.
+            gains: (W, N) rows of `GAINS`.
+
+        Returns:
+            The controller.
+        """
+        memory = np.zeros((*gains.shape, MEMORY))
+        number = CONTROLLERS[controller]
+        return cls(controller=number, nominal=nominal, gains=gains, memory=memory)
 
 
 @func
-def lee_rotors(level, setpoint, state, total_speed, nominal, gain, gravity, command):
-    """The steps of the Lee controller from `level` on."""
-    position, quaternion, now, rates = state
-    target, thrust, yaw = (setpoint[0], setpoint[1], setpoint[2]), setpoint[3], setpoint[3]
-    velocity = now  # at which drag is compensated: the wanted one where there is one
+def lee_rotors(
+    level: int,
+    setpoint: Quat4Like,
+    state: State,
+    total_speed: float,
+    nominal: np.record,
+    gain: GainRow,
+    gravity: float,
+    command: np.ndarray,
+) -> None:
+    """Run the steps of the Lee controller from a level down to rotor speeds.
+
+    Args:
+        level: `SetpointLevel` of the setpoint, above ROTOR.
+        setpoint: The setpoint's four numbers.
+        state: State of the drone.
+        total_speed: Sum of its rotors' speeds, rad/s.
+        nominal: Row of `PARAMETERS`.
+        gain: Row of `GAINS`.
+        gravity: Gravitational acceleration, m/s^2.
+        command: (R,) speed of each rotor, rad/s, which is written.
+    """
+    position, quaternion, current_velocity, rates = state
+    # The first three numbers go down the cascade; the fourth is yaw or thrust, by the level.
+    target = (setpoint[0], setpoint[1], setpoint[2])
+    thrust = setpoint[3]
+    yaw = setpoint[3]
+    # Drag is compensated at the velocity wanted where there is one, else at the current one.
+    velocity = current_velocity
     if level <= SetpointLevel.POSITION:
         target = velocity_setpoint(position, target, gain)
     if level <= SetpointLevel.VELOCITY:
         velocity = target
-        target = acceleration_setpoint(now, target, gain)
+        target = acceleration_setpoint(current_velocity, target, gain)
+    # Attitude: along the force that accelerates the drone, or as the setpoint says.
     if level <= SetpointLevel.ATTITUDE:
         if level <= SetpointLevel.ACCELERATION:
             force = force_setpoint(
-                target, quaternion, velocity, total_speed, gravity, nominal, gain
+                target,
+                quaternion,
+                velocity,
+                total_speed,
+                gravity,
+                nominal,
+                gain,
             )
             thrust = dot(force, axes(quaternion)[2])
             desired = desired_axes(force, yaw)
         else:
             desired = axes(from_euler(target[0], target[1], target[2]))
         target = rates_setpoint(quaternion, desired, gain)
-    mix(thrust, torque_setpoint(rates, target, nominal, gain), nominal, gain, command)
+    torque = torque_setpoint(rates, target, nominal, gain)
+    mix(thrust, torque, nominal, gain, command)
 
 
 @func
-def pid_errors(level, setpoint, state):
-    """Errors of position (m) and velocity (m/s) that the PID sees."""
+def pid_errors(level: int, setpoint: Quat4Like, state: State) -> tuple[Vec3, Vec3]:
+    """Compute the errors that the PID sees.
+
+    Args:
+        level: POSITION or VELOCITY of `SetpointLevel`.
+        setpoint: The setpoint's four numbers.
+        state: State of the drone.
+
+    Returns:
+        Errors (target minus state) of position (m) and velocity (m/s). A position is to be held at
+        rest, and under a velocity no position is held.
+    """
     position, _, velocity, _ = state
     if level == SetpointLevel.POSITION:
         away = (setpoint[0] - position[0], setpoint[1] - position[1], setpoint[2] - position[2])
         return away, (-velocity[0], -velocity[1], -velocity[2])
-    return (0.0, 0.0, 0.0), (
-        setpoint[0] - velocity[0],
-        setpoint[1] - velocity[1],
-        setpoint[2] - velocity[2],
-    )
+    slow = (setpoint[0] - velocity[0], setpoint[1] - velocity[1], setpoint[2] - velocity[2])
+    return (0.0, 0.0, 0.0), slow
 
 
 @func
-def command_kinematic(level, accelerates, setpoint, position, velocity, gain):
-    """Velocity (m/s) for a `setpoint` at `level`, or acceleration (m/s^2) where that is wanted."""
+def step_pid(
+    level: int,
+    setpoint: Quat4Like,
+    state: State,
+    memory: np.ndarray,
+    w: int,
+    i: int,
+    dt: float,
+    gravity: float,
+    nominal: np.record,
+    gain: GainRow,
+    command: np.ndarray,
+) -> None:
+    """Run the PID of one drone for one step, and advance its integrals.
+
+    Args:
+        level: POSITION or VELOCITY of `SetpointLevel`.
+        setpoint: The setpoint's four numbers.
+        state: State of the drone.
+        memory: (W, N, 6) integrals of all drones.
+        w: Index of the world.
+        i: Index of the drone.
+        dt: Time since the last step, s.
+        gravity: Gravitational acceleration, m/s^2.
+        nominal: Row of `PARAMETERS`.
+        gain: Row of `GAINS`.
+        command: (R,) speed of each rotor, rad/s, which is written.
+    """
+    position_error, velocity_error = pid_errors(level, setpoint, state)
+    # Out of the memory as tuples, and back into it.
+    integrals = (
+        (memory[w, i, 0], memory[w, i, 1], memory[w, i, 2]),
+        (memory[w, i, 3], memory[w, i, 4], memory[w, i, 5]),
+    )
+    _, quaternion, _, rates = state
+    integrals = pid_rotors(
+        position_error,
+        velocity_error,
+        setpoint[3],
+        quaternion,
+        rates,
+        integrals,
+        dt,
+        gravity,
+        nominal,
+        gain,
+        command,
+    )
+    for k in range(3):
+        memory[w, i, k] = integrals[0][k]
+        memory[w, i, 3 + k] = integrals[1][k]
+
+
+@func
+def command_kinematic(
+    level: int,
+    accelerates: bool,
+    setpoint: Quat4Like,
+    position: Vec3Like,
+    velocity: Vec3Like,
+    gain: GainRow,
+) -> Vec3:
+    """Compute the command of a drone that is moved by velocities or accelerations.
+
+    Args:
+        level: `SetpointLevel` of the setpoint, at or above what the drone takes.
+        accelerates: Whether the drone takes an acceleration; else a velocity.
+        setpoint: The setpoint's four numbers.
+        position: Position of the drone, m, world.
+        velocity: Velocity of the drone, m/s, world.
+        gain: Row of `GAINS`.
+
+    Returns:
+        Velocity (m/s) or acceleration (m/s^2), world.
+    """
     target = (setpoint[0], setpoint[1], setpoint[2])
     if level <= SetpointLevel.POSITION:
         target = velocity_setpoint(position, target, gain)
@@ -92,39 +240,53 @@ def command_kinematic(level, accelerates, setpoint, position, velocity, gain):
 
 
 @func
-def command_rotors(level, setpoint, w, i, swarm, cascade, dt, gravity, command):
-    """Rotor speeds (rad/s, into `command`) for a drone's setpoint at `level`; dt is the time since the last call, s."""
+def command_rotors(
+    level: int,
+    setpoint: np.ndarray,
+    w: int,
+    i: int,
+    swarm: Swarm,
+    cascade: Cascade,
+    dt: float,
+    gravity: float,
+    command: np.ndarray,
+) -> None:
+    """Compute the rotor speeds of one drone, and advance its controller's memory.
+
+    Args:
+        level: `SetpointLevel` of the setpoints.
+        setpoint: (W, N, S) setpoints.
+        w: Index of the world.
+        i: Index of the drone.
+        swarm: State of all drones.
+        cascade: The controller.
+        dt: Time since the last call, s.
+        gravity: Gravitational acceleration, m/s^2.
+        command: (R,) speed of each rotor, rad/s, which is written.
+    """
     controller, all_nominal, all_gains, memory = cascade
-    nominal, gain, state = all_nominal[w, i], all_gains[w, i], get(swarm, w, i)
+    nominal = all_nominal[w, i]
+    gain = all_gains[w, i]
+    state = get(swarm, w, i)
     if level == SetpointLevel.ROTOR:
+        # The setpoint is the command, within what rotors can do.
         for r in range(nominal.num_rotors):
             command[r] = min(max(setpoint[w, i, r], 0.0), nominal.max_rotor_speed)
     elif controller == PID:
         target = quat4(setpoint, w, i)
-        away, slow = pid_errors(level, target, state)
-        integrals = (
-            (memory[w, i, 0], memory[w, i, 1], memory[w, i, 2]),
-            (memory[w, i, 3], memory[w, i, 4], memory[w, i, 5]),
-        )
-        integrals = pid_rotors(
-            away,
-            slow,
-            target[3],
-            state[1],
-            state[3],
-            integrals,
-            dt,
-            gravity,
-            nominal,
-            gain,
-            command,
-        )
-        for k in range(3):
-            memory[w, i, k], memory[w, i, 3 + k] = integrals[0][k], integrals[1][k]
+        step_pid(level, target, state, memory, w, i, dt, gravity, nominal, gain, command)
     else:
+        # The drag that Lee's controller compensates grows with the speed of all rotors.
         total_speed = 0.0
         for r in range(nominal.num_rotors):
             total_speed += swarm.rotor_speed[w, i, r]
         lee_rotors(
-            level, quat4(setpoint, w, i), state, total_speed, nominal, gain, gravity, command
+            level,
+            quat4(setpoint, w, i),
+            state,
+            total_speed,
+            nominal,
+            gain,
+            gravity,
+            command,
         )

@@ -1,8 +1,12 @@
-"""Controller gains of each drone, as rows for the compiled loops, from the frequencies that its motors allow."""
+"""Controller gains of each drone, as rows for the compiled loops.
+
+They follow from the frequencies that the drone's motors allow.
+"""
 
 import math
 from collections.abc import Sequence
 from fractions import Fraction
+from typing import Protocol
 
 import numpy as np
 
@@ -10,39 +14,87 @@ from bulletuav.vehicle.airframe import MAX_ROTORS, Airframe
 
 GAINS = np.dtype(
     [
-        ("attitude_frequency", "f8", 3),  # rad/s about x, y, z
-        ("position_frequency", "f8"),  # rad/s
+        ("attitude_frequency", "f8", 3),
+        ("position_frequency", "f8"),
         ("damping", "f8"),
-        ("max_speed", "f8"),  # m/s
-        ("max_deceleration", "f8"),  # m/s^2, towards a target position
-        ("max_tilt", "f8"),  # tangent of the angle
-        ("max_thrust", "f8"),  # N, all rotors
-        ("mixer", "f8", (MAX_ROTORS, 4)),  # thrust of each rotor from collective thrust and torques
-        ("pid_mixer", "f8", (MAX_ROTORS, 3)),  # PWM of each rotor from the PID's torques
-        ("pwm_slope", "f8"),  # rpm = slope pwm + intercept
+        ("max_speed", "f8"),
+        ("max_deceleration", "f8"),
+        ("max_tilt", "f8"),
+        ("max_thrust", "f8"),
+        ("mixer", "f8", (MAX_ROTORS, 4)),
+        ("pid_mixer", "f8", (MAX_ROTORS, 3)),
+        ("pwm_slope", "f8"),
         ("pwm_intercept", "f8"),
         ("pwm_min", "f8"),
         ("pwm_max", "f8"),
     ]
 )
+"""Type of the rows; `GainRow` tells what the fields are"""
 
 DAMPING = 0.8
-FASTEST_ATTITUDE = 10.0  # rad/s
+"""Damping ratio of all loops"""
+FASTEST_ATTITUDE = 10.0
+"""Highest frequency of the attitude loop, rad/s"""
 MAX_TILT = math.radians(55)
-MAX_DECELERATION = 5.0  # m/s^2
+"""Largest tilt that controllers ask for, rad"""
+MAX_DECELERATION = 5.0
+"""Braking towards a target position, m/s^2"""
+
+
+class GainRow(Protocol):
+    """One row of `GAINS` as compiled functions see it.
+
+    Attributes:
+        attitude_frequency: (3,) frequencies of the attitude loop about x, y, z, rad/s.
+        position_frequency: Frequency of the position loop, rad/s.
+        damping: Damping ratio of all loops.
+        max_speed: Highest speed towards a target position, m/s.
+        max_deceleration: Braking towards a target position, m/s^2.
+        max_tilt: Tangent of the largest tilt.
+        max_thrust: Thrust of all rotors at their highest speed, N.
+        mixer: (MAX_ROTORS, 4) thrust of each rotor from collective thrust and torques.
+        pid_mixer: (MAX_ROTORS, 3) PWM of each rotor from the PID's torques.
+        pwm_slope: Slope of rpm = slope pwm + intercept.
+        pwm_intercept: Intercept of rpm = slope pwm + intercept.
+        pwm_min: Smallest PWM.
+        pwm_max: Largest PWM.
+    """
+
+    attitude_frequency: np.ndarray
+    position_frequency: float
+    damping: float
+    max_speed: float
+    max_deceleration: float
+    max_tilt: float
+    max_thrust: float
+    mixer: np.ndarray
+    pid_mixer: np.ndarray
+    pwm_slope: float
+    pwm_intercept: float
+    pwm_min: float
+    pwm_max: float
 
 
 def gain_rows(airframes: Sequence[Airframe], max_speed: float) -> np.ndarray:
-    """(N,) rows of `GAINS` for drones that may be told to fly at up to `max_speed` m/s.
+    """Compute the controller gains of drones.
 
-    The attitude loop runs at w_R = min(10 rad/s, 1 / (2 tau)) with tau the slower motor lag, the position loop four times
-    slower, yaw at w_R / 2, all with damping 0.8: loops that each leave the one below it time to settle.
+    The attitude loop runs at w_R = min(10 rad/s, 1 / (2 tau)), where tau is the slower motor lag.
+    The position loop is four times slower, and yaw runs at w_R / 2. All have damping 0.8.
+    So each loop leaves the one below it time to settle.
+
+    Args:
+        airframes: Airframe of each of N drones.
+        max_speed: Highest speed that the drones may be told to fly at, m/s.
+
+    Returns:
+        (N,) rows of `GAINS`.
     """
     rows = np.zeros(len(airframes), dtype=GAINS)
     for row, airframe in zip(rows, airframes, strict=True):
         lag = max(airframe.lag_up, airframe.lag_down)
         frequency = min(FASTEST_ATTITUDE, 1 / (2 * lag)) if lag > 0 else FASTEST_ATTITUDE
-        rotors = len(airframe.rotors)
+        num_rotors = len(airframe.rotors)
+
         row["attitude_frequency"] = frequency, frequency, frequency / 2
         row["position_frequency"] = frequency / 4
         row["damping"] = DAMPING
@@ -50,37 +102,41 @@ def gain_rows(airframes: Sequence[Airframe], max_speed: float) -> np.ndarray:
         row["max_deceleration"] = MAX_DECELERATION
         row["max_tilt"] = math.tan(MAX_TILT)
         row["max_thrust"] = airframe.max_thrust
-        row["mixer"][:rotors] = exact_pseudo_inverse(airframe.allocation())
+        row["mixer"][:num_rotors] = exact_pseudo_inverse(airframe.allocation())
+
+        # Only airframes with a motor map from PWM to rpm can be flown by the PID.
         if airframe.pwm is not None:
-            row["pid_mixer"][:rotors] = _pid_mixer(airframe)
-            row["pwm_slope"], row["pwm_intercept"] = airframe.pwm.slope, airframe.pwm.intercept
-            row["pwm_min"], row["pwm_max"] = airframe.pwm.minimum, airframe.pwm.maximum
+            row["pid_mixer"][:num_rotors] = _pid_mixer(airframe)
+            row["pwm_slope"] = airframe.pwm.slope
+            row["pwm_intercept"] = airframe.pwm.intercept
+            row["pwm_min"] = airframe.pwm.minimum
+            row["pwm_max"] = airframe.pwm.maximum
     return rows
 
 
 def exact_pseudo_inverse(matrix: np.ndarray) -> np.ndarray:
-    """Compute the Moore-Penrose inverse A^T (A A^T)^-1 of a matrix of full row rank in rational numbers.
+    """Compute the Moore-Penrose inverse A^T (A A^T)^-1 in rational numbers.
 
-    Linear algebra libraries round differently from one processor to the next; this rounds once, at the end.
+    Linear algebra libraries round differently from one processor to the next.
+    This function rounds once, at the end.
 
     Args:
-        matrix: (M, R) with M <= R and rank M.
+        matrix: (M, R) matrix A of full row rank, M <= R.
 
     Returns:
-        (R, M) float64, each entry the exact one rounded.
+        (R, M) float64; each entry is the exact one, rounded.
     """
     rows = [[Fraction(value) for value in row] for row in matrix.tolist()]
     size = len(rows)
     # Gauss-Jordan elimination of [A A^T | A]: what is left on the right is (A A^T)^-1 A.
-    gram = [
-        [sum((a * b for a, b in zip(one, two, strict=True)), Fraction(0)) for two in rows]
-        for one in rows
-    ]
+    gram = [[_dot(one, other) for other in rows] for one in rows]
     table = [left + right for left, right in zip(gram, rows, strict=True)]
     for k in range(size):
+        # Bring a row with a pivot that is not zero up, and scale the pivot to one.
         pivot = next(i for i in range(k, size) if table[i][k])
         table[k], table[pivot] = table[pivot], table[k]
         table[k] = [value / table[k][k] for value in table[k]]
+        # Clear the pivot's column in all other rows.
         for i in range(size):
             if i != k:
                 factor = table[i][k]
@@ -91,7 +147,17 @@ def exact_pseudo_inverse(matrix: np.ndarray) -> np.ndarray:
     return np.array([[float(value) for value in row[size:]] for row in table]).T
 
 
+def _dot(one: list[Fraction], other: list[Fraction]) -> Fraction:
+    """Compute the scalar product of two rows."""
+    return sum((a * b for a, b in zip(one, other, strict=True)), Fraction(0))
+
+
 def _pid_mixer(airframe: Airframe) -> np.ndarray:
-    """(R, 3): PWM steps of each rotor per unit of roll, pitch and yaw command; +-1/2, +-1/2, +-1 for an X."""
+    """Compute (R, 3) PWM steps of each rotor per unit of roll, pitch and yaw command.
+
+    They are +-1/2, +-1/2, +-1 for an X.
+    """
     x, y, turn = np.array(airframe.rotors).T
-    return np.stack([y / (np.abs(y).sum() / 2), -x / (np.abs(x).sum() / 2), turn], axis=1)
+    roll = y / (np.abs(y).sum() / 2)
+    pitch = -x / (np.abs(x).sum() / 2)
+    return np.stack([roll, pitch, turn], axis=1)

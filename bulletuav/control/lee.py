@@ -1,26 +1,51 @@
-"""Geometric tracking control of one drone on SE(3), factored into the steps of the staircase.
+"""Geometric tracking control of one drone on SE(3), one function for each step of the cascade.
 
-Source: T. Lee, M. Leok, N. McClamroch, Geometric tracking control of a quadrotor UAV on SE(3), CDC 2010, here with z up
-and gains from frequencies: k_x = m w^2, k_v = 2 z m w, k_R = J w_R^2, k_W = 2 z J w_R. Each step is a proportional law, and
-their composition is the published one: m w^2 e_x + 2 z m w e_v = 2 z m w (e_v + w / (2 z) e_x), likewise for attitude.
-`row` is one row of the nominal `PARAMETERS`, `gain` one row of `GAINS`.
+Source: T. Lee, M. Leok, N. McClamroch, Geometric tracking control of a quadrotor UAV on SE(3),
+CDC 2010. Here z is up, and gains come from frequencies w and the damping ratio z:
+k_x = m w^2, k_v = 2 z m w, k_R = J w_R^2, k_W = 2 z J w_R.
+
+Each step is a proportional law, and their composition is the published one:
+m w^2 e_x + 2 z m w e_v = 2 z m w (e_v + w / (2 z) e_x), and likewise for attitude.
+
+In all functions `row` is the drone's row of the nominal `PARAMETERS`, and `gain` that of `GAINS`.
+Names in capitals, as in "POSITION to VELOCITY", are those of `SetpointLevel`.
 """
 
 import math
 
-from bulletuav.geometry.rotation import axes, cross, dot, to_body, to_world
+import numpy as np
+
+from bulletuav.control.gains import GainRow
+from bulletuav.geometry.rotation import (
+    Quat4Like,
+    Vec3,
+    Vec3Like,
+    axes,
+    cross,
+    dot,
+    to_body,
+    to_world,
+)
 from bulletuav.kernel import func
 
 
 @func
-def velocity_setpoint(position, target, gain):
-    """POSITION to VELOCITY (m/s): towards the target, no faster than can be braked at `max_deceleration`."""
+def velocity_setpoint(position: Vec3Like, target: Vec3Like, gain: GainRow) -> Vec3:
+    """Step from POSITION to VELOCITY: fly towards the target, slowly enough to brake.
+
+    Args:
+        position: Position of the drone, m, world.
+        target: Position to fly to, m, world.
+        gain: Row of `GAINS`. Braking takes `max_deceleration`.
+
+    Returns:
+        Velocity to fly at, m/s, world; no faster than `max_speed`.
+    """
     error = (target[0] - position[0], target[1] - position[1], target[2] - position[2])
     distance = math.sqrt(dot(error, error))
     rate = gain.position_frequency / (2.0 * gain.damping)
-    linear = gain.max_deceleration / (
-        rate * rate
-    )  # closer than this, the proportional law brakes gently enough
+    # Closer than this, the proportional law brakes gently enough.
+    linear = gain.max_deceleration / (rate * rate)
     if distance > linear:
         speed = math.sqrt(2.0 * gain.max_deceleration * (distance - 0.5 * linear))
         rate = min(speed, gain.max_speed) / distance
@@ -30,8 +55,17 @@ def velocity_setpoint(position, target, gain):
 
 
 @func
-def acceleration_setpoint(velocity, target, gain):
-    """VELOCITY to ACCELERATION (m/s^2)."""
+def acceleration_setpoint(velocity: Vec3Like, target: Vec3Like, gain: GainRow) -> Vec3:
+    """Step from VELOCITY to ACCELERATION.
+
+    Args:
+        velocity: Velocity of the drone, m/s, world.
+        target: Velocity to fly at, m/s, world.
+        gain: Row of `GAINS`.
+
+    Returns:
+        Acceleration, m/s^2, world.
+    """
     rate = 2.0 * gain.damping * gain.position_frequency
     return (
         rate * (target[0] - velocity[0]),
@@ -41,17 +75,46 @@ def acceleration_setpoint(velocity, target, gain):
 
 
 @func
-def force_setpoint(acceleration, quaternion, velocity, total_speed, gravity, row, gain):
-    """ACCELERATION to the force wanted from the rotors (N, world): weight, acceleration, drag in still air at `velocity`.
+def force_setpoint(
+    acceleration: Vec3Like,
+    quaternion: Quat4Like,
+    velocity: Vec3Like,
+    total_speed: float,
+    gravity: float,
+    row: np.record,
+    gain: GainRow,
+) -> Vec3:
+    """Step from ACCELERATION to the force wanted from the rotors.
 
-    Upward between 0.3 weights and 0.9 of the thrust, height before sideways, tilted by `max_tilt` at most.
+    The force carries weight, acceleration, and drag in still air. Its upward part stays between
+    0.3 weights and 0.9 of the thrust. Height comes before sideways, and the tilt is `max_tilt` at
+    most.
+
+    Args:
+        acceleration: Acceleration wanted, m/s^2, world.
+        quaternion: Attitude of the drone, body to world.
+        velocity: Velocity at which drag is compensated, m/s, world.
+        total_speed: Sum of the rotors' speeds, rad/s.
+        gravity: Gravitational acceleration, m/s^2.
+        row: Row of `PARAMETERS`.
+        gain: Row of `GAINS`.
+
+    Returns:
+        Force, N, world.
     """
-    v = to_body(quaternion, velocity)
-    xy, z = row.drag_xy * total_speed, row.drag_z * total_speed
-    drag = to_world(quaternion, (xy * v[0], xy * v[1], z * v[2]))
+    # Rotor drag is linear in the velocity along body axes and in the sum of rotor speeds.
+    body_velocity = to_body(quaternion, velocity)
+    drag_xy = row.drag_xy * total_speed
+    drag_z = row.drag_z * total_speed
+    drag = to_world(
+        quaternion,
+        (drag_xy * body_velocity[0], drag_xy * body_velocity[1], drag_z * body_velocity[2]),
+    )
     x = row.mass * acceleration[0] + drag[0]
     y = row.mass * acceleration[1] + drag[1]
     z = row.mass * (acceleration[2] + gravity) + drag[2]
+
+    # Height first: what is left of the thrust, within the tilt, goes sideways.
     most = 0.9 * gain.max_thrust
     z = min(max(z, 0.3 * row.mass * gravity), most)
     sideways = math.sqrt(x * x + y * y)
@@ -63,16 +126,25 @@ def force_setpoint(acceleration, quaternion, velocity, total_speed, gravity, row
 
 
 @func
-def nose(yaw):
-    """Where the nose points, (3,) horizontal; most flights hold 0, which needs no sine."""
+def nose(yaw: float) -> Vec3:
+    """Compute the horizontal unit vector of a nose that points towards `yaw` (rad)."""
+    # Most flights hold 0, which needs no sine.
     if yaw == 0.0:
         return 1.0, 0.0, 0.0
     return math.cos(yaw), math.sin(yaw), 0.0
 
 
 @func
-def desired_axes(force, yaw):
-    """Body axes in the world that point thrust along `force` and the nose towards `yaw` (rad)."""
+def desired_axes(force: Vec3Like, yaw: float) -> tuple[Vec3, Vec3, Vec3]:
+    """Compute the attitude that points thrust along a force and the nose towards a yaw.
+
+    Args:
+        force: Force wanted, N, world.
+        yaw: Yaw wanted, rad.
+
+    Returns:
+        Body axes x, y, z in the world: the columns of the rotation matrix Rc.
+    """
     size = math.sqrt(dot(force, force))
     b3 = (force[0] / size, force[1] / size, force[2] / size)
     side = cross(b3, nose(yaw))
@@ -82,16 +154,37 @@ def desired_axes(force, yaw):
 
 
 @func
-def attitude_error(quaternion, desired):
-    """vee(Rc^T R - R^T Rc), `desired` the columns of Rc."""
+def attitude_error(quaternion: Quat4Like, desired: tuple[Vec3, Vec3, Vec3]) -> Vec3:
+    """Compute vee(Rc^T R - R^T Rc), twice Lee's attitude error.
+
+    Args:
+        quaternion: Attitude R of the drone, body to world.
+        desired: Columns of the attitude wanted, Rc.
+
+    Returns:
+        Error about the body axes, without unit.
+    """
     b1, b2, b3 = axes(quaternion)
     c1, c2, c3 = desired
     return dot(c3, b2) - dot(b3, c2), dot(c1, b3) - dot(b1, c3), dot(c2, b1) - dot(b2, c1)
 
 
 @func
-def rates_setpoint(quaternion, desired, gain):
-    """ATTITUDE to RATES (rad/s, body): -(w_R / 2z) e_R with e_R = vee(Rc^T R - R^T Rc) / 2, `desired` the columns of Rc."""
+def rates_setpoint(
+    quaternion: Quat4Like,
+    desired: tuple[Vec3, Vec3, Vec3],
+    gain: GainRow,
+) -> Vec3:
+    """Step from ATTITUDE to RATES: -(w_R / 2z) e_R with e_R = vee(Rc^T R - R^T Rc) / 2.
+
+    Args:
+        quaternion: Attitude R of the drone, body to world.
+        desired: Columns of the attitude wanted, Rc.
+        gain: Row of `GAINS`.
+
+    Returns:
+        Body rates, rad/s.
+    """
     error = attitude_error(quaternion, desired)
     scale = -0.25 / gain.damping
     frequency = gain.attitude_frequency
@@ -103,8 +196,18 @@ def rates_setpoint(quaternion, desired, gain):
 
 
 @func
-def torque_setpoint(rates, target, row, gain):
-    """RATES to body torque (N m): -k_W (W - W_target) + W x J W."""
+def torque_setpoint(rates: Vec3Like, target: Vec3Like, row: np.record, gain: GainRow) -> Vec3:
+    """Step from RATES to a body torque: -k_W (W - W_target) + W x J W.
+
+    Args:
+        rates: Body rates W of the drone, rad/s.
+        target: Body rates wanted, rad/s.
+        row: Row of `PARAMETERS`.
+        gain: Row of `GAINS`.
+
+    Returns:
+        Torque, N m, body axes.
+    """
     momentum = (row.inertia[0] * rates[0], row.inertia[1] * rates[1], row.inertia[2] * rates[2])
     gyroscopic = cross(rates, momentum)
     twice = 2.0 * gain.damping
@@ -117,12 +220,26 @@ def torque_setpoint(rates, target, row, gain):
 
 
 @func
-def mix(thrust, torque, row, gain, command):
-    """Collective thrust and torques to rotor speeds (rad/s, into `command`), each within what the rotor can do.
+def mix(
+    thrust: float,
+    torque: Vec3Like,
+    row: np.record,
+    gain: GainRow,
+    command: np.ndarray,
+) -> None:
+    """Share collective thrust and torques out among the rotors, within what each can do.
 
-    Yaw, which needs the most of the rotors and matters least, gets only what thrust, roll and pitch leave.
+    Yaw needs the most of the rotors and matters least. It gets what thrust, roll and pitch leave.
+
+    Args:
+        thrust: Collective thrust, N.
+        torque: Torque about the body axes, N m.
+        row: Row of `PARAMETERS`.
+        gain: Row of `GAINS`.
+        command: (R,) speed of each rotor, rad/s, which is written.
     """
     most = row.thrust_coefficient * row.max_rotor_speed * row.max_rotor_speed
+    # Thrust of each rotor without yaw, and the largest share of yaw that all rotors can add.
     share = 1.0
     for r in range(row.num_rotors):
         lift = (
@@ -134,8 +251,8 @@ def mix(thrust, torque, row, gain, command):
             share = min(share, (most - command[r]) / turn)
         elif command[r] + turn < 0.0:
             share = min(share, -command[r] / turn)
+
+    # With that share of yaw, from thrust to speed; rounding may leave the thrust just below zero.
     for r in range(row.num_rotors):
-        lift = max(
-            command[r] + share * gain.mixer[r, 3] * torque[2], 0.0
-        )  # rounding may leave it just below
+        lift = max(command[r] + share * gain.mixer[r, 3] * torque[2], 0.0)
         command[r] = math.sqrt(lift / row.thrust_coefficient)

@@ -1,20 +1,25 @@
-"""Setpoint levels: the staircase that controllers step down from an action to rotor speeds."""
+"""Setpoint levels: the cascade that controllers go down, from an action to rotor speeds."""
 
 from enum import IntEnum
 
 
 class SetpointLevel(IntEnum):
-    """What a setpoint row means; world ENU, body FLU, SI units. Controllers go from lower numbers to higher ones."""
+    """Meaning of the numbers in a setpoint.
+
+    World axes are ENU, body axes FLU, units SI. Controllers go from lower numbers to higher ones.
+
+    Attributes:
+        POSITION: Position x, y, z (m, world), yaw (rad).
+        VELOCITY: Velocity vx, vy, vz (m/s, world), yaw (rad).
+        ACCELERATION: Acceleration ax, ay, az (m/s^2, world; net of gravity and drag), yaw (rad).
+        ATTITUDE: Roll, pitch, yaw (rad) and collective thrust (N).
+        RATES: Body rates p, q, r (rad/s) and collective thrust (N).
+        ROTOR: Speed of each rotor (rad/s).
+    """
 
     POSITION = 0
-    """x, y, z, yaw"""
     VELOCITY = 1
-    """vx, vy, vz, yaw"""
     ACCELERATION = 2
-    """ax, ay, az, yaw; net of gravity and drag"""
     ATTITUDE = 3
-    """roll, pitch, yaw, collective thrust"""
     RATES = 4
-    """p, q, r, collective thrust"""
     ROTOR = 5
-    """speed of each rotor, rad/s"""

@@ -1,4 +1,4 @@
-"""The bodies of a world, as the engine makes them: ground, drones, obstacles, and what stands in a city."""
+"""Makers of the bodies of an engine: ground, drones, obstacles, and the buildings of cities."""
 
 import tempfile
 from collections.abc import Iterable
@@ -12,63 +12,106 @@ from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.solids import Solids, apart_groups, obj_lines
 from bulletuav.vehicle.airframe import Airframe
 
-FLOOR = 0.02  # m, thickness of the ground in pictures
-FLOOR_COLOUR, CITY_COLOUR = (0.86, 0.88, 0.85, 1), (0.72, 0.70, 0.67, 1)
-HULL_MARGIN = 1e-3  # m, by which the engine thickens hulls
-COMPOUND = 256  # pieces: more take longer to look through for each drone, fewer make more bodies
+FLOOR = 0.02
+"""Thickness of the ground in pictures, m"""
+FLOOR_HALF_EDGE = 1000.0
+"""Half the edge of the ground in pictures, m"""
+FLOOR_COLOUR = (0.86, 0.88, 0.85, 1)
+CITY_COLOUR = (0.72, 0.70, 0.67, 1)
+HULL_MARGIN = 1e-3
+"""Thickness that Bullet adds to hulls, m"""
+COMPOUND = 256
+"""Pieces of a compound: more take longer to look through for each drone, fewer make more bodies"""
 MEETS = {SURFACE_GROUP: DRONE_GROUP | RAYS, CITY_GROUP: DRONE_GROUP, SIGHT_GROUP: RAYS}
-MESH = 100_000  # corners of triangles; the engine takes 131,072 vertices
+"""Collision groups that each group of still bodies meets"""
+MESH = 100_000
+"""Corners of the triangles of a mesh; Bullet takes 131,072 vertices"""
+UNSEEN = 1e-3
+"""Half the edge of a body that pictures do not show, m"""
+
 Body = int
+"""Number that Bullet gave a body"""
 Shape = int
+"""Number that Bullet gave a collision or visual shape"""
 
 
 def make_floor(client: int) -> Body:
-    """The ground as pictures show it; it touches nothing."""
+    """Make the ground that pictures show; it touches nothing."""
     floor = bullet.createVisualShape(
         bullet.GEOM_BOX,
-        halfExtents=[1000, 1000, FLOOR / 2],
+        halfExtents=[FLOOR_HALF_EDGE, FLOOR_HALF_EDGE, FLOOR / 2],
         rgbaColor=FLOOR_COLOUR,
         specularColor=[0, 0, 0],
         physicsClientId=client,
     )
-    return bullet.createMultiBody(0, -1, floor, physicsClientId=client)
+    body: Body = bullet.createMultiBody(0, -1, floor, physicsClientId=client)
+    return body
 
 
 def make_ground(client: int) -> Body:
-    """The plane z = 0, unseen."""
+    """Make the plane z = 0, which pictures do not show."""
     collision = bullet.createCollisionShape(bullet.GEOM_PLANE, physicsClientId=client)
-    return _still(client, collision, SURFACE_GROUP, make_speck(client))
+    return _make_still(client, collision, SURFACE_GROUP, make_speck(client))
 
 
 def make_speck(client: int) -> Shape:
-    """What cannot be seen: bodies without a visual are drawn by their collision shapes."""
-    return bullet.createVisualShape(bullet.GEOM_BOX, halfExtents=[1e-3] * 3, physicsClientId=client)
+    """Make a visual too small to see: Bullet draws bodies without one by their collision shapes."""
+    speck: Shape = bullet.createVisualShape(
+        bullet.GEOM_BOX,
+        halfExtents=[UNSEEN] * 3,
+        physicsClientId=client,
+    )
+    return speck
 
 
-def _still(
-    client: int, collision: Shape, group: int, visual: Shape, place: Iterable[float] = (0, 0, 0)
+def _make_still(
+    client: int,
+    collision: Shape,
+    group: int,
+    visual: Shape,
+    place: Iterable[float] = (0, 0, 0),
 ) -> Body:
-    """A body that nothing moves."""
-    body = bullet.createMultiBody(
-        0, collision, visual, list(place), useMaximalCoordinates=1, physicsClientId=client
+    """Make a body that nothing moves."""
+    body: Body = bullet.createMultiBody(
+        0,
+        collision,
+        visual,
+        list(place),
+        useMaximalCoordinates=1,
+        physicsClientId=client,
     )
     bullet.setCollisionFilterGroupMask(body, -1, group, MEETS[group], client)
     return body
 
 
 def make_drone(client: int, airframe: Airframe, place: np.ndarray) -> Body:
-    """One drone. Raises ValueError for a URDF that the engine cannot load."""
+    """Make one drone.
+
+    Args:
+        client: Number that Bullet gave the client.
+        airframe: Its shape, mass and inertia.
+        place: (3,) position in Bullet's frame, m.
+
+    Returns:
+        The body.
+
+    Raises:
+        ValueError: Bullet cannot load the airframe's URDF.
+    """
     flags = bullet.URDF_USE_INERTIA_FROM_FILE | bullet.URDF_USE_IMPLICIT_CYLINDER
     flags |= bullet.URDF_USE_MATERIAL_COLORS_FROM_MTL
     try:
         with silenced():
-            body = bullet.loadURDF(
-                str(airframe.urdf), place.tolist(), flags=flags, physicsClientId=client
+            body: Body = bullet.loadURDF(
+                str(airframe.urdf),
+                place.tolist(),
+                flags=flags,
+                physicsClientId=client,
             )
     except bullet.error as error:
         raise ValueError(f"{airframe.urdf}: the engine cannot load it: {error}") from None
-    # Bullet damps velocities by 4 % a second and clamps them at 100 unless told otherwise; mass and inertia are ours, as
-    # its own reading of the file may round or scale them.
+    # Bullet damps velocities by 4 % a second and clamps them at 100 unless told otherwise. Mass and
+    # inertia are ours, as its own reading of the file may round or scale them.
     bullet.changeDynamics(
         body,
         -1,
@@ -83,76 +126,111 @@ def make_drone(client: int, airframe: Airframe, place: np.ndarray) -> Body:
 
 
 def make_obstacles(
-    client: int, obstacle: Obstacle, places: Iterable[Iterable[float]]
+    client: int,
+    obstacle: Obstacle,
+    places: Iterable[Iterable[float]],
 ) -> list[Body]:
-    """One obstacle for each world."""
-    collision = bullet.createCollisionShape(**_shape(obstacle), physicsClientId=client)
-    visual = bullet.createVisualShape(
-        **_shape(obstacle), rgbaColor=obstacle.colour, physicsClientId=client
-    )
-    return [_still(client, collision, SURFACE_GROUP, visual, place) for place in places]
+    """Make one obstacle in each world.
+
+    Args:
+        client: Number that Bullet gave the client.
+        obstacle: Its shape and colour.
+        places: (3,) position in each world, in Bullet's frame, m.
+
+    Returns:
+        A body for each place.
+    """
+    shape = _obstacle_shape(obstacle)
+    collision = bullet.createCollisionShape(**shape, physicsClientId=client)
+    visual = bullet.createVisualShape(**shape, rgbaColor=obstacle.colour, physicsClientId=client)
+    return [_make_still(client, collision, SURFACE_GROUP, visual, place) for place in places]
 
 
-def _shape(obstacle: Obstacle) -> dict[str, object]:
-    """The engine's words for an obstacle's shape."""
+def _obstacle_shape(obstacle: Obstacle) -> dict[str, object]:
+    """Give the keywords by which Bullet knows an obstacle's shape."""
     if obstacle.kind == "box":
         return {"shapeType": bullet.GEOM_BOX, "halfExtents": [edge / 2 for edge in obstacle.size]}
     return {"shapeType": bullet.GEOM_SPHERE, "radius": obstacle.size[0]}
 
 
 def make_city(
-    client: int, solids: Solids, apart: float, places: Iterable[Iterable[float]]
+    client: int,
+    solids: Solids,
+    apart: float,
+    places: Iterable[Iterable[float]],
 ) -> list[tuple[list[Body], list[Body]]]:
-    """A city for each world: meshes that only rays meet, and compounds of convex pieces that drones touch.
+    """Make a city in each world: meshes that only rays meet, and compounds that drones touch.
 
-    No two pieces of a compound are closer than `apart` m: a drone that touches two of them at once would be pushed in an
-    order that depends on other worlds. The meshes are what makes rays fast; drones would pass through them.
+    The meshes are what makes rays fast, but drones would pass through them. So there are compounds
+    of convex pieces, too. No two pieces of a compound are near each other: a drone that touches two
+    of them at once would be pushed in an order that depends on other worlds.
+
+    Args:
+        client: Number that Bullet gave the client.
+        solids: Pieces of the city.
+        apart: Least distance of two pieces of a compound, m.
+        places: (3,) origin of the city in each world, in Bullet's frame, m.
+
+    Returns:
+        Meshes and compounds for each place.
     """
+    # Shapes are made once, and shared by the bodies of all worlds.
     speck = make_speck(client)
-    meshes = [_sight(client, *mesh) for mesh in solids.meshes(MESH)]
-    compounds = [_compound(client, solids, part) for part in _parts(solids.bounds, apart)]
+    meshes = [_make_mesh(client, *mesh) for mesh in solids.meshes(MESH)]
+    compounds = [_make_compound(client, solids, part) for part in _parts(solids.bounds, apart)]
     return [
         (
-            [_still(client, mesh, SIGHT_GROUP, speck, place) for mesh in meshes],
-            [_still(client, compound, CITY_GROUP, speck, place) for compound in compounds],
+            [_make_still(client, mesh, SIGHT_GROUP, speck, place) for mesh in meshes],
+            [_make_still(client, compound, CITY_GROUP, speck, place) for compound in compounds],
         )
         for place in places
     ]
 
 
-def _sight(client: int, vertices: np.ndarray, triangles: np.ndarray) -> Shape:
-    flags, corners = bullet.GEOM_FORCE_CONCAVE_TRIMESH, triangles.ravel().tolist()
-    return bullet.createCollisionShape(
+def _make_mesh(client: int, vertices: np.ndarray, triangles: np.ndarray) -> Shape:
+    """Make a collision shape of triangles (T, 3) of vertices (V, 3), m."""
+    mesh: Shape = bullet.createCollisionShape(
         bullet.GEOM_MESH,
         vertices=vertices.tolist(),
-        indices=corners,
-        flags=flags,
+        indices=triangles.ravel().tolist(),
+        flags=bullet.GEOM_FORCE_CONCAVE_TRIMESH,
         physicsClientId=client,
     )
+    return mesh
 
 
 def _parts(bounds: np.ndarray, apart: float) -> list[np.ndarray]:
-    """Which pieces go into one compound: those of a colour, at most COMPOUND that are near each other."""
-    parts = []
+    """Choose the pieces of each compound: at most `COMPOUND` near each other, but not too near.
+
+    Args:
+        bounds: (P, 2, 3) low and high corner of each piece, m.
+        apart: Least distance of two pieces of a compound, m.
+
+    Returns:
+        Indices of the pieces of each compound.
+    """
+    parts: list[np.ndarray] = []
     for group in apart_groups(bounds, apart):
+        # Strips from west to east with as many pieces each, and in each from south to north.
         middle = bounds[group].mean(axis=1)
         strips = max(1, round((len(group) / COMPOUND) ** 0.5))
-        strip = (
-            np.argsort(np.argsort(middle[:, 0], kind="stable"), kind="stable")
-            * strips
-            // len(group)
-        )
+        rank = np.argsort(np.argsort(middle[:, 0], kind="stable"), kind="stable")
+        strip = rank * strips // len(group)
         order = group[np.lexsort((middle[:, 1], strip))]
         parts += np.array_split(order, -(-len(group) // COMPOUND))
     return parts
 
 
-def _compound(client: int, solids: Solids, pieces: np.ndarray) -> Shape:
-    """Convex pieces as one shape. It goes through a file: the engine's other ways take sixteen at most."""
+def _make_compound(client: int, solids: Solids, pieces: np.ndarray) -> Shape:
+    """Make one collision shape of convex pieces.
+
+    It goes through a file, as Bullet's other ways take sixteen pieces at most.
+    """
     objects = []
     for p in pieces.tolist():
         corners, faces = solids.faces[p]
-        if p < len(solids.boxes):  # the engine thickens it again
+        # Boxes shrink by the margin by which Bullet thickens them again.
+        if p < len(solids.boxes):
             inward = corners.mean(axis=0) - corners
             corners = corners + np.sign(inward) * np.minimum(HULL_MARGIN, np.abs(inward) / 2)
         objects.append((f"piece_{p}", corners, faces))
@@ -160,18 +238,23 @@ def _compound(client: int, solids: Solids, pieces: np.ndarray) -> Shape:
         path = Path(folder, "pieces.obj")
         path.write_text("\n".join(obj_lines(objects)) + "\n")
         with silenced():
-            return bullet.createCollisionShape(
-                bullet.GEOM_MESH, fileName=str(path), physicsClientId=client
+            compound: Shape = bullet.createCollisionShape(
+                bullet.GEOM_MESH,
+                fileName=str(path),
+                physicsClientId=client,
             )
+    return compound
 
 
 def make_facades(client: int, solids: Solids) -> list[Body]:
-    """A city as pictures show it; it touches nothing."""
-    return [_facade(client, vertices[triangles]) for vertices, triangles in solids.meshes(MESH)]
+    """Make a city that pictures show; it touches nothing."""
+    return [
+        _make_facade(client, vertices[triangles]) for vertices, triangles in solids.meshes(MESH)
+    ]
 
 
-def _facade(client: int, corner: np.ndarray) -> Body:
-    """Triangles (T, 3, 3), each with its own corners, so that walls are flat."""
+def _make_facade(client: int, corner: np.ndarray) -> Body:
+    """Make a visual body of triangles (T, 3, 3) with corners of their own: walls look flat."""
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     visual = bullet.createVisualShape(
@@ -183,4 +266,5 @@ def _facade(client: int, corner: np.ndarray) -> Body:
         specularColor=[0, 0, 0],
         physicsClientId=client,
     )
-    return bullet.createMultiBody(0, -1, visual, physicsClientId=client)
+    facade: Body = bullet.createMultiBody(0, -1, visual, physicsClientId=client)
+    return facade

@@ -1,9 +1,13 @@
-"""The calls of `Calls` for all bodies at once, through the optional C extension `_batch` (see there)."""
+"""The calls of `EngineCalls` for all bodies at once, through the C extension `_batch.c`.
+
+The extension is optional: it makes flights several times as fast.
+"""
 
 import ctypes
 import importlib.util
 import os
 import weakref
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,12 +18,17 @@ from bulletuav.engine.tiles import columns, land, localise
 from bulletuav.geometry.city_grid import CityGrid
 from bulletuav.geometry.raycast import walk
 from bulletuav.kernel import kernel
+from bulletuav.vehicle.swarm import Swarm
 
 SWITCH = "BULLETUAV_BATCH"
 """Environment variable; 0 turns the extension off"""
 POSTFIX = "_bulletuav"
-_POINTER, _WHOLE, _COUNT = ctypes.c_void_p, ctypes.c_int, ctypes.c_int64
-_SIGNATURES = {
+"""Ending of the names of the functions that Bullet calls in a plugin"""
+
+_POINTER = ctypes.c_void_p
+_INT = ctypes.c_int
+_COUNT = ctypes.c_int64
+_SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "batch_find": (ctypes.c_char_p, [ctypes.c_char_p]),
     "batch_open": (_POINTER, [_COUNT, _POINTER]),
     "batch_close": (None, [_POINTER]),
@@ -28,61 +37,80 @@ _SIGNATURES = {
     "batch_step": (None, [_POINTER]),
     "batch_contacts": (_COUNT, [_POINTER, _COUNT, _POINTER, _POINTER]),
     "batch_substep": (_COUNT, [_POINTER] * 8),
-    "batch_rays": (None, [_POINTER, _COUNT, _POINTER, _POINTER, _WHOLE, _POINTER]),
+    "batch_rays": (None, [_POINTER, _COUNT, _POINTER, _POINTER, _INT, _POINTER]),
     "batch_pose": (None, [_POINTER, _COUNT] + [_POINTER] * 3),
     "batch_velocity": (None, [_POINTER, _COUNT] + [_POINTER] * 3),
-    "batch_filter": (None, [_POINTER, _COUNT, _POINTER, _WHOLE, _WHOLE]),
+    "batch_filter": (None, [_POINTER, _COUNT, _POINTER, _INT, _INT]),
 }
+"""Result and arguments of each function of the extension"""
+_NOT_BUILT = "not built: a C compiler and Python's headers are needed when bulletuav is installed"
+_ROOM = 64
+"""Contacts that there is room for at first"""
 
 
 class Extension(NamedTuple):
-    """The extension, or why there is none: `library` is None then."""
+    """The C extension, or the reason why there is none.
 
-    library: Any
+    Attributes:
+        library: The loaded library; None where there is none.
+        path: Its file; empty where none was found.
+        missing: The reason why there is none; empty where there is one.
+    """
+
+    library: ctypes.PyDLL | None
     path: str
     missing: str
 
 
 def load(engine: str) -> Extension:
-    """The extension for the pybullet module in the file `engine`."""
+    """Load the extension.
+
+    Args:
+        engine: File of the pybullet module that is loaded already.
+
+    Returns:
+        The extension, or the reason why there is none.
+    """
     if os.environ.get(SWITCH) == "0":
         return Extension(None, "", f"turned off by {SWITCH}=0")
     spec = importlib.util.find_spec("bulletuav.engine._batch")
     if spec is None or spec.origin is None:
-        return Extension(
-            None,
-            "",
-            "not built: a C compiler and Python's headers are needed when bulletuav is installed",
-        )
+        return Extension(None, "", _NOT_BUILT)
     try:
-        library = ctypes.PyDLL(
-            spec.origin
-        )  # which keeps the interpreter lock: the engine is not made for threads
+        # A PyDLL keeps the interpreter lock: Bullet is not made for threads.
+        library = ctypes.PyDLL(spec.origin)
         for name, (result, arguments) in _SIGNATURES.items():
             function = getattr(library, name)
-            function.restype, function.argtypes = result, arguments
+            function.restype = result
+            function.argtypes = arguments
     except (OSError, AttributeError) as error:
-        return Extension(
-            None, spec.origin, f"built for something else, install bulletuav again: {error}"
-        )
+        missing = f"built for something else, install bulletuav again: {error}"
+        return Extension(None, spec.origin, missing)
     lacking = library.batch_find(os.fsencode(engine))
     if lacking:
-        return Extension(
-            None, spec.origin, f"{Path(engine).name} does not offer {lacking.decode()}"
-        )
+        missing = f"{Path(engine).name} does not offer {lacking.decode()}"
+        return Extension(None, spec.origin, missing)
     return Extension(library, spec.origin, "")
 
 
 class Port(NamedTuple):
-    """What compiled code needs to run substeps: session and functions of the extension, arrays of the world.
+    """What compiled code needs to run substeps by itself.
 
-    place, omega  (W, N, 3) positions and angular velocities as the engine gave them
-    offset (W, 1, 3) of the tiles; obstacle, obstacle_radius (W, K, 3), (K,) of bounding spheres, m; atlas of the cities
+    Attributes:
+        session: Address of the extension's session.
+        substep: The extension's function `batch_substep`.
+        rays: The extension's function `batch_rays`.
+        place: (W, N, 3) positions as Bullet gave them, in its own frame, m.
+        omega: (W, N, 3) angular velocities as Bullet gave them, world axes, rad/s.
+        offset: (W, 1, 3) origins of the tiles, m.
+        obstacle: (W, K, 3) positions of the obstacles, m.
+        obstacle_radius: (K,) radii of their bounding spheres, m.
+        city_grid: The cities, and which stands in each world.
     """
 
     session: int
-    substep: Any
-    rays: Any
+    substep: Callable[..., int]
+    rays: Callable[..., None]
     place: np.ndarray
     omega: np.ndarray
     offset: np.ndarray
@@ -92,31 +120,61 @@ class Port(NamedTuple):
 
 
 @kernel
-def surface_below(port, position, mask, surface):
-    """`Engine.surface_below`, into `surface`."""
+def surface_below(port: Port, position: np.ndarray, mask: np.ndarray, surface: np.ndarray) -> None:
+    """Write the height of the surface below drones, as `Engine.surface_below` does.
+
+    Args:
+        port: Of the engine.
+        position: (W, N, 3) of the drones, m.
+        mask: (W, N) bool, drones that are asked for.
+        surface: (W, N) heights z, m, which are written; -inf outside `mask`.
+    """
     who, start, end = columns(
-        position, mask, port.obstacle, port.obstacle_radius, port.city_grid, surface
+        position,
+        mask,
+        port.obstacle,
+        port.obstacle_radius,
+        port.city_grid,
+        surface,
     )
     if who.shape[0] == 0:
         return
     fraction, left = walk(port.city_grid, start, end, who[:, 0], port.obstacle_radius.size > 0)
+    # Bullet answers what is more than ground and boxes.
     count = left.shape[0]
     if count > 0:
-        first, last, share = np.empty((count, 3)), np.empty((count, 3)), np.empty(count)
+        first = np.empty((count, 3))
+        last = np.empty((count, 3))
+        share = np.empty(count)
         for k in range(count):
             m = left[k]
-            first[k], last[k] = (
-                start[m] + port.offset[who[m, 0], 0],
-                end[m] + port.offset[who[m, 0], 0],
-            )
+            first[k] = start[m] + port.offset[who[m, 0], 0]
+            last[k] = end[m] + port.offset[who[m, 0], 0]
         port.rays(port.session, count, first.ctypes, last.ctypes, VISIBLE, share.ctypes)
         fraction[left] = share
     land(surface, who, start, fraction)
 
 
 @kernel
-def substep(port, force, torque, mask, swarm):
-    """`Engine.apply_wrenches`, `step` and `read_states`; returns how many points touch."""
+def substep(
+    port: Port,
+    force: np.ndarray,
+    torque: np.ndarray,
+    mask: np.ndarray,
+    swarm: Swarm,
+) -> int:
+    """Do what `Engine.apply_wrenches`, `step` and `read_states` do, in one call.
+
+    Args:
+        port: Of the engine.
+        force: (W, N, 3) N, world axes.
+        torque: (W, N, 3) N m, body axes.
+        mask: (W, N) bool, drones that fly.
+        swarm: Whose positions, attitudes and velocities are written.
+
+    Returns:
+        Number of points that touch.
+    """
     touching = port.substep(
         port.session,
         mask.ctypes,
@@ -132,22 +190,41 @@ def substep(port, force, torque, mask, swarm):
 
 
 def _at(array: np.ndarray, kind: type = np.float64) -> int:
+    """Give the address of an array that C can read as it lies."""
     assert array.dtype == kind, array.dtype
     assert array.flags.c_contiguous
     return array.ctypes.data
 
 
 class CExtension:
-    """One client and the bodies (n,) of its drones."""
+    """The extension's functions for the drones of one client; they are those of `EngineCalls`.
 
-    def __init__(self, library: Any, body: np.ndarray):
-        """For the client that loaded the plugin last. Raises RuntimeError where the engine does not answer as expected."""
-        self._library, self._body = library, np.ascontiguousarray(body, dtype=np.int32)
-        self._session = library.batch_open(len(body), _at(self._body, np.int32))
-        if not self._session:
+    Attributes:
+        functions: Address of the session, and the functions `batch_substep` and `batch_rays`.
+    """
+
+    def __init__(self, library: ctypes.PyDLL, body: np.ndarray) -> None:
+        """Open a session on the client that loaded the plugin last.
+
+        Args:
+            library: The loaded extension.
+            body: (n,) numbers that Bullet gave the drones.
+
+        Raises:
+            RuntimeError: Bullet does not answer as expected.
+        """
+        self._library = library
+        self._body = np.ascontiguousarray(body, dtype=np.int32)
+        session: int | None = library.batch_open(len(body), _at(self._body, np.int32))
+        if not session:
             raise RuntimeError("the engine answers the plugin otherwise than its own calls")
-        weakref.finalize(self, library.batch_close, self._session)
-        self.functions = self._session, library.batch_substep, library.batch_rays
+        self._session = session
+        weakref.finalize(self, library.batch_close, session)
+        self.functions: tuple[int, Callable[..., int], Callable[..., None]] = (
+            session,
+            library.batch_substep,
+            library.batch_rays,
+        )
 
     def read(
         self,
@@ -157,55 +234,81 @@ class CExtension:
         velocity: np.ndarray,
         omega: np.ndarray,
     ) -> None:
-        """As in `Calls`, here and below; one crossing for all bodies."""
+        """Write poses and velocities of the drones into arrays; see `EngineCalls.read`."""
         self._library.batch_read(
-            self._session, _at(mask, bool), *map(_at, (position, quaternion, velocity, omega))
+            self._session,
+            _at(mask, bool),
+            *map(_at, (position, quaternion, velocity, omega)),
         )
 
     def apply(
-        self, mask: np.ndarray, position: np.ndarray, force: np.ndarray, torque: np.ndarray
+        self,
+        mask: np.ndarray,
+        position: np.ndarray,
+        force: np.ndarray,
+        torque: np.ndarray,
     ) -> None:
-        """As in `Calls`, here and below; one crossing for all bodies."""
+        """Give drones one force and one torque each; see `EngineCalls.apply`."""
         self._library.batch_apply(
-            self._session, _at(mask, bool), *map(_at, (position, force, torque))
+            self._session,
+            _at(mask, bool),
+            *map(_at, (position, force, torque)),
         )
 
     def step(self) -> None:
-        """The same command."""
+        """Advance everything by one substep."""
         self._library.batch_step(self._session)
 
     def contacts(self) -> tuple[np.ndarray, np.ndarray]:
-        """Asked again with more room where there are many."""
-        room = 64
+        """Ask for the points at which bodies touch; see `EngineCalls.contacts`."""
+        room = _ROOM
         while True:
-            bodies, force = np.empty((room, 2), dtype=np.int32), np.empty(room)
-            count = self._library.batch_contacts(
-                self._session, room, _at(bodies, np.int32), _at(force)
+            bodies = np.empty((room, 2), dtype=np.int32)
+            force = np.empty(room)
+            count: int = self._library.batch_contacts(
+                self._session,
+                room,
+                _at(bodies, np.int32),
+                _at(force),
             )
             if count <= room:
                 return bodies[:count], force[:count]
+            # There are more: ask again with room for all.
             room = count
 
     def rays(self, start: np.ndarray, end: np.ndarray, groups: int) -> np.ndarray:
-        """Straight into an array."""
+        """Cast rays; see `EngineCalls.rays`."""
         fraction = np.empty(len(start))
         self._library.batch_rays(
-            self._session, len(start), _at(start), _at(end), groups, _at(fraction)
+            self._session,
+            len(start),
+            _at(start),
+            _at(end),
+            groups,
+            _at(fraction),
         )
         return fraction
 
     def pose(self, body: np.ndarray, position: np.ndarray, quaternion: np.ndarray) -> None:
-        """A command each."""
+        """Put bodies somewhere, at rest; see `EngineCalls.pose`."""
         self._library.batch_pose(
-            self._session, len(body), _at(body, np.int32), _at(position), _at(quaternion)
+            self._session,
+            len(body),
+            _at(body, np.int32),
+            _at(position),
+            _at(quaternion),
         )
 
     def velocity(self, body: np.ndarray, velocity: np.ndarray, omega: np.ndarray) -> None:
-        """A command each."""
+        """Give bodies velocities; see `EngineCalls.velocity`."""
         self._library.batch_velocity(
-            self._session, len(body), _at(body, np.int32), _at(velocity), _at(omega)
+            self._session,
+            len(body),
+            _at(body, np.int32),
+            _at(velocity),
+            _at(omega),
         )
 
     def filter(self, body: np.ndarray, group: int, meets: int) -> None:
-        """A command each."""
+        """Set which bodies meet; see `EngineCalls.filter`."""
         self._library.batch_filter(self._session, len(body), _at(body, np.int32), group, meets)

@@ -1,6 +1,7 @@
-"""What the engine is asked in every substep, body by body through pybullet; `Batch` does the same, to the bit, in C.
+"""Calls to Bullet in every substep, body by body through pybullet.
 
-Arrays are float64 and contiguous, first axes as many as there are drones (or bodies); positions are the engine's own.
+`CExtension` does the same, to the bit, in C. Arrays are float64 and contiguous. Their first axes
+are as many as there are drones (or bodies). Positions are in Bullet's own frame.
 """
 
 import sys
@@ -10,24 +11,45 @@ import numpy as np
 from bulletuav.engine.silence import silenced
 
 with silenced():
-    import pybullet as bullet
+    import pybullet
 
-RAYS, DRONE_GROUP, SURFACE_GROUP, CITY_GROUP, SIGHT_GROUP = 1, 2, 4, 8, 16
-"""Collision groups: the engine counts its rays to the first; ground and obstacles are surfaces; of cities, drones meet one
-kind of body, rays the other"""
+bullet = pybullet
+
+# Collision groups. Bullet counts its rays to the first; ground and obstacles are surfaces. Of
+# cities, drones meet one kind of body, and rays the other.
+RAYS = 1
+DRONE_GROUP = 2
+SURFACE_GROUP = 4
+CITY_GROUP = 8
+SIGHT_GROUP = 16
 SOLID = SURFACE_GROUP | CITY_GROUP
+"""Groups that drones meet, beside each other"""
 VISIBLE = SURFACE_GROUP | SIGHT_GROUP
-MAX_RAYS = 4095 if sys.platform == "darwin" else 16383  # per call; one more and Bullet answers none
+"""Groups that rays meet"""
+MAX_RAYS = 4095 if sys.platform == "darwin" else 16383
+"""Rays a call takes; with one more Bullet answers none"""
 
-# Columns of a row of getContactPoints.
-BODY_A, BODY_B, DISTANCE, NORMAL_FORCE = 1, 2, 8, 9
+# Columns of a row of getContactPoints and getClosestPoints.
+BODY_A = 1
+BODY_B = 2
+DISTANCE = 8
+NORMAL_FORCE = 9
+# Column of a row of rayTestBatch.
+HIT_FRACTION = 2
 
 
 class EngineCalls:
-    """One client and the bodies (n,) of its drones."""
+    """Functions of Bullet for the drones of one client."""
 
-    def __init__(self, client: int, body: np.ndarray):
-        self._client, self._body = client, body.tolist()
+    def __init__(self, client: int, body: np.ndarray) -> None:
+        """Keep the client and the bodies of its drones.
+
+        Args:
+            client: Number that Bullet gave the client.
+            body: (n,) numbers that Bullet gave the drones.
+        """
+        self._client = client
+        self._body: list[int] = body.tolist()
 
     def read(
         self,
@@ -37,66 +59,118 @@ class EngineCalls:
         velocity: np.ndarray,
         omega: np.ndarray,
     ) -> None:
-        """Write pose and velocity, world axes, of the drones of `mask`."""
-        flat = (
-            position.reshape(-1, 3),
-            quaternion.reshape(-1, 4),
-            velocity.reshape(-1, 3),
-            omega.reshape(-1, 3),
-        )
+        """Write poses and velocities of the drones into arrays.
+
+        Args:
+            mask: (n,) bool, drones to read.
+            position: (n, 3) m, written.
+            quaternion: (n, 4) body to world, written.
+            velocity: (n, 3) m/s, world axes, written.
+            omega: (n, 3) angular velocity, rad/s, world axes, written.
+        """
+        positions = position.reshape(-1, 3)
+        quaternions = quaternion.reshape(-1, 4)
+        velocities = velocity.reshape(-1, 3)
+        omegas = omega.reshape(-1, 3)
         for k in np.flatnonzero(mask):
-            flat[0][k], flat[1][k] = bullet.getBasePositionAndOrientation(
-                self._body[k], self._client
-            )
-            flat[2][k], flat[3][k] = bullet.getBaseVelocity(self._body[k], self._client)
+            body = self._body[k]
+            positions[k], quaternions[k] = bullet.getBasePositionAndOrientation(body, self._client)
+            velocities[k], omegas[k] = bullet.getBaseVelocity(body, self._client)
 
     def apply(
-        self, mask: np.ndarray, position: np.ndarray, force: np.ndarray, torque: np.ndarray
+        self,
+        mask: np.ndarray,
+        position: np.ndarray,
+        force: np.ndarray,
+        torque: np.ndarray,
     ) -> None:
-        """One force (world axes, at `position`) and one torque (body axes) on each drone of `mask`, for the next step."""
-        client, body = self._client, self._body
-        places, forces, torques = (
-            array.reshape(-1, 3).tolist() for array in (position, force, torque)
-        )
+        """Give drones one force and one torque each for the next step.
+
+        Args:
+            mask: (n,) bool, drones to drive.
+            position: (n, 3) where the force acts, m.
+            force: (n, 3) N, world axes.
+            torque: (n, 3) N m, body axes.
+        """
+        client = self._client
+        positions = position.reshape(-1, 3).tolist()
+        forces = force.reshape(-1, 3).tolist()
+        torques = torque.reshape(-1, 3).tolist()
         for k in np.flatnonzero(mask):
-            bullet.applyExternalForce(body[k], -1, forces[k], places[k], bullet.WORLD_FRAME, client)
-            bullet.applyExternalTorque(body[k], -1, torques[k], bullet.LINK_FRAME, client)
+            body = self._body[k]
+            bullet.applyExternalForce(body, -1, forces[k], positions[k], bullet.WORLD_FRAME, client)
+            bullet.applyExternalTorque(body, -1, torques[k], bullet.LINK_FRAME, client)
 
     def step(self) -> None:
         """Advance everything by one substep."""
         bullet.stepSimulation(self._client)
 
     def contacts(self) -> tuple[np.ndarray, np.ndarray]:
-        """Bodies (C, 2) and normal forces (C,) of the points at which bodies touch."""
+        """Ask for the points at which bodies touch.
+
+        Returns:
+            Both bodies (C, 2) and the normal force (C,) of each point, N.
+        """
+        # Bullet also lists points that are near each other and do not touch.
         points = bullet.getContactPoints(physicsClientId=self._client)
         touching = [point for point in points if point[NORMAL_FORCE] > 0 or point[DISTANCE] < 0]
-        bodies = np.array(
-            [(point[BODY_A], point[BODY_B]) for point in touching], dtype=np.int32
-        ).reshape(-1, 2)
+        pairs = [(point[BODY_A], point[BODY_B]) for point in touching]
+        bodies = np.array(pairs, dtype=np.int32).reshape(-1, 2)
         return bodies, np.array([point[NORMAL_FORCE] for point in touching])
 
     def rays(self, start: np.ndarray, end: np.ndarray, groups: int) -> np.ndarray:
-        """(M,) fraction of each ray (M, 3) before it meets a body of `groups`, 1 where none."""
+        """Cast rays.
+
+        Args:
+            start: (M, 3) starts, m.
+            end: (M, 3) ends, m.
+            groups: Collision groups that the rays meet.
+
+        Returns:
+            (M,) fraction of each ray before it meets a body, 1 where it meets none.
+        """
+        # As many at once as a call takes.
         fraction = np.empty(len(start))
         for first in range(0, len(start), MAX_RAYS):
             part = slice(first, first + MAX_RAYS)
             hits = bullet.rayTestBatch(
-                start[part], end[part], collisionFilterMask=groups, physicsClientId=self._client
+                start[part],
+                end[part],
+                collisionFilterMask=groups,
+                physicsClientId=self._client,
             )
-            fraction[part] = [hit[2] for hit in hits]
+            fraction[part] = [hit[HIT_FRACTION] for hit in hits]
         return fraction
 
     def pose(self, body: np.ndarray, position: np.ndarray, quaternion: np.ndarray) -> None:
-        """Put any bodies (n,) somewhere, at rest."""
+        """Put bodies somewhere, at rest.
+
+        Args:
+            body: (n,) any bodies.
+            position: (n, 3) m.
+            quaternion: (n, 4) body to world.
+        """
         for one, place, turn in zip(body, position, quaternion, strict=True):
             bullet.resetBasePositionAndOrientation(one, place, turn, self._client)
 
     def velocity(self, body: np.ndarray, velocity: np.ndarray, omega: np.ndarray) -> None:
-        """Give any bodies (n,) velocities, world axes."""
+        """Give bodies velocities.
+
+        Args:
+            body: (n,) any bodies.
+            velocity: (n, 3) m/s, world axes.
+            omega: (n, 3) angular velocity, rad/s, world axes.
+        """
         for one, speed, spin in zip(body, velocity.tolist(), omega.tolist(), strict=True):
             bullet.resetBaseVelocity(one, speed, spin, self._client)
 
     def filter(self, body: np.ndarray, group: int, meets: int) -> None:
-        """Set the collision group of any bodies (n,), and the groups that they meet; drops their cached contacts."""
+        """Set which bodies meet; this drops their cached contacts.
+
+        Args:
+            body: (n,) any bodies.
+            group: Collision group of these bodies.
+            meets: Collision groups that they meet.
+        """
         for one in body:
             bullet.setCollisionFilterGroupMask(one, -1, group, meets, self._client)

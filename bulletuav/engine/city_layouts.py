@@ -1,4 +1,7 @@
-"""Which city stands in which world: bodies that are made once, and moved between a world's tile and the cellar below it."""
+"""City layouts as bodies of Bullet, and which of them stands in each world.
+
+Bodies are made once. While their layout stands nowhere they wait offstage, far below the ground.
+"""
 
 from collections.abc import Sequence
 
@@ -10,60 +13,95 @@ from bulletuav.engine.calls import EngineCalls
 from bulletuav.geometry.city_grid import NO_LAYOUT, make_city_grid
 from bulletuav.geometry.solids import Solids
 
-OFFSTAGE_PITCH = 4096.0  # m, below each other and the ground wait the layouts that stand nowhere
-GAP = 1.0  # m, beyond a drone's diameter, between pieces of a compound
+OFFSTAGE_PITCH = 4096.0
+"""Depth of the first layout offstage below the ground, and of each one below the last, m"""
+GAP = 1.0
+"""Distance of the pieces of a compound beyond a drone's diameter, m"""
 LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
+"""Quaternion of no rotation"""
 
 
 class LayoutBodies:
-    """L layouts, one of which, or none, stands in each of W worlds.
+    """Bodies of L city layouts in each of W worlds. In a world one layout stands, or none.
 
-    Public, to read: solids, atlas (whose `layout` tells what stands where), body: of each layout the bodies (W, .) that can
-    stand for it.
+    Attributes:
+        solids: The layouts.
+        city_grid: The pieces of the layouts; its `layout` tells which stands in each world.
+        body: For each layout, the bodies (W, B) that can stand for it in each world.
     """
 
-    def __init__(self, client: int, solids: Sequence[Solids], offset: np.ndarray, diameter: float):
-        """`offset` (W, 3) of the tiles, m; `diameter` of the largest drone, m."""
-        self.solids, self.city_grid = tuple(solids), make_city_grid(solids, len(offset))
+    def __init__(
+        self,
+        client: int,
+        solids: Sequence[Solids],
+        offset: np.ndarray,
+        diameter: float,
+    ) -> None:
+        """Make the bodies, all offstage.
+
+        Args:
+            client: Number that Bullet gave the client.
+            solids: The layouts.
+            offset: (W, 3) origins of the tiles, m.
+            diameter: That of the largest drone, m.
+        """
+        self.solids = tuple(solids)
+        self.city_grid = make_city_grid(solids, len(offset))
+        self._client = client
         self._tile = offset
-        self._cellar = [
+        self._offstage = [
             offset - [0, 0, OFFSTAGE_PITCH * (layout + 1)] for layout in range(len(self.solids))
         ]
-        pairs = [
+        # For each layout and world, its meshes and its compounds.
+        made = [
             make_city(client, one, diameter + GAP, places)
-            for one, places in zip(self.solids, self._cellar, strict=True)
+            for one, places in zip(self.solids, self._offstage, strict=True)
         ]
         self.body = [
             np.array([meshes + compounds for meshes, compounds in of_worlds], dtype=np.int32)
-            for of_worlds in pairs
+            for of_worlds in made
         ]
-        self._solid = [[compounds for _, compounds in of_worlds] for of_worlds in pairs]
-        self._client = client
-        self._facade: dict[
-            int, list[int]
-        ] = {}  # made when a picture first needs them: the engine never frees their meshes
+        self._solid = [[compounds for _, compounds in of_worlds] for of_worlds in made]
+        # Made when a picture first needs them, as Bullet never frees their meshes.
+        self._facade: dict[int, list[int]] = {}
 
     def put(self, layout: np.ndarray, worlds: np.ndarray, calls: EngineCalls | CExtension) -> None:
-        """Have layout `layout` (W,) stand in each of `worlds` (W,) bool; the others keep theirs."""
+        """Change which layouts stand.
+
+        Args:
+            layout: (W,) layout that is to stand in each world, or `NO_LAYOUT`.
+            worlds: (W,) bool, worlds to change; the others keep theirs.
+            calls: That move bodies.
+        """
         for w in np.flatnonzero(worlds & (layout != self.city_grid.layout)).tolist():
-            old, new = int(self.city_grid.layout[w]), int(layout[w])
+            old = int(self.city_grid.layout[w])
+            new = int(layout[w])
             if old != NO_LAYOUT:
-                self._move(calls, self.body[old][w], self._cellar[old][w])
+                self._move(calls, self.body[old][w], self._offstage[old][w])
             if new != NO_LAYOUT:
                 self._move(calls, self.body[new][w], self._tile[w])
             self.city_grid.layout[w] = new
 
     @staticmethod
     def _move(calls: EngineCalls | CExtension, bodies: np.ndarray, place: np.ndarray) -> None:
-        calls.pose(bodies, np.tile(place, (len(bodies), 1)), np.tile(LEVEL, (len(bodies), 1)))
+        """Put bodies at one place."""
+        count = len(bodies)
+        calls.pose(bodies, np.tile(place, (count, 1)), np.tile(LEVEL, (count, 1)))
 
     def solid_bodies(self, world: int) -> list[int]:
-        """What drones touch in a world."""
+        """List the bodies that drones can touch in a world."""
         layout = self.city_grid.layout[world]
         return [] if layout == NO_LAYOUT else self._solid[layout][world]
 
     def facades(self, world: int) -> list[tuple[int, float]]:
-        """The bodies that pictures show, each with the height, m, at which it belongs in a picture of a world."""
+        """List the bodies that pictures show, each with its height in a picture of a world.
+
+        Args:
+            world: Index of the world.
+
+        Returns:
+            Bodies and heights, m: 0 for those of the layout that stands there, else offstage.
+        """
         shown = int(self.city_grid.layout[world])
         if shown != NO_LAYOUT and shown not in self._facade:
             self._facade[shown] = make_facades(self._client, self.solids[shown])

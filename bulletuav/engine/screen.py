@@ -1,4 +1,4 @@
-"""Whether a live view can open."""
+"""A check that a live window can open."""
 
 import ctypes
 import ctypes.util
@@ -7,7 +7,11 @@ import sys
 
 
 def require_screen() -> None:
-    """Raise RuntimeError where no X screen answers (the engine would end the process)."""
+    """Make sure that an X screen answers; without one Bullet would end the process.
+
+    Raises:
+        RuntimeError: No screen answers.
+    """
     if not sys.platform.startswith("linux"):
         return
     name = ctypes.util.find_library("X11")

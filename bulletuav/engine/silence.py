@@ -1,4 +1,4 @@
-"""Keeping the engine's C code from writing to the terminal."""
+"""A context that keeps Bullet's C code from writing to the terminal."""
 
 import contextlib
 import ctypes
@@ -8,40 +8,44 @@ import threading
 from collections.abc import Iterator
 
 _ALONE = threading.RLock()
-"""Held by the thread that has turned the process's output away: two at once would lose it for good"""
+"""Held by the thread that redirects the process's output: two at once would lose it for good"""
 
-if hasattr(
-    os, "register_at_fork"
-):  # a child made meanwhile would stay without output, and with a lock that nobody opens
+# A child process made meanwhile would stay without output, and with a lock that nobody opens.
+if hasattr(os, "register_at_fork"):
     os.register_at_fork(
-        before=_ALONE.acquire, after_in_parent=_ALONE.release, after_in_child=_ALONE.release
+        before=_ALONE.acquire,
+        after_in_parent=_ALONE.release,
+        after_in_child=_ALONE.release,
     )
 
 
 @contextlib.contextmanager
 def silenced() -> Iterator[None]:
-    """Swallow what the engine's C code writes to standard output and error: a library does not print.
+    """Swallow what Bullet's C code writes to standard output and error: a library does not print.
 
-    Other threads' output of that moment is swallowed too; threads that silence wait for each other.
+    Output of other threads at that moment is swallowed too. Threads that silence wait for each
+    other.
     """
     with _ALONE:
+        # Python's own output up to here must not be lost. A stream is None without a console, and
+        # may be closed or gone.
         for stream in (sys.stdout, sys.stderr):
-            with contextlib.suppress(
-                AttributeError, ValueError, OSError
-            ):  # None without a console; closed; gone
+            with contextlib.suppress(AttributeError, ValueError, OSError):
                 stream.flush()
+        # Redirect the descriptors below Python, as C code does not know its streams.
         saved = {}
-        for stream in (1, 2):
+        for descriptor in (1, 2):
             with contextlib.suppress(OSError):  # a daemon may have closed it
-                saved[stream] = os.dup(stream)
+                saved[descriptor] = os.dup(descriptor)
         nowhere = os.open(os.devnull, os.O_WRONLY)
-        for stream in saved:
-            os.dup2(nowhere, stream)
+        for descriptor in saved:
+            os.dup2(nowhere, descriptor)
         os.close(nowhere)
         try:
             yield
         finally:
+            # What C code still buffers goes nowhere, too.
             ctypes.CDLL(None).fflush(None)
-            for stream, copy in saved.items():
-                os.dup2(copy, stream)
+            for descriptor, copy in saved.items():
+                os.dup2(copy, descriptor)
                 os.close(copy)

@@ -1,27 +1,57 @@
-"""Geometry of the tiles: where they lie in the engine's frame, and what lies below the drones in each."""
+"""Geometry of the tiles: places of worlds in Bullet's frame, and surfaces below drones.
+
+All worlds share one Bullet client. Each has a square tile of the ground to itself, and its own
+frame with the origin at the middle of its tile.
+"""
 
 import math
 
 import numpy as np
 
-from bulletuav.geometry.city_grid import meets
-from bulletuav.geometry.rotation import to_body, vec3
+from bulletuav.geometry.city_grid import CityGrid, meets
+from bulletuav.geometry.rotation import Vec3Like, to_body, vec3
 from bulletuav.kernel import func, kernel
+from bulletuav.vehicle.swarm import Swarm
 
-TILE_PITCH = 4096.0  # m; a power of two, larger than any arena
-RAY_LENGTH = 1000.0  # m, downwards to the surface
+TILE_PITCH = 4096.0
+"""Distance of neighbouring tiles, m: a power of two, larger than any arena"""
+RAY_LENGTH = 1000.0
+"""Length of the rays downwards to the surface, m"""
 
 
 def tile_offset(world: int) -> np.ndarray:
-    """(3,) origin of a world in the engine's frame, m: its index on a Morton curve, whatever the number of worlds."""
+    """Compute where a world's frame lies: at its index on a Morton curve.
+
+    It does not depend on the number of worlds.
+
+    Args:
+        world: Number of the world.
+
+    Returns:
+        (3,) origin of the world in Bullet's frame, m.
+    """
     column = sum((world >> 2 * bit & 1) << bit for bit in range(16))
     row = sum((world >> 2 * bit + 1 & 1) << bit for bit in range(16))
     return np.array([column * TILE_PITCH, row * TILE_PITCH, 0.0])
 
 
 @kernel
-def localise(place, offset, omega, mask, swarm):
-    """Positions and rates of the drones of `mask` in the world's own frame and in body axes, from the engine's."""
+def localise(
+    place: np.ndarray,
+    offset: np.ndarray,
+    omega: np.ndarray,
+    mask: np.ndarray,
+    swarm: Swarm,
+) -> None:
+    """Write positions and body rates of drones, given in Bullet's frame, into a swarm.
+
+    Args:
+        place: (W, N, 3) positions in Bullet's frame, m.
+        offset: (W, 1, 3) origins of the tiles, m.
+        omega: (W, N, 3) angular velocities, world axes, rad/s.
+        mask: (W, N) bool, drones to write.
+        swarm: Whose positions and rates are written, and whose quaternions turn to body axes.
+    """
     for w in range(mask.shape[0]):
         for i in range(mask.shape[1]):
             if mask[w, i]:
@@ -31,28 +61,57 @@ def localise(place, offset, omega, mask, swarm):
 
 
 @func
-def _covered(here, obstacle, radius, city_grid, w):
-    """Whether an obstacle's bounding sphere or a building's bounding box is in the column of a point."""
+def _is_covered(
+    here: Vec3Like,
+    obstacle: np.ndarray,
+    radius: np.ndarray,
+    city_grid: CityGrid,
+    w: int,
+) -> bool:
+    """Tell whether an obstacle or a building may stand above or below a point.
+
+    It goes by the bounding spheres of obstacles and the bounding boxes of buildings.
+    """
     for k in range(radius.shape[0]):
-        dx, dy = obstacle[w, k, 0] - here[0], obstacle[w, k, 1] - here[1]
+        dx = obstacle[w, k, 0] - here[0]
+        dy = obstacle[w, k, 1] - here[1]
         if dx * dx + dy * dy <= radius[k] * radius[k]:
             return True
     return meets(city_grid, w, (here[0], here[1], -np.inf), (here[0], here[1], np.inf))
 
 
 @kernel
-def columns(position, mask, obstacle, radius, city_grid, surface):
-    """Fill `surface` (W, N) with the ground below drones of `mask`, -inf elsewhere, and tell who needs a ray.
+def columns(
+    position: np.ndarray,
+    mask: np.ndarray,
+    obstacle: np.ndarray,
+    radius: np.ndarray,
+    city_grid: CityGrid,
+    surface: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Find the drones whose surface below takes a ray to find.
 
-    Those are drones with an obstacle (W, K, 3), of bounding `radius` (K,), or a building in their column: (world, drone)
-    (M, 2), start and end (M, 3) of their rays.
+    Those are drones with an obstacle or a building in their column. Below others lies the ground.
+
+    Args:
+        position: (W, N, 3) of the drones, m.
+        mask: (W, N) bool, drones that are asked for.
+        obstacle: (W, K, 3) of the obstacles, m.
+        radius: (K,) of their bounding spheres, m.
+        city_grid: What stands in each world.
+        surface: (W, N) heights, m, which are written: 0 for drones of `mask`, -inf for others.
+
+    Returns:
+        (world, drone) (M, 2) of the drones that need a ray; start and end (M, 3) of the rays, m.
     """
     found = [(0, 0) for _ in range(0)]
     for w in range(mask.shape[0]):
         for i in range(mask.shape[1]):
             surface[w, i] = 0.0 if mask[w, i] else -np.inf
-            if mask[w, i] and _covered(vec3(position, w, i), obstacle, radius, city_grid, w):
+            if mask[w, i] and _is_covered(vec3(position, w, i), obstacle, radius, city_grid, w):
                 found.append((w, i))
+
+    # Their rays, straight down.
     who = np.empty((len(found), 2), np.int64)
     start = np.empty((len(found), 3))
     for m in range(len(found)):
@@ -64,24 +123,41 @@ def columns(position, mask, obstacle, radius, city_grid, surface):
 
 
 @kernel
-def land(surface, who, start, fraction):
-    """Put what the rays of `columns` met into `surface`; where they met nothing it stays the ground."""
+def land(surface: np.ndarray, who: np.ndarray, start: np.ndarray, fraction: np.ndarray) -> None:
+    """Write the heights that the rays of `columns` met; where they met nothing the ground stays.
+
+    Args:
+        surface: (W, N) heights, m, which are written.
+        who: (M, 2) world and drone of each ray.
+        start: (M, 3) starts of the rays, m.
+        fraction: (M,) share of each ray before it met something, 1 where it met nothing.
+    """
     for m in range(who.shape[0]):
         if fraction[m] < 1.0:
             surface[who[m, 0], who[m, 1]] = start[m, 2] - RAY_LENGTH * fraction[m]
 
 
 @kernel
-def within_tile(start, end):
-    """Rays (M, 3), in their world's own frame, until they leave the tile: ends, and the share (M,) that is left."""
-    share, half, last = np.ones(start.shape[0]), 0.5 * TILE_PITCH, end.copy()
+def within_tile(start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Cut rays off where they leave their tile: what is beyond belongs to another world.
+
+    Args:
+        start: (M, 3) starts of the rays in their world's own frame, m.
+        end: (M, 3) ends of the rays, m.
+
+    Returns:
+        Ends (M, 3) of what is left, m, and the share (M,) of each ray that is left.
+    """
+    share = np.ones(start.shape[0])
+    half = 0.5 * TILE_PITCH
+    last = end.copy()
     for m in range(start.shape[0]):
+        # The side of the tile that the ray crosses first, east-west or north-south.
         for k in range(2):
             change = end[m, k] - start[m, k]
             if abs(end[m, k]) > half:
-                share[m] = max(
-                    0.0, min(share[m], (math.copysign(half, change) - start[m, k]) / change)
-                )
+                crossed = (math.copysign(half, change) - start[m, k]) / change
+                share[m] = max(0.0, min(share[m], crossed))
         if share[m] < 1.0:
             for k in range(3):
                 last[m, k] = start[m, k] + share[m] * (end[m, k] - start[m, k])

@@ -1,13 +1,16 @@
+"""Actions become setpoints."""
+
 import numpy as np
 import pytest
 
 from bulletuav import load_airframe
 from bulletuav.control.actions import ACTIONS, ActionContext, limit_norm, make_action
 from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.registry import names
 
 
 @pytest.fixture
-def flyable():
+def context():
     return ActionContext(
         [load_airframe("cf2x")],
         10.0,
@@ -18,67 +21,67 @@ def flyable():
     )
 
 
-def decode(name, flyable, action):
+def decode(name, context, action):
     commanded = np.array([[(1.0, 2.0, -1.0)]])
-    return make_action(name, flyable).decode(np.array(action, float).reshape(1, 1, -1), commanded)[
+    return make_action(name, context).decode(np.array(action, float).reshape(1, 1, -1), commanded)[
         0, 0
     ]
 
 
-def test_velocity_scales_and_limits_the_norm(flyable):
-    np.testing.assert_allclose(decode("velocity", flyable, (0.3, -0.4, 0)), (3, -4, 0, 0))
-    np.testing.assert_allclose(decode("velocity", flyable, (1, 1, 1)), (*[10 / np.sqrt(3)] * 3, 0))
+def test_velocity_scales_and_limits_the_norm(context):
+    np.testing.assert_allclose(decode("velocity", context, (0.3, -0.4, 0)), (3, -4, 0, 0))
+    np.testing.assert_allclose(decode("velocity", context, (1, 1, 1)), (*[10 / np.sqrt(3)] * 3, 0))
 
 
-def test_target_position_spans_the_arena(flyable):
-    np.testing.assert_allclose(decode("target_position", flyable, (-1, 1, 0)), (-20, 30, 4, 0))
+def test_target_position_spans_the_arena(context):
+    np.testing.assert_allclose(decode("target_position", context, (-1, 1, 0)), (-20, 30, 4, 0))
 
 
-def test_rotor_is_linear_in_thrust(flyable):
-    most = flyable.airframes[0].max_rotor_speed
+def test_rotor_is_linear_in_thrust(context):
+    most = context.airframes[0].max_rotor_speed
     np.testing.assert_allclose(
-        decode("rotor", flyable, (-1, 1, 0, -0.5)) ** 2, np.array((0, 1, 0.5, 0.25)) * most**2
+        decode("rotor", context, (-1, 1, 0, -0.5)) ** 2, np.array((0, 1, 0.5, 0.25)) * most**2
     )
 
 
-def test_velocity_increment_adds_to_what_was_commanded(flyable):
-    np.testing.assert_allclose(decode("velocity_increment", flyable, (0.5, -1, 0)), (1.5, 1, -1, 0))
-    fast = make_action("velocity_increment", flyable).decode(
+def test_velocity_increment_adds_to_what_was_commanded(context):
+    np.testing.assert_allclose(decode("velocity_increment", context, (0.5, -1, 0)), (1.5, 1, -1, 0))
+    fast = make_action("velocity_increment", context).decode(
         np.ones((1, 1, 3)), np.array([[(6.0, 8.0, 0.0)]])
     )
     assert np.linalg.norm(fast[0, 0, :3]) == pytest.approx(10)
 
 
-def test_heading_speed_points_the_nose(flyable):
+def test_heading_speed_points_the_nose(context):
     np.testing.assert_allclose(
-        decode("heading_speed", flyable, (0.5, 0, 0)), (0, 5, 0, np.pi / 2), atol=1e-12
+        decode("heading_speed", context, (0.5, 0, 0)), (0, 5, 0, np.pi / 2), atol=1e-12
     )
     np.testing.assert_allclose(
-        decode("heading_speed", flyable, (0, -1, 0.3)), (0, 0, 3, 0), atol=1e-12
+        decode("heading_speed", context, (0, -1, 0.3)), (0, 0, 3, 0), atol=1e-12
     )
     np.testing.assert_allclose(
-        np.linalg.norm(decode("heading_speed", flyable, (0.2, 1, 1))[:3]), 10
-    )
-
-
-def test_attitude_and_rates_scale(flyable):
-    most = flyable.airframes[0].max_thrust
-    np.testing.assert_allclose(
-        decode("attitude", flyable, (1, -1, 0.5, 0)), (*np.radians((55, -55, 90)), most / 2)
-    )
-    np.testing.assert_allclose(
-        decode("rates", flyable, (1, -0.5, 1, 1)), (2 * np.pi, -np.pi, np.pi, most)
+        np.linalg.norm(decode("heading_speed", context, (0.2, 1, 1))[:3]), 10
     )
 
 
-def test_hover_rpm_is_five_percent_about_hover(flyable):
-    hover = flyable.airframes[0].hover_speed()
+def test_attitude_and_rates_scale(context):
+    most = context.airframes[0].max_thrust
     np.testing.assert_allclose(
-        decode("hover_rpm", flyable, (0, 1, -1, 0)), hover * np.array((1, 1.05, 0.95, 1))
+        decode("attitude", context, (1, -1, 0.5, 0)), (*np.radians((55, -55, 90)), most / 2)
+    )
+    np.testing.assert_allclose(
+        decode("rates", context, (1, -0.5, 1, 1)), (2 * np.pi, -np.pi, np.pi, most)
     )
 
 
-def test_discrete_directions(flyable):
+def test_hover_rpm_is_five_percent_about_hover(context):
+    hover = context.airframes[0].hover_speed()
+    np.testing.assert_allclose(
+        decode("hover_rpm", context, (0, 1, -1, 0)), hover * np.array((1, 1.05, 0.95, 1))
+    )
+
+
+def test_discrete_directions(context):
     expected = [
         (0, 0, 0),
         (10, 0, 0),
@@ -88,8 +91,8 @@ def test_discrete_directions(flyable):
         (0, 0, 10),
         (0, 0, -10),
     ]
-    np.testing.assert_allclose([decode("discrete", flyable, k)[:3] for k in range(7)], expected)
-    table = np.array([decode("discrete_27", flyable, k)[:3] for k in range(27)])
+    np.testing.assert_allclose([decode("discrete", context, k)[:3] for k in range(7)], expected)
+    table = np.array([decode("discrete_27", context, k)[:3] for k in range(27)])
     assert len(np.unique(table.round(6), axis=0)) == 27
     np.testing.assert_allclose(np.linalg.norm(table[1:], axis=1), 10)
     np.testing.assert_allclose(table[1], np.full(3, -10 / np.sqrt(3)))
@@ -109,30 +112,43 @@ def test_drones_with_fewer_rotors_read_fewer_numbers():
     assert (action.low[0, 4:] == action.high[0, 4:]).all()
 
 
-def test_rpm_is_raw(flyable):
+def test_rpm_is_raw(context):
     np.testing.assert_allclose(
-        decode("rpm", flyable, (0, 60, 14473, 60)), (0, 2 * np.pi, 14473 * np.pi / 30, 2 * np.pi)
+        decode("rpm", context, (0, 60, 14473, 60)), (0, 2 * np.pi, 14473 * np.pi / 30, 2 * np.pi)
     )
-    assert make_action("rpm", flyable).high[0, 0] == pytest.approx(2273.5 * 30 / np.pi)
+    assert make_action("rpm", context).high[0, 0] == pytest.approx(2273.5 * 30 / np.pi)
 
 
 @pytest.mark.parametrize("name", ["velocity", "target_position"])
-def test_encoding_is_the_inverse(flyable, name):
-    action = make_action(name, flyable)
+def test_encoding_is_the_inverse(context, name):
+    action = make_action(name, context)
     setpoint = np.array((1.5, -2.0, 3.0)).reshape(1, 1, 3)
     np.testing.assert_allclose(
         action.decode(action.encode(setpoint), np.zeros((1, 1, 3)))[..., :3], setpoint
     )
 
 
-def test_every_action_has_a_label_and_bounds_for_each_number(flyable):
+def test_every_action_has_a_label_and_bounds_for_each_number(context):
     for name in ACTIONS:
-        action = make_action(name, flyable)
+        action = make_action(name, context)
         assert action.size(0) == action.low.shape[1] == action.high.shape[1]
         assert (action.low < action.high).all()
         assert action.level in SetpointLevel
     with pytest.raises(ValueError, match="did you mean 'velocity'"):
-        make_action("velocty", flyable)
+        make_action("velocty", context)
+
+
+def test_an_action_is_given_by_name_by_module_or_as_its_maker(context):
+    for source in ("rates", "bulletuav.control.actions.attitudes:rates", ACTIONS["rates"]):
+        assert make_action(source, context).labels == make_action("rates", context).labels
+    with pytest.raises(ValueError, match="unknown action 3"):
+        make_action(3, context)
+
+
+def test_the_table_of_actions_is_the_registrys_and_read_only():
+    assert sorted(ACTIONS) == names("action")
+    with pytest.raises(TypeError):
+        ACTIONS["own"] = ACTIONS["rates"]
 
 
 def test_limit_norm_keeps_direction_and_short_vectors():

@@ -1,3 +1,5 @@
+"""Gains: the mixer is the exact pseudo-inverse."""
+
 import numpy as np
 import pytest
 
@@ -17,7 +19,7 @@ def test_the_mixer_is_the_pseudo_inverse_of_the_rotors_allocation(name):
 
 
 def test_an_x_mixes_by_hand():
-    """Rotors at (+-1, +-1) m with a torque of 0.5 m: a quarter of thrust and moments each, half of the yaw."""
+    """Rotors at (+-1, +-1) m, torque 0.5 m: a quarter of thrust and moments, half of the yaw."""
     x, y, turn = np.array([(1, -1, -1), (-1, -1, 1), (-1, 1, -1), (1, 1, 1)]).T
     allocation = np.array([np.ones(4), y, -x, 0.5 * turn])
     expected = np.array([np.ones(4), y, -x, 2 * turn]).T / 4

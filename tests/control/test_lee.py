@@ -1,3 +1,5 @@
+"""Lee's controller: by hand, and in flight."""
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -21,7 +23,7 @@ def rows(name, effects=("lag", "drag")):
 
 
 def test_the_published_control_law_numerically():
-    """Force and moment of Lee's law computed by hand for one state, with w = 2.5, w_R = 10 on all axes."""
+    """Force and moment by hand for one state, with w = 2.5 and w_R = 10 on all axes."""
     _, row, gain = rows("hummingbird", effects=())
     gain["attitude_frequency"], gain["position_frequency"] = 10.0, 2.5
     gain["max_deceleration"] = gain["max_speed"] = np.inf  # the published law knows no limits
@@ -158,7 +160,7 @@ def test_velocity_of_20_m_s_is_reached_and_held_level(make_bench, name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_moving_target_at_20_m_s_is_followed_with_a_small_lag(make_bench, name):
-    """Position and velocity setpoints together: a point that moves at 20 m/s; drag is fed forward, so no lag remains."""
+    """Position and velocity setpoints together; drag is fed forward, so no lag remains."""
     bench = make_bench("rigid_body", name, substeps=1)
     rate = gain_rows([bench.airframe], 20.0)[0]["position_frequency"] / 1.6
     for step in range(240 * 15):

@@ -12,7 +12,7 @@ import bench
 import numpy as np
 import pytest
 
-import bulletuav.engine.engine as world_module
+import bulletuav.engine.engine as engine_module
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.engine.c_extension import SWITCH, CExtension, Extension, load
 from bulletuav.engine.calls import MAX_RAYS, SURFACE_GROUP, bullet
@@ -30,9 +30,9 @@ def pair(make_bench, monkeypatch):
 
     def make(*arguments, **options):
         fast = make_bench(*arguments, **options)
-        assert fast.engine.port is not None, world_module.EXTENSION.missing
+        assert fast.engine.port is not None, engine_module.EXTENSION.missing
         with monkeypatch.context() as patch:
-            patch.setattr(world_module, "EXTENSION", Extension(None, "", "for comparison"))
+            patch.setattr(engine_module, "EXTENSION", Extension(None, "", "for comparison"))
             plain = make_bench(*arguments, **options)
         assert plain.engine.port is None
         return fast, plain
@@ -82,7 +82,7 @@ def test_heaps_with_contacts_are_the_same_to_the_bit(pair):
             for mine, theirs in zip(fast, plain, strict=True):
                 np.testing.assert_array_equal(mine, theirs)
             same(*benches)
-            touched += len(fast.engine)
+            touched += len(fast.world)
         assert touched > 100
 
 
@@ -141,7 +141,7 @@ def test_every_call_alone_is_the_same_to_the_bit(pair):
 
 @needs_extension
 def test_surface_below_an_edge_inside_the_compiled_loop(pair):
-    """Ground effect over a box and beside it: the ray from the compiled loop meets what the one from Python meets."""
+    """Ground effect over a box and beside it: rays from the compiled loop and from Python agree."""
     benches = pair(
         "bullet",
         drones=3,
@@ -203,7 +203,7 @@ def test_a_stale_build_says_to_install_again(monkeypatch, path):
 @needs_extension
 @pytest.mark.parametrize("path", [_ctypes.__file__, "/nowhere/plugin.so"])
 def test_a_refused_plugin_warns_and_flies_on(monkeypatch, path):
-    monkeypatch.setattr(world_module, "EXTENSION", world_module.EXTENSION._replace(path=path))
+    monkeypatch.setattr(engine_module, "EXTENSION", engine_module.EXTENSION._replace(path=path))
     with pytest.warns(UserWarning, match="refused the plugin.*bulletuav doctor"):
         one = bench.Bench("bullet")
     assert one.engine.port is None
@@ -215,7 +215,7 @@ def test_a_refused_plugin_warns_and_flies_on(monkeypatch, path):
 def test_an_engine_that_answers_otherwise_is_not_trusted(monkeypatch):
     one = bench.Bench("bullet")
     with pytest.raises(RuntimeError, match="otherwise"):
-        CExtension(world_module.EXTENSION.library, np.array([10**6]))
+        CExtension(engine_module.EXTENSION.library, np.array([10**6]))
     one.engine.close()
 
 
@@ -227,7 +227,7 @@ def test_a_smoke_set_without_the_extension():
         "tests/engine/test_c_extension.py",
     ]
     command = [sys.executable, "-m", "pytest", "-n0", "-p", "no:cacheprovider", *files]
-    # Some take long, and no other way through the code: users on the ground, and what only differs in them.
+    # Some take long and go no other way through the code: those with users on the ground.
     users = " and ".join(
         f"not always_did[{task}]" for task in ("coverage", "default", "los", "mec", "mec_advanced")
     )
@@ -247,7 +247,7 @@ def test_a_smoke_set_without_the_extension():
     assert done.returncode == 0, done.stdout[-3000:]
 
 
-def test_worlds_do_not_warn(make_bench):
+def test_an_engine_is_made_without_warnings(make_bench):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         make_bench("bullet")

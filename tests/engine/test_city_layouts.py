@@ -1,4 +1,4 @@
-"""Cities in worlds: what rays meet, what drones touch, layouts that come and go, and worlds that do not feel each other."""
+"""Cities in worlds: what rays meet, what drones touch, and layouts that come and go."""
 
 import os
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import bulletuav
-import bulletuav.engine.engine as world_module
+import bulletuav.engine.engine as engine_module
 from bulletuav.city.generator import generate
 from bulletuav.city.statistics import Statistics
 from bulletuav.control.setpoint import SetpointLevel
@@ -25,13 +25,16 @@ TURN = np.radians(np.arange(0, 360, 60))
 RING = 4 * np.stack([np.cos(TURN), np.sin(TURN)], axis=1) + (30, 0)
 PRISM = np.concatenate([np.column_stack([RING, np.full(6, height)]) for height in (0.0, 12.0)])
 TOWN = Solids(np.array([[(-5.0, -5, 0), (5, 5, 8)]]), (PRISM,))
-"""A box 8 m high about the origin; at x = 30 a prism 12 m high on a hexagon, corners 4 m from its middle, one to the east"""
+"""A box 8 m high about the origin, and a hexagonal prism 12 m high at x = 30.
+
+The prism's corners are 4 m from its middle, one of them to the east.
+"""
 TOWER = Solids(np.array([[(-2.0, -2, 0), (2, 2, 20)]]))
 UP, DOWN = (0.0, 0, 1), (0.0, 0, -1)
 
 
 @pytest.fixture
-def make_town(make_bench):
+def make_city_bench(make_bench):
     """Builds benches in whose worlds the first of some layouts stands."""
 
     def make(layouts, dynamics="bullet", airframe="hummingbird", *, layout=0, **options):
@@ -60,8 +63,8 @@ def distance(one, start, way, world=0, most=100.0):
 # What rays meet
 
 
-def test_rays_meet_the_surfaces_exactly(make_town):
-    one = make_town((TOWN,))
+def test_rays_meet_the_surfaces_exactly(make_city_bench):
+    one = make_city_bench((TOWN,))
     for start, way, expected in (
         ((-25, 0, 4), (1, 0, 0), 20.0),
         ((-25, 4.999, 7.999), (1, 0, 0), 20.0),
@@ -78,20 +81,20 @@ def test_rays_meet_the_surfaces_exactly(make_town):
         )  # hulls that drones touch are 1 mm thicker
 
 
-def test_rays_from_inside_meet_the_wall(make_town):
-    one = make_town((TOWN,))
+def test_rays_from_inside_meet_the_wall(make_city_bench):
+    one = make_city_bench((TOWN,))
     assert distance(one, (0, 0, 4), (1, 0, 0)) == pytest.approx(5.0, abs=1e-6)
     assert distance(one, (30, 0, 4), UP) == pytest.approx(8.0, abs=1e-6)
 
 
 @pytest.mark.parametrize("thickness", [0.5, 0.01])
-def test_a_thin_wall_is_seen(make_town, thickness):
-    one = make_town((Solids(np.array([[(20.0, -5, 0), (20 + thickness, 5, 60)]])),))
+def test_a_thin_wall_is_seen(make_city_bench, thickness):
+    one = make_city_bench((Solids(np.array([[(20.0, -5, 0), (20 + thickness, 5, 60)]])),))
     assert distance(one, (0, 0, 30), (1, 0, 0)) == pytest.approx(20.0, abs=1e-6)
 
 
-def test_surface_below_streets_roofs_and_hulls(make_town):
-    one = make_town((TOWN,), drones=6)
+def test_surface_below_streets_roofs_and_hulls(make_city_bench):
+    one = make_city_bench((TOWN,), drones=6)
     one.swarm.position[0] = (
         (0, 0, 30),
         (4.9, -4.9, 9),
@@ -106,9 +109,9 @@ def test_surface_below_streets_roofs_and_hulls(make_town):
 
 
 @pytest.mark.parametrize("irregularity", [0.0, 1.0])
-def test_surface_below_a_generated_city(make_town, irregularity):
+def test_surface_below_a_generated_city(make_city_bench, irregularity):
     city = generate("dense", 400, np.random.default_rng(0), irregularity)
-    one = make_town((city.solids,), drones=500)
+    one = make_city_bench((city.solids,), drones=500)
     rng = np.random.default_rng(1)
     one.swarm.position[0] = np.column_stack([rng.uniform(-210, 210, (500, 2)), np.full(500, 150.0)])
     roofs = city.roof(one.swarm.position[0])
@@ -122,8 +125,8 @@ def test_surface_below_a_generated_city(make_town, irregularity):
 
 
 @pytest.mark.parametrize("dynamics", ["bullet", "rigid_body"])
-def test_a_drone_falls_on_a_roof_and_rests_there(make_town, dynamics):
-    one = make_town((TOWN,), dynamics, drones=3)
+def test_a_drone_falls_on_a_roof_and_rests_there(make_city_bench, dynamics):
+    one = make_city_bench((TOWN,), dynamics, drones=3)
     one.swarm.position[0] = (0, 0, 8.4), (30, 0, 12.4), (15, 0, 0.4)
     one.swarm.rotor_speed[:] = 0
     one.place()
@@ -140,9 +143,9 @@ def test_a_drone_falls_on_a_roof_and_rests_there(make_town, dynamics):
 
 
 @pytest.mark.parametrize("dynamics", ["bullet", "rigid_body"])
-def test_a_wall_stops_a_drone(make_town, dynamics):
-    """Box and prism, whose face to the south-west is met across: 2 sqrt(3) m from its middle, less the drone's radius."""
-    one = make_town((TOWN,), dynamics, drones=2, effects=(), gravity=0.0)
+def test_a_wall_stops_a_drone(make_city_bench, dynamics):
+    """A box, and a prism whose face to the south-west is 2 sqrt(3) m from its middle."""
+    one = make_city_bench((TOWN,), dynamics, drones=2, effects=(), gravity=0.0)
     way = np.array((np.cos(np.pi / 6), 0.5, 0))
     one.swarm.position[0] = (-7, 0, 4), (30, 0, 6) - 6 * way
     one.swarm.velocity[0] = (5, 0, 0), 5 * way
@@ -165,12 +168,12 @@ def test_a_wall_stops_a_drone(make_town, dynamics):
         assert not one.swarm.velocity.any()
 
 
-def test_many_pieces_are_all_seen_and_all_collide(make_town):
+def test_many_pieces_are_all_seen_and_all_collide(make_city_bench):
     """2,500 buildings, drones dropped on each; more than one compound of each colour holds."""
     city = generate(Statistics(0.1, 750, 8), 1825.74, np.random.default_rng(0), 0.3)
     boxes = city.solids.boxes
     assert len(boxes) > 2450 > 9 * COMPOUND
-    one = make_town((city.solids,), drones=125)
+    one = make_city_bench((city.solids,), drones=125)
     one.swarm.rotor_speed[:] = 0
     top = np.concatenate([boxes[:, :, :2].mean(axis=1), boxes[:, 1, 2:]], axis=1)
     start = top + (0, 0, 100)
@@ -186,10 +189,10 @@ def test_many_pieces_are_all_seen_and_all_collide(make_town):
         assert (contacts.other == CITY).sum() == 125
 
 
-def test_ground_effect_is_that_of_the_roof_below(make_town):
+def test_ground_effect_is_that_of_the_roof_below(make_city_bench):
     """As strong at 0.2 m over a roof as over the street; nothing at the roof's height beside it."""
     for dynamics in ("bullet", "rigid_body"):
-        one = make_town((TOWN,), dynamics, drones=4, effects=("ground_effect",), substeps=1)
+        one = make_city_bench((TOWN,), dynamics, drones=4, effects=("ground_effect",), substeps=1)
         one.swarm.position[0] = (0, 0, 8.2), (30, 0, 12.2), (15, 0, 0.2), (15, 5, 8.2)
         one.place().spin(one.airframe.hover_speed())
         roof, hull, street, air = one.swarm.velocity[0, :, 2]
@@ -202,8 +205,8 @@ def test_ground_effect_is_that_of_the_roof_below(make_town):
 # Layouts come and go
 
 
-def test_nothing_stands_before_it_is_set(make_bench, make_town):
-    one = make_town((TOWN, TOWER), layout=NO_LAYOUT, effects=(), gravity=0.0)
+def test_nothing_stands_before_it_is_set(make_bench, make_city_bench):
+    one = make_city_bench((TOWN, TOWER), layout=NO_LAYOUT, effects=(), gravity=0.0)
     free = make_bench("bullet", effects=(), gravity=0.0)
     assert distance(one, (-25, 0, 4), (1, 0, 0)) == 100
     assert distance(one, (0, 0, 50), DOWN) == pytest.approx(50, abs=1e-9)
@@ -215,8 +218,8 @@ def test_nothing_stands_before_it_is_set(make_bench, make_town):
 
 
 @pytest.mark.parametrize("dynamics", ["bullet", "rigid_body"])
-def test_another_layout_takes_its_place(make_town, dynamics):
-    one = make_town((TOWN, TOWER), dynamics, effects=(), gravity=0.0)
+def test_another_layout_takes_its_place(make_city_bench, dynamics):
+    one = make_city_bench((TOWN, TOWER), dynamics, effects=(), gravity=0.0)
 
     def shot():
         one.swarm.position[:], one.swarm.velocity[:], one.swarm.rotor_speed[:] = (
@@ -247,8 +250,8 @@ def test_another_layout_takes_its_place(make_town, dynamics):
             assert -9 < x < wall - 25 - 0.26
 
 
-def test_a_world_has_its_own_layout_and_only_those_asked_for_change(make_town):
-    one = make_town((TOWN, TOWER), worlds=3, layout=[0, 1, NO_LAYOUT])
+def test_a_world_has_its_own_layout_and_only_those_asked_for_change(make_city_bench):
+    one = make_city_bench((TOWN, TOWER), worlds=3, layout=[0, 1, NO_LAYOUT])
 
     def roofs():
         return [round(50 - distance(one, (0, 0, 50), DOWN, world), 6) for world in range(3)]
@@ -267,8 +270,8 @@ def test_a_world_has_its_own_layout_and_only_those_asked_for_change(make_town):
     assert roofs() == [20, 0, 20]
 
 
-def test_drones_touch_what_stands_in_their_own_world(make_town):
-    one = make_town((TOWN, TOWER), worlds=3, layout=[0, 1, NO_LAYOUT])
+def test_drones_touch_what_stands_in_their_own_world(make_city_bench):
+    one = make_city_bench((TOWN, TOWER), worlds=3, layout=[0, 1, NO_LAYOUT])
     one.swarm.position[:] = 0, 0, 8.3
     one.swarm.position[1] = 0, 0, 20.3
     one.swarm.rotor_speed[:] = 0
@@ -300,13 +303,15 @@ def test_resets_make_no_bodies_and_remove_none():
 
 
 @needs_extension
-def test_rays_and_flights_are_the_same_to_the_bit_without_the_extension(make_town, monkeypatch):
+def test_rays_and_flights_are_the_same_to_the_bit_without_the_extension(
+    make_city_bench, monkeypatch
+):
     city = generate(Statistics(0.5, 900, 12), 130.0, np.random.default_rng(0), 0.9)
     layouts = (city.solids, TOWN, rubble(0))
-    fast = make_town(layouts, worlds=2, drones=8, layout=[0, 2])
+    fast = make_city_bench(layouts, worlds=2, drones=8, layout=[0, 2])
     with monkeypatch.context() as patch:
-        patch.setattr(world_module, "EXTENSION", Extension(None, "", "for comparison"))
-        plain = make_town(layouts, worlds=2, drones=8, layout=[0, 2])
+        patch.setattr(engine_module, "EXTENSION", Extension(None, "", "for comparison"))
+        plain = make_city_bench(layouts, worlds=2, drones=8, layout=[0, 2])
     assert (fast.engine.port is None, plain.engine.port is None) == (False, True)
     rng = np.random.default_rng(1)
     start, end = rng.uniform(-70, 70, (2, 5000, 3)) + (0, 0, 72)
@@ -363,7 +368,7 @@ def scatter(one, mask=None):
 
 
 def stumble(one, decisions, seeds, k=0):
-    """Random velocities, mostly downward, from a stream a world; returns the bytes of world k and how often it touched."""
+    """Fly at random velocities, mostly downward, a stream a world; returns the bytes of world k."""
     streams = [np.random.default_rng(seed) for seed in seeds]
     drones = one.alive.shape[1]
     seen, touches = [], 0
@@ -380,12 +385,12 @@ def stumble(one, decisions, seeds, k=0):
 
 
 @pytest.mark.parametrize("dynamics", ["bullet", "rigid_body"])
-def test_a_world_does_not_feel_what_others_do_nor_what_stands_there(make_town, dynamics):
+def test_a_world_does_not_feel_what_others_do_nor_what_stands_there(make_city_bench, dynamics):
     """480 substeps on rubble; the same alone in a client, as another process would have it."""
     layouts = (rubble(0), rubble(1), TOWN)
 
     def run(layout, seeds):
-        one = make_town(layouts, dynamics, worlds=3, drones=6, layout=layout)
+        one = make_city_bench(layouts, dynamics, worlds=3, drones=6, layout=layout)
         scatter(one)
         bits = stumble(one, 20, seeds, k=1)
         one.engine.close()
@@ -395,14 +400,14 @@ def test_a_world_does_not_feel_what_others_do_nor_what_stands_there(make_town, d
     assert run([0, 1, 1], (20, 1, 22)) == bits
     assert run([2, 1, NO_LAYOUT], (20, 1, 22)) == bits
     assert run([0, 1, 1], (10, 2, 12)) != bits
-    alone = make_town(layouts, dynamics, drones=6, layout=1, first_world=1)
+    alone = make_city_bench(layouts, dynamics, drones=6, layout=1, first_world=1)
     scatter(alone)
     assert stumble(alone, 20, (1,)) == bits
 
 
 @pytest.mark.parametrize("dynamics", ["bullet", "rigid_body"])
-def test_a_reset_into_the_same_layout_gives_the_same_bits(make_town, dynamics):
-    one = make_town((rubble(0), rubble(1)), dynamics, worlds=2, drones=6)
+def test_a_reset_into_the_same_layout_gives_the_same_bits(make_city_bench, dynamics):
+    one = make_city_bench((rubble(0), rubble(1)), dynamics, worlds=2, drones=6)
     scatter(one)
     fresh = stumble(one, 20, (1, 2))
     for between in ([], [1], [1, NO_LAYOUT, 1]):
@@ -453,7 +458,7 @@ def test_a_world_of_an_environment_does_not_feel_the_others():
     assert run(0, worlds=1, first_world=1) == bits
 
 
-def test_a_city_of_thousands_of_boxes_is_built_and_seen(make_town):
+def test_a_city_of_thousands_of_boxes_is_built_and_seen(make_city_bench):
     """More than one mesh of the engine holds: 36 corners of triangles for each box."""
     place = (
         4.0
@@ -464,22 +469,22 @@ def test_a_city_of_thousands_of_boxes_is_built_and_seen(make_town):
     hull = box_corners(
         np.array([(60.5, 60.5, 9), (61.5, 61.5, 10)])
     )  # with it, rays are the engine's
-    one = make_town((Solids(np.stack([low, low + (2.0, 2.0, 3.0)], axis=1), (hull,)),))
+    one = make_city_bench((Solids(np.stack([low, low + (2.0, 2.0, 3.0)], axis=1), (hull,)),))
     start = np.concatenate([place + 1, np.full((len(place), 1), 20.0)], axis=1)
     fraction = one.engine.cast_rays(start, start - (0, 0, 20), np.zeros(len(start), dtype=int))
     assert (
         np.isclose(fraction, 17 / 20, atol=1e-6).sum() == len(place) - 1
     )  # the hull hangs above one of them
     assert np.isclose(fraction, 10 / 20, atol=1e-6).sum() == 1
-    assert len(one.engine._layouts.facades(0)) == 2
+    assert len(one.engine._bodies.layouts.facades(0)) == 2
 
 
-def test_nothing_stands_in_a_city_without_buildings(make_town):
-    one = make_town((Solids(np.zeros((0, 2, 3))),))
+def test_nothing_stands_in_a_city_without_buildings(make_city_bench):
+    one = make_city_bench((Solids(np.zeros((0, 2, 3))),))
     assert (
         one.engine.cast_rays(
             np.array([(0, 0, 9.0)]), np.array([(9, 0, 9.0)]), np.zeros(1, dtype=int)
         )
         == 1
     )
-    assert one.engine._layouts.facades(0) == []
+    assert one.engine._bodies.layouts.facades(0) == []

@@ -1,3 +1,5 @@
+"""The engine: states in and out, rays, contacts, and worlds that do not feel each other."""
+
 import contextlib
 import gc
 import os
@@ -197,11 +199,11 @@ def test_closing_twice_and_using_afterwards(make_bench):
 def test_an_open_environment_can_be_left_to_the_garbage_collector():
     env = bulletuav.parallel_env("hover")
     env.reset(seed=0)
-    world = weakref.ref(env.aviary._engine)
+    engine = weakref.ref(env.aviary._engine)
     finalizer = env.aviary._engine._finalizer
     del env
     gc.collect()
-    assert world() is None
+    assert engine() is None
     assert not finalizer.alive
 
 

@@ -1,0 +1,72 @@
+"""Actions that ask for an attitude or for body rates, with a collective thrust."""
+
+import math
+
+import numpy as np
+
+from bulletuav.control.actions.base import Action, ActionContext, normalised
+from bulletuav.control.gains import MAX_TILT
+from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.registry import register
+
+MAX_RATES = np.array((2 * math.pi, 2 * math.pi, math.pi))
+"""Body rates that action `rates` can ask for, rad/s"""
+
+
+def _with_thrust(vector: np.ndarray, share: np.ndarray, most: np.ndarray) -> np.ndarray:
+    """Append a thrust, from none to the `most` (N,) for shares (W, N) from -1 to 1."""
+    thrust = most * (share + 1) / 2
+    return np.concatenate([vector, thrust[..., None]], axis=-1)
+
+
+@register("action")
+def attitude(context: ActionContext) -> Action:
+    """Hold roll and pitch (over 55 degrees), yaw (over 180 degrees) and a collective thrust.
+
+    The thrust is none at -1 and the most at 1.
+    """
+    scale = np.array((MAX_TILT, MAX_TILT, np.pi))
+    most = np.array([airframe.max_thrust for airframe in context.airframes])
+    labels = (
+        "roll / 55 degrees",
+        "pitch / 55 degrees",
+        "yaw / 180 degrees",
+        "2 thrust / max thrust - 1",
+    )
+
+    def decode(action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
+        return _with_thrust(scale * action[..., :3], action[..., 3], most)
+
+    return normalised(
+        context,
+        name="attitude",
+        level=SetpointLevel.ATTITUDE,
+        labels=labels,
+        decode=decode,
+    )
+
+
+@register("action")
+def rates(context: ActionContext) -> Action:
+    """Turn at body rates (over 360, 360 and 180 degrees a second) with a collective thrust.
+
+    The thrust is none at -1 and the most at 1.
+    """
+    most = np.array([airframe.max_thrust for airframe in context.airframes])
+    labels = (
+        "p / 360 degrees/s",
+        "q / 360 degrees/s",
+        "r / 180 degrees/s",
+        "2 thrust / max thrust - 1",
+    )
+
+    def decode(action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
+        return _with_thrust(MAX_RATES * action[..., :3], action[..., 3], most)
+
+    return normalised(
+        context,
+        name="rates",
+        level=SetpointLevel.RATES,
+        labels=labels,
+        decode=decode,
+    )

@@ -1,0 +1,128 @@
+"""Parts that all actions are made of."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.kernel import kernel
+from bulletuav.vehicle.airframe import Airframe
+
+Decoder = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""Makes setpoints (W, N, S) of actions (W, N, A) and commanded velocities (W, N, 3)"""
+Encoder = Callable[..., np.ndarray]
+"""Makes actions of the first three numbers of setpoints (W, N, 3) and commanded velocities"""
+
+
+@dataclass(frozen=True)
+class ActionContext:
+    """Facts about an environment that the makers of actions may use.
+
+    Attributes:
+        airframes: Airframe of each of N drones.
+        max_speed: Speed limit, m/s.
+        arena_low: (3,) lower corner of the arena, m.
+        arena_high: (3,) upper corner of the arena, m.
+        period: Time between decisions, s.
+        gravity: Gravitational acceleration, m/s^2.
+    """
+
+    airframes: Sequence[Airframe]
+    max_speed: float
+    arena_low: np.ndarray
+    arena_high: np.ndarray
+    period: float
+    gravity: float
+
+
+@dataclass(frozen=True)
+class Action:
+    """A kind of action: A numbers of each of N drones become setpoints at one level.
+
+    Attributes:
+        name: Name by which users choose it.
+        level: Level of the setpoints.
+        labels: For each drone, the meaning and scale of each number that it reads. Drones with
+            fewer rotors than others read fewer than A.
+        low: (N, A) lower bounds.
+        high: (N, A) upper bounds.
+        decode: Makes setpoints (W, N, S) of actions (W, N, A), already clipped to the bounds, and
+            the velocities (W, N, 3) that were commanded last, m/s.
+        encode: Inverse of `decode` on the setpoint's first three numbers, for policies that think
+            in metres; None where there is none. It takes the same velocities where the action is
+            relative to them.
+        choices: Number of discrete actions; A is 1 then, and the number is the choice. None for
+            actions that are continuous.
+    """
+
+    name: str
+    level: SetpointLevel
+    labels: tuple[tuple[str, ...], ...]
+    low: np.ndarray
+    high: np.ndarray
+    decode: Decoder
+    encode: Encoder | None = None
+    choices: int | None = None
+
+    def size(self, drone: int) -> int:
+        """Count the numbers that a drone reads."""
+        return len(self.labels[drone])
+
+
+ActionMaker = Callable[[ActionContext], Action]
+"""Makes one kind of action for the drones of an environment"""
+
+
+@kernel
+def limit_norm(vector: np.ndarray, limit: float) -> np.ndarray:
+    """Shorten vectors that are longer than a limit; their direction stays.
+
+    Args:
+        vector: (W, N, 3) vectors.
+        limit: Largest norm, above 0.
+
+    Returns:
+        (W, N, 3) vectors no longer than the limit.
+    """
+    result = np.empty(vector.shape)
+    for w in range(vector.shape[0]):
+        for i in range(vector.shape[1]):
+            square = 0.0
+            for k in range(3):
+                square += vector[w, i, k] ** 2
+            share = limit / max(math.sqrt(square), limit)
+            for k in range(3):
+                result[w, i, k] = share * vector[w, i, k]
+    return result
+
+
+def with_yaw(vector: np.ndarray, yaw: np.ndarray | float = 0.0) -> np.ndarray:
+    """Append a yaw to vectors (W, N, 3)."""
+    setpoint = np.zeros((*vector.shape[:-1], 4))
+    setpoint[..., :3] = vector
+    setpoint[..., 3] = yaw
+    return setpoint
+
+
+def normalised(
+    context: ActionContext,
+    name: str,
+    level: SetpointLevel,
+    labels: tuple[str, ...],
+    decode: Decoder,
+    encode: Encoder | None = None,
+) -> Action:
+    """Make an action whose numbers are from -1 to 1 and the same for every drone."""
+    drones = len(context.airframes)
+    ones = np.ones((drones, len(labels)))
+    return Action(
+        name=name,
+        level=level,
+        labels=(labels,) * drones,
+        low=-ones,
+        high=ones,
+        decode=decode,
+        encode=encode,
+    )

@@ -1,0 +1,53 @@
+"""Actions that choose one of some velocities."""
+
+import itertools
+
+import numpy as np
+
+from bulletuav.control.actions.base import Action, ActionContext, with_yaw
+from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.registry import register
+
+
+def _directions(name: str, context: ActionContext, directions: np.ndarray) -> Action:
+    """Make an action that chooses among velocities at max_speed; the first of them is to stay."""
+    speed = context.max_speed
+    drones = len(context.airframes)
+    last = len(directions) - 1
+    sizes = np.linalg.norm(directions, axis=1, keepdims=True)
+    table = speed * directions / np.maximum(sizes, 1)
+    label = f"0 stay, 1 to {last} a velocity of {speed:g} m/s"
+
+    def decode(action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
+        return with_yaw(table[action[..., 0].astype(int)])
+
+    return Action(
+        name=name,
+        level=SetpointLevel.VELOCITY,
+        labels=((label,),) * drones,
+        low=np.zeros((drones, 1)),
+        high=np.full((drones, 1), float(last)),
+        decode=decode,
+        choices=last + 1,
+    )
+
+
+@register("action")
+def discrete(context: ActionContext) -> Action:
+    """Choose one of 7 velocities at max_speed.
+
+    0 is to stay; 1, 2 are east, west; 3, 4 north, south; 5, 6 up, down.
+    """
+    signs = np.array([1, -1, 1, -1, 1, -1])[:, None]
+    axes = np.repeat(np.eye(3), 2, axis=0) * signs
+    return _directions("discrete", context, np.concatenate([np.zeros((1, 3)), axes]))
+
+
+@register("action")
+def discrete_27(context: ActionContext) -> Action:
+    """Choose one of 27 velocities at max_speed.
+
+    0 is to stay. Then comes every other (x, y, z) of -1, 0, 1, counted up with z the fastest.
+    """
+    moves = [move for move in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(move)]
+    return _directions("discrete_27", context, np.array([(0.0, 0.0, 0.0), *moves]))

@@ -1,0 +1,123 @@
+"""Actions that ask for motion: a velocity, or a position to fly to."""
+
+import numpy as np
+
+from bulletuav.control.actions.base import Action, ActionContext, limit_norm, normalised, with_yaw
+from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.registry import register
+
+
+@register("action")
+def velocity(context: ActionContext) -> Action:
+    """Fly at a velocity east, north and up, over max_speed.
+
+    The speed is limited to max_speed, and the direction kept. Yaw is held at 0.
+    """
+    speed = context.max_speed
+    labels = tuple(f"v{axis} / {speed:g} m/s" for axis in "xyz")
+
+    def decode(action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
+        return with_yaw(limit_norm(action * speed, speed))
+
+    def encode(velocity: np.ndarray, commanded: np.ndarray | None = None) -> np.ndarray:
+        share: np.ndarray = velocity / speed
+        return share
+
+    return normalised(
+        context,
+        name="velocity",
+        level=SetpointLevel.VELOCITY,
+        labels=labels,
+        decode=decode,
+        encode=encode,
+    )
+
+
+@register("action")
+def velocity_increment(context: ActionContext) -> Action:
+    """Change the commanded velocity, on each axis by up to max_speed times the decision period.
+
+    The velocity is limited as in `velocity`. An episode begins with the velocity that the drone
+    starts with.
+    """
+    speed = context.max_speed
+    step = speed * context.period
+    labels = tuple(f"change of v{axis} / {step:g} m/s" for axis in "xyz")
+
+    def decode(action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
+        return with_yaw(limit_norm(commanded + step * action, speed))
+
+    def encode(velocity: np.ndarray, commanded: np.ndarray) -> np.ndarray:
+        change = (velocity - commanded) / step
+        # What is too far for one step is shortened, and keeps its direction.
+        largest = np.abs(change).max(axis=-1, keepdims=True)
+        share: np.ndarray = change / np.maximum(largest, 1.0)
+        return share
+
+    return normalised(
+        context,
+        name="velocity_increment",
+        level=SetpointLevel.VELOCITY,
+        labels=labels,
+        decode=decode,
+        encode=encode,
+    )
+
+
+@register("action")
+def heading_speed(context: ActionContext) -> Action:
+    """Fly towards a heading at a speed, with a climb.
+
+    The heading is from -1 to 1 for -180 to 180 degrees from east, to the left. The speed is from
+    -1 to 1 for 0 to max_speed. The climb is over max_speed. The nose points along the heading.
+    The speed with climb is limited to max_speed.
+    """
+    speed = context.max_speed
+    labels = ("heading / 180 degrees", f"2 speed / {speed:g} m/s - 1", f"climb / {speed:g} m/s")
+
+    def decode(action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
+        heading = np.pi * action[..., 0]
+        forward = speed * (action[..., 1] + 1) / 2
+        climb = speed * action[..., 2]
+        east = forward * np.cos(heading)
+        north = forward * np.sin(heading)
+        wanted = np.stack([east, north, climb], axis=-1)
+        return with_yaw(limit_norm(wanted, speed), heading)
+
+    return normalised(
+        context,
+        name="heading_speed",
+        level=SetpointLevel.VELOCITY,
+        labels=labels,
+        decode=decode,
+    )
+
+
+@register("action")
+def target_position(context: ActionContext) -> Action:
+    """Fly to a position and stop there.
+
+    On each axis, -1 and 1 are the lower and upper bounds of the arena. Yaw is held at 0.
+    """
+    centre = (context.arena_low + context.arena_high) / 2
+    half = (context.arena_high - context.arena_low) / 2
+    labels = tuple(
+        f"{axis} = {middle:g} + {extent:g} a m"
+        for axis, middle, extent in zip("xyz", centre, half, strict=True)
+    )
+
+    def decode(action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
+        return with_yaw(centre + half * action)
+
+    def encode(position: np.ndarray, commanded: np.ndarray | None = None) -> np.ndarray:
+        share: np.ndarray = (position - centre) / half
+        return share
+
+    return normalised(
+        context,
+        name="target_position",
+        level=SetpointLevel.POSITION,
+        labels=labels,
+        decode=decode,
+        encode=encode,
+    )

@@ -1,0 +1,211 @@
+"""Questions about the worlds of an engine: contacts, rays, distances and pictures."""
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+
+from bulletuav.engine.body_table import BodyTable
+from bulletuav.engine.c_extension import CExtension
+from bulletuav.engine.calls import DISTANCE, VISIBLE, EngineCalls, bullet
+from bulletuav.engine.rendering import SceneRenderer
+from bulletuav.engine.tiles import columns, land, within_tile
+from bulletuav.geometry.city_grid import CityGrid
+from bulletuav.geometry.obstacle import Obstacle
+from bulletuav.geometry.raycast import walk
+from bulletuav.geometry.shapes import meet_drones
+from bulletuav.geometry.view import Picture
+from bulletuav.vehicle.airframe import Airframe
+from bulletuav.vehicle.swarm import CITY, GROUND, Swarm
+
+PlacedShape = tuple[int, np.ndarray | None, np.ndarray | None]
+"""Owner of a collision shape (as `other` in `Contacts`), position (3,) in m, quaternion (4,)"""
+
+
+class EngineQueries:
+    """Base of `Engine` with the questions about its worlds.
+
+    Attributes:
+        shape: Number of worlds W and of drones N.
+        obstacle_radius: (K,) radii of the obstacles' bounding spheres, m.
+    """
+
+    def __init__(
+        self,
+        client: int,
+        bodies: BodyTable,
+        airframes: Sequence[Airframe],
+        obstacles: Sequence[Obstacle],
+        offset: np.ndarray,
+    ) -> None:
+        """Keep the bodies and shapes that questions are about.
+
+        Args:
+            client: Number that Bullet gave the client.
+            bodies: All bodies.
+            airframes: Airframe of each of the N drones of a world.
+            obstacles: The K obstacles of each world.
+            offset: (W, 3) origins of the tiles, m.
+        """
+        self.shape = (len(offset), len(airframes))
+        self.obstacle_radius = np.array([obstacle.radius for obstacle in obstacles])
+        self._client = client
+        self._bodies = bodies
+        self._calls: EngineCalls | CExtension = EngineCalls(client, bodies.drone.ravel())
+        self._renderer = SceneRenderer(client, bodies, offset)
+        self._offset = offset[:, None, :]
+        self._obstacle_place = np.zeros((*bodies.obstacle.shape, 3))
+        shapes = [airframe.shape for airframe in airframes]
+        self._shape_kind = np.array([shape.kind for shape in shapes])
+        self._shape_half = np.array([shape.half for shape in shapes])
+
+    @property
+    def city_grid(self) -> CityGrid:
+        """The pieces of the city layouts, and which layout stands in each world."""
+        return self._bodies.layouts.city_grid
+
+    def contacts(self) -> list[tuple[int, int, int, float]]:
+        """Tell what touched in the last step.
+
+        Returns:
+            (world, drone, other, normal force in N), both sides of a pair of drones; `other` as in
+            `Contacts`.
+        """
+        return self._bodies.contacts(*self._calls.contacts())
+
+    def cast_rays(
+        self,
+        start: np.ndarray,
+        end: np.ndarray,
+        world: np.ndarray,
+        drones: tuple[Swarm, np.ndarray] | None = None,
+    ) -> np.ndarray:
+        """Cast rays that meet ground, obstacles and buildings, and drones where asked for.
+
+        Bullet is asked where there is more than ground and boxes. It is never asked about drones,
+        as it knows only where its last step began.
+
+        Args:
+            start: (M, 3) starts, m.
+            end: (M, 3) ends, m.
+            world: (M,) world of each ray.
+            drones: A swarm, and a mask (W, N) of the drones in it that rays meet. A ray does not
+                meet a drone in which it starts.
+
+        Returns:
+            (M,) fraction of each ray before it meets something, 1 if it does not.
+        """
+        fraction, left = walk(self.city_grid, start, end, world, self.obstacle_radius.size > 0)
+        # Bullet answers what is more than ground and boxes, within the world's own tile.
+        if len(left):
+            last, share = within_tile(start[left], end[left])
+            offset = self._offset[world[left], 0]
+            met = self._calls.rays(start[left] + offset, last + offset, VISIBLE)
+            fraction[left] = np.where(met < 1, met * share, 1.0)
+        if drones is not None:
+            swarm, mask = drones
+            meet_drones(
+                fraction,
+                start,
+                end,
+                world,
+                swarm,
+                mask,
+                self._shape_kind,
+                self._shape_half,
+            )
+        return fraction
+
+    def surface_below(self, position: np.ndarray, mask: np.ndarray) -> np.ndarray:
+        """Find the height of the surface under drones: ground, roof or obstacle.
+
+        Args:
+            position: (W, N, 3) of the drones, m.
+            mask: (W, N) bool, drones that are asked for.
+
+        Returns:
+            (W, N) height z, m; -inf outside `mask`.
+        """
+        # Most drones have only ground below, which takes no ray.
+        surface = np.empty(self.shape)
+        who, start, end = columns(
+            position,
+            mask,
+            self._obstacle_place,
+            self.obstacle_radius,
+            self.city_grid,
+            surface,
+        )
+        if len(who):
+            land(surface, who, start, self.cast_rays(start, end, who[:, 0]))
+        return surface
+
+    def separation(self, world: int, one: PlacedShape, two: PlacedShape, within: float) -> float:
+        """Measure the closest distance of two collision shapes in a world.
+
+        Shapes with a position are moved there, bodies and all. Others stay where they are.
+
+        Args:
+            world: Index of the world.
+            one: The first shape.
+            two: The second shape.
+            within: Distance beyond which there is no need to know, m.
+
+        Returns:
+            Distance, m; negative when the shapes overlap, inf beyond `within`.
+        """
+        of_one = self._bodies_at(world, *one)
+        of_two = self._bodies_at(world, *two)
+        return min(
+            (
+                point[DISTANCE]
+                for a, b in itertools.product(of_one, of_two)
+                for point in bullet.getClosestPoints(a, b, within, physicsClientId=self._client)
+            ),
+            default=np.inf,
+        )
+
+    def _bodies_at(
+        self,
+        world: int,
+        who: int,
+        position: np.ndarray | None,
+        quaternion: np.ndarray | None,
+    ) -> list[int]:
+        """List the bodies of someone in a world; those that can move are put there."""
+        bodies = self._bodies.bodies_of(world, who)
+        if position is not None and who not in (GROUND, CITY):
+            place = position + self._offset[world, 0]
+            for body in bodies:
+                bullet.resetBasePositionAndOrientation(body, place, quaternion, self._client)
+        return bodies
+
+    def picture(
+        self,
+        world: int,
+        view: np.ndarray,
+        projection: np.ndarray,
+        size: tuple[int, int],
+    ) -> Picture:
+        """Take a picture of a world; needs no screen.
+
+        Args:
+            world: Index of the world.
+            view: (4, 4) matrix from the world's own frame to the camera's; see `view_matrix`.
+            projection: (4, 4) matrix of the camera; see `projection_matrix`.
+            size: Width and height, pixels.
+
+        Returns:
+            Colours, depths and labels of the pixels.
+        """
+        return self._renderer.picture(world, view, projection, size)
+
+    def look_at(self, world: int, target: np.ndarray, distance: float) -> None:
+        """Point the live window at a place.
+
+        Args:
+            world: Index of the world.
+            target: (3,) place in the world's own frame, m.
+            distance: Distance to look from, m.
+        """
+        self._renderer.look_at(world, target, distance)

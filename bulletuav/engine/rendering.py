@@ -1,0 +1,74 @@
+"""Pictures of the worlds of an engine, and its live window."""
+
+import numpy as np
+
+from bulletuav.engine.bodies import FLOOR
+from bulletuav.engine.body_table import BodyTable
+from bulletuav.engine.calls import bullet
+from bulletuav.geometry.view import Picture, metres
+
+LIGHT = (0.4, -0.7, 1.0)
+"""Direction towards the sun of pictures: walls differ"""
+YAW = 45.0
+"""Direction from which the live window looks, degrees"""
+PITCH = -35.0
+"""Angle below the horizon at which the live window looks, degrees, negative"""
+
+
+class SceneRenderer:
+    """A renderer of one world at a time: it moves the floor and the facades there."""
+
+    def __init__(self, client: int, bodies: BodyTable, offset: np.ndarray) -> None:
+        """Prepare to draw.
+
+        Args:
+            client: Number that Bullet gave the client.
+            bodies: All bodies of the engine.
+            offset: (W, 3) origins of the tiles, m.
+        """
+        self._client = client
+        self._bodies = bodies
+        self._offset = offset
+        self._label = bodies.pixel_labels()
+
+    def show_city(self, world: int) -> None:
+        """Move the floor, and the facades of the layout that stands in a world, there."""
+        shown = [(self._bodies.floor, -FLOOR / 2), *self._bodies.layouts.facades(world)]
+        for body, height in shown:
+            place = self._offset[world] + [0, 0, height]
+            bullet.resetBasePositionAndOrientation(body, place, [0, 0, 0, 1], self._client)
+
+    def picture(
+        self,
+        world: int,
+        view: np.ndarray,
+        projection: np.ndarray,
+        size: tuple[int, int],
+    ) -> Picture:
+        """Take a picture of a world; see `Engine.picture`."""
+        self.show_city(world)
+        # The view is that of the world's own frame, and Bullet wants matrices column by column.
+        shift = np.eye(4)
+        shift[:3, 3] = -self._offset[world]
+        width, height = size
+        _, _, pixels, buffer, bodies = bullet.getCameraImage(
+            width,
+            height,
+            (view @ shift).T.ravel().tolist(),
+            projection.T.ravel().tolist(),
+            lightDirection=LIGHT,
+            shadow=0,
+            renderer=bullet.ER_TINY_RENDERER,
+            physicsClientId=self._client,
+        )
+        body = np.asarray(bodies).reshape(height, width)
+        colours = np.asarray(pixels, dtype=np.uint8).reshape(height, width, 4)[..., :3].copy()
+        depth = metres(np.asarray(buffer, dtype=np.float64).reshape(height, width))
+        # Bodies made later than the labels share the entry before the last.
+        labels = self._label[np.minimum(body, len(self._label) - 2)]
+        return Picture(colours, depth.astype(np.float32), labels)
+
+    def look_at(self, world: int, target: np.ndarray, distance: float) -> None:
+        """Point the live window at a place in a world; see `Engine.look_at`."""
+        place = (target + self._offset[world]).tolist()
+        bullet.resetDebugVisualizerCamera(distance, YAW, PITCH, place, physicsClientId=self._client)
