@@ -110,7 +110,7 @@ def gain_towards(x: float, y: float, z: float, peak: float) -> float:
         z: Component up. The vector may have any length; none at all counts as straight below.
         peak: Greatest gain, dBi; `PEAK` in the standard.
     """
-    # The boresight is -z: x lies in its vertical plane, y in its horizontal plane
+    # The antenna's local x axis is -z of the body, and its local z axis is x of the body
     elevation = math.degrees(math.atan2(x, math.hypot(y, z)))
     # 0.0 - z, since -z would be -0.0 where y and z are 0, which is behind the antenna
     azimuth = math.degrees(math.atan2(y, 0.0 - z))

@@ -235,8 +235,10 @@ def serve(
             if finish > tasks.time[task] + deadline:
                 continue
             # Its time in this decision, and what is left for the next
-            served.busy[w, i] += max(min(finish, dt) - start, 0.0)
-            remaining[i, j] += max(finish - max(start, dt), 0.0)
+            busy_until = min(finish, dt)
+            left_from = max(start, dt)
+            served.busy[w, i] += max(busy_until - start, 0.0)
+            remaining[i, j] += max(finish - left_from, 0.0)
             core_free[w, i, j] = finish
             served.completed[w, i] += 1
             served.latency[w, i] += finish - tasks.time[task]

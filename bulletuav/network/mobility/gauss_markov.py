@@ -174,9 +174,11 @@ def advance(
                 x = x * fastest / speed
                 y = y * fastest / speed
             # Walk, and turn at walls together with the mean velocity
-            users[w, i, 0], users[w, i, 1], turned_x, turned_y = bounce(
+            end_x, end_y, turned_x, turned_y = bounce(
                 raster, layout[w], users[w, i, 0], users[w, i, 1], x * dt, y * dt
             )
+            users[w, i, 0] = end_x
+            users[w, i, 1] = end_y
             velocity[w, i, 0] = turned_x * x
             velocity[w, i, 1] = turned_y * y
             if turned_x < 0.0:

@@ -170,9 +170,11 @@ def drift(
         for i in range(hotspots.shape[1]):
             place = hotspots[w, i]
             own = velocity[w, i]
-            place[0], place[1], turned_x, turned_y = bounce(
+            end_x, end_y, turned_x, turned_y = bounce(
                 raster, layout[w], place[0], place[1], dt * own[0], dt * own[1]
             )
+            place[0] = end_x
+            place[1] = end_y
             # Turn as the walk was turned at walls
             own[0] = turned_x * own[0]
             own[1] = turned_y * own[1]
@@ -231,9 +233,11 @@ def advance(
             x = gauss_markov(own[0], x / size, correlation, wobble, noise[w, i, 0])
             y = gauss_markov(own[1], y / size, correlation, wobble, noise[w, i, 1])
             pace = speed[w, i] / max(length(x, y), SHORT)
-            place[0], place[1], turned_x, turned_y = bounce(
+            end_x, end_y, turned_x, turned_y = bounce(
                 raster, layout[w], place[0], place[1], dt * pace * x, dt * pace * y
             )
+            place[0] = end_x
+            place[1] = end_y
             # Turn as the walk was turned at walls
             own[0] = turned_x * x
             own[1] = turned_y * y

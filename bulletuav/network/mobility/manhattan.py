@@ -147,13 +147,15 @@ def advance(
             behind = int(street[w, i, 0])
             ahead = int(street[w, i, 1])
             along = street[w, i, 2] + speed[w, i] * dt
-            extent = length(node[ahead, 0] - node[behind, 0], node[ahead, 1] - node[behind, 1])
+            extent = street_length(node, behind, ahead)
             # Go on into the next street at every node that is passed
             while along >= extent:
                 along -= extent
                 chance = uniform(key[w], drawn)
-                behind, ahead = ahead, next_node(graph, layout[w], behind, ahead, turns, chance)
-                extent = length(node[ahead, 0] - node[behind, 0], node[ahead, 1] - node[behind, 1])
+                following = next_node(graph, layout[w], behind, ahead, turns, chance)
+                behind = ahead
+                ahead = following
+                extent = street_length(node, behind, ahead)
                 drawn += 1
             street[w, i, 0] = behind
             street[w, i, 1] = ahead
@@ -163,6 +165,14 @@ def advance(
                 heading = (node[ahead, axis] - node[behind, axis]) / extent
                 users[w, i, axis] = node[behind, axis] + along * heading
                 velocity[w, i, axis] = speed[w, i] * heading
+
+
+@func
+def street_length(node: np.ndarray, behind: int, ahead: int) -> float:
+    """Return the length of the street between two of the nodes (S, 2), m."""
+    x = node[ahead, 0] - node[behind, 0]
+    y = node[ahead, 1] - node[behind, 1]
+    return length(x, y)
 
 
 @func
