@@ -113,10 +113,8 @@ def cell_of(coordinate: float, raster: Raster) -> int:
 def is_free(raster: Raster, layout: int, column: int, row: int) -> bool:
     """Tell whether there is such a cell and it is free."""
     count = raster.free.shape[1]
-    if not (0 <= column < count and 0 <= row < count):
-        return False
-    free: bool = raster.free[layout, column, row]
-    return free
+    # One expression: with an early return numba counts references, which makes walks 4 times slower
+    return 0 <= column < count and 0 <= row < count and bool(raster.free[layout, column, row])
 
 
 @func
