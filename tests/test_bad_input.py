@@ -24,9 +24,10 @@ from bulletuav.envs.randomization import LIMITS
 from bulletuav.errors import finite, numbers_of, shown
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.rotation import exponential
-from bulletuav.network.mobility import MOBILITY_MODELS, find_mobility
+from bulletuav.network.mobility import find_mobility
 from bulletuav.policies import find_policy
 from bulletuav.policies.base import Policy
+from bulletuav.registry import names
 from bulletuav.tasks import find_task, list_tasks
 from bulletuav.tasks.base import Task
 from bulletuav.tasks.hover import Hover
@@ -758,15 +759,15 @@ def test_policies_name_what_they_lack(source, message):
         find_policy(source)
 
 
-@pytest.mark.parametrize("model", MOBILITY_MODELS)
+@pytest.mark.parametrize("model", names("mobility"))
 def test_mobility_names_what_it_cannot_be(model):
-    for field in dataclasses.fields(MOBILITY_MODELS[model]):
+    for field in dataclasses.fields(find_mobility(model)):
         for kind, value in BAD.items():
             told = refusal(
                 lambda field=field, value=value: find_mobility({"model": model, field.name: value})
             )
             assert told is None or field.name in told, f"{kind}: {told}"
-    assert MOBILITY_MODELS[model]().max_speed < 10
+    assert find_mobility(model).max_speed < 10
 
 
 @pytest.mark.parametrize("name", LIMITS)

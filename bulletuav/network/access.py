@@ -1,4 +1,4 @@
-"""How users share the band of the drones that serve them: rates of their uplinks.
+"""Multiple access: how users share the band of the drones that serve them, and their uplink rates.
 
 All drones use the same band.
 """
@@ -10,29 +10,49 @@ from bulletuav.network.link import capacity
 
 OFDMA, TDMA, SHARED = range(3)
 ACCESS = {"ofdma": OFDMA, "tdma": TDMA, "shared": SHARED}
+"""Codes of the schemes by name, see `uplink_rates`"""
 NOBODY = -1
-"""In place of a drone: the user has none"""
+"""Index in place of a drone for users that no drone serves"""
 
 
 @kernel
-def uplink_rates(power, assignment, bandwidth, noise, access, activity):
-    """(W, U) bit/s from users to the drones (W, U) that serve them; 0 for users of NOBODY.
+def uplink_rates(
+    power: np.ndarray,
+    assignment: np.ndarray,
+    bandwidth: float,
+    noise: float,
+    access: int,
+    activity: float,
+) -> np.ndarray:
+    """Compute the rates from users to the drones that serve them.
 
-    power (W, N, U) of each user as each drone receives it, W; bandwidth Hz; noise power in all of it, W; `activity`, the
-    share of the time in which a user sends, by which the power of those who interfere counts.
+    P is the received power of a user, B the bandwidth, and "other" users are those of other drones.
 
-    OFDMA   a drone with n users gives each 1/n of the band; the users of other drones hop over the whole band, so that each
-            part gets its share of their power: B/n log2(1 + n P / (noise + sum of P of those of other drones))
-    TDMA    a drone with n users gives each all of the band 1/n of the time, while of every other drone the user heard best
-            sends: B/n log2(1 + P / (noise + sum over other drones of the greatest P of theirs))
-    SHARED  everybody sends in all of the band: B log2(1 + P / (noise + sum of P of all others))
+    - OFDMA: a drone with n users gives each 1/n of the band. Other users hop over the whole band,
+      so each part gets its share of their power: B/n log2(1 + n P / (noise + sum of other P)).
+    - TDMA: a drone with n users gives each all of the band 1/n of the time. Of every other drone
+      the user heard best sends meanwhile: B/n log2(1 + P / (noise + sum of these greatest P)).
+    - SHARED: everybody sends in all of the band: B log2(1 + P / (noise + sum of all other P)).
 
     So one more user of another drone never raises a rate.
+
+    Args:
+        power: Power (W, N, U) of each user as each drone receives it, W.
+        assignment: Drone (W, U) that serves each user, or `NOBODY`.
+        bandwidth: Bandwidth, Hz.
+        noise: Noise power in all of the band, W.
+        access: Scheme, one of `ACCESS`.
+        activity: Share of the time in which a user sends; scales the power of interference.
+
+    Returns:
+        Rates (W, U), bit/s; 0 for users of `NOBODY`.
     """
     worlds, drones, users = power.shape
     rates = np.zeros((worlds, users))
-    count, loudest = np.zeros(drones), np.zeros(drones)
+    count = np.zeros(drones)
+    strongest = np.zeros(drones)
     for w in range(worlds):
+        # Count the users of each drone
         count[:] = 0.0
         for j in range(users):
             if assignment[w, j] != NOBODY:
@@ -40,31 +60,31 @@ def uplink_rates(power, assignment, bandwidth, noise, access, activity):
         for i in range(drones):
             if count[i] == 0.0:
                 continue
-            loudest[:] = 0.0
-            everybody, others = 0.0, 0.0
+            # Add up what the drone hears, and find the strongest user of every other drone
+            strongest[:] = 0.0
+            total = 0.0
+            others = 0.0
             for j in range(users):
                 server = assignment[w, j]
                 if server == NOBODY:
                     continue
-                everybody += power[w, i, j]
+                total += power[w, i, j]
                 if server != i:
                     others += power[w, i, j]
-                    loudest[server] = max(loudest[server], power[w, i, j])
-            slots = loudest.sum()
+                    strongest[server] = max(strongest[server], power[w, i, j])
+            simultaneous = strongest.sum()
+            # Rates of the drone's own users against that interference
             for j in range(users):
                 if assignment[w, j] != i:
                     continue
                 signal = power[w, i, j]
                 if access == OFDMA:
-                    rates[w, j] = capacity(
-                        bandwidth / count[i], count[i] * signal / (noise + activity * others)
-                    )
+                    sinr = count[i] * signal / (noise + activity * others)
+                    rates[w, j] = capacity(bandwidth / count[i], sinr)
                 elif access == TDMA:
-                    rates[w, j] = (
-                        capacity(bandwidth, signal / (noise + activity * slots)) / count[i]
-                    )
+                    sinr = signal / (noise + activity * simultaneous)
+                    rates[w, j] = capacity(bandwidth, sinr) / count[i]
                 else:
-                    rates[w, j] = capacity(
-                        bandwidth, signal / (noise + activity * (everybody - signal))
-                    )
+                    sinr = signal / (noise + activity * (total - signal))
+                    rates[w, j] = capacity(bandwidth, sinr)
     return rates

@@ -1,71 +1,117 @@
-"""Antenna elements of 3GPP TR 38.901, gains in dBi.
+"""Antenna elements of 3GPP TR 38.901, with gains in dBi.
 
-Angles in degrees: zenith from the z axis, in [0, 180]; azimuth from x towards y, in [-180, 180]. An antenna radiates most
-along the x axis of its local frame (zenith 90, azimuth 0). At the ends of the local z axis the azimuth has no meaning, but
-the pattern depends on it: there, and nowhere else, the gain jumps.
+Angles are in degrees: the zenith angle from the z axis, in [0, 180], and the azimuth from x towards
+y, in [-180, 180]. An antenna radiates most along the x axis of its local frame, at zenith 90 and
+azimuth 0. At the ends of the local z axis the azimuth has no meaning, but the pattern depends on
+it: there, and nowhere else, the gain jumps.
+
+All functions take numbers, or arrays that broadcast; kernels call them too.
 """
 
 import math
 
 from bulletuav.kernel import elementwise, func
 
-PEAK = 8.0  # dBi
-BEAMWIDTH = 65.0  # degrees, between the directions of half the power
-DEPTH = 30.0  # dB, the most that any direction is below the peak
+PEAK = 8.0
+"""Greatest gain of the element, dBi (TR 38.901, table 7.3-1)"""
+BEAMWIDTH = 65.0
+"""Angle between the directions of half the power, degrees"""
+MAX_ATTENUATION = 30.0
+"""Most that any direction is below the peak, dB"""
 INDOOR_PEAK = 5.0
+"""Greatest gain of the indoor element, dBi (Report ITU-R M.2412)"""
 INDOOR_BEAMWIDTH = 90.0
-INDOOR_DEPTH = 25.0
+"""Angle between the directions of half the power of the indoor element, degrees"""
+INDOOR_MAX_ATTENUATION = 25.0
+"""Most that any direction of the indoor element is below its peak, dB"""
 
 
 @func
-def _attenuation(above, aside, beamwidth, depth):
-    """How much less than at its peak an element radiates (dB) at these degrees from its horizontal and vertical plane."""
-    vertical = min(12.0 * (above / beamwidth) ** 2, depth)
-    horizontal = min(12.0 * (aside / beamwidth) ** 2, depth)
-    return min(vertical + horizontal, depth)
+def _attenuation(
+    elevation: float, azimuth: float, beamwidth: float, max_attenuation: float
+) -> float:
+    """Return how far below its peak an element radiates (dB), by the angles off its x axis."""
+    vertical = min(12.0 * (elevation / beamwidth) ** 2, max_attenuation)
+    horizontal = min(12.0 * (azimuth / beamwidth) ** 2, max_attenuation)
+    return min(vertical + horizontal, max_attenuation)
 
 
 @elementwise
-def element_gain(zenith, azimuth, peak):
-    """Gain (dBi) towards a direction in the antenna's local frame, `peak` (PEAK in the standard) at the most.
+def element_gain(zenith: float, azimuth: float, peak: float) -> float:
+    """Return the gain of the element towards a direction, dBi (TR 38.901, table 7.3-1).
 
-    TR 38.901, table 7.3-1.
+    Args:
+        zenith: Zenith angle in the antenna's local frame, degrees.
+        azimuth: Azimuth in the antenna's local frame, degrees.
+        peak: Greatest gain, dBi; `PEAK` in the standard.
     """
-    return peak - _attenuation(zenith - 90.0, azimuth, BEAMWIDTH, DEPTH)
+    return peak - _attenuation(zenith - 90.0, azimuth, BEAMWIDTH, MAX_ATTENUATION)
 
 
 @elementwise
-def indoor_gain(zenith, azimuth, peak):
-    """As `element_gain`, of the wider element for indoor stations and handsets, INDOOR_PEAK in the standard.
+def indoor_gain(zenith: float, azimuth: float, peak: float) -> float:
+    """Return the gain of the wider element for indoor stations and handsets, dBi.
 
-    Report ITU-R M.2412, indoor hotspots.
+    Source: Report ITU-R M.2412, indoor hotspots.
+
+    Args:
+        zenith: Zenith angle in the antenna's local frame, degrees.
+        azimuth: Azimuth in the antenna's local frame, degrees.
+        peak: Greatest gain, dBi; `INDOOR_PEAK` in the report.
     """
-    return peak - _attenuation(zenith - 90.0, azimuth, INDOOR_BEAMWIDTH, INDOOR_DEPTH)
+    return peak - _attenuation(zenith - 90.0, azimuth, INDOOR_BEAMWIDTH, INDOOR_MAX_ATTENUATION)
 
 
 @elementwise
-def local_zenith(zenith, azimuth, bearing, downtilt):
-    """Zenith in the local frame of an antenna turned to `bearing` and tilted down, slant 0 (TR 38.901, eq. 7.1-7)."""
-    theta, phi, beta = math.radians(zenith), math.radians(azimuth - bearing), math.radians(downtilt)
+def local_zenith(zenith: float, azimuth: float, bearing: float, downtilt: float) -> float:
+    """Return the zenith angle of a direction in an antenna's local frame, degrees.
+
+    TR 38.901, eq. 7.1-7, with slant 0.
+
+    Args:
+        zenith: Zenith angle in the global frame, degrees.
+        azimuth: Azimuth in the global frame, degrees.
+        bearing: Azimuth that the antenna is turned to, degrees.
+        downtilt: Angle that the antenna is tilted down by, degrees.
+    """
+    theta = math.radians(zenith)
+    phi = math.radians(azimuth - bearing)
+    beta = math.radians(downtilt)
+    # Cosine of the angle to the local z axis
     cosine = math.cos(beta) * math.cos(theta) + math.sin(beta) * math.cos(phi) * math.sin(theta)
-    return math.degrees(math.acos(min(max(cosine, -1.0), 1.0)))  # rounding goes beyond 1
+    # Rounding can lead beyond 1
+    return math.degrees(math.acos(min(max(cosine, -1.0), 1.0)))
 
 
 @elementwise
-def local_azimuth(zenith, azimuth, bearing, downtilt):
-    """Azimuth in the local frame of an antenna turned to `bearing` and tilted down, slant 0 (TR 38.901, eq. 7.1-8)."""
-    theta, phi, beta = math.radians(zenith), math.radians(azimuth - bearing), math.radians(downtilt)
+def local_azimuth(zenith: float, azimuth: float, bearing: float, downtilt: float) -> float:
+    """Return the azimuth of a direction in an antenna's local frame, degrees.
+
+    TR 38.901, eq. 7.1-8, with slant 0. The arguments are those of `local_zenith`.
+    """
+    theta = math.radians(zenith)
+    phi = math.radians(azimuth - bearing)
+    beta = math.radians(downtilt)
+    # Component along the local x axis
     ahead = math.cos(beta) * math.sin(theta) * math.cos(phi) - math.sin(beta) * math.cos(theta)
     return math.degrees(math.atan2(math.sin(theta) * math.sin(phi), ahead))
 
 
 @elementwise
-def gain_towards(x, y, z, peak):
-    """Gain (dBi) of an antenna that looks straight down (bearing 0, downtilt 90) towards a vector in the drone's body frame.
+def gain_towards(x: float, y: float, z: float, peak: float) -> float:
+    """Return the gain of a drone's antenna that looks straight down, dBi.
 
-    The body's x axis points ahead, y left, z up; any length does, and none at all counts as straight below. The same as
-    `element_gain` at `local_zenith` and `local_azimuth`, without their loss of digits near the vertical.
+    The antenna has bearing 0 and downtilt 90. The gain is that of `element_gain` at `local_zenith`
+    and `local_azimuth`, without their loss of digits near the vertical.
+
+    Args:
+        x: Component ahead of the vector to the other end, in the drone's body frame.
+        y: Component to the left.
+        z: Component up. The vector may have any length; none at all counts as straight below.
+        peak: Greatest gain, dBi; `PEAK` in the standard.
     """
-    above = math.degrees(math.atan2(x, math.hypot(y, z)))
-    aside = math.degrees(math.atan2(y, 0.0 - z))  # -z would be -0, behind, where y and z are 0
-    return peak - _attenuation(above, aside, BEAMWIDTH, DEPTH)
+    # The antenna's local x axis is -z of the body, and its local z axis is x of the body
+    elevation = math.degrees(math.atan2(x, math.hypot(y, z)))
+    # 0.0 - z, since -z would be -0.0 where y and z are 0, which is behind the antenna
+    azimuth = math.degrees(math.atan2(y, 0.0 - z))
+    return peak - _attenuation(elevation, azimuth, BEAMWIDTH, MAX_ATTENUATION)

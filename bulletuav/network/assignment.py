@@ -1,8 +1,10 @@
-"""Which drone serves which user.
+"""User association: which drone serves which user, by one of three strategies.
 
-`nearest`   by distance
-`max_rate`  by received power, and so by the rate without interference; of users that no drone hears, none
-`dtlcm`     dynamic distance, task and load capacity matching: near over ground, able to compute, and not loaded
+- `nearest`: the nearest drone.
+- `max_rate`: the drone that receives most power, and so has the highest rate without interference.
+  Users that no drone hears are served by none.
+- `dtlcm`: dynamic distance, task and load capacity matching. It prefers drones that are near over
+  ground, able to compute, and not loaded.
 """
 
 import math
@@ -14,46 +16,83 @@ from bulletuav.network.access import NOBODY
 
 NEAREST, MAX_RATE, DTLCM = range(3)
 STRATEGIES = {"nearest": NEAREST, "max_rate": MAX_RATE, "dtlcm": DTLCM}
-REACH = 1000.0  # m, beyond which distance counts no more for `dtlcm_score`
-NEARNESS = 0.7  # share of distance in it
-LOAD = 0.1  # weight of the load in it
+"""Codes of the strategies by name"""
+SCORE_RANGE = 1000.0
+"""Distance beyond which it no longer lowers `dtlcm_score`, m"""
+DISTANCE_WEIGHT = 0.7
+"""Weight of distance in `dtlcm_score`; computing capacity has the rest"""
+LOAD_WEIGHT = 0.1
+"""Weight of load in `dtlcm_score`"""
 
 
 @elementwise
-def dtlcm_score(distance, capacity, demand, load):
-    """How well a drone suits a user: distance over ground, m; capacity, cycles/s; demand of a task, cycles; load, cycles/s.
+def dtlcm_score(distance: float, capacity: float, demand: float, load: float) -> float:
+    """Score how well a drone suits a user; higher is better.
 
-    w (1 - min(d / 1 km, 1)) + (1 - w) min(C / X, 1) - 0.1 load / C with w = 0.7, the heuristic of UrbanMARL 0.3.1.
+    The heuristic of UrbanMARL 0.3.1 for a distance d, capacity C, demand X and load L:
+    w (1 - min(d / 1 km, 1)) + (1 - w) min(C / X, 1) - 0.1 L / C with w = 0.7.
+
+    Args:
+        distance: Distance over ground, m.
+        capacity: Computing capacity of the drone, cycles/s.
+        demand: Demand of a task, cycles.
+        load: Load of the drone, cycles/s.
     """
-    near = 1.0 - min(distance / REACH, 1.0)
-    return NEARNESS * near + (1.0 - NEARNESS) * min(capacity / demand, 1.0) - LOAD * load / capacity
+    nearness = 1.0 - min(distance / SCORE_RANGE, 1.0)
+    ability = min(capacity / demand, 1.0)
+    penalty = LOAD_WEIGHT * load / capacity
+    return DISTANCE_WEIGHT * nearness + (1.0 - DISTANCE_WEIGHT) * ability - penalty
 
 
 @kernel
-def assign(strategy, position, alive, users, power, capacity, demand, load):
-    """(W, U) the living drone that serves each user, the first of equals, or NOBODY.
+def assign(
+    strategy: int,
+    position: np.ndarray,
+    alive: np.ndarray,
+    users: np.ndarray,
+    power: np.ndarray,
+    capacity: float,
+    demand: float,
+    load: np.ndarray,
+) -> np.ndarray:
+    """Choose the living drone that serves each user; the first one where several are equal.
 
-    position (W, N, 3) and users (W, U, 3) m; alive (W, N); received power (W, N, U) W; capacity of a drone and load
-    (W, N) of each, cycles/s; demand of a task, cycles.
+    Args:
+        strategy: One of `STRATEGIES`.
+        position: Positions (W, N, 3) of drones, m.
+        alive: Drones (W, N) that can serve, bool.
+        users: Positions (W, U, 3) of users, m.
+        power: Power (W, N, U) that drones receive from users, W.
+        capacity: Computing capacity of a drone, cycles/s.
+        demand: Demand of a task, cycles.
+        load: Load (W, N) of each drone, cycles/s.
+
+    Returns:
+        Index (W, U) of a drone, or `NOBODY`.
     """
     worlds, drones, count = power.shape
     chosen = np.full((worlds, count), NOBODY)
     for w in range(worlds):
         for j in range(count):
+            # Power above 0 is needed, but any distance or score will do
             best = 0.0 if strategy == MAX_RATE else -np.inf
             for i in range(drones):
                 if not alive[w, i]:
                     continue
-                east, north = position[w, i, 0] - users[w, j, 0], position[w, i, 1] - users[w, j, 1]
+                # Displacement from the user to the drone
+                east = position[w, i, 0] - users[w, j, 0]
+                north = position[w, i, 1] - users[w, j, 1]
                 up = position[w, i, 2] - users[w, j, 2]
+                # The higher the score, the better the drone
                 if strategy == MAX_RATE:
                     score = power[w, i, j]
                 elif strategy == NEAREST:
                     score = -(east * east + north * north + up * up)
                 else:
-                    score = dtlcm_score(
-                        math.sqrt(east * east + north * north), capacity, demand, load[w, i]
-                    )
+                    distance = math.sqrt(east * east + north * north)
+                    score = dtlcm_score(distance, capacity, demand, load[w, i])
+                # Only a better one replaces the first
                 if score > best:
-                    best, chosen[w, j] = score, i
+                    best = score
+                    chosen[w, j] = i
     return chosen

@@ -1,32 +1,57 @@
-"""What a radio link carries: noise, decibels, capacity."""
+"""Basic quantities of a radio link: decibels, thermal noise and capacity.
+
+All functions take numbers, or arrays that broadcast; kernels call them too.
+"""
 
 import math
+from typing import overload
+
+import numpy as np
 
 from bulletuav.kernel import elementwise
 
-BOLTZMANN = 1.380649e-23  # J/K, exact (SI, 2019)
-TEMPERATURE = 290.0  # K, the reference of noise figures (IEEE)
+BOLTZMANN = 1.380649e-23
+"""Boltzmann constant, J/K, exact (SI, 2019)"""
+TEMPERATURE = 290.0
+"""Reference temperature of noise figures, K (IEEE)"""
 
 
 @elementwise
-def decibel(ratio):
-    """A ratio of powers in dB; -inf for 0."""
-    return 10.0 * math.log10(ratio) if ratio != 0.0 else -math.inf  # log10(0) would warn
+def decibel(power_ratio: float) -> float:
+    """Return a ratio of powers in dB; -inf for 0."""
+    # The logarithm of 0 would warn
+    return 10.0 * math.log10(power_ratio) if power_ratio != 0.0 else -math.inf
 
 
 @elementwise
-def ratio(decibel):
-    """The ratio of powers that is so many dB; 0 for -inf."""
-    return 10.0 ** (0.1 * decibel)
+def ratio(level: float) -> float:
+    """Return the ratio of powers that a level in dB stands for; 0 for -inf."""
+    power_ratio: float = 10.0 ** (0.1 * level)
+    return power_ratio
 
 
 @elementwise
-def noise_power(bandwidth, noise_figure):
-    """Thermal noise of a receiver at 290 K, W: k T B F, `bandwidth` in Hz, `noise_figure` in dB (H. Nyquist, 1928)."""
-    return BOLTZMANN * TEMPERATURE * bandwidth * 10.0 ** (0.1 * noise_figure)
+def noise_power(bandwidth: float, noise_figure: float) -> float:
+    """Return the thermal noise of a receiver at 290 K, W: k T B F (H. Nyquist, 1928).
+
+    Args:
+        bandwidth: Bandwidth B, Hz.
+        noise_figure: Noise figure F of the receiver, dB.
+    """
+    noise_factor: float = 10.0 ** (0.1 * noise_figure)
+    return BOLTZMANN * TEMPERATURE * bandwidth * noise_factor
 
 
+@overload
+def capacity(bandwidth: float, sinr: float) -> float: ...
+@overload
+def capacity(bandwidth: float, sinr: np.ndarray) -> np.ndarray: ...
 @elementwise
-def capacity(bandwidth, sinr):
-    """Most that a link can carry, bit/s: B log2(1 + SINR), `bandwidth` in Hz, `sinr` not in dB (C. E. Shannon, 1948)."""
+def capacity(bandwidth: float, sinr: float | np.ndarray) -> float | np.ndarray:
+    """Return the most that a link can carry, bit/s: B log2(1 + SINR) (C. E. Shannon, 1948).
+
+    Args:
+        bandwidth: Bandwidth B, Hz.
+        sinr: Signal power over that of interference and noise, not in dB.
+    """
     return bandwidth * math.log1p(sinr) / math.log(2.0)

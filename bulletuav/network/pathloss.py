@@ -1,9 +1,11 @@
-"""Path loss between a drone and the ground, dB: free space, log-distance, and the models of 3GPP as options.
+"""Path loss models between a drone and a user on the ground, by name, and what each is meant for.
 
-Frequencies in GHz, lengths in m. Antennas nearer than 1 m to each other count as 1 m apart, so that all losses are finite.
-`PATHLOSS_MODELS` are all called alike, with the distance over ground, the heights of drone and user, and the frequency. No standard
-has drones for base stations: TR 38.901 is taken with the drone as the base and the user as the terminal, TR 36.777 with the
-drone as the terminal and the user in the place of the base.
+`PATHLOSS_MODELS` are all called alike: with the distance over ground, the heights of drone and
+user, and the frequency. Frequencies are in GHz, lengths in m, losses in dB. Their formulas are in
+`propagation`, `tr38901` and `tr36777`.
+
+No standard has drones for base stations. TR 38.901 is taken with the drone as the base and the
+user as the terminal. TR 36.777 is taken with the drone as the terminal and the user as the base.
 """
 
 import math
@@ -15,235 +17,52 @@ from typing import NamedTuple
 import numpy as np
 
 from bulletuav.errors import choose, numbers_of
-from bulletuav.kernel import elementwise, func
-
-SPEED_OF_LIGHT = 299792458.0  # m/s
-NLOS_EXPONENT = 3.19
-EXPONENTS = {"urbanmarl": 3.5, "umi_ci": NLOS_EXPONENT}
-"""For `log_distance` without a line of sight: of UrbanMARL 0.3.1, and of `umi_close_in_nlos`"""
-EXCESS = {
-    "suburban": (0.1, 21.0),
-    "urban": (1.0, 20.0),
-    "dense": (1.6, 23.0),
-    "high_rise": (2.3, 34.0),
-}
-"""dB beyond free space with a line of sight and without, for `mean_path_loss`: the customary values for 2 GHz
-(I. Bor-Yaliniz, A. El-Keyi, H. Yanikomeroglu, IEEE ICC 2016)"""
-LOW = 22.5  # m, up to which TR 36.777 leaves drones to TR 38.901
-
-
-@func
-def _span(distance, height, other):
-    """Distance between two antennas at heights, at least 1 m."""
-    return max(math.hypot(distance, height - other), 1.0)
+from bulletuav.kernel import elementwise
+from bulletuav.network.propagation import (
+    NLOS_EXPONENT,
+    antenna_distance,
+    free_space,
+    log_distance,
+)
+from bulletuav.network.tr36777 import uma_av_los, uma_av_nlos, umi_av_los, umi_av_nlos
+from bulletuav.network.tr38901 import uma_los, uma_nlos, umi_los, umi_nlos
 
 
 @elementwise
-def free_space(distance, frequency):
-    """Free-space path loss (dB): 20 log10(4 pi d f / c) (H. T. Friis, 1946)."""
-    return 20.0 * math.log10(4e9 * math.pi * max(distance, 1.0) * frequency / SPEED_OF_LIGHT)
+def log_distance_los(
+    ground_distance: float,
+    drone_height: float,
+    user_height: float,
+    frequency: float,
+) -> float:
+    """Return the path loss of `log_distance` with line of sight, dB: that of free space."""
+    return free_space(antenna_distance(ground_distance, drone_height, user_height), frequency)
 
 
 @elementwise
-def log_distance(distance, frequency, exponent):
-    """Path loss (dB) that grows with a power of the distance: that of free space at 1 m, and 10 n log10(d)."""
-    return free_space(1.0, frequency) + 10.0 * exponent * math.log10(max(distance, 1.0))
+def log_distance_nlos(
+    ground_distance: float,
+    drone_height: float,
+    user_height: float,
+    frequency: float,
+) -> float:
+    """Return the path loss of `log_distance` without line of sight, dB.
 
-
-@elementwise
-def mean_path_loss(distance, frequency, chance, excess_los, excess_nlos):
-    """Path loss (dB) in the mean over places with a line of sight and without: that of free space and the mean excess.
-
-    `chance` of a line of sight (`bulletuav.city.sight_probability`), dB beyond free space with and without it (`EXCESS`).
-    A. Al-Hourani, S. Kandeepan, S. Lardner, IEEE Wireless Communications Letters 3 (2014).
+    The exponent is 3.19, that of the close-in law in TR 38.901.
     """
-    return free_space(distance, frequency) + chance * excess_los + (1.0 - chance) * excess_nlos
-
-
-@elementwise
-def log_distance_los(distance, drone, user, frequency):
-    """`log_distance` with a line of sight: free space."""
-    return free_space(_span(distance, drone, user), frequency)
-
-
-@elementwise
-def log_distance_nlos(distance, drone, user, frequency):
-    """`log_distance` without a line of sight, with the exponent 3.19 of TR 38.901."""
-    return log_distance(_span(distance, drone, user), frequency, NLOS_EXPONENT)
-
-
-# TR 38.901, table 7.4.1-1
-
-
-@func
-def _dual_slope(distance, base, user, frequency, intercept, slope):
-    """Loss with a line of sight: 40 dB a decade from the breakpoint on.
-
-    The environment has an effective height of 1 m (UMa draws it at random for users above 13 m: not here); antennas below
-    count as at it.
-    """
-    breakpoint = (
-        4.0 * max(base - 1.0, 0.0) * max(user - 1.0, 0.0) * frequency * 1e9 / 3e8
-    )  # c as the standard has it
-    near, span = intercept + 20.0 * math.log10(frequency), math.log10(_span(distance, base, user))
-    if distance <= breakpoint:
-        return near + slope * span
-    return (
-        near
-        + 40.0 * span
-        - (20.0 - 0.5 * slope) * math.log10(max(breakpoint**2 + (base - user) ** 2, 1.0))
-    )
-
-
-@elementwise
-def umi_los(distance, base, user, frequency):
-    """TR 38.901 UMi street canyon, line of sight (dB)."""
-    return _dual_slope(distance, base, user, frequency, 32.4, 21.0)
-
-
-@elementwise
-def umi_nlos(distance, base, user, frequency):
-    """TR 38.901 UMi street canyon, no line of sight (dB)."""
-    loss = (
-        22.4
-        + 35.3 * math.log10(_span(distance, base, user))
-        + 21.3 * math.log10(frequency)
-        - 0.3 * (user - 1.5)
-    )
-    return max(umi_los(distance, base, user, frequency), loss)
-
-
-@elementwise
-def umi_close_in_nlos(distance, frequency):
-    """TR 38.901 UMi street canyon, no line of sight, the optional close-in law (dB) of the distance between the antennas.
-
-    All but `log_distance` with 3.19, which has 32.448 for 32.4. Shadowing 8.2 dB.
-    """
-    return 32.4 + 20.0 * math.log10(frequency) + 31.9 * math.log10(max(distance, 1.0))
-
-
-@elementwise
-def uma_los(distance, base, user, frequency):
-    """TR 38.901 UMa, line of sight (dB)."""
-    return _dual_slope(distance, base, user, frequency, 28.0, 22.0)
-
-
-@elementwise
-def uma_nlos(distance, base, user, frequency):
-    """TR 38.901 UMa, no line of sight (dB)."""
-    loss = (
-        13.54
-        + 39.08 * math.log10(_span(distance, base, user))
-        + 20.0 * math.log10(frequency)
-        - 0.6 * (user - 1.5)
-    )
-    return max(uma_los(distance, base, user, frequency), loss)
-
-
-@func
-def _sight(distance, certain, fade):
-    """Chance of a line of sight that is certain up to a distance and then falls off."""
-    if distance <= certain:
-        return 1.0
-    return certain / distance + math.exp(-distance / fade) * (1.0 - certain / distance)
-
-
-@elementwise
-def umi_los_probability(distance):
-    """TR 38.901 UMi street canyon, table 7.4.2-1: chance of a line of sight at a distance over ground."""
-    return _sight(distance, 18.0, 36.0)
-
-
-@elementwise
-def uma_los_probability(distance, user):
-    """TR 38.901 UMa, table 7.4.2-1: chance of a line of sight at a distance over ground, to a user at a height."""
-    high = (max(user - 13.0, 0.0) / 10.0) ** 1.5
-    more = 1.25 * high * (distance / 100.0) ** 3 * math.exp(-distance / 150.0)
-    return _sight(distance, 18.0, 63.0) * (1.0 + more) if distance > 18.0 else 1.0
-
-
-# TR 36.777, tables B-1 to B-3
-
-
-@elementwise
-def umi_av_los(distance, drone, base, frequency):
-    """TR 36.777 UMi-AV, line of sight (dB); up to 22.5 m as TR 38.901."""
-    if drone <= LOW:
-        return umi_los(distance, base, drone, frequency)
-    span = _span(distance, drone, base)
-    loss = (
-        30.9 + (22.25 - 0.5 * math.log10(drone)) * math.log10(span) + 20.0 * math.log10(frequency)
-    )
-    return max(free_space(span, frequency), loss)
-
-
-@elementwise
-def umi_av_nlos(distance, drone, base, frequency):
-    """TR 36.777 UMi-AV, no line of sight (dB); up to 22.5 m as TR 38.901."""
-    if drone <= LOW:
-        return umi_nlos(distance, base, drone, frequency)
-    slope = 43.2 - 7.6 * math.log10(drone)
-    loss = 32.4 + slope * math.log10(_span(distance, drone, base)) + 20.0 * math.log10(frequency)
-    return max(umi_av_los(distance, drone, base, frequency), loss)
-
-
-@elementwise
-def uma_av_los(distance, drone, base, frequency):
-    """TR 36.777 UMa-AV, line of sight (dB); up to 22.5 m as TR 38.901."""
-    if drone <= LOW:
-        return uma_los(distance, base, drone, frequency)
-    return 28.0 + 22.0 * math.log10(_span(distance, drone, base)) + 20.0 * math.log10(frequency)
-
-
-@elementwise
-def uma_av_nlos(distance, drone, base, frequency):
-    """TR 36.777 UMa-AV, no line of sight (dB); up to 22.5 m as TR 38.901.
-
-    Above 100 m, where the standard has no blocked links, the law of 100 m (our choice).
-    """
-    if drone <= LOW:
-        return uma_nlos(distance, base, drone, frequency)
-    slope = 46.0 - 7.0 * math.log10(min(drone, 100.0))
-    return (
-        -17.5
-        + slope * math.log10(_span(distance, drone, base))
-        + 20.0 * math.log10(40.0 * math.pi * frequency / 3.0)
-    )
-
-
-@elementwise
-def umi_av_los_probability(distance, drone):
-    """TR 36.777 UMi-AV: chance of a line of sight at a distance over ground; up to 22.5 m as TR 38.901."""
-    if drone <= LOW:
-        return umi_los_probability(distance)
-    height = math.log10(drone)
-    return _sight(distance, max(294.05 * height - 432.94, 18.0), 233.98 * height - 0.95)
-
-
-@elementwise
-def uma_av_los_probability(distance, drone):
-    """TR 36.777 UMa-AV: chance of a line of sight at a distance over ground; up to 22.5 m as TR 38.901; 1 above 100 m."""
-    if drone <= LOW:
-        return uma_los_probability(distance, drone)
-    height = math.log10(drone)
-    return (
-        1.0
-        if drone > 100.0
-        else _sight(distance, max(460.0 * height - 700.0, 18.0), 4300.0 * height - 3800.0)
-    )
-
-
-@elementwise
-def shadowing(drone, low, high, decay, least):
-    """Standard deviation (dB) of the path loss about a model: of the height of the drone and the numbers of a `Shadowing`.
-
-    TR 38.901, table 7.4.1-1; TR 36.777, table B-3.
-    """
-    return low if drone <= LOW else max(high * math.exp(-decay * drone), least)
+    distance = antenna_distance(ground_distance, drone_height, user_height)
+    return log_distance(distance, frequency, NLOS_EXPONENT)
 
 
 class Shadowing(NamedTuple):
-    """dB for drones up to 22.5 m: `low`; above: `high` exp(-`decay` h), at least `least`."""
+    """Parameters of `tr36777.shadowing`, the standard deviation of the path loss.
+
+    Attributes:
+        low: Standard deviation for drones up to 22.5 m, dB.
+        high: Standard deviation above, before it decays with the height h as exp(-`decay` h), dB.
+        decay: Rate of that decay, 1/m.
+        least: Lowest standard deviation above 22.5 m, dB.
+    """
 
     low: float
     high: float
@@ -252,7 +71,15 @@ class Shadowing(NamedTuple):
 
 
 class Validity(NamedTuple):
-    """Ranges that a standard makes a model for: GHz, m over ground, m of height; of no width where it has its base."""
+    """Ranges that a standard makes a model for; one of no width where the standard has its base.
+
+    Attributes:
+        source: Name of the standard, for messages.
+        frequency: Lowest and highest carrier frequency, GHz.
+        distance: Least and greatest distance over ground, m.
+        drone: Least and greatest height of the drone, m.
+        user: Least and greatest height of the user, m.
+    """
 
     source: str
     frequency: tuple[float, float]
@@ -261,9 +88,8 @@ class Validity(NamedTuple):
     user: tuple[float, float] = (0.0, math.inf)
 
 
-RADIO = Validity(
-    "log-distance", frequency=(3e-6, 3000.0)
-)  # VLF to the end of radio (ITU Radio Regulations, 1.5)
+# From VLF to the end of radio (ITU Radio Regulations, 1.5)
+RADIO = Validity("log-distance", frequency=(3e-6, 3000.0))
 UMI = Validity(
     "TR 38.901 UMi",
     frequency=(0.5, 100.0),
@@ -294,62 +120,115 @@ UMA_AV = Validity(
     user=(25.0, 25.0),
 )
 
+PathLoss = Callable[[float, float, float, float], float]
+"""Loss (dB) by distance over ground (m), height of drone, height of user (m), frequency (GHz)"""
+
 
 @dataclass(frozen=True)
-class Model:
-    """Losses (dB) of (distance over ground, height of the drone, height of the user, frequency), in sight and not."""
+class PathLossModel:
+    """A path loss model: its losses, how they scatter, and what it is meant for.
 
-    los: Callable
-    nlos: Callable
+    Attributes:
+        los: Path loss with line of sight.
+        nlos: Path loss without line of sight.
+        shadowing_los: Scatter about `los`.
+        shadowing_nlos: Scatter about `nlos`.
+        validity: Ranges that the standard makes the model for, see `check_validity`.
+    """
+
+    los: PathLoss
+    nlos: PathLoss
     shadowing_los: Shadowing
     shadowing_nlos: Shadowing
     validity: Validity
 
 
 PATHLOSS_MODELS = {
-    "log_distance": Model(
-        log_distance_los, log_distance_nlos, Shadowing(0.0, 0.0), Shadowing(0.0, 0.0), RADIO
+    "log_distance": PathLossModel(
+        los=log_distance_los,
+        nlos=log_distance_nlos,
+        shadowing_los=Shadowing(low=0.0, high=0.0),
+        shadowing_nlos=Shadowing(low=0.0, high=0.0),
+        validity=RADIO,
     ),
-    "umi": Model(umi_los, umi_nlos, Shadowing(4.0, 4.0), Shadowing(7.82, 7.82), UMI),
-    "uma": Model(uma_los, uma_nlos, Shadowing(4.0, 4.0), Shadowing(6.0, 6.0), UMA),
-    "umi_av": Model(
-        umi_av_los, umi_av_nlos, Shadowing(4.0, 5.0, 0.01, 2.0), Shadowing(7.82, 8.0), UMI_AV
+    "umi": PathLossModel(
+        los=umi_los,
+        nlos=umi_nlos,
+        shadowing_los=Shadowing(low=4.0, high=4.0),
+        shadowing_nlos=Shadowing(low=7.82, high=7.82),
+        validity=UMI,
     ),
-    "uma_av": Model(
-        uma_av_los, uma_av_nlos, Shadowing(4.0, 4.64, 0.0066), Shadowing(6.0, 6.0), UMA_AV
+    "uma": PathLossModel(
+        los=uma_los,
+        nlos=uma_nlos,
+        shadowing_los=Shadowing(low=4.0, high=4.0),
+        shadowing_nlos=Shadowing(low=6.0, high=6.0),
+        validity=UMA,
+    ),
+    "umi_av": PathLossModel(
+        los=umi_av_los,
+        nlos=umi_av_nlos,
+        shadowing_los=Shadowing(low=4.0, high=5.0, decay=0.01, least=2.0),
+        shadowing_nlos=Shadowing(low=7.82, high=8.0),
+        validity=UMI_AV,
+    ),
+    "uma_av": PathLossModel(
+        los=uma_av_los,
+        nlos=uma_av_nlos,
+        shadowing_los=Shadowing(low=4.0, high=4.64, decay=0.0066),
+        shadowing_nlos=Shadowing(low=6.0, high=6.0),
+        validity=UMA_AV,
     ),
 }
+"""Path loss models by name, all with the same arguments"""
 
 Values = float | np.ndarray | None
+"""A number, an array of numbers, or None where there is nothing to check"""
 
 
 def check_validity(
     name: str, frequency: Values, distance: Values = None, drone: Values = None, user: Values = None
-) -> Model:
-    """The model of this name, if it is meant for these values (GHz, m), one or several of each; None is not looked at.
+) -> PathLossModel:
+    """Return the path loss model of a name, if it is meant for these values.
 
-    Raises ValueError for an unknown name and for values outside of the range of the standard. Only warns (UserWarning) where
-    a drone or user stands for its base at another height: drones do that for TR 38.901, users for TR 36.777.
+    Args:
+        name: One of `PATHLOSS_MODELS`.
+        frequency: Carrier frequencies, GHz.
+        distance: Distances over ground, m.
+        drone: Heights of drones, m.
+        user: Heights of users, m.
+
+    Returns:
+        The model.
+
+    Raises:
+        ValueError: There is no such model, or a value is outside of the range of the standard.
+
+    Warns:
+        UserWarning: A drone or user stands for the base of the standard at another height. Drones
+            do so for TR 38.901, users for TR 36.777.
     """
-    model = choose("path loss model", name, PATHLOSS_MODELS)
-    for quantity, value in (
-        ("frequency", frequency),
-        ("distance", distance),
-        ("drone", drone),
-        ("user", user),
-    ):
+    model: PathLossModel = choose("path loss model", name, PATHLOSS_MODELS)
+    given = {"frequency": frequency, "distance": distance, "drone": drone, "user": user}
+    for quantity, value in given.items():
         if value is None:
             continue
         low, high = getattr(model.validity, quantity)
+        # Finite values in range are fine; comparisons with NaN are false
         values = numbers_of(f"{quantity} is", value)
         if ((values >= low) & (values <= high) & (values < math.inf)).all():
             continue
+        # A range of no width is the height of the base: another one only deserves a warning
+        source = model.validity.source
         if low == high and np.isfinite(values).all():
-            message = f"{quantity} is {value!r}: it stands for the base, which {model.validity.source} has at {low:g} m"
+            message = (
+                f"{quantity} is {value!r}: it stands for the base, which {source} has at {low:g} m"
+            )
             warnings.warn(message, stacklevel=2)
             continue
-        span = f"{low:g} to {high:g} {'GHz' if quantity == 'frequency' else 'm'}"
+        unit = "GHz" if quantity == "frequency" else "m"
         raise ValueError(
-            f"{quantity} is {value!r}: {model.validity.source} is for {span}; take another of {list(PATHLOSS_MODELS)}"
+            f"{quantity} is {value!r}: {source} is for {low:g} to {high:g} {unit}; "
+            f"take another of {list(PATHLOSS_MODELS)}"
         )
     return model

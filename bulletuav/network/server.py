@@ -1,7 +1,7 @@
-"""Edge servers on drones: tasks of users on the ground, their uploads, and queues of several cores, simulated task by task.
+"""Edge servers on drones: tasks of users, their uploads, and the queues of several cores.
 
-Unlike the formulas of `queueing`, this needs neither a steady state nor exponential sizes. Times are in s since the
-decision began, and a decision takes `dt` s.
+Tasks are simulated one by one. Unlike the formulas of `queueing`, this needs neither a steady state
+nor exponential sizes. Times are in s since the decision began, and a decision takes `dt` s.
 """
 
 import itertools
@@ -19,10 +19,11 @@ from bulletuav.network.queueing import mean_response
 class Tasks(NamedTuple):
     """Tasks of one decision, K in all of W worlds.
 
-    first  (W + 1,) those of world w are first[w] up to first[w + 1]
-    user   (K,) whose it is, 0 up to U - 1
-    time   (K,) when it was generated, s since the decision began; ascending in each world
-    bits   (K,) its size
+    Attributes:
+        first: Bounds (W + 1,): the tasks of world w are first[w] up to first[w + 1].
+        user: User (K,) who generated each task, 0 up to U - 1.
+        time: Time (K,) of its generation, s since the decision began; ascending in each world.
+        bits: Size (K,) of each task, bit.
     """
 
     first: np.ndarray
@@ -32,16 +33,19 @@ class Tasks(NamedTuple):
 
 
 class Served(NamedTuple):
-    """What became of the tasks of one decision; whether and when each completes is settled when it is generated.
+    """What became of the tasks of one decision.
 
-    generated  (W,) number of tasks
-    arrived    (W, N) of them, from users assigned to the drone
-    completed  (W, N) of them, within the deadline
-    latency    (W, N) sum over those that arrived, s: from generation to completion; a lost task counts as the deadline,
-               as nothing where that is inf
-    busy       (W, N) core-seconds in which cores worked in this decision
-    backlog    (W, N) work left at its end, s per core, mean over the cores
-    cycles     (W, N) of the tasks completed
+    Whether and when a task completes is settled when it is generated.
+
+    Attributes:
+        generated: Number (W,) of tasks.
+        arrived: Number (W, N) of tasks from users assigned to each drone.
+        completed: Number (W, N) of these that complete within the deadline.
+        latency: Sum (W, N) over the tasks that arrived of the time from generation to completion,
+            s. A lost task counts as the deadline, and as nothing where that is inf.
+        busy: Time (W, N) in which cores worked in this decision, core-seconds.
+        backlog: Work (W, N) left at the end of the decision, s per core, mean over the cores.
+        cycles: Cycles (W, N) of the tasks completed.
     """
 
     generated: np.ndarray
@@ -54,15 +58,22 @@ class Served(NamedTuple):
 
 
 class Arrivals:
-    """Poisson arrivals of tasks, decision by decision, with sizes uniform between two numbers.
+    """Poisson arrivals of tasks, decision by decision, with uniform sizes.
 
     The users' processes are merged: a task is a user's with the chance of its share of the rate.
     """
 
-    def __init__(self, rates: np.ndarray, dt: float, bits: tuple[float, float]):
-        """Users generate `rates` (U,) tasks/s; decisions take `dt` s; `bits` are the least and the greatest size.
+    def __init__(self, rates: np.ndarray, dt: float, bits: tuple[float, float]) -> None:
+        """Set up the arrivals.
 
-        Raises ValueError unless rates are at least 0, and dt and sizes above 0 in ascending order.
+        Args:
+            rates: Tasks (U,) that each user generates, 1/s.
+            dt: Length of a decision, s.
+            bits: Least and greatest size of a task, bit.
+
+        Raises:
+            ValueError: A rate is below 0, dt is not above 0, or sizes are not above 0 in
+                ascending order.
         """
         rates = numbers_of("rates are", rates)
         low, high = (finite("bits", value) for value in as_sequence("bits", bits, 2))
@@ -78,139 +89,228 @@ class Arrivals:
             raise ValueError(
                 f"rates are {rates!r}: finite numbers of tasks per second, at least 0, are needed"
             )
-        self._cumulative, self._decision = np.cumsum(rates), (float(dt), low, high)
+        # Cumulative rates tell whose a task is
+        self._cumulative = np.cumsum(rates)
+        self._decision = (float(dt), low, high)
         self._mean = float(self._cumulative[-1] * dt)
 
     def draw(self, rng: Sequence[np.random.Generator | None], flying: np.ndarray) -> Tasks:
-        """Those of one decision: worlds of `flying` (W,) draw, each from its own of W generators; the others have none."""
-        counts, uniform = [0] * (len(flying) + 1), []
+        """Draw the tasks of one decision.
+
+        Args:
+            rng: Generator of each of the W worlds; None is possible where a world does not fly.
+            flying: Whether (W,) each world has tasks: an episode is under way. Every such world
+                draws from its own generator.
+        """
+        counts = [0] * (len(flying) + 1)
+        uniform: list[np.ndarray] = []
         for w in flying.nonzero()[0].tolist():
             generator = rng[w]
             assert generator is not None  # a world that flies was reset
-            counts[w + 1] = count = generator.poisson(self._mean)
+            # Three numbers a task, and one for the gap after the last
+            count = generator.poisson(self._mean)
+            counts[w + 1] = count
             if count:
                 uniform.append(generator.random(3 * count + 1))
         first = np.array(list(itertools.accumulate(counts)))
         drawn = np.concatenate(uniform) if uniform else np.empty(0)
-        return Tasks(first, *_spread(first, drawn, self._cumulative, *self._decision))
+        user, time, bits = _spread(first, drawn, self._cumulative, *self._decision)
+        return Tasks(first, user, time, bits)
 
 
 @kernel
-def _spread(first, uniform, cumulative, dt, low, high):
-    """User, time and bits (K,) of tasks, from 3 n + 1 uniform numbers of each world that has n > 0 of them.
+def _spread(
+    first: np.ndarray,
+    uniform: np.ndarray,
+    cumulative: np.ndarray,
+    dt: float,
+    low: float,
+    high: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Make user, time and bits (K,) of tasks from uniform numbers, 3 n + 1 of a world with n > 0.
 
-    Times are sums of n + 1 exponential gaps, scaled to `dt`: n uniform times in ascending order without sorting
-    (L. Devroye, Non-uniform random variate generation, 1986, chapter V).
+    Times are sums of n + 1 exponential gaps, scaled to `dt`: n uniform times in ascending order
+    without sorting (L. Devroye, Non-uniform random variate generation, 1986, chapter V).
     """
-    user, time, bits = np.empty(first[-1], dtype=np.int64), np.empty(first[-1]), np.empty(first[-1])
-    at = 0
+    user = np.empty(first[-1], dtype=np.int64)
+    time = np.empty(first[-1])
+    bits = np.empty(first[-1])
+    offset = 0
     for w in range(len(first) - 1):
-        begin, count = first[w], first[w + 1] - first[w]
+        begin = first[w]
+        count = first[w + 1] - first[w]
         if count == 0:
             continue
         passed = 0.0
-        for i in range(count):
-            passed -= math.log1p(-uniform[at + i])
-            time[begin + i] = passed
-            share = uniform[at + count + i] * cumulative[-1]
-            user[begin + i] = np.searchsorted(cumulative, share, side="right")
-            bits[begin + i] = low + (high - low) * uniform[at + 2 * count + i]
-        at += 3 * count + 1
-        passed -= math.log1p(-uniform[at - 1])
+        # Gap, user and size of every task
+        for k in range(count):
+            passed -= math.log1p(-uniform[offset + k])
+            time[begin + k] = passed
+            share = uniform[offset + count + k] * cumulative[-1]
+            user[begin + k] = np.searchsorted(cumulative, share, side="right")
+            bits[begin + k] = low + (high - low) * uniform[offset + 2 * count + k]
+        offset += 3 * count + 1
+        # The last gap lies between the last task and the end of the decision
+        passed -= math.log1p(-uniform[offset - 1])
         time[begin : begin + count] *= dt / passed
     return user, time, bits
 
 
 @kernel
 def serve(
-    tasks, assignment, uplink, cycles_per_bit, core_frequency, deadline, dt, link_free, core_free
-):
-    """Simulate uploads and queues of one decision of `dt` s; returns `Served`.
+    tasks: Tasks,
+    assignment: np.ndarray,
+    uplink: np.ndarray,
+    cycles_per_bit: float,
+    core_frequency: float,
+    deadline: float,
+    dt: float,
+    link_free: np.ndarray,
+    core_free: np.ndarray,
+) -> Served:
+    """Simulate the uploads and queues of one decision.
 
-    `tasks` of users with drones `assignment` (W, U), -1 for none, and uplinks of `uplink` (W, U) bit/s; cores do
-    `core_frequency` cycles/s. `link_free` (W, U) and `core_free` (W, N, C), changed in place, say how long (s) uplinks and
-    cores are still taken when the decision begins: give zeros first.
+    A user sends its tasks one after the other in the order of their generation, at the rate of
+    this decision. A drone serves them in the order of their arrival, each by the core that is free
+    first.
 
-    A user sends its tasks one after the other in the order of their generation, at the rate of this decision. A drone
-    serves them in the order of their arrival, each by the core that is free first. A task that would complete more than
-    `deadline` s (may be inf) after its generation is lost, at no cost: a user does not begin an upload after which not even
-    an idle core would be in time, and a server turns it away. Tasks of users without a drone or with rate 0 are lost at
-    once and leave the link as it is.
+    A task that would complete later than the deadline is lost, at no cost. A user does not begin an
+    upload after which not even an idle core would be in time, and a server turns such a task away.
+    Tasks of users without a drone or with rate 0 are lost at once and leave the link as it is.
 
-    Tasks whose upload crosses the end of the decision are in line before all of the next. A core that will idle until they
-    come does not keep that time for them: only work is carried over, so that no core's time is lost or counted twice.
+    Tasks whose upload crosses the end of the decision are in line before all of the next. A core
+    that will idle until they come does not keep that time for them. Only work is carried over, so
+    that no core's time is lost or counted twice.
+
+    Args:
+        tasks: Tasks of the decision.
+        assignment: Drone (W, U) of each user, -1 for none.
+        uplink: Uplink rate (W, U) of each user, bit/s.
+        cycles_per_bit: Cycles that a bit takes to compute.
+        core_frequency: Frequency of a core, cycles/s.
+        deadline: Time from generation within which a task must complete, s; may be inf.
+        dt: Length of the decision, s.
+        link_free: Time (W, U) for which uplinks are still taken when the decision begins, s;
+            changed. Give zeros first.
+        core_free: Time (W, N, C) for which cores are still taken when the decision begins, s;
+            changed. Give zeros first.
+
+    Returns:
+        What became of the tasks.
     """
     worlds, drones, cores = core_free.shape
-    shape, counts = (worlds, drones), tasks.first[1:] - tasks.first[:-1]
-    arrived, completed = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.int64)
-    latency, busy, backlog, cycles = (
-        np.zeros(shape),
-        np.zeros(shape),
-        np.zeros(shape),
-        np.zeros(shape),
-    )
-    order, arrival = np.empty(counts.max(), dtype=np.int64), np.empty(counts.max())
-    lost, pace = deadline if deadline < np.inf else 0.0, cycles_per_bit / core_frequency
-    left = np.empty((drones, cores))
+    served = _new_served(tasks, drones)
+    # Buffers of one world: uploaded tasks, when they arrive, and work left of each core
+    order = np.empty(served.generated.max(), dtype=np.int64)
+    arrival = np.empty(served.generated.max())
+    remaining = np.empty((drones, cores))
+    lost_latency = deadline if deadline < np.inf else 0.0
+    seconds_per_bit = cycles_per_bit / core_frequency
     for w in range(worlds):
-        for n in range(drones):
-            for c in range(cores):
-                busy[w, n] += min(core_free[w, n, c], dt)
-                left[n, c] = max(core_free[w, n, c] - dt, 0.0)
-        for i in range(
-            _upload(
-                tasks,
-                w,
-                assignment[w],
-                uplink[w],
-                pace,
-                deadline,
-                link_free[w],
-                arrived[w],
-                order,
-                arrival,
-            )
-        ):
-            k = order[i]
-            n, need = assignment[w, tasks.user[k]], tasks.bits[k] * cycles_per_bit
-            c = _first_free(core_free[w, n])
-            start = max(arrival[i], core_free[w, n, c])
-            finish = start + need / core_frequency
-            if finish > tasks.time[k] + deadline:
+        # Cores go on with the work of earlier decisions
+        for i in range(drones):
+            for j in range(cores):
+                served.busy[w, i] += min(core_free[w, i, j], dt)
+                remaining[i, j] = max(core_free[w, i, j] - dt, 0.0)
+        uploaded = _upload(
+            tasks,
+            w,
+            assignment[w],
+            uplink[w],
+            seconds_per_bit,
+            deadline,
+            link_free[w],
+            served.arrived[w],
+            order,
+            arrival,
+        )
+        for k in range(uploaded):
+            task = order[k]
+            i = assignment[w, tasks.user[task]]
+            work = tasks.bits[task] * cycles_per_bit
+            # The core that is free first takes the task, unless it would be late
+            j = _first_free(core_free[w, i])
+            start = max(arrival[k], core_free[w, i, j])
+            finish = start + work / core_frequency
+            if finish > tasks.time[task] + deadline:
                 continue
-            busy[w, n] += max(min(finish, dt) - start, 0.0)
-            left[n, c] += max(finish - max(start, dt), 0.0)
-            core_free[w, n, c] = finish
-            completed[w, n] += 1
-            latency[w, n] += finish - tasks.time[k]
-            cycles[w, n] += need
-        for n in range(drones):
-            latency[w, n] += lost * (arrived[w, n] - completed[w, n])
-            for c in range(cores):
-                core_free[w, n, c] = left[n, c]
-                backlog[w, n] += left[n, c] / cores
-        for user in range(link_free.shape[1]):
-            link_free[w, user] = max(link_free[w, user] - dt, 0.0)
-    return Served(counts, arrived, completed, latency, busy, backlog, cycles)
+            # Its time in this decision, and what is left for the next
+            busy_until = min(finish, dt)
+            left_from = max(start, dt)
+            served.busy[w, i] += max(busy_until - start, 0.0)
+            remaining[i, j] += max(finish - left_from, 0.0)
+            core_free[w, i, j] = finish
+            served.completed[w, i] += 1
+            served.latency[w, i] += finish - tasks.time[task]
+            served.cycles[w, i] += work
+        # Only work is carried over to the next decision
+        for i in range(drones):
+            lost = served.arrived[w, i] - served.completed[w, i]
+            served.latency[w, i] += lost_latency * lost
+            for j in range(cores):
+                core_free[w, i, j] = remaining[i, j]
+                served.backlog[w, i] += remaining[i, j] / cores
+        for j in range(link_free.shape[1]):
+            link_free[w, j] = max(link_free[w, j] - dt, 0.0)
+    return served
 
 
 @func
-def _first_free(core_free):
-    """Which of the cores is free first; the first of those that are."""
+def _new_served(tasks: Tasks, drones: int) -> Served:
+    """Return the result of a decision before anything is served."""
+    generated = tasks.first[1:] - tasks.first[:-1]
+    shape = (len(generated), drones)
+    arrived = np.zeros(shape, dtype=np.int64)
+    completed = np.zeros(shape, dtype=np.int64)
+    latency = np.zeros(shape)
+    busy = np.zeros(shape)
+    backlog = np.zeros(shape)
+    cycles = np.zeros(shape)
+    return Served(generated, arrived, completed, latency, busy, backlog, cycles)
+
+
+@func
+def _first_free(core_free: np.ndarray) -> int:
+    """Return the index of the core that is free first, the first one where several are equal."""
     first = 0
-    for c in range(1, len(core_free)):
-        if core_free[c] < core_free[first]:
-            first = c
+    for j in range(1, len(core_free)):
+        if core_free[j] < core_free[first]:
+            first = j
     return first
 
 
 @kernel
 def _upload(
-    tasks, w, assignment, uplink, seconds_per_bit, deadline, link_free, arrived, order, arrival
-):
-    """Send the tasks of world `w`: how many reach a server, with `order`, which, and `arrival`, when, in order of arrival.
+    tasks: Tasks,
+    w: int,
+    assignment: np.ndarray,
+    uplink: np.ndarray,
+    seconds_per_bit: float,
+    deadline: float,
+    link_free: np.ndarray,
+    arrived: np.ndarray,
+    order: np.ndarray,
+    arrival: np.ndarray,
+) -> int:
+    """Send the tasks of world w, and sort those that reach a server by the time of arrival.
 
-    Equal times keep the order of generation. They are nearly in order when they come, so insertion sorts fast.
+    Equal times keep the order of generation. Tasks are nearly in order when they come, so insertion
+    sorts fast.
+
+    Args:
+        tasks: Tasks of the decision.
+        w: Index of the world.
+        assignment: Drone (U,) of each user, -1 for none.
+        uplink: Uplink rate (U,) of each user, bit/s.
+        seconds_per_bit: Time that a core takes for a bit, s.
+        deadline: Time from generation within which a task must complete, s.
+        link_free: Time (U,) until which each uplink is taken, s; changed.
+        arrived: Number (N,) of tasks from users assigned to each drone; changed.
+        order: Indices of the tasks that reach a server, in order of arrival; overwritten.
+        arrival: Their times of arrival, s; overwritten.
+
+    Returns:
+        How many tasks reach a server.
     """
     count = 0
     for k in range(tasks.first[w], tasks.first[w + 1]):
@@ -220,64 +320,79 @@ def _upload(
         arrived[assignment[user]] += 1
         if uplink[user] <= 0.0:
             continue
+        # Begin no upload after which not even an idle core would be in time
         end = max(tasks.time[k], link_free[user]) + tasks.bits[k] / uplink[user]
         if end + tasks.bits[k] * seconds_per_bit > tasks.time[k] + deadline:
             continue
         link_free[user] = end
+        # Insert the task where it belongs in the order of arrival
         place = count
         while place > 0 and arrival[place - 1] > end:
-            order[place], arrival[place] = order[place - 1], arrival[place - 1]
+            order[place] = order[place - 1]
+            arrival[place] = arrival[place - 1]
             place -= 1
-        order[place], arrival[place] = k, end
+        order[place] = k
+        arrival[place] = end
         count += 1
     return count
 
 
 @kernel
 def serve_on_average(
-    tasks,
-    assignment,
-    uplink,
-    drones,
-    cycles_per_bit,
-    cores,
-    arrival_rate,
-    service_rate,
-    deadline,
-    dt,
-):
-    """`Served` where tasks wait for as long as on average: the response of M/M/c to what the users of a drone offer.
+    tasks: Tasks,
+    assignment: np.ndarray,
+    uplink: np.ndarray,
+    drones: int,
+    cycles_per_bit: float,
+    cores: int,
+    arrival_rate: float,
+    service_rate: float,
+    deadline: float,
+    dt: float,
+) -> Served:
+    """Serve the tasks of one decision where they wait for as long as on average.
 
-    As `serve`, but nobody waits for a user's earlier tasks, and nothing is carried over. Each user generates `arrival_rate`
-    tasks/s and each of the `cores` completes `service_rate` 1/s (see `queueing`); where these cannot keep up nothing
-    completes, and the backlog is inf. `busy` is the mean, at most all cores all the time.
+    The wait is that of the M/M/c queue in steady state, for what the users of a drone offer, see
+    `queueing`. In contrast to `serve`, nobody waits for a user's earlier tasks, and nothing is
+    carried over. Where the cores cannot keep up nothing completes, and the backlog is inf.
+
+    Args:
+        tasks: Tasks of the decision.
+        assignment: Drone (W, U) of each user, -1 for none.
+        uplink: Uplink rate (W, U) of each user, bit/s.
+        drones: Number N of drones.
+        cycles_per_bit: Cycles that a bit takes to compute.
+        cores: Number of cores of each drone.
+        arrival_rate: Tasks that each user generates, 1/s.
+        service_rate: Tasks that each core completes, 1/s.
+        deadline: Time from generation within which a task must complete, s; may be inf.
+        dt: Length of the decision, s.
+
+    Returns:
+        What became of the tasks; `busy` is the mean, at most all cores all the time.
     """
-    worlds = len(tasks.first) - 1
-    shape, counts = (worlds, drones), tasks.first[1:] - tasks.first[:-1]
-    arrived, completed = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.int64)
-    latency, busy, backlog, cycles = (
-        np.zeros(shape),
-        np.zeros(shape),
-        np.zeros(shape),
-        np.zeros(shape),
-    )
-    response, lost = np.empty(drones), deadline if deadline < np.inf else 0.0
-    for w in range(worlds):
-        for n in range(drones):
-            offered = arrival_rate * (assignment[w] == n).sum()
-            response[n] = mean_response(cores, offered, service_rate)
-            busy[w, n] = min(offered / service_rate, cores) * dt
-            backlog[w, n] = offered * response[n] / (cores * service_rate)  # Little's law
+    served = _new_served(tasks, drones)
+    response = np.empty(drones)
+    lost_latency = deadline if deadline < np.inf else 0.0
+    for w in range(len(served.generated)):
+        # Steady state of every drone under the load of its users
+        for i in range(drones):
+            offered = arrival_rate * (assignment[w] == i).sum()
+            response[i] = mean_response(cores, offered, service_rate)
+            served.busy[w, i] = min(offered / service_rate, cores) * dt
+            # Little's law: as many tasks as arrive within a response
+            served.backlog[w, i] = offered * response[i] / (cores * service_rate)
         for k in range(tasks.first[w], tasks.first[w + 1]):
-            n, rate = assignment[w, tasks.user[k]], uplink[w, tasks.user[k]]
-            if n < 0:
+            i = assignment[w, tasks.user[k]]
+            rate = uplink[w, tasks.user[k]]
+            if i < 0:
                 continue
-            arrived[w, n] += 1
-            took = tasks.bits[k] / rate + response[n]
-            if rate <= 0.0 or took > deadline:
-                latency[w, n] += lost
+            served.arrived[w, i] += 1
+            latency = tasks.bits[k] / rate + response[i]
+            if rate <= 0.0 or latency > deadline:
+                served.latency[w, i] += lost_latency
                 continue
-            completed[w, n] += 1
-            latency[w, n] += took
-            cycles[w, n] += tasks.bits[k] * cycles_per_bit
-    return Served(counts, arrived, completed, latency, busy, backlog, cycles)
+            served.completed[w, i] += 1
+            served.latency[w, i] += latency
+            served.cycles[w, i] += tasks.bits[k] * cycles_per_bit
+    return served

@@ -1,4 +1,4 @@
-"""The radio link from users on the ground to drones: its options, what drones receive, and at which rates."""
+"""The radio link from users on the ground to drones: options, received power and uplink rates."""
 
 import math
 from collections.abc import Sequence
@@ -13,34 +13,32 @@ from bulletuav.network.access import ACCESS, uplink_rates
 from bulletuav.network.antenna import PEAK, gain_towards
 from bulletuav.network.fading import rician_gain
 from bulletuav.network.link import noise_power, ratio
-from bulletuav.network.pathloss import (
-    check_validity,
-    log_distance,
-    uma_av_los,
-    uma_av_nlos,
-    uma_los,
-    uma_nlos,
-    umi_av_los,
-    umi_av_nlos,
-    umi_los,
-    umi_nlos,
-)
+from bulletuav.network.pathloss import check_validity
+from bulletuav.network.propagation import log_distance
+from bulletuav.network.tr36777 import uma_av_los, uma_av_nlos, umi_av_los, umi_av_nlos
+from bulletuav.network.tr38901 import uma_los, uma_nlos, umi_los, umi_nlos
 
 
 @dataclass(frozen=True)
 class RadioConfig:
-    """Options of the radio link.
+    """Options of the radio link from users to drones.
 
-    frequency     carrier, GHz
-    bandwidth     Hz
-    noise_figure  of the drones' receivers, dB
-    user_power    that a user sends with, W
-    path_loss     "log_distance", "umi" or "uma" (TR 38.901), "umi_av" or "uma_av" (TR 36.777); by the line of sight there is
-    n_los, n_nlos  exponents of log_distance with and without line of sight
-    antenna       of the drones: "isotropic", or "downward", the element of TR 38.901 that looks along the body's -z
-    access        how users share the band: "ofdma", "tdma" or "shared", see `bulletuav.network.access`
-    fading        "none", "rician" (with line of sight; Rayleigh without) or "rayleigh", drawn anew at every decision
-    rician_factor  power of the direct path over that of all others
+    Attributes:
+        frequency: Carrier frequency, GHz.
+        bandwidth: Bandwidth that all drones share, Hz.
+        noise_figure: Noise figure of the drones' receivers, dB.
+        user_power: Power that a user sends with, W.
+        path_loss: Path loss model: "log_distance"; "umi" or "uma" of TR 38.901; "umi_av" or
+            "uma_av" of TR 36.777. Whether there is a line of sight tells which of its laws holds.
+        n_los: Exponent of "log_distance" with line of sight.
+        n_nlos: Exponent of "log_distance" without line of sight.
+        antenna: Antenna of the drones: "isotropic", or "downward", the element of TR 38.901
+            that looks along the body's -z axis.
+        access: How users share the band: "ofdma", "tdma" or "shared", see
+            `bulletuav.network.access`.
+        fading: Small-scale fading, drawn anew at every decision: "none"; "rician", which without
+            line of sight is Rayleigh; or "rayleigh".
+        rician_factor: Power of the direct path over that of all others, not in dB.
     """
 
     frequency: float = field(default=29.0, metadata={"most": 1000.0})
@@ -58,10 +56,20 @@ class RadioConfig:
 
 LOG_DISTANCE, UMI, UMA, UMI_AV, UMA_AV = range(5)
 CODES = {"log_distance": LOG_DISTANCE, "umi": UMI, "uma": UMA, "umi_av": UMI_AV, "uma_av": UMA_AV}
+"""Codes of the path loss models by name, for kernels"""
 
 
-class Link(NamedTuple):
-    """What `received_power` needs of the options: path loss model, GHz, exponents, W, whether antennas have a pattern."""
+class LinkParams(NamedTuple):
+    """Options of the link that `received_power` needs.
+
+    Attributes:
+        model: Path loss model, one of `CODES`.
+        frequency: Carrier frequency, GHz.
+        n_los: Exponent of the log-distance model with line of sight.
+        n_nlos: Exponent of the log-distance model without line of sight.
+        power: Power that a user sends with, W.
+        directional: Whether the antennas of drones have a pattern.
+    """
 
     model: int
     frequency: float
@@ -72,78 +80,127 @@ class Link(NamedTuple):
 
 
 @func
-def path_loss(link, seen, ground, drone, user):
-    """Path loss (dB) over `ground`, m, between heights of drone and user, m, with a line of sight or without."""
-    frequency = link.frequency
+def _los_loss(
+    link: LinkParams,
+    ground_distance: float,
+    drone_height: float,
+    user_height: float,
+) -> float:
+    """Return the path loss with line of sight, dB."""
     if link.model == UMI:
-        return (
-            umi_los(ground, drone, user, frequency)
-            if seen
-            else umi_nlos(ground, drone, user, frequency)
-        )
+        return umi_los(ground_distance, drone_height, user_height, link.frequency)
     if link.model == UMA:
-        return (
-            uma_los(ground, drone, user, frequency)
-            if seen
-            else uma_nlos(ground, drone, user, frequency)
-        )
+        return uma_los(ground_distance, drone_height, user_height, link.frequency)
     if link.model == UMI_AV:
-        return (
-            umi_av_los(ground, drone, user, frequency)
-            if seen
-            else umi_av_nlos(ground, drone, user, frequency)
-        )
+        return umi_av_los(ground_distance, drone_height, user_height, link.frequency)
     if link.model == UMA_AV:
-        return (
-            uma_av_los(ground, drone, user, frequency)
-            if seen
-            else uma_av_nlos(ground, drone, user, frequency)
-        )
-    return log_distance(
-        math.hypot(ground, drone - user), frequency, link.n_los if seen else link.n_nlos
-    )
+        return uma_av_los(ground_distance, drone_height, user_height, link.frequency)
+    distance = math.hypot(ground_distance, drone_height - user_height)
+    return log_distance(distance, link.frequency, link.n_los)
+
+
+@func
+def _nlos_loss(
+    link: LinkParams,
+    ground_distance: float,
+    drone_height: float,
+    user_height: float,
+) -> float:
+    """Return the path loss without line of sight, dB."""
+    if link.model == UMI:
+        return umi_nlos(ground_distance, drone_height, user_height, link.frequency)
+    if link.model == UMA:
+        return uma_nlos(ground_distance, drone_height, user_height, link.frequency)
+    if link.model == UMI_AV:
+        return umi_av_nlos(ground_distance, drone_height, user_height, link.frequency)
+    if link.model == UMA_AV:
+        return uma_av_nlos(ground_distance, drone_height, user_height, link.frequency)
+    distance = math.hypot(ground_distance, drone_height - user_height)
+    return log_distance(distance, link.frequency, link.n_nlos)
 
 
 @kernel
-def received_power(link, position, quaternion, users, sight):
-    """(W, N, U) W that drones at (W, N, 3) m, turned by (W, N, 4), receive from users (W, U, 3) m, by `sight` (W, N, U)."""
+def received_power(
+    link: LinkParams,
+    position: np.ndarray,
+    quaternion: np.ndarray,
+    users: np.ndarray,
+    sight: np.ndarray,
+) -> np.ndarray:
+    """Compute the power that each drone receives from each user, without fading.
+
+    Args:
+        link: Options of the link.
+        position: Positions (W, N, 3) of drones, m.
+        quaternion: Attitudes (W, N, 4) of drones, (x, y, z, w).
+        users: Positions (W, U, 3) of users, m.
+        sight: Whether (W, N, U) there is a line of sight.
+
+    Returns:
+        Received power (W, N, U), W.
+    """
     worlds, drones, count = sight.shape
     power = np.empty(sight.shape)
+    # Every pair of a drone and a user is a link
     for w in range(worlds):
         for i in range(drones):
-            turn = quat4(quaternion, w, i)
+            attitude = quat4(quaternion, w, i)
+            drone_height = position[w, i, 2]
             for j in range(count):
-                east, north = users[w, j, 0] - position[w, i, 0], users[w, j, 1] - position[w, i, 1]
-                height = users[w, j, 2] - position[w, i, 2]
-                gain_db = -path_loss(
-                    link, sight[w, i, j], math.hypot(east, north), position[w, i, 2], users[w, j, 2]
-                )
+                east = users[w, j, 0] - position[w, i, 0]
+                north = users[w, j, 1] - position[w, i, 1]
+                up = users[w, j, 2] - drone_height
+                # Path loss by the line of sight
+                ground_distance = math.hypot(east, north)
+                if sight[w, i, j]:
+                    loss = _los_loss(link, ground_distance, drone_height, users[w, j, 2])
+                else:
+                    loss = _nlos_loss(link, ground_distance, drone_height, users[w, j, 2])
+                gain = -loss
+                # Antenna gain towards the user
                 if link.directional:
-                    x, y, z = to_body(turn, (east, north, height))
-                    gain_db += gain_towards(x, y, z, PEAK)
-                power[w, i, j] = link.power * ratio(gain_db)
+                    x, y, z = to_body(attitude, (east, north, up))
+                    gain += gain_towards(x, y, z, PEAK)
+                # From dB to W
+                power[w, i, j] = link.power * ratio(gain)
     return power
 
 
 class Uplink:
-    """The radio link that the options tell of; `noise` W in all of the band."""
+    """The radio link from users to drones that a `RadioConfig` describes.
 
-    def __init__(self, config: RadioConfig):
-        """Raises ValueError for a number that cannot be, or a frequency that the path loss is not meant for."""
+    Attributes:
+        config: Options of the link.
+        noise: Noise power in all of the band, W.
+    """
+
+    def __init__(self, config: RadioConfig) -> None:
+        """Check the options and prepare the link.
+
+        Args:
+            config: Options of the link.
+
+        Raises:
+            ValueError: A number is not above 0, or the path loss model is not meant for the
+                frequency.
+        """
+        # Quantities that divide or enter a logarithm
         for name in ("frequency", "bandwidth", "user_power"):
             if getattr(config, name) <= 0:
                 raise ValueError(f"{name} is {getattr(config, name):g}: it must be above 0")
+        # The standards' models are each for a range of frequencies
         if config.path_loss != "log_distance":
             check_validity(config.path_loss, config.frequency)
+        # What does not change from decision to decision
         self.config = config
         self.noise = float(noise_power(config.bandwidth, config.noise_figure))
-        self._link = Link(
-            CODES[config.path_loss],
-            config.frequency,
-            config.n_los,
-            config.n_nlos,
-            config.user_power,
-            config.antenna == "downward",
+        self._link = LinkParams(
+            model=CODES[config.path_loss],
+            frequency=config.frequency,
+            n_los=config.n_los,
+            n_nlos=config.n_nlos,
+            power=config.user_power,
+            directional=config.antenna == "downward",
         )
 
     def received(
@@ -155,19 +212,42 @@ class Uplink:
         rng: Sequence[np.random.Generator | None],
         flying: np.ndarray,
     ) -> np.ndarray:
-        """`received_power`, with fading in the worlds `flying` (W,), drawn from the generator of each."""
+        """Draw the power that each drone receives from each user, with fading where it is on.
+
+        Args:
+            position: Positions (W, N, 3) of drones, m.
+            quaternion: Attitudes (W, N, 4) of drones, (x, y, z, w).
+            users: Positions (W, U, 3) of users, m.
+            sight: Whether (W, N, U) there is a line of sight.
+            rng: Generator of each of the W worlds; None is possible where a world does not fly.
+            flying: Whether (W,) fading is drawn in each world: an episode is under way.
+
+        Returns:
+            Received power (W, N, U), W.
+        """
         power = received_power(self._link, position, quaternion, users, sight)
-        if self.config.fading != "none":
-            direct = self.config.rician_factor if self.config.fading == "rician" else 0.0
-            for w in np.flatnonzero(flying).tolist():
-                generator = rng[w]
-                assert generator is not None  # a world that flies has one
-                power[w] *= rician_gain(np.where(sight[w], direct, 0.0), generator, sight[w].shape)
+        if self.config.fading == "none":
+            return power
+        # Without a direct path the factor is 0, which is Rayleigh fading
+        direct = self.config.rician_factor if self.config.fading == "rician" else 0.0
+        for w in np.flatnonzero(flying).tolist():
+            generator = rng[w]
+            assert generator is not None  # a world that flies has one
+            factor = np.where(sight[w], direct, 0.0)
+            power[w] *= rician_gain(factor, generator, sight[w].shape)
         return power
 
     def rates(self, power: np.ndarray, servers: np.ndarray, activity: float) -> np.ndarray:
-        """`uplink_rates` (W, U), bit/s, of users whose drones (W, U) receive `power` (W, N, U) W."""
+        """Compute the uplink rates of users, see `uplink_rates`.
+
+        Args:
+            power: Received power (W, N, U), W.
+            servers: Drone (W, U) that serves each user, or `NOBODY`.
+            activity: Share of the time in which a user sends.
+
+        Returns:
+            Rates (W, U), bit/s.
+        """
         config = self.config
-        return uplink_rates(
-            power, servers, config.bandwidth, self.noise, ACCESS[config.access], activity
-        )
+        scheme = ACCESS[config.access]
+        return uplink_rates(power, servers, config.bandwidth, self.noise, scheme, activity)

@@ -7,7 +7,8 @@ from bulletuav.network.access import ACCESS, NOBODY, OFDMA, SHARED, TDMA, uplink
 from bulletuav.network.antenna import PEAK, element_gain
 from bulletuav.network.assignment import DTLCM, MAX_RATE, NEAREST, STRATEGIES, assign, dtlcm_score
 from bulletuav.network.link import decibel, noise_power, ratio
-from bulletuav.network.pathloss import PATHLOSS_MODELS, log_distance
+from bulletuav.network.pathloss import PATHLOSS_MODELS
+from bulletuav.network.propagation import log_distance
 from bulletuav.network.uplink import RadioConfig, Uplink
 
 BAND = 10e6
@@ -78,7 +79,7 @@ def test_no_drone_gives_more_than_its_band(access, seed):
     for drone in range(3):
         own = servers == drone
         band = np.divide(shared[own], alone[own])
-        # OFDMA: 1/n of the band at up to n times the density, which gains log2(n) bit/s/Hz at the most
+        # OFDMA: 1/n of the band at up to n times the density, which gains log2(n) bit/s/Hz at most
         gain = np.log2(own.sum()) * BAND / alone[own] if access == OFDMA else 0.0
         assert (band <= 1 / own.sum() * (1 + gain) + 1e-9).all()
     assert (shared[servers == NOBODY] == 0).all()

@@ -8,7 +8,8 @@ from bulletuav.city.model import City
 from bulletuav.city.streets import Streets, free_streets
 from bulletuav.geometry.solids import Solids
 from bulletuav.network.mobility import find_mobility
-from bulletuav.network.mobility.ground import MARGIN, OFF_GRID, Ground, bounce, walk
+from bulletuav.network.mobility.ground import OFF_GRID, Ground
+from bulletuav.network.mobility.raster import MARGIN, bounce, walk
 
 NO_STREETS = Streets(np.zeros((0, 2)), np.zeros((0, 2), dtype=int))
 

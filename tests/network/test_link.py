@@ -8,7 +8,7 @@ from scipy import stats
 
 from bulletuav.network.fading import rician_gain
 from bulletuav.network.link import capacity, decibel, noise_power, ratio
-from bulletuav.network.pathloss import log_distance
+from bulletuav.network.propagation import log_distance
 
 BAND = 10e6  # Hz
 NOISE = 2.0066946e-13  # W, in 10 MHz with a noise figure of 7 dB

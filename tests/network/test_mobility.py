@@ -10,15 +10,16 @@ from bulletuav.city.generator import generate
 from bulletuav.city.model import City
 from bulletuav.city.streets import Streets, free_streets
 from bulletuav.geometry.solids import Solids
-from bulletuav.network.mobility import MOBILITY_MODELS, find_mobility
-from bulletuav.network.mobility.base import uniform
+from bulletuav.network.mobility import find_mobility
+from bulletuav.network.mobility.base import Walking, uniform
 from bulletuav.network.mobility.gauss_markov import CORRELATION_TIME, GaussMarkov, gauss_markov
 from bulletuav.network.mobility.ground import OFF_GRID, Ground
 from bulletuav.network.mobility.hotspot import TURNING_TIME, Hotspot
 from bulletuav.network.mobility.manhattan import next_node
 from bulletuav.network.mobility.waypoint import Waypoint
+from bulletuav.registry import names
 
-WALKS = [name for name in MOBILITY_MODELS if name != "still"]
+WALKS = [name for name in names("mobility") if name != "still"]
 COURTYARD = [
     [[-9, -9, 0], [9, -1.2, 9]],
     [[-9, 1.2, 0], [9, 9, 9]],
@@ -103,10 +104,10 @@ def standard_error(samples):
     return samples.std(ddof=1) / math.sqrt(samples.size)
 
 
-# ---- all models -------------------------------------------------------------------------------------------------------
+# ---- all models ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", MOBILITY_MODELS)
+@pytest.mark.parametrize("name", names("mobility"))
 def test_long_walks_stay_outdoors_in_bounds_and_slow(cities, ground, name):
     crowd = Crowd(name, ground, range(5), 50)
     users = crowd.move(steps=600)
@@ -148,7 +149,7 @@ def test_any_step_keeps_the_rules(cities, ground, name, dt):
 
 @pytest.mark.parametrize("name", WALKS)
 def test_small_steps_lead_as_far_as_large_ones(ground, name):
-    """Mean squares of the ways gone after 10 s and 60 s: within four standard errors of their difference."""
+    """Mean squares of the ways gone after 10 s and 60 s agree within four standard errors."""
     gone = []
     for dt in (0.1, 1.0):
         crowd = Crowd(name, ground, [1, 3] * 8, 60, seed=round(1 / dt))
@@ -164,7 +165,7 @@ def test_small_steps_lead_as_far_as_large_ones(ground, name):
         assert standard_error(large) < 0.05 * large.mean()
 
 
-@pytest.mark.parametrize("name", MOBILITY_MODELS)
+@pytest.mark.parametrize("name", names("mobility"))
 def test_worlds_do_not_feel_each_other(ground, name):
     crowd = Crowd(name, ground, [0, 1, 2, 3], 12)
     crowd.rng[1], still = None, {key: array[1].copy() for key, array in crowd.state.items()}
@@ -192,7 +193,7 @@ def test_steps_of_no_time_are_refused(ground, dt):
         Crowd("still", ground, [0], 1).move(dt)
 
 
-# ---- random numbers ---------------------------------------------------------------------------------------------------
+# ---- random numbers ------------------------------------------------------------------------------
 
 
 def test_streams_are_those_of_splitmix64():
@@ -209,7 +210,7 @@ def test_streams_are_those_of_splitmix64():
     ]
 
 
-# ---- Gauss-Markov -----------------------------------------------------------------------------------------------------
+# ---- Gauss-Markov --------------------------------------------------------------------------------
 
 
 def test_gauss_markov_step():
@@ -230,7 +231,7 @@ def test_gauss_markov_limits():
 
 @pytest.mark.parametrize("dt", [0.1, 1.0, 4.0])
 def test_gauss_markov_statistics_on_open_ground(dt):
-    """Mean, deviation and correlation; tolerances of four standard errors of 8000 independent users."""
+    """Mean, deviation and correlation, within four standard errors of 8000 independent users."""
     crowd = Crowd(GaussMarkov(deviation=0.4), Ground([city_of(1500.0)]), [0] * 8, 1000)
     crowd.state["users"][..., :2] *= 0.5  # none reaches the edge
     mean = crowd.state["user_mean_velocity"].copy()
@@ -283,7 +284,7 @@ def test_gauss_markov_users_turn_away_from_walls():
     assert crowd.state["user_mean_velocity"][0].tolist() == [[-3, 1], [-3, 1], [2, 1]]
 
 
-# ---- Manhattan --------------------------------------------------------------------------------------------------------
+# ---- Manhattan -----------------------------------------------------------------------------------
 
 
 def star(*angles):
@@ -392,7 +393,7 @@ def test_manhattan_carries_the_rest_of_the_way_over_nodes():
         assert crowd.state["users"][0, 0, :2] == pytest.approx(place, abs=1e-9)
 
 
-# ---- hotspots ---------------------------------------------------------------------------------------------------------
+# ---- hotspots ------------------------------------------------------------------------------------
 
 
 def test_headings_blend_on_the_circle():
@@ -464,11 +465,14 @@ def test_hotspot_users_gather_and_mill_around(cities, ground):
     assert set(crowd.state["user_hotspot"].ravel()) == {0, 1}
 
 
-# ---- waypoints --------------------------------------------------------------------------------------------------------
+# ---- waypoints -----------------------------------------------------------------------------------
 
 
 def test_waypoint_speed_is_the_harmonic_mean():
-    """(3 - 0.5) / ln 6 = 1.3953 m/s, time average on the way; within four standard errors of 1000 independent users."""
+    """The time average on the way is (3 - 0.5) / ln 6 = 1.3953 m/s.
+
+    Within four standard errors of 1000 independent users.
+    """
     crowd = Crowd(Waypoint(pause=(0.0, 0.0)), Ground([city_of(150.0)]), [0] * 20, 50)
     speeds = np.empty((1200, 20, 50))
     for row in speeds:
@@ -537,7 +541,10 @@ def test_waypoint_legs_are_straight_and_in_view(cities, ground):
 
 
 def test_waypoint_goals_are_uniform_over_the_ground_in_view():
-    """A wall, before which one cell is closed, parts the square: 49 by 100 m are left to see on its west."""
+    """A wall parts the square, and one cell before it is closed.
+
+    On its west 49 by 100 m are left to see.
+    """
     crowd = Crowd("waypoint", Ground([city_of(100.0, [[[0, -50, 0], [9, 50, 9]]])]), [0] * 10, 500)
     crowd.state["users"][..., :2] = crowd.state["user_goal"][:] = -30.0, 10.0
     crowd.move(1e-3)
@@ -559,7 +566,10 @@ def test_waypoint_users_who_see_no_place_look_again_after_a_second():
 
 
 def test_waypoint_share_of_time_at_rest():
-    """Pauses of 10 s after legs at 1 m/s, as long as the mean distance of two places in a square: 0.521405 of its side."""
+    """Pauses of 10 s after legs at 1 m/s, as long as the mean distance of two places in a square.
+
+    That distance is 0.521405 of the side of the square.
+    """
     crowd = Crowd(
         Waypoint(speed=(1.0, 1.0), pause=(10.0, 10.0)), Ground([city_of(60.0)]), [0] * 20, 50
     )
@@ -573,16 +583,21 @@ def test_waypoint_share_of_time_at_rest():
     assert standard_error(means) < 0.005
 
 
-# ---- names and options ------------------------------------------------------------------------------------------------
+# ---- names and options ---------------------------------------------------------------------------
 
 
 def test_models_by_name_mapping_and_instance():
-    assert list(MOBILITY_MODELS) == ["still", "gauss_markov", "manhattan", "hotspot", "waypoint"]
-    for name, kind in MOBILITY_MODELS.items():
-        assert find_mobility(name) == find_mobility({"model": name}) == kind()
+    assert names("mobility") == ["gauss_markov", "hotspot", "manhattan", "still", "waypoint"]
+    for name in names("mobility"):
+        model = find_mobility(name)
+        assert model.name == name
+        assert model == find_mobility({"model": name}) == type(model)()
     own = GaussMarkov(deviation=0.3)
     assert find_mobility({"model": "gauss_markov", "deviation": 0.3}) == own
     assert find_mobility(own) is own
+    assert find_mobility(GaussMarkov) == find_mobility({"model": GaussMarkov}) == GaussMarkov()
+    path = "bulletuav.network.mobility.gauss_markov:GaussMarkov"
+    assert find_mobility({"model": path, "deviation": 0.3}) == own
     assert find_mobility("still").max_speed == 0
     assert find_mobility({"model": "hotspot", "speed": [1, 2]}).max_speed == 2
 
@@ -593,6 +608,9 @@ def test_models_by_name_mapping_and_instance():
         ("gaus_markov", "unknown mobility model 'gaus_markov': did you mean 'gauss_markov'"),
         (7, "unknown mobility model 7: choose from gauss_markov, hotspot"),
         ({"deviation": 0.3}, "unknown mobility model None"),
+        (dict, "unknown mobility model <class 'dict'>"),
+        (Walking, "unknown mobility model .*Walking"),
+        ("math:pi", "mobility math:pi is 3.14.*: that is no mobility"),
         ({"model": "gauss_markov", "deviatoin": 0.3}, "'deviatoin': did you mean 'deviation'"),
         ({"model": "still", "speed": (1, 2)}, "unknown option of mobility model 'still', 'speed'"),
         ({"model": "waypoint", "speed": (0.0, 1.0)}, "speed is .* above 0"),

@@ -9,21 +9,24 @@ from hypothesis import strategies as st
 from bulletuav.city.sight_probability import SIGMOIDS, elevation_los
 from bulletuav.kernel import kernel
 from bulletuav.network import pathloss
-from bulletuav.network.pathloss import (
+from bulletuav.network.pathloss import PATHLOSS_MODELS, check_validity
+from bulletuav.network.propagation import (
     EXCESS,
     EXPONENTS,
-    PATHLOSS_MODELS,
-    check_validity,
     free_space,
     log_distance,
     mean_path_loss,
+)
+from bulletuav.network.tr36777 import (
     shadowing,
     uma_av_los_probability,
+    umi_av_los,
+    umi_av_los_probability,
+)
+from bulletuav.network.tr38901 import (
     uma_los,
     uma_los_probability,
     uma_nlos,
-    umi_av_los,
-    umi_av_los_probability,
     umi_close_in_nlos,
     umi_los,
     umi_los_probability,
@@ -39,7 +42,8 @@ MEAN = {
     ("dense", 60): 82.5683,
     ("high_rise", 45): 111.2918,
 }
-GROUND = {  # TR 38.901: d2, base, user, f -> UMi LoS, NLoS, UMa LoS, NLoS; the last two beyond the breakpoint
+# TR 38.901: d2, base, user, f -> UMi LoS, NLoS, UMa LoS, NLoS; the last two beyond the breakpoint
+GROUND = {
     (100, 10, 1.5, 29): (103.680788, 124.204260, 101.282351, 121.009052),
     (200, 25, 1.5, 2): (86.804757, 110.143403, 84.708764, 109.601212),
     (400, 10, 1.5, 2): (102.981828, 120.668117, 100.662096, 121.252936),

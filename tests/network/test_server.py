@@ -39,7 +39,7 @@ def tasks_of(*tasks):
 
 
 class Server:
-    """One world or several whose cores do a cycle per second and need one per bit: a task of b bits takes b seconds."""
+    """One world or several where a task of b bits takes b seconds to compute."""
 
     def __init__(
         self, users=1, drones=1, cores=1, worlds=1, uplink=INF, deadline=INF, frequency=1.0
@@ -236,7 +236,10 @@ def test_worlds_are_served_as_if_alone():
 
 @pytest.mark.parametrize(("cores", "arrival_rate", "rate"), [(4, 3.0, 1.0), (4, 5.0, 4.0)])
 def test_exponential_sizes_meet_erlang(cores, arrival_rate, rate):
-    """At the end of a decision a task that came then would wait as tasks do: Poisson arrivals see time averages."""
+    """A task that came at the end of a decision would wait as tasks do.
+
+    Poisson arrivals see time averages.
+    """
     worlds, dt, users = 1000, 8.0 / rate, 3
     server = Server(users=users, cores=cores, worlds=worlds, frequency=rate)
     rng, rngs = np.random.default_rng(5), generators(worlds, 6)
@@ -278,7 +281,10 @@ def test_exponential_sizes_meet_erlang(cores, arrival_rate, rate):
 
 @pytest.mark.parametrize("where", ["core", "uplink"])
 def test_uniform_sizes_meet_pollaczek_and_khinchine(where):
-    """A core, and as well an uplink, with sizes uniform between a and b is M/G/1: Wq = lambda E[S^2] / (2 (1 - rho))."""
+    """A core or an uplink with sizes uniform between a and b is M/G/1.
+
+    Wq = lambda E[S^2] / (2 (1 - rho)).
+    """
     low, high, arrival_rate, worlds = 0.5, 1.5, 0.7, 1500
     speeds = {"core": {}, "uplink": {"uplink": 1.0, "frequency": INF}}[where]
     server, rngs, results = Server(worlds=worlds, **speeds), generators(worlds, 3), []

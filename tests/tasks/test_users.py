@@ -7,9 +7,10 @@ from placing import OPEN, SMALL, WALL, city_of, fly
 
 import bulletuav
 from bulletuav.envs.env_spec import EnvSpec
-from bulletuav.network.mobility import MOBILITY_MODELS, find_mobility
+from bulletuav.network.mobility import find_mobility
 from bulletuav.network.mobility.gauss_markov import GaussMarkov
 from bulletuav.network.mobility.waypoint import Waypoint
+from bulletuav.registry import names
 
 FASTEST = {"still": 0.0, "gauss_markov": 5.0, "manhattan": 3.0, "hotspot": 3.0, "waypoint": 3.0}
 """m/s, by the defaults: walks of 0.5 to 3 m/s, of Gauss-Markov 4 deviations of 0.5 m/s more"""
@@ -35,7 +36,7 @@ def told(aviary, observations, beginning):
 
 
 @pytest.mark.parametrize("task", ["los", "mobile_users", "mec", "mec_advanced"])
-@pytest.mark.parametrize("mobility", MOBILITY_MODELS)
+@pytest.mark.parametrize("mobility", names("mobility"))
 def test_users_start_outdoors(task, mobility):
     kind = {"city": "dense", "irregularity": 1.0, "area": 250.0, "num_layouts": 2, "num_users": 40}
     one, drawn = EnvSpec(task, 1, {**kind, "mobility": mobility}).task, set()
@@ -52,7 +53,7 @@ def test_users_start_outdoors(task, mobility):
 
 
 @pytest.mark.parametrize("hz", [1, 5])
-@pytest.mark.parametrize("mobility", MOBILITY_MODELS)
+@pytest.mark.parametrize("mobility", names("mobility"))
 def test_users_walk_whole_episodes_outdoors_and_no_faster_than_they_can(make, mobility, hz):
     aviary = make(
         "mobile_users",
@@ -78,7 +79,7 @@ def test_users_walk_whole_episodes_outdoors_and_no_faster_than_they_can(make, mo
     np.testing.assert_array_equal(aviary.scene.memory["users"], users[-1])
 
 
-@pytest.mark.parametrize("mobility", MOBILITY_MODELS)
+@pytest.mark.parametrize("mobility", names("mobility"))
 def test_users_of_a_world_know_nothing_of_others(make, mobility):
     many, one = (
         make("mobile_users", worlds, mobility=mobility, num_layouts=2) for worlds in (4, 1)
@@ -102,7 +103,7 @@ def test_users_of_a_world_know_nothing_of_others(make, mobility):
         assert not (others[1] == others[2]).all()
 
 
-@pytest.mark.parametrize("mobility", MOBILITY_MODELS)
+@pytest.mark.parametrize("mobility", names("mobility"))
 def test_the_same_seed_is_the_same_episode_after_others_too(make, mobility):
     aviary, episodes = make("mobile_users", mobility=mobility), []
     for seed in (3, 4, 3):
@@ -210,7 +211,7 @@ def test_tasks_without_users_have_no_dwell_time():
 def test_where_there_are_no_streets_nobody_can_walk_on_them(task):
     with pytest.raises(ValueError, match="city 'hand' has no streets"):
         bulletuav.Aviary(task, city=WALL, mobility="manhattan")
-    for mobility in MOBILITY_MODELS:
+    for mobility in names("mobility"):
         if mobility != "manhattan":
             spawn = EnvSpec(task, 1, {"city": WALL, "mobility": mobility}).task.spawn(
                 np.random.default_rng(0)

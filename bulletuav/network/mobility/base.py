@@ -12,53 +12,84 @@ from bulletuav.errors import as_sequence, finite, shown
 from bulletuav.kernel import func
 from bulletuav.network.mobility.ground import Ground
 
-MOST_SPEED, LONGEST = 100.0, 1e6
-"""m/s, of users; s or m, of times and ways"""
+SPEED_LIMIT = 100.0
+"""Greatest speed that an option may give users, m/s"""
+MAX_TIME = 1e6
+"""Longest time that an option may give, s"""
+MAX_LENGTH = 1e6
+"""Greatest length that an option may give, m"""
 State = Mapping[str, np.ndarray]
-"""Of each array its name: in one world, or of W worlds with W as the first axis, float64"""
+"""Arrays by name, float64: of one world, or of W worlds with W as the first axis"""
 Generators = Sequence[np.random.Generator | None]
+"""Generator of each of W worlds; None is possible for worlds that do not fly"""
 
 
 @dataclass(frozen=True)
 class Mobility(ABC):
-    """How U users walk in each of W worlds: always outdoors and in bounds, at the height that the ground tells.
+    """A mobility model: how U users walk in each of W worlds.
 
-    Its fields are its options. Raises ValueError for those that cannot be.
+    Users are always outdoors and in bounds, at the height that the ground tells. A model is a
+    frozen dataclass whose fields are its options. It raises ValueError for impossible options.
 
-    name  what `find_mobility` calls it
+    Attributes:
+        name: Name of the model, which `find_mobility` knows it by.
     """
 
     name: ClassVar[str]
 
-    def _keep(self, name: str, value: Any) -> None:
+    def _set_option(self, name: str, value: Any) -> None:
         """Store an option as its check gave it, so that kernels see one type of it."""
         object.__setattr__(self, name, value)
 
-    def _size(self, name: str, unit: str, most: float, above_zero: bool) -> None:
-        """Keep an option as a float. Raises ValueError unless it is at least 0, or above it, and at most `most`."""
+    def _check_number(self, name: str, unit: str, most: float, above_zero: bool) -> None:
+        """Store an option as a float, and refuse one below 0 (or 0 itself) or above `most`."""
         given = getattr(self, name)
         value = finite(name, given, most=most)
         if value < 0 or (above_zero and value == 0):
-            raise ValueError(
-                f"{name} is {given!r}{unit}: a number {'above' if above_zero else 'from'} 0 is needed"
-            )
-        self._keep(name, value)
+            bound = "above" if above_zero else "from"
+            raise ValueError(f"{name} is {given!r}{unit}: a number {bound} 0 is needed")
+        self._set_option(name, value)
 
     @property
     def max_speed(self) -> float:
-        """No user is ever faster, m/s."""
+        """Speed that no user ever exceeds, m/s."""
         return 0.0
 
     def state(self, count: int) -> dict[str, tuple[int, ...]]:
-        """Shapes in a world of `count` users: "users" (U, 3) m, "user_velocity" (U, 2) m/s, and what else is kept."""
+        """Tell the names and shapes of the arrays that the model keeps in one world.
+
+        Args:
+            count: Number U of users.
+
+        Returns:
+            Shapes by name: "users" (U, 3), positions, m; "user_velocity" (U, 2), m/s; and what
+            else the model keeps.
+        """
         return {"users": (count, 3), "user_velocity": (count, 2)}
 
     def require(self, ground: Ground) -> None:  # noqa: B027
-        """Raise ValueError where nobody can walk so."""
+        """Check that users can walk on a ground in this way.
+
+        Args:
+            ground: Ground of all layouts.
+
+        Raises:
+            ValueError: They cannot.
+        """
 
     @abstractmethod
     def start(self, rng: np.random.Generator, ground: Ground, layout: int, count: int) -> State:
-        """The arrays of `state` in a new world that has this layout."""
+        """Draw where users are and how they move when an episode begins.
+
+        Args:
+            rng: Generator of the world.
+            ground: Ground of all layouts.
+            layout: Index of the world's layout.
+            count: Number U of users.
+
+        Returns:
+            The arrays that `state` names, of one world.
+        """
 
     def move(
         self,
@@ -69,10 +100,19 @@ class Mobility(ABC):
         dt: float,
         rng: Generators,
     ) -> None:
-        """Move the users of the worlds `flying` (W,) bool through `dt` s, in place; the other worlds stay as they are.
+        """Move users through a time step, in place.
 
-        `state` holds the arrays of all worlds, `layout` (W,) int those of the worlds. World k draws from `rng[k]` alone,
-        whatever the others do. Raises ValueError for a `dt` that is not above 0.
+        Args:
+            state: Arrays of all W worlds; changed.
+            ground: Ground of all layouts.
+            layout: Layout (W,) of each world, int.
+            flying: Whether (W,) users of each world move: an episode is under way. The other
+                worlds stay as they are.
+            dt: Length of the step, s.
+            rng: Generator of each world. A world draws from its own alone, whatever others do.
+
+        Raises:
+            ValueError: `dt` is not above 0.
         """
         if not finite("dt", dt) > 0:
             raise ValueError(f"dt is {dt!r} s: a number above 0 is needed")
@@ -87,76 +127,118 @@ class Mobility(ABC):
         flying: np.ndarray,
         dt: float,
         rng: Generators,
-    ) -> None: ...
+    ) -> None:
+        """Move users as `move` tells, with a `dt` that is checked."""
 
 
 @dataclass(frozen=True)
 class Walking(Mobility):
-    """Users who walk.
+    """A mobility model of users who walk.
 
-    speed  m/s, from low to high, drawn uniformly
+    Attributes:
+        speed: Lowest and highest speed, m/s; each user's is drawn uniformly.
     """
 
     speed: tuple[float, float] = (0.5, 3.0)
 
-    def __post_init__(self):
-        self._keep("speed", check_range("speed", self.speed, "m/s", MOST_SPEED, above_zero=True))
+    def __post_init__(self) -> None:
+        """Check the options."""
+        speed = check_range("speed", self.speed, unit="m/s", most=SPEED_LIMIT, above_zero=True)
+        self._set_option("speed", speed)
 
     @property
     def max_speed(self) -> float:
-        """No user is ever faster, m/s."""
+        """Speed that no user ever exceeds, m/s."""
         return self.speed[1]
 
 
 def check_range(
     name: str, value: Any, unit: str, most: float, above_zero: bool
 ) -> tuple[float, float]:
-    """(low, high) as floats. Raises ValueError unless they are in order, up to `most`, and low at least 0, or above it."""
+    """Return an option that is a range, (low, high), as floats.
+
+    Args:
+        name: Name of the option, for messages.
+        value: What the user gave.
+        unit: Unit, for messages.
+        most: Greatest value that is possible.
+        above_zero: Whether low must be above 0, and not only at least 0.
+
+    Raises:
+        ValueError: It is no such range.
+    """
     low, high = (finite(name, end, most=most) for end in as_sequence(name, value, 2))
     if not 0 <= low <= high or (above_zero and low == 0):
-        raise ValueError(
-            f"{name} is {shown(value)} {unit}: from low to high, {'above' if above_zero else 'at least'} 0, is needed"
-        )
+        bound = "above" if above_zero else "at least"
+        raise ValueError(f"{name} is {shown(value)} {unit}: from low to high, {bound} 0, is needed")
     return low, high
 
 
-def headings(rng: np.random.Generator, count: int) -> np.ndarray:
-    """(count, 2) unit vectors, uniform on the circle."""
+def random_headings(rng: np.random.Generator, count: int) -> np.ndarray:
+    """Draw unit vectors (count, 2), uniform on the circle."""
     angle = rng.uniform(-math.pi, math.pi, count)
     return np.column_stack([np.cos(angle), np.sin(angle)])
 
 
-def normals(rng: Generators, flying: np.ndarray, *shape: int) -> np.ndarray:
-    """(W, *shape) standard normal numbers; anything in worlds that do not fly."""
+def standard_normals(rng: Generators, flying: np.ndarray, *shape: int) -> np.ndarray:
+    """Draw standard normal numbers for worlds that fly, each from its own generator.
+
+    Args:
+        rng: Generator of each world.
+        flying: Whether (W,) each world draws.
+        *shape: Shape of the numbers of one world.
+
+    Returns:
+        Numbers (W, *shape); those of worlds that do not fly have no meaning.
+    """
     values = np.empty((len(flying), *shape))
-    for k, own in _flown(rng, flying):
-        own.standard_normal(out=values[k])
+    for w, generator in _flying_generators(rng, flying):
+        generator.standard_normal(out=values[w])
     return values
 
 
-def keys(rng: Generators, flying: np.ndarray) -> np.ndarray:
-    """(W,) uint64, keys for `uniform`, 0 in worlds that do not fly: a move draws one, however many numbers it takes."""
+def stream_keys(rng: Generators, flying: np.ndarray) -> np.ndarray:
+    """Draw a key for `uniform` in each world that flies.
+
+    So a move draws one number from the generator, however many numbers its users take.
+
+    Args:
+        rng: Generator of each world.
+        flying: Whether (W,) each world draws.
+
+    Returns:
+        Keys (W,), uint64; 0 in worlds that do not fly.
+    """
     values = np.zeros(len(flying), dtype=np.uint64)
-    for k, own in _flown(rng, flying):
-        values[k] = own.bit_generator.random_raw()
+    for w, generator in _flying_generators(rng, flying):
+        values[w] = generator.bit_generator.random_raw()
     return values
 
 
-def _flown(rng: Generators, flying: np.ndarray) -> Iterator[tuple[int, np.random.Generator]]:
-    for k in np.flatnonzero(flying).tolist():
-        own = rng[k]
-        assert own is not None  # a world that flies was started
-        yield k, own
+def _flying_generators(
+    rng: Generators, flying: np.ndarray
+) -> Iterator[tuple[int, np.random.Generator]]:
+    """Yield the index and the generator of each world that flies."""
+    for w in np.flatnonzero(flying).tolist():
+        generator = rng[w]
+        assert generator is not None  # a world that flies was started
+        yield w, generator
 
 
 @func
-def uniform(key, index):
-    """Number `index` (from 0) of the stream of a key (uint64), in [0, 1).
+def uniform(key: int, index: int) -> float:
+    """Return a number of the random stream of a key, uniform in [0, 1).
 
-    SplitMix64: G. Steele, D. Lea, C. Flood, Fast splittable pseudorandom number generators, OOPSLA 2014; constants of its
-    64-bit mixer by D. Stafford (variant 13).
+    SplitMix64: G. Steele, D. Lea, C. Flood, Fast splittable pseudorandom number generators, OOPSLA
+    2014. The constants of its 64-bit mixer are by D. Stafford (variant 13).
+
+    Args:
+        key: Key of the stream, uint64.
+        index: Position in the stream, from 0.
     """
+    # State of the generator at that position, then two rounds of mixing
     mixed = np.uint64(key) + np.uint64(index + 1) * np.uint64(0x9E3779B97F4A7C15)
     mixed = (mixed ^ (mixed >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     mixed = (mixed ^ (mixed >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    # The upper 53 bits fill the mantissa of a float
     return float((mixed ^ (mixed >> np.uint64(31))) >> np.uint64(11)) * 2.0**-53

@@ -1,7 +1,8 @@
 """Users whose velocities change gradually: the Gauss-Markov model.
 
-B. Liang and Z. Haas, Predictive distance-based mobility management for PCS networks, INFOCOM 1999; T. Camp, J. Boleng and
-V. Davies, A survey of mobility models for ad hoc network research, WCMC 2(5), 2002.
+B. Liang and Z. Haas, Predictive distance-based mobility management for PCS networks, INFOCOM 1999;
+T. Camp, J. Boleng and V. Davies, A survey of mobility models for ad hoc network research, WCMC
+2(5), 2002.
 """
 
 import math
@@ -12,66 +13,94 @@ import numpy as np
 
 from bulletuav.kernel import elementwise, kernel
 from bulletuav.network.mobility.base import (
-    LONGEST,
-    MOST_SPEED,
+    MAX_TIME,
+    SPEED_LIMIT,
     Generators,
     State,
     Walking,
-    headings,
-    normals,
+    random_headings,
+    standard_normals,
 )
-from bulletuav.network.mobility.ground import Ground, bounce, length
+from bulletuav.network.mobility.ground import Ground
+from bulletuav.network.mobility.raster import Raster, bounce, length
+from bulletuav.registry import register
 
-CORRELATION_TIME = -1 / math.log(0.75)  # s; velocities a second apart have the correlation 0.75
-MOST_DEVIATIONS = 4.0
+CORRELATION_TIME = -1 / math.log(0.75)
+"""Correlation time by default, s: velocities a second apart have the correlation 0.75"""
+MAX_DEVIATIONS = 4.0
+"""Standard deviations that a user may be faster than its mean speed"""
 
 
 @elementwise
-def gauss_markov(value, mean, keep, deviation, normal):
-    """The next value of a Gauss-Markov process: keep v + (1 - keep) mean + deviation sqrt(1 - keep^2) w (Liang and Haas).
+def gauss_markov(
+    value: float, mean: float, correlation: float, deviation: float, normal: float
+) -> float:
+    """Return the next value of a Gauss-Markov process (Liang and Haas).
 
-    Its stationary mean and standard deviation are `mean` and `deviation`, its correlation over k steps keep^k; `normal` is
-    a standard normal number. Steps of dt in a process of correlation time tau keep exp(-dt / tau).
+    With a correlation a it is a v + (1 - a) mean + deviation sqrt(1 - a^2) w. The correlation over
+    k steps is a^k. Steps of dt in a process of correlation time tau have a = exp(-dt / tau).
+
+    Args:
+        value: Present value v.
+        mean: Stationary mean.
+        correlation: Correlation a of values one step apart.
+        deviation: Stationary standard deviation.
+        normal: Standard normal number w.
     """
-    return keep * value + (1.0 - keep) * mean + deviation * math.sqrt(1.0 - keep * keep) * normal
+    noise = deviation * math.sqrt(1.0 - correlation * correlation) * normal
+    return correlation * value + (1.0 - correlation) * mean + noise
 
 
+@register("mobility")
 @dataclass(frozen=True)
 class GaussMarkov(Walking):
-    """Each user's velocity is a Gauss-Markov process about a mean velocity of its own: a random heading, `speed` fast.
+    """The Gauss-Markov model.
 
-    Nobody is faster than the mean speed and 4 deviations: such velocities are shortened. At walls and the edge users turn
-    as light does by mirrors, and their mean velocity turns away from the wall.
+    Each user's velocity is a Gauss-Markov process about a mean velocity of its own, which has a
+    random heading and is `speed` fast. Nobody is faster than the mean speed and 4 deviations: such
+    velocities are shortened. At walls and the edge users turn as light does at mirrors, and their
+    mean velocity turns away from the wall.
 
-    correlation_time  of velocities, s
-    deviation         standard deviation of each axis of the velocity, m/s
+    Attributes:
+        correlation_time: Correlation time of velocities, s.
+        deviation: Standard deviation of each axis of the velocity, m/s.
     """
 
     name: ClassVar[str] = "gauss_markov"
     correlation_time: float = CORRELATION_TIME
     deviation: float = 0.5
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
+        """Check the options."""
         super().__post_init__()
-        self._size("correlation_time", " s", LONGEST, above_zero=True)
-        self._size("deviation", " m/s", MOST_SPEED, above_zero=False)
+        self._check_number("correlation_time", unit=" s", most=MAX_TIME, above_zero=True)
+        self._check_number("deviation", unit=" m/s", most=SPEED_LIMIT, above_zero=False)
 
     @property
     def max_speed(self) -> float:
-        """No user is ever faster, m/s."""
-        return self.speed[1] + MOST_DEVIATIONS * self.deviation
+        """Speed that no user ever exceeds, m/s."""
+        return self.speed[1] + MAX_DEVIATIONS * self.deviation
 
     def state(self, count: int) -> dict[str, tuple[int, ...]]:
-        """Also "user_mean_velocity" (U, 2) m/s."""
+        """Tell the arrays that the model keeps, see `Mobility.state`.
+
+        Beside those of every model this is "user_mean_velocity" (U, 2), m/s.
+        """
         return super().state(count) | {"user_mean_velocity": (count, 2)}
 
     def start(self, rng: np.random.Generator, ground: Ground, layout: int, count: int) -> State:
-        """At random places, with velocities of the stationary distribution."""
+        """Draw random positions, and velocities of the stationary distribution.
+
+        See `Mobility.start`.
+        """
         places = ground.places(rng, layout, count)
-        mean = rng.uniform(*self.speed, (count, 1)) * headings(rng, count)
+        # Velocities scatter about a mean velocity of each user
+        speed = rng.uniform(*self.speed, (count, 1))
+        mean = speed * random_headings(rng, count)
         velocity = mean + self.deviation * rng.standard_normal((count, 2))
-        most = np.linalg.norm(mean, axis=1) + MOST_DEVIATIONS * self.deviation
-        velocity *= np.minimum(1, most / np.linalg.norm(velocity, axis=1))[:, None]
+        # Shorten velocities that are too fast
+        fastest = np.linalg.norm(mean, axis=1) + MAX_DEVIATIONS * self.deviation
+        velocity *= np.minimum(1, fastest / np.linalg.norm(velocity, axis=1))[:, None]
         return {"users": places, "user_velocity": velocity, "user_mean_velocity": mean}
 
     def _move(
@@ -83,40 +112,75 @@ class GaussMarkov(Walking):
         dt: float,
         rng: Generators,
     ) -> None:
-        velocity, mean = state["user_velocity"], state["user_mean_velocity"]
-        noise = normals(rng, flying, *velocity.shape[1:])
-        keep = math.exp(-dt / self.correlation_time)
+        """Move users as `move` tells."""
+        velocity = state["user_velocity"]
+        noise = standard_normals(rng, flying, *velocity.shape[1:])
+        correlation = math.exp(-dt / self.correlation_time)
         advance(
             state["users"],
             velocity,
-            mean,
+            state["user_mean_velocity"],
             noise,
             ground.raster,
             layout,
             flying,
             dt,
-            keep,
+            correlation,
             self.deviation,
         )
 
 
 @kernel
-def advance(users, velocity, mean, noise, raster, layout, flying, dt, keep, deviation):
-    """Move users (W, U, 3) of velocities and means (W, U, 2) through dt s; noise (W, U, 2) is standard normal."""
+def advance(
+    users: np.ndarray,
+    velocity: np.ndarray,
+    mean: np.ndarray,
+    noise: np.ndarray,
+    raster: Raster,
+    layout: np.ndarray,
+    flying: np.ndarray,
+    dt: float,
+    correlation: float,
+    deviation: float,
+) -> None:
+    """Move users through a time step, in place.
+
+    Args:
+        users: Positions (W, U, 3), m; changed.
+        velocity: Velocities (W, U, 2), m/s; changed.
+        mean: Mean velocities (W, U, 2), m/s; changed at walls.
+        noise: Standard normal numbers (W, U, 2).
+        raster: Free cells of all layouts.
+        layout: Layout (W,) of each world.
+        flying: Whether (W,) users of each world move.
+        dt: Length of the step, s.
+        correlation: Correlation of velocities `dt` apart.
+        deviation: Standard deviation of each axis of the velocity, m/s.
+    """
     for w in range(users.shape[0]):
         if not flying[w]:
             continue
         for i in range(users.shape[1]):
-            x = gauss_markov(velocity[w, i, 0], mean[w, i, 0], keep, deviation, noise[w, i, 0])
-            y = gauss_markov(velocity[w, i, 1], mean[w, i, 1], keep, deviation, noise[w, i, 1])
+            # Next velocity, shortened where it is too fast
+            x = gauss_markov(
+                velocity[w, i, 0], mean[w, i, 0], correlation, deviation, noise[w, i, 0]
+            )
+            y = gauss_markov(
+                velocity[w, i, 1], mean[w, i, 1], correlation, deviation, noise[w, i, 1]
+            )
             speed = length(x, y)
-            most = length(mean[w, i, 0], mean[w, i, 1]) + MOST_DEVIATIONS * deviation
-            if speed > most:
-                x, y = x * most / speed, y * most / speed
-            users[w, i, 0], users[w, i, 1], turned_x, turned_y = bounce(
+            fastest = length(mean[w, i, 0], mean[w, i, 1]) + MAX_DEVIATIONS * deviation
+            if speed > fastest:
+                x = x * fastest / speed
+                y = y * fastest / speed
+            # Walk, and turn at walls together with the mean velocity
+            end_x, end_y, turned_x, turned_y = bounce(
                 raster, layout[w], users[w, i, 0], users[w, i, 1], x * dt, y * dt
             )
-            velocity[w, i, 0], velocity[w, i, 1] = turned_x * x, turned_y * y
+            users[w, i, 0] = end_x
+            users[w, i, 1] = end_y
+            velocity[w, i, 0] = turned_x * x
+            velocity[w, i, 1] = turned_y * y
             if turned_x < 0.0:
                 mean[w, i, 0] = math.copysign(mean[w, i, 0], velocity[w, i, 0])
             if turned_y < 0.0:

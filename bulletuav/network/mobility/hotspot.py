@@ -1,4 +1,7 @@
-"""Users who gather about places that drift, as crowds do about what they came to see; the model is our own."""
+"""Users who gather about places that drift, as crowds do about what they came to see.
+
+The model is our own.
+"""
 
 import math
 from dataclasses import dataclass
@@ -9,37 +12,50 @@ import numpy as np
 from bulletuav.errors import as_int
 from bulletuav.kernel import kernel
 from bulletuav.network.mobility.base import (
-    LONGEST,
-    MOST_SPEED,
+    MAX_LENGTH,
+    MAX_TIME,
+    SPEED_LIMIT,
     Generators,
     State,
     Walking,
     check_range,
-    headings,
-    normals,
+    random_headings,
+    standard_normals,
 )
 from bulletuav.network.mobility.gauss_markov import gauss_markov
-from bulletuav.network.mobility.ground import Ground, bounce, length
+from bulletuav.network.mobility.ground import Ground
+from bulletuav.network.mobility.raster import Raster, bounce, length
+from bulletuav.registry import register
 
-TURNING_TIME = 1 / math.log(2.5)  # s; after a second 0.4 of a heading is left
-MOST_HOTSPOTS, MOST_WOBBLE = 1000, 100.0
-SHORT = 1e-12  # vectors that are shorter have no direction
+TURNING_TIME = 1 / math.log(2.5)
+"""Turning time by default, s: after a second 0.4 of a heading is left"""
+MAX_HOTSPOTS = 1000
+"""Most hotspots that an option may give"""
+MAX_WOBBLE = 100.0
+"""Greatest wobble that an option may give"""
+SHORT = 1e-12
+"""Length below which vectors have no direction"""
 
 
+@register("mobility")
 @dataclass(frozen=True)
 class Hotspot(Walking):
-    """Each user belongs to a hotspot and walks at its own constant speed, the way its heading vector points.
+    """A model of users who gather about hotspots.
 
-    That vector is a Gauss-Markov process about the unit vector towards the hotspot, so that headings blend on the circle,
-    alike for any time step; nearer than `radius` to the hotspot it is one about its own direction, and users mill around.
-    Hotspots drift straight on. At walls and the edge all turn as light does by mirrors; users know no way round a building
-    but find one in time, by their wobble.
+    Each user belongs to a hotspot and walks at its own constant speed, the way its heading vector
+    points. That vector is a Gauss-Markov process about the unit vector towards the hotspot. So
+    headings blend on the circle, alike for any time step. Nearer than `radius` to the hotspot it is
+    a process about its own direction, and users mill around.
 
-    num_hotspots  in each world
-    drift         speeds of hotspots, m/s, from low to high, drawn uniformly
-    radius        m
-    turning_time  s, until 1 / e of a heading is left
-    wobble        standard deviation of each axis of the heading vector
+    Hotspots drift straight on. At walls and the edge all turn as light does at mirrors. Users know
+    no way round a building but find one in time, by their wobble.
+
+    Attributes:
+        num_hotspots: Number of hotspots in each world.
+        drift: Lowest and highest speed of hotspots, m/s; each is drawn uniformly.
+        radius: Distance within which users mill around, m.
+        turning_time: Time until 1 / e of a heading is left, s.
+        wobble: Standard deviation of each axis of the heading vector.
     """
 
     name: ClassVar[str] = "hotspot"
@@ -49,35 +65,51 @@ class Hotspot(Walking):
     turning_time: float = TURNING_TIME
     wobble: float = 0.3
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
+        """Check the options."""
         super().__post_init__()
-        self._keep("num_hotspots", as_int("num_hotspots", self.num_hotspots, 1, MOST_HOTSPOTS))
-        self._keep("drift", check_range("drift", self.drift, "m/s", MOST_SPEED, above_zero=False))
-        self._size("turning_time", " s", LONGEST, above_zero=True)
-        self._size("radius", "", LONGEST, above_zero=False)
-        self._size("wobble", "", MOST_WOBBLE, above_zero=False)
+        count = as_int("num_hotspots", self.num_hotspots, 1, MAX_HOTSPOTS)
+        self._set_option("num_hotspots", count)
+        drift = check_range("drift", self.drift, unit="m/s", most=SPEED_LIMIT, above_zero=False)
+        self._set_option("drift", drift)
+        self._check_number("turning_time", unit=" s", most=MAX_TIME, above_zero=True)
+        self._check_number("radius", unit="", most=MAX_LENGTH, above_zero=False)
+        self._check_number("wobble", unit="", most=MAX_WOBBLE, above_zero=False)
 
     def state(self, count: int) -> dict[str, tuple[int, ...]]:
-        """Also "hotspots" (H, 2) m, "hotspot_velocity" (H, 2) m/s, "user_hotspot" (U,), "user_speed" (U,) m/s.
+        """Tell the arrays that the model keeps, see `Mobility.state`.
 
-        And "user_heading" (U, 2), about as long as unit vectors.
+        Beside those of every model these are, for H hotspots: "hotspots" (H, 2), positions, m;
+        "hotspot_velocity" (H, 2), m/s; "user_hotspot" (U,), the index of each user's hotspot;
+        "user_speed" (U,), m/s; and "user_heading" (U, 2), about as long as unit vectors.
         """
-        of_hotspots = dict.fromkeys(("hotspots", "hotspot_velocity"), (self.num_hotspots, 2))
-        own = {"user_hotspot": (count,), "user_speed": (count,), "user_heading": (count, 2)}
-        return super().state(count) | of_hotspots | own
+        return super().state(count) | {
+            "hotspots": (self.num_hotspots, 2),
+            "hotspot_velocity": (self.num_hotspots, 2),
+            "user_hotspot": (count,),
+            "user_speed": (count,),
+            "user_heading": (count, 2),
+        }
 
     def start(self, rng: np.random.Generator, ground: Ground, layout: int, count: int) -> State:
-        """Users and hotspots at random places, with random headings."""
-        number, speed, heading = (
-            self.num_hotspots,
-            rng.uniform(*self.speed, count),
-            headings(rng, count),
-        )
+        """Draw random positions of users and hotspots, with random headings.
+
+        See `Mobility.start`.
+        """
+        # Users walk in random directions at first
+        number = self.num_hotspots
+        speed = rng.uniform(*self.speed, count)
+        heading = random_headings(rng, count)
+        users = ground.places(rng, layout, count)
+        hotspots = ground.places(rng, layout, number)[:, :2]
+        # Hotspots drift in directions of their own
+        drift_speed = rng.uniform(*self.drift, (number, 1))
+        drift_heading = random_headings(rng, number)
         return {
-            "users": ground.places(rng, layout, count),
+            "users": users,
             "user_velocity": speed[:, None] * heading,
-            "hotspots": ground.places(rng, layout, number)[:, :2],
-            "hotspot_velocity": rng.uniform(*self.drift, (number, 1)) * headings(rng, number),
+            "hotspots": hotspots,
+            "hotspot_velocity": drift_speed * drift_heading,
             "user_hotspot": rng.integers(number, size=count).astype(float),
             "user_speed": speed,
             "user_heading": heading,
@@ -92,68 +124,122 @@ class Hotspot(Walking):
         dt: float,
         rng: Generators,
     ) -> None:
-        where = (ground.raster, layout, flying, dt)
-        drift(state["hotspots"], state["hotspot_velocity"], *where)
-        own = (
+        """Move hotspots and users as `move` tells."""
+        drift(state["hotspots"], state["hotspot_velocity"], ground.raster, layout, flying, dt)
+        noise = standard_normals(rng, flying, *state["user_heading"].shape[1:])
+        advance(
             state["users"],
             state["user_velocity"],
             state["user_heading"],
             state["user_speed"],
             state["user_hotspot"],
-        )
-        noise = normals(rng, flying, *state["user_heading"].shape[1:])
-        keep = math.exp(-dt / self.turning_time)
-        advance(
-            *own, state["hotspots"], noise, *where, keep, float(self.radius), float(self.wobble)
+            state["hotspots"],
+            noise,
+            ground.raster,
+            layout,
+            flying,
+            dt,
+            math.exp(-dt / self.turning_time),
+            float(self.radius),
+            float(self.wobble),
         )
 
 
 @kernel
-def drift(hotspots, velocity, raster, layout, flying, dt):
-    """Move hotspots (W, H, 2) straight on through dt s."""
+def drift(
+    hotspots: np.ndarray,
+    velocity: np.ndarray,
+    raster: Raster,
+    layout: np.ndarray,
+    flying: np.ndarray,
+    dt: float,
+) -> None:
+    """Move hotspots straight on through a time step, in place.
+
+    Args:
+        hotspots: Positions (W, H, 2), m; changed.
+        velocity: Velocities (W, H, 2), m/s; changed at walls.
+        raster: Free cells of all layouts.
+        layout: Layout (W,) of each world.
+        flying: Whether (W,) hotspots of each world move.
+        dt: Length of the step, s.
+    """
     for w in range(hotspots.shape[0]):
         if not flying[w]:
             continue
-        for h in range(hotspots.shape[1]):
-            place, way = hotspots[w, h], velocity[w, h]
-            place[0], place[1], turned_x, turned_y = bounce(
-                raster, layout[w], place[0], place[1], dt * way[0], dt * way[1]
+        for i in range(hotspots.shape[1]):
+            place = hotspots[w, i]
+            own = velocity[w, i]
+            end_x, end_y, turned_x, turned_y = bounce(
+                raster, layout[w], place[0], place[1], dt * own[0], dt * own[1]
             )
-            way[0], way[1] = turned_x * way[0], turned_y * way[1]
+            place[0] = end_x
+            place[1] = end_y
+            # Turn as the walk was turned at walls
+            own[0] = turned_x * own[0]
+            own[1] = turned_y * own[1]
 
 
 @kernel
 def advance(
-    users,
-    velocity,
-    heading,
-    speed,
-    hotspot,
-    hotspots,
-    noise,
-    raster,
-    layout,
-    flying,
-    dt,
-    keep,
-    radius,
-    wobble,
-):
-    """Move users (W, U, 3) through dt s; noise (W, U, 2) is standard normal."""
+    users: np.ndarray,
+    velocity: np.ndarray,
+    heading: np.ndarray,
+    speed: np.ndarray,
+    hotspot: np.ndarray,
+    hotspots: np.ndarray,
+    noise: np.ndarray,
+    raster: Raster,
+    layout: np.ndarray,
+    flying: np.ndarray,
+    dt: float,
+    correlation: float,
+    radius: float,
+    wobble: float,
+) -> None:
+    """Move users through a time step, in place.
+
+    Args:
+        users: Positions (W, U, 3), m; changed.
+        velocity: Velocities (W, U, 2), m/s; overwritten.
+        heading: Heading vectors (W, U, 2); changed.
+        speed: Speeds (W, U), m/s.
+        hotspot: Index (W, U) of each user's hotspot.
+        hotspots: Positions (W, H, 2) of hotspots, m.
+        noise: Standard normal numbers (W, U, 2).
+        raster: Free cells of all layouts.
+        layout: Layout (W,) of each world.
+        flying: Whether (W,) users of each world move.
+        dt: Length of the step, s.
+        correlation: Correlation of headings `dt` apart.
+        radius: Distance within which users mill around, m.
+        wobble: Standard deviation of each axis of the heading vector.
+    """
     for w in range(users.shape[0]):
         if not flying[w]:
             continue
         for i in range(users.shape[1]):
-            place, own, goal = users[w, i], heading[w, i], hotspots[w, int(hotspot[w, i])]
-            x, y = goal[0] - place[0], goal[1] - place[1]
+            place = users[w, i]
+            own = heading[w, i]
+            goal = hotspots[w, int(hotspot[w, i])]
+            # Mean heading: towards the hotspot, or the way that the user goes where it is near
+            x = goal[0] - place[0]
+            y = goal[1] - place[1]
             if length(x, y) < radius:
-                x, y = own[0], own[1]
+                x = own[0]
+                y = own[1]
             size = max(length(x, y), SHORT)
-            x = gauss_markov(own[0], x / size, keep, wobble, noise[w, i, 0])
-            y = gauss_markov(own[1], y / size, keep, wobble, noise[w, i, 1])
+            # Next heading, and a walk along it at the user's speed
+            x = gauss_markov(own[0], x / size, correlation, wobble, noise[w, i, 0])
+            y = gauss_markov(own[1], y / size, correlation, wobble, noise[w, i, 1])
             pace = speed[w, i] / max(length(x, y), SHORT)
-            place[0], place[1], turned_x, turned_y = bounce(
+            end_x, end_y, turned_x, turned_y = bounce(
                 raster, layout[w], place[0], place[1], dt * pace * x, dt * pace * y
             )
-            own[0], own[1] = turned_x * x, turned_y * y
-            velocity[w, i, 0], velocity[w, i, 1] = pace * own[0], pace * own[1]
+            place[0] = end_x
+            place[1] = end_y
+            # Turn as the walk was turned at walls
+            own[0] = turned_x * x
+            own[1] = turned_y * y
+            velocity[w, i, 0] = pace * own[0]
+            velocity[w, i, 1] = pace * own[1]

@@ -1,7 +1,8 @@
 """Users who walk along streets and turn at crossings: the Manhattan model.
 
-F. Bai, N. Sadagopan and A. Helmy, IMPORTANT: a framework to systematically analyze the impact of mobility on performance of
-routing protocols for ad hoc networks, INFOCOM 2003; without its lanes and its distance between those who follow each other.
+F. Bai, N. Sadagopan and A. Helmy, IMPORTANT: a framework to systematically analyze the impact of
+mobility on performance of routing protocols for ad hoc networks, INFOCOM 2003. Its lanes and its
+distance between those who follow each other are left out.
 """
 
 from dataclasses import dataclass
@@ -11,49 +12,70 @@ import numpy as np
 
 from bulletuav.errors import as_sequence, finite
 from bulletuav.kernel import func, kernel
-from bulletuav.network.mobility.base import Generators, State, Walking, keys, uniform
-from bulletuav.network.mobility.ground import OFF_GRID, Ground, length
+from bulletuav.network.mobility.base import Generators, State, Walking, stream_keys, uniform
+from bulletuav.network.mobility.ground import OFF_GRID, Graph, Ground
+from bulletuav.network.mobility.raster import length
+from bulletuav.registry import register
 
-MOST_WEIGHT = 1e6  # of a turn
+MAX_WEIGHT = 1e6
+"""Greatest weight of a turn that an option may give"""
+STRAIGHT, LEFT, RIGHT = range(3)
 
 
+@register("mobility")
 @dataclass(frozen=True)
 class Manhattan(Walking):
-    """Users walk on the centre lines of streets, each at its own constant speed, and turn only at nodes.
+    """The Manhattan model.
 
-    turns  weights of a way straight on, to the left and to the right: with those of the ways that a node has, one is drawn.
-           Straight on is up to 45 degrees off. Users turn back only where a street ends.
+    Users walk on the centre lines of streets, each at its own constant speed, and turn only at
+    nodes. There one of the streets that lead on is drawn, by the weights of their turns. Users turn
+    back only where a street ends.
+
+    Attributes:
+        turns: Weights of streets that lead straight on (up to 45 degrees off), left and right.
     """
 
     name: ClassVar[str] = "manhattan"
     turns: tuple[float, float, float] = (0.5, 0.25, 0.25)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
+        """Check the options."""
         super().__post_init__()
-        self._keep(
-            "turns",
-            tuple(
-                finite("turns", weight, most=MOST_WEIGHT)
-                for weight in as_sequence("turns", self.turns, 3)
-            ),
-        )
-        for weight in self.turns:
-            if not weight > 0:  # it may be that of a node's only way on
+        given = as_sequence("turns", self.turns, 3)
+        turns = tuple(finite("turns", weight, most=MAX_WEIGHT) for weight in given)
+        self._set_option("turns", turns)
+        for weight in turns:
+            # A turn may be the only one that a node has, so 0 will not do
+            if not weight > 0:
                 raise ValueError(
-                    f"turns has {weight!r}: three numbers above 0 are needed, of straight on, left and right"
+                    f"turns has {weight!r}: three numbers above 0 are needed, "
+                    "of straight on, left and right"
                 )
 
     def state(self, count: int) -> dict[str, tuple[int, ...]]:
-        """Also "user_speed" (U,) m/s and "user_street" (U, 3): the node behind, the node ahead, and m from the first."""
+        """Tell the arrays that the model keeps, see `Mobility.state`.
+
+        Beside those of every model these are "user_speed" (U,), m/s, and "user_street" (U, 3): the
+        node behind, the node ahead, and the distance from the former, m.
+        """
         return super().state(count) | {"user_speed": (count,), "user_street": (count, 3)}
 
     def require(self, ground: Ground) -> None:
-        """Raises ValueError where a city has no streets, or a street of no length."""
+        """Check that all cities have streets.
+
+        Args:
+            ground: Ground of all layouts.
+
+        Raises:
+            ValueError: A city has no streets, or a street of no length.
+        """
         ground.graph  # noqa: B018 - made here, or refused
 
     def start(self, rng: np.random.Generator, ground: Ground, layout: int, count: int) -> State:
-        """Uniform along the streets."""
-        street, speed = ground.street_places(rng, layout, count), rng.uniform(*self.speed, count)
+        """Draw positions that are uniform along the streets, see `Mobility.start`."""
+        street = ground.street_places(rng, layout, count)
+        speed = rng.uniform(*self.speed, count)
+        # Position and direction on the street
         behind, ahead = ground.graph.node[layout, street[:, :2].astype(int).T]
         heading = (ahead - behind) / np.linalg.norm(ahead - behind, axis=1)[:, None]
         users = ground.raised(behind + street[:, 2:] * heading)
@@ -73,28 +95,72 @@ class Manhattan(Walking):
         dt: float,
         rng: Generators,
     ) -> None:
-        own = (state["users"], state["user_velocity"], state["user_speed"], state["user_street"])
-        advance(*own, keys(rng, flying), ground.graph, layout, flying, dt, self.turns)
+        """Move users as `move` tells."""
+        advance(
+            state["users"],
+            state["user_velocity"],
+            state["user_speed"],
+            state["user_street"],
+            stream_keys(rng, flying),
+            ground.graph,
+            layout,
+            flying,
+            dt,
+            self.turns,
+        )
 
 
 @kernel
-def advance(users, velocity, speed, street, key, graph, layout, flying, dt, turns):
-    """Move users (W, U, 3) along their streets through dt s; keys (W,) of `uniform`."""
+def advance(
+    users: np.ndarray,
+    velocity: np.ndarray,
+    speed: np.ndarray,
+    street: np.ndarray,
+    key: np.ndarray,
+    graph: Graph,
+    layout: np.ndarray,
+    flying: np.ndarray,
+    dt: float,
+    turns: tuple[float, float, float],
+) -> None:
+    """Move users along their streets through a time step, in place.
+
+    Args:
+        users: Positions (W, U, 3), m; changed.
+        velocity: Velocities (W, U, 2), m/s; overwritten.
+        speed: Speeds (W, U), m/s.
+        street: Node behind, node ahead, and distance from the former, m (W, U, 3); changed.
+        key: Keys (W,) of `uniform`, uint64.
+        graph: Street graphs of all layouts.
+        layout: Layout (W,) of each world.
+        flying: Whether (W,) users of each world move.
+        dt: Length of the step, s.
+        turns: Weights of streets that lead straight on, left and right.
+    """
     for w in range(users.shape[0]):
         if not flying[w]:
             continue
-        node, drawn = graph.node[layout[w]], 0
+        # All users of a world draw from one stream
+        node = graph.node[layout[w]]
+        drawn = 0
         for i in range(users.shape[1]):
-            behind, ahead = int(street[w, i, 0]), int(street[w, i, 1])
+            behind = int(street[w, i, 0])
+            ahead = int(street[w, i, 1])
             along = street[w, i, 2] + speed[w, i] * dt
-            extent = length(node[ahead, 0] - node[behind, 0], node[ahead, 1] - node[behind, 1])
+            extent = street_length(node, behind, ahead)
+            # Go on into the next street at every node that is passed
             while along >= extent:
                 along -= extent
                 chance = uniform(key[w], drawn)
-                behind, ahead = ahead, next_node(graph, layout[w], behind, ahead, turns, chance)
-                extent = length(node[ahead, 0] - node[behind, 0], node[ahead, 1] - node[behind, 1])
+                following = next_node(graph, layout[w], behind, ahead, turns, chance)
+                behind = ahead
+                ahead = following
+                extent = street_length(node, behind, ahead)
                 drawn += 1
-            street[w, i, 0], street[w, i, 1], street[w, i, 2] = behind, ahead, along
+            street[w, i, 0] = behind
+            street[w, i, 1] = ahead
+            street[w, i, 2] = along
+            # Position and velocity on the centre line
             for axis in range(2):
                 heading = (node[ahead, axis] - node[behind, axis]) / extent
                 users[w, i, axis] = node[behind, axis] + along * heading
@@ -102,13 +168,43 @@ def advance(users, velocity, speed, street, key, graph, layout, flying, dt, turn
 
 
 @func
-def next_node(graph, layout, before, node, turns, chance):
-    """Where one who came from node `before` to `node` goes: drawn by `chance` in [0, 1) with the weights of the turns."""
+def street_length(node: np.ndarray, behind: int, ahead: int) -> float:
+    """Return the length of the street between two of the nodes (S, 2), m."""
+    x = node[ahead, 0] - node[behind, 0]
+    y = node[ahead, 1] - node[behind, 1]
+    return length(x, y)
+
+
+@func
+def next_node(
+    graph: Graph,
+    layout: int,
+    before: int,
+    node: int,
+    turns: tuple[float, float, float],
+    chance: float,
+) -> int:
+    """Choose the node that a user goes to from another node.
+
+    Args:
+        graph: Street graphs of all layouts.
+        layout: Index of the layout.
+        before: Node that the user came from.
+        node: Node where the user is.
+        turns: Weights of streets that lead straight on, left and right.
+        chance: Uniform random number in [0, 1).
+
+    Returns:
+        A neighbour other than `before`, drawn by the weights; `before` where there is no other.
+    """
+    # Total weight of the streets that lead on
     total = 0.0
     for ahead in graph.neighbour[layout, node]:
         if ahead != OFF_GRID and ahead != before:
             total += turns[turn(graph.node[layout], before, node, ahead)]
-    left, chosen = chance * total, before
+    # The street in which the share `chance` of it is used up
+    left = chance * total
+    chosen = before
     for ahead in graph.neighbour[layout, node]:
         if ahead != OFF_GRID and ahead != before and left >= 0.0:
             left -= turns[turn(graph.node[layout], before, node, ahead)]
@@ -117,11 +213,26 @@ def next_node(graph, layout, before, node, turns, chance):
 
 
 @func
-def turn(place, before, node, ahead):
-    """Whether a way from `before` by `node` goes on to `ahead` straight (0, up to 45 degrees off), left (1) or right (2)."""
-    x, y = place[node, 0] - place[before, 0], place[node, 1] - place[before, 1]
-    next_x, next_y = place[ahead, 0] - place[node, 0], place[ahead, 1] - place[node, 1]
-    across, on = x * next_y - y * next_x, x * next_x + y * next_y
-    if abs(across) <= on:
-        return 0
-    return 1 if across > 0.0 else 2
+def turn(place: np.ndarray, before: int, node: int, ahead: int) -> int:
+    """Tell how a way from one node to the next goes on to a third.
+
+    Args:
+        place: Positions (S, 2) of nodes, m.
+        before: Node that the way comes from.
+        node: Node that it passes.
+        ahead: Node that it goes on to.
+
+    Returns:
+        `STRAIGHT` (up to 45 degrees off), `LEFT` or `RIGHT`.
+    """
+    # The way before the node, and the way after it
+    x = place[node, 0] - place[before, 0]
+    y = place[node, 1] - place[before, 1]
+    next_x = place[ahead, 0] - place[node, 0]
+    next_y = place[ahead, 1] - place[node, 1]
+    # Components of the latter across and along the former
+    across = x * next_y - y * next_x
+    onward = x * next_x + y * next_y
+    if abs(across) <= onward:
+        return STRAIGHT
+    return LEFT if across > 0.0 else RIGHT

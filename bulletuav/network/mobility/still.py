@@ -7,16 +7,18 @@ import numpy as np
 
 from bulletuav.network.mobility.base import Generators, Mobility, State
 from bulletuav.network.mobility.ground import Ground
+from bulletuav.registry import register
 
 
+@register("mobility")
 @dataclass(frozen=True)
 class Still(Mobility):
-    """Nobody moves; places are uniform over free ground."""
+    """A mobility model where nobody moves; positions are uniform over free ground."""
 
     name: ClassVar[str] = "still"
 
     def start(self, rng: np.random.Generator, ground: Ground, layout: int, count: int) -> State:
-        """At random places."""
+        """Draw random positions, see `Mobility.start`."""
         return {"users": ground.places(rng, layout, count), "user_velocity": np.zeros((count, 2))}
 
     def _move(
@@ -28,4 +30,4 @@ class Still(Mobility):
         dt: float,
         rng: Generators,
     ) -> None:
-        pass
+        """Leave users where they are."""
