@@ -11,7 +11,7 @@ import pytest
 import bulletuav
 from bulletuav.analysis.benchmark import FLOORS
 from bulletuav.cli import main
-from bulletuav.commands.progress import telling
+from bulletuav.commands.progress import show_progress
 from bulletuav.dynamics.ladder import LADDER
 from bulletuav.engine import engine as world
 from bulletuav.engine.c_extension import Extension
@@ -503,7 +503,7 @@ def test_memory_that_runs_out_is_told_in_one_line(capsys, monkeypatch):
 def test_how_far_it_is_is_told_in_lines_where_there_is_no_terminal(capsys, monkeypatch):
     now = iter(range(0, 1000, 4))
     monkeypatch.setattr("bulletuav.commands.progress.time.monotonic", lambda: next(now))
-    with telling("training crossing", 1000, "steps") as tell:
+    with show_progress("training crossing", 1000, "steps") as tell:
         for done in (0, 100, 200, 300, 400, 1000, 1000):
             tell(done)
     assert capsys.readouterr().err.splitlines() == [
@@ -516,8 +516,8 @@ def test_how_far_it_is_is_told_in_lines_where_there_is_no_terminal(capsys, monke
 def test_how_far_it_is_is_a_bar_on_a_terminal():
     """In a pseudo-terminal."""
     mine, theirs = os.openpty()
-    program = "from bulletuav.commands.progress import telling\n"
-    program += "with telling('flying', 3, 'episodes') as tell:\n    [tell(k) for k in range(4)]"
+    program = "from bulletuav.commands.progress import show_progress\n"
+    program += "with show_progress('flying', 3, 'episodes') as tell:\n    [tell(k) for k in range(4)]"
     subprocess.run(
         [sys.executable, "-c", program],
         check=True,
