@@ -13,7 +13,7 @@ from bulletuav.analysis.benchmark import FLOORS
 from bulletuav.cli import main
 from bulletuav.commands.progress import show_progress
 from bulletuav.dynamics.ladder import LADDER
-from bulletuav.engine import engine as world
+from bulletuav.engine import engine
 from bulletuav.engine.c_extension import Extension
 from bulletuav.report import doctor
 
@@ -464,7 +464,7 @@ def test_the_doctor_tells_what_is_missing(monkeypatch, capsys):
     monkeypatch.setattr("bulletuav.commands.doctor.examine", lambda: list(found.values()))
     main(["doctor"])
     assert "[video]'" in "".join(capsys.readouterr().out.split())
-    monkeypatch.setattr(world, "EXTENSION", world.EXTENSION._replace(path="/nowhere.so"))
+    monkeypatch.setattr(engine, "EXTENSION", engine.EXTENSION._replace(path="/nowhere.so"))
     with pytest.warns(UserWarning, match="refused"):
         assert "refuses it" in doctor._extension().remedy
 

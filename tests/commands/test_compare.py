@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-BENCHMARKS = Path(__file__).parent.parent / "benchmarks"
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 
 
 def script(name):
