@@ -15,7 +15,7 @@ from crazyflow.sim import Sim
 
 
 def flight(worlds: int, drones: int, contacts: bool):
-    """Fly first-principles dynamics under the state controller, 24 substeps of 240 Hz a decision."""
+    """Fly first-principles dynamics under the state controller, 24 substeps a decision."""
     sim = Sim(
         n_worlds=worlds,
         n_drones=drones,
