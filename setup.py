@@ -1,4 +1,7 @@
-"""The optional extension, and a clear word where pybullet could not be built; everything else is in setup.cfg."""
+"""Build of the optional C extension, and a plain message where pybullet cannot be built.
+
+Everything else about the package is in setup.cfg.
+"""
 
 import os
 import shutil
@@ -13,25 +16,26 @@ WHEELS_UNTIL = (3, 11)  # the newest Python for which pybullet 3.2.7 has wheels
 
 
 class BuildWithAirframes(build_py):
-    """Copy the top-level `assets/` into the package; an editable install reads them where they are."""
+    """Build that copies the top-level `assets/` into the package.
+
+    An editable install reads them where they are.
+    """
 
     def run(self) -> None:
         """Build, then copy."""
         super().run()
         if not self.editable_mode:
-            shutil.copytree(
-                "assets/urdf",
-                Path(self.build_lib, "bulletuav", "assets", "urdf"),
-                dirs_exist_ok=True,
-            )
+            target = Path(self.build_lib, "bulletuav", "assets", "urdf")
+            shutil.copytree("assets/urdf", target, dirs_exist_ok=True)
 
 
 def lacks_compiler() -> bool:
     """Tell whether pybullet has to be built here and cannot be."""
-    if (
-        sys.version_info[:2] <= WHEELS_UNTIL or sys.platform == "win32"
-    ):  # where setuptools finds its compiler itself
+    has_wheel = sys.version_info[:2] <= WHEELS_UNTIL
+    # On Windows setuptools finds its compiler by itself, not by its name.
+    if has_wheel or sys.platform == "win32":
         return False
+    # A pybullet that was built elsewhere may be there already.
     if list(Path(sysconfig.get_path("platlib")).glob("pybullet*")):
         return False
     compiler = os.environ.get("CXX") or sysconfig.get_config_var("CXX") or "c++"
@@ -39,10 +43,12 @@ def lacks_compiler() -> bool:
 
 
 if lacks_compiler():
+    version = f"{sys.version_info[0]}.{sys.version_info[1]}"
     raise SystemExit(
-        f"bulletuav needs pybullet, which has no wheel for Python {sys.version_info[0]}.{sys.version_info[1]}: "
+        f"bulletuav needs pybullet, which has no wheel for Python {version}: "
         "building it takes a C++ compiler, and there is none. "
-        "Install one (on Debian or Ubuntu: apt-get install g++), or a pybullet built elsewhere first, or use Python 3.11."
+        "Install one (on Debian or Ubuntu: apt-get install g++), or a pybullet built elsewhere "
+        "first, or use Python 3.11."
     )
 setup(
     ext_modules=[

@@ -1,35 +1,42 @@
-"""Cities: rays beside the engine's own, and `lidar_navigation` beside urbanmarl; per CPU-second, medians.
+"""Measure cities: rays beside the engine's own, and `lidar_navigation` beside urbanmarl.
 
     python benchmarks/cities.py --out out/cities
 
-As compare.py measures: each simulator in a process and an environment of its own, one thread each, in turn with bulletuav.
-Writes cities.md and cities.csv.
+Rates are per CPU-second, medians. As in compare.py each simulator runs in a process and an
+environment of its own, with one thread, in turn with bulletuav. Writes cities.md and cities.csv.
 """
 
 import sys
 from collections.abc import Sequence
 
-from compare import Comparison, Row, Server, install, make_parser, measure_all, parse, report
+from compare import Comparison, Row, make_parser, measure_all, parse, report
+from simulators import Server, install
 
-PEER, FLOOR = "urbanmarl", "the floor"
+PEER = "urbanmarl"
+FLOOR = "the floor"
 BUILDINGS = (100, 400, 2500)
 WORLDS = (1, 64, 256)
 STEPS = "environment steps/s"
 GOAL = 10.0  # times as fast as the peer
-BEAMS, BLIND, ALONE = "beams, 256", "blind, 256", "48 rays in C, 256"
+# Cases of peers/serve_bulletuav.py, of which a decision's cost is told.
+BEAMS = "beams, 256"
+BLIND = "blind, 256"
+ALONE = "48 rays in C, 256"
 
 
 def comparisons() -> list[Comparison]:
-    """Rays, the cost of a decision, and the peer; those of one size follow each other, as what was built is kept."""
+    """List the comparisons: rays, the cost of a decision, and the peer.
+
+    Those of one size follow each other, as a server keeps what it built for the last case.
+    """
     rows = []
     for count in BUILDINGS:
+        title = f"rays of 60 m, {count} buildings"
+        ours = f"rays, bulletuav, {count}"
         for how in ("C", "pybullet"):
-            title, ours = f"rays of 60 m, {count} buildings", f"rays, bulletuav, {count}"
             rows.append(Comparison(title, ours, FLOOR, f"rays, {how}, {count}", "rays/s"))
-    rows += [
-        Comparison("decision with 16 beams, W = 256", BEAMS, FLOOR, ALONE, STEPS),
-        Comparison("decision with 16 beams, W = 256", BEAMS, FLOOR, BLIND, STEPS),
-    ]
+    for theirs in (ALONE, BLIND):
+        rows.append(Comparison("decision with 16 beams, W = 256", BEAMS, FLOOR, theirs, STEPS))
     for worlds in WORLDS:
         theirs = f"lidar_navigation, {worlds}"
         for title, case in (
@@ -37,24 +44,24 @@ def comparisons() -> list[Comparison]:
             ("decisions of 0.1 s in 24 substeps", "city at 240 Hz"),
             ("steps of 1 s, their ends and volume", "city by the second"),
         ):
-            rows.append(
-                Comparison(f"{title}, W = {worlds}", f"{case}, {worlds}", PEER, theirs, STEPS, GOAL)
-            )
+            ours = f"{case}, {worlds}"
+            rows.append(Comparison(f"{title}, W = {worlds}", ours, PEER, theirs, STEPS, GOAL))
     rows.append(Comparison("bullet, W = 256", "city in the engine, 256", PEER, theirs, STEPS))
     return rows
 
 
 def costs(rows: list[Row]) -> list[str]:
-    """What a decision takes, in words."""
-    of = {row.against: row for row in rows}
-    alone, blind = (of.get(f"{FLOOR} ({case})") for case in (ALONE, BLIND))
+    """Tell in words what a decision costs, if it was measured."""
+    by_case = {row.against: row for row in rows}
+    alone = by_case.get(f"{FLOOR} ({ALONE})")
+    blind = by_case.get(f"{FLOOR} ({BLIND})")
     if alone is None or blind is None:
         return []
-    as_int, without, rays = (1e6 / rate for rate in (blind.ours, blind.theirs, alone.theirs))
+    with_beams, without, rays = (1e6 / rate for rate in (blind.ours, blind.theirs, alone.theirs))
     return [
         "",
-        f"A decision of 256 worlds of 3 hovering drones: {as_int:.3g} us an environment step with 16 beams, {without:.3g} us "
-        f"without; its 48 rays alone {rays:.3g} us.",
+        f"A decision of 256 worlds of 3 hovering drones: {with_beams:.3g} us an environment step "
+        f"with 16 beams, {without:.3g} us without; its 48 rays alone {rays:.3g} us.",
     ]
 
 

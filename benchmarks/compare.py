@@ -1,16 +1,14 @@
-"""bulletuav beside its peers, and beside its own floor: one interleaved run, per CPU-second, single-threaded, medians.
+"""Measure bulletuav beside its peers and its own floor: per CPU-second, one thread, medians.
 
     python benchmarks/compare.py --out out/benchmark [--gym-pybullet-drones CHECKOUT]
 
-Each simulator runs in a process and an environment of its own (made on the first run below `--environments`); a measurement
-of bulletuav and the one it is compared with follow each other, `--rounds` times. Writes benchmark.md, .csv and .png.
+Each simulator runs in a process and an environment of its own. Environments are made on the first
+run, below `--environments`. A measurement of bulletuav and one of its peer follow each other,
+`--rounds` times. Writes benchmark.md, benchmark.csv and benchmark.png.
 """
 
 import argparse
-import contextlib
 import csv
-import json
-import os
 import statistics
 import subprocess
 import sys
@@ -23,44 +21,30 @@ from typing import NamedTuple
 import matplotlib
 from rich.console import Console
 from rich.progress import Progress
+from simulators import Server, install, single_thread_variables
 
 matplotlib.use("Agg")
 from matplotlib import pyplot
 
 import bulletuav
 
-HERE = Path(__file__).parent
 ALWAYS = ("PyFlyt", "crazyflow", "VMAS")
-PACKAGES = {
-    "PyFlyt": ["PyFlyt==0.29.0"],
-    "crazyflow": ["crazyflow==0.4.0"],
-    "VMAS": ["torch==2.13.0", "vmas==1.5.2"],
-    "gym-pybullet-drones": [
-        "pybullet==3.2.7",
-        "numpy==1.26.4",
-        "gymnasium==1.2.2",
-        "scipy",
-        "matplotlib",
-        "transforms3d",
-        "pillow",
-        "setuptools<81",
-    ],
-    "urbanmarl": ["torch==2.13.0", "torchrl==0.14.1", "matplotlib"],
-}
-ALONE = {
-    "urbanmarl": ["urbanmarl==0.3.1"]
-}  # without what they ask for: there are no versions of it that go together
-SINGLE_THREAD = {
-    "OMP_NUM_THREADS": "1",
-    "OPENBLAS_NUM_THREADS": "1",
-    "JAX_PLATFORMS": "cpu",
-    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
-}
-REAL_TIME_1000 = 1000 * 240  # drone-substeps a second
+"""Peers that are installed from the package registry"""
+REAL_TIME_1000 = 1000 * 240
+"""Drone-substeps a second of 1,000 drones in real time"""
 
 
 class Comparison(NamedTuple):
-    """A case of bulletuav beside one of a peer; `unit` of both rates, `goal` of their ratio, if there is one."""
+    """A case of bulletuav beside one of a peer.
+
+    Attributes:
+        title: What is compared.
+        ours: Name of the case in peers/serve_bulletuav.py.
+        peer: The other simulator, or what else sets the pace.
+        theirs: Name of the case in the peer's script; empty where nothing is measured.
+        unit: Unit of both rates.
+        goal: The least ratio that is aimed at, if there is one.
+    """
 
     title: str
     ours: str
@@ -148,51 +132,18 @@ COMPARISONS = [
 ]
 
 
-class Server:
-    """A simulator in a process of its own; see peers/serve.py."""
-
-    def __init__(self, python: Path | str, script: str, *arguments: str):
-        command = [str(python), str(HERE / "peers" / script), *arguments]
-        self._words = tempfile.TemporaryFile("w+")  # noqa: SIM115, closed with the process
-        self._process = subprocess.Popen(
-            command,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=self._words,
-            text=True,
-            env=_environment(),
-            cwd=tempfile.gettempdir(),  # some leave logs where they run
-        )
-
-    def rate(self, case: str, seconds: float) -> float:
-        """Raises RuntimeError with the simulator's own words when it fails."""
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        with contextlib.suppress(BrokenPipeError):  # from an ended process no answer comes either
-            self._process.stdin.write(json.dumps({"case": case, "seconds": seconds}) + "\n")
-            self._process.stdin.flush()
-        line = self._process.stdout.readline()
-        answer = json.loads(line) if line else {"error": self._last_words()}
-        if "error" in answer:
-            raise RuntimeError(f"{case}: {answer['error']}")
-        return answer["rate"]
-
-    def _last_words(self) -> str:
-        code = self._process.wait()
-        self._words.seek(0)
-        said = self._words.read().strip().splitlines()
-        return f"its process ended with code {code}" + (f": {said[-1]}" if said else "")
-
-    def close(self) -> None:
-        """End the process."""
-        self._words.close()
-        self._process.kill()
-        with contextlib.suppress(BrokenPipeError):
-            self._process.communicate()
-
-
 class Row(NamedTuple):
-    """One line of the result: medians, and the median ratio."""
+    """One line of the result.
+
+    Attributes:
+        title: What is compared.
+        against: The peer and its case.
+        unit: Unit of both rates.
+        ours: Median rate of bulletuav.
+        theirs: Median rate of the peer.
+        ratio: Median of the ratios of the rounds.
+        goal: The least ratio that is aimed at, if there is one.
+    """
 
     title: str
     against: str
@@ -204,77 +155,78 @@ class Row(NamedTuple):
 
     @property
     def reached(self) -> bool | None:
-        """Whether the ratio is at its goal."""
+        """Whether the ratio is at its goal; None where there is no goal."""
         return None if self.goal is None else self.ratio >= self.goal
 
 
-def _environment(**more: str) -> dict[str, str]:
-    return {**os.environ, **SINGLE_THREAD, **more}
-
-
-def install(peer: str, folder: Path) -> Path:
-    """The Python of the peer's environment, made where there is none."""
-    python = folder / peer / "bin" / "python"
-    done = folder / peer / "packages.txt"
-    wanted = "\n".join(PACKAGES[peer] + ALONE.get(peer, []))
-    if not done.exists() or done.read_text() != wanted:
-        subprocess.run([sys.executable, "-m", "venv", folder / peer], check=True)
-        subprocess.run([python, "-m", "pip", "install", "-q", *PACKAGES[peer]], check=True)
-        if peer in ALONE:
-            subprocess.run(
-                [python, "-m", "pip", "install", "-q", "--no-deps", *ALONE[peer]], check=True
-            )
-        done.write_text(wanted)
-    return python
-
-
 def _servers(names: Sequence[str], folder: Path, checkout: Path | None) -> dict[str, Server]:
-    """Those of the peers asked for, and two of bulletuav (one of them to be its own floor)."""
-    servers = {"bulletuav": Server(sys.executable, "serve_bulletuav.py")}
-    servers["the floor in C"] = Server(sys.executable, "serve_bulletuav.py")
+    """Start the peers asked for, and bulletuav twice, the second time to be its own floor."""
+    servers = {
+        "bulletuav": Server(sys.executable, "serve_bulletuav.py"),
+        "the floor in C": Server(sys.executable, "serve_bulletuav.py"),
+    }
     for name in names:
         script = f"serve_{name.lower().replace('-', '_')}.py"
-        servers[name] = Server(
-            install(name, folder),
-            script,
-            *([str(checkout)] if name == "gym-pybullet-drones" else []),
-        )
+        arguments = [str(checkout)] if name == "gym-pybullet-drones" else []
+        servers[name] = Server(install(name, folder), script, *arguments)
     return servers
 
 
 def measure(comparison: Comparison, servers: dict[str, Server], rounds: int, seconds: float) -> Row:
-    """Both sides in turn, `rounds` times."""
+    """Measure both sides in turn.
+
+    Args:
+        comparison: What to compare.
+        servers: Simulators by name; a peer that is not among them is real time.
+        rounds: How often each side is measured.
+        seconds: CPU time of one measurement.
+    """
     ours, theirs = [], []
+    against = servers.get(comparison.peer)
     for _ in range(rounds):
         ours.append(servers["bulletuav"].rate(comparison.ours, seconds))
-        against = servers.get(comparison.peer)
-        theirs.append(
-            against.rate(comparison.theirs, seconds) if against else float(REAL_TIME_1000)
-        )
-    ratio = statistics.median(a / b for a, b in zip(ours, theirs, strict=True))
+        if against is None:
+            theirs.append(float(REAL_TIME_1000))
+        else:
+            theirs.append(against.rate(comparison.theirs, seconds))
+    ratios = [our / their for our, their in zip(ours, theirs, strict=True)]
+    case = f" ({comparison.theirs})" if comparison.theirs else ""
     return Row(
-        comparison.title,
-        f"{comparison.peer} ({comparison.theirs})" if comparison.theirs else comparison.peer,
-        comparison.unit,
-        statistics.median(ours),
-        statistics.median(theirs),
-        ratio,
-        comparison.goal,
+        title=comparison.title,
+        against=comparison.peer + case,
+        unit=comparison.unit,
+        ours=statistics.median(ours),
+        theirs=statistics.median(theirs),
+        ratio=statistics.median(ratios),
+        goal=comparison.goal,
     )
 
 
 def starts(rounds: int) -> dict[str, float]:
-    """Seconds from nothing to the first step of `hover`, with warm and with cold caches of compiled kernels."""
-    program = "import bulletuav\nenv = bulletuav.Aviary('hover')\nenv.reset(seeds=0)\nenv.step([[[0] * 4]])"
+    """Measure how long a process takes from its start to the first step of `hover`.
+
+    Args:
+        rounds: How often it is measured with a warm cache; with a cold one it is once.
+
+    Returns:
+        Medians in s, with "cold" and with "warm" caches of compiled kernels.
+    """
+    program = """
+import bulletuav
+env = bulletuav.Aviary('hover')
+env.reset(seeds=0)
+env.step([[[0] * 4]])
+"""
     result = {}
     with tempfile.TemporaryDirectory() as folder:
+        # The first process fills the cache that the others find.
+        variables = single_thread_variables(NUMBA_CACHE_DIR=folder)
         for name, count in (("cold", 1), ("warm", rounds)):
             times = []
             for _ in range(count):
                 begin = time.perf_counter()
-                environment = _environment(NUMBA_CACHE_DIR=folder)
                 subprocess.run(
-                    [sys.executable, "-c", program], check=True, env=environment, cwd=folder
+                    [sys.executable, "-c", program], check=True, env=variables, cwd=folder
                 )
                 times.append(time.perf_counter() - begin)
             result[name] = statistics.median(times)
@@ -282,7 +234,7 @@ def starts(rounds: int) -> dict[str, float]:
 
 
 def write_csv(rows: list[Row], path: Path) -> None:
-    """The numbers."""
+    """Write the numbers of all rows."""
     with open(path, "w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow([*Row._fields, "reached"])
@@ -290,41 +242,49 @@ def write_csv(rows: list[Row], path: Path) -> None:
 
 
 def table(rows: list[Row]) -> list[str]:
-    """Lines of Markdown."""
+    """Lay out the rows as lines of Markdown."""
     lines = [
-        f"bulletuav {bulletuav.__version__}. Rates per CPU-second, one thread; ratio: median over interleaved rounds.",
+        f"bulletuav {bulletuav.__version__}. Rates per CPU-second, one thread; "
+        "ratio: median over interleaved rounds.",
         "",
         "| case | against | unit | bulletuav | the other | ratio | goal |",
         "|---|---|---|---|---|---|---|",
     ]
     for row in rows:
         goal = "" if row.goal is None else f"{row.goal:.3g} x "
-        lines.append(
-            f"| {row.title} | {row.against} | {row.unit} | {row.ours:.3g} | {row.theirs:.3g} | {row.ratio:.3g} x | {goal}|"
-        )
+        rates = f"{row.ours:.3g} | {row.theirs:.3g} | {row.ratio:.3g} x"
+        lines.append(f"| {row.title} | {row.against} | {row.unit} | {rates} | {goal}|")
     return lines
 
 
-def report(rows: list[Row], words: list[str], out: Path, name: str) -> None:
-    """The table with `words` below it, in `name`.md and printed; the numbers in `name`.csv."""
+def report(rows: list[Row], notes: list[str], out: Path, name: str) -> None:
+    """Write and print the results.
+
+    Args:
+        rows: The results.
+        notes: Lines of Markdown below the table.
+        out: Folder for the files; it is made if it is not there.
+        name: Of the files: `name`.md, which is printed, too, and `name`.csv.
+    """
     out.mkdir(parents=True, exist_ok=True)
     write_csv(rows, out / f"{name}.csv")
-    text = "\n".join([*table(rows), *words]) + "\n"
+    text = "\n".join([*table(rows), *notes]) + "\n"
     (out / f"{name}.md").write_text(text)
     sys.stdout.write(text)
 
 
 def write(rows: list[Row], started: dict[str, float], out: Path) -> None:
-    """benchmark.md, also printed, .csv and .png."""
-    words = (
-        f"Import and first step: {started['warm']:.1f} s with warm caches (goal 2), {started['cold']:.1f} s with cold ones "
-        "(goal 20)."
+    """Write benchmark.md, which is printed, too, benchmark.csv and benchmark.png."""
+    note = (
+        f"Import and first step: {started['warm']:.1f} s with warm caches (goal 2), "
+        f"{started['cold']:.1f} s with cold ones (goal 20)."
     )
-    report(rows, ["", words], out, "benchmark")
+    report(rows, ["", note], out, "benchmark")
     _plot(rows, out / "benchmark.png")
 
 
 def _plot(rows: list[Row], path: Path) -> None:
+    """Draw the ratios as bars, blue where the goal is reached, with the goals as black lines."""
     figure, axes = pyplot.subplots(figsize=(9, 0.45 * len(rows) + 1.2), layout="constrained")
     for place, row in enumerate(rows):
         axes.barh(place, row.ratio, color="#1b6ca8" if row.reached else "#c8553d", height=0.6)
@@ -345,15 +305,17 @@ def _plot(rows: list[Row], path: Path) -> None:
 def measure_all(
     comparisons: Sequence[Comparison], servers: dict[str, Server], rounds: int, seconds: float
 ) -> list[Row]:
-    """Those that do not fail, with progress shown; closes the servers."""
-    console, rows = Console(stderr=True), []
+    """Make all comparisons with progress shown, leave out those that fail, close the servers."""
+    console = Console(stderr=True)
+    rows = []
     try:
         with Progress(console=console) as progress:
-            for one in progress.track(comparisons, description="measuring"):
+            for comparison in progress.track(comparisons, description="measuring"):
                 try:
-                    rows.append(measure(one, servers, rounds, seconds))
+                    rows.append(measure(comparison, servers, rounds, seconds))
                 except RuntimeError as error:
-                    console.print(f"{one.title} against {one.peer} left out: {error}")
+                    case = f"{comparison.title} against {comparison.peer}"
+                    console.print(f"{case} left out: {error}")
     finally:
         for server in servers.values():
             server.close()
@@ -361,31 +323,35 @@ def measure_all(
 
 
 def make_parser(description: str | None, out: str) -> argparse.ArgumentParser:
-    """The options that benchmarks against peers share."""
+    """Make a parser with the options that benchmarks against peers share."""
     parser = argparse.ArgumentParser(
         description=description, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    add = parser.add_argument
-    add("--out", type=Path, default=Path(out), metavar="DIR", help=f"folder for the files ({out})")
+    parser.add_argument(
+        "--out", type=Path, default=Path(out), metavar="DIR", help=f"folder for the files ({out})"
+    )
     environments = Path.home() / ".cache" / "bulletuav-peers"
-    add(
+    parser.add_argument(
         "--environments",
         type=Path,
         default=environments,
         metavar="DIR",
-        help=f"where they are installed ({environments})",
+        help=f"folder where peers are installed ({environments})",
     )
-    add("--rounds", type=int, default=5, help="measurements of each case (5)")
-    add("--seconds", type=float, default=1.0, help="CPU time of one measurement (1.0)")
+    parser.add_argument("--rounds", type=int, default=5, help="measurements of each case (5)")
+    parser.add_argument(
+        "--seconds", type=float, default=1.0, help="CPU time of one measurement (1.0)"
+    )
     return parser
 
 
 def parse(parser: argparse.ArgumentParser, argv: Sequence[str] | None) -> argparse.Namespace:
-    """The arguments, those of `make_parser` checked."""
+    """Parse arguments, and check those of `make_parser`."""
     arguments = parser.parse_args(argv)
     if arguments.rounds < 1 or not arguments.seconds > 0:
         parser.error(
-            f"--rounds {arguments.rounds}, --seconds {arguments.seconds:g}: numbers above 0 are needed"
+            f"--rounds {arguments.rounds}, --seconds {arguments.seconds:g}: "
+            "numbers above 0 are needed"
         )
     return arguments
 
@@ -393,29 +359,37 @@ def parse(parser: argparse.ArgumentParser, argv: Sequence[str] | None) -> argpar
 def main(argv: Sequence[str] | None = None) -> None:
     """Measure, write, print."""
     parser = make_parser(__doc__, "out/benchmark")
-    add = parser.add_argument
-    add(
+    parser.add_argument(
         "--gym-pybullet-drones",
         type=Path,
         metavar="CHECKOUT",
-        help="folder of its sources; left out without",
+        help="folder of its sources; without it this peer is left out",
     )
-    add(
+    parser.add_argument(
         "--peers",
         nargs="*",
         default=list(ALWAYS),
         choices=ALWAYS,
-        help="which of them (all); none when none is named",
+        help="which peers (all); none when none is named",
     )
     arguments = parse(parser, argv)
     checkout = arguments.gym_pybullet_drones
     if checkout is not None and not (checkout / "gym_pybullet_drones").is_dir():
         parser.error(
-            f"{checkout} is no checkout of gym-pybullet-drones: it has no folder gym_pybullet_drones"
+            f"{checkout} is no checkout of gym-pybullet-drones: "
+            "it has no folder gym_pybullet_drones"
         )
-    names = [*arguments.peers, *([] if checkout is None else ["gym-pybullet-drones"])]
-    servers = _servers(names, arguments.environments, checkout and checkout.resolve())
-    comparisons = [one for one in COMPARISONS if one.peer in servers or not one.theirs]
+    names = list(arguments.peers)
+    if checkout is not None:
+        names.append("gym-pybullet-drones")
+        checkout = checkout.resolve()
+    servers = _servers(names, arguments.environments, checkout)
+    # Comparisons with real time have no peer to be there.
+    comparisons = [
+        comparison
+        for comparison in COMPARISONS
+        if comparison.peer in servers or not comparison.theirs
+    ]
     rows = measure_all(comparisons, servers, arguments.rounds, arguments.seconds)
     write(rows, starts(arguments.rounds), arguments.out)
 

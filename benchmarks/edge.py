@@ -1,8 +1,9 @@
-"""Edge computing: `mec` beside urbanmarl; environment steps per CPU-second, resets included, medians.
+"""Measure edge computing: `mec` beside urbanmarl.
 
     python benchmarks/edge.py --out out/edge
 
-As compare.py measures: each simulator in a process and an environment of its own, one thread each, in turn with bulletuav.
+Rates are environment steps per CPU-second, resets included, medians. As in compare.py each
+simulator runs in a process and an environment of its own, with one thread, in turn with bulletuav.
 Writes edge.md and edge.csv.
 """
 
@@ -10,18 +11,21 @@ import sys
 from collections.abc import Sequence
 
 from cities import GOAL, PEER, STEPS, WORLDS
-from compare import Comparison, Server, install, make_parser, measure_all, parse, report
+from compare import Comparison, make_parser, measure_all, parse, report
+from simulators import Server, install
 
 
 def comparisons() -> list[Comparison]:
-    """Those of one number of worlds follow each other, as what the peer built is kept."""
+    """List the comparisons.
+
+    Those of one number of worlds follow each other, as the peer keeps what it built for them.
+    """
     rows = []
     for worlds in WORLDS:
         theirs = f"mec, {worlds}"
         for title, case in (("mec", "mec"), ("their sizes and formulas", "mec as urbanmarl")):
-            rows.append(
-                Comparison(f"{title}, W = {worlds}", f"{case}, {worlds}", PEER, theirs, STEPS, GOAL)
-            )
+            ours = f"{case}, {worlds}"
+            rows.append(Comparison(f"{title}, W = {worlds}", ours, PEER, theirs, STEPS, GOAL))
     rows.append(Comparison("bullet, W = 256", "mec in the engine, 256", PEER, theirs, STEPS))
     return rows
 

@@ -1,7 +1,9 @@
-"""Put the best run of each task into the package: `python benchmarks/ship.py docs/learning`, after `bulletuav train --all`.
+"""Put the best run of each task into the package, after `bulletuav train --all --out FOLDER`.
 
-Best is the seed with the largest return in episodes that neither a curve nor a table shows: the few of a curve's last point
-would take luck for skill.
+    python benchmarks/ship.py FOLDER
+
+The best run is the seed with the largest return in new episodes, which neither a curve nor a table
+shows. The few episodes of a curve's last point would take luck for skill.
 """
 
 import argparse
@@ -15,51 +17,74 @@ from bulletuav.analysis.evaluation import evaluate
 from bulletuav.policies.run import CHECKPOINTS, CONFIG, POLICY, SHIPPED, RunConfig, shipped_tasks
 from bulletuav.training.trainer import EVALUATION_SEED
 
-SEED = 2 * EVALUATION_SEED  # of the first episode that decides
+SEED = 2 * EVALUATION_SEED
+"""Seed of the first episode that decides"""
 
 
 def outcome(run: Path, episodes: int) -> float:
-    """Return of a run's policy, which is to have finished its training, as it was evaluated on the way."""
+    """Evaluate the policy of a run with the settings of the evaluations during its training.
+
+    Args:
+        run: Folder of the run.
+        episodes: How many to fly.
+
+    Returns:
+        The mean return.
+
+    Raises:
+        SystemExit: The training is not finished.
+    """
     config = RunConfig.read(run / CONFIG)
     with (run / "curve.csv").open(newline="") as file:
         last = list(csv.DictReader(file))[-1]
     if int(last["steps"]) < config.steps:
         raise SystemExit(f"{run} is not finished: train it on first")
-    return evaluate(config.task, run, episodes, SEED, **config.evaluated).estimates()["return"].mean
+    result = evaluate(config.task, run, episodes, SEED, **config.evaluated)
+    return result.estimates()["return"].mean
+
+
+def find_runs(folder: Path, task: str) -> dict[int, Path]:
+    """Find the runs of a task by their seeds, and check that they have the package's settings."""
+    runs = {int(run.name): run for run in (folder / "runs" / task).glob("[0-9]*")}
+    if not runs:
+        raise SystemExit(f"{folder} holds no run of {task}: train all first")
+    config = RunConfig.read(SHIPPED / task / CONFIG)
+    for seed, run in runs.items():
+        if RunConfig.read(run / CONFIG).text() != dataclasses.replace(config, seed=seed).text():
+            raise SystemExit(f"{run} is of other settings than the package's: train it again")
+    return runs
+
+
+def ship(run: Path, seed: int, place: Path) -> None:
+    """Copy what a run learned, and what it began with, and note its seed."""
+    for name in (POLICY, f"{CHECKPOINTS}/000/{POLICY}"):
+        (place / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(run / name, place / name)
+    # Only the line of the seed changes, so that comments in the file stay.
+    settings = (place / CONFIG).read_text()
+    changed = re.sub(r"^seed: \d+$", f"seed: {seed}", settings, flags=re.MULTILINE)
+    (place / CONFIG).write_text(changed)
 
 
 def main() -> None:
-    """Ship what there is."""
+    """Ship the best run of each task."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("folder", type=Path, help="of `bulletuav train --all --out`")
-    parser.add_argument("--episodes", type=int, default=200, help="of each run (default: 200)")
-    given = parser.parse_args()
+    parser.add_argument("folder", type=Path, help="folder of `bulletuav train --all --out`")
+    parser.add_argument(
+        "--episodes", type=int, default=200, help="episodes of each run (default: 200)"
+    )
+    arguments = parser.parse_args()
     for task in shipped_tasks():
-        runs = {int(run.name): run for run in (given.folder / "runs" / task).glob("[0-9]*")}
-        if not runs:
-            raise SystemExit(f"{given.folder} holds no run of {task}: train all first")
-        config, place = RunConfig.read(SHIPPED / task / CONFIG), SHIPPED / task
-        for seed, run in runs.items():
-            if RunConfig.read(run / CONFIG).text() != dataclasses.replace(config, seed=seed).text():
-                raise SystemExit(f"{run} is of other settings than the package's: train it again")
-        found = {seed: outcome(run, given.episodes) for seed, run in sorted(runs.items())}
-        seed = max(found, key=found.__getitem__)
-        for name in (
-            POLICY,
-            f"{CHECKPOINTS}/000/{POLICY}",
-        ):  # what it learned, and what it began with
-            (place / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(runs[seed] / name, place / name)
-        told = (place / CONFIG).read_text()
-        (place / CONFIG).write_text(
-            re.sub(r"^seed: \d+$", f"seed: {seed}", told, flags=re.MULTILINE)
-        )
-        returns = ", ".join(f"{value:.2f}" for value in found.values())
-        print(
-            f"{task}: seed {seed} (return {returns}), {(place / POLICY).stat().st_size / 1e3:.0f} kB"
-        )
+        runs = find_runs(arguments.folder, task)
+        returns = {seed: outcome(run, arguments.episodes) for seed, run in sorted(runs.items())}
+        seed = max(returns, key=returns.__getitem__)
+        place = SHIPPED / task
+        ship(runs[seed], seed, place)
+        told = ", ".join(f"{value:.2f}" for value in returns.values())
+        size = (place / POLICY).stat().st_size / 1e3
+        print(f"{task}: seed {seed} (return {told}), {size:.0f} kB")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""`python -m bulletuav` is the command `bulletuav`."""
+"""Entry point of `python -m bulletuav`, which is the same as the command `bulletuav`."""
 
 from bulletuav.cli import main
 

@@ -1,4 +1,7 @@
-"""The command line: `bulletuav fly`, `tasks`, `city`, `evaluate`, `compare`, `train`, `benchmark`, `doctor`."""
+"""Command line `bulletuav`: finds the command, runs it, and turns errors into one line.
+
+Its commands are `tasks`, `fly`, `city`, `evaluate`, `compare`, `train`, `benchmark` and `doctor`.
+"""
 
 import argparse
 import difflib
@@ -25,19 +28,25 @@ COMMANDS: dict[str, ModuleType] = {
 
 
 class _Parser(argparse.ArgumentParser):
-    """Errors in one line, exit code 2, with the nearest option for a misspelt one."""
+    """Parser whose errors are one line on standard error and exit code 2."""
 
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"{self.prog}: error: {message} (see {self.prog} --help)\n")
 
 
 def _parser() -> tuple[_Parser, dict[str, _Parser]]:
+    """Build the parser of the command line, and those of its commands by name."""
     parser = _Parser(
-        prog="bulletuav", description="A drone-swarm gym on PyBullet.", allow_abbrev=False
+        prog="bulletuav",
+        description="A drone-swarm gym on PyBullet.",
+        allow_abbrev=False,
     )
     parser.add_argument("--version", action="version", version=f"bulletuav {__version__}")
     adder = parser.add_subparsers(
-        dest="command", required=True, metavar="COMMAND", parser_class=_Parser
+        dest="command",
+        required=True,
+        metavar="COMMAND",
+        parser_class=_Parser,
     )
     commands = {}
     for name, command in COMMANDS.items():
@@ -53,36 +62,48 @@ def _parser() -> tuple[_Parser, dict[str, _Parser]]:
 
 def _check_known(rest: list[str], parser: argparse.ArgumentParser) -> None:
     """Complain about the first argument that no option took."""
-    if rest:
-        known = [option for action in parser._actions for option in action.option_strings]
-        near = difflib.get_close_matches(rest[0].split("=")[0], known, n=1)
-        hint = (
-            f"did you mean {near[0]}?"
-            if near
-            else "options without an argument of their own go by --set NAME=VALUE"
-        )
-        parser.error(
-            f"unknown argument {rest[0]}: {hint if near or '--set' in known else 'there is none of that name'}"
-        )
+    if not rest:
+        return
+    known = [option for action in parser._actions for option in action.option_strings]
+    near = difflib.get_close_matches(rest[0].split("=")[0], known, n=1)
+    if near:
+        hint = f"did you mean {near[0]}?"
+    elif "--set" in known:
+        hint = "options without an argument of their own go by --set NAME=VALUE"
+    else:
+        hint = "there is none of that name"
+    parser.error(f"unknown argument {rest[0]}: {hint}")
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    """Entry point. Bad input ends in one line on standard error and exit code 2."""
+    """Run the command line.
+
+    Args:
+        argv: Words after `bulletuav`; those of the process when left out.
+
+    Raises:
+        SystemExit: With code 2 after one line on standard error, for bad input; 130 after an
+            interrupt; 128 + SIGPIPE where the reader of the output has gone.
+    """
+    # Unknown arguments are collected, not refused, so that the message can name the nearest.
     parser, commands = _parser()
     arguments, rest = parser.parse_known_args(argv)
     command = commands[arguments.command]
     _check_known(rest, command)
     try:
         COMMANDS[arguments.command].run(arguments)
+        # A closed pipe is to be noticed here, not when Python ends.
         sys.stdout.flush()
-    except BrokenPipeError:  # `bulletuav tasks mec | head` has seen enough
+    except BrokenPipeError:
+        # The reader has seen enough, as in `bulletuav tasks mec | head`. What Python flushes
+        # at its end goes nowhere, so that it does not complain again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(128 + signal.SIGPIPE)
     except MemoryError as error:
-        command.error(
-            f"memory ran out ({error or 'no figures told'}): ask for fewer worlds, drones, users or workers"
-        )
+        figures = error or "no figures told"
+        command.error(f"memory ran out ({figures}): ask for fewer worlds, drones, users or workers")
     except (ValueError, OSError, RuntimeError, ImportError) as error:
+        # These are the errors of bad input; others are bugs and keep their traceback.
         command.error(" ".join(str(error).split()))
     except KeyboardInterrupt:
         sys.exit(130)

@@ -1,12 +1,19 @@
-"""From four drones that cross to eight with noisy positions: difficulty follows success.
+"""Train with a curriculum: from four drones that cross to eight with noisy positions.
 
-One sees a line for every stage that is reached (or given up again), and regularly between: decisions so far, stage, and the
-share of the last episodes' drones that came to their goals without conflict, which decides. One network flies all stages, as
-it observes the nearest three drones. With seed 0 the last stage begins after 1.7 million decisions, and in the end from 0.93
-(stage 0) to 0.99 (stage 3) of the drones succeed in `bullet`. Takes about 2 minutes on one core.
+The stage follows the success of the last episodes: up when 80 % of their drones came to their
+goals without conflict, down below 20 %. Prints a line for every change of stage. Between these it
+prints regularly the decisions so far, the stage and the success. One network flies all stages, as
+it observes the nearest three drones.
+
+With seed 0 the last stage begins after 1.7 million decisions. In the end from 0.93 (stage 0) to
+0.99 (stage 3) of the drones succeed in `bullet`.
+
+Run it:
 
     python examples/curriculum.py
     python examples/curriculum.py --steps 500000 --seed 1 --out stages
+
+Takes about 2 minutes on one core. Needs the extra `sb3`.
 """
 
 import argparse
@@ -21,13 +28,15 @@ import bulletuav
 from bulletuav.adapters.sb3 import DroneVecEnv, LivingRollouts, Symlog
 from bulletuav.envs.curriculum import Curriculum
 
-COMMON = {"conflict_ends": "drone", "randomization": {}}  # who conflicts does not succeed
+# A drone with a conflict leaves, and so does not succeed.
+COMMON = {"conflict_ends": "drone", "randomization": {}}
 STAGES = [
     {"num_drones": 4},
     {"num_drones": 6},
     {"num_drones": 8},
     {"num_drones": 8, "randomization": {"gps_noise": (0.5, 1.5)}},
 ]
+# Smaller than the task's own weights, as networks like returns of the order of 1.
 WEIGHTS = {
     "progress": 0.05,
     "goal": 2.0,
@@ -41,33 +50,34 @@ WEIGHTS = {
 
 
 class Report(BaseCallback):
-    """A line at each change of stage and every 20 rollouts."""
+    """Callback that prints a line at each change of stage and every 20 rollouts."""
 
     def __init__(self, curriculum: Curriculum):
         super().__init__()
-        self.curriculum, self.stage, self.rollouts = curriculum, 0, 0
+        self.curriculum = curriculum
+        self.stage = 0
+        self.rollouts = 0
 
     def _on_step(self) -> bool:
-        if self.curriculum.stage != self.stage:
-            where = "up" if self.curriculum.stage > self.stage else "down"
-            print(
-                f"{self.num_timesteps:9,} decisions: {where} to stage {self.curriculum.stage}",
-                flush=True,
-            )
-            self.stage = self.curriculum.stage
+        stage = self.curriculum.stage
+        if stage != self.stage:
+            direction = "up" if stage > self.stage else "down"
+            print(f"{self.num_timesteps:9,} decisions: {direction} to stage {stage}", flush=True)
+            self.stage = stage
         return True
 
     def _on_rollout_end(self) -> None:
         self.rollouts += 1
         if self.rollouts % 20 == 0:
-            rate = self.curriculum.success_rate
+            success = self.curriculum.success_rate
             print(
-                f"{self.num_timesteps:9,} decisions: at stage {self.stage}, success {rate:.2f}",
+                f"{self.num_timesteps:9,} decisions: at stage {self.stage}, success {success:.2f}",
                 flush=True,
             )
 
 
-if __name__ == "__main__":
+def parse_arguments() -> argparse.Namespace:
+    """Parse the command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -77,16 +87,17 @@ if __name__ == "__main__":
         default=4_000_000,
         help="decisions of all slots, those without a drone too",
     )
-    parser.add_argument("--episodes", type=int, default=50, help="of each evaluation")
+    parser.add_argument("--episodes", type=int, default=50, help="episodes of each evaluation")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=Path("curriculum"))
-    args = parser.parse_args()
-    args.out.mkdir(parents=True, exist_ok=True)
-    torch.set_num_threads(1)  # networks this small are no faster on more
+    parser.add_argument("--out", type=Path, default=Path("curriculum"), help="folder for the files")
+    return parser.parse_args()
 
-    rule = Curriculum(len(STAGES), up=0.8, down=0.2, window=64)
+
+def train(steps: int, seed: int, path: Path) -> None:
+    """Train as points through the stages and save the model."""
+    curriculum = Curriculum(len(STAGES), up=0.8, down=0.2, window=64)
     env = DroneVecEnv(
-        "crossing", 32, STAGES, rule, dynamics="point_mass", weights=WEIGHTS, **COMMON
+        "crossing", 32, STAGES, curriculum, dynamics="point_mass", weights=WEIGHTS, **COMMON
     )
     model = PPO(
         "MlpPolicy",
@@ -97,27 +108,43 @@ if __name__ == "__main__":
         learning_rate=LinearSchedule(1e-3, 1e-5, 1.0),
         gamma=0.99,
         gae_lambda=0.95,
-        rollout_buffer_class=LivingRollouts,  # stages with fewer drones leave slots empty
+        # Stages with fewer drones leave slots empty; nothing is learned from these.
+        rollout_buffer_class=LivingRollouts,
         policy_kwargs={
             "features_extractor_class": Symlog,
             "net_arch": [64, 64],
             "log_std_init": -1.0,
         },
-        seed=args.seed,
+        seed=seed,
         device="cpu",
     )
-    model.learn(args.steps, callback=Report(rule))
-    model.save(args.out / "model")
+    model.learn(steps, callback=Report(curriculum))
+    model.save(path)
     env.close()
 
-    for stage, options in enumerate(STAGES):
-        policy = f"ppo:{args.out / 'model.zip'}"
-        result = bulletuav.evaluate(
-            "crossing", policy, args.episodes, seed=1000, trust=True, **{**COMMON, **options}
-        ).estimates()
-        print(
-            f"stage {stage} in bullet: success of drones {result['drone_success'].mean:.2f}",
-            end=", ",
-        )
-        print(f"episodes with conflict {result['conflict'].mean:.2f}")
+
+def evaluate(policy: str, stage: int, episodes: int) -> None:
+    """Fly the policy in a stage, in `bullet`, and print its success and conflicts."""
+    options = {**COMMON, **STAGES[stage]}
+    result = bulletuav.evaluate("crossing", policy, episodes, seed=1000, trust=True, **options)
+    estimates = result.estimates()
+    print(
+        f"stage {stage} in bullet: success of drones {estimates['drone_success'].mean:.2f}, "
+        f"episodes with conflict {estimates['conflict'].mean:.2f}"
+    )
+
+
+def main() -> None:
+    """Train, then evaluate in every stage."""
+    args = parse_arguments()
+    args.out.mkdir(parents=True, exist_ok=True)
+    torch.set_num_threads(1)  # networks this small are no faster on more
+
+    train(args.steps, args.seed, args.out / "model")
+    for stage in range(len(STAGES)):
+        evaluate(f"ppo:{args.out / 'model.zip'}", stage, args.episodes)
     print(f"the model is in {args.out}")
+
+
+if __name__ == "__main__":
+    main()

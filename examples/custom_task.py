@@ -1,12 +1,19 @@
-"""A task of one's own, patrolling a perimeter, and two simple policies that fly it.
+"""Write a task of your own, patrolling a perimeter, and two simple policies that fly it.
 
-Drones start close together and are to watch a circle: each of its sectors should be seen again soon. The measure is
-idleness, the time since a sector was last seen (A. Machado et al., Multi-agent patrolling, 2002). One sees what goes into a
-task (start, memory, reward, success, infos) and a picture: where each drone just goes round, the worst idleness stays that
-of a crowd; where each keeps the middle between its neighbours, it falls to that of drones spread evenly. Takes 10 s.
+Shows what goes into a task: start, memory, reward, success and infos. Drones start close together
+and watch a circle, each of whose sectors should be seen again soon. The measure is idleness, the
+time since a sector was last seen (A. Machado et al., Multi-agent patrolling, 2002).
+
+Draws the worst idleness over time for two policies. With the first each drone just goes round, and
+the worst idleness stays that of a crowd. With the second each drone keeps the middle between its
+neighbours, and the worst idleness falls to that of drones that are spread evenly.
+
+Run it:
 
     python examples/custom_task.py
     python examples/custom_task.py --seconds 300 --drones 8 --out patrol
+
+Takes 10 s.
 """
 
 import argparse
@@ -22,12 +29,23 @@ from bulletuav.policies import Policy
 from bulletuav.report.pictures import blank_figure
 from bulletuav.tasks.base import Frame, Spawn, StepResult, Task
 
-SECTORS, CRUISE = 36, 10.0  # m/s
+NUM_SECTORS = 36
+CRUISE_SPEED = 10.0  # m/s
+DECISION_HZ = 10
 
 
 @dataclass(frozen=True)
 class PatrolConfig:
-    """Options of `patrol`, m and s: drones start `gap` apart on the circle; success is worst idleness up to `longest`."""
+    """Options of `patrol`.
+
+    Attributes:
+        d_safe: Separation below which drones conflict; also how far from the circle they see it, m.
+        radius: Radius of the circle, m.
+        height: Its height above the ground, m.
+        gap: Distance between drones at the start, along the circle, m.
+        longest: Worst idleness, s, up to which the patrol succeeds.
+        weights: Weights of reward terms, where they differ from the task's.
+    """
 
     d_safe: float = 5.0
     radius: float = 60.0
@@ -38,7 +56,10 @@ class PatrolConfig:
 
 
 class Patrol(Task):
-    """See all sectors of a circle again and again. Reward: idleness -0.1 a second of the worst sector's; conflict -10."""
+    """See all sectors of a circle again and again.
+
+    Reward: -0.1 for each second of the worst sector's idleness; -10 for a conflict that begins.
+    """
 
     name = "patrol"
     Config = PatrolConfig
@@ -47,125 +68,156 @@ class Patrol(Task):
         "num_neighbours": 16,
         "airframe": "hummingbird",
         "action": "velocity",
-        "decision_hz": 10,
+        "decision_hz": DECISION_HZ,
         "horizon": 1200,
         "max_speed": 15.0,
     }
     difficulties: ClassVar = {"easy": {}}
     observation = ("position", "neighbours")
     reward_weights: ClassVar = {"idleness": -0.1, "conflict": -10.0}
-    arena_low, arena_high = np.array([-150.0, -150.0, 0.0]), np.array([150.0, 150.0, 60.0])
+    arena_low = np.array([-150.0, -150.0, 0.0])
+    arena_high = np.array([150.0, 150.0, 60.0])
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
-        """All on a short piece of the circle, at rest."""
-        n, radius = self.context.num_drones, self.config.radius
-        angle = rng.uniform(0, 2 * np.pi) + np.arange(n) * self.config.gap / radius
-        place = np.stack(
-            [radius * np.cos(angle), radius * np.sin(angle), np.full(n, self.config.height)], axis=1
+        """Start all drones on a short piece of the circle, at rest."""
+        num_drones, radius = self.context.num_drones, self.config.radius
+        angle = rng.uniform(0, 2 * np.pi) + np.arange(num_drones) * self.config.gap / radius
+        height = np.full(num_drones, self.config.height)
+        start = np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=1)
+        return Spawn(
+            position=start,
+            quaternion=np.tile([0.0, 0.0, 0.0, 1.0], (num_drones, 1)),
+            velocity=np.zeros((num_drones, 3)),
+            rates=np.zeros((num_drones, 3)),
+            goal=start,
         )
-        still = np.zeros((n, 3))
-        return Spawn(place, np.tile([0.0, 0.0, 0.0, 1.0], (n, 1)), still, still, goal=place)
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
-        """Seconds since each sector was last seen."""
-        return {"idle": (SECTORS,)}
+        """Name the arrays that the task keeps in each world: seconds since a sector was seen."""
+        return {"idle": (NUM_SECTORS,)}
 
     def update_memory(self, frame: Frame, rng) -> None:
-        """A drone sees the sector that it is in."""
+        """Let time pass in all sectors but those with a drone near the circle."""
         x, y, _ = np.moveaxis(frame.after.position, -1, 0)
-        sector = np.floor(np.arctan2(y, x) / (2 * np.pi) * SECTORS) % SECTORS
-        near = frame.alive & (np.abs(np.hypot(x, y) - self.config.radius) < self.config.d_safe)
-        seen = np.any(near[..., None] & (sector[..., None] == np.arange(SECTORS)), axis=1)
-        frame.scene.memory["idle"][:] = np.where(
-            seen, 0.0, frame.scene.memory["idle"] + self.context.period
-        )
+        sector = np.floor(np.arctan2(y, x) / (2 * np.pi) * NUM_SECTORS) % NUM_SECTORS
+        is_near = frame.alive & (np.abs(np.hypot(x, y) - self.config.radius) < self.config.d_safe)
+        is_there = sector[..., None] == np.arange(NUM_SECTORS)  # (worlds, drones, sectors)
+        is_seen = np.any(is_near[..., None] & is_there, axis=1)
+        idle = frame.scene.memory["idle"]
+        idle[:] = np.where(is_seen, 0.0, idle + self.context.period)
 
     def info(self, frame: Frame) -> dict[str, np.ndarray]:
-        """The worst idleness, the same for all drones."""
-        return {
-            "idleness": np.broadcast_to(
-                frame.scene.memory["idle"].max(axis=1, keepdims=True), frame.alive.shape
-            )
-        }
+        """Tell the worst idleness, the same for all drones of a world."""
+        worst = frame.scene.memory["idle"].max(axis=1, keepdims=True)
+        return {"idleness": np.broadcast_to(worst, frame.alive.shape)}
 
     def evaluate_step(self, frame: Frame) -> StepResult:
-        """By the worst idleness, and by conflicts that begin."""
+        """Reward by the worst idleness and by the conflicts that begin."""
         idleness = self.info(frame)["idleness"]
         terms = {"idleness": idleness, "conflict": frame.conflict.onsets.astype(float)}
-        return StepResult(
-            terms, terminated=frame.collision, success=idleness <= self.config.longest
-        )
+        success = idleness <= self.config.longest
+        return StepResult(terms, terminated=frame.collision, success=success)
 
 
 class Rounds(Policy):
-    """Round the circle to the left at one speed."""
+    """Go round the circle to the left at one speed."""
 
-    name, actions, reads_swarm = "rounds", ("velocity",), False
+    name = "rounds"
+    actions = ("velocity",)
+    reads_swarm = False
     gain = 0.0  # m/s, by how much a drone is at most faster or slower
 
     def reset(self, mask):
-        """Nothing to forget."""
+        """Do nothing, as there is nothing to forget."""
 
     def act(self, observations, swarm):
-        """Along the circle, and back to it."""
-        position, config = observations[..., :3].astype(float), self.aviary.task.config
-        others = observations[..., 3:].reshape(
-            *position.shape[:2], -1, 7
-        )  # distance, position, velocity of each
-        there, angle = (
-            position[:, :, None] + others[..., 1:4],
-            np.arctan2(position[..., 1], position[..., 0]),
-        )
-        gaps = (np.arctan2(there[..., 1], there[..., 0]) - angle[..., None]) % (2 * np.pi)
-        ahead = np.min(gaps, axis=-1, where=others[..., 0] > 0, initial=2 * np.pi)
-        behind = 2 * np.pi - np.max(gaps, axis=-1, where=others[..., 0] > 0, initial=0.0)
-        speed = CRUISE + self.gain * (ahead - behind) / (ahead + behind)
-        x, y, climb = np.cos(angle), np.sin(angle), config.height - position[..., 2]
+        """Fly along the circle, and back to it."""
+        position = observations[..., :3].astype(float)
+        # Of each neighbour its distance, 0 where there is none, then offset and velocity.
+        neighbours = observations[..., 3:].reshape(*position.shape[:2], -1, 7)
+        is_there = neighbours[..., 0] > 0
+        other = position[:, :, None] + neighbours[..., 1:4]
+
+        # Angles along the circle to the next drone ahead and the next behind.
+        angle = np.arctan2(position[..., 1], position[..., 0])
+        other_angle = np.arctan2(other[..., 1], other[..., 0])
+        gaps = (other_angle - angle[..., None]) % (2 * np.pi)
+        ahead = np.min(gaps, axis=-1, where=is_there, initial=2 * np.pi)
+        behind = 2 * np.pi - np.max(gaps, axis=-1, where=is_there, initial=0.0)
+        speed = CRUISE_SPEED + self.gain * (ahead - behind) / (ahead + behind)
+
+        # Velocity along the tangent, and inwards where the drone is too far out.
+        config = self.aviary.task.config
+        x, y = np.cos(angle), np.sin(angle)
         off = np.hypot(position[..., 0], position[..., 1]) - config.radius
+        climb = config.height - position[..., 2]
         return self.encoded(np.stack([-y * speed - x * off, x * speed - y * off, climb], axis=-1))
 
 
 class Evenly(Rounds):
-    """Round the circle, faster where the one ahead is farther away than the one behind."""
+    """Go round the circle, faster where the drone ahead is farther away than the one behind."""
 
-    name, gain = "evenly", 4.0
+    name = "evenly"
+    gain = 4.0
 
 
-if __name__ == "__main__":
+def parse_arguments() -> argparse.Namespace:
+    """Parse the command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--seconds", type=int, default=120, help="of each flight")
+    parser.add_argument("--seconds", type=int, default=120, help="duration of each flight")
     parser.add_argument("--drones", type=int, default=5)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=Path("custom_task"))
-    args = parser.parse_args()
+    parser.add_argument(
+        "--out", type=Path, default=Path("custom_task"), help="folder for the files"
+    )
+    return parser.parse_args()
+
+
+def fly(policy: type[Policy], seed: int, options: dict) -> list[float]:
+    """Fly one episode; return the worst idleness after each decision, s."""
+    aviary = bulletuav.Aviary(Patrol, **options)
+    observations = aviary.reset(seeds=seed)
+    pilot = policy(aviary)
+    worst = []
+    while aviary.alive.any():
+        observations, *_, info = aviary.step(pilot.act(observations, aviary.swarm))
+        worst.append(info["idleness"][0, 0])
+    aviary.close()
+    return worst
+
+
+def main() -> None:
+    """Evaluate both policies, and draw one flight of each."""
+    args = parse_arguments()
     args.out.mkdir(parents=True, exist_ok=True)
 
-    options = {"num_drones": args.drones, "horizon": 10 * args.seconds}
+    options = {"num_drones": args.drones, "horizon": DECISION_HZ * args.seconds}
     figure = blank_figure(8, 4.5)
     axes = figure.subplots()
     for policy in (Rounds, Evenly):
-        result = bulletuav.evaluate(
-            Patrol, policy, episodes=10, seed=args.seed, **options
-        ).estimates()
-        aviary = bulletuav.Aviary(Patrol, **options)
-        observations, pilot, worst = aviary.reset(seeds=args.seed), policy(aviary), []
-        while aviary.alive.any():
-            observations, *_, info = aviary.step(pilot.act(observations, aviary.swarm))
-            worst.append(info["idleness"][0, 0])
-        aviary.close()
-        told = f"success {result['success'].mean:.2f}, conflicts {result['conflicts'].mean:.1f}"
-        print(f"{policy.name}: {told}, worst idleness at the end {worst[-1]:.1f} s")
-        axes.plot(np.arange(1, len(worst) + 1) / 10, worst, label=policy.name)
-    ideal = (
-        2 * np.pi * PatrolConfig.radius * (1 / args.drones - 1 / SECTORS) / CRUISE
-    )  # from leaving to being back
+        result = bulletuav.evaluate(Patrol, policy, episodes=10, seed=args.seed, **options)
+        estimates = result.estimates()
+        worst = fly(policy, args.seed, options)
+        print(
+            f"{policy.name}: success {estimates['success'].mean:.2f}, "
+            f"conflicts {estimates['conflicts'].mean:.1f}, "
+            f"worst idleness at the end {worst[-1]:.1f} s"
+        )
+        axes.plot(np.arange(1, len(worst) + 1) / DECISION_HZ, worst, label=policy.name)
+
+    # A sector is idle from when one drone leaves it until the next is there.
+    idle_share = 1 / args.drones - 1 / NUM_SECTORS
+    ideal = 2 * np.pi * PatrolConfig.radius * idle_share / CRUISE_SPEED
     axes.axhline(ideal, color="0.5", ls="--", label="evenly spread")
-    axes.set(
-        xlabel="time (s)", ylabel="worst idleness (s)", title=f"{args.drones} drones on patrol"
-    )
+    title = f"{args.drones} drones on patrol"
+    axes.set(xlabel="time (s)", ylabel="worst idleness (s)", title=title)
     axes.grid(alpha=0.3)
     axes.legend()
     figure.savefig(args.out / "idleness.png", dpi=110)
     print(f"the picture is {args.out / 'idleness.png'}")
+
+
+if __name__ == "__main__":
+    main()

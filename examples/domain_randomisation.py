@@ -1,12 +1,19 @@
-"""What is it worth to learn under uncertainty? The same training with and without it, flown both ways.
+"""Compare policies that were trained with and without uncertainty, each flown both ways.
 
-A Crazyflie learns to hold its place by velocities, once where all is as its controller believes, once where mass, thrust,
-motors and wind differ from flight to flight. Both policies then fly in both worlds, in `bullet`. One sees that the first
-holds its place to 1 cm while all is certain, and misses it by 26 cm where nothing is (the controller has no integral term);
-the second misses by 6 and 11 cm. Success, within 10 cm, rises from 12 % to 62 %. Takes about 100 s on one core.
+A Crazyflie learns to hold its place by velocities. One policy learns where all is as the
+controller believes. The other learns where mass, thrust, drag, motors and wind differ from flight
+to flight. Then both fly in both worlds, in `bullet`.
+
+The first policy holds its place to 1 cm while all is certain, but misses it by 26 cm where nothing
+is, as the controller has no integral term. The second misses by 6 and 11 cm. So training under
+uncertainty raises success, which is to be within 10 cm, from 12 % to 62 %.
+
+Run it:
 
     python examples/domain_randomisation.py
     python examples/domain_randomisation.py --steps 300000 --seed 1 --out randomisation
+
+Takes about 100 s on one core. Needs the extra `sb3`.
 """
 
 import argparse
@@ -19,12 +26,13 @@ from stable_baselines3.common.utils import LinearSchedule
 import bulletuav
 from bulletuav.adapters.sb3 import DroneVecEnv
 
-# What was commanded last, beside what came of it, tells of the disturbance.
+# The last command, beside what came of it, tells the policy of the disturbance.
 OPTIONS = {"action": "velocity", "observation": ("goal_offset", "velocity", "last_action")}
 WORLDS = {
     "certain": {},
     "uncertain": {
-        "mass": (0.7, 1.3),  # of what the controller believes; so are the next three
+        # Factors on what the controller believes.
+        "mass": (0.7, 1.3),
         "thrust": (0.85, 1.1),
         "drag": (0.5, 1.5),
         "motor_lag": (0.5, 1.5),
@@ -34,7 +42,22 @@ WORLDS = {
 METRICS = ("success", "goal_distance", "collision")
 
 
+def parse_arguments() -> argparse.Namespace:
+    """Parse the command line."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--steps", type=int, default=1_000_000, help="decisions of each training")
+    parser.add_argument("--episodes", type=int, default=100, help="episodes of each evaluation")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument(
+        "--out", type=Path, default=Path("domain_randomisation"), help="folder for the files"
+    )
+    return parser.parse_args()
+
+
 def train(randomization: dict, steps: int, seed: int, path: Path) -> None:
+    """Train in `rigid_body` under a randomization and save the model."""
     env = DroneVecEnv(
         "hover",
         num_worlds=64,
@@ -61,35 +84,39 @@ def train(randomization: dict, steps: int, seed: int, path: Path) -> None:
     env.close()
 
 
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+def evaluate(trained: str, flown: str, folder: Path, episodes: int) -> None:
+    """Fly a policy in one of the worlds, in `bullet`, and print a row of its mean metrics."""
+    result = bulletuav.evaluate(
+        "hover",
+        f"ppo:{folder / trained}.zip",
+        episodes,
+        seed=1000,
+        trust=True,
+        randomization=WORLDS[flown],
+        **OPTIONS,
     )
-    parser.add_argument("--steps", type=int, default=1_000_000, help="decisions of each training")
-    parser.add_argument("--episodes", type=int, default=100, help="of each evaluation")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=Path("domain_randomisation"))
-    args = parser.parse_args()
+    estimates = result.estimates()
+    numbers = "".join(f"{estimates[metric].mean:15.3f}" for metric in METRICS)
+    print(trained.ljust(12) + flown.ljust(12) + numbers)
+
+
+def main() -> None:
+    """Train in each world, then fly each policy in each world."""
+    args = parse_arguments()
     args.out.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(1)  # networks this small are no faster on more
 
     for name, randomization in WORLDS.items():
         print(f"training in the {name} world", flush=True)
         train(randomization, args.steps, args.seed, args.out / name)
-    print(
-        "trained in".ljust(12)
-        + "flown in".ljust(12)
-        + "".join(metric.rjust(15) for metric in METRICS)
-    )
-    for flown, randomization in WORLDS.items():
+
+    headings = "".join(metric.rjust(15) for metric in METRICS)
+    print("trained in".ljust(12) + "flown in".ljust(12) + headings)
+    for flown in WORLDS:
         for trained in WORLDS:
-            policy, options = (
-                f"ppo:{args.out / trained}.zip",
-                {**OPTIONS, "randomization": randomization},
-            )
-            estimates = bulletuav.evaluate(
-                "hover", policy, args.episodes, seed=1000, trust=True, **options
-            ).estimates()
-            row = "".join(f"{estimates[metric].mean:15.3f}" for metric in METRICS)
-            print(trained.ljust(12) + flown.ljust(12) + row)
+            evaluate(trained, flown, args.out, args.episodes)
     print(f"models are in {args.out}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,11 +1,16 @@
-"""PPO teaches eight drones, which share one policy, to cross an airspace without conflict.
+"""Train eight drones with PPO to cross an airspace without conflict.
 
-One sees the return rise in a table every 320,000 decisions: drones first learn to fly to their goals, then to make way. They
-learn as points, which is fast; then they fly with all forces in `bullet`, beside two baselines that see the true state
-(`straight` avoids nobody, `orca` is built for avoiding), and a picture shows one flight. Takes about 90 s on one core.
+All drones share one policy. A table every 320,000 decisions shows how the return rises: drones
+first learn to fly to their goals, then to make way. They learn as points, which is fast, and are
+evaluated in `bullet` with all forces. Two baselines that see the true state fly beside them:
+`straight` avoids nobody, `orca` is built for avoiding. A picture shows one flight.
+
+Run it:
 
     python examples/ppo_crossing.py
     python examples/ppo_crossing.py --steps 500000 --seed 1 --out crossing
+
+Takes about 90 s on one core. Needs the extra `sb3`.
 """
 
 import argparse
@@ -21,7 +26,8 @@ from bulletuav.analysis.recording import fly_episode
 from bulletuav.policies import find_policy
 from bulletuav.report.pictures import plot_tracks
 
-WEIGHTS = {  # those of the task divided by about 50, as networks like returns of the order of 1
+# Smaller than the task's own weights, as networks like returns of the order of 1.
+WEIGHTS = {
     "progress": 0.05,
     "goal": 2.0,
     "conflict": -3.0,
@@ -41,20 +47,25 @@ METRICS = (
     "length",
 )
 
-if __name__ == "__main__":
+
+def parse_arguments() -> argparse.Namespace:
+    """Parse the command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument(
         "--steps", type=int, default=2_000_000, help="decisions of all slots together"
     )
-    parser.add_argument("--episodes", type=int, default=50, help="of the evaluation")
+    parser.add_argument("--episodes", type=int, default=50, help="episodes of each evaluation")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=Path("ppo_crossing"))
-    args = parser.parse_args()
-    args.out.mkdir(parents=True, exist_ok=True)
-    torch.set_num_threads(1)  # networks this small are no faster on more
+    parser.add_argument(
+        "--out", type=Path, default=Path("ppo_crossing"), help="folder for the files"
+    )
+    return parser.parse_args()
 
+
+def train(steps: int, seed: int, path: Path) -> None:
+    """Train as points and save the model."""
     env = DroneVecEnv("crossing", num_worlds=32, dynamics="point_mass", weights=WEIGHTS)
     model = PPO(
         "MlpPolicy",
@@ -65,30 +76,52 @@ if __name__ == "__main__":
         learning_rate=LinearSchedule(1e-3, 1e-5, 1.0),
         gamma=0.99,
         gae_lambda=0.95,
-        rollout_buffer_class=LivingRollouts,  # drones leave at their goals; of slots without one nothing is learned
+        # Drones leave at their goals; nothing is learned from slots without a drone.
+        rollout_buffer_class=LivingRollouts,
         policy_kwargs={
             "features_extractor_class": Symlog,
             "net_arch": [64, 64],
             "log_std_init": -1.0,
         },
-        seed=args.seed,
+        seed=seed,
         device="cpu",
         verbose=1,
     )
-    model.learn(args.steps, log_interval=20)
-    model.save(args.out / "model")
+    model.learn(steps, log_interval=20)
+    model.save(path)
     env.close()
 
-    trained = f"ppo:{args.out / 'model.zip'}"
+
+def compare(policies: dict[str, str], episodes: int) -> None:
+    """Evaluate policies in `bullet` and print a table of their mean metrics."""
     print("\n" + "in bullet".ljust(10) + "".join(metric.rjust(17) for metric in METRICS))
-    for name, policy in {"ppo": trained, "straight": "straight", "orca": "orca"}.items():
-        estimates = bulletuav.evaluate(
-            "crossing", policy, episodes=args.episodes, seed=1000, trust=True
-        ).estimates()
+    for name, policy in policies.items():
+        result = bulletuav.evaluate("crossing", policy, episodes=episodes, seed=1000, trust=True)
+        estimates = result.estimates()
         print(name.ljust(10) + "".join(f"{estimates[metric].mean:17.2f}" for metric in METRICS))
 
+
+def draw_flight(policy: str, path: Path) -> None:
+    """Fly one episode in `bullet` and draw its tracks."""
     aviary = bulletuav.Aviary("crossing")
-    recording = fly_episode(aviary, find_policy(trained, trust=True)(aviary), seed=1000)
-    plot_tracks(recording, aviary.task.config.d_safe, "PPO crosses", args.out / "flight.png")
+    pilot = find_policy(policy, trust=True)(aviary)
+    recording = fly_episode(aviary, pilot, seed=1000)
+    plot_tracks(recording, aviary.task.config.d_safe, "PPO crosses", path)
     aviary.close()
+
+
+def main() -> None:
+    """Train, compare and draw."""
+    args = parse_arguments()
+    args.out.mkdir(parents=True, exist_ok=True)
+    torch.set_num_threads(1)  # networks this small are no faster on more
+
+    train(args.steps, args.seed, args.out / "model")
+    trained = f"ppo:{args.out / 'model.zip'}"
+    compare({"ppo": trained, "straight": "straight", "orca": "orca"}, args.episodes)
+    draw_flight(trained, args.out / "flight.png")
     print(f"model and picture are in {args.out}")
+
+
+if __name__ == "__main__":
+    main()

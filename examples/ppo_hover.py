@@ -1,10 +1,15 @@
-"""PPO teaches a Crazyflie to fly to its target and stay there, and the engine examines it.
+"""Train a Crazyflie with PPO to fly to its target and stay there.
 
-One sees the return and the success rate rise, in a table every 200,000 decisions, from 64 worlds at once in `rigid_body`.
-Then the policy flies in `bullet`, where it never was, and a picture shows one flight. Takes about 2 minutes on one core.
+The drone learns in `rigid_body`, 64 worlds at once. A table every 200,000 decisions shows how the
+return and the success rate rise. Then the policy flies in `bullet`, where it never was, and a
+picture shows one flight.
+
+Run it:
 
     python examples/ppo_hover.py
     python examples/ppo_hover.py --steps 500000 --seed 1 --out hover
+
+Takes about 2 minutes on one core. Needs the extra `sb3`.
 """
 
 import argparse
@@ -21,23 +26,26 @@ from bulletuav.policies import find_policy
 from bulletuav.report.pictures import plot_tracks
 
 OPTIONS = {"action": "velocity", "observation": ("goal_offset", "velocity")}
-WEIGHTS = {"distance": -1.0, "speed": -0.5}  # of the reward; the speed keeps it from shooting past
+# Weights of the reward. That of the speed keeps the drone from shooting past its target.
+WEIGHTS = {"distance": -1.0, "speed": -0.5}
 
 
-if __name__ == "__main__":
+def parse_arguments() -> argparse.Namespace:
+    """Parse the command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument(
         "--steps", type=int, default=2_000_000, help="decisions of all drones together"
     )
-    parser.add_argument("--episodes", type=int, default=100, help="of the evaluation")
+    parser.add_argument("--episodes", type=int, default=100, help="episodes of the evaluation")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=Path("ppo_hover"))
-    args = parser.parse_args()
-    args.out.mkdir(parents=True, exist_ok=True)
-    torch.set_num_threads(1)  # networks this small are no faster on more
+    parser.add_argument("--out", type=Path, default=Path("ppo_hover"), help="folder for the files")
+    return parser.parse_args()
 
+
+def train(steps: int, seed: int, path: Path) -> None:
+    """Train in `rigid_body` and save the model."""
     env = DroneVecEnv("hover", num_worlds=64, dynamics="rigid_body", weights=WEIGHTS, **OPTIONS)
     model = PPO(
         "MlpPolicy",
@@ -48,21 +56,21 @@ if __name__ == "__main__":
         learning_rate=LinearSchedule(1e-3, 1e-5, 1.0),
         gamma=0.97,  # looks about a second ahead, at 30 decisions a second
         gae_lambda=0.95,
-        policy_kwargs={
-            "net_arch": [64, 64],
-            "log_std_init": -1.5,
-        },  # begins with small noise: 0.2 of max_speed
-        seed=args.seed,
+        # The standard deviation of actions begins small: 0.2 of max_speed.
+        policy_kwargs={"net_arch": [64, 64], "log_std_init": -1.5},
+        seed=seed,
         device="cpu",
         verbose=1,
     )
-    model.learn(args.steps, log_interval=100)
-    model.save(args.out / "model")
+    model.learn(steps, log_interval=100)
+    model.save(path)
     env.close()
 
-    pilot = f"ppo:{args.out / 'model.zip'}"
+
+def evaluate(policy: str, episodes: int) -> None:
+    """Fly the policy in `bullet` and print metrics with their 95 % confidence intervals."""
     result = bulletuav.evaluate(
-        "hover", pilot, episodes=args.episodes, seed=1000, dynamics="bullet", trust=True, **OPTIONS
+        "hover", policy, episodes=episodes, seed=1000, dynamics="bullet", trust=True, **OPTIONS
     )
     for metric in ("success", "goal_distance", "collision"):
         estimate = result.estimates()[metric]
@@ -70,8 +78,28 @@ if __name__ == "__main__":
             f"in bullet: {metric} {estimate.mean:.3f} ({estimate.low:.3f} to {estimate.high:.3f})"
         )
 
+
+def draw_flight(policy: str, path: Path) -> None:
+    """Fly one episode in `bullet` from the same start each time, and draw its track."""
     aviary = bulletuav.Aviary("hover", dynamics="bullet", start=((-0.5, -0.5, 1.5),), **OPTIONS)
-    recording = fly_episode(aviary, find_policy(pilot, trust=True)(aviary), seed=0)
-    plot_tracks(recording, aviary.task.config.d_safe, "PPO hovers", args.out / "flight.png")
+    pilot = find_policy(policy, trust=True)(aviary)
+    recording = fly_episode(aviary, pilot, seed=0)
+    plot_tracks(recording, aviary.task.config.d_safe, "PPO hovers", path)
     aviary.close()
+
+
+def main() -> None:
+    """Train, evaluate and draw."""
+    args = parse_arguments()
+    args.out.mkdir(parents=True, exist_ok=True)
+    torch.set_num_threads(1)  # networks this small are no faster on more
+
+    train(args.steps, args.seed, args.out / "model")
+    policy = f"ppo:{args.out / 'model.zip'}"
+    evaluate(policy, args.episodes)
+    draw_flight(policy, args.out / "flight.png")
     print(f"model and picture are in {args.out}")
+
+
+if __name__ == "__main__":
+    main()

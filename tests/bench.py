@@ -36,7 +36,9 @@ class Bench:
     ):
         self.airframe = load_airframe(airframe)
         airframes = [self.airframe] * drones
-        self.dt, self.substeps, self.gravity = 1 / hz, substeps, gravity
+        self.dt = 1 / hz
+        self.substeps = substeps
+        self.gravity = gravity
         self.engine = Engine(airframes, worlds, self.dt, obstacles, layouts, first_world)
         self.motion = Motion.none(worlds)
         tiled = (worlds, 1)
@@ -61,7 +63,7 @@ class Bench:
         return self
 
     def fly(self, level, setpoint, decisions=1):
-        """Hold a setpoint (broadcast to all drones) for some decisions; returns the contacts of the last one."""
+        """Hold a setpoint (broadcast to all drones); return the contacts of the last decision."""
         setpoint = np.broadcast_to(
             np.asarray(setpoint, float), (*self.alive.shape, np.shape(setpoint)[-1])
         ).copy()

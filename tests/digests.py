@@ -1,7 +1,10 @@
-"""Digests of what environments do, to see that a change moves nothing: `python tests/digests.py [--jobs N] > after.txt`.
+"""Digests of what environments do, to see that a change moves nothing.
 
-One line an environment: a sum over all arrays that it gives, blind to their names and order. Compare two outputs of one
-machine; another processor or C library may round differently. `tests/digests.txt` is the table of the machine it names.
+    python tests/digests.py [--jobs N] > after.txt
+
+Each line is for one environment: a sum over all arrays that it gives, blind to their names and
+order. Compare two outputs of one machine, as another processor or C library may round differently.
+`tests/digests.txt` is the table of the machine it names.
 """
 
 import argparse
@@ -15,7 +18,9 @@ import numpy as np
 
 import bulletuav
 
-DECISIONS, RANDOM, TO_GOAL = 90, 20, 20
+DECISIONS = 90
+RANDOM = 20  # of them at random
+TO_GOAL = 20  # then so many towards the goal, and the others down
 UNCERTAIN = {
     "mass": (0.8, 1.2),
     "thrust": (0.9, 1.1),
@@ -136,7 +141,7 @@ def variations():
 
 
 def digest(given):
-    """Eight bytes of what an environment gives over some decisions, or the error that it refuses its options with."""
+    """Give eight bytes of what an environment gives, or the error of options that it refuses."""
     options = dict(given)
     task, worlds = options.pop("task"), options.pop("num_worlds")
     with warnings.catch_warnings():
@@ -157,7 +162,10 @@ def digest(given):
 
 
 def _fly(aviary):
-    """Everything that it gives: random flight, then towards the goal, then down into the ground; ended worlds start anew."""
+    """Yield everything that it gives: in random flight, then to the goal, then into the ground.
+
+    Ended worlds start anew.
+    """
     rng = np.random.default_rng(1)
     yield from _arrays(aviary.reset(seeds=3))
     yield from _infos(aviary.first_info())
@@ -220,10 +228,8 @@ def main():
     parser.add_argument("--every", type=int, default=1, help="only each nth line")
     args = parser.parse_args()
     chosen = list(variations())[:: args.every]
-    print(
-        f"# {platform.machine()} {platform.libc_ver()} NumPy {np.__version__}: {len(chosen)} environments",
-        flush=True,
-    )
+    machine = f"{platform.machine()} {platform.libc_ver()} NumPy {np.__version__}"
+    print(f"# {machine}: {len(chosen)} environments", flush=True)
     with multiprocessing.get_context("spawn").Pool(args.jobs) as pool:
         for line in pool.imap(_line, chosen):
             print(line, flush=True)

@@ -1,4 +1,7 @@
-"""Golden trajectories: what the default environments do. `python tests/golden.py TASK ...` writes them anew."""
+"""Golden trajectories: what the default environments do.
+
+`python tests/golden.py TASK ...` writes them anew.
+"""
 
 import sys
 from pathlib import Path
@@ -12,7 +15,10 @@ STEPS = 100
 
 
 def fly(task):
-    """Observations, rewards and states of 100 steps of the default environment under smooth actions."""
+    """Fly 100 steps of the default environment under smooth actions.
+
+    Gives its observations, rewards and states.
+    """
     aviary = bulletuav.Aviary(task)
     rows = {
         "observations": [aviary.reset(seeds=0)[0]],
@@ -25,15 +31,8 @@ def fly(task):
     phase = np.arange(np.prod(shape)).reshape(shape)
     for k in range(min(STEPS, aviary.options.horizon - 1)):
         if aviary.options.action == "rotor":  # a hover with small disturbances
-            hover = (
-                2
-                * (
-                    aviary.options.airframe[0].hover_speed()
-                    / aviary.options.airframe[0].max_rotor_speed
-                )
-                ** 2
-                - 1
-            )
+            airframe = aviary.options.airframe[0]
+            hover = 2 * (airframe.hover_speed() / airframe.max_rotor_speed) ** 2 - 1
             action = hover + 0.001 * np.sin(0.9 * k + phase)
         else:
             size = 0.3  # small enough not to hit anything, where there is anything

@@ -29,7 +29,10 @@ WALL = city_of(((10, -50, 0), (20, 50, 60)))
 
 
 def fly(aviary, *ways):
-    """One decision with the action `ways[i]` for drone i, of all worlds alike; the last for all that follow."""
+    """Take one decision with the action `ways[i]` for drone i, the same in all worlds.
+
+    The last of the ways is for all drones that follow.
+    """
     actions = [ways[min(i, len(ways) - 1)] for i in range(aviary.num_drones)]
     return aviary.step(np.broadcast_to(np.array(actions, dtype=float), (*aviary.alive.shape, 3)))
 

@@ -1,4 +1,7 @@
-"""An independent model of one drone in plain numpy, written from the formulas, to compare the compiled one with."""
+"""Independent model of one drone in plain numpy, to compare the compiled one with.
+
+It is written from the formulas.
+"""
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -8,7 +11,10 @@ G = 9.80665
 
 
 class Reference:
-    """One drone with constant rotor commands; forces as in the literature, nothing shared with the package."""
+    """One drone with constant rotor commands.
+
+    Its forces are those of the literature; it shares nothing with the package.
+    """
 
     def __init__(
         self,
@@ -85,7 +91,10 @@ class Reference:
         return end[:3], end[3:7] / np.linalg.norm(end[3:7]), end[7:10], end[10:13]
 
     def engine_scheme(self, position, quaternion, velocity, rates, initial_speeds, dt, steps):
-        """The declared scheme of `bullet`: semi-implicit Euler, rates by RK4 under a constant torque, R+ = R exp(dt w+)."""
+        """Integrate by the declared scheme of `bullet`.
+
+        That is semi-implicit Euler, rates by RK4 under a constant torque, R+ = R exp(dt w+).
+        """
         p, v, w = (np.array(value, float) for value in (position, velocity, rates))
         R, n = Rotation.from_quat(quaternion), np.asarray(initial_speeds, float)
         for _ in range(steps):

@@ -97,7 +97,10 @@ CASES = [("hover", name) for name in COMMON] + [
 
 
 def refusal(call, limit=2.0):
-    """The message of the refusal, or None where the call was accepted; in time of the processor either way."""
+    """Give the message of the refusal, or None where the call was accepted.
+
+    Either must take less than `limit` seconds of the processor.
+    """
     begin, told = time.process_time(), None
     try:
         call()
@@ -213,7 +216,7 @@ def test_worlds_that_do_not_fit_into_the_machine_are_refused_with_both_figures(
         (lambda: bulletuav.parallel_env("obstacles", num_obstacles=10**9), "num_obstacles"),
         (lambda: bulletuav.evaluate("hover", "random", episodes=10**18), "episodes"),
         (lambda: bulletuav.curriculum_env("hover", window=10**30), "window"),
-        (lambda: bulletuav.curriculum_env("hover", levels=[{}] * 10**5), "levels"),
+        (lambda: bulletuav.curriculum_env("hover", stages=[{}] * 10**5), "stages"),
     ],
 )
 def test_sizes_have_bounds(make, name):
@@ -445,7 +448,10 @@ def hover(**methods):
 
 
 def starting(change, **options):
-    """The refusal of a task of two drones whose second start is changed; the environment then is as it was."""
+    """Give the refusal of a task of two drones whose second start is changed.
+
+    The environment then is as it was.
+    """
     changing = []
 
     def spawn(self, rng):
@@ -599,7 +605,8 @@ def term(value):
         (term("a"), "'a' as reward term 'speed'"),
         (
             term(np.full((2, 1), NAN)),
-            "the reward of drone 0 in world 0 is nan: evaluate_step of task 'mine' gave {'speed': nan}",
+            "the reward of drone 0 in world 0 is nan: "
+            "evaluate_step of task 'mine' gave {'speed': nan}",
         ),
     ],
 )
@@ -705,9 +712,9 @@ def test_modes_have_names():
 
 
 def test_curricula_and_evaluations_name_their_arguments(tmp_path):
-    for levels in (None, 3, "easy", ["easy", "hard"], [None], [], {}, np.array(3)):
-        assert "levels" in refusal(
-            lambda levels=levels: bulletuav.curriculum_env("hover", levels=levels)
+    for stages in (None, 3, "easy", ["easy", "hard"], [None], [], {}, np.array(3)):
+        assert "stages" in refusal(
+            lambda stages=stages: bulletuav.curriculum_env("hover", stages=stages)
         )
     for name, value in itertools.product(("up", "down", "window"), (True, 10**400, NAN, "a")):
         assert name in refusal(
@@ -730,14 +737,14 @@ def test_curricula_and_evaluations_name_their_arguments(tmp_path):
 @pytest.mark.parametrize("name", ["run.json", "episodes.csv"])
 def test_damaged_files_of_a_run_are_named(tmp_path, name):
     run = {"task": "hover", "policy": "random", "episodes": 1, "out": tmp_path, "horizon": 3}
-    as_int = bulletuav.evaluate(**run, progress=None)
+    whole = bulletuav.evaluate(**run, progress=None)
     for content in (b"\xff\xfe", b"zzz", (tmp_path / name).read_bytes().replace(b"0", b"abc")):
         kept = (tmp_path / name).read_bytes()
         (tmp_path / name).write_bytes(content)
         with pytest.raises(ValueError, match=f"holds .*run .*{name}|holds another run"):
             bulletuav.evaluate(**run)
         (tmp_path / name).write_bytes(kept)
-    assert str(bulletuav.evaluate(**run).rows) == str(as_int.rows)
+    assert str(bulletuav.evaluate(**run).rows) == str(whole.rows)
 
 
 class Nameless(Policy):

@@ -7,7 +7,10 @@ import bulletuav
 
 @pytest.mark.parametrize("task", bulletuav.list_tasks())
 def test_the_default_environment_flies_as_it_always_did(task):
-    """A change here is a change of the environment's default behaviour: raise its version, then write the file anew."""
+    """A change here is a change of the environment's default behaviour.
+
+    Raise its version, then write the file anew.
+    """
     flown = golden.fly(task)
     with np.load(golden.FOLDER / f"{task}.npz") as kept:
         assert set(kept.files) == set(flown)

@@ -126,7 +126,7 @@ def interrupted(run):
 
 
 def test_resuming_reads_no_pickle(tmp_path, sprung, poison, capsys, monkeypatch):
-    """Poisoned in every place where one could be: beside the files that are read, and instead of them."""
+    """With one in every place where it could be: beside the files that are read, and instead."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "run").mkdir()
     options = {
@@ -152,10 +152,10 @@ def test_resuming_reads_no_pickle(tmp_path, sprung, poison, capsys, monkeypatch)
     main(["train", "--config", "run/run.yaml", "--out", "run"])
     assert not sprung.exists()
     for name in ("replay.safetensors", "training.safetensors", "policy.safetensors"):
-        as_int = (tmp_path / "run" / "state.json").read_text()
-        rows = json.loads(as_int)
-        rows["rows"][-1]["steps"] -= 1  # so that there is something left to do
-        (tmp_path / "run" / "state.json").write_text(json.dumps(rows))
+        state = (tmp_path / "run" / "state.json").read_text()
+        changed = json.loads(state)
+        changed["rows"][-1]["steps"] -= 1  # so that there is something left to do
+        (tmp_path / "run" / "state.json").write_text(json.dumps(changed))
         last = sorted((tmp_path / "run" / "checkpoints").iterdir())[-1]
         kept = (last / name).read_bytes()
         (last / name).write_bytes(poison)
@@ -165,7 +165,7 @@ def test_resuming_reads_no_pickle(tmp_path, sprung, poison, capsys, monkeypatch)
             "holds no checkpoint of this run",
         )
         (last / name).write_bytes(kept)
-        (tmp_path / "run" / "state.json").write_text(as_int)
+        (tmp_path / "run" / "state.json").write_text(state)
     assert not sprung.exists()
 
 
@@ -238,13 +238,14 @@ def test_entities_of_xml_neither_expand_without_end_nor_read_files(entities, tmp
 
 
 READS = re.compile(
-    r"(?<!def )\b(load|loads|load_file|safe_open|parse|read_text|read_bytes|recv|loadURDF|load_replay_buffer|eval|exec)\("
+    r"(?<!def )\b(load|loads|load_file|safe_open|parse|read_text|read_bytes|recv|loadURDF|"
+    r"load_replay_buffer|eval|exec)\("
     r"|(?<!os)\.open\((?!'w')"
 )
 
 
 def test_what_reads_a_file_is_told():
-    """Every file of the source that reads one is in the table of SECURITY.md, and none there reads nothing."""
+    """The table of SECURITY.md has every file of the source that reads one, and no other."""
     found = set()
     for path in PACKAGE.rglob("*.py"):
         tree = ast.parse(path.read_text())
@@ -267,7 +268,10 @@ def test_nothing_in_the_package_imports_pickle_to_read():
 
 
 def test_compiled_kernels_are_read_from_folders_of_ones_own(tmp_path, monkeypatch):
-    """Where the user's cache cannot be written to: below a temporary folder, if nobody else can write there."""
+    """Where the user's cache cannot be written to, they are below a temporary folder.
+
+    Nobody else may be able to write there.
+    """
     monkeypatch.setattr(kernel.numba.config, "CACHE_DIR", str(tmp_path / "file" / "below"))
     (tmp_path / "file").write_text("")
     monkeypatch.setattr(kernel.tempfile, "gettempdir", lambda: str(tmp_path))

@@ -1,7 +1,10 @@
-"""Draw the rooms of the package and what imports what: `python tools/rooms.py [--dot]`.
+"""Print the rooms of the package and what imports what.
 
-Prints each room with the rooms that it imports, lowest first; with --dot a graph for Graphviz. The order of the rooms
-is the rule that `tests/test_architecture.py` holds.
+    python tools/rooms.py          # each room with the rooms that it imports, lowest first
+    python tools/rooms.py --dot    # the same as a graph for Graphviz
+
+A room is a folder or a single file right below `bulletuav/`. Their order in `ROOMS` is the rule
+that `tests/test_architecture.py` holds.
 """
 
 import argparse
@@ -29,28 +32,38 @@ ROOMS = (
     ("cli", "__init__"),
     ("__main__",),
 )
-"""Rooms of one line do not import each other, except where `NEIGHBOURS` says so"""
+"""Rooms, lowest first; each imports only from lines above its own, and as `NEIGHBOURS` says"""
 NEIGHBOURS = {
-    ("policies",),
-    ("adapters",),
+    ("policies", "adapters"),
     ("kernel", "errors"),
     ("registry", "errors"),
     ("files", "errors"),
 }
+"""Pairs (importing, imported) that are allowed besides what the order allows"""
 
 
 def imported(path: Path) -> Iterator[tuple[str, bool]]:
-    """Yield (module, whether it is imported when the file is) of every import in a file."""
+    """Find all imports in a file, those inside of functions included.
+
+    Args:
+        path: A Python file.
+
+    Yields:
+        The name of a module, and whether it is imported as soon as the file is.
+    """
     tree = ast.parse(path.read_text())
     at_once = {id(node) for node in tree.body}
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from ((alias.name, id(node) in at_once) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0 and node.module, f"{path}: relative import"
+            assert node.level == 0, f"{path}: relative import"
+            assert node.module is not None  # as only a relative import can lack it
             yield node.module, id(node) in at_once
-            for alias in node.names:  # `from bulletuav.room import module`
-                if (PACKAGE.parent / node.module.replace(".", "/") / f"{alias.name}.py").is_file():
+            # In `from bulletuav.room import name` the name may be a module, too.
+            folder = PACKAGE.parent / node.module.replace(".", "/")
+            for alias in node.names:
+                if (folder / f"{alias.name}.py").is_file():
                     yield f"{node.module}.{alias.name}", id(node) in at_once
 
 
@@ -60,31 +73,48 @@ def room_of(path: Path) -> str:
 
 
 def graph() -> dict[str, set[str]]:
-    """Map each room to the other rooms that its files import, imports for type checking included."""
-    found: dict[str, set[str]] = {}
+    """Map each room to the others that its files import, imports for type checking included."""
+    imports: dict[str, set[str]] = {}
     for path in sorted(PACKAGE.rglob("*.py")):
-        others = found.setdefault(room_of(path), set())
+        room = room_of(path)
+        others = imports.setdefault(room, set())
         for module, _ in imported(path):
             parts = module.split(".")
             if parts[0] == "bulletuav" and len(parts) > 1:
                 others.add(parts[1])
-        others.discard(room_of(path))
-    return found
+        others.discard(room)
+    return imports
+
+
+def print_dot(imports: dict[str, set[str]]) -> None:
+    """Print a graph for Graphviz, whose edges go from a room to those that it imports."""
+    print("digraph rooms {")
+    print("  rankdir=BT;")
+    for room, others in imports.items():
+        for other in sorted(others):
+            print(f'  "{room}" -> "{other}";')
+    print("}")
+
+
+def print_list(imports: dict[str, set[str]]) -> None:
+    """Print each room with the rooms that it imports, lowest first."""
+    for line in ROOMS:
+        for room in line:
+            if room in imports:
+                print(f"{room:12} <- {', '.join(sorted(imports[room])) or 'nothing'}")
 
 
 def main() -> None:
     """Print the rooms."""
-    parser = argparse.ArgumentParser(description="Draw the rooms of the package and their imports.")
-    parser.add_argument("--dot", action="store_true", help="a graph for Graphviz")
-    dot, rooms = parser.parse_args().dot, graph()
-    if dot:
-        edges = [f'  "{one}" -> "{other}";' for one in rooms for other in sorted(rooms[one])]
-        print("\n".join(("digraph rooms {", "  rankdir=BT;", *edges, "}")))
-        return
-    for names in ROOMS:
-        for name in names:
-            if name in rooms:
-                print(f"{name:12} <- {', '.join(sorted(rooms[name])) or 'nothing'}")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--dot", action="store_true", help="print a graph for Graphviz")
+    arguments = parser.parse_args()
+    if arguments.dot:
+        print_dot(graph())
+    else:
+        print_list(graph())
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
-"""Measure the style of Python sources: `python tools/style.py [FOLDER ...]`, the package by default.
+"""Measure the style of Python sources: `python tools/style.py [FOLDER ...]`.
 
-Prints for each folder: tokens a line of code, share of lines over 100 characters, share of lines that are comments,
-share of annotated arguments, words a sentence in docstrings, and lines of functions (median, 90 %, most).
+Prints for each folder, by default the package: tokens a line of code, share of lines over 100
+characters, share of lines that are comments, share of annotated arguments, words a sentence in
+docstrings, and lines of functions (median, 90 %, most).
 """
 
 import ast
@@ -10,6 +11,7 @@ import re
 import statistics
 import sys
 import tokenize
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -24,6 +26,7 @@ SKIPPED = {
     tokenize.ENDMARKER,
     tokenize.ENCODING,
 }
+"""Kinds of tokens that are no code"""
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 SECTION = re.compile(
     r"^\s*(Args|Returns|Raises|Yields|Attributes|Example|Examples|Note|Source):\s*$", re.MULTILINE
@@ -33,61 +36,95 @@ SECTION = re.compile(
 def docstrings(tree: ast.AST) -> Iterator[ast.Constant]:
     """Yield the docstrings of a module, its classes and functions, and of attributes."""
     for node in ast.walk(tree):
-        for one in (
-            getattr(node, "body", None) if isinstance(getattr(node, "body", None), list) else ()
-        ):
-            if isinstance(one, ast.Expr) and isinstance(one.value, ast.Constant):
-                if isinstance(one.value.value, str):
-                    yield one.value
+        body = getattr(node, "body", None)
+        for statement in body if isinstance(body, list) else ():
+            match statement:
+                case ast.Expr(value=ast.Constant(value=str()) as text):
+                    yield text
 
 
 def sentences(text: str) -> list[str]:
     """Split a docstring into sentences, without the lines of tables and code."""
-    prose = [line.strip() for line in SECTION.sub("", text).splitlines()]
+    lines = [line.strip() for line in SECTION.sub("", text).splitlines()]
     prose = [
-        line for line in prose if "  " not in line and not line.startswith((">>>", "|", "..."))
+        line for line in lines if "  " not in line and not line.startswith((">>>", "|", "..."))
     ]
     blocks = re.split(r"\n\s*\n", "\n".join(prose))
     found = [
-        re.sub(r"\s+", " ", one).strip()
+        re.sub(r"\s+", " ", sentence).strip()
         for block in blocks
-        for one in re.split(r"(?<=[.!?])\s+", block)
+        for sentence in re.split(r"(?<=[.!?])\s+", block)
     ]
-    return [one for one in found if len(one.split()) > 1]
+    return [sentence for sentence in found if len(sentence.split()) > 1]
+
+
+def count_lines(text: str, documentation: list[ast.Constant]) -> Counter[str]:
+    """Count tokens and lines of code, and lines that are not empty, too wide, or comments.
+
+    Args:
+        text: Source of a file.
+        documentation: Its docstrings, which are no code.
+
+    Returns:
+        Numbers of "tokens", "code", "lines", "wide" and "comments".
+    """
+    documented = {
+        line
+        for node in documentation
+        for line in range(node.lineno, (node.end_lineno or node.lineno) + 1)
+    }
+    tokens = [
+        token
+        for token in tokenize.generate_tokens(io.StringIO(text).readline)
+        if token.type not in SKIPPED and token.start[0] not in documented
+    ]
+    lines = [line for line in text.splitlines() if line.strip()]
+    return Counter(
+        tokens=len(tokens),
+        code=len({token.start[0] for token in tokens}),
+        lines=len(lines),
+        wide=sum(len(line) > WIDEST for line in lines),
+        comments=sum(line.lstrip().startswith("#") for line in lines),
+    )
+
+
+def count_arguments(function: Function) -> Counter[str]:
+    """Count the "arguments" of a function, and those that are "annotated"; not self and cls."""
+    arguments = [
+        argument
+        for argument in (
+            *function.args.posonlyargs,
+            *function.args.args,
+            *function.args.kwonlyargs,
+        )
+        if argument.arg not in ("self", "cls")
+    ]
+    annotated = [argument for argument in arguments if argument.annotation is not None]
+    return Counter(arguments=len(arguments), annotated=len(annotated))
 
 
 def measure(folder: Path) -> dict[str, float]:
     """Measure all Python files below a folder."""
-    tokens = code = lines = wide = comments = arguments = annotated = 0
-    lengths: list[int] = []
-    words: list[int] = []
+    counts: Counter[str] = Counter()
+    lengths: list[int] = []  # lines of each function
+    words: list[int] = []  # words of each sentence
     for path in sorted(folder.rglob("*.py")):
         text = path.read_text(encoding="utf-8")
         tree = ast.parse(text)
-        texts = list(docstrings(tree))
-        inside = {k for one in texts for k in range(one.lineno, (one.end_lineno or one.lineno) + 1)}
-        found = list(tokenize.generate_tokens(io.StringIO(text).readline))
-        kept = [one for one in found if one.type not in SKIPPED and one.start[0] not in inside]
-        tokens += len(kept)
-        code += len({one.start[0] for one in kept})
-        rows = [row for row in text.splitlines() if row.strip()]
-        lines += len(rows)
-        wide += sum(len(row) > WIDEST for row in rows)
-        comments += sum(row.lstrip().startswith("#") for row in rows)
-        words += [len(one.split()) for text in texts for one in sentences(str(text.value))]
+        documentation = list(docstrings(tree))
+        counts += count_lines(text, documentation)
+        for docstring in documentation:
+            words += [len(sentence.split()) for sentence in sentences(str(docstring.value))]
         for node in ast.walk(tree):
             if isinstance(node, Function):
                 lengths.append((node.end_lineno or node.lineno) - node.lineno + 1)
-                given = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
-                given = [one for one in given if one.arg not in ("self", "cls")]
-                arguments += len(given)
-                annotated += sum(one.annotation is not None for one in given)
+                counts += count_arguments(node)
     lengths.sort()
     return {
-        "tokens a line": tokens / code,
-        "lines over 100, %": 100 * wide / lines,
-        "comment lines, %": 100 * comments / lines,
-        "annotated arguments, %": 100 * annotated / max(arguments, 1),
+        "tokens a line": counts["tokens"] / counts["code"],
+        "lines over 100, %": 100 * counts["wide"] / counts["lines"],
+        "comment lines, %": 100 * counts["comments"] / counts["lines"],
+        "annotated arguments, %": 100 * counts["annotated"] / max(counts["arguments"], 1),
         "words a sentence": statistics.fmean(words) if words else float("nan"),
         "function lines p50": lengths[len(lengths) // 2],
         "function lines p90": lengths[int(0.9 * len(lengths))],
@@ -96,14 +133,12 @@ def measure(folder: Path) -> dict[str, float]:
 
 
 def main() -> None:
-    """Print a table, one row a folder."""
+    """Print the measures of each folder."""
     folders = [Path(name) for name in sys.argv[1:]] or [PACKAGE]
     for folder in folders:
-        print(
-            folder.name,
-            *(f"  {name:24}{value:8.1f}" for name, value in measure(folder).items()),
-            sep="\n",
-        )
+        print(folder.name)
+        for name, value in measure(folder).items():
+            print(f"  {name:24}{value:8.1f}")
 
 
 if __name__ == "__main__":

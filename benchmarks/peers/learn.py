@@ -1,6 +1,7 @@
-"""How a learner under comparison answers: one run of stable-baselines3's PPO, one line told.
+"""Run of a learner under comparison: stable-baselines3's PPO, with one line of results.
 
-The last argument says how it learns; see `learn`. Of the simulator it knows nothing but a `VecEnv`, and who resets.
+The last argument of the process says how it learns; see `learn`. Of the simulator it knows only a
+`VecEnv`, and the class that resets.
 """
 
 from serve import ANSWERS  # first: it takes care of what others print
@@ -19,10 +20,11 @@ from stable_baselines3.common.vec_env import VecEnv
 
 
 class Stopwatch:
-    """Counts the CPU-seconds that a method takes, of all objects of its class."""
+    """Counter of the CPU-seconds that a method takes, of all objects of its class."""
 
     def __init__(self, owner: type, method: str):
-        self.seconds, function = 0.0, getattr(owner, method)
+        self.seconds = 0.0
+        function = getattr(owner, method)
 
         def timed(*args, **kwargs):
             begin = time.process_time()
@@ -34,7 +36,7 @@ class Stopwatch:
 
 
 class Episodes(BaseCallback):
-    """Counts those that end."""
+    """Counter of the episodes that end."""
 
     count = 0
 
@@ -44,20 +46,31 @@ class Episodes(BaseCallback):
 
 
 def learn(make: Callable[[int], VecEnv], simulator: type) -> None:
-    """Tell of a learner that begins: {"frames", "episodes", "wall", "cpu", "environment", "resets"}, the last four seconds.
+    """Measure a learner that begins, and print its results as JSON.
 
-    Asked for {"environments", "frames", "seed", and options of PPO}. The first rollout and update, which compile, are not
-    counted. A frame is one transition; there may be more than asked for, as rollouts are not cut. The environment's time
-    includes that of its resets, which are those of class `simulator`.
+    It is asked for by JSON with "environments", "frames", "seed" and options of PPO. It answers
+    with "frames", "episodes", and in seconds "wall", "cpu", "environment" and "resets". A frame is
+    one transition; there may be more than asked for, as rollouts are not cut. The environment's
+    time includes that of its resets. The first rollout and update, which compile, do not count.
+
+    Args:
+        make: Function that makes so many environments.
+        simulator: Class whose method `reset` is a reset of the environment.
     """
     options = json.loads(sys.argv[-1])
-    env, frames, episodes = make(options.pop("environments")), options.pop("frames"), Episodes()
-    steps, resets = Stopwatch(type(env), "step_wait"), Stopwatch(simulator, "reset")
+    env = make(options.pop("environments"))
+    frames = options.pop("frames")
+    episodes = Episodes()
+    steps = Stopwatch(type(env), "step_wait")
+    resets = Stopwatch(simulator, "reset")
     torch.set_num_threads(1)
     model = PPO("MlpPolicy", env, device="cpu", **options)
+    # Compile, then begin to count.
     model.learn(env.num_envs * model.n_steps)
     steps.seconds = resets.seconds = 0.0
-    before, clock, cpu = model.num_timesteps, time.perf_counter(), time.process_time()
+    before = model.num_timesteps
+    clock = time.perf_counter()
+    cpu = time.process_time()
     model.learn(frames, callback=episodes, reset_num_timesteps=False)
     answer = {
         "wall": time.perf_counter() - clock,

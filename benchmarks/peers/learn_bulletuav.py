@@ -1,4 +1,7 @@
-"""PPO on `hover` of bulletuav, with frequencies, horizon and action of gym-pybullet-drones' HoverAviary."""
+"""PPO on `hover` of bulletuav, set up as HoverAviary of gym-pybullet-drones.
+
+Frequencies, horizon and action are the same.
+"""
 
 from learn import learn  # first: it takes care of what others print
 

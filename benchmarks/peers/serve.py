@@ -1,4 +1,7 @@
-"""How a simulator under comparison answers: one line asked, one line told. Imports nothing but the standard library."""
+"""Server of a simulator under comparison: one line asked, one line answered.
+
+It imports only the standard library, as each simulator has an environment of its own.
+"""
 
 import gc
 import json
@@ -8,30 +11,36 @@ import sys
 import time
 from collections.abc import Callable
 
-# What the simulator prints, from its import on, is not an answer: standard output becomes standard error for it.
+# What the simulator prints, from its import on, is not an answer. So answers have a copy of
+# standard output, and for everything else standard output becomes standard error.
 ANSWERS = os.fdopen(os.dup(1), "w")
 os.dup2(2, 1)
 
-SUBSTEPS = 24  # a decision: 240 Hz physics, 10 Hz decisions
+SUBSTEPS = 24
+"""Substeps of a decision: 240 Hz physics, 10 Hz decisions"""
+Call = Callable[[], object]
+Case = Callable[[], tuple[Call, float]]
+"""Function that builds what it measures and returns (call, count)"""
 
 
 def grid(num_drones: int) -> list[tuple[float, float, float]]:
-    """Where drones start, 2 m apart, 1 m up."""
+    """List where drones start: 2 m apart, 1 m up."""
     side = math.ceil(math.sqrt(num_drones))
     return [(2.0 * (i % side), 2.0 * (i // side), 1.0) for i in range(num_drones)]
 
 
-def serve(cases: dict[str, Callable[[], tuple[Callable[[], object], float]]]) -> None:
-    """Answer each line {"case", "seconds"} on standard input with {"rate"} on standard output until it ends.
+def serve(cases: dict[str, Case]) -> None:
+    """Answer each line {"case", "seconds"} on standard input until it ends.
 
-    A case builds what it measures and returns (call, count): rate is count times calls per CPU-second of this process, after
-    a first call that compiles. What was built stays for the next question, as long as no other case is asked for. A case
-    that fails answers {"error"}.
+    The answer on standard output is {"rate"}: the count of the case times its calls per CPU-second
+    of this process, after a first call that compiles. What was built stays for the next question,
+    until another case is asked for. A case that fails answers {"error"}.
     """
-    kept: dict[str, tuple[Callable[[], object], float]] = {}
+    kept: dict[str, tuple[Call, float]] = {}
     for line in sys.stdin:
         question = json.loads(line)
         try:
+            # Free what the last case built before the next one builds.
             if question["case"] not in kept:
                 kept.clear()
                 gc.collect()
@@ -44,9 +53,10 @@ def serve(cases: dict[str, Callable[[], tuple[Callable[[], object], float]]]) ->
         print(json.dumps(answer), file=ANSWERS, flush=True)
 
 
-def measure(call: Callable[[], object], count: float, seconds: float) -> float:
-    """`count` times calls per CPU-second, all threads of the process counted."""
-    calls, begin = 0, time.process_time()
+def measure(call: Call, count: float, seconds: float) -> float:
+    """Measure `count` times the calls per CPU-second, with all threads of the process."""
+    calls = 0
+    begin = time.process_time()
     while (spent := time.process_time() - begin) < seconds:
         call()
         calls += 1

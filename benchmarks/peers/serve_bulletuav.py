@@ -19,8 +19,10 @@ from bulletuav.tasks.lidar_navigation import LidarNavigation
 from bulletuav.vehicle.airframe import load_airframe
 
 CITY = {"num_drones": 3, "num_beams": 16, "max_range": 60.0}
-PIECE = {"dynamics": "single_integrator", "physics_hz": 10}  # a decision in one piece
-THEIRS = {  # steps, ends and volume of urbanmarl
+# A decision in one piece.
+PIECE = {"dynamics": "single_integrator", "physics_hz": 10}
+# Steps, ends and volume of urbanmarl.
+URBANMARL_CITY = {
     "dynamics": "single_integrator",
     "physics_hz": 1,
     "decision_hz": 1,
@@ -30,28 +32,29 @@ THEIRS = {  # steps, ends and volume of urbanmarl
     "height": (20.0, 120.0),
     "ceiling": 200.0,
 }
+# Sizes and steps of urbanmarl.
 EDGE = {
     "num_drones": 3,
     "num_users": 50,
     "decision_hz": 1,
     "autoreset_mode": AutoresetMode.SAME_STEP,
-}  # as urbanmarl
-RAYS = 256 * 3 * 16
+}
+RAYS = 256 * 3 * 16  # of 256 worlds with 3 drones of 16 beams
 
 
 def flight(worlds: int, drones: int, dynamics: str, **options):
-    """The whole step: controllers, all forces, engine, contacts, observation, reward."""
+    """Take whole steps: controllers, all forces, engine, contacts, observation, reward."""
     aviary = hovering(worlds, drones, dynamics, **options)
     return partial(aviary.step, np.zeros((worlds, drones, 3))), worlds * drones * SUBSTEPS
 
 
 def reset(drones: int):
-    """A reset of one world."""
+    """Reset one world."""
     return partial(hovering(1, drones, "bullet").reset, seeds=0), 1
 
 
 def crossing(drones: int):
-    """The PettingZoo environment, reset when an agent is done."""
+    """Fly the PettingZoo environment, and reset it when an agent is done."""
     env = bulletuav.parallel_env("crossing", num_drones=drones, horizon=10**9, randomization={})
     env.reset(seed=0)
     actions = {agent: np.zeros(3, dtype=np.float32) for agent in env.agents}
@@ -65,7 +68,10 @@ def crossing(drones: int):
 
 
 def batched_crossing(worlds: int, drones: int):
-    """The batched environment on the cheapest dynamics: agent-decisions, to compare with point masses."""
+    """Fly the batched environment with the cheapest dynamics, to compare with point masses.
+
+    The rate is in agent-decisions.
+    """
     env = bulletuav.batch_env(
         "crossing", worlds, num_drones=drones, dynamics="single_integrator", randomization={}
     )
@@ -74,7 +80,7 @@ def batched_crossing(worlds: int, drones: int):
 
 
 def floor(worlds: int, drones: int):
-    """The engine alone: step, a wrench and a state of every drone, in C, and nothing else."""
+    """Take steps of the engine alone, in C, with a wrench and a state of every drone."""
     engine, cases = floors(worlds, drones)
     if engine.port is None:
         raise RuntimeError("needs the C extension: see `bulletuav doctor`")
@@ -82,10 +88,14 @@ def floor(worlds: int, drones: int):
 
 
 def random_flight(task: str, worlds: int, settle: int, **options):
-    """A task under random actions, after `settle` steps, when worlds begin anew at different times."""
+    """Fly a task with random actions.
+
+    First come `settle` steps, after which worlds begin anew at different times.
+    """
     env = bulletuav.batch_env(task, worlds, **options)
     env.reset(seed=0)
-    rng, shape = np.random.default_rng(0), (worlds, env.num_drones, *env.action_space.shape)
+    rng = np.random.default_rng(0)
+    shape = (worlds, env.num_drones, *env.action_space.shape)
 
     def step() -> None:
         env.step(rng.uniform(-1, 1, shape))
@@ -96,7 +106,7 @@ def random_flight(task: str, worlds: int, settle: int, **options):
 
 
 class Blind(LidarNavigation):
-    """The same without a range finder, and without the term that needs it."""
+    """`lidar_navigation` without a range finder, and without the reward term that needs it."""
 
     name = "blind_navigation"
     observation = tuple(block for block in LidarNavigation.observation if block != "lidar")
@@ -109,14 +119,17 @@ class Blind(LidarNavigation):
 
 
 def city_hover(task: str | type, worlds: int):
-    """A decision in which all drones fly on: hover at the start. Environment steps."""
+    """Hover at the start, so that all drones fly on. The rate is in environment steps."""
     env = bulletuav.batch_env(task, worlds, horizon=10**9, battery_capacity=None, **CITY, **PIECE)
     env.reset(seed=0)
     return partial(env.step, np.zeros((worlds, env.num_drones, *env.action_space.shape))), worlds
 
 
 def beams_alone(worlds: int):
-    """The rays of `city_hover` in one call of C, with nothing about it. Environment steps."""
+    """Cast the rays of `city_hover` in one call of C, and nothing else.
+
+    The rate is in environment steps.
+    """
     aviary = bulletuav.batch_env("lidar_navigation", worlds, **CITY, **PIECE).aviary
     aviary.reset(seeds=0)
     engine = Engine(aviary.options.airframe, worlds, 1 / 10, layouts=aviary.task.layouts())
@@ -125,32 +138,34 @@ def beams_alone(worlds: int):
     azimuth = np.radians([beam.azimuth for beam in make_beams(CITY["num_beams"], (0.0,))])
     directions = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros_like(azimuth)], axis=1)
     swarm = aviary.swarm
-    return in_c(
-        engine,
-        *cast(swarm.position, swarm.quaternion, everyone, directions, CITY["max_range"], True),
-    ), worlds
+    rays = cast(swarm.position, swarm.quaternion, everyone, directions, CITY["max_range"], True)
+    return in_c(engine, *rays), worlds
 
 
 def in_c(engine: Engine, start: np.ndarray, end: np.ndarray, tile: np.ndarray):
-    """A call of the C extension alone."""
+    """Cast rays by a call of the C extension alone."""
     port = engine.port
     if port is None:
         raise RuntimeError("needs the C extension: see `bulletuav doctor`")
-    start, end, fraction = (
-        start + port.offset[tile, 0],
-        end + port.offset[tile, 0],
-        np.empty(len(start)),
-    )
+    start = start + port.offset[tile, 0]
+    end = end + port.offset[tile, 0]
+    fraction = np.empty(len(start))
     first, last, result = (array.ctypes.data for array in (start, end, fraction))
 
-    def call(_kept=(engine, start, end, fraction)) -> None:  # which must live as long
+    # C has pointers into the arrays, so these must live as long as the call.
+    def call(_kept=(engine, start, end, fraction)) -> None:
         port.rays(port.session, len(start), first, last, VISIBLE, result)
 
     return call
 
 
 def street_rays(buildings: int, how: str):
-    """Level rays of 60 m from random places outdoors in a city of so many buildings, `how` they are cast."""
+    """Cast level rays of 60 m from random places outdoors in a city of so many buildings.
+
+    Args:
+        buildings: Their number, about.
+        how: What casts them: "bulletuav", "C" (its extension alone) or "pybullet".
+    """
     rng = np.random.default_rng(0)
     side = round(buildings**0.5) * KINDS["urban"].pitch
     city = generate("urban", side, rng)
@@ -161,8 +176,9 @@ def street_rays(buildings: int, how: str):
         [np.cos(azimuth), np.sin(azimuth), np.zeros(RAYS)], axis=1
     )
     if how == "pybullet":
+        client = _mesh_client(city.solids)
         return partial(
-            pybullet.rayTestBatch, start, end, numThreads=1, physicsClientId=_only(city.solids)
+            pybullet.rayTestBatch, start, end, numThreads=1, physicsClientId=client
         ), RAYS
     engine = Engine([load_airframe("cf2x")], 1, 1 / 240, layouts=[city.solids])
     tile = np.zeros(RAYS, dtype=np.int64)
@@ -172,8 +188,8 @@ def street_rays(buildings: int, how: str):
     return partial(engine.cast_rays, start, end, tile), RAYS
 
 
-def _only(solids) -> int:
-    """A client in which nothing is but the mesh of a city."""
+def _mesh_client(solids) -> int:
+    """Make a client of pybullet with nothing in it but the mesh of a city."""
     client = pybullet.connect(pybullet.DIRECT)
     vertices, triangles = solids.mesh
     mesh = pybullet.createCollisionShape(
@@ -188,7 +204,7 @@ def _only(solids) -> int:
 
 
 def in_cities():
-    """The cases of cities.py."""
+    """Make the cases of cities.py."""
     cases = {
         "blind, 256": partial(city_hover, Blind, 256),
         "48 rays in C, 256": partial(beams_alone, 256),
@@ -203,13 +219,13 @@ def in_cities():
         cases[f"city at 240 Hz, {worlds}"] = partial(
             city, worlds, 600, dynamics="single_integrator"
         )
-        cases[f"city by the second, {worlds}"] = partial(city, worlds, 100, **THEIRS)
+        cases[f"city by the second, {worlds}"] = partial(city, worlds, 100, **URBANMARL_CITY)
     cases["city in the engine, 256"] = partial(city, 256, 10, dynamics="bullet")
     return cases
 
 
 def at_the_edge():
-    """The cases of edge.py."""
+    """Make the cases of edge.py."""
     mec = partial(random_flight, "mec", **EDGE)
     cases = {"mec in the engine, 256": partial(mec, 256, 10, dynamics="bullet")}
     for worlds in (1, 64, 256):

@@ -15,7 +15,7 @@ from crazyflow.sim import Sim
 
 
 def flight(worlds: int, drones: int, contacts: bool):
-    """First-principles dynamics under the state controller at 240 Hz, decisions of 24 substeps."""
+    """Fly first-principles dynamics under the state controller, 24 substeps a decision."""
     sim = Sim(
         n_worlds=worlds,
         n_drones=drones,
@@ -47,7 +47,7 @@ def flight(worlds: int, drones: int, contacts: bool):
 
 
 def reset(drones: int):
-    """A reset of one world."""
+    """Reset one world."""
     sim = Sim(
         n_worlds=1,
         n_drones=drones,

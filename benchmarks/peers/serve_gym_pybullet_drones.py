@@ -1,4 +1,7 @@
-"""gym-pybullet-drones (J. Panerati et al. 2021), from a checkout whose path is the first argument."""
+"""gym-pybullet-drones (J. Panerati et al. 2021), from a checkout.
+
+The path of the checkout is the first argument.
+"""
 
 from serve import SUBSTEPS, grid, serve  # first: it takes care of what others print
 
@@ -16,7 +19,7 @@ from gym_pybullet_drones.utils.enums import Physics
 
 
 def aviary(num_drones: int, physics: Physics) -> CtrlAviary:
-    """Drones on the grid of all simulators."""
+    """Make drones on the grid of all simulators."""
     start = np.array(grid(num_drones))
     return CtrlAviary(
         num_drones=num_drones,
@@ -28,14 +31,14 @@ def aviary(num_drones: int, physics: Physics) -> CtrlAviary:
 
 
 def flight(num_drones: int, physics: Physics):
-    """Hovering rotor speeds, 24 substeps of 240 Hz a decision."""
+    """Fly with the rotor speeds of hover, 24 substeps of 240 Hz a decision."""
     env = aviary(num_drones, physics)
     env.reset(seed=0)
     return partial(env.step, np.full((num_drones, 4), env.HOVER_RPM)), num_drones * SUBSTEPS
 
 
 def reset(num_drones: int):
-    """A reset of all drones."""
+    """Reset all drones."""
     env = aviary(num_drones, Physics.PYB)
     return partial(env.reset, seed=0), 1
 

@@ -12,7 +12,7 @@ from PyFlyt.pz_envs.quadx_envs.ma_quadx_hover_env import MAQuadXHoverEnv
 
 
 def quadx(num_drones: int):
-    """Hover under position control, 240 Hz physics, decisions of 24 substeps."""
+    """Hover under position control, 240 Hz physics, 24 substeps a decision."""
     start = np.array(grid(num_drones))
     env = Aviary(start_pos=start, start_orn=np.zeros_like(start), drone_type="quadx", seed=1)
     env.set_mode(7)
@@ -30,7 +30,10 @@ def quadx(num_drones: int):
 
 
 def hover(num_drones: int):
-    """The PettingZoo environment, one action throughout, reset when all are done; those that are done count on."""
+    """Fly the PettingZoo environment with one action, and reset it when all agents are done.
+
+    Agents that are done before the others still count.
+    """
     start = np.array(grid(num_drones))
     env = MAQuadXHoverEnv(
         start_pos=start,
@@ -50,7 +53,7 @@ def hover(num_drones: int):
 
 
 def reset(num_drones: int):
-    """A reset of all drones."""
+    """Reset all drones."""
     start = np.array(grid(num_drones))
     env = MAQuadXHoverEnv(start_pos=start, start_orn=np.zeros_like(start))
     return partial(env.reset, seed=1), 1

@@ -1,4 +1,4 @@
-"""urbanmarl: UAVs in batched cities, in PyTorch, with the faces of TorchRL."""
+"""urbanmarl: UAVs in batched cities, in PyTorch, as environments of TorchRL."""
 
 from serve import serve  # first: it takes care of what others print
 
@@ -21,7 +21,10 @@ SCENARIOS = {
 
 
 def random_flight(worlds: int, **options):
-    """A scenario under random actions, worlds that are done reset; by default a step is a second."""
+    """Fly a scenario with random actions, and reset worlds that are done.
+
+    By default a step is a second.
+    """
     torch.set_num_threads(1)
     torch.manual_seed(0)
     env = UrbanEnv(

@@ -11,7 +11,10 @@ import vmas
 
 
 def navigation(worlds: int, agents: int):
-    """The navigation scenario: agents to goals, collisions, lidar and reward; a decision is one step."""
+    """Fly the navigation scenario: agents to goals, collisions, lidar and reward.
+
+    A decision is one step.
+    """
     torch.set_num_threads(1)
     env = vmas.make_env(
         "navigation",
@@ -31,7 +34,7 @@ def navigation(worlds: int, agents: int):
 
 
 def reset(worlds: int, agents: int):
-    """A reset of all worlds."""
+    """Reset all worlds."""
     env = vmas.make_env(
         "navigation",
         num_envs=worlds,

@@ -1,1 +1,4 @@
-"""The commands of the command line: each adds its arguments to a parser and runs."""
+"""Commands of the command line, one module each.
+
+Each module has `ABOUT` (its help texts), `add_arguments(parser)` and `run(arguments)`.
+"""

@@ -1,4 +1,4 @@
-"""Options of environments on the command line."""
+"""Arguments that several commands share: options of environments, policies and episodes."""
 
 import argparse
 import ast
@@ -11,7 +11,7 @@ from typing import Any
 
 from rich.console import Console
 
-from bulletuav.commands.progress import telling
+from bulletuav.commands.progress import show_progress
 from bulletuav.control.actions import ACTIONS
 from bulletuav.control.cascade import CONTROLLERS
 from bulletuav.dynamics.ladder import LADDER
@@ -22,18 +22,25 @@ from bulletuav.tasks import find_task
 from bulletuav.vehicle.airframe import available_airframes
 
 Advance = Callable[[int], None]
-POLICY_HELP = f"{', '.join((*POLICIES, *SHIPPED_NAMES))}, the folder of a training run, or ppo:model.zip (see --trust)"
+"""Function that takes how many more episodes are done"""
+POLICY_HELP = (
+    f"{', '.join((*POLICIES, *SHIPPED_NAMES))}, the folder of a training run, or ppo:model.zip "
+    "(see --trust)"
+)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Arguments for the options that all tasks have, and --set for the others."""
+    """Add arguments for the options that all tasks have, and --set for the others."""
     parser.add_argument(
         "--drones", type=int, dest="num_drones", metavar="N", help="number of drones"
     )
-    parser.add_argument("--airframe", help=f"{', '.join(available_airframes())}, or path of a URDF")
+    parser.add_argument(
+        "--airframe", help=f"{', '.join(available_airframes())}, or the path of a URDF"
+    )
     parser.add_argument("--dynamics", help=f"{', '.join(LADDER)} (default: bullet)")
     parser.add_argument(
-        "--action", help=f"{', '.join(ACTIONS)} (default: the task's, or one that the policy gives)"
+        "--action",
+        help=f"{', '.join(ACTIONS)} (default: the task's, or one that the policy gives)",
     )
     parser.add_argument("--controller", help=f"{' or '.join(CONTROLLERS)} (default: lee)")
     parser.add_argument("--difficulty", help="easy, medium, hard or extreme")
@@ -52,34 +59,97 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--turbulence", help="Dryden gusts: light, moderate or severe")
     parser.add_argument("--preset", help="named set of options, see `bulletuav tasks TASK`")
     parser.add_argument(
-        "--wind", type=float, nargs=3, metavar=("EAST", "NORTH", "UP"), help="steady wind in m/s"
+        "--wind",
+        type=float,
+        nargs=3,
+        metavar=("EAST", "NORTH", "UP"),
+        help="steady wind in m/s",
     )
     parser.add_argument(
         "--set",
         action="append",
         default=[],
         metavar="NAME=VALUE",
-        help="any other option of `bulletuav tasks TASK`, such as spacing=3 or weights={'goal':10}; repeatable",
+        help=(
+            "any other option of `bulletuav tasks TASK`, such as spacing=3 or "
+            "weights={'goal':10}; can be repeated"
+        ),
     )
 
 
+def add_trust(parser: argparse.ArgumentParser) -> None:
+    """Add the argument by which a user vouches for files that can run code."""
+    parser.add_argument(
+        "--trust",
+        action="store_true",
+        help=(
+            "read models that stable-baselines3 saved (ppo:model.zip). Such a file can run any "
+            "code on this machine: use it only for files whose maker you know"
+        ),
+    )
+
+
+def add_episodes(parser: argparse.ArgumentParser) -> None:
+    """Add arguments for how many episodes to fly, from which seed, in how many processes."""
+    parser.add_argument(
+        "--episodes",
+        type=int,
+        default=100,
+        help="episodes of each policy in each task (default: 100)",
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, help="episode e has the seed SEED + e (default: 0)"
+    )
+    parser.add_argument(
+        "--workers",
+        type=int,
+        default=1,
+        help="processes; their number does not change the results (default: 1)",
+    )
+    add_trust(parser)
+
+
 def given_options(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Options as keyword arguments of an environment, from those given on the command line."""
+    """Collect the options of an environment that were given on the command line.
+
+    Args:
+        arguments: Parsed arguments of a command with those of `add_options`.
+
+    Returns:
+        Keyword arguments of an environment.
+
+    Raises:
+        ValueError: A --set is not of the form NAME=VALUE, or an option is given twice.
+    """
+    # The seed is not an option of the environment here: every episode has its own.
     names = {field.name for field in dataclasses.fields(EnvOptions)} - {"seed"} | {"city"}
     options = {
         name: value
         for name, value in vars(arguments).items()
         if name in names and value is not None
     }
+    # A city can be a name, a file, or three numbers with commas between them.
     if "city" in options:
-        options["city"] = _value(options["city"])
-    return literals("--set", arguments.set, options)
+        options["city"] = _parse_value(options["city"])
+    return parse_pairs("--set", arguments.set, options)
 
 
-def literals(
+def parse_pairs(
     option: str, pairs: Iterable[str], known: Mapping[str, Any] = MappingProxyType({})
 ) -> dict[str, Any]:
-    """The `known` values and those of NAME=VALUE pairs. Raises ValueError for another form, or a name that comes twice."""
+    """Parse NAME=VALUE pairs.
+
+    Args:
+        option: The argument that they come from, to be named in errors.
+        pairs: Texts of the form NAME=VALUE.
+        known: Values that are set already.
+
+    Returns:
+        The known values and those of the pairs.
+
+    Raises:
+        ValueError: A text has another form, or a name comes twice.
+    """
     values = dict(known)
     for pair in pairs:
         name, equals, text = pair.partition("=")
@@ -87,71 +157,64 @@ def literals(
             raise ValueError(f"{option} {pair}: NAME=VALUE is needed")
         if name in values:
             raise ValueError(f"{option} {pair}: {name} is given twice")
-        values[name] = _value(text)
+        values[name] = _parse_value(text)
     return values
 
 
-def _value(text: str) -> Any:
-    """A literal, or several with commas between them."""
-    parts = [_literal(part) for part in text.split(",")]
-    return _literal(text) if len(parts) == 1 or text[0] in "([{" else tuple(parts)
+def policy_options(task: str, policy: PolicySpec, options: dict[str, Any]) -> dict[str, Any]:
+    """Complete the options of an environment by what a policy needs to fly in it.
 
+    Args:
+        task: Name of the task.
+        policy: The policy that is to fly.
+        options: Options that the user gave; they go before those of the policy.
 
-def flyable_options(task: str, pilot: PolicySpec, options: dict[str, Any]) -> dict[str, Any]:
-    """The options, with those that a trained policy needs, and an action that the policy can give where none is asked."""
-    options = {**pilot.options, **options}
-    if (
-        not pilot.actions
-        or "action" in options
-        or resolve(find_task(task), options)[0].action in pilot.actions
-    ):
+    Returns:
+        The options with those that a trained policy needs. Where the user chose no action and
+        the policy cannot give the task's own, they have the first that it can give.
+    """
+    options = {**policy.options, **options}
+    # A policy without a list of actions can give all of them.
+    if not policy.actions or "action" in options:
         return options
-    return {**options, "action": pilot.actions[0]}
+    common, _ = resolve(find_task(task), options)
+    if common.action in policy.actions:
+        return options
+    return {**options, "action": policy.actions[0]}
 
 
 @contextlib.contextmanager
-def episodes_bar(total: int) -> Iterator[Advance]:
-    """Tell how far an evaluation is; the function that it yields takes how many more episodes are done."""
+def show_episodes(total: int) -> Iterator[Advance]:
+    """Show how far an evaluation is.
+
+    Args:
+        total: Episodes to fly.
+
+    Yields:
+        A function to call with how many more episodes are done.
+    """
     done = 0
-    with telling("flying", total, "episodes") as progress:
+    with show_progress("flying", total, "episodes") as report:
 
         def advance(episodes: int) -> None:
             nonlocal done
             done += episodes
-            progress(done)
+            report(done)
 
         yield advance
 
 
-def add_trust(parser: argparse.ArgumentParser) -> None:
-    """The argument by which a user vouches for files that can run code."""
-    parser.add_argument(
-        "--trust",
-        action="store_true",
-        help="read models that stable-baselines3 saved (ppo:model.zip): such a file can run any code on this machine, so "
-        "say this only of files whose maker you know",
-    )
-
-
-def add_episodes(parser: argparse.ArgumentParser) -> None:
-    """Arguments for how many episodes, from which seed, in how many processes."""
-    parser.add_argument(
-        "--episodes", type=int, default=100, help="of each policy in each task (default: 100)"
-    )
-    parser.add_argument("--seed", type=int, default=0, help="episode e has seed + e (default: 0)")
-    parser.add_argument(
-        "--workers", type=int, default=1, help="processes; the results are the same (default: 1)"
-    )
-    add_trust(parser)
-
-
-def tell_files(console: Console, files: Iterable[Path]) -> None:
-    """Print where the files are."""
+def print_files(console: Console, files: Iterable[Path]) -> None:
+    """Print where the written files are."""
     console.print("\n".join(f"wrote {path}" for path in files), highlight=False, soft_wrap=True)
 
 
 def out_folder(path: Path) -> Path:
-    """The folder, made if it is not there. Raises ValueError where it cannot be."""
+    """Make the folder for the files of a command, if it is not there.
+
+    Raises:
+        ValueError: It cannot be made; the message tells why.
+    """
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -159,9 +222,19 @@ def out_folder(path: Path) -> Path:
     return path
 
 
-def _literal(text: str) -> Any:
-    """A number, None, a Python literal, or the text itself."""
+def _parse_value(text: str) -> Any:
+    """Parse a literal, or several with commas between them, which become a tuple."""
+    # A literal such as (1, 2) or {"goal": 10} has commas of its own.
+    parts = [_parse_literal(part) for part in text.split(",")]
+    if len(parts) == 1 or text[0] in "([{":
+        return _parse_literal(text)
+    return tuple(parts)
+
+
+def _parse_literal(text: str) -> Any:
+    """Parse a number, a truth value, None or another Python literal, or else keep the text."""
     try:
         return ast.literal_eval({"true": "True", "false": "False"}.get(text, text))
     except (ValueError, SyntaxError, TypeError):
+        # Python has no literals for these three.
         return float(text) if text.strip() in ("nan", "inf", "-inf") else text

@@ -2,27 +2,39 @@
 
 import argparse
 import itertools
+from collections.abc import Sequence
 
 from rich.console import Console
 from rich.table import Table
 
-from bulletuav.analysis.benchmark import FLOORS, ROUNDS, SIZES, measure
-from bulletuav.commands.progress import telling
+from bulletuav.analysis.benchmark import FLOORS, ROUNDS, SIZES, Result, measure
+from bulletuav.commands.progress import show_progress
 from bulletuav.dynamics.ladder import LADDER
 
 ABOUT = {
     "help": "measure this machine: drone-substeps per CPU-second of every dynamics",
-    "description": "Print drone-substeps per CPU-second of every dynamics beside the engine's floor, and reset times.",
+    "description": (
+        "Print drone-substeps per CPU-second of every dynamics, the same for the bare calls of "
+        "the engine, and how long resets take."
+    ),
 }
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Swarm sizes, and how long to measure."""
+    """Add swarm sizes, and how long to measure."""
     parser.add_argument(
-        "--drones", type=int, nargs="+", default=list(SIZES), metavar="N", help="swarm sizes"
+        "--drones",
+        type=int,
+        nargs="+",
+        default=list(SIZES),
+        metavar="N",
+        help="swarm sizes",
     )
     parser.add_argument(
-        "--seconds", type=float, default=0.3, help="CPU time of one measurement (default: 0.3)"
+        "--seconds",
+        type=float,
+        default=0.3,
+        help="CPU time of one measurement (default: 0.3)",
     )
 
 
@@ -33,27 +45,34 @@ def run(arguments: argparse.Namespace) -> None:
         raise ValueError(
             f"--drones {sizes}, --seconds {arguments.seconds}: numbers above 0 are needed"
         )
+    # Every case is measured several times in turn, so that all meet the same disturbances.
+    total = len(sizes) * (len(LADDER) + len(FLOORS)) * ROUNDS
     done = itertools.count(1)
-    with telling(
-        "measuring", len(sizes) * (len(LADDER) + len(FLOORS)) * ROUNDS, "measurements"
-    ) as progress:
-        results = measure(sizes, arguments.seconds, lambda: progress(next(done)))
+    with show_progress("measuring", total, "measurements") as report:
+        results = measure(sizes, arguments.seconds, lambda: report(next(done)))
+    Console().print(_table(results, sizes))
+    print(
+        "bare step: only the engine's step\n"
+        "engine calls: the step, and for every drone a wrench applied and a state read"
+    )
+
+
+def _table(results: Sequence[Result], sizes: Sequence[int]) -> Table:
+    """Lay out the rates: a row for each dynamics or floor, a column for each swarm size."""
     table = Table(
-        title="drone-substeps per CPU-second, one thread, 240 Hz, all forces; below it the reset of the world"
+        title="drone-substeps per CPU-second, one thread, 240 Hz, all forces; "
+        "below it the time of a reset of the world"
     )
     table.add_column("dynamics", no_wrap=True)
     for size in sizes:
         table.add_column(f"N = {size}", justify="right")
     for name in dict.fromkeys(result.name for result in results):
         row = [result for result in results if result.name == name]
-        table.add_row(
-            name,
-            *(
-                f"{r.rate:.3g}" if name in FLOORS else f"{r.rate:.3g}\n{r.reset_ms:.2f} ms"
-                for r in row
-            ),
-        )
-    Console().print(table)
-    print(
-        "bare step: the engine's step alone; engine calls: with a wrench and a state of every drone, no arithmetic of ours"
-    )
+        table.add_row(name, *map(_cell, row))
+    return table
+
+
+def _cell(result: Result) -> str:
+    """Write the rate of a case and, where it has one, its reset time."""
+    rate = f"{result.rate:.3g}"
+    return rate if result.name in FLOORS else f"{rate}\n{result.reset_ms:.2f} ms"

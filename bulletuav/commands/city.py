@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from PIL import Image
-from rich.console import Console
+from rich.console import Console, JustifyMethod
 from rich.table import Table
 
 from bulletuav.city.exports import write_obj
@@ -21,7 +21,7 @@ from bulletuav.city.maps import draw_map
 from bulletuav.city.model import City
 from bulletuav.city.render import render
 from bulletuav.city.statistics import KINDS, Statistics, realised
-from bulletuav.commands.arguments import out_folder, tell_files
+from bulletuav.commands.arguments import out_folder, print_files
 from bulletuav.errors import as_int, choose
 from bulletuav.files import replace_file, whole_file
 from bulletuav.report.pictures import blank_figure, save_figure
@@ -29,8 +29,8 @@ from bulletuav.report.pictures import blank_figure, save_figure
 ABOUT = {
     "help": "make a city and write its map, OBJ file and statistics",
     "description": (
-        "Make a city with the statistics of ITU-R P.1410, or read one from a file; print what it has against what was aimed "
-        "at; write a map, a Wavefront OBJ file and the statistics."
+        "Make a city with the statistics of ITU-R P.1410, or read one from a file. Print its "
+        "statistics beside those aimed at. Write a map, a Wavefront OBJ file and the statistics."
     ),
     "epilog": """examples:
   bulletuav city --kind dense --seed 3 --out dense
@@ -38,11 +38,32 @@ ABOUT = {
   bulletuav city --import footprints.geojson --default-height 9 --out home""",
 }
 NUMBERS = ("alpha", "beta", "gamma")
-GENERATOR = {"kind", "seed", "irregularity", *NUMBERS}
+GENERATOR = {"kind", "seed", "irregularity", "side", *NUMBERS}
+"""Options that have a meaning for a generated city"""
+COLUMNS: tuple[tuple[str, JustifyMethod], ...] = (
+    ("statistic", "left"),
+    ("realised", "right"),
+    ("target", "right"),
+)
+Measured = dict[str, tuple[float, float]]
+"""Value of each statistic, and the value aimed at, NaN where there is none"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What city, and where to."""
+    """Add what to generate, what to import, and where to write."""
+    _add_generator(parser)
+    _add_import(parser)
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("city"),
+        metavar="DIR",
+        help="folder for the files (default: city)",
+    )
+
+
+def _add_generator(parser: argparse.ArgumentParser) -> None:
+    """Add the options of a generated city."""
     parser.add_argument("--kind", help=f"{', '.join(KINDS)} (default: urban)")
     parser.add_argument(
         "--alpha", type=float, help="built-up share of the ground (default: the kind's)"
@@ -54,19 +75,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--irregularity", type=float, help="from 0, a regular grid (the default), to 1"
     )
-    parser.add_argument("--seed", type=int, help="(default: 0)")
+    parser.add_argument("--seed", type=int, help="same seed, same city (default: 0)")
     parser.add_argument(
         "--side",
         type=float,
         metavar="M",
-        help="of the square (default: 500, or what an import needs)",
+        help="side of the square (default: 500, or what an import needs)",
     )
+
+
+def _add_import(parser: argparse.ArgumentParser) -> None:
+    """Add the options of a city from a file."""
     parser.add_argument(
         "--import",
         type=Path,
         dest="file",
         metavar="FILE",
-        help="footprints (GeoJSON), or pieces (OBJ)",
+        help="read footprints (GeoJSON) or pieces (OBJ) instead of generating",
     )
     parser.add_argument(
         "--height",
@@ -74,90 +99,101 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="GeoJSON: the property with the height in m (default: height)",
     )
     parser.add_argument(
-        "--default-height", type=float, metavar="M", help="GeoJSON: of buildings without a height"
+        "--default-height",
+        type=float,
+        metavar="M",
+        help="GeoJSON: height of buildings that have none",
     )
     parser.add_argument(
         "--metres",
         action="store_true",
         default=None,
-        help="GeoJSON: coordinates are no degrees but metres",
+        help="GeoJSON: coordinates are metres, not degrees",
     )
     parser.add_argument(
         "--scale", type=float, help="OBJ: metres in a unit of the file (default: 1)"
     )
     parser.add_argument("--y-up", action="store_true", default=None, help="OBJ: y points up, not z")
-    parser.add_argument(
-        "--out",
-        type=Path,
-        default=Path("city"),
-        metavar="DIR",
-        help="folder for the files (default: city)",
-    )
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Make or read, print and write."""
+    """Make or read a city, print and write."""
     city, target = _city(arguments)
     measured = realised(city, target)
     out = out_folder(arguments.out)
     files = [out / "map.png", out / "city.obj", out / "statistics.json", out / "city.png"]
+    map_file, obj_file, statistics_file, picture_file = files
+
+    # Pictures and the OBJ file first, then the numbers.
     figure = blank_figure(9, 8)
     draw_map(city, figure.add_subplot())
-    save_figure(figure, files[0])
-    with whole_file(files[3]) as part:
+    save_figure(figure, map_file)
+    with whole_file(picture_file) as part:
         Image.fromarray(render(city.solids, city.side)).save(part)
-    write_obj(city, files[1])
-    replace_file(files[2], json.dumps(_described(city, measured), indent=2) + "\n")
+    write_obj(city, obj_file)
+    replace_file(statistics_file, json.dumps(_described(city, measured), indent=2) + "\n")
     console = Console()
     console.print(_table(city, measured))
-    tell_files(console, files)
+    print_files(console, files)
 
 
 def _city(arguments: argparse.Namespace) -> tuple[City, Statistics | None]:
-    """The city that was asked for, and the statistics that it aims at if it is a generated one."""
-    options = {name: value for name, value in vars(arguments).items() if value is not None}
-    options = {name: value for name, value in options.items() if name not in ("command", "out")}
-    if file := options.pop("file", None):
-        reader = choose(f"kind of file {str(file)!r} with ending", file.suffix.lower(), READERS)
-        _refuse_others(options, inspect.signature(reader).parameters, f"an import of {file}")
-        return reader(file, **options), None
-    _refuse_others(options, GENERATOR | {"side"}, "a generated city")
+    """Make or read the city, and give the statistics that a generated one aims at."""
+    options = {
+        name: value
+        for name, value in vars(arguments).items()
+        if value is not None and name not in ("command", "out")
+    }
+    file = options.pop("file", None)
+    if file is None:
+        return _generated(options)
+    # The ending chooses the reader, whose parameters are the options with a meaning.
+    reader = choose(f"kind of file {str(file)!r} with ending", file.suffix.lower(), READERS)
+    _refuse_others(options, inspect.signature(reader).parameters, f"an import of {file}")
+    return reader(file, **options), None
+
+
+def _generated(options: dict[str, Any]) -> tuple[City, Statistics]:
+    """Generate a city, and give the statistics that it aims at."""
+    _refuse_others(options, GENERATOR, "a generated city")
     kind = options.get("kind", "urban")
-    own = {name: options[name] for name in NUMBERS if name in options}
-    target = dataclasses.replace(choose("kind of city", kind, KINDS), **own)
+    numbers = {name: options[name] for name in NUMBERS if name in options}
+    target = dataclasses.replace(choose("kind of city", kind, KINDS), **numbers)
+    side = options.get("side", 500.0)
+    irregularity = options.get("irregularity", 0.0)
     rng = np.random.default_rng(as_int("seed", options.get("seed", 0), least=0))
-    return generate(
-        target if own else kind, options.get("side", 500.0), rng, options.get("irregularity", 0.0)
-    ), target
+    # An unchanged kind goes by its name, which becomes the name of the city.
+    return generate(target if numbers else kind, side, rng, irregularity), target
 
 
 def _refuse_others(options: dict[str, Any], known: Container[str], what: str) -> None:
-    """Raise ValueError for an option without a meaning."""
+    """Raise ValueError for an option that has no meaning."""
     for name in options:
         if name not in known:
             raise ValueError(f"--{name.replace('_', '-')} has no meaning for {what}: leave it out")
 
 
-def _described(city: City, measured: dict[str, tuple[float, float]]) -> dict[str, Any]:
-    """What goes into statistics.json; what was not aimed at is null."""
-    told = {
-        name: {"realised": value, "target": None if math.isnan(aim) else aim}
-        for name, (value, aim) in measured.items()
+def _described(city: City, measured: Measured) -> dict[str, Any]:
+    """Collect what goes into statistics.json; what was not aimed at is null."""
+    statistics = {
+        name: {"realised": value, "target": None if math.isnan(target) else target}
+        for name, (value, target) in measured.items()
     }
     return {
         "name": city.name,
         "side_m": city.side,
         "buildings": len(city.heights),
-        "statistics": told,
+        "statistics": statistics,
     }
 
 
-def _table(city: City, measured: dict[str, tuple[float, float]]) -> Table:
+def _table(city: City, measured: Measured) -> Table:
+    """Lay out the statistics beside their targets."""
     table = Table(
         title=f"city {city.name}, {city.side:g} m x {city.side:g} m, {len(city.heights)} buildings"
     )
-    for heading, side in (("statistic", "left"), ("realised", "right"), ("target", "right")):
-        table.add_column(heading, justify=side)  # type: ignore[arg-type]
-    for name, (value, aim) in measured.items():
-        table.add_row(name, f"{value:.4g}", "" if math.isnan(aim) else f"{aim:.4g}")
+    for heading, side in COLUMNS:
+        table.add_column(heading, justify=side)
+    for name, (value, target) in measured.items():
+        table.add_row(name, f"{value:.4g}", "" if math.isnan(target) else f"{target:.4g}")
     return table

@@ -1,22 +1,24 @@
 """`bulletuav compare`: a leaderboard of policies over tasks."""
 
 import argparse
+import itertools
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from rich.console import Console
 
+from bulletuav.analysis.evaluation import Evaluation
 from bulletuav.commands.arguments import (
     POLICY_HELP,
     add_episodes,
     add_options,
-    episodes_bar,
-    flyable_options,
     given_options,
     out_folder,
-    tell_files,
+    policy_options,
+    print_files,
+    show_episodes,
 )
-from bulletuav.commands.evaluate import evaluated, run_name
+from bulletuav.commands.evaluate import evaluate_case, run_name
 from bulletuav.errors import unknown
 from bulletuav.files import replace_file
 from bulletuav.policies import find_policy
@@ -26,17 +28,28 @@ from bulletuav.report.leaderboard import markdown, write_csv
 ABOUT = {
     "help": "evaluate several policies in several tasks and write a leaderboard",
     "description": (
-        "Evaluate every policy in every task, difficulty and (--dynamics A,B) dynamics; write a leaderboard as markdown, "
-        "csv and picture. The same command goes on where it was interrupted. Of --action, trained policies keep their own."
+        "Evaluate every policy in every task, difficulty and (--dynamics A,B) dynamics. Write a "
+        "leaderboard as markdown, csv and picture. The same command continues where it was "
+        "interrupted. --action is not for trained policies: they keep their own."
     ),
-    "epilog": """example:
-  bulletuav compare --policies straight,potential,orca --tasks crossing,pursuit,converge --workers 2 --out leaderboard
-  bulletuav compare --policies random,kmeans --tasks los,mec --dynamics single_integrator,bullet --out service""",
+    "epilog": """examples:
+  bulletuav compare --policies straight,potential,orca --tasks crossing,pursuit,converge \\
+      --workers 2 --out leaderboard
+  bulletuav compare --policies random,kmeans --tasks los,mec \\
+      --dynamics single_integrator,bullet --out service""",
 }
 
 
+class _Case(NamedTuple):
+    """One policy in one task with one set of options."""
+
+    task: str
+    policy: str
+    options: dict[str, Any]
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Who flies what, how often, where to, and the options."""
+    """Add tasks, policies, how many episodes, where to write, and the options."""
     parser.add_argument(
         "--tasks", required=True, type=_names, metavar="A,B", help="of `bulletuav tasks`"
     )
@@ -50,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--against",
         metavar="POLICY",
-        help="tell how much more the others have than this one of them",
+        help="one of the policies: print by how much the others differ from it",
     )
     add_episodes(parser)
     parser.add_argument(
@@ -63,54 +76,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(parser)
 
 
-def _names(text: str) -> list[str]:
-    names = list(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
-    if not names:
-        raise argparse.ArgumentTypeError(f"{text!r} names nothing")
-    return names
-
-
-def _each(option: str, values: list[str] | None) -> list[dict[str, str]]:
-    """Options that set one to each of the values; none where there are none."""
-    return [{option: value} if value else {} for value in values or [""]]
-
-
-def _flyable(task: str, policy: str, options: dict[str, Any], trust: bool) -> dict[str, Any]:
-    """The options for a policy; of actions, one that was trained keeps its own, which the others may not be able to give."""
-    pilot = find_policy(policy, task, trust)
-    chosen = {
-        name: value
-        for name, value in options.items()
-        if name != "action" or not (pilot.model and pilot.actions)
-    }
-    return flyable_options(task, pilot, chosen)
-
-
 def run(arguments: argparse.Namespace) -> None:
     """Evaluate all, print and write."""
     options = given_options(arguments)
+    # Here --dynamics can be several, so they are no option that all cases share.
     dynamics = _names(str(options.pop("dynamics"))) if "dynamics" in options else None
     if arguments.difficulties and "difficulty" in options:
         raise ValueError("--difficulty and --difficulties: give one of them")
     if arguments.against not in (None, *arguments.policies):
         raise unknown("policy in --against,", arguments.against, arguments.policies)
-    out, results = out_folder(arguments.out), []
-    cases = [
-        (task, policy, {**options, **difficulty, **one})
-        for task in arguments.tasks
-        for difficulty in _each("difficulty", arguments.difficulties)
-        for policy in arguments.policies
-        for one in _each("dynamics", dynamics)
-    ]
-    cases = [
-        (task, policy, _flyable(task, policy, options, arguments.trust))
-        for task, policy, options in cases
-    ]
-    with episodes_bar(arguments.episodes * len(cases)) as progress:
-        for task, policy, options in cases:
-            folder = out / "runs" / run_name(task, policy, options)
-            results.append(evaluated(arguments, task, policy, options, folder, progress))
-            results[-1].save(folder)
+    out = out_folder(arguments.out)
+    results = _evaluate(arguments, _cases(arguments, options, dynamics), out)
+
+    # Write the same leaderboard in three forms, and print the first.
     files = [out / "leaderboard.md", out / "leaderboard.csv", out / "leaderboard.png"]
     table = markdown(results, arguments.against)
     replace_file(files[0], table)
@@ -118,4 +96,55 @@ def run(arguments: argparse.Namespace) -> None:
     plot_leaderboard(results, files[2])
     console = Console()
     console.print(table, markup=False, soft_wrap=True)
-    tell_files(console, files)
+    print_files(console, files)
+
+
+def _names(text: str) -> list[str]:
+    """Split names with commas between them, and keep each once."""
+    names = list(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
+    if not names:
+        raise argparse.ArgumentTypeError(f"{text!r} names nothing")
+    return names
+
+
+def _cases(
+    arguments: argparse.Namespace, options: dict[str, Any], dynamics: list[str] | None
+) -> list[_Case]:
+    """List every policy in every task, difficulty and dynamics, with all options that it needs."""
+    combinations = itertools.product(
+        arguments.tasks,
+        _each("difficulty", arguments.difficulties),
+        arguments.policies,
+        _each("dynamics", dynamics),
+    )
+    cases = []
+    for task, difficulty, policy, one_dynamics in combinations:
+        asked = {**options, **difficulty, **one_dynamics}
+        cases.append(_Case(task, policy, _case_options(task, policy, asked, arguments.trust)))
+    return cases
+
+
+def _each(option: str, values: list[str] | None) -> list[dict[str, str]]:
+    """Make one dict of options for each value; an empty dict where there are no values."""
+    return [{option: value} if value else {} for value in values or [""]]
+
+
+def _case_options(task: str, name: str, options: dict[str, Any], trust: bool) -> dict[str, Any]:
+    """Complete the options for a policy; trained ones keep their own action."""
+    policy = find_policy(name, task, trust)
+    if policy.model and policy.actions:
+        # The user's action is for the others, which may not be able to give the trained one's.
+        options = {option: value for option, value in options.items() if option != "action"}
+    return policy_options(task, policy, options)
+
+
+def _evaluate(arguments: argparse.Namespace, cases: list[_Case], out: Path) -> list[Evaluation]:
+    """Evaluate the cases in turn, each in a folder of its own."""
+    results = []
+    with show_episodes(arguments.episodes * len(cases)) as advance:
+        for task, policy, options in cases:
+            folder = out / "runs" / run_name(task, policy, options)
+            result = evaluate_case(arguments, task, policy, options, out=folder, progress=advance)
+            result.save(folder)
+            results.append(result)
+    return results

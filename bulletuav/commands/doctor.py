@@ -9,17 +9,19 @@ from rich.table import Table
 from bulletuav.report.doctor import Finding, examine
 
 ABOUT = {
-    "help": "tell versions, what is active and what is missing",
-    "description": "Tell versions, whether the C extension is active, and what is missing with its remedy.",
+    "help": "print versions, what is active and what is missing",
+    "description": (
+        "Print the versions, whether the C extension is active, and how to get what is missing."
+    ),
 }
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """None."""
+    """Add nothing: the command takes no arguments."""
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Examine and print."""
+    """Examine the installation and print the findings."""
     table = Table(show_header=False)
     for _ in Finding._fields:
         table.add_column(overflow="fold")

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
+from rich.console import Console, JustifyMethod
 from rich.table import Table
 
 from bulletuav.analysis.evaluation import Evaluation, evaluate
@@ -14,10 +14,10 @@ from bulletuav.commands.arguments import (
     Advance,
     add_episodes,
     add_options,
-    episodes_bar,
-    flyable_options,
     given_options,
-    tell_files,
+    policy_options,
+    print_files,
+    show_episodes,
 )
 from bulletuav.policies import find_policy
 from bulletuav.report.charts import plot_evaluation
@@ -26,17 +26,25 @@ from bulletuav.tasks import find_task
 ABOUT = {
     "help": "fly many episodes and print metrics with confidence intervals",
     "description": (
-        "Fly many episodes in batches and processes; print metrics with 95 % confidence intervals; write them, those of "
-        "every episode, and a picture. The same command goes on where it was interrupted."
+        "Fly many episodes in batches and processes. Print metrics with 95 % confidence "
+        "intervals. Write these, the metrics of every episode, and a picture. The same command "
+        "continues where it was interrupted."
     ),
     "epilog": """examples:
   bulletuav evaluate converge --policy orca --episodes 100 --workers 2 --out converge-orca
-  bulletuav evaluate crossing --policy ppo:model.zip --trust --difficulty hard --out crossing-ppo""",
+  bulletuav evaluate crossing --policy ppo:model.zip --trust --difficulty hard --out crossing-ppo
+""",
 }
+COLUMNS: tuple[tuple[str, JustifyMethod], ...] = (
+    ("metric", "left"),
+    ("mean", "right"),
+    ("95 % interval", "right"),
+    ("what it is", "left"),
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The task, who flies, how many episodes, where to, and the options."""
+    """Add the task, the policy, how many episodes, where to write, and the options."""
     parser.add_argument("task", help="one of `bulletuav tasks`")
     parser.add_argument("--policy", help=f"who flies: {POLICY_HELP} (default: the task's)")
     add_episodes(parser)
@@ -48,52 +56,66 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Evaluate, print and write."""
-    arguments.policy = arguments.policy or find_task(arguments.task).baseline
-    pilot = find_policy(arguments.policy, arguments.task, arguments.trust)
-    options = flyable_options(arguments.task, pilot, given_options(arguments))
-    out = arguments.out or Path("evaluation") / run_name(arguments.task, arguments.policy, options)
-    with episodes_bar(arguments.episodes) as progress:
-        result = evaluated(arguments, arguments.task, arguments.policy, options, out, progress)
+    # Complete what was left out, by the task and by the policy.
+    task = arguments.task
+    policy = arguments.policy or find_task(task).baseline
+    spec = find_policy(policy, task, arguments.trust)
+    options = policy_options(task, spec, given_options(arguments))
+    out = arguments.out or Path("evaluation") / run_name(task, policy, options)
+    with show_episodes(arguments.episodes) as advance:
+        result = evaluate_case(arguments, task, policy, options, out=out, progress=advance)
+
+    # `evaluate` has written the run and its episodes; add the summary and a picture.
     picture = out / "summary.png"
     plot_evaluation(result, picture)
     files = [out / "run.json", out / "episodes.csv", result.save(out), picture]
     console = Console()
     console.print(_table(result))
-    if result.flight:
-        pace = result.flight / result.seconds
-        console.print(
-            f"{result.flight:.0f} s of flight in {result.seconds:.1f} s of wall time: {pace:.1f} times real time"
-        )
-    else:
-        console.print("all of these episodes were there already")
-    tell_files(console, files)
+    console.print(_pace(result))
+    print_files(console, files)
 
 
 def run_name(task: str, policy: str, options: dict[str, Any]) -> str:
-    """A folder's name for a run."""
+    """Make a folder's name for a run from its task, difficulty, dynamics and policy."""
     dynamics = [options["dynamics"]] if "dynamics" in options else []
     name = "-".join([task, options.get("difficulty", "default"), *dynamics, policy])
     return "".join(letter if letter.isalnum() or letter in "_.-" else "_" for letter in name)
 
 
-def evaluated(
+def evaluate_case(
     arguments: argparse.Namespace,
     task: str,
     policy: str,
     options: dict[str, Any],
+    *,
     out: Path,
     progress: Advance,
 ) -> Evaluation:
-    """`evaluate` with the command's arguments; an interrupt tells what is kept."""
+    """Call `evaluate` with a command's episodes, seed, workers and trust.
+
+    Args:
+        arguments: Parsed arguments of a command with those of `add_episodes`.
+        task: Name of the task.
+        policy: Who flies, as users name it.
+        options: Options of the environment.
+        out: Folder for the episodes; those that are there already are not flown again.
+        progress: Called with the number of episodes that were done since its last call.
+
+    Returns:
+        The evaluation.
+
+    Raises:
+        KeyboardInterrupt: After a line about what is kept.
+    """
     try:
         return evaluate(
             task,
             policy,
-            arguments.episodes,
-            arguments.seed,
-            arguments.workers,
-            out,
-            progress,
+            episodes=arguments.episodes,
+            seed=arguments.seed,
+            workers=arguments.workers,
+            out=out,
+            progress=progress,
             trust=arguments.trust,
             **options,
         )
@@ -105,23 +127,31 @@ def evaluated(
 
 
 def _table(result: Evaluation) -> Table:
+    """Lay out the metrics that have a value in some episode."""
     about = result.about
     reads = ", which reads the true state" if about["reads_swarm"] else ""
     table = Table(
         title=f"{about['task']}, policy {about['policy']}{reads}, {len(result.rows)} episodes"
     )
-    for heading, side in (
-        ("metric", "left"),
-        ("mean", "right"),
-        ("95 % interval", "right"),
-        ("what it is", "left"),
-    ):
-        table.add_column(heading, justify=side)  # type: ignore[arg-type]
-    for name, one in result.estimates().items():
-        if one.episodes:
-            table.add_row(name, f"{one.mean:.4g}", _interval(one), METRICS[name])
+    for heading, side in COLUMNS:
+        table.add_column(heading, justify=side)
+    for name, estimate in result.estimates().items():
+        if estimate.episodes:
+            table.add_row(name, f"{estimate.mean:.4g}", _interval(estimate), METRICS[name])
     return table
 
 
-def _interval(one: Estimate) -> str:
-    return f"{one.low:.4g} to {one.high:.4g}"
+def _interval(estimate: Estimate) -> str:
+    """Write a confidence interval."""
+    return f"{estimate.low:.4g} to {estimate.high:.4g}"
+
+
+def _pace(result: Evaluation) -> str:
+    """Tell how fast the episodes were flown, compared with real time."""
+    if not result.flight:
+        return "all of these episodes were there already"
+    pace = result.flight / result.seconds
+    return (
+        f"{result.flight:.0f} s of flight in {result.seconds:.1f} s of wall time: "
+        f"{pace:.1f} times real time"
+    )

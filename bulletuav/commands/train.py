@@ -1,7 +1,8 @@
-"""`bulletuav train`: policies that learn, one run or several seeds of several tasks."""
+"""`bulletuav train`: train a policy, in one run or with several seeds and tasks."""
 
 import argparse
 import dataclasses
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +11,11 @@ from rich.console import Console
 from bulletuav.commands.arguments import (
     add_options,
     given_options,
-    literals,
     out_folder,
-    tell_files,
+    parse_pairs,
+    print_files,
 )
-from bulletuav.commands.progress import telling
+from bulletuav.commands.progress import show_progress
 from bulletuav.envs.resolve import resolve
 from bulletuav.files import replace_file
 from bulletuav.policies.run import ALGORITHMS, CONFIG, POLICY, RunConfig, shipped, shipped_tasks
@@ -26,22 +27,26 @@ from bulletuav.training.store import CURVE, Row
 ABOUT = {
     "help": "train a policy that all drones share, with stable-baselines3",
     "description": (
-        "Train a policy that all drones share (extra 'sb3'). The folder of a run holds run.yaml, which reproduces it, "
-        "policy.safetensors, checkpoints, the learning curve and TensorBoard's files. The same command goes on where it was "
-        "interrupted, to the same weights. Tasks with a policy in the package start from its settings."
+        "Train a policy that all drones share (extra 'sb3'). The folder of a run holds run.yaml, "
+        "which reproduces it, policy.safetensors, checkpoints, the learning curve and "
+        "TensorBoard's files. The same command continues where it was interrupted, to the same "
+        "weights. Tasks with a policy in the package start from its settings."
     ),
     "epilog": """examples:
   bulletuav train crossing --algo ppo --steps 2e6 --seed 0 --out crossing-run
   bulletuav evaluate crossing --policy crossing-run
-  bulletuav train pursuit --algo sac --curriculum easy,medium --dynamics point_mass --model gamma=0.98 --out pursuit-sac
+  bulletuav train pursuit --algo sac --curriculum easy,medium --dynamics point_mass \\
+      --model gamma=0.98 --out pursuit-sac
   bulletuav train --config crossing-run/run.yaml --out again
   bulletuav train --all --seeds 0,1,2 --workers 2 --out learning""",
 }
 GIVEN = ("seed", "steps", "worlds", "evaluations", "episodes")
+"""Arguments that are fields of `RunConfig` under the same name"""
+DISCRETE_ACTIONS = ("discrete", "discrete_27")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What is learned, by which algorithm, for how long, where to, and the options."""
+    """Add what to learn, by which algorithm, for how long, where to write, and the options."""
     parser.add_argument("task", nargs="?", help="one of `bulletuav tasks`")
     parser.add_argument(
         "--config", type=Path, metavar="FILE", help="the run.yaml of a run, or one like it"
@@ -51,34 +56,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help=f"train the package's policies: {', '.join(shipped_tasks())}",
     )
-    parser.add_argument("--algo", help=f"{', '.join(ALGORITHMS)} (default: ppo)")
-    parser.add_argument("--steps", type=count, help="decisions of all drones together, such as 2e6")
-    parser.add_argument("--seed", type=int, help="same seed, same weights (default: 0)")
+    _add_run_config(parser)
     parser.add_argument(
         "--seeds",
         type=seeds,
         metavar="A,B",
-        help="train once with each, and draw their curves together",
-    )
-    parser.add_argument("--worlds", type=int, help="worlds that fly at once")
-    parser.add_argument(
-        "--evaluations", type=int, metavar="N", help="checkpoints with an evaluation on the way"
-    )
-    parser.add_argument("--episodes", type=int, metavar="N", help="of each evaluation")
-    parser.add_argument(
-        "--curriculum",
-        metavar="A,B",
-        help="difficulties, easiest first, through which success leads",
+        help="train once with each seed, and draw their curves together",
     )
     parser.add_argument(
-        "--model",
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        help="setting of the algorithm",
-    )
-    parser.add_argument(
-        "--workers", type=int, default=1, help="runs at once, each a process, with --all or --seeds"
+        "--workers",
+        type=int,
+        default=1,
+        help="with --all or --seeds: runs at once, each in a process (default: 1)",
     )
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="folder for the files (default: one in training/)"
@@ -86,8 +75,39 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(parser)
 
 
+def _add_run_config(parser: argparse.ArgumentParser) -> None:
+    """Add the settings of a run beside the options of its environment."""
+    parser.add_argument("--algo", help=f"{', '.join(ALGORITHMS)} (default: ppo)")
+    parser.add_argument("--steps", type=count, help="decisions of all drones together, such as 2e6")
+    parser.add_argument("--seed", type=int, help="same seed, same weights (default: 0)")
+    parser.add_argument("--worlds", type=int, help="worlds that fly at once")
+    parser.add_argument(
+        "--evaluations",
+        type=int,
+        metavar="N",
+        help="evaluations during the training, each with a checkpoint",
+    )
+    parser.add_argument("--episodes", type=int, metavar="N", help="episodes of each evaluation")
+    parser.add_argument(
+        "--curriculum",
+        metavar="A,B",
+        help="difficulties, easiest first: one stage for each, the next after success",
+    )
+    parser.add_argument(
+        "--model",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="setting of the algorithm, such as gamma=0.98; can be repeated",
+    )
+
+
 def count(text: str) -> int:
-    """A whole number, also one written as 2e6. Raises ValueError, which argparse tells, for another one."""
+    """Parse a whole number, which may be written as 2e6.
+
+    Raises:
+        ValueError: It is not one; argparse makes the message.
+    """
     number = float(text)
     if not number.is_integer():
         raise ValueError
@@ -95,101 +115,115 @@ def count(text: str) -> int:
 
 
 def seeds(text: str) -> list[int]:
-    """Whole numbers with commas between them, each once. Raises ValueError, which argparse tells, for anything else."""
+    """Parse whole numbers with commas between them, and keep each once.
+
+    Raises:
+        ValueError: There is anything else; argparse makes the message.
+    """
     return list(dict.fromkeys(int(part) for part in text.split(",")))
 
 
 def run(arguments: argparse.Namespace) -> None:
     """Train, print and draw."""
+    # Say what is contradictory before anything is read.
     if sum([arguments.task is not None, arguments.config is not None, arguments.all]) != 1:
         raise ValueError("train what? Give one of TASK, --config FILE or --all")
     for one, other in (("seed", "seeds"), ("difficulty", "curriculum")):
         if getattr(arguments, one) is not None and getattr(arguments, other):
             raise ValueError(f"--{one} and --{other}: give one of them")
-    configs = [
-        _config(arguments, task)
-        for task in (shipped_tasks() if arguments.all else [arguments.task])
-    ]
+    tasks = shipped_tasks() if arguments.all else [arguments.task]
+    configs = [_config(arguments, task) for task in tasks]
     if arguments.all or arguments.seeds:
-        _several(arguments, configs)
+        _train_several(arguments, configs)
     else:
-        _single(arguments, configs[0])
+        _train_one(arguments, configs[0])
 
 
 def _config(arguments: argparse.Namespace, task: str | None) -> RunConfig:
-    """The settings of the file, the package's or the default ones, changed as the arguments say."""
-    if arguments.config is not None:
-        base = RunConfig.read(
-            arguments.config / CONFIG if arguments.config.is_dir() else arguments.config
-        )
+    """Take the settings of the file, the package's or the defaults, and change what was given."""
+    # What the user gave goes before the settings that the run starts from.
+    base = _base_config(arguments, task)
+    given = given_options(arguments)
+    algo = arguments.algo or base.algo
+    options = {**base.options, **given}
+    model = parse_pairs("--model", arguments.model)
+    if algo == base.algo:
+        model = {**base.model, **model}
     else:
-        assert task is not None
-        known = find_task(task).name in shipped_tasks()
-        base = (
-            dataclasses.replace(RunConfig.read(shipped(task) / CONFIG), seed=0)
-            if known
-            else RunConfig(task)
-        )
+        # Settings of one algorithm are not those of another.
+        options = _with_action(base.task, algo, options)
+
     changes: dict[str, Any] = {
         name: getattr(arguments, name) for name in GIVEN if getattr(arguments, name) is not None
     }
-    given, algo = given_options(arguments), arguments.algo or base.algo
-    options = {**base.options, **given}
-    if algo != base.algo:
-        options = _with_action(base.task, algo, options)
-    model = {**(base.model if algo == base.algo else {}), **literals("--model", arguments.model)}
+    # A curriculum of difficulties replaces the stages of the settings.
     if arguments.curriculum:
-        changes |= {
-            "stages": [{"difficulty": name} for name in arguments.curriculum.split(",")],
-            "curriculum": {},
-        }
-    else:  # what is given goes before what stages say
-        stages = [
-            {name: value for name, value in stage.items() if name not in given}
-            for stage in base.stages
-        ]
-        changes["stages"] = stages if any(stage != stages[0] for stage in stages) else stages[:1]
+        changes["stages"] = [{"difficulty": name} for name in arguments.curriculum.split(",")]
+        changes["curriculum"] = {}
+    else:
+        changes["stages"] = _stages_without(base, given)
     return dataclasses.replace(base, algo=algo, options=options, model=model, **changes)
 
 
+def _base_config(arguments: argparse.Namespace, task: str | None) -> RunConfig:
+    """Read the settings of the file or of the package, or take the defaults."""
+    if arguments.config is not None:
+        is_folder = arguments.config.is_dir()
+        return RunConfig.read(arguments.config / CONFIG if is_folder else arguments.config)
+    assert task is not None
+    if find_task(task).name not in shipped_tasks():
+        return RunConfig(task)
+    return dataclasses.replace(RunConfig.read(shipped(task) / CONFIG), seed=0)
+
+
+def _stages_without(base: RunConfig, given: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Drop from the stages what was given, which goes before it; equal stages become one."""
+    stages = [
+        {name: value for name, value in stage.items() if name not in given} for stage in base.stages
+    ]
+    return stages if any(stage != stages[0] for stage in stages) else stages[:1]
+
+
 def _with_action(task: str, algo: str, options: dict[str, Any]) -> dict[str, Any]:
-    """DQN chooses among discrete actions, by default those of `discrete`."""
-    if algo == "dqn" and resolve(find_task(task), options)[0].action not in (
-        "discrete",
-        "discrete_27",
-    ):
-        return {**options, "action": "discrete"}
-    return options
+    """Give DQN, which chooses among discrete actions, those of `discrete` unless it has others."""
+    if algo != "dqn":
+        return options
+    common, _ = resolve(find_task(task), options)
+    if common.action in DISCRETE_ACTIONS:
+        return options
+    return {**options, "action": "discrete"}
 
 
-def _single(arguments: argparse.Namespace, config: RunConfig) -> None:
-    from bulletuav.training.trainer import train  # from here on the extra is needed
+def _train_one(arguments: argparse.Namespace, config: RunConfig) -> None:
+    """Train one run in its folder."""
+    # Imported here, as only from here on the extra is needed.
+    from bulletuav.training.trainer import train
 
-    out = out_folder(
-        arguments.out or Path("training") / f"{config.task}-{config.algo}-{config.seed}"
-    )
-    with telling(f"training {config.task}", config.steps, "steps") as progress:
-        rows = train(config, out, progress)
+    # Each run has a folder of its own, so that several do not meet.
+    default = Path("training") / f"{config.task}-{config.algo}-{config.seed}"
+    out = out_folder(arguments.out or default)
+    with show_progress(f"training {config.task}", config.steps, "steps") as report:
+        rows = train(config, out, report)
     _finish(out, [(config, rows)], [out / CONFIG, out / POLICY, out / CURVE])
 
 
-def _several(arguments: argparse.Namespace, configs: list[RunConfig]) -> None:
+def _train_several(arguments: argparse.Namespace, configs: list[RunConfig]) -> None:
+    """Train each configuration with each seed, in folders below `runs`."""
     out = out_folder(arguments.out or Path("training"))
     chosen = arguments.seeds or ([0, 1, 2] if arguments.seed is None else [arguments.seed])
-    campaign = Campaign(
-        [dataclasses.replace(config, seed=seed) for config in configs for seed in chosen],
-        out / "runs",
-    )
-    with telling(f"training {len(campaign.configs)} runs", campaign.total, "steps") as progress:
-        runs = campaign.train(arguments.workers, progress)
-    _finish(out, runs, [])
+    runs = [dataclasses.replace(config, seed=seed) for config in configs for seed in chosen]
+    campaign = Campaign(runs, out / "runs")
+    with show_progress(f"training {len(runs)} runs", campaign.total, "steps") as report:
+        learned = campaign.train(arguments.workers, report)
+    _finish(out, learned, [])
 
 
 def _finish(out: Path, runs: list[tuple[RunConfig, list[Row]]], files: list[Path]) -> None:
-    """The table and the picture of the curves."""
-    table, picture = out / "learning.md", out / "curves.png"
+    """Print and write the table of the runs, and draw their learning curves."""
+    table = out / "learning.md"
+    picture = out / "curves.png"
     replace_file(table, learning_table(runs))
     plot_curves(runs, picture)
     console = Console()
     console.print(table.read_text(), markup=False, soft_wrap=True)
-    tell_files(console, [*files, table, picture])
+    print_files(console, [*files, table, picture])

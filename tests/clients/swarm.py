@@ -1,4 +1,7 @@
-"""The flight of all clients: episodes are short and goals near, so drones leave early, and ends are mixed."""
+"""Flight of all clients.
+
+Episodes are short and goals near, so drones leave early, and ends are mixed.
+"""
 
 import bulletuav
 
@@ -18,5 +21,8 @@ OPTIONS = {
 
 
 def make_env():
-    """About every third episode ends with a step that terminates some drones and truncates the others."""
+    """Make the environment.
+
+    About every third episode ends with a step that terminates some drones and truncates the others.
+    """
     return bulletuav.parallel_env("crossing", **OPTIONS)

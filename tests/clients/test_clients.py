@@ -1,4 +1,7 @@
-"""Other people's trainers on our environments: by their calls always, with the trainers themselves by hand (`-m slow`)."""
+"""Other people's trainers on our environments.
+
+Their calls are made always, the trainers themselves run by hand (`-m slow`).
+"""
 
 import os
 import subprocess
@@ -22,7 +25,10 @@ def random_actions(rng, agents):
 
 
 def episodes(env, chosen, count=40):
-    """Fly episodes with actions for the agents that `chosen` names; each one's last results, and the agents before it."""
+    """Fly episodes with actions for the agents that `chosen` names.
+
+    Yields the last results of each episode, and the agents before them.
+    """
     rng = np.random.default_rng(0)
     for _ in range(count):
         env.reset(seed=None, options=None)
@@ -34,7 +40,10 @@ def episodes(env, chosen, count=40):
 
 
 def test_rllib_asks_for_one_more_step_where_the_last_mixed_ends():
-    """`ParallelPettingZooEnv` writes "__all__" into the results, and goes on until one of both is true for all."""
+    """`ParallelPettingZooEnv` writes "__all__" into the results.
+
+    It goes on until one of both ends is true for all.
+    """
     env, mixed, early = make_env(), 0, 0
     for (_, _, terminated, truncated, _), flown in episodes(env, lambda env: reversed(env.agents)):
         early += len(flown) < len(env.possible_agents)
@@ -82,9 +91,9 @@ def test_supersuit_steps_nobody_after_every_episode():
 
 
 def test_a_curriculum_takes_the_same_calls():
-    levels = ({"num_drones": 2}, {"num_drones": 4})
+    stages = ({"num_drones": 2}, {"num_drones": 4})
     env = bulletuav.curriculum_env(
-        "crossing", levels, dynamics="point_mass", horizon=HORIZON, seed=0
+        "crossing", stages, dynamics="point_mass", horizon=HORIZON, seed=0
     )
     for results, flown in episodes(env, lambda env: env.possible_agents, 2):
         assert set(results[1]) == set(flown)
@@ -119,7 +128,7 @@ def test_torchrls_gymenv_finds_out_that_there_is_no_frameskip():
 
 @pytest.fixture(scope="session")
 def python(tmp_path_factory):
-    """The interpreter of an environment with the clients, made in some minutes and two gigabytes."""
+    """Interpreter of an environment with the clients, made in some minutes and two gigabytes."""
     place = tmp_path_factory.mktemp("clients") / "venv"
     subprocess.run([sys.executable, "-m", "venv", place], check=True)
     pip = [place / "bin" / "pip", "install", "-q"]

@@ -11,9 +11,9 @@ import pytest
 import bulletuav
 from bulletuav.analysis.benchmark import FLOORS
 from bulletuav.cli import main
-from bulletuav.commands.progress import telling
+from bulletuav.commands.progress import show_progress
 from bulletuav.dynamics.ladder import LADDER
-from bulletuav.engine import engine as world
+from bulletuav.engine import engine
 from bulletuav.engine.c_extension import Extension
 from bulletuav.report import doctor
 
@@ -464,7 +464,7 @@ def test_the_doctor_tells_what_is_missing(monkeypatch, capsys):
     monkeypatch.setattr("bulletuav.commands.doctor.examine", lambda: list(found.values()))
     main(["doctor"])
     assert "[video]'" in "".join(capsys.readouterr().out.split())
-    monkeypatch.setattr(world, "EXTENSION", world.EXTENSION._replace(path="/nowhere.so"))
+    monkeypatch.setattr(engine, "EXTENSION", engine.EXTENSION._replace(path="/nowhere.so"))
     with pytest.warns(UserWarning, match="refused"):
         assert "refuses it" in doctor._extension().remedy
 
@@ -503,9 +503,9 @@ def test_memory_that_runs_out_is_told_in_one_line(capsys, monkeypatch):
 def test_how_far_it_is_is_told_in_lines_where_there_is_no_terminal(capsys, monkeypatch):
     now = iter(range(0, 1000, 4))
     monkeypatch.setattr("bulletuav.commands.progress.time.monotonic", lambda: next(now))
-    with telling("training crossing", 1000, "steps") as tell:
+    with show_progress("training crossing", 1000, "steps") as report:
         for done in (0, 100, 200, 300, 400, 1000, 1000):
-            tell(done)
+            report(done)
     assert capsys.readouterr().err.splitlines() == [
         "training crossing: 0 of 1,000 steps (0 %), 4 s",
         "training crossing: 300 of 1,000 steps (30 %), 16 s",
@@ -516,8 +516,9 @@ def test_how_far_it_is_is_told_in_lines_where_there_is_no_terminal(capsys, monke
 def test_how_far_it_is_is_a_bar_on_a_terminal():
     """In a pseudo-terminal."""
     mine, theirs = os.openpty()
-    program = "from bulletuav.commands.progress import telling\n"
-    program += "with telling('flying', 3, 'episodes') as tell:\n    [tell(k) for k in range(4)]"
+    program = "from bulletuav.commands.progress import show_progress\n"
+    program += "with show_progress('flying', 3, 'episodes') as report:\n"
+    program += "    [report(done) for done in range(4)]"
     subprocess.run(
         [sys.executable, "-c", program],
         check=True,
