@@ -50,10 +50,10 @@ class TaskConfig:
     weights: Mapping[str, float] = field(default_factory=dict)
 
 
-Config = TypeVar("Config", bound=TaskConfig)
+ConfigT = TypeVar("ConfigT", bound=TaskConfig)
 
 
-class Task(ABC, Generic[Config]):
+class Task(ABC, Generic[ConfigT]):
     """A task. A subclass's docstring tells its MDP, its attributes hold the parts.
 
     A whole one, in which drones come to a point 10 m up and stay there:
@@ -135,7 +135,7 @@ class Task(ABC, Generic[Config]):
                 if "Config" not in vars(cls) and isinstance(given, type):
                     cls.Config = given
 
-    def __init__(self, config: Config, context: TaskContext) -> None:
+    def __init__(self, config: ConfigT, context: TaskContext) -> None:
         """Keep options and context, and find out the weights of reward terms.
 
         Args:

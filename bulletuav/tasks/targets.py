@@ -5,11 +5,11 @@ from typing import Generic
 import numpy as np
 
 from bulletuav.kernel import kernel
-from bulletuav.tasks.base import Config, Task
+from bulletuav.tasks.base import ConfigT, Task
 from bulletuav.tasks.frame import Frame, Scene
 
 
-class TargetTask(Task[Config], Generic[Config]):
+class TargetTask(Task[ConfigT], Generic[ConfigT]):
     """A task with `num_targets` targets; a task says where they are, by `targets(scene)`."""
 
     def active_targets(self, scene: Scene) -> np.ndarray:

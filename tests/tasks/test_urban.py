@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bulletuav.tasks.observations.sensors import share_of
 from placing import city_of
 from scipy.spatial.distance import pdist
 
@@ -18,7 +19,6 @@ from bulletuav.policies import find_policy
 from bulletuav.tasks import find_task
 from bulletuav.tasks.base import Spawn
 from bulletuav.tasks.families.urban import ground_cells
-from bulletuav.tasks.observations.sensors import share_of
 from bulletuav.vehicle.power import airframe_wing, level_power, propulsion_power
 
 URBAN = ("navigation", "lidar_navigation", "los", "coverage", "default")
