@@ -8,7 +8,7 @@ from rich.table import Table
 
 from bulletuav.analysis.benchmark import FLOORS, ROUNDS, SIZES, measure
 from bulletuav.commands.progress import telling
-from bulletuav.dynamics.ladder import LADDER
+from bulletuav.dynamics import DYNAMICS
 
 ABOUT = {
     "help": "measure this machine: drone-substeps per CPU-second of every dynamics",
@@ -35,7 +35,7 @@ def run(arguments: argparse.Namespace) -> None:
         )
     done = itertools.count(1)
     with telling(
-        "measuring", len(sizes) * (len(LADDER) + len(FLOORS)) * ROUNDS, "measurements"
+        "measuring", len(sizes) * (len(DYNAMICS) + len(FLOORS)) * ROUNDS, "measurements"
     ) as progress:
         results = measure(sizes, arguments.seconds, lambda: progress(next(done)))
     table = Table(

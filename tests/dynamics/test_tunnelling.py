@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 import bulletuav
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.dynamics.ladder import LADDER
+from bulletuav.dynamics import DYNAMICS
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.vehicle.swarm import FIRST_OBSTACLE, Motion
 
@@ -90,7 +90,7 @@ def range_of_shots(make_bench, dynamics, airframe, shots):
 
 
 @pytest.mark.parametrize("shots", [40, pytest.param(1000, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("dynamics", LADDER)
+@pytest.mark.parametrize("dynamics", DYNAMICS)
 @pytest.mark.parametrize("airframe", bulletuav.available_airframes())
 def test_no_shot_passes(make_bench, airframe, dynamics, shots):
     bench = range_of_shots(make_bench, dynamics, airframe, shots)
@@ -128,7 +128,7 @@ def test_no_shot_passes(make_bench, airframe, dynamics, shots):
         assert not bench.swarm.velocity.any()
 
 
-@pytest.mark.parametrize("dynamics", LADDER)
+@pytest.mark.parametrize("dynamics", DYNAMICS)
 def test_a_moving_body_hits_a_drone_that_hovers(make_bench, dynamics):
     bench = make_bench(dynamics, "cf2x", obstacles=(Obstacle("box", (1.0, 1.0, 1.0)),), effects=())
     turn = np.array([[(0.0, 0.0, 0.0, 1.0)]])

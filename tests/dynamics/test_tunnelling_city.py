@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 import bulletuav
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.dynamics.ladder import LADDER
+from bulletuav.dynamics import DYNAMICS
 from bulletuav.geometry.solids import Solids
 from bulletuav.vehicle.swarm import CITY
 
@@ -109,7 +109,7 @@ def range_of_shots(make_bench, dynamics, airframe, shots):
 
 
 @pytest.mark.parametrize("shots", [35, pytest.param(1000, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("dynamics", LADDER)
+@pytest.mark.parametrize("dynamics", DYNAMICS)
 @pytest.mark.parametrize("airframe", bulletuav.available_airframes())
 def test_no_shot_passes(make_bench, airframe, dynamics, shots):
     """No drone's centre gets into a piece, neither at the end of a substep nor on the way there.
