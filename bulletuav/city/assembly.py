@@ -28,7 +28,12 @@ def check_flags(**flags: Any) -> None:
             raise ValueError(f"{name} is {shown(value)}: True or False is needed")
 
 
-def check_extent(path: Path, low: np.ndarray, high: np.ndarray, side: float | None) -> None:
+def check_extent(
+    path: Path,
+    low: np.ndarray,
+    high: np.ndarray,
+    side: float | None,
+) -> None:
     """Refuse a city that is larger than the room of a world, before anything is made of it.
 
     Args:
@@ -71,8 +76,10 @@ def assemble(path: Path, pieces: Sequence[tuple[str, np.ndarray]], side: float |
     if not pieces:
         raise ValueError(f"{path} holds no buildings")
     corners = np.concatenate([points for _, points in pieces])
-    low, high = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
-    bottom, top = corners[:, 2].min(), corners[:, 2].max()
+    low = corners[:, :2].min(axis=0)
+    high = corners[:, :2].max(axis=0)
+    bottom = corners[:, 2].min()
+    top = corners[:, 2].max()
     check_extent(path, low, high, side)
     if not -TILE_PITCH < bottom <= top <= MOST_HEIGHT:
         raise ValueError(
@@ -97,11 +104,14 @@ def assemble(path: Path, pieces: Sequence[tuple[str, np.ndarray]], side: float |
     solids = Solids(np.array(boxes).reshape(-1, 2, 3), others)
 
     # Buildings are numbered as they come in the file
-    number = {name: k for k, name in enumerate(dict.fromkeys(name for name, _ in pieces))}
+    buildings = dict.fromkeys(name for name, _ in pieces)
+    number = {name: k for k, name in enumerate(buildings)}
     building = np.array([number[name] for name, _ in pieces])[order]
 
     # Streets are found by asking the city what is free
-    no_streets = Streets(np.zeros((0, 2)), np.zeros((0, 2), dtype=int))
+    no_nodes = np.zeros((0, 2))
+    no_edges = np.zeros((0, 2), dtype=int)
+    no_streets = Streets(no_nodes, no_edges)
     bare = City(path.stem, float(side), solids, building, no_streets)
     return replace(bare, streets=free_streets(bare.side, bare.outdoors))
 
@@ -116,5 +126,6 @@ def _hull(points: np.ndarray, where: str) -> tuple[np.ndarray, bool]:
         raise ValueError(
             f"{where} has no volume: a piece is the convex hull of at least four points off a plane"
         ) from None
-    filled = hull.volume >= (1 - FLUSH) * np.prod(np.ptp(points, axis=0))
+    box = np.prod(np.ptp(points, axis=0))
+    filled = hull.volume >= (1 - FLUSH) * box
     return points[hull.vertices], filled

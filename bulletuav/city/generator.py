@@ -23,7 +23,10 @@ NOTCH = (0.1, 0.3)
 
 
 def generate(
-    kind: str | Statistics, side: float, rng: np.random.Generator, irregularity: float = 0.0
+    kind: str | Statistics,
+    side: float,
+    rng: np.random.Generator,
+    irregularity: float = 0.0,
 ) -> City:
     """Generate a city of one of `KINDS`, or of statistics of one's own.
 
@@ -96,7 +99,11 @@ def _blocks(side: float, pitch: float) -> int:
 
 
 def _lots(
-    alpha: float, side: float, count: int, rng: np.random.Generator, irregularity: float
+    alpha: float,
+    side: float,
+    count: int,
+    rng: np.random.Generator,
+    irregularity: float,
 ) -> np.ndarray:
     """Return (count^2, 2, 2) low and high corner, m, of the ground that may be built on.
 
@@ -107,25 +114,28 @@ def _lots(
     street = side / count - width
 
     # Half of a street's width, for the lines of each axis
-    half = np.full((2, count + 1), (1 - irregularity / 2) * street / 2)
+    usual = (1 - irregularity / 2) * street / 2
+    half = np.full((2, count + 1), usual)
     for axis in range(2):
         # No block lies between two boulevards
         apart = np.arange(1 + rng.integers(2), count, 2)
-        wide = rng.permutation(apart)[: int(BOULEVARDS * irregularity * (count - 1))]
+        boulevards = int(BOULEVARDS * irregularity * (count - 1))
+        wide = rng.permutation(apart)[:boulevards]
         half[axis, wide] = street / 2 + min(street / 2, width / 4)
 
     lines = np.linspace(-side / 2, side / 2, count + 1)
     low = lines[:-1] + half[:, :-1]
     high = lines[1:] - half[:, 1:]
-    corners = [
-        np.stack(np.meshgrid(*edges, indexing="ij"), axis=-1).reshape(-1, 2)
-        for edges in (low, high)
-    ]
+    grids = [np.meshgrid(*edges, indexing="ij") for edges in (low, high)]
+    corners = [np.stack(grid, axis=-1).reshape(-1, 2) for grid in grids]
     return np.stack(corners, axis=1)
 
 
 def _buildings(
-    ground: float, lots: np.ndarray, rng: np.random.Generator, irregularity: float
+    ground: float,
+    lots: np.ndarray,
+    rng: np.random.Generator,
+    irregularity: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return boxes (P, 2, 3) without height that cover `ground` m^2, and their lots (P,)."""
     count = len(lots)
@@ -139,22 +149,26 @@ def _buildings(
     share = fill + irregularity / 2 * min(fill, 1 - fill) * luck
 
     # Some lack a corner, and have the greater rectangle for it
-    angled = (rng.random(count) < ANGLED * irregularity) & (1 - share > NOTCH[0])
+    chosen = rng.random(count) < ANGLED * irregularity
+    angled = chosen & (1 - share > NOTCH[0])
     room = np.minimum(NOTCH[1], 1 - share) - NOTCH[0]
     notch = angled * (NOTCH[0] + rng.random(count) * room)
 
     # Length, width and place of the rectangles
     slim = 0.5 + 0.3 * irregularity * rng.uniform(-1, 1, count)
-    extents = sizes * (share / (1 - notch))[:, None] ** np.stack([slim, 1 - slim], axis=1)
+    powers = np.stack([slim, 1 - slim], axis=1)
+    extents = sizes * (share / (1 - notch))[:, None] ** powers
     place = 0.5 + irregularity * (rng.random((count, 2)) - 0.5)
     corners = lots[:, 0] + (sizes - extents) * place
 
     # Rectangles have the first arm alone
-    arms = _arms(np.sqrt(notch), rng.random((count, 2)) < 0.5)
+    mirrored = rng.random((count, 2)) < 0.5
+    arms = _arms(np.sqrt(notch), mirrored)
     plan = corners[:, None, None] + extents[:, None, None] * arms
     boxes = np.zeros((count + angled.sum(), 2, 3))
     boxes[..., :2] = np.concatenate([plan[:, 0], plan[angled, 1]])
-    return boxes, np.concatenate([np.arange(count), np.flatnonzero(angled)])
+    building = np.concatenate([np.arange(count), np.flatnonzero(angled)])
+    return boxes, building
 
 
 def _arms(notch: np.ndarray, mirrored: np.ndarray) -> np.ndarray:
@@ -169,4 +183,5 @@ def _arms(notch: np.ndarray, mirrored: np.ndarray) -> np.ndarray:
     first = [[zero, zero], [one, rest]]
     second = [[zero, rest], [rest, one]]
     arms = np.array([first, second]).transpose(3, 0, 1, 2)
-    return np.where(mirrored[:, None, None], 1 - arms[:, :, ::-1], arms)
+    flipped = 1 - arms[:, :, ::-1]
+    return np.where(mirrored[:, None, None], flipped, arms)

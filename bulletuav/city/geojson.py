@@ -72,7 +72,9 @@ def from_geojson(
         shapes = list(_projected(np.array(shapes), path))
     if shapes:
         west, south, east, north = shapely.total_bounds(np.array(shapes))
-        check_extent(path, np.array([west, south]), np.array([east, north]), side)
+        low = np.array([west, south])
+        high = np.array([east, north])
+        check_extent(path, low, high, side)
 
     pieces: list[tuple[str, np.ndarray]] = []
     for (where, feature), shape in zip(features, shapes, strict=True):
@@ -160,12 +162,18 @@ def _projected(shapes: np.ndarray, path: Path) -> np.ndarray:
         )
         west, south, east, north = shapely.total_bounds(shapes)
     middle = np.array([west + east, south + north]) / 2
-    metres = EARTH_RADIUS * np.radians([math.cos(math.radians(middle[1])), 1])
+    shrink = math.cos(math.radians(middle[1]))
+    metres = EARTH_RADIUS * np.radians([shrink, 1])
     projected: np.ndarray = shapely.transform(shapes, lambda degrees: (degrees - middle) * metres)
     return projected
 
 
-def _height(feature: dict[str, Any], name: str, default: float | None, where: str) -> float:
+def _height(
+    feature: dict[str, Any],
+    name: str,
+    default: float | None,
+    where: str,
+) -> float:
     """Return the height of a feature, m."""
     properties = feature.get("properties")
     value = properties.get(name) if isinstance(properties, dict) else None
@@ -210,4 +218,5 @@ def _convex_pieces(polygon: Any) -> list[Any]:
 
 def _extruded(outline: np.ndarray, top: float) -> np.ndarray:
     """Return (2 V, 3) corners of a prism on the ground over an outline (V, 2)."""
-    return np.array([(x, y, z) for (x, y), z in itertools.product(outline, (0.0, top))])
+    corners = itertools.product(outline, (0.0, top))
+    return np.array([(x, y, z) for (x, y), z in corners])

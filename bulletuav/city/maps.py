@@ -37,7 +37,12 @@ def draw_map(city: City, axes: Axes) -> None:
     )
     _draw_scale(city.side, axes)
     half = city.side / 2
-    axes.set(xlim=(-half, half), ylim=(-half, half), aspect="equal", facecolor=GROUND_COLOUR)
+    axes.set(
+        xlim=(-half, half),
+        ylim=(-half, half),
+        aspect="equal",
+        facecolor=GROUND_COLOUR,
+    )
     axes.set(xlabel="x east (m)", ylabel="y north (m)")
     axes.set_title(
         f"{city.name}: {len(city.heights)} buildings on {city.side:.4g} m x {city.side:.4g} m"
@@ -59,4 +64,10 @@ def _draw_scale(side: float, axes: Axes) -> None:
         transform=below,
         clip_on=False,
     )
-    axes.text(ends[1] + side / 80, BELOW, f"{length:g} m", va="center", transform=below)
+    axes.text(
+        ends[1] + side / 80,
+        BELOW,
+        f"{length:g} m",
+        va="center",
+        transform=below,
+    )

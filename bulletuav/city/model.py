@@ -40,20 +40,25 @@ class City:
     def heights(self) -> np.ndarray:
         """Height (B,) of each building's highest point, m."""
         heights = np.zeros(self.building.max(initial=-1) + 1)
-        np.maximum.at(heights, self.building, self.solids.bounds[:, 1, 2])
+        tops = self.solids.bounds[:, 1, 2]
+        np.maximum.at(heights, self.building, tops)
         return heights
 
     @cached_property
     def footprints(self) -> list[np.ndarray]:
         """Corners (V, 2) of the outline of each piece seen from above, turning left, m."""
         of_boxes = [box_corners(box)[[0, 1, 3, 2], :2] for box in self.solids.boxes]
-        return of_boxes + [_outline(hull[:, :2]) for hull in self.solids.hulls]
+        of_hulls = [_outline(hull[:, :2]) for hull in self.solids.hulls]
+        return of_boxes + of_hulls
 
     @cached_property
     def coverage(self) -> float:
         """Built-up share of the ground; pieces above each other count each."""
         start, way = self._walls
-        double = start[..., 0] * way[..., 1] - start[..., 1] * way[..., 0]
+        # Shoelace formula: twice the area of each footprint
+        forward = start[..., 0] * way[..., 1]
+        backward = start[..., 1] * way[..., 0]
+        double = forward - backward
         return float(double.sum() / 2 / self.side**2)
 
     def outdoors(self, points: np.ndarray, margin: float = 0.0) -> np.ndarray:
@@ -114,7 +119,8 @@ class City:
         point, piece, _ = self._near(flat, 0.0)
         # A convex piece ends at the lowest of the planes on it
         facets = self._facets[piece]
-        height = (facets[..., :2] * flat[point, None]).sum(axis=-1) + facets[..., 2]
+        rise = (facets[..., :2] * flat[point, None]).sum(axis=-1)
+        height = rise + facets[..., 2]
         np.maximum.at(top, point, height.min(axis=1))
         return top.reshape(plan.shape[:-1])
 
@@ -130,8 +136,10 @@ class City:
     @cached_property
     def _facets(self) -> np.ndarray:
         """Planes z = a x + b y + c on each piece, (P, F, 3); short lists repeat the last."""
-        of_boxes = [np.array([[0.0, 0.0, top]]) for top in self.solids.boxes[:, 1, 2]]
-        return _padded(of_boxes + [_top(hull) for hull in self.solids.hulls], 3)
+        tops = self.solids.boxes[:, 1, 2]
+        of_boxes = [np.array([[0.0, 0.0, top]]) for top in tops]
+        of_hulls = [_top(hull) for hull in self.solids.hulls]
+        return _padded(of_boxes + of_hulls, 3)
 
     def _near(self, plan: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Find the pairs of points (K, 2) and footprints within `reach` m.
@@ -145,7 +153,10 @@ class City:
         return np.concatenate(point), np.concatenate(piece), np.concatenate(distance)
 
     def _near_group(
-        self, plan: np.ndarray, group: np.ndarray, reach: float
+        self,
+        plan: np.ndarray,
+        group: np.ndarray,
+        reach: float,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Do as `_near`, of the points with the indices `group`."""
         low = self.solids.bounds[:, 0] - reach
@@ -153,18 +164,19 @@ class City:
         x, y = plan.T
 
         # Pieces in the strip of x that the group covers
-        strip = np.flatnonzero(
-            (low[:, 0] <= x[group].max(initial=-np.inf))
-            & (high[:, 0] >= x[group].min(initial=np.inf))
-        )
+        last = x[group].max(initial=-np.inf)
+        first = x[group].min(initial=np.inf)
+        strip = np.flatnonzero((low[:, 0] <= last) & (high[:, 0] >= first))
 
         # Pairs whose boxes overlap along x, then along y
-        one, other = np.nonzero(
-            (x[group, None] >= low[strip, 0]) & (x[group, None] <= high[strip, 0])
-        )
+        beyond_low = x[group, None] >= low[strip, 0]
+        below_high = x[group, None] <= high[strip, 0]
+        one, other = np.nonzero(beyond_low & below_high)
         point = group[one]
         piece = strip[other]
-        beside = (y[point] >= low[piece, 1]) & (y[point] <= high[piece, 1])
+        beyond_low = y[point] >= low[piece, 1]
+        below_high = y[point] <= high[piece, 1]
+        beside = beyond_low & below_high
         point = point[beside]
         piece = piece[beside]
 
@@ -181,11 +193,16 @@ def _distance(point: np.ndarray, start: np.ndarray, way: np.ndarray) -> np.ndarr
     Their sides begin at `start` and go `way`, both (M, V, 2).
     """
     offset = point - start
-    inside = (way[..., 0] * offset[..., 1] >= way[..., 1] * offset[..., 0]).all(axis=1)
+    # Inside is to the left of all sides
+    left = way[..., 0] * offset[..., 1]
+    right = way[..., 1] * offset[..., 0]
+    inside = (left >= right).all(axis=1)
     # Nearest point of each side
     square = np.maximum((way**2).sum(axis=-1), np.finfo(float).tiny)
-    share = np.clip((offset * way).sum(axis=-1) / square, 0, 1)
-    gap = np.linalg.norm(offset - share[..., None] * way, axis=-1).min(axis=1)
+    along = (offset * way).sum(axis=-1)
+    share = np.clip(along / square, 0, 1)
+    away = offset - share[..., None] * way
+    gap = np.linalg.norm(away, axis=-1).min(axis=1)
     return np.where(inside, 0.0, gap)
 
 

@@ -24,9 +24,16 @@ def render(solids: Solids, side: float, size: tuple[int, int] = (1200, 800)) -> 
     Returns:
         (height, width, 3) uint8.
     """
+    # An engine with one world, in which the city stands
     engine = Engine([load_airframe("cf2x")], 1, 1 / 240, layouts=[solids])
-    engine.set_layouts(np.zeros(1, dtype=np.int64), np.ones(1, dtype=bool))
-    view = view_matrix(1.5 * side * DIRECTION, np.array([0.0, 0.0, -0.02 * side]))
+    layout = np.zeros(1, dtype=np.int64)
+    everywhere = np.ones(1, dtype=bool)
+    engine.set_layouts(layout, everywhere)
+
+    # A camera that looks at a point a little below the ground
+    eye = 1.5 * side * DIRECTION
+    target = np.array([0.0, 0.0, -0.02 * side])
+    view = view_matrix(eye, target)
     projection = projection_matrix(size[0] / size[1], FIELD_OF_VIEW)
     picture = engine.picture(0, view, projection, size)
     engine.close()

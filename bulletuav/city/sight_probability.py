@@ -48,7 +48,10 @@ SURFACE_B = (
 
 
 def p1410_los(
-    statistics: Statistics, distance: np.ndarray, transmitter: np.ndarray, receiver: float = 1.5
+    statistics: Statistics,
+    distance: np.ndarray,
+    transmitter: np.ndarray,
+    receiver: float = 1.5,
 ) -> np.ndarray:
     """Return the chance that no roof reaches the ray between two antennas.
 
@@ -67,10 +70,12 @@ def p1410_los(
     """
     distance, transmitter = np.broadcast_arrays(distance, transmitter)
     # Buildings that the ray passes, and its height over the middle of each
-    count = np.floor(distance / 1000 * np.sqrt(statistics.alpha * statistics.beta))[..., None]
+    density = np.sqrt(statistics.alpha * statistics.beta)
+    count = np.floor(distance / 1000 * density)[..., None]
     passed = np.arange(count.max(initial=0))
     share = (passed + 0.5) / np.maximum(count, 1)
-    height = transmitter[..., None] - share * (transmitter - receiver)[..., None]
+    fall = (transmitter - receiver)[..., None]
+    height = transmitter[..., None] - share * fall
     # Rayleigh distribution of the roofs
     lower = 1 - np.exp(-(height**2) / (2 * statistics.gamma**2))
     chance: np.ndarray = np.where(passed < count, lower, 1.0).prod(axis=-1)

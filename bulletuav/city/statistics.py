@@ -34,7 +34,8 @@ class Statistics:
     def __post_init__(self) -> None:
         given = dataclasses.asdict(self)
         for name, value in given.items():
-            object.__setattr__(self, name, finite(name, value, most=MOST[name]))
+            checked = finite(name, value, most=MOST[name])
+            object.__setattr__(self, name, checked)
         if not 0 < self.alpha < 1:
             raise ValueError(
                 f"alpha is {given['alpha']!r}: "
@@ -106,7 +107,8 @@ def realised(city: City, target: Statistics | None = None) -> dict[str, tuple[fl
 
     block = city.side / math.sqrt(len(heights))
     middles = city.streets.nodes[city.streets.edges].mean(axis=1)
-    found["width of streets, m"] = float(np.median(2 * city.clearance(middles, block)))
+    widths = 2 * city.clearance(middles, block)
+    found["width of streets, m"] = float(np.median(widths))
 
     from scipy import stats  # which takes longer to import than everything else
 

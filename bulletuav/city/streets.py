@@ -26,7 +26,8 @@ def grid_streets(lines: np.ndarray, side: float) -> Streets:
         lines: (K,) coordinates of the streets, the same for both axes, m; ascending, in the city.
         side: Of the city's square about the origin, m.
     """
-    nodes, edges = _lattice(np.concatenate([[-side / 2], lines, [side / 2]]))
+    stops = np.concatenate([[-side / 2], lines, [side / 2]])
+    nodes, edges = _lattice(stops)
     middles = nodes[edges].mean(axis=1)
     return _connected(nodes, edges[_inside(middles, side)])
 
@@ -57,11 +58,13 @@ def free_streets(
         ValueError: There is no free ground.
     """
     count = int(side / spacing) + 1
-    nodes, edges = _lattice(spacing * (np.arange(count) - (count - 1) / 2))
+    stops = spacing * (np.arange(count) - (count - 1) / 2)
+    nodes, edges = _lattice(stops)
     start, end = nodes[edges].swapaxes(0, 1)
     # Points along each way that are at most `margin` apart
     share = np.linspace(0, 1, int(spacing / margin) + 2)[:, None, None]
-    free = outdoors(start + share * (end - start), margin).all(axis=0)
+    points = start + share * (end - start)
+    free = outdoors(points, margin).all(axis=0)
     if not free.any():
         raise ValueError(
             f"there is no room for streets between the buildings of a city of {side:g} m: "
@@ -72,7 +75,9 @@ def free_streets(
 
 def _lattice(stops: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return nodes (K^2, 2) at all x and y of `stops` (K,), and edges between neighbours."""
-    nodes = np.stack(np.meshgrid(stops, stops, indexing="ij"), axis=-1).reshape(-1, 2)
+    grid = np.meshgrid(stops, stops, indexing="ij")
+    nodes = np.stack(grid, axis=-1).reshape(-1, 2)
+    # Neighbours along x, and along y
     index = np.arange(len(nodes)).reshape(len(stops), len(stops))
     pairs = [(index[:-1], index[1:]), (index[:, :-1], index[:, 1:])]
     edges = [np.stack([one.ravel(), two.ravel()], axis=1) for one, two in pairs]
@@ -86,8 +91,11 @@ def _connected(nodes: np.ndarray, edges: np.ndarray) -> Streets:
 
     # Older SciPy finds its way in 32-bit indices alone
     pairs = edges.T.astype(np.int32)
-    graph = coo_array((np.ones(len(edges)), pairs), shape=(len(nodes), len(nodes)))
+    shape = (len(nodes), len(nodes))
+    graph = coo_array((np.ones(len(edges)), pairs), shape=shape)
     part = connected_components(graph, directed=False)[1]
-    kept = edges[part[edges[:, 0]] == np.bincount(part).argmax()]
+    # Both ends of an edge are in the same part
+    greatest = np.bincount(part).argmax()
+    kept = edges[part[edges[:, 0]] == greatest]
     used, renumbered = np.unique(kept, return_inverse=True)
     return Streets(nodes[used], renumbered.reshape(kept.shape))

@@ -15,7 +15,10 @@ FARTHEST = 1e12
 
 
 def from_obj(
-    path: str | Path, side: float | None = None, scale: float = 1.0, y_up: bool = False
+    path: str | Path,
+    side: float | None = None,
+    scale: float = 1.0,
+    y_up: bool = False,
 ) -> City:
     """Read a city from a Wavefront OBJ file.
 
@@ -39,7 +42,8 @@ def from_obj(
     path = require_file("city", path, REMEDY)
     check_flags(y_up=y_up)
     vertices, corners = _faces(path)
-    points = finite("scale", scale, most=MOST_SCALE) * np.array(vertices).reshape(-1, 3)
+    scale = finite("scale", scale, most=MOST_SCALE)
+    points = scale * np.array(vertices).reshape(-1, 3)
     if y_up:
         points = points[:, [0, 2, 1]] * [1, -1, 1]
     pieces = [

@@ -1,8 +1,8 @@
 """The interface of all dynamics: each moves the same swarm through one decision.
 
 An author writes the flight of one substep (`Dynamics.advance_substep`), or of a whole decision in
-one compiled call (`Dynamics.advance_decision`). The base class does the rest: controllers, contacts,
-the surface below, and the check for flights that diverge.
+one compiled call (`Dynamics.advance_decision`). The base class does the rest: controllers,
+contacts, the surface below, and the check for flights that diverge.
 """
 
 from abc import ABC, abstractmethod
@@ -72,8 +72,9 @@ def _first_lost(swarm: Swarm, alive: np.ndarray) -> tuple[int, int]:
         for i in range(alive.shape[1]):
             velocity = vec3(swarm.velocity, w, i)
             rates = vec3(swarm.rates, w, i)
-            sane = dot(velocity, velocity) < FASTEST**2 and dot(rates, rates) < FASTEST_SPIN**2
-            if alive[w, i] and not sane:
+            slow = dot(velocity, velocity) < FASTEST**2
+            calm = dot(rates, rates) < FASTEST_SPIN**2
+            if alive[w, i] and not (slow and calm):
                 return w, i
     return -1, -1
 
@@ -139,8 +140,8 @@ class Dynamics(ABC):
     def __init__(self, flight: Flight) -> None:
         """Keep what the dynamics is built from."""
         self.flight = flight
-        ground_effect = bool((flight.parameters["ground_effect_gain"] > 0).any())
-        self._near_ground = self.feels_surface and ground_effect
+        gains = flight.parameters["ground_effect_gain"]
+        self._near_ground = self.feels_surface and bool((gains > 0).any())
 
     @property
     @abstractmethod
@@ -247,7 +248,11 @@ class Dynamics(ABC):
         self._require_finite(swarm)
 
     def advance_substep(
-        self, swarm: Swarm, alive: np.ndarray, setpoint: np.ndarray, air: Air
+        self,
+        swarm: Swarm,
+        alive: np.ndarray,
+        setpoint: np.ndarray,
+        air: Air,
     ) -> None:
         """Move the drones through one substep of `flight.dt` seconds.
 
@@ -271,7 +276,8 @@ class Dynamics(ABC):
     def _require_finite(self, swarm: Swarm) -> None:
         """Raise RuntimeError for a position, attitude or rotor speed that is not finite."""
         for field in ("position", "quaternion", "rotor_speed"):
-            broken = np.argwhere(~np.isfinite(getattr(swarm, field)).all(axis=-1))
+            finite = np.isfinite(getattr(swarm, field)).all(axis=-1)
+            broken = np.argwhere(~finite)
             if len(broken):
                 w, i = broken[0].tolist()
                 world = self.flight.engine.first_world + w

@@ -55,7 +55,12 @@ def _box_about(one: Vec3, two: Vec3, margin: float) -> tuple[Vec3, Vec3]:
 
 
 @func
-def _meets_ground(position: np.ndarray, radius: np.ndarray, w: int, i: int) -> bool:
+def _meets_ground(
+    position: np.ndarray,
+    radius: np.ndarray,
+    w: int,
+    i: int,
+) -> bool:
     """Tell whether a drone's bounding sphere reaches the ground at the end of some piece."""
     for piece in range(position.shape[0]):
         if position[piece, w, i, 2] < radius[w, i] + TOUCH:
@@ -65,7 +70,11 @@ def _meets_ground(position: np.ndarray, radius: np.ndarray, w: int, i: int) -> b
 
 @func
 def _meets_city(
-    position: np.ndarray, radius: np.ndarray, city_grid: CityGrid, w: int, i: int
+    position: np.ndarray,
+    radius: np.ndarray,
+    city_grid: CityGrid,
+    w: int,
+    i: int,
 ) -> bool:
     """Tell whether the box about a drone's swept sphere overlaps that about a piece of the city."""
     margin = radius[w, i] + TOUCH
@@ -81,11 +90,22 @@ def _meets_city(
 @func
 def between(one: Vec3, two: Vec3) -> Vec3:
     """Return the vector from point `one` to point `two`."""
-    return two[0] - one[0], two[1] - one[1], two[2] - one[2]
+    return (
+        two[0] - one[0],
+        two[1] - one[1],
+        two[2] - one[2],
+    )
 
 
 @func
-def _gap(one: np.ndarray, two: np.ndarray, piece: int, w: int, i: int, j: int) -> Vec3:
+def _gap(
+    one: np.ndarray,
+    two: np.ndarray,
+    piece: int,
+    w: int,
+    i: int,
+    j: int,
+) -> Vec3:
     """Return the vector from track i of `one` to track j of `two` where a piece begins."""
     return (
         two[piece, w, j, 0] - one[piece, w, i, 0],
@@ -95,15 +115,29 @@ def _gap(one: np.ndarray, two: np.ndarray, piece: int, w: int, i: int, j: int) -
 
 
 @func
-def _near(one: np.ndarray, two: np.ndarray, w: int, i: int, j: int, within: float) -> bool:
+def _near(
+    one: np.ndarray,
+    two: np.ndarray,
+    w: int,
+    i: int,
+    j: int,
+    within: float,
+) -> bool:
     """Tell whether tracks i and j begin closer to each other than `within` m."""
     gap = _gap(one, two, 0, w, i, j)
     return dot(gap, gap) < within * within
 
 
 @func
-def _meets(one: np.ndarray, two: np.ndarray, w: int, i: int, j: int, within: float) -> bool:
-    """Tell whether tracks i of `one` and j of `two` (S + 1, W, ., 3) come closer than `within` m."""
+def _meets(
+    one: np.ndarray,
+    two: np.ndarray,
+    w: int,
+    i: int,
+    j: int,
+    within: float,
+) -> bool:
+    """Tell whether tracks i and j (S + 1, W, ., 3) come closer to each other than `within` m."""
     for piece in range(one.shape[0] - 1):
         gap = _gap(one, two, piece, w, i, j)
         later = _gap(one, two, piece + 1, w, i, j)
@@ -159,7 +193,8 @@ def candidates(
                     found.append((w, i, FIRST_OBSTACLE - k))
 
             # Drones further along x, until none can get here any more
-            farthest = position[0, w, i, 0] + radius[w, i] + reach[w, i] + widest + TOUCH
+            east = position[0, w, i, 0] + radius[w, i] + reach[w, i]
+            farthest = east + widest + TOUCH
             for later in range(rank + 1, order.shape[0]):
                 j = order[later]
                 if position[0, w, j, 0] > farthest:
@@ -197,11 +232,13 @@ def crowded(
         for i in range(alive.shape[1]):
             if not (moved[w, i] and alive[w, i]):
                 continue
+            # Pieces of the city by boxes
             here = vec3(position, w, i)
             margin = radius[w, i] + TOUCH
             low, high = _box_about(here, here, margin)
             if meets(city_grid, w, low, high):
                 found.append((w, i, CITY))
+            # Other drones by spheres
             for j in range(alive.shape[1]):
                 gap = between(here, vec3(position, w, j))
                 within = margin + radius[w, j]
@@ -212,7 +249,10 @@ def crowded(
 
 @kernel
 def any_fast(
-    position: np.ndarray, obstacle: np.ndarray, alive: np.ndarray, parameters: np.ndarray
+    position: np.ndarray,
+    obstacle: np.ndarray,
+    alive: np.ndarray,
+    parameters: np.ndarray,
 ) -> bool:
     """Tell whether a living drone, or an obstacle of its world, moves too far to be seen.
 
@@ -232,7 +272,8 @@ def any_fast(
         for k in range(swept.shape[1]):
             farthest = max(farthest, swept[w, k])
         for i in range(alive.shape[1]):
-            if alive[w, i] and max(moved[w, i], farthest) > FAST * parameters[w, i].thinnest:
+            change = max(moved[w, i], farthest)
+            if alive[w, i] and change > FAST * parameters[w, i].thinnest:
                 return True
     return False
 
@@ -248,6 +289,7 @@ def suspects(
     """Tell whether `contacts.catch_fast` has anything to look at, for compiled code."""
     if not any_fast(path.position, path.obstacle, alive, parameters):
         return False
+    # The broad phase alone: exact shapes are asked outside
     radius = parameters["collision_radius"]
     pairs = candidates(path.position, path.obstacle, alive, radius, obstacle_radius, city_grid)
     return len(pairs) > 0

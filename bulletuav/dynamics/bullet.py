@@ -34,11 +34,20 @@ from bulletuav.vehicle.wrench import body_acceleration, wrench
 @func
 def _ahead(rates: Vec3, slope: Vec3, dt: float) -> Vec3:
     """Return rates + dt * slope."""
-    return rates[0] + dt * slope[0], rates[1] + dt * slope[1], rates[2] + dt * slope[2]
+    return (
+        rates[0] + dt * slope[0],
+        rates[1] + dt * slope[1],
+        rates[2] + dt * slope[2],
+    )
 
 
 @func
-def engine_torque(rates: Vec3, torque: Vec3, dt: float, row: np.record) -> Vec3:
+def engine_torque(
+    rates: Vec3,
+    torque: Vec3,
+    dt: float,
+    row: np.record,
+) -> Vec3:
     """Return the torque M' with which Bullet's step of the rates lands on the RK4 solution for M.
 
     Bullet's step is explicit: w + dt J^-1 (M' - w x J w).
@@ -52,16 +61,29 @@ def engine_torque(rates: Vec3, torque: Vec3, dt: float, row: np.record) -> Vec3:
     Returns:
         M' in body axes, N m.
     """
+    # Four slopes of the rates, and six times their weighted mean
     k1 = body_acceleration(rates, torque, row)
     k2 = body_acceleration(_ahead(rates, k1, 0.5 * dt), torque, row)
     k3 = body_acceleration(_ahead(rates, k2, 0.5 * dt), torque, row)
     k4 = body_acceleration(_ahead(rates, k3, dt), torque, row)
-    momentum = (row.inertia[0] * rates[0], row.inertia[1] * rates[1], row.inertia[2] * rates[2])
+    total = (
+        k1[0] + 2 * k2[0] + 2 * k3[0] + k4[0],
+        k1[1] + 2 * k2[1] + 2 * k3[1] + k4[1],
+        k1[2] + 2 * k2[2] + 2 * k3[2] + k4[2],
+    )
+
+    # What Bullet takes off again: w x J w
+    inertia = row.inertia
+    momentum = (
+        inertia[0] * rates[0],
+        inertia[1] * rates[1],
+        inertia[2] * rates[2],
+    )
     gyroscopic = cross(rates, momentum)
     return (
-        gyroscopic[0] + row.inertia[0] * (k1[0] + 2 * k2[0] + 2 * k3[0] + k4[0]) / 6.0,
-        gyroscopic[1] + row.inertia[1] * (k1[1] + 2 * k2[1] + 2 * k3[1] + k4[1]) / 6.0,
-        gyroscopic[2] + row.inertia[2] * (k1[2] + 2 * k2[2] + 2 * k3[2] + k4[2]) / 6.0,
+        gyroscopic[0] + inertia[0] * total[0] / 6.0,
+        gyroscopic[1] + inertia[1] * total[1] / 6.0,
+        gyroscopic[2] + inertia[2] * total[2] / 6.0,
     )
 
 
@@ -97,6 +119,7 @@ def drive(
     speed = np.empty(num_rotors)
     wake = np.empty(alive.shape[1])
     for w in range(alive.shape[0]):
+        # Downwash of all on all
         wakes(w, swarm.position, alive, parameters, air.gravity, wake)
         for i in range(alive.shape[1]):
             if alive[w, i]:
@@ -111,7 +134,11 @@ def drive(
                     speed[rotor] = after
 
                 # Wrench at the state before the substep with the rotor speeds after it
-                around = (vec3(air.wind, w, i), air.surface[w, i], air.gravity)
+                around = (
+                    vec3(air.wind, w, i),
+                    air.surface[w, i],
+                    air.gravity,
+                )
                 quaternion = quat4(swarm.quaternion, w, i)
                 velocity = vec3(swarm.velocity, w, i)
                 altitude = swarm.position[w, i, 2]
@@ -165,15 +192,20 @@ def advance(
         How many substeps were flown, and whether the last needs the closer look.
     """
     for flown in range(substeps):
+        # Wrenches from the state before the substep
         if near_ground:
             surface_below(port, swarm.position, alive, air.surface)
         drive(swarm, alive, level, setpoint, cascade, parameters, air, dt, force, torque)
+        # The engine's step, between poses that are kept
         path.position[0] = swarm.position
         path.quaternion[0] = swarm.quaternion
         touching = substep(port, force, torque, alive, swarm)
         path.position[1] = swarm.position
         path.quaternion[1] = swarm.quaternion
-        if touching > 0 or suspects(path, alive, parameters, port.obstacle_radius, port.city_grid):
+        # Contacts are read, and fast drones caught, outside
+        if touching > 0:
+            return flown + 1, True
+        if suspects(path, alive, parameters, port.obstacle_radius, port.city_grid):
             return flown + 1, True
     return substeps, False
 
@@ -229,6 +261,7 @@ class BulletDynamics(Dynamics):
         alive = np.ascontiguousarray(alive, dtype=bool)
         assert all(array.flags.c_contiguous for array in swarm)
         path = Path.begin(swarm, motion, 1)
+        surface = np.full(alive.shape, -np.inf)
         inputs = _Inputs(
             swarm=swarm,
             alive=alive,
@@ -236,12 +269,13 @@ class BulletDynamics(Dynamics):
             setpoint=setpoint,
             cascade=flight.cascade,
             parameters=flight.parameters,
-            air=Air(wind, np.full(alive.shape, -np.inf), flight.gravity),
+            air=Air(wind, surface, flight.gravity),
             dt=flight.dt,
             force=self._force,
             torque=self._torque,
             path=path,
         )
+        # Up to the next event in one call, where the C extension is there
         port = engine.port
         touched: dict[Pair, float] = {}
         flown = 0
@@ -252,7 +286,8 @@ class BulletDynamics(Dynamics):
                 substeps = 1
                 path.obstacle[0] = motion.at(flown / flight.substeps)
                 path.obstacle[1] = motion.at((flown + 1) / flight.substeps)
-                engine.set_obstacles(path.obstacle[1], motion.quaternion, np.any(alive, axis=1))
+                flying = np.any(alive, axis=1)
+                engine.set_obstacles(path.obstacle[1], motion.quaternion, flying)
             if port is not None:
                 new, eventful = advance(port, substeps, self._near_ground, *inputs)
             else:
@@ -286,9 +321,14 @@ class BulletDynamics(Dynamics):
         # Before catching, which makes the engine forget them
         for w, drone, other, force in engine.contacts():
             key = (w, drone, other)
-            touched[key] = touched.get(key, 0.0) + force * self.flight.dt
+            before = touched.get(key, 0.0)
+            touched[key] = before + force * self.flight.dt
         caught = catch_fast(
-            engine, inputs.path, inputs.swarm, inputs.alive, parameters=inputs.parameters
+            engine,
+            inputs.path,
+            inputs.swarm,
+            inputs.alive,
+            parameters=inputs.parameters,
         )
         for key in caught:
             touched.setdefault(key, 0.0)

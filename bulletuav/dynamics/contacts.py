@@ -15,7 +15,11 @@ from bulletuav.vehicle.swarm import CITY, Contacts, Swarm
 
 
 def stop_at_first_touch(
-    engine: Engine, path: Path, swarm: Swarm, alive: np.ndarray, parameters: np.ndarray
+    engine: Engine,
+    path: Path,
+    swarm: Swarm,
+    alive: np.ndarray,
+    parameters: np.ndarray,
 ) -> Contacts:
     """Stop every drone that touches something where it does, in the order of time.
 
@@ -31,7 +35,12 @@ def stop_at_first_touch(
     """
     radius = parameters["collision_radius"]
     pairs = candidates(
-        path.position, path.obstacle, alive, radius, engine.obstacle_radius, engine.city_grid
+        path.position,
+        path.obstacle,
+        alive,
+        radius,
+        engine.obstacle_radius,
+        engine.city_grid,
     )
 
     def touch(pair: Pair) -> float:
@@ -47,15 +56,22 @@ def stop_at_first_touch(
             mass = float(parameters["mass"][w, drone])
             rows[w, drone, other] = mass * speed * (time < path.stop[w, drone])
 
+    # Who touched something stands still where its path ends
     for w, i, _ in rows:
-        _, swarm.position[w, i], swarm.quaternion[w, i] = path.pose(w, i, np.inf)
+        _, position, quaternion = path.pose(w, i, np.inf)
+        swarm.position[w, i] = position
+        swarm.quaternion[w, i] = quaternion
         swarm.velocity[w, i] = 0
         swarm.rates[w, i] = 0
     return Contacts.merge(rows)
 
 
 def overlaps(
-    engine: Engine, swarm: Swarm, moved: np.ndarray, alive: np.ndarray, parameters: np.ndarray
+    engine: Engine,
+    swarm: Swarm,
+    moved: np.ndarray,
+    alive: np.ndarray,
+    parameters: np.ndarray,
 ) -> Contacts:
     """Find what drones touch that were put somewhere else.
 
@@ -69,15 +85,24 @@ def overlaps(
     Returns:
         The contacts of `moved` drones with other drones and with the city, without impulse.
     """
+    # Bounding spheres first, then the exact shapes
     radius = parameters["collision_radius"]
     pairs = crowded(swarm.position, moved, alive, radius, engine.city_grid)
     rows: dict[Pair, float] = {}
     for w, one, two in pairs:
-        here = (one, swarm.position[w, one], swarm.quaternion[w, one])
+        here = (
+            one,
+            swarm.position[w, one],
+            swarm.quaternion[w, one],
+        )
         if two == CITY:
             gap = engine.separation(w, here, (two, None, None), TOUCH)
         else:
-            there = (two, swarm.position[w, two], swarm.quaternion[w, two])
+            there = (
+                two,
+                swarm.position[w, two],
+                swarm.quaternion[w, two],
+            )
             gap = engine.separation(w, here, there, TOUCH)
         if gap <= TOUCH:
             rows |= {(w, drone, other): 0.0 for drone, other in _both_sides(one, two)}
@@ -85,7 +110,11 @@ def overlaps(
 
 
 def catch_fast(
-    engine: Engine, path: Path, swarm: Swarm, alive: np.ndarray, parameters: np.ndarray
+    engine: Engine,
+    path: Path,
+    swarm: Swarm,
+    alive: np.ndarray,
+    parameters: np.ndarray,
 ) -> list[Pair]:
     """Let no drone jump over a contact in one engine substep (continuous collision detection).
 
@@ -113,36 +142,65 @@ def catch_fast(
     asked = np.zeros(alive.shape, dtype=bool)
 
     def touch(pair: Pair) -> float:
-        """Tell when a pair touches; `asked` marks the drones whose bodies are moved for it."""
-        w, one, two = pair
-        against = path.change(w, one, 0.0, 1.0) - path.change(w, two, 0.0, 1.0)
-        if length(against) <= far[w, one]:
-            return np.inf
-        for drone, _ in _both_sides(one, two):
-            asked[w, drone] = True
-        before, after = (
-            engine.separation(w, path.pose(w, one, time), path.pose(w, two, time), 2 * TOUCH)
-            for time in (0.0, 1.0)
-        )
-        if before > TOUCH:
-            return first_touch(engine, path, pair, radius)
-        return 0.0 if after < before - far[w, one] else np.inf
+        return _fast_touch(engine, path, pair, radius, far, asked)
 
     pairs = candidates(
-        path.position, path.obstacle, alive, radius, engine.obstacle_radius, engine.city_grid
+        path.position,
+        path.obstacle,
+        alive,
+        radius,
+        engine.obstacle_radius,
+        engine.city_grid,
     )
     caught = [
         (w, drone, other)
         for _, (w, one, two) in touches_in_order(path, pairs, alive, radius, touch)
         for drone, other in _both_sides(one, two)
     ]
+    # Back to where they touched; bodies that were moved for asking return to the swarm
     for w, drone, _ in caught:
-        _, swarm.position[w, drone], swarm.quaternion[w, drone] = path.pose(w, drone, 1.0)
+        _, position, quaternion = path.pose(w, drone, 1.0)
+        swarm.position[w, drone] = position
+        swarm.quaternion[w, drone] = quaternion
     if asked.any():
         engine.set_states(swarm, asked)
     return caught
 
 
+def _fast_touch(
+    engine: Engine,
+    path: Path,
+    pair: Pair,
+    radius: np.ndarray,
+    far: np.ndarray,
+    asked: np.ndarray,
+) -> float:
+    """Return when a pair touches that moved by more than `far` (W, N) m, inf for never.
+
+    `asked` (W, N) marks the drones whose bodies are moved to find out.
+    """
+    w, one, two = pair
+    change = path.change(w, one, 0.0, 1.0)
+    other_change = path.change(w, two, 0.0, 1.0)
+    if length(change - other_change) <= far[w, one]:
+        return np.inf
+    for drone, _ in _both_sides(one, two):
+        asked[w, drone] = True
+
+    def gap(time: float) -> float:
+        pose = path.pose(w, one, time)
+        other_pose = path.pose(w, two, time)
+        return engine.separation(w, pose, other_pose, 2 * TOUCH)
+
+    before = gap(0.0)
+    after = gap(1.0)
+    if before > TOUCH:
+        return first_touch(engine, path, pair, radius)
+    # In touch before: held where it presses deeper
+    return 0.0 if after < before - far[w, one] else np.inf
+
+
 def _both_sides(one: int, two: int) -> list[tuple[int, int]]:
     """Return (drone, other) for each drone of a pair."""
-    return [(drone, other) for drone, other in ((one, two), (two, one)) if drone >= 0]
+    sides = [(one, two), (two, one)]
+    return [(drone, other) for drone, other in sides if drone >= 0]

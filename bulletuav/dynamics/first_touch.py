@@ -33,7 +33,27 @@ def _position_at(path: Path, w: int, i: int, time: float) -> Vec3:
 
 
 @func
-def _meets_held(path: Path, w: int, i: int, j: int, within: float) -> bool:
+def _gap_at(
+    path: Path,
+    w: int,
+    i: int,
+    j: int,
+    time: float,
+) -> Vec3:
+    """Return the vector from drone i to drone j at a time, m."""
+    one = _position_at(path, w, i, time)
+    two = _position_at(path, w, j, time)
+    return between(one, two)
+
+
+@func
+def _meets_held(
+    path: Path,
+    w: int,
+    i: int,
+    j: int,
+    within: float,
+) -> bool:
     """Tell whether two drones, which may have stopped, come closer than `within` m."""
     for piece in range(path.position.shape[0] - 1):
         begin = piece * path.span
@@ -42,10 +62,10 @@ def _meets_held(path: Path, w: int, i: int, j: int, within: float) -> bool:
         one = min(max(path.stop[w, i], begin), end)
         two = min(max(path.stop[w, j], begin), end)
         time = begin
-        before = between(_position_at(path, w, i, begin), _position_at(path, w, j, begin))
+        before = _gap_at(path, w, i, j, begin)
         for later in (min(one, two), max(one, two), end):
             if later > time:
-                after = between(_position_at(path, w, i, later), _position_at(path, w, j, later))
+                after = _gap_at(path, w, i, j, later)
                 if closest_squared(before, after)[1] < within * within:
                     return True
                 time = later
@@ -54,8 +74,14 @@ def _meets_held(path: Path, w: int, i: int, j: int, within: float) -> bool:
 
 
 @kernel
-def _partners(path: Path, alive: np.ndarray, radius: np.ndarray, w: int, i: int) -> list[Pair]:
-    """Find the drones that drone i may touch, all of them going as far as they do before they stop."""
+def _partners(
+    path: Path,
+    alive: np.ndarray,
+    radius: np.ndarray,
+    w: int,
+    i: int,
+) -> list[Pair]:
+    """Find the drones that drone i may touch, all going as far as they do before they stop."""
     found = [(0, 0, 0) for _ in range(0)]
     for j in range(alive.shape[1]):
         within = radius[w, i] + radius[w, j] + TOUCH
@@ -64,14 +90,22 @@ def _partners(path: Path, alive: np.ndarray, radius: np.ndarray, w: int, i: int)
     return found
 
 
-def _closing_bound(path: Path, pair: Pair, radius: np.ndarray, begin: float, end: float) -> float:
+def _closing_bound(
+    path: Path,
+    pair: Pair,
+    radius: np.ndarray,
+    begin: float,
+    end: float,
+) -> float:
     """Bound by how many metres the gap of a pair can shrink between two times within a piece.
 
     It is the translation of one against the other, and what the rotation of each can add.
     """
     w, one, two = pair
     piece = path.piece(begin)
-    bound = length(path.change(w, one, begin, end) - path.change(w, two, begin, end))
+    change = path.change(w, one, begin, end)
+    other_change = path.change(w, two, begin, end)
+    bound = length(change - other_change)
     for drone in (one, two):
         if drone >= 0 and begin < path.stop[w, drone]:
             before = path.quaternion[piece, w, drone]
@@ -83,7 +117,12 @@ def _closing_bound(path: Path, pair: Pair, radius: np.ndarray, begin: float, end
     return bound
 
 
-def first_touch(engine: Engine, path: Path, pair: Pair, radius: np.ndarray) -> float:
+def first_touch(
+    engine: Engine,
+    path: Path,
+    pair: Pair,
+    radius: np.ndarray,
+) -> float:
     """Find when a pair first touches, by conservative advancement.
 
     Args:
@@ -99,11 +138,15 @@ def first_touch(engine: Engine, path: Path, pair: Pair, radius: np.ndarray) -> f
     w, one, two = pair
 
     def gap(time: float, within: float) -> float:
-        return engine.separation(w, path.pose(w, one, time), path.pose(w, two, time), within)
+        pose = path.pose(w, one, time)
+        other_pose = path.pose(w, two, time)
+        return engine.separation(w, pose, other_pose, within)
 
-    for begin, end in itertools.pairwise(path.breaks(w, (one, two))):
+    breaks = path.breaks(w, (one, two))
+    for begin, end in itertools.pairwise(breaks):
         time = begin
-        rate = _closing_bound(path, pair, radius, time, end) / (end - time)
+        bound = _closing_bound(path, pair, radius, time, end)
+        rate = bound / (end - time)
         while time < end:
             remaining = end - time
             distance = gap(time, rate * remaining + TOUCH)
@@ -117,6 +160,7 @@ def first_touch(engine: Engine, path: Path, pair: Pair, radius: np.ndarray) -> f
                 # Too far apart to meet within this piece
                 time = end
             else:
+                # As far as no motion can close the gap, and half a touch more, to arrive
                 time += (distance - 0.5 * TOUCH) / rate
     return np.inf
 
@@ -151,10 +195,12 @@ def touches_in_order(
         del times[pair]
         done.add(pair)
         yield time, pair
+        # Drones of the pair stay here: ask anew whoever was to meet them, or now does
         w, *ends = pair
         for drone in ends:
             if drone >= 0 and path.stop[w, drone] == np.inf:
                 path.stop[w, drone] = time
                 pending = [other for other in times if other[0] == w and drone in other[1:]]
-                for met in {*pending, *_partners(path, alive, radius, w, drone)} - done:
+                partners = _partners(path, alive, radius, w, drone)
+                for met in {*pending, *partners} - done:
                     times[met] = touch(met)

@@ -1,4 +1,4 @@
-"""Kinematic dynamics: points that follow velocities or accelerations, level, with the yaw asked for.
+"""Kinematic dynamics: points that follow velocities or accelerations, level, with a yaw.
 
 - `point_mass`: v' = limited((v_cmd - v) / tau) - k (v - wind): first-order velocity lag,
   acceleration limit, rotor drag.
@@ -20,7 +20,7 @@ import numpy as np
 from bulletuav.control.cascade import Cascade, command_kinematic
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.base import Air, Dynamics
-from bulletuav.dynamics.path import Path
+from bulletuav.dynamics.path import Path, write_pose
 from bulletuav.geometry.rotation import Vec3, dot, from_euler, quat4, vec3
 from bulletuav.kernel import func, kernel
 from bulletuav.registry import register
@@ -34,12 +34,55 @@ def limited(vector: Vec3, limit: float) -> Vec3:
     """Return the vector, shortened to `limit` if it is longer."""
     size = math.sqrt(dot(vector, vector))
     scale = limit / size if size > limit else 1.0
-    return scale * vector[0], scale * vector[1], scale * vector[2]
+    return (
+        scale * vector[0],
+        scale * vector[1],
+        scale * vector[2],
+    )
+
+
+@func
+def _relaxed(
+    velocity: Vec3,
+    command: Vec3,
+    wind: Vec3,
+    lag: float,
+    drag: float,
+    dt: float,
+) -> tuple[Vec3, Vec3]:
+    """Solve v' = (v_cmd - v) / lag - drag (v - wind) for dt; returns velocity and displacement."""
+    # Exponential approach to the velocity at which lag and drag balance
+    rate = 1.0 / lag + drag
+    decay = math.exp(-rate * dt)
+    share = (1.0 - decay) / rate
+    end0 = (command[0] / lag + drag * wind[0]) / rate
+    end1 = (command[1] / lag + drag * wind[1]) / rate
+    end2 = (command[2] / lag + drag * wind[2]) / rate
+    away0 = velocity[0] - end0
+    away1 = velocity[1] - end1
+    away2 = velocity[2] - end2
+    after = (
+        end0 + decay * away0,
+        end1 + decay * away1,
+        end2 + decay * away2,
+    )
+    moved = (
+        end0 * dt + share * away0,
+        end1 * dt + share * away1,
+        end2 * dt + share * away2,
+    )
+    return after, moved
 
 
 @func
 def lagged_velocity(
-    velocity: Vec3, command: Vec3, wind: Vec3, lag: float, drag: float, most: float, dt: float
+    velocity: Vec3,
+    command: Vec3,
+    wind: Vec3,
+    lag: float,
+    drag: float,
+    most: float,
+    dt: float,
 ) -> tuple[Vec3, Vec3]:
     """Advance a `point_mass` by dt.
 
@@ -64,23 +107,7 @@ def lagged_velocity(
         (command[2] - velocity[2]) / lag,
     )
     if dot(pull, pull) <= most * most:
-        # Exponential approach to the velocity at which lag and drag balance
-        rate = 1.0 / lag + drag
-        decay = math.exp(-rate * dt)
-        share = (1.0 - decay) / rate
-        end0 = (command[0] / lag + drag * wind[0]) / rate
-        end1 = (command[1] / lag + drag * wind[1]) / rate
-        end2 = (command[2] / lag + drag * wind[2]) / rate
-        away0 = velocity[0] - end0
-        away1 = velocity[1] - end1
-        away2 = velocity[2] - end2
-        after = (end0 + decay * away0, end1 + decay * away1, end2 + decay * away2)
-        moved = (
-            end0 * dt + share * away0,
-            end1 * dt + share * away1,
-            end2 * dt + share * away2,
-        )
-        return after, moved
+        return _relaxed(velocity, command, wind, lag, drag, dt)
 
     # Constant acceleration
     pull = limited(pull, most)
@@ -120,6 +147,7 @@ def accelerated(velocity: Vec3, acceleration: Vec3, fastest: float, dt: float) -
         velocity[2] + acceleration[2] * dt,
     )
     after = limited(after, fastest)
+    # Mean of the velocities before and after
     half = 0.5 * dt
     moved = (
         half * (velocity[0] + after[0]),
@@ -127,6 +155,46 @@ def accelerated(velocity: Vec3, acceleration: Vec3, fastest: float, dt: float) -
         half * (velocity[2] + after[2]),
     )
     return after, moved
+
+
+@func
+def _drag_rate(
+    swarm: Swarm,
+    w: int,
+    i: int,
+    row: np.record,
+) -> float:
+    """Return the drag of a drone's rotors at their present speeds, per mass, 1/s."""
+    drag = 0.0
+    for rotor in range(row.num_rotors):
+        drag += row.drag_xy * swarm.rotor_speed[w, i, rotor] / row.mass
+    return drag
+
+
+@func
+def _advance_point(
+    kind: int,
+    target: Vec3,
+    velocity: Vec3,
+    wind: Vec3,
+    fastest: float,
+    lag: float,
+    drag: float,
+    most: float,
+    dt: float,
+) -> tuple[Vec3, Vec3]:
+    """Return velocity and displacement of a point after dt, under the setpoint `target`."""
+    if kind == DOUBLE_INTEGRATOR:
+        acceleration = limited(target, most)
+        return accelerated(velocity, acceleration, fastest, dt)
+    command = limited(target, fastest)
+    if kind == POINT_MASS:
+        return lagged_velocity(velocity, command, wind, lag, drag, most, dt)
+    return command, (
+        command[0] * dt,
+        command[1] * dt,
+        command[2] * dt,
+    )
 
 
 @kernel
@@ -163,11 +231,12 @@ def advance(
 
             # Constants of the drone: lag of its velocity loop, rotor drag, acceleration limit
             lag = 1.0 / (2.0 * gain.damping * gain.position_frequency)
-            drag = 0.0
-            for rotor in range(row.num_rotors):
-                drag += row.drag_xy * swarm.rotor_speed[w, i, rotor] / row.mass
+            drag = _drag_rate(swarm, w, i, row)
             most = air.gravity * gain.max_tilt
+            fastest = gain.max_speed
+            accelerates = kind == DOUBLE_INTEGRATOR
 
+            # Level, with the yaw that is asked for
             position, quaternion, velocity, rates = get(swarm, w, i)
             wanted = quat4(setpoint, w, i)
             wind = vec3(air.wind, w, i)
@@ -176,20 +245,10 @@ def advance(
             for piece in range(path.position.shape[0] - 1):
                 if alive[w, i]:
                     # Down to the level that is consumed, then the integration
-                    target = command_kinematic(
-                        level, kind == DOUBLE_INTEGRATOR, wanted, position, velocity, gain
+                    target = command_kinematic(level, accelerates, wanted, position, velocity, gain)
+                    velocity, moved = _advance_point(
+                        kind, target, velocity, wind, fastest, lag, drag, most, dt
                     )
-                    if kind == DOUBLE_INTEGRATOR:
-                        target = limited(target, most)
-                        velocity, moved = accelerated(velocity, target, gain.max_speed, dt)
-                    elif kind == POINT_MASS:
-                        target = limited(target, gain.max_speed)
-                        velocity, moved = lagged_velocity(
-                            velocity, target, wind, lag, drag, most, dt
-                        )
-                    else:
-                        velocity = limited(target, gain.max_speed)
-                        moved = (velocity[0] * dt, velocity[1] * dt, velocity[2] * dt)
                     position = (
                         position[0] + moved[0],
                         position[1] + moved[1],
@@ -197,10 +256,7 @@ def advance(
                     )
 
                 # Also of drones that do not fly: their track is where they are
-                for k in range(3):
-                    path.position[piece + 1, w, i, k] = position[k]
-                for k in range(4):
-                    path.quaternion[piece + 1, w, i, k] = quaternion[k]
+                write_pose(path, piece + 1, w, i, position, quaternion)
             put(swarm, w, i, (position, quaternion, velocity, rates))
 
 

@@ -1,10 +1,12 @@
-"""Straight pieces along which drones and obstacles move during a decision, and where drones stop."""
+"""Straight pieces along which drones and obstacles move, and where drones stop on the way."""
 
 import math
 from typing import NamedTuple
 
 import numpy as np
 
+from bulletuav.geometry.rotation import Quat4, Vec3
+from bulletuav.kernel import func
 from bulletuav.vehicle.swarm import CITY, FIRST_OBSTACLE, GROUND, Motion, Swarm
 
 Pose = tuple[int, np.ndarray, np.ndarray]
@@ -38,7 +40,7 @@ class Path(NamedTuple):
         quaternion: (S + 1, W, N, 4) attitudes of the drones.
         obstacle: (S + 1, W, K, 3) positions of the obstacles, m.
         obstacle_quaternion: (W, K, 4) attitudes of the obstacles, which do not turn.
-        stop: (W, N) time from which on a drone stays where it is; inf for one that goes all the way.
+        stop: (W, N) time from which on a drone stays where it is; inf for one that never stops.
         span: Time that each piece takes, in substeps.
     """
 
@@ -50,7 +52,13 @@ class Path(NamedTuple):
     span: float
 
     @classmethod
-    def begin(cls, swarm: Swarm, motion: Motion, pieces: int, span: float = 1.0) -> "Path":
+    def begin(
+        cls,
+        swarm: Swarm,
+        motion: Motion,
+        pieces: int,
+        span: float = 1.0,
+    ) -> "Path":
         """Make room for a path that starts from the present poses.
 
         Args:
@@ -62,17 +70,21 @@ class Path(NamedTuple):
         Returns:
             A path on which no drone stops.
         """
+        # Drones: the present poses alone
         position = np.empty((pieces + 1, *swarm.position.shape))
         quaternion = np.empty((pieces + 1, *swarm.quaternion.shape))
         position[0] = swarm.position
         quaternion[0] = swarm.quaternion
 
+        # Obstacles: all the way
         obstacle = np.empty((pieces + 1, *motion.before.shape))
         if motion.moving:
-            obstacle[:] = motion.at(np.arange(pieces + 1)[:, None, None, None] / pieces)
+            share = np.arange(pieces + 1)[:, None, None, None] / pieces
+            obstacle[:] = motion.at(share)
         else:
             obstacle[:] = motion.before
 
+        # Nobody stops yet
         stop = np.full(swarm.position.shape[:2], np.inf)
         return cls(position, quaternion, obstacle, motion.quaternion, stop, float(span))
 
@@ -99,7 +111,9 @@ class Path(NamedTuple):
         share = time / self.span - piece
 
         track = self._track(world, who)
-        position = (1 - share) * track[piece] + share * track[piece + 1]
+        here = track[piece]
+        there = track[piece + 1]
+        position = (1 - share) * here + share * there
         if who <= FIRST_OBSTACLE:
             return who, position, self.obstacle_quaternion[world, FIRST_OBSTACLE - who]
 
@@ -110,13 +124,23 @@ class Path(NamedTuple):
         quaternion = (1 - share) * before + share * after * sign
         return who, position, quaternion / length(quaternion)
 
-    def change(self, world: int, who: int, begin: float, end: float) -> np.ndarray:
+    def change(
+        self,
+        world: int,
+        who: int,
+        begin: float,
+        end: float,
+    ) -> np.ndarray:
         """Return the displacement (3,) in m between two times within one piece."""
-        if who in (GROUND, CITY) or (who >= 0 and begin >= self.stop[world, who]):
+        stopped = who >= 0 and begin >= self.stop[world, who]
+        if stopped or who in (GROUND, CITY):
             return np.zeros(3)
         moved: np.ndarray
+        # A whole piece needs no interpolation
         if end - begin < self.span:
-            moved = self.pose(world, who, end)[1] - self.pose(world, who, begin)[1]
+            _, before, _ = self.pose(world, who, begin)
+            _, after, _ = self.pose(world, who, end)
+            moved = after - before
         else:
             piece = self.piece(begin)
             track = self._track(world, who)
@@ -127,10 +151,27 @@ class Path(NamedTuple):
         """Return the ascending times between which both of a pair move straight."""
         times = {k * self.span for k in range(len(self.position))}
         stops = {float(self.stop[world, who]) for who in ends if who >= 0}
-        return sorted(times | {stop for stop in stops if stop < max(times)})
+        last = max(times)
+        return sorted(times | {stop for stop in stops if stop < last})
 
     def _track(self, world: int, who: int) -> np.ndarray:
         """Return the positions (S + 1, 3) of a drone or an obstacle."""
         if who < 0:
             return self.obstacle[:, world, FIRST_OBSTACLE - who]
         return self.position[:, world, who]
+
+
+@func
+def write_pose(
+    path: Path,
+    end: int,
+    w: int,
+    i: int,
+    position: Vec3,
+    quaternion: Quat4,
+) -> None:
+    """Write where drone i of world w is after `end` pieces, for compiled code."""
+    for k in range(3):
+        path.position[end, w, i, k] = position[k]
+    for k in range(4):
+        path.quaternion[end, w, i, k] = quaternion[k]

@@ -11,8 +11,8 @@ import numpy as np
 from bulletuav.control.cascade import Cascade, command_rotors
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.base import Air, Dynamics
-from bulletuav.dynamics.path import Path
-from bulletuav.geometry.rotation import Quat4, Vec3, normalised, vec3
+from bulletuav.dynamics.path import Path, write_pose
+from bulletuav.geometry.rotation import Quat4, Vec3, normalised, quat4, vec3
 from bulletuav.kernel import func, kernel
 from bulletuav.registry import register
 from bulletuav.vehicle.aerodynamics import wakes
@@ -21,7 +21,7 @@ from bulletuav.vehicle.swarm import Swarm, get, put
 from bulletuav.vehicle.wrench import body_acceleration, wrench
 
 State = tuple[Vec3, Quat4, Vec3, Vec3]
-"""Position, quaternion, velocity and rates of one drone, as `swarm.get` gives them; or their slopes"""
+"""Position, quaternion, velocity and rates of one drone, or their slopes"""
 RotorWrench = tuple[float, Vec3, float]
 """Thrust, torque and sum of speeds, as `rotor_wrench` gives them"""
 Around = tuple[Vec3, float, float]
@@ -29,7 +29,13 @@ Around = tuple[Vec3, float, float]
 
 
 @func
-def _slope(state: State, rotors: RotorWrench, around: Around, wake: float, row: np.record) -> State:
+def _slope(
+    state: State,
+    rotors: RotorWrench,
+    around: Around,
+    wake: float,
+    row: np.record,
+) -> State:
     """Return the time derivative of a state; `wake` is the downwash of other drones, N."""
     position, quaternion, velocity, rates = state
     force, torque = wrench(quaternion, velocity, position[2], rotors, around, wake, row)
@@ -46,8 +52,13 @@ def _slope(state: State, rotors: RotorWrench, around: Around, wake: float, row: 
 
     # A division that all stages share
     lightness = 1.0 / row.mass
-    acceleration = (lightness * force[0], lightness * force[1], lightness * force[2])
-    return velocity, turning, acceleration, body_acceleration(rates, torque, row)
+    acceleration = (
+        lightness * force[0],
+        lightness * force[1],
+        lightness * force[2],
+    )
+    spinning = body_acceleration(rates, torque, row)
+    return velocity, turning, acceleration, spinning
 
 
 @func
@@ -56,15 +67,27 @@ def _moved(state: State, time: float, slope: State) -> State:
     x, q, v, w = state
     dx, dq, dv, dw = slope
     return (
-        (x[0] + time * dx[0], x[1] + time * dx[1], x[2] + time * dx[2]),
+        (
+            x[0] + time * dx[0],
+            x[1] + time * dx[1],
+            x[2] + time * dx[2],
+        ),
         (
             q[0] + time * dq[0],
             q[1] + time * dq[1],
             q[2] + time * dq[2],
             q[3] + time * dq[3],
         ),
-        (v[0] + time * dv[0], v[1] + time * dv[1], v[2] + time * dv[2]),
-        (w[0] + time * dw[0], w[1] + time * dw[1], w[2] + time * dw[2]),
+        (
+            v[0] + time * dv[0],
+            v[1] + time * dv[1],
+            v[2] + time * dv[2],
+        ),
+        (
+            w[0] + time * dw[0],
+            w[1] + time * dw[1],
+            w[2] + time * dw[2],
+        ),
     )
 
 
@@ -87,9 +110,62 @@ def _rk4(
     k3 = _slope(_moved(state, 0.5 * dt, k2), middle, around, wake, row)
     k4 = _slope(_moved(state, dt, k3), end, around, wake, row)
     # k1 + 2 k2 + 2 k3 + k4
-    total = _moved(_moved(_moved(k1, 2.0, k2), 2.0, k3), 1.0, k4)
+    total = _moved(k1, 2.0, k2)
+    total = _moved(total, 2.0, k3)
+    total = _moved(total, 1.0, k4)
+    # Normalised once, as the stages leave the unit sphere by little
     position, quaternion, velocity, rates = _moved(state, dt / 6.0, total)
     return position, normalised(quaternion), velocity, rates
+
+
+@func
+def _lag_stages(
+    parameters: np.ndarray,
+    w: int,
+    dt: float,
+    decay: np.ndarray,
+) -> None:
+    """Fill `decay` (N, 3, 2): rotor lag until the begin, middle and end of a substep."""
+    for i in range(decay.shape[0]):
+        for stage in range(3):
+            elapsed = 0.5 * stage * dt
+            up, down = lag_decay(elapsed, parameters[w, i])
+            decay[i, stage, 0] = up
+            decay[i, stage, 1] = down
+
+
+@func
+def _turn_rotors(
+    speed: np.ndarray,
+    command: np.ndarray,
+    decay: np.ndarray,
+    w: int,
+    i: int,
+    row: np.record,
+    begin: np.ndarray,
+    middle: np.ndarray,
+    end: np.ndarray,
+) -> tuple[RotorWrench, RotorWrench, RotorWrench]:
+    """Let the rotors of drone i in world w follow their commands for a substep.
+
+    `decay` (N, 3, 2) is their lag until its begin, middle and end. `begin`, `middle` and `end` (R,)
+    are room for the speeds there. Returns the wrenches at these three times.
+    """
+    at_begin = (decay[i, 0, 0], decay[i, 0, 1])
+    at_middle = (decay[i, 1, 0], decay[i, 1, 1])
+    at_end = (decay[i, 2, 0], decay[i, 2, 1])
+    for rotor in range(row.num_rotors):
+        now = speed[w, i, rotor]
+        wanted = command[i, rotor]
+        begin[rotor] = lagged(now, wanted, at_begin)
+        middle[rotor] = lagged(now, wanted, at_middle)
+        end[rotor] = lagged(now, wanted, at_end)
+        speed[w, i, rotor] = end[rotor]
+    return (
+        rotor_wrench(begin, row),
+        rotor_wrench(middle, row),
+        rotor_wrench(end, row),
+    )
 
 
 @kernel
@@ -117,6 +193,7 @@ def advance(
         dt: Duration of a substep, s.
         path: Its poses at the end of every substep are written.
     """
+    # Room that all worlds share
     num_drones, num_rotors = swarm.rotor_speed.shape[1:]
     wake = np.empty(num_drones)
     commands = np.empty((num_drones, num_rotors))
@@ -126,12 +203,8 @@ def advance(
     end = np.empty(num_rotors)
     decay = np.empty((num_drones, 3, 2))
     for w in range(alive.shape[0]):
-        # Rotor lag at the begin, middle and end of a substep: the same in all of them
-        for i in range(num_drones):
-            for stage in range(3):
-                elapsed = 0.5 * stage * dt
-                decay[i, stage, 0], decay[i, stage, 1] = lag_decay(elapsed, parameters[w, i])
-
+        # The same in all substeps
+        _lag_stages(parameters, w, dt, decay)
         for substep in range(path.position.shape[0] - 1):
             # Wakes and commands of all drones come from the state before any of them moves
             wakes(w, swarm.position, alive, parameters, air.gravity, wake)
@@ -141,30 +214,25 @@ def advance(
                     for rotor in range(num_rotors):
                         commands[i, rotor] = command[rotor]
 
+            # From here on each drone by itself
             for i in range(num_drones):
                 if alive[w, i]:
                     row = parameters[w, i]
-                    for rotor in range(row.num_rotors):
-                        now = swarm.rotor_speed[w, i, rotor]
-                        wanted = commands[i, rotor]
-                        begin[rotor] = lagged(now, wanted, (decay[i, 0, 0], decay[i, 0, 1]))
-                        middle[rotor] = lagged(now, wanted, (decay[i, 1, 0], decay[i, 1, 1]))
-                        end[rotor] = lagged(now, wanted, (decay[i, 2, 0], decay[i, 2, 1]))
-                        swarm.rotor_speed[w, i, rotor] = end[rotor]
-                    rotors = (
-                        rotor_wrench(begin, row),
-                        rotor_wrench(middle, row),
-                        rotor_wrench(end, row),
+                    rotors = _turn_rotors(
+                        swarm.rotor_speed, commands, decay, w, i, row, begin, middle, end
                     )
-                    around = (vec3(air.wind, w, i), air.surface[w, i], air.gravity)
+                    around = (
+                        vec3(air.wind, w, i),
+                        air.surface[w, i],
+                        air.gravity,
+                    )
                     state = _rk4(get(swarm, w, i), rotors, dt, around, wake[i], row)
                     put(swarm, w, i, state)
 
                 # Also of drones that do not fly: their track is where they are
-                for k in range(3):
-                    path.position[substep + 1, w, i, k] = swarm.position[w, i, k]
-                for k in range(4):
-                    path.quaternion[substep + 1, w, i, k] = swarm.quaternion[w, i, k]
+                position = vec3(swarm.position, w, i)
+                quaternion = quat4(swarm.quaternion, w, i)
+                write_pose(path, substep + 1, w, i, position, quaternion)
 
 
 @register("dynamics")

@@ -81,9 +81,10 @@ def convert(
         return setpoint
     if consumes not in CONVERTED or level > consumes:
         raise ValueError(
-            f"{level.name.lower()} setpoints cannot be turned into {consumes.name.lower()}: let the "
-            f"dynamics consume velocity, acceleration or rotor setpoints"
+            f"{level.name.lower()} setpoints cannot be turned into {consumes.name.lower()}: "
+            f"let the dynamics consume velocity, acceleration or rotor setpoints"
         )
-    converted = np.zeros((*alive.shape, swarm.rotor_speed.shape[2] if rotors else 4))
+    width = swarm.rotor_speed.shape[2] if rotors else 4
+    converted = np.zeros((*alive.shape, width))
     _convert(int(level), int(consumes), setpoint, swarm, alive, cascade, dt, gravity, converted)
     return converted
