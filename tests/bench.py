@@ -5,8 +5,8 @@ import numpy as np
 from bulletuav.control.cascade import Cascade
 from bulletuav.control.gains import gain_rows
 from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.dynamics import find_dynamics
 from bulletuav.dynamics.base import Flight
-from bulletuav.dynamics.ladder import LADDER
 from bulletuav.engine.engine import Engine
 from bulletuav.vehicle.airframe import EFFECTS, STANDARD_GRAVITY, load_airframe
 from bulletuav.vehicle.parameters import parameter_rows
@@ -48,7 +48,7 @@ class Bench:
             np.tile(gain_rows(airframes, max_speed), tiled),
         )
         parameters = np.tile(parameter_rows(airframes, effects), tiled)
-        self.dynamics = LADDER[dynamics](
+        self.dynamics = find_dynamics(dynamics)(
             Flight(self.engine, parameters, cascade, self.dt, substeps, gravity)
         )
         self.swarm = Swarm.zeros(worlds, drones, len(self.airframe.rotors))

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bulletuav.dynamics.ladder import LADDER
+from bulletuav.dynamics import DYNAMICS
 from bulletuav.engine.engine import Engine
 from bulletuav.envs.aviary import Aviary
 from bulletuav.vehicle.airframe import load_airframe
@@ -39,7 +39,7 @@ def measure(
     for num_drones in sizes:
         cases: dict[str, Callable[[], object]] = {}
         resets: dict[str, Callable[[], object]] = {}
-        aviaries = {name: hovering(1, num_drones, name) for name in LADDER}
+        aviaries = {name: hovering(1, num_drones, name) for name in DYNAMICS}
         for name, aviary in aviaries.items():
             cases[name] = partial(aviary.step, np.zeros((1, num_drones, 3)))
             resets[name] = partial(aviary.reset, seeds=0)

@@ -1,1 +1,4 @@
-"""Cities of convex pieces: generated from ITU-R P.1410 statistics, or imported; their streets, queries and files."""
+"""Cities of convex pieces: generated or imported; their streets, queries, pictures and files.
+
+Generated cities have the statistics of Recommendation ITU-R P.1410.
+"""

@@ -8,15 +8,23 @@ from bulletuav.geometry.solids import obj_lines
 
 
 def write_obj(city: City, path: str | Path) -> None:
-    """Write every convex piece as an object `building_K_piece_P` of a Wavefront OBJ file: metres, z up, faces turn left.
+    """Write a city as a Wavefront OBJ file: metres, z up, faces turn left.
 
-    Coordinates keep all their digits: `imports.from_obj` with the city's side reads the same pieces.
+    Every convex piece is an object `building_K_piece_P`. Coordinates keep all their digits, so
+    `imports.from_obj` with the city's side reads the same pieces.
+
+    Args:
+        city: What is written.
+        path: The file, replaced where there is one.
     """
-    about = f"# city {city.name}: a square of {city.side:g} m about the origin; metres, x east, y north, z up"
+    about = (
+        f"# city {city.name}: a square of {city.side:g} m about the origin; "
+        f"metres, x east, y north, z up"
+    )
+    owners = zip(city.building, city.solids.faces, strict=True)
     pieces = (
         (f"building_{building}_piece_{piece}", corners, faces)
-        for piece, (building, (corners, faces)) in enumerate(
-            zip(city.building, city.solids.faces, strict=True)
-        )
+        for piece, (building, (corners, faces)) in enumerate(owners)
     )
-    replace_file(path, "\n".join([about, *obj_lines(pieces)]) + "\n")
+    lines = [about, *obj_lines(pieces)]
+    replace_file(path, "\n".join(lines) + "\n")

@@ -6,16 +6,25 @@ from matplotlib.collections import LineCollection, PolyCollection
 
 from bulletuav.city.model import City
 
-GROUND_COLOUR, STREET = "#f2efe9", "#d98e04"
-BELOW = -0.09  # where the scale and the legend are, below the map, in heights of the map
+GROUND_COLOUR = "#f2efe9"
+STREET_COLOUR = "#d98e04"
+BELOW = -0.09
+"""Where scale and legend are, below the map, in heights of the map"""
 
 
 def draw_map(city: City, axes: Axes) -> None:
-    """Draw the city from above, in m: footprints shaded by the height of their building, and streets."""
+    """Draw a city from above, in m: streets, and footprints shaded by the height of their building.
+
+    Args:
+        city: What is drawn.
+        axes: Where it is drawn; limits, labels and a title are set.
+    """
     prints = PolyCollection(city.footprints, cmap="viridis_r", edgecolors="face", linewidths=0.4)
     prints.set(array=city.heights[city.building], clim=(0, city.heights.max(initial=1.0)))
     lines = list(city.streets.nodes[city.streets.edges])
-    streets = LineCollection(lines, colors=STREET, linewidths=0.8, label="centre lines of streets")
+    streets = LineCollection(
+        lines, colors=STREET_COLOUR, linewidths=0.8, label="centre lines of streets"
+    )
     for collection in (streets, prints):
         axes.add_collection(collection)
     axes.figure.colorbar(prints, ax=axes, label="height (m)", shrink=0.85)
@@ -28,7 +37,12 @@ def draw_map(city: City, axes: Axes) -> None:
     )
     _draw_scale(city.side, axes)
     half = city.side / 2
-    axes.set(xlim=(-half, half), ylim=(-half, half), aspect="equal", facecolor=GROUND_COLOUR)
+    axes.set(
+        xlim=(-half, half),
+        ylim=(-half, half),
+        aspect="equal",
+        facecolor=GROUND_COLOUR,
+    )
     axes.set(xlabel="x east (m)", ylabel="y north (m)")
     axes.set_title(
         f"{city.name}: {len(city.heights)} buildings on {city.side:.4g} m x {city.side:.4g} m"
@@ -36,7 +50,7 @@ def draw_map(city: City, axes: Axes) -> None:
 
 
 def _draw_scale(side: float, axes: Axes) -> None:
-    """A bar of the greatest round length that is at most a fifth of the side."""
+    """Draw a bar of the greatest round length that is at most a fifth of the side."""
     power = 10 ** np.floor(np.log10(side / 5))
     length = power * max(digit for digit in (1, 2, 5) if digit * power <= side / 5)
     ends = np.array([0, length]) - side / 2
@@ -50,4 +64,10 @@ def _draw_scale(side: float, axes: Axes) -> None:
         transform=below,
         clip_on=False,
     )
-    axes.text(ends[1] + side / 80, BELOW, f"{length:g} m", va="center", transform=below)
+    axes.text(
+        ends[1] + side / 80,
+        BELOW,
+        f"{length:g} m",
+        va="center",
+        transform=below,
+    )

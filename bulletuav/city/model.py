@@ -10,21 +10,24 @@ from bulletuav.city.streets import Streets
 from bulletuav.errors import finite, numbers_of, shown
 from bulletuav.geometry.solids import Solids, box_corners
 
-GROUP = (
-    256  # points that are neighbours along x are asked together, as few pieces come into question
-)
-UPRIGHT = 1e-9  # facets whose normal rises less than this are walls
+GROUP = 256
+"""Points that are neighbours along x are asked together, as few pieces come into question"""
+UPRIGHT = 1e-9
+"""Facets whose normal rises less than this are walls"""
 
 
 @dataclass(frozen=True, eq=False)
 class City:
-    """The square [-side/2, side/2]^2 of flat ground, z = 0, with buildings of convex pieces on it; x east, y north, z up.
+    """Buildings of convex pieces on the flat ground z = 0 of the square [-side/2, side/2]^2.
 
-    name      of its kind or file
-    side      m
-    solids    the pieces
-    building  (P,) int, the building that each piece belongs to
-    streets   where one walks
+    x is east, y north, z up, in metres.
+
+    Attributes:
+        name: Of its kind or file.
+        side: Of the square, m.
+        solids: The pieces.
+        building: (P,) int, the building that each piece belongs to.
+        streets: Where one walks.
     """
 
     name: str
@@ -35,90 +38,149 @@ class City:
 
     @cached_property
     def heights(self) -> np.ndarray:
-        """(n,) height of each building's highest point, m."""
+        """Height (B,) of each building's highest point, m."""
         heights = np.zeros(self.building.max(initial=-1) + 1)
-        np.maximum.at(heights, self.building, self.solids.bounds[:, 1, 2])
+        tops = self.solids.bounds[:, 1, 2]
+        np.maximum.at(heights, self.building, tops)
         return heights
 
     @cached_property
     def footprints(self) -> list[np.ndarray]:
-        """Of each piece the corners (V, 2) of its outline seen from above, turning left, m."""
+        """Corners (V, 2) of the outline of each piece seen from above, turning left, m."""
         of_boxes = [box_corners(box)[[0, 1, 3, 2], :2] for box in self.solids.boxes]
-        return of_boxes + [_outline(hull[:, :2]) for hull in self.solids.hulls]
+        of_hulls = [_outline(hull[:, :2]) for hull in self.solids.hulls]
+        return of_boxes + of_hulls
 
     @cached_property
     def coverage(self) -> float:
         """Built-up share of the ground; pieces above each other count each."""
         start, way = self._walls
-        double = start[..., 0] * way[..., 1] - start[..., 1] * way[..., 0]
+        # Shoelace formula: twice the area of each footprint
+        forward = start[..., 0] * way[..., 1]
+        backward = start[..., 1] * way[..., 0]
+        double = forward - backward
         return float(double.sum() / 2 / self.side**2)
 
     def outdoors(self, points: np.ndarray, margin: float = 0.0) -> np.ndarray:
-        """(...,) whether points (..., 2 or 3) are farther than `margin` m from all footprints; their z does not matter."""
-        plan, margin = _plan(points), finite("margin", margin)
+        """Tell which points are farther from all footprints than a margin.
+
+        Args:
+            points: (..., 2 or 3) in m; their z does not matter.
+            margin: m.
+
+        Returns:
+            (...,) bool.
+
+        Raises:
+            ValueError: The points are not finite numbers of that shape.
+        """
+        plan = _plan(points)
+        margin = finite("margin", margin)
         free = np.ones(plan[..., 0].size, dtype=bool)
-        free[self._near(plan.reshape(-1, 2), margin)[0]] = False
+        point, _, _ = self._near(plan.reshape(-1, 2), margin)
+        free[point] = False
         return free.reshape(plan.shape[:-1])
 
     def clearance(self, points: np.ndarray, most: float) -> np.ndarray:
-        """(...,) way from points (..., 2 or 3) to the nearest footprint seen from above, m: 0 over one, `most` at most."""
-        plan, most = _plan(points), finite("most", most)
+        """Return the way from points to the nearest footprint, seen from above.
+
+        Args:
+            points: (..., 2 or 3) in m; their z does not matter.
+            most: Ways are looked for up to this, m.
+
+        Returns:
+            (...,) in m: 0 over a footprint, `most` at most.
+
+        Raises:
+            ValueError: The points are not finite numbers of that shape.
+        """
+        plan = _plan(points)
+        most = finite("most", most)
         gap = np.full(plan[..., 0].size, most)
         point, _, distance = self._near(plan.reshape(-1, 2), most)
         np.minimum.at(gap, point, distance)
         return gap.reshape(plan.shape[:-1])
 
     def roof(self, points: np.ndarray) -> np.ndarray:
-        """(...,) height of the highest roof over or under points (..., 2 or 3), m; 0 outdoors."""
+        """Return the height of the highest roof over or under points.
+
+        Args:
+            points: (..., 2 or 3) in m; their z does not matter.
+
+        Returns:
+            (...,) in m; 0 outdoors.
+
+        Raises:
+            ValueError: The points are not finite numbers of that shape.
+        """
         plan = _plan(points)
         flat = plan.reshape(-1, 2)
         top = np.zeros(len(flat))
         point, piece, _ = self._near(flat, 0.0)
+        # A convex piece ends at the lowest of the planes on it
         facets = self._facets[piece]
-        np.maximum.at(
-            top,
-            point,
-            ((facets[..., :2] * flat[point, None]).sum(axis=-1) + facets[..., 2]).min(axis=1),
-        )
+        rise = (facets[..., :2] * flat[point, None]).sum(axis=-1)
+        height = rise + facets[..., 2]
+        np.maximum.at(top, point, height.min(axis=1))
         return top.reshape(plan.shape[:-1])
 
     @cached_property
     def _walls(self) -> tuple[np.ndarray, np.ndarray]:
-        """Of each footprint where its sides start (P, V, 2), and the ways to their ends; short lists end in no way."""
+        """Starts (P, V, 2) of the sides of each footprint, and ways to their ends.
+
+        Short lists end in no way.
+        """
         start = _padded(self.footprints, 2)
         return start, np.roll(start, -1, axis=1) - start
 
     @cached_property
     def _facets(self) -> np.ndarray:
-        """(P, F, 3) a, b, c of the planes z = a x + b y + c that lie on each piece; short lists repeat the last."""
-        of_boxes = [np.array([[0.0, 0.0, top]]) for top in self.solids.boxes[:, 1, 2]]
-        return _padded(of_boxes + [_top(hull) for hull in self.solids.hulls], 3)
+        """Planes z = a x + b y + c on each piece, (P, F, 3); short lists repeat the last."""
+        tops = self.solids.boxes[:, 1, 2]
+        of_boxes = [np.array([[0.0, 0.0, top]]) for top in tops]
+        of_hulls = [_top(hull) for hull in self.solids.hulls]
+        return _padded(of_boxes + of_hulls, 3)
 
     def _near(self, plan: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Pairs of points (K, 2) and footprints within `reach` m: indices of both, and their distance (0 inside)."""
+        """Find the pairs of points (K, 2) and footprints within `reach` m.
+
+        Returns the indices of both, and their distance, m, 0 inside.
+        """
         order = np.argsort(plan[:, 0])
         groups = np.split(order, range(GROUP, len(order), GROUP))
-        point, piece, distance = zip(
-            *(self._near_group(plan, group, reach) for group in groups), strict=True
-        )
+        found = [self._near_group(plan, group, reach) for group in groups]
+        point, piece, distance = zip(*found, strict=True)
         return np.concatenate(point), np.concatenate(piece), np.concatenate(distance)
 
     def _near_group(
-        self, plan: np.ndarray, group: np.ndarray, reach: float
+        self,
+        plan: np.ndarray,
+        group: np.ndarray,
+        reach: float,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """`_near` of the points with the indices `group`."""
-        low, high = self.solids.bounds[:, 0] - reach, self.solids.bounds[:, 1] + reach
+        """Do as `_near`, of the points with the indices `group`."""
+        low = self.solids.bounds[:, 0] - reach
+        high = self.solids.bounds[:, 1] + reach
         x, y = plan.T
-        strip = np.flatnonzero(
-            (low[:, 0] <= x[group].max(initial=-np.inf))
-            & (high[:, 0] >= x[group].min(initial=np.inf))
-        )
-        one, other = np.nonzero(
-            (x[group, None] >= low[strip, 0]) & (x[group, None] <= high[strip, 0])
-        )
-        point, piece = group[one], strip[other]
-        beside = (y[point] >= low[piece, 1]) & (y[point] <= high[piece, 1])
-        point, piece = point[beside], piece[beside]
+
+        # Pieces in the strip of x that the group covers
+        last = x[group].max(initial=-np.inf)
+        first = x[group].min(initial=np.inf)
+        strip = np.flatnonzero((low[:, 0] <= last) & (high[:, 0] >= first))
+
+        # Pairs whose boxes overlap along x, then along y
+        beyond_low = x[group, None] >= low[strip, 0]
+        below_high = x[group, None] <= high[strip, 0]
+        one, other = np.nonzero(beyond_low & below_high)
+        point = group[one]
+        piece = strip[other]
+        beyond_low = y[point] >= low[piece, 1]
+        below_high = y[point] <= high[piece, 1]
+        beside = beyond_low & below_high
+        point = point[beside]
+        piece = piece[beside]
+
+        # Exact distances
         start, way = self._walls
         distance = _distance(plan[point, None], start[piece], way[piece])
         near = distance <= reach
@@ -126,26 +188,34 @@ class City:
 
 
 def _distance(point: np.ndarray, start: np.ndarray, way: np.ndarray) -> np.ndarray:
-    """(M,) from points (M, 1, 2) to convex polygons whose sides begin at `start` and go `way` (M, V, 2), 0 inside."""
+    """Return the distances (M,) from points (M, 1, 2) to convex polygons, 0 inside.
+
+    Their sides begin at `start` and go `way`, both (M, V, 2).
+    """
     offset = point - start
-    inside = (way[..., 0] * offset[..., 1] >= way[..., 1] * offset[..., 0]).all(axis=1)
+    # Inside is to the left of all sides
+    left = way[..., 0] * offset[..., 1]
+    right = way[..., 1] * offset[..., 0]
+    inside = (left >= right).all(axis=1)
+    # Nearest point of each side
     square = np.maximum((way**2).sum(axis=-1), np.finfo(float).tiny)
-    share = np.clip((offset * way).sum(axis=-1) / square, 0, 1)
-    gap = np.linalg.norm(offset - share[..., None] * way, axis=-1).min(axis=1)
+    along = (offset * way).sum(axis=-1)
+    share = np.clip(along / square, 0, 1)
+    away = offset - share[..., None] * way
+    gap = np.linalg.norm(away, axis=-1).min(axis=1)
     return np.where(inside, 0.0, gap)
 
 
 def _padded(rows: Sequence[np.ndarray], columns: int) -> np.ndarray:
-    """(P, K, C) of arrays (1 to K, C): short ones repeat their last entry."""
+    """Stack arrays (1 to K, C) to (P, K, C); short ones repeat their last entry."""
     longest = max(map(len, rows), default=1)
     index = [np.minimum(np.arange(longest), len(row) - 1) for row in rows]
-    return np.array([row[which] for row, which in zip(rows, index, strict=True)]).reshape(
-        -1, longest, columns
-    )
+    stacked = np.array([row[which] for row, which in zip(rows, index, strict=True)])
+    return stacked.reshape(-1, longest, columns)
 
 
 def _plan(points: np.ndarray) -> np.ndarray:
-    """(..., 2) of points (..., 2 or 3). Raises ValueError unless they are finite numbers of such a shape."""
+    """Return x and y (..., 2) of points (..., 2 or 3), or raise ValueError for what is none."""
     points = numbers_of("points are", points)
     if not points.ndim or points.shape[-1] not in (2, 3) or not np.isfinite(points).all():
         raise ValueError(
@@ -155,15 +225,19 @@ def _plan(points: np.ndarray) -> np.ndarray:
 
 
 def _outline(points: np.ndarray) -> np.ndarray:
+    """Return the corners of the convex hull of points (K, 2), turning left."""
     from scipy.spatial import ConvexHull  # which takes long to import, and boxes do without
 
-    return points[ConvexHull(points).vertices]
+    corners: np.ndarray = points[ConvexHull(points).vertices]
+    return corners
 
 
 def _top(hull: np.ndarray) -> np.ndarray:
-    """(F, 3) a, b, c of the planes z = a x + b y + c on top of the hull of points (V, 3)."""
+    """Return a, b, c (F, 3) of the planes z = a x + b y + c on top of the hull of points (V, 3)."""
     from scipy.spatial import ConvexHull
 
-    planes = ConvexHull(hull).equations  # outside is n . p + d > 0
+    # Outside is n . p + d > 0
+    planes = ConvexHull(hull).equations
     up = planes[planes[:, 2] > UPRIGHT]
-    return -up[:, [0, 1, 3]] / up[:, 2:3]
+    rows: np.ndarray = -up[:, [0, 1, 3]] / up[:, 2:3]
+    return rows

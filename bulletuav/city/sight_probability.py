@@ -11,7 +11,12 @@ from bulletuav.city.statistics import Statistics
 
 
 class Sigmoid(NamedTuple):
-    """Parameters of `elevation_los`; a in degrees, b in 1/degree."""
+    """Parameters of `elevation_los`.
+
+    Attributes:
+        a: degrees.
+        b: 1/degree.
+    """
 
     a: float
     b: float
@@ -23,8 +28,8 @@ SIGMOIDS = {
     "dense": Sigmoid(12.08, 0.11),
     "high_rise": Sigmoid(27.23, 0.08),
 }
-"""A. Al-Hourani, S. Kandeepan, S. Lardner, "Optimal LAP altitude for maximum coverage", IEEE Wireless Communications Letters
-3 (2014)"""
+"""A. Al-Hourani, S. Kandeepan, S. Lardner, "Optimal LAP altitude for maximum coverage",
+IEEE Wireless Communications Letters 3 (2014)"""
 
 SURFACE_A = (
     (0.934, 0.230, -2.25e-3, 1.86e-5),
@@ -32,44 +37,79 @@ SURFACE_A = (
     (-1.24e-4, -3.34e-6),
     (2.73e-7,),
 )
+"""Coefficients of a: row i holds those of (alpha beta)^i gamma^j, j = 0, 1, ..."""
 SURFACE_B = (
     (1.17, -7.56e-2, 1.98e-3, -1.78e-5),
     (-5.79e-3, 1.81e-4, -1.65e-6),
     (1.73e-5, -2.02e-7),
     (-2.00e-8,),
 )
+"""Coefficients of b, likewise"""
 
 
 def p1410_los(
-    statistics: Statistics, distance: np.ndarray, transmitter: np.ndarray, receiver: float = 1.5
+    statistics: Statistics,
+    distance: np.ndarray,
+    transmitter: np.ndarray,
+    receiver: float = 1.5,
 ) -> np.ndarray:
-    """Chance that no roof reaches the ray between two antennas (Rec. ITU-R P.1410; Al-Hourani et al., WCL 2014).
+    """Return the chance that no roof reaches the ray between two antennas.
 
-    `distance` over ground and heights of the antennas, m, arrays of any shapes that go together. The ray passes a whole
-    number of evenly spaced buildings, rounded down, each taken at its middle; the wall next to the receiver is left out, so
-    that a city of blocks has fewer lines of sight.
+    Source: Rec. ITU-R P.1410; Al-Hourani et al., WCL 2014. The ray passes a whole number of evenly
+    spaced buildings, rounded down, each taken at its middle. The wall next to the receiver is left
+    out, so that a city of blocks has fewer lines of sight.
+
+    Args:
+        statistics: Of the built-up area.
+        distance: Between the antennas over ground, m.
+        transmitter: Height of the one antenna, m, in a shape that goes with `distance`.
+        receiver: Height of the other, m.
+
+    Returns:
+        Chances, in the shape that both have together.
     """
     distance, transmitter = np.broadcast_arrays(distance, transmitter)
-    count = np.floor(distance / 1000 * np.sqrt(statistics.alpha * statistics.beta))[..., None]
+    # Buildings that the ray passes, and its height over the middle of each
+    density = np.sqrt(statistics.alpha * statistics.beta)
+    count = np.floor(distance / 1000 * density)[..., None]
     passed = np.arange(count.max(initial=0))
     share = (passed + 0.5) / np.maximum(count, 1)
-    height = transmitter[..., None] - share * (transmitter - receiver)[..., None]
+    fall = (transmitter - receiver)[..., None]
+    height = transmitter[..., None] - share * fall
+    # Rayleigh distribution of the roofs
     lower = 1 - np.exp(-(height**2) / (2 * statistics.gamma**2))
-    return np.where(passed < count, lower, 1.0).prod(axis=-1)
+    chance: np.ndarray = np.where(passed < count, lower, 1.0).prod(axis=-1)
+    return chance
 
 
 def elevation_los(elevation: np.ndarray, sigmoid: Sigmoid) -> np.ndarray:
-    """Chance of a line of sight at an elevation seen from the ground, in degrees (Al-Hourani et al., WCL 2014, eq. 5)."""
-    return 1 / (1 + sigmoid.a * np.exp(-sigmoid.b * (np.asarray(elevation) - sigmoid.a)))
+    """Return the chance of a line of sight at an elevation seen from the ground.
+
+    Source: Al-Hourani et al., WCL 2014, eq. 5.
+
+    Args:
+        elevation: Degrees above the horizon, any shape.
+        sigmoid: Parameters of the kind of area.
+    """
+    decay = np.exp(-sigmoid.b * (np.asarray(elevation) - sigmoid.a))
+    chance: np.ndarray = 1 / (1 + sigmoid.a * decay)
+    return chance
 
 
 def fitted_sigmoid(statistics: Statistics) -> Sigmoid:
-    """The sigmoid of statistics of one's own, by the polynomial surfaces of Al-Hourani et al. (WCL 2014, table I)."""
-    x, y = statistics.alpha * statistics.beta, statistics.gamma
-    surfaces = (SURFACE_A, SURFACE_B)
+    """Return the sigmoid of statistics of one's own.
+
+    Source: polynomial surfaces of Al-Hourani et al. (WCL 2014, table I).
+    """
+    density = statistics.alpha * statistics.beta
+    gamma = statistics.gamma
     return Sigmoid(
         *(
-            sum(c * x**i * y**j for i, row in enumerate(one) for j, c in enumerate(row))
-            for one in surfaces
+            sum(
+                coefficient * density**i * gamma**j
+                for i, row in enumerate(surface)
+                for j, coefficient in enumerate(row)
+            )
+            for surface in (SURFACE_A, SURFACE_B)
         )
     )

@@ -1,4 +1,4 @@
-"""What ITU-R P.1410 says of a built-up area in three numbers, and what was realised of them."""
+"""Statistics of a built-up area by ITU-R P.1410, and what a city has of them."""
 
 import dataclasses
 import math
@@ -15,26 +15,31 @@ MOST = {"alpha": math.inf, "beta": 1e6, "gamma": 500.0}
 
 @dataclass(frozen=True)
 class Statistics:
-    """Recommendation ITU-R P.1410: how densely and how high an area is built.
+    """How densely and how high an area is built (Recommendation ITU-R P.1410).
 
-    alpha  built-up share of the ground, in (0, 1)
-    beta   buildings per km^2
-    gamma  most frequent height, m: heights h have the Rayleigh density h / gamma^2 exp(-h^2 / (2 gamma^2))
+    Attributes:
+        alpha: Built-up share of the ground, in (0, 1).
+        beta: Buildings per km^2.
+        gamma: Most frequent height, m: heights h have the Rayleigh density
+            h / gamma^2 exp(-h^2 / (2 gamma^2)).
 
-    Raises ValueError for numbers that cannot be.
+    Raises:
+        ValueError: A number cannot be.
     """
 
     alpha: float
     beta: float
     gamma: float
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         given = dataclasses.asdict(self)
         for name, value in given.items():
-            object.__setattr__(self, name, finite(name, value, most=MOST[name]))
+            checked = finite(name, value, most=MOST[name])
+            object.__setattr__(self, name, checked)
         if not 0 < self.alpha < 1:
             raise ValueError(
-                f"alpha is {given['alpha']!r}: the built-up share of the ground lies between 0 and 1"
+                f"alpha is {given['alpha']!r}: "
+                f"the built-up share of the ground lies between 0 and 1"
             )
         for name, unit in (("beta", "buildings per km^2"), ("gamma", "m")):
             if getattr(self, name) <= 0:
@@ -69,16 +74,25 @@ KINDS = {
     "dense": Statistics(0.5, 300, 20),
     "high_rise": Statistics(0.5, 300, 50),
 }
-"""J. Holis and P. Pechac, "Elevation dependent shadowing model for mobile communications via high altitude platforms in
-built-up areas", IEEE Trans. Antennas Propag. 56 (2008), table I"""
+"""J. Holis and P. Pechac, "Elevation dependent shadowing model for mobile communications via high
+altitude platforms in built-up areas", IEEE Trans. Antennas Propag. 56 (2008), table I"""
 
 
 def realised(city: City, target: Statistics | None = None) -> dict[str, tuple[float, float]]:
-    """Of each statistic what the city has and what was aimed at (NaN without a target), by its name with the unit.
+    """Compare what a city has with what was aimed at.
 
-    The scale of heights is the estimate of greatest likelihood, and the p-value that of the Kolmogorov-Smirnov test of the
-    heights against the target's Rayleigh distribution. With a target also the width of streets: one is as wide as twice the
-    way from its middle to the nearest wall, halfway between two crossings, and at most two blocks; the median is told.
+    The scale of heights is the estimate of greatest likelihood. With a target there are two more
+    rows. The p-value is that of the Kolmogorov-Smirnov test of the heights against the target's
+    Rayleigh distribution. The width of streets is a median: one is as wide as twice the way from
+    its middle, halfway between two crossings, to the nearest wall, and at most two blocks.
+
+    Args:
+        city: The city.
+        target: Statistics that it was made for, if any.
+
+    Returns:
+        By the name of each statistic, with its unit: what the city has, and what was aimed at
+        (NaN without a target).
     """
     heights = city.heights
     found = {
@@ -90,14 +104,16 @@ def realised(city: City, target: Statistics | None = None) -> dict[str, tuple[fl
     }
     if target is None:
         return {name: (value, math.nan) for name, value in found.items()}
+
     block = city.side / math.sqrt(len(heights))
-    streets = 2 * city.clearance(city.streets.nodes[city.streets.edges].mean(axis=1), block)
-    found["width of streets, m"] = float(np.median(streets))
+    middles = city.streets.nodes[city.streets.edges].mean(axis=1)
+    widths = 2 * city.clearance(middles, block)
+    found["width of streets, m"] = float(np.median(widths))
+
     from scipy import stats  # which takes longer to import than everything else
 
-    found["KS test of heights, p"] = float(
-        stats.kstest(heights, stats.rayleigh(scale=target.gamma).cdf).pvalue
-    )
+    test = stats.kstest(heights, stats.rayleigh(scale=target.gamma).cdf)
+    found["KS test of heights, p"] = float(test.pvalue)
     aims = [
         target.alpha,
         target.beta,

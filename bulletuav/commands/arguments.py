@@ -14,7 +14,7 @@ from rich.console import Console
 from bulletuav.commands.progress import show_progress
 from bulletuav.control.actions import ACTIONS
 from bulletuav.control.cascade import CONTROLLERS
-from bulletuav.dynamics.ladder import LADDER
+from bulletuav.dynamics import DYNAMICS
 from bulletuav.envs.options import EnvOptions
 from bulletuav.envs.resolve import resolve
 from bulletuav.policies import POLICIES, SHIPPED_NAMES, PolicySpec
@@ -37,7 +37,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--airframe", help=f"{', '.join(available_airframes())}, or the path of a URDF"
     )
-    parser.add_argument("--dynamics", help=f"{', '.join(LADDER)} (default: bullet)")
+    parser.add_argument("--dynamics", help=f"{', '.join(DYNAMICS)} (default: bullet)")
     parser.add_argument(
         "--action",
         help=f"{', '.join(ACTIONS)} (default: the task's, or one that the policy gives)",

@@ -9,7 +9,7 @@ from rich.table import Table
 
 from bulletuav.analysis.benchmark import FLOORS, ROUNDS, SIZES, Result, measure
 from bulletuav.commands.progress import show_progress
-from bulletuav.dynamics.ladder import LADDER
+from bulletuav.dynamics import DYNAMICS
 
 ABOUT = {
     "help": "measure this machine: drone-substeps per CPU-second of every dynamics",
@@ -46,7 +46,7 @@ def run(arguments: argparse.Namespace) -> None:
             f"--drones {sizes}, --seconds {arguments.seconds}: numbers above 0 are needed"
         )
     # Every case is measured several times in turn, so that all meet the same disturbances.
-    total = len(sizes) * (len(LADDER) + len(FLOORS)) * ROUNDS
+    total = len(sizes) * (len(DYNAMICS) + len(FLOORS)) * ROUNDS
     done = itertools.count(1)
     with show_progress("measuring", total, "measurements") as report:
         results = measure(sizes, arguments.seconds, lambda: report(next(done)))

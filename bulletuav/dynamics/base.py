@@ -1,13 +1,21 @@
-"""The interface of the dynamics ladder: every level moves the same swarm through one decision."""
+"""The interface of all dynamics: each moves the same swarm through one decision.
+
+An author writes the flight of one substep (`Dynamics.advance_substep`), or of a whole decision in
+one compiled call (`Dynamics.advance_decision`). The base class does the rest: controllers,
+contacts, the surface below, and the check for flights that diverge.
+"""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from bulletuav.control.cascade import Cascade
 from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.dynamics.contacts import stop_at_first_touch
+from bulletuav.dynamics.path import Path
+from bulletuav.dynamics.setpoints import convert
 from bulletuav.engine.engine import Engine
 from bulletuav.geometry.rotation import dot, vec3
 from bulletuav.kernel import kernel
@@ -15,7 +23,13 @@ from bulletuav.vehicle.swarm import Contacts, Motion, Swarm
 
 
 class Air(NamedTuple):
-    """What surrounds the drones: wind (W, N, 3) m/s, height of the surface below (W, N) m, gravity m/s^2."""
+    """What surrounds the drones during a decision.
+
+    Attributes:
+        wind: (W, N, 3) velocity of the air at each drone, world axes, m/s.
+        surface: (W, N) height z of the surface below each drone, m; -inf where nobody asked.
+        gravity: m/s^2, downwards.
+    """
 
     wind: np.ndarray
     surface: np.ndarray
@@ -24,7 +38,16 @@ class Air(NamedTuple):
 
 @dataclass(frozen=True)
 class Flight:
-    """What a dynamics is built from: world, rows of `PARAMETERS` (W, N), controller, substep (s), substeps a decision."""
+    """What a dynamics is built from.
+
+    Attributes:
+        engine: Worlds with their bodies, obstacles and cities.
+        parameters: (W, N) rows of `PARAMETERS`, with which the drones fly.
+        cascade: Controllers between an action's setpoints and those that the dynamics consumes.
+        dt: Duration of a substep, s.
+        substeps: Substeps of a decision.
+        gravity: m/s^2, downwards.
+    """
 
     engine: Engine
     parameters: np.ndarray
@@ -34,62 +57,115 @@ class Flight:
     gravity: float
 
 
-FASTEST = FASTEST_SPIN = 9.9e3  # m/s, rad/s; the engine clamps at 1e4
+# The engine clamps velocities and rates at 1e4
+FASTEST = 9.9e3  # m/s
+FASTEST_SPIN = 9.9e3  # rad/s
 
 
 @kernel
-def _first_lost(swarm, alive):
-    """World and drone of the first living drone whose speed or spin left all bounds (or is NaN), -1 where there is none."""
+def _first_lost(swarm: Swarm, alive: np.ndarray) -> tuple[int, int]:
+    """Find the first living drone whose speed or spin left all bounds, or is NaN.
+
+    Returns its world and index, or -1 and -1.
+    """
     for w in range(alive.shape[0]):
         for i in range(alive.shape[1]):
-            velocity, rates = vec3(swarm.velocity, w, i), vec3(swarm.rates, w, i)
-            sane = dot(velocity, velocity) < FASTEST**2 and dot(rates, rates) < FASTEST_SPIN**2
-            if alive[w, i] and not sane:
+            velocity = vec3(swarm.velocity, w, i)
+            rates = vec3(swarm.rates, w, i)
+            slow = dot(velocity, velocity) < FASTEST**2
+            calm = dot(rates, rates) < FASTEST_SPIN**2
+            if alive[w, i] and not (slow and calm):
                 return w, i
     return -1, -1
 
 
 def require_sane(swarm: Swarm, alive: np.ndarray, first_world: int) -> None:
-    """Raise RuntimeError naming the first living drone (W, N) whose state left all bounds; a reset brings it back.
+    """Refuse to go on with a flight that diverged; a reset brings the drone back.
 
-    `first_world`: number of the first of these worlds.
+    Args:
+        swarm: State of all drones.
+        alive: (W, N) bool, drones that fly; the others are not looked at.
+        first_world: Number of the first of these worlds.
+
+    Raises:
+        RuntimeError: The speed or spin of a living drone left all bounds; the first is named.
     """
     w, i = _first_lost(swarm, alive)
     if w >= 0:
-        speed, spin = np.linalg.norm(swarm.velocity[w, i]), np.linalg.norm(swarm.rates[w, i])
+        speed = np.linalg.norm(swarm.velocity[w, i])
+        spin = np.linalg.norm(swarm.rates[w, i])
         raise RuntimeError(
-            f"the flight of drone {i} in world {first_world + w} diverged ({speed:.3g} m/s, {spin:.3g} rad/s): raise "
-            f"physics_hz or check the inertia of its airframe; reset() starts the world anew"
+            f"the flight of drone {i} in world {first_world + w} diverged "
+            f"({speed:.3g} m/s, {spin:.3g} rad/s): raise physics_hz or check the inertia of its "
+            f"airframe; reset() starts the world anew"
         )
 
 
 class Dynamics(ABC):
-    """One rung of the ladder, driven by setpoints of the level that it `consumes`; higher ones go through the cascade."""
+    """How drones move under setpoints of one level; setpoints above it go through the controllers.
 
-    def __init__(self, flight: Flight):
+    Derive from it, tell what the dynamics `consumes`, and write the flight of one substep:
+
+        class Gliding(Dynamics):
+            '''Acceleration as commanded, and a drag that grows with speed through the air.'''
+
+            consumes = SetpointLevel.ACCELERATION
+
+            def advance_substep(self, swarm, alive, setpoint, air):
+                dt = self.flight.dt
+                drag = -0.2 * (swarm.velocity - air.wind)
+                swarm.velocity[:] += dt * (setpoint[..., :3] + drag)
+                swarm.position[:] += dt * swarm.velocity
+
+        env = bulletuav.parallel_env("crossing", dynamics=Gliding)
+
+    The base class puts back drones that are not alive, stops drones where they first touch
+    something, and refuses states that are not finite. Dynamics that are compiled override
+    `advance_decision`; those with contacts of their own override `fly`.
+
+    Attributes:
+        name: What users call it; the name of the class where it tells none.
+        feels_surface: Whether `air.surface` is wanted, for the ground effect. It costs rays.
+        flight: What it was built from.
+    """
+
+    name: ClassVar[str]
+    feels_surface: ClassVar[bool] = False
+
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        super().__init_subclass__(**keywords)
+        if "name" not in vars(cls):
+            cls.name = cls.__name__
+
+    def __init__(self, flight: Flight) -> None:
+        """Keep what the dynamics is built from."""
         self.flight = flight
-        self._near_ground = bool((flight.parameters["ground_effect_gain"] > 0).any())
+        gains = flight.parameters["ground_effect_gain"]
+        self._near_ground = self.feels_surface and bool((gains > 0).any())
 
     @property
     @abstractmethod
     def consumes(self) -> SetpointLevel:
-        """The setpoint level that drives it."""
+        """Setpoint level that drives it; a class attribute will do."""
 
     def place(self, swarm: Swarm, mask: np.ndarray) -> None:
-        """Start the drones of `mask` (W, N) from the state in `swarm`, as if nothing had been before."""
+        """Start drones from their state, as if nothing had been before.
+
+        Args:
+            swarm: State of all drones.
+            mask: (W, N) bool, drones that start.
+        """
         self.flight.engine.set_states(swarm, mask)
 
     def show(self, swarm: Swarm, mask: np.ndarray) -> None:
-        """Have the engine's bodies of `mask` (W, N) stand where `swarm` is, for pictures; changes nothing in flight."""
+        """Have the engine's bodies stand where drones are, for pictures; changes nothing in flight.
+
+        Args:
+            swarm: State of all drones.
+            mask: (W, N) bool, drones whose bodies are moved.
+        """
         self.flight.engine.set_poses(swarm, mask)
 
-    def _surface(self, swarm: Swarm, alive: np.ndarray) -> np.ndarray:
-        """(W, N) height of the surface below living drones, m; -inf where the ground effect is off."""
-        if self._near_ground:
-            return self.flight.engine.surface_below(swarm.position, alive)
-        return np.full(alive.shape, -np.inf)
-
-    @abstractmethod
     def fly(
         self,
         swarm: Swarm,
@@ -99,8 +175,113 @@ class Dynamics(ABC):
         wind: np.ndarray,
         motion: Motion,
     ) -> Contacts:
-        """Move the living drones (W, N) through one decision, in place, and tell what they touched.
+        """Move the living drones through one decision, and tell what they touched.
 
-        `setpoint` (W, N, S) at `level` is held; `wind` (W, N, 3) m/s too; `motion` is where obstacles
-        go meanwhile. Drones that are not alive neither move nor act.
+        Args:
+            swarm: State of all drones, moved in place.
+            alive: (W, N) bool, drones that fly; the others neither move nor act.
+            level: Level of the setpoints, `consumes` or above.
+            setpoint: (W, N, S) setpoints, held during the decision.
+            wind: (W, N, 3) wind, held during the decision, m/s.
+            motion: Where obstacles go meanwhile.
+
+        Returns:
+            Contacts of living drones; those that touched something stopped there.
+
+        Raises:
+            RuntimeError: A flight diverged.
         """
+        flight = self.flight
+        pieces = self.pieces(level)
+        path = Path.begin(swarm, motion, pieces, flight.substeps // pieces)
+        air = Air(wind, self._surface(swarm, alive), flight.gravity)
+        self.advance_decision(swarm, alive, level, setpoint, air, path)
+        require_sane(swarm, alive, flight.engine.first_world)
+        return stop_at_first_touch(flight.engine, path, swarm, alive, flight.parameters)
+
+    def pieces(self, level: SetpointLevel) -> int:
+        """Return into how many straight pieces a decision is cut, by default one a substep.
+
+        Args:
+            level: Level of the setpoints that will be flown.
+        """
+        return self.flight.substeps
+
+    def advance_decision(
+        self,
+        swarm: Swarm,
+        alive: np.ndarray,
+        level: SetpointLevel,
+        setpoint: np.ndarray,
+        air: Air,
+        path: Path,
+    ) -> None:
+        """Move the living drones through all substeps of a decision, by default one by one.
+
+        Args:
+            swarm: State of all drones, moved in place.
+            alive: (W, N) bool, drones that fly.
+            level: Level of the setpoints, `consumes` or above.
+            setpoint: (W, N, S) setpoints, held during the decision.
+            air: What surrounds the drones, held during the decision.
+            path: Its poses after the first are written.
+        """
+        flight = self.flight
+        start = swarm.copy()
+        for piece in range(1, len(path.position)):
+            target = convert(
+                setpoint,
+                level,
+                self.consumes,
+                swarm=swarm,
+                alive=alive,
+                cascade=flight.cascade,
+                dt=flight.dt,
+                gravity=flight.gravity,
+            )
+            self.advance_substep(swarm, alive, target, air)
+            # Drones that do not fly are put back, so that authors need not mind them
+            for array, old in zip(swarm, start, strict=True):
+                array[~alive] = old[~alive]
+            path.position[piece] = swarm.position
+            path.quaternion[piece] = swarm.quaternion
+        self._require_finite(swarm)
+
+    def advance_substep(
+        self,
+        swarm: Swarm,
+        alive: np.ndarray,
+        setpoint: np.ndarray,
+        air: Air,
+    ) -> None:
+        """Move the drones through one substep of `flight.dt` seconds.
+
+        Args:
+            swarm: State of all drones, to be written in place (`swarm.position[:] = ...`).
+            alive: (W, N) bool, drones that fly; what is written for others is undone.
+            setpoint: (W, N, 4) or (W, N, R) setpoints at the level that is consumed, in the
+                columns of `SetpointLevel`.
+            air: What surrounds the drones.
+        """
+        raise NotImplementedError(
+            f"dynamics {self.name!r} lacks advance_substep(swarm, alive, setpoint, air)"
+        )
+
+    def _surface(self, swarm: Swarm, alive: np.ndarray) -> np.ndarray:
+        """Return the height (W, N) of the surface below living drones, -inf where none is felt."""
+        if self._near_ground:
+            return self.flight.engine.surface_below(swarm.position, alive)
+        return np.full(alive.shape, -np.inf)
+
+    def _require_finite(self, swarm: Swarm) -> None:
+        """Raise RuntimeError for a position, attitude or rotor speed that is not finite."""
+        for field in ("position", "quaternion", "rotor_speed"):
+            finite = np.isfinite(getattr(swarm, field)).all(axis=-1)
+            broken = np.argwhere(~finite)
+            if len(broken):
+                w, i = broken[0].tolist()
+                world = self.flight.engine.first_world + w
+                raise RuntimeError(
+                    f"dynamics {self.name!r} gave drone {i} in world {world} a {field} that is "
+                    f"not finite"
+                )

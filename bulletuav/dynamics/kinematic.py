@@ -1,45 +1,105 @@
-"""Kinematic dynamics: drones as points that follow velocity or acceleration setpoints, level, with the yaw of the setpoint.
+"""Kinematic dynamics: points that follow velocities or accelerations, level, with a yaw.
 
-`point_mass`         v' = limited((v_cmd - v) / tau) - k (v - wind): first-order velocity lag, acceleration limit, rotor drag
-`single_integrator`  v = v_cmd, p+ = p + v dt
-`double_integrator`  p+ = p + v dt + a dt^2 / 2, v+ = v + a dt
+- `point_mass`: v' = limited((v_cmd - v) / tau) - k (v - wind): first-order velocity lag,
+  acceleration limit, rotor drag.
+- `single_integrator`: v = v_cmd, p+ = p + v dt.
+- `double_integrator`: p+ = p + v dt + a dt^2 / 2, v+ = v + a dt.
 
-|v_cmd|, and |v| of the integrators, are limited to max_speed, the commanded acceleration to what tilting by the controller's
-bound gives, by norm, not per axis. Within the limits the integration is exact for a constant setpoint. Rotors, ground effect
-and downwash play no part; double and single integrator do not feel the wind. tau is that of the Lee controller's velocity
-loop.
+|v_cmd|, and |v| of the integrators, are limited to max_speed. The commanded acceleration is limited
+to what tilting by the controller's bound gives. Limits are of the norm, not of each axis. Within
+the limits the integration is exact for a constant setpoint. Rotors, ground effect and downwash play
+no part; single and double integrator do not feel the wind. tau is that of the Lee controller's
+velocity loop.
 """
 
 import math
+from typing import ClassVar
 
 import numpy as np
 
-from bulletuav.control.cascade import command_kinematic
+from bulletuav.control.cascade import Cascade, command_kinematic
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.dynamics.base import Air, Dynamics, Flight
-from bulletuav.dynamics.path import Path
-from bulletuav.dynamics.sweep import stop_at_first_touch
-from bulletuav.geometry.rotation import dot, from_euler, quat4, vec3
+from bulletuav.dynamics.base import Air, Dynamics
+from bulletuav.dynamics.path import Path, write_pose
+from bulletuav.geometry.rotation import Vec3, dot, from_euler, quat4, vec3
 from bulletuav.kernel import func, kernel
-from bulletuav.vehicle.swarm import Contacts, Motion, Swarm, get, put
+from bulletuav.registry import register
+from bulletuav.vehicle.swarm import Swarm, get, put
 
 POINT_MASS, SINGLE_INTEGRATOR, DOUBLE_INTEGRATOR = range(3)
 
 
 @func
-def limited(vector, limit):
-    """The vector, shortened to `limit` if it is longer."""
+def limited(vector: Vec3, limit: float) -> Vec3:
+    """Return the vector, shortened to `limit` if it is longer."""
     size = math.sqrt(dot(vector, vector))
     scale = limit / size if size > limit else 1.0
-    return scale * vector[0], scale * vector[1], scale * vector[2]
+    return (
+        scale * vector[0],
+        scale * vector[1],
+        scale * vector[2],
+    )
 
 
 @func
-def lagged_velocity(velocity, command, wind, lag, drag, most, dt):
-    """Velocity and displacement of `point_mass` after dt; lag s, drag 1/s, most m/s^2.
+def _relaxed(
+    velocity: Vec3,
+    command: Vec3,
+    wind: Vec3,
+    lag: float,
+    drag: float,
+    dt: float,
+) -> tuple[Vec3, Vec3]:
+    """Solve v' = (v_cmd - v) / lag - drag (v - wind) for dt; returns velocity and displacement."""
+    # Exponential approach to the velocity at which lag and drag balance
+    rate = 1.0 / lag + drag
+    decay = math.exp(-rate * dt)
+    share = (1.0 - decay) / rate
+    end0 = (command[0] / lag + drag * wind[0]) / rate
+    end1 = (command[1] / lag + drag * wind[1]) / rate
+    end2 = (command[2] / lag + drag * wind[2]) / rate
+    away0 = velocity[0] - end0
+    away1 = velocity[1] - end1
+    away2 = velocity[2] - end2
+    after = (
+        end0 + decay * away0,
+        end1 + decay * away1,
+        end2 + decay * away2,
+    )
+    moved = (
+        end0 * dt + share * away0,
+        end1 * dt + share * away1,
+        end2 * dt + share * away2,
+    )
+    return after, moved
 
-    While the limit does not act, v' = (v_cmd - v) / lag - drag (v - wind) is linear and solved exactly; while it does, the
-    acceleration is held for dt.
+
+@func
+def lagged_velocity(
+    velocity: Vec3,
+    command: Vec3,
+    wind: Vec3,
+    lag: float,
+    drag: float,
+    most: float,
+    dt: float,
+) -> tuple[Vec3, Vec3]:
+    """Advance a `point_mass` by dt.
+
+    While the limit does not act, v' = (v_cmd - v) / lag - drag (v - wind) is linear and solved
+    exactly. While it does, the acceleration is held for dt.
+
+    Args:
+        velocity: m/s.
+        command: Velocity that is asked for, m/s.
+        wind: m/s.
+        lag: Time constant of the velocity, s.
+        drag: 1/s.
+        most: Limit of the commanded acceleration, m/s^2.
+        dt: s.
+
+    Returns:
+        Velocity after dt, m/s, and displacement, m.
     """
     pull = (
         (command[0] - velocity[0]) / lag,
@@ -47,37 +107,47 @@ def lagged_velocity(velocity, command, wind, lag, drag, most, dt):
         (command[2] - velocity[2]) / lag,
     )
     if dot(pull, pull) <= most * most:
-        rate = 1.0 / lag + drag
-        decay = math.exp(-rate * dt)
-        e0 = (command[0] / lag + drag * wind[0]) / rate
-        e1 = (command[1] / lag + drag * wind[1]) / rate
-        e2 = (command[2] / lag + drag * wind[2]) / rate
-        d0, d1, d2 = velocity[0] - e0, velocity[1] - e1, velocity[2] - e2
-        share = (1.0 - decay) / rate
-        after = (e0 + decay * d0, e1 + decay * d1, e2 + decay * d2)
-        return after, (e0 * dt + share * d0, e1 * dt + share * d1, e2 * dt + share * d2)
+        return _relaxed(velocity, command, wind, lag, drag, dt)
+
+    # Constant acceleration
     pull = limited(pull, most)
-    a0 = pull[0] - drag * (velocity[0] - wind[0])
-    a1 = pull[1] - drag * (velocity[1] - wind[1])
-    a2 = pull[2] - drag * (velocity[2] - wind[2])
+    acceleration0 = pull[0] - drag * (velocity[0] - wind[0])
+    acceleration1 = pull[1] - drag * (velocity[1] - wind[1])
+    acceleration2 = pull[2] - drag * (velocity[2] - wind[2])
     half = 0.5 * dt * dt
-    after = (velocity[0] + a0 * dt, velocity[1] + a1 * dt, velocity[2] + a2 * dt)
-    return after, (
-        velocity[0] * dt + a0 * half,
-        velocity[1] * dt + a1 * half,
-        velocity[2] * dt + a2 * half,
+    after = (
+        velocity[0] + acceleration0 * dt,
+        velocity[1] + acceleration1 * dt,
+        velocity[2] + acceleration2 * dt,
     )
+    moved = (
+        velocity[0] * dt + acceleration0 * half,
+        velocity[1] * dt + acceleration1 * half,
+        velocity[2] * dt + acceleration2 * half,
+    )
+    return after, moved
 
 
 @func
-def accelerated(velocity, acceleration, fastest, dt):
-    """Velocity and displacement of `double_integrator` after dt; past `fastest` m/s the velocity is cut to it."""
+def accelerated(velocity: Vec3, acceleration: Vec3, fastest: float, dt: float) -> tuple[Vec3, Vec3]:
+    """Advance a `double_integrator` by dt; past `fastest` m/s the velocity is cut to it.
+
+    Args:
+        velocity: m/s.
+        acceleration: m/s^2, held for dt.
+        fastest: Limit of the speed, m/s.
+        dt: s.
+
+    Returns:
+        Velocity after dt, m/s, and displacement, m.
+    """
     after = (
         velocity[0] + acceleration[0] * dt,
         velocity[1] + acceleration[1] * dt,
         velocity[2] + acceleration[2] * dt,
     )
     after = limited(after, fastest)
+    # Mean of the velocities before and after
     half = 0.5 * dt
     moved = (
         half * (velocity[0] + after[0]),
@@ -87,99 +157,167 @@ def accelerated(velocity, acceleration, fastest, dt):
     return after, moved
 
 
+@func
+def _drag_rate(
+    swarm: Swarm,
+    w: int,
+    i: int,
+    row: np.record,
+) -> float:
+    """Return the drag of a drone's rotors at their present speeds, per mass, 1/s."""
+    drag = 0.0
+    for rotor in range(row.num_rotors):
+        drag += row.drag_xy * swarm.rotor_speed[w, i, rotor] / row.mass
+    return drag
+
+
+@func
+def _advance_point(
+    kind: int,
+    target: Vec3,
+    velocity: Vec3,
+    wind: Vec3,
+    fastest: float,
+    lag: float,
+    drag: float,
+    most: float,
+    dt: float,
+) -> tuple[Vec3, Vec3]:
+    """Return velocity and displacement of a point after dt, under the setpoint `target`."""
+    if kind == DOUBLE_INTEGRATOR:
+        acceleration = limited(target, most)
+        return accelerated(velocity, acceleration, fastest, dt)
+    command = limited(target, fastest)
+    if kind == POINT_MASS:
+        return lagged_velocity(velocity, command, wind, lag, drag, most, dt)
+    return command, (
+        command[0] * dt,
+        command[1] * dt,
+        command[2] * dt,
+    )
+
+
 @kernel
-def advance(kind, swarm, alive, level, setpoint, cascade, parameters, air, dt, path):
-    """All substeps of one decision for all worlds; `swarm` and `path` are written."""
+def advance(
+    kind: int,
+    swarm: Swarm,
+    alive: np.ndarray,
+    level: int,
+    setpoint: np.ndarray,
+    cascade: Cascade,
+    parameters: np.ndarray,
+    air: Air,
+    dt: float,
+    path: Path,
+) -> None:
+    """Fly all pieces of one decision in all worlds.
+
+    Args:
+        kind: POINT_MASS, SINGLE_INTEGRATOR or DOUBLE_INTEGRATOR.
+        swarm: State of all drones, moved in place.
+        alive: (W, N) bool, drones that fly.
+        level: Level of the setpoints.
+        setpoint: (W, N, 4) setpoints, held during the decision.
+        cascade: The controllers, whose gains are used.
+        parameters: (W, N) rows of `PARAMETERS`.
+        air: What surrounds the drones.
+        dt: Duration of a piece, s.
+        path: Its poses at the end of every piece are written.
+    """
     for w in range(alive.shape[0]):
         for i in range(alive.shape[1]):
-            row, gain = parameters[w, i], cascade.gains[w, i]
+            row = parameters[w, i]
+            gain = cascade.gains[w, i]
+
+            # Constants of the drone: lag of its velocity loop, rotor drag, acceleration limit
             lag = 1.0 / (2.0 * gain.damping * gain.position_frequency)
-            drag = 0.0
-            for r in range(row.num_rotors):
-                drag += row.drag_xy * swarm.rotor_speed[w, i, r] / row.mass
+            drag = _drag_rate(swarm, w, i, row)
             most = air.gravity * gain.max_tilt
+            fastest = gain.max_speed
+            accelerates = kind == DOUBLE_INTEGRATOR
+
+            # Level, with the yaw that is asked for
             position, quaternion, velocity, rates = get(swarm, w, i)
-            wanted, wind = quat4(setpoint, w, i), vec3(air.wind, w, i)
+            wanted = quat4(setpoint, w, i)
+            wind = vec3(air.wind, w, i)
             if alive[w, i]:
                 quaternion = from_euler(0.0, 0.0, wanted[3])
-            for substep in range(path.position.shape[0] - 1):
+            for piece in range(path.position.shape[0] - 1):
                 if alive[w, i]:
-                    target = command_kinematic(
-                        level, kind == DOUBLE_INTEGRATOR, wanted, position, velocity, gain
+                    # Down to the level that is consumed, then the integration
+                    target = command_kinematic(level, accelerates, wanted, position, velocity, gain)
+                    velocity, moved = _advance_point(
+                        kind, target, velocity, wind, fastest, lag, drag, most, dt
                     )
-                    if kind == DOUBLE_INTEGRATOR:
-                        velocity, moved = accelerated(
-                            velocity, limited(target, most), gain.max_speed, dt
-                        )
-                    elif kind == POINT_MASS:
-                        target = limited(target, gain.max_speed)
-                        velocity, moved = lagged_velocity(
-                            velocity, target, wind, lag, drag, most, dt
-                        )
-                    else:
-                        velocity = limited(target, gain.max_speed)
-                        moved = (velocity[0] * dt, velocity[1] * dt, velocity[2] * dt)
                     position = (
                         position[0] + moved[0],
                         position[1] + moved[1],
                         position[2] + moved[2],
                     )
-                for k in range(3):
-                    path.position[substep + 1, w, i, k] = position[k]
-                for k in range(4):
-                    path.quaternion[substep + 1, w, i, k] = quaternion[k]
+
+                # Also of drones that do not fly: their track is where they are
+                write_pose(path, piece + 1, w, i, position, quaternion)
             put(swarm, w, i, (position, quaternion, velocity, rates))
 
 
 class Kinematic(Dynamics):
-    """The three kinematic levels, told apart by `kind`."""
+    """Points without tilt and rates; the base of the three kinematic dynamics.
 
-    def __init__(self, kind: int, flight: Flight):
-        super().__init__(flight)
-        self._kind = kind
+    Attributes:
+        kind: Which of the three it is, for compiled code.
+    """
 
-    @property
-    def consumes(self) -> SetpointLevel:
-        """VELOCITY, or ACCELERATION for the double integrator."""
-        return (
-            SetpointLevel.ACCELERATION
-            if self._kind == DOUBLE_INTEGRATOR
-            else SetpointLevel.VELOCITY
-        )
+    kind: ClassVar[int]
 
     def place(self, swarm: Swarm, mask: np.ndarray) -> None:
-        """Points have no tilt and no rates."""
+        """Start drones level and without rates; see the base class."""
         swarm.quaternion[mask] = 0, 0, 0, 1
         swarm.rates[mask] = 0
         super().place(swarm, mask)
 
-    def fly(
+    def advance_decision(
         self,
         swarm: Swarm,
         alive: np.ndarray,
         level: SetpointLevel,
         setpoint: np.ndarray,
-        wind: np.ndarray,
-        motion: Motion,
-    ) -> Contacts:
-        """One compiled call, then the swept contact check."""
+        air: Air,
+        path: Path,
+    ) -> None:
+        """Fly all pieces in one compiled call; see the base class."""
         flight = self.flight
-        straight = (
-            self._kind == SINGLE_INTEGRATOR and level == SetpointLevel.VELOCITY
-        )  # in one piece: nothing changes on the way
-        pieces, span = (1, flight.substeps) if straight else (flight.substeps, 1)
-        path, dt = Path.begin(swarm, motion, pieces, span), flight.dt * span
-        air = Air(wind, np.full(alive.shape, -np.inf), flight.gravity)
-        advance(
-            self._kind,
-            swarm,
-            alive,
-            int(level),
-            setpoint,
-            flight.cascade,
-            flight.parameters,
-            air,
-            dt,
-            path,
-        )
-        return stop_at_first_touch(flight.engine, path, swarm, alive, flight.parameters)
+        cascade = flight.cascade
+        parameters = flight.parameters
+        dt = flight.dt * path.span
+        advance(self.kind, swarm, alive, int(level), setpoint, cascade, parameters, air, dt, path)
+
+
+@register("dynamics")
+class SingleIntegrator(Kinematic):
+    """Points that move with the velocity that is commanded."""
+
+    name = "single_integrator"
+    consumes = SetpointLevel.VELOCITY
+    kind = SINGLE_INTEGRATOR
+
+    def pieces(self, level: SetpointLevel) -> int:
+        """Return one for velocities, under which nothing changes on the way."""
+        return 1 if level == SetpointLevel.VELOCITY else super().pieces(level)
+
+
+@register("dynamics")
+class DoubleIntegrator(Kinematic):
+    """Points that move with the acceleration that is commanded, within bounds."""
+
+    name = "double_integrator"
+    consumes = SetpointLevel.ACCELERATION
+    kind = DOUBLE_INTEGRATOR
+
+
+@register("dynamics")
+class PointMass(Kinematic):
+    """Points that reach the velocity that is commanded after a lag, in wind."""
+
+    name = "point_mass"
+    consumes = SetpointLevel.VELOCITY
+    kind = POINT_MASS

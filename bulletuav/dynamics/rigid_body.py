@@ -1,30 +1,46 @@
-"""Dynamics `rigid_body`: the shared wrench, integrated by RK4 in one compiled loop over all substeps of a decision.
+"""Dynamics `rigid_body`: the shared wrench, integrated by RK4 in one compiled loop over a decision.
 
-Within a substep the setpoint's rotor command, the wind and the downwash of other drones are held, while rotor lag, drag,
-ground effect and attitude are followed exactly by the stages. The surface height below is sampled once a decision: over
-level ground that is exact; past an edge the ground effect lags by up to one decision (at 20 m/s and 10 Hz, 2 m of flight).
+Within a substep the setpoint's rotor command, the wind and the downwash of other drones are held.
+Rotor lag, drag, ground effect and attitude are followed exactly by the stages. The height of the
+surface below is sampled once a decision. Over level ground that is exact; past an edge the ground
+effect lags by up to one decision (at 20 m/s and 10 Hz, 2 m of flight).
 """
 
 import numpy as np
 
-from bulletuav.control.cascade import command_rotors
+from bulletuav.control.cascade import Cascade, command_rotors
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.dynamics.base import Air, Dynamics, require_sane
-from bulletuav.dynamics.path import Path
-from bulletuav.dynamics.sweep import stop_at_first_touch
-from bulletuav.geometry.rotation import normalised, vec3
+from bulletuav.dynamics.base import Air, Dynamics
+from bulletuav.dynamics.path import Path, write_pose
+from bulletuav.geometry.rotation import Quat4, Vec3, normalised, quat4, vec3
 from bulletuav.kernel import func, kernel
+from bulletuav.registry import register
 from bulletuav.vehicle.aerodynamics import wakes
 from bulletuav.vehicle.rotors import lag_decay, lagged, rotor_wrench
-from bulletuav.vehicle.swarm import Contacts, Motion, Swarm, get, put
+from bulletuav.vehicle.swarm import Swarm, get, put
 from bulletuav.vehicle.wrench import body_acceleration, wrench
+
+State = tuple[Vec3, Quat4, Vec3, Vec3]
+"""Position, quaternion, velocity and rates of one drone, or their slopes"""
+RotorWrench = tuple[float, Vec3, float]
+"""Thrust, torque and sum of speeds, as `rotor_wrench` gives them"""
+Around = tuple[Vec3, float, float]
+"""Wind (3,) in m/s, height of the surface below in m, gravity in m/s^2"""
 
 
 @func
-def _slope(state, rotors, around, wake, row):
-    """Time derivative of `state`: (position, quaternion, velocity, rates), like itself."""
+def _slope(
+    state: State,
+    rotors: RotorWrench,
+    around: Around,
+    wake: float,
+    row: np.record,
+) -> State:
+    """Return the time derivative of a state; `wake` is the downwash of other drones, N."""
     position, quaternion, velocity, rates = state
     force, torque = wrench(quaternion, velocity, position[2], rotors, around, wake, row)
+
+    # Kinematics of the quaternion (x, y, z, w) under body rates (p, q, r)
     x, y, z, w = quaternion
     p, q, r = rates
     turning = (
@@ -33,114 +49,211 @@ def _slope(state, rotors, around, wake, row):
         0.5 * (w * r + x * q - y * p),
         -0.5 * (x * p + y * q + z * r),
     )
-    lightness = 1.0 / row.mass  # a division that all stages share
-    acceleration = (lightness * force[0], lightness * force[1], lightness * force[2])
-    return velocity, turning, acceleration, body_acceleration(rates, torque, row)
+
+    # A division that all stages share
+    lightness = 1.0 / row.mass
+    acceleration = (
+        lightness * force[0],
+        lightness * force[1],
+        lightness * force[2],
+    )
+    spinning = body_acceleration(rates, torque, row)
+    return velocity, turning, acceleration, spinning
 
 
 @func
-def _moved(state, time, slope):
-    """State + time slope."""
-    (x, q, v, w), (dx, dq, dv, dw) = state, slope
+def _moved(state: State, time: float, slope: State) -> State:
+    """Return state + time * slope."""
+    x, q, v, w = state
+    dx, dq, dv, dw = slope
     return (
-        (x[0] + time * dx[0], x[1] + time * dx[1], x[2] + time * dx[2]),
-        (q[0] + time * dq[0], q[1] + time * dq[1], q[2] + time * dq[2], q[3] + time * dq[3]),
-        (v[0] + time * dv[0], v[1] + time * dv[1], v[2] + time * dv[2]),
-        (w[0] + time * dw[0], w[1] + time * dw[1], w[2] + time * dw[2]),
+        (
+            x[0] + time * dx[0],
+            x[1] + time * dx[1],
+            x[2] + time * dx[2],
+        ),
+        (
+            q[0] + time * dq[0],
+            q[1] + time * dq[1],
+            q[2] + time * dq[2],
+            q[3] + time * dq[3],
+        ),
+        (
+            v[0] + time * dv[0],
+            v[1] + time * dv[1],
+            v[2] + time * dv[2],
+        ),
+        (
+            w[0] + time * dw[0],
+            w[1] + time * dw[1],
+            w[2] + time * dw[2],
+        ),
     )
 
 
 @func
-def _rk4(state, rotors, dt, around, wake, row):
-    """`state` after one classical Runge-Kutta step; `rotors` is what `rotor_wrench` tells at its begin, middle and end."""
+def _rk4(
+    state: State,
+    rotors: tuple[RotorWrench, RotorWrench, RotorWrench],
+    dt: float,
+    around: Around,
+    wake: float,
+    row: np.record,
+) -> State:
+    """Return a state after one classical Runge-Kutta step.
+
+    `rotors` holds what they give at the begin, middle and end of the step.
+    """
     begin, middle, end = rotors
     k1 = _slope(state, begin, around, wake, row)
     k2 = _slope(_moved(state, 0.5 * dt, k1), middle, around, wake, row)
     k3 = _slope(_moved(state, 0.5 * dt, k2), middle, around, wake, row)
     k4 = _slope(_moved(state, dt, k3), end, around, wake, row)
-    total = _moved(_moved(_moved(k1, 2.0, k2), 2.0, k3), 1.0, k4)
+    # k1 + 2 k2 + 2 k3 + k4
+    total = _moved(k1, 2.0, k2)
+    total = _moved(total, 2.0, k3)
+    total = _moved(total, 1.0, k4)
+    # Normalised once, as the stages leave the unit sphere by little
     position, quaternion, velocity, rates = _moved(state, dt / 6.0, total)
     return position, normalised(quaternion), velocity, rates
 
 
-@kernel
-def advance(swarm, alive, level, setpoint, cascade, parameters, air, dt, path):
-    """All substeps of one decision for all worlds; `swarm` and `path` (poses at every substep's end) are written."""
-    num_drones, num_rotors = swarm.rotor_speed.shape[1:]
-    wake, commands = np.empty(num_drones), np.empty((num_drones, num_rotors))
-    command, begin, middle, end = (
-        np.empty(num_rotors),
-        np.empty(num_rotors),
-        np.empty(num_rotors),
-        np.empty(num_rotors),
+@func
+def _lag_stages(
+    parameters: np.ndarray,
+    w: int,
+    dt: float,
+    decay: np.ndarray,
+) -> None:
+    """Fill `decay` (N, 3, 2): rotor lag until the begin, middle and end of a substep."""
+    for i in range(decay.shape[0]):
+        for stage in range(3):
+            elapsed = 0.5 * stage * dt
+            up, down = lag_decay(elapsed, parameters[w, i])
+            decay[i, stage, 0] = up
+            decay[i, stage, 1] = down
+
+
+@func
+def _turn_rotors(
+    speed: np.ndarray,
+    command: np.ndarray,
+    decay: np.ndarray,
+    w: int,
+    i: int,
+    row: np.record,
+    begin: np.ndarray,
+    middle: np.ndarray,
+    end: np.ndarray,
+) -> tuple[RotorWrench, RotorWrench, RotorWrench]:
+    """Let the rotors of drone i in world w follow their commands for a substep.
+
+    `decay` (N, 3, 2) is their lag until its begin, middle and end. `begin`, `middle` and `end` (R,)
+    are room for the speeds there. Returns the wrenches at these three times.
+    """
+    at_begin = (decay[i, 0, 0], decay[i, 0, 1])
+    at_middle = (decay[i, 1, 0], decay[i, 1, 1])
+    at_end = (decay[i, 2, 0], decay[i, 2, 1])
+    for rotor in range(row.num_rotors):
+        now = speed[w, i, rotor]
+        wanted = command[i, rotor]
+        begin[rotor] = lagged(now, wanted, at_begin)
+        middle[rotor] = lagged(now, wanted, at_middle)
+        end[rotor] = lagged(now, wanted, at_end)
+        speed[w, i, rotor] = end[rotor]
+    return (
+        rotor_wrench(begin, row),
+        rotor_wrench(middle, row),
+        rotor_wrench(end, row),
     )
+
+
+@kernel
+def advance(
+    swarm: Swarm,
+    alive: np.ndarray,
+    level: int,
+    setpoint: np.ndarray,
+    cascade: Cascade,
+    parameters: np.ndarray,
+    air: Air,
+    dt: float,
+    path: Path,
+) -> None:
+    """Fly all substeps of one decision in all worlds.
+
+    Args:
+        swarm: State of all drones, moved in place.
+        alive: (W, N) bool, drones that fly.
+        level: Level of the setpoints.
+        setpoint: (W, N, S) setpoints, held during the decision.
+        cascade: The controllers.
+        parameters: (W, N) rows of `PARAMETERS`.
+        air: What surrounds the drones.
+        dt: Duration of a substep, s.
+        path: Its poses at the end of every substep are written.
+    """
+    # Room that all worlds share
+    num_drones, num_rotors = swarm.rotor_speed.shape[1:]
+    wake = np.empty(num_drones)
+    commands = np.empty((num_drones, num_rotors))
+    command = np.empty(num_rotors)
+    begin = np.empty(num_rotors)
+    middle = np.empty(num_rotors)
+    end = np.empty(num_rotors)
     decay = np.empty((num_drones, 3, 2))
     for w in range(alive.shape[0]):
-        for i in range(num_drones):
-            for stage in range(3):  # begin, middle and end of a substep
-                decay[i, stage, 0], decay[i, stage, 1] = lag_decay(
-                    0.5 * stage * dt, parameters[w, i]
-                )
+        # The same in all substeps
+        _lag_stages(parameters, w, dt, decay)
         for substep in range(path.position.shape[0] - 1):
+            # Wakes and commands of all drones come from the state before any of them moves
             wakes(w, swarm.position, alive, parameters, air.gravity, wake)
             for i in range(num_drones):
                 if alive[w, i]:
                     command_rotors(level, setpoint, w, i, swarm, cascade, dt, air.gravity, command)
-                    for r in range(num_rotors):
-                        commands[i, r] = command[r]
+                    for rotor in range(num_rotors):
+                        commands[i, rotor] = command[rotor]
+
+            # From here on each drone by itself
             for i in range(num_drones):
                 if alive[w, i]:
                     row = parameters[w, i]
-                    for r in range(row.num_rotors):
-                        now, wanted = swarm.rotor_speed[w, i, r], commands[i, r]
-                        begin[r] = lagged(now, wanted, (decay[i, 0, 0], decay[i, 0, 1]))
-                        middle[r] = lagged(now, wanted, (decay[i, 1, 0], decay[i, 1, 1]))
-                        end[r] = lagged(now, wanted, (decay[i, 2, 0], decay[i, 2, 1]))
-                        swarm.rotor_speed[w, i, r] = end[r]
-                    rotors = (
-                        rotor_wrench(begin, row),
-                        rotor_wrench(middle, row),
-                        rotor_wrench(end, row),
+                    rotors = _turn_rotors(
+                        swarm.rotor_speed, commands, decay, w, i, row, begin, middle, end
                     )
-                    around = (vec3(air.wind, w, i), air.surface[w, i], air.gravity)
-                    put(swarm, w, i, _rk4(get(swarm, w, i), rotors, dt, around, wake[i], row))
-                for k in range(3):
-                    path.position[substep + 1, w, i, k] = swarm.position[w, i, k]
-                for k in range(4):
-                    path.quaternion[substep + 1, w, i, k] = swarm.quaternion[w, i, k]
+                    around = (
+                        vec3(air.wind, w, i),
+                        air.surface[w, i],
+                        air.gravity,
+                    )
+                    state = _rk4(get(swarm, w, i), rotors, dt, around, wake[i], row)
+                    put(swarm, w, i, state)
+
+                # Also of drones that do not fly: their track is where they are
+                position = vec3(swarm.position, w, i)
+                quaternion = quat4(swarm.quaternion, w, i)
+                write_pose(path, substep + 1, w, i, position, quaternion)
 
 
+@register("dynamics")
 class RigidBody(Dynamics):
-    """Six degrees of freedom without the engine's step; a drone that touches something stops there."""
+    """Six degrees of freedom without the engine; a drone that touches something stops there."""
 
-    @property
-    def consumes(self) -> SetpointLevel:
-        """Rotor speeds."""
-        return SetpointLevel.ROTOR
+    name = "rigid_body"
+    consumes = SetpointLevel.ROTOR
+    feels_surface = True
 
-    def fly(
+    def advance_decision(
         self,
         swarm: Swarm,
         alive: np.ndarray,
         level: SetpointLevel,
         setpoint: np.ndarray,
-        wind: np.ndarray,
-        motion: Motion,
-    ) -> Contacts:
-        """One compiled call, then the swept contact check."""
+        air: Air,
+        path: Path,
+    ) -> None:
+        """Fly all substeps in one compiled call; see the base class."""
         flight = self.flight
-        path = Path.begin(swarm, motion, flight.substeps)
-        air = Air(wind, self._surface(swarm, alive), flight.gravity)
-        advance(
-            swarm,
-            alive,
-            int(level),
-            setpoint,
-            flight.cascade,
-            flight.parameters,
-            air,
-            flight.dt,
-            path,
-        )
-        require_sane(swarm, alive, flight.engine.first_world)
-        return stop_at_first_touch(flight.engine, path, swarm, alive, flight.parameters)
+        cascade = flight.cascade
+        parameters = flight.parameters
+        advance(swarm, alive, int(level), setpoint, cascade, parameters, air, flight.dt, path)

@@ -10,9 +10,9 @@ import numpy as np
 from bulletuav.control.cascade import Cascade
 from bulletuav.control.gains import gain_rows
 from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.dynamics import find_dynamics
 from bulletuav.dynamics.base import Dynamics, Flight
-from bulletuav.dynamics.ladder import LADDER
-from bulletuav.dynamics.sweep import overlaps
+from bulletuav.dynamics.contacts import overlaps
 from bulletuav.engine.engine import Engine
 from bulletuav.envs.energy import Energy
 from bulletuav.envs.env_spec import MOST_WORLDS, EnvSpec
@@ -125,7 +125,7 @@ class Aviary(Environment):
             options.physics_hz // options.decision_hz,
             options.gravity,
         )
-        return LADDER[options.dynamics](flight), cascade
+        return find_dynamics(options.dynamics)(flight), cascade
 
     @exclusive
     def reset(

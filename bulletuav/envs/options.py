@@ -8,7 +8,8 @@ from typing import Any
 from bulletuav.control.actions import ACTIONS
 from bulletuav.control.cascade import CONTROLLERS, PID_LEVELS
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.dynamics.ladder import LADDER
+from bulletuav.dynamics import find_dynamics
+from bulletuav.dynamics.base import Dynamics
 from bulletuav.envs.randomization import CERTAIN, Randomization
 from bulletuav.errors import as_int, as_sequence, choose, finite, shown, unknown
 from bulletuav.sensors.lidar import FRAMES
@@ -61,7 +62,8 @@ class EnvOptions:
         horizon: Decisions until truncation.
         max_speed: Scale of velocity actions, m/s; at most the airframe's.
         dynamics: "bullet" (the engine), "rigid_body" (the same forces by RK4), "point_mass",
-            "double_integrator" or "single_integrator".
+            "double_integrator" or "single_integrator"; `module:Name`, or a class derived from
+            `bulletuav.dynamics.base.Dynamics`.
         observation: Names of observation blocks and of sensors' readings, or blocks, side by side;
             None for the task's own.
         observation_format: "vector", or "dict" with an entry for each block.
@@ -151,8 +153,8 @@ class EnvOptions:
                     for side in as_sequence(name, getattr(self, name), 2)
                 ),
             )
+        find_dynamics(self.dynamics)
         choices = {
-            "dynamics": tuple(LADDER),
             "action": tuple(ACTIONS),
             "controller": tuple(CONTROLLERS),
         }
@@ -280,20 +282,25 @@ class EnvOptions:
             else self.turbulence or 0.0
         )
 
+    @property
+    def dynamics_name(self) -> str:
+        """Name of the dynamics, also where its class is given."""
+        return self.dynamics if isinstance(self.dynamics, str) else self.dynamics.name
+
     def check_setpoint_levels(self, action: SetpointLevel, dynamics: SetpointLevel) -> None:
         """Raise ValueError when the action's setpoint level cannot drive the dynamics through the controller."""
         if action > dynamics:
             raise ValueError(
-                f"action {self.action!r} gives {action.name.lower()} setpoints, but dynamics {self.dynamics!r} is driven by "
+                f"action {self.action!r} gives {action.name.lower()} setpoints, but dynamics {self.dynamics_name!r} is driven by "
                 f"{dynamics.name.lower()}: use an action of that level or above, or dynamics 'rigid_body' or 'bullet'"
             )
         if self.energy == "actuator" and dynamics < SetpointLevel.ROTOR:
             raise ValueError(
-                f"energy is 'actuator', and dynamics {self.dynamics!r} has no rotors: use 'zeng', 'rigid_body' or 'bullet'"
+                f"energy is 'actuator', and dynamics {self.dynamics_name!r} has no rotors: use 'zeng', 'rigid_body' or 'bullet'"
             )
         if self.controller == "pid" and dynamics < SetpointLevel.ROTOR:
             raise ValueError(
-                f"controller 'pid' drives motors, and dynamics {self.dynamics!r} has none: use controller 'lee'"
+                f"controller 'pid' drives motors, and dynamics {self.dynamics_name!r} has none: use controller 'lee'"
             )
         if self.controller == "pid" and action not in PID_LEVELS:
             raise ValueError(

@@ -29,7 +29,7 @@ def corners_of(made):
 
 
 def top(corners, point):
-    """Greatest height of a convex combination of the corners over a point; 0 where there is none."""
+    """Greatest height of a convex combination of the corners over a point; 0 for none."""
     equal = np.vstack([corners[:, :2].T, np.ones(len(corners))])
     found = linprog(-corners[:, 2], A_eq=equal, b_eq=[*point, 1])
     return -found.fun if found.success else 0.0
@@ -56,9 +56,9 @@ def test_shapes_of_queries():
     made, rng = some_city(2)
     points = rng.uniform(-50, 50, (3, 4, 3))
     for query in (made.outdoors, made.roof, lambda at: made.clearance(at, 5)):
-        as_int = query(points)
-        assert as_int.shape == (3, 4)
-        assert query(points[..., :2])[1, 2] == as_int[1, 2] == query(points[1, 2])
+        answers = query(points)
+        assert answers.shape == (3, 4)
+        assert query(points[..., :2])[1, 2] == answers[1, 2] == query(points[1, 2])
         assert query(np.zeros((0, 2))).shape == (0,)
 
 

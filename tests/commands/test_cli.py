@@ -12,7 +12,7 @@ import bulletuav
 from bulletuav.analysis.benchmark import FLOORS
 from bulletuav.cli import main
 from bulletuav.commands.progress import show_progress
-from bulletuav.dynamics.ladder import LADDER
+from bulletuav.dynamics import DYNAMICS
 from bulletuav.engine import engine
 from bulletuav.engine.c_extension import Extension
 from bulletuav.report import doctor
@@ -118,7 +118,7 @@ def test_no_animation_of_an_earlier_flight_is_left(tmp_path):
 def test_the_benchmark_prints_every_dynamics_and_the_floor(capsys):
     main(["benchmark", "--drones", "1", "3", "--seconds", "0.01"])
     said = capsys.readouterr().out
-    for word in (*LADDER, *FLOORS, "N = 1", "N = 3"):
+    for word in (*DYNAMICS, *FLOORS, "N = 1", "N = 3"):
         assert word in said
 
 

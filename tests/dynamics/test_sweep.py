@@ -42,7 +42,7 @@ def test_a_fast_drone_does_not_pass_through_the_ground(make_bench):
 
 @pytest.mark.parametrize("dynamics", ["rigid_body", "bullet"])
 def test_random_head_on_shots_never_pass(make_bench, dynamics):
-    """Pairs of drones at random attitudes shot at each other at 5 to 40 m/s each; W worlds are as many shots."""
+    """Pairs of drones at random attitudes are shot at each other at 5 to 40 m/s each."""
     worlds = 150
     bench = make_bench(dynamics, worlds=worlds, drones=2, effects=(), gravity=0.0)
     rng = np.random.default_rng(0)
@@ -76,7 +76,10 @@ def test_a_near_miss_is_no_contact(make_bench):
 
 
 def test_a_third_drone_meets_a_stopped_one(make_bench):
-    """Drones 0 and 1 meet and stop; drone 2 crosses that place later in the same decision, where nobody would have been."""
+    """Drones 0 and 1 meet and stop; drone 2 crosses that place later in the same decision.
+
+    Without the stop nobody would have been there.
+    """
     bench = make_bench("rigid_body", drones=3, effects=(), gravity=0.0)
     bench.swarm.position[0] = (-1, 0, 10), (1, 0, 10), (0, -3, 10)
     bench.swarm.velocity[0] = (40, 0, 0), (-40, 0, 0), (0, 40, 0)
@@ -88,7 +91,7 @@ def test_a_third_drone_meets_a_stopped_one(make_bench):
 
 
 def test_who_would_have_met_a_stopped_drone_further_on_meets_nobody(make_bench):
-    """Drone 0 is stopped by drone 2 at the origin; drone 1 would have crossed its path later, at x = 2."""
+    """Drone 0 is stopped by drone 2 at the origin; drone 1 crosses its path later, at x = 2."""
     bench = make_bench("rigid_body", drones=3, effects=(), gravity=0.0)
     bench.swarm.position[0] = (-1.5, 0, 10), (2.0, -3.4, 10), (0, 0, 10)
     bench.swarm.velocity[0] = (40, 0, 0), (0, 40, 0), (0, 0, 0)
@@ -185,7 +188,7 @@ STRAIGHT = ["single_integrator", "point_mass"]
 
 
 def flown(make_bench, dynamics, position, velocity, seconds=1.0):
-    """A swarm of hummingbirds that holds velocities (N, 3) for one decision of so long, and its contacts."""
+    """Fly hummingbirds at velocities (N, 3) for one decision; returns swarm and contacts."""
     bench = make_bench(dynamics, drones=len(position), substeps=round(240 * seconds))
     bench.swarm.position[0] = position
     bench.swarm.velocity[0] = velocity
@@ -208,7 +211,7 @@ def test_the_impulse_does_not_depend_on_how_a_decision_is_cut(make_bench, dynami
 @pytest.mark.parametrize(("height", "touches"), [(2.83, False), (0.09, True)])
 @pytest.mark.parametrize("dynamics", STRAIGHT)
 def test_who_fell_lies_where_it_fell_while_others_pass(make_bench, dynamics, height, touches):
-    """The first is on the ground after 0.46 s, the second comes over that place after 0.6 s, high or low."""
+    """The first falls for 0.46 s; the second comes over that place after 0.6 s, high or low."""
     swarm, contacts = flown(
         make_bench, dynamics, [(0, 0, 7), (-8.4, 0, height)], [(0, 0, -15), (14, 0, 0)]
     )

@@ -1,4 +1,4 @@
-"""No drone passes through anything: random shots of every airframe at boxes and spheres in every dynamics."""
+"""No drone passes through anything: random shots of every airframe at boxes and spheres."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 import bulletuav
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.dynamics.ladder import LADDER
+from bulletuav.dynamics import DYNAMICS
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.vehicle.swarm import FIRST_OBSTACLE, Motion
 
@@ -22,7 +22,7 @@ FAR_AWAY = (0.0, 0.0, 500.0)
 
 
 def inside(body, centre, target, turns):
-    """(M,) whether each centre (M, 3) is inside its own body, turned by `turns` (M, 4)."""
+    """Tell (M,) which centres (M, 3) are inside their own body, turned by `turns` (M, 4)."""
     local = Rotation.from_quat(turns).inv().apply(centre - target)
     if body.kind == "sphere":
         return np.linalg.norm(local, axis=1) < body.size[0]
@@ -30,9 +30,10 @@ def inside(body, centre, target, turns):
 
 
 def crosses(body, start, end, target, turns):
-    """(M,) whether the straight line from start to end (M, 3) goes through its body, more than SLACK below the surface.
+    """Tell (M,) which straight lines from start to end (M, 3) go through their body.
 
-    The bodies are convex: who never passed is still on the outer side of the face that it met, however it slid along it.
+    That is more than SLACK below the surface. The bodies are convex: who never passed is still on
+    the outer side of the face that it met, however it slid along it.
     """
     turn = Rotation.from_quat(turns).inv()
     begin = turn.apply(start - target)
@@ -50,7 +51,10 @@ def crosses(body, start, end, target, turns):
 
 
 def range_of_shots(make_bench, dynamics, airframe, shots):
-    """A bench whose world k is one shot at body k mod 5, turned at random, from a random direction at 5 to 40 m/s."""
+    """Make a bench whose world k is one shot at body k mod 5.
+
+    The body is turned at random; shots come from a random direction at 5 to 40 m/s.
+    """
     bench = make_bench(
         dynamics,
         airframe,
@@ -90,7 +94,7 @@ def range_of_shots(make_bench, dynamics, airframe, shots):
 
 
 @pytest.mark.parametrize("shots", [40, pytest.param(1000, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("dynamics", LADDER)
+@pytest.mark.parametrize("dynamics", DYNAMICS)
 @pytest.mark.parametrize("airframe", bulletuav.available_airframes())
 def test_no_shot_passes(make_bench, airframe, dynamics, shots):
     bench = range_of_shots(make_bench, dynamics, airframe, shots)
@@ -128,7 +132,7 @@ def test_no_shot_passes(make_bench, airframe, dynamics, shots):
         assert not bench.swarm.velocity.any()
 
 
-@pytest.mark.parametrize("dynamics", LADDER)
+@pytest.mark.parametrize("dynamics", DYNAMICS)
 def test_a_moving_body_hits_a_drone_that_hovers(make_bench, dynamics):
     bench = make_bench(dynamics, "cf2x", obstacles=(Obstacle("box", (1.0, 1.0, 1.0)),), effects=())
     turn = np.array([[(0.0, 0.0, 0.0, 1.0)]])

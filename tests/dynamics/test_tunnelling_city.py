@@ -1,4 +1,4 @@
-"""No drone passes through a city: random shots of every airframe at walls, edges and roofs in every dynamics."""
+"""No drone passes through a city: random shots of every airframe at walls, edges and roofs."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 import bulletuav
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.dynamics.ladder import LADDER
+from bulletuav.dynamics import DYNAMICS
 from bulletuav.geometry.solids import Solids
 from bulletuav.vehicle.swarm import CITY
 
@@ -17,7 +17,7 @@ LOWEST = 1.0  # m: nothing is fired or hits below, where the ground would be in 
 
 
 def block(size, turn=0.0, lift=0.0):
-    """Corners (8, 3) of a box about the z axis, its lower face at `lift` m, turned by `turn` degrees."""
+    """Corners (8, 3) of a box about the z axis, from `lift` m up, turned by `turn` degrees."""
     half = np.array(size) / 2
     corners = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * half + (
         0,
@@ -49,7 +49,7 @@ SOLIDS = Solids(
 
 
 def crosses(planes, start, end, slack):
-    """(M,) whether straight ways from start to end (M, 3) get `slack` m deep into a convex piece with these planes."""
+    """Tell (M,) which ways from start to end (M, 3) get `slack` m deep into a convex piece."""
     begin, stop = (points @ planes[:, :3].T + planes[:, 3] + slack for points in (start, end))
     with np.errstate(divide="ignore", invalid="ignore"):
         share = begin / (begin - stop)  # where the way meets each plane
@@ -59,7 +59,10 @@ def crosses(planes, start, end, slack):
 
 
 def events(piece, rng, count):
-    """Where shots hit and whence they come, (count, 3) each: half of them at faces, half at edges, from anywhere outside."""
+    """Draw where shots hit and whence they come, (count, 3) each.
+
+    Half of them hit faces, half edges, from anywhere outside.
+    """
     hull = ConvexHull(piece)
     target, aim = np.empty((2, count, 3))
     for k in range(count):
@@ -91,62 +94,62 @@ def events(piece, rng, count):
 
 
 def range_of_shots(make_bench, dynamics, airframe, shots):
-    """A bench whose world k is one shot at piece k mod 7 of the same city, at 5 to 40 m/s, at a random attitude."""
+    """Make a bench whose world k is one shot at piece k mod 7, at 5 to 40 m/s."""
     options = {"worlds": shots, "effects": (), "substeps": 1, "max_speed": 100.0, "gravity": 0.0}
-    one = make_bench(dynamics, airframe, layouts=(SOLIDS,), **options)
-    one.engine.set_layouts(np.zeros(shots, dtype=int), np.ones(shots, dtype=bool))
+    bench = make_bench(dynamics, airframe, layouts=(SOLIDS,), **options)
+    bench.engine.set_layouts(np.zeros(shots, dtype=int), np.ones(shots, dtype=bool))
     rng = np.random.default_rng(0)
-    one.chosen = np.arange(shots) % len(PIECES)
-    one.speed = rng.uniform(5, 40, shots)
+    bench.chosen = np.arange(shots) % len(PIECES)
+    bench.speed = rng.uniform(5, 40, shots)
     for k, piece in enumerate(PIECES):
-        mine = one.chosen == k
+        mine = bench.chosen == k
         target, aim = events(piece, rng, mine.sum())
-        one.swarm.position[mine, 0] = target - REACH * aim
-        one.swarm.velocity[mine, 0] = one.speed[mine, None] * aim
-    one.swarm.quaternion[:, 0] = Rotation.random(shots, rng=rng).as_quat()
-    one.swarm.rotor_speed[:] = 0
-    return one.place()
+        bench.swarm.position[mine, 0] = target - REACH * aim
+        bench.swarm.velocity[mine, 0] = bench.speed[mine, None] * aim
+    bench.swarm.quaternion[:, 0] = Rotation.random(shots, rng=rng).as_quat()
+    bench.swarm.rotor_speed[:] = 0
+    return bench.place()
 
 
 @pytest.mark.parametrize("shots", [35, pytest.param(1000, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("dynamics", LADDER)
+@pytest.mark.parametrize("dynamics", DYNAMICS)
 @pytest.mark.parametrize("airframe", bulletuav.available_airframes())
 def test_no_shot_passes(make_bench, airframe, dynamics, shots):
     """No drone's centre gets into a piece, neither at the end of a substep nor on the way there.
 
-    In `bullet` it may by half the drone's thickness: a disc that tumbles over an edge overlaps it for some milliseconds
-    before the engine has pushed it out.
+    In `bullet` it may by half the drone's thickness: a disc that tumbles over an edge overlaps it
+    for some milliseconds before the engine has pushed it out.
     """
-    one = range_of_shots(make_bench, dynamics, airframe, shots)
+    bench = range_of_shots(make_bench, dynamics, airframe, shots)
     setpoint = {
         SetpointLevel.ROTOR: np.zeros((shots, 1, 6)),
         SetpointLevel.VELOCITY: np.concatenate(
-            [one.swarm.velocity, np.zeros((shots, 1, 1))], axis=-1
+            [bench.swarm.velocity, np.zeros((shots, 1, 1))], axis=-1
         ),
         SetpointLevel.ACCELERATION: np.zeros((shots, 1, 4)),
-    }[one.dynamics.consumes]
+    }[bench.dynamics.consumes]
     planes = [ConvexHull(piece).equations for piece in PIECES]
-    slack = one.airframe.thinnest / 2 if dynamics == "bullet" else 0.0
+    slack = bench.airframe.thinnest / 2 if dynamics == "bullet" else 0.0
     met, passed = np.zeros((shots, 1), dtype=bool), np.zeros(shots, dtype=bool)
     for _ in range(int(np.ceil(2 * REACH / 5 * 240))):
-        one.alive &= ~met if dynamics != "bullet" else True
-        before = one.swarm.position[:, 0].copy()
-        contacts = one.dynamics.fly(
-            one.swarm, one.alive, one.dynamics.consumes, setpoint, one.wind, one.motion
+        bench.alive &= ~met if dynamics != "bullet" else True
+        before = bench.swarm.position[:, 0].copy()
+        contacts = bench.dynamics.fly(
+            bench.swarm, bench.alive, bench.dynamics.consumes, setpoint, bench.wind, bench.motion
         )
         assert set(contacts.other[~met[contacts.world, 0]]) <= {CITY}
         met |= contacts.mask(met.shape)
         for k, sides in enumerate(planes):
-            mine = one.chosen == k
-            passed[mine] |= crosses(sides, before[mine], one.swarm.position[mine, 0], slack)
+            mine = bench.chosen == k
+            passed[mine] |= crosses(sides, before[mine], bench.swarm.position[mine, 0], slack)
     assert met.all()
     assert not passed.any()
     if dynamics != "bullet":
-        assert not one.swarm.velocity.any()
+        assert not bench.swarm.velocity.any()
 
 
 def test_a_pass_is_known_when_it_is_seen():
-    """Through the thin wall at x = 40 in one leap, into it, along it, over it, away from it, and not as deep as that."""
+    """Through a thin wall at x = 40, into it, along it, over it, away, and not as deep as that."""
     planes = ConvexHull(PIECES[1]).equations
     start = np.array(
         [(39.0, 0, 5), (39, 0, 5), (39.88, -9, 5), (39, 0, 10.1), (39, 0, 5), (39, 0, 5)]

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 import bulletuav
 from bulletuav.control.actions import ACTIONS
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.dynamics.ladder import LADDER
+from bulletuav.dynamics import DYNAMICS
 
 AIRFRAMES = bulletuav.available_airframes()
 MOVE = 0.2  # share of max_speed
@@ -70,7 +70,7 @@ def build(airframe, dynamics, controller, action):
 
 
 @pytest.mark.parametrize("controller", ["lee", "pid"])
-@pytest.mark.parametrize("dynamics", LADDER)
+@pytest.mark.parametrize("dynamics", DYNAMICS)
 @pytest.mark.parametrize("airframe", AIRFRAMES)
 def test_every_allowed_combination_flies_its_manoeuvre(airframe, dynamics, controller):
     flown = []
@@ -111,7 +111,7 @@ def test_the_pid_warns_of_lag():
         bulletuav.Aviary("hover", controller="pid", action="velocity").close()
 
 
-@pytest.mark.parametrize("dynamics", LADDER)
+@pytest.mark.parametrize("dynamics", DYNAMICS)
 def test_an_airframe_of_ones_own_needs_a_urdf_and_nothing_else(urdf, dynamics):
     """An octocopter, by replacing the rotors of the hummingbird."""
     text = bulletuav.load_airframe("hummingbird").urdf.read_text()
@@ -144,7 +144,7 @@ def test_an_airframe_of_ones_own_needs_a_urdf_and_nothing_else(urdf, dynamics):
 def test_the_ladder_agrees_on_a_gentle_flight(airframe):
     """The same velocity command for three seconds: every level covers the same way, to a few percent."""
     ways = {}
-    for dynamics in LADDER:
+    for dynamics in DYNAMICS:
         aviary = bulletuav.Aviary(
             "hover", airframe=airframe, dynamics=dynamics, action="velocity", height=10.0
         )
@@ -164,7 +164,7 @@ def test_the_ladder_agrees_on_a_gentle_flight(airframe):
 
 def product():
     for task, dynamics, airframe, action in itertools.product(
-        bulletuav.list_tasks(), LADDER, AIRFRAMES, ACTIONS
+        bulletuav.list_tasks(), DYNAMICS, AIRFRAMES, ACTIONS
     ):
         if (
             dynamics in ("bullet", "rigid_body")

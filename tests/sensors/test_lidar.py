@@ -4,7 +4,7 @@ from scipy.spatial.transform import Rotation
 
 import bulletuav
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.dynamics.ladder import LADDER
+from bulletuav.dynamics import DYNAMICS
 from bulletuav.engine.engine import Engine
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.solids import Solids
@@ -197,7 +197,7 @@ def test_drones_of_other_worlds_are_not_seen(make_world):
     np.testing.assert_allclose(ranges[1, 0], (9.73, FAR), atol=2e-3)
 
 
-@pytest.mark.parametrize("dynamics", LADDER)
+@pytest.mark.parametrize("dynamics", DYNAMICS)
 def test_a_drone_that_flies_fast_is_seen_where_it_is(make_bench, dynamics):
     """Past another at 20 m/s, 8 cm a substep, its leading edge too: 21 beams from rim to rim."""
     bench = make_bench(dynamics, drones=2, effects=(), gravity=0.0)
@@ -350,7 +350,7 @@ def test_who_does_not_scan_keeps_its_ranges(make_world):
 # In environments
 
 
-@pytest.mark.parametrize("dynamics", LADDER)
+@pytest.mark.parametrize("dynamics", DYNAMICS)
 def test_every_dynamics_sees_the_same_and_only_who_flies(make_world, dynamics):
     """After 30 decisions, in which some crash: what a world apart sees from where they are."""
     town = {

@@ -1,0 +1,90 @@
+"""Setpoints of an action's level turned into those that a dynamics consumes, by the controllers."""
+
+import numpy as np
+
+from bulletuav.control.cascade import Cascade, command_kinematic, command_rotors
+from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.geometry.rotation import quat4
+from bulletuav.kernel import kernel
+from bulletuav.vehicle.swarm import Swarm, get
+
+CONVERTED = (SetpointLevel.VELOCITY, SetpointLevel.ACCELERATION, SetpointLevel.ROTOR)
+"""Levels that setpoints above them can be turned into"""
+
+
+@kernel
+def _convert(
+    level: int,
+    consumes: int,
+    setpoint: np.ndarray,
+    swarm: Swarm,
+    alive: np.ndarray,
+    cascade: Cascade,
+    dt: float,
+    gravity: float,
+    converted: np.ndarray,
+) -> None:
+    """Fill `converted` for the living drones; see `convert`."""
+    speed = np.empty(swarm.rotor_speed.shape[2])
+    for w in range(alive.shape[0]):
+        for i in range(alive.shape[1]):
+            if not alive[w, i]:
+                continue
+            if consumes == SetpointLevel.ROTOR:
+                # All the way down the cascade; rotors that the drone lacks stay at zero
+                command_rotors(level, setpoint, w, i, swarm, cascade, dt, gravity, speed)
+                for rotor in range(cascade.nominal[w, i].num_rotors):
+                    converted[w, i, rotor] = speed[rotor]
+            else:
+                # Outer loops alone; the yaw is passed on
+                position, _, velocity, _ = get(swarm, w, i)
+                wanted = quat4(setpoint, w, i)
+                accelerates = consumes == SetpointLevel.ACCELERATION
+                gain = cascade.gains[w, i]
+                target = command_kinematic(level, accelerates, wanted, position, velocity, gain)
+                for k in range(3):
+                    converted[w, i, k] = target[k]
+                converted[w, i, 3] = wanted[3]
+
+
+def convert(
+    setpoint: np.ndarray,
+    level: SetpointLevel,
+    consumes: SetpointLevel,
+    swarm: Swarm,
+    alive: np.ndarray,
+    cascade: Cascade,
+    dt: float,
+    gravity: float,
+) -> np.ndarray:
+    """Turn setpoints of one level into those of another, once a substep.
+
+    Args:
+        setpoint: (W, N, S) setpoints at `level`, see `SetpointLevel` for their columns.
+        level: Level of the action.
+        consumes: Level that is wanted.
+        swarm: Present state.
+        alive: (W, N) bool, drones that fly; the others get zeros.
+        cascade: The controllers; the PID's memory is written.
+        dt: Time since the last call, s.
+        gravity: m/s^2.
+
+    Returns:
+        (W, N, 4) velocities or accelerations with yaw, (W, N, R) rotor speeds within their bounds,
+        or the setpoints as they are where the levels are the same.
+
+    Raises:
+        ValueError: No controller leads from one level to the other.
+    """
+    rotors = consumes == SetpointLevel.ROTOR
+    if level == consumes and not rotors:
+        return setpoint
+    if consumes not in CONVERTED or level > consumes:
+        raise ValueError(
+            f"{level.name.lower()} setpoints cannot be turned into {consumes.name.lower()}: "
+            f"let the dynamics consume velocity, acceleration or rotor setpoints"
+        )
+    width = swarm.rotor_speed.shape[2] if rotors else 4
+    converted = np.zeros((*alive.shape, width))
+    _convert(int(level), int(consumes), setpoint, swarm, alive, cascade, dt, gravity, converted)
+    return converted
