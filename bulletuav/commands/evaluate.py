@@ -1,14 +1,18 @@
 """`bulletuav evaluate`: many episodes of one policy in one task."""
 
 import argparse
+import os
+import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from bulletuav.analysis.evaluation import Evaluation, evaluate
-from bulletuav.analysis.metrics import METRICS, Estimate
+from bulletuav.analysis.metrics import Estimate
 from bulletuav.commands.arguments import (
     POLICY_HELP,
     Advance,
@@ -31,7 +35,8 @@ ABOUT = {
     ),
     "epilog": """examples:
   bulletuav evaluate converge --policy orca --episodes 100 --workers 2 --out converge-orca
-  bulletuav evaluate crossing --policy ppo:model.zip --trust --difficulty hard --out crossing-ppo""",
+  bulletuav evaluate crossing --policy ppo:model.zip --trust --difficulty hard --out crossing-ppo
+  bulletuav evaluate hover --metric mine:my_metric""",
 }
 
 
@@ -40,6 +45,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("task", help="one of `bulletuav tasks`")
     parser.add_argument("--policy", help=f"who flies: {POLICY_HELP} (default: the task's)")
     add_episodes(parser)
+    parser.add_argument(
+        "--metric",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="measure this as well: a registered metric, or module:Name, also of a file mine.py in "
+        "the current folder; repeatable",
+    )
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="folder for the files (default: one in evaluation/)"
     )
@@ -53,7 +66,15 @@ def run(arguments: argparse.Namespace) -> None:
     options = flyable_options(arguments.task, pilot, given_options(arguments))
     out = arguments.out or Path("evaluation") / run_name(arguments.task, arguments.policy, options)
     with episodes_bar(arguments.episodes) as progress:
-        result = evaluated(arguments, arguments.task, arguments.policy, options, out, progress)
+        result = evaluated(
+            arguments,
+            arguments.task,
+            arguments.policy,
+            options,
+            out,
+            progress,
+            metrics=arguments.metric,
+        )
     picture = out / "summary.png"
     plot_evaluation(result, picture)
     files = [out / "run.json", out / "episodes.csv", result.save(out), picture]
@@ -83,8 +104,12 @@ def evaluated(
     options: dict[str, Any],
     out: Path,
     progress: Advance,
+    metrics: Sequence[str] = (),
 ) -> Evaluation:
-    """`evaluate` with the command's arguments; an interrupt tells what is kept."""
+    """Evaluate with the command's arguments; an interrupt tells what is kept."""
+    if any(":" in metric for metric in metrics):
+        # The script of an installed package does not look for modules in the current folder.
+        sys.path.append(os.getcwd())
     try:
         return evaluate(
             task,
@@ -95,6 +120,7 @@ def evaluated(
             out,
             progress,
             trust=arguments.trust,
+            metrics=metrics,
             **options,
         )
     except KeyboardInterrupt:
@@ -119,7 +145,8 @@ def _table(result: Evaluation) -> Table:
         table.add_column(heading, justify=side)  # type: ignore[arg-type]
     for name, one in result.estimates().items():
         if one.episodes:
-            table.add_row(name, f"{one.mean:.4g}", _interval(one), METRICS[name])
+            meaning = escape(result.metrics[name])
+            table.add_row(escape(name), f"{one.mean:.4g}", _interval(one), meaning)
     return table
 
 
