@@ -14,11 +14,20 @@ from bulletuav.vehicle.airframe import load_airframe
 from bulletuav.version import __version__
 
 PACKAGES = ("pybullet", "numpy", "numba", "scipy", "gymnasium", "pettingzoo", "matplotlib")
+"""Packages that are always there, whose versions are told"""
 EXTRAS = {"shapely": "city", "imageio_ffmpeg": "video", "stable_baselines3": "sb3"}
+"""Modules that come with extras, and the names of the extras"""
+SLOW = "not active, bullet flies several times slower"
 
 
 class Finding(NamedTuple):
-    """One line of the report: `remedy` is empty where nothing is missing."""
+    """One line of the report.
+
+    Attributes:
+        subject: What was looked at.
+        state: How it is.
+        remedy: How to get it; empty where nothing is missing.
+    """
 
     subject: str
     state: str
@@ -26,48 +35,41 @@ class Finding(NamedTuple):
 
 
 def examine() -> list[Finding]:
-    """Everything that `bulletuav doctor` prints."""
-    findings = [
+    """Examine everything that `bulletuav doctor` prints."""
+    python = f"{platform.python_version()} on {platform.platform()}, {os.cpu_count()} cores"
+    return [
         Finding("bulletuav", __version__),
-        Finding(
-            "Python",
-            f"{platform.python_version()} on {platform.platform()}, {os.cpu_count()} cores",
-        ),
+        Finding("Python", python),
         *(Finding(name, importlib.metadata.version(name)) for name in PACKAGES),
         Finding("engine", f"Bullet API {ENGINE_VERSION}"),
         _extension(),
         Finding("compiled kernels", str(cache_folder())),
         _screen(),
+        *(_extra(module, extra) for module, extra in EXTRAS.items()),
     ]
-    for module, extra in EXTRAS.items():
-        found = importlib.util.find_spec(module) is not None
-        findings.append(
-            Finding(f"extra {extra}", "installed")
-            if found
-            else Finding(f"extra {extra}", "missing", install(extra))
-        )
-    return findings
+
+
+def _extra(module: str, extra: str) -> Finding:
+    """Tell whether an extra is installed."""
+    if importlib.util.find_spec(module) is not None:
+        return Finding(f"extra {extra}", "installed")
+    return Finding(f"extra {extra}", "missing", install(extra))
 
 
 def _extension() -> Finding:
-    """Whether the engine really takes the extension, not only whether it is there."""
+    """Tell whether the engine really takes the extension, not only whether it is there."""
     if EXTENSION.library is None:
-        return Finding(
-            "C extension", "not active, bullet flies several times slower", EXTENSION.missing
-        )
+        return Finding("C extension", SLOW, EXTENSION.missing)
     engine = Engine([load_airframe("cf2x")], 1, 1 / 240)
     active = engine.port is not None
     engine.close()
     if not active:
-        return Finding(
-            "C extension",
-            "not active, bullet flies several times slower",
-            "the installed pybullet refuses it",
-        )
+        return Finding("C extension", SLOW, "the installed pybullet refuses it")
     return Finding("C extension", "active")
 
 
 def _screen() -> Finding:
+    """Tell whether there is a screen for the live view."""
     try:
         require_screen()
     except RuntimeError as error:
