@@ -13,6 +13,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from bulletuav.analysis.described import described
 from bulletuav.analysis.episodes import BATCH, Row, Run, fly_batches
 from bulletuav.analysis.metrics import (
     METRICS,
@@ -23,8 +24,12 @@ from bulletuav.analysis.metrics import (
     estimate,
     find_metrics,
 )
-from bulletuav.analysis.recording import described
-from bulletuav.analysis.results_folder import COLUMNS, EPISODES, RUN, ResultsFolder
+from bulletuav.analysis.results_folder import (
+    COLUMNS,
+    EPISODES,
+    RUN,
+    ResultsFolder,
+)
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.errors import as_int, shown
 from bulletuav.files import replace_file
@@ -34,7 +39,15 @@ from bulletuav.policies.base import check_action
 from bulletuav.tasks import TaskSource, find_task
 from bulletuav.version import __version__
 
-__all__ = ["BATCH", "COLUMNS", "EPISODES", "RUN", "Evaluation", "Row", "evaluate"]
+__all__ = [
+    "BATCH",
+    "COLUMNS",
+    "EPISODES",
+    "RUN",
+    "Evaluation",
+    "Row",
+    "evaluate",
+]
 
 MOST_EPISODES = 1_000_000
 INFO_ABOUT = "info of the task at the end, mean of the drones"
@@ -86,7 +99,10 @@ class Evaluation:
             name: {key: None if np.isnan(value) else value for key, value in one._asdict().items()}
             for name, one in self.estimates().items()
         }
-        replace_file(path, json.dumps({**self.about, "estimates": figures}, indent=2) + "\n")
+        replace_file(
+            path,
+            json.dumps({**self.about, "estimates": figures}, indent=2) + "\n",
+        )
         return path
 
 
@@ -162,7 +178,13 @@ def evaluate(
             "wind is a function, which a folder cannot tell from another one: "
             "evaluate it without out"
         )
-    return _evaluate(run, _about(run, pilot), workers, None if out is None else Path(out), progress)
+    return _evaluate(
+        run,
+        _about(run, pilot),
+        workers,
+        None if out is None else Path(out),
+        progress,
+    )
 
 
 def _evaluate(
@@ -230,7 +252,11 @@ def _fingerprint(run: Run, spec: EnvSpec, model: Path | None) -> str:
     That is the code, the airframes, the cities, and a model's file.
     """
     digest = hashlib.sha256(source_hash().encode())
-    for source in (type(spec.task), run.policy, *(metric.source for metric in run.metrics)):
+    for source in (
+        type(spec.task),
+        run.policy,
+        *(metric.source for metric in run.metrics),
+    ):
         digest.update(_code(source))
     if model is not None:
         digest.update(model.read_bytes())

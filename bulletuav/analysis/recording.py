@@ -7,18 +7,16 @@ import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from bulletuav.analysis.described import described
 from bulletuav.analysis.infos import own_infos
-from bulletuav.city.model import City
 from bulletuav.envs.aviary import Aviary
-from bulletuav.envs.options import EnvOptions
 from bulletuav.envs.step import Step
 from bulletuav.errors import require_file
 from bulletuav.files import replace_file, whole_file
-from bulletuav.network.mobility.base import Mobility
 from bulletuav.policies.base import Policy
 from bulletuav.vehicle.swarm import Swarm
 from bulletuav.version import __version__
@@ -138,7 +136,10 @@ class _View(NamedTuple):
 
 
 def fly_episode(
-    aviary: Aviary, policy: Policy, seed: int, progress: Callable[[], None] = lambda: None
+    aviary: Aviary,
+    policy: Policy,
+    seed: int,
+    progress: Callable[[], None] = lambda: None,
 ) -> Recording:
     """Fly and record one episode in world 0.
 
@@ -166,7 +167,14 @@ def fly_episode(
         alive.append(aviary.alive.copy())
         views.append(_view(aviary))
         progress()
-    return _recording(aviary, states=states, alive=alive, views=views, actions=actions, steps=steps)
+    return _recording(
+        aviary,
+        states=states,
+        alive=alive,
+        views=views,
+        actions=actions,
+        steps=steps,
+    )
 
 
 def _view(aviary: Aviary) -> _View:
@@ -294,7 +302,13 @@ def _write_arrays(recording: Recording, path: Path) -> None:
 def _write_table(recording: Recording, path: Path) -> None:
     """Write the states, a row for each drone and time."""
     states = np.concatenate(
-        [recording.position, recording.quaternion, recording.velocity, recording.rates], axis=-1
+        [
+            recording.position,
+            recording.quaternion,
+            recording.velocity,
+            recording.rates,
+        ],
+        axis=-1,
     )
     with whole_file(path) as part, part.open("w", newline="") as file:
         writer = csv.writer(file)
@@ -322,9 +336,20 @@ def load(path: str | Path) -> Recording:
     given = Path(path) / "trajectory.npz" if folder else path
     found = require_file("recording", given, "give the trajectory.npz of a flight, or its folder")
     try:
-        with np.load(found, allow_pickle=False) as file:
+        # NumPy would leave a damaged file open.
+        with (
+            found.open("rb") as stream,
+            np.load(stream, allow_pickle=False) as file,
+        ):
             arrays = {name: file[name] for name in file.files}
-    except (ValueError, TypeError, AttributeError, EOFError, OSError, zipfile.BadZipFile) as error:
+    except (
+        ValueError,
+        TypeError,
+        AttributeError,
+        EOFError,
+        OSError,
+        zipfile.BadZipFile,
+    ) as error:
         raise ValueError(f"{found} is no recording ({error}): {REMEDY}") from None
     _require_version(arrays.pop("version", None), found)
     missing = [name for name in ARRAYS if name not in arrays]
@@ -347,30 +372,3 @@ def _require_version(version: np.ndarray | None, path: Path) -> None:
             f"{path} is a recording of version {version}, and version {VERSION} is needed: "
             f"{REMEDY}, or read it with the bulletuav that wrote it"
         )
-
-
-def described(options: EnvOptions, config: Any) -> dict[str, Any]:
-    """Tell all options of an environment, as a json file can hold them.
-
-    Args:
-        options: The common ones.
-        config: The task's own, a dataclass.
-
-    Returns:
-        Their values by name; names stand for airframes, cities, mobility models and functions.
-    """
-    random = {name: getattr(options.randomization, name) for name in options.randomization.active}
-    own = {one.name: getattr(config, one.name) for one in dataclasses.fields(config)}
-    city = own.get("city")
-    if isinstance(city, City | Path):
-        own["city"] = getattr(city, "name", "")
-    mobility = own.get("mobility")
-    if isinstance(mobility, Mobility):
-        own["mobility"] = {"model": mobility.name, **dataclasses.asdict(cast(Any, mobility))}
-    return {
-        **vars(options),
-        "airframe": [airframe.name for airframe in options.airframe],
-        "wind": "function" if callable(options.wind) else options.wind,
-        "randomization": random,
-        **own,
-    }

@@ -60,7 +60,10 @@ class ResultsFolder:
             # What is compared next has to be there.
             known["options"]
         _require_same(known, about, folder)
-        with _damaged(folder / EPISODES), (folder / EPISODES).open(newline="") as file:
+        with (
+            _damaged(folder / EPISODES),
+            (folder / EPISODES).open(newline="") as file,
+        ):
             table = csv.DictReader(file)
             columns = tuple(table.fieldnames or ())
             if columns[: len(COLUMNS)] != COLUMNS:

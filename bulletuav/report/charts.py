@@ -10,11 +10,19 @@ from matplotlib.ticker import MaxNLocator
 
 from bulletuav.analysis.evaluation import Evaluation
 from bulletuav.analysis.metrics import Estimate
-from bulletuav.report.pictures import blank_figure, save_figure
+from bulletuav.report.figures import blank_figure, save_figure
 from bulletuav.training.campaign import Learned
 from bulletuav.training.store import Row
 
-COLOURS = ("#4477aa", "#ee6677", "#228833", "#ccbb44", "#66ccee", "#aa3377", "#bbbbbb")
+COLOURS = (
+    "#4477aa",
+    "#ee6677",
+    "#228833",
+    "#ccbb44",
+    "#66ccee",
+    "#aa3377",
+    "#bbbbbb",
+)
 """P. Tol's bright scheme"""
 RATES = ("success", "drone_success", "conflict", "collision")
 """Shares in the picture of one evaluation"""
@@ -38,12 +46,21 @@ def plot_evaluation(result: Evaluation, path: Path) -> None:
     figure = blank_figure(11, 7)
     rates, apart, time, way = np.ravel(figure.subplots(2, 2))
     estimates = result.estimates()
-    _bars(rates, names=RATES, rows=[[estimates[metric] for metric in RATES]], labels=[""])
+    _bars(
+        rates,
+        names=RATES,
+        rows=[[estimates[metric] for metric in RATES]],
+        labels=[""],
+    )
     rates.set(title="share, with 95 % interval", ylim=(0, 1.05))
     for axes, metric, label in (
         (apart, "min_separation", "least separation of an episode, m"),
         (time, "length", "duration of an episode, s"),
-        (way, "path_efficiency", "path efficiency of the drones that succeeded"),
+        (
+            way,
+            "path_efficiency",
+            "path efficiency of the drones that succeeded",
+        ),
     ):
         _histogram(axes, np.array([row[metric] for row in result.rows]))
         axes.set(xlabel=label, ylabel="episodes")
@@ -154,7 +171,10 @@ def _case(result: Evaluation) -> str:
 
 
 def _bars(
-    axes: Axes, names: Sequence[str], rows: Sequence[Sequence[Estimate]], labels: Sequence[str]
+    axes: Axes,
+    names: Sequence[str],
+    rows: Sequence[Sequence[Estimate]],
+    labels: Sequence[str],
 ) -> None:
     """Draw bars with intervals: a row of estimates for each label, a group for each name."""
     width = 0.8 / len(rows)

@@ -13,9 +13,21 @@ from bulletuav.kernel import cache_folder
 from bulletuav.vehicle.airframe import load_airframe
 from bulletuav.version import __version__
 
-PACKAGES = ("pybullet", "numpy", "numba", "scipy", "gymnasium", "pettingzoo", "matplotlib")
+PACKAGES = (
+    "pybullet",
+    "numpy",
+    "numba",
+    "scipy",
+    "gymnasium",
+    "pettingzoo",
+    "matplotlib",
+)
 """Packages that are always there, whose versions are told"""
-EXTRAS = {"shapely": "city", "imageio_ffmpeg": "video", "stable_baselines3": "sb3"}
+EXTRAS = {
+    "shapely": "city",
+    "imageio_ffmpeg": "video",
+    "stable_baselines3": "sb3",
+}
 """Modules that come with extras, and the names of the extras"""
 SLOW = "not active, bullet flies several times slower"
 

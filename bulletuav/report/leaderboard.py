@@ -46,14 +46,22 @@ def markdown(results: Sequence[Evaluation], against: str | None = None) -> str:
     groups: dict[tuple[str, str, int], list[Evaluation]] = {}
     for result in results:
         options = result.about["options"]
-        case = (result.about["task"], options["difficulty"], options["num_drones"])
+        case = (
+            result.about["task"],
+            options["difficulty"],
+            options["num_drones"],
+        )
         groups.setdefault(case, []).append(result)
     parts = [_group(*case, group, against) for case, group in groups.items()]
     return "\n".join(parts) + "\n" + FOOTNOTE
 
 
 def _group(
-    task: str, difficulty: str, drones: int, results: Sequence[Evaluation], against: str | None
+    task: str,
+    difficulty: str,
+    drones: int,
+    results: Sequence[Evaluation],
+    against: str | None,
 ) -> str:
     """Write the table of one case, and that of the differences."""
     dynamics = ", ".join(dict.fromkeys(map(_dynamics, results)))
@@ -70,12 +78,18 @@ def _group(
     ]
     if others:
         differences = [_differences(result, references[_dynamics(result)]) for result in others]
-        text += "\n" + _table(f"More than `{against}` in the same episodes:\n", others, differences)
+        text += "\n" + _table(
+            f"More than `{against}` in the same episodes:\n",
+            others,
+            differences,
+        )
     return text
 
 
 def _table(
-    title: str, results: Sequence[Evaluation], estimates: Sequence[Mapping[str, Estimate]]
+    title: str,
+    results: Sequence[Evaluation],
+    estimates: Sequence[Mapping[str, Estimate]],
 ) -> str:
     """Write a table, a row for each result; dynamics have a column where there are several."""
     shown = [metric for metric in SHOWN if any(found[metric].episodes for found in estimates)]

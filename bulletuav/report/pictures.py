@@ -1,66 +1,28 @@
 """Pictures of a recorded episode: tracks from above with altitudes, and an animation."""
 
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy as np
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import EllipseCollection, LineCollection
-from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Rectangle
-from PIL import Image
+from matplotlib.collections import LineCollection
+from matplotlib.patches import Circle
 
 from bulletuav.analysis.recording import Recording
-from bulletuav.errors import missing
-from bulletuav.files import whole_file
+from bulletuav.report.animation import Animation
+from bulletuav.report.figures import (
+    SEEN,
+    UNSEEN,
+    blank_figure,
+    draw_buildings,
+    drone_colours,
+    save_figure,
+)
 
-MOST_FRAMES = 150
-"""Pictures of an animation, of which longer episodes leave some out"""
-TRAIL = 30
-"""Decisions that a trail reaches back"""
-FPS = 20
-"""Pictures a second"""
+__all__ = ["Animation", "blank_figure", "plot_tracks", "save_figure"]
+
 MOST_NUMBERS = 24
 """Drones are numbered up to this many"""
-SEEN = "#228833"
-"""Colour of targets in sight"""
-UNSEEN = "#cc3311"
-"""Colour of the other targets"""
-GONE = 0.25
-"""Opacity of drones that have finished"""
-
-
-def blank_figure(width: float, height: float) -> Figure:
-    """Make a figure that needs no window system.
-
-    Args:
-        width: Its width, inches.
-        height: Its height, inches.
-    """
-    figure = Figure(figsize=(width, height), layout="constrained")
-    figure.get_layout_engine().set(w_pad=0.08, h_pad=0.08)  # type: ignore[union-attr, call-arg]
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def save_figure(figure: Figure, path: Path) -> None:
-    """Write a figure as a picture file, whole or not at all.
-
-    Raises:
-        OSError: It cannot be written.
-    """
-    with whole_file(path) as part:
-        figure.savefig(part, dpi=110)
-
-
-def _colours(count: int) -> np.ndarray:
-    """Return colours (count, 4) of drones, from blue to red."""
-    shades = np.linspace(0.05, 0.95, count)
-    return np.asarray(matplotlib.colormaps["turbo"](shades))
 
 
 def plot_tracks(recording: Recording, d_safe: float, title: str, path: Path) -> None:
@@ -82,13 +44,20 @@ def plot_tracks(recording: Recording, d_safe: float, title: str, path: Path) -> 
     altitude = figure.add_subplot(grid[0, 1])
     apart = figure.add_subplot(grid[1, 1])
     drones = recording.position.shape[1]
-    for drone, colour in enumerate(_colours(drones)):
+    for drone, colour in enumerate(drone_colours(drones)):
         _draw_track(above, recording, drone, colour)
         _draw_history(altitude, apart, recording, drone, colour)
     _draw_obstacles(above, recording)
-    _draw_buildings(above, recording)
+    draw_buildings(above, recording)
     _draw_targets(above, recording)
-    _mark(above, recording, recording.conflicts > 0, "o", "conflict begins", mfc="none")
+    _mark(
+        above,
+        recording,
+        recording.conflicts > 0,
+        "o",
+        "conflict begins",
+        mfc="none",
+    )
     _mark(above, recording, recording.collision, "*", "collision", mec="black")
     if above.get_legend_handles_labels()[0]:
         above.legend(loc="upper right")
@@ -123,7 +92,11 @@ def _draw_track(axes: Axes, recording: Recording, drone: int, colour: np.ndarray
 
 
 def _draw_history(
-    altitude: Axes, apart: Axes, recording: Recording, drone: int, colour: np.ndarray
+    altitude: Axes,
+    apart: Axes,
+    recording: Recording,
+    drone: int,
+    colour: np.ndarray,
 ) -> None:
     """Draw a drone's altitude and separation over time; the distance to its goal when alone."""
     end = int(recording.alive[:-1, drone].sum()) + 1
@@ -132,7 +105,12 @@ def _draw_history(
     altitude.plot(time, track[:, 2], color=colour, lw=1.2)
     if recording.position.shape[1] > 1:
         gaps = recording.separation[: end - 1, drone]
-        apart.plot(time[1:], np.where(np.isfinite(gaps), gaps, np.nan), color=colour, lw=1.2)
+        apart.plot(
+            time[1:],
+            np.where(np.isfinite(gaps), gaps, np.nan),
+            color=colour,
+            lw=1.2,
+        )
     else:
         distance = np.linalg.norm(recording.goal[:end, drone] - track, axis=1)
         apart.plot(time, distance, color=colour, lw=1.2)
@@ -155,21 +133,16 @@ def _draw_obstacles(axes: Axes, recording: Recording) -> None:
         axes.plot(track[:, 0], track[:, 1], color="0.6", lw=1)
         for row, style in ((0, ":"), (-1, "-")):
             axes.add_patch(
-                Circle(track[row, :2], radius, fc="0.85", ec="0.5", ls=style, alpha=0.6, zorder=0)
+                Circle(
+                    track[row, :2],
+                    radius,
+                    fc="0.85",
+                    ec="0.5",
+                    ls=style,
+                    alpha=0.6,
+                    zorder=0,
+                )
             )
-
-
-def _draw_buildings(axes: Axes, recording: Recording) -> None:
-    """Draw the pieces' bounding boxes from above, the higher the darker."""
-    low = recording.building[:, 0]
-    high = recording.building[:, 1]
-    pieces = zip(low.tolist(), high.tolist(), strict=True)
-    # The higher ones come later, and so above the others.
-    for south_west, north_east in sorted(pieces, key=lambda piece: piece[1][2]):
-        width = north_east[0] - south_west[0]
-        length = north_east[1] - south_west[1]
-        shade = 0.9 - 0.5 * north_east[2] / high[:, 2].max()
-        axes.add_patch(Rectangle(south_west[:2], width, length, fc=str(shade), ec="none", zorder=0))
 
 
 def _draw_targets(axes: Axes, recording: Recording) -> None:
@@ -178,213 +151,33 @@ def _draw_targets(axes: Axes, recording: Recording) -> None:
     seen = recording.seen[-1]
     lines = list(way.swapaxes(0, 1))
     axes.add_collection(LineCollection(lines, colors="0.7", linewidths=0.6, zorder=1))
-    for some, colour, label in ((seen, SEEN, "in sight"), (~seen, UNSEEN, "out of sight")):
+    for some, colour, label in (
+        (seen, SEEN, "in sight"),
+        (~seen, UNSEEN, "out of sight"),
+    ):
         if some.any():
             axes.plot(*way[-1, some].T, ".", color=colour, ms=4, label=label, zorder=1)
 
 
 def _mark(
-    axes: Axes, recording: Recording, events: np.ndarray, marker: str, label: str, **style: Any
+    axes: Axes,
+    recording: Recording,
+    events: np.ndarray,
+    marker: str,
+    label: str,
+    **style: Any,
 ) -> None:
     """Mark where events (T, N) happened, if any."""
     hit = np.argwhere(events)
     if len(hit):
         place = recording.position[hit[:, 0] + 1, hit[:, 1]]
         style = {"mec": "crimson", **style}
-        axes.plot(place[:, 0], place[:, 1], marker, color="crimson", ms=11, label=label, **style)
-
-
-class Animation:
-    """The episode from above.
-
-    Drones are discs of a visible size with trails, goals are crosses, and rings show d_safe.
-
-    Attributes:
-        figure: The figure that all pictures are drawn in.
-    """
-
-    def __init__(self, recording: Recording, d_safe: float, drone_size: float, title: str) -> None:
-        """Set the scene.
-
-        Args:
-            recording: The episode.
-            d_safe: Separation below which there is a conflict, m.
-            drone_size: Real diameter of a drone, m, which the caption tells beside the drawn one.
-            title: Title of the pictures.
-        """
-        self._recording = recording
-        self._title = title
-        self._d_safe = d_safe
-        self._frames = list(range(0, len(recording.time), -(-len(recording.time) // MOST_FRAMES)))
-        if self._frames[-1] != len(recording.time) - 1:
-            self._frames.append(len(recording.time) - 1)
-        drones = recording.position.shape[1]
-        self._colours = _colours(drones)
-        span, middle = self._extent(drone_size)
-        drawn = max(drone_size, 0.018 * span)
-        self.figure = blank_figure(7, 7.4)
-        self._axes = self.figure.add_subplot()
-        self._frame_axes(middle, 0.56 * span + d_safe / 2)
-        self._axes.set(xlabel=self._caption(drawn, drone_size), ylabel="y north (m)")
-        self._axes.grid(alpha=0.3)
-        _draw_buildings(self._axes, recording)
-        # What changes from picture to picture; the order is that of drawing.
-        self._text = self._axes.set_title(" ")
-        self._bodies = self._circles(
-            2 * recording.obstacle_radius, facecolors="0.8", edgecolors="0.5"
-        )
-        self._goals = self._axes.scatter([], [], marker="x", s=60, linewidths=1.6)
-        self._targets = self._axes.scatter([], [], marker=".", s=16)
-        self._trails = LineCollection([], linewidths=1.2)
-        self._axes.add_collection(self._trails)
-        self._rings = self._circles(np.full(drones, d_safe), facecolors="none", linewidths=1.2)
-        self._discs = self._circles(np.full(drones, drawn), linewidths=0.5)
-        self._moving: list[Artist] = [
-            self._text,
-            self._bodies,
-            self._targets,
-            self._goals,
-            self._trails,
-            self._rings,
-            self._discs,
-        ]
-        for artist in self._moving:
-            artist.set_animated(True)
-        # What stays is drawn once, and each picture begins from it.
-        self.figure.canvas.draw()
-        self._empty = self.figure.canvas.copy_from_bbox(self.figure.bbox)  # type: ignore[attr-defined]
-
-    def _extent(self, drone_size: float) -> tuple[float, np.ndarray]:
-        """Measure the side of the square that holds everything, m, and its middle."""
-        recording = self._recording
-        parts = (recording.position, recording.goal, recording.obstacle, recording.building)
-        points = np.concatenate([part.reshape(-1, 3) for part in parts])[:, :2]
-        low = points.min(axis=0)
-        high = points.max(axis=0)
-        return float(max(*(high - low), 4 * drone_size)), (low + high) / 2
-
-    def _frame_axes(self, middle: np.ndarray, reach: float) -> None:
-        """Let the axes show a square about its middle, `reach` m to each side."""
-        sides = np.array([-reach, reach])
-        self._axes.set(xlim=middle[0] + sides, ylim=middle[1] + sides, aspect="equal")
-
-    def _caption(self, drawn: float, drone_size: float) -> str:
-        """Write what the signs mean."""
-        has_targets = self._recording.target.shape[1] > 0
-        signs = "Dots: targets, green in sight." if has_targets else "Crosses: goals."
-        return (
-            f"x east (m)\n\nDiscs: drones, drawn {drawn:.2g} m across (real {drone_size:.2g} m), "
-            "pale once they have finished.\n"
-            f"{signs} Grey: obstacles, buildings (darker: higher).\n"
-            f"Rings: {self._d_safe:g} m across, red while another drone is nearer."
-        )
-
-    def _circles(self, diameter: np.ndarray, **style: Any) -> EllipseCollection:
-        """Add circles of these diameters, m, that have no place yet."""
-        angles = np.zeros(len(diameter))
-        nowhere = np.zeros((len(diameter), 2))
-        circles = EllipseCollection(
-            diameter,
-            diameter,
-            angles,
-            units="x",
-            offsets=nowhere,
-            transOffset=self._axes.transData,
+        axes.plot(
+            place[:, 0],
+            place[:, 1],
+            marker,
+            color="crimson",
+            ms=11,
+            label=label,
             **style,
         )
-        self._axes.add_collection(circles)
-        return circles
-
-    def draw(self, row: int) -> np.ndarray:
-        """Draw one row of the recording.
-
-        Args:
-            row: Its number, from 0 at the start.
-
-        Returns:
-            The picture, (height, width, 3) uint8.
-        """
-        self._place_drones(row)
-        self._place_others(row)
-        self._text.set_text(f"{self._title}   t = {self._recording.time[row]:.1f} s")
-        canvas = self.figure.canvas
-        assert isinstance(canvas, FigureCanvasAgg)
-        canvas.restore_region(self._empty)
-        for artist in self._moving:
-            self._axes.draw_artist(artist)
-        return np.asarray(canvas.buffer_rgba())[..., :3].copy()
-
-    def _place_drones(self, row: int) -> None:
-        """Put discs, rings and trails where the drones are."""
-        recording = self._recording
-        position = recording.position[row, :, :2]
-        alive = recording.alive[row]
-        colours = self._colours.copy()
-        colours[~alive, 3] = GONE
-        edges = np.where(alive[:, None], (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0, GONE))
-        # Row k of separations belongs to the decision that ends in row k + 1 of states.
-        near = recording.separation[max(0, row - 1)] < self._d_safe
-        rings = np.where(near[:, None], (0.86, 0.08, 0.24, 1.0), (0.5, 0.5, 0.5, 1.0))
-        rings[~alive, 3] = 0
-        self._discs.set(offsets=position, facecolors=colours, edgecolors=edges)
-        self._rings.set(offsets=position, edgecolors=rings)
-        trail = recording.position[max(0, row - TRAIL) : row + 1, :, :2]
-        self._trails.set(segments=list(trail.swapaxes(0, 1)), color=colours)
-
-    def _place_others(self, row: int) -> None:
-        """Put obstacles, and targets or else goals, where they are."""
-        recording = self._recording
-        self._bodies.set(offsets=recording.obstacle[row, :, :2])
-        if recording.target.shape[1]:
-            colour = np.where(recording.seen[row], SEEN, UNSEEN)
-            self._targets.set(offsets=recording.target[row, :, :2], color=colour.tolist())
-        else:
-            self._goals.set(offsets=recording.goal[row, :, :2], color=self._colours)
-
-    def save(self, path: Path, progress: Callable[[], None] = lambda: None) -> None:
-        """Write the animation.
-
-        Args:
-            path: A .gif, or a .mp4, which needs the extra `video`.
-            progress: Called after every picture.
-
-        Raises:
-            ImportError: The extra is missing; the message names it.
-            OSError: The file cannot be written.
-        """
-
-        def pictures() -> Iterator[np.ndarray]:
-            for row in self._frames:
-                yield self.draw(row)
-                progress()
-
-        with whole_file(path) as part:
-            if path.suffix == ".mp4":
-                _save_video(part, pictures())
-                return
-            first, *others = (Image.fromarray(picture).quantize(128) for picture in pictures())
-            first.save(part, save_all=True, append_images=others, duration=1000 // FPS, loop=0)
-
-    def __len__(self) -> int:
-        """Count the pictures."""
-        return len(self._frames)
-
-
-def _save_video(path: Path, pictures: Iterator[np.ndarray]) -> None:
-    """Write pictures, of which there is at least one, as a video."""
-    try:
-        import imageio_ffmpeg
-    except ImportError:
-        raise missing("writing a video (.mp4; a .gif needs nothing)", "video") from None
-    first = next(pictures)
-    count = 1
-    writer = imageio_ffmpeg.write_frames(str(path), first.shape[1::-1], fps=FPS, macro_block_size=2)
-    writer.send(None)
-    writer.send(first)
-    for picture in pictures:
-        writer.send(picture)
-        count += 1
-    writer.close()
-    # FFmpeg does not tell of a full disk.
-    if imageio_ffmpeg.count_frames_and_secs(str(path))[0] < count:
-        raise OSError("fewer pictures were written than there are; is the disk full?")

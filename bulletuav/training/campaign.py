@@ -6,7 +6,12 @@ import multiprocessing
 import os
 import signal
 from collections.abc import Callable, Sequence
-from concurrent.futures import FIRST_EXCEPTION, Future, ProcessPoolExecutor, wait
+from concurrent.futures import (
+    FIRST_EXCEPTION,
+    Future,
+    ProcessPoolExecutor,
+    wait,
+)
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +51,9 @@ class Campaign:
         return self._folder / config.task / str(config.seed)
 
     def train(
-        self, workers: int = 1, progress: Callable[[int], None] = lambda steps: None
+        self,
+        workers: int = 1,
+        progress: Callable[[int], None] = lambda steps: None,
     ) -> list[Learned]:
         """Train all runs.
 
@@ -85,7 +92,11 @@ class Campaign:
             (config, future.result()) for config, future in zip(self.configs, futures, strict=True)
         ]
 
-    def _watch(self, futures: Sequence[Future[list[Row]]], progress: Callable[[int], None]) -> None:
+    def _watch(
+        self,
+        futures: Sequence[Future[list[Row]]],
+        progress: Callable[[int], None],
+    ) -> None:
         """Tell the progress until all runs are done, or raise what one of them raised."""
         while wait(futures, LOOK, FIRST_EXCEPTION).not_done and not any(map(_failed, futures)):
             progress(sum(_steps(self.place(config)) for config in self.configs))
@@ -136,7 +147,15 @@ def learning_table(runs: Sequence[Learned]) -> str:
         The table in markdown.
     """
     shown = [name for name in TOLD if any(not math.isnan(rows[-1][name]) for _, rows in runs)]
-    headings = ["task", "algorithm", "seed", "steps", "minutes", "steps/s", *shown]
+    headings = [
+        "task",
+        "algorithm",
+        "seed",
+        "steps",
+        "minutes",
+        "steps/s",
+        *shown,
+    ]
     lines = [_line(headings), "|---" * len(headings) + "|"]
     for config, rows in runs:
         last = rows[-1]

@@ -20,7 +20,10 @@ from bulletuav.training.store import REPLAY, TRAINING
 
 try:
     import torch
-    from stable_baselines3.common.save_util import recursive_getattr, recursive_setattr
+    from stable_baselines3.common.save_util import (
+        recursive_getattr,
+        recursive_setattr,
+    )
 except ImportError:
     raise missing("training", "sb3") from None
 
@@ -75,7 +78,14 @@ def restore(model: Any, folder: Path) -> None:
     """
     try:
         _restore(model, folder)
-    except (KeyError, TypeError, OSError, RuntimeError, ValueError, SafetensorError) as error:
+    except (
+        KeyError,
+        TypeError,
+        OSError,
+        RuntimeError,
+        ValueError,
+        SafetensorError,
+    ) as error:
         raise ValueError(
             f"{folder} holds no checkpoint of this run ({error}): choose another folder"
         ) from None
@@ -104,7 +114,11 @@ def _restore(model: Any, folder: Path) -> None:
         _fill(model.replay_buffer, load_file(folder / REPLAY))
 
 
-def _write(arrays: dict[str, np.ndarray], path: Path, about: dict[str, str] | None = None) -> None:
+def _write(
+    arrays: dict[str, np.ndarray],
+    path: Path,
+    about: dict[str, str] | None = None,
+) -> None:
     """Write arrays by name, and what is told about them."""
     with whole_file(path) as part:
         # A full disk raises an error of safetensors.

@@ -10,12 +10,32 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Box, Dict, flatdim
 
-from bulletuav.adapters.sb3 import DroneVecEnv, LivingReplay, LivingRollouts, algorithm
+from bulletuav.adapters.sb3 import (
+    DroneVecEnv,
+    LivingReplay,
+    LivingRollouts,
+    algorithm,
+)
 from bulletuav.adapters.sb3_policy import FEATURES, policy_arguments
-from bulletuav.errors import as_int, as_sequence, choose, finite, require_memory, shown, unknown
+from bulletuav.errors import (
+    as_int,
+    as_sequence,
+    choose,
+    finite,
+    require_memory,
+    shown,
+    unknown,
+)
 from bulletuav.policies.run import RunConfig, whole_number
 
-OURS = ("policy", "env", "seed", "device", "tensorboard_log", "_init_setup_model")
+OURS = (
+    "policy",
+    "env",
+    "seed",
+    "device",
+    "tensorboard_log",
+    "_init_setup_model",
+)
 """Arguments that a run gives itself"""
 LEAST = {"gradient_steps": -1, "learning_starts": 0}
 """Least values of whole numbers; of others it is 1, or the default where that is less"""

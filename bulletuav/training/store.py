@@ -25,7 +25,14 @@ TRAINING = "training.safetensors"
 """File of a checkpoint with what training needs beside the policy"""
 REPLAY = "replay.safetensors"
 """File of a checkpoint with the replay buffer"""
-PACKAGES = ("bulletuav", "stable_baselines3", "torch", "numpy", "numba", "pybullet")
+PACKAGES = (
+    "bulletuav",
+    "stable_baselines3",
+    "torch",
+    "numpy",
+    "numba",
+    "pybullet",
+)
 """Packages on whose versions the weights may depend"""
 Row = dict[str, float]
 """A row of the learning curve"""
@@ -87,7 +94,12 @@ class Store:
             self.curriculum = state["curriculum"]
             if not (self.last / POLICY).exists():
                 raise FileNotFoundError(f"no {self.last / POLICY}")
-        except (json.JSONDecodeError, KeyError, TypeError, FileNotFoundError) as error:
+        except (
+            json.JSONDecodeError,
+            KeyError,
+            TypeError,
+            FileNotFoundError,
+        ) as error:
             raise ValueError(
                 f"{self.folder} holds a run that is damaged ({error!r}): choose another folder"
             ) from None
@@ -147,7 +159,10 @@ class Store:
         writer.writerows(rows)
         replace_file(self.folder / CURVE, table.getvalue())
         # How far the run is comes last: who is interrupted before it does the chapter again.
-        replace_file(self.folder / STATE, json.dumps({"rows": rows, "curriculum": curriculum}))
+        replace_file(
+            self.folder / STATE,
+            json.dumps({"rows": rows, "curriculum": curriculum}),
+        )
         self.rows = rows
         self.curriculum = curriculum
         # Of older checkpoints the policies alone are kept.

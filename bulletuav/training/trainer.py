@@ -106,7 +106,11 @@ class _Chapters(BaseCallback):
     """Begins and ends chapters between two rollouts, and sums up the episodes of each."""
 
     def __init__(
-        self, config: RunConfig, env: DroneVecEnv, store: Store, progress: Progress
+        self,
+        config: RunConfig,
+        env: DroneVecEnv,
+        store: Store,
+        progress: Progress,
     ) -> None:
         super().__init__()
         self._config = config
@@ -163,7 +167,11 @@ class _Chapters(BaseCallback):
         folder = self._store.next
         checkpoint.save(model, folder)
         evaluation = evaluate(
-            config.task, folder, config.episodes, EVALUATION_SEED, **config.evaluated
+            config.task,
+            folder,
+            config.episodes,
+            EVALUATION_SEED,
+            **config.evaluated,
         )
         found = evaluation.estimates()
         row = {

@@ -12,7 +12,11 @@ from bulletuav.analysis.metrics.custom import (
     find_metric,
     find_metrics,
 )
-from bulletuav.analysis.metrics.estimates import Estimate, estimate, mean_estimate
+from bulletuav.analysis.metrics.estimates import (
+    Estimate,
+    estimate,
+    mean_estimate,
+)
 from bulletuav.analysis.metrics.formulas import jain, soonest_conflict
 from bulletuav.analysis.metrics.meter import Meter
 from bulletuav.analysis.metrics.standard import METRICS, RATES, StandardMetric

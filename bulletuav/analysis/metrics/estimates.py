@@ -46,7 +46,10 @@ def estimate(metric: str, values: Sequence[float]) -> Estimate:
     happened = int(sample.sum())
     low, high = stats.binomtest(happened, len(sample)).proportion_ci(method="wilson")
     return Estimate(
-        mean=float(sample.mean()), low=float(low), high=float(high), episodes=len(sample)
+        mean=float(sample.mean()),
+        low=float(low),
+        high=float(high),
+        episodes=len(sample),
     )
 
 

@@ -5,7 +5,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from bulletuav.analysis.infos import is_scalar, own_infos
-from bulletuav.analysis.metrics.custom import ROW_LABELS, CustomMetric, MetricSpec
+from bulletuav.analysis.metrics.custom import (
+    ROW_LABELS,
+    CustomMetric,
+    MetricSpec,
+)
 from bulletuav.analysis.metrics.formulas import jain, soonest_conflict
 from bulletuav.analysis.metrics.standard import METRICS
 from bulletuav.conflict.separation import conflict
@@ -95,11 +99,21 @@ class Meter:
         self._before = after
 
     def _record_conflicts(
-        self, info: Mapping[str, np.ndarray], before: Swarm, after: Swarm, flown: np.ndarray
+        self,
+        info: Mapping[str, np.ndarray],
+        before: Swarm,
+        after: Swarm,
+        flown: np.ndarray,
     ) -> None:
         """Count conflicts and near misses; each is told by both of its drones."""
         self._conflicts += (info["conflicts"] * flown).sum(axis=1) / 2
-        close = conflict(before.position, after.position, flown, self._d_safe / 2, self._d_safe)
+        close = conflict(
+            before.position,
+            after.position,
+            flown,
+            self._d_safe / 2,
+            self._d_safe,
+        )
         self._near_misses += close.onsets.sum(axis=1) / 2
         self._separation = np.minimum(self._separation, close.separation.min(axis=1))
         soonest = soonest_conflict(after.position, after.velocity, flown, self._d_safe)
@@ -136,7 +150,11 @@ class Meter:
 
     def _record_infos(self, info: Mapping[str, np.ndarray], flying: np.ndarray) -> None:
         """Keep the task's own infos, mean of the drones, of each world's last decision."""
-        taken = {*METRICS, *ROW_LABELS, *(metric.name for metric in self._custom)}
+        taken = {
+            *METRICS,
+            *ROW_LABELS,
+            *(metric.name for metric in self._custom),
+        }
         for name, values in own_infos(info).items():
             if name not in taken and is_scalar(values, self._succeeded.shape):
                 known = self._infos.get(name, np.nan)
@@ -156,7 +174,8 @@ class Meter:
         if self._aviary.task.num_targets:
             # The task has no goals: its drones are to be anywhere.
             row |= dict.fromkeys(
-                ("goal_distance", "path_efficiency", "fairness", "throughput"), np.nan
+                ("goal_distance", "path_efficiency", "fairness", "throughput"),
+                np.nan,
             )
         else:
             row["served"] = np.nan
