@@ -68,6 +68,7 @@ def _measure_size(num_drones: int, seconds: float, progress: Callable[[], None])
     """Measure all cases of one size, interleaved over the rounds."""
     cases: dict[str, Callable[[], object]] = {}
     resets: dict[str, Callable[[], object]] = {}
+    # A case is a function of one decision; resets are measured of dynamics alone.
     aviaries = {name: hovering(1, num_drones, name) for name in LADDER}
     for name, aviary in aviaries.items():
         cases[name] = partial(aviary.step, np.zeros((1, num_drones, 3)))
@@ -75,6 +76,7 @@ def _measure_size(num_drones: int, seconds: float, progress: Callable[[], None])
     engine, of_engine = floors(1, num_drones)
     cases |= of_engine
     rates: dict[str, list[float]] = {name: [] for name in cases}
+    # Cases alternate, so that what slows the machine down meets all of them.
     for _ in range(ROUNDS):
         for name, case in cases.items():
             if name in resets:

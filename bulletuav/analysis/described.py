@@ -19,6 +19,7 @@ def described(options: EnvOptions, config: Any) -> dict[str, Any]:
     Returns:
         Their values by name; names stand for airframes, cities, mobility models and functions.
     """
+    # Names stand for what a file cannot hold.
     random = {name: getattr(options.randomization, name) for name in options.randomization.active}
     own = {one.name: getattr(config, one.name) for one in dataclasses.fields(config)}
     city = own.get("city")

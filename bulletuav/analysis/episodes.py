@@ -70,6 +70,7 @@ class Run:
         observations = aviary.reset(worlds, [self.seed + batch.start + k for k in range(BATCH)])
         policy.reset(worlds)
         meter = Meter(aviary, self.metrics)
+        # Worlds whose episode has ended stand still until all have.
         while aviary.alive[worlds].any():
             flown = aviary.alive & worlds[:, None]
             step = aviary.step(policy.act(observations, aviary.swarm))
@@ -99,6 +100,7 @@ def fly_batches(run: Run, batches: list[range], workers: int) -> Iterator[list[R
     processes: list[multiprocessing.Process] = []
     pipes: list[Connection] = []
     try:
+        # Each process takes every `workers`-th batch, and sends rows through a pipe of its own.
         for k in range(workers):
             mine, theirs = multiprocessing.Pipe()
             share = batches[k::workers]
@@ -108,6 +110,7 @@ def fly_batches(run: Run, batches: list[range], workers: int) -> Iterator[list[R
             processes.append(process)
             pipes.append(mine)
         yield from _received(pipes)
+    # Also when the caller stops in between.
     finally:
         for process in processes:
             # A process that is stopped would not hear anything milder.
@@ -133,6 +136,7 @@ def _received(pipes: list[Connection]) -> Iterator[list[Row]]:
     while open_pipes:
         for pipe in wait(open_pipes):
             assert isinstance(pipe, Connection)
+            # A pipe ends before its None where its process was killed.
             try:
                 answer = pipe.recv()
             except EOFError:

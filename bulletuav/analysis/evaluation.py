@@ -95,6 +95,7 @@ class Evaluation:
             The path of the file.
         """
         path = folder / "summary.json"
+        # JSON has no NaN.
         figures = {
             name: {key: None if np.isnan(value) else value for key, value in one._asdict().items()}
             for name, one in self.estimates().items()
@@ -149,6 +150,7 @@ def evaluate(
         FileNotFoundError: The policy's file is not there.
         RuntimeError: A process has died.
     """
+    # What only this call needs is checked first, then what makes the run.
     as_int("workers", workers, 1)
     if out is not None and (not isinstance(out, str | Path) or not str(out)):
         raise ValueError(
@@ -163,6 +165,7 @@ def evaluate(
         )
     if policy is None:
         policy = find_task(task).baseline
+    # The options of a trained policy give way to those of the call.
     pilot = find_policy(policy, task, trust)
     run = Run(
         task=task,
@@ -196,6 +199,7 @@ def _evaluate(
 ) -> Evaluation:
     """Fly the batches of a run that are not in its folder yet."""
     begin = time.perf_counter()
+    # Batches fly as a whole: one that lacks an episode is flown again.
     folder = ResultsFolder(out, about)
     missing = [
         batch for batch in run.batches() if not all(episode in folder.rows for episode in batch)
@@ -243,6 +247,7 @@ def _about(run: Run, pilot: PolicySpec) -> dict[str, Any]:
         "fingerprint": _fingerprint(run, spec, pilot.model),
         "options": described(spec.options, spec.task.config),
     }
+    # As it comes back from a file, with which it is compared.
     return cast(dict[str, Any], json.loads(json.dumps(about)))
 
 
@@ -251,6 +256,7 @@ def _fingerprint(run: Run, spec: EnvSpec, model: Path | None) -> str:
 
     That is the code, the airframes, the cities, and a model's file.
     """
+    # Code of the package, and of what comes from outside of it.
     digest = hashlib.sha256(source_hash().encode())
     for source in (
         type(spec.task),
@@ -260,8 +266,10 @@ def _fingerprint(run: Run, spec: EnvSpec, model: Path | None) -> str:
         digest.update(_code(source))
     if model is not None:
         digest.update(model.read_bytes())
+    # The numbers of airframes count, not where their files are.
     for airframe in spec.options.airframe:
         digest.update(repr(replace(airframe, urdf=Path())).encode())
+    # Cities by their faces, and the arena that follows from them.
     for solids in spec.task.layouts():
         for corners, _ in solids.faces:
             digest.update(corners.tobytes())

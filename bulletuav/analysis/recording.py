@@ -154,6 +154,7 @@ def fly_episode(
     """
     observations = aviary.reset(seeds=seed)
     policy.reset(np.ones(aviary.num_worlds, dtype=bool))
+    # States and views have one row more than decisions: the start.
     states = [aviary.swarm.copy()]
     alive = [aviary.alive.copy()]
     views = [_view(aviary)]
@@ -236,6 +237,7 @@ def outcomes(recording: Recording) -> list[Outcome]:
     """Sum up how the episode of each drone went, in their order."""
     rows = []
     for drone in range(recording.position.shape[1]):
+        # A drone flies from the start on without a gap, so that counting tells its last decision.
         last = int(recording.alive[:-1, drone].sum()) - 1
         flown = slice(0, last + 1)
         goal = recording.goal[last + 1, drone]
@@ -351,6 +353,7 @@ def load(path: str | Path) -> Recording:
         zipfile.BadZipFile,
     ) as error:
         raise ValueError(f"{found} is no recording ({error}): {REMEDY}") from None
+    # The version is looked at before anything that may differ between versions.
     _require_version(arrays.pop("version", None), found)
     missing = [name for name in ARRAYS if name not in arrays]
     if missing:

@@ -44,6 +44,7 @@ class ResultsFolder:
             return
         try:
             folder.mkdir(parents=True, exist_ok=True)
+            # A folder without a run may hold anything else.
             if (folder / RUN).exists():
                 self._load(folder, about)
             replace_file(folder / RUN, json.dumps(about, indent=2) + "\n")

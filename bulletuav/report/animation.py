@@ -52,11 +52,13 @@ class Animation:
         self._recording = recording
         self._title = title
         self._d_safe = d_safe
+        # The last row is always shown, also where rows are left out.
         self._frames = list(range(0, len(recording.time), -(-len(recording.time) // MOST_FRAMES)))
         if self._frames[-1] != len(recording.time) - 1:
             self._frames.append(len(recording.time) - 1)
         drones = recording.position.shape[1]
         self._colours = drone_colours(drones)
+        # Drones that are small beside the airspace are drawn larger than they are.
         span, middle = self._extent(drone_size)
         drawn = max(drone_size, 0.018 * span)
         self.figure = blank_figure(7, 7.4)
@@ -85,6 +87,7 @@ class Animation:
             self._rings,
             self._discs,
         ]
+        # Animated artists are left out when the whole figure is drawn.
         for artist in self._moving:
             artist.set_animated(True)
         # What stays is drawn once, and each picture begins from it.
@@ -168,6 +171,7 @@ class Animation:
         position = recording.position[row, :, :2]
         alive = recording.alive[row]
         colours = self._colours.copy()
+        # Drones that have finished are pale, and have no ring.
         colours[~alive, 3] = GONE
         edges = np.where(alive[:, None], (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0, GONE))
         # Row k of separations belongs to the decision that ends in row k + 1 of states.
@@ -210,6 +214,7 @@ class Animation:
             if path.suffix == ".mp4":
                 _save_video(part, pictures())
                 return
+            # Fewer colours make smaller files.
             first, *others = (Image.fromarray(picture).quantize(128) for picture in pictures())
             first.save(
                 part,

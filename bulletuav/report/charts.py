@@ -97,6 +97,7 @@ def plot_leaderboard(results: Sequence[Evaluation], path: Path) -> None:
         results: The evaluations.
         path: The file.
     """
+    # Cases and policies in the order in which they come first.
     cases = list(dict.fromkeys(_case(result) for result in results))
     policies = list(dict.fromkeys(result.about["policy"] for result in results))
     found = {(_case(result), result.about["policy"]): result.estimates() for result in results}
@@ -150,6 +151,7 @@ def _curves(axes: Axes, curves: Mapping[int, list[Row]], metric: str) -> None:
         steps = [row["steps"] for row in rows]
         lines.append(np.array([row[metric] for row in rows]))
         axes.plot(steps, lines[-1], color=colour, lw=0.8, label=f"seed {seed}")
+    # Runs of other steps have no common mean.
     if len(lines) > 1 and len({len(line) for line in lines}) == 1:
         low = np.min(lines, axis=0)
         high = np.max(lines, axis=0)
@@ -179,6 +181,7 @@ def _bars(
     """Draw bars with intervals: a row of estimates for each label, a group for each name."""
     width = 0.8 / len(rows)
     for k, (row, label) in enumerate(zip(rows, labels, strict=True)):
+        # The bars of a group stand side by side about its number.
         place = np.arange(len(row)) + (k - (len(rows) - 1) / 2) * width
         mean, low, high, _ = np.array(row).T
         errors = np.maximum([mean - low, high - mean], 0)

@@ -72,6 +72,7 @@ def _extension() -> Finding:
     """Tell whether the engine really takes the extension, not only whether it is there."""
     if EXTENSION.library is None:
         return Finding("C extension", SLOW, EXTENSION.missing)
+    # One that was built for another engine is there, but refused.
     engine = Engine([load_airframe("cf2x")], 1, 1 / 240)
     active = engine.port is not None
     engine.close()

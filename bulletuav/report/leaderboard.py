@@ -68,6 +68,7 @@ def _group(
     episodes = results[0].about["episodes"]
     title = f"### {task}, {difficulty}: {drones} drones, {dynamics}, {episodes} episodes\n"
     text = _table(title, results, [result.estimates() for result in results])
+    # Policies are compared in the same dynamics.
     references = {
         _dynamics(result): result for result in results if result.about["policy"] == against
     }
@@ -93,6 +94,7 @@ def _table(
 ) -> str:
     """Write a table, a row for each result; dynamics have a column where there are several."""
     shown = [metric for metric in SHOWN if any(found[metric].episodes for found in estimates)]
+    # A column that says the same in every row is left out.
     has_dynamics = len(set(map(_dynamics, results))) > 1
     headings = ["policy"]
     if has_dynamics:

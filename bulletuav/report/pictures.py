@@ -44,6 +44,7 @@ def plot_tracks(recording: Recording, d_safe: float, title: str, path: Path) -> 
     altitude = figure.add_subplot(grid[0, 1])
     apart = figure.add_subplot(grid[1, 1])
     drones = recording.position.shape[1]
+    # Drones first: each has its colour in all three parts.
     for drone, colour in enumerate(drone_colours(drones)):
         _draw_track(above, recording, drone, colour)
         _draw_history(altitude, apart, recording, drone, colour)
@@ -59,6 +60,7 @@ def plot_tracks(recording: Recording, d_safe: float, title: str, path: Path) -> 
         mfc="none",
     )
     _mark(above, recording, recording.collision, "*", "collision", mec="black")
+    # Without marks there is nothing to explain.
     if above.get_legend_handles_labels()[0]:
         above.legend(loc="upper right")
     above.set(title=title, xlabel="x east (m)", ylabel="y north (m)", aspect="equal")

@@ -54,6 +54,7 @@ def save(model: Any, folder: Path) -> None:
     space = model.action_space
     bounds = {LOW: space.low, HIGH: space.high} if isinstance(space, Box) else {}
     _write({**_arrays(model.policy.state_dict()), **bounds}, folder / POLICY)
+    # Names tell the optimizer, the number of the parameter, and which of its arrays it is.
     rest: dict[str, np.ndarray] = {}
     for name in _optimizers(model):
         for index, state in recursive_getattr(model, name).state_dict()["state"].items():
@@ -104,6 +105,7 @@ def _restore(model: Any, folder: Path) -> None:
         optimizer.load_state_dict({**optimizer.state_dict(), "state": state})
     for name in _variables(model):
         recursive_setattr(model, f"{name}.data", torch.as_tensor(rest[name]))
+    # Counters keep the type that the model gave them.
     with safe_open(folder / TRAINING, "numpy") as file:
         counters = json.loads(file.metadata()["counters"])
     for name in COUNTERS:

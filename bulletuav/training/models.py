@@ -80,6 +80,7 @@ def make_model(config: RunConfig, env: DroneVecEnv) -> Any:
         choose("features", features, named)
     arguments = policy_arguments(settings, env.num_drones, pictures)
     del settings["features"]
+    # What the algorithm does not take is found before anything large is made.
     _check(kind, settings)
     settings["policy_kwargs"] = arguments
     _require_memory(config.algo, settings, env)
@@ -125,6 +126,7 @@ def _check(kind: Any, settings: dict[str, Any]) -> None:
     for name, value in settings.items():
         if name not in known:
             raise unknown(f"setting of {kind.__name__}:", name, [*known, "features"])
+        # Bools are ints in Python, and so come first; lists are for `_translate`.
         default = known[name]
         is_list = isinstance(value, list | tuple)
         if isinstance(default, bool):
@@ -186,6 +188,7 @@ def _translate(settings: dict[str, Any], env: DroneVecEnv) -> None:
         settings["learning_rate"] = LinearSchedule(first, last, 1.0)
     if isinstance(settings.get("train_freq"), list):
         settings["train_freq"] = tuple(settings["train_freq"])
+    # Discrete actions have no noise.
     noise = settings.get("action_noise")
     if noise is not None and isinstance(env.action_space, Box):
         size = env.action_space.shape[0]

@@ -103,6 +103,7 @@ class Store:
             raise ValueError(
                 f"{self.folder} holds a run that is damaged ({error!r}): choose another folder"
             ) from None
+        # The first line of the configuration tells the versions.
         begun = (self.folder / CONFIG).read_text().splitlines()[0]
         if begun != about and not self.finished:
             warnings.warn(

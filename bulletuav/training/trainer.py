@@ -182,6 +182,7 @@ class _Chapters(BaseCallback):
             **{f"train/{name}": self._mean(key) for name, key in TOLD.items()},
             **{name: found[name].mean for name in METRICS},
         }
+        # From here on the chapter is kept; TensorBoard's copy of the curve may lack its last row.
         self._store.add(row, self._env.curriculum.state())
         for name, value in row.items():
             model.logger.record(name if "/" in name else f"evaluation/{name}", value)

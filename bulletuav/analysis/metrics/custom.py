@@ -88,6 +88,7 @@ def find_metric(source: MetricSource) -> MetricSpec | StandardMetric:
     if isinstance(found, StandardMetric):
         return found
     name = getattr(found, "name", None) or getattr(found, "__name__", None)
+    # A name of the registry, such as that of an entry point, wins over the object's own.
     if isinstance(source, str) and ":" not in source:
         name = source
     if not isinstance(name, str) or not name.isidentifier():
@@ -114,6 +115,7 @@ def find_metrics(sources: Sequence[MetricSource]) -> tuple[MetricSpec, ...]:
         ValueError: One cannot be found, two have the same name, or `sources` is no list or tuple.
     """
     found = [find_metric(source) for source in as_sequence("metrics", sources)]
+    # Standard metrics are measured anyway.
     specs = tuple(one for one in found if isinstance(one, MetricSpec))
     names = [spec.name for spec in specs]
     for name in names:

@@ -81,6 +81,7 @@ class Meter:
         after = self._aviary.swarm.copy()
         info = step.info
         flying = np.any(flown, axis=1)
+        # Of drones that have left, what they told last stays.
         self._collided |= info["collision"] & flown
         self._succeeded = np.where(flown, info["success"], self._succeeded)
         self._left = np.where(flown, info["goal_distance"], self._left)
@@ -88,12 +89,14 @@ class Meter:
         self._record_conflicts(info, before, after, flown)
         self._record_way(before, after, flown)
         self._record_effort(before, after, flown)
+        # Time of drones and of worlds.
         self._decisions += flown
         self._steps += flying
         if "messages" in info:
             self._messages += (info["messages"] * flown).sum(axis=1)
         self._record_service(info, flying)
         self._record_infos(info, flying)
+        # Metrics of users see the worlds as they are after the decision.
         for metric in self._custom:
             metric.record(step, self._aviary, flying)
         self._before = after
@@ -107,6 +110,7 @@ class Meter:
     ) -> None:
         """Count conflicts and near misses; each is told by both of its drones."""
         self._conflicts += (info["conflicts"] * flown).sum(axis=1) / 2
+        # A near miss is a conflict at half the distance.
         close = conflict(
             before.position,
             after.position,
@@ -133,6 +137,7 @@ class Meter:
         """
         change = after.velocity - before.velocity
         jerk = np.linalg.norm(change - self._change, axis=-1) / self._period**2
+        # The first decision has no jerk: no change of velocity came before it.
         known = flown & np.isfinite(jerk)
         self._jerk[known] += jerk[known]
         self._jerks += known
@@ -179,6 +184,7 @@ class Meter:
             )
         else:
             row["served"] = np.nan
+        # What is infinite, such as the separation of one drone, is none.
         row |= {metric.name: metric.values[w] for metric in self._custom}
         row |= {name: values[w] for name, values in self._infos.items()}
         return {name: float(value) if np.isfinite(value) else np.nan for name, value in row.items()}
@@ -188,6 +194,7 @@ class Meter:
         aviary = self._aviary
         length = self._steps[w] * self._period
         arrived = self._succeeded[w]
+        # Metres made good are those that the drone is nearer to its goal, as the goal moved.
         made_good = np.maximum(self._ideal[w] - self._left[w], 0.0)
         share_of_way = made_good / np.maximum(self._flown[w], 1e-9)
         efficiency = np.minimum(share_of_way, 1.0)[arrived]
