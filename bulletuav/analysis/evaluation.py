@@ -31,6 +31,7 @@ from bulletuav.analysis.results_folder import (
     ResultsFolder,
 )
 from bulletuav.envs.env_spec import EnvSpec
+from bulletuav.envs.resolve import resolve
 from bulletuav.errors import as_int, shown
 from bulletuav.files import replace_file
 from bulletuav.kernel import source_hash
@@ -128,7 +129,8 @@ def evaluate(
     Args:
         task: What is flown: a name or a class.
         policy: Who flies: a name, the folder of a training run, a class, or "ppo:model.zip" (or
-            sac, td3, dqn) for a model of stable-baselines3; the task's own baseline when left out.
+            sac, td3, dqn) for a model of stable-baselines3. When left out it is the task's own
+            baseline, with an action that it can give unless one is asked.
             The policy of a run sees what it learned with, unless options say otherwise, and takes
             no other action.
         episodes: How many; episode e begins from `seed` + e.
@@ -163,16 +165,18 @@ def evaluate(
             f"progress is {shown(progress)}: "
             "a function of how many more episodes are done is needed"
         )
-    if policy is None:
-        policy = find_task(task).baseline
+    chosen = find_task(task).baseline if policy is None else policy
+    pilot = find_policy(chosen, task, trust)
     # The options of a trained policy give way to those of the call.
-    pilot = find_policy(policy, task, trust)
+    options = {**pilot.options, **options}
+    if policy is None:
+        options = _flyable(task, pilot, options)
     run = Run(
         task=task,
-        policy=policy,
+        policy=chosen,
         seed=as_int("seed", seed, 0),
         episodes=as_int("episodes", episodes, 1, MOST_EPISODES),
-        options={**pilot.options, **options},
+        options=options,
         trust=trust,
         metrics=find_metrics(metrics),
     )
@@ -188,6 +192,14 @@ def evaluate(
         None if out is None else Path(out),
         progress,
     )
+
+
+def _flyable(task: TaskSource, pilot: PolicySpec, options: dict[str, Any]) -> dict[str, Any]:
+    """Add an action that the task's baseline can give, where it cannot give the usual one."""
+    if not pilot.actions or "action" in options:
+        return options
+    usual, _ = resolve(find_task(task), options)
+    return options if usual.action in pilot.actions else {**options, "action": pilot.actions[0]}
 
 
 def _evaluate(

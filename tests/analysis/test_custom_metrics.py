@@ -134,6 +134,10 @@ def test_policies_are_the_tasks_own_unless_told():
     result = bulletuav.evaluate("converge", episodes=1, metrics=(final_height,), **QUICK)
     assert result.about["policy"] == find_task("converge").baseline
     assert result.estimates()["final_height"].episodes == 1
+    result = bulletuav.evaluate("hover", episodes=1, horizon=3, metrics=(final_height,))
+    assert result.about["options"]["action"] == "velocity"  # which the baseline can give
+    with pytest.raises(ValueError, match="gives velocity .*, not 'rotor'"):
+        bulletuav.evaluate("hover", episodes=1, action="rotor")
 
 
 MINE = """
