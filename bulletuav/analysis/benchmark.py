@@ -1,4 +1,7 @@
-"""Speed: drone-substeps per CPU-second of every dynamics, beside the floor that the engine's calls set."""
+"""Speed of every dynamics, beside the floor that the engine's calls set.
+
+The unit is drone-substeps per CPU-second.
+"""
 
 import statistics
 import time
@@ -15,13 +18,24 @@ from bulletuav.vehicle.airframe import load_airframe
 from bulletuav.vehicle.swarm import Swarm
 
 SIZES = (1, 10, 100, 1000)
+"""Swarms that are measured"""
 ROUNDS = 3
-SUBSTEPS = 24  # a decision: 240 Hz physics, 10 Hz decisions
+"""How often each case is measured"""
+SUBSTEPS = 24
+"""Substeps of a decision: physics at 240 Hz, decisions at 10 Hz"""
 FLOORS = ("bare step", "engine calls")
+"""Cases without any arithmetic of ours"""
 
 
 class Result(NamedTuple):
-    """Drone-substeps per CPU-second of `name` with `num_drones` in one world, median; reset in ms, NaN for floors."""
+    """Speed of one case.
+
+    Attributes:
+        name: Name of the dynamics, or one of `FLOORS`.
+        num_drones: Size of the swarm, in one world.
+        rate: Drone-substeps per CPU-second, median of the rounds.
+        reset_ms: Time of a reset, ms; NaN for floors.
+    """
 
     name: str
     num_drones: int
@@ -34,35 +48,64 @@ def measure(
     seconds: float = 0.3,
     progress: Callable[[], None] = lambda: None,
 ) -> list[Result]:
-    """All cases of all sizes, interleaved over `ROUNDS`; `progress` is called after every measurement."""
+    """Measure all cases of all sizes.
+
+    Args:
+        sizes: Sizes of the swarm.
+        seconds: CPU time of each measurement, s.
+        progress: Called after every measurement.
+
+    Returns:
+        A result for each case and size.
+    """
     results = []
     for num_drones in sizes:
-        cases: dict[str, Callable[[], object]] = {}
-        resets: dict[str, Callable[[], object]] = {}
-        aviaries = {name: hovering(1, num_drones, name) for name in DYNAMICS}
-        for name, aviary in aviaries.items():
-            cases[name] = partial(aviary.step, np.zeros((1, num_drones, 3)))
-            resets[name] = partial(aviary.reset, seeds=0)
-        engine, of_engine = floors(1, num_drones)
-        cases |= of_engine
-        rates: dict[str, list[float]] = {name: [] for name in cases}
-        for _ in range(ROUNDS):
-            for name, case in cases.items():
-                if name in resets:
-                    resets[name]()
-                rates[name].append(num_drones * SUBSTEPS * _per_second(case, seconds))
-                progress()
-        for name in cases:
-            reset = 1e3 / _per_second(resets[name], seconds / 3) if name in resets else float("nan")
-            results.append(Result(name, num_drones, statistics.median(rates[name]), reset))
-        engine.close()
-        for aviary in aviaries.values():
-            aviary.close()
+        results += _measure_size(num_drones, seconds, progress)
+    return results
+
+
+def _measure_size(num_drones: int, seconds: float, progress: Callable[[], None]) -> list[Result]:
+    """Measure all cases of one size, interleaved over the rounds."""
+    cases: dict[str, Callable[[], object]] = {}
+    resets: dict[str, Callable[[], object]] = {}
+    # A case is a function of one decision; resets are measured of dynamics alone.
+    aviaries = {name: hovering(1, num_drones, name) for name in DYNAMICS}
+    for name, aviary in aviaries.items():
+        cases[name] = partial(aviary.step, np.zeros((1, num_drones, 3)))
+        resets[name] = partial(aviary.reset, seeds=0)
+    engine, of_engine = floors(1, num_drones)
+    cases |= of_engine
+    rates: dict[str, list[float]] = {name: [] for name in cases}
+    # Cases alternate, so that what slows the machine down meets all of them.
+    for _ in range(ROUNDS):
+        for name, case in cases.items():
+            if name in resets:
+                resets[name]()
+            rates[name].append(num_drones * SUBSTEPS * _per_second(case, seconds))
+            progress()
+    results = []
+    for name in cases:
+        reset = 1e3 / _per_second(resets[name], seconds / 3) if name in resets else float("nan")
+        rate = statistics.median(rates[name])
+        results.append(Result(name=name, num_drones=num_drones, rate=rate, reset_ms=reset))
+    engine.close()
+    for aviary in aviaries.values():
+        aviary.close()
     return results
 
 
 def hovering(num_worlds: int, num_drones: int, dynamics: str, **options: Any) -> Aviary:
-    """Started worlds of drones that hover 2 m apart, 1 m up, with all forces and decisions of 24 substeps."""
+    """Make started worlds of drones that hover 2 m apart and 1 m up, with all forces.
+
+    Args:
+        num_worlds: How many worlds.
+        num_drones: Drones in each.
+        dynamics: Name of the dynamics.
+        **options: Further options of `Aviary`.
+
+    Returns:
+        The worlds, after a first decision, of which each has `SUBSTEPS` substeps.
+    """
     aviary = Aviary(
         "hover",
         num_worlds,
@@ -76,18 +119,28 @@ def hovering(num_worlds: int, num_drones: int, dynamics: str, **options: Any) ->
         **options,
     )
     aviary.reset(seeds=0)
-    aviary.step(np.zeros((num_worlds, num_drones, 3)))  # compiles
+    # The first decision compiles.
+    aviary.step(np.zeros((num_worlds, num_drones, 3)))
     return aviary
 
 
 def floors(num_worlds: int, num_drones: int) -> tuple[Engine, dict[str, Callable[[], None]]]:
-    """A decision of the engine's step alone, and with a wrench and a state of every drone; no arithmetic of ours."""
+    """Make the cases without any arithmetic of ours, one decision each.
+
+    Args:
+        num_worlds: How many worlds.
+        num_drones: Drones in each.
+
+    Returns:
+        The engine, to be closed, and the cases by name: its step alone, and its step with a wrench
+        and a state of every drone.
+    """
     engine = Engine([load_airframe("cf2x")] * num_drones, num_worlds, 1 / 240)
     swarm = Swarm.zeros(num_worlds, num_drones, 4)
     swarm.position[:] = [(2.0 * (i % 32), 2.0 * (i // 32), 1.0) for i in range(num_drones)]
-    swarm.velocity[:] = np.random.default_rng(0).normal(
-        0, 0.01, swarm.velocity.shape
-    )  # at rest the engine does less
+    # The engine does less for bodies at rest.
+    shape = swarm.velocity.shape
+    swarm.velocity[:] = np.random.default_rng(0).normal(0, 0.01, shape)
     swarm.rates[:] = swarm.velocity
     everyone = np.ones((num_worlds, num_drones), dtype=bool)
     engine.set_states(swarm, everyone)
@@ -107,8 +160,9 @@ def floors(num_worlds: int, num_drones: int) -> tuple[Engine, dict[str, Callable
 
 
 def _per_second(case: Callable[[], object], seconds: float) -> float:
-    """Calls per CPU-second."""
-    begin, calls = time.process_time(), 0
+    """Count calls per CPU-second."""
+    begin = time.process_time()
+    calls = 0
     while (spent := time.process_time() - begin) < seconds:
         case()
         calls += 1

@@ -1,35 +1,68 @@
-"""Recording of an episode: fly it, keep everything, write it to files."""
+"""Recording of an episode: fly it, keep everything, write it to files and read it again."""
 
 import csv
 import dataclasses
 import json
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+import zipfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from bulletuav.city.model import City
+from bulletuav.analysis.described import described
+from bulletuav.analysis.infos import own_infos
 from bulletuav.envs.aviary import Aviary
-from bulletuav.envs.options import EnvOptions
 from bulletuav.envs.step import Step
+from bulletuav.errors import require_file
 from bulletuav.files import replace_file, whole_file
-from bulletuav.network.mobility import Mobility
 from bulletuav.policies.base import Policy
 from bulletuav.vehicle.swarm import Swarm
 from bulletuav.version import __version__
 
+VERSION = 1
+"""Version of the form of recordings; one that is read has to have it"""
+INFO = "info/"
+"""Beginning of the names that the task's own infos have in the file"""
+REMEDY = "fly the episode again with this bulletuav"
+HEADER = (
+    *("time", "drone", "alive"),
+    *("x", "y", "z"),
+    *("qx", "qy", "qz", "qw"),
+    *("vx", "vy", "vz"),
+    *("p", "q", "r"),
+)
+"""Columns of `trajectory.csv`: position, m; quaternion; velocity, m/s; body rates, rad/s"""
+
 
 @dataclass(frozen=True)
 class Recording:
-    """One episode of one world: T decisions of N drones. States have T + 1 rows, the first at the start.
+    """One episode of one world: T decisions of N drones.
 
-    time (T+1,) s; position (T+1, N, 3) m; quaternion (T+1, N, 4); velocity (T+1, N, 3) m/s; rates (T+1, N, 3) rad/s;
-    alive (T+1, N) bool; action (T, N, A); reward (T, N); separation (T, N) m, least within the decision, inf when alone;
-    conflicts (T, N) begun; collision, success (T, N) bool; goal (T + 1, N, 3) m; obstacle (T + 1, K, 3) m, and the radii of
-    their bounding spheres (K,) m; building (P, 2, 3) m, corners of the pieces' bounding boxes; target (T + 1, U, 3) m, of
-    those of the task that count, and seen (T + 1, U), whether some drone sees them. A drone that left keeps its last state.
+    States have T + 1 rows, of which the first is the start. A drone that left keeps its last state.
+
+    Attributes:
+        time: Time since the start, (T+1,), s.
+        position: Positions, (T+1, N, 3), m.
+        quaternion: Attitudes, (T+1, N, 4), x, y, z, w.
+        velocity: Velocities, (T+1, N, 3), m/s.
+        rates: Body rates, (T+1, N, 3), rad/s.
+        alive: Drones in the airspace, (T+1, N) bool.
+        action: Actions, (T, N, A).
+        reward: Rewards, (T, N).
+        separation: Least separation within the decision, (T, N), m; inf when alone.
+        conflicts: Conflicts that began, (T, N).
+        collision: Contacts of collision shapes, (T, N) bool.
+        success: Drones that are where the task wants them, (T, N) bool.
+        goal: Goals, (T+1, N, 3), m.
+        obstacle: Middles of the K obstacles, (T+1, K, 3), m.
+        obstacle_radius: Radii of their bounding spheres, (K,), m.
+        building: Lower and upper corners of the bounding boxes of buildings' pieces, (P, 2, 3), m.
+        target: Targets of the task that count, (T+1, U, 3), m.
+        seen: Targets that some drone sees, (T+1, U) bool.
+        info: What the task tells by itself after each decision, (T, N, ...) by name.
+        version: Version of this form.
     """
 
     time: np.ndarray
@@ -50,10 +83,32 @@ class Recording:
     building: np.ndarray
     target: np.ndarray
     seen: np.ndarray
+    info: Mapping[str, np.ndarray] = field(default_factory=dict)
+    version: int = VERSION
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return the arrays by name, without the task's own infos."""
+        return {name: getattr(self, name) for name in ARRAYS}
+
+
+ARRAYS = tuple(
+    one.name for one in dataclasses.fields(Recording) if one.name not in ("info", "version")
+)
+"""Names of the arrays that every recording has"""
 
 
 class Outcome(NamedTuple):
-    """How one drone's episode went; distances in m, time of its last decision in s."""
+    """How one drone's episode went.
+
+    Attributes:
+        drone: Number of the drone.
+        reached: Success in the last decision that it flew.
+        min_separation: Least separation, m.
+        conflicts: Conflicts that began.
+        collisions: Decisions with a contact of its collision shape.
+        final_distance: Distance to the goal at its end, m.
+        time: Time of its last decision, s.
+    """
 
     drone: int
     reached: bool
@@ -64,47 +119,97 @@ class Outcome(NamedTuple):
     time: float
 
 
+class _View(NamedTuple):
+    """What is in world 0 beside its drones.
+
+    Attributes:
+        goal: Goals, (N, 3), m.
+        obstacle: Obstacles, (K, 3), m.
+        target: Targets that count, (U, 3), m.
+        seen: Those of them that some drone sees, (U,) bool.
+    """
+
+    goal: np.ndarray
+    obstacle: np.ndarray
+    target: np.ndarray
+    seen: np.ndarray
+
+
 def fly_episode(
-    aviary: Aviary, policy: Policy, seed: int, progress: Callable[[], None] = lambda: None
+    aviary: Aviary,
+    policy: Policy,
+    seed: int,
+    progress: Callable[[], None] = lambda: None,
 ) -> Recording:
-    """Fly one episode in world 0 from `seed`; `progress` is called after every decision."""
+    """Fly and record one episode in world 0.
+
+    Args:
+        aviary: The worlds; all are reset.
+        policy: Who flies.
+        seed: Seed of world 0.
+        progress: Called after every decision.
+
+    Returns:
+        The recording, up to the end of the last drone.
+    """
     observations = aviary.reset(seeds=seed)
     policy.reset(np.ones(aviary.num_worlds, dtype=bool))
-    states, alive, actions, steps = [aviary.swarm.copy()], [aviary.alive.copy()], [], []
-    scenes = [_scene(aviary)]
+    # States and views have one row more than decisions: the start.
+    states = [aviary.swarm.copy()]
+    alive = [aviary.alive.copy()]
+    views = [_view(aviary)]
+    actions: list[np.ndarray] = []
+    steps: list[Step] = []
     while aviary.alive[0].any():
         actions.append(policy.act(observations, aviary.swarm))
         steps.append(aviary.step(actions[-1]))
         observations = steps[-1].observations
         states.append(aviary.swarm.copy())
         alive.append(aviary.alive.copy())
-        scenes.append(_scene(aviary))
+        views.append(_view(aviary))
         progress()
-    return _recording(aviary, states, alive, scenes, actions, steps)
-
-
-def _scene(aviary: Aviary) -> tuple[np.ndarray, ...]:
-    """Of world 0 goals, obstacles, targets that count, and which of them are seen."""
-    scene, active_targets = aviary.scene, aviary.task.active_targets(aviary.scene)[0]
-    target, seen = (
-        aviary.task.targets(scene)[0, active_targets],
-        np.any(aviary.sight[0], axis=0)[active_targets],
+    return _recording(
+        aviary,
+        states=states,
+        alive=alive,
+        views=views,
+        actions=actions,
+        steps=steps,
     )
-    return scene.goal[0].copy(), scene.obstacle[0].copy(), target, seen
+
+
+def _view(aviary: Aviary) -> _View:
+    """Look at world 0."""
+    scene = aviary.scene
+    active_targets = aviary.task.active_targets(scene)[0]
+    seen = np.any(aviary.sight[0], axis=0)
+    return _View(
+        goal=scene.goal[0].copy(),
+        obstacle=scene.obstacle[0].copy(),
+        target=aviary.task.targets(scene)[0, active_targets],
+        seen=seen[active_targets],
+    )
 
 
 def _recording(
     aviary: Aviary,
     states: list[Swarm],
     alive: list[np.ndarray],
-    scenes: list[tuple[np.ndarray, ...]],
+    views: list[_View],
     actions: list[np.ndarray],
     steps: list[Step],
 ) -> Recording:
+    """Stack what was kept of each decision."""
+
     def column(name: str) -> np.ndarray:
         return np.array([step.info[name][0] for step in steps])
 
-    goal, obstacle, target, seen = (np.array(values) for values in zip(*scenes, strict=True))
+    # Infos have to be there in every decision, for each world, and not to be Python's objects.
+    own = [
+        name
+        for name, values in own_infos(steps[0].info).items()
+        if values.ndim and values.dtype.kind != "O" and all(name in step.info for step in steps)
+    ]
     return Recording(
         time=np.arange(len(states)) / aviary.options.decision_hz,
         position=np.array([state.position[0] for state in states]),
@@ -118,24 +223,25 @@ def _recording(
         conflicts=column("conflicts"),
         collision=column("collision"),
         success=column("success"),
-        goal=goal,
-        obstacle=obstacle,
+        goal=np.array([view.goal for view in views]),
+        obstacle=np.array([view.obstacle for view in views]),
         obstacle_radius=np.array([obstacle.radius for obstacle in aviary.task.obstacles()]),
         building=aviary.solids().bounds,
-        target=target,
-        seen=seen,
+        target=np.array([view.target for view in views]),
+        seen=np.array([view.seen for view in views]),
+        info={name: column(name) for name in own},
     )
 
 
 def outcomes(recording: Recording) -> list[Outcome]:
-    """One row a drone. `reached` is success in the last decision that it flew."""
+    """Sum up how the episode of each drone went, in their order."""
     rows = []
     for drone in range(recording.position.shape[1]):
+        # A drone flies from the start on without a gap, so that counting tells its last decision.
         last = int(recording.alive[:-1, drone].sum()) - 1
         flown = slice(0, last + 1)
-        distance = np.linalg.norm(
-            recording.goal[last + 1, drone] - recording.position[last + 1, drone]
-        )
+        goal = recording.goal[last + 1, drone]
+        distance = np.linalg.norm(goal - recording.position[last + 1, drone])
         rows.append(
             Outcome(
                 drone=drone,
@@ -151,74 +257,121 @@ def outcomes(recording: Recording) -> list[Outcome]:
 
 
 def save(recording: Recording, aviary: Aviary, policy: str, seed: int, folder: Path) -> list[Path]:
-    """Write `trajectory.npz` (all arrays), `trajectory.csv` (a row a drone and time), `run.json` (options and outcomes)."""
-    arrays, table, run = (
-        folder / name for name in ("trajectory.npz", "trajectory.csv", "run.json")
-    )
-    with whole_file(arrays) as part:
-        np.savez_compressed(part, **asdict(recording))
-    header = [
-        "time",
-        "drone",
-        "alive",
-        "x",
-        "y",
-        "z",
-        "qx",
-        "qy",
-        "qz",
-        "qw",
-        "vx",
-        "vy",
-        "vz",
-        "p",
-        "q",
-        "r",
-    ]
-    with whole_file(table) as part, part.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(header)
-        for t, time in enumerate(recording.time):
-            for drone in range(recording.position.shape[1]):
-                state = (
-                    recording.position,
-                    recording.quaternion,
-                    recording.velocity,
-                    recording.rates,
-                )
-                numbers = np.concatenate([array[t, drone] for array in state])
-                writer.writerow(
-                    [
-                        f"{time:.6g}",
-                        drone,
-                        int(recording.alive[t, drone]),
-                        *(f"{x:.9g}" for x in numbers),
-                    ]
-                )
-    options = described(aviary.options, aviary.task.config)
+    """Write a recording.
+
+    Args:
+        recording: The episode.
+        aviary: The worlds that it was flown in.
+        policy: Name of who flew.
+        seed: Seed of the episode.
+        folder: Where to; it exists.
+
+    Returns:
+        The paths of `trajectory.npz` (all arrays and the version), `trajectory.csv` (a row for
+        each drone and time) and `run.json` (options and outcomes).
+
+    Raises:
+        OSError: A file cannot be written.
+    """
+    arrays = folder / "trajectory.npz"
+    table = folder / "trajectory.csv"
+    run = folder / "run.json"
+    _write_arrays(recording, arrays)
+    _write_table(recording, table)
     about = {
         "bulletuav": __version__,
         "task": aviary.task.name,
         "policy": policy,
         "seed": seed,
-        "options": options,
+        "options": described(aviary.options, aviary.task.config),
+        "outcomes": [
+            {name: value if value != np.inf else None for name, value in row._asdict().items()}
+            for row in outcomes(recording)
+        ],
     }
-    about["outcomes"] = [
-        {name: value if value != np.inf else None for name, value in row._asdict().items()}
-        for row in outcomes(recording)
-    ]
     replace_file(run, json.dumps(about, indent=2) + "\n")
     return [arrays, table, run]
 
 
-def described(options: EnvOptions, config: Any) -> dict[str, Any]:
-    """All options of an environment by name, as a json file can hold them."""
-    names = [airframe.name for airframe in options.airframe]
-    wind = "function" if callable(options.wind) else options.wind
-    random = {name: getattr(options.randomization, name) for name in options.randomization.active}
-    own = {field.name: getattr(config, field.name) for field in dataclasses.fields(config)}
-    if isinstance(own.get("city"), City | Path):
-        own["city"] = getattr(own["city"], "name", "")
-    if isinstance(own.get("mobility"), Mobility):
-        own["mobility"] = {"model": own["mobility"].name, **dataclasses.asdict(own["mobility"])}
-    return {**vars(options), "airframe": names, "wind": wind, "randomization": random, **own}
+def _write_arrays(recording: Recording, path: Path) -> None:
+    """Write all arrays, the task's own infos among them, and the version."""
+    infos = {f"{INFO}{name}": values for name, values in recording.info.items()}
+    arrays: dict[str, Any] = {**recording.arrays(), **infos}
+    with whole_file(path) as part:
+        np.savez_compressed(part, version=np.array(recording.version), **arrays)
+
+
+def _write_table(recording: Recording, path: Path) -> None:
+    """Write the states, a row for each drone and time."""
+    states = np.concatenate(
+        [
+            recording.position,
+            recording.quaternion,
+            recording.velocity,
+            recording.rates,
+        ],
+        axis=-1,
+    )
+    with whole_file(path) as part, part.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(HEADER)
+        for t, time in enumerate(recording.time):
+            for drone, state in enumerate(states[t]):
+                alive = int(recording.alive[t, drone])
+                writer.writerow([f"{time:.6g}", drone, alive, *(f"{x:.9g}" for x in state)])
+
+
+def load(path: str | Path) -> Recording:
+    """Read a recording.
+
+    Args:
+        path: Its `trajectory.npz`, or the folder of it.
+
+    Returns:
+        The recording as it was written.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: It is no recording, or one without a version or of another one.
+    """
+    folder = isinstance(path, str | Path) and Path(path).is_dir()
+    given = Path(path) / "trajectory.npz" if folder else path
+    found = require_file("recording", given, "give the trajectory.npz of a flight, or its folder")
+    try:
+        # NumPy would leave a damaged file open.
+        with (
+            found.open("rb") as stream,
+            np.load(stream, allow_pickle=False) as file,
+        ):
+            arrays = {name: file[name] for name in file.files}
+    except (
+        ValueError,
+        TypeError,
+        AttributeError,
+        EOFError,
+        OSError,
+        zipfile.BadZipFile,
+    ) as error:
+        raise ValueError(f"{found} is no recording ({error}): {REMEDY}") from None
+    # The version is looked at before anything that may differ between versions.
+    _require_version(arrays.pop("version", None), found)
+    missing = [name for name in ARRAYS if name not in arrays]
+    if missing:
+        raise ValueError(f"{found} is a damaged recording, without {missing[0]!r}: {REMEDY}")
+    infos = {
+        name.removeprefix(INFO): values for name, values in arrays.items() if name.startswith(INFO)
+    }
+    return Recording(**{name: arrays[name] for name in ARRAYS}, info=infos)
+
+
+def _require_version(version: np.ndarray | None, path: Path) -> None:
+    """Raise ValueError unless the version of a recording is the one that is read."""
+    if version is None:
+        raise ValueError(
+            f"{path} is a recording without a version, and version {VERSION} is needed: {REMEDY}"
+        )
+    if version.shape != () or version.dtype.kind not in "iu" or version != VERSION:
+        raise ValueError(
+            f"{path} is a recording of version {version}, and version {VERSION} is needed: "
+            f"{REMEDY}, or read it with the bulletuav that wrote it"
+        )

@@ -1,14 +1,16 @@
 """`bulletuav evaluate`: many episodes of one policy in one task."""
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console, JustifyMethod
+from rich.markup import escape
 from rich.table import Table
 
 from bulletuav.analysis.evaluation import Evaluation, evaluate
-from bulletuav.analysis.metrics import METRICS, Estimate
+from bulletuav.analysis.metrics import Estimate
 from bulletuav.commands.arguments import (
     POLICY_HELP,
     Advance,
@@ -33,7 +35,7 @@ ABOUT = {
     "epilog": """examples:
   bulletuav evaluate converge --policy orca --episodes 100 --workers 2 --out converge-orca
   bulletuav evaluate crossing --policy ppo:model.zip --trust --difficulty hard --out crossing-ppo
-""",
+  bulletuav evaluate hover --metric mine:my_metric""",
 }
 COLUMNS: tuple[tuple[str, JustifyMethod], ...] = (
     ("metric", "left"),
@@ -49,6 +51,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--policy", help=f"who flies: {POLICY_HELP} (default: the task's)")
     add_episodes(parser)
     parser.add_argument(
+        "--metric",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="measure this as well: a registered metric, or module:Name, also of a file mine.py in "
+        "the current folder; repeatable",
+    )
+    parser.add_argument(
         "--out", type=Path, metavar="DIR", help="folder for the files (default: one in evaluation/)"
     )
     add_options(parser)
@@ -63,7 +73,15 @@ def run(arguments: argparse.Namespace) -> None:
     options = policy_options(task, spec, given_options(arguments))
     out = arguments.out or Path("evaluation") / run_name(task, policy, options)
     with show_episodes(arguments.episodes) as advance:
-        result = evaluate_case(arguments, task, policy, options, out=out, progress=advance)
+        result = evaluate_case(
+            arguments,
+            task,
+            policy,
+            options,
+            out=out,
+            progress=advance,
+            metrics=arguments.metric,
+        )
 
     # `evaluate` has written the run and its episodes; add the summary and a picture.
     picture = out / "summary.png"
@@ -90,6 +108,7 @@ def evaluate_case(
     *,
     out: Path,
     progress: Advance,
+    metrics: Sequence[str] = (),
 ) -> Evaluation:
     """Call `evaluate` with a command's episodes, seed, workers and trust.
 
@@ -100,6 +119,7 @@ def evaluate_case(
         options: Options of the environment.
         out: Folder for the episodes; those that are there already are not flown again.
         progress: Called with the number of episodes that were done since its last call.
+        metrics: Metrics beside the standard ones.
 
     Returns:
         The evaluation.
@@ -117,6 +137,7 @@ def evaluate_case(
             out=out,
             progress=progress,
             trust=arguments.trust,
+            metrics=metrics,
             **options,
         )
     except KeyboardInterrupt:
@@ -137,7 +158,8 @@ def _table(result: Evaluation) -> Table:
         table.add_column(heading, justify=side)
     for name, estimate in result.estimates().items():
         if estimate.episodes:
-            table.add_row(name, f"{estimate.mean:.4g}", _interval(estimate), METRICS[name])
+            meaning = escape(result.metrics[name])
+            table.add_row(escape(name), f"{estimate.mean:.4g}", _interval(estimate), meaning)
     return table
 
 

@@ -1,4 +1,4 @@
-"""Pictures of evaluations."""
+"""Pictures of evaluations and of learning curves."""
 
 import itertools
 from collections.abc import Mapping, Sequence
@@ -10,7 +10,7 @@ from matplotlib.ticker import MaxNLocator
 
 from bulletuav.analysis.evaluation import Evaluation
 from bulletuav.analysis.metrics import Estimate
-from bulletuav.report.pictures import blank_figure, save_figure
+from bulletuav.report.figures import blank_figure, save_figure
 from bulletuav.training.campaign import Learned
 from bulletuav.training.store import Row
 
@@ -22,54 +22,82 @@ COLOURS = (
     "#66ccee",
     "#aa3377",
     "#bbbbbb",
-)  # P. Tol's bright scheme
+)
+"""P. Tol's bright scheme"""
 RATES = ("success", "drone_success", "conflict", "collision")
+"""Shares in the picture of one evaluation"""
 COMPARED = ("success", "conflict", "collision", "served", "completed")
+"""Metrics in the picture of several"""
 NOTHING = Estimate(np.nan, np.nan, np.nan, 0)
 BINS = 40
+"""Bars of a histogram"""
 
 
 def plot_evaluation(result: Evaluation, path: Path) -> None:
-    """Rates with their intervals, and how separations, durations and efficiencies spread over episodes, as a PNG file."""
+    """Plot one evaluation as a PNG file.
+
+    It shows rates with their intervals, and how separations, durations and efficiencies spread over
+    the episodes.
+
+    Args:
+        result: The evaluation.
+        path: The file.
+    """
     figure = blank_figure(11, 7)
     rates, apart, time, way = np.ravel(figure.subplots(2, 2))
-    about, estimates = result.about, result.estimates()
-    _bars(rates, RATES, [[estimates[metric] for metric in RATES]], [""])
+    estimates = result.estimates()
+    _bars(
+        rates,
+        names=RATES,
+        rows=[[estimates[metric] for metric in RATES]],
+        labels=[""],
+    )
     rates.set(title="share, with 95 % interval", ylim=(0, 1.05))
-    d_safe = about["options"]["d_safe"]
     for axes, metric, label in (
         (apart, "min_separation", "least separation of an episode, m"),
         (time, "length", "duration of an episode, s"),
-        (way, "path_efficiency", "path efficiency of the drones that succeeded"),
+        (
+            way,
+            "path_efficiency",
+            "path efficiency of the drones that succeeded",
+        ),
     ):
-        values = np.array([row[metric] for row in result.rows])
-        values = values[np.isfinite(values)]
-        if len(values):
-            spread = max(
-                np.ptp(values), 0.05 * np.abs(values).max(), 0.01
-            )  # rounding alone is no spread
-            axes.hist(
-                values,
-                bins=BINS,
-                range=(values.min() - spread / 20, values.min() + 1.05 * spread),
-                color=COLOURS[0],
-            )
-        else:
-            axes.text(0.5, 0.5, "no episode has it", ha="center", transform=axes.transAxes)
-        axes.yaxis.set_major_locator(MaxNLocator(integer=True))
+        _histogram(axes, np.array([row[metric] for row in result.rows]))
         axes.set(xlabel=label, ylabel="episodes")
+    about = result.about
+    options = about["options"]
+    d_safe = options["d_safe"]
     apart.axvline(d_safe, color="crimson", ls="--", label=f"d_safe {d_safe:g} m")
     apart.legend()
-    options = about["options"]
     figure.suptitle(
-        f"{about['task']} {options['difficulty']}: policy {about['policy']}, {options['num_drones']} drones, "
-        f"{options['dynamics']}, {len(result.rows)} episodes"
+        f"{about['task']} {options['difficulty']}: policy {about['policy']}, "
+        f"{options['num_drones']} drones, {options['dynamics']}, {len(result.rows)} episodes"
     )
     save_figure(figure, path)
 
 
+def _histogram(axes: Axes, values: np.ndarray) -> None:
+    """Draw how the values that are finite spread."""
+    values = values[np.isfinite(values)]
+    if len(values):
+        # What differs by rounding alone is to look like one value.
+        spread = max(np.ptp(values), 0.05 * np.abs(values).max(), 0.01)
+        low = values.min()
+        bounds = (low - spread / 20, low + 1.05 * spread)
+        axes.hist(values, bins=BINS, range=bounds, color=COLOURS[0])
+    else:
+        axes.text(0.5, 0.5, "no episode has it", ha="center", transform=axes.transAxes)
+    axes.yaxis.set_major_locator(MaxNLocator(integer=True))
+
+
 def plot_leaderboard(results: Sequence[Evaluation], path: Path) -> None:
-    """Rates and shares of all policies in each task, difficulty and dynamics, as a PNG file."""
+    """Plot rates and shares of all policies in each task, difficulty and dynamics as a PNG file.
+
+    Args:
+        results: The evaluations.
+        path: The file.
+    """
+    # Cases and policies in the order in which they come first.
     cases = list(dict.fromkeys(_case(result) for result in results))
     policies = list(dict.fromkeys(result.about["policy"] for result in results))
     found = {(_case(result), result.about["policy"]): result.estimates() for result in results}
@@ -85,57 +113,75 @@ def plot_leaderboard(results: Sequence[Evaluation], path: Path) -> None:
             [found.get((case, policy), {}).get(metric, NOTHING) for case in cases]
             for policy in policies
         ]
-        _bars(axes, cases, rows, policies)
+        _bars(axes, names=cases, rows=rows, labels=policies)
         axes.set(ylabel=metric, ylim=(0, 1.05))
-    figure.axes[0].legend(
-        loc="lower left", ncols=min(len(policies), int(width / 1.5)), bbox_to_anchor=(0, 1)
-    )
+    columns = min(len(policies), int(width / 1.5))
+    figure.axes[0].legend(loc="lower left", ncols=columns, bbox_to_anchor=(0, 1))
     save_figure(figure, path)
 
 
 def plot_curves(runs: Sequence[Learned], path: Path) -> None:
-    """What evaluations on the way found in each task over the steps: seeds, their mean and their range, as a PNG file."""
+    """Plot the learning curves of runs as a PNG file, a row for each task.
+
+    It shows what the evaluations on the way found over the steps: each seed, their mean and range.
+
+    Args:
+        runs: The runs with their learning curves.
+        path: The file.
+    """
     tasks = list(dict.fromkeys(config.task for config, _ in runs))
     figure = blank_figure(11, 1 + 2.6 * len(tasks))
     for row, task in zip(figure.subplots(len(tasks), 3, squeeze=False), tasks, strict=True):
         curves = {config.seed: rows for config, rows in runs if config.task == task}
-        service = not any(np.isnan(rows[-1]["completed"]) for rows in curves.values())
-        for axes, metric in zip(
-            row, ("return", "completed" if service else "success", "conflict"), strict=True
-        ):
+        serves = not any(np.isnan(rows[-1]["completed"]) for rows in curves.values())
+        metrics = ("return", "completed" if serves else "success", "conflict")
+        for axes, metric in zip(row, metrics, strict=True):
             _curves(axes, curves, metric)
-            axes.set(
-                xlabel="steps", ylabel=metric, ylim=None if metric == "return" else (-0.05, 1.05)
-            )
+            bounds = None if metric == "return" else (-0.05, 1.05)
+            axes.set(xlabel="steps", ylabel=metric, ylim=bounds)
         row[0].set_title(task, loc="left")
         row[0].legend()
     save_figure(figure, path)
 
 
 def _curves(axes: Axes, curves: Mapping[int, list[Row]], metric: str) -> None:
+    """Draw a metric over the steps for each seed, with mean and range where steps are the same."""
     lines = []
     for (seed, rows), colour in zip(curves.items(), itertools.cycle(COLOURS), strict=False):
         steps = [row["steps"] for row in rows]
         lines.append(np.array([row[metric] for row in rows]))
         axes.plot(steps, lines[-1], color=colour, lw=0.8, label=f"seed {seed}")
+    # Runs of other steps have no common mean.
     if len(lines) > 1 and len({len(line) for line in lines}) == 1:
-        axes.fill_between(
-            steps, np.min(lines, axis=0), np.max(lines, axis=0), color="0.85", label="range"
-        )
+        low = np.min(lines, axis=0)
+        high = np.max(lines, axis=0)
+        axes.fill_between(steps, low, high, color="0.85", label="range")
         axes.plot(steps, np.mean(lines, axis=0), color="black", lw=2, label="mean")
 
 
 def _case(result: Evaluation) -> str:
+    """Label what was flown, in lines."""
     options = result.about["options"]
-    return f"{result.about['task']}\n{options['difficulty']}\n{options['num_drones']} drones\n{options['dynamics']}"
+    return "\n".join(
+        (
+            result.about["task"],
+            str(options["difficulty"]),
+            f"{options['num_drones']} drones",
+            str(options["dynamics"]),
+        )
+    )
 
 
 def _bars(
-    axes: Axes, names: Sequence[str], rows: Sequence[Sequence[Estimate]], labels: Sequence[str]
+    axes: Axes,
+    names: Sequence[str],
+    rows: Sequence[Sequence[Estimate]],
+    labels: Sequence[str],
 ) -> None:
-    """Groups of bars with intervals: a row of estimates for each label, a group for each name."""
+    """Draw bars with intervals: a row of estimates for each label, a group for each name."""
     width = 0.8 / len(rows)
     for k, (row, label) in enumerate(zip(rows, labels, strict=True)):
+        # The bars of a group stand side by side about its number.
         place = np.arange(len(row)) + (k - (len(rows) - 1) / 2) * width
         mean, low, high, _ = np.array(row).T
         errors = np.maximum([mean - low, high - mean], 0)

@@ -1,11 +1,11 @@
-"""Several evaluations side by side."""
+"""Tables of several evaluations side by side."""
 
 import csv
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from bulletuav.analysis.evaluation import Evaluation
-from bulletuav.analysis.metrics import METRICS, Estimate, mean_estimate
+from bulletuav.analysis.metrics import Estimate, mean_estimate
 from bulletuav.files import whole_file
 
 SHOWN = {
@@ -23,32 +23,52 @@ SHOWN = {
     "latency": "latency s",
 }
 """Metrics of the table, with their headings; those that no episode of a table has are left out"""
+FOOTNOTE = (
+    "\\* reads the true state instead of observations. In brackets: 95 % confidence intervals.\n"
+)
+CASE = ("task", "difficulty", "drones", "dynamics", "policy", "reads_swarm")
+"""Columns of the csv file that tell one evaluation from others"""
 
 
 def markdown(results: Sequence[Evaluation], against: str | None = None) -> str:
-    """A table for each task and difficulty: means with 95 % intervals; * marks policies that read the true state.
+    """Write a table for each task, difficulty and size of the swarm.
 
-    With `against`, a policy, each table is followed by one of how much more the others have than it, episode by episode.
+    Cells are means with 95 % intervals; * marks policies that read the true state.
+
+    Args:
+        results: The evaluations.
+        against: A policy. Each table is followed by one of how much more the others have than it,
+            episode by episode.
+
+    Returns:
+        The tables in markdown.
     """
     groups: dict[tuple[str, str, int], list[Evaluation]] = {}
     for result in results:
         options = result.about["options"]
-        groups.setdefault(
-            (result.about["task"], options["difficulty"], options["num_drones"]), []
-        ).append(result)
-    parts = [_group(*key, group, against) for key, group in groups.items()]
-    return (
-        "\n".join(parts)
-        + "\n\\* reads the true state instead of observations. In brackets: 95 % confidence intervals.\n"
-    )
+        case = (
+            result.about["task"],
+            options["difficulty"],
+            options["num_drones"],
+        )
+        groups.setdefault(case, []).append(result)
+    parts = [_group(*case, group, against) for case, group in groups.items()]
+    return "\n".join(parts) + "\n" + FOOTNOTE
 
 
 def _group(
-    task: str, difficulty: str, drones: int, results: Sequence[Evaluation], against: str | None
+    task: str,
+    difficulty: str,
+    drones: int,
+    results: Sequence[Evaluation],
+    against: str | None,
 ) -> str:
+    """Write the table of one case, and that of the differences."""
     dynamics = ", ".join(dict.fromkeys(map(_dynamics, results)))
-    title = f"### {task}, {difficulty}: {drones} drones, {dynamics}, {results[0].about['episodes']} episodes\n"
+    episodes = results[0].about["episodes"]
+    title = f"### {task}, {difficulty}: {drones} drones, {dynamics}, {episodes} episodes\n"
     text = _table(title, results, [result.estimates() for result in results])
+    # Policies are compared in the same dynamics.
     references = {
         _dynamics(result): result for result in results if result.about["policy"] == against
     }
@@ -59,34 +79,47 @@ def _group(
     ]
     if others:
         differences = [_differences(result, references[_dynamics(result)]) for result in others]
-        text += "\n" + _table(f"More than `{against}` in the same episodes:\n", others, differences)
+        text += "\n" + _table(
+            f"More than `{against}` in the same episodes:\n",
+            others,
+            differences,
+        )
     return text
 
 
 def _table(
-    title: str, results: Sequence[Evaluation], estimates: Sequence[Mapping[str, Estimate]]
+    title: str,
+    results: Sequence[Evaluation],
+    estimates: Sequence[Mapping[str, Estimate]],
 ) -> str:
+    """Write a table, a row for each result; dynamics have a column where there are several."""
     shown = [metric for metric in SHOWN if any(found[metric].episodes for found in estimates)]
-    as_sequence = len(set(map(_dynamics, results))) > 1
-    headings = [
-        "policy",
-        *(["dynamics"] if as_sequence else []),
-        *(SHOWN[metric] for metric in shown),
-    ]
-    lines = [title, "| " + " | ".join(headings) + " |", "|---" * len(headings) + "|"]
+    # A column that says the same in every row is left out.
+    has_dynamics = len(set(map(_dynamics, results))) > 1
+    headings = ["policy"]
+    if has_dynamics:
+        headings.append("dynamics")
+    headings += [SHOWN[metric] for metric in shown]
+    lines = [title, _line(headings), "|---" * len(headings) + "|"]
     for result, found in zip(results, estimates, strict=True):
-        name = result.about["policy"] + (" \\*" if result.about["reads_swarm"] else "")
-        cells = [
-            name,
-            *([_dynamics(result)] if as_sequence else []),
-            *(_cell(found[metric]) for metric in shown),
-        ]
-        lines.append("| " + " | ".join(cells) + " |")
+        cells = [result.about["policy"] + (" \\*" if result.about["reads_swarm"] else "")]
+        if has_dynamics:
+            cells.append(_dynamics(result))
+        cells += [_cell(found[metric]) for metric in shown]
+        lines.append(_line(cells))
     return "\n".join(lines) + "\n"
 
 
+def _line(cells: Sequence[str]) -> str:
+    """Write a row of a table."""
+    return "| " + " | ".join(cells) + " |"
+
+
 def _differences(result: Evaluation, reference: Evaluation) -> dict[str, Estimate]:
-    """Means over the episodes in which both have a metric, those of rates too, with intervals of the bootstrap."""
+    """Estimate how much more a result has than the reference, episode by episode.
+
+    Rates have intervals of the bootstrap here, too. Episodes in which one has none do not count.
+    """
     pairs = list(zip(result.rows, reference.rows, strict=True))
     return {
         metric: mean_estimate([one[metric] - other[metric] for one, other in pairs])
@@ -95,38 +128,40 @@ def _differences(result: Evaluation, reference: Evaluation) -> dict[str, Estimat
 
 
 def _dynamics(result: Evaluation) -> str:
+    """Name the dynamics of a result."""
     options = result.about["options"]
     return f"{options['dynamics']} at {options['physics_hz']} Hz"
 
 
 def _cell(one: Estimate) -> str:
+    """Write a mean with its interval, a dash where no episode has the metric."""
     return f"{one.mean:.2f} [{one.low:.2f}, {one.high:.2f}]" if one.episodes else "-"
 
 
 def write_csv(results: Sequence[Evaluation], path: Path) -> None:
-    """All metrics of all evaluations: a row for each, with mean, low, high and the episodes that have the metric."""
+    """Write all metrics of all evaluations as a csv file, a row for each.
+
+    The columns are the case, the metric, its mean, the interval and the episodes that have it.
+
+    Args:
+        results: The evaluations.
+        path: The file.
+
+    Raises:
+        OSError: It cannot be written.
+    """
     with whole_file(path) as part, part.open("w", newline="") as file:
         writer = csv.writer(file)
-        writer.writerow(
-            [
-                "task",
-                "difficulty",
-                "drones",
-                "dynamics",
-                "policy",
-                "reads_swarm",
-                "metric",
-                *Estimate._fields,
-            ]
-        )
+        writer.writerow([*CASE, "metric", *Estimate._fields])
         for result in results:
-            about, options = result.about, result.about["options"]
+            about = result.about
+            options = about["options"]
             case = [
                 about["task"],
                 options["difficulty"],
                 options["num_drones"],
                 options["dynamics"],
+                about["policy"],
+                about["reads_swarm"],
             ]
-            case += [about["policy"], about["reads_swarm"]]
-            estimates = result.estimates()
-            writer.writerows([*case, metric, *estimates[metric]] for metric in METRICS)
+            writer.writerows([*case, metric, *one] for metric, one in result.estimates().items())

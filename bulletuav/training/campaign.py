@@ -1,4 +1,4 @@
-"""Several training runs, in processes, and how they tell of themselves together."""
+"""Several training runs, in processes, and the table of what they learned."""
 
 import json
 import math
@@ -6,39 +6,73 @@ import multiprocessing
 import os
 import signal
 from collections.abc import Callable, Sequence
-from concurrent.futures import FIRST_EXCEPTION, Future, ProcessPoolExecutor, wait
+from concurrent.futures import (
+    FIRST_EXCEPTION,
+    Future,
+    ProcessPoolExecutor,
+    wait,
+)
 from pathlib import Path
+from typing import Any
 
 from bulletuav.errors import as_int
 from bulletuav.policies.run import RunConfig
 from bulletuav.training.store import STATE, Row
 
 Learned = tuple[RunConfig, list[Row]]
+"""A run and its learning curve"""
 TOLD = ("return", "success", "conflict", "collision", "completed")
-LOOK = 1.0  # s, between looks at how far the runs are
+"""Metrics of the table"""
+LOOK = 1.0
+"""Time between looks at how far the runs are, s"""
 
 
 class Campaign:
-    """Runs, each in a folder of its own: `folder`/task/seed."""
+    """Training runs, each in a folder of its own: `folder`/task/seed.
 
-    def __init__(self, configs: Sequence[RunConfig], folder: Path):
-        self.configs, self._folder = list(configs), folder
+    Attributes:
+        configs: The runs.
+        total: Steps of all together.
+    """
+
+    def __init__(self, configs: Sequence[RunConfig], folder: Path) -> None:
+        """Plan a campaign.
+
+        Args:
+            configs: The runs, each of another task or seed.
+            folder: Where their folders are, or will be.
+        """
+        self.configs = list(configs)
         self.total = sum(config.steps for config in configs)
+        self._folder = folder
 
     def place(self, config: RunConfig) -> Path:
-        """The folder of a run."""
+        """Return the folder of a run."""
         return self._folder / config.task / str(config.seed)
 
     def train(
-        self, workers: int = 1, progress: Callable[[int], None] = lambda steps: None
+        self,
+        workers: int = 1,
+        progress: Callable[[int], None] = lambda steps: None,
     ) -> list[Learned]:
-        """Train all, `workers` at once; finished ones are not trained again, others go on from their last checkpoint.
+        """Train all runs.
 
-        `progress` is told the steps done so far by all. Raises what a run raises, and what the others have done since their
-        last checkpoints is lost.
+        Finished ones are not trained again, others go on from their last checkpoint. Where one
+        raises, what the others have done since their last checkpoints is lost.
+
+        Args:
+            workers: Processes, of which each trains one run at a time.
+            progress: Told the steps done so far by all.
+
+        Returns:
+            The runs with their learning curves.
+
+        Raises:
+            Exception: Whatever a run raises.
         """
         as_int("workers", workers, 1)
-        context = multiprocessing.get_context("spawn")  # PyTorch's threads do not survive a fork
+        # PyTorch's threads do not survive a fork.
+        context = multiprocessing.get_context("spawn")
         others = set(multiprocessing.active_children())
         with ProcessPoolExecutor(
             workers, mp_context=context, initializer=_leave_interrupts
@@ -47,66 +81,102 @@ class Campaign:
                 futures = [
                     pool.submit(_train, config, self.place(config)) for config in self.configs
                 ]
-                while wait(futures, LOOK, FIRST_EXCEPTION).not_done and not any(
-                    map(_failed, futures)
-                ):
-                    progress(sum(_steps(self.place(config)) for config in self.configs))
-                for future in filter(_failed, futures):
-                    future.result()  # raises what the run raised
+                self._watch(futures, progress)
             except BaseException:
+                # A process that is stopped would not hear anything milder.
                 for process in set(multiprocessing.active_children()) - others:
-                    process.kill()  # a stopped one hears nothing else
+                    process.kill()
                 raise
         progress(self.total)
         return [
             (config, future.result()) for config, future in zip(self.configs, futures, strict=True)
         ]
 
+    def _watch(
+        self,
+        futures: Sequence[Future[list[Row]]],
+        progress: Callable[[int], None],
+    ) -> None:
+        """Tell the progress until all runs are done, or raise what one of them raised."""
+        while wait(futures, LOOK, FIRST_EXCEPTION).not_done and not any(map(_failed, futures)):
+            progress(sum(_steps(self.place(config)) for config in self.configs))
+        for future in filter(_failed, futures):
+            future.result()
 
-def _failed(future: Future) -> bool:
+
+def _failed(future: Future[Any]) -> bool:
+    """Tell whether a run ended with an error."""
     return future.done() and future.exception() is not None
 
 
 def _leave_interrupts() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # they are for the process that asks
+    """Leave interrupts to the process that asks."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _train(config: RunConfig, folder: Path) -> list[Row]:
+    """Train one run in a process of a campaign."""
     from bulletuav.training.trainer import train
 
     parent = multiprocessing.parent_process()
 
-    def stay(steps: int) -> None:
+    def end_with_parent(steps: int) -> None:
+        # Once the parent was killed nobody waits for this run, and who resumes it wants the folder.
         if parent is not None and not parent.is_alive():
-            os._exit(
-                1
-            )  # it was killed: nobody waits for this run, and who resumes it wants the folder
+            os._exit(1)
 
-    return train(config, folder, stay)
+    return train(config, folder, end_with_parent)
 
 
 def _steps(folder: Path) -> int:
-    """Steps until the last checkpoint of a run."""
+    """Read the steps until the last checkpoint of a run."""
+    # A damaged file is for the run itself to complain of.
     try:
         return int(json.loads((folder / STATE).read_text())["rows"][-1]["steps"])
-    except (FileNotFoundError, ValueError):  # the run itself will complain of a damaged file
+    except (FileNotFoundError, ValueError):
         return 0
 
 
 def learning_table(runs: Sequence[Learned]) -> str:
-    """Markdown: what each run took, on the way to its last evaluation, and what that found."""
+    """Write a table of runs: what each took, and what its last evaluation found.
+
+    Args:
+        runs: The runs with their learning curves.
+
+    Returns:
+        The table in markdown.
+    """
     shown = [name for name in TOLD if any(not math.isnan(rows[-1][name]) for _, rows in runs)]
-    headings = ["task", "algorithm", "seed", "steps", "minutes", "steps/s", *shown]
-    lines = ["| " + " | ".join(headings) + " |", "|---" * len(headings) + "|"]
+    headings = [
+        "task",
+        "algorithm",
+        "seed",
+        "steps",
+        "minutes",
+        "steps/s",
+        *shown,
+    ]
+    lines = [_line(headings), "|---" * len(headings) + "|"]
     for config, rows in runs:
-        last, seconds = rows[-1], sum(row["seconds"] for row in rows)
+        last = rows[-1]
+        seconds = sum(row["seconds"] for row in rows)
         found = ["-" if math.isnan(last[name]) else f"{last[name]:.2f}" for name in shown]
-        pace = [
-            f"{last['steps']:,.0f}",
-            f"{seconds / 60:.1f}",
-            f"{last['steps'] / max(seconds, 1e-9):,.0f}",
-        ]
         lines.append(
-            "| " + " | ".join([config.task, config.algo, str(config.seed), *pace, *found]) + " |"
+            _line(
+                [
+                    config.task,
+                    config.algo,
+                    str(config.seed),
+                    f"{last['steps']:,.0f}",
+                    f"{seconds / 60:.1f}",
+                    f"{last['steps'] / max(seconds, 1e-9):,.0f}",
+                    *found,
+                ]
+            )
         )
     return "\n".join(lines) + "\n"
+
+
+def _line(cells: Sequence[str]) -> str:
+    """Write a row of a table."""
+    return "| " + " | ".join(cells) + " |"

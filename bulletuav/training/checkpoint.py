@@ -1,4 +1,7 @@
-"""A checkpoint: all that a model of stable-baselines3 needs to go on learning, as numbers and nothing else."""
+"""A checkpoint: all that a model of stable-baselines3 needs to go on learning.
+
+It is numbers and nothing else.
+"""
 
 import json
 from pathlib import Path
@@ -17,7 +20,10 @@ from bulletuav.training.store import REPLAY, TRAINING
 
 try:
     import torch
-    from stable_baselines3.common.save_util import recursive_getattr, recursive_setattr
+    from stable_baselines3.common.save_util import (
+        recursive_getattr,
+        recursive_setattr,
+    )
 except ImportError:
     raise missing("training", "sb3") from None
 
@@ -37,16 +43,18 @@ def save(model: Any, folder: Path) -> None:
 
     Args:
         model: Of any algorithm of stable-baselines3.
-        folder: For policy.safetensors (the policy), training.safetensors (optimizers, further variables, counters) and,
-            where the algorithm has a replay buffer, replay.safetensors.
+        folder: For policy.safetensors (the policy), training.safetensors (optimizers, further
+            variables, counters) and, where the algorithm has a replay buffer, replay.safetensors.
+
+    Raises:
+        OSError: A file cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    bounds = (
-        {LOW: model.action_space.low, HIGH: model.action_space.high}
-        if isinstance(model.action_space, Box)
-        else {}
-    )
+    # The policy flies without PyTorch: the bounds of its actions go with it.
+    space = model.action_space
+    bounds = {LOW: space.low, HIGH: space.high} if isinstance(space, Box) else {}
     _write({**_arrays(model.policy.state_dict()), **bounds}, folder / POLICY)
+    # Names tell the optimizer, the number of the parameter, and which of its arrays it is.
     rest: dict[str, np.ndarray] = {}
     for name in _optimizers(model):
         for index, state in recursive_getattr(model, name).state_dict()["state"].items():
@@ -62,57 +70,79 @@ def save(model: Any, folder: Path) -> None:
 def restore(model: Any, folder: Path) -> None:
     """Set a new model of the same settings to where a saved one stood.
 
+    Args:
+        model: The new model.
+        folder: That of the checkpoint.
+
     Raises:
         ValueError: The files are damaged, or of a model of other settings.
     """
     try:
-        weights = read_weights(folder / POLICY)
-        model.policy.load_state_dict(
-            {name: torch.as_tensor(weights[name]) for name in model.policy.state_dict()}
-        )
-        rest = read_weights(folder / TRAINING)
-        for name in _optimizers(model):
-            optimizer = recursive_getattr(model, name)
-            optimizer.load_state_dict(
-                {**optimizer.state_dict(), "state": _states(rest, f"{name}/")}
-            )
-        for name in _variables(model):
-            recursive_setattr(model, f"{name}.data", torch.as_tensor(rest[name]))
-        with safe_open(folder / TRAINING, "numpy") as file:
-            counters = json.loads(file.metadata()["counters"])
-        for name in COUNTERS:
-            if hasattr(model, name):
-                setattr(model, name, type(getattr(model, name))(counters[name]))
-        if getattr(model, "replay_buffer", None) is not None:
-            _fill(model.replay_buffer, load_file(folder / REPLAY))
-    except (KeyError, TypeError, OSError, RuntimeError, ValueError, SafetensorError) as error:
+        _restore(model, folder)
+    except (
+        KeyError,
+        TypeError,
+        OSError,
+        RuntimeError,
+        ValueError,
+        SafetensorError,
+    ) as error:
         raise ValueError(
             f"{folder} holds no checkpoint of this run ({error}): choose another folder"
         ) from None
 
 
-def _write(arrays: dict[str, np.ndarray], path: Path, about: dict[str, str] | None = None) -> None:
+def _restore(model: Any, folder: Path) -> None:
+    """Read policy, optimizers, variables, counters and replay buffer."""
+    weights = read_weights(folder / POLICY)
+    model.policy.load_state_dict(
+        {name: torch.as_tensor(weights[name]) for name in model.policy.state_dict()}
+    )
+    rest = read_weights(folder / TRAINING)
+    for name in _optimizers(model):
+        optimizer = recursive_getattr(model, name)
+        state = _states(rest, f"{name}/")
+        optimizer.load_state_dict({**optimizer.state_dict(), "state": state})
+    for name in _variables(model):
+        recursive_setattr(model, f"{name}.data", torch.as_tensor(rest[name]))
+    # Counters keep the type that the model gave them.
+    with safe_open(folder / TRAINING, "numpy") as file:
+        counters = json.loads(file.metadata()["counters"])
+    for name in COUNTERS:
+        if hasattr(model, name):
+            kind = type(getattr(model, name))
+            setattr(model, name, kind(counters[name]))
+    if getattr(model, "replay_buffer", None) is not None:
+        _fill(model.replay_buffer, load_file(folder / REPLAY))
+
+
+def _write(
+    arrays: dict[str, np.ndarray],
+    path: Path,
+    about: dict[str, str] | None = None,
+) -> None:
+    """Write arrays by name, and what is told about them."""
     with whole_file(path) as part:
+        # A full disk raises an error of safetensors.
         try:
             save_file(arrays, part, about)
-        except SafetensorError as error:  # such as of a full disk
+        except SafetensorError as error:
             raise OSError(str(error)) from None
 
 
 def _optimizers(model: Any) -> list[str]:
+    """Name the optimizers of a model."""
     return [name for name in model._get_torch_save_params()[0] if name != "policy"]
 
 
 def _variables(model: Any) -> list[str]:
-    return [
-        name
-        for name in model._get_torch_save_params()[1]
-        if recursive_getattr(model, name) is not None
-    ]
+    """Name the variables of a model that belong to neither policy nor optimizers."""
+    names = model._get_torch_save_params()[1]
+    return [name for name in names if recursive_getattr(model, name) is not None]
 
 
 def _arrays(values: dict[str, Any]) -> dict[str, np.ndarray]:
-    """Copies, as some of the tensors share their memory."""
+    """Copy tensors and numbers to arrays, as some of the tensors share their memory."""
     return {
         name: np.array(torch.as_tensor(value).detach().cpu().numpy())
         for name, value in values.items()
@@ -120,20 +150,25 @@ def _arrays(values: dict[str, Any]) -> dict[str, np.ndarray]:
 
 
 def _states(arrays: dict[str, np.ndarray], begin: str) -> dict[int, dict[str, Any]]:
-    """The state of an optimizer by parameter; whole numbers, which some count steps with, are no tensors."""
+    """Return the state of an optimizer by parameter, of the arrays whose names begin with `begin`.
+
+    Whole numbers, which some optimizers count steps with, become no tensors.
+    """
     states: dict[int, dict[str, Any]] = {}
     for name, array in arrays.items():
         if name.startswith(begin):
             index, key = name.removeprefix(begin).split("/")
             is_step = array.ndim == 0 and array.dtype.kind == "i"
-            states.setdefault(int(index), {})[key] = (
-                int(array) if is_step else torch.as_tensor(array)
-            )
+            value = int(array) if is_step else torch.as_tensor(array)
+            states.setdefault(int(index), {})[key] = value
     return states
 
 
 def _parts(buffer: Any) -> dict[str, np.ndarray]:
-    """The arrays of a replay buffer by name, a row for each transition; those of pictures are kept in dicts."""
+    """Return the arrays of a replay buffer by name, a row for each transition.
+
+    Those of pictures are kept in dicts.
+    """
     parts: dict[str, np.ndarray] = {}
     for name, value in vars(buffer).items():
         inner = value if isinstance(value, dict) else {"": value}
@@ -143,13 +178,14 @@ def _parts(buffer: Any) -> dict[str, np.ndarray]:
 
 
 def _rows(buffer: Any) -> dict[str, np.ndarray]:
-    """The transitions in a replay buffer by name, and where the next goes."""
+    """Return the transitions in a replay buffer by name, and where the next goes."""
     place = {"position": np.array(buffer.pos), "full": np.array(buffer.full)}
     return place | {name: array[: buffer.size()] for name, array in _parts(buffer).items()}
 
 
 def _fill(buffer: Any, kept: dict[str, np.ndarray]) -> None:
     """Put the transitions of `_rows` into an empty replay buffer."""
-    buffer.pos, buffer.full = int(kept["position"]), bool(kept["full"])
+    buffer.pos = int(kept["position"])
+    buffer.full = bool(kept["full"])
     for name, array in _parts(buffer).items():
         array[: buffer.size()] = kept[name]

@@ -1,4 +1,4 @@
-"""The folder of a training run: `run.yaml`, `curve.csv`, `policy.safetensors`, checkpoints, and where it stands.
+"""The folder of a training run: configuration, curve, policy, checkpoints, and how far it is.
 
 Nothing of it is pickled: no file of it can run code when it is read.
 """
@@ -17,27 +17,59 @@ from typing import Any
 from bulletuav.files import replace_file, whole_file
 from bulletuav.policies.run import CHECKPOINTS, CONFIG, POLICY, RunConfig
 
-CURVE, STATE = "curve.csv", "state.json"
-TRAINING, REPLAY = "training.safetensors", "replay.safetensors"
-PACKAGES = ("bulletuav", "stable_baselines3", "torch", "numpy", "numba", "pybullet")
+CURVE = "curve.csv"
+"""File of the learning curve"""
+STATE = "state.json"
+"""File that tells how far the run is"""
+TRAINING = "training.safetensors"
+"""File of a checkpoint with what training needs beside the policy"""
+REPLAY = "replay.safetensors"
+"""File of a checkpoint with the replay buffer"""
+PACKAGES = (
+    "bulletuav",
+    "stable_baselines3",
+    "torch",
+    "numpy",
+    "numba",
+    "pybullet",
+)
+"""Packages on whose versions the weights may depend"""
 Row = dict[str, float]
+"""A row of the learning curve"""
 
 
 class Store:
     """What is kept of a run, each file written as a whole or not at all.
 
-    rows        the learning curve, a row for each evaluation: `steps` and, of them, `decisions` that a drone flew; `stage`
-                of the curriculum; `seconds` of wall time since the row before, without evaluations; means of the episodes in
-                training since then, of a drone: "train/return", "train/decisions", "train/success", "train/conflicts",
-                "train/collision"; and the means of `bulletuav.analysis.metrics.METRICS` in the evaluation
-    curriculum  its state at the last checkpoint
+    Attributes:
+        folder: Where the files are: `run.yaml`, `curve.csv`, `policy.safetensors`, `state.json`,
+            and checkpoints.
+        rows: The learning curve, a row for each evaluation, see below.
+        curriculum: State of the curriculum at the last checkpoint.
+
+    Columns of the curve:
+        - "steps" and, of them, "decisions" that a drone flew;
+        - "stage" of the curriculum;
+        - "seconds" of wall time since the row before, without evaluations;
+        - means of the episodes in training since then, of a drone: "train/return",
+          "train/decisions", "train/success", "train/conflicts", "train/collision";
+        - means of `bulletuav.analysis.metrics.METRICS` in the evaluation.
     """
 
-    def __init__(self, folder: Path, config: RunConfig):
-        """Raises ValueError where the folder holds another run, is damaged or cannot be written to."""
-        self.folder, self._config = folder, config
+    def __init__(self, folder: Path, config: RunConfig) -> None:
+        """Open a folder and read how far the run is.
+
+        Args:
+            folder: The folder, made if it is not there.
+            config: The run.
+
+        Raises:
+            ValueError: The folder holds another run, is damaged or cannot be written to.
+        """
+        self.folder = folder
         self.rows: list[Row] = []
         self.curriculum: dict[str, Any] = {}
+        self._config = config
         about = "# " + ", ".join(f"{name} {version(name)}" for name in PACKAGES)
         try:
             (folder / CHECKPOINTS).mkdir(parents=True, exist_ok=True)
@@ -46,36 +78,48 @@ class Store:
             else:
                 replace_file(folder / CONFIG, f"{about}\n{config.text()}")
         except OSError as error:
-            raise ValueError(
-                f"{folder} cannot be a folder to write to: {error.strerror or error}"
-            ) from None
+            raise _not_writable(folder, error) from None
 
     def _load(self, about: str) -> None:
-        known, own = RunConfig.read(self.folder / CONFIG).plain(), self._config.plain()
-        for name, value in own.items():
-            if known[name] != value:
-                raise ValueError(
-                    f"{self.folder} holds another run: its {name} is {known[name]!r}, not {value!r}; choose another folder"
-                )
+        """Read a run that was begun; warn of other versions than those that `about` tells."""
+        self._require_same()
         if any((self.folder / CHECKPOINTS).glob("*.zip")):
             raise ValueError(
-                f"{self.folder} holds checkpoints of an older version, which can run code when read: choose another folder"
+                f"{self.folder} holds checkpoints of an older version, "
+                "which can run code when read: choose another folder"
             )
         try:
             state = json.loads((self.folder / STATE).read_text())
-            self.rows, self.curriculum = state["rows"], state["curriculum"]
+            self.rows = state["rows"]
+            self.curriculum = state["curriculum"]
             if not (self.last / POLICY).exists():
                 raise FileNotFoundError(f"no {self.last / POLICY}")
-        except (json.JSONDecodeError, KeyError, TypeError, FileNotFoundError) as error:
+        except (
+            json.JSONDecodeError,
+            KeyError,
+            TypeError,
+            FileNotFoundError,
+        ) as error:
             raise ValueError(
                 f"{self.folder} holds a run that is damaged ({error!r}): choose another folder"
             ) from None
+        # The first line of the configuration tells the versions.
         begun = (self.folder / CONFIG).read_text().splitlines()[0]
         if begun != about and not self.finished:
             warnings.warn(
                 f"{self.folder} was begun with {begun[2:]}: weights may come out differently now",
                 stacklevel=4,
             )
+
+    def _require_same(self) -> None:
+        """Raise ValueError unless the folder's configuration is that of the run."""
+        known = RunConfig.read(self.folder / CONFIG).plain()
+        for name, value in self._config.plain().items():
+            if known[name] != value:
+                raise ValueError(
+                    f"{self.folder} holds another run: its {name} is {known[name]!r}, "
+                    f"not {value!r}; choose another folder"
+                )
 
     @property
     def finished(self) -> bool:
@@ -84,23 +128,30 @@ class Store:
 
     @property
     def next(self) -> Path:
-        """The folder of the next checkpoint."""
+        """Folder of the next checkpoint."""
         return self._checkpoint(len(self.rows))
 
     @property
     def last(self) -> Path:
-        """The folder of the last checkpoint, of which there is one where there are rows."""
+        """Folder of the last checkpoint, of which there is one where there are rows."""
         return self._checkpoint(len(self.rows) - 1)
 
     def _checkpoint(self, number: int) -> Path:
+        """Return the folder of a checkpoint."""
         return self.folder / CHECKPOINTS / f"{number:03d}"
 
     def add(self, row: Row, curriculum: dict[str, Any]) -> None:
-        """The checkpoint is complete, and with it a row of the curve.
+        """Keep a row of the curve, once its checkpoint is complete.
 
-        What tells where the run stands comes last: who is interrupted before it does the chapter again.
+        Args:
+            row: The row.
+            curriculum: State of the curriculum.
+
+        Raises:
+            OSError: A file cannot be written.
         """
-        checkpoint, rows = self.next, [*self.rows, row]
+        checkpoint = self.next
+        rows = [*self.rows, row]
         with whole_file(self.folder / POLICY) as part:
             shutil.copyfile(checkpoint / POLICY, part)
         table = io.StringIO()
@@ -108,8 +159,14 @@ class Store:
         writer.writeheader()
         writer.writerows(rows)
         replace_file(self.folder / CURVE, table.getvalue())
-        replace_file(self.folder / STATE, json.dumps({"rows": rows, "curriculum": curriculum}))
-        self.rows, self.curriculum = rows, curriculum
+        # How far the run is comes last: who is interrupted before it does the chapter again.
+        replace_file(
+            self.folder / STATE,
+            json.dumps({"rows": rows, "curriculum": curriculum}),
+        )
+        self.rows = rows
+        self.curriculum = curriculum
+        # Of older checkpoints the policies alone are kept.
         for old in (self.folder / CHECKPOINTS).glob("*"):
             for name in (TRAINING, REPLAY) if old != checkpoint else ():
                 (old / name).unlink(missing_ok=True)
@@ -117,8 +174,20 @@ class Store:
 
 @contextlib.contextmanager
 def opened(folder: Path, config: RunConfig) -> Iterator[Store]:
-    """The store of a run that nobody else trains meanwhile. Raises ValueError where somebody does, else as `Store`."""
-    from filelock import FileLock, Timeout  # comes with PyTorch
+    """Open the store of a run, while nobody else trains in its folder.
+
+    Args:
+        folder: The folder, made if it is not there.
+        config: The run.
+
+    Yields:
+        The store.
+
+    Raises:
+        ValueError: Another process trains in the folder, or one of the errors of `Store`.
+    """
+    # This package comes with PyTorch.
+    from filelock import FileLock, Timeout
 
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -129,8 +198,11 @@ def opened(folder: Path, config: RunConfig) -> Iterator[Store]:
             f"{folder} is being trained in by another process: wait, or choose another folder"
         ) from None
     except OSError as error:
-        raise ValueError(
-            f"{folder} cannot be a folder to write to: {error.strerror or error}"
-        ) from None
+        raise _not_writable(folder, error) from None
     with lock:
         yield Store(folder, config)
+
+
+def _not_writable(folder: Path, error: OSError) -> ValueError:
+    """Make the error for a folder that cannot be written to."""
+    return ValueError(f"{folder} cannot be a folder to write to: {error.strerror or error}")

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 import bulletuav
-from bulletuav import evaluation
+from bulletuav.analysis.episodes import Run
 from bulletuav.analysis.evaluation import BATCH, evaluate
 from bulletuav.city.exports import write_obj
 from bulletuav.city.generator import generate
@@ -63,7 +63,7 @@ def test_workers_change_no_bit(policy, workers, tmp_path):
 
 def test_an_interrupted_run_goes_on_where_it_was(tmp_path, straight, monkeypatch):
     flown = []
-    original = evaluation.Run._episodes
+    original = Run._episodes
 
     def watched(self, aviary, policy, batch):
         if len(flown) == 1:
@@ -72,7 +72,7 @@ def test_an_interrupted_run_goes_on_where_it_was(tmp_path, straight, monkeypatch
         flown.append(batch)
         return original(self, aviary, policy, batch)
 
-    monkeypatch.setattr(evaluation.Run, "_episodes", watched)
+    monkeypatch.setattr(Run, "_episodes", watched)
     with pytest.raises(KeyboardInterrupt):
         evaluate("converge", "straight", 13, 4, out=tmp_path, **QUICK)
     (tmp_path / "episodes.csv.part").write_text(

@@ -81,9 +81,10 @@ def test_one_drone_that_flies_straight_by_hand():
 
 
 def test_two_that_cross_by_hand():
-    """Drone 0 from (0, -100) north, drone 1 from (-100, 0) east, both at 10 m/s: they meet in the middle after 10 s.
+    """Drone 0 from (0, -100) north, drone 1 from (-100, 0) east, both at 10 m/s: they meet at 10 s.
 
-    Their offset is sqrt(2) (100 - 10 t) long: 5 m 0.354 s before, 2.5 m 0.177 s before, the shapes touch at 0.5 m or so.
+    Their offset is sqrt(2) (100 - 10 t) long: 5 m 0.354 s before, 2.5 m 0.177 s before. The shapes
+    touch at 0.5 m or so.
     """
     (row,) = metered("crossing", at_ten, num_drones=2, **EXACT)
     assert row["collision"] == row["conflict"] == row["conflicts"] == row["near_misses"] == 1
@@ -96,7 +97,7 @@ def test_two_that_cross_by_hand():
 
 
 def test_a_miss_by_hand():
-    """Drone 1 starts 8 m higher: no conflict, but a closest approach of 8 m; d_safe 10 makes it one, no near miss."""
+    """Drone 1 starts 8 m higher: a closest approach of 8 m. With d_safe 10 it is a conflict."""
     for d_safe, conflict in ((5.0, 0), (10.0, 1)):
         options = EXACT | {"num_drones": 2, "d_safe": d_safe, "lane_spacing": 25.0}
 
@@ -116,7 +117,7 @@ def test_a_miss_by_hand():
 
 
 def test_jerk_and_efficiency_by_hand():
-    """One drone, 10 m/s north, but 1 s sideways in between: v changes by sqrt(2) 10 m/s at two decisions."""
+    """One drone, 10 m/s north, but 1 s sideways in between: v changes by sqrt(2) 10 m/s twice."""
 
     def act(aviary):
         actions = at_ten(aviary)
@@ -140,8 +141,15 @@ def test_jerk_and_efficiency_by_hand():
 
 def test_energy_of_hovering_is_torque_times_speed():
     for dynamics in ("bullet", "rigid_body"):
-        (row,) = metered("hover", lambda aviary: np.zeros((1, 1, 4)), action="hover_rpm", horizon=60, start_offset=0.0,
-                         dynamics=dynamics, effects=())  # fmt: skip
+        (row,) = metered(
+            "hover",
+            lambda aviary: np.zeros((1, 1, 4)),
+            action="hover_rpm",
+            horizon=60,
+            start_offset=0.0,
+            dynamics=dynamics,
+            effects=(),
+        )
         airframe = bulletuav.load_airframe("cf2x")
         speed = airframe.hover_speed()
         power = 4 * airframe.torque_ratio * airframe.thrust_coefficient * speed**3
@@ -149,8 +157,14 @@ def test_energy_of_hovering_is_torque_times_speed():
 
 
 def test_messages_are_counted():
-    (row,) = metered("converge", lambda aviary: np.zeros((1, 3, 3)), num_drones=3, horizon=10, dynamics="point_mass",
-                     randomization={"radio_delay": 0.05})  # fmt: skip
+    (row,) = metered(
+        "converge",
+        lambda aviary: np.zeros((1, 3, 3)),
+        num_drones=3,
+        horizon=10,
+        dynamics="point_mass",
+        randomization={"radio_delay": 0.05},
+    )
     assert row["messages"] == 3 * 2 * 10
 
 
@@ -255,7 +269,10 @@ def dive(*drones):
 
 
 def test_what_is_served_is_of_the_episode_as_planned():
-    """In the plain everybody is in sight. From 20 m up the second decision of 15 m ends on the ground: 2 of 10 s."""
+    """In the plain everybody is in sight.
+
+    From 20 m up the second decision of 15 m ends on the ground: 2 of 10 s.
+    """
     for task in ("mobile_users", "mec"):
         for drones, dives, length, served in (
             (1, (), 10, 1.0),
@@ -300,7 +317,7 @@ def test_a_share_that_is_served_is_the_mean_over_time():
 
 @pytest.mark.parametrize("dives", [(), (0, 1)])
 def test_what_is_completed_and_how_late_is_what_was_told_last(dives):
-    """Shares fall where more tasks come than in the mean, and are late: those of greater size are."""
+    """Shares fall where more tasks come than in the mean, and those of greater size are late."""
     options = {
         "num_drones": 2,
         "num_users": 5,

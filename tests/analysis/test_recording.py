@@ -1,14 +1,16 @@
 import csv
 import json
+import re
 
 import numpy as np
 import pytest
 from PIL import Image
 
 import bulletuav
-from bulletuav.analysis.recording import fly_episode, outcomes, save
+from bulletuav.analysis.recording import Recording, fly_episode, load, outcomes, save
 from bulletuav.policies import find_policy
 from bulletuav.report.pictures import Animation, plot_tracks
+from bulletuav.tasks import find_task
 
 
 @pytest.fixture(scope="module")
@@ -88,14 +90,87 @@ def test_files_hold_what_was_flown(flown, tmp_path):
     assert about["outcomes"][0]["collisions"] == 1
 
 
+def test_a_recording_is_read_as_it_was_written(flown, tmp_path):
+    aviary, recording, _ = flown
+    path, *_ = save(recording, aviary, "straight", 0, tmp_path)
+    for source in (path, str(path), tmp_path):
+        again = load(source)
+        assert (again.version, again.info) == (1, {})
+        for name, array in recording.arrays().items():
+            np.testing.assert_array_equal(getattr(again, name), array)
+            assert getattr(again, name).dtype == array.dtype
+
+
+def test_infos_of_the_task_are_recorded(tmp_path):
+    class Telling(find_task("hover")):
+        name = "telling"
+
+        def info(self, frame):
+            told = {"height": frame.after.position[..., 2], "place": frame.after.position}
+            odd = {"object": np.array([[None] * 2]), "number": 5.0}
+            late = {"late": told["height"]} if frame.time[0] > 0.1 else {}
+            return told | odd | late
+
+    aviary = bulletuav.Aviary(Telling, num_drones=2, horizon=4, action="velocity")
+    recording = fly_episode(aviary, find_policy("straight")(aviary), seed=0)
+    path, *_ = save(recording, aviary, "straight", 0, tmp_path)
+    aviary.close()
+    for one in (recording, load(path)):
+        assert set(one.info) == {"height", "place"}
+        np.testing.assert_array_equal(one.info["place"], recording.position[1:])
+        np.testing.assert_array_equal(one.info["height"], recording.position[1:, :, 2])
+
+
+def change(path, **changes):
+    """Write the arrays of a file again, without those that are None."""
+    with np.load(path) as file:
+        arrays = {**file, **changes}
+    np.savez(path, **{name: array for name, array in arrays.items() if array is not None})
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"version": None}, "without a version, and version 1 is needed: fly the episode again"),
+        ({"version": np.array(2)}, "of version 2, and version 1 is needed: .*or read it with"),
+        ({"version": np.array("1")}, "of version 1, and version 1"),
+        ({"version": np.array([1, 1])}, "of version"),
+        ({"goal": None}, "damaged recording, without 'goal': fly the episode again"),
+    ],
+)
+def test_a_recording_of_another_form_is_refused(flown, tmp_path, changes, said):
+    aviary, recording, _ = flown
+    path, *_ = save(recording, aviary, "straight", 0, tmp_path)
+    change(path, **changes)
+    with pytest.raises(ValueError, match=f"{re.escape(str(path))} is a .*{said}"):
+        load(path)
+
+
+def test_what_is_no_recording_is_refused(tmp_path):
+    path = tmp_path / "trajectory.npz"
+    with pytest.raises(FileNotFoundError, match="no recording file .*trajectory.npz"):
+        load(tmp_path)
+    with pytest.raises(ValueError, match="path of the recording file is 5"):
+        load(5)
+    np.savez(path, position=np.array([None]))
+    for content in (path.read_bytes(), b"", b"zzz", path.read_bytes()[:100]):
+        path.write_bytes(content)
+        with pytest.raises(ValueError, match=f"{re.escape(str(path))} is no recording"):
+            load(path)
+    with path.open("wb") as file:
+        np.save(file, np.zeros(3))
+    with pytest.raises(ValueError, match="is no recording"):
+        load(path)
+
+
 def test_pictures_are_drawn(flown, tmp_path):
     _, recording, _ = flown
     plot_tracks(recording, 5.0, "title", tmp_path / "tracks.png")
     alone = {
         name: value[:, :1] if value.ndim > 1 and name != "building" else value
-        for name, value in vars(recording).items()
+        for name, value in recording.arrays().items()
     }
-    plot_tracks(type(recording)(**alone), 5.0, "one drone", tmp_path / "alone.png")
+    plot_tracks(Recording(**alone), 5.0, "one drone", tmp_path / "alone.png")
     with Image.open(tmp_path / "tracks.png") as image:
         assert image.size == (1320, 715)
     animation = Animation(recording, 5.0, 0.55, "title")
@@ -113,10 +188,10 @@ def test_long_flights_are_drawn_in_few_frames(flown):
     _, recording, _ = flown
     repeated = {
         name: np.repeat(value, 40, axis=0) if len(value) > 3 else value
-        for name, value in vars(recording).items()
+        for name, value in recording.arrays().items()
     }
     repeated["alive"] = np.ones((len(repeated["time"]), 3), dtype=bool)
-    assert len(Animation(type(recording)(**repeated), 5.0, 0.55, "title")) <= 151
+    assert len(Animation(Recording(**repeated), 5.0, 0.55, "title")) <= 151
 
 
 def test_video_needs_its_extra_and_says_so(flown, tmp_path, monkeypatch):

@@ -16,7 +16,7 @@ import torch
 
 import bulletuav
 from bulletuav.adapters.sb3 import DroneVecEnv
-from bulletuav.analysis.evaluation import replace_file
+from bulletuav.files import replace_file
 from bulletuav.policies import find_policy
 from bulletuav.policies.neural_network import read_weights
 from bulletuav.policies.run import RunConfig
@@ -194,9 +194,13 @@ def test_a_folder_that_another_process_trains_in_is_refused(tmp_path):
 @pytest.mark.slow
 def test_a_run_ends_with_the_process_that_wants_it(tmp_path):
     """Killed, so that it cannot end its runs itself."""
-    script = "from training.test_trainer import config; from bulletuav.training.campaign import Campaign; "
-    script += (
-        f"Campaign([config(steps=10**7)], __import__('pathlib').Path({str(tmp_path)!r})).train()"
+    script = "; ".join(
+        (
+            "from pathlib import Path",
+            "from training.test_trainer import config",
+            "from bulletuav.training.campaign import Campaign",
+            f"Campaign([config(steps=10**7)], Path({str(tmp_path)!r})).train()",
+        )
     )
     process = subprocess.Popen([sys.executable, "-c", script], cwd=Path(__file__).parents[1])
     store = tmp_path / "converge" / "0"

@@ -1,0 +1,249 @@
+"""Animation of a recorded episode from above."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import EllipseCollection, LineCollection
+from PIL import Image
+
+from bulletuav.analysis.recording import Recording
+from bulletuav.errors import missing
+from bulletuav.files import whole_file
+from bulletuav.report.figures import (
+    SEEN,
+    UNSEEN,
+    blank_figure,
+    draw_buildings,
+    drone_colours,
+)
+
+MOST_FRAMES = 150
+"""Pictures of an animation, of which longer episodes leave some out"""
+TRAIL = 30
+"""Decisions that a trail reaches back"""
+FPS = 20
+"""Pictures a second"""
+GONE = 0.25
+"""Opacity of drones that have finished"""
+
+
+class Animation:
+    """The episode from above.
+
+    Drones are discs of a visible size with trails, goals are crosses, and rings show d_safe.
+
+    Attributes:
+        figure: The figure that all pictures are drawn in.
+    """
+
+    def __init__(self, recording: Recording, d_safe: float, drone_size: float, title: str) -> None:
+        """Set the scene.
+
+        Args:
+            recording: The episode.
+            d_safe: Separation below which there is a conflict, m.
+            drone_size: Real diameter of a drone, m, which the caption tells beside the drawn one.
+            title: Title of the pictures.
+        """
+        self._recording = recording
+        self._title = title
+        self._d_safe = d_safe
+        # The last row is always shown, also where rows are left out.
+        self._frames = list(range(0, len(recording.time), -(-len(recording.time) // MOST_FRAMES)))
+        if self._frames[-1] != len(recording.time) - 1:
+            self._frames.append(len(recording.time) - 1)
+        drones = recording.position.shape[1]
+        self._colours = drone_colours(drones)
+        # Drones that are small beside the airspace are drawn larger than they are.
+        span, middle = self._extent(drone_size)
+        drawn = max(drone_size, 0.018 * span)
+        self.figure = blank_figure(7, 7.4)
+        self._axes = self.figure.add_subplot()
+        self._frame_axes(middle, 0.56 * span + d_safe / 2)
+        self._axes.set(xlabel=self._caption(drawn, drone_size), ylabel="y north (m)")
+        self._axes.grid(alpha=0.3)
+        draw_buildings(self._axes, recording)
+        # What changes from picture to picture; the order is that of drawing.
+        self._text = self._axes.set_title(" ")
+        self._bodies = self._circles(
+            2 * recording.obstacle_radius, facecolors="0.8", edgecolors="0.5"
+        )
+        self._goals = self._axes.scatter([], [], marker="x", s=60, linewidths=1.6)
+        self._targets = self._axes.scatter([], [], marker=".", s=16)
+        self._trails = LineCollection([], linewidths=1.2)
+        self._axes.add_collection(self._trails)
+        self._rings = self._circles(np.full(drones, d_safe), facecolors="none", linewidths=1.2)
+        self._discs = self._circles(np.full(drones, drawn), linewidths=0.5)
+        self._moving: list[Artist] = [
+            self._text,
+            self._bodies,
+            self._targets,
+            self._goals,
+            self._trails,
+            self._rings,
+            self._discs,
+        ]
+        # Animated artists are left out when the whole figure is drawn.
+        for artist in self._moving:
+            artist.set_animated(True)
+        # What stays is drawn once, and each picture begins from it.
+        canvas = self._canvas()
+        canvas.draw()
+        self._empty = canvas.copy_from_bbox(self.figure.bbox)
+
+    def _canvas(self) -> FigureCanvasAgg:
+        """Return what the figure is drawn on."""
+        canvas = self.figure.canvas
+        assert isinstance(canvas, FigureCanvasAgg)
+        return canvas
+
+    def _extent(self, drone_size: float) -> tuple[float, np.ndarray]:
+        """Measure the side of the square that holds everything, m, and its middle."""
+        recording = self._recording
+        parts = (
+            recording.position,
+            recording.goal,
+            recording.obstacle,
+            recording.building,
+        )
+        points = np.concatenate([part.reshape(-1, 3) for part in parts])[:, :2]
+        low = points.min(axis=0)
+        high = points.max(axis=0)
+        return float(max(*(high - low), 4 * drone_size)), (low + high) / 2
+
+    def _frame_axes(self, middle: np.ndarray, reach: float) -> None:
+        """Let the axes show a square about its middle, `reach` m to each side."""
+        sides = np.array([-reach, reach])
+        self._axes.set(xlim=middle[0] + sides, ylim=middle[1] + sides, aspect="equal")
+
+    def _caption(self, drawn: float, drone_size: float) -> str:
+        """Write what the signs mean."""
+        has_targets = self._recording.target.shape[1] > 0
+        signs = "Dots: targets, green in sight." if has_targets else "Crosses: goals."
+        return (
+            f"x east (m)\n\nDiscs: drones, drawn {drawn:.2g} m across (real {drone_size:.2g} m), "
+            "pale once they have finished.\n"
+            f"{signs} Grey: obstacles, buildings (darker: higher).\n"
+            f"Rings: {self._d_safe:g} m across, red while another drone is nearer."
+        )
+
+    def _circles(self, diameter: np.ndarray, **style: Any) -> EllipseCollection:
+        """Add circles of these diameters, m, that have no place yet."""
+        angles = np.zeros(len(diameter))
+        nowhere = np.zeros((len(diameter), 2))
+        circles = EllipseCollection(
+            diameter,
+            diameter,
+            angles,
+            units="x",
+            offsets=nowhere,
+            transOffset=self._axes.transData,
+            **style,
+        )
+        self._axes.add_collection(circles)
+        return circles
+
+    def draw(self, row: int) -> np.ndarray:
+        """Draw one row of the recording.
+
+        Args:
+            row: Its number, from 0 at the start.
+
+        Returns:
+            The picture, (height, width, 3) uint8.
+        """
+        self._place_drones(row)
+        self._place_others(row)
+        self._text.set_text(f"{self._title}   t = {self._recording.time[row]:.1f} s")
+        canvas = self._canvas()
+        canvas.restore_region(self._empty)
+        for artist in self._moving:
+            self._axes.draw_artist(artist)
+        return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+
+    def _place_drones(self, row: int) -> None:
+        """Put discs, rings and trails where the drones are."""
+        recording = self._recording
+        position = recording.position[row, :, :2]
+        alive = recording.alive[row]
+        colours = self._colours.copy()
+        # Drones that have finished are pale, and have no ring.
+        colours[~alive, 3] = GONE
+        edges = np.where(alive[:, None], (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0, GONE))
+        # Row k of separations belongs to the decision that ends in row k + 1 of states.
+        near = recording.separation[max(0, row - 1)] < self._d_safe
+        rings = np.where(near[:, None], (0.86, 0.08, 0.24, 1.0), (0.5, 0.5, 0.5, 1.0))
+        rings[~alive, 3] = 0
+        self._discs.set(offsets=position, facecolors=colours, edgecolors=edges)
+        self._rings.set(offsets=position, edgecolors=rings)
+        trail = recording.position[max(0, row - TRAIL) : row + 1, :, :2]
+        self._trails.set(segments=list(trail.swapaxes(0, 1)), color=colours)
+
+    def _place_others(self, row: int) -> None:
+        """Put obstacles, and targets or else goals, where they are."""
+        recording = self._recording
+        self._bodies.set(offsets=recording.obstacle[row, :, :2])
+        if recording.target.shape[1]:
+            colour = np.where(recording.seen[row], SEEN, UNSEEN)
+            self._targets.set(offsets=recording.target[row, :, :2], color=colour.tolist())
+        else:
+            self._goals.set(offsets=recording.goal[row, :, :2], color=self._colours)
+
+    def save(self, path: Path, progress: Callable[[], None] = lambda: None) -> None:
+        """Write the animation.
+
+        Args:
+            path: A .gif, or a .mp4, which needs the extra `video`.
+            progress: Called after every picture.
+
+        Raises:
+            ImportError: The extra is missing; the message names it.
+            OSError: The file cannot be written.
+        """
+
+        def pictures() -> Iterator[np.ndarray]:
+            for row in self._frames:
+                yield self.draw(row)
+                progress()
+
+        with whole_file(path) as part:
+            if path.suffix == ".mp4":
+                _save_video(part, pictures())
+                return
+            # Fewer colours make smaller files.
+            first, *others = (Image.fromarray(picture).quantize(128) for picture in pictures())
+            first.save(
+                part,
+                save_all=True,
+                append_images=others,
+                duration=1000 // FPS,
+                loop=0,
+            )
+
+    def __len__(self) -> int:
+        """Count the pictures."""
+        return len(self._frames)
+
+
+def _save_video(path: Path, pictures: Iterator[np.ndarray]) -> None:
+    """Write pictures, of which there is at least one, as a video."""
+    try:
+        import imageio_ffmpeg
+    except ImportError:
+        raise missing("writing a video (.mp4; a .gif needs nothing)", "video") from None
+    first = next(pictures)
+    count = 1
+    writer = imageio_ffmpeg.write_frames(str(path), first.shape[1::-1], fps=FPS, macro_block_size=2)
+    writer.send(None)
+    writer.send(first)
+    for picture in pictures:
+        writer.send(picture)
+        count += 1
+    writer.close()
+    # FFmpeg does not tell of a full disk.
+    if imageio_ffmpeg.count_frames_and_secs(str(path))[0] < count:
+        raise OSError("fewer pictures were written than there are; is the disk full?")

@@ -1,0 +1,69 @@
+"""Figures without a window system, and what pictures of episodes share."""
+
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from bulletuav.analysis.recording import Recording
+from bulletuav.files import whole_file
+
+SEEN = "#228833"
+"""Colour of targets in sight"""
+UNSEEN = "#cc3311"
+"""Colour of the other targets"""
+
+
+def blank_figure(width: float, height: float) -> Figure:
+    """Make a figure that needs no window system.
+
+    Args:
+        width: Its width, inches.
+        height: Its height, inches.
+    """
+    figure = Figure(figsize=(width, height), layout="constrained")
+    figure.get_layout_engine().set(w_pad=0.08, h_pad=0.08)  # type: ignore[union-attr, call-arg]
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write a figure as a picture file, whole or not at all.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+    with whole_file(path) as part:
+        figure.savefig(part, dpi=110)
+
+
+def drone_colours(count: int) -> np.ndarray:
+    """Return colours (count, 4) of drones, from blue to red."""
+    shades = np.linspace(0.05, 0.95, count)
+    return np.asarray(matplotlib.colormaps["turbo"](shades))
+
+
+def draw_buildings(axes: Axes, recording: Recording) -> None:
+    """Draw the pieces' bounding boxes from above, the higher the darker."""
+    low = recording.building[:, 0]
+    high = recording.building[:, 1]
+    pieces = zip(low.tolist(), high.tolist(), strict=True)
+    # The higher ones come later, and so above the others.
+    for south_west, north_east in sorted(pieces, key=lambda piece: piece[1][2]):
+        width = north_east[0] - south_west[0]
+        length = north_east[1] - south_west[1]
+        shade = 0.9 - 0.5 * north_east[2] / high[:, 2].max()
+        axes.add_patch(
+            Rectangle(
+                south_west[:2],
+                width,
+                length,
+                fc=str(shade),
+                ec="none",
+                zorder=0,
+            )
+        )
