@@ -8,16 +8,9 @@ from scipy.sparse.csgraph import dijkstra
 import bulletuav
 import bulletuav.policies.planner as planner
 from bulletuav.geometry.solids import Solids
-from bulletuav.policies.astar import (
-    Voxels,
-    is_clear,
-    nearest_free,
-    plan,
-    shortened,
-    shortest_path,
-    voxels,
-)
+from bulletuav.policies.astar import plan, shortened, shortest_path
 from bulletuav.policies.planner import Limits, Planner, braking, corner_speed, follow
+from bulletuav.policies.voxels import Voxels, is_clear, nearest_free, voxels
 
 LIMITS = Limits(speed=15.0, acceleration=5.0, delay=0.6, half_width=2.0)
 NOTHING = np.zeros((0, 2, 3))
