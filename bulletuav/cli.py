@@ -68,7 +68,8 @@ def _check_known(rest: list[str], parser: argparse.ArgumentParser) -> None:
 
 def main(argv: Sequence[str] | None = None) -> None:
     """Entry point. Bad input ends in one line on standard error and exit code 2."""
-    sys.path.append("")  # the current folder, last of all, for `--policy module:Name`
+    if "" not in sys.path:  # the current folder, last of all, for `--policy module:Name`
+        sys.path.append("")
     parser, commands = _parser()
     arguments, rest = parser.parse_known_args(argv)
     command = commands[arguments.command]
