@@ -43,7 +43,8 @@ class Symlog(BaseFeaturesExtractor):
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
         """Compute (B, D) features of observations (B, D)."""
-        return torch.sign(observations) * torch.log1p(self.scale * torch.abs(observations))
+        size = torch.log1p(self.scale * torch.abs(observations))
+        return torch.sign(observations) * size
 
 
 class UserSum(BaseFeaturesExtractor):
@@ -74,29 +75,42 @@ class UserSum(BaseFeaturesExtractor):
             ValueError: The observation is of another number of drones.
         """
         shape = observation_space.shape
+        others = 6 * (num_drones - 1)
         numbers_each = 4 + num_drones + len(AHEAD)
-        users, rest = divmod(shape[0] - 3 - 6 * (num_drones - 1), numbers_each)
+        users, rest = divmod(shape[0] - 3 - others, numbers_each)
         if rest or users < 1:
             raise ValueError(
                 f"features of {num_drones} drones and their users do not fit {shape} numbers"
             )
         super().__init__(observation_space, 3 * num_drones + size)
-        self._sizes = [3, 6 * (num_drones - 1), 4 * users, num_drones * users, len(AHEAD) * users]
-        self.register_buffer("ways", torch.tensor(list(AHEAD.values())), persistent=False)
+        # Numbers of each block of the observation.
+        self._sizes = [
+            3,
+            others,
+            4 * users,
+            num_drones * users,
+            len(AHEAD) * users,
+        ]
+        ways = torch.tensor(list(AHEAD.values()))
+        self.register_buffer("ways", ways, persistent=False)
         known = 3 + 2 * num_drones + 1 + len(AHEAD)
         self.each = nn.Sequential(
-            nn.Linear(known, size), nn.ReLU(), nn.Linear(size, size), nn.ReLU()
+            nn.Linear(known, size),
+            nn.ReLU(),
+            nn.Linear(size, size),
+            nn.ReLU(),
         )
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
         """Compute (B, 3 N + size) features of observations (B, D)."""
+        count = len(observations)
         own, others, users, sight, ahead = torch.split(observations, self._sizes, 1)
         # Of each other drone its position, of each user its position, who sees it, and from where.
-        others = others.unflatten(1, (-1, 6))[..., :3]
-        users = users.unflatten(1, (-1, 4))[:, :, None, :3]
+        others = others.reshape(count, -1, 6)[..., :3]
+        users = users.reshape(count, -1, 4)[:, :, None, :3]
         num_users = users.shape[1]
-        sight = sight.unflatten(1, (-1, num_users)).transpose(1, 2)
-        ahead = ahead.unflatten(1, (-1, num_users)).transpose(1, 2)
+        sight = sight.reshape(count, -1, num_users).transpose(1, 2)
+        ahead = ahead.reshape(count, -1, num_users).transpose(1, 2)
         # How loud each user is at each drone, first the one that asks, and at the places around it.
         ways = torch.cat([users, users - others[:, None]], 2)
         now = log_gain(ways, sight)
@@ -117,7 +131,8 @@ class UserSum(BaseFeaturesExtractor):
         )
         # Through the MLP, and summed over users.
         each = self.each(known).sum(1) / math.sqrt(num_users)
-        return torch.cat([own / FAR, others.flatten(1) / FAR, each], 1)
+        flat = others.flatten(1)
+        return torch.cat([own / FAR, flat / FAR, each], 1)
 
 
 def log_gain(offset: torch.Tensor, seen: torch.Tensor) -> torch.Tensor:

@@ -53,6 +53,10 @@ __all__ = [
 ]
 
 
+Info = dict[str, Any]
+"""What a step tells of one slot"""
+
+
 def algorithm(name: str) -> Any:
     """Give the class of an algorithm by its name in lower case."""
     return getattr(stable_baselines3, name.upper())
@@ -133,6 +137,7 @@ class DroneVecEnv(Environment, VecEnv):
                 f"the curriculum has {self.curriculum.count} stages, "
                 f"and {len(self._stage_options)} are given"
             )
+        # All stages are checked now, and the largest one says how many slots there are.
         specs = [EnvSpec(task, num_worlds, stage) for stage in self._stage_options]
         widest = max(specs, key=lambda spec: spec.options.num_drones)
         self.num_worlds = num_worlds
@@ -186,13 +191,15 @@ class DroneVecEnv(Environment, VecEnv):
         Returns:
             Observations (slots, D), or a dict of such arrays.
         """
-        return self._rows(self._start(np.ones(self.num_worlds, dtype=bool)))
+        everywhere = np.ones(self.num_worlds, dtype=bool)
+        return self._rows(self._start(everywhere))
 
     def _start(self, worlds: np.ndarray) -> Observation:
         """Start the worlds of the mask (W,), or all where the stage changes; observe them."""
         if self.curriculum.stage != self._stage or not self._aviaries:
             self._stage = self.curriculum.stage
             worlds = np.ones(self.num_worlds, dtype=bool)
+        # Each stage begins with the seed once, then goes on with its random numbers.
         aviary = self.aviary
         seed = self._seed if self._stage in self._unseeded else None
         self._unseeded.discard(self._stage)
@@ -219,7 +226,7 @@ class DroneVecEnv(Environment, VecEnv):
         self._actions = np.asarray(actions).reshape(self.num_worlds, self.num_drones, -1)
 
     @exclusive
-    def step_wait(self) -> tuple[Any, np.ndarray, np.ndarray, list[dict[str, Any]]]:
+    def step_wait(self) -> tuple[Any, np.ndarray, np.ndarray, list[Info]]:
         """Fly one decision.
 
         Returns:
@@ -231,7 +238,8 @@ class DroneVecEnv(Environment, VecEnv):
         step = aviary.step(self._actions[:, : aviary.num_drones])
         self._add(step, flown)
         # Episodes of whole worlds, which may change the stage.
-        over = np.any(flown, axis=1) & ~np.any(aviary.alive, axis=1)
+        was_flown = np.any(flown, axis=1)
+        over = was_flown & ~np.any(aviary.alive, axis=1)
         for world in np.flatnonzero(over):
             # Else this was an episode of a stage that is left by now.
             if self.curriculum.stage == self._stage:
@@ -243,30 +251,36 @@ class DroneVecEnv(Environment, VecEnv):
         dones = self._wide(ended | over[:, None] | change, True)
         # Rewards, NaN without a drone.
         earned = np.where(flown, step.rewards, 0.0)
+        # The team's mean, where it is shared.
         if self._shared_reward:
-            earned = np.broadcast_to(earned.mean(axis=1, keepdims=True), earned.shape)
-        rewards = self._wide(np.where(flown, earned, np.nan), np.nan)
+            mean = earned.mean(axis=1, keepdims=True)
+            earned = np.broadcast_to(mean, earned.shape)
+        told = np.where(flown, earned, np.nan)
+        rewards = self._wide(told, np.nan)
         observations = self._start(over) if over.any() else step.observations
         return self._rows(observations), rewards.astype(np.float32), dones, infos
 
     def _add(self, step: Step, flown: np.ndarray) -> None:
         """Add a step to the totals of the drones that flew it (W, N)."""
-        terms = {"": step.rewards} | {
-            name: term for name, term in step.info.items() if name.startswith("reward/")
-        }
+        terms = {"": step.rewards}
+        for name, term in step.info.items():
+            if name.startswith("reward/"):
+                terms[name] = term
         for name, term in terms.items():
-            self._returns[name] = self._returns.get(name, 0.0) + np.where(flown, term, 0.0)
+            before = self._returns.get(name, 0.0)
+            self._returns[name] = before + np.where(flown, term, 0.0)
         self._success = np.where(flown, step.info["success"], self._success)
         self._collision |= flown & step.info["collision"]
         self._conflicts += flown * step.info["conflicts"]
         self._decisions += flown
         self.decisions += int(flown.sum())
 
-    def _infos(self, step: Step, ended: np.ndarray) -> list[dict[str, Any]]:
+    def _infos(self, step: Step, ended: np.ndarray) -> list[Info]:
         """Make the infos of all slots; they tell of the episodes that ended (W, N)."""
-        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        infos: list[Info] = [{} for _ in range(self.num_envs)]
         if not ended.any():
             return infos
+        # One info for each drone whose episode ended, all others are empty.
         hz = self.aviary.options.decision_hz
         for w, i in np.argwhere(ended):
             episode = {
@@ -290,7 +304,8 @@ class DroneVecEnv(Environment, VecEnv):
         lacking = self.num_drones - array.shape[1]
         if lacking:
             shape = (len(array), lacking, *array.shape[2:])
-            array = np.concatenate([array, np.full(shape, fill, array.dtype)], axis=1)
+            empty = np.full(shape, fill, array.dtype)
+            array = np.concatenate([array, empty], axis=1)
         return array.reshape(-1, *array.shape[2:])
 
     def _rows(self, observations: Observation) -> Any:
@@ -300,7 +315,8 @@ class DroneVecEnv(Environment, VecEnv):
         def rows(array: np.ndarray) -> np.ndarray:
             wide = self._wide(array, 0)
             mask = alive.reshape(-1, *[1] * (wide.ndim - 1))
-            return np.where(mask, wide, 0).astype(array.dtype, copy=False)
+            kept = np.where(mask, wide, 0)
+            return kept.astype(array.dtype, copy=False)
 
         if isinstance(observations, dict):
             return {name: rows(array) for name, array in observations.items()}

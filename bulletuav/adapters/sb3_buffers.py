@@ -39,7 +39,8 @@ class LivingRollouts(RolloutBuffer):
             last_values: (slots,) estimated values after the last step.
             dones: (slots,) bool, which episodes the last step ended.
         """
-        self.flown = np.flatnonzero(~np.isnan(self.swap_and_flatten(self.rewards)))
+        rewards = self.swap_and_flatten(self.rewards)
+        self.flown = np.flatnonzero(~np.isnan(rewards))
         np.nan_to_num(self.rewards, copy=False)
         super().compute_returns_and_advantage(last_values, dones)
 
@@ -49,9 +50,11 @@ class LivingRollouts(RolloutBuffer):
         Args:
             batch_size: Most transitions in one; None for all at once.
         """
+        # Once a rollout, all slots one after the other, without what nobody flew.
         if not self.generator_ready:
             for name in ("observations", "actions", "values", "log_probs", "advantages", "returns"):
-                setattr(self, name, self.swap_and_flatten(getattr(self, name))[self.flown])
+                whole = self.swap_and_flatten(getattr(self, name))
+                setattr(self, name, whole[self.flown])
             self.generator_ready = True
         count = len(self.flown)
         order = torch.randperm(count).numpy()
@@ -115,6 +118,7 @@ class LivingReplay(ReplayBuffer):
             done: (slots,) bool, which episodes ended.
             infos: Infos of the slots.
         """
+        # Where they go, around the end of the buffer.
         flown = np.flatnonzero(~np.isnan(reward))
         action = np.asarray(action).reshape(len(reward), self.action_dim)
         places = (self.pos + np.arange(len(flown))) % self.buffer_size

@@ -45,6 +45,7 @@ def policy_arguments(model: Mapping[str, Any], num_drones: int, pictures: bool) 
     arguments = dict(given)
     if features is not None and not pictures:
         arguments.setdefault("features_extractor_class", FEATURES[features])
+    # Features of users depend on how many drones there are.
     if features == "user_sum":
         arguments["features_extractor_kwargs"] = {
             "num_drones": num_drones,

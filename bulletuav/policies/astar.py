@@ -53,6 +53,7 @@ def plan(grid: Voxels, start: np.ndarray, goal: np.ndarray) -> np.ndarray:
     cells = shortest_path(grid.occupied, first, last)
     if len(cells) == 0:
         return np.zeros((0, 3))
+    # From the start through the centres of the cells to the goal, without detours.
     centres = grid.origin + grid.size * (cells + 0.5)
     return shortened(grid, np.concatenate([start[None], centres, goal[None]]))
 
@@ -98,6 +99,7 @@ def shortest_path(occupied: np.ndarray, start: Cell, goal: Cell) -> np.ndarray:
         # A shorter way there was found meanwhile.
         if total - left > cost[cell]:
             continue
+        # A way through this cell may be shorter for its neighbours.
         for k in range(len(STEPS)):
             other = cell + offset[k]
             reached = cost[cell] + length[k]
@@ -192,6 +194,7 @@ def shortened(grid: Voxels, points: np.ndarray) -> np.ndarray:
     kept = [0]
     k = 0
     while k < len(points) - 1:
+        # The last point in sight, from the end of the way back.
         seen = len(points) - 1
         while seen > k + 1 and not is_clear(grid, points[k], points[seen]):
             seen -= 1

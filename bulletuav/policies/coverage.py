@@ -203,6 +203,7 @@ class Hotspot(Placement):
         """Choose as many hotspots as drones; see `Placement.places`."""
         points = targets[:, :2]
         distance = cdist(points, points)
+        # A hotspot serves the targets within its radius.
         near = (distance <= HOTSPOT).astype(float)
         hotspots = greedy_coverage(
             serves=near, distance=distance, places=points, count=len(position), apart=self.apart

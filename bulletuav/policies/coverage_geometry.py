@@ -35,6 +35,7 @@ def ring(
     Returns:
         (count, 2) places, m.
     """
+    # Neighbours are `apart` on a circle of this radius, as far as the rectangle has room.
     radius = 0.0
     if count > 1:
         largest = 0.5 * float((high - low).min())
@@ -125,6 +126,7 @@ def greedy_coverage(
     room = np.full(len(places), apart)
     served = np.zeros(serves.shape[1])
     while len(taken) < count:
+        # Nothing is left to add: all counts again.
         if not (serves > served).any():
             served[:] = 0.0
         adds = np.maximum(serves - served, 0.0)
@@ -162,6 +164,7 @@ def best_responses(
     """
     taken = taken.copy()
     for i, here in enumerate(taken):
+        # What this drone would add to what the others serve.
         others = np.delete(taken, i)
         served = serves[others].max(axis=0, initial=0.0)
         adds = np.maximum(serves - served, 0.0).sum(axis=1)

@@ -125,6 +125,7 @@ def descend(
     centre = vec3(frame, depth, 0)
     radius = frame[depth, 0, 3]
     height = bound - dot(n, centre)
+    # The boundary does not meet the ball.
     if height > radius:
         return -1
     # Cut the earlier half-spaces with the boundary.
@@ -251,6 +252,7 @@ def least_violation(
     Returns:
         The velocity, m/s.
     """
+    # How much the half-space is missed that is missed the most so far.
     worst = 0.0
     for i in range(begin, count):
         if missing(rows, 0, i, best) <= worst + ROUNDING:

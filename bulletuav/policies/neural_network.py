@@ -171,6 +171,7 @@ class Network:
                 self._users.sizes(observed)
             except ValueError:
                 return False
+            # Features of users take any number of users.
             observed = expected
         own = (expected, len(self._layers[-1][1]), self._bounds is None)
         return (observed, given, choices) == own

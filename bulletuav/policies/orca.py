@@ -110,6 +110,7 @@ class Orca(Policy):
         task = aviary.task
         speed = aviary.options.max_speed
         body = task.context.collision_radius
+        # Obstacles, ground and bounds, for the drone's centre.
         around = Surroundings(
             ball=scene.obstacle,
             ball_velocity=scene.obstacle_velocity,
@@ -124,6 +125,7 @@ class Orca(Policy):
             recovery=RECOVERY,
             max_speed=float(speed),
         )
+        # The wish that all of this leaves as much of as it can.
         straight = preferred_velocity(scene.goal, scene.goal_velocity, swarm.position, speed)
         wanted = straight @ TO_RIGHT
         velocity = orca_velocities(
@@ -165,6 +167,7 @@ def orca_velocities(
     for w in range(alive.shape[0]):
         for i in range(alive.shape[1]):
             if alive[w, i]:
+                # Half-spaces of everything around, then the best velocity in them.
                 count = _drones(rows, position, velocity, alive, rules, near, distance, w, i)
                 count = _balls(rows, count, position, velocity, rules, around, w, i)
                 count = _walls(rows, count, position, rules, around, w, i)
@@ -237,6 +240,7 @@ def _walls(
     Whoever keeps its velocity is still inside after the time for braking.
     """
     for axis in range(3):
+        # Into the arena at its lower face, and back at its upper one.
         n = (
             1.0 * (axis == 0),
             1.0 * (axis == 1),
@@ -308,6 +312,7 @@ def half_space(
     Returns:
         Unit normal n and bound b, m/s, of n . v >= b.
     """
+    # A conflict that is there is left within the recovery, another avoided for the horizon.
     relative = along(own, -1.0, other)
     inside = dot(gap, gap) <= radius * radius
     time = rules.recovery if inside else rules.horizon
@@ -331,6 +336,7 @@ def _leg(gap: Vec3, relative: Vec3, radius: float) -> tuple[Vec3, float]:
 
     Returns the outward normal there, and how far below the surface that velocity is, m/s.
     """
+    # The part of the relative velocity across the cone's axis points to the nearest side.
     axis, distance = _unit(gap, (1.0, 0.0, 0.0))
     sideways = along(relative, -dot(relative, axis), axis)
     # Head-on both drones turn to their right.
@@ -339,6 +345,7 @@ def _leg(gap: Vec3, relative: Vec3, radius: float) -> tuple[Vec3, float]:
     upright = cross(axis, (1.0, 0.0, 0.0))
     right, _ = _unit(level, upright)
     aside, _ = _unit(sideways, right)
+    # The surface is inclined to the axis by the angle of this sine.
     sine = radius / distance
     inwards = (-sine * axis[0], -sine * axis[1], -sine * axis[2])
     n = along(inwards, math.sqrt(1.0 - sine * sine), aside)

@@ -127,6 +127,7 @@ class PathFollower(Policy):
         solids = self.aviary.solids(w)
         task = self.aviary.task
         if id(solids) not in self._grids:
+            # Free cells are clear of everything by HALF_WIDTH and the drone's radius.
             clearance = HALF_WIDTH + task.context.collision_radius + VOXEL_SIZE / 2
             grid = voxels(
                 bounds=solids.bounds,
@@ -140,6 +141,7 @@ class PathFollower(Policy):
 
     def _keep(self, w: int, i: int, way: np.ndarray) -> None:
         """Keep the way of a drone, which flies to its second point."""
+        # Room for a longer way than any before.
         more = len(way) - self._way.shape[2]
         if more > 0:
             worlds, drones, _, axes = self._way.shape
@@ -189,6 +191,7 @@ def follow(
     for w in range(count.shape[0]):
         for i in range(count.shape[1]):
             if count[w, i] > 0:
+                # The leg to fly, then the velocity along it.
                 here = vec3(position, w, i)
                 moving = vec3(velocity, w, i)
                 points = way[w, i, : count[w, i]]
@@ -221,6 +224,7 @@ def next_waypoint(
     """
     while k < len(points) - 1:
         direction, _ = leg(points, k)
+        # How far the waypoint is along its leg, and how far the drone gets in the delay.
         gap = along(point(points, k), -1.0, here)
         left = dot(gap, direction)
         flown_by_then = limits.delay * dot(velocity, direction)
@@ -255,9 +259,11 @@ def velocity_along(
     # How far the waypoint is along the leg, and the way back to the leg.
     left = dot(gap, direction)
     aside = along(gap, -left, direction)
+    # Not faster than the corners ahead allow, nor than policy `straight` at the end.
     speed = braking(left, speed_past(points, k, limits), limits)
     if k == len(points) - 1:
         speed = min(speed, APPROACH * left)
+    # Slower off the way, and back to it.
     off_way = math.sqrt(dot(aside, aside))
     speed *= limits.half_width / max(limits.half_width, off_way)
     back = (

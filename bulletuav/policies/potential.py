@@ -179,6 +179,7 @@ def strength(distance: float, scale: float, field: Field) -> float:
     Returns:
         The speed, m/s.
     """
+    # Beyond the influence there is none, within contact it grows no more.
     rho = max(distance, field.contact)
     inverse = 1.0 / rho - 1.0 / field.influence
     return field.strength * scale**3 * max(inverse, 0.0) / (rho * rho)

@@ -161,6 +161,7 @@ class RunConfig:
                 raise unknown("setting of a run:", name, known)
         if "task" not in values:
             raise ValueError("a run without a task: say which")
+        # Files say 2e6 where a whole number is meant.
         counts = {one.name for one in fields if one.type is int}
         given = {
             name: whole_number(value) if name in counts else value for name, value in values.items()
@@ -192,6 +193,7 @@ class RunConfig:
             )
         _require_version(path, values)
         settings = {name: value for name, value in values.items() if name != "version"}
+        # Whatever is wrong with them is told with the file's name.
         try:
             return cls.of(settings)
         except ValueError as error:

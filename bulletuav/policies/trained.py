@@ -97,6 +97,7 @@ def _network(aviary: Aviary, config: RunConfig, weights: Weights) -> Choose:
     observed = aviary.observer.space()
     given = widest_action_space(aviary.action)
     settings = config.settings
+    # Pictures and unusual layers need PyTorch.
     if not isinstance(observed, Box) or not is_plain(config.algo, settings):
         adapter = importlib.import_module(SB3_POLICY)
         network = adapter.policy_network(
@@ -108,6 +109,7 @@ def _network(aviary: Aviary, config: RunConfig, weights: Weights) -> Choose:
             weights=weights,
         )
         return cast(Choose, network)
+    # All others are flown by NumPy.
     plain = Network(weights, config.algo, settings)
     if isinstance(given, Discrete):
         size, unit = int(given.n), "choices"

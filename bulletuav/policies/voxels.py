@@ -54,6 +54,7 @@ def voxels(
     Returns:
         The map.
     """
+    # Whole cells of the arena, and one more on every side.
     inside = np.maximum(np.floor((high - low) / size), 0).astype(int)
     origin = low - size
     occupied = np.ones(inside + 2, dtype=bool)
@@ -84,6 +85,7 @@ def nearest_free(grid: Voxels, point: np.ndarray) -> Cell:
     Returns:
         The cell; among equals the one of the lowest indices.
     """
+    # Its own cell, or the best of all.
     x, y, z = cell_of(grid, point)
     if _is_free(grid, (x, y, z)):
         return x, y, z
@@ -198,6 +200,7 @@ def _crossing(
     if cell[axis] == last[axis]:
         return math.inf
     is_ahead = last[axis] > cell[axis]
+    # The face through which it is left, and when.
     face = grid.origin[axis] + grid.size * (cell[axis] + is_ahead)
     share: float = (face - start[axis]) / (end[axis] - start[axis])
     return share
