@@ -85,6 +85,8 @@ def main(argv: Sequence[str] | None = None) -> None:
         SystemExit: With code 2 after one line on standard error, for bad input; 130 after an
             interrupt; 128 + SIGPIPE where the reader of the output has gone.
     """
+    if "" not in sys.path:  # the current folder, last of all, for names such as mine:Policy
+        sys.path.append("")
     # Unknown arguments are collected, not refused, so that the message can name the nearest.
     parser, commands = _parser()
     arguments, rest = parser.parse_known_args(argv)

@@ -13,11 +13,11 @@ import pytest
 
 import bulletuav
 from bulletuav import kernel
+from bulletuav.adapters.sb3_model import Sb3Model
 from bulletuav.cli import main
 from bulletuav.policies import find_policy
 from bulletuav.policies.neural_network import read_weights
 from bulletuav.policies.run import RunConfig
-from bulletuav.policies.trained import Sb3Model
 
 PACKAGE = Path(bulletuav.__file__).parent
 SHORT = ["--dynamics", "single_integrator", "--drones", "2", "--horizon", "4"]

@@ -1,4 +1,7 @@
-"""Features extractors of stable-baselines3: what observed numbers go through before the networks of actor and critic."""
+"""Features extractors of stable-baselines3.
+
+Observed numbers go through them before the networks of actor and critic.
+"""
 
 import math
 
@@ -18,65 +21,131 @@ except ImportError:
 
 
 class Symlog(BaseFeaturesExtractor):
-    """sign(x) ln(1 + scale |x|) of each number: metres near by count as much as those far away, with no statistics to keep.
+    """Compression of each number: sign(x) ln(1 + scale |x|).
 
-    Where centimetres matter `scale` is to be larger than 1. D. Hafner, J. Pasukonis, J. Ba, T. Lillicrap, Mastering diverse
-    domains through world models (2023), equation 9.
+    Metres near by count as much as those far away, with no statistics to keep. D. Hafner,
+    J. Pasukonis, J. Ba, T. Lillicrap, Mastering diverse domains through world models (2023),
+    equation 9.
+
+    Attributes:
+        scale: Scale of the numbers.
     """
 
-    def __init__(self, observation_space: Box, scale: float = 1.0):
+    def __init__(self, observation_space: Box, scale: float = 1.0) -> None:
+        """Take the space of observations.
+
+        Args:
+            observation_space: Space of one drone's observations.
+            scale: Scale of the numbers; to be larger than 1 where centimetres matter.
+        """
         super().__init__(observation_space, int(np.prod(observation_space.shape)))
         self.scale = scale
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
-        """(B, D) features of observations (B, D)."""
-        return torch.sign(observations) * torch.log1p(self.scale * torch.abs(observations))
+        """Compute (B, D) features of observations (B, D)."""
+        size = torch.log1p(self.scale * torch.abs(observations))
+        return torch.sign(observations) * size
 
 
 class UserSum(BaseFeaturesExtractor):
-    """Positions of the drones, and the sum over users of an MLP on what each user is to them, whatever their order.
+    """Positions of the drones, and a sum over users, whatever their order.
 
-    For the observation ("position", "all_neighbours", "targets", "sight_matrix", "sight_ahead"). Of each user the MLP knows
-    where it is, who sees it, how loud it is at each drone, by how much louder at this one than at any other, and how that
-    would change at the places of `sight_ahead`. M. Zaheer et al., Deep sets (2017).
+    It is for the observation ("position", "all_neighbours", "targets", "sight_matrix",
+    "sight_ahead"). What is summed is an MLP of what each user is to the drones. Of each user the
+    MLP knows where it is, who sees it, how loud it is at each drone, by how much louder at this
+    one than at any other, and how that would change at the places of `sight_ahead`.
+    M. Zaheer et al., Deep sets (2017).
+
+    Attributes:
+        each: The MLP.
+        ways: (P, 3) ways to the places of `sight_ahead`, m.
     """
 
-    def __init__(self, observation_space: Box, num_drones: int = 3, size: int = 48):
-        """Raises ValueError for another number of drones than the observation is of."""
-        parts = 4 + num_drones + len(AHEAD)  # numbers of each user
-        users, rest = divmod(observation_space.shape[0] - 3 - 6 * (num_drones - 1), parts)
+    ways: torch.Tensor
+
+    def __init__(self, observation_space: Box, num_drones: int = 3, size: int = 48) -> None:
+        """Make the layers.
+
+        Args:
+            observation_space: Space of one drone's observations.
+            num_drones: How many drones a world has.
+            size: How many features the sum has.
+
+        Raises:
+            ValueError: The observation is of another number of drones.
+        """
+        shape = observation_space.shape
+        others = 6 * (num_drones - 1)
+        numbers_each = 4 + num_drones + len(AHEAD)
+        users, rest = divmod(shape[0] - 3 - others, numbers_each)
         if rest or users < 1:
             raise ValueError(
-                f"features of {num_drones} drones and their users do not fit {observation_space.shape} numbers"
+                f"features of {num_drones} drones and their users do not fit {shape} numbers"
             )
         super().__init__(observation_space, 3 * num_drones + size)
-        self._sizes = [3, 6 * (num_drones - 1), 4 * users, num_drones * users, len(AHEAD) * users]
-        self.register_buffer("ways", torch.tensor(list(AHEAD.values())), persistent=False)
+        # Numbers of each block of the observation.
+        self._sizes = [
+            3,
+            others,
+            4 * users,
+            num_drones * users,
+            len(AHEAD) * users,
+        ]
+        ways = torch.tensor(list(AHEAD.values()))
+        self.register_buffer("ways", ways, persistent=False)
         known = 3 + 2 * num_drones + 1 + len(AHEAD)
         self.each = nn.Sequential(
-            nn.Linear(known, size), nn.ReLU(), nn.Linear(size, size), nn.ReLU()
+            nn.Linear(known, size),
+            nn.ReLU(),
+            nn.Linear(size, size),
+            nn.ReLU(),
         )
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
-        """(B, 3 N + size) features of observations (B, D)."""
-        own, others, users, sight, ahead = observations.split(self._sizes, 1)
-        others, users = (
-            others.unflatten(1, (-1, 6))[..., :3],
-            users.unflatten(1, (-1, 4))[:, :, None, :3],
-        )
-        sight, ahead = (
-            seen.unflatten(1, (-1, users.shape[1])).transpose(1, 2) for seen in (sight, ahead)
-        )
-        level = log_gain(torch.cat([users, users - others[:, None]], 2), sight)
-        gain = log_gain(users - self.ways, ahead) - level[..., :1]
-        lead = level[..., :1] - level[..., 1:].amax(2, keepdim=True)
+        """Compute (B, 3 N + size) features of observations (B, D)."""
+        count = len(observations)
+        own, others, users, sight, ahead = torch.split(observations, self._sizes, 1)
+        # Of each other drone its position, of each user its position, who sees it, and from where.
+        others = others.reshape(count, -1, 6)[..., :3]
+        users = users.reshape(count, -1, 4)[:, :, None, :3]
+        num_users = users.shape[1]
+        sight = sight.reshape(count, -1, num_users).transpose(1, 2)
+        ahead = ahead.reshape(count, -1, num_users).transpose(1, 2)
+        # How loud each user is at each drone, first the one that asks, and at the places around it.
+        ways = torch.cat([users, users - others[:, None]], 2)
+        now = log_gain(ways, sight)
+        here = now[..., :1]
+        elsewhere = now[..., 1:].amax(2, keepdim=True)
+        lead = here - elsewhere
+        gain = log_gain(users - self.ways, ahead) - here
+        # All of it scaled to the order of 1.
         known = torch.cat(
-            [users[:, :, 0] / FAR, level / 2 + 6, sight, lead / 2, gain / 2], 2
-        )  # of the order of 1
-        each = self.each(known).sum(1) / math.sqrt(users.shape[1])
-        return torch.cat([own / FAR, others.flatten(1) / FAR, each], 1)
+            [
+                users[:, :, 0] / FAR,
+                now / 2 + 6,
+                sight,
+                lead / 2,
+                gain / 2,
+            ],
+            2,
+        )
+        # Through the MLP, and summed over users.
+        each = self.each(known).sum(1) / math.sqrt(num_users)
+        flat = others.flatten(1)
+        return torch.cat([own / FAR, flat / FAR, each], 1)
 
 
 def log_gain(offset: torch.Tensor, seen: torch.Tensor) -> torch.Tensor:
-    """Logarithm of received power over that at 1 m, for offsets (..., 3), m; see `log_distance` in `network.pathloss`."""
-    return -torch.where(seen > 0.5, LINE_OF_SIGHT, BLOCKED) * torch.log(offset.norm(dim=-1) + 1)
+    """Compute the logarithm of received power over that at 1 m.
+
+    See `log_distance` in `bulletuav.network.pathloss`.
+
+    Args:
+        offset: (..., 3) ways from senders to receivers, m.
+        seen: (...) 1 where they see each other, else 0.
+
+    Returns:
+        (...) natural logarithms.
+    """
+    exponent = torch.where(seen > 0.5, LINE_OF_SIGHT, BLOCKED)
+    return -exponent * torch.log(offset.norm(dim=-1) + 1)

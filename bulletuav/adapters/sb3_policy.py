@@ -1,4 +1,4 @@
-"""The networks of stable-baselines3's policies, made from a run's settings."""
+"""Networks of stable-baselines3's policies, made from a run's settings."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -19,16 +19,22 @@ except ImportError:
     raise missing("learning with stable-baselines3", "sb3") from None
 
 FEATURES: dict[str | None, type | None] = {"symlog": Symlog, "user_sum": UserSum, None: None}
-"""What observed numbers go through first, by the setting `features` of a run"""
+"""Features that observed numbers go through first, by the setting `features` of a run"""
 
 
 def policy_arguments(model: Mapping[str, Any], num_drones: int, pictures: bool) -> dict[str, Any]:
-    """Make the arguments of stable-baselines3's policy from a run's settings of its algorithm.
+    """Make the arguments of stable-baselines3's policy.
 
     Args:
-        model: The settings, `features` and `policy_kwargs` among them.
-        num_drones: In a world.
+        model: A run's settings of its algorithm, `features` and `policy_kwargs` among them.
+        num_drones: How many drones a world has.
         pictures: Whether pictures are observed, which have features of their own.
+
+    Returns:
+        The arguments by name.
+
+    Raises:
+        ValueError: The settings cannot be.
     """
     features = model["features"]
     if features not in FEATURES:
@@ -39,6 +45,7 @@ def policy_arguments(model: Mapping[str, Any], num_drones: int, pictures: bool) 
     arguments = dict(given)
     if features is not None and not pictures:
         arguments.setdefault("features_extractor_class", FEATURES[features])
+    # Features of users depend on how many drones there are.
     if features == "user_sum":
         arguments["features_extractor_kwargs"] = {
             "num_drones": num_drones,
@@ -50,20 +57,20 @@ def policy_arguments(model: Mapping[str, Any], num_drones: int, pictures: bool) 
 def policy_network(
     name: str,
     model: Mapping[str, Any],
-    observed: Space,
-    given: Space,
+    observed: Space[Any],
+    given: Space[Any],
     num_drones: int,
     weights: Mapping[str, np.ndarray],
 ) -> Callable[[Any], np.ndarray]:
     """Build the network of a run's policy and fill in its weights; nothing but numbers is read.
 
     Args:
-        name: The algorithm.
+        name: Name of the algorithm, in lower case.
         model: The run's settings of it.
         observed: Space of one drone's observations.
         given: Space of its actions.
-        num_drones: In a world.
-        weights: By the names of the policy's `state_dict`, and the bounds of the actions.
+        num_drones: How many drones a world has.
+        weights: Arrays by the names of the policy's `state_dict`, and the bounds of the actions.
 
     Returns:
         A function from rows of observations to rows of deterministic actions.
@@ -75,19 +82,21 @@ def policy_network(
     pictures = isinstance(observed, Dict)
     if isinstance(observed, Dict):
         observed = Dict({key: _channels_first(space) for key, space in observed.spaces.items()})
-    state = {
-        known: torch.as_tensor(array)
-        for known, array in weights.items()
-        if known not in (LOW, HIGH)
-    }
     if LOW in weights:
         given = Box(weights[LOW], weights[HIGH], dtype=np.float32)
+    # The network as training makes it.
     arguments = policy_arguments(model, num_drones, pictures)
     if name in ("ppo", "a2c", "sac"):
         arguments["use_sde"] = model.get("use_sde", False)
     with own_random():
         kind = algorithm(name).policy_aliases["MultiInputPolicy" if pictures else "MlpPolicy"]
         policy = kind(observed, given, lambda _: 0.0, **arguments)
+    # Its weights.
+    state = {
+        known: torch.as_tensor(array)
+        for known, array in weights.items()
+        if known not in (LOW, HIGH)
+    }
     try:
         policy.load_state_dict(state)
     except RuntimeError as error:
@@ -96,8 +105,8 @@ def policy_network(
     return lambda rows: policy.predict(rows, deterministic=True)[0]
 
 
-def _channels_first(space: Space) -> Space:
-    """The space as networks see it that SB3 made: it turns pictures."""
+def _channels_first(space: Space[Any]) -> Space[Any]:
+    """Give the space as networks see it that stable-baselines3 made: it turns pictures."""
     if (
         isinstance(space, Box)
         and is_image_space(space)

@@ -17,15 +17,15 @@ from bulletuav.control.cascade import CONTROLLERS
 from bulletuav.dynamics import DYNAMICS
 from bulletuav.envs.options import EnvOptions
 from bulletuav.envs.resolve import resolve
-from bulletuav.policies import POLICIES, SHIPPED_NAMES, PolicySpec
+from bulletuav.policies import PolicySpec, policy_names
 from bulletuav.tasks import find_task
 from bulletuav.vehicle.airframe import available_airframes
 
 Advance = Callable[[int], None]
 """Function that takes how many more episodes are done"""
 POLICY_HELP = (
-    f"{', '.join((*POLICIES, *SHIPPED_NAMES))}, the folder of a training run, or ppo:model.zip "
-    "(see --trust)"
+    f"{', '.join(policy_names())}, module:Name of a class of your own, the folder of a training "
+    f"run, or ppo:model.zip (see --trust)"
 )
 
 

@@ -9,7 +9,6 @@ from bulletuav.control.actions import ACTIONS
 from bulletuav.control.cascade import CONTROLLERS, PID_LEVELS
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics import find_dynamics
-from bulletuav.dynamics.base import Dynamics
 from bulletuav.envs.randomization import CERTAIN, Randomization
 from bulletuav.errors import as_int, as_sequence, choose, finite, shown, unknown
 from bulletuav.sensors.lidar import FRAMES

@@ -1,4 +1,4 @@
-"""The interface of policies: batched like the aviary."""
+"""The interface of policies, which choose the actions of all drones of all worlds at once."""
 
 from abc import ABC, abstractmethod
 from typing import ClassVar
@@ -11,24 +11,54 @@ from bulletuav.vehicle.swarm import Swarm
 
 
 class Policy(ABC):
-    """Chooses the actions of all drones of all worlds.
+    """A policy that flies all drones of an aviary, W worlds of N drones.
 
-    name         what the command line calls it
-    actions      kinds of action that it can give, the preferred one first; none named: any
-    reads_swarm  whether it uses the true state instead of the observations
+    A policy of one's own derives from this class, in a module that can be imported, and flies by
+    `--policy module:Name`, or under its `name` once `@register("policy")` is above it:
+
+        class Higher(Policy):
+            name = "higher"
+            actions = ("velocity",)
+            reads_swarm = True
+
+            def reset(self, mask): ...
+
+            def act(self, observations, swarm):
+                return self.encoded(np.full(swarm.position.shape, (0.0, 0.0, 1.0)))
+
+    Attributes:
+        name: Its name on the command line and in tables.
+        actions: Actions that it can give, the preferred one first; none named: any.
+        reads_swarm: Whether it uses the true state instead of the observations.
+        aviary: The worlds that it flies.
     """
 
     name: ClassVar[str]
     actions: ClassVar[tuple[str, ...]]
     reads_swarm: ClassVar[bool]
 
-    def __init__(self, aviary: Aviary):
-        """Raises ValueError when the aviary's action is not one that the policy can give."""
+    def __init__(self, aviary: Aviary) -> None:
+        """Take the aviary to fly.
+
+        Args:
+            aviary: The worlds that it flies.
+
+        Raises:
+            ValueError: The aviary's action is not one that the policy can give.
+        """
         check_action(self.name, self.actions, aviary.options.action)
         self.aviary = aviary
 
     def encoded(self, setpoint: np.ndarray) -> np.ndarray:
-        """The actions (W, N, 3) that ask for velocities (or target positions) `setpoint` (W, N, 3), m/s (m)."""
+        """Encode setpoints as actions.
+
+        Args:
+            setpoint: (W, N, 3) velocities, m/s, or where the action is a target position, places,
+                m; in world axes.
+
+        Returns:
+            (W, N, 3) actions that ask for them.
+        """
         encode = self.aviary.action.encode
         assert encode is not None  # all actions that policies ask for have one
         return encode(setpoint, self.aviary.commanded)
@@ -39,12 +69,30 @@ class Policy(ABC):
 
     @abstractmethod
     def act(self, observations: Observation, swarm: Swarm) -> np.ndarray:
-        """Actions (W, N, A) for observations (W, N, D) and the true swarm."""
+        """Choose actions.
+
+        Args:
+            observations: (W, N, D) of each drone, or a dict of such arrays.
+            swarm: The true state of all drones.
+
+        Returns:
+            (W, N, A) actions.
+        """
 
 
 def check_action(policy: str, actions: tuple[str, ...], action: str) -> None:
-    """Raise ValueError unless a policy that can give `actions` (none named: any) can give this one."""
+    """Refuse an action that a policy cannot give.
+
+    Args:
+        policy: Name of the policy, for the message.
+        actions: Actions that it can give; none named: any.
+        action: The action of the environment.
+
+    Raises:
+        ValueError: The action is not among them.
+    """
     if actions and action not in actions:
         raise ValueError(
-            f"policy {policy!r} gives {' or '.join(actions)} actions, not {action!r}: choose action={actions[0]!r}"
+            f"policy {policy!r} gives {' or '.join(actions)} actions, not {action!r}: "
+            f"choose action={actions[0]!r}"
         )

@@ -1,4 +1,7 @@
-"""What observed numbers go through before a network's layers, by NumPy; `adapters.features` has the same to learn with."""
+"""Features that observed numbers go through before a network's layers, by NumPy.
+
+`bulletuav.adapters.features` has the same for PyTorch, to learn with.
+"""
 
 from collections.abc import Sequence
 
@@ -6,29 +9,51 @@ import numpy as np
 
 from bulletuav.sensors.sight import AHEAD
 
-LINE_OF_SIGHT, BLOCKED = 2.0, 3.19  # path loss exponents of `mec`
-FAR = 100.0  # m, unit of positions
+LINE_OF_SIGHT = 2.0
+"""Path loss exponent of `mec` where a user is in sight"""
+BLOCKED = 3.19
+"""Path loss exponent of `mec` where a user is not in sight"""
+FAR = 100.0
+"""Unit of positions, m"""
 Layers = Sequence[tuple[np.ndarray, np.ndarray]]
 """Weights (outputs, inputs) and biases (outputs,) of dense layers"""
 
 
 def symlog(values: np.ndarray, scale: float = 1.0) -> np.ndarray:
-    """Compress numbers: sign(x) ln(1 + scale |x|), of the shape of `values`.
+    """Compress numbers: sign(x) ln(1 + scale |x|).
 
-    D. Hafner, J. Pasukonis, J. Ba, T. Lillicrap, Mastering diverse domains through world models (2023), equation 9.
+    D. Hafner, J. Pasukonis, J. Ba, T. Lillicrap, Mastering diverse domains through world models
+    (2023), equation 9.
+
+    Args:
+        values: Numbers x, of any shape.
+        scale: Scale; larger where small numbers matter.
+
+    Returns:
+        The compressed numbers, of the same shape.
     """
-    return np.sign(values) * np.log1p(scale * np.abs(values))
+    compressed: np.ndarray = np.sign(values) * np.log1p(scale * np.abs(values))
+    return compressed
 
 
 class UserFeatures:
-    """What `adapters.features.UserSum` tells of drones and their users, from the layers that it learned.
+    """Features of drones and their users, from layers that were learned.
 
-    Public state, to read: `num_drones` that the layers are for.
+    See `bulletuav.adapters.features.UserSum`.
+
+    Attributes:
+        num_drones: How many drones the layers are for.
     """
 
-    def __init__(self, layers: Layers):
+    def __init__(self, layers: Layers) -> None:
+        """Take the layers that each user goes through.
+
+        Args:
+            layers: Their weights and biases, first to last.
+        """
         self._layers = layers
-        self.num_drones = (layers[0][0].shape[1] - 4 - len(AHEAD)) // 2
+        weights, _ = layers[0]
+        self.num_drones = (weights.shape[1] - 4 - len(AHEAD)) // 2
         self._ways = np.array(list(AHEAD.values()))
 
     def sizes(self, count: int) -> list[int]:
@@ -40,8 +65,9 @@ class UserFeatures:
         Raises:
             ValueError: No number of users gives as many.
         """
-        others, parts = 6 * (self.num_drones - 1), 4 + self.num_drones + len(AHEAD)
-        users, rest = divmod(count - 3 - others, parts)
+        others = 6 * (self.num_drones - 1)
+        numbers_each = 4 + self.num_drones + len(AHEAD)
+        users, rest = divmod(count - 3 - others, numbers_each)
         if rest or users < 1:
             raise ValueError(
                 f"features of {self.num_drones} drones and their users do not fit {count} numbers"
@@ -49,33 +75,63 @@ class UserFeatures:
         return [3, others, 4 * users, self.num_drones * users, len(AHEAD) * users]
 
     def __call__(self, rows: np.ndarray) -> np.ndarray:
-        """Compute (M, 3 N + F) features of observations (M, D)."""
+        """Compute features.
+
+        Args:
+            rows: (M, D) observations.
+
+        Returns:
+            (M, 3 N + F) features: positions of the drones, and sums over users.
+        """
         count = len(rows)
-        own, others, users, sight, ahead = np.split(
-            rows, np.cumsum(self.sizes(rows.shape[1]))[:-1], axis=1
-        )
+        ends = np.cumsum(self.sizes(rows.shape[1]))[:-1]
+        own, others, users, sight, ahead = np.split(rows, ends, axis=1)
+        # Of each other drone its position, of each user its position, who sees it, and from where.
         others = others.reshape(count, -1, 6)[..., :3]
         users = users.reshape(count, -1, 4)[:, :, None, :3]
-        sight, ahead = (
-            seen.reshape(count, -1, users.shape[1]).transpose(0, 2, 1) for seen in (sight, ahead)
-        )
+        num_users = users.shape[1]
+        sight = sight.reshape(count, -1, num_users).transpose(0, 2, 1)
+        ahead = ahead.reshape(count, -1, num_users).transpose(0, 2, 1)
         # How loud each user is at each drone, first the one that asks, and at the places around it.
-        now = log_gain(np.concatenate([users, users - others[:, None]], axis=2), sight)
-        gain = log_gain(users - self._ways, ahead) - now[..., :1]
-        lead = now[..., :1] - now[..., 1:].max(axis=2, keepdims=True)
+        ways = np.concatenate([users, users - others[:, None]], axis=2)
+        now = log_gain(ways, sight)
+        here = now[..., :1]
+        elsewhere = now[..., 1:].max(axis=2, keepdims=True)
+        lead = here - elsewhere
+        gain = log_gain(users - self._ways, ahead) - here
+        # All of it scaled to the order of 1.
         known = np.concatenate(
-            [users[:, :, 0] / FAR, now / 2 + 6, sight, lead / 2, gain / 2], axis=2
+            [
+                users[:, :, 0] / FAR,
+                now / 2 + 6,
+                sight,
+                lead / 2,
+                gain / 2,
+            ],
+            axis=2,
         )
+        # Through the layers, and summed over users.
         for weight, bias in self._layers:
             known = np.maximum(known @ weight.T + bias, 0)
         each = known.sum(axis=1) / np.sqrt(users.shape[1])
-        return np.concatenate([own / FAR, others.reshape(count, -1) / FAR, each], axis=1)
+        flat = others.reshape(count, -1)
+        return np.concatenate([own / FAR, flat / FAR, each], axis=1)
 
 
 def log_gain(offset: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """Logarithm of received power over that at 1 m, for offsets (..., 3), m; see `log_distance` in `network.pathloss`."""
+    """Compute the logarithm of received power over that at 1 m.
+
+    See `log_distance` in `bulletuav.network.pathloss`.
+
+    Args:
+        offset: (..., 3) ways from senders to receivers, m.
+        seen: (...) 1 where they see each other, else 0.
+
+    Returns:
+        (...) natural logarithms.
+    """
     distance = np.sqrt((offset * offset).sum(axis=-1))
-    exponent = np.where(
-        seen > 0.5, np.float32(LINE_OF_SIGHT), np.float32(BLOCKED)
-    )  # as in training
-    return -exponent * np.log(distance + 1)
+    # In single precision, as in training.
+    exponent = np.where(seen > 0.5, np.float32(LINE_OF_SIGHT), np.float32(BLOCKED))
+    gain: np.ndarray = -exponent * np.log(distance + 1)
+    return gain

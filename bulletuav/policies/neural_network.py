@@ -1,6 +1,7 @@
-"""Trained networks, flown by NumPy alone: numbers from a safetensors file, layers from the settings of the run.
+"""Trained networks, flown by NumPy alone.
 
-The names in the file are those of stable-baselines3's policies (`state_dict`), beside the bounds of the actions.
+Numbers come from a safetensors file, layers from the settings of the run. The names in the file
+are those of stable-baselines3's policies (`state_dict`), beside the bounds of the actions.
 """
 
 import re
@@ -14,22 +15,28 @@ from safetensors.numpy import load_file
 
 from bulletuav.policies.features import Layers, UserFeatures, symlog
 
-LOW, HIGH = "action.low", "action.high"
-"""Bounds of the actions, float32; a policy that chooses among discrete actions has none"""
+LOW = "action.low"
+"""Name of the lower bounds of the actions, float32; a policy of discrete actions has none"""
+HIGH = "action.high"
+"""Name of their upper bounds"""
 SETTINGS = ("net_arch", "log_std_init", "ortho_init", "n_critics", "features_extractor_kwargs")
-"""Arguments of stable-baselines3's policies that leave the layers of the actor as they are told here"""
+"""Arguments of stable-baselines3's policies that leave the layers of the actor as told here"""
 STACKS = ("mlp_extractor.policy_net", "actor.latent_pi")
-"""Layers before the last one, of which there may be none"""
+"""Names of layers before the last one, of which there may be none"""
 Weights = Mapping[str, np.ndarray]
+"""Arrays of a policy by their names in its file"""
 
 
 class Actor(NamedTuple):
-    """Where an algorithm's file holds the network that acts.
+    """Where an algorithm's file holds the network that acts, and how it acts.
 
-    layers      names of its dense layers, first to last; of a stack of layers what stands before their numbers
-    features    what stands before the names of the features' numbers
-    activation  between layers
-    squashed    whether the last layer goes through tanh, whose ends are the bounds of the actions; else it is clipped
+    Attributes:
+        layers: Names of its dense layers, first to last; of a stack of layers what stands before
+            their numbers.
+        features: What stands before the names of the features' numbers.
+        activation: Function between layers.
+        squashed: Whether the last layer goes through tanh, whose ends are the bounds of the
+            actions; else it is clipped to them.
     """
 
     layers: tuple[str, ...]
@@ -38,33 +45,60 @@ class Actor(NamedTuple):
     squashed: bool
 
 
+def _tanh(values: np.ndarray) -> np.ndarray:
+    """Apply the hyperbolic tangent."""
+    return np.asarray(np.tanh(values))
+
+
 def _relu(values: np.ndarray) -> np.ndarray:
-    return np.maximum(values, 0.0)
+    """Cut off what is negative."""
+    return np.asarray(np.maximum(values, 0.0))
 
 
 _ON_POLICY = Actor(
-    ("mlp_extractor.policy_net", "action_net"), "features_extractor.", np.tanh, False
+    layers=("mlp_extractor.policy_net", "action_net"),
+    features="features_extractor.",
+    activation=_tanh,
+    squashed=False,
 )
-_TD3 = Actor(("actor.mu",), "actor.features_extractor.", _relu, True)
+_SAC = Actor(
+    layers=("actor.latent_pi", "actor.mu"),
+    features="actor.features_extractor.",
+    activation=_relu,
+    squashed=True,
+)
+_TD3 = Actor(
+    layers=("actor.mu",), features="actor.features_extractor.", activation=_relu, squashed=True
+)
+_DQN = Actor(
+    layers=("q_net.q_net",), features="q_net.features_extractor.", activation=_relu, squashed=False
+)
 ACTORS = {
     "ppo": _ON_POLICY,
     "a2c": _ON_POLICY,
-    "sac": Actor(("actor.latent_pi", "actor.mu"), "actor.features_extractor.", _relu, True),
+    "sac": _SAC,
     "td3": _TD3,
     "ddpg": _TD3,
-    "dqn": Actor(("q_net.q_net",), "q_net.features_extractor.", _relu, False),
+    "dqn": _DQN,
 }
+"""Actors of the algorithms by their names"""
 
 
 def read_weights(path: Path) -> dict[str, np.ndarray]:
     """Read the arrays of a safetensors file, which can hold nothing but numbers.
+
+    Args:
+        path: The file.
+
+    Returns:
+        Arrays by name.
 
     Raises:
         ValueError: The file is of another kind, or holds a number that is not finite.
         FileNotFoundError: There is no such file.
     """
     try:
-        weights = load_file(path)
+        weights: dict[str, np.ndarray] = load_file(path)
     except FileNotFoundError:
         raise FileNotFoundError(
             f"no policy {path}: the folder of a run that was trained holds one"
@@ -80,17 +114,21 @@ def read_weights(path: Path) -> dict[str, np.ndarray]:
 
 
 def is_plain(algorithm: str, model: Mapping[str, Any]) -> bool:
-    """Tell whether `Network` knows the layers that an algorithm with these settings learns, for vectors of numbers."""
-    explored = (
-        model.get("use_sde", False) and algorithm == "sac"
-    )  # whose last layer has a clip of its own
+    """Tell whether `Network` knows the layers that an algorithm learns, for vectors of numbers.
+
+    Args:
+        algorithm: One of `ACTORS`.
+        model: The run's settings of the algorithm.
+    """
+    # With noise of states, SAC's last layer has a clip of its own.
+    explored = model.get("use_sde", False) and algorithm == "sac"
     return not explored and set(model.get("policy_kwargs", {})) <= set(SETTINGS)
 
 
 class Network:
-    """The deterministic action for each row of observations."""
+    """A network that chooses the deterministic action for each row of observations."""
 
-    def __init__(self, weights: Weights, algorithm: str, model: Mapping[str, Any]):
+    def __init__(self, weights: Weights, algorithm: str, model: Mapping[str, Any]) -> None:
         """Take an actor out of the weights.
 
         Args:
@@ -101,13 +139,14 @@ class Network:
         Raises:
             ValueError: The weights are not those of such an actor.
         """
-        self._actor = ACTORS[algorithm]
-        self._layers = [pair for name in self._actor.layers for pair in _dense(weights, name)]
-        self._bounds = (weights[LOW], weights[HIGH]) if LOW in weights and HIGH in weights else None
+        actor = self._actor = ACTORS[algorithm]
+        self._layers = [pair for name in actor.layers for pair in _dense(weights, name)]
+        has_bounds = LOW in weights and HIGH in weights
+        self._bounds = (weights[LOW], weights[HIGH]) if has_bounds else None
         kind = model["features"]
         arguments = model.get("policy_kwargs", {}).get("features_extractor_kwargs", {})
         self._scale = arguments.get("scale", 1.0) if kind == "symlog" else None
-        of_users = _dense(weights, f"{self._actor.features}each") if kind == "user_sum" else []
+        of_users = _dense(weights, f"{actor.features}each") if kind == "user_sum" else []
         for layers in (self._layers, of_users):
             _require_chain(layers)
         self._users = UserFeatures(of_users) if of_users else None
@@ -119,19 +158,23 @@ class Network:
         return f"{inputs} to {len(self._layers[-1][1])} {'numbers' if self._bounds else 'choices'}"
 
     def fits(self, observed: int, given: int, choices: bool) -> bool:
-        """Tell whether it takes `observed` numbers and gives `given` numbers, or as many `choices`."""
+        """Tell whether it fits an environment.
+
+        Args:
+            observed: How many numbers a drone observes.
+            given: How many numbers its action has, or how many choices there are.
+            choices: Whether its action is a choice.
+        """
         expected = self._layers[0][0].shape[1]
         if self._users is not None:
             try:
                 self._users.sizes(observed)
             except ValueError:
                 return False
+            # Features of users take any number of users.
             observed = expected
-        return (observed, given, choices) == (
-            expected,
-            len(self._layers[-1][1]),
-            self._bounds is None,
-        )
+        own = (expected, len(self._layers[-1][1]), self._bounds is None)
+        return (observed, given, choices) == own
 
     def __call__(self, rows: np.ndarray) -> np.ndarray:
         """Choose actions.
@@ -143,48 +186,54 @@ class Network:
             (M, A) within the bounds, or (M, 1) choices.
         """
         values = np.asarray(rows, dtype=float)
+        # Features.
         if self._scale is not None:
             values = symlog(values, self._scale)
         if self._users is not None:
             values = self._users(values)
+        # Layers.
         for k, (weight, bias) in enumerate(self._layers):
             values = (self._actor.activation(values) if k else values) @ weight.T + bias
+        # Actions.
         if self._bounds is None:
-            return values.argmax(axis=1)[:, None]
+            best: np.ndarray = values.argmax(axis=1)
+            return best[:, None]
         low, high = self._bounds
         if self._actor.squashed:
-            return low + 0.5 * (np.tanh(values) + 1) * (high - low)
-        return np.clip(values, low, high)
+            share = 0.5 * (np.tanh(values) + 1)
+            squashed: np.ndarray = low + share * (high - low)
+            return squashed
+        clipped: np.ndarray = np.clip(values, low, high)
+        return clipped
 
 
 def _dense(weights: Weights, name: str) -> Layers:
-    """The dense layers of that name, or of the stack of that name in the order of their numbers."""
+    """Take out the dense layer of that name, or the stack of layers by their numbers."""
     numbers = {
         int(match[1])
         for known in weights
         if (match := re.fullmatch(rf"{re.escape(name)}\.(\d+)\.weight", known))
     }
-    names = [f"{name}.{number}" for number in sorted(numbers)] or ([] if name in STACKS else [name])
+    names = [f"{name}.{number}" for number in sorted(numbers)]
+    if not names and name not in STACKS:
+        names = [name]
     try:
-        layers = [
+        return [
             (weights[f"{one}.weight"].astype(float), weights[f"{one}.bias"].astype(float))
             for one in names
         ]
     except KeyError as error:
         raise ValueError(f"it lacks {error.args[0]}") from None
-    return layers
 
 
 def _require_chain(layers: Layers) -> None:
     """Raise ValueError unless each layer takes as many numbers as the one before it gives."""
-    sizes = None
+    given = None
     for weight, bias in layers:
-        if (
-            weight.ndim != 2
-            or bias.shape != weight.shape[:1]
-            or sizes not in (None, weight.shape[1])
-        ):
+        is_layer = weight.ndim == 2 and bias.shape == weight.shape[:1]
+        if not is_layer or given not in (None, weight.shape[1]):
             raise ValueError(
-                f"a layer of weights {weight.shape} and biases {bias.shape} does not fit the one before it"
+                f"a layer of weights {weight.shape} and biases {bias.shape} "
+                f"does not fit the one before it"
             )
-        sizes = len(bias)
+        given = len(bias)

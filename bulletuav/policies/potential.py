@@ -1,6 +1,7 @@
-"""Policy `potential`: an artificial potential field, attraction to the goal and repulsion from all else that is near.
+"""Policy `potential`: an artificial potential field.
 
-O. Khatib, Real-time obstacle avoidance for manipulators and mobile robots (1986), with velocities in place of forces.
+The goal attracts; drones, obstacles and the ground repel. O. Khatib, Real-time obstacle avoidance
+for manipulators and mobile robots (1986), with velocities in place of forces.
 """
 
 import math
@@ -11,21 +12,35 @@ import numpy as np
 from bulletuav.control.actions import limit_norm
 from bulletuav.envs.aviary import Aviary
 from bulletuav.geometry.closest_approach import offset
-from bulletuav.geometry.rotation import dot, vec3
+from bulletuav.geometry.rotation import Vec3, dot, vec3
 from bulletuav.kernel import func, kernel
 from bulletuav.policies.base import Policy
 from bulletuav.policies.straight import preferred_velocity
+from bulletuav.registry import register
 from bulletuav.tasks.observations.observer import Observation
 from bulletuav.vehicle.swarm import Swarm
 
-INFLUENCE = 8.0  # d_safe; two drones that meet at 20 m/s have a second to turn
-STRENGTH = 4.0  # max_speed; with twice as much, formations 12 m apart keep drones off their goals
-SURFACES = 0.5  # d_safe; scale of the push from surfaces, which need only not be touched: goals may be near them
-CONTACT = 0.01  # d_safe; nearer than this the push grows no more
+INFLUENCE = 8.0
+"""Reach of the repulsion, d_safe: two drones that meet at 20 m/s have a second to turn"""
+STRENGTH = 4.0
+"""Strength, max_speed: with twice as much, formations 12 m apart keep drones off their goals"""
+SURFACES = 0.5
+"""Scale of surfaces, d_safe: these need only not be touched, and goals may be near them"""
+CONTACT = 0.01
+"""Distance below which the repulsion grows no more, d_safe"""
 
 
 class Field(NamedTuple):
-    """Strength of the repulsion, m/s; scales for drones and surfaces, influence, least distance, radius of a drone, m."""
+    """Parameters of the repulsion.
+
+    Attributes:
+        strength: Speed of the push at a distance of one scale, far within the influence, m/s.
+        drones: Scale of the repulsion from drones, m.
+        surfaces: Scale of the repulsion from surfaces, m.
+        influence: Distance beyond which nothing repels, m.
+        contact: Distance below which the repulsion grows no more, m.
+        body: Radius of a drone, m.
+    """
 
     strength: float
     drones: float
@@ -36,53 +51,87 @@ class Field(NamedTuple):
 
 
 def make_field(aviary: Aviary, surfaces: float = SURFACES) -> Field:
-    """The field for the drones of an aviary; `surfaces` is the scale of the push from these, d_safe."""
+    """Make the field for the drones of an aviary.
+
+    Args:
+        aviary: The worlds that are flown.
+        surfaces: Scale of the repulsion from surfaces, d_safe; 0 for none.
+    """
     body = aviary.task.context.collision_radius
     scale = float(max(aviary.task.config.d_safe, 2 * body))
     return Field(
-        STRENGTH * aviary.options.max_speed,
-        scale,
-        surfaces * scale,
-        INFLUENCE * scale,
-        CONTACT * scale,
-        body,
+        strength=STRENGTH * aviary.options.max_speed,
+        drones=scale,
+        surfaces=surfaces * scale,
+        influence=INFLUENCE * scale,
+        contact=CONTACT * scale,
+        body=body,
     )
 
 
+@register("policy")
 class PotentialField(Policy):
-    """Towards the goal, pushed off by living drones, obstacles (bounding spheres) and the ground; it may get stuck."""
+    """Flight towards the goal, repelled by living drones, obstacles and the ground.
+
+    Obstacles are known by their bounding spheres. A drone may get stuck where all that acts on it
+    cancels.
+    """
 
     name = "potential"
     actions = ("velocity", "velocity_increment")
     reads_swarm = True
 
     def reset(self, mask: np.ndarray) -> None:
-        """Nothing to forget."""
+        """Do nothing, as no world is remembered."""
 
     def act(self, observations: Observation, swarm: Swarm) -> np.ndarray:
-        """The attraction, like that of policy `straight`, and `repulsion`, together limited to max_speed."""
-        aviary, scene, task = self.aviary, self.aviary.scene, self.aviary.task
+        """Add attraction, as of policy `straight`, and `repulsion`; see `Policy.act`.
+
+        Together they are limited to max_speed.
+        """
+        aviary = self.aviary
+        scene = aviary.scene
         speed = aviary.options.max_speed
-        radius = np.array([obstacle.radius for obstacle in task.obstacles()])
+        radius = np.array([obstacle.radius for obstacle in aviary.task.obstacles()])
         wanted = preferred_velocity(scene.goal, scene.goal_velocity, swarm.position, speed)
         push = repulsion(swarm.position, aviary.alive, scene.obstacle, radius, make_field(aviary))
         return self.encoded(limit_norm(wanted + push, speed))
 
 
 @kernel
-def repulsion(position, alive, obstacle, obstacle_radius, field):
-    """Velocities (W, N, 3), m/s, away from living drones (W, N), balls (W, K, 3) m, (K,) m and the ground; else zero.
+def repulsion(
+    position: np.ndarray,
+    alive: np.ndarray,
+    obstacle: np.ndarray,
+    obstacle_radius: np.ndarray,
+    field: Field,
+) -> np.ndarray:
+    """Compute velocities away from living drones, obstacles and the ground.
 
-    Distances are between centres of drones, as in d_safe, but from the surfaces of other bodies to that of the drone.
+    Distances are between centres of drones, as in d_safe, but from the surfaces of other bodies
+    to that of the drone.
+
+    Args:
+        position: (W, N, 3) positions of the drones, m.
+        alive: (W, N) bool, which of them fly.
+        obstacle: (W, K, 3) centres of balls, m.
+        obstacle_radius: (K,) their radii, m.
+        field: The field's parameters.
+
+    Returns:
+        (W, N, 3) velocities, m/s; zero for drones that do not fly.
     """
     result = np.zeros(position.shape)
     for w in range(alive.shape[0]):
         for i in range(alive.shape[1]):
             if not alive[w, i]:
                 continue
+            # Other drones, centre from centre.
             for j in range(alive.shape[1]):
                 if j != i and alive[w, j]:
-                    _push(result, w, i, offset(position, w, j, i), 0.0, field.drones, field)
+                    away = offset(position, w, j, i)
+                    _push(result, w, i, away, 0.0, field.drones, field)
+            # Obstacles, surface from surface.
             here = vec3(position, w, i)
             for k in range(obstacle_radius.size):
                 away = (
@@ -90,13 +139,24 @@ def repulsion(position, alive, obstacle, obstacle_radius, field):
                     here[1] - obstacle[w, k, 1],
                     here[2] - obstacle[w, k, 2],
                 )
-                _push(result, w, i, away, obstacle_radius[k] + field.body, field.surfaces, field)
-            _push(result, w, i, (0.0, 0.0, here[2]), field.body, field.surfaces, field)
+                radius = obstacle_radius[k] + field.body
+                _push(result, w, i, away, radius, field.surfaces, field)
+            # The ground, which is at height 0.
+            up = (0.0, 0.0, here[2])
+            _push(result, w, i, up, field.body, field.surfaces, field)
     return result
 
 
 @func
-def _push(result, w, i, away, radius, scale, field):
+def _push(
+    result: np.ndarray,
+    w: int,
+    i: int,
+    away: Vec3,
+    radius: float,
+    scale: float,
+    field: Field,
+) -> None:
     """Add the push along `away` from a body's centre, whose surface is `radius` nearer."""
     length = math.sqrt(dot(away, away))
     size = strength(length - radius, scale, field) / max(length, field.contact)
@@ -105,8 +165,21 @@ def _push(result, w, i, away, radius, scale, field):
 
 
 @func
-def strength(distance, scale, field):
-    """-dU/drho of U = eta / 2 (1 / rho - 1 / rho0)^2 within rho0, with eta = strength scale^3, m/s (Khatib 1986)."""
+def strength(distance: float, scale: float, field: Field) -> float:
+    """Compute the speed away from a body, as the potential's derivative (Khatib 1986).
+
+    It is -dU/drho of U = eta / 2 (1 / rho - 1 / rho0)^2 within rho0, where
+    eta = strength scale^3.
+
+    Args:
+        distance: Distance rho from the body, m.
+        scale: Distance at which the repulsion has its strength, m.
+        field: The field's parameters; rho0 is its influence.
+
+    Returns:
+        The speed, m/s.
+    """
+    # Beyond the influence there is none, within contact it grows no more.
     rho = max(distance, field.contact)
     inverse = 1.0 / rho - 1.0 / field.influence
     return field.strength * scale**3 * max(inverse, 0.0) / (rho * rho)

@@ -1,4 +1,7 @@
-"""The folder of a training run: `run.yaml`, which reproduces it, and `policy.safetensors`, what came out of it."""
+"""Settings of a training run, and the file `run.yaml` that reproduces it.
+
+The folder of a run holds this file and `policy.safetensors`, the policy that came out of it.
+"""
 
 import dataclasses
 import re
@@ -14,12 +17,19 @@ from bulletuav.envs.curriculum import Curriculum, check_stages
 from bulletuav.envs.env_spec import MOST_WORLDS
 from bulletuav.envs.options import EnvOptions
 from bulletuav.envs.resolve import resolve
-from bulletuav.errors import as_int, choose, unknown
+from bulletuav.errors import as_int, choose, shown, unknown
 from bulletuav.tasks import find_task
 
-CONFIG, POLICY = "run.yaml", "policy.safetensors"
+CONFIG = "run.yaml"
+"""File with the settings of a run, in its folder"""
+VERSION = 1
+"""Version of that file: another number means other names or meanings of settings"""
+POLICY = "policy.safetensors"
+"""File with the policy of a run or of a checkpoint, in its folder"""
 CHECKPOINTS = "checkpoints"
+"""Folder of the checkpoints in that of a run"""
 ALGORITHMS = ("ppo", "sac", "td3", "dqn", "a2c", "ddpg")
+"""Algorithms of stable-baselines3 that train policies"""
 INTERFACE = (
     "action",
     "decision_hz",
@@ -34,9 +44,9 @@ INTERFACE = (
     "camera_size",
     "camera_hz",
 )
-"""Options that say what a policy sees and does: where it flies they are as in its training"""
+"""Options that say what a policy sees and does; they hold wherever it flies"""
 SCENE = ("num_drones", "airframe", "difficulty", "preset")
-"""Options that evaluations on the way take over from the training, beside those of `INTERFACE`"""
+"""Options, beside `INTERFACE`, that evaluations during training take over from it"""
 LIMITS = {
     "seed": (0, None),
     "steps": (1, 10**12),
@@ -44,7 +54,7 @@ LIMITS = {
     "evaluations": (1, 10**6),
     "episodes": (1, 10**6),
 }
-"""Least and most of whole numbers of a run"""
+"""Least and greatest value of each setting that is a whole number; None: no bound"""
 _REPLAY = {
     "learning_starts": 10_000,
     "batch_size": 1024,
@@ -67,26 +77,31 @@ DEFAULTS: dict[str, dict[str, Any]] = {
     "ddpg": {**_REPLAY, "learning_rate": 1e-3, "gradient_steps": 4, "action_noise": 0.2},
     "dqn": {**_REPLAY, "learning_rate": 5e-4, "gradient_steps": 4, "target_update_interval": 5_000},
 }
-"""Settings that work with some hundred slots; those of a run go before them"""
+"""Settings of each algorithm that work with some hundred slots; those of a run override them"""
 SHIPPED = Path(__file__).parents[1] / "trained"
+"""Folder of the runs that come with the package, one for each task"""
 
 
 @dataclass(frozen=True)
 class RunConfig:
-    """What decides a training run.
+    """The settings that decide a training run.
 
-    task, seed   what is learned, and the seed of weights, worlds and everything drawn
-    algo         one of `ALGORITHMS`
-    steps        decisions of all slots together; an empty slot counts, too, see `bulletuav.adapters.sb3`
-    worlds       that are flown at once
-    options      of the environment in training; those of `INTERFACE` also where the policy flies
-    stages       further options of each stage of a curriculum, easiest first; one for none
-    curriculum   `up`, `down` and `window` of `bulletuav.envs.curriculum.Curriculum`
-    shared_reward  whether each drone is rewarded with the mean of all of its world
-    model        arguments of the algorithm, see `bulletuav.training.models.make_model`
-    evaluations  how many times the policy is evaluated and kept on the way
-    episodes     of each
-    evaluation   options of the environment in these, beside those of `INTERFACE` and `SCENE`
+    Attributes:
+        task: Name of the task that is learned.
+        algo: One of `ALGORITHMS`.
+        seed: Seed of weights, worlds and everything drawn.
+        steps: Decisions of all slots together; an empty slot counts, too, see
+            `bulletuav.adapters.sb3`.
+        worlds: How many worlds are flown at once.
+        options: Options of the environment in training; those of `INTERFACE` hold also where
+            the policy flies.
+        stages: Further options of each stage of a curriculum, easiest first; one stage for none.
+        curriculum: Arguments `up`, `down` and `window` of `bulletuav.envs.curriculum.Curriculum`.
+        shared_reward: Whether each drone is rewarded with the mean of all of its world.
+        model: Arguments of the algorithm, see `bulletuav.training.models.make_model`.
+        evaluations: How many times the policy is evaluated and kept during training.
+        episodes: Episodes of each evaluation.
+        evaluation: Options of the environment in these, beside `INTERFACE` and `SCENE`.
     """
 
     task: str
@@ -103,46 +118,67 @@ class RunConfig:
     episodes: int = 20
     evaluation: Mapping[str, Any] = field(default_factory=dict)
 
-    def __post_init__(self):
-        """Raise ValueError for what cannot be, options of environments among it; settings of models are theirs to check."""
+    def __post_init__(self) -> None:
+        """Check all settings but those of the algorithm, which its own model checks.
+
+        Raises:
+            ValueError: A setting, or an option of an environment, is impossible.
+        """
         task = find_task(self.task)
         choose("algorithm", self.algo, dict.fromkeys(ALGORITHMS))
         for name, (least, most) in LIMITS.items():
             as_int(name, getattr(self, name), least, most)
         for name in ("options", "curriculum", "model", "evaluation"):
-            if not isinstance(getattr(self, name), Mapping):
-                raise ValueError(f"{name} is {getattr(self, name)!r}: names with values are needed")
+            value = getattr(self, name)
+            if not isinstance(value, Mapping):
+                raise ValueError(f"{name} is {value!r}: names with values are needed")
         if not isinstance(self.shared_reward, bool):
             raise ValueError(f"shared_reward is {self.shared_reward!r}: true or false is needed")
-        stages = self.stages
-        check_stages(stages)
+        # Making the curriculum and the options of all environments checks them.
+        check_stages(self.stages)
         for name in self.curriculum:
             choose("setting of curriculum:", name, dict.fromkeys(("up", "down", "window")))
-        Curriculum(len(stages), **self.curriculum)
-        for stage in stages:
+        Curriculum(len(self.stages), **self.curriculum)
+        for stage in self.stages:
             resolve(task, {**self.options, **stage})
         resolve(task, self.evaluated)
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> "RunConfig":
-        """From names and values. Raises ValueError for unknown names, with the nearest, or a missing task."""
-        known = [one.name for one in dataclasses.fields(cls)]
+        """Make the settings from names and values, where 2e6 may stand for 2000000.
+
+        Args:
+            values: Settings by name; those left out have their defaults.
+
+        Raises:
+            ValueError: A name is unknown (the nearest are told), a value is impossible, or there
+                is no task.
+        """
+        fields = dataclasses.fields(cls)
+        known = [one.name for one in fields]
         for name in values:
             if name not in known:
                 raise unknown("setting of a run:", name, known)
         if "task" not in values:
             raise ValueError("a run without a task: say which")
-        counts = {field.name for field in dataclasses.fields(cls) if field.type is int}
-        return cls(
-            **{
-                name: whole_number(value) if name in counts else value
-                for name, value in values.items()
-            }
-        )
+        # Files say 2e6 where a whole number is meant.
+        counts = {one.name for one in fields if one.type is int}
+        given = {
+            name: whole_number(value) if name in counts else value for name, value in values.items()
+        }
+        return cls(**given)
 
     @classmethod
     def read(cls, path: Path) -> "RunConfig":
-        """From a YAML file. Raises ValueError where it holds something else, FileNotFoundError where there is none."""
+        """Read the settings from a YAML file.
+
+        Args:
+            path: A file as `text` writes it, or one by hand: `version`, `task`, and any other.
+
+        Raises:
+            ValueError: The file is of another kind or version, or holds an impossible setting.
+            FileNotFoundError: There is no such file.
+        """
         try:
             values = yaml.load(path.read_text(), _Loader)
         except (yaml.YAMLError, UnicodeDecodeError) as error:
@@ -155,36 +191,44 @@ class RunConfig:
             raise ValueError(
                 f"{path} holds {values!r}: names with values are needed, such as task: crossing"
             )
+        _require_version(path, values)
+        settings = {name: value for name, value in values.items() if name != "version"}
+        # Whatever is wrong with them is told with the file's name.
         try:
-            return cls.of(values)
+            return cls.of(settings)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None
 
     def plain(self) -> dict[str, Any]:
-        """Of lists, dicts, texts and numbers alone."""
-        return {name: _plain(value) for name, value in dataclasses.asdict(self).items()}
+        """Give the version of the file and all settings, made of lists, dicts, texts and numbers.
+
+        Returns:
+            What a file holds, by name, in its order.
+        """
+        settings = {name: _plain(value) for name, value in dataclasses.asdict(self).items()}
+        return {"version": VERSION, **settings}
 
     def text(self) -> str:
-        """As YAML, which `read` takes back."""
-        return yaml.safe_dump(self.plain(), sort_keys=False, default_flow_style=None, width=110)
+        """Write the settings as YAML, which `read` takes back."""
+        text: str = yaml.safe_dump(
+            self.plain(), sort_keys=False, default_flow_style=None, width=110
+        )
+        return text
 
     @property
     def settings(self) -> dict[str, Any]:
-        """The algorithm's settings: those that work with some hundred slots, changed as `model` says."""
+        """The algorithm's settings: those of `DEFAULTS`, changed as `model` says."""
         return {**DEFAULTS[self.algo], "features": "symlog", **self.model}
 
     @property
-    def _given(self) -> dict[str, Any]:
-        return {**self.options, **self.stages[-1]}
-
-    @property
-    def _resolved(self) -> EnvOptions:
-        return resolve(find_task(self.task), self._given)[0]
-
-    @property
     def interface(self) -> dict[str, Any]:
-        """The options that hold wherever the policy flies: those of `INTERFACE`, also where a preset or so gives them."""
-        given, own, usual = self._given, self._resolved, resolve(find_task(self.task), {})[0]
+        """The options of `INTERFACE` that the policy needs wherever it flies.
+
+        They are those that the training gives, and those that a preset or so changes.
+        """
+        given = self._given
+        own = self._resolved
+        usual = resolve(find_task(self.task), {})[0]
         values = {name: getattr(own, name) for name in INTERFACE}
         return {
             name: value
@@ -199,31 +243,62 @@ class RunConfig:
 
     @property
     def evaluated(self) -> dict[str, Any]:
-        """The options of evaluations on the way."""
+        """The options of evaluations during training."""
         scene = {name: value for name, value in self._given.items() if name in SCENE}
         return {**scene, **self.interface, **self.evaluation}
 
+    @property
+    def _given(self) -> dict[str, Any]:
+        """The options of the last stage, as they were given."""
+        return {**self.options, **self.stages[-1]}
+
+    @property
+    def _resolved(self) -> EnvOptions:
+        """All options of the last stage."""
+        return resolve(find_task(self.task), self._given)[0]
+
 
 def shipped_tasks() -> list[str]:
-    """Tasks for which there is a trained policy in the package."""
+    """List the tasks for which there is a trained policy in the package."""
     return sorted(path.parent.name for path in SHIPPED.glob(f"*/{CONFIG}"))
 
 
 def shipped(task: str) -> Path:
-    """The folder of the package's run for a task. Raises ValueError where there is none."""
+    """Find the folder of the package's run for a task.
+
+    Args:
+        task: Name of the task.
+
+    Raises:
+        ValueError: There is none for that task; those that have one are told.
+    """
     if task not in shipped_tasks():
         raise ValueError(
-            f"no policy for task {task!r} comes with the package: there are some for {', '.join(shipped_tasks())}"
+            f"no policy for task {task!r} comes with the package: "
+            f"there are some for {', '.join(shipped_tasks())}"
         )
     return SHIPPED / task
 
 
 def whole_number(value: Any) -> Any:
-    """2000000 for 2e6; anything that is no whole number as it is."""
+    """Give 2000000 for 2e6, and anything that is no whole number as it is."""
     return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
+def _require_version(path: Path, values: Mapping[str, Any]) -> None:
+    """Raise ValueError unless a file says that it is of this version."""
+    version = values.get("version")
+    if type(version) is int and version == VERSION:  # True is no version, though it equals 1
+        return
+    found = f"version: {shown(version)}" if "version" in values else "no version"
+    raise ValueError(
+        f"{path} has {found}, and version: {VERSION} is needed: "
+        f"train anew, or use the version of bulletuav that made it"
+    )
+
+
 def _plain(value: Any) -> Any:
+    """Make a value of lists, dicts, texts and numbers alone."""
     if isinstance(value, Mapping):
         return {name: _plain(one) for name, one in value.items()}
     if isinstance(value, np.ndarray | np.generic):
@@ -233,8 +308,8 @@ def _plain(value: Any) -> Any:
     return [_plain(one) for one in value] if isinstance(value, list | tuple) else value
 
 
-class _Loader(yaml.SafeLoader):
-    """Makes nothing but plain values, and takes 1e-3 for a number, which YAML 1.1 takes for a text."""
+class _Loader(yaml.SafeLoader):  # type: ignore[misc]  # which comes without types
+    """Loader of plain values; it takes 1e-3 for a number, which YAML 1.1 takes for a text."""
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         """Refuse aliases, of which a short file can make a value that fills the memory."""

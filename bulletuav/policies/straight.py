@@ -1,37 +1,62 @@
-"""Policy `straight`: everyone flies straight at its goal and avoids nobody. What a scenario does to the careless."""
+"""Policy `straight`, which flies everyone straight at its goal and avoids nobody.
+
+It shows what a scenario does to drones that do not look.
+"""
 
 import numpy as np
 
 from bulletuav.control.actions import limit_norm
 from bulletuav.policies.base import Policy
+from bulletuav.registry import register
 from bulletuav.tasks.observations.observer import Observation
 from bulletuav.vehicle.swarm import Swarm
 
-APPROACH = 1.0  # 1/s; slows down over the last max_speed metres
+APPROACH = 1.0
+"""Speed per distance to the goal, 1/s: slows drones down over the last max_speed metres"""
 
 
+@register("policy")
 class StraightLine(Policy):
-    """Towards the goal at max_speed, slower when nearer than a second of flight, and with it where it moves."""
+    """Flight towards the goal at max_speed, and with the goal where it moves.
+
+    Drones are slower when nearer than a second of flight.
+    """
 
     name = "straight"
     actions = ("velocity", "velocity_increment", "target_position")
     reads_swarm = True
 
     def reset(self, mask: np.ndarray) -> None:
-        """Nothing to forget."""
+        """Do nothing, as no world is remembered."""
 
     def act(self, observations: Observation, swarm: Swarm) -> np.ndarray:
-        """The goal itself, or the velocity towards it."""
-        scene, options = self.aviary.scene, self.aviary.options
+        """Ask for the goal itself, or for the velocity towards it; see `Policy.act`."""
+        scene = self.aviary.scene
+        options = self.aviary.options
         if options.action == "target_position":
             return self.encoded(scene.goal)
-        return self.encoded(
-            preferred_velocity(scene.goal, scene.goal_velocity, swarm.position, options.max_speed)
+        wanted = preferred_velocity(
+            scene.goal, scene.goal_velocity, swarm.position, options.max_speed
         )
+        return self.encoded(wanted)
 
 
 def preferred_velocity(
-    goal: np.ndarray, goal_velocity: np.ndarray, position: np.ndarray, max_speed: float
+    goal: np.ndarray,
+    goal_velocity: np.ndarray,
+    position: np.ndarray,
+    max_speed: float,
 ) -> np.ndarray:
-    """(W, N, 3) m/s towards goals (W, N, 3) from positions, and with them, at up to `max_speed`."""
-    return limit_norm(APPROACH * (goal - position) + goal_velocity, max_speed)
+    """Compute the velocities that lead straight to the goals, and with them.
+
+    Args:
+        goal: (W, N, 3) goals, m.
+        goal_velocity: (W, N, 3) their velocities, m/s.
+        position: (W, N, 3) positions of the drones, m.
+        max_speed: Limit of the speed, m/s.
+
+    Returns:
+        (W, N, 3) velocities, m/s.
+    """
+    towards = APPROACH * (goal - position)
+    return limit_norm(towards + goal_velocity, max_speed)

@@ -14,7 +14,7 @@ def space(size):
 
 
 def observed(rng, users=USERS):
-    """Numbers as of the blocks position, all_neighbours, targets, sight_matrix, sight_ahead, in this order."""
+    """Numbers as of position, all_neighbours, targets, sight_matrix, sight_ahead, in this order."""
     own, others = rng.uniform(-100, 100, (1, 3)), rng.uniform(-50, 50, (1, 6 * (DRONES - 1)))
     targets = rng.uniform(-200, 200, (1, users, 4))
     flags = rng.integers(0, 2, (1, DRONES + 4, users))

@@ -357,10 +357,11 @@ def test_a_shared_reward_is_the_mean_of_the_world():
 
 
 def test_the_extra_is_named_where_it_is_missing(monkeypatch):
-    monkeypatch.delitem(sys.modules, "bulletuav.adapters.sb3")
-    monkeypatch.delitem(sys.modules, "bulletuav.adapters.features")
-    monkeypatch.setitem(sys.modules, "stable_baselines3", None)
-    monkeypatch.setitem(sys.modules, "stable_baselines3.common.torch_layers", None)
-    for name in ("sb3", "features"):
+    names = ("sb3", "sb3_buffers", "features")
+    for name in names:
+        monkeypatch.delitem(sys.modules, f"bulletuav.adapters.{name}")
+    for name in ("", ".common.torch_layers", ".common.buffers"):
+        monkeypatch.setitem(sys.modules, f"stable_baselines3{name}", None)
+    for name in names:
         with pytest.raises(ImportError, match=r"\[sb3\]'"):
             importlib.import_module(f"bulletuav.adapters.{name}")

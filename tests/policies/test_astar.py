@@ -8,16 +8,9 @@ from scipy.sparse.csgraph import dijkstra
 import bulletuav
 import bulletuav.policies.planner as planner
 from bulletuav.geometry.solids import Solids
-from bulletuav.policies.astar import (
-    Voxels,
-    is_clear,
-    nearest_free,
-    plan,
-    shortened,
-    shortest_path,
-    voxels,
-)
+from bulletuav.policies.astar import plan, shortened, shortest_path
 from bulletuav.policies.planner import Limits, Planner, braking, corner_speed, follow
+from bulletuav.policies.voxels import Voxels, is_clear, nearest_free, voxels
 
 LIMITS = Limits(speed=15.0, acceleration=5.0, delay=0.6, half_width=2.0)
 NOTHING = np.zeros((0, 2, 3))
@@ -219,7 +212,10 @@ def test_shortening_keeps_what_it_cannot_see_past():
 
 
 def test_corner_speeds_by_hand():
-    """Right angle, 2 m of room: r = 2 cos 45 / (1 - cos 45) = 4.8284 m, sqrt(5 r) = 4.9135 m/s. On legs of 4 m, r = 2 m."""
+    """Right angle, 2 m of room: r = 2 cos 45 / (1 - cos 45) = 4.8284 m, sqrt(5 r) = 4.9135 m/s.
+
+    On legs of 4 m, r = 2 m.
+    """
     assert corner_speed(0.0, 1000.0, LIMITS) == pytest.approx(4.91346, abs=1e-5)
     assert corner_speed(0.0, 4.0, LIMITS) == pytest.approx(np.sqrt(10))
     assert corner_speed(1.0, 10.0, LIMITS) == np.inf
@@ -299,7 +295,10 @@ def test_drones_without_a_way_get_no_velocity_and_worlds_do_not_mix():
 
 
 def fly_way(way, lag=0.4, dt=0.02):
-    """Positions of a point whose velocity lags, told another one ten times a second, until it rests at the end."""
+    """Positions of a point whose velocity lags, until it rests at the end.
+
+    It is told another velocity ten times a second.
+    """
     position, velocity, target, flown = way[0].copy(), np.zeros(3), 1, []
     for step in range(10_000):
         if step % 5 == 0:
@@ -364,7 +363,7 @@ def test_planner_flies_around_the_block(aviary):
 @pytest.mark.parametrize("aviary", [{}], indirect=True)
 def test_city_is_looked_at_once_and_plans_last_until_a_reset(aviary, monkeypatch):
     looked, planned = [], []
-    monkeypatch.setattr(planner, "voxels", lambda *args: looked.append(args) or voxels(*args))
+    monkeypatch.setattr(planner, "voxels", lambda **given: looked.append(given) or voxels(**given))
     monkeypatch.setattr(planner, "plan", lambda *args: planned.append(args) or plan(*args))
     policy, observations = Planner(aviary), aviary.reset(seeds=0)
     aviary.alive[1, 3] = False

@@ -103,7 +103,10 @@ PLACES = np.array([(0.0, 0), (10, 0), (0, 10), (50, 50)])
 
 
 def test_greedy_coverage_by_hand():
-    """A adds four; B and C then add one each, and the nearer goes first; then all is served, and A adds most again."""
+    """A adds four; B and C then add one each, and the nearer goes first.
+
+    Then all is served, and A adds most again.
+    """
     distance = np.ones(SERVES.shape)
     distance[1, 4] = 2.0
     assert greedy_coverage(SERVES, distance, PLACES, 4, 0.0).tolist() == [0, 2, 1, 0]
@@ -214,7 +217,10 @@ def begin(aviary, policy, seeds=0, users=None):
 
 
 def fly(aviary, policy, decisions, seeds=0, users=None):
-    """Actions (T, W, N, 3), the share served at the end (W,), and whether anybody collided or left the airspace."""
+    """Actions (T, W, N, 3), the share served at the end (W,), and whether anybody failed.
+
+    To fail is to collide or to leave the airspace.
+    """
     observations, actions, ended = begin(aviary, policy, seeds, users), [], False
     for _ in range(decisions):
         actions.append(policy.act(observations, aviary.swarm))
@@ -287,7 +293,7 @@ def test_places_in_buildings_give_way(make):
 
 
 def test_the_oracle_looks_behind_the_tower(make):
-    """No place has both users in sight: two drones are needed, and the means of clusters do not help one."""
+    """No place has both users in sight: two drones are needed; means of clusters help none."""
     aviary = make(num_drones=2, num_users=2, city=TOWER)
     policy = find_policy("oracle")(aviary)
     begin(aviary, policy, users=[(-44, 0), (44, 0)])
@@ -385,7 +391,7 @@ def test_nobody_collides(make, name, options):
 
 
 def test_placement_serves_more_than_chance_and_the_oracle_most(make):
-    """Means of 12 episodes; over 20 they are 0.4, 0.4, 0.6, 0.9, 0.9 and 1, with intervals of 0.07 or less."""
+    """Means of 12 episodes; over 20 they are 0.4, 0.4, 0.6, 0.9, 0.9 and 1, to 0.07 or less."""
     aviary, served = make(num_worlds=12, num_layouts=4), {}
     for name in ("random", "straight", *NAMES):
         served[name] = fly(aviary, find_policy(name)(aviary), 250)[1].mean()

@@ -1,4 +1,8 @@
-"""Expected velocities of the configurations: RVO2-3D, commit c8e6044, one step (float32), neighbours without limit."""
+"""Velocities of `orca`.
+
+Expected ones of the configurations: RVO2-3D, commit c8e6044, one step (float32), neighbours without
+limit.
+"""
 
 import numpy as np
 import pytest
@@ -10,7 +14,8 @@ import bulletuav
 from bulletuav.policies.linear_program import DEPTH, best_velocity, nearest
 from bulletuav.policies.orca import TO_RIGHT, Orca, Rules, Surroundings, half_space, orca_velocities
 
-# time step, time horizon, radius of an agent, max speed; position, velocity, preferred velocity of each; its new velocity
+# Time step, time horizon, radius of an agent, max speed; position, velocity and preferred velocity
+# of each; its new velocity.
 REFERENCE = {
     "head-on, nearest to the ball of the horizon": (
         (0.1, 5, 1, 2),
@@ -153,7 +158,10 @@ def rows(spaces):
 
 
 def minimum(cost, gradient, begin, spaces, slack):
-    """Of SLSQP, over velocities of up to 5 m/s, and how much they may miss the half-spaces where `slack` is 1."""
+    """Minimum by SLSQP over velocities of up to 5 m/s.
+
+    Where `slack` is 1, over how much they may miss the half-spaces, too.
+    """
     normals = np.column_stack([spaces[:, :3], np.full(len(spaces), slack)])
     inside = {"type": "ineq", "fun": lambda x: normals @ x - spaces[:, 3], "jac": lambda x: normals}
     ball = {
@@ -232,7 +240,7 @@ def test_half_space_of_a_head_on_pair_by_hand():
 
 @pytest.mark.parametrize("axis", [(1, 0, 0), (0, 0, 1), (0.6, 0, 0.8)])
 def test_head_on_pair_keeps_apart(axis):
-    """Both turn to their right, without any noise; on a vertical, where there is no right, they stop."""
+    """Both turn to their right, without noise; on a vertical there is no right, and they stop."""
     axis, rules = np.array(axis, float), Rules(2.0, 3.0, 1.0, 0.1, 2.0)
     position, goal = np.array((10 * axis, -10 * axis)), np.array((-10 * axis, 10 * axis))
     velocity, least = 0.1 * (goal - position), np.inf
@@ -251,7 +259,7 @@ def test_head_on_pair_keeps_apart(axis):
 
 @pytest.mark.parametrize(("axis", "sideways"), [((1, 0, 0), (0, -1, 0)), ((0, 0, 1), (0, 1, 0))])
 def test_fast_head_on_pair_turns_to_its_right(axis, sideways):
-    """Nearest to the cone, at equal distance from all of it; on a vertical any side that both agree on."""
+    """Nearest to the cone, equally far from all of it; on a vertical any side they agree on."""
     gap, own, back = (
         tuple(8.0 * np.array(axis)),
         tuple(3.0 * np.array(axis)),
@@ -297,7 +305,7 @@ def test_only_the_nearest_living_drones_count():
 
 
 def test_obstacles_leave_all_the_avoiding_to_the_drone():
-    """Ball of 1 m, 10 m off, coming at 1 m/s: in 2 s they may close 9 m, so the drone may fly at 3.5 m/s."""
+    """Ball of 1 m, 10 m off, coming at 1 m/s: in 2 s they may close 9 m: at 3.5 m/s."""
     rules = Rules(1.0, 2.0, 1.0, 0.1, 5.0)
     ball = around([(10, 0, 0)], [(-1, 0, 0)], [1])
     np.testing.assert_allclose(
@@ -343,6 +351,7 @@ def test_policy_crosses_without_conflict(fly):
 def test_policy_gives_velocities_only():
     with pytest.raises(
         ValueError,
-        match="policy 'orca' gives velocity or velocity_increment actions, not 'rotor': choose action='velocity'",
+        match="policy 'orca' gives velocity or velocity_increment actions, not 'rotor': "
+        "choose action='velocity'",
     ):
         Orca(bulletuav.Aviary("crossing", action="rotor"))

@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 
 import bulletuav
-from bulletuav.policies import POLICIES, find_policy
+from bulletuav import registry
+from bulletuav.cli import main
+from bulletuav.policies import Policy, find_policy, policy_names
+from bulletuav.policies.orca import Orca
 
 CALM = {"dynamics": "point_mass", "randomization": {}, "num_drones": 3}
 
@@ -49,8 +52,106 @@ def test_increments_lead_where_velocities_do(name):
 
 
 def test_every_policy_says_what_it_reads():
-    assert {name for name, policy in POLICIES.items() if not policy.reads_swarm} == {"random"}
+    specs = [find_policy(name) for name in registry.names("policy")]
+    assert {spec.name for spec in specs if not spec.reads_swarm} == {"random"}
     assert find_policy("straight").reads_swarm
+
+
+def test_policies_are_found_by_their_names():
+    known = registry.names("policy")
+    assert {"straight", "orca", "planner", "random", "oracle"} <= set(known)
+    assert policy_names() == [*known, "trained", "untrained"]
+    assert find_policy("orca").make is find_policy("bulletuav.policies.orca:Orca").make is Orca
+    with pytest.raises(ValueError, match=r"unknown policy 'kmean': did you mean 'kmeans'\?"):
+        find_policy("kmean")
+    with pytest.raises(ValueError, match="unknown policy 'trainned': did you mean 'trained'"):
+        find_policy("trainned")
+
+
+HIGHER = """
+import numpy as np
+
+from bulletuav.policies import Policy
+
+
+class Higher(Policy):
+    name = "higher"
+    actions = ("velocity",)
+    reads_swarm = True
+
+    def reset(self, mask): ...
+
+    def act(self, observations, swarm):
+        return self.encoded(np.full(swarm.position.shape, (0.0, 0.0, 3.0)))
+
+
+class Unfinished(Policy):
+    name = "unfinished"
+
+
+number = 5
+"""
+
+
+@pytest.fixture
+def higher(tmp_path, monkeypatch):
+    """The name of a module in the current folder, which is not where Python looks for modules."""
+    (tmp_path / "higher_policy.py").write_text(HIGHER)
+    monkeypatch.chdir(tmp_path)
+    elsewhere = [folder for folder in sys.path if folder not in ("", ".", str(tmp_path))]
+    monkeypatch.setattr(sys, "path", elsewhere)
+    yield "higher_policy"
+    sys.modules.pop("higher_policy", None)
+
+
+def test_the_command_line_flies_a_policy_of_the_current_folder(higher, tmp_path):
+    with pytest.raises(ValueError, match="higher_policy:Higher cannot be imported"):
+        find_policy(f"{higher}:Higher")
+    short = ["--dynamics", "single_integrator", "--drones", "2", "--horizon", "4"]
+    files = ["--animation", "none", "--out", "out"]
+    main(["fly", "crossing", "--policy", f"{higher}:Higher", *short, *files])
+    assert (tmp_path / "out").is_dir()
+
+
+def test_policies_of_other_modules_are_found_as_module_and_name(higher, monkeypatch):
+    monkeypatch.syspath_prepend(".")
+    spec = find_policy(f"{higher}:Higher")
+    assert spec.name == "higher"
+    assert spec.actions == ("velocity",)
+    aviary = bulletuav.Aviary("crossing", **CALM)
+    aviary.reset(seeds=0)
+    actions = spec(aviary).act(aviary.reset(seeds=0), aviary.swarm)
+    assert (actions[..., 2] > 0).all()
+    aviary.close()
+    for source, said in (
+        (f"{higher}:Hihger", "is not there: did you mean 'Higher'"),
+        (f"{higher}:Unfinished", "policy Unfinished has no act"),
+        (f"{higher}:number", "that is no policy"),
+        (f"{higher}:", "unknown algorithm 'higher_policy'"),
+        ("nowhere_at_all:Higher", "cannot be imported"),
+        ("pppo:model.zip", "did you mean 'ppo'"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            find_policy(source)
+
+
+def test_registered_policies_are_found_by_their_names(monkeypatch):
+    registry.names("policy")
+    monkeypatch.setitem(registry._registered, "policy", dict(registry._registered["policy"]))
+
+    @registry.register("policy")
+    class Sideways(Policy):
+        name = "sideways"
+        actions = ()
+        reads_swarm = False
+
+        def reset(self, mask): ...
+        def act(self, observations, swarm): ...
+
+    registry.register("policy", "no_class")(5)
+    assert find_policy("sideways").make is Sideways
+    with pytest.raises(ValueError, match="a class derived from Policy is needed"):
+        find_policy("no_class")
 
 
 @pytest.fixture(scope="module")
@@ -125,8 +226,9 @@ def test_a_model_for_other_spaces_is_refused(models):
 
 
 def test_a_missing_extra_is_named(monkeypatch, models):
-    monkeypatch.delitem(sys.modules, "bulletuav.adapters.sb3", raising=False)
-    monkeypatch.delattr("bulletuav.adapters.sb3", raising=False)
+    for name in ("sb3", "sb3_model"):
+        monkeypatch.delitem(sys.modules, f"bulletuav.adapters.{name}", raising=False)
+        monkeypatch.delattr(f"bulletuav.adapters.{name}", raising=False)
     monkeypatch.setitem(sys.modules, "stable_baselines3", None)
     aviary = bulletuav.Aviary("converge", **CALM)
     with pytest.raises(ImportError, match=r"\[sb3\]'"):

@@ -28,7 +28,7 @@ CALM = {
 
 @pytest.mark.parametrize("task", shipped_tasks())
 def test_numpy_flies_as_pytorch_learned(task):
-    """In double precision; in single precision PyTorch itself is off by 1e-6 in the sums over users."""
+    """In double precision; in single precision PyTorch is off by 1e-6 in the sums over users."""
     pilot, config = find_policy("trained", task), RunConfig.read(SHIPPED / task / "run.yaml")
     aviary = bulletuav.Aviary(task, 2, **pilot.options)
     policy, observations = pilot(aviary), aviary.reset(seeds=0)

@@ -425,14 +425,16 @@ def test_what_a_run_of_a_campaign_raises_is_raised(tmp_path):
     ],
 )
 def test_a_configuration_that_cannot_be_is_refused(tmp_path, text, said):
-    (tmp_path / "run.yaml").write_text(text)
+    version = "version: 1\n" if ":" in text else ""
+    (tmp_path / "run.yaml").write_text(version + text)
     with pytest.raises(ValueError, match=said):
         RunConfig.read(tmp_path / "run.yaml")
 
 
 def test_steps_may_be_written_as_people_do(tmp_path):
     (tmp_path / "run.yaml").write_text(
-        "task: crossing\nsteps: 2e6\nmodel: {gamma: 9.9e-1, learning_rate: [1e-3, 1e-5]}\n"
+        "version: 1\ntask: crossing\nsteps: 2e6\n"
+        "model: {gamma: 9.9e-1, learning_rate: [1e-3, 1e-5]}\n"
     )
     told = RunConfig.read(tmp_path / "run.yaml")
     assert told.steps == 2_000_000

@@ -1,0 +1,47 @@
+"""The version of run.yaml; what else it holds is tested with the trainer."""
+
+import re
+
+import pytest
+
+from bulletuav.policies import find_policy
+from bulletuav.policies.run import SHIPPED, VERSION, RunConfig, shipped_tasks
+
+
+def test_the_version_is_written_first_and_read(tmp_path):
+    path = tmp_path / "run.yaml"
+    told = RunConfig("crossing", seed=3)
+    path.write_text(told.text())
+    assert path.read_text().startswith(f"version: {VERSION}\ntask: crossing\n")
+    assert RunConfig.read(path).plain() == told.plain()
+
+
+@pytest.mark.parametrize("task", shipped_tasks())
+def test_runs_of_the_package_are_of_this_version(task):
+    path = SHIPPED / task / "run.yaml"
+    assert path.read_text().startswith(f"version: {VERSION}\n")
+    assert RunConfig.read(path).task == task
+
+
+@pytest.mark.parametrize(
+    ("line", "found"),
+    [
+        ("", "no version"),
+        ("version: 0\n", "version: 0"),
+        ("version: 2\n", "version: 2"),
+        ("version: one\n", "version: 'one'"),
+        ("version: true\n", "version: True"),
+        ("version: 1.0\n", "version: 1.0"),
+        ("version:\n", "version: None"),
+    ],
+)
+def test_another_version_is_refused_with_the_remedy(line, found, tmp_path):
+    path = tmp_path / "run.yaml"
+    path.write_text(f"{line}task: crossing\n")
+    said = (
+        f"{path} has {found}, and version: {VERSION} is needed: "
+        f"train anew, or use the version of bulletuav that made it"
+    )
+    for reader in (RunConfig.read, lambda path: find_policy(path.parent)):
+        with pytest.raises(ValueError, match=re.escape(said)):
+            reader(path)
