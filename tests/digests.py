@@ -203,7 +203,9 @@ def _fly(aviary):
 
 def _infos(info):
     """Infos but reward terms that are zero: those of weight 0 may be told or left out."""
-    return (value for name, value in info.items() if not name.startswith("reward/") or np.any(value))
+    return (
+        value for name, value in info.items() if not name.startswith("reward/") or np.any(value)
+    )
 
 
 def _arrays(observations):
