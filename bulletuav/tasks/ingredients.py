@@ -20,7 +20,7 @@ import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import FunctionType
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numba
 import numpy as np
@@ -30,9 +30,6 @@ from bulletuav.registry import find
 from bulletuav.sensors.base import Label
 from bulletuav.tasks.frame import FIELDS, Frame
 from bulletuav.tasks.loops import TUPLES, Form, make_loop
-
-if TYPE_CHECKING:
-    pass
 
 Ingredient = TypeVar("Ingredient", bound=Callable[..., Any])
 ALL = "all_"

@@ -188,8 +188,9 @@ def _make(
     block = source if isinstance(source, Block) else find("observation", source, callable)
     who = f"observation block {name!r}"
     if getattr(block, "ingredient", None) == "block":
-        wants_action = "action" in inspect.signature(block.labels).parameters
-        labels = tuple(block.labels(action if wants_action else task))
+        make: Any = block.labels
+        wants_action = "action" in inspect.signature(make).parameters
+        labels = tuple(make(action if wants_action else task))
         return _checked(labels, who), _bound_writer(
             Bound(block, binding, who, np.float32, len(labels))
         )
