@@ -29,7 +29,7 @@ def installed(tmp_path, monkeypatch):
         info.mkdir()
         (info / "METADATA").write_text("Metadata-Version: 2.1\nName: other-package\nVersion: 1.0\n")
         lines = [f"{name} = {place}" for name, place in points.items()]
-        (info / "entry_points.txt").write_text("\n".join(["[bulletuav.tasks]", *lines, ""]))
+        (info / "entry_points.txt").write_text("\n".join(["[bulletuav.task]", *lines, ""]))
         monkeypatch.syspath_prepend(tmp_path)
         tasks._tasks.cache_clear()
 
