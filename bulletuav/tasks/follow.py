@@ -84,8 +84,8 @@ class Follow(Task[FollowConfig]):
     above a vehicle, level with a drone, and move with it. Drones start at rest near them.
 
     Observation, Box(16) per drone with the defaults: attitude as a quaternion, body to world;
-    offset from the drone to its station, velocity and the station's velocity in world axes (east, north,
-    up); rates in body axes (forward, left, up).
+    offset from the drone to its station, velocity and the station's velocity in world axes (east,
+    north, up); rates in body axes (forward, left, up).
 
     Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 15 m/s.
     Its norm is limited to max_speed. There are 10 decisions a second.

@@ -60,11 +60,11 @@ def _checked_positions(start: object, count: int) -> np.ndarray:
 class Hover(Task[HoverConfig]):
     """Flight of each drone to its own target, which it is to hold.
 
-    Targets stand on a square grid, 2 m apart and 2 m high. Drones start near them.
+    By default targets stand on a square grid, 2 m apart and 2 m high. Drones start near them.
 
     Observation, Box(13) per drone with the defaults: attitude as a quaternion, body to world;
-    offset from the drone to its target and velocity in world axes (east, north, up); rates in body axes
-    (forward, left, up).
+    offset from the drone to its target and velocity in world axes (east, north, up); rates in body
+    axes (forward, left, up).
 
     Action, by default `rotor`, Box(4) per drone in [-1, 1]: thrust of each rotor, from -1 for none
     to 1 for the most. There are 30 decisions a second.
