@@ -5,7 +5,7 @@ from typing import ClassVar
 
 from bulletuav.registry import register
 from bulletuav.tasks.families.edge import EdgeConfig, EdgeTask
-from bulletuav.tasks.families.urbanmarl import URBANMARL
+from bulletuav.tasks.families.presets import URBANMARL
 from bulletuav.tasks.rewards.users import power_share
 
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from bulletuav.registry import register
-from bulletuav.tasks.families.urbanmarl import URBANMARL
+from bulletuav.tasks.families.presets import URBANMARL
 from bulletuav.tasks.families.users import UsersConfig, UsersTask
 
 
