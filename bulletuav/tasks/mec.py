@@ -33,10 +33,10 @@ class Mec(EdgeTask[MecConfig]):
     Reward per decision, the sum of these terms times their weights:
 
     - tasks 1: completed tasks over those that all users are expected to have in a decision.
-    - latency -0.5: latencies of the completed tasks over the deadline, and over the same.
+    - latency -0.5: latencies of the completed tasks over the deadline, and over the same number.
     - energy -0.1: power over 400 W.
     - dwell_time 0.3: tanh(0.1 s), where s are the seconds for which the drone has seen a user
-      without a break, mean of all users.
+      without a break, averaged over all users.
     - collision -2: 1 on contact of collision shapes.
     - out_of_bounds 0: 1 where the bounds hold the drone back.
 

@@ -39,7 +39,7 @@ class MobileUsers(UsersTask[MobileUsersConfig]):
 
     - sight 1: share of the users that the drone sees.
     - dwell_time 0.5: tanh(0.1 s), where s are the seconds for which the drone has seen a user
-      without a break, mean of all users.
+      without a break, averaged over all users.
     - collision -2: 1 on contact of collision shapes.
     - out_of_bounds 0: 1 where the bounds hold the drone back.
 

@@ -1,4 +1,4 @@
-"""Edge computing against links, queues and books by hand."""
+"""Edge computing against links, queues and statistics by hand."""
 
 import dataclasses
 import math
@@ -44,7 +44,7 @@ def shannon(ratio, band=BAND):
 
 
 def alone(aviary, decisions):
-    """Latencies (K,), s, of tasks that were the only one of a decision, to drones and links that were idle."""
+    """Latencies (K,), s, of tasks that were the only one of a decision, with all drones idle."""
     memory, found = aviary.scene.memory, []
     for _ in range(decisions):
         before = memory["generated"].copy()
@@ -64,7 +64,10 @@ def hover_power():
 
 
 def test_link_rates_are_those_of_shannon(put):
-    """Right below, 48.5 m; aside, 111.1 m; and behind the wall, 62.9 m, where power falls with the exponent 3.19."""
+    """Right below, 48.5 m; aside, 111.1 m; and behind the wall, 62.9 m.
+
+    There power falls with the exponent 3.19.
+    """
     users = [(0, 0, 1.5), (-60, -80, 1.5), (40, 0, 1.5)]
     aviary = put("mec", WALL, [(0, 0, 50)], users, observation=("link_rates",))
     assert not aviary.reset(seeds=0).any()
@@ -92,7 +95,7 @@ LOSSES = {
         -17.5 + (46 - 7 * FLY) * HID + 20 * math.log10(40 * math.pi * 5 / 3),
     ),
 }
-"""dB, of TR 38.901 and TR 36.777, at 5 GHz to a user 48.5 m right below and to one behind the wall"""
+"""dB, of TR 38.901 and TR 36.777, at 5 GHz to a user 48.5 m right below and one behind the wall"""
 
 
 @pytest.mark.parametrize("name", LOSSES)
@@ -113,7 +116,7 @@ def test_path_losses_for_other_bands_are_refused(make, name):
     ("fading", "variance"), [("none", 0.0), ("rician", 21 / 121), ("rayleigh", 1.0)]
 )
 def test_fading_spreads_the_power_and_keeps_its_mean(put, fading, variance):
-    """With the factor K the power of a Rician channel has the variance (2 K + 1) / (K + 1)^2; here it is 10."""
+    """With the factor K = 10 a Rician channel's power has the variance (2 K + 1) / (K + 1)^2."""
     users = [(48 * math.cos(k), 48 * math.sin(k), 1.5) for k in range(20)]
     aviary = put("mec", OPEN, [(0, 0, 50)], users, observation=("link_rates",), fading=fading)
     rates = np.array([fly(aviary, STAY).observations[0, 0] for _ in range(90)])
@@ -141,9 +144,8 @@ def test_sizes_of_tasks_are_between_their_ends(put):
 
 
 OWN, CROSS = friis(math.hypot(20, 48.5)), friis(math.hypot(100, 20, 48.5))
-SHARE = (
-    0.15 * 2.0
-)  # of the time in which a user may send: of its rate of tasks, each given up after the deadline
+SHARE = 0.15 * 2.0
+"""Of the time in which a user may send: its rate of tasks, each given up after the deadline"""
 RATES = {
     "ofdma": shannon(2 * OWN / (NOISE + SHARE * 2 * CROSS), BAND / 2),
     "tdma": shannon(OWN / (NOISE + SHARE * CROSS)) / 2,
@@ -178,11 +180,8 @@ def busy(aviary, decisions=12):
 )
 def test_a_near_drone_behind_a_wall(put, assignment, who):
     """49 m to the first one, through the wall, 64 m to the second; over ground 40 m and 30 m."""
-    options = {
-        "assignment": assignment,
-        "arrival_rate": 2.0,
-        "num_cores": 40,
-    }  # which no load can turn
+    # So many cores that load does not count.
+    options = {"assignment": assignment, "arrival_rate": 2.0, "num_cores": 40}
     assert busy(put("mec", WALL, [(0, 0, 30), (70, 0, 58)], [(40, 0, 1.5)], **options)) == who
 
 
@@ -204,14 +203,14 @@ def test_a_loaded_drone_is_relieved_by_an_idle_one(put, assignment, who):
 
 
 @pytest.mark.parametrize("queue", ["simulated", "erlang"])
-@pytest.mark.parametrize(("assignment", "active_targets"), [("max_rate", 0.0), ("nearest", 1.0)])
-def test_users_whom_nobody_hears_lose_their_tasks(put, assignment, active_targets, queue):
-    """With `nearest` they are the drone's, which hears nothing of them: its latency is the deadline."""
+@pytest.mark.parametrize(("assignment", "latency"), [("max_rate", 0.0), ("nearest", 1.0)])
+def test_users_whom_nobody_hears_lose_their_tasks(put, assignment, latency, queue):
+    """With `nearest` they are the drone's, which hears nothing: its latency is the deadline."""
     options = {"assignment": assignment, "queue": queue, "arrival_rate": 3.0, **DEAF}
     aviary = put("mec", WALL, [(0, 0, 50)], [(40, 0, 1.5)], **options)
     for _ in range(5):
         step = fly(aviary, STAY)
-        assert aviary.scene.memory["latency"] == active_targets
+        assert aviary.scene.memory["latency"] == latency
         assert np.isfinite(step.observations).all()
     assert aviary.scene.memory["generated"] > 5
     assert (step.info["completed"], step.info["latency"], step.info["served"]) == (0, 1.0, 0)
@@ -220,7 +219,10 @@ def test_users_whom_nobody_hears_lose_their_tasks(put, assignment, active_target
 
 
 def test_lost_tasks_count_the_deadline(put):
-    """One user is heard, 49 m away, another is not: the mean is that of tasks of the one and deadlines of the other."""
+    """One user is heard, 49 m away, another is not.
+
+    The mean is that of the tasks of the one and the deadlines of the other.
+    """
     options = {
         "arrival_rate": 0.1,
         "horizon": 200,
@@ -236,13 +238,15 @@ def test_lost_tasks_count_the_deadline(put):
     assert (lost > 5).all()
     assert (memory["finished"] > 5).all()
     expected = (memory["finished"] * done + lost * 1.5) / memory["generated"]
-    np.testing.assert_allclose(
-        info["latency"][:, 0], expected, rtol=1e-3
-    )  # but for a task that waits for another's upload
+    # Equal but for a task that waits for another's upload.
+    np.testing.assert_allclose(info["latency"][:, 0], expected, rtol=1e-3)
 
 
 def test_who_is_dead_serves_nobody_and_others_take_over(put):
-    """Two fast servers, one above each user; the first dives, and the other has all tasks, until that dives too."""
+    """Two fast servers, one above each user.
+
+    The first dives, and the other has all tasks, until that dives too.
+    """
     options = {
         "arrival_rate": 6.0,
         "core_frequency": 50e9,
@@ -264,9 +268,8 @@ def test_who_is_dead_serves_nobody_and_others_take_over(put):
     while aviary.alive.any():
         step = fly(aviary, DOWN)
     generated, seconds = memory["generated"].copy(), aviary.steps
-    expected = memory["finished"] / (
-        generated + 2 * 6.0 * (30 - seconds)
-    )  # those to come are not completed
+    # Tasks to come count as not completed.
+    expected = memory["finished"] / (generated + 2 * 6.0 * (30 - seconds))
     assert step.info["completed"][0] == pytest.approx(np.tile(expected, 2))
     step = fly(aviary, STAY)
     assert memory["generated"] == generated
@@ -292,12 +295,12 @@ def test_more_drones_complete_more(put):
     assert unlimited == [1.0] * 3
 
 
-# Books
+# Statistics of the episode
 
 
 @pytest.mark.parametrize("queue", ["simulated", "erlang"])
 def test_shares_are_of_the_episode_as_planned(make, queue):
-    """After t of 20 s of 30 users at 0.5 / s as many more are expected in each second that is left."""
+    """After t of 20 s the 30 users are to have 15 tasks in each second that is left."""
     options = {
         "num_users": 30,
         "arrival_rate": 0.5,
@@ -343,7 +346,7 @@ def test_after_a_reset_nothing_was_done(make):
     assert (power[1] > hover_power()).any()
 
 
-def test_a_reset_of_one_world_leaves_the_books_of_others(make):
+def test_a_reset_of_one_world_leaves_the_statistics_of_others(make):
     rows = []
     for mask in (None, np.array([True, False])):
         aviary = make(
@@ -398,7 +401,7 @@ def test_an_overloaded_server_works_without_a_break(put):
 
 
 def test_a_user_sends_one_task_after_the_other(put):
-    """In 150 kHz a task takes 0.43 s to send; of four a second no more are done than the link can carry."""
+    """In 150 kHz a task takes 0.43 s to send; of four a second the link carries only some."""
     options = {"arrival_rate": 4.0, "bandwidth": 150e3, "num_cores": 20, "horizon": 40, **EQUAL}
     aviary = put("mec", OPEN, [(0, 0, 50)], [(0, 0, 1.5)], 3, **options)
     hovered(aviary)
@@ -410,7 +413,7 @@ def test_a_user_sends_one_task_after_the_other(put):
 
 
 def test_the_queue_is_the_work_that_is_left(put):
-    """Of tasks that each take 20 s of a core, the first that came alone: what is left of it, in tasks."""
+    """Tasks take 20 s of a core each: what is left of the first that came alone, in tasks."""
     options = {
         "arrival_rate": 0.05,
         "cycles_per_bit": 1e5,
@@ -443,7 +446,7 @@ def test_the_queue_is_the_work_that_is_left(put):
 
 
 def test_cores_are_paid_for_by_the_battery_a_decision_later(put):
-    """What flies takes hover's power and 12.5 W of a busy core; all cycles together, kappa f^2 for each."""
+    """Drones take hover's power and 12.5 W of a busy core: kappa f^2 for each cycle."""
     options = {"arrival_rate": 2.0, "horizon": 100, "battery_capacity": 1.0, **EQUAL}
     aviary = put("mec", OPEN, [(0, 0, 50)], [(0, 0, 1.5)], **options)
     memory, before, energy, finished = aviary.scene.memory, np.zeros(1), 0.0, 0
@@ -462,7 +465,7 @@ def test_cores_are_paid_for_by_the_battery_a_decision_later(put):
 
 
 def test_rewards_of_a_task_that_came_alone(put):
-    """Of 0.3 tasks that are expected, -0.5 of their latency over the deadline, -0.1 of the power over 50 W, sight."""
+    """Of 0.3 tasks that are expected, latency over the deadline, power over 50 W, and sight."""
     options = {"arrival_rate": 0.3, "deadline": 2.0, "power_scale": 50.0, **EQUAL}
     aviary = put("mec", OPEN, [(0, 0, 50)], [(0, 0, 1.5)], **options)
     latency, memory, seen = (
@@ -495,9 +498,12 @@ ANCHOR = [
     ("mec", 50, 20, 0.253838029, 100 * 20 / 49, 0.3708998),
     ("mec_advanced", 10, 6, 0.15, 77.0, 0.3060586),
 ]
-"""20 / 50 - 0.5 * 0.2538 - 0.1 * 20 / 49 + 0.3 tanh 0.5 and 2 * 6 / 10 - 1.5 * 0.15 / 0.2 + 0.5 tanh 0.5
+"""Task, users, completed tasks, mean latency, power and reward of UrbanMARL.
 
-There every user has a task a step, and the latency is that of the server: so much for each that is expected."""
+20 / 50 - 0.5 * 0.2538 - 0.1 * 20 / 49 + 0.3 tanh 0.5, and
+2 * 6 / 10 - 1.5 * 0.15 / 0.2 + 0.5 tanh 0.5. There every user has a task a step, and the latency is
+that of the server: so much for each that is expected.
+"""
 
 
 @pytest.mark.parametrize(
@@ -527,7 +533,7 @@ def test_rewards_add_up_to_those_of_the_anchor(put, task, users, completed, late
 
 
 @pytest.mark.parametrize("task", EDGE)
-def test_judging_twice_changes_nothing(make, task):
+def test_evaluating_twice_changes_nothing(make, task):
     aviary = make(task, 2, arrival_rate=2.0)
     for _ in range(3):
         step = fly(aviary, EAST)
@@ -552,7 +558,10 @@ STEADY = [
     (2, 4.0, 0.2 / (1 - 0.4**2)),
     (2, 8.0, 0.2 / (1 - 0.8**2)),
 ]
-"""Cores of 5 tasks/s, tasks/s, and the mean response, s: 1 / (mu - lambda) of one core, 1 / (mu (1 - rho^2)) of two"""
+"""Cores of 5 tasks/s, tasks/s, and the mean response, s.
+
+That is 1 / (mu - lambda) of one core, and 1 / (mu (1 - rho^2)) of two.
+"""
 
 
 @pytest.mark.parametrize(("cores", "rate", "response"), STEADY)
@@ -627,9 +636,8 @@ def test_the_load_of_the_mean_response_is_that_of_the_drones_own_users(put):
     fly(aviary, STAY)
     np.testing.assert_allclose(aviary.scene.memory["utilisation"][0], (0.8, 0.4))
     assert (aviary.scene.memory["latency"][0] > (1, 1 / 3)).all()
-    np.testing.assert_allclose(
-        aviary.scene.memory["latency"][0], (1, 1 / 3), atol=0.15
-    )  # and the upload
+    # The tolerance is for the upload.
+    np.testing.assert_allclose(aviary.scene.memory["latency"][0], (1, 1 / 3), atol=0.15)
 
 
 # A decision's length
@@ -686,7 +694,10 @@ NEAR = np.array([(0, 0, 1.5), (-20, 0, 1.5), (20, 0, 1.5)])
 
 @pytest.mark.parametrize("dynamics", ["bullet", "rigid_body"])
 def test_antennas_tilt_with_the_drone(put, dynamics):
-    """Who speeds up to the east looks to the west: by the angle between the body's -z and the way to a user in its plane."""
+    """Who speeds up to the east looks to the west.
+
+    The gain is that of the angle between the body's -z and the way to a user in its plane.
+    """
     options = {
         "observation": ("link_rates",),
         "bandwidth": BAND,
@@ -934,7 +945,10 @@ def test_drones_that_the_bounds_push_together_collide(dynamics):
 
 
 def test_an_overloaded_uplink_goes_on_to_carry_what_it_can(put):
-    """Few tasks are begun in vain: the more are offered, the more are completed, up to what the link carries."""
+    """Few tasks are begun in vain.
+
+    The more are offered, the more are completed, up to what the link carries.
+    """
     completed = []
     for rate in (1.0, 4.0, 20.0):
         options = {"arrival_rate": rate, "bandwidth": 0.3e6, "observation": ("link_rates",)}

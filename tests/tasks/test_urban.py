@@ -1,24 +1,24 @@
-"""Tasks in cities: where they start, what they reward, when they end; what drones sense there and what flying costs."""
+"""Tasks in cities: starts, rewards and ends, what drones sense there, and what flying costs."""
 
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from bulletuav.tasks.observations.sensors import share_of
 from placing import city_of
 from scipy.spatial.distance import pdist
 
 import bulletuav
-import bulletuav.tasks.families.urban as urban
 from bulletuav.city.exports import write_obj
 from bulletuav.city.generator import generate
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.resolve import resolve
 from bulletuav.policies import find_policy
 from bulletuav.tasks import find_task
-from bulletuav.tasks.base import Spawn
-from bulletuav.tasks.families.urban import ground_cells
+from bulletuav.tasks.families import city_layouts
+from bulletuav.tasks.families.city_layouts import ground_cells
+from bulletuav.tasks.frame import Spawn
+from bulletuav.tasks.targets import share_of
 from bulletuav.vehicle.power import airframe_wing, level_power, propulsion_power
 
 URBAN = ("navigation", "lidar_navigation", "los", "coverage", "default")
@@ -41,11 +41,8 @@ def placed(task, position, goal=None, users=None):
         name = "placed"
 
         def spawn(self, rng):
-            level = np.tile([0.0, 0, 0, 1], (len(start), 1))
-            way = start + (0.0, -90, 0) if goal is None else np.array(goal, dtype=float)
-            return Spawn(
-                start, level, 0 * start, 0 * start, way, layout=self.town.draw(rng), memory=memory
-            )
+            to = start + (0.0, -90, 0) if goal is None else np.array(goal, dtype=float)
+            return Spawn(position=start, goal=to, layout=self.town.draw(rng), memory=memory)
 
     return Placed
 
@@ -87,7 +84,10 @@ def town(task="navigation", **options):
 
 
 def blocked(start, end, box):
-    """Whether the segment from `start` to `end` meets a box (low, high): its parameter intervals of the axes overlap."""
+    """Whether the segment from `start` to `end` meets a box (low, high).
+
+    It does where the intervals of its parameter overlap, in which it is within the box on an axis.
+    """
     first, last = 0.0, 1.0
     for a, b, low, high in zip(start, end, *box, strict=True):
         if a == b:
@@ -136,7 +136,10 @@ def test_everybody_starts_outdoors_with_room_and_apart(task, kind):
 
 
 def test_places_are_spread_over_all_streets_and_heights():
-    """Halves of the square, and of the heights, get about as many: 600 places, five standard deviations are 61."""
+    """Halves of the square, and of the heights, get about as many.
+
+    Of 600 places five standard deviations are 61.
+    """
     plan = EnvSpec(
         "los", 1, {"num_drones": 6, "area": 300.0, "num_layouts": 1, "min_separation": 10.0}
     )
@@ -164,9 +167,8 @@ def test_layouts_differ_and_come_from_the_city_seed_alone():
     for one, other in zip(mine, boxes(num_layouts=4, seed=9, num_drones=1), strict=True):
         np.testing.assert_array_equal(one, other)
     for one, other in zip(mine[1:], boxes(num_layouts=3, city_seed=1), strict=True):
-        np.testing.assert_array_equal(
-            one, other
-        )  # city_seed is that of the first; the next ones follow
+        # `city_seed` is that of the first; the next ones follow.
+        np.testing.assert_array_equal(one, other)
     assert not {one.tobytes() for one in mine} & {
         one.tobytes() for one in boxes(num_layouts=4, city_seed=4)
     }
@@ -278,10 +280,8 @@ REFUSED = [
     ({"height": (float("nan"), 20.0)}, "height is nan"),
     ({"height": 5.0}, "height is 5.0: a list or tuple of 2"),
     ({"ceiling": 2000.0}, "2000 m up"),
-    (
-        {"min_separation": 0.0},
-        "min_separation",
-    ),  # starts that could overlap are refused at construction
+    # Starts that could overlap are refused at construction.
+    ({"min_separation": 0.0}, "min_separation"),
     ({"min_separation": float("inf")}, "min_separation is inf"),
 ]
 
@@ -316,7 +316,7 @@ def test_too_little_room_for_so_many(options, message):
 
 
 def test_where_there_is_room_no_reset_fails_by_bad_luck():
-    """In a square of 250 m nearly all starts have goals 150 m away, but those in its middle have hardly any."""
+    """In a square of 250 m nearly all starts have goals 150 m away, those in its middle hardly."""
     plan = EnvSpec("navigation", 1, {"area": 250.0, "num_layouts": 1})
     for seed in range(100):
         plan.task.spawn(np.random.default_rng(seed))
@@ -349,27 +349,29 @@ def test_options_of_the_tasks_that_cannot_be(task, options, message):
         EnvSpec(task, 1, {"area": 250.0, **options})
 
 
-LEVELS = {
+DIFFICULTIES = {
     "easy": (3, "urban", 0),
     "medium": (5, "urban", 0.5),
     "hard": (8, "dense", 0.5),
     "extreme": (16, "high_rise", 1),
 }
+"""Number of drones, city and irregularity"""
 RANGES = {"easy": (0, 0), "medium": (0.1, 0), "hard": (0.3, 0.01), "extreme": (0.5, 0.05)}
+"""Noise of the lidar, m, and share of its beams that are lost"""
 
 
-@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("difficulty", DIFFICULTIES)
 @pytest.mark.parametrize("task", URBAN)
-def test_difficulties_are_those_of_the_docstring(task, level):
-    options, config = resolve(find_task(task), {"difficulty": level})
-    assert (options.num_drones, config.city, config.irregularity) == LEVELS[level]
+def test_difficulties_are_those_of_the_docstring(task, difficulty):
+    options, config = resolve(find_task(task), {"difficulty": difficulty})
+    assert (options.num_drones, config.city, config.irregularity) == DIFFICULTIES[difficulty]
     uncertain = options.randomization
-    ranges = RANGES[level] if task == "lidar_navigation" else (0, 0)
+    ranges = RANGES[difficulty] if task == "lidar_navigation" else (0, 0)
     assert (uncertain.lidar_noise, uncertain.lidar_dropout) == ranges
-    assert bool(uncertain.active) == (level != "easy")
-    assert bool(options.turbulence) == (level == "extreme")
+    assert bool(uncertain.active) == (difficulty != "easy")
+    assert bool(options.turbulence) == (difficulty == "extreme")
     if task == "coverage":
-        assert config.min_separation == (50 if level == "extreme" else 100)
+        assert config.min_separation == (50 if difficulty == "extreme" else 100)
 
 
 # Ends that all have in common
@@ -390,9 +392,8 @@ def test_a_wall_ends_the_episode_of_who_flies_into_it(put, task, weight, dynamic
     assert step.info["collision"][0].tolist() == [True, False]
     assert step.info["reward/collision"][0].tolist() == [weight, 0]
     assert not step.info["success"][0, 0] or task in ("los", "coverage")  # which all share
-    assert (
-        7.5 < aviary.swarm.position[0, 0, 0] < 10
-    )  # at most one decision's 1.5 m before the wall, never through it
+    # At most one decision's 1.5 m before the wall, never through it.
+    assert 7.5 < aviary.swarm.position[0, 0, 0] < 10
     aviary.step(np.array([(STAY, STAY)]))
     assert aviary.alive[0].tolist() == [False, True]
 
@@ -402,7 +403,7 @@ def test_a_wall_ends_the_episode_of_who_flies_into_it(put, task, weight, dynamic
     ("task", "weight"), list(zip(URBAN, (-50, -50, -10, -10, None), strict=True))
 )
 def test_leaving_the_city_ends_the_episode(put, task, weight, way):
-    """Two metres below a ceiling of 40 m, and as far from the edge: the second decision of 1.5 m is out."""
+    """2 m below the ceiling, and as far from the edge: the second decision of 1.5 m is out."""
     options = {"ceiling": 40.0, "height": (5.0, 25.0)}
     aviary = put(task, WALL, [(-98, 0, 38), (-50, -20, 30)], **options)
     step = aviary.step(np.array([(way, STAY)]))
@@ -435,7 +436,10 @@ def test_flights_reward_progress_and_end_at_the_goal(put, task):
 
 
 def test_default_rewards_by_hand(put):
-    """Of 30 m to go, 1.5 m nearer, which is all that max_speed makes good: 1 - 0.1 for time; away from it -1 - 0.1."""
+    """Of 30 m to go 1.5 m nearer, all that max_speed makes good: 1 - 0.1 for time.
+
+    Away from the goal it is -1 - 0.1.
+    """
     aviary = put("default", WALL, [(-50, 0, 10)], goal=[(-20, 0, 10)])
     for way, reward in ((EAST, 0.9), (WEST, -1.1), (EAST, 0.9), (STAY, -0.1)):
         step = aviary.step(np.array([[way]]))
@@ -476,7 +480,7 @@ def test_proximity_follows_its_option_and_weight(put):
 
 
 def test_ranges_stand_at_their_place_in_the_observation(put):
-    """4 m before a wall to the east: 4 m ahead, 4 / cos(angle) aside, nothing along it and behind."""
+    """4 m west of a wall: 4 m ahead, 4 / cos(angle) aside, nothing along it and behind."""
     aviary = put("lidar_navigation", WALL, [(6, 0, 10)])
     observation = aviary.reset(seeds=0)[0, 0]
     assert [label.name for label in aviary.observer.labels][7:10] == [
@@ -513,8 +517,12 @@ USERS = np.array(
     [(40.0, 0, 1.5), (20.0, 0, 1.5), (-30.0, -20, 1.5), (40.0, -30, 1.5), (30.0, -40, 1.5)]
 )
 SEEN = np.array([(0, 0, 1, 1, 1), (1, 0, 1, 0, 0)], dtype=bool)
-"""At TOWER. From the second drone to user 0 the line passes x = 10 at y = 13.3, beside the tower; to user 1 at 5.7; to
-users 3 and 4 it passes x = -10 at 8.9 and 0. From the first drone those pass x = -10 at -13.3 and -20."""
+"""At TOWER.
+
+From the second drone to user 0 the line passes x = 10 at y = 13.3, beside the tower; to user 1 at
+5.7; to users 3 and 4 it passes x = -10 at 8.9 and 0. From the first drone those pass x = -10 at
+-13.3 and -20.
+"""
 
 
 def test_sight_by_hand(put):
@@ -525,9 +533,8 @@ def test_sight_by_hand(put):
     aviary = put("los", TOWER, DRONES, users=USERS, weights={"served": 2.0})
     step = aviary.step(np.zeros((1, 2, 3)))
     np.testing.assert_allclose(step.info["reward/sight"][0], (0.6, 0.4))
-    np.testing.assert_allclose(
-        step.info["reward/served"][0], 2 * 0.8
-    )  # of 5 users each but the second
+    # Of 5 users each but the second is seen.
+    np.testing.assert_allclose(step.info["reward/served"][0], 2 * 0.8)
     np.testing.assert_allclose(step.rewards[0], (2.2, 2.0))
     assert not step.terminated.any()
 
@@ -568,7 +575,7 @@ def test_who_has_left_sees_nothing_and_serves_nobody(put):
 
 
 def share_seen(drones, city):
-    """(N,) share of the 10 m squares outdoors that each drone sees, and that of them all, by `blocked`."""
+    """Share of the 10 m squares that each drone sees (N,), and that any sees, by `blocked`."""
     middle = np.arange(-95.0, 100, 10)
     low, high = city.solids.boxes[0]
     cells = [
@@ -614,7 +621,10 @@ def test_a_drone_that_left_covers_nothing(put):
 
 
 def test_drones_that_are_near_each_other_all_pay_the_same(put):
-    """Three of them 42 to 60 m from each other pay 5 for each of the other two; the fourth is 120 m away from all."""
+    """Three, 42 to 60 m from each other, pay 5 for each of the other two.
+
+    The fourth is 120 m away from all.
+    """
     drones = [(-90, -50, 3), (-60, -20, 40), (-90, 10, 40), (70, -20, 40)]
     assert (pdist(drones[:3]) < 100).all()
     aviary = put("coverage", TOWER, drones)
@@ -628,9 +638,12 @@ def test_drones_that_are_near_each_other_all_pay_the_same(put):
 
 @pytest.fixture
 def unequal(monkeypatch):
-    """Two layouts, with 256 and 396 squares outdoors; the drones below see the first square, which fills up the shorter."""
+    """Two layouts, with 256 and 396 squares outdoors.
+
+    The drones see the first square, which fills up the shorter list.
+    """
     block = city_of(((-60, -60, 0), (60, 60, 30)))
-    monkeypatch.setattr(urban, "make_cities", lambda config: (block, TOWER))
+    monkeypatch.setattr(city_layouts, "make_cities", lambda config: (block, TOWER))
     assert [len(ground_cells(city, 10.0)) for city in (block, TOWER)] == [256, 396]
     return [(-80.3, -3.1, 25.7)], (block, TOWER)
 
@@ -694,7 +707,10 @@ def test_wind_counts(put):
 
 @pytest.mark.parametrize("horizon", [300, 5])
 def test_an_empty_battery_ends_the_episode_then_and_only_then(put, horizon):
-    """4.5 decisions of hover: the fifth empties it. The other one flies at 7.5 m/s, which takes less, and goes on."""
+    """4.5 decisions of hover: the fifth empties it.
+
+    The other drone flies at 7.5 m/s, which takes less, and goes on.
+    """
     wing = airframe_wing(bulletuav.load_airframe("hummingbird"))
     flying = propulsion_power((7.5, 0.0, 0.0), wing)
     mean = propulsion_power((3.75, 0.0, 0.0), wing)  # of the first decision, from rest
@@ -744,7 +760,7 @@ def test_what_flying_costs_is_drained_of_worlds_that_fly_alone(make):
 
 @pytest.mark.parametrize("dynamics", ["bullet", "rigid_body"])
 def test_power_of_the_rotors(make, dynamics):
-    """In hover torque times speed, k_m w^3, of four rotors; the rotary-wing formula is of the same order."""
+    """In hover it is torque times speed, k_m w^3, of four rotors; the formula is of its order."""
     options = {
         "airframe": "hummingbird",
         "action": "hover_rpm",
@@ -834,7 +850,10 @@ def test_options_that_cannot_be(options, message):
 
 
 def test_beams_are_as_many_and_as_high_as_asked_for(put):
-    """10 m up and 5 m before the wall: two beams at each of three elevations; the lower ones end on the ground."""
+    """10 m up and 5 m before the wall: two beams at each of three elevations.
+
+    The lower ones end on the ground.
+    """
     options = {"num_beams": 2, "lidar_elevations": (0.0, 30.0, -30.0), "max_range": 25.0}
     aviary = put("lidar_navigation", WALL, [(5, 0, 10)], **options)
     ahead = 5 / np.cos(np.radians(30))
@@ -864,14 +883,10 @@ def test_beams_turn_with_the_nose_or_do_not(put, frame, expected):
     )
     half = np.pi / 4  # of a turn to the north
     aviary.swarm.quaternion[0, 0] = (0, 0, np.sin(half), np.cos(half))
-    aviary._senses.take(
-        aviary.swarm, aviary.swarm, aviary.scene, aviary.alive, aviary.steps, aviary.rng
-    )
-    ranges = aviary._senses.readings()["lidar"][0, 0]
+    ranges = aviary._measure(aviary.swarm, aviary.swarm, aviary.alive)["lidar"][0, 0]
     assert ranges[0] == pytest.approx(expected, abs=1e-4)
-    assert ranges[12 if frame == "yaw" else 0] == pytest.approx(
-        5.0, abs=1e-4
-    )  # 270 degrees to the left
+    # 270 degrees to the left.
+    assert ranges[12 if frame == "yaw" else 0] == pytest.approx(5.0, abs=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -888,7 +903,7 @@ def test_beams_turn_with_the_nose_or_do_not(put, frame, expected):
     ],
 )
 def test_readings_hold_what_was_asked_for(make, task, observation, read):
-    """Beside it charge and power, which all drones have, and what is in sight of tasks without targets: nothing."""
+    """Charge, power and sight are always there; sight is empty for tasks without targets."""
     aviary = make(task, **({} if observation is None else {"observation": observation}))
     for _ in range(2):
         readings = aviary._frame.readings
@@ -925,13 +940,13 @@ def rolled(task, workers):
 
 @pytest.mark.parametrize("task", ["lidar_navigation", "los"])
 def test_the_number_of_processes_changes_no_bit(task):
-    alone, as_sequence = rolled(task, 1), rolled(task, 2)
-    for (mine, my_infos), (theirs, their_infos) in zip(alone, as_sequence, strict=True):
+    in_one, in_two = rolled(task, 1), rolled(task, 2)
+    for (mine, my_infos), (theirs, their_infos) in zip(in_one, in_two, strict=True):
         np.testing.assert_array_equal(mine, theirs)
         assert set(my_infos) == set(their_infos)
         for name, info in my_infos.items():
             np.testing.assert_array_equal(info, their_infos[name])
-    assert len({row[0].tobytes() for row in alone}) == len(alone)
+    assert len({row[0].tobytes() for row in in_one}) == len(in_one)
 
 
 def test_a_reset_of_one_world_leaves_what_others_sense_untouched(make):
@@ -988,9 +1003,10 @@ def test_the_planner_brings_everybody_to_the_goal(make, action):
 def test_everything_seen_is_all_of_it_exactly():
     """644 squares: 644 times 1 / 644 would be less than 1."""
     task = EnvSpec("coverage", 1, {"area": 300.0, "num_layouts": 1, "wanted": 1.0}).task
-    active_targets = np.ones((1, task.num_targets), dtype=bool)
-    assert share_of(active_targets, active_targets).tolist() == [1.0]
-    assert share_of(active_targets, np.zeros_like(active_targets)).tolist() == [0.0]
+    everything = np.ones((1, task.num_targets), dtype=bool)
+    nothing = np.zeros_like(everything)
+    assert share_of(everything, everything).tolist() == [1.0]
+    assert share_of(everything, nothing).tolist() == [0.0]
 
 
 def test_an_empty_battery_ends_the_episode_for_the_task_too():

@@ -1,4 +1,4 @@
-"""Tasks over users who walk: who they are, how long they are seen, what that is worth, and what holds drones back."""
+"""Tasks over users who walk: where they are, how long they are seen, and what that is worth."""
 
 import numpy as np
 import pytest
@@ -22,9 +22,12 @@ TOWER = city_of(((-10, -10, 0), (10, 10, 30)))
 DRONES = [(-50, 0, 10), (-50, 40, 10), (40, 40, 10)]
 USERS = [(40, 0, 1.5), (20, 0, 1.5), (-30, -20, 1.5), (40, -30, 1.5), (30, -40, 1.5)]
 SEEN = np.array([(0, 0, 1, 1, 1), (1, 0, 1, 0, 0), (1, 1, 0, 1, 1)])
-"""At TOWER. From the second drone to user 0 the line passes x = 10 at y = 13.3, beside the tower; to user 1 at 5.7; to users
-3 and 4 it passes x = -10 at 8.9 and 0. From the first those pass x = -10 at -13.3 and -20. From the third to user 2 it
-passes x = 10 at y = 14.3 and y = 10 at x = 5."""
+"""At TOWER.
+
+From the second drone to user 0 the line passes x = 10 at y = 13.3, beside the tower; to user 1 at
+5.7; to users 3 and 4 it passes x = -10 at 8.9 and 0. From the first those pass x = -10 at -13.3 and
+-20. From the third to user 2 it passes x = 10 at y = 14.3 and y = 10 at x = 5.
+"""
 
 
 def told(aviary, observations, beginning):
@@ -223,7 +226,11 @@ def test_where_there_are_no_streets_nobody_can_walk_on_them(task):
 
 
 def test_seconds_of_sight_are_counted_and_lost_behind_a_wall(put):
-    """From (0, 55) to a user at (40, 70) the line passes x = 10 at y = 58.75, beside the wall; from (0, 40) at 47.5."""
+    """A wall ends at y = 50.
+
+    From (0, 55) to a user at (40, 70) the line passes x = 10 at y = 58.75, beside the wall; from
+    (0, 40) at 47.5.
+    """
     aviary = put(
         "mobile_users",
         WALL,
@@ -292,7 +299,10 @@ def test_who_is_dead_has_seen_nobody_and_a_reset_forgets(put):
 
 
 def test_reward_of_seeing_three_in_five_for_ten_seconds(put):
-    """At three decisions a second those who are seen have been so for 50 / 3 s after 50 of them, in the mean of all 10 s."""
+    """At three decisions a second those who are seen have been so for 50 / 3 s after 50 of them.
+
+    In the mean of all users that is 10 s.
+    """
     aviary = put("mobile_users", TOWER, DRONES, USERS, decision_hz=3)
     for _ in range(50):
         step = fly(aviary, STAY)
@@ -429,7 +439,10 @@ def test_an_empty_battery_ends_only_the_episode_of_its_drone(put):
 
 
 def test_centroids_by_hand(put):
-    """The first drone is high above users 0 and 1: over ground they are nearest to it. The third is near nobody."""
+    """The first drone is high above users 0 and 1: over ground they are nearest to it.
+
+    The third is near nobody.
+    """
     users = [(10, 0, 1.5), (-10, 20, 1.5), (60, 0, 1.5), (70, 30, 1.5), (50, 60, 1.5)]
     drones = [(0, 0, 100), (55, 10, 10), (-90, -90, 30)]
     aviary = put("mobile_users", OPEN, drones, users, observation=("centroids",), ceiling=120.0)
@@ -439,9 +452,8 @@ def test_centroids_by_hand(put):
     np.testing.assert_allclose(fly(aviary, STAY).observations[0], expected)
     while aviary.alive.all():
         step = fly(aviary, STAY, DOWN, STAY)
-    np.testing.assert_allclose(
-        step.observations[0, [0, 2]], [(*everybody, *everybody)] * 2
-    )  # all are the first one's now
+    # All are the first one's now.
+    np.testing.assert_allclose(step.observations[0, [0, 2]], [(*everybody, *everybody)] * 2)
     observations = fly(aviary, STAY, STAY, NORTH).observations  # 15 m at a time
     for _ in range(6):
         observations = fly(aviary, STAY, STAY, NORTH).observations
@@ -458,10 +470,11 @@ def test_own_centroids_follow_the_drones(put):
         [(-30, 0, 30), (30, 0, 30)],
         [(-20, 5, 1.5), (5, 10, 1.5), (40, 0, 1.5)],
     )
+    # Then 15 m and 25 m from the second user.
     expected = {
         STAY: [(-20, 5), (22.5, 5)],
         EAST: [(-7.5, 7.5), (40, 0)],
-    }  # then 15 m and 25 m from the second user
+    }
     for way, own in expected.items():
         observations = fly(aviary, way, STAY).observations
         np.testing.assert_allclose(told(aviary, observations, "own centroid")[0], own)
