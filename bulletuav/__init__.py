@@ -2,10 +2,13 @@
 
 from bulletuav.analysis.evaluation import evaluate
 from bulletuav.envs.aviary import Aviary
+from bulletuav.envs.check import check_dynamics, check_sensor, check_task
 from bulletuav.envs.curriculum import curriculum_env
 from bulletuav.envs.gymnasium import register_environments
 from bulletuav.envs.parallel import aec_env, parallel_env
 from bulletuav.envs.workers import batch_env
+from bulletuav.policies.check import check_policy
+from bulletuav.registry import register
 from bulletuav.tasks import list_tasks
 from bulletuav.vehicle.airframe import Airframe, available_airframes, load_airframe
 from bulletuav.version import __version__
@@ -17,11 +20,16 @@ __all__ = [
     "aec_env",
     "available_airframes",
     "batch_env",
+    "check_dynamics",
+    "check_policy",
+    "check_sensor",
+    "check_task",
     "curriculum_env",
     "evaluate",
     "list_tasks",
     "load_airframe",
     "parallel_env",
+    "register",
 ]
 
 register_environments()

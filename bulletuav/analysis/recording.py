@@ -18,6 +18,7 @@ from bulletuav.envs.step import Step
 from bulletuav.errors import require_file
 from bulletuav.files import replace_file, whole_file
 from bulletuav.policies.base import Policy
+from bulletuav.tasks.targets import active_targets
 from bulletuav.vehicle.swarm import Swarm
 from bulletuav.version import __version__
 
@@ -181,13 +182,13 @@ def fly_episode(
 def _view(aviary: Aviary) -> _View:
     """Look at world 0."""
     scene = aviary.scene
-    active_targets = aviary.task.active_targets(scene)[0]
+    active = active_targets(aviary.task, scene)[0]
     seen = np.any(aviary.sight[0], axis=0)
     return _View(
         goal=scene.goal[0].copy(),
         obstacle=scene.obstacle[0].copy(),
-        target=aviary.task.targets(scene)[0, active_targets],
-        seen=seen[active_targets],
+        target=aviary.task.targets(scene)[0, active],
+        seen=seen[active],
     )
 
 

@@ -1,1 +1,5 @@
-"""What drones measure."""
+"""What drones measure: one file a sensor."""
+
+from bulletuav.sensors.base import Image, Label, Moment, Sensor, Uncertain, vector_labels
+
+__all__ = ["Image", "Label", "Moment", "Sensor", "Uncertain", "vector_labels"]

@@ -271,7 +271,7 @@ def check_readings(
         reading = given[name]
         if not isinstance(reading, np.ndarray):
             raise ValueError(f"{who} {shown(reading)} as {name!r}: a NumPy array is needed")
-        if not isinstance(label, tuple):
+        if label is None or isinstance(label, Image):
             continue
         worlds, drones = moment.mask.shape
         shapes = [(worlds, drones, len(label))] + [(worlds, drones)] * (len(label) == 1)

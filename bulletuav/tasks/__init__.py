@@ -7,10 +7,26 @@ from typing import Any
 
 from bulletuav.errors import shown
 from bulletuav.registry import find, names
-from bulletuav.tasks.base import Task
-from bulletuav.tasks.frame import UPRIGHT
+from bulletuav.tasks.base import Task, TaskConfig
+from bulletuav.tasks.frame import Frame, Scene, Spawn, StepResult, TaskContext
+from bulletuav.tasks.ingredients import block, end, reward
 
-__all__ = ["UPRIGHT", "Task", "TaskSource", "find_task", "list_tasks", "require_task"]
+__all__ = [
+    "Frame",
+    "Scene",
+    "Spawn",
+    "StepResult",
+    "Task",
+    "TaskConfig",
+    "TaskContext",
+    "TaskSource",
+    "block",
+    "end",
+    "find_task",
+    "list_tasks",
+    "require_task",
+    "reward",
+]
 
 TaskSource = str | type[Task[Any]]
 """A task by its name, by `module:Name`, or its class"""

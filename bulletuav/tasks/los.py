@@ -58,8 +58,8 @@ class Los(UsersTask[LosConfig]):
     defaults: ClassVar = {**URBAN_DEFAULTS, "horizon": 300}
     observation = ("position", "velocity", "battery", "neighbours", "targets")
     reward: ClassVar = {
-        "sight": 1.0,
-        "served": 0.0,
         "collision": -10.0,
         "out_of_bounds": -10.0,
+        "sight": 1.0,
+        "served": 0.0,
     }

@@ -68,10 +68,10 @@ class Mec(EdgeTask[MecConfig]):
     }
     observation = ("position", "battery", "server")
     reward: ClassVar = {
+        "collision": -2.0,
+        "out_of_bounds": 0.0,
         "tasks": 1.0,
         "latency": -0.5,
         "energy": (power_share, -0.1),
         "dwell_time": 0.3,
-        "collision": -2.0,
-        "out_of_bounds": 0.0,
     }

@@ -90,10 +90,10 @@ class MecAdvanced(EdgeTask[MecAdvancedConfig]):
     }
     observation = ("position", "velocity", "battery", "power", "link_rates", "server")
     reward: ClassVar = {
+        "collision": -5.0,
+        "out_of_bounds": 0.0,
         "tasks": 2.0,
         "latency": -1.5,
         "energy": (power_share, 0.0),
         "dwell_time": 0.5,
-        "collision": -5.0,
-        "out_of_bounds": 0.0,
     }

@@ -63,8 +63,8 @@ class MobileUsers(UsersTask[MobileUsersConfig]):
     presets: ClassVar = {"urbanmarl": {**URBANMARL, "mobility": "manhattan"}}
     observation = ("position", "battery", "centroids", "sight_matrix")
     reward: ClassVar = {
-        "sight": 1.0,
-        "dwell_time": 0.5,
         "collision": -2.0,
         "out_of_bounds": 0.0,
+        "sight": 1.0,
+        "dwell_time": 0.5,
     }

@@ -1,6 +1,6 @@
 """Tasks in which drones are to see points: users on the ground, or cells of it."""
 
-from typing import Generic
+from typing import Any, Generic
 
 import numpy as np
 
@@ -21,7 +21,7 @@ class TargetTask(Task[ConfigT], Generic[ConfigT]):
         return {"served": self.served(frame), **super().info(frame)}
 
     def served(self, frame: Frame) -> np.ndarray:
-        """Compute the share of the targets that some living drone sees, (W, N), the same for all."""
+        """Compute the share of the targets that some living drone sees, (W, N)."""
         active = self.active_targets(frame.scene)
         return served_share(frame.readings["sight"], frame.alive, active)
 
@@ -39,6 +39,22 @@ class TargetTask(Task[ConfigT], Generic[ConfigT]):
             (C, U) from 0 to 1; by default whether they are seen.
         """
         return sight.astype(float)
+
+
+def active_targets(task: Task[Any], scene: Scene) -> np.ndarray:
+    """Tell which targets of any task count, (W, num_targets) bool."""
+    if isinstance(task, TargetTask):
+        return task.active_targets(scene)
+    return np.ones((len(scene.goal), task.num_targets), dtype=bool)
+
+
+def service_quality(
+    task: Task[Any], place: np.ndarray, targets: np.ndarray, sight: np.ndarray
+) -> np.ndarray:
+    """Tell what targets of any task are worth to drones; see `TargetTask.service_quality`."""
+    if isinstance(task, TargetTask):
+        return task.service_quality(place, targets, sight)
+    return sight.astype(float)
 
 
 def share_of(seen: np.ndarray, active: np.ndarray) -> np.ndarray:

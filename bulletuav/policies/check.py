@@ -1,0 +1,70 @@
+"""A check for authors of policies: fly one briefly and look for mistakes."""
+
+from typing import Any
+
+import numpy as np
+
+from bulletuav.envs.aviary import Aviary
+from bulletuav.errors import shown
+from bulletuav.policies.find import find_policy
+from bulletuav.tasks import TaskSource
+
+DECISIONS = 30
+NUM_WORLDS = 3
+SEED = 1
+
+
+def check_policy(policy: Any, task: TaskSource = "crossing", **options: Any) -> None:
+    """Look for mistakes of a policy's author: shapes, numbers, seeds and state that is not its own.
+
+    Args:
+        policy: A name, `module:Name`, or its class.
+        task: That it flies.
+        **options: Of the environment; its action is one that the policy can give unless told.
+
+    Raises:
+        ValueError: A mistake was found; the message tells what and how to mend it.
+    """
+    spec = find_policy(policy, task)
+    usual = {"action": spec.actions[0]} if spec.actions else {}
+    one, other = (_flown(policy, task, {**usual, **options}) for _ in range(2))
+    for k, (mine, theirs) in enumerate(zip(one, other, strict=True)):
+        if not np.array_equal(mine, theirs):
+            raise ValueError(
+                f"policy {spec.name!r} acts differently at decision {k} of two flights from the same "
+                f"seed: draw from generators that are seeded at a reset"
+            )
+
+
+def _flown(policy: Any, task: TaskSource, options: dict[str, Any]) -> list[np.ndarray]:
+    """Fly from one seed; list the actions."""
+    spec = find_policy(policy, task)
+    aviary = Aviary(task, NUM_WORLDS, **{"seed": SEED, **options})
+    try:
+        observations = aviary.reset()
+        pilot = spec(aviary)
+        pilot.reset(np.ones(NUM_WORLDS, dtype=bool))
+        shape = (*aviary.alive.shape, aviary.action.low.shape[-1])
+        rows = []
+        for _ in range(DECISIONS):
+            before = [array.copy() for array in aviary.swarm]
+            actions = pilot.act(observations, aviary.swarm)
+            _check(spec.name, actions, shape)
+            if not all(map(np.array_equal, before, aviary.swarm)):
+                raise ValueError(
+                    f"policy {spec.name!r} changes the swarm that it is shown: work on a copy"
+                )
+            rows.append(np.array(actions, dtype=float))
+            observations = aviary.step(actions).observations
+    finally:
+        aviary.close()
+    return rows
+
+
+def _check(name: str, actions: Any, shape: tuple[int, ...]) -> None:
+    """Refuse actions of another shape, or numbers that are none."""
+    if not isinstance(actions, np.ndarray) or actions.shape != shape:
+        form = f"an array {actions.shape}" if isinstance(actions, np.ndarray) else shown(actions)
+        raise ValueError(f"act of policy {name!r} gave {form}: an array {shape} is needed")
+    if not np.isfinite(actions).all():
+        raise ValueError(f"act of policy {name!r} gave {shown(actions)}: finite numbers are needed")
