@@ -10,7 +10,7 @@ from pettingzoo import ParallelEnv
 
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
-from bulletuav.envs.parallel import ByAgent, Infos, ParallelAviary, check_agents
+from bulletuav.envs.parallel import AgentResults, ByAgent, Infos, ParallelAviary, check_agents
 from bulletuav.envs.spaces import drone_action_space
 from bulletuav.errors import as_int, as_sequence, choose, finite, shown
 from bulletuav.sensors.base import Label
@@ -36,7 +36,13 @@ class Curriculum:
         window: Episodes that count.
     """
 
-    def __init__(self, count: int, up: float = 0.8, down: float = 0.2, window: int = 20) -> None:
+    def __init__(
+        self,
+        count: int,
+        up: float = 0.8,
+        down: float = 0.2,
+        window: int = 20,
+    ) -> None:
         """Begin at the first stage.
 
         Raises:
@@ -67,6 +73,7 @@ class Curriculum:
         self._recent.append(success)
         if len(self._recent) < self.window:
             return
+        # At most one of them holds, as down is below up.
         rate = self.success_rate
         goes_up = rate >= self.up and self.stage + 1 < self.count
         goes_down = rate < self.down and self.stage > 0
@@ -173,7 +180,9 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
 
     @exclusive
     def reset(
-        self, seed: int | None = None, options: dict[str, Any] | None = None
+        self,
+        seed: int | None = None,
+        options: dict[str, Any] | None = None,
     ) -> tuple[ByAgent, Infos]:
         """Start a new episode, of another stage if the last ones ask for it.
 
@@ -187,7 +196,8 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
         """
         # An episode that was left early tells nothing.
         if self._successes and not self.agents:
-            self.curriculum.record(float(np.mean(list(self._successes.values()))))
+            successes = list(self._successes.values())
+            self.curriculum.record(float(np.mean(successes)))
         self._successes = {}
         if seed is not None:
             self._rng = np.random.default_rng(as_int("seed", seed, 0))
@@ -195,14 +205,13 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
         if stage not in self._envs:
             self._envs[stage] = ParallelAviary(self._task, **self._options[stage])
         self._current = self._envs[stage]
-        observations, infos = self.env.reset(seed=int(self._rng.integers(2**31)))
+        own_seed = int(self._rng.integers(2**31))
+        observations, infos = self.env.reset(seed=own_seed)
         self.agents = self.env.agents[:]
         return observations, self._with_stage(infos)
 
     @exclusive
-    def step(
-        self, actions: dict[str, np.ndarray]
-    ) -> tuple[ByAgent, dict[str, float], dict[str, bool], dict[str, bool], Infos]:
+    def step(self, actions: dict[str, np.ndarray]) -> AgentResults:
         """Fly one decision of all living agents; see `ParallelAviary.step`.
 
         Args:
@@ -284,6 +293,7 @@ def _shapes(space: Space[Any]) -> Any:
 
 def _union(spaces: Sequence[Space[Any]]) -> Space[Any]:
     """Make the space that holds all spaces of the same shape."""
+    # All are dicts, or all are boxes, of the same shapes.
     dicts = [space for space in spaces if isinstance(space, Dict)]
     if dicts:
         names = dicts[0].spaces

@@ -74,4 +74,7 @@ class Energy:
         Returns:
             "charge", share of the energy that is left, and "power", W; copies, (W, N) each.
         """
-        return {"charge": self._battery.charge.copy(), "power": self.power.copy()}
+        return {
+            "charge": self._battery.charge.copy(),
+            "power": self.power.copy(),
+        }

@@ -12,14 +12,14 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from gymnasium.spaces import Box, Dict
+from gymnasium.spaces import Box, Dict, Space
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
 from bulletuav.envs.spaces import joint_action_space, joint_numbers
-from bulletuav.envs.vector import BatchAviary
+from bulletuav.envs.vector import BatchAviary, BatchResults
 from bulletuav.errors import as_int
 from bulletuav.tasks import TaskSource, list_tasks
 from bulletuav.tasks.observations.observer import Observation, part
@@ -70,9 +70,17 @@ class CentralEnvironment(LabelledEnvironment):
             return Box(low, high, dtype=np.float32)
         lows = self.split(low)
         highs = self.split(high)
-        return Dict({name: Box(lows[name], highs[name], dtype=np.float32) for name in lows})
+        # An entry for each block, with a row for each drone.
+        spaces: dict[str, Space[Any]] = {}
+        for name in lows:
+            spaces[name] = Box(lows[name], highs[name], dtype=np.float32)
+        return Dict(spaces)
 
-    def _central(self, observations: Observation, state: np.ndarray | None = None) -> Observation:
+    def _central(
+        self,
+        observations: Observation,
+        state: np.ndarray | None = None,
+    ) -> Observation:
         """Return what the agent of each world observes.
 
         Args:
@@ -112,7 +120,8 @@ class CentralEnvironment(LabelledEnvironment):
                 f"observation is an array {vector.shape}: {width} numbers are needed, one for "
                 f"each label of {drones} drones"
             )
-        return super().split(vector.reshape(*vector.shape[:-1], drones, -1))
+        rows = vector.reshape(*vector.shape[:-1], drones, -1)
+        return super().split(rows)
 
 
 class CentralAviary(CentralEnvironment, gymnasium.Env[Any, Any]):
@@ -136,7 +145,10 @@ class CentralAviary(CentralEnvironment, gymnasium.Env[Any, Any]):
 
     @exclusive
     def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+        self,
+        *,
+        seed: int | None = None,
+        options: dict[str, Any] | None = None,
     ) -> tuple[Any, dict[str, Any]]:
         """Start a new episode.
 
@@ -147,7 +159,10 @@ class CentralAviary(CentralEnvironment, gymnasium.Env[Any, Any]):
         Returns:
             The observation, and infos (N,) by name.
         """
-        super().reset(seed=None if seed is None else as_int("seed", seed, 0))
+        # Gymnasium seeds its own random numbers, which nothing here draws from.
+        if seed is not None:
+            seed = as_int("seed", seed, 0)
+        super().reset(seed=seed)
         observations = self.aviary.reset(seeds=seed)
         observation = part(self._central(observations), 0)
         return observation, _of_world(self.aviary.first_info())
@@ -168,6 +183,7 @@ class CentralAviary(CentralEnvironment, gymnasium.Env[Any, Any]):
         """
         numbers = joint_numbers(self.aviary.action, np.asarray(action)[None], 1)
         step = self.aviary.step(numbers)
+        # An episode that time ended for one of the drones is truncated.
         is_over = not self.aviary.alive.any()
         truncated = is_over and bool(step.truncated.any())
         terminated = is_over and not truncated
@@ -226,6 +242,7 @@ class CentralVectorAviary(CentralEnvironment, gymnasium.vector.VectorEnv[Any, An
         Raises:
             ValueError: An option cannot be.
         """
+        # The batch flies and resets; here its drones become one agent.
         self._batch = BatchAviary(task, num_envs, autoreset_mode, **options)
         self._observe_centrally(self._batch.aviary)
         self.num_envs = self.aviary.num_worlds
@@ -242,7 +259,10 @@ class CentralVectorAviary(CentralEnvironment, gymnasium.vector.VectorEnv[Any, An
 
     @exclusive
     def reset(
-        self, *, seed: Any = None, options: dict[str, Any] | None = None
+        self,
+        *,
+        seed: Any = None,
+        options: dict[str, Any] | None = None,
     ) -> tuple[Any, dict[str, Any]]:
         """Start new episodes in all worlds, or in those of options["reset_mask"] (W,).
 
@@ -257,7 +277,7 @@ class CentralVectorAviary(CentralEnvironment, gymnasium.vector.VectorEnv[Any, An
         return self._central(observations), infos
 
     @exclusive
-    def step(self, actions: Any) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+    def step(self, actions: Any) -> BatchResults:
         """Fly one decision of all worlds.
 
         Args:
@@ -275,8 +295,10 @@ class CentralVectorAviary(CentralEnvironment, gymnasium.vector.VectorEnv[Any, An
         if self.aviary.action.choices is not None:
             batch = batch[..., 0]
         observations, rewards, _, cut, infos = self._batch.step(batch)
-        truncated = self._batch.ended & cut.any(axis=1)
-        terminated = self._batch.ended & ~truncated
+        # An episode that time ended for one of the drones is truncated.
+        ended = self._batch.ended
+        truncated = ended & cut.any(axis=1)
+        terminated = ended & ~truncated
         if "final_obs" in infos:
             infos["final_obs"] = self._central(infos["final_obs"], infos["final_state"])
         mean_rewards = rewards.mean(axis=1)

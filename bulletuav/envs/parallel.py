@@ -21,6 +21,8 @@ ByAgent = dict[str, Any]
 """One value for each agent, by its name"""
 Infos = dict[str, dict[str, float]]
 """Infos of each agent, by its name"""
+AgentResults = tuple[ByAgent, dict[str, float], dict[str, bool], dict[str, bool], Infos]
+"""Observations, rewards, terminated, truncated and infos of a step, each by agent"""
 
 
 class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  # has no types
@@ -71,7 +73,9 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
 
     @exclusive
     def reset(
-        self, seed: int | None = None, options: dict[str, Any] | None = None
+        self,
+        seed: int | None = None,
+        options: dict[str, Any] | None = None,
     ) -> tuple[ByAgent, Infos]:
         """Start a new episode.
 
@@ -87,9 +91,7 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
         return self._by_agent(observations), self._infos(self.aviary.first_info())
 
     @exclusive
-    def step(
-        self, actions: dict[str, np.ndarray]
-    ) -> tuple[ByAgent, dict[str, float], dict[str, bool], dict[str, bool], Infos]:
+    def step(self, actions: dict[str, np.ndarray]) -> AgentResults:
         """Fly one decision of all living agents.
 
         Args:
@@ -109,10 +111,11 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
         if not self.agents:
             return {}, {}, {}, {}, {}
         # The batch of one world; rows of agents that have left stay zero.
-        batch = np.zeros((1, *self.aviary.action.low.shape))
+        action = self.aviary.action
+        batch = np.zeros((1, *action.low.shape))
         for i, agent in enumerate(self.possible_agents):
             if agent in self.agents:
-                batch[0, i] = drone_numbers(self.aviary.action, i, actions[agent])
+                batch[0, i] = drone_numbers(action, i, actions[agent])
         step = self.aviary.step(batch)
         # Results by agent, in Python's own types, which PettingZoo's tests want.
         observations = self._by_agent(step.observations)
@@ -120,6 +123,7 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
         terminated = _each(bool, self._by_agent(step.terminated))
         truncated = _each(bool, self._by_agent(step.truncated))
         infos = self._infos(step.info)
+        # Agents leave after the step that ended their episode.
         self.agents = [
             agent for agent in self.agents if not (terminated[agent] or truncated[agent])
         ]
@@ -169,7 +173,11 @@ def _each(kind: type, values: ByAgent) -> ByAgent:
     return {agent: kind(value) for agent, value in values.items()}
 
 
-def check_agents(actions: Any, agents: Sequence[str], possible: Sequence[str]) -> None:
+def check_agents(
+    actions: Any,
+    agents: Sequence[str],
+    possible: Sequence[str],
+) -> None:
     """Check whose actions were given.
 
     Args:

@@ -43,7 +43,13 @@ class Renderer:
         self._size = size
         self._next_time: float | None = None
 
-    def picture(self, world: int, swarm: Swarm, goal: np.ndarray, alive: np.ndarray) -> np.ndarray:
+    def picture(
+        self,
+        world: int,
+        swarm: Swarm,
+        goal: np.ndarray,
+        alive: np.ndarray,
+    ) -> np.ndarray:
         """Take a picture of the living drones and of the goals.
 
         Rings mark drones and crosses goals, as a drone is smaller than a pixel from afar. Thin
@@ -59,13 +65,19 @@ class Renderer:
             (height, width, 3) uint8, red, green, blue.
         """
         flying = swarm.position[world][alive[world]]
-        target, distance = self._framing(np.concatenate([flying, goal]))
+        # Point the camera at all of them.
+        shown = np.concatenate([flying, goal])
+        target, distance = self._framing(shown)
+        width, height = self._size
         view = view_matrix(target + distance * DIRECTION, target)
-        projection = projection_matrix(self._size[0] / self._size[1], FIELD_OF_VIEW)
+        projection = projection_matrix(width / height, FIELD_OF_VIEW)
         matrix = projection @ view
+        # Colour the sky, draw on the ground, then draw marks above everything.
         pixels, _, labels = self._engine.picture(world, view, projection, self._size)
         pixels[labels == SKY] = AIR
-        self._draw_ground(pixels, labels == LAND, self._grid(target, distance), flying, matrix)
+        ground = labels == LAND
+        grid = self._grid(target, distance)
+        self._draw_ground(pixels, ground, grid, flying, matrix)
         image = Image.fromarray(pixels)
         self._draw_marks(ImageDraw.Draw(image), flying, goal, matrix)
         return np.asarray(image)
@@ -83,11 +95,16 @@ class Renderer:
         pen = ImageDraw.Draw(lines)
         self._draw_lines(pen, grid, matrix, GRID)
         feet = flying * [1, 1, 0]
-        self._draw_lines(pen, np.stack([flying, feet], axis=1), matrix, SHADOW)
+        drops = np.stack([flying, feet], axis=1)
+        self._draw_lines(pen, drops, matrix, SHADOW)
         pixels[ground] = np.asarray(lines)[ground]
 
     def _draw_marks(
-        self, pen: ImageDraw.ImageDraw, flying: np.ndarray, goal: np.ndarray, matrix: np.ndarray
+        self,
+        pen: ImageDraw.ImageDraw,
+        flying: np.ndarray,
+        goal: np.ndarray,
+        matrix: np.ndarray,
     ) -> None:
         """Draw a cross on each goal and a ring around each drone."""
         r = CROSS_RADIUS
@@ -122,7 +139,9 @@ class Renderer:
         """Find the middle of points (M, 3), and a distance from which all are in sight, m."""
         low = points.min(axis=0)
         high = points.max(axis=0)
-        return (low + high) / 2, 0.8 + 1.1 * float(np.linalg.norm(high - low))
+        middle = (low + high) / 2
+        diagonal = float(np.linalg.norm(high - low))
+        return middle, 0.8 + 1.1 * diagonal
 
     @staticmethod
     def _grid(target: np.ndarray, distance: float) -> np.ndarray:
@@ -135,25 +154,31 @@ class Renderer:
         # Pieces along y from each crossing to the next, and the same along x.
         across, along = np.meshgrid(line, line[:-1], indexing="ij")
         zero = np.zeros(across.size)
-        northward = [
+        ends = [
             np.stack([across.ravel(), along.ravel() + step, zero], axis=1) for step in (0, pitch)
         ]
-        eastward = [end[:, [1, 0, 2]] for end in northward]
-        pieces = np.concatenate([np.stack(northward, axis=1), np.stack(eastward, axis=1)])
+        northward = np.stack(ends, axis=1)
+        eastward = northward[:, :, [1, 0, 2]]
+        pieces = np.concatenate([northward, eastward])
         # Lines stay where they are while the camera moves.
         centre = np.round(target / pitch) * pitch * [1, 1, 0]
         grid: np.ndarray = pieces + centre
         return grid
 
     def _draw_lines(
-        self, pen: ImageDraw.ImageDraw, lines: np.ndarray, matrix: np.ndarray, colour: Colour
+        self,
+        pen: ImageDraw.ImageDraw,
+        lines: np.ndarray,
+        matrix: np.ndarray,
+        colour: Colour,
     ) -> None:
         """Draw those of the lines (L, 2, 3) that lie before the camera."""
         ends, is_before = self._project(lines.reshape(-1, 3), matrix)
         ends = ends.reshape(-1, 4)
         both_before = np.all(is_before.reshape(-1, 2), axis=1)
         # Far outside of the picture coordinates get too large to draw.
-        near = np.all(np.abs(ends) < 4 * max(self._size), axis=1)
+        limit = 4 * max(self._size)
+        near = np.all(np.abs(ends) < limit, axis=1)
         for line in ends[both_before & near]:
             pen.line(tuple(line), colour)
 
@@ -163,9 +188,12 @@ class Renderer:
         Returns:
             (M, 2) x and y, pixels; and (M,) bool, points that lie before the camera.
         """
-        clip = np.concatenate([points, np.ones((len(points), 1))], axis=1) @ matrix.T
-        depth = np.where(np.abs(clip[:, 3]) > 1e-6, clip[:, 3], 1e-6)
+        ones = np.ones((len(points), 1))
+        clip = np.concatenate([points, ones], axis=1) @ matrix.T
+        # Points in the plane of the lens have no place in the picture.
+        distance = clip[:, 3]
+        depth = np.where(np.abs(distance) > 1e-6, distance, 1e-6)
         width, height = self._size
         x = (1 + clip[:, 0] / depth) / 2 * width
         y = (1 - clip[:, 1] / depth) / 2 * height
-        return np.stack([x, y], axis=1), clip[:, 3] > 0.1
+        return np.stack([x, y], axis=1), distance > 0.1

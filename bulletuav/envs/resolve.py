@@ -38,7 +38,10 @@ INGREDIENTS = ("observation", "sensors")
 """Lists in which names and objects can stand"""
 
 
-def resolve(task: type[Task[Any]], given: Mapping[str, Any]) -> tuple[EnvOptions, TaskConfig]:
+def resolve(
+    task: type[Task[Any]],
+    given: Mapping[str, Any],
+) -> tuple[EnvOptions, TaskConfig]:
     """Make common options and the task's config from keyword arguments.
 
     What is given goes before the preset's values, those before the difficulty's, and those before
@@ -66,13 +69,18 @@ def resolve(task: type[Task[Any]], given: Mapping[str, Any]) -> tuple[EnvOptions
     _find_airframes(values, given)
     known = known_uncertainties(known_sensors(values.get("sensors", ())))
     values["randomization"] = Randomization(values.get("randomization"), known)
-    options = EnvOptions(**{name: value for name, value in values.items() if name in common})
-    config = task.Config(**{name: value for name, value in values.items() if name in own})
+    # Common options check themselves, those of the task are checked by the types of their fields.
+    for_all = {name: value for name, value in values.items() if name in common}
+    for_task = {name: value for name, value in values.items() if name in own}
+    options = EnvOptions(**for_all)
+    config = task.Config(**for_task)
     return options, _checked_config(config)
 
 
 def _with_defaults(
-    task: type[Task[Any]], given: Mapping[str, Any], known: set[str]
+    task: type[Task[Any]],
+    given: Mapping[str, Any],
+    known: set[str],
 ) -> dict[str, Any]:
     """Add the values of preset, difficulty and task to the options that are given."""
     for name in given:
@@ -82,13 +90,16 @@ def _with_defaults(
                 f"unknown option of task {task.name!r}: unexpected keyword argument {name!r}: "
                 f"{nearest(name, known)}"
             )
-    difficulty = given.get("difficulty", task.defaults.get("difficulty", "easy"))
+    # What the difficulty and the preset change.
+    usual_difficulty = task.defaults.get("difficulty", "easy")
+    difficulty = given.get("difficulty", usual_difficulty)
     changes = choose("difficulty", difficulty, dict(task.difficulties))
     preset: Mapping[str, Any] = {}
     if given.get("preset") is not None:
         if not task.presets:
             raise ValueError(f"preset is {shown(given['preset'])}: task {task.name!r} has none")
         preset = choose("preset", given["preset"], dict(task.presets))
+    # Later ones go before earlier ones.
     usual = {**DEFAULTS, **task.defaults, **changes, **preset}
     for name in usual:
         choose(f"option among the defaults of task {task.name!r}:", name, dict.fromkeys(known))

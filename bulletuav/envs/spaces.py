@@ -34,7 +34,8 @@ def _drone_box(action: Action, drone: int) -> Box:
 
 def widest_action_space(action: Action) -> Space[Any]:
     """Make the space of one row of a batch: that of the drone with the most numbers."""
-    widest = max(range(len(action.labels)), key=action.size)
+    drones = range(len(action.labels))
+    widest = max(drones, key=action.size)
     return drone_action_space(action, widest)
 
 
@@ -73,7 +74,7 @@ def drone_numbers(action: Action, drone: int, given: object) -> np.ndarray:
         ValueError: The action has another shape, or is no numbers.
     """
     numbers = numbers_of(f"parts of the action of drone_{drone} are", given)
-    expected = () if action.choices is not None else (action.size(drone),)
+    expected = (action.size(drone),) if action.choices is None else ()
     if numbers.shape != expected:
         raise ValueError(f"action of drone_{drone} has shape {numbers.shape}: {expected} is needed")
     padded = np.zeros(action.low.shape[-1])
@@ -95,6 +96,7 @@ def joint_numbers(action: Action, given: object, num_worlds: int) -> np.ndarray:
     Raises:
         ValueError: The actions have another shape, or are no numbers.
     """
+    # The shape that the joint space has.
     drones, width = action.low.shape
     sizes = [action.size(drone) for drone in range(drones)]
     numbers = numbers_of("actions are", given)
@@ -104,6 +106,7 @@ def joint_numbers(action: Action, given: object, num_worlds: int) -> np.ndarray:
         raise ValueError(f"actions have shape {numbers.shape}: {expected} is needed")
     # Numbers fill the places that the drones have, in order; the rest stays zero.
     batch = np.zeros((num_worlds, drones, width))
-    used = np.arange(width) < np.array(sizes)[:, None]
+    size_of_drone = np.array(sizes)[:, None]
+    used = np.arange(width) < size_of_drone
     batch[:, used] = numbers.reshape(num_worlds, -1)
     return batch

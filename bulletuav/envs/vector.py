@@ -15,6 +15,9 @@ from bulletuav.errors import as_int, choose, shown
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.observations.observer import Observation
 
+BatchResults = tuple[Observation, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]
+"""Observations, rewards, terminated, truncated and infos of a step"""
+
 
 def autoreset(mode: Any) -> AutoresetMode:
     """Find an `AutoresetMode`.
@@ -27,7 +30,10 @@ def autoreset(mode: Any) -> AutoresetMode:
     """
     if isinstance(mode, AutoresetMode):
         return mode
-    modes = {name: one for one in AutoresetMode for name in (one.name, one.value)}
+    modes = {}
+    for one in AutoresetMode:
+        modes[one.name] = one
+        modes[one.value] = one
     return choose("autoreset_mode", mode, modes)
 
 
@@ -111,7 +117,10 @@ class BatchAviary(LabelledEnvironment):
 
     @exclusive
     def reset(
-        self, *, seed: Any = None, options: dict[str, Any] | None = None
+        self,
+        *,
+        seed: Any = None,
+        options: dict[str, Any] | None = None,
     ) -> tuple[Observation, dict[str, Any]]:
         """Start new episodes.
 
@@ -133,9 +142,7 @@ class BatchAviary(LabelledEnvironment):
         return observations, dict(self.aviary.first_info())
 
     @exclusive
-    def step(
-        self, actions: np.ndarray
-    ) -> tuple[Observation, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+    def step(self, actions: np.ndarray) -> BatchResults:
         """Fly one decision of all worlds.
 
         Args:
@@ -157,6 +164,7 @@ class BatchAviary(LabelledEnvironment):
         flying = self.aviary.alive.any(axis=1)
         observations, rewards, terminated, truncated, info = self.aviary.step(actions)
         infos: dict[str, Any] = dict(info)
+        # What follows depends on the worlds in which nobody flies any more.
         self._ended = flying & ~np.any(self.aviary.alive, axis=1)
         if fresh.any():
             observations = self.aviary.reset(fresh)
@@ -173,7 +181,11 @@ class BatchAviary(LabelledEnvironment):
             infos |= self._with_fresh(info, self._ended)
         return observations, rewards, terminated, truncated, infos
 
-    def _with_fresh(self, info: dict[str, np.ndarray], worlds: np.ndarray) -> dict[str, np.ndarray]:
+    def _with_fresh(
+        self,
+        info: dict[str, np.ndarray],
+        worlds: np.ndarray,
+    ) -> dict[str, np.ndarray]:
         """Return infos in which those of `worlds` (W,) are of their new episodes."""
         first = self.aviary.first_info()
         return {name: np.where(worlds[:, None], first[name], info[name]) for name in first}

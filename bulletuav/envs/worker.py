@@ -47,7 +47,8 @@ class SharedArrays:
         """
         arrays: dict[str, np.ndarray] = {}
         for name, (shape, dtype) in self._layout.items():
-            flat = np.frombuffer(self._memory[name], dtype=dtype, count=math.prod(shape))
+            count = math.prod(shape)
+            flat = np.frombuffer(self._memory[name], dtype=dtype, count=count)
             arrays[name] = flat.reshape(shape)[first:last]
         return arrays
 
@@ -84,6 +85,7 @@ def work(
         pipe.send(portable(error))
         return
     pipe.send(None)
+    # Answer one question after the other.
     while (question := _next(pipe)) is not None:
         method, keywords = question
         try:
@@ -99,7 +101,10 @@ def work(
 
 
 def _answer(
-    batch: BatchAviary, arrays: dict[str, np.ndarray], method: str, keywords: dict[str, Any]
+    batch: BatchAviary,
+    arrays: dict[str, np.ndarray],
+    method: str,
+    keywords: dict[str, Any],
 ) -> Any:
     """Call a method; results of `reset` and `step` but the infos go into the arrays."""
     if method == "step":

@@ -18,7 +18,7 @@ from gymnasium.vector import AutoresetMode
 from bulletuav.envs.env_spec import MOST_WORLDS, EnvSpec
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
 from bulletuav.envs.spaces import widest_action_space
-from bulletuav.envs.vector import BatchAviary, autoreset, reset_mask
+from bulletuav.envs.vector import BatchAviary, BatchResults, autoreset, reset_mask
 from bulletuav.envs.worker import Layout, SharedArrays, by_shared_name, work
 from bulletuav.errors import as_int, choose, finite
 from bulletuav.tasks import TaskSource
@@ -31,7 +31,11 @@ TIMEOUT = 600.0
 """Time that an answer may take, s: longer than any decision, and than compiling for a first one"""
 
 
-def _end_processes(owner: int, pipes: list[Connection], processes: list[Any]) -> None:
+def _end_processes(
+    owner: int,
+    pipes: list[Connection],
+    processes: list[Any],
+) -> None:
     """Ask the processes to end, and kill those that do not."""
     # A copy of the owner, made by a fork, has no say.
     if os.getpid() != owner:
@@ -106,10 +110,7 @@ class WorkerAviary(LabelledEnvironment):
         self._timeout = float(timeout)
         self.observation_space: Box | Dict = self._observer.space()
         self.action_space: Space[Any] = widest_action_space(self._spec.action)
-        # Memory that all processes share, and the worlds of each.
-        context: Any = multiprocessing.get_context(start_method)
-        shared = SharedArrays(context, self._layout())
-        self._arrays = shared.views(0, self.num_envs)
+        # The worlds of each process.
         bounds = [self.num_envs * k // workers for k in range(workers + 1)]
         self._parts = [slice(*pair) for pair in itertools.pairwise(bounds)]
         # Processes, and what ends them when this object goes.
@@ -120,11 +121,16 @@ class WorkerAviary(LabelledEnvironment):
         )
         self._started = False
         with self._closed_by_errors():
-            for part in self._parts:
-                self._start_worker(
-                    context, (shared, part.start, part.stop, task, self.autoreset_mode, options)
-                )
+            self._start_workers(start_method, (task, self.autoreset_mode, options))
             _raise_first(self._answers(range(workers)))
+
+    def _start_workers(self, start_method: str | None, recipe: tuple[Any, ...]) -> None:
+        """Take the memory that all processes share, and start them."""
+        context: Any = multiprocessing.get_context(start_method)
+        shared = SharedArrays(context, self._layout())
+        self._arrays = shared.views(0, self.num_envs)
+        for part in self._parts:
+            self._start_worker(context, (shared, part.start, part.stop, *recipe))
 
     def _start_worker(self, context: Any, arguments: tuple[Any, ...]) -> None:
         """Start a process with a pipe to it."""
@@ -159,9 +165,12 @@ class WorkerAviary(LabelledEnvironment):
         drones = (self.num_envs, self.num_drones)
         space = self.observation_space
         parts = by_shared_name(space.spaces if isinstance(space, Dict) else space)
-        observed = {name: ((*drones, *(one.shape or ())), one.dtype) for name, one in parts.items()}
+        observed: Layout = {}
+        for name, one in parts.items():
+            observed[name] = ((*drones, *(one.shape or ())), one.dtype)
+        numbers = self._spec.action.low.shape[-1]
         return {
-            "action": ((*drones, self._spec.action.low.shape[-1]), np.float64),
+            "action": ((*drones, numbers), np.float64),
             **observed,
             "reward": (drones, np.float64),
             "terminated": (drones, bool),
@@ -200,7 +209,8 @@ class WorkerAviary(LabelledEnvironment):
         answers: list[Any] = []
         try:
             for k in workers:
-                if not self._pipes[k].poll(max(0.0, end - time.monotonic())):
+                left = max(0.0, end - time.monotonic())
+                if not self._pipes[k].poll(left):
                     # It would not hear a request to end.
                     self._processes[k].kill()
                     raise RuntimeError(
@@ -238,7 +248,10 @@ class WorkerAviary(LabelledEnvironment):
 
     @exclusive
     def reset(
-        self, *, seed: Any = None, options: dict[str, Any] | None = None
+        self,
+        *,
+        seed: Any = None,
+        options: dict[str, Any] | None = None,
     ) -> tuple[Observation, dict[str, Any]]:
         """Start new episodes; see `BatchAviary.reset`."""
         mask = self._spec.mask(reset_mask(options))
@@ -252,9 +265,7 @@ class WorkerAviary(LabelledEnvironment):
         return self._observations(), _merged(self._parts, infos, self.num_envs)
 
     @exclusive
-    def step(
-        self, actions: np.ndarray
-    ) -> tuple[Observation, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+    def step(self, actions: np.ndarray) -> BatchResults:
         """Fly one decision of all worlds; see `BatchAviary.step`."""
         if not self._started:
             raise RuntimeError("the worlds have not been started: call reset() first")
@@ -262,7 +273,9 @@ class WorkerAviary(LabelledEnvironment):
         actions = np.asarray(actions)
         if choices:
             actions = actions[..., None]
-        self._arrays["action"][:] = self._spec.actions(actions, self._arrays["alive"])
+        # Workers read their actions from the shared array.
+        checked = self._spec.actions(actions, self._arrays["alive"])
+        self._arrays["action"][:] = checked
         infos = self._ask("step", self._for_all(choices=choices))
         return (
             self._observations(),
@@ -281,8 +294,10 @@ class WorkerAviary(LabelledEnvironment):
     def render(self, world: int = 0) -> np.ndarray | None:
         """Take a picture of one world; see `BatchAviary.render`."""
         self._spec.require_world(world)
+        # Ask the process that has the world, by its number there.
         k = next(k for k, part in enumerate(self._parts) if world < part.stop)
-        (picture,) = self._ask("render", {k: {"world": world - self._parts[k].start}})
+        keywords = {"world": world - self._parts[k].start}
+        (picture,) = self._ask("render", {k: keywords})
         return cast(np.ndarray | None, picture)
 
     @exclusive
@@ -299,7 +314,11 @@ def _raise_first(answers: list[Any]) -> list[Any]:
     return answers
 
 
-def _merged(parts: list[slice], infos: list[dict[str, Any]], num_envs: int) -> dict[str, Any]:
+def _merged(
+    parts: list[slice],
+    infos: list[dict[str, Any]],
+    num_envs: int,
+) -> dict[str, Any]:
     """Merge infos of several processes.
 
     Args:
@@ -322,7 +341,8 @@ def _merged(parts: list[slice], infos: list[dict[str, Any]], num_envs: int) -> d
             own_infos = [value for _, value in given]
             merged[name] = _merged(own_parts, own_infos, num_envs)
             continue
-        merged[name] = np.zeros((num_envs, *first.shape[1:]), dtype=first.dtype)
+        shape = (num_envs, *first.shape[1:])
+        merged[name] = np.zeros(shape, dtype=first.dtype)
         for part, value in given:
             merged[name][part] = value
     return merged
