@@ -62,16 +62,8 @@ class Placing:
             name = "placed"
 
             def spawn(self, rng):
-                level = np.tile([0.0, 0, 0, 1], (len(start), 1))
-                return Spawn(
-                    start,
-                    level,
-                    0 * start,
-                    0 * start,
-                    start,
-                    layout=self.town.draw(rng),
-                    memory=memory,
-                )
+                layout = self.town.draw(rng)
+                return Spawn(position=start, goal=start, layout=layout, memory=memory)
 
         numbers = {"num_drones": len(start), "num_users": len(users), "mobility": "still"}
         return self.make(Placed, num_worlds, city=city, **{**numbers, **options})

@@ -66,7 +66,7 @@ def observation_table(task: str, options: Mapping[str, Any]) -> Table:
     return table
 
 
-def explanations(task: type[Task]) -> list[str]:
+def explanations(task: type[Task[Any]]) -> list[str]:
     """Collect the docstrings that explain a task's MDP.
 
     Args:

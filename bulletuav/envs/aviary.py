@@ -1,46 +1,24 @@
 """The batched core: W independent worlds of N drones through one decision at a time."""
 
-import dataclasses
 import functools
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
-from bulletuav.control.cascade import Cascade
-from bulletuav.control.gains import gain_rows
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.dynamics import find_dynamics
-from bulletuav.dynamics.base import Dynamics, Flight
 from bulletuav.dynamics.contacts import overlaps
-from bulletuav.engine.engine import Engine
-from bulletuav.envs.energy import Energy
-from bulletuav.envs.env_spec import MOST_WORLDS, EnvSpec
-from bulletuav.envs.environment import Environment, exclusive
-from bulletuav.envs.randomization import Uncertainty
-from bulletuav.envs.renderer import Renderer
+from bulletuav.envs.environment import exclusive
 from bulletuav.envs.step import Step
-from bulletuav.errors import as_int, points_of
-from bulletuav.geometry.city_grid import NO_LAYOUT
-from bulletuav.geometry.solids import Solids
+from bulletuav.envs.worlds import UNSTARTED, Worlds
 from bulletuav.sensors.base import Moment
-from bulletuav.sensors.sight import line_of_sight
-from bulletuav.sensors.suite import SensorSuite
-from bulletuav.tasks import TaskSource
 from bulletuav.tasks.base import Task
 from bulletuav.tasks.check import check_info, check_spawn, check_step_result, require_finite
-from bulletuav.tasks.frame import Frame, Scene, Spawn
+from bulletuav.tasks.frame import Frame, Spawn
 from bulletuav.tasks.observations.observer import Observation
-from bulletuav.vehicle.parameters import parameter_rows
 from bulletuav.vehicle.swarm import Contacts, Motion, Swarm, confine
-from bulletuav.vehicle.wind import Wind
-
-NOTHING_STANDS = Solids(np.zeros((0, 2, 3)))
-UNSTARTED = np.random.default_rng(0)
-"""Generator of worlds before their first reset; nothing draws from it"""
 
 
-class Aviary(Environment):
+class Aviary(Worlds):
     """W worlds of N drones flying one task.
 
     Never resets by itself: a drone whose episode ended leaves the airspace and is masked by `alive`
@@ -60,72 +38,6 @@ class Aviary(Environment):
         parameters: (W, N) rows of `PARAMETERS` with which the drones fly.
         rng: Random generator of each world.
     """
-
-    def __init__(
-        self, task: TaskSource, num_worlds: int = 1, *, first_world: int = 0, **options: Any
-    ) -> None:
-        """Build the worlds.
-
-        Args:
-            task: Name of a task, `module:Name`, or its class.
-            num_worlds: W.
-            first_world: Number of the first of these worlds among those of several processes; world k
-                is then the one that it would be in a single process.
-            **options: See `EnvOptions` and the task's config.
-
-        Raises:
-            ValueError: An option cannot be.
-        """
-        self._spec = spec = EnvSpec(task, num_worlds, options)
-        self.options, self.task, self.action = spec.options, spec.task, spec.action
-        self.observer, self.state_observer = spec.observer, spec.state_observer
-        self.num_worlds, self.num_drones = spec.num_worlds, self.options.num_drones
-        self._first_world = as_int("first_world", first_world, 0, MOST_WORLDS)
-        obstacles = self.task.obstacles()
-        self._engine = Engine(
-            self.options.airframe,
-            self.num_worlds,
-            1 / self.options.physics_hz,
-            obstacles,
-            self.task.layouts(),
-            first_world,
-            self.options.render_mode == "human",
-        )
-        self._dynamics, self._cascade = self._make_dynamics()
-        self.options.check_setpoint_levels(self.action.level, self._dynamics.consumes)
-        self._renderer = Renderer(self._engine, self.options.render_size)
-        shape = (self.num_worlds, self.num_drones)
-        rotors = max(len(airframe.rotors) for airframe in self.options.airframe)
-        self.swarm = Swarm.zeros(*shape, rotors)
-        self.scene = Scene.empty(*shape, len(obstacles), self.task.memory())
-        self.commanded = np.zeros((*shape, 3))
-        self.alive = np.zeros(shape, dtype=bool)
-        self.steps = np.zeros(self.num_worlds, dtype=np.int64)
-        period = 1 / self.options.decision_hz
-        self._wind = Wind(self.options.wind, self.options.wind20, shape, period)
-        randomization = self.options.randomization
-        self._uncertainty = Uncertainty(randomization, self._engine, self.parameters, self._wind)
-        drawn = self._uncertainty.drawn
-        self._sensors = SensorSuite(spec.sensors, spec.setup, self._engine, drawn)
-        self._energy = Energy(self.options, self.parameters)
-        self.rng: list[np.random.Generator] = [UNSTARTED] * self.num_worlds
-        self._frame: Frame | None = None
-        self._checked = False
-
-    def _make_dynamics(self) -> tuple[Dynamics, Cascade]:
-        options, worlds = self.options, (self.num_worlds, 1)
-        self.parameters = np.tile(parameter_rows(options.airframe, options.effects), worlds)
-        gains = np.tile(gain_rows(options.airframe, options.max_speed), worlds)
-        cascade = Cascade.of(options.controller, self.parameters.copy(), gains)
-        flight = Flight(
-            self._engine,
-            self.parameters,
-            cascade,
-            1 / options.physics_hz,
-            options.physics_hz // options.decision_hz,
-            options.gravity,
-        )
-        return find_dynamics(options.dynamics)(flight), cascade
 
     @exclusive
     def reset(
@@ -152,7 +64,8 @@ class Aviary(Environment):
         spawns = list(self.task.spawn_many(generators))
         if len(spawns) != len(generators):
             raise ValueError(
-                f"spawn_many of task {self.task.name!r} gave {len(spawns)} starts: {len(generators)} "
+                f"spawn_many of task {self.task.name!r} gave {len(spawns)} starts: "
+                f"{len(generators)} "
                 f"are needed, one for each generator"
             )
         for spawn in spawns:  # all before anything of the worlds is written
@@ -169,7 +82,10 @@ class Aviary(Environment):
         frame = self._first_frame(chosen)
         self._start_memory(frame, chosen)
         if not self._checked:  # once: later results are of the same form
-            check_step_result(self.task, self.task.evaluate_step(frame), chosen.shape)
+            result = self.task.evaluate_step(frame)
+            terms = {**result.terms, **self.task.extra_terms(frame)} if result else {}
+            result = result._replace(terms=terms)
+            check_step_result(self.task, result, chosen.shape)
             check_info(self.task, self.task.info(frame), chosen.shape)
             self._checked = True
         self._frame = frame
@@ -275,8 +191,8 @@ class Aviary(Environment):
             actions: (W, N, A); those beyond the bounds are clipped to them.
 
         Raises:
-            ValueError: A wrong shape, or a number that is not finite in a living drone's action; the
-                worlds stay as they were.
+            ValueError: A wrong shape, or a number that is not finite in a living drone's action.
+                The worlds stay as they were.
             RuntimeError: Before the first reset or after `close`.
         """
         self.require_started()
@@ -364,89 +280,3 @@ class Aviary(Environment):
         names = [*result.terms, *self.task.extra_terms(frame)]
         nothing = dict.fromkeys(names, np.zeros(self.alive.shape))
         return self._info(frame, nothing, result.success)
-
-    def _current(self) -> Frame:
-        if self._frame is None:
-            raise RuntimeError("the worlds have not been started: call reset() first")
-        return self._frame
-
-    @exclusive
-    def state(self) -> np.ndarray:
-        """Tell the global state.
-
-        Returns:
-            (W, N * 17) float32: the true position, attitude, velocity, rates, goal position and alive
-            of every drone.
-        """
-        self._require_open()
-        frame = dataclasses.replace(self._current(), readings={})
-        state = self.state_observer.observe(frame, self.alive)
-        assert isinstance(state, np.ndarray)  # no pictures among its blocks
-        return state.reshape(self.num_worlds, -1)
-
-    @exclusive
-    def render(self, world: int = 0) -> np.ndarray | None:
-        """(height, width, 3) uint8 picture of a world with render_mode "rgb_array"; None otherwise.
-
-        Shows the drones that flew the last decision, so also those that it ended.
-        """
-        self._require_open()
-        if self.options.render_mode != "rgb_array":
-            return None
-        self._spec.require_world(world)
-        flown = self._current().alive
-        self._dynamics.show(self.swarm, self.alive)
-        self._engine.set_poses(
-            self.swarm, flown & ~self.alive
-        )  # those that just ended are still to be seen
-        picture = self._renderer.picture(world, self.swarm, self.scene.goal[world], flown)
-        self._engine.park(flown & ~self.alive)
-        return picture
-
-    @exclusive
-    def line_of_sight(
-        self, start: np.ndarray, end: np.ndarray, world: np.ndarray | int = 0
-    ) -> np.ndarray:
-        """(M,) bool: nothing but drones is between points `start` and `end` (M, 3), m, in worlds `world`, one or (M,).
-
-        Raises ValueError for points that are not finite, or a world that there is not.
-        """
-        self.require_started()
-        start, end = np.broadcast_arrays(points_of("start", start), points_of("end", end))
-        return line_of_sight(
-            self._engine, start, end, np.broadcast_to(self._spec.worlds(world), len(start))
-        )
-
-    @property
-    def sight(self) -> np.ndarray:
-        """(W, N, U) bool: which of the task's targets the drones saw that flew the last decision."""
-        return self._current().seen
-
-    def solids(self, world: int = 0) -> Solids:
-        """What stands in a world, beside obstacles."""
-        layout = self.scene.layout[self._spec.worlds(world)]
-        return NOTHING_STANDS if layout == NO_LAYOUT else self.task.layouts()[layout]
-
-    @property
-    def setpoint_level(self) -> SetpointLevel:
-        """Setpoint level that the dynamics consumes."""
-        return self._dynamics.consumes
-
-    @property
-    def communicates(self) -> bool:
-        """Whether messages between drones are simulated, with infos that count them."""
-        return "radio" in self._sensors.sensors
-
-    def require_started(self) -> None:
-        """Raise RuntimeError before the first reset and after `close`."""
-        self._require_open()
-        self._current()
-
-    def _require_open(self) -> None:
-        if self._engine.closed:
-            raise RuntimeError("this environment is closed: make a new one")
-
-    @exclusive
-    def close(self) -> None:
-        """Free the engine; a second call does nothing."""
-        self._engine.close()

@@ -20,9 +20,10 @@ SEED = 1
 def check_task(task: TaskSource, **options: Any) -> None:
     """Look for mistakes of a task's author, in the manner of Gymnasium's `check_env`.
 
-    Flies random actions in three worlds and looks at shapes, types and numbers of what the task gives.
-    Builds every difficulty and preset. Sees whether the same seed gives the same flight, whether
-    evaluating a decision changes anything, and whether a reset of one world disturbs another.
+    Flies random actions in three worlds and looks at shapes, types and numbers of what the task
+    gives. Builds every difficulty and preset. Sees whether the same seed gives the same flight,
+    whether evaluating a decision changes anything, and whether a reset of one world disturbs
+    another.
 
     Args:
         task: Its name, `module:Name`, or its class.
@@ -39,7 +40,8 @@ def check_task(task: TaskSource, **options: Any) -> None:
     for k, (one, other) in enumerate(zip(*rows, strict=True)):
         if not _equal(one, other):
             raise ValueError(
-                f"task {kind.name!r} flew twice from the same seed, and differs at decision {k}: draw "
+                f"task {kind.name!r} flew twice from the same seed, and differs at decision {k}: "
+                f"draw "
                 f"from the generators that it is given, and keep nothing in the task itself"
             )
 
@@ -112,7 +114,7 @@ def _flown(
             step = aviary.step(mine)
             _check_step(aviary, step)
             yield [*_arrays(aviary, step.observations), step.rewards, step.terminated]
-            over = ~aviary.alive.any(axis=1)
+            over = ~np.array(aviary.alive.any(axis=1))
             over[k % num_worlds] |= k % 7 == 3  # in the middle of an episode
             if resets and over.any():
                 yield _reset(aviary, over)
@@ -136,7 +138,8 @@ def _check_step(aviary: Aviary, step: Step) -> None:
         check_info(aviary.task, aviary.task.info(frame), shape)
     if not _equal(before, _scene(aviary)):
         raise ValueError(
-            f"evaluate_step of task {aviary.task.name!r} changes the scene or its memory: it may be "
+            f"evaluate_step of task {aviary.task.name!r} changes the scene or its memory: it may "
+            f"be "
             f"asked twice; do it in update_memory"
         )
 

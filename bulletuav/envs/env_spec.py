@@ -103,8 +103,8 @@ class EnvSpec:
         for name in kind.required_sensors:
             if provider(self.sensors, name) is None:
                 what = f"reading among the required_sensors of task {self.task.name!r}:"
-                given = {reading for one in self.sensors.values() for reading in one.gives}
-                raise unknown(what, name, given)
+                known = {reading for one in self.sensors.values() for reading in one.gives}
+                raise unknown(what, name, known)
         given = [one.name for one in self.options.sensors if hasattr(one, "name")]
         own = {reading for name in given for reading in self.sensors[name].gives}
         return frozenset({*asked, *kind.required_sensors, *own})
@@ -156,7 +156,11 @@ class EnvSpec:
         return (BODY_BYTES + NUMBER_BYTES * numbers) * drones + things
 
     def mask(self, mask: np.ndarray | None) -> np.ndarray:
-        """(W,) worlds to reset, all for None. Raises ValueError for another shape or type."""
+        """Take a mask (W,) of worlds to reset, all for None.
+
+        Raises:
+            ValueError: It has another shape or type.
+        """
         if mask is None:
             return np.ones(self.num_worlds, dtype=bool)
         try:
@@ -167,12 +171,17 @@ class EnvSpec:
             ) from None
         if mask.shape != (self.num_worlds,) or mask.dtype != bool:
             raise ValueError(
-                f"mask has shape {mask.shape} and type {mask.dtype}: ({self.num_worlds},) bool is needed"
+                f"mask has shape {mask.shape} and type {mask.dtype}: ({self.num_worlds},) bool is "
+                f"needed"
             )
         return mask
 
     def require_world(self, world: Any) -> None:
-        """Raise ValueError unless there is a world of that number."""
+        """Refuse the number of a world that there is not.
+
+        Raises:
+            ValueError: There is none.
+        """
         if (
             not isinstance(world, int | np.integer)
             or isinstance(world, bool)
@@ -181,7 +190,11 @@ class EnvSpec:
             raise self._no_world(world)
 
     def worlds(self, world: Any) -> np.ndarray:
-        """`world`, one or several, as an array. Raises ValueError unless all are whole numbers of worlds that there are."""
+        """Take one or several numbers of worlds as an array.
+
+        Raises:
+            ValueError: There is no such world.
+        """
         try:
             worlds = np.asarray(world)
         except ValueError:
@@ -196,7 +209,17 @@ class EnvSpec:
         )
 
     def seeds(self, seeds: Any) -> list[int] | None:
-        """One seed for each world: from s on for an int s, None for None. Raises ValueError for what cannot be a seed."""
+        """Make a seed for each world.
+
+        Args:
+            seeds: An int s for s, s + 1 and so on; a sequence; or None.
+
+        Returns:
+            A seed for each world; None for None.
+
+        Raises:
+            ValueError: It cannot be a seed.
+        """
         if seeds is None:
             return None
         if isinstance(seeds, int | np.integer) and not isinstance(seeds, bool):
@@ -206,20 +229,30 @@ class EnvSpec:
         )
         if not listed or len(seeds) != self.num_worlds:
             raise ValueError(
-                f"seed is {shown(seeds)}: a whole number, or a list of {self.num_worlds}, one for each world, is needed"
+                f"seed is {shown(seeds)}: a whole number, or a list of {self.num_worlds}, one for "
+                f"each world, is needed"
             )
         return [as_int("seed", seed, 0) for seed in seeds]
 
     def actions(self, actions: Any, alive: np.ndarray) -> np.ndarray:
-        """(W, N, A) actions within their bounds, zeros for drones that are not `alive` (W, N).
+        """Take actions: clipped to their bounds, zeros for drones that are not alive.
 
-        Raises ValueError for a wrong shape, or a number of a living drone that is not finite or no choice.
+        Args:
+            actions: (W, N, A).
+            alive: (W, N) bool.
+
+        Returns:
+            (W, N, A).
+
+        Raises:
+            ValueError: A wrong shape, or a number of a living drone that is not finite or no choice.
         """
         actions = numbers_of("actions are", actions)
         shape = (*alive.shape, self.action.low.shape[-1])
         if actions.shape != shape:
             raise ValueError(
-                f"actions have shape {actions.shape}: (worlds, drones, {self.action.name}) = {shape} is needed"
+                f"actions have shape {actions.shape}: (worlds, drones, {self.action.name}) = "
+                f"{shape} is needed"
             )
         finite = np.isfinite(actions)
         if not finite.all() and (bad := ~finite.all(axis=-1) & alive).any():
@@ -229,15 +262,13 @@ class EnvSpec:
             )
         if not alive.all():
             actions = np.where(alive[..., None], actions, 0.0)
-        clipped = np.minimum(np.maximum(actions, self.action.low), self.action.high)
-        if (
-            self.action.choices is not None
-            and (clipped != actions).any() | (clipped % 1 != 0).any()
-        ):
-            w, i, _ = np.argwhere((clipped != actions) | (clipped % 1 != 0))[0]
+        clipped: np.ndarray = np.minimum(np.maximum(actions, self.action.low), self.action.high)
+        wrong = (clipped != actions) | (clipped % 1 != 0)
+        if self.action.choices is not None and wrong.any():
+            w, i, _ = np.argwhere(wrong)[0]
             raise ValueError(
-                f"action of drone {i} in world {w} is {actions[w, i, 0]:g}: a whole number from 0 to "
-                f"{self.action.choices - 1} is needed"
+                f"action of drone {i} in world {w} is {actions[w, i, 0]:g}: a whole number from "
+                f"0 to {self.action.choices - 1} is needed"
             )
         return clipped
 
@@ -262,7 +293,8 @@ def _make_task(kind: type[Task[Any]], config: TaskConfig, options: EnvOptions) -
     check_bodies(task)
     if config.d_safe <= 2 * radius:
         raise ValueError(
-            f"d_safe {config.d_safe:g} m must exceed the {2 * radius:.3g} m across of the largest drone"
+            f"d_safe {config.d_safe:g} m must exceed the {2 * radius:.3g} m across of the largest "
+            f"drone"
         )
     return task
 

@@ -55,7 +55,7 @@ class EnvOptions:
 
     Attributes:
         num_drones: Drones in a world.
-        airframe: Name of an airframe, path of a URDF, or an `Airframe`; or one of these for each drone.
+        airframe: Name of an airframe, path of a URDF, or an `Airframe`; or one for each drone.
         action: What the drones' actions mean: a name in `bulletuav.control.actions.ACTIONS`.
         decision_hz: Decisions a second; must divide physics_hz.
         horizon: Decisions until truncation.
@@ -133,7 +133,7 @@ class EnvOptions:
     battery_capacity: float | None = None
     energy: str = "zeng"
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name, most in COUNTS.items():
             self._keep(name, as_int(name, getattr(self, name), 1, most))
         _divides("decision_hz", self.decision_hz, "physics_hz", self.physics_hz)
@@ -201,13 +201,15 @@ class EnvOptions:
         for elevation in self.lidar_elevations:
             if not -90 <= elevation <= 90:
                 raise ValueError(
-                    f"lidar_elevations has {elevation:g} degrees: from -90 (down) to 90 (up) is needed"
+                    f"lidar_elevations has {elevation:g} degrees: from -90 (down) to 90 (up) is "
+                    f"needed"
                 )
         if not self.lidar_elevations:
             raise ValueError("lidar_elevations is empty: give at least one angle")
         if self.num_beams * len(self.lidar_elevations) > MOST_BEAMS:
             raise ValueError(
-                f"num_beams is {self.num_beams} at each of {len(self.lidar_elevations)} lidar_elevations: at most "
+                f"num_beams is {self.num_beams} at each of {len(self.lidar_elevations)} "
+                f"lidar_elevations: at most "
                 f"{MOST_BEAMS} beams in all are possible"
             )
         if self.battery_capacity is not None:
@@ -217,29 +219,34 @@ class EnvOptions:
             )
             if self.battery_capacity <= 0:
                 raise ValueError(
-                    f"battery_capacity is {self.battery_capacity:g} W h: it must be above 0; None for no limit"
+                    f"battery_capacity is {self.battery_capacity:g} W h: it must be above 0; None "
+                    f"for no limit"
                 )
 
     def _check_flight(self) -> None:
         if len(self.airframe) != self.num_drones:
             raise ValueError(
-                f"{len(self.airframe)} airframes for {self.num_drones} drones: give one, or one for each drone"
+                f"{len(self.airframe)} airframes for {self.num_drones} drones: give one, or one "
+                f"for each drone"
             )
         self._keep("max_speed", finite("max_speed", self.max_speed))
         slowest = min(self.airframe, key=lambda airframe: airframe.max_speed)
         if not 0 < self.max_speed <= slowest.max_speed:
             raise ValueError(
-                f"max_speed is {self.max_speed:g} m/s: it must be above 0 and at most the {slowest.max_speed:g} m/s of "
+                f"max_speed is {self.max_speed:g} m/s: it must be above 0 and at most the "
+                f"{slowest.max_speed:g} m/s of "
                 f"airframe {slowest.name!r}"
             )
         self._check_air()
         if self.gravity == 0 and self.action not in ROTOR_ACTIONS:
             raise ValueError(
-                f"action {self.action!r} needs gravity: use 'rotor' or 'rpm', all others steer thrust against weight"
+                f"action {self.action!r} needs gravity: use 'rotor' or 'rpm', all others steer "
+                f"thrust against weight"
             )
         if self.controller == "pid" and "lag" in self.effects:
             warnings.warn(
-                "controller 'pid' is made for motors without lag and may turn a drone over: leave 'lag' out of effects",
+                "controller 'pid' is made for motors without lag and may turn a drone over: leave "
+                "'lag' out of effects",
                 stacklevel=2,
             )
         for airframe in self.airframe:
@@ -250,7 +257,8 @@ class EnvOptions:
                 )
             if self.controller == "pid" and airframe.pwm is None:
                 raise ValueError(
-                    f"controller 'pid' drives motors by PWM, and airframe {airframe.name!r} has no <pwm> tag: use 'lee'"
+                    f"controller 'pid' drives motors by PWM, and airframe {airframe.name!r} has no "
+                    f"<pwm> tag: use 'lee'"
                 )
 
     def _check_air(self) -> None:
@@ -287,19 +295,27 @@ class EnvOptions:
         return self.dynamics if isinstance(self.dynamics, str) else self.dynamics.name
 
     def check_setpoint_levels(self, action: SetpointLevel, dynamics: SetpointLevel) -> None:
-        """Raise ValueError when the action's setpoint level cannot drive the dynamics through the controller."""
+        """Refuse an action whose setpoint level cannot drive the dynamics.
+
+        Raises:
+            ValueError: Neither by itself nor through the controller.
+        """
         if action > dynamics:
             raise ValueError(
-                f"action {self.action!r} gives {action.name.lower()} setpoints, but dynamics {self.dynamics_name!r} is driven by "
-                f"{dynamics.name.lower()}: use an action of that level or above, or dynamics 'rigid_body' or 'bullet'"
+                f"action {self.action!r} gives {action.name.lower()} setpoints, but dynamics "
+                f"{self.dynamics_name!r} is driven by "
+                f"{dynamics.name.lower()}: use an action of that level or above, or dynamics "
+                f"'rigid_body' or 'bullet'"
             )
         if self.energy == "actuator" and dynamics < SetpointLevel.ROTOR:
             raise ValueError(
-                f"energy is 'actuator', and dynamics {self.dynamics_name!r} has no rotors: use 'zeng', 'rigid_body' or 'bullet'"
+                f"energy is 'actuator', and dynamics {self.dynamics_name!r} has no rotors: use "
+                f"'zeng', 'rigid_body' or 'bullet'"
             )
         if self.controller == "pid" and dynamics < SetpointLevel.ROTOR:
             raise ValueError(
-                f"controller 'pid' drives motors, and dynamics {self.dynamics_name!r} has none: use controller 'lee'"
+                f"controller 'pid' drives motors, and dynamics {self.dynamics_name!r} has none: "
+                f"use controller 'lee'"
             )
         if self.controller == "pid" and action not in PID_LEVELS:
             raise ValueError(

@@ -1,4 +1,4 @@
-"""What is uncertain in an environment: drawn anew for every episode, for drones, wind and sensors."""
+"""What is uncertain: drawn anew for every episode, for drones, wind and sensors."""
 
 import numbers
 from collections.abc import Mapping
@@ -109,7 +109,8 @@ class Randomization:
             least, most = known[name].least, known[name].most
             if not least <= low <= high <= most:
                 raise ValueError(
-                    f"randomization {name} is {shown(value)}: from low to high within {least:g} and "
+                    f"randomization {name} is {shown(value)}: from low to high within {least:g} "
+                    f"and "
                     f"{most:g} is needed"
                 )
         usual = {name: (one.usual, one.usual) for name, one in known.items()}
@@ -147,8 +148,8 @@ class Uncertainty:
     """A `Randomization` at work in W worlds of N drones.
 
     Attributes:
-        drawn: What was drawn by name, (W, N); of worlds (W, 1), the wind's axes (W, 3). Sensors read
-            these arrays where they stand.
+        drawn: What was drawn by name, (W, N); of worlds (W, 1), the wind's axes (W, 3).
+            Sensors read these arrays where they stand.
     """
 
     def __init__(

@@ -67,7 +67,7 @@ def uncertain_parameters(sensors: Mapping[str, Sensor]) -> dict[str, Uncertain]:
 
 
 def provider(sensors: Mapping[str, Sensor], reading: str) -> Sensor | None:
-    """Find the sensor whose reading can be observed, the last of several; None where there is none."""
+    """Find the sensor whose reading can be observed, the last of several; else None."""
     setup = SensorSetup()
     found = [
         one for one in sensors.values() if reading in one.gives and reading in one.labels(setup)

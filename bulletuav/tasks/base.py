@@ -82,8 +82,8 @@ class Task(ABC, Generic[ConfigT]):
                 start = rng.uniform(-5.0, 5.0, (n, 3)) + (0.0, 0.0, 10.0)
                 return Spawn(position=start, goal=np.array((0.0, 0.0, self.config.height)))
 
-    `bulletuav.check_task(Perch)` looks for mistakes. Everything is batched: arrays are (W, N, ...) for
-    W worlds of N drones.
+    `bulletuav.check_task(Perch)` looks for mistakes. Everything is batched: arrays are (W, N, ...)
+    for W worlds of N drones.
 
     Attributes:
         name: What users call it.
@@ -157,7 +157,7 @@ class Task(ABC, Generic[ConfigT]):
         self._extra: dict[str, Bound] = {}
 
     def bind(self, readings: frozenset[str], extra: Mapping[str, tuple[Any, float]]) -> Binding:
-        """Find out what the arguments of its ingredients stand for; called once, before the first frame.
+        """Find out what the arguments of its ingredients stand for; called once.
 
         Args:
             readings: Names of sensors' readings.
@@ -234,14 +234,14 @@ class Task(ABC, Generic[ConfigT]):
         """
         return {}
 
-    def start_memory(self, frame: Frame) -> None:  # noqa: B027
+    def start_memory(self, frame: Frame) -> None:
         """Fill the memory of worlds that were reset from their first frame; draws nothing.
 
-        For what the first observation shows of memory, such as a sensor's reading that is kept. What it
-        writes of other worlds is dropped. By default there is nothing to do.
+        For what the first observation shows of memory, such as a sensor's reading that is kept.
+        What it writes of other worlds is dropped. By default there is nothing to do.
         """
 
-    def update_memory(self, frame: Frame, rngs: Rngs) -> None:  # noqa: B027
+    def update_memory(self, frame: Frame, rngs: Rngs) -> None:
         """Bring `scene.memory` up to date after a decision, before it is evaluated.
 
         Args:
@@ -262,11 +262,11 @@ class Task(ABC, Generic[ConfigT]):
         return {}
 
     def info(self, frame: Frame) -> dict[str, np.ndarray]:
-        """Tell what infos say beside rewards, success and the like, (W, N) by name; nothing by default."""
+        """Tell what infos say beside rewards and success, (W, N) by name; nothing by default."""
         return {}
 
     def outside(self, frame: Frame) -> np.ndarray:
-        """Tell who is outside the arena after the decision, or held back at its bounds, (W, N) bool."""
+        """Tell who is outside the arena, or held back at its bounds, (W, N) bool."""
         position = frame.after.position
         if self.rebound is not None:  # which left them right at the bounds
             beyond = (position <= self.arena_low) | (position >= self.arena_high)

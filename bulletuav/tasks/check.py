@@ -1,4 +1,4 @@
-"""Checks of what a task gives: starts before anything is written, results and infos once, rewards always."""
+"""Checks of what a task gives: starts, results of steps, infos, rewards, arenas."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -48,7 +48,7 @@ def check_spawn(
     if not isinstance(spawn, Spawn):
         raise ValueError(f"spawn of task {task.name!r} gave {shown(spawn)}: a Spawn is needed")
     drones, things = (len(airframes), 3), (obstacles, 3)
-    shapes = {name: drones for name in ("position", "goal", "velocity", "rates", "goal_velocity")}
+    shapes = dict.fromkeys(("position", "goal", "velocity", "rates", "goal_velocity"), drones)
     shapes |= {"quaternion": (len(airframes), 4), "obstacle": things, "obstacle_velocity": things}
     values = {
         name: _numbers(task, name, getattr(spawn, name), shape) for name, shape in shapes.items()
@@ -107,7 +107,7 @@ def _check_memory(task: Task[Any], spawn: Spawn, remembered: Mapping[str, np.nda
 def _check_places(
     task: Task[Any], position: np.ndarray, quaternion: np.ndarray, airframes: Sequence[Airframe]
 ) -> None:
-    """Raise ValueError unless all are turned by unit quaternions, in the world's own tile and not in the ground."""
+    """Refuse starts that are not turned by unit quaternions, too far out, or in the ground."""
     off = np.abs(np.einsum("ij,ij->i", quaternion, quaternion) - 1)
     if off.max() > 2 * UNIT:
         i = int(off.argmax())
@@ -167,7 +167,8 @@ def check_step_result(task: Task[Any], result: Any, shape: tuple[int, int]) -> N
     for name, weight in task.weights.items():
         if weight != 0 and name not in result.terms:
             raise ValueError(
-                f"{judged} no reward term {name!r}: its weight is {weight:g}; give it, or the weight 0"
+                f"{judged} no reward term {name!r}: its weight is {weight:g}; give it, or the "
+                f"weight 0"
             )
     wanted = {f"reward term {name!r}": (term, "iufb") for name, term in result.terms.items()}
     wanted |= {name: (getattr(result, name), "b") for name in ("terminated", "success")}
@@ -222,7 +223,8 @@ def require_finite(task: Task[Any], terms: Mapping[str, np.ndarray], reward: np.
     w, i = np.argwhere(~np.isfinite(reward))[0]
     wrong = {name: float(term[w, i]) for name, term in terms.items() if not np.isfinite(term[w, i])}
     raise ValueError(
-        f"the reward of drone {i} in world {w} is {reward[w, i]:g}: evaluate_step of task {task.name!r} gave "
+        f"the reward of drone {i} in world {w} is {reward[w, i]:g}: evaluate_step of task "
+        f"{task.name!r} gave "
         f"{wrong or 'terms too large to be added'}, weighted; finite numbers are needed"
     )
 
@@ -236,7 +238,8 @@ def refuse_overlap(position: np.ndarray, radius: float) -> None:
         i, j = min(pairs)
         gap = float(np.linalg.norm(position[i] - position[j]))
         raise ValueError(
-            f"start positions of drones {i} and {j} overlap: {gap:.3g} m apart, their collision shapes need more than "
+            f"start positions of drones {i} and {j} overlap: {gap:.3g} m apart, their collision "
+            f"shapes need more than "
             f"{2 * radius:.3g} m; move them or widen the spacing"
         )
 
@@ -248,7 +251,8 @@ def check_arena(task: Task[Any], config: Any, radius: float) -> None:
     )
     if arena.shape != (2, 3) or not np.isfinite(arena).all() or not (arena[0] < arena[1]).all():
         raise ValueError(
-            f"arena_low and arena_high of task {task.name!r} are {shown(arena)}: lower and upper corner are needed"
+            f"arena_low and arena_high of task {task.name!r} are {shown(arena)}: lower and upper "
+            f"corner are needed"
         )
     finite(f"zone of task {task.name!r}", task.zone)
     if task.rebound is not None:
@@ -262,8 +266,10 @@ def check_arena(task: Task[Any], config: Any, radius: float) -> None:
         }
         large = [f"{name} {size:g}" for name, size in sizes.items() if size >= LARGE]
         raise ValueError(
-            f"the arena reaches {reach:g} m aside and {arena[1, 2]:g} m up: less than {TILE_PITCH / 2:g} and "
-            f"{PARKING_HEIGHT:g} m are needed, where other worlds begin; lower {' or '.join(large) or 'num_drones'}"
+            f"the arena reaches {reach:g} m aside and {arena[1, 2]:g} m up: less than "
+            f"{TILE_PITCH / 2:g} and "
+            f"{PARKING_HEIGHT:g} m are needed, where other worlds begin; lower "
+            f"{' or '.join(large) or 'num_drones'}"
         )
 
 
@@ -274,7 +280,8 @@ def check_bodies(task: Task[Any]) -> None:
         things = getattr(task, name)()
         if not isinstance(things, list | tuple) or not all(isinstance(one, kind) for one in things):
             raise ValueError(
-                f"{name} of task {task.name!r} gave {shown(things)}: a list of {kind.__name__} is needed"
+                f"{name} of task {task.name!r} gave {shown(things)}: a list of {kind.__name__} is "
+                f"needed"
             )
     memory: Any = task.memory()
     if not isinstance(memory, Mapping):

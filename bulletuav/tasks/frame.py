@@ -48,7 +48,7 @@ class Spawn(NamedTuple):
 
 
 class Memory(dict[str, np.ndarray]):
-    """The arrays that a task keeps over an episode, by name; they are written into, never replaced."""
+    """Arrays that a task keeps over an episode, by name: written into, never replaced."""
 
     def __setitem__(self, name: str, value: object) -> None:
         """Refuse: the environment keeps the arrays.

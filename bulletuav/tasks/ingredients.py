@@ -6,14 +6,15 @@ A function of one drone's numbers is compiled and called for every drone:
     def progress(distance_before, distance):
         return distance_before - distance
 
-A function of the argument `frame` gets all drones of all worlds at once, as NumPy arrays (W, N, ...):
+A function of the argument `frame` gets all drones of all worlds at once, as NumPy arrays (W, N,
+...):
 
     def smoothness(frame):
         return -np.abs(frame.action).max(axis=-1)
 
-Argument names are fields of a frame (`tasks.frame.FIELDS`), with `all_` before them those of all drones of the
-world; readings of sensors; the task's memory and quantities; numbers of its config and context. `i` is the
-drone's index, and `out` room to write to.
+Argument names are fields of a frame (`tasks.frame.FIELDS`), with `all_` before them those of all
+drones of the world; readings of sensors; the task's memory and quantities; numbers of its config
+and context. `i` is the drone's index, and `out` room to write to.
 """
 
 import inspect
@@ -40,14 +41,14 @@ WHOLE = "frame"
 def reward(function: Ingredient) -> Ingredient:
     """Mark a function as a reward term of one drone's numbers; it stays a plain function.
 
-    The term is told, unweighted or weighted, by the function's name. An undecorated function of `frame` that
-    returns (W, N) is a reward term, too.
+    The term is told, unweighted or weighted, by the function's name. An undecorated function of
+    `frame` that returns (W, N) is a reward term, too.
     """
     return _marked(function, "reward")
 
 
 def end(function: Ingredient) -> Ingredient:
-    """Mark a function as an end: it tells whether a drone's episode is over, or has come to success."""
+    """Mark a function as an end or a success: it tells whether a drone has come to it."""
     return _marked(function, "end")
 
 
@@ -60,8 +61,9 @@ def block(
         labels: One `Label` for each number that it gives, or a function that makes them for a task.
 
     Returns:
-        The decorator. The function returns a number (for one label), as many numbers as there are labels, or
-        writes them to its argument `out`; one of `frame` returns an array (W, N, labels).
+        The decorator. The function returns a number for one label, a tuple of as many numbers as
+        there are labels, or writes them to its argument `out`. One of `frame` returns an array
+        (W, N, labels).
     """
 
     def decorated(function: Ingredient) -> Ingredient:
@@ -83,7 +85,7 @@ class Source(NamedTuple):
 
     Attributes:
         read: Gives an array, or a number, of a frame and the drones that are present.
-        per_drone: Whether the array has an entry for each drone; None for what is looked at when it comes.
+        whole_world: Whether the function gets the array of the whole world.
     """
 
     read: Callable[[Frame, np.ndarray], Any]
@@ -181,7 +183,8 @@ class Bound:
         self._loop: Callable[..., None] | None = None
         if self.whole and len(self._names) > 1:
             raise ValueError(
-                f"{self._who} has arguments beside frame: {self._names}; one of all drones takes the "
+                f"{self._who} has arguments beside frame: {self._names}; one of all drones takes "
+                f"the "
                 f"frame alone"
             )
         if not self.whole and not isinstance(function, FunctionType):
@@ -201,7 +204,7 @@ class Bound:
             The filled array.
 
         Raises:
-            ValueError: The function gave something of another shape or type, or failed; it is named.
+            ValueError: The function failed, or gave something of another shape or type.
         """
         present = frame.alive if present is None else present
         if out is None:
@@ -250,7 +253,8 @@ class Bound:
             loop(*given.values(), out)
         except numba.core.errors.NumbaError as error:
             raise ValueError(
-                f"{self._who} cannot be compiled: {str(error).strip().splitlines()[-1]}; write it with plain "
+                f"{self._who} cannot be compiled: {str(error).strip().splitlines()[-1]}; write it "
+                f"with plain "
                 f"numbers and `math`, or as a function of `frame` with NumPy"
             ) from None
         return loop
@@ -264,7 +268,8 @@ class Bound:
             return "world"
         if value.shape[:2] != shape[:2]:
             raise ValueError(
-                f"{self._who} asks for {name!r}, an array {value.shape} that has no entry for each of "
+                f"{self._who} asks for {name!r}, an array {value.shape} that has no entry for each "
+                f"of "
                 f"the {shape[1]} drones: ask for {ALL + name!r}"
             )
         if value.ndim == 2:
@@ -274,7 +279,7 @@ class Bound:
     def _try(
         self, forms: list[tuple[str, Form]], given: Mapping[str, Any], out: np.ndarray
     ) -> None:
-        """Call the function for the first drone, so that its own errors are seen; compiled code hides them."""
+        """Call the function for the first drone: compiled code would hide its errors."""
         room = np.zeros(out.shape[2:], dtype=np.float64)
         values = []
         for name, form in forms:
@@ -298,7 +303,8 @@ class Bound:
         wanted = self._labels or 1
         if len(numbers) != wanted or not all(np.ndim(one) == 0 for one in numbers):
             raise ValueError(
-                f"{self._who} gave {shown(result)}: {wanted} number{'s' * (wanted > 1)} of one drone "
+                f"{self._who} gave {shown(result)}: {wanted} number{'s' * (wanted > 1)} of one "
+                f"drone "
                 f"{'are' if wanted > 1 else 'is'} needed"
             )
 

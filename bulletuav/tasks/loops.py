@@ -1,7 +1,7 @@
 """Loops over all drones of all worlds, generated for a function of one drone's numbers.
 
-The loop of an ingredient of the package is written to a file in the folder of compiled kernels, so that numba
-keeps its machine code. That of a user's function is compiled anew in each process.
+The loop of an ingredient of the package is written to a file in the folder of compiled kernels, so
+that numba keeps its machine code. That of a user's function is compiled anew in each process.
 """
 
 import functools
@@ -19,9 +19,9 @@ from bulletuav.files import replace_file
 from bulletuav.kernel import cache_folder
 
 TUPLES = (2, 3, 4)
-"""Vectors of so many numbers reach a function as tuples, which cost nothing; longer ones as arrays"""
+"""Vectors of so many numbers reach a function as tuples, longer ones as arrays"""
 Form = str | int
-"""How an argument is read: "drone", "world", "array", "number", "index", "out", or how many numbers it has"""
+"""How an argument is read: a key of `_EXPRESSIONS`, or how many numbers a vector has"""
 
 _EXPRESSIONS = {
     "drone": "{name}[w, i]",
@@ -41,8 +41,8 @@ def make_loop(
     Args:
         function: Of one drone's numbers.
         forms: Name and form of each of its arguments.
-        results: 0 for one number in `out` (W, N); k for k numbers in `out` (W, N, k), a plain number or a
-            tuple; None where the function itself writes to its argument `out`.
+        results: 0 for one number in `out` (W, N); k for k numbers in `out` (W, N, k); None where
+            the function itself writes to its argument `out`.
 
     Returns:
         A compiled function of the arrays (of those arguments that are any) and of `out`.
@@ -55,7 +55,7 @@ def _compiled(
     function: FunctionType, forms: tuple[tuple[str, Form], ...], results: int | None
 ) -> Callable[..., None]:
     source = _source(function.__name__, forms, results)
-    home = function.__module__
+    home = function.__module__ or ""  # none in code that is run from a text
     if home.startswith("bulletuav.") and function.__qualname__ == function.__name__:
         return _from_file(home, function.__name__, source)
     space: dict[str, Any] = {"function": _inlined(function)}
@@ -88,7 +88,7 @@ def _expression(name: str, form: Form) -> str:
 
 
 def _from_file(module: str, name: str, source: str) -> Callable[..., None]:
-    """Load the loop of an ingredient of the package from its file, which is written where it is not there yet."""
+    """Load the loop of an ingredient of the package from its file, or write that first."""
     text = (
         f'"""Generated: the loop of `{module}.{name}`."""\n\n'
         "from bulletuav.kernel import func, kernel\n"

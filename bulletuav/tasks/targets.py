@@ -21,7 +21,7 @@ class TargetTask(Task[ConfigT], Generic[ConfigT]):
         return {"served": self.served(frame), **super().info(frame)}
 
     def served(self, frame: Frame) -> np.ndarray:
-        """Compute the share of the targets that some living drone sees, (W, N), the same for all."""
+        """Compute the share of the targets that some living drone sees, (W, N)."""
         active = self.active_targets(frame.scene)
         return served_share(frame.readings["sight"], frame.alive, active)
 

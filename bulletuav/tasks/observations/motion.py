@@ -1,7 +1,7 @@
 """Observation blocks about the drone's own motion and its goal.
 
-Positions and velocities are those that drones know (see `Frame`); without randomization they are the
-true ones. World axes are east, north, up.
+Positions and velocities are those that drones know (see `Frame`); without randomization they are
+the true ones. World axes are east, north, up.
 """
 
 from typing import Any
@@ -64,7 +64,7 @@ def rates(rates: Vec3) -> Vec3:
 @register("observation")
 @block(lambda task: _in_arena("goal", task))
 def goal_position(goal: Vec3) -> Vec3:
-    """The goal's position, world axes."""
+    """Goal position, world axes."""
     return goal
 
 
@@ -82,7 +82,7 @@ def goal_offset(goal: Vec3, known_position: Vec3) -> Vec3:
 @register("observation")
 @block(lambda task: _speeds("goal velocity", task))
 def goal_velocity(goal_velocity: Vec3) -> Vec3:
-    """The goal's velocity, world axes."""
+    """Goal velocity, world axes."""
     return goal_velocity
 
 
@@ -134,6 +134,6 @@ def _action_labels(action: Action) -> tuple[Label, ...]:
 @register("observation")
 @block(_action_labels)
 def last_action(action: np.ndarray, out: np.ndarray) -> None:
-    """What the drone was told last, zeros at the start."""
+    """Last action of the drone, zeros at the start."""
     for k in range(len(out)):
         out[k] = action[k]

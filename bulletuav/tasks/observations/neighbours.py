@@ -31,7 +31,7 @@ def _distance(task: Any, name: str) -> Label:
 
 @register("observation")
 def neighbours(task: Any) -> Block:
-    """The nearest other drones: distance, relative position and velocity.
+    """Nearest other drones: distance, relative position and velocity.
 
     Nearest first; zeros where there are fewer.
     """
@@ -74,7 +74,7 @@ def all_neighbours(task: Any) -> Block:
 
 @register("observation")
 def obstacles(task: Any) -> Block:
-    """The nearest obstacles: distance to bounding sphere, relative position and velocity, radius.
+    """Nearest obstacles: distance to bounding sphere, relative position and velocity, radius.
 
     Nearest first; zeros where there are fewer.
     """
@@ -103,7 +103,9 @@ def obstacles(task: Any) -> Block:
 
 
 def heard(frame: Frame, present: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Tell what drones know of each other; without communication what the others know of themselves.
+    """Tell what drones know of each other.
+
+    Without communication that is what the others know of themselves.
 
     Args:
         frame: The decision.

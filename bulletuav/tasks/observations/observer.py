@@ -153,7 +153,7 @@ class ObservationBuilder:
             observation: (..., D) of one or more drones, or a dict with "vector" in it.
 
         Returns:
-            Arrays (..., numbers of the block) by name, views of the given one; pictures as they are.
+            Arrays (..., numbers of the block) by name, views of the given one. Pictures stay.
 
         Raises:
             ValueError: It has another number of numbers than an observation has.
@@ -228,7 +228,8 @@ def _block_writer(block: Block, who: str) -> Write:
         numbers = block.compute(frame, present)
         if np.shape(numbers) != out.shape:
             raise ValueError(
-                f"{who} gave an array {np.shape(numbers)}: {out.shape} is needed, a number for each "
+                f"{who} gave an array {np.shape(numbers)}: {out.shape} is needed, a number for "
+                f"each "
                 f"of its labels"
             )
         out[...] = numbers

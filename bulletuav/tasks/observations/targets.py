@@ -18,7 +18,7 @@ MAX_POWER = 1000.0
 @register("observation")
 @block([Label("charge", "1", 0.0, 1.0)])
 def battery(charge: float) -> float:
-    """What is left of the charge."""
+    """Charge that is left, as a share."""
     return charge
 
 
@@ -31,7 +31,7 @@ def power(power: float) -> float:
 
 @register("observation")
 def targets(task: Any) -> Block:
-    """The task's targets: position as seen from the drone, world axes, and whether it sees them."""
+    """Targets of the task: position relative to the drone, and whether it sees them."""
     size = task.arena_high - task.arena_low
     labels: list[Label] = []
     for k in range(1, task.num_targets + 1):
@@ -106,7 +106,8 @@ def sight_matrix(task: Any) -> Block:
 
     def compute(frame: Frame, present: np.ndarray) -> np.ndarray:
         seen = frame.readings["sight"] & present[..., None]
-        return seen[:, order].reshape(*present.shape, len(labels))
+        ordered: np.ndarray = seen[:, order].reshape(*present.shape, len(labels))
+        return ordered
 
     return Block(labels, compute)
 

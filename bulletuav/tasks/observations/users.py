@@ -30,7 +30,7 @@ def dwell_time(task: Any) -> Block:
 
 @register("observation")
 def server(task: Any) -> Block:
-    """The drone's cores, queue, latency and share of completed tasks, in the last decision."""
+    """Load of the drone's cores, queue, latency and completed share, in the last decision."""
     names = ("utilisation", "queue", "latency", "completed_share")
     require_memory(task, "server", names)
     labels = (
@@ -55,6 +55,7 @@ def link_rates(task: Any) -> Block:
     labels = tuple(Label(f"rate of user {j}", "Mbit/s", 0.0, MAX_DATA_RATE) for j in users)
 
     def compute(frame: Frame, present: np.ndarray) -> np.ndarray:
-        return capacity(band, frame.scene.memory["received"] / noise) / 1e6
+        rate: np.ndarray = capacity(band, frame.scene.memory["received"] / noise) / 1e6
+        return rate
 
     return Block(labels, compute)

@@ -37,7 +37,7 @@ def conflict(conflicts: int) -> float:
 @register("reward")
 @reward
 def warning(nearness: float) -> float:
-    """Summed over other drones: from 0 at the edge of the warning zone, linear, to 1 at d_safe."""
+    """Sum over other drones: from 0 at the edge of the warning zone, linear, to 1 at d_safe."""
     return nearness
 
 
@@ -91,11 +91,11 @@ def time() -> float:
 @register("reward")
 @reward
 def shaping(way: float, way_before: float, terminated: bool, discount: float) -> float:
-    """The discounted potential after, less that before.
+    """Gain of the discounted potential.
 
-    The potential is minus the way to where the goal stops, m, and 0 where the episode terminates. It
-    leaves optimal policies as they are: A. Ng, D. Harada, S. Russell, Policy invariance under reward
-    transformations, 1999.
+    That is the discounted potential after the decision, less that before. It is minus the way to
+    where the goal stops, m, and 0 where the episode terminates. It leaves optimal policies as they
+    are: A. Ng, D. Harada, S. Russell, Policy invariance under reward transformations, 1999.
     """
     return way_before - discount * (0.0 if terminated else way)
 
@@ -120,7 +120,8 @@ def proximity(lidar: np.ndarray, proximity_range: float) -> float:
     shortest = lidar[0]
     for k in range(1, len(lidar)):
         shortest = min(shortest, lidar[k])
-    return max(0.0, 1 - shortest / proximity_range)
+    nearness: float = max(0.0, 1 - shortest / proximity_range)
+    return nearness
 
 
 NONE, CLEAR, CONFLICT = 0.0, 1.0, 2.0
@@ -147,10 +148,10 @@ def follow_encounters(
 ) -> None:
     """Bring the encounters of all pairs up to date after a decision.
 
-    An encounter begins when two living drones would come closer than d_safe within 10 s, if both flew
-    straight on from where they were. From then on, until they part, `effort` sums up each one's change
-    of velocity: of the two, the drone with the larger sum makes way. It is a conflict once they are
-    closer than d_safe.
+    An encounter begins when two living drones would come closer than d_safe within 10 s, if both
+    flew straight on from where they were. From then on, until they part, `effort` sums up each
+    one's change of velocity: of the two, the drone with the larger sum makes way. It is a conflict
+    once they are closer than d_safe.
 
     Args:
         encounter: (W, N, N) state of each pair: NONE, CLEAR or CONFLICT; changed in place.
