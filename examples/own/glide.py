@@ -22,7 +22,7 @@ DRAG = 0.2
 class Glide(Dynamics):
     """Acceleration as commanded, and a drag that grows with the speed through the air.
 
-    Both are constant during a substep, over which this is exact.
+    Both are held during a substep.
     """
 
     consumes = SetpointLevel.ACCELERATION
