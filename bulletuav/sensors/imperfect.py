@@ -17,7 +17,8 @@ class Imperfect(Sensor):
     """Wrap a sensor: it measures at its own rate, late, with white noise, and sometimes not at all.
 
     `Imperfect(Uwb(), rate=5, delay=0.2, noise=0.1, loss=0.05)` is a sensor as any other. Its noise
-    and loss can be drawn anew for each episode, by `randomization={"uwb_noise": (0.0, 0.2)}`.
+    and loss can be drawn anew for each episode, by `randomization={"uwb_noise": (0.0, 0.2)}`. A
+    sensor that has such a parameter of its own keeps it, and gets the rest.
     """
 
     name = "imperfect"
@@ -45,7 +46,7 @@ class Imperfect(Sensor):
             loss: Probability that a measurement fails; then the last one stays.
 
         Raises:
-            ValueError: A number is not possible, or the sensor has such parameters already.
+            ValueError: A number is not possible, or is given for what the sensor has itself.
         """
         if not isinstance(sensor, Sensor):
             raise ValueError(f"sensor is {shown(sensor)}: an object derived from Sensor is needed")
@@ -54,13 +55,15 @@ class Imperfect(Sensor):
         self.gives = sensor.gives  # type: ignore[misc]
         self.prefix = f"{sensor.name}_"  # type: ignore[misc]
         self.needs_bodies = sensor.needs_bodies  # type: ignore[misc]
-        if clash := sorted(set(sensor.uncertain) & set(type(self).uncertain)):
-            raise ValueError(f"sensor {sensor.name!r} has its own {clash[0]}: set it there")
         own = {
             "noise": Uncertain(0.0, 1e6, finite("noise", noise, 0.0, 1e6)),
             "loss": Uncertain(0.0, 1.0, finite("loss", loss, 0.0, 1.0)),
         }
-        self.uncertain = {**sensor.uncertain, **own}  # type: ignore[misc]
+        for name, parameter in own.items():
+            if name in sensor.uncertain and parameter.usual:
+                raise ValueError(f"sensor {sensor.name!r} has its own {name}: set it there")
+        self._own = frozenset(own) - frozenset(sensor.uncertain)
+        self.uncertain = {**own, **sensor.uncertain}  # type: ignore[misc]
         self._rate = None if rate is None else finite("rate", rate, least=1e-3)
         self._delay = finite("delay", delay, least=0.0)
 
@@ -78,33 +81,53 @@ class Imperfect(Sensor):
 
     def reset(self, world: int, swarm: Swarm, known: Swarm, rng: np.random.Generator) -> None:
         """Begin an episode of the wrapped sensor."""
+        self._hand_on()
         self.sensor.reset(world, swarm, known, rng)
+
+    def _hand_on(self) -> None:
+        """Give the wrapped sensor its uncertain parameters, which are drawn for this one."""
+        for key in self.sensor.uncertain:
+            setattr(self.sensor, key, getattr(self, key))
 
     def measure(self, moment: Moment) -> Numbers:
         """Measure where it is time to, and give what was measured `delay` ago."""
-        for key in self.sensor.uncertain:
-            setattr(self.sensor, key, getattr(self, key))
+        self._hand_on()
         due = moment.mask & (moment.steps % self._every == 0)[:, None]
         true = self.sensor.measure(moment._replace(mask=due)) if due.any() else {}
         normal, luck = moment._replace(mask=due).draw(sum(_width(one) for one in true.values()))
         # At a reset the first reading comes, and everything before it is as it is.
         fresh = due & (moment.steps == 0)[:, None]
-        comes = fresh | (due & (luck >= self.loss))
+        loss = self.loss if "loss" in self._own else np.zeros(due.shape)
+        noise = self.noise if "noise" in self._own else np.zeros(due.shape)
+        comes = fresh | (due & (luck >= loss))
         new: dict[str, np.ndarray] = {}
         used = 0
         for name, reading in true.items():
             error = normal[..., used : used + _width(reading)].reshape(reading.shape)
             used += _width(reading)
-            noise = self.noise.reshape(self.noise.shape + (1,) * (reading.ndim - 2))
-            chosen = comes.reshape(comes.shape + (1,) * (reading.ndim - 2))
             last = self._past[0][name] if self._past else np.zeros(reading.shape)
-            new[name] = np.where(chosen, reading + noise * error, last)
-            for past in self._past:
-                restart = fresh.reshape(chosen.shape)
-                past[name] = np.where(restart, new[name], past[name])
-        new = new or dict(self._past[0])
-        self._past = [new, *self._past][: self._late + 1]
+            noisy = reading + _like(noise, reading) * error
+            new[name] = np.where(_like(comes, reading), noisy, last)
+        self._remember(new or dict(self._past[0]), fresh, np.any(moment.mask, axis=1))
         return {name: array.copy() for name, array in self._past[-1].items()}
+
+    def _remember(self, new: dict[str, np.ndarray], fresh: np.ndarray, flying: np.ndarray) -> None:
+        """Keep the newest readings, before those that are still on their way.
+
+        Args:
+            new: Readings by name.
+            fresh: (W, N) drones whose episode begins: nothing of theirs is on its way.
+            flying: (W,) worlds in which time passed, or that were reset; others stay as they are.
+        """
+        before = self._past or [new] * (self._late + 1)
+        self._past = []
+        for k in range(self._late + 1):
+            older = before[k - 1] if k else new
+            past = {}
+            for name, reading in new.items():
+                moved = np.where(_like(flying[:, None], reading), older[name], before[k][name])
+                past[name] = np.where(_like(fresh, reading), reading, moved)
+            self._past.append(past)
 
     def info(self) -> Numbers:
         """Tell what the wrapped sensor tells."""
@@ -114,3 +137,8 @@ class Imperfect(Sensor):
 def _width(reading: np.ndarray) -> int:
     """Count the numbers of one drone."""
     return int(np.prod(reading.shape[2:]))
+
+
+def _like(array: np.ndarray, reading: np.ndarray) -> np.ndarray:
+    """Give an array (W, N) as many axes as a reading has."""
+    return array.reshape(array.shape + (1,) * (reading.ndim - 2))
