@@ -20,7 +20,7 @@ COMMANDS = re.findall(r"```bash\n(.*?)```", (ROOT / "README.md").read_text(), re
 
 
 def test_a_task_of_ones_own_takes_less_than_60_lines():
-    (code,) = [param.values[0] for param in PYTHON if "class Gather(Task)" in param.values[0]]
+    (code,) = [param.values[0] for param in PYTHON if "class Gather(Task[" in param.values[0]]
     assert len(code.splitlines()) < 60
 
 

@@ -1,1 +1,1 @@
-"""The batched core and its faces."""
+"""The batched core, and the environment classes of each API around it."""

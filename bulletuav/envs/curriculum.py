@@ -1,38 +1,57 @@
-"""Curriculum: difficulty follows the success rate, as a PettingZoo environment that any trainer can use."""
+"""Curriculum: difficulty follows the success rate, in an environment that any trainer can use."""
 
 from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from gymnasium.spaces import Box, Space
+from gymnasium.spaces import Box, Dict, Space
 from pettingzoo import ParallelEnv
 
 from bulletuav.envs.env_spec import EnvSpec
-from bulletuav.envs.environment import Environment, exclusive
-from bulletuav.envs.parallel import ParallelAviary, check_agents
+from bulletuav.envs.environment import LabelledEnvironment, exclusive
+from bulletuav.envs.parallel import AgentResults, ByAgent, Infos, ParallelAviary, check_agents
 from bulletuav.envs.spaces import drone_action_space
 from bulletuav.errors import as_int, as_sequence, choose, finite, shown
+from bulletuav.sensors.base import Label
 from bulletuav.tasks import TaskSource
 
-MOST_STAGES, MOST_WINDOW = 100, 1_000_000
+MOST_STAGES = 100
+MOST_WINDOW = 1_000_000  # episodes
 DIFFICULTIES = tuple({"difficulty": name} for name in ("easy", "medium", "hard", "extreme"))
+"""Stages that every task has"""
 
 
 class Curriculum:
-    """Which of `count` stages to fly.
+    """The stage to fly, which follows the success of the last episodes.
 
-    One up when the success rate of the last `window` episodes is `up` or more, one down when it is below `down`; the window
-    starts anew at each change.
+    It goes one up when the success rate of the last `window` episodes is `up` or more, and one
+    down when it is below `down`. The window starts anew at each change.
+
+    Attributes:
+        count: How many stages there are.
+        stage: The one to fly, from 0.
+        up: Success rate at which the stage goes up.
+        down: Success rate below which it goes down.
+        window: Episodes that count.
     """
 
-    def __init__(self, count: int, up: float = 0.8, down: float = 0.2, window: int = 20):
-        """Raises ValueError for rates or a window that cannot be."""
-        self.count, self.window = (
-            as_int("stages", count, 1, MOST_STAGES),
-            as_int("window", window, 1, MOST_WINDOW),
-        )
-        self.up, self.down = finite("up", up), finite("down", down)
+    def __init__(
+        self,
+        count: int,
+        up: float = 0.8,
+        down: float = 0.2,
+        window: int = 20,
+    ) -> None:
+        """Begin at the first stage.
+
+        Raises:
+            ValueError: Numbers cannot be; 0 <= down < up <= 1 is needed.
+        """
+        self.count = as_int("stages", count, 1, MOST_STAGES)
+        self.window = as_int("window", window, 1, MOST_WINDOW)
+        self.up = finite("up", up)
+        self.down = finite("down", down)
         if not 0 <= self.down < self.up <= 1:
             raise ValueError(
                 f"down {self.down:g} and up {self.up:g}: 0 <= down < up <= 1 is needed"
@@ -42,37 +61,51 @@ class Curriculum:
 
     @property
     def success_rate(self) -> float:
-        """Of the episodes in the window, NaN before the first."""
+        """Mean success of the episodes in the window, NaN before the first."""
         return float(np.mean(self._recent)) if self._recent else np.nan
 
     def record(self, success: float) -> None:
-        """Take the success of an episode at this stage, from 0 to 1."""
+        """Count an episode at this stage, and change the stage when it is time.
+
+        Args:
+            success: Its success, from 0 to 1.
+        """
         self._recent.append(success)
         if len(self._recent) < self.window:
             return
+        # At most one of them holds, as down is below up.
         rate = self.success_rate
-        step = int(rate >= self.up and self.stage + 1 < self.count) - int(
-            rate < self.down and self.stage > 0
-        )
-        if step:
-            self.stage += step
+        goes_up = rate >= self.up and self.stage + 1 < self.count
+        goes_down = rate < self.down and self.stage > 0
+        if goes_up or goes_down:
+            self.stage += 1 if goes_up else -1
             self._recent.clear()
 
     def state(self) -> dict[str, Any]:
-        """Where it stands, for `restore`."""
+        """Return where the curriculum stands, for `restore`."""
         return {"stage": self.stage, "recent": list(self._recent)}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on from a `state`."""
+        """Go on from what `state` returned."""
         self.stage = state["stage"]
         self._recent = deque(state["recent"], maxlen=self.window)
 
 
-class CurriculumAviary(Environment, ParallelEnv):
-    """`pettingzoo.ParallelEnv` whose episodes come from the stage that `curriculum` says; infos tell it as "stage".
+class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  # has no types
+    """`pettingzoo.ParallelEnv` whose episodes come from the stage that its curriculum says.
 
-    Agents are those of the largest stage; in smaller ones the last of them do not take part. Observation spaces are as wide
-    as the widest stage's, states are padded with zeros. An episode's success is the share of its drones that succeeded.
+    Infos tell the stage as "stage". Agents are those of the largest stage; in smaller ones the
+    last of them do not take part. Bounds of observations hold for all stages, and states are
+    padded with zeros. An episode's success is the share of its drones that succeeded.
+
+    Attributes:
+        curriculum: Where the stages stand.
+        possible_agents: Names of the agents of the largest stage.
+        agents: Names of the agents whose episode goes on.
+        observation_spaces: Observation space of each agent.
+        action_spaces: Action space of each agent.
+        metadata: What PettingZoo wants to know.
+        render_mode: None, "rgb_array" or "human".
     """
 
     def __init__(
@@ -81,123 +114,212 @@ class CurriculumAviary(Environment, ParallelEnv):
         stages: Sequence[Mapping[str, Any]],
         curriculum: Curriculum,
         **options: Any,
-    ):
-        """`stages`: options of each, easiest first, beside the common ones. Raises ValueError where their spaces differ."""
-        self._task, self.curriculum = task, curriculum
+    ) -> None:
+        """Check all stages; each is made when it is first flown.
+
+        Args:
+            task: One of `list_tasks()`, `module:Name`, or a class of one's own.
+            stages: Options of each stage beside the common ones, easiest first.
+            curriculum: Decides between the stages.
+            **options: Common options; see `parallel_env`.
+
+        Raises:
+            ValueError: An option cannot be, or the spaces of the stages differ.
+        """
+        self._task = task
+        self.curriculum = curriculum
         self._options = [{**options, **stage} for stage in stages]
-        plans = [EnvSpec(task, 1, stage) for stage in self._options]
-        self._widest = max(plans, key=lambda plan: plan.options.num_drones)
-        self.observation = common_observation(plans)
-        drones = self._widest.options.num_drones
+        specs = [EnvSpec(task, 1, stage) for stage in self._options]
+        widest = max(specs, key=lambda spec: spec.options.num_drones)
+        self._observer = widest.observer
+        self._labels = _common_labels(specs)
+        # Spaces: the same observation for all, actions of each drone of the largest stage.
+        drones = widest.options.num_drones
         self.possible_agents = [f"drone_{i}" for i in range(drones)]
         self.agents: list[str] = []
-        self.observation_spaces = dict.fromkeys(self.possible_agents, self.observation)
+        self.observation_spaces = dict.fromkeys(self.possible_agents, common_observation(specs))
         self.action_spaces = {
-            agent: drone_action_space(self._widest.action, i)
+            agent: drone_action_space(widest.action, i)
             for i, agent in enumerate(self.possible_agents)
         }
+        self._state_size = len(widest.state_observer.labels) * drones
         self.metadata = {
-            "name": f"bulletuav_{plans[0].task.name}_curriculum_v0",
+            "name": f"bulletuav_{specs[0].task.name}_curriculum_v0",
             "render_modes": ["rgb_array", "human"],
         }
-        self._made: dict[int, ParallelAviary] = {}
-        self._successes: dict[str, float] = {}
-        self._rng = np.random.default_rng(plans[0].options.seed)
+        self.render_mode = specs[0].options.render_mode
+        # The environment of each stage that was flown, and the success of each agent's episode.
+        self._envs: dict[int, ParallelAviary] = {}
         self._current: ParallelAviary | None = None
-        self.render_mode = plans[0].options.render_mode
+        self._successes: dict[str, float] = {}
+        self._rng = np.random.default_rng(specs[0].options.seed)
 
     @property
     def env(self) -> ParallelAviary:
-        """The environment of the episode that goes on. Raises RuntimeError before the first reset."""
+        """Environment of the episode that goes on.
+
+        Raises:
+            RuntimeError: Before the first reset.
+        """
         if self._current is None:
             raise RuntimeError("the environment has not been started: call reset() first")
         return self._current
 
-    def observation_space(self, agent: str) -> Space:
-        """The agent's observation space, the same object each time."""
+    @property
+    def observation_labels(self) -> list[Label]:
+        """Name, unit and bounds of each number that one drone observes, at whatever stage."""
+        return list(self._labels)
+
+    def observation_space(self, agent: str) -> Space[Any]:
+        """Return the agent's observation space, the same object each time."""
         return choose("agent", agent, self.observation_spaces)
 
-    def action_space(self, agent: str) -> Space:
-        """The agent's action space, the same object each time."""
+    def action_space(self, agent: str) -> Space[Any]:
+        """Return the agent's action space, the same object each time."""
         return choose("agent", agent, self.action_spaces)
 
     @exclusive
-    def reset(self, seed: int | None = None, options: dict | None = None) -> tuple[dict, dict]:
+    def reset(
+        self,
+        seed: int | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[ByAgent, Infos]:
         """Start a new episode, of another stage if the last ones ask for it.
 
-        With `seed`, or the option of that name, all later ones follow from it and from the stage, which stays.
+        Args:
+            seed: With it, or the option of that name, all later episodes follow from it and from
+                the stage, which stays. None goes on with the random numbers.
+            options: Part of PettingZoo's interface; not read.
+
+        Returns:
+            Observations and infos, by agent.
         """
-        if self._successes and not self.agents:  # an episode that was left early tells nothing
-            self.curriculum.record(float(np.mean(list(self._successes.values()))))
+        # An episode that was left early tells nothing.
+        if self._successes and not self.agents:
+            successes = list(self._successes.values())
+            self.curriculum.record(float(np.mean(successes)))
         self._successes = {}
         if seed is not None:
             self._rng = np.random.default_rng(as_int("seed", seed, 0))
         stage = self.curriculum.stage
-        if stage not in self._made:
-            self._made[stage] = ParallelAviary(self._task, **self._options[stage])
-        self._current = self._made[stage]
-        observations, infos = self.env.reset(seed=int(self._rng.integers(2**31)))
+        if stage not in self._envs:
+            self._envs[stage] = ParallelAviary(self._task, **self._options[stage])
+        self._current = self._envs[stage]
+        own_seed = int(self._rng.integers(2**31))
+        observations, infos = self.env.reset(seed=own_seed)
         self.agents = self.env.agents[:]
-        return observations, self._with_level(infos)
+        return observations, self._with_stage(infos)
 
     @exclusive
-    def step(self, actions: dict[str, np.ndarray]) -> tuple[dict, dict, dict, dict, dict]:
-        """As `ParallelAviary.step`; actions of agents that take no part in this stage are not looked at."""
+    def step(self, actions: dict[str, np.ndarray]) -> AgentResults:
+        """Fly one decision of all living agents; see `ParallelAviary.step`.
+
+        Args:
+            actions: One for each of `agents`; those of agents that take no part are ignored.
+
+        Returns:
+            Observations, rewards, terminated, truncated and infos, by agent.
+        """
         env = self.env
         env.aviary.require_started()
         check_agents(actions, self.agents, self.possible_agents)
         actions = {agent: action for agent, action in actions.items() if agent in self.agents}
         observations, rewards, terminated, truncated, infos = env.step(actions)
         self._successes |= {agent: info["success"] for agent, info in infos.items()}
-        self.agents = self.env.agents[:]
-        return observations, rewards, terminated, truncated, self._with_level(infos)
+        self.agents = env.agents[:]
+        return observations, rewards, terminated, truncated, self._with_stage(infos)
 
-    def _with_level(self, infos: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
-        return {
-            agent: {**info, "stage": float(self.curriculum.stage)} for agent, info in infos.items()
-        }
+    def _with_stage(self, infos: Infos) -> Infos:
+        """Add the stage to the infos of each agent."""
+        stage = float(self.curriculum.stage)
+        return {agent: {**info, "stage": stage} for agent, info in infos.items()}
 
     def state(self) -> np.ndarray:
-        """Global state as `ParallelAviary.state`, with zeros for drones that the stage has not."""
+        """Return the global state, with zeros for drones that the stage has not.
+
+        Returns:
+            (17 N,) float32 for the N agents of the largest stage; see `Aviary.state`.
+        """
         state = self.env.state()
-        drones = len(self.possible_agents)
-        padded = np.zeros(len(self._widest.state_observer.labels) * drones, dtype=np.float32)
+        padded = np.zeros(self._state_size, dtype=np.float32)
         padded[: state.size] = state
         return padded
 
     def render(self) -> np.ndarray | None:
-        """A picture of the episode that goes on."""
+        """Take a picture of the episode that goes on; see `ParallelAviary.render`."""
         return self.env.render()
 
     @exclusive
     def close(self) -> None:
         """Free the engines; a second call does nothing."""
-        for env in self._made.values():
+        for env in self._envs.values():
             env.close()
 
 
-def common_observation(plans: Sequence[EnvSpec]) -> Space:
-    """The space that holds the observations of all. Raises ValueError where they differ in more than their bounds."""
-    spaces = [plan.observer.space() for plan in plans]
+def common_observation(specs: Sequence[EnvSpec]) -> Space[Any]:
+    """Make the space that holds the observations of all stages.
+
+    Args:
+        specs: Options of each stage, and what follows from them.
+
+    Returns:
+        A Box, or a Dict of them, with bounds that hold those of all.
+
+    Raises:
+        ValueError: Observations differ in more than their bounds, or actions in their kind.
+    """
+    spaces = [spec.observer.space() for spec in specs]
     if len(spaces) == 1:
         return spaces[0]
-    if not all(isinstance(space, Box) and space.shape == spaces[0].shape for space in spaces):
+    shapes = [_shapes(space) for space in spaces]
+    if any(shape != shapes[0] for shape in shapes):
         raise ValueError(
-            f"the stages' observations have shapes {[space.shape for space in spaces]}: choose vectors whose size does not "
-            f"depend on the number of drones, such as 'neighbours' instead of 'all_neighbours' and 'identity'"
+            f"the stages' observations have shapes {shapes}: choose vectors whose size does not "
+            f"depend on the number of drones, such as 'neighbours' instead of 'all_neighbours' "
+            f"and 'identity'"
         )
-    if len({plan.action.name for plan in plans}) > 1:
-        raise ValueError(
-            f"the stages' actions are {[plan.action.name for plan in plans]}: one kind for all is needed"
-        )
-    return Box(
-        np.min([plan.observer.low for plan in plans], axis=0),
-        np.max([plan.observer.high for plan in plans], axis=0),
-    )
+    actions = [spec.action.name for spec in specs]
+    if len(set(actions)) > 1:
+        raise ValueError(f"the stages' actions are {actions}: one kind for all is needed")
+    return _union(spaces)
+
+
+def _shapes(space: Space[Any]) -> Any:
+    """Return the shape of observations: of each entry by name where they are dicts."""
+    if isinstance(space, Dict):
+        return {name: one.shape for name, one in space.spaces.items()}
+    return space.shape
+
+
+def _union(spaces: Sequence[Space[Any]]) -> Space[Any]:
+    """Make the space that holds all spaces of the same shape."""
+    # All are dicts, or all are boxes, of the same shapes.
+    dicts = [space for space in spaces if isinstance(space, Dict)]
+    if dicts:
+        names = dicts[0].spaces
+        return Dict({name: _union([space.spaces[name] for space in dicts]) for name in names})
+    boxes = [space for space in spaces if isinstance(space, Box)]
+    low = np.min([box.low for box in boxes], axis=0)
+    high = np.max([box.high for box in boxes], axis=0)
+    return Box(low, high, dtype=boxes[0].low.dtype)
+
+
+def _common_labels(specs: Sequence[EnvSpec]) -> list[Label]:
+    """Make labels of observations with bounds that hold those of all stages."""
+    labels: list[Label] = []
+    for same in zip(*(spec.observer.labels for spec in specs), strict=False):
+        low = min(label.low for label in same)
+        high = max(label.high for label in same)
+        labels.append(same[0]._replace(low=low, high=high))
+    return labels
 
 
 def check_stages(stages: Any) -> None:
-    """Raise ValueError unless stages are a list of dicts of options."""
+    """Check that stages are a list of dicts of options.
+
+    Raises:
+        ValueError: They are not.
+    """
     listed = as_sequence("stages", stages, most=MOST_STAGES)
     if not all(isinstance(stage, Mapping) for stage in listed):
         raise ValueError(f"stages is {shown(stages)}: a list of names with values is needed")
@@ -211,9 +333,22 @@ def curriculum_env(
     window: int = 20,
     **options: Any,
 ) -> CurriculumAviary:
-    """The task as a PettingZoo environment that grows harder with success; see `Curriculum` and `CurriculumAviary`.
+    """Make a `pettingzoo.ParallelEnv` of a task that grows harder with success.
 
-    `stages`: options of each stage, easiest first, by default the difficulties; `options` are common to all.
+    Args:
+        task: One of `list_tasks()`, `module:Name`, or a class of one's own.
+        stages: Options of each stage, easiest first; by default the difficulties.
+        up: Success rate at which the next stage is flown.
+        down: Success rate below which the stage before is flown.
+        window: Episodes that count; see `Curriculum`.
+        **options: Options common to all stages; see `parallel_env`.
+
+    Returns:
+        The environment; infos tell the stage.
+
+    Raises:
+        ValueError: An option cannot be, or the spaces of the stages differ.
     """
     check_stages(stages)
-    return CurriculumAviary(task, stages, Curriculum(len(stages), up, down, window), **options)
+    curriculum = Curriculum(len(stages), up=up, down=down, window=window)
+    return CurriculumAviary(task, stages, curriculum, **options)

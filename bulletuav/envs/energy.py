@@ -1,4 +1,4 @@
-"""What flying costs: the power that drones take, and what is left in their batteries."""
+"""Energy of flight: the power that drones take, and the charge left in their batteries."""
 
 import math
 
@@ -11,27 +11,35 @@ from bulletuav.vehicle.swarm import Swarm
 
 
 class Energy:
-    """Power (W, N) W, mean over the last decision, and the batteries that give it.
+    """Power of all drones, and the batteries that give it.
 
-    By `energy` "zeng", of the rotary-wing formula at the velocity relative to the air; by "actuator", and
-    without gravity, of the simulated rotors.
+    With the option `energy` "zeng" power follows from the rotary-wing formula, at the velocity
+    relative to the air. With "actuator", and always without gravity, it is that of the simulated
+    rotors.
+
+    Attributes:
+        power: (W, N) mean power over the last decision, W.
     """
 
-    def __init__(self, options: EnvOptions, parameters: np.ndarray):
-        """`parameters` (W, N): the rows that the dynamics flies with."""
+    def __init__(self, options: EnvOptions, parameters: np.ndarray) -> None:
+        """Start with full batteries.
+
+        Args:
+            options: Options of the environment.
+            parameters: (W, N) rows of `PARAMETERS` with which the dynamics flies.
+        """
         self.power = np.zeros(parameters.shape)
         self._battery = Battery(parameters.shape, options.battery_capacity or math.inf)
-        self._parameters, self._period = parameters, 1 / options.decision_hz
-        rotary_wing = (
-            options.energy == "zeng" and options.gravity > 0
-        )  # which knows power by the weight that it carries
-        wings = [
-            airframe_wing(airframe, options.gravity) for airframe in options.airframe if rotary_wing
-        ]
-        self._wings = np.array([wings] * len(parameters), dtype=ROTARY_WING) if wings else None
+        self._parameters = parameters
+        self._period = 1 / options.decision_hz
+        self._wings: np.ndarray | None = None
+        # The rotary-wing formula knows power by the weight that is carried, so it needs gravity.
+        if options.energy == "zeng" and options.gravity > 0:
+            wings = [airframe_wing(airframe, options.gravity) for airframe in options.airframe]
+            self._wings = np.array([wings] * len(parameters), dtype=ROTARY_WING)
 
     def start(self, k: int) -> None:
-        """World k begins, its batteries full."""
+        """Begin an episode of world k with full batteries."""
         self._battery.start(k)
         self.power[k] = 0
 
@@ -43,17 +51,30 @@ class Energy:
         payload: np.ndarray | float,
         flown: np.ndarray,
     ) -> None:
-        """Take from the drones of `flown` (W, N) what a decision from `before` to `after` in `wind` (W, N, 3) m/s cost.
+        """Take from the batteries what a decision cost.
 
-        `payload`: what their equipment takes beside flight, W.
+        Args:
+            before: State before the decision.
+            after: State after it.
+            wind: (W, N, 3) wind during it, m/s.
+            payload: Power that equipment takes beside flight, W: one number, or (W, N).
+            flown: (W, N) bool, drones that flew it; only their batteries are drained.
         """
         if self._wings is None:
             power = actuator_power(before.rotor_speed, after.rotor_speed, self._parameters)
         else:
-            power = propulsion((before.velocity + after.velocity) / 2 - wind, self._wings)
+            mean_velocity = (before.velocity + after.velocity) / 2
+            power = propulsion(mean_velocity - wind, self._wings)
         self.power = np.where(flown, power + payload, 0.0)
         self._battery.drain(self.power, self._period, flown)
 
     def readings(self) -> dict[str, np.ndarray]:
-        """(W, N) "charge", the share that is left, and "power", as they are now."""
-        return {"charge": self._battery.charge.copy(), "power": self.power.copy()}
+        """Return what drones know of their energy now.
+
+        Returns:
+            "charge", share of the energy that is left, and "power", W; copies, (W, N) each.
+        """
+        return {
+            "charge": self._battery.charge.copy(),
+            "power": self.power.copy(),
+        }

@@ -1,26 +1,32 @@
-"""What all environment classes share: they are pickled as what they were made from, and flown by one thread at a time."""
+"""Behaviour that all environment classes share: copies, threads, and observations by name."""
 
 import copy
 import functools
 import threading
 from collections.abc import Callable
-from typing import Any, NoReturn, TypeVar
+from typing import Any, NoReturn, TypeVar, cast
+
+import numpy as np
+
+from bulletuav.sensors.base import Label
+from bulletuav.tasks.observations.observer import Observation, ObservationBuilder
 
 Method = TypeVar("Method", bound=Callable[..., Any])
 
 
 class Environment:
-    """A recipe when it is pickled or deep-copied: the copy is made anew from the same arguments, and begins with a reset.
+    """An environment that copies as a recipe: pickle and deepcopy keep its arguments only.
 
-    So copies share nothing, and travel to other processes; nothing of an episode goes with them. `copy.copy`, which would
-    share the engine, is refused.
+    A copy is made anew from the same arguments, so it shares nothing with the original. It
+    travels to other processes, and begins with a reset. `copy.copy` would share the engine and is
+    refused.
     """
 
     _made_from: tuple[tuple[Any, ...], dict[str, Any]]
     _busy: threading.RLock
 
     def __new__(cls, *args: Any, **kwargs: Any) -> Any:
-        """Note the arguments, each as it is now: lists and dicts may change in the caller's hands."""
+        """Note the arguments, each as it is now: the caller may change lists and dicts later."""
         self = super().__new__(cls)
         self._made_from = (
             tuple(map(copy.copy, args)),
@@ -30,33 +36,69 @@ class Environment:
         return self
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """For pickle and `copy.deepcopy`."""
-        return _made, (type(self), *self._made_from)
+        """Tell pickle and `copy.deepcopy` how a copy is made."""
+        return _make_again, (type(self), *self._made_from)
 
     def __copy__(self) -> NoReturn:
         """Raise TypeError."""
         raise TypeError(
-            f"copy.copy of a {type(self).__name__} would share its engine: use copy.deepcopy for one that is made anew from "
-            f"the same options"
+            f"copy.copy of a {type(self).__name__} would share its engine: use copy.deepcopy for "
+            f"one that is made anew from the same options"
         )
 
 
+class LabelledEnvironment(Environment):
+    """An environment that tells what the numbers of its observations are.
+
+    Derived classes set `_observer` in their `__init__`.
+    """
+
+    _observer: ObservationBuilder
+
+    @property
+    def observation_labels(self) -> list[Label]:
+        """Name, unit and bounds of each number that one drone observes; a new list each time.
+
+        Pictures have no labels. In the format "dict" these are the numbers of all entries, in the
+        order of the blocks.
+        """
+        return list(self._observer.labels)
+
+    def split(self, observation: Observation) -> dict[str, np.ndarray]:
+        """Split observations by the names of their blocks.
+
+        Args:
+            observation: What `reset` or `step` gave of one drone or of several: (..., D) numbers,
+                or a dict.
+
+        Returns:
+            Arrays (..., numbers of the block) by name, views of the given one. Pictures, and
+            observations in the format "dict", come back as they are.
+
+        Raises:
+            ValueError: The observation has another number of numbers than there are labels.
+        """
+        return self._observer.split(observation)
+
+
 def exclusive(method: Method) -> Method:
-    """Let a method of an `Environment` raise RuntimeError while another thread is in one of them."""
+    """Make a method of an `Environment` raise RuntimeError while another thread is in one."""
 
     @functools.wraps(method)
     def guarded(self: Any, *args: Any, **kwargs: Any) -> Any:
         if not self._busy.acquire(blocking=False):
             raise RuntimeError(
-                f"this {type(self).__name__} is in use by another thread: give each thread an environment of its own"
+                f"this {type(self).__name__} is in use by another thread: give each thread an "
+                f"environment of its own"
             )
         try:
             return method(self, *args, **kwargs)
         finally:
             self._busy.release()
 
-    return guarded  # type: ignore[return-value]
+    return cast(Method, guarded)
 
 
-def _made(kind: type, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
+def _make_again(kind: type, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
+    """Make a copy from the arguments of the original."""
     return kind(*args, **kwargs)

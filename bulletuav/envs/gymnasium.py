@@ -1,21 +1,25 @@
-"""The Gymnasium faces: one agent commands all drones of a world, alone or batched.
+"""Gymnasium environments: one agent commands all drones of a world, alone or in batches.
 
-Observation: the flat global state; action: the drones' numbers one after the other; reward: the mean over all drones. With
-one drone it is that drone's own environment: its observation, its action, its reward. The episode ends when all drones are
-done, by truncation when time ended it for one of them.
+An action holds the drones' numbers one after the other, a reward is the mean over all drones. The
+episode ends when all drones are done, by truncation when time ended it for one of them.
+
+The agent observes the global state of all drones: a flat vector, or in the format "dict" an entry
+(N, numbers) for each of its blocks. With one drone the environment is that drone's own: its
+observation, its action, its reward.
 """
 
 from typing import Any
 
 import gymnasium
 import numpy as np
+from gymnasium.spaces import Box, Dict, Space
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from bulletuav.envs.aviary import Aviary
-from bulletuav.envs.environment import Environment, exclusive
+from bulletuav.envs.environment import LabelledEnvironment, exclusive
 from bulletuav.envs.spaces import joint_action_space, joint_numbers
-from bulletuav.envs.vector import BatchAviary
+from bulletuav.envs.vector import BatchAviary, BatchResults
 from bulletuav.errors import as_int
 from bulletuav.tasks import TaskSource, list_tasks
 from bulletuav.tasks.observations.observer import Observation, part
@@ -24,7 +28,7 @@ METADATA: dict[str, Any] = {"render_modes": ["rgb_array", "human"]}
 
 
 def environment_id(task: str) -> str:
-    """The Gymnasium id of a task: `bulletuav/Hover-v0` for hover."""
+    """Return the Gymnasium id of a task: `bulletuav/Hover-v0` for hover."""
     return f"bulletuav/{task.title().replace('_', '')}-v0"
 
 
@@ -39,56 +43,160 @@ def register_environments() -> None:
         )
 
 
-def _observation_space(aviary: Aviary) -> gymnasium.Space:
-    if aviary.num_drones == 1:
-        return aviary.observer.space()
-    observer, drones = aviary.state_observer, aviary.num_drones
-    return gymnasium.spaces.Box(
-        np.tile(observer.low, drones), np.tile(observer.high, drones), dtype=np.float32
-    )
+class CentralEnvironment(LabelledEnvironment):
+    """Observations of the one agent that commands all drones of a world.
+
+    Attributes:
+        aviary: The batched core.
+    """
+
+    aviary: Aviary
+
+    def _observe_centrally(self, aviary: Aviary) -> None:
+        """Choose what the agent observes: one drone's own observation, or the global state."""
+        self.aviary = aviary
+        self._is_alone = aviary.num_drones == 1
+        self._observer = aviary.observer if self._is_alone else aviary.state_observer
+        self._gives_dict = aviary.options.observation_format == "dict"
+
+    @property
+    def _central_space(self) -> Box | Dict:
+        """Space of what the agent of one world observes, a new object each time."""
+        if self._is_alone:
+            return self._observer.space()
+        low = np.tile(self._observer.low, self.aviary.num_drones)
+        high = np.tile(self._observer.high, self.aviary.num_drones)
+        if not self._gives_dict:
+            return Box(low, high, dtype=np.float32)
+        lows = self.split(low)
+        highs = self.split(high)
+        # An entry for each block, with a row for each drone.
+        spaces: dict[str, Space[Any]] = {}
+        for name in lows:
+            spaces[name] = Box(lows[name], highs[name], dtype=np.float32)
+        return Dict(spaces)
+
+    def _central(
+        self,
+        observations: Observation,
+        state: np.ndarray | None = None,
+    ) -> Observation:
+        """Return what the agent of each world observes.
+
+        Args:
+            observations: (W, N, ...) observations of the drones.
+            state: (W, 17 N) global state; asked of the core when left out.
+
+        Returns:
+            Arrays (W, ...).
+        """
+        if self._is_alone:
+            own: Observation = part(observations, (slice(None), 0))
+            return own
+        state = self.aviary.state() if state is None else state
+        return self.split(state) if self._gives_dict else state
+
+    def split(self, observation: Observation) -> dict[str, np.ndarray]:
+        """Split observations by the names of their blocks.
+
+        Args:
+            observation: What `reset` or `step` gave: (..., N * D) numbers, or a dict.
+
+        Returns:
+            Arrays (..., N, numbers of the block) by name, views of the given one: all drones have
+            the same blocks. With one drone there is no axis for drones. Dicts by block come back
+            as they are.
+
+        Raises:
+            ValueError: The observation has another number of numbers.
+        """
+        if self._is_alone or isinstance(observation, dict):
+            return super().split(observation)
+        drones = self.aviary.num_drones
+        vector = np.asarray(observation)
+        width = drones * len(self._observer.labels)
+        if vector.ndim == 0 or vector.shape[-1] != width:
+            raise ValueError(
+                f"observation is an array {vector.shape}: {width} numbers are needed, one for "
+                f"each label of {drones} drones"
+            )
+        rows = vector.reshape(*vector.shape[:-1], drones, -1)
+        return super().split(rows)
 
 
-def _central(aviary: Aviary, observations: Observation) -> Observation:
-    """(W, ...) what the one agent of each world sees."""
-    return part(observations, (slice(None), 0)) if aviary.num_drones == 1 else aviary.state()
+class CentralAviary(CentralEnvironment, gymnasium.Env[Any, Any]):
+    """One world as a `gymnasium.Env`.
 
-
-class CentralAviary(Environment, gymnasium.Env):
-    """One world as a `gymnasium.Env`."""
+    Attributes:
+        aviary: The batched core with W = 1.
+        observation_space: The drone's own with one drone, else that of the global state.
+        action_space: The drones' numbers one after the other, or one choice each.
+    """
 
     metadata = METADATA
 
-    def __init__(self, task: TaskSource, **options: Any):
-        self.aviary = Aviary(task, 1, **options)
+    def __init__(self, task: TaskSource, **options: Any) -> None:
+        """Make the environment; see `bulletuav.parallel_env`."""
+        self._observe_centrally(Aviary(task, 1, **options))
         self.metadata = {**METADATA, "render_fps": self.aviary.options.decision_hz}
         self.render_mode = self.aviary.options.render_mode
-        self.observation_space = _observation_space(self.aviary)
+        self.observation_space = self._central_space
         self.action_space = joint_action_space(self.aviary.action)
 
     @exclusive
-    def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[Any, dict]:
-        """Start a new episode; `options` is Gymnasium's and not read."""
-        super().reset(seed=None if seed is None else as_int("seed", seed, 0))
+    def reset(
+        self,
+        *,
+        seed: int | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Any, dict[str, Any]]:
+        """Start a new episode.
+
+        Args:
+            seed: Seed of the random numbers; None goes on with them.
+            options: Part of Gymnasium's interface; not read.
+
+        Returns:
+            The observation, and infos (N,) by name.
+        """
+        # Gymnasium seeds its own random numbers, which nothing here draws from.
+        if seed is not None:
+            seed = as_int("seed", seed, 0)
+        super().reset(seed=seed)
         observations = self.aviary.reset(seeds=seed)
-        return part(_central(self.aviary, observations), 0), _of_world(self.aviary.first_info())
+        observation = part(self._central(observations), 0)
+        return observation, _of_world(self.aviary.first_info())
 
     @exclusive
-    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict]:
-        """One decision of all drones; infos are (N,) arrays."""
-        step = self.aviary.step(joint_numbers(self.aviary.action, np.asarray(action)[None], 1))
-        over = not self.aviary.alive.any()
-        truncated = over and bool(step.truncated.any())
-        observation = part(_central(self.aviary, step.observations), 0)
-        return (
-            observation,
-            float(step.rewards.mean()),
-            over and not truncated,
-            truncated,
-            _of_world(step.info),
-        )
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Fly one decision of all drones.
+
+        Args:
+            action: As in `action_space`.
+
+        Returns:
+            The observation, reward, terminated, truncated, and infos (N,) by name.
+
+        Raises:
+            ValueError: The action cannot be; nobody has flown then.
+            RuntimeError: Before the first reset, or after `close`.
+        """
+        numbers = joint_numbers(self.aviary.action, np.asarray(action)[None], 1)
+        step = self.aviary.step(numbers)
+        # An episode that time ended for one of the drones is truncated.
+        is_over = not self.aviary.alive.any()
+        truncated = is_over and bool(step.truncated.any())
+        terminated = is_over and not truncated
+        observation = part(self._central(step.observations), 0)
+        reward = float(step.rewards.mean())
+        return observation, reward, terminated, truncated, _of_world(step.info)
 
     def render(self) -> np.ndarray | None:
-        """A picture (height, width, 3) uint8 with render_mode "rgb_array"."""
+        """Take a picture.
+
+        Returns:
+            (height, width, 3) uint8 with render_mode "rgb_array", else None.
+        """
         return self.aviary.render()
 
     @exclusive
@@ -98,11 +206,21 @@ class CentralAviary(Environment, gymnasium.Env):
 
 
 def _of_world(info: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return the infos of the only world."""
     return {name: value[0] for name, value in info.items()}
 
 
-class CentralVectorAviary(Environment, gymnasium.vector.VectorEnv):
-    """W worlds as a `gymnasium.vector.VectorEnv`; infos are (W, N) arrays."""
+class CentralVectorAviary(CentralEnvironment, gymnasium.vector.VectorEnv[Any, Any, Any]):
+    """W worlds as a `gymnasium.vector.VectorEnv`.
+
+    Attributes:
+        aviary: The batched core.
+        num_envs: W.
+        single_observation_space: That of one world, as in `CentralAviary`.
+        single_action_space: That of one world, as in `CentralAviary`.
+        observation_space: That of all worlds.
+        action_space: That of all worlds.
+    """
 
     metadata = METADATA
 
@@ -112,52 +230,86 @@ class CentralVectorAviary(Environment, gymnasium.vector.VectorEnv):
         num_envs: int = 1,
         autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP,
         **options: Any,
-    ):
+    ) -> None:
+        """Make the environment.
+
+        Args:
+            task: One of `list_tasks()`, `module:Name`, or a class of one's own.
+            num_envs: W.
+            autoreset_mode: What happens when an episode is over; see `BatchAviary`.
+            **options: See `bulletuav.parallel_env`.
+
+        Raises:
+            ValueError: An option cannot be.
+        """
+        # The batch flies and resets; here its drones become one agent.
         self._batch = BatchAviary(task, num_envs, autoreset_mode, **options)
-        aviary = self.aviary = self._batch.aviary
-        self.num_envs = aviary.num_worlds
-        self.render_mode = aviary.options.render_mode
+        self._observe_centrally(self._batch.aviary)
+        self.num_envs = self.aviary.num_worlds
+        self.render_mode = self.aviary.options.render_mode
         self.metadata = {
             **METADATA,
-            "render_fps": aviary.options.decision_hz,
+            "render_fps": self.aviary.options.decision_hz,
             "autoreset_mode": self._batch.autoreset_mode,
         }
-        self.single_observation_space = _observation_space(aviary)
-        self.single_action_space = joint_action_space(aviary.action)
+        self.single_observation_space = self._central_space
+        self.single_action_space = joint_action_space(self.aviary.action)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
 
     @exclusive
     def reset(
-        self, *, seed: Any = None, options: dict[str, Any] | None = None
+        self,
+        *,
+        seed: Any = None,
+        options: dict[str, Any] | None = None,
     ) -> tuple[Any, dict[str, Any]]:
-        """Start new episodes in all worlds, or in those of options["reset_mask"] (W,); seeds as in `BatchAviary.reset`."""
+        """Start new episodes in all worlds, or in those of options["reset_mask"] (W,).
+
+        Args:
+            seed: As of `BatchAviary.reset`.
+            options: As of `BatchAviary.reset`.
+
+        Returns:
+            Observations (W, ...), and infos (W, N) by name.
+        """
         observations, infos = self._batch.reset(seed=seed, options=options)
-        return _central(self.aviary, observations), infos
+        return self._central(observations), infos
 
     @exclusive
-    def step(self, actions: Any) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """One decision of all worlds; rewards, terminated and truncated are (W,)."""
+    def step(self, actions: Any) -> BatchResults:
+        """Fly one decision of all worlds.
+
+        Args:
+            actions: As in `action_space`.
+
+        Returns:
+            Observations (W, ...), rewards (W,), terminated (W,), truncated (W,), and infos (W, N)
+            by name.
+
+        Raises:
+            ValueError: Actions cannot be; nobody has flown then.
+            RuntimeError: Before the first reset, or after `close`.
+        """
         batch = joint_numbers(self.aviary.action, actions, self.num_envs)
         if self.aviary.action.choices is not None:
             batch = batch[..., 0]
-        observations, rewards, _, truncated, infos = self._batch.step(batch)
-        cut = self._batch.ended & truncated.any(axis=1)
+        observations, rewards, _, cut, infos = self._batch.step(batch)
+        # An episode that time ended for one of the drones is truncated.
+        ended = self._batch.ended
+        truncated = ended & cut.any(axis=1)
+        terminated = ended & ~truncated
         if "final_obs" in infos:
-            alone = self.aviary.num_drones == 1
-            infos["final_obs"] = (
-                part(infos["final_obs"], (slice(None), 0)) if alone else infos["final_state"]
-            )
-        return (
-            _central(self.aviary, observations),
-            rewards.mean(axis=1),
-            self._batch.ended & ~cut,
-            cut,
-            infos,
-        )
+            infos["final_obs"] = self._central(infos["final_obs"], infos["final_state"])
+        mean_rewards = rewards.mean(axis=1)
+        return self._central(observations), mean_rewards, terminated, truncated, infos
 
     def render(self) -> tuple[np.ndarray | None, ...]:  # type: ignore[override]
-        """Pictures of all worlds with render_mode "rgb_array"."""
+        """Take pictures of all worlds.
+
+        Returns:
+            (height, width, 3) uint8 of each with render_mode "rgb_array", else None for each.
+        """
         return tuple(self.aviary.render(world) for world in range(self.num_envs))
 
     @exclusive

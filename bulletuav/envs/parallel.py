@@ -1,4 +1,4 @@
-"""The PettingZoo face: one world, agents `drone_0` ... that leave when their episode ends."""
+"""PettingZoo environments: one world whose agents leave when their episode ends."""
 
 import copy
 from collections.abc import Mapping, Sequence
@@ -11,109 +11,134 @@ from pettingzoo.utils.conversions import parallel_to_aec_wrapper
 from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
 from bulletuav.envs.aviary import Aviary
-from bulletuav.envs.environment import Environment, exclusive
+from bulletuav.envs.environment import LabelledEnvironment, exclusive
 from bulletuav.envs.spaces import drone_action_space, drone_numbers
 from bulletuav.errors import choose, shown, unknown
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.observations.observer import Observation, part
 
+ByAgent = dict[str, Any]
+"""One value for each agent, by its name"""
+Infos = dict[str, dict[str, float]]
+"""Infos of each agent, by its name"""
+AgentResults = tuple[ByAgent, dict[str, float], dict[str, bool], dict[str, bool], Infos]
+"""Observations, rewards, terminated, truncated and infos of a step, each by agent"""
 
-class ParallelAviary(Environment, ParallelEnv):
-    """`pettingzoo.ParallelEnv` of one task; `aviary` is the batched core with W = 1."""
 
-    def __init__(self, task: TaskSource, **options: Any):
+class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  # has no types
+    """`pettingzoo.ParallelEnv` of one task, with agents `drone_0` ... `drone_{N-1}`.
+
+    Attributes:
+        aviary: The batched core with W = 1.
+        possible_agents: Names of all agents.
+        agents: Names of the agents whose episode goes on.
+        observation_spaces: Observation space of each agent.
+        action_spaces: Action space of each agent.
+        state_space: Space of the global state.
+        metadata: What PettingZoo wants to know.
+        render_mode: None, "rgb_array" or "human".
+    """
+
+    def __init__(self, task: TaskSource, **options: Any) -> None:
+        """Make the environment; see `parallel_env`."""
         self.aviary = Aviary(task, 1, **options)
-        settings = self.aviary.options
+        self._observer = self.aviary.observer
+        common = self.aviary.options
         self.metadata = {
             "name": f"bulletuav_{self.aviary.task.name}_v0",
             "render_modes": ["rgb_array", "human"],
-            "render_fps": settings.decision_hz,
+            "render_fps": common.decision_hz,
             "is_parallelizable": True,
         }
-        self.render_mode = settings.render_mode
-        self.possible_agents = [f"drone_{i}" for i in range(settings.num_drones)]
+        self.render_mode = common.render_mode
+        self.possible_agents = [f"drone_{i}" for i in range(common.num_drones)]
         self.agents: list[str] = []
-        observer, action, state = (
-            self.aviary.observer,
-            self.aviary.action,
-            self.aviary.state_observer,
-        )
-        self.observation_spaces = {agent: observer.space() for agent in self.possible_agents}
+        self.observation_spaces = {agent: self._observer.space() for agent in self.possible_agents}
         self.action_spaces = {
-            agent: drone_action_space(action, i) for i, agent in enumerate(self.possible_agents)
+            agent: drone_action_space(self.aviary.action, i)
+            for i, agent in enumerate(self.possible_agents)
         }
-        drones = settings.num_drones
-        self.state_space = Box(
-            np.tile(state.low, drones), np.tile(state.high, drones), dtype=np.float32
-        )
+        state = self.aviary.state_observer
+        low = np.tile(state.low, common.num_drones)
+        high = np.tile(state.high, common.num_drones)
+        self.state_space = Box(low, high, dtype=np.float32)
 
-    def observation_space(self, agent: str) -> Space:
-        """The agent's observation space, the same object each time."""
+    def observation_space(self, agent: str) -> Space[Any]:
+        """Return the agent's observation space, the same object each time."""
         return choose("agent", agent, self.observation_spaces)
 
-    def action_space(self, agent: str) -> Space:
-        """The agent's action space, the same object each time."""
+    def action_space(self, agent: str) -> Space[Any]:
+        """Return the agent's action space, the same object each time."""
         return choose("agent", agent, self.action_spaces)
 
     @exclusive
-    def reset(self, seed: int | None = None, options: dict | None = None) -> tuple[dict, dict]:
-        """Start a new episode; returns observations and infos by agent. `options` is PettingZoo's and not read."""
+    def reset(
+        self,
+        seed: int | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[ByAgent, Infos]:
+        """Start a new episode.
+
+        Args:
+            seed: Seed of the random numbers; None goes on with them.
+            options: Part of PettingZoo's interface; not read.
+
+        Returns:
+            Observations and infos, by agent.
+        """
         observations = self.aviary.reset(seeds=seed)
         self.agents = self.possible_agents[:]
         return self._by_agent(observations), self._infos(self.aviary.first_info())
 
     @exclusive
-    def step(self, actions: dict[str, np.ndarray]) -> tuple[dict, dict, dict, dict, dict]:
+    def step(self, actions: dict[str, np.ndarray]) -> AgentResults:
         """Fly one decision of all living agents.
 
         Args:
-            actions: One for each of `agents`; those of agents that have left are not looked at.
+            actions: One for each of `agents`; those of agents that have left are ignored.
 
         Returns:
-            Observations, rewards, terminated, truncated and infos, by agent: of those that flew. Where all have left, five
-            empty dicts.
+            Observations, rewards, terminated, truncated and infos, by agent, of those that flew.
+            Where all have left, five empty dicts.
 
         Raises:
-            ValueError: An action is missing or bad, or for an agent that there never was; nobody has flown.
+            ValueError: An action is missing, cannot be, or is for an agent that there never was.
+                Nobody has flown then.
             RuntimeError: Before the first reset, or after `close`.
         """
         self.aviary.require_started()
         check_agents(actions, self.agents, self.possible_agents)
         if not self.agents:
             return {}, {}, {}, {}, {}
-        batch = np.zeros((1, *self.aviary.action.low.shape))
+        # The batch of one world; rows of agents that have left stay zero.
+        action = self.aviary.action
+        batch = np.zeros((1, *action.low.shape))
         for i, agent in enumerate(self.possible_agents):
             if agent in self.agents:
-                batch[0, i] = drone_numbers(self.aviary.action, i, actions[agent])
+                batch[0, i] = drone_numbers(action, i, actions[agent])
         step = self.aviary.step(batch)
-        rewards, terminated, truncated = (
-            {agent: kind(value) for agent, value in self._by_agent(array).items()}
-            for array, kind in (
-                (step.rewards, float),
-                (step.terminated, bool),
-                (step.truncated, bool),
-            )
-        )
-        result = (
-            self._by_agent(step.observations),
-            rewards,
-            terminated,
-            truncated,
-            self._infos(step.info),
-        )
+        # Results by agent, in Python's own types, which PettingZoo's tests want.
+        observations = self._by_agent(step.observations)
+        rewards = _each(float, self._by_agent(step.rewards))
+        terminated = _each(bool, self._by_agent(step.terminated))
+        truncated = _each(bool, self._by_agent(step.truncated))
+        infos = self._infos(step.info)
+        # Agents leave after the step that ended their episode.
         self.agents = [
             agent for agent in self.agents if not (terminated[agent] or truncated[agent])
         ]
-        return result
+        return observations, rewards, terminated, truncated, infos
 
-    def _by_agent(self, array: Observation) -> dict[str, Any]:
+    def _by_agent(self, array: Observation) -> ByAgent:
+        """Share out (1, N, ...) to the living agents."""
         return {
             agent: part(array, (0, i))
             for i, agent in enumerate(self.possible_agents)
             if agent in self.agents
         }
 
-    def _infos(self, info: dict[str, np.ndarray]) -> dict[str, dict[str, float]]:
+    def _infos(self, info: dict[str, np.ndarray]) -> Infos:
+        """Share out infos (1, N) to the living agents."""
         columns = {name: self._by_agent(array) for name, array in info.items()}
         return {
             agent: {name: float(column[agent]) for name, column in columns.items()}
@@ -121,11 +146,20 @@ class ParallelAviary(Environment, ParallelEnv):
         }
 
     def state(self) -> np.ndarray:
-        """(17 N,) float32 global state for centralised critics; see `Aviary.state`."""
-        return self.aviary.state()[0]
+        """Return the global state for centralised critics.
+
+        Returns:
+            (17 N,) float32; see `Aviary.state`.
+        """
+        state: np.ndarray = self.aviary.state()[0]
+        return state
 
     def render(self) -> np.ndarray | None:
-        """A picture (height, width, 3) uint8 with render_mode "rgb_array"."""
+        """Take a picture.
+
+        Returns:
+            (height, width, 3) uint8 with render_mode "rgb_array", else None.
+        """
         return self.aviary.render()
 
     @exclusive
@@ -134,11 +168,30 @@ class ParallelAviary(Environment, ParallelEnv):
         self.aviary.close()
 
 
-def check_agents(actions: Any, agents: Sequence[str], possible: Sequence[str]) -> None:
-    """Raise ValueError unless `actions` is a dict with all of `agents`, and no others than `possible` ones."""
+def _each(kind: type, values: ByAgent) -> ByAgent:
+    """Convert the value of each agent."""
+    return {agent: kind(value) for agent, value in values.items()}
+
+
+def check_agents(
+    actions: Any,
+    agents: Sequence[str],
+    possible: Sequence[str],
+) -> None:
+    """Check whose actions were given.
+
+    Args:
+        actions: What was given.
+        agents: Agents that need an action.
+        possible: Agents that may have one.
+
+    Raises:
+        ValueError: It is no dict, lacks an agent, or has one that is not possible.
+    """
     if not isinstance(actions, Mapping):
         raise ValueError(
-            f"actions are {shown(actions)}: a dict with an action for each of {list(agents)} is needed"
+            f"actions are {shown(actions)}: a dict with an action for each of {list(agents)} is "
+            f"needed"
         )
     for agent in actions:
         if agent not in possible:
@@ -149,26 +202,36 @@ def check_agents(actions: Any, agents: Sequence[str], possible: Sequence[str]) -
 
 
 def parallel_env(task: TaskSource, **options: Any) -> ParallelAviary:
-    """The task as a `pettingzoo.ParallelEnv` with agents `drone_0` ... `drone_{N-1}`.
+    """Make a `pettingzoo.ParallelEnv` of a task, with agents `drone_0` ... `drone_{N-1}`.
 
-    `task` is one of `list_tasks()`, or a class of your own; options are those common to all tasks
-    (`bulletuav.envs.options.Options`) and the task's own (its `Config`). Raises ValueError that names the value and the
-    remedy when one of them cannot be.
+    Args:
+        task: One of `list_tasks()`, `module:Name`, or a class of one's own.
+        **options: Options common to all tasks (`bulletuav.envs.options.EnvOptions`) and those of
+            the task (its `Config`).
+
+    Returns:
+        The environment.
+
+    Raises:
+        ValueError: An option cannot be; the value and the remedy are named.
     """
     return ParallelAviary(task, **options)
 
 
-class TurnAviary(Environment, OrderEnforcingWrapper):
-    """`pettingzoo.AECEnv` of one task, through PettingZoo's own conversion; agents take turns."""
+class TurnAviary(LabelledEnvironment, OrderEnforcingWrapper):  # type: ignore[misc]  # has no types
+    """`pettingzoo.AECEnv` of one task, whose agents take turns; by PettingZoo's own conversion."""
 
-    def __init__(self, task: TaskSource, **options: Any):
-        super().__init__(parallel_to_aec_wrapper(ParallelAviary(task, **options)))
+    def __init__(self, task: TaskSource, **options: Any) -> None:
+        """Make the environment; see `parallel_env`."""
+        parallel = ParallelAviary(task, **options)
+        super().__init__(parallel_to_aec_wrapper(parallel))
+        self._observer = parallel.aviary.observer
 
     def observe(self, agent: str) -> Any:
-        """A copy of the agent's last observation, which PettingZoo keeps."""
+        """Return a copy of the agent's last observation, as PettingZoo keeps the original."""
         return copy.deepcopy(super().observe(agent))
 
 
 def aec_env(task: TaskSource, **options: Any) -> TurnAviary:
-    """The task as a `pettingzoo.AECEnv`; see `parallel_env`."""
+    """Make a `pettingzoo.AECEnv` of a task; see `parallel_env`."""
     return TurnAviary(task, **options)

@@ -19,110 +19,144 @@ from bulletuav.envs.randomization import Randomization, known_uncertainties
 from bulletuav.errors import UnknownOptionError, as_int, as_sequence, choose, finite, nearest, shown
 from bulletuav.sensors.base import Sensor
 from bulletuav.sensors.suite import known_sensors
-from bulletuav.tasks.base import DEFAULTS, Task
+from bulletuav.tasks.base import DEFAULTS, Task, TaskConfig
 from bulletuav.tasks.observations.base import Block
 from bulletuav.vehicle.airframe import load_airframe
 
+NEVER_NONE = (
+    "num_drones",
+    "airframe",
+    "action",
+    "decision_hz",
+    "horizon",
+    "max_speed",
+    "dynamics",
+    "controller",
+)
+"""Options that are left out, and not None, for the task's default"""
+INGREDIENTS = ("observation", "sensors")
+"""Lists in which names and objects can stand"""
 
-def resolve(task: type[Task[Any]], given: Mapping[str, Any]) -> tuple[EnvOptions, Any]:
+
+def resolve(
+    task: type[Task[Any]],
+    given: Mapping[str, Any],
+) -> tuple[EnvOptions, TaskConfig]:
     """Make common options and the task's config from keyword arguments.
 
-    What is given goes before the preset's values, those before the difficulty's, those before the
-    task's defaults.
+    What is given goes before the preset's values, those before the difficulty's, and those before
+    the task's defaults.
+
+    Args:
+        task: The task.
+        given: Options by name, of both kinds.
+
+    Returns:
+        The common options, and the task's config.
 
     Raises:
-        UnknownOptionError: There is no such option; a TypeError too. The nearest names are told.
+        UnknownOptionError: There is no such option; the nearest names are told. It is a TypeError,
+            too.
         ValueError: A preset or difficulty is unknown (the nearest are told), or a value cannot be.
     """
     common = {field.name for field in dataclasses.fields(EnvOptions)}
     own = {field.name for field in dataclasses.fields(task.Config)}
-    for name in given:
-        if name not in common | own:
-            raise UnknownOptionError(  # in the words of Python's own TypeError, which some wrappers look for
-                f"unknown option of task {task.name!r}: unexpected keyword argument {name!r}: {nearest(name, common | own)}"
-            )
-    difficulty = given.get("difficulty", task.defaults.get("difficulty", "easy"))
-    changes = choose("difficulty", difficulty, dict(task.difficulties))
-    if given.get("preset") is not None and not task.presets:
-        raise ValueError(f"preset is {shown(given['preset'])}: task {task.name!r} has none")
-    preset = (
-        {} if given.get("preset") is None else choose("preset", given["preset"], dict(task.presets))
-    )
-    usual = {**DEFAULTS, **task.defaults, **changes, **preset}
-    for name in usual:
-        choose(
-            f"option among the defaults of task {task.name!r}:", name, dict.fromkeys(common | own)
-        )
-    values = {**usual, **given, "difficulty": difficulty}
-    if isinstance(given.get("weights"), Mapping):
-        values["weights"] = {**preset.get("weights", {}), **given["weights"]}
-    for name in (
-        "num_drones",
-        "airframe",
-        "action",
-        "decision_hz",
-        "horizon",
-        "max_speed",
-        "dynamics",
-        "controller",
-    ):
+    values = _with_defaults(task, given, common | own)
+    for name in NEVER_NONE:
         if values.get(name, "") is None:
             raise ValueError(f"{name} is None: leave it out for the task's default")
-    _make_lists(values)
+    _make_tuples(values)
     _find_airframes(values, given)
     known = known_uncertainties(known_sensors(values.get("sensors", ())))
     values["randomization"] = Randomization(values.get("randomization"), known)
-    options = EnvOptions(**{name: value for name, value in values.items() if name in common})
-    config = task.Config(**{name: value for name, value in values.items() if name in own})
+    # Common options check themselves, those of the task are checked by the types of their fields.
+    for_all = {name: value for name, value in values.items() if name in common}
+    for_task = {name: value for name, value in values.items() if name in own}
+    options = EnvOptions(**for_all)
+    config = task.Config(**for_task)
     return options, _checked_config(config)
 
 
-def _make_lists(values: dict[str, Any]) -> None:
-    """Make tuples of the options that are lists, and of one name where there can be several."""
-    for name in SEVERAL:
-        if isinstance(values.get(name), str):
-            values[name] = (values[name],)
-        elif name in ("observation", "sensors") and _is_object(values.get(name)):
-            values[name] = (values[name],)
-        elif name in values and not _is_single(name, values[name]):
-            values[name] = as_sequence(
-                name, values[name], most=MOST_NAMES if name in NAMED else None
+def _with_defaults(
+    task: type[Task[Any]],
+    given: Mapping[str, Any],
+    known: set[str],
+) -> dict[str, Any]:
+    """Add the values of preset, difficulty and task to the options that are given."""
+    for name in given:
+        if name not in known:
+            # The words are those of Python's own TypeError, which some wrappers look for.
+            raise UnknownOptionError(
+                f"unknown option of task {task.name!r}: unexpected keyword argument {name!r}: "
+                f"{nearest(name, known)}"
             )
+    # What the difficulty and the preset change.
+    usual_difficulty = task.defaults.get("difficulty", "easy")
+    difficulty = given.get("difficulty", usual_difficulty)
+    changes = choose("difficulty", difficulty, dict(task.difficulties))
+    preset: Mapping[str, Any] = {}
+    if given.get("preset") is not None:
+        if not task.presets:
+            raise ValueError(f"preset is {shown(given['preset'])}: task {task.name!r} has none")
+        preset = choose("preset", given["preset"], dict(task.presets))
+    # Later ones go before earlier ones.
+    usual = {**DEFAULTS, **task.defaults, **changes, **preset}
+    for name in usual:
+        choose(f"option among the defaults of task {task.name!r}:", name, dict.fromkeys(known))
+    values = {**usual, **given, "difficulty": difficulty}
+    # Weights that are given change those of the preset one by one.
+    if isinstance(given.get("weights"), Mapping):
+        values["weights"] = {**preset.get("weights", {}), **given["weights"]}
+    return values
 
 
-def _is_object(value: Any) -> bool:
+def _make_tuples(values: dict[str, Any]) -> None:
+    """Make tuples of options that are lists, also of a single entry where there can be several."""
+    for name in SEVERAL:
+        value = values.get(name)
+        if isinstance(value, str) or (name in INGREDIENTS and _is_ingredient(value)):
+            values[name] = (value,)
+        elif name in values and not _is_single(name, value):
+            most = MOST_NAMES if name in NAMED else None
+            values[name] = as_sequence(name, value, most=most)
+
+
+def _is_ingredient(value: Any) -> bool:
     """Tell whether one ingredient was given, and not several."""
     return callable(value) or isinstance(value, Sensor | Block)
 
 
 def _is_single(name: str, value: Any) -> bool:
+    """Tell whether an option that can be a list has a value that is none."""
     return (name == "wind" and callable(value)) or (name == "observation" and value is None)
 
 
 def _find_airframes(values: dict[str, Any], given: Mapping[str, Any]) -> None:
-    """Load an airframe for each drone; what nobody gave follows: how many drones there are, and the speed limit."""
-    if isinstance(values["airframe"], list | tuple):
-        if not values["airframe"]:
+    """Load an airframe for each drone.
+
+    They set what nobody gave: how many drones there are, and the speed limit.
+    """
+    airframe = values["airframe"]
+    if isinstance(airframe, list | tuple):
+        if not airframe:
             raise ValueError("airframe is an empty list: give one airframe, or one for each drone")
-        as_sequence("airframe", values["airframe"], most=MOST_DRONES)
-        values["airframe"] = tuple(load_airframe(one) for one in values["airframe"])
+        as_sequence("airframe", airframe, most=MOST_DRONES)
+        values["airframe"] = tuple(load_airframe(one) for one in airframe)
         if "num_drones" not in given:
-            values["num_drones"] = len(values["airframe"])
+            values["num_drones"] = len(airframe)
     else:
         as_int("num_drones", values["num_drones"], 1, MOST_DRONES)
-        values["airframe"] = (load_airframe(values["airframe"]),) * values["num_drones"]
+        values["airframe"] = (load_airframe(airframe),) * values["num_drones"]
     if "max_speed" not in given:
-        values["max_speed"] = min(
-            finite("max_speed", values["max_speed"]),
-            *(airframe.max_speed for airframe in values["airframe"]),
-        )
+        limit = finite("max_speed", values["max_speed"])
+        values["max_speed"] = min(limit, *(one.max_speed for one in values["airframe"]))
 
 
-def _checked_config(config: Any) -> Any:
-    """A task's config with its numbers as its fields' types have them.
+def _checked_config(config: TaskConfig) -> TaskConfig:
+    """Store the numbers of a task's config as the types of its fields have them.
 
-    A field's metadata may tell its "least" and "most". Raises ValueError for values that a field's type cannot hold; float
-    fields are sizes, so not negative.
+    Raises:
+        ValueError: A value cannot be.
     """
     stored = {
         field.name: _checked(field, getattr(config, field.name))
@@ -134,11 +168,14 @@ def _checked_config(config: Any) -> Any:
     return dataclasses.replace(config, **stored)
 
 
-def _checked(field: dataclasses.Field, value: Any) -> Any:
-    name, most = (
-        field.name,
-        field.metadata.get("most", MOST_COUNT if field.type is int else MOST_SIZE),
-    )
+def _checked(field: dataclasses.Field[Any], value: Any) -> Any:
+    """Check the value of a field by its type.
+
+    A field's metadata may tell its "least" and "most". Float fields are sizes, so not negative.
+    """
+    name = field.name
+    usual_most = MOST_COUNT if field.type is int else MOST_SIZE
+    most = field.metadata.get("most", usual_most)
     if field.type is int:
         return as_int(name, value, field.metadata.get("least", 1), most)
     if field.type is bool and not isinstance(value, bool):
@@ -152,14 +189,19 @@ def _checked(field: dataclasses.Field, value: Any) -> Any:
     elif field.type == tuple[float, float]:
         return tuple(finite(name, number, most=most) for number in as_sequence(name, value, 2))
     elif name == "weights":
-        if not isinstance(value, Mapping):
-            raise ValueError(
-                f"weights is {shown(value)}: a dict from reward terms to weights is needed"
-            )
-        return {
-            term: finite(
-                f"weights: weight of reward term {shown(term)}", one, -MOST_WEIGHT, MOST_WEIGHT
-            )
-            for term, one in value.items()
-        }
+        return _checked_weights(value)
     return value
+
+
+def _checked_weights(weights: Any) -> dict[str, float]:
+    """Check weights of reward terms by name."""
+    if not isinstance(weights, Mapping):
+        raise ValueError(
+            f"weights is {shown(weights)}: a dict from reward terms to weights is needed"
+        )
+    return {
+        term: finite(
+            f"weights: weight of reward term {shown(term)}", weight, -MOST_WEIGHT, MOST_WEIGHT
+        )
+        for term, weight in weights.items()
+    }

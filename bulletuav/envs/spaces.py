@@ -1,4 +1,6 @@
-"""Spaces of one drone and of all drones together."""
+"""Action spaces of one drone and of all drones together, and the arrays made of actions."""
+
+from typing import Any
 
 import numpy as np
 from gymnasium.spaces import Box, Discrete, MultiDiscrete, Space
@@ -7,41 +9,72 @@ from bulletuav.control.actions import Action
 from bulletuav.errors import numbers_of
 
 
-def drone_action_space(action: Action, drone: int) -> Space:
-    """What one drone is given: a Box of its own numbers, or Discrete choices."""
+def drone_action_space(action: Action, drone: int) -> Space[Any]:
+    """Make the action space of one drone.
+
+    Args:
+        action: What actions mean.
+        drone: Index of the drone.
+
+    Returns:
+        A Box of the drone's own numbers, or Discrete choices.
+    """
     if action.choices is not None:
         return Discrete(action.choices)
+    return _drone_box(action, drone)
+
+
+def _drone_box(action: Action, drone: int) -> Box:
+    """Make the Box of one drone's own numbers."""
     size = action.size(drone)
-    return Box(
-        action.low[drone, :size].astype(np.float32),
-        action.high[drone, :size].astype(np.float32),
-        dtype=np.float32,
-    )
+    low = action.low[drone, :size].astype(np.float32)
+    high = action.high[drone, :size].astype(np.float32)
+    return Box(low, high, dtype=np.float32)
 
 
-def widest_action_space(action: Action) -> Space:
-    """That of the drone with the most numbers: what one row of a batch holds."""
-    return drone_action_space(action, max(range(len(action.labels)), key=action.size))
+def widest_action_space(action: Action) -> Space[Any]:
+    """Make the space of one row of a batch: that of the drone with the most numbers."""
+    drones = range(len(action.labels))
+    widest = max(drones, key=action.size)
+    return drone_action_space(action, widest)
 
 
-def joint_action_space(action: Action) -> Space:
-    """What all drones together are given: their numbers one after the other, or one choice each."""
+def joint_action_space(action: Action) -> Space[Any]:
+    """Make the action space of all drones together.
+
+    Args:
+        action: What actions mean.
+
+    Returns:
+        Their numbers one after the other, or one choice each; for one drone its own space.
+    """
     drones = len(action.labels)
     if drones == 1:
         return drone_action_space(action, 0)
     if action.choices is not None:
         return MultiDiscrete([action.choices] * drones)
-    parts = [drone_action_space(action, drone) for drone in range(drones)]
-    low, high = (
-        np.concatenate([getattr(part, side) for part in parts]) for side in ("low", "high")
-    )
+    boxes = [_drone_box(action, drone) for drone in range(drones)]
+    low = np.concatenate([box.low for box in boxes])
+    high = np.concatenate([box.high for box in boxes])
     return Box(low, high, dtype=np.float32)
 
 
 def drone_numbers(action: Action, drone: int, given: object) -> np.ndarray:
-    """(A,) one drone's numbers, padded; raises ValueError for another shape than its space has."""
+    """Make the row of a batch that holds one drone's action.
+
+    Args:
+        action: What actions mean.
+        drone: Index of the drone.
+        given: Its action, of the shape of its space.
+
+    Returns:
+        (A,) numbers, padded with zeros where other drones have more.
+
+    Raises:
+        ValueError: The action has another shape, or is no numbers.
+    """
     numbers = numbers_of(f"parts of the action of drone_{drone} are", given)
-    expected = () if action.choices is not None else (action.size(drone),)
+    expected = (action.size(drone),) if action.choices is None else ()
     if numbers.shape != expected:
         raise ValueError(f"action of drone_{drone} has shape {numbers.shape}: {expected} is needed")
     padded = np.zeros(action.low.shape[-1])
@@ -50,13 +83,30 @@ def drone_numbers(action: Action, drone: int, given: object) -> np.ndarray:
 
 
 def joint_numbers(action: Action, given: object, num_worlds: int) -> np.ndarray:
-    """(W, N, A) from joint actions (W, ...) of all drones; raises ValueError for another shape than their space has."""
+    """Make a batch of joint actions.
+
+    Args:
+        action: What actions mean.
+        given: (W, ...) a joint action of all drones for each world, of the shape of its space.
+        num_worlds: W.
+
+    Returns:
+        (W, N, A) numbers of each drone, padded with zeros where others have more.
+
+    Raises:
+        ValueError: The actions have another shape, or are no numbers.
+    """
+    # The shape that the joint space has.
     drones, width = action.low.shape
     sizes = [action.size(drone) for drone in range(drones)]
     numbers = numbers_of("actions are", given)
-    expected = (num_worlds, *(() if action.choices is not None and drones == 1 else (sum(sizes),)))
+    is_one_choice = action.choices is not None and drones == 1
+    expected = (num_worlds,) if is_one_choice else (num_worlds, sum(sizes))
     if numbers.shape != expected:
         raise ValueError(f"actions have shape {numbers.shape}: {expected} is needed")
+    # Numbers fill the places that the drones have, in order; the rest stays zero.
     batch = np.zeros((num_worlds, drones, width))
-    batch[:, np.arange(width) < np.array(sizes)[:, None]] = numbers.reshape(num_worlds, -1)
+    size_of_drone = np.array(sizes)[:, None]
+    used = np.arange(width) < size_of_drone
+    batch[:, used] = numbers.reshape(num_worlds, -1)
     return batch

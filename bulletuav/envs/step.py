@@ -1,4 +1,4 @@
-"""What a decision gives."""
+"""Outcome of one decision."""
 
 from typing import NamedTuple
 
@@ -8,9 +8,15 @@ from bulletuav.tasks.observations.observer import Observation
 
 
 class Step(NamedTuple):
-    """Outcome of a decision: observations (W, N, D) float32; rewards, terminated, truncated (W, N); info name -> (W, N).
+    """Outcome of one decision of all worlds.
 
-    With camera pictures among the observations they are a dict of such arrays.
+    Attributes:
+        observations: (W, N, D) float32; a dict of arrays (W, N, ...) with pictures among them, or
+            in the format "dict".
+        rewards: (W, N) rewards; 0 for drones that did not fly.
+        terminated: (W, N) bool, drones whose episode the task ended.
+        truncated: (W, N) bool, drones whose episode the horizon ended.
+        info: (W, N) arrays by name.
     """
 
     observations: Observation

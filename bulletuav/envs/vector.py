@@ -1,4 +1,4 @@
-"""The batched face: W worlds of N drones that reset themselves."""
+"""Batches of worlds that reset themselves: arrays in, arrays out."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -9,39 +9,69 @@ from gymnasium.vector import AutoresetMode
 
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.env_spec import MOST_WORLDS
-from bulletuav.envs.environment import Environment, exclusive
+from bulletuav.envs.environment import LabelledEnvironment, exclusive
 from bulletuav.envs.spaces import widest_action_space
 from bulletuav.errors import as_int, choose, shown
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.observations.observer import Observation
 
+BatchResults = tuple[Observation, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]
+"""Observations, rewards, terminated, truncated and infos of a step"""
+
 
 def autoreset(mode: Any) -> AutoresetMode:
-    """An `AutoresetMode`, by itself, its name or its value. Raises ValueError, with the choices, for anything else."""
+    """Find an `AutoresetMode`.
+
+    Args:
+        mode: The mode itself, its name or its value.
+
+    Raises:
+        ValueError: There is none; the choices are told.
+    """
     if isinstance(mode, AutoresetMode):
         return mode
-    names = {name: one for one in AutoresetMode for name in (one.name, one.value)}
-    return choose("autoreset_mode", mode, names)
+    modes = {}
+    for one in AutoresetMode:
+        modes[one.name] = one
+        modes[one.value] = one
+    return choose("autoreset_mode", mode, modes)
 
 
 def reset_mask(options: Any) -> Any:
-    """What a reset's options tell of worlds. Raises ValueError unless they are a dict, None for none."""
+    """Return what a reset's options say of the worlds to reset, None for nothing.
+
+    Raises:
+        ValueError: Options are neither a dict nor None.
+    """
     if options is not None and not isinstance(options, Mapping):
         raise ValueError(
-            f"options is {shown(options)}: a dict such as {{'reset_mask': mask}}, or None, is needed"
+            f"options is {shown(options)}: a dict such as {{'reset_mask': mask}}, or None, is "
+            f"needed"
         )
     return (options or {}).get("reset_mask")
 
 
-class BatchAviary(Environment):
-    """W worlds of N drones: arrays in, arrays out. A world's episode is over when all its drones are done.
+class BatchAviary(LabelledEnvironment):
+    """W worlds of N drones: arrays in, arrays out.
 
-    What then happens follows Gymnasium's `AutoresetMode`: NEXT_STEP, the step after the last ignores the world's actions and
-    returns the first observations of a new episode with zero rewards; SAME_STEP, the last step itself returns them, and
-    info["final_obs"] (W, N, D), "final_state" and "final_info" hold the end, under the masks "_final_obs" and "_final_info"
-    (W,); DISABLED, the caller resets by `reset(options={"reset_mask": mask})`.
+    A world's episode is over when all its drones are done. What happens then follows Gymnasium's
+    `AutoresetMode`:
 
-    observation_space, action_space are those of one drone; in a mixed swarm those with fewer rotors ignore the last numbers.
+    - NEXT_STEP: the step after the last one ignores the world's actions. It returns the first
+      observations of a new episode, with zero rewards.
+    - SAME_STEP: the last step itself returns the first observations of a new episode.
+      info["final_obs"] (W, N, D), info["final_state"] and info["final_info"] hold the end. The
+      masks (W,) "_final_obs" and "_final_info" tell for which worlds.
+    - DISABLED: the caller resets by `reset(options={"reset_mask": mask})`.
+
+    Attributes:
+        aviary: The batched core.
+        num_envs: W.
+        num_drones: N.
+        autoreset_mode: What happens when an episode is over.
+        observation_space: That of one drone.
+        action_space: That of one drone. In a mixed swarm drones with fewer rotors ignore the last
+            numbers.
     """
 
     def __init__(
@@ -52,53 +82,89 @@ class BatchAviary(Environment):
         *,
         first_world: int = 0,
         **options: Any,
-    ):
+    ) -> None:
+        """Make the environment.
+
+        Args:
+            task: One of `list_tasks()`, `module:Name`, or a class of one's own.
+            num_envs: W.
+            autoreset_mode: What happens when an episode is over.
+            first_world: Number of the first world among those of several processes.
+            **options: See `parallel_env`.
+
+        Raises:
+            ValueError: An option cannot be.
+        """
         self.autoreset_mode = autoreset(autoreset_mode)
         as_int("num_envs", num_envs, 1, MOST_WORLDS)
         self.aviary = Aviary(task, num_envs, first_world=first_world, **options)
-        self.num_envs, self.num_drones = self.aviary.num_worlds, self.aviary.num_drones
-        self.observation_space: Box | Dict = self.aviary.observer.space()
-        self.action_space: Space = widest_action_space(self.aviary.action)
+        self._observer = self.aviary.observer
+        self.num_envs = self.aviary.num_worlds
+        self.num_drones = self.aviary.num_drones
+        self.observation_space: Box | Dict = self._observer.space()
+        self.action_space: Space[Any] = widest_action_space(self.aviary.action)
         self._ended = np.zeros(self.num_envs, dtype=bool)
 
     @property
     def alive(self) -> np.ndarray:
-        """(W, N) bool: drones whose episode goes on."""
+        """Drones whose episode goes on, (W, N) bool."""
         return self.aviary.alive.copy()
 
     @property
     def ended(self) -> np.ndarray:
-        """(W,) worlds whose episode ended in the last step."""
+        """Worlds whose episode ended in the last step, (W,) bool."""
         return self._ended.copy()
 
     @exclusive
     def reset(
-        self, *, seed: Any = None, options: dict[str, Any] | None = None
+        self,
+        *,
+        seed: Any = None,
+        options: dict[str, Any] | None = None,
     ) -> tuple[Observation, dict[str, Any]]:
-        """Start new episodes in all worlds, or in those of options["reset_mask"] (W,).
+        """Start new episodes.
 
-        `seed`: an int s gives world k the seed s + k; a sequence gives one to each; None goes on with each world's own.
+        Args:
+            seed: An int s gives world k the seed s + k; a sequence gives one to each. None goes on
+                with each world's own random numbers.
+            options: {"reset_mask": (W,) bool} for some of the worlds only; all when left out.
+
+        Returns:
+            Observations of all worlds, (W, N, D) or a dict, and infos (W, N) by name.
+
+        Raises:
+            ValueError: Seed or mask cannot be, or the task's start.
         """
         mask = reset_mask(options)
         observations = self.aviary.reset(mask, seed)
-        self._ended = self._ended & (False if mask is None else ~np.asarray(mask))
+        kept = False if mask is None else ~np.asarray(mask)
+        self._ended = self._ended & kept
         return observations, dict(self.aviary.first_info())
 
     @exclusive
-    def step(
-        self, actions: np.ndarray
-    ) -> tuple[Observation, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """One decision of all worlds with actions (W, N, A), or (W, N) choices of a discrete action.
+    def step(self, actions: np.ndarray) -> BatchResults:
+        """Fly one decision of all worlds.
 
-        Returns observations, rewards (W, N), terminated (W, N), truncated (W, N) and infos (W, N) by name.
+        Args:
+            actions: (W, N, A), or (W, N) choices of a discrete action.
+
+        Returns:
+            Observations (W, N, D) or a dict, rewards (W, N), terminated (W, N), truncated (W, N)
+            and infos (W, N) by name.
+
+        Raises:
+            ValueError: Actions cannot be; nobody has flown then.
+            RuntimeError: Before the first reset, or after `close`.
         """
         actions = np.asarray(actions)
         if self.aviary.action.choices is not None:
             actions = actions[..., None]
+        # Worlds that this step resets instead of flying them, and those that it flies.
         fresh = self._ended & (self.autoreset_mode == AutoresetMode.NEXT_STEP)
         flying = self.aviary.alive.any(axis=1)
         observations, rewards, terminated, truncated, info = self.aviary.step(actions)
         infos: dict[str, Any] = dict(info)
+        # What follows depends on the worlds in which nobody flies any more.
         self._ended = flying & ~np.any(self.aviary.alive, axis=1)
         if fresh.any():
             observations = self.aviary.reset(fresh)
@@ -108,23 +174,42 @@ class BatchAviary(Environment):
                 "final_obs": observations,
                 "final_state": self.aviary.state(),
                 "final_info": info,
+                "_final_obs": self.ended,
+                "_final_info": self.ended,
             }
-            infos |= {"_final_obs": self.ended, "_final_info": self.ended}
             observations = self.aviary.reset(self._ended)
             infos |= self._with_fresh(info, self._ended)
         return observations, rewards, terminated, truncated, infos
 
-    def _with_fresh(self, info: dict[str, np.ndarray], worlds: np.ndarray) -> dict[str, np.ndarray]:
-        """Infos in which those of `worlds` (W,) are of their new episodes."""
+    def _with_fresh(
+        self,
+        info: dict[str, np.ndarray],
+        worlds: np.ndarray,
+    ) -> dict[str, np.ndarray]:
+        """Return infos in which those of `worlds` (W,) are of their new episodes."""
         first = self.aviary.first_info()
         return {name: np.where(worlds[:, None], first[name], info[name]) for name in first}
 
     def state(self) -> np.ndarray:
-        """(W, 17 N) float32 global state; see `Aviary.state`."""
+        """Return the global state.
+
+        Returns:
+            (W, 17 N) float32; see `Aviary.state`.
+        """
         return self.aviary.state()
 
     def render(self, world: int = 0) -> np.ndarray | None:
-        """A picture (height, width, 3) uint8 of one world with render_mode "rgb_array"."""
+        """Take a picture of one world.
+
+        Args:
+            world: Its index.
+
+        Returns:
+            (height, width, 3) uint8 with render_mode "rgb_array", else None.
+
+        Raises:
+            ValueError: There is no such world.
+        """
         return self.aviary.render(world)
 
     @exclusive

@@ -1,4 +1,4 @@
-"""A process that flies some of the worlds for another one, through arrays that they share."""
+"""Worker processes: each flies some of the worlds for another process, through shared arrays."""
 
 import ctypes
 import math
@@ -10,87 +10,132 @@ from multiprocessing.connection import Connection, wait
 from typing import Any
 
 import numpy as np
+from gymnasium.vector import AutoresetMode
 
 from bulletuav.envs.vector import BatchAviary
+from bulletuav.tasks import TaskSource
+
+Layout = dict[str, tuple[tuple[int, ...], Any]]
+"""Shape and NumPy type of each shared array, by name; the first axis is that of worlds"""
 
 
-class Shared:
+class SharedArrays:
     """Arrays in memory that processes share, by name."""
 
-    def __init__(self, context: Any, layout: dict[str, tuple[tuple[int, ...], Any]]):
-        """layout: shape and type of each."""
-        self._layout = layout
-        self._memory = {
-            name: context.RawArray(
-                ctypes.c_byte, max(1, math.prod(shape) * np.dtype(kind).itemsize)
-            )
-            for name, (shape, kind) in layout.items()
-        }
+    def __init__(self, context: Any, layout: Layout) -> None:
+        """Take the memory.
 
-    def arrays(self, first: int, last: int) -> dict[str, np.ndarray]:
-        """Views on the worlds from `first` up to `last`."""
-        return {
-            name: np.frombuffer(self._memory[name], dtype=kind, count=math.prod(shape)).reshape(
-                shape
-            )[first:last]
-            for name, (shape, kind) in self._layout.items()
-        }
+        Args:
+            context: What `multiprocessing.get_context` gave.
+            layout: Shape and type of each array.
+        """
+        self._layout = layout
+        self._memory: dict[str, Any] = {}
+        for name, (shape, dtype) in layout.items():
+            size = math.prod(shape) * np.dtype(dtype).itemsize
+            self._memory[name] = context.RawArray(ctypes.c_byte, max(1, size))
+
+    def views(self, first: int, last: int) -> dict[str, np.ndarray]:
+        """Make views of the arrays.
+
+        Args:
+            first: First world that they show.
+            last: World after the last one that they show.
+
+        Returns:
+            The views by name; the arrays need not be kept for them.
+        """
+        arrays: dict[str, np.ndarray] = {}
+        for name, (shape, dtype) in self._layout.items():
+            count = math.prod(shape)
+            flat = np.frombuffer(self._memory[name], dtype=dtype, count=count)
+            arrays[name] = flat.reshape(shape)[first:last]
+        return arrays
 
 
 def work(
     pipe: Connection,
-    shared: Shared,
+    shared: SharedArrays,
     first: int,
     last: int,
-    arguments: tuple,
+    task: TaskSource,
+    autoreset_mode: AutoresetMode,
     options: dict[str, Any],
 ) -> None:
-    """A worker: the worlds from `first` up to `last`, asked by (method, keyword arguments) until None comes."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # an interrupt is for the process that asks
-    arrays = shared.arrays(first, last)
+    """Fly some of the worlds until told to end; the main function of a worker process.
+
+    Questions are (method of `BatchAviary`, keyword arguments), or None to end. Answers are what
+    the method gave, or an error. Actions, and results of steps, go through the shared arrays.
+
+    Args:
+        pipe: Brings questions, takes answers; the first answer tells that the worlds are made.
+        shared: Arrays of all worlds.
+        first: First world of this process.
+        last: World after the last one of this process.
+        task: As of `BatchAviary`.
+        autoreset_mode: As of `BatchAviary`.
+        options: As of `BatchAviary`.
+    """
+    # An interrupt is for the process that asks.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    arrays = shared.views(first, last)
     try:
-        batch = BatchAviary(
-            arguments[0], last - first, *arguments[1:], first_world=first, **options
-        )
+        batch = BatchAviary(task, last - first, autoreset_mode, first_world=first, **options)
     except Exception as error:
         pipe.send(portable(error))
         return
     pipe.send(None)
+    # Answer one question after the other.
     while (question := _next(pipe)) is not None:
         method, keywords = question
         try:
-            if method == "step":
-                keywords = {
-                    "actions": arrays["action"][..., 0] if keywords["choices"] else arrays["action"]
-                }
-            answer = getattr(batch, method)(**keywords)
-            if method in ("step", "reset"):
-                observations, *judged, answer = answer
-                arrays["alive"][:], arrays["ended"][:] = batch.alive, batch.ended
-                for name, array in named(observations).items():
-                    arrays[name][:] = array
-                for name, array in zip(("reward", "terminated", "truncated"), judged, strict=False):
-                    arrays[name][:] = array
+            answer = _answer(batch, arrays, method, keywords)
         except Exception as error:
             answer = portable(error)
         pipe.send(answer)
     batch.close()
     for stream in filter(None, (sys.stdout, sys.stderr)):
         stream.flush()
-    os._exit(0)  # taking down an interpreter with its compiled kernels takes more than a second
+    # Taking down an interpreter with its compiled kernels would take more than a second.
+    os._exit(0)
+
+
+def _answer(
+    batch: BatchAviary,
+    arrays: dict[str, np.ndarray],
+    method: str,
+    keywords: dict[str, Any],
+) -> Any:
+    """Call a method; results of `reset` and `step` but the infos go into the arrays."""
+    if method == "step":
+        actions = arrays["action"]
+        keywords = {"actions": actions[..., 0] if keywords["choices"] else actions}
+    answer = getattr(batch, method)(**keywords)
+    if method not in ("step", "reset"):
+        return answer
+    # A reset has no results between observations and infos.
+    observations, *results, infos = answer
+    arrays["alive"][:] = batch.alive
+    arrays["ended"][:] = batch.ended
+    for name, array in by_shared_name(observations).items():
+        arrays[name][:] = array
+    for name, array in zip(("reward", "terminated", "truncated"), results, strict=False):
+        arrays[name][:] = array
+    return infos
 
 
 def portable(error: Exception) -> Exception:
-    """The error, or one that says the same and surely survives the way to another process."""
-    return (
-        error
-        if type(error) in (ValueError, RuntimeError, ImportError)
-        else RuntimeError(f"{type(error).__name__}: {error}")
-    )
+    """Return the error, or one that says the same and can be sent to another process."""
+    if type(error) in (ValueError, RuntimeError, ImportError):
+        return error
+    return RuntimeError(f"{type(error).__name__}: {error}")
 
 
 def _next(pipe: Connection) -> Any:
-    """The next question; None when the asking process has ended (whose end of the pipe a fork may have left open)."""
+    """Wait for the next question; None when the asking process has ended.
+
+    Its end of the pipe may still be open then, in a fork.
+    """
     parent = multiprocessing.parent_process()
     assert parent is not None
     if pipe not in wait([pipe, parent.sentinel]):
@@ -101,7 +146,7 @@ def _next(pipe: Connection) -> Any:
         return None
 
 
-def named(observations: Any) -> dict[str, Any]:
-    """Observations, or their spaces, by the names of their shared arrays."""
+def by_shared_name(observations: Any) -> dict[str, Any]:
+    """Return the parts of observations, or of their spaces, by names of shared arrays."""
     parts = observations if isinstance(observations, dict) else {"": observations}
-    return {f"observation/{name}": array for name, array in parts.items()}
+    return {f"observation/{name}": one for name, one in parts.items()}

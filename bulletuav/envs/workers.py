@@ -1,4 +1,4 @@
-"""The batched face over several processes: each flies some of the worlds, arrays are shared."""
+"""Batches of worlds over several processes: each flies some of them, arrays are shared."""
 
 import contextlib
 import itertools
@@ -7,46 +7,64 @@ import os
 import pickle
 import time
 import weakref
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from multiprocessing.connection import Connection
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from gymnasium.spaces import Box, Dict, Space
 from gymnasium.vector import AutoresetMode
 
 from bulletuav.envs.env_spec import MOST_WORLDS, EnvSpec
-from bulletuav.envs.environment import Environment, exclusive
+from bulletuav.envs.environment import LabelledEnvironment, exclusive
 from bulletuav.envs.spaces import widest_action_space
-from bulletuav.envs.vector import BatchAviary, autoreset, reset_mask
-from bulletuav.envs.worker import Shared, named, work
+from bulletuav.envs.vector import BatchAviary, BatchResults, autoreset, reset_mask
+from bulletuav.envs.worker import Layout, SharedArrays, by_shared_name, work
 from bulletuav.errors import as_int, choose, finite
 from bulletuav.tasks import TaskSource
-from bulletuav.tasks.observations.observer import Observation
+from bulletuav.tasks.observations.observer import VECTOR, Observation
 
-PATIENCE = 5.0  # s, for all workers to end
+PATIENCE = 5.0
+"""Time that all workers have to end, s"""
 MOST_WORKERS = 256
-TIMEOUT = 600.0  # s, for an answer: longer than any decision, and than compiling for a first one
+TIMEOUT = 600.0
+"""Time that an answer may take, s: longer than any decision, and than compiling for a first one"""
 
 
-def _finish(owner: int, pipes: list[Connection], processes: list) -> None:
-    if os.getpid() != owner:  # a copy of the owner, made by a fork
+def _end_processes(
+    owner: int,
+    pipes: list[Connection],
+    processes: list[Any],
+) -> None:
+    """Ask the processes to end, and kill those that do not."""
+    # A copy of the owner, made by a fork, has no say.
+    if os.getpid() != owner:
         return
     for pipe in pipes:
-        with contextlib.suppress(OSError):  # it may have ended already
+        # The process may have ended already.
+        with contextlib.suppress(OSError):
             pipe.send(None)
     end = time.monotonic() + PATIENCE
     for process in processes:
         process.join(max(0.0, end - time.monotonic()))
-        process.kill()  # also one that is stopped
+        # Ends one that is stopped, too.
+        process.kill()
 
 
-class WorkerAviary(Environment):
-    """What `BatchAviary` is, flown by `workers` processes: same arrays in, the same bits out, whatever their number.
+class WorkerAviary(LabelledEnvironment):
+    """A `BatchAviary` flown by several processes: same arrays in, same bits out.
 
-    Without a main guard (`if __name__ == "__main__"`) scripts need the start method "fork". Functions among the options
-    (wind) see the worlds of one process at a time. In SAME_STEP the rows of worlds outside the masks of final entries are
-    undefined.
+    Their number changes nothing in the results. Without a main guard
+    (`if __name__ == "__main__"`) scripts need the start method "fork". Functions among the options
+    (wind) see the worlds of one process at a time. In SAME_STEP the rows of worlds outside the
+    masks of final entries are undefined.
+
+    Attributes:
+        num_envs: W.
+        num_drones: N.
+        autoreset_mode: What happens when an episode is over.
+        observation_space: That of one drone.
+        action_space: That of one drone; see `BatchAviary`.
     """
 
     def __init__(
@@ -59,60 +77,72 @@ class WorkerAviary(Environment):
         start_method: str | None = None,
         timeout: float = TIMEOUT,
         **options: Any,
-    ):
+    ) -> None:
         """Start the processes.
 
         Args:
             task: As of `BatchAviary`, like `num_envs`, `autoreset_mode` and the options.
-            num_envs: Worlds.
+            num_envs: W.
             autoreset_mode: What happens when an episode is over.
-            workers: Processes.
-            start_method: Of the processes, by default Python's own.
+            workers: How many processes there are.
+            start_method: As in `multiprocessing`, by default Python's own.
             timeout: Seconds after which a process without an answer counts as lost.
-            options: Of the environment.
+            **options: Options of the environment.
 
         Raises:
             ValueError: Options cannot be.
             RuntimeError: A process ends, or does not answer in time.
         """
         self.autoreset_mode = autoreset(autoreset_mode)
-        self._plan = plan = EnvSpec(task, as_int("num_envs", num_envs, 1, MOST_WORLDS), options)
-        self.num_envs, self.num_drones = plan.num_worlds, plan.options.num_drones
+        as_int("num_envs", num_envs, 1, MOST_WORLDS)
+        self._spec = EnvSpec(task, num_envs, options)
+        self._observer = self._spec.observer
+        self.num_envs = self._spec.num_worlds
+        self.num_drones = self._spec.options.num_drones
         _check_processes(workers, start_method, timeout)
         if workers > self.num_envs:
             raise ValueError(
-                f"workers is {workers}: at most one for each of the {self.num_envs} worlds is needed"
+                f"workers is {workers}: at most one for each of the {self.num_envs} worlds is "
+                f"needed"
             )
-        if plan.options.render_mode == "human":
+        if self._spec.options.render_mode == "human":
             raise ValueError("render_mode is 'human': a live view needs workers=1")
         self._timeout = float(timeout)
-        self.observation_space: Box | Dict = plan.observer.space()
-        self.action_space: Space = widest_action_space(plan.action)
-        context: Any = multiprocessing.get_context(start_method)
-        shared = Shared(context, self._layout())
-        self._arrays = shared.arrays(0, self.num_envs)
+        self.observation_space: Box | Dict = self._observer.space()
+        self.action_space: Space[Any] = widest_action_space(self._spec.action)
+        # The worlds of each process.
         bounds = [self.num_envs * k // workers for k in range(workers + 1)]
         self._parts = [slice(*pair) for pair in itertools.pairwise(bounds)]
+        # Processes, and what ends them when this object goes.
         self._pipes: list[Connection] = []
         self._processes: list[Any] = []
-        self._finalizer = weakref.finalize(self, _finish, os.getpid(), self._pipes, self._processes)
+        self._finalizer = weakref.finalize(
+            self, _end_processes, os.getpid(), self._pipes, self._processes
+        )
         self._started = False
         with self._closed_by_errors():
-            for part in self._parts:
-                self._start(
-                    context, (shared, part.start, part.stop, (task, self.autoreset_mode), options)
-                )
-            _raised(self._answers(list(range(workers))))
+            self._start_workers(start_method, (task, self.autoreset_mode, options))
+            _raise_first(self._answers(range(workers)))
 
-    def _start(self, context: Any, arguments: tuple) -> None:
+    def _start_workers(self, start_method: str | None, recipe: tuple[Any, ...]) -> None:
+        """Take the memory that all processes share, and start them."""
+        context: Any = multiprocessing.get_context(start_method)
+        shared = SharedArrays(context, self._layout())
+        self._arrays = shared.views(0, self.num_envs)
+        for part in self._parts:
+            self._start_worker(context, (shared, part.start, part.stop, *recipe))
+
+    def _start_worker(self, context: Any, arguments: tuple[Any, ...]) -> None:
+        """Start a process with a pipe to it."""
         mine, theirs = context.Pipe()
         process = context.Process(target=work, args=(theirs, *arguments), daemon=True)
         try:
             process.start()
         except (AssertionError, AttributeError, TypeError, pickle.PicklingError) as error:
             raise ValueError(
-                f"a worker process cannot start: {error}; processes that are workers themselves have none, and with start "
-                f"methods other than 'fork' options must be what pickle can take (no lambda)"
+                f"a worker process cannot start: {error}; processes that are workers themselves "
+                f"have none, and with start methods other than 'fork' options must be what pickle "
+                f"can take (no lambda)"
             ) from None
         theirs.close()
         self._pipes.append(mine)
@@ -120,20 +150,28 @@ class WorkerAviary(Environment):
 
     @contextlib.contextmanager
     def _closed_by_errors(self) -> Iterator[None]:
-        """End the processes on anything that would leave answers unread, an interrupt too: none may be taken for another."""
+        """End the processes on any error, and on an interrupt.
+
+        Answers would be left unread otherwise, and taken for those to later questions.
+        """
         try:
             yield
         except BaseException:
             self.close()
             raise
 
-    def _layout(self) -> dict[str, tuple[tuple[int, ...], Any]]:
+    def _layout(self) -> Layout:
+        """Tell shape and type of the arrays that go between the processes."""
         drones = (self.num_envs, self.num_drones)
         space = self.observation_space
-        parts = named(space.spaces if isinstance(space, Dict) else space)
+        parts = by_shared_name(space.spaces if isinstance(space, Dict) else space)
+        observed: Layout = {}
+        for name, one in parts.items():
+            observed[name] = ((*drones, *(one.shape or ())), one.dtype)
+        numbers = self._spec.action.low.shape[-1]
         return {
-            "action": ((*drones, self._plan.action.low.shape[-1]), np.float64),
-            **{name: ((*drones, *(one.shape or ())), one.dtype) for name, one in parts.items()},
+            "action": ((*drones, numbers), np.float64),
+            **observed,
             "reward": (drones, np.float64),
             "terminated": (drones, bool),
             "truncated": (drones, bool),
@@ -142,110 +180,125 @@ class WorkerAviary(Environment):
         }
 
     def _ask(self, method: str, keywords: dict[int, dict[str, Any]]) -> list[Any]:
-        """What the workers of `keywords` answer."""
+        """Call a method in some of the workers.
+
+        Args:
+            method: Its name.
+            keywords: Its arguments for each worker that is asked.
+
+        Returns:
+            What each of them answered.
+        """
         if not self._finalizer.alive:
             raise RuntimeError("this environment is closed: make a new one")
         with self._closed_by_errors():
-            for k, mine in keywords.items():
-                with contextlib.suppress(OSError):  # from a dead worker no answer comes either
-                    self._pipes[k].send((method, mine))
+            for k, arguments in keywords.items():
+                # A dead worker takes no question; that it gives no answer either tells why.
+                with contextlib.suppress(OSError):
+                    self._pipes[k].send((method, arguments))
             answers = self._answers(list(keywords))
-        return _raised(answers)
+        return _raise_first(answers)
 
-    def _all(self, **keywords: Any) -> dict[int, dict[str, Any]]:
+    def _for_all(self, **keywords: Any) -> dict[int, dict[str, Any]]:
+        """Give all workers the same arguments."""
         return dict.fromkeys(range(len(self._parts)), keywords)
 
-    def _answers(self, workers: list[int]) -> list[Any]:
-        """One of each worker, its error among them."""
-        end, answers = time.monotonic() + self._timeout, []
+    def _answers(self, workers: Sequence[int]) -> list[Any]:
+        """Wait for an answer of each worker; errors are among them."""
+        end = time.monotonic() + self._timeout
+        answers: list[Any] = []
         try:
             for k in workers:
-                if not self._pipes[k].poll(max(0.0, end - time.monotonic())):
-                    self._processes[k].kill()  # which is not asked to end, as it would not hear it
+                left = max(0.0, end - time.monotonic())
+                if not self._pipes[k].poll(left):
+                    # It would not hear a request to end.
+                    self._processes[k].kill()
                     raise RuntimeError(
-                        f"worker process {k} has not answered for {self._timeout:g} s: it is stopped or stuck, or "
-                        f"a decision takes longer (raise timeout); make a new environment"
+                        f"worker process {k} has not answered for {self._timeout:g} s: it is "
+                        f"stopped or stuck, or a decision takes longer (raise timeout); make a "
+                        f"new environment"
                     )
                 answers.append(self._pipes[k].recv())
         except (EOFError, OSError):
             self.close()
             raise RuntimeError(
-                'a worker process has died: memory may have run out, or the script lacks `if __name__ == "__main__":` '
-                "around what makes the environment; make a new one"
+                "a worker process has died: memory may have run out, or the script lacks "
+                '`if __name__ == "__main__":` around what makes the environment; make a new one'
             ) from None
         return answers
 
     def _observations(self) -> Observation:
-        if isinstance(self.observation_space, Dict):
-            return {
-                name: self._arrays[f"observation/{name}"].copy()
-                for name in self.observation_space.spaces
-            }
-        return self._arrays["observation/"].copy()
+        """Copy the observations out of the shared arrays."""
+        if not isinstance(self.observation_space, Dict):
+            return self._arrays["observation/"].copy()
+        # The space sorts its entries; observations have them in the order of the blocks.
+        order = (VECTOR, *self._observer.slices, *self._observer.images)
+        names = [name for name in order if name in self.observation_space.spaces]
+        return {name: self._arrays[f"observation/{name}"].copy() for name in names}
 
     @property
     def alive(self) -> np.ndarray:
-        """(W, N) bool: drones whose episode goes on."""
+        """Drones whose episode goes on, (W, N) bool."""
         return self._arrays["alive"].copy()
 
     @property
     def ended(self) -> np.ndarray:
-        """(W,) worlds whose episode ended in the last step."""
+        """Worlds whose episode ended in the last step, (W,) bool."""
         return self._arrays["ended"].copy()
 
     @exclusive
     def reset(
-        self, *, seed: Any = None, options: dict[str, Any] | None = None
+        self,
+        *,
+        seed: Any = None,
+        options: dict[str, Any] | None = None,
     ) -> tuple[Observation, dict[str, Any]]:
-        """As `BatchAviary.reset`."""
-        mask = self._plan.mask(reset_mask(options))
-        seeds = self._plan.seeds(seed)
-        infos = self._ask(
-            "reset",
-            {
-                k: {
-                    "seed": None if seeds is None else seeds[part],
-                    "options": {"reset_mask": mask[part]},
-                }
-                for k, part in enumerate(self._parts)
-            },
-        )
+        """Start new episodes; see `BatchAviary.reset`."""
+        mask = self._spec.mask(reset_mask(options))
+        seeds = self._spec.seeds(seed)
+        keywords: dict[int, dict[str, Any]] = {}
+        for k, part in enumerate(self._parts):
+            own_seeds = None if seeds is None else seeds[part]
+            keywords[k] = {"seed": own_seeds, "options": {"reset_mask": mask[part]}}
+        infos = self._ask("reset", keywords)
         self._started = True
         return self._observations(), _merged(self._parts, infos, self.num_envs)
 
     @exclusive
-    def step(
-        self, actions: np.ndarray
-    ) -> tuple[Observation, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """As `BatchAviary.step`."""
+    def step(self, actions: np.ndarray) -> BatchResults:
+        """Fly one decision of all worlds; see `BatchAviary.step`."""
         if not self._started:
             raise RuntimeError("the worlds have not been started: call reset() first")
-        choices = self._plan.action.choices is not None
-        actions = np.asarray(actions)[..., None] if choices else np.asarray(actions)
-        self._arrays["action"][:] = self._plan.actions(actions, self._arrays["alive"])
-        infos = self._ask("step", self._all(choices=choices))
-        reward, terminated, truncated = (
-            self._arrays[name].copy() for name in ("reward", "terminated", "truncated")
-        )
+        choices = self._spec.action.choices is not None
+        actions = np.asarray(actions)
+        if choices:
+            actions = actions[..., None]
+        # Workers read their actions from the shared array.
+        checked = self._spec.actions(actions, self._arrays["alive"])
+        self._arrays["action"][:] = checked
+        infos = self._ask("step", self._for_all(choices=choices))
         return (
             self._observations(),
-            reward,
-            terminated,
-            truncated,
+            self._arrays["reward"].copy(),
+            self._arrays["terminated"].copy(),
+            self._arrays["truncated"].copy(),
             _merged(self._parts, infos, self.num_envs),
         )
 
     @exclusive
     def state(self) -> np.ndarray:
-        """(W, 17 N) float32 global state; see `Aviary.state`."""
-        return np.concatenate(self._ask("state", self._all()))
+        """Return the global state; see `BatchAviary.state`."""
+        return np.concatenate(self._ask("state", self._for_all()))
 
     @exclusive
     def render(self, world: int = 0) -> np.ndarray | None:
-        """A picture (height, width, 3) uint8 of one world with render_mode "rgb_array"."""
-        self._plan.require_world(world)
+        """Take a picture of one world; see `BatchAviary.render`."""
+        self._spec.require_world(world)
+        # Ask the process that has the world, by its number there.
         k = next(k for k, part in enumerate(self._parts) if world < part.stop)
-        return self._ask("render", {k: {"world": world - self._parts[k].start}})[0]
+        keywords = {"world": world - self._parts[k].start}
+        (picture,) = self._ask("render", {k: keywords})
+        return cast(np.ndarray | None, picture)
 
     @exclusive
     def close(self) -> None:
@@ -253,28 +306,43 @@ class WorkerAviary(Environment):
         self._finalizer()
 
 
-def _raised(answers: list[Any]) -> list[Any]:
-    """The answers; the first error among them is raised."""
+def _raise_first(answers: list[Any]) -> list[Any]:
+    """Raise the first error among the answers, or return them."""
     for answer in answers:
         if isinstance(answer, Exception):
             raise answer
     return answers
 
 
-def _merged(parts: list[slice], infos: list[dict[str, Any]], num_envs: int) -> dict[str, Any]:
-    """One dict of the infos of `parts`; worlds of parts that lack an entry (final ones) get zeros."""
+def _merged(
+    parts: list[slice],
+    infos: list[dict[str, Any]],
+    num_envs: int,
+) -> dict[str, Any]:
+    """Merge infos of several processes.
+
+    Args:
+        parts: Worlds of each process.
+        infos: Infos of each process.
+        num_envs: How many worlds there are in all.
+
+    Returns:
+        Infos of all worlds. Where a process lacks an entry (final ones) its worlds have zeros.
+    """
     merged: dict[str, Any] = {}
     for name in dict.fromkeys(name for info in infos for name in info):
+        # Those that have the entry, and what it is in them.
         given = [
             (part, info[name]) for part, info in zip(parts, infos, strict=True) if name in info
         ]
         first = given[0][1]
         if isinstance(first, dict):
-            merged[name] = _merged(
-                [part for part, _ in given], [value for _, value in given], num_envs
-            )
+            own_parts = [part for part, _ in given]
+            own_infos = [value for _, value in given]
+            merged[name] = _merged(own_parts, own_infos, num_envs)
             continue
-        merged[name] = np.zeros((num_envs, *first.shape[1:]), dtype=first.dtype)
+        shape = (num_envs, *first.shape[1:])
+        merged[name] = np.zeros(shape, dtype=first.dtype)
         for part, value in given:
             merged[name][part] = value
     return merged
@@ -297,14 +365,31 @@ def batch_env(
     timeout: float = TIMEOUT,
     **options: Any,
 ) -> BatchAviary | WorkerAviary:
-    """`num_envs` worlds of the task that reset themselves; see `BatchAviary` and, for the options, `parallel_env`.
+    """Make many worlds of a task that reset themselves: arrays in, arrays out.
 
-    `workers` above 1 spreads them over processes (`start_method` as in `multiprocessing`), for as many cores: see
-    `WorkerAviary`. A process that has not answered for `timeout` seconds is given up, with a RuntimeError.
+    Args:
+        task: One of `list_tasks()`, `module:Name`, or a class of one's own.
+        num_envs: How many worlds there are.
+        workers: Processes over which they are spread, for as many cores; see `WorkerAviary`.
+        start_method: How processes start, as in `multiprocessing`.
+        timeout: Seconds after which a process without an answer is given up.
+        **options: `autoreset_mode` of `BatchAviary`, and options of `parallel_env`.
+
+    Returns:
+        A `BatchAviary`, or with several workers a `WorkerAviary`, which behaves the same.
+
+    Raises:
+        ValueError: An option cannot be; the value and the remedy are named.
+        RuntimeError: A process has ended, or not answered in time.
     """
     _check_processes(workers, start_method, timeout)
     if workers == 1:
         return BatchAviary(task, num_envs, **options)
     return WorkerAviary(
-        task, num_envs, workers=workers, start_method=start_method, timeout=timeout, **options
+        task,
+        num_envs,
+        workers=workers,
+        start_method=start_method,
+        timeout=timeout,
+        **options,
     )

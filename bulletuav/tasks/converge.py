@@ -6,35 +6,66 @@ from typing import ClassVar
 import numpy as np
 
 from bulletuav.registry import register
-from bulletuav.tasks.families.airspace import (
-    UNCERTAINTY,
-    Airspace,
+from bulletuav.tasks.families.airspace import Airspace
+from bulletuav.tasks.families.difficulties import UNCERTAINTY
+from bulletuav.tasks.families.flight_config import (
     AirspaceConfig,
-    between_neighbours,
     circle_arena,
     clearance,
+    least_distance,
 )
 from bulletuav.tasks.frame import Spawn, TaskContext
 
 
 @dataclass(frozen=True)
 class ConvergeConfig(AirspaceConfig):
-    """Options of `converge` beside those of every shared airspace, m: the circle's `radius`."""
+    """Options of `converge`, beside those of free airspace (`AirspaceConfig`).
+
+    Attributes:
+        radius: Radius of the circle, m.
+    """
 
     radius: float = 80.0
 
 
 @register("task")
 class Converge(Airspace[ConvergeConfig]):
-    """Drones on a circle, evenly spread, each to its antipode through the centre: where large swarms meet at one point.
+    """Flight of drones on a circle to their antipodes, where a large swarm meets at one point.
 
-    Observation, per drone, Box(31) with the defaults; `bulletuav tasks converge` lists each number:
-    World axes (east, north, up). Neighbours are the nearest living drones, nearest first, relative to the drone; zeros where
-    there are fewer.
+    Drones start evenly spread on a circle at an altitude of 40 m, in flight towards its centre.
+    Each one's goal is the opposite point. All ways cross in the centre.
 
-    Action, reward, end and what is uncertain: as in every shared airspace, see `Airspace`.
+    Observation, Box(31) per drone with the defaults, in world axes (east, north, up): position,
+    velocity, direction and distance of the goal, and the nearest living drones. These come nearest
+    first, relative to the drone, and are zeros where there are fewer.
 
-    Difficulty, drones / radius: easy 4, 80 m; medium 8, 80 m; hard 20, 80 m; extreme 100, 150 m.
+    Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 20 m/s.
+    Its norm is limited to max_speed. There are 10 decisions a second.
+
+    Reward per decision, as in every shared airspace (see `Airspace` for all terms):
+
+    - progress 5: metres nearer to the goal.
+    - goal 50: 1 on reaching the goal.
+    - conflict -100: other drones that come closer than d_safe = 5 m.
+    - warning -5: nearness to other drones, from 0 at 10 m to 1 at 5 m.
+    - collision -200: 1 on contact.
+    - out_of_bounds -50: 1 outside the arena.
+    - energy -0.01: square of the velocity change, (m/s)^2.
+
+    End: terminated within 2 m of the goal, on contact, with an empty battery, or outside the
+    arena. Truncated after 500 decisions.
+
+    Success: the goal is reached.
+
+    Difficulties (drones, radius of the circle); from medium on positions are noisy, hard adds
+    wind, extreme makes everything uncertain:
+
+    - easy 4, 80 m.
+    - medium 8, 80 m.
+    - hard 20, 80 m.
+    - extreme 100, 150 m.
+
+    Preset uavconflict: sizes, observation and reward constants of UAVConflictGym.
     """
 
     name = "converge"
@@ -45,23 +76,30 @@ class Converge(Airspace[ConvergeConfig]):
         "extreme": {"num_drones": 100, "radius": 150.0, **UNCERTAINTY["extreme"]},
     }
 
-    def __init__(self, config: ConvergeConfig, context: TaskContext):
-        """Raises ValueError where drones could start in conflict or in touch with the ground."""
+    def __init__(self, config: ConvergeConfig, context: TaskContext) -> None:
+        """Check that drones start apart, and lay out the arena.
+
+        Raises:
+            ValueError: Drones could start in conflict, or in touch with the ground.
+        """
         super().__init__(config, context)
         chord = 2 * config.radius * np.sin(np.pi / max(context.num_drones, 2))
-        nearest, clear = between_neighbours(config, chord), clearance(config, context)
+        nearest = least_distance(config, chord)
+        clear = clearance(config, context)
         if nearest <= clear:
             raise ValueError(
-                f"start positions may be in conflict: on a circle of radius {config.radius:g} m with jitter "
-                f"{config.jitter:g} m neighbours may be {nearest:.3g} m apart, more than {clear:.3g} m (d_safe) is needed"
+                f"start positions may be in conflict: on a circle of radius {config.radius:g} m "
+                f"with jitter {config.jitter:g} m neighbours may be {nearest:.3g} m apart, "
+                f"more than {clear:.3g} m (d_safe) is needed"
             )
         self.arena_low, self.arena_high = circle_arena(config, context, config.radius)
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
-        """On the circle, in flight towards its centre."""
-        angle = 2 * np.pi * np.arange(self.context.num_drones) / self.context.num_drones
-        place = self.config.radius * np.stack(
-            [np.cos(angle), np.sin(angle), np.zeros(len(angle))], axis=1
-        )
+        """Draw a start on the circle, in flight towards its centre."""
+        drones = self.context.num_drones
+        angle = 2 * np.pi * np.arange(drones) / drones
+        directions = np.stack([np.cos(angle), np.sin(angle), np.zeros(drones)], axis=1)
+        place = self.config.radius * directions
         height = np.array([0.0, 0.0, self.config.altitude])
-        return self.launch(self.config.scattered(place + height, rng), height - place, rng)
+        start = self.config.scattered(place + height, rng)
+        return self.launch(start, height - place, rng)

@@ -1,4 +1,4 @@
-"""Task `coverage`: drones spread so that as much of the streets as possible is in line of sight of some drone."""
+"""Task `coverage`: drones spread so that some drone sees as much of the streets as possible."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,28 +9,28 @@ import numpy as np
 from bulletuav.conflict.measures import offsets
 from bulletuav.registry import register
 from bulletuav.tasks.ends import collision, leaves_arena
-from bulletuav.tasks.families.urban import (
-    DEFAULTS,
-    URBAN_DIFFICULTIES,
-    UrbanConfig,
-    UrbanTask,
-    check_share,
-    ground_cells,
-)
+from bulletuav.tasks.families.city_layouts import UrbanConfig, ground_cells
+from bulletuav.tasks.families.difficulties import URBAN_DIFFICULTIES
+from bulletuav.tasks.families.urban import URBAN_DEFAULTS, UrbanTask, check_share
 from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
 from bulletuav.tasks.ingredients import reward
 from bulletuav.tasks.rewards.users import served
 from bulletuav.tasks.targets import TargetTask
 
-MOST_CELLS = 1e6  # of a raster
+MAX_CELLS = 1e6
+"""Most squares into which the ground of a city may be divided"""
 
 
 @dataclass(frozen=True)
 class CoverageConfig(UrbanConfig):
-    """Options of `coverage` beside those of cities, m.
+    """Options of `coverage`, beside those of cities (`UrbanConfig`).
 
-    The ground outdoors is divided into squares of side `cell`; drones are not to be nearer to each other than
-    `min_separation`; `wanted` is the share of the squares that is success.
+    Attributes:
+        d_safe: Separation below which two drones are in conflict, m.
+        cell: Side of the squares into which the ground outdoors is divided, m.
+        wanted: Share of the squares that is success when seen.
+        height: Least and greatest height of starts, m.
+        min_separation: Distance that drones are to keep from each other, m.
     """
 
     d_safe: float = 2.0
@@ -42,35 +42,48 @@ class CoverageConfig(UrbanConfig):
 
 @reward
 def close(drones_too_near: float) -> float:
-    """Other drones nearer than `min_separation`."""
+    """Count other drones nearer than `min_separation`."""
     return drones_too_near
 
 
 @register("task")
 class Coverage(UrbanTask[CoverageConfig], TargetTask[CoverageConfig]):
-    """Spread over a city, apart from each other, and see the most of its streets.
+    """Search for places, apart from each other, from which drones see the most of a city's streets.
 
-    Observation, per drone, Box(29) with the defaults; `bulletuav tasks coverage` lists each number:
-    World axes (east, north, up). Neighbours are the nearest living drones, nearest first, relative to the drone; zeros where
-    there are fewer. The last number is the share of the squares that the drone itself sees.
+    Drones start at rest at random places outdoors, 20 to 60 m high. The ground outdoors is divided
+    into squares of 10 m. A square is covered when some living drone sees its middle, 1.5 m up.
 
-    Action, per drone, by default `velocity`, Box(3) in [-1, 1]: velocity over max_speed, its norm limited to max_speed;
-    10 decisions a second.
+    Observation, Box(29) per drone with the defaults, in world axes (east, north, up): position,
+    velocity, charge of the battery, the nearest living drones, and the share of the squares that
+    the drone itself sees. Neighbours come nearest first, relative to the drone, and are zeros where
+    there are fewer.
 
-    Reward, per decision: covered 1 times the share of the ground outdoors that some drone sees (the middles of its squares,
-    1.5 m up); close -5 for each other drone nearer than min_separation = 100 m; collision -10; out_of_bounds -10 (weights by
-    name).
+    Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 15 m/s.
+    Its norm is limited to max_speed. There are 10 decisions a second.
 
-    End: terminated on contact of collision shapes, with an empty battery, and outside the city's square or above its
-    ceiling; truncated after 300 decisions. Success: 90 % of the ground outdoors is covered.
+    Reward per decision, the sum of these terms times their weights:
 
-    Difficulty, drones / city / irregularity: easy 3, urban, 0; medium 5, urban, 0.5; hard 8, dense, 0.5; extreme 16,
-    high_rise, 1, min_separation 50 m; from medium on positions are
-    noisy, hard adds wind, extreme everything, as in the shared airspace.
+    - covered 1: share of the squares that are covered.
+    - close -5: number of other drones nearer than min_separation = 100 m.
+    - collision -10: 1 on contact of collision shapes.
+    - out_of_bounds -10: 1 outside the city's square or above its ceiling.
+
+    End: terminated on contact, with an empty battery, and outside the city's square or above its
+    ceiling. Truncated after 300 decisions.
+
+    Success: 90 % of the squares are covered.
+
+    Difficulties (drones, city, irregularity); from medium on positions are noisy, hard adds wind,
+    extreme makes everything uncertain, as in the shared airspace:
+
+    - easy 3, urban, 0.
+    - medium 5, urban, 0.5.
+    - hard 8, dense, 0.5.
+    - extreme 16, high_rise, 1, with min_separation 50 m.
     """
 
     name = "coverage"
-    defaults: ClassVar = {**DEFAULTS, "horizon": 300}
+    defaults: ClassVar = {**URBAN_DEFAULTS, "horizon": 300}
     difficulties: ClassVar = {
         **URBAN_DIFFICULTIES,
         "extreme": {**URBAN_DIFFICULTIES["extreme"], "min_separation": 50.0},
@@ -85,46 +98,64 @@ class Coverage(UrbanTask[CoverageConfig], TargetTask[CoverageConfig]):
     }
     ends = (collision, leaves_arena)
 
-    def __init__(self, config: CoverageConfig, context: TaskContext):
-        """Raises ValueError where the city leaves no room to fly, or its ground has no square outdoors."""
+    def __init__(self, config: CoverageConfig, context: TaskContext) -> None:
+        """Make the cities and divide their ground into squares.
+
+        Raises:
+            ValueError: A city leaves no room to fly, or its ground has no square outdoors.
+            FileNotFoundError: The city's file is not there.
+        """
         super().__init__(config, context)
         check_share("wanted", config.wanted)
-        if not 0 < config.cell <= min(city.side for city in self.town.cities):
-            raise ValueError(
-                f"cell is {config.cell:g} m: it must be above 0 and at most the side of the city"
-            )
-        widest = max(city.side for city in self.town.cities)
-        if (widest / config.cell) ** 2 > MOST_CELLS:
-            raise ValueError(
-                f"cell is {config.cell:g} m: {(widest / config.cell) ** 2:.3g} squares on a side of {widest:g} m, at most "
-                f"{MOST_CELLS:g} are possible; make it larger, or area smaller"
-            )
+        self._check_cell()
         cells = [ground_cells(city, config.cell) for city in self.town.cities]
         if not all(map(len, cells)):
             raise ValueError(
-                f"cell is {config.cell:g} m: the middle of no such square is outdoors; make it smaller"
+                f"cell is {config.cell:g} m: "
+                f"the middle of no such square is outdoors; make it smaller"
             )
-        self.num_targets = max(map(len, cells))
         # All layouts have as many rows: short lists repeat their first cell, and it does not count.
+        counts = [len(own) for own in cells]
+        self.num_targets = max(counts)
+        padding = [
+            np.repeat(own[:1], self.num_targets - count, axis=0)
+            for own, count in zip(cells, counts, strict=True)
+        ]
         self._cells = np.array(
-            [
-                np.concatenate([c, np.repeat(c[:1], self.num_targets - len(c), axis=0)])
-                for c in cells
-            ]
+            [np.concatenate(parts) for parts in zip(cells, padding, strict=True)]
         )
-        self._counts = np.array([np.arange(self.num_targets) < len(c) for c in cells])
+        self._is_own = np.array([np.arange(self.num_targets) < count for count in counts])
+
+    def _check_cell(self) -> None:
+        """Refuse squares that are larger than a city, or too many."""
+        cell = self.config.cell
+        sides = [city.side for city in self.town.cities]
+        if not 0 < cell <= min(sides):
+            raise ValueError(
+                f"cell is {cell:g} m: it must be above 0 and at most the side of the city"
+            )
+        widest = max(sides)
+        count = (widest / cell) ** 2
+        if count > MAX_CELLS:
+            raise ValueError(
+                f"cell is {cell:g} m: {count:.3g} squares on a side of {widest:g} m, "
+                f"at most {MAX_CELLS:g} are possible; make it larger, or area smaller"
+            )
 
     def targets(self, scene: Scene) -> np.ndarray:
-        """The middles of the squares outdoors."""
-        return self._cells[scene.layout]
+        """Tell the middles of the squares outdoors, (W, num_targets, 3) m."""
+        middles: np.ndarray = self._cells[scene.layout]
+        return middles
 
     def active_targets(self, scene: Scene) -> np.ndarray:
-        """Those that do not only fill up a list."""
-        return self._counts[scene.layout]
+        """Tell which targets are squares, not padding of a list, (W, num_targets) bool."""
+        is_own: np.ndarray = self._is_own[scene.layout]
+        return is_own
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
-        """At rest, anywhere outdoors."""
-        return self.town.hovering(rng, self.town.draw(rng), self.context.num_drones)
+        """Draw a start at rest, anywhere outdoors."""
+        layout = self.town.draw(rng)
+        return self.town.hovering(rng, layout, self.context.num_drones)
 
     def quantities(self) -> Mapping[str, Any]:
         """Tell the share of the ground in sight, and how many drones are too near."""
@@ -132,11 +163,12 @@ class Coverage(UrbanTask[CoverageConfig], TargetTask[CoverageConfig]):
 
     def _drones_too_near(self, frame: Frame) -> np.ndarray:
         """Count the living drones nearer than `min_separation`, (W, N)."""
-        near = np.linalg.norm(offsets(frame.after.position), axis=-1) < self.config.min_separation
-        others = frame.alive[:, None] & ~np.eye(self.context.num_drones, dtype=bool)
-        count: np.ndarray = (near & others).sum(axis=-1).astype(float)
+        distance = np.linalg.norm(offsets(frame.after.position), axis=-1)
+        is_near = distance < self.config.min_separation
+        is_other = frame.alive[:, None] & ~np.eye(self.context.num_drones, dtype=bool)
+        count: np.ndarray = (is_near & is_other).sum(axis=-1).astype(float)
         return count
 
     def succeeded(self, frame: Frame) -> np.ndarray:
-        """Tell whether the wanted share of the ground is covered."""
+        """Tell whether the wanted share of the ground is covered, (W, N) bool."""
         return self.served(frame) >= self.config.wanted

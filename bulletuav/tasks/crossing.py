@@ -6,17 +6,21 @@ from typing import ClassVar
 import numpy as np
 
 from bulletuav.registry import register
-from bulletuav.tasks.families.airspace import UNCERTAINTY, Airspace, AirspaceConfig, clearance
+from bulletuav.tasks.families.airspace import Airspace
+from bulletuav.tasks.families.difficulties import UNCERTAINTY
+from bulletuav.tasks.families.flight_config import AirspaceConfig, clearance
 from bulletuav.tasks.frame import Spawn, TaskContext
 
 
 @dataclass(frozen=True)
 class CrossingConfig(AirspaceConfig):
-    """Options of `crossing` beside those of every shared airspace, m.
+    """Options of `crossing`, beside those of free airspace (`AirspaceConfig`).
 
-    Teams start `half_length` from the centre in formations of `lanes` columns, `lane_spacing` apart sideways, in ranks as
-    far behind each other, at `altitude` plus or minus half `altitude_spread`; start positions vary by up to `jitter` on each
-    axis. Drones start at a speed drawn from `start_speed` towards their goals.
+    Attributes:
+        half_length: Distance of the first rank of a team from the centre at the start, m.
+        altitude_spread: Range of the drones' heights about `altitude`, half of it to each side, m.
+        lanes: Columns of a team's formation.
+        lane_spacing: Distance between columns, and between ranks, m.
     """
 
     half_length: float = 100.0
@@ -27,18 +31,43 @@ class CrossingConfig(AirspaceConfig):
 
 @register("task")
 class Crossing(Airspace[CrossingConfig]):
-    """Two teams at right angles through one airspace: (0, -100) to (0, 100) and (-100, 0) to (100, 0).
+    """Flight of two teams through one airspace at right angles.
 
-    The first half of the drones flies north, the others east; each has its lane and its own goal, straight ahead.
+    The first half of the drones flies north, from (0, -100) to (0, 100) m. The others fly east,
+    from (-100, 0) to (100, 0) m. Teams start in formation, in flight, at an altitude of 40 m. Each
+    drone has its lane and its own goal, straight ahead.
 
-    Observation, per drone, Box(31) with the defaults; `bulletuav tasks crossing` lists each number:
-    World axes (east, north, up). Neighbours are the nearest living drones, nearest first, relative to the drone; zeros where
-    there are fewer.
+    Observation, Box(31) per drone with the defaults, in world axes (east, north, up): position,
+    velocity, direction and distance of the goal, and the nearest living drones. These come nearest
+    first, relative to the drone, and are zeros where there are fewer.
 
-    Action, reward, end and what is uncertain: as in every shared airspace, see `Airspace`.
+    Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 20 m/s.
+    Its norm is limited to max_speed. There are 10 decisions a second.
 
-    Difficulty, drones / lane spacing / altitude spread: easy 4, 20 m, 10 m; medium 8, 15 m, 6 m; hard 20, 12 m, 4 m;
-    extreme 100, 12 m, 4 m.
+    Reward per decision, as in every shared airspace (see `Airspace` for all terms):
+
+    - progress 5: metres nearer to the goal.
+    - goal 50: 1 on reaching the goal.
+    - conflict -100: other drones that come closer than d_safe = 5 m.
+    - warning -5: nearness to other drones, from 0 at 10 m to 1 at 5 m.
+    - collision -200: 1 on contact.
+    - out_of_bounds -50: 1 outside the arena.
+    - energy -0.01: square of the velocity change, (m/s)^2.
+
+    End: terminated within 2 m of the goal, on contact, with an empty battery, or outside the
+    arena. Truncated after 500 decisions.
+
+    Success: the goal is reached.
+
+    Difficulties (drones, lane spacing, altitude spread); from medium on positions are noisy, hard
+    adds wind, extreme makes everything uncertain:
+
+    - easy 4, 20 m, 10 m.
+    - medium 8, 15 m, 6 m.
+    - hard 20, 12 m, 4 m.
+    - extreme 100, 12 m, 4 m.
+
+    Preset uavconflict: sizes, observation and reward constants of UAVConflictGym.
     """
 
     name = "crossing"
@@ -64,51 +93,65 @@ class Crossing(Airspace[CrossingConfig]):
         },
     }
 
-    def __init__(self, config: CrossingConfig, context: TaskContext):
-        """Raises ValueError where drones could start in conflict, outside the arena or in touch with the ground."""
+    def __init__(self, config: CrossingConfig, context: TaskContext) -> None:
+        """Check that the teams start apart, and lay out the arena.
+
+        Raises:
+            ValueError: Drones could start in conflict, outside the arena, or in touch with the
+                ground.
+        """
         super().__init__(config, context)
         clear = clearance(config, context)
         if config.lane_spacing - 2 * config.jitter <= clear:
             raise ValueError(
-                f"start positions may be in conflict: lane_spacing {config.lane_spacing:g} m less twice jitter "
-                f"{config.jitter:g} m must exceed {clear:.3g} m (d_safe)"
+                f"start positions may be in conflict: lane_spacing {config.lane_spacing:g} m "
+                f"less twice jitter {config.jitter:g} m must exceed {clear:.3g} m (d_safe)"
             )
-        self._north = (context.num_drones + 1) // 2
-        ranks = -(-self._north // config.lanes)
+        # Size of the larger team's formation: how deep it is, and how far it reaches aside.
+        self._num_north = (context.num_drones + 1) // 2
+        ranks = -(-self._num_north // config.lanes)
         depth = (ranks - 1) * config.lane_spacing
-        width = min(self._north, config.lanes) * config.lane_spacing / 2
+        width = min(self._num_north, config.lanes) * config.lane_spacing / 2
         if config.half_length <= width + config.jitter + clear:
             raise ValueError(
-                f"half_length {config.half_length:g} m is too short for formations {2 * width:g} m wide: the teams would "
-                f"start in each other; lower lane_spacing, jitter or d_safe"
+                f"half_length {config.half_length:g} m is too short for formations "
+                f"{2 * width:g} m wide: the teams would start in each other; "
+                f"lower lane_spacing, jitter or d_safe"
             )
         rise = config.altitude_spread / 2 + config.jitter
         if config.altitude - rise <= context.collision_radius:
             raise ValueError(
-                f"altitude {config.altitude:g} m is too low for altitude_spread {config.altitude_spread:g} m"
+                f"altitude {config.altitude:g} m is too low "
+                f"for altitude_spread {config.altitude_spread:g} m"
             )
         reach = max(config.half_length + depth, width) + config.margin
         self.arena_low = np.array([-reach, -reach, 0.0])
         self.arena_high = np.array([reach, reach, config.altitude + rise + config.margin])
 
     def _formation(self, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Sideways and backward places of a team in its formation, m."""
-        lanes, spacing = min(count, self.config.lanes), self.config.lane_spacing
+        """Return how far aside of, and behind, its first rank's middle each drone starts, m."""
+        lanes = min(count, self.config.lanes)
+        spacing = self.config.lane_spacing
         index = np.arange(count)
-        return (index % lanes - (lanes - 1) / 2) * spacing, (index // lanes) * spacing
+        aside = (index % lanes - (lanes - 1) / 2) * spacing
+        behind = (index // lanes) * spacing
+        return aside, behind
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
-        """Both teams in formation, in flight."""
-        config, n = self.config, self.context.num_drones
-        start, goal = np.zeros((n, 3)), np.zeros((n, 3))
-        for axis, team in ((1, slice(0, self._north)), (0, slice(self._north, n))):
-            side, back = self._formation(len(start[team]))
-            start[team, axis], goal[team, axis] = (
-                -config.half_length - back,
-                config.half_length - back,
-            )
-            start[team, 1 - axis] = goal[team, 1 - axis] = side
-        start[:, 2] = goal[:, 2] = config.altitude + config.altitude_spread * rng.uniform(
-            -0.5, 0.5, n
-        )
+        """Draw a start of both teams in formation, in flight."""
+        config = self.config
+        drones = self.context.num_drones
+        start = np.zeros((drones, 3))
+        goal = np.zeros((drones, 3))
+        # The axis along which each team flies, and its drones.
+        teams = ((1, slice(0, self._num_north)), (0, slice(self._num_north, drones)))
+        for axis, team in teams:
+            aside, behind = self._formation(len(start[team]))
+            start[team, axis] = -config.half_length - behind
+            goal[team, axis] = config.half_length - behind
+            start[team, 1 - axis] = aside
+            goal[team, 1 - axis] = aside
+        height = config.altitude + config.altitude_spread * rng.uniform(-0.5, 0.5, drones)
+        start[:, 2] = height
+        goal[:, 2] = height
         return self.launch(config.scattered(start, rng), goal, rng)

@@ -1,4 +1,7 @@
-"""Task `default`: a short, complete task in a city. Copy this file to begin one of your own (see CONTRIBUTING.md)."""
+"""Task `default`: a short, complete task in a city.
+
+Copy this file to begin one of your own (see CONTRIBUTING.md).
+"""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -7,14 +10,20 @@ import numpy as np
 
 from bulletuav.registry import register
 from bulletuav.tasks.ends import collision, leaves_arena
-from bulletuav.tasks.families.urban import DEFAULTS, UrbanConfig, UrbanTask
+from bulletuav.tasks.families.city_layouts import UrbanConfig
+from bulletuav.tasks.families.urban import URBAN_DEFAULTS, UrbanTask
 from bulletuav.tasks.frame import Spawn
 from bulletuav.tasks.ingredients import end, reward
 
 
 @dataclass(frozen=True)
 class DefaultConfig(UrbanConfig):
-    """Options of `default` beside those of cities, m: `goal_radius` about a goal counts as reached."""
+    """Options of `default`, beside those of cities (`UrbanConfig`).
+
+    Attributes:
+        d_safe: Separation below which two drones are in conflict, m.
+        goal_radius: Distance from the goal at which it counts as reached, m.
+    """
 
     d_safe: float = 2.0
     goal_radius: float = 5.0
@@ -24,46 +33,59 @@ class DefaultConfig(UrbanConfig):
 def speed_made_good(
     distance_before: float, distance: float, max_speed: float, period: float
 ) -> float:
-    """Speed towards the goal over max_speed."""
+    """Compute the speed towards the goal over max_speed."""
     return (distance_before - distance) / (max_speed * period)
 
 
 @reward
 def arrival(distance: float, goal_radius: float, collision: bool) -> float:
-    """1 on reaching the goal."""
+    """Give 1 on reaching the goal without a crash."""
     return 1.0 if distance <= goal_radius and not collision else 0.0
 
 
 @end
 def arrived(distance: float, goal_radius: float, collision: bool) -> bool:
-    """Tell whether the goal is reached, without a crash."""
+    """Tell whether the goal is reached without a crash."""
     return distance <= goal_radius and not collision
 
 
 @register("task")
 class Default(UrbanTask[DefaultConfig]):
-    """Fly through a city to a goal.
+    """Flight of each drone through a city to its own goal.
 
-    Observation, per drone, Box(24) with the defaults; `bulletuav tasks default` lists each number:
-    World axes (east, north, up). Beams are level, at so many degrees to the left of the drone's nose; 60 m is also the range
-    of what is not hit.
+    Drones start at rest at random places outdoors, 5 to 25 m high. Goals are such places, too.
 
-    Action, per drone, by default `velocity`, Box(3) in [-1, 1]: velocity over max_speed, its norm limited to max_speed;
-    10 decisions a second.
+    Observation, Box(24) per drone with the defaults, in world axes (east, north, up): velocity,
+    direction and distance of the goal, charge of the battery, and 16 ranges of the lidar. Its
+    beams are level, each at so many degrees to the left of the drone's nose. A range of 60 m is
+    also that of a beam that hits nothing.
 
-    Reward, per decision: progress 1, of what max_speed would make good; goal 10 on reaching it; collision -10; time -0.1
-    (weights by name).
+    Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 15 m/s.
+    Its norm is limited to max_speed. There are 10 decisions a second.
 
-    End: terminated within 5 m of the goal, on contact of collision shapes, with an empty battery, and outside the city's
-    square or above its ceiling; truncated after 600 decisions. Success: goal reached.
+    Reward per decision, the sum of these terms times their weights:
 
-    Difficulty, drones / city / irregularity: easy 3, urban, 0; medium 5, urban, 0.5; hard 8, dense, 0.5; extreme 16,
-    high_rise, 1; from medium on positions are
-    noisy, hard adds wind, extreme everything, as in the shared airspace.
+    - progress 1: speed towards the goal over max_speed.
+    - goal 10: 1 on reaching the goal.
+    - collision -10: 1 on contact of collision shapes.
+    - time -0.1: 1 a decision.
+
+    End: terminated within 5 m of the goal, on contact, with an empty battery, and outside the
+    city's square or above its ceiling. Truncated after 600 decisions.
+
+    Success: the goal is reached.
+
+    Difficulties (drones, city, irregularity); from medium on positions are noisy, hard adds wind,
+    extreme makes everything uncertain, as in the shared airspace:
+
+    - easy 3, urban, 0.
+    - medium 5, urban, 0.5.
+    - hard 8, dense, 0.5.
+    - extreme 16, high_rise, 1.
     """
 
     name = "default"
-    defaults: ClassVar = {**DEFAULTS, "horizon": 600}
+    defaults: ClassVar = {**URBAN_DEFAULTS, "horizon": 600}
     observation = ("velocity", "goal", "battery", "lidar")
     baseline = "planner"
     reward: ClassVar = {
@@ -76,7 +98,8 @@ class Default(UrbanTask[DefaultConfig]):
     success = arrived
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
-        """The start of one world: at rest outdoors, goals outdoors."""
+        """Draw a start at rest outdoors, with goals outdoors."""
         layout = self.town.draw(rng)
         goal = self.town.places(rng, layout, self.context.num_drones)
-        return self.town.hovering(rng, layout, self.context.num_drones)._replace(goal=goal)
+        start = self.town.hovering(rng, layout, self.context.num_drones)
+        return start._replace(goal=goal)

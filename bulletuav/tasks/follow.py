@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -15,19 +15,53 @@ from bulletuav.tasks.ends import at_goal, collision, too_far
 from bulletuav.tasks.frame import Scene, Spawn, TaskContext
 from bulletuav.tasks.rewards.station import speed_to_goal
 
+RED = (0.75, 0.2, 0.15, 1.0)
+"""Colour of targets, RGBA"""
+
+
+class Target(NamedTuple):
+    """A body that can be followed.
+
+    Attributes:
+        body: Its shape.
+        height: Height of its middle above ground, m.
+        station_height: Height of the stations above its middle, m.
+    """
+
+    body: Obstacle
+    height: float
+    station_height: float
+
+
 TARGETS = {
-    "vehicle": (Obstacle("box", (3.0, 3.0, 1.6), (0.75, 0.2, 0.15, 1.0)), 0.8, 8.0),
-    "drone": (Obstacle("sphere", (0.3,), (0.75, 0.2, 0.15, 1.0)), 20.0, 0.0),
+    "vehicle": Target(
+        body=Obstacle("box", (3.0, 3.0, 1.6), RED),
+        height=0.8,
+        station_height=8.0,
+    ),
+    "drone": Target(
+        body=Obstacle("sphere", (0.3,), RED),
+        height=20.0,
+        station_height=0.0,
+    ),
 }
-"""What can be followed: the body, its height above ground and the stations' height above it, m"""
+"""What can be followed, by name"""
 
 
 @dataclass(frozen=True)
 class FollowConfig(TaskConfig):
-    """Options of `follow`, m, m/s, rad/s.
+    """Options of `follow`, beside those of every task.
 
-    The `target` ("vehicle" or "drone") drives at `target_speed`; its heading wanders by `turn` (rad after one second,
-    standard deviation) and turns home at `arena` metres from the start. Stations lie on a circle of radius `distance`.
+    Attributes:
+        target: What is followed: "vehicle" or "drone".
+        target_speed: Speed of the target, m/s.
+        turn: Random change of the target's heading, rad: its standard deviation after one second.
+        arena: Distance from the start at which the target turns home, m.
+        distance: Radius of the circle of stations about the target, m.
+        start_offset: Largest offset of a start from its station on each axis, m.
+        d_safe: Separation below which two drones are in conflict, m.
+        goal_radius: Distance from the station that is success, m.
+        max_distance: Distance from the station at which an episode ends, m.
     """
 
     target: str = "vehicle"
@@ -43,25 +77,36 @@ class FollowConfig(TaskConfig):
 
 @register("task")
 class Follow(Task[FollowConfig]):
-    """Keep a station about a moving target, each drone its own.
+    """Flight about a moving target, in which each drone keeps its own station.
 
-    The target is a body that can be hit: a ground vehicle or another drone. Stations are spread evenly on a circle of 6 m
-    about it, 8 m above a vehicle, level with a drone, and move with it.
+    The target is a body that can be hit: a ground vehicle or another drone. It drives at a constant
+    speed, and its heading wanders. Stations are spread evenly on a circle of 6 m about it, 8 m
+    above a vehicle, level with a drone, and move with it. Drones start at rest near them.
 
-    Observation, per drone, Box(16) with the defaults; `bulletuav tasks follow` lists each number:
-    Quaternion body to world; goal offset from the drone to its station, velocities in world axes (east, north, up); rates in
-    body axes (forward, left, up).
+    Observation, Box(16) per drone with the defaults: attitude as a quaternion, body to world;
+    offset from the drone to its station, velocity and the station's velocity in world axes (east,
+    north, up); rates in body axes (forward, left, up).
 
-    Action, per drone, by default `velocity`, Box(3) in [-1, 1]: velocity over max_speed, its norm limited to max_speed;
-    10 decisions a second.
+    Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 15 m/s.
+    Its norm is limited to max_speed. There are 10 decisions a second.
 
-    Reward, per decision: alive 1, distance -0.1 a metre to the station, speed -0.05 per m/s relative to it.
+    Reward per decision, the sum of these terms times their weights:
 
-    End: terminated on any contact of collision shapes or further than 40 m from the station; truncated after 300 decisions.
-    Success: within 1 m of the station.
+    - alive 1: 1 a decision.
+    - distance -0.1: distance to the station, m.
+    - speed -0.05: speed relative to the station, m/s.
 
-    Difficulty, target speed / turn: easy 5 m/s, 0.3 rad; medium 8 m/s, 0.5 rad; hard 10 m/s, 0.8 rad; extreme 12 m/s,
-    1.2 rad.
+    End: terminated on any contact of collision shapes, or further than 40 m from the station.
+    Truncated after 300 decisions.
+
+    Success: the drone is within 1 m of its station.
+
+    Difficulties (target's speed, its turns):
+
+    - easy: 5 m/s, 0.3 rad.
+    - medium: 8 m/s, 0.5 rad.
+    - hard: 10 m/s, 0.8 rad.
+    - extreme: 12 m/s, 1.2 rad.
     """
 
     name = "follow"
@@ -84,74 +129,92 @@ class Follow(Task[FollowConfig]):
     ends = (collision, too_far)
     success = at_goal
 
-    def __init__(self, config: FollowConfig, context: TaskContext):
-        """Raises ValueError for an unknown target, stations too close together or a target faster than the drones."""
+    def __init__(self, config: FollowConfig, context: TaskContext) -> None:
+        """Place the stations about the target, and lay out the arena.
+
+        Raises:
+            ValueError: The target is unknown or faster than the drones, stations are too close
+                together, or drones could start in touch with the target or the ground.
+        """
         super().__init__(config, context)
-        self._body, self._height, above = choose("target", config.target, TARGETS)
+        target = choose("target", config.target, TARGETS)
+        self._body = target.body
+        self._height = target.height
         if config.target_speed >= context.max_speed:
             raise ValueError(
-                f"target_speed {config.target_speed:g} m/s must be below max_speed {context.max_speed:g} m/s"
+                f"target_speed {config.target_speed:g} m/s "
+                f"must be below max_speed {context.max_speed:g} m/s"
             )
+        # Stations relative to the target, the first one to its west.
         angle = 2 * np.pi * np.arange(context.num_drones) / context.num_drones
-        circle = config.distance * np.stack(
-            [-np.cos(angle), -np.sin(angle), np.zeros(len(angle))], axis=1
-        )
-        self._station = circle + np.array((0, 0, above))
-        refuse_overlap(self._station, context.collision_radius + config.start_offset * np.sqrt(3))
-        nearest = float(
-            np.linalg.norm(self._station, axis=1).min()
-        ) - config.start_offset * np.sqrt(3)
-        if nearest <= self._body.radius + context.collision_radius:
-            raise ValueError(
-                f"distance {config.distance:g} m with start_offset {config.start_offset:g} m is too close to the target, "
-                f"whose radius is {self._body.radius:.3g} m"
-            )
-        lowest = self._height + above - config.start_offset
-        if lowest <= context.collision_radius:
-            raise ValueError(
-                f"start_offset {config.start_offset:g} m is too large: drones could start {lowest:.3g} m up"
-            )
+        directions = np.stack([-np.cos(angle), -np.sin(angle), np.zeros(len(angle))], axis=1)
+        circle = config.distance * directions
+        self._station = circle + np.array((0, 0, target.station_height))
+        self._check_start(target)
         refuse_early_end(config.max_distance, config.start_offset)
         reach = config.arena + config.distance + config.max_distance
-        top = self._height + above + config.max_distance
-        self.arena_low, self.arena_high = (
-            np.array([-reach, -reach, 0.0]),
-            np.array([reach, reach, top]),
-        )
+        top = self._height + target.station_height + config.max_distance
+        self.arena_low = np.array([-reach, -reach, 0.0])
+        self.arena_high = np.array([reach, reach, top])
+
+    def _check_start(self, target: Target) -> None:
+        """Refuse starts that could touch each other, the target or the ground."""
+        config = self.config
+        radius = self.context.collision_radius
+        largest_offset = config.start_offset * np.sqrt(3)
+        refuse_overlap(self._station, radius + largest_offset)
+        nearest = float(np.linalg.norm(self._station, axis=1).min()) - largest_offset
+        if nearest <= target.body.radius + radius:
+            raise ValueError(
+                f"distance {config.distance:g} m with start_offset {config.start_offset:g} m "
+                f"is too close to the target, whose radius is {target.body.radius:.3g} m"
+            )
+        lowest = target.height + target.station_height - config.start_offset
+        if lowest <= radius:
+            raise ValueError(
+                f"start_offset {config.start_offset:g} m is too large: "
+                f"drones could start {lowest:.3g} m up"
+            )
 
     def obstacles(self) -> Sequence[Obstacle]:
-        """The target."""
+        """List the target, which is the only obstacle."""
         return (self._body,)
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
-        """The target at the origin with a random heading, the drones near their stations, at rest."""
-        config, n = self.config, self.context.num_drones
+        """Draw a start of the target at the origin, and of drones at rest near their stations."""
+        config = self.config
         heading = rng.uniform(-np.pi, np.pi)
         target = np.array([[0.0, 0.0, self._height]])
         velocity = config.target_speed * np.array([[np.cos(heading), np.sin(heading), 0.0]])
-        offset = rng.uniform(-config.start_offset, config.start_offset, (n, 3))
-        goal = target + self._station
+        shape = (self.context.num_drones, 3)
+        offset = rng.uniform(-config.start_offset, config.start_offset, shape)
+        station = target + self._station
         return Spawn(
-            position=goal + offset,
-            goal=goal,
+            position=station + offset,
+            goal=station,
             goal_velocity=velocity,
             obstacle=target,
             obstacle_velocity=velocity,
         )
 
     def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
-        """Drive the target of every world that flies, its stations with it."""
-        config, period = self.config, self.context.period
+        """Drive the target of every world that flies, and its stations with it.
+
+        Returns:
+            True: the target moves.
+        """
+        config = self.config
+        period = self.context.period
         for w in np.flatnonzero(flying).tolist():
             x, y, _ = scene.obstacle[w, 0]
             vx, vy, _ = scene.obstacle_velocity[w, 0]
+            # The heading wanders, but at the edge it turns home.
             turn = config.turn * np.sqrt(period) * rngs[w].standard_normal()
             heading = np.arctan2(vy, vx) + turn
             if np.hypot(x, y) > config.arena and x * vx + y * vy > 0:
                 heading = np.arctan2(-y, -x)
-            scene.obstacle_velocity[w, 0] = config.target_speed * np.array(
-                [np.cos(heading), np.sin(heading), 0.0]
-            )
+            direction = np.array([np.cos(heading), np.sin(heading), 0.0])
+            scene.obstacle_velocity[w, 0] = config.target_speed * direction
             scene.obstacle[w, 0] += period * scene.obstacle_velocity[w, 0]
             scene.goal[w] = scene.obstacle[w, 0] + self._station
             scene.goal_velocity[w] = scene.obstacle_velocity[w, 0]

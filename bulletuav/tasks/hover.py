@@ -16,10 +16,19 @@ from bulletuav.tasks.frame import Spawn, TaskContext
 
 @dataclass(frozen=True)
 class HoverConfig(TaskConfig):
-    """Options of `hover`, m, m/s, degrees, rad/s.
+    """Options of `hover`, beside those of every task.
 
-    Targets stand `spacing` apart on a square grid at `height`. A drone starts within `start_offset` of its target on each
-    axis, with a velocity, a tilt about a random axis and body rates up to those given; `start` (N, 3) fixes the positions.
+    Attributes:
+        d_safe: Separation below which two drones are in conflict, m.
+        height: Height of the targets above ground, m.
+        spacing: Distance between neighbouring targets, which stand on a square grid, m.
+        start_offset: Largest offset of a start from its target on each axis, m.
+        start_speed: Greatest speed at the start, m/s.
+        start_tilt: Greatest tilt at the start, about a random axis, degrees.
+        start_rates: Greatest body rate at the start, rad/s.
+        start: (N, 3) fixed start positions, m; at random about the targets when None.
+        goal_radius: Distance from the target that is success, m.
+        max_distance: Distance from the target at which an episode ends, m.
     """
 
     d_safe: float = 1.0
@@ -34,8 +43,8 @@ class HoverConfig(TaskConfig):
     max_distance: float = 20.0
 
 
-def _positions(start: object, count: int) -> np.ndarray:
-    """(N, 3) m. Raises ValueError for anything but so many finite positions."""
+def _checked_positions(start: object, count: int) -> np.ndarray:
+    """Return the option `start` as an array (N, 3), m, and refuse all but finite positions."""
     try:
         positions = numbers_of("start is", start)
     except ValueError:
@@ -49,24 +58,37 @@ def _positions(start: object, count: int) -> np.ndarray:
 
 @register("task")
 class Hover(Task[HoverConfig]):
-    """Reach a target and hold it, each drone its own.
+    """Flight of each drone to its own target, which it is to hold.
 
-    Observation, per drone, Box(13) with the defaults; `bulletuav tasks hover` lists each number:
-    Quaternion body to world; goal offset from the drone to its target and velocity in world axes (east, north, up); rates in
-    body axes (forward, left, up).
+    By default targets stand on a square grid, 2 m apart and 2 m high. Drones start near them.
 
-    Action, per drone, by default `rotor`, Box(4) in [-1, 1]: thrust of each rotor, -1 none, 1 the most;
-    30 decisions a second.
+    Observation, Box(13) per drone with the defaults: attitude as a quaternion, body to world;
+    offset from the drone to its target and velocity in world axes (east, north, up); rates in body
+    axes (forward, left, up).
 
-    Reward, per decision: alive 1, distance -0.1 a metre to the target, speed -0.05 per m/s (weights by name).
+    Action, by default `rotor`, Box(4) per drone in [-1, 1]: thrust of each rotor, from -1 for none
+    to 1 for the most. There are 30 decisions a second.
 
-    End: terminated on any contact of collision shapes or further than 20 m from the target; truncated after 240 decisions.
-    Success: within 0.1 m of the target.
+    Reward per decision, the sum of these terms times their weights:
 
-    Difficulty, start within / speed / tilt / rates / height: easy 0.5 m, at rest, 2 m; medium 1 m, 1 m/s, 20 degrees, 3 m;
-    hard 1.5 m, 2 m/s, 60 degrees, 3 rad/s, 5 m; extreme 1.5 m, 4 m/s, 180 degrees, 6 rad/s, 15 m.
+    - alive 1: 1 a decision.
+    - distance -0.1: distance to the target, m.
+    - speed -0.05: speed, m/s.
 
-    Preset hover_aviary: cf2x, 240 Hz physics, 30 Hz decisions, 240 decisions, action `hover_rpm`, as in gym-pybullet-drones.
+    End: terminated on any contact of collision shapes, or further than 20 m from the target.
+    Truncated after 240 decisions.
+
+    Success: the drone is within 0.1 m of its target.
+
+    Difficulties (offset on each axis, speed, tilt and body rates at the start; height of targets):
+
+    - easy: 0.5 m, at rest, 2 m high.
+    - medium: 1 m, 1 m/s, 20 degrees, 3 m high.
+    - hard: 1.5 m, 2 m/s, 60 degrees, 3 rad/s, 5 m high.
+    - extreme: 1.5 m, 4 m/s, 180 degrees, 6 rad/s, 15 m high.
+
+    Preset hover_aviary: cf2x, 240 Hz physics, 30 Hz decisions, 240 decisions and action
+    `hover_rpm`, as in gym-pybullet-drones.
     """
 
     name = "hover"
@@ -105,7 +127,8 @@ class Hover(Task[HoverConfig]):
         },
     }
     presets: ClassVar = {
-        # frequencies, horizon and action of gym-pybullet-drones' HoverAviary, to compare speed and learning with it
+        # Frequencies, horizon and action of gym-pybullet-drones' HoverAviary, to compare speed and
+        # learning with it.
         "hover_aviary": {
             "airframe": "cf2x",
             "physics_hz": 240,
@@ -119,55 +142,70 @@ class Hover(Task[HoverConfig]):
     ends = (collision, too_far)
     success = at_goal
 
-    def __init__(self, config: HoverConfig, context: TaskContext):
-        """Raises ValueError where start positions could overlap each other or the ground."""
+    def __init__(self, config: HoverConfig, context: TaskContext) -> None:
+        """Place the targets, lay out the arena, and check the starts.
+
+        Raises:
+            ValueError: Start positions could overlap each other or the ground, are outside the
+                arena, or are no positions.
+        """
         super().__init__(config, context)
         refuse_early_end(config.max_distance, config.start_offset)
+        # Targets on a square grid about the origin.
         columns = int(np.ceil(np.sqrt(context.num_drones)))
         index = np.arange(context.num_drones)
         grid = np.stack([index % columns, index // columns], axis=1) * config.spacing
-        self.target = np.concatenate(
-            [grid - grid.mean(axis=0), np.full((len(index), 1), config.height)], axis=1
-        )
+        height = np.full((len(index), 1), config.height)
+        self.target = np.concatenate([grid - grid.mean(axis=0), height], axis=1)
         self.arena_low = self.target.min(axis=0) - config.max_distance
         self.arena_high = self.target.max(axis=0) + config.max_distance
         self.arena_low[2] = 0.0
         self._check_start()
 
     def _check_start(self) -> None:
-        config, radius = self.config, self.context.collision_radius
-        if config.start is not None:
-            start = _positions(config.start, len(self.target))
+        """Refuse starts that could overlap or touch the ground, or are outside the arena."""
+        config = self.config
+        radius = self.context.collision_radius
+        if config.start is None:
+            gap = config.spacing - 2 * config.start_offset
+            if len(self.target) > 1 and gap <= 2 * radius:
+                raise ValueError(
+                    f"start positions may overlap: spacing {config.spacing:g} m less twice "
+                    f"start_offset {config.start_offset:g} m must exceed {2 * radius:.3g} m"
+                )
+            lowest = config.height - config.start_offset
+            remedy = "raise height, or lower start_offset"
+        else:
+            start = _checked_positions(config.start, len(self.target))
             if ((start < self.arena_low) | (start > self.arena_high)).any():
                 raise ValueError(
                     f"start is {shown(config.start)}: positions inside the arena are needed"
                 )
             refuse_overlap(start, radius)
-            lowest = start[:, 2].min()
-        else:
-            if len(self.target) > 1 and config.spacing - 2 * config.start_offset <= 2 * radius:
-                raise ValueError(
-                    f"start positions may overlap: spacing {config.spacing:g} m less twice start_offset "
-                    f"{config.start_offset:g} m must exceed {2 * radius:.3g} m"
-                )
-            lowest = config.height - config.start_offset
+            lowest = float(start[:, 2].min())
+            remedy = "raise start"
         if lowest <= radius:
             raise ValueError(
-                f"start positions may touch the ground: the lowest is {lowest:g} m up, more than {radius:.3g} needed; raise "
-                f"{'start' if config.start is not None else 'height, or lower start_offset'}"
+                f"start positions may touch the ground: the lowest is {lowest:g} m up, "
+                f"more than {radius:.3g} needed; {remedy}"
             )
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
-        """Near the targets, disturbed as much as the difficulty says."""
-        config, shape = self.config, self.target.shape
+        """Draw a start near the targets, disturbed as much as the difficulty says."""
+        config = self.config
+        shape = self.target.shape
+        # Position: the offset is drawn even where positions are fixed, so that all else is equal.
         offset = rng.uniform(-config.start_offset, config.start_offset, shape)
-        position = (
-            self.target + offset if config.start is None else np.asarray(config.start, dtype=float)
-        )
+        if config.start is None:
+            position = self.target + offset
+        else:
+            position = np.asarray(config.start, dtype=float)
+        # Attitude: a tilt about an axis of any direction.
         axis = rng.normal(size=shape)
         axis /= np.linalg.norm(axis, axis=1, keepdims=True)
         angle = np.radians(config.start_tilt) * rng.uniform(0, 1, (len(axis), 1))
         quaternion = np.array([exponential(turn) for turn in angle * axis])
+        # Velocity and rates: components up to the limit over sqrt(3), so that norms stay below it.
         velocity = rng.uniform(-1, 1, shape) / np.sqrt(3) * config.start_speed
         rates = rng.uniform(-1, 1, shape) / np.sqrt(3) * config.start_rates
         return Spawn(

@@ -1,47 +1,79 @@
-"""Task `lidar_navigation`: everyone to its own goal through a city that it sees by its range finder alone."""
+"""Task `lidar_navigation`: drones fly to goals through a city that they see by lidar alone."""
 
 from dataclasses import dataclass
 from typing import ClassVar
 
 from bulletuav.registry import register
 from bulletuav.tasks.families.airspace import REWARD_WEIGHTS
-from bulletuav.tasks.families.urban import URBAN_DIFFICULTIES, UrbanFlight, UrbanFlightConfig
+from bulletuav.tasks.families.difficulties import URBAN_DIFFICULTIES
+from bulletuav.tasks.families.urban import UrbanFlight, UrbanFlightConfig
 from bulletuav.tasks.frame import TaskContext
 
-RANGES: dict[str, dict[str, float]] = {
+RANGE_UNCERTAINTY: dict[str, dict[str, float]] = {
     "easy": {},
     "medium": {"lidar_noise": 0.1},
     "hard": {"lidar_noise": 0.3, "lidar_dropout": 0.01},
     "extreme": {"lidar_noise": 0.5, "lidar_dropout": 0.05},
 }
-"""What a difficulty makes uncertain about ranges"""
+"""What each difficulty makes uncertain about ranges: noise, m, and the share of beams lost"""
 
 
 @dataclass(frozen=True)
 class LidarNavigationConfig(UrbanFlightConfig):
-    """Options of `lidar_navigation` beside those of flights in cities; `proximity` begins at `proximity_range` m."""
+    """Options of `lidar_navigation`, beside those of flights in cities (`UrbanFlightConfig`).
+
+    Attributes:
+        proximity_range: Shortest range below which the term `proximity` counts, m; above 0.
+    """
 
     proximity_range: float = 5.0
 
 
 @register("task")
 class LidarNavigation(UrbanFlight[LidarNavigationConfig]):
-    """Through a city to a goal, seeing what is near by a range finder; nothing tells where one is.
+    """Flight through a city to goals, in which drones sense what is near, but not where they are.
 
-    Observation, per drone, Box(24) with the defaults; `bulletuav tasks lidar_navigation` lists each number:
-    World axes (east, north, up). Beams are level, at so many degrees to the left of the drone's nose; 60 m is also the range
-    of what is not hit.
+    Drones start at rest outdoors, 5 to 25 m high. Each one's goal lies outdoors, too, 150 m or
+    farther away.
 
-    Action, reward, end and what is uncertain: as in every flight through a city, see `UrbanFlight`, and in every shared
-    airspace, see `Airspace`. Beside that: proximity -1, linear from 0 where the shortest range is 5 m to 1 at 0 m; from
-    medium on ranges are noisy: 0.1 m, then 0.3 m with 1 % and 0.5 m with 5 % of the beams lost.
+    Observation, Box(24) per drone with the defaults, in world axes (east, north, up): velocity,
+    direction and distance of the goal, charge of the battery, and 16 ranges of the lidar. Its
+    beams are level, each at so many degrees to the left of the drone's nose. A range of 60 m is
+    also that of a beam that hits nothing.
+
+    Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 15 m/s.
+    Its norm is limited to max_speed. There are 10 decisions a second.
+
+    Reward per decision, as in every shared airspace (see `Airspace` for all terms):
+
+    - progress 5: metres nearer to the goal.
+    - goal 50: 1 on reaching the goal.
+    - conflict -100: other drones that come closer than d_safe = 2 m.
+    - warning -5: nearness to other drones, from 0 at 4 m to 1 at 2 m.
+    - collision -200: 1 on contact, also with a building.
+    - out_of_bounds -50: 1 outside the city's square or above its ceiling.
+    - energy -0.01: square of the velocity change, (m/s)^2.
+    - proximity -1: linear from 0 where the shortest range is 5 m to 1 at 0 m.
+
+    End: terminated within 2 m of the goal, on contact, with an empty battery, and outside the
+    city's square or above its ceiling. Truncated after 600 decisions.
+
+    Success: the goal is reached.
+
+    Difficulties (drones, city, irregularity, noise of ranges, beams lost); from medium on positions
+    are noisy, hard adds wind, extreme makes everything uncertain, as in the shared airspace:
+
+    - easy 3, urban, 0.
+    - medium 5, urban, 0.5, 0.1 m.
+    - hard 8, dense, 0.5, 0.3 m, 1 %.
+    - extreme 16, high_rise, 1, 0.5 m, 5 %.
     """
 
     name = "lidar_navigation"
     difficulties: ClassVar = {
         difficulty: {
             **options,
-            "randomization": {**options.get("randomization", {}), **RANGES[difficulty]},
+            "randomization": {**options.get("randomization", {}), **RANGE_UNCERTAINTY[difficulty]},
         }
         for difficulty, options in URBAN_DIFFICULTIES.items()
     }
@@ -49,8 +81,13 @@ class LidarNavigation(UrbanFlight[LidarNavigationConfig]):
     required_sensors = ("lidar",)
     reward: ClassVar = {**REWARD_WEIGHTS, "proximity": -1.0}
 
-    def __init__(self, config: LidarNavigationConfig, context: TaskContext):
-        """Raises ValueError where the city leaves no room to fly."""
+    def __init__(self, config: LidarNavigationConfig, context: TaskContext) -> None:
+        """Make the cities, and check the range of the term `proximity`.
+
+        Raises:
+            ValueError: A city leaves no room to fly, or the range is 0.
+            FileNotFoundError: The city's file is not there.
+        """
         super().__init__(config, context)
         if config.proximity_range == 0:
             raise ValueError(

@@ -55,7 +55,7 @@ def _compiled(
     function: FunctionType, forms: tuple[tuple[str, Form], ...], results: int | None
 ) -> Callable[..., None]:
     source = _source(function.__name__, forms, results)
-    home = function.__module__
+    home = function.__module__ or ""  # none in code that is run from a text
     if home.startswith("bulletuav.") and function.__qualname__ == function.__name__:
         return _from_file(home, function.__name__, source)
     space: dict[str, Any] = {"function": _inlined(function)}

@@ -4,41 +4,58 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 from bulletuav.registry import register
-from bulletuav.tasks.families.urban import DEFAULTS
+from bulletuav.tasks.families.urban import URBAN_DEFAULTS
 from bulletuav.tasks.families.users import UsersConfig, UsersTask
 
 
 @dataclass(frozen=True)
 class LosConfig(UsersConfig):
-    """Options of `los`: those of `UsersConfig`."""
+    """Options of `los`, those of `UsersConfig`.
+
+    Attributes:
+        boundary: What happens at the bounds, by default "end": the drone's episode ends.
+    """
 
     boundary: Literal["end", "soft", "hard"] = "end"
 
 
 @register("task")
 class Los(UsersTask[LosConfig]):
-    """Find places from which the users on the ground are seen, each by some drone.
+    """Search for places from which each user on the ground is seen by some drone.
 
-    Observation, per drone, Box(108) with the defaults; `bulletuav tasks los` lists each number:
-    World axes (east, north, up). Neighbours are the nearest living drones, nearest first, relative to the drone; zeros where
-    there are fewer. Targets are the users, relative to the drone.
+    Drones start at rest at random places outdoors, 20 to 60 m high. 20 users stand still outdoors.
 
-    Action, per drone, by default `velocity`, Box(3) in [-1, 1]: velocity over max_speed, its norm limited to max_speed;
-    10 decisions a second.
+    Observation, Box(108) per drone with the defaults, in world axes (east, north, up): position,
+    velocity, charge of the battery, the nearest living drones, and the users. Drones come nearest
+    first, relative to the drone, and are zeros where there are fewer. Users are relative to the
+    drone, each with whether it is seen.
 
-    Reward, per decision: sight 1 times the share of users that the drone sees; served 0 times the share that any drone sees;
-    collision -10; out_of_bounds -10 (weights by name).
+    Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 15 m/s.
+    Its norm is limited to max_speed. There are 10 decisions a second.
 
-    End: terminated on contact of collision shapes, with an empty battery, and outside the city's square or above its
-    ceiling; truncated after 300 decisions. Success: 90 % of the users are seen by some drone.
+    Reward per decision, the sum of these terms times their weights:
 
-    Difficulty, drones / city / irregularity: easy 3, urban, 0; medium 5, urban, 0.5; hard 8, dense, 0.5; extreme 16,
-    high_rise, 1; from medium on positions are
-    noisy, hard adds wind, extreme everything, as in the shared airspace.
+    - sight 1: share of the users that the drone sees.
+    - served 0: share of the users that any drone sees.
+    - collision -10: 1 on contact of collision shapes.
+    - out_of_bounds -10: 1 outside the city's square or above its ceiling.
+
+    End: terminated on contact, with an empty battery, and outside the city's square or above its
+    ceiling. Truncated after 300 decisions.
+
+    Success: 90 % of the users are seen by some drone.
+
+    Difficulties (drones, city, irregularity); from medium on positions are noisy, hard adds wind,
+    extreme makes everything uncertain, as in the shared airspace:
+
+    - easy 3, urban, 0.
+    - medium 5, urban, 0.5.
+    - hard 8, dense, 0.5.
+    - extreme 16, high_rise, 1.
     """
 
     name = "los"
-    defaults: ClassVar = {**DEFAULTS, "horizon": 300}
+    defaults: ClassVar = {**URBAN_DEFAULTS, "horizon": 300}
     observation = ("position", "velocity", "battery", "neighbours", "targets")
     reward: ClassVar = {
         "collision": -10.0,

@@ -5,36 +5,55 @@ from typing import ClassVar
 
 from bulletuav.registry import register
 from bulletuav.tasks.families.edge import EdgeConfig, EdgeTask
-from bulletuav.tasks.families.urbanmarl import URBANMARL
+from bulletuav.tasks.families.presets import URBANMARL
 from bulletuav.tasks.rewards.users import power_share
 
 
 @dataclass(frozen=True)
 class MecConfig(EdgeConfig):
-    """Options of `mec`: those of `EdgeConfig`."""
+    """Options of `mec`, those of `EdgeConfig`."""
 
 
 @register("task")
 class Mec(EdgeTask[MecConfig]):
-    """Be where users can offload their tasks, so that as many as can be are computed in time.
+    """Search for places to which users can offload their tasks, so that most are done in time.
 
-    Observation, per drone, Box(8) with the defaults; `bulletuav tasks mec` lists each number:
-    World axes (east, north, up). Utilisation of the drone's cores, tasks (of mean size) in its queue, latency and completed
-    share of its users' tasks are those of the last decision; 0 at the start and where no task came.
+    Drones start at rest at random places outdoors, 20 to 60 m high. 50 users stand still outdoors
+    and have tasks at random, 0.15 a second each. A task is to be uploaded and computed within 1 s.
+    See `EdgeTask` for what becomes of it.
 
-    Action, per drone, by default `velocity`, Box(3) in [-1, 1]: velocity over max_speed, its norm limited to max_speed; 1
-    decision a second.
+    Observation, Box(8) per drone with the defaults, in world axes (east, north, up): position,
+    charge of the battery, utilisation of the drone's cores, tasks (of mean size) in its queue, and
+    latency and completed share of its users' tasks. The last four are those of the last decision,
+    and 0 at the start and where no task came.
 
-    Reward, per decision: tasks 1 times the completed tasks over those that all users are expected to have in a decision;
-    latency -0.5 times the latencies of the completed tasks over the deadline, and over the same; energy -0.1 times power
-    over 400 W; dwell_time 0.3 times tanh(0.1 s), s the seconds for which it has seen a user without a break, mean of all users;
-    collision -2; out_of_bounds 0 (weights by name).
+    Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 15 m/s.
+    Its norm is limited to max_speed. There is 1 decision a second.
 
-    End: terminated on contact of collision shapes and with an empty battery; truncated after 100 decisions. Drones stop at
-    the city's edges and at the ceiling. Success: 70 % of the episode's tasks are completed.
+    Reward per decision, the sum of these terms times their weights:
 
-    Difficulty, drones / city / irregularity: easy 3, urban, 0; medium 5, urban, 0.5; hard 8, dense, 0.5; extreme 16,
-    high_rise, 1; from medium on positions are noisy, hard adds wind, extreme everything, as in the shared airspace.
+    - tasks 1: completed tasks over those that all users are expected to have in a decision.
+    - latency -0.5: latencies of the completed tasks over the deadline, and over the same number.
+    - energy -0.1: power over 400 W.
+    - dwell_time 0.3: tanh(0.1 s), where s are the seconds for which the drone has seen a user
+      without a break, averaged over all users.
+    - collision -2: 1 on contact of collision shapes.
+    - out_of_bounds 0: 1 where the bounds hold the drone back.
+
+    End: terminated on contact of collision shapes and with an empty battery. Truncated after 100
+    decisions. Drones stop at the city's edges and at the ceiling.
+
+    Success: 70 % of the episode's tasks are completed.
+
+    Difficulties (drones, city, irregularity); from medium on positions are noisy, hard adds wind,
+    extreme makes everything uncertain, as in the shared airspace:
+
+    - easy 3, urban, 0.
+    - medium 5, urban, 0.5.
+    - hard 8, dense, 0.5.
+    - extreme 16, high_rise, 1.
+
+    Preset urbanmarl: sizes and rates of UrbanMARL 0.3.1 (docs/service.md).
     """
 
     name = "mec"

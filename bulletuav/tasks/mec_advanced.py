@@ -1,17 +1,27 @@
-"""Task `mec_advanced`: edge computing with antennas that look down, tight deadlines and the energy that it takes."""
+"""Task `mec_advanced`: edge computing with antennas that look down and tight deadlines."""
 
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
 from bulletuav.registry import register
 from bulletuav.tasks.families.edge import EdgeConfig, EdgeTask
-from bulletuav.tasks.families.urbanmarl import URBANMARL
+from bulletuav.tasks.families.presets import URBANMARL
 from bulletuav.tasks.rewards.users import power_share
 
 
 @dataclass(frozen=True)
 class MecAdvancedConfig(EdgeConfig):
-    """Options of `mec_advanced`: those of `EdgeConfig`."""
+    """Options of `mec_advanced`, those of `EdgeConfig` with other defaults.
+
+    Attributes:
+        num_users: Number of users on the ground, outdoors.
+        arrival_rate: Tasks of each user, 1/s.
+        cycles_per_bit: Cycles that a bit takes to compute.
+        deadline: Time from the arrival of a task to its result, s.
+        core_frequency: Frequency of a core, cycles/s.
+        bandwidth: Bandwidth that all drones share, Hz.
+        antenna: Antenna of the drones, "isotropic" or "downward".
+    """
 
     num_users: int = field(default=10, metadata={"most": 10_000})
     arrival_rate: float = 2.5
@@ -24,27 +34,46 @@ class MecAdvancedConfig(EdgeConfig):
 
 @register("task")
 class MecAdvanced(EdgeTask[MecAdvancedConfig]):
-    """Serve few users with many urgent tasks through directional antennas.
+    """Service to few users with many urgent tasks, through directional antennas.
 
-    Observation, per drone, Box(22) with the defaults; `bulletuav tasks mec_advanced` lists each number:
-    World axes (east, north, up). The rate of a user is what it would reach to the drone for itself, through the drone's
-    antenna (3GPP TR 38.901, 8 dBi, along the body's -z: it tilts with the drone). Utilisation of the drone's cores, tasks
-    (of mean size) in its queue, latency and completed share of its users' tasks, rates and power are those of the last
-    decision; 0 at the start and where no task came.
+    Drones start at rest at random places outdoors, 20 to 60 m high. 10 users stand still outdoors
+    and have tasks at random, 2.5 a second each. A task is to be uploaded and computed within 0.2 s.
+    See `EdgeTask` for what becomes of it. The drones' antennas (3GPP TR 38.901, 8 dBi) look along
+    the body's -z axis, so they tilt with the drone.
 
-    Action, per drone, by default `velocity`, Box(3) in [-1, 1]: velocity over max_speed, its norm limited to max_speed; 1
-    decision a second.
+    Observation, Box(22) per drone with the defaults, in world axes (east, north, up): position,
+    velocity, charge of the battery, power, the rate of each user, utilisation of the drone's cores,
+    tasks (of mean size) in its queue, and latency and completed share of its users' tasks. The rate
+    of a user is what it would reach to the drone, through its antenna, for itself alone. All from
+    power on are those of the last decision, and 0 at the start and where no task came.
 
-    Reward, per decision: tasks 2 times the completed tasks over those that all users are expected to have in a decision;
-    latency -1.5 times the latencies of the completed tasks over the deadline, and over the same; energy 0 times power over
-    400 W; dwell_time 0.5 times tanh(0.1 s), s the seconds for which it has seen a user without a break, mean of all users;
-    collision -5; out_of_bounds 0 (weights by name).
+    Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 15 m/s.
+    Its norm is limited to max_speed. There is 1 decision a second.
 
-    End: terminated on contact of collision shapes and with an empty battery; truncated after 100 decisions. Drones stop at
-    the city's edges and at the ceiling. Success: 70 % of the episode's tasks are completed.
+    Reward per decision, the sum of these terms times their weights:
 
-    Difficulty, drones / city / irregularity: easy 3, urban, 0; medium 5, urban, 0.5; hard 8, dense, 0.5; extreme 16,
-    high_rise, 1; from medium on positions are noisy, hard adds wind, extreme everything, as in the shared airspace.
+    - tasks 2: completed tasks over those that all users are expected to have in a decision.
+    - latency -1.5: latencies of the completed tasks over the deadline, and over the same number.
+    - energy 0: power over 400 W.
+    - dwell_time 0.5: tanh(0.1 s), where s are the seconds for which the drone has seen a user
+      without a break, averaged over all users.
+    - collision -5: 1 on contact of collision shapes.
+    - out_of_bounds 0: 1 where the bounds hold the drone back.
+
+    End: terminated on contact of collision shapes and with an empty battery. Truncated after 100
+    decisions. Drones stop at the city's edges and at the ceiling.
+
+    Success: 70 % of the episode's tasks are completed.
+
+    Difficulties (drones, city, irregularity); from medium on positions are noisy, hard adds wind,
+    extreme makes everything uncertain, as in the shared airspace:
+
+    - easy 3, urban, 0.
+    - medium 5, urban, 0.5.
+    - hard 8, dense, 0.5.
+    - extreme 16, high_rise, 1.
+
+    Preset urbanmarl: sizes and rates of UrbanMARL 0.3.1 (docs/service.md).
     """
 
     name = "mec_advanced"

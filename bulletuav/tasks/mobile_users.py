@@ -4,36 +4,59 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from bulletuav.registry import register
-from bulletuav.tasks.families.urbanmarl import URBANMARL
+from bulletuav.tasks.families.presets import URBANMARL
 from bulletuav.tasks.families.users import UsersConfig, UsersTask
 
 
 @dataclass(frozen=True)
 class MobileUsersConfig(UsersConfig):
-    """Options of `mobile_users`: those of `UsersConfig`."""
+    """Options of `mobile_users`, those of `UsersConfig`.
+
+    Attributes:
+        mobility: How users walk, by default "manhattan": along the streets.
+    """
 
     mobility: Any = "manhattan"
 
 
 @register("task")
 class MobileUsers(UsersTask[MobileUsersConfig]):
-    """Keep users in line of sight while they walk the streets, each by one drone for as long as can be.
+    """Search for users who walk the streets, each to be seen by one drone for as long as can be.
 
-    Observation, per drone, Box(68) with the defaults; `bulletuav tasks mobile_users` lists each number:
-    World axes (east, north, up). The own centroid is that of the users that are nearer to the drone over ground than to
-    other living drones, of all users where there is none. The others are drones by index.
+    Drones start at rest at random places outdoors, 20 to 60 m high. 20 users walk along the
+    streets.
 
-    Action, per drone, by default `velocity`, Box(3) in [-1, 1]: velocity over max_speed, its norm limited to max_speed; 1
-    decision a second.
+    Observation, Box(68) per drone with the defaults, in world axes (east, north, up): position,
+    charge of the battery, centroid of all users over ground, centroid of the drone's own users, and
+    which drone sees which user. The own users are those nearer to the drone over ground than to
+    other living drones, or all users where there is none. Of the sights the drone's own come first,
+    then those of the other drones by index.
 
-    Reward, per decision: sight 1 times the share of users that the drone sees; dwell_time 0.5 times tanh(0.1 s), s the seconds
-    for which it has seen a user without a break, mean of all users; collision -2; out_of_bounds 0 (weights by name).
+    Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 15 m/s.
+    Its norm is limited to max_speed. There is 1 decision a second.
 
-    End: terminated on contact of collision shapes and with an empty battery; truncated after 100 decisions. Drones stop at
-    the city's edges and at the ceiling. Success: 90 % of the users are seen by some drone.
+    Reward per decision, the sum of these terms times their weights:
 
-    Difficulty, drones / city / irregularity: easy 3, urban, 0; medium 5, urban, 0.5; hard 8, dense, 0.5; extreme 16,
-    high_rise, 1; from medium on positions are noisy, hard adds wind, extreme everything, as in the shared airspace.
+    - sight 1: share of the users that the drone sees.
+    - dwell_time 0.5: tanh(0.1 s), where s are the seconds for which the drone has seen a user
+      without a break, averaged over all users.
+    - collision -2: 1 on contact of collision shapes.
+    - out_of_bounds 0: 1 where the bounds hold the drone back.
+
+    End: terminated on contact of collision shapes and with an empty battery. Truncated after 100
+    decisions. Drones stop at the city's edges and at the ceiling.
+
+    Success: 90 % of the users are seen by some drone.
+
+    Difficulties (drones, city, irregularity); from medium on positions are noisy, hard adds wind,
+    extreme makes everything uncertain, as in the shared airspace:
+
+    - easy 3, urban, 0.
+    - medium 5, urban, 0.5.
+    - hard 8, dense, 0.5.
+    - extreme 16, high_rise, 1.
+
+    Preset urbanmarl: sizes and rates of UrbanMARL 0.3.1 (docs/service.md).
     """
 
     name = "mobile_users"

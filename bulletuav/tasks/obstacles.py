@@ -9,28 +9,36 @@ import numpy as np
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.registry import register
 from bulletuav.tasks.base import Rngs
-from bulletuav.tasks.families.airspace import (
-    REWARD_WEIGHTS,
-    UNCERTAINTY,
-    Airspace,
-    AirspaceConfig,
-    clearance,
-)
+from bulletuav.tasks.families.airspace import REWARD_WEIGHTS, Airspace
+from bulletuav.tasks.families.difficulties import UNCERTAINTY
+from bulletuav.tasks.families.flight_config import AirspaceConfig, clearance
 from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
 from bulletuav.tasks.ingredients import reward
 
-GOLDEN = (np.sqrt(5) - 1) / 2  # spreads sizes evenly over any number of obstacles
-FULL = 0.3  # share of the space that drones and obstacles may keep others out of
+GOLDEN_RATIO = (np.sqrt(5) - 1) / 2
+"""Its multiples modulo 1 spread sizes evenly over any number of obstacles"""
+MAX_OCCUPANCY = 0.3
+"""Greatest share of the space that drones and obstacles may keep others out of"""
 
 
 @dataclass(frozen=True)
 class ObstaclesConfig(AirspaceConfig):
-    """Options of `obstacles` beside those of every shared airspace, m, m/s.
+    """Options of `obstacles`, beside those of free airspace (`AirspaceConfig`).
 
-    Starts, goals and obstacles lie in a square of side `area`, within `altitude_spread` / 2 of `altitude`. Starts, and
-    goals, keep 2 d_safe from each other, both d_safe from obstacles; a goal is `leg` or farther from its start. Of the
-    `num_obstacles`, `num_moving` move at up to `obstacle_speed` on each axis, reflected at the bounds; their sizes (radius
-    of the bounding sphere) spread over `obstacle_radius`, every second is a cube.
+    Starts, and goals, keep 2 d_safe from each other, and d_safe from obstacles.
+
+    Attributes:
+        area: Side of the square in which starts, goals and obstacles lie, m.
+        altitude_spread: Range of their heights about `altitude`, half of it to each side, m.
+        leg: Least distance from a start to its goal, m.
+        num_obstacles: Number of obstacles; every second one is a cube, the others are spheres.
+        num_moving: Number of them that move, reflected at the bounds of their space.
+        obstacle_radius: Least and greatest radius of the obstacles' bounding spheres, m. Sizes
+            spread between them.
+        obstacle_speed: Greatest speed of an obstacle on each axis, m/s.
+        jitter: Largest random shift of a start on each axis, m.
+        start_speed: Least and greatest speed at the start, m/s: slow enough to stop before an
+            obstacle.
     """
 
     area: float = 200.0
@@ -41,29 +49,56 @@ class ObstaclesConfig(AirspaceConfig):
     obstacle_radius: tuple[float, float] = (3.0, 10.0)
     obstacle_speed: float = field(default=5.0, metadata={"most": 100.0})
     jitter: float = 0.0
-    start_speed: tuple[float, float] = (0.0, 5.0)  # slow enough to stop before an obstacle
+    start_speed: tuple[float, float] = (0.0, 5.0)
 
 
 @reward
 def obstacle_warning(obstacle_nearness: float) -> float:
-    """Summed over obstacles: from 0 at d_safe from bounding spheres, linear, to 1 at contact."""
+    """Sum up nearness to obstacles: 0 at d_safe from the bounding sphere, 1 at contact, linear."""
     return obstacle_nearness
 
 
 @register("task")
 class Obstacles(Airspace[ObstaclesConfig]):
-    """From anywhere to anywhere among bodies that can be hit, some of which move.
+    """Flight from random places to random goals among bodies, some of which move.
 
-    Observation, per drone, Box(55) with the defaults; `bulletuav tasks obstacles` lists each number:
-    World axes (east, north, up). Neighbours are the nearest living drones, nearest first, relative to the drone; zeros where
-    there are fewer.
+    Drones, goals and obstacles start at random places in a square of 200 m, between 20 and 60 m
+    high. Every second obstacle is a cube, the others are spheres; all can be hit.
 
-    Action, reward, end and what is uncertain: as in every shared airspace, see `Airspace`.
-    Beside that: obstacle_warning -5 for each obstacle, linear from 0 at d_safe from its bounding sphere to 1 at contact
-    with it. Obstacles observed are the nearest by distance to their bounding spheres.
+    Observation, Box(55) per drone with the defaults, in world axes (east, north, up): position,
+    velocity, direction and distance of the goal, the nearest living drones, and the nearest
+    obstacles. Both come nearest first, relative to the drone, and are zeros where there are fewer.
+    Obstacles are sorted by the distance to their bounding spheres.
 
-    Difficulty, drones / obstacles / of these moving / area: easy 4, 10, 0, 200 m; medium 8, 10, 5, 200 m;
-    hard 20, 15, 10, 200 m; extreme 100, 20, 15, 300 m.
+    Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 20 m/s.
+    Its norm is limited to max_speed. There are 10 decisions a second.
+
+    Reward per decision, as in every shared airspace (see `Airspace` for all terms):
+
+    - progress 5: metres nearer to the goal.
+    - goal 50: 1 on reaching the goal.
+    - conflict -100: other drones that come closer than d_safe = 5 m.
+    - warning -5: nearness to other drones, from 0 at 10 m to 1 at 5 m.
+    - collision -200: 1 on contact.
+    - out_of_bounds -50: 1 outside the arena.
+    - energy -0.01: square of the velocity change, (m/s)^2.
+    - obstacle_warning -5: for each obstacle, linear from 0 at d_safe from its bounding sphere to
+      1 at contact with it.
+
+    End: terminated within 2 m of the goal, on contact, with an empty battery, or outside the
+    arena. Truncated after 500 decisions.
+
+    Success: the goal is reached.
+
+    Difficulties (drones, obstacles, of these moving, side of the square); from medium on positions
+    are noisy, hard adds wind, extreme makes everything uncertain:
+
+    - easy 4, 10, 0, 200 m.
+    - medium 8, 10, 5, 200 m.
+    - hard 20, 15, 10, 200 m.
+    - extreme 100, 20, 15, 300 m.
+
+    Preset uavconflict: sizes, observation and reward constants of UAVConflictGym.
     """
 
     name = "obstacles"
@@ -72,7 +107,12 @@ class Obstacles(Airspace[ObstaclesConfig]):
     difficulties: ClassVar = {
         "easy": {"num_drones": 4, "num_moving": 0, **UNCERTAINTY["easy"]},
         "medium": UNCERTAINTY["medium"],
-        "hard": {"num_drones": 20, "num_obstacles": 15, "num_moving": 10, **UNCERTAINTY["hard"]},
+        "hard": {
+            "num_drones": 20,
+            "num_obstacles": 15,
+            "num_moving": 10,
+            **UNCERTAINTY["hard"],
+        },
         "extreme": {
             "num_drones": 100,
             "area": 300.0,
@@ -82,27 +122,36 @@ class Obstacles(Airspace[ObstaclesConfig]):
         },
     }
 
-    def __init__(self, config: ObstaclesConfig, context: TaskContext):
-        """Raises ValueError where there is no room for all, or starts could touch the ground."""
+    def __init__(self, config: ObstaclesConfig, context: TaskContext) -> None:
+        """Make the obstacles, and check that there is room for all.
+
+        Raises:
+            ValueError: There is no room, or starts could touch the ground.
+        """
         super().__init__(config, context)
-        low, high = config.obstacle_radius
-        if not 0 < low <= high:
+        smallest, largest = config.obstacle_radius
+        if not 0 < smallest <= largest:
             raise ValueError(
                 f"obstacle_radius is {config.obstacle_radius}: from low to high, above 0, is needed"
             )
         if config.num_moving > config.num_obstacles:
             raise ValueError(
-                f"num_moving {config.num_moving} of {config.num_obstacles} obstacles: at most all can move"
+                f"num_moving {config.num_moving} of {config.num_obstacles} obstacles: "
+                f"at most all can move"
             )
-        side, rise = config.area / 2, config.altitude_spread / 2
+        # The space in which everything lies.
+        side = config.area / 2
+        rise = config.altitude_spread / 2
         self._low = np.array([-side, -side, config.altitude - rise])
         self._high = np.array([side, side, config.altitude + rise])
         if self._low[2] - config.jitter <= context.collision_radius:
             raise ValueError(
-                f"altitude {config.altitude:g} m is too low for altitude_spread {config.altitude_spread:g} m"
+                f"altitude {config.altitude:g} m is too low "
+                f"for altitude_spread {config.altitude_spread:g} m"
             )
+        # Obstacles of all sizes, and how far apart starts, and goals, lie.
         index = np.arange(config.num_obstacles)
-        self._radius = low + (high - low) * (index * GOLDEN % 1)
+        self._radius = smallest + (largest - smallest) * (index * GOLDEN_RATIO % 1)
         self._bodies = tuple(_body(k, radius) for k, radius in enumerate(self._radius.tolist()))
         self._apart = 2 * clearance(config, context) + 2 * config.jitter
         self._check_room()
@@ -111,44 +160,50 @@ class Obstacles(Airspace[ObstaclesConfig]):
         self.arena_low[2] = 0.0
 
     def _check_room(self) -> None:
-        """Random places are found fast where little of the space is taken."""
+        """Refuse crowds: random places are found fast where little of the space is taken."""
         config = self.config
+        drones = self.context.num_drones
         balls = (self._radius + self._apart) ** 3
-        taken = 4 / 3 * np.pi * (balls.sum() + self.context.num_drones * self._apart**3)
+        taken = 4 / 3 * np.pi * (balls.sum() + drones * self._apart**3)
         room = float(np.prod(self._high - self._low + 2 * self._apart))
-        if taken > FULL * room:
+        if taken > MAX_OCCUPANCY * room:
             raise ValueError(
-                f"{self.context.num_drones} drones and {config.num_obstacles} obstacles keep others out of "
-                f"{taken / room:.0%} of the space, at most {FULL:.0%} is possible: widen area or altitude_spread"
+                f"{drones} drones and {config.num_obstacles} obstacles keep others out of "
+                f"{taken / room:.0%} of the space, at most {MAX_OCCUPANCY:.0%} is possible: "
+                f"widen area or altitude_spread"
             )
         if config.leg > 0.5 * config.area:
             raise ValueError(
-                f"leg {config.leg:g} m is too long for an area of {config.area:g} m: at most half of it"
+                f"leg {config.leg:g} m is too long for an area of {config.area:g} m: "
+                f"at most half of it"
             )
 
     def obstacles(self) -> Sequence[Obstacle]:
-        """The bodies, those that move first."""
+        """List the obstacles, those that move first."""
         return self._bodies
 
     def _places(
         self, rng: np.random.Generator, obstacle: np.ndarray, start: np.ndarray | None
     ) -> np.ndarray:
-        """(N, 3) random places, clear of each other and of obstacles, `leg` from each drone's `start` where it is given."""
+        """Draw places (N, 3), clear of each other and of obstacles, m.
+
+        Where `start` (N, 3) is given, each is `leg` or farther from its drone's start.
+        """
         places = np.empty((self.context.num_drones, 3))
+        keep_off = self._radius + self._apart / 2
         for i in range(len(places)):
             while True:
                 place = rng.uniform(self._low, self._high)
-                clear = np.all(np.linalg.norm(places[:i] - place, axis=1) > self._apart)
-                clear &= np.all(
-                    np.linalg.norm(obstacle - place, axis=1) > self._radius + self._apart / 2
-                )
-                if clear and (start is None or np.linalg.norm(start[i] - place) >= self.config.leg):
+                is_clear = np.all(np.linalg.norm(places[:i] - place, axis=1) > self._apart)
+                is_clear &= np.all(np.linalg.norm(obstacle - place, axis=1) > keep_off)
+                is_far = start is None or np.linalg.norm(start[i] - place) >= self.config.leg
+                if is_clear and is_far:
                     break
             places[i] = place
         return places
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
-        """Everything at random places; drones in flight towards their goals."""
+        """Draw a start with everything at random places, drones in flight towards their goals."""
         config = self.config
         obstacle = rng.uniform(self._low, self._high, (config.num_obstacles, 3))
         velocity = rng.uniform(-config.obstacle_speed, config.obstacle_speed, obstacle.shape)
@@ -159,7 +214,7 @@ class Obstacles(Airspace[ObstaclesConfig]):
         return self.launch(start, goal, rng)._replace(obstacle=obstacle, obstacle_velocity=velocity)
 
     def quantities(self) -> Mapping[str, Any]:
-        """Tell beside the ways to goals how near obstacles are."""
+        """Tell, beside the ways to goals, how near obstacles are."""
         return {**super().quantities(), "obstacle_nearness": self._obstacle_nearness}
 
     def _obstacle_nearness(self, frame: Frame) -> np.ndarray:
@@ -168,23 +223,29 @@ class Obstacles(Airspace[ObstaclesConfig]):
         reach = radius + self.context.collision_radius
         offset = frame.scene.obstacle[:, None] - frame.after.position[:, :, None]
         gap = np.linalg.norm(offset, axis=-1) - reach
-        depth: np.ndarray = np.clip(1 - gap / frame.d_safe, 0.0, 1.0).sum(axis=-1)
-        return depth
+        nearness: np.ndarray = np.clip(1 - gap / frame.d_safe, 0.0, 1.0).sum(axis=-1)
+        return nearness
 
     def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
-        """Move obstacles straight on, reflected at the bounds."""
+        """Move obstacles straight on, reflected at the bounds.
+
+        Returns:
+            Whether any obstacle can have moved.
+        """
         super().move_scene(scene, time, flying, rngs)
         if not self.config.num_moving:
             return False
         place = scene.obstacle[flying] + self.context.period * scene.obstacle_velocity[flying]
-        over = np.maximum(place - self._high, 0) + np.minimum(place - self._low, 0)
-        scene.obstacle[flying] = place - 2 * over
-        scene.obstacle_velocity[flying] *= np.where(over == 0, 1.0, -1.0)
+        # How far each is beyond a bound, on each axis: it comes back as far, and turns round.
+        beyond = np.maximum(place - self._high, 0) + np.minimum(place - self._low, 0)
+        scene.obstacle[flying] = place - 2 * beyond
+        scene.obstacle_velocity[flying] *= np.where(beyond == 0, 1.0, -1.0)
         return True
 
 
 def _body(index: int, radius: float) -> Obstacle:
-    """A sphere, or every second time a cube, with that bounding radius, m."""
+    """Make a sphere, or for odd indices a cube, of that bounding radius, m."""
     if index % 2:
-        return Obstacle("box", (2 * radius / np.sqrt(3),) * 3)
+        side = 2 * radius / np.sqrt(3)
+        return Obstacle("box", (side, side, side))
     return Obstacle("sphere", (radius,))

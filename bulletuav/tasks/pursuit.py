@@ -1,4 +1,4 @@
-"""Task `pursuit`: a queue of drones on one circular track, the fastest last, so that they have to overtake."""
+"""Task `pursuit`: a queue of drones on a circular track, the fastest last, so they overtake."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,23 +8,26 @@ import numpy as np
 
 from bulletuav.registry import register
 from bulletuav.tasks.base import Rngs
-from bulletuav.tasks.families.airspace import (
-    UNCERTAINTY,
-    Airspace,
+from bulletuav.tasks.families.airspace import Airspace
+from bulletuav.tasks.families.difficulties import UNCERTAINTY
+from bulletuav.tasks.families.flight_config import (
     AirspaceConfig,
-    between_neighbours,
     circle_arena,
     clearance,
+    least_distance,
 )
 from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
 
 
 @dataclass(frozen=True)
 class PursuitConfig(AirspaceConfig):
-    """Options of `pursuit` beside those of every shared airspace, m, m/s.
+    """Options of `pursuit`, beside those of free airspace (`AirspaceConfig`).
 
-    Drones queue on a circle of `radius`, `spacing` apart along it, and fly `laps` clockwise, the first of the queue at
-    `speed[0]`, the last at `speed[1]`.
+    Attributes:
+        radius: Radius of the circular track, m.
+        spacing: Distance between neighbours of the queue along the track, m.
+        speed: Speed of the first and of the last of the queue, m/s; those between spread evenly.
+        laps: Rounds that each goal flies.
     """
 
     radius: float = 60.0
@@ -35,21 +38,42 @@ class PursuitConfig(AirspaceConfig):
 
 @register("task")
 class Pursuit(Airspace[PursuitConfig]):
-    """A queue on a circle, clockwise; who follows is faster than who leads, so overtaking conflicts arise.
+    """Flight of a queue round a circle, the faster behind the slower, so that they overtake.
 
-    Each drone's goal runs ahead on the circle at the drone's own pace, from the drone's start round to it again, where it
-    stops. Drone 0 leads.
+    Each drone's goal runs ahead on the circle, clockwise, at the drone's own pace. It runs once
+    round, back to the drone's start, and stops there. Drone 0 leads and is the slowest.
 
-    Observation, per drone, Box(34) with the defaults; `bulletuav tasks pursuit` lists each number:
-    World axes (east, north, up). Neighbours are the nearest living drones, nearest first, relative to the drone; zeros where
-    there are fewer.
+    Observation, Box(34) per drone with the defaults, in world axes (east, north, up): position,
+    velocity, direction and distance of the goal, the goal's velocity, and the nearest living
+    drones. These come nearest first, relative to the drone, and are zeros where there are fewer.
 
-    Action, reward, end and what is uncertain: as in every shared airspace, see `Airspace`.
-    Beside that: a goal counts as reached once it has stopped; the horizon of extreme is 1,000 decisions.
-    Success: goal reached without any conflict.
+    Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 20 m/s.
+    Its norm is limited to max_speed. There are 10 decisions a second.
 
-    Difficulty, drones / radius / spacing / speeds: easy 4, 60 m, 15 m, 10 to 18 m/s; medium 8, the same; hard 20,
-    the same; extreme 100, 150 m, 8.5 m, 12 to 18 m/s.
+    Reward per decision, as in every shared airspace (see `Airspace` for all terms):
+
+    - progress 5: metres nearer to the goal.
+    - goal 50: 1 on reaching the goal.
+    - conflict -100: other drones that come closer than d_safe = 5 m.
+    - warning -5: nearness to other drones, from 0 at 10 m to 1 at 5 m.
+    - collision -200: 1 on contact.
+    - out_of_bounds -50: 1 outside the arena.
+    - energy -0.01: square of the velocity change, (m/s)^2.
+
+    End: terminated within 2 m of the goal once the goal has stopped, on contact, with an empty
+    battery, or outside the arena. Truncated after 500 decisions; extreme has 1,000.
+
+    Success: the goal is reached once it has stopped, without any conflict on the way.
+
+    Difficulties (drones, radius, spacing, speeds); from medium on positions are noisy, hard adds
+    wind, extreme makes everything uncertain:
+
+    - easy 4, 60 m, 15 m, 10 to 18 m/s.
+    - medium 8, 60 m, 15 m, 10 to 18 m/s.
+    - hard 20, 60 m, 15 m, 10 to 18 m/s.
+    - extreme 100, 150 m, 8.5 m, 12 to 18 m/s.
+
+    Preset uavconflict: sizes, observation and reward constants of UAVConflictGym.
     """
 
     name = "pursuit"
@@ -68,80 +92,111 @@ class Pursuit(Airspace[PursuitConfig]):
         },
     }
 
-    def __init__(self, config: PursuitConfig, context: TaskContext):
-        """Raises ValueError where drones could start in conflict or in touch with the ground, or are too slow."""
+    def __init__(self, config: PursuitConfig, context: TaskContext) -> None:
+        """Check that drones start apart and are fast enough, and lay out the arena.
+
+        Raises:
+            ValueError: Drones could start in conflict or in touch with the ground, or are too
+                slow for the horizon.
+        """
         super().__init__(config, context)
-        if not 0 < config.speed[0] <= config.speed[1] <= context.max_speed:
+        slowest, fastest = config.speed
+        if not 0 < slowest <= fastest <= context.max_speed:
             raise ValueError(
-                f"speed is {config.speed}: from low to high, above 0 and up to max_speed {context.max_speed:g}"
+                f"speed is {config.speed}: "
+                f"from low to high, above 0 and up to max_speed {context.max_speed:g}"
             )
-        if context.num_drones * config.spacing > 2 * np.pi * config.radius:
+        self._check_spacing()
+        self.arena_low, self.arena_high = circle_arena(config, context, config.radius)
+        self._pace = np.linspace(slowest, fastest, context.num_drones)
+        self._track_length = 2 * np.pi * config.radius * config.laps
+        if self._track_length > slowest * context.duration:
             raise ValueError(
-                f"{context.num_drones} drones with spacing {config.spacing:g} m do not fit on a circle of radius "
-                f"{config.radius:g} m"
+                f"speed {slowest:g} m/s is too slow for {self._track_length:.4g} m of way "
+                f"within {context.duration:g} s: raise horizon or speed, or fly fewer laps"
+            )
+
+    def _check_spacing(self) -> None:
+        """Refuse a queue that does not fit on the circle, or in which drones could conflict."""
+        config = self.config
+        drones = self.context.num_drones
+        if drones * config.spacing > 2 * np.pi * config.radius:
+            raise ValueError(
+                f"{drones} drones with spacing {config.spacing:g} m do not fit "
+                f"on a circle of radius {config.radius:g} m"
             )
         chord = 2 * config.radius * np.sin(config.spacing / (2 * config.radius))
-        nearest, clear = between_neighbours(config, chord), clearance(config, context)
-        if context.num_drones > 1 and nearest <= clear:
+        nearest = least_distance(config, chord)
+        clear = clearance(config, self.context)
+        if drones > 1 and nearest <= clear:
             raise ValueError(
-                f"start positions may be in conflict: spacing {config.spacing:g} m with jitter {config.jitter:g} m leaves "
-                f"{nearest:.3g} m between neighbours, more than {clear:.3g} m (d_safe) is needed"
-            )
-        self.arena_low, self.arena_high = circle_arena(config, context, config.radius)
-        self._pace = np.linspace(*config.speed, context.num_drones)
-        self._way = 2 * np.pi * config.radius * config.laps
-        if self._way > config.speed[0] * context.duration:
-            raise ValueError(
-                f"speed {config.speed[0]:g} m/s is too slow for {self._way:.4g} m of way within {context.duration:g} s: "
-                f"raise horizon or speed, or fly fewer laps"
+                f"start positions may be in conflict: spacing {config.spacing:g} m with jitter "
+                f"{config.jitter:g} m leaves {nearest:.3g} m between neighbours, "
+                f"more than {clear:.3g} m (d_safe) is needed"
             )
 
     def _track(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Goals (..., N, 3) m and their velocities at `time` (...,) s."""
+        """Return places (..., N, 3), m, and velocities (..., N, 3), m/s, of goals.
+
+        Times (...) are those since the start, s.
+        """
+        radius = self.config.radius
         way = self._pace * np.asarray(time)[..., None]
-        angle = (
-            np.arange(len(self._pace)) * self.config.spacing - np.minimum(way, self._way)
-        ) / self.config.radius
+        # Clockwise from each drone's place in the queue, until the laps are flown.
+        queue = np.arange(len(self._pace)) * self.config.spacing
+        angle = (queue - np.minimum(way, self._track_length)) / radius
         zero = np.zeros_like(angle)
-        place = self.config.radius * np.stack([np.cos(angle), np.sin(angle), zero], axis=-1)
-        pace = np.where(way < self._way, self._pace, 0.0)[..., None]
-        return place + np.array((0.0, 0.0, self.config.altitude)), pace * np.stack(
-            [np.sin(angle), -np.cos(angle), zero], axis=-1
-        )
+        circle = radius * np.stack([np.cos(angle), np.sin(angle), zero], axis=-1)
+        place = circle + np.array((0.0, 0.0, self.config.altitude))
+        pace = np.where(way < self._track_length, self._pace, 0.0)[..., None]
+        velocity = pace * np.stack([np.sin(angle), -np.cos(angle), zero], axis=-1)
+        return place, velocity
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
-        """Queued on the circle, in flight along it."""
+        """Draw a start of drones queued on the circle, in flight along it."""
         goal, velocity = self._track(np.zeros(()))
-        return self.launch(self.config.scattered(goal, rng), goal, rng, velocity)._replace(
-            goal_velocity=velocity
-        )
+        start = self.config.scattered(goal, rng)
+        return self.launch(start, goal, rng, along=velocity)._replace(goal_velocity=velocity)
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
-        """Beside those of every airspace `conflicts`: how many each drone has had."""
+        """Tell, beside the shapes of every airspace, that of each drone's number of conflicts."""
         return {**super().memory(), "conflicts": (self.context.num_drones,)}
 
     def update_memory(self, frame: Frame, rngs: Rngs) -> None:
-        """Count conflicts, too."""
+        """Count conflicts, beside what every airspace notes."""
         super().update_memory(frame, rngs)
         frame.scene.memory["conflicts"][:] += np.where(frame.alive, frame.conflict.onsets, 0)
 
     def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
         """Let goals run on."""
         goal, velocity = self._track(time + self.context.period)
-        scene.goal[flying], scene.goal_velocity[flying] = goal[flying], velocity[flying]
+        scene.goal[flying] = goal[flying]
+        scene.goal_velocity[flying] = velocity[flying]
         return super().move_scene(scene, time, flying, rngs)
 
-    def ahead(self, goal: np.ndarray, time: np.ndarray) -> np.ndarray:
-        """What is left of the laps, m."""
-        return super().ahead(goal, time) + np.maximum(
-            self._way - self._pace * np.asarray(time)[:, None], 0.0
-        )
+    def goal_travel_left(self, goal: np.ndarray, time: np.ndarray) -> np.ndarray:
+        """Tell how far goals have yet to move: what is left of the laps, and of a descent.
+
+        Args:
+            goal: (W, N, 3) where they are, m.
+            time: (W,) time since each world's reset, s.
+
+        Returns:
+            (W, N) m.
+        """
+        flown = self._pace * np.asarray(time)[:, None]
+        laps = np.maximum(self._track_length - flown, 0.0)
+        left: np.ndarray = super().goal_travel_left(goal, time) + laps
+        return left
 
     def arrived(self, frame: Frame) -> np.ndarray:
-        """At the goal, which has come to its end."""
-        ended = self._pace * frame.time[:, None] >= self._way
-        return ended & super().arrived(frame)
+        """Tell who is at its goal after that has stopped, (W, N) bool."""
+        has_stopped = self._pace * frame.time[:, None] >= self._track_length
+        arrived: np.ndarray = has_stopped & super().arrived(frame)
+        return arrived
 
     def succeeded(self, frame: Frame) -> np.ndarray:
-        """Tell who finished without any conflict."""
-        return super().succeeded(frame) & (frame.scene.memory["conflicts"] == 0)
+        """Tell who finished without any conflict, (W, N) bool."""
+        without_conflict = frame.scene.memory["conflicts"] == 0
+        succeeded: np.ndarray = super().succeeded(frame) & without_conflict
+        return succeeded

@@ -1,4 +1,4 @@
-"""The batched, Gymnasium and AEC faces."""
+"""Batches, and the APIs of Gymnasium and PettingZoo's AEC."""
 
 import warnings
 
@@ -52,7 +52,7 @@ def test_stable_baselines_checks_what_it_can(task, action):
         env.close()
 
 
-def test_the_central_face_commands_all_drones():
+def test_the_central_environment_commands_all_drones():
     env = gymnasium.make("bulletuav/Crossing-v0", num_drones=3).unwrapped
     reference = bulletuav.Aviary("crossing", num_drones=3)
     state, _ = env.reset(seed=4)
@@ -100,7 +100,7 @@ def test_the_episode_is_cut_when_time_ends_it_for_one_and_over_when_all_crashed(
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_the_aec_form_passes_pettingzoos_checks(task):
+def test_the_aec_environment_passes_pettingzoos_checks(task):
     env = bulletuav.aec_env(task, num_drones=2)
     api_test(env, num_cycles=60)
     env.close()
@@ -110,8 +110,11 @@ def test_the_aec_form_passes_pettingzoos_checks(task):
 # Batches
 
 
-def terminal(mode, **options):
-    """Two worlds of one drone; world 1 dives and ends first. Returns rows of (obs, reward, terminated, truncated, info)."""
+def flight_to_the_end(mode, **options):
+    """Fly two worlds of one drone, of which world 1 dives and ends first.
+
+    Returns the environment and rows of (observations, rewards, terminated, truncated, infos).
+    """
     env = bulletuav.batch_env(
         "hover", 2, autoreset_mode=mode, action="velocity", horizon=30, height=1.5, **options
     )
@@ -123,7 +126,7 @@ def terminal(mode, **options):
 
 
 def test_next_step_returns_the_first_observation_in_the_step_after_the_last():
-    env, rows = terminal(AutoresetMode.NEXT_STEP)
+    env, rows = flight_to_the_end(AutoresetMode.NEXT_STEP)
     end = next(k for k, row in enumerate(rows[1:], 1) if row[2][1, 0])
     assert end < 30
     assert rows[end][4]["collision"][1, 0]
@@ -133,9 +136,8 @@ def test_next_step_returns_the_first_observation_in_the_step_after_the_last():
     assert not after[3][1, 0]
     fresh = bulletuav.Aviary("hover", 2, action="velocity", height=1.5, horizon=30)
     fresh.reset(seeds=0)
-    np.testing.assert_array_equal(
-        after[0][1], fresh.reset()[1]
-    )  # goes on with the world's own random numbers
+    # The world goes on with its own random numbers.
+    np.testing.assert_array_equal(after[0][1], fresh.reset()[1])
     assert rows[30][3][0, 0]  # truncated
     assert rows[31][1][0, 0] == 0
     assert env.alive.all()
@@ -143,8 +145,8 @@ def test_next_step_returns_the_first_observation_in_the_step_after_the_last():
 
 
 def test_same_step_gives_the_end_apart():
-    env, rows = terminal(AutoresetMode.SAME_STEP)
-    _, disabled = terminal(AutoresetMode.DISABLED)
+    env, rows = flight_to_the_end(AutoresetMode.SAME_STEP)
+    _, disabled = flight_to_the_end(AutoresetMode.DISABLED)
     end = next(k for k, row in enumerate(rows[1:], 1) if row[2][1, 0])
     observation, reward, _, _, info = rows[end]
     np.testing.assert_array_equal(info["_final_obs"], (False, True))
@@ -158,7 +160,7 @@ def test_same_step_gives_the_end_apart():
 
 
 def test_disabled_waits_for_the_caller():
-    env, _ = terminal(AutoresetMode.DISABLED)
+    env, _ = flight_to_the_end(AutoresetMode.DISABLED)
     assert not env.alive.any()
     before = env.aviary.swarm.position.copy()
     env.step(np.full((2, 1, 3), np.nan))  # nobody reads it
@@ -170,7 +172,7 @@ def test_disabled_waits_for_the_caller():
 
 @pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
 def test_infos_and_observations_of_a_new_episode_belong_together(mode):
-    _, rows = terminal(mode)
+    _, rows = flight_to_the_end(mode)
     for observation, _, _, _, info in rows[1:]:
         np.testing.assert_allclose(
             np.linalg.norm(observation[..., 4:7], axis=-1), info["goal_distance"], rtol=1e-5
@@ -264,7 +266,7 @@ def test_vector_and_single_environments_agree():
 # Discrete actions, mixed swarms
 
 
-def test_discrete_actions_in_every_face():
+def test_discrete_actions_in_every_environment_class():
     env = bulletuav.parallel_env("hover", action="discrete", num_drones=2)
     env.reset(seed=0)
     assert env.action_space("drone_0") == gymnasium.spaces.Discrete(7)
@@ -329,14 +331,13 @@ def test_pictures_are_observed_as_uint8_and_metres():
     assert (one["rgb"].shape, one["rgb"].dtype) == ((24, 32, 3), np.uint8)
     assert (one["depth"].shape, one["depth"].dtype) == ((24, 32), np.float32)
     assert env.observation_space("drone_0").contains(one)
-    # Straight ahead stands drone 1: its rim is 2 m less both radii away from the lens, its body at most a radius more.
+    # Straight ahead stands drone 1: its rim is 2 m less both radii away from the lens, its body at
+    # most a radius more.
     radius = env.aviary.options.airframe[0].collision_radius
     ahead = one["depth"][11:13, 15:17].min()
     assert 2 - 2 * radius - 0.02 < ahead < 2 - radius
-    ground = one["depth"][-1, 16]
-    assert ground == pytest.approx(
-        2.04, abs=0.06
-    )  # the last row looks down by 45 degrees at its edge, a little less inside
+    # The last row looks down by 45 degrees at its edge, a little less inside.
+    assert one["depth"][-1, 16] == pytest.approx(2.04, abs=0.06)
     assert one["depth"][0, 0] == 2000  # sky
     only = bulletuav.parallel_env("hover", observation="depth", camera_size=(16, 12))
     assert set(only.reset(seed=0)[0]["drone_0"]) == {"depth"}

@@ -1,3 +1,5 @@
+"""The batched core: determinism, independence of worlds, and refused input."""
+
 import numpy as np
 import pytest
 
@@ -47,7 +49,7 @@ def test_same_seed_same_bits_whatever_ran_before(task, dynamics, action):
 
 
 def test_the_bits_hold_through_contacts():
-    """Drones that fall on each other and on the ground, in both dynamics, with dead ones leaving in between."""
+    """Drones fall on each other and on the ground, and dead ones leave in between."""
     start = [(0.02 * i, 0.0, 0.12 + 0.14 * i) for i in range(6)]
     for dynamics in ("bullet", "rigid_body"):
         aviary = bulletuav.Aviary(
@@ -92,7 +94,7 @@ def test_world_k_does_not_feel_the_others_and_starts_like_seed_plus_k(task, dyna
 
 @pytest.mark.parametrize("dynamics", ["bullet", "rigid_body"])
 def test_a_world_agrees_with_the_same_world_alone(dynamics):
-    """Until contact: to 1e-9 m in `bullet` (tiles round differently), bit for bit in `rigid_body`."""
+    """Until contact: to 1e-9 m in `bullet`, whose tiles round differently, else bit for bit."""
     many, alone = (bulletuav.Aviary("crossing", worlds, dynamics=dynamics) for worlds in (3, 1))
     many.reset(seeds=0)
     alone.reset(seeds=2)

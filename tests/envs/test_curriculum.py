@@ -1,3 +1,5 @@
+"""Stages that follow the success of episodes."""
+
 import numpy as np
 import pytest
 from pettingzoo.test import parallel_api_test, parallel_seed_test
@@ -8,7 +10,7 @@ from bulletuav.envs.curriculum import Curriculum
 FAST = {"dynamics": "single_integrator", "horizon": 150, "randomization": {}}
 
 
-def test_levels_follow_the_success_rate():
+def test_stages_follow_the_success_rate():
     curriculum = Curriculum(3, up=0.75, down=0.25, window=4)
     assert np.isnan(curriculum.success_rate)
     for success in (1, 1, 0):
@@ -51,16 +53,18 @@ STAGES = ({"num_drones": 2}, {"num_drones": 4})
 
 
 def actions_of(env, stay):
+    """Actions that hold still, or fly to the goal with each drone on its own altitude."""
     if stay:
         return {agent: np.zeros(3, dtype=np.float32) for agent in env.agents}
-    env_, scene = env.env, env.env.aviary
-    wanted = np.clip((scene.scene.goal - scene.swarm.position)[0] / 10, -1, 1)
-    lift = np.linspace(-0.4, 0.4, len(wanted)) * (scene.steps[0] < 25)  # each on its own altitude
+    aviary = env.env.aviary
+    wanted = np.clip((aviary.scene.goal - aviary.swarm.position)[0] / 10, -1, 1)
+    lift = np.linspace(-0.4, 0.4, len(wanted)) * (aviary.steps[0] < 25)
     wanted[:, 2] += lift
-    return {agent: wanted[int(agent.split("_")[1])].astype(np.float32) for agent in env_.agents}
+    return {agent: wanted[int(agent.split("_")[1])].astype(np.float32) for agent in env.agents}
 
 
 def fly(env, stay=False, seed=None):
+    """Fly an episode; how many drones took part, and the last infos."""
     env.reset(seed=seed)
     count = len(env.agents)
     while env.agents:
@@ -106,7 +110,7 @@ def test_an_episode_that_is_left_early_is_not_counted():
     env.close()
 
 
-def test_it_is_a_pettingzoo_environment_and_its_spaces_hold_all_levels():
+def test_it_is_a_pettingzoo_environment_and_its_spaces_hold_all_stages():
     env = curriculum_env(
         "crossing", ({"num_drones": 4}, {"num_drones": 4, "half_length": 150.0}), window=1, **FAST
     )
@@ -128,6 +132,6 @@ def test_it_is_a_pettingzoo_environment_and_its_spaces_hold_all_levels():
         ((), {}, "stages is 0"),
     ],
 )
-def test_levels_that_no_agent_can_fly_alike_are_refused(stages, options, said):
+def test_stages_that_no_agent_can_fly_alike_are_refused(stages, options, said):
     with pytest.raises(ValueError, match=said):
         curriculum_env("converge", stages, **FAST | options)

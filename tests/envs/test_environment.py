@@ -1,4 +1,4 @@
-"""What holds for every environment class: recipes, threads, and that nothing handed out is shared."""
+"""Rules of every environment class: copies, threads, and nothing handed out is shared."""
 
 import copy
 import pickle
@@ -51,16 +51,14 @@ MAKERS = {
 
 
 def act(env, k):
-    """One step of any environment under actions that follow from k; what it returns."""
+    """Step any environment under actions that follow from k; what it returns."""
     wave = 0.5 * np.sin(k + np.arange(18.0))
     if isinstance(env, bulletuav.Aviary):
         return env.step(wave.reshape(2, 3, 3))
     if hasattr(env, "agent_selection"):
-        env.step(
-            None
-            if env.terminations[env.agent_selection] or env.truncations[env.agent_selection]
-            else wave[:3]
-        )
+        agent = env.agent_selection
+        is_done = env.terminations[agent] or env.truncations[agent]
+        env.step(None if is_done else wave[:3])
         return env.last() if env.agents else ()
     if hasattr(env, "possible_agents"):
         return env.step({agent: wave[3 * i : 3 * i + 3] for i, agent in enumerate(env.agents)})
@@ -86,14 +84,17 @@ def arrays(value):
 
 
 def flight(env, steps=5):
+    """What an environment returns at a reset and the steps after it."""
     if hasattr(env, "agent_selection") or type(env).__name__ == "TurnAviary":
         env.reset()
         return [env.last(), *(act(env, k) for k in range(steps))]
     return [env.reset(), *(act(env, k) for k in range(steps))]
 
 
-def same(one, two):
-    one, two = list(arrays(one)), list(arrays(two))
+def assert_same(one, two):
+    """All arrays in both are equal, and there are some."""
+    one = list(arrays(one))
+    two = list(arrays(two))
     assert len(one) == len(two) > 0
     for mine, other in zip(one, two, strict=True):
         np.testing.assert_array_equal(mine, other)
@@ -111,17 +112,19 @@ def test_a_copy_is_made_anew_from_the_same_options_and_flies_the_same(name):
     env = MAKERS[name](**OPTIONS)
     made = [how(env) for how in COPIES.values()]
     before = flight(env)
-    made += [how(env) for how in COPIES.values()]  # in the middle of an episode
+    # Copies that are made in the middle of an episode begin anew, too.
+    made += [how(env) for how in COPIES.values()]
     for other in made:
         assert type(other) is type(env)
-        same(flight(other), before)
+        assert_same(flight(other), before)
         other.close()
-    act(env, 5)  # which goes on
+    # The original goes on.
+    act(env, 5)
     with pytest.raises(TypeError, match="would share its engine: use copy.deepcopy"):
         copy.copy(env)
     env.close()
     closed = pickle.loads(pickle.dumps(env))
-    same(flight(closed), before)
+    assert_same(flight(closed), before)
     closed.close()
 
 
@@ -135,9 +138,17 @@ def test_a_recipe_keeps_what_the_options_were():
     env.close()
 
 
+def is_opened(one):
+    """Tell whether an object is one of ours or PettingZoo's, or a `functools.partial`."""
+    is_ours = type(one).__module__.startswith(("bulletuav", "pettingzoo"))
+    return is_ours or callable(getattr(one, "func", None))
+
+
 def reachable(root):
     """All arrays that an object holds, through the package's own objects and containers."""
-    seen, found, left = set(), [], [root]
+    seen = set()
+    found = []
+    left = [root]
     while left:
         one = left.pop()
         if id(one) in seen:
@@ -149,9 +160,7 @@ def reachable(root):
             left += list(one.values())
         elif isinstance(one, list | tuple | set):
             left += list(one)
-        elif type(one).__module__.startswith(("bulletuav", "pettingzoo")) or callable(
-            getattr(one, "func", None)
-        ):
+        elif is_opened(one):
             left += list(getattr(one, "__dict__", {}).values())
             left += [cell.cell_contents for cell in getattr(one, "__closure__", None) or ()]
     return found
@@ -194,7 +203,7 @@ def test_what_is_written_into_results_changes_no_flight():
                     array[...] = 1
         flights.append(rows)
         env.close()
-    same(*flights)
+    assert_same(*flights)
 
 
 THREADS = """
@@ -206,7 +215,8 @@ def fly(seed, out):
     for repeat in range(8):
         bulletuav.Aviary("hover").close()
     for repeat in range(2):
-        env = bulletuav.Aviary("obstacles", 2, num_drones=3, dynamics=("bullet", "rigid_body")[seed % 2], seed=seed)
+        dynamics = ("bullet", "rigid_body")[seed % 2]
+        env = bulletuav.Aviary("obstacles", 2, num_drones=3, dynamics=dynamics, seed=seed)
         env.reset()
         for k in range(4):
             step = env.step(np.full((2, 3, 3), 0.3))
@@ -260,8 +270,11 @@ thread.join()
 
 @pytest.mark.parametrize("closed", ["1, 2"])
 def test_a_process_without_standard_streams_can_fly(closed, tmp_path):
-    program = f"import os; [os.close(k) for k in ({closed},)]; import bulletuav; bulletuav.Aviary('hover').reset(); "
-    program += f"open({str(tmp_path / 'done')!r}, 'w').close()"
+    program = (
+        f"import os; [os.close(k) for k in ({closed},)]; "
+        f"import bulletuav; bulletuav.Aviary('hover').reset(); "
+        f"open({str(tmp_path / 'done')!r}, 'w').close()"
+    )
     subprocess.run(
         [sys.executable, "-c", program],
         check=False,

@@ -14,12 +14,13 @@ MEGABYTE = 2**20
 
 
 def resident():
+    """Bytes of memory that this process takes."""
     gc.collect()
     return psutil.Process().memory_info().rss
 
 
 def growth(env, steps, warm):
-    """Bytes by which the process grew while a batched environment flew `steps`, after `warm` of them; it resets itself."""
+    """Bytes by which the process grew while a batch flew `steps`, after `warm` of them."""
     rng = np.random.default_rng(0)
     env.reset(seed=0)
     shape = (env.num_envs, env.num_drones, *env.action_space.shape)

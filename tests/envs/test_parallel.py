@@ -1,3 +1,5 @@
+"""The API of PettingZoo's parallel environments."""
+
 import numpy as np
 import pytest
 from pettingzoo import ParallelEnv

@@ -1,3 +1,5 @@
+"""Pictures and the live view."""
+
 import ctypes.util
 
 import numpy as np

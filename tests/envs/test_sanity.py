@@ -1,4 +1,4 @@
-"""Every airframe under every controller with every action flies its manoeuvre; the ladder agrees where it must."""
+"""Every airframe flies its manoeuvre under every controller, dynamics and action."""
 
 import itertools
 import math
@@ -22,7 +22,10 @@ def thrust_share(airframe):
 
 
 def manoeuvre(aviary, action):
-    """The action to hold, and what must be true after a second: (state of the drone, start position) -> bool."""
+    """The action to hold, and a function that tells whether it did what it should in a second.
+
+    Its arguments are the state of the drone and its start.
+    """
     airframe, speed = aviary.options.airframe[0], aviary.options.max_speed
     hover = 2 * thrust_share(airframe) - 1
     rotors = len(airframe.rotors)
@@ -53,7 +56,7 @@ def manoeuvre(aviary, action):
 
 
 def build(airframe, dynamics, controller, action):
-    """The aviary, or None where the combination is refused; a refusal must be one that the levels explain."""
+    """The aviary, or None where the setpoint levels do not fit and the combination is refused."""
     options = {
         "airframe": airframe,
         "dynamics": dynamics,
@@ -141,8 +144,8 @@ def test_an_airframe_of_ones_own_needs_a_urdf_and_nothing_else(urdf, dynamics):
 
 
 @pytest.mark.parametrize("airframe", AIRFRAMES)
-def test_the_ladder_agrees_on_a_gentle_flight(airframe):
-    """The same velocity command for three seconds: every level covers the same way, to a few percent."""
+def test_all_dynamics_agree_on_a_gentle_flight(airframe):
+    """All dynamics cover the same way in three seconds, to a few percent."""
     ways = {}
     for dynamics in DYNAMICS:
         aviary = bulletuav.Aviary(

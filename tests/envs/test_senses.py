@@ -1,4 +1,4 @@
-"""Sensors as parts of an environment: looking changes nothing, and nothing is looked at that nobody asked for."""
+"""Sensors as parts of an environment: looking changes nothing of the flight."""
 
 import numpy as np
 import pytest

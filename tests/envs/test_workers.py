@@ -1,4 +1,4 @@
-"""The batched face over several processes."""
+"""Batches over several processes."""
 
 import os
 import signal
@@ -40,11 +40,12 @@ def rolled(workers, task="crossing", steps=25, num_envs=5, **options):
     return rows
 
 
-def same(one, two, masks):
+def assert_same(one, two, masks):
+    """All entries are equal, in the worlds of the masks; in all for None."""
     assert set(one) == set(two)
     for name, value in one.items():
         if isinstance(value, dict):
-            same(value, two[name], masks)
+            assert_same(value, two[name], masks)
         else:
             chosen = slice(None) if masks is None else masks
             np.testing.assert_array_equal(
@@ -74,7 +75,7 @@ def same(one, two, masks):
 def test_the_number_of_processes_changes_no_bit(workers, options):
     plain = {name: value for name, value in options.items() if name != "start_method"}
     for mine, theirs in zip(rolled(1, **plain), rolled(workers, **options), strict=True):
-        same(mine, theirs, None)
+        assert_same(mine, theirs, None)
 
 
 def test_final_observations_of_several_processes():
@@ -86,8 +87,8 @@ def test_final_observations_of_several_processes():
             masks = mine["_final_obs"]
             ended += masks.sum()
             for name in ("final_obs", "final_state", "final_info"):
-                same({name: mine.pop(name)}, {name: theirs.pop(name)}, masks)
-        same(mine, theirs, None)
+                assert_same({name: mine.pop(name)}, {name: theirs.pop(name)}, masks)
+        assert_same(mine, theirs, None)
     assert ended >= 5
 
 
@@ -100,9 +101,8 @@ class OddError(Exception):
 
 def test_an_error_in_one_worker_is_told_and_no_answer_taken_for_another():
     def wind(position, time):
-        if (time > 0.2).any() and len(
-            position
-        ) == 2:  # the second of two workers has two of three worlds
+        # The second of two workers has two of three worlds.
+        if (time > 0.2).any() and len(position) == 2:
             raise OddError("blown", "away")
         return np.zeros_like(position)
 
@@ -204,7 +204,8 @@ def test_closing_does_not_wait_for_ever_for_a_stopped_worker(monkeypatch):
 def test_workers_end_with_a_process_that_is_killed():
     program = (
         "import bulletuav, psutil, time\n"
-        "env = bulletuav.batch_env('hover', 3, workers=3, dynamics='point_mass', action='velocity', start_method='fork')\n"
+        "options = {'dynamics': 'point_mass', 'action': 'velocity', 'start_method': 'fork'}\n"
+        "env = bulletuav.batch_env('hover', 3, workers=3, **options)\n"
         "print(*(child.pid for child in psutil.Process().children()), flush=True)\n"
         "time.sleep(60)\n"
     )
@@ -217,7 +218,7 @@ def test_workers_end_with_a_process_that_is_killed():
 
 
 def test_a_diverged_flight_is_named_by_its_world_among_all():
-    """Blown away where the drone starts, which tells the world: the same whichever process flies it."""
+    """The wind blows where the drone starts, so it is the same one in whichever process."""
     places = bulletuav.Aviary("hover", 4)
     places.reset(seeds=0)
     doomed = places.swarm.position[3, 0].copy()

@@ -109,9 +109,10 @@ def test_optional_terms_by_hand():
     ],
 )
 def test_shaping_telescopes_to_the_potential_of_the_start_whatever_was_done(task, options, more):
-    """The discounted sum over an episode that terminates is -Phi(start): it cannot change which policy is best.
+    """The discounted sum over an episode that terminates is -Phi(start), whatever was done.
 
-    Phi counts how far goals move on, too: 39.5 m down to the ground, once round the circle.
+    So it cannot change which policy is best. Phi counts how far goals move on, too: 39.5 m down to
+    the ground, once round the circle.
     """
     for seed in (0, 1):
         rng = np.random.default_rng(seed)
@@ -251,9 +252,8 @@ def test_walls_throw_back_or_stop(boundary, rebound, dynamics):
     assert not step.terminated.any()
     after = aviary.swarm.velocity[0, 0]
     assert after[0] <= 0
-    assert after[0] == pytest.approx(
-        -rebound * before[0], rel=0.2
-    )  # it still sped up a little in this decision
+    # It still sped up a little in this decision.
+    assert after[0] == pytest.approx(-rebound * before[0], rel=0.2)
     np.testing.assert_allclose(after[1:], before[1:], atol=0.3)
     assert aviary.commanded[0, 0, 0] <= 0
     assert step.info["reward/out_of_bounds"][0, 0] == -50
@@ -281,11 +281,11 @@ HEAD_ON = {
 
 
 @pytest.mark.parametrize(
-    ("affected", "ended"), [("drone", (True, False, True)), ("world", (True, True, True))]
+    ("whose", "ended"), [("drone", (True, False, True)), ("world", (True, True, True))]
 )
 @pytest.mark.parametrize("what", ["contact_ends", "conflict_ends"])
-def test_contact_and_conflict_end_whose_episode_they_should(what, affected, ended):
-    steps = fly(bulletuav.Aviary("crossing", **{what: affected}, **HEAD_ON, **CALM))
+def test_contact_and_conflict_end_whose_episode_they_should(what, whose, ended):
+    steps = fly(bulletuav.Aviary("crossing", **{what: whose}, **HEAD_ON, **CALM))
     sign = "collision" if what == "contact_ends" else "conflicts"
     when = int(np.argmax(column(steps, sign).any(axis=1)))
     np.testing.assert_array_equal(steps[when].terminated[0], ended)

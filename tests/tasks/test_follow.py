@@ -1,3 +1,5 @@
+"""Task `follow`, and the preset of `hover`."""
+
 import numpy as np
 import pytest
 

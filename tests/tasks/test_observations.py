@@ -5,7 +5,9 @@ import pytest
 
 import bulletuav
 from bulletuav.envs.env_spec import EnvSpec
-from bulletuav.tasks.observations.observer import IMAGES, NAMES
+from bulletuav.sensors.base import Image
+from bulletuav.sensors.suite import known_sensors, reading_labels
+from bulletuav.tasks.observations.observer import known_observations
 
 CALM = {"dynamics": "point_mass", "randomization": {}}
 
@@ -100,31 +102,32 @@ def test_normalised_observations_are_the_raw_ones_scaled_from_their_bounds(task)
     np.testing.assert_allclose(rows[True], 2 * (rows[False] - low) / (high - low) - 1, atol=1e-6)
 
 
-SHOWS = {
-    "dwell_time": "dwell_time",
-    "server": "queue",
-    "link_rates": "received",
-}  # what some tasks alone remember
+SENSORS, SETUP = known_sensors(), EnvSpec("los", 1, {}).setup
+VECTORS = [
+    name
+    for name in known_observations(SENSORS)
+    if not isinstance(reading_labels(SENSORS, name, SETUP), Image)
+]
+"""Names of all blocks but pictures"""
+SHOWN_MEMORY = {"dwell_time": "dwell_time", "server": "queue", "link_rates": "received"}
+"""Blocks that show what some tasks alone remember, and the name of that"""
 
 
-def test_every_block_can_be_asked_for_in_every_task_that_has_what_it_shows():
-    for task in bulletuav.list_tasks():
-        remembered = EnvSpec(task, 1, {}).task.memory()
-        vectors = tuple(
-            name
-            for name in NAMES
-            if name not in IMAGES and (name not in SHOWS or SHOWS[name] in remembered)
-        )
-        aviary = bulletuav.Aviary(
-            task, observation=vectors, num_drones=2, randomization={"radio_loss": 0.1}
-        )
-        rows = aviary.reset(seeds=0)
-        assert rows.shape[-1] == len(aviary.observer.labels)
-        assert aviary.observer.space().contains(rows[0, 0])
-        aviary.close()
+@pytest.mark.parametrize("task", bulletuav.list_tasks())
+def test_every_block_can_be_asked_for_in_every_task_that_has_what_it_shows(task):
+    memory = EnvSpec(task, 1, {}).task.memory()
+    blocks = tuple(
+        name for name in VECTORS if name not in SHOWN_MEMORY or SHOWN_MEMORY[name] in memory
+    )
+    uncertain = {"radio_loss": 0.1}
+    aviary = bulletuav.Aviary(task, observation=blocks, num_drones=2, randomization=uncertain)
+    rows = aviary.reset(seeds=0)
+    assert rows.shape[-1] == len(aviary.observer.labels)
+    assert aviary.observer.space().contains(rows[0, 0])
+    aviary.close()
 
 
-@pytest.mark.parametrize("block", list(SHOWS))
+@pytest.mark.parametrize("block", SHOWN_MEMORY)
 def test_a_block_of_what_a_task_does_not_have_is_refused(block):
     with pytest.raises(ValueError, match=f"'{block}' shows what task 'hover' does not have"):
         bulletuav.Aviary("hover", observation=block)

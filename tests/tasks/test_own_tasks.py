@@ -6,7 +6,7 @@ import textwrap
 import pytest
 
 import bulletuav
-from bulletuav import tasks
+from bulletuav import registry
 from bulletuav.tasks import find_task
 
 HOVER_HIGHER = """
@@ -20,26 +20,27 @@ HOVER_HIGHER = """
 
 
 @pytest.fixture
-def installed(tmp_path, monkeypatch):
-    """A package with entry points, as pip leaves it."""
+def install(tmp_path, monkeypatch):
+    """Installs a package with entry points, as pip leaves it: install(name="module:Class", ...)."""
+    registered = {kind: dict(table) for kind, table in registry._registered.items()}
+    monkeypatch.setattr(registry, "_registered", registered)
+    monkeypatch.setattr(registry, "_loaded", registry._loaded - {"task"})
 
-    def install(**points):
+    def with_entry_points(**points):
         (tmp_path / "other_package.py").write_text(textwrap.dedent(HOVER_HIGHER))
         info = tmp_path / "other_package-1.0.dist-info"
         info.mkdir()
         (info / "METADATA").write_text("Metadata-Version: 2.1\nName: other-package\nVersion: 1.0\n")
         lines = [f"{name} = {place}" for name, place in points.items()]
-        (info / "entry_points.txt").write_text("\n".join(["[bulletuav.tasks]", *lines, ""]))
+        (info / "entry_points.txt").write_text("\n".join(["[bulletuav.task]", *lines, ""]))
         monkeypatch.syspath_prepend(tmp_path)
-        tasks._tasks.cache_clear()
 
-    yield install
-    tasks._tasks.cache_clear()
+    yield with_entry_points
     sys.modules.pop("other_package", None)
 
 
-def test_tasks_of_another_package_are_found(installed):
-    installed(higher="other_package:Higher")
+def test_tasks_of_another_package_are_found(install):
+    install(higher="other_package:Higher")
     assert "higher" in bulletuav.list_tasks()
     assert bulletuav.list_tasks() == sorted(bulletuav.list_tasks())
     aviary = bulletuav.Aviary("higher", height=7.0)
@@ -48,21 +49,14 @@ def test_tasks_of_another_package_are_found(installed):
     aviary.close()
 
 
-@pytest.mark.parametrize(
-    "place",
-    [
-        "other_package:not_a_task",
-        "other_package:Nothing",
-        "no_package:Task",
-        "bulletuav.tasks.hover:Hover",
-    ],
-)
-def test_what_is_no_new_task_is_left_out_with_a_warning(installed, place):
-    installed(broken=place, higher="other_package:Higher")
-    with pytest.warns(UserWarning, match="entry point 'broken' of bulletuav.tasks is left out"):
+@pytest.mark.parametrize("place", ["other_package:Nothing", "no_package:Task"])
+def test_an_entry_point_to_nothing_is_left_out_with_a_warning(install, place):
+    install(broken=place, higher="other_package:Higher")
+    with pytest.warns(UserWarning, match="entry point 'broken' of bulletuav.task is left out"):
         found = bulletuav.list_tasks()
     assert "higher" in found
     assert "crossing" in found
+    assert "broken" not in found
 
 
 def test_a_class_is_a_task_without_being_installed():

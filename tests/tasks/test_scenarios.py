@@ -70,7 +70,7 @@ def test_pursuit_goals_run_clockwise_each_at_its_pace_and_stop_after_a_lap():
 
 
 def test_pursuit_succeeds_after_a_lap_only_without_conflict():
-    """Alone a drone flies its lap; four fly them too, but the faster overtake through the slower, in conflict."""
+    """Alone a drone flies its lap; four fly them too, but the faster overtake in conflict."""
     for drones, success in ((1, True), (4, False)):
         aviary = bulletuav.Aviary(
             "pursuit", num_drones=drones, dynamics="point_mass", jitter=0.5, **CALM
@@ -120,9 +120,8 @@ def test_moving_obstacles_are_reflected_at_the_bounds():
     low, high = np.array((-100, -100, 20.0)), np.array((100, 100, 60.0))
     for step in range(1, 200):
         aviary.step(np.zeros((1, 1, 3)))
-        folded = (place + 0.1 * step * velocity - low) % (
-            2 * (high - low)
-        )  # a triangle wave in closed form
+        # A triangle wave in closed form.
+        folded = (place + 0.1 * step * velocity - low) % (2 * (high - low))
         folded = low + np.minimum(folded, 2 * (high - low) - folded)
         np.testing.assert_allclose(aviary.scene.obstacle[0], folded, atol=1e-9)
         np.testing.assert_allclose(np.abs(aviary.scene.obstacle_velocity[0]), np.abs(velocity))

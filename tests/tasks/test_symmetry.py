@@ -106,7 +106,6 @@ def test_turning_the_scene_about_the_vertical_turns_vectors_and_changes_nothing_
     for k, label in enumerate(labels):
         if label.endswith(" x"):
             expected[..., k : k + 3] = turned(rows[..., k : k + 3], angle)
-    np.testing.assert_allclose(
-        rows_2, expected, atol=2e-5, rtol=1e-6
-    )  # float32 observations of up to 100 m
+    # Observations are float32, of up to 100 m.
+    np.testing.assert_allclose(rows_2, expected, atol=2e-5, rtol=1e-6)
     np.testing.assert_allclose(rewards_2, rewards, atol=1e-6)

@@ -1,3 +1,5 @@
+"""Tasks: what their docstrings tell is true, and rewards, ends and starts by hand."""
+
 import inspect
 import re
 
@@ -16,42 +18,49 @@ def test_tasks_are_found():
     assert sorted(TASKS) == TASKS
 
 
+def words(text):
+    """The text on one line, without backquotes' line breaks."""
+    return " ".join(text.split())
+
+
 @pytest.mark.parametrize("name", TASKS)
-def test_the_docstring_lists_every_number_of_the_observation(name):
-    """The table in the docstring is the one that the code makes."""
+def test_the_docstring_tells_the_size_of_observations_and_actions(name):
+    doc = words(inspect.getdoc(find_task(name)))
     aviary = bulletuav.Aviary(name)
-    documented = re.findall(
-        r"^\s*(\d+)\s{2,}(\S.*?\S)\s{2,}(\S+)\s+(\[.*?\])",
-        inspect.getdoc(find_task(name)),
-        re.MULTILINE,
-    )
-    made = [
-        (str(k), x.name, x.unit, f"[{x.low:g}, {x.high:g}]")
-        for k, x in enumerate(aviary.observer.labels)
-    ]
-    assert documented == made
-    assert len(made) == aviary.reset(seeds=0).shape[-1]
+    size = aviary.reset(seeds=0).shape[-1]
+    assert len(aviary.observer.labels) == size
+    assert f"Observation, Box({size}) per drone" in doc
+    assert f"Action, by default `{aviary.options.action}`" in doc
+    assert f"Box({aviary.action.low.shape[-1]}) per drone" in doc
     aviary.close()
 
 
 @pytest.mark.parametrize("name", TASKS)
-def test_the_docstring_names_defaults_terms_and_ends(name):
-    task, doc = find_task(name), " ".join(" ".join(explanations(find_task(name))).split())
+def test_the_docstring_tells_rates_horizon_weights_and_difficulties(name):
+    """A task's own one tells all that counts; reward terms of weight 0 may stand in its base's."""
+    task = find_task(name)
+    own, everything = words(inspect.getdoc(task)), words(" ".join(explanations(task)))
     hz = task.defaults["decision_hz"]
-    for fact in (
-        f"truncated after {task.defaults['horizon']} decisions",
-        f"{hz} decision{'s' if hz > 1 else ''} a second",
-    ):
-        assert fact.lower() in doc.lower()
-    assert f"`{task.defaults['action']}`" in doc
+    assert f"{hz} decision{'s' if hz > 1 else ''} a second" in own
+    assert f"truncated after {task.defaults['horizon']} decisions" in own.lower()
     aviary = bulletuav.Aviary(name)
     for term, weight in aviary.task.weights.items():
-        assert re.search(rf"\b{term} {weight:g}\b", doc), term
-    for level, values in task.difficulties.items():
-        assert level in doc
-        if "num_drones" in values:
-            assert f"{level} {values['num_drones']}," in doc
+        assert re.search(rf"- {term} {weight:g}:", own if weight else everything), term
     aviary.close()
+    for difficulty, values in task.difficulties.items():
+        assert f"- {difficulty}" in own
+        if "num_drones" in values:
+            assert f"- {difficulty} {values['num_drones']}," in own
+    for preset in task.presets:
+        assert f"Preset {preset}:" in own
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_the_docstring_of_a_config_tells_every_option_of_its_own(name):
+    for kind in inspect.getmro(find_task(name).Config):
+        if kind.__module__.startswith("bulletuav."):
+            told = set(re.findall(r"^    (\w+): ", inspect.getdoc(kind), re.MULTILINE))
+            assert told == set(kind.__annotations__), kind
 
 
 @pytest.mark.parametrize("difficulty", ["easy", "medium", "hard", "extreme"])
@@ -125,10 +134,11 @@ def test_hover_success_and_start_options():
     aviary = bulletuav.Aviary("hover", num_drones=2, start=start, action="target_position")
     aviary.reset(seeds=0)
     np.testing.assert_array_equal(aviary.swarm.position[0], start)
+    # Targets stand at x = -1 and 1.
     assert list(aviary.first_info()["success"][0]) == [
         False,
         False,
-    ]  # targets stand at x = -1 and 1
+    ]
     goal = aviary.action.encode(aviary.scene.goal)
     for _ in range(150):
         result = aviary.step(goal)
@@ -190,7 +200,10 @@ def straight_to_goal(aviary):
 
 
 def test_crossing_rewards_by_hand_over_an_episode():
-    """One drone: progress adds up to the way made good, the goal counts once, energy is that of the velocity changes."""
+    """One drone: progress adds up to the way made good, the goal counts once.
+
+    Energy is that of the velocity changes.
+    """
     aviary = bulletuav.Aviary("crossing", num_drones=1, dynamics="rigid_body", horizon=200)
     aviary.reset(seeds=1)
     first = np.linalg.norm(aviary.scene.goal - aviary.swarm.position)
@@ -229,7 +242,7 @@ def test_standing_still_earns_less_than_reaching_the_goal():
 
 @pytest.mark.parametrize("dynamics", ["bullet", "rigid_body"])
 def test_conflict_and_collision_are_told_apart(dynamics):
-    """Two drones on one crossing point: first in conflict, both told once, then in contact, which ends them."""
+    """Two drones on one crossing point: first in conflict, both told once, then in contact."""
     options = {
         "num_drones": 2,
         "jitter": 0.0,

@@ -1,3 +1,5 @@
+"""Conflicts, neighbours, weights and overlaps, each function by itself."""
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -7,7 +9,7 @@ from scipy.spatial.distance import cdist
 from bulletuav.conflict.separation import conflict
 from bulletuav.tasks.base import merged_weights
 from bulletuav.tasks.check import refuse_overlap
-from bulletuav.tasks.observations.motion import nearest
+from bulletuav.tasks.observations.neighbours import nearest
 
 NEIGHBOURS = 3
 
@@ -52,9 +54,8 @@ def test_a_fast_pass_between_two_decisions_is_seen_and_counted_once():
     np.testing.assert_array_equal(conflict(passing, passing, alive, 5.0, 10.0).onsets, 0)
     near = np.array([[(0.0, 0, 0), (4.0, 0, 0)]])
     nearer = np.array([[(0.0, 0, 0), (3.0, 0, 0)]])
-    np.testing.assert_array_equal(
-        conflict(near, nearer, alive, 5.0, 10.0).onsets, 0
-    )  # it lasts, it does not begin
+    # It lasts, it does not begin.
+    np.testing.assert_array_equal(conflict(near, nearer, alive, 5.0, 10.0).onsets, 0)
     np.testing.assert_array_equal(conflict(near, nearer, alive, 3.5, 7.0).onsets, 1)
 
 

@@ -1,1 +1,1 @@
-"""What several tasks have in common: airspace, city, users, edge computing."""
+"""Families of tasks: what airspace, urban, users' and edge computing tasks have in common."""

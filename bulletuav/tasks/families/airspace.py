@@ -1,18 +1,21 @@
-"""Flights to goals through one shared airspace: options, reward weights, ends, uncertainty."""
+"""Flights of several drones to goals through one shared airspace: rewards, ends and memory."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, ClassVar, Generic, Literal, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
 from bulletuav.geometry.closest_approach import distances
-from bulletuav.tasks.base import REBOUND, Rngs, Task, TaskConfig, Weighted, affected
+from bulletuav.tasks.base import REBOUND, Rngs, Task, Weighted, affected
+from bulletuav.tasks.families.flight_config import FlightConfig
+from bulletuav.tasks.families.presets import UAVCONFLICT
 from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
 from bulletuav.tasks.rewards.airspace import follow_encounters, variance_nearby
 
-TOUCHDOWN, TOUCHDOWN_SPEED = 1.0, 2.0
-"""Height above the ground, m, and speed, m/s, below which a drone has landed"""
+TOUCHDOWN_HEIGHT = 1.0
+"""Height above the ground below which a drone can have landed, m"""
+TOUCHDOWN_SPEED = 2.0
+"""Speed below which a drone can have landed, m/s"""
 REWARD_WEIGHTS = {
     "progress": 5.0,
     "goal": 50.0,
@@ -28,165 +31,48 @@ REWARD_WEIGHTS = {
     "fairness": 0.0,
     "concession": 0.0,
 }
-UNCERTAINTY: dict[str, dict[str, Any]] = {
-    "easy": {},
-    "medium": {"randomization": {"gps_noise": (0.5, 1.5)}},
-    "hard": {
-        "randomization": {"gps_noise": (0.5, 3.0), "gps_walk": (0.0, 0.1), "wind": (-3.0, 3.0)}
-    },
-    "extreme": {
-        "turbulence": "light",
-        "randomization": {
-            "mass": (0.8, 1.2),
-            "thrust": (0.9, 1.1),
-            "drag": (1 / 3, 5 / 3),
-            "motor_lag": (0.5, 2.0),
-            "battery": (0.0, 0.1),
-            "gps_noise": (0.5, 5.0),
-            "gps_walk": (0.0, 0.1),
-            "gps_dropout": (0.0, 0.1),
-            "wind": (-3.0, 3.0),
-            "radio_delay": (0.005, 0.1),
-            "radio_loss": (0.0, 0.3),
-            "radio_range": (100.0, 200.0),
-        },
-    },
-}
-"""What a difficulty makes uncertain"""
-UAVCONFLICT: dict[str, Any] = {
-    "num_drones": 8,
-    "d_safe": 5.0,
-    "goal_radius": 2.0,
-    "max_speed": 20.0,
-    "decision_hz": 10,
-    "horizon": 500,
-    "action": "velocity_increment",
-    "observation": ("position", "velocity", "goal", "identity", "all_neighbours"),
-    "at_goal": "hold",
-    "boundary": "soft",
-    "conflict_ends": "world",
-    "randomization": {},
-    "weights": {
-        "progress": 10.0,
-        "goal": 50.0,
-        "conflict": -200.0,
-        "warning": -5.0,
-        "collision": 0.0,
-        "out_of_bounds": 0.0,
-        "energy": -0.01,
-        "speed_keeping": 0.5,
-    },
-}
-"""Sizes, observation and reward constants of UAVConflictGym; docs/conflict.md lists where it differs and why"""
-
-
-@dataclass(frozen=True)
-class FlightConfig(TaskConfig):
-    """Options that all flights to goals have in common, m, m/s.
-
-    at_goal        "leave": a drone that reaches its goal leaves the airspace; "land": it has to go down to the ground below
-                   first; "hold": it stays, until all that fly are at their goals
-    boundary       "end": a drone outside the arena is done; "soft": it is thrown back with 0.8 of its speed; "hard": it
-                   stops at the wall; "open": nothing happens
-    contact_ends, conflict_ends  whose episode contact of shapes, or a separation below d_safe, ends: "nothing" (conflict
-                   only), the "drone"'s, or that of its whole "world"
-    warning_zone   where the warning begins, in d_safe
-    fairness_range whose rewards the term `fairness` compares
-    discount       of the term `shaping`
-    """
-
-    d_safe: float = 5.0
-    start_speed: tuple[float, float] = (5.0, 15.0)
-    goal_radius: float = 2.0
-    at_goal: Literal["leave", "land", "hold"] = "leave"
-    boundary: Literal["end", "soft", "hard", "open"] = "end"
-    contact_ends: Literal["drone", "world"] = "drone"
-    conflict_ends: Literal["nothing", "drone", "world"] = "nothing"
-    warning_zone: float = 2.0
-    fairness_range: float = 50.0
-    discount: float = 0.99
-
-    def check(self, context: TaskContext) -> None:
-        """Raise ValueError for speeds that no drone has, or a warning zone that ends where it begins."""
-        if not 0 <= self.start_speed[0] <= self.start_speed[1] <= context.max_speed:
-            raise ValueError(
-                f"start_speed is {self.start_speed}: from low to high within 0 and max_speed {context.max_speed:g}"
-            )
-        if self.warning_zone <= 1:
-            raise ValueError(
-                f"warning_zone is {self.warning_zone:g}: it must end beyond d_safe, at more than 1"
-            )
-        if self.discount > 1:
-            raise ValueError(f"discount is {self.discount:g}: from 0 to 1 is needed")
-
-
-@dataclass(frozen=True)
-class AirspaceConfig(FlightConfig):
-    """Options of free airspace: places lie about `altitude`, each axis up to `jitter` off; the bounds are `margin` away."""
-
-    altitude: float = 40.0
-    jitter: float = 1.0
-    margin: float = 30.0
-
-    def check(self, context: TaskContext) -> None:
-        """See `FlightConfig.check`; also refuses jitter beyond the bounds."""
-        super().check(context)
-        if self.margin <= self.jitter:
-            raise ValueError(
-                f"margin {self.margin:g} m must exceed jitter {self.jitter:g} m: starts must be in the arena"
-            )
-
-    def scattered(self, places: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Places (N, 3), m, each axis up to `jitter` off."""
-        return places + rng.uniform(-self.jitter, self.jitter, places.shape)
-
+"""Weights of the reward terms of all flights to goals"""
 
 FlightConfigT = TypeVar("FlightConfigT", bound=FlightConfig)
 
 
-def clearance(config: FlightConfig, context: TaskContext) -> float:
-    """Distance between two drones below which they conflict or touch, m."""
-    return max(2 * context.collision_radius, config.d_safe)
-
-
-def circle_arena(
-    config: AirspaceConfig, context: TaskContext, radius: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Corners (3,), m, of the arena of drones on a circle. Raises ValueError where they could touch the ground."""
-    if config.altitude - config.jitter <= context.collision_radius:
-        raise ValueError(
-            f"altitude {config.altitude:g} m is too low for jitter {config.jitter:g} m"
-        )
-    reach = radius + config.margin
-    return np.array([-reach, -reach, 0.0]), np.array(
-        [reach, reach, config.altitude + config.margin]
-    )
-
-
-def between_neighbours(config: AirspaceConfig, chord: float) -> float:
-    """How near two drones may start whose places are `chord` m apart on the level, m."""
-    return chord - 2 * np.sqrt(2) * config.jitter
-
-
 class Airspace(Task[FlightConfigT], Generic[FlightConfigT]):
-    """A task of flights to goals in one airspace; a task adds where they start and where they go.
+    """Base of flights to goals in one airspace; a task adds where drones start and where they go.
 
-    Action, per drone, by default `velocity`, Box(3) in [-1, 1]: velocity over max_speed, its norm limited to max_speed;
-    10 decisions a second.
+    Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed. Its norm
+    is limited to max_speed. There are 10 decisions a second.
 
-    Reward, per decision, weighted terms: progress 5 a metre nearer to the goal; goal 50 on reaching it; conflict -100 for
-    each other drone with which a separation falls below d_safe = 5 m; warning -5 for each other drone, linear from 0 at
-    2 d_safe to 1 at d_safe; collision -200; out_of_bounds -50; energy -0.01 per (m/s)^2 of velocity change. For the
-    asking: efficiency 0 (1 - distance over that at the start), speed_keeping 0 (0.3 to 0.8 of max_speed), time 0 (1 a
-    decision), shaping 0 (by the potential -distance), fairness 0 (variance of the rewards nearby), concession 0 (made way).
+    Reward per decision, the sum of these terms times their weights:
 
-    End: terminated on reaching the goal (within 2 m), on contact of collision shapes, with an empty battery, or outside the
-    arena (bounds of position); the drone then leaves the airspace. Conflict ends nothing. Options change each of these.
-    Truncated after 500 decisions unless the difficulty says otherwise.
-    Success: goal reached.
+    - progress 5: metres nearer to the goal.
+    - goal 50: 1 on reaching the goal, once.
+    - conflict -100: other drones with which a separation falls below d_safe = 5 m.
+    - warning -5: for each other drone, linear from 0 at 2 d_safe to 1 at d_safe.
+    - collision -200: 1 on contact of collision shapes.
+    - out_of_bounds -50: 1 outside the arena.
+    - energy -0.01: square of the velocity change, (m/s)^2.
+    - efficiency 0: 1 - distance to the goal over that at the start.
+    - speed_keeping 0: 1 at a speed between 0.3 and 0.8 of max_speed.
+    - time 0: 1 a decision.
+    - shaping 0: discounted change of the potential, which is -distance to the goal.
+    - fairness 0: variance of the rewards of drones nearby.
+    - concession 0: at the end, drones that it made way for less those that made way for it.
 
-    Uncertain from medium on: positions by 0.5 to 1.5 m (GPS). Hard: up to 3 m, and wind. Extreme: everything (see
-    `UNCERTAINTY`), in light turbulence.
+    Terms of weight 0 are there for the asking: set their `weights`.
+
+    End of a drone's episode: terminated on reaching the goal (within 2 m), on contact of collision
+    shapes, with an empty battery, or outside the arena. The drone then leaves the airspace. A
+    conflict ends nothing. Options change each of these. Truncated after 500 decisions unless the
+    difficulty says otherwise.
+
+    Success: the goal is reached.
+
+    Uncertainty, by difficulty:
+
+    - easy: none.
+    - medium: positions are wrong by 0.5 to 1.5 m (GPS).
+    - hard: positions are wrong by up to 3 m, and there is wind.
+    - extreme: everything in `UNCERTAINTY` is uncertain, in light turbulence.
 
     Preset uavconflict: sizes, observation and reward constants of UAVConflictGym.
     """
@@ -207,7 +93,11 @@ class Airspace(Task[FlightConfigT], Generic[FlightConfigT]):
     computed_terms = ("fairness",)
 
     def __init__(self, config: FlightConfigT, context: TaskContext) -> None:
-        """Raises ValueError for options that cannot be."""
+        """Check the options, and take the warning zone and the bounds' rebound from them.
+
+        Raises:
+            ValueError: Options contradict each other.
+        """
         super().__init__(config, context)
         config.check(context)
         self.rebound = REBOUND.get(config.boundary)
@@ -220,59 +110,73 @@ class Airspace(Task[FlightConfigT], Generic[FlightConfigT]):
         rng: np.random.Generator,
         along: np.ndarray | None = None,
     ) -> Spawn:
-        """Drones at `start` (N, 3), in flight, noses to the east.
+        """Make a start in flight, with level drones whose noses point east.
 
-        They fly towards `goal` (N, 3), or in the direction of `along` (N, 3).
+        Args:
+            start: (N, 3) where drones start, m.
+            goal: (N, 3) where they are to go, m.
+            rng: Generator of the start speeds.
+            along: (N, 3) directions in which they fly, of any length; towards the goal by default.
         """
-        low, high = self.config.start_speed
-        along = goal - start if along is None else along
+        if along is None:
+            along = goal - start
         heading = along / np.linalg.norm(along, axis=1, keepdims=True)
-        velocity = heading * rng.uniform(low, high, (len(start), 1))
+        slowest, fastest = self.config.start_speed
+        speed = rng.uniform(slowest, fastest, (len(start), 1))
+        velocity = heading * speed
         return Spawn(position=start, goal=goal, velocity=velocity)
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
-        """Tell what is kept of each drone, and where concession counts, of pairs.
+        """Tell the shapes of what is kept of each drone and, where concession counts, of pairs.
 
-        "reached" is when a drone first came to its goal, s, 0 before; "first_way" how far it had to
-        go from its start, m. "encounter" and "effort" are of pairs; see `follow_encounters`.
+        Returns:
+            "reached" (N,), time at which a drone first came to its goal, s, 0 before. "first_way"
+            (N,), how far it had to go from its start, m. "encounter" and "effort" (N, N), see
+            `bulletuav.tasks.rewards.airspace.follow_encounters`.
         """
         drones = self.context.num_drones
         shapes: dict[str, tuple[int, ...]] = {"reached": (drones,), "first_way": (drones,)}
         if self.weights.get("concession"):
-            shapes |= {"encounter": (drones, drones), "effort": (drones, drones)}
+            shapes["encounter"] = (drones, drones)
+            shapes["effort"] = (drones, drones)
         return shapes
 
     def quantities(self) -> Mapping[str, Any]:
-        """Tell the ways to the goal, which terms read."""
+        """Tell the remaining ways to the goal before and after the decision."""
         return {"way": self.way, "way_before": self.way_before}
 
     def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
-        """Move the goals of drones that are to land to the ground, once they have reached them."""
+        """Move goals that were reached down to the ground, for drones that are to land."""
         if self.config.at_goal == "land":
-            down = (scene.memory["reached"] > 0) & flying[:, None]
-            scene.goal[..., 2] = np.where(down, TOUCHDOWN / 2, scene.goal[..., 2])
+            is_landing = (scene.memory["reached"] > 0) & flying[:, None]
+            scene.goal[..., 2] = np.where(is_landing, TOUCHDOWN_HEIGHT / 2, scene.goal[..., 2])
         return False
 
-    def ahead(self, goal: np.ndarray, time: np.ndarray) -> np.ndarray | float:
-        """Tell how far goals have yet to move: to the ground for landing, else not at all.
+    def goal_travel_left(self, goal: np.ndarray, time: np.ndarray) -> np.ndarray | float:
+        """Tell how far goals have yet to move: down to the ground for landing, else not at all.
 
         Args:
             goal: (W, N, 3) where they are, m.
-            time: (W,) s.
+            time: (W,) time since each world's reset, s.
 
         Returns:
-            (W, N) m.
+            (W, N) m, or 0.
         """
-        return goal[..., 2] - TOUCHDOWN / 2 if self.config.at_goal == "land" else 0.0
+        if self.config.at_goal != "land":
+            return 0.0
+        left: np.ndarray = goal[..., 2] - TOUCHDOWN_HEIGHT / 2
+        return left
 
     def way(self, frame: Frame) -> np.ndarray:
-        """Compute how far it is to the goal and on with it to where it stops, (W, N) m."""
-        return frame.distance + self.ahead(frame.scene.goal, frame.time)
+        """Compute the way to the goal, and on with the goal to where it stops, (W, N) m."""
+        return frame.distance + self.goal_travel_left(frame.scene.goal, frame.time)
 
     def way_before(self, frame: Frame) -> np.ndarray:
-        """Compute the same before the decision."""
-        ahead = self.ahead(frame.goal_before, frame.time - self.context.period)
-        return distances(frame.goal_before, frame.before.position) + ahead
+        """Compute what `way` was before the decision, (W, N) m."""
+        time_before = frame.time - self.context.period
+        left = self.goal_travel_left(frame.goal_before, time_before)
+        way: np.ndarray = distances(frame.goal_before, frame.before.position) + left
+        return way
 
     def arrived(self, frame: Frame) -> np.ndarray:
         """Tell who is at the goal, (W, N) bool."""
@@ -281,45 +185,63 @@ class Airspace(Task[FlightConfigT], Generic[FlightConfigT]):
     def update_memory(self, frame: Frame, rngs: Rngs) -> None:
         """Note when goals were reached, how far it was to them at the start, and who made way."""
         memory = frame.scene.memory
-        first = memory["first_way"]
-        np.copyto(first, self.way_before(frame), where=first == 0)
-        new = self.arrived(frame) & frame.alive & ~frame.collision & (memory["reached"] == 0)
-        np.copyto(memory["reached"], frame.time[:, None], where=new)
+        # The first decision of an episode tells the way from the start.
+        first_way = memory["first_way"]
+        np.copyto(first_way, self.way_before(frame), where=first_way == 0)
+        # A goal counts as reached once, without a crash.
+        is_first = memory["reached"] == 0
+        has_reached = self.arrived(frame) & frame.alive & ~frame.collision & is_first
+        np.copyto(memory["reached"], frame.time[:, None], where=has_reached)
         if "encounter" in memory:
             pairs = (memory["encounter"], memory["effort"])
             follow_encounters(*pairs, frame.before, frame.after, frame.d_safe, frame.alive)
 
     def finished(self, frame: Frame) -> np.ndarray:
-        """Tell who is at the goal, or landed where that is asked for, without a crash."""
+        """Tell who is at the goal, or landed where that is asked for, without a crash.
+
+        Returns:
+            (W, N) bool.
+        """
         if self.config.at_goal != "land":
-            return self.arrived(frame) & ~frame.collision
-        aside = np.linalg.norm((frame.after.position - frame.scene.goal)[..., :2], axis=-1)
-        near = aside <= self.config.goal_radius
-        slow = np.linalg.norm(frame.after.velocity, axis=-1) <= TOUCHDOWN_SPEED
-        low = frame.after.position[..., 2] <= TOUCHDOWN
-        been_there = frame.scene.memory["reached"] > 0
-        landed: np.ndarray = been_there & low & slow & near & ~frame.collision
+            at_goal: np.ndarray = self.arrived(frame) & ~frame.collision
+            return at_goal
+        offset = frame.after.position - frame.scene.goal
+        is_near = np.linalg.norm(offset[..., :2], axis=-1) <= self.config.goal_radius
+        is_slow = np.linalg.norm(frame.after.velocity, axis=-1) <= TOUCHDOWN_SPEED
+        is_low = frame.after.position[..., 2] <= TOUCHDOWN_HEIGHT
+        was_at_goal = frame.scene.memory["reached"] > 0
+        landed: np.ndarray = was_at_goal & is_low & is_slow & is_near & ~frame.collision
         return landed
 
     def succeeded(self, frame: Frame) -> np.ndarray:
-        """Tell who did as the task wants, (W, N) bool; by default all that finished."""
-        found = frame.derived.get("finished")
-        return self.finished(frame) if found is None else found
+        """Tell who did what the task wants, (W, N) bool; by default all that finished."""
+        # `terminated` leaves this here, so that it is worked out once a decision.
+        finished = frame.derived.get("finished")
+        return self.finished(frame) if finished is None else finished
 
     def terminated(self, frame: Frame) -> np.ndarray:
-        """Tell whose episode ends as the options ask for, and derive the events that terms read."""
+        """Tell whose episode ends as the options ask for, and derive the events that terms read.
+
+        Returns:
+            (W, N) bool. `frame.derived` gets "finished", "reached", "terminated" and "ended".
+        """
         config = self.config
         finished = self.finished(frame)
-        ended = affected(frame.collision, frame, config.contact_ends) | frame.depleted
+        # Crashes and empty batteries always end an episode.
+        crashed = affected(frame.collision, frame, config.contact_ends)
+        ended: np.ndarray = crashed | frame.depleted
+        # Goals end it for the drone, or for all drones of a world together.
         if config.at_goal == "hold":
             ended = ended | np.all(finished | ~frame.alive, axis=1, keepdims=True)
         else:
             ended = ended | finished
+        # Bounds and conflicts end it where options say so.
         if config.boundary == "end":
             ended = ended | self.outside(frame)
         if config.conflict_ends != "nothing":
-            close = frame.conflict.separation < config.d_safe
-            ended = ended | affected(close, frame, config.conflict_ends)
+            in_conflict = frame.conflict.separation < config.d_safe
+            ended = ended | affected(in_conflict, frame, config.conflict_ends)
+        # Reward terms read these events by name.
         reached = frame.scene.memory["reached"]
         frame.derived["finished"] = finished
         frame.derived["reached"] = (reached > 0) & (reached == frame.time[:, None])
@@ -328,11 +250,15 @@ class Airspace(Task[FlightConfigT], Generic[FlightConfigT]):
         return ended
 
     def reward_terms(self, frame: Frame) -> dict[str, np.ndarray]:
-        """Compute the terms; `fairness` compares what the others come to."""
+        """Compute the terms; `fairness` compares the rewards that the others add up to.
+
+        Returns:
+            Unweighted terms (W, N) by name.
+        """
         terms = super().reward_terms(frame)
         if self.weights.get("fairness"):
             weighted = (self.weights[name] * term for name, term in terms.items())
             total = sum(weighted, np.zeros(frame.alive.shape))
-            near = (frame.after.position, frame.alive, self.config.fairness_range)
-            terms["fairness"] = variance_nearby(total, *near)
+            reach = self.config.fairness_range
+            terms["fairness"] = variance_nearby(total, frame.after.position, frame.alive, reach)
         return terms

@@ -1,4 +1,4 @@
-"""Edge computing from the air: users send tasks to the drones, which compute them."""
+"""Edge computing from the air: users send tasks to drones, which compute them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -16,22 +16,36 @@ from bulletuav.tasks.base import Rngs
 from bulletuav.tasks.families.users import UsersConfig, UsersTask
 from bulletuav.tasks.frame import Frame, Scene, TaskContext
 
-MOST_TASKS = 1e6  # of a world in a decision, in the mean
+MAX_TASKS = 1e6
+"""Most tasks that a world may have in a decision on average"""
+LEAST_TASKS = 1e-9
+"""Tasks in a decision that rewards divide by where there are fewer"""
+LEAST_RATE = 1e-9
+"""Rate by which uploads are divided where there is less, bit/s"""
 
 
 @dataclass(frozen=True)
 class EdgeConfig(RadioConfig, UsersConfig):
-    """Options of edge computing beside those of radio, users and cities.
+    """Options of edge computing, beside those of radio, users and cities.
 
-    arrival_rate    tasks of each user, 1/s, a Poisson process
-    task_bits       size of a task, bit, uniform from low to high
-    cycles_per_bit  that it takes to compute
-    deadline        of a task, s, from its arrival to its result; what would be later is given up
-    num_cores, core_frequency  of each drone, cycles/s
-    capacitance     effective, of a core: it takes capacitance * core_frequency^3, W
-    queue           "simulated", task by task; or "erlang", the mean response of M/M/c, as if the load had always been as now
-    assignment      who serves whom: "max_rate", "nearest" or "dtlcm", see `bulletuav.network.assignment`
-    power_scale     W, that the reward term `energy` divides by: about what full thrust and busy cores take
+    Attributes:
+        num_users: Number of users on the ground, outdoors.
+        wanted: Share of the episode's tasks that is success when completed.
+        arrival_rate: Tasks of each user, 1/s; they come as a Poisson process.
+        task_bits: Least and greatest size of a task, bit; sizes are uniform.
+        cycles_per_bit: Cycles that a bit takes to compute.
+        deadline: Time from the arrival of a task to its result, s. A task that would be later is
+            given up.
+        num_cores: Cores of each drone.
+        core_frequency: Frequency of a core, cycles/s.
+        capacitance: Effective capacitance of a core, which takes capacitance * core_frequency^3,
+            W.
+        queue: "simulated", task by task; or "erlang", the mean response of M/M/c, as if the load
+            had always been as now.
+        assignment: Who serves whom: "max_rate", "nearest" or "dtlcm", see
+            `bulletuav.network.assignment`.
+        power_scale: Power that the reward term `energy` divides by, W: about what full thrust and
+            busy cores take.
     """
 
     num_users: int = field(default=50, metadata={"most": 10_000})
@@ -52,29 +66,41 @@ EdgeConfigT = TypeVar("EdgeConfigT", bound=EdgeConfig)
 
 
 class EdgeTask(UsersTask[EdgeConfigT], Generic[EdgeConfigT]):
-    """Users produce tasks, send them to the drone that serves them, and it computes them on its cores.
+    """Base of edge computing: users send tasks to the drone that serves them, which computes them.
 
-    A task of D bits takes D / rate to upload, one of a user after the other, then waits for a core of the drone, first come
-    first served, and computes for D * cycles_per_bit / core_frequency. What becomes of it is settled when it is generated,
-    at the rates of the end of that decision. Beside flight drones pay for what their cores did in the decision before.
+    A task of D bits takes D / rate to upload; a user sends one after the other. Then it waits for
+    a core of the drone, first come first served. It computes for
+    D * cycles_per_bit / core_frequency. What becomes of it is settled when it is generated, at the
+    rates of the end of that decision. Beside flight drones pay for what their cores did in the
+    decision before.
 
-    Reward terms are told by the tasks. What a task brings, its share of `tasks` less that of `latency`, is worth more than
-    nothing for the weights that tasks have: who serves nobody only pays for its flight.
+    The tasks tell the reward terms. With their weights a completed task, its share of `tasks` less
+    that of `latency`, is worth more than nothing. A drone that serves nobody only pays for its
+    flight.
+
+    Attributes:
+        uplink: Radio link from users to drones.
     """
 
     def __init__(self, config: EdgeConfigT, context: TaskContext) -> None:
-        """Raises ValueError for sizes that cannot be, or where the city leaves no room to fly or to walk."""
+        """Make the cities, the radio link, and the arrivals of tasks.
+
+        Raises:
+            ValueError: A size cannot be, or a city leaves no room to fly or to walk.
+            FileNotFoundError: The city's file is not there.
+        """
         super().__init__(config, context)
-        low, high = config.task_bits
-        if not 0 < low <= high:
+        smallest, largest = config.task_bits
+        if not 0 < smallest <= largest:
             raise ValueError(
                 f"task_bits is {config.task_bits}: from low to high, above 0, is needed"
             )
-        mean = config.arrival_rate * config.num_users * context.period
-        if mean > MOST_TASKS:
+        tasks = config.arrival_rate * config.num_users * context.period
+        if tasks > MAX_TASKS:
             raise ValueError(
-                f"arrival_rate is {config.arrival_rate:g}: {mean:g} tasks of num_users {config.num_users} in a decision, at "
-                f"most {MOST_TASKS:g} are possible"
+                f"arrival_rate is {config.arrival_rate:g}: "
+                f"{tasks:g} tasks of num_users {config.num_users} in a decision, "
+                f"at most {MAX_TASKS:g} are possible"
             )
         rates = np.full(config.num_users, config.arrival_rate)
         self._arrivals = Arrivals(rates, context.period, config.task_bits)
@@ -82,69 +108,79 @@ class EdgeTask(UsersTask[EdgeConfigT], Generic[EdgeConfigT]):
             if getattr(config, name) <= 0:
                 raise ValueError(f"{name} is {getattr(config, name):g}: it must be above 0")
         self.uplink = Uplink(config)
-        self._demand = (low + high) / 2 * config.cycles_per_bit
-        self._activity = min(
-            config.arrival_rate * config.deadline, 1.0
-        )  # uploads end at the deadline: a user sends no more
-        self._expected = max(
-            config.arrival_rate * config.num_users * context.period, 1e-9
-        )  # tasks in a decision
-        self._compute_power = config.num_cores * float(
-            core_power(config.capacitance, config.core_frequency)
-        )
+        self._expected_tasks = max(tasks, LEAST_TASKS)
+        # Uploads end at the deadline: a user sends no more than all the time.
+        self._activity = min(config.arrival_rate * config.deadline, 1.0)
+        # Numbers of the servers: cycles of a task, cycles/s, tasks/s and W.
+        mean_bits = (smallest + largest) / 2
+        self._demand = mean_bits * config.cycles_per_bit
         self._capacity = config.num_cores * config.core_frequency
-        self._service_rate = float(
-            service_rate(config.core_frequency, (low + high) / 2, config.cycles_per_bit)
-        )
+        rate = service_rate(config.core_frequency, mean_bits, config.cycles_per_bit)
+        self._service_rate = float(rate)
+        power = core_power(config.capacitance, config.core_frequency)
+        self._compute_power = config.num_cores * float(power)
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
-        """Beside that of users what drones did in the last decision, and the world in this episode.
+        """Tell the shapes of what is kept of users, servers and the episode's tasks.
 
-        `utilisation` of the cores; `queue`, tasks (of mean size) that wait or are computed; `latency`, s, mean of the tasks
-        of the drone's users; `completed` tasks, the sum of their latencies, `delay_completed`, s, and `completed_share`;
-        power `received` from each user, W; `link_free` and `core_free`, s from now. Tasks `generated` and `finished`, the
-        `delay` of all, s, and, the same for all drones, the `share` of tasks completed and the `mean_latency`, see `info`.
+        Returns:
+            Beside those of `UsersTask.memory`: the fields of
+            `bulletuav.network.service_stats.ServiceStats`; "received" (N, U), power from each
+            user, W; "link_free" (U,) and "core_free" (N, C), time for which uplinks and cores
+            are still taken, s.
         """
-        drones, users = self.context.num_drones, self.config.num_users
+        drones = self.context.num_drones
+        users = self.config.num_users
         totals = ("generated", "finished", "delay")
+        stats: dict[str, tuple[int, ...]] = {
+            name: () if name in totals else (drones,) for name in ServiceStats._fields
+        }
         return {
             **super().memory(),
-            **{name: () if name in totals else (drones,) for name in ServiceStats._fields},
+            **stats,
             "received": (drones, users),
             "link_free": (users,),
             "core_free": (drones, self.config.num_cores),
         }
 
     def quantities(self) -> Mapping[str, Any]:
-        """Tell how many tasks all users are expected to have in a decision."""
-        return {**super().quantities(), "expected_tasks": self._expected}
+        """Tell, beside those of `UsersTask`, how many tasks a decision has on average."""
+        return {**super().quantities(), "expected_tasks": self._expected_tasks}
 
     def payload_power(self, scene: Scene) -> np.ndarray:
-        """Tell what the cores take that were busy in the last decision, (W, N) W."""
+        """Tell the power of the cores that were busy in the last decision, (W, N) W."""
         return scene.memory["utilisation"] * self._compute_power
 
     def update_memory(self, frame: Frame, rngs: Rngs) -> None:
-        """Work out rates, tasks of the decision, and what became of them."""
+        """Work out who serves whom at which rate, and what becomes of the decision's tasks."""
         super().update_memory(frame, rngs)
-        memory, config = frame.scene.memory, self.config
-        flying, after, users = np.any(frame.alive, axis=1), frame.after, memory["users"]
-        # Who serves whom, at which rate.
-        sight = frame.readings["sight"]
-        pose = (after.position, after.quaternion)
-        power = self.uplink.received(*pose, users, sight, rngs, flying)
-        load, strategy = memory["utilisation"] * self._capacity, STRATEGIES[config.assignment]
-        who = (strategy, after.position, frame.alive, users, power)
-        servers = assign(*who, self._capacity, self._demand, load)
-        rates = self.uplink.rates(power, servers, self._activity)
+        flying = np.any(frame.alive, axis=1)
+        servers, rates = self._connect(frame, flying, rngs)
+        tasks = self._arrivals.draw(rngs, flying)
+        served = self._serve(tasks, servers, rates, frame.scene.memory)
+        self._count(frame, served)
+
+    def _connect(
+        self, frame: Frame, flying: np.ndarray, rngs: Rngs
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Find the drone (W, U) that serves each user, and its uplink rate (W, U), bit/s."""
+        memory = frame.scene.memory
+        users = memory["users"]
+        swarm = frame.after
+        power = self.uplink.received(
+            position=swarm.position,
+            quaternion=swarm.quaternion,
+            users=users,
+            sight=frame.readings["sight"],
+            rng=rngs,
+            flying=flying,
+        )
         memory["received"][:] = power
-        # What becomes of the tasks that users have in this decision.
-        served = self._serve(self._arrivals.draw(rngs, flying), servers, rates, memory)
-        remaining = np.maximum(self.context.duration - frame.time, 0.0)
-        left = config.arrival_rate * config.num_users * remaining
-        stats = ServiceStats(*(memory[name] for name in ServiceStats._fields))
-        core_time = config.num_cores * self.context.period
-        most = config.num_cores * self._service_rate
-        count(served, stats, left, config.deadline, core_time, most)
+        strategy = STRATEGIES[self.config.assignment]
+        load = memory["utilisation"] * self._capacity
+        who = (strategy, swarm.position, frame.alive, users, power)
+        servers = assign(*who, self._capacity, self._demand, load)
+        return servers, self.uplink.rates(power, servers, self._activity)
 
     def _serve(
         self,
@@ -154,48 +190,78 @@ class EdgeTask(UsersTask[EdgeConfigT], Generic[EdgeConfigT]):
         memory: Mapping[str, np.ndarray],
     ) -> Served:
         """Compute the tasks of a decision, one by one or in the mean."""
-        config, period = self.config, self.context.period
+        config = self.config
+        cycles = config.cycles_per_bit
+        limits = (config.deadline, self.context.period)
         if config.queue == "simulated":
-            work = (config.cycles_per_bit, config.core_frequency, config.deadline, period)
-            return serve(tasks, servers, rates, *work, memory["link_free"], memory["core_free"])
+            free = (memory["link_free"], memory["core_free"])
+            return serve(tasks, servers, rates, cycles, config.core_frequency, *limits, *free)
         drones = self.context.num_drones
-        cores = (config.num_cores, config.arrival_rate, self._service_rate)
-        limits = (config.deadline, period)
-        return serve_on_average(
-            tasks, servers, rates, drones, config.cycles_per_bit, *cores, *limits
-        )
+        queue = (config.num_cores, config.arrival_rate, self._service_rate)
+        return serve_on_average(tasks, servers, rates, drones, cycles, *queue, *limits)
+
+    def _count(self, frame: Frame, served: Served) -> None:
+        """Enter what became of a decision's tasks into the statistics of the episode."""
+        config = self.config
+        memory = frame.scene.memory
+        # Tasks that are yet to come, as many as on average.
+        seconds_left = np.maximum(self.context.duration - frame.time, 0.0)
+        tasks_left = config.arrival_rate * config.num_users * seconds_left
+        stats = ServiceStats(*(memory[name] for name in ServiceStats._fields))
+        core_seconds = config.num_cores * self.context.period
+        full_rate = config.num_cores * self._service_rate
+        count(served, stats, tasks_left, config.deadline, core_seconds, full_rate)
 
     def service_quality(
         self, place: np.ndarray, targets: np.ndarray, sight: np.ndarray
     ) -> np.ndarray:
         """Tell the share of a user's tasks that would be in time.
 
-        If each drone had as many users, with nobody else and no queue; see `TargetTask`.
+        Each drone is taken to have equally many users, without interference and without a queue.
+
+        Args:
+            place: (C, 3) of drones, m.
+            targets: (U, 3) of users, m.
+            sight: (C, U) bool, whether they are in line of sight.
+
+        Returns:
+            (C, U) from 0 to 1.
         """
         config = self.config
-        upright = np.tile([0.0, 0.0, 0.0, 1.0], (1, len(place), 1))
-        nobody = np.zeros(1, dtype=bool)
-        pose = (place[None], upright)
-        power = self.uplink.received(*pose, targets[None], sight[None], [None], nobody)[0]
+        # Power that a level drone receives at each place; no world flies, so no fading is drawn.
+        level = np.tile([0.0, 0.0, 0.0, 1.0], (1, len(place), 1))
+        power = self.uplink.received(
+            position=place[None],
+            quaternion=level,
+            users=targets[None],
+            sight=sight[None],
+            rng=[None],
+            flying=np.zeros(1, dtype=bool),
+        )[0]
         # The rate that is left to each user, and the largest task that is in time at that rate.
         users = max(len(targets) / self.context.num_drones, 1.0)
         rate = capacity(config.bandwidth / users, users * power / self.uplink.noise)
-        low, high = config.task_bits
-        computing = config.cycles_per_bit / config.core_frequency
-        largest = config.deadline / (1 / np.maximum(rate, 1e-9) + computing)
-        share = np.minimum((largest - low) / max(high - low, 1e-9), 1.0)
-        return np.where(largest < low, 0.0, share)
+        seconds_per_bit = (
+            1 / np.maximum(rate, LEAST_RATE) + config.cycles_per_bit / config.core_frequency
+        )
+        in_time = config.deadline / seconds_per_bit
+        # The share of the sizes, which are uniform, up to that one.
+        smallest, largest = config.task_bits
+        share = np.minimum((in_time - smallest) / max(largest - smallest, 1e-9), 1.0)
+        return np.where(in_time < smallest, 0.0, share)
 
     def info(self, frame: Frame) -> dict[str, np.ndarray]:
-        """Tell beside `served` the episode's `completed` share of tasks and `latency`, s, so far.
+        """Tell, beside `served`, how the episode's tasks have gone so far.
 
-        The same for all drones. Tasks that are yet to come, as many as in the mean, are not
-        completed: so ending early does not raise the share.
+        Returns:
+            "completed", the share of tasks that are completed, and "latency", their mean latency,
+            s: (W, N), the same for all drones. Tasks that are yet to come, as many as on average,
+            count as not completed, so ending early does not raise the share.
         """
         memory = frame.scene.memory
-        told = {"completed": memory["share"].copy(), "latency": memory["mean_latency"].copy()}
-        return {**super().info(frame), **told}
+        service = {"completed": memory["share"].copy(), "latency": memory["mean_latency"].copy()}
+        return {**super().info(frame), **service}
 
     def succeeded(self, frame: Frame) -> np.ndarray:
-        """Tell whether the wanted share of tasks is completed."""
+        """Tell whether the wanted share of the episode's tasks is completed, (W, N) bool."""
         return frame.scene.memory["share"] >= self.config.wanted

@@ -1,4 +1,4 @@
-"""Drones over a city that serve users on the ground, who may walk."""
+"""Tasks in which drones over a city serve users on the ground, who may walk."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -10,27 +10,28 @@ from bulletuav.network.dwell_time import watch
 from bulletuav.network.mobility import find_mobility
 from bulletuav.network.mobility.ground import Ground
 from bulletuav.tasks.base import REBOUND, Rngs, affected
-from bulletuav.tasks.families.urban import (
-    DEFAULTS,
-    USER_HEIGHT,
-    UrbanConfig,
-    UrbanTask,
-    check_share,
-)
+from bulletuav.tasks.families.city_layouts import USER_HEIGHT, UrbanConfig
+from bulletuav.tasks.families.urban import URBAN_DEFAULTS, UrbanTask, check_share
 from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
 from bulletuav.tasks.targets import TargetTask
 
 
 @dataclass(frozen=True)
 class UsersConfig(UrbanConfig):
-    """Options of service to users beside those of cities.
+    """Options of tasks over users, beside those of cities.
 
-    num_users   users on the ground, outdoors
-    mobility    how they walk: "still", "gauss_markov", "manhattan", "hotspot", "waypoint"; a dict with options of that model
-                too, such as {"model": "waypoint", "pause": (0, 5)}; or a `Mobility`
-    wanted      success is to serve this share
-    boundary    "end": a drone outside the airspace is done; "soft", "hard": it is thrown back, or stops, at the bounds
-    contact_ends  whose episode contact of shapes ends: the "drone"'s, or that of its whole "world"
+    Attributes:
+        d_safe: Separation below which two drones are in conflict, m.
+        num_users: Number of users on the ground, outdoors.
+        mobility: How users walk: "still", "gauss_markov", "manhattan", "hotspot" or "waypoint"; a
+            dict with options of that model too, such as {"model": "waypoint", "pause": (0, 5)};
+            or a `Mobility`.
+        wanted: Share of service that is success; of users served, unless the task says otherwise.
+        boundary: What happens at the bounds of the airspace. "end": the drone's episode ends.
+            "soft": it is thrown back. "hard": it stops there.
+        contact_ends: Whose episode a contact of collision shapes ends: that of the "drone", or
+            of its whole "world".
+        height: Least and greatest height of starts, m.
     """
 
     d_safe: float = 2.0
@@ -46,49 +47,62 @@ UsersConfigT = TypeVar("UsersConfigT", bound=UsersConfig)
 
 
 class UsersTask(UrbanTask[UsersConfigT], TargetTask[UsersConfigT], Generic[UsersConfigT]):
-    """A task over users: drones start at rest anywhere outdoors, and so do users.
+    """Base of tasks over users: drones start at rest anywhere outdoors, and so do users.
 
-    It ends for a drone on contact of collision shapes and with an empty battery; at the bounds of the city's square and its
-    ceiling drones stop.
+    A drone's episode ends on contact of collision shapes and with an empty battery. At the bounds
+    of the city's square and at its ceiling drones stop, unless the option `boundary` says
+    otherwise.
     """
 
     baseline = "kmeans"
     defaults: ClassVar = {
-        **DEFAULTS,
+        **URBAN_DEFAULTS,
         "dynamics": "single_integrator",
         "decision_hz": 1,
         "horizon": 100,
     }
 
     def __init__(self, config: UsersConfigT, context: TaskContext) -> None:
-        """Raises ValueError where the city leaves no room to fly or to walk."""
+        """Make the cities, and find where users can walk.
+
+        Raises:
+            ValueError: A city leaves no room to fly or to walk.
+            FileNotFoundError: The city's file is not there.
+        """
         super().__init__(config, context)
         check_share("wanted", config.wanted)
-        self.num_targets, self.rebound = config.num_users, REBOUND.get(config.boundary)
+        self.num_targets = config.num_users
+        self.rebound = REBOUND.get(config.boundary)
         self.mobility = find_mobility(config.mobility)
         self.ground = Ground(self.town.cities, USER_HEIGHT)
         self.mobility.require(self.ground)
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
-        """`users`, where they are, m, and what their walk keeps; `dwell_time`, how long drones see them, s, and its mean."""
-        count, drones = self.config.num_users, self.context.num_drones
+        """Tell the shapes of what is kept of users.
+
+        Returns:
+            "users" (U, 3), where they are, m, and what their mobility model keeps; "dwell_time"
+            (N, U), for how long each drone has seen each user without a break, s, and its mean
+            over users, "mean_dwell_time" (N,).
+        """
+        users = self.config.num_users
+        drones = self.context.num_drones
         return {
-            **self.mobility.state(count),
-            "dwell_time": (drones, count),
+            **self.mobility.state(users),
+            "dwell_time": (drones, users),
             "mean_dwell_time": (drones,),
         }
 
     def targets(self, scene: Scene) -> np.ndarray:
-        """The users."""
+        """Tell where the users are, (W, U, 3) m."""
         return scene.memory["users"]
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
-        """Drones at rest and users, outdoors."""
+        """Draw a start of drones at rest, and of users, all outdoors."""
         layout = self.town.draw(rng)
         start = self.town.hovering(rng, layout, self.context.num_drones)
-        return start._replace(
-            memory=self.mobility.start(rng, self.ground, layout, self.config.num_users)
-        )
+        users = self.mobility.start(rng, self.ground, layout, self.config.num_users)
+        return start._replace(memory=users)
 
     def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
         """Let users walk."""
@@ -98,19 +112,25 @@ class UsersTask(UrbanTask[UsersConfigT], TargetTask[UsersConfigT], Generic[Users
 
     def update_memory(self, frame: Frame, rngs: Rngs) -> None:
         """Note for how long each living drone has seen each user without a break."""
-        memory, sight = frame.scene.memory, frame.readings["sight"]
+        memory = frame.scene.memory
         times = (memory["dwell_time"], memory["mean_dwell_time"])
-        watch(*times, sight, frame.alive, self.context.period)
+        watch(*times, frame.readings["sight"], frame.alive, self.context.period)
 
     def quantities(self) -> Mapping[str, Any]:
-        """Tell the share of users that is served."""
+        """Tell the share of users that some drone sees."""
         return {"served": self.served}
 
     def terminated(self, frame: Frame) -> np.ndarray:
-        """Tell whose episode ends in contact, or outside the airspace where that ends it."""
+        """Tell whose episode ends by contact, or outside the airspace where options say so.
+
+        Returns:
+            (W, N) bool.
+        """
         ended = affected(frame.collision, frame, self.config.contact_ends)
-        return ended | self.outside(frame) if self.config.boundary == "end" else ended
+        if self.config.boundary == "end":
+            ended = ended | self.outside(frame)
+        return ended
 
     def succeeded(self, frame: Frame) -> np.ndarray:
-        """Tell whether the wanted share of users is served."""
+        """Tell whether some drone sees the wanted share of users, (W, N) bool."""
         return self.served(frame) >= self.config.wanted

@@ -1,0 +1,333 @@
+"""Cities of a task: its options, how its layouts are made, and where drones can be in them."""
+
+import contextlib
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bulletuav.city.generator import generate
+from bulletuav.city.imports import READERS
+from bulletuav.city.model import City
+from bulletuav.city.statistics import KINDS, Statistics
+from bulletuav.engine.tiles import TILE_PITCH
+from bulletuav.errors import as_sequence, choose, shown
+from bulletuav.geometry.solids import Solids
+from bulletuav.tasks.base import TaskConfig
+from bulletuav.tasks.frame import Spawn, TaskContext
+
+RASTER_CELL = 4.0
+"""Side of the cells of the raster from which places are drawn, m"""
+BUILDING_MARGIN = 1.0
+"""Distance beyond its radius between a drone that starts, or a goal, and buildings, m"""
+EDGE_MARGIN = 10.0
+"""Distance between drones that start, or goals, and the city's edge, m"""
+USER_HEIGHT = 1.5
+"""Height of a user's device above the ground, m"""
+MAX_TRIES = 200
+"""Random draws of a place before it counts as impossible"""
+
+
+@dataclass(frozen=True)
+class UrbanConfig(TaskConfig):
+    """Options of tasks in a city, beside those of every task.
+
+    Attributes:
+        city: "suburban", "urban", "dense" or "high_rise"; (alpha, beta, gamma), see
+            `bulletuav.city.statistics.Statistics`; the path of a .geojson or .obj file; or a
+            `City`.
+        area: Side of the city's square, m; for files, the smallest square that holds all.
+        irregularity: Irregularity of the city, from 0, a regular grid, to 1.
+        num_layouts: Number of cities that are made; a world has one of them for an episode. Files
+            give one.
+        city_seed: Seed of the first city, the same for all worlds. Layout k is what
+            `bulletuav city` makes of this seed + k.
+        height: Least and greatest height of starts and goals, m. They are outdoors.
+        ceiling: Greatest height of the airspace, m.
+        min_separation: Least distance between starts, and between goals, m.
+    """
+
+    city: Any = "urban"
+    area: float = 500.0
+    irregularity: float = 0.0
+    num_layouts: int = field(default=4, metadata={"most": 256})
+    city_seed: int = field(default=0, metadata={"least": 0, "most": 2**32})
+    height: tuple[float, float] = (5.0, 25.0)
+    ceiling: float = 120.0
+    min_separation: float = 20.0
+
+
+def make_cities(config: UrbanConfig) -> tuple[City, ...]:
+    """Make the cities that the options ask for.
+
+    Args:
+        config: Options, of which `city`, `area`, `irregularity`, `num_layouts` and `city_seed`
+            count.
+
+    Returns:
+        A city for each layout.
+
+    Raises:
+        ValueError: There can be no such city.
+        FileNotFoundError: `city` is the path of a file that is not there.
+    """
+    kind = config.city
+    # A city that is ready, or a file of one.
+    if isinstance(kind, City):
+        return (kind,)
+    ending = Path(kind).suffix.lower() if isinstance(kind, str | Path) else ""
+    if isinstance(kind, Path) or ending in READERS:
+        read = choose(f"kind of file for city {str(kind)!r},", ending, READERS)
+        return (read(Path(kind)),)
+    # Cities made at random, of a known kind or of given statistics.
+    if isinstance(kind, str):
+        choose("kind of city", kind, KINDS)
+    else:
+        kind = _given_statistics(kind)
+    if config.irregularity > 1:
+        raise ValueError(
+            f"irregularity is {config.irregularity!r}: a number from 0 (regular) to 1 is needed"
+        )
+    if config.area >= TILE_PITCH:
+        raise ValueError(
+            f"area is {config.area:g} m: "
+            f"less than {TILE_PITCH:g} m is needed, where other worlds begin"
+        )
+    seeds = range(config.city_seed, config.city_seed + config.num_layouts)
+    try:
+        return tuple(
+            generate(kind, config.area, np.random.default_rng(seed), config.irregularity)
+            for seed in seeds
+        )
+    except ValueError as error:
+        raise ValueError(f"area is {config.area:g} m: its {error}") from None
+
+
+def _given_statistics(given: Any) -> Statistics:
+    """Make statistics of the three numbers that the option `city` gives."""
+    try:
+        return Statistics(*as_sequence("city", given, 3))
+    except ValueError as error:
+        raise ValueError(
+            f"city is {shown(given)}, (alpha, beta, gamma) or a name or file: {error}"
+        ) from None
+
+
+class CityLayouts:
+    """Cities of a task by layout, and random places outdoors in them.
+
+    Attributes:
+        config: Options of the cities.
+        cities: City of each layout.
+        solids: Buildings of each layout, for the engine.
+        low: (3,) lower corner of the airspace above all layouts, m.
+        high: (3,) upper corner of the airspace, m.
+    """
+
+    def __init__(self, config: UrbanConfig, context: TaskContext) -> None:
+        """Make the cities, and rasters of the places where drones have room.
+
+        Args:
+            config: Options of the cities.
+            context: The swarm that is to have room.
+
+        Raises:
+            ValueError: The options leave no room to fly.
+            FileNotFoundError: The city's file is not there.
+        """
+        _check_heights(config, context)
+        self.config = config
+        self.cities = make_cities(config)
+        self.solids: tuple[Solids, ...] = tuple(city.solids for city in self.cities)
+        # The airspace holds the widest city, and must hold drones as far apart as asked for.
+        reach = max(city.side for city in self.cities) / 2
+        self.low = np.array([-reach, -reach, 0.0])
+        self.high = np.array([reach, reach, config.ceiling])
+        diagonal = math.dist(self.low, self.high)
+        if context.num_drones > 1 and config.min_separation >= diagonal:
+            raise ValueError(
+                f"min_separation is {config.min_separation:g} m: less than {diagonal:.4g} m, "
+                f"as far as the city's airspace reaches, is needed"
+            )
+        # Wherever in a free cell a drone starts, it is clear of buildings.
+        margin = context.collision_radius + BUILDING_MARGIN + RASTER_CELL / np.sqrt(2)
+        self._raster = [
+            _outdoor_cells(city, RASTER_CELL, margin, EDGE_MARGIN) for city in self.cities
+        ]
+        for city, raster in zip(self.cities, self._raster, strict=True):
+            if not len(raster):
+                raise ValueError(
+                    f"city {city.name!r} has no street {2 * margin:.3g} m wide, "
+                    f"{EDGE_MARGIN:g} m off its edge: drones have no room; "
+                    f"lower alpha, or raise area"
+                )
+
+    def require(self, leg: float) -> None:
+        """Refuse a distance from start to goal that a city is too small for.
+
+        Args:
+            leg: Distance, m.
+
+        Raises:
+            ValueError: In some city no two places are that far apart.
+        """
+        diagonals = (
+            np.linalg.norm(np.ptp(raster, axis=0) + RASTER_CELL) for raster in self._raster
+        )
+        widest = min(float(diagonal) for diagonal in diagonals)
+        if leg >= widest:
+            raise ValueError(
+                f"leg is {leg:g} m: less than {widest:.4g} m is needed in this city, or raise area"
+            )
+
+    def draw(self, rng: np.random.Generator) -> int:
+        """Draw a layout, all with the same chance."""
+        return int(rng.integers(len(self.cities)))
+
+    def outdoors(self, rng: np.random.Generator, layout: int, count: int) -> np.ndarray:
+        """Draw places outdoors with room for a drone.
+
+        Args:
+            rng: Random generator.
+            layout: Which city.
+            count: Number of places.
+
+        Returns:
+            (count, 2) m.
+        """
+        raster = self._raster[layout]
+        cell = raster[rng.integers(len(raster), size=count)]
+        place: np.ndarray = cell + rng.uniform(-RASTER_CELL / 2, RASTER_CELL / 2, (count, 2))
+        return place
+
+    def places(self, rng: np.random.Generator, layout: int, count: int) -> np.ndarray:
+        """Draw places for drones, `min_separation` apart.
+
+        Args:
+            rng: Random generator.
+            layout: Which city.
+            count: Number of places.
+
+        Returns:
+            (count, 3) m.
+
+        Raises:
+            ValueError: There is no room for so many.
+        """
+        return self._drawn(rng, layout, count, None, 0.0)
+
+    def legs(
+        self, rng: np.random.Generator, layout: int, count: int, leg: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Draw starts and goals; starts, and goals, are `min_separation` apart.
+
+        Args:
+            rng: Random generator.
+            layout: Which city.
+            count: Number of drones.
+            leg: Least distance from a drone's start to its goal, m.
+
+        Returns:
+            Starts (count, 3) and goals (count, 3), m.
+
+        Raises:
+            ValueError: There is no room for so many.
+        """
+        for _ in range(MAX_TRIES):
+            start = self.places(rng, layout, count)
+            # A start in the middle may have nowhere so far away: then others are drawn.
+            with contextlib.suppress(ValueError):
+                return start, self._drawn(rng, layout, count, start, leg)
+        raise self._no_room(layout, count, f" and leg {leg:g} m")
+
+    def _drawn(
+        self,
+        rng: np.random.Generator,
+        layout: int,
+        count: int,
+        start: np.ndarray | None,
+        leg: float,
+    ) -> np.ndarray:
+        """Draw places (count, 3), each `leg` from its entry of `start` where that is given."""
+        lowest, highest = self.config.height
+        places = np.empty((count, 3))
+        for i in range(count):
+            for _ in range(MAX_TRIES):
+                places[i, :2] = self.outdoors(rng, layout, 1)[0]
+                places[i, 2] = rng.uniform(lowest, highest)
+                gaps = np.linalg.norm(places[:i] - places[i], axis=1)
+                is_apart = gaps.min(initial=np.inf) >= self.config.min_separation
+                if is_apart and (start is None or np.linalg.norm(start[i] - places[i]) >= leg):
+                    break
+            else:
+                raise self._no_room(layout, count, "")
+        return places
+
+    def _no_room(self, layout: int, count: int, also: str) -> ValueError:
+        """Make the error for a city that is too small for so many drones."""
+        return ValueError(
+            f"no places for {count} drones with min_separation "
+            f"{self.config.min_separation:g} m{also} in a city of side "
+            f"{self.cities[layout].side:g} m: lower these, or raise area"
+        )
+
+    def hovering(self, rng: np.random.Generator, layout: int, count: int) -> Spawn:
+        """Draw a start at rest at random places, which are the drones' goals too.
+
+        Args:
+            rng: Random generator.
+            layout: Which city.
+            count: Number of drones.
+
+        Raises:
+            ValueError: There is no room for so many.
+        """
+        place = self.places(rng, layout, count)
+        return Spawn(position=place, goal=place, layout=layout)
+
+
+def _check_heights(config: UrbanConfig, context: TaskContext) -> None:
+    """Refuse heights outside the airspace, and drones that could start in touch."""
+    lowest, highest = config.height
+    if not context.collision_radius < lowest <= highest < config.ceiling:
+        raise ValueError(
+            f"height is {config.height}: from low to high within "
+            f"{context.collision_radius:.3g} m, where a drone touches the ground, "
+            f"and ceiling {config.ceiling:g} m is needed"
+        )
+    largest_drone = 2 * context.collision_radius
+    if config.min_separation <= largest_drone:
+        raise ValueError(
+            f"min_separation is {config.min_separation:g} m: "
+            f"more than {largest_drone:.3g} m is needed, the largest drone's size"
+        )
+
+
+def _outdoor_cells(city: City, cell: float, margin: float, edge: float = 0.0) -> np.ndarray:
+    """Return the middles (M, 2) of a raster's cells that are outdoors, m.
+
+    They are `margin` m from footprints and `edge` m from the city's edge.
+    """
+    count = int(city.side / cell)
+    middle = (np.arange(count) + 0.5) * city.side / count - city.side / 2
+    places = np.stack(np.meshgrid(middle, middle, indexing="ij"), axis=-1).reshape(-1, 2)
+    is_inside = np.abs(places).max(axis=1, initial=0.0) <= city.side / 2 - edge
+    cells: np.ndarray = places[is_inside & city.outdoors(places, margin)]
+    return cells
+
+
+def ground_cells(city: City, cell: float) -> np.ndarray:
+    """Return the middles of the cells of a square raster that are outdoors.
+
+    Args:
+        city: The city.
+        cell: Side of the cells, m.
+
+    Returns:
+        (M, 3) m, at the height of a user's device.
+    """
+    places = _outdoor_cells(city, cell, 0.0)
+    height = np.full((len(places), 1), USER_HEIGHT)
+    return np.concatenate([places, height], axis=1)

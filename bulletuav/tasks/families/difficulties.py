@@ -1,0 +1,58 @@
+"""Difficulties that several tasks share: what each makes uncertain, and which city it takes."""
+
+from typing import Any
+
+UNCERTAINTY: dict[str, dict[str, Any]] = {
+    "easy": {},
+    "medium": {"randomization": {"gps_noise": (0.5, 1.5)}},
+    "hard": {
+        "randomization": {
+            "gps_noise": (0.5, 3.0),
+            "gps_walk": (0.0, 0.1),
+            "wind": (-3.0, 3.0),
+        }
+    },
+    "extreme": {
+        "turbulence": "light",
+        "randomization": {
+            "mass": (0.8, 1.2),
+            "thrust": (0.9, 1.1),
+            "drag": (1 / 3, 5 / 3),
+            "motor_lag": (0.5, 2.0),
+            "battery": (0.0, 0.1),
+            "gps_noise": (0.5, 5.0),
+            "gps_walk": (0.0, 0.1),
+            "gps_dropout": (0.0, 0.1),
+            "wind": (-3.0, 3.0),
+            "radio_delay": (0.005, 0.1),
+            "radio_loss": (0.0, 0.3),
+            "radio_range": (100.0, 200.0),
+        },
+    },
+}
+"""What each difficulty makes uncertain.
+
+Units are those of `bulletuav.envs.randomization.Randomization`.
+"""
+
+URBAN_DIFFICULTIES: dict[str, dict[str, Any]] = {
+    "easy": UNCERTAINTY["easy"],
+    "medium": {
+        "num_drones": 5,
+        "irregularity": 0.5,
+        **UNCERTAINTY["medium"],
+    },
+    "hard": {
+        "num_drones": 8,
+        "city": "dense",
+        "irregularity": 0.5,
+        **UNCERTAINTY["hard"],
+    },
+    "extreme": {
+        "num_drones": 16,
+        "city": "high_rise",
+        "irregularity": 1.0,
+        **UNCERTAINTY["extreme"],
+    },
+}
+"""Difficulties of tasks in cities: the city, the number of drones, and what is uncertain."""
