@@ -18,6 +18,7 @@ from bulletuav.sensors.base import (
     check_readings,
 )
 from bulletuav.sensors.gps import Gps
+from bulletuav.sensors.imperfect import unwrapped
 from bulletuav.vehicle.swarm import Swarm
 
 ORDER = ("gps", "radio", "imu", "lidar", "camera", "clearance", "sight", "sight_ahead")
@@ -123,8 +124,9 @@ class SensorSuite:
         known = swarm
         for sensor in self.sensors.values():
             sensor.reset(world, swarm, known, rng)
-            if isinstance(sensor, Gps):
-                known = swarm._replace(position=sensor.position, velocity=sensor.velocity)
+            gps = unwrapped(sensor)
+            if isinstance(gps, Gps):
+                known = swarm._replace(position=gps.position, velocity=gps.velocity)
 
     def measure(
         self, moment: Moment, show: Callable[[Swarm, np.ndarray], None]
