@@ -18,6 +18,7 @@ from bulletuav.sensors.base import (
     check_readings,
 )
 from bulletuav.sensors.gps import Gps
+from bulletuav.sensors.imperfect import unwrapped
 from bulletuav.vehicle.swarm import Swarm
 
 ORDER = ("gps", "radio", "imu", "lidar", "camera", "clearance", "sight", "sight_ahead")
@@ -123,8 +124,9 @@ class SensorSuite:
         known = swarm
         for sensor in self.sensors.values():
             sensor.reset(world, swarm, known, rng)
-            if isinstance(sensor, Gps):
-                known = swarm._replace(position=sensor.position, velocity=sensor.velocity)
+            gps = unwrapped(sensor)
+            if isinstance(gps, Gps):
+                known = swarm._replace(position=gps.position, velocity=gps.velocity)
 
     def measure(
         self, moment: Moment, show: Callable[[Swarm, np.ndarray], None]
@@ -178,7 +180,7 @@ def reading_labels(
     label = sensor.labels(setup).get(reading)
     if isinstance(label, tuple) and not isinstance(label, Image) and not label:
         raise ValueError(
-            f"reading {reading!r} of sensor {shown(sensor.name)} has no labels: give the sensor "
-            f"`numbers`, one Label for each"
+            f"reading {reading!r} of sensor {shown(sensor.name)} has no numbers here: the task has "
+            f"no targets, or the sensor tells no labels (give it `numbers`, one Label for each)"
         )
     return label

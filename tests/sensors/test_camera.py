@@ -1,46 +1,43 @@
 import numpy as np
 import pytest
+import sensing
 from scipy.spatial.transform import Rotation
 
 import bulletuav
 from bulletuav.city.generator import generate
-from bulletuav.engine.engine import Engine
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.solids import Solids
 from bulletuav.geometry.view import BUILDING, DRONE, FAR, LAND, NEAR, OBSTACLE, SKY
-from bulletuav.sensors.camera import DroneCameras
-from bulletuav.vehicle.swarm import Swarm
+from bulletuav.sensors.camera import Camera
 
 SIZE = (64, 48)
 ALL = ["rgb", "depth", "segmentation", "ray_depth"]
-LEVEL = (0.0, 0, 0, 1)
 TOWER = Solids(np.array([[(20.0, -5, 0), (40, 5, 60)]]))
-FACING = [LEVEL, (0, np.sqrt(0.5), 0, np.sqrt(0.5))]  # the second drone shows the first its face
+FACING = [sensing.LEVEL, (0, np.sqrt(0.5), 0, np.sqrt(0.5))]
+"""The second drone shows the first its face"""
 RADIUS = bulletuav.load_airframe("hummingbird").collision_radius
 
 
 @pytest.fixture
 def photograph():
-    """Pictures (N, H, W, ...) by name of the drones at some places in front of some solids and an obstacle."""
+    """Pictures (N, H, W, ...) by name of drones in front of some solids and an obstacle."""
     made = []
 
-    def make(solids, position, quaternion=LEVEL, obstacle=None, world=0, worlds=1):
+    def make(solids, position, quaternion=sensing.LEVEL, obstacle=None, world=0, worlds=1):
         drones = len(np.atleast_2d(position))
-        airframes = [bulletuav.load_airframe("hummingbird")] * drones
-        engine = Engine(airframes, worlds, 1 / 240, (Obstacle("sphere", (1.0,)),), (solids,))
+        obstacles = (Obstacle("sphere", (1.0,)),)
+        engine = sensing.open_world((solids,), worlds, drones, obstacles=obstacles)
         made.append(engine)
-        every = np.ones((worlds, drones), dtype=bool)
-        engine.set_layouts(np.zeros(worlds, dtype=int), every[:, 0])
         if obstacle is not None:
-            engine.set_obstacles(
-                np.full((worlds, 1, 3), obstacle), np.tile(LEVEL, (worlds, 1, 1)), every[:, 0]
-            )
-        swarm = Swarm.zeros(worlds, drones, 4)
-        swarm.position[:], swarm.quaternion[:] = position, quaternion
-        engine.set_states(swarm, every)
-        cameras = DroneCameras(engine, ALL, np.full(drones, RADIUS), SIZE, 1)
-        cameras.expose(swarm, every, np.zeros(worlds, dtype=int))
-        return {name: picture[world] for name, picture in cameras.pictures.items()}
+            level = np.tile(sensing.LEVEL, (worlds, 1, 1))
+            every = np.ones(worlds, dtype=bool)
+            engine.set_obstacles(np.full((worlds, 1, 3), obstacle), level, every)
+        swarm = sensing.swarm_at(engine, position, quaternion)
+        views = {"radius": (RADIUS,) * drones, "camera_size": SIZE, "wanted": frozenset(ALL)}
+        camera = sensing.sensor_of(Camera, engine.shape, engine, **views)
+        sensing.measure(camera, swarm, steps=0)
+        assert set(camera.pictures) == set(ALL)
+        return {name: picture[world] for name, picture in camera.pictures.items()}
 
     yield make
     for one in made:
@@ -48,7 +45,10 @@ def photograph():
 
 
 def pixel(ahead, left, up):
-    """Row and column that look along a direction: the picture is 90 degrees high, and 4 / 3 as wide as high."""
+    """Row and column that look along a direction.
+
+    The picture is 90 degrees high, and 4 / 3 as wide as high.
+    """
     return int(24 * (1 - up / ahead)), int(32 * (1 - left / ahead * 3 / 4))
 
 
@@ -72,7 +72,10 @@ def flat(labels, depth):
 
 
 def rounding(depth):
-    """What single precision leaves of a depth in the renderer, whose buffer is 1 - NEAR / depth, m."""
+    """What single precision leaves of a depth, m, in the renderer.
+
+    Its buffer is 1 - NEAR / depth.
+    """
     return 1e-3 + 2 * np.finfo(np.float32).eps * depth**2 / NEAR
 
 
@@ -80,7 +83,8 @@ def rounding(depth):
 def test_depths_by_rays_are_those_of_the_renderer(photograph, attitude):
     """In a city, over a street; where pixels show a plane, and to what the renderer rounds.
 
-    Walls and streets seen at a slant tell by half a pixel's shift whether both look through the same point of a pixel.
+    Walls and streets seen at a slant tell by half a pixel's shift whether both look through the
+    same point of a pixel.
     """
     city = generate("dense", 300.0, np.random.default_rng(0), 0.5)
     turn = Rotation.from_euler("ZYX", attitude, degrees=True).as_quat()
@@ -108,7 +112,10 @@ def test_what_is_nowhere_is_far(photograph):
 
 
 def test_pixels_are_labelled_by_what_they_show(photograph):
-    """A tower ahead, an obstacle to its left, another drone to its right; ground below and sky above them."""
+    """A tower ahead, an obstacle to its left, another drone to its right.
+
+    Ground is below and sky above them.
+    """
     pictures = photograph(
         TOWER, [(0, 0, 30), (RADIUS + 5, -4, 30)], FACING, obstacle=(RADIUS + 10, 9, 30)
     )
@@ -127,7 +134,10 @@ def test_pixels_are_labelled_by_what_they_show(photograph):
 
 
 def test_obstacles_and_drones_are_as_far_as_they_are(photograph):
-    """A ball of 1 m 10 m ahead and to the left; a drone 5 m ahead, whose collision shape is what rays see of it."""
+    """A ball of 1 m 10 m ahead and to the left; a drone 5 m ahead.
+
+    Its collision shape is what rays see of it.
+    """
     pictures = photograph(
         TOWER, [(0, 0, 30), (RADIUS + 5, -4, 30)], FACING, obstacle=(RADIUS + 10, 9, 30)
     )

@@ -1,32 +1,33 @@
 import numpy as np
 import pytest
+import sensing
 
 from bulletuav.sensors.gps import VELOCITY_SHARE, Gps
 
 
 def readings(gps, count, seed=0):
     rng = np.random.default_rng(seed)
-    position, velocity = np.zeros((2, gps.noise.shape[1], 3))
-    gps.start(0, position, velocity, rng)
+    still = sensing.swarm_of(1, gps.noise.shape[1])
+    sensing.start(gps, 0, still, rng)
     rows = []
     for _ in range(count):
-        gps.read(position[None], velocity[None], np.ones(1, dtype=bool), [rng])
+        sensing.measure(gps, still, rngs=[rng])
         rows.append((gps.position[0].copy(), gps.velocity[0].copy()))
     return np.array(rows)  # (count, 2, N, 3)
 
 
 def test_without_errors_it_reads_the_truth():
-    gps = Gps((2, 3), 0.1)
+    gps = sensing.sensor_of(Gps, (2, 3))
     rng = np.random.default_rng(0)
     position, velocity = rng.normal(size=(2, 3, 3))
-    gps.start(1, position, velocity, rng)
+    sensing.start(gps, 1, sensing.swarm_of(2, 3, position, velocity), rng)
     np.testing.assert_array_equal(gps.position[1], position)
     np.testing.assert_array_equal(gps.velocity[1], velocity)
     assert not gps.position[0].any()
 
 
 def test_white_noise_has_the_standard_deviation_asked_for():
-    gps = Gps((1, 2), 0.1)
+    gps = sensing.sensor_of(Gps, (1, 2))
     gps.noise[:] = (2.0, 0.5)
     rows = readings(gps, 20000)
     np.testing.assert_allclose(rows[:, 0].std(axis=0), [[2.0] * 3, [0.5] * 3], rtol=0.03)
@@ -39,7 +40,7 @@ def test_white_noise_has_the_standard_deviation_asked_for():
 
 @pytest.mark.parametrize("period", [0.1, 0.02])
 def test_the_walk_grows_with_the_root_of_time_whatever_the_period(period):
-    gps = Gps((1, 4000), period)
+    gps = sensing.sensor_of(Gps, (1, 4000), period=period)
     gps.walk[:] = 0.3
     rows = readings(gps, round(4 / period))
     assert rows[-1, 0].std() == pytest.approx(0.3 * 2, rel=0.03)
@@ -47,7 +48,7 @@ def test_the_walk_grows_with_the_root_of_time_whatever_the_period(period):
 
 
 def test_readings_that_fail_leave_the_last_ones():
-    gps = Gps((1, 1), 0.1)
+    gps = sensing.sensor_of(Gps, (1, 1))
     gps.noise[:], gps.dropout[:] = 1.0, 0.25
     rows = readings(gps, 20000)[:, :, 0]
     same = (np.diff(rows, axis=0) == 0).all(axis=(1, 2))
@@ -57,14 +58,14 @@ def test_readings_that_fail_leave_the_last_ones():
 
 
 def test_worlds_that_do_not_fly_keep_their_readings_and_draw_nothing():
-    gps = Gps((2, 1), 0.1)
+    gps = sensing.sensor_of(Gps, (2, 1))
     gps.noise[:] = gps.walk[:] = 1.0
     rng = np.random.default_rng(0)
-    states = np.zeros((2, 1, 3))
+    still = sensing.swarm_of(2, 1)
     for k in range(2):
-        gps.start(k, states[k], states[k], rng)
+        sensing.start(gps, k, still, rng)
     first, drift = gps.position.copy(), gps._drift.copy()
-    gps.read(states, states, np.array([True, False]), [rng, None])
+    sensing.measure(gps, still, mask=[[True], [False]], rngs=[rng, None])
     assert (gps.position[0] != first[0]).all()
     np.testing.assert_array_equal(gps.position[1], first[1])
     np.testing.assert_array_equal(gps._drift[1], drift[1])

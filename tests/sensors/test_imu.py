@@ -2,38 +2,32 @@ import math
 
 import numpy as np
 import pytest
+import sensing
 from scipy.spatial.transform import Rotation
 
 from bulletuav.sensors.imu import Imu
-from bulletuav.vehicle.swarm import Swarm
 
 G = 9.80665
-KINDS = ("acceleration", "rates")
+KINDS = ("accelerometer", "gyroscope")
 
 
-def swarm_of(worlds, drones, attitude=None, velocity=0.0, rates=0.0):
-    swarm = Swarm.zeros(worlds, drones, 4)
-    if attitude is not None:
-        swarm.quaternion[:] = attitude.as_quat()
-    swarm.velocity[:], swarm.rates[:] = velocity, rates
-    return swarm
-
-
-def feel(period=0.1, before=0.0, gravity=G, **state):
+def feel(period=0.1, before=0.0, gravity=G, attitude=None, **state):
     """Readings of one drone without errors that had the velocity `before`."""
-    imu, after = Imu((1, 1), period, gravity), swarm_of(1, 1, **state)
-    imu.read(swarm_of(1, 1, velocity=before), after, np.ones(1, dtype=bool), [None])
+    turn = sensing.LEVEL if attitude is None else attitude.as_quat()
+    imu = sensing.sensor_of(Imu, period=period, gravity=gravity)
+    after = sensing.swarm_of(1, 1, quaternion=turn, **state)
+    sensing.measure(imu, after, before=sensing.swarm_of(1, 1, velocity=before))
     return imu.acceleration[0, 0], imu.rates[0, 0]
 
 
 def errors(imu, count, seed=0):
     """(count, 2, N, 3) what world 0 reads at rest, beyond the truth."""
     rng = np.random.default_rng(seed)
-    still = swarm_of(*imu.rates.shape[:2])
-    imu.start(0, still, rng)
+    still = sensing.swarm_of(*imu.rates.shape[:2])
+    sensing.start(imu, 0, still, rng)
     rows = np.empty((count, 2, imu.rates.shape[1], 3))
     for row in rows:
-        imu.read(still, still, np.ones(len(imu.rates), dtype=bool), [rng])
+        sensing.measure(imu, still, rngs=[rng])
         row[:] = imu.acceleration[0] - (0, 0, G), imu.rates[0]
     return rows
 
@@ -78,7 +72,10 @@ def test_acceleration_to_the_north_is_felt_ahead_when_facing_it():
 
 
 def test_a_thrust_along_the_body_is_felt_along_the_body():
-    """Tilted by 30 degrees in level flight, the thrust is G / cos 30 and the drone accelerates by G tan 30."""
+    """Tilted by 30 degrees in level flight the thrust is G / cos 30.
+
+    The drone accelerates by G tan 30.
+    """
     tilt = Rotation.from_euler("y", 30, degrees=True)
     acceleration, _ = feel(attitude=tilt, velocity=(0.1 * G * math.tan(math.pi / 6), 0.0, 0.0))
     np.testing.assert_allclose(acceleration, (0, 0, G / math.cos(math.pi / 6)), atol=1e-13)
@@ -86,7 +83,7 @@ def test_a_thrust_along_the_body_is_felt_along_the_body():
 
 @pytest.mark.parametrize("kind", range(2), ids=KINDS)
 def test_white_noise_has_the_standard_deviation_asked_for(kind):
-    imu, count = Imu((1, 2), 0.01), 20000
+    imu, count = sensing.sensor_of(Imu, (1, 2), period=0.01), 20000
     getattr(imu, f"{KINDS[kind]}_noise")[:] = (2.0, 0.5)
     rows = errors(imu, count)
     expected = np.zeros((2, 2, 3))
@@ -104,7 +101,7 @@ def test_white_noise_has_the_standard_deviation_asked_for(kind):
 @pytest.mark.parametrize("kind", range(2), ids=KINDS)
 def test_biases_walk_with_the_root_of_time_whatever_the_period(kind, period):
     drones = 4000
-    imu = Imu((1, drones), period)
+    imu = sensing.sensor_of(Imu, (1, drones), period=period)
     getattr(imu, f"{KINDS[kind]}_walk")[:] = 0.3
     rows = errors(imu, round(4 / period))
     error = 5 / math.sqrt(2 * 3 * drones)
@@ -117,17 +114,16 @@ def test_biases_walk_with_the_root_of_time_whatever_the_period(kind, period):
 
 
 def test_accelerometer_and_gyroscope_err_apart_from_each_other():
-    imu, count = Imu((1, 1), 0.1), 20000
-    imu.acceleration_noise[:] = imu.rates_noise[:] = 1.0
+    imu, count = sensing.sensor_of(Imu), 20000
+    imu.accelerometer_noise[:] = imu.gyroscope_noise[:] = 1.0
     rows = errors(imu, count)[:, :, 0]
     assert np.abs(np.corrcoef(rows[:, 0].T, rows[:, 1].T)[:3, 3:]).max() < 5 / math.sqrt(count)
 
 
 def test_white_noise_and_steps_of_the_bias_are_independent():
-    imu, count = Imu((1, 1), 1.0), 20000
-    imu.acceleration_noise[:] = imu.acceleration_walk[:] = imu.rates_noise[:] = imu.rates_walk[
-        :
-    ] = 1.0
+    imu, count = sensing.sensor_of(Imu, period=1.0), 20000
+    imu.accelerometer_noise[:] = imu.gyroscope_noise[:] = 1.0
+    imu.accelerometer_walk[:] = imu.gyroscope_walk[:] = 1.0
     steps = np.diff(errors(imu, count)[:, :, 0], axis=0)
     np.testing.assert_allclose(
         steps.var(axis=0), 1 + 2, rtol=5 * math.sqrt(22 / 9 / count)
@@ -135,34 +131,32 @@ def test_white_noise_and_steps_of_the_bias_are_independent():
 
 
 def test_the_first_readings_of_an_episode_are_of_steady_flight_with_noise_but_without_bias():
-    imu, drones = Imu((2, 2000), 0.1), 2000
-    imu.rates_walk[:] = 100.0
-    imu.acceleration_noise[1] = 2.0
-    swarm, rng = (
-        swarm_of(2, drones, velocity=(5.0, 0.0, 0.0), rates=(0.1, 0.2, 0.3)),
-        np.random.default_rng(0),
-    )
-    imu.start(1, swarm, rng)
+    imu, drones = sensing.sensor_of(Imu, (2, 2000)), 2000
+    imu.gyroscope_walk[:] = 100.0
+    imu.accelerometer_noise[1] = 2.0
+    swarm = sensing.swarm_of(2, drones, velocity=(5.0, 0.0, 0.0), rates=(0.1, 0.2, 0.3))
+    rng = np.random.default_rng(0)
+    sensing.start(imu, 1, swarm, rng)
     np.testing.assert_array_equal(imu.rates[1], np.tile((0.1, 0.2, 0.3), (drones, 1)))
     white = imu.acceleration[1] - (0, 0, G)
     assert white.std() == pytest.approx(2, rel=5 / math.sqrt(2 * 3 * drones))
     assert not imu.acceleration[0].any()
-    imu.read(swarm, swarm, np.array([False, True]), [None, rng])
+    second = np.repeat([[False], [True]], drones, axis=1)
+    sensing.measure(imu, swarm, mask=second, rngs=[None, rng])
     assert np.abs(imu.rates[1]).max() > 1
-    imu.start(1, swarm, rng)
+    sensing.start(imu, 1, swarm, rng)
     np.testing.assert_array_equal(imu.rates[1], np.tile((0.1, 0.2, 0.3), (drones, 1)))
 
 
 def test_worlds_that_do_not_fly_keep_their_readings_and_draw_nothing():
-    imu, swarm = Imu((2, 1), 0.1), swarm_of(2, 1)
-    imu.acceleration_noise[:] = imu.rates_noise[:] = imu.acceleration_walk[:] = imu.rates_walk[
-        :
-    ] = 1.0
+    imu, swarm = sensing.sensor_of(Imu, (2, 1)), sensing.swarm_of(2, 1)
+    imu.accelerometer_noise[:] = imu.gyroscope_noise[:] = 1.0
+    imu.accelerometer_walk[:] = imu.gyroscope_walk[:] = 1.0
     rng = np.random.default_rng(0)
     for k in range(2):
-        imu.start(k, swarm, rng)
+        sensing.start(imu, k, swarm, rng)
     acceleration, rates, bias = imu.acceleration.copy(), imu.rates.copy(), imu._bias.copy()
-    imu.read(swarm, swarm, np.array([True, False]), [rng, None])
+    sensing.measure(imu, swarm, mask=[[True], [False]], rngs=[rng, None])
     assert (imu.acceleration[0] != acceleration[0]).all()
     assert (imu.rates[0] != rates[0]).all()
     np.testing.assert_array_equal(imu.acceleration[1], acceleration[1])
@@ -171,16 +165,16 @@ def test_worlds_that_do_not_fly_keep_their_readings_and_draw_nothing():
 
 
 def test_worlds_do_not_feel_each_other_and_draw_only_where_asked_for():
-    together, alone = Imu((2, 3), 0.1), Imu((1, 3), 0.1)
-    together.rates_noise[1] = alone.rates_noise[0] = 1.0
+    together, alone = sensing.sensor_of(Imu, (2, 3)), sensing.sensor_of(Imu, (1, 3))
+    together.gyroscope_noise[1] = alone.gyroscope_noise[0] = 1.0
     exact, noisy, same = (np.random.default_rng(seed) for seed in (1, 0, 0))
-    two, one = swarm_of(2, 3), swarm_of(1, 3)
-    together.start(0, two, exact)
-    together.start(1, two, noisy)
-    alone.start(0, one, same)
+    two, one = sensing.swarm_of(2, 3), sensing.swarm_of(1, 3)
+    sensing.start(together, 0, two, exact)
+    sensing.start(together, 1, two, noisy)
+    sensing.start(alone, 0, one, same)
     for _ in range(3):
-        together.read(two, two, np.ones(2, dtype=bool), [exact, noisy])
-        alone.read(one, one, np.ones(1, dtype=bool), [same])
+        sensing.measure(together, two, rngs=[exact, noisy])
+        sensing.measure(alone, one, rngs=[same])
     np.testing.assert_array_equal(together.rates[1], alone.rates[0])
     assert not together.rates[0].any()
     assert exact.random() == np.random.default_rng(1).random()

@@ -1,18 +1,17 @@
 import numpy as np
 import pytest
+import sensing
 from scipy.spatial.transform import Rotation
+from sensing import swarm_at
 
 import bulletuav
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics import DYNAMICS
-from bulletuav.engine.engine import Engine
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.solids import Solids
 from bulletuav.sensors.lidar import Beam, Lidar, make_beams
-from bulletuav.vehicle.swarm import Swarm
 
 FAR = 60.0
-LEVEL = (0.0, 0, 0, 1)
 
 
 def tower(height):
@@ -24,38 +23,26 @@ def make_world():
     """Builds worlds in which the first of some layouts stands."""
     made = []
 
-    def make(layouts=(), worlds=1, drones=1, airframe="hummingbird", obstacles=()):
-        one = Engine(
-            [bulletuav.load_airframe(airframe)] * drones, worlds, 1 / 240, obstacles, layouts
-        )
-        if layouts:
-            one.set_layouts(np.zeros(worlds, dtype=int), np.ones(worlds, dtype=bool))
-        made.append(one)
-        return one
+    def make(*arguments, **options):
+        made.append(sensing.open_world(*arguments, **options))
+        return made[-1]
 
     yield make
     for one in made:
         one.close()
 
 
-def swarm_at(engine, position, quaternion=LEVEL):
-    """The world's drones at rest at a position, (3,) or more, the engine's bodies with them."""
-    swarm = Swarm.zeros(*engine.shape, 4)
-    swarm.position[:], swarm.quaternion[:] = position, quaternion
-    engine.set_states(swarm, np.ones(engine.shape, dtype=bool))
-    return swarm
+def lidar_of(engine, beams, frame="yaw"):
+    looks = {"beams": tuple(beams), "max_range": FAR, "beam_frame": frame}
+    return sensing.sensor_of(Lidar, engine.shape, engine, **looks)
 
 
 def scan(engine, swarm, beams, frame="yaw", mask=None, rngs=None, **uncertain):
     """(W, N, B) ranges of one scan."""
-    lidar = Lidar(engine, beams, FAR, frame)
+    lidar = lidar_of(engine, beams, frame)
     for name, value in uncertain.items():
         getattr(lidar, name)[:] = value
-    lidar.scan(
-        swarm,
-        np.ones(engine.shape, dtype=bool) if mask is None else mask,
-        rngs or [None] * engine.shape[0],
-    )
+    sensing.measure(lidar, swarm, mask=mask, rngs=rngs)
     return lidar.ranges
 
 
@@ -102,7 +89,10 @@ def test_a_thin_wall_is_seen_where_it_stands(make_world, thickness, obstacles):
 
 @both_ways
 def test_beams_that_look_down_see_ground_and_roof(make_world, obstacles):
-    """From 30 m: 30 / sin of the angle; the roof 5 m below is met 20 m ahead and farther, at less than 14 degrees down."""
+    """From 30 m: 30 / sin of the angle.
+
+    The roof 5 m below is met 20 m ahead and farther, at less than 14 degrees down.
+    """
     engine = make_world((tower(25),), obstacles=obstacles)
     beams = [Beam(90, -90), Beam(90, -45), Beam(90, -31), Beam(90, -29), Beam(0, -10)]
     ranges = scan(engine, swarm_at(engine, (0, 0, 30)), beams)[0, 0]
@@ -115,7 +105,7 @@ def test_beams_that_look_down_see_ground_and_roof(make_world, obstacles):
 
 def test_obstacles_are_seen(make_world):
     engine = make_world(obstacles=(Obstacle("sphere", (2.0,)),))
-    engine.set_obstacles(np.array([[(0.0, 15, 30)]]), np.array([[LEVEL]]), np.array([True]))
+    engine.set_obstacles(np.array([[(0.0, 15, 30)]]), np.array([[sensing.LEVEL]]), np.array([True]))
     np.testing.assert_allclose(
         scan(engine, swarm_at(engine, (0, 0, 30)), level(90, 0))[0, 0], (13, FAR), atol=1e-3
     )
@@ -135,7 +125,10 @@ def test_what_is_at_the_end_of_the_range_is_seen_and_beyond_it_is_not(make_world
 @pytest.mark.parametrize("tilt", [0, 30])
 @pytest.mark.parametrize("airframe", bulletuav.available_airframes())
 def test_the_shape_of_another_drone_is_seen(make_world, airframe, tilt):
-    """A disc of radius r and half-height h ahead, tilted towards the beam: its rim r / cos, or its face h / sin, is met."""
+    """A disc of radius r and half-height h ahead, tilted towards the beam.
+
+    Its rim r / cos, or its face h / sin, is met.
+    """
     engine = make_world(drones=2, airframe=airframe)
     low, high = disc(airframe)
     swarm = swarm_at(
@@ -147,7 +140,10 @@ def test_the_shape_of_another_drone_is_seen(make_world, airframe, tilt):
 
 
 def disc(airframe):
-    """Radius and half-height of an airframe's collision shape, m, from its thinnest extent and its bounding sphere."""
+    """Radius and half-height of an airframe's collision shape, m.
+
+    They follow from its thinnest extent and its bounding sphere.
+    """
     one = bulletuav.load_airframe(airframe)
     half = one.thinnest / 2
     return np.sqrt(one.collision_radius**2 - half**2), half
@@ -230,7 +226,10 @@ def test_a_drone_that_flies_fast_is_seen_where_it_is(make_bench, dynamics):
 @pytest.mark.parametrize("tilt", [(0, 0), (30, 20), (-25, 10)])
 @pytest.mark.parametrize("heading", [0, 10, -90, 135])
 def test_beams_turn_with_the_heading_and_stay_level(make_world, heading, tilt):
-    """The tower is to the east, -heading degrees to the left of the nose; beams tilted by 30 would read 23.09 m."""
+    """The tower is to the east, -heading degrees to the left of the nose.
+
+    Beams tilted by 30 would read 23.09 m.
+    """
     engine = make_world((tower(60),))
     turn = Rotation.from_euler("ZYX", (heading, *tilt), degrees=True).as_quat()
     swarm = swarm_at(engine, (0, 0, 30), turn)
@@ -338,12 +337,12 @@ def test_a_drone_reads_the_same_whether_or_not_another_has_left(make_world):
 
 def test_who_does_not_scan_keeps_its_ranges(make_world):
     engine = make_world((tower(60),), drones=2)
-    lidar, swarm = Lidar(engine, level(0), FAR, "yaw"), swarm_at(engine, [(0, 0, 30), (0, 2, 30)])
-    lidar.scan(swarm, np.ones((1, 2), dtype=bool), [None])
+    lidar, swarm = lidar_of(engine, level(0)), swarm_at(engine, [(0, 0, 30), (0, 2, 30)])
+    sensing.measure(lidar, swarm)
     moved = swarm_at(engine, [(5, 0, 30), (5, 2, 30)])
-    lidar.scan(moved, np.array([[True, False]]), [None])
+    sensing.measure(lidar, moved, mask=[[True, False]])
     np.testing.assert_allclose(lidar.ranges[0, :, 0], (15, 20), atol=1e-6)
-    lidar.scan(moved, np.zeros((1, 2), dtype=bool), [None])
+    sensing.measure(lidar, moved, mask=[[False, False]])
     np.testing.assert_allclose(lidar.ranges[0, :, 0], (15, 20), atol=1e-6)
 
 

@@ -1,32 +1,23 @@
 import numpy as np
 import pytest
+import sensing
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+from sensing import swarm_at
 
 import bulletuav
 from bulletuav.city.generator import generate
-from bulletuav.engine.engine import Engine
 from bulletuav.geometry.city_grid import NO_LAYOUT
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.solids import Solids
 from bulletuav.sensors.sight import clearances, line_of_sight, sights
-from bulletuav.vehicle.swarm import Swarm
 
-LEVEL = (0.0, 0, 0, 1)
 RADIUS, HALF = 0.27, 0.055  # m, of a hummingbird's disc
 CITY = generate("dense", 400.0, np.random.default_rng(0), 1.0)
 GRAZE = 1e-6  # m
-EDGE = 2e-4  # of a building's size: by so much, millimetres, the engine's triangles reach over their edges, never less
-
-
-def open_world(layouts=(), worlds=1, drones=1, airframe="hummingbird", obstacles=(), stands=0):
-    engine = Engine(
-        [bulletuav.load_airframe(airframe)] * drones, worlds, 1 / 240, obstacles, layouts
-    )
-    if layouts:
-        engine.set_layouts(np.broadcast_to(stands, worlds), np.ones(worlds, dtype=bool))
-    return engine
+EDGE = 2e-4
+"""Of a building's size: by so much the engine's triangles reach over their edges, never less"""
 
 
 @pytest.fixture
@@ -35,7 +26,7 @@ def make_world():
     made = []
 
     def make(*arguments, **options):
-        made.append(open_world(*arguments, **options))
+        made.append(sensing.open_world(*arguments, **options))
         return made[-1]
 
     yield make
@@ -45,17 +36,14 @@ def make_world():
 
 @pytest.fixture(scope="module", params=["walk", "engine"])
 def town(request):
-    """A world in which `CITY` stands; with an obstacle, which is nowhere near, the engine is asked for rays."""
+    """A world in which `CITY` stands.
+
+    With an obstacle, which is nowhere near, the engine is asked for rays.
+    """
     obstacles = () if request.param == "walk" else (Obstacle("sphere", (1.0,)),)
-    engine = open_world((CITY.solids,), obstacles=obstacles)
+    engine = sensing.open_world((CITY.solids,), obstacles=obstacles)
     yield engine
     engine.close()
-
-
-def put(engine, position, quaternion=LEVEL):
-    swarm = Swarm.zeros(*engine.shape, 6)
-    swarm.position[:], swarm.quaternion[:] = position, quaternion
-    engine.set_states(swarm, np.ones(engine.shape, dtype=bool))
 
 
 def clear(engine, start, end, where=0):
@@ -104,16 +92,20 @@ def test_the_ground_blocks_and_what_is_no_way_apart_is_in_sight(make_world):
 
 def test_obstacles_block_and_drones_do_not(make_world):
     engine = make_world(drones=3, obstacles=(Obstacle("box", (2.0, 2.0, 2.0)),))
-    put(engine, [(0, 0, 10), (10, 0, 10), (20, 0, 10)])
+    swarm_at(engine, [(0, 0, 10), (10, 0, 10), (20, 0, 10)])
     assert clear(engine, (0, 0, 10), (20, 0, 10)) == [True]
-    engine.set_obstacles(np.array([[(5.0, 0.5, 10)]]), np.array([[LEVEL]]), np.array([True]))
+    place, turn = np.array([[(5.0, 0.5, 10)]]), np.array([[sensing.LEVEL]])
+    engine.set_obstacles(place, turn, np.array([True]))
     np.testing.assert_array_equal(
         clear(engine, (0, 0, 10), [(20, 0, 10), (20, -9, 10)]), (False, True)
     )
 
 
 def test_either_way_is_the_same(town):
-    """5,000 links each between any points, on the level, plumb, and along one axis, where ties are broken."""
+    """5,000 links each between any points, on the level, plumb, and along one axis.
+
+    There ties are broken.
+    """
     rng = np.random.default_rng(1)
     for same in ((), (2,), (0, 1), (1, 2), (0, 2), (0,)):
         start, end = places(rng, 5000, 60), places(rng, 5000, 60)
@@ -125,7 +117,10 @@ def test_either_way_is_the_same(town):
 
 
 def test_either_way_is_the_same_where_links_just_touch(town):
-    """Ends between one in sight and one that is not, halved until nothing is between: there rounding decides."""
+    """Ends between one in sight and one that is not, halved until nothing is between.
+
+    There rounding decides.
+    """
     rng = np.random.default_rng(4)
     start, free, hidden = places(rng, 4000, 60), places(rng, 4000, 60), places(rng, 4000, 60)
     useful = clear(town, start, free) & ~clear(town, start, hidden)
@@ -151,7 +146,10 @@ def test_either_way_is_the_same_between_any_two_points(town, one, two):
 
 
 def test_who_rises_loses_nothing_from_sight(town):
-    """5,000 links that are clear stay so when either end, or both, are raised: buildings stand on the ground."""
+    """5,000 links that are clear stay so when either end, or both, are raised.
+
+    Buildings stand on the ground.
+    """
     rng = np.random.default_rng(2)
     start, end = places(rng, 20000, 60), places(rng, 20000, 60)
     end[:, :2] = start[:, :2] + 0.3 * (end[:, :2] - start[:, :2])
@@ -167,7 +165,10 @@ def test_who_rises_loses_nothing_from_sight(town):
 
 
 def slab(boxes, start, end):
-    """(M,) whether straight ways from start to end (M, 3) stay clear of boxes (B, 2, 3), by the slabs of their faces."""
+    """(M,) whether straight ways from start to end (M, 3) stay clear of boxes (B, 2, 3).
+
+    By the slabs of their faces.
+    """
     free = np.ones(len(start), dtype=bool)
     for low, high in boxes:
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -184,7 +185,10 @@ def grown(boxes, margin):
 
 @pytest.mark.parametrize("ends", ["users", "drones"])
 def test_links_are_clear_where_they_miss_every_box(town, ends):
-    """20,000 links from drones to users on the ground, or to each other; L-shaped buildings are two boxes side by side."""
+    """20,000 links from drones to users on the ground, or to each other.
+
+    L-shaped buildings are two boxes side by side.
+    """
     rng = np.random.default_rng(3)
     start, end = places(rng, 20000, 80), places(rng, 20000, 80)
     if ends == "users":
@@ -245,9 +249,9 @@ def test_an_environment_tells_who_sees_users_and_each_other(dynamics):
 # Clearances
 
 
-def nearest(engine, position, quaternion=LEVEL, most=50.0, mask=None):
+def nearest(engine, position, quaternion=sensing.LEVEL, most=50.0, mask=None):
     """(N,) clearances of the drones of world 0."""
-    put(engine, position, quaternion)
+    swarm_at(engine, position, quaternion)
     return clearances(
         engine, np.ones(engine.shape, dtype=bool) if mask is None else np.array(mask), most
     )[0]
@@ -285,7 +289,7 @@ def test_distance_from_a_hull(make_world):
 def test_distance_from_an_obstacle(make_world):
     engine = make_world(obstacles=(Obstacle("sphere", (1.0,)), Obstacle("box", (2.0, 2.0, 2.0))))
     engine.set_obstacles(
-        np.array([[(4.0, 0, 20), (0, -3, 20)]]), np.array([[LEVEL] * 2]), np.array([True])
+        np.array([[(4.0, 0, 20), (0, -3, 20)]]), np.array([[sensing.LEVEL] * 2]), np.array([True])
     )
     assert nearest(engine, (0, 0, 20)) == pytest.approx(2 - RADIUS, abs=1e-3)  # the box
     assert nearest(engine, (1, 1, 20)) == pytest.approx(
@@ -307,7 +311,10 @@ def test_overlap_is_negative(make_world):
 
 @pytest.mark.parametrize("airframe", bulletuav.available_airframes())
 def test_distance_of_a_tilted_shape(make_world, airframe):
-    """A disc of radius r and half-height h, turned by 30 degrees and rolled by 30: its rim is r sin + h cos lower."""
+    """A disc of radius r and half-height h, turned by 30 degrees and rolled by 30.
+
+    Its rim is r sin + h cos lower.
+    """
     engine, one = make_world(airframe=airframe), bulletuav.load_airframe(airframe)
     high = one.thinnest / 2
     wide = np.sqrt(one.collision_radius**2 - high**2)
@@ -332,6 +339,6 @@ def test_who_is_far_or_not_asked_for_has_the_limit(make_world):
 
 def test_other_worlds_and_parked_layouts_are_far(make_world):
     engine = make_world((BLOCK,), worlds=2, stands=[NO_LAYOUT, 0])
-    put(engine, [[(0, 0, 9)], [(0, 0, 9)]])
+    swarm_at(engine, [[(0, 0, 9)], [(0, 0, 9)]])
     distance = clearances(engine, np.ones((2, 1), dtype=bool), 50.0)[:, 0]
     np.testing.assert_allclose(distance, (9 - HALF, 1 - HALF), atol=1e-3)
