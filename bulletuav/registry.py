@@ -93,7 +93,10 @@ def find(kind: str, source: Any, accepts: Callable[[Any], bool]) -> Any:
     _load(kind)
     if source not in _table(kind):
         raise unknown(kind, source, names(kind))
-    return _table(kind)[source]
+    found = _table(kind)[source]
+    if not accepts(found):
+        raise ValueError(f"{kind} {source!r} is registered as {shown(found)}: that is no {kind}")
+    return found
 
 
 def names(kind: str) -> list[str]:

@@ -82,10 +82,7 @@ class Aviary(Worlds):
         frame = self._first_frame(chosen)
         self._start_memory(frame, chosen)
         if not self._checked:  # once: later results are of the same form
-            result = self.task.evaluate_step(frame)
-            terms = {**result.terms, **self.task.extra_terms(frame)} if result else {}
-            result = result._replace(terms=terms)
-            check_step_result(self.task, result, chosen.shape)
+            check_step_result(self.task, self.task.evaluate_step(frame), chosen.shape)
             check_info(self.task, self.task.info(frame), chosen.shape)
             self._checked = True
         self._frame = frame

@@ -149,7 +149,7 @@ def _from_run(folder: Path, name: str, trust: bool) -> PolicySpec:
     """Find the policy of a run, or of a checkpoint two folders below it."""
     is_checkpoint = folder.parent.name == CHECKPOINTS and not (folder / CONFIG).exists()
     home = folder.parents[1] if is_checkpoint else folder
-    config = RunConfig.read(home / CONFIG)
+    config = RunConfig.read(home / CONFIG, trust)
     path = folder / POLICY
     if not path.is_file() and (folder / OLD_MODEL).is_file():
         spec = _trusted(folder / OLD_MODEL, name, config.algo, trust)

@@ -23,6 +23,8 @@ from bulletuav.tasks import find_task
 CONFIG = "run.yaml"
 """File with the settings of a run, in its folder"""
 VERSION = 1
+MODULE_NAME = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
+"""A name by which a module is imported: `module:Name`"""
 """Version of that file: another number means other names or meanings of settings"""
 POLICY = "policy.safetensors"
 """File with the policy of a run or of a checkpoint, in its folder"""
@@ -169,11 +171,12 @@ class RunConfig:
         return cls(**given)
 
     @classmethod
-    def read(cls, path: Path) -> "RunConfig":
+    def read(cls, path: Path, trust: bool = False) -> "RunConfig":
         """Read the settings from a YAML file.
 
         Args:
             path: A file as `text` writes it, or one by hand: `version`, `task`, and any other.
+            trust: Whether modules that it names as `module:Name` may be imported.
 
         Raises:
             ValueError: The file is of another kind or version, or holds an impossible setting.
@@ -192,6 +195,8 @@ class RunConfig:
                 f"{path} holds {values!r}: names with values are needed, such as task: crossing"
             )
         _require_version(path, values)
+        if not trust:
+            _refuse_modules(path, values)
         settings = {name: value for name, value in values.items() if name != "version"}
         # Whatever is wrong with them is told with the file's name.
         try:
@@ -323,3 +328,22 @@ _Loader.add_implicit_resolver(
     re.compile(r"^[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$"),
     list("-+0123456789"),
 )
+
+
+def _refuse_modules(path: Path, value: Any) -> None:
+    """Refuse a file that names a module to import: importing it runs its code.
+
+    Raises:
+        ValueError: It does; the name and the remedy are told.
+    """
+    if isinstance(value, Mapping):
+        for one in value.values():
+            _refuse_modules(path, one)
+    elif isinstance(value, list):
+        for one in value:
+            _refuse_modules(path, one)
+    elif isinstance(value, str) and MODULE_NAME.fullmatch(value):
+        raise ValueError(
+            f"{path} names {value!r}, whose module would be imported: if you know who made it, say "
+            f"so by --trust (in Python trust=True)"
+        )

@@ -181,7 +181,7 @@ def reading_labels(
     label = sensor.labels(setup).get(reading)
     if isinstance(label, tuple) and not isinstance(label, Image) and not label:
         raise ValueError(
-            f"reading {reading!r} of sensor {shown(sensor.name)} has no labels: give the sensor "
-            f"`numbers`, one Label for each"
+            f"reading {reading!r} of sensor {shown(sensor.name)} has no numbers here: the task has "
+            f"no targets, or the sensor tells no labels (give it `numbers`, one Label for each)"
         )
     return label

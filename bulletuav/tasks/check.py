@@ -165,7 +165,7 @@ def check_step_result(task: Task[Any], result: Any, shape: tuple[int, int]) -> N
         if name not in task.weights:
             raise unknown(f"reward term in what {judged},", name, task.weights)
     for name, weight in task.weights.items():
-        if weight != 0 and name not in result.terms:
+        if weight != 0 and name not in result.terms and name in task.reward:
             raise ValueError(
                 f"{judged} no reward term {name!r}: its weight is {weight:g}; give it, or the "
                 f"weight 0"

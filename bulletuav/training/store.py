@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from bulletuav.files import replace_file, whole_file
-from bulletuav.policies.run import CHECKPOINTS, CONFIG, POLICY, RunConfig
+from bulletuav.policies.run import CHECKPOINTS, CONFIG, MODULE_NAME, POLICY, RunConfig
 
 CURVE = "curve.csv"
 """File of the learning curve"""
@@ -113,7 +113,9 @@ class Store:
 
     def _require_same(self) -> None:
         """Raise ValueError unless the folder's configuration is that of the run."""
-        known = RunConfig.read(self.folder / CONFIG).plain()
+        # Modules that the run itself names are the user's own; a folder may not name others.
+        names = MODULE_NAME.search(self._config.text()) is not None
+        known = RunConfig.read(self.folder / CONFIG, trust=names).plain()
         for name, value in self._config.plain().items():
             if known[name] != value:
                 raise ValueError(

@@ -45,3 +45,20 @@ def test_another_version_is_refused_with_the_remedy(line, found, tmp_path):
     for reader in (RunConfig.read, lambda path: find_policy(path.parent)):
         with pytest.raises(ValueError, match=re.escape(said)):
             reader(path)
+
+
+def test_a_file_that_names_a_module_is_refused_and_nothing_is_imported(tmp_path, monkeypatch):
+    (tmp_path / "evil_module.py").write_text("raise SystemExit('imported')")
+    monkeypatch.syspath_prepend(tmp_path)
+    path = tmp_path / "run.yaml"
+    for text in (
+        "version: 1\ntask: 'evil_module:Task'\n",
+        "version: 1\ntask: crossing\noptions: {dynamics: 'evil_module:Fast'}\n",
+        "version: 1\ntask: crossing\noptions: {observation: [velocity, 'evil_module:block']}\n",
+    ):
+        path.write_text(text)
+        with pytest.raises(ValueError, match="evil_module.*--trust"):
+            RunConfig.read(path)
+    path.write_text("version: 1\ntask: 'evil_module:Task'\n")
+    with pytest.raises(SystemExit):
+        RunConfig.read(path, trust=True)

@@ -278,7 +278,8 @@ def test_difficulties_are_those_of_the_docstring(task, difficulty):
     assert (options.num_drones, config.city, config.irregularity) == DIFFICULTIES[difficulty]
     uncertain = options.randomization
     ranges = RANGES[difficulty] if task == "lidar_navigation" else (0, 0)
-    assert (uncertain.lidar_noise, uncertain.lidar_dropout) == ranges
+    given = uncertain.ranges
+    assert (given.get("lidar_noise", 0), given.get("lidar_dropout", 0)) == ranges
     assert bool(uncertain.active) == (difficulty != "easy")
     assert bool(options.turbulence) == (difficulty == "extreme")
     if task == "coverage":

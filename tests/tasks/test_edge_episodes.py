@@ -147,7 +147,7 @@ def test_agents_of_pettingzoo_get_the_same_infos_at_reset_and_at_every_step(task
     env = bulletuav.parallel_env(task, horizon=4, **SMALL)
     observations, infos = env.reset(seed=0)
     names = set(infos["drone_0"])
-    assert {"served", "completed", "latency", "reward/tasks", "reward/energy"} <= names
+    assert {"served", "completed", "latency", "reward/tasks"} <= names
     while env.agents:
         assert all(
             env.observation_space(agent).contains(observations[agent]) for agent in env.agents

@@ -8,6 +8,7 @@ from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.sensors.base import Image
 from bulletuav.sensors.suite import known_sensors, reading_labels
 from bulletuav.tasks.observations.observer import known_observations
+from bulletuav.tasks.targets import TargetTask
 
 CALM = {"dynamics": "point_mass", "randomization": {}}
 
@@ -111,13 +112,19 @@ VECTORS = [
 """Names of all blocks but pictures"""
 SHOWN_MEMORY = {"dwell_time": "dwell_time", "server": "queue", "link_rates": "received"}
 """Blocks that show what some tasks alone remember, and the name of that"""
+SHOWN_TARGETS = ("centroids", "seen_share", "sight", "sight_ahead")
+"""Blocks that show targets"""
 
 
 @pytest.mark.parametrize("task", bulletuav.list_tasks())
 def test_every_block_can_be_asked_for_in_every_task_that_has_what_it_shows(task):
-    memory = EnvSpec(task, 1, {}).task.memory()
+    made = EnvSpec(task, 1, {}).task
+    memory = made.memory()
     blocks = tuple(
-        name for name in VECTORS if name not in SHOWN_MEMORY or SHOWN_MEMORY[name] in memory
+        name
+        for name in VECTORS
+        if (name not in SHOWN_MEMORY or SHOWN_MEMORY[name] in memory)
+        and (name not in SHOWN_TARGETS or isinstance(made, TargetTask))
     )
     uncertain = {"radio_loss": 0.1}
     aviary = bulletuav.Aviary(task, observation=blocks, num_drones=2, randomization=uncertain)
@@ -127,7 +134,7 @@ def test_every_block_can_be_asked_for_in_every_task_that_has_what_it_shows(task)
     aviary.close()
 
 
-@pytest.mark.parametrize("block", SHOWN_MEMORY)
+@pytest.mark.parametrize("block", [*SHOWN_MEMORY, "centroids", "seen_share"])
 def test_a_block_of_what_a_task_does_not_have_is_refused(block):
     with pytest.raises(ValueError, match=f"'{block}' shows what task 'hover' does not have"):
         bulletuav.Aviary("hover", observation=block)

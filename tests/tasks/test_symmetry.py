@@ -49,7 +49,7 @@ def flown(task, actions, dynamics, seed, action="velocity"):
 def permuted(spawn, order):
     parts = spawn._asdict()
     for name in PER_DRONE:
-        if np.ndim(parts[name]):
+        if np.ndim(parts[name]) == 2:
             parts[name] = parts[name][order]
     return Spawn(**parts)
 
@@ -77,7 +77,7 @@ def turned_spawn(spawn, angle):
     vectors = ("position", "velocity", "goal", "goal_velocity", "obstacle", "obstacle_velocity")
     parts = spawn._asdict()
     for name in vectors:
-        if np.ndim(parts[name]):
+        if np.ndim(parts[name]) == 2:
             parts[name] = turned(parts[name], angle)
     turn = Rotation.from_euler("z", angle)
     parts["quaternion"] = (turn * Rotation.from_quat(parts["quaternion"])).as_quat()

@@ -1,0 +1,51 @@
+"""Dynamics of one's own: drones speed up as they are told, and drag slows them down.
+
+Run it:
+
+    python examples/own/glide.py
+    cd examples/own && bulletuav fly crossing --dynamics glide:Glide --out out
+"""
+
+from typing import Any
+
+import numpy as np
+
+import bulletuav
+from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.dynamics.base import Air, Dynamics
+from bulletuav.vehicle.swarm import Swarm
+
+DRAG = 0.2
+"""1/s"""
+
+
+class Glide(Dynamics):
+    """Acceleration as commanded, and a drag that grows with the speed through the air.
+
+    Both are held during a substep.
+    """
+
+    consumes = SetpointLevel.ACCELERATION
+
+    def advance_substep(
+        self, swarm: Swarm, alive: np.ndarray, setpoint: np.ndarray, air: Air
+    ) -> None:
+        """Move all drones through one substep; the base class puts back those that do not fly."""
+        dt = self.flight.dt
+        acceleration = setpoint[..., :3] - DRAG * (swarm.velocity - air.wind)
+        swarm.position[:] += dt * swarm.velocity + dt**2 / 2 * acceleration
+        swarm.velocity[:] += dt * acceleration
+
+
+def main() -> None:
+    """Check the dynamics, then fly without and with wind."""
+    bulletuav.check_dynamics(Glide)
+    for wind in (0.0, 3.0):
+        options: dict[str, Any] = {"dynamics": Glide, "wind": (0.0, wind, 0.0), "num_drones": 2}
+        result = bulletuav.evaluate("crossing", "straight", 5, **options)
+        success = result.estimates()["drone_success"].mean
+        print(f"wind {wind} m/s: {success:.0%} of the drones reached their goals")
+
+
+if __name__ == "__main__":
+    main()
