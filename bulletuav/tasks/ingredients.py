@@ -150,6 +150,20 @@ class Binding:
         )
 
 
+Run = Callable[[Frame, np.ndarray], None]
+
+
+def _joined(loop: Callable[..., None], readers: list[Callable[[Frame], Any]]) -> Run:
+    """Join a loop with what reads its arguments; few arguments are the usual case, and fast."""
+    if len(readers) == 1:
+        (one,) = readers
+        return lambda frame, out: loop(one(frame), out)
+    if len(readers) == 2:
+        one, two = readers
+        return lambda frame, out: loop(one(frame), two(frame), out)
+    return lambda frame, out: loop(*[read(frame) for read in readers], out)
+
+
 class Bound:
     """An ingredient of a task: give it a frame, and get the numbers of all drones."""
 
@@ -179,42 +193,49 @@ class Bound:
             for name in self._names
             if name not in ("i", "out", WHOLE)
         }
-        self._readers = [source.read for source in self._sources.values()]
-        self._loop: Callable[..., None] | None = None
+        self._run: Run | None = None
         if self.whole and len(self._names) > 1:
             raise ValueError(
                 f"{self._who} has arguments beside frame: {self._names}; one of all drones takes "
-                f"the "
-                f"frame alone"
+                f"the frame alone"
             )
         if not self.whole and not isinstance(function, FunctionType):
             raise ValueError(f"{self._who} is {shown(function)}: a plain function is needed")
 
-    def __call__(self, frame: Frame, out: np.ndarray | None = None) -> np.ndarray:
+    def __call__(self, frame: Frame) -> np.ndarray:
         """Compute for all drones.
 
         Args:
             frame: The decision.
-            out: Array to fill, (W, N) or (W, N, labels); a new one when left out.
 
         Returns:
-            The filled array.
+            (W, N), or for a block (W, N, labels).
 
         Raises:
             ValueError: The function failed, or gave something of another shape or type.
         """
-        if out is None:
-            shape = frame.alive.shape
-            shape = shape if self._labels is None else (*shape, self._labels)
-            out = np.zeros(shape, dtype=self._dtype)
-        if self.whole:
-            out[...] = self._checked(self._function(frame), out.shape)
-            return out
-        given = [read(frame) for read in self._readers]
-        if self._loop is None:
-            self._loop = self._make_loop(dict(zip(self._sources, given, strict=True)), out)
-        self._loop(*given, out)
+        shape = frame.alive.shape
+        out = np.zeros(shape if self._labels is None else (*shape, self._labels), self._dtype)
+        self.fill(frame, out)
         return out
+
+    def fill(self, frame: Frame, out: np.ndarray) -> None:
+        """Compute into an array that is there; see `__call__`."""
+        if self._run is None:
+            self._run = self._make_run(frame, out)
+        self._run(frame, out)
+
+    def _make_run(self, frame: Frame, out: np.ndarray) -> Run:
+        """Make what is run for every frame, from the first one."""
+        if self.whole:
+
+            def run(frame: Frame, out: np.ndarray) -> None:
+                out[...] = self._checked(self._function(frame), out.shape)
+
+            return run
+        readers = [source.read for source in self._sources.values()]
+        given = {name: source.read(frame) for name, source in self._sources.items()}
+        return _joined(self._make_loop(given, out), readers)
 
     def _checked(self, given: Any, shape: tuple[int, ...]) -> np.ndarray:
         kinds = "b" if self._dtype is bool else "fiub"
@@ -248,8 +269,7 @@ class Bound:
         except numba.core.errors.NumbaError as error:
             raise ValueError(
                 f"{self._who} cannot be compiled: {str(error).strip().splitlines()[-1]}; write it "
-                f"with plain "
-                f"numbers and `math`, or as a function of `frame` with NumPy"
+                f"with plain numbers and `math`, or as a function of `frame` with NumPy"
             ) from None
         return loop
 

@@ -20,7 +20,7 @@ STATE = ("position", "attitude", "velocity", "rates", "goal_position", "alive")
 """Blocks of the global state, of every drone"""
 Observation = np.ndarray | dict[str, np.ndarray]
 Format = Literal["vector", "dict"]
-Write = Callable[[Frame, np.ndarray, np.ndarray], None]
+Write = Callable[[Frame, np.ndarray], None]
 VECTOR = "vector"
 
 
@@ -136,7 +136,7 @@ class ObservationBuilder:
             frame.derived[PRESENT] = present
             vector = np.zeros((*present.shape, len(self.labels)), dtype=np.float32)
             for part, write in self._writers:
-                write(frame, present, vector[..., part])
+                write(frame, vector[..., part])
             vector = np.minimum(
                 np.maximum(vector, self._low), self._high
             )  # np.clip takes twice as long
@@ -192,9 +192,7 @@ def _make(
         make: Any = block.labels
         wants_action = "action" in inspect.signature(make).parameters
         labels = tuple(make(action if wants_action else task))
-        return _checked(labels, who), _bound_writer(
-            Bound(block, binding, who, np.float32, len(labels))
-        )
+        return _checked(labels, who), Bound(block, binding, who, np.float32, len(labels)).fill
     made = block if isinstance(block, Block) else block(task)
     if not isinstance(made, Block):
         raise ValueError(
@@ -211,27 +209,19 @@ def _checked(labels: Any, who: str) -> tuple[Label, ...]:
 
 
 def _reading_writer(reading: str) -> Write:
-    def write(frame: Frame, present: np.ndarray, out: np.ndarray) -> None:
+    def write(frame: Frame, out: np.ndarray) -> None:
         out[...] = frame.readings[reading].reshape(out.shape)
 
     return write
 
 
-def _bound_writer(bound: Bound) -> Write:
-    def write(frame: Frame, present: np.ndarray, out: np.ndarray) -> None:
-        bound(frame, out)
-
-    return write
-
-
 def _block_writer(block: Block, who: str) -> Write:
-    def write(frame: Frame, present: np.ndarray, out: np.ndarray) -> None:
-        numbers = block.compute(frame, present)
+    def write(frame: Frame, out: np.ndarray) -> None:
+        numbers = block.compute(frame, frame.derived[PRESENT])
         if np.shape(numbers) != out.shape:
             raise ValueError(
                 f"{who} gave an array {np.shape(numbers)}: {out.shape} is needed, a number for "
-                f"each "
-                f"of its labels"
+                f"each of its labels"
             )
         out[...] = numbers
 
