@@ -10,11 +10,13 @@ import pytest
 import bulletuav
 
 sys.path.append(str(Path(__file__).parents[1] / "tools"))
-import rooms  # noqa: E402
+import rooms
 
 PACKAGE = Path(bulletuav.__file__).parent
 RANK = {name: rank for rank, names in enumerate(rooms.ROOMS) for name in names}
 FILES = sorted(PACKAGE.rglob("*.py"))
+PARTS = {"__init__", "base", "check", "ends", "frame", "ingredients", "loops", "targets"}
+"""Files beside the tasks of which these are made"""
 EXTRAS = {
     "shapely",
     "imageio_ffmpeg",
@@ -50,11 +52,8 @@ def test_no_file_imports_itself_by_others():
 
 
 def test_tasks_never_import_each_other():
-    tasks = [
-        path
-        for path in FILES
-        if path.parent.name == "tasks" and path.stem not in ("__init__", "base", "check")
-    ]
+    tasks = [path for path in FILES if path.parent.name == "tasks" and path.stem not in PARTS]
+    assert [path.stem for path in tasks] == bulletuav.list_tasks()
     names = {f"bulletuav.tasks.{path.stem}" for path in tasks}
     for path in tasks:
         assert not names & {module for module, _ in rooms.imported(path)}

@@ -20,7 +20,7 @@ from bulletuav.city.statistics import Statistics
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.options import EnvOptions
-from bulletuav.envs.randomization import LIMITS
+from bulletuav.envs.randomization import known_uncertainties
 from bulletuav.errors import finite, numbers_of, shown
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.rotation import exponential
@@ -28,6 +28,7 @@ from bulletuav.network.mobility import find_mobility
 from bulletuav.policies import find_policy
 from bulletuav.policies.base import Policy
 from bulletuav.registry import names
+from bulletuav.sensors.suite import known_sensors
 from bulletuav.tasks import find_task, list_tasks
 from bulletuav.tasks.base import Task
 from bulletuav.tasks.hover import Hover
@@ -777,7 +778,7 @@ def test_mobility_names_what_it_cannot_be(model):
     assert find_mobility(model).max_speed < 10
 
 
-@pytest.mark.parametrize("name", LIMITS)
+@pytest.mark.parametrize("name", known_uncertainties(known_sensors()))
 def test_randomization_names_what_it_cannot_be(name):
     for value in BAD.values():
         told = refusal(lambda value=value: EnvSpec("hover", 1, {"randomization": {name: value}}))

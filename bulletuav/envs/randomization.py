@@ -136,8 +136,8 @@ class Randomization:
         return isinstance(other, Randomization) and self.ranges == other.ranges
 
     def __hash__(self) -> int:
-        """Hash the names."""
-        return hash(tuple(self.ranges))
+        """Hash the names, in whatever order they were given."""
+        return hash(frozenset(self.ranges))
 
     def __repr__(self) -> str:
         """Show what was given."""

@@ -252,9 +252,20 @@ class Sensor(ABC):
 
 
 def check_readings(
-    sensor: Sensor, labels: Mapping[str, tuple[Label, ...] | Image], given: Any, moment: Moment
+    sensor: Sensor,
+    labels: Mapping[str, tuple[Label, ...] | Image],
+    wanted: frozenset[str],
+    given: Any,
+    moment: Moment,
 ) -> None:
     """Refuse what a sensor gave unless it is what its labels promise.
+
+    Args:
+        sensor: What measured.
+        labels: Its labels, by name of reading.
+        wanted: Readings that are observed or that the task needs.
+        given: What it gave.
+        moment: When it measured.
 
     Raises:
         ValueError: It is not; the sensor, the reading and what is needed are named.
@@ -265,7 +276,7 @@ def check_readings(
     for name in sensor.gives:
         label = labels.get(name)
         if name not in given:
-            if label is not None and name in moment.readings:
+            if label is not None and name in wanted:
                 raise ValueError(f"{who} no reading {name!r}: return it, or leave it out of labels")
             continue
         reading = given[name]

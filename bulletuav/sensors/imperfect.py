@@ -153,7 +153,8 @@ class Imperfect(Sensor):
             blurred = np.clip(blurred, self._images[name].low, self._images[name].high)
         if reading.dtype.kind in "iu":
             blurred = np.rint(blurred)
-        return blurred.astype(reading.dtype)
+        kept: np.ndarray = blurred.astype(reading.dtype)
+        return kept
 
 
 def _width(reading: np.ndarray) -> int:

@@ -168,7 +168,7 @@ class SightAhead(Sensor):
         for k, way in enumerate(AHEAD.values() if self.setup.num_targets else ()):
             places = np.clip(position + way, low, high)
             self._seen[mask, k] = sights(self.engine, places, moment.targets, mask)[mask]
-        return {"sight_ahead": self._seen.reshape(*mask.shape, -1)}
+        return {"sight_ahead": self._seen.reshape(*mask.shape, -1).copy()}
 
 
 @register("sensor")

@@ -102,6 +102,7 @@ class SensorSuite:
         self.sensors: dict[str, Sensor] = {}
         self._labels: dict[str, Mapping[str, tuple[Label, ...] | Image]] = {}
         self._unchecked: set[str] = set()
+        self._wanted = setup.wanted
         for name, sensor in sensors.items():
             uncertain = {f"{sensor.prefix}{key}": key for key in sensor.uncertain}
             needed = bool(setup.wanted.intersection(sensor.gives)) or name == "sight"
@@ -150,7 +151,7 @@ class SensorSuite:
                 shown_bodies = True
             readings = sensor.measure(moment)
             if name in self._unchecked:
-                check_readings(sensor, self._labels[name], readings, moment)
+                check_readings(sensor, self._labels[name], self._wanted, readings, moment)
                 self._unchecked.discard(name)
             moment.readings.update(readings)
         self._readings = moment.readings

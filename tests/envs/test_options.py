@@ -192,7 +192,10 @@ def test_observation_blocks_can_be_chosen():
 
 @pytest.mark.parametrize("effect", ["lag", "drag", "ground_effect", "downwash"])
 def test_each_effect_can_be_switched_off_and_matters(effect):
-    """Two Crazyflies above each other near the ground, in wind: without any one of the effects the flight differs."""
+    """Two Crazyflies above each other near the ground, in wind.
+
+    Without any one of the effects the flight differs.
+    """
     ends = []
     effects = ("lag", "drag", "ground_effect", "downwash")
     for chosen in (effects, tuple(one for one in effects if one != effect)):

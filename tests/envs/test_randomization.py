@@ -2,8 +2,11 @@ import numpy as np
 import pytest
 
 import bulletuav
-from bulletuav.envs.randomization import Randomization
+from bulletuav.envs.randomization import Randomization, known_uncertainties
+from bulletuav.sensors.suite import known_sensors
 from bulletuav.tasks import find_task
+
+KNOWN = known_uncertainties(known_sensors())
 
 EVERYTHING = {
     "mass": (0.8, 1.2),
@@ -24,7 +27,7 @@ EVERYTHING = {
 def test_it_is_off_unless_a_difficulty_says_so():
     for task in bulletuav.list_tasks():
         aviary = bulletuav.Aviary(task, difficulty="easy")
-        assert aviary.options.randomization == Randomization()
+        assert aviary.options.randomization == Randomization(None, KNOWN)
         assert not aviary.options.randomization.active
         aviary.close()
     aviary = bulletuav.Aviary("converge", difficulty="extreme", num_drones=4)
@@ -89,9 +92,19 @@ def test_same_seed_same_bits_whatever_was_before_and_whoever_flies_beside(dynami
 
 
 def hover_with(dynamics="bullet", effects=(), **randomization):
-    """Vertical acceleration of a cf2x with all rotors at the speed that would hover, after one decision of 1/30 s."""
-    aviary = bulletuav.Aviary("hover", dynamics=dynamics, action="hover_rpm", effects=effects, start_offset=0.0,
-                              randomization=randomization, horizon=10**6)  # fmt: skip
+    """Vertical acceleration of a cf2x in one decision of 1/30 s.
+
+    All its rotors are at the speed that would hover.
+    """
+    aviary = bulletuav.Aviary(
+        "hover",
+        dynamics=dynamics,
+        action="hover_rpm",
+        effects=effects,
+        start_offset=0.0,
+        randomization=randomization,
+        horizon=10**6,
+    )
     aviary.reset(seeds=0)
     aviary.step(np.zeros((1, 1, 4)))
     climb = aviary.swarm.velocity[0, 0, 2] * 30
@@ -122,8 +135,14 @@ def test_a_heavy_drone_pushes_a_light_one_back_by_momentum():
 
     momentum = []
     for mass in (1.0, 3.0):
-        aviary = bulletuav.Aviary(Meeting, num_drones=2, gravity=0.0, start=((-0.3, 0, 2), (0.3, 0, 2)), effects=(),
-                                  randomization={"mass": mass})  # fmt: skip
+        aviary = bulletuav.Aviary(
+            Meeting,
+            num_drones=2,
+            gravity=0.0,
+            start=((-0.3, 0, 2), (0.3, 0, 2)),
+            effects=(),
+            randomization={"mass": mass},
+        )
         aviary.reset(seeds=0)
         aviary.parameters["mass"][0, 1] = 0.027
         aviary._engine.set_masses(0, aviary.parameters["mass"][0], aviary.parameters["inertia"][0])
@@ -229,8 +248,16 @@ def test_what_cannot_be_is_refused(given, said):
 
 
 def test_a_randomization_object_is_taken_as_it_is():
-    spec = Randomization(gps_noise=1.0)
+    spec = Randomization({"gps_noise": 1.0}, KNOWN)
     aviary = bulletuav.Aviary("converge", randomization=spec)
-    assert aviary.options.randomization is spec
-    assert spec.active == ("gps_noise",)
+    assert aviary.options.randomization == spec
+    assert aviary.options.randomization.ranges == spec.ranges
+    assert aviary.options.randomization.active == spec.active == ("gps_noise",)
     aviary.close()
+
+
+def test_what_is_equal_has_the_same_hash_in_any_order():
+    one, other = {"mass": 1.2, "drag": (0.5, 1.5)}, {"drag": (0.5, 1.5), "mass": 1.2}
+    assert Randomization(one, KNOWN) == Randomization(other, KNOWN)
+    assert hash(Randomization(one, KNOWN)) == hash(Randomization(other, KNOWN))
+    assert Randomization(one, KNOWN) != Randomization({"mass": 1.2}, KNOWN)
