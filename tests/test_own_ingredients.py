@@ -335,3 +335,29 @@ def test_a_term_by_its_name_gets_the_sensor_that_it_reads():
         assert "reward/wary" in aviary.step(np.zeros((1, 4, 3))).info
     finally:
         aviary.close()
+
+
+@pytest.mark.xfail(strict=True, reason="the fingerprint has no code or parameters of ingredients")
+def test_an_evaluation_goes_on_only_with_the_same_ingredients(tmp_path):
+    barometer = own("barometer")
+
+    def paying(bonus):
+        def term(frame):
+            return np.full(frame.alive.shape, bonus)
+
+        result = bulletuav.evaluate(
+            "crossing",
+            "straight",
+            1,
+            out=tmp_path / "out",
+            dynamics="point_mass",
+            horizon=5,
+            sensors=(barometer.Barometer(),),
+            reward={"bonus": (term, 1.0)},
+        )
+        return result.estimates()["return"].mean
+
+    first = paying(1.0)
+    assert paying(1.0) == first
+    with pytest.raises(ValueError, match="holds another run"):
+        paying(2.0)
