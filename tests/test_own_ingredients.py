@@ -146,21 +146,9 @@ CHECKS = {
     for name, check in list(globals().items())
     if name.startswith("check_")
 }
-BUGS = {
-    name: pytest.mark.xfail(strict=True, reason=reason)
-    for name, reason in {
-        "glide": "evaluate fails where anything is uncertain: Randomization has no `gps_noise`",
-        "higher": "evaluate fails where anything is uncertain: Randomization has no `gps_noise`",
-        "smoothness": "check_task misses the terms of the option `reward` in evaluate_step",
-        "uwb": "evaluate cannot write sensors that are objects to run.json",
-    }.items()
-}
-"""What is wrong in the package, by the example that meets it"""
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=BUGS.get(name, ())) for name in EXAMPLES]
-)
+@pytest.mark.parametrize("name", EXAMPLES)
 def test_each_runs_as_a_program(name, run, tmp_path):
     CHECKS[name](run(str(FOLDER / f"{name}.py")))
     assert not list(tmp_path.iterdir()), "writes files"
@@ -172,8 +160,7 @@ def commands():
         text = ast.get_docstring(ast.parse((FOLDER / f"{name}.py").read_text())) or ""
         assert f"python examples/own/{name}.py" in text
         for command in re.findall(r"cd examples/own && (bulletuav .*)", text):
-            is_hit = name in BUGS and "crossing" in command
-            yield pytest.param(command, id=name, marks=BUGS[name] if is_hit else ())
+            yield pytest.param(command, id=name)
 
 
 @pytest.mark.parametrize("command", list(commands()))

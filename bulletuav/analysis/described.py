@@ -44,7 +44,8 @@ def described(options: EnvOptions, config: Any) -> dict[str, Any]:
         "observation": observed and [observation_name(one) for one in observed],
         "sensors": [find_sensor(one).name for one in options.sensors],
         "reward": {
-            name: (observation_name(term), weight) for name, (term, weight) in options.reward.items()
+            name: (observation_name(term), weight)
+            for name, (term, weight) in options.reward.items()
         },
         **own,
     }

@@ -245,7 +245,7 @@ class EnvSpec:
             (W, N, A).
 
         Raises:
-            ValueError: A wrong shape, or a number of a living drone that is not finite or no choice.
+            ValueError: A wrong shape, or a living drone's number that is not finite or no choice.
         """
         actions = numbers_of("actions are", actions)
         shape = (*alive.shape, self.action.low.shape[-1])

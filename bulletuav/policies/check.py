@@ -31,8 +31,8 @@ def check_policy(policy: Any, task: TaskSource = "crossing", **options: Any) -> 
     for k, (mine, theirs) in enumerate(zip(one, other, strict=True)):
         if not np.array_equal(mine, theirs):
             raise ValueError(
-                f"policy {spec.name!r} acts differently at decision {k} of two flights from the same "
-                f"seed: draw from generators that are seeded at a reset"
+                f"policy {spec.name!r} acts differently at decision {k} of two flights from the "
+                f"same seed: draw from generators that are seeded at a reset"
             )
 
 

@@ -238,9 +238,9 @@ class KMeans(Placement):
 class Oracle(Placement):
     """Hovering where it serves most.
 
-    It knows how well the task's targets would be served (`TargetTask.service_quality`) from places all
-    over the city, at the height of the lowest drone. That is what is in sight, and in tasks with
-    a radio link how well it serves.
+    It knows how well the task's targets would be served (`TargetTask.service_quality`).
+    It asks from places all over the city, at the height of the lowest drone. That is what is in
+    sight, and in tasks with a radio link how well it serves.
     """
 
     name = "oracle"

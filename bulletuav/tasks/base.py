@@ -277,8 +277,10 @@ class Task(ABC, Generic[ConfigT]):
 
     def terminated(self, frame: Frame) -> np.ndarray:
         """Tell whose episode ends here, (W, N) bool; by default by any of `ends`."""
-        ended = np.zeros(frame.alive.shape, dtype=bool)
-        for one in self._ends:
+        if not self._ends:
+            return np.zeros(frame.alive.shape, dtype=bool)
+        ended = self._ends[0](frame)
+        for one in self._ends[1:]:
             ended |= one(frame)
         return ended
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from operator import attrgetter
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -254,35 +255,35 @@ class StepResult(NamedTuple):
 Reader = Callable[[Frame], np.ndarray]
 FIELDS: Mapping[str, tuple[str, Reader]] = MappingProxyType(
     {
-        "position": ("m", lambda frame: frame.after.position),
-        "velocity": ("m/s", lambda frame: frame.after.velocity),
-        "quaternion": ("body to world", lambda frame: frame.after.quaternion),
-        "rates": ("rad/s, body axes", lambda frame: frame.after.rates),
-        "rotor_speed": ("rad/s", lambda frame: frame.after.rotor_speed),
-        "position_before": ("m, before the decision", lambda frame: frame.before.position),
-        "velocity_before": ("m/s, before the decision", lambda frame: frame.before.velocity),
-        "quaternion_before": ("before the decision", lambda frame: frame.before.quaternion),
-        "rates_before": ("rad/s, before the decision", lambda frame: frame.before.rates),
-        "known_position": ("m, as the drone knows it", lambda frame: frame.known_position),
-        "known_velocity": ("m/s, as the drone knows it", lambda frame: frame.known_velocity),
-        "known_distance": ("m, to the goal, as known", lambda frame: frame.known_distance),
-        "goal": ("m", lambda frame: frame.scene.goal),
-        "goal_before": ("m, before the decision", lambda frame: frame.goal_before),
-        "goal_velocity": ("m/s", lambda frame: frame.scene.goal_velocity),
-        "start": ("m, where it started", lambda frame: frame.scene.start),
-        "obstacle": ("m, of all obstacles", lambda frame: frame.scene.obstacle),
-        "obstacle_velocity": ("m/s, of all obstacles", lambda frame: frame.scene.obstacle_velocity),
-        "distance": ("m, to the goal", lambda frame: frame.distance),
-        "distance_before": ("m, to the goal, before", lambda frame: frame.distance_before),
-        "action": ("what it was told", lambda frame: frame.action),
-        "alive": ("whether it flew the decision", lambda frame: frame.alive),
-        "collision": ("whether its shape touched anything", lambda frame: frame.collision),
-        "depleted": ("whether its battery is empty", lambda frame: frame.depleted),
-        "conflicts": ("conflicts that began", lambda frame: frame.conflict.onsets),
-        "separation": ("m, from the nearest drone", lambda frame: frame.conflict.separation),
-        "nearness": ("depth in warning zones", lambda frame: frame.conflict.nearness),
-        "time": ("s since the reset", lambda frame: frame.time),
-        "last": ("whether the horizon is reached", lambda frame: frame.last),
+        "position": ("m", attrgetter("after.position")),
+        "velocity": ("m/s", attrgetter("after.velocity")),
+        "quaternion": ("body to world", attrgetter("after.quaternion")),
+        "rates": ("rad/s, body axes", attrgetter("after.rates")),
+        "rotor_speed": ("rad/s", attrgetter("after.rotor_speed")),
+        "position_before": ("m, before the decision", attrgetter("before.position")),
+        "velocity_before": ("m/s, before the decision", attrgetter("before.velocity")),
+        "quaternion_before": ("before the decision", attrgetter("before.quaternion")),
+        "rates_before": ("rad/s, before the decision", attrgetter("before.rates")),
+        "known_position": ("m, as the drone knows it", attrgetter("known_position")),
+        "known_velocity": ("m/s, as the drone knows it", attrgetter("known_velocity")),
+        "known_distance": ("m, to the goal, as known", attrgetter("known_distance")),
+        "goal": ("m", attrgetter("scene.goal")),
+        "goal_before": ("m, before the decision", attrgetter("goal_before")),
+        "goal_velocity": ("m/s", attrgetter("scene.goal_velocity")),
+        "start": ("m, where it started", attrgetter("scene.start")),
+        "obstacle": ("m, of all obstacles", attrgetter("scene.obstacle")),
+        "obstacle_velocity": ("m/s, of all obstacles", attrgetter("scene.obstacle_velocity")),
+        "distance": ("m, to the goal", attrgetter("distance")),
+        "distance_before": ("m, to the goal, before", attrgetter("distance_before")),
+        "action": ("what it was told", attrgetter("action")),
+        "alive": ("whether it flew the decision", attrgetter("alive")),
+        "collision": ("whether its shape touched anything", attrgetter("collision")),
+        "depleted": ("whether its battery is empty", attrgetter("depleted")),
+        "conflicts": ("conflicts that began", attrgetter("conflict.onsets")),
+        "separation": ("m, from the nearest drone", attrgetter("conflict.separation")),
+        "nearness": ("depth in warning zones", attrgetter("conflict.nearness")),
+        "time": ("s since the reset", attrgetter("time")),
+        "last": ("whether the horizon is reached", attrgetter("last")),
     }
 )
 """What ingredients can ask for by argument name: unit or meaning, and how it is read from a frame.

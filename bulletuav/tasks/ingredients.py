@@ -36,6 +36,8 @@ Ingredient = TypeVar("Ingredient", bound=Callable[..., Any])
 ALL = "all_"
 WHOLE = "frame"
 """The argument by which a function asks for all drones at once"""
+PRESENT = "present"
+"""The argument of blocks that tells which drones can still be met after the frame"""
 
 
 def reward(function: Ingredient) -> Ingredient:
@@ -84,11 +86,11 @@ class Source(NamedTuple):
     """Where an argument comes from.
 
     Attributes:
-        read: Gives an array, or a number, of a frame and the drones that are present.
+        read: Gives an array, or a number, of a frame.
         whole_world: Whether the function gets the array of the whole world.
     """
 
-    read: Callable[[Frame, np.ndarray], Any]
+    read: Callable[[Frame], Any]
     whole_world: bool = False
 
 
@@ -116,25 +118,22 @@ class Binding:
         """Find what an argument name stands for. Raises ValueError with the nearest names."""
         whole_world = name.startswith(ALL)
         key = name.removeprefix(ALL)
-        if key == "present":
-            return Source(lambda frame, present: present, whole_world)
-        if key in self.events:
-            return Source(lambda frame, present: frame.derived[key], whole_world)
+        if key in (PRESENT, *self.events):
+            return Source(lambda frame: frame.derived[key], whole_world)
         if key in self.quantities:
             quantity = self.quantities[key]
             if not callable(quantity):
-                return Source(lambda frame, present: quantity)
-            return Source(lambda frame, present: quantity(frame), whole_world)
+                return Source(lambda frame: quantity)
+            return Source(quantity, whole_world)
         if key in FIELDS:
-            read = FIELDS[key][1]
-            return Source(lambda frame, present: read(frame), whole_world)
+            return Source(FIELDS[key][1], whole_world)
         if key in self.readings:
-            return Source(lambda frame, present: frame.readings[key], whole_world)
+            return Source(lambda frame: frame.readings[key], whole_world)
         if key in self.memory:
-            return Source(lambda frame, present: frame.scene.memory[key], whole_world)
+            return Source(lambda frame: frame.scene.memory[key], whole_world)
         if name in self.numbers:
             number = self.numbers[name]
-            return Source(lambda frame, present: number)
+            return Source(lambda frame: number)
         known = {*FIELDS, *self.readings, *self.memory, *self.quantities, *self.events}
         choices = {
             *known,
@@ -180,6 +179,7 @@ class Bound:
             for name in self._names
             if name not in ("i", "out", WHOLE)
         }
+        self._readers = [source.read for source in self._sources.values()]
         self._loop: Callable[..., None] | None = None
         if self.whole and len(self._names) > 1:
             raise ValueError(
@@ -190,14 +190,11 @@ class Bound:
         if not self.whole and not isinstance(function, FunctionType):
             raise ValueError(f"{self._who} is {shown(function)}: a plain function is needed")
 
-    def __call__(
-        self, frame: Frame, present: np.ndarray | None = None, out: np.ndarray | None = None
-    ) -> np.ndarray:
+    def __call__(self, frame: Frame, out: np.ndarray | None = None) -> np.ndarray:
         """Compute for all drones.
 
         Args:
             frame: The decision.
-            present: (W, N) drones that can still be met after it; those that flew it when left out.
             out: Array to fill, (W, N) or (W, N, labels); a new one when left out.
 
         Returns:
@@ -206,20 +203,17 @@ class Bound:
         Raises:
             ValueError: The function failed, or gave something of another shape or type.
         """
-        present = frame.alive if present is None else present
         if out is None:
-            width = () if self._labels is None else (self._labels,)
-            out = np.zeros((*frame.alive.shape, *width), dtype=self._dtype)
+            shape = frame.alive.shape
+            shape = shape if self._labels is None else (*shape, self._labels)
+            out = np.zeros(shape, dtype=self._dtype)
         if self.whole:
             out[...] = self._checked(self._function(frame), out.shape)
             return out
-        given = {name: source.read(frame, present) for name, source in self._sources.items()}
+        given = [read(frame) for read in self._readers]
         if self._loop is None:
-            self._loop = self._make_loop(given, out)
-        try:
-            self._loop(*given.values(), out)
-        except (ZeroDivisionError, IndexError) as error:
-            raise ValueError(f"{self._who} failed: {error}") from None
+            self._loop = self._make_loop(dict(zip(self._sources, given, strict=True)), out)
+        self._loop(*given, out)
         return out
 
     def _checked(self, given: Any, shape: tuple[int, ...]) -> np.ndarray:

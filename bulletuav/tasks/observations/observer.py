@@ -13,7 +13,7 @@ from bulletuav.registry import find, names
 from bulletuav.sensors.base import Image, Label, Sensor, SensorSetup
 from bulletuav.sensors.suite import provider, reading_labels
 from bulletuav.tasks.frame import Frame
-from bulletuav.tasks.ingredients import Binding, Bound
+from bulletuav.tasks.ingredients import PRESENT, Binding, Bound
 from bulletuav.tasks.observations.base import Block
 
 STATE = ("position", "attitude", "velocity", "rates", "goal_position", "alive")
@@ -133,6 +133,7 @@ class ObservationBuilder:
         """
         seen: dict[str, np.ndarray] = {}
         if self.labels:
+            frame.derived[PRESENT] = present
             vector = np.zeros((*present.shape, len(self.labels)), dtype=np.float32)
             for part, write in self._writers:
                 write(frame, present, vector[..., part])
@@ -218,7 +219,7 @@ def _reading_writer(reading: str) -> Write:
 
 def _bound_writer(bound: Bound) -> Write:
     def write(frame: Frame, present: np.ndarray, out: np.ndarray) -> None:
-        bound(frame, present, out)
+        bound(frame, out)
 
     return write
 
