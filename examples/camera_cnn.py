@@ -78,7 +78,7 @@ class Forest(Task):
     }
     difficulties: ClassVar = {"easy": {"camera_size": (16, 8)}}
     observation = ("velocity", "goal_offset", "ray_depth")
-    reward_weights: ClassVar = {"progress": 0.1, "goal": 3.0, "crash": -3.0}
+    reward: ClassVar = {"progress": 0.1, "goal": 3.0, "crash": -3.0}
     arena_low = np.array([-5.0, -20.0, 0.0])
     arena_high = np.array([65.0, 20.0, 10.0])
 

@@ -18,16 +18,17 @@ Takes 10 s.
 
 import argparse
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 import bulletuav
 from bulletuav.policies import Policy
 from bulletuav.report.pictures import blank_figure
-from bulletuav.tasks.base import Frame, Spawn, StepResult, Task
+from bulletuav.tasks import Frame, Spawn, Task, TaskConfig, end
+from bulletuav.tasks.ends import collision
 
 NUM_SECTORS = 36
 CRUISE_SPEED = 10.0  # m/s
@@ -35,7 +36,7 @@ DECISION_HZ = 10
 
 
 @dataclass(frozen=True)
-class PatrolConfig:
+class PatrolConfig(TaskConfig):
     """Options of `patrol`.
 
     Attributes:
@@ -44,7 +45,6 @@ class PatrolConfig:
         height: Its height above the ground, m.
         gap: Distance between drones at the start, along the circle, m.
         longest: Worst idleness, s, up to which the patrol succeeds.
-        weights: Weights of reward terms, where they differ from the task's.
     """
 
     d_safe: float = 5.0
@@ -52,29 +52,38 @@ class PatrolConfig:
     height: float = 20.0
     gap: float = 15.0
     longest: float = 10.0
-    weights: Mapping[str, float] = field(default_factory=dict)
 
 
-class Patrol(Task):
+def worst_idleness(frame: Frame) -> np.ndarray:
+    """Find the idleness of the worst sector, s, the same for all drones of a world."""
+    worst = frame.scene.memory["idle"].max(axis=1, keepdims=True)
+    return np.broadcast_to(worst, frame.alive.shape)
+
+
+@end
+def seen_soon(idleness: float, longest: float) -> bool:
+    """Tell whether all sectors were seen soon enough."""
+    return idleness <= longest
+
+
+class Patrol(Task[PatrolConfig]):
     """See all sectors of a circle again and again.
 
     Reward: -0.1 for each second of the worst sector's idleness; -10 for a conflict that begins.
     """
 
     name = "patrol"
-    Config = PatrolConfig
     defaults: ClassVar = {
         "num_drones": 5,
         "num_neighbours": 16,
-        "airframe": "hummingbird",
-        "action": "velocity",
         "decision_hz": DECISION_HZ,
         "horizon": 1200,
         "max_speed": 15.0,
     }
-    difficulties: ClassVar = {"easy": {}}
     observation = ("position", "neighbours")
-    reward_weights: ClassVar = {"idleness": -0.1, "conflict": -10.0}
+    reward: ClassVar = {"idleness": (worst_idleness, -0.1), "conflict": -10.0}
+    ends = (collision,)
+    success = seen_soon
     arena_low = np.array([-150.0, -150.0, 0.0])
     arena_high = np.array([150.0, 150.0, 60.0])
 
@@ -84,13 +93,7 @@ class Patrol(Task):
         angle = rng.uniform(0, 2 * np.pi) + np.arange(num_drones) * self.config.gap / radius
         height = np.full(num_drones, self.config.height)
         start = np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=1)
-        return Spawn(
-            position=start,
-            quaternion=np.tile([0.0, 0.0, 0.0, 1.0], (num_drones, 1)),
-            velocity=np.zeros((num_drones, 3)),
-            rates=np.zeros((num_drones, 3)),
-            goal=start,
-        )
+        return Spawn(position=start, goal=start)
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
         """Name the arrays that the task keeps in each world: seconds since a sector was seen."""
@@ -106,17 +109,13 @@ class Patrol(Task):
         idle = frame.scene.memory["idle"]
         idle[:] = np.where(is_seen, 0.0, idle + self.context.period)
 
-    def info(self, frame: Frame) -> dict[str, np.ndarray]:
-        """Tell the worst idleness, the same for all drones of a world."""
-        worst = frame.scene.memory["idle"].max(axis=1, keepdims=True)
-        return {"idleness": np.broadcast_to(worst, frame.alive.shape)}
+    def quantities(self) -> Mapping[str, Any]:
+        """Name what terms, ends and successes may ask for: the worst idleness."""
+        return {"idleness": worst_idleness}
 
-    def evaluate_step(self, frame: Frame) -> StepResult:
-        """Reward by the worst idleness and by the conflicts that begin."""
-        idleness = self.info(frame)["idleness"]
-        terms = {"idleness": idleness, "conflict": frame.conflict.onsets.astype(float)}
-        success = idleness <= self.config.longest
-        return StepResult(terms, terminated=frame.collision, success=success)
+    def info(self, frame: Frame) -> dict[str, np.ndarray]:
+        """Tell the worst idleness."""
+        return {"idleness": worst_idleness(frame)}
 
 
 class Rounds(Policy):

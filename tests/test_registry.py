@@ -155,6 +155,12 @@ def test_objects_of_one_class_are_not_the_same():
         register("sensor")(Bread())
 
 
+def test_what_is_registered_as_another_kind_is_not_found():
+    register("sensor", "price")(5)
+    with pytest.raises(ValueError, match="'price' is registered as 5: that is no sensor"):
+        find("sensor", "price", is_class)
+
+
 def test_the_same_code_may_come_again_as_by_a_reload(module):
     module("shop", "class Bread:\n    name = 'rye'\n")
     shop = importlib.import_module("shop")

@@ -110,11 +110,9 @@ class Blind(LidarNavigation):
 
     name = "blind_navigation"
     observation = tuple(block for block in LidarNavigation.observation if block != "lidar")
-    senses = ()
-    reward_weights: ClassVar = {
-        term: weight
-        for term, weight in LidarNavigation.reward_weights.items()
-        if term != "proximity"
+    required_sensors = ()
+    reward: ClassVar = {
+        term: weight for term, weight in LidarNavigation.reward.items() if term != "proximity"
     }
 
 

@@ -46,11 +46,14 @@ def known_sensors(given: Iterable[Any] = ()) -> dict[str, Sensor]:
     A given sensor replaces the registered one of its name.
 
     Raises:
-        ValueError: Two given sensors bear the same name, or one is none.
+        ValueError: Two given sensors bear the same name, or one is none; the option is named.
     """
     own: dict[str, Sensor] = {}
     for source in given:
-        sensor = find_sensor(source)
+        try:
+            sensor = find_sensor(source)
+        except ValueError as error:
+            raise ValueError(f"sensors: {error}") from None
         if sensor.name in own:
             raise ValueError(f"sensors has {sensor.name!r} twice: give each a name of its own")
         own[sensor.name] = sensor

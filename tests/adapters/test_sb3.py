@@ -266,11 +266,8 @@ def test_a_reward_that_is_not_finite_is_an_error_and_no_empty_slot():
     class Undefined(find_task("hover")):
         name = "undefined"
 
-        def evaluate_step(self, frame):
-            result = super().evaluate_step(frame)
-            return result._replace(
-                terms=result.terms | {"speed": np.full(frame.alive.shape, np.nan)}
-            )
+        def reward_terms(self, frame):
+            return super().reward_terms(frame) | {"speed": np.full(frame.alive.shape, np.nan)}
 
     env = DroneVecEnv(Undefined, 1, dynamics="single_integrator", action="velocity")
     env.reset()

@@ -174,7 +174,7 @@ class Walking(Los):
 
     name = "walking"
 
-    def advance(self, scene, time, flying, rng):
+    def move_scene(self, scene, time, flying, rngs):
         scene.memory["users"][flying, :, 0] += 3.0 * self.context.period
         return False
 

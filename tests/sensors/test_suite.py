@@ -466,6 +466,8 @@ def test_sensors_are_found_in_every_form():
 def test_two_sensors_of_one_name_are_refused():
     with pytest.raises(ValueError, match="sensors has 'anchor' twice: give each a name of its own"):
         known_sensors((Anchor(), Anchor))
+    with pytest.raises(ValueError, match="sensors: unknown sensor 'gsp': did you mean 'gps'"):
+        known_sensors(("gsp",))
     assert list(known_sensors((Anchor,))) == [*ORDER, "anchor"]
 
 
@@ -488,7 +490,7 @@ def test_a_reading_is_that_of_the_last_sensor_that_has_labels_for_it():
         assert reading_labels(sensors, reading, SensorSetup()) is None
     assert reading_labels(sensors, "anchor", SensorSetup()) == Anchor.numbers
     assert reading_labels(sensors, "rgb", SensorSetup()) == Image(0, 255, np.uint8, (3,))
-    with pytest.raises(ValueError, match="reading 'sight' of sensor 'sight' has no labels"):
+    with pytest.raises(ValueError, match="reading 'sight' of sensor 'sight' has no numbers here"):
         reading_labels(sensors, "sight", SensorSetup())
 
 
@@ -546,7 +548,7 @@ def test_a_sensor_without_numbers_cannot_be_observed(make_aviary):
         def measure(self, moment):
             return {"blank": moment.after.position}
 
-    with pytest.raises(ValueError, match="reading 'blank' of sensor 'blank' has no labels: give"):
+    with pytest.raises(ValueError, match="reading 'blank' of sensor 'blank' .* tells no labels"):
         make_aviary("converge", sensors=Blank, observation="blank")
 
 
