@@ -317,9 +317,6 @@ def test_a_barometer_reads_the_height_and_drifts_as_it_is_told():
     assert steps.std() * math.sqrt(30) == pytest.approx(3.0, rel=0.05)  # 30 decisions a second
 
 
-@pytest.mark.xfail(
-    strict=True, raises=KeyError, reason="needed_readings does not look into terms given by name"
-)
 def test_a_term_by_its_name_gets_the_sensor_that_it_reads():
     chain = own("chain")
 
@@ -337,7 +334,6 @@ def test_a_term_by_its_name_gets_the_sensor_that_it_reads():
         aviary.close()
 
 
-@pytest.mark.xfail(strict=True, reason="the fingerprint has no code or parameters of ingredients")
 def test_an_evaluation_goes_on_only_with_the_same_ingredients(tmp_path):
     barometer = own("barometer")
 

@@ -23,7 +23,6 @@ from dataclasses import dataclass
 from types import FunctionType
 from typing import Any, NamedTuple, TypeVar
 
-import numba
 import numpy as np
 
 from bulletuav.errors import nearest, shown
@@ -69,6 +68,11 @@ def block(
     """
 
     def decorated(function: Ingredient) -> Ingredient:
+        if not isinstance(function, FunctionType):
+            raise TypeError(
+                f"@block is for functions, and {shown(function)} is none; its labels are "
+                f"{shown(labels)}: write @block([Label(...)]) above the function"
+            )
         function.labels = labels if callable(labels) else lambda task: tuple(labels)  # type: ignore[attr-defined]
         return _marked(function, "block")
 
@@ -223,7 +227,15 @@ class Bound:
         """Compute into an array that is there; see `__call__`."""
         if self._run is None:
             self._run = self._make_run(frame, out)
+            self._run(frame, out)
+            self._check_first(frame, out)
+            return
         self._run(frame, out)
+
+    def _check_first(self, frame: Frame, out: np.ndarray) -> None:
+        """Refuse numbers of a block that are none; rewards are looked at in every decision."""
+        if self._labels is not None and not np.isfinite(out[frame.alive]).all():
+            raise ValueError(f"{self._who} gave {shown(out)}: finite numbers are needed")
 
     def _make_run(self, frame: Frame, out: np.ndarray) -> Run:
         """Make what is run for every frame, from the first one."""
@@ -266,9 +278,9 @@ class Bound:
         loop = make_loop(self._function, forms, results)
         try:
             loop(*given.values(), out)
-        except numba.core.errors.NumbaError as error:
+        except Exception as error:  # numba's own, and what it lets through
             raise ValueError(
-                f"{self._who} cannot be compiled: {str(error).strip().splitlines()[-1]}; write it "
+                f"{self._who} cannot be compiled: {_reason(error)}; write it "
                 f"with plain numbers and `math`, or as a function of `frame` with NumPy"
             ) from None
         return loop
@@ -315,12 +327,29 @@ class Bound:
             return
         numbers = result if isinstance(result, tuple) else (result,)
         wanted = self._labels or 1
-        if len(numbers) != wanted or not all(np.ndim(one) == 0 for one in numbers):
+        if self._dtype is bool and not isinstance(result, bool | np.bool_):
+            raise ValueError(f"{self._who} gave {shown(result)}: a bool, True or False, is needed")
+        if len(numbers) != wanted or not all(map(_is_number, numbers)):
             raise ValueError(
                 f"{self._who} gave {shown(result)}: {wanted} number{'s' * (wanted > 1)} of one "
                 f"drone "
                 f"{'are' if wanted > 1 else 'is'} needed"
             )
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, bool | int | float | np.generic)
+
+
+def _reason(error: Exception) -> str:
+    """Pick the line of numba's message that says what is wrong."""
+    lines = [line.strip() for line in str(error).splitlines()]
+    told = [
+        one for one in lines if one and not one.startswith(("During", "File", "Enable", "-", "["))
+    ]
+    words = ("name", "attribute", "Cannot", "No implementation", "Unknown", "determine", "type")
+    useful = [one for one in told if any(word in one for word in words)]
+    return (useful or told or ["numba gives no reason"])[0]
 
 
 def find_term(kind: str, source: Any) -> Any:

@@ -185,13 +185,16 @@ def _make(
         labels = reading_labels(sensors, source, setup)
         if labels is None:
             raise unknown("observation block", source, known_observations(sensors))
-        return labels if isinstance(labels, Image) else (labels, _reading_writer(source))
+        if isinstance(labels, Image):
+            return labels
+        checked = _checked(labels, f"reading {source!r} of a sensor")
+        return checked, _reading_writer(source)
     block = source if isinstance(source, Block) else find("observation", source, callable)
     who = f"observation block {name!r}"
     if getattr(block, "ingredient", None) == "block":
         make: Any = block.labels
         wants_action = "action" in inspect.signature(make).parameters
-        labels = tuple(make(action if wants_action else task))
+        labels = make(action if wants_action else task)
         return _checked(labels, who), Bound(block, binding, who, np.float32, len(labels)).fill
     made = block if isinstance(block, Block) else block(task)
     if not isinstance(made, Block):
@@ -203,8 +206,17 @@ def _make(
 
 
 def _checked(labels: Any, who: str) -> tuple[Label, ...]:
-    if not all(isinstance(one, Label) for one in labels):
-        raise ValueError(f"labels of {who} are {shown(labels)}: Label(name, unit, low, high) each")
+    """Refuse labels that are none, or whose bounds are none."""
+    several = isinstance(labels, list | tuple) and not isinstance(labels, Label)
+    if not several or not labels or not all(isinstance(one, Label) for one in labels):
+        raise ValueError(
+            f"labels of {who} are {shown(labels)}: a list of Label(name, unit, low, high) is needed"
+        )
+    for one in labels:
+        if not one.low <= one.high:
+            raise ValueError(
+                f"bounds of {shown(one)} of {who} must be numbers, the lower one first"
+            )
     return tuple(labels)
 
 
@@ -238,11 +250,16 @@ def needed_readings(sources: Sequence[Any], sensors: Mapping[str, Sensor]) -> se
         block = source
         if isinstance(source, str) and (":" in source or source in names("observation")):
             block = find("observation", source, callable)
-        if getattr(block, "ingredient", None):
-            asked = inspect.signature(block).parameters
-            readings = {one.removeprefix("all_") for one in asked}
-            wanted |= {one for one in readings if provider(sensors, one) is not None}
+        wanted |= asked_readings(block, sensors)
     return wanted
+
+
+def asked_readings(ingredient: Any, sensors: Mapping[str, Sensor]) -> set[str]:
+    """List the readings that a function of one drone's numbers asks for by argument name."""
+    if not getattr(ingredient, "ingredient", None):
+        return set()
+    asked = {one.removeprefix("all_") for one in inspect.signature(ingredient).parameters}
+    return {one for one in asked if provider(sensors, one) is not None}
 
 
 def part(observations: Observation, index: Any) -> Any:
