@@ -3,7 +3,6 @@
 from typing import ClassVar
 
 import numpy as np
-import pytest
 
 import bulletuav
 from bulletuav.control.setpoint import SetpointLevel
@@ -85,7 +84,3 @@ def fly(task=Perch, **options):
             aviary.step(np.zeros((WORLDS, aviary.num_drones, 3)))
     finally:
         aviary.close()
-
-
-def poor(*values, reason):
-    return pytest.param(*values, marks=pytest.mark.xfail(strict=True, reason=reason))

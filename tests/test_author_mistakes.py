@@ -1,7 +1,6 @@
 """Mistakes of people who write tasks are named; those of others in test_author_mistakes_elsewhere.
 
-Each entry of a table is a mistake and what its message must say. Those marked `poor` have no
-message, or one that does not help; the reason says what happens instead.
+Each entry of a table is a mistake and what its message must say.
 """
 
 import math
@@ -89,7 +88,6 @@ def parses_text(distance):
 
 
 NEAR = "reward term 'near' of task 'perch'"
-USELESS = "numba's last line, 'During: Pass nopython_type_inference', tells nothing"
 
 
 @pytest.mark.parametrize(

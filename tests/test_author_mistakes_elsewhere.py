@@ -1,7 +1,6 @@
 """Mistakes of people who write sensors, blocks, dynamics, policies and metrics are named.
 
-Each entry of a table is a mistake and what its message must say. Those marked `poor` have no
-message, or one that does not help; the reason says what happens instead.
+Each entry of a table is a mistake and what its message must say.
 """
 
 import math
