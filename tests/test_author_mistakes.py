@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from own_ingredients import DRONES, GLOBAL, Perch, Uwb, fly, near, poor, wrong
+from own_ingredients import DRONES, GLOBAL, Perch, Uwb, fly, near, wrong
 
 import bulletuav
 from bulletuav.tasks import Task, TaskConfig, end, reward
@@ -102,21 +102,13 @@ USELESS = "numba's last line, 'During: Pass nopython_type_inference', tells noth
         (of_all_not_a_number, r"reward of drone 0 in world 0 is nan: .* gave {'near': nan}"),
         (root_of_less_than_nothing, f"{NEAR} failed: ValueError: .*"),
         (uses_a_set, f"{NEAR} cannot be compiled: .*write it with plain numbers"),
-        poor(nothing, f"{NEAR} gave None: 1 number of one drone", reason=USELESS),
-        poor(calls_plain_python, f"{NEAR} cannot be compiled: .*twice", reason=USELESS),
-        poor(
-            parses_text,
-            f"{NEAR} cannot be compiled",
-            reason="errors of numba that are no NumbaError go through without the term's name",
-        ),
+        (nothing, f"{NEAR} gave None: 1 number of one drone"),
+        (calls_plain_python, f"{NEAR} cannot be compiled: .*twice"),
+        (parses_text, f"{NEAR} cannot be compiled"),
         (5, "reward term 'near' is 5|unknown reward 5"),
         ("nearr", "unknown reward 'nearr'"),
         ("no_such_module:near", "no_such_module:near cannot be imported: No module named"),
-        poor(
-            "no_such_module:near",
-            "reward no_such_module:near cannot be imported",
-            reason="the message says: observation no_such_module:near",
-        ),
+        ("no_such_module:near", "reward no_such_module:near cannot be imported"),
     ],
 )
 def test_reward_terms(term, message):
@@ -163,33 +155,12 @@ LACKS = "a task needs it, see bulletuav.tasks.base.Task"
         ({"difficulties": EASY | {"hard": {"num_drnes": 4}}}, "'num_drnes': did you mean"),
         ({"difficulties": EASY | {"hard": {"num_drones": 0}}}, "num_drones is 0: a whole number"),
         ({"defaults": {"num_dornes": 4}}, "task 'perch': 'num_dornes': did you mean 'num_drones'"),
-        ({"ends": ("collision",)}, "end 'collision' is 'collision': a function is needed"),
-        poor(
-            {"ends": near},
-            "ends of task .*: a tuple",
-            reason="a forgotten comma is a TypeError: Value after * must be an iterable",
-        ),
-        poor({"ends": (half_done,)}, "end 'half_done'.*bool", reason="0.5 is taken for True"),
-        poor(
-            {"observation": "velocity"},
-            "observation of task .*: a tuple",
-            reason="a forgotten comma is told as: unknown observation block 'v'",
-        ),
-        poor(
-            {"difficulties": {"hard": {}}},
-            "difficulties of task Perch .*easy",
-            reason="a task without 'easy' is told as: unknown difficulty 'easy', which nobody gave",
-        ),
-        poor(
-            {"difficulties": EASY | {"hard": 3}},
-            "difficult.* of task Perch .*: a dict",
-            reason="TypeError: 'int' object is not a mapping",
-        ),
-        poor(
-            {"Config": Undecorated},
-            "Config of task Perch .*dataclass",
-            reason="a config that lacks @dataclass loses its fields, and nobody tells",
-        ),
+        ({"ends": ("collision",)}, "ends of task Perch are .*'collision'.*: a tuple of functions"),
+        ({"ends": near}, "ends of task .*: a tuple"),
+        ({"ends": (half_done,)}, "end 'half_done'.*bool"),
+        ({"observation": "velocity"}, "observation of task .*: a tuple"),
+        ({"difficulties": EASY | {"hard": 3}}, "difficult.* of task Perch .*: a dict"),
+        ({"Config": Undecorated}, "Config of task Perch .*dataclass"),
     ],
 )
 def test_parts_of_a_task(attributes, message):
@@ -223,16 +194,27 @@ def test_a_task_of_which_parts_were_forgotten_altogether():
             {"sensors": (Uwb(),), "randomization": {"uwb_noise": 2.0}},
             "randomization uwb_noise is 2.0: from low to high within 0 and 1 is needed",
         ),
-        poor(
-            {"reward": {"near": (of_one_world, -1.0)}},
-            "reward has 'near'.*task 'perch'.*weights",
-            reason="a term named as one of the task's replaces it, and its weight, silently",
-        ),
+        ({"reward": {"near": (of_one_world, -1.0)}}, "reward has 'near'.*task 'perch'.*weights"),
     ],
 )
 def test_options(options, message):
     with pytest.raises(ValueError, match=message):
         bulletuav.Aviary(Perch, **options).close()
+
+
+@dataclass(frozen=True)
+class Postponed(TaskConfig):
+    """As every config is below `from __future__ import annotations`."""
+
+    height: "float" = 1.0
+
+
+@pytest.mark.parametrize("height", [-1.0, "high"])
+def test_values_of_a_config_whose_annotations_are_postponed(height):
+    with pytest.raises(
+        ValueError, match=f"height is '?{height if isinstance(height, str) else -1}"
+    ):
+        bulletuav.Aviary(wrong(Perch, Config=Postponed), height=height).close()
 
 
 @pytest.mark.parametrize(
@@ -273,11 +255,10 @@ def test_starts(task, message):
             ValueError,
             "unknown memory 'idel': did you mean 'idle'",
         ),
-        poor(
+        (
             lambda memory: memory.update(idle=np.zeros(3)),
-            ValueError,
-            "memory 'idle' cannot be replaced",
-            reason="update and setdefault of Memory go past __setitem__",
+            AttributeError,
+            "has no attribute 'update'",
         ),
     ],
 )
@@ -295,11 +276,7 @@ def test_memory(change, error, message):
             r"gave an array \(2,\) as 'idle': an array \(2",
         ),
         (wrong(Perch, info=lambda self, frame: None), "info of task 'perch' gave None: a dict of"),
-        poor(
-            telling("success", lambda frame: frame.distance),
-            "info of task 'perch'.*'success'",
-            reason="an info that is named as one of every task's replaces it silently",
-        ),
+        (telling("success", lambda frame: frame.distance), "info of task 'perch'.*'success'"),
     ],
 )
 def test_infos(task, message):

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 import pytest
-from own_ingredients import GLOBAL, Drift, Perch, Still, Uwb, fly, poor, wrong
+from own_ingredients import GLOBAL, Drift, Perch, Still, Uwb, fly, wrong
 
 import bulletuav
 from bulletuav.analysis.metrics import find_metric
@@ -66,26 +66,10 @@ def heights(moment):
         (measuring(heights), f"{GAVE} .*: a dict of arrays by name of reading is needed"),
         (5, "unknown sensor 5"),
         (Perch, "unknown sensor <class"),
-        poor(
-            measuring(lambda moment: {"uvb": heights(moment)}),
-            f"{GAVE} no reading 'uwb'",
-            reason="a reading that is missing, or misspelt, is a KeyError of the observation",
-        ),
-        poor(
-            Nameless(),
-            "sensor Nameless has no name",
-            reason="AttributeError: 'Nameless' object has no attribute 'name'",
-        ),
-        poor(
-            wrong(Uwb, numbers=HIGH)(),
-            "labels? of sensor 'uwb'|'uwb'.* Label",
-            reason="a forgotten comma is an AttributeError: 'str' object has no attribute 'low'",
-        ),
-        poor(
-            wrong(Uwb, numbers=(Label("high", "m", 5.0, -5.0),))(),
-            "bounds? of .*high",
-            reason="bounds in the wrong order, or NaN, are taken, and hide what is read",
-        ),
+        (measuring(lambda moment: {"uvb": heights(moment)}), f"{GAVE} no reading 'uwb'"),
+        (Nameless(), "sensor Nameless has no name"),
+        (wrong(Uwb, numbers=HIGH)(), "labels? of sensor 'uwb'|'uwb'.* Label"),
+        (wrong(Uwb, numbers=(Label("high", "m", 5.0, -5.0),))(), "bounds? of .*high"),
     ],
 )
 def test_sensors(sensor, message):
@@ -166,24 +150,12 @@ def of(name):
         (three_of_one, f"{of('three_of_one')} .*: 1 number of one drone is needed"),
         (without_an_axis_for_labels, r"gave an array \(2, 3\) .* an array \(2, 3, 1\) of numbers"),
         (misspelt, "'misspelt' of task 'perch' asks for 'distanse', .*did you mean 'distance'"),
-        (labelled_by_texts, r"labels of .* are \('high',\): Label\(name, unit, low, high\) each"),
+        (labelled_by_texts, r"labels of .* are \('high',\): a list of Label\(name, unit"),
         (undecorated, "a Block is needed; decorate a function .* with @block"),
         ("no_such_module:it", "observation no_such_module:it cannot be imported"),
-        poor(
-            without_labels,
-            "'without_labels'.*label",
-            reason="KeyError: 'vector' where nothing else is observed; else left out silently",
-        ),
-        poor(
-            of_all_not_a_number,
-            f"{of('of_all_not_a_number')}.*finite",
-            reason="NaN of a block is no error at the first use; only check_task tells",
-        ),
-        poor(
-            undefined,
-            f"{of('undefined')}.*finite",
-            reason="NaN of a block is no error at the first use; only check_task tells",
-        ),
+        (without_labels, "labels of .*'without_labels'"),
+        (of_all_not_a_number, f"{of('of_all_not_a_number')}.*finite"),
+        (undefined, f"{of('undefined')}.*finite"),
     ],
 )
 def test_blocks(function, message):
@@ -193,7 +165,7 @@ def test_blocks(function, message):
 
 @pytest.mark.parametrize("function", [of_all_not_a_number, undefined])
 def test_what_only_the_check_of_tasks_sees_of_blocks(function):
-    with pytest.raises(ValueError, match="observation 'high' is NaN or infinite: finite numbers"):
+    with pytest.raises(ValueError, match="nan.*finite numbers|high' is NaN"):
         bulletuav.check_task(Perch, observation=("velocity", function))
 
 
@@ -202,7 +174,7 @@ def test_what_only_the_check_of_tasks_sees_of_blocks(function):
     [
         reward,
         end,
-        poor(block([HIGH]), reason="AttributeError: 'int' object has no attribute 'labels'"),
+        block([HIGH]),
     ],
 )
 def test_decorators_are_for_functions(decorate):
@@ -210,7 +182,6 @@ def test_decorators_are_for_functions(decorate):
         decorate(5)
 
 
-@pytest.mark.xfail(strict=True, reason="the message speaks of the task: <Perch object> is none")
 def test_block_without_its_labels():
     def bare(distance):
         return distance

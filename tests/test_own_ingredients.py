@@ -317,9 +317,6 @@ def test_a_barometer_reads_the_height_and_drifts_as_it_is_told():
     assert steps.std() * math.sqrt(30) == pytest.approx(3.0, rel=0.05)  # 30 decisions a second
 
 
-@pytest.mark.xfail(
-    strict=True, raises=KeyError, reason="needed_readings does not look into terms given by name"
-)
 def test_a_term_by_its_name_gets_the_sensor_that_it_reads():
     chain = own("chain")
 
@@ -335,3 +332,28 @@ def test_a_term_by_its_name_gets_the_sensor_that_it_reads():
         assert "reward/wary" in aviary.step(np.zeros((1, 4, 3))).info
     finally:
         aviary.close()
+
+
+def test_an_evaluation_goes_on_only_with_the_same_ingredients(tmp_path):
+    barometer = own("barometer")
+
+    def paying(bonus):
+        def term(frame):
+            return np.full(frame.alive.shape, bonus)
+
+        result = bulletuav.evaluate(
+            "crossing",
+            "straight",
+            1,
+            out=tmp_path / "out",
+            dynamics="point_mass",
+            horizon=5,
+            sensors=(barometer.Barometer(),),
+            reward={"bonus": (term, 1.0)},
+        )
+        return result.estimates()["return"].mean
+
+    first = paying(1.0)
+    assert paying(1.0) == first
+    with pytest.raises(ValueError, match="holds another run"):
+        paying(2.0)

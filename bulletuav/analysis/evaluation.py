@@ -274,6 +274,10 @@ def _fingerprint(run: Run, spec: EnvSpec, model: Path | None) -> str:
         type(spec.task),
         run.policy,
         *(metric.source for metric in run.metrics),
+        spec.options.dynamics,
+        *(spec.options.observation or ()),
+        *spec.options.sensors,
+        *(term for term, _ in spec.options.reward.values()),
     ):
         digest.update(_code(source))
     if model is not None:
@@ -295,6 +299,9 @@ def _code(source: object) -> bytes:
         return b""
     home: Any = source if inspect.isroutine(source) or inspect.isclass(source) else type(source)
     named = str(home.__qualname__)
+    # What a function was made with counts, too.
+    for cell in getattr(home, "__closure__", None) or ():
+        named += repr(cell.cell_contents)
     # Parameters of an object count as well as its class.
     if home is not source:
         named += repr(getattr(source, "__dict__", {}))

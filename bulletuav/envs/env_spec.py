@@ -17,9 +17,11 @@ from bulletuav.tasks import TaskSource, find_task
 from bulletuav.tasks.base import Task, TaskConfig
 from bulletuav.tasks.check import check_arena, check_bodies
 from bulletuav.tasks.frame import TaskContext
+from bulletuav.tasks.ingredients import find_term
 from bulletuav.tasks.observations.observer import (
     STATE,
     ObservationBuilder,
+    asked_readings,
     known_observations,
     needed_readings,
     observation_name,
@@ -96,10 +98,10 @@ class EnvSpec:
     def _wanted(self, sources: tuple[Any, ...]) -> frozenset[str]:
         """List the readings that observations, the task and reward terms need."""
         kind = type(self.task)
-        terms = [value[0] for value in self.options.reward.values()]
-        terms += [value[0] for value in kind.reward.values() if isinstance(value, tuple)]
-        terms += [*kind.ends, *([kind.success] if kind.success else [])]
-        asked = needed_readings([*sources, *terms], self.sensors)
+        terms = [find_term("reward", value[0]) for value in self.options.reward.values()]
+        terms += [*self.task.own_terms().values(), *kind.ends, kind.success]
+        asked = needed_readings(sources, self.sensors)
+        asked = asked.union(*(asked_readings(one, self.sensors) for one in terms))
         for name in kind.required_sensors:
             if provider(self.sensors, name) is None:
                 what = f"reading among the required_sensors of task {self.task.name!r}:"

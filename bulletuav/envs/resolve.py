@@ -91,7 +91,8 @@ def _with_defaults(
                 f"{nearest(name, known)}"
             )
     # What the difficulty and the preset change.
-    usual_difficulty = task.defaults.get("difficulty", "easy")
+    first = "easy" if "easy" in task.difficulties else next(iter(task.difficulties))
+    usual_difficulty = task.defaults.get("difficulty", first)
     difficulty = given.get("difficulty", usual_difficulty)
     changes = choose("difficulty", difficulty, dict(task.difficulties))
     preset: Mapping[str, Any] = {}
@@ -158,8 +159,9 @@ def _checked_config(config: TaskConfig) -> TaskConfig:
     Raises:
         ValueError: A value cannot be.
     """
+    kinds = typing.get_type_hints(type(config))  # also where annotations are postponed
     stored = {
-        field.name: _checked(field, getattr(config, field.name))
+        field.name: _checked(field, kinds[field.name], getattr(config, field.name))
         for field in dataclasses.fields(config)
         if field.init
     }
@@ -168,25 +170,25 @@ def _checked_config(config: TaskConfig) -> TaskConfig:
     return dataclasses.replace(config, **stored)
 
 
-def _checked(field: dataclasses.Field[Any], value: Any) -> Any:
+def _checked(field: dataclasses.Field[Any], kind: Any, value: Any) -> Any:
     """Check the value of a field by its type.
 
     A field's metadata may tell its "least" and "most". Float fields are sizes, so not negative.
     """
     name = field.name
-    usual_most = MOST_COUNT if field.type is int else MOST_SIZE
+    usual_most = MOST_COUNT if kind is int else MOST_SIZE
     most = field.metadata.get("most", usual_most)
-    if field.type is int:
+    if kind is int:
         return as_int(name, value, field.metadata.get("least", 1), most)
-    if field.type is bool and not isinstance(value, bool):
+    if kind is bool and not isinstance(value, bool):
         raise ValueError(f"{name} is {shown(value)}: True or False is needed")
-    if typing.get_origin(field.type) is Literal:
-        choose(name, value, dict.fromkeys(typing.get_args(field.type)))
-    elif field.type is float:
+    if typing.get_origin(kind) is Literal:
+        choose(name, value, dict.fromkeys(typing.get_args(kind)))
+    elif kind is float:
         value = finite(name, value, most=most)
         if value < 0:
             raise ValueError(f"{name} is {value:g}: it must not be negative")
-    elif field.type == tuple[float, float]:
+    elif kind == tuple[float, float]:
         return tuple(finite(name, number, most=most) for number in as_sequence(name, value, 2))
     elif name == "weights":
         return _checked_weights(value)

@@ -54,6 +54,8 @@ def known_sensors(given: Iterable[Any] = ()) -> dict[str, Sensor]:
             sensor = find_sensor(source)
         except ValueError as error:
             raise ValueError(f"sensors: {error}") from None
+        if not isinstance(getattr(sensor, "name", None), str):
+            raise ValueError(f"sensor {type(sensor).__name__} has no name: give its class one")
         if sensor.name in own:
             raise ValueError(f"sensors has {sensor.name!r} twice: give each a name of its own")
         own[sensor.name] = sensor

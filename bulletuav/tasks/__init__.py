@@ -69,6 +69,10 @@ def require_task(kind: type[Task[Any]]) -> None:
     if not isinstance(kind.name, str):
         raise ValueError(f"name of task {name} is {shown(kind.name)}: a text is needed")
     options = kind.Config if dataclasses.is_dataclass(kind.Config) else None
+    if options and "__dataclass_params__" not in vars(options) and options.__annotations__:
+        raise ValueError(
+            f"Config of task {name} is no dataclass: write @dataclass(frozen=True) above it"
+        )
     fields = {field.name for field in dataclasses.fields(options)} if options else set()
     for field in ("d_safe", "weights"):
         if field not in fields:
@@ -80,6 +84,20 @@ def require_task(kind: type[Task[Any]]) -> None:
         if not isinstance(getattr(kind, one), Mapping):
             raise ValueError(
                 f"{one} of task {name} is {shown(getattr(kind, one))}: a dict is needed"
+            )
+    if not isinstance(kind.observation, list | tuple):
+        raise ValueError(
+            f"observation of task {name} is {shown(kind.observation)}: a tuple is needed, such as "
+            f'("velocity",)'
+        )
+    if not isinstance(kind.ends, list | tuple) or not all(map(callable, kind.ends)):
+        raise ValueError(
+            f"ends of task {name} are {shown(kind.ends)}: a tuple of functions is needed"
+        )
+    for one, changes in kind.difficulties.items():
+        if not isinstance(changes, Mapping):
+            raise ValueError(
+                f"difficulty {one!r} of task {name} is {shown(changes)}: a dict is needed"
             )
     if not kind.difficulties:
         raise ValueError(f"difficulties of task {name} are empty: leave them out, or name one")

@@ -174,14 +174,20 @@ class Task(ABC, Generic[ConfigT]):
         quantities = {"outside": self.outside, **self.quantities()}
         names = (readings, frozenset(self.memory()))
         binding = Binding(self.name, *names, quantities, frozenset(self.events), numbers)
+        for name in extra:
+            if name in self.reward:
+                raise ValueError(
+                    f"reward has {name!r}, which is a term of task {self.name!r}: choose another "
+                    f"name, or change its weight by weights={{{name!r}: ...}}"
+                )
         self.weights |= {name: weight for name, (_, weight) in extra.items()}
-        self._extra = {name: self._bound(binding, name, term) for name, (term, _) in extra.items()}
-        for name, value in self.reward.items():
-            # A task that evaluates decisions by itself gives the terms that it only names.
-            own = isinstance(value, tuple) or kind.evaluate_step is Task.evaluate_step
-            if own and name not in self.computed_terms and self.weights[name]:
-                term = value[0] if isinstance(value, tuple) else name
-                self._terms[name] = self._bound(binding, name, term)
+        self._extra = {
+            name: self._bound(binding, name, find_term("reward", term))
+            for name, (term, _) in extra.items()
+        }
+        self._terms = {
+            name: self._bound(binding, name, term) for name, term in self.own_terms().items()
+        }
         self._ends = tuple(
             Bound(one, binding, f"end {getattr(one, '__name__', one)!r}", bool) for one in kind.ends
         )
@@ -189,8 +195,22 @@ class Task(ABC, Generic[ConfigT]):
             self._success = Bound(kind.success, binding, "success", bool)
         return binding
 
+    def own_terms(self) -> dict[str, Any]:
+        """List the functions of the task's own reward terms whose weight is not 0, by name.
+
+        Raises:
+            ValueError: There is no reward term of a name.
+        """
+        found: dict[str, Any] = {}
+        for name, value in self.reward.items():
+            # A task that evaluates decisions by itself gives the terms that it only names.
+            own = isinstance(value, tuple) or type(self).evaluate_step is Task.evaluate_step
+            if own and name not in self.computed_terms and self.weights[name]:
+                found[name] = find_term("reward", value[0] if isinstance(value, tuple) else name)
+        return found
+
     def _bound(self, binding: Binding, name: str, term: Any) -> Bound:
-        return Bound(find_term("reward", term), binding, f"reward term {name!r}", float)
+        return Bound(term, binding, f"reward term {name!r}", float)
 
     @abstractmethod
     def spawn(self, rng: np.random.Generator) -> Spawn:

@@ -22,6 +22,10 @@ UNIT = 1e-6
 """How far the norm of a start's quaternion may be off 1"""
 GRAZE = 1e-6
 """m, how deep a drone that stands on the ground may be in it"""
+STANDARD_INFOS = frozenset(
+    {"success", "collision", "conflicts", "separation", "goal_distance", "power", "charge"}
+)
+"""Infos of every task"""
 LARGE = 100.0
 """m, of an option that may be to blame for an arena that is too large"""
 
@@ -198,6 +202,8 @@ def check_info(task: Task[Any], info: Any, shape: tuple[int, int]) -> None:
     for name, value in info.items():
         if not isinstance(name, str):
             raise ValueError(f"{told} the name {shown(name)}: a text is needed")
+        if name in STANDARD_INFOS or name.startswith(("reward/", "random/")):
+            raise ValueError(f"{told} {name!r}, which infos tell already: choose another name")
         if not isinstance(value, np.ndarray) or value.shape != shape:
             form = f"an array {value.shape}" if isinstance(value, np.ndarray) else shown(value)
             raise ValueError(

@@ -1,6 +1,6 @@
 """What a task works on: starts, scenes, decisions, and what it makes of them."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from operator import attrgetter
@@ -48,8 +48,31 @@ class Spawn(NamedTuple):
     memory: Mapping[str, np.ndarray] = MappingProxyType({})
 
 
-class Memory(dict[str, np.ndarray]):
+class Memory(Mapping[str, np.ndarray]):
     """Arrays that a task keeps over an episode, by name: written into, never replaced."""
+
+    def __init__(self, arrays: Mapping[str, np.ndarray]) -> None:
+        """Keep the arrays of these names, and no others."""
+        self._arrays = dict(arrays)
+
+    def __iter__(self) -> Iterator[str]:
+        """Iterate over the names."""
+        return iter(self._arrays)
+
+    def __len__(self) -> int:
+        """Count the arrays."""
+        return len(self._arrays)
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """Look up an array.
+
+        Raises:
+            KeyError: The task's `memory` does not tell the name; the nearest are told.
+        """
+        try:
+            return self._arrays[name]
+        except KeyError:
+            raise KeyError(str(unknown("memory", name, self))) from None
 
     def __setitem__(self, name: str, value: object) -> None:
         """Refuse: the environment keeps the arrays.
@@ -62,14 +85,6 @@ class Memory(dict[str, np.ndarray]):
         raise ValueError(
             f"memory {name!r} cannot be replaced: write into it, memory[{name!r}][:] = ..."
         )
-
-    def __missing__(self, name: str) -> np.ndarray:
-        """Refuse a name that the task's `memory` does not tell.
-
-        Raises:
-            KeyError: Always; the nearest names are told.
-        """
-        raise KeyError(str(unknown("memory", name, self)))
 
 
 class Scene(NamedTuple):
@@ -122,7 +137,7 @@ class Scene(NamedTuple):
             obstacle_velocity=np.zeros(of_obstacles),
             obstacle_quaternion=np.tile(UPRIGHT, (num_worlds, num_obstacles, 1)),
             layout=np.full(num_worlds, NO_LAYOUT),
-            memory=Memory((name, np.zeros((num_worlds, *shape))) for name, shape in memory.items()),
+            memory=Memory({name: np.zeros((num_worlds, *shape)) for name, shape in memory.items()}),
         )
 
 

@@ -23,7 +23,6 @@ from dataclasses import dataclass
 from types import FunctionType
 from typing import Any, NamedTuple, TypeVar
 
-import numba
 import numpy as np
 
 from bulletuav.errors import nearest, shown
@@ -69,6 +68,11 @@ def block(
     """
 
     def decorated(function: Ingredient) -> Ingredient:
+        if not isinstance(function, FunctionType):
+            raise TypeError(
+                f"@block is for functions, and {shown(function)} is none; its labels are "
+                f"{shown(labels)}: write @block([Label(...)]) above the function"
+            )
         function.labels = labels if callable(labels) else lambda task: tuple(labels)  # type: ignore[attr-defined]
         return _marked(function, "block")
 
@@ -150,6 +154,20 @@ class Binding:
         )
 
 
+Run = Callable[[Frame, np.ndarray], None]
+
+
+def _joined(loop: Callable[..., None], readers: list[Callable[[Frame], Any]]) -> Run:
+    """Join a loop with what reads its arguments; few arguments are the usual case, and fast."""
+    if len(readers) == 1:
+        (one,) = readers
+        return lambda frame, out: loop(one(frame), out)
+    if len(readers) == 2:
+        one, two = readers
+        return lambda frame, out: loop(one(frame), two(frame), out)
+    return lambda frame, out: loop(*[read(frame) for read in readers], out)
+
+
 class Bound:
     """An ingredient of a task: give it a frame, and get the numbers of all drones."""
 
@@ -179,42 +197,57 @@ class Bound:
             for name in self._names
             if name not in ("i", "out", WHOLE)
         }
-        self._readers = [source.read for source in self._sources.values()]
-        self._loop: Callable[..., None] | None = None
+        self._run: Run | None = None
         if self.whole and len(self._names) > 1:
             raise ValueError(
                 f"{self._who} has arguments beside frame: {self._names}; one of all drones takes "
-                f"the "
-                f"frame alone"
+                f"the frame alone"
             )
         if not self.whole and not isinstance(function, FunctionType):
             raise ValueError(f"{self._who} is {shown(function)}: a plain function is needed")
 
-    def __call__(self, frame: Frame, out: np.ndarray | None = None) -> np.ndarray:
+    def __call__(self, frame: Frame) -> np.ndarray:
         """Compute for all drones.
 
         Args:
             frame: The decision.
-            out: Array to fill, (W, N) or (W, N, labels); a new one when left out.
 
         Returns:
-            The filled array.
+            (W, N), or for a block (W, N, labels).
 
         Raises:
             ValueError: The function failed, or gave something of another shape or type.
         """
-        if out is None:
-            shape = frame.alive.shape
-            shape = shape if self._labels is None else (*shape, self._labels)
-            out = np.zeros(shape, dtype=self._dtype)
-        if self.whole:
-            out[...] = self._checked(self._function(frame), out.shape)
-            return out
-        given = [read(frame) for read in self._readers]
-        if self._loop is None:
-            self._loop = self._make_loop(dict(zip(self._sources, given, strict=True)), out)
-        self._loop(*given, out)
+        shape = frame.alive.shape
+        out = np.zeros(shape if self._labels is None else (*shape, self._labels), self._dtype)
+        self.fill(frame, out)
         return out
+
+    def fill(self, frame: Frame, out: np.ndarray) -> None:
+        """Compute into an array that is there; see `__call__`."""
+        if self._run is None:
+            self._run = self._make_run(frame, out)
+            self._run(frame, out)
+            self._check_first(frame, out)
+            return
+        self._run(frame, out)
+
+    def _check_first(self, frame: Frame, out: np.ndarray) -> None:
+        """Refuse numbers of a block that are none; rewards are looked at in every decision."""
+        if self._labels is not None and not np.isfinite(out[frame.alive]).all():
+            raise ValueError(f"{self._who} gave {shown(out)}: finite numbers are needed")
+
+    def _make_run(self, frame: Frame, out: np.ndarray) -> Run:
+        """Make what is run for every frame, from the first one."""
+        if self.whole:
+
+            def run(frame: Frame, out: np.ndarray) -> None:
+                out[...] = self._checked(self._function(frame), out.shape)
+
+            return run
+        readers = [source.read for source in self._sources.values()]
+        given = {name: source.read(frame) for name, source in self._sources.items()}
+        return _joined(self._make_loop(given, out), readers)
 
     def _checked(self, given: Any, shape: tuple[int, ...]) -> np.ndarray:
         kinds = "b" if self._dtype is bool else "fiub"
@@ -245,11 +278,10 @@ class Bound:
         loop = make_loop(self._function, forms, results)
         try:
             loop(*given.values(), out)
-        except numba.core.errors.NumbaError as error:
+        except Exception as error:  # numba's own, and what it lets through
             raise ValueError(
-                f"{self._who} cannot be compiled: {str(error).strip().splitlines()[-1]}; write it "
-                f"with plain "
-                f"numbers and `math`, or as a function of `frame` with NumPy"
+                f"{self._who} cannot be compiled: {_reason(error)}; write it "
+                f"with plain numbers and `math`, or as a function of `frame` with NumPy"
             ) from None
         return loop
 
@@ -295,12 +327,29 @@ class Bound:
             return
         numbers = result if isinstance(result, tuple) else (result,)
         wanted = self._labels or 1
-        if len(numbers) != wanted or not all(np.ndim(one) == 0 for one in numbers):
+        if self._dtype is bool and not isinstance(result, bool | np.bool_):
+            raise ValueError(f"{self._who} gave {shown(result)}: a bool, True or False, is needed")
+        if len(numbers) != wanted or not all(map(_is_number, numbers)):
             raise ValueError(
                 f"{self._who} gave {shown(result)}: {wanted} number{'s' * (wanted > 1)} of one "
                 f"drone "
                 f"{'are' if wanted > 1 else 'is'} needed"
             )
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, bool | int | float | np.generic)
+
+
+def _reason(error: Exception) -> str:
+    """Pick the line of numba's message that says what is wrong."""
+    lines = [line.strip() for line in str(error).splitlines()]
+    told = [
+        one for one in lines if one and not one.startswith(("During", "File", "Enable", "-", "["))
+    ]
+    words = ("name", "attribute", "Cannot", "No implementation", "Unknown", "determine", "type")
+    useful = [one for one in told if any(word in one for word in words)]
+    return (useful or told or ["numba gives no reason"])[0]
 
 
 def find_term(kind: str, source: Any) -> Any:

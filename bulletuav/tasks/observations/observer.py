@@ -20,7 +20,7 @@ STATE = ("position", "attitude", "velocity", "rates", "goal_position", "alive")
 """Blocks of the global state, of every drone"""
 Observation = np.ndarray | dict[str, np.ndarray]
 Format = Literal["vector", "dict"]
-Write = Callable[[Frame, np.ndarray, np.ndarray], None]
+Write = Callable[[Frame, np.ndarray], None]
 VECTOR = "vector"
 
 
@@ -136,7 +136,7 @@ class ObservationBuilder:
             frame.derived[PRESENT] = present
             vector = np.zeros((*present.shape, len(self.labels)), dtype=np.float32)
             for part, write in self._writers:
-                write(frame, present, vector[..., part])
+                write(frame, vector[..., part])
             vector = np.minimum(
                 np.maximum(vector, self._low), self._high
             )  # np.clip takes twice as long
@@ -185,16 +185,17 @@ def _make(
         labels = reading_labels(sensors, source, setup)
         if labels is None:
             raise unknown("observation block", source, known_observations(sensors))
-        return labels if isinstance(labels, Image) else (labels, _reading_writer(source))
+        if isinstance(labels, Image):
+            return labels
+        checked = _checked(labels, f"reading {source!r} of a sensor")
+        return checked, _reading_writer(source)
     block = source if isinstance(source, Block) else find("observation", source, callable)
     who = f"observation block {name!r}"
     if getattr(block, "ingredient", None) == "block":
         make: Any = block.labels
         wants_action = "action" in inspect.signature(make).parameters
-        labels = tuple(make(action if wants_action else task))
-        return _checked(labels, who), _bound_writer(
-            Bound(block, binding, who, np.float32, len(labels))
-        )
+        labels = make(action if wants_action else task)
+        return _checked(labels, who), Bound(block, binding, who, np.float32, len(labels)).fill
     made = block if isinstance(block, Block) else block(task)
     if not isinstance(made, Block):
         raise ValueError(
@@ -205,33 +206,34 @@ def _make(
 
 
 def _checked(labels: Any, who: str) -> tuple[Label, ...]:
-    if not all(isinstance(one, Label) for one in labels):
-        raise ValueError(f"labels of {who} are {shown(labels)}: Label(name, unit, low, high) each")
+    """Refuse labels that are none, or whose bounds are none."""
+    several = isinstance(labels, list | tuple) and not isinstance(labels, Label)
+    if not several or not labels or not all(isinstance(one, Label) for one in labels):
+        raise ValueError(
+            f"labels of {who} are {shown(labels)}: a list of Label(name, unit, low, high) is needed"
+        )
+    for one in labels:
+        if not one.low <= one.high:
+            raise ValueError(
+                f"bounds of {shown(one)} of {who} must be numbers, the lower one first"
+            )
     return tuple(labels)
 
 
 def _reading_writer(reading: str) -> Write:
-    def write(frame: Frame, present: np.ndarray, out: np.ndarray) -> None:
+    def write(frame: Frame, out: np.ndarray) -> None:
         out[...] = frame.readings[reading].reshape(out.shape)
 
     return write
 
 
-def _bound_writer(bound: Bound) -> Write:
-    def write(frame: Frame, present: np.ndarray, out: np.ndarray) -> None:
-        bound(frame, out)
-
-    return write
-
-
 def _block_writer(block: Block, who: str) -> Write:
-    def write(frame: Frame, present: np.ndarray, out: np.ndarray) -> None:
-        numbers = block.compute(frame, present)
+    def write(frame: Frame, out: np.ndarray) -> None:
+        numbers = block.compute(frame, frame.derived[PRESENT])
         if np.shape(numbers) != out.shape:
             raise ValueError(
                 f"{who} gave an array {np.shape(numbers)}: {out.shape} is needed, a number for "
-                f"each "
-                f"of its labels"
+                f"each of its labels"
             )
         out[...] = numbers
 
@@ -248,11 +250,16 @@ def needed_readings(sources: Sequence[Any], sensors: Mapping[str, Sensor]) -> se
         block = source
         if isinstance(source, str) and (":" in source or source in names("observation")):
             block = find("observation", source, callable)
-        if getattr(block, "ingredient", None):
-            asked = inspect.signature(block).parameters
-            readings = {one.removeprefix("all_") for one in asked}
-            wanted |= {one for one in readings if provider(sensors, one) is not None}
+        wanted |= asked_readings(block, sensors)
     return wanted
+
+
+def asked_readings(ingredient: Any, sensors: Mapping[str, Sensor]) -> set[str]:
+    """List the readings that a function of one drone's numbers asks for by argument name."""
+    if not getattr(ingredient, "ingredient", None):
+        return set()
+    asked = {one.removeprefix("all_") for one in inspect.signature(ingredient).parameters}
+    return {one for one in asked if provider(sensors, one) is not None}
 
 
 def part(observations: Observation, index: Any) -> Any:
