@@ -131,7 +131,7 @@ def test_tasks_are_listed_and_explained(capsys):
     said = capsys.readouterr().out
     for word in (
         "Observation",
-        "goal distance",
+        "distance of the goal",
         "Action",
         "Reward",
         "End:",

@@ -218,7 +218,7 @@ def test_airframes_have_names_in_the_registry(urdf, monkeypatch):
     with pytest.raises(ValueError, match="did you mean 'mine'"):
         load_airframe("min")
     monkeypatch.setitem(registry._registered["airframe"], "mine", 3)
-    with pytest.raises(ValueError, match="airframe mine is 3"):
+    with pytest.raises(ValueError, match="airframe 'mine' is registered as 3: that is no"):
         load_airframe("mine")
 
 
