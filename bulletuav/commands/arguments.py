@@ -174,11 +174,9 @@ def policy_options(task: str, policy: PolicySpec, options: dict[str, Any]) -> di
         the policy cannot give the task's own, they have the first that it can give.
     """
     options = {**policy.options, **options}
+    common, _ = resolve(find_task(task), options)  # also refuses what cannot be, before any flight
     # A policy without a list of actions can give all of them.
-    if not policy.actions or "action" in options:
-        return options
-    common, _ = resolve(find_task(task), options)
-    if common.action in policy.actions:
+    if not policy.actions or "action" in options or common.action in policy.actions:
         return options
     return {**options, "action": policy.actions[0]}
 

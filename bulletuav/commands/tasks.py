@@ -91,7 +91,8 @@ def _print_list() -> None:
 def _explain(name: str) -> None:
     """Print a task's docstrings, defaults, presets and options."""
     task = find_task(name)
-    print("\n\n".join(explanations(task)))
+    print("\n\n".join(explanations(task)) + "\n")
+    Console().print(observation_table(name, {}))
     # After the MDP in words come the values: defaults, presets and the task's own options.
     print(
         "\nDefaults of the options common to all tasks, where the task has its own: "

@@ -125,6 +125,7 @@ class Task(ABC, Generic[ConfigT]):
     rebound: float | None = None
     num_targets: int = 0
     zone: float
+    _binding: Binding
     arena_low: np.ndarray = np.array((-100.0, -100.0, 0.0))
     arena_high: np.ndarray = np.array((100.0, 100.0, 100.0))
 
@@ -154,6 +155,7 @@ class Task(ABC, Generic[ConfigT]):
         self._terms: dict[str, Bound] = {}
         self._ends: tuple[Bound, ...] = ()
         self._success: Bound | None = None
+        self._named_terms: dict[str, Bound] | None = None
         self._extra: dict[str, Bound] = {}
 
     def bind(self, readings: frozenset[str], extra: Mapping[str, tuple[Any, float]]) -> Binding:
@@ -185,9 +187,9 @@ class Task(ABC, Generic[ConfigT]):
             name: self._bound(binding, name, find_term("reward", term))
             for name, (term, _) in extra.items()
         }
-        self._terms = {
-            name: self._bound(binding, name, term) for name, term in self.own_terms().items()
-        }
+        self._binding = binding
+        own = self.own_terms()
+        self._terms = {name: self._bound(binding, name, term) for name, term in own.items()}
         self._ends = tuple(
             Bound(one, binding, f"end {getattr(one, '__name__', one)!r}", bool) for one in kind.ends
         )
@@ -195,17 +197,20 @@ class Task(ABC, Generic[ConfigT]):
             self._success = Bound(kind.success, binding, "success", bool)
         return binding
 
-    def own_terms(self) -> dict[str, Any]:
+    def own_terms(self, everything: bool = False) -> dict[str, Any]:
         """List the functions of the task's own reward terms whose weight is not 0, by name.
+
+        Args:
+            everything: Also those that a task of its own `evaluate_step` only names.
 
         Raises:
             ValueError: There is no reward term of a name.
         """
         found: dict[str, Any] = {}
         for name, value in self.reward.items():
-            # A task that evaluates decisions by itself gives the terms that it only names.
+            # A task that evaluates decisions by itself may give the terms that it only names.
             own = isinstance(value, tuple) or type(self).evaluate_step is Task.evaluate_step
-            if own and name not in self.computed_terms and self.weights[name]:
+            if (own or everything) and name not in self.computed_terms and self.weights[name]:
                 found[name] = find_term("reward", value[0] if isinstance(value, tuple) else name)
         return found
 
@@ -312,7 +317,13 @@ class Task(ABC, Generic[ConfigT]):
 
     def reward_terms(self, frame: Frame) -> dict[str, np.ndarray]:
         """Compute the reward terms whose weight is not 0, unweighted, (W, N) by name."""
-        return {name: term(frame) for name, term in self._terms.items()}
+        if self._named_terms is None:  # a task of its own `evaluate_step` asks for them after all
+            own = self.own_terms(everything=True)
+            self._named_terms = {
+                name: self._terms.get(name) or self._bound(self._binding, name, term)
+                for name, term in own.items()
+            }
+        return {name: term(frame) for name, term in self._named_terms.items()}
 
     def extra_terms(self, frame: Frame) -> dict[str, np.ndarray]:
         """Compute the terms that the option `reward` added."""

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from edge import EDGE, STAY, hovered
+from edge_users import EDGE, STAY, hovered
 from gymnasium.vector import AutoresetMode
 from placing import OPEN, SMALL, fly
 

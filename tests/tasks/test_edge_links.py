@@ -4,7 +4,19 @@ import math
 
 import numpy as np
 import pytest
-from edge import BAND, COMPUTED, EAST, EQUAL, NOISE, POWER, STAY, alone, friis, hovered, shannon
+from edge_users import (
+    BAND,
+    COMPUTED,
+    EAST,
+    EQUAL,
+    NOISE,
+    POWER,
+    STAY,
+    alone,
+    friis,
+    hovered,
+    shannon,
+)
 from placing import OPEN, WALL, fly
 from scipy.spatial.transform import Rotation
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from edge import CORE, EQUAL, NOISE, STAY, friis, hover_power, shannon
+from edge_users import CORE, EQUAL, NOISE, STAY, friis, hover_power, shannon
 from placing import OPEN, fly
 
 STEADY = [

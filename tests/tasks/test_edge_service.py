@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from edge import (
+from edge_users import (
     BAND,
     COMPUTED,
     CORE,

@@ -195,7 +195,15 @@ def _make(
         make: Any = block.labels
         wants_action = "action" in inspect.signature(make).parameters
         labels = make(action if wants_action else task)
+        if not labels:
+            raise ValueError(f"labels of {who} are empty: a label for each number is needed")
         return _checked(labels, who), Bound(block, binding, who, np.float32, len(labels)).fill
+    if isinstance(block, type):
+        raise ValueError(f"observation block {shown(block)} is a class: a function is needed")
+    if not isinstance(block, Block) and len(inspect.signature(block).parameters) != 1:
+        raise ValueError(
+            f"{who} takes other arguments than the task: decorate it with @block(labels)"
+        )
     made = block if isinstance(block, Block) else block(task)
     if not isinstance(made, Block):
         raise ValueError(
@@ -208,7 +216,7 @@ def _make(
 def _checked(labels: Any, who: str) -> tuple[Label, ...]:
     """Refuse labels that are none, or whose bounds are none."""
     several = isinstance(labels, list | tuple) and not isinstance(labels, Label)
-    if not several or not labels or not all(isinstance(one, Label) for one in labels):
+    if not several or not all(isinstance(one, Label) for one in labels):
         raise ValueError(
             f"labels of {who} are {shown(labels)}: a list of Label(name, unit, low, high) is needed"
         )
