@@ -151,9 +151,12 @@ class Aviary(Worlds):
 
     def _measure(self, before: Swarm, after: Swarm, mask: np.ndarray) -> dict[str, np.ndarray]:
         """Measure with all sensors, from the drones of `mask` (W, N)."""
+        readings = {"sight": self._nothing_seen, **self._energy.readings()}
+        if not self._sensors.sensors:
+            return readings
         targets = self.task.targets(self.scene)
         moment = Moment(before, after, targets, mask, self.steps, self.rng, {})
-        return {**self._energy.readings(), **self._sensors.measure(moment, self._dynamics.show)}
+        return {**readings, **self._sensors.measure(moment, self._dynamics.show)}
 
     def _make_frame(
         self,

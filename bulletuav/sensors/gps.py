@@ -61,8 +61,9 @@ class Gps(Sensor):
 
     def measure(self, moment: Moment) -> Mapping[str, np.ndarray]:
         """Take the next readings in the worlds that flew a decision."""
-        if moment.flying.any():
-            self._read(moment.after, moment.flying, moment.rngs)
+        flying = moment.flying
+        if flying.any():
+            self._read(moment.after, flying, moment.rngs)
         return {"position": self.position.copy(), "velocity": self.velocity.copy()}
 
     def _read(self, swarm: Swarm, flying: np.ndarray, rngs: Sequence[np.random.Generator]) -> None:

@@ -110,7 +110,8 @@ class SensorSuite:
         self._wanted = setup.wanted
         for name, sensor in sensors.items():
             uncertain = {f"{sensor.prefix}{key}": key for key in sensor.uncertain}
-            needed = bool(setup.wanted.intersection(sensor.gives)) or name == "sight"
+            needed = bool(setup.wanted.intersection(sensor.gives))
+            needed |= name == "sight" and setup.num_targets > 0
             if not needed and not (
                 sensor.always_if_uncertain and not drawn.keys().isdisjoint(uncertain)
             ):

@@ -292,12 +292,16 @@ class Task(ABC, Generic[ConfigT]):
 
     def outside(self, frame: Frame) -> np.ndarray:
         """Tell who is outside the arena, or held back at its bounds, (W, N) bool."""
+        known = frame.derived.get("outside")
+        if known is not None:  # asked before, of the same frame
+            return known
         position = frame.after.position
         if self.rebound is not None:  # which left them right at the bounds
             beyond = (position <= self.arena_low) | (position >= self.arena_high)
         else:
             beyond = (position < self.arena_low) | (position > self.arena_high)
         outside: np.ndarray = np.any(beyond, axis=-1)
+        frame.derived["outside"] = outside
         return outside
 
     def terminated(self, frame: Frame) -> np.ndarray:

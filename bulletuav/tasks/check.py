@@ -15,7 +15,7 @@ from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.shapes import CYLINDER, SPHERE, Shape
 from bulletuav.geometry.solids import Solids
 from bulletuav.tasks.base import Task
-from bulletuav.tasks.frame import Spawn, StepResult
+from bulletuav.tasks.frame import UPRIGHT, Spawn, StepResult
 from bulletuav.vehicle.airframe import Airframe
 
 UNIT = 1e-6
@@ -84,6 +84,8 @@ def _numbers(task: Task[Any], name: str, value: Any, shape: tuple[int, int]) -> 
     """Take a field of a spawn as an array. Raises ValueError unless it is numbers of this shape."""
     if isinstance(value, np.ndarray) and value.dtype.kind == "f" and value.shape == shape:
         return value
+    if value is UPRIGHT or (type(value) is float and () in ONE_FOR_ALL.get(name, ())):
+        return np.array(value)
     array = numbers_of(f"{name} of the spawn of task {task.name!r} is", value)
     if array.shape != shape and array.shape not in ONE_FOR_ALL.get(name, ()):
         raise _refused(task, name, f"has shape {array.shape}", f"{shape} is needed")

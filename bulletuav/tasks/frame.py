@@ -63,6 +63,10 @@ class Memory(Mapping[str, np.ndarray]):
         """Count the arrays."""
         return len(self._arrays)
 
+    def __contains__(self, name: object) -> bool:
+        """Tell whether there is an array of that name."""
+        return name in self._arrays
+
     def __getitem__(self, name: str) -> np.ndarray:
         """Look up an array.
 
