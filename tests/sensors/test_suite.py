@@ -374,7 +374,7 @@ def working(aviary):
 
 def test_only_sensors_that_are_needed_work_in_their_order(make_aviary):
     certain, _ = make_aviary("converge", observation="velocity", randomization={})
-    assert working(certain) == ["sight"]  # which tasks always have
+    assert working(certain) == []  # sight works where there are targets
     asked, _ = make_aviary(observation=("clearance", "lidar"))
     assert working(asked) == ["lidar", "clearance", "sight"]
     everything = make_aviary(sensors=(Anchor(), *map(find_sensor, reversed(ALL))))[0]
@@ -385,9 +385,9 @@ def test_only_sensors_that_are_needed_work_in_their_order(make_aviary):
 def test_gps_and_radio_work_unobserved_where_they_are_uncertain(make_aviary):
     for name, parameter in (("gps", "gps_walk"), ("radio", "radio_range")):
         options = {"observation": "velocity", "randomization": {parameter: 0.5}}
-        assert working(make_aviary("converge", **options)[0]) == [name, "sight"]
+        assert working(make_aviary("converge", **options)[0]) == [name]
     options = {"observation": "velocity", "randomization": {"lidar_noise": 0.5}}
-    assert working(make_aviary("converge", **options)[0]) == ["sight"]
+    assert working(make_aviary("converge", **options)[0]) == []
 
 
 def test_all_infos_of_sensors_are_told(make_aviary):
