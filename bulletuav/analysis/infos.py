@@ -4,21 +4,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-STANDARD_INFOS = frozenset(
-    {
-        "success",
-        "collision",
-        "conflicts",
-        "separation",
-        "goal_distance",
-        "power",
-        "charge",
-        "messages",
-    }
-)
+from bulletuav.tasks.check import STANDARD_INFOS as INFOS_OF_EVERY_TASK
+from bulletuav.tasks.check import STANDARD_PREFIXES
+
+STANDARD_INFOS = INFOS_OF_EVERY_TASK | {"messages"}
 """Infos that every task has, or that come with randomization"""
-STANDARD_PREFIXES = ("reward/", "random/")
-"""Beginnings of the names of reward terms and of randomized parameters"""
 
 
 def own_infos(info: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -26,6 +26,8 @@ STANDARD_INFOS = frozenset(
     {"success", "collision", "conflicts", "separation", "goal_distance", "power", "charge"}
 )
 """Infos of every task"""
+STANDARD_PREFIXES = ("reward/", "random/")
+"""Beginnings of the names of reward terms and of randomized parameters"""
 LARGE = 100.0
 """m, of an option that may be to blame for an arena that is too large"""
 
@@ -204,7 +206,7 @@ def check_info(task: Task[Any], info: Any, shape: tuple[int, int]) -> None:
     for name, value in info.items():
         if not isinstance(name, str):
             raise ValueError(f"{told} the name {shown(name)}: a text is needed")
-        if name in STANDARD_INFOS or name.startswith(("reward/", "random/")):
+        if name in STANDARD_INFOS or name.startswith(STANDARD_PREFIXES):
             raise ValueError(f"{told} {name!r}, which infos tell already: choose another name")
         if not isinstance(value, np.ndarray) or value.shape != shape:
             form = f"an array {value.shape}" if isinstance(value, np.ndarray) else shown(value)
@@ -212,16 +214,6 @@ def check_info(task: Task[Any], info: Any, shape: tuple[int, int]) -> None:
                 f"{told} {form} as {name!r}: an array {shape} (worlds, drones) is needed; "
                 f"np.broadcast_to makes one of a number"
             )
-
-
-def check_memory_names(task: Task[Any], before: set[str], after: set[str]) -> None:
-    """Refuse memory that was added under a name which `memory` does not tell.
-
-    Raises:
-        ValueError: The name is told, with the nearest ones.
-    """
-    for name in sorted(after - before):
-        raise unknown(f"memory that task {task.name!r} writes:", name, before)
 
 
 def require_finite(task: Task[Any], terms: Mapping[str, np.ndarray], reward: np.ndarray) -> None:

@@ -145,7 +145,7 @@ class Binding:
             *self.numbers,
             "i",
             "out",
-            "present",
+            PRESENT,
             WHOLE,
         }
         raise ValueError(
