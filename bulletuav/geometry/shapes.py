@@ -15,19 +15,21 @@ from bulletuav.geometry.closest_approach import closest_squared
 from bulletuav.geometry.rotation import Vec3Like, dot, minus, point, quat4, to_body, vec3
 from bulletuav.kernel import func, kernel
 
-SPHERE, CYLINDER, BOX = range(3)
+SPHERE, CYLINDER, BOX, HULL, HALF_SPACE = range(5)
 
 
 class Shape(NamedTuple):
-    """Collision shape of a drone, about its centre of mass.
+    """Convex collision shape in axes of its own; a drone's origin is its centre of mass.
 
     Attributes:
-        kind: SPHERE, CYLINDER or BOX.
-        half: Half extents of its bounding box in body axes, m.
+        kind: SPHERE, CYLINDER, BOX, HULL or HALF_SPACE.
+        half: Half extents of the smallest box about the origin that holds it, m.
+        corners: Of a hull, its corners, m.
     """
 
     kind: int
     half: tuple[float, float, float]
+    corners: tuple[tuple[float, float, float], ...] = ()
 
 
 class Poses(Protocol):

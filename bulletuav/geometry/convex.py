@@ -1,0 +1,206 @@
+"""Convex shapes as one table for compiled code: how far they reach along a direction, their faces.
+
+A shape is a sphere, a cylinder along z, a box, the convex hull of points, or the half space z <= 0,
+each in axes of its own. The table holds many shapes; functions take it with the number of one.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from bulletuav.geometry.rotation import Vec3, Vec3Like
+from bulletuav.geometry.shapes import BOX, CYLINDER, HALF_SPACE, HULL, SPHERE, Shape
+from bulletuav.kernel import func, kernel
+
+RIM = 8
+"""Points that stand for the rim of a cylinder's flat side"""
+MOST_CORNERS = 64
+"""Most corners of a face of a hull"""
+COPLANAR = 1e-9
+"""Difference of the planes of two triangles of one face"""
+
+
+class ShapeTable(NamedTuple):
+    """S convex shapes; those that are hulls have V corners and F flat faces in all.
+
+    Attributes:
+        kind: (S,) SPHERE, CYLINDER, BOX, HULL or HALF_SPACE.
+        half: (S, 3) half extents of the bounding box, m.
+        middle: (S, 3) middle of the bounding box; zero but for hulls, m.
+        radius: (S,) distance of the farthest point from the origin, m; inf for a half space.
+        corner: (V, 3) corners of the hulls, m.
+        corners: (S, 2) first corner of each hull, and the one after its last.
+        plane: (F, 4) outward unit normal of each face, and its distance from the origin, m.
+        planes: (S, 2) first face of each hull, and the one after its last.
+        ring: Indices into `corner`: those of each face, turning left seen from outside.
+        rings: (F, 2) first index in `ring` of each face, and the one after its last.
+    """
+
+    kind: np.ndarray
+    half: np.ndarray
+    middle: np.ndarray
+    radius: np.ndarray
+    corner: np.ndarray
+    corners: np.ndarray
+    plane: np.ndarray
+    planes: np.ndarray
+    ring: np.ndarray
+    rings: np.ndarray
+
+
+def hull_shape(points: np.ndarray) -> Shape:
+    """Make the convex hull of points (V, 3), m.
+
+    Raises:
+        ValueError: The points span no volume, or a face has too many corners.
+    """
+    corners, faces = _hull_faces(points)
+    if max(len(ring) for _, ring in faces) > MOST_CORNERS:
+        raise ValueError(f"a face of a hull has more than {MOST_CORNERS} corners: simplify it")
+    half = np.abs(corners).max(axis=0)
+    return Shape(HULL, tuple(half.tolist()), tuple(map(tuple, corners.tolist())))
+
+
+def _hull_faces(points: np.ndarray) -> tuple[np.ndarray, list[tuple[np.ndarray, list[int]]]]:
+    """Return the corners (V, 3) of a convex hull, and of each face its plane (4,) and its ring.
+
+    Raises:
+        ValueError: The points span no volume.
+    """
+    # SciPy's hulls take long to import, and most shapes do without
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        hull = ConvexHull(points)
+    except QhullError:
+        raise ValueError(f"a piece with the corners {points.tolist()} m spans no volume") from None
+    corners = points[hull.vertices]
+    number = {int(old): new for new, old in enumerate(hull.vertices)}
+    # Qhull gives triangles of one face the same plane, but for rounding
+    size = float(np.abs(corners).max())
+    planes: list[np.ndarray] = []
+    members: list[set[int]] = []
+    for triangle, equation in zip(hull.simplices, hull.equations, strict=True):
+        new = {number[int(k)] for k in triangle}
+        for plane, face in zip(planes, members, strict=True):
+            turned = np.abs(plane[:3] - equation[:3]).max() <= COPLANAR
+            if turned and abs(plane[3] - equation[3]) <= COPLANAR * size:
+                face |= new
+                break
+        else:
+            planes.append(equation)
+            members.append(new)
+    return corners, [
+        (plane * [1, 1, 1, -1], _turning_left(corners, plane[:3], sorted(face)))
+        for plane, face in zip(planes, members, strict=True)
+    ]
+
+
+def _turning_left(corners: np.ndarray, normal: np.ndarray, face: list[int]) -> list[int]:
+    """Order the corners of a face so that they turn left, seen from where its normal points."""
+    middle = corners[face].mean(axis=0)
+    ahead = corners[face[0]] - middle
+    left = np.cross(normal, ahead)
+    angle = [math.atan2((corners[k] - middle) @ left, (corners[k] - middle) @ ahead) for k in face]
+    return [k for _, k in sorted(zip(angle, face, strict=True))]
+
+
+def make_shape_table(shapes: Sequence[Shape]) -> ShapeTable:
+    """Put shapes into one table, in their order."""
+    half = np.array([shape.half for shape in shapes], dtype=float).reshape(-1, 3)
+    middle = np.zeros(half.shape)
+    radius = np.array([reach(shape) for shape in shapes], dtype=float)
+    corner: list[np.ndarray] = []
+    plane: list[np.ndarray] = []
+    ring: list[int] = []
+    rings: list[tuple[int, int]] = []
+    corners = np.zeros((len(shapes), 2), dtype=np.int64)
+    planes = np.zeros((len(shapes), 2), dtype=np.int64)
+    count = 0
+    for s, shape in enumerate(shapes):
+        corners[s] = count
+        planes[s] = len(plane)
+        if shape.kind == HULL:
+            points, faces = _hull_faces(np.array(shape.corners))
+            low, high = points.min(axis=0), points.max(axis=0)
+            half[s] = (high - low) / 2
+            middle[s] = (high + low) / 2
+            for equation, face in faces:
+                plane.append(equation)
+                rings.append((len(ring), len(ring) + len(face)))
+                ring += [count + k for k in face]
+            corner.append(points)
+            count += len(points)
+            corners[s, 1] = count
+            planes[s, 1] = len(plane)
+    return ShapeTable(
+        kind=np.array([shape.kind for shape in shapes], dtype=np.int64),
+        half=half,
+        middle=middle,
+        radius=radius,
+        corner=np.concatenate([np.zeros((0, 3)), *corner]),
+        corners=corners,
+        plane=np.array(plane).reshape(-1, 4),
+        planes=planes,
+        ring=np.array(ring, dtype=np.int64),
+        rings=np.array(rings, dtype=np.int64).reshape(-1, 2),
+    )
+
+
+def reach(shape: Shape) -> float:
+    """Return the distance of a shape's farthest point from its origin, m."""
+    if shape.kind == HALF_SPACE:
+        return math.inf
+    if shape.kind == SPHERE:
+        return shape.half[0]
+    if shape.kind == CYLINDER:
+        return math.hypot(shape.half[0], shape.half[2])
+    if shape.kind == BOX:
+        return math.hypot(*shape.half)
+    return max(math.hypot(*corner) for corner in shape.corners)
+
+
+@func
+def _farthest(table: ShapeTable, s: int, d: Vec3Like) -> Vec3:
+    """Return the corner of a hull that is farthest along a direction, the first of several."""
+    best = table.corners[s, 0]
+    most = -np.inf
+    for k in range(table.corners[s, 0], table.corners[s, 1]):
+        along = table.corner[k, 0] * d[0] + table.corner[k, 1] * d[1] + table.corner[k, 2] * d[2]
+        if along > most:
+            best = k
+            most = along
+    return table.corner[best, 0], table.corner[best, 1], table.corner[best, 2]
+
+
+@kernel
+def support(table: ShapeTable, s: int, d: Vec3Like) -> Vec3:
+    """Return a point of shape s that is farthest along a direction.
+
+    Args:
+        table: The shapes; s is none of its half spaces.
+        s: Number of the shape.
+        d: Direction in the shape's axes, of any length but 0.
+
+    Returns:
+        The point in the shape's axes, m. Of a sphere it is the centre: GJK adds the radius.
+    """
+    kind = table.kind[s]
+    if kind == SPHERE:
+        return 0.0, 0.0, 0.0
+    if kind == BOX:
+        return (
+            math.copysign(table.half[s, 0], d[0]),
+            math.copysign(table.half[s, 1], d[1]),
+            math.copysign(table.half[s, 2], d[2]),
+        )
+    if kind == CYLINDER:
+        across = math.sqrt(d[0] * d[0] + d[1] * d[1])
+        rise = math.copysign(table.half[s, 2], d[2])
+        if across == 0.0:
+            return 0.0, 0.0, rise
+        scale = table.half[s, 0] / across
+        return scale * d[0], scale * d[1], rise
+    return _farthest(table, s, d)
