@@ -11,10 +11,16 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from bulletuav.contact.contacts import (
+    begin_decision,
+    make_contact,
+    meet_all,
+    overlaps,
+    remember_all,
+    told,
+)
 from bulletuav.control.cascade import Cascade
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.dynamics.contacts import stop_at_first_touch
-from bulletuav.dynamics.path import Path
 from bulletuav.dynamics.setpoints import convert
 from bulletuav.engine.engine import Engine
 from bulletuav.geometry.rotation import dot, vec3
@@ -47,6 +53,7 @@ class Flight:
         dt: Duration of a substep, s.
         substeps: Substeps of a decision.
         gravity: m/s^2, downwards.
+        contacts: What contacts do, one of `Dynamics.contacts`; the first of them if empty.
     """
 
     engine: Engine
@@ -55,6 +62,7 @@ class Flight:
     dt: float
     substeps: int
     gravity: float
+    contacts: str = ""
 
 
 # The engine clamps velocities and rates at 1e4
@@ -119,18 +127,22 @@ class Dynamics(ABC):
 
         env = bulletuav.parallel_env("crossing", dynamics=Gliding)
 
-    The base class puts back drones that are not alive, stops drones where they first touch
-    something, and refuses states that are not finite. Dynamics that are compiled override
-    `advance_decision`; those with contacts of their own override `fly`.
+    The base class puts back drones that are not alive, lets drones touch what they fly into, and
+    refuses states that are not finite. Dynamics that are compiled override `advance_decision`.
 
     Attributes:
         name: What users call it; the name of the class where it tells none.
         feels_surface: Whether `air.surface` is wanted, for the ground effect. It costs rays.
+        contacts: What contacts can do, the default first. "stop": a drone stays where it touches
+            something until the decision ends. "impulse": it is pushed, slides and rests there;
+            this needs velocities and rates that are those of the flight.
         flight: What it was built from.
+        contact: What its contacts need.
     """
 
     name: ClassVar[str]
     feels_surface: ClassVar[bool] = False
+    contacts: ClassVar[tuple[str, ...]] = ("stop", "impulse")
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
@@ -138,8 +150,11 @@ class Dynamics(ABC):
             cls.name = cls.__name__
 
     def __init__(self, flight: Flight) -> None:
-        """Keep what the dynamics is built from."""
+        """Keep what the dynamics is built from, and prepare for contacts."""
         self.flight = flight
+        mode = flight.contacts or self.contacts[0]
+        shape = flight.engine.shape
+        self.contact = make_contact(flight.engine.scenery, shape, mode == "stop")
         gains = flight.parameters["ground_effect_gain"]
         self._near_ground = self.feels_surface and bool((gains > 0).any())
 
@@ -156,6 +171,7 @@ class Dynamics(ABC):
             mask: (W, N) bool, drones that start.
         """
         self.flight.engine.set_states(swarm, mask)
+        self.contact.budget[mask] = -1.0
 
     def show(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Have the engine's bodies stand where drones are, for pictures; changes nothing in flight.
@@ -186,26 +202,21 @@ class Dynamics(ABC):
             motion: Where obstacles go meanwhile.
 
         Returns:
-            Contacts of living drones; those that touched something stopped there.
+            Contacts of living drones.
 
         Raises:
             RuntimeError: A flight diverged.
         """
         flight = self.flight
-        pieces = self.pieces(level)
-        path = Path.begin(swarm, motion, pieces, flight.substeps // pieces)
+        self.contact = begin_decision(self.contact, flight.engine.scenery, motion)
         air = Air(wind, self._surface(swarm, alive), flight.gravity)
-        self.advance_decision(swarm, alive, level, setpoint, air, path)
+        self.advance_decision(swarm, alive, level, setpoint, air)
         require_sane(swarm, alive, flight.engine.first_world)
-        return stop_at_first_touch(flight.engine, path, swarm, alive, flight.parameters)
+        return told(self.contact)
 
-    def pieces(self, level: SetpointLevel) -> int:
-        """Return into how many straight pieces a decision is cut, by default one a substep.
-
-        Args:
-            level: Level of the setpoints that will be flown.
-        """
-        return self.flight.substeps
+    def overlaps(self, swarm: Swarm, moved: np.ndarray, alive: np.ndarray) -> Contacts:
+        """Find what drones touch that were put somewhere else; see `contacts.overlaps`."""
+        return overlaps(self.contact, swarm, moved, alive, self.flight.parameters)
 
     def advance_decision(
         self,
@@ -214,7 +225,6 @@ class Dynamics(ABC):
         level: SetpointLevel,
         setpoint: np.ndarray,
         air: Air,
-        path: Path,
     ) -> None:
         """Move the living drones through all substeps of a decision, by default one by one.
 
@@ -224,28 +234,30 @@ class Dynamics(ABC):
             level: Level of the setpoints, `consumes` or above.
             setpoint: (W, N, S) setpoints, held during the decision.
             air: What surrounds the drones, held during the decision.
-            path: Its poses after the first are written.
         """
         flight = self.flight
-        start = swarm.copy()
-        for piece in range(1, len(path.position)):
+        parameters = flight.parameters
+        contact = self.contact
+        for substep in range(flight.substeps):
+            remember_all(contact, swarm)
+            start = swarm.copy()
+            flying = alive & ~contact.stopped
             target = convert(
                 setpoint,
                 level,
                 self.consumes,
                 swarm=swarm,
-                alive=alive,
+                alive=flying,
                 cascade=flight.cascade,
                 dt=flight.dt,
                 gravity=flight.gravity,
             )
-            self.advance_substep(swarm, alive, target, air)
+            self.advance_substep(swarm, flying, target, air)
             # Drones that do not fly are put back, so that authors need not mind them
             for array, old in zip(swarm, start, strict=True):
-                array[~alive] = old[~alive]
-            path.position[piece] = swarm.position
-            path.quaternion[piece] = swarm.quaternion
-        self._require_finite(swarm)
+                array[~flying] = old[~flying]
+            self._require_finite(swarm)
+            meet_all(contact, swarm, alive, parameters, substep, flight.substeps, flight.dt)
 
     def advance_substep(
         self,

@@ -17,11 +17,11 @@ from typing import ClassVar
 
 import numpy as np
 
+from bulletuav.contact.contacts import Contact, meet, remember
 from bulletuav.control.cascade import Cascade, command_kinematic
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.base import Air, Dynamics
-from bulletuav.dynamics.path import Path, write_pose
-from bulletuav.geometry.rotation import Vec3, dot, from_euler, quat4, vec3
+from bulletuav.geometry.rotation import Vec3, dot, from_euler, point, quat4, vec3
 from bulletuav.kernel import func, kernel
 from bulletuav.registry import register
 from bulletuav.vehicle.swarm import Swarm, get, put
@@ -197,6 +197,20 @@ def _advance_point(
     )
 
 
+@func
+def _constants(
+    swarm: Swarm,
+    w: int,
+    i: int,
+    row: np.record,
+    gain: np.record,
+    gravity: float,
+) -> tuple[float, float, float]:
+    """Return a drone's velocity lag (s), rotor drag (1/s) and limit of acceleration (m/s^2)."""
+    lag = 1.0 / (2.0 * gain.damping * gain.position_frequency)
+    return lag, _drag_rate(swarm, w, i, row), gravity * gain.max_tilt
+
+
 @kernel
 def advance(
     kind: int,
@@ -207,8 +221,9 @@ def advance(
     cascade: Cascade,
     parameters: np.ndarray,
     air: Air,
+    pieces: int,
     dt: float,
-    path: Path,
+    contact: Contact,
 ) -> None:
     """Fly all pieces of one decision in all worlds.
 
@@ -221,43 +236,41 @@ def advance(
         cascade: The controllers, whose gains are used.
         parameters: (W, N) rows of `PARAMETERS`.
         air: What surrounds the drones.
+        pieces: Number of pieces.
         dt: Duration of a piece, s.
-        path: Its poses at the end of every piece are written.
+        contact: What contacts need.
     """
+    accelerates = kind == DOUBLE_INTEGRATOR
+    constants = np.empty((alive.shape[1], 3))
     for w in range(alive.shape[0]):
         for i in range(alive.shape[1]):
-            row = parameters[w, i]
             gain = cascade.gains[w, i]
-
-            # Constants of the drone: lag of its velocity loop, rotor drag, acceleration limit
-            lag = 1.0 / (2.0 * gain.damping * gain.position_frequency)
-            drag = _drag_rate(swarm, w, i, row)
-            most = air.gravity * gain.max_tilt
-            fastest = gain.max_speed
-            accelerates = kind == DOUBLE_INTEGRATOR
-
-            # Level, with the yaw that is asked for
-            position, quaternion, velocity, rates = get(swarm, w, i)
-            wanted = quat4(setpoint, w, i)
-            wind = vec3(air.wind, w, i)
-            if alive[w, i]:
+            constants[i] = _constants(swarm, w, i, parameters[w, i], gain, air.gravity)
+        for piece in range(pieces):
+            remember(contact, swarm, w)
+            for i in range(alive.shape[1]):
+                if not alive[w, i] or contact.stopped[w, i]:
+                    continue
+                # Level, with the yaw that is asked for
+                position, quaternion, velocity, rates = get(swarm, w, i)
+                wanted = quat4(setpoint, w, i)
+                wind = vec3(air.wind, w, i)
                 quaternion = from_euler(0.0, 0.0, wanted[3])
-            for piece in range(path.position.shape[0] - 1):
-                if alive[w, i]:
-                    # Down to the level that is consumed, then the integration
-                    target = command_kinematic(level, accelerates, wanted, position, velocity, gain)
-                    velocity, moved = _advance_point(
-                        kind, target, velocity, wind, fastest, lag, drag, most, dt
-                    )
-                    position = (
-                        position[0] + moved[0],
-                        position[1] + moved[1],
-                        position[2] + moved[2],
-                    )
 
-                # Also of drones that do not fly: their track is where they are
-                write_pose(path, piece + 1, w, i, position, quaternion)
-            put(swarm, w, i, (position, quaternion, velocity, rates))
+                # Down to the level that is consumed, then the integration
+                gain = cascade.gains[w, i]
+                target = command_kinematic(level, accelerates, wanted, position, velocity, gain)
+                lag, drag, most = point(constants, i)
+                velocity, moved = _advance_point(
+                    kind, target, velocity, wind, gain.max_speed, lag, drag, most, dt
+                )
+                position = (
+                    position[0] + moved[0],
+                    position[1] + moved[1],
+                    position[2] + moved[2],
+                )
+                put(swarm, w, i, (position, quaternion, velocity, rates))
+            meet(contact, swarm, alive, parameters, w, piece, pieces, dt)
 
 
 class Kinematic(Dynamics):
@@ -268,6 +281,15 @@ class Kinematic(Dynamics):
     """
 
     kind: ClassVar[int]
+    contacts: ClassVar[tuple[str, ...]] = ("stop",)
+
+    def pieces(self, level: SetpointLevel) -> int:
+        """Return into how many straight pieces a decision is cut, by default one a substep.
+
+        Args:
+            level: Level of the setpoints that will be flown.
+        """
+        return self.flight.substeps
 
     def place(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Start drones level and without rates; see the base class."""
@@ -282,14 +304,23 @@ class Kinematic(Dynamics):
         level: SetpointLevel,
         setpoint: np.ndarray,
         air: Air,
-        path: Path,
     ) -> None:
         """Fly all pieces in one compiled call; see the base class."""
         flight = self.flight
-        cascade = flight.cascade
-        parameters = flight.parameters
-        dt = flight.dt * path.span
-        advance(self.kind, swarm, alive, int(level), setpoint, cascade, parameters, air, dt, path)
+        pieces = self.pieces(level)
+        advance(
+            self.kind,
+            swarm,
+            alive,
+            int(level),
+            setpoint,
+            flight.cascade,
+            flight.parameters,
+            air,
+            pieces,
+            flight.dt * (flight.substeps // pieces),
+            self.contact,
+        )
 
 
 @register("dynamics")

@@ -8,11 +8,11 @@ effect lags by up to one decision (at 20 m/s and 10 Hz, 2 m of flight).
 
 import numpy as np
 
+from bulletuav.contact.contacts import Contact, meet, remember
 from bulletuav.control.cascade import Cascade, command_rotors
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.base import Air, Dynamics
-from bulletuav.dynamics.path import Path, write_pose
-from bulletuav.geometry.rotation import Quat4, Vec3, normalised, quat4, vec3
+from bulletuav.geometry.rotation import Quat4, Vec3, normalised, vec3
 from bulletuav.kernel import func, kernel
 from bulletuav.registry import register
 from bulletuav.vehicle.aerodynamics import wakes
@@ -177,8 +177,9 @@ def advance(
     cascade: Cascade,
     parameters: np.ndarray,
     air: Air,
+    substeps: int,
     dt: float,
-    path: Path,
+    contact: Contact,
 ) -> None:
     """Fly all substeps of one decision in all worlds.
 
@@ -190,8 +191,9 @@ def advance(
         cascade: The controllers.
         parameters: (W, N) rows of `PARAMETERS`.
         air: What surrounds the drones.
+        substeps: Number of substeps.
         dt: Duration of a substep, s.
-        path: Its poses at the end of every substep are written.
+        contact: What contacts need.
     """
     # Room that all worlds share
     num_drones, num_rotors = swarm.rotor_speed.shape[1:]
@@ -205,18 +207,19 @@ def advance(
     for w in range(alive.shape[0]):
         # The same in all substeps
         _lag_stages(parameters, w, dt, decay)
-        for substep in range(path.position.shape[0] - 1):
+        for substep in range(substeps):
+            remember(contact, swarm, w)
             # Wakes and commands of all drones come from the state before any of them moves
             wakes(w, swarm.position, alive, parameters, air.gravity, wake)
             for i in range(num_drones):
-                if alive[w, i]:
+                if alive[w, i] and not contact.stopped[w, i]:
                     command_rotors(level, setpoint, w, i, swarm, cascade, dt, air.gravity, command)
                     for rotor in range(num_rotors):
                         commands[i, rotor] = command[rotor]
 
             # From here on each drone by itself
             for i in range(num_drones):
-                if alive[w, i]:
+                if alive[w, i] and not contact.stopped[w, i]:
                     row = parameters[w, i]
                     rotors = _turn_rotors(
                         swarm.rotor_speed, commands, decay, w, i, row, begin, middle, end
@@ -229,19 +232,18 @@ def advance(
                     state = _rk4(get(swarm, w, i), rotors, dt, around, wake[i], row)
                     put(swarm, w, i, state)
 
-                # Also of drones that do not fly: their track is where they are
-                position = vec3(swarm.position, w, i)
-                quaternion = quat4(swarm.quaternion, w, i)
-                write_pose(path, substep + 1, w, i, position, quaternion)
+            # What they would have flown into
+            meet(contact, swarm, alive, parameters, w, substep, substeps, dt)
 
 
 @register("dynamics")
 class RigidBody(Dynamics):
-    """Six degrees of freedom without the engine; a drone that touches something stops there."""
+    """Six degrees of freedom without the engine."""
 
     name = "rigid_body"
     consumes = SetpointLevel.ROTOR
     feels_surface = True
+    contacts = ("impulse", "stop")
 
     def advance_decision(
         self,
@@ -250,10 +252,18 @@ class RigidBody(Dynamics):
         level: SetpointLevel,
         setpoint: np.ndarray,
         air: Air,
-        path: Path,
     ) -> None:
         """Fly all substeps in one compiled call; see the base class."""
         flight = self.flight
-        cascade = flight.cascade
-        parameters = flight.parameters
-        advance(swarm, alive, int(level), setpoint, cascade, parameters, air, flight.dt, path)
+        advance(
+            swarm,
+            alive,
+            int(level),
+            setpoint,
+            flight.cascade,
+            flight.parameters,
+            air,
+            flight.substeps,
+            flight.dt,
+            self.contact,
+        )

@@ -16,7 +16,7 @@ enum {
     MAGIC_NUMBER = 202010061, /* of this layout; Bullet refuses a plugin with another */
     CLIENT = 0, PROCESSOR = 11, /* places in the plugin context, in pointers */
     IS_CONNECTED = 4, PROCESS_COMMAND = 5, /* places in the processor's table of virtual functions */
-    LINK_FRAME = 1, WORLD_FRAME = 2, BASE = -1, NOBODY = -2,
+    LINK_FRAME = 1, WORLD_FRAME = 2, BASE = -1,
 #ifdef __APPLE__
     RAYS = 4095, /* a command takes; one more and none is answered */
 #else
@@ -28,11 +28,6 @@ enum {
 typedef void *handle;
 struct ray_hit { double fraction; int body, link; double position[3], normal[3]; };
 struct ray_hits { int count; struct ray_hit *hit; };
-struct contact {
-    int flags, body_a, body_b, link_a, link_b;
-    double on_a[3], on_b[3], normal[3], distance, normal_force, friction[8];
-};
-struct contacts { int count; struct contact *point; };
 
 /* Every function that is used: what it returns, its name, what it takes. */
 #define FUNCTIONS(F) \
@@ -55,8 +50,6 @@ struct contacts { int count; struct contact *point; };
     F(void, b3RaycastBatchSetCollisionFilterMask, (handle, int)) \
     F(void, b3RaycastBatchSetNumThreads, (handle, int)) \
     F(void, b3GetRaycastInformation, (handle, struct ray_hits *)) \
-    F(handle, b3InitRequestContactPointInformation, (handle)) \
-    F(void, b3GetContactPointInformation, (handle, struct contacts *)) \
     F(handle, b3SubmitClientCommandAndWaitStatus, (handle, handle))
 
 #define DECLARE(result, name, arguments) result(*name) arguments;
@@ -154,36 +147,12 @@ void batch_apply(struct session *s, const uint8_t *mask, const double *position,
 
 void batch_step(struct session *s) { run(s, api.b3InitStepSimulationCommand(s->client)); }
 
-/* Points at which bodies touch, at most `room` of them written: their two bodies and the normal force. Returns how many are. */
-int64_t batch_contacts(struct session *s, int64_t room, int32_t *bodies, double *force) {
-    struct contacts found;
-    int64_t touching = 0;
-    /* The C interface copies whole commands to answer this; most often the processor alone can tell that there are none. */
-    struct contact *first = (struct contact *)s->answer;
-    first->body_a = NOBODY;
-    run(s, api.b3InitRequestContactPointInformation(s->client));
-    if (first->body_a == NOBODY) return 0;
-    api.b3SubmitClientCommandAndWaitStatus(s->client, api.b3InitRequestContactPointInformation(s->client));
-    api.b3GetContactPointInformation(s->client, &found);
-    for (int k = 0; k < found.count; k++) {
-        const struct contact *point = found.point + k;
-        if (!(point->normal_force > 0 || point->distance < 0)) continue;
-        if (touching < room) {
-            bodies[2 * touching] = point->body_a, bodies[2 * touching + 1] = point->body_b;
-            force[touching] = point->normal_force;
-        }
-        touching++;
-    }
-    return touching;
-}
-
-/* A substep: wrenches, step, states. Returns how many points touch. */
-int64_t batch_substep(struct session *s, const uint8_t *mask, const double *force, const double *torque, double *position,
-                      double *quaternion, double *velocity, double *omega) {
+/* A substep: wrenches, step, states. */
+void batch_substep(struct session *s, const uint8_t *mask, const double *force, const double *torque, double *position,
+                   double *quaternion, double *velocity, double *omega) {
     batch_apply(s, mask, position, force, torque);
     batch_step(s);
     batch_read(s, mask, position, quaternion, velocity, omega);
-    return batch_contacts(s, 0, NULL, NULL);
 }
 
 /* Fraction of each ray before it meets a body whose collision group is in `groups`; NaN for a ray without an answer. */
@@ -219,6 +188,16 @@ void batch_velocity(struct session *s, int64_t count, const int32_t *body, const
         api.b3CreatePoseCommandSetBaseLinearVelocity(command, velocity + 3 * k);
         api.b3CreatePoseCommandSetBaseAngularVelocity(command, omega + 3 * k);
         run(s, command);
+    }
+}
+
+/* The reverse of batch_read: poses and velocities of the drones of `mask`. */
+void batch_write(struct session *s, const uint8_t *mask, const double *position, const double *quaternion, const double *velocity,
+                 const double *omega) {
+    for (int64_t k = 0; k < s->drones; k++) {
+        if (!mask[k]) continue;
+        batch_pose(s, 1, s->body + k, position + 3 * k, quaternion + 4 * k);
+        batch_velocity(s, 1, s->body + k, velocity + 3 * k, omega + 3 * k);
     }
 }
 

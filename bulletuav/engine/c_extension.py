@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bulletuav.engine.calls import VISIBLE
-from bulletuav.engine.tiles import columns, land, localise
+from bulletuav.engine.tiles import columns, globalise, land, localise
 from bulletuav.geometry.city_grid import CityGrid
 from bulletuav.geometry.raycast import walk
 from bulletuav.kernel import kernel
@@ -35,8 +35,8 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "batch_read": (None, [_POINTER] * 6),
     "batch_apply": (None, [_POINTER] * 5),
     "batch_step": (None, [_POINTER]),
-    "batch_contacts": (_COUNT, [_POINTER, _COUNT, _POINTER, _POINTER]),
-    "batch_substep": (_COUNT, [_POINTER] * 8),
+    "batch_substep": (None, [_POINTER] * 8),
+    "batch_write": (None, [_POINTER] * 6),
     "batch_rays": (None, [_POINTER, _COUNT, _POINTER, _POINTER, _INT, _POINTER]),
     "batch_pose": (None, [_POINTER, _COUNT] + [_POINTER] * 3),
     "batch_velocity": (None, [_POINTER, _COUNT] + [_POINTER] * 3),
@@ -44,8 +44,6 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
 }
 """Result and arguments of each function of the extension"""
 _NOT_BUILT = "not built: a C compiler and Python's headers are needed when bulletuav is installed"
-_ROOM = 64
-"""Contacts that there is room for at first"""
 
 
 class Extension(NamedTuple):
@@ -99,6 +97,7 @@ class Port(NamedTuple):
     Attributes:
         session: Address of the extension's session.
         substep: The extension's function `batch_substep`.
+        write: The extension's function `batch_write`.
         rays: The extension's function `batch_rays`.
         place: (W, N, 3) positions as Bullet gave them, in its own frame, m.
         omega: (W, N, 3) angular velocities as Bullet gave them, world axes, rad/s.
@@ -109,7 +108,8 @@ class Port(NamedTuple):
     """
 
     session: int
-    substep: Callable[..., int]
+    substep: Callable[..., None]
+    write: Callable[..., None]
     rays: Callable[..., None]
     place: np.ndarray
     omega: np.ndarray
@@ -162,7 +162,7 @@ def substep(
     torque: np.ndarray,
     mask: np.ndarray,
     swarm: Swarm,
-) -> int:
+) -> None:
     """Do what `Engine.apply_wrenches`, `step` and `read_states` do, in one call.
 
     Args:
@@ -171,11 +171,8 @@ def substep(
         torque: (W, N, 3) N m, body axes.
         mask: (W, N) bool, drones that fly.
         swarm: Whose positions, attitudes and velocities are written.
-
-    Returns:
-        Number of points that touch.
     """
-    touching = port.substep(
+    port.substep(
         port.session,
         mask.ctypes,
         force.ctypes,
@@ -186,7 +183,26 @@ def substep(
         port.omega.ctypes,
     )
     localise(port.place, port.offset, port.omega, mask, swarm)
-    return touching
+
+
+@kernel
+def write_states(port: Port, swarm: Swarm, mask: np.ndarray) -> None:
+    """Do what `Engine.write_states` does.
+
+    Args:
+        port: Of the engine.
+        swarm: The states.
+        mask: (W, N) bool, drones to set.
+    """
+    globalise(port.place, port.offset, port.omega, mask, swarm)
+    port.write(
+        port.session,
+        mask.ctypes,
+        port.place.ctypes,
+        swarm.quaternion.ctypes,
+        swarm.velocity.ctypes,
+        port.omega.ctypes,
+    )
 
 
 def _at(array: np.ndarray, kind: type = np.float64) -> int:
@@ -200,7 +216,8 @@ class CExtension:
     """The extension's functions for the drones of one client; they are those of `EngineCalls`.
 
     Attributes:
-        functions: Address of the session, and the functions `batch_substep` and `batch_rays`.
+        functions: Address of the session, and the functions `batch_substep`, `batch_write` and
+            `batch_rays`.
     """
 
     def __init__(self, library: ctypes.PyDLL, body: np.ndarray) -> None:
@@ -220,9 +237,10 @@ class CExtension:
             raise RuntimeError("the engine answers the plugin otherwise than its own calls")
         self._session = session
         weakref.finalize(self, library.batch_close, session)
-        self.functions: tuple[int, Callable[..., int], Callable[..., None]] = (
+        self.functions: tuple[int, *tuple[Callable[..., None], ...]] = (
             session,
             library.batch_substep,
+            library.batch_write,
             library.batch_rays,
         )
 
@@ -236,6 +254,21 @@ class CExtension:
     ) -> None:
         """Write poses and velocities of the drones into arrays; see `EngineCalls.read`."""
         self._library.batch_read(
+            self._session,
+            _at(mask, bool),
+            *map(_at, (position, quaternion, velocity, omega)),
+        )
+
+    def write(
+        self,
+        mask: np.ndarray,
+        position: np.ndarray,
+        quaternion: np.ndarray,
+        velocity: np.ndarray,
+        omega: np.ndarray,
+    ) -> None:
+        """Give drones poses and velocities; see `EngineCalls.write`."""
+        self._library.batch_write(
             self._session,
             _at(mask, bool),
             *map(_at, (position, quaternion, velocity, omega)),
@@ -258,23 +291,6 @@ class CExtension:
     def step(self) -> None:
         """Advance everything by one substep."""
         self._library.batch_step(self._session)
-
-    def contacts(self) -> tuple[np.ndarray, np.ndarray]:
-        """Ask for the points at which bodies touch; see `EngineCalls.contacts`."""
-        room = _ROOM
-        while True:
-            bodies = np.empty((room, 2), dtype=np.int32)
-            force = np.empty(room)
-            count: int = self._library.batch_contacts(
-                self._session,
-                room,
-                _at(bodies, np.int32),
-                _at(force),
-            )
-            if count <= room:
-                return bodies[:count], force[:count]
-            # There are more: ask again with room for all.
-            room = count
 
     def rays(self, start: np.ndarray, end: np.ndarray, groups: int) -> np.ndarray:
         """Cast rays; see `EngineCalls.rays`."""

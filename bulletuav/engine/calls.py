@@ -29,9 +29,11 @@ VISIBLE = SURFACE_GROUP | SIGHT_GROUP
 MAX_RAYS = 4095 if sys.platform == "darwin" else 16383
 """Rays a call takes; with one more Bullet answers none"""
 
-# Columns of a row of getContactPoints and getClosestPoints.
+# Columns of a row of getContactPoints.
 BODY_A = 1
 BODY_B = 2
+ON_B = 6
+NORMAL_ON_B = 7
 DISTANCE = 8
 NORMAL_FORCE = 9
 # Column of a row of rayTestBatch.
@@ -77,6 +79,28 @@ class EngineCalls:
             positions[k], quaternions[k] = bullet.getBasePositionAndOrientation(body, self._client)
             velocities[k], omegas[k] = bullet.getBaseVelocity(body, self._client)
 
+    def write(
+        self,
+        mask: np.ndarray,
+        position: np.ndarray,
+        quaternion: np.ndarray,
+        velocity: np.ndarray,
+        omega: np.ndarray,
+    ) -> None:
+        """Give drones poses and velocities.
+
+        Args:
+            mask: (n,) bool, drones to set.
+            position: (n, 3) m.
+            quaternion: (n, 4) body to world.
+            velocity: (n, 3) m/s, world axes.
+            omega: (n, 3) angular velocity, rad/s, world axes.
+        """
+        chosen = np.flatnonzero(mask)
+        bodies = np.array(self._body, dtype=np.int32)[chosen]
+        self.pose(bodies, position.reshape(-1, 3)[chosen], quaternion.reshape(-1, 4)[chosen])
+        self.velocity(bodies, velocity.reshape(-1, 3)[chosen], omega.reshape(-1, 3)[chosen])
+
     def apply(
         self,
         mask: np.ndarray,
@@ -104,19 +128,6 @@ class EngineCalls:
     def step(self) -> None:
         """Advance everything by one substep."""
         bullet.stepSimulation(self._client)
-
-    def contacts(self) -> tuple[np.ndarray, np.ndarray]:
-        """Ask for the points at which bodies touch.
-
-        Returns:
-            Both bodies (C, 2) and the normal force (C,) of each point, N.
-        """
-        # Bullet also lists points that are near each other and do not touch.
-        points = bullet.getContactPoints(physicsClientId=self._client)
-        touching = [point for point in points if point[NORMAL_FORCE] > 0 or point[DISTANCE] < 0]
-        pairs = [(point[BODY_A], point[BODY_B]) for point in touching]
-        bodies = np.array(pairs, dtype=np.int32).reshape(-1, 2)
-        return bodies, np.array([point[NORMAL_FORCE] for point in touching])
 
     def rays(self, start: np.ndarray, end: np.ndarray, groups: int) -> np.ndarray:
         """Cast rays.

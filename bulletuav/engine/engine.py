@@ -17,11 +17,9 @@ from bulletuav.engine.calls import DRONE_GROUP, SOLID, EngineCalls, bullet
 from bulletuav.engine.client import configure, connect, disconnect
 from bulletuav.engine.queries import EngineQueries
 from bulletuav.engine.silence import silenced
-from bulletuav.engine.tiles import localise, tile_offset
+from bulletuav.engine.tiles import globalise, localise, tile_offset
 from bulletuav.geometry.obstacle import Obstacle
-from bulletuav.geometry.rotation import to_world
 from bulletuav.geometry.solids import Solids
-from bulletuav.kernel import kernel
 from bulletuav.vehicle.airframe import Airframe
 from bulletuav.vehicle.swarm import Swarm
 
@@ -34,15 +32,6 @@ PARKING_PITCH = 10.0
 """Distance of parked drones, m"""
 PARKING_COLUMNS = 100
 """Parked drones in a row"""
-
-
-@kernel
-def _world_rates(quaternion: np.ndarray, rates: np.ndarray) -> np.ndarray:
-    """Turn body rates (M, 3) of drones with quaternions (M, 4) to world axes."""
-    omega = np.empty(rates.shape)
-    for m in range(rates.shape[0]):
-        omega[m] = to_world(quaternion[m], rates[m])
-    return omega
 
 
 def _parking_places(offset: np.ndarray, num_drones: int) -> np.ndarray:
@@ -78,6 +67,7 @@ class Engine(EngineQueries):
         layouts: Sequence[Solids] = (),
         first_world: int = 0,
         live: bool = False,
+        contacts: bool = False,
     ) -> None:
         """Connect to Bullet and make all bodies; the drones are parked.
 
@@ -89,6 +79,7 @@ class Engine(EngineQueries):
             layouts: What can stand in a world, one at a time; none does before `set_layouts`.
             first_world: Number of the first tile.
             live: Whether to open a window.
+            contacts: Whether Bullet lets drones touch, instead of `bulletuav.contact`.
 
         Raises:
             RuntimeError: There is no screen for a window.
@@ -113,6 +104,7 @@ class Engine(EngineQueries):
         self.dt = dt
         self.first_world = first_world
         self._live = live
+        self._contacts = contacts
         self._obstacle_place[:] = -PARKING_HEIGHT
         # Positions as Bullet gave them, at which forces act, and angular velocities.
         self._place = np.zeros((*self.shape, 3))
@@ -143,10 +135,11 @@ class Engine(EngineQueries):
         """Arrays and functions for compiled code to run substeps; None without the C extension."""
         if not isinstance(self._calls, CExtension):
             return None
-        session, substep, rays = self._calls.functions
+        session, substep, write, rays = self._calls.functions
         return Port(
             session=session,
             substep=substep,
+            write=write,
             rays=rays,
             place=self._place,
             omega=self._omega,
@@ -211,15 +204,18 @@ class Engine(EngineQueries):
             swarm: The states.
             mask: (W, N) bool, drones to set.
         """
-        quaternion = swarm.quaternion[mask]
-        self._put(
-            mask,
-            place=(swarm.position + self._offset)[mask],
-            quaternion=quaternion,
-            velocity=swarm.velocity[mask],
-            omega=_world_rates(quaternion, swarm.rates[mask]),
-            meets=DRONE_GROUP | SOLID,
-        )
+        self._filter(mask, DRONE_GROUP | SOLID if self._contacts else 0)
+        self.write_states(swarm, mask)
+
+    def write_states(self, swarm: Swarm, mask: np.ndarray) -> None:
+        """Give drones the poses and velocities of a swarm; what Bullet knows of contacts stays.
+
+        Args:
+            swarm: The states.
+            mask: (W, N) bool, drones to set.
+        """
+        globalise(self._place, self._offset, self._omega, mask, swarm)
+        self._calls.write(mask, self._place, swarm.quaternion, swarm.velocity, self._omega)
 
     def set_poses(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Show drones where a swarm is, without a change to velocities or contacts.
@@ -238,34 +234,19 @@ class Engine(EngineQueries):
             mask: (W, N) bool, drones to park.
         """
         if mask.any():
-            still = np.zeros((int(mask.sum()), 3))
-            upright = np.tile([0.0, 0.0, 0.0, 1.0], (len(still), 1))
-            self._put(
-                mask,
-                place=self._parking[mask],
-                quaternion=upright,
-                velocity=still,
-                omega=still,
-                meets=0,
-            )
+            self._filter(mask, 0)
+            self._place[mask] = self._parking[mask]
+            still = np.zeros((*self.shape, 3))
+            upright = np.tile([0.0, 0.0, 0.0, 1.0], (*self.shape, 1))
+            self._calls.write(mask, self._place, upright, still, still)
 
-    def _put(
-        self,
-        mask: np.ndarray,
-        place: np.ndarray,
-        quaternion: np.ndarray,
-        velocity: np.ndarray,
-        omega: np.ndarray,
-        meets: int,
-    ) -> None:
-        """Put drones somewhere in Bullet's frame, and set the collision groups that they meet."""
+    def _filter(self, mask: np.ndarray, meets: int) -> None:
+        """Set the collision groups that drones meet.
+
+        It drops the bodies' cached contacts, without which a reset would remember the last episode.
+        """
         bodies = self._bodies.drone[mask]
-        # Setting the filter anew drops the body's cached contacts, without which a reset would
-        # remember the last episode.
         self._calls.filter(bodies, DRONE_GROUP if meets else 0, meets)
-        self._calls.pose(bodies, place, quaternion)
-        self._calls.velocity(bodies, velocity, omega)
-        self._place[mask] = place
 
     def read_states(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Write Bullet's poses and velocities of drones into a swarm; rotor speeds stay.

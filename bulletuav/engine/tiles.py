@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from bulletuav.geometry.city_grid import CityGrid, meets
-from bulletuav.geometry.rotation import Vec3Like, to_body, vec3
+from bulletuav.geometry.rotation import Vec3Like, quat4, to_body, to_world, vec3
 from bulletuav.kernel import func, kernel
 from bulletuav.vehicle.swarm import Swarm
 
@@ -58,6 +58,32 @@ def localise(
                 for k in range(3):
                     swarm.position[w, i, k] = place[w, i, k] - offset[w, 0, k]
                 swarm.rates[w, i] = to_body(swarm.quaternion[w, i], omega[w, i])
+
+
+@kernel
+def globalise(
+    place: np.ndarray,
+    offset: np.ndarray,
+    omega: np.ndarray,
+    mask: np.ndarray,
+    swarm: Swarm,
+) -> None:
+    """Write where the drones of a swarm are in Bullet's frame: the reverse of `localise`.
+
+    Args:
+        place: (W, N, 3) positions in Bullet's frame, m, which are written.
+        offset: (W, 1, 3) origins of the tiles, m.
+        omega: (W, N, 3) angular velocities, world axes, rad/s, which are written.
+        mask: (W, N) bool, drones to write.
+        swarm: The states.
+    """
+    for w in range(mask.shape[0]):
+        for i in range(mask.shape[1]):
+            if mask[w, i]:
+                spin = to_world(quat4(swarm.quaternion, w, i), vec3(swarm.rates, w, i))
+                for k in range(3):
+                    place[w, i, k] = swarm.position[w, i, k] + offset[w, 0, k]
+                    omega[w, i, k] = spin[k]
 
 
 @func

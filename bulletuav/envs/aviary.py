@@ -6,7 +6,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.dynamics.contacts import overlaps
 from bulletuav.envs.environment import exclusive
 from bulletuav.envs.step import Step
 from bulletuav.envs.worlds import UNSTARTED, Worlds
@@ -135,7 +134,7 @@ class Aviary(Worlds):
         if self._frame is not None:  # of the worlds that fly on
             action = np.where(chosen[..., None], action, self._frame.action)
             flown = chosen | self._frame.alive
-        contacts, goal = Contacts.merge({}), self.scene.goal.copy()
+        contacts, goal = Contacts.none(), self.scene.goal.copy()
         return self._make_frame(now, now, action, contacts, flown, goal, readings)
 
     def _start_memory(self, frame: Frame, chosen: np.ndarray) -> None:
@@ -249,7 +248,7 @@ class Aviary(Worlds):
         if not moved.any():
             return contacts
         self._dynamics.place(self.swarm, moved)
-        return contacts.joined(overlaps(self._engine, self.swarm, moved, flown, self.parameters))
+        return contacts.joined(self._dynamics.overlaps(self.swarm, moved, flown))
 
     def _move_scene(self, flying: np.ndarray) -> Motion:
         """Let the task move goals and obstacles; tells where obstacles go meanwhile."""

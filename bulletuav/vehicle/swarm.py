@@ -171,7 +171,7 @@ FIRST_OBSTACLE = -3
 
 
 class Contacts(NamedTuple):
-    """Contacts of collision shapes during one decision.
+    """Contacts of collision shapes during one decision, sorted by world, drone and other.
 
     There is one row for each touching drone, so a pair gives two rows.
 
@@ -180,29 +180,43 @@ class Contacts(NamedTuple):
         drone: (C,) index of the drone.
         other: (C,) index of the drone that it touches, GROUND, CITY, or FIRST_OBSTACLE - k for
             obstacle k.
-        impulse: (C,) impulse along the contact normal, summed over the decision, N s.
+        impulse: (C,) impulse along the contact normals, summed over the decision, N s.
+        point: (C, 3) where they touched first, m.
+        normal: (C, 3) unit vector in which the drone was pushed there.
+        velocity: (C, 3) velocity of the drone's surface against the other's just before, m/s.
     """
 
     world: np.ndarray
     drone: np.ndarray
     other: np.ndarray
     impulse: np.ndarray
+    point: np.ndarray
+    normal: np.ndarray
+    velocity: np.ndarray
 
     @classmethod
-    def merge(cls, rows: dict[tuple[int, int, int], float]) -> "Contacts":
-        """Make contacts from a dictionary, in sorted order.
+    def none(cls) -> "Contacts":
+        """Make no contacts."""
+        nobody = np.zeros(0, dtype=np.int64)
+        nowhere = np.zeros((0, 3))
+        return cls(nobody, nobody, nobody, np.zeros(0), nowhere, nowhere, nowhere)
+
+    @classmethod
+    def merged(cls, **columns: np.ndarray) -> "Contacts":
+        """Make contacts of rows of which several may be of the same drone and other.
 
         Args:
-            rows: Impulse of each (world, drone, other), N s.
+            **columns: Attributes by name. Of rows that are one, impulses are added, and the first
+                tells the rest.
         """
-        # An empty array has no columns to split.
-        if not rows:
-            nothing = np.zeros(0, dtype=np.int64)
-            return cls(world=nothing, drone=nothing, other=nothing, impulse=np.zeros(0))
-        keys = sorted(rows)
-        world, drone, other = np.array(keys, dtype=np.int64).reshape(len(keys), 3).T
-        impulse = np.array([rows[key] for key in keys], dtype=np.float64)
-        return cls(world=world, drone=drone, other=other, impulse=impulse)
+        rows = cls(**columns)
+        order = np.lexsort((rows.other, rows.drone, rows.world))
+        key = np.stack([rows.world, rows.drone, rows.other])[:, order]
+        new = np.ones(len(order), dtype=bool)
+        new[1:] = np.any(key[:, 1:] != key[:, :-1], axis=0)
+        first = np.flatnonzero(new)
+        firsts = cls(*(column[order][first] for column in rows))
+        return firsts._replace(impulse=np.add.reduceat(rows.impulse[order], first))
 
     def joined(self, others: "Contacts") -> "Contacts":
         """Return these and other contacts, one after the other."""

@@ -1,0 +1,512 @@
+"""Impacts: who hangs together at a touch, and how they push each other apart."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from bulletuav.contact.impulses import POINT, ease_of, energy, keep, prepare, relax, slip, vector
+from bulletuav.contact.motion import (
+    Motions,
+    advance_to,
+    along,
+    change_rates,
+    go_on,
+    make_motions,
+    pose_at,
+    stay,
+)
+from bulletuav.contact.pairs import Pairs
+from bulletuav.contact.touch import TOUCH, gap_at
+from bulletuav.contact.touches import Touches, tell
+from bulletuav.geometry.contact_points import MOST_POINTS, contact_points
+from bulletuav.geometry.gjk import make_room
+from bulletuav.geometry.rotation import Vec3, axes, dot, minus, point
+from bulletuav.geometry.scenery import Scenery
+from bulletuav.kernel import func, kernel
+from bulletuav.vehicle.swarm import Swarm
+
+MOST_IMPACTS = 16
+"""Impacts of a drone in a substep, after which it stays where it is until the next"""
+SLOW = 0.02
+"""Approach below which nothing rebounds, m/s"""
+STILL = 1e-9
+"""Approach below which shapes in touch do not come closer, m/s"""
+MIDDLE = 0.5 * TOUCH
+"""Distance that a touch leaves, m"""
+LIFT = 2e-3
+"""Fastest that shapes which are too close are moved apart, m/s"""
+
+
+class Workspace(NamedTuple):
+    """Arrays that a substep of one world works on.
+
+    Attributes:
+        motions: How the drones move.
+        begun: (N,) bool, drones whose motion is set.
+        due: (N,) bool, drones whose budget is used up.
+        reach: (N,) how far from its start a drone's pairs were collected, m.
+        island: (N,) drones that are solved together.
+        member: (N,) bool, the same.
+        ease: (N, 3, 3) inverse inertias in world axes, 1 / (kg m^2).
+        lightness: (N,) inverse masses, 1 / kg.
+        before: (2, N, 3) velocities and spins before an impact.
+        after: (2, N, 3) the same after one without rebound.
+        room: Scratch of `gap`.
+        found: Scratch of `contact_points`.
+    """
+
+    motions: Motions
+    begun: np.ndarray
+    due: np.ndarray
+    reach: np.ndarray
+    island: np.ndarray
+    member: np.ndarray
+    ease: np.ndarray
+    lightness: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+    room: np.ndarray
+    found: np.ndarray
+
+
+def make_workspace(num_drones: int) -> Workspace:
+    """Make room for the substep of a world of N drones."""
+    return Workspace(
+        motions=make_motions(num_drones),
+        begun=np.zeros(num_drones, dtype=bool),
+        due=np.zeros(num_drones, dtype=bool),
+        reach=np.zeros(num_drones),
+        island=np.zeros(num_drones, dtype=np.int64),
+        member=np.zeros(num_drones, dtype=bool),
+        ease=np.zeros((num_drones, 3, 3)),
+        lightness=np.zeros(num_drones),
+        before=np.zeros((2, num_drones, 3)),
+        after=np.zeros((2, num_drones, 3)),
+        room=make_room(),
+        found=np.zeros((MOST_POINTS, 4)),
+    )
+
+
+class World(NamedTuple):
+    """One world in a substep.
+
+    Attributes:
+        w: Its index.
+        dt: Length of the substep, s.
+        speed: How far the fastest obstacle gets in the substep, m.
+        scenery: What stands.
+        start: State of all drones at the beginning.
+        alive: (W, N) bool, drones that can be touched.
+        parameters: (W, N) rows of `PARAMETERS`.
+    """
+
+    w: int
+    dt: float
+    speed: float
+    scenery: Scenery
+    start: Swarm
+    alive: np.ndarray
+    parameters: np.ndarray
+
+
+@func
+def _join(space: Workspace, world: World, members: int, i: int, time: float) -> int:
+    """Bring a drone to the time of an impact, as one of its island; returns how many there are."""
+    if i >= world.scenery.first_body or space.member[i]:
+        return members
+    row = world.parameters[world.w, i]
+    space.member[i] = True
+    space.island[members] = i
+    advance_to(space.motions, i, time, row)
+    ease_of(space.motions, i, row, space.ease)
+    space.lightness[i] = 1.0 / row.mass
+    return members + 1
+
+
+@func
+def _touching(pairs: Pairs, p: int, time: float) -> bool:
+    """Tell whether a pair may be in touch at a time."""
+    return pairs.held[p] or pairs.time[p] <= time
+
+
+@kernel
+def _gather(
+    space: Workspace, world: World, pairs: Pairs, count: int, first: int, time: float
+) -> int:
+    """Find all drones that hang together with a pair at the time of its touch.
+
+    Returns their number; they are in `space.island`.
+    """
+    members = _join(space, world, 0, pairs.who[first, 0], time)
+    members = _join(space, world, members, pairs.who[first, 1], time)
+    grown = True
+    while grown:
+        grown = False
+        for p in range(count):
+            a = pairs.who[p, 0]
+            b = pairs.who[p, 1]
+            if b >= world.scenery.first_body or space.member[a] == space.member[b]:
+                continue
+            if _touching(pairs, p, time):
+                distance, normal, _, _ = gap_at(
+                    world.scenery,
+                    space.motions,
+                    world.w,
+                    a,
+                    b,
+                    time,
+                    world.dt,
+                    point(pairs.normal, p),
+                    space.room,
+                )
+                for k in range(3):
+                    pairs.normal[p, k] = normal[k]
+                if distance <= 1.01 * TOUCH:
+                    members = _join(space, world, members, a, time)
+                    members = _join(space, world, members, b, time)
+                    grown = True
+    return members
+
+
+@func
+def _drift(space: Workspace, world: World, b: int) -> Vec3:
+    """Return the velocity of what does not yield, m/s."""
+    if b >= world.scenery.first_body:
+        move, _ = change_rates(world.scenery, space.motions, world.w, b, world.dt)
+        return move[0] / world.dt, move[1] / world.dt, move[2] / world.dt
+    return 0.0, 0.0, 0.0
+
+
+@kernel
+def _add_points(
+    space: Workspace,
+    world: World,
+    pairs: Pairs,
+    p: int,
+    time: float,
+    points: np.ndarray,
+    size: int,
+) -> int:
+    """Add the points of contact of a pair in touch; returns how many there are now."""
+    a = pairs.who[p, 0]
+    b = pairs.who[p, 1]
+    scenery = world.scenery
+    position_a, quaternion_a = pose_at(scenery, space.motions, world.w, a, time, world.dt)
+    position_b, quaternion_b = pose_at(scenery, space.motions, world.w, b, time, world.dt)
+    offset = minus(position_b, position_a)
+    distance, normal, on_a, on_b = gap_at(
+        scenery,
+        space.motions,
+        world.w,
+        a,
+        b,
+        time,
+        world.dt,
+        point(pairs.normal, p),
+        space.room,
+    )
+    if distance > 1.01 * TOUCH:
+        return size
+    # From now on it counts as a touch anew only when it gets closer than now
+    pairs.held[p] = True
+    if distance > 1e-6:
+        pairs.floor[p] = 0.25 * min(distance, TOUCH)
+    else:
+        pairs.floor[p] = distance - 2e-6
+    # Points as far apart as the surfaces can come together within a substep count as well
+    most = 0.5 * scenery.table.radius[a]
+    found = contact_points(
+        scenery.table,
+        a,
+        axes(quaternion_a),
+        b,
+        axes(quaternion_b),
+        offset,
+        normal,
+        on_a,
+        on_b,
+        most,
+        space.found,
+        space.room,
+    )
+    drift = _drift(space, world, b)
+    friction = np.sqrt(scenery.friction[a] * scenery.friction[b])
+    restitution = np.sqrt(scenery.restitution[a] * scenery.restitution[b])
+    for m in range(found):
+        row = points[size + m]
+        row.a = a
+        row.b = b if b < scenery.first_body else -1
+        for k in range(3):
+            row.normal[k] = normal[k]
+            row.arm_a[k] = space.found[m, k]
+            row.arm_b[k] = space.found[m, k] - offset[k]
+            row.drift[k] = drift[k]
+        row.distance = space.found[m, 3]
+        row.friction = friction
+        row.restitution = restitution
+        prepare(row, space.ease, space.lightness)
+        moving = slip(row, space.motions.velocity, space.motions.spin)
+        row.approach = dot(moving, normal)
+    return size + found
+
+
+@kernel
+def _rebound(space: Workspace, world: World, members: int, points: np.ndarray, size: int) -> None:
+    """Let the impact act: velocities at its time change, with what restitution there is.
+
+    First all that closes is stopped, then rebounds (Newton). What would gain energy that way, as
+    friction allows, is a mean of both that gains none.
+    """
+    motions = space.motions
+    rebounds = False
+    for k in range(size):
+        row = points[k]
+        closes = row.distance <= 1.01 * TOUCH and row.approach < -SLOW
+        rebounds = rebounds or (closes and row.restitution > 0.0)
+    if not rebounds:
+        return
+    frame = (0.0, 0.0, 0.0)
+    for k in range(size):
+        row = points[k]
+        row.least = -1e9 if row.distance > 1.01 * TOUCH else 0.0
+        if row.b < 0 and dot(frame, frame) == 0.0:
+            frame = (row.drift[0], row.drift[1], row.drift[2])
+    for m in range(members):
+        i = space.island[m]
+        for k in range(3):
+            space.before[0, i, k] = motions.velocity[i, k]
+            space.before[1, i, k] = motions.spin[i, k]
+    # Without rebound
+    relax(points, size, motions.velocity, motions.spin, space.ease, space.lightness)
+    for m in range(members):
+        i = space.island[m]
+        for k in range(3):
+            space.after[0, i, k] = motions.velocity[i, k]
+            space.after[1, i, k] = motions.spin[i, k]
+            motions.velocity[i, k] = space.before[0, i, k]
+            motions.spin[i, k] = space.before[1, i, k]
+    for k in range(size):
+        points[k].total[:] = points[k].impulse
+        row = points[k]
+        if row.distance <= 1.01 * TOUCH and row.approach < -SLOW:
+            row.least = -row.restitution * row.approach
+    # With rebound, from the beginning
+    relax(points, size, motions.velocity, motions.spin, space.ease, space.lightness)
+    share = _lossless_share(space, world, members, frame)
+    for m in range(members):
+        i = space.island[m]
+        for k in range(3):
+            calm = space.after[0, i, k]
+            motions.velocity[i, k] = calm + share * (motions.velocity[i, k] - calm)
+            calm = space.after[1, i, k]
+            motions.spin[i, k] = calm + share * (motions.spin[i, k] - calm)
+    for k in range(size):
+        row = points[k]
+        for m in range(3):
+            calm = row.total[m]
+            row.total[m] = calm + share * (row.impulse[m] - calm)
+
+
+@func
+def _lossless_share(space: Workspace, world: World, members: int, frame: Vec3) -> float:
+    """Return how much of a rebound may act, 0 to 1, without a gain of energy.
+
+    Energy is a parabola over that share: it is known from its values at 0, 1/2 and 1.
+    """
+    motions = space.motions
+    w = world.w
+    rows = world.parameters
+    had = energy(space.island, members, space.before[0], space.before[1], frame, motions, rows, w)
+    full = energy(space.island, members, motions.velocity, motions.spin, frame, motions, rows, w)
+    if full <= had:
+        return 1.0
+    calm = energy(space.island, members, space.after[0], space.after[1], frame, motions, rows, w)
+    for m in range(members):
+        i = space.island[m]
+        for k in range(3):
+            space.before[0, i, k] = 0.5 * (space.after[0, i, k] + motions.velocity[i, k])
+            space.before[1, i, k] = 0.5 * (space.after[1, i, k] + motions.spin[i, k])
+    half = energy(space.island, members, space.before[0], space.before[1], frame, motions, rows, w)
+    # calm + linear s + square s^2 = had
+    square = 2.0 * (full + calm) - 4.0 * half
+    linear = full - calm - square
+    left = had - calm
+    if left <= 0.0 or square <= 0.0:
+        return 0.0
+    root = np.sqrt(linear * linear + 4.0 * square * left)
+    return min(1.0, max(0.0, 2.0 * left / (linear + root)))
+
+
+@kernel
+def _hold(
+    space: Workspace, world: World, members: int, points: np.ndarray, size: int, time: float
+) -> None:
+    """Let contacts hold against forces for the rest of the substep, and what closes stop."""
+    motions = space.motions
+    for k in range(size):
+        row = points[k]
+        missing = row.distance - MIDDLE
+        if missing > 0.0:
+            row.least = -missing / world.dt
+        else:
+            row.least = min(LIFT, -0.1 * missing / world.dt)
+        # What rebounds when it arrives is left to its own impact
+        if row.distance > 1.01 * TOUCH and row.restitution > 0.0 and row.approach < -SLOW:
+            row.least = -1e9
+    for m in range(members):
+        i = space.island[m]
+        angular = point(motions.twist, i)
+        for k in range(3):
+            spun = 0.0
+            for n in range(3):
+                spun += space.ease[i, k, n] * angular[n]
+            space.after[0, i, k] = (1.0 - time) * motions.push[i, k]
+            space.after[1, i, k] = (1.0 - time) * spun
+            motions.velocity[i, k] += space.after[0, i, k]
+            motions.spin[i, k] += space.after[1, i, k]
+    relax(points, size, motions.velocity, motions.spin, space.ease, space.lightness)
+    keep(points, size)
+    # Back to velocities at the time of the impact: forces are added on the way
+    for m in range(members):
+        i = space.island[m]
+        for k in range(3):
+            motions.velocity[i, k] -= space.after[0, i, k]
+            motions.spin[i, k] -= space.after[1, i, k]
+
+
+@func
+def _tell_point(
+    touches: Touches,
+    space: Workspace,
+    w: int,
+    row: np.record,
+    other: int,
+    velocity: Vec3,
+) -> None:
+    """Tell a point of contact, for both sides if both are drones."""
+    place = along(point(space.motions.position, row.a), 1.0, vector(row.arm_a))
+    normal = vector(row.normal)
+    tell(touches, w, row.a, other, row.total[0], place, normal, velocity, 1.0)
+    if row.b >= 0:
+        tell(touches, w, row.b, row.a, row.total[0], place, normal, velocity, -1.0)
+
+
+@kernel
+def push_apart(
+    space: Workspace,
+    world: World,
+    pairs: Pairs,
+    count: int,
+    first: int,
+    time: float,
+    touches: Touches,
+) -> int:
+    """Push apart all who hang together with a pair at the time of its touch.
+
+    Returns how many drones that are; they are in `space.island`, and fly on with new velocities.
+    """
+    members = _gather(space, world, pairs, count, first, time)
+    # Points of all pairs of the island that are in touch
+    touching = 0
+    for p in range(count):
+        if space.member[pairs.who[p, 0]] and _touching(pairs, p, time):
+            touching += 1
+    points = np.zeros(touching * MOST_POINTS, dtype=POINT)
+    owner = np.empty(touching * MOST_POINTS, dtype=np.int64)
+    slips = np.empty((touching * MOST_POINTS, 3))
+    size = 0
+    for p in range(count):
+        if space.member[pairs.who[p, 0]] and _touching(pairs, p, time):
+            more = _add_points(space, world, pairs, p, time, points, size)
+            for k in range(size, more):
+                owner[k] = p
+                moving = slip(points[k], space.motions.velocity, space.motions.spin)
+                for m in range(3):
+                    slips[k, m] = moving[m]
+            size = more
+    _rebound(space, world, members, points, size)
+    _hold(space, world, members, points, size, time)
+    for k in range(size):
+        p = owner[k]
+        _tell_point(touches, space, world.w, points[k], pairs.who[p, 1], point(slips, k))
+    for m in range(members):
+        i = space.island[m]
+        space.motions.impacts[i] += 1
+        if space.motions.impacts[i] < MOST_IMPACTS:
+            go_on(space.motions, i, world.dt, world.parameters[world.w, i])
+        else:
+            stay(space.motions, i)
+    return members
+
+
+@kernel
+def tell_pair(space: Workspace, world: World, pairs: Pairs, p: int, touches: Touches) -> None:
+    """Tell a pair that is in touch at the beginning of a substep, without an impulse."""
+    a = pairs.who[p, 0]
+    b = pairs.who[p, 1]
+    motions = space.motions
+    w = world.w
+    guess = point(pairs.normal, p)
+    distance, normal, on_a, _ = gap_at(
+        world.scenery, motions, w, a, b, 0.0, world.dt, guess, space.room
+    )
+    if distance > TOUCH:
+        return
+    place = along(point(motions.position, a), 1.0, on_a)
+    still = (0.0, 0.0, 0.0)
+    tell(touches, w, a, b, 0.0, place, normal, still, 1.0)
+    if b < world.scenery.first_body:
+        tell(touches, w, b, a, 0.0, place, normal, still, -1.0)
+
+
+@kernel
+def halt(
+    space: Workspace,
+    world: World,
+    pairs: Pairs,
+    p: int,
+    time: float,
+    touches: Touches,
+    stopped: np.ndarray,
+) -> int:
+    """Stop the drones of a pair where they touch, if they come closer.
+
+    Returns how many drones that are; they are in `space.island`.
+    """
+    motions = space.motions
+    w = world.w
+    members = _join(space, world, 0, pairs.who[p, 0], time)
+    members = _join(space, world, members, pairs.who[p, 1], time)
+    points = np.zeros(MOST_POINTS, dtype=POINT)
+    if _add_points(space, world, pairs, p, time, points, 0) == 0:
+        return members
+    # Velocities of the way count, which need not be those that the dynamics tells
+    for m in range(members):
+        i = space.island[m]
+        move, turn = change_rates(world.scenery, motions, w, i, world.dt)
+        for k in range(3):
+            motions.velocity[i, k] = move[k] / world.dt
+            motions.spin[i, k] = turn[k] / world.dt
+    row = points[0]
+    velocity = slip(row, motions.velocity, motions.spin)
+    normal = vector(row.normal)
+    if dot(velocity, normal) > -STILL:
+        return members
+    place = along(point(motions.position, row.a), 1.0, vector(row.arm_a))
+    for m in range(members):
+        i = space.island[m]
+        speed = motions.velocity[i, 0] ** 2 + motions.velocity[i, 1] ** 2
+        speed = np.sqrt(speed + motions.velocity[i, 2] ** 2)
+        impulse = world.parameters[w, i].mass * speed
+        other = pairs.who[p, 1] if m == 0 else pairs.who[p, 0]
+        tell(touches, w, i, other, impulse, place, normal, velocity, 1.0 if m == 0 else -1.0)
+    for m in range(members):
+        i = space.island[m]
+        stopped[w, i] = True
+        stay(motions, i)
+        for k in range(3):
+            motions.velocity[i, k] = 0.0
+            motions.spin[i, k] = 0.0
+            motions.push[i, k] = 0.0
+            motions.twist[i, k] = 0.0
+    return members

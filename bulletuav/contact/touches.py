@@ -1,0 +1,94 @@
+"""What drones touched during a decision, as compiled code notes it."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from bulletuav.geometry.rotation import Vec3
+from bulletuav.kernel import func, kernel
+
+MOST_TOUCHES = 16
+"""Others that are told of a drone in a decision; more add to the last"""
+
+
+class Touches(NamedTuple):
+    """What drones touched during a decision: up to `MOST_TOUCHES` others (T) each.
+
+    Attributes:
+        count: (W, N) how many.
+        other: (W, N, T) number of the other shape, see `Scenery`.
+        impulse: (W, N, T) along the normals, N s, summed up.
+        place: (W, N, T, 3) where they touched first, m.
+        normal: (W, N, T, 3) direction in which the drone was pushed there.
+        velocity: (W, N, T, 3) of the drone's surface against the other's just before, m/s.
+    """
+
+    count: np.ndarray
+    other: np.ndarray
+    impulse: np.ndarray
+    place: np.ndarray
+    normal: np.ndarray
+    velocity: np.ndarray
+
+
+def make_touches(num_worlds: int, num_drones: int) -> Touches:
+    """Make room for what drones touch."""
+    shape = (num_worlds, num_drones)
+    return Touches(
+        count=np.zeros(shape, dtype=np.int64),
+        other=np.zeros((*shape, MOST_TOUCHES), dtype=np.int64),
+        impulse=np.zeros((*shape, MOST_TOUCHES)),
+        place=np.zeros((*shape, MOST_TOUCHES, 3)),
+        normal=np.zeros((*shape, MOST_TOUCHES, 3)),
+        velocity=np.zeros((*shape, MOST_TOUCHES, 3)),
+    )
+
+
+@func
+def _slot(touches: Touches, w: int, i: int, other: int) -> int:
+    """Return where to tell a touch, a new place if it is the first."""
+    count = touches.count[w, i]
+    for k in range(count):
+        if touches.other[w, i, k] == other:
+            return k
+    if count == MOST_TOUCHES:
+        return count - 1
+    touches.count[w, i] = count + 1
+    touches.other[w, i, count] = other
+    touches.impulse[w, i, count] = 0.0
+    return count
+
+
+@kernel
+def tell(
+    touches: Touches,
+    w: int,
+    i: int,
+    other: int,
+    impulse: float,
+    place: Vec3,
+    normal: Vec3,
+    velocity: Vec3,
+    sign: float,
+) -> None:
+    """Add a point of contact to what drone i of world w touched.
+
+    Args:
+        touches: Changed; place, normal and velocity are kept of the first point alone.
+        w: The world.
+        i: The drone.
+        other: Number of the other shape.
+        impulse: Along the normal, N s.
+        place: Of the point, m.
+        normal: Direction in which the impulse acts on the drone, if `sign` is 1.
+        velocity: Of the drone's surface against the other's before, m/s, if `sign` is 1.
+        sign: -1 to turn normal and velocity round.
+    """
+    before = touches.count[w, i]
+    k = _slot(touches, w, i, other)
+    touches.impulse[w, i, k] += impulse
+    if touches.count[w, i] > before:
+        for m in range(3):
+            touches.place[w, i, k, m] = place[m]
+            touches.normal[w, i, k, m] = sign * normal[m]
+            touches.velocity[w, i, k, m] = sign * velocity[m]
