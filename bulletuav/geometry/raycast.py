@@ -1,8 +1,8 @@
 """Rays through all that stands, and drones, without the engine: many times as fast.
 
-A ray meets the surface of a piece of a city from either side: one that starts inside meets it where
-it leaves. The ground stops rays from either side, too. Obstacles, bodies that users add and drones
-are met from outside alone: a ray that starts inside one does not see it.
+A ray meets surfaces from either side: one that starts inside an obstacle, a body that users add or
+a building meets it where it leaves. Drones are met from outside alone: a ray that starts inside one
+does not see it. The engine, asked for comparison, mostly misses obstacles in which a ray starts.
 
 In a city a ray walks through the cells of the city's grid (J. Amanatides and A. Woo, A fast voxel
 traversal algorithm for ray tracing, 1987). In each cell it meets the boxes by the slab method
@@ -84,6 +84,22 @@ def inside_shape(
 
 
 @func
+def _crossing(enters: float, leaves: float) -> float:
+    """Return the share at which a ray first crosses a surface, inf if it does not.
+
+    Args:
+        enters: Share at which its line enters the shape.
+        leaves: Share at which its line leaves the shape; less than `enters` for a line outside.
+    """
+    if enters > leaves or leaves < 0.0 or enters > 1.0:
+        return np.inf
+    if enters >= 0.0:
+        return enters
+    # A ray that starts inside meets the surface where it leaves.
+    return leaves if leaves <= 1.0 else np.inf
+
+
+@func
 def _surface(scenery: Scenery, p: int, start: Vec3Like, change: Vec3Like) -> float:
     """Return the share at which a ray first crosses the surface of piece p, inf if it does not."""
     low = point(scenery.city_grid.low, p)
@@ -94,12 +110,7 @@ def _surface(scenery: Scenery, p: int, start: Vec3Like, change: Vec3Like) -> flo
     if enters <= leaves and scenery.table.kind[s] == HULL:
         here = minus(start, point(scenery.piece_place, p))
         enters, leaves = _inside_hull(scenery.table, s, here, change)
-    if enters > leaves or leaves < 0.0 or enters > 1.0:
-        return np.inf
-    if enters >= 0.0:
-        return enters
-    # A ray that starts inside meets the surface where it leaves.
-    return leaves if leaves <= 1.0 else np.inf
+    return _crossing(enters, leaves)
 
 
 @func
@@ -188,25 +199,24 @@ def _buildings(scenery: Scenery, layout: int, start: Vec3Like, change: Vec3Like)
 
 
 @func
-def _meet(
+def _inside_placed(
     table: ShapeTable,
     s: int,
     place: Vec3Like,
     quaternion: Quat4Like,
     start: Vec3Like,
     end: Vec3Like,
-) -> float:
-    """Return the share at which a ray enters a shape at a pose, inf if it does not."""
+) -> tuple[float, float]:
+    """Return the shares between which a ray is inside a shape at a pose; see `inside_shape`."""
     # Most rays pass outside the bounding sphere: these are sorted out first.
     here = minus(start, place)
     there = minus(end, place)
     if closest_squared(here, there)[1] > table.radius[s] * table.radius[s]:
-        return np.inf
+        return np.inf, -np.inf
     # The others meet the shape in its own axes.
     body_here = to_body(quaternion, here)
     body_change = to_body(quaternion, minus(there, here))
-    enters, leaves = inside_shape(table, s, body_here, body_change)
-    return enters if 0.0 <= enters <= leaves else np.inf
+    return inside_shape(table, s, body_here, body_change)
 
 
 @kernel
@@ -255,7 +265,8 @@ def walk(
             place = vec3(scenery.place, w, r)
             turn = quat4(scenery.quaternion, w, r)
             s = scenery.first_body + r
-            found = min(found, _meet(scenery.table, s, place, turn, here, there))
+            enters, leaves = _inside_placed(scenery.table, s, place, turn, here, there)
+            found = min(found, _crossing(enters, leaves))
         fraction[m] = found
     return fraction, np.array(left, dtype=np.int64)
 
@@ -291,5 +302,6 @@ def meet_drones(
             if mask[w, i]:
                 place = vec3(swarm.position, w, i)
                 attitude = quat4(swarm.quaternion, w, i)
-                met = _meet(table, i, place, attitude, here, there)
-                fraction[m] = min(fraction[m], met)
+                enters, leaves = _inside_placed(table, i, place, attitude, here, there)
+                if 0.0 <= enters <= leaves:
+                    fraction[m] = min(fraction[m], enters)
