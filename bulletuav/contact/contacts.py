@@ -21,6 +21,8 @@ class Contact(NamedTuple):
         space: Arrays to work on.
         start: State at the beginning of the present substep.
         budget: (W, N) how far each drone may move before it must be looked at, m.
+        friction: Coefficient of friction of the ground and of buildings.
+        restitution: Their coefficient of restitution.
         stops: Whether drones stop where they touch, instead of being pushed.
         stopped: (W, N) bool, drones that stopped in this decision.
         changed: (W, N) bool, drones whose state the last substep changed.
@@ -33,6 +35,8 @@ class Contact(NamedTuple):
     space: Workspace
     start: Swarm
     budget: np.ndarray
+    friction: float
+    restitution: float
     stops: bool
     stopped: np.ndarray
     changed: np.ndarray
@@ -108,7 +112,17 @@ def meet(
     for i in range(alive.shape[1]):
         contact.changed[w, i] = False
     speed = dt * _move_obstacles(contact, w, piece / pieces, pieces * dt)
-    world = World(w, dt, speed, contact.scenery, contact.start, alive, parameters)
+    world = World(
+        w,
+        dt,
+        speed,
+        contact.friction,
+        contact.restitution,
+        contact.scenery,
+        contact.start,
+        alive,
+        parameters,
+    )
     return resolve(
         contact.space,
         world,
@@ -145,13 +159,21 @@ def remember_all(contact: Contact, swarm: Swarm) -> None:
         remember(contact, swarm, w)
 
 
-def make_contact(scenery: Scenery, shape: tuple[int, int], stops: bool) -> Contact:
+def make_contact(
+    scenery: Scenery,
+    shape: tuple[int, int],
+    stops: bool,
+    friction: float,
+    restitution: float,
+) -> Contact:
     """Make what contacts of W worlds of N drones need.
 
     Args:
         scenery: What stands, and all shapes.
         shape: (W, N).
         stops: Whether drones stop where they touch, instead of being pushed.
+        friction: Coefficient of friction of the ground and of buildings.
+        restitution: Their coefficient of restitution.
     """
     nowhere = np.zeros((shape[0], 0, 3))
     return Contact(
@@ -159,6 +181,8 @@ def make_contact(scenery: Scenery, shape: tuple[int, int], stops: bool) -> Conta
         space=make_workspace(shape[1]),
         start=Swarm.zeros(*shape, 0),
         budget=np.full(shape, -1.0),
+        friction=friction,
+        restitution=restitution,
         stops=stops,
         stopped=np.zeros(shape, dtype=bool),
         changed=np.zeros(shape, dtype=bool),
@@ -227,7 +251,7 @@ def _note_overlaps(
     """Tell what drones are in touch with that were put somewhere else; see `overlaps`."""
     space = contact.space
     for w in range(alive.shape[0]):
-        world = World(w, 1.0, 0.0, contact.scenery, swarm, alive, parameters)
+        world = World(w, 1.0, 0.0, 0.0, 0.0, contact.scenery, swarm, alive, parameters)
         for i in range(alive.shape[1]):
             space.due[i] = moved[w, i] and alive[w, i]
             space.begun[i] = False

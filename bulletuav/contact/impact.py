@@ -1,5 +1,6 @@
 """Impacts: who hangs together at a touch, and how they push each other apart."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -94,6 +95,8 @@ class World(NamedTuple):
         w: Its index.
         dt: Length of the substep, s.
         speed: How far the fastest obstacle gets in the substep, m.
+        friction: Coefficient of friction of the ground and of buildings.
+        restitution: Their coefficient of restitution.
         scenery: What stands.
         start: State of all drones at the beginning.
         alive: (W, N) bool, drones that can be touched.
@@ -103,6 +106,8 @@ class World(NamedTuple):
     w: int
     dt: float
     speed: float
+    friction: float
+    restitution: float
     scenery: Scenery
     start: Swarm
     alive: np.ndarray
@@ -177,6 +182,19 @@ def _drift(space: Workspace, world: World, b: int) -> Vec3:
     return 0.0, 0.0, 0.0
 
 
+@func
+def _surface(world: World, who: int) -> tuple[float, float]:
+    """Return the coefficients of friction and restitution of someone."""
+    scenery = world.scenery
+    if who < scenery.first_body:
+        row = world.parameters[world.w, who]
+        return row.friction, row.restitution
+    if who < scenery.first_piece:
+        k = who - scenery.first_body
+        return scenery.friction[k], scenery.restitution[k]
+    return world.friction, world.restitution
+
+
 @kernel
 def _add_points(
     space: Workspace,
@@ -230,8 +248,11 @@ def _add_points(
         space.room,
     )
     drift = _drift(space, world, b)
-    friction = np.sqrt(scenery.friction[a] * scenery.friction[b])
-    restitution = np.sqrt(scenery.restitution[a] * scenery.restitution[b])
+    # Of two surfaces the geometric mean counts
+    rough, lively = _surface(world, a)
+    rough_b, lively_b = _surface(world, b)
+    friction = math.sqrt(rough * rough_b)
+    restitution = math.sqrt(lively * lively_b)
     for m in range(found):
         row = points[size + m]
         row.a = a
@@ -333,7 +354,7 @@ def _lossless_share(space: Workspace, world: World, members: int, frame: Vec3) -
     left = had - calm
     if left <= 0.0 or square <= 0.0:
         return 0.0
-    root = np.sqrt(linear * linear + 4.0 * square * left)
+    root = math.sqrt(linear * linear + 4.0 * square * left)
     return min(1.0, max(0.0, 2.0 * left / (linear + root)))
 
 
@@ -496,7 +517,7 @@ def halt(
     for m in range(members):
         i = space.island[m]
         speed = motions.velocity[i, 0] ** 2 + motions.velocity[i, 1] ** 2
-        speed = np.sqrt(speed + motions.velocity[i, 2] ** 2)
+        speed = math.sqrt(speed + motions.velocity[i, 2] ** 2)
         impulse = world.parameters[w, i].mass * speed
         other = pairs.who[p, 1] if m == 0 else pairs.who[p, 0]
         tell(touches, w, i, other, impulse, place, normal, velocity, 1.0 if m == 0 else -1.0)

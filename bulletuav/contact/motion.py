@@ -17,6 +17,7 @@ from bulletuav.geometry.rotation import (
     exponential,
     normalised,
     point,
+    product,
     quat4,
     to_body,
     to_world,
@@ -92,17 +93,6 @@ def along(start: Vec3Like, share: float, change: Vec3Like) -> Vec3:
         start[0] + share * change[0],
         start[1] + share * change[1],
         start[2] + share * change[2],
-    )
-
-
-@func
-def product(p: Quat4, q: Quat4) -> Quat4:
-    """Return the quaternion of the rotation q, then p."""
-    return (
-        p[3] * q[0] + p[0] * q[3] + p[1] * q[2] - p[2] * q[1],
-        p[3] * q[1] - p[0] * q[2] + p[1] * q[3] + p[2] * q[0],
-        p[3] * q[2] + p[0] * q[1] - p[1] * q[0] + p[2] * q[3],
-        p[3] * q[3] - p[0] * q[0] - p[1] * q[1] - p[2] * q[2],
     )
 
 

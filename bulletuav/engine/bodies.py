@@ -1,4 +1,4 @@
-"""Makers of the bodies of an engine: ground, drones, obstacles, and the buildings of cities."""
+"""Makers of the bodies of an engine: ground, drones, solids, and the buildings of cities."""
 
 import tempfile
 from collections.abc import Iterable
@@ -8,7 +8,7 @@ import numpy as np
 
 from bulletuav.engine.calls import CITY_GROUP, DRONE_GROUP, RAYS, SIGHT_GROUP, SURFACE_GROUP, bullet
 from bulletuav.engine.silence import silenced
-from bulletuav.geometry.obstacle import Obstacle
+from bulletuav.geometry.shapes import BOX, CYLINDER, HULL, SPHERE, Shape
 from bulletuav.geometry.solids import Solids, apart_groups, obj_lines
 from bulletuav.vehicle.airframe import Airframe
 
@@ -16,6 +16,8 @@ FLOOR = 0.02
 """Thickness of the ground in pictures, m"""
 FLOOR_HALF_EDGE = 1000.0
 """Half the edge of the ground in pictures, m"""
+OFFSTAGE = (0.0, 0.0, -4096.0)
+"""Where bodies wait that pictures do not show yet, m"""
 FLOOR_COLOUR = (0.86, 0.88, 0.85, 1)
 CITY_COLOUR = (0.72, 0.70, 0.67, 1)
 HULL_MARGIN = 1e-3
@@ -31,8 +33,12 @@ UNSEEN = 1e-3
 
 Body = int
 """Number that Bullet gave a body"""
-Shape = int
+ShapeNumber = int
 """Number that Bullet gave a collision or visual shape"""
+Colour = tuple[float, float, float, float]
+"""Red, green, blue and opacity, from 0 to 1"""
+Pose = tuple[Iterable[float], Iterable[float]]
+"""Position (3,), m, and quaternion (4,)"""
 
 
 def make_floor(client: int) -> Body:
@@ -54,9 +60,9 @@ def make_ground(client: int) -> Body:
     return _make_still(client, collision, SURFACE_GROUP, make_speck(client))
 
 
-def make_speck(client: int) -> Shape:
+def make_speck(client: int) -> ShapeNumber:
     """Make a visual too small to see: Bullet draws bodies without one by their collision shapes."""
-    speck: Shape = bullet.createVisualShape(
+    speck: ShapeNumber = bullet.createVisualShape(
         bullet.GEOM_BOX,
         halfExtents=[UNSEEN] * 3,
         physicsClientId=client,
@@ -66,10 +72,11 @@ def make_speck(client: int) -> Shape:
 
 def _make_still(
     client: int,
-    collision: Shape,
+    collision: ShapeNumber,
     group: int,
-    visual: Shape,
+    visual: ShapeNumber,
     place: Iterable[float] = (0, 0, 0),
+    quaternion: Iterable[float] = (0, 0, 0, 1),
 ) -> Body:
     """Make a body that nothing moves."""
     body: Body = bullet.createMultiBody(
@@ -77,6 +84,7 @@ def _make_still(
         collision,
         visual,
         list(place),
+        list(quaternion),
         useMaximalCoordinates=1,
         physicsClientId=client,
     )
@@ -125,32 +133,65 @@ def make_drone(client: int, airframe: Airframe, place: np.ndarray) -> Body:
     return body
 
 
-def make_obstacles(
+def make_solids(
     client: int,
-    obstacle: Obstacle,
-    places: Iterable[Iterable[float]],
+    shape: Shape,
+    colour: Colour,
+    poses: Iterable[Pose],
 ) -> list[Body]:
-    """Make one obstacle in each world.
+    """Make bodies of one shape that nothing but `EngineCalls.pose` moves.
 
     Args:
         client: Number that Bullet gave the client.
-        obstacle: Its shape and colour.
-        places: (3,) position in each world, in Bullet's frame, m.
+        shape: Sphere, cylinder, box or hull.
+        colour: Red, green, blue and opacity, from 0 to 1.
+        poses: Position (3,) in Bullet's frame, m, and quaternion (4,) of each.
 
     Returns:
-        A body for each place.
+        A body for each pose.
     """
-    shape = _obstacle_shape(obstacle)
-    collision = bullet.createCollisionShape(**shape, physicsClientId=client)
-    visual = bullet.createVisualShape(**shape, rgbaColor=obstacle.colour, physicsClientId=client)
-    return [_make_still(client, collision, SURFACE_GROUP, visual, place) for place in places]
+    collision = _collision_shape(client, shape)
+    visual = _visual_shape(client, shape, colour)
+    return [_make_still(client, collision, SURFACE_GROUP, visual, *pose) for pose in poses]
 
 
-def _obstacle_shape(obstacle: Obstacle) -> dict[str, object]:
-    """Give the keywords by which Bullet knows an obstacle's shape."""
-    if obstacle.kind == "box":
-        return {"shapeType": bullet.GEOM_BOX, "halfExtents": [edge / 2 for edge in obstacle.size]}
-    return {"shapeType": bullet.GEOM_SPHERE, "radius": obstacle.size[0]}
+def make_ghost(client: int, shape: Shape, colour: Colour) -> Body:
+    """Make a body far below the ground that only pictures show."""
+    visual = _visual_shape(client, shape, colour)
+    body: Body = bullet.createMultiBody(0, -1, visual, OFFSTAGE, physicsClientId=client)
+    return body
+
+
+def _collision_shape(client: int, shape: Shape) -> ShapeNumber:
+    """Make a collision shape."""
+    keywords: dict[str, object] = {"shapeType": bullet.GEOM_MESH, "vertices": shape.corners}
+    if shape.kind == BOX:
+        keywords = {"shapeType": bullet.GEOM_BOX, "halfExtents": list(shape.half)}
+    elif shape.kind == SPHERE:
+        keywords = {"shapeType": bullet.GEOM_SPHERE, "radius": shape.half[0]}
+    elif shape.kind == CYLINDER:
+        radius, _, half = shape.half
+        size = {"radius": radius, "height": 2 * half}
+        keywords = {"shapeType": bullet.GEOM_CYLINDER, **size}
+    number: ShapeNumber = bullet.createCollisionShape(**keywords, physicsClientId=client)
+    return number
+
+
+def _visual_shape(client: int, shape: Shape, colour: Colour) -> ShapeNumber:
+    """Make what pictures show of a shape."""
+    if shape.kind == HULL:
+        corners, triangles = Solids(np.zeros((0, 2, 3)), (np.array(shape.corners),)).mesh
+        return _flat_visual(client, corners[triangles], colour)
+    keywords: dict[str, object] = {"shapeType": bullet.GEOM_BOX, "halfExtents": list(shape.half)}
+    if shape.kind == SPHERE:
+        keywords = {"shapeType": bullet.GEOM_SPHERE, "radius": shape.half[0]}
+    elif shape.kind == CYLINDER:
+        radius, _, half = shape.half
+        keywords = {"shapeType": bullet.GEOM_CYLINDER, "radius": radius, "length": 2 * half}
+    number: ShapeNumber = bullet.createVisualShape(
+        **keywords, rgbaColor=colour, physicsClientId=client
+    )
+    return number
 
 
 def make_city(
@@ -187,9 +228,9 @@ def make_city(
     ]
 
 
-def _make_mesh(client: int, vertices: np.ndarray, triangles: np.ndarray) -> Shape:
+def _make_mesh(client: int, vertices: np.ndarray, triangles: np.ndarray) -> ShapeNumber:
     """Make a collision shape of triangles (T, 3) of vertices (V, 3), m."""
-    mesh: Shape = bullet.createCollisionShape(
+    mesh: ShapeNumber = bullet.createCollisionShape(
         bullet.GEOM_MESH,
         vertices=vertices.tolist(),
         indices=triangles.ravel().tolist(),
@@ -221,7 +262,7 @@ def _parts(bounds: np.ndarray, apart: float) -> list[np.ndarray]:
     return parts
 
 
-def _make_compound(client: int, solids: Solids, pieces: np.ndarray) -> Shape:
+def _make_compound(client: int, solids: Solids, pieces: np.ndarray) -> ShapeNumber:
     """Make one collision shape of convex pieces.
 
     It goes through a file, as Bullet's other ways take sixteen pieces at most.
@@ -238,7 +279,7 @@ def _make_compound(client: int, solids: Solids, pieces: np.ndarray) -> Shape:
         path = Path(folder, "pieces.obj")
         path.write_text("\n".join(obj_lines(objects)) + "\n")
         with silenced():
-            compound: Shape = bullet.createCollisionShape(
+            compound: ShapeNumber = bullet.createCollisionShape(
                 bullet.GEOM_MESH,
                 fileName=str(path),
                 physicsClientId=client,
@@ -254,17 +295,23 @@ def make_facades(client: int, solids: Solids) -> list[Body]:
 
 
 def _make_facade(client: int, corner: np.ndarray) -> Body:
-    """Make a visual body of triangles (T, 3, 3) with corners of their own: walls look flat."""
+    """Make a visual body of triangles (T, 3, 3)."""
+    visual = _flat_visual(client, corner, CITY_COLOUR)
+    facade: Body = bullet.createMultiBody(0, -1, visual, physicsClientId=client)
+    return facade
+
+
+def _flat_visual(client: int, corner: np.ndarray, colour: Colour) -> ShapeNumber:
+    """Make a visual of triangles (T, 3, 3) with corners of their own: faces look flat."""
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    visual = bullet.createVisualShape(
+    visual: ShapeNumber = bullet.createVisualShape(
         bullet.GEOM_MESH,
         vertices=corner.reshape(-1, 3).tolist(),
         indices=list(range(corner.shape[0] * 3)),
         normals=np.repeat(normal, 3, axis=0).tolist(),
-        rgbaColor=CITY_COLOUR,
+        rgbaColor=colour,
         specularColor=[0, 0, 0],
         physicsClientId=client,
     )
-    facade: Body = bullet.createMultiBody(0, -1, visual, physicsClientId=client)
-    return facade
+    return visual

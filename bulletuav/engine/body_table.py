@@ -1,17 +1,30 @@
 """All bodies of an engine, and what each of them stands for."""
 
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from bulletuav.engine.bodies import make_drone, make_floor, make_ground, make_obstacles
+from bulletuav.engine.bodies import (
+    Colour,
+    Pose,
+    make_drone,
+    make_floor,
+    make_ghost,
+    make_ground,
+    make_solids,
+)
 from bulletuav.engine.calls import bullet
-from bulletuav.engine.city_layouts import LayoutBodies
+from bulletuav.engine.city_layouts import LEVEL, LayoutBodies
 from bulletuav.geometry.obstacle import Obstacle
+from bulletuav.geometry.shapes import Shape
 from bulletuav.geometry.solids import Solids
 from bulletuav.geometry.view import BUILDING, DRONE, LAND, OBSTACLE, SKY
 from bulletuav.vehicle.airframe import Airframe
 from bulletuav.vehicle.swarm import CITY, FIRST_OBSTACLE, GROUND
+
+GHOST_COLOUR = (0.98, 0.62, 0.15, 1.0)
+"""Colour of the collision shapes of drones in pictures"""
 
 
 class BodyTable:
@@ -56,14 +69,22 @@ class BodyTable:
             for w in range(num_worlds)
         ]
         self.drone = np.array(drones, dtype=np.int32)
-        below = [(0, 0, -depth)] * num_worlds
-        of_obstacles = [make_obstacles(client, obstacle, below) for obstacle in obstacles]
+        below = [((0, 0, -depth), LEVEL)] * num_worlds
+        of_obstacles = [
+            make_solids(client, obstacle.shape, obstacle.colour, below) for obstacle in obstacles
+        ]
         by_obstacle = np.array(of_obstacles, dtype=np.int32).reshape(len(obstacles), num_worlds)
         self.obstacle = by_obstacle.T.copy()
         diameter = 2 * max(airframe.collision_radius for airframe in airframes)
         self.layouts = LayoutBodies(client, layouts, offset, diameter)
 
+        self._client = client
         self._num_bodies: int = bullet.getNumBodies(client)
+        self._airframes = tuple(airframes)
+        self._added: list[int] = []
+        self._ghosts: list[int] = []
+        # Bodies that nobody told us of when somebody was last warned of them.
+        self._strangers = 0
         # World and index of the drone that a body is.
         self._drone_of_body = {
             body: divmod(k, num_drones) for k, body in enumerate(self.drone.ravel().tolist())
@@ -77,6 +98,44 @@ class BodyTable:
         self._other_of_body |= {
             body: CITY for bodies in self.layouts.body for body in bodies.ravel().tolist()
         }
+
+    def add(self, shape: Shape, colour: Colour, poses: Iterable[Pose], other: int) -> None:
+        """Make a piece of a body that stands still.
+
+        Args:
+            shape: Its shape.
+            colour: Red, green, blue and opacity, from 0 to 1.
+            poses: Position (3,) in Bullet's frame, m, and quaternion (4,) of each copy.
+            other: What a contact calls the body.
+        """
+        made = make_solids(self._client, shape, colour, poses)
+        self._added += made
+        self._other_of_body |= dict.fromkeys(made, other)
+
+    def warn_of_strangers(self) -> None:
+        """Warn, once each, of bodies that someone made in our client without `add_body`."""
+        known = self._num_bodies + self.layouts.num_facades + len(self._added + self._ghosts)
+        strangers = bullet.getNumBodies(self._client) - known
+        if strangers > self._strangers:
+            warnings.warn(
+                f"{strangers} bodies were made in the engine by others: sensors and dynamics do "
+                f"not know them; use add_body(source, position) of the environment instead",
+                stacklevel=2,
+            )
+        self._strangers = strangers
+
+    def ghosts(self) -> list[int]:
+        """List the bodies that show the collision shapes of the drones; the first call makes them.
+
+        Returns:
+            N bodies, one for each drone of a world.
+        """
+        if not self._ghosts:
+            self._ghosts = [
+                make_ghost(self._client, airframe.shape, GHOST_COLOUR)
+                for airframe in self._airframes
+            ]
+        return self._ghosts
 
     def contacts(self, pairs: np.ndarray, force: np.ndarray) -> list[tuple[int, int, int, float]]:
         """Tell which drones touch what.
@@ -128,9 +187,12 @@ class BodyTable:
             (B,) uint8. The entry before the last is for all bodies that are made later. The last is
             for pixels without a body (-1).
         """
-        label = np.full(self._num_bodies + 2, BUILDING, dtype=np.uint8)
+        last = max([self._num_bodies - 1, *self._added, *self._ghosts])
+        label = np.full(last + 3, BUILDING, dtype=np.uint8)
         label[self.drone] = DRONE
+        label[self._ghosts] = DRONE
         label[self.obstacle] = OBSTACLE
+        label[self._added] = OBSTACLE
         label[self.floor] = LAND
         label[-1] = SKY
         return label

@@ -17,6 +17,7 @@ from bulletuav.engine.calls import VISIBLE
 from bulletuav.engine.tiles import columns, globalise, land, localise
 from bulletuav.geometry.city_grid import CityGrid
 from bulletuav.geometry.raycast import walk
+from bulletuav.geometry.scenery import Scenery
 from bulletuav.kernel import kernel
 from bulletuav.vehicle.swarm import Swarm
 
@@ -102,9 +103,10 @@ class Port(NamedTuple):
         place: (W, N, 3) positions as Bullet gave them, in its own frame, m.
         omega: (W, N, 3) angular velocities as Bullet gave them, world axes, rad/s.
         offset: (W, 1, 3) origins of the tiles, m.
-        obstacle: (W, K, 3) positions of the obstacles, m.
-        obstacle_radius: (K,) radii of their bounding spheres, m.
+        obstacle_radius: (K,) radii of the obstacles' bounding spheres, m.
         city_grid: The cities, and which stands in each world.
+        scenery: What drones can touch.
+        compiled: Whether rays are answered without Bullet.
     """
 
     session: int
@@ -114,9 +116,10 @@ class Port(NamedTuple):
     place: np.ndarray
     omega: np.ndarray
     offset: np.ndarray
-    obstacle: np.ndarray
     obstacle_radius: np.ndarray
     city_grid: CityGrid
+    scenery: Scenery
+    compiled: bool
 
 
 @kernel
@@ -129,18 +132,11 @@ def surface_below(port: Port, position: np.ndarray, mask: np.ndarray, surface: n
         mask: (W, N) bool, drones that are asked for.
         surface: (W, N) heights z, m, which are written; -inf outside `mask`.
     """
-    who, start, end = columns(
-        position,
-        mask,
-        port.obstacle,
-        port.obstacle_radius,
-        port.city_grid,
-        surface,
-    )
+    who, start, end = columns(position, mask, port.scenery, surface)
     if who.shape[0] == 0:
         return
-    fraction, left = walk(port.city_grid, start, end, who[:, 0], port.obstacle_radius.size > 0)
-    # Bullet answers what is more than ground and boxes.
+    fraction, left = walk(port.scenery, start, end, who[:, 0], port.compiled)
+    # Bullet answers the others.
     count = left.shape[0]
     if count > 0:
         first = np.empty((count, 3))

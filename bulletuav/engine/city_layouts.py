@@ -93,6 +93,11 @@ class LayoutBodies:
         layout = self.city_grid.layout[world]
         return [] if layout == NO_LAYOUT else self._solid[layout][world]
 
+    @property
+    def num_facades(self) -> int:
+        """Number of bodies that pictures show."""
+        return sum(map(len, self._facade.values()))
+
     def facades(self, world: int) -> list[tuple[int, float]]:
         """List the bodies that pictures show, each with its height in a picture of a world.
 

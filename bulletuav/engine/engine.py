@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from bulletuav.engine.body_source import BodySource, pieces_of, pose_of
 from bulletuav.engine.body_table import BodyTable
 from bulletuav.engine.c_extension import POSTFIX, CExtension, Port, load
 from bulletuav.engine.calls import DRONE_GROUP, SOLID, EngineCalls, bullet
@@ -18,14 +19,21 @@ from bulletuav.engine.client import configure, connect, disconnect
 from bulletuav.engine.queries import EngineQueries
 from bulletuav.engine.silence import silenced
 from bulletuav.engine.tiles import globalise, localise, tile_offset
-from bulletuav.geometry.obstacle import Obstacle
+from bulletuav.errors import choose, finite
+from bulletuav.geometry.obstacle import MOST_FRICTION, Obstacle
+from bulletuav.geometry.rotation import product, to_world
+from bulletuav.geometry.scenery import NOWHERE, add_pieces
 from bulletuav.geometry.solids import Solids
 from bulletuav.vehicle.airframe import Airframe
-from bulletuav.vehicle.swarm import Swarm
+from bulletuav.vehicle.swarm import FIRST_OBSTACLE, Swarm
 
 ENGINE_VERSION: int = bullet.getAPIVersion()
 EXTENSION = load(bullet.__file__)
 
+RAYS = {"compiled": True, "bullet": False}
+"""Who answers rays, and whether it is compiled code"""
+PLAIN = Obstacle("sphere", (1.0,))
+"""Whose colour and contact a body has that tells none"""
 PARKING_HEIGHT = 2000.0
 """Height of parked drones, m; obstacles that are not placed wait as deep below the ground"""
 PARKING_PITCH = 10.0
@@ -67,6 +75,7 @@ class Engine(EngineQueries):
         layouts: Sequence[Solids] = (),
         first_world: int = 0,
         live: bool = False,
+        rays: str = "compiled",
         contacts: bool = False,
     ) -> None:
         """Connect to Bullet and make all bodies; the drones are parked.
@@ -79,12 +88,15 @@ class Engine(EngineQueries):
             layouts: What can stand in a world, one at a time; none does before `set_layouts`.
             first_world: Number of the first tile.
             live: Whether to open a window.
+            rays: "compiled", or "bullet" to ask Bullet where there is more than ground and boxes:
+                slower, to a millimetre, for comparison.
             contacts: Whether Bullet lets drones touch, instead of `bulletuav.contact`.
 
         Raises:
             RuntimeError: There is no screen for a window.
-            ValueError: Bullet cannot load the URDF of an airframe.
+            ValueError: Bullet cannot load the URDF of an airframe, or `rays` is neither.
         """
+        choose("rays", rays, dict.fromkeys(RAYS))
         client = connect(live)
         self._finalizer = weakref.finalize(self, disconnect, client)
         configure(client, dt, live)
@@ -100,16 +112,24 @@ class Engine(EngineQueries):
             parking=self._parking,
             depth=PARKING_HEIGHT,
         )
-        super().__init__(client, bodies, airframes=airframes, obstacles=obstacles, offset=offset)
+        super().__init__(
+            client,
+            bodies,
+            airframes=airframes,
+            obstacles=obstacles,
+            offset=offset,
+            compiled=RAYS[rays],
+        )
         self.dt = dt
         self.first_world = first_world
         self._live = live
         self._contacts = contacts
-        self._obstacle_place[:] = -PARKING_HEIGHT
+        self._num_added = 0
         # Positions as Bullet gave them, at which forces act, and angular velocities.
         self._place = np.zeros((*self.shape, 3))
         self._omega = np.zeros((*self.shape, 3))
         self._calls = self._make_calls(live)
+        self._filter(np.ones(self.shape, dtype=bool), 0)
         self.park(np.ones(self.shape, dtype=bool))
 
     def _make_calls(self, live: bool) -> EngineCalls | CExtension:
@@ -144,9 +164,10 @@ class Engine(EngineQueries):
             place=self._place,
             omega=self._omega,
             offset=self._offset,
-            obstacle=self._obstacle_place,
             obstacle_radius=self.obstacle_radius,
             city_grid=self.city_grid,
+            scenery=self.scenery,
+            compiled=self._compiled,
         )
 
     def set_layouts(self, layout: np.ndarray, worlds: np.ndarray) -> None:
@@ -156,6 +177,7 @@ class Engine(EngineQueries):
             layout: (W,) layout that is to stand in each world, or `NO_LAYOUT`.
             worlds: (W,) bool, worlds to change; the others keep theirs.
         """
+        self._bodies.warn_of_strangers()
         self._bodies.layouts.put(layout, worlds, self._calls)
         if self._live:
             self._renderer.show_city(0)
@@ -174,10 +196,53 @@ class Engine(EngineQueries):
             worlds: (W,) bool, worlds whose obstacles move.
         """
         if self.obstacle_radius.size:
-            self._obstacle_place[worlds] = position[worlds]
+            count = self.obstacle_radius.size
+            self._scenery.place[worlds, :count] = position[worlds]
+            self._scenery.quaternion[worlds, :count] = quaternion[worlds]
             bodies = self._bodies.obstacle[worlds].ravel()
             place = (position + self._offset)[worlds].reshape(-1, 3)
             self._calls.pose(bodies, place, quaternion[worlds].reshape(-1, 4))
+
+    def add_body(
+        self,
+        source: BodySource,
+        position: Sequence[float],
+        quaternion: Sequence[float] = (0.0, 0.0, 0.0, 1.0),
+        world: int | None = None,
+        friction: float | None = None,
+        restitution: float | None = None,
+    ) -> int:
+        """Put up a body that stands still, for good; see `Worlds.add_body`."""
+        place, turn = pose_of(position, quaternion)
+        pieces = pieces_of(source)
+        # An obstacle tells what a mesh does not.
+        like = source if isinstance(source, Obstacle) else PLAIN
+        friction = like.friction if friction is None else friction
+        friction = finite("friction", friction, 0, MOST_FRICTION)
+        restitution = like.restitution if restitution is None else restitution
+        restitution = finite("restitution", restitution, 0, 1)
+        worlds = np.arange(self.shape[0]) if world is None else np.array([world])
+        other = FIRST_OBSTACLE - self.obstacle_radius.size - self._num_added
+        # Where each piece is: that of the body, and the piece's own in it.
+        places = np.full((self.shape[0], len(pieces), 3), NOWHERE)
+        turns = np.tile([0.0, 0.0, 0.0, 1.0], (*places.shape[:2], 1))
+        for p, piece in enumerate(pieces):
+            places[worlds, p] = place + to_world(turn, piece.place)
+            turns[worlds, p] = product(turn, piece.quaternion)
+            in_bullet = places[worlds, p] + self._offset[worlds, 0]
+            poses = zip(in_bullet.tolist(), turns[worlds, p].tolist(), strict=True)
+            self._bodies.add(piece.shape, like.colour, poses, other)
+        self._scenery = add_pieces(
+            self._scenery,
+            [piece.shape for piece in pieces],
+            place=places,
+            quaternion=turns,
+            other=other,
+            friction=friction,
+            restitution=restitution,
+        )
+        self._num_added += 1
+        return other
 
     def set_masses(self, world: int, mass: np.ndarray, inertia: np.ndarray) -> None:
         """Change the masses of the drones of one world.
@@ -204,7 +269,8 @@ class Engine(EngineQueries):
             swarm: The states.
             mask: (W, N) bool, drones to set.
         """
-        self._filter(mask, DRONE_GROUP | SOLID if self._contacts else 0)
+        if self._contacts:
+            self._filter(mask, DRONE_GROUP | SOLID)
         self.write_states(swarm, mask)
 
     def write_states(self, swarm: Swarm, mask: np.ndarray) -> None:
@@ -234,7 +300,8 @@ class Engine(EngineQueries):
             mask: (W, N) bool, drones to park.
         """
         if mask.any():
-            self._filter(mask, 0)
+            if self._contacts:
+                self._filter(mask, 0)
             self._place[mask] = self._parking[mask]
             still = np.zeros((*self.shape, 3))
             upright = np.tile([0.0, 0.0, 0.0, 1.0], (*self.shape, 1))

@@ -12,11 +12,11 @@ from bulletuav.engine.rendering import SceneRenderer
 from bulletuav.engine.tiles import columns, land, within_tile
 from bulletuav.geometry.city_grid import CityGrid
 from bulletuav.geometry.obstacle import Obstacle
-from bulletuav.geometry.raycast import walk
-from bulletuav.geometry.shapes import meet_drones
+from bulletuav.geometry.raycast import meet_drones, walk
+from bulletuav.geometry.scenery import Scenery, make_scenery
 from bulletuav.geometry.view import Picture
 from bulletuav.vehicle.airframe import Airframe
-from bulletuav.vehicle.swarm import CITY, GROUND, Swarm
+from bulletuav.vehicle.swarm import CITY, FIRST_OBSTACLE, GROUND, Swarm
 
 PlacedShape = tuple[int, np.ndarray | None, np.ndarray | None]
 """Owner of a collision shape (as `other` in `Contacts`), position (3,) in m, quaternion (4,)"""
@@ -37,6 +37,7 @@ class EngineQueries:
         airframes: Sequence[Airframe],
         obstacles: Sequence[Obstacle],
         offset: np.ndarray,
+        compiled: bool,
     ) -> None:
         """Keep the bodies and shapes that questions are about.
 
@@ -46,6 +47,7 @@ class EngineQueries:
             airframes: Airframe of each of the N drones of a world.
             obstacles: The K obstacles of each world.
             offset: (W, 3) origins of the tiles, m.
+            compiled: False to ask Bullet for rays where there is more than ground and boxes.
         """
         self.shape = (len(offset), len(airframes))
         self.obstacle_radius = np.array([obstacle.radius for obstacle in obstacles])
@@ -54,15 +56,24 @@ class EngineQueries:
         self._calls: EngineCalls | CExtension = EngineCalls(client, bodies.drone.ravel())
         self._renderer = SceneRenderer(client, bodies, offset)
         self._offset = offset[:, None, :]
-        self._obstacle_place = np.zeros((*bodies.obstacle.shape, 3))
-        shapes = [airframe.shape for airframe in airframes]
-        self._shape_kind = np.array([shape.kind for shape in shapes])
-        self._shape_half = np.array([shape.half for shape in shapes])
+        self._compiled = compiled
+        self._scenery = make_scenery(
+            drones=[airframe.shape for airframe in airframes],
+            obstacles=obstacles,
+            others=[FIRST_OBSTACLE - k for k in range(len(obstacles))],
+            layouts=bodies.layouts.solids,
+            city_grid=bodies.layouts.city_grid,
+        )
 
     @property
     def city_grid(self) -> CityGrid:
         """The pieces of the city layouts, and which layout stands in each world."""
         return self._bodies.layouts.city_grid
+
+    @property
+    def scenery(self) -> Scenery:
+        """What drones can touch, for compiled code; a new one after each `Engine.add_body`."""
+        return self._scenery
 
     def contacts(self) -> list[tuple[int, int, int, float]]:
         """Tell what touched in the last step.
@@ -80,10 +91,10 @@ class EngineQueries:
         world: np.ndarray,
         drones: tuple[Swarm, np.ndarray] | None = None,
     ) -> np.ndarray:
-        """Cast rays that meet ground, obstacles and buildings, and drones where asked for.
+        """Cast rays that meet ground, bodies and buildings, and drones where asked for.
 
-        Bullet is asked where there is more than ground and boxes. It is never asked about drones,
-        as it knows only where its last step began.
+        Of an engine with `rays="bullet"`, Bullet is asked where there is more than ground and
+        boxes. It is never asked about drones, as it knows only where its last step began.
 
         Args:
             start: (M, 3) starts, m.
@@ -95,8 +106,8 @@ class EngineQueries:
         Returns:
             (M,) fraction of each ray before it meets something, 1 if it does not.
         """
-        fraction, left = walk(self.city_grid, start, end, world, self.obstacle_radius.size > 0)
-        # Bullet answers what is more than ground and boxes, within the world's own tile.
+        fraction, left = walk(self._scenery, start, end, world, self._compiled)
+        # Bullet answers the others, within the world's own tile.
         if len(left):
             last, share = within_tile(start[left], end[left])
             offset = self._offset[world[left], 0]
@@ -104,20 +115,11 @@ class EngineQueries:
             fraction[left] = np.where(met < 1, met * share, 1.0)
         if drones is not None:
             swarm, mask = drones
-            meet_drones(
-                fraction,
-                start,
-                end,
-                world,
-                swarm,
-                mask,
-                self._shape_kind,
-                self._shape_half,
-            )
+            meet_drones(fraction, start, end, world, swarm, mask, self._scenery.table)
         return fraction
 
     def surface_below(self, position: np.ndarray, mask: np.ndarray) -> np.ndarray:
-        """Find the height of the surface under drones: ground, roof or obstacle.
+        """Find the height of the surface under drones: ground, roof or body.
 
         Args:
             position: (W, N, 3) of the drones, m.
@@ -128,14 +130,7 @@ class EngineQueries:
         """
         # Most drones have only ground below, which takes no ray.
         surface = np.empty(self.shape)
-        who, start, end = columns(
-            position,
-            mask,
-            self._obstacle_place,
-            self.obstacle_radius,
-            self.city_grid,
-            surface,
-        )
+        who, start, end = columns(position, mask, self._scenery, surface)
         if len(who):
             land(surface, who, start, self.cast_rays(start, end, who[:, 0]))
         return surface
@@ -186,6 +181,7 @@ class EngineQueries:
         view: np.ndarray,
         projection: np.ndarray,
         size: tuple[int, int],
+        drones: tuple[Swarm, np.ndarray] | None = None,
     ) -> Picture:
         """Take a picture of a world; needs no screen.
 
@@ -194,11 +190,18 @@ class EngineQueries:
             view: (4, 4) matrix from the world's own frame to the camera's; see `view_matrix`.
             projection: (4, 4) matrix of the camera; see `projection_matrix`.
             size: Width and height, pixels.
+            drones: A swarm, and a mask (W, N) of the drones in it that are drawn by their
+                collision shapes, in place of the engine's drones.
 
         Returns:
             Colours, depths and labels of the pixels.
         """
-        return self._renderer.picture(world, view, projection, size)
+        if drones is None:
+            return self._renderer.picture(world, view, projection, size)
+        swarm, mask = drones
+        poses = swarm.position[world], swarm.quaternion[world]
+        with self._renderer.collision_shapes(world, *poses, mask[world]):
+            return self._renderer.picture(world, view, projection, size)
 
     def look_at(self, world: int, target: np.ndarray, distance: float) -> None:
         """Point the live window at a place.

@@ -1,14 +1,20 @@
 """Pictures of the worlds of an engine, and its live window."""
 
+import contextlib
+from collections.abc import Iterator
+
 import numpy as np
 
-from bulletuav.engine.bodies import FLOOR
+from bulletuav.engine.bodies import FLOOR, OFFSTAGE, Colour
 from bulletuav.engine.body_table import BodyTable
 from bulletuav.engine.calls import bullet
+from bulletuav.engine.city_layouts import LEVEL
 from bulletuav.geometry.view import Picture, metres
 
 LIGHT = (0.4, -0.7, 1.0)
 """Direction towards the sun of pictures: walls differ"""
+RGBA = 7
+"""Column of a row of getVisualShapeData"""
 YAW = 45.0
 """Direction from which the live window looks, degrees"""
 PITCH = -35.0
@@ -29,7 +35,6 @@ class SceneRenderer:
         self._client = client
         self._bodies = bodies
         self._offset = offset
-        self._label = bodies.pixel_labels()
 
     def show_city(self, world: int) -> None:
         """Move the floor, and the facades of the layout that stands in a world, there."""
@@ -64,9 +69,51 @@ class SceneRenderer:
         body = np.asarray(bodies).reshape(height, width)
         colours = np.asarray(pixels, dtype=np.uint8).reshape(height, width, 4)[..., :3].copy()
         depth = metres(np.asarray(buffer, dtype=np.float64).reshape(height, width))
-        # Bodies made later than the labels share the entry before the last.
-        labels = self._label[np.minimum(body, len(self._label) - 2)]
+        # Bodies that the labels do not tell share the entry before the last.
+        label = self._bodies.pixel_labels()
+        labels = label[np.minimum(body, len(label) - 2)]
         return Picture(colours, depth.astype(np.float32), labels)
+
+    @contextlib.contextmanager
+    def collision_shapes(
+        self, world: int, position: np.ndarray, quaternion: np.ndarray, mask: np.ndarray
+    ) -> Iterator[None]:
+        """Show the collision shapes of drones in place of the drones, for pictures taken meanwhile.
+
+        Args:
+            world: Index of the world.
+            position: (N, 3) of its drones, m.
+            quaternion: (N, 4) body to world.
+            mask: (N,) bool, drones to show.
+        """
+        bodies = self._bodies.drone[world].tolist()
+        colours = {body: self._colours(body) for body in bodies}
+        ghosts = self._bodies.ghosts()
+        places = np.where(mask[:, None], position + self._offset[world], OFFSTAGE)
+        for ghost, place, turn in zip(ghosts, places, quaternion, strict=True):
+            bullet.resetBasePositionAndOrientation(ghost, place, turn, self._client)
+        # The renderer leaves out what is wholly transparent.
+        for body in bodies:
+            self._paint(body, [(*colour[:3], 0.0) for colour in colours[body]])
+        try:
+            yield
+        finally:
+            for body in bodies:
+                self._paint(body, colours[body])
+            for ghost in ghosts:
+                bullet.resetBasePositionAndOrientation(ghost, OFFSTAGE, LEVEL, self._client)
+
+    def _colours(self, body: int) -> list[Colour]:
+        """List the colours of the visual shapes of a body."""
+        shapes = bullet.getVisualShapeData(body, physicsClientId=self._client)
+        return [shape[RGBA] for shape in shapes]
+
+    def _paint(self, body: int, colours: list[Colour]) -> None:
+        """Give the visual shapes of a body colours."""
+        for index, colour in enumerate(colours):
+            bullet.changeVisualShape(
+                body, -1, shapeIndex=index, rgbaColor=colour, physicsClientId=self._client
+            )
 
     def look_at(self, world: int, target: np.ndarray, distance: float) -> None:
         """Point the live window at a place in a world; see `Engine.look_at`."""

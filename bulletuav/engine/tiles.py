@@ -8,8 +8,9 @@ import math
 
 import numpy as np
 
-from bulletuav.geometry.city_grid import CityGrid, meets
+from bulletuav.geometry.city_grid import meets
 from bulletuav.geometry.rotation import Vec3Like, quat4, to_body, to_world, vec3
+from bulletuav.geometry.scenery import Scenery
 from bulletuav.kernel import func, kernel
 from bulletuav.vehicle.swarm import Swarm
 
@@ -87,44 +88,37 @@ def globalise(
 
 
 @func
-def _is_covered(
-    here: Vec3Like,
-    obstacle: np.ndarray,
-    radius: np.ndarray,
-    city_grid: CityGrid,
-    w: int,
-) -> bool:
-    """Tell whether an obstacle or a building may stand above or below a point.
+def _is_covered(here: Vec3Like, scenery: Scenery, w: int) -> bool:
+    """Tell whether a body or a building may stand above or below a point.
 
-    It goes by the bounding spheres of obstacles and the bounding boxes of buildings.
+    It goes by the bounding spheres of bodies and the bounding boxes of buildings.
     """
-    for k in range(radius.shape[0]):
-        dx = obstacle[w, k, 0] - here[0]
-        dy = obstacle[w, k, 1] - here[1]
-        if dx * dx + dy * dy <= radius[k] * radius[k]:
+    for r in range(scenery.other.shape[0]):
+        dx = scenery.place[w, r, 0] - here[0]
+        dy = scenery.place[w, r, 1] - here[1]
+        radius = scenery.table.radius[scenery.first_body + r]
+        if dx * dx + dy * dy <= radius * radius:
             return True
-    return meets(city_grid, w, (here[0], here[1], -np.inf), (here[0], here[1], np.inf))
+    low = (here[0], here[1], -np.inf)
+    high = (here[0], here[1], np.inf)
+    return meets(scenery.city_grid, w, low, high)
 
 
 @kernel
 def columns(
     position: np.ndarray,
     mask: np.ndarray,
-    obstacle: np.ndarray,
-    radius: np.ndarray,
-    city_grid: CityGrid,
+    scenery: Scenery,
     surface: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Find the drones whose surface below takes a ray to find.
 
-    Those are drones with an obstacle or a building in their column. Below others lies the ground.
+    Those are drones with a body or a building in their column. Below others lies the ground.
 
     Args:
         position: (W, N, 3) of the drones, m.
         mask: (W, N) bool, drones that are asked for.
-        obstacle: (W, K, 3) of the obstacles, m.
-        radius: (K,) of their bounding spheres, m.
-        city_grid: What stands in each world.
+        scenery: What stands in each world.
         surface: (W, N) heights, m, which are written: 0 for drones of `mask`, -inf for others.
 
     Returns:
@@ -134,7 +128,7 @@ def columns(
     for w in range(mask.shape[0]):
         for i in range(mask.shape[1]):
             surface[w, i] = 0.0 if mask[w, i] else -np.inf
-            if mask[w, i] and _is_covered(vec3(position, w, i), obstacle, radius, city_grid, w):
+            if mask[w, i] and _is_covered(vec3(position, w, i), scenery, w):
                 found.append((w, i))
 
     # Their rays, straight down.

@@ -9,6 +9,7 @@ from bulletuav.control.actions import ACTIONS
 from bulletuav.control.cascade import CONTROLLERS, PID_LEVELS
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics import find_dynamics
+from bulletuav.engine.engine import RAYS
 from bulletuav.envs.randomization import CERTAIN, Randomization
 from bulletuav.errors import as_int, as_sequence, choose, finite, shown, unknown
 from bulletuav.sensors.lidar import FRAMES
@@ -97,6 +98,8 @@ class EnvOptions:
             empty.
         energy: What takes charge: "zeng" (rotary-wing formula) or "actuator" (the simulated rotors;
             also without gravity).
+        rays: What answers the rays of sensors: "compiled" code, exact and fast, or "bullet" (the
+            engine, to a millimetre, where there is more than ground and boxes).
     """
 
     num_drones: int
@@ -132,6 +135,7 @@ class EnvOptions:
     lidar_frame: str = "yaw"
     battery_capacity: float | None = None
     energy: str = "zeng"
+    rays: str = "compiled"
 
     def __post_init__(self) -> None:
         for name, most in COUNTS.items():
@@ -158,6 +162,7 @@ class EnvOptions:
             "controller": tuple(CONTROLLERS),
         }
         choices |= {"lidar_frame": FRAMES, "energy": ENERGIES, "observation_format": FORMATS}
+        choices["rays"] = tuple(RAYS)
         for name, known in choices.items():
             choose(name, getattr(self, name), dict.fromkeys(known))
         if self.observation is not None and not self.observation:

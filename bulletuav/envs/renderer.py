@@ -49,6 +49,7 @@ class Renderer:
         swarm: Swarm,
         goal: np.ndarray,
         alive: np.ndarray,
+        collision: bool = False,
     ) -> np.ndarray:
         """Take a picture of the living drones and of the goals.
 
@@ -60,6 +61,7 @@ class Renderer:
             swarm: State of all worlds.
             goal: (N, 3) goals of this world, m.
             alive: (W, N) bool, drones that are to be seen.
+            collision: Whether drones are drawn by their collision shapes.
 
         Returns:
             (height, width, 3) uint8, red, green, blue.
@@ -73,7 +75,9 @@ class Renderer:
         projection = projection_matrix(width / height, FIELD_OF_VIEW)
         matrix = projection @ view
         # Colour the sky, draw on the ground, then draw marks above everything.
-        pixels, _, labels = self._engine.picture(world, view, projection, self._size)
+        pixels, _, labels = self._engine.picture(
+            world, view, projection, self._size, (swarm, alive) if collision else None
+        )
         pixels[labels == SKY] = AIR
         ground = labels == LAND
         grid = self._grid(target, distance)

@@ -1,6 +1,7 @@
 """What W worlds of N drones are made of, and what can be asked of them."""
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from bulletuav.control.gains import gain_rows
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics import find_dynamics
 from bulletuav.dynamics.base import Dynamics, Flight
+from bulletuav.engine.body_source import BodySource
 from bulletuav.engine.engine import Engine
 from bulletuav.envs.energy import Energy
 from bulletuav.envs.env_spec import MOST_WORLDS, EnvSpec
@@ -67,6 +69,7 @@ class Worlds(Environment):
             self.task.layouts(),
             first_world,
             self.options.render_mode == "human",
+            self.options.rays,
         )
         self._dynamics, self._cascade = self._make_dynamics()
         self.options.check_setpoint_levels(self.action.level, self._dynamics.consumes)
@@ -125,10 +128,14 @@ class Worlds(Environment):
         return state.reshape(self.num_worlds, -1)
 
     @exclusive
-    def render(self, world: int = 0) -> np.ndarray | None:
+    def render(self, world: int = 0, *, collision: bool = False) -> np.ndarray | None:
         """(height, width, 3) uint8 picture of a world with render_mode "rgb_array"; None otherwise.
 
         Shows the drones that flew the last decision, so also those that it ended.
+
+        Args:
+            world: Index of the world.
+            collision: Whether drones are drawn by the shapes that touch, not by their looks.
         """
         self._require_open()
         if self.options.render_mode != "rgb_array":
@@ -139,9 +146,47 @@ class Worlds(Environment):
         self._engine.set_poses(
             self.swarm, flown & ~self.alive
         )  # those that just ended are still to be seen
-        picture = self._renderer.picture(world, self.swarm, self.scene.goal[world], flown)
+        goal = self.scene.goal[world]
+        picture = self._renderer.picture(world, self.swarm, goal, flown, collision)
         self._engine.park(flown & ~self.alive)
         return picture
+
+    @exclusive
+    def add_body(
+        self,
+        source: BodySource,
+        position: Sequence[float],
+        quaternion: Sequence[float] = (0.0, 0.0, 0.0, 1.0),
+        world: int | None = None,
+        friction: float | None = None,
+        restitution: float | None = None,
+    ) -> int:
+        """Put up a body that stands still: drones hit it, sensors measure it, pictures show it.
+
+        It stays through resets. Tasks know nothing of it: their starts may lie within it.
+
+        Args:
+            source: Path of a URDF with one link, all of whose collision shapes count (box, sphere,
+                cylinder, or a mesh by its convex hull); path of a Wavefront OBJ, each object of
+                which is a convex hull; corners (V, 3) of a hull, m; or an `Obstacle`.
+            position: (3,) of its origin in the world's own frame, m.
+            quaternion: (4,) body to world, (x, y, z, w).
+            world: Index of the world in which it stands; all when left out.
+            friction: Coefficient of friction; that of the obstacle, or 0.5, when left out.
+            restitution: Share of the speed that an impact gives back; that of the obstacle, or 0,
+                when left out.
+
+        Returns:
+            What `Contacts.other` calls it.
+
+        Raises:
+            ValueError: The source or a number cannot be, or there is no such world.
+            FileNotFoundError: There is no such file.
+        """
+        self._require_open()
+        if world is not None:
+            self._spec.require_world(world)
+        return self._engine.add_body(source, position, quaternion, world, friction, restitution)
 
     @exclusive
     def line_of_sight(

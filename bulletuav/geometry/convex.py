@@ -119,11 +119,14 @@ def make_shape_table(shapes: Sequence[Shape]) -> ShapeTable:
     corners = np.zeros((len(shapes), 2), dtype=np.int64)
     planes = np.zeros((len(shapes), 2), dtype=np.int64)
     count = 0
+    # Drones of one kind share a hull, which takes time to compute.
+    hulls = {shape for shape in shapes if shape.kind == HULL}
+    known = {shape: _hull_faces(np.array(shape.corners)) for shape in hulls}
     for s, shape in enumerate(shapes):
         corners[s] = count
         planes[s] = len(plane)
         if shape.kind == HULL:
-            points, faces = _hull_faces(np.array(shape.corners))
+            points, faces = known[shape]
             low, high = points.min(axis=0), points.max(axis=0)
             half[s] = (high - low) / 2
             middle[s] = (high + low) / 2
@@ -160,6 +163,58 @@ def reach(shape: Shape) -> float:
     if shape.kind == BOX:
         return math.hypot(*shape.half)
     return max(math.hypot(*corner) for corner in shape.corners)
+
+
+def inscribed_radius(shape: Shape) -> float:
+    """Return the radius of a ball within a shape, m.
+
+    It is the largest one, or for a hull the largest about the mean of its corners.
+    """
+    if shape.kind != HULL:
+        return min(shape.half)
+    corners, faces = _hull_faces(np.array(shape.corners))
+    middle = corners.mean(axis=0)
+    return min(float(plane[3] - plane[:3] @ middle) for plane, _ in faces)
+
+
+def holds_origin(hull: Shape) -> bool:
+    """Tell whether the origin is within a hull, and not on its surface."""
+    _, faces = _hull_faces(np.array(hull.corners))
+    return min(float(plane[3]) for plane, _ in faces) > 0
+
+
+def insert_shapes(table: ShapeTable, at: int, new: ShapeTable) -> ShapeTable:
+    """Put the shapes of a table into another one.
+
+    Args:
+        table: The other one.
+        at: Number that the first new shape gets; those from there on move up.
+        new: The shapes to put in.
+
+    Returns:
+        All shapes.
+    """
+    # Corners, faces and rings are in the order of their shapes, so there is one cut in each.
+    corner = int(table.corners[at, 0])
+    plane = int(table.planes[at, 0])
+    ring = int(table.rings[plane, 0]) if plane < len(table.rings) else len(table.ring)
+
+    def join(old: np.ndarray, cut: int, inner: np.ndarray, low: int = 0, by: int = 0) -> np.ndarray:
+        return np.concatenate([old[:cut], inner + low, old[cut:] + by])
+
+    corners, planes, rings = len(new.corner), len(new.plane), len(new.ring)
+    return ShapeTable(
+        kind=join(table.kind, at, new.kind),
+        half=join(table.half, at, new.half),
+        middle=join(table.middle, at, new.middle),
+        radius=join(table.radius, at, new.radius),
+        corner=join(table.corner, corner, new.corner),
+        corners=join(table.corners, at, new.corners, corner, corners),
+        plane=join(table.plane, plane, new.plane),
+        planes=join(table.planes, at, new.planes, plane, planes),
+        ring=join(table.ring, ring, new.ring, corner, corners),
+        rings=join(table.rings, plane, new.rings, ring, rings),
+    )
 
 
 @func

@@ -1,14 +1,26 @@
 """Bodies that drones can hit and rays can see."""
 
-import math
 from dataclasses import dataclass
 
-from bulletuav.errors import as_sequence, choose, finite, shown
+import numpy as np
 
-SIZES = {"box": 3, "sphere": 1}
+from bulletuav.errors import as_sequence, choose, finite, points_of, shown
+from bulletuav.geometry.convex import hull_shape, reach
+from bulletuav.geometry.shapes import BOX, CYLINDER, HULL, SPHERE, Shape
+
+SIZES = {"box": 3, "sphere": 1, "cylinder": 2, "hull": 0}
 """Kinds of obstacles, and how many numbers tell their size."""
 LARGEST = 4096.0
 """Greatest edge or radius of an obstacle, m."""
+MOST_CORNERS = 256
+"""Most corners of a hull."""
+MOST_FRICTION = 10.0
+"""Greatest coefficient of friction."""
+FRICTION = 0.5
+"""Coefficient of friction of what tells none."""
+
+Corners = tuple[tuple[float, float, float], ...]
+"""Corners of a hull, m."""
 
 
 @dataclass(frozen=True)
@@ -16,29 +28,92 @@ class Obstacle:
     """A body that stands or moves in a world, and that drones can hit.
 
     Attributes:
-        kind: "box" or "sphere".
-        size: Three edges of a box, or the radius of a sphere, m.
+        kind: "box", "sphere", "cylinder" or "hull".
+        size: Three edges of a box, the radius of a sphere, or the radius and the height of a
+            cylinder, which is round about z, m; nothing for a hull.
         colour: Red, green, blue and opacity, from 0 to 1.
+        corners: Of a hull: points (V, 3) whose convex hull it is, about its own origin, m.
+        friction: Coefficient of friction, from 0 to 10.
+        restitution: Share of the speed that an impact gives back, from 0 to 1.
 
     Raises:
-        ValueError: The kind is unknown, or a number is out of its bounds.
+        ValueError: The kind is unknown, a number is out of its bounds, or a hull has no volume or
+            too many corners.
     """
 
     kind: str
-    size: tuple[float, ...]
+    size: tuple[float, ...] = ()
     colour: tuple[float, float, float, float] = (0.55, 0.57, 0.62, 1.0)
+    corners: Corners = ()
+    friction: float = FRICTION
+    restitution: float = 0.0
 
     def __post_init__(self) -> None:
         choose("kind of obstacle", self.kind, SIZES)
         size = as_sequence("size of an obstacle", self.size, SIZES[self.kind])
-        if min(finite("size of an obstacle", one, most=LARGEST) for one in size) <= 0:
+        if min((finite("size of an obstacle", one, most=LARGEST) for one in size), default=1) <= 0:
             raise ValueError(
                 f"size of an obstacle is {shown(self.size)}: metres above 0 are needed"
             )
         for share in as_sequence("colour", self.colour, 4):
             finite("colour of an obstacle", share, 0, 1)
+        finite("friction of an obstacle", self.friction, 0, MOST_FRICTION)
+        finite("restitution of an obstacle", self.restitution, 0, 1)
+        self._check_corners()
+
+    def _check_corners(self) -> None:
+        """Keep the corners of a hull as tuples; refuse them for other kinds."""
+        if self.kind != "hull":
+            if len(self.corners):
+                raise ValueError(f"an obstacle of kind {self.kind!r} has no corners: use 'hull'")
+            return
+        corners = hull_of("corners of an obstacle", self.corners).corners
+        object.__setattr__(self, "corners", corners)
+
+    @property
+    def shape(self) -> Shape:
+        """The shape, about the obstacle's position."""
+        if self.kind == "box":
+            width, depth, height = self.size
+            return Shape(BOX, (width / 2, depth / 2, height / 2))
+        if self.kind == "sphere":
+            return Shape(SPHERE, (self.size[0],) * 3)
+        if self.kind == "cylinder":
+            radius, height = self.size
+            return Shape(CYLINDER, (radius, radius, height / 2))
+        across, deep, high = np.abs(np.array(self.corners)).max(axis=0).tolist()
+        return Shape(HULL, (across, deep, high), self.corners)
 
     @property
     def radius(self) -> float:
-        """Radius of the bounding sphere, m."""
-        return math.hypot(*self.size) / 2 if self.kind == "box" else self.size[0]
+        """Radius of the bounding sphere about the obstacle's position, m."""
+        return reach(self.shape)
+
+
+def hull_of(name: str, points: object) -> Shape:
+    """Make the convex hull of points that a user gave.
+
+    Args:
+        name: What the points are, for messages.
+        points: (V, 3) m.
+
+    Returns:
+        The hull.
+
+    Raises:
+        ValueError: They are no finite points, lie too far out, span no volume, or have too many
+            corners.
+    """
+    corners = points_of(name, points)
+    if np.abs(corners).max(initial=0.0) > LARGEST:
+        raise ValueError(f"{name}: one is farther out than {LARGEST:g} m")
+    try:
+        shape = hull_shape(corners)
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from None
+    if len(shape.corners) > MOST_CORNERS:
+        raise ValueError(
+            f"{name}: the hull has {len(shape.corners)} corners, "
+            f"at most {MOST_CORNERS} are possible: simplify it"
+        )
+    return shape

@@ -103,6 +103,17 @@ def to_body(q: Quat4Like, v: Vec3Like) -> Vec3:
 
 
 @func
+def product(p: Quat4Like, q: Quat4Like) -> Quat4:
+    """Return the quaternion of the rotation by q and then by p: the product p q."""
+    return (
+        p[3] * q[0] + p[0] * q[3] + p[1] * q[2] - p[2] * q[1],
+        p[3] * q[1] - p[0] * q[2] + p[1] * q[3] + p[2] * q[0],
+        p[3] * q[2] + p[0] * q[1] - p[1] * q[0] + p[2] * q[3],
+        p[3] * q[3] - p[0] * q[0] - p[1] * q[1] - p[2] * q[2],
+    )
+
+
+@func
 def exponential(v: Vec3Like) -> Quat4:
     """Return the quaternion of the rotation by |v| radians about v (the exponential map)."""
     angle = math.sqrt(dot(v, v))

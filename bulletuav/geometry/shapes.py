@@ -1,4 +1,4 @@
-"""Rays and the collision shapes of drones: a sphere, a cylinder along the body's z axis, or a box.
+"""Convex shapes, and lines through those of them that are round or boxes.
 
 Each shape is convex, so a line is inside it between two points (T. Kay and J. Kajiya, Ray tracing
 complex scenes, 1986). Functions describe a ray by its point `start` and its vector `change`, and a
@@ -7,13 +7,12 @@ which it enters is larger than the one at which it leaves.
 """
 
 import math
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.geometry.closest_approach import closest_squared
-from bulletuav.geometry.rotation import Vec3Like, dot, minus, point, quat4, to_body, vec3
-from bulletuav.kernel import func, kernel
+from bulletuav.geometry.rotation import Vec3Like, dot
+from bulletuav.kernel import func
 
 SPHERE, CYLINDER, BOX, HULL, HALF_SPACE = range(5)
 
@@ -30,18 +29,6 @@ class Shape(NamedTuple):
     kind: int
     half: tuple[float, float, float]
     corners: tuple[tuple[float, float, float], ...] = ()
-
-
-class Poses(Protocol):
-    """What rays need to know of a swarm of W worlds of N drones."""
-
-    @property
-    def position(self) -> np.ndarray:
-        """Centres of mass (W, N, 3), m."""
-
-    @property
-    def quaternion(self) -> np.ndarray:
-        """Attitudes (W, N, 4), body to world, (x, y, z, w)."""
 
 
 @func
@@ -131,50 +118,3 @@ def inside(kind: int, half: Vec3Like, start: Vec3Like, change: Vec3Like) -> tupl
     outside = start[0] ** 2 + start[1] ** 2 - half[0] ** 2
     one, two = _inside_round(along, square, outside)
     return max(enters, one), min(leaves, two)
-
-
-@kernel
-def meet_drones(
-    fraction: np.ndarray,
-    start: np.ndarray,
-    end: np.ndarray,
-    world: np.ndarray,
-    swarm: Poses,
-    mask: np.ndarray,
-    kind: np.ndarray,
-    half: np.ndarray,
-) -> None:
-    """Shorten rays to where they enter the collision shape of a drone.
-
-    Drones in which a ray starts are not seen by it.
-
-    Args:
-        fraction: (M,) share of each ray that is free so far; lowered in place.
-        start: (M, 3) where the rays begin, m.
-        end: (M, 3) where they end, m.
-        world: (M,) index of the world of each ray.
-        swarm: State of the drones.
-        mask: (W, N) bool, which drones can be met.
-        kind: (N,) kinds of the shapes.
-        half: (N, 3) half extents of the shapes, m.
-    """
-    for m in range(world.shape[0]):
-        w = world[m]
-        for i in range(mask.shape[1]):
-            if not mask[w, i]:
-                continue
-            # The ray as seen from the drone's centre.
-            place = vec3(swarm.position, w, i)
-            here = minus(point(start, m), place)
-            there = minus(point(end, m), place)
-            # Most rays pass outside the bounding sphere: these are sorted out first.
-            size = point(half, i)
-            if closest_squared(here, there)[1] > dot(size, size):
-                continue
-            # The others meet the shape in the drone's body axes.
-            attitude = quat4(swarm.quaternion, w, i)
-            body_here = to_body(attitude, here)
-            body_change = to_body(attitude, minus(there, here))
-            enters, leaves = inside(kind[i], size, body_here, body_change)
-            if 0.0 <= enters <= leaves:
-                fraction[m] = min(fraction[m], enters)

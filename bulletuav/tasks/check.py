@@ -12,7 +12,7 @@ from bulletuav.engine.tiles import TILE_PITCH
 from bulletuav.errors import as_int, as_sequence, finite, numbers_of, shown, unknown
 from bulletuav.geometry.city_grid import NO_LAYOUT
 from bulletuav.geometry.obstacle import Obstacle
-from bulletuav.geometry.shapes import CYLINDER, SPHERE, Shape
+from bulletuav.geometry.shapes import CYLINDER, HULL, SPHERE, Shape
 from bulletuav.geometry.solids import Solids
 from bulletuav.tasks.base import Task
 from bulletuav.tasks.frame import UPRIGHT, Spawn, StepResult
@@ -142,18 +142,19 @@ def _check_places(
 
 def _depth(shapes: Sequence[Shape], quaternion: np.ndarray) -> np.ndarray:
     """(N,) how far collision shapes, turned by (N, 4), reach down from their middle, m."""
-    kind, half = (
-        np.array([shape.kind for shape in shapes]),
-        np.array([shape.half for shape in shapes]),
-    )
+    kind = np.array([shape.kind for shape in shapes])
+    half = np.array([shape.half for shape in shapes])
     x, y, z, w = quaternion.T
-    down = np.abs(
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]
-    ).T  # of the body's axes
-    rim = half[:, 0] * np.hypot(down[:, 0], down[:, 1]) + half[:, 2] * down[:, 2]
-    return np.select(
-        [kind == SPHERE, kind == CYLINDER], [half[:, 0], rim], (half * down).sum(axis=1)
+    # How far the tips of the body's axes rise.
+    rise = np.array([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]).T
+    slope = np.abs(rise)
+    rim = half[:, 0] * np.hypot(slope[:, 0], slope[:, 1]) + half[:, 2] * slope[:, 2]
+    depth: np.ndarray = np.select(
+        [kind == SPHERE, kind == CYLINDER], [half[:, 0], rim], (half * slope).sum(axis=1)
     )
+    for i in np.flatnonzero(kind == HULL).tolist():
+        depth[i] = -(np.array(shapes[i].corners) * rise[i]).sum(axis=1).min()
+    return depth
 
 
 def check_step_result(task: Task[Any], result: Any, shape: tuple[int, int]) -> None:

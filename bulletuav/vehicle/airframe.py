@@ -10,12 +10,15 @@ Airframes have names: those of the files in assets/urdf, and those that are regi
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from bulletuav.errors import require_file, shown, unknown
-from bulletuav.geometry.shapes import CYLINDER, SPHERE, Shape
+from bulletuav.geometry.convex import inscribed_radius, reach
+from bulletuav.geometry.obstacle import FRICTION, MOST_FRICTION
+from bulletuav.geometry.shapes import Shape
 from bulletuav.registry import find, register
 from bulletuav.vehicle.urdf import LARGEST, WIDEST, UrdfFile
 
@@ -43,6 +46,7 @@ TAGS = (
     "max_speed",
     "rotor",
     "pwm",
+    "contact",
 )
 """Tags within `<airframe>`."""
 HEAVIEST = 1e5
@@ -106,6 +110,8 @@ class Airframe:
         max_speed: Greatest speed that the drone may be asked for, m/s.
         shape: Collision shape, about the centre of mass.
         pwm: Motor command for the Crazyflie's own PID, where known.
+        friction: Coefficient of friction of its surface, from 0 to 10.
+        restitution: Share of the speed that an impact gives back, from 0 to 1.
     """
 
     name: str
@@ -125,21 +131,21 @@ class Airframe:
     max_speed: float
     shape: Shape
     pwm: Pwm | None = None
+    friction: float = FRICTION
+    restitution: float = 0.0
 
     @property
     def collision_radius(self) -> float:
         """Radius of the sphere about the centre of mass that holds the collision shape, m."""
-        across, _, rise = self.shape.half
-        if self.shape.kind == SPHERE:
-            return across
-        if self.shape.kind == CYLINDER:
-            return math.hypot(across, rise)
-        return math.hypot(*self.shape.half)
+        return reach(self.shape)
 
-    @property
+    @cached_property
     def thinnest(self) -> float:
-        """Least extent of the collision shape, m."""
-        return 2 * min(self.shape.half)
+        """Least extent of the collision shape, m: the diameter of a ball within it.
+
+        A hull's ball is about the mean of its corners, and may be less than its least extent.
+        """
+        return 2 * inscribed_radius(self.shape)
 
     @property
     def arm(self) -> float:
@@ -225,7 +231,7 @@ def _is_airframe_or_path(ingredient: object) -> bool:
 def _read_airframe(path: Path) -> Airframe:
     """Read an airframe from a URDF file."""
     urdf = UrdfFile(path)
-    _require_one_link(urdf)
+    urdf.require_one_link()
     _refuse_unknown_tags(urdf)
     shape = urdf.collision_shape()
     for element in (urdf.root, urdf.element("link")):
@@ -250,17 +256,11 @@ def _read_airframe(path: Path) -> Airframe:
         max_speed=_positive(urdf, "max_speed", FASTEST),
         shape=shape,
         pwm=_pwm(urdf),
+        friction=_contact(urdf, "friction", FRICTION, MOST_FRICTION),
+        restitution=_contact(urdf, "restitution", 0.0, 1.0),
     )
     _require_flyable(urdf, airframe)
     return airframe
-
-
-def _require_one_link(urdf: UrdfFile) -> None:
-    """Refuse robots of several parts."""
-    links = urdf.root.findall("link")
-    if len(links) != 1 or urdf.root.find("joint") is not None:
-        reason = "exactly one link and no joint (propellers are visuals)"
-        raise urdf.refusal("link", f"{len(links)} links", reason)
 
 
 def _refuse_unknown_tags(urdf: UrdfFile) -> None:
@@ -315,6 +315,17 @@ def _pwm(urdf: UrdfFile) -> Pwm | None:
         minimum=minimum,
         maximum=urdf.number(element, "max", low=minimum),
     )
+
+
+def _contact(urdf: UrdfFile, attribute: str, default: float, most: float) -> float:
+    """Read a number of the tag `<contact>` within `<airframe>`, where it is there."""
+    element = urdf.root.find("airframe/contact")
+    if element is None or attribute not in element.attrib:
+        return default
+    value = urdf.number(element, attribute, low=0, strict=False)
+    if value > most:
+        raise urdf.refusal(f"contact {attribute}", value, f"at most {most:g} is possible")
+    return value
 
 
 def _require_flyable(urdf: UrdfFile, airframe: Airframe) -> None:

@@ -29,6 +29,8 @@ PARAMETERS = np.dtype(
         ("downwash_radius", "f8"),
         ("collision_radius", "f8"),
         ("thinnest", "f8"),
+        ("friction", "f8"),
+        ("restitution", "f8"),
     ]
 )
 """Type of the rows; `ParameterRow` tells what the fields are."""
@@ -57,6 +59,8 @@ class ParameterRow(Protocol):
         downwash_radius: Radius of the disc that the rotors sweep together, m.
         collision_radius: Radius of the sphere that holds the collision shape, m.
         thinnest: Least extent of the collision shape, m.
+        friction: Coefficient of friction of its surface.
+        restitution: Share of the speed that an impact gives back.
     """
 
     mass: float
@@ -78,6 +82,8 @@ class ParameterRow(Protocol):
     downwash_radius: float
     collision_radius: float
     thinnest: float
+    friction: float
+    restitution: float
 
 
 _COPIED = (
@@ -88,6 +94,8 @@ _COPIED = (
     "propeller_radius",
     "collision_radius",
     "thinnest",
+    "friction",
+    "restitution",
 )
 """Fields that an airframe has under the same name, and that no effect switches."""
 

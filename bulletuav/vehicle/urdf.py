@@ -7,8 +7,14 @@ import math
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
+import numpy as np
+
 from bulletuav.errors import shown
-from bulletuav.geometry.shapes import BOX, CYLINDER, SPHERE, Shape
+from bulletuav.geometry.convex import holds_origin, inscribed_radius
+from bulletuav.geometry.mesh_file import read_obj
+from bulletuav.geometry.obstacle import hull_of
+from bulletuav.geometry.rotation import from_euler
+from bulletuav.geometry.shapes import BOX, CYLINDER, HULL, SPHERE, Shape
 
 SMALLEST = 1e-20
 """Least size of a number but 0: squares of such numbers, and products of a few, are no 0."""
@@ -28,18 +34,21 @@ class UrdfFile:
     Attributes:
         path: Where the file is.
         root: Its `<robot>` element.
+        widest: Greatest length of a shape, m.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, widest: float = WIDEST) -> None:
         """Parse the file.
 
         Args:
             path: Where it is.
+            widest: Greatest length of a shape, m.
 
         Raises:
             ValueError: It is no XML.
         """
         self.path = path
+        self.widest = widest
         try:
             self.root = ElementTree.parse(path).getroot()
         except (ElementTree.ParseError, LookupError, ValueError) as error:
@@ -132,22 +141,51 @@ class UrdfFile:
             raise self.refusal("inertia", text, reason)
         return ixx, iyy, izz
 
+    def require_one_link(self) -> None:
+        """Refuse robots of several parts.
+
+        Raises:
+            ValueError: There is not exactly one link, or a joint.
+        """
+        links = self.root.findall("link")
+        if len(links) != 1 or self.root.find("joint") is not None:
+            reason = "exactly one link and no joint (propellers are visuals)"
+            raise self.refusal("link", f"{len(links)} links", reason)
+
     def collision_shape(self) -> Shape:
-        """Read the collision shape.
+        """Read the collision shape of an airframe.
 
         Raises:
             ValueError: There is not exactly one, it is not centred or turned, or none of cylinder,
-                box and sphere.
+                box, sphere and mesh; or the centre of mass is not within a mesh.
         """
         shapes = self.root.findall("link/collision")
         if len(shapes) != 1:
             reason = "exactly one convex shape keeps contacts reproducible"
             raise self.refusal("collision", f"there {len(shapes)} times", reason)
         self._require_centred(shapes[0], "the collision shape must be centred and not turned")
-        geometry = self.element("geometry", shapes[0])
+        shape = self.shape(shapes[0])
+        if shape.kind == HULL and not holds_origin(shape):
+            reason = "the centre of mass, the mesh's origin, must be within its convex hull"
+            raise self.refusal("mesh", "elsewhere", reason)
+        return shape
+
+    def shape(self, collision: ElementTree.Element) -> Shape:
+        """Read the shape of a `<collision>` element.
+
+        Args:
+            collision: The element; its origin is not read.
+
+        Returns:
+            The shape in the element's own axes.
+
+        Raises:
+            ValueError: It is none of cylinder, box, sphere and mesh, too small or too large.
+        """
+        geometry = self.element("geometry", collision)
         kinds = [shape.tag for shape in geometry]
-        if kinds not in (["cylinder"], ["box"], ["sphere"]):
-            reason = "it must be one cylinder, box or sphere"
+        if kinds not in (["cylinder"], ["box"], ["sphere"], ["mesh"]):
+            reason = "it must be one cylinder, box, sphere or mesh"
             raise self.refusal("collision geometry", kinds, reason)
         shape = geometry[0]
         if shape.tag == "sphere":
@@ -157,7 +195,59 @@ class UrdfFile:
             radius = self._side(shape, "radius")
             length = self._side(shape, "length")
             return Shape(CYLINDER, (radius, radius, length / 2))
-        return self._box(shape)
+        return self._box(shape) if shape.tag == "box" else self._hull(shape)
+
+    def origin(self, parent: ElementTree.Element) -> tuple[np.ndarray, np.ndarray]:
+        """Read the `<origin>` of an element.
+
+        Args:
+            parent: The element; without an origin it is not moved.
+
+        Returns:
+            Position (3,), m, and quaternion (4,).
+
+        Raises:
+            ValueError: It is not made of numbers.
+        """
+        found = parent.find("origin")
+        element = ElementTree.Element("origin") if found is None else found
+        place = self._three(element, "xyz", "0 0 0")
+        roll, pitch, yaw = self._three(element, "rpy", "0 0 0")
+        return np.array(place), np.array(from_euler(roll, pitch, yaw))
+
+    def _three(
+        self, element: ElementTree.Element, attribute: str, default: str = ""
+    ) -> tuple[float, float, float]:
+        """Read three finite numbers from an attribute."""
+        text = element.get(attribute, default)
+        try:
+            x, y, z = map(float, text.split())
+        except ValueError:
+            x, y, z = (math.inf,) * 3
+        if max(abs(x), abs(y), abs(z)) <= LARGEST:
+            return x, y, z
+        reason = f"three numbers up to {LARGEST:g} are needed"
+        raise self.refusal(f"{element.tag} {attribute}", text or "missing", reason)
+
+    def _hull(self, mesh: ElementTree.Element) -> Shape:
+        """Read the convex hull of a mesh, an OBJ file beside this one."""
+        name = mesh.get("filename", "")
+        path = self.path.parent / name
+        if not name.lower().endswith(".obj") or not path.is_file():
+            reason = "the name of a Wavefront OBJ file (.obj) beside the URDF is needed"
+            raise self.refusal("mesh filename", name or "missing", reason)
+        scale = self._three(mesh, "scale", "1 1 1")
+        if min(scale) <= 0:
+            raise self.refusal("mesh scale", mesh.get("scale"), "it must be above 0")
+        try:
+            hull = hull_of(str(path), np.concatenate(read_obj(path)) * scale)
+        except ValueError as error:
+            raise self.refusal("mesh filename", name, str(error)) from None
+        size = 2 * max(hull.half)
+        if size > self.widest or 2 * inscribed_radius(hull) < THINNEST:
+            reason = f"its extents must be from {THINNEST:g} to {self.widest:g} m"
+            raise self.refusal("mesh filename", name, reason)
+        return hull
 
     def _box(self, shape: ElementTree.Element) -> Shape:
         """Read a box from its three edges."""
@@ -165,14 +255,14 @@ class UrdfFile:
             size = [float(part) for part in shape.get("size", "").split()]
         except ValueError:
             size = []
-        if len(size) == 3 and all(THINNEST <= side <= WIDEST for side in size):
+        if len(size) == 3 and all(THINNEST <= side <= self.widest for side in size):
             return Shape(BOX, (size[0] / 2, size[1] / 2, size[2] / 2))
-        reason = f"three positive numbers from {THINNEST:g} to {WIDEST:g} are needed"
+        reason = f"three positive numbers from {THINNEST:g} to {self.widest:g} are needed"
         raise self.refusal("box size", shape.get("size", "missing"), reason)
 
     def _side(self, shape: ElementTree.Element, attribute: str) -> float:
         """Read a length of the collision shape, m."""
-        side = self.number(shape, attribute, low=0, most=WIDEST)
+        side = self.number(shape, attribute, low=0, most=self.widest)
         if side < THINNEST:
             reason = f"at least {THINNEST:g} m is needed"
             raise self.refusal(f"{shape.tag} {attribute}", shape.get(attribute), reason)

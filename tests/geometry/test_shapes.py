@@ -8,7 +8,9 @@ from scipy.spatial.transform import Rotation
 
 import bulletuav
 from bulletuav.engine.calls import bullet
-from bulletuav.geometry.shapes import BOX, CYLINDER, SPHERE, inside, meet_drones
+from bulletuav.geometry.convex import make_shape_table
+from bulletuav.geometry.raycast import meet_drones
+from bulletuav.geometry.shapes import BOX, CYLINDER, SPHERE, inside
 from bulletuav.vehicle.swarm import Swarm
 
 HALF = {SPHERE: (0.5, 0.5, 0.5), CYLINDER: (0.5, 0.5, 0.2), BOX: (0.5, 0.3, 0.2)}
@@ -93,7 +95,6 @@ def test_the_engine_sees_bodies_at_rest_the_same(urdf, geometry):
     reference = np.array([hit[2] for hit in hits])
     bullet.disconnect(client)
     fraction = np.ones(len(start))
-    kind, half = np.array([airframe.shape.kind]), np.array([airframe.shape.half])
     meet_drones(
         fraction,
         start,
@@ -101,8 +102,7 @@ def test_the_engine_sees_bodies_at_rest_the_same(urdf, geometry):
         np.zeros(len(start), dtype=int),
         swarm,
         np.ones((1, 1), dtype=bool),
-        kind,
-        half,
+        make_shape_table([airframe.shape]),
     )
     assert 0.2 < (fraction < 1).mean() < 1
     # The engine rounds edges, and iterates to its own tolerance.

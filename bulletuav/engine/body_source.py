@@ -1,0 +1,105 @@
+"""Bodies that users add, as convex pieces: from a URDF, a mesh, corners or an obstacle."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from bulletuav.errors import as_sequence, finite, require_file, shown
+from bulletuav.geometry.mesh_file import read_obj
+from bulletuav.geometry.obstacle import LARGEST, Obstacle, hull_of
+from bulletuav.geometry.rotation import normalised, to_world
+from bulletuav.geometry.scenery import Piece
+from bulletuav.geometry.shapes import HULL, Shape
+from bulletuav.vehicle.urdf import UrdfFile
+
+BodySource = str | Path | Obstacle | np.ndarray | Sequence[Sequence[float]]
+"""Path of a URDF or of an OBJ, an obstacle, or corners (V, 3) of a hull, m"""
+
+UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
+REMEDY = "pass the path of a URDF (.urdf) or of a mesh (.obj), corners (V, 3), or an Obstacle"
+MOST_PIECES = 1024
+"""Most pieces of a body"""
+UNIT = 1e-3
+"""Difference of the norm of a quaternion from 1 that is rounding"""
+
+
+def pieces_of(source: BodySource) -> list[Piece]:
+    """Read the convex pieces of a body.
+
+    Args:
+        source: See `BodySource`.
+
+    Returns:
+        The pieces. Hulls have their origin in the middle of their bounding box.
+
+    Raises:
+        ValueError: The source is none of these, or something in it cannot be.
+        FileNotFoundError: There is no such file.
+    """
+    if isinstance(source, Obstacle):
+        pieces = [_centred(source.shape)]
+    elif not isinstance(source, str | Path):
+        pieces = [_centred(hull_of("corners of a body", source))]
+    elif str(source).lower().endswith(".obj"):
+        hulls = [hull_of(f"{source}: object {k}", one) for k, one in enumerate(read_obj(source))]
+        pieces = [_centred(hull) for hull in hulls]
+    elif str(source).lower().endswith(".urdf"):
+        pieces = _of_urdf(require_file("body", source, REMEDY))
+    else:
+        raise ValueError(f"body is {shown(str(source))}: {REMEDY}")
+    if len(pieces) > MOST_PIECES:
+        raise ValueError(f"the body has {len(pieces)} pieces: at most {MOST_PIECES} are possible")
+    return pieces
+
+
+def _of_urdf(path: Path) -> list[Piece]:
+    """Read all collision shapes of a URDF of one link."""
+    urdf = UrdfFile(path.resolve(), widest=LARGEST)
+    urdf.require_one_link()
+    elements = urdf.root.findall("link/collision")
+    if not elements:
+        raise urdf.refusal("collision", "missing", "a body needs one shape or more")
+    pieces = []
+    for element in elements:
+        place, turn = urdf.origin(element)
+        pieces.append(_centred(urdf.shape(element), place, turn))
+    return pieces
+
+
+def _centred(
+    shape: Shape, place: np.ndarray | None = None, quaternion: np.ndarray = UPRIGHT
+) -> Piece:
+    """Make a piece at a pose; a hull gets its origin in the middle of its bounding box."""
+    origin = np.zeros(3) if place is None else place
+    if shape.kind != HULL:
+        return Piece(shape, origin, quaternion)
+    corners = np.array(shape.corners)
+    middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
+    half = (corners.max(axis=0) - corners.min(axis=0)) / 2
+    moved = Shape(HULL, tuple(half.tolist()), tuple(map(tuple, (corners - middle).tolist())))
+    return Piece(moved, origin + to_world(quaternion, middle), quaternion)
+
+
+def pose_of(
+    position: Sequence[float], quaternion: Sequence[float]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Check where a body is to stand.
+
+    Args:
+        position: (3,) m.
+        quaternion: (4,) body to world, of length 1.
+
+    Returns:
+        Both as arrays.
+
+    Raises:
+        ValueError: They are not finite, or the quaternion is none.
+    """
+    place = [
+        finite("position", one, -LARGEST, LARGEST) for one in as_sequence("position", position, 3)
+    ]
+    turn = [finite("quaternion", one) for one in as_sequence("quaternion", quaternion, 4)]
+    if abs(np.linalg.norm(turn) - 1) > UNIT:
+        raise ValueError(f"quaternion is {shown(quaternion)}: a length of 1 is needed")
+    return np.array(place), np.array(normalised(np.array(turn)))

@@ -1,0 +1,216 @@
+"""Signed distance of two convex shapes, with the points where they are nearest.
+
+Shapes that are apart: GJK (E. Gilbert, D. Johnson and S. Keerthi, 1988) with the inner step of
+P. Wolfe, Finding the nearest point in a polytope (1976), which never moves away from the answer.
+Shapes that overlap: EPA. A half space is met in closed form.
+"""
+
+import math
+
+import numpy as np
+
+from bulletuav.geometry.convex import ShapeTable
+from bulletuav.geometry.epa import overlap
+from bulletuav.geometry.minkowski import Turn as Turn
+from bulletuav.geometry.minkowski import far_point, plus, put_difference, row_point, swell
+from bulletuav.geometry.minkowski import make_room as make_room
+from bulletuav.geometry.rotation import Vec3, Vec3Like, cross, dot, minus
+from bulletuav.geometry.shapes import HALF_SPACE
+from bulletuav.kernel import func, kernel
+
+DUALITY_GAP = 1e-10
+"""Difference of the bounds of a distance at which GJK is done, m"""
+TOUCH_CORE = 1e-9
+"""Distance below which a direction is no longer known from the nearest point, m"""
+MOST_STEPS = 100
+"""Most points that GJK looks at"""
+WEIGHT, NEXT = 9, 10
+"""Columns of scratch: the weight of a point, and the one that it would have without bounds"""
+
+
+@func
+def _solve_line(base: Vec3, edge: Vec3) -> float:
+    """Return the share of an edge at which its line is nearest to the origin."""
+    return -dot(base, edge) / dot(edge, edge)
+
+
+@func
+def _solve_plane(base: Vec3, one: Vec3, two: Vec3) -> tuple[float, float]:
+    """Return the shares of two edges from one point at which their plane is nearest to the origin.
+
+    The longer edge comes first (Gram and Schmidt), which keeps thin triangles exact.
+    """
+    swap = dot(two, two) > dot(one, one)
+    first = two if swap else one
+    second = one if swap else two
+    # What of the second edge is across the first, and where the first comes nearest
+    square = dot(first, first)
+    slope = dot(first, second) / square
+    height = plus(second, -slope, first)
+    near = -dot(base, first) / square
+    foot = plus(base, near, first)
+    share = -dot(foot, height) / dot(height, height)
+    along = near - slope * share
+    return (share, along) if swap else (along, share)
+
+
+@func
+def _solve(room: np.ndarray, count: int) -> None:
+    """Find the weights, of any sign, with which 2 to 4 points come nearest to the origin."""
+    base = row_point(room, 0, 0)
+    one = minus(row_point(room, 1, 0), base)
+    if count == 2:
+        room[1, NEXT] = _solve_line(base, one)
+        room[0, NEXT] = 1.0 - room[1, NEXT]
+        return
+    two = minus(row_point(room, 2, 0), base)
+    rest = 1.0
+    if count == 4:
+        # Four points reach the origin itself; three of them the rest of the way
+        three = minus(row_point(room, 3, 0), base)
+        normal = cross(one, two)
+        share = -dot(base, normal) / dot(three, normal)
+        room[3, NEXT] = share
+        base = plus(base, share, three)
+        rest -= share
+    first, second = _solve_plane(base, one, two)
+    room[1, NEXT] = first
+    room[2, NEXT] = second
+    room[0, NEXT] = rest - first - second
+
+
+@func
+def _drop(room: np.ndarray, row: int, last: int) -> None:
+    """Put the last point of a simplex into the row of one that leaves."""
+    for k in range(10):
+        room[row, k] = room[last, k]
+
+
+@func
+def _nearest(room: np.ndarray, count: int) -> int:
+    """Move the weights of a simplex to where it is nearer to the origin, and drop idle points.
+
+    Args:
+        room: Scratch; its first rows are the points, of which the last has weight 0.
+        count: Number of points.
+
+    Returns:
+        The number of points left; 4 where the origin is among them.
+    """
+    while count > 1:
+        _solve(room, count)
+        # Go as far towards the new weights as all stay positive
+        share = 1.0
+        idle = -1
+        for k in range(count):
+            now = room[k, WEIGHT]
+            then = room[k, NEXT]
+            # A test that NaN fails, as flat simplices give
+            if not then > 0.0:
+                reach = now / (now - then) if then < 0.0 else 0.0
+                if idle < 0 or reach < share:
+                    share = reach
+                    idle = k
+        if idle < 0:
+            for k in range(count):
+                room[k, WEIGHT] = room[k, NEXT]
+            return count
+        if share > 0.0:
+            for k in range(count):
+                room[k, WEIGHT] += share * (room[k, NEXT] - room[k, WEIGHT])
+        count -= 1
+        _drop(room, idle, count)
+    room[0, WEIGHT] = 1.0
+    return count
+
+
+@func
+def _weighted(room: np.ndarray, count: int, column: int) -> Vec3:
+    """Return the weighted mean of the points of a simplex, of three columns from one on."""
+    mean = (0.0, 0.0, 0.0)
+    for k in range(count):
+        mean = plus(mean, room[k, WEIGHT], row_point(room, k, column))
+    return mean
+
+
+@func
+def _over_plane(
+    table: ShapeTable, a: int, turn_a: Turn, turn_b: Turn, offset: Vec3Like
+) -> tuple[float, Vec3, Vec3, Vec3]:
+    """Return `gap` above the half space below the plane across the third axis of b."""
+    up = turn_b[2]
+    # The lowest point of a sphere is a radius below its centre
+    lowest = far_point(table, a, turn_a, (-up[0], -up[1], -up[2]))
+    lowest = plus(lowest, -swell(table, a), up)
+    above = minus(lowest, offset)
+    height = dot(above, up)
+    return height, up, lowest, plus(above, -height, up)
+
+
+@kernel
+def gap(
+    table: ShapeTable,
+    a: int,
+    turn_a: Turn,
+    b: int,
+    turn_b: Turn,
+    offset: Vec3,
+    guess: Vec3,
+    room: np.ndarray,
+) -> tuple[float, Vec3, Vec3, Vec3]:
+    """Return the signed distance of two shapes, its direction and the nearest points.
+
+    Args:
+        table: The shapes.
+        a: Number of the first shape, no half space.
+        turn_a: Axes of the first shape.
+        b: Number of the second shape.
+        turn_b: Axes of the second shape.
+        offset: Position of b less that of a, world axes, m.
+        guess: Unit normal of an earlier answer, or zeros.
+        room: Scratch of `make_room`.
+
+    Returns:
+        The distance, m, negative for the depth of an overlap. The unit normal from b to a, along
+        which a parts from b. The nearest points on a and b, each from its shape's position, m.
+        All in world axes.
+    """
+    if table.kind[b] == HALF_SPACE:
+        return _over_plane(table, a, turn_a, turn_b, offset)
+    # Begin with the guess, or from centre to centre
+    d = guess
+    if dot(d, d) == 0.0:
+        d = (-offset[0], -offset[1], -offset[2])
+    if dot(d, d) == 0.0:
+        d = (0.0, 0.0, 1.0)
+    v = put_difference(table, a, turn_a, b, turn_b, offset, d, room, 0)
+    room[0, WEIGHT] = 1.0
+    count = 1
+    square = dot(v, v)
+    for _ in range(MOST_STEPS):
+        if square <= TOUCH_CORE * TOUCH_CORE:
+            break
+        w = put_difference(table, a, turn_a, b, turn_b, offset, v, room, count)
+        # The plane through w bounds the distance from below
+        if square - dot(v, w) <= DUALITY_GAP * math.sqrt(square):
+            break
+        room[count, WEIGHT] = 0.0
+        count = _nearest(room, count + 1)
+        before = square
+        v = _weighted(room, count, 0)
+        square = dot(v, v)
+        if count == 4 or square >= before:
+            break
+    swell_a = swell(table, a)
+    swell_b = swell(table, b)
+    distance = math.sqrt(square)
+    if distance > TOUCH_CORE:
+        normal = (v[0] / distance, v[1] / distance, v[2] / distance)
+        on_a = _weighted(room, count, 3)
+        on_b = _weighted(room, count, 6)
+    else:
+        distance, normal, on_a, on_b = overlap(table, a, turn_a, b, turn_b, offset, count, room)
+    # Spheres are their centres so far
+    on_a = plus(on_a, -swell_a, normal)
+    on_b = plus(on_b, swell_b, normal)
+    return distance - swell_a - swell_b, normal, on_a, on_b

@@ -1,0 +1,66 @@
+"""Reading of Wavefront OBJ files: the corners of each of their objects."""
+
+from pathlib import Path
+
+import numpy as np
+
+from bulletuav.errors import read_file, require_file
+
+MOST_LINES = 1_000_000
+"""Most lines of a file"""
+
+
+def read_obj(path: str | Path) -> list[np.ndarray]:
+    """Read the corners of each object of a Wavefront OBJ file.
+
+    An object begins with a line `o` and has the corners that its faces name. One without faces has
+    those that stand in it. Objects without corners are left out.
+
+    Args:
+        path: Where the file is.
+
+    Returns:
+        Corners (V, 3) of each object, in the file's units.
+
+    Raises:
+        ValueError: A line cannot be read, or there is no corner.
+        FileNotFoundError: There is no such file.
+    """
+    path = require_file("mesh", path, "pass the path of a Wavefront OBJ file")
+    lines = read_file(path).splitlines()
+    if len(lines) > MOST_LINES:
+        raise ValueError(f"{path}: {len(lines)} lines, at most {MOST_LINES} are read: simplify it")
+    corners: list[tuple[float, ...]] = []
+    # Of each object, the corners that its faces name, and those that stand in it.
+    objects: list[tuple[set[int], list[int]]] = [(set(), [])]
+    for number, line in enumerate(lines, start=1):
+        word, *values = line.split() or [""]
+        named, own = objects[-1]
+        try:
+            if word == "o":
+                objects.append((set(), []))
+            elif word == "v":
+                x, y, z = map(float, values[:3])
+                own.append(len(corners))
+                corners.append((x, y, z))
+            elif word == "f":
+                named |= {_corner(value, len(corners)) for value in values}
+        except ValueError:
+            raise ValueError(f"{path}: line {number} is {line!r}: it cannot be read") from None
+    points = np.array(corners).reshape(-1, 3)
+    if not len(points) or not np.isfinite(points).all():
+        raise ValueError(f"{path}: corners of finite numbers (lines `v x y z`) are needed")
+    return [points[sorted(named) or own] for named, own in objects if named or own]
+
+
+def _corner(text: str, count: int) -> int:
+    """Read the index of a corner, such as 3, 3/1/2 or -1 (the last one), of those so far.
+
+    Raises:
+        ValueError: There is no such corner.
+    """
+    index = int(text.split("/")[0])
+    place = index - 1 if index > 0 else count + index
+    if not 0 <= place < count:
+        raise ValueError
+    return place
