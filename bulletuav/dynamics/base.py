@@ -53,7 +53,9 @@ class Flight:
         dt: Duration of a substep, s.
         substeps: Substeps of a decision.
         gravity: m/s^2, downwards.
-        contacts: What contacts do, one of `Dynamics.contacts`; the first of them if empty.
+        contacts: What contacts do, one of `Dynamics.contacts`.
+        friction: Coefficient of friction of the ground and of buildings.
+        restitution: Their coefficient of restitution.
     """
 
     engine: Engine
@@ -62,7 +64,9 @@ class Flight:
     dt: float
     substeps: int
     gravity: float
-    contacts: str = ""
+    contacts: str
+    friction: float
+    restitution: float
 
 
 # The engine clamps velocities and rates at 1e4
@@ -152,9 +156,13 @@ class Dynamics(ABC):
     def __init__(self, flight: Flight) -> None:
         """Keep what the dynamics is built from, and prepare for contacts."""
         self.flight = flight
-        mode = flight.contacts or self.contacts[0]
-        shape = flight.engine.shape
-        self.contact = make_contact(flight.engine.scenery, shape, mode == "stop")
+        self.contact = make_contact(
+            flight.engine.scenery,
+            flight.engine.shape,
+            flight.contacts == "stop",
+            flight.friction,
+            flight.restitution,
+        )
         gains = flight.parameters["ground_effect_gain"]
         self._near_ground = self.feels_surface and bool((gains > 0).any())
 

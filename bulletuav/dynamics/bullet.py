@@ -1,4 +1,4 @@
-"""Dynamics `bullet`: Bullet integrates the shared wrench and resolves contacts.
+"""Dynamics `bullet`: Bullet integrates the shared wrench.
 
 Scheme of one substep: rotor lag; wrench at the state before the substep with the rotor speeds after
 it; velocity v+ = v + dt F / m, position p+ = p + dt v+; body rates by Euler's equation (RK4,
@@ -7,21 +7,19 @@ rates, which gains energy; the torque that it is given makes its step land on th
 The height above the surface is taken anew in every substep.
 
 Bullet turns bodies by pi/4 a substep at most (188 rad/s at 240 Hz); faster spins lag in attitude,
-not in rates. Contacts of drones too fast for a substep are caught on the way (see
-`contacts.catch_fast`).
+not in rates. Contacts are those of all dynamics, see `bulletuav.contact`. With contacts="bullet"
+they are Bullet's own, for comparison: fast drones pass through thin things there.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
+from bulletuav.contact.contacts import Contact, meet_all, remember_all
 from bulletuav.control.cascade import Cascade, command_rotors
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.base import Air, Dynamics, Flight, require_sane
-from bulletuav.dynamics.broad_phase import Pair, suspects
-from bulletuav.dynamics.contacts import catch_fast
-from bulletuav.dynamics.path import Path
-from bulletuav.engine.c_extension import Port, substep, surface_below
+from bulletuav.engine.c_extension import Port, substep, surface_below, write_states
 from bulletuav.geometry.rotation import Vec3, cross, quat4, vec3
 from bulletuav.kernel import func, kernel
 from bulletuav.registry import register
@@ -165,16 +163,13 @@ def advance(
     dt: float,
     force: np.ndarray,
     torque: np.ndarray,
-    path: Path,
-) -> tuple[int, bool]:
-    """Fly up to so many substeps in one call, through the C extension.
-
-    It ends early after a substep that needs a closer look: one in which something touched, or
-    moved fast past something near.
+    contact: Contact,
+) -> None:
+    """Fly all substeps of one decision in one call, through the C extension.
 
     Args:
         port: Session of the extension, and the arrays of the worlds.
-        substeps: Most substeps to fly.
+        substeps: Number of substeps.
         near_ground: Whether the ground effect wants the surface below.
         swarm: State of all drones, moved in place.
         alive: (W, N) bool, drones that fly.
@@ -186,53 +181,30 @@ def advance(
         dt: Duration of a substep, s.
         force: (W, N, 3) room for forces, N.
         torque: (W, N, 3) room for torques, N m.
-        path: One piece; it is given the poses before and after the last substep.
-
-    Returns:
-        How many substeps were flown, and whether the last needs the closer look.
+        contact: What contacts need.
     """
-    for flown in range(substeps):
-        # Wrenches from the state before the substep
+    flying = alive.copy()
+    for piece in range(substeps):
+        remember_all(contact, swarm)
+        # Wrenches from the state before the substep, then the engine's step
         if near_ground:
-            surface_below(port, swarm.position, alive, air.surface)
-        drive(swarm, alive, level, setpoint, cascade, parameters, air, dt, force, torque)
-        # The engine's step, between poses that are kept
-        path.position[0] = swarm.position
-        path.quaternion[0] = swarm.quaternion
-        touching = substep(port, force, torque, alive, swarm)
-        path.position[1] = swarm.position
-        path.quaternion[1] = swarm.quaternion
-        # Contacts are read, and fast drones caught, outside
-        if touching > 0:
-            return flown + 1, True
-        if suspects(path, alive, parameters, port.obstacle_radius, port.city_grid):
-            return flown + 1, True
-    return substeps, False
-
-
-class _Inputs(NamedTuple):
-    """Arguments that `advance` and its slow twin share, in their order."""
-
-    swarm: Swarm
-    alive: np.ndarray
-    level: int
-    setpoint: np.ndarray
-    cascade: Cascade
-    parameters: np.ndarray
-    air: Air
-    dt: float
-    force: np.ndarray
-    torque: np.ndarray
-    path: Path
+            surface_below(port, contact.scenery, swarm.position, flying, air.surface)
+        drive(swarm, flying, level, setpoint, cascade, parameters, air, dt, force, torque)
+        substep(port, force, torque, flying, swarm)
+        # What they would have flown into; the engine goes on from there
+        if meet_all(contact, swarm, alive, parameters, piece, substeps, dt):
+            write_states(port, swarm, contact.changed)
+            flying[:] = alive & ~contact.stopped
 
 
 @register("dynamics")
 class BulletDynamics(Dynamics):
-    """The full engine: contacts push back, and every substep goes through Bullet."""
+    """The full engine: every substep goes through Bullet."""
 
     name = "bullet"
     consumes = SetpointLevel.ROTOR
     feels_surface = True
+    contacts = ("impulse", "stop", "bullet")
 
     def __init__(self, flight: Flight) -> None:
         """Make room for the wrenches."""
@@ -251,84 +223,108 @@ class BulletDynamics(Dynamics):
         wind: np.ndarray,
         motion: Motion,
     ) -> Contacts:
-        """Fly through the engine, many substeps in one call where nothing happens between them.
+        """Fly through the engine; see the base class."""
+        if self.flight.contacts != "bullet":
+            return super().fly(swarm, alive, level, setpoint, wind, motion)
+        return self._fly_in_engine(swarm, alive, level, setpoint, wind, motion)
 
-        See the base class; contacts push back here, and their impulses are summed up.
-        """
+    def advance_decision(
+        self,
+        swarm: Swarm,
+        alive: np.ndarray,
+        level: SetpointLevel,
+        setpoint: np.ndarray,
+        air: Air,
+    ) -> None:
+        """Fly all substeps, in one compiled call where the C extension is; see the base class."""
         flight = self.flight
-        engine = flight.engine
+        port = flight.engine.port
         # C reads arrays as they lie
         alive = np.ascontiguousarray(alive, dtype=bool)
         assert all(array.flags.c_contiguous for array in swarm)
-        path = Path.begin(swarm, motion, 1)
-        surface = np.full(alive.shape, -np.inf)
-        inputs = _Inputs(
+        inputs = self._inputs(swarm, alive, level, setpoint, air)
+        if port is not None:
+            advance(port, flight.substeps, self._near_ground, *inputs, self.contact)
+            return
+        contact = self.contact
+        flying = alive.copy()
+        for piece in range(flight.substeps):
+            remember_all(contact, swarm)
+            self._advance_once(inputs._replace(alive=flying))
+            parameters = flight.parameters
+            if meet_all(contact, swarm, alive, parameters, piece, flight.substeps, flight.dt):
+                flight.engine.write_states(swarm, contact.changed)
+                flying = alive & ~contact.stopped
+
+    def _inputs(
+        self,
+        swarm: Swarm,
+        alive: np.ndarray,
+        level: SetpointLevel,
+        setpoint: np.ndarray,
+        air: Air,
+    ) -> "_Inputs":
+        """Collect what `drive` takes."""
+        flight = self.flight
+        return _Inputs(
             swarm=swarm,
             alive=alive,
             level=int(level),
             setpoint=setpoint,
             cascade=flight.cascade,
             parameters=flight.parameters,
-            air=Air(wind, surface, flight.gravity),
+            air=air,
             dt=flight.dt,
             force=self._force,
             torque=self._torque,
-            path=path,
         )
-        # Up to the next event in one call, where the C extension is there
-        port = engine.port
-        touched: dict[Pair, float] = {}
-        flown = 0
-        while flown < flight.substeps:
-            substeps = flight.substeps - flown
-            if motion.moving:
-                # Obstacles are set anew in every substep
-                substeps = 1
-                path.obstacle[0] = motion.at(flown / flight.substeps)
-                path.obstacle[1] = motion.at((flown + 1) / flight.substeps)
-                flying = np.any(alive, axis=1)
-                engine.set_obstacles(path.obstacle[1], motion.quaternion, flying)
-            if port is not None:
-                new, eventful = advance(port, substeps, self._near_ground, *inputs)
-            else:
-                new, eventful = self._advance_once(inputs)
-            flown += new
-            if eventful:
-                self._add_contacts(touched, inputs)
-        require_sane(swarm, alive, engine.first_world)
-        return Contacts.merge(touched)
 
-    def _advance_once(self, inputs: _Inputs) -> tuple[int, bool]:
-        """Fly one substep through the engine's own calls; returns what `advance` does."""
+    def _advance_once(self, inputs: "_Inputs") -> None:
+        """Fly one substep through the engine's own calls."""
         engine = self.flight.engine
-        path = inputs.path
-        swarm = inputs.swarm
-        alive = inputs.alive
-        inputs.air.surface[:] = self._surface(swarm, alive)
-        drive(*inputs[:-1])
-        engine.apply_wrenches(inputs.force, inputs.torque, alive)
-        path.position[0] = swarm.position
-        path.quaternion[0] = swarm.quaternion
+        inputs.air.surface[:] = self._surface(inputs.swarm, inputs.alive)
+        drive(*inputs)
+        engine.apply_wrenches(inputs.force, inputs.torque, inputs.alive)
         engine.step()
-        engine.read_states(swarm, alive)
-        path.position[1] = swarm.position
-        path.quaternion[1] = swarm.quaternion
-        return 1, True
+        engine.read_states(inputs.swarm, inputs.alive)
 
-    def _add_contacts(self, touched: dict[Pair, float], inputs: _Inputs) -> None:
-        """Add the impulses of the last substep to `touched`, and catch who was too fast."""
-        engine = self.flight.engine
-        # Before catching, which makes the engine forget them
-        for w, drone, other, force in engine.contacts():
-            key = (w, drone, other)
-            before = touched.get(key, 0.0)
-            touched[key] = before + force * self.flight.dt
-        caught = catch_fast(
-            engine,
-            inputs.path,
-            inputs.swarm,
-            inputs.alive,
-            parameters=inputs.parameters,
-        )
-        for key in caught:
-            touched.setdefault(key, 0.0)
+    def _fly_in_engine(
+        self,
+        swarm: Swarm,
+        alive: np.ndarray,
+        level: SetpointLevel,
+        setpoint: np.ndarray,
+        wind: np.ndarray,
+        motion: Motion,
+    ) -> Contacts:
+        """Fly with Bullet's own contacts, substep by substep."""
+        flight = self.flight
+        engine = flight.engine
+        air = Air(wind, np.full(alive.shape, -np.inf), flight.gravity)
+        inputs = self._inputs(swarm, alive, level, setpoint, air)
+        touched = []
+        for piece in range(flight.substeps):
+            if motion.moving:
+                flying = np.any(alive, axis=1)
+                share = (piece + 1) / flight.substeps
+                engine.set_obstacles(motion.at(share), motion.quaternion, flying)
+            self._advance_once(inputs)
+            touched.append(engine.contacts(swarm, flight.dt))
+        require_sane(swarm, alive, engine.first_world)
+        columns = [np.concatenate(column) for column in zip(*touched, strict=True)]
+        return Contacts.merged(**dict(zip(Contacts._fields, columns, strict=True)))
+
+
+class _Inputs(NamedTuple):
+    """Arguments of `drive`, in their order."""
+
+    swarm: Swarm
+    alive: np.ndarray
+    level: int
+    setpoint: np.ndarray
+    cascade: Cascade
+    parameters: np.ndarray
+    air: Air
+    dt: float
+    force: np.ndarray
+    torque: np.ndarray

@@ -137,26 +137,11 @@ class BodyTable:
             ]
         return self._ghosts
 
-    def contacts(self, pairs: np.ndarray, force: np.ndarray) -> list[tuple[int, int, int, float]]:
-        """Tell which drones touch what.
+    def drone_of(self, body: int) -> tuple[int, int] | None:
+        """Give world and index of the drone that a body is, None for other bodies."""
+        return self._drone_of_body.get(body)
 
-        Args:
-            pairs: (C, 2) bodies that touch.
-            force: (C,) normal forces, N.
-
-        Returns:
-            (world, drone, other, normal force in N), both sides of a pair of drones; `other` as in
-            `Contacts`.
-        """
-        rows = []
-        for (one, two), newtons in zip(pairs.tolist(), force.tolist(), strict=True):
-            for mine, theirs in ((one, two), (two, one)):
-                drone = self._drone_of_body.get(mine)
-                if drone is not None:
-                    rows.append((*drone, self._other(theirs), newtons))
-        return rows
-
-    def _other(self, body: int) -> int:
+    def other(self, body: int) -> int:
         """Give what a contact calls a body: the index of a drone, or one of its numbers below 0."""
         if body in self._drone_of_body:
             return self._drone_of_body[body][1]

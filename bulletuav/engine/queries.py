@@ -7,16 +7,27 @@ import numpy as np
 
 from bulletuav.engine.body_table import BodyTable
 from bulletuav.engine.c_extension import CExtension
-from bulletuav.engine.calls import DISTANCE, VISIBLE, EngineCalls, bullet
+from bulletuav.engine.calls import (
+    BODY_A,
+    BODY_B,
+    DISTANCE,
+    NORMAL_FORCE,
+    NORMAL_ON_B,
+    ON_B,
+    VISIBLE,
+    EngineCalls,
+    bullet,
+)
 from bulletuav.engine.rendering import SceneRenderer
 from bulletuav.engine.tiles import columns, land, within_tile
 from bulletuav.geometry.city_grid import CityGrid
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.raycast import meet_drones, walk
+from bulletuav.geometry.rotation import cross, to_world
 from bulletuav.geometry.scenery import Scenery, make_scenery
 from bulletuav.geometry.view import Picture
 from bulletuav.vehicle.airframe import Airframe
-from bulletuav.vehicle.swarm import CITY, FIRST_OBSTACLE, GROUND, Swarm
+from bulletuav.vehicle.swarm import CITY, FIRST_OBSTACLE, GROUND, Contacts, Swarm
 
 PlacedShape = tuple[int, np.ndarray | None, np.ndarray | None]
 """Owner of a collision shape (as `other` in `Contacts`), position (3,) in m, quaternion (4,)"""
@@ -75,14 +86,36 @@ class EngineQueries:
         """What drones can touch, for compiled code; a new one after each `Engine.add_body`."""
         return self._scenery
 
-    def contacts(self) -> list[tuple[int, int, int, float]]:
-        """Tell what touched in the last step.
+    def contacts(self, swarm: Swarm, dt: float) -> Contacts:
+        """Tell what touched in Bullet's last step, if Bullet lets drones touch.
+
+        Args:
+            swarm: State of all drones after the step.
+            dt: Length of the step, s.
 
         Returns:
-            (world, drone, other, normal force in N), both sides of a pair of drones; `other` as in
-            `Contacts`.
+            A row for each point and drone. The velocity is that of the drone's surface after the
+            step, whatever it touches.
         """
-        return self._bodies.contacts(*self._calls.contacts())
+        points = bullet.getContactPoints(physicsClientId=self._client)
+        rows = []
+        for one in points:
+            # Bullet also lists points that are near each other and do not touch.
+            if one[NORMAL_FORCE] <= 0 and one[DISTANCE] >= 0:
+                continue
+            for mine, theirs, sign in ((BODY_A, BODY_B, 1), (BODY_B, BODY_A, -1)):
+                drone = self._bodies.drone_of(one[mine])
+                if drone is not None:
+                    w, i = drone
+                    place = np.array(one[ON_B]) - self._offset[w, 0]
+                    spin = to_world(swarm.quaternion[w, i], swarm.rates[w, i])
+                    speed = swarm.velocity[w, i] + cross(spin, place - swarm.position[w, i])
+                    normal = sign * np.array(one[NORMAL_ON_B])
+                    other = self._bodies.other(one[theirs])
+                    rows.append((w, i, other, one[NORMAL_FORCE] * dt, place, normal, speed))
+        if not rows:
+            return Contacts.none()
+        return Contacts(*(np.array(column) for column in zip(*rows, strict=True)))
 
     def cast_rays(
         self,

@@ -12,6 +12,7 @@ from bulletuav.dynamics import find_dynamics
 from bulletuav.engine.engine import RAYS
 from bulletuav.envs.randomization import CERTAIN, Randomization
 from bulletuav.errors import as_int, as_sequence, choose, finite, shown, unknown
+from bulletuav.geometry.obstacle import MOST_FRICTION
 from bulletuav.sensors.lidar import FRAMES
 from bulletuav.vehicle.airframe import EFFECTS, STANDARD_GRAVITY, Airframe
 from bulletuav.vehicle.wind import MOST_WIND, TURBULENCE, WindField, check_field
@@ -100,6 +101,12 @@ class EnvOptions:
             also without gravity).
         rays: What answers the rays of sensors: "compiled" code, exact and fast, or "bullet" (the
             engine, to a millimetre, where there is more than ground and boxes).
+        contacts: What happens at a touch: "impulse" (drones are pushed, slide and rest), "stop" (a
+            drone stays there until the decision ends), or "bullet" (the engine's own contacts, for
+            comparison). None for the first that the dynamics can do.
+        friction: Coefficient of friction of the ground and of buildings.
+        restitution: Share of the speed that an impact with them gives back. Of two surfaces the
+            geometric mean of their coefficients counts.
     """
 
     num_drones: int
@@ -136,6 +143,9 @@ class EnvOptions:
     battery_capacity: float | None = None
     energy: str = "zeng"
     rays: str = "compiled"
+    contacts: str | None = None
+    friction: float = 0.5
+    restitution: float = 0.0
 
     def __post_init__(self) -> None:
         for name, most in COUNTS.items():
@@ -156,7 +166,10 @@ class EnvOptions:
                     for side in as_sequence(name, getattr(self, name), 2)
                 ),
             )
-        find_dynamics(self.dynamics)
+        dynamics = find_dynamics(self.dynamics)
+        if self.contacts is None:
+            self._keep("contacts", dynamics.contacts[0])
+        choose("contacts", self.contacts, dict.fromkeys(dynamics.contacts))
         choices = {
             "action": tuple(ACTIONS),
             "controller": tuple(CONTROLLERS),
@@ -267,6 +280,8 @@ class EnvOptions:
                 )
 
     def _check_air(self) -> None:
+        self._keep("friction", finite("friction", self.friction, 0, MOST_FRICTION))
+        self._keep("restitution", finite("restitution", self.restitution, 0, 1))
         if callable(self.wind):
             check_field(self.wind)
         else:

@@ -70,6 +70,7 @@ class Worlds(Environment):
             first_world,
             self.options.render_mode == "human",
             self.options.rays,
+            self.options.contacts == "bullet",
         )
         self._dynamics, self._cascade = self._make_dynamics()
         self.options.check_setpoint_levels(self.action.level, self._dynamics.consumes)
@@ -105,6 +106,9 @@ class Worlds(Environment):
             1 / options.physics_hz,
             options.physics_hz // options.decision_hz,
             options.gravity,
+            options.contacts or "",
+            options.friction,
+            options.restitution,
         )
         return find_dynamics(options.dynamics)(flight), cascade
 

@@ -210,6 +210,8 @@ class Contacts(NamedTuple):
                 tells the rest.
         """
         rows = cls(**columns)
+        if not len(rows.world):
+            return rows
         order = np.lexsort((rows.other, rows.drone, rows.world))
         key = np.stack([rows.world, rows.drone, rows.other])[:, order]
         new = np.ones(len(order), dtype=bool)
