@@ -305,22 +305,26 @@ def test_distance_from_another_drone(make_world, apart, expected):
 
 
 def test_a_city_of_many_cells_as_by_hand(make_world):
-    """Beside the nearest box by brute force, with a sphere for a drone: the distance is closed."""
-    engine = make_world((CITY.solids,), airframe="hummingbird")
-    rng = np.random.default_rng(5)
-    airframe = bulletuav.load_airframe("hummingbird")
-    up = airframe.thinnest / 2
-    for position in places(rng, 100, 60):
-        low, high = CITY.solids.bounds[: len(CITY.solids.boxes)].transpose(1, 0, 2)
-        aside = np.maximum(np.maximum(low - position, position - high), 0)
-        # A drone over a roof, or beside a wall: its disc is level, and its rim round.
-        flat = np.hypot(aside[:, 0], aside[:, 1]) - RADIUS
-        rise = aside[:, 2] - up
-        gaps = np.hypot(np.maximum(flat, 0), np.maximum(rise, 0))
-        expected = min(gaps.min(), position[2] - up)
-        if expected < 1e-3 or len(CITY.solids.hulls):
-            continue
-        assert nearest(engine, position) == pytest.approx(expected, abs=1e-6)
+    """A level disc beside the nearest of many boxes: across by its rim, and upwards by its face."""
+    city = generate("dense", 400.0, np.random.default_rng(0), 0.0)
+    boxes = city.solids.boxes
+    engine = make_world((city.solids,), drones=60)
+    assert not city.solids.hulls
+    assert engine.city_grid.cells > 10
+    position = np.random.default_rng(5).uniform((-200, -200, 1), (200, 200, 60), (4000, 3))
+    position = position[position[:, 2] > city.roof(position) + 1][:60]
+    away = np.maximum(boxes[:, 0] - position[:, None], position[:, None] - boxes[:, 1]).clip(0)
+    across = (np.hypot(away[..., 0], away[..., 1]) - RADIUS).clip(0)
+    upwards = (away[..., 2] - HALF).clip(0)
+    expected = np.minimum(np.hypot(across, upwards).min(axis=1), position[:, 2] - HALF)
+    swarm = swarm_at(engine, position)
+    # Some discs reach into a wall beside them.
+    clear_of = np.flatnonzero(expected > 0)
+    for i in clear_of:
+        mask = np.arange(60)[None] == i
+        distance = clearances(engine, swarm, mask, 500.0)[0, i]
+        assert distance == pytest.approx(expected[i], abs=1e-6)
+    assert (expected[clear_of] < position[clear_of, 2] - HALF).sum() > 20
 
 
 def test_what_overlaps_is_deep_in_all_of_it(make_world):
