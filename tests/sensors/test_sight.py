@@ -39,10 +39,12 @@ def make_world():
 def town(request):
     """A world in which `CITY` stands.
 
-    With an obstacle, which is nowhere near, the engine is asked for rays.
+    With an obstacle, which is nowhere near, the engine can be asked for rays.
     """
-    obstacles = () if request.param == "walk" else (Obstacle("sphere", (1.0,)),)
-    engine = sensing.open_world((CITY.solids,), obstacles=obstacles)
+    options = {}
+    if request.param == "engine":
+        options = {"obstacles": (Obstacle("sphere", (1.0,)),), "rays": "bullet"}
+    engine = sensing.open_world((CITY.solids,), **options)
     yield engine
     engine.close()
 
