@@ -33,13 +33,14 @@ class Bench:
         obstacles=(),
         layouts=(),
         first_world=0,
+        rays="compiled",
     ):
         self.airframe = load_airframe(airframe)
         airframes = [self.airframe] * drones
         self.dt = 1 / hz
         self.substeps = substeps
         self.gravity = gravity
-        self.engine = Engine(airframes, worlds, self.dt, obstacles, layouts, first_world)
+        self.engine = Engine(airframes, worlds, self.dt, obstacles, layouts, first_world, rays=rays)
         self.motion = Motion.none(worlds)
         tiled = (worlds, 1)
         cascade = Cascade.of(

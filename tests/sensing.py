@@ -10,11 +10,18 @@ from bulletuav.vehicle.swarm import Swarm
 LEVEL = (0.0, 0, 0, 1)
 
 
-def open_world(layouts=(), worlds=1, drones=1, airframe="hummingbird", obstacles=(), stands=0):
+def open_world(
+    layouts=(),
+    worlds=1,
+    drones=1,
+    airframe="hummingbird",
+    obstacles=(),
+    stands=0,
+    rays="compiled",
+):
     """An engine in whose worlds those of some layouts stand that `stands` says."""
-    engine = Engine(
-        [bulletuav.load_airframe(airframe)] * drones, worlds, 1 / 240, obstacles, layouts
-    )
+    airframes = [bulletuav.load_airframe(airframe)] * drones
+    engine = Engine(airframes, worlds, 1 / 240, obstacles, layouts, rays=rays)
     if layouts:
         engine.set_layouts(np.broadcast_to(stands, worlds), np.ones(worlds, dtype=bool))
     return engine

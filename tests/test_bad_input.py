@@ -808,8 +808,28 @@ def test_randomization_names_what_it_cannot_be(name):
         ("sphere", (NAN,), "size of an obstacle is nan"),
         ("sphere", (-1,), "size of an obstacle is"),
         ("box", (1,), "size of an obstacle is .* of 3 values"),
+        ("cylinder", (1,), "size of an obstacle is .* of 2 values"),
+        ("cylinder", (1, 0), "metres above 0"),
+        ("hull", (1,), "size of an obstacle is .* of 0 values"),
+        ("hull", (), "corners of an obstacle is"),
     ],
 )
 def test_obstacles_name_what_they_cannot_be(kind, size, message):
     with pytest.raises(ValueError, match=message):
         Obstacle(kind, size)
+
+
+@pytest.mark.parametrize(
+    ("kind", "options", "message"),
+    [
+        ("hull", {"corners": ((0, 0, 0), (1, 0, 0), (0, 1, 0))}, "spans no volume"),
+        ("hull", {"corners": ((0, 0, NAN),)}, "corners of an obstacle is"),
+        ("sphere", {"size": (1,), "corners": ((0, 0, 0),)}, "'sphere' has no corners: use 'hull'"),
+        ("sphere", {"size": (1,), "friction": 10.1}, "friction of an obstacle is 10.1"),
+        ("sphere", {"size": (1,), "restitution": -0.1}, "restitution of an obstacle is -0.1"),
+        ("sphere", {"size": (1,), "restitution": NAN}, "restitution of an obstacle is nan"),
+    ],
+)
+def test_obstacles_name_other_options_that_cannot_be(kind, options, message):
+    with pytest.raises(ValueError, match=message):
+        Obstacle(kind, **options)

@@ -20,6 +20,8 @@ OFFSTAGE = (0.0, 0.0, -4096.0)
 """Where bodies wait that pictures do not show yet, m"""
 FLOOR_COLOUR = (0.86, 0.88, 0.85, 1)
 CITY_COLOUR = (0.72, 0.70, 0.67, 1)
+SIDES = 48
+"""Sides of a cylinder in pictures"""
 HULL_MARGIN = 1e-3
 """Thickness that Bullet adds to hulls, m"""
 COMPOUND = 256
@@ -179,19 +181,27 @@ def _collision_shape(client: int, shape: Shape) -> ShapeNumber:
 
 def _visual_shape(client: int, shape: Shape, colour: Colour) -> ShapeNumber:
     """Make what pictures show of a shape."""
-    if shape.kind == HULL:
-        corners, triangles = Solids(np.zeros((0, 2, 3)), (np.array(shape.corners),)).mesh
+    if shape.kind in (HULL, CYLINDER):
+        # The renderer rounds the ends of its own cylinders.
+        points = _rims(shape) if shape.kind == CYLINDER else np.array(shape.corners)
+        corners, triangles = Solids(np.zeros((0, 2, 3)), (points,)).mesh
         return _flat_visual(client, corners[triangles], colour)
     keywords: dict[str, object] = {"shapeType": bullet.GEOM_BOX, "halfExtents": list(shape.half)}
     if shape.kind == SPHERE:
         keywords = {"shapeType": bullet.GEOM_SPHERE, "radius": shape.half[0]}
-    elif shape.kind == CYLINDER:
-        radius, _, half = shape.half
-        keywords = {"shapeType": bullet.GEOM_CYLINDER, "radius": radius, "length": 2 * half}
     number: ShapeNumber = bullet.createVisualShape(
         **keywords, rgbaColor=colour, physicsClientId=client
     )
     return number
+
+
+def _rims(cylinder: Shape) -> np.ndarray:
+    """Return points (2 SIDES, 3) on both rims of a cylinder, m."""
+    radius, _, half = cylinder.half
+    turn = 2 * np.pi * np.arange(SIDES) / SIDES
+    across = radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    rims = [np.column_stack([across, np.full(SIDES, height)]) for height in (-half, half)]
+    return np.concatenate(rims)
 
 
 def make_city(

@@ -118,8 +118,8 @@ class BodyTable:
         strangers = bullet.getNumBodies(self._client) - known
         if strangers > self._strangers:
             warnings.warn(
-                f"{strangers} bodies were made in the engine by others: sensors and dynamics do "
-                f"not know them; use add_body(source, position) of the environment instead",
+                f"bodies made in the engine by others: {strangers}; sensors and dynamics do not "
+                f"know them; use add_body(source, position) of the environment instead",
                 stacklevel=2,
             )
         self._strangers = strangers

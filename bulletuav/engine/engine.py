@@ -30,7 +30,7 @@ from bulletuav.vehicle.swarm import FIRST_OBSTACLE, Swarm
 ENGINE_VERSION: int = bullet.getAPIVersion()
 EXTENSION = load(bullet.__file__)
 
-RAYS = {"compiled": True, "bullet": False}
+RAY_METHODS = {"compiled": True, "bullet": False}
 """Who answers rays, and whether it is compiled code"""
 PLAIN = Obstacle("sphere", (1.0,))
 """Whose colour and contact a body has that tells none"""
@@ -96,7 +96,7 @@ class Engine(EngineQueries):
             RuntimeError: There is no screen for a window.
             ValueError: Bullet cannot load the URDF of an airframe, or `rays` is neither.
         """
-        choose("rays", rays, dict.fromkeys(RAYS))
+        choose("rays", rays, dict.fromkeys(RAY_METHODS))
         client = connect(live)
         self._finalizer = weakref.finalize(self, disconnect, client)
         configure(client, dt, live)
@@ -118,7 +118,7 @@ class Engine(EngineQueries):
             airframes=airframes,
             obstacles=obstacles,
             offset=offset,
-            compiled=RAYS[rays],
+            compiled=RAY_METHODS[rays],
         )
         self.dt = dt
         self.first_world = first_world

@@ -9,7 +9,7 @@ from bulletuav.control.actions import ACTIONS
 from bulletuav.control.cascade import CONTROLLERS, PID_LEVELS
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics import find_dynamics
-from bulletuav.engine.engine import RAYS
+from bulletuav.engine.engine import RAY_METHODS
 from bulletuav.envs.randomization import CERTAIN, Randomization
 from bulletuav.errors import as_int, as_sequence, choose, finite, shown, unknown
 from bulletuav.geometry.obstacle import MOST_FRICTION
@@ -175,7 +175,7 @@ class EnvOptions:
             "controller": tuple(CONTROLLERS),
         }
         choices |= {"lidar_frame": FRAMES, "energy": ENERGIES, "observation_format": FORMATS}
-        choices["rays"] = tuple(RAYS)
+        choices["rays"] = tuple(RAY_METHODS)
         for name, known in choices.items():
             choose(name, getattr(self, name), dict.fromkeys(known))
         if self.observation is not None and not self.observation:

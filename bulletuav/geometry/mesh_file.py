@@ -1,5 +1,6 @@
 """Reading of Wavefront OBJ files: the corners of each of their objects."""
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,8 @@ MOST_LINES = 1_000_000
 def read_obj(path: str | Path) -> list[np.ndarray]:
     """Read the corners of each object of a Wavefront OBJ file.
 
-    An object begins with a line `o` and has the corners that its faces name. One without faces has
-    those that stand in it. Objects without corners are left out.
+    An object begins with a line `o`, and has the corners that its faces name: the engine, too,
+    takes no others.
 
     Args:
         path: Where the file is.
@@ -23,7 +24,7 @@ def read_obj(path: str | Path) -> list[np.ndarray]:
         Corners (V, 3) of each object, in the file's units.
 
     Raises:
-        ValueError: A line cannot be read, or there is no corner.
+        ValueError: A line cannot be read, or there is no face.
         FileNotFoundError: There is no such file.
     """
     path = require_file("mesh", path, "pass the path of a Wavefront OBJ file")
@@ -31,26 +32,35 @@ def read_obj(path: str | Path) -> list[np.ndarray]:
     if len(lines) > MOST_LINES:
         raise ValueError(f"{path}: {len(lines)} lines, at most {MOST_LINES} are read: simplify it")
     corners: list[tuple[float, ...]] = []
-    # Of each object, the corners that its faces name, and those that stand in it.
-    objects: list[tuple[set[int], list[int]]] = [(set(), [])]
+    objects: list[set[int]] = [set()]
     for number, line in enumerate(lines, start=1):
         word, *values = line.split() or [""]
-        named, own = objects[-1]
         try:
             if word == "o":
-                objects.append((set(), []))
+                objects.append(set())
             elif word == "v":
-                x, y, z = map(float, values[:3])
-                own.append(len(corners))
-                corners.append((x, y, z))
+                corners.append(_point(values))
             elif word == "f":
-                named |= {_corner(value, len(corners)) for value in values}
+                objects[-1].update(_corner(value, len(corners)) for value in values)
         except ValueError:
             raise ValueError(f"{path}: line {number} is {line!r}: it cannot be read") from None
     points = np.array(corners).reshape(-1, 3)
-    if not len(points) or not np.isfinite(points).all():
-        raise ValueError(f"{path}: corners of finite numbers (lines `v x y z`) are needed")
-    return [points[sorted(named) or own] for named, own in objects if named or own]
+    found = [points[sorted(one)] for one in objects if one]
+    if not found:
+        raise ValueError(f"{path}: faces are needed (lines `f 1 2 3` after the corners `v x y z`)")
+    return found
+
+
+def _point(values: list[str]) -> tuple[float, ...]:
+    """Read the coordinates of a corner.
+
+    Raises:
+        ValueError: They are not finite numbers.
+    """
+    x, y, z = map(float, values[:3])
+    if not math.isfinite(x + y + z):
+        raise ValueError
+    return x, y, z
 
 
 def _corner(text: str, count: int) -> int:

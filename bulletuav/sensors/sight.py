@@ -1,15 +1,16 @@
 """Line of sight to targets, and how near the nearest thing is."""
 
 from collections.abc import Mapping
-from typing import ClassVar
 
 import numpy as np
 
 from bulletuav.engine.engine import Engine
+from bulletuav.geometry.clearance import measure_clearance
+from bulletuav.geometry.gjk import make_room
 from bulletuav.kernel import kernel
 from bulletuav.registry import register
 from bulletuav.sensors.base import Image, Label, Moment, Sensor, SensorSetup
-from bulletuav.vehicle.swarm import CITY, FIRST_OBSTACLE, GROUND
+from bulletuav.vehicle.swarm import Swarm
 
 
 def line_of_sight(
@@ -83,32 +84,21 @@ def sights(
     return seen
 
 
-def clearances(engine: Engine, mask: np.ndarray, most: float) -> np.ndarray:
-    """Measure how near the nearest thing is: ground, building, obstacle or drone.
+def clearances(engine: Engine, swarm: Swarm, mask: np.ndarray, most: float) -> np.ndarray:
+    """Measure how near the nearest thing is: ground, building, obstacle, body or drone.
 
     Args:
-        engine: The engine; drones are where its bodies stand.
-        mask: (W, N) drones that measure.
+        engine: The engine; it tells what stands, and nothing in it moves.
+        swarm: Where the drones are.
+        mask: (W, N) drones that measure; others are not measured either.
         most: Distance beyond which nothing is looked for, m.
 
     Returns:
-        (W, N) distance between collision shapes, m.
-
-    To a millimetre (by which the engine rounds edges and thickens hulls), negative where shapes
-    overlap; `most` where nothing is nearer and for drones that are not among `mask` (W, N). Drones
-    are where the engine's bodies stand.
+        (W, N) distance between collision shapes, m, to 1e-6; negative where shapes overlap. It is
+        `most` where nothing is nearer, and for drones that are not in `mask`.
     """
-    result = np.full(mask.shape, most)
-    obstacles = range(FIRST_OBSTACLE, FIRST_OBSTACLE - len(engine.obstacle_radius), -1)
-    for w, i in np.argwhere(mask).tolist():
-        others = [*np.flatnonzero(mask[w]).tolist(), GROUND, CITY, *obstacles]
-        gaps = [
-            engine.separation(w, (i, None, None), (other, None, None), most)
-            for other in others
-            if other != i
-        ]
-        result[w, i] = min(most, *gaps)
-    return result
+    poses = swarm.position, swarm.quaternion
+    return measure_clearance(engine.scenery, *poses, mask, most, make_room())
 
 
 AHEAD = {
@@ -176,7 +166,6 @@ class Clearance(Sensor):
     """Distance of each drone's collision shape from the nearest thing; see `clearances`."""
 
     name = "clearance"
-    needs_bodies: ClassVar = True
 
     def labels(self, setup: SensorSetup) -> Mapping[str, tuple[Label, ...] | Image]:
         """Tell the distance and how far it reaches."""
@@ -190,5 +179,6 @@ class Clearance(Sensor):
     def measure(self, moment: Moment) -> Mapping[str, np.ndarray]:
         """Measure from the drones that measure."""
         mask = moment.mask
-        self._distance[mask] = clearances(self.engine, mask, self.setup.max_range)[mask]
+        most = self.setup.max_range
+        self._distance[mask] = clearances(self.engine, moment.after, mask, most)[mask]
         return {"clearance": self._distance.copy()}

@@ -167,7 +167,10 @@ GROUND = -1
 CITY = -2
 """`other` of a contact with the city."""
 FIRST_OBSTACLE = -3
-"""`other` of a contact with obstacle 0; it is FIRST_OBSTACLE - k for obstacle k."""
+"""`other` of a contact with obstacle 0; it is FIRST_OBSTACLE - k for obstacle k.
+
+Bodies that users add go on from there: FIRST_OBSTACLE - K - b for body b beside K obstacles.
+"""
 
 
 class Contacts(NamedTuple):

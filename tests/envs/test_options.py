@@ -20,6 +20,8 @@ BAD = [
     ("hover", {"airframe": 7}, "airframe is 7"),
     ("hover", {"dynamics": "bulet"}, "did you mean 'bullet'"),
     ("hover", {"action": "rotors"}, "did you mean 'rotor'"),
+    ("hover", {"rays": "compild"}, "did you mean 'compiled'"),
+    ("hover", {"rays": None}, "unknown rays None"),
     ("hover", {"controller": "lqr"}, "unknown controller 'lqr'"),
     ("hover", {"difficulty": "esy"}, "did you mean 'easy'"),
     ("hover", {"observation": ("attitude", "rate")}, "did you mean 'rates'"),

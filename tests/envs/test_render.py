@@ -7,7 +7,8 @@ import pytest
 
 import bulletuav
 from bulletuav.envs.renderer import DRONE, GOAL, GRID
-from bulletuav.geometry.view import AIR
+from bulletuav.geometry.view import AIR, projection_matrix, view_matrix
+from bulletuav.geometry.view import DRONE as VIEW_DRONE
 
 
 @pytest.mark.parametrize("dynamics", ["bullet", "rigid_body"])
@@ -41,6 +42,33 @@ def test_the_drone_itself_is_drawn_where_its_ring_is():
     blue = (inside[..., 2] > inside[..., 0] + 40).sum()  # rear propellers
     assert blue > 5
     env.close()
+
+
+def test_drones_are_drawn_by_the_shapes_that_touch():
+    """A hummingbird's disc has an area of pi 0.27^2 m^2; its looks have holes in it."""
+    options = {"num_drones": 1, "airframe": "hummingbird", "render_mode": "rgb_array"}
+    aviary = bulletuav.Aviary("hover", 2, **options)
+    aviary.reset(seeds=0)
+    looks = aviary.render(1)
+    shape = aviary.render(1, collision=True)
+    np.testing.assert_array_equal(aviary.render(1), looks)
+    assert (shape != looks).any()
+    # From 10 m straight above, at 60 degrees, a metre is 400 / (2 * 10 * tan 30 deg) pixels.
+    place = aviary.swarm.position[1, 0]
+    view = view_matrix(place + (0, 0, 10.0), place, (0, 1, 0))
+    camera = 1, view, projection_matrix(1.0, 60.0), (400, 400)
+    aviary._dynamics.show(aviary.swarm, aviary.alive)
+    area = (400 / (20 * np.tan(np.pi / 6))) ** 2 * np.pi * 0.27**2
+    drones = aviary.swarm, aviary.alive
+    disc, body = (
+        aviary._engine.picture(*camera, one).labels == VIEW_DRONE for one in (drones, None)
+    )
+    assert disc.sum() == pytest.approx(area, rel=0.06)
+    assert 10 < body.sum() < 0.9 * area
+    aviary.alive[1] = False
+    gone = aviary._engine.picture(*camera, drones).labels == VIEW_DRONE
+    assert not gone.any()
+    aviary.close()
 
 
 def test_every_world_is_drawn_on_its_ground():

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from bulletuav.city.generator import generate
 from bulletuav.engine.calls import VISIBLE
-from bulletuav.engine.engine import RAYS, Engine
+from bulletuav.engine.engine import RAY_METHODS, Engine
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.raycast import walk
 from bulletuav.geometry.solids import Solids, box_corners
@@ -174,7 +174,7 @@ def depth(points, obstacles, place, turn):
 def test_the_engine_meets_obstacles_at_the_same_places(make_world, seed):
     rng = np.random.default_rng(seed)
     obstacles, place, turn = scattered(rng)
-    engines = [make_world(Solids(TOWER[:0]), obstacles, rays=one) for one in RAYS]
+    engines = [make_world(Solids(TOWER[:0]), obstacles, rays=one) for one in RAY_METHODS]
     for engine in engines:
         engine.set_obstacles(place, turn, np.ones(1, bool))
     start = rng.uniform((-25, -25, 0.5), (25, 25, 20), (20000, 3))

@@ -23,6 +23,14 @@ def test_turning_vectors_agrees_with_scipy(q, v):
     np.testing.assert_allclose(np.array(rotation.axes(q)).T, reference.as_matrix(), atol=1e-12)
 
 
+@given(quaternions, quaternions)
+def test_products_agree_with_scipy(p, q):
+    """The second turn comes first, as with matrices."""
+    reference = (Rotation.from_quat(p) * Rotation.from_quat(q)).as_matrix()
+    product = np.array(rotation.axes(rotation.product(p, q))).T
+    np.testing.assert_allclose(product, reference, atol=1e-12)
+
+
 @given(vectors)
 def test_exponential_agrees_with_scipy(v):
     expected = Rotation.from_rotvec(v).as_matrix()

@@ -46,10 +46,9 @@ def scan(engine, swarm, beams, frame="yaw", mask=None, rngs=None, **uncertain):
     return lidar.ranges
 
 
-both_ways = pytest.mark.parametrize(
-    "obstacles", [(), (Obstacle("sphere", (1.0,)),)], ids=["walk", "engine"]
-)
-"""Where there are obstacles, here nowhere near, rays are the engine's."""
+ENGINE = {"obstacles": (Obstacle("sphere", (1.0,)),), "rays": "bullet"}
+both_ways = pytest.mark.parametrize("options", [{}, ENGINE], ids=["walk", "engine"])
+"""With obstacles, here nowhere near, and rays="bullet" the engine is asked."""
 
 
 def level(*azimuths):
@@ -65,35 +64,33 @@ def test_beams_go_around_at_each_elevation_the_first_ahead():
 
 
 @both_ways
-def test_ranges_of_a_tower_are_exact(make_world, obstacles):
+def test_ranges_of_a_tower_are_exact(make_world, options):
     """20 / cos 10 = 20.308532 m, at y = 3.527 m; at 15 degrees y = 5.359 m: past it."""
-    engine = make_world((tower(60),), obstacles=obstacles)
+    engine = make_world((tower(60),), **options)
     ranges = scan(engine, swarm_at(engine, (0, 0, 30)), level(0, 10, 15, 180))
     np.testing.assert_allclose(ranges[0, 0], (20, 20.308532, FAR, FAR), atol=1e-6)
 
 
 @both_ways
-def test_level_beams_above_a_roof_miss(make_world, obstacles):
-    engine = make_world((tower(25),), obstacles=obstacles)
+def test_level_beams_above_a_roof_miss(make_world, options):
+    engine = make_world((tower(25),), **options)
     assert (scan(engine, swarm_at(engine, (0, 0, 30)), make_beams(36, (0.0,))) == FAR).all()
 
 
 @both_ways
 @pytest.mark.parametrize("thickness", [0.5, 0.05])
-def test_a_thin_wall_is_seen_where_it_stands(make_world, thickness, obstacles):
-    engine = make_world(
-        (Solids(np.array([[(20.0, -5, 0), (20 + thickness, 5, 60)]])),), obstacles=obstacles
-    )
+def test_a_thin_wall_is_seen_where_it_stands(make_world, thickness, options):
+    engine = make_world((Solids(np.array([[(20.0, -5, 0), (20 + thickness, 5, 60)]])),), **options)
     assert scan(engine, swarm_at(engine, (0, 0, 30)), level(0))[0, 0] == pytest.approx(20, abs=1e-6)
 
 
 @both_ways
-def test_beams_that_look_down_see_ground_and_roof(make_world, obstacles):
+def test_beams_that_look_down_see_ground_and_roof(make_world, options):
     """From 30 m: 30 / sin of the angle.
 
     The roof 5 m below is met 20 m ahead and farther, at less than 14 degrees down.
     """
-    engine = make_world((tower(25),), obstacles=obstacles)
+    engine = make_world((tower(25),), **options)
     beams = [Beam(90, -90), Beam(90, -45), Beam(90, -31), Beam(90, -29), Beam(0, -10)]
     ranges = scan(engine, swarm_at(engine, (0, 0, 30)), beams)[0, 0]
     np.testing.assert_allclose(

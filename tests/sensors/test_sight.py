@@ -8,6 +8,7 @@ from sensing import swarm_at
 
 import bulletuav
 from bulletuav.city.generator import generate
+from bulletuav.engine.calls import bullet
 from bulletuav.geometry.city_grid import NO_LAYOUT
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.solids import Solids
@@ -38,10 +39,12 @@ def make_world():
 def town(request):
     """A world in which `CITY` stands.
 
-    With an obstacle, which is nowhere near, the engine is asked for rays.
+    With an obstacle, which is nowhere near, the engine can be asked for rays.
     """
-    obstacles = () if request.param == "walk" else (Obstacle("sphere", (1.0,)),)
-    engine = sensing.open_world((CITY.solids,), obstacles=obstacles)
+    options = {}
+    if request.param == "engine":
+        options = {"obstacles": (Obstacle("sphere", (1.0,)),), "rays": "bullet"}
+    engine = sensing.open_world((CITY.solids,), **options)
     yield engine
     engine.close()
 
@@ -251,10 +254,9 @@ def test_an_environment_tells_who_sees_users_and_each_other(dynamics):
 
 def nearest(engine, position, quaternion=sensing.LEVEL, most=50.0, mask=None):
     """(N,) clearances of the drones of world 0."""
-    swarm_at(engine, position, quaternion)
-    return clearances(
-        engine, np.ones(engine.shape, dtype=bool) if mask is None else np.array(mask), most
-    )[0]
+    everyone = np.ones(engine.shape, dtype=bool)
+    swarm = swarm_at(engine, position, quaternion)
+    return clearances(engine, swarm, everyone if mask is None else np.array(mask), most)[0]
 
 
 BLOCK = Solids(np.array([[(-5.0, -5, 0), (5, 5, 8)]]))
@@ -270,20 +272,19 @@ BLOCK = Solids(np.array([[(-5.0, -5, 0), (5, 5, 8)]]))
     ],
 )
 def test_distance_from_ground_wall_and_roof(make_world, position, expected):
-    assert nearest(make_world((BLOCK,)), position) == pytest.approx(expected, abs=2e-4)
+    assert nearest(make_world((BLOCK,)), position) == pytest.approx(expected, abs=1e-6)
 
 
 def test_distance_from_the_edge_of_a_roof(make_world):
-    """The engine rounds edges by 1 mm."""
     expected = np.hypot(1.5 - RADIUS, 1.5 - HALF)
-    assert nearest(make_world((BLOCK,)), (-6.5, 0, 9.5)) == pytest.approx(expected, abs=1e-3)
+    assert nearest(make_world((BLOCK,)), (-6.5, 0, 9.5)) == pytest.approx(expected, abs=1e-6)
 
 
 def test_distance_from_a_hull(make_world):
     turned = Rotation.from_euler("z", 30, degrees=True)
     corners = np.array([(x, y, z) for x in (-5, 5) for y in (-5, 5) for z in (0, 8)], dtype=float)
     engine = make_world((Solids(np.zeros((0, 2, 3)), (turned.apply(corners),)),))
-    assert nearest(engine, turned.apply((-8, 0, 6))) == pytest.approx(3 - RADIUS, abs=2e-3)
+    assert nearest(engine, turned.apply((-8, 0, 6))) == pytest.approx(3 - RADIUS, abs=1e-6)
 
 
 def test_distance_from_an_obstacle(make_world):
@@ -291,9 +292,9 @@ def test_distance_from_an_obstacle(make_world):
     engine.set_obstacles(
         np.array([[(4.0, 0, 20), (0, -3, 20)]]), np.array([[sensing.LEVEL] * 2]), np.array([True])
     )
-    assert nearest(engine, (0, 0, 20)) == pytest.approx(2 - RADIUS, abs=1e-3)  # the box
+    assert nearest(engine, (0, 0, 20)) == pytest.approx(2 - RADIUS, abs=1e-6)  # the box
     assert nearest(engine, (1, 1, 20)) == pytest.approx(
-        np.sqrt(10) - 1 - RADIUS, abs=1e-3
+        np.sqrt(10) - 1 - RADIUS, abs=1e-6
     )  # the sphere
 
 
@@ -302,11 +303,54 @@ def test_distance_from_an_obstacle(make_world):
 )
 def test_distance_from_another_drone(make_world, apart, expected):
     distance = nearest(make_world(drones=2), [(0, 0, 30), np.add((0, 0, 30), apart)])
-    np.testing.assert_allclose(distance, expected, atol=1e-3)
+    np.testing.assert_allclose(distance, expected, atol=1e-6)
+
+
+def test_a_city_of_many_cells_as_by_hand(make_world):
+    """A level disc beside the nearest of many boxes: across by its rim, and upwards by its face."""
+    city = generate("dense", 400.0, np.random.default_rng(0), 0.0)
+    boxes = city.solids.boxes
+    engine = make_world((city.solids,), drones=60)
+    assert not city.solids.hulls
+    assert engine.city_grid.cells > 10
+    position = np.random.default_rng(5).uniform((-200, -200, 1), (200, 200, 60), (4000, 3))
+    position = position[position[:, 2] > city.roof(position) + 1][:60]
+    away = np.maximum(boxes[:, 0] - position[:, None], position[:, None] - boxes[:, 1]).clip(0)
+    across = (np.hypot(away[..., 0], away[..., 1]) - RADIUS).clip(0)
+    upwards = (away[..., 2] - HALF).clip(0)
+    expected = np.minimum(np.hypot(across, upwards).min(axis=1), position[:, 2] - HALF)
+    swarm = swarm_at(engine, position)
+    # Some discs reach into a wall beside them.
+    clear_of = np.flatnonzero(expected > 0)
+    for i in clear_of:
+        mask = np.arange(60)[None] == i
+        distance = clearances(engine, swarm, mask, 500.0)[0, i]
+        assert distance == pytest.approx(expected[i], abs=1e-6)
+    assert (expected[clear_of] < position[clear_of, 2] - HALF).sum() > 20
+
+
+def test_what_overlaps_is_deep_in_all_of_it(make_world):
+    """Two boxes about one drone: the deeper overlap counts, whichever comes first."""
+    boxes = np.array([[(-5.0, -5, 0), (5, 5, 20)], [(-1.0, -1, 0), (1, 1, 20)]])
+    for order in ((0, 1), (1, 0)):
+        engine = make_world((Solids(boxes[list(order)]),))
+        assert nearest(engine, (0, 0, 10)) == pytest.approx(-5 - RADIUS, abs=1e-6)
+
+
+def test_measuring_moves_no_body(make_world):
+    engine = make_world((BLOCK,), drones=2, obstacles=(Obstacle("sphere", (1.0,)),))
+    swarm = swarm_at(engine, [(0, 0, 20), (3, 0, 20)])
+    before = [bullet.getBasePositionAndOrientation(k, engine._client) for k in range(6)]
+    everyone = np.ones((1, 2), dtype=bool)
+    moved = swarm.copy()
+    moved.position[:] += 5
+    clearances(engine, moved, everyone, 50.0)
+    after = [bullet.getBasePositionAndOrientation(k, engine._client) for k in range(6)]
+    assert after == before
 
 
 def test_overlap_is_negative(make_world):
-    assert nearest(make_world((BLOCK,)), (-5.2, 0, 4)) == pytest.approx(0.2 - RADIUS, abs=2e-3)
+    assert nearest(make_world((BLOCK,)), (-5.2, 0, 4)) == pytest.approx(0.2 - RADIUS, abs=1e-6)
 
 
 @pytest.mark.parametrize("airframe", bulletuav.available_airframes())
@@ -320,7 +364,7 @@ def test_distance_of_a_tilted_shape(make_world, airframe):
     wide = np.sqrt(one.collision_radius**2 - high**2)
     attitude = Rotation.from_euler("ZX", (30, 30), degrees=True).as_quat()
     assert nearest(engine, (0, 0, 3), attitude) == pytest.approx(
-        3 - wide / 2 - high * np.sqrt(0.75), abs=2e-3
+        3 - wide / 2 - high * np.sqrt(0.75), abs=1e-6
     )
 
 
@@ -328,17 +372,17 @@ def test_who_is_far_or_not_asked_for_has_the_limit(make_world):
     engine = make_world((BLOCK,), drones=3)
     places = [(20, 0, 6), (20, 3, 6), (0, 0, 40)]
     np.testing.assert_allclose(
-        nearest(engine, places, most=4.0), (3 - 2 * RADIUS, 3 - 2 * RADIUS, 4), atol=1e-3
+        nearest(engine, places, most=4.0), (3 - 2 * RADIUS, 3 - 2 * RADIUS, 4), atol=1e-6
     )
     np.testing.assert_allclose(nearest(engine, places, most=2.0), 2.0)
     masked = nearest(engine, places, most=10.0, mask=[[True, False, False]])
     np.testing.assert_allclose(
-        masked, (6 - HALF, 10, 10), atol=1e-3
+        masked, (6 - HALF, 10, 10), atol=1e-6
     )  # who is not asked for is not met either
 
 
 def test_other_worlds_and_parked_layouts_are_far(make_world):
     engine = make_world((BLOCK,), worlds=2, stands=[NO_LAYOUT, 0])
-    swarm_at(engine, [[(0, 0, 9)], [(0, 0, 9)]])
-    distance = clearances(engine, np.ones((2, 1), dtype=bool), 50.0)[:, 0]
-    np.testing.assert_allclose(distance, (9 - HALF, 1 - HALF), atol=1e-3)
+    swarm = swarm_at(engine, [[(0, 0, 9)], [(0, 0, 9)]])
+    distance = clearances(engine, swarm, np.ones((2, 1), dtype=bool), 50.0)[:, 0]
+    np.testing.assert_allclose(distance, (9 - HALF, 1 - HALF), atol=1e-6)

@@ -145,8 +145,8 @@ REFUSED = [
     (
         '<cylinder radius="0.0628" length="0.03"/>',
         '<mesh filename="x"/>',
-        "collision geometry",
-        "cylinder, box or sphere",
+        "mesh filename",
+        "x: the name of a Wavefront OBJ file",
     ),
     (
         '<cylinder radius="0.0628" length="0.03"/>',

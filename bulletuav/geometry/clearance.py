@@ -1,0 +1,143 @@
+"""Distances of drones from the nearest thing, by exact shapes in compiled code."""
+
+import math
+
+import numpy as np
+
+from bulletuav.geometry.city_grid import NO_LAYOUT, CityGrid, reached
+from bulletuav.geometry.gjk import gap
+from bulletuav.geometry.rotation import Vec3, Vec3Like, axes, dot, minus, point, quat4, vec3
+from bulletuav.geometry.scenery import Scenery
+from bulletuav.kernel import func, kernel
+
+LEVEL = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+"""Axes of what is not turned"""
+NO_GUESS = (0.0, 0.0, 0.0)
+
+
+@func
+def _from_box(place: Vec3Like, low: Vec3Like, high: Vec3Like) -> float:
+    """Return the distance of a point from a box between two corners, 0 inside, m."""
+    square = 0.0
+    for k in range(3):
+        aside = max(low[k] - place[k], 0.0, place[k] - high[k])
+        square += aside * aside
+    return math.sqrt(square)
+
+
+@func
+def _is_first_cell(
+    city_grid: CityGrid, p: int, left: int, bottom: int, column: int, row: int
+) -> bool:
+    """Tell whether a cell is the first one of piece p among those from `left` and `bottom` on."""
+    low = point(city_grid.low, p)
+    high = point(city_grid.high, p)
+    own_left, _, own_bottom, _ = reached(city_grid, low[0], high[0], low[1], high[1])
+    is_first: bool = column == max(left, own_left) and row == max(bottom, own_bottom)
+    return is_first
+
+
+@kernel
+def _city_clearance(
+    scenery: Scenery,
+    w: int,
+    i: int,
+    place: Vec3,
+    turn: tuple[Vec3, Vec3, Vec3],
+    found: float,
+    room: np.ndarray,
+) -> float:
+    """Return the distance of drone i from the city of world w, or `found` if that is less, m."""
+    city_grid = scenery.city_grid
+    layout = city_grid.layout[w]
+    if layout == NO_LAYOUT:
+        return found
+    radius = scenery.table.radius[i]
+    within = found + radius
+    x = place[0]
+    y = place[1]
+    left, right, bottom, top = reached(city_grid, x - within, x + within, y - within, y + within)
+    for column in range(left, right):
+        for row in range(bottom, top):
+            cell = column * city_grid.cells + row
+            for m in range(city_grid.first[layout, cell], city_grid.first[layout, cell + 1]):
+                p = city_grid.item[m]
+                # A piece is in many cells, and asked for in one of them.
+                if not _is_first_cell(city_grid, p, left, bottom, column, row):
+                    continue
+                low = point(city_grid.low, p)
+                high = point(city_grid.high, p)
+                aside = _from_box(place, low, high)
+                if aside > 0.0 and aside - radius >= found:
+                    continue
+                s = scenery.first_piece + p
+                offset = minus(point(scenery.piece_place, p), place)
+                table = scenery.table
+                distance, _, _, _ = gap(table, i, turn, s, LEVEL, offset, NO_GUESS, room)
+                found = min(found, distance)
+    return found
+
+
+@kernel
+def measure_clearance(
+    scenery: Scenery,
+    position: np.ndarray,
+    quaternion: np.ndarray,
+    mask: np.ndarray,
+    most: float,
+    room: np.ndarray,
+) -> np.ndarray:
+    """Measure how far drones are from the nearest thing: ground, building, body or drone.
+
+    Bounding spheres and boxes sort out what is farther than something found before.
+
+    Args:
+        scenery: What stands in each world.
+        position: (W, N, 3) of the drones, m.
+        quaternion: (W, N, 4) their attitudes, body to world.
+        mask: (W, N) bool, drones that measure, and that are measured.
+        most: Distance beyond which nothing is looked for, m.
+        room: Scratch of `gjk.make_room`.
+
+    Returns:
+        (W, N) distance between shapes, m, negative for the depth of an overlap; `most` where
+        nothing is nearer, and outside `mask`.
+    """
+    table = scenery.table
+    result = np.full(mask.shape, most)
+    for w in range(mask.shape[0]):
+        for i in range(mask.shape[1]):
+            if not mask[w, i]:
+                continue
+            place = vec3(position, w, i)
+            turn = axes(quat4(quaternion, w, i))
+            down = (-place[0], -place[1], -place[2])
+            height, _, _, _ = gap(table, i, turn, scenery.ground, LEVEL, down, NO_GUESS, room)
+            found = min(most, height)
+            # Drones
+            for j in range(mask.shape[1]):
+                offset = minus(vec3(position, w, j), place)
+                reach = found + table.radius[i] + table.radius[j]
+                if j == i or not mask[w, j] or _is_beyond(offset, reach):
+                    continue
+                other = axes(quat4(quaternion, w, j))
+                distance, _, _, _ = gap(table, i, turn, j, other, offset, NO_GUESS, room)
+                found = min(found, distance)
+            # Obstacles, and bodies that users added
+            for r in range(scenery.other.shape[0]):
+                s = scenery.first_body + r
+                offset = minus(vec3(scenery.place, w, r), place)
+                if _is_beyond(offset, found + table.radius[i] + table.radius[s]):
+                    continue
+                other = axes(quat4(scenery.quaternion, w, r))
+                distance, _, _, _ = gap(table, i, turn, s, other, offset, NO_GUESS, room)
+                found = min(found, distance)
+            result[w, i] = _city_clearance(scenery, w, i, place, turn, found, room)
+    return result
+
+
+@func
+def _is_beyond(offset: Vec3Like, reach: float) -> bool:
+    """Tell whether a point is as far as `reach`, m; a reach below 0 holds nothing."""
+    beyond: bool = reach <= 0.0 or dot(offset, offset) >= reach * reach
+    return beyond
