@@ -9,20 +9,21 @@ from bulletuav.contact.impulses import POINT, ease_of, energy, keep, prepare, re
 from bulletuav.contact.motion import (
     Motions,
     advance_to,
+    aim,
     along,
     change_rates,
-    go_on,
     make_motions,
     pose_at,
     stay,
 )
 from bulletuav.contact.pairs import Pairs
-from bulletuav.contact.touch import TOUCH, gap_at
+from bulletuav.contact.touch import TOUCH, gap_at, separation_along
 from bulletuav.contact.touches import Touches, tell
 from bulletuav.geometry.contact_points import MOST_POINTS, contact_points
 from bulletuav.geometry.gjk import make_room
-from bulletuav.geometry.rotation import Vec3, axes, dot, minus, point
+from bulletuav.geometry.rotation import Vec3, axes, dot, minus, point, to_body, to_world
 from bulletuav.geometry.scenery import Scenery
+from bulletuav.geometry.shapes import HALF_SPACE
 from bulletuav.kernel import func, kernel
 from bulletuav.vehicle.swarm import Swarm
 
@@ -36,6 +37,16 @@ MIDDLE = 0.5 * TOUCH
 """Distance that a touch leaves, m"""
 LIFT = 2e-3
 """Fastest that shapes which are too close are moved apart, m/s"""
+NEARBY = 5 * TOUCH
+"""Points of a pair in touch that are farther apart play no part, m"""
+FORESIGHT = 4
+"""How often an impact looks what its pairs will touch with at the end of the substep"""
+SHORTEST = 1e-6
+"""Rest of a substep below which nothing is foreseen, s"""
+SLIP = 2e-6
+"""How much closer shapes may come that are too close already, m"""
+TRUSTED = 5e-4
+"""Depth of an overlap up to which its direction is that of the contact, m"""
 
 
 class Workspace(NamedTuple):
@@ -195,6 +206,22 @@ def _surface(world: World, who: int) -> tuple[float, float]:
     return world.friction, world.restitution
 
 
+@func
+def _fill_point(space: Workspace, world: World, row: np.record, a: int, b: int) -> None:
+    """Fill in whose a point of contact is, its surfaces and masses; normal and arms are there."""
+    row.a = a
+    row.b = b if b < world.scenery.first_body else -1
+    drift = _drift(space, world, b)
+    for k in range(3):
+        row.drift[k] = drift[k]
+    # Of two surfaces the geometric mean counts
+    rough, lively = _surface(world, a)
+    rough_b, lively_b = _surface(world, b)
+    row.friction = math.sqrt(rough * rough_b)
+    row.restitution = math.sqrt(lively * lively_b)
+    prepare(row, space.ease, space.lightness)
+
+
 @kernel
 def _add_points(
     space: Workspace,
@@ -230,9 +257,7 @@ def _add_points(
     if distance > 1e-6:
         pairs.floor[p] = 0.25 * min(distance, TOUCH)
     else:
-        pairs.floor[p] = distance - 2e-6
-    # Points as far apart as the surfaces can come together within a substep count as well
-    most = 0.5 * scenery.table.radius[a]
+        pairs.floor[p] = distance - SLIP
     found = contact_points(
         scenery.table,
         a,
@@ -243,31 +268,19 @@ def _add_points(
         normal,
         on_a,
         on_b,
-        most,
+        NEARBY,
         space.found,
         space.room,
     )
-    drift = _drift(space, world, b)
-    # Of two surfaces the geometric mean counts
-    rough, lively = _surface(world, a)
-    rough_b, lively_b = _surface(world, b)
-    friction = math.sqrt(rough * rough_b)
-    restitution = math.sqrt(lively * lively_b)
     for m in range(found):
         row = points[size + m]
-        row.a = a
-        row.b = b if b < scenery.first_body else -1
         for k in range(3):
             row.normal[k] = normal[k]
             row.arm_a[k] = space.found[m, k]
             row.arm_b[k] = space.found[m, k] - offset[k]
-            row.drift[k] = drift[k]
+        _fill_point(space, world, row, a, b)
         row.distance = space.found[m, 3]
-        row.friction = friction
-        row.restitution = restitution
-        prepare(row, space.ease, space.lightness)
-        moving = slip(row, space.motions.velocity, space.motions.spin)
-        row.approach = dot(moving, normal)
+        row.approach = dot(slip(row, space.motions.velocity, space.motions.spin), normal)
     return size + found
 
 
@@ -359,40 +372,138 @@ def _lossless_share(space: Workspace, world: World, members: int, frame: Vec3) -
 
 
 @kernel
-def _hold(
-    space: Workspace, world: World, members: int, points: np.ndarray, size: int, time: float
-) -> None:
-    """Let contacts hold against forces for the rest of the substep, and what closes stop."""
-    motions = space.motions
+def _allow(points: np.ndarray, size: int, dt: float) -> None:
+    """Set how fast the points of contact may close, or have to part."""
     for k in range(size):
         row = points[k]
         missing = row.distance - MIDDLE
         if missing > 0.0:
-            row.least = -missing / world.dt
+            row.least = -missing / dt
         else:
-            row.least = min(LIFT, -0.1 * missing / world.dt)
+            row.least = min(LIFT, -0.1 * missing / dt)
         # What rebounds when it arrives is left to its own impact
         if row.distance > 1.01 * TOUCH and row.restitution > 0.0 and row.approach < -SLOW:
             row.least = -1e9
+
+
+@kernel
+def _add_forces(space: Workspace, members: int, time: float, sign: float) -> None:
+    """Add what forces do to the velocities of an island in the rest of the substep, or take it."""
+    motions = space.motions
+    rest = sign * (1.0 - time)
     for m in range(members):
         i = space.island[m]
-        angular = point(motions.twist, i)
         for k in range(3):
             spun = 0.0
             for n in range(3):
-                spun += space.ease[i, k, n] * angular[n]
-            space.after[0, i, k] = (1.0 - time) * motions.push[i, k]
-            space.after[1, i, k] = (1.0 - time) * spun
-            motions.velocity[i, k] += space.after[0, i, k]
-            motions.spin[i, k] += space.after[1, i, k]
-    relax(points, size, motions.velocity, motions.spin, space.ease, space.lightness)
-    keep(points, size)
+                spun += space.ease[i, k, n] * motions.twist[i, n]
+            motions.velocity[i, k] += rest * motions.push[i, k]
+            motions.spin[i, k] += rest * spun
+
+
+@func
+def _as_now(
+    scenery: Scenery, motions: Motions, w: int, who: int, time: float, dt: float, arm: Vec3
+) -> Vec3:
+    """Return where a point of someone is now that is at `arm` at the end of the substep, m."""
+    position, before = pose_at(scenery, motions, w, who, time, dt)
+    _, after = pose_at(scenery, motions, w, who, 1.0, dt)
+    return along(position, 1.0, to_world(before, to_body(after, arm)))
+
+
+@kernel
+def _foresee(
+    space: Workspace,
+    world: World,
+    pairs: Pairs,
+    p: int,
+    time: float,
+    points: np.ndarray,
+    size: int,
+) -> int:
+    """Add the point at which a pair would be too close at the end of the substep, if there is one.
+
+    Velocities are those at the end, and `aim` was called. Of a pair that turns, other points than
+    those of now may come together: without them it would sink, and take many impacts to stop.
+
+    Returns:
+        The number of points.
+    """
+    a = pairs.who[p, 0]
+    b = pairs.who[p, 1]
+    scenery = world.scenery
+    motions = space.motions
+    w = world.w
+    dt = world.dt
+    normal = point(pairs.normal, p)
+    now, _, _ = separation_along(scenery, motions, w, a, b, time, dt, normal)
+    later, on_a, on_b = separation_along(scenery, motions, w, a, b, 1.0, dt, normal)
+    wanted = min(now, MIDDLE)
+    enough = 0.5 * wanted if wanted > 0.0 else wanted - SLIP
+    if later >= enough:
+        return size
+    if scenery.table.kind[b] != HALF_SPACE:
+        # They may pass each other, for example over an edge
+        later, new, on_a, on_b = gap_at(scenery, motions, w, a, b, 1.0, dt, normal, space.room)
+        if later >= enough:
+            return size
+        # The direction of a deep overlap misleads: keep that of the touch
+        if later > -TRUSTED:
+            normal = new
+    place = _as_now(scenery, motions, w, a, time, dt, on_a)
+    position_b, _ = pose_at(scenery, motions, w, b, time, dt)
+    if b < scenery.first_body:
+        other = _as_now(scenery, motions, w, b, time, dt, on_b)
+        place = along(place, 0.5, minus(other, place))
+    row = points[size]
+    for k in range(3):
+        row.normal[k] = normal[k]
+        row.arm_a[k] = place[k] - motions.position[a, k]
+        row.arm_b[k] = place[k] - position_b[k]
+    _fill_point(space, world, row, a, b)
+    closing = dot(slip(row, motions.velocity, motions.spin), normal)
+    row.distance = now
+    row.approach = 0.0
+    row.least = closing + (wanted - later) / ((1.0 - time) * dt)
+    return size + 1
+
+
+@kernel
+def _hold(
+    space: Workspace,
+    world: World,
+    pairs: Pairs,
+    active: np.ndarray,
+    members: int,
+    points: np.ndarray,
+    owner: np.ndarray,
+    size: int,
+    time: float,
+) -> int:
+    """Let contacts hold against forces for the rest of the substep, and what closes stop.
+
+    Returns the number of points, those that were foreseen among them.
+    """
+    motions = space.motions
+    _allow(points, size, world.dt)
+    _add_forces(space, members, time, 1.0)
+    for trial in range(FORESIGHT + 1):
+        relax(points, size, motions.velocity, motions.spin, space.ease, space.lightness)
+        keep(points, size)
+        for m in range(members):
+            i = space.island[m]
+            aim(motions, i, world.dt, world.parameters[world.w, i])
+        before = size
+        if trial < FORESIGHT and (1.0 - time) * world.dt > SHORTEST:
+            for k in range(active.shape[0]):
+                more = _foresee(space, world, pairs, active[k], time, points, size)
+                owner[size:more] = active[k]
+                size = more
+        if size == before:
+            break
     # Back to velocities at the time of the impact: forces are added on the way
-    for m in range(members):
-        i = space.island[m]
-        for k in range(3):
-            motions.velocity[i, k] -= space.after[0, i, k]
-            motions.spin[i, k] -= space.after[1, i, k]
+    _add_forces(space, members, time, -1.0)
+    return size
 
 
 @func
@@ -427,35 +538,48 @@ def push_apart(
     Returns how many drones that are; they are in `space.island`, and fly on with new velocities.
     """
     members = _gather(space, world, pairs, count, first, time)
+    # A drone that took part in too many impacts stays: time does not go on for it
+    for m in range(members):
+        i = space.island[m]
+        space.motions.impacts[i] += 1
+        if space.motions.impacts[i] >= MOST_IMPACTS:
+            for k in range(3):
+                space.motions.push[i, k] = 0.0
+                space.motions.twist[i, k] = 0.0
     # Points of all pairs of the island that are in touch
+    active = np.empty(count, dtype=np.int64)
     touching = 0
     for p in range(count):
         if space.member[pairs.who[p, 0]] and _touching(pairs, p, time):
+            active[touching] = p
             touching += 1
-    points = np.zeros(touching * MOST_POINTS, dtype=POINT)
-    owner = np.empty(touching * MOST_POINTS, dtype=np.int64)
-    slips = np.empty((touching * MOST_POINTS, 3))
+    active = active[:touching]
+    points = np.zeros(touching * (MOST_POINTS + FORESIGHT), dtype=POINT)
+    owner = np.empty(points.shape[0], dtype=np.int64)
     size = 0
-    for p in range(count):
-        if space.member[pairs.who[p, 0]] and _touching(pairs, p, time):
-            more = _add_points(space, world, pairs, p, time, points, size)
-            for k in range(size, more):
-                owner[k] = p
-                moving = slip(points[k], space.motions.velocity, space.motions.spin)
-                for m in range(3):
-                    slips[k, m] = moving[m]
-            size = more
+    given = 0
+    for k in range(touching):
+        more = _add_points(space, world, pairs, active[k], time, points, size)
+        owner[size:more] = active[k]
+        if more > size:
+            active[given] = active[k]
+            given += 1
+        size = more
+    active = active[:given]
+    # Velocities before, of which the first point of a pair is told
+    slips = np.zeros((points.shape[0], 3))
+    for k in range(size):
+        moving = slip(points[k], space.motions.velocity, space.motions.spin)
+        for m in range(3):
+            slips[k, m] = moving[m]
     _rebound(space, world, members, points, size)
-    _hold(space, world, members, points, size, time)
+    size = _hold(space, world, pairs, active, members, points, owner, size, time)
     for k in range(size):
         p = owner[k]
         _tell_point(touches, space, world.w, points[k], pairs.who[p, 1], point(slips, k))
     for m in range(members):
         i = space.island[m]
-        space.motions.impacts[i] += 1
-        if space.motions.impacts[i] < MOST_IMPACTS:
-            go_on(space.motions, i, world.dt, world.parameters[world.w, i])
-        else:
+        if space.motions.impacts[i] >= MOST_IMPACTS:
             stay(space.motions, i)
     return members
 

@@ -55,9 +55,9 @@ Attributes:
     total: The same in all passes, N s.
 """
 
-FIRM = 1e-12
+FIRM = 1e-9
 """Change of velocity below which a sweep changes nothing, as share of the greatest velocity"""
-SWEEPS = 1000
+SWEEPS = 100
 """Most sweeps over the points of a small island"""
 WORK = 20_000
 """Most visits of points of an island, unless that is less than `FEWEST` sweeps"""

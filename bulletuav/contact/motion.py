@@ -202,18 +202,16 @@ def advance_to(motions: Motions, i: int, time: float, row: np.record) -> None:
 
 
 @kernel
-def go_on(motions: Motions, i: int, dt: float, row: np.record) -> None:
-    """Let drone i fly on from its time with the velocities that it will have at the end.
+def aim(motions: Motions, i: int, dt: float, row: np.record) -> None:
+    """Let drone i fly on from its time with the velocities that `motions` has of it.
 
-    The velocities of `motions` are those at its time; forces are added for the rest. The rotation
-    takes the angular velocity halfway (midpoint rule), with the angular momentum held.
+    The rotation takes the angular velocity halfway (midpoint rule), with the angular momentum held.
     """
     rest = 1.0 - motions.time[i]
-    velocity = along(point(motions.velocity, i), rest, point(motions.push, i))
+    velocity = point(motions.velocity, i)
     here = quaternion_of(motions, i)
     angular = momentum(here, point(motions.spin, i), row)
-    angular = along(angular, rest, point(motions.twist, i))
-    halfway = turned(spin_of(here, angular, row), 0.5 * rest * dt, here)
+    halfway = turned(point(motions.spin, i), 0.5 * rest * dt, here)
     spin = spin_of(halfway, angular, row)
     for k in range(3):
         motions.move[i, k] = rest * dt * velocity[k]

@@ -12,7 +12,7 @@ import numpy as np
 from bulletuav.contact.impact import Workspace, World, halt, push_apart
 from bulletuav.contact.motion import begin, finish
 from bulletuav.contact.pairs import SLACK, Pairs, collect, make_pairs, rest_budget, sweeps_apart
-from bulletuav.contact.touch import NEVER, touch_time
+from bulletuav.contact.touch import EXACT, NEVER, touch_time
 from bulletuav.contact.touches import Touches
 from bulletuav.geometry.rotation import dot, minus, point, vec3
 from bulletuav.kernel import func, kernel
@@ -44,6 +44,7 @@ def _time_pair(space: Workspace, world: World, pairs: Pairs, p: int, start: floa
         b,
         start,
         pairs.floor[p],
+        max(1e-7, 0.2 * abs(pairs.floor[p])) if pairs.held[p] else EXACT,
         world.dt,
         point(pairs.normal, p),
         space.room,

@@ -1,9 +1,10 @@
 """When a pair first touches: conservative advancement on exact distances.
 
-No motion closes a gap faster than its bound, so steps of gap / bound skip nothing, however thin or
-fast (B. Mirtich, Impulse-based dynamic simulation of rigid body systems, 1996). The bound is that
-along the present separating direction: whatever slides or turns across it costs nothing. Where the
-pair is close already, Newton's method on the distance ends the search.
+Two bounds tell how far it is safe to go; both hold however thin or fast things are. No motion
+closes a gap faster than a bound along the present separating direction (B. Mirtich, Impulse-based
+dynamic simulation of rigid body systems, 1996). And between two times at which a plane separates
+the pair, no point can get beyond it by more than its greatest acceleration bends its way. Where
+the pair is close already, Newton's method on the distance ends the search.
 """
 
 import math
@@ -12,8 +13,10 @@ import numpy as np
 
 from bulletuav.contact.motion import Motions, change_rates, pose_at
 from bulletuav.geometry.gjk import gap
+from bulletuav.geometry.minkowski import far_point, plus, swell
 from bulletuav.geometry.rotation import Vec3, axes, cross, dot, minus
 from bulletuav.geometry.scenery import Scenery
+from bulletuav.geometry.shapes import HALF_SPACE
 from bulletuav.kernel import func, kernel
 
 TOUCH = 1e-4
@@ -26,6 +29,10 @@ BOLD = 4.0
 """Most that a step of Newton's method takes, in conservative steps"""
 MOST_STEPS = 200
 """Most steps to a touch"""
+TRIES = 3
+"""Times at which a step looks whether a plane still separates the pair"""
+SHRINK = 0.3
+"""Ratio of each such time to the one before, from the end of the substep"""
 NEVER = 2.0
 """Time of a touch that does not happen"""
 
@@ -56,10 +63,55 @@ def _length(v: Vec3) -> float:
 
 
 @func
+def separation_along(
+    scenery: Scenery,
+    motions: Motions,
+    w: int,
+    a: int,
+    b: int,
+    time: float,
+    dt: float,
+    normal: Vec3,
+) -> tuple[float, Vec3, Vec3]:
+    """Measure a pair along a direction: below its distance, unless the direction is that of it.
+
+    Args:
+        scenery: What stands, and all shapes.
+        motions: How the drones move.
+        w: The world.
+        a: Number of the shape of a drone.
+        b: Number of the other shape.
+        time: Share of the substep.
+        dt: Length of the substep, s.
+        normal: Unit vector from b to a; that of the plane if b is a half space.
+
+    Returns:
+        Signed distance (m), and the extreme points on a and b, from their positions, world axes.
+    """
+    table = scenery.table
+    position_a, quaternion_a = pose_at(scenery, motions, w, a, time, dt)
+    position_b, quaternion_b = pose_at(scenery, motions, w, b, time, dt)
+    offset = minus(position_b, position_a)
+    back = (-normal[0], -normal[1], -normal[2])
+    on_a = plus(far_point(table, a, axes(quaternion_a), back), -swell(table, a), normal)
+    on_b = (0.0, 0.0, 0.0)
+    if table.kind[b] != HALF_SPACE:
+        on_b = plus(far_point(table, b, axes(quaternion_b), normal), swell(table, b), normal)
+    return dot(normal, minus(on_a, offset)) - dot(normal, on_b), on_a, on_b
+
+
+@func
 def _turn_bound(radius: float, normal: Vec3, turn: Vec3) -> float:
     """Bound how far a rotation moves any point of a shape along `normal`, m."""
     bound = _length(cross(normal, turn))
     return radius * bound if bound > 0.0 else 0.0
+
+
+@func
+def _bend(radius: float, turn: Vec3) -> float:
+    """Bound the acceleration of any point of a shape that turns evenly, m per substep squared."""
+    square = dot(turn, turn)
+    return radius * square if square > 0.0 else 0.0
 
 
 @kernel
@@ -71,6 +123,7 @@ def touch_time(
     b: int,
     start: float,
     floor: float,
+    exact: float,
     dt: float,
     guess: Vec3,
     room: np.ndarray,
@@ -85,6 +138,7 @@ def touch_time(
         b: Number of the other shape.
         start: Share of the substep from which on to look.
         floor: The distance, m.
+        exact: Precision of that distance, m.
         dt: Length of the substep, s.
         guess: Direction of an earlier separation, or zeros.
         room: See `bulletuav.geometry.gjk.make_room`.
@@ -96,6 +150,8 @@ def touch_time(
     move_a, turn_a = change_rates(scenery, motions, w, a, dt)
     move_b, turn_b = change_rates(scenery, motions, w, b, dt)
     move = minus(move_a, move_b)
+    bend = 0.125 * _bend(scenery.table.radius[a], turn_a)
+    bend += 0.125 * _bend(scenery.table.radius[b], turn_b)
     time = start
     normal = guess
     for _ in range(MOST_STEPS):
@@ -105,21 +161,31 @@ def touch_time(
         bound += _turn_bound(scenery.table.radius[a], normal, turn_a)
         bound += _turn_bound(scenery.table.radius[b], normal, turn_b)
         left = distance - floor
-        if left > bound * (1.0 - time):
+        rest = 1.0 - time
+        if left > bound * rest:
             return NEVER, normal
-        if left <= EXACT and (time == start or left >= -EXACT):
+        if left <= exact and (time == start or left >= -exact):
             return (time if bound > 0.0 else NEVER), normal
-        step = left / bound
+        safe = left / bound
+        if left > 0.0:
+            # How long the present plane keeps them apart
+            span = rest
+            for _ in range(TRIES):
+                later, _, _ = separation_along(scenery, motions, w, a, b, time + span, dt, normal)
+                if min(distance, later) - bend * span * span >= floor:
+                    safe = max(safe, span)
+                    break
+                span *= SHRINK
+        if safe >= rest:
+            return NEVER, normal
+        step = safe
         if left < NEAR:
             surface = minus(cross(turn_a, on_a), cross(turn_b, on_b))
             closing = -dot(move, normal) - dot(surface, normal)
             if closing > 0.0:
                 newton = left / closing
                 # Back from too far by Newton alone, ahead no further than is safe to try
-                step = newton if left < 0.0 or newton < BOLD * step else BOLD * step
-        time += step
-        if time > 1.0:
-            time = 1.0
-        if time < start:
-            time = start
+                if left < 0.0 or safe < newton < BOLD * safe:
+                    step = newton
+        time = min(1.0, max(start, time + step))
     return time, normal
