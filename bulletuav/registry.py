@@ -141,9 +141,14 @@ def _load(kind: str) -> None:
 def _imported(kind: str, module: str, attribute: str, accepts: Callable[[Any], bool]) -> Any:
     """Import `module:attribute`."""
     given = f"{kind} {module}:{attribute}"
+    if not all(module.split(".")):  # of which only some are errors of the import
+        raise ValueError(
+            f"{given} cannot be imported: {module!r} is no whole name of a module, such as "
+            f"'package.module'"
+        )
     try:
         home = importlib.import_module(module)
-    except (ImportError, ValueError) as error:  # ValueError: an empty name
+    except ImportError as error:
         raise ValueError(f"{given} cannot be imported: {error}") from None
     if not hasattr(home, attribute):
         public = [one for one in vars(home) if one[0] != "_"]

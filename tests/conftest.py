@@ -1,3 +1,9 @@
+import os
+
+# Two processes fly at once: threads of PyTorch and BLAS in each would wait for one another.
+# Set before these are imported, and inherited by what tests start.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 import bench
 import placing
 import pytest

@@ -8,8 +8,18 @@ from bulletuav.city.streets import Streets
 from bulletuav.geometry.solids import Solids
 from bulletuav.tasks import find_task
 from bulletuav.tasks.base import Spawn
+from bulletuav.tasks.families.city_layouts import UrbanConfig
 
 SMALL = {"area": 250.0, "num_layouts": 1}
+
+
+def small_cities(task):
+    """Options by which worlds draw one of two small cities; none for tasks without cities.
+
+    Cities of the usual size and number take three quarters of the time to make an environment.
+    """
+    has_cities = issubclass(find_task(task).Config, UrbanConfig)
+    return {**SMALL, "num_layouts": 2} if has_cities else {}
 
 
 def city_of(*boxes, side=200.0):

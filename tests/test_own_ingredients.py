@@ -16,6 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import bulletuav
+from bulletuav.cli import main
 from bulletuav.policies import find_policy
 from bulletuav.tasks import TaskConfig
 from bulletuav.tasks.ends import at_goal
@@ -60,18 +61,21 @@ def sizes():
     return found
 
 
-@pytest.fixture
-def run(tmp_path):
-    """Runs a program in a process of its own; gives what it prints."""
-
-    def run_it(*words, cwd=tmp_path):
-        done = subprocess.run(
-            [sys.executable, *words], cwd=cwd, capture_output=True, text=True, timeout=300
-        )
-        assert done.returncode == 0, done.stderr
-        return done.stdout
-
-    return run_it
+RUN_EACH = """
+import os, runpy, sys
+import bulletuav
+for path in sys.argv[1:]:
+    sys.argv, child = [path], os.fork()
+    if child == 0:
+        sys.path[0] = os.path.dirname(path)
+        out = os.open(os.path.basename(path) + ".out", os.O_CREAT | os.O_WRONLY)
+        os.dup2(out, 1)
+        runpy.run_path(path, run_name="__main__")
+        sys.exit()
+    if os.waitpid(child, 0)[1]:
+        sys.exit(f"{path} failed")
+"""
+"""Each program runs in a process of its own, forked from one that has imported the package"""
 
 
 def numbers(pattern, text):
@@ -148,10 +152,20 @@ CHECKS = {
 }
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
-def test_each_runs_as_a_program(name, run, tmp_path):
-    CHECKS[name](run(str(FOLDER / f"{name}.py")))
-    assert not list(tmp_path.iterdir()), "writes files"
+def test_each_runs_as_a_program(tmp_path):
+    programs = [str(FOLDER / f"{name}.py") for name in EXAMPLES]
+    done = subprocess.run(
+        [sys.executable, "-c", RUN_EACH, *programs],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stderr
+    for name in EXAMPLES:
+        CHECKS[name]((tmp_path / f"{name}.py.out").read_text())
+    written = {path.name for path in tmp_path.iterdir()}
+    assert written == {f"{name}.py.out" for name in EXAMPLES}, "writes files"
 
 
 def commands():
@@ -164,12 +178,16 @@ def commands():
 
 
 @pytest.mark.parametrize("command", list(commands()))
-def test_commands_of_the_docstrings_run_in_their_folder(command, run, tmp_path):
+def test_commands_of_the_docstrings_run_in_their_folder(command, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(FOLDER)
+    monkeypatch.setattr(sys, "path", [one for one in sys.path if one])
+    for name in EXAMPLES:
+        monkeypatch.delitem(sys.modules, name, raising=False)
     words = shlex.split(command)[1:]
     words = words[: words.index("--out")] if "--out" in words else words
     words += ["--animation", "none"] if words[0] == "fly" else ["--episodes", "2"]
-    told = run("-m", "bulletuav", *words, "--out", str(tmp_path / "out"), cwd=FOLDER)
-    assert "wrote" in told
+    main([*words, "--out", str(tmp_path / "out")])
+    assert "wrote" in capsys.readouterr().out
     assert (tmp_path / "out" / "run.json").is_file()
     if words[0] == "evaluate":
         assert "wobble" in (tmp_path / "out" / "episodes.csv").read_text().splitlines()[0]

@@ -221,10 +221,19 @@ def test_modules_in_packages_are_found_too():
     assert found is find("sensor", "gps", is_class)
 
 
-@pytest.mark.parametrize("name", ["no_such_shop", "no_such_shop.inner", "bulletuav.no_such", ""])
+@pytest.mark.parametrize("name", ["no_such_shop", "no_such_shop.inner", "bulletuav.no_such", "\0"])
 def test_a_module_that_is_not_there_is_told(name):
     with pytest.raises(ValueError, match=f"sensor {name}:Bread cannot be imported: "):
         find("sensor", f"{name}:Bread", anything)
+
+
+@pytest.mark.parametrize("name", ["", ".", ".x", "..x", "x.", "a..b", "bulletuav..sensors"])
+def test_what_is_no_whole_name_of_a_module_is_refused(name):
+    for attribute in ("Bread", ""):
+        with pytest.raises(ValueError, match="cannot be imported: .* no whole name") as error:
+            find("sensor", f"{name}:{attribute}", anything)
+        assert f"sensor {name}:{attribute} " in str(error.value)
+        assert f"{name!r} is no whole name of a module" in str(error.value)
 
 
 def test_why_a_module_cannot_be_imported_is_told(module):

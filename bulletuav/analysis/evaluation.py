@@ -198,7 +198,7 @@ def _flyable(task: TaskSource, pilot: PolicySpec, options: dict[str, Any]) -> di
     """Add an action that the task's baseline can give, where it cannot give the usual one."""
     if not pilot.actions or "action" in options:
         return options
-    usual, _ = resolve(find_task(task), options)
+    usual = resolve(find_task(task), options).options
     return options if usual.action in pilot.actions else {**options, "action": pilot.actions[0]}
 
 

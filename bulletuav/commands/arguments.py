@@ -174,7 +174,8 @@ def policy_options(task: str, policy: PolicySpec, options: dict[str, Any]) -> di
         the policy cannot give the task's own, they have the first that it can give.
     """
     options = {**policy.options, **options}
-    common, _ = resolve(find_task(task), options)  # also refuses what cannot be, before any flight
+    # Also refuses what cannot be, before any flight.
+    common = resolve(find_task(task), options).options
     # A policy without a list of actions can give all of them.
     if not policy.actions or "action" in options or common.action in policy.actions:
         return options

@@ -188,7 +188,7 @@ def _with_action(task: str, algo: str, options: dict[str, Any]) -> dict[str, Any
     """Give DQN, which chooses among discrete actions, those of `discrete` unless it has others."""
     if algo != "dqn":
         return options
-    common, _ = resolve(find_task(task), options)
+    common = resolve(find_task(task), options).options
     if common.action in DISCRETE_ACTIONS:
         return options
     return {**options, "action": "discrete"}

@@ -266,7 +266,8 @@ def common_observation(specs: Sequence[EnvSpec]) -> Space[Any]:
         A Box, or a Dict of them, with bounds that hold those of all.
 
     Raises:
-        ValueError: Observations differ in more than their bounds, or actions in their kind.
+        ValueError: Observations differ in more than their bounds, such as in their blocks, or
+            actions in their kind.
     """
     spaces = [spec.observer.space() for spec in specs]
     if len(spaces) == 1:
@@ -278,10 +279,28 @@ def common_observation(specs: Sequence[EnvSpec]) -> Space[Any]:
             f"depend on the number of drones, such as 'neighbours' instead of 'all_neighbours' "
             f"and 'identity'"
         )
+    _require_same_blocks(specs)
     actions = [spec.action.name for spec in specs]
     if len(set(actions)) > 1:
         raise ValueError(f"the stages' actions are {actions}: one kind for all is needed")
     return _union(spaces)
+
+
+def _require_same_blocks(specs: Sequence[EnvSpec]) -> None:
+    """Refuse stages whose vectors are equally long, but of other blocks or in another order."""
+    told = [_blocks(spec) for spec in specs]
+    for stage, blocks in enumerate(told):
+        if blocks != told[0]:
+            raise ValueError(
+                f"stage 0 observes {told[0]}, and stage {stage} observes {blocks}: the same blocks "
+                f"of the same sizes, in the same order, are needed"
+            )
+
+
+def _blocks(spec: EnvSpec) -> str:
+    """Tell the blocks of a stage's vector, each with how many numbers it has."""
+    parts = spec.observer.slices.items()
+    return ", ".join(f"{name} ({part.stop - part.start})" for name, part in parts)
 
 
 def _shapes(space: Space[Any]) -> Any:

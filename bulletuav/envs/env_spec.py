@@ -12,7 +12,7 @@ from bulletuav.errors import as_int, numbers_of, require_memory, shown, unknown
 from bulletuav.sensors.base import SensorSetup
 from bulletuav.sensors.camera import IMAGES
 from bulletuav.sensors.lidar import make_beams
-from bulletuav.sensors.suite import known_sensors, provider
+from bulletuav.sensors.suite import provider
 from bulletuav.tasks import TaskSource, find_task
 from bulletuav.tasks.base import Task, TaskConfig
 from bulletuav.tasks.check import check_arena, check_bodies
@@ -57,11 +57,10 @@ class EnvSpec:
         """
         kind = find_task(task)
         self.num_worlds = as_int("num_worlds", num_worlds, 1, MOST_WORLDS)
-        self.options, config = resolve(kind, options)
+        self.options, config, self.sensors = resolve(kind, options)
         self._require_memory(BODY_BYTES * self.options.num_drones)
         self.task = _make_task(kind, config, self.options)
         self.action = _make_action(self.options, self.task)
-        self.sensors = known_sensors(self.options.sensors)
         sources = kind.observation if self.options.observation is None else self.options.observation
         self._check_observation(sources)
         self.setup = self._make_setup(self._wanted(sources))

@@ -3,7 +3,7 @@
 import dataclasses
 import typing
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from bulletuav.envs.options import (
     MOST_COUNT,
@@ -38,10 +38,21 @@ INGREDIENTS = ("observation", "sensors")
 """Lists in which names and objects can stand"""
 
 
-def resolve(
-    task: type[Task[Any]],
-    given: Mapping[str, Any],
-) -> tuple[EnvOptions, TaskConfig]:
+class Resolved(NamedTuple):
+    """What keyword arguments stand for.
+
+    Attributes:
+        options: Common options.
+        config: The task's own.
+        sensors: All sensors that there are, by name.
+    """
+
+    options: EnvOptions
+    config: TaskConfig
+    sensors: dict[str, Sensor]
+
+
+def resolve(task: type[Task[Any]], given: Mapping[str, Any]) -> Resolved:
     """Make common options and the task's config from keyword arguments.
 
     What is given goes before the preset's values, those before the difficulty's, and those before
@@ -52,7 +63,7 @@ def resolve(
         given: Options by name, of both kinds.
 
     Returns:
-        The common options, and the task's config.
+        The common options, the task's config, and the sensors.
 
     Raises:
         UnknownOptionError: There is no such option; the nearest names are told. It is a TypeError,
@@ -67,14 +78,15 @@ def resolve(
             raise ValueError(f"{name} is None: leave it out for the task's default")
     _make_tuples(values)
     _find_airframes(values, given)
-    known = known_uncertainties(known_sensors(values.get("sensors", ())))
+    sensors = known_sensors(values.get("sensors", ()))
+    known = known_uncertainties(sensors)
     values["randomization"] = Randomization(values.get("randomization"), known)
     # Common options check themselves, those of the task are checked by the types of their fields.
     for_all = {name: value for name, value in values.items() if name in common}
     for_task = {name: value for name, value in values.items() if name in own}
     options = EnvOptions(**for_all)
     config = task.Config(**for_task)
-    return options, _checked_config(config)
+    return Resolved(options, _checked_config(config), sensors)
 
 
 def _with_defaults(

@@ -1,35 +1,17 @@
 """Edge servers on drones: tasks of users, their uploads, and the queues of several cores.
 
-Tasks are simulated one by one. Unlike the formulas of `queueing`, this needs neither a steady state
-nor exponential sizes. Times are in s since the decision began, and a decision takes `dt` s.
+Tasks, see `arrivals`, are simulated one by one. Unlike the formulas of `queueing`, this needs
+neither a steady state nor exponential sizes. Times are in s since the decision began, and a
+decision takes `dt` s.
 """
 
-import itertools
-import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.errors import as_sequence, finite, numbers_of
 from bulletuav.kernel import func, kernel
+from bulletuav.network.arrivals import Tasks
 from bulletuav.network.queueing import mean_response
-
-
-class Tasks(NamedTuple):
-    """Tasks of one decision, K in all of W worlds.
-
-    Attributes:
-        first: Bounds (W + 1,): the tasks of world w are first[w] up to first[w + 1].
-        user: User (K,) who generated each task, 0 up to U - 1.
-        time: Time (K,) of its generation, s since the decision began; ascending in each world.
-        bits: Size (K,) of each task, bit.
-    """
-
-    first: np.ndarray
-    user: np.ndarray
-    time: np.ndarray
-    bits: np.ndarray
 
 
 class Served(NamedTuple):
@@ -57,103 +39,20 @@ class Served(NamedTuple):
     cycles: np.ndarray
 
 
-class Arrivals:
-    """Poisson arrivals of tasks, decision by decision, with uniform sizes.
+class _Server(NamedTuple):
+    """Numbers that the servers of all drones share in a decision.
 
-    The users' processes are merged: a task is a user's with the chance of its share of the rate.
+    Attributes:
+        cycles_per_bit: Cycles that a bit takes to compute.
+        core_frequency: Frequency of a core, cycles/s.
+        deadline: Time from generation within which a task must complete, s; may be inf.
+        dt: Length of the decision, s.
     """
 
-    def __init__(self, rates: np.ndarray, dt: float, bits: tuple[float, float]) -> None:
-        """Set up the arrivals.
-
-        Args:
-            rates: Tasks (U,) that each user generates, 1/s.
-            dt: Length of a decision, s.
-            bits: Least and greatest size of a task, bit.
-
-        Raises:
-            ValueError: A rate is below 0, dt is not above 0, or sizes are not above 0 in
-                ascending order.
-        """
-        rates = numbers_of("rates are", rates)
-        low, high = (finite("bits", value) for value in as_sequence("bits", bits, 2))
-        if not 0 < low <= high:
-            raise ValueError(
-                f"bits are {bits!r}: (low, high) above 0 in ascending order are needed"
-            )
-        if not finite("dt", dt) > 0:
-            raise ValueError(f"dt is {dt!r}: seconds above 0 are needed")
-        if rates.ndim != 1 or not rates.size:
-            raise ValueError(f"rates have shape {rates.shape}: (users,) is needed")
-        if not (np.isfinite(rates) & (rates >= 0)).all():
-            raise ValueError(
-                f"rates are {rates!r}: finite numbers of tasks per second, at least 0, are needed"
-            )
-        # Cumulative rates tell whose a task is
-        self._cumulative = np.cumsum(rates)
-        self._decision = (float(dt), low, high)
-        self._mean = float(self._cumulative[-1] * dt)
-
-    def draw(self, rng: Sequence[np.random.Generator | None], flying: np.ndarray) -> Tasks:
-        """Draw the tasks of one decision.
-
-        Args:
-            rng: Generator of each of the W worlds; None is possible where a world does not fly.
-            flying: Whether (W,) each world has tasks: an episode is under way. Every such world
-                draws from its own generator.
-        """
-        counts = [0] * (len(flying) + 1)
-        uniform: list[np.ndarray] = []
-        for w in flying.nonzero()[0].tolist():
-            generator = rng[w]
-            assert generator is not None  # a world that flies was reset
-            # Three numbers a task, and one for the gap after the last
-            count = generator.poisson(self._mean)
-            counts[w + 1] = count
-            if count:
-                uniform.append(generator.random(3 * count + 1))
-        first = np.array(list(itertools.accumulate(counts)))
-        drawn = np.concatenate(uniform) if uniform else np.empty(0)
-        user, time, bits = _spread(first, drawn, self._cumulative, *self._decision)
-        return Tasks(first, user, time, bits)
-
-
-@kernel
-def _spread(
-    first: np.ndarray,
-    uniform: np.ndarray,
-    cumulative: np.ndarray,
-    dt: float,
-    low: float,
-    high: float,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Make user, time and bits (K,) of tasks from uniform numbers, 3 n + 1 of a world with n > 0.
-
-    Times are sums of n + 1 exponential gaps, scaled to `dt`: n uniform times in ascending order
-    without sorting (L. Devroye, Non-uniform random variate generation, 1986, chapter V).
-    """
-    user = np.empty(first[-1], dtype=np.int64)
-    time = np.empty(first[-1])
-    bits = np.empty(first[-1])
-    offset = 0
-    for w in range(len(first) - 1):
-        begin = first[w]
-        count = first[w + 1] - first[w]
-        if count == 0:
-            continue
-        passed = 0.0
-        # Gap, user and size of every task
-        for k in range(count):
-            passed -= math.log1p(-uniform[offset + k])
-            time[begin + k] = passed
-            share = uniform[offset + count + k] * cumulative[-1]
-            user[begin + k] = np.searchsorted(cumulative, share, side="right")
-            bits[begin + k] = low + (high - low) * uniform[offset + 2 * count + k]
-        offset += 3 * count + 1
-        # The last gap lies between the last task and the end of the decision
-        passed -= math.log1p(-uniform[offset - 1])
-        time[begin : begin + count] *= dt / passed
-    return user, time, bits
+    cycles_per_bit: float
+    core_frequency: float
+    deadline: float
+    dt: float
 
 
 @kernel
@@ -200,59 +99,96 @@ def serve(
     """
     worlds, drones, cores = core_free.shape
     served = _new_served(tasks, drones)
+    server = _Server(cycles_per_bit, core_frequency, deadline, dt)
     # Buffers of one world: uploaded tasks, when they arrive, and work left of each core
     order = np.empty(served.generated.max(), dtype=np.int64)
     arrival = np.empty(served.generated.max())
     remaining = np.empty((drones, cores))
-    lost_latency = deadline if deadline < np.inf else 0.0
-    seconds_per_bit = cycles_per_bit / core_frequency
     for w in range(worlds):
-        # Cores go on with the work of earlier decisions
-        for i in range(drones):
-            for j in range(cores):
-                served.busy[w, i] += min(core_free[w, i, j], dt)
-                remaining[i, j] = max(core_free[w, i, j] - dt, 0.0)
-        uploaded = _upload(
-            tasks,
-            w,
-            assignment[w],
-            uplink[w],
-            seconds_per_bit,
-            deadline,
-            link_free[w],
-            served.arrived[w],
-            order,
-            arrival,
-        )
-        for k in range(uploaded):
+        link, core, taken = link_free[w], core_free[w], assignment[w]
+        _go_on(core, dt, served.busy[w], remaining)
+        arrived = served.arrived[w]
+        count = _upload(tasks, w, taken, uplink[w], server, link, arrived, order, arrival)
+        for k in range(count):
             task = order[k]
-            i = assignment[w, tasks.user[task]]
-            work = tasks.bits[task] * cycles_per_bit
-            # The core that is free first takes the task, unless it would be late
-            j = _first_free(core_free[w, i])
-            start = max(arrival[k], core_free[w, i, j])
-            finish = start + work / core_frequency
-            if finish > tasks.time[task] + deadline:
-                continue
-            # Its time in this decision, and what is left for the next
-            busy_until = min(finish, dt)
-            left_from = max(start, dt)
-            served.busy[w, i] += max(busy_until - start, 0.0)
-            remaining[i, j] += max(finish - left_from, 0.0)
-            core_free[w, i, j] = finish
-            served.completed[w, i] += 1
-            served.latency[w, i] += finish - tasks.time[task]
-            served.cycles[w, i] += work
-        # Only work is carried over to the next decision
-        for i in range(drones):
-            lost = served.arrived[w, i] - served.completed[w, i]
-            served.latency[w, i] += lost_latency * lost
-            for j in range(cores):
-                core_free[w, i, j] = remaining[i, j]
-                served.backlog[w, i] += remaining[i, j] / cores
-        for j in range(link_free.shape[1]):
-            link_free[w, j] = max(link_free[w, j] - dt, 0.0)
+            i = taken[tasks.user[task]]
+            _compute(tasks, task, arrival[k], server, core[i], remaining[i], served, w, i)
+        _carry_over(server, core, link, remaining, served, w)
     return served
+
+
+@func
+def _go_on(core_free: np.ndarray, dt: float, busy: np.ndarray, remaining: np.ndarray) -> None:
+    """Let the cores (N, C) of one world go on with the work of earlier decisions."""
+    for i in range(core_free.shape[0]):
+        for j in range(core_free.shape[1]):
+            busy[i] += min(core_free[i, j], dt)
+            remaining[i, j] = max(core_free[i, j] - dt, 0.0)
+
+
+@func
+def _compute(
+    tasks: Tasks,
+    task: int,
+    arrival: float,
+    server: _Server,
+    core_free: np.ndarray,
+    remaining: np.ndarray,
+    served: Served,
+    w: int,
+    i: int,
+) -> None:
+    """Give a task that arrived to a core of drone i of world w, unless it would be late.
+
+    Args:
+        tasks: Tasks of the decision.
+        task: Index of the task.
+        arrival: When it arrives, s.
+        server: Numbers of every drone's server.
+        core_free: Time (C,) until which each core of the drone is taken, s; changed.
+        remaining: Work (C,) that each leaves for the next decision, s; changed.
+        served: What became of tasks; changed.
+        w: Index of the world.
+        i: Index of the drone.
+    """
+    work = tasks.bits[task] * server.cycles_per_bit
+    # The core that is free first takes the task, unless it would be late
+    j = _first_free(core_free)
+    start = max(arrival, core_free[j])
+    finish = start + work / server.core_frequency
+    if finish > tasks.time[task] + server.deadline:
+        return
+    # Its time in this decision, and what is left for the next
+    busy_until = min(finish, server.dt)
+    left_from = max(start, server.dt)
+    served.busy[w, i] += max(busy_until - start, 0.0)
+    remaining[j] += max(finish - left_from, 0.0)
+    core_free[j] = finish
+    served.completed[w, i] += 1
+    served.latency[w, i] += finish - tasks.time[task]
+    served.cycles[w, i] += work
+
+
+@func
+def _carry_over(
+    server: _Server,
+    core_free: np.ndarray,
+    link_free: np.ndarray,
+    remaining: np.ndarray,
+    served: Served,
+    w: int,
+) -> None:
+    """Count the tasks that world w lost, and leave only work (N, C) to its next decision."""
+    drones, cores = core_free.shape
+    lost_latency = server.deadline if server.deadline < np.inf else 0.0
+    for i in range(drones):
+        lost = served.arrived[w, i] - served.completed[w, i]
+        served.latency[w, i] += lost_latency * lost
+        for j in range(cores):
+            core_free[i, j] = remaining[i, j]
+            served.backlog[w, i] += remaining[i, j] / cores
+    for j in range(len(link_free)):
+        link_free[j] = max(link_free[j] - server.dt, 0.0)
 
 
 @func
@@ -285,8 +221,7 @@ def _upload(
     w: int,
     assignment: np.ndarray,
     uplink: np.ndarray,
-    seconds_per_bit: float,
-    deadline: float,
+    server: _Server,
     link_free: np.ndarray,
     arrived: np.ndarray,
     order: np.ndarray,
@@ -302,8 +237,7 @@ def _upload(
         w: Index of the world.
         assignment: Drone (U,) of each user, -1 for none.
         uplink: Uplink rate (U,) of each user, bit/s.
-        seconds_per_bit: Time that a core takes for a bit, s.
-        deadline: Time from generation within which a task must complete, s.
+        server: Numbers of every drone's server.
         link_free: Time (U,) until which each uplink is taken, s; changed.
         arrived: Number (N,) of tasks from users assigned to each drone; changed.
         order: Indices of the tasks that reach a server, in order of arrival; overwritten.
@@ -313,6 +247,7 @@ def _upload(
         How many tasks reach a server.
     """
     count = 0
+    seconds_per_bit = server.cycles_per_bit / server.core_frequency
     for k in range(tasks.first[w], tasks.first[w + 1]):
         user = tasks.user[k]
         if assignment[user] < 0:
@@ -322,7 +257,7 @@ def _upload(
             continue
         # Begin no upload after which not even an idle core would be in time
         end = max(tasks.time[k], link_free[user]) + tasks.bits[k] / uplink[user]
-        if end + tasks.bits[k] * seconds_per_bit > tasks.time[k] + deadline:
+        if end + tasks.bits[k] * seconds_per_bit > tasks.time[k] + server.deadline:
             continue
         link_free[user] = end
         # Insert the task where it belongs in the order of arrival

@@ -80,43 +80,26 @@ class LinkParams(NamedTuple):
 
 
 @func
-def _los_loss(
+def _path_loss(
     link: LinkParams,
+    sight: bool,
     ground_distance: float,
     drone_height: float,
     user_height: float,
 ) -> float:
-    """Return the path loss with line of sight, dB."""
+    """Return the path loss with or without line of sight, dB."""
+    path = (ground_distance, drone_height, user_height, link.frequency)
     if link.model == UMI:
-        return umi_los(ground_distance, drone_height, user_height, link.frequency)
+        return umi_los(*path) if sight else umi_nlos(*path)
     if link.model == UMA:
-        return uma_los(ground_distance, drone_height, user_height, link.frequency)
+        return uma_los(*path) if sight else uma_nlos(*path)
     if link.model == UMI_AV:
-        return umi_av_los(ground_distance, drone_height, user_height, link.frequency)
+        return umi_av_los(*path) if sight else umi_av_nlos(*path)
     if link.model == UMA_AV:
-        return uma_av_los(ground_distance, drone_height, user_height, link.frequency)
+        return uma_av_los(*path) if sight else uma_av_nlos(*path)
     distance = math.hypot(ground_distance, drone_height - user_height)
-    return log_distance(distance, link.frequency, link.n_los)
-
-
-@func
-def _nlos_loss(
-    link: LinkParams,
-    ground_distance: float,
-    drone_height: float,
-    user_height: float,
-) -> float:
-    """Return the path loss without line of sight, dB."""
-    if link.model == UMI:
-        return umi_nlos(ground_distance, drone_height, user_height, link.frequency)
-    if link.model == UMA:
-        return uma_nlos(ground_distance, drone_height, user_height, link.frequency)
-    if link.model == UMI_AV:
-        return umi_av_nlos(ground_distance, drone_height, user_height, link.frequency)
-    if link.model == UMA_AV:
-        return uma_av_nlos(ground_distance, drone_height, user_height, link.frequency)
-    distance = math.hypot(ground_distance, drone_height - user_height)
-    return log_distance(distance, link.frequency, link.n_nlos)
+    exponent = link.n_los if sight else link.n_nlos
+    return log_distance(distance, link.frequency, exponent)
 
 
 @kernel
@@ -152,11 +135,9 @@ def received_power(
                 up = users[w, j, 2] - drone_height
                 # Path loss by the line of sight
                 ground_distance = math.hypot(east, north)
-                if sight[w, i, j]:
-                    loss = _los_loss(link, ground_distance, drone_height, users[w, j, 2])
-                else:
-                    loss = _nlos_loss(link, ground_distance, drone_height, users[w, j, 2])
-                gain = -loss
+                user_height = users[w, j, 2]
+                is_clear = sight[w, i, j]
+                gain = -_path_loss(link, is_clear, ground_distance, drone_height, user_height)
                 # Antenna gain towards the user
                 if link.directional:
                     x, y, z = to_body(attitude, (east, north, up))

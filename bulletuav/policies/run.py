@@ -233,7 +233,7 @@ class RunConfig:
         """
         given = self._given
         own = self._resolved
-        usual = resolve(find_task(self.task), {})[0]
+        usual = resolve(find_task(self.task), {}).options
         values = {name: getattr(own, name) for name in INTERFACE}
         return {
             name: value
@@ -260,7 +260,7 @@ class RunConfig:
     @property
     def _resolved(self) -> EnvOptions:
         """All options of the last stage."""
-        return resolve(find_task(self.task), self._given)[0]
+        return resolve(find_task(self.task), self._given).options
 
 
 def shipped_tasks() -> list[str]:

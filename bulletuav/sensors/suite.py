@@ -124,7 +124,6 @@ class SensorSuite:
             self.sensors[name] = attached
             self._labels[name] = attached.labels(setup)
             self._unchecked.add(name)
-        self._readings: dict[str, np.ndarray] = {}
 
     def reset(self, world: int, swarm: Swarm, rng: np.random.Generator) -> None:
         """Begin a new episode of one world."""
@@ -160,13 +159,7 @@ class SensorSuite:
                 check_readings(sensor, self._labels[name], self._wanted, readings, moment)
                 self._unchecked.discard(name)
             moment.readings.update(readings)
-        self._readings = moment.readings
-        return self._readings
-
-    @property
-    def readings(self) -> dict[str, np.ndarray]:
-        """What sensors measured last, by name."""
-        return self._readings
+        return moment.readings
 
     def info(self) -> dict[str, np.ndarray]:
         """Tell what infos say of sensors, (W, N) by name."""

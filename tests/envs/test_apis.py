@@ -4,6 +4,7 @@ import warnings
 
 import gymnasium
 import numpy as np
+import placing
 import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
@@ -23,12 +24,17 @@ def test_ids():
 
 
 @pytest.mark.parametrize("drones", [1, 3])
-@pytest.mark.parametrize("name", IDS)
-def test_gymnasium_checks_every_id(name, drones):
-    env = gymnasium.make(name, num_drones=drones)
+@pytest.mark.parametrize("task", TASKS)
+def test_gymnasium_and_stable_baselines_check_every_id(task, drones):
+    from stable_baselines3.common.env_checker import check_env as sb3_check_env
+
+    cities = placing.small_cities(task) if drones > 1 else {}
+    env = gymnasium.make(environment_id(task), num_drones=drones, **cities)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*not within the observation space.*|.*casts.*")
         check_env(env.unwrapped, skip_render_check=True)
+        warnings.simplefilter("ignore")
+        sb3_check_env(env.unwrapped)
     env.close()
 
 
@@ -38,12 +44,11 @@ def test_ids_by_module():
     env.close()
 
 
-@pytest.mark.parametrize("action", [None, "discrete"])
 @pytest.mark.parametrize("task", TASKS)
-def test_stable_baselines_checks_what_it_can(task, action):
+def test_stable_baselines_checks_discrete_actions(task):
     from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
-    options = {} if action is None else {"action": action}
+    options = {"action": "discrete", **placing.small_cities(task)}
     for drones in (1, 2):
         env = gymnasium.make(environment_id(task), num_drones=drones, **options)
         with warnings.catch_warnings():
@@ -101,10 +106,11 @@ def test_the_episode_is_cut_when_time_ends_it_for_one_and_over_when_all_crashed(
 
 @pytest.mark.parametrize("task", TASKS)
 def test_the_aec_environment_passes_pettingzoos_checks(task):
-    env = bulletuav.aec_env(task, num_drones=2)
+    options = {"num_drones": 2, **placing.small_cities(task)}
+    env = bulletuav.aec_env(task, **options)
     api_test(env, num_cycles=60)
     env.close()
-    seed_test(lambda: bulletuav.aec_env(task, num_drones=2))
+    seed_test(lambda: bulletuav.aec_env(task, **options))
 
 
 # Batches

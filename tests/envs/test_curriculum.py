@@ -127,6 +127,21 @@ def test_it_is_a_pettingzoo_environment_and_its_spaces_hold_all_stages():
     ("stages", "options", "said"),
     [
         (STAGES, {"observation": ("goal", "identity")}, r"have shapes \[\(6,\), \(8,\)\]"),
+        (
+            ({}, {"observation": ("goal", "velocity")}),
+            {"observation": ("velocity", "goal")},
+            r"stage 0 observes velocity \(3\), goal \(4\), and stage 1 observes goal \(4\), veloc",
+        ),
+        (
+            ({}, {}, {"num_neighbours": 1, "num_beams": 23}),
+            {"observation": ("neighbours", "lidar"), "num_neighbours": 2, "num_beams": 16},
+            r"neighbours \(14\), lidar \(16\), and stage 2 observes neighbours \(7\), lidar \(23\)",
+        ),
+        (
+            ({"observation": "rates"}, {"observation": "velocity"}),
+            {},
+            r"stage 0 observes rates \(3\), and stage 1 observes velocity \(3\): the same blocks",
+        ),
         (({"action": "velocity"}, {"action": "velocity_increment"}), {}, "one kind for all"),
         (({"difficulty": "esy"},), {}, "did you mean 'easy'"),
         ((), {}, "stages is 0"),

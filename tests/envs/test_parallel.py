@@ -1,6 +1,7 @@
 """The API of PettingZoo's parallel environments."""
 
 import numpy as np
+import placing
 import pytest
 from pettingzoo import ParallelEnv
 from pettingzoo.test import parallel_api_test, parallel_seed_test
@@ -13,7 +14,8 @@ TASKS = bulletuav.list_tasks()
 @pytest.mark.parametrize("dynamics", ["bullet", "rigid_body"])
 @pytest.mark.parametrize("task", TASKS)
 def test_pettingzoo_contract(task, dynamics):
-    env = bulletuav.parallel_env(task, dynamics=dynamics, num_drones=3)
+    cities = placing.small_cities(task) if dynamics == "bullet" else {}
+    env = bulletuav.parallel_env(task, dynamics=dynamics, num_drones=3, **cities)
     assert isinstance(env, ParallelEnv)
     parallel_api_test(env, num_cycles=200)
     env.close()
@@ -21,7 +23,8 @@ def test_pettingzoo_contract(task, dynamics):
 
 @pytest.mark.parametrize("task", TASKS)
 def test_pettingzoo_seeding(task):
-    parallel_seed_test(lambda: bulletuav.parallel_env(task), num_cycles=50)
+    cities = placing.small_cities(task)
+    parallel_seed_test(lambda: bulletuav.parallel_env(task, **cities), num_cycles=50)
 
 
 @pytest.mark.parametrize("dynamics", ["bullet", "rigid_body"])

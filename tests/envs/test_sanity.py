@@ -5,6 +5,7 @@ import math
 import warnings
 
 import numpy as np
+import placing
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -233,6 +234,7 @@ def test_same_seed_same_bits(case):
             airframe=airframe,
             action=action,
             turbulence="light",
+            **placing.small_cities(task),
         )
     for past in (0, 1):
         if past:

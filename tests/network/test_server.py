@@ -2,8 +2,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from bulletuav.network.arrivals import Arrivals, Tasks
 from bulletuav.network.queueing import mean_wait, response_exceeds, wait_exceeds
-from bulletuav.network.server import Arrivals, Tasks, serve
+from bulletuav.network.server import serve
 
 INF = np.inf
 

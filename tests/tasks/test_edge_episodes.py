@@ -15,7 +15,7 @@ from bulletuav.tasks import find_task
 
 @pytest.mark.parametrize(("task", "users"), [("mec", 50), ("mec_advanced", 10)])
 def test_the_preset_has_the_sizes_that_it_is_named_after(make, task, users):
-    options, config = resolve(find_task(task), {"preset": "urbanmarl"})
+    options, config, _ = resolve(find_task(task), {"preset": "urbanmarl"})
     assert (options.num_drones, config.num_users, config.area) == (3, users, 500)
     assert (options.decision_hz, options.horizon, options.dynamics) == (1, 100, "single_integrator")
     assert (config.queue, config.assignment, config.n_nlos, config.contact_ends) == (

@@ -4,6 +4,7 @@ import inspect
 import re
 
 import numpy as np
+import placing
 import pytest
 
 import bulletuav
@@ -23,30 +24,34 @@ def words(text):
     return " ".join(text.split())
 
 
-@pytest.mark.parametrize("name", TASKS)
-def test_the_docstring_tells_the_size_of_observations_and_actions(name):
+@pytest.fixture(scope="module", params=TASKS)
+def usual(request):
+    """A task's name, and its aviary as it is without options."""
+    aviary = bulletuav.Aviary(request.param)
+    yield request.param, aviary
+    aviary.close()
+
+
+def test_the_docstring_tells_the_size_of_observations_and_actions(usual):
+    name, aviary = usual
     doc = words(inspect.getdoc(find_task(name)))
-    aviary = bulletuav.Aviary(name)
     size = aviary.reset(seeds=0).shape[-1]
     assert len(aviary.observer.labels) == size
     assert f"Observation, Box({size}) per drone" in doc
     assert f"Action, by default `{aviary.options.action}`" in doc
     assert f"Box({aviary.action.low.shape[-1]}) per drone" in doc
-    aviary.close()
 
 
-@pytest.mark.parametrize("name", TASKS)
-def test_the_docstring_tells_rates_horizon_weights_and_difficulties(name):
+def test_the_docstring_tells_rates_horizon_weights_and_difficulties(usual):
     """A task's own one tells all that counts; reward terms of weight 0 may stand in its base's."""
+    name, aviary = usual
     task = find_task(name)
     own, everything = words(inspect.getdoc(task)), words(" ".join(explanations(task)))
     hz = task.defaults["decision_hz"]
     assert f"{hz} decision{'s' if hz > 1 else ''} a second" in own
     assert f"truncated after {task.defaults['horizon']} decisions" in own.lower()
-    aviary = bulletuav.Aviary(name)
     for term, weight in aviary.task.weights.items():
         assert re.search(rf"- {term} {weight:g}:", own if weight else everything), term
-    aviary.close()
     for difficulty, values in task.difficulties.items():
         assert f"- {difficulty}" in own
         if "num_drones" in values:
@@ -66,7 +71,10 @@ def test_the_docstring_of_a_config_tells_every_option_of_its_own(name):
 @pytest.mark.parametrize("difficulty", ["easy", "medium", "hard", "extreme"])
 @pytest.mark.parametrize("name", TASKS)
 def test_every_difficulty_starts_clear_of_everything(name, difficulty):
-    aviary = bulletuav.Aviary(name, 3, difficulty=difficulty, dynamics="rigid_body")
+    # Two cities of the usual size for the three worlds, not four.
+    cities = {"num_layouts": 2} if placing.small_cities(name) else {}
+    options = {"difficulty": difficulty, "dynamics": "rigid_body", **cities}
+    aviary = bulletuav.Aviary(name, 3, **options)
     aviary.reset(seeds=0)
     position, radius = aviary.swarm.position, aviary.options.airframe[0].collision_radius
     assert (position[..., 2] > radius).all()

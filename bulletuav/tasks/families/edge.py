@@ -6,10 +6,11 @@ from typing import Any, Generic, Literal, TypeVar
 
 import numpy as np
 
+from bulletuav.network.arrivals import Arrivals, Tasks
 from bulletuav.network.assignment import STRATEGIES, assign
 from bulletuav.network.link import capacity
 from bulletuav.network.queueing import core_power, service_rate
-from bulletuav.network.server import Arrivals, Served, Tasks, serve, serve_on_average
+from bulletuav.network.server import Served, serve, serve_on_average
 from bulletuav.network.service_stats import ServiceStats, count
 from bulletuav.network.uplink import RadioConfig, Uplink
 from bulletuav.tasks.base import Rngs
