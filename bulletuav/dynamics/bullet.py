@@ -188,7 +188,7 @@ def advance(
         remember_all(contact, swarm)
         # Wrenches from the state before the substep, then the engine's step
         if near_ground:
-            surface_below(port, contact.scenery, swarm.position, flying, air.surface)
+            surface_below(port, swarm.position, flying, air.surface)
         drive(swarm, flying, level, setpoint, cascade, parameters, air, dt, force, torque)
         substep(port, force, torque, flying, swarm)
         # What they would have flown into; the engine goes on from there
