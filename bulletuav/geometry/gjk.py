@@ -101,9 +101,9 @@ def _nearest(room: np.ndarray, count: int) -> int:
     """
     while count > 1:
         _solve(room, count)
-        # A flat simplex gives no answer: stay with the points before the last
+        # A flat simplex gives no answer: stay here, without a last point that bears nothing
         if not abs(room[0, NEXT]) < FLAT:
-            return count - 1
+            return count - 1 if room[count - 1, WEIGHT] == 0.0 else count
         # Go as far towards the new weights as all stay positive
         share = 1.0
         idle = -1
