@@ -111,7 +111,7 @@ def _nearest(room: np.ndarray, count: int) -> int:
             now = room[k, WEIGHT]
             then = room[k, NEXT]
             if then <= 0.0:
-                reach = now / (now - then) if then < 0.0 else 0.0
+                reach = now / (now - then) if now > 0.0 else 0.0
                 if idle < 0 or reach < share:
                     share = reach
                     idle = k
@@ -121,7 +121,8 @@ def _nearest(room: np.ndarray, count: int) -> int:
             return count
         if share > 0.0:
             for k in range(count):
-                room[k, WEIGHT] += share * (room[k, NEXT] - room[k, WEIGHT])
+                weight = room[k, WEIGHT]
+                room[k, WEIGHT] = max(weight + share * (room[k, NEXT] - weight), 0.0)
         count -= 1
         _drop(room, idle, count)
     room[0, WEIGHT] = 1.0
@@ -253,8 +254,8 @@ def gap(
     swell_a = swell(table, a)
     swell_b = swell(table, b)
     distance = math.sqrt(square)
-    if distance > TOUCH_CORE:
-        d = _facing(room, min(count, 3), v)
+    if distance > TOUCH_CORE and count < 4:
+        d = _facing(room, count, v)
         size = math.sqrt(dot(d, d))
         normal = (d[0] / size, d[1] / size, d[2] / size)
         on_a = _weighted(room, count, 3)
