@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.spatial import ConvexHull
 
-from bulletuav.geometry.shapes import BOX, CYLINDER, HULL, SPHERE
+from bulletuav.geometry.shapes import BOX, CYLINDER, SPHERE
 
 
 def corners_of(shape):

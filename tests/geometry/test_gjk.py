@@ -81,9 +81,12 @@ def poses(pair, count, seed, apart):
     turn_a, turn_b = random_turns(rng, count), random_turns(rng, count)
     inside = [rng.uniform(-1, 1, (count, 3)) * ALL[name].half for name in pair]
     offset = np.einsum("mij,mj->mi", turn_a, inside[0]) - np.einsum("mij,mj->mi", turn_b, inside[1])
-    distance, normal = measure_all(pair, turn_a, turn_b, offset)[:2]
     wanted = rng.choice(apart, count) * rng.uniform(0.5, 1, count)
-    return turn_a, turn_b, offset + normal * (distance - wanted)[:, None]
+    # The depth of deep overlaps is known roughly: the second move corrects it
+    for _ in range(2):
+        distance, normal = measure_all(pair, turn_a, turn_b, offset)[:2]
+        offset = offset + normal * (distance - wanted)[:, None]
+    return turn_a, turn_b, offset
 
 
 APART = [0.0, 1e-9, 1e-7, 1e-5, 1e-3, 0.1, 3.0]
@@ -195,7 +198,7 @@ def test_moving_along_the_normal_parts_deep_overlaps(pair):
 @pytest.mark.parametrize("pair", PAIRS, ids="-".join)
 def test_swapped_moved_and_shifted_pairs_agree(pair):
     turn_a, turn_b, offset = poses(pair, 60, 7, [1e-3, 0.1])
-    distance, normal, on_a, on_b = measure_all(pair, turn_a, turn_b, offset)
+    distance, normal = measure_all(pair, turn_a, turn_b, offset)[:2]
     back = measure_all(pair[::-1], turn_b, turn_a, -offset)
     np.testing.assert_allclose(back[0], distance, atol=1e-9)
     np.testing.assert_allclose(back[1], -normal, atol=1e-4)
@@ -229,7 +232,7 @@ def test_equal_shapes_in_one_place_overlap(name):
     assert distance == pytest.approx(-2 * half.min(), rel=0.2)
 
 
-@pytest.mark.parametrize("pair", itertools.product(["cylinder", "box", "plate"], repeat=2))
+@pytest.mark.parametrize("pair", list(itertools.product(["cylinder", "box", "disc"], repeat=2)))
 @pytest.mark.parametrize("shift", [(0.0, 0.0), (0.01, 0.0), (0.01, -0.02)])
 def test_faces_that_touch_have_no_distance(pair, shift):
     height = sum(ALL[name].half[2] for name in pair)
