@@ -24,7 +24,7 @@ MOST_POINTS = 20
 SAME = 1e-6
 """Distance within which two points count as one, m"""
 BESIDE = 0.05
-"""How far two lines of round sides may lie beside each other, as a share of their radii"""
+"""How far two lines of round sides may lie beside each other, as a share of the lesser radius"""
 A_COLUMN, B_COLUMN, SPARE_COLUMN = 0, 3, 6
 """First columns of scratch of the feature of a, of that of b, and of clipping"""
 HEIGHT = 9
@@ -273,7 +273,7 @@ def contact_points(
     start_b = minus(offset, on_a)
     count_b, face_b = put_feature(table, b, turn_b, normal, start_b, axes, room, B_COLUMN)
     if count == 2 and count_b == 2:
-        beside = BESIDE * (table.half[a, 0] + table.half[b, 0])
+        beside = BESIDE * min(table.half[a, 0], table.half[b, 0])
         count = _lines_meet(room, beside)
         return _collect(room, count, A_COLUMN, 1.0, axes, on_a, most, points)
     count, source, sign = _overlay(room, count, count_b, face_a, face_b, axes)
