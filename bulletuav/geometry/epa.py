@@ -269,7 +269,8 @@ def overlap(
         room: Scratch of `make_room`.
 
     Returns:
-        As `gap`; the depth is at most RELATIVE above the true one where steps suffice.
+        As `gap`; the depth is at most RELATIVE above the true one where steps suffice. The points
+        differ by about as much from lying it apart.
     """
     count = _widen(table, a, turn_a, b, turn_b, offset, count, room)
     if count < 4:
@@ -304,8 +305,4 @@ def overlap(
     shares = _shares(room, i, j, k, plus((0.0, 0.0, 0.0), least, outward))
     on_a = _mean(room, i, j, k, shares, 3)
     on_b = _mean(room, i, j, k, shares, 6)
-    # Move both points, half way each, to lie the depth apart along the normal
-    error = minus(minus(minus(on_a, on_b), offset), plus((0.0, 0.0, 0.0), least, outward))
-    on_a = plus(on_a, -0.5, error)
-    on_b = plus(on_b, 0.5, error)
     return -least, (-outward[0], -outward[1], -outward[2]), on_a, on_b

@@ -254,14 +254,24 @@ def gap(
     swell_a = swell(table, a)
     swell_b = swell(table, b)
     distance = math.sqrt(square)
+    on_a = _weighted(room, count, 3)
+    on_b = _weighted(room, count, 6)
     if distance > TOUCH_CORE and count < 4:
-        d = _facing(room, count, v)
-        size = math.sqrt(dot(d, d))
-        normal = (d[0] / size, d[1] / size, d[2] / size)
-        on_a = _weighted(room, count, 3)
-        on_b = _weighted(room, count, 6)
+        normal = _facing(room, count, v)
+        size = math.sqrt(dot(normal, normal))
+        normal = (normal[0] / size, normal[1] / size, normal[2] / size)
     else:
-        distance, normal, on_a, on_b = overlap(table, a, turn_a, b, turn_b, offset, count, room)
+        found = overlap(table, a, turn_a, b, turn_b, offset, count, room)
+        distance = found[0]
+        normal = found[1]
+        # Where shapes touch, the points of GJK are the better ones
+        if abs(distance) > TOUCH_CORE:
+            on_a = found[2]
+            on_b = found[3]
+        # Move both points, half way each, to lie the distance apart along the normal
+        error = plus(minus(minus(on_a, on_b), offset), -distance, normal)
+        on_a = plus(on_a, -0.5, error)
+        on_b = plus(on_b, 0.5, error)
     # Spheres are their centres so far
     on_a = plus(on_a, -swell_a, normal)
     on_b = plus(on_b, swell_b, normal)
