@@ -5,15 +5,14 @@ from typing import NamedTuple
 import numpy as np
 
 from bulletuav.contact.impact import tell_pair
+from bulletuav.contact.pairs import box_distance
 from bulletuav.contact.points import Workspace, World, make_workspace
 from bulletuav.contact.resolve import find_pairs, in_order, resolve
-from bulletuav.contact.pairs import box_distance
 from bulletuav.contact.touches import Touches, make_touches
 from bulletuav.geometry.rotation import Vec3, dot, minus, vec3
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.kernel import func, kernel
 from bulletuav.vehicle.swarm import CITY, GROUND, Contacts, Motion, Swarm
-
 
 NEARBY = 0.01
 """Distance between bounding spheres within which sleepers wake each other, m"""
@@ -129,9 +128,7 @@ def wake(contact: Contact, w: int, i: int) -> None:
         contact.budget[w, k] = -1.0
         for j in range(asleep.shape[1]):
             if asleep[w, j]:
-                gap = minus(
-                    vec3(contact.start.position, w, k), vec3(contact.start.position, w, j)
-                )
+                gap = minus(vec3(contact.start.position, w, k), vec3(contact.start.position, w, j))
                 within = radius[k] + radius[j] + NEARBY
                 if dot(gap, gap) < within * within:
                     asleep[w, j] = False
@@ -450,7 +447,9 @@ def _note_overlaps(
     """Tell what drones are in touch with that were put somewhere else; see `overlaps`."""
     space = contact.space
     for w in range(alive.shape[0]):
-        world = World(w, 1.0, 0.0, 0.0, 0.0, contact.scenery, swarm, alive, contact.asleep, parameters)
+        world = World(
+            w, 1.0, 0.0, 0.0, 0.0, contact.scenery, swarm, alive, contact.asleep, parameters
+        )
         for i in range(alive.shape[1]):
             space.motions[i].due = moved[w, i] and alive[w, i]
             space.motions[i].reach = 0.0
