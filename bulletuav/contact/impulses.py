@@ -376,7 +376,7 @@ def energy(
     bx, by, bz = axes(quaternion_of(motion))
     turning = vector(spin)
     moving = minus(vector(velocity), frame)
-    total = 0.5 * row.mass * dot(moving, moving)
+    total: float = 0.5 * row.mass * dot(moving, moving)
     total += 0.5 * row.inertia[0] * dot(bx, turning) ** 2
     total += 0.5 * row.inertia[1] * dot(by, turning) ** 2
     total += 0.5 * row.inertia[2] * dot(bz, turning) ** 2
