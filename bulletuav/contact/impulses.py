@@ -65,7 +65,7 @@ Attributes:
     total: The same in all passes, N s.
 """
 
-FIRM = 1e-10
+FIRM = 1e-9
 """Change of velocity below which a sweep changes nothing, as share of the greatest one or 1 m/s"""
 SWEEPS = 100
 """Most sweeps over the points of a small island"""
