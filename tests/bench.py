@@ -34,13 +34,27 @@ class Bench:
         layouts=(),
         first_world=0,
         rays="compiled",
+        contacts=None,
+        friction=0.5,
+        restitution=0.0,
     ):
         self.airframe = load_airframe(airframe)
         airframes = [self.airframe] * drones
         self.dt = 1 / hz
         self.substeps = substeps
         self.gravity = gravity
-        self.engine = Engine(airframes, worlds, self.dt, obstacles, layouts, first_world, rays=rays)
+        kind = find_dynamics(dynamics)
+        contacts = contacts or kind.contacts[0]
+        self.engine = Engine(
+            airframes,
+            worlds,
+            self.dt,
+            obstacles,
+            layouts,
+            first_world,
+            rays=rays,
+            contacts=contacts == "bullet",
+        )
         self.motion = Motion.none(worlds)
         tiled = (worlds, 1)
         cascade = Cascade.of(
@@ -49,8 +63,18 @@ class Bench:
             np.tile(gain_rows(airframes, max_speed), tiled),
         )
         parameters = np.tile(parameter_rows(airframes, effects), tiled)
-        self.dynamics = find_dynamics(dynamics)(
-            Flight(self.engine, parameters, cascade, self.dt, substeps, gravity)
+        self.dynamics = kind(
+            Flight(
+                engine=self.engine,
+                parameters=parameters,
+                cascade=cascade,
+                dt=self.dt,
+                substeps=substeps,
+                gravity=gravity,
+                contacts=contacts,
+                friction=friction,
+                restitution=restitution,
+            )
         )
         self.swarm = Swarm.zeros(worlds, drones, len(self.airframe.rotors))
         self.swarm.position[..., 0] = 5 * np.arange(drones)

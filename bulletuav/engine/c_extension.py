@@ -233,7 +233,9 @@ class CExtension:
             raise RuntimeError("the engine answers the plugin otherwise than its own calls")
         self._session = session
         weakref.finalize(self, library.batch_close, session)
-        self.functions: tuple[int, *tuple[Callable[..., None], ...]] = (
+        self.functions: tuple[
+            int, Callable[..., None], Callable[..., None], Callable[..., None]
+        ] = (
             session,
             library.batch_substep,
             library.batch_write,

@@ -1,8 +1,8 @@
 """Points where two convex shapes touch or nearly do: their facing features, clipped.
 
 The feature of a shape is the face, the flat side or the line of its round side that looks at the
-other shape. Two features are laid over each other across the normal and clipped (I. Sutherland and
-G. Hodgman, Reentrant polygon clipping, 1974). Corners of what is left are the points.
+other shape. Two features are laid over each other across the normal and clipped. Corners of what is
+left are the points.
 
 Features are in axes of the contact: x and y across the normal, z along it, from the nearest point
 on a.
@@ -12,6 +12,7 @@ import math
 
 import numpy as np
 
+from bulletuav.geometry.clipping import clip, cut
 from bulletuav.geometry.convex import RIM, ShapeTable
 from bulletuav.geometry.minkowski import Turn, plus, row_point, turned, turned_back
 from bulletuav.geometry.rotation import Vec3, Vec3Like, cross, dot, minus, point
@@ -172,69 +173,6 @@ def _feature(
 
 
 @func
-def _cut(
-    room: np.ndarray,
-    count: int,
-    source: int,
-    target: int,
-    corner: tuple[float, float],
-    inward: tuple[float, float],
-) -> int:
-    """Keep the part of a polygon on one side of a line; return how many corners it has."""
-    kept = 0
-    last = count - 1
-    there = (room[last, source] - corner[0]) * inward[0]
-    there += (room[last, source + 1] - corner[1]) * inward[1]
-    for k in range(count):
-        here = (room[k, source] - corner[0]) * inward[0]
-        here += (room[k, source + 1] - corner[1]) * inward[1]
-        # The side from the corner before crosses the line
-        if (here >= 0.0) != (there >= 0.0):
-            share = there / (there - here)
-            for m in range(3):
-                before = room[last, source + m]
-                room[kept, target + m] = before + share * (room[k, source + m] - before)
-            kept += 1
-        if here >= 0.0:
-            for m in range(3):
-                room[kept, target + m] = room[k, source + m]
-            kept += 1
-        last = k
-        there = here
-    return kept
-
-
-@func
-def _clip(
-    room: np.ndarray, count: int, column: int, sides: int, others: int, sign: float
-) -> tuple[int, int]:
-    """Keep the part of a polygon or line over or under another polygon.
-
-    Args:
-        room: Scratch.
-        count: Number of corners of the first.
-        column: First column of its corners.
-        sides: Number of corners of the other.
-        others: First column of its corners.
-        sign: 1 where the other turns left in axes of the contact, -1 where it turns right.
-
-    Returns:
-        How many corners there are, and their first column.
-    """
-    source = column
-    target = SPARE_COLUMN
-    last = sides - 1
-    for k in range(sides):
-        corner = (room[last, others], room[last, others + 1])
-        east = room[k, others] - corner[0]
-        north = room[k, others + 1] - corner[1]
-        count = _cut(room, count, source, target, corner, (-sign * north, sign * east))
-        source, target = target, source
-        last = k
-    return count, source
-
-
-@func
 def _lines_meet(room: np.ndarray, beside: float) -> int:
     """Keep the part of the line of a that lies beside that of b; return how many ends it has.
 
@@ -245,8 +183,8 @@ def _lines_meet(room: np.ndarray, beside: float) -> int:
     start = (room[0, B_COLUMN], room[0, B_COLUMN + 1])
     ahead = (room[1, B_COLUMN] - start[0], room[1, B_COLUMN + 1] - start[1])
     end = (room[1, B_COLUMN], room[1, B_COLUMN + 1])
-    count = _cut(room, 2, A_COLUMN, SPARE_COLUMN, start, ahead)
-    count = _cut(room, count, SPARE_COLUMN, A_COLUMN, end, (-ahead[0], -ahead[1]))
+    count = cut(room, 2, A_COLUMN, SPARE_COLUMN, start, ahead)
+    count = cut(room, count, SPARE_COLUMN, A_COLUMN, end, (-ahead[0], -ahead[1]))
     square = ahead[0] * ahead[0] + ahead[1] * ahead[1]
     low = room[0, B_COLUMN + 2]
     rise = room[1, B_COLUMN + 2] - low
@@ -299,11 +237,11 @@ def _overlay(
         How many corners are left, their first column, and 1 where they lie on a, -1 where on b.
     """
     if count_b > 2:
-        count, source = _clip(room, count_a, A_COLUMN, count_b, B_COLUMN, 1.0)
+        count, source = clip(room, count_a, A_COLUMN, count_b, B_COLUMN, SPARE_COLUMN, 1.0)
         _heights(room, count, source, row_point(room, 0, B_COLUMN), face_b, axes)
         return count, source, 1.0
     # The face of a is seen from its back
-    count, source = _clip(room, count_b, B_COLUMN, count_a, A_COLUMN, -1.0)
+    count, source = clip(room, count_b, B_COLUMN, count_a, A_COLUMN, SPARE_COLUMN, -1.0)
     _heights(room, count, source, row_point(room, 0, A_COLUMN), face_a, axes)
     return count, source, -1.0
 
