@@ -5,12 +5,29 @@ import numpy as np
 from bulletuav.control.cascade import Cascade
 from bulletuav.control.gains import gain_rows
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.dynamics import find_dynamics
+from bulletuav.dynamics import DYNAMICS, find_dynamics
 from bulletuav.dynamics.base import Flight
 from bulletuav.engine.engine import Engine
 from bulletuav.vehicle.airframe import EFFECTS, STANDARD_GRAVITY, load_airframe
 from bulletuav.vehicle.parameters import parameter_rows
 from bulletuav.vehicle.swarm import Motion, Swarm
+
+FLIGHTS = [
+    (name, contacts)
+    for name in DYNAMICS
+    for contacts in find_dynamics(name).contacts
+    if contacts != "bullet"
+]
+"""Dynamics, each with all that contacts can do in it but for the engine's own"""
+
+
+def rims(airframe):
+    """Give points (P, 3) all around both flat sides of a cylinder, and their middles, m."""
+    radius, _, half = airframe.shape.half
+    turn = np.radians(np.arange(0, 360, 10))
+    ring = np.column_stack([radius * np.cos(turn), radius * np.sin(turn), np.zeros(len(turn))])
+    points = np.concatenate([ring, np.zeros((1, 3))])
+    return np.concatenate([points + (0, 0, side * half) for side in (-1, 1)])
 
 
 class Bench:
