@@ -8,7 +8,8 @@ effect lags by up to one decision (at 20 m/s and 10 Hz, 2 m of flight).
 
 import numpy as np
 
-from bulletuav.contact.contacts import Contact, meet, remember
+from bulletuav.contact.contacts import Contact, bears, meet, remember
+from bulletuav.contact.contacts import wake as rouse
 from bulletuav.control.cascade import Cascade, command_rotors
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.base import Air, Dynamics
@@ -229,8 +230,14 @@ def advance(
                         air.surface[w, i],
                         air.gravity,
                     )
-                    state = _rk4(get(swarm, w, i), rotors, dt, around, wake[i], row)
-                    put(swarm, w, i, state)
+                    state = get(swarm, w, i)
+                    if contact.asleep[w, i]:
+                        # Who rests is left alone as long as its forces are the same
+                        _, _, pull, spinning = _slope(state, rotors[2], around, wake[i], row)
+                        if bears(contact, w, i, pull, spinning):
+                            continue
+                        rouse(contact, w, i)
+                    put(swarm, w, i, _rk4(state, rotors, dt, around, wake[i], row))
 
             # What they would have flown into
             meet(contact, swarm, alive, parameters, w, substep, substeps, dt)
@@ -244,6 +251,7 @@ class RigidBody(Dynamics):
     consumes = SetpointLevel.ROTOR
     feels_surface = True
     contacts = ("impulse", "stop")
+    sleeps = True
 
     def advance_decision(
         self,
