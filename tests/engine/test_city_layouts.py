@@ -168,6 +168,39 @@ def test_a_wall_stops_a_drone(make_city_bench, dynamics, contacts):
     np.testing.assert_allclose(one.swarm.velocity, 0, atol=1e-3)
 
 
+def tower(corners):
+    """Make a round tower 12 m high about the origin, whose radius is 4 m at its corners."""
+    turn = 2 * np.pi * np.arange(corners) / corners
+    ring = 4 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    levels = [np.column_stack([ring, np.full(corners, height)]) for height in (0.0, 12.0)]
+    return Solids(np.zeros((0, 2, 3)), (np.concatenate(levels),))
+
+
+@pytest.mark.parametrize("corners", [200, 256])
+def test_a_round_tower_of_many_corners_stands(make_city_bench, corners):
+    """A drone falls on its roof, one over the edge, and one flies at the middle of a side."""
+    one = make_city_bench((tower(corners),), drones=3)
+    side = np.array((np.cos(np.pi / corners), np.sin(np.pi / corners)))
+    one.swarm.position[0] = (0, 0, 12.4), (-3.9, 0, 12.4), (*(6 * side), 6)
+    one.swarm.velocity[0, 2, :2] = -5 * side
+    one.swarm.rotor_speed[:] = 0
+    one.place()
+    told = [one.spin(0.0) for _ in range(4)]
+    hits = {pair for row in told for pair in zip(row.drone, row.other, strict=True)}
+    assert hits == {(0, CITY), (1, CITY), (2, CITY)}
+    gap = one.swarm.position[0, :2, 2] - 12 - HALF
+    assert 0 < gap[0] <= GAP
+    first = next(row for row in told if 2 in row.drone)
+    point = first.point[first.drone == 2][0]
+    assert point[:2] @ side == pytest.approx(4 * np.cos(np.pi / corners), abs=GAP)
+    np.testing.assert_allclose(first.normal[first.drone == 2][0], (*side, 0), atol=1e-6)
+
+
+def test_a_tower_of_too_many_corners_is_refused(make_city_bench):
+    with pytest.raises(ValueError, match="a face of a hull has more than 256 corners: simplify"):
+        make_city_bench((tower(257),))
+
+
 def test_many_pieces_are_all_seen_and_all_collide(make_city_bench):
     """2,500 buildings, drones dropped on each; more than one compound of each colour holds."""
     city = generate(Statistics(0.1, 750, 8), 1825.74, np.random.default_rng(0), 0.3)
