@@ -261,7 +261,7 @@ def test_surfaces_of_the_ground_are_options(friction):
         gravity=0.0,
     )
     aviary.reset(seeds=0)
-    aviary.swarm.position[0, 0] = 0, 0, 0.1
+    aviary.swarm.position[0, 0] = 0, 0, 0.05
     aviary.swarm.quaternion[0, 0] = 0, 0, 0, 1
     aviary.swarm.velocity[0, 0] = 4, 0, -2
     aviary.swarm.rates[:] = aviary.swarm.rotor_speed[:] = 0
