@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from bulletuav.contact.impulses import POINT, eased, energy, keep, relax, slip
+from bulletuav.contact.impulses import POINT, damp_tipping, eased, energy, keep, relax, slip
 from bulletuav.contact.motion import aim, along, change_rates, put_vector, stay, vector
 from bulletuav.contact.points import (
     IN_TOUCH,
@@ -180,6 +180,9 @@ def _hold(
     for trial in range(FORESIGHT + 1):
         relax(points, size, motions)
         keep(points, size)
+        if trial == 0 and damp_tipping(points, size, motions):
+            relax(points, size, motions)
+            keep(points, size)
         for m in range(members):
             i = space.island[m]
             aim(motions[i], world.dt, world.parameters[world.w, i])

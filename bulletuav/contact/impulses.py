@@ -34,6 +34,7 @@ POINT = np.dtype(
         ("stiff", "f8", 2),
         ("resist", "f8", 2),
         ("roll", "f8", 2),
+        ("damping", "f8"),
         ("impulse", "f8", 3),
         ("total", "f8", 3),
     ]
@@ -59,6 +60,7 @@ Attributes:
     stiff: Moments of inertia about them, kg m^2.
     resist: Greatest angular impulse that resists rolling, over the normal impulse, m.
     roll: Angular impulses about the axes, in this pass, N m s.
+    damping: Angular impulse that damps tipping, over the normal impulse and the spin, m s.
     impulse: Along the normal and the tangents, in this pass, N s.
     total: The same in all passes, N s.
 """
@@ -69,6 +71,8 @@ SWEEPS = 100
 """Most sweeps over the points of a small island"""
 WORK = 20_000
 """Most visits of points of an island, unless that is less than `FEWEST` sweeps"""
+CALM = 0.02
+"""Spin below which tipping is not damped, rad/s"""
 FEWEST = 20
 """Sweeps that even a large island gets"""
 
@@ -313,6 +317,50 @@ def relax(
 
 
 @kernel
+def damp_tipping(points: np.ndarray, count: int, motions: np.ndarray) -> bool:
+    """Damp the spin of bodies about axes across the normals of points that press.
+
+    Args:
+        points: Rows of `POINT`, with the impulses of a pass.
+        count: How many of them count.
+        motions: (N,) rows of `MOTION`; spins are changed.
+
+    Returns:
+        Whether any spin was changed enough to matter.
+    """
+    acts = False
+    for k in range(count):
+        row = points[k]
+        if row.impulse[0] <= 0.0:
+            continue
+        spin = vector(motions[row.a].spin)
+        if row.b >= 0:
+            spin = minus(spin, vector(motions[row.b].spin))
+        normal = vector(row.normal)
+        about = dot(spin, normal)
+        tipping = (
+            spin[0] - about * normal[0],
+            spin[1] - about * normal[1],
+            spin[2] - about * normal[2],
+        )
+        square = dot(tipping, tipping)
+        if square < CALM * CALM:
+            continue
+        # Implicit in the spin, so that it is never turned round
+        yields = dot(tipping, eased(motions[row.a], tipping)) / square
+        if row.b >= 0:
+            yields += dot(tipping, eased(motions[row.b], tipping)) / square
+        strength = row.damping * row.impulse[0]
+        strength /= 1.0 + strength * yields
+        twist = (-strength * tipping[0], -strength * tipping[1], -strength * tipping[2])
+        _spin_up(motions[row.a], twist, 1.0)
+        if row.b >= 0:
+            _spin_up(motions[row.b], twist, -1.0)
+        acts = True
+    return acts
+
+
+@kernel
 def keep(points: np.ndarray, count: int) -> None:
     """Add the impulses of a pass to the totals."""
     for k in range(count):
@@ -328,7 +376,7 @@ def energy(
     bx, by, bz = axes(quaternion_of(motion))
     turning = vector(spin)
     moving = minus(vector(velocity), frame)
-    total = 0.5 * row.mass * dot(moving, moving)
+    total: float = 0.5 * row.mass * dot(moving, moving)
     total += 0.5 * row.inertia[0] * dot(bx, turning) ** 2
     total += 0.5 * row.inertia[1] * dot(by, turning) ** 2
     total += 0.5 * row.inertia[2] * dot(bz, turning) ** 2

@@ -23,6 +23,7 @@ from bulletuav.geometry.rotation import Vec3, axes, dot, minus, to_body, to_worl
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.shapes import CYLINDER, HALF_SPACE, SPHERE
 from bulletuav.kernel import func, kernel
+from bulletuav.vehicle.airframe import STANDARD_GRAVITY
 from bulletuav.vehicle.swarm import Swarm
 
 IN_TOUCH = 1.01 * TOUCH
@@ -39,6 +40,11 @@ ROLLING = 0.25
 """Resistance of cylinders and spheres to rolling about their axis, as share of their radius.
 
 They stand for airframes with arms and rotors, which do not roll like wheels.
+"""
+TIPPING = 0.25
+"""Damping of tipping, as share of the radius, at a spin of sqrt(g / radius).
+
+A rigid disc would wobble on for long; what it stands for gives way.
 """
 
 
@@ -212,6 +218,8 @@ def _fill(space: Workspace, world: World, point: np.record, a: int, b: int) -> N
     point.friction = math.sqrt(rough * rough_b)
     point.restitution = math.sqrt(lively * lively_b)
     prepare(point, space.motions)
+    radius = world.scenery.table.radius[a]
+    point.damping = TIPPING * radius * math.sqrt(radius / STANDARD_GRAVITY)
     _set_rolling(space, world, point, 0, a)
     _set_rolling(space, world, point, 1, b)
 

@@ -72,8 +72,10 @@ def _next_pair(pairs: np.ndarray, count: int) -> int:
 def _is_before(position: np.ndarray, w: int, i: int, j: int) -> bool:
     """Tell whether drone i comes before drone j by x, then y, then z."""
     for k in range(3):
-        if position[w, i, k] != position[w, j, k]:
-            return position[w, i, k] < position[w, j, k]
+        one = float(position[w, i, k])
+        other = float(position[w, j, k])
+        if one != other:
+            return one < other
     return False
 
 

@@ -15,7 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.contact.contacts import Contact, bears, meet_all, remember_all, wake
+from bulletuav.contact.contacts import meet_all, remember_all
+from bulletuav.contact.rest import Contact, bears, wake
 from bulletuav.control.cascade import Cascade, command_rotors
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.base import Air, Dynamics, Flight, require_sane
@@ -26,7 +27,7 @@ from bulletuav.registry import register
 from bulletuav.vehicle.aerodynamics import wakes
 from bulletuav.vehicle.rotors import lag_decay, lagged, rotor_wrench
 from bulletuav.vehicle.swarm import Contacts, Motion, Swarm
-from bulletuav.vehicle.wrench import body_acceleration, wrench
+from bulletuav.vehicle.wrench import body_acceleration, spin_parts, wrench
 
 
 @func
@@ -36,6 +37,20 @@ def _ahead(rates: Vec3, slope: Vec3, dt: float) -> Vec3:
         rates[0] + dt * slope[0],
         rates[1] + dt * slope[1],
         rates[2] + dt * slope[2],
+    )
+
+
+@func
+def _slopes(rates: Vec3, torque: Vec3, dt: float, row: np.record) -> Vec3:
+    """Return six times the weighted mean of the four slopes of the rates (RK4), rad/s^2."""
+    k1 = body_acceleration(rates, torque, row)
+    k2 = body_acceleration(_ahead(rates, k1, 0.5 * dt), torque, row)
+    k3 = body_acceleration(_ahead(rates, k2, 0.5 * dt), torque, row)
+    k4 = body_acceleration(_ahead(rates, k3, dt), torque, row)
+    return (
+        k1[0] + 2 * k2[0] + 2 * k3[0] + k4[0],
+        k1[1] + 2 * k2[1] + 2 * k3[1] + k4[1],
+        k1[2] + 2 * k2[2] + 2 * k3[2] + k4[2],
     )
 
 
@@ -59,16 +74,16 @@ def engine_torque(
     Returns:
         M' in body axes, N m.
     """
-    # Four slopes of the rates, and six times their weighted mean
-    k1 = body_acceleration(rates, torque, row)
-    k2 = body_acceleration(_ahead(rates, k1, 0.5 * dt), torque, row)
-    k3 = body_acceleration(_ahead(rates, k2, 0.5 * dt), torque, row)
-    k4 = body_acceleration(_ahead(rates, k3, dt), torque, row)
-    total = (
-        k1[0] + 2 * k2[0] + 2 * k3[0] + k4[0],
-        k1[1] + 2 * k2[1] + 2 * k3[1] + k4[1],
-        k1[2] + 2 * k2[2] + 2 * k3[2] + k4[2],
-    )
+    parts = spin_parts(rates, dt)
+    step = dt / parts
+    slope = _slopes(rates, torque, step, row)
+    total = slope
+    now = rates
+    for _ in range(parts - 1):
+        now = _ahead(now, slope, step / 6.0)
+        slope = _slopes(now, torque, step, row)
+        total = _ahead(total, slope, 1.0)
+    total = (total[0] / parts, total[1] / parts, total[2] / parts)
 
     # What Bullet takes off again: w x J w
     inertia = row.inertia

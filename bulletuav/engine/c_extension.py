@@ -233,9 +233,7 @@ class CExtension:
             raise RuntimeError("the engine answers the plugin otherwise than its own calls")
         self._session = session
         weakref.finalize(self, library.batch_close, session)
-        self.functions: tuple[
-            int, Callable[..., None], Callable[..., None], Callable[..., None]
-        ] = (
+        self.functions = (
             session,
             library.batch_substep,
             library.batch_write,
