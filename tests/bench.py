@@ -5,12 +5,29 @@ import numpy as np
 from bulletuav.control.cascade import Cascade
 from bulletuav.control.gains import gain_rows
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.dynamics import find_dynamics
+from bulletuav.dynamics import DYNAMICS, find_dynamics
 from bulletuav.dynamics.base import Flight
 from bulletuav.engine.engine import Engine
 from bulletuav.vehicle.airframe import EFFECTS, STANDARD_GRAVITY, load_airframe
 from bulletuav.vehicle.parameters import parameter_rows
 from bulletuav.vehicle.swarm import Motion, Swarm
+
+FLIGHTS = [
+    (name, contacts)
+    for name in DYNAMICS
+    for contacts in find_dynamics(name).contacts
+    if contacts != "bullet"
+]
+"""Dynamics, each with all that contacts can do in it but for the engine's own"""
+
+
+def rims(airframe):
+    """Give points (P, 3) all around both flat sides of a cylinder, and their middles, m."""
+    radius, _, half = airframe.shape.half
+    turn = np.radians(np.arange(0, 360, 10))
+    ring = np.column_stack([radius * np.cos(turn), radius * np.sin(turn), np.zeros(len(turn))])
+    points = np.concatenate([ring, np.zeros((1, 3))])
+    return np.concatenate([points + (0, 0, side * half) for side in (-1, 1)])
 
 
 class Bench:
@@ -34,13 +51,27 @@ class Bench:
         layouts=(),
         first_world=0,
         rays="compiled",
+        contacts=None,
+        friction=0.5,
+        restitution=0.0,
     ):
         self.airframe = load_airframe(airframe)
         airframes = [self.airframe] * drones
         self.dt = 1 / hz
         self.substeps = substeps
         self.gravity = gravity
-        self.engine = Engine(airframes, worlds, self.dt, obstacles, layouts, first_world, rays=rays)
+        kind = find_dynamics(dynamics)
+        contacts = contacts or kind.contacts[0]
+        self.engine = Engine(
+            airframes,
+            worlds,
+            self.dt,
+            obstacles,
+            layouts,
+            first_world,
+            rays=rays,
+            contacts=contacts == "bullet",
+        )
         self.motion = Motion.none(worlds)
         tiled = (worlds, 1)
         cascade = Cascade.of(
@@ -49,8 +80,18 @@ class Bench:
             np.tile(gain_rows(airframes, max_speed), tiled),
         )
         parameters = np.tile(parameter_rows(airframes, effects), tiled)
-        self.dynamics = find_dynamics(dynamics)(
-            Flight(self.engine, parameters, cascade, self.dt, substeps, gravity)
+        self.dynamics = kind(
+            Flight(
+                engine=self.engine,
+                parameters=parameters,
+                cascade=cascade,
+                dt=self.dt,
+                substeps=substeps,
+                gravity=gravity,
+                contacts=contacts,
+                friction=friction,
+                restitution=restitution,
+            )
         )
         self.swarm = Swarm.zeros(worlds, drones, len(self.airframe.rotors))
         self.swarm.position[..., 0] = 5 * np.arange(drones)

@@ -18,6 +18,7 @@ ROOMS = (
     ("geometry",),
     ("conflict", "vehicle"),
     ("engine", "control"),
+    ("contact",),
     ("dynamics",),
     ("city",),
     ("network", "sensors"),

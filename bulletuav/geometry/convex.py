@@ -16,8 +16,8 @@ from bulletuav.kernel import func, kernel
 
 RIM = 4
 """Points that stand for the rim of a cylinder's flat side"""
-MOST_CORNERS = 64
-"""Most corners of a face of a hull"""
+MOST_CORNERS = 256
+"""Most corners of a face of a hull; scratch holds those of two faces, see `minkowski.ROWS`"""
 COPLANAR = 1e-9
 """Difference of the planes of two triangles of one face"""
 

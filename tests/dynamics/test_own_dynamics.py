@@ -100,9 +100,24 @@ def test_contacts_stop_drones_and_the_dead_stay(make_bench):
     assert contacts.world.tolist() == [0, 1]
     assert contacts.drone.tolist() == [0, 0]
     assert contacts.other.tolist() == [GROUND, GROUND]
-    np.testing.assert_allclose(bench.swarm.position[:, 0, 2], 0.055, atol=1.1e-3)
+    np.testing.assert_allclose(bench.swarm.position[:, 0, 2], 0.05505, atol=5e-5)
     assert not bench.swarm.velocity[:, 0].any()
     assert bench.swarm.position[:, 2, 0].tolist() == [10.0, pytest.approx(10.5, abs=0.02)]
+
+
+def test_contacts_push_drones_where_that_is_asked_for(make_bench):
+    """It comes down at 8 m/s, goes on along the ground, and friction takes 0.5 * 8 m/s from it."""
+    bench = make_bench(Gliding, contacts="impulse", friction=0.5)
+    bench.swarm.position[:, :, 2] = 0.5
+    bench.swarm.velocity[:, 0] = 5, 0, -8
+    contacts = bench.place().fly(SetpointLevel.ACCELERATION, (0.0, 0.0, 0.0, 0.0))
+    assert contacts.other.tolist() == [GROUND]
+    decay = np.exp(-DRAG * 0.1)
+    velocity = bench.swarm.velocity[0, 0]
+    np.testing.assert_allclose(velocity, ((5 - 0.5 * 8) * decay, 0, 0), atol=1e-2)
+    assert 0.055 < bench.swarm.position[0, 0, 2] <= 0.0551
+    np.testing.assert_allclose(contacts.normal, [(0, 0, 1)], atol=1e-9)
+    np.testing.assert_allclose(contacts.impulse, 8 * decay**0.5 * 0.716, rtol=0.03)
 
 
 def test_rotor_speeds_and_the_surface_below_are_told(make_bench):

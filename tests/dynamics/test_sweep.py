@@ -1,50 +1,95 @@
 import numpy as np
 import pytest
+from bench import FLIGHTS, rims
+from scipy.spatial.transform import Rotation
 
 import bulletuav
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.vehicle.swarm import GROUND
 
+ROTORS = [flight for flight in FLIGHTS if flight[0] in ("rigid_body", "bullet")]
+GAP = 1e-4 + 1e-9  # m; what counts as a touch, and rounding
+every = pytest.mark.parametrize(("dynamics", "contacts"), ROTORS)
 
-def test_a_drone_stops_where_it_touches_the_ground_and_can_take_off_again(make_bench):
-    bench = make_bench("rigid_body", effects=())
+
+def pairs(contacts):
+    """Tell who touched whom."""
+    return list(zip(contacts.drone.tolist(), contacts.other.tolist(), strict=True))
+
+
+@every
+def test_a_drone_rests_where_it_touches_the_ground_and_can_take_off_again(
+    make_bench, dynamics, contacts
+):
+    bench = make_bench(dynamics, effects=(), contacts=contacts)
     bench.swarm.position[..., 2] = 0.5
     bench.swarm.rotor_speed[:] = 0
-    for _ in range(10):
-        contacts = bench.spin(0.0)
-    assert (contacts.drone, contacts.other) == (0, GROUND)
-    assert bench.swarm.position[0, 0, 2] == pytest.approx(0.055, abs=1.1e-3)
-    assert not bench.swarm.velocity.any()
-    assert not bench.swarm.rates.any()
-    contacts = bench.spin(1.2 * bench.airframe.hover_speed(), decisions=5)
-    assert not len(contacts.drone)
+    touched = bench.place().spin(0.0, decisions=10)
+    assert pairs(touched) == [(0, GROUND)]
+    assert 0.055 < bench.swarm.position[0, 0, 2] <= 0.055 + GAP
+    np.testing.assert_allclose(bench.swarm.velocity, 0, atol=1e-6)
+    np.testing.assert_allclose(bench.swarm.rates, 0, atol=1e-6)
+    touched = bench.spin(1.2 * bench.airframe.hover_speed(), decisions=5)
+    assert not len(touched.drone)
     rise = 0.5 * (1.2**2 - 1) * 9.80665 * 0.5**2
     assert bench.swarm.position[0, 0, 2] == pytest.approx(0.055 + rise, rel=0.02)
 
 
-def test_the_impulse_is_that_of_a_stop(make_bench):
-    bench = make_bench("rigid_body", effects=(), gravity=0.0)
+@every
+def test_the_impulse_is_that_of_a_stop(make_bench, dynamics, contacts):
+    bench = make_bench(dynamics, effects=(), gravity=0.0, contacts=contacts)
     bench.swarm.position[..., 2] = 0.5
     bench.swarm.velocity[:] = 0, 0, -8
     bench.swarm.rotor_speed[:] = 0
-    assert bench.spin(0.0).impulse == pytest.approx(8 * 0.716)
+    assert bench.place().spin(0.0).impulse == pytest.approx(8 * 0.716)
 
 
-def test_a_fast_drone_does_not_pass_through_the_ground(make_bench):
-    bench = make_bench("rigid_body", "cf2x", effects=(), gravity=0.0)
+@every
+def test_a_fast_drone_does_not_pass_through_the_ground(make_bench, dynamics, contacts):
+    """It comes down after 7 ms of the 100 ms, and slides on if that is what contacts do."""
+    bench = make_bench(dynamics, "cf2x", effects=(), gravity=0.0, contacts=contacts, friction=0.0)
     bench.swarm.rotor_speed[:] = 0
     bench.swarm.position[..., 2] = 3
     bench.swarm.velocity[:] = 10, 0, -400
-    bench.spin(0.0)
-    assert bench.swarm.position[0, 0, 2] == pytest.approx(0.015, abs=1.1e-3)
-    assert bench.swarm.position[0, 0, 0] == pytest.approx(10 * (3 - 0.015) / 400, abs=1e-3)
+    bench.place().spin(0.0)
+    assert 0.015 < bench.swarm.position[0, 0, 2] <= 0.015 + GAP
+    east = 10 * (3 - 0.015) / 400 if contacts == "stop" else 10 * 0.1
+    assert bench.swarm.position[0, 0, 0] == pytest.approx(east, abs=1e-3)
 
 
-@pytest.mark.parametrize("dynamics", ["rigid_body", "bullet"])
-def test_random_head_on_shots_never_pass(make_bench, dynamics):
-    """Pairs of drones at random attitudes are shot at each other at 5 to 40 m/s each."""
+def sunk(bench):
+    """Tell how deep any rim of drone 1 is in drone 0, and the other way round, m."""
+    radius, _, half = bench.airframe.shape.half
+    points = rims(bench.airframe)
+    deepest = -np.inf
+    for own, other in ((0, 1), (1, 0)):
+        worlds = len(bench.alive)
+        turn = Rotation.from_quat(np.repeat(bench.swarm.quaternion[:, own], len(points), axis=0))
+        back = Rotation.from_quat(np.repeat(bench.swarm.quaternion[:, other], len(points), axis=0))
+        apart = bench.swarm.position[:, own] - bench.swarm.position[:, other]
+        places = turn.apply(np.tile(points, (worlds, 1))) + np.repeat(apart, len(points), axis=0)
+        local = back.inv().apply(places)
+        aside = radius - np.hypot(local[:, 0], local[:, 1])
+        deepest = max(deepest, np.minimum(aside, half - np.abs(local[:, 2])).max())
+    return deepest
+
+
+@every
+def test_random_head_on_shots_never_pass(make_bench, dynamics, contacts):
+    """Pairs of drones at random attitudes are shot at each other at 5 to 40 m/s each.
+
+    They never overlap. Pushed apart, they keep the sum of their momenta, which is 0.
+    """
     worlds = 150
-    bench = make_bench(dynamics, worlds=worlds, drones=2, effects=(), gravity=0.0)
+    bench = make_bench(
+        dynamics,
+        worlds=worlds,
+        drones=2,
+        effects=(),
+        gravity=0.0,
+        substeps=1,
+        contacts=contacts,
+    )
     rng = np.random.default_rng(0)
     aim = rng.normal(size=(worlds, 3))
     aim /= np.linalg.norm(aim, axis=1, keepdims=True)
@@ -57,69 +102,98 @@ def test_random_head_on_shots_never_pass(make_bench, dynamics):
     bench.swarm.rotor_speed[:] = 0
     met = np.zeros((worlds, 2), dtype=bool)
     bench.place()
-    for _ in range(4):
+    for _ in range(96):
+        if contacts == "stop":
+            bench.alive[:] = ~met
         met |= bench.spin(0.0).mask(met.shape)
+        assert sunk(bench) < 0
     assert met.all()
-    if dynamics == "rigid_body":
+    if contacts == "stop":
         gap = ((bench.swarm.position[:, 1] - bench.swarm.position[:, 0]) * aim).sum(axis=1)
         assert (gap > 0.1).all()  # the flattest pair of discs is 0.11 m thick
         assert not bench.swarm.velocity.any()
+    else:
+        np.testing.assert_allclose(bench.swarm.velocity.sum(axis=1), 0, atol=1e-9)
 
 
-def test_a_near_miss_is_no_contact(make_bench):
-    bench = make_bench("rigid_body", drones=2, effects=(), gravity=0.0)
-    bench.swarm.position[0] = (-1, 0, 10), (1, 0, 10.12)  # discs 0.11 m thick pass over each other
+@every
+def test_a_near_miss_is_no_contact(make_bench, dynamics, contacts):
+    bench = make_bench(dynamics, drones=2, effects=(), gravity=0.0, contacts=contacts)
+    bench.swarm.position[0] = (-1, 0, 10), (1, 0, 10.1102)  # discs 0.11 m thick, 0.2 mm apart
     bench.swarm.velocity[0] = (20, 0, 0), (-20, 0, 0)
     bench.swarm.rotor_speed[:] = 0
-    assert not len(bench.spin(0.0).drone)
+    assert not len(bench.place().spin(0.0).drone)
     np.testing.assert_allclose(bench.swarm.position[0, :, 0], (1, -1), atol=1e-9)
 
 
-def test_a_third_drone_meets_a_stopped_one(make_bench):
+@pytest.mark.parametrize("dynamics", ["rigid_body", "bullet"])
+def test_a_third_drone_meets_a_stopped_one(make_bench, dynamics):
     """Drones 0 and 1 meet and stop; drone 2 crosses that place later in the same decision.
 
     Without the stop nobody would have been there.
     """
-    bench = make_bench("rigid_body", drones=3, effects=(), gravity=0.0)
+    bench = make_bench(dynamics, drones=3, effects=(), gravity=0.0, contacts="stop")
     bench.swarm.position[0] = (-1, 0, 10), (1, 0, 10), (0, -3, 10)
     bench.swarm.velocity[0] = (40, 0, 0), (-40, 0, 0), (0, 40, 0)
     bench.swarm.rotor_speed[:] = 0
-    contacts = bench.spin(0.0)
+    contacts = bench.place().spin(0.0)
     assert {0, 1, 2} == set(contacts.drone)
-    assert 2 in contacts.drone
     assert bench.swarm.position[0, 2, 1] < 0
 
 
-def test_who_would_have_met_a_stopped_drone_further_on_meets_nobody(make_bench):
-    """Drone 0 is stopped by drone 2 at the origin; drone 1 crosses its path later, at x = 2."""
-    bench = make_bench("rigid_body", drones=3, effects=(), gravity=0.0)
+@every
+def test_who_would_have_met_a_drone_further_on_meets_nobody(make_bench, dynamics, contacts):
+    """Drone 0 meets drone 2 at the origin; drone 1 would have crossed its path later, at x = 2.
+
+    Pushed, both are 0.8 m short of that place when drone 1 passes.
+    """
+    bench = make_bench(dynamics, drones=3, effects=(), gravity=0.0, contacts=contacts)
     bench.swarm.position[0] = (-1.5, 0, 10), (2.0, -3.4, 10), (0, 0, 10)
     bench.swarm.velocity[0] = (40, 0, 0), (0, 40, 0), (0, 0, 0)
     bench.swarm.rotor_speed[:] = 0
-    contacts = bench.spin(0.0)
-    assert list(zip(contacts.drone, contacts.other, strict=True)) == [(0, 2), (2, 0)]
+    assert pairs(bench.place().spin(0.0)) == [(0, 2), (2, 0)]
     np.testing.assert_allclose(bench.swarm.position[0, 1], (2, 0.6, 10), atol=1e-9)
+    # 24 ms until they meet; then half the speed for both
+    meet = (1.5 - 0.54) / 40
+    way = 20 * (0.1 - meet) if contacts == "impulse" else 0.0
+    assert bench.swarm.position[0, 2, 0] == pytest.approx(way, abs=2e-3)
 
 
-def test_who_lands_on_another_does_not_touch_the_ground(make_bench):
-    bench = make_bench("rigid_body", drones=2, effects=(), gravity=0.0)
+@every
+def test_who_lands_on_another_does_not_touch_the_ground(make_bench, dynamics, contacts):
+    bench = make_bench(dynamics, drones=2, effects=(), gravity=0.0, contacts=contacts)
     bench.swarm.position[0] = (0, 0, 3), (0, 0, 1)
     bench.swarm.velocity[0] = (0, 0, -40), (0, 0, 0)
     bench.swarm.rotor_speed[:] = 0
-    contacts = bench.spin(0.0)
-    assert GROUND not in contacts.other
-    assert bench.swarm.position[0, 0, 2] == pytest.approx(1.11, abs=2e-3)
+    touched = pairs(bench.place().spin(0.0))
+    upper, lower = bench.swarm.position[0, :, 2]
+    assert 0.11 < upper - lower <= 0.11 + GAP
+    if contacts == "stop":
+        assert touched == [(0, 1), (1, 0)]
+        assert lower == 1.0
+    else:
+        assert touched == [(0, 1), (1, GROUND), (1, 0)]
+        assert 0.055 < lower <= 0.055 + GAP
 
 
-def test_bullet_too_asks_anew_who_would_have_met_a_drone_that_was_caught(make_bench):
-    """At 10 Hz: drone 0 is caught by drone 1; drone 2 would have crossed its path further on."""
-    bench = make_bench("bullet", drones=3, effects=(), gravity=0.0, hz=10, substeps=1)
+@every
+def test_who_is_met_on_the_way_is_asked_for_anew(make_bench, dynamics, contacts):
+    """One substep at 10 Hz: drone 0 meets drone 1; drone 2 would have crossed its path further on.
+
+    Where drone 1 is pushed instead, it is there 20 ms before drone 2, who meets it.
+    """
+    bench = make_bench(
+        dynamics, drones=3, effects=(), gravity=0.0, hz=10, substeps=1, contacts=contacts
+    )
     bench.swarm.position[0] = (0, 0, 20), (0.8, 0, 20), (1.4, 1.4, 20)
     bench.swarm.velocity[0] = (15, 0, 0), (0, 0, 0), (0, -15, 0)
     bench.swarm.rotor_speed[:] = 0
-    contacts = bench.place().spin(0.0)
-    assert list(zip(contacts.drone, contacts.other, strict=True)) == [(0, 1), (1, 0)]
-    np.testing.assert_allclose(bench.swarm.position[0, 2], (1.4, -0.1, 20), atol=1e-9)
+    touched = pairs(bench.place().spin(0.0))
+    if contacts == "stop":
+        assert touched == [(0, 1), (1, 0)]
+        np.testing.assert_allclose(bench.swarm.position[0, 2], (1.4, -0.1, 20), atol=1e-9)
+    else:
+        assert set(touched) >= {(0, 1), (1, 0), (1, 2), (2, 1)}
 
 
 @pytest.mark.parametrize("airframe", ["cf2x", "hummingbird"])
@@ -164,24 +238,26 @@ def test_a_flight_that_diverges_is_named_and_can_be_reset(urdf, dynamics):
     aviary.close()
 
 
-def test_pairs_in_touch_may_part_but_not_press(make_bench):
-    bench = make_bench("rigid_body", drones=2, effects=(), gravity=0.0)
+@every
+def test_pairs_in_touch_may_part_but_not_press(make_bench, dynamics, contacts):
+    bench = make_bench(dynamics, drones=2, effects=(), gravity=0.0, contacts=contacts)
     bench.swarm.rotor_speed[:] = 0
-    bench.swarm.position[0] = (0, 0, 10), (0.5405, 0, 10)
+    bench.swarm.position[0] = (0, 0, 10), (0.54005, 0, 10)
     bench.swarm.velocity[0] = (-1, 0, 0), (1, 0, 0)
-    assert not len(bench.spin(0.0).drone)
-    bench.swarm.position[0] = (0, 0, 10), (0.5405, 0, 10)
+    assert not len(bench.place().spin(0.0).drone)
+    bench.swarm.position[0] = (0, 0, 10), (0.54005, 0, 10)
     bench.swarm.velocity[0] = (1, 0, 0), (-1, 0, 0)
-    assert list(bench.spin(0.0).drone) == [0, 1]
-    np.testing.assert_allclose(bench.swarm.position[0, :, 0], (0, 0.5405), atol=1e-3)
+    assert list(bench.place().spin(0.0).drone) == [0, 1]
+    np.testing.assert_allclose(bench.swarm.position[0, :, 0], (0, 0.54005), atol=GAP)
 
 
-def test_landing_softly_under_control_rests_on_the_ground(make_bench):
-    bench = make_bench("rigid_body", "cf2x")
+@every
+def test_landing_softly_under_control_rests_on_the_ground(make_bench, dynamics, contacts):
+    bench = make_bench(dynamics, "cf2x", contacts=contacts)
     bench.swarm.position[..., 2] = 0.2
-    contacts = bench.fly(SetpointLevel.POSITION, (0.0, 0.0, -1.0, 0.0), decisions=30)
-    assert contacts.other == GROUND
-    assert bench.swarm.position[0, 0, 2] == pytest.approx(0.015, abs=2e-3)
+    touched = bench.place().fly(SetpointLevel.POSITION, (0.0, 0.0, -1.0, 0.0), decisions=30)
+    assert pairs(touched) == [(0, GROUND)]
+    assert 0.015 < bench.swarm.position[0, 0, 2] <= 0.015 + GAP
 
 
 STRAIGHT = ["single_integrator", "point_mass"]

@@ -22,6 +22,17 @@ BAD = [
     ("hover", {"action": "rotors"}, "did you mean 'rotor'"),
     ("hover", {"rays": "compild"}, "did you mean 'compiled'"),
     ("hover", {"rays": None}, "unknown rays None"),
+    ("hover", {"contacts": "impuls"}, "did you mean 'impulse'"),
+    ("hover", {"contacts": "bullet", "dynamics": "rigid_body"}, "contacts.*from impulse, stop"),
+    (
+        "hover",
+        {"contacts": "impulse", "dynamics": "point_mass", "action": "velocity"},
+        "contacts 'impulse': choose from stop",
+    ),
+    ("hover", {"friction": -0.1}, "friction is -0.1"),
+    ("hover", {"friction": 10.1}, "friction is 10.1"),
+    ("hover", {"restitution": 1.1}, "restitution is 1.1"),
+    ("hover", {"restitution": float("nan")}, "restitution is nan"),
     ("hover", {"controller": "lqr"}, "unknown controller 'lqr'"),
     ("hover", {"difficulty": "esy"}, "did you mean 'easy'"),
     ("hover", {"observation": ("attitude", "rate")}, "did you mean 'rates'"),
@@ -223,4 +234,38 @@ def test_gravity_and_wind_can_be_switched_off():
     aviary.step(np.full((1, 1, 4), -1.0))
     np.testing.assert_array_equal(aviary.swarm.position, before)
     assert start.shape == (1, 1, 13)
+    aviary.close()
+
+
+@pytest.mark.parametrize(
+    ("dynamics", "contacts"),
+    [(name, "stop") for name in ("single_integrator", "double_integrator", "point_mass")]
+    + [("rigid_body", "impulse"), ("bullet", "impulse")],
+)
+def test_contacts_are_the_first_that_a_dynamics_can_do(dynamics, contacts):
+    aviary = bulletuav.Aviary("crossing", dynamics=dynamics)
+    assert aviary.options.contacts == contacts
+    aviary.close()
+
+
+@pytest.mark.parametrize("friction", [0.0, 1.0])
+def test_surfaces_of_the_ground_are_options(friction):
+    """A drone that touches down at 2 m/s and slides at 4 m/s loses sqrt(f * 0.5) times 2 m/s."""
+    aviary = bulletuav.Aviary(
+        "hover",
+        action="rotor",
+        dynamics="rigid_body",
+        effects=(),
+        friction=friction,
+        restitution=0.0,
+        gravity=0.0,
+    )
+    aviary.reset(seeds=0)
+    aviary.swarm.position[0, 0] = 0, 0, 0.05
+    aviary.swarm.quaternion[0, 0] = 0, 0, 0, 1
+    aviary.swarm.velocity[0, 0] = 4, 0, -2
+    aviary.swarm.rates[:] = aviary.swarm.rotor_speed[:] = 0
+    aviary.step(np.full((1, 1, 4), -1.0))
+    left = 4 - 2 * np.sqrt(friction * 0.5)
+    np.testing.assert_allclose(aviary.swarm.velocity[0, 0], (left, 0, 0), atol=0.01)
     aviary.close()

@@ -10,8 +10,9 @@ from scipy.spatial.transform import Rotation
 from shapely.geometry import Polygon
 
 from bulletuav.geometry.contact_points import MOST_POINTS, contact_points
-from bulletuav.geometry.convex import RIM, hull_shape, make_shape_table
+from bulletuav.geometry.convex import MOST_CORNERS, RIM, hull_shape, make_shape_table
 from bulletuav.geometry.gjk import gap, make_room
+from bulletuav.geometry.minkowski import ROWS
 from bulletuav.geometry.shapes import BOX, CYLINDER, HALF_SPACE, SPHERE, Shape
 
 ROOM = make_room()
@@ -213,3 +214,24 @@ def test_random_contacts_are_sensible(pair):
         if b.kind != HALF_SPACE:
             turned = np.broadcast_to(turn_b.as_matrix(), (many, 3, 3))
             assert outside(b, turned, down).max() <= slack
+
+
+def test_scratch_holds_two_faces_of_most_corners():
+    """Two plates, one turned by half a corner: all their sides cross, in 512 points."""
+    assert 2 * MOST_CORNERS <= ROWS
+    angle = 2 * np.pi * np.arange(MOST_CORNERS) / MOST_CORNERS
+    plate = hull_shape(np.array([(np.cos(t), np.sin(t), z) for t in angle for z in (-0.1, 0.1)]))
+    table = make_shape_table([plate, plate])
+    half = np.pi / MOST_CORNERS
+    pose = (0, columns(UPRIGHT), 1, columns(Rotation.from_euler("z", half)), (0.0, 0.0, -0.201))
+    distance, normal, on_a, on_b = gap(table, *pose, (0.0, 0.0, 0.0), ROOM)
+    points = np.zeros((MOST_POINTS, 4))
+    count = contact_points(table, *pose, normal, on_a, on_b, 0.01, points, ROOM)
+    assert distance == pytest.approx(0.001)
+    assert count == MOST_POINTS
+    crossing = np.cos(half) / np.cos(half / 2)
+    np.testing.assert_allclose(np.hypot(*points[1:, :2].T), crossing, atol=1e-9)
+    np.testing.assert_allclose(points[:, 2:], [(-0.1005, 0.001)] * count, atol=1e-9)
+    # From all around
+    sectors = np.floor(np.arctan2(points[1:, 1], points[1:, 0]) / (np.pi / 4))
+    assert len(set(sectors.tolist())) == 8
