@@ -7,7 +7,8 @@ import numpy as np
 from bulletuav.contact.impact import tell_pair
 from bulletuav.contact.points import World
 from bulletuav.contact.resolve import find_pairs, in_order, resolve
-from bulletuav.contact.rest import Contact, settle, wake_for_obstacles, wake_for_others
+from bulletuav.contact.rest import Contact, settle, wake_for_obstacles
+from bulletuav.geometry.rotation import dot, minus, vec3
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.kernel import func, kernel
 from bulletuav.vehicle.swarm import CITY, GROUND, Contacts, Motion, Swarm
@@ -27,31 +28,53 @@ def remember(contact: Contact, swarm: Swarm, w: int) -> None:
 
 
 @func
-def _move_obstacles(contact: Contact, w: int, begin: float, period: float) -> float:
+def move_obstacles(contact: Contact, w: int, share: float, period: float) -> None:
     """Put the obstacles of a world where they are after a share of the decision.
 
     Args:
         contact: Its scenery is written.
         w: The world.
-        begin: The share.
+        share: Of the decision, 0 to 1.
         period: Length of the decision, s.
-
-    Returns:
-        Speed of the fastest, m/s.
     """
-    fastest = 0.0
     for k in range(contact.before.shape[1]):
-        square = 0.0
         for m in range(3):
             change = contact.after[w, k, m] - contact.before[w, k, m]
-            contact.scenery.place[w, k, m] = contact.before[w, k, m] + begin * change
+            contact.scenery.place[w, k, m] = contact.before[w, k, m] + share * change
             contact.scenery.velocity[w, k, m] = change / period
-            square += (change / period) ** 2
-        fastest = max(fastest, square)
-    return math.sqrt(fastest)
 
 
 @kernel
+def place_obstacles(contact: Contact, share: float, period: float) -> None:
+    """Do what `move_obstacles` does in all worlds in which any moves."""
+    for w in range(contact.speed.shape[0]):
+        if contact.speed[w] > 0.0:
+            move_obstacles(contact, w, share, period)
+
+
+@func
+def _is_due(contact: Contact, swarm: Swarm, alive: np.ndarray, w: int, dt: float) -> bool:
+    """Take what drones moved off their budgets; tells whether the world needs a closer look."""
+    found = False
+    way = contact.speed[w] * dt
+    for i in range(alive.shape[1]):
+        contact.changed[w, i] = False
+        contact.due[w, i] = False
+        if not alive[w, i]:
+            continue
+        if contact.asleep[w, i]:
+            # Obstacles that move may come near to who sleeps
+            found = found or way > 0.0
+            continue
+        moved = minus(vec3(swarm.position, w, i), vec3(contact.start.position, w, i))
+        contact.budget[w, i] -= math.sqrt(dot(moved, moved)) + way
+        if contact.budget[w, i] < 0.0:
+            contact.due[w, i] = True
+            found = True
+    return found
+
+
+@func
 def meet(
     contact: Contact,
     swarm: Swarm,
@@ -77,15 +100,28 @@ def meet(
     Returns:
         Whether anything was touched.
     """
-    for i in range(alive.shape[1]):
-        contact.changed[w, i] = False
-    if contact.sleeps and piece == 0:
-        wake_for_others(contact, alive, w)
-    speed = dt * _move_obstacles(contact, w, piece / pieces, pieces * dt)
+    if not _is_due(contact, swarm, alive, w, dt):
+        return False
+    return _look(contact, swarm, alive, parameters, w, piece, pieces, dt)
+
+
+@kernel
+def _look(
+    contact: Contact,
+    swarm: Swarm,
+    alive: np.ndarray,
+    parameters: np.ndarray,
+    w: int,
+    piece: int,
+    pieces: int,
+    dt: float,
+) -> bool:
+    """Do what `meet` does in a world where drones are due."""
+    move_obstacles(contact, w, piece / pieces, pieces * dt)
     world = World(
         w,
         dt,
-        speed,
+        contact.speed[w] * dt,
         contact.friction,
         contact.restitution,
         contact.scenery,
@@ -94,12 +130,13 @@ def meet(
         contact.asleep,
         parameters,
     )
-    if contact.sleeps and speed > 0.0:
+    if contact.sleeps and world.speed > 0.0:
         wake_for_obstacles(contact, world)
     eventful = resolve(
         contact.space,
         world,
         swarm,
+        contact.due,
         contact.budget,
         contact.stops,
         contact.stopped,
@@ -147,25 +184,32 @@ def start(contact: Contact, mask: np.ndarray) -> None:
     contact.quiet[mask] = 0.0
 
 
-def begin_decision(contact: Contact, scenery: Scenery, motion: Motion) -> Contact:
+def begin_decision(
+    contact: Contact,
+    scenery: Scenery,
+    motion: Motion,
+    alive: np.ndarray,
+    period: float,
+) -> Contact:
     """Forget what the last decision touched, and take over where obstacles go in this one.
 
     Args:
         contact: Of the last decision.
         scenery: What stands now.
         motion: Of the task's obstacles.
+        alive: (W, N) bool, drones that fly.
+        period: Length of the decision, s.
 
     Returns:
         The same arrays, for this decision.
     """
     touches = contact.touches
-    touches.number[~contact.asleep] = 0
-    if contact.asleep.any():
-        # Sleepers touch what they touched before, as long as they sleep
-        kept = contact.asleep
-        touches.number[kept] = contact.slept.number[kept]
-        touches.impulse[kept] = contact.slept.impulse[kept]
-    contact.stopped[:] = False
+    if touches.number.any():
+        touches.number[:] = 0
+    if contact.stops:
+        contact.stopped[:] = False
+    if contact.sleeps:
+        _take_over_sleepers(contact, alive)
     # Obstacles that were moved since, or are new, may be near at once
     count = motion.before.shape[1]
     if scenery is not contact.scenery:
@@ -174,7 +218,25 @@ def begin_decision(contact: Contact, scenery: Scenery, motion: Motion) -> Contac
     elif count:
         jumped = np.any(scenery.place[:, :count] != motion.before, axis=(1, 2))
         contact.budget[jumped] = -1.0
+        contact.asleep[jumped] = False
+    if motion.moving:
+        moved = motion.after - motion.before
+        contact.speed[:] = np.sqrt((moved * moved).sum(axis=-1)).max(axis=1) / period
+    elif count:
+        contact.speed[:] = 0.0
     return contact._replace(scenery=scenery, before=motion.before, after=motion.after)
+
+
+def _take_over_sleepers(contact: Contact, alive: np.ndarray) -> None:
+    """Tell what sleepers touched before, and wake those in whose world a drone came or went."""
+    if not contact.asleep.any():
+        contact.flew[:] = alive
+        return
+    contact.asleep[np.any(contact.flew != alive, axis=1)] = False
+    contact.flew[:] = alive
+    kept = contact.asleep
+    contact.touches.number[kept] = contact.slept.number[kept]
+    contact.touches.impulse[kept] = contact.slept.impulse[kept]
 
 
 def told(contact: Contact) -> Contacts:

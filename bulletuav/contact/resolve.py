@@ -105,22 +105,15 @@ def _distance(one: np.ndarray, two: np.ndarray, w: int, i: int) -> float:
 
 
 @func
-def _due(space: Workspace, world: World, end: Swarm, budget: np.ndarray) -> bool:
-    """Find the drones that have moved too far to be sure that they touch nothing."""
+def _set_reach(space: Workspace, world: World, end: Swarm, due: np.ndarray) -> None:
+    """Set how far drones get in the substep, and which of them are due."""
     w = world.w
-    found = False
-    for i in range(budget.shape[1]):
+    for i in range(due.shape[1]):
         motion = space.motions[i]
-        motion.due = False
+        motion.due = due[w, i]
         motion.reach = SLACK
         if world.alive[w, i] and not world.asleep[w, i]:
-            way = _distance(end.position, world.start.position, w, i)
-            motion.reach = way + SLACK
-            budget[w, i] -= way + world.speed
-            if budget[w, i] < 0.0:
-                motion.due = True
-                found = True
-    return found
+            motion.reach += _distance(end.position, world.start.position, w, i)
 
 
 @func
@@ -239,6 +232,7 @@ def resolve(
     space: Workspace,
     world: World,
     end: Swarm,
+    due: np.ndarray,
     budget: np.ndarray,
     stops: bool,
     stopped: np.ndarray,
@@ -251,6 +245,7 @@ def resolve(
         space: Arrays to work on.
         world: The world, and the state at the beginning of the substep.
         end: State at the end of the substep as flown freely; changed.
+        due: (W, N) bool, drones that must be looked at.
         budget: (W, N) how far each drone may move before it must be looked at, m; changed.
         stops: Whether drones stop where they touch, instead of being pushed.
         stopped: (W, N) bool, drones that stopped; changed.
@@ -260,8 +255,7 @@ def resolve(
     Returns:
         Whether anything was touched.
     """
-    if not _due(space, world, end, budget):
-        return False
+    _set_reach(space, world, end, due)
     w = world.w
     eventful = _fly_through(space, world, end, stops, stopped, changed, touches)
     for i in range(changed.shape[1]):

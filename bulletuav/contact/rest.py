@@ -35,6 +35,7 @@ class Contact(NamedTuple):
         scenery: What stands, and all shapes.
         space: Arrays to work on.
         start: State at the beginning of the present substep.
+        due: (W, N) bool, drones whose budget the present substep used up.
         budget: (W, N) how far each drone may move before it must be looked at, m.
         friction: Coefficient of friction of the ground and of buildings.
         restitution: Their coefficient of restitution.
@@ -48,6 +49,7 @@ class Contact(NamedTuple):
         stopped: (W, N) bool, drones that stopped in this decision.
         changed: (W, N) bool, drones whose state the last substep changed.
         touches: What was touched in this decision.
+        speed: (W,) speed of the fastest obstacle in this decision, m/s.
         before: (W, K, 3) positions of the task's obstacles at the beginning of the decision, m.
         after: (W, K, 3) the same at its end.
     """
@@ -55,6 +57,7 @@ class Contact(NamedTuple):
     scenery: Scenery
     space: Workspace
     start: Swarm
+    due: np.ndarray
     budget: np.ndarray
     friction: float
     restitution: float
@@ -68,6 +71,7 @@ class Contact(NamedTuple):
     stopped: np.ndarray
     changed: np.ndarray
     touches: Touches
+    speed: np.ndarray
     before: np.ndarray
     after: np.ndarray
 
@@ -96,6 +100,7 @@ def make_contact(
         scenery=scenery,
         space=make_workspace(shape[1]),
         start=Swarm.zeros(*shape, 0),
+        due=np.zeros(shape, dtype=bool),
         budget=np.full(shape, -1.0),
         friction=friction,
         restitution=restitution,
@@ -109,6 +114,7 @@ def make_contact(
         stopped=np.zeros(shape, dtype=bool),
         changed=np.zeros(shape, dtype=bool),
         touches=make_touches(*shape),
+        speed=np.zeros(shape[0]),
         before=nowhere,
         after=nowhere,
     )
@@ -140,18 +146,6 @@ def wake(contact: Contact, w: int, i: int) -> None:
                     asleep[w, j] = False
                     space.island[count] = j
                     count += 1
-
-
-@func
-def wake_for_others(contact: Contact, alive: np.ndarray, w: int) -> None:
-    """Wake the sleepers of a world in which a drone has come or gone."""
-    same = True
-    for i in range(alive.shape[1]):
-        same = same and contact.flew[w, i] == alive[w, i]
-        contact.flew[w, i] = alive[w, i]
-    if not same:
-        for i in range(alive.shape[1]):
-            wake(contact, w, i)
 
 
 @func

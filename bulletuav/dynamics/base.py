@@ -221,7 +221,9 @@ class Dynamics(ABC):
             RuntimeError: A flight diverged.
         """
         flight = self.flight
-        self.contact = begin_decision(self.contact, flight.engine.scenery, motion)
+        period = flight.substeps * flight.dt
+        scenery = flight.engine.scenery
+        self.contact = begin_decision(self.contact, scenery, motion, alive, period)
         air = Air(wind, self._surface(swarm, alive), flight.gravity)
         self.advance_decision(swarm, alive, level, setpoint, air)
         require_sane(swarm, alive, flight.engine.first_world)

@@ -15,7 +15,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.contact.contacts import meet_all, remember_all
+from bulletuav.contact.contacts import (
+    meet_all,
+    place_obstacles,
+    remember_all,
+)
 from bulletuav.contact.rest import Contact, bears, wake
 from bulletuav.control.cascade import Cascade, command_rotors
 from bulletuav.control.setpoint import SetpointLevel
@@ -240,6 +244,7 @@ def advance(
         remember_all(contact, swarm)
         # Wrenches from the state before the substep, then the engine's step
         if near_ground:
+            place_obstacles(contact, piece / substeps, substeps * dt)
             surface_below(port, swarm.position, driven, air.surface)
         drive(swarm, driven, level, setpoint, cascade, parameters, air, dt, force, torque)
         choose_flying(alive, parameters, force, torque, contact, flying)
@@ -304,6 +309,7 @@ class BulletDynamics(Dynamics):
         driven = alive
         for piece in range(flight.substeps):
             remember_all(contact, swarm)
+            place_obstacles(contact, piece / flight.substeps, flight.substeps * flight.dt)
             self._advance_once(inputs._replace(alive=driven))
             parameters = flight.parameters
             if meet_all(contact, swarm, alive, parameters, piece, flight.substeps, flight.dt):
