@@ -11,6 +11,7 @@ from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics import find_dynamics
 from bulletuav.dynamics.base import Flight
 from bulletuav.engine.engine import Engine
+from bulletuav.geometry.convex import ShapeTable
 from bulletuav.geometry.gjk import gap, make_room
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.rotation import axes
@@ -199,7 +200,7 @@ class Rig:
             place, turn = scenery.piece_place[other - scenery.first_piece], still
         else:
             place, turn = np.zeros(3), still
-        return _gaps(
+        return measure_gaps(
             scenery.table,
             drone,
             other,
@@ -207,7 +208,6 @@ class Rig:
             swarm.quaternion[:, drone],
             np.broadcast_to(place, (len(self.alive), 3)),
             np.broadcast_to(turn, (len(self.alive), 4)),
-            make_room(),
         )
 
     @property
@@ -256,4 +256,18 @@ def _gaps(table, a, b, place_a, turn_a, place_b, turn_b, room):  # type: ignore[
         )
         turn = level if table.kind[b] == HALF_SPACE else axes(qb)
         found[m] = gap(table, a, axes(qa), b, turn, offset, (0.0, 0.0, 0.0), room)[0]
+    return found
+
+
+def measure_gaps(
+    table: ShapeTable,
+    a: int,
+    b: int,
+    place_a: np.ndarray,
+    turn_a: np.ndarray,
+    place_b: np.ndarray,
+    turn_b: np.ndarray,
+) -> np.ndarray:
+    """Return the distances (M,) of shape a from shape b of a table at M pairs of poses, m."""
+    found: np.ndarray = _gaps(table, a, b, place_a, turn_a, place_b, turn_b, make_room())
     return found
