@@ -10,8 +10,8 @@ import math
 
 import numpy as np
 
-from bulletuav.contact.motion import Motions, quaternion_of
-from bulletuav.geometry.rotation import Vec3, Vec3Like, axes, cross, dot, point
+from bulletuav.contact.motion import quaternion_of, vector
+from bulletuav.geometry.rotation import Vec3, Vec3Like, axes, cross, dot, minus
 from bulletuav.kernel import func, kernel
 
 POINT = np.dtype(
@@ -30,6 +30,11 @@ POINT = np.dtype(
         ("mass", "f8"),
         ("grip", "f8", 3),
         ("least", "f8"),
+        ("axis", "f8", (2, 3)),
+        ("stiff", "f8", 2),
+        ("resist", "f8", 2),
+        ("roll", "f8", 2),
+        ("damping", "f8"),
         ("impulse", "f8", 3),
         ("total", "f8", 3),
     ]
@@ -51,16 +56,23 @@ Attributes:
     mass: That the point feels along the normal, kg.
     grip: Inverse of the symmetric 2 x 2 matrix of velocities by impulses across: 11, 12, 22, kg.
     least: Velocity along the normal that must be reached, m/s.
+    axis: Unit vectors about which a and b do not roll freely.
+    stiff: Moments of inertia about them, kg m^2.
+    resist: Greatest angular impulse that resists rolling, over the normal impulse, m.
+    roll: Angular impulses about the axes, in this pass, N m s.
+    damping: Angular impulse that damps tipping, over the normal impulse and the spin, m s.
     impulse: Along the normal and the tangents, in this pass, N s.
     total: The same in all passes, N s.
 """
 
-FIRM = 1e-9
-"""Change of velocity below which a sweep changes nothing, as share of the greatest velocity"""
+FIRM = 1e-10
+"""Change of velocity below which a sweep changes nothing, as share of the greatest one or 1 m/s"""
 SWEEPS = 100
 """Most sweeps over the points of a small island"""
 WORK = 20_000
 """Most visits of points of an island, unless that is less than `FEWEST` sweeps"""
+CALM = 0.02
+"""Spin below which tipping is not damped, rad/s"""
 FEWEST = 20
 """Sweeps that even a large island gets"""
 
@@ -79,45 +91,40 @@ def _tangents(normal: Vec3) -> tuple[Vec3, Vec3]:
 
 
 @func
-def vector(array: np.ndarray) -> Vec3:
-    """Return an array of three numbers as a tuple."""
-    return array[0], array[1], array[2]
-
-
-@func
-def _matrix(matrix: np.ndarray, i: int, v: Vec3Like) -> Vec3:
-    """Return matrix[i] (3, 3) times v."""
+def eased(motion: np.record, v: Vec3Like) -> Vec3:
+    """Return the change of spin (rad/s) by an angular impulse (N m s), world axes."""
+    ease = motion.ease
     return (
-        matrix[i, 0, 0] * v[0] + matrix[i, 0, 1] * v[1] + matrix[i, 0, 2] * v[2],
-        matrix[i, 1, 0] * v[0] + matrix[i, 1, 1] * v[1] + matrix[i, 1, 2] * v[2],
-        matrix[i, 2, 0] * v[0] + matrix[i, 2, 1] * v[1] + matrix[i, 2, 2] * v[2],
+        ease[0, 0] * v[0] + ease[0, 1] * v[1] + ease[0, 2] * v[2],
+        ease[1, 0] * v[0] + ease[1, 1] * v[1] + ease[1, 2] * v[2],
+        ease[2, 0] * v[0] + ease[2, 1] * v[1] + ease[2, 2] * v[2],
     )
 
 
-@kernel
-def ease_of(motions: Motions, i: int, row: np.record, ease: np.ndarray) -> None:
-    """Write the inverse inertia of drone i in world axes to ease[i] (3, 3), 1 / (kg m^2)."""
-    bx, by, bz = axes(quaternion_of(motions, i))
+@func
+def set_ease(motion: np.record, row: np.record) -> None:
+    """Set how a drone yields to impulses in its present attitude."""
+    motion.lightness = 1.0 / row.mass
+    bx, by, bz = axes(quaternion_of(motion))
     inertia = row.inertia
     for k in range(3):
         for m in range(3):
             total = bx[k] * bx[m] / inertia[0]
             total += by[k] * by[m] / inertia[1]
             total += bz[k] * bz[m] / inertia[2]
-            ease[i, k, m] = total
+            motion.ease[k, m] = total
 
 
 @func
-def _yield_of(
-    ease: np.ndarray, lightness: np.ndarray, i: int, arm: Vec3, one: Vec3, two: Vec3
-) -> float:
-    """Return the velocity along `two` that a unit impulse along `one` at `arm` gives drone i."""
-    spun = _matrix(ease, i, cross(arm, one))
-    return lightness[i] * dot(one, two) + dot(spun, cross(arm, two))
+def _yield_of(motion: np.record, arm: Vec3, one: Vec3, two: Vec3) -> float:
+    """Return the velocity along `two` that a unit impulse along `one` at `arm` gives a drone."""
+    spun = eased(motion, cross(arm, one))
+    yields: float = motion.lightness * dot(one, two) + dot(spun, cross(arm, two))
+    return yields
 
 
 @kernel
-def prepare(row: np.record, ease: np.ndarray, lightness: np.ndarray) -> None:
+def prepare(row: np.record, motions: np.ndarray) -> None:
     """Fill in what a point feels of the masses; a, b, normal and arms must be there."""
     normal = vector(row.normal)
     one, two = _tangents(normal)
@@ -127,16 +134,18 @@ def prepare(row: np.record, ease: np.ndarray, lightness: np.ndarray) -> None:
         row.total[k] = 0.0
         row.impulse[k] = 0.0
     arm = vector(row.arm_a)
-    yields = _yield_of(ease, lightness, row.a, arm, normal, normal)
-    k11 = _yield_of(ease, lightness, row.a, arm, one, one)
-    k12 = _yield_of(ease, lightness, row.a, arm, one, two)
-    k22 = _yield_of(ease, lightness, row.a, arm, two, two)
+    motion = motions[row.a]
+    yields = _yield_of(motion, arm, normal, normal)
+    k11 = _yield_of(motion, arm, one, one)
+    k12 = _yield_of(motion, arm, one, two)
+    k22 = _yield_of(motion, arm, two, two)
     if row.b >= 0:
         arm = vector(row.arm_b)
-        yields += _yield_of(ease, lightness, row.b, arm, normal, normal)
-        k11 += _yield_of(ease, lightness, row.b, arm, one, one)
-        k12 += _yield_of(ease, lightness, row.b, arm, one, two)
-        k22 += _yield_of(ease, lightness, row.b, arm, two, two)
+        motion = motions[row.b]
+        yields += _yield_of(motion, arm, normal, normal)
+        k11 += _yield_of(motion, arm, one, one)
+        k12 += _yield_of(motion, arm, one, two)
+        k22 += _yield_of(motion, arm, two, two)
     row.mass = 1.0 / yields
     scale = 1.0 / (k11 * k22 - k12 * k12)
     row.grip[0] = k22 * scale
@@ -145,69 +154,49 @@ def prepare(row: np.record, ease: np.ndarray, lightness: np.ndarray) -> None:
 
 
 @func
-def slip(row: np.record, velocity: np.ndarray, spin: np.ndarray) -> Vec3:
+def _surface_velocity(motion: np.record, arm: Vec3) -> Vec3:
+    """Return the velocity of a drone's surface at a point, m/s."""
+    turning = cross(vector(motion.spin), arm)
+    return (
+        motion.velocity[0] + turning[0],
+        motion.velocity[1] + turning[1],
+        motion.velocity[2] + turning[2],
+    )
+
+
+@func
+def slip(row: np.record, motions: np.ndarray) -> Vec3:
     """Return the velocity of a's surface against that of b at a point, m/s."""
-    arm = vector(row.arm_a)
-    turning = cross(point(spin, row.a), arm)
-    x = velocity[row.a, 0] + turning[0]
-    y = velocity[row.a, 1] + turning[1]
-    z = velocity[row.a, 2] + turning[2]
+    other = vector(row.drift)
     if row.b >= 0:
-        arm = vector(row.arm_b)
-        turning = cross(point(spin, row.b), arm)
-        x -= velocity[row.b, 0] + turning[0]
-        y -= velocity[row.b, 1] + turning[1]
-        z -= velocity[row.b, 2] + turning[2]
-    else:
-        x -= row.drift[0]
-        y -= row.drift[1]
-        z -= row.drift[2]
-    return x, y, z
+        other = _surface_velocity(motions[row.b], vector(row.arm_b))
+    return minus(_surface_velocity(motions[row.a], vector(row.arm_a)), other)
 
 
 @func
-def _push(
-    i: int,
-    arm: Vec3,
-    impulse: Vec3,
-    sign: float,
-    velocity: np.ndarray,
-    spin: np.ndarray,
-    ease: np.ndarray,
-    lightness: np.ndarray,
-) -> None:
-    """Give drone i an impulse (N s) at a point."""
-    turning = _matrix(ease, i, cross(arm, impulse))
+def _push(motion: np.record, arm: Vec3, impulse: Vec3, sign: float) -> None:
+    """Give a drone an impulse (N s) at a point."""
+    turning = eased(motion, cross(arm, impulse))
     for k in range(3):
-        velocity[i, k] += sign * lightness[i] * impulse[k]
-        spin[i, k] += sign * turning[k]
+        motion.velocity[k] += sign * motion.lightness * impulse[k]
+        motion.spin[k] += sign * turning[k]
 
 
 @func
-def _apply(
-    row: np.record,
-    impulse: Vec3,
-    velocity: np.ndarray,
-    spin: np.ndarray,
-    ease: np.ndarray,
-    lightness: np.ndarray,
-) -> None:
+def _apply(row: np.record, impulse: Vec3, motions: np.ndarray) -> None:
     """Give both bodies of a point an impulse, N s."""
-    _push(row.a, vector(row.arm_a), impulse, 1.0, velocity, spin, ease, lightness)
+    _push(motions[row.a], vector(row.arm_a), impulse, 1.0)
     if row.b >= 0:
-        _push(row.b, vector(row.arm_b), impulse, -1.0, velocity, spin, ease, lightness)
+        _push(motions[row.b], vector(row.arm_b), impulse, -1.0)
 
 
 @func
 def _rub(
     row: np.record,
-    velocity: np.ndarray,
-    spin: np.ndarray,
-    ease: np.ndarray,
-    lightness: np.ndarray,
+    motions: np.ndarray,
 ) -> float:
     """Let friction act at a point; returns the change of velocity, m/s."""
-    moving = slip(row, velocity, spin)
+    moving = slip(row, motions)
     one = vector(row.tangent[0])
     two = vector(row.tangent[1])
     along = dot(moving, one)
@@ -229,21 +218,48 @@ def _rub(
         first_change * one[1] + second_change * two[1],
         first_change * one[2] + second_change * two[2],
     )
-    _apply(row, impulse, velocity, spin, ease, lightness)
-    return (abs(first_change) + abs(second_change)) / row.mass
+    _apply(row, impulse, motions)
+    moved: float = (abs(first_change) + abs(second_change)) / row.mass
+    return moved
+
+
+@func
+def _resist_rolling(row: np.record, motions: np.ndarray) -> None:
+    """Let angular impulses about the axes of a point resist that its bodies roll."""
+    for side in range(2):
+        if row.resist[side] == 0.0:
+            continue
+        axis = vector(row.axis[side])
+        spin = vector(motions[row.a].spin)
+        if row.b >= 0:
+            spin = minus(spin, vector(motions[row.b].spin))
+        most = row.resist[side] * row.impulse[0]
+        wanted = row.roll[side] - row.stiff[side] * dot(spin, axis)
+        wanted = min(max(wanted, -most), most)
+        change = wanted - row.roll[side]
+        row.roll[side] = wanted
+        twist = (change * axis[0], change * axis[1], change * axis[2])
+        _spin_up(motions[row.a], twist, 1.0)
+        if row.b >= 0:
+            _spin_up(motions[row.b], twist, -1.0)
+
+
+@func
+def _spin_up(motion: np.record, twist: Vec3, sign: float) -> None:
+    """Give a drone an angular impulse, N m s."""
+    turning = eased(motion, twist)
+    for k in range(3):
+        motion.spin[k] += sign * turning[k]
 
 
 @func
 def _press(
     row: np.record,
-    velocity: np.ndarray,
-    spin: np.ndarray,
-    ease: np.ndarray,
-    lightness: np.ndarray,
+    motions: np.ndarray,
 ) -> float:
     """Let a point push its surfaces apart; returns the change of velocity, m/s."""
     normal = vector(row.normal)
-    missing = row.least - dot(slip(row, velocity, spin), normal)
+    missing = row.least - dot(slip(row, motions), normal)
     pressed = row.impulse[0] + row.mass * missing
     if pressed < 0.0:
         pressed = 0.0
@@ -254,39 +270,36 @@ def _press(
         change * normal[1],
         change * normal[2],
     )
-    _apply(row, impulse, velocity, spin, ease, lightness)
-    return abs(change) / row.mass
+    _apply(row, impulse, motions)
+    moved: float = abs(change) / row.mass
+    return moved
 
 
 @kernel
 def relax(
     points: np.ndarray,
     count: int,
-    velocity: np.ndarray,
-    spin: np.ndarray,
-    ease: np.ndarray,
-    lightness: np.ndarray,
+    motions: np.ndarray,
 ) -> int:
     """Sweep over points until none closes faster than it may.
 
     Args:
         points: Rows of `POINT`; impulses start from zero and are written.
         count: How many of them count.
-        velocity: (N, 3) of the drones, m/s; changed.
-        spin: (N, 3) angular velocities, world axes, rad/s; changed.
-        ease: (N, 3, 3) inverse inertias in world axes, 1 / (kg m^2).
-        lightness: (N,) inverse masses, 1 / kg.
+        motions: (N,) rows of `MOTION`; velocities and spins are changed.
 
     Returns:
         The number of sweeps.
     """
-    fastest = 1e-3
+    fastest = 1.0
     for k in range(count):
         row = points[k]
         row.impulse[0] = 0.0
         row.impulse[1] = 0.0
         row.impulse[2] = 0.0
-        moving = slip(row, velocity, spin)
+        row.roll[0] = 0.0
+        row.roll[1] = 0.0
+        moving = slip(row, motions)
         fastest = max(fastest, math.sqrt(dot(moving, moving)))
     most = max(FEWEST, min(SWEEPS, WORK // max(1, count)))
     for sweep in range(most):
@@ -295,11 +308,56 @@ def relax(
             row = points[k]
             rubs = row.impulse[0] > 0.0 or row.impulse[1] != 0.0 or row.impulse[2] != 0.0
             if row.friction > 0.0 and rubs:
-                change = max(change, _rub(row, velocity, spin, ease, lightness))
-            change = max(change, _press(row, velocity, spin, ease, lightness))
+                _resist_rolling(row, motions)
+                change = max(change, _rub(row, motions))
+            change = max(change, _press(row, motions))
         if change <= FIRM * fastest:
             return sweep + 1
     return most
+
+
+@kernel
+def damp_tipping(points: np.ndarray, count: int, motions: np.ndarray) -> bool:
+    """Damp the spin of bodies about axes across the normals of points that press.
+
+    Args:
+        points: Rows of `POINT`, with the impulses of a pass.
+        count: How many of them count.
+        motions: (N,) rows of `MOTION`; spins are changed.
+
+    Returns:
+        Whether any spin was changed enough to matter.
+    """
+    acts = False
+    for k in range(count):
+        row = points[k]
+        if row.impulse[0] <= 0.0:
+            continue
+        spin = vector(motions[row.a].spin)
+        if row.b >= 0:
+            spin = minus(spin, vector(motions[row.b].spin))
+        normal = vector(row.normal)
+        about = dot(spin, normal)
+        tipping = (
+            spin[0] - about * normal[0],
+            spin[1] - about * normal[1],
+            spin[2] - about * normal[2],
+        )
+        square = dot(tipping, tipping)
+        if square < CALM * CALM:
+            continue
+        # Implicit in the spin, so that it is never turned round
+        yields = dot(tipping, eased(motions[row.a], tipping)) / square
+        if row.b >= 0:
+            yields += dot(tipping, eased(motions[row.b], tipping)) / square
+        strength = row.damping * row.impulse[0]
+        strength /= 1.0 + strength * yields
+        twist = (-strength * tipping[0], -strength * tipping[1], -strength * tipping[2])
+        _spin_up(motions[row.a], twist, 1.0)
+        if row.b >= 0:
+            _spin_up(motions[row.b], twist, -1.0)
+        acts = True
+    return acts
 
 
 @kernel
@@ -310,27 +368,16 @@ def keep(points: np.ndarray, count: int) -> None:
             points[k].total[m] += points[k].impulse[m]
 
 
-@kernel
+@func
 def energy(
-    drones: np.ndarray,
-    count: int,
-    velocity: np.ndarray,
-    spin: np.ndarray,
-    frame: Vec3,
-    motions: Motions,
-    parameters: np.ndarray,
-    w: int,
+    motion: np.record, velocity: np.ndarray, spin: np.ndarray, frame: Vec3, row: np.record
 ) -> float:
-    """Return the kinetic energy of drones as seen from a frame that moves, J."""
-    total = 0.0
-    for k in range(count):
-        i = drones[k]
-        row = parameters[w, i]
-        bx, by, bz = axes(quaternion_of(motions, i))
-        turning = point(spin, i)
-        for m in range(3):
-            total += 0.5 * row.mass * (velocity[i, m] - frame[m]) ** 2
-        total += 0.5 * row.inertia[0] * dot(bx, turning) ** 2
-        total += 0.5 * row.inertia[1] * dot(by, turning) ** 2
-        total += 0.5 * row.inertia[2] * dot(bz, turning) ** 2
+    """Return a drone's kinetic energy (J) with a velocity and spin, as seen from a frame."""
+    bx, by, bz = axes(quaternion_of(motion))
+    turning = vector(spin)
+    moving = minus(vector(velocity), frame)
+    total = 0.5 * row.mass * dot(moving, moving)
+    total += 0.5 * row.inertia[0] * dot(bx, turning) ** 2
+    total += 0.5 * row.inertia[1] * dot(by, turning) ** 2
+    total += 0.5 * row.inertia[2] * dot(bz, turning) ** 2
     return total

@@ -6,7 +6,6 @@ torque.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -24,66 +23,83 @@ from bulletuav.geometry.rotation import (
     vec3,
 )
 from bulletuav.geometry.scenery import Scenery
-from bulletuav.kernel import func, kernel
+from bulletuav.kernel import func
 from bulletuav.vehicle.swarm import Swarm
 
+MOTION = np.dtype(
+    [
+        ("time", "f8"),
+        ("position", "f8", 3),
+        ("quaternion", "f8", 4),
+        ("velocity", "f8", 3),
+        ("spin", "f8", 3),
+        ("move", "f8", 3),
+        ("turn", "f8", 3),
+        ("push", "f8", 3),
+        ("twist", "f8", 3),
+        ("impacts", "i8"),
+        ("begun", "?"),
+        ("due", "?"),
+        ("member", "?"),
+        ("start", "f8", 3),
+        ("reach", "f8"),
+        ("lightness", "f8"),
+        ("ease", "f8", (3, 3)),
+        ("before", "f8", (2, 3)),
+        ("after", "f8", (2, 3)),
+    ]
+)
+"""Motion of a drone from a time within the substep to its end.
 
-class Motions(NamedTuple):
-    """Motion of the N drones of one world from a time within the substep to its end.
-
-    Attributes:
-        time: (N,) share of the substep from which on the rest holds; below 0 before `begin`.
-        position: (N, 3) centres of mass at that time, m.
-        quaternion: (N, 4) attitudes at that time.
-        velocity: (N, 3) at that time, m/s.
-        spin: (N, 3) angular velocities at that time, world axes, rad/s.
-        move: (N, 3) displacement from that time to the end of the substep, m.
-        turn: (N, 3) rotation from that time to the end, as axis times angle, world axes, rad.
-        push: (N, 3) change of velocity by forces over the whole substep, m/s.
-        twist: (N, 3) change of angular momentum by torques over the substep, world axes, N m s.
-        impacts: (N,) how often the drone took part in an impact in this substep.
-    """
-
-    time: np.ndarray
-    position: np.ndarray
-    quaternion: np.ndarray
-    velocity: np.ndarray
-    spin: np.ndarray
-    move: np.ndarray
-    turn: np.ndarray
-    push: np.ndarray
-    twist: np.ndarray
-    impacts: np.ndarray
-
-
-def make_motions(num_drones: int) -> Motions:
-    """Make room for the motion of N drones."""
-    vectors = [np.zeros((num_drones, size)) for size in (3, 4, 3, 3, 3, 3, 3, 3)]
-    return Motions(np.zeros(num_drones), *vectors, np.zeros(num_drones, dtype=np.int64))
-
-
-@func
-def _set(array: np.ndarray, i: int, values: Vec3) -> None:
-    """Write array[i] (3,)."""
-    array[i, 0] = values[0]
-    array[i, 1] = values[1]
-    array[i, 2] = values[2]
-
-
-@func
-def _set_quaternion(array: np.ndarray, i: int, values: Quat4) -> None:
-    """Write array[i] (4,)."""
-    array[i, 0] = values[0]
-    array[i, 1] = values[1]
-    array[i, 2] = values[2]
-    array[i, 3] = values[3]
+Attributes:
+    time: Share of the substep from which on the rest holds.
+    position: Centre of mass at that time, m.
+    quaternion: Attitude at that time.
+    velocity: At that time, m/s.
+    spin: Angular velocity at that time, world axes, rad/s.
+    move: Displacement from that time to the end of the substep, m.
+    turn: Rotation from that time to the end, as axis times angle, world axes, rad.
+    push: Change of velocity by forces over the whole substep, m/s.
+    twist: Change of angular momentum by torques over the substep, world axes, N m s.
+    impacts: How often the drone took part in an impact in this substep.
+    begun: Whether the above is set.
+    due: Whether the drone's budget is used up.
+    member: Whether it is one of those that are solved together.
+    start: Where it was at the beginning of the substep, m.
+    reach: How far from there its pairs were collected, m.
+    lightness: Inverse mass, 1 / kg.
+    ease: Inverse inertia in world axes, 1 / (kg m^2).
+    before: Velocity and spin before an impact.
+    after: The same after one without rebound.
+"""
 
 
 @func
-def quaternion_of(motions: Motions, i: int) -> Quat4:
-    """Return the attitude of drone i at its time."""
-    q = motions.quaternion
-    return q[i, 0], q[i, 1], q[i, 2], q[i, 3]
+def vector(array: np.ndarray) -> Vec3:
+    """Return an array of three numbers as a tuple."""
+    return array[0], array[1], array[2]
+
+
+@func
+def put_vector(array: np.ndarray, values: Vec3Like) -> None:
+    """Write an array of three numbers."""
+    array[0] = values[0]
+    array[1] = values[1]
+    array[2] = values[2]
+
+
+@func
+def quaternion_of(motion: np.record) -> Quat4:
+    """Return the attitude of a drone at its time."""
+    q = motion.quaternion
+    return q[0], q[1], q[2], q[3]
+
+
+@func
+def _put_quaternion(motion: np.record, values: Quat4) -> None:
+    """Set the attitude of a drone."""
+    for k in range(4):
+        motion.quaternion[k] = values[k]
 
 
 @func
@@ -136,9 +152,9 @@ def spin_of(quaternion: Quat4, angular: Vec3, row: np.record) -> Vec3:
     return to_world(quaternion, (p / inertia[0], q / inertia[1], r / inertia[2]))
 
 
-@kernel
+@func
 def begin(
-    motions: Motions,
+    motion: np.record,
     before: Swarm,
     after: Swarm,
     w: int,
@@ -148,7 +164,7 @@ def begin(
     """Start drone i of world w on its way through a substep in which it touches nothing.
 
     Args:
-        motions: Row i is written.
+        motion: Row of `MOTION`, written.
         before: State at the beginning of the substep.
         after: State at its end.
         w: The world.
@@ -163,78 +179,79 @@ def begin(
     spin_after = to_world(later, vec3(after.rates, w, i))
     angular = momentum(quaternion, spin, row)
     angular_after = momentum(later, spin_after, row)
-    motions.time[i] = 0.0
-    motions.impacts[i] = 0
-    _set(motions.position, i, position)
-    _set_quaternion(motions.quaternion, i, quaternion)
-    _set(motions.velocity, i, velocity)
-    _set(motions.spin, i, spin)
-    _set(motions.move, i, along(vec3(after.position, w, i), -1.0, position))
-    _set(motions.turn, i, _rotation_between(quaternion, later))
-    _set(motions.push, i, along(vec3(after.velocity, w, i), -1.0, velocity))
-    _set(motions.twist, i, along(angular_after, -1.0, angular))
+    motion.time = 0.0
+    motion.impacts = 0
+    motion.begun = True
+    put_vector(motion.position, position)
+    _put_quaternion(motion, quaternion)
+    put_vector(motion.velocity, velocity)
+    put_vector(motion.spin, spin)
+    put_vector(motion.move, along(vec3(after.position, w, i), -1.0, position))
+    put_vector(motion.turn, _rotation_between(quaternion, later))
+    put_vector(motion.push, along(vec3(after.velocity, w, i), -1.0, velocity))
+    put_vector(motion.twist, along(angular_after, -1.0, angular))
 
 
 @func
-def _share(motions: Motions, i: int, time: float) -> float:
-    """Return the share of the rest of its way that drone i has gone at a time."""
-    rest = 1.0 - motions.time[i]
-    return (time - motions.time[i]) / rest if rest > 0.0 else 0.0
+def _share(motion: np.record, time: float) -> float:
+    """Return the share of the rest of its way that a drone has gone at a time."""
+    rest = 1.0 - motion.time
+    return (time - motion.time) / rest if rest > 0.0 else 0.0
 
 
-@kernel
-def advance_to(motions: Motions, i: int, time: float, row: np.record) -> None:
-    """Move drone i on to a time within the substep."""
-    share = _share(motions, i, time)
-    elapsed = time - motions.time[i]
-    here = quaternion_of(motions, i)
-    there = turned(point(motions.turn, i), share, here)
-    angular = momentum(here, point(motions.spin, i), row)
-    angular = along(angular, elapsed, point(motions.twist, i))
-    _set(motions.position, i, along(point(motions.position, i), share, point(motions.move, i)))
-    _set_quaternion(motions.quaternion, i, there)
-    _set(motions.velocity, i, along(point(motions.velocity, i), elapsed, point(motions.push, i)))
-    _set(motions.spin, i, spin_of(there, angular, row))
+@func
+def advance_to(motion: np.record, time: float, row: np.record) -> None:
+    """Move a drone on to a time within the substep."""
+    share = _share(motion, time)
+    elapsed = time - motion.time
+    here = quaternion_of(motion)
+    there = turned(vector(motion.turn), share, here)
+    angular = momentum(here, vector(motion.spin), row)
+    angular = along(angular, elapsed, vector(motion.twist))
+    put_vector(motion.position, along(vector(motion.position), share, vector(motion.move)))
+    _put_quaternion(motion, there)
+    put_vector(motion.velocity, along(vector(motion.velocity), elapsed, vector(motion.push)))
+    put_vector(motion.spin, spin_of(there, angular, row))
     for k in range(3):
-        motions.move[i, k] *= 1.0 - share
-        motions.turn[i, k] *= 1.0 - share
-    motions.time[i] = time
+        motion.move[k] *= 1.0 - share
+        motion.turn[k] *= 1.0 - share
+    motion.time = time
 
 
-@kernel
-def aim(motions: Motions, i: int, dt: float, row: np.record) -> None:
-    """Let drone i fly on from its time with the velocities that `motions` has of it.
+@func
+def aim(motion: np.record, dt: float, row: np.record) -> None:
+    """Let a drone fly on from its time with the velocities that it has.
 
     The rotation takes the angular velocity halfway (midpoint rule), with the angular momentum held.
     """
-    rest = 1.0 - motions.time[i]
-    velocity = point(motions.velocity, i)
-    here = quaternion_of(motions, i)
-    angular = momentum(here, point(motions.spin, i), row)
-    halfway = turned(point(motions.spin, i), 0.5 * rest * dt, here)
+    rest = 1.0 - motion.time
+    here = quaternion_of(motion)
+    spin = vector(motion.spin)
+    angular = momentum(here, spin, row)
+    halfway = turned(spin, 0.5 * rest * dt, here)
     spin = spin_of(halfway, angular, row)
     for k in range(3):
-        motions.move[i, k] = rest * dt * velocity[k]
-        motions.turn[i, k] = rest * dt * spin[k]
+        motion.move[k] = rest * dt * motion.velocity[k]
+        motion.turn[k] = rest * dt * spin[k]
 
 
-@kernel
-def stay(motions: Motions, i: int) -> None:
-    """Keep drone i where it is until the end of the substep; its velocities stay."""
+@func
+def stay(motion: np.record) -> None:
+    """Keep a drone where it is until the end of the substep; its velocities stay."""
     for k in range(3):
-        motions.move[i, k] = 0.0
-        motions.turn[i, k] = 0.0
+        motion.move[k] = 0.0
+        motion.turn[k] = 0.0
 
 
-@kernel
-def finish(motions: Motions, after: Swarm, w: int, i: int, row: np.record) -> None:
-    """Write the state of drone i at the end of the substep."""
-    advance_to(motions, i, 1.0, row)
-    quaternion = quaternion_of(motions, i)
-    rates = to_body(quaternion, point(motions.spin, i))
+@func
+def finish(motion: np.record, after: Swarm, w: int, i: int, row: np.record) -> None:
+    """Write the state of drone i of world w at the end of the substep."""
+    advance_to(motion, 1.0, row)
+    quaternion = quaternion_of(motion)
+    rates = to_body(quaternion, vector(motion.spin))
     for k in range(3):
-        after.position[w, i, k] = motions.position[i, k]
-        after.velocity[w, i, k] = motions.velocity[i, k]
+        after.position[w, i, k] = motion.position[k]
+        after.velocity[w, i, k] = motion.velocity[k]
         after.rates[w, i, k] = rates[k]
     for k in range(4):
         after.quaternion[w, i, k] = quaternion[k]
@@ -242,14 +259,15 @@ def finish(motions: Motions, after: Swarm, w: int, i: int, row: np.record) -> No
 
 @func
 def pose_at(
-    scenery: Scenery, motions: Motions, w: int, who: int, time: float, dt: float
+    scenery: Scenery, motions: np.ndarray, w: int, who: int, time: float, dt: float
 ) -> tuple[Vec3, Quat4]:
     """Return position and attitude of someone (number of a shape) at a time in the substep."""
     level = (0.0, 0.0, 0.0, 1.0)
     if who < scenery.first_body:
-        share = _share(motions, who, time)
-        position = along(point(motions.position, who), share, point(motions.move, who))
-        return position, turned(point(motions.turn, who), share, quaternion_of(motions, who))
+        motion = motions[who]
+        share = _share(motion, time)
+        position = along(vector(motion.position), share, vector(motion.move))
+        return position, turned(vector(motion.turn), share, quaternion_of(motion))
     if who < scenery.first_piece:
         k = who - scenery.first_body
         turn = quat4(scenery.quaternion, w, k)
@@ -262,16 +280,15 @@ def pose_at(
 
 @func
 def change_rates(
-    scenery: Scenery, motions: Motions, w: int, who: int, dt: float
+    scenery: Scenery, motions: np.ndarray, w: int, who: int, dt: float
 ) -> tuple[Vec3, Vec3]:
     """Return displacement and rotation of someone in the rest of the substep, per whole substep."""
     still = (0.0, 0.0, 0.0)
     if who < scenery.first_body:
-        rest = 1.0 - motions.time[who]
+        motion = motions[who]
+        rest = 1.0 - motion.time
         scale = 1.0 / rest if rest > 0.0 else 0.0
-        move = point(motions.move, who)
-        turn = point(motions.turn, who)
-        return along(still, scale, move), along(still, scale, turn)
+        return along(still, scale, vector(motion.move)), along(still, scale, vector(motion.turn))
     if who < scenery.first_piece:
         velocity = vec3(scenery.velocity, w, who - scenery.first_body)
         return along(still, dt, velocity), still

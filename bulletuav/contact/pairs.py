@@ -6,15 +6,14 @@ some left. Whoever a pair is, it is told by the numbers of its shapes, see `Scen
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.contact.motion import Motions
+from bulletuav.contact.motion import vector
 from bulletuav.contact.touch import TOUCH
 from bulletuav.geometry.city_grid import NO_LAYOUT, CityGrid, reached
 from bulletuav.geometry.closest_approach import closest_squared
-from bulletuav.geometry.rotation import Vec3, dot, minus, point, quat4, to_body, vec3
+from bulletuav.geometry.rotation import Vec3, dot, minus, quat4, to_body, vec3
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.kernel import func, kernel
 from bulletuav.vehicle.swarm import Swarm
@@ -29,70 +28,53 @@ SLACK = 2e-3
 """Metres beyond its way within which a drone's pairs are collected"""
 
 
-class Pairs(NamedTuple):
-    """Pairs of shapes in one world; some rows are room for more.
+PAIR = np.dtype(
+    [
+        ("a", "i8"),
+        ("b", "i8"),
+        ("time", "f8"),
+        ("normal", "f8", 3),
+        ("floor", "f8"),
+        ("held", "?"),
+    ]
+)
+"""A pair of shapes in one world.
 
-    Attributes:
-        who: (P, 2) number of a drone, and of the other shape.
-        time: (P,) share of the substep at which they touch next; NEVER for not.
-        normal: (P, 3) direction of their last separation, or zeros.
-        floor: (P,) distance at which they count as touching next, m.
-        held: (P,) bool, whether they touched already in this substep.
-    """
-
-    who: np.ndarray
-    time: np.ndarray
-    normal: np.ndarray
-    floor: np.ndarray
-    held: np.ndarray
-
-
-@kernel
-def make_pairs(room: int) -> Pairs:
-    """Make room for pairs."""
-    return Pairs(
-        np.empty((room, 2), dtype=np.int64),
-        np.empty(room),
-        np.zeros((room, 3)),
-        np.empty(room),
-        np.zeros(room, dtype=np.bool_),
-    )
+Attributes:
+    a: Number of a drone.
+    b: Number of the other shape.
+    time: Share of the substep at which they touch next; NEVER for not.
+    normal: Direction of their last separation, or zeros.
+    floor: Distance at which they count as touching next, m.
+    held: Whether they touched already in this substep.
+"""
 
 
-@kernel
-def _doubled(pairs: Pairs) -> Pairs:
-    """Return the same pairs with room for twice as many."""
-    count = pairs.time.shape[0]
-    new = make_pairs(2 * count)
-    new.who[:count] = pairs.who
-    new.time[:count] = pairs.time
-    new.normal[:count] = pairs.normal
-    new.floor[:count] = pairs.floor
-    new.held[:count] = pairs.held
-    return new
-
-
-@kernel
-def _with_pair(pairs: Pairs, count: int, first: int, a: int, b: int) -> tuple[Pairs, int]:
+@func
+def _with_pair(pairs: np.ndarray, count: int, first: int, a: int, b: int) -> tuple[np.ndarray, int]:
     """Add a pair unless it is among those from `first` on; returns the pairs and their number."""
     for p in range(first, count):
-        same = pairs.who[p, 0] == a and pairs.who[p, 1] == b
-        if same or (pairs.who[p, 0] == b and pairs.who[p, 1] == a):
+        same = pairs[p].a == a and pairs[p].b == b
+        if same or (pairs[p].b == a and pairs[p].a == b):
             return pairs, count
-    if count == pairs.time.shape[0]:
-        pairs = _doubled(pairs)
-    pairs.who[count, 0] = a
-    pairs.who[count, 1] = b
-    pairs.time[count] = 0.0
-    for k in range(3):
-        pairs.normal[count, k] = 0.0
-    pairs.floor[count] = TOUCH
-    pairs.held[count] = False
+    if count == pairs.shape[0]:
+        wider = np.empty(2 * count, dtype=PAIR)
+        wider[:count] = pairs
+        pairs = wider
+    pair = pairs[count]
+    pair.a = a
+    pair.b = b
+    pair.time = 0.0
+    pair.normal[0] = 0.0
+    pair.normal[1] = 0.0
+    pair.normal[2] = 0.0
+    pair.floor = TOUCH
+    pair.held = False
     return pairs, count + 1
 
 
 @func
-def _box_distance(scenery: Scenery, w: int, k: int, place: Vec3) -> float:
+def box_distance(scenery: Scenery, w: int, k: int, place: Vec3) -> float:
     """Return a lower bound of the distance of a point from body piece k of a world, m."""
     s = scenery.first_body + k
     table = scenery.table
@@ -120,47 +102,42 @@ def _piece_distance(city_grid: CityGrid, p: int, place: Vec3) -> float:
 @kernel
 def collect(
     scenery: Scenery,
-    swarm: Swarm,
+    motions: np.ndarray,
     alive: np.ndarray,
-    reach: np.ndarray,
     w: int,
-    i: int,
     order: np.ndarray,
     rank: int,
-    due: np.ndarray,
     again: bool,
     speed: float,
-    pairs: Pairs,
+    pairs: np.ndarray,
     count: int,
-) -> tuple[Pairs, int]:
-    """Add the pairs of drone i with all that is within its reach.
+) -> tuple[np.ndarray, int]:
+    """Add the pairs of a drone with all that is within its reach.
 
     Args:
         scenery: What stands.
-        swarm: State of all drones at the beginning of the substep.
+        motions: (N,) rows of `MOTION`; start, reach and due are read.
         alive: (W, N) bool, drones that can be touched.
-        reach: (N,) how far from there each drone may get in the substep, m.
         w: The world.
-        i: The drone.
         order: (N,) drones of the world by x, then y, then z.
-        rank: Place of i in `order`.
-        due: (N,) bool, drones that are looked at in this substep, in that order.
-        again: Whether it was i's turn before in this substep.
+        rank: Place of the drone in `order`. Drones of lower rank that are due met it in their turn.
+        again: Whether it was its turn before in this substep.
         speed: How far the fastest obstacle gets in the substep, m.
-        pairs: What was found before.
+        pairs: Rows of `PAIR` that were found before.
         count: Their number.
 
     Returns:
-        The pairs, perhaps in larger arrays, and their number.
+        The pairs, perhaps in a larger array, and their number.
     """
-    here = vec3(swarm.position, w, i)
-    far = scenery.table.radius[i] + reach[i] + TOUCH
+    i = order[rank]
+    here = vector(motions[i].start)
+    far = scenery.table.radius[i] + motions[i].reach + TOUCH
     known = 0 if again else count
     # What does not fly: ground, bodies and pieces of the city
     if here[2] < far:
         pairs, count = _with_pair(pairs, count, known, i, scenery.ground)
     for k in range(scenery.place.shape[1]):
-        if _box_distance(scenery, w, k, here) < far + speed:
+        if box_distance(scenery, w, k, here) < far + speed:
             pairs, count = _with_pair(pairs, count, known, i, scenery.first_body + k)
     city_grid = scenery.city_grid
     layout = city_grid.layout[w]
@@ -179,11 +156,11 @@ def collect(
     # Drones in the order of their places, the lower one first
     for place in range(order.shape[0]):
         j = order[place]
-        met = due[j] and place < rank and not again
+        met = motions[j].due and place < rank and not again
         if j == i or not alive[w, j] or met:
             continue
-        gap = minus(vec3(swarm.position, w, j), here)
-        within = far + scenery.table.radius[j] + reach[j]
+        gap = minus(vector(motions[j].start), here)
+        within = far + scenery.table.radius[j] + motions[j].reach
         if dot(gap, gap) < within * within:
             if place < rank:
                 pairs, count = _with_pair(pairs, count, known, j, i)
@@ -192,10 +169,10 @@ def collect(
     return pairs, count
 
 
-@kernel
+@func
 def sweeps_apart(
     scenery: Scenery,
-    motions: Motions,
+    motions: np.ndarray,
     w: int,
     a: int,
     b: int,
@@ -203,14 +180,14 @@ def sweeps_apart(
 ) -> bool:
     """Tell whether the bounding volumes of a pair stay apart for the rest of the substep."""
     table = scenery.table
-    here = point(motions.position, a)
-    move = point(motions.move, a)
+    here = vector(motions[a].position)
+    move = vector(motions[a].move)
     margin = table.radius[a] + TOUCH
     if b < scenery.first_body:
         # Both move straight, but from times of their own: take the boxes of their ways
-        there = point(motions.position, b)
-        other = point(motions.move, b)
-        if motions.time[a] == motions.time[b]:
+        there = vector(motions[b].position)
+        other = vector(motions[b].move)
+        if motions[a].time == motions[b].time:
             before = minus(there, here)
             after = (
                 before[0] + other[0] - move[0],
@@ -232,7 +209,7 @@ def sweeps_apart(
         k = b - scenery.first_body
         where = vec3(scenery.place, w, k)
         drift = vec3(scenery.velocity, w, k)
-        begun = motions.time[a] * dt
+        begun = motions[a].time * dt
         rest = dt - begun
         before = (
             here[0] - where[0] - begun * drift[0],
@@ -301,7 +278,7 @@ def rest_budget(
     least = min(FARTHEST, here[2] - own)
     # Bodies may be many: none nearer than what is known already needs its box
     for k in range(scenery.place.shape[1]):
-        least = min(least, _box_distance(scenery, w, k, here) - own)
+        least = min(least, box_distance(scenery, w, k, here) - own)
     city_grid = scenery.city_grid
     layout = city_grid.layout[w]
     if layout != NO_LAYOUT and least > 0.0:

@@ -9,60 +9,62 @@ import math
 
 import numpy as np
 
-from bulletuav.contact.impact import Workspace, World, halt, push_apart
-from bulletuav.contact.motion import begin, finish
-from bulletuav.contact.pairs import SLACK, Pairs, collect, make_pairs, rest_budget, sweeps_apart
+from bulletuav.contact.impact import halt, push_apart
+from bulletuav.contact.motion import begin, finish, put_vector, vector
+from bulletuav.contact.pairs import PAIR, SLACK, collect, rest_budget, sweeps_apart
+from bulletuav.contact.points import Workspace, World
 from bulletuav.contact.touch import EXACT, NEVER, touch_time
 from bulletuav.contact.touches import Touches
-from bulletuav.geometry.rotation import dot, minus, point, vec3
+from bulletuav.geometry.rotation import dot, minus, vec3
 from bulletuav.kernel import func, kernel
 from bulletuav.vehicle.swarm import Swarm
+
+ROOM = 16
+"""Pairs that there is room for at first"""
 
 
 @func
 def _start_drone(space: Workspace, world: World, end: Swarm, i: int) -> None:
     """Begin the motion of a drone that may touch something, if it has not begun."""
-    if i < world.scenery.first_body and not space.begun[i]:
-        space.begun[i] = True
-        begin(space.motions, world.start, end, world.w, i, world.parameters[world.w, i])
+    if i < world.scenery.first_body and not space.motions[i].begun:
+        begin(space.motions[i], world.start, end, world.w, i, world.parameters[world.w, i])
 
 
 @kernel
-def _time_pair(space: Workspace, world: World, pairs: Pairs, p: int, start: float) -> None:
+def _time_pair(space: Workspace, world: World, pair: np.record, start: float) -> None:
     """Find when a pair touches next, from a time on."""
-    a = pairs.who[p, 0]
-    b = pairs.who[p, 1]
     motions = space.motions
-    if sweeps_apart(world.scenery, motions, world.w, a, b, world.dt):
-        pairs.time[p] = NEVER
+    if sweeps_apart(world.scenery, motions, world.w, pair.a, pair.b, world.dt):
+        pair.time = NEVER
         return
+    # A pair that is held already needs no exact time
+    exact = max(1e-7, 0.2 * abs(pair.floor)) if pair.held else EXACT
     time, normal = touch_time(
         world.scenery,
         motions,
         world.w,
-        a,
-        b,
+        pair.a,
+        pair.b,
         start,
-        pairs.floor[p],
-        max(1e-7, 0.2 * abs(pairs.floor[p])) if pairs.held[p] else EXACT,
+        pair.floor,
+        exact,
         world.dt,
-        point(pairs.normal, p),
+        vector(pair.normal),
         space.room,
     )
-    pairs.time[p] = time
-    for k in range(3):
-        pairs.normal[p, k] = normal[k]
+    pair.time = time
+    put_vector(pair.normal, normal)
 
 
-@kernel
-def _next_pair(pairs: Pairs, count: int) -> int:
+@func
+def _next_pair(pairs: np.ndarray, count: int) -> int:
     """Return the pair that touches first, the first of several; -1 if none does."""
     first = -1
     time = NEVER
     for p in range(count):
-        if pairs.time[p] < time:
+        if pairs[p].time < time:
             first = p
-            time = pairs.time[p]
+            time = pairs[p].time
     return first
 
 
@@ -96,104 +98,134 @@ def _distance(one: np.ndarray, two: np.ndarray, w: int, i: int) -> float:
     return math.sqrt(dot(way, way))
 
 
-@kernel
+@func
 def _due(space: Workspace, world: World, end: Swarm, budget: np.ndarray) -> bool:
     """Find the drones that have moved too far to be sure that they touch nothing."""
     w = world.w
     found = False
     for i in range(budget.shape[1]):
-        space.due[i] = False
-        space.begun[i] = False
-        space.member[i] = False
-        if world.alive[w, i]:
+        motion = space.motions[i]
+        motion.due = False
+        motion.reach = SLACK
+        if world.alive[w, i] and not world.asleep[w, i]:
             way = _distance(end.position, world.start.position, w, i)
-            space.reach[i] = way + SLACK
+            motion.reach = way + SLACK
             budget[w, i] -= way + world.speed
             if budget[w, i] < 0.0:
-                space.due[i] = True
+                motion.due = True
                 found = True
     return found
 
 
-@kernel
+@func
 def find_pairs(
-    space: Workspace,
-    world: World,
-    end: Swarm,
-    order: np.ndarray,
-    pairs: Pairs,
-) -> tuple[Pairs, int]:
+    space: Workspace, world: World, end: Swarm, order: np.ndarray
+) -> tuple[np.ndarray, int]:
     """Collect the pairs of all drones that are due, and time them."""
+    motions = space.motions
+    for i in range(order.shape[0]):
+        motions[i].begun = False
+        motions[i].member = False
+        put_vector(motions[i].start, vec3(world.start.position, world.w, i))
+    pairs = np.empty(ROOM, dtype=PAIR)
     count = 0
     for rank in range(order.shape[0]):
-        i = order[rank]
-        if space.due[i]:
+        if motions[order[rank]].due:
             pairs, count = collect(
                 world.scenery,
-                world.start,
+                motions,
                 world.alive,
-                space.reach,
                 world.w,
-                i,
                 order,
                 rank,
-                space.due,
                 False,
                 world.speed,
                 pairs,
                 count,
             )
     for p in range(count):
-        _start_drone(space, world, end, pairs.who[p, 0])
-        _start_drone(space, world, end, pairs.who[p, 1])
-        _time_pair(space, world, pairs, p, 0.0)
+        _start_drone(space, world, end, pairs[p].a)
+        _start_drone(space, world, end, pairs[p].b)
+        _time_pair(space, world, pairs[p], 0.0)
     return pairs, count
 
 
-@kernel
+@func
 def _widen(
     space: Workspace,
     world: World,
     end: Swarm,
     order: np.ndarray,
-    members: int,
-    pairs: Pairs,
+    pairs: np.ndarray,
     count: int,
-) -> tuple[Pairs, int]:
+) -> tuple[np.ndarray, int]:
     """Collect the pairs of drones anew that were sent farther than was looked at."""
-    motions = space.motions
     for rank in range(order.shape[0]):
-        i = order[rank]
-        if not space.member[i]:
+        motion = space.motions[order[rank]]
+        if not motion.member:
             continue
-        start = vec3(world.start.position, world.w, i)
-        here = minus(point(motions.position, i), start)
-        move = point(motions.move, i)
+        here = minus(vector(motion.position), vector(motion.start))
+        move = vector(motion.move)
         there = (here[0] + move[0], here[1] + move[1], here[2] + move[2])
         way = math.sqrt(max(dot(here, here), dot(there, there)))
-        if way > space.reach[i] or not space.due[i]:
-            space.reach[i] = max(space.reach[i], 1.5 * way + SLACK)
-            space.due[i] = True
+        if way > motion.reach or not motion.due:
+            motion.reach = max(motion.reach, 1.5 * way + SLACK)
+            motion.due = True
             old = count
             pairs, count = collect(
                 world.scenery,
-                world.start,
+                space.motions,
                 world.alive,
-                space.reach,
                 world.w,
-                i,
                 order,
                 rank,
-                space.due,
                 True,
                 world.speed,
                 pairs,
                 count,
             )
             for p in range(old, count):
-                _start_drone(space, world, end, pairs.who[p, 0])
-                _start_drone(space, world, end, pairs.who[p, 1])
+                _start_drone(space, world, end, pairs[p].a)
+                _start_drone(space, world, end, pairs[p].b)
     return pairs, count
+
+
+@kernel
+def _fly_through(
+    space: Workspace,
+    world: World,
+    end: Swarm,
+    stops: bool,
+    stopped: np.ndarray,
+    changed: np.ndarray,
+    touches: Touches,
+) -> bool:
+    """Take the drones that are due through the touches of a substep, in the order of time."""
+    w = world.w
+    motions = space.motions
+    order = in_order(world.start.position, w)
+    pairs, count = find_pairs(space, world, end, order)
+    eventful = False
+    while True:
+        first = _next_pair(pairs, count)
+        if first < 0:
+            break
+        eventful = True
+        time = pairs[first].time
+        if stops:
+            members = halt(space, world, pairs[first], time, touches, stopped)
+        else:
+            members = push_apart(space, world, pairs, count, first, time, touches)
+        pairs, count = _widen(space, world, end, order, pairs, count)
+        for p in range(count):
+            b = pairs[p].b
+            if motions[pairs[p].a].member or (b < motions.shape[0] and motions[b].member):
+                _time_pair(space, world, pairs[p], time)
+        for m in range(members):
+            i = space.island[m]
+            motions[i].member = False
+            changed[w, i] = True
+    return eventful
 
 
 @kernel
@@ -222,37 +254,15 @@ def resolve(
     Returns:
         Whether anything was touched.
     """
-    w = world.w
     if not _due(space, world, end, budget):
         return False
-    order = in_order(world.start.position, w)
-    pairs, count = find_pairs(space, world, end, order, make_pairs(16))
-    eventful = False
-    while True:
-        first = _next_pair(pairs, count)
-        if first < 0:
-            break
-        eventful = True
-        time = pairs.time[first]
-        if stops:
-            members = halt(space, world, pairs, first, time, touches, stopped)
-        else:
-            members = push_apart(space, world, pairs, count, first, time, touches)
-        pairs, count = _widen(space, world, end, order, members, pairs, count)
-        for p in range(count):
-            a = pairs.who[p, 0]
-            b = pairs.who[p, 1]
-            if space.member[a] or (b < world.scenery.first_body and space.member[b]):
-                _time_pair(space, world, pairs, p, time)
-        for m in range(members):
-            i = space.island[m]
-            space.member[i] = False
-            changed[w, i] = True
+    w = world.w
+    eventful = _fly_through(space, world, end, stops, stopped, changed, touches)
     for i in range(changed.shape[1]):
         if changed[w, i]:
-            finish(space.motions, end, w, i, world.parameters[w, i])
+            finish(space.motions[i], end, w, i, world.parameters[w, i])
     for i in range(changed.shape[1]):
-        if space.due[i]:
+        if space.motions[i].due and world.alive[w, i]:
             rest_budget(world.scenery, end, world.alive, budget, w, i)
             budget[w, i] -= world.speed
     return eventful

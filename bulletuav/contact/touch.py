@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from bulletuav.contact.motion import Motions, change_rates, pose_at
+from bulletuav.contact.motion import change_rates, pose_at
 from bulletuav.geometry.gjk import gap
 from bulletuav.geometry.minkowski import far_point, plus, swell
 from bulletuav.geometry.rotation import Vec3, axes, cross, dot, minus
@@ -29,10 +29,6 @@ BOLD = 4.0
 """Most that a step of Newton's method takes, in conservative steps"""
 MOST_STEPS = 200
 """Most steps to a touch"""
-TRIES = 3
-"""Times at which a step looks whether a plane still separates the pair"""
-SHRINK = 0.3
-"""Ratio of each such time to the one before, from the end of the substep"""
 NEVER = 2.0
 """Time of a touch that does not happen"""
 
@@ -40,7 +36,7 @@ NEVER = 2.0
 @func
 def gap_at(
     scenery: Scenery,
-    motions: Motions,
+    motions: np.ndarray,
     w: int,
     a: int,
     b: int,
@@ -65,7 +61,7 @@ def _length(v: Vec3) -> float:
 @func
 def separation_along(
     scenery: Scenery,
-    motions: Motions,
+    motions: np.ndarray,
     w: int,
     a: int,
     b: int,
@@ -77,7 +73,7 @@ def separation_along(
 
     Args:
         scenery: What stands, and all shapes.
-        motions: How the drones move.
+        motions: (N,) rows of `MOTION`.
         w: The world.
         a: Number of the shape of a drone.
         b: Number of the other shape.
@@ -117,7 +113,7 @@ def _bend(radius: float, turn: Vec3) -> float:
 @kernel
 def touch_time(
     scenery: Scenery,
-    motions: Motions,
+    motions: np.ndarray,
     w: int,
     a: int,
     b: int,
@@ -132,7 +128,7 @@ def touch_time(
 
     Args:
         scenery: What stands, and all shapes.
-        motions: How the drones move.
+        motions: (N,) rows of `MOTION`.
         w: The world.
         a: Number of the shape of a drone.
         b: Number of the other shape.
@@ -166,26 +162,22 @@ def touch_time(
             return NEVER, normal
         if left <= exact and (time == start or left >= -exact):
             return (time if bound > 0.0 else NEVER), normal
-        safe = left / bound
+        step = left / bound
         if left > 0.0:
-            # How long the present plane keeps them apart
-            span = rest
-            for _ in range(TRIES):
+            # How long the present plane keeps them apart: to the end, or as far as ways bend
+            reach = min(rest, math.sqrt(0.5 * left / bend)) if bend > 0.0 else rest
+            for span in (rest, reach, 0.5 * reach):
                 later, _, _ = separation_along(scenery, motions, w, a, b, time + span, dt, normal)
                 if min(distance, later) - bend * span * span >= floor:
-                    safe = max(safe, span)
+                    step = max(step, span)
                     break
-                span *= SHRINK
-        if safe >= rest:
-            return NEVER, normal
-        step = safe
+            if step >= rest:
+                return NEVER, normal
         if left < NEAR:
             surface = minus(cross(turn_a, on_a), cross(turn_b, on_b))
             closing = -dot(move, normal) - dot(surface, normal)
-            if closing > 0.0:
-                newton = left / closing
-                # Back from too far by Newton alone, ahead no further than is safe to try
-                if left < 0.0 or safe < newton < BOLD * safe:
-                    step = newton
+            # Back from too far by Newton alone, ahead no further than is safe to try
+            if closing > 0.0 and (left < 0.0 or step < left / closing < BOLD * step):
+                step = left / closing
         time = min(1.0, max(start, time + step))
     return time, normal

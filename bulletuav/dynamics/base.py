@@ -17,6 +17,7 @@ from bulletuav.contact.contacts import (
     meet_all,
     overlaps,
     remember_all,
+    start,
     told,
 )
 from bulletuav.control.cascade import Cascade
@@ -140,6 +141,8 @@ class Dynamics(ABC):
         contacts: What contacts can do, the default first. "stop": a drone stays where it touches
             something until the decision ends. "impulse": it is pushed, slides and rests there;
             this needs velocities and rates that are those of the flight.
+        sleeps: Whether it leaves drones that rest alone until their forces change, see
+            `bulletuav.contact.contacts.bears`.
         flight: What it was built from.
         contact: What its contacts need.
     """
@@ -147,6 +150,7 @@ class Dynamics(ABC):
     name: ClassVar[str]
     feels_surface: ClassVar[bool] = False
     contacts: ClassVar[tuple[str, ...]] = ("stop", "impulse")
+    sleeps: ClassVar[bool] = False
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
@@ -160,6 +164,7 @@ class Dynamics(ABC):
             flight.engine.scenery,
             flight.engine.shape,
             flight.contacts == "stop",
+            self.sleeps,
             flight.friction,
             flight.restitution,
         )
@@ -179,7 +184,7 @@ class Dynamics(ABC):
             mask: (W, N) bool, drones that start.
         """
         self.flight.engine.set_states(swarm, mask)
-        self.contact.budget[mask] = -1.0
+        start(self.contact, mask)
 
     def show(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Have the engine's bodies stand where drones are, for pictures; changes nothing in flight.
@@ -248,7 +253,7 @@ class Dynamics(ABC):
         contact = self.contact
         for substep in range(flight.substeps):
             remember_all(contact, swarm)
-            start = swarm.copy()
+            before = swarm.copy()
             flying = alive & ~contact.stopped
             target = convert(
                 setpoint,
@@ -262,7 +267,7 @@ class Dynamics(ABC):
             )
             self.advance_substep(swarm, flying, target, air)
             # Drones that do not fly are put back, so that authors need not mind them
-            for array, old in zip(swarm, start, strict=True):
+            for array, old in zip(swarm, before, strict=True):
                 array[~flying] = old[~flying]
             self._require_finite(swarm)
             meet_all(contact, swarm, alive, parameters, substep, flight.substeps, flight.dt)

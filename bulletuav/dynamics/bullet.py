@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.contact.contacts import Contact, meet_all, remember_all
+from bulletuav.contact.contacts import Contact, bears, meet_all, remember_all, wake
 from bulletuav.control.cascade import Cascade, command_rotors
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.base import Air, Dynamics, Flight, require_sane
@@ -26,7 +26,7 @@ from bulletuav.registry import register
 from bulletuav.vehicle.aerodynamics import wakes
 from bulletuav.vehicle.rotors import lag_decay, lagged, rotor_wrench
 from bulletuav.vehicle.swarm import Contacts, Motion, Swarm
-from bulletuav.vehicle.wrench import body_acceleration, wrench
+from bulletuav.vehicle.wrench import body_acceleration, spin_parts, wrench
 
 
 @func
@@ -36,6 +36,20 @@ def _ahead(rates: Vec3, slope: Vec3, dt: float) -> Vec3:
         rates[0] + dt * slope[0],
         rates[1] + dt * slope[1],
         rates[2] + dt * slope[2],
+    )
+
+
+@func
+def _slopes(rates: Vec3, torque: Vec3, dt: float, row: np.record) -> Vec3:
+    """Return six times the weighted mean of the four slopes of the rates (RK4), rad/s^2."""
+    k1 = body_acceleration(rates, torque, row)
+    k2 = body_acceleration(_ahead(rates, k1, 0.5 * dt), torque, row)
+    k3 = body_acceleration(_ahead(rates, k2, 0.5 * dt), torque, row)
+    k4 = body_acceleration(_ahead(rates, k3, dt), torque, row)
+    return (
+        k1[0] + 2 * k2[0] + 2 * k3[0] + k4[0],
+        k1[1] + 2 * k2[1] + 2 * k3[1] + k4[1],
+        k1[2] + 2 * k2[2] + 2 * k3[2] + k4[2],
     )
 
 
@@ -59,16 +73,16 @@ def engine_torque(
     Returns:
         M' in body axes, N m.
     """
-    # Four slopes of the rates, and six times their weighted mean
-    k1 = body_acceleration(rates, torque, row)
-    k2 = body_acceleration(_ahead(rates, k1, 0.5 * dt), torque, row)
-    k3 = body_acceleration(_ahead(rates, k2, 0.5 * dt), torque, row)
-    k4 = body_acceleration(_ahead(rates, k3, dt), torque, row)
-    total = (
-        k1[0] + 2 * k2[0] + 2 * k3[0] + k4[0],
-        k1[1] + 2 * k2[1] + 2 * k3[1] + k4[1],
-        k1[2] + 2 * k2[2] + 2 * k3[2] + k4[2],
-    )
+    parts = spin_parts(rates, dt)
+    step = dt / parts
+    slope = _slopes(rates, torque, step, row)
+    total = slope
+    now = rates
+    for _ in range(parts - 1):
+        now = _ahead(now, slope, step / 6.0)
+        slope = _slopes(now, torque, step, row)
+        total = _ahead(total, slope, 1.0)
+    total = (total[0] / parts, total[1] / parts, total[2] / parts)
 
     # What Bullet takes off again: w x J w
     inertia = row.inertia
@@ -149,6 +163,42 @@ def drive(
 
 
 @kernel
+def choose_flying(
+    alive: np.ndarray,
+    parameters: np.ndarray,
+    force: np.ndarray,
+    torque: np.ndarray,
+    contact: Contact,
+    flying: np.ndarray,
+) -> None:
+    """Choose the drones that the engine moves: who rests is left alone while its forces last.
+
+    Args:
+        alive: (W, N) bool, drones that fly.
+        parameters: (W, N) rows of `PARAMETERS`.
+        force: (W, N, 3) their forces, N.
+        torque: (W, N, 3) their torques, N m.
+        contact: What contacts need; sleepers whose forces changed wake.
+        flying: (W, N) bool, written.
+    """
+    for w in range(alive.shape[0]):
+        for i in range(alive.shape[1]):
+            flying[w, i] = alive[w, i] and not contact.stopped[w, i]
+            if flying[w, i] and contact.asleep[w, i]:
+                row = parameters[w, i]
+                pull = vec3(force, w, i)
+                turn = vec3(torque, w, i)
+                inertia = row.inertia
+                accelerates = (pull[0] / row.mass, pull[1] / row.mass, pull[2] / row.mass)
+                spins = (turn[0] / inertia[0], turn[1] / inertia[1], turn[2] / inertia[2])
+                if not bears(contact, w, i, accelerates, spins):
+                    wake(contact, w, i)
+    for w in range(alive.shape[0]):
+        for i in range(alive.shape[1]):
+            flying[w, i] = flying[w, i] and not contact.asleep[w, i]
+
+
+@kernel
 def advance(
     port: Port,
     substeps: int,
@@ -183,18 +233,20 @@ def advance(
         torque: (W, N, 3) room for torques, N m.
         contact: What contacts need.
     """
+    driven = alive.copy()
     flying = alive.copy()
     for piece in range(substeps):
         remember_all(contact, swarm)
         # Wrenches from the state before the substep, then the engine's step
         if near_ground:
-            surface_below(port, swarm.position, flying, air.surface)
-        drive(swarm, flying, level, setpoint, cascade, parameters, air, dt, force, torque)
+            surface_below(port, swarm.position, driven, air.surface)
+        drive(swarm, driven, level, setpoint, cascade, parameters, air, dt, force, torque)
+        choose_flying(alive, parameters, force, torque, contact, flying)
         substep(port, force, torque, flying, swarm)
         # What they would have flown into; the engine goes on from there
         if meet_all(contact, swarm, alive, parameters, piece, substeps, dt):
             write_states(port, swarm, contact.changed)
-            flying[:] = alive & ~contact.stopped
+            driven[:] = alive & ~contact.stopped
 
 
 @register("dynamics")
@@ -205,6 +257,7 @@ class BulletDynamics(Dynamics):
     consumes = SetpointLevel.ROTOR
     feels_surface = True
     contacts = ("impulse", "stop", "bullet")
+    sleeps = True
 
     def __init__(self, flight: Flight) -> None:
         """Make room for the wrenches."""
@@ -247,14 +300,14 @@ class BulletDynamics(Dynamics):
             advance(port, flight.substeps, self._near_ground, *inputs, self.contact)
             return
         contact = self.contact
-        flying = alive.copy()
+        driven = alive
         for piece in range(flight.substeps):
             remember_all(contact, swarm)
-            self._advance_once(inputs._replace(alive=flying))
+            self._advance_once(inputs._replace(alive=driven))
             parameters = flight.parameters
             if meet_all(contact, swarm, alive, parameters, piece, flight.substeps, flight.dt):
                 flight.engine.write_states(swarm, contact.changed)
-                flying = alive & ~contact.stopped
+                driven = alive & ~contact.stopped
 
     def _inputs(
         self,
@@ -284,9 +337,12 @@ class BulletDynamics(Dynamics):
         engine = self.flight.engine
         inputs.air.surface[:] = self._surface(inputs.swarm, inputs.alive)
         drive(*inputs)
-        engine.apply_wrenches(inputs.force, inputs.torque, inputs.alive)
+        flying = np.zeros(inputs.alive.shape, dtype=bool)
+        force, torque = inputs.force, inputs.torque
+        choose_flying(inputs.alive, inputs.parameters, force, torque, self.contact, flying)
+        engine.apply_wrenches(force, torque, flying)
         engine.step()
-        engine.read_states(inputs.swarm, inputs.alive)
+        engine.read_states(inputs.swarm, flying)
 
     def _fly_in_engine(
         self,

@@ -8,7 +8,8 @@ effect lags by up to one decision (at 20 m/s and 10 Hz, 2 m of flight).
 
 import numpy as np
 
-from bulletuav.contact.contacts import Contact, meet, remember
+from bulletuav.contact.contacts import Contact, bears, meet, remember
+from bulletuav.contact.contacts import wake as rouse
 from bulletuav.control.cascade import Cascade, command_rotors
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.base import Air, Dynamics
@@ -18,7 +19,7 @@ from bulletuav.registry import register
 from bulletuav.vehicle.aerodynamics import wakes
 from bulletuav.vehicle.rotors import lag_decay, lagged, rotor_wrench
 from bulletuav.vehicle.swarm import Swarm, get, put
-from bulletuav.vehicle.wrench import body_acceleration, wrench
+from bulletuav.vehicle.wrench import body_acceleration, spin_parts, wrench
 
 State = tuple[Vec3, Quat4, Vec3, Vec3]
 """Position, quaternion, velocity and rates of one drone, or their slopes"""
@@ -229,7 +230,17 @@ def advance(
                         air.surface[w, i],
                         air.gravity,
                     )
-                    state = _rk4(get(swarm, w, i), rotors, dt, around, wake[i], row)
+                    state = get(swarm, w, i)
+                    if contact.asleep[w, i]:
+                        # Who rests is left alone as long as its forces are the same
+                        _, _, pull, spinning = _slope(state, rotors[2], around, wake[i], row)
+                        if bears(contact, w, i, pull, spinning):
+                            continue
+                        rouse(contact, w, i)
+                    # Fast spins in pieces: their precession is stiff
+                    parts = spin_parts(state[3], dt)
+                    for _ in range(parts):
+                        state = _rk4(state, rotors, dt / parts, around, wake[i], row)
                     put(swarm, w, i, state)
 
             # What they would have flown into
@@ -244,6 +255,7 @@ class RigidBody(Dynamics):
     consumes = SetpointLevel.ROTOR
     feels_surface = True
     contacts = ("impulse", "stop")
+    sleeps = True
 
     def advance_decision(
         self,

@@ -12,30 +12,23 @@ import math
 
 import numpy as np
 
-from bulletuav.geometry.convex import RIM, ShapeTable
-from bulletuav.geometry.minkowski import Turn, plus, row_point, turned, turned_back
+from bulletuav.geometry.convex import ShapeTable
+from bulletuav.geometry.features import put_feature
+from bulletuav.geometry.minkowski import Turn, plus, row_point, turned
 from bulletuav.geometry.rotation import Vec3, Vec3Like, cross, dot, minus, point
-from bulletuav.geometry.shapes import BOX, CYLINDER, HALF_SPACE, SPHERE
+from bulletuav.geometry.shapes import HALF_SPACE, SPHERE
 from bulletuav.kernel import func, kernel
 
 MOST_POINTS = 20
 """Most points of a pair"""
 SAME = 1e-6
 """Distance within which two points count as one, m"""
-FLAT = math.sqrt(0.5)
-"""Cosine of the largest angle between axis and normal at which a flat side faces the other"""
-UPRIGHT = 1e-3
-"""Sine of the angle between axis and normal below which body axes place the rim's points"""
 BESIDE = 0.05
-"""How far two lines of round sides may lie beside each other, as a share of their radii"""
+"""How far two lines of round sides may lie beside each other, as a share of the lesser radius"""
 A_COLUMN, B_COLUMN, SPARE_COLUMN = 0, 3, 6
 """First columns of scratch of the feature of a, of that of b, and of clipping"""
 HEIGHT = 9
 """Column of scratch: how high the other shape is at a corner, m"""
-RIM_COS = np.cos(2 * np.pi / RIM * np.arange(RIM))
-"""Cosines of the angles of the rim's points"""
-RIM_SIN = np.sin(2 * np.pi / RIM * np.arange(RIM))
-"""Sines of the same"""
 
 
 @func
@@ -47,128 +40,6 @@ def _across(normal: Vec3Like) -> Turn:
     scale = 1.0 / math.sqrt(dot(first, first))
     first = (scale * first[0], scale * first[1], scale * first[2])
     return first, cross(normal, first), (normal[0], normal[1], normal[2])
-
-
-@func
-def _put(room: np.ndarray, row: int, column: int, axes: Turn, place: Vec3) -> None:
-    """Put a place, m from the nearest point on a, into scratch in axes of the contact."""
-    room[row, column] = dot(place, axes[0])
-    room[row, column + 1] = dot(place, axes[1])
-    room[row, column + 2] = dot(place, axes[2])
-
-
-@func
-def _box_face(
-    half: Vec3, turn: Turn, d: Vec3, start: Vec3, axes: Turn, room: np.ndarray, column: int
-) -> tuple[int, Vec3]:
-    """Put the corners of the face of a box that looks most along d; as `_feature`."""
-    local = turned_back(turn, d)
-    k = 0
-    for m in range(1, 3):
-        if abs(local[m]) > abs(local[k]):
-            k = m
-    i = (k + 1) % 3
-    j = (k + 2) % 3
-    sign = math.copysign(1.0, local[k])
-    middle = plus(start, sign * half[k], turn[k])
-    # On the far side the first axis is mirrored, so corners turn left there too
-    one = plus(middle, sign * half[i], turn[i])
-    other = plus(middle, -sign * half[i], turn[i])
-    _put(room, 0, column, axes, plus(one, half[j], turn[j]))
-    _put(room, 1, column, axes, plus(other, half[j], turn[j]))
-    _put(room, 2, column, axes, plus(other, -half[j], turn[j]))
-    _put(room, 3, column, axes, plus(one, -half[j], turn[j]))
-    return 4, (sign * turn[k][0], sign * turn[k][1], sign * turn[k][2])
-
-
-@func
-def _hull_face(
-    table: ShapeTable,
-    s: int,
-    turn: Turn,
-    d: Vec3,
-    start: Vec3,
-    axes: Turn,
-    room: np.ndarray,
-    column: int,
-) -> tuple[int, Vec3]:
-    """Put the corners of the face of a hull that looks most along d; as `_feature`."""
-    local = turned_back(turn, d)
-    best = table.planes[s, 0]
-    most = -np.inf
-    for f in range(table.planes[s, 0], table.planes[s, 1]):
-        along = dot(point(table.plane, f), local)
-        if along > most:
-            most = along
-            best = f
-    first = table.rings[best, 0]
-    count = table.rings[best, 1] - first
-    for k in range(count):
-        corner = point(table.corner, table.ring[first + k])
-        _put(room, k, column, axes, plus(start, 1.0, turned(turn, corner)))
-    return count, turned(turn, point(table.plane, best))
-
-
-@func
-def _cylinder_side(
-    half: Vec3, turn: Turn, d: Vec3, start: Vec3, axes: Turn, room: np.ndarray, column: int
-) -> tuple[int, Vec3]:
-    """Put the flat side or the line of a cylinder that looks along d; as `_feature`."""
-    axis = turn[2]
-    along = dot(d, axis)
-    radial = plus(d, -along, axis)
-    sine = math.sqrt(dot(radial, radial))
-    # The deepest point of the rim comes first, or any where all are as deep
-    scaled = (radial[0] / sine, radial[1] / sine, radial[2] / sine)
-    radial = scaled if sine > UPRIGHT else turn[0]
-    if abs(along) < FLAT:
-        line = plus(start, half[0], radial)
-        _put(room, 0, column, axes, plus(line, half[2], axis))
-        _put(room, 1, column, axes, plus(line, -half[2], axis))
-        return 2, d
-    sign = math.copysign(1.0, along)
-    outward = (sign * axis[0], sign * axis[1], sign * axis[2])
-    middle = plus(start, half[2], outward)
-    left = cross(outward, radial)
-    for k in range(RIM):
-        place = plus(middle, half[0] * RIM_COS[k], radial)
-        _put(room, k, column, axes, plus(place, half[0] * RIM_SIN[k], left))
-    return RIM, outward
-
-
-@func
-def _feature(
-    table: ShapeTable,
-    s: int,
-    turn: Turn,
-    d: Vec3,
-    start: Vec3,
-    axes: Turn,
-    room: np.ndarray,
-    column: int,
-) -> tuple[int, Vec3]:
-    """Put the corners of the feature of a shape that looks along a direction into scratch.
-
-    Args:
-        table: The shapes.
-        s: Number of the shape: a box, a cylinder or a hull.
-        turn: Axes of the shape.
-        d: Unit vector, world axes.
-        start: Position of the shape from the nearest point on a, m.
-        axes: Axes of the contact.
-        room: Scratch.
-        column: First of the three columns to put them.
-
-    Returns:
-        How many there are, 2 for a line, and the outward normal of the face. Corners turn left
-        seen from outside.
-    """
-    half = point(table.half, s)
-    if table.kind[s] == BOX:
-        return _box_face(half, turn, d, start, axes, room, column)
-    if table.kind[s] == CYLINDER:
-        return _cylinder_side(half, turn, d, start, axes, room, column)
-    return _hull_face(table, s, turn, d, start, axes, room, column)
 
 
 @func
@@ -394,15 +265,15 @@ def contact_points(
     axes = _across(normal)
     start_a = (-on_a[0], -on_a[1], -on_a[2])
     against = (-normal[0], -normal[1], -normal[2])
-    count, face_a = _feature(table, a, turn_a, against, start_a, axes, room, A_COLUMN)
+    count, face_a = put_feature(table, a, turn_a, against, start_a, axes, room, A_COLUMN)
     if table.kind[b] == HALF_SPACE:
         for k in range(count):
             room[k, HEIGHT] = -distance
         return _collect(room, count, A_COLUMN, 1.0, axes, on_a, most, points)
     start_b = minus(offset, on_a)
-    count_b, face_b = _feature(table, b, turn_b, normal, start_b, axes, room, B_COLUMN)
+    count_b, face_b = put_feature(table, b, turn_b, normal, start_b, axes, room, B_COLUMN)
     if count == 2 and count_b == 2:
-        beside = BESIDE * (table.half[a, 0] + table.half[b, 0])
+        beside = BESIDE * min(table.half[a, 0], table.half[b, 0])
         count = _lines_meet(room, beside)
         return _collect(room, count, A_COLUMN, 1.0, axes, on_a, most, points)
     count, source, sign = _overlay(room, count, count_b, face_a, face_b, axes)

@@ -24,6 +24,8 @@ TOUCH_CORE = 1e-9
 """Distance below which a direction is no longer known from the nearest point, m"""
 MOST_STEPS = 100
 """Most points that GJK looks at"""
+FLAT = 1e12
+"""Weight beyond which points are taken to lie in one plane"""
 WEIGHT, NEXT = 9, 10
 """Columns of scratch: the weight of a point, and the one that it would have without bounds"""
 
@@ -99,15 +101,17 @@ def _nearest(room: np.ndarray, count: int) -> int:
     """
     while count > 1:
         _solve(room, count)
+        # A flat simplex gives no answer: stay here, without a last point that bears nothing
+        if not abs(room[0, NEXT]) < FLAT:
+            return count - 1 if room[count - 1, WEIGHT] == 0.0 else count
         # Go as far towards the new weights as all stay positive
         share = 1.0
         idle = -1
         for k in range(count):
             now = room[k, WEIGHT]
             then = room[k, NEXT]
-            # A test that NaN fails, as flat simplices give
-            if not then > 0.0:
-                reach = now / (now - then) if then < 0.0 else 0.0
+            if then <= 0.0:
+                reach = now / (now - then) if now > 0.0 else 0.0
                 if idle < 0 or reach < share:
                     share = reach
                     idle = k
@@ -117,11 +121,21 @@ def _nearest(room: np.ndarray, count: int) -> int:
             return count
         if share > 0.0:
             for k in range(count):
-                room[k, WEIGHT] += share * (room[k, NEXT] - room[k, WEIGHT])
+                weight = room[k, WEIGHT]
+                room[k, WEIGHT] = max(weight + share * (room[k, NEXT] - weight), 0.0)
         count -= 1
         _drop(room, idle, count)
     room[0, WEIGHT] = 1.0
     return count
+
+
+@func
+def _is_there(room: np.ndarray, count: int, w: Vec3) -> bool:
+    """Return whether a point is one of the first rows of scratch."""
+    for k in range(count):
+        if room[k, 0] == w[0] and room[k, 1] == w[1] and room[k, 2] == w[2]:
+            return True
+    return False
 
 
 @func
@@ -131,6 +145,40 @@ def _weighted(room: np.ndarray, count: int, column: int) -> Vec3:
     for k in range(count):
         mean = plus(mean, room[k, WEIGHT], row_point(room, k, column))
     return mean
+
+
+@func
+def _facing(room: np.ndarray, count: int, v: Vec3) -> Vec3:
+    """Return the direction of the nearest point of a simplex, also where it is almost the origin.
+
+    Rounding bends a short v. The line or plane that it is across is known much better.
+
+    Args:
+        room: Scratch; its first rows are the points.
+        count: Number of points, at most 3.
+        v: The nearest point, m.
+
+    Returns:
+        The direction, of any length.
+    """
+    if count == 1:
+        return v
+    base = row_point(room, 0, 0)
+    one = minus(row_point(room, 1, 0), base)
+    if count == 2:
+        return plus(v, -dot(v, one) / dot(one, one), one)
+    # Two sides from the corner opposite the longest one span the plane best
+    two = minus(row_point(room, 2, 0), base)
+    third = minus(two, one)
+    long_one = dot(one, one)
+    long_two = dot(two, two)
+    if dot(third, third) < max(long_one, long_two):
+        one = third if long_one > long_two else one
+        two = two if long_one > long_two else third
+    across = cross(one, two)
+    if dot(across, v) < 0.0:
+        return -across[0], -across[1], -across[2]
+    return across
 
 
 @func
@@ -190,9 +238,11 @@ def gap(
     for _ in range(MOST_STEPS):
         if square <= TOUCH_CORE * TOUCH_CORE:
             break
-        w = put_difference(table, a, turn_a, b, turn_b, offset, v, room, count)
+        d = _facing(room, count, v)
+        size = math.sqrt(dot(d, d))
+        w = put_difference(table, a, turn_a, b, turn_b, offset, d, room, count)
         # The plane through w bounds the distance from below
-        if square - dot(v, w) <= DUALITY_GAP * math.sqrt(square):
+        if dot(d, v) - dot(d, w) <= DUALITY_GAP * size or _is_there(room, count, w):
             break
         room[count, WEIGHT] = 0.0
         count = _nearest(room, count + 1)
@@ -204,12 +254,24 @@ def gap(
     swell_a = swell(table, a)
     swell_b = swell(table, b)
     distance = math.sqrt(square)
-    if distance > TOUCH_CORE:
-        normal = (v[0] / distance, v[1] / distance, v[2] / distance)
-        on_a = _weighted(room, count, 3)
-        on_b = _weighted(room, count, 6)
+    on_a = _weighted(room, count, 3)
+    on_b = _weighted(room, count, 6)
+    if distance > TOUCH_CORE and count < 4:
+        normal = _facing(room, count, v)
+        size = math.sqrt(dot(normal, normal))
+        normal = (normal[0] / size, normal[1] / size, normal[2] / size)
     else:
-        distance, normal, on_a, on_b = overlap(table, a, turn_a, b, turn_b, offset, count, room)
+        found = overlap(table, a, turn_a, b, turn_b, offset, count, room)
+        distance = found[0]
+        normal = found[1]
+        # Where shapes touch, the points of GJK are the better ones
+        if abs(distance) > TOUCH_CORE:
+            on_a = found[2]
+            on_b = found[3]
+        # Move both points, half way each, to lie the distance apart along the normal
+        error = plus(minus(minus(on_a, on_b), offset), -distance, normal)
+        on_a = plus(on_a, -0.5, error)
+        on_b = plus(on_b, 0.5, error)
     # Spheres are their centres so far
     on_a = plus(on_a, -swell_a, normal)
     on_b = plus(on_b, swell_b, normal)

@@ -1,9 +1,16 @@
 """The wrench on one drone (force and torque) that every six-degree-of-freedom dynamics shares."""
 
-from bulletuav.geometry.rotation import Quat4Like, Vec3, Vec3Like, axes, minus
+import math
+
+from bulletuav.geometry.rotation import Quat4Like, Vec3, Vec3Like, axes, dot, minus
 from bulletuav.kernel import func
 from bulletuav.vehicle.aerodynamics import ground_effect, rotor_drag
 from bulletuav.vehicle.parameters import ParameterRow
+
+SMALL_TURN = 0.5
+"""Angle by which a body may turn in one step of RK4, rad"""
+MOST_PARTS = 64
+"""Most parts of a step"""
 
 
 @func
@@ -66,3 +73,17 @@ def body_acceleration(rates: Vec3Like, torque: Vec3Like, row: ParameterRow) -> V
         (torque[1] - (jx - jz) * rates[2] * rates[0]) * (1.0 / jy),
         (torque[2] - (jy - jx) * rates[0] * rates[1]) * (1.0 / jz),
     )
+
+
+@func
+def spin_parts(rates: Vec3Like, dt: float) -> int:
+    """Return into how many parts a step is cut so that RK4 follows the precession, 1 to MOST_PARTS.
+
+    Args:
+        rates: Angular velocity, body axes, rad/s.
+        dt: Duration of the step, s.
+    """
+    angle = math.sqrt(dot(rates, rates)) * dt
+    if angle <= SMALL_TURN:
+        return 1
+    return int(min(MOST_PARTS, math.ceil(angle / SMALL_TURN)))

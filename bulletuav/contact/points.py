@@ -1,0 +1,338 @@
+"""Points of contact: who hangs together at a touch, where, and where they will be next."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from bulletuav.contact.impulses import eased, prepare, set_ease, slip
+from bulletuav.contact.motion import (
+    MOTION,
+    advance_to,
+    along,
+    change_rates,
+    pose_at,
+    put_vector,
+    quaternion_of,
+    vector,
+)
+from bulletuav.contact.touch import TOUCH, gap_at, separation_along
+from bulletuav.geometry.contact_points import MOST_POINTS, contact_points
+from bulletuav.geometry.gjk import make_room
+from bulletuav.geometry.rotation import Vec3, axes, dot, minus, to_body, to_world
+from bulletuav.geometry.scenery import Scenery
+from bulletuav.geometry.shapes import CYLINDER, HALF_SPACE, SPHERE
+from bulletuav.kernel import func, kernel
+from bulletuav.vehicle.airframe import STANDARD_GRAVITY
+from bulletuav.vehicle.swarm import Swarm
+
+IN_TOUCH = 1.01 * TOUCH
+"""Distance up to which points are in touch, m"""
+MIDDLE = 0.5 * TOUCH
+"""Distance that a touch leaves, m"""
+NEARBY = 5 * TOUCH
+"""Points of a pair in touch that are farther apart play no part, m"""
+SLIP = 2e-6
+"""How much closer shapes may come that are too close already, m"""
+TRUSTED = 5e-4
+"""Depth of an overlap up to which its direction is that of the contact, m"""
+ROLLING = 0.25
+"""Resistance of cylinders and spheres to rolling about their axis, as share of their radius.
+
+They stand for airframes with arms and rotors, which do not roll like wheels.
+"""
+TIPPING = 0.25
+"""Damping of tipping, as share of the radius, at a spin of sqrt(g / radius).
+
+A rigid disc would wobble on for long; what it stands for gives way.
+"""
+
+
+class Workspace(NamedTuple):
+    """Arrays that a substep of one world works on.
+
+    Attributes:
+        motions: (N,) rows of `MOTION`, how the drones move.
+        island: (N,) drones that are solved together.
+        room: Scratch of `gap`.
+        found: Scratch of `contact_points`.
+    """
+
+    motions: np.ndarray
+    island: np.ndarray
+    room: np.ndarray
+    found: np.ndarray
+
+
+def make_workspace(num_drones: int) -> Workspace:
+    """Make room for the substep of a world of N drones."""
+    return Workspace(
+        motions=np.zeros(num_drones, dtype=MOTION),
+        island=np.zeros(num_drones, dtype=np.int64),
+        room=make_room(),
+        found=np.zeros((MOST_POINTS, 4)),
+    )
+
+
+class World(NamedTuple):
+    """One world in a substep.
+
+    Attributes:
+        w: Its index.
+        dt: Length of the substep, s.
+        speed: How far the fastest obstacle gets in the substep, m.
+        friction: Coefficient of friction of the ground and of buildings.
+        restitution: Their coefficient of restitution.
+        scenery: What stands.
+        start: State of all drones at the beginning.
+        alive: (W, N) bool, drones that can be touched.
+        asleep: (W, N) bool, those that rest until something touches them.
+        parameters: (W, N) rows of `PARAMETERS`.
+    """
+
+    w: int
+    dt: float
+    speed: float
+    friction: float
+    restitution: float
+    scenery: Scenery
+    start: Swarm
+    alive: np.ndarray
+    asleep: np.ndarray
+    parameters: np.ndarray
+
+
+@func
+def join(space: Workspace, world: World, members: int, i: int, time: float) -> int:
+    """Bring a drone to the time of an impact, as one of its island; returns how many there are."""
+    if i >= world.scenery.first_body or space.motions[i].member:
+        return members
+    motion = space.motions[i]
+    row = world.parameters[world.w, i]
+    motion.member = True
+    space.island[members] = i
+    advance_to(motion, time, row)
+    set_ease(motion, row)
+    return members + 1
+
+
+@func
+def touching(pair: np.record, time: float) -> bool:
+    """Tell whether a pair may be in touch at a time."""
+    found: bool = pair.held or pair.time <= time
+    return found
+
+
+@func
+def measure(
+    space: Workspace, world: World, pair: np.record, time: float
+) -> tuple[float, Vec3, Vec3, Vec3]:
+    """Measure a pair at a time, see `bulletuav.geometry.gjk.gap`; keeps the direction."""
+    guess = vector(pair.normal)
+    distance, normal, on_a, on_b = gap_at(
+        world.scenery, space.motions, world.w, pair.a, pair.b, time, world.dt, guess, space.room
+    )
+    put_vector(pair.normal, normal)
+    return distance, normal, on_a, on_b
+
+
+@func
+def gather(
+    space: Workspace, world: World, pairs: np.ndarray, count: int, first: int, time: float
+) -> int:
+    """Find all drones that hang together with a pair at the time of its touch.
+
+    Returns their number; they are in `space.island`.
+    """
+    members = join(space, world, 0, pairs[first].a, time)
+    members = join(space, world, members, pairs[first].b, time)
+    motions = space.motions
+    grown = True
+    while grown:
+        grown = False
+        for p in range(count):
+            pair = pairs[p]
+            if pair.b >= world.scenery.first_body or not touching(pair, time):
+                continue
+            if motions[pair.a].member == motions[pair.b].member:
+                continue
+            distance, _, _, _ = measure(space, world, pair, time)
+            if distance <= IN_TOUCH:
+                members = join(space, world, members, pair.a, time)
+                members = join(space, world, members, pair.b, time)
+                grown = True
+    return members
+
+
+@func
+def _surface(world: World, who: int) -> tuple[float, float]:
+    """Return the coefficients of friction and restitution of someone."""
+    scenery = world.scenery
+    if who < scenery.first_body:
+        row = world.parameters[world.w, who]
+        return row.friction, row.restitution
+    if who < scenery.first_piece:
+        k = who - scenery.first_body
+        return scenery.friction[k], scenery.restitution[k]
+    return world.friction, world.restitution
+
+
+@func
+def _set_rolling(space: Workspace, world: World, point: np.record, side: int, who: int) -> None:
+    """Set about which axis one side of a point resists rolling, and how much."""
+    point.resist[side] = 0.0
+    if who >= world.scenery.first_body:
+        return
+    kind = world.scenery.table.kind[who]
+    motion = space.motions[who]
+    axis = axes(quaternion_of(motion))[2]
+    if kind == SPHERE:
+        spin = vector(motion.spin)
+        size = math.sqrt(dot(spin, spin))
+        if size > 0.0:
+            axis = (spin[0] / size, spin[1] / size, spin[2] / size)
+    if kind in (SPHERE, CYLINDER):
+        yields = dot(axis, eased(motion, axis))
+        if point.b >= 0:
+            other = point.b if who == point.a else point.a
+            yields += dot(axis, eased(space.motions[other], axis))
+        put_vector(point.axis[side], axis)
+        point.stiff[side] = 1.0 / yields
+        point.resist[side] = ROLLING * world.scenery.table.half[who, 0]
+
+
+@func
+def _fill(space: Workspace, world: World, point: np.record, a: int, b: int) -> None:
+    """Fill in whose a point of contact is, its surfaces and masses; normal and arms are there."""
+    point.a = a
+    point.b = b if b < world.scenery.first_body else -1
+    for k in range(3):
+        point.drift[k] = 0.0
+    if point.b < 0:
+        move, _ = change_rates(world.scenery, space.motions, world.w, b, world.dt)
+        for k in range(3):
+            point.drift[k] = move[k] / world.dt
+    # Of two surfaces the geometric mean counts
+    rough, lively = _surface(world, a)
+    rough_b, lively_b = _surface(world, b)
+    point.friction = math.sqrt(rough * rough_b)
+    point.restitution = math.sqrt(lively * lively_b)
+    prepare(point, space.motions)
+    radius = world.scenery.table.radius[a]
+    point.damping = TIPPING * radius * math.sqrt(radius / STANDARD_GRAVITY)
+    _set_rolling(space, world, point, 0, a)
+    _set_rolling(space, world, point, 1, b)
+
+
+@kernel
+def add_points(
+    space: Workspace,
+    world: World,
+    pair: np.record,
+    time: float,
+    points: np.ndarray,
+    size: int,
+) -> int:
+    """Add the points of contact of a pair in touch; returns how many there are now."""
+    a = pair.a
+    b = pair.b
+    scenery = world.scenery
+    distance, normal, on_a, on_b = measure(space, world, pair, time)
+    if distance > IN_TOUCH:
+        return size
+    # From now on it counts as a touch anew only when it gets closer than now
+    pair.held = True
+    pair.floor = 0.25 * min(distance, TOUCH) if distance > 1e-6 else distance - SLIP
+    position_a, quaternion_a = pose_at(scenery, space.motions, world.w, a, time, world.dt)
+    position_b, quaternion_b = pose_at(scenery, space.motions, world.w, b, time, world.dt)
+    offset = minus(position_b, position_a)
+    found = contact_points(
+        scenery.table,
+        a,
+        axes(quaternion_a),
+        b,
+        axes(quaternion_b),
+        offset,
+        normal,
+        on_a,
+        on_b,
+        NEARBY,
+        space.found,
+        space.room,
+    )
+    for m in range(found):
+        point = points[size + m]
+        for k in range(3):
+            point.normal[k] = normal[k]
+            point.arm_a[k] = space.found[m, k]
+            point.arm_b[k] = space.found[m, k] - offset[k]
+        _fill(space, world, point, a, b)
+        point.distance = space.found[m, 3]
+        point.approach = dot(slip(point, space.motions), normal)
+    return size + found
+
+
+@func
+def _as_now(
+    scenery: Scenery, motions: np.ndarray, w: int, who: int, time: float, dt: float, arm: Vec3
+) -> Vec3:
+    """Return where a point of someone is now that is at `arm` at the end of the substep, m."""
+    position, before = pose_at(scenery, motions, w, who, time, dt)
+    _, after = pose_at(scenery, motions, w, who, 1.0, dt)
+    return along(position, 1.0, to_world(before, to_body(after, arm)))
+
+
+@kernel
+def foresee(
+    space: Workspace,
+    world: World,
+    pair: np.record,
+    time: float,
+    points: np.ndarray,
+    size: int,
+) -> int:
+    """Add the point at which a pair would be too close at the end of the substep, if there is one.
+
+    Velocities are those at the end, and `aim` was called. Of a pair that turns, other points than
+    those of now may come together: without them it would sink, and take many impacts to stop.
+
+    Returns:
+        The number of points.
+    """
+    a = pair.a
+    b = pair.b
+    scenery = world.scenery
+    motions = space.motions
+    w = world.w
+    dt = world.dt
+    normal = vector(pair.normal)
+    now, _, _ = separation_along(scenery, motions, w, a, b, time, dt, normal)
+    later, on_a, on_b = separation_along(scenery, motions, w, a, b, 1.0, dt, normal)
+    wanted = min(now, MIDDLE)
+    enough = 0.5 * wanted if wanted > 0.0 else wanted - SLIP
+    if later >= enough:
+        return size
+    if scenery.table.kind[b] != HALF_SPACE:
+        # They may pass each other, for example over an edge
+        later, new, on_a, on_b = gap_at(scenery, motions, w, a, b, 1.0, dt, normal, space.room)
+        if later >= enough:
+            return size
+        # The direction of a deep overlap misleads: keep that of the touch
+        if later > -TRUSTED:
+            normal = new
+    place = _as_now(scenery, motions, w, a, time, dt, on_a)
+    position_b, _ = pose_at(scenery, motions, w, b, time, dt)
+    if b < scenery.first_body:
+        other = _as_now(scenery, motions, w, b, time, dt, on_b)
+        place = along(place, 0.5, minus(other, place))
+    point = points[size]
+    for k in range(3):
+        point.normal[k] = normal[k]
+        point.arm_a[k] = place[k] - motions[a].position[k]
+        point.arm_b[k] = place[k] - position_b[k]
+    _fill(space, world, point, a, b)
+    closing = dot(slip(point, motions), normal)
+    point.distance = now
+    point.approach = 0.0
+    point.least = closing + (wanted - later) / ((1.0 - time) * dt)
+    return size + 1
