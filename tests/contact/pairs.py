@@ -37,7 +37,7 @@ class Meetings(NamedTuple):
             "told": ~self.told,
             "linear": self.linear > 1e-12,
             "angular": self.angular > 1e-3,
-            "energy": self.gained > 1e-9,
+            "energy": self.gained > 1e-5,
             "stuck": self.stuck,
             "depth": self.depth > DEEPEST,
         }

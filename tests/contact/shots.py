@@ -68,7 +68,7 @@ class Shots(NamedTuple):
             "not told": self.hits & ~self.told,
             "false": (self.misses & self.told) | self.strange,
             "depth": self.depth > DEEPEST,
-            "energy": self.gained > 1e-9,
+            "energy": self.gained > 1e-5,
         }
         return {name: np.flatnonzero(where) for name, where in found.items() if where.any()}
 
