@@ -33,8 +33,6 @@ DEEPEST = 5e-4
 """Greatest overlap, m"""
 MOST_STEPS = 3000
 """Steps of conservative advancement"""
-WILD = 0.5
-"""Turn in a substep from which on a drone that touched is no longer followed, rad"""
 
 
 class Shots(NamedTuple):
@@ -260,7 +258,6 @@ class Range:
         still = not rig.drift.any()
         full = rig.energy()[:, 0]
         energy = full
-        rig.alive[:] = True
         for _ in range(SEEN):
             before = inverse.apply(rig.swarm.position[:, 0] - rig.obstacle[:, k])
             contacts = rig.fly()
@@ -272,8 +269,6 @@ class Range:
             now = rig.energy()[:, 0]
             gained = np.maximum(gained, still * (now - energy) / full)
             energy = now
-            wild = np.linalg.norm(rig.swarm.rates[:, 0], axis=1) * rig.dt > WILD
-            rig.alive[told & wild] = False
         return Shots(fast, hits, misses, told, strange, beyond, depth, gained)
 
 
