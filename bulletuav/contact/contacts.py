@@ -1,73 +1,16 @@
 """Contacts of all worlds: what compiled dynamics call in every substep, and what is told after."""
 
-from typing import NamedTuple
+import math
 
 import numpy as np
 
 from bulletuav.contact.impact import tell_pair
-from bulletuav.contact.pairs import box_distance
-from bulletuav.contact.points import Workspace, World, make_workspace
+from bulletuav.contact.points import World
 from bulletuav.contact.resolve import find_pairs, in_order, resolve
-from bulletuav.contact.touches import Touches, make_touches
-from bulletuav.geometry.rotation import Vec3, dot, minus, vec3
+from bulletuav.contact.rest import Contact, settle, wake_for_obstacles, wake_for_others
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.kernel import func, kernel
 from bulletuav.vehicle.swarm import CITY, GROUND, Contacts, Motion, Swarm
-
-NEARBY = 0.01
-"""Distance between bounding spheres within which sleepers wake each other, m"""
-SAME_LOAD = 0.02
-"""Change of acceleration that wakes a sleeper, m/s^2"""
-SLOWEST = 5e-3
-"""Speed below which a drone is at rest, m/s"""
-SLOWEST_SPIN = 0.05
-"""Spin below which a drone is at rest, rad/s"""
-LONG = 0.25
-"""How long a drone is at rest before it falls asleep, s"""
-
-
-class Contact(NamedTuple):
-    """What contacts of W worlds of N drones need, for compiled code.
-
-    Attributes:
-        scenery: What stands, and all shapes.
-        space: Arrays to work on.
-        start: State at the beginning of the present substep.
-        budget: (W, N) how far each drone may move before it must be looked at, m.
-        friction: Coefficient of friction of the ground and of buildings.
-        restitution: Their coefficient of restitution.
-        stops: Whether drones stop where they touch, instead of being pushed.
-        sleeps: Whether drones that rest are left alone until something changes.
-        asleep: (W, N) bool, drones that are.
-        quiet: (W, N) how long each drone has been at rest, s.
-        load: (W, N, 6) accelerations of sleepers without contacts, m/s^2 and rad/s^2; NaN at first.
-        slept: What each sleeper touched in the decision in which it fell asleep.
-        flew: (W, N) bool, drones that flew the last decision.
-        stopped: (W, N) bool, drones that stopped in this decision.
-        changed: (W, N) bool, drones whose state the last substep changed.
-        touches: What was touched in this decision.
-        before: (W, K, 3) positions of the task's obstacles at the beginning of the decision, m.
-        after: (W, K, 3) the same at its end.
-    """
-
-    scenery: Scenery
-    space: Workspace
-    start: Swarm
-    budget: np.ndarray
-    friction: float
-    restitution: float
-    stops: bool
-    sleeps: bool
-    asleep: np.ndarray
-    quiet: np.ndarray
-    load: np.ndarray
-    slept: Touches
-    flew: np.ndarray
-    stopped: np.ndarray
-    changed: np.ndarray
-    touches: Touches
-    before: np.ndarray
-    after: np.ndarray
 
 
 @func
@@ -105,142 +48,7 @@ def _move_obstacles(contact: Contact, w: int, begin: float, period: float) -> fl
             contact.scenery.velocity[w, k, m] = change / period
             square += (change / period) ** 2
         fastest = max(fastest, square)
-    return np.sqrt(fastest)
-
-
-@func
-def wake(contact: Contact, w: int, i: int) -> None:
-    """Wake a drone, if it sleeps, and all who sleep in a heap with it."""
-    space = contact.space
-    asleep = contact.asleep
-    if not asleep[w, i]:
-        return
-    # All that were woken, in `island`, wake those who are near them
-    count = 1
-    done = 0
-    space.island[0] = i
-    asleep[w, i] = False
-    radius = contact.scenery.table.radius
-    while done < count:
-        k = space.island[done]
-        done += 1
-        contact.quiet[w, k] = 0.0
-        contact.budget[w, k] = -1.0
-        for j in range(asleep.shape[1]):
-            if asleep[w, j]:
-                gap = minus(vec3(contact.start.position, w, k), vec3(contact.start.position, w, j))
-                within = radius[k] + radius[j] + NEARBY
-                if dot(gap, gap) < within * within:
-                    asleep[w, j] = False
-                    space.island[count] = j
-                    count += 1
-
-
-@func
-def _wake_for_others(contact: Contact, alive: np.ndarray, w: int) -> None:
-    """Wake the sleepers of a world in which a drone has come or gone."""
-    same = True
-    for i in range(alive.shape[1]):
-        same = same and contact.flew[w, i] == alive[w, i]
-        contact.flew[w, i] = alive[w, i]
-    if not same:
-        for i in range(alive.shape[1]):
-            wake(contact, w, i)
-
-
-@func
-def _wake_for_obstacles(contact: Contact, world: World) -> None:
-    """Wake the sleepers that an obstacle which moves comes near to."""
-    w = world.w
-    scenery = contact.scenery
-    for i in range(world.alive.shape[1]):
-        if not contact.asleep[w, i]:
-            continue
-        here = vec3(contact.start.position, w, i)
-        near = scenery.table.radius[i] + 2.0 * world.speed + NEARBY
-        for k in range(contact.before.shape[1]):
-            drift = vec3(scenery.velocity, w, k)
-            if dot(drift, drift) > 0.0 and box_distance(scenery, w, k, here) < near:
-                wake(contact, w, i)
-
-
-@func
-def bears(contact: Contact, w: int, i: int, acceleration: Vec3, spinning: Vec3) -> bool:
-    """Tell whether a sleeper's forces are still those with which it fell asleep.
-
-    Args:
-        contact: Its load is set at the first call.
-        w: The world.
-        i: The drone.
-        acceleration: By forces without contacts, m/s^2.
-        spinning: Change of its rates by torques, rad/s^2.
-    """
-    load = contact.load[w, i]
-    if np.isnan(load[0]):
-        for k in range(3):
-            load[k] = acceleration[k]
-            load[3 + k] = spinning[k]
-        return True
-    reach = contact.scenery.table.radius[i]
-    for k in range(3):
-        if abs(load[k] - acceleration[k]) > SAME_LOAD:
-            return False
-        if reach * abs(load[3 + k] - spinning[k]) > SAME_LOAD:
-            return False
-    return True
-
-
-@func
-def _is_slow(velocity: Vec3, rates: Vec3) -> bool:
-    """Tell whether a drone is as good as at rest."""
-    slow: bool = dot(velocity, velocity) < SLOWEST**2 and dot(rates, rates) < SLOWEST_SPIN**2
-    return slow
-
-
-@func
-def _settle(contact: Contact, world: World, swarm: Swarm, last: bool) -> None:
-    """Let drones that have been at rest for long fall asleep, and sleepers that were hit wake.
-
-    Args:
-        contact: Of all worlds.
-        world: The world.
-        swarm: State at the end of the substep; sleepers stay where they are.
-        last: Whether it is the decision's last substep: only then a drone falls asleep, so that
-            what it touched is told of a whole decision.
-    """
-    w = world.w
-    for i in range(world.alive.shape[1]):
-        changed = contact.changed[w, i]
-        slow = _is_slow(vec3(swarm.velocity, w, i), vec3(swarm.rates, w, i))
-        if contact.asleep[w, i]:
-            if changed and slow:
-                _put_back(contact, swarm, w, i)
-            elif changed:
-                wake(contact, w, i)
-            continue
-        if not (changed and slow):
-            contact.quiet[w, i] = 0.0
-            continue
-        contact.quiet[w, i] += world.dt
-        if last and contact.quiet[w, i] >= LONG:
-            contact.asleep[w, i] = True
-            contact.load[w, i, 0] = np.nan
-            contact.slept.count[w, i] = contact.touches.count[w, i]
-            contact.slept.impulse[w, i] = contact.touches.impulse[w, i]
-            for k in range(3):
-                swarm.velocity[w, i, k] = 0.0
-                swarm.rates[w, i, k] = 0.0
-
-
-@func
-def _put_back(contact: Contact, swarm: Swarm, w: int, i: int) -> None:
-    """Put a drone back to where it was at the beginning of the substep, at rest."""
-    for k in range(3):
-        swarm.position[w, i, k] = contact.start.position[w, i, k]
-        swarm.velocity[w, i, k] = 0.0
-        swarm.rates[w, i, k] = 0.0
-    for k in range(4):
-        swarm.quaternion[w, i, k] = contact.start.quaternion[w, i, k]
+    return math.sqrt(fastest)
 
 
 @kernel
@@ -272,7 +80,7 @@ def meet(
     for i in range(alive.shape[1]):
         contact.changed[w, i] = False
     if contact.sleeps and piece == 0:
-        _wake_for_others(contact, alive, w)
+        wake_for_others(contact, alive, w)
     speed = dt * _move_obstacles(contact, w, piece / pieces, pieces * dt)
     world = World(
         w,
@@ -287,7 +95,7 @@ def meet(
         parameters,
     )
     if contact.sleeps and speed > 0.0:
-        _wake_for_obstacles(contact, world)
+        wake_for_obstacles(contact, world)
     eventful = resolve(
         contact.space,
         world,
@@ -299,7 +107,7 @@ def meet(
         contact.touches,
     )
     if contact.sleeps:
-        _settle(contact, world, swarm, piece + 1 == pieces)
+        settle(contact, world, swarm, piece + 1 == pieces)
     return eventful
 
 
@@ -327,48 +135,6 @@ def remember_all(contact: Contact, swarm: Swarm) -> None:
         remember(contact, swarm, w)
 
 
-def make_contact(
-    scenery: Scenery,
-    shape: tuple[int, int],
-    stops: bool,
-    sleeps: bool,
-    friction: float,
-    restitution: float,
-) -> Contact:
-    """Make what contacts of W worlds of N drones need.
-
-    Args:
-        scenery: What stands, and all shapes.
-        shape: (W, N).
-        stops: Whether drones stop where they touch, instead of being pushed.
-        sleeps: Whether drones that rest are left alone until something changes; the dynamics asks
-            `bears` of them.
-        friction: Coefficient of friction of the ground and of buildings.
-        restitution: Their coefficient of restitution.
-    """
-    nowhere = np.zeros((shape[0], 0, 3))
-    return Contact(
-        scenery=scenery,
-        space=make_workspace(shape[1]),
-        start=Swarm.zeros(*shape, 0),
-        budget=np.full(shape, -1.0),
-        friction=friction,
-        restitution=restitution,
-        stops=stops,
-        sleeps=sleeps and not stops,
-        asleep=np.zeros(shape, dtype=bool),
-        quiet=np.zeros(shape),
-        load=np.full((*shape, 6), np.nan),
-        slept=make_touches(*shape),
-        flew=np.zeros(shape, dtype=bool),
-        stopped=np.zeros(shape, dtype=bool),
-        changed=np.zeros(shape, dtype=bool),
-        touches=make_touches(*shape),
-        before=nowhere,
-        after=nowhere,
-    )
-
-
 def start(contact: Contact, mask: np.ndarray) -> None:
     """Forget what was before of drones that are put somewhere else.
 
@@ -393,11 +159,11 @@ def begin_decision(contact: Contact, scenery: Scenery, motion: Motion) -> Contac
         The same arrays, for this decision.
     """
     touches = contact.touches
-    touches.count[~contact.asleep] = 0
+    touches.number[~contact.asleep] = 0
     if contact.asleep.any():
         # Sleepers touch what they touched before, as long as they sleep
         kept = contact.asleep
-        touches.count[kept] = contact.slept.count[kept]
+        touches.number[kept] = contact.slept.number[kept]
         touches.impulse[kept] = contact.slept.impulse[kept]
     contact.stopped[:] = False
     # Obstacles that were moved since, or are new, may be near at once
@@ -414,10 +180,10 @@ def begin_decision(contact: Contact, scenery: Scenery, motion: Motion) -> Contac
 def told(contact: Contact) -> Contacts:
     """Tell what was touched in a decision, sorted by world, drone and other."""
     touches = contact.touches
-    if not touches.count.any():
+    if not touches.number.any():
         return Contacts.none()
     scenery = contact.scenery
-    used = np.arange(touches.other.shape[-1]) < touches.count[..., None]
+    used = np.arange(touches.other.shape[-1]) < touches.number[..., None]
     world, drone, _ = np.nonzero(used)
     number = touches.other[used]
     # Numbers of shapes as `Contacts` calls who they belong to
@@ -478,7 +244,7 @@ def overlaps(
     Returns:
         The contacts of `moved` drones with others and what stands, without impulse.
     """
-    contact.touches.count[:] = 0
+    contact.touches.number[:] = 0
     _note_overlaps(contact, swarm, moved, alive, parameters)
     contact.budget[moved] = -1.0
     return told(contact)

@@ -266,10 +266,16 @@ def push_apart(
     for k in range(size):
         other = pairs[owner[k]].b
         _tell_point(touches, space, world.w, points[k], other, vector(slips[k]))
+    # Who stays goes along with an obstacle that moves
+    drift = (0.0, 0.0, 0.0)
+    for k in range(size):
+        if points[k].b < 0:
+            drift = vector(points[k].drift)
     for m in range(members):
         motion = motions[space.island[m]]
         if motion.impacts >= MOST_IMPACTS:
             stay(motion)
+            put_vector(motion.move, along((0.0, 0.0, 0.0), (1.0 - time) * world.dt, drift))
     return members
 
 

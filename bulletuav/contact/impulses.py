@@ -65,7 +65,7 @@ Attributes:
     total: The same in all passes, N s.
 """
 
-FIRM = 1e-10
+FIRM = 1e-9
 """Change of velocity below which a sweep changes nothing, as share of the greatest one or 1 m/s"""
 SWEEPS = 100
 """Most sweeps over the points of a small island"""
@@ -376,7 +376,7 @@ def energy(
     bx, by, bz = axes(quaternion_of(motion))
     turning = vector(spin)
     moving = minus(vector(velocity), frame)
-    total = 0.5 * row.mass * dot(moving, moving)
+    total: float = 0.5 * row.mass * dot(moving, moving)
     total += 0.5 * row.inertia[0] * dot(bx, turning) ** 2
     total += 0.5 * row.inertia[1] * dot(by, turning) ** 2
     total += 0.5 * row.inertia[2] * dot(bz, turning) ** 2

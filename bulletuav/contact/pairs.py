@@ -195,7 +195,8 @@ def sweeps_apart(
                 before[2] + other[2] - move[2],
             )
             within = margin + table.radius[b]
-            return closest_squared(before, after)[1] > within * within
+            apart: bool = closest_squared(before, after)[1] > within * within
+            return apart
         margin += table.radius[b]
         for k in range(3):
             low = max(min(here[k], here[k] + move[k]), min(there[k], there[k] + other[k]))
@@ -204,7 +205,8 @@ def sweeps_apart(
                 return True
         return False
     if b == scenery.ground:
-        return min(here[2], here[2] + move[2]) > margin
+        high_up: bool = min(here[2], here[2] + move[2]) > margin
+        return high_up
     if b < scenery.first_piece:
         k = b - scenery.first_body
         where = vec3(scenery.place, w, k)

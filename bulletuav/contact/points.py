@@ -37,7 +37,7 @@ SLIP = 2e-6
 TRUSTED = 5e-4
 """Depth of an overlap up to which its direction is that of the contact, m"""
 ROLLING = 0.25
-"""Resistance of cylinders and spheres to rolling about their axis, as share of their radius.
+"""Resistance of cylinders and spheres to rolling about their z axis, as share of their radius.
 
 They stand for airframes with arms and rotors, which do not roll like wheels.
 """
@@ -165,7 +165,7 @@ def gather(
 
 
 @func
-def _surface(world: World, who: int) -> tuple[float, float]:
+def _coefficients(world: World, who: int) -> tuple[float, float]:
     """Return the coefficients of friction and restitution of someone."""
     scenery = world.scenery
     if who < scenery.first_body:
@@ -177,51 +177,77 @@ def _surface(world: World, who: int) -> tuple[float, float]:
     return world.friction, world.restitution
 
 
-@func
-def _set_rolling(space: Workspace, world: World, point: np.record, side: int, who: int) -> None:
-    """Set about which axis one side of a point resists rolling, and how much."""
-    point.resist[side] = 0.0
-    if who >= world.scenery.first_body:
-        return
-    kind = world.scenery.table.kind[who]
-    motion = space.motions[who]
-    axis = axes(quaternion_of(motion))[2]
-    if kind == SPHERE:
-        spin = vector(motion.spin)
-        size = math.sqrt(dot(spin, spin))
-        if size > 0.0:
-            axis = (spin[0] / size, spin[1] / size, spin[2] / size)
-    if kind in (SPHERE, CYLINDER):
-        yields = dot(axis, eased(motion, axis))
-        if point.b >= 0:
-            other = point.b if who == point.a else point.a
-            yields += dot(axis, eased(space.motions[other], axis))
-        put_vector(point.axis[side], axis)
-        point.stiff[side] = 1.0 / yields
-        point.resist[side] = ROLLING * world.scenery.table.half[who, 0]
+Surface = tuple[int, int, Vec3, float, float, float, float, float]
+"""Of a pair: a, b or -1, drift of b, friction, restitution, damping, rolling resistance of both."""
 
 
 @func
-def _fill(space: Workspace, world: World, point: np.record, a: int, b: int) -> None:
-    """Fill in whose a point of contact is, its surfaces and masses; normal and arms are there."""
-    point.a = a
-    point.b = b if b < world.scenery.first_body else -1
-    for k in range(3):
-        point.drift[k] = 0.0
-    if point.b < 0:
-        move, _ = change_rates(world.scenery, space.motions, world.w, b, world.dt)
-        for k in range(3):
-            point.drift[k] = move[k] / world.dt
+def _rolls(kind: int) -> bool:
+    """Tell whether a shape resists rolling about its axis."""
+    return kind in (SPHERE, CYLINDER)
+
+
+@func
+def _surface_of(space: Workspace, world: World, a: int, b: int) -> Surface:
+    """Collect what all points of a pair have in common."""
+    scenery = world.scenery
+    table = scenery.table
+    drift = (0.0, 0.0, 0.0)
+    other = -1
+    resist_b = 0.0
+    if b < scenery.first_body:
+        other = b
+        resist_b = ROLLING * table.half[b, 0] if _rolls(table.kind[b]) else 0.0
+    else:
+        move, _ = change_rates(scenery, space.motions, world.w, b, world.dt)
+        drift = (move[0] / world.dt, move[1] / world.dt, move[2] / world.dt)
+    resist_a = ROLLING * table.half[a, 0] if _rolls(table.kind[a]) else 0.0
     # Of two surfaces the geometric mean counts
-    rough, lively = _surface(world, a)
-    rough_b, lively_b = _surface(world, b)
-    point.friction = math.sqrt(rough * rough_b)
-    point.restitution = math.sqrt(lively * lively_b)
-    prepare(point, space.motions)
-    radius = world.scenery.table.radius[a]
-    point.damping = TIPPING * radius * math.sqrt(radius / STANDARD_GRAVITY)
-    _set_rolling(space, world, point, 0, a)
-    _set_rolling(space, world, point, 1, b)
+    rough, lively = _coefficients(world, a)
+    rough_b, lively_b = _coefficients(world, b)
+    radius = table.radius[a]
+    return (
+        a,
+        other,
+        drift,
+        math.sqrt(rough * rough_b),
+        math.sqrt(lively * lively_b),
+        TIPPING * radius * math.sqrt(radius / STANDARD_GRAVITY),
+        resist_a,
+        resist_b,
+    )
+
+
+@func
+def _set_rolling(motions: np.ndarray, point: np.record, side: int, who: int) -> None:
+    """Set about which axis one side of a point resists rolling: z of its body."""
+    motion = motions[who]
+    axis = axes(quaternion_of(motion))[2]
+    yields = dot(axis, eased(motion, axis))
+    if point.b >= 0:
+        other = point.b if who == point.a else point.a
+        yields += dot(axis, eased(motions[other], axis))
+    put_vector(point.axis[side], axis)
+    point.stiff[side] = 1.0 / yields
+
+
+@func
+def _fill(motions: np.ndarray, point: np.record, surface: Surface) -> None:
+    """Fill in whose a point of contact is, its surfaces and masses; normal and arms are there."""
+    a, b, drift, friction, restitution, damping, resist_a, resist_b = surface
+    point.a = a
+    point.b = b
+    put_vector(point.drift, drift)
+    point.friction = friction
+    point.restitution = restitution
+    point.damping = damping
+    point.resist[0] = resist_a
+    point.resist[1] = resist_b
+    prepare(point, motions)
+    if resist_a > 0.0:
+        _set_rolling(motions, point, 0, a)
+    if resist_b > 0.0:
+        _set_rolling(motions, point, 1, b)
 
 
 @kernel
@@ -260,15 +286,17 @@ def add_points(
         space.found,
         space.room,
     )
+    surface = _surface_of(space, world, a, b)
+    motions = space.motions
     for m in range(found):
         point = points[size + m]
         for k in range(3):
             point.normal[k] = normal[k]
             point.arm_a[k] = space.found[m, k]
             point.arm_b[k] = space.found[m, k] - offset[k]
-        _fill(space, world, point, a, b)
+        _fill(motions, point, surface)
         point.distance = space.found[m, 3]
-        point.approach = dot(slip(point, space.motions), normal)
+        point.approach = dot(slip(point, motions), normal)
     return size + found
 
 
@@ -330,7 +358,7 @@ def foresee(
         point.normal[k] = normal[k]
         point.arm_a[k] = place[k] - motions[a].position[k]
         point.arm_b[k] = place[k] - position_b[k]
-    _fill(space, world, point, a, b)
+    _fill(motions, point, _surface_of(space, world, a, b))
     closing = dot(slip(point, motions), normal)
     point.distance = now
     point.approach = 0.0

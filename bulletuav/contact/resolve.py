@@ -9,11 +9,11 @@ import math
 
 import numpy as np
 
-from bulletuav.contact.impact import halt, push_apart
+from bulletuav.contact.impact import MOST_IMPACTS, halt, push_apart
 from bulletuav.contact.motion import begin, finish, put_vector, vector
 from bulletuav.contact.pairs import PAIR, SLACK, collect, rest_budget, sweeps_apart
 from bulletuav.contact.points import Workspace, World
-from bulletuav.contact.touch import EXACT, NEVER, touch_time
+from bulletuav.contact.touch import EXACT, NEVER, ROUGH, touch_time
 from bulletuav.contact.touches import Touches
 from bulletuav.geometry.rotation import dot, minus, vec3
 from bulletuav.kernel import func, kernel
@@ -34,11 +34,15 @@ def _start_drone(space: Workspace, world: World, end: Swarm, i: int) -> None:
 def _time_pair(space: Workspace, world: World, pair: np.record, start: float) -> None:
     """Find when a pair touches next, from a time on."""
     motions = space.motions
-    if sweeps_apart(world.scenery, motions, world.w, pair.a, pair.b, world.dt):
+    # For drones of too many impacts time does not go on
+    over = motions[pair.a].impacts >= MOST_IMPACTS
+    if over and pair.b < motions.shape[0]:
+        over = motions[pair.b].impacts >= MOST_IMPACTS
+    if over or sweeps_apart(world.scenery, motions, world.w, pair.a, pair.b, world.dt):
         pair.time = NEVER
         return
     # A pair that is held already needs no exact time
-    exact = max(1e-7, 0.2 * abs(pair.floor)) if pair.held else EXACT
+    exact = ROUGH if pair.held else EXACT
     time, normal = touch_time(
         world.scenery,
         motions,
@@ -72,8 +76,10 @@ def _next_pair(pairs: np.ndarray, count: int) -> int:
 def _is_before(position: np.ndarray, w: int, i: int, j: int) -> bool:
     """Tell whether drone i comes before drone j by x, then y, then z."""
     for k in range(3):
-        if position[w, i, k] != position[w, j, k]:
-            return position[w, i, k] < position[w, j, k]
+        one = float(position[w, i, k])
+        other = float(position[w, j, k])
+        if one != other:
+            return one < other
     return False
 
 

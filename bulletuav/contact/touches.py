@@ -15,7 +15,7 @@ class Touches(NamedTuple):
     """What drones touched during a decision: up to `MOST_TOUCHES` others (T) each.
 
     Attributes:
-        count: (W, N) how many.
+        number: (W, N) how many.
         other: (W, N, T) number of the other shape, see `Scenery`.
         impulse: (W, N, T) along the normals, N s, summed up.
         place: (W, N, T, 3) where they touched first, m.
@@ -23,7 +23,7 @@ class Touches(NamedTuple):
         velocity: (W, N, T, 3) of the drone's surface against the other's just before, m/s.
     """
 
-    count: np.ndarray
+    number: np.ndarray
     other: np.ndarray
     impulse: np.ndarray
     place: np.ndarray
@@ -35,7 +35,7 @@ def make_touches(num_worlds: int, num_drones: int) -> Touches:
     """Make room for what drones touch."""
     shape = (num_worlds, num_drones)
     return Touches(
-        count=np.zeros(shape, dtype=np.int64),
+        number=np.zeros(shape, dtype=np.int64),
         other=np.zeros((*shape, MOST_TOUCHES), dtype=np.int64),
         impulse=np.zeros((*shape, MOST_TOUCHES)),
         place=np.zeros((*shape, MOST_TOUCHES, 3)),
@@ -47,13 +47,13 @@ def make_touches(num_worlds: int, num_drones: int) -> Touches:
 @func
 def _slot(touches: Touches, w: int, i: int, other: int) -> int:
     """Return where to tell a touch, a new place if it is the first."""
-    count = touches.count[w, i]
+    count = int(touches.number[w, i])
     for k in range(count):
         if touches.other[w, i, k] == other:
             return k
     if count == MOST_TOUCHES:
-        return count - 1
-    touches.count[w, i] = count + 1
+        return MOST_TOUCHES - 1
+    touches.number[w, i] = count + 1
     touches.other[w, i, count] = other
     touches.impulse[w, i, count] = 0.0
     return count
@@ -84,10 +84,10 @@ def tell(
         velocity: Of the drone's surface against the other's before, m/s, if `sign` is 1.
         sign: -1 to turn normal and velocity round.
     """
-    before = touches.count[w, i]
+    before = touches.number[w, i]
     k = _slot(touches, w, i, other)
     touches.impulse[w, i, k] += impulse
-    if touches.count[w, i] > before:
+    if touches.number[w, i] > before:
         for m in range(3):
             touches.place[w, i, k, m] = place[m]
             touches.normal[w, i, k, m] = sign * normal[m]

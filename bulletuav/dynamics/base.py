@@ -13,13 +13,13 @@ import numpy as np
 
 from bulletuav.contact.contacts import (
     begin_decision,
-    make_contact,
     meet_all,
     overlaps,
     remember_all,
     start,
     told,
 )
+from bulletuav.contact.rest import make_contact
 from bulletuav.control.cascade import Cascade
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.setpoints import convert

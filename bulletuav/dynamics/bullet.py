@@ -15,7 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.contact.contacts import Contact, bears, meet_all, remember_all, wake
+from bulletuav.contact.contacts import meet_all, remember_all
+from bulletuav.contact.rest import Contact, bears, wake
 from bulletuav.control.cascade import Cascade, command_rotors
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.base import Air, Dynamics, Flight, require_sane

@@ -17,7 +17,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from bulletuav.contact.contacts import Contact, meet, remember
+from bulletuav.contact.contacts import meet, remember
+from bulletuav.contact.rest import Contact
 from bulletuav.control.cascade import Cascade, command_kinematic
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.base import Air, Dynamics

@@ -8,8 +8,9 @@ effect lags by up to one decision (at 20 m/s and 10 Hz, 2 m of flight).
 
 import numpy as np
 
-from bulletuav.contact.contacts import Contact, bears, meet, remember
-from bulletuav.contact.contacts import wake as rouse
+from bulletuav.contact.contacts import meet, remember
+from bulletuav.contact.rest import Contact, bears
+from bulletuav.contact.rest import wake as rouse
 from bulletuav.control.cascade import Cascade, command_rotors
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.base import Air, Dynamics

@@ -233,7 +233,7 @@ class CExtension:
             raise RuntimeError("the engine answers the plugin otherwise than its own calls")
         self._session = session
         weakref.finalize(self, library.batch_close, session)
-        self.functions: tuple[int, *tuple[Callable[..., None], ...]] = (
+        self.functions = (
             session,
             library.batch_substep,
             library.batch_write,

@@ -14,7 +14,7 @@ from bulletuav.geometry.rotation import Vec3, Vec3Like
 from bulletuav.geometry.shapes import BOX, CYLINDER, HALF_SPACE, HULL, SPHERE, Shape
 from bulletuav.kernel import func, kernel
 
-RIM = 8
+RIM = 4
 """Points that stand for the rim of a cylinder's flat side"""
 MOST_CORNERS = 64
 """Most corners of a face of a hull"""
