@@ -104,9 +104,7 @@ def slide(
     angle = np.arctan(tangents)
     half = load_airframe(airframe).shape.half[2]
     ramp = Obstacle("box", (8.0, 4.0, 1.0), friction=friction)
-    with Rig(
-        [airframe], worlds=len(angle), hz=hz, obstacles=[ramp], friction=friction
-    ) as rig:
+    with Rig([airframe], worlds=len(angle), hz=hz, obstacles=[ramp], friction=friction) as rig:
         swarm = rig.swarm
         turn = np.zeros((len(angle), 4))
         turn[:, 1] = np.sin(angle / 2)

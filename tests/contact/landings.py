@@ -156,16 +156,15 @@ def land(
 def _energy_on(rig: Rig, carried: np.ndarray) -> np.ndarray:
     """Return the energy of the first drones (W,) as seen from a surface that moves, J."""
     relative = rig.swarm.velocity[:, 0] - carried
-    fixed = rig.energy()[:, 0] - 0.5 * rig.rows["mass"][:, 0] * (
-        rig.swarm.velocity[:, 0] ** 2
-    ).sum(axis=-1)
+    fixed = rig.energy()[:, 0] - 0.5 * rig.rows["mass"][:, 0] * (rig.swarm.velocity[:, 0] ** 2).sum(
+        axis=-1
+    )
     sunk = rig.rows["mass"][:, 0] * rig.gravity * carried[2] * rig.time
     return fixed + 0.5 * rig.rows["mass"][:, 0] * (relative**2).sum(axis=-1) - sunk
 
 
 def _height(rig: Rig, moving: bool, surface: int) -> np.ndarray:
     """Return the distance of the first drones from the level surface below them (W,), m."""
-    scenery = rig.engine.scenery
     if moving:
         return rig.lowest() - rig.obstacle[:, 0, 2] - 0.5
     if surface == rig.ground:

@@ -36,15 +36,16 @@ def trace(rig, decisions=16):
     """Fly; return all states and contacts of each world as arrays."""
     rig.place()
     told = [rig.fly() for _ in range(decisions)]
-    state = np.concatenate([array for array in rig.swarm], axis=-1)
+    state = np.concatenate(rig.swarm, axis=-1)
     assert sum(len(one.world) for one in told) > DRONES
     return state.copy(), told
 
 
 def rows(told, world):
     """Return all columns but the first of one world's contacts."""
-    return [np.concatenate([column[one.world == world] for one in told for column in [one[k]]])
-            for k in range(1, 7)]
+    return [
+        np.concatenate([one[k][one.world == world] for one in told]) for k in range(1, len(told[0]))
+    ]
 
 
 @pytest.mark.parametrize("dynamics", ["rigid_body", "bullet"])

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from contact.landings import PLACES, land
+from contact.rig import Rig
 
 from bulletuav.vehicle.airframe import available_airframes
 
@@ -39,8 +40,6 @@ def test_landings_with_sideways_speed_come_to_rest(place, dynamics):
 
 
 def test_a_drone_that_falls_beside_the_roof_reaches_the_ground():
-    from contact.rig import Rig
-
     with Rig(hz=240, boxes=[((1, -5, 0), (9, 5, 20))]) as rig:
         rig.swarm.position[0, 0] = (0.9, 0.0, 20.5)
         contacts = rig.place().fly_for(3.0)

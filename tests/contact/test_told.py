@@ -34,17 +34,19 @@ def test_a_flat_landing_is_told(surface, restitution):
         rig.swarm.position[0, 0] = (0.1, -0.2, top + half[2] + 0.02)
         rig.swarm.velocity[0, 0] = (1.0, 0.5, -4.0)
         told = first_touch(rig.place())
+        # Without rebound the last of the approach, half a touch, takes a few substeps more
+        whole = told.impulse.sum() + rig.fly_for(0.1).impulse.sum()
     assert told.other.tolist() == [surface]
     np.testing.assert_allclose(told.normal, [[0, 0, 1]], atol=1e-9)
     np.testing.assert_allclose(told.velocity, [[1.0, 0.5, -4.0]], **TIGHT)
-    np.testing.assert_allclose(told.impulse, 4.0 * (1 + restitution) * mass, **TIGHT)
+    np.testing.assert_allclose(whole, 4.0 * (1 + restitution) * mass, rtol=1e-6)
     assert told.point[0, 2] == pytest.approx(top, abs=1e-4)
     # Below the drone, which drifts less than a centimetre until the touch
     assert np.linalg.norm(told.point[0, :2] - (0.1, -0.2)) < half[0] + 0.01
 
 
 def test_both_drones_are_told_of_one_touch():
-    with Rig(["cf2x", "iris"], gravity=0.0) as rig:
+    with Rig(["cf2x", "iris"], gravity=0.0, friction=0.0) as rig:
         rig.swarm.position[0] = (0, 0, 10), (0.5, 0, 10.01)
         rig.swarm.velocity[0, 0] = (3, 0, 0)
         before = rig.momentum()[0].copy()
@@ -59,7 +61,7 @@ def test_both_drones_are_told_of_one_touch():
     np.testing.assert_allclose(told.velocity[0], (3, 0, 0), **TIGHT)
     np.testing.assert_allclose(told.normal[0], (-1, 0, 0), atol=1e-9)
     np.testing.assert_allclose(told.point[0, 0], 0.5 - 0.384, atol=2e-4)
-    # Newton: side on and without slip, all momentum goes along the normal
+    # Newton: without friction all momentum goes along the normal
     np.testing.assert_allclose(change, told.impulse[:, None] * told.normal, atol=1e-9)
 
 
@@ -78,7 +80,7 @@ def test_impulses_are_changes_of_momentum(dynamics, hz):
         np.testing.assert_allclose(told.normal[:, 2], 1.0, atol=1e-12)
         fallen = rig.airframes[0].mass * rig.gravity * rig.time
         gained = rig.momentum()[:, 0, 2] - before + fallen
-        np.testing.assert_allclose(told.impulse, gained, rtol=1e-6)
+        np.testing.assert_allclose(told.impulse, gained, rtol=1e-5)
 
 
 def test_nothing_is_told_of_flight_nearby():
