@@ -19,10 +19,10 @@ from bulletuav.errors import require_file
 from bulletuav.files import replace_file, whole_file
 from bulletuav.policies.base import Policy
 from bulletuav.tasks.targets import active_targets
-from bulletuav.vehicle.swarm import Swarm
+from bulletuav.vehicle.swarm import Contacts, Swarm
 from bulletuav.version import __version__
 
-VERSION = 1
+VERSION = 2
 """Version of the form of recordings; one that is read has to have it"""
 INFO = "info/"
 """Beginning of the names that the task's own infos have in the file"""
@@ -39,9 +39,10 @@ HEADER = (
 
 @dataclass(frozen=True)
 class Recording:
-    """One episode of one world: T decisions of N drones.
+    """One episode of one world: T decisions of N drones, and C contacts in the order of time.
 
     States have T + 1 rows, of which the first is the start. A drone that left keeps its last state.
+    Contacts are told as in `vehicle.swarm.Contacts`.
 
     Attributes:
         time: Time since the start, (T+1,), s.
@@ -54,7 +55,14 @@ class Recording:
         reward: Rewards, (T, N).
         separation: Least separation within the decision, (T, N), m; inf when alone.
         conflicts: Conflicts that began, (T, N).
-        collision: Contacts of collision shapes, (T, N) bool.
+        collision: Drones whose collision shapes touched something, (T, N) bool.
+        contact_step: Decision of each contact, (C,), from 0 to T - 1.
+        contact_drone: Drone that touched, (C,).
+        contact_other: Drone that it touched, (C,), or below zero what else.
+        contact_impulse: Impulse along the normals, summed over the decision, (C,), N s.
+        contact_point: Where they touched first in the decision, (C, 3), m.
+        contact_normal: Unit vector in which the drone was pushed there, (C, 3).
+        contact_velocity: Of the drone's surface against the other's just before, (C, 3), m/s.
         success: Drones that are where the task wants them, (T, N) bool.
         goal: Goals, (T+1, N, 3), m.
         obstacle: Middles of the K obstacles, (T+1, K, 3), m.
@@ -77,6 +85,13 @@ class Recording:
     separation: np.ndarray
     conflicts: np.ndarray
     collision: np.ndarray
+    contact_step: np.ndarray
+    contact_drone: np.ndarray
+    contact_other: np.ndarray
+    contact_impulse: np.ndarray
+    contact_point: np.ndarray
+    contact_normal: np.ndarray
+    contact_velocity: np.ndarray
     success: np.ndarray
     goal: np.ndarray
     obstacle: np.ndarray
@@ -161,10 +176,13 @@ def fly_episode(
     views = [_view(aviary)]
     actions: list[np.ndarray] = []
     steps: list[Step] = []
+    contacts: list[Contacts] = []
+    in_first = np.arange(aviary.num_worlds) == 0
     while aviary.alive[0].any():
         actions.append(policy.act(observations, aviary.swarm))
         steps.append(aviary.step(actions[-1]))
         observations = steps[-1].observations
+        contacts.append(aviary.contacts.of_worlds(in_first))
         states.append(aviary.swarm.copy())
         alive.append(aviary.alive.copy())
         views.append(_view(aviary))
@@ -174,6 +192,7 @@ def fly_episode(
         states=states,
         alive=alive,
         views=views,
+        contacts=contacts,
         actions=actions,
         steps=steps,
     )
@@ -197,6 +216,7 @@ def _recording(
     states: list[Swarm],
     alive: list[np.ndarray],
     views: list[_View],
+    contacts: list[Contacts],
     actions: list[np.ndarray],
     steps: list[Step],
 ) -> Recording:
@@ -223,6 +243,7 @@ def _recording(
         separation=column("separation"),
         conflicts=column("conflicts"),
         collision=column("collision"),
+        **_contact_columns(contacts),
         success=column("success"),
         goal=np.array([view.goal for view in views]),
         obstacle=np.array([view.obstacle for view in views]),
@@ -232,6 +253,15 @@ def _recording(
         seen=np.array([view.seen for view in views]),
         info={name: column(name) for name in own},
     )
+
+
+def _contact_columns(contacts: list[Contacts]) -> dict[str, Any]:
+    """Stack the contacts of each decision, by the names that they have in recordings."""
+    step = np.repeat(np.arange(len(contacts)), [len(one.world) for one in contacts])
+    columns = map(np.concatenate, zip(*contacts, strict=True))
+    told = dict(zip(Contacts._fields, columns, strict=True))
+    del told["world"]
+    return {"contact_step": step} | {f"contact_{name}": told[name] for name in told}
 
 
 def outcomes(recording: Recording) -> list[Outcome]:
@@ -340,19 +370,9 @@ def load(path: str | Path) -> Recording:
     found = require_file("recording", given, "give the trajectory.npz of a flight, or its folder")
     try:
         # NumPy would leave a damaged file open.
-        with (
-            found.open("rb") as stream,
-            np.load(stream, allow_pickle=False) as file,
-        ):
+        with found.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
-    except (
-        ValueError,
-        TypeError,
-        AttributeError,
-        EOFError,
-        OSError,
-        zipfile.BadZipFile,
-    ) as error:
+    except (ValueError, TypeError, AttributeError, EOFError, OSError, zipfile.BadZipFile) as error:
         raise ValueError(f"{found} is no recording ({error}): {REMEDY}") from None
     # The version is looked at before anything that may differ between versions.
     _require_version(arrays.pop("version", None), found)

@@ -130,11 +130,11 @@ class Aviary(Worlds):
         now = self.swarm.copy()
         readings = self._measure(now, now, chosen)
         action = np.zeros((*self.alive.shape, self.action.low.shape[-1]))
-        flown = chosen
+        flown, contacts, goal = chosen, Contacts.none(), self.scene.goal.copy()
         if self._frame is not None:  # of the worlds that fly on
             action = np.where(chosen[..., None], action, self._frame.action)
             flown = chosen | self._frame.alive
-        contacts, goal = Contacts.none(), self.scene.goal.copy()
+            contacts = self._frame.contacts.of_worlds(~np.any(chosen, axis=1))
         return self._make_frame(now, now, action, contacts, flown, goal, readings)
 
     def _start_memory(self, frame: Frame, chosen: np.ndarray) -> None:
@@ -263,7 +263,7 @@ class Aviary(Worlds):
     ) -> dict[str, np.ndarray]:
         info = {f"reward/{name}": term for name, term in weighted.items()}
         info["success"] = success & frame.alive
-        info["collision"] = frame.collision
+        info |= {name: getattr(frame, name) for name in ("collision", "resting", "impulse")}
         info["conflicts"] = frame.conflict.onsets
         info["separation"] = frame.conflict.separation
         info["goal_distance"] = frame.distance

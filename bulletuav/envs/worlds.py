@@ -26,7 +26,7 @@ from bulletuav.sensors.suite import SensorSuite
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.frame import Frame, Scene
 from bulletuav.vehicle.parameters import parameter_rows
-from bulletuav.vehicle.swarm import Swarm
+from bulletuav.vehicle.swarm import Contacts, Swarm
 from bulletuav.vehicle.wind import Wind
 
 NOTHING_STANDS = Solids(np.zeros((0, 2, 3)))
@@ -219,6 +219,11 @@ class Worlds(Environment):
     def sight(self) -> np.ndarray:
         """(W, N, U) bool: which targets the drones saw that flew the last decision."""
         return self._current().seen
+
+    @property
+    def contacts(self) -> Contacts:
+        """What touched what in the last decision; of worlds that were just reset nothing."""
+        return self._current().contacts.of_worlds(np.ones(self.num_worlds, dtype=bool))
 
     def solids(self, world: int = 0) -> Solids:
         """Tell what stands in a world, beside obstacles."""

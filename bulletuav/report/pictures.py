@@ -1,7 +1,6 @@
 """Pictures of a recorded episode: tracks from above with altitudes, and an animation."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -29,8 +28,8 @@ def plot_tracks(recording: Recording, d_safe: float, title: str, path: Path) -> 
     """Plot tracks from above, and altitudes and separations over time, as a PNG file.
 
     Starts are numbered; goals are crosses. Where there are targets they are drawn instead of goals,
-    as they are at the end. Collisions are stars, places where a conflict began red rings. A single
-    drone's distance to its goal stands in for separations.
+    as they are at the end. Small black crosses show where shapes touched, red rings where a
+    conflict began. A single drone's distance to its goal stands in for separations.
 
     Args:
         recording: The episode.
@@ -51,15 +50,8 @@ def plot_tracks(recording: Recording, d_safe: float, title: str, path: Path) -> 
     _draw_obstacles(above, recording)
     draw_buildings(above, recording)
     _draw_targets(above, recording)
-    _mark(
-        above,
-        recording,
-        recording.conflicts > 0,
-        "o",
-        "conflict begins",
-        mfc="none",
-    )
-    _mark(above, recording, recording.collision, "*", "collision", mec="black")
+    _mark_conflicts(above, recording)
+    _mark_contacts(above, recording)
     # Without marks there is nothing to explain.
     if above.get_legend_handles_labels()[0]:
         above.legend(loc="upper right")
@@ -161,25 +153,17 @@ def _draw_targets(axes: Axes, recording: Recording) -> None:
             axes.plot(*way[-1, some].T, ".", color=colour, ms=4, label=label, zorder=1)
 
 
-def _mark(
-    axes: Axes,
-    recording: Recording,
-    events: np.ndarray,
-    marker: str,
-    label: str,
-    **style: Any,
-) -> None:
-    """Mark where events (T, N) happened, if any."""
-    hit = np.argwhere(events)
-    if len(hit):
-        place = recording.position[hit[:, 0] + 1, hit[:, 1]]
-        style = {"mec": "crimson", **style}
-        axes.plot(
-            place[:, 0],
-            place[:, 1],
-            marker,
-            color="crimson",
-            ms=11,
-            label=label,
-            **style,
-        )
+def _mark_conflicts(axes: Axes, recording: Recording) -> None:
+    """Mark where drones were when a conflict of theirs began, if any."""
+    began = np.argwhere(recording.conflicts > 0)
+    if len(began):
+        place = recording.position[began[:, 0] + 1, began[:, 1]]
+        x, y, _ = place.T
+        axes.plot(x, y, "o", color="crimson", mfc="none", ms=11, label="conflict begins")
+
+
+def _mark_contacts(axes: Axes, recording: Recording) -> None:
+    """Mark the points where shapes touched, if any."""
+    x, y, _ = recording.contact_point.T
+    if len(x):
+        axes.plot(x, y, "+", color="black", ms=7, mew=1.2, label="contact", zorder=3)

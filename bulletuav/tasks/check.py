@@ -23,7 +23,17 @@ UNIT = 1e-6
 GRAZE = 1e-6
 """m, how deep a drone that stands on the ground may be in it"""
 STANDARD_INFOS = frozenset(
-    {"success", "collision", "conflicts", "separation", "goal_distance", "power", "charge"}
+    {
+        "success",
+        "collision",
+        "resting",
+        "impulse",
+        "conflicts",
+        "separation",
+        "goal_distance",
+        "power",
+        "charge",
+    }
 )
 """Infos of every task"""
 STANDARD_PREFIXES = ("reward/", "random/")

@@ -18,6 +18,10 @@ from bulletuav.vehicle.swarm import Contacts, Swarm
 
 NO_OBSTACLES = np.zeros((0, 3))
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
+RESTING_SPEED = 0.01
+"""m/s, of a drone at rest at most: far above what contacts leave over, far below any flight"""
+RESTING_SPIN = 0.1
+"""rad/s, of a drone at rest at most; a rim at 0.1 m from the middle then moves at 0.01 m/s"""
 
 
 class Spawn(NamedTuple):
@@ -246,6 +250,28 @@ class Frame:
         return self.contacts.mask(self.alive.shape)
 
     @cached_property
+    def resting(self) -> np.ndarray:
+        """(W, N) bool: touched something, and hardly moves at the end of the decision.
+
+        Speed is at most RESTING_SPEED, spin at most RESTING_SPIN. With contacts="stop" a drone that
+        was stopped counts as well: it moves no more, whatever it touched.
+        """
+        resting = np.zeros(self.alive.shape, dtype=bool)
+        if len(self.contacts.world):
+            rows = self.contacts.world, self.contacts.drone
+            speed = np.linalg.norm(self.after.velocity[rows], axis=-1)
+            spin = np.linalg.norm(self.after.rates[rows], axis=-1)
+            resting[rows] = (speed <= RESTING_SPEED) & (spin <= RESTING_SPIN)
+        return resting
+
+    @cached_property
+    def impulse(self) -> np.ndarray:
+        """(W, N) greatest impulse of a contact, each summed over the decision, N s; 0 of none."""
+        impulse = np.zeros(self.alive.shape)
+        np.maximum.at(impulse, (self.contacts.world, self.contacts.drone), self.contacts.impulse)
+        return impulse
+
+    @cached_property
     def distance(self) -> np.ndarray:
         """(W, N) distance to the goal after the decision, m."""
         return distances(self.scene.goal, self.after.position)
@@ -297,6 +323,8 @@ FIELDS: Mapping[str, tuple[str, Reader]] = MappingProxyType(
         "action": ("what it was told", attrgetter("action")),
         "alive": ("whether it flew the decision", attrgetter("alive")),
         "collision": ("whether its shape touched anything", attrgetter("collision")),
+        "resting": ("whether it touches and hardly moves", attrgetter("resting")),
+        "impulse": ("N s, the greatest of a contact", attrgetter("impulse")),
         "depleted": ("whether its battery is empty", attrgetter("depleted")),
         "conflicts": ("conflicts that began", attrgetter("conflict.onsets")),
         "separation": ("m, from the nearest drone", attrgetter("conflict.separation")),

@@ -224,8 +224,18 @@ class Contacts(NamedTuple):
         return firsts._replace(impulse=np.add.reduceat(rows.impulse[order], first))
 
     def joined(self, others: "Contacts") -> "Contacts":
-        """Return these and other contacts, one after the other."""
-        return Contacts(*(np.concatenate(columns) for columns in zip(self, others, strict=True)))
+        """Return these and other contacts; of a touch that is in both, these tell the first."""
+        columns = map(np.concatenate, zip(self, others, strict=True))
+        return Contacts.merged(**dict(zip(Contacts._fields, columns, strict=True)))
+
+    def of_worlds(self, mask: np.ndarray) -> "Contacts":
+        """Return copies of the rows of some worlds.
+
+        Args:
+            mask: (W,) bool, the worlds.
+        """
+        rows = mask[self.world]
+        return Contacts(*(column[rows] for column in self))
 
     def mask(self, shape: tuple[int, int]) -> np.ndarray:
         """Tell which drones touched anything.

@@ -1,4 +1,5 @@
 import csv
+import dataclasses
 import json
 import re
 
@@ -8,7 +9,8 @@ from PIL import Image
 
 import bulletuav
 from bulletuav.analysis.recording import Recording, fly_episode, load, outcomes, save
-from bulletuav.policies import find_policy
+from bulletuav.policies import Policy, find_policy
+from bulletuav.report import pictures
 from bulletuav.report.pictures import Animation, plot_tracks
 from bulletuav.tasks import find_task
 
@@ -92,13 +94,60 @@ def test_files_hold_what_was_flown(flown, tmp_path):
 
 def test_a_recording_is_read_as_it_was_written(flown, tmp_path):
     aviary, recording, _ = flown
+    assert len(recording.contact_step) == 2
     path, *_ = save(recording, aviary, "straight", 0, tmp_path)
     for source in (path, str(path), tmp_path):
         again = load(source)
-        assert (again.version, again.info) == (1, {})
+        assert (again.version, again.info) == (2, {})
         for name, array in recording.arrays().items():
             np.testing.assert_array_equal(getattr(again, name), array)
             assert getattr(again, name).dtype == array.dtype
+
+
+def test_contacts_of_the_first_world_are_recorded():
+    class Falling(find_task("hover")):
+        name = "falling"
+        ends = ()
+
+    start = ((0.0, 0.0, 0.2), (1.0, 0.0, 0.3))
+    options = {"action": "velocity", "num_drones": 2, "start": start, "horizon": 20}
+    aviary = bulletuav.Aviary(Falling, 2, **options)
+    seen = []
+
+    class Down(Policy):
+        """Down in the first world; the other world's first drone follows later."""
+
+        name, actions, reads_swarm = "down", ("velocity",), False
+
+        def reset(self, mask):
+            pass
+
+        def act(self, observations, swarm):
+            if aviary.steps[0]:
+                seen.append(aviary.contacts)
+            action = np.zeros((2, 2, 3))
+            action[0, :, 2] = -1.0
+            action[1, 0, 2] = -0.8
+            return action
+
+    recording = fly_episode(aviary, Down(aviary), seed=0)
+    seen.append(aviary.contacts)
+    aviary.close()
+    assert any((one.world == 1).any() for one in seen)
+    rows = [
+        (step, *row[1:])
+        for step, one in enumerate(seen)
+        for row in zip(*one, strict=True)
+        if row[0] == 0
+    ]
+    assert len(rows) > 20
+    assert {row[1] for row in rows} == {0, 1}
+    names = ("step", "drone", "other", "impulse", "point", "normal", "velocity")
+    for name, column in zip(names, zip(*rows, strict=True), strict=True):
+        np.testing.assert_array_equal(getattr(recording, f"contact_{name}"), np.array(column))
+    touched = np.zeros_like(recording.collision)
+    touched[recording.contact_step, recording.contact_drone] = True
+    np.testing.assert_array_equal(touched, recording.collision)
 
 
 def test_infos_of_the_task_are_recorded(tmp_path):
@@ -132,11 +181,13 @@ def change(path, **changes):
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"version": None}, "without a version, and version 1 is needed: fly the episode again"),
-        ({"version": np.array(2)}, "of version 2, and version 1 is needed: .*or read it with"),
-        ({"version": np.array("1")}, "of version 1, and version 1"),
-        ({"version": np.array([1, 1])}, "of version"),
+        ({"version": None}, "without a version, and version 2 is needed: fly the episode again"),
+        ({"version": np.array(1)}, "of version 1, and version 2 is needed: .*or read it with"),
+        ({"version": np.array(3)}, "of version 3, and version 2 is needed: .*or read it with"),
+        ({"version": np.array("2")}, "of version 2, and version 2"),
+        ({"version": np.array([2, 2])}, "of version"),
         ({"goal": None}, "damaged recording, without 'goal': fly the episode again"),
+        ({"contact_step": None}, "damaged recording, without 'contact_step'"),
     ],
 )
 def test_a_recording_of_another_form_is_refused(flown, tmp_path, changes, said):
@@ -164,11 +215,26 @@ def test_what_is_no_recording_is_refused(tmp_path):
         load(path)
 
 
+def test_contacts_are_crosses_in_pictures(flown, tmp_path, monkeypatch):
+    _, recording, _ = flown
+    drawn = []
+    monkeypatch.setattr(pictures, "save_figure", lambda figure, path: drawn.append(figure))
+    plot_tracks(recording, 5.0, "touching", tmp_path / "touching.png")
+    nothing = {name: value[:0] for name, value in recording.arrays().items() if "contact_" in name}
+    plot_tracks(dataclasses.replace(recording, **nothing), 5.0, "free", tmp_path / "free.png")
+    touching, free = ({line.get_label(): line for line in figure.axes[0].lines} for figure in drawn)
+    np.testing.assert_array_equal(touching["contact"].get_xydata(), recording.contact_point[:, :2])
+    assert touching["contact"].get_marker() == "+"
+    assert "contact" not in free
+    assert "conflict begins" in free
+
+
 def test_pictures_are_drawn(flown, tmp_path):
     _, recording, _ = flown
     plot_tracks(recording, 5.0, "title", tmp_path / "tracks.png")
+    whole = {"building", *(name for name in recording.arrays() if "contact_" in name)}
     alone = {
-        name: value[:, :1] if value.ndim > 1 and name != "building" else value
+        name: value[:, :1] if value.ndim > 1 and name not in whole else value
         for name, value in recording.arrays().items()
     }
     plot_tracks(Recording(**alone), 5.0, "one drone", tmp_path / "alone.png")
