@@ -28,7 +28,7 @@ POINT = np.dtype(
         ("distance", "f8"),
         ("approach", "f8"),
         ("mass", "f8"),
-        ("grip", "f8", 3),
+        ("grip", "f8", 4),
         ("least", "f8"),
         ("axis", "f8", (2, 3)),
         ("stiff", "f8", 2),
@@ -54,7 +54,8 @@ Attributes:
     distance: Signed distance of the surfaces along the normal, m.
     approach: Velocity along the normal before the impact, m/s.
     mass: That the point feels along the normal, kg.
-    grip: Inverse of the symmetric 2 x 2 matrix of velocities by impulses across: 11, 12, 22, kg.
+    grip: Inverse of the symmetric 2 x 2 matrix of velocities by impulses across: 11, 12, 22; and
+        its least eigenvalue, kg.
     least: Velocity along the normal that must be reached, m/s.
     axis: Unit vectors about which a and b do not roll freely.
     stiff: Moments of inertia about them, kg m^2.
@@ -151,6 +152,8 @@ def prepare(row: np.record, motions: np.ndarray) -> None:
     row.grip[0] = k22 * scale
     row.grip[1] = -k12 * scale
     row.grip[2] = k11 * scale
+    spread = math.sqrt((k11 - k22) ** 2 + 4.0 * k12 * k12)
+    row.grip[3] = 2.0 / (k11 + k22 + spread)
 
 
 @func
@@ -201,14 +204,19 @@ def _rub(
     two = vector(row.tangent[1])
     along = dot(moving, one)
     across = dot(moving, two)
-    # What would stop the slip, shortened as a vector to what the normal impulse allows
+    # What would stop the slip
     first = row.impulse[1] - (row.grip[0] * along + row.grip[1] * across)
     second = row.impulse[2] - (row.grip[1] * along + row.grip[2] * across)
     most = row.friction * row.impulse[0]
     size = math.sqrt(first * first + second * second)
     if size > most:
-        first *= most / size
-        second *= most / size
+        # More than the normal impulse allows: as much as it does, against the slip
+        first = row.impulse[1] - row.grip[3] * along
+        second = row.impulse[2] - row.grip[3] * across
+        size = math.sqrt(first * first + second * second)
+        if size > most:
+            first *= most / size
+            second *= most / size
     first_change = first - row.impulse[1]
     second_change = second - row.impulse[2]
     row.impulse[1] = first

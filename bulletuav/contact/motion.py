@@ -13,6 +13,7 @@ from bulletuav.geometry.rotation import (
     Quat4,
     Vec3,
     Vec3Like,
+    dot,
     exponential,
     normalised,
     point,
@@ -25,6 +26,11 @@ from bulletuav.geometry.rotation import (
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.kernel import func
 from bulletuav.vehicle.swarm import Swarm
+
+SMALL_TURN = 0.2
+"""Angle by which a drone turns in one step of the midpoint rule, rad"""
+MOST_PARTS = 64
+"""Most of these steps in a substep"""
 
 MOTION = np.dtype(
     [
@@ -224,15 +230,22 @@ def aim(motion: np.record, dt: float, row: np.record) -> None:
 
     The rotation takes the angular velocity halfway (midpoint rule), with the angular momentum held.
     """
-    rest = 1.0 - motion.time
+    rest = (1.0 - motion.time) * dt
     here = quaternion_of(motion)
     spin = vector(motion.spin)
     angular = momentum(here, spin, row)
-    halfway = turned(spin, 0.5 * rest * dt, here)
-    spin = spin_of(halfway, angular, row)
+    # Fast spins in parts, so that their energy stays
+    parts = int(min(MOST_PARTS, 1 + math.sqrt(dot(spin, spin)) * rest / SMALL_TURN))
+    part = rest / parts
+    there = here
+    for _ in range(parts):
+        halfway = turned(spin_of(there, angular, row), 0.5 * part, there)
+        spin = spin_of(halfway, angular, row)
+        there = turned(spin, part, there)
+    turn = (rest * spin[0], rest * spin[1], rest * spin[2])
+    put_vector(motion.turn, turn if parts == 1 else _rotation_between(here, there))
     for k in range(3):
-        motion.move[k] = rest * dt * motion.velocity[k]
-        motion.turn[k] = rest * dt * spin[k]
+        motion.move[k] = rest * motion.velocity[k]
 
 
 @func
