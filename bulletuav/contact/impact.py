@@ -264,6 +264,9 @@ def push_apart(
     _rebound(space, world, members, points, size)
     size = _hold(space, world, pairs, active, near, members, points, owner, size, time)
     for k in range(size):
+        # Who parts was near, but touches nothing
+        if points[k].total[0] <= 0.0 and points[k].approach >= -STILL:
+            continue
         other = pairs[owner[k]].b
         _tell_point(touches, space, world.w, points[k], other, vector(slips[k]))
     # Who stays goes along with an obstacle that moves
@@ -330,7 +333,12 @@ def halt(
     velocity = minus(_way_velocity(space, world, pair.a, arm), vector(point.drift))
     if point.b >= 0:
         velocity = minus(velocity, _way_velocity(space, world, pair.b, vector(point.arm_b)))
-    if dot(velocity, normal) > -STILL:
+    tried = 0
+    for m in range(members):
+        motions[space.island[m]].impacts += 1
+        tried = max(tried, motions[space.island[m]].impacts)
+    # Who turns may come closer elsewhere, but not for ever
+    if dot(velocity, normal) > -STILL and tried < MOST_IMPACTS:
         return members
     place = along(vector(motions[pair.a].position), 1.0, arm)
     for m in range(members):
@@ -344,6 +352,7 @@ def halt(
         i = space.island[m]
         stopped[w, i] = True
         motion = motions[i]
+        motion.impacts = MOST_IMPACTS
         stay(motion)
         for k in range(3):
             motion.velocity[k] = 0.0

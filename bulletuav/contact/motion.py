@@ -235,7 +235,8 @@ def aim(motion: np.record, dt: float, row: np.record) -> None:
     spin = vector(motion.spin)
     angular = momentum(here, spin, row)
     # Fast spins in parts, so that their energy stays
-    parts = int(min(MOST_PARTS, 1 + math.sqrt(dot(spin, spin)) * rest / SMALL_TURN))
+    angle = math.sqrt(dot(spin, spin)) * rest
+    parts = int(min(float(MOST_PARTS), 1.0 + angle / SMALL_TURN))
     part = rest / parts
     there = here
     for _ in range(parts):

@@ -2,6 +2,8 @@
 
 import math
 
+import numpy as np
+
 from bulletuav.geometry.rotation import Quat4Like, Vec3, Vec3Like, axes, dot, minus
 from bulletuav.kernel import func
 from bulletuav.vehicle.aerodynamics import ground_effect, rotor_drag
@@ -84,6 +86,7 @@ def spin_parts(rates: Vec3Like, dt: float) -> int:
         dt: Duration of the step, s.
     """
     angle = math.sqrt(dot(rates, rates)) * dt
-    if angle <= SMALL_TURN:
+    # Also 1 where it is not finite, which is told elsewhere
+    if not SMALL_TURN < angle < np.inf:
         return 1
-    return int(min(MOST_PARTS, math.ceil(angle / SMALL_TURN)))
+    return int(min(float(MOST_PARTS), 1.0 + angle / SMALL_TURN))
