@@ -68,7 +68,7 @@ Attributes:
 
 FIRM = 1e-9
 """Change of velocity below which a sweep changes nothing, as share of the greatest one or 1 m/s"""
-SWEEPS = 100
+SWEEPS = 200
 """Most sweeps over the points of a small island"""
 WORK = 20_000
 """Most visits of points of an island, unless that is less than `FEWEST` sweeps"""

@@ -32,7 +32,7 @@ MIDDLE = 0.5 * TOUCH
 """Distance that a touch leaves, m"""
 NEARBY = 5 * TOUCH
 """Points of a pair in touch that are farther apart play no part, m"""
-SLIP = 2e-7
+SLIP = 2e-6
 """How much closer shapes may come that are too close already, m"""
 TRUSTED = 5e-4
 """Depth of an overlap up to which its direction is that of the contact, m"""
@@ -268,7 +268,7 @@ def add_points(
         return size
     # From now on it counts as a touch anew only when it gets closer than now
     pair.held = True
-    pair.floor = 0.25 * min(distance, TOUCH) if distance > 4.0 * SLIP else distance - SLIP
+    pair.floor = 0.25 * min(distance, TOUCH) if distance > 0.5 * SLIP else distance - SLIP
     position_a, quaternion_a = pose_at(scenery, space.motions, world.w, a, time, world.dt)
     position_b, quaternion_b = pose_at(scenery, space.motions, world.w, b, time, world.dt)
     offset = minus(position_b, position_a)

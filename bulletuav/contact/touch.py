@@ -23,7 +23,7 @@ TOUCH = 1e-4
 """Shapes that are closer touch, m"""
 EXACT = 1e-11
 """Precision of the distance at which a touch is found, m"""
-ROUGH = 2e-8
+ROUGH = 1e-7
 """The same of shapes that touched already, m; well below `SLIP` in `points`"""
 NEAR = 1e-3
 """Distance from a touch at which Newton's method takes over, m"""

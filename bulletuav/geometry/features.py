@@ -18,9 +18,9 @@ FLAT = math.sqrt(0.5)
 """Cosine of the largest angle between axis and normal at which a flat side faces the other"""
 UPRIGHT = 1e-3
 """Sine of the angle between axis and normal below which body axes place the rim's points"""
-RIM_COS = np.cos(2 * np.pi / RIM * np.arange(RIM))
+RIM_COS = np.array([math.cos(2 * math.pi / RIM * k) for k in range(RIM)])
 """Cosines of the angles of the rim's points"""
-RIM_SIN = np.sin(2 * np.pi / RIM * np.arange(RIM))
+RIM_SIN = np.array([math.sin(2 * math.pi / RIM * k) for k in range(RIM)])
 """Sines of the same"""
 
 

@@ -9,7 +9,7 @@ from bulletuav.kernel import func
 from bulletuav.vehicle.aerodynamics import ground_effect, rotor_drag
 from bulletuav.vehicle.parameters import ParameterRow
 
-SMALL_TURN = 0.5
+SMALL_TURN = 0.25
 """Angle by which a body may turn in one step of RK4, rad"""
 MOST_PARTS = 64
 """Most parts of a step"""
