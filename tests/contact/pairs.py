@@ -35,7 +35,7 @@ class Meetings(NamedTuple):
         """Return the worlds in which each bound was missed."""
         found = {
             "told": ~self.told,
-            "linear": self.linear > 1e-12,
+            "linear": self.linear > 4e-12,
             "angular": self.angular > 1e-3,
             "energy": self.gained > 1e-5,
             "stuck": self.stuck,
