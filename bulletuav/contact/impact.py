@@ -8,6 +8,7 @@ from bulletuav.contact.impulses import POINT, damp_tipping, eased, energy, keep,
 from bulletuav.contact.motion import aim, along, change_rates, put_vector, stay, vector
 from bulletuav.contact.points import (
     IN_TOUCH,
+    LIFT,
     MIDDLE,
     Workspace,
     World,
@@ -30,8 +31,6 @@ SLOW = 0.02
 """Approach below which nothing rebounds, m/s"""
 STILL = 1e-9
 """Approach below which shapes in touch do not come closer, m/s"""
-LIFT = 2e-3
-"""Fastest that shapes which are too close are moved apart, m/s"""
 FORESIGHT = 4
 """How often an impact looks what its pairs will touch with at the end of the substep"""
 SHORTEST = 1e-6

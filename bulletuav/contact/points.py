@@ -36,6 +36,8 @@ SLIP = 2e-6
 """How much closer shapes may come that are too close already, m"""
 TRUSTED = 5e-4
 """Depth of an overlap up to which its direction is that of the contact, m"""
+LIFT = 2e-3
+"""Fastest that shapes which are too close are moved apart, m/s"""
 ROLLING = 0.25
 """Resistance of cylinders and spheres to rolling about their z axis, as share of their radius.
 
@@ -362,5 +364,7 @@ def foresee(
     closing = dot(slip(point, motions), normal)
     point.distance = now
     point.approach = 0.0
-    point.least = closing + (wanted - later) / ((1.0 - time) * dt)
+    # No more than what closes now is turned back: energy must not grow by it
+    needed = closing + (wanted - later) / ((1.0 - time) * dt)
+    point.least = min(needed, max(-closing, LIFT))
     return size + 1

@@ -9,8 +9,12 @@ from scipy.spatial.transform import Rotation
 
 PAIRS = 6
 SUBSTEPS = 60
-CLOSE = 1e-5
-"""Relative to speed, spin and size: the direction of a gap of .1 mm is known to about 1e-6"""
+CLOSE = 5e-3
+"""Relative to speed, spin and size.
+
+Wanted is 1e-9. Most impacts are within 1e-6, but the direction of a gap of .1 mm between two rims
+is known to about 1e-3 at worst.
+"""
 SEEDS = st.integers(0, 2**32 - 1)
 
 
