@@ -59,14 +59,14 @@ class Shots(NamedTuple):
     depth: np.ndarray
     gained: np.ndarray
 
-    def missed(self, gain: float = 1e-5) -> dict[str, np.ndarray]:
-        """Return the worlds in which each bound was missed; `gain` is that of the energy."""
+    def missed(self) -> dict[str, np.ndarray]:
+        """Return the worlds in which each bound was missed."""
         found = {
             "beyond": self.beyond,
             "not told": self.hits & ~self.told,
             "false": (self.misses & self.told) | self.strange,
             "depth": self.depth > DEEPEST,
-            "energy": self.gained > gain,
+            "energy": self.gained > 1e-5,
         }
         return {name: np.flatnonzero(where) for name, where in found.items() if where.any()}
 
