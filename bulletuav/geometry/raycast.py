@@ -100,22 +100,11 @@ def _crossing(enters: float, leaves: float) -> float:
 
 
 @func
-def _surface(scenery: Scenery, p: int, start: Vec3Like, change: Vec3Like) -> float:
-    """Return the share at which a ray first crosses the surface of piece p, inf if it does not."""
-    low = point(scenery.city_grid.low, p)
-    high = point(scenery.city_grid.high, p)
-    enters, leaves = inside_box(start, change, low, high)
-    # Of a hull, this was the bounding box.
-    s = scenery.first_piece + p
-    if enters <= leaves and scenery.table.kind[s] == HULL:
-        here = minus(start, point(scenery.piece_place, p))
-        enters, leaves = _inside_hull(scenery.table, s, here, change)
-    return _crossing(enters, leaves)
-
-
-@func
 def _nearest_surface(
-    scenery: Scenery,
+    city_grid: CityGrid,
+    table: ShapeTable,
+    piece_place: np.ndarray,
+    first_piece: int,
     layout: int,
     cell: int,
     start: Vec3Like,
@@ -123,9 +112,16 @@ def _nearest_surface(
     found: float,
 ) -> float:
     """Return the share at which a ray meets a piece of one cell, or `found` if that is less."""
-    city_grid = scenery.city_grid
     for m in range(city_grid.first[layout, cell], city_grid.first[layout, cell + 1]):
-        found = min(found, _surface(scenery, city_grid.item[m], start, change))
+        p = city_grid.item[m]
+        low = point(city_grid.low, p)
+        high = point(city_grid.high, p)
+        enters, leaves = inside_box(start, change, low, high)
+        # Of a hull, this was the bounding box.
+        if not city_grid.boxes[layout] and enters <= leaves and table.kind[first_piece + p] == HULL:
+            here = minus(start, point(piece_place, p))
+            enters, leaves = _inside_hull(table, first_piece + p, here, change)
+        found = min(found, _crossing(enters, leaves))
     return found
 
 
@@ -171,9 +167,16 @@ def _over_grid(
 
 
 @func
-def _buildings(scenery: Scenery, layout: int, start: Vec3Like, change: Vec3Like) -> float:
+def _buildings(
+    city_grid: CityGrid,
+    table: ShapeTable,
+    piece_place: np.ndarray,
+    first_piece: int,
+    layout: int,
+    start: Vec3Like,
+    change: Vec3Like,
+) -> float:
     """Return the share at which a ray meets the first piece of a layout, 1 if none."""
-    city_grid = scenery.city_grid
     least, last = _over_grid(city_grid, layout, start, change)
     if least > last:
         return 1.0
@@ -185,7 +188,9 @@ def _buildings(scenery: Scenery, layout: int, start: Vec3Like, change: Vec3Like)
     found = np.inf
     while 0 <= column < city_grid.cells and 0 <= row < city_grid.cells:
         cell = column * city_grid.cells + row
-        found = _nearest_surface(scenery, layout, cell, start, change, found)
+        found = _nearest_surface(
+            city_grid, table, piece_place, first_piece, layout, cell, start, change, found
+        )
         # Go on to the cell whose line comes first, unless the ray has ended or met a piece by then.
         across = _next_line(start[0], change[0], column, east, city_grid)
         along = _next_line(start[1], change[1], row, north, city_grid)
@@ -241,8 +246,15 @@ def walk(
         that are left for the engine: none where `compiled`, else all where there are bodies, or
         those in layouts that are not made of boxes alone.
     """
+    # Parts of the scenery by themselves: tuples within tuples are slow in loops
     city_grid = scenery.city_grid
-    bodies = scenery.other.shape[0]
+    table = scenery.table
+    piece_place = scenery.piece_place
+    body_place = scenery.place
+    body_turn = scenery.quaternion
+    first_piece = scenery.first_piece
+    first_body = scenery.first_body
+    bodies = body_place.shape[1]
     fraction = np.ones(world.shape[0])
     left = [0 for _ in range(0)]  # an empty list whose type numba knows
     for m in range(world.shape[0]):
@@ -260,12 +272,12 @@ def walk(
         if here[2] * there[2] <= 0.0 and change[2] != 0.0:
             found = min(1.0, -here[2] / change[2])
         if layout != NO_LAYOUT:
-            found = min(found, _buildings(scenery, layout, here, change))
+            share = _buildings(city_grid, table, piece_place, first_piece, layout, here, change)
+            found = min(found, share)
         for r in range(bodies):
-            place = vec3(scenery.place, w, r)
-            turn = quat4(scenery.quaternion, w, r)
-            s = scenery.first_body + r
-            enters, leaves = _inside_placed(scenery.table, s, place, turn, here, there)
+            place = vec3(body_place, w, r)
+            turn = quat4(body_turn, w, r)
+            enters, leaves = _inside_placed(table, first_body + r, place, turn, here, there)
             found = min(found, _crossing(enters, leaves))
         fraction[m] = found
     return fraction, np.array(left, dtype=np.int64)
