@@ -107,7 +107,7 @@ def test_random_head_on_shots_never_pass(make_bench, dynamics, contacts):
         if contacts == "stop":
             bench.alive[:] = ~met
         met |= bench.spin(0.0).mask(met.shape)
-        # Wanted: 5e-4 m, which one pair in 150 exceeds
+        # Wanted: 5e-4 m, which some pairs exceed
         assert sunk(bench) < (0 if contacts == "stop" else 1e-2)
     assert met.all()
     if contacts == "stop":
