@@ -56,6 +56,7 @@ def place_obstacles(contact: Contact, share: float, period: float) -> None:
 def _is_due(contact: Contact, swarm: Swarm, alive: np.ndarray, w: int, dt: float) -> bool:
     """Take what drones moved off their budgets; tells whether the world needs a closer look."""
     found = False
+    before = contact.start.position
     way = contact.speed[w] * dt
     for i in range(alive.shape[1]):
         contact.changed[w, i] = False
@@ -66,7 +67,7 @@ def _is_due(contact: Contact, swarm: Swarm, alive: np.ndarray, w: int, dt: float
             # Obstacles that move may come near to who sleeps
             found = found or way > 0.0
             continue
-        moved = minus(vec3(swarm.position, w, i), vec3(contact.start.position, w, i))
+        moved = minus(vec3(swarm.position, w, i), vec3(before, w, i))
         contact.budget[w, i] -= math.sqrt(dot(moved, moved)) + way
         if contact.budget[w, i] < 0.0:
             contact.due[w, i] = True

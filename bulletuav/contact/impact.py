@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from bulletuav.contact.impulses import POINT, damp_tipping, eased, energy, keep, relax, slip
-from bulletuav.contact.motion import aim, along, change_rates, put_vector, stay, vector
+from bulletuav.contact.motion import aim, change_rates, put_vector, stay, vector
 from bulletuav.contact.points import (
     IN_TOUCH,
     LIFT,
@@ -22,7 +22,7 @@ from bulletuav.contact.points import (
 from bulletuav.contact.touch import TOUCH
 from bulletuav.contact.touches import Touches, tell
 from bulletuav.geometry.contact_points import MOST_POINTS
-from bulletuav.geometry.rotation import Vec3, dot, minus
+from bulletuav.geometry.rotation import Vec3, dot, minus, plus
 from bulletuav.kernel import func, kernel
 
 MOST_IMPACTS = 16
@@ -208,7 +208,7 @@ def _tell_point(
     velocity: Vec3,
 ) -> None:
     """Tell a point of contact, for both sides if both are drones."""
-    place = along(vector(space.motions[point.a].position), 1.0, vector(point.arm_a))
+    place = plus(vector(space.motions[point.a].position), 1.0, vector(point.arm_a))
     normal = vector(point.normal)
     tell(touches, w, point.a, other, point.total[0], place, normal, velocity, 1.0)
     if point.b >= 0:
@@ -277,7 +277,7 @@ def push_apart(
         motion = motions[space.island[m]]
         if motion.impacts >= MOST_IMPACTS:
             stay(motion)
-            put_vector(motion.move, along((0.0, 0.0, 0.0), (1.0 - time) * world.dt, drift))
+            put_vector(motion.move, plus((0.0, 0.0, 0.0), (1.0 - time) * world.dt, drift))
     return members
 
 
@@ -287,7 +287,7 @@ def tell_pair(space: Workspace, world: World, pair: np.record, touches: Touches)
     distance, normal, on_a, _ = measure(space, world, pair, 0.0)
     if distance > TOUCH:
         return
-    place = along(vector(space.motions[pair.a].position), 1.0, on_a)
+    place = plus(vector(space.motions[pair.a].position), 1.0, on_a)
     still = (0.0, 0.0, 0.0)
     tell(touches, world.w, pair.a, pair.b, 0.0, place, normal, still, 1.0)
     if pair.b < world.scenery.first_body:
@@ -339,7 +339,7 @@ def halt(
     # Who turns may come closer elsewhere, but not for ever
     if dot(velocity, normal) > -STILL and tried < MOST_IMPACTS:
         return members
-    place = along(vector(motions[pair.a].position), 1.0, arm)
+    place = plus(vector(motions[pair.a].position), 1.0, arm)
     for m in range(members):
         i = space.island[m]
         moving = _way_velocity(space, world, i, (0.0, 0.0, 0.0))

@@ -16,6 +16,7 @@ from bulletuav.geometry.rotation import (
     dot,
     exponential,
     normalised,
+    plus,
     point,
     product,
     quat4,
@@ -26,11 +27,10 @@ from bulletuav.geometry.rotation import (
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.kernel import func
 from bulletuav.vehicle.swarm import Swarm
+from bulletuav.vehicle.wrench import spin_parts
 
 SMALL_TURN = 0.2
 """Angle by which a drone turns in one step of the midpoint rule, rad"""
-MOST_PARTS = 64
-"""Most of these steps in a substep"""
 
 MOTION = np.dtype(
     [
@@ -109,16 +109,6 @@ def _put_quaternion(motion: np.record, values: Quat4) -> None:
 
 
 @func
-def along(start: Vec3Like, share: float, change: Vec3Like) -> Vec3:
-    """Return start + share * change."""
-    return (
-        start[0] + share * change[0],
-        start[1] + share * change[1],
-        start[2] + share * change[2],
-    )
-
-
-@func
 def _rotation_between(before: Quat4, after: Quat4) -> Vec3:
     """Return the rotation from one attitude to another as axis times angle, the shorter way."""
     x, y, z, w = product(after, (-before[0], -before[1], -before[2], before[3]))
@@ -192,10 +182,10 @@ def begin(
     _put_quaternion(motion, quaternion)
     put_vector(motion.velocity, velocity)
     put_vector(motion.spin, spin)
-    put_vector(motion.move, along(vec3(after.position, w, i), -1.0, position))
+    put_vector(motion.move, plus(vec3(after.position, w, i), -1.0, position))
     put_vector(motion.turn, _rotation_between(quaternion, later))
-    put_vector(motion.push, along(vec3(after.velocity, w, i), -1.0, velocity))
-    put_vector(motion.twist, along(angular_after, -1.0, angular))
+    put_vector(motion.push, plus(vec3(after.velocity, w, i), -1.0, velocity))
+    put_vector(motion.twist, plus(angular_after, -1.0, angular))
 
 
 @func
@@ -222,10 +212,10 @@ def advance_to(motion: np.record, time: float, row: np.record) -> None:
         scale = math.sqrt(had / has)
         held = (scale * held[0], scale * held[1], scale * held[2])
     twisted = spin_of(there, vector(motion.twist), row)
-    put_vector(motion.position, along(vector(motion.position), share, vector(motion.move)))
+    put_vector(motion.position, plus(vector(motion.position), share, vector(motion.move)))
     _put_quaternion(motion, there)
-    put_vector(motion.velocity, along(vector(motion.velocity), elapsed, vector(motion.push)))
-    put_vector(motion.spin, along(held, elapsed, twisted))
+    put_vector(motion.velocity, plus(vector(motion.velocity), elapsed, vector(motion.push)))
+    put_vector(motion.spin, plus(held, elapsed, twisted))
     for k in range(3):
         motion.move[k] *= 1.0 - share
         motion.turn[k] *= 1.0 - share
@@ -243,8 +233,7 @@ def aim(motion: np.record, dt: float, row: np.record) -> None:
     spin = vector(motion.spin)
     angular = momentum(here, spin, row)
     # Fast spins in parts, so that their energy stays
-    angle = math.sqrt(dot(spin, spin)) * rest
-    parts = int(min(float(MOST_PARTS), 1.0 + angle / SMALL_TURN))
+    parts = spin_parts(spin, rest, SMALL_TURN)
     part = rest / parts
     there = here
     for _ in range(parts):
@@ -288,13 +277,13 @@ def pose_at(
     if who < scenery.first_body:
         motion = motions[who]
         share = _share(motion, time)
-        position = along(vector(motion.position), share, vector(motion.move))
+        position = plus(vector(motion.position), share, vector(motion.move))
         return position, turned(vector(motion.turn), share, quaternion_of(motion))
     if who < scenery.first_piece:
         k = who - scenery.first_body
         turn = quat4(scenery.quaternion, w, k)
         velocity = vec3(scenery.velocity, w, k)
-        return along(vec3(scenery.place, w, k), time * dt, velocity), turn
+        return plus(vec3(scenery.place, w, k), time * dt, velocity), turn
     if who < scenery.ground:
         return point(scenery.piece_place, who - scenery.first_piece), level
     return (0.0, 0.0, 0.0), level
@@ -310,8 +299,8 @@ def change_rates(
         motion = motions[who]
         rest = 1.0 - motion.time
         scale = 1.0 / rest if rest > 0.0 else 0.0
-        return along(still, scale, vector(motion.move)), along(still, scale, vector(motion.turn))
+        return plus(still, scale, vector(motion.move)), plus(still, scale, vector(motion.turn))
     if who < scenery.first_piece:
         velocity = vec3(scenery.velocity, w, who - scenery.first_body)
-        return along(still, dt, velocity), still
+        return plus(still, dt, velocity), still
     return still, still

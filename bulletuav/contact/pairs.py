@@ -9,12 +9,13 @@ import math
 
 import numpy as np
 
-from bulletuav.contact.motion import vector
+from bulletuav.contact.motion import put_vector, vector
 from bulletuav.contact.touch import TOUCH
 from bulletuav.geometry.city_grid import NO_LAYOUT, CityGrid, reached
 from bulletuav.geometry.closest_approach import closest_squared
-from bulletuav.geometry.rotation import Vec3, dot, minus, quat4, to_body, vec3
+from bulletuav.geometry.rotation import Vec3, dot, minus, point, quat4, to_body, vec3
 from bulletuav.geometry.scenery import Scenery
+from bulletuav.geometry.shapes import distance_from_box
 from bulletuav.kernel import func, kernel
 from bulletuav.vehicle.swarm import Swarm
 
@@ -26,7 +27,7 @@ VIEW = 5.0
 """Distance within which a city is looked at for a budget, m"""
 SLACK = 2e-3
 """Metres beyond its way within which a drone's pairs are collected"""
-
+ORIGIN = (0.0, 0.0, 0.0)
 
 PAIR = np.dtype(
     [
@@ -65,38 +66,26 @@ def _with_pair(pairs: np.ndarray, count: int, first: int, a: int, b: int) -> tup
     pair.a = a
     pair.b = b
     pair.time = 0.0
-    pair.normal[0] = 0.0
-    pair.normal[1] = 0.0
-    pair.normal[2] = 0.0
+    put_vector(pair.normal, ORIGIN)
     pair.floor = TOUCH
     pair.held = False
     return pairs, count + 1
 
 
 @func
-def box_distance(scenery: Scenery, w: int, k: int, place: Vec3) -> float:
+def body_distance(scenery: Scenery, w: int, k: int, place: Vec3) -> float:
     """Return a lower bound of the distance of a point from body piece k of a world, m."""
-    s = scenery.first_body + k
     table = scenery.table
-    body = vec3(scenery.place, w, k)
-    here = to_body(quat4(scenery.quaternion, w, k), minus(place, body))
-    beyond = 0.0
-    for m in range(3):
-        past = abs(here[m] - table.middle[s, m]) - table.half[s, m]
-        if past > 0.0:
-            beyond += past * past
-    return math.sqrt(beyond)
+    s = scenery.first_body + k
+    here = to_body(quat4(scenery.quaternion, w, k), minus(place, vec3(scenery.place, w, k)))
+    half = point(table.half, s)
+    return distance_from_box(minus(here, point(table.middle, s)), minus(ORIGIN, half), half)
 
 
 @func
 def _piece_distance(city_grid: CityGrid, p: int, place: Vec3) -> float:
     """Return the distance of a point from the bounding box of a city's piece, m."""
-    beyond = 0.0
-    for m in range(3):
-        past = max(city_grid.low[p, m] - place[m], place[m] - city_grid.high[p, m])
-        if past > 0.0:
-            beyond += past * past
-    return math.sqrt(beyond)
+    return distance_from_box(place, point(city_grid.low, p), point(city_grid.high, p))
 
 
 @kernel
@@ -137,7 +126,7 @@ def collect(
     if here[2] < far:
         pairs, count = _with_pair(pairs, count, known, i, scenery.ground)
     for k in range(scenery.place.shape[1]):
-        if box_distance(scenery, w, k, here) < far + speed:
+        if body_distance(scenery, w, k, here) < far + speed:
             pairs, count = _with_pair(pairs, count, known, i, scenery.first_body + k)
     city_grid = scenery.city_grid
     layout = city_grid.layout[w]
@@ -280,7 +269,7 @@ def rest_budget(
     least = min(FARTHEST, here[2] - own)
     # Bodies may be many: none nearer than what is known already needs its box
     for k in range(scenery.place.shape[1]):
-        least = min(least, box_distance(scenery, w, k, here) - own)
+        least = min(least, body_distance(scenery, w, k, here) - own)
     city_grid = scenery.city_grid
     layout = city_grid.layout[w]
     if layout != NO_LAYOUT and least > 0.0:

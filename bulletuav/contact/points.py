@@ -9,7 +9,6 @@ from bulletuav.contact.impulses import eased, prepare, set_ease, slip
 from bulletuav.contact.motion import (
     MOTION,
     advance_to,
-    along,
     change_rates,
     pose_at,
     put_vector,
@@ -19,7 +18,7 @@ from bulletuav.contact.motion import (
 from bulletuav.contact.touch import TOUCH, gap_at, separation_along
 from bulletuav.geometry.contact_points import MOST_POINTS, contact_points
 from bulletuav.geometry.gjk import make_room
-from bulletuav.geometry.rotation import Vec3, axes, dot, minus, to_body, to_world
+from bulletuav.geometry.rotation import Vec3, axes, dot, minus, plus, to_body, to_world
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.shapes import CYLINDER, HALF_SPACE, SPHERE
 from bulletuav.kernel import func, kernel
@@ -309,7 +308,7 @@ def _as_now(
     """Return where a point of someone is now that is at `arm` at the end of the substep, m."""
     position, before = pose_at(scenery, motions, w, who, time, dt)
     _, after = pose_at(scenery, motions, w, who, 1.0, dt)
-    return along(position, 1.0, to_world(before, to_body(after, arm)))
+    return plus(position, 1.0, to_world(before, to_body(after, arm)))
 
 
 @kernel
@@ -354,7 +353,7 @@ def foresee(
     position_b, _ = pose_at(scenery, motions, w, b, time, dt)
     if b < scenery.first_body:
         other = _as_now(scenery, motions, w, b, time, dt, on_b)
-        place = along(place, 0.5, minus(other, place))
+        place = plus(place, 0.5, minus(other, place))
     point = points[size]
     for k in range(3):
         point.normal[k] = normal[k]

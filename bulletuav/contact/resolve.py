@@ -15,7 +15,7 @@ from bulletuav.contact.pairs import PAIR, SLACK, collect, rest_budget, sweeps_ap
 from bulletuav.contact.points import Workspace, World
 from bulletuav.contact.touch import EXACT, NEVER, ROUGH, touch_time
 from bulletuav.contact.touches import Touches
-from bulletuav.geometry.rotation import dot, minus, vec3
+from bulletuav.geometry.rotation import dot, minus, plus, vec3
 from bulletuav.kernel import func, kernel
 from bulletuav.vehicle.swarm import Swarm
 
@@ -117,10 +117,41 @@ def _set_reach(space: Workspace, world: World, end: Swarm, due: np.ndarray) -> N
 
 
 @func
+def _collect_of(
+    space: Workspace,
+    world: World,
+    end: Swarm,
+    order: np.ndarray,
+    rank: int,
+    again: bool,
+    pairs: np.ndarray,
+    count: int,
+) -> tuple[np.ndarray, int]:
+    """Collect the pairs of one drone, and begin the motions of all in them; see `collect`."""
+    old = count
+    pairs, count = collect(
+        world.scenery,
+        space.motions,
+        world.alive,
+        world.w,
+        order,
+        rank,
+        again,
+        world.speed,
+        pairs,
+        count,
+    )
+    for p in range(old, count):
+        _start_drone(space, world, end, pairs[p].a)
+        _start_drone(space, world, end, pairs[p].b)
+    return pairs, count
+
+
+@func
 def find_pairs(
     space: Workspace, world: World, end: Swarm, order: np.ndarray
 ) -> tuple[np.ndarray, int]:
-    """Collect the pairs of all drones that are due, and time them."""
+    """Collect the pairs of all drones that are due."""
     motions = space.motions
     for i in range(order.shape[0]):
         motions[i].begun = False
@@ -130,22 +161,7 @@ def find_pairs(
     count = 0
     for rank in range(order.shape[0]):
         if motions[order[rank]].due:
-            pairs, count = collect(
-                world.scenery,
-                motions,
-                world.alive,
-                world.w,
-                order,
-                rank,
-                False,
-                world.speed,
-                pairs,
-                count,
-            )
-    for p in range(count):
-        _start_drone(space, world, end, pairs[p].a)
-        _start_drone(space, world, end, pairs[p].b)
-        _time_pair(space, world, pairs[p], 0.0)
+            pairs, count = _collect_of(space, world, end, order, rank, False, pairs, count)
     return pairs, count
 
 
@@ -164,28 +180,12 @@ def _widen(
         if not motion.member:
             continue
         here = minus(vector(motion.position), vector(motion.start))
-        move = vector(motion.move)
-        there = (here[0] + move[0], here[1] + move[1], here[2] + move[2])
+        there = plus(here, 1.0, vector(motion.move))
         way = math.sqrt(max(dot(here, here), dot(there, there)))
         if way > motion.reach or not motion.due:
             motion.reach = max(motion.reach, 1.5 * way + SLACK)
             motion.due = True
-            old = count
-            pairs, count = collect(
-                world.scenery,
-                space.motions,
-                world.alive,
-                world.w,
-                order,
-                rank,
-                True,
-                world.speed,
-                pairs,
-                count,
-            )
-            for p in range(old, count):
-                _start_drone(space, world, end, pairs[p].a)
-                _start_drone(space, world, end, pairs[p].b)
+            pairs, count = _collect_of(space, world, end, order, rank, True, pairs, count)
     return pairs, count
 
 
@@ -204,6 +204,8 @@ def _fly_through(
     motions = space.motions
     order = in_order(world.start.position, w)
     pairs, count = find_pairs(space, world, end, order)
+    for p in range(count):
+        _time_pair(space, world, pairs[p], 0.0)
     eventful = False
     while True:
         first = _next_pair(pairs, count)

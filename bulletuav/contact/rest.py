@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.contact.pairs import box_distance
+from bulletuav.contact.pairs import body_distance
 from bulletuav.contact.points import Workspace, World, make_workspace
 from bulletuav.contact.touches import Touches, make_touches
 from bulletuav.geometry.rotation import Vec3, dot, minus, vec3
@@ -160,7 +160,7 @@ def wake_for_obstacles(contact: Contact, world: World) -> None:
         near = scenery.table.radius[i] + 2.0 * world.speed + NEARBY
         for k in range(contact.before.shape[1]):
             drift = vec3(scenery.velocity, w, k)
-            if dot(drift, drift) > 0.0 and box_distance(scenery, w, k, here) < near:
+            if dot(drift, drift) > 0.0 and body_distance(scenery, w, k, here) < near:
                 wake(contact, w, i)
 
 

@@ -13,8 +13,8 @@ import numpy as np
 
 from bulletuav.contact.motion import change_rates, pose_at
 from bulletuav.geometry.gjk import gap
-from bulletuav.geometry.minkowski import far_point, plus, swell
-from bulletuav.geometry.rotation import Vec3, axes, cross, dot, minus
+from bulletuav.geometry.minkowski import far_point, swell
+from bulletuav.geometry.rotation import Vec3, axes, cross, dot, minus, plus
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.shapes import HALF_SPACE
 from bulletuav.kernel import func, kernel

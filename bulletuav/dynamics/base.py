@@ -142,7 +142,7 @@ class Dynamics(ABC):
             something until the decision ends. "impulse": it is pushed, slides and rests there;
             this needs velocities and rates that are those of the flight.
         sleeps: Whether it leaves drones that rest alone until their forces change, see
-            `bulletuav.contact.contacts.bears`.
+            `bulletuav.contact.rest.bears`.
         flight: What it was built from.
         contact: What its contacts need.
     """

@@ -15,42 +15,28 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.contact.contacts import (
-    meet_all,
-    place_obstacles,
-    remember_all,
-)
+from bulletuav.contact.contacts import meet_all, place_obstacles, remember_all
 from bulletuav.contact.rest import Contact, bears, wake
 from bulletuav.control.cascade import Cascade, command_rotors
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.base import Air, Dynamics, Flight, require_sane
 from bulletuav.engine.c_extension import Port, substep, surface_below, write_states
-from bulletuav.geometry.rotation import Vec3, cross, quat4, vec3
+from bulletuav.geometry.rotation import Vec3, cross, plus, quat4, vec3
 from bulletuav.kernel import func, kernel
 from bulletuav.registry import register
 from bulletuav.vehicle.aerodynamics import wakes
 from bulletuav.vehicle.rotors import lag_decay, lagged, rotor_wrench
 from bulletuav.vehicle.swarm import Contacts, Motion, Swarm
-from bulletuav.vehicle.wrench import body_acceleration, spin_parts, wrench
-
-
-@func
-def _ahead(rates: Vec3, slope: Vec3, dt: float) -> Vec3:
-    """Return rates + dt * slope."""
-    return (
-        rates[0] + dt * slope[0],
-        rates[1] + dt * slope[1],
-        rates[2] + dt * slope[2],
-    )
+from bulletuav.vehicle.wrench import SMALL_TURN, body_acceleration, spin_parts, wrench
 
 
 @func
 def _slopes(rates: Vec3, torque: Vec3, dt: float, row: np.record) -> Vec3:
     """Return six times the weighted mean of the four slopes of the rates (RK4), rad/s^2."""
     k1 = body_acceleration(rates, torque, row)
-    k2 = body_acceleration(_ahead(rates, k1, 0.5 * dt), torque, row)
-    k3 = body_acceleration(_ahead(rates, k2, 0.5 * dt), torque, row)
-    k4 = body_acceleration(_ahead(rates, k3, dt), torque, row)
+    k2 = body_acceleration(plus(rates, 0.5 * dt, k1), torque, row)
+    k3 = body_acceleration(plus(rates, 0.5 * dt, k2), torque, row)
+    k4 = body_acceleration(plus(rates, dt, k3), torque, row)
     return (
         k1[0] + 2 * k2[0] + 2 * k3[0] + k4[0],
         k1[1] + 2 * k2[1] + 2 * k3[1] + k4[1],
@@ -78,15 +64,15 @@ def engine_torque(
     Returns:
         M' in body axes, N m.
     """
-    parts = spin_parts(rates, dt)
+    parts = spin_parts(rates, dt, SMALL_TURN)
     step = dt / parts
     slope = _slopes(rates, torque, step, row)
     total = slope
     now = rates
     for _ in range(parts - 1):
-        now = _ahead(now, slope, step / 6.0)
+        now = plus(now, step / 6.0, slope)
         slope = _slopes(now, torque, step, row)
-        total = _ahead(total, slope, 1.0)
+        total = plus(total, 1.0, slope)
     total = (total[0] / parts, total[1] / parts, total[2] / parts)
 
     # What Bullet takes off again: w x J w
@@ -339,10 +325,16 @@ class BulletDynamics(Dynamics):
             torque=self._torque,
         )
 
+    def _surface(self, swarm: Swarm, alive: np.ndarray) -> np.ndarray:
+        """Return room for the heights of the surface, which are taken anew in every substep."""
+        return np.full(alive.shape, -np.inf)
+
     def _advance_once(self, inputs: "_Inputs") -> None:
         """Fly one substep through the engine's own calls."""
         engine = self.flight.engine
-        inputs.air.surface[:] = self._surface(inputs.swarm, inputs.alive)
+        if self._near_ground:
+            surface = engine.surface_below(inputs.swarm.position, inputs.alive)
+            inputs.air.surface[:] = surface
         drive(*inputs)
         flying = np.zeros(inputs.alive.shape, dtype=bool)
         force, torque = inputs.force, inputs.torque
@@ -363,7 +355,7 @@ class BulletDynamics(Dynamics):
         """Fly with Bullet's own contacts, substep by substep."""
         flight = self.flight
         engine = flight.engine
-        air = Air(wind, np.full(alive.shape, -np.inf), flight.gravity)
+        air = Air(wind, self._surface(swarm, alive), flight.gravity)
         inputs = self._inputs(swarm, alive, level, setpoint, air)
         touched = []
         for piece in range(flight.substeps):

@@ -20,7 +20,7 @@ from bulletuav.registry import register
 from bulletuav.vehicle.aerodynamics import wakes
 from bulletuav.vehicle.rotors import lag_decay, lagged, rotor_wrench
 from bulletuav.vehicle.swarm import Swarm, get, put
-from bulletuav.vehicle.wrench import body_acceleration, spin_parts, wrench
+from bulletuav.vehicle.wrench import SMALL_TURN, body_acceleration, spin_parts, wrench
 
 State = tuple[Vec3, Quat4, Vec3, Vec3]
 """Position, quaternion, velocity and rates of one drone, or their slopes"""
@@ -239,7 +239,7 @@ def advance(
                             continue
                         rouse(contact, w, i)
                     # Fast spins in pieces: their precession is stiff
-                    parts = spin_parts(state[3], dt)
+                    parts = spin_parts(state[3], dt, SMALL_TURN)
                     for _ in range(parts):
                         state = _rk4(state, rotors, dt / parts, around, wake[i], row)
                     put(swarm, w, i, state)

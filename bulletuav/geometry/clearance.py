@@ -1,28 +1,17 @@
 """Distances of drones from the nearest thing, by exact shapes in compiled code."""
 
-import math
-
 import numpy as np
 
 from bulletuav.geometry.city_grid import NO_LAYOUT, CityGrid, reached
 from bulletuav.geometry.gjk import gap
 from bulletuav.geometry.rotation import Vec3, Vec3Like, axes, dot, minus, point, quat4, vec3
 from bulletuav.geometry.scenery import Scenery
+from bulletuav.geometry.shapes import distance_from_box
 from bulletuav.kernel import func, kernel
 
 LEVEL = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 """Axes of what is not turned"""
 NO_GUESS = (0.0, 0.0, 0.0)
-
-
-@func
-def _from_box(place: Vec3Like, low: Vec3Like, high: Vec3Like) -> float:
-    """Return the distance of a point from a box between two corners, 0 inside, m."""
-    square = 0.0
-    for k in range(3):
-        aside = max(low[k] - place[k], 0.0, place[k] - high[k])
-        square += aside * aside
-    return math.sqrt(square)
 
 
 @func
@@ -67,7 +56,7 @@ def _city_clearance(
                     continue
                 low = point(city_grid.low, p)
                 high = point(city_grid.high, p)
-                aside = _from_box(place, low, high)
+                aside = distance_from_box(place, low, high)
                 if aside > 0.0 and aside - radius >= found:
                     continue
                 s = scenery.first_piece + p

@@ -14,8 +14,8 @@ import numpy as np
 
 from bulletuav.geometry.convex import ShapeTable
 from bulletuav.geometry.features import put_feature
-from bulletuav.geometry.minkowski import Turn, plus, row_point, turned
-from bulletuav.geometry.rotation import Vec3, Vec3Like, cross, dot, minus, point
+from bulletuav.geometry.minkowski import Turn, row_point, turned
+from bulletuav.geometry.rotation import Vec3, Vec3Like, cross, dot, minus, plus, point
 from bulletuav.geometry.shapes import HALF_SPACE, SPHERE
 from bulletuav.kernel import func, kernel
 

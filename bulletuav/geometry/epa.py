@@ -15,11 +15,10 @@ from bulletuav.geometry.minkowski import (
     MOST_FACES,
     MOST_VERTICES,
     Turn,
-    plus,
     put_difference,
     row_point,
 )
-from bulletuav.geometry.rotation import Vec3, Vec3Like, cross, dot, minus
+from bulletuav.geometry.rotation import Vec3, Vec3Like, cross, dot, minus, plus
 from bulletuav.kernel import func, kernel
 
 EXACT = 1e-9

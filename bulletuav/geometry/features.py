@@ -9,8 +9,8 @@ import math
 import numpy as np
 
 from bulletuav.geometry.convex import RIM, ShapeTable
-from bulletuav.geometry.minkowski import Turn, plus, turned, turned_back
-from bulletuav.geometry.rotation import Vec3, cross, dot, point
+from bulletuav.geometry.minkowski import Turn, turned, turned_back
+from bulletuav.geometry.rotation import Vec3, cross, dot, plus, point
 from bulletuav.geometry.shapes import BOX, CYLINDER
 from bulletuav.kernel import func
 

@@ -12,9 +12,9 @@ import numpy as np
 from bulletuav.geometry.convex import ShapeTable
 from bulletuav.geometry.epa import overlap
 from bulletuav.geometry.minkowski import Turn as Turn
-from bulletuav.geometry.minkowski import far_point, plus, put_difference, row_point, swell
+from bulletuav.geometry.minkowski import far_point, put_difference, row_point, swell
 from bulletuav.geometry.minkowski import make_room as make_room
-from bulletuav.geometry.rotation import Vec3, Vec3Like, cross, dot, minus
+from bulletuav.geometry.rotation import Vec3, Vec3Like, cross, dot, minus, plus
 from bulletuav.geometry.shapes import HALF_SPACE
 from bulletuav.kernel import func, kernel
 

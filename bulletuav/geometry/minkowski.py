@@ -49,12 +49,6 @@ def turned_back(turn: Turn, v: Vec3Like) -> Vec3:
 
 
 @func
-def plus(a: Vec3Like, scale: float, b: Vec3Like) -> Vec3:
-    """Return a + scale b."""
-    return a[0] + scale * b[0], a[1] + scale * b[1], a[2] + scale * b[2]
-
-
-@func
 def far_point(table: ShapeTable, s: int, turn: Turn, d: Vec3Like) -> Vec3:
     """Return a point of a shape that is farthest along a direction, both in world axes."""
     return turned(turn, support(table, s, turned_back(turn, d)))

@@ -48,6 +48,12 @@ def minus(a: Vec3Like, b: Vec3Like) -> Vec3:
 
 
 @func
+def plus(a: Vec3Like, scale: float, b: Vec3Like) -> Vec3:
+    """Return a + scale b."""
+    return a[0] + scale * b[0], a[1] + scale * b[1], a[2] + scale * b[2]
+
+
+@func
 def cross(a: Vec3Like, b: Vec3Like) -> Vec3:
     """Return the vector product a x b."""
     return (

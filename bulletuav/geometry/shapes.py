@@ -78,6 +78,16 @@ def inside_box(
 
 
 @func
+def distance_from_box(place: Vec3Like, low: Vec3Like, high: Vec3Like) -> float:
+    """Return the distance of a point from the box between two corners, 0 inside, m."""
+    square = 0.0
+    for k in range(3):
+        aside = max(low[k] - place[k], 0.0, place[k] - high[k])
+        square += aside * aside
+    return math.sqrt(square)
+
+
+@func
 def _inside_round(along: float, square: float, outside: float) -> tuple[float, float]:
     """Return the roots t of t^2 square + 2 t along + outside, or (inf, -inf) for none.
 

@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from bulletuav.geometry.rotation import Vec3, Vec3Like, dot, vec3
+from bulletuav.geometry.rotation import Vec3, dot, plus, vec3
 from bulletuav.kernel import func, kernel
 
 DEPTH = 4
@@ -25,16 +25,6 @@ ROUNDING = 1e-9
 """Velocity by which a half-space may be missed, m/s"""
 PARALLEL = 1e-8
 """Sine of the angle below which two half-spaces are parallel"""
-
-
-@func
-def along(v: Vec3Like, scale: float, direction: Vec3Like) -> Vec3:
-    """Compute the sum v + scale direction."""
-    return (
-        v[0] + scale * direction[0],
-        v[1] + scale * direction[1],
-        v[2] + scale * direction[2],
-    )
 
 
 @func
@@ -92,11 +82,11 @@ def within(
         radius: Radius of the ball.
         linear: Whether a direction is wanted.
     """
-    way = wanted if linear else along(wanted, -1.0, centre)
+    way = wanted if linear else plus(wanted, -1.0, centre)
     length = math.sqrt(dot(way, way))
     if length <= ROUNDING or (length <= radius and not linear):
         return centre if linear else wanted
-    return along(centre, radius / length, way)
+    return plus(centre, radius / length, way)
 
 
 @func
@@ -136,16 +126,16 @@ def descend(
         other = vec3(rows, depth, j)
         share = dot(other, n)
         rest = rows[depth, j, 3] - share * bound
-        within_boundary = along(other, -share, n)
+        within_boundary = plus(other, -share, n)
         has_direction = write(rows, depth + 1, count, within_boundary, rest)
         if has_direction and not to_point:
             count += 1
         elif rest > ROUNDING:
             return -1
     # Cut the ball with it, and project the aim onto it.
-    centre = along(centre, height, n)
+    centre = plus(centre, height, n)
     wanted = vec3(frame, depth, 1)
-    wanted = along(wanted, (0.0 if linear else bound) - dot(n, wanted), n)
+    wanted = plus(wanted, (0.0 if linear else bound) - dot(n, wanted), n)
     cut_radius = math.sqrt(radius * radius - height * height)
     pose(frame, depth + 1, wanted, centre, cut_radius)
     return count
@@ -263,7 +253,7 @@ def least_violation(
         fewer = 0
         for j in range(i):
             other = vec3(rows, 0, j)
-            difference = along(other, -1.0, n)
+            difference = plus(other, -1.0, n)
             if write(spare, 0, fewer, difference, rows[0, j, 3] - bound):
                 fewer += 1
         # Go as far into this one as these permit.

@@ -10,10 +10,10 @@ from typing import NamedTuple
 import numpy as np
 
 from bulletuav.geometry.closest_approach import keep_nearest, offset
-from bulletuav.geometry.rotation import Vec3, cross, dot, vec3
+from bulletuav.geometry.rotation import Vec3, cross, dot, plus, vec3
 from bulletuav.kernel import func, kernel
 from bulletuav.policies.base import Policy
-from bulletuav.policies.linear_program import DEPTH, along, best_velocity, write
+from bulletuav.policies.linear_program import DEPTH, best_velocity, write
 from bulletuav.policies.straight import preferred_velocity
 from bulletuav.registry import register
 from bulletuav.tasks.observations.observer import Observation
@@ -217,7 +217,7 @@ def _balls(
     here = vec3(position, w, i)
     own = vec3(velocity, w, i)
     for k in range(around.ball_radius.size):
-        gap = along(vec3(around.ball, w, k), -1.0, here)
+        gap = plus(vec3(around.ball, w, k), -1.0, here)
         other = vec3(around.ball_velocity, w, k)
         # The drone does all.
         space = half_space(gap, own, other, around.ball_radius[k], rules, 1.0)
@@ -313,11 +313,11 @@ def half_space(
         Unit normal n and bound b, m/s, of n . v >= b.
     """
     # A conflict that is there is left within the recovery, another avoided for the horizon.
-    relative = along(own, -1.0, other)
+    relative = plus(own, -1.0, other)
     inside = dot(gap, gap) <= radius * radius
     time = rules.recovery if inside else rules.horizon
     # Offset of the relative velocity from the centre of the ball that cuts off the cone.
-    w = along(relative, -1.0 / time, gap)
+    w = plus(relative, -1.0 / time, gap)
     back = dot(w, gap)
     on_ball = back < 0.0 and back * back > radius * radius * dot(w, w)
     if inside or on_ball:
@@ -338,7 +338,7 @@ def _leg(gap: Vec3, relative: Vec3, radius: float) -> tuple[Vec3, float]:
     """
     # The part of the relative velocity across the cone's axis points to the nearest side.
     axis, distance = _unit(gap, (1.0, 0.0, 0.0))
-    sideways = along(relative, -dot(relative, axis), axis)
+    sideways = plus(relative, -dot(relative, axis), axis)
     # Head-on both drones turn to their right.
     level = cross(axis, (0.0, 0.0, 1.0))
     # Where both are one above the other, any side does.
@@ -348,7 +348,7 @@ def _leg(gap: Vec3, relative: Vec3, radius: float) -> tuple[Vec3, float]:
     # The surface is inclined to the axis by the angle of this sine.
     sine = radius / distance
     inwards = (-sine * axis[0], -sine * axis[1], -sine * axis[2])
-    n = along(inwards, math.sqrt(1.0 - sine * sine), aside)
+    n = plus(inwards, math.sqrt(1.0 - sine * sine), aside)
     return n, -dot(n, relative)
 
 

@@ -11,12 +11,11 @@ import numpy as np
 
 from bulletuav.control.actions import limit_norm
 from bulletuav.envs.aviary import Aviary
-from bulletuav.geometry.rotation import Vec3, dot, vec3
+from bulletuav.geometry.rotation import Vec3, dot, plus, vec3
 from bulletuav.geometry.solids import Solids
 from bulletuav.kernel import func, kernel
 from bulletuav.policies.astar import plan
 from bulletuav.policies.base import Policy
-from bulletuav.policies.linear_program import along
 from bulletuav.policies.potential import make_field, repulsion
 from bulletuav.policies.straight import APPROACH
 from bulletuav.policies.voxels import Voxels, voxels
@@ -225,7 +224,7 @@ def next_waypoint(
     while k < len(points) - 1:
         direction, _ = leg(points, k)
         # How far the waypoint is along its leg, and how far the drone gets in the delay.
-        gap = along(point(points, k), -1.0, here)
+        gap = plus(point(points, k), -1.0, here)
         left = dot(gap, direction)
         flown_by_then = limits.delay * dot(velocity, direction)
         if left > max(flown_by_then, 0.5 * limits.half_width):
@@ -255,10 +254,10 @@ def velocity_along(
         The velocity, m/s.
     """
     direction, _ = leg(points, k)
-    gap = along(point(points, k), -1.0, here)
+    gap = plus(point(points, k), -1.0, here)
     # How far the waypoint is along the leg, and the way back to the leg.
     left = dot(gap, direction)
-    aside = along(gap, -left, direction)
+    aside = plus(gap, -left, direction)
     # Not faster than the corners ahead allow, nor than policy `straight` at the end.
     speed = braking(left, speed_past(points, k, limits), limits)
     if k == len(points) - 1:
@@ -271,7 +270,7 @@ def velocity_along(
         APPROACH * aside[1],
         APPROACH * aside[2],
     )
-    return along(back, speed, direction)
+    return plus(back, speed, direction)
 
 
 @func
@@ -347,7 +346,7 @@ def leg(points: np.ndarray, k: int) -> tuple[Vec3, float]:
 
     The direction is zero where the leg is too short to have one.
     """
-    way = along(point(points, k), -1.0, point(points, k - 1))
+    way = plus(point(points, k), -1.0, point(points, k - 1))
     length = math.sqrt(dot(way, way))
     scale = 1.0 / length if length > NO_WAY else 0.0
     direction = (

@@ -78,15 +78,16 @@ def body_acceleration(rates: Vec3Like, torque: Vec3Like, row: ParameterRow) -> V
 
 
 @func
-def spin_parts(rates: Vec3Like, dt: float) -> int:
-    """Return into how many parts a step is cut so that RK4 follows the precession, 1 to MOST_PARTS.
+def spin_parts(spin: Vec3Like, dt: float, small: float) -> int:
+    """Return into how many parts a step is cut so that precession is followed, 1 to MOST_PARTS.
 
     Args:
-        rates: Angular velocity, body axes, rad/s.
+        spin: Angular velocity, any axes, rad/s.
         dt: Duration of the step, s.
+        small: Angle by which a body may turn in a part, rad.
     """
-    angle = math.sqrt(dot(rates, rates)) * dt
+    angle = math.sqrt(dot(spin, spin)) * dt
     # Also 1 where it is not finite, which is told elsewhere
-    if not SMALL_TURN < angle < np.inf:
+    if not small < angle < np.inf:
         return 1
-    return int(min(float(MOST_PARTS), 1.0 + angle / SMALL_TURN))
+    return int(min(float(MOST_PARTS), 1.0 + angle / small))
