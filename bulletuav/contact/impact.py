@@ -22,7 +22,7 @@ from bulletuav.contact.points import (
 from bulletuav.contact.touch import TOUCH
 from bulletuav.contact.touches import Touches, tell
 from bulletuav.geometry.contact_points import MOST_POINTS
-from bulletuav.geometry.rotation import Vec3, dot, minus, plus
+from bulletuav.geometry.rotation import Vec3, Vec3Like, dot, minus, plus
 from bulletuav.kernel import func, kernel
 
 MOST_IMPACTS = 16
@@ -47,86 +47,105 @@ def _rebounds(point: np.record) -> bool:
 
 
 @func
-def _rebound(space: Workspace, world: World, members: int, points: np.ndarray, size: int) -> None:
-    """Let the impact act: velocities at its time change, with what restitution there is.
-
-    First all that closes is stopped, then rebounds (Newton). What would gain energy that way, as
-    friction allows, is a mean of both that gains none.
-    """
-    motions = space.motions
-    lively = False
-    frame = (0.0, 0.0, 0.0)
-    for k in range(size):
-        point = points[k]
-        lively = lively or (_rebounds(point) and point.restitution > 0.0)
-        point.least = FREE if point.distance > IN_TOUCH else 0.0
-        if point.b < 0 and dot(frame, frame) == 0.0:
-            frame = vector(point.drift)
-    if not lively:
-        return
+def _remember(space: Workspace, members: int, points: np.ndarray, size: int) -> None:
+    """Keep velocities and impulses as they are before passes that may gain energy."""
     for m in range(members):
-        motion = motions[space.island[m]]
+        motion = space.motions[space.island[m]]
         put_vector(motion.before[0], motion.velocity)
         put_vector(motion.before[1], motion.spin)
-    # Without rebound
-    relax(points, size, motions)
-    keep(points, size)
-    for m in range(members):
-        motion = motions[space.island[m]]
-        put_vector(motion.after[0], motion.velocity)
-        put_vector(motion.after[1], motion.spin)
-        put_vector(motion.velocity, motion.before[0])
-        put_vector(motion.spin, motion.before[1])
-    # With rebound, from the beginning
     for k in range(size):
-        if _rebounds(points[k]):
-            points[k].least = -points[k].restitution * points[k].approach
-    relax(points, size, motions)
-    share = _lossless_share(space, world, members, frame)
-    for m in range(members):
-        motion = motions[space.island[m]]
-        for k in range(3):
-            calm = motion.after[0, k]
-            motion.velocity[k] = calm + share * (motion.velocity[k] - calm)
-            calm = motion.after[1, k]
-            motion.spin[k] = calm + share * (motion.spin[k] - calm)
-    for k in range(size):
-        point = points[k]
-        for m in range(3):
-            point.total[m] += share * (point.impulse[m] - point.total[m])
+        put_vector(points[k].former, points[k].total)
 
 
 @func
-def _lossless_share(space: Workspace, world: World, members: int, frame: Vec3) -> float:
-    """Return how much of a rebound may act, 0 to 1, without a gain of energy.
+def _between(one: Vec3Like, two: Vec3Like, share: float) -> Vec3:
+    """Return the vector at a share of the way from one to another."""
+    start = vector(one)
+    return plus(start, share, minus(vector(two), start))
 
-    Energy is a parabola over that share: it is known from its values at 0, 1/2 and 1.
+
+@func
+def _lose_gain(
+    space: Workspace, world: World, members: int, points: np.ndarray, size: int, frame: Vec3
+) -> None:
+    """Take back what energy the passes since `_remember` gained, if any.
+
+    What they did is mixed with what happens if all that closes is stopped, which gains none.
+    Energy is a parabola over the share of the first: it is known from its values at 0, 1/2 and 1.
     """
+    motions = space.motions
     had = 0.0
-    calm = 0.0
     full = 0.0
+    for m in range(members):
+        motion = motions[space.island[m]]
+        row = world.parameters[world.w, space.island[m]]
+        least = 0.5 * row.mass * LIFT * LIFT
+        had += max(least, energy(motion, motion.before[0], motion.before[1], frame, row))
+        full += energy(motion, motion.velocity, motion.spin, frame, row)
+        put_vector(motion.after[0], motion.velocity)
+        put_vector(motion.after[1], motion.spin)
+    if full <= had:
+        return
+    for m in range(members):
+        motion = motions[space.island[m]]
+        put_vector(motion.velocity, motion.before[0])
+        put_vector(motion.spin, motion.before[1])
+    for k in range(size):
+        points[k].least = min(points[k].least, 0.0)
+    relax(points, size, motions)
+    calm = 0.0
     half = 0.0
     for m in range(members):
-        i = space.island[m]
-        motion = space.motions[i]
-        row = world.parameters[world.w, i]
-        had += energy(motion, motion.before[0], motion.before[1], frame, row)
-        calm += energy(motion, motion.after[0], motion.after[1], frame, row)
-        full += energy(motion, motion.velocity, motion.spin, frame, row)
-        for k in range(3):
-            motion.before[0, k] = 0.5 * (motion.after[0, k] + motion.velocity[k])
-            motion.before[1, k] = 0.5 * (motion.after[1, k] + motion.spin[k])
-        half += energy(motion, motion.before[0], motion.before[1], frame, row)
-    if full <= had:
-        return 1.0
+        motion = motions[space.island[m]]
+        row = world.parameters[world.w, space.island[m]]
+        calm += energy(motion, motion.velocity, motion.spin, frame, row)
+        velocity = _between(motion.velocity, motion.after[0], 0.5)
+        spin = _between(motion.spin, motion.after[1], 0.5)
+        half += energy(motion, velocity, spin, frame, row)
     # calm + linear s + square s^2 = had
     square = 2.0 * (full + calm) - 4.0 * half
     linear = full - calm - square
     left = had - calm
-    if left <= 0.0 or square <= 0.0:
-        return 0.0
-    root = math.sqrt(linear * linear + 4.0 * square * left)
-    return min(1.0, max(0.0, 2.0 * left / (linear + root)))
+    share = 0.0
+    if left > 0.0 and square > 0.0:
+        root = math.sqrt(linear * linear + 4.0 * square * left)
+        share = min(1.0, max(0.0, 2.0 * left / (linear + root)))
+    for m in range(members):
+        motion = motions[space.island[m]]
+        put_vector(motion.velocity, _between(motion.velocity, motion.after[0], share))
+        put_vector(motion.spin, _between(motion.spin, motion.after[1], share))
+    for k in range(size):
+        point = points[k]
+        for m in range(3):
+            stopping = point.former[m] + point.impulse[m]
+            point.total[m] = stopping + share * (point.total[m] - stopping)
+
+
+@func
+def _frame_of(points: np.ndarray, size: int) -> Vec3:
+    """Return the velocity of what does not yield, or zeros, m/s."""
+    for k in range(size):
+        if points[k].b < 0:
+            return vector(points[k].drift)
+    return 0.0, 0.0, 0.0
+
+
+@func
+def _rebound(space: Workspace, world: World, members: int, points: np.ndarray, size: int) -> None:
+    """Let what closes fast enough rebound (Newton), without a gain of energy."""
+    lively = False
+    for k in range(size):
+        point = points[k]
+        point.least = FREE if point.distance > IN_TOUCH else 0.0
+        if _rebounds(point):
+            lively = lively or point.restitution > 0.0
+            point.least = -point.restitution * point.approach
+    if not lively:
+        return
+    _remember(space, members, points, size)
+    relax(points, size, space.motions)
+    keep(points, size)
+    _lose_gain(space, world, members, points, size, _frame_of(points, size))
 
 
 @func
@@ -145,7 +164,7 @@ def _allow(points: np.ndarray, size: int, dt: float) -> None:
 
 
 @func
-def _add_forces(space: Workspace, members: int, time: float, sign: float) -> None:
+def add_forces(space: Workspace, members: int, time: float, sign: float) -> None:
     """Add what forces do to the velocities of an island in the rest of the substep, or take it."""
     rest = sign * (1.0 - time)
     for m in range(members):
@@ -175,13 +194,17 @@ def _hold(
     """
     motions = space.motions
     _allow(points, size, world.dt)
-    _add_forces(space, members, time, 1.0)
+    add_forces(space, members, time, 1.0)
+    _remember(space, members, points, size)
+    frame = _frame_of(points, size)
     for trial in range(FORESIGHT + 1):
         relax(points, size, motions)
         keep(points, size)
         if trial == 0 and damp_tipping(points, size, motions):
             relax(points, size, motions)
             keep(points, size)
+        if trial > 0:
+            _lose_gain(space, world, members, points, size, frame)
         for m in range(members):
             i = space.island[m]
             aim(motions[i], world.dt, world.parameters[world.w, i])
@@ -194,7 +217,7 @@ def _hold(
         if size == before:
             break
     # Back to velocities at the time of the impact: forces are added on the way
-    _add_forces(space, members, time, -1.0)
+    add_forces(space, members, time, -1.0)
     return size
 
 
@@ -269,10 +292,7 @@ def push_apart(
         other = pairs[owner[k]].b
         _tell_point(touches, space, world.w, points[k], other, vector(slips[k]))
     # Who stays goes along with an obstacle that moves
-    drift = (0.0, 0.0, 0.0)
-    for k in range(size):
-        if points[k].b < 0:
-            drift = vector(points[k].drift)
+    drift = _frame_of(points, size)
     for m in range(members):
         motion = motions[space.island[m]]
         if motion.impacts >= MOST_IMPACTS:

@@ -37,6 +37,7 @@ POINT = np.dtype(
         ("damping", "f8"),
         ("impulse", "f8", 3),
         ("total", "f8", 3),
+        ("former", "f8", 3),
     ]
 )
 """A point of contact.
@@ -64,6 +65,7 @@ Attributes:
     damping: Angular impulse that damps tipping, over the normal impulse and the spin, m s.
     impulse: Along the normal and the tangents, in this pass, N s.
     total: The same in all passes, N s.
+    former: The same in all passes before those that may gain energy, N s.
 """
 
 FIRM = 1e-9
@@ -133,6 +135,7 @@ def prepare(row: np.record, motions: np.ndarray) -> None:
         row.tangent[0, k] = one[k]
         row.tangent[1, k] = two[k]
         row.total[k] = 0.0
+        row.former[k] = 0.0
         row.impulse[k] = 0.0
     arm = vector(row.arm_a)
     motion = motions[row.a]
@@ -378,7 +381,7 @@ def keep(points: np.ndarray, count: int) -> None:
 
 @func
 def energy(
-    motion: np.record, velocity: np.ndarray, spin: np.ndarray, frame: Vec3, row: np.record
+    motion: np.record, velocity: Vec3Like, spin: Vec3Like, frame: Vec3, row: np.record
 ) -> float:
     """Return a drone's kinetic energy (J) with a velocity and spin, as seen from a frame."""
     bx, by, bz = axes(quaternion_of(motion))

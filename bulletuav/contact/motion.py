@@ -32,9 +32,15 @@ from bulletuav.vehicle.wrench import spin_parts
 SMALL_TURN = 0.2
 """Angle by which a drone turns in one step of the midpoint rule, rad"""
 
+FAR_TURN = 0.5
+"""Angle by which a drone turns about one axis at most, rad; then it takes another"""
+SHORTEST_LEG = 1.0 / 64.0
+"""Share of the substep that it flies on at least, however fast it turns"""
+
 MOTION = np.dtype(
     [
         ("time", "f8"),
+        ("until", "f8"),
         ("position", "f8", 3),
         ("quaternion", "f8", 4),
         ("velocity", "f8", 3),
@@ -55,16 +61,17 @@ MOTION = np.dtype(
         ("after", "f8", (2, 3)),
     ]
 )
-"""Motion of a drone from a time within the substep to its end.
+"""Motion of a drone from a time within the substep to another, mostly to its end.
 
 Attributes:
     time: Share of the substep from which on the rest holds.
+    until: Share of the substep up to which it does.
     position: Centre of mass at that time, m.
     quaternion: Attitude at that time.
     velocity: At that time, m/s.
     spin: Angular velocity at that time, world axes, rad/s.
-    move: Displacement from that time to the end of the substep, m.
-    turn: Rotation from that time to the end, as axis times angle, world axes, rad.
+    move: Displacement from `time` to `until`, m.
+    turn: Rotation from `time` to `until`, as axis times angle, world axes, rad.
     push: Change of velocity by forces over the whole substep, m/s.
     twist: Change of angular momentum by torques over the substep, world axes, N m s.
     impacts: How often the drone took part in an impact in this substep.
@@ -81,7 +88,7 @@ Attributes:
 
 
 @func
-def vector(array: np.ndarray) -> Vec3:
+def vector(array: Vec3Like) -> Vec3:
     """Return an array of three numbers as a tuple."""
     return array[0], array[1], array[2]
 
@@ -156,6 +163,7 @@ def begin(
     w: int,
     i: int,
     row: np.record,
+    dt: float,
 ) -> None:
     """Start drone i of world w on its way through a substep in which it touches nothing.
 
@@ -166,6 +174,7 @@ def begin(
         w: The world.
         i: The drone.
         row: Row of `PARAMETERS` of the drone.
+        dt: Length of the substep, s.
     """
     position = vec3(before.position, w, i)
     quaternion = quat4(before.quaternion, w, i)
@@ -186,12 +195,17 @@ def begin(
     put_vector(motion.turn, _rotation_between(quaternion, later))
     put_vector(motion.push, plus(vec3(after.velocity, w, i), -1.0, velocity))
     put_vector(motion.twist, plus(angular_after, -1.0, angular))
+    motion.until = 1.0
+    if dot(spin, spin) * dt * dt > FAR_TURN * FAR_TURN:
+        way = vector(motion.move)
+        aim(motion, dt, row)
+        put_vector(motion.move, plus((0.0, 0.0, 0.0), motion.until, way))
 
 
 @func
 def _share(motion: np.record, time: float) -> float:
-    """Return the share of the rest of its way that a drone has gone at a time."""
-    rest = 1.0 - motion.time
+    """Return the share of its way that a drone has gone at a time."""
+    rest = motion.until - motion.time
     return (time - motion.time) / rest if rest > 0.0 else 0.0
 
 
@@ -224,13 +238,17 @@ def advance_to(motion: np.record, time: float, row: np.record) -> None:
 
 @func
 def aim(motion: np.record, dt: float, row: np.record) -> None:
-    """Let a drone fly on from its time with the velocities that it has.
+    """Let a drone fly on from its time with the velocities that it has, until it has turned far.
 
     The rotation takes the angular velocity halfway (midpoint rule), with the angular momentum held.
     """
-    rest = (1.0 - motion.time) * dt
     here = quaternion_of(motion)
     spin = vector(motion.spin)
+    motion.until = 1.0
+    angle = math.sqrt(dot(spin, spin)) * dt
+    if angle > FAR_TURN:
+        motion.until = min(1.0, motion.time + max(SHORTEST_LEG, FAR_TURN / angle))
+    rest = (motion.until - motion.time) * dt
     angular = momentum(here, spin, row)
     # Fast spins in parts, so that their energy stays
     parts = spin_parts(spin, rest, SMALL_TURN)
@@ -249,6 +267,7 @@ def aim(motion: np.record, dt: float, row: np.record) -> None:
 @func
 def stay(motion: np.record) -> None:
     """Keep a drone where it is until the end of the substep; its velocities stay."""
+    motion.until = 1.0
     for k in range(3):
         motion.move[k] = 0.0
         motion.turn[k] = 0.0
@@ -290,14 +309,20 @@ def pose_at(
 
 
 @func
+def valid_until(scenery: Scenery, motions: np.ndarray, who: int) -> float:
+    """Return the share of the substep up to which the way of someone is known."""
+    return motions[who].until if who < scenery.first_body else 1.0
+
+
+@func
 def change_rates(
     scenery: Scenery, motions: np.ndarray, w: int, who: int, dt: float
 ) -> tuple[Vec3, Vec3]:
-    """Return displacement and rotation of someone in the rest of the substep, per whole substep."""
+    """Return displacement and rotation of someone on its way, per whole substep."""
     still = (0.0, 0.0, 0.0)
     if who < scenery.first_body:
         motion = motions[who]
-        rest = 1.0 - motion.time
+        rest = motion.until - motion.time
         scale = 1.0 / rest if rest > 0.0 else 0.0
         return plus(still, scale, vector(motion.move)), plus(still, scale, vector(motion.turn))
     if who < scenery.first_piece:

@@ -37,6 +37,7 @@ PAIR = np.dtype(
         ("normal", "f8", 3),
         ("floor", "f8"),
         ("held", "?"),
+        ("knot", "?"),
     ]
 )
 """A pair of shapes in one world.
@@ -48,6 +49,7 @@ Attributes:
     normal: Direction of their last separation, or zeros.
     floor: Distance at which they count as touching next, m.
     held: Whether they touched already in this substep.
+    knot: Whether they do not touch at `time`, but one of them flies on about another axis.
 """
 
 
@@ -69,6 +71,7 @@ def _with_pair(pairs: np.ndarray, count: int, first: int, a: int, b: int) -> tup
     put_vector(pair.normal, ORIGIN)
     pair.floor = TOUCH
     pair.held = False
+    pair.knot = False
     return pairs, count + 1
 
 
@@ -167,7 +170,7 @@ def sweeps_apart(
     b: int,
     dt: float,
 ) -> bool:
-    """Tell whether the bounding volumes of a pair stay apart for the rest of the substep."""
+    """Tell whether the bounding volumes of a pair stay apart on their ways."""
     table = scenery.table
     here = vector(motions[a].position)
     move = vector(motions[a].move)
@@ -176,7 +179,7 @@ def sweeps_apart(
         # Both move straight, but from times of their own: take the boxes of their ways
         there = vector(motions[b].position)
         other = vector(motions[b].move)
-        if motions[a].time == motions[b].time:
+        if motions[a].time == motions[b].time and motions[a].until == motions[b].until:
             before = minus(there, here)
             after = (
                 before[0] + other[0] - move[0],
@@ -201,7 +204,7 @@ def sweeps_apart(
         where = vec3(scenery.place, w, k)
         drift = vec3(scenery.velocity, w, k)
         begun = motions[a].time * dt
-        rest = dt - begun
+        rest = (motions[a].until - motions[a].time) * dt
         before = (
             here[0] - where[0] - begun * drift[0],
             here[1] - where[1] - begun * drift[1],

@@ -13,6 +13,7 @@ from bulletuav.contact.motion import (
     pose_at,
     put_vector,
     quaternion_of,
+    valid_until,
     vector,
 )
 from bulletuav.contact.touch import TOUCH, gap_at, separation_along
@@ -303,11 +304,18 @@ def add_points(
 
 @func
 def _as_now(
-    scenery: Scenery, motions: np.ndarray, w: int, who: int, time: float, dt: float, arm: Vec3
+    scenery: Scenery,
+    motions: np.ndarray,
+    w: int,
+    who: int,
+    time: float,
+    end: float,
+    dt: float,
+    arm: Vec3,
 ) -> Vec3:
-    """Return where a point of someone is now that is at `arm` at the end of the substep, m."""
+    """Return where a point of someone is at a time that is at `arm` at a later time, m."""
     position, before = pose_at(scenery, motions, w, who, time, dt)
-    _, after = pose_at(scenery, motions, w, who, 1.0, dt)
+    _, after = pose_at(scenery, motions, w, who, end, dt)
     return plus(position, 1.0, to_world(before, to_body(after, arm)))
 
 
@@ -320,9 +328,9 @@ def foresee(
     points: np.ndarray,
     size: int,
 ) -> int:
-    """Add the point at which a pair would be too close at the end of the substep, if there is one.
+    """Add the point at which a pair would be too close at the end of its way, if there is one.
 
-    Velocities are those at the end, and `aim` was called. Of a pair that turns, other points than
+    Velocities are those at the end of the substep, and `aim` was called. Of a pair that turns, other points than
     those of now may come together: without them it would sink, and take many impacts to stop.
 
     Returns:
@@ -334,25 +342,26 @@ def foresee(
     motions = space.motions
     w = world.w
     dt = world.dt
+    end = min(valid_until(scenery, motions, a), valid_until(scenery, motions, b))
     normal = vector(pair.normal)
     now, _, _ = separation_along(scenery, motions, w, a, b, time, dt, normal)
-    later, on_a, on_b = separation_along(scenery, motions, w, a, b, 1.0, dt, normal)
+    later, on_a, on_b = separation_along(scenery, motions, w, a, b, end, dt, normal)
     wanted = min(now, MIDDLE)
     enough = 0.5 * wanted if wanted > 0.0 else wanted - SLIP
     if later >= enough:
         return size
     if scenery.table.kind[b] != HALF_SPACE:
         # They may pass each other, for example over an edge
-        later, new, on_a, on_b = gap_at(scenery, motions, w, a, b, 1.0, dt, normal, space.room)
+        later, new, on_a, on_b = gap_at(scenery, motions, w, a, b, end, dt, normal, space.room)
         if later >= enough:
             return size
         # The direction of a deep overlap misleads: keep that of the touch
         if later > -TRUSTED:
             normal = new
-    place = _as_now(scenery, motions, w, a, time, dt, on_a)
+    place = _as_now(scenery, motions, w, a, time, end, dt, on_a)
     position_b, _ = pose_at(scenery, motions, w, b, time, dt)
     if b < scenery.first_body:
-        other = _as_now(scenery, motions, w, b, time, dt, on_b)
+        other = _as_now(scenery, motions, w, b, time, end, dt, on_b)
         place = plus(place, 0.5, minus(other, place))
     point = points[size]
     for k in range(3):
@@ -363,7 +372,5 @@ def foresee(
     closing = dot(slip(point, motions), normal)
     point.distance = now
     point.approach = 0.0
-    # No more than what closes now is turned back: energy must not grow by it
-    needed = closing + (wanted - later) / ((1.0 - time) * dt)
-    point.least = min(needed, max(-closing, LIFT))
+    point.least = closing + (wanted - later) / ((end - time) * dt)
     return size + 1

@@ -9,10 +9,10 @@ import math
 
 import numpy as np
 
-from bulletuav.contact.impact import MOST_IMPACTS, halt, push_apart
-from bulletuav.contact.motion import begin, finish, put_vector, vector
+from bulletuav.contact.impact import MOST_IMPACTS, add_forces, halt, push_apart
+from bulletuav.contact.motion import aim, begin, finish, put_vector, valid_until, vector
 from bulletuav.contact.pairs import PAIR, SLACK, collect, rest_budget, sweeps_apart
-from bulletuav.contact.points import Workspace, World
+from bulletuav.contact.points import Workspace, World, join
 from bulletuav.contact.touch import EXACT, NEVER, ROUGH, touch_time
 from bulletuav.contact.touches import Touches
 from bulletuav.geometry.rotation import dot, minus, plus, vec3
@@ -27,7 +27,8 @@ ROOM = 16
 def _start_drone(space: Workspace, world: World, end: Swarm, i: int) -> None:
     """Begin the motion of a drone that may touch something, if it has not begun."""
     if i < world.scenery.first_body and not space.motions[i].begun:
-        begin(space.motions[i], world.start, end, world.w, i, world.parameters[world.w, i])
+        row = world.parameters[world.w, i]
+        begin(space.motions[i], world.start, end, world.w, i, row, world.dt)
 
 
 @kernel
@@ -38,26 +39,32 @@ def _time_pair(space: Workspace, world: World, pair: np.record, start: float) ->
     over = motions[pair.a].impacts >= MOST_IMPACTS
     if over and pair.b < motions.shape[0]:
         over = motions[pair.b].impacts >= MOST_IMPACTS
-    if over or sweeps_apart(world.scenery, motions, world.w, pair.a, pair.b, world.dt):
-        pair.time = NEVER
+    pair.time = NEVER
+    pair.knot = False
+    if over:
         return
-    # A pair that is held already needs no exact time
-    exact = ROUGH if pair.held else EXACT
-    time, normal = touch_time(
-        world.scenery,
-        motions,
-        world.w,
-        pair.a,
-        pair.b,
-        start,
-        pair.floor,
-        exact,
-        world.dt,
-        vector(pair.normal),
-        space.room,
-    )
-    pair.time = time
-    put_vector(pair.normal, normal)
+    if not sweeps_apart(world.scenery, motions, world.w, pair.a, pair.b, world.dt):
+        # A pair that is held already needs no exact time
+        pair.time, normal = touch_time(
+            world.scenery,
+            motions,
+            world.w,
+            pair.a,
+            pair.b,
+            start,
+            pair.floor,
+            ROUGH if pair.held else EXACT,
+            world.dt,
+            vector(pair.normal),
+            space.room,
+        )
+        put_vector(pair.normal, normal)
+    if pair.time == NEVER:
+        end = valid_until(world.scenery, motions, pair.a)
+        end = min(end, valid_until(world.scenery, motions, pair.b))
+        if end < 1.0:
+            pair.time = end
+            pair.knot = True
 
 
 @func
@@ -189,6 +196,21 @@ def _widen(
     return pairs, count
 
 
+@func
+def _turn_on(space: Workspace, world: World, pair: np.record) -> int:
+    """Let those of a pair whose way ends fly on; returns how many, they are in `space.island`."""
+    members = 0
+    for who in (pair.a, pair.b):
+        if valid_until(world.scenery, space.motions, who) <= pair.time:
+            members = join(space, world, members, who, pair.time)
+    add_forces(space, members, pair.time, 1.0)
+    for m in range(members):
+        i = space.island[m]
+        aim(space.motions[i], world.dt, world.parameters[world.w, i])
+    add_forces(space, members, pair.time, -1.0)
+    return members
+
+
 @kernel
 def _fly_through(
     space: Workspace,
@@ -211,9 +233,11 @@ def _fly_through(
         first = _next_pair(pairs, count)
         if first < 0:
             break
-        eventful = True
         time = pairs[first].time
-        if stops:
+        knot = pairs[first].knot
+        if knot:
+            members = _turn_on(space, world, pairs[first])
+        elif stops:
             members = halt(space, world, pairs[first], time, touches, stopped)
         else:
             members = push_apart(space, world, pairs, count, first, time, touches)
@@ -225,7 +249,8 @@ def _fly_through(
         for m in range(members):
             i = space.island[m]
             motions[i].member = False
-            changed[w, i] = True
+            changed[w, i] = changed[w, i] or not knot
+        eventful = eventful or not knot
     return eventful
 
 

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from bulletuav.contact.motion import change_rates, pose_at
+from bulletuav.contact.motion import change_rates, pose_at, valid_until
 from bulletuav.geometry.gjk import gap
 from bulletuav.geometry.minkowski import far_point, swell
 from bulletuav.geometry.rotation import Vec3, axes, cross, dot, minus, plus
@@ -126,7 +126,7 @@ def touch_time(
     guess: Vec3,
     room: np.ndarray,
 ) -> tuple[float, Vec3]:
-    """Find when a pair comes within a distance.
+    """Find when a pair comes within a distance, while both fly on straight.
 
     Args:
         scenery: What stands, and all shapes.
@@ -150,6 +150,7 @@ def touch_time(
     move = minus(move_a, move_b)
     bend = 0.125 * _bend(scenery.table.radius[a], turn_a)
     bend += 0.125 * _bend(scenery.table.radius[b], turn_b)
+    end = min(valid_until(scenery, motions, a), valid_until(scenery, motions, b))
     time = start
     normal = guess
     for _ in range(MOST_STEPS):
@@ -159,7 +160,7 @@ def touch_time(
         bound += _turn_bound(scenery.table.radius[a], normal, turn_a)
         bound += _turn_bound(scenery.table.radius[b], normal, turn_b)
         left = distance - floor
-        rest = 1.0 - time
+        rest = end - time
         if left > bound * rest:
             return NEVER, normal
         if left <= exact and (time == start or left >= -exact):
@@ -181,5 +182,5 @@ def touch_time(
             # Back from too far by Newton alone, ahead no further than is safe to try
             if closing > 0.0 and (left < 0.0 or step < left / closing < BOLD * step):
                 step = left / closing
-        time = min(1.0, max(start, time + step))
+        time = min(end, max(start, time + step))
     return time, normal
