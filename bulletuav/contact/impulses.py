@@ -30,10 +30,10 @@ POINT = np.dtype(
         ("mass", "f8"),
         ("grip", "f8", 4),
         ("least", "f8"),
-        ("axis", "f8", (2, 3)),
-        ("stiff", "f8", 2),
-        ("resist", "f8", 2),
-        ("roll", "f8", 2),
+        ("axis", "f8", (3, 3)),
+        ("stiff", "f8", 3),
+        ("resist", "f8", 3),
+        ("roll", "f8", 3),
         ("damping", "f8"),
         ("impulse", "f8", 3),
         ("total", "f8", 3),
@@ -58,9 +58,9 @@ Attributes:
     grip: Inverse of the symmetric 2 x 2 matrix of velocities by impulses across: 11, 12, 22; and
         its least eigenvalue, kg.
     least: Velocity along the normal that must be reached, m/s.
-    axis: Unit vectors about which a and b do not roll freely.
+    axis: Unit vectors about which they do not turn freely: z of a, z of b, and the normal.
     stiff: Moments of inertia about them, kg m^2.
-    resist: Greatest angular impulse that resists rolling, over the normal impulse, m.
+    resist: Greatest angular impulses about them, over the normal impulse, m.
     roll: Angular impulses about the axes, in this pass, N m s.
     damping: Angular impulse that damps tipping, over the normal impulse and the spin, m s.
     impulse: Along the normal and the tangents, in this pass, N s.
@@ -235,9 +235,9 @@ def _rub(
 
 
 @func
-def _resist_rolling(row: np.record, motions: np.ndarray) -> None:
-    """Let angular impulses about the axes of a point resist that its bodies roll."""
-    for side in range(2):
+def _resist_turning(row: np.record, motions: np.ndarray) -> None:
+    """Let angular impulses about the axes of a point resist that its bodies roll or pivot."""
+    for side in range(3):
         if row.resist[side] == 0.0:
             continue
         axis = vector(row.axis[side])
@@ -308,8 +308,7 @@ def relax(
         row.impulse[0] = 0.0
         row.impulse[1] = 0.0
         row.impulse[2] = 0.0
-        row.roll[0] = 0.0
-        row.roll[1] = 0.0
+        row.roll[:] = 0.0
         moving = slip(row, motions)
         fastest = max(fastest, math.sqrt(dot(moving, moving)))
     most = max(FEWEST, min(SWEEPS, WORK // max(1, count)))
@@ -319,7 +318,7 @@ def relax(
             row = points[k]
             rubs = row.impulse[0] > 0.0 or row.impulse[1] != 0.0 or row.impulse[2] != 0.0
             if row.friction > 0.0 and rubs:
-                _resist_rolling(row, motions)
+                _resist_turning(row, motions)
                 change = max(change, _rub(row, motions))
             change = max(change, _press(row, motions))
         if change <= FIRM * fastest:

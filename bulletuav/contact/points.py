@@ -45,7 +45,9 @@ ROLLING = 0.25
 
 They stand for airframes with arms and rotors, which do not roll like wheels.
 """
-TIPPING = 0.25
+PIVOTING = 0.05
+"""Resistance to turning about the normal on a single point, as share of the radius"""
+TIPPING = 0.4
 """Damping of tipping, as share of the radius, at a spin of sqrt(g / radius).
 
 A rigid disc would wobble on for long; what it stands for gives way.
@@ -181,8 +183,9 @@ def _coefficients(world: World, who: int) -> tuple[float, float]:
     return world.friction, world.restitution
 
 
-Surface = tuple[int, int, Vec3, float, float, float, float, float]
-"""Of a pair: a, b or -1, drift of b, friction, restitution, damping, rolling resistance of both."""
+Surface = tuple[int, int, Vec3, float, float, float, float, float, float]
+"""Of a pair: a, b or -1, drift of b, friction, restitution, damping, resistance of both to rolling
+and to turning about the normal."""
 
 
 @func
@@ -219,18 +222,16 @@ def _surface_of(space: Workspace, world: World, a: int, b: int) -> Surface:
         TIPPING * radius * math.sqrt(radius / STANDARD_GRAVITY),
         resist_a,
         resist_b,
+        PIVOTING * radius,
     )
 
 
 @func
-def _set_rolling(motions: np.ndarray, point: np.record, side: int, who: int) -> None:
-    """Set about which axis one side of a point resists rolling: z of its body."""
-    motion = motions[who]
-    axis = axes(quaternion_of(motion))[2]
-    yields = dot(axis, eased(motion, axis))
+def _set_axis(motions: np.ndarray, point: np.record, side: int, axis: Vec3) -> None:
+    """Set an axis about which a point resists turning."""
+    yields = dot(axis, eased(motions[point.a], axis))
     if point.b >= 0:
-        other = point.b if who == point.a else point.a
-        yields += dot(axis, eased(motions[other], axis))
+        yields += dot(axis, eased(motions[point.b], axis))
     put_vector(point.axis[side], axis)
     point.stiff[side] = 1.0 / yields
 
@@ -238,7 +239,7 @@ def _set_rolling(motions: np.ndarray, point: np.record, side: int, who: int) -> 
 @func
 def _fill(motions: np.ndarray, point: np.record, surface: Surface) -> None:
     """Fill in whose a point of contact is, its surfaces and masses; normal and arms are there."""
-    a, b, drift, friction, restitution, damping, resist_a, resist_b = surface
+    a, b, drift, friction, restitution, damping, resist_a, resist_b, pivoting = surface
     point.a = a
     point.b = b
     put_vector(point.drift, drift)
@@ -247,11 +248,13 @@ def _fill(motions: np.ndarray, point: np.record, surface: Surface) -> None:
     point.damping = damping
     point.resist[0] = resist_a
     point.resist[1] = resist_b
+    point.resist[2] = pivoting
     prepare(point, motions)
     if resist_a > 0.0:
-        _set_rolling(motions, point, 0, a)
+        _set_axis(motions, point, 0, axes(quaternion_of(motions[a]))[2])
     if resist_b > 0.0:
-        _set_rolling(motions, point, 1, b)
+        _set_axis(motions, point, 1, axes(quaternion_of(motions[b]))[2])
+    _set_axis(motions, point, 2, vector(point.normal))
 
 
 @kernel
