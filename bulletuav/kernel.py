@@ -1,7 +1,7 @@
 """Compilation of the hot loops by numba, with a cache on disk that cannot go stale.
 
-`kernel` compiles loops over arrays, `func` the functions of one drone that they call, and
-`elementwise` functions of numbers that broadcast over arrays.
+`kernel` compiles loops over arrays, `allocating` those that make arrays, `func` the functions of
+one drone that they call, and `elementwise` functions of numbers that broadcast over arrays.
 
 Numba stamps a cached function with its own source file only. Machine code that inlined a helper
 from another file therefore survives an edit of that helper. Here the cache lives in a folder named
@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
+from numba.core import cgutils
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 """Type of a function that is compiled; the decorators keep its signature."""
@@ -107,17 +108,23 @@ def kernel(function: Function) -> Function:
     """Compile a loop over arrays, cached on disk under the hash of the package's sources.
 
     Division by zero gives inf or NaN as in numpy. Nothing is reordered (no fast-math), so results
-    are reproducible.
+    are reproducible. It makes and returns no arrays of its own. So references to those that it is
+    given need not be counted, which can take longer than the work.
     """
-    return _compiled(function, forceinline=False)
+    return _compiled(function, forceinline=False, _nrt=False)
 
 
 def func(function: Function) -> Function:
     """Compile a function of one drone's numbers, which becomes part of every kernel that calls it.
 
-    Numbers are computed as in `kernel`.
+    Numbers are computed as in `kernel`, and arrays treated as there.
     """
-    return _compiled(function, forceinline=True)
+    return _compiled(function, forceinline=True, _nrt=False)
+
+
+def allocating(function: Function) -> Function:
+    """Compile a loop as `kernel` does that makes arrays, or calls one that returns some."""
+    return _compiled(function, forceinline=False, _nrt=True)
 
 
 def elementwise(function: Function) -> Function:
@@ -127,6 +134,33 @@ def elementwise(function: Function) -> Function:
     """
     with _cached():
         return cast(Function, numba.vectorize(nopython=True, cache=True)(function))
+
+
+def _without_owner(context: Any, builder: Any, kind: Any, value: Any) -> Any:
+    """Return the code that takes the owner out of an array, or of all arrays in a tuple."""
+    if isinstance(kind, numba.types.Array):
+        array = cgutils.create_struct_proxy(kind)(context, builder, value=value)
+        array.meminfo = array.meminfo.type(None)
+        return array._getvalue()
+    if isinstance(kind, numba.types.BaseTuple):
+        for k, part in enumerate(kind):
+            stripped = _without_owner(context, builder, part, builder.extract_value(value, k))
+            value = builder.insert_value(value, stripped, k)
+    return value
+
+
+@numba.extending.intrinsic  # type: ignore[untyped-decorator]
+def borrowed(_: Any, value: Any) -> Any:
+    """Return arrays, or tuples of them, for which nobody counts references.
+
+    Whoever takes an array out of a tuple counts a reference to it, which can cost more than what
+    is done with it. The caller keeps the arrays alive.
+    """
+
+    def generate(context: Any, builder: Any, _: Any, arguments: Any) -> Any:
+        return _without_owner(context, builder, value, arguments[0])
+
+    return value(value), generate
 
 
 def _compiled(function: Function, **options: bool) -> Function:

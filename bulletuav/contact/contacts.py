@@ -10,7 +10,7 @@ from bulletuav.contact.resolve import find_pairs, in_order, resolve
 from bulletuav.contact.rest import Contact, settle, wake_for_obstacles
 from bulletuav.geometry.rotation import dot, minus, vec3
 from bulletuav.geometry.scenery import Scenery
-from bulletuav.kernel import func, kernel
+from bulletuav.kernel import allocating, borrowed, func, kernel
 from bulletuav.vehicle.swarm import CITY, GROUND, Contacts, Motion, Swarm
 
 
@@ -118,6 +118,7 @@ def _look(
     dt: float,
 ) -> bool:
     """Do what `meet` does in a world where drones are due."""
+    contact = borrowed(contact)
     move_obstacles(contact, w, piece / pieces, pieces * dt)
     world = World(
         w,
@@ -127,9 +128,9 @@ def _look(
         contact.restitution,
         contact.scenery,
         contact.start,
-        alive,
+        borrowed(alive),
         contact.asleep,
-        parameters,
+        borrowed(parameters),
     )
     if contact.sleeps and world.speed > 0.0:
         wake_for_obstacles(contact, world)
@@ -265,7 +266,7 @@ def told(contact: Contact) -> Contacts:
     )
 
 
-@kernel
+@allocating
 def _note_overlaps(
     contact: Contact,
     swarm: Swarm,

@@ -4,7 +4,9 @@ import math
 
 import numpy as np
 
-from bulletuav.contact.impulses import POINT, damp_tipping, eased, energy, keep, relax, slip
+from bulletuav.contact.foresight import foresee
+from bulletuav.contact.gain import lose_gain, moving_energy, remember_before
+from bulletuav.contact.impulses import POINT, eased, slip
 from bulletuav.contact.motion import aim, change_rates, put_vector, stay, vector
 from bulletuav.contact.points import (
     IN_TOUCH,
@@ -13,17 +15,17 @@ from bulletuav.contact.points import (
     Workspace,
     World,
     add_points,
-    foresee,
     gather,
     join,
     measure,
     touching,
 )
+from bulletuav.contact.relax import damp_tipping, keep, relax
 from bulletuav.contact.touch import TOUCH
 from bulletuav.contact.touches import Touches, tell
 from bulletuav.geometry.contact_points import MOST_POINTS
-from bulletuav.geometry.rotation import Vec3, Vec3Like, dot, minus, plus
-from bulletuav.kernel import func, kernel
+from bulletuav.geometry.rotation import Vec3, dot, minus, plus
+from bulletuav.kernel import allocating, func, kernel
 
 MOST_IMPACTS = 16
 """Impacts of a drone in a substep, after which it stays where it is until the next"""
@@ -47,81 +49,6 @@ def _rebounds(point: np.record) -> bool:
 
 
 @func
-def _remember(space: Workspace, members: int, points: np.ndarray, size: int) -> None:
-    """Keep velocities and impulses as they are before passes that may gain energy."""
-    for m in range(members):
-        motion = space.motions[space.island[m]]
-        put_vector(motion.before[0], motion.velocity)
-        put_vector(motion.before[1], motion.spin)
-    for k in range(size):
-        put_vector(points[k].former, points[k].total)
-
-
-@func
-def _between(one: Vec3Like, two: Vec3Like, share: float) -> Vec3:
-    """Return the vector at a share of the way from one to another."""
-    start = vector(one)
-    return plus(start, share, minus(vector(two), start))
-
-
-@func
-def _lose_gain(
-    space: Workspace, world: World, members: int, points: np.ndarray, size: int, frame: Vec3
-) -> None:
-    """Take back what energy the passes since `_remember` gained, if any.
-
-    What they did is mixed with what happens if all that closes is stopped, which gains none.
-    Energy is a parabola over the share of the first: it is known from its values at 0, 1/2 and 1.
-    """
-    motions = space.motions
-    had = 0.0
-    full = 0.0
-    for m in range(members):
-        motion = motions[space.island[m]]
-        row = world.parameters[world.w, space.island[m]]
-        least = 0.5 * row.mass * LIFT * LIFT
-        had += max(least, energy(motion, motion.before[0], motion.before[1], frame, row))
-        full += energy(motion, motion.velocity, motion.spin, frame, row)
-        put_vector(motion.after[0], motion.velocity)
-        put_vector(motion.after[1], motion.spin)
-    if full <= had:
-        return
-    for m in range(members):
-        motion = motions[space.island[m]]
-        put_vector(motion.velocity, motion.before[0])
-        put_vector(motion.spin, motion.before[1])
-    for k in range(size):
-        points[k].least = min(points[k].least, 0.0)
-    relax(points, size, motions)
-    calm = 0.0
-    half = 0.0
-    for m in range(members):
-        motion = motions[space.island[m]]
-        row = world.parameters[world.w, space.island[m]]
-        calm += energy(motion, motion.velocity, motion.spin, frame, row)
-        velocity = _between(motion.velocity, motion.after[0], 0.5)
-        spin = _between(motion.spin, motion.after[1], 0.5)
-        half += energy(motion, velocity, spin, frame, row)
-    # calm + linear s + square s^2 = had
-    square = 2.0 * (full + calm) - 4.0 * half
-    linear = full - calm - square
-    left = had - calm
-    share = 0.0
-    if left > 0.0 and square > 0.0:
-        root = math.sqrt(linear * linear + 4.0 * square * left)
-        share = min(1.0, max(0.0, 2.0 * left / (linear + root)))
-    for m in range(members):
-        motion = motions[space.island[m]]
-        put_vector(motion.velocity, _between(motion.velocity, motion.after[0], share))
-        put_vector(motion.spin, _between(motion.spin, motion.after[1], share))
-    for k in range(size):
-        point = points[k]
-        for m in range(3):
-            stopping = point.former[m] + point.impulse[m]
-            point.total[m] = stopping + share * (point.total[m] - stopping)
-
-
-@func
 def _frame_of(points: np.ndarray, size: int) -> Vec3:
     """Return the velocity of what does not yield, or zeros, m/s."""
     for k in range(size):
@@ -142,10 +69,12 @@ def _rebound(space: Workspace, world: World, members: int, points: np.ndarray, s
             point.least = -point.restitution * point.approach
     if not lively:
         return
-    _remember(space, members, points, size)
+    frame = _frame_of(points, size)
+    had = moving_energy(space, world, members, frame, 0.0)
+    remember_before(space, members, points, size)
     relax(points, size, space.motions)
     keep(points, size)
-    _lose_gain(space, world, members, points, size, _frame_of(points, size))
+    lose_gain(space, world, members, points, size, frame, had, 0.0)
 
 
 @func
@@ -194,9 +123,10 @@ def _hold(
     """
     motions = space.motions
     _allow(points, size, world.dt)
-    add_forces(space, members, time, 1.0)
-    _remember(space, members, points, size)
     frame = _frame_of(points, size)
+    had = moving_energy(space, world, members, frame, LIFT)
+    add_forces(space, members, time, 1.0)
+    remember_before(space, members, points, size)
     for trial in range(FORESIGHT + 1):
         relax(points, size, motions)
         keep(points, size)
@@ -204,7 +134,7 @@ def _hold(
             relax(points, size, motions)
             keep(points, size)
         if trial > 0:
-            _lose_gain(space, world, members, points, size, frame)
+            lose_gain(space, world, members, points, size, frame, had, 1.0 - time)
         for m in range(members):
             i = space.island[m]
             aim(motions[i], world.dt, world.parameters[world.w, i])
@@ -238,7 +168,7 @@ def _tell_point(
         tell(touches, w, point.b, point.a, point.total[0], place, normal, velocity, -1.0)
 
 
-@func
+@allocating
 def push_apart(
     space: Workspace,
     world: World,
@@ -326,7 +256,7 @@ def _way_velocity(space: Workspace, world: World, i: int, arm: Vec3) -> Vec3:
     )
 
 
-@func
+@allocating
 def halt(
     space: Workspace,
     world: World,

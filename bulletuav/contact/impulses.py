@@ -10,8 +10,8 @@ import math
 
 import numpy as np
 
-from bulletuav.contact.motion import quaternion_of, vector
-from bulletuav.geometry.rotation import Vec3, Vec3Like, axes, cross, dot, minus
+from bulletuav.contact.motion import put_vector, quaternion_of, vector
+from bulletuav.geometry.rotation import Vec3, Vec3Like, axes, cross, dot, minus, plus
 from bulletuav.kernel import func, kernel
 
 POINT = np.dtype(
@@ -22,6 +22,10 @@ POINT = np.dtype(
         ("tangent", "f8", (2, 3)),
         ("arm_a", "f8", 3),
         ("arm_b", "f8", 3),
+        ("lever_a", "f8", (3, 3)),
+        ("lever_b", "f8", (3, 3)),
+        ("swing_a", "f8", (3, 3)),
+        ("swing_b", "f8", (3, 3)),
         ("drift", "f8", 3),
         ("friction", "f8"),
         ("restitution", "f8"),
@@ -49,6 +53,10 @@ Attributes:
     tangent: Two unit vectors across it.
     arm_a: From the centre of mass of a to the point, m.
     arm_b: From that of b, m.
+    lever_a: Arms of unit impulses along the normal and the tangents about the centre of a, m.
+    lever_b: The same about that of b, m.
+    swing_a: Changes of the spin of a by these impulses, rad/s.
+    swing_b: The same of b, rad/s.
     drift: Velocity of what does not yield, m/s.
     friction: Coefficient of friction.
     restitution: Coefficient of restitution.
@@ -67,17 +75,6 @@ Attributes:
     total: The same in all passes, N s.
     former: The same in all passes before those that may gain energy, N s.
 """
-
-FIRM = 1e-9
-"""Change of velocity below which a sweep changes nothing, as share of the greatest one or 1 m/s"""
-SWEEPS = 200
-"""Most sweeps over the points of a small island"""
-WORK = 20_000
-"""Most visits of points of an island, unless that is less than `FEWEST` sweeps"""
-CALM = 0.02
-"""Spin below which tipping is not damped, rad/s"""
-FEWEST = 20
-"""Sweeps that even a large island gets"""
 
 
 @func
@@ -119,10 +116,29 @@ def set_ease(motion: np.record, row: np.record) -> None:
 
 
 @func
-def _yield_of(motion: np.record, arm: Vec3, one: Vec3, two: Vec3) -> float:
-    """Return the velocity along `two` that a unit impulse along `one` at `arm` gives a drone."""
-    spun = eased(motion, cross(arm, one))
-    yields: float = motion.lightness * dot(one, two) + dot(spun, cross(arm, two))
+def _set_levers(
+    motion: np.record,
+    arm: Vec3,
+    normal: Vec3,
+    row: np.record,
+    levers: np.ndarray,
+    swings: np.ndarray,
+) -> None:
+    """Set how impulses along the axes of a point turn one of its bodies."""
+    for k in range(3):
+        axis = normal if k == 0 else vector(row.tangent[k - 1])
+        lever = cross(arm, axis)
+        put_vector(levers[k], lever)
+        put_vector(swings[k], eased(motion, lever))
+
+
+@func
+def _yield_of(row: np.record, one: int, two: int, light: float) -> float:
+    """Return the velocity along one axis of a point that a unit impulse along another gives."""
+    yields = light if one == two else 0.0
+    yields += dot(row.lever_a[one], row.swing_a[two])
+    if row.b >= 0:
+        yields += dot(row.lever_b[one], row.swing_b[two])
     return yields
 
 
@@ -131,26 +147,21 @@ def prepare(row: np.record, motions: np.ndarray) -> None:
     """Fill in what a point feels of the masses; a, b, normal and arms must be there."""
     normal = vector(row.normal)
     one, two = _tangents(normal)
+    put_vector(row.tangent[0], one)
+    put_vector(row.tangent[1], two)
     for k in range(3):
-        row.tangent[0, k] = one[k]
-        row.tangent[1, k] = two[k]
         row.total[k] = 0.0
         row.former[k] = 0.0
         row.impulse[k] = 0.0
-    arm = vector(row.arm_a)
-    motion = motions[row.a]
-    yields = _yield_of(motion, arm, normal, normal)
-    k11 = _yield_of(motion, arm, one, one)
-    k12 = _yield_of(motion, arm, one, two)
-    k22 = _yield_of(motion, arm, two, two)
+    light = motions[row.a].lightness
+    _set_levers(motions[row.a], vector(row.arm_a), normal, row, row.lever_a, row.swing_a)
     if row.b >= 0:
-        arm = vector(row.arm_b)
-        motion = motions[row.b]
-        yields += _yield_of(motion, arm, normal, normal)
-        k11 += _yield_of(motion, arm, one, one)
-        k12 += _yield_of(motion, arm, one, two)
-        k22 += _yield_of(motion, arm, two, two)
-    row.mass = 1.0 / yields
+        light += motions[row.b].lightness
+        _set_levers(motions[row.b], vector(row.arm_b), normal, row, row.lever_b, row.swing_b)
+    k11 = _yield_of(row, 1, 1, light)
+    k12 = _yield_of(row, 1, 2, light)
+    k22 = _yield_of(row, 2, 2, light)
+    row.mass = 1.0 / _yield_of(row, 0, 0, light)
     scale = 1.0 / (k11 * k22 - k12 * k12)
     row.grip[0] = k22 * scale
     row.grip[1] = -k12 * scale
@@ -163,11 +174,7 @@ def prepare(row: np.record, motions: np.ndarray) -> None:
 def _surface_velocity(motion: np.record, arm: Vec3) -> Vec3:
     """Return the velocity of a drone's surface at a point, m/s."""
     turning = cross(vector(motion.spin), arm)
-    return (
-        motion.velocity[0] + turning[0],
-        motion.velocity[1] + turning[1],
-        motion.velocity[2] + turning[2],
-    )
+    return plus(vector(motion.velocity), 1.0, turning)
 
 
 @func
@@ -180,214 +187,27 @@ def slip(row: np.record, motions: np.ndarray) -> Vec3:
 
 
 @func
-def _push(motion: np.record, arm: Vec3, impulse: Vec3, sign: float) -> None:
-    """Give a drone an impulse (N s) at a point."""
-    turning = eased(motion, cross(arm, impulse))
-    for k in range(3):
-        motion.velocity[k] += sign * motion.lightness * impulse[k]
-        motion.spin[k] += sign * turning[k]
-
-
-@func
-def _apply(row: np.record, impulse: Vec3, motions: np.ndarray) -> None:
-    """Give both bodies of a point an impulse, N s."""
-    _push(motions[row.a], vector(row.arm_a), impulse, 1.0)
+def speed_along(row: np.record, motions: np.ndarray, k: int, axis: Vec3Like) -> float:
+    """Return the velocity of a's surface against that of b along axis k of a point, m/s."""
+    motion = motions[row.a]
+    speed = dot(motion.velocity, axis) + dot(motion.spin, row.lever_a[k])
     if row.b >= 0:
-        _push(motions[row.b], vector(row.arm_b), impulse, -1.0)
+        motion = motions[row.b]
+        return speed - dot(motion.velocity, axis) - dot(motion.spin, row.lever_b[k])
+    return speed - dot(row.drift, axis)
 
 
 @func
-def _rub(
-    row: np.record,
-    motions: np.ndarray,
-) -> float:
-    """Let friction act at a point; returns the change of velocity, m/s."""
-    moving = slip(row, motions)
-    one = vector(row.tangent[0])
-    two = vector(row.tangent[1])
-    along = dot(moving, one)
-    across = dot(moving, two)
-    # What would stop the slip
-    first = row.impulse[1] - (row.grip[0] * along + row.grip[1] * across)
-    second = row.impulse[2] - (row.grip[1] * along + row.grip[2] * across)
-    most = row.friction * row.impulse[0]
-    size = math.sqrt(first * first + second * second)
-    if size > most:
-        # More than the normal impulse allows: as much as it does, against the slip
-        first = row.impulse[1] - row.grip[3] * along
-        second = row.impulse[2] - row.grip[3] * across
-        size = math.sqrt(first * first + second * second)
-        if size > most:
-            first *= most / size
-            second *= most / size
-    first_change = first - row.impulse[1]
-    second_change = second - row.impulse[2]
-    row.impulse[1] = first
-    row.impulse[2] = second
-    impulse = (
-        first_change * one[0] + second_change * two[0],
-        first_change * one[1] + second_change * two[1],
-        first_change * one[2] + second_change * two[2],
-    )
-    _apply(row, impulse, motions)
-    moved: float = (abs(first_change) + abs(second_change)) / row.mass
-    return moved
-
-
-@func
-def _resist_turning(row: np.record, motions: np.ndarray) -> None:
-    """Let angular impulses about the axes of a point resist that its bodies roll or pivot."""
-    for side in range(3):
-        if row.resist[side] == 0.0:
-            continue
-        axis = vector(row.axis[side])
-        spin = vector(motions[row.a].spin)
-        if row.b >= 0:
-            spin = minus(spin, vector(motions[row.b].spin))
-        most = row.resist[side] * row.impulse[0]
-        wanted = row.roll[side] - row.stiff[side] * dot(spin, axis)
-        wanted = min(max(wanted, -most), most)
-        change = wanted - row.roll[side]
-        row.roll[side] = wanted
-        twist = (change * axis[0], change * axis[1], change * axis[2])
-        _spin_up(motions[row.a], twist, 1.0)
-        if row.b >= 0:
-            _spin_up(motions[row.b], twist, -1.0)
-
-
-@func
-def _spin_up(motion: np.record, twist: Vec3, sign: float) -> None:
-    """Give a drone an angular impulse, N m s."""
-    turning = eased(motion, twist)
-    for k in range(3):
-        motion.spin[k] += sign * turning[k]
-
-
-@func
-def _press(
-    row: np.record,
-    motions: np.ndarray,
-) -> float:
-    """Let a point push its surfaces apart; returns the change of velocity, m/s."""
-    normal = vector(row.normal)
-    missing = row.least - dot(slip(row, motions), normal)
-    pressed = row.impulse[0] + row.mass * missing
-    if pressed < 0.0:
-        pressed = 0.0
-    change = pressed - row.impulse[0]
-    row.impulse[0] = pressed
-    impulse = (
-        change * normal[0],
-        change * normal[1],
-        change * normal[2],
-    )
-    _apply(row, impulse, motions)
-    moved: float = abs(change) / row.mass
-    return moved
-
-
-@kernel
-def relax(
-    points: np.ndarray,
-    count: int,
-    motions: np.ndarray,
-) -> int:
-    """Sweep over points until none closes faster than it may.
-
-    Args:
-        points: Rows of `POINT`; impulses start from zero and are written.
-        count: How many of them count.
-        motions: (N,) rows of `MOTION`; velocities and spins are changed.
-
-    Returns:
-        The number of sweeps.
-    """
-    fastest = 1.0
-    for k in range(count):
-        row = points[k]
-        row.impulse[0] = 0.0
-        row.impulse[1] = 0.0
-        row.impulse[2] = 0.0
-        row.roll[:] = 0.0
-        moving = slip(row, motions)
-        fastest = max(fastest, math.sqrt(dot(moving, moving)))
-    most = max(FEWEST, min(SWEEPS, WORK // max(1, count)))
-    for sweep in range(most):
-        change = 0.0
-        for k in range(count):
-            row = points[k]
-            rubs = row.impulse[0] > 0.0 or row.impulse[1] != 0.0 or row.impulse[2] != 0.0
-            if row.friction > 0.0 and rubs:
-                _resist_turning(row, motions)
-                change = max(change, _rub(row, motions))
-            change = max(change, _press(row, motions))
-        if change <= FIRM * fastest:
-            return sweep + 1
-    return most
-
-
-@kernel
-def damp_tipping(points: np.ndarray, count: int, motions: np.ndarray) -> bool:
-    """Damp the spin of bodies about axes across the normals of points that press.
-
-    Args:
-        points: Rows of `POINT`, with the impulses of a pass.
-        count: How many of them count.
-        motions: (N,) rows of `MOTION`; spins are changed.
-
-    Returns:
-        Whether any spin was changed enough to matter.
-    """
-    acts = False
-    for k in range(count):
-        row = points[k]
-        if row.impulse[0] <= 0.0:
-            continue
-        spin = vector(motions[row.a].spin)
-        if row.b >= 0:
-            spin = minus(spin, vector(motions[row.b].spin))
-        normal = vector(row.normal)
-        about = dot(spin, normal)
-        tipping = (
-            spin[0] - about * normal[0],
-            spin[1] - about * normal[1],
-            spin[2] - about * normal[2],
-        )
-        square = dot(tipping, tipping)
-        if square < CALM * CALM:
-            continue
-        # Implicit in the spin, so that it is never turned round
-        yields = dot(tipping, eased(motions[row.a], tipping)) / square
-        if row.b >= 0:
-            yields += dot(tipping, eased(motions[row.b], tipping)) / square
-        strength = row.damping * row.impulse[0]
-        strength /= 1.0 + strength * yields
-        twist = (-strength * tipping[0], -strength * tipping[1], -strength * tipping[2])
-        _spin_up(motions[row.a], twist, 1.0)
-        if row.b >= 0:
-            _spin_up(motions[row.b], twist, -1.0)
-        acts = True
-    return acts
-
-
-@kernel
-def keep(points: np.ndarray, count: int) -> None:
-    """Add the impulses of a pass to the totals."""
-    for k in range(count):
+def push(row: np.record, motions: np.ndarray, k: int, axis: Vec3Like, impulse: float) -> None:
+    """Give both bodies of a point an impulse along its axis k, N s."""
+    motion = motions[row.a]
+    light = impulse * motion.lightness
+    for m in range(3):
+        motion.velocity[m] += light * axis[m]
+        motion.spin[m] += impulse * row.swing_a[k, m]
+    if row.b >= 0:
+        motion = motions[row.b]
+        light = impulse * motion.lightness
         for m in range(3):
-            points[k].total[m] += points[k].impulse[m]
-
-
-@func
-def energy(
-    motion: np.record, velocity: Vec3Like, spin: Vec3Like, frame: Vec3, row: np.record
-) -> float:
-    """Return a drone's kinetic energy (J) with a velocity and spin, as seen from a frame."""
-    bx, by, bz = axes(quaternion_of(motion))
-    turning = vector(spin)
-    moving = minus(vector(velocity), frame)
-    total: float = 0.5 * row.mass * dot(moving, moving)
-    total += 0.5 * row.inertia[0] * dot(bx, turning) ** 2
-    total += 0.5 * row.inertia[1] * dot(by, turning) ** 2
-    total += 0.5 * row.inertia[2] * dot(bz, turning) ** 2
-    return total
+            motion.velocity[m] -= light * axis[m]
+            motion.spin[m] -= impulse * row.swing_b[k, m]

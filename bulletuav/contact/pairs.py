@@ -16,7 +16,7 @@ from bulletuav.geometry.closest_approach import closest_squared
 from bulletuav.geometry.rotation import Vec3, dot, minus, point, quat4, to_body, vec3
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.shapes import distance_from_box
-from bulletuav.kernel import func, kernel
+from bulletuav.kernel import allocating, func, kernel
 from bulletuav.vehicle.swarm import Swarm
 
 SPARE = 1e-3
@@ -53,7 +53,7 @@ Attributes:
 """
 
 
-@func
+@allocating
 def _with_pair(pairs: np.ndarray, count: int, first: int, a: int, b: int) -> tuple[np.ndarray, int]:
     """Add a pair unless it is among those from `first` on; returns the pairs and their number."""
     for p in range(first, count):
@@ -91,7 +91,7 @@ def _piece_distance(city_grid: CityGrid, p: int, place: Vec3) -> float:
     return distance_from_box(place, point(city_grid.low, p), point(city_grid.high, p))
 
 
-@kernel
+@allocating
 def collect(
     scenery: Scenery,
     motions: np.ndarray,

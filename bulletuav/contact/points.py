@@ -13,15 +13,14 @@ from bulletuav.contact.motion import (
     pose_at,
     put_vector,
     quaternion_of,
-    valid_until,
     vector,
 )
-from bulletuav.contact.touch import TOUCH, gap_at, separation_along
+from bulletuav.contact.touch import TOUCH, gap_at
 from bulletuav.geometry.contact_points import MOST_POINTS, contact_points
 from bulletuav.geometry.gjk import make_room
-from bulletuav.geometry.rotation import Vec3, axes, dot, minus, plus, to_body, to_world
+from bulletuav.geometry.rotation import Vec3, axes, dot, minus
 from bulletuav.geometry.scenery import Scenery
-from bulletuav.geometry.shapes import CYLINDER, HALF_SPACE, SPHERE
+from bulletuav.geometry.shapes import CYLINDER, SPHERE
 from bulletuav.kernel import func, kernel
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY
 from bulletuav.vehicle.swarm import Swarm
@@ -34,10 +33,6 @@ NEARBY = 5 * TOUCH
 """Points of a pair in touch that are farther apart play no part, m"""
 SLIP = 2e-6
 """How much closer shapes may come that are too close already, m"""
-LOOKS = 4
-"""Times at which points of a pair that touches repeatedly are foreseen, each a quarter as far"""
-TRUSTED = 5e-4
-"""Depth of an overlap up to which its direction is that of the contact, m"""
 LIFT = 2e-3
 """Fastest that shapes which are too close are moved apart, m/s"""
 ROLLING = 0.25
@@ -45,9 +40,11 @@ ROLLING = 0.25
 
 They stand for airframes with arms and rotors, which do not roll like wheels.
 """
+MOST_OF_LINE = 3
+"""Most points of a pair that touches along a line: its ends, and the nearest one"""
 PIVOTING = 0.05
 """Resistance to turning about the normal on a single point, as share of the radius"""
-TIPPING = 0.4
+TIPPING = 0.7
 """Damping of tipping, as share of the radius, at a spin of sqrt(g / radius).
 
 A rigid disc would wobble on for long; what it stands for gives way.
@@ -171,7 +168,7 @@ def gather(
 
 
 @func
-def _coefficients(world: World, who: int) -> tuple[float, float]:
+def coefficients(world: World, who: int) -> tuple[float, float]:
     """Return the coefficients of friction and restitution of someone."""
     scenery = world.scenery
     if who < scenery.first_body:
@@ -195,8 +192,11 @@ def _rolls(kind: int) -> bool:
 
 
 @func
-def _surface_of(space: Workspace, world: World, a: int, b: int) -> Surface:
-    """Collect what all points of a pair have in common."""
+def surface_of(space: Workspace, world: World, a: int, b: int, count: int) -> Surface:
+    """Collect what the points of a pair have in common, and how many there are.
+
+    On a face friction alone resists turning: only fewer points do so by themselves.
+    """
     scenery = world.scenery
     table = scenery.table
     drift = (0.0, 0.0, 0.0)
@@ -210,9 +210,12 @@ def _surface_of(space: Workspace, world: World, a: int, b: int) -> Surface:
         drift = (move[0] / world.dt, move[1] / world.dt, move[2] / world.dt)
     resist_a = ROLLING * table.half[a, 0] if _rolls(table.kind[a]) else 0.0
     # Of two surfaces the geometric mean counts
-    rough, lively = _coefficients(world, a)
-    rough_b, lively_b = _coefficients(world, b)
+    rough, lively = coefficients(world, a)
+    rough_b, lively_b = coefficients(world, b)
     radius = table.radius[a]
+    pivoting = PIVOTING * radius
+    if count > MOST_OF_LINE:
+        resist_a = resist_b = pivoting = 0.0
     return (
         a,
         other,
@@ -222,7 +225,7 @@ def _surface_of(space: Workspace, world: World, a: int, b: int) -> Surface:
         TIPPING * radius * math.sqrt(radius / STANDARD_GRAVITY),
         resist_a,
         resist_b,
-        PIVOTING * radius,
+        pivoting,
     )
 
 
@@ -237,7 +240,7 @@ def _set_axis(motions: np.ndarray, point: np.record, side: int, axis: Vec3) -> N
 
 
 @func
-def _fill(motions: np.ndarray, point: np.record, surface: Surface) -> None:
+def fill(motions: np.ndarray, point: np.record, surface: Surface) -> None:
     """Fill in whose a point of contact is, its surfaces and masses; normal and arms are there."""
     a, b, drift, friction, restitution, damping, resist_a, resist_b, pivoting = surface
     point.a = a
@@ -254,7 +257,8 @@ def _fill(motions: np.ndarray, point: np.record, surface: Surface) -> None:
         _set_axis(motions, point, 0, axes(quaternion_of(motions[a]))[2])
     if resist_b > 0.0:
         _set_axis(motions, point, 1, axes(quaternion_of(motions[b]))[2])
-    _set_axis(motions, point, 2, vector(point.normal))
+    if pivoting > 0.0:
+        _set_axis(motions, point, 2, vector(point.normal))
 
 
 @kernel
@@ -293,7 +297,7 @@ def add_points(
         space.found,
         space.room,
     )
-    surface = _surface_of(space, world, a, b)
+    surface = surface_of(space, world, a, b, found)
     motions = space.motions
     for m in range(found):
         point = points[size + m]
@@ -301,88 +305,7 @@ def add_points(
             point.normal[k] = normal[k]
             point.arm_a[k] = space.found[m, k]
             point.arm_b[k] = space.found[m, k] - offset[k]
-        _fill(motions, point, surface)
+        fill(motions, point, surface)
         point.distance = space.found[m, 3]
         point.approach = dot(slip(point, motions), normal)
     return size + found
-
-
-@func
-def _as_now(
-    scenery: Scenery,
-    motions: np.ndarray,
-    w: int,
-    who: int,
-    time: float,
-    end: float,
-    dt: float,
-    arm: Vec3,
-) -> Vec3:
-    """Return where a point of someone is at a time that is at `arm` at a later time, m."""
-    position, before = pose_at(scenery, motions, w, who, time, dt)
-    _, after = pose_at(scenery, motions, w, who, end, dt)
-    return plus(position, 1.0, to_world(before, to_body(after, arm)))
-
-
-@kernel
-def foresee(
-    space: Workspace,
-    world: World,
-    pair: np.record,
-    time: float,
-    points: np.ndarray,
-    size: int,
-) -> int:
-    """Add the point at which a pair would be too close at the end of its way, if there is one.
-
-    Velocities are those at the end of the substep, and `aim` was called. Of a pair that turns, other points than
-    those of now may come together: without them it would sink, and take many impacts to stop.
-
-    Returns:
-        The number of points.
-    """
-    a = pair.a
-    b = pair.b
-    scenery = world.scenery
-    motions = space.motions
-    w = world.w
-    dt = world.dt
-    end = min(valid_until(scenery, motions, a), valid_until(scenery, motions, b))
-    touched = vector(pair.normal)
-    now, _, _ = separation_along(scenery, motions, w, a, b, time, dt, touched)
-    wanted = min(now, MIDDLE)
-    enough = 0.5 * wanted if wanted > 0.0 else wanted - SLIP
-    # Who touches again and again may do so long before the end
-    looks = LOOKS if motions[a].impacts > 1 else 1
-    later = enough
-    for look in range(looks):
-        normal = touched
-        if look > 0:
-            end = time + 0.25 * (end - time)
-        later, on_a, on_b = separation_along(scenery, motions, w, a, b, end, dt, normal)
-        if later < enough and scenery.table.kind[b] != HALF_SPACE:
-            # They may pass each other, for example over an edge
-            later, new, on_a, on_b = gap_at(scenery, motions, w, a, b, end, dt, normal, space.room)
-            # The direction of a deep overlap misleads: keep that of the touch
-            if later > -TRUSTED:
-                normal = new
-        if later < enough:
-            break
-    if later >= enough:
-        return size
-    place = _as_now(scenery, motions, w, a, time, end, dt, on_a)
-    position_b, _ = pose_at(scenery, motions, w, b, time, dt)
-    if b < scenery.first_body:
-        other = _as_now(scenery, motions, w, b, time, end, dt, on_b)
-        place = plus(place, 0.5, minus(other, place))
-    point = points[size]
-    for k in range(3):
-        point.normal[k] = normal[k]
-        point.arm_a[k] = place[k] - motions[a].position[k]
-        point.arm_b[k] = place[k] - position_b[k]
-    _fill(motions, point, _surface_of(space, world, a, b))
-    closing = dot(slip(point, motions), normal)
-    point.distance = now
-    point.approach = 0.0
-    point.least = closing + (wanted - later) / ((end - time) * dt)
-    return size + 1

@@ -16,7 +16,7 @@ from bulletuav.contact.points import Workspace, World, join
 from bulletuav.contact.touch import EXACT, NEVER, ROUGH, touch_time
 from bulletuav.contact.touches import Touches
 from bulletuav.geometry.rotation import dot, minus, plus, vec3
-from bulletuav.kernel import func, kernel
+from bulletuav.kernel import allocating, func, kernel
 from bulletuav.vehicle.swarm import Swarm
 
 ROOM = 16
@@ -90,7 +90,7 @@ def _is_before(position: np.ndarray, w: int, i: int, j: int) -> bool:
     return False
 
 
-@kernel
+@allocating
 def in_order(position: np.ndarray, w: int) -> np.ndarray:
     """Return the drones (N,) of a world by place, so that their numbers do not matter."""
     order = np.arange(position.shape[1])
@@ -123,7 +123,7 @@ def _set_reach(space: Workspace, world: World, end: Swarm, due: np.ndarray) -> N
             motion.reach += _distance(end.position, world.start.position, w, i)
 
 
-@func
+@allocating
 def _collect_of(
     space: Workspace,
     world: World,
@@ -154,7 +154,7 @@ def _collect_of(
     return pairs, count
 
 
-@func
+@allocating
 def find_pairs(
     space: Workspace, world: World, end: Swarm, order: np.ndarray
 ) -> tuple[np.ndarray, int]:
@@ -172,7 +172,7 @@ def find_pairs(
     return pairs, count
 
 
-@func
+@allocating
 def _widen(
     space: Workspace,
     world: World,
@@ -211,7 +211,7 @@ def _turn_on(space: Workspace, world: World, pair: np.record) -> int:
     return members
 
 
-@kernel
+@allocating
 def _fly_through(
     space: Workspace,
     world: World,

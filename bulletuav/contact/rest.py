@@ -1,7 +1,8 @@
 """Rest: drones that lie still sleep, and cost next to nothing, until something changes.
 
-A drone falls asleep after lying still for `LONG`. It wakes when its forces change, when something
-touches it, when a drone that lies by it wakes, or when an obstacle comes near.
+A drone falls asleep after lying still for `LONG`. It wakes when its forces change by more than its
+support bears, when something touches it, when a drone that lies by it wakes, or when an obstacle
+comes near.
 """
 
 from typing import NamedTuple
@@ -10,8 +11,9 @@ import numpy as np
 
 from bulletuav.contact.pairs import body_distance
 from bulletuav.contact.points import Workspace, World, make_workspace
+from bulletuav.contact.support import SUPPORT, find_support, pressing
 from bulletuav.contact.touches import Touches, make_touches
-from bulletuav.geometry.rotation import Vec3, dot, minus, vec3
+from bulletuav.geometry.rotation import Quat4, Vec3, dot, minus, to_world, vec3
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.kernel import func
 from bulletuav.vehicle.swarm import Swarm
@@ -44,7 +46,8 @@ class Contact(NamedTuple):
         asleep: (W, N) bool, drones that are.
         quiet: (W, N) how long each drone has been at rest, s.
         load: (W, N, 6) accelerations of sleepers without contacts, m/s^2 and rad/s^2; NaN at first.
-        slept: What each sleeper touched in the decision in which it fell asleep.
+        support: (W, N) rows of `SUPPORT`, what sleepers rest on.
+    slept: What each sleeper touched in the decision in which it fell asleep.
         flew: (W, N) bool, drones that flew the last decision.
         stopped: (W, N) bool, drones that stopped in this decision.
         changed: (W, N) bool, drones whose state the last substep changed.
@@ -66,6 +69,7 @@ class Contact(NamedTuple):
     asleep: np.ndarray
     quiet: np.ndarray
     load: np.ndarray
+    support: np.ndarray
     slept: Touches
     flew: np.ndarray
     stopped: np.ndarray
@@ -109,6 +113,7 @@ def make_contact(
         asleep=np.zeros(shape, dtype=bool),
         quiet=np.zeros(shape),
         load=np.full((*shape, 6), np.nan),
+        support=np.zeros(shape, dtype=SUPPORT),
         slept=make_touches(*shape),
         flew=np.zeros(shape, dtype=bool),
         stopped=np.zeros(shape, dtype=bool),
@@ -165,16 +170,37 @@ def wake_for_obstacles(contact: Contact, world: World) -> None:
 
 
 @func
-def bears(contact: Contact, w: int, i: int, acceleration: Vec3, spinning: Vec3) -> bool:
-    """Tell whether a sleeper's forces are still those with which it fell asleep.
+def bears(
+    contact: Contact,
+    w: int,
+    i: int,
+    quaternion: Quat4,
+    acceleration: Vec3,
+    spinning: Vec3,
+    row: np.record,
+    dt: float,
+) -> bool:
+    """Tell whether a sleeper stays at rest under its forces, and note how they press it down.
+
+    They may be what its support bears, or those with which it fell asleep.
 
     Args:
-        contact: Its load is set at the first call.
+        contact: Its load is set at the first call; touches are added to.
         w: The world.
         i: The drone.
+        quaternion: Its attitude.
         acceleration: By forces without contacts, m/s^2.
         spinning: Change of its rates by torques, rad/s^2.
+        row: Row of `PARAMETERS` of the drone.
+        dt: Length of the substep, s.
     """
+    inertia = row.inertia
+    twist = (inertia[0] * spinning[0], inertia[1] * spinning[1], inertia[2] * spinning[2])
+    support = contact.support[w, i]
+    if support.span > 0.0:
+        pressed = pressing(support, row.mass, acceleration, to_world(quaternion, twist))
+        contact.touches.impulse[w, i, 0] += pressed * dt
+        return pressed > 0.0
     load = contact.load[w, i]
     if np.isnan(load[0]):
         for k in range(3):
@@ -225,11 +251,28 @@ def settle(contact: Contact, world: World, swarm: Swarm, last: bool) -> None:
         if last and contact.quiet[w, i] >= LONG:
             contact.asleep[w, i] = True
             contact.load[w, i, 0] = np.nan
-            contact.slept.number[w, i] = contact.touches.number[w, i]
-            contact.slept.impulse[w, i] = contact.touches.impulse[w, i]
+            _note_support(contact, world, swarm, i)
             for k in range(3):
                 swarm.velocity[w, i, k] = 0.0
                 swarm.rates[w, i, k] = 0.0
+
+
+@func
+def _note_support(contact: Contact, world: World, swarm: Swarm, i: int) -> None:
+    """Keep what a drone that falls asleep touches, and what it rests on if that is one surface."""
+    w = world.w
+    touches = contact.touches
+    slept = contact.slept
+    slept.number[w, i] = touches.number[w, i]
+    for k in range(touches.number[w, i]):
+        slept.impulse[w, i, k] = touches.impulse[w, i, k]
+    support = contact.support[w, i]
+    support.span = 0.0
+    if touches.number[w, i] == 1:
+        find_support(support, contact.space, world, swarm, i, touches.other[w, i, 0])
+    if support.span > 0.0:
+        # How it is pressed down is told of each substep
+        slept.impulse[w, i, 0] = 0.0
 
 
 @func

@@ -22,7 +22,7 @@ from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.base import Air, Dynamics, Flight, require_sane
 from bulletuav.engine.c_extension import Port, substep, surface_below, write_states
 from bulletuav.geometry.rotation import Vec3, cross, plus, quat4, vec3
-from bulletuav.kernel import func, kernel
+from bulletuav.kernel import allocating, borrowed, func, kernel
 from bulletuav.registry import register
 from bulletuav.vehicle.aerodynamics import wakes
 from bulletuav.vehicle.rotors import lag_decay, lagged, rotor_wrench
@@ -90,7 +90,7 @@ def engine_torque(
     )
 
 
-@kernel
+@allocating
 def drive(
     swarm: Swarm,
     alive: np.ndarray,
@@ -117,6 +117,7 @@ def drive(
         force: (W, N, 3) forces to be written, world axes, N.
         torque: (W, N, 3) torques to be written, body axes, N m.
     """
+    swarm, cascade, air = borrowed((swarm, cascade, air))
     num_rotors = swarm.rotor_speed.shape[2]
     command = np.empty(num_rotors)
     speed = np.empty(num_rotors)
@@ -159,16 +160,20 @@ def choose_flying(
     parameters: np.ndarray,
     force: np.ndarray,
     torque: np.ndarray,
+    swarm: Swarm,
+    dt: float,
     contact: Contact,
     flying: np.ndarray,
 ) -> None:
-    """Choose the drones that the engine moves: who rests is left alone while its forces last.
+    """Choose the drones that the engine moves: who rests is left alone while it bears its forces.
 
     Args:
         alive: (W, N) bool, drones that fly.
         parameters: (W, N) rows of `PARAMETERS`.
         force: (W, N, 3) their forces, N.
         torque: (W, N, 3) their torques, N m.
+        swarm: State of all drones.
+        dt: Length of the substep, s.
         contact: What contacts need; sleepers whose forces changed wake.
         flying: (W, N) bool, written.
     """
@@ -177,19 +182,19 @@ def choose_flying(
             flying[w, i] = alive[w, i] and not contact.stopped[w, i]
             if flying[w, i] and contact.asleep[w, i]:
                 row = parameters[w, i]
-                pull = vec3(force, w, i)
                 turn = vec3(torque, w, i)
                 inertia = row.inertia
-                accelerates = (pull[0] / row.mass, pull[1] / row.mass, pull[2] / row.mass)
+                accelerates = plus((0.0, 0.0, 0.0), 1.0 / row.mass, vec3(force, w, i))
                 spins = (turn[0] / inertia[0], turn[1] / inertia[1], turn[2] / inertia[2])
-                if not bears(contact, w, i, accelerates, spins):
+                turned = quat4(swarm.quaternion, w, i)
+                if not bears(contact, w, i, turned, accelerates, spins, row, dt):
                     wake(contact, w, i)
     for w in range(alive.shape[0]):
         for i in range(alive.shape[1]):
             flying[w, i] = flying[w, i] and not contact.asleep[w, i]
 
 
-@kernel
+@allocating
 def advance(
     port: Port,
     substeps: int,
@@ -224,6 +229,7 @@ def advance(
         torque: (W, N, 3) room for torques, N m.
         contact: What contacts need.
     """
+    port, swarm, cascade, air, contact = borrowed((port, swarm, cascade, air, contact))
     driven = alive.copy()
     flying = alive.copy()
     for piece in range(substeps):
@@ -233,7 +239,7 @@ def advance(
             place_obstacles(contact, piece / substeps, substeps * dt)
             surface_below(port, swarm.position, driven, air.surface)
         drive(swarm, driven, level, setpoint, cascade, parameters, air, dt, force, torque)
-        choose_flying(alive, parameters, force, torque, contact, flying)
+        choose_flying(alive, parameters, force, torque, swarm, dt, contact, flying)
         substep(port, force, torque, flying, swarm)
         # What they would have flown into; the engine goes on from there
         if meet_all(contact, swarm, alive, parameters, piece, substeps, dt):
@@ -338,7 +344,16 @@ class BulletDynamics(Dynamics):
         drive(*inputs)
         flying = np.zeros(inputs.alive.shape, dtype=bool)
         force, torque = inputs.force, inputs.torque
-        choose_flying(inputs.alive, inputs.parameters, force, torque, self.contact, flying)
+        choose_flying(
+            inputs.alive,
+            inputs.parameters,
+            force,
+            torque,
+            inputs.swarm,
+            inputs.dt,
+            self.contact,
+            flying,
+        )
         engine.apply_wrenches(force, torque, flying)
         engine.step()
         engine.read_states(inputs.swarm, flying)

@@ -23,7 +23,7 @@ from bulletuav.control.cascade import Cascade, command_kinematic
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.base import Air, Dynamics
 from bulletuav.geometry.rotation import Vec3, dot, from_euler, point, quat4, vec3
-from bulletuav.kernel import func, kernel
+from bulletuav.kernel import allocating, borrowed, func
 from bulletuav.registry import register
 from bulletuav.vehicle.swarm import Swarm, get, put
 
@@ -212,7 +212,7 @@ def _constants(
     return lag, _drag_rate(swarm, w, i, row), gravity * gain.max_tilt
 
 
-@kernel
+@allocating
 def advance(
     kind: int,
     swarm: Swarm,
@@ -241,6 +241,7 @@ def advance(
         dt: Duration of a piece, s.
         contact: What contacts need.
     """
+    swarm, cascade, air, contact = borrowed((swarm, cascade, air, contact))
     accelerates = kind == DOUBLE_INTEGRATOR
     constants = np.empty((alive.shape[1], 3))
     for w in range(alive.shape[0]):

@@ -15,7 +15,7 @@ from bulletuav.control.cascade import Cascade, command_rotors
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.base import Air, Dynamics
 from bulletuav.geometry.rotation import Quat4, Vec3, normalised, vec3
-from bulletuav.kernel import func, kernel
+from bulletuav.kernel import allocating, borrowed, func
 from bulletuav.registry import register
 from bulletuav.vehicle.aerodynamics import wakes
 from bulletuav.vehicle.rotors import lag_decay, lagged, rotor_wrench
@@ -170,7 +170,7 @@ def _turn_rotors(
     )
 
 
-@kernel
+@allocating
 def advance(
     swarm: Swarm,
     alive: np.ndarray,
@@ -197,6 +197,7 @@ def advance(
         dt: Duration of a substep, s.
         contact: What contacts need.
     """
+    swarm, cascade, air, contact = borrowed((swarm, cascade, air, contact))
     # Room that all worlds share
     num_drones, num_rotors = swarm.rotor_speed.shape[1:]
     wake = np.empty(num_drones)
@@ -233,9 +234,9 @@ def advance(
                     )
                     state = get(swarm, w, i)
                     if contact.asleep[w, i]:
-                        # Who rests is left alone as long as its forces are the same
+                        # Who rests is left alone as long as it bears its forces
                         _, _, pull, spinning = _slope(state, rotors[2], around, wake[i], row)
-                        if bears(contact, w, i, pull, spinning):
+                        if bears(contact, w, i, state[1], pull, spinning, row, dt):
                             continue
                         rouse(contact, w, i)
                     # Fast spins in pieces: their precession is stiff

@@ -5,14 +5,14 @@ import numpy as np
 from bulletuav.control.cascade import Cascade, command_kinematic, command_rotors
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.geometry.rotation import quat4
-from bulletuav.kernel import kernel
+from bulletuav.kernel import allocating
 from bulletuav.vehicle.swarm import Swarm, get
 
 CONVERTED = (SetpointLevel.VELOCITY, SetpointLevel.ACCELERATION, SetpointLevel.ROTOR)
 """Levels that setpoints above them can be turned into"""
 
 
-@kernel
+@allocating
 def _convert(
     level: int,
     consumes: int,

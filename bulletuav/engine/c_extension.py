@@ -18,7 +18,7 @@ from bulletuav.engine.tiles import columns, globalise, land, localise
 from bulletuav.geometry.city_grid import CityGrid
 from bulletuav.geometry.raycast import walk
 from bulletuav.geometry.scenery import Scenery
-from bulletuav.kernel import kernel
+from bulletuav.kernel import allocating, kernel
 from bulletuav.vehicle.swarm import Swarm
 
 SWITCH = "BULLETUAV_BATCH"
@@ -122,7 +122,7 @@ class Port(NamedTuple):
     compiled: bool
 
 
-@kernel
+@allocating
 def surface_below(port: Port, position: np.ndarray, mask: np.ndarray, surface: np.ndarray) -> None:
     """Write the height of the surface below drones, as `Engine.surface_below` does.
 

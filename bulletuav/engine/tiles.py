@@ -11,7 +11,7 @@ import numpy as np
 from bulletuav.geometry.city_grid import meets
 from bulletuav.geometry.rotation import Vec3Like, quat4, to_body, to_world, vec3
 from bulletuav.geometry.scenery import Scenery
-from bulletuav.kernel import func, kernel
+from bulletuav.kernel import allocating, func, kernel
 from bulletuav.vehicle.swarm import Swarm
 
 TILE_PITCH = 4096.0
@@ -104,7 +104,7 @@ def _is_covered(here: Vec3Like, scenery: Scenery, w: int) -> bool:
     return meets(scenery.city_grid, w, low, high)
 
 
-@kernel
+@allocating
 def columns(
     position: np.ndarray,
     mask: np.ndarray,
@@ -157,7 +157,7 @@ def land(surface: np.ndarray, who: np.ndarray, start: np.ndarray, fraction: np.n
             surface[who[m, 0], who[m, 1]] = start[m, 2] - RAY_LENGTH * fraction[m]
 
 
-@kernel
+@allocating
 def within_tile(start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Cut rays off where they leave their tile: what is beyond belongs to another world.
 

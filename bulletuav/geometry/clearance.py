@@ -7,7 +7,7 @@ from bulletuav.geometry.gjk import gap
 from bulletuav.geometry.rotation import Vec3, Vec3Like, axes, dot, minus, point, quat4, vec3
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.shapes import distance_from_box
-from bulletuav.kernel import func, kernel
+from bulletuav.kernel import allocating, func, kernel
 
 LEVEL = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 """Axes of what is not turned"""
@@ -67,7 +67,7 @@ def _city_clearance(
     return found
 
 
-@kernel
+@allocating
 def measure_clearance(
     scenery: Scenery,
     position: np.ndarray,

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from bulletuav.geometry.rotation import Vec3, Vec3Like, dot, minus, vec3
-from bulletuav.kernel import func, kernel
+from bulletuav.kernel import allocating, func
 
 
 @func
@@ -42,7 +42,7 @@ def keep_nearest(near: np.ndarray, distance: np.ndarray, found: int, j: int, gap
     return found
 
 
-@kernel
+@allocating
 def distances(one: np.ndarray, two: np.ndarray) -> np.ndarray:
     """Return the distances (W, N), m, between points (W, N, 3) of the same index.
 

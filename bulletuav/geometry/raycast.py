@@ -24,7 +24,7 @@ from bulletuav.geometry.convex import ShapeTable
 from bulletuav.geometry.rotation import Quat4Like, Vec3Like, minus, point, quat4, to_body, vec3
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.shapes import HULL, inside, inside_box, slab
-from bulletuav.kernel import func, kernel
+from bulletuav.kernel import allocating, func, kernel
 
 
 class Poses(Protocol):
@@ -224,7 +224,7 @@ def _inside_placed(
     return inside_shape(table, s, body_here, body_change)
 
 
-@kernel
+@allocating
 def walk(
     scenery: Scenery,
     start: np.ndarray,

@@ -5,7 +5,7 @@ All drones use the same band.
 
 import numpy as np
 
-from bulletuav.kernel import kernel
+from bulletuav.kernel import allocating
 from bulletuav.network.link import capacity
 
 OFDMA, TDMA, SHARED = range(3)
@@ -15,7 +15,7 @@ NOBODY = -1
 """Index in place of a drone for users that no drone serves"""
 
 
-@kernel
+@allocating
 def uplink_rates(
     power: np.ndarray,
     assignment: np.ndarray,

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bulletuav.errors import as_sequence, finite, numbers_of
-from bulletuav.kernel import kernel
+from bulletuav.kernel import allocating
 
 
 class Tasks(NamedTuple):
@@ -91,7 +91,7 @@ class Arrivals:
         return Tasks(first, user, time, bits)
 
 
-@kernel
+@allocating
 def _spread(
     first: np.ndarray,
     uniform: np.ndarray,

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from bulletuav.kernel import elementwise, kernel
+from bulletuav.kernel import allocating, elementwise
 from bulletuav.network.access import NOBODY
 
 NEAREST, MAX_RATE, DTLCM = range(3)
@@ -44,7 +44,7 @@ def dtlcm_score(distance: float, capacity: float, demand: float, load: float) ->
     return DISTANCE_WEIGHT * nearness + (1.0 - DISTANCE_WEIGHT) * ability - penalty
 
 
-@kernel
+@allocating
 def assign(
     strategy: int,
     position: np.ndarray,

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.kernel import func, kernel
+from bulletuav.kernel import allocating, func, kernel
 from bulletuav.network.arrivals import Tasks
 from bulletuav.network.queueing import mean_response
 
@@ -55,7 +55,7 @@ class _Server(NamedTuple):
     dt: float
 
 
-@kernel
+@allocating
 def serve(
     tasks: Tasks,
     assignment: np.ndarray,
@@ -191,7 +191,7 @@ def _carry_over(
         link_free[j] = max(link_free[j] - server.dt, 0.0)
 
 
-@func
+@allocating
 def _new_served(tasks: Tasks, drones: int) -> Served:
     """Return the result of a decision before anything is served."""
     generated = tasks.first[1:] - tasks.first[:-1]
@@ -272,7 +272,7 @@ def _upload(
     return count
 
 
-@kernel
+@allocating
 def serve_on_average(
     tasks: Tasks,
     assignment: np.ndarray,

@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from bulletuav.geometry.rotation import quat4, to_body
-from bulletuav.kernel import func, kernel
+from bulletuav.kernel import allocating, func
 from bulletuav.network.access import ACCESS, uplink_rates
 from bulletuav.network.antenna import PEAK, gain_towards
 from bulletuav.network.fading import rician_gain
@@ -102,7 +102,7 @@ def _path_loss(
     return log_distance(distance, link.frequency, exponent)
 
 
-@kernel
+@allocating
 def received_power(
     link: LinkParams,
     position: np.ndarray,

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 
-from bulletuav.kernel import func, kernel
+from bulletuav.kernel import allocating, func
 from bulletuav.policies.voxels import Cell, Voxels, is_clear, nearest_free
 
 STEPS = np.array(
@@ -58,7 +58,7 @@ def plan(grid: Voxels, start: np.ndarray, goal: np.ndarray) -> np.ndarray:
     return shortened(grid, np.concatenate([start[None], centres, goal[None]]))
 
 
-@kernel
+@allocating
 def shortest_path(occupied: np.ndarray, start: Cell, goal: Cell) -> np.ndarray:
     """Find a shortest way between two free cells, by steps to any of 26 neighbours.
 
@@ -156,7 +156,7 @@ def _cell(index: int, shape: tuple[int, ...]) -> Cell:
     )
 
 
-@kernel
+@allocating
 def _traced(
     came_from: np.ndarray,
     first: int,
@@ -180,7 +180,7 @@ def _traced(
     return cells
 
 
-@kernel
+@allocating
 def shortened(grid: Voxels, points: np.ndarray) -> np.ndarray:
     """Leave out waypoints: from each one kept the way leads straight to the last one in sight.
 

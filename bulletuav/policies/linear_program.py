@@ -17,7 +17,7 @@ import math
 import numpy as np
 
 from bulletuav.geometry.rotation import Vec3, dot, plus, vec3
-from bulletuav.kernel import func, kernel
+from bulletuav.kernel import allocating, func, kernel
 
 DEPTH = 4
 """Depths of problems: space, plane, line, point"""
@@ -165,7 +165,7 @@ def start(frame: np.ndarray, depth: int, linear: bool) -> Vec3:
     return within(wanted, centre, radius, linear)
 
 
-@kernel
+@allocating
 def nearest(
     rows: np.ndarray,
     count: int,

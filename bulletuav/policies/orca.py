@@ -11,7 +11,7 @@ import numpy as np
 
 from bulletuav.geometry.closest_approach import keep_nearest, offset
 from bulletuav.geometry.rotation import Vec3, cross, dot, plus, vec3
-from bulletuav.kernel import func, kernel
+from bulletuav.kernel import allocating, func, kernel
 from bulletuav.policies.base import Policy
 from bulletuav.policies.linear_program import DEPTH, best_velocity, write
 from bulletuav.policies.straight import preferred_velocity
@@ -134,7 +134,7 @@ class Orca(Policy):
         return self.encoded(velocity)
 
 
-@kernel
+@allocating
 def orca_velocities(
     position: np.ndarray,
     velocity: np.ndarray,

@@ -13,7 +13,7 @@ from bulletuav.control.actions import limit_norm
 from bulletuav.envs.aviary import Aviary
 from bulletuav.geometry.rotation import Vec3, dot, plus, vec3
 from bulletuav.geometry.solids import Solids
-from bulletuav.kernel import func, kernel
+from bulletuav.kernel import allocating, func
 from bulletuav.policies.astar import plan
 from bulletuav.policies.base import Policy
 from bulletuav.policies.potential import make_field, repulsion
@@ -162,7 +162,7 @@ class Planner(PathFollower):
         return self.aviary.scene.goal
 
 
-@kernel
+@allocating
 def follow(
     position: np.ndarray,
     velocity: np.ndarray,

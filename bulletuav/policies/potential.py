@@ -13,7 +13,7 @@ from bulletuav.control.actions import limit_norm
 from bulletuav.envs.aviary import Aviary
 from bulletuav.geometry.closest_approach import offset
 from bulletuav.geometry.rotation import Vec3, dot, vec3
-from bulletuav.kernel import func, kernel
+from bulletuav.kernel import allocating, func
 from bulletuav.policies.base import Policy
 from bulletuav.policies.straight import preferred_velocity
 from bulletuav.registry import register
@@ -98,7 +98,7 @@ class PotentialField(Policy):
         return self.encoded(limit_norm(wanted + push, speed))
 
 
-@kernel
+@allocating
 def repulsion(
     position: np.ndarray,
     alive: np.ndarray,

@@ -8,7 +8,7 @@ import numpy as np
 
 from bulletuav.engine.engine import Engine
 from bulletuav.geometry.rotation import axes, quat4
-from bulletuav.kernel import kernel
+from bulletuav.kernel import allocating
 from bulletuav.registry import register
 from bulletuav.sensors.base import Image, Label, Moment, Sensor, SensorSetup, Uncertain
 
@@ -106,7 +106,7 @@ class Lidar(Sensor):
             ranges[where == w] = np.where(luck[mask[w]] < dropout, self._range, seen)
 
 
-@kernel
+@allocating
 def cast(
     position: np.ndarray,
     quaternion: np.ndarray,

@@ -4,7 +4,7 @@ from typing import Any, Generic
 
 import numpy as np
 
-from bulletuav.kernel import kernel
+from bulletuav.kernel import allocating
 from bulletuav.tasks.base import ConfigT, Task
 from bulletuav.tasks.frame import Frame, Scene
 
@@ -71,7 +71,7 @@ def share_of(seen: np.ndarray, active: np.ndarray) -> np.ndarray:
     return share
 
 
-@kernel
+@allocating
 def served_share(sight: np.ndarray, alive: np.ndarray, active: np.ndarray) -> np.ndarray:
     """Compute the share of active targets that any living drone sees.
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from bulletuav.errors import finite
 from bulletuav.geometry.rotation import Vec3Like, vec3
-from bulletuav.kernel import func, kernel
+from bulletuav.kernel import allocating, func
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY, Airframe
 
 # Airframes do not tell the following numbers. They get those of Zeng, Xu and Zhang (our choice).
@@ -225,7 +225,7 @@ def propulsion_power(velocity: Vec3Like, wing: RotaryWing) -> float:
     return max(blade + induced + parasite + vertical_power(velocity[2], wing), wing.blade)
 
 
-@kernel
+@allocating
 def propulsion(velocity: np.ndarray, wings: np.ndarray) -> np.ndarray:
     """Return `propulsion_power` of all drones.
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bulletuav.geometry.rotation import Quat4, Vec3, quat4, vec3
-from bulletuav.kernel import func, kernel
+from bulletuav.kernel import allocating, func
 
 State = tuple[Vec3, Quat4, Vec3, Vec3]
 """Position, quaternion, velocity and rates of one drone, as in `Swarm`."""
@@ -82,7 +82,7 @@ def _turned_back(velocity: float, beyond: float, rebound: float) -> float:
     return -rebound * velocity if velocity * beyond > 0.0 else velocity
 
 
-@kernel
+@allocating
 def confine(
     swarm: Swarm,
     commanded: np.ndarray,

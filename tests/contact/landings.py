@@ -16,6 +16,8 @@ DEEPEST = 5e-4
 """Greatest overlap, m"""
 MOST_GAIN = 1e-4
 """Greatest gain of energy, as a height, m: that by which gaps at rest are held"""
+GAIN_OF_FALL = 0.1
+"""Greatest further gain, as a share of g dt^2: steps of dt follow a fall no better"""
 PLACES = ("ground", "roof", "platform")
 HEIGHT = {"ground": 0.0, "roof": 20.0, "platform": 5.0}
 """Of the surface, m"""
@@ -35,6 +37,7 @@ class Landing(NamedTuple):
         spin: (W,) rad/s at the end.
         depth: (W,) greatest overlap at the end of a substep, m.
         gained: (W,) greatest gain of energy over its least so far, as a height: over m g, m.
+        fall: Double the height that a drone falls in a substep from rest, m.
         left: (W,) bool, whether the drone took off again; upright ones alone should.
         upright: (W,) bool, whether the drone lies upright.
         quaternion: (W, 4) attitudes at the beginning.
@@ -47,6 +50,7 @@ class Landing(NamedTuple):
     spin: np.ndarray
     depth: np.ndarray
     gained: np.ndarray
+    fall: float
     left: np.ndarray
     upright: np.ndarray
     quaternion: np.ndarray
@@ -58,7 +62,7 @@ class Landing(NamedTuple):
             "touch": ~self.touched,
             "rest": self.rest > PATIENCE,
             "depth": self.depth > DEEPEST,
-            "energy": self.gained > MOST_GAIN,
+            "energy": self.gained > MOST_GAIN + GAIN_OF_FALL * self.fall,
             "take-off": self.upright & ~self.left,
         }
         return {name: np.flatnonzero(where) for name, where in found.items() if where.any()}
@@ -146,6 +150,7 @@ def land(
         spin=spin,
         depth=depth,
         gained=gained,
+        fall=rig.gravity / hz**2,
         left=rise > 0.2,
         upright=up > 0.999,
         quaternion=start,

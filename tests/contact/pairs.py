@@ -15,8 +15,8 @@ class Meetings(NamedTuple):
 
     Attributes:
         told: (W,) bool, whether both were told of the touch.
-        linear: (W,) greatest change of the linear momentum over m v.
-        angular: (W,) the same of the angular momentum over m v r.
+        linear: (W,) greatest change of the linear momentum over the sum of m v of both.
+        angular: (W,) the same of the angular momentum over the sum of m v r.
         gained: (W,) greatest gain of energy in a substep over the first.
         rebound: (W,) relative speed after the last touch over that before.
         stuck: (W,) bool, pairs that do not move as their velocities say.
@@ -35,7 +35,7 @@ class Meetings(NamedTuple):
         """Return the worlds in which each bound was missed."""
         found = {
             "told": ~self.told,
-            "linear": self.linear > 4e-12,
+            "linear": self.linear > 1e-12,
             "angular": self.angular > 1e-3,
             "energy": self.gained > 1e-5,
             "stuck": self.stuck,
@@ -107,8 +107,8 @@ def _follow(rig: Rig, fast: np.ndarray, way: np.ndarray, most: int) -> Meetings:
     """Fly until all must have met, and measure."""
     swarm = rig.swarm
     worlds = len(rig.alive)
-    light = rig.rows["mass"].min(axis=1)
-    reach = min(one.collision_radius for one in rig.airframes)
+    each = rig.rows["mass"] * np.linalg.norm(swarm.velocity, axis=-1)
+    reach = np.array([one.collision_radius for one in rig.airframes])
     told = np.zeros((worlds, 2), dtype=bool)
     linear, angular, gained, depth = np.zeros((4, worlds))
     rebound = np.zeros(worlds)
@@ -126,8 +126,8 @@ def _follow(rig: Rig, fast: np.ndarray, way: np.ndarray, most: int) -> Meetings:
         met = touched.any(axis=1)
         shift += met[:, None] * (rig.momentum().sum(axis=1) - before)
         turn += met[:, None] * (rig.spin_momentum().sum(axis=1) - spun)
-        linear = np.maximum(linear, np.linalg.norm(shift, axis=1) / (light * fast))
-        angular = np.maximum(angular, np.linalg.norm(turn, axis=1) / (light * fast * reach))
+        linear = np.maximum(linear, np.linalg.norm(shift, axis=1) / each.sum(axis=1))
+        angular = np.maximum(angular, np.linalg.norm(turn, axis=1) / (each * reach).sum(axis=1))
         now = rig.energy().sum(axis=1)
         gained = np.maximum(gained, (now - energy) / first)
         energy = now

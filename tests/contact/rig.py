@@ -18,7 +18,7 @@ from bulletuav.geometry.rotation import axes
 from bulletuav.geometry.scenery import NOWHERE
 from bulletuav.geometry.shapes import HALF_SPACE
 from bulletuav.geometry.solids import Solids
-from bulletuav.kernel import kernel
+from bulletuav.kernel import allocating
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY, load_airframe
 from bulletuav.vehicle.parameters import parameter_rows
 from bulletuav.vehicle.swarm import Contacts, Motion, Swarm
@@ -241,7 +241,7 @@ class Rig:
         self.close()
 
 
-@kernel
+@allocating
 def _gaps(table, a, b, place_a, turn_a, place_b, turn_b, room):  # type: ignore[no-untyped-def]
     """Return the distances (M,) of shape a from shape b at M pairs of poses, m."""
     found = np.zeros(len(place_a))

@@ -12,7 +12,7 @@ def test_pairs_keep_what_they_must(kind, restitution):
     assert not meetings.missed()
 
 
-@pytest.mark.parametrize("hz", [240, 1000])
+@pytest.mark.parametrize("hz", [60, 240, 1000])
 @pytest.mark.parametrize("airframes", [("cf2x", "iris"), ("racer", "hummingbird")])
 def test_unlike_pairs_keep_what_they_must(airframes, hz):
     meetings = meet_in_pairs("spinning", airframes, hz=hz, worlds=12, speed=(2.0, 20.0))

@@ -78,8 +78,8 @@ def sunk(bench):
 def test_random_head_on_shots_never_pass(make_bench, dynamics, contacts):
     """Pairs of drones at random attitudes are shot at each other at 5 to 40 m/s each.
 
-    Stopped, they never overlap. Pushed apart, they sink by less than a tenth of their thickness at
-    closing speeds of up to 80 m/s (wanted: half a millimetre), and keep the sum of their momenta.
+    Stopped, they never overlap. Pushed apart, they sink by less than half a millimetre at closing
+    speeds of up to 80 m/s, and keep the sum of their momenta.
     """
     worlds = 150
     bench = make_bench(
@@ -107,7 +107,6 @@ def test_random_head_on_shots_never_pass(make_bench, dynamics, contacts):
         if contacts == "stop":
             bench.alive[:] = ~met
         met |= bench.spin(0.0).mask(met.shape)
-        # Wanted: 5e-4 m, which some pairs exceed
         assert sunk(bench) < (0 if contacts == "stop" else 5e-4)
     assert met.all()
     if contacts == "stop":

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bulletuav.kernel import kernel
+from bulletuav.kernel import allocating
 from bulletuav.network.antenna import (
     INDOOR_PEAK,
     PEAK,
@@ -160,7 +160,7 @@ def test_above_at_the_horizon_and_nowhere(zero):
 
 
 def test_in_kernels_too():
-    @kernel
+    @allocating
     def gains(vectors):
         found = np.empty(len(vectors))
         for i in range(len(vectors)):

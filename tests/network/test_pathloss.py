@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bulletuav.city.sight_probability import SIGMOIDS, elevation_los
-from bulletuav.kernel import kernel
+from bulletuav.kernel import allocating
 from bulletuav.network import pathloss
 from bulletuav.network.pathloss import PATHLOSS_MODELS, check_validity
 from bulletuav.network.propagation import (
@@ -271,7 +271,7 @@ def test_shadowing(name, drone, los, nlos):
 def test_laws_of_arrays_and_in_kernels_are_those_of_numbers():
     distance = np.geomspace(1, 4000, 40)
 
-    @kernel
+    @allocating
     def losses(distance, drone, user, frequency):
         found = np.empty((10, len(distance)))
         for i, d in enumerate(distance):

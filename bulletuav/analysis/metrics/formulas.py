@@ -4,7 +4,7 @@ import numpy as np
 
 from bulletuav.geometry.closest_approach import offset
 from bulletuav.geometry.rotation import dot
-from bulletuav.kernel import kernel
+from bulletuav.kernel import allocating
 
 
 def jain(values: np.ndarray) -> float:
@@ -23,7 +23,7 @@ def jain(values: np.ndarray) -> float:
     return float(values.sum()) ** 2 / square if square > 0 else 1.0
 
 
-@kernel
+@allocating
 def soonest_conflict(
     position: np.ndarray, velocity: np.ndarray, alive: np.ndarray, d_safe: float
 ) -> np.ndarray:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.kernel import kernel
+from bulletuav.kernel import allocating
 from bulletuav.vehicle.airframe import Airframe
 
 Decoder = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -75,7 +75,7 @@ ActionMaker = Callable[[ActionContext], Action]
 """Makes one kind of action for the drones of an environment"""
 
 
-@kernel
+@allocating
 def limit_norm(vector: np.ndarray, limit: float) -> np.ndarray:
     """Shorten vectors that are longer than a limit; their direction stays.
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bulletuav.city.model import City
-from bulletuav.kernel import func, kernel
+from bulletuav.kernel import allocating, func
 
 MARGIN = 0.1
 """Distance between free cells and walls, m"""
@@ -59,7 +59,7 @@ def rasterise(cities: Sequence[City], cell: float) -> Raster:
     return raster
 
 
-@kernel
+@allocating
 def block_outline(free: np.ndarray, outline: np.ndarray, cell: float, reach: float) -> None:
     """Mark the cells that are nearer than `MARGIN` m to a convex outline as not free, in place.
 

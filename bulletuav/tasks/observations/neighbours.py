@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from bulletuav.geometry.closest_approach import keep_nearest
-from bulletuav.kernel import kernel
+from bulletuav.kernel import allocating
 from bulletuav.registry import register
 from bulletuav.sensors.base import Label, vector_labels
 from bulletuav.tasks.frame import Frame
@@ -128,7 +128,7 @@ def heard(frame: Frame, present: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
     )
 
 
-@kernel
+@allocating
 def nearest(
     position: np.ndarray,
     velocity: np.ndarray,

@@ -6,7 +6,7 @@ import numpy as np
 
 from bulletuav.geometry.closest_approach import closest_squared, offset
 from bulletuav.geometry.rotation import Vec3, dot, vec3
-from bulletuav.kernel import func, kernel
+from bulletuav.kernel import allocating, func, kernel
 from bulletuav.registry import register
 from bulletuav.tasks.frame import Frame
 from bulletuav.tasks.ingredients import reward
@@ -188,7 +188,7 @@ def follow_encounters(
                 encounter[w, i, j] = encounter[w, j, i] = state
 
 
-@kernel
+@allocating
 def variance_nearby(
     reward: np.ndarray, position: np.ndarray, alive: np.ndarray, reach: float
 ) -> np.ndarray:

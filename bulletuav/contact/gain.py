@@ -1,0 +1,135 @@
+"""Energy of an island: what impulses gain, although contacts give none, is taken back."""
+
+import math
+
+import numpy as np
+
+from bulletuav.contact.motion import put_vector, quaternion_of, vector
+from bulletuav.contact.points import Workspace, World
+from bulletuav.contact.relax import relax
+from bulletuav.geometry.rotation import Vec3, Vec3Like, axes, dot, minus, plus
+from bulletuav.kernel import func
+
+
+@func
+def _energy_of(
+    motion: np.record, velocity: Vec3Like, spin: Vec3Like, frame: Vec3, row: np.record
+) -> float:
+    """Return a drone's kinetic energy (J) with a velocity and spin, as seen from a frame."""
+    bx, by, bz = axes(quaternion_of(motion))
+    turning = vector(spin)
+    moving = minus(vector(velocity), frame)
+    total: float = 0.5 * row.mass * dot(moving, moving)
+    total += 0.5 * row.inertia[0] * dot(bx, turning) ** 2
+    total += 0.5 * row.inertia[1] * dot(by, turning) ** 2
+    total += 0.5 * row.inertia[2] * dot(bz, turning) ** 2
+    return total
+
+
+@func
+def remember_before(space: Workspace, members: int, points: np.ndarray, size: int) -> None:
+    """Keep velocities and impulses as they are before passes that may gain energy."""
+    for m in range(members):
+        motion = space.motions[space.island[m]]
+        put_vector(motion.before[0], motion.velocity)
+        put_vector(motion.before[1], motion.spin)
+    for k in range(size):
+        put_vector(points[k].former, points[k].total)
+
+
+@func
+def _between(one: Vec3Like, two: Vec3Like, share: float) -> Vec3:
+    """Return the vector at a share of the way from one to another."""
+    start = vector(one)
+    return plus(start, share, minus(vector(two), start))
+
+
+@func
+def moving_energy(space: Workspace, world: World, members: int, frame: Vec3, least: float) -> float:
+    """Return the kinetic energy of an island as seen from a frame, or what speed `least` has, J."""
+    total = 0.0
+    for m in range(members):
+        motion = space.motions[space.island[m]]
+        row = world.parameters[world.w, space.island[m]]
+        moving = _energy_of(motion, motion.velocity, motion.spin, frame, row)
+        total += max(moving, 0.5 * row.mass * least * least)
+    return total
+
+
+@func
+def _work(space: Workspace, world: World, members: int, frame: Vec3, rest: float) -> float:
+    """Return the work of forces on an island in the rest of the substep, seen from a frame, J."""
+    total = 0.0
+    for m in range(members):
+        motion = space.motions[space.island[m]]
+        mass = world.parameters[world.w, space.island[m]].mass
+        total += mass * rest * dot(motion.push, minus(vector(motion.velocity), frame))
+    return total
+
+
+@func
+def lose_gain(
+    space: Workspace,
+    world: World,
+    members: int,
+    points: np.ndarray,
+    size: int,
+    frame: Vec3,
+    had: float,
+    rest: float,
+) -> None:
+    """Take back what energy the passes since `remember_before` gained, if any.
+
+    What they did is mixed with what happens if all that closes is stopped, which gains none.
+    Energy is a parabola over the share of the first: it is known from its values at 0, 1/2 and 1.
+
+    Args:
+        space: Arrays to work on.
+        world: The world.
+        members: Drones of the island.
+        points: Rows of `POINT`.
+        size: How many of them count.
+        frame: From which energy is seen, m/s.
+        had: Energy before, without forces, J.
+        rest: Share of the substep in which forces have acted since.
+    """
+    motions = space.motions
+    full = moving_energy(space, world, members, frame, 0.0)
+    if full <= had + _work(space, world, members, frame, rest):
+        return
+    for m in range(members):
+        motion = motions[space.island[m]]
+        put_vector(motion.after[0], motion.velocity)
+        put_vector(motion.after[1], motion.spin)
+        put_vector(motion.velocity, motion.before[0])
+        put_vector(motion.spin, motion.before[1])
+    for k in range(size):
+        points[k].least = min(points[k].least, 0.0)
+    relax(points, size, motions)
+    had += _work(space, world, members, frame, rest)
+    calm = moving_energy(space, world, members, frame, 0.0)
+    half = 0.0
+    for m in range(members):
+        motion = motions[space.island[m]]
+        velocity = _between(motion.velocity, motion.after[0], 0.5)
+        spin = _between(motion.spin, motion.after[1], 0.5)
+        half += _energy_of(
+            motion, velocity, spin, frame, world.parameters[world.w, space.island[m]]
+        )
+    # calm + linear s + square s^2 = had
+    square = 2.0 * (full + calm) - 4.0 * half
+    linear = full - calm - square
+    left = had - calm
+    share = 0.0
+    if left > 0.0 and square > 0.0:
+        root = math.sqrt(linear * linear + 4.0 * square * left)
+        share = min(1.0, max(0.0, 2.0 * left / (linear + root)))
+    for m in range(members):
+        motion = motions[space.island[m]]
+        put_vector(motion.velocity, _between(motion.velocity, motion.after[0], share))
+        put_vector(motion.spin, _between(motion.spin, motion.after[1], share))
+    for k in range(size):
+        point = points[k]
+        for m in range(3):
+            stopping = point.former[m] + point.impulse[m]
+            point.total[m] = stopping + share * (point.total[m] - stopping)

@@ -1,0 +1,124 @@
+"""Support: what forces a drone that rests on one surface can bear without moving.
+
+A rigid body on a flat surface stays at rest where the line of its load meets the surface within its
+base, and friction can hold what pulls it along (Coulomb). Here half of both must do, so that how
+the load spreads over the points of contact does not matter.
+"""
+
+import math
+
+import numpy as np
+
+from bulletuav.contact.motion import put_vector, vector
+from bulletuav.contact.points import Workspace, World, coefficients
+from bulletuav.geometry.contact_points import contact_points
+from bulletuav.geometry.gjk import gap
+from bulletuav.geometry.rotation import Vec3, axes, cross, dot, minus, plus, point, quat4, vec3
+from bulletuav.kernel import func, kernel
+from bulletuav.vehicle.swarm import Swarm
+
+SHARE = 0.5
+"""Share of what a support can bear that counts as safe"""
+FEWEST = 3
+"""Fewest points of contact that make a base"""
+DIRECTIONS = 16
+"""Directions in which the base is measured"""
+
+SUPPORT = np.dtype([("normal", "f8", 3), ("height", "f8"), ("span", "f8"), ("friction", "f8")])
+"""What a drone rests on.
+
+Attributes:
+    normal: Unit vector out of the surface.
+    height: Of the centre of mass above it, m.
+    span: Radius of a circle about the foot of the centre of mass that its points enclose, m; 0
+        where they do not, or where it rests on several surfaces.
+    friction: Coefficient of friction.
+"""
+
+
+@kernel
+def find_support(
+    support: np.record, space: Workspace, world: World, swarm: Swarm, i: int, other: int
+) -> None:
+    """Measure how a drone rests on something that does not move.
+
+    Args:
+        support: Row of `SUPPORT`, written.
+        space: Arrays to work on.
+        world: The world.
+        swarm: State of all drones.
+        i: The drone.
+        other: Number of the shape of what it rests on.
+    """
+    scenery = world.scenery
+    table = scenery.table
+    support.span = 0.0
+    if other < scenery.first_body:
+        return
+    place = (0.0, 0.0, 0.0)
+    turn = axes((0.0, 0.0, 0.0, 1.0))
+    if other < scenery.first_piece:
+        place = vec3(scenery.place, world.w, other - scenery.first_body)
+        turn = axes(quat4(scenery.quaternion, world.w, other - scenery.first_body))
+    elif other < scenery.ground:
+        place = point(scenery.piece_place, other - scenery.first_piece)
+    own = axes(quat4(swarm.quaternion, world.w, i))
+    offset = minus(place, vec3(swarm.position, world.w, i))
+    nowhere = (0.0, 0.0, 0.0)
+    _, normal, on_a, on_b = gap(table, i, own, other, turn, offset, nowhere, space.room)
+    found = contact_points(
+        table, i, own, other, turn, offset, normal, on_a, on_b, 1e-3, space.found, space.room
+    )
+    if found < FEWEST:
+        return
+    put_vector(support.normal, normal)
+    support.height = -dot(normal, point(space.found, 0))
+    rough, _ = coefficients(world, i)
+    rough_other, _ = coefficients(world, other)
+    support.friction = math.sqrt(rough * rough_other)
+    support.span = max(0.0, _inner_radius(space.found, found, normal))
+
+
+@func
+def _inner_radius(points: np.ndarray, count: int, normal: Vec3) -> float:
+    """Return how far points (M, 3) reach about the origin, across a normal, where least, m."""
+    first = cross(normal, (1.0, 0.0, 0.0) if abs(normal[0]) < 0.8 else (0.0, 1.0, 0.0))
+    scale = 1.0 / math.sqrt(dot(first, first))
+    first = (scale * first[0], scale * first[1], scale * first[2])
+    second = cross(normal, first)
+    least = np.inf
+    for k in range(DIRECTIONS):
+        angle = 2.0 * math.pi * k / DIRECTIONS
+        east = math.cos(angle)
+        north = math.sin(angle)
+        most = -np.inf
+        for m in range(count):
+            place = point(points, m)
+            most = max(most, east * dot(place, first) + north * dot(place, second))
+        least = min(least, most)
+    return least
+
+
+@func
+def pressing(support: np.record, mass: float, acceleration: Vec3, torque: Vec3) -> float:
+    """Return the force with which a load presses a drone on its support, 0 if it may move it, N.
+
+    Args:
+        support: Row of `SUPPORT`.
+        mass: Of the drone, kg.
+        acceleration: By forces without contacts, m/s^2.
+        torque: Without contacts, world axes, N m.
+    """
+    normal = vector(support.normal)
+    pressed = -mass * dot(acceleration, normal)
+    if support.span <= 0.0 or pressed <= 0.0:
+        return 0.0
+    force = (mass * acceleration[0], mass * acceleration[1], mass * acceleration[2])
+    along = plus(force, pressed, normal)
+    about = dot(torque, normal)
+    # Where the surface has to press: the foot of the load
+    tipping = plus(plus(torque, -about, normal), support.height, cross(normal, along))
+    if dot(tipping, tipping) > (SHARE * support.span * pressed) ** 2:
+        return 0.0
+    pull = math.sqrt(dot(along, along)) + abs(about) / support.span
+    return pressed if pull <= SHARE * support.friction * pressed else 0.0
