@@ -5,8 +5,10 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import NamedTuple
 
 import numba
+import numpy as np
 import pytest
 
 import bulletuav
@@ -152,3 +154,79 @@ def test_kernels_use_nothing_of_task_files():
                 assert not used & imported, f"{path}: {node.name}"
                 count += 1
     assert count > 100
+
+
+PACKAGE = Path(bulletuav.__file__).parent
+NUMBERS = {"None", "bool", "int", "float"}
+"""What an `allocating` function may return to one that counts no references"""
+
+
+def compiled_functions():
+    """Give (module, name) -> (decorator, what it returns, (module, name) of all that it calls)."""
+    found = {}
+    for path in sorted(PACKAGE.rglob("*.py")):
+        module = ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts)
+        tree = ast.parse(path.read_text())
+        origin = {
+            alias.asname or alias.name: (node.module, alias.name)
+            for node in tree.body
+            if isinstance(node, ast.ImportFrom)
+            for alias in node.names
+        }
+        for node in tree.body:
+            names = [ast.unparse(one) for one in getattr(node, "decorator_list", [])]
+            kinds = [name for name in names if name in ("kernel", "func", "allocating")]
+            if kinds:
+                calls = {
+                    origin.get(call.func.id, (module, call.func.id))
+                    for call in ast.walk(node)
+                    if isinstance(call, ast.Call) and isinstance(call.func, ast.Name)
+                }
+                returns = ast.unparse(node.returns) if node.returns else "None"
+                found[module, node.name] = kinds[0], returns, calls
+    return found
+
+
+def test_who_counts_no_references_is_given_no_arrays():
+    """An array that nobody counts would never be freed."""
+    functions = compiled_functions()
+    assert len(functions) > 300
+    given = [
+        (caller, called)
+        for caller, (kind, _, calls) in functions.items()
+        for called in calls
+        if kind != "allocating"
+        and functions.get(called, ("", "", ()))[0] == "allocating"
+        and functions[called][1] not in NUMBERS
+    ]
+    assert given == []
+
+
+def test_kernels_refuse_to_make_arrays():
+    @kernel.kernel
+    def make(size):
+        return np.zeros(size)
+
+    with pytest.raises(numba.core.errors.TypingError):
+        make(3)
+    assert kernel.allocating(make.py_func)(3).tolist() == [0, 0, 0]
+
+
+def test_borrowed_arrays_are_the_same_ones():
+    class Two(NamedTuple):
+        one: np.ndarray
+        rest: tuple
+
+    @kernel.allocating
+    def change(two):
+        lent = kernel.borrowed(two)
+        lent.one[0] = 5.0
+        lent.rest[0][1] = 6.0
+        return lent.rest[1]
+
+    two = Two(np.zeros(2), (np.zeros(2), 7))
+    before = sys.getrefcount(two.one), sys.getrefcount(two.rest[0])
+    assert change(two) == 7
+    assert two.one.tolist() == [5, 0]
+    assert two.rest[0].tolist() == [0, 6]
+    assert (sys.getrefcount(two.one), sys.getrefcount(two.rest[0])) == before

@@ -1,7 +1,7 @@
 """PettingZoo environments: one world whose agents leave when their episode ends."""
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -53,6 +53,9 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
         self.render_mode = common.render_mode
         self.possible_agents = [f"drone_{i}" for i in range(common.num_drones)]
         self.agents: list[str] = []
+        self._rows = {agent: i for i, agent in enumerate(self.possible_agents)}
+        sizes = {self.aviary.action.size(i) for i in range(common.num_drones)}
+        self._alike = self.aviary.action.choices is None and len(sizes) == 1
         self.observation_spaces = {agent: self._observer.space() for agent in self.possible_agents}
         self.action_spaces = {
             agent: drone_action_space(self.aviary.action, i)
@@ -88,7 +91,9 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
         """
         observations = self.aviary.reset(seeds=seed)
         self.agents = self.possible_agents[:]
-        return self._by_agent(observations), self._infos(self.aviary.first_info())
+        rows = self._living_rows()
+        infos = self._infos(self.aviary.first_info(), rows)
+        return self._by_agent(observations, rows), infos
 
     @exclusive
     def step(self, actions: dict[str, np.ndarray]) -> AgentResults:
@@ -107,42 +112,59 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
             RuntimeError: Before the first reset, or after `close`.
         """
         self.aviary.require_started()
-        check_agents(actions, self.agents, self.possible_agents)
+        check_agents(actions, self.agents, self._rows)
         if not self.agents:
             return {}, {}, {}, {}, {}
-        # The batch of one world; rows of agents that have left stay zero.
-        action = self.aviary.action
-        batch = np.zeros((1, *action.low.shape))
-        for i, agent in enumerate(self.possible_agents):
-            if agent in self.agents:
-                batch[0, i] = drone_numbers(action, i, actions[agent])
-        step = self.aviary.step(batch)
+        step = self.aviary.step(self._batch(actions))
         # Results by agent, in Python's own types, which PettingZoo's tests want.
-        observations = self._by_agent(step.observations)
-        rewards = _each(float, self._by_agent(step.rewards))
-        terminated = _each(bool, self._by_agent(step.terminated))
-        truncated = _each(bool, self._by_agent(step.truncated))
-        infos = self._infos(step.info)
+        rows = self._living_rows()
+        observations = self._by_agent(step.observations, rows)
+        rewards = self._numbers(step.rewards, rows)
+        terminated = self._numbers(step.terminated, rows)
+        truncated = self._numbers(step.truncated, rows)
+        infos = self._infos(step.info, rows)
         # Agents leave after the step that ended their episode.
         self.agents = [
             agent for agent in self.agents if not (terminated[agent] or truncated[agent])
         ]
         return observations, rewards, terminated, truncated, infos
 
-    def _by_agent(self, array: Observation) -> ByAgent:
-        """Share out (1, N, ...) to the living agents."""
-        return {
-            agent: part(array, (0, i))
-            for i, agent in enumerate(self.possible_agents)
-            if agent in self.agents
-        }
+    def _living_rows(self) -> list[int]:
+        """Return the rows of the living agents in the batch."""
+        return [self._rows[agent] for agent in self.agents]
 
-    def _infos(self, info: dict[str, np.ndarray]) -> Infos:
+    def _batch(self, actions: dict[str, np.ndarray]) -> np.ndarray:
+        """Make the batch (1, N, A) of one world; rows of agents that have left stay zero."""
+        action = self.aviary.action
+        batch = np.zeros((1, *action.low.shape))
+        given = [actions[agent] for agent in self.agents]
+        form = batch.shape[2:]
+        if self._alike and all(type(one) is np.ndarray and one.shape == form for one in given):
+            numbers = np.concatenate(given)
+            if numbers.dtype.kind == "f":
+                batch[0, self._living_rows()] = numbers.reshape(len(given), -1)
+                return batch
+        # One by one, with clear errors
+        for row, one in zip(self._living_rows(), given, strict=True):
+            batch[0, row] = drone_numbers(action, row, one)
+        return batch
+
+    def _by_agent(self, array: Observation, rows: list[int]) -> ByAgent:
+        """Share out (1, N, ...) to the living agents."""
+        shares = (part(array, (0, row)) for row in rows)
+        return dict(zip(self.agents, shares, strict=True))
+
+    def _numbers(self, array: np.ndarray, rows: list[int]) -> dict[str, Any]:
+        """Share out numbers (1, N) to the living agents."""
+        numbers = array[0].tolist()
+        return {agent: numbers[row] for agent, row in zip(self.agents, rows, strict=True)}
+
+    def _infos(self, info: dict[str, np.ndarray], rows: list[int]) -> Infos:
         """Share out infos (1, N) to the living agents."""
-        columns = {name: self._by_agent(array) for name, array in info.items()}
+        table = np.array([array[0] for array in info.values()], dtype=float).T.tolist()
         return {
-            agent: {name: float(column[agent]) for name, column in columns.items()}
-            for agent in self.agents
+            agent: dict(zip(info, table[row], strict=True))
+            for agent, row in zip(self.agents, rows, strict=True)
         }
 
     def state(self) -> np.ndarray:
@@ -168,15 +190,10 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
         self.aviary.close()
 
 
-def _each(kind: type, values: ByAgent) -> ByAgent:
-    """Convert the value of each agent."""
-    return {agent: kind(value) for agent, value in values.items()}
-
-
 def check_agents(
     actions: Any,
     agents: Sequence[str],
-    possible: Sequence[str],
+    possible: Collection[str],
 ) -> None:
     """Check whose actions were given.
 
