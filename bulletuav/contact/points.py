@@ -17,6 +17,7 @@ from bulletuav.contact.motion import (
 )
 from bulletuav.contact.touch import TOUCH, gap_at
 from bulletuav.geometry.contact_points import MOST_POINTS, contact_points
+from bulletuav.geometry.direction import sharpened
 from bulletuav.geometry.gjk import make_room
 from bulletuav.geometry.rotation import Vec3, axes, dot, minus
 from bulletuav.geometry.scenery import Scenery
@@ -130,11 +131,25 @@ def touching(pair: np.record, time: float) -> bool:
 def measure(
     space: Workspace, world: World, pair: np.record, time: float
 ) -> tuple[float, Vec3, Vec3, Vec3]:
-    """Measure a pair at a time, see `bulletuav.geometry.gjk.gap`; keeps the direction."""
+    """Measure a pair at a time, with `gap` and `sharpened`; keeps the direction."""
     guess = vector(pair.normal)
     distance, normal, on_a, on_b = gap_at(
         world.scenery, space.motions, world.w, pair.a, pair.b, time, world.dt, guess, space.room
     )
+    if pair.b != world.scenery.ground and distance > 0.0:
+        position_a, turn_a = pose_at(world.scenery, space.motions, world.w, pair.a, time, world.dt)
+        position_b, turn_b = pose_at(world.scenery, space.motions, world.w, pair.b, time, world.dt)
+        normal, on_a, on_b = sharpened(
+            world.scenery.table,
+            pair.a,
+            axes(turn_a),
+            pair.b,
+            axes(turn_b),
+            minus(position_b, position_a),
+            normal,
+            on_a,
+            on_b,
+        )
     put_vector(pair.normal, normal)
     return distance, normal, on_a, on_b
 

@@ -48,6 +48,7 @@ class Contact(NamedTuple):
         load: (W, N, 6) accelerations of sleepers without contacts, m/s^2 and rad/s^2; NaN at first.
         support: (W, N) rows of `SUPPORT`, what sleepers rest on.
     slept: What each sleeper touched in the decision in which it fell asleep.
+        dozes: (W, N) bool, drones that fall asleep now.
         flew: (W, N) bool, drones that flew the last decision.
         stopped: (W, N) bool, drones that stopped in this decision.
         changed: (W, N) bool, drones whose state the last substep changed.
@@ -71,6 +72,7 @@ class Contact(NamedTuple):
     load: np.ndarray
     support: np.ndarray
     slept: Touches
+    dozes: np.ndarray
     flew: np.ndarray
     stopped: np.ndarray
     changed: np.ndarray
@@ -115,6 +117,7 @@ def make_contact(
         load=np.full((*shape, 6), np.nan),
         support=np.zeros(shape, dtype=SUPPORT),
         slept=make_touches(*shape),
+        dozes=np.zeros(shape, dtype=bool),
         flew=np.zeros(shape, dtype=bool),
         stopped=np.zeros(shape, dtype=bool),
         changed=np.zeros(shape, dtype=bool),
@@ -248,13 +251,28 @@ def settle(contact: Contact, world: World, swarm: Swarm, last: bool) -> None:
             contact.quiet[w, i] = 0.0
             continue
         contact.quiet[w, i] += world.dt
-        if last and contact.quiet[w, i] >= LONG:
+        contact.dozes[w, i] = last and contact.quiet[w, i] >= LONG and _is_borne(contact, w, i)
+    # All at once, so that their order does not matter
+    for i in range(world.alive.shape[1]):
+        if contact.dozes[w, i]:
+            contact.dozes[w, i] = False
             contact.asleep[w, i] = True
             contact.load[w, i, 0] = np.nan
             _note_support(contact, world, swarm, i)
             for k in range(3):
                 swarm.velocity[w, i, k] = 0.0
                 swarm.rates[w, i, k] = 0.0
+
+
+@func
+def _is_borne(contact: Contact, w: int, i: int) -> bool:
+    """Tell whether a drone touches something that does not yield, or somebody who sleeps on it."""
+    touches = contact.touches
+    for k in range(touches.number[w, i]):
+        other = touches.other[w, i, k]
+        if other >= contact.scenery.first_body or contact.asleep[w, other]:
+            return True
+    return False
 
 
 @func

@@ -21,7 +21,7 @@ from bulletuav.kernel import func, kernel
 
 TOUCH = 1e-4
 """Shapes that are closer touch, m"""
-EXACT = 1e-11
+EXACT = 1e-13
 """Precision of the distance at which a touch is found, m"""
 ROUGH = 1e-7
 """The same of shapes that touched already, m; well below `SLIP` in `points`"""

@@ -18,7 +18,7 @@ from bulletuav.geometry.rotation import Vec3, Vec3Like, cross, dot, minus, plus
 from bulletuav.geometry.shapes import HALF_SPACE
 from bulletuav.kernel import func, kernel
 
-DUALITY_GAP = 1e-10
+DUALITY_GAP = 1e-13
 """Difference of the bounds of a distance at which GJK is done, m"""
 TOUCH_CORE = 1e-9
 """Distance below which a direction is no longer known from the nearest point, m"""
