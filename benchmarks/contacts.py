@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 import bulletuav
-from bulletuav.dynamics import DYNAMICS
+from bulletuav.dynamics import DYNAMICS, find_dynamics
 from bulletuav.tasks import find_task
 from bulletuav.vehicle.airframe import available_airframes
 
@@ -42,6 +42,10 @@ SECONDS = 10
 """Flight of which the rate of steps is measured, s"""
 RANDOM_SHARE = 0.6
 """Least rate of random actions over that of hovering"""
+
+
+THROUGH = ("beyond", "depth")
+"""What drones that stop are not asked of obstacles that move"""
 
 
 class Sizes:
@@ -91,8 +95,12 @@ def walls(sizes: Sizes) -> Iterator[Row]:
                 f"{shots.hits.sum()} hits, {shots.misses.sum()} misses, "
                 f"depth {1e3 * shots.depth.max():.3f} mm, gain {shots.gained.max():.1e}"
             )
+            missed = shots.missed()
+            if drift and find_dynamics(dynamics).contacts[0] == "stop":
+                # An obstacle that moves goes on through a drone that stopped
+                missed = {what: who for what, who in missed.items() if what not in THROUGH}
             title = f"wall {dynamics} {airframe} {hz} Hz {name} to {drift:g} m/s, {spin:g} rad/s"
-            yield title, figures, shots.missed()
+            yield title, figures, missed
         shooting.rig.close()
 
 

@@ -24,7 +24,8 @@ MOST_POINTS = 20
 SAME = 1e-6
 """Distance within which two points count as one, m"""
 BESIDE = 0.05
-"""How far two lines of round sides may lie beside each other, as a share of the lesser radius"""
+"""How far two lines of round sides may lie beside each other, as a share of the lesser radius; and
+sine of the angle from which on they cross"""
 A_COLUMN, B_COLUMN, SPARE_COLUMN = 0, 3, 6
 """First columns of scratch of the feature of a, of that of b, and of clipping"""
 HEIGHT = 9
@@ -119,6 +120,12 @@ def _lines_meet(room: np.ndarray, beside: float) -> int:
     count = _cut(room, 2, A_COLUMN, SPARE_COLUMN, start, ahead)
     count = _cut(room, count, SPARE_COLUMN, A_COLUMN, end, (-ahead[0], -ahead[1]))
     square = ahead[0] * ahead[0] + ahead[1] * ahead[1]
+    # Where they cross, they touch at the nearest points alone
+    across = (room[1, A_COLUMN] - room[0, A_COLUMN], room[1, A_COLUMN + 1] - room[0, A_COLUMN + 1])
+    turned_by = ahead[0] * across[1] - ahead[1] * across[0]
+    length = across[0] * across[0] + across[1] * across[1]
+    if count == 2 and turned_by * turned_by > BESIDE * BESIDE * square * length:
+        return 0
     low = room[0, B_COLUMN + 2]
     rise = room[1, B_COLUMN + 2] - low
     kept = 0
