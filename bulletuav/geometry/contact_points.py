@@ -117,15 +117,15 @@ def _lines_meet(room: np.ndarray, beside: float) -> int:
     start = (room[0, B_COLUMN], room[0, B_COLUMN + 1])
     ahead = (room[1, B_COLUMN] - start[0], room[1, B_COLUMN + 1] - start[1])
     end = (room[1, B_COLUMN], room[1, B_COLUMN + 1])
-    count = _cut(room, 2, A_COLUMN, SPARE_COLUMN, start, ahead)
-    count = _cut(room, count, SPARE_COLUMN, A_COLUMN, end, (-ahead[0], -ahead[1]))
     square = ahead[0] * ahead[0] + ahead[1] * ahead[1]
     # Where they cross, they touch at the nearest points alone
     across = (room[1, A_COLUMN] - room[0, A_COLUMN], room[1, A_COLUMN + 1] - room[0, A_COLUMN + 1])
     turned_by = ahead[0] * across[1] - ahead[1] * across[0]
     length = across[0] * across[0] + across[1] * across[1]
-    if count == 2 and turned_by * turned_by > BESIDE * BESIDE * square * length:
+    if turned_by * turned_by > BESIDE * BESIDE * square * length:
         return 0
+    count = _cut(room, 2, A_COLUMN, SPARE_COLUMN, start, ahead)
+    count = _cut(room, count, SPARE_COLUMN, A_COLUMN, end, (-ahead[0], -ahead[1]))
     low = room[0, B_COLUMN + 2]
     rise = room[1, B_COLUMN + 2] - low
     kept = 0

@@ -58,7 +58,7 @@ def push(
         drones: N.
         thick: Thickness of the wall, m.
         speed: Least and greatest speed, m/s.
-        substeps: To follow.
+        substeps: To follow at least; slow trains are followed until they must have met the wall.
         seed: Of attitudes, places and speeds.
     """
     rng = np.random.default_rng(seed)
@@ -80,7 +80,8 @@ def push(
         depth, gained = np.zeros((2, worlds))
         energy = rig.energy().sum(axis=1)
         full = energy
-        for _ in range(substeps):
+        slowest = float(fast.min()) / hz
+        for _ in range(max(substeps, int(2 * radius / slowest) + 2)):
             contacts = rig.fly()
             told[contacts.world[contacts.other == FIRST_OBSTACLE]] = True
             beyond |= swarm.position[..., 0] > 0
