@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from bulletuav.contact.motion import put_vector, vector
+from bulletuav.contact.motion import pose_at, put_vector, vector
 from bulletuav.contact.points import Workspace, World, coefficients
 from bulletuav.geometry.contact_points import contact_points
 from bulletuav.geometry.gjk import gap
@@ -19,6 +19,8 @@ from bulletuav.vehicle.swarm import Swarm
 
 SHARE = 0.5
 """Share of what a support can bear that counts as safe"""
+BENEATH = 1e-3
+"""Distance of the surface up to which a point is part of the base, m"""
 FEWEST = 3
 """Fewest points of contact that make a base"""
 DIRECTIONS = 16
@@ -55,19 +57,14 @@ def find_support(
     support.span = 0.0
     if other < scenery.first_body:
         return
-    place = (0.0, 0.0, 0.0)
-    turn = axes((0.0, 0.0, 0.0, 1.0))
-    if other < scenery.first_piece:
-        place = vec3(scenery.place, world.w, other - scenery.first_body)
-        turn = axes(quat4(scenery.quaternion, world.w, other - scenery.first_body))
-    elif other < scenery.ground:
-        place = point(scenery.piece_place, other - scenery.first_piece)
+    place, turned = pose_at(scenery, space.motions, world.w, other, 0.0, world.dt)
+    turn = axes(turned)
     own = axes(quat4(swarm.quaternion, world.w, i))
     offset = minus(place, vec3(swarm.position, world.w, i))
     nowhere = (0.0, 0.0, 0.0)
     _, normal, on_a, on_b = gap(table, i, own, other, turn, offset, nowhere, space.room)
     found = contact_points(
-        table, i, own, other, turn, offset, normal, on_a, on_b, 1e-3, space.found, space.room
+        table, i, own, other, turn, offset, normal, on_a, on_b, BENEATH, space.found, space.room
     )
     if found < FEWEST:
         return

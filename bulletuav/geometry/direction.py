@@ -156,6 +156,8 @@ def sharpened(
     given = (normal, on_a, on_b)
     one = _feature(table, a, turn_a, on_a)
     two = _feature(table, b, turn_b, on_b)
+    if not (one[0] or two[0]):
+        return given
     before, _ = _reach(table, a, turn_a, b, turn_b, offset, normal)
     if one[0] != two[0]:
         # A corner, edge or rim on a face: across the face
@@ -171,11 +173,10 @@ def sharpened(
             return d, on_a, plus(minus(on_a, offset), -after, d)
         on_b = plus(far_point(table, b, turn_b, d), swell(table, b), d)
         return d, plus(plus(on_b, 1.0, offset), after, d), on_b
-    both = dot(one[1], one[1]) > 0.0 and dot(two[1], two[1]) > 0.0
-    if both and one[0] and two[0]:
+    if dot(one[1], one[1]) > 0.0 and dot(two[1], two[1]) > 0.0:
         return _between_edges(table, a, turn_a, b, turn_b, offset, one[1], two[1], before, given)
     round_one = one[3] > 0.0 or two[3] > 0.0
-    if not (one[0] and two[0] and round_one) or _flat(one, normal) or _flat(two, normal):
+    if not round_one or _flat(one, normal) or _flat(two, normal):
         return given
     edge = one[1] if dot(one[1], one[1]) > 0.0 else two[1]
     d = normal
