@@ -131,6 +131,7 @@ def _look(
         borrowed(alive),
         contact.asleep,
         borrowed(parameters),
+        contact.memory,
     )
     if contact.sleeps and world.speed > 0.0:
         wake_for_obstacles(contact, world)
@@ -184,6 +185,7 @@ def start(contact: Contact, mask: np.ndarray) -> None:
     contact.budget[mask] = -1.0
     contact.asleep[np.any(mask, axis=1)] = False
     contact.quiet[mask] = 0.0
+    contact.memory.number[mask] = 0
 
 
 def begin_decision(
@@ -278,7 +280,17 @@ def _note_overlaps(
     space = contact.space
     for w in range(alive.shape[0]):
         world = World(
-            w, 1.0, 0.0, 0.0, 0.0, contact.scenery, swarm, alive, contact.asleep, parameters
+            w,
+            1.0,
+            0.0,
+            0.0,
+            0.0,
+            contact.scenery,
+            swarm,
+            alive,
+            contact.asleep,
+            parameters,
+            contact.memory,
         )
         for i in range(alive.shape[1]):
             space.motions[i].due = moved[w, i] and alive[w, i]

@@ -7,9 +7,9 @@ import numpy as np
 from bulletuav.contact.foresight import foresee
 from bulletuav.contact.gain import lose_gain, moving_energy, remember_before
 from bulletuav.contact.impulses import POINT, eased, slip
+from bulletuav.contact.memory import note, recall
 from bulletuav.contact.motion import aim, change_rates, put_vector, stay, vector
 from bulletuav.contact.points import (
-    IN_TOUCH,
     LIFT,
     MIDDLE,
     Workspace,
@@ -21,7 +21,7 @@ from bulletuav.contact.points import (
     touching,
 )
 from bulletuav.contact.relax import damp_tipping, keep, relax
-from bulletuav.contact.touch import TOUCH
+from bulletuav.contact.touch import IN_TOUCH, TOUCH
 from bulletuav.contact.touches import Touches, tell
 from bulletuav.geometry.contact_points import MOST_POINTS
 from bulletuav.geometry.rotation import Vec3, dot, minus, plus
@@ -31,6 +31,8 @@ MOST_IMPACTS = 16
 """Impacts of a drone in a substep, after which it stays where it is until the next"""
 SLOW = 0.02
 """Approach below which nothing rebounds, m/s"""
+CLOSING = 1e-6
+"""Approach below which what touches needs no impact of its own, m/s"""
 STILL = 1e-9
 """Approach below which shapes in touch do not come closer, m/s"""
 FORESIGHT = 4
@@ -58,38 +60,62 @@ def _frame_of(points: np.ndarray, size: int) -> Vec3:
 
 
 @func
-def _rebound(space: Workspace, world: World, members: int, points: np.ndarray, size: int) -> None:
-    """Let what closes fast enough rebound (Newton), without a gain of energy."""
+def _rebound(space: Workspace, world: World, members: int, points: np.ndarray, size: int) -> bool:
+    """Let what closes fast rebound (Newton), without a gain of energy, and stop what is slow.
+
+    What closes fast and does not rebound is left to `_hold`: forces of this substep belong to the
+    velocity before.
+
+    Returns:
+        Whether all that is in touch is slow.
+    """
     lively = False
+    closes = False
+    slow = True
     for k in range(size):
         point = points[k]
-        point.least = FREE if point.distance > IN_TOUCH else 0.0
+        point.least = FREE
+        if point.distance > IN_TOUCH:
+            continue
+        point.least = 0.0
+        closes = closes or point.approach < -CLOSING
         if _rebounds(point):
+            slow = False
             lively = lively or point.restitution > 0.0
             point.least = -point.restitution * point.approach
-    if not lively:
-        return
-    frame = _frame_of(points, size)
-    had = moving_energy(space, world, members, frame, 0.0)
-    remember_before(space, members, points, size)
-    relax(points, size, space.motions)
-    keep(points, size)
-    lose_gain(space, world, members, points, size, frame, had, 0.0)
+    if lively or (closes and slow):
+        frame = _frame_of(points, size)
+        had = moving_energy(space, world, members, frame, 0.0)
+        remember_before(space, members, points, size)
+        relax(points, size, space.motions)
+        keep(points, size)
+        if lively:
+            lose_gain(space, world, members, points, size, frame, had, 0.0)
+    return slow
 
 
 @func
-def _allow(points: np.ndarray, size: int, dt: float) -> None:
-    """Set how fast the points of contact may close, or have to part."""
-    for k in range(size):
-        point = points[k]
-        missing = point.distance - MIDDLE
-        if missing > 0.0:
-            point.least = -missing / dt
-        else:
-            point.least = min(LIFT, -0.1 * missing / dt)
-        # What rebounds when it arrives is left to its own impact
-        if point.distance > IN_TOUCH and point.restitution > 0.0 and point.approach < -SLOW:
-            point.least = FREE
+def _allow(points: np.ndarray, owner: np.ndarray, size: int, dt: float) -> None:
+    """Set how fast the points of contact may close, or have to part.
+
+    What is allowed to a pair is linear in the distances, as its motion is: it can reach it at all
+    of its points, however many they are.
+    """
+    k = 0
+    while k < size:
+        end = k
+        deepest = 0.0
+        while end < size and owner[end] == owner[k]:
+            deepest = max(deepest, MIDDLE - points[end].distance)
+            end += 1
+        rate = 1.0 / max(dt, deepest / LIFT)
+        for m in range(k, end):
+            point = points[m]
+            point.least = rate * (MIDDLE - point.distance)
+            # What rebounds when it arrives is left to its own impact
+            if point.distance > IN_TOUCH and point.restitution > 0.0 and point.approach < -SLOW:
+                point.least = FREE
+        k = end
 
 
 @func
@@ -105,6 +131,20 @@ def add_forces(space: Workspace, members: int, time: float, sign: float) -> None
 
 
 @func
+def _take_mean(motion: np.record, time: float, dt: float) -> None:
+    """Let a drone fly on with the mean of its velocities at the beginning and the end.
+
+    `aim` takes that at the end, which is 1 % too far in a slide that begins.
+    """
+    rest = 1.0 - time
+    share = (motion.until - time) / rest if rest > 0.0 else 0.0
+    for k in range(3):
+        began = motion.before[0, k] - rest * motion.push[k]
+        mean = began + 0.5 * share * (motion.velocity[k] - began)
+        motion.move[k] = (motion.until - time) * dt * mean
+
+
+@func
 def _hold(
     space: Workspace,
     world: World,
@@ -116,19 +156,30 @@ def _hold(
     owner: np.ndarray,
     size: int,
     time: float,
+    slow: bool,
 ) -> int:
     """Let contacts hold against forces for the rest of the substep, and what closes stop.
+
+    Where all is slow they fly on with the mean of velocities before and after, as forces act all
+    the way.
 
     Returns the number of points, those that were foreseen among them.
     """
     motions = space.motions
-    _allow(points, size, world.dt)
+    _allow(points, owner, size, world.dt)
     frame = _frame_of(points, size)
     had = moving_energy(space, world, members, frame, LIFT)
     add_forces(space, members, time, 1.0)
     remember_before(space, members, points, size)
+    memory = world.memory
+    radii = world.scenery.table.radius
     for trial in range(FORESIGHT + 1):
-        relax(points, size, motions)
+        if trial == 0:
+            recall(memory, motions, radii, world.w, points, owner, pairs, size, 1.0 - time)
+        relax(points, size, motions, trial == 0)
+        if trial == 0:
+            island = space.island
+            note(memory, motions, world.w, island, members, points, owner, pairs, size, 1.0 - time)
         keep(points, size)
         if trial == 0 and damp_tipping(points, size, motions):
             relax(points, size, motions)
@@ -137,7 +188,10 @@ def _hold(
             lose_gain(space, world, members, points, size, frame, had, 1.0 - time)
         for m in range(members):
             i = space.island[m]
-            aim(motions[i], world.dt, world.parameters[world.w, i])
+            motion = motions[i]
+            aim(motion, world.dt, world.parameters[world.w, i])
+            if slow and trial == 0:
+                _take_mean(motion, time, world.dt)
         before = size
         if trial < FORESIGHT and (1.0 - time) * world.dt > SHORTEST:
             for k in range(given):
@@ -213,8 +267,8 @@ def push_apart(
     slips = np.zeros((points.shape[0], 3))
     for k in range(size):
         put_vector(slips[k], slip(points[k], motions))
-    _rebound(space, world, members, points, size)
-    size = _hold(space, world, pairs, active, near, members, points, owner, size, time)
+    slow = _rebound(space, world, members, points, size)
+    size = _hold(space, world, pairs, active, near, members, points, owner, size, time, slow)
     for k in range(size):
         # Who parts was near, but touches nothing
         if points[k].total[0] <= 0.0 and points[k].approach >= -STILL:

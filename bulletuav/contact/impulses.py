@@ -40,6 +40,8 @@ POINT = np.dtype(
         ("roll", "f8", 3),
         ("damping", "f8"),
         ("impulse", "f8", 3),
+        ("step", "f8", 3),
+        ("way", "f8", 3),
         ("total", "f8", 3),
         ("former", "f8", 3),
     ]
@@ -72,6 +74,8 @@ Attributes:
     roll: Angular impulses about the axes, in this pass, N m s.
     damping: Angular impulse that damps tipping, over the normal impulse and the spin, m s.
     impulse: Along the normal and the tangents, in this pass, N s.
+    step: Change of the impulse in the last sweep, N s.
+    way: Sum of the last changes, each a share of what came after it, N s.
     total: The same in all passes, N s.
     former: The same in all passes before those that may gain energy, N s.
 """

@@ -37,6 +37,7 @@ PAIR = np.dtype(
         ("normal", "f8", 3),
         ("floor", "f8"),
         ("held", "?"),
+        ("near", "?"),
         ("knot", "?"),
     ]
 )
@@ -49,6 +50,7 @@ Attributes:
     normal: Direction of their last separation, or zeros.
     floor: Distance at which they count as touching next, m.
     held: Whether they touched already in this substep.
+    near: Whether they were in touch when this time was found, even if they do not come closer.
     knot: Whether they do not touch at `time`, but one of them flies on about another axis.
 """
 
@@ -71,6 +73,7 @@ def _with_pair(pairs: np.ndarray, count: int, first: int, a: int, b: int) -> tup
     put_vector(pair.normal, ORIGIN)
     pair.floor = TOUCH
     pair.held = False
+    pair.near = False
     pair.knot = False
     return pairs, count + 1
 

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bulletuav.contact.impulses import eased, prepare, set_ease, slip
+from bulletuav.contact.memory import Memory
 from bulletuav.contact.motion import (
     MOTION,
     advance_to,
@@ -15,7 +16,7 @@ from bulletuav.contact.motion import (
     quaternion_of,
     vector,
 )
-from bulletuav.contact.touch import TOUCH, gap_at
+from bulletuav.contact.touch import IN_TOUCH, TOUCH, gap_at
 from bulletuav.geometry.contact_points import MOST_POINTS, contact_points
 from bulletuav.geometry.direction import sharpened
 from bulletuav.geometry.gjk import make_room
@@ -26,8 +27,6 @@ from bulletuav.kernel import func, kernel
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY
 from bulletuav.vehicle.swarm import Swarm
 
-IN_TOUCH = 1.01 * TOUCH
-"""Distance up to which points are in touch, m"""
 MIDDLE = 0.5 * TOUCH
 """Distance that a touch leaves, m"""
 NEARBY = 5 * TOUCH
@@ -92,6 +91,7 @@ class World(NamedTuple):
         alive: (W, N) bool, drones that can be touched.
         asleep: (W, N) bool, those that rest until something touches them.
         parameters: (W, N) rows of `PARAMETERS`.
+        memory: Impulses of the last substep.
     """
 
     w: int
@@ -104,6 +104,7 @@ class World(NamedTuple):
     alive: np.ndarray
     asleep: np.ndarray
     parameters: np.ndarray
+    memory: Memory
 
 
 @func
@@ -123,7 +124,7 @@ def join(space: Workspace, world: World, members: int, i: int, time: float) -> i
 @func
 def touching(pair: np.record, time: float) -> bool:
     """Tell whether a pair may be in touch at a time."""
-    found: bool = pair.held or pair.time <= time
+    found: bool = pair.held or pair.near or pair.time <= time
     return found
 
 

@@ -1,6 +1,9 @@
 """Sequential impulses on all points of an island together, until nothing changes.
 
 E. Catto, Iterative dynamics with temporal coherence, 2005. Friction stays within Coulomb's disc.
+Between sweeps impulses go on the way they went, as in the method of conjugate gradients: M.
+Silcowitz, S. Niebe and K. Erleben, A nonsmooth nonlinear conjugate gradient method for interactive
+contact force problems, 2010.
 """
 
 import math
@@ -8,7 +11,7 @@ import math
 import numpy as np
 
 from bulletuav.contact.impulses import eased, push, slip, speed_along
-from bulletuav.contact.motion import vector
+from bulletuav.contact.motion import put_vector, vector
 from bulletuav.geometry.rotation import Vec3, dot, minus
 from bulletuav.kernel import func, kernel
 
@@ -37,7 +40,7 @@ def _rub(
     # What would stop the slip
     first = row.impulse[1] - (row.grip[0] * along + row.grip[1] * across)
     second = row.impulse[2] - (row.grip[1] * along + row.grip[2] * across)
-    most = row.friction * row.impulse[0]
+    most = row.friction * max(0.0, row.impulse[0])
     size = math.sqrt(first * first + second * second)
     if size > most:
         # More than the normal impulse allows: as much as it does, against the slip
@@ -67,7 +70,7 @@ def _resist_turning(row: np.record, motions: np.ndarray) -> None:
         spin = vector(motions[row.a].spin)
         if row.b >= 0:
             spin = minus(spin, vector(motions[row.b].spin))
-        most = row.resist[side] * row.impulse[0]
+        most = row.resist[side] * max(0.0, row.impulse[0])
         wanted = row.roll[side] - row.stiff[side] * dot(spin, axis)
         wanted = min(max(wanted, -most), most)
         change = wanted - row.roll[side]
@@ -103,18 +106,41 @@ def _press(
     return moved
 
 
+@func
+def _go_on(points: np.ndarray, count: int, motions: np.ndarray, share: float) -> None:
+    """Let impulses go on the way of the sweeps before, by a share of it; not if that is above 1."""
+    for k in range(count):
+        row = points[k]
+        if share > 1.0:
+            row.way[:] = 0.0
+            continue
+        for m in range(3):
+            further = share * row.way[m]
+            row.impulse[m] += further
+            row.way[m] = further + row.step[m]
+            push(
+                row,
+                motions,
+                m,
+                vector(row.normal) if m == 0 else vector(row.tangent[m - 1]),
+                further,
+            )
+
+
 @kernel
 def relax(
     points: np.ndarray,
     count: int,
     motions: np.ndarray,
+    warm: bool = False,
 ) -> int:
     """Sweep over points until none closes faster than it may.
 
     Args:
-        points: Rows of `POINT`; impulses start from zero and are written.
+        points: Rows of `POINT`; impulses are written.
         count: How many of them count.
         motions: (N,) rows of `MOTION`; velocities and spins are changed.
+        warm: Whether impulses start from those that are there, instead of zero.
 
     Returns:
         The number of sweeps.
@@ -122,24 +148,38 @@ def relax(
     fastest = 1.0
     for k in range(count):
         row = points[k]
-        row.impulse[0] = 0.0
-        row.impulse[1] = 0.0
-        row.impulse[2] = 0.0
-        row.roll[:] = 0.0
-        moving = slip(row, motions)
+        for m in range(3):
+            row.impulse[m] = row.impulse[m] if warm else 0.0
+            row.roll[m] = 0.0
+            row.way[m] = 0.0
+        if warm:
+            push(row, motions, 0, vector(row.normal), row.impulse[0])
+            push(row, motions, 1, vector(row.tangent[0]), row.impulse[1])
+            push(row, motions, 2, vector(row.tangent[1]), row.impulse[2])
+    for k in range(count):
+        moving = slip(points[k], motions)
         fastest = max(fastest, math.sqrt(dot(moving, moving)))
     most = max(FEWEST, min(SWEEPS, WORK // max(1, count)))
+    before = 0.0
     for sweep in range(most):
         change = 0.0
+        square = 0.0
         for k in range(count):
             row = points[k]
-            rubs = row.impulse[0] > 0.0 or row.impulse[1] != 0.0 or row.impulse[2] != 0.0
+            old = vector(row.impulse)
+            rubs = row.impulse[0] != 0.0 or row.impulse[1] != 0.0 or row.impulse[2] != 0.0
             if row.friction > 0.0 and rubs:
                 _resist_turning(row, motions)
                 change = max(change, _rub(row, motions))
             change = max(change, _press(row, motions))
+            step = minus(vector(row.impulse), old)
+            put_vector(row.step, step)
+            square += dot(step, step)
         if change <= FIRM * fastest:
             return sweep + 1
+        if sweep > 0 and sweep + 1 < most:
+            _go_on(points, count, motions, square / before)
+        before = square
     return most
 
 

@@ -41,11 +41,12 @@ def _time_pair(space: Workspace, world: World, pair: np.record, start: float) ->
         over = motions[pair.b].impacts >= MOST_IMPACTS
     pair.time = NEVER
     pair.knot = False
+    pair.near = False
     if over:
         return
     if not sweeps_apart(world.scenery, motions, world.w, pair.a, pair.b, world.dt):
         # A pair that is held already needs no exact time
-        pair.time, normal = touch_time(
+        pair.time, normal, pair.near = touch_time(
             world.scenery,
             motions,
             world.w,
@@ -158,7 +159,7 @@ def _collect_of(
 def find_pairs(
     space: Workspace, world: World, end: Swarm, order: np.ndarray
 ) -> tuple[np.ndarray, int]:
-    """Collect the pairs of all drones that are due."""
+    """Collect the pairs of all drones that are due, and of sleepers within their reach."""
     motions = space.motions
     for i in range(order.shape[0]):
         motions[i].begun = False
@@ -169,6 +170,16 @@ def find_pairs(
     for rank in range(order.shape[0]):
         if motions[order[rank]].due:
             pairs, count = _collect_of(space, world, end, order, rank, False, pairs, count)
+    # A sleeper that is touched is held by what it lies on, which may be another one
+    grown = True
+    while grown:
+        grown = False
+        for rank in range(order.shape[0]):
+            motion = motions[order[rank]]
+            if motion.begun and not motion.due and world.asleep[world.w, order[rank]]:
+                motion.due = True
+                pairs, count = _collect_of(space, world, end, order, rank, True, pairs, count)
+                grown = True
     return pairs, count
 
 

@@ -5,10 +5,12 @@ support bears, when something touches it, when a drone that lies by it wakes, or
 comes near.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
+from bulletuav.contact.memory import Memory, make_memory
 from bulletuav.contact.pairs import body_distance
 from bulletuav.contact.points import Workspace, World, make_workspace
 from bulletuav.contact.support import SUPPORT, find_support, pressing
@@ -28,6 +30,8 @@ SLOWEST_SPIN = 0.05
 """Spin below which a drone is at rest, rad/s"""
 LONG = 0.25
 """How long a drone is at rest before it falls asleep, s"""
+FASTER = 1.5e-4
+"""How much faster a drone at rest may have become in that time, m/s"""
 
 
 class Contact(NamedTuple):
@@ -45,9 +49,10 @@ class Contact(NamedTuple):
         sleeps: Whether drones that rest are left alone until something changes.
         asleep: (W, N) bool, drones that are.
         quiet: (W, N) how long each drone has been at rest, s.
+        pace: (W, N) speed of each drone when it came to rest, m/s.
         load: (W, N, 6) accelerations of sleepers without contacts, m/s^2 and rad/s^2; NaN at first.
         support: (W, N) rows of `SUPPORT`, what sleepers rest on.
-    slept: What each sleeper touched in the decision in which it fell asleep.
+        slept: What each sleeper touched in the decision in which it fell asleep.
         dozes: (W, N) bool, drones that fall asleep now.
         flew: (W, N) bool, drones that flew the last decision.
         stopped: (W, N) bool, drones that stopped in this decision.
@@ -56,6 +61,7 @@ class Contact(NamedTuple):
         speed: (W,) speed of the fastest obstacle in this decision, m/s.
         before: (W, K, 3) positions of the task's obstacles at the beginning of the decision, m.
         after: (W, K, 3) the same at its end.
+        memory: Impulses of the last substep.
     """
 
     scenery: Scenery
@@ -69,6 +75,7 @@ class Contact(NamedTuple):
     sleeps: bool
     asleep: np.ndarray
     quiet: np.ndarray
+    pace: np.ndarray
     load: np.ndarray
     support: np.ndarray
     slept: Touches
@@ -80,6 +87,7 @@ class Contact(NamedTuple):
     speed: np.ndarray
     before: np.ndarray
     after: np.ndarray
+    memory: Memory
 
 
 def make_contact(
@@ -114,6 +122,7 @@ def make_contact(
         sleeps=sleeps and not stops,
         asleep=np.zeros(shape, dtype=bool),
         quiet=np.zeros(shape),
+        pace=np.zeros(shape),
         load=np.full((*shape, 6), np.nan),
         support=np.zeros(shape, dtype=SUPPORT),
         slept=make_touches(*shape),
@@ -125,6 +134,7 @@ def make_contact(
         speed=np.zeros(shape[0]),
         before=nowhere,
         after=nowhere,
+        memory=make_memory(*shape),
     )
 
 
@@ -197,18 +207,21 @@ def bears(
         row: Row of `PARAMETERS` of the drone.
         dt: Length of the substep, s.
     """
-    inertia = row.inertia
-    twist = (inertia[0] * spinning[0], inertia[1] * spinning[1], inertia[2] * spinning[2])
-    support = contact.support[w, i]
-    if support.span > 0.0:
-        pressed = pressing(support, row.mass, acceleration, to_world(quaternion, twist))
-        contact.touches.impulse[w, i, 0] += pressed * dt
-        return pressed > 0.0
     load = contact.load[w, i]
-    if np.isnan(load[0]):
+    first = bool(np.isnan(load[0]))
+    if first:
         for k in range(3):
             load[k] = acceleration[k]
             load[3 + k] = spinning[k]
+    support = contact.support[w, i]
+    if support.span > 0.0:
+        inertia = row.inertia
+        twist = (inertia[0] * spinning[0], inertia[1] * spinning[1], inertia[2] * spinning[2])
+        pressed, borne = pressing(support, row.mass, acceleration, to_world(quaternion, twist))
+        contact.touches.impulse[w, i, 0] += pressed * dt
+        if borne:
+            return True
+    if first:
         return True
     reach = contact.scenery.table.radius[i]
     for k in range(3):
@@ -224,6 +237,13 @@ def _is_slow(velocity: Vec3, rates: Vec3) -> bool:
     """Tell whether a drone is as good as at rest."""
     slow: bool = dot(velocity, velocity) < SLOWEST**2 and dot(rates, rates) < SLOWEST_SPIN**2
     return slow
+
+
+@func
+def _speed(swarm: Swarm, w: int, i: int) -> float:
+    """Return the speed of a drone, m/s."""
+    velocity = vec3(swarm.velocity, w, i)
+    return math.sqrt(dot(velocity, velocity))
 
 
 @func
@@ -250,8 +270,16 @@ def settle(contact: Contact, world: World, swarm: Swarm, last: bool) -> None:
         if not (changed and slow):
             contact.quiet[w, i] = 0.0
             continue
+        speed = _speed(swarm, w, i)
+        if contact.quiet[w, i] == 0.0:
+            contact.pace[w, i] = speed
         contact.quiet[w, i] += world.dt
-        contact.dozes[w, i] = last and contact.quiet[w, i] >= LONG and _is_borne(contact, w, i)
+        if contact.quiet[w, i] >= LONG:
+            # Who slides ever faster down a slope that is hardly steep enough does not rest
+            if speed > contact.pace[w, i] + FASTER:
+                contact.quiet[w, i] = 0.0
+            else:
+                contact.dozes[w, i] = last and _is_borne(contact, w, i)
     # All at once, so that their order does not matter
     for i in range(world.alive.shape[1]):
         if contact.dozes[w, i]:

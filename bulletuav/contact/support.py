@@ -97,8 +97,10 @@ def _inner_radius(points: np.ndarray, count: int, normal: Vec3) -> float:
 
 
 @func
-def pressing(support: np.record, mass: float, acceleration: Vec3, torque: Vec3) -> float:
-    """Return the force with which a load presses a drone on its support, 0 if it may move it, N.
+def pressing(
+    support: np.record, mass: float, acceleration: Vec3, torque: Vec3
+) -> tuple[float, bool]:
+    """Return with which force a load presses a drone on its support, N, and whether that bears it.
 
     Args:
         support: Row of `SUPPORT`.
@@ -109,13 +111,13 @@ def pressing(support: np.record, mass: float, acceleration: Vec3, torque: Vec3) 
     normal = vector(support.normal)
     pressed = -mass * dot(acceleration, normal)
     if support.span <= 0.0 or pressed <= 0.0:
-        return 0.0
+        return 0.0, False
     force = (mass * acceleration[0], mass * acceleration[1], mass * acceleration[2])
     along = plus(force, pressed, normal)
     about = dot(torque, normal)
     # Where the surface has to press: the foot of the load
     tipping = plus(plus(torque, -about, normal), support.height, cross(normal, along))
     if dot(tipping, tipping) > (SHARE * support.span * pressed) ** 2:
-        return 0.0
+        return pressed, False
     pull = math.sqrt(dot(along, along)) + abs(about) / support.span
-    return pressed if pull <= SHARE * support.friction * pressed else 0.0
+    return pressed, pull <= SHARE * support.friction * pressed

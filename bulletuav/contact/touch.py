@@ -21,6 +21,8 @@ from bulletuav.kernel import func, kernel
 
 TOUCH = 1e-4
 """Shapes that are closer touch, m"""
+IN_TOUCH = 1.01 * TOUCH
+"""Distance up to which points are in touch, m"""
 EXACT = 1e-13
 """Precision of the distance at which a touch is found, m"""
 ROUGH = 1e-7
@@ -125,7 +127,7 @@ def touch_time(
     dt: float,
     guess: Vec3,
     room: np.ndarray,
-) -> tuple[float, Vec3]:
+) -> tuple[float, Vec3, bool]:
     """Find when a pair comes within a distance, while both fly on straight.
 
     Args:
@@ -143,7 +145,8 @@ def touch_time(
 
     Returns:
         Share of the substep, `start` where they are as close already and may come closer, NEVER
-        where they do not; and the direction of the last separation.
+        where they do not; the direction of the last separation; and whether they are in touch at
+        `start`.
     """
     move_a, turn_a = change_rates(scenery, motions, w, a, dt)
     move_b, turn_b = change_rates(scenery, motions, w, b, dt)
@@ -153,8 +156,10 @@ def touch_time(
     end = min(valid_until(scenery, motions, a), valid_until(scenery, motions, b))
     time = start
     normal = guess
+    near = False
     for _ in range(MOST_STEPS):
         distance, normal, on_a, on_b = gap_at(scenery, motions, w, a, b, time, dt, normal, room)
+        near = near or (time == start and distance <= IN_TOUCH)
         # How fast the gap can close, and how fast its closest points do approach
         bound = max(0.0, -dot(move, normal))
         bound += _turn_bound(scenery.table.radius[a], normal, turn_a)
@@ -162,9 +167,9 @@ def touch_time(
         left = distance - floor
         rest = end - time
         if left > bound * rest:
-            return NEVER, normal
+            return NEVER, normal, near
         if left <= exact and (time == start or left >= -exact):
-            return (time if bound > 0.0 else NEVER), normal
+            return (time if bound > 0.0 else NEVER), normal, near
         step = left / bound
         if left > 0.0:
             # How long the present plane keeps them apart: to the end, or as far as ways bend
@@ -175,7 +180,7 @@ def touch_time(
                     step = max(step, span)
                     break
             if step >= rest:
-                return NEVER, normal
+                return NEVER, normal, near
         if left < NEAR:
             surface = minus(cross(turn_a, on_a), cross(turn_b, on_b))
             closing = -dot(move, normal) - dot(surface, normal)
@@ -183,4 +188,4 @@ def touch_time(
             if closing > 0.0 and (left < 0.0 or step < left / closing < BOLD * step):
                 step = left / closing
         time = min(end, max(start, time + step))
-    return time, normal
+    return time, normal, near

@@ -208,7 +208,11 @@ def _collect(
     most: float,
     points: np.ndarray,
 ) -> int:
-    """Add the corners that are left and near to the points; return how many there are."""
+    """Add the corners that are left and near to the points; return how many there are.
+
+    All lie in the plane of the first, or else no motion of the shapes could leave all at rest.
+    """
+    middle = -0.5 * points[0, 3]
     near = 0
     for k in range(count):
         if sign * (room[k, source + 2] - room[k, HEIGHT]) <= most:
@@ -223,7 +227,7 @@ def _collect(
         k = m * near // taken
         height = room[k, source + 2]
         other = room[k, HEIGHT]
-        local = (room[k, source], room[k, source + 1], 0.5 * (height + other))
+        local = (room[k, source], room[k, source + 1], middle)
         place = plus(on_a, 1.0, turned(axes, local))
         found = _put_point(points, found, place, sign * (height - other))
     return found
@@ -257,8 +261,9 @@ def contact_points(
         on_a: Nearest point on a from its position, m.
         on_b: Nearest point on b from its position, m.
         most: Largest distance of the shapes at a point, m; the nearest points count in any case.
-        points: (M, 4) place midway between the shapes from the position of a, and the signed
-            distance along the normal there, m; MOST_POINTS rows hold all. Filled in place.
+        points: (M, 4) place from the position of a, in the plane across the normal midway between
+            the nearest points, and the signed distance along the normal there, m; MOST_POINTS rows
+            hold all. Filled in place.
         room: Scratch of `make_room`.
 
     Returns:

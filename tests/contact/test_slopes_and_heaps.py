@@ -5,17 +5,20 @@ import pytest
 from contact.heaps import drop_heap, slide, stack
 
 
-@pytest.mark.parametrize("friction", [0.25, 0.5])
-def test_drones_slide_exactly_where_the_slope_is_steeper_than_friction(friction):
-    tangents = friction * np.array([0.5, 0.999, 1.01, 1.2, 2.0])
-    slid, expected = slide(friction, tangents)
-    assert (slid[:2] < 1e-4).all()
-    np.testing.assert_allclose(slid[2:], expected[2:], rtol=6e-3)
+@pytest.mark.parametrize("hz", [60, 240])
+@pytest.mark.parametrize("friction", [0.1, 0.5, 1.0])
+def test_drones_slide_exactly_where_the_slope_is_steeper_than_friction(friction, hz):
+    tangents = friction * np.array([0.5, 0.999, 1.001, 1.01, 1.2, 2.0])
+    slid, expected = slide(friction, tangents, hz=hz)
+    # Until they lie as they will they slide by some micrometres
+    assert (slid[:2] < 3e-5).all()
+    np.testing.assert_allclose(slid[2:], expected[2:], rtol=1e-3, atol=3e-5)
 
 
-def test_a_stack_of_ten_stands():
-    heap = stack()
-    assert heap.speed.max() < 0.01
+@pytest.mark.parametrize(("hz", "seconds"), [(60, 4.0), (240, 2.0)])
+def test_a_stack_of_ten_stands(hz, seconds):
+    heap = stack(hz=hz, seconds=seconds)
+    assert heap.speed.max() == heap.spin.max() == 0.0
     assert heap.depth < 5e-4
     steps = np.diff(np.sort(heap.height))
     np.testing.assert_allclose(steps, 0.03, atol=2e-4)
@@ -23,7 +26,7 @@ def test_a_stack_of_ten_stands():
 
 def test_a_heap_comes_to_rest_on_the_ground():
     heap = drop_heap(16, seconds=4.0)
-    assert heap.speed.max() < 0.01
-    assert heap.spin.max() < 0.1
+    assert heap.speed.max() < 1e-5
+    assert heap.spin.max() < 1e-4
     assert heap.depth < 5e-4
     assert heap.height.min() == pytest.approx(5e-5, abs=1e-4)

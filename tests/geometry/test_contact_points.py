@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 from convex_reference import outside, reach
+from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 from shapely.geometry import Polygon
 
@@ -48,10 +49,12 @@ def contacts(pair, turn_a, turn_b, offset, most=0.01, rows=MOST_POINTS):
     points = np.full((rows, 4), np.nan)
     count = contact_points(*pose, normal, on_a, on_b, most, points, ROOM)
     assert np.isnan(points[count:]).all()
-    # The witness comes first, midway
+    # The witness comes first, midway, and all lie in its plane
     middle = (np.array(on_a) + on_b + offset) / 2
     np.testing.assert_allclose(points[0], [*middle, distance], atol=1e-9)
-    return distance, np.array(normal), points[:count]
+    normal = np.array(normal)
+    np.testing.assert_allclose((points[:count, :3] - middle) @ normal, 0.0, atol=1e-9)
+    return distance, normal, points[:count]
 
 
 def sorted_places(points):
@@ -88,7 +91,7 @@ def test_the_rim_of_a_leaning_drone_begins_at_its_lowest_point(lean):
     # The lowest point is the witness, the others are the rest of the rim
     assert len(points) == RIM
     assert points[:, 3].min() == points[0, 3] == distance
-    local = turn.inv().apply(points[:, :3] - 0.5 * points[:, 3:] * [0, 0, -1])
+    local = turn.inv().apply(points[:, :3] + (points[:, 3:] - 0.5 * distance) * [0, 0, 1])
     np.testing.assert_allclose(np.hypot(local[:, 0], local[:, 1]), 0.05, atol=1e-12)
     np.testing.assert_allclose(local[:, 2], -0.015, atol=1e-12)
 
@@ -204,16 +207,28 @@ def test_random_contacts_are_sensible(pair):
         # No two are the same
         apart = np.linalg.norm(points[:, None, :3] - points[None, :, :3], axis=2)
         assert (apart + np.eye(len(points))).min() > 1e-6
-        # From half the distance to either side there is no space left between the shapes
-        up = points[:, :3] + 0.5 * points[:, 3:] * normal
-        down = points[:, :3] - 0.5 * points[:, 3:] * normal - offset
-        many = len(points)
+        # Along the normal through a point there is no space between the shapes but its distance
         slack = 3e-3 * a.half[0] if CYLINDER in (a.kind, b.kind) else 1e-8
-        turned = np.broadcast_to(turn_a.as_matrix(), (many, 3, 3))
-        assert outside(a, turned, up).max() <= slack
-        if b.kind != HALF_SPACE:
-            turned = np.broadcast_to(turn_b.as_matrix(), (many, 3, 3))
-            assert outside(b, turned, down).max() <= slack
+        for place, far in zip(points[:, :3], points[:, 3], strict=True):
+            pose = (a, turn_a, place, b, turn_b, place - far * normal - offset, normal)
+            # Most often one of the shapes is level
+            guesses = (0.5 * distance, far - 0.5 * distance, 0.5 * far)
+            if min(_space(up, *pose) for up in guesses) > slack:
+                wide = 0.5 * abs(distance) + abs(far)
+                found = minimize_scalar(
+                    _space, bounds=(-wide, wide), args=pose, options={"xatol": 1e-10}
+                )
+                assert found.fun <= slack + 1e-9
+
+
+def _space(up, a, turn_a, on_a, b, turn_b, on_b, normal):
+    """How far two places are out of two shapes, both moved up along the normal."""
+    out = _outside(a, turn_a, on_a + up * normal)
+    return out if b.kind == HALF_SPACE else max(out, _outside(b, turn_b, on_b + up * normal))
+
+
+def _outside(shape, turn, place):
+    return outside(shape, turn.as_matrix()[None], place[None])[0]
 
 
 def test_scratch_holds_two_faces_of_most_corners():

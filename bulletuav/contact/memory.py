@@ -1,0 +1,133 @@
+"""Memory of contacts: impulses of the last substep, with which the next one begins.
+
+What rests needs the same impulses again and again. Beginning with them, sweeps over a stack or a
+heap go on from substep to substep until nothing moves (warm starting: E. Catto, Iterative dynamics
+with temporal coherence, 2005).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from bulletuav.contact.motion import put_vector, quaternion_of, vector
+from bulletuav.geometry.rotation import dot, minus, to_body, to_world
+from bulletuav.kernel import func
+
+ROWS = 16
+"""Points of contact that are remembered of a drone"""
+SAME_PLACE = 0.3
+"""Distance of points on a drone that count as one, as share of its radius"""
+
+ROW = np.dtype([("other", "i8"), ("arm", "f8", 3), ("force", "f8", 3), ("free", "?")])
+"""A point of contact.
+
+Attributes:
+    other: Number of the shape that the drone touched.
+    arm: Where, from the centre of mass, in axes of the drone, m.
+    force: Impulse over the share of the substep in which it acted, in axes of the drone, N s.
+    free: Whether no point has taken it yet.
+"""
+
+
+class Memory(NamedTuple):
+    """What contacts of W worlds of N drones remember.
+
+    Attributes:
+        rows: (W, N, ROWS) rows of `ROW`, of each pair with its first drone.
+        number: (W, N) how many of them count.
+    """
+
+    rows: np.ndarray
+    number: np.ndarray
+
+
+def make_memory(num_worlds: int, num_drones: int) -> Memory:
+    """Make an empty memory."""
+    rows = np.zeros((num_worlds, num_drones, ROWS), dtype=ROW)
+    return Memory(rows, np.zeros((num_worlds, num_drones), dtype=np.int64))
+
+
+@func
+def recall(
+    memory: Memory,
+    motions: np.ndarray,
+    radii: np.ndarray,
+    w: int,
+    points: np.ndarray,
+    owner: np.ndarray,
+    pairs: np.ndarray,
+    size: int,
+    rest: float,
+) -> None:
+    """Begin with the impulses that were remembered nearest to each point.
+
+    Args:
+        memory: Of all worlds.
+        motions: (N,) rows of `MOTION`.
+        radii: Of all shapes, m.
+        w: The world.
+        points: Rows of `POINT`; impulses are written.
+        owner: Numbers of the pairs of the points.
+        pairs: Rows of `PAIR`.
+        size: How many points count.
+        rest: Share of the substep that is left.
+    """
+    for k in range(size):
+        point = points[k]
+        put_vector(point.impulse, (0.0, 0.0, 0.0))
+        rows = memory.rows[w, point.a]
+        turn = quaternion_of(motions[point.a])
+        arm = to_body(turn, vector(point.arm_a))
+        best = -1
+        least = (SAME_PLACE * radii[point.a]) ** 2
+        for m in range(memory.number[w, point.a]):
+            if rows[m].other == pairs[owner[k]].b and rows[m].free:
+                off = minus(vector(rows[m].arm), arm)
+                if dot(off, off) < least:
+                    best = m
+                    least = dot(off, off)
+        if best < 0:
+            continue
+        rows[best].free = False
+        force = to_world(turn, vector(rows[best].force))
+        point.impulse[0] = max(0.0, rest * dot(force, vector(point.normal)))
+        point.impulse[1] = rest * dot(force, vector(point.tangent[0]))
+        point.impulse[2] = rest * dot(force, vector(point.tangent[1]))
+
+
+@func
+def note(
+    memory: Memory,
+    motions: np.ndarray,
+    w: int,
+    island: np.ndarray,
+    members: int,
+    points: np.ndarray,
+    owner: np.ndarray,
+    pairs: np.ndarray,
+    size: int,
+    rest: float,
+) -> None:
+    """Remember the impulses of an island; arguments as those of `recall`."""
+    for m in range(members):
+        memory.number[w, island[m]] = 0
+    if rest <= 0.0:
+        return
+    for k in range(size):
+        point = points[k]
+        count = memory.number[w, point.a]
+        if count == ROWS:
+            continue
+        row = memory.rows[w, point.a, count]
+        turn = quaternion_of(motions[point.a])
+        normal, one, two = point.impulse[0] / rest, point.impulse[1] / rest, point.impulse[2] / rest
+        force = (
+            normal * point.normal[0] + one * point.tangent[0, 0] + two * point.tangent[1, 0],
+            normal * point.normal[1] + one * point.tangent[0, 1] + two * point.tangent[1, 1],
+            normal * point.normal[2] + one * point.tangent[0, 2] + two * point.tangent[1, 2],
+        )
+        row.other = pairs[owner[k]].b
+        put_vector(row.arm, to_body(turn, vector(point.arm_a)))
+        put_vector(row.force, to_body(turn, force))
+        row.free = True
+        memory.number[w, point.a] = count + 1

@@ -1,0 +1,81 @@
+"""Impulses are remembered with their drone, its point and the other, and taken up once."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from bulletuav.contact.impulses import POINT
+from bulletuav.contact.memory import ROWS, make_memory, note, recall
+from bulletuav.contact.motion import MOTION
+from bulletuav.contact.pairs import PAIR
+
+RADII = np.array([0.1, 0.1, 0.0, 0.0])
+IMPULSES = np.array([[3.0, 0.4, -0.2], [1.0, 0.0, 0.1]])
+
+
+def touching(arms, turn, others=(2, 2)):
+    """Points of drone 0 with others, after a turn about z."""
+    points = np.zeros(len(arms), dtype=POINT).view(np.recarray)
+    pairs = np.zeros(len(arms), dtype=PAIR).view(np.recarray)
+    motions = np.zeros(2, dtype=MOTION).view(np.recarray)
+    motions.quaternion[:] = turn.as_quat()
+    points.normal[:] = turn.apply([0, 0, 1])
+    points.tangent[:] = turn.apply([1, 0, 0]), turn.apply([0, 1, 0])
+    points.arm_a[:] = turn.apply(arms)
+    pairs.b[:] = others
+    return points, pairs, motions
+
+
+ARMS = [(0.09, 0.0, 0.0), (-0.09, 0.0, 0.0)]
+
+
+def remembered(rest=1.0):
+    """A memory of two points of drone 0 with shape 2."""
+    points, pairs, motions = touching(ARMS, Rotation.identity())
+    points.impulse[:] = IMPULSES
+    memory = make_memory(1, 2)
+    memory = memory._replace(rows=memory.rows.view(np.recarray))
+    island = np.array([0])
+    note.py_func(memory, motions, 0, island, 1, points, np.arange(2), pairs, 2, rest)
+    return memory
+
+
+def taken(memory, points, pairs, motions, rest=1.0):
+    """Impulses with which points begin."""
+    owner = np.arange(len(points))
+    recall.py_func(memory, motions, RADII, 0, points, owner, pairs, len(points), rest)
+    return points.impulse
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.5])
+def test_points_begin_with_what_they_had_wherever_the_drone_turned(angle):
+    turn = Rotation.from_euler("z", angle)
+    found = taken(remembered(), *touching(ARMS[::-1], turn))
+    np.testing.assert_allclose(found, IMPULSES[::-1], atol=1e-15)
+
+
+def test_impulses_go_with_the_time_that_is_left():
+    found = taken(remembered(rest=0.5), *touching(ARMS, Rotation.identity()), rest=0.25)
+    np.testing.assert_allclose(found, 0.5 * IMPULSES)
+
+
+def test_what_is_far_or_touches_another_begins_with_nothing():
+    far = np.add(ARMS, (0.0, 0.05, 0.0))
+    assert not taken(remembered(), *touching(far, Rotation.identity())).any()
+    assert not taken(remembered(), *touching(ARMS, Rotation.identity(), (3, 3))).any()
+
+
+def test_each_impulse_is_taken_once():
+    near = np.array([ARMS[0], np.add(ARMS[0], (0.001, 0.0, 0.0))])
+    found = taken(remembered(), *touching(near, Rotation.identity()))
+    np.testing.assert_allclose(found, [IMPULSES[0], (0, 0, 0)])
+
+
+def test_nothing_is_remembered_of_no_time_and_no_more_than_there_is_room_for():
+    assert remembered(rest=0.0).number.tolist() == [[0, 0]]
+    many = ROWS + 3
+    points, pairs, motions = touching([ARMS[0]] * many, Rotation.identity(), 2)
+    memory = make_memory(1, 2)
+    memory = memory._replace(rows=memory.rows.view(np.recarray))
+    note.py_func(memory, motions, 0, np.array([0]), 1, points, np.arange(many), pairs, many, 1.0)
+    assert memory.number[0, 0] == ROWS
