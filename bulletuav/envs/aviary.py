@@ -1,7 +1,7 @@
 """The batched core: W independent worlds of N drones through one decision at a time."""
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -11,8 +11,8 @@ from bulletuav.envs.step import Step
 from bulletuav.envs.worlds import UNSTARTED, Worlds
 from bulletuav.sensors.base import Moment
 from bulletuav.tasks.base import Task
-from bulletuav.tasks.check import check_info, check_spawn, check_step_result, require_finite
-from bulletuav.tasks.frame import Frame, Spawn
+from bulletuav.tasks.check import check_info, check_step_result, require_finite, take_spawns
+from bulletuav.tasks.frame import Frame
 from bulletuav.tasks.observations.observer import Observation
 from bulletuav.vehicle.swarm import Contacts, Motion, Swarm, confine
 
@@ -67,11 +67,15 @@ class Aviary(Worlds):
                 f"{len(generators)} "
                 f"are needed, one for each generator"
             )
-        for spawn in spawns:  # all before anything of the worlds is written
-            things = self.scene.obstacle.shape[1]
-            check_spawn(self.task, spawn, self.options.airframe, things, self.scene.memory)
-        for k, rng, spawn in zip(worlds.tolist(), generators, spawns, strict=True):
-            self._start(k, rng, spawn)
+        # All before anything of the worlds is written
+        things = self.scene.obstacle.shape[1]
+        starts = take_spawns(self.task, spawns, self.options.airframe, things, self.scene.memory)
+        self._place(worlds, starts)
+        for k, rng in zip(worlds.tolist(), generators, strict=True):
+            self.rng[k] = rng
+            self._wind.reset(k, rng)
+            self._uncertainty.reset(k, rng)
+            self._sensors.reset(k, self.swarm, rng)
         chosen = np.zeros(self.alive.shape, dtype=bool)
         chosen[worlds] = True
         self._dynamics.place(self.swarm, chosen)
@@ -98,32 +102,24 @@ class Aviary(Worlds):
             for k in worlds
         ]
 
-    def _start(self, k: int, rng: np.random.Generator, spawn: Spawn) -> None:
-        """Write the start of world k, and draw what is uncertain in it."""
-        self.rng[k] = rng
-        self._place(k, spawn)
-        self._wind.reset(k, rng)
-        self._uncertainty.reset(k, rng)
-        self._sensors.reset(k, self.swarm, rng)
-        self._energy.start(k)
-
-    def _place(self, k: int, spawn: Spawn) -> None:
+    def _place(self, worlds: np.ndarray, start: Mapping[str, np.ndarray]) -> None:
+        """Write the starts (S, ...) of some worlds (S,)."""
         swarm, scene = self.swarm, self.scene
-        swarm.position[k], swarm.quaternion[k] = spawn.position, spawn.quaternion
-        swarm.velocity[k], swarm.rates[k] = spawn.velocity, spawn.rates
-        for i, airframe in enumerate(self.options.airframe):
-            hover = airframe.hover_speed(self.options.gravity)
-            swarm.rotor_speed[k, i, : len(airframe.rotors)] = hover
-        scene.start[k], scene.goal[k] = spawn.position, spawn.goal
-        scene.goal_velocity[k] = spawn.goal_velocity
-        scene.obstacle[k], scene.obstacle_velocity[k] = spawn.obstacle, spawn.obstacle_velocity
-        scene.layout[k] = spawn.layout
+        swarm.position[worlds], swarm.quaternion[worlds] = start["position"], start["quaternion"]
+        swarm.velocity[worlds], swarm.rates[worlds] = start["velocity"], start["rates"]
+        swarm.rotor_speed[worlds] = self._hover_speed
+        scene.start[worlds], scene.goal[worlds] = start["position"], start["goal"]
+        scene.goal_velocity[worlds] = start["goal_velocity"]
+        scene.obstacle[worlds] = start["obstacle"]
+        scene.obstacle_velocity[worlds] = start["obstacle_velocity"]
+        scene.layout[worlds] = start["layout"]
         for name, remembered in scene.memory.items():
-            remembered[k] = spawn.memory.get(name, 0)
-        self._cascade.memory[k] = 0
-        self.commanded[k] = spawn.velocity
-        self.alive[k] = True
-        self.steps[k] = 0
+            remembered[worlds] = start[f"memory {name}"]
+        self._cascade.memory[worlds] = 0
+        self.commanded[worlds] = start["velocity"]
+        self.alive[worlds] = True
+        self.steps[worlds] = 0
+        self._energy.start(worlds)
 
     def _first_frame(self, chosen: np.ndarray) -> Frame:
         """Make the frame right after a reset of the drones of `chosen` (W, N)."""

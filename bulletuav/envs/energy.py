@@ -38,10 +38,10 @@ class Energy:
             wings = [airframe_wing(airframe, options.gravity) for airframe in options.airframe]
             self._wings = np.array([wings] * len(parameters), dtype=ROTARY_WING)
 
-    def start(self, k: int) -> None:
-        """Begin an episode of world k with full batteries."""
-        self._battery.start(k)
-        self.power[k] = 0
+    def start(self, worlds: np.ndarray) -> None:
+        """Begin episodes of worlds (S,) with full batteries."""
+        self._battery.start(worlds)
+        self.power[worlds] = 0
 
     def spend(
         self,

@@ -93,6 +93,10 @@ class Worlds(Environment):
         self.rng: list[np.random.Generator] = [UNSTARTED] * self.num_worlds
         self._frame: Frame | None = None
         self._checked = False
+        self._hover_speed = np.zeros(self.swarm.rotor_speed.shape[1:])
+        for i, airframe in enumerate(self.options.airframe):
+            hover = airframe.hover_speed(self.options.gravity)
+            self._hover_speed[i, : len(airframe.rotors)] = hover
 
     def _make_dynamics(self) -> tuple[Dynamics, Cascade]:
         options, worlds = self.options, (self.num_worlds, 1)

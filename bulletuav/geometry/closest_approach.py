@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from bulletuav.geometry.rotation import Vec3, Vec3Like, dot, minus, vec3
-from bulletuav.kernel import allocating, func
+from bulletuav.kernel import allocating, func, kernel
 
 
 @func
@@ -28,7 +28,7 @@ def keep_nearest(near: np.ndarray, distance: np.ndarray, found: int, j: int, gap
     Returns:
         How many entries are in use now, at most K.
     """
-    if found == near.size and gap >= distance[found - 1]:
+    if found == near.size and (found == 0 or gap >= distance[found - 1]):
         return found
     found = min(found + 1, near.size)
     # Move what is farther than the new point one slot back; the last falls out of a full list.
@@ -56,6 +56,18 @@ def distances(one: np.ndarray, two: np.ndarray) -> np.ndarray:
                 square += (two[w, i, k] - one[w, i, k]) ** 2
             result[w, i] = math.sqrt(square)
     return result
+
+
+@kernel
+def least_separation(position: np.ndarray) -> float:
+    """Return the least distance of two points of one world among (W, N, 3), m; infinite for one."""
+    least = np.inf
+    for w in range(position.shape[0]):
+        for i in range(position.shape[1]):
+            for j in range(i):
+                gap = offset(position, w, i, j)
+                least = min(least, dot(gap, gap))
+    return math.sqrt(least)
 
 
 @func

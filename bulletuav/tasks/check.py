@@ -11,6 +11,7 @@ from bulletuav.engine.engine import PARKING_HEIGHT
 from bulletuav.engine.tiles import TILE_PITCH
 from bulletuav.errors import as_int, as_sequence, finite, numbers_of, shown, unknown
 from bulletuav.geometry.city_grid import NO_LAYOUT
+from bulletuav.geometry.closest_approach import least_separation
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.shapes import CYLINDER, HULL, SPHERE, Shape
 from bulletuav.geometry.solids import Solids
@@ -42,40 +43,73 @@ LARGE = 100.0
 """m, of an option that may be to blame for an arena that is too large"""
 
 
-def check_spawn(
+def take_spawns(
     task: Task[Any],
-    spawn: Any,
+    spawns: Sequence[Any],
     airframes: Sequence[Airframe],
     obstacles: int,
     remembered: Mapping[str, np.ndarray],
-) -> None:
-    """Refuse a start that no world can have, before anything of it is written.
+) -> dict[str, np.ndarray]:
+    """Take the starts of S worlds together, and refuse those that no world can have.
 
     Args:
-        task: Whose `spawn` gave it.
-        spawn: What it gave.
+        task: Whose `spawn` gave them.
+        spawns: What it gave.
         airframes: Of the drones.
         obstacles: How many there are.
         remembered: The arrays of `memory`, of all worlds, by name.
 
+    Returns:
+        Arrays (S, ...) by name of the field, "memory NAME" for what the task remembers.
+
     Raises:
         ValueError: With the task, what is wrong and the remedy.
     """
-    if not isinstance(spawn, Spawn):
-        raise ValueError(f"spawn of task {task.name!r} gave {shown(spawn)}: a Spawn is needed")
     drones, things = (len(airframes), 3), (obstacles, 3)
     shapes = dict.fromkeys(("position", "goal", "velocity", "rates", "goal_velocity"), drones)
     shapes |= {"quaternion": (len(airframes), 4), "obstacle": things, "obstacle_velocity": things}
-    values = {
-        name: _numbers(task, name, getattr(spawn, name), shape) for name, shape in shapes.items()
-    }
-    if not np.isfinite(np.concatenate(list(values.values()), axis=None)).all():
-        name = next(name for name, value in values.items() if not np.isfinite(value).all())
-        raise _refused(task, name, f"is {shown(values[name])}", "finite numbers are needed")
-    _check_memory(task, spawn, remembered)
-    quaternion = np.broadcast_to(values["quaternion"], shapes["quaternion"])
-    _check_places(task, values["position"], quaternion, airframes)
-    refuse_overlap(values["position"], task.context.collision_radius)
+    for spawn in spawns:
+        if not isinstance(spawn, Spawn):
+            raise ValueError(f"spawn of task {task.name!r} gave {shown(spawn)}: a Spawn is needed")
+        _check_memory(task, spawn, remembered)
+    count = len(spawns)
+    fields = {name: np.empty((count, *shape)) for name, shape in shapes.items()}
+    for name, shape in shapes.items():
+        given = [getattr(spawn, name) for spawn in spawns]
+        if count and all(one is given[0] for one in given):
+            fields[name][:] = _numbers(task, name, given[0], shape)
+        else:
+            for row, one in zip(fields[name], given, strict=True):
+                row[:] = _numbers(task, name, one, shape)
+    if not np.isfinite(np.concatenate(list(fields.values()), axis=None)).all():
+        for name, values in fields.items():
+            for one in values:
+                if not np.isfinite(one).all():
+                    raise _refused(task, name, f"is {shown(one)}", "finite numbers are needed")
+    places = (fields["position"], fields["quaternion"])
+    if not _all_clear(*places, task.context.collision_radius):
+        for position, quaternion in zip(*places, strict=True):
+            _check_places(task, position, quaternion, airframes)
+            refuse_overlap(position, task.context.collision_radius)
+    for name, array in remembered.items():
+        fields[f"memory {name}"] = kept = np.empty((count, *array.shape[1:]), dtype=array.dtype)
+        for k, spawn in enumerate(spawns):
+            kept[k] = spawn.memory.get(name, 0)
+    return {**fields, "layout": np.array([spawn.layout for spawn in spawns], dtype=int)}
+
+
+def _all_clear(position: np.ndarray, quaternion: np.ndarray, radius: float) -> bool:
+    """Tell whether starts (S, N, ...) are so far from all limits that none needs a closer look."""
+    off = np.abs(np.einsum("sij,sij->si", quaternion, quaternion) - 1)
+    height = position[..., 2]
+    half = TILE_PITCH / 2 - radius
+    return (
+        off.max(initial=0.0) <= UNIT
+        and np.abs(position[..., :2]).max(initial=0.0) < half
+        and height.max(initial=0.0) < PARKING_HEIGHT
+        and height.min(initial=np.inf) >= radius
+        and least_separation(position) > 2 * radius * (1 + UNIT)
+    )
 
 
 def _refused(task: Task[Any], name: str, what: str, remedy: str) -> ValueError:
@@ -92,12 +126,12 @@ ONE_FOR_ALL = {
 """Shapes of what may be given once for all drones"""
 
 
-def _numbers(task: Task[Any], name: str, value: Any, shape: tuple[int, int]) -> np.ndarray:
-    """Take a field of a spawn as an array. Raises ValueError unless it is numbers of this shape."""
+def _numbers(task: Task[Any], name: str, value: Any, shape: tuple[int, int]) -> Any:
+    """Return a field of a spawn. Raises ValueError unless it is numbers that fill this shape."""
     if isinstance(value, np.ndarray) and value.dtype.kind == "f" and value.shape == shape:
         return value
     if value is UPRIGHT or (type(value) is float and () in ONE_FOR_ALL.get(name, ())):
-        return np.array(value)
+        return value
     array = numbers_of(f"{name} of the spawn of task {task.name!r} is", value)
     if array.shape != shape and array.shape not in ONE_FOR_ALL.get(name, ()):
         raise _refused(task, name, f"has shape {array.shape}", f"{shape} is needed")

@@ -12,6 +12,7 @@ from bulletuav.tasks.base import Rngs
 from bulletuav.tasks.families.airspace import REWARD_WEIGHTS, Airspace
 from bulletuav.tasks.families.difficulties import UNCERTAINTY
 from bulletuav.tasks.families.flight_config import AirspaceConfig, clearance
+from bulletuav.tasks.families.places import place_in_turn
 from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
 from bulletuav.tasks.ingredients import reward
 
@@ -191,15 +192,18 @@ class Obstacles(Airspace[ObstaclesConfig]):
         """
         places = np.empty((self.context.num_drones, 3))
         keep_off = self._radius + self._apart / 2
-        for i in range(len(places)):
-            while True:
-                place = rng.uniform(self._low, self._high)
-                is_clear = np.all(np.linalg.norm(places[:i] - place, axis=1) > self._apart)
-                is_clear &= np.all(np.linalg.norm(obstacle - place, axis=1) > keep_off)
-                is_far = start is None or np.linalg.norm(start[i] - place) >= self.config.leg
-                if is_clear and is_far:
-                    break
-            places[i] = place
+        from_start = places[:0] if start is None else start
+        rules = (keep_off, self._apart, from_start, self.config.leg)
+        placed = 0
+        while placed < len(places):
+            # Draw many at once, and then go back to what was needed of them
+            generator = rng.bit_generator
+            state = generator.state
+            draws = rng.uniform(self._low, self._high, (2 * len(places), 3))
+            used, placed = place_in_turn(places, placed, draws, obstacle, *rules)
+            if used < len(draws):
+                generator.state = state
+                rng.random(3 * used)
         return places
 
     def spawn(self, rng: np.random.Generator) -> Spawn:

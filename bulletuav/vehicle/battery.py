@@ -38,11 +38,11 @@ class Battery:
         empty: np.ndarray = self.charge <= 0
         return empty
 
-    def start(self, k: int, charge: float | np.ndarray = 1.0) -> None:
-        """Set the charge of a world at the start of an episode.
+    def start(self, k: int | np.ndarray, charge: float | np.ndarray = 1.0) -> None:
+        """Set the charge of worlds at the start of an episode.
 
         Args:
-            k: Index of the world.
+            k: Index of the world, or of several.
             charge: Share of the energy: one number for all, or (N,).
 
         Raises:

@@ -80,24 +80,17 @@ def obstacles(task: Any) -> Block:
     """
     radius = np.array([obstacle.radius for obstacle in task.obstacles()])
     count = task.context.num_neighbours
-    observed = min(count, len(radius))
     labels: list[Label] = []
     for k in range(1, count + 1):
         labels += [_distance(task, f"obstacle {k}"), *_relative(task, f"obstacle {k}")]
         labels.append(Label(f"obstacle {k} radius", "m", 0.0, float(radius.max(initial=1.0))))
 
     def compute(frame: Frame, present: np.ndarray) -> np.ndarray:
-        out = np.zeros((*present.shape, count, PER_OBSTACLE))
+        out = np.zeros((*present.shape, len(labels)))
+        own = (frame.known_position, frame.known_velocity)
         scene = frame.scene
-        offset = scene.obstacle[:, None] - frame.known_position[:, :, None]
-        gap = np.maximum(np.linalg.norm(offset, axis=-1) - radius, 0.0)
-        order = np.argsort(gap, axis=-1, kind="stable")[..., :observed, None]
-        speed = scene.obstacle_velocity[:, None] - frame.known_velocity[:, :, None]
-        out[..., :observed, :1] = np.take_along_axis(gap[..., None], order, axis=2)
-        out[..., :observed, 1:4] = np.take_along_axis(offset, order, axis=2)
-        out[..., :observed, 4:7] = np.take_along_axis(speed, order, axis=2)
-        out[..., :observed, 7] = radius[order[..., 0]]
-        return out.reshape(*present.shape, len(labels))
+        nearest_obstacles(*own, scene.obstacle, scene.obstacle_velocity, radius, count, out)
+        return out
 
     return Block(tuple(labels), compute)
 
@@ -164,4 +157,38 @@ def nearest(
                     gap = their_position[w, i, j, k] - position[w, i, k]
                     speed = their_velocity[w, i, j, k] - velocity[w, i, k]
                     out[w, i, first + 1 + k] = gap
+                    out[w, i, first + 4 + k] = speed
+
+
+@allocating
+def nearest_obstacles(
+    position: np.ndarray,
+    velocity: np.ndarray,
+    obstacle: np.ndarray,
+    obstacle_velocity: np.ndarray,
+    radius: np.ndarray,
+    count: int,
+    out: np.ndarray,
+) -> None:
+    """Fill `out` (W, N, 8 count) with the nearest of K obstacles, by their bounding spheres."""
+    near, distance = np.empty(count, dtype=np.int64), np.empty(count)
+    for w in range(position.shape[0]):
+        for i in range(position.shape[1]):
+            # Sort the nearest ones in, one after the other
+            found = 0
+            for j in range(len(radius)):
+                square = 0.0
+                for k in range(3):
+                    square += (obstacle[w, j, k] - position[w, i, k]) ** 2
+                gap = max(math.sqrt(square) - radius[j], 0.0)
+                found = keep_nearest(near, distance, found, j, gap)
+            # Write them, as seen from the drone
+            for slot in range(found):
+                j = near[slot]
+                first = PER_OBSTACLE * slot
+                out[w, i, first] = distance[slot]
+                out[w, i, first + 7] = radius[j]
+                for k in range(3):
+                    speed = obstacle_velocity[w, j, k] - velocity[w, i, k]
+                    out[w, i, first + 1 + k] = obstacle[w, j, k] - position[w, i, k]
                     out[w, i, first + 4 + k] = speed

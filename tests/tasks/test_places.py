@@ -1,0 +1,43 @@
+"""Random places: the same as drawn one by one, and clear of all that they must keep off."""
+
+import contextlib
+
+import numpy as np
+import pytest
+
+from bulletuav import Aviary
+
+
+def one_by_one(task, rng, obstacle, start):
+    """Draw as the text says: each drone tries places until one is clear."""
+    keep_off = task._radius + task._apart / 2
+    places = []
+    while len(places) < task.context.num_drones:
+        place = rng.uniform(task._low, task._high)
+        others = np.array(places).reshape(-1, 3)
+        clear = (np.linalg.norm(others - place, axis=1) > task._apart).all()
+        clear &= (np.linalg.norm(obstacle - place, axis=1) > keep_off).all()
+        far = start is None or np.linalg.norm(start[len(places)] - place) >= task.config.leg
+        if clear and far:
+            places.append(place)
+    return np.array(places)
+
+
+@pytest.mark.parametrize("drones", [1, 8])
+@pytest.mark.parametrize("crowd", [1, 40])
+def test_places_and_generator_are_as_if_drawn_one_by_one(drones, crowd):
+    options = {"num_obstacles": crowd, "num_moving": 0}
+    with contextlib.closing(Aviary("obstacles", num_drones=drones, **options)) as aviary:
+        task = aviary.task
+        for seed in range(20):
+            one, two = np.random.default_rng(seed), np.random.default_rng(seed)
+            # Half a number is kept back by 32-bit draws: it must still be there
+            assert one.integers(9, dtype=np.uint32) == two.integers(9, dtype=np.uint32)
+            obstacle = one.uniform(task._low, task._high, (crowd, 3))
+            two.uniform(task._low, task._high, (crowd, 3))
+            start = None
+            for _ in range(2):
+                found = task._places(one, obstacle, start)
+                np.testing.assert_array_equal(found, one_by_one(task, two, obstacle, start))
+                assert one.bit_generator.state == two.bit_generator.state
+                start = found
