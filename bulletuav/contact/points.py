@@ -35,7 +35,7 @@ SLIP = 2e-6
 """How much closer shapes may come that are too close already, m"""
 LIFT = 2e-3
 """Fastest that shapes which are too close are moved apart, m/s"""
-ROLLING = 0.25
+ROLLING = 0.4
 """Resistance of cylinders and spheres to rolling about their z axis, as share of their radius.
 
 They stand for airframes with arms and rotors, which do not roll like wheels.

@@ -6,6 +6,8 @@ import numpy as np
 from contact.rig import Rig, random_attitudes, random_directions
 
 KINDS = ("head-on", "oblique", "spinning")
+HEIGHT = 300.0
+"""So high that nobody comes to the ground meanwhile, m"""
 DEEPEST = 5e-4
 """Greatest overlap, m"""
 
@@ -14,7 +16,7 @@ class Meetings(NamedTuple):
     """What W pairs kept, over the substeps in which they touched.
 
     Attributes:
-        told: (W,) bool, whether both were told of the touch.
+        told: (W,) bool, whether both were told of the touch, if there was one.
         linear: (W,) greatest change of the linear momentum over the sum of m v of both.
         angular: (W,) the same of the angular momentum over the sum of m v r.
         gained: (W,) greatest gain of energy in a substep over the first.
@@ -95,12 +97,27 @@ def meet_in_pairs(
             swarm.rates[:] = rng.uniform(-30, 30, (worlds, 2, 3)) / np.sqrt(3)
         apart = reach + fast * rng.uniform(0.1, 1.9, worlds) / hz
         share = rng.uniform(0, 1, (worlds, 1))
-        swarm.position[:, 0] = (0, 0, 50)
+        swarm.position[:, 0] = (0, 0, HEIGHT)
         swarm.position[:, 1] = swarm.position[:, 0] + apart[:, None] * way + aside
         swarm.velocity[:, 0] = share * fast[:, None] * way
         swarm.velocity[:, 1] = (share - 1) * fast[:, None] * way
         rig.place()
-        return _follow(rig, fast, way, max(16, int(4 * reach / (speed[0] / hz))))
+        passes = np.zeros(worlds, dtype=bool) if kind == "spinning" else _passes(rig, fast, apart)
+        met = _follow(rig, fast, way, max(16, int(4 * reach / (speed[0] / hz))))
+        return met._replace(told=met.told | passes)
+
+
+def _passes(rig: Rig, fast: np.ndarray, apart: np.ndarray) -> np.ndarray:
+    """Tell in which worlds two that do not turn pass each other, (W,) bool."""
+    here = rig.swarm.position.copy()
+    reach = sum(one.collision_radius for one in rig.airframes)
+    least = np.full(len(fast), np.inf)
+    for share in np.linspace(-1.5, 1.5, 301):
+        time = (apart + share * reach) / fast
+        rig.swarm.position[:] = here + time[:, None, None] * rig.swarm.velocity
+        least = np.minimum(least, rig.gaps(0, 1))
+    rig.swarm.position[:] = here
+    return least > 0.0
 
 
 def _follow(rig: Rig, fast: np.ndarray, way: np.ndarray, most: int) -> Meetings:
