@@ -83,14 +83,17 @@ def _rebound(space: Workspace, world: World, members: int, points: np.ndarray, s
             slow = False
             lively = lively or point.restitution > 0.0
             point.least = -point.restitution * point.approach
-    if lively or (closes and slow):
+    if lively:
         frame = _frame_of(points, size)
         had = moving_energy(space, world, members, frame, 0.0)
         remember_before(space, members, points, size)
         relax(points, size, space.motions)
         keep(points, size)
-        if lively:
-            lose_gain(space, world, members, points, size, frame, had, 0.0)
+        lose_gain(space, world, members, points, size, frame, had, 0.0)
+    elif closes and slow:
+        # What is only stopped gains no energy
+        relax(points, size, space.motions)
+        keep(points, size)
     return slow
 
 
