@@ -27,8 +27,17 @@ class Conflict(NamedTuple):
     nearness: np.ndarray
 
 
+def no_conflict(shape: tuple[int, int]) -> Conflict:
+    """Make the separations of drones (W, N) that are alone."""
+    return Conflict(
+        separation=np.full(shape, np.inf),
+        onsets=np.zeros(shape, dtype=np.int64),
+        nearness=np.zeros(shape),
+    )
+
+
 @kernel
-def _fill_conflict(
+def fill_conflict(
     before: np.ndarray,
     after: np.ndarray,
     alive: np.ndarray,
@@ -38,8 +47,12 @@ def _fill_conflict(
     onsets: np.ndarray,
     nearness: np.ndarray,
 ) -> None:
-    """Fill the arrays of a `Conflict`."""
+    """Fill the arrays of a `Conflict`; see `conflict` for the arguments."""
     for w in range(alive.shape[0]):
+        for i in range(alive.shape[1]):
+            separation[w, i] = np.inf
+            onsets[w, i] = 0
+            nearness[w, i] = 0.0
         for i in range(alive.shape[1]):
             for j in range(i + 1, alive.shape[1]):
                 if not (alive[w, i] and alive[w, j]):
@@ -78,10 +91,6 @@ def conflict(
     Returns:
         The separations of each drone.
     """
-    result = Conflict(
-        separation=np.full(alive.shape, np.inf),
-        onsets=np.zeros(alive.shape, dtype=np.int64),
-        nearness=np.zeros(alive.shape),
-    )
-    _fill_conflict(before, after, alive, d_safe, zone, *result)
+    result = no_conflict(alive.shape)
+    fill_conflict(before, after, alive, d_safe, zone, *result)
     return result

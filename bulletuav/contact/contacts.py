@@ -11,7 +11,7 @@ from bulletuav.contact.rest import Contact, settle, wake_for_obstacles
 from bulletuav.geometry.rotation import dot, minus, vec3
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.kernel import allocating, borrowed, func, kernel
-from bulletuav.vehicle.swarm import CITY, GROUND, Contacts, Motion, Swarm
+from bulletuav.vehicle.swarm import CITY, GROUND, Contacts, Swarm
 
 
 @func
@@ -188,65 +188,124 @@ def start(contact: Contact, mask: np.ndarray) -> None:
     contact.memory.number[mask] = 0
 
 
-def begin_decision(
-    contact: Contact,
-    scenery: Scenery,
-    motion: Motion,
-    alive: np.ndarray,
-    period: float,
-) -> Contact:
-    """Forget what the last decision touched, and take over where obstacles go in this one.
+@func
+def _take_over_sleepers(contact: Contact, alive: np.ndarray, w: int) -> None:
+    """Tell what sleepers touched before, and wake those in whose world a drone came or went."""
+    touches, slept = contact.touches, contact.slept
+    same = True
+    for i in range(alive.shape[1]):
+        same = same and contact.flew[w, i] == alive[w, i]
+        contact.flew[w, i] = alive[w, i]
+    for i in range(alive.shape[1]):
+        contact.asleep[w, i] = contact.asleep[w, i] and same
+        if contact.asleep[w, i]:
+            touches.number[w, i] = slept.number[w, i]
+            for k in range(touches.impulse.shape[2]):
+                touches.impulse[w, i, k] = slept.impulse[w, i, k]
+
+
+@kernel
+def begin_decision(contact: Contact, alive: np.ndarray, period: float) -> None:
+    """Forget what the last decision touched, and look at where obstacles go in this one.
 
     Args:
-        contact: Of the last decision.
-        scenery: What stands now.
-        motion: Of the task's obstacles.
+        contact: Of the last decision; its `before` and `after` tell where obstacles go.
         alive: (W, N) bool, drones that fly.
         period: Length of the decision, s.
+    """
+    for w in range(alive.shape[0]):
+        for i in range(alive.shape[1]):
+            contact.touches.number[w, i] = 0
+            contact.stopped[w, i] = False
+        if contact.sleeps:
+            _take_over_sleepers(contact, alive, w)
 
-    Returns:
-        The same arrays, for this decision.
+        # Obstacles that were moved since may be near at once
+        jumped, square = False, 0.0
+        for k in range(contact.before.shape[1]):
+            begin, end = vec3(contact.before, w, k), vec3(contact.after, w, k)
+            way = minus(end, begin)
+            square = max(square, dot(way, way))
+            jumped = jumped or vec3(contact.scenery.place, w, k) != begin
+        contact.speed[w] = math.sqrt(square) / period
+        if jumped:
+            for i in range(alive.shape[1]):
+                contact.budget[w, i] = -1.0
+                contact.asleep[w, i] = False
+
+
+def see(contact: Contact, scenery: Scenery) -> Contact:
+    """Tell contacts that something else stands now; all look anew at what is near."""
+    contact.budget[:] = -1.0
+    contact.asleep[:] = False
+    return contact._replace(scenery=scenery)
+
+
+@func
+def _called(scenery: Scenery, number: int) -> int:
+    """Return what `Contacts.other` calls the owner of a shape."""
+    if number < scenery.first_body:
+        return number
+    if number < scenery.first_piece:
+        return int(scenery.other[number - scenery.first_body])
+    return GROUND if number == scenery.ground else CITY
+
+
+@kernel
+def mark(
+    contact: Contact,
+    swarm: Swarm,
+    slowest: float,
+    slowest_spin: float,
+    collision: np.ndarray,
+    resting: np.ndarray,
+    impulse: np.ndarray,
+) -> None:
+    """Write of each drone what it touched in this decision.
+
+    Args:
+        contact: Of the decision.
+        swarm: State at its end.
+        slowest: Speed of a drone at rest at most, m/s.
+        slowest_spin: Its spin at most, rad/s.
+        collision: (W, N) bool, whether it touched anything.
+        resting: (W, N) bool, whether it did and is at rest.
+        impulse: (W, N) greatest impulse of one that it touched, N s.
     """
     touches = contact.touches
-    if touches.number.any():
-        touches.number[:] = 0
-    if contact.stops:
-        contact.stopped[:] = False
-    if contact.sleeps:
-        _take_over_sleepers(contact, alive)
-    # Obstacles that were moved since, or are new, may be near at once
-    count = motion.before.shape[1]
-    if scenery is not contact.scenery:
-        contact.budget[:] = -1.0
-        contact.asleep[:] = False
-    elif count:
-        jumped = np.any(scenery.place[:, :count] != motion.before, axis=(1, 2))
-        contact.budget[jumped] = -1.0
-        contact.asleep[jumped] = False
-    if motion.moving:
-        moved = motion.after - motion.before
-        contact.speed[:] = np.sqrt((moved * moved).sum(axis=-1)).max(axis=1) / period
-    elif count:
-        contact.speed[:] = 0.0
-    return contact._replace(scenery=scenery, before=motion.before, after=motion.after)
+    for w in range(collision.shape[0]):
+        for i in range(collision.shape[1]):
+            count = touches.number[w, i]
+            collision[w, i] = count > 0
+            velocity, rates = vec3(swarm.velocity, w, i), vec3(swarm.rates, w, i)
+            slow = math.sqrt(dot(velocity, velocity)) <= slowest
+            calm = math.sqrt(dot(rates, rates)) <= slowest_spin
+            resting[w, i] = count > 0 and slow and calm
+
+            # Several pieces may be of one city, or of one body
+            impulse[w, i] = 0.0
+            for k in range(count):
+                other, total = _called(contact.scenery, touches.other[w, i, k]), 0.0
+                for m in range(count):
+                    if _called(contact.scenery, touches.other[w, i, m]) == other:
+                        total += touches.impulse[w, i, m]
+                impulse[w, i] = max(impulse[w, i], total)
 
 
-def _take_over_sleepers(contact: Contact, alive: np.ndarray) -> None:
-    """Tell what sleepers touched before, and wake those in whose world a drone came or went."""
-    if not contact.asleep.any():
-        contact.flew[:] = alive
-        return
-    contact.asleep[np.any(contact.flew != alive, axis=1)] = False
-    contact.flew[:] = alive
-    kept = contact.asleep
-    contact.touches.number[kept] = contact.slept.number[kept]
-    contact.touches.impulse[kept] = contact.slept.impulse[kept]
+@kernel
+def any_touched(contact: Contact) -> bool:
+    """Tell whether any drone touched anything in this decision."""
+    for w in range(contact.touches.number.shape[0]):
+        for i in range(contact.touches.number.shape[1]):
+            if contact.touches.number[w, i] > 0:
+                return True
+    return False
 
 
 def told(contact: Contact) -> Contacts:
     """Tell what was touched in a decision, sorted by world, drone and other."""
     touches = contact.touches
-    if not touches.number.any():
+    if not any_touched(contact):
         return Contacts.none()
     scenery = contact.scenery
     used = np.arange(touches.other.shape[-1]) < touches.number[..., None]

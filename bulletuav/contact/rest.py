@@ -92,7 +92,7 @@ class Contact(NamedTuple):
 
 def make_contact(
     scenery: Scenery,
-    shape: tuple[int, int],
+    shape: tuple[int, int, int],
     stops: bool,
     sleeps: bool,
     friction: float,
@@ -102,39 +102,40 @@ def make_contact(
 
     Args:
         scenery: What stands, and all shapes.
-        shape: (W, N).
+        shape: (W, N, K), of which K are the task's obstacles.
         stops: Whether drones stop where they touch, instead of being pushed.
         sleeps: Whether drones that rest are left alone until something changes; the dynamics asks
             `bears` of them.
         friction: Coefficient of friction of the ground and of buildings.
         restitution: Their coefficient of restitution.
     """
-    nowhere = np.zeros((shape[0], 0, 3))
+    worlds, drones, obstacles = shape
+    each = (worlds, drones)
     return Contact(
         scenery=scenery,
-        space=make_workspace(shape[1]),
-        start=Swarm.zeros(*shape, 0),
-        due=np.zeros(shape, dtype=bool),
-        budget=np.full(shape, -1.0),
+        space=make_workspace(drones),
+        start=Swarm.zeros(*each, 0),
+        due=np.zeros(each, dtype=bool),
+        budget=np.full(each, -1.0),
         friction=friction,
         restitution=restitution,
         stops=stops,
         sleeps=sleeps and not stops,
-        asleep=np.zeros(shape, dtype=bool),
-        quiet=np.zeros(shape),
-        pace=np.zeros(shape),
-        load=np.full((*shape, 6), np.nan),
-        support=np.zeros(shape, dtype=SUPPORT),
-        slept=make_touches(*shape),
-        dozes=np.zeros(shape, dtype=bool),
-        flew=np.zeros(shape, dtype=bool),
-        stopped=np.zeros(shape, dtype=bool),
-        changed=np.zeros(shape, dtype=bool),
-        touches=make_touches(*shape),
-        speed=np.zeros(shape[0]),
-        before=nowhere,
-        after=nowhere,
-        memory=make_memory(*shape),
+        asleep=np.zeros(each, dtype=bool),
+        quiet=np.zeros(each),
+        pace=np.zeros(each),
+        load=np.full((*each, 6), np.nan),
+        support=np.zeros(each, dtype=SUPPORT),
+        slept=make_touches(*each),
+        dozes=np.zeros(each, dtype=bool),
+        flew=np.zeros(each, dtype=bool),
+        stopped=np.zeros(each, dtype=bool),
+        changed=np.zeros(each, dtype=bool),
+        touches=make_touches(*each),
+        speed=np.zeros(worlds),
+        before=np.zeros((worlds, obstacles, 3)),
+        after=np.zeros((worlds, obstacles, 3)),
+        memory=make_memory(*each),
     )
 
 

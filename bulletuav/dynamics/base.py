@@ -1,8 +1,8 @@
 """The interface of all dynamics: each moves the same swarm through one decision.
 
-An author writes the flight of one substep (`Dynamics.advance_substep`), or of a whole decision in
-one compiled call (`Dynamics.advance_decision`). The base class does the rest: controllers,
-contacts, the surface below, and the check for flights that diverge.
+An author writes the flight of one substep (`Dynamics.advance_substep`), or of a whole decision as a
+compiled call (`Dynamics.add_flight`). The base class does the rest: controllers, contacts, the
+surface below, and the check for flights that diverge.
 """
 
 from abc import ABC, abstractmethod
@@ -16,6 +16,7 @@ from bulletuav.contact.contacts import (
     meet_all,
     overlaps,
     remember_all,
+    see,
     start,
     told,
 )
@@ -23,9 +24,11 @@ from bulletuav.contact.rest import make_contact
 from bulletuav.control.cascade import Cascade
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.setpoints import convert
+from bulletuav.engine.c_extension import surface_below
 from bulletuav.engine.engine import Engine
 from bulletuav.geometry.rotation import dot, vec3
 from bulletuav.kernel import kernel
+from bulletuav.program import Program
 from bulletuav.vehicle.swarm import Contacts, Motion, Swarm
 
 
@@ -76,10 +79,10 @@ FASTEST_SPIN = 9.9e3  # rad/s
 
 
 @kernel
-def _first_lost(swarm: Swarm, alive: np.ndarray) -> tuple[int, int]:
-    """Find the first living drone whose speed or spin left all bounds, or is NaN.
+def _any_lost(swarm: Swarm, alive: np.ndarray, lost: np.ndarray) -> bool:
+    """Tell whether the speed or spin of a living drone left all bounds, or is NaN.
 
-    Returns its world and index, or -1 and -1.
+    Writes the first one's world and index to `lost` (2,).
     """
     for w in range(alive.shape[0]):
         for i in range(alive.shape[1]):
@@ -88,30 +91,10 @@ def _first_lost(swarm: Swarm, alive: np.ndarray) -> tuple[int, int]:
             slow = dot(velocity, velocity) < FASTEST**2
             calm = dot(rates, rates) < FASTEST_SPIN**2
             if alive[w, i] and not (slow and calm):
-                return w, i
-    return -1, -1
-
-
-def require_sane(swarm: Swarm, alive: np.ndarray, first_world: int) -> None:
-    """Refuse to go on with a flight that diverged; a reset brings the drone back.
-
-    Args:
-        swarm: State of all drones.
-        alive: (W, N) bool, drones that fly; the others are not looked at.
-        first_world: Number of the first of these worlds.
-
-    Raises:
-        RuntimeError: The speed or spin of a living drone left all bounds; the first is named.
-    """
-    w, i = _first_lost(swarm, alive)
-    if w >= 0:
-        speed = np.linalg.norm(swarm.velocity[w, i])
-        spin = np.linalg.norm(swarm.rates[w, i])
-        raise RuntimeError(
-            f"the flight of drone {i} in world {first_world + w} diverged "
-            f"({speed:.3g} m/s, {spin:.3g} rad/s): raise physics_hz or check the inertia of its "
-            f"airframe; reset() starts the world anew"
-        )
+                lost[0] = w
+                lost[1] = i
+                return True
+    return False
 
 
 class Dynamics(ABC):
@@ -133,7 +116,7 @@ class Dynamics(ABC):
         env = bulletuav.parallel_env("crossing", dynamics=Gliding)
 
     The base class puts back drones that are not alive, lets drones touch what they fly into, and
-    refuses states that are not finite. Dynamics that are compiled override `advance_decision`.
+    refuses states that are not finite. Dynamics that are compiled override `add_flight`.
 
     Attributes:
         name: What users call it; the name of the class where it tells none.
@@ -162,7 +145,7 @@ class Dynamics(ABC):
         self.flight = flight
         self.contact = make_contact(
             flight.engine.scenery,
-            flight.engine.shape,
+            (*flight.engine.shape, flight.engine.obstacle_radius.size),
             flight.contacts == "stop",
             self.sleeps,
             flight.friction,
@@ -220,20 +203,85 @@ class Dynamics(ABC):
         Raises:
             RuntimeError: A flight diverged.
         """
+        self.look_around()
+        if motion.before.shape[1]:
+            self.contact.before[:] = motion.before
+            self.contact.after[:] = motion.after
+        program = Program()
+        self.add_to(program, swarm, alive, level, setpoint, wind)
+        program.interpret()
+        return self.touched()
+
+    def look_around(self) -> bool:
+        """See whether something else stands now; programs must then be made anew."""
+        scenery = self.flight.engine.scenery
+        if scenery is self.contact.scenery:
+            return False
+        self.contact = see(self.contact, scenery)
+        return True
+
+    def add_to(
+        self,
+        program: Program,
+        swarm: Swarm,
+        alive: np.ndarray,
+        level: SetpointLevel,
+        setpoint: np.ndarray,
+        wind: np.ndarray,
+    ) -> None:
+        """Add the flight of a decision to a program; see `fly` for the arguments.
+
+        Where obstacles go stands in `contact.before` and `contact.after`.
+        """
         flight = self.flight
-        period = flight.substeps * flight.dt
-        scenery = flight.engine.scenery
-        self.contact = begin_decision(self.contact, scenery, motion, alive, period)
-        air = Air(wind, self._surface(swarm, alive), flight.gravity)
-        self.advance_decision(swarm, alive, level, setpoint, air)
-        require_sane(swarm, alive, flight.engine.first_world)
+        program.call(begin_decision, self.contact, alive, flight.substeps * flight.dt)
+        air = Air(wind, np.full(alive.shape, -np.inf), flight.gravity)
+        if self._near_ground:
+            self._add_surface(program, swarm, alive, air.surface)
+        self.add_flight(program, swarm, alive, level, setpoint, air)
+        lost = np.zeros(2, dtype=np.int64)
+
+        def refuse() -> None:
+            w, i = lost.tolist()
+            speed, spin = map(np.linalg.norm, (swarm.velocity[w, i], swarm.rates[w, i]))
+            raise RuntimeError(
+                f"the flight of drone {i} in world {flight.engine.first_world + w} diverged "
+                f"({speed:.3g} m/s, {spin:.3g} rad/s): raise physics_hz or check the inertia of "
+                f"its airframe; reset() starts the world anew"
+            )
+
+        program.call(_any_lost, swarm, alive, lost, otherwise=refuse)
+
+    def add_flight(
+        self,
+        program: Program,
+        swarm: Swarm,
+        alive: np.ndarray,
+        level: SetpointLevel,
+        setpoint: np.ndarray,
+        air: Air,
+    ) -> None:
+        """Add all substeps of a decision to a program, by default one by one in Python.
+
+        Args:
+            program: To be added to.
+            swarm: State of all drones, moved in place.
+            alive: (W, N) bool, drones that fly.
+            level: Level of the setpoints, `consumes` or above.
+            setpoint: (W, N, S) setpoints, held during the decision.
+            air: What surrounds the drones, held during the decision.
+        """
+        program.turn(lambda: self._advance_decision(swarm, alive, level, setpoint, air))
+
+    def touched(self) -> Contacts:
+        """Tell what was touched in the last decision."""
         return told(self.contact)
 
     def overlaps(self, swarm: Swarm, moved: np.ndarray, alive: np.ndarray) -> Contacts:
         """Find what drones touch that were put somewhere else; see `contacts.overlaps`."""
         return overlaps(self.contact, swarm, moved, alive, self.flight.parameters)
 
-    def advance_decision(
+    def _advance_decision(
         self,
         swarm: Swarm,
         alive: np.ndarray,
@@ -241,15 +289,7 @@ class Dynamics(ABC):
         setpoint: np.ndarray,
         air: Air,
     ) -> None:
-        """Move the living drones through all substeps of a decision, by default one by one.
-
-        Args:
-            swarm: State of all drones, moved in place.
-            alive: (W, N) bool, drones that fly.
-            level: Level of the setpoints, `consumes` or above.
-            setpoint: (W, N, S) setpoints, held during the decision.
-            air: What surrounds the drones, held during the decision.
-        """
+        """Fly all substeps of a decision, one by one."""
         flight = self.flight
         parameters = flight.parameters
         contact = self.contact
@@ -294,11 +334,19 @@ class Dynamics(ABC):
             f"dynamics {self.name!r} lacks advance_substep(swarm, alive, setpoint, air)"
         )
 
-    def _surface(self, swarm: Swarm, alive: np.ndarray) -> np.ndarray:
-        """Return the height (W, N) of the surface below living drones, -inf where none is felt."""
-        if self._near_ground:
-            return self.flight.engine.surface_below(swarm.position, alive)
-        return np.full(alive.shape, -np.inf)
+    def _add_surface(
+        self, program: Program, swarm: Swarm, alive: np.ndarray, surface: np.ndarray
+    ) -> None:
+        """Add to a program that the height of the surface below drones is written once."""
+        engine = self.flight.engine
+        if engine.port is not None:
+            program.call(surface_below, engine.port, swarm.position, alive, surface)
+            return
+
+        def look() -> None:
+            surface[:] = engine.surface_below(swarm.position, alive)
+
+        program.turn(look)
 
     def _require_finite(self, swarm: Swarm) -> None:
         """Raise RuntimeError for a position, attitude or rotor speed that is not finite."""

@@ -19,14 +19,15 @@ from bulletuav.contact.contacts import meet_all, place_obstacles, remember_all
 from bulletuav.contact.rest import Contact, bears, wake
 from bulletuav.control.cascade import Cascade, command_rotors
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.dynamics.base import Air, Dynamics, Flight, require_sane
+from bulletuav.dynamics.base import Air, Dynamics, Flight
 from bulletuav.engine.c_extension import Port, substep, surface_below, write_states
 from bulletuav.geometry.rotation import Vec3, cross, plus, quat4, vec3
 from bulletuav.kernel import allocating, borrowed, func, kernel
+from bulletuav.program import Program
 from bulletuav.registry import register
 from bulletuav.vehicle.aerodynamics import wakes
 from bulletuav.vehicle.rotors import lag_decay, lagged, rotor_wrench
-from bulletuav.vehicle.swarm import Contacts, Motion, Swarm
+from bulletuav.vehicle.swarm import Contacts, Swarm
 from bulletuav.vehicle.wrench import SMALL_TURN, body_acceleration, spin_parts, wrench
 
 
@@ -210,6 +211,8 @@ def advance(
     force: np.ndarray,
     torque: np.ndarray,
     contact: Contact,
+    driven: np.ndarray,
+    flying: np.ndarray,
 ) -> None:
     """Fly all substeps of one decision in one call, through the C extension.
 
@@ -228,10 +231,11 @@ def advance(
         force: (W, N, 3) room for forces, N.
         torque: (W, N, 3) room for torques, N m.
         contact: What contacts need.
+        driven: (W, N) bool, room for those whose rotors turn.
+        flying: (W, N) bool, room for those whom the engine moves.
     """
     port, swarm, cascade, air, contact = borrowed((port, swarm, cascade, air, contact))
-    driven = alive.copy()
-    flying = alive.copy()
+    driven[:] = alive
     for piece in range(substeps):
         remember_all(contact, swarm)
         # Wrenches from the state before the substep, then the engine's step
@@ -261,43 +265,47 @@ class BulletDynamics(Dynamics):
         """Make room for the wrenches."""
         super().__init__(flight)
         self._force, self._torque = np.zeros((2, *flight.parameters.shape, 3))
+        self._driven, self._flying = np.zeros((2, *flight.parameters.shape), dtype=bool)
+        self._in_engine = Contacts.none()
 
     def show(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Leave the engine's bodies, which are where the swarm is."""
 
-    def fly(
+    def add_flight(
         self,
-        swarm: Swarm,
-        alive: np.ndarray,
-        level: SetpointLevel,
-        setpoint: np.ndarray,
-        wind: np.ndarray,
-        motion: Motion,
-    ) -> Contacts:
-        """Fly through the engine; see the base class."""
-        if self.flight.contacts != "bullet":
-            return super().fly(swarm, alive, level, setpoint, wind, motion)
-        return self._fly_in_engine(swarm, alive, level, setpoint, wind, motion)
-
-    def advance_decision(
-        self,
+        program: Program,
         swarm: Swarm,
         alive: np.ndarray,
         level: SetpointLevel,
         setpoint: np.ndarray,
         air: Air,
     ) -> None:
-        """Fly all substeps, in one compiled call where the C extension is; see the base class."""
-        flight = self.flight
-        port = flight.engine.port
+        """Add all substeps, as one compiled call where the C extension is; see the base class."""
+        flight, port = self.flight, self.flight.engine.port
         # C reads arrays as they lie
-        alive = np.ascontiguousarray(alive, dtype=bool)
-        assert all(array.flags.c_contiguous for array in swarm)
+        assert all(array.flags.c_contiguous for array in (*swarm, alive))
         inputs = self._inputs(swarm, alive, level, setpoint, air)
-        if port is not None:
-            advance(port, flight.substeps, self._near_ground, *inputs, self.contact)
-            return
-        contact = self.contact
+        if flight.contacts == "bullet":
+            program.turn(lambda: self._fly_in_engine(inputs))
+        elif port is None:
+            program.turn(lambda: self._fly_by_calls(inputs))
+        else:
+            room = (self._driven, self._flying)
+            more = (port, flight.substeps, self._near_ground)
+            program.call(advance, *more, *inputs, self.contact, *room)
+
+    def touched(self) -> Contacts:
+        """Tell what was touched in the last decision; see the base class."""
+        return self._in_engine if self.flight.contacts == "bullet" else super().touched()
+
+    def _add_surface(
+        self, program: Program, swarm: Swarm, alive: np.ndarray, surface: np.ndarray
+    ) -> None:
+        """Leave the surface, which is looked for anew in every substep."""
+
+    def _fly_by_calls(self, inputs: "_Inputs") -> None:
+        """Fly all substeps through the engine's own calls."""
+        flight, contact, swarm, alive = self.flight, self.contact, inputs.swarm, inputs.alive
         driven = alive
         for piece in range(flight.substeps):
             remember_all(contact, swarm)
@@ -331,10 +339,6 @@ class BulletDynamics(Dynamics):
             torque=self._torque,
         )
 
-    def _surface(self, swarm: Swarm, alive: np.ndarray) -> np.ndarray:
-        """Return room for the heights of the surface, which are taken anew in every substep."""
-        return np.full(alive.shape, -np.inf)
-
     def _advance_once(self, inputs: "_Inputs") -> None:
         """Fly one substep through the engine's own calls."""
         engine = self.flight.engine
@@ -358,31 +362,21 @@ class BulletDynamics(Dynamics):
         engine.step()
         engine.read_states(inputs.swarm, flying)
 
-    def _fly_in_engine(
-        self,
-        swarm: Swarm,
-        alive: np.ndarray,
-        level: SetpointLevel,
-        setpoint: np.ndarray,
-        wind: np.ndarray,
-        motion: Motion,
-    ) -> Contacts:
+    def _fly_in_engine(self, inputs: "_Inputs") -> None:
         """Fly with Bullet's own contacts, substep by substep."""
-        flight = self.flight
-        engine = flight.engine
-        air = Air(wind, self._surface(swarm, alive), flight.gravity)
-        inputs = self._inputs(swarm, alive, level, setpoint, air)
+        flight, engine = self.flight, self.flight.engine
+        before, after = self.contact.before, self.contact.after
+        turns = engine.scenery.quaternion[:, : before.shape[1]]
+        moving, flying = bool((before != after).any()), np.any(inputs.alive, axis=1)
         touched = []
         for piece in range(flight.substeps):
-            if motion.moving:
-                flying = np.any(alive, axis=1)
+            if moving:
                 share = (piece + 1) / flight.substeps
-                engine.set_obstacles(motion.at(share), motion.quaternion, flying)
+                engine.set_obstacles(before + share * (after - before), turns, flying)
             self._advance_once(inputs)
-            touched.append(engine.contacts(swarm, flight.dt))
-        require_sane(swarm, alive, engine.first_world)
+            touched.append(engine.contacts(inputs.swarm, flight.dt))
         columns = [np.concatenate(column) for column in zip(*touched, strict=True)]
-        return Contacts.merged(**dict(zip(Contacts._fields, columns, strict=True)))
+        self._in_engine = Contacts.merged(**dict(zip(Contacts._fields, columns, strict=True)))
 
 
 class _Inputs(NamedTuple):

@@ -24,6 +24,7 @@ from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.base import Air, Dynamics
 from bulletuav.geometry.rotation import Vec3, dot, from_euler, point, quat4, vec3
 from bulletuav.kernel import allocating, borrowed, func
+from bulletuav.program import Program
 from bulletuav.registry import register
 from bulletuav.vehicle.swarm import Swarm, get, put
 
@@ -299,18 +300,20 @@ class Kinematic(Dynamics):
         swarm.rates[mask] = 0
         super().place(swarm, mask)
 
-    def advance_decision(
+    def add_flight(
         self,
+        program: Program,
         swarm: Swarm,
         alive: np.ndarray,
         level: SetpointLevel,
         setpoint: np.ndarray,
         air: Air,
     ) -> None:
-        """Fly all pieces in one compiled call; see the base class."""
+        """Add all pieces as one compiled call; see the base class."""
         flight = self.flight
         pieces = self.pieces(level)
-        advance(
+        program.call(
+            advance,
             self.kind,
             swarm,
             alive,

@@ -16,6 +16,7 @@ from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.base import Air, Dynamics
 from bulletuav.geometry.rotation import Quat4, Vec3, normalised, vec3
 from bulletuav.kernel import allocating, borrowed, func
+from bulletuav.program import Program
 from bulletuav.registry import register
 from bulletuav.vehicle.aerodynamics import wakes
 from bulletuav.vehicle.rotors import lag_decay, lagged, rotor_wrench
@@ -259,17 +260,19 @@ class RigidBody(Dynamics):
     contacts = ("impulse", "stop")
     sleeps = True
 
-    def advance_decision(
+    def add_flight(
         self,
+        program: Program,
         swarm: Swarm,
         alive: np.ndarray,
         level: SetpointLevel,
         setpoint: np.ndarray,
         air: Air,
     ) -> None:
-        """Fly all substeps in one compiled call; see the base class."""
+        """Add all substeps as one compiled call; see the base class."""
         flight = self.flight
-        advance(
+        program.call(
+            advance,
             swarm,
             alive,
             int(level),

@@ -203,6 +203,19 @@ class Engine(EngineQueries):
             place = (position + self._offset)[worlds].reshape(-1, 3)
             self._calls.pose(bodies, place, quaternion[worlds].reshape(-1, 4))
 
+    @property
+    def asks_bodies(self) -> bool:
+        """Whether flights and sensors need the obstacles' bodies where obstacles are."""
+        return self._live or self._contacts or not self._compiled
+
+    def show_obstacles(self) -> None:
+        """Put the obstacles' bodies where the scenery tells that obstacles are."""
+        count = self.obstacle_radius.size
+        if count:
+            place = (self._scenery.place[:, :count] + self._offset).reshape(-1, 3)
+            turn = self._scenery.quaternion[:, :count].reshape(-1, 4)
+            self._calls.pose(self._bodies.obstacle.ravel(), place, turn)
+
     def add_body(
         self,
         source: BodySource,

@@ -1,23 +1,24 @@
 """The batched core: W independent worlds of N drones through one decision at a time."""
 
-import functools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.envs.decisions import Decisions
 from bulletuav.envs.environment import exclusive
+from bulletuav.envs.infos import Infos
 from bulletuav.envs.step import Step
-from bulletuav.envs.worlds import UNSTARTED, Worlds
-from bulletuav.sensors.base import Moment
+from bulletuav.envs.worlds import UNSTARTED
 from bulletuav.tasks.base import Task
-from bulletuav.tasks.check import check_info, check_step_result, require_finite, take_spawns
+from bulletuav.tasks.check import check_info, check_step_result, take_spawns
 from bulletuav.tasks.frame import Frame
 from bulletuav.tasks.observations.observer import Observation
-from bulletuav.vehicle.swarm import Contacts, Motion, Swarm, confine
+
+USUAL_TYPES = tuple(map(np.dtype, ("f8", "f4", "i8", "i4")))
+"""Types of actions that need no other look than the program's"""
 
 
-class Aviary(Worlds):
+class Aviary(Decisions):
     """W worlds of N drones flying one task.
 
     Never resets by itself: a drone whose episode ended leaves the airspace and is masked by `alive`
@@ -85,8 +86,10 @@ class Aviary(Worlds):
         frame = self._first_frame(chosen)
         self._start_memory(frame, chosen)
         if not self._checked:  # once: later results are of the same form
-            check_step_result(self.task, self.task.evaluate_step(frame), chosen.shape)
+            result = self.task.evaluate_step(frame)
+            check_step_result(self.task, result, chosen.shape)
             check_info(self.task, self.task.info(frame), chosen.shape)
+            self._name_infos([*result.terms, *self.task.extra_terms(frame)])
             self._checked = True
         self._frame = frame
         return self.observer.observe(self._frame, self.alive)
@@ -122,16 +125,23 @@ class Aviary(Worlds):
         self._energy.start(worlds)
 
     def _first_frame(self, chosen: np.ndarray) -> Frame:
-        """Make the frame right after a reset of the drones of `chosen` (W, N)."""
-        now = self.swarm.copy()
-        readings = self._measure(now, now, chosen)
-        action = np.zeros((*self.alive.shape, self.action.low.shape[-1]))
-        flown, contacts, goal = chosen, Contacts.none(), self.scene.goal.copy()
-        if self._frame is not None:  # of the worlds that fly on
-            action = np.where(chosen[..., None], action, self._frame.action)
-            flown = chosen | self._frame.alive
-            contacts = self._frame.contacts.of_worlds(~np.any(chosen, axis=1))
-        return self._make_frame(now, now, action, contacts, flown, goal, readings)
+        """Bring the frame to right after a reset of the drones of `chosen` (W, N)."""
+        frame, reset = self._live, np.any(chosen, axis=1)
+        # Of the worlds that fly on, it is as if no time had passed
+        for before, now in zip(frame.before, self.swarm, strict=True):
+            before[:] = now
+        frame.goal_before[:] = self.scene.goal
+        frame.action[chosen] = 0.0
+        frame.alive[:] |= chosen
+        frame.time[:] = self.steps / self.options.decision_hz
+        frame.last[:] = self.steps >= self.options.horizon
+        self._contacts = self._tell_contacts().of_worlds(~reset)
+        self._dynamics.contact.touches.number[reset] = 0
+        self._forget()
+        self._keep(self._measure(self.swarm, self.swarm, chosen))
+        self._look()
+        self._reckoning.run()
+        return frame
 
     def _start_memory(self, frame: Frame, chosen: np.ndarray) -> None:
         """Let the task fill the memory of the worlds that were reset; others keep theirs."""
@@ -143,40 +153,6 @@ class Aviary(Worlds):
         others = ~np.any(chosen, axis=1)
         for name, array in kept.items():
             memory[name][others] = array[others]
-
-    def _measure(self, before: Swarm, after: Swarm, mask: np.ndarray) -> dict[str, np.ndarray]:
-        """Measure with all sensors, from the drones of `mask` (W, N)."""
-        readings = {"sight": self._nothing_seen, **self._energy.readings()}
-        if not self._sensors.sensors:
-            return readings
-        targets = self.task.targets(self.scene)
-        moment = Moment(before, after, targets, mask, self.steps, self.rng, {})
-        return {**readings, **self._sensors.measure(moment, self._dynamics.show)}
-
-    def _make_frame(
-        self,
-        before: Swarm,
-        after: Swarm,
-        action: np.ndarray,
-        contacts: Contacts,
-        flown: np.ndarray,
-        goal_before: np.ndarray,
-        readings: dict[str, np.ndarray],
-    ) -> Frame:
-        return Frame(
-            before=before,
-            after=after,
-            action=action,
-            scene=self.scene,
-            contacts=contacts,
-            alive=flown,
-            time=self.steps / self.options.decision_hz,
-            last=self.steps >= self.options.horizon,
-            d_safe=self.task.config.d_safe,
-            zone=self.task.zone,
-            goal_before=goal_before,
-            readings=readings,
-        )
 
     @exclusive
     def step(self, actions: np.ndarray) -> Step:
@@ -191,87 +167,37 @@ class Aviary(Worlds):
             RuntimeError: Before the first reset or after `close`.
         """
         self.require_started()
-        frame = self._fly(self._spec.actions(actions, self.alive), self.alive.copy())
-        self.task.update_memory(frame, self.rng)
-        flown, result = frame.alive, self.task.evaluate_step(frame)
-        terminated = (result.terminated | frame.depleted) & flown
-        present = flown & ~terminated  # the horizon takes nobody away
-        truncated = frame.last[:, None] & present
-        self._frame = frame
-        self.alive = present & ~truncated
-        observations = self.observer.observe(frame, present)
-        terms = {**result.terms, **self.task.extra_terms(frame)}
-        weighted = {name: self.task.weights[name] * term for name, term in terms.items()}
-        if not flown.all():
-            weighted = {name: np.where(flown, term, 0.0) for name, term in weighted.items()}
-        self._engine.park(flown & ~self.alive)
-        if self.options.render_mode == "human":
-            self._dynamics.show(self.swarm, self.alive)
-            self._renderer.show(self.swarm, self.alive, 1 / self.options.decision_hz)
-        reward = functools.reduce(np.add, weighted.values(), np.zeros(flown.shape))
-        require_finite(self.task, weighted, reward)
-        info = self._info(frame, weighted, result.success)
-        return Step(observations, reward, terminated, truncated, info)
+        self._take(actions)
+        self._look()
+        program, frame = self._program or self._make_program(), self._live
+        self._contacts_before, self._contacts = self._contacts, None
+        self._forget()
+        program.run()
+        return Step(
+            self.observer.shown(frame, self._vector.copy()),
+            self._reward.copy(),
+            self._terminated.copy(),
+            self._truncated.copy(),
+            self._infos(),
+        )
 
-    def _fly(self, action: np.ndarray, flown: np.ndarray) -> Frame:
-        """Fly one decision of the drones of `flown` (W, N)."""
-        flying, time = np.any(flown, axis=1), self.steps / self.options.decision_hz
-        wind = self._wind.sample(self.swarm, time, self.rng, flying)
-        before, goal_before = self.swarm.copy(), self.scene.goal.copy()
-        motion = self._move_scene(flying)
-        setpoint = self.action.decode(action, self.commanded)
-        if self.action.level == SetpointLevel.VELOCITY:
-            self.commanded = setpoint[..., :3]
-        self._uncertainty.drain(time)
-        level = self.action.level
-        contacts = self._dynamics.fly(self.swarm, flown, level, setpoint, wind, motion)
-        if motion.moving:
-            turns = self.scene.obstacle_quaternion
-            self._engine.set_obstacles(self.scene.obstacle, turns, flying)
-        if self.task.rebound is not None:
-            contacts = self._confine(contacts, flown, self.task.rebound)
-        self.steps += flying
-        after = self.swarm.copy()
-        payload = self.task.payload_power(self.scene)
-        self._energy.spend(before, after, wind, payload, flown)
-        readings = self._measure(before, after, flown)
-        return self._make_frame(before, after, action, contacts, flown, goal_before, readings)
-
-    def _confine(self, contacts: Contacts, flown: np.ndarray, rebound: float) -> Contacts:
-        """Put drones back that left the arena; tells contacts with what they meet there, too."""
-        low, high = self.task.arena_low, self.task.arena_high
-        moved = confine(self.swarm, self.commanded, flown, low, high, rebound)
-        if not moved.any():
-            return contacts
-        self._dynamics.place(self.swarm, moved)
-        return contacts.joined(self._dynamics.overlaps(self.swarm, moved, flown))
-
-    def _move_scene(self, flying: np.ndarray) -> Motion:
-        """Let the task move goals and obstacles; tells where obstacles go meanwhile."""
-        before = self.scene.obstacle.copy()
-        time = self.steps / self.options.decision_hz
-        moved = self.task.move_scene(self.scene, time, flying, self.rng)
-        after = self.scene.obstacle.copy() if moved else before
-        return Motion(before, after, self.scene.obstacle_quaternion)
-
-    def _info(
-        self, frame: Frame, weighted: dict[str, np.ndarray], success: np.ndarray
-    ) -> dict[str, np.ndarray]:
-        info = {f"reward/{name}": term for name, term in weighted.items()}
-        info["success"] = success & frame.alive
-        info |= {name: getattr(frame, name) for name in ("collision", "resting", "impulse")}
-        info["conflicts"] = frame.conflict.onsets
-        info["separation"] = frame.conflict.separation
-        info["goal_distance"] = frame.distance
-        info |= {name: frame.readings[name] for name in ("power", "charge")}
-        info |= {**self.task.info(frame), **self._uncertainty.info(), **self._sensors.info()}
-        return {name: np.array(value) for name, value in info.items()}  # for callers to write into
+    def _take(self, actions: np.ndarray) -> None:
+        """Take actions over; those of the usual form are looked at by the program."""
+        given = self._given
+        if (
+            type(actions) is np.ndarray
+            and actions.shape == given.shape
+            and actions.dtype in USUAL_TYPES
+        ):
+            given[:] = actions
+        else:
+            given[:] = self._spec.actions(actions, self.alive)
 
     @exclusive
-    def first_info(self) -> dict[str, np.ndarray]:
+    def first_info(self) -> Infos:
         """Tell the infos right after a reset: the keys of every step's info, terms at zero."""
         frame = self._current()
-        result = self.task.evaluate_step(frame)
-        names = [*result.terms, *self.task.extra_terms(frame)]
-        nothing = dict.fromkeys(names, np.zeros(self.alive.shape))
-        return self._info(frame, nothing, result.success)
+        self._weighted[:] = 0.0
+        self._success[:] = self.task.evaluate_step(frame).success
+        self._telling.run()
+        return self._infos()

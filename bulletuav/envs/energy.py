@@ -5,8 +5,15 @@ import math
 import numpy as np
 
 from bulletuav.envs.options import EnvOptions
-from bulletuav.vehicle.battery import Battery
-from bulletuav.vehicle.power import ROTARY_WING, actuator_power, airframe_wing, propulsion
+from bulletuav.kernel import kernel
+from bulletuav.program import Program
+from bulletuav.vehicle.battery import Battery, drain
+from bulletuav.vehicle.power import (
+    ROTARY_WING,
+    airframe_wing,
+    fill_actuator_power,
+    propulsion_power,
+)
 from bulletuav.vehicle.swarm import Swarm
 
 
@@ -43,38 +50,63 @@ class Energy:
         self._battery.start(worlds)
         self.power[worlds] = 0
 
-    def spend(
+    def add_to(
         self,
+        program: Program,
         before: Swarm,
         after: Swarm,
         wind: np.ndarray,
-        payload: np.ndarray | float,
+        payload: np.ndarray,
         flown: np.ndarray,
     ) -> None:
-        """Take from the batteries what a decision cost.
+        """Add to a program that batteries give what a decision takes.
 
         Args:
+            program: To be added to.
             before: State before the decision.
             after: State after it.
             wind: (W, N, 3) wind during it, m/s.
-            payload: Power that equipment takes beside flight, W: one number, or (W, N).
+            payload: (W, N) power that equipment takes beside flight, W.
             flown: (W, N) bool, drones that flew it; only their batteries are drained.
         """
         if self._wings is None:
-            power = actuator_power(before.rotor_speed, after.rotor_speed, self._parameters)
+            speeds = (before.rotor_speed, after.rotor_speed)
+            program.call(fill_actuator_power, *speeds, self._parameters, self.power)
         else:
-            mean_velocity = (before.velocity + after.velocity) / 2
-            power = propulsion(mean_velocity - wind, self._wings)
-        self.power = np.where(flown, power + payload, 0.0)
-        self._battery.drain(self.power, self._period, flown)
+            velocities = (before.velocity, after.velocity, wind)
+            program.call(_fill_propulsion, *velocities, self._wings, self.power)
+        program.call(_add_payload, payload, flown, self.power)
+        battery = self._battery
+        program.call(drain, self.power, self._period, flown, battery.energy, battery.charge)
 
     def readings(self) -> dict[str, np.ndarray]:
-        """Return what drones know of their energy now.
+        """Return what drones know of their energy.
 
         Returns:
-            "charge", share of the energy that is left, and "power", W; copies, (W, N) each.
+            "charge", share of the energy that is left, and "power", W: (W, N) each, which are
+            written anew in each decision.
         """
-        return {
-            "charge": self._battery.charge.copy(),
-            "power": self.power.copy(),
-        }
+        return {"charge": self._battery.charge, "power": self.power}
+
+
+@kernel
+def _fill_propulsion(
+    before: np.ndarray, after: np.ndarray, wind: np.ndarray, wings: np.ndarray, power: np.ndarray
+) -> None:
+    """Write the power (W, N) at the mean of two velocities (W, N, 3) through the air, W."""
+    for w in range(power.shape[0]):
+        for i in range(power.shape[1]):
+            velocity = (
+                (before[w, i, 0] + after[w, i, 0]) / 2 - wind[w, i, 0],
+                (before[w, i, 1] + after[w, i, 1]) / 2 - wind[w, i, 1],
+                (before[w, i, 2] + after[w, i, 2]) / 2 - wind[w, i, 2],
+            )
+            power[w, i] = propulsion_power(velocity, wings[w, i])
+
+
+@kernel
+def _add_payload(payload: np.ndarray, flown: np.ndarray, power: np.ndarray) -> None:
+    """Add the payload to the power (W, N) of who flew; that of others becomes 0."""
+    for w in range(power.shape[0]):
+        for i in range(power.shape[1]):
+            power[w, i] = power[w, i] + payload[w, i] if flown[w, i] else 0.0

@@ -18,6 +18,7 @@ from gymnasium.vector.utils import batch_space
 
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
+from bulletuav.envs.infos import Infos
 from bulletuav.envs.spaces import joint_action_space, joint_numbers
 from bulletuav.envs.vector import BatchAviary, BatchResults
 from bulletuav.errors import as_int
@@ -207,7 +208,7 @@ class CentralAviary(CentralEnvironment, gymnasium.Env[Any, Any]):
 
 def _of_world(info: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Return the infos of the only world."""
-    return {name: value[0] for name, value in info.items()}
+    return Infos(lambda: {name: value[0] for name, value in info.items()})
 
 
 class CentralVectorAviary(CentralEnvironment, gymnasium.vector.VectorEnv[Any, Any, Any]):

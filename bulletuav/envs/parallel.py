@@ -12,6 +12,7 @@ from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
+from bulletuav.envs.infos import Infos as LazyInfos
 from bulletuav.envs.spaces import drone_action_space, drone_numbers
 from bulletuav.errors import choose, shown, unknown
 from bulletuav.tasks import TaskSource
@@ -161,11 +162,16 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
 
     def _infos(self, info: dict[str, np.ndarray], rows: list[int]) -> Infos:
         """Share out infos (1, N) to the living agents."""
-        table = np.array([array[0] for array in info.values()], dtype=float).T.tolist()
-        return {
-            agent: dict(zip(info, table[row], strict=True))
-            for agent, row in zip(self.agents, rows, strict=True)
-        }
+        agents = self.agents
+
+        def make() -> Infos:
+            table = np.array([array[0] for array in info.values()], dtype=float).T.tolist()
+            return {
+                agent: dict(zip(info, table[row], strict=True))
+                for agent, row in zip(agents, rows, strict=True)
+            }
+
+        return LazyInfos(make)
 
     def state(self) -> np.ndarray:
         """Return the global state for centralised critics.

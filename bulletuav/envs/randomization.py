@@ -185,13 +185,17 @@ class Uncertainty:
         if "wind" in self.drawn:
             self._wind.steady[world] = self._wind.given + self.drawn["wind"][world]
 
+    @property
+    def drains(self) -> bool:
+        """Whether rotors weaken with time."""
+        return "battery" in self.drawn
+
     def drain(self, time: np.ndarray) -> None:
         """Weaken the rotors by what the batteries lost after `time` (W,) s of flight."""
-        if "battery" in self.drawn:
-            lost = self.drawn["battery"] * time[:, None] / 60
-            left = np.maximum(1 - lost, LEAST_THRUST) * self.drawn.get("thrust", 1.0)
-            for parameter in FACTORS["thrust"]:
-                self._parameters[parameter][:] = left * self._nominal[parameter]
+        lost = self.drawn["battery"] * time[:, None] / 60
+        left = np.maximum(1 - lost, LEAST_THRUST) * self.drawn.get("thrust", 1.0)
+        for parameter in FACTORS["thrust"]:
+            self._parameters[parameter][:] = left * self._nominal[parameter]
 
     def info(self) -> dict[str, np.ndarray]:
         """Tell what was drawn, (W, N) by name; the same read-only arrays for a whole episode."""

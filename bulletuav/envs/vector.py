@@ -10,6 +10,7 @@ from gymnasium.vector import AutoresetMode
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.env_spec import MOST_WORLDS
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
+from bulletuav.envs.infos import Infos
 from bulletuav.envs.spaces import widest_action_space
 from bulletuav.errors import as_int, choose, shown
 from bulletuav.tasks import TaskSource
@@ -139,7 +140,7 @@ class BatchAviary(LabelledEnvironment):
         observations = self.aviary.reset(mask, seed)
         kept = False if mask is None else ~np.asarray(mask)
         self._ended = self._ended & kept
-        return observations, dict(self.aviary.first_info())
+        return observations, self.aviary.first_info()
 
     @exclusive
     def step(self, actions: np.ndarray) -> BatchResults:
@@ -163,14 +164,14 @@ class BatchAviary(LabelledEnvironment):
         fresh = self._ended & (self.autoreset_mode == AutoresetMode.NEXT_STEP)
         flying = self.aviary.alive.any(axis=1)
         observations, rewards, terminated, truncated, info = self.aviary.step(actions)
-        infos: dict[str, Any] = dict(info)
+        infos: dict[str, Any] = info
         # What follows depends on the worlds in which nobody flies any more.
         self._ended = flying & ~np.any(self.aviary.alive, axis=1)
         if fresh.any():
             observations = self.aviary.reset(fresh)
-            infos |= self._with_fresh(infos, fresh)
+            infos = self._with_fresh(info, fresh)
         if self._ended.any() and self.autoreset_mode == AutoresetMode.SAME_STEP:
-            infos |= {
+            final = {
                 "final_obs": observations,
                 "final_state": self.aviary.state(),
                 "final_info": info,
@@ -178,17 +179,19 @@ class BatchAviary(LabelledEnvironment):
                 "_final_info": self.ended,
             }
             observations = self.aviary.reset(self._ended)
-            infos |= self._with_fresh(info, self._ended)
+            infos = self._with_fresh(info, self._ended) | final
         return observations, rewards, terminated, truncated, infos
 
     def _with_fresh(
         self,
         info: dict[str, np.ndarray],
         worlds: np.ndarray,
-    ) -> dict[str, np.ndarray]:
+    ) -> dict[str, Any]:
         """Return infos in which those of `worlds` (W,) are of their new episodes."""
         first = self.aviary.first_info()
-        return {name: np.where(worlds[:, None], first[name], info[name]) for name in first}
+        return Infos(
+            lambda: {name: np.where(worlds[:, None], first[name], info[name]) for name in first}
+        )
 
     def state(self) -> np.ndarray:
         """Return the global state.

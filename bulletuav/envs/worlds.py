@@ -116,6 +116,11 @@ class Worlds(Environment):
         )
         return find_dynamics(options.dynamics)(flight), cascade
 
+    def _show(self, swarm: Swarm, mask: np.ndarray) -> None:
+        """Have the engine's bodies stand where drones of `mask` (W, N) and obstacles are."""
+        self._dynamics.show(swarm, mask)
+        self._engine.show_obstacles()
+
     def _current(self) -> Frame:
         if self._frame is None:
             raise RuntimeError("the worlds have not been started: call reset() first")
@@ -150,7 +155,7 @@ class Worlds(Environment):
             return None
         self._spec.require_world(world)
         flown = self._current().alive
-        self._dynamics.show(self.swarm, self.alive)
+        self._show(self.swarm, self.alive)
         self._engine.set_poses(
             self.swarm, flown & ~self.alive
         )  # those that just ended are still to be seen

@@ -49,13 +49,19 @@ def distances(one: np.ndarray, two: np.ndarray) -> np.ndarray:
     Faster than numpy where there are few points.
     """
     result = np.empty(one.shape[:2])
+    fill_distances(one, two, result)
+    return result
+
+
+@kernel
+def fill_distances(one: np.ndarray, two: np.ndarray, result: np.ndarray) -> None:
+    """Write what `distances` returns to `result` (W, N)."""
     for w in range(one.shape[0]):
         for i in range(one.shape[1]):
             square = 0.0
             for k in range(3):
                 square += (two[w, i, k] - one[w, i, k]) ** 2
             result[w, i] = math.sqrt(square)
-    return result
 
 
 @kernel

@@ -14,7 +14,7 @@ from bulletuav.errors import unknown
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.solids import Solids
 from bulletuav.tasks.frame import Frame, Scene, Spawn, StepResult, TaskContext
-from bulletuav.tasks.ingredients import Binding, Bound, find_term
+from bulletuav.tasks.ingredients import Binding, Bound, Parts, find_term
 
 REBOUND = {"soft": 0.8, "hard": 0.0}
 """Share of the speed against a wall that is left, reversed, by the option `boundary`"""
@@ -98,7 +98,7 @@ class Task(ABC, Generic[ConfigT]):
         ends: What ends a drone's episode.
         success: What tells that a drone is where the task wants it.
         events: Names of what `terminated` puts into `Frame.derived` for terms.
-        computed_terms: Names of terms that `reward_terms` itself computes, from the others.
+        computed_terms: Names of terms that `compute_terms` computes, from the others.
         baseline: Policy that flies it when none is named.
         rebound: Share of the speed that is left, reversed, to a drone at the arena's bounds; None
             where they hold nobody back.
@@ -152,11 +152,8 @@ class Task(ABC, Generic[ConfigT]):
             {name: _weight(value) for name, value in self.reward.items()}, config.weights
         )
         self.zone = 2 * config.d_safe
-        self._terms: dict[str, Bound] = {}
-        self._ends: tuple[Bound, ...] = ()
-        self._success: Bound | None = None
+        self.parts = Parts()
         self._named_terms: dict[str, Bound] | None = None
-        self._extra: dict[str, Bound] = {}
 
     def bind(self, readings: frozenset[str], extra: Mapping[str, tuple[Any, float]]) -> Binding:
         """Find out what the arguments of its ingredients stand for; called once.
@@ -183,18 +180,17 @@ class Task(ABC, Generic[ConfigT]):
                     f"name, or change its weight by weights={{{name!r}: ...}}"
                 )
         self.weights |= {name: weight for name, (_, weight) in extra.items()}
-        self._extra = {
-            name: self._bound(binding, name, find_term("reward", term))
-            for name, (term, _) in extra.items()
-        }
         self._binding = binding
-        own = self.own_terms()
-        self._terms = {name: self._bound(binding, name, term) for name, term in own.items()}
-        self._ends = tuple(
-            Bound(one, binding, f"end {getattr(one, '__name__', one)!r}", bool) for one in kind.ends
+        beside = {name: find_term("reward", term) for name, (term, _) in extra.items()}
+        self.parts = Parts(
+            extra={name: self._bound(name, term) for name, term in beside.items()},
+            terms={name: self._bound(name, term) for name, term in self.own_terms().items()},
+            ends=tuple(
+                Bound(one, binding, f"end {getattr(one, '__name__', one)!r}", bool)
+                for one in kind.ends
+            ),
+            success=kind.success and Bound(kind.success, binding, "success", bool),
         )
-        if kind.success is not None:
-            self._success = Bound(kind.success, binding, "success", bool)
         return binding
 
     def own_terms(self, everything: bool = False) -> dict[str, Any]:
@@ -214,8 +210,8 @@ class Task(ABC, Generic[ConfigT]):
                 found[name] = find_term("reward", value[0] if isinstance(value, tuple) else name)
         return found
 
-    def _bound(self, binding: Binding, name: str, term: Any) -> Bound:
-        return Bound(term, binding, f"reward term {name!r}", float)
+    def _bound(self, name: str, term: Any) -> Bound:
+        return Bound(term, self._binding, f"reward term {name!r}", float)
 
     @abstractmethod
     def spawn(self, rng: np.random.Generator) -> Spawn:
@@ -306,32 +302,42 @@ class Task(ABC, Generic[ConfigT]):
 
     def terminated(self, frame: Frame) -> np.ndarray:
         """Tell whose episode ends here, (W, N) bool; by default by any of `ends`."""
-        if not self._ends:
+        if not self.parts.ends:
             return np.zeros(frame.alive.shape, dtype=bool)
-        ended = self._ends[0](frame)
-        for one in self._ends[1:]:
-            ended |= one(frame)
-        return ended
+        return np.any([one(frame) for one in self.parts.ends], axis=0)
 
     def succeeded(self, frame: Frame) -> np.ndarray:
         """Tell who is where the task wants it, (W, N) bool; by default by `success`."""
-        if self._success is None:
+        if self.parts.success is None:
             return np.zeros(frame.alive.shape, dtype=bool)
-        return self._success(frame)
+        return self.parts.success(frame)
 
     def reward_terms(self, frame: Frame) -> dict[str, np.ndarray]:
         """Compute the reward terms whose weight is not 0, unweighted, (W, N) by name."""
         if self._named_terms is None:  # a task of its own `evaluate_step` asks for them after all
             own = self.own_terms(everything=True)
             self._named_terms = {
-                name: self._terms.get(name) or self._bound(self._binding, name, term)
+                name: self.parts.terms.get(name) or self._bound(name, term)
                 for name, term in own.items()
             }
-        return {name: term(frame) for name, term in self._named_terms.items()}
+        terms = {name: term(frame) for name, term in self._named_terms.items()}
+        if any(self.weights.get(name) for name in self.computed_terms):
+            terms |= self.compute_terms(frame, terms)
+        return terms
+
+    def compute_terms(
+        self, frame: Frame, terms: Mapping[str, np.ndarray]
+    ) -> Mapping[str, np.ndarray]:
+        """Compute the `computed_terms`, unweighted, (W, N) by name, from all others.
+
+        Called where one of them has a weight other than 0.
+        """
+        return {}
 
     def extra_terms(self, frame: Frame) -> dict[str, np.ndarray]:
         """Compute the terms that the option `reward` added."""
-        return {name: term(frame) for name, term in self._extra.items() if self.weights[name]}
+        extra = self.parts.extra.items()
+        return {name: term(frame) for name, term in extra if self.weights[name]}
 
     def evaluate_step(self, frame: Frame) -> StepResult:
         """Work out ends, successes and reward terms of a decision, in this order.

@@ -178,12 +178,14 @@ class TaskContext:
 class Frame:
     """One decision of W worlds of N drones, or a reset.
 
+    An environment has one frame, whose arrays it writes anew in each decision: copy what you keep.
+
     Attributes:
         before: Swarm before the decision.
         after: Swarm after it.
         action: (W, N, A) what the drones were told.
         scene: Goals, obstacles and memory, after the decision.
-        contacts: What touched what.
+        tell: Tells what touched what; see `contacts`.
         alive: (W, N) bool, drones that flew the decision.
         time: (W,) since each world's reset, s.
         last: (W,) bool, where the horizon is reached.
@@ -201,7 +203,7 @@ class Frame:
     after: Swarm
     action: np.ndarray
     scene: Scene
-    contacts: Contacts
+    tell: Callable[[], Contacts]
     alive: np.ndarray
     time: np.ndarray
     last: np.ndarray
@@ -210,6 +212,11 @@ class Frame:
     goal_before: np.ndarray
     readings: Mapping[str, np.ndarray] = field(default_factory=dict)
     derived: dict[str, np.ndarray] = field(default_factory=dict)
+
+    @property
+    def contacts(self) -> Contacts:
+        """What touched what."""
+        return self.tell()
 
     @cached_property
     def conflict(self) -> Conflict:

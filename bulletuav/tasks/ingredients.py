@@ -20,7 +20,7 @@ and context. `i` is the drone's index, and `out` room to write to.
 import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from types import FunctionType
+from types import FunctionType, MappingProxyType
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -92,10 +92,12 @@ class Source(NamedTuple):
     Attributes:
         read: Gives an array, or a number, of a frame.
         whole_world: Whether the function gets the array of the whole world.
+        stays: Whether it is the same array in every decision of an environment.
     """
 
     read: Callable[[Frame], Any]
     whole_world: bool = False
+    stays: bool = True
 
 
 @dataclass(frozen=True)
@@ -123,12 +125,12 @@ class Binding:
         whole_world = name.startswith(ALL)
         key = name.removeprefix(ALL)
         if key in (PRESENT, *self.events):
-            return Source(lambda frame: frame.derived[key], whole_world)
+            return Source(lambda frame: frame.derived[key], whole_world, key == PRESENT)
         if key in self.quantities:
             quantity = self.quantities[key]
             if not callable(quantity):
                 return Source(lambda frame: quantity)
-            return Source(quantity, whole_world)
+            return Source(quantity, whole_world, stays=False)
         if key in FIELDS:
             return Source(FIELDS[key][1], whole_world)
         if key in self.readings:
@@ -169,7 +171,13 @@ def _joined(loop: Callable[..., None], readers: list[Callable[[Frame], Any]]) ->
 
 
 class Bound:
-    """An ingredient of a task: give it a frame, and get the numbers of all drones."""
+    """An ingredient of a task: give it a frame, and get the numbers of all drones.
+
+    Attributes:
+        whole: Whether the function takes all drones at once.
+        sources: Where its arguments come from, by name.
+        loop: Its compiled loop; None before the first frame, and where it takes all drones.
+    """
 
     def __init__(
         self, function: Any, binding: Binding, who: str, dtype: Any, labels: int | None = None
@@ -192,7 +200,8 @@ class Bound:
         self._dtype, self._labels = dtype, labels
         self._names = list(inspect.signature(function).parameters)
         self.whole = WHOLE in self._names
-        self._sources = {
+        self.loop: Callable[..., None] | None = None
+        self.sources = {
             name: binding.source(name, who)
             for name in self._names
             if name not in ("i", "out", WHOLE)
@@ -245,9 +254,10 @@ class Bound:
                 out[...] = self._checked(self._function(frame), out.shape)
 
             return run
-        readers = [source.read for source in self._sources.values()]
-        given = {name: source.read(frame) for name, source in self._sources.items()}
-        return _joined(self._make_loop(given, out), readers)
+        readers = [source.read for source in self.sources.values()]
+        given = {name: source.read(frame) for name, source in self.sources.items()}
+        self.loop = self._make_loop(given, out)
+        return _joined(self.loop, readers)
 
     def _checked(self, given: Any, shape: tuple[int, ...]) -> np.ndarray:
         kinds = "b" if self._dtype is bool else "fiub"
@@ -288,7 +298,7 @@ class Bound:
     def _form(self, name: str, value: Any, shape: tuple[int, ...]) -> Form:
         if not isinstance(value, np.ndarray):
             return "number"
-        if self._sources[name].whole_world:
+        if self.sources[name].whole_world:
             return "array"
         if value.ndim == 1:
             return "world"
@@ -335,6 +345,15 @@ class Bound:
                 f"drone "
                 f"{'are' if wanted > 1 else 'is'} needed"
             )
+
+
+class Parts(NamedTuple):
+    """A task's own ingredients, ready for frames; terms by name."""
+
+    ends: tuple[Bound, ...] = ()
+    success: Bound | None = None
+    terms: Mapping[str, Bound] = MappingProxyType({})
+    extra: Mapping[str, Bound] = MappingProxyType({})
 
 
 def _is_number(value: Any) -> bool:

@@ -3,6 +3,7 @@
 import numpy as np
 
 from bulletuav.errors import numbers_of
+from bulletuav.kernel import kernel
 
 WATT_HOUR = 3600.0
 """Joules in a watt-hour."""
@@ -13,6 +14,7 @@ class Battery:
 
     Attributes:
         charge: (W, N) share of the energy that is left, from 0 to 1; full until started otherwise.
+        energy: (W, N) energy of a full battery, J.
     """
 
     def __init__(self, shape: tuple[int, int], capacity: float | np.ndarray) -> None:
@@ -29,7 +31,7 @@ class Battery:
         given = numbers_of(f"capacity is {capacity!r}:", capacity)
         if not (given > 0).all():
             raise ValueError(f"capacity is {capacity!r}: watt-hours above 0 are needed")
-        self._energy = WATT_HOUR * np.broadcast_to(given, shape)
+        self.energy = np.array(WATT_HOUR * np.broadcast_to(given, shape))
         self.charge = np.ones(shape)
 
     @property
@@ -61,6 +63,17 @@ class Battery:
             seconds: How long it is taken.
             flying: (W, N) bool, the drones whose batteries are drained.
         """
-        # The power of drones that do not fly may be NaN.
-        used = np.where(flying, power * seconds / self._energy, 0.0)
-        np.maximum(self.charge - used, 0.0, out=self.charge)
+        drain(power, seconds, flying, self.energy, self.charge)
+
+
+@kernel
+def drain(
+    power: np.ndarray, seconds: float, flying: np.ndarray, energy: np.ndarray, charge: np.ndarray
+) -> None:
+    """Do what `Battery.drain` does, with batteries of an energy (W, N), J, to their charge."""
+    for w in range(charge.shape[0]):
+        for i in range(charge.shape[1]):
+            # The power of drones that do not fly may be NaN
+            if flying[w, i]:
+                left = charge[w, i] - power[w, i] * seconds / energy[w, i]
+                charge[w, i] = max(left, 0.0)

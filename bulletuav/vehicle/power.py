@@ -13,7 +13,7 @@ import numpy as np
 
 from bulletuav.errors import finite
 from bulletuav.geometry.rotation import Vec3Like, vec3
-from bulletuav.kernel import allocating, func
+from bulletuav.kernel import allocating, func, kernel
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY, Airframe
 
 # Airframes do not tell the following numbers. They get those of Zeng, Xu and Zhang (our choice).
@@ -256,6 +256,20 @@ def actuator_power(before: np.ndarray, after: np.ndarray, parameters: np.ndarray
     Returns:
         (W, N) power, W.
     """
-    mean_cubes = ((before**3 + after**3) / 2).sum(axis=-1)
-    power: np.ndarray = parameters["torque_coefficient"] * mean_cubes
+    power = np.empty(before.shape[:2])
+    fill_actuator_power(before, after, parameters, power)
     return power
+
+
+@kernel
+def fill_actuator_power(
+    before: np.ndarray, after: np.ndarray, parameters: np.ndarray, power: np.ndarray
+) -> None:
+    """Write what `actuator_power` returns to `power` (W, N)."""
+    for w in range(power.shape[0]):
+        for i in range(power.shape[1]):
+            cubes = 0.0
+            for r in range(before.shape[2]):
+                begin, end = before[w, i, r], after[w, i, r]
+                cubes += (begin * begin * begin + end * end * end) / 2.0
+            power[w, i] = parameters[w, i].torque_coefficient * cubes

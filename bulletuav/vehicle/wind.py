@@ -14,6 +14,7 @@ import numpy as np
 from bulletuav.errors import numbers_of
 from bulletuav.geometry.rotation import dot
 from bulletuav.kernel import func, kernel
+from bulletuav.program import Program
 from bulletuav.vehicle.swarm import Swarm
 
 FOOT = 0.3048
@@ -155,6 +156,15 @@ def advance_gusts(
             wind[w, i, 2] += s_w * (0.5 * x[3] + math.sqrt(0.75) * x[4])
 
 
+@kernel
+def _spread(steady: np.ndarray, wind: np.ndarray) -> None:
+    """Write the steady wind (W, 3) of each world to all of its drones (W, N, 3)."""
+    for w in range(wind.shape[0]):
+        for i in range(wind.shape[1]):
+            for k in range(3):
+                wind[w, i, k] = steady[w, k]
+
+
 class Wind:
     """The wind of all worlds: steady or a field, with Dryden gusts on top where asked for.
 
@@ -191,6 +201,28 @@ class Wind:
         """Start the gusts of one world in their stationary distribution."""
         if self._wind20 > 0:
             self._gusts[world] = rng.standard_normal(self._gusts[world].shape)
+
+    def add_to(
+        self,
+        program: Program,
+        swarm: Swarm,
+        time: np.ndarray,
+        rngs: Sequence[np.random.Generator | None],
+        flying: np.ndarray,
+        wind: np.ndarray,
+    ) -> None:
+        """Add to a program that the wind of a decision is written to `wind` (W, N, 3).
+
+        See `sample` for the other arguments.
+        """
+        if self._field is None and self._wind20 == 0:
+            program.call(_spread, self.steady, wind)
+            return
+
+        def blow() -> None:
+            wind[:] = self.sample(swarm, time, rngs, flying)
+
+        program.turn(blow)
 
     def sample(
         self,

@@ -4,19 +4,30 @@ import math
 
 import numpy as np
 
-from bulletuav.control.actions.base import Action, ActionContext, normalised
+from bulletuav.control.actions.base import Action, ActionContext, Compiled, normalised
 from bulletuav.control.gains import MAX_TILT
 from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.kernel import kernel
 from bulletuav.registry import register
 
 MAX_RATES = np.array((2 * math.pi, 2 * math.pi, math.pi))
 """Body rates that action `rates` can ask for, rad/s"""
 
 
-def _with_thrust(vector: np.ndarray, share: np.ndarray, most: np.ndarray) -> np.ndarray:
-    """Append a thrust, from none to the `most` (N,) for shares (W, N) from -1 to 1."""
-    thrust = most * (share + 1) / 2
-    return np.concatenate([vector, thrust[..., None]], axis=-1)
+@kernel
+def _decode(
+    action: np.ndarray,
+    commanded: np.ndarray,
+    setpoint: np.ndarray,
+    scale: np.ndarray,
+    most: np.ndarray,
+) -> None:
+    """Write angles or rates over their `scale` (3,), and thrusts from none to the `most` (N,)."""
+    for w in range(action.shape[0]):
+        for i in range(action.shape[1]):
+            for k in range(3):
+                setpoint[w, i, k] = scale[k] * action[w, i, k]
+            setpoint[w, i, 3] = most[i] * (action[w, i, 3] + 1) / 2
 
 
 @register("action")
@@ -34,15 +45,12 @@ def attitude(context: ActionContext) -> Action:
         "2 thrust / max thrust - 1",
     )
 
-    def decode(action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
-        return _with_thrust(scale * action[..., :3], action[..., 3], most)
-
     return normalised(
         context,
         name="attitude",
         level=SetpointLevel.ATTITUDE,
         labels=labels,
-        decode=decode,
+        decode=Compiled(_decode, 4, scale, most),
     )
 
 
@@ -60,13 +68,10 @@ def rates(context: ActionContext) -> Action:
         "2 thrust / max thrust - 1",
     )
 
-    def decode(action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
-        return _with_thrust(MAX_RATES * action[..., :3], action[..., 3], most)
-
     return normalised(
         context,
         name="rates",
         level=SetpointLevel.RATES,
         labels=labels,
-        decode=decode,
+        decode=Compiled(_decode, 4, MAX_RATES, most),
     )

@@ -3,11 +3,12 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.kernel import allocating
+from bulletuav.kernel import func, kernel
 from bulletuav.vehicle.airframe import Airframe
 
 Decoder = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -49,7 +50,7 @@ class Action:
         low: (N, A) lower bounds.
         high: (N, A) upper bounds.
         decode: Makes setpoints (W, N, S) of actions (W, N, A), already clipped to the bounds, and
-            the velocities (W, N, 3) that were commanded last, m/s.
+            the velocities (W, N, 3) that were commanded last, m/s. One that is `Compiled` is fast.
         encode: Inverse of `decode` on the setpoint's first three numbers, for policies that think
             in metres; None where there is none. It takes the same velocities where the action is
             relative to them.
@@ -75,7 +76,46 @@ ActionMaker = Callable[[ActionContext], Action]
 """Makes one kind of action for the drones of an environment"""
 
 
-@allocating
+class Compiled:
+    """A decoder that is a compiled function, which programs call without Python."""
+
+    def __init__(self, kernel: Callable[..., None], width: int, *numbers: Any) -> None:
+        """Keep the function and what it needs.
+
+        Args:
+            kernel: Writes setpoints (W, N, `width`), its third argument, of actions (W, N, A) and
+                commanded velocities (W, N, 3); the numbers come after.
+            width: Numbers of a setpoint.
+            *numbers: Numbers and arrays.
+        """
+        self.kernel, self.width, self.numbers = kernel, width, numbers
+
+    def __call__(self, action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
+        """Make setpoints (W, N, width)."""
+        setpoint = np.zeros((*action.shape[:2], self.width))
+        self.kernel(action, commanded, setpoint, *self.numbers)
+        return setpoint
+
+
+@func
+def limit_drone(vector: np.ndarray, limit: float, w: int, i: int) -> None:
+    """Do what `limit_norm` does with the vector of one drone, in place."""
+    square = 0.0
+    for k in range(3):
+        square += vector[w, i, k] ** 2
+    share = limit / max(math.sqrt(square), limit)
+    for k in range(3):
+        vector[w, i, k] = share * vector[w, i, k]
+
+
+@kernel
+def _limit_all(vector: np.ndarray, limit: float) -> None:
+    """Do what `limit_norm` does, in place."""
+    for w in range(vector.shape[0]):
+        for i in range(vector.shape[1]):
+            limit_drone(vector, limit, w, i)
+
+
 def limit_norm(vector: np.ndarray, limit: float) -> np.ndarray:
     """Shorten vectors that are longer than a limit; their direction stays.
 
@@ -86,15 +126,8 @@ def limit_norm(vector: np.ndarray, limit: float) -> np.ndarray:
     Returns:
         (W, N, 3) vectors no longer than the limit.
     """
-    result = np.empty(vector.shape)
-    for w in range(vector.shape[0]):
-        for i in range(vector.shape[1]):
-            square = 0.0
-            for k in range(3):
-                square += vector[w, i, k] ** 2
-            share = limit / max(math.sqrt(square), limit)
-            for k in range(3):
-                result[w, i, k] = share * vector[w, i, k]
+    result = np.array(vector, dtype=float)
+    _limit_all(result, limit)
     return result
 
 

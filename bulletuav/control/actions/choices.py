@@ -4,9 +4,23 @@ import itertools
 
 import numpy as np
 
-from bulletuav.control.actions.base import Action, ActionContext, with_yaw
+from bulletuav.control.actions.base import Action, ActionContext, Compiled
 from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.kernel import kernel
 from bulletuav.registry import register
+
+
+@kernel
+def _decode(
+    action: np.ndarray, commanded: np.ndarray, setpoint: np.ndarray, table: np.ndarray
+) -> None:
+    """Write the velocities of `table` (C, 3) that were chosen."""
+    for w in range(action.shape[0]):
+        for i in range(action.shape[1]):
+            choice = int(action[w, i, 0])
+            for k in range(3):
+                setpoint[w, i, k] = table[choice, k]
+            setpoint[w, i, 3] = 0.0
 
 
 def _directions(name: str, context: ActionContext, directions: np.ndarray) -> Action:
@@ -18,16 +32,13 @@ def _directions(name: str, context: ActionContext, directions: np.ndarray) -> Ac
     table = speed * directions / np.maximum(sizes, 1)
     label = f"0 stay, 1 to {last} a velocity of {speed:g} m/s"
 
-    def decode(action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
-        return with_yaw(table[action[..., 0].astype(int)])
-
     return Action(
         name=name,
         level=SetpointLevel.VELOCITY,
         labels=((label,),) * drones,
         low=np.zeros((drones, 1)),
         high=np.full((drones, 1), float(last)),
-        decode=decode,
+        decode=Compiled(_decode, 4, table),
         choices=last + 1,
     )
 

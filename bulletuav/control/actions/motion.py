@@ -2,9 +2,63 @@
 
 import numpy as np
 
-from bulletuav.control.actions.base import Action, ActionContext, limit_norm, normalised, with_yaw
+from bulletuav.control.actions.base import (
+    Action,
+    ActionContext,
+    Compiled,
+    limit_drone,
+    limit_norm,
+    normalised,
+    with_yaw,
+)
 from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.kernel import kernel
 from bulletuav.registry import register
+
+YAW = 3
+"""Column of a setpoint"""
+
+
+@kernel
+def _decode_velocity(
+    action: np.ndarray, commanded: np.ndarray, setpoint: np.ndarray, speed: float
+) -> None:
+    """Write the velocities of action `velocity`."""
+    for w in range(action.shape[0]):
+        for i in range(action.shape[1]):
+            for k in range(3):
+                setpoint[w, i, k] = action[w, i, k] * speed
+            limit_drone(setpoint, speed, w, i)
+            setpoint[w, i, YAW] = 0.0
+
+
+@kernel
+def _decode_increment(
+    action: np.ndarray, commanded: np.ndarray, setpoint: np.ndarray, speed: float, step: float
+) -> None:
+    """Write the velocities of action `velocity_increment`."""
+    for w in range(action.shape[0]):
+        for i in range(action.shape[1]):
+            for k in range(3):
+                setpoint[w, i, k] = commanded[w, i, k] + step * action[w, i, k]
+            limit_drone(setpoint, speed, w, i)
+            setpoint[w, i, YAW] = 0.0
+
+
+@kernel
+def _decode_position(
+    action: np.ndarray,
+    commanded: np.ndarray,
+    setpoint: np.ndarray,
+    centre: np.ndarray,
+    half: np.ndarray,
+) -> None:
+    """Write the positions of action `target_position`."""
+    for w in range(action.shape[0]):
+        for i in range(action.shape[1]):
+            for k in range(3):
+                setpoint[w, i, k] = centre[k] + half[k] * action[w, i, k]
+            setpoint[w, i, YAW] = 0.0
 
 
 @register("action")
@@ -16,9 +70,6 @@ def velocity(context: ActionContext) -> Action:
     speed = context.max_speed
     labels = tuple(f"v{axis} / {speed:g} m/s" for axis in "xyz")
 
-    def decode(action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
-        return with_yaw(limit_norm(action * speed, speed))
-
     def encode(velocity: np.ndarray, commanded: np.ndarray | None = None) -> np.ndarray:
         share: np.ndarray = velocity / speed
         return share
@@ -28,7 +79,7 @@ def velocity(context: ActionContext) -> Action:
         name="velocity",
         level=SetpointLevel.VELOCITY,
         labels=labels,
-        decode=decode,
+        decode=Compiled(_decode_velocity, 4, speed),
         encode=encode,
     )
 
@@ -44,9 +95,6 @@ def velocity_increment(context: ActionContext) -> Action:
     step = speed * context.period
     labels = tuple(f"change of v{axis} / {step:g} m/s" for axis in "xyz")
 
-    def decode(action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
-        return with_yaw(limit_norm(commanded + step * action, speed))
-
     def encode(velocity: np.ndarray, commanded: np.ndarray) -> np.ndarray:
         change = (velocity - commanded) / step
         # What is too far for one step is shortened, and keeps its direction.
@@ -59,7 +107,7 @@ def velocity_increment(context: ActionContext) -> Action:
         name="velocity_increment",
         level=SetpointLevel.VELOCITY,
         labels=labels,
-        decode=decode,
+        decode=Compiled(_decode_increment, 4, speed, step),
         encode=encode,
     )
 
@@ -106,9 +154,6 @@ def target_position(context: ActionContext) -> Action:
         for axis, middle, extent in zip("xyz", centre, half, strict=True)
     )
 
-    def decode(action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
-        return with_yaw(centre + half * action)
-
     def encode(position: np.ndarray, commanded: np.ndarray | None = None) -> np.ndarray:
         share: np.ndarray = (position - centre) / half
         return share
@@ -118,6 +163,6 @@ def target_position(context: ActionContext) -> Action:
         name="target_position",
         level=SetpointLevel.POSITION,
         labels=labels,
-        decode=decode,
+        decode=Compiled(_decode_position, 4, centre, half),
         encode=encode,
     )

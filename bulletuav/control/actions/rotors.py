@@ -1,14 +1,49 @@
 """Actions with a number for each rotor."""
 
+import math
+from collections.abc import Callable
+
 import numpy as np
 
-from bulletuav.control.actions.base import Action, ActionContext, Decoder
+from bulletuav.control.actions.base import Action, ActionContext, Compiled
 from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.kernel import kernel
 from bulletuav.registry import register
 from bulletuav.vehicle.rotors import RPM
 
 HOVER_RPM_RANGE = 0.05
 """Share of the hover speed by which action `hover_rpm` can change it"""
+
+
+@kernel
+def _decode_thrust(
+    action: np.ndarray, commanded: np.ndarray, setpoint: np.ndarray, most: np.ndarray
+) -> None:
+    """Write the rotor speeds, at most `most` (N,), of action `rotor`."""
+    for w in range(action.shape[0]):
+        for i in range(action.shape[1]):
+            for r in range(action.shape[2]):
+                setpoint[w, i, r] = most[i] * math.sqrt(0.5 * (action[w, i, r] + 1))
+
+
+@kernel
+def _decode_rpm(action: np.ndarray, commanded: np.ndarray, setpoint: np.ndarray) -> None:
+    """Write the rotor speeds of action `rpm`."""
+    for w in range(action.shape[0]):
+        for i in range(action.shape[1]):
+            for r in range(action.shape[2]):
+                setpoint[w, i, r] = action[w, i, r] * RPM
+
+
+@kernel
+def _decode_change(
+    action: np.ndarray, commanded: np.ndarray, setpoint: np.ndarray, hover: np.ndarray
+) -> None:
+    """Write the rotor speeds of action `hover_rpm`, about those of `hover` (N,)."""
+    for w in range(action.shape[0]):
+        for i in range(action.shape[1]):
+            for r in range(action.shape[2]):
+                setpoint[w, i, r] = hover[i] * (1 + HOVER_RPM_RANGE * action[w, i, r])
 
 
 def _per_rotor(
@@ -17,9 +52,13 @@ def _per_rotor(
     label: str,
     low: float,
     high: np.ndarray,
-    decode: Decoder,
+    decode: Callable[..., None],
+    *numbers: np.ndarray,
 ) -> Action:
-    """Make an action with a number for each rotor; `high` (N,) bounds the numbers of each drone."""
+    """Make an action with a number for each rotor; `high` (N,) bounds the numbers of each drone.
+
+    `decode` and its numbers make a `Compiled`.
+    """
     counts = [len(airframe.rotors) for airframe in context.airframes]
     exists = np.arange(max(counts)) < np.array(counts)[:, None]
     return Action(
@@ -28,7 +67,7 @@ def _per_rotor(
         labels=tuple(tuple(f"rotor {r}{label}" for r in range(count)) for count in counts),
         low=np.where(exists, low, 0.0),
         high=np.where(exists, high[:, None], 0.0),
-        decode=decode,
+        decode=Compiled(decode, max(counts), *numbers),
     )
 
 
@@ -38,38 +77,16 @@ def rotor(context: ActionContext) -> Action:
 
     The speed is max_rotor_speed sqrt((a + 1) / 2).
     """
-    most = np.array([airframe.max_rotor_speed for airframe in context.airframes])[:, None]
-    ones = np.ones(len(most))
-
-    def decode(action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
-        return most * np.sqrt(0.5 * (action + 1))
-
-    return _per_rotor(
-        context,
-        name="rotor",
-        label=": 2 thrust / max thrust - 1",
-        low=-1.0,
-        high=ones,
-        decode=decode,
-    )
+    most = np.array([airframe.max_rotor_speed for airframe in context.airframes])
+    label, high = ": 2 thrust / max thrust - 1", np.ones(len(most))
+    return _per_rotor(context, "rotor", label, -1.0, high, _decode_thrust, most)
 
 
 @register("action")
 def rpm(context: ActionContext) -> Action:
     """Set the speed of each rotor in revolutions per minute, as they are."""
     most = np.array([airframe.max_rotor_speed for airframe in context.airframes]) / RPM
-
-    def decode(action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
-        return action * RPM
-
-    return _per_rotor(
-        context,
-        name="rpm",
-        label=", rpm",
-        low=0.0,
-        high=most,
-        decode=decode,
-    )
+    return _per_rotor(context, "rpm", ", rpm", 0.0, most, _decode_rpm)
 
 
 @register("action")
@@ -79,17 +96,5 @@ def hover_rpm(context: ActionContext) -> Action:
     This is the action of HoverAviary in gym-pybullet-drones.
     """
     speeds = [airframe.hover_speed(context.gravity) for airframe in context.airframes]
-    hover = np.array(speeds)[:, None]
-    ones = np.ones(len(hover))
-
-    def decode(action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
-        return hover * (1 + HOVER_RPM_RANGE * action)
-
-    return _per_rotor(
-        context,
-        name="hover_rpm",
-        label=": 20 (rpm / hover rpm - 1)",
-        low=-1.0,
-        high=ones,
-        decode=decode,
-    )
+    label, ones = ": 20 (rpm / hover rpm - 1)", np.ones(len(speeds))
+    return _per_rotor(context, "hover_rpm", label, -1.0, ones, _decode_change, np.array(speeds))

@@ -249,16 +249,11 @@ class Airspace(Task[FlightConfigT], Generic[FlightConfigT]):
         frame.derived["ended"] = ended | frame.last[:, None]
         return ended
 
-    def reward_terms(self, frame: Frame) -> dict[str, np.ndarray]:
-        """Compute the terms; `fairness` compares the rewards that the others add up to.
-
-        Returns:
-            Unweighted terms (W, N) by name.
-        """
-        terms = super().reward_terms(frame)
-        if self.weights.get("fairness"):
-            weighted = (self.weights[name] * term for name, term in terms.items())
-            total = sum(weighted, np.zeros(frame.alive.shape))
-            reach = self.config.fairness_range
-            terms["fairness"] = variance_nearby(total, frame.after.position, frame.alive, reach)
-        return terms
+    def compute_terms(
+        self, frame: Frame, terms: Mapping[str, np.ndarray]
+    ) -> Mapping[str, np.ndarray]:
+        """Compute `fairness`: it compares the rewards that the other terms add up to."""
+        weighted = (self.weights[name] * term for name, term in terms.items())
+        total = sum(weighted, np.zeros(frame.alive.shape))
+        reach = self.config.fairness_range
+        return {"fairness": variance_nearby(total, frame.after.position, frame.alive, reach)}

@@ -6,12 +6,14 @@ from typing import Any
 
 import numpy as np
 
+from bulletuav.program import Program
 from bulletuav.sensors.base import Label, vector_labels
 from bulletuav.tasks.frame import Frame
 
 __all__ = ["Block", "Label", "Maker", "require_memory", "vector_labels"]
 
 Compute = Callable[[Frame, np.ndarray], np.ndarray]
+Add = Callable[[Program, Frame, np.ndarray], bool]
 
 
 @dataclass(frozen=True)
@@ -22,10 +24,13 @@ class Block:
         labels: Name, unit and bounds of each number.
         compute: Gives (W, N, len(labels)) of a frame and `present` (W, N), the drones that can
             still be met after it.
+        add: Adds to a program that numbers of a frame are written to an array (W, N, labels) of
+            zeros; tells whether it could. None where `compute` is called.
     """
 
     labels: tuple[Label, ...]
     compute: Compute
+    add: Add | None = None
 
 
 Maker = Callable[[Any], Block]

@@ -6,12 +6,17 @@ from typing import Any
 import numpy as np
 
 from bulletuav.geometry.closest_approach import keep_nearest
-from bulletuav.kernel import allocating
+from bulletuav.geometry.rotation import Vec3, dot, minus, vec3
+from bulletuav.kernel import allocating, func
+from bulletuav.program import Program
 from bulletuav.registry import register
 from bulletuav.sensors.base import Label, vector_labels
 from bulletuav.tasks.frame import Frame
+from bulletuav.tasks.ingredients import PRESENT
 from bulletuav.tasks.observations.base import Block
 
+HEARD = "heard"
+"""Reading that tells which others drones have heard of; there only with communication"""
 PER_NEIGHBOUR, PER_OBSTACLE = 7, 8
 """Numbers of each: distance, relative position, relative velocity; of obstacles the radius, too"""
 
@@ -42,12 +47,21 @@ def neighbours(task: Any) -> Block:
 
     def compute(frame: Frame, present: np.ndarray) -> np.ndarray:
         out = np.zeros((*present.shape, len(labels)))
-        position, velocity, known = heard(frame, present)
         own = (frame.known_position, frame.known_velocity)
-        nearest(*own, position, velocity, known, count, out)
+        if HEARD in frame.readings:
+            nearest(*own, *heard(frame, present), count, out)
+        else:
+            nearest_present(*own, present, count, out)
         return out
 
-    return Block(tuple(labels), compute)
+    def add(program: Program, frame: Frame, out: np.ndarray) -> bool:
+        if HEARD in frame.readings:
+            return False
+        own = (frame.known_position, frame.known_velocity)
+        program.call(nearest_present, *own, frame.derived[PRESENT], count, out)
+        return True
+
+    return Block(tuple(labels), compute, add)
 
 
 @register("observation")
@@ -92,7 +106,13 @@ def obstacles(task: Any) -> Block:
         nearest_obstacles(*own, scene.obstacle, scene.obstacle_velocity, radius, count, out)
         return out
 
-    return Block(tuple(labels), compute)
+    def add(program: Program, frame: Frame, out: np.ndarray) -> bool:
+        own = (frame.known_position, frame.known_velocity)
+        them = (frame.scene.obstacle, frame.scene.obstacle_velocity, radius)
+        program.call(nearest_obstacles, *own, *them, count, out)
+        return True
+
+    return Block(tuple(labels), compute, add)
 
 
 def heard(frame: Frame, present: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -108,8 +128,8 @@ def heard(frame: Frame, present: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
         Position and velocity (W, N, N, 3) of drone j as drone i knows them, and whether it knows of
         it, (W, N, N) bool.
     """
-    if "heard" in frame.readings:
-        known = frame.readings["heard"] & present[:, None, :]
+    if HEARD in frame.readings:
+        known = frame.readings[HEARD] & present[:, None, :]
         return frame.readings["heard_position"], frame.readings["heard_velocity"], known
     worlds, drones = present.shape
     shape = (worlds, drones, drones, 3)
@@ -119,6 +139,24 @@ def heard(frame: Frame, present: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
         np.broadcast_to(frame.known_velocity[:, None], shape),
         others,
     )
+
+
+@func
+def _write(
+    out: np.ndarray,
+    place: tuple[int, int, int],
+    distance: float,
+    theirs: tuple[Vec3, Vec3],
+    own: tuple[Vec3, Vec3],
+) -> None:
+    """Write one of the nearest others, as seen from the drone, to its `place` (w, i, slot)."""
+    w, i, slot = place
+    first = PER_NEIGHBOUR * slot
+    gap, speed = minus(theirs[0], own[0]), minus(theirs[1], own[1])
+    out[w, i, first] = distance
+    for k in range(3):
+        out[w, i, first + 1 + k] = gap[k]
+        out[w, i, first + 4 + k] = speed[k]
 
 
 @allocating
@@ -135,29 +173,41 @@ def nearest(
 
     See `heard` for what drones know of each other.
     """
-    drones = known.shape[1]
     near, distance = np.empty(count, dtype=np.int64), np.empty(count)
     for w in range(known.shape[0]):
-        for i in range(drones):
-            # Sort the nearest ones in, one after the other.
+        for i in range(known.shape[1]):
+            own = (vec3(position, w, i), vec3(velocity, w, i))
+            # Sort the nearest ones in, one after the other
             found = 0
-            for j in range(drones):
-                if not known[w, i, j]:
-                    continue
-                square = 0.0
-                for k in range(3):
-                    square += (their_position[w, i, j, k] - position[w, i, k]) ** 2
-                found = keep_nearest(near, distance, found, j, math.sqrt(square))
-            # Write them, as seen from the drone.
+            for j in range(known.shape[1]):
+                if known[w, i, j]:
+                    gap = minus(vec3(their_position[w], i, j), own[0])
+                    found = keep_nearest(near, distance, found, j, math.sqrt(dot(gap, gap)))
             for slot in range(found):
                 j = near[slot]
-                first = PER_NEIGHBOUR * slot
-                out[w, i, first] = distance[slot]
-                for k in range(3):
-                    gap = their_position[w, i, j, k] - position[w, i, k]
-                    speed = their_velocity[w, i, j, k] - velocity[w, i, k]
-                    out[w, i, first + 1 + k] = gap
-                    out[w, i, first + 4 + k] = speed
+                theirs = (vec3(their_position[w], i, j), vec3(their_velocity[w], i, j))
+                _write(out, (w, i, slot), distance[slot], theirs, own)
+
+
+@allocating
+def nearest_present(
+    position: np.ndarray, velocity: np.ndarray, present: np.ndarray, count: int, out: np.ndarray
+) -> None:
+    """Fill `out` (W, N, 7 count) with the nearest others that are `present` (W, N)."""
+    near, distance = np.empty(count, dtype=np.int64), np.empty(count)
+    for w in range(present.shape[0]):
+        for i in range(present.shape[1]):
+            own = (vec3(position, w, i), vec3(velocity, w, i))
+            # Sort the nearest ones in, one after the other
+            found = 0
+            for j in range(present.shape[1]):
+                if present[w, j] and j != i:
+                    gap = minus(vec3(position, w, j), own[0])
+                    found = keep_nearest(near, distance, found, j, math.sqrt(dot(gap, gap)))
+            for slot in range(found):
+                j = near[slot]
+                theirs = (vec3(position, w, j), vec3(velocity, w, j))
+                _write(out, (w, i, slot), distance[slot], theirs, own)
 
 
 @allocating

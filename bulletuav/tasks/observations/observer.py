@@ -1,7 +1,7 @@
 """Observations of all drones: blocks of numbers side by side, and pictures."""
 
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -9,18 +9,20 @@ from gymnasium.spaces import Box, Dict, Space
 
 from bulletuav.control.actions import Action
 from bulletuav.errors import shown, unknown
+from bulletuav.kernel import kernel
+from bulletuav.program import Program
 from bulletuav.registry import find, names
 from bulletuav.sensors.base import Image, Label, Sensor, SensorSetup
 from bulletuav.sensors.suite import provider, reading_labels
 from bulletuav.tasks.frame import Frame
 from bulletuav.tasks.ingredients import PRESENT, Binding, Bound
 from bulletuav.tasks.observations.base import Block
+from bulletuav.tasks.stages import Kept
 
 STATE = ("position", "attitude", "velocity", "rates", "goal_position", "alive")
 """Blocks of the global state, of every drone"""
 Observation = np.ndarray | dict[str, np.ndarray]
 Format = Literal["vector", "dict"]
-Write = Callable[[Frame, np.ndarray], None]
 VECTOR = "vector"
 
 
@@ -86,21 +88,22 @@ class ObservationBuilder:
         self.labels: list[Label] = []
         self.slices: dict[str, slice] = {}
         self.images: dict[str, Image] = {}
-        self._writers: list[tuple[slice, Write]] = []
-        self._size, self._form, self._normalise = setup.camera_size, form, normalise
+        self._writers: list[tuple[slice, Bound | _Shown]] = []
+        self._size, self._form = setup.camera_size, form
         for source in sources:
             made = _make(source, task, action, binding, sensors, setup)
             if isinstance(made, Image):
                 self.images[observation_name(source)] = made
                 continue
-            labels, write = made
+            labels, writer = made
             part = slice(len(self.labels), len(self.labels) + len(labels))
             self.labels += labels
             self.slices[observation_name(source)] = part
-            self._writers.append((part, write))
+            self._writers.append((part, writer))
         self._low = np.array([label.low for label in self.labels], dtype=np.float32)
         self._high = np.array([label.high for label in self.labels], dtype=np.float32)
-        self._middle, self._half = (self._low + self._high) / 2, (self._high - self._low) / 2
+        middle, half = (self._low + self._high) / 2, (self._high - self._low) / 2
+        self._bounds = (self._low, self._high, normalise, middle, half)
         ones = np.ones_like(self._low)
         self.low, self.high = (-ones, ones) if normalise else (self._low, self._high)
 
@@ -131,20 +134,42 @@ class ObservationBuilder:
         Returns:
             (W, N, D) float32, or a dict of arrays (W, N, ...).
         """
+        frame.derived[PRESENT] = present
+        vector = self.make_room(present.shape)
+        for part, writer in self._writers:
+            writer.fill(frame, vector[..., part])
+        _bound(vector, *self._bounds)
+        return self.shown(frame, vector)
+
+    def make_room(self, shape: tuple[int, ...]) -> np.ndarray:
+        """Make room for the numbers of all drones, (W, N, D) float32."""
+        return np.zeros((*shape, len(self.labels)), dtype=np.float32)
+
+    def add_to(self, program: Program, frame: Frame, vector: np.ndarray) -> None:
+        """Add to a program that the numbers are written.
+
+        Args:
+            program: To be added to.
+            frame: The decision; its `derived` has PRESENT, the drones that can still be met.
+            vector: (W, N, D) float32, written.
+        """
+        program.call(_clear, vector)
+        kept = Kept(program, frame)
+        for part, writer in self._writers:
+            out = vector[..., part]
+            if isinstance(writer, Bound):
+                kept.add(writer, out)
+            else:
+                writer.add_to(program, frame, out)
+        program.call(_bound, vector, *self._bounds)
+
+    def shown(self, frame: Frame, vector: np.ndarray) -> Observation:
+        """Make an observation of numbers (W, N, D) and the pictures of a frame."""
+        if not self.images and self._form == VECTOR:
+            return vector
         seen: dict[str, np.ndarray] = {}
         if self.labels:
-            frame.derived[PRESENT] = present
-            vector = np.zeros((*present.shape, len(self.labels)), dtype=np.float32)
-            for part, write in self._writers:
-                write(frame, vector[..., part])
-            vector = np.minimum(
-                np.maximum(vector, self._low), self._high
-            )  # np.clip takes twice as long
-            if self._normalise:
-                vector = np.minimum(np.maximum((vector - self._middle) / self._half, -1.0), 1.0)
             seen = {VECTOR: vector} if self._form == VECTOR else self.split(vector)
-        if not self.images and self._form == VECTOR:
-            return seen[VECTOR]
         return seen | {name: frame.readings[name].copy() for name in self.images}
 
     def split(self, observation: Any) -> dict[str, Any]:
@@ -171,6 +196,39 @@ class ObservationBuilder:
         return {name: vector[..., part] for name, part in self.slices.items()}
 
 
+@kernel
+def _clear(vector: np.ndarray) -> None:
+    """Write zeros to `vector` (W, N, D)."""
+    for w in range(vector.shape[0]):
+        for i in range(vector.shape[1]):
+            for k in range(vector.shape[2]):
+                vector[w, i, k] = 0.0
+
+
+@kernel
+def _bound(
+    vector: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    normalise: bool,
+    middle: np.ndarray,
+    half: np.ndarray,
+) -> None:
+    """Clip `vector` (W, N, D) to its bounds (D,), and scale it to [-1, 1] where wanted."""
+    one = np.float32(1.0)
+    for w in range(vector.shape[0]):
+        for i in range(vector.shape[1]):
+            for k in range(vector.shape[2]):
+                value = vector[w, i, k]
+                value = low[k] if value < low[k] else value
+                value = high[k] if value > high[k] else value
+                if normalise:
+                    value = (value - middle[k]) / half[k]
+                    value = -one if value < -one else value
+                    value = one if value > one else value
+                vector[w, i, k] = value
+
+
 def _make(
     source: Any,
     task: Any,
@@ -178,7 +236,7 @@ def _make(
     binding: Binding,
     sensors: Mapping[str, Sensor],
     setup: SensorSetup,
-) -> tuple[tuple[Label, ...], Write] | Image:
+) -> "tuple[tuple[Label, ...], Bound | _Shown] | Image":
     """Make the labels and the writer of a block, or a picture."""
     name = observation_name(source)
     if isinstance(source, str) and ":" not in source and source not in names("observation"):
@@ -188,7 +246,7 @@ def _make(
         if isinstance(labels, Image):
             return labels
         checked = _checked(labels, f"reading {source!r} of a sensor")
-        return checked, _reading_writer(source)
+        return checked, _Shown(f"reading {source!r}", _reading(source))
     block = source if isinstance(source, Block) else find("observation", source, callable)
     who = f"observation block {name!r}"
     if getattr(block, "ingredient", None) == "block":
@@ -197,7 +255,7 @@ def _make(
         labels = make(action if wants_action else task)
         if not labels:
             raise ValueError(f"labels of {who} are empty: a label for each number is needed")
-        return _checked(labels, who), Bound(block, binding, who, np.float32, len(labels)).fill
+        return _checked(labels, who), Bound(block, binding, who, np.float32, len(labels))
     if isinstance(block, type):
         raise ValueError(f"observation block {shown(block)} is a class: a function is needed")
     if not isinstance(block, Block) and len(inspect.signature(block).parameters) != 1:
@@ -210,7 +268,7 @@ def _make(
             f"{who} gave {shown(made)} for the task: a Block is needed; decorate a function of one "
             f"drone's numbers with @block(labels)"
         )
-    return _checked(made.labels, who), _block_writer(made, who)
+    return _checked(made.labels, who), _Shown(who, made)
 
 
 def _checked(labels: Any, who: str) -> tuple[Label, ...]:
@@ -228,24 +286,37 @@ def _checked(labels: Any, who: str) -> tuple[Label, ...]:
     return tuple(labels)
 
 
-def _reading_writer(reading: str) -> Write:
-    def write(frame: Frame, out: np.ndarray) -> None:
-        out[...] = frame.readings[reading].reshape(out.shape)
+def _reading(name: str) -> Block:
+    """Make the block that shows a reading as it is."""
 
-    return write
+    def compute(frame: Frame, present: np.ndarray) -> np.ndarray:
+        return frame.readings[name].reshape(*present.shape, -1)
+
+    return Block((), compute)
 
 
-def _block_writer(block: Block, who: str) -> Write:
-    def write(frame: Frame, out: np.ndarray) -> None:
-        numbers = block.compute(frame, frame.derived[PRESENT])
+class _Shown:
+    """What writes the numbers of a block that is no function of one drone's numbers."""
+
+    def __init__(self, who: str, block: Block) -> None:
+        """Keep the block, and what messages call it."""
+        self._who, self._block = who, block
+
+    def fill(self, frame: Frame, out: np.ndarray) -> None:
+        """Write the numbers of a frame to `out` (W, N, labels)."""
+        numbers = self._block.compute(frame, frame.derived[PRESENT])
         if np.shape(numbers) != out.shape:
             raise ValueError(
-                f"{who} gave an array {np.shape(numbers)}: {out.shape} is needed, a number for "
-                f"each of its labels"
+                f"{self._who} gave an array {np.shape(numbers)}: {out.shape} is needed, a number "
+                f"for each of its labels"
             )
         out[...] = numbers
 
-    return write
+    def add_to(self, program: Program, frame: Frame, out: np.ndarray) -> None:
+        """Add to a program that they are written."""
+        if self._block.add is not None and self._block.add(program, frame, out):
+            return
+        program.turn(lambda: self.fill(frame, out))
 
 
 def needed_readings(sources: Sequence[Any], sensors: Mapping[str, Sensor]) -> set[str]:

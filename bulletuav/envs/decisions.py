@@ -1,0 +1,280 @@
+"""One decision of all worlds as a program: what happens from actions to observations."""
+
+from typing import Any
+
+import numpy as np
+
+from bulletuav.control.actions.base import Compiled
+from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.envs.infos import Infos, columns
+from bulletuav.envs.stages import (
+    admit,
+    begin,
+    command,
+    conclude,
+    keep_before,
+    put_obstacles,
+    settle,
+    tell_flags,
+    tell_numbers,
+    tick,
+)
+from bulletuav.envs.worlds import Worlds
+from bulletuav.program import Program
+from bulletuav.sensors.base import Moment
+from bulletuav.tasks import TaskSource
+from bulletuav.tasks.account import Account, add_account, make_account, mark_contacts
+from bulletuav.tasks.base import Task
+from bulletuav.tasks.check import require_finite
+from bulletuav.tasks.frame import Frame
+from bulletuav.tasks.ingredients import PRESENT
+from bulletuav.tasks.stages import Judgement, add_judgement
+from bulletuav.vehicle.swarm import Contacts, Swarm, confine
+
+INFOS = {
+    "success": bool,
+    "collision": bool,
+    "resting": bool,
+    "impulse": float,
+    "conflicts": np.int64,
+    "separation": float,
+    "goal_distance": float,
+    "power": float,
+    "charge": float,
+}
+"""Names and types of what infos tell beside reward terms"""
+
+
+class Decisions(Worlds):
+    """What a decision reads and writes, and the program that flies it.
+
+    Arrays stay where they are for the environment's life: compiled stages find them there.
+    """
+
+    def __init__(self, task: TaskSource, num_worlds: int = 1, **options: Any) -> None:
+        """Build the worlds; see `Worlds`."""
+        super().__init__(task, num_worlds, **options)
+        self._make_arrays()
+
+    def _make_arrays(self) -> None:
+        """Make the arrays of decisions, and the frame that shows them."""
+        shape, task = self.alive.shape, self.task
+        size = self.action.low.shape[-1]
+        self._given = np.zeros((*shape, size))
+        self._setpoint = self.action.decode(np.zeros((*shape, size)), self.commanded).copy()
+        self._air = np.zeros((*shape, 3))
+        self._payload = np.zeros(shape)
+        self._flying = np.zeros(self.num_worlds, dtype=bool)
+        self._ended, self._success = np.zeros((2, *shape), dtype=bool)
+        self._terminated, self._truncated, self._present, self._left = np.zeros((4, *shape), bool)
+        self._reward = np.zeros(shape)
+        self._contacts: Contacts | None = Contacts.none()
+        self._contacts_before: Contacts | None = None
+        self._readings = {"sight": self._nothing_seen, **self._energy.readings()}
+        self._live = Frame(
+            before=self.swarm.copy(),
+            after=self.swarm,
+            action=np.zeros((*shape, size)),
+            scene=self.scene,
+            tell=self._tell_contacts,
+            alive=np.zeros(shape, dtype=bool),
+            time=np.zeros(self.num_worlds),
+            last=np.zeros(self.num_worlds, dtype=bool),
+            d_safe=float(task.config.d_safe),
+            zone=float(task.zone),
+            goal_before=self.scene.goal.copy(),
+            readings=self._readings,
+        )
+        self._vector = self.observer.make_room(shape)
+        self._account: Account | None = None
+        self._program: Program | None = None
+
+    def _tell_contacts(self) -> Contacts:
+        """Tell what touched what in the last decision, told once."""
+        if self._contacts is None:
+            self._contacts = self._dynamics.touched()
+        return self._contacts
+
+    def _look(self) -> None:
+        """Take over what stands now; programs know only what stood when they were made."""
+        if self._dynamics.look_around() or self._account is None:
+            self._account = make_account(self._live)
+            self._reckoning, self._program = Program(), None
+            self._add_account(self._reckoning)
+
+    def _add_account(self, program: Program) -> None:
+        """Add what follows from a flight for every drone."""
+        assert self._account is not None
+        add_account(program, self._account, self._live, self._dynamics.contact)
+        if self.task.rebound is not None or self.options.contacts == "bullet":
+            program.turn(self._mark_contacts)
+
+    def _mark_contacts(self) -> None:
+        """Take over contacts that compiled code knows nothing of."""
+        assert self._account is not None
+        mark_contacts(self._account, self._live)
+
+    def _name_infos(self, terms: list[str]) -> None:
+        """Make room for infos; `terms` are the names of the reward terms that the task gives."""
+        shape = self.alive.shape
+        self._terms = terms
+        self._unweighted = np.zeros((len(terms), *shape))
+        self._table = np.zeros((len(terms) + len(INFOS), *shape))
+        self._weighted = self._table[: len(terms)]
+        self._rows = [*((f"reward/{name}", float) for name in terms), *INFOS.items()]
+        self._telling = Program()
+        self._add_infos(self._telling)
+
+    def _forget(self) -> None:
+        """Forget what was worked out of the frame as it was before."""
+        self._live.derived.clear()
+        self._live.derived[PRESENT] = self._present
+
+    def _make_program(self) -> Program:
+        """Make the program of a decision, in the order in which things happen."""
+        program, frame, task = Program(), self._live, self.task
+        self._forget()
+        task.evaluate_step(frame)  # tells the program what the task derives
+        self._add_action(program)
+        self._add_flight(program)
+        if self._sensors.sensors:
+            program.turn(lambda: self._keep(self._measure(frame.before, frame.after, frame.alive)))
+        self._add_account(program)
+        if type(task).update_memory is not Task.update_memory:
+            program.turn(lambda: task.update_memory(frame, self.rng))
+        self._add_result(program)
+        self._program = program
+        return program
+
+    def _add_action(self, program: Program) -> None:
+        """Add what comes before the flight: actions, wind, goals and obstacles, setpoints."""
+        frame, action, scene = self._live, self.action, self.scene
+        bounds = (action.low, action.high, action.choices is not None)
+        program.call(admit, self._given, self.alive, *bounds, frame.action, otherwise=self._refuse)
+        clock = (self.steps, float(self.options.decision_hz))
+        program.call(begin, self.alive, *clock, frame.alive, self._flying, frame.time)
+        self._wind.add_to(program, self.swarm, frame.time, self.rng, self._flying, self._air)
+        before = (scene.goal, frame.goal_before, scene.obstacle, self._dynamics.contact.before)
+        program.call(keep_before, self.swarm, frame.before, *before)
+        if type(self.task).move_scene is not Task.move_scene:
+            program.turn(self._move_scene)
+        if isinstance(action.decode, Compiled):
+            numbers = (self._setpoint, *action.decode.numbers)
+            program.call(action.decode.kernel, frame.action, self.commanded, *numbers)
+        else:
+            program.turn(self._decode)
+        if action.level == SetpointLevel.VELOCITY:
+            program.call(command, self._setpoint, self.commanded)
+        if self._uncertainty.drains:
+            program.turn(lambda: self._uncertainty.drain(frame.time))
+
+    def _refuse(self) -> None:
+        """Raise ValueError for an action that cannot be; everything is as before."""
+        self._contacts = self._contacts_before
+        self._spec.actions(self._given, self.alive)
+
+    def _move_scene(self) -> None:
+        """Let the task move goals and obstacles."""
+        self.task.move_scene(self.scene, self._live.time, self._flying, self.rng)
+
+    def _decode(self) -> None:
+        """Make setpoints by an action that is not compiled."""
+        self._setpoint[:] = self.action.decode(self._live.action, self.commanded)
+
+    def _add_flight(self, program: Program) -> None:
+        """Add the flight, and the energy that it takes."""
+        frame, scene, task = self._live, self.scene, self.task
+        program.call(put_obstacles, scene.obstacle, self._dynamics.contact.after)
+        flight = (self.action.level, self._setpoint, self._air)
+        self._dynamics.add_to(program, self.swarm, frame.alive, *flight)
+        if scene.obstacle.shape[1]:
+            program.call(put_obstacles, scene.obstacle, self._engine.scenery.place)
+            if self._engine.asks_bodies:
+                program.turn(self._engine.show_obstacles)
+        if task.rebound is not None:
+            program.turn(self._confine)
+        clock = (self.steps, float(self.options.decision_hz), self.options.horizon)
+        program.call(tick, self._flying, *clock, frame.time, frame.last)
+        if type(task).payload_power is not Task.payload_power:
+            program.turn(self._take_payload)
+        given = (self._air, self._payload, frame.alive)
+        self._energy.add_to(program, frame.before, self.swarm, *given)
+
+    def _take_payload(self) -> None:
+        """Ask the task what equipment takes beside flight."""
+        self._payload[:] = self.task.payload_power(self.scene)
+
+    def _confine(self) -> None:
+        """Put drones back that left the arena; contacts tell what they meet there, too."""
+        low, high, flown = self.task.arena_low, self.task.arena_high, self._live.alive
+        rebound = self.task.rebound or 0.0
+        moved = confine(self.swarm, self.commanded, flown, low, high, rebound)
+        if moved.any():
+            self._dynamics.place(self.swarm, moved)
+            told = self._tell_contacts()
+            self._contacts = told.joined(self._dynamics.overlaps(self.swarm, moved, flown))
+
+    def _add_result(self, program: Program) -> None:
+        """Add ends, rewards, observations and infos."""
+        frame = self._live
+        terms = dict(zip(self._terms, self._unweighted, strict=True))
+        add_judgement(program, self.task, frame, Judgement(self._ended, self._success, terms))
+        charge = self._energy.readings()["charge"]
+        ends = (self._terminated, self._truncated, self._present, self.alive, self._left)
+        told = (self._ended, charge, frame.alive, frame.last)
+        program.call(conclude, *told, *ends, otherwise=lambda: self._engine.park(self._left))
+        self.observer.add_to(program, frame, self._vector)
+        if self.options.render_mode == "human":
+            program.turn(self._show_live)
+        weights = np.array([float(self.task.weights[name]) for name in terms])
+        sums = (self._unweighted, weights, frame.alive, self._weighted, self._reward)
+        program.call(settle, *sums, otherwise=self._refuse_reward)
+        self._add_infos(program)
+
+    def _add_infos(self, program: Program) -> None:
+        """Add what infos tell beside reward terms."""
+        frame, account = self._live, self._account
+        assert account is not None
+        rows = dict(zip(INFOS, self._table[-len(INFOS) :], strict=True))
+        program.call(tell_flags, self._success, frame.alive, rows["success"])
+        conflict, energy = account.conflict, self._energy.readings()
+        told = {"conflicts": conflict.onsets, "separation": conflict.separation, **energy}
+        told |= {name: getattr(account, name) for name in ("collision", "resting", "impulse")}
+        told["goal_distance"] = account.distance
+        for name, numbers in told.items():
+            program.call(tell_numbers, numbers, rows[name])
+
+    def _show_live(self) -> None:
+        """Bring the live window up to date."""
+        self._show(self.swarm, self.alive)
+        self._renderer.show(self.swarm, self.alive, 1 / self.options.decision_hz)
+
+    def _refuse_reward(self) -> None:
+        """Raise ValueError for a reward that is not finite."""
+        weighted = dict(zip(self._terms, self._weighted, strict=True))
+        require_finite(self.task, weighted, self._reward)
+
+    def _measure(self, before: Swarm, after: Swarm, mask: np.ndarray) -> dict[str, np.ndarray]:
+        """Measure with all sensors, from the drones of `mask` (W, N)."""
+        readings = {"sight": self._nothing_seen, **self._energy.readings()}
+        if not self._sensors.sensors:
+            return readings
+        targets = self.task.targets(self.scene)
+        moment = Moment(before, after, targets, mask, self.steps, self.rng, {})
+        return {**readings, **self._sensors.measure(moment, self._show)}
+
+    def _keep(self, readings: dict[str, np.ndarray]) -> None:
+        """Write readings to the arrays of the frame."""
+        for name, value in readings.items():
+            held = self._readings.get(name)
+            if held is None or held is self._nothing_seen:
+                self._readings[name] = np.array(value)
+            elif held is not value:
+                held[...] = value
+
+    def _infos(self) -> Infos:
+        """Tell the infos of the last decision."""
+        frame, table, rows = self._live, self._table.copy(), self._rows
+        more = {**self.task.info(frame), **self._uncertainty.info(), **self._sensors.info()}
+        more = {name: np.array(value) for name, value in more.items()}  # for callers to write into
+        return Infos(lambda: columns(table, rows) | more)

@@ -1,0 +1,66 @@
+"""Infos of a decision: arrays by name, made when they are read."""
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+
+class Infos(dict[str, Any]):
+    """A dict whose values are made all at once when somebody asks for one.
+
+    Most decisions of a training are never asked.
+    """
+
+    def __init__(self, make: Callable[[], Mapping[str, Any]]) -> None:
+        """Keep what makes the values."""
+        super().__init__()
+        self._make: Callable[[], Mapping[str, Any]] | None = make
+
+    def _fill(self) -> None:
+        make, self._make = self._make, None
+        if make is not None:
+            super().update(make())
+
+    def __reduce__(self) -> Any:
+        """Travel as a plain dict."""
+        return dict, (dict(self),)
+
+    def copy(self) -> dict[str, Any]:
+        """Return a plain dict."""
+        return dict(self)
+
+
+def _filled_first(name: str) -> Any:
+    """Make a method of dict that makes the values first."""
+    plain = getattr(dict, name)
+
+    def method(self: Infos, *args: Any, **kwargs: Any) -> Any:
+        self._fill()
+        return plain(self, *args, **kwargs)
+
+    method.__name__, method.__doc__ = name, plain.__doc__
+    return method
+
+
+METHODS = (
+    *("__contains__", "__delitem__", "__eq__", "__getitem__", "__ior__", "__iter__", "__len__"),
+    *("__ne__", "__or__", "__repr__", "__reversed__", "__ror__", "__setitem__", "clear", "get"),
+    *("items", "keys", "pop", "popitem", "setdefault", "update", "values"),
+)
+"""Methods of dict that look at the values"""
+for _name in METHODS:
+    setattr(Infos, _name, _filled_first(_name))
+
+
+def columns(table: np.ndarray, names: Iterable[tuple[str, Any]]) -> dict[str, np.ndarray]:
+    """Make infos of a table's rows.
+
+    Args:
+        table: (K, W, N) numbers.
+        names: Name and type of each row.
+
+    Returns:
+        Arrays (W, N) by name.
+    """
+    return {name: row.astype(kind) for row, (name, kind) in zip(table, names, strict=True)}

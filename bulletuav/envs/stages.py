@@ -1,0 +1,224 @@
+"""Compiled stages of a decision; `envs.decisions` tells their order."""
+
+import math
+
+import numpy as np
+
+from bulletuav.kernel import kernel
+from bulletuav.vehicle.swarm import Swarm
+
+
+@kernel
+def admit(
+    given: np.ndarray,
+    alive: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    discrete: bool,
+    action: np.ndarray,
+) -> bool:
+    """Clip actions to their bounds; those of drones that are not alive become 0.
+
+    Args:
+        given: (W, N, A) what was given.
+        alive: (W, N) bool.
+        low: (N, A) lower bounds.
+        high: (N, A) upper bounds.
+        discrete: Whether numbers are choices, which are whole and within the bounds.
+        action: (W, N, A), written if all can be.
+
+    Returns:
+        Whether a living drone's action cannot be; nothing is written then.
+    """
+    for w in range(given.shape[0]):
+        for i in range(given.shape[1]):
+            if alive[w, i]:
+                for k in range(given.shape[2]):
+                    number = given[w, i, k]
+                    if not math.isfinite(number):
+                        return True
+                    if discrete and not (low[i, k] <= number <= high[i, k] and number % 1 == 0):
+                        return True
+    for w in range(given.shape[0]):
+        for i in range(given.shape[1]):
+            for k in range(given.shape[2]):
+                number = given[w, i, k] if alive[w, i] else 0.0
+                action[w, i, k] = min(max(number, low[i, k]), high[i, k])
+    return False
+
+
+@kernel
+def begin(
+    alive: np.ndarray,
+    steps: np.ndarray,
+    hz: float,
+    flown: np.ndarray,
+    flying: np.ndarray,
+    time: np.ndarray,
+) -> None:
+    """Write who flies a decision, and when it begins.
+
+    Args:
+        alive: (W, N) bool.
+        steps: (W,) decisions since the reset.
+        hz: Decisions a second.
+        flown: (W, N) bool, written: drones that fly.
+        flying: (W,) bool, written: worlds in which any does.
+        time: (W,) since the reset, s, written.
+    """
+    for w in range(alive.shape[0]):
+        time[w] = steps[w] / hz
+        flying[w] = False
+        for i in range(alive.shape[1]):
+            flown[w, i] = alive[w, i]
+            flying[w] = flying[w] or alive[w, i]
+
+
+@kernel
+def keep_before(
+    swarm: Swarm,
+    before: Swarm,
+    goal: np.ndarray,
+    goal_before: np.ndarray,
+    obstacle: np.ndarray,
+    obstacle_before: np.ndarray,
+) -> None:
+    """Copy the state, goals (W, N, 3) and obstacles (W, K, 3) before a decision."""
+    for w in range(goal.shape[0]):
+        for i in range(goal.shape[1]):
+            for k in range(3):
+                before.position[w, i, k] = swarm.position[w, i, k]
+                before.velocity[w, i, k] = swarm.velocity[w, i, k]
+                before.rates[w, i, k] = swarm.rates[w, i, k]
+                goal_before[w, i, k] = goal[w, i, k]
+            for k in range(4):
+                before.quaternion[w, i, k] = swarm.quaternion[w, i, k]
+            for k in range(swarm.rotor_speed.shape[2]):
+                before.rotor_speed[w, i, k] = swarm.rotor_speed[w, i, k]
+        for m in range(obstacle.shape[1]):
+            for k in range(3):
+                obstacle_before[w, m, k] = obstacle[w, m, k]
+
+
+@kernel
+def command(setpoint: np.ndarray, commanded: np.ndarray) -> None:
+    """Keep the velocities (W, N, 3) that setpoints (W, N, 4) command."""
+    for w in range(commanded.shape[0]):
+        for i in range(commanded.shape[1]):
+            for k in range(3):
+                commanded[w, i, k] = setpoint[w, i, k]
+
+
+@kernel
+def put_obstacles(obstacle: np.ndarray, place: np.ndarray) -> None:
+    """Copy positions (W, K, 3) of the task's obstacles to the first of the places (W, R, 3)."""
+    for w in range(obstacle.shape[0]):
+        for m in range(obstacle.shape[1]):
+            for k in range(3):
+                place[w, m, k] = obstacle[w, m, k]
+
+
+@kernel
+def tick(
+    flying: np.ndarray,
+    steps: np.ndarray,
+    hz: float,
+    horizon: int,
+    time: np.ndarray,
+    last: np.ndarray,
+) -> None:
+    """Count a decision in the worlds that fly, and tell where the horizon is reached.
+
+    Args:
+        flying: (W,) bool.
+        steps: (W,) decisions since the reset, counted on.
+        hz: Decisions a second.
+        horizon: Decisions until an episode is truncated.
+        time: (W,) since the reset, s, written.
+        last: (W,) bool, whether the horizon is reached, written.
+    """
+    for w in range(flying.shape[0]):
+        if flying[w]:
+            steps[w] += 1
+        time[w] = steps[w] / hz
+        last[w] = steps[w] >= horizon
+
+
+@kernel
+def conclude(
+    ended: np.ndarray,
+    charge: np.ndarray,
+    flown: np.ndarray,
+    last: np.ndarray,
+    terminated: np.ndarray,
+    truncated: np.ndarray,
+    present: np.ndarray,
+    alive: np.ndarray,
+    left: np.ndarray,
+) -> bool:
+    """Tell whose episode is over.
+
+    Args:
+        ended: (W, N) bool, what the task says.
+        charge: (W, N) share of the charge; an empty battery ends an episode.
+        flown: (W, N) bool, drones that flew the decision.
+        last: (W,) bool, whether the horizon is reached.
+        terminated: (W, N) bool, written.
+        truncated: (W, N) bool, written.
+        present: (W, N) bool, written: drones that can still be met. The horizon takes nobody away.
+        alive: (W, N) bool, written: drones whose episode goes on.
+        left: (W, N) bool, written: drones that flew and are not alive any more.
+
+    Returns:
+        Whether any drone left.
+    """
+    any_left = False
+    for w in range(flown.shape[0]):
+        for i in range(flown.shape[1]):
+            terminated[w, i] = flown[w, i] and (ended[w, i] or charge[w, i] <= 0.0)
+            present[w, i] = flown[w, i] and not terminated[w, i]
+            truncated[w, i] = last[w] and present[w, i]
+            alive[w, i] = present[w, i] and not truncated[w, i]
+            left[w, i] = flown[w, i] and not alive[w, i]
+            any_left = any_left or left[w, i]
+    return any_left
+
+
+@kernel
+def settle(
+    terms: np.ndarray,
+    weights: np.ndarray,
+    flown: np.ndarray,
+    weighted: np.ndarray,
+    reward: np.ndarray,
+) -> bool:
+    """Weigh the reward terms (T, W, N) and add them up; of drones that did not fly they are 0.
+
+    Returns whether any reward is not finite.
+    """
+    broken = False
+    for w in range(flown.shape[0]):
+        for i in range(flown.shape[1]):
+            total = 0.0
+            for k in range(weights.shape[0]):
+                weighted[k, w, i] = weights[k] * terms[k, w, i] if flown[w, i] else 0.0
+                total += weighted[k, w, i]
+            reward[w, i] = total
+            broken = broken or not math.isfinite(total)
+    return broken
+
+
+@kernel
+def tell_flags(flags: np.ndarray, flown: np.ndarray, row: np.ndarray) -> None:
+    """Write flags (W, N) of drones that flew to a row (W, N) of infos."""
+    for w in range(flown.shape[0]):
+        for i in range(flown.shape[1]):
+            row[w, i] = 1.0 if flags[w, i] and flown[w, i] else 0.0
+
+
+@kernel
+def tell_numbers(numbers: np.ndarray, row: np.ndarray) -> None:
+    """Write numbers or flags (W, N) to a row (W, N) of infos."""
+    for w in range(row.shape[0]):
+        for i in range(row.shape[1]):
+            row[w, i] = numbers[w, i]

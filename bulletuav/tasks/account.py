@@ -1,0 +1,71 @@
+"""What follows from a decision for every drone: separations, distances, and what it touched."""
+
+import dataclasses
+from typing import NamedTuple
+
+import numpy as np
+
+from bulletuav.conflict.separation import Conflict, fill_conflict, no_conflict
+from bulletuav.contact.contacts import mark
+from bulletuav.contact.rest import Contact
+from bulletuav.geometry.closest_approach import fill_distances
+from bulletuav.program import Program
+from bulletuav.tasks.frame import RESTING_SPEED, RESTING_SPIN, Frame
+
+
+class Account(NamedTuple):
+    """Arrays (W, N) of a frame's properties of the same names, which a program fills.
+
+    Attributes:
+        conflict: Separations.
+        distance: To the goal, m.
+        distance_before: Before the decision, m.
+        known_distance: As drones know it, m.
+        collision: Whether the drone touched anything.
+        resting: Whether it did, and hardly moves.
+        impulse: Greatest impulse of a contact, N s.
+    """
+
+    conflict: Conflict
+    distance: np.ndarray
+    distance_before: np.ndarray
+    known_distance: np.ndarray
+    collision: np.ndarray
+    resting: np.ndarray
+    impulse: np.ndarray
+
+
+def make_account(frame: Frame) -> Account:
+    """Make arrays that the frame shows from now on as its properties of the same names."""
+    shape = frame.alive.shape
+    distances, marks = np.zeros((4, *shape)), np.zeros((2, *shape), dtype=bool)
+    account = Account(no_conflict(shape), *distances[:3], *marks, distances[3])
+    vars(frame).update(account._asdict())
+    return account
+
+
+def add_account(program: Program, account: Account, frame: Frame, contact: Contact) -> None:
+    """Add to a program that the account is filled after a decision.
+
+    Args:
+        program: To be added to.
+        account: Of the frame.
+        frame: The decision, with all arrays in place.
+        contact: What drones touched.
+    """
+    before, after, goal = frame.before.position, frame.after.position, frame.scene.goal
+    limits = (frame.d_safe, frame.zone)
+    program.call(fill_conflict, before, after, frame.alive, *limits, *account.conflict)
+    program.call(fill_distances, goal, after, account.distance)
+    program.call(fill_distances, goal, before, account.distance_before)
+    program.call(fill_distances, goal, frame.known_position, account.known_distance)
+    marks = (account.collision, account.resting, account.impulse)
+    program.call(mark, contact, frame.after, RESTING_SPEED, RESTING_SPIN, *marks)
+
+
+def mark_contacts(account: Account, frame: Frame) -> None:
+    """Fill what the account tells of contacts from those that the frame tells."""
+    fresh = dataclasses.replace(frame)  # works everything out by itself
+    account.collision[:] = fresh.collision
+    account.resting[:] = fresh.resting
+    account.impulse[:] = fresh.impulse
