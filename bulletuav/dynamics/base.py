@@ -195,7 +195,7 @@ class Dynamics(ABC):
             level: Level of the setpoints, `consumes` or above.
             setpoint: (W, N, S) setpoints, held during the decision.
             wind: (W, N, 3) wind, held during the decision, m/s.
-            motion: Where obstacles go meanwhile.
+            motion: Where obstacles go meanwhile; with none they stay where they are.
 
         Returns:
             Contacts of living drones.
@@ -204,9 +204,11 @@ class Dynamics(ABC):
             RuntimeError: A flight diverged.
         """
         self.look_around()
-        if motion.before.shape[1]:
-            self.contact.before[:] = motion.before
-            self.contact.after[:] = motion.after
+        obstacles = self.contact.before.shape[1]
+        stand = self.contact.scenery.place[:, :obstacles]
+        given = motion.before.shape[1] > 0
+        self.contact.before[:] = motion.before if given else stand
+        self.contact.after[:] = motion.after if given else stand
         program = Program()
         self.add_to(program, swarm, alive, level, setpoint, wind)
         program.interpret()

@@ -25,6 +25,8 @@ class Aviary(Decisions):
     until its world is reset. World k's random numbers come from seed + k alone, and nothing that
     other worlds do changes world k.
 
+    Its arrays stay the same for its life, and each decision writes them anew: copy what you keep.
+
     Attributes:
         options: Common options.
         task: The task.

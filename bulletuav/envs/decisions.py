@@ -122,6 +122,8 @@ class Decisions(Worlds):
         self._table = np.zeros((len(terms) + len(INFOS), *shape))
         self._weighted = self._table[: len(terms)]
         self._rows = [*((f"reward/{name}", float) for name in terms), *INFOS.items()]
+        own = type(self.task).info is not Task.info
+        self._tells_more = own or bool(self._uncertainty.drawn or self._sensors.sensors)
         self._telling = Program()
         self._add_infos(self._telling)
 
@@ -274,7 +276,9 @@ class Decisions(Worlds):
 
     def _infos(self) -> Infos:
         """Tell the infos of the last decision."""
-        frame, table, rows = self._live, self._table.copy(), self._rows
-        more = {**self.task.info(frame), **self._uncertainty.info(), **self._sensors.info()}
-        more = {name: np.array(value) for name, value in more.items()}  # for callers to write into
+        table, rows = self._table.copy(), self._rows
+        if not self._tells_more:
+            return Infos(lambda: columns(table, rows))
+        told = {**self.task.info(self._live), **self._uncertainty.info(), **self._sensors.info()}
+        more = {name: np.array(value) for name, value in told.items()}  # for callers to write into
         return Infos(lambda: columns(table, rows) | more)

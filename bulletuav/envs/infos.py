@@ -5,6 +5,9 @@ from typing import Any
 
 import numpy as np
 
+PENDING = {"": None}
+"""What stands in place of the values: code in C takes a dict without any for empty at once"""
+
 
 class Infos(dict[str, Any]):
     """A dict whose values are made all at once when somebody asks for one.
@@ -14,12 +17,13 @@ class Infos(dict[str, Any]):
 
     def __init__(self, make: Callable[[], Mapping[str, Any]]) -> None:
         """Keep what makes the values."""
-        super().__init__()
+        super().__init__(PENDING)
         self._make: Callable[[], Mapping[str, Any]] | None = make
 
     def _fill(self) -> None:
         make, self._make = self._make, None
         if make is not None:
+            super().clear()
             super().update(make())
 
     def __reduce__(self) -> Any:

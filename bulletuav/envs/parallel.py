@@ -26,6 +26,10 @@ AgentResults = tuple[ByAgent, dict[str, float], dict[str, bool], dict[str, bool]
 """Observations, rewards, terminated, truncated and infos of a step, each by agent"""
 
 
+EVERYBODY = slice(None)
+"""Rows of the living agents while all are"""
+
+
 class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  # has no types
     """`pettingzoo.ParallelEnv` of one task, with agents `drone_0` ... `drone_{N-1}`.
 
@@ -117,21 +121,26 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
         if not self.agents:
             return {}, {}, {}, {}, {}
         step = self.aviary.step(self._batch(actions))
-        # Results by agent, in Python's own types, which PettingZoo's tests want.
-        rows = self._living_rows()
-        observations = self._by_agent(step.observations, rows)
-        rewards = self._numbers(step.rewards, rows)
-        terminated = self._numbers(step.terminated, rows)
-        truncated = self._numbers(step.truncated, rows)
-        infos = self._infos(step.info, rows)
-        # Agents leave after the step that ended their episode.
-        self.agents = [
-            agent for agent in self.agents if not (terminated[agent] or truncated[agent])
-        ]
-        return observations, rewards, terminated, truncated, infos
+        # Results by agent, in Python's own types, which PettingZoo's tests want
+        agents, rows = self.agents, self._living_rows()
+        terminated, truncated = (array[0, rows].tolist() for array in step[2:4])
+        results = (
+            self._by_agent(step.observations, rows),
+            dict(zip(agents, step.rewards[0, rows].tolist(), strict=True)),
+            dict(zip(agents, terminated, strict=True)),
+            dict(zip(agents, truncated, strict=True)),
+            self._infos(step.info, rows),
+        )
+        # Agents leave after the step that ended their episode
+        if any(terminated) or any(truncated):
+            ends = zip(agents, terminated, truncated, strict=True)
+            self.agents = [agent for agent, *ended in ends if not any(ended)]
+        return results
 
-    def _living_rows(self) -> list[int]:
+    def _living_rows(self) -> list[int] | slice:
         """Return the rows of the living agents in the batch."""
+        if len(self.agents) == len(self.possible_agents):
+            return EVERYBODY
         return [self._rows[agent] for agent in self.agents]
 
     def _batch(self, actions: dict[str, np.ndarray]) -> np.ndarray:
@@ -143,32 +152,33 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
         if self._alike and all(type(one) is np.ndarray and one.shape == form for one in given):
             numbers = np.concatenate(given)
             if numbers.dtype.kind == "f":
-                batch[0, self._living_rows()] = numbers.reshape(len(given), -1)
+                batch[0, self._living_rows()] = numbers.reshape(-1, *form)
                 return batch
         # One by one, with clear errors
-        for row, one in zip(self._living_rows(), given, strict=True):
+        for agent, one in zip(self.agents, given, strict=True):
+            row = self._rows[agent]
             batch[0, row] = drone_numbers(action, row, one)
         return batch
 
-    def _by_agent(self, array: Observation, rows: list[int]) -> ByAgent:
+    def _by_agent(self, observations: Observation, rows: list[int] | slice) -> ByAgent:
         """Share out (1, N, ...) to the living agents."""
-        shares = (part(array, (0, row)) for row in rows)
-        return dict(zip(self.agents, shares, strict=True))
+        if isinstance(observations, dict):
+            numbers = np.arange(len(self.possible_agents))[rows].tolist()
+            return {
+                agent: part(observations, (0, row))
+                for agent, row in zip(self.agents, numbers, strict=True)
+            }
+        return dict(zip(self.agents, observations[0, rows], strict=True))
 
-    def _numbers(self, array: np.ndarray, rows: list[int]) -> dict[str, Any]:
-        """Share out numbers (1, N) to the living agents."""
-        numbers = array[0].tolist()
-        return {agent: numbers[row] for agent, row in zip(self.agents, rows, strict=True)}
-
-    def _infos(self, info: dict[str, np.ndarray], rows: list[int]) -> Infos:
+    def _infos(self, info: dict[str, np.ndarray], rows: list[int] | slice) -> Infos:
         """Share out infos (1, N) to the living agents."""
         agents = self.agents
 
         def make() -> Infos:
-            table = np.array([array[0] for array in info.values()], dtype=float).T.tolist()
+            table = np.array([array[0, rows] for array in info.values()], dtype=float).T.tolist()
             return {
-                agent: dict(zip(info, table[row], strict=True))
-                for agent, row in zip(agents, rows, strict=True)
+                agent: dict(zip(info, row, strict=True))
+                for agent, row in zip(agents, table, strict=True)
             }
 
         return LazyInfos(make)
@@ -216,10 +226,11 @@ def check_agents(
             f"actions are {shown(actions)}: a dict with an action for each of {list(agents)} is "
             f"needed"
         )
-    for agent in actions:
-        if agent not in possible:
-            raise unknown("agent in actions:", agent, possible)
     missing = [agent for agent in agents if agent not in actions]
+    if len(actions) > len(agents) or missing:
+        for agent in actions:
+            if agent not in possible:
+                raise unknown("agent in actions:", agent, possible)
     if missing:
         raise ValueError(f"actions lack {missing}: give one for each of {list(agents)}")
 

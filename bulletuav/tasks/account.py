@@ -38,8 +38,17 @@ class Account(NamedTuple):
 def make_account(frame: Frame) -> Account:
     """Make arrays that the frame shows from now on as its properties of the same names."""
     shape = frame.alive.shape
-    distances, marks = np.zeros((4, *shape)), np.zeros((2, *shape), dtype=bool)
-    account = Account(no_conflict(shape), *distances[:3], *marks, distances[3])
+    distance, distance_before, known_distance, impulse = np.zeros((4, *shape))
+    collision, resting = np.zeros((2, *shape), dtype=bool)
+    account = Account(
+        conflict=no_conflict(shape),
+        distance=distance,
+        distance_before=distance_before,
+        known_distance=known_distance,
+        collision=collision,
+        resting=resting,
+        impulse=impulse,
+    )
     vars(frame).update(account._asdict())
     return account
 

@@ -304,7 +304,8 @@ class Task(ABC, Generic[ConfigT]):
         """Tell whose episode ends here, (W, N) bool; by default by any of `ends`."""
         if not self.parts.ends:
             return np.zeros(frame.alive.shape, dtype=bool)
-        return np.any([one(frame) for one in self.parts.ends], axis=0)
+        ended: np.ndarray = np.any([one(frame) for one in self.parts.ends], axis=0)
+        return ended
 
     def succeeded(self, frame: Frame) -> np.ndarray:
         """Tell who is where the task wants it, (W, N) bool; by default by `success`."""

@@ -341,7 +341,7 @@ def fly(aviary, policy):
     observations, least, arrived = aviary.reset(seeds=0), np.inf, 0
     policy.reset(np.ones(2, bool))
     while aviary.alive.any():
-        alive = aviary.alive
+        alive = aviary.alive.copy()
         step = aviary.step(policy.act(observations, aviary.swarm))
         observations = step.observations
         least = min(least, distance(aviary.swarm.position[alive], BLOCK.bounds).min())

@@ -1,0 +1,209 @@
+"""Programs do what their calls do one by one, with Python's turns in between."""
+
+import ctypes
+import math
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from bulletuav.envs.aviary import Aviary
+from bulletuav.kernel import allocating, kernel
+from bulletuav.program import Program
+
+ROW = np.dtype([("mass", "f8"), ("arms", "f8", (3,)), ("count", "i8")])
+
+
+class Pair(NamedTuple):
+    one: np.ndarray
+    two: np.ndarray
+
+
+class Nested(NamedTuple):
+    pair: Pair
+    rows: np.ndarray
+    scale: float
+
+
+@kernel
+def add(one, two, out):
+    for i in range(out.shape[0]):
+        out[i] = one[i] + two[i]
+
+
+@kernel
+def is_above(array, limit):
+    return array[0] > limit
+
+
+@kernel
+def mix(nested, strided, flags, single, whole, positive, vector, out):
+    pair, rows = nested.pair, nested.rows
+    for i in range(out.shape[0]):
+        total = nested.scale * pair.one[i] + pair.two[i, 1] + rows[i].mass * rows[i].arms[2]
+        total += rows[i].count + strided[i] + single[i] + whole + vector[1]
+        out[i] = total if flags[i] and positive else -total
+
+
+@allocating
+def by_sum(array, out):
+    room = np.empty(array.shape[0])
+    room[:] = array
+    out[0] = room.sum()
+
+
+@kernel
+def first(array):
+    return array[0]
+
+
+@kernel
+def refuse(array):
+    if array[0] > 1.0:
+        raise ValueError("more than one")
+
+
+@kernel
+def root(function, array):
+    array[0] = function(array[0])
+
+
+def mixture():
+    """Arguments of all kinds for `mix`."""
+    rng = np.random.default_rng(0)
+    rows = np.zeros(4, ROW)
+    rows["mass"], rows["arms"] = rng.normal(size=4), rng.normal(size=(4, 3))
+    rows["count"] = rng.integers(-5, 5, 4)
+    fixed = rng.normal(size=4)
+    fixed.flags.writeable = False
+    nested = Nested(Pair(fixed, rng.normal(size=(4, 2))), rows, -0.0)
+    strided = rng.normal(size=(4, 5))[:, 3]
+    flags = np.array([True, False, True, True])
+    return nested, strided, flags, rng.normal(size=4).astype("f4"), -3, True, (1.5, math.pi)
+
+
+def test_arguments_of_all_kinds_arrive_as_they_are():
+    given, expected, got = mixture(), np.zeros(4), np.zeros((4, 2))[:, 0]
+    mix(*given, expected)
+    program = Program()
+    program.call(mix, *given, got)
+    program.run()
+    np.testing.assert_array_equal(got, expected)
+    assert np.isfinite(got).all()
+
+
+def test_arrays_are_read_and_written_where_they_are():
+    one, two, out = np.arange(3.0), np.ones(3), np.zeros(3)
+    program = Program()
+    program.call(add, one, two, out)
+    program.call(add, out, two, out)
+    for _ in range(3):
+        program.run()
+        np.testing.assert_array_equal(out, one + 2 * two)
+        one += 10
+        two *= -1
+
+
+def test_turns_of_python_come_in_their_places():
+    said, out = [], np.zeros(1)
+    program = Program()
+    program.turn(lambda: said.append(("begin", out[0])))
+    program.call(add, out, np.ones(1), out)
+    program.turn(lambda: said.append(("middle", out[0])))
+    program.turn(lambda: said.append(("and on", out[0])))
+    program.call(add, out, np.ones(1), out)
+    program.turn(lambda: said.append(("end", out[0])))
+    program.run()
+    assert said == [("begin", 0), ("middle", 1), ("and on", 1), ("end", 2)]
+    said.clear()
+    program.interpret()
+    assert said == [("begin", 2), ("middle", 3), ("and on", 3), ("end", 4)]
+
+
+@pytest.mark.parametrize("way", ["run", "interpret"])
+def test_python_is_asked_where_a_call_returns_true(way):
+    said, out = [], np.zeros(1)
+    program = Program()
+    program.call(is_above, out, 1.5, otherwise=lambda: said.append(out[0]))
+    program.call(add, out, np.ones(1), out)
+    program.call(is_above, out, 1.5, otherwise=lambda: said.append(-out[0]))
+    for _ in range(3):
+        getattr(program, way)()
+    assert said == [-2, 2, -3]
+
+
+def test_an_empty_program_does_nothing():
+    Program().run()
+    Program().interpret()
+
+
+def test_calls_can_be_added_after_a_run():
+    out, program = np.zeros(1), Program()
+    program.call(add, out, np.ones(1), out)
+    program.run()
+    program.call(add, out, np.ones(1), out)
+    program.run()
+    assert out[0] == 3
+
+
+def test_an_error_of_a_turn_ends_the_run_and_the_next_one_begins_anew():
+    out, program, faults = np.zeros(1), Program(), [1, 0]
+    program.call(add, out, np.ones(1), out)
+    program.turn(lambda: 1 / (1 - faults.pop(0)))
+    program.call(add, out, np.ones(1), out)
+    with pytest.raises(ZeroDivisionError):
+        program.run()
+    assert out[0] == 1
+    program.run()
+    assert out[0] == 3
+
+
+def test_an_error_of_a_call_is_raised():
+    out, program = np.zeros(1), Program()
+    program.call(refuse, out)
+    program.call(add, out, np.full(1, 2.0), out)
+    program.run()
+    with pytest.raises(ValueError, match="more than one"):
+        program.run()
+    assert out[0] == 2
+
+
+def test_a_call_that_returns_a_number_is_refused():
+    program = Program()
+    program.call(first, np.zeros(1))
+    with pytest.raises(TypeError, match="first returns float64: a bool, or nothing, is needed"):
+        program.run()
+
+
+def test_arrays_may_be_made_and_functions_of_c_called():
+    library = ctypes.CDLL(None)
+    library.sqrt.restype, library.sqrt.argtypes = ctypes.c_double, [ctypes.c_double]
+    out, program = np.zeros(1), Program()
+    program.call(by_sum, np.arange(9.0), out)
+    program.call(root, library.sqrt, out)
+    program.run()
+    assert out[0] == 6
+
+
+CASES = {
+    "hover": {"dynamics": "rigid_body", "num_drones": 3},
+    "crossing": {"dynamics": "point_mass", "difficulty": "extreme"},
+    "obstacles": {"dynamics": "bullet", "num_drones": 4, "boundary": "soft"},
+    "mec": {},
+}
+
+
+@pytest.mark.parametrize("task", CASES)
+def test_a_decision_is_the_same_call_by_call(task, monkeypatch):
+    results = []
+    for way in (Program.run, Program.interpret):
+        monkeypatch.setattr(Program, "run", way)
+        aviary = Aviary(task, 2, horizon=12, **CASES[task])
+        shape = (2, *aviary.action.low.shape)
+        rng, rows = np.random.default_rng(1), [aviary.reset(seeds=3)]
+        for _ in range(15):
+            step = aviary.step(rng.uniform(-1, 1, shape))
+            rows += [step.observations, step.rewards, step.terminated, *step.info.values()]
+        results.append(np.concatenate([np.ravel(row).astype(float) for row in rows]))
+        aviary.close()
+    assert results[0].tobytes() == results[1].tobytes()
