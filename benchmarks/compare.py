@@ -54,8 +54,27 @@ class Comparison(NamedTuple):
     goal: float | None = None
 
 
-SUBSTEPS = "drone-substeps/s"
+SUBSTEPS, DECISIONS = "drone-substeps/s", "decisions/s"
+
+
+def _short(ours: str, drones: int, hz: int, bare: float, everything: float) -> list[Comparison]:
+    """Compare decisions of few substeps, with the goals against bare and all forces."""
+    title = f"{ours}, all forces, N = {drones}, decisions at {hz} Hz"
+    case = f"{ours}, {drones}, {hz} Hz" if ours == "PettingZoo" else f"{ours}, {hz} Hz"
+    theirs = {f"bare, {drones}, {hz} Hz": bare, f"all forces, {drones}, {hz} Hz": everything}
+    return [
+        Comparison(title, case, "gym-pybullet-drones", name, DECISIONS, goal)
+        for name, goal in theirs.items()
+    ]
+
+
 COMPARISONS = [
+    *_short("Gymnasium", 1, 240, 4, 10),
+    *_short("PettingZoo", 1, 240, 4, 10),
+    *_short("PettingZoo", 1, 48, 5, 18),
+    *_short("PettingZoo", 1, 30, 5, 18),
+    *_short("PettingZoo", 10, 240, 10, 40),
+    *_short("PettingZoo", 10, 48, 10, 60),
     Comparison(
         "bullet, all forces, N = 10",
         "bullet, 10",

@@ -14,6 +14,7 @@ from bulletuav.city.generator import generate
 from bulletuav.city.statistics import KINDS
 from bulletuav.engine.calls import VISIBLE
 from bulletuav.engine.engine import Engine
+from bulletuav.envs.gymnasium import CentralAviary
 from bulletuav.sensors.lidar import cast, make_beams
 from bulletuav.tasks.lidar_navigation import LidarNavigation
 from bulletuav.vehicle.airframe import load_airframe
@@ -65,6 +66,41 @@ def crossing(drones: int):
         env.step(actions)
 
     return step, drones * SUBSTEPS
+
+
+def decide(drones: int, hz: int, dynamics: str = "bullet"):
+    """Fly `hover` in the PettingZoo form with the rotor speeds of hover, in short decisions.
+
+    The rate is in decisions.
+    """
+    env = bulletuav.parallel_env("hover", num_drones=drones, dynamics=dynamics, **hovering_at(hz))
+    env.reset(seed=0)
+    actions = {agent: np.zeros(4, dtype=np.float32) for agent in env.agents}
+
+    def step() -> None:
+        if len(env.agents) < drones:
+            env.reset()
+        env.step(actions)
+
+    return step, 1
+
+
+def decide_alone(hz: int):
+    """Do what `decide` does with one drone in the Gymnasium form."""
+    env = CentralAviary("hover", **hovering_at(hz))
+    env.reset(seed=0)
+    action = np.zeros(4, dtype=np.float32)
+
+    def step() -> None:
+        if env.step(action)[2]:
+            env.reset()
+
+    return step, 1
+
+
+def hovering_at(hz: int) -> dict:
+    """Options of `hover` for rotor speeds about those of hover, at so many decisions a second."""
+    return {"action": "hover_rpm", "decision_hz": hz, "horizon": 10**9}
 
 
 def batched_crossing(worlds: int, drones: int):
@@ -242,6 +278,12 @@ if __name__ == "__main__":
             "rigid_body with PID, 64 x 8": partial(flight, 64, 8, "rigid_body", controller="pid"),
             "crossing, 8": partial(crossing, 8),
             "crossing of points, 64 x 8": partial(batched_crossing, 64, 8),
+            **{
+                f"PettingZoo, {drones}, {hz} Hz": partial(decide, drones, hz)
+                for drones in (1, 10, 100)
+                for hz in (240, 48, 30)
+            },
+            "Gymnasium, 240 Hz": partial(decide_alone, 240),
             "reset, 10": partial(reset, 10),
             "floor, 64 x 8": partial(floor, 64, 8),
             **in_cities(),

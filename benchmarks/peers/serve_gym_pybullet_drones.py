@@ -18,15 +18,15 @@ from gym_pybullet_drones.envs.CtrlAviary import CtrlAviary
 from gym_pybullet_drones.utils.enums import Physics
 
 
-def aviary(num_drones: int, physics: Physics) -> CtrlAviary:
-    """Make drones on the grid of all simulators."""
+def aviary(num_drones: int, physics: Physics, decision_hz: int = 240 // SUBSTEPS) -> CtrlAviary:
+    """Make drones on the grid of all simulators, with substeps of 240 Hz."""
     start = np.array(grid(num_drones))
     return CtrlAviary(
         num_drones=num_drones,
         initial_xyzs=start,
         physics=physics,
         pyb_freq=240,
-        ctrl_freq=240 // SUBSTEPS,
+        ctrl_freq=decision_hz,
     )
 
 
@@ -37,15 +37,29 @@ def flight(num_drones: int, physics: Physics):
     return partial(env.step, np.full((num_drones, 4), env.HOVER_RPM)), num_drones * SUBSTEPS
 
 
+def decide(num_drones: int, physics: Physics, decision_hz: int):
+    """Fly with the rotor speeds of hover, in short decisions. The rate is in decisions."""
+    env = aviary(num_drones, physics, decision_hz)
+    env.reset(seed=0)
+    return partial(env.step, np.full((num_drones, 4), env.HOVER_RPM)), 1
+
+
 def reset(num_drones: int):
     """Reset all drones."""
     env = aviary(num_drones, Physics.PYB)
     return partial(env.reset, seed=0), 1
 
 
+SHORT = {
+    f"{name}, {num_drones}, {hz} Hz": partial(decide, num_drones, physics, hz)
+    for name, physics in (("bare", Physics.PYB), ("all forces", Physics.PYB_GND_DRAG_DW))
+    for num_drones, hz in ((1, 240), (1, 48), (1, 30), (10, 240), (10, 48))
+}
+
 if __name__ == "__main__":
     serve(
         {
+            **SHORT,
             "all forces, 10": partial(flight, 10, Physics.PYB_GND_DRAG_DW),
             "all forces, 100": partial(flight, 100, Physics.PYB_GND_DRAG_DW),
             "bare, 10": partial(flight, 10, Physics.PYB),

@@ -242,53 +242,61 @@ def see(contact: Contact, scenery: Scenery) -> Contact:
 
 
 @func
-def _called(scenery: Scenery, number: int) -> int:
-    """Return what `Contacts.other` calls the owner of a shape."""
-    if number < scenery.first_body:
+def _called(number: int, names: tuple[int, int, int, np.ndarray]) -> int:
+    """Return what `Contacts.other` calls the owner of a shape; see `mark` for its names."""
+    first_body, first_piece, ground, other = names
+    if number < first_body:
         return number
-    if number < scenery.first_piece:
-        return int(scenery.other[number - scenery.first_body])
-    return GROUND if number == scenery.ground else CITY
+    if number < first_piece:
+        return int(other[number - first_body])
+    return GROUND if number == ground else CITY
 
 
 @kernel
 def mark(
-    contact: Contact,
-    swarm: Swarm,
+    number: np.ndarray,
+    other: np.ndarray,
+    impulses: np.ndarray,
+    names: tuple[int, int, int, np.ndarray],
+    velocity: np.ndarray,
+    rates: np.ndarray,
     slowest: float,
     slowest_spin: float,
     collision: np.ndarray,
     resting: np.ndarray,
     impulse: np.ndarray,
 ) -> None:
-    """Write of each drone what it touched in this decision.
+    """Write of each drone what it touched in a decision.
 
     Args:
-        contact: Of the decision.
-        swarm: State at its end.
+        number: (W, N) how many it touched, as in `Touches`.
+        other: (W, N, T) numbers of their shapes, as there.
+        impulses: (W, N, T) N s, as there.
+        names: `first_body`, `first_piece`, `ground` and `other` of the `Scenery`.
+        velocity: (W, N, 3) at the end of the decision, m/s.
+        rates: (W, N, 3) rad/s.
         slowest: Speed of a drone at rest at most, m/s.
         slowest_spin: Its spin at most, rad/s.
-        collision: (W, N) bool, whether it touched anything.
-        resting: (W, N) bool, whether it did and is at rest.
-        impulse: (W, N) greatest impulse of one that it touched, N s.
+        collision: (W, N) bool, written: whether it touched anything.
+        resting: (W, N) bool, written: whether it did and is at rest.
+        impulse: (W, N) written: greatest impulse of one that it touched, N s.
     """
-    touches = contact.touches
     for w in range(collision.shape[0]):
         for i in range(collision.shape[1]):
-            count = touches.number[w, i]
+            count = number[w, i]
             collision[w, i] = count > 0
-            velocity, rates = vec3(swarm.velocity, w, i), vec3(swarm.rates, w, i)
-            slow = math.sqrt(dot(velocity, velocity)) <= slowest
-            calm = math.sqrt(dot(rates, rates)) <= slowest_spin
-            resting[w, i] = count > 0 and slow and calm
+            fast, spin = vec3(velocity, w, i), vec3(rates, w, i)
+            calm = math.sqrt(dot(fast, fast)) <= slowest
+            calm = calm and math.sqrt(dot(spin, spin)) <= slowest_spin
+            resting[w, i] = count > 0 and calm
 
             # Several pieces may be of one city, or of one body
             impulse[w, i] = 0.0
             for k in range(count):
-                other, total = _called(contact.scenery, touches.other[w, i, k]), 0.0
+                one, total = _called(other[w, i, k], names), 0.0
                 for m in range(count):
-                    if _called(contact.scenery, touches.other[w, i, m]) == other:
-                        total += touches.impulse[w, i, m]
+                    if _called(other[w, i, m], names) == one:
+                        total += impulses[w, i, m]
                 impulse[w, i] = max(impulse[w, i], total)
 
 

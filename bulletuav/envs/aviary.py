@@ -39,6 +39,10 @@ class Aviary(Decisions):
         commanded: (W, N, 3) velocities commanded last, m/s.
         parameters: (W, N) rows of `PARAMETERS` with which the drones fly.
         rng: Random generator of each world.
+        given: (W, N, A) actions for `decide`.
+        rewards: (W, N) rewards of the last decision.
+        terminated: (W, N) bool, drones whose episode the task ended in it.
+        truncated: (W, N) bool, drones whose episode the horizon ended in it.
     """
 
     @exclusive
@@ -169,31 +173,37 @@ class Aviary(Decisions):
             RuntimeError: Before the first reset or after `close`.
         """
         self.require_started()
-        self._take(actions)
-        self._look()
-        program, frame = self._program or self._make_program(), self._live
-        self._contacts_before, self._contacts = self._contacts, None
-        self._forget()
-        program.run()
-        return Step(
-            self.observer.shown(frame, self._vector.copy()),
-            self._reward.copy(),
-            self._terminated.copy(),
-            self._truncated.copy(),
-            self._infos(),
-        )
-
-    def _take(self, actions: np.ndarray) -> None:
-        """Take actions over; those of the usual form are looked at by the program."""
-        given = self._given
+        given = self.given
         if (
             type(actions) is np.ndarray
             and actions.shape == given.shape
             and actions.dtype in USUAL_TYPES
         ):
-            given[:] = actions
+            given[:] = actions  # the program looks at them
         else:
             given[:] = self._spec.actions(actions, self.alive)
+        self.decide()
+        ends = (self.terminated.copy(), self.truncated.copy())
+        return Step(self.observations(), self.rewards.copy(), *ends, Infos(self.telling()))
+
+    def decide(self) -> None:
+        """Fly one decision of the actions that were written to `given`.
+
+        For environment classes, which take the results from `rewards`, `terminated`, `truncated`,
+        `observations` and `telling`.
+
+        Raises:
+            ValueError: A number of a living drone's action cannot be. The worlds stay as they were.
+        """
+        self._look()
+        program = self._program or self._make_program()
+        self._contacts_before, self._contacts = self._contacts, None
+        self._forget()
+        program.run()
+
+    def observations(self) -> Observation:
+        """Copy the observations of the last decision."""
+        return self.observer.shown(self._live, self._vector.copy())
 
     @exclusive
     def first_info(self) -> Infos:
@@ -202,4 +212,4 @@ class Aviary(Decisions):
         self._weighted[:] = 0.0
         self._success[:] = self.task.evaluate_step(frame).success
         self._telling.run()
-        return self._infos()
+        return Infos(self.telling())

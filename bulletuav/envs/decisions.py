@@ -1,12 +1,13 @@
 """One decision of all worlds as a program: what happens from actions to observations."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from bulletuav.control.actions.base import Compiled
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.envs.infos import Infos, columns
+from bulletuav.envs.infos import columns
 from bulletuav.envs.stages import (
     admit,
     begin,
@@ -15,8 +16,7 @@ from bulletuav.envs.stages import (
     keep_before,
     put_obstacles,
     settle,
-    tell_flags,
-    tell_numbers,
+    tell,
     tick,
 )
 from bulletuav.envs.worlds import Worlds
@@ -42,7 +42,7 @@ INFOS = {
     "power": float,
     "charge": float,
 }
-"""Names and types of what infos tell beside reward terms"""
+"""Names and types of what infos tell beside reward terms, in the order of `stages.tell`"""
 
 
 class Decisions(Worlds):
@@ -60,14 +60,14 @@ class Decisions(Worlds):
         """Make the arrays of decisions, and the frame that shows them."""
         shape, task = self.alive.shape, self.task
         size = self.action.low.shape[-1]
-        self._given = np.zeros((*shape, size))
+        self.given = np.zeros((*shape, size))
         self._setpoint = self.action.decode(np.zeros((*shape, size)), self.commanded).copy()
         self._air = np.zeros((*shape, 3))
         self._payload = np.zeros(shape)
         self._flying = np.zeros(self.num_worlds, dtype=bool)
         self._ended, self._success = np.zeros((2, *shape), dtype=bool)
-        self._terminated, self._truncated, self._present, self._left = np.zeros((4, *shape), bool)
-        self._reward = np.zeros(shape)
+        self.terminated, self.truncated, self._present, self._left = np.zeros((4, *shape), bool)
+        self.rewards = np.zeros(shape)
         self._contacts: Contacts | None = Contacts.none()
         self._contacts_before: Contacts | None = None
         self._readings = {"sight": self._nothing_seen, **self._energy.readings()}
@@ -152,7 +152,7 @@ class Decisions(Worlds):
         """Add what comes before the flight: actions, wind, goals and obstacles, setpoints."""
         frame, action, scene = self._live, self.action, self.scene
         bounds = (action.low, action.high, action.choices is not None)
-        program.call(admit, self._given, self.alive, *bounds, frame.action, otherwise=self._refuse)
+        program.call(admit, self.given, self.alive, *bounds, frame.action, otherwise=self._refuse)
         clock = (self.steps, float(self.options.decision_hz))
         program.call(begin, self.alive, *clock, frame.alive, self._flying, frame.time)
         self._wind.add_to(program, self.swarm, frame.time, self.rng, self._flying, self._air)
@@ -173,7 +173,7 @@ class Decisions(Worlds):
     def _refuse(self) -> None:
         """Raise ValueError for an action that cannot be; everything is as before."""
         self._contacts = self._contacts_before
-        self._spec.actions(self._given, self.alive)
+        self._spec.actions(self.given, self.alive)
 
     def _move_scene(self) -> None:
         """Let the task move goals and obstacles."""
@@ -222,14 +222,14 @@ class Decisions(Worlds):
         terms = dict(zip(self._terms, self._unweighted, strict=True))
         add_judgement(program, self.task, frame, Judgement(self._ended, self._success, terms))
         charge = self._energy.readings()["charge"]
-        ends = (self._terminated, self._truncated, self._present, self.alive, self._left)
+        ends = (self.terminated, self.truncated, self._present, self.alive, self._left)
         told = (self._ended, charge, frame.alive, frame.last)
         program.call(conclude, *told, *ends, otherwise=lambda: self._engine.park(self._left))
         self.observer.add_to(program, frame, self._vector)
         if self.options.render_mode == "human":
             program.turn(self._show_live)
         weights = np.array([float(self.task.weights[name]) for name in terms])
-        sums = (self._unweighted, weights, frame.alive, self._weighted, self._reward)
+        sums = (self._unweighted, weights, frame.alive, self._weighted, self.rewards)
         program.call(settle, *sums, otherwise=self._refuse_reward)
         self._add_infos(program)
 
@@ -237,14 +237,16 @@ class Decisions(Worlds):
         """Add what infos tell beside reward terms."""
         frame, account = self._live, self._account
         assert account is not None
-        rows = dict(zip(INFOS, self._table[-len(INFOS) :], strict=True))
-        program.call(tell_flags, self._success, frame.alive, rows["success"])
-        conflict, energy = account.conflict, self._energy.readings()
-        told = {"conflicts": conflict.onsets, "separation": conflict.separation, **energy}
-        told |= {name: getattr(account, name) for name in ("collision", "resting", "impulse")}
-        told["goal_distance"] = account.distance
-        for name, numbers in told.items():
-            program.call(tell_numbers, numbers, rows[name])
+        energy = self._energy.readings()
+        program.call(
+            tell,
+            self._success,
+            frame.alive,
+            (account.collision, account.resting, account.impulse),
+            (account.conflict.onsets, account.conflict.separation, account.distance),
+            (energy["power"], energy["charge"]),
+            self._table[-len(INFOS) :],
+        )
 
     def _show_live(self) -> None:
         """Bring the live window up to date."""
@@ -254,7 +256,7 @@ class Decisions(Worlds):
     def _refuse_reward(self) -> None:
         """Raise ValueError for a reward that is not finite."""
         weighted = dict(zip(self._terms, self._weighted, strict=True))
-        require_finite(self.task, weighted, self._reward)
+        require_finite(self.task, weighted, self.rewards)
 
     def _measure(self, before: Swarm, after: Swarm, mask: np.ndarray) -> dict[str, np.ndarray]:
         """Measure with all sensors, from the drones of `mask` (W, N)."""
@@ -274,11 +276,11 @@ class Decisions(Worlds):
             elif held is not value:
                 held[...] = value
 
-    def _infos(self) -> Infos:
-        """Tell the infos of the last decision."""
+    def telling(self) -> Callable[[], dict[str, np.ndarray]]:
+        """Keep what the last decision tells; calling the result makes infos of it."""
         table, rows = self._table.copy(), self._rows
         if not self._tells_more:
-            return Infos(lambda: columns(table, rows))
+            return lambda: columns(table, rows)
         told = {**self.task.info(self._live), **self._uncertainty.info(), **self._sensors.info()}
         more = {name: np.array(value) for name, value in told.items()}  # for callers to write into
-        return Infos(lambda: columns(table, rows) | more)
+        return lambda: columns(table, rows) | more

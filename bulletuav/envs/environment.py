@@ -86,7 +86,7 @@ def exclusive(method: Method) -> Method:
 
     @functools.wraps(method)
     def guarded(self: Any, *args: Any, **kwargs: Any) -> Any:
-        if not self._busy.acquire(blocking=False):
+        if not self._busy.acquire(False):
             raise RuntimeError(
                 f"this {type(self).__name__} is in use by another thread: give each thread an "
                 f"environment of its own"

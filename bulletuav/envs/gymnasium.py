@@ -16,7 +16,7 @@ from gymnasium.spaces import Box, Dict, Space
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from bulletuav.envs.aviary import Aviary
+from bulletuav.envs.aviary import USUAL_TYPES, Aviary
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
 from bulletuav.envs.infos import Infos
 from bulletuav.envs.spaces import joint_action_space, joint_numbers
@@ -142,7 +142,11 @@ class CentralAviary(CentralEnvironment, gymnasium.Env[Any, Any]):
         self.metadata = {**METADATA, "render_fps": self.aviary.options.decision_hz}
         self.render_mode = self.aviary.options.render_mode
         self.observation_space = self._central_space
-        self.action_space = joint_action_space(self.aviary.action)
+        action = self.aviary.action
+        self.action_space = joint_action_space(action)
+        # Shape of an action that can be taken over as it is: that of one drone
+        alone = self.aviary.num_drones == 1 and action.choices is None
+        self._form = action.low.shape[1:] if alone else None
 
     @exclusive
     def reset(
@@ -182,15 +186,27 @@ class CentralAviary(CentralEnvironment, gymnasium.Env[Any, Any]):
             ValueError: The action cannot be; nobody has flown then.
             RuntimeError: Before the first reset, or after `close`.
         """
-        numbers = joint_numbers(self.aviary.action, np.asarray(action)[None], 1)
-        step = self.aviary.step(numbers)
-        # An episode that time ended for one of the drones is truncated.
-        is_over = not self.aviary.alive.any()
-        truncated = is_over and bool(step.truncated.any())
+        aviary = self.aviary
+        aviary.require_started()
+        if (
+            type(action) is np.ndarray
+            and action.shape == self._form
+            and action.dtype in USUAL_TYPES
+        ):
+            aviary.given[0, 0] = action  # the program looks at it
+        else:
+            aviary.given[:] = joint_numbers(aviary.action, np.asarray(action)[None], 1)
+        aviary.decide()
+        # An episode that time ended for one of the drones is truncated
+        is_over = True not in aviary.alive[0].tolist()
+        truncated = is_over and True in aviary.truncated[0].tolist()
         terminated = is_over and not truncated
-        observation = part(self._central(step.observations), 0)
-        reward = float(step.rewards.mean())
-        return observation, reward, terminated, truncated, _of_world(step.info)
+        observation = part(self._central(aviary.observations()), 0)
+        rewards = aviary.rewards[0].tolist()
+        mean = rewards[0] if self._is_alone else float(aviary.rewards.mean())
+        telling = aviary.telling()
+        infos = Infos(lambda: {name: value[0] for name, value in telling().items()})
+        return observation, mean, terminated, truncated, infos
 
     def render(self) -> np.ndarray | None:
         """Take a picture.

@@ -1,7 +1,8 @@
 """PettingZoo environments: one world whose agents leave when their episode ends."""
 
+import contextlib
 import copy
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -24,10 +25,6 @@ Infos = dict[str, dict[str, float]]
 """Infos of each agent, by its name"""
 AgentResults = tuple[ByAgent, dict[str, float], dict[str, bool], dict[str, bool], Infos]
 """Observations, rewards, terminated, truncated and infos of a step, each by agent"""
-
-
-EVERYBODY = slice(None)
-"""Rows of the living agents while all are"""
 
 
 class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  # has no types
@@ -59,8 +56,13 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
         self.possible_agents = [f"drone_{i}" for i in range(common.num_drones)]
         self.agents: list[str] = []
         self._rows = {agent: i for i, agent in enumerate(self.possible_agents)}
-        sizes = {self.aviary.action.size(i) for i in range(common.num_drones)}
-        self._alike = self.aviary.action.choices is None and len(sizes) == 1
+        action = self.aviary.action
+        # Shapes of actions that can be taken over together: those of drones that are alike
+        alike = {action.size(i) for i in range(common.num_drones)} == {action.low.shape[1]}
+        together = alike and action.choices is None
+        self._forms = [action.low.shape[1:]] * common.num_drones if together else []
+        self._flat = self.aviary.given.reshape(-1)
+        self._expected: frozenset[str] = frozenset()
         self.observation_spaces = {agent: self._observer.space() for agent in self.possible_agents}
         self.action_spaces = {
             agent: drone_action_space(self.aviary.action, i)
@@ -96,8 +98,10 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
         """
         observations = self.aviary.reset(seeds=seed)
         self.agents = self.possible_agents[:]
+        self._expected = frozenset(self.agents)
         rows = self._living_rows()
-        infos = self._infos(self.aviary.first_info(), rows)
+        first = self.aviary.first_info()
+        infos = self._infos(lambda: first, rows)
         return self._by_agent(observations, rows), infos
 
     @exclusive
@@ -116,66 +120,77 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
                 Nobody has flown then.
             RuntimeError: Before the first reset, or after `close`.
         """
-        self.aviary.require_started()
-        check_agents(actions, self.agents, self._rows)
-        if not self.agents:
+        aviary, agents = self.aviary, self.agents
+        aviary.require_started()
+        self._take(actions)
+        if not agents:
             return {}, {}, {}, {}, {}
-        step = self.aviary.step(self._batch(actions))
+        aviary.decide()
+        numbers = (aviary.rewards, aviary.terminated, aviary.truncated)
         # Results by agent, in Python's own types, which PettingZoo's tests want
-        agents, rows = self.agents, self._living_rows()
-        terminated, truncated = (array[0, rows].tolist() for array in step[2:4])
+        rows = self._living_rows()
+        if rows is None:
+            rewards, terminated, truncated = [array[0].tolist() for array in numbers]
+        else:
+            rewards, terminated, truncated = [array[0, rows].tolist() for array in numbers]
         results = (
-            self._by_agent(step.observations, rows),
-            dict(zip(agents, step.rewards[0, rows].tolist(), strict=True)),
+            self._by_agent(aviary.observations(), rows),
+            dict(zip(agents, rewards, strict=True)),
             dict(zip(agents, terminated, strict=True)),
             dict(zip(agents, truncated, strict=True)),
-            self._infos(step.info, rows),
+            self._infos(aviary.telling(), rows),
         )
         # Agents leave after the step that ended their episode
-        if any(terminated) or any(truncated):
+        if True in terminated or True in truncated:
             ends = zip(agents, terminated, truncated, strict=True)
-            self.agents = [agent for agent, *ended in ends if not any(ended)]
+            self.agents = [agent for agent, *ended in ends if True not in ended]
+            self._expected = frozenset(self.agents)
         return results
 
-    def _living_rows(self) -> list[int] | slice:
-        """Return the rows of the living agents in the batch."""
+    def _living_rows(self) -> list[int] | None:
+        """Return the rows of the living agents in the batch; None for all."""
         if len(self.agents) == len(self.possible_agents):
-            return EVERYBODY
+            return None
         return [self._rows[agent] for agent in self.agents]
 
-    def _batch(self, actions: dict[str, np.ndarray]) -> np.ndarray:
-        """Make the batch (1, N, A) of one world; rows of agents that have left stay zero."""
-        action = self.aviary.action
-        batch = np.zeros((1, *action.low.shape))
-        given = [actions[agent] for agent in self.agents]
-        form = batch.shape[2:]
-        if self._alike and all(type(one) is np.ndarray and one.shape == form for one in given):
-            numbers = np.concatenate(given)
-            if numbers.dtype.kind == "f":
-                batch[0, self._living_rows()] = numbers.reshape(-1, *form)
-                return batch
-        # One by one, with clear errors
-        for agent, one in zip(self.agents, given, strict=True):
-            row = self._rows[agent]
-            batch[0, row] = drone_numbers(action, row, one)
-        return batch
+    def _take(self, actions: Any) -> None:
+        """Take actions over; rows of agents that have left do not count.
 
-    def _by_agent(self, observations: Observation, rows: list[int] | slice) -> ByAgent:
+        Raises:
+            ValueError: They cannot be.
+        """
+        agents, given = self.agents, self.aviary.given[0]
+        if type(actions) is not dict or actions.keys() != self._expected:
+            check_agents(actions, agents, self._rows)
+        own = [actions[agent] for agent in agents]
+        forms = self._forms[: len(own)]
+        if forms and [getattr(one, "shape", None) for one in own] == forms:
+            with contextlib.suppress(TypeError):  # of what is no numbers
+                if len(own) == len(given):
+                    np.concatenate(own, out=self._flat)
+                else:
+                    numbers = np.concatenate(own, dtype=np.float64, casting="same_kind")
+                    given[self._living_rows()] = numbers.reshape(len(own), -1)
+                return
+        # One by one, with clear errors
+        for agent, one in zip(agents, own, strict=True):
+            row = self._rows[agent]
+            given[row] = drone_numbers(self.aviary.action, row, one)
+
+    def _by_agent(self, observations: Observation, rows: list[int] | None) -> ByAgent:
         """Share out (1, N, ...) to the living agents."""
         if isinstance(observations, dict):
-            numbers = np.arange(len(self.possible_agents))[rows].tolist()
-            return {
-                agent: part(observations, (0, row))
-                for agent, row in zip(self.agents, numbers, strict=True)
-            }
-        return dict(zip(self.agents, observations[0, rows], strict=True))
+            return {agent: part(observations, (0, self._rows[agent])) for agent in self.agents}
+        return dict(zip(self.agents, _of(observations, rows), strict=True))
 
-    def _infos(self, info: dict[str, np.ndarray], rows: list[int] | slice) -> Infos:
+    def _infos(self, telling: Callable[[], dict[str, np.ndarray]], rows: list[int] | None) -> Infos:
         """Share out infos (1, N) to the living agents."""
         agents = self.agents
 
         def make() -> Infos:
-            table = np.array([array[0, rows] for array in info.values()], dtype=float).T.tolist()
+            info = telling()
+            living = [_of(array, rows) for array in info.values()]
+            table = np.array(living, dtype=float).T.tolist()
             return {
                 agent: dict(zip(info, row, strict=True))
                 for agent, row in zip(agents, table, strict=True)
@@ -204,6 +219,12 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
     def close(self) -> None:
         """Free the engine; a second call does nothing."""
         self.aviary.close()
+
+
+def _of(array: np.ndarray, rows: list[int] | None) -> np.ndarray:
+    """Take rows of the only world of an array (1, N, ...)."""
+    one: np.ndarray = array[0] if rows is None else array[0, rows]
+    return one
 
 
 def check_agents(

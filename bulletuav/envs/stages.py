@@ -209,16 +209,35 @@ def settle(
 
 
 @kernel
-def tell_flags(flags: np.ndarray, flown: np.ndarray, row: np.ndarray) -> None:
-    """Write flags (W, N) of drones that flew to a row (W, N) of infos."""
+def tell(
+    success: np.ndarray,
+    flown: np.ndarray,
+    touched: tuple[np.ndarray, np.ndarray, np.ndarray],
+    apart: tuple[np.ndarray, np.ndarray, np.ndarray],
+    energy: tuple[np.ndarray, np.ndarray],
+    rows: np.ndarray,
+) -> None:
+    """Write infos to a table (9, W, N), in this order.
+
+    Args:
+        success: (W, N) bool, who is where the task wants it; told of who flew.
+        flown: (W, N) bool, drones that flew the decision.
+        touched: Collision and resting (W, N) bool, and impulse (W, N), N s.
+        apart: Conflicts, separation and distance to the goal (W, N).
+        energy: Power and charge (W, N).
+        rows: The table.
+    """
+    collision, resting, impulse = touched
+    conflicts, separation, distance = apart
+    power, charge = energy
     for w in range(flown.shape[0]):
         for i in range(flown.shape[1]):
-            row[w, i] = 1.0 if flags[w, i] and flown[w, i] else 0.0
-
-
-@kernel
-def tell_numbers(numbers: np.ndarray, row: np.ndarray) -> None:
-    """Write numbers or flags (W, N) to a row (W, N) of infos."""
-    for w in range(row.shape[0]):
-        for i in range(row.shape[1]):
-            row[w, i] = numbers[w, i]
+            rows[0, w, i] = 1.0 if success[w, i] and flown[w, i] else 0.0
+            rows[1, w, i] = collision[w, i]
+            rows[2, w, i] = resting[w, i]
+            rows[3, w, i] = impulse[w, i]
+            rows[4, w, i] = conflicts[w, i]
+            rows[5, w, i] = separation[w, i]
+            rows[6, w, i] = distance[w, i]
+            rows[7, w, i] = power[w, i]
+            rows[8, w, i] = charge[w, i]

@@ -9,6 +9,7 @@ from bulletuav.conflict.separation import Conflict, fill_conflict, no_conflict
 from bulletuav.contact.contacts import mark
 from bulletuav.contact.rest import Contact
 from bulletuav.geometry.closest_approach import fill_distances
+from bulletuav.kernel import kernel
 from bulletuav.program import Program
 from bulletuav.tasks.frame import RESTING_SPEED, RESTING_SPIN, Frame
 
@@ -65,11 +66,26 @@ def add_account(program: Program, account: Account, frame: Frame, contact: Conta
     before, after, goal = frame.before.position, frame.after.position, frame.scene.goal
     limits = (frame.d_safe, frame.zone)
     program.call(fill_conflict, before, after, frame.alive, *limits, *account.conflict)
-    program.call(fill_distances, goal, after, account.distance)
-    program.call(fill_distances, goal, before, account.distance_before)
-    program.call(fill_distances, goal, frame.known_position, account.known_distance)
+    places = (before, after, frame.known_position)
+    distances = (account.distance_before, account.distance, account.known_distance)
+    program.call(_fill_all, goal, places, distances)
+    scenery, touches = contact.scenery, contact.touches
+    names = (scenery.first_body, scenery.first_piece, scenery.ground, scenery.other)
+    given = (touches.number, touches.other, touches.impulse, names, *frame.after[2:4])
     marks = (account.collision, account.resting, account.impulse)
-    program.call(mark, contact, frame.after, RESTING_SPEED, RESTING_SPIN, *marks)
+    program.call(mark, *given, RESTING_SPEED, RESTING_SPIN, *marks)
+
+
+@kernel
+def _fill_all(
+    goal: np.ndarray,
+    places: tuple[np.ndarray, np.ndarray, np.ndarray],
+    distances: tuple[np.ndarray, np.ndarray, np.ndarray],
+) -> None:
+    """Write how far goals (W, N, 3) are from each of three places, (W, N)."""
+    fill_distances(goal, places[0], distances[0])
+    fill_distances(goal, places[1], distances[1])
+    fill_distances(goal, places[2], distances[2])
 
 
 def mark_contacts(account: Account, frame: Frame) -> None:
