@@ -166,7 +166,6 @@ class Dynamics(ABC):
             swarm: State of all drones.
             mask: (W, N) bool, drones that start.
         """
-        self.flight.engine.set_states(swarm, mask)
         start(self.contact, mask)
 
     def show(self, swarm: Swarm, mask: np.ndarray) -> None:

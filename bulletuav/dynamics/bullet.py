@@ -268,6 +268,11 @@ class BulletDynamics(Dynamics):
         self._driven, self._flying = np.zeros((2, *flight.parameters.shape), dtype=bool)
         self._in_engine = Contacts.none()
 
+    def place(self, swarm: Swarm, mask: np.ndarray) -> None:
+        """Start drones from their state, in the engine too; see the base class."""
+        self.flight.engine.set_states(swarm, mask)
+        super().place(swarm, mask)
+
     def show(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Leave the engine's bodies, which are where the swarm is."""
 

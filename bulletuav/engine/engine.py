@@ -128,9 +128,11 @@ class Engine(EngineQueries):
         # Positions as Bullet gave them, at which forces act, and angular velocities.
         self._place = np.zeros((*self.shape, 3))
         self._omega = np.zeros((*self.shape, 3))
+        # Drones whose bodies are not parked
+        self._out = np.ones(self.shape, dtype=bool)
         self._calls = self._make_calls(live)
-        self._filter(np.ones(self.shape, dtype=bool), 0)
-        self.park(np.ones(self.shape, dtype=bool))
+        self._filter(self._out, 0)
+        self.park(self._out)
 
     def _make_calls(self, live: bool) -> EngineCalls | CExtension:
         """Choose the C extension where it works, else the calls through pybullet."""
@@ -199,6 +201,8 @@ class Engine(EngineQueries):
             count = self.obstacle_radius.size
             self._scenery.place[worlds, :count] = position[worlds]
             self._scenery.quaternion[worlds, :count] = quaternion[worlds]
+            if not self.asks_bodies:  # `show_obstacles` puts them there when they are looked at
+                return
             bodies = self._bodies.obstacle[worlds].ravel()
             place = (position + self._offset)[worlds].reshape(-1, 3)
             self._calls.pose(bodies, place, quaternion[worlds].reshape(-1, 4))
@@ -293,6 +297,7 @@ class Engine(EngineQueries):
             swarm: The states.
             mask: (W, N) bool, drones to set.
         """
+        self._out |= mask
         globalise(self._place, self._offset, self._omega, mask, swarm)
         self._calls.write(mask, self._place, swarm.quaternion, swarm.velocity, self._omega)
 
@@ -303,6 +308,7 @@ class Engine(EngineQueries):
             swarm: The states.
             mask: (W, N) bool, drones to show.
         """
+        self._out |= mask
         place = (swarm.position + self._offset)[mask]
         self._calls.pose(self._bodies.drone[mask], place, swarm.quaternion[mask])
 
@@ -312,7 +318,9 @@ class Engine(EngineQueries):
         Args:
             mask: (W, N) bool, drones to park.
         """
+        mask = mask & self._out
         if mask.any():
+            self._out &= ~mask
             if self._contacts:
                 self._filter(mask, 0)
             self._place[mask] = self._parking[mask]

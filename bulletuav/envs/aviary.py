@@ -98,7 +98,12 @@ class Aviary(Decisions):
             self._name_infos([*result.terms, *self.task.extra_terms(frame)])
             self._checked = True
         self._frame = frame
-        return self.observer.observe(self._frame, self.alive)
+        if self._program is None:
+            return self.observer.observe(frame, self.alive)
+        self._present[:] = self.alive
+        self._forget()
+        self._observing.run()
+        return self.observations()
 
     def _generators(self, worlds: np.ndarray, seeds: list[int] | None) -> list[np.random.Generator]:
         if seeds is not None:
@@ -141,7 +146,8 @@ class Aviary(Decisions):
         frame.alive[:] |= chosen
         frame.time[:] = self.steps / self.options.decision_hz
         frame.last[:] = self.steps >= self.options.horizon
-        self._contacts = self._tell_contacts().of_worlds(~reset)
+        kept = self._tell_contacts().of_worlds(~reset) if self._collects_contacts else None
+        self._contacts = kept
         self._dynamics.contact.touches.number[reset] = 0
         self._forget()
         self._keep(self._measure(self.swarm, self.swarm, chosen))
@@ -208,8 +214,9 @@ class Aviary(Decisions):
     @exclusive
     def first_info(self) -> Infos:
         """Tell the infos right after a reset: the keys of every step's info, terms at zero."""
-        frame = self._current()
-        self._weighted[:] = 0.0
-        self._success[:] = self.task.evaluate_step(frame).success
+        self._current()
+        if self._program is None:
+            self._make_program()
+        self._forget()
         self._telling.run()
         return Infos(self.telling())

@@ -11,6 +11,7 @@ from bulletuav.envs.infos import columns
 from bulletuav.envs.stages import (
     admit,
     begin,
+    clear,
     command,
     conclude,
     keep_before,
@@ -95,6 +96,11 @@ class Decisions(Worlds):
             self._contacts = self._dynamics.touched()
         return self._contacts
 
+    @property
+    def _collects_contacts(self) -> bool:
+        """Whether there are contacts that compiled code knows nothing of."""
+        return self.task.rebound is not None or self.options.contacts == "bullet"
+
     def _look(self) -> None:
         """Take over what stands now; programs know only what stood when they were made."""
         if self._dynamics.look_around() or self._account is None:
@@ -106,11 +112,11 @@ class Decisions(Worlds):
         """Add what follows from a flight for every drone."""
         assert self._account is not None
         add_account(program, self._account, self._live, self._dynamics.contact)
-        if self.task.rebound is not None or self.options.contacts == "bullet":
+        if self._collects_contacts:
             program.turn(self._mark_contacts)
 
     def _mark_contacts(self) -> None:
-        """Take over contacts that compiled code knows nothing of."""
+        """Take over contacts that were collected in Python."""
         assert self._account is not None
         mark_contacts(self._account, self._live)
 
@@ -124,8 +130,6 @@ class Decisions(Worlds):
         self._rows = [*((f"reward/{name}", float) for name in terms), *INFOS.items()]
         own = type(self.task).info is not Task.info
         self._tells_more = own or bool(self._uncertainty.drawn or self._sensors.sensors)
-        self._telling = Program()
-        self._add_infos(self._telling)
 
     def _forget(self) -> None:
         """Forget what was worked out of the frame as it was before."""
@@ -144,9 +148,19 @@ class Decisions(Worlds):
         self._add_account(program)
         if type(task).update_memory is not Task.update_memory:
             program.turn(lambda: task.update_memory(frame, self.rng))
+        self._add_judgement(program)
         self._add_result(program)
         self._program = program
+        self._make_first()
         return program
+
+    def _make_first(self) -> None:
+        """Make the programs of what is observed and told right after a reset."""
+        self._observing, self._telling = Program(), Program()
+        self.observer.add_to(self._observing, self._live, self._vector)
+        self._add_judgement(self._telling)
+        self._telling.call(clear, self._weighted)
+        self._add_infos(self._telling)
 
     def _add_action(self, program: Program) -> None:
         """Add what comes before the flight: actions, wind, goals and obstacles, setpoints."""
@@ -216,11 +230,15 @@ class Decisions(Worlds):
             told = self._tell_contacts()
             self._contacts = told.joined(self._dynamics.overlaps(self.swarm, moved, flown))
 
-    def _add_result(self, program: Program) -> None:
-        """Add ends, rewards, observations and infos."""
-        frame = self._live
+    def _add_judgement(self, program: Program) -> None:
+        """Add what the task makes of the decision."""
         terms = dict(zip(self._terms, self._unweighted, strict=True))
-        add_judgement(program, self.task, frame, Judgement(self._ended, self._success, terms))
+        judgement = Judgement(self._ended, self._success, terms)
+        add_judgement(program, self.task, self._live, judgement)
+
+    def _add_result(self, program: Program) -> None:
+        """Add who leaves, observations, rewards and infos."""
+        frame = self._live
         charge = self._energy.readings()["charge"]
         ends = (self.terminated, self.truncated, self._present, self.alive, self._left)
         told = (self._ended, charge, frame.alive, frame.last)
@@ -228,7 +246,7 @@ class Decisions(Worlds):
         self.observer.add_to(program, frame, self._vector)
         if self.options.render_mode == "human":
             program.turn(self._show_live)
-        weights = np.array([float(self.task.weights[name]) for name in terms])
+        weights = np.array([float(self.task.weights[name]) for name in self._terms])
         sums = (self._unweighted, weights, frame.alive, self._weighted, self.rewards)
         program.call(settle, *sums, otherwise=self._refuse_reward)
         self._add_infos(program)

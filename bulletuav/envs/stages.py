@@ -185,6 +185,15 @@ def conclude(
 
 
 @kernel
+def clear(table: np.ndarray) -> None:
+    """Write zeros to a table (K, W, N)."""
+    for k in range(table.shape[0]):
+        for w in range(table.shape[1]):
+            for i in range(table.shape[2]):
+                table[k, w, i] = 0.0
+
+
+@kernel
 def settle(
     terms: np.ndarray,
     weights: np.ndarray,
