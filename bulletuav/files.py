@@ -21,9 +21,9 @@ def whole_file(path: str | Path) -> Iterator[Path]:
     Raises:
         OSError: It cannot be written, such as for a full disk; the message names the file.
     """
-    # Within one folder a file replaces another one at a stroke.
+    # Within one folder a file replaces another one at a stroke. Others may write the same one now.
     path = Path(path)
-    part = path.with_name(f".part-{path.name}")
+    part = path.with_name(f".part-{os.getpid()}-{path.name}")
     try:
         yield part
         os.replace(part, path)

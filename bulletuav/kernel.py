@@ -18,9 +18,10 @@ import stat
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, Protocol, TypeVar, cast, overload
 
 import numba
+import numpy as np
 from numba.core import cgutils
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -127,13 +128,22 @@ def allocating(function: Function) -> Function:
     return _compiled(function, forceinline=False, _nrt=True)
 
 
-def elementwise(function: Function) -> Function:
+class Elementwise(Protocol):
+    """A compiled function of numbers, which also takes arrays."""
+
+    @overload
+    def __call__(self, *numbers: float) -> float: ...  # type: ignore[overload-overlap]  # by intent
+    @overload
+    def __call__(self, *numbers: float | np.ndarray) -> np.ndarray: ...
+
+
+def elementwise(function: Callable[..., Any]) -> Elementwise:
     """Compile a function of numbers to a number, which also takes arrays that broadcast.
 
     Kernels call it with numbers, users with arrays. It takes no keywords: numbers come in order.
     """
     with _cached():
-        return cast(Function, numba.vectorize(nopython=True, cache=True)(function))
+        return cast(Elementwise, numba.vectorize(nopython=True, cache=True)(function))
 
 
 def _without_owner(context: Any, builder: Any, kind: Any, value: Any) -> Any:

@@ -12,6 +12,7 @@ import hashlib
 import itertools
 import multiprocessing
 import platform
+import sys
 import warnings
 
 import numpy as np
@@ -232,9 +233,12 @@ def main():
     chosen = list(variations())[:: args.every]
     machine = f"{platform.machine()} {platform.libc_ver()} NumPy {np.__version__}"
     print(f"# {machine}: {len(chosen)} environments", flush=True)
+    failed = False
     with multiprocessing.get_context("spawn").Pool(args.jobs) as pool:
         for line in pool.imap(_line, chosen):
             print(line, flush=True)
+            failed |= line.startswith("failed")
+    sys.exit(failed)
 
 
 if __name__ == "__main__":

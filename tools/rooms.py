@@ -15,7 +15,7 @@ from pathlib import Path
 PACKAGE = Path(__file__).parents[1] / "bulletuav"
 ROOMS = (
     ("version", "errors", "files", "kernel", "registry"),
-    ("program",),
+    ("functions", "program"),
     ("geometry",),
     ("conflict", "vehicle"),
     ("engine", "control"),

@@ -8,6 +8,7 @@ from bulletuav.city.model import City
 from bulletuav.city.statistics import KINDS, Statistics
 from bulletuav.city.streets import grid_streets
 from bulletuav.errors import choose, finite, shown
+from bulletuav.functions import power
 from bulletuav.geometry.solids import Solids
 
 MOST_BLOCKS = 128
@@ -157,7 +158,7 @@ def _buildings(
     # Length, width and place of the rectangles
     slim = 0.5 + 0.3 * irregularity * rng.uniform(-1, 1, count)
     powers = np.stack([slim, 1 - slim], axis=1)
-    extents = sizes * (share / (1 - notch))[:, None] ** powers
+    extents = sizes * power((share / (1 - notch))[:, None], powers)
     place = 0.5 + irregularity * (rng.random((count, 2)) - 0.5)
     corners = lots[:, 0] + (sizes - extents) * place
 

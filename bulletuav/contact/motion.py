@@ -9,6 +9,7 @@ import math
 
 import numpy as np
 
+from bulletuav.functions import atan2
 from bulletuav.geometry.rotation import (
     Quat4,
     Vec3,
@@ -122,7 +123,7 @@ def _rotation_between(before: Quat4, after: Quat4) -> Vec3:
     sine = math.sqrt(x * x + y * y + z * z)
     if sine == 0.0:
         return 0.0, 0.0, 0.0
-    scale = 2.0 * math.atan2(sine, abs(w)) / sine
+    scale = 2.0 * atan2(sine, abs(w)) / sine
     if w < 0.0:
         scale = -scale
     return scale * x, scale * y, scale * z

@@ -11,6 +11,7 @@ import numpy as np
 
 from bulletuav.contact.motion import pose_at, put_vector, vector
 from bulletuav.contact.points import Workspace, World, coefficients
+from bulletuav.functions import cos, sin
 from bulletuav.geometry.contact_points import contact_points
 from bulletuav.geometry.gjk import gap
 from bulletuav.geometry.rotation import Vec3, axes, cross, dot, minus, plus, point, quat4, vec3
@@ -86,8 +87,8 @@ def _inner_radius(points: np.ndarray, count: int, normal: Vec3) -> float:
     least = np.inf
     for k in range(DIRECTIONS):
         angle = 2.0 * math.pi * k / DIRECTIONS
-        east = math.cos(angle)
-        north = math.sin(angle)
+        east = cos(angle)
+        north = sin(angle)
         most = -np.inf
         for m in range(count):
             place = point(points, m)

@@ -10,6 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
+from bulletuav.functions import tan
 from bulletuav.vehicle.airframe import MAX_ROTORS, Airframe
 
 GAINS = np.dtype(
@@ -100,7 +101,7 @@ def gain_rows(airframes: Sequence[Airframe], max_speed: float) -> np.ndarray:
         row["damping"] = DAMPING
         row["max_speed"] = max_speed
         row["max_deceleration"] = MAX_DECELERATION
-        row["max_tilt"] = math.tan(MAX_TILT)
+        row["max_tilt"] = tan(MAX_TILT)
         row["max_thrust"] = airframe.max_thrust
         row["mixer"][:num_rotors] = exact_pseudo_inverse(airframe.allocation())
 

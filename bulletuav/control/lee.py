@@ -16,6 +16,7 @@ import math
 import numpy as np
 
 from bulletuav.control.gains import GainRow
+from bulletuav.functions import cos, sin
 from bulletuav.geometry.rotation import (
     Quat4Like,
     Vec3,
@@ -131,7 +132,7 @@ def nose(yaw: float) -> Vec3:
     # Most flights hold 0, which needs no sine.
     if yaw == 0.0:
         return 1.0, 0.0, 0.0
-    return math.cos(yaw), math.sin(yaw), 0.0
+    return cos(yaw), sin(yaw), 0.0
 
 
 @func

@@ -22,6 +22,7 @@ from bulletuav.contact.rest import Contact
 from bulletuav.control.cascade import Cascade, command_kinematic
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.base import Air, Dynamics
+from bulletuav.functions import exp
 from bulletuav.geometry.rotation import Vec3, dot, from_euler, point, quat4, vec3
 from bulletuav.kernel import allocating, borrowed, func
 from bulletuav.program import Program
@@ -55,7 +56,7 @@ def _relaxed(
     """Solve v' = (v_cmd - v) / lag - drag (v - wind) for dt; returns velocity and displacement."""
     # Exponential approach to the velocity at which lag and drag balance
     rate = 1.0 / lag + drag
-    decay = math.exp(-rate * dt)
+    decay = exp(-rate * dt)
     share = (1.0 - decay) / rate
     end0 = (command[0] / lag + drag * wind[0]) / rate
     end1 = (command[1] / lag + drag * wind[1]) / rate

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bulletuav.functions import atan2, hypot
 from bulletuav.geometry.rotation import Vec3, Vec3Like
 from bulletuav.geometry.shapes import BOX, CYLINDER, HALF_SPACE, HULL, SPHERE, Shape
 from bulletuav.kernel import func, kernel
@@ -103,7 +104,7 @@ def _turning_left(corners: np.ndarray, normal: np.ndarray, face: list[int]) -> l
     middle = corners[face].mean(axis=0)
     ahead = corners[face[0]] - middle
     left = np.cross(normal, ahead)
-    angle = [math.atan2((corners[k] - middle) @ left, (corners[k] - middle) @ ahead) for k in face]
+    angle = [atan2((corners[k] - middle) @ left, (corners[k] - middle) @ ahead) for k in face]
     return [k for _, k in sorted(zip(angle, face, strict=True))]
 
 
@@ -159,7 +160,7 @@ def reach(shape: Shape) -> float:
     if shape.kind == SPHERE:
         return shape.half[0]
     if shape.kind == CYLINDER:
-        return math.hypot(shape.half[0], shape.half[2])
+        return hypot(shape.half[0], shape.half[2])
     if shape.kind == BOX:
         return math.hypot(*shape.half)
     return max(math.hypot(*corner) for corner in shape.corners)

@@ -8,6 +8,7 @@ import math
 
 import numpy as np
 
+from bulletuav.functions import cos, sin
 from bulletuav.geometry.convex import RIM, ShapeTable
 from bulletuav.geometry.minkowski import Turn, turned, turned_back
 from bulletuav.geometry.rotation import Vec3, cross, dot, plus, point
@@ -18,9 +19,9 @@ FLAT = math.sqrt(0.5)
 """Cosine of the largest angle between axis and normal at which a flat side faces the other"""
 UPRIGHT = 1e-3
 """Sine of the angle between axis and normal below which body axes place the rim's points"""
-RIM_COS = np.array([math.cos(2 * math.pi / RIM * k) for k in range(RIM)])
+RIM_COS = np.array([cos(2 * math.pi / RIM * k) for k in range(RIM)])
 """Cosines of the angles of the rim's points"""
-RIM_SIN = np.array([math.sin(2 * math.pi / RIM * k) for k in range(RIM)])
+RIM_SIN = np.array([sin(2 * math.pi / RIM * k) for k in range(RIM)])
 """Sines of the same"""
 
 

@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 
+from bulletuav.functions import cos, sin
 from bulletuav.kernel import func
 
 Vec3 = tuple[float, float, float]
@@ -124,8 +125,8 @@ def exponential(v: Vec3Like) -> Quat4:
     """Return the quaternion of the rotation by |v| radians about v (the exponential map)."""
     angle = math.sqrt(dot(v, v))
     # Below the limit sin(angle / 2) / angle is 1/2 to the last digit, and 0 / 0 is avoided.
-    scale = math.sin(0.5 * angle) / angle if angle > 1e-12 else 0.5
-    return scale * v[0], scale * v[1], scale * v[2], math.cos(0.5 * angle)
+    scale = sin(0.5 * angle) / angle if angle > 1e-12 else 0.5
+    return scale * v[0], scale * v[1], scale * v[2], cos(0.5 * angle)
 
 
 @func
@@ -140,12 +141,12 @@ def from_euler(roll: float, pitch: float, yaw: float) -> Quat4:
     Returns:
         The quaternion, body to world.
     """
-    cr = math.cos(0.5 * roll)
-    sr = math.sin(0.5 * roll)
-    cp = math.cos(0.5 * pitch)
-    sp = math.sin(0.5 * pitch)
-    cy = math.cos(0.5 * yaw)
-    sy = math.sin(0.5 * yaw)
+    cr = cos(0.5 * roll)
+    sr = sin(0.5 * roll)
+    cp = cos(0.5 * pitch)
+    sp = sin(0.5 * pitch)
+    cy = cos(0.5 * yaw)
+    sy = sin(0.5 * yaw)
     return (
         sr * cp * cy - cr * sp * sy,
         cr * sp * cy + sr * cp * sy,

@@ -10,6 +10,7 @@ All functions take numbers, or arrays that broadcast; kernels call them too.
 
 import math
 
+from bulletuav.functions import acos, atan2, cos, hypot, sin
 from bulletuav.kernel import elementwise, func
 
 PEAK = 8.0
@@ -78,9 +79,9 @@ def local_zenith(zenith: float, azimuth: float, bearing: float, downtilt: float)
     phi = math.radians(azimuth - bearing)
     beta = math.radians(downtilt)
     # Cosine of the angle to the local z axis
-    cosine = math.cos(beta) * math.cos(theta) + math.sin(beta) * math.cos(phi) * math.sin(theta)
+    cosine = cos(beta) * cos(theta) + sin(beta) * cos(phi) * sin(theta)
     # Rounding can lead beyond 1
-    return math.degrees(math.acos(min(max(cosine, -1.0), 1.0)))
+    return math.degrees(acos(min(max(cosine, -1.0), 1.0)))
 
 
 @elementwise
@@ -93,8 +94,8 @@ def local_azimuth(zenith: float, azimuth: float, bearing: float, downtilt: float
     phi = math.radians(azimuth - bearing)
     beta = math.radians(downtilt)
     # Component along the local x axis
-    ahead = math.cos(beta) * math.sin(theta) * math.cos(phi) - math.sin(beta) * math.cos(theta)
-    return math.degrees(math.atan2(math.sin(theta) * math.sin(phi), ahead))
+    ahead = cos(beta) * sin(theta) * cos(phi) - sin(beta) * cos(theta)
+    return math.degrees(atan2(sin(theta) * sin(phi), ahead))
 
 
 @elementwise
@@ -111,7 +112,7 @@ def gain_towards(x: float, y: float, z: float, peak: float) -> float:
         peak: Greatest gain, dBi; `PEAK` in the standard.
     """
     # The antenna's local x axis is -z of the body, and its local z axis is x of the body
-    elevation = math.degrees(math.atan2(x, math.hypot(y, z)))
+    elevation = math.degrees(atan2(x, hypot(y, z)))
     # 0.0 - z, since -z would be -0.0 where y and z are 0, which is behind the antenna
-    azimuth = math.degrees(math.atan2(y, 0.0 - z))
+    azimuth = math.degrees(atan2(y, 0.0 - z))
     return peak - _attenuation(elevation, azimuth, BEAMWIDTH, MAX_ATTENUATION)

@@ -8,6 +8,7 @@ from typing import overload
 
 import numpy as np
 
+from bulletuav.functions import log, log1p, log10, power
 from bulletuav.kernel import elementwise
 
 BOLTZMANN = 1.380649e-23
@@ -20,13 +21,13 @@ TEMPERATURE = 290.0
 def decibel(power_ratio: float) -> float:
     """Return a ratio of powers in dB; -inf for 0."""
     # The logarithm of 0 would warn
-    return 10.0 * math.log10(power_ratio) if power_ratio != 0.0 else -math.inf
+    return 10.0 * log10(power_ratio) if power_ratio != 0.0 else -math.inf
 
 
 @elementwise
 def ratio(level: float) -> float:
     """Return the ratio of powers that a level in dB stands for; 0 for -inf."""
-    power_ratio: float = 10.0 ** (0.1 * level)
+    power_ratio: float = power(10.0, 0.1 * level)
     return power_ratio
 
 
@@ -38,7 +39,7 @@ def noise_power(bandwidth: float, noise_figure: float) -> float:
         bandwidth: Bandwidth B, Hz.
         noise_figure: Noise figure F of the receiver, dB.
     """
-    noise_factor: float = 10.0 ** (0.1 * noise_figure)
+    noise_factor: float = power(10.0, 0.1 * noise_figure)
     return BOLTZMANN * TEMPERATURE * bandwidth * noise_factor
 
 
@@ -54,4 +55,4 @@ def capacity(bandwidth: float, sinr: float | np.ndarray) -> float | np.ndarray:
         bandwidth: Bandwidth B, Hz.
         sinr: Signal power over that of interference and noise, not in dB.
     """
-    return bandwidth * math.log1p(sinr) / math.log(2.0)
+    return bandwidth * log1p(sinr) / log(2.0)

@@ -6,6 +6,7 @@ losses are finite. The functions take numbers, or arrays that broadcast; kernels
 
 import math
 
+from bulletuav.functions import hypot, log10
 from bulletuav.kernel import elementwise, func
 
 SPEED_OF_LIGHT = 299792458.0
@@ -35,7 +36,7 @@ def antenna_distance(ground_distance: float, height: float, other_height: float)
         height: Height of one antenna, m.
         other_height: Height of the other antenna, m.
     """
-    return max(math.hypot(ground_distance, height - other_height), 1.0)
+    return max(hypot(ground_distance, height - other_height), 1.0)
 
 
 @elementwise
@@ -46,7 +47,7 @@ def free_space(distance: float, frequency: float) -> float:
         distance: Distance d between the antennas, m; counts as 1 m where it is less.
         frequency: Carrier frequency f, GHz.
     """
-    return 20.0 * math.log10(4e9 * math.pi * max(distance, 1.0) * frequency / SPEED_OF_LIGHT)
+    return 20.0 * log10(4e9 * math.pi * max(distance, 1.0) * frequency / SPEED_OF_LIGHT)
 
 
 @elementwise
@@ -62,7 +63,7 @@ def log_distance(distance: float, frequency: float, exponent: float) -> float:
     """
     # Free space up to 1 m
     reference = free_space(1.0, frequency)
-    return reference + 10.0 * exponent * math.log10(max(distance, 1.0))
+    return reference + 10.0 * exponent * log10(max(distance, 1.0))
 
 
 @elementwise

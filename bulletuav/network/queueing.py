@@ -18,6 +18,7 @@ From lambda = c mu on there is no steady state: waits are inf, never a large num
 
 import math
 
+from bulletuav.functions import exp, expm1
 from bulletuav.kernel import elementwise
 
 
@@ -119,7 +120,7 @@ def wait_exceeds(servers: float, arrival_rate: float, service_rate: float, time:
     spare = servers * service_rate - arrival_rate
     if spare <= 0.0:
         return 1.0
-    return erlang_c(servers, arrival_rate / service_rate) * math.exp(-spare * time)
+    return erlang_c(servers, arrival_rate / service_rate) * exp(-spare * time)
 
 
 @elementwise
@@ -139,12 +140,12 @@ def response_exceeds(
         return 0.0
     # Quotient without cancellation where both rates are close
     gap = abs(spare - service_rate)
-    quotient = -math.expm1(-gap * time) / gap if gap > 0.0 else time
+    quotient = -expm1(-gap * time) / gap if gap > 0.0 else time
     # Who does not wait, and who waits
     waiting = erlang_c(servers, arrival_rate / service_rate)
     slower = min(spare, service_rate)
-    served_late = math.exp(-service_rate * time)
-    return served_late + waiting * service_rate * math.exp(-slower * time) * quotient
+    served_late = exp(-service_rate * time)
+    return served_late + waiting * service_rate * exp(-slower * time) * quotient
 
 
 @elementwise

@@ -13,6 +13,7 @@ All functions take numbers, or arrays that broadcast; kernels call them too. The
 
 import math
 
+from bulletuav.functions import exp, log10
 from bulletuav.kernel import elementwise
 from bulletuav.network.propagation import antenna_distance, free_space
 from bulletuav.network.tr38901 import (
@@ -41,8 +42,8 @@ def umi_av_los(
     if drone_height <= LOWEST_AERIAL:
         return umi_los(ground_distance, base_height, drone_height, frequency)
     distance = antenna_distance(ground_distance, drone_height, base_height)
-    slope = 22.25 - 0.5 * math.log10(drone_height)
-    loss = 30.9 + slope * math.log10(distance) + 20.0 * math.log10(frequency)
+    slope = 22.25 - 0.5 * log10(drone_height)
+    loss = 30.9 + slope * log10(distance) + 20.0 * log10(frequency)
     return max(free_space(distance, frequency), loss)
 
 
@@ -57,8 +58,8 @@ def umi_av_nlos(
     if drone_height <= LOWEST_AERIAL:
         return umi_nlos(ground_distance, base_height, drone_height, frequency)
     distance = antenna_distance(ground_distance, drone_height, base_height)
-    slope = 43.2 - 7.6 * math.log10(drone_height)
-    loss = 32.4 + slope * math.log10(distance) + 20.0 * math.log10(frequency)
+    slope = 43.2 - 7.6 * log10(drone_height)
+    loss = 32.4 + slope * log10(distance) + 20.0 * log10(frequency)
     return max(umi_av_los(ground_distance, drone_height, base_height, frequency), loss)
 
 
@@ -73,7 +74,7 @@ def uma_av_los(
     if drone_height <= LOWEST_AERIAL:
         return uma_los(ground_distance, base_height, drone_height, frequency)
     distance = antenna_distance(ground_distance, drone_height, base_height)
-    return 28.0 + 22.0 * math.log10(distance) + 20.0 * math.log10(frequency)
+    return 28.0 + 22.0 * log10(distance) + 20.0 * log10(frequency)
 
 
 @elementwise
@@ -90,9 +91,9 @@ def uma_av_nlos(
     if drone_height <= LOWEST_AERIAL:
         return uma_nlos(ground_distance, base_height, drone_height, frequency)
     distance = antenna_distance(ground_distance, drone_height, base_height)
-    slope = 46.0 - 7.0 * math.log10(min(drone_height, 100.0))
-    frequency_loss = 20.0 * math.log10(40.0 * math.pi * frequency / 3.0)
-    return -17.5 + slope * math.log10(distance) + frequency_loss
+    slope = 46.0 - 7.0 * log10(min(drone_height, 100.0))
+    frequency_loss = 20.0 * log10(40.0 * math.pi * frequency / 3.0)
+    return -17.5 + slope * log10(distance) + frequency_loss
 
 
 @elementwise
@@ -100,7 +101,7 @@ def umi_av_los_probability(ground_distance: float, drone_height: float) -> float
     """Return the probability of a line of sight in UMi-AV; up to 22.5 m that of TR 38.901."""
     if drone_height <= LOWEST_AERIAL:
         return umi_los_probability(ground_distance)
-    log_height = math.log10(drone_height)
+    log_height = log10(drone_height)
     certain = max(294.05 * log_height - 432.94, CERTAIN_SIGHT)
     return fading_sight(ground_distance, certain, 233.98 * log_height - 0.95)
 
@@ -115,7 +116,7 @@ def uma_av_los_probability(ground_distance: float, drone_height: float) -> float
         return uma_los_probability(ground_distance, drone_height)
     if drone_height > 100.0:
         return 1.0
-    log_height = math.log10(drone_height)
+    log_height = log10(drone_height)
     certain = max(460.0 * log_height - 700.0, CERTAIN_SIGHT)
     return fading_sight(ground_distance, certain, 4300.0 * log_height - 3800.0)
 
@@ -135,4 +136,4 @@ def shadowing(drone_height: float, low: float, high: float, decay: float, least:
     """
     if drone_height <= LOWEST_AERIAL:
         return low
-    return max(high * math.exp(-decay * drone_height), least)
+    return max(high * exp(-decay * drone_height), least)

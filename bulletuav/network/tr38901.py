@@ -10,8 +10,7 @@ All functions take numbers, or arrays that broadcast; kernels call them too. The
 - `frequency`: carrier frequency, GHz.
 """
 
-import math
-
+from bulletuav.functions import exp, log10
 from bulletuav.kernel import elementwise, func
 from bulletuav.network.propagation import antenna_distance
 
@@ -39,13 +38,13 @@ def _dual_slope(
     # The standard rounds the speed of light to 3e8 m/s
     breakpoint_distance = 4.0 * base_above * user_above * frequency * 1e9 / 3e8
     # Up to the breakpoint the loss grows by `slope` a decade
-    reference = intercept + 20.0 * math.log10(frequency)
-    decades = math.log10(antenna_distance(ground_distance, base_height, user_height))
+    reference = intercept + 20.0 * log10(frequency)
+    decades = log10(antenna_distance(ground_distance, base_height, user_height))
     if ground_distance <= breakpoint_distance:
         return reference + slope * decades
     # The correction makes both laws meet at the breakpoint
     squared = breakpoint_distance**2 + (base_height - user_height) ** 2
-    correction = (20.0 - 0.5 * slope) * math.log10(max(squared, 1.0))
+    correction = (20.0 - 0.5 * slope) * log10(max(squared, 1.0))
     return reference + 40.0 * decades - correction
 
 
@@ -70,8 +69,8 @@ def umi_nlos(
     """Return the path loss of UMi street canyon without line of sight, dB."""
     loss = (
         22.4
-        + 35.3 * math.log10(antenna_distance(ground_distance, base_height, user_height))
-        + 21.3 * math.log10(frequency)
+        + 35.3 * log10(antenna_distance(ground_distance, base_height, user_height))
+        + 21.3 * log10(frequency)
         - 0.3 * (user_height - 1.5)
     )
     return max(umi_los(ground_distance, base_height, user_height, frequency), loss)
@@ -88,7 +87,7 @@ def umi_close_in_nlos(distance: float, frequency: float) -> float:
         distance: Distance between the antennas, m, not that over ground.
         frequency: Carrier frequency, GHz.
     """
-    return 32.4 + 20.0 * math.log10(frequency) + 31.9 * math.log10(max(distance, 1.0))
+    return 32.4 + 20.0 * log10(frequency) + 31.9 * log10(max(distance, 1.0))
 
 
 @elementwise
@@ -112,8 +111,8 @@ def uma_nlos(
     """Return the path loss of UMa without line of sight, dB."""
     loss = (
         13.54
-        + 39.08 * math.log10(antenna_distance(ground_distance, base_height, user_height))
-        + 20.0 * math.log10(frequency)
+        + 39.08 * log10(antenna_distance(ground_distance, base_height, user_height))
+        + 20.0 * log10(frequency)
         - 0.6 * (user_height - 1.5)
     )
     return max(uma_los(ground_distance, base_height, user_height, frequency), loss)
@@ -133,7 +132,7 @@ def fading_sight(ground_distance: float, certain: float, decay: float) -> float:
     if ground_distance <= certain:
         return 1.0
     share = certain / ground_distance
-    return share + math.exp(-ground_distance / decay) * (1.0 - share)
+    return share + exp(-ground_distance / decay) * (1.0 - share)
 
 
 @elementwise
@@ -148,7 +147,7 @@ def uma_los_probability(ground_distance: float, user_height: float) -> float:
     # Users above 13 m see the base more often
     height_factor: float = (max(user_height - 13.0, 0.0) / 10.0) ** 1.5
     distance_factor = (ground_distance / 100.0) ** 3
-    gain = 1.25 * height_factor * distance_factor * math.exp(-ground_distance / 150.0)
+    gain = 1.25 * height_factor * distance_factor * exp(-ground_distance / 150.0)
     if ground_distance > CERTAIN_SIGHT:
         return fading_sight(ground_distance, CERTAIN_SIGHT, 63.0) * (1.0 + gain)
     return 1.0

@@ -1,12 +1,12 @@
 """The radio link from users on the ground to drones: options, received power and uplink rates."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
 import numpy as np
 
+from bulletuav.functions import hypot
 from bulletuav.geometry.rotation import quat4, to_body
 from bulletuav.kernel import allocating, func
 from bulletuav.network.access import ACCESS, uplink_rates
@@ -97,7 +97,7 @@ def _path_loss(
         return umi_av_los(*path) if sight else umi_av_nlos(*path)
     if link.model == UMA_AV:
         return uma_av_los(*path) if sight else uma_av_nlos(*path)
-    distance = math.hypot(ground_distance, drone_height - user_height)
+    distance = hypot(ground_distance, drone_height - user_height)
     exponent = link.n_los if sight else link.n_nlos
     return log_distance(distance, link.frequency, exponent)
 
@@ -134,7 +134,7 @@ def received_power(
                 north = users[w, j, 1] - position[w, i, 1]
                 up = users[w, j, 2] - drone_height
                 # Path loss by the line of sight
-                ground_distance = math.hypot(east, north)
+                ground_distance = hypot(east, north)
                 user_height = users[w, j, 2]
                 is_clear = sight[w, i, j]
                 gain = -_path_loss(link, is_clear, ground_distance, drone_height, user_height)

@@ -9,6 +9,8 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
+from bulletuav.functions import cos, sin
+
 ROUNDS = 100
 """Greatest number of rounds of Lloyd's iteration, which is done after some ten"""
 
@@ -39,9 +41,9 @@ def ring(
     radius = 0.0
     if count > 1:
         largest = 0.5 * float((high - low).min())
-        radius = min(0.5 * apart / math.sin(math.pi / count), largest)
+        radius = min(0.5 * apart / sin(math.pi / count), largest)
     angle = 2 * np.pi * np.arange(count) / count
-    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    circle = np.stack([cos(angle), sin(angle)], axis=1)
     middle = np.clip(centre, low + radius, high - radius)
     places: np.ndarray = middle + radius * circle
     return places

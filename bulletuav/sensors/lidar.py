@@ -1,12 +1,12 @@
 """Range finders: one batch of rays for all beams of all drones of all worlds."""
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import ClassVar, NamedTuple
 
 import numpy as np
 
 from bulletuav.engine.engine import Engine
+from bulletuav.functions import cos, hypot, sin
 from bulletuav.geometry.rotation import axes, quat4
 from bulletuav.kernel import allocating
 from bulletuav.registry import register
@@ -65,9 +65,9 @@ class Lidar(Sensor):
         """Make the beams' unit vectors, and an array for ranges."""
         super().attach(setup, engine)
         azimuth, elevation = np.radians(np.array(setup.beams, dtype=float)).T
-        horizontal = np.cos(elevation)
+        horizontal = cos(elevation)
         self._directions = np.stack(
-            [horizontal * np.cos(azimuth), horizontal * np.sin(azimuth), np.sin(elevation)], axis=1
+            [horizontal * cos(azimuth), horizontal * sin(azimuth), sin(elevation)], axis=1
         )
         self._range = setup.max_range
         self._turns = setup.beam_frame == "yaw"
@@ -141,7 +141,7 @@ def cast(
             # The heading is that of the nose over ground; a drone on its tail has none.
             if turns:
                 forward = axes(quat4(quaternion, w, i))[0]
-                horizontal = math.hypot(forward[0], forward[1])
+                horizontal = hypot(forward[0], forward[1])
                 if horizontal > 0.0:
                     cosine, sine = forward[0] / horizontal, forward[1] / horizontal
             # One ray for each beam, from the drone's centre.

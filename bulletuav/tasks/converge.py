@@ -5,6 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from bulletuav.functions import cos, sin
 from bulletuav.registry import register
 from bulletuav.tasks.families.airspace import Airspace
 from bulletuav.tasks.families.difficulties import UNCERTAINTY
@@ -83,7 +84,7 @@ class Converge(Airspace[ConvergeConfig]):
             ValueError: Drones could start in conflict, or in touch with the ground.
         """
         super().__init__(config, context)
-        chord = 2 * config.radius * np.sin(np.pi / max(context.num_drones, 2))
+        chord = 2 * config.radius * sin(np.pi / max(context.num_drones, 2))
         nearest = least_distance(config, chord)
         clear = clearance(config, context)
         if nearest <= clear:
@@ -98,7 +99,7 @@ class Converge(Airspace[ConvergeConfig]):
         """Draw a start on the circle, in flight towards its centre."""
         drones = self.context.num_drones
         angle = 2 * np.pi * np.arange(drones) / drones
-        directions = np.stack([np.cos(angle), np.sin(angle), np.zeros(drones)], axis=1)
+        directions = np.stack([cos(angle), sin(angle), np.zeros(drones)], axis=1)
         place = self.config.radius * directions
         height = np.array([0.0, 0.0, self.config.altitude])
         start = self.config.scattered(place + height, rng)

@@ -7,6 +7,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from bulletuav.errors import choose
+from bulletuav.functions import atan2, cos, hypot, sin
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.registry import register
 from bulletuav.tasks.base import Rngs, Task, TaskConfig, refuse_early_end
@@ -147,7 +148,7 @@ class Follow(Task[FollowConfig]):
             )
         # Stations relative to the target, the first one to its west.
         angle = 2 * np.pi * np.arange(context.num_drones) / context.num_drones
-        directions = np.stack([-np.cos(angle), -np.sin(angle), np.zeros(len(angle))], axis=1)
+        directions = np.stack([-cos(angle), -sin(angle), np.zeros(len(angle))], axis=1)
         circle = config.distance * directions
         self._station = circle + np.array((0, 0, target.station_height))
         self._check_start(target)
@@ -185,7 +186,7 @@ class Follow(Task[FollowConfig]):
         config = self.config
         heading = rng.uniform(-np.pi, np.pi)
         target = np.array([[0.0, 0.0, self._height]])
-        velocity = config.target_speed * np.array([[np.cos(heading), np.sin(heading), 0.0]])
+        velocity = config.target_speed * np.array([[cos(heading), sin(heading), 0.0]])
         shape = (self.context.num_drones, 3)
         offset = rng.uniform(-config.start_offset, config.start_offset, shape)
         station = target + self._station
@@ -210,10 +211,10 @@ class Follow(Task[FollowConfig]):
             vx, vy, _ = scene.obstacle_velocity[w, 0]
             # The heading wanders, but at the edge it turns home.
             turn = config.turn * np.sqrt(period) * rngs[w].standard_normal()
-            heading = np.arctan2(vy, vx) + turn
-            if np.hypot(x, y) > config.arena and x * vx + y * vy > 0:
-                heading = np.arctan2(-y, -x)
-            direction = np.array([np.cos(heading), np.sin(heading), 0.0])
+            heading = atan2(vy, vx) + turn
+            if hypot(x, y) > config.arena and x * vx + y * vy > 0:
+                heading = atan2(-y, -x)
+            direction = np.array([cos(heading), sin(heading), 0.0])
             scene.obstacle_velocity[w, 0] = config.target_speed * direction
             scene.obstacle[w, 0] += period * scene.obstacle_velocity[w, 0]
             scene.goal[w] = scene.obstacle[w, 0] + self._station

@@ -1,5 +1,6 @@
 """Task `obstacles`: free flight among spheres and boxes, some of which move."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
@@ -7,6 +8,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from bulletuav.geometry.obstacle import Obstacle
+from bulletuav.geometry.rotation import dot, minus, vec3
+from bulletuav.kernel import kernel
 from bulletuav.registry import register
 from bulletuav.tasks.base import Rngs
 from bulletuav.tasks.families.airspace import REWARD_WEIGHTS, Airspace
@@ -154,6 +157,8 @@ class Obstacles(Airspace[ObstaclesConfig]):
         index = np.arange(config.num_obstacles)
         self._radius = smallest + (largest - smallest) * (index * GOLDEN_RATIO % 1)
         self._bodies = tuple(_body(k, radius) for k, radius in enumerate(self._radius.tolist()))
+        radius = np.array([body.radius for body in self._bodies])
+        self._reach = radius + context.collision_radius
         self._apart = 2 * clearance(config, context) + 2 * config.jitter
         self._check_room()
         self.arena_low = self._low - config.margin
@@ -223,11 +228,9 @@ class Obstacles(Airspace[ObstaclesConfig]):
 
     def _obstacle_nearness(self, frame: Frame) -> np.ndarray:
         """Sum up over obstacles how deep each drone is within d_safe of them, (W, N)."""
-        radius = np.array([obstacle.radius for obstacle in self.obstacles()])
-        reach = radius + self.context.collision_radius
-        offset = frame.scene.obstacle[:, None] - frame.after.position[:, :, None]
-        gap = np.linalg.norm(offset, axis=-1) - reach
-        nearness: np.ndarray = np.clip(1 - gap / frame.d_safe, 0.0, 1.0).sum(axis=-1)
+        nearness = np.empty(frame.alive.shape)
+        place, d_safe = frame.scene.obstacle, float(frame.d_safe)
+        _sum_nearness(frame.after.position, place, self._reach, d_safe, nearness)
         return nearness
 
     def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
@@ -245,6 +248,23 @@ class Obstacles(Airspace[ObstaclesConfig]):
         scene.obstacle[flying] = place - 2 * beyond
         scene.obstacle_velocity[flying] *= np.where(beyond == 0, 1.0, -1.0)
         return True
+
+
+@kernel
+def _sum_nearness(
+    position: np.ndarray, obstacle: np.ndarray, reach: np.ndarray, d_safe: float, out: np.ndarray
+) -> None:
+    """Write to `out` (W, N) how deep drones are within d_safe of obstacles (W, K, 3), summed up.
+
+    `reach` (K,) is the distance of the middles at which they touch, m.
+    """
+    for w in range(out.shape[0]):
+        for i in range(out.shape[1]):
+            out[w, i] = 0.0
+            for k in range(obstacle.shape[1]):
+                away = minus(vec3(obstacle, w, k), vec3(position, w, i))
+                gap = math.sqrt(dot(away, away)) - reach[k]
+                out[w, i] += min(max(1.0 - gap / d_safe, 0.0), 1.0)
 
 
 def _body(index: int, radius: float) -> Obstacle:

@@ -6,6 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from bulletuav.functions import cos, sin
 from bulletuav.registry import register
 from bulletuav.tasks.base import Rngs
 from bulletuav.tasks.families.airspace import Airspace
@@ -125,7 +126,7 @@ class Pursuit(Airspace[PursuitConfig]):
                 f"{drones} drones with spacing {config.spacing:g} m do not fit "
                 f"on a circle of radius {config.radius:g} m"
             )
-        chord = 2 * config.radius * np.sin(config.spacing / (2 * config.radius))
+        chord = 2 * config.radius * sin(config.spacing / (2 * config.radius))
         nearest = least_distance(config, chord)
         clear = clearance(config, self.context)
         if drones > 1 and nearest <= clear:
@@ -146,10 +147,10 @@ class Pursuit(Airspace[PursuitConfig]):
         queue = np.arange(len(self._pace)) * self.config.spacing
         angle = (queue - np.minimum(way, self._track_length)) / radius
         zero = np.zeros_like(angle)
-        circle = radius * np.stack([np.cos(angle), np.sin(angle), zero], axis=-1)
+        circle = radius * np.stack([cos(angle), sin(angle), zero], axis=-1)
         place = circle + np.array((0.0, 0.0, self.config.altitude))
         pace = np.where(way < self._track_length, self._pace, 0.0)[..., None]
-        velocity = pace * np.stack([np.sin(angle), -np.cos(angle), zero], axis=-1)
+        velocity = pace * np.stack([sin(angle), -cos(angle), zero], axis=-1)
         return place, velocity
 
     def spawn(self, rng: np.random.Generator) -> Spawn:

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from bulletuav.functions import exp
 from bulletuav.geometry.rotation import Quat4Like, Vec3, Vec3Like, to_body, to_world
 from bulletuav.kernel import func, kernel
 from bulletuav.vehicle.parameters import ParameterRow
@@ -89,7 +90,7 @@ def downwash(horizontal_squared: float, drop: float, gravity: float, row: Parame
         return 0.0
     ratio = row.propeller_radius / (4.0 * drop)
     strength = min(row.downwash_gain * ratio * ratio, row.mass * gravity)
-    return strength * math.exp(-0.5 * horizontal_squared / (width * width))
+    return strength * exp(-0.5 * horizontal_squared / (width * width))
 
 
 @kernel

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from bulletuav.errors import require_file, shown, unknown
+from bulletuav.functions import hypot
 from bulletuav.geometry.convex import inscribed_radius, reach
 from bulletuav.geometry.obstacle import FRICTION, MOST_FRICTION
 from bulletuav.geometry.shapes import Shape
@@ -150,7 +151,7 @@ class Airframe:
     @property
     def arm(self) -> float:
         """Distance of the outermost rotor from the centre of mass, m."""
-        return max(math.hypot(x, y) for x, y, _ in self.rotors)
+        return max(hypot(x, y) for x, y, _ in self.rotors)
 
     @property
     def max_thrust(self) -> float:

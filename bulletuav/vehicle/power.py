@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bulletuav.errors import finite
+from bulletuav.functions import hypot
 from bulletuav.geometry.rotation import Vec3Like, vec3
 from bulletuav.kernel import allocating, func, kernel
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY, Airframe
@@ -221,7 +222,7 @@ def propulsion_power(velocity: Vec3Like, wing: RotaryWing) -> float:
     Returns:
         The power, W.
     """
-    blade, induced, parasite = level_power(math.hypot(velocity[0], velocity[1]), wing)
+    blade, induced, parasite = level_power(hypot(velocity[0], velocity[1]), wing)
     return max(blade + induced + parasite + vertical_power(velocity[2], wing), wing.blade)
 
 

@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 
+from bulletuav.functions import exp
 from bulletuav.geometry.rotation import Vec3
 from bulletuav.kernel import func
 from bulletuav.vehicle.parameters import ParameterRow
@@ -27,10 +28,10 @@ def lag_decay(elapsed: float, row: ParameterRow) -> tuple[float, float]:
         The share for rotors that speed up, and for rotors that slow down.
     """
     # Most motors have one time constant: they need one exponential.
-    up = math.exp(-elapsed / row.lag_up) if row.lag_up > 0.0 else 0.0
+    up = exp(-elapsed / row.lag_up) if row.lag_up > 0.0 else 0.0
     if row.lag_down == row.lag_up:
         return up, up
-    down = math.exp(-elapsed / row.lag_down) if row.lag_down > 0.0 else 0.0
+    down = exp(-elapsed / row.lag_down) if row.lag_down > 0.0 else 0.0
     return up, down
 
 

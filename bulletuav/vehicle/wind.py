@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from bulletuav.errors import numbers_of
+from bulletuav.functions import exp, expm1, hypot, power
 from bulletuav.geometry.rotation import dot
 from bulletuav.kernel import func, kernel
 from bulletuav.program import Program
@@ -46,7 +47,7 @@ def dryden_scales(altitude: float, wind20: float) -> tuple[float, float, float, 
     h = min(max(altitude / FOOT, 10.0), 1000.0)
     ratio = 0.177 + 0.000823 * h
     s_w = 0.1 * wind20
-    return h / ratio**1.2 * FOOT, h * FOOT, s_w / ratio**0.4, s_w
+    return h / power(ratio, 1.2) * FOOT, h * FOOT, s_w / power(ratio, 0.4), s_w
 
 
 @func
@@ -61,8 +62,8 @@ def first_order(state: float, share: float, noise: float) -> float:
     Returns:
         The new state, of unit variance.
     """
-    decay = math.exp(-share)
-    return decay * state + math.sqrt(-math.expm1(-2.0 * share)) * noise
+    decay = exp(-share)
+    return decay * state + math.sqrt(-expm1(-2.0 * share)) * noise
 
 
 @func
@@ -85,7 +86,7 @@ def second_order(
         The new states.
     """
     r = share
-    decay = math.exp(-r)
+    decay = exp(-r)
     # The transition M.
     a = decay * (1.0 + r)
     b = decay * r
@@ -95,7 +96,7 @@ def second_order(
     square = decay * decay
     p = r**3 * (4.0 / 3.0 - 2.0 * r) if r < 1e-3 else 1.0 - a * a - b * b
     q = 2.0 * r * r * square
-    rest = -math.expm1(-2.0 * r) + square * (2.0 * r - 2.0 * r * r)
+    rest = -expm1(-2.0 * r) + square * (2.0 * r - 2.0 * r * r)
     # Its Cholesky factor turns independent numbers into such noise.
     left = math.sqrt(p)
     low = q / left if left > 0.0 else 0.0
@@ -135,7 +136,7 @@ def advance_gusts(
     """
     for w in range(state.shape[0]):
         # Direction of the steady wind in plan.
-        size = math.hypot(steady[w, 0], steady[w, 1])
+        size = hypot(steady[w, 0], steady[w, 1])
         ex, ey = (steady[w, 0] / size, steady[w, 1] / size) if size > 1e-9 else (1.0, 0.0)
         for i in range(state.shape[1]):
             x = state[w, i]

@@ -12,6 +12,7 @@ from bulletuav.control.actions.base import (
     with_yaw,
 )
 from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.functions import cos, sin
 from bulletuav.kernel import kernel
 from bulletuav.registry import register
 
@@ -127,8 +128,8 @@ def heading_speed(context: ActionContext) -> Action:
         heading = np.pi * action[..., 0]
         forward = speed * (action[..., 1] + 1) / 2
         climb = speed * action[..., 2]
-        east = forward * np.cos(heading)
-        north = forward * np.sin(heading)
+        east = forward * cos(heading)
+        north = forward * sin(heading)
         wanted = np.stack([east, north, climb], axis=-1)
         return with_yaw(limit_norm(wanted, speed), heading)
 

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from bulletuav.errors import as_sequence, finite, shown
+from bulletuav.functions import cos, sin
 from bulletuav.kernel import func
 from bulletuav.network.mobility.ground import Ground
 
@@ -177,7 +178,7 @@ def check_range(
 def random_headings(rng: np.random.Generator, count: int) -> np.ndarray:
     """Draw unit vectors (count, 2), uniform on the circle."""
     angle = rng.uniform(-math.pi, math.pi, count)
-    return np.column_stack([np.cos(angle), np.sin(angle)])
+    return np.column_stack([cos(angle), sin(angle)])
 
 
 def standard_normals(rng: Generators, flying: np.ndarray, *shape: int) -> np.ndarray:

@@ -11,6 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from bulletuav.functions import exp, log
 from bulletuav.kernel import elementwise, kernel
 from bulletuav.network.mobility.base import (
     MAX_TIME,
@@ -25,7 +26,7 @@ from bulletuav.network.mobility.ground import Ground
 from bulletuav.network.mobility.raster import Raster, bounce, length
 from bulletuav.registry import register
 
-CORRELATION_TIME = -1 / math.log(0.75)
+CORRELATION_TIME = -1 / log(0.75)
 """Correlation time by default, s: velocities a second apart have the correlation 0.75"""
 MAX_DEVIATIONS = 4.0
 """Standard deviations that a user may be faster than its mean speed"""
@@ -115,7 +116,7 @@ class GaussMarkov(Walking):
         """Move users as `move` tells."""
         velocity = state["user_velocity"]
         noise = standard_normals(rng, flying, *velocity.shape[1:])
-        correlation = math.exp(-dt / self.correlation_time)
+        correlation = exp(-dt / self.correlation_time)
         advance(
             state["users"],
             velocity,

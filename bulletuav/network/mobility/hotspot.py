@@ -3,13 +3,13 @@
 The model is our own.
 """
 
-import math
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
 from bulletuav.errors import as_int
+from bulletuav.functions import exp, log
 from bulletuav.kernel import kernel
 from bulletuav.network.mobility.base import (
     MAX_LENGTH,
@@ -27,7 +27,7 @@ from bulletuav.network.mobility.ground import Ground
 from bulletuav.network.mobility.raster import Raster, bounce, length
 from bulletuav.registry import register
 
-TURNING_TIME = 1 / math.log(2.5)
+TURNING_TIME = 1 / log(2.5)
 """Turning time by default, s: after a second 0.4 of a heading is left"""
 MAX_HOTSPOTS = 1000
 """Most hotspots that an option may give"""
@@ -139,7 +139,7 @@ class Hotspot(Walking):
             layout,
             flying,
             dt,
-            math.exp(-dt / self.turning_time),
+            exp(-dt / self.turning_time),
             float(self.radius),
             float(self.wobble),
         )

@@ -9,6 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from bulletuav.functions import power
 from bulletuav.kernel import func, kernel
 from bulletuav.network.mobility.base import (
     MAX_TIME,
@@ -79,7 +80,7 @@ class Waypoint(Walking):
             "users": users,
             "user_velocity": np.zeros((count, 2)),
             "user_goal": users[:, :2].copy(),
-            "user_speed": low * (high / low) ** rng.random(count),
+            "user_speed": low * power(high / low, rng.random(count)),
             "user_pause": np.zeros(count),
         }
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from bulletuav.functions import tanh
 from bulletuav.registry import register
 from bulletuav.tasks.frame import Frame
 from bulletuav.tasks.ingredients import reward
@@ -27,7 +28,7 @@ def served(served: float) -> float:
 @register("reward")
 def dwell_time(frame: Frame) -> np.ndarray:
     """tanh(0.1 s) of the mean seconds s for which the drone has seen users: from 0 to 1."""
-    bonus: np.ndarray = np.tanh(DWELL_TIME_SCALE * frame.scene.memory["mean_dwell_time"])
+    bonus: np.ndarray = tanh(DWELL_TIME_SCALE * frame.scene.memory["mean_dwell_time"])
     return bonus
 
 
