@@ -218,7 +218,11 @@ def atan2(y: float, x: float) -> float:
         if y == 0.0:
             return math.copysign(0.0 if math.copysign(1.0, x) > 0.0 else PI, y)
         return math.copysign(0.5 * PI, y)
-    angle = atan(abs(y / x))
+    # Of the quotient that cannot overflow
+    steep = abs(y) > abs(x)
+    angle = atan(abs(x / y) if steep else abs(y / x))
+    if steep:
+        angle = (HALF_PI_REST - angle) + 0.5 * PI
     if x < 0.0:
         angle = PI - angle
     return math.copysign(angle, y)

@@ -44,13 +44,16 @@ class Program:
     """Compiled calls, and turns of Python between them, in the order in which they were added.
 
     Arrays are read and written where they are: they must not be replaced.
+
+    Attributes:
+        table: (K, 2) addresses of each call, for `run_calls`; made by the first run.
     """
 
     def __init__(self) -> None:
         """Make an empty program."""
         self._calls: list[_Call] = []
         self._words: list[np.ndarray] = []
-        self._table = np.zeros((0, 2), dtype=np.int64)
+        self.table = np.zeros((0, 2), dtype=np.int64)
 
     def call(
         self, kernel: Callable[..., Any], *arguments: Any, otherwise: Turn | None = None
@@ -71,15 +74,20 @@ class Program:
         else:
             self._calls.append(_Call(None, (), [turn]))
 
+    @property
+    def names(self) -> list[str]:
+        """Names of the calls; "" for turns of Python."""
+        return [getattr(call.kernel, "__name__", "") for call in self._calls]
+
     def run(self) -> None:
         """Run all calls and turns; an exception of a turn ends it."""
-        if len(self._table) != len(self._calls):
+        if len(self.table) != len(self._calls):
             self._compile()
-        k = _run(self._table, 0)
+        k = run_calls(self.table, 0)
         while k >= 0:
             for turn in self._calls[k].turns:
                 turn()
-            k = _run(self._table, k + 1)
+            k = run_calls(self.table, k + 1)
 
     def interpret(self) -> None:
         """Do what `run` does, call by call through Python; for programs that run once."""
@@ -90,9 +98,9 @@ class Program:
 
     def _compile(self) -> None:
         """Look up the addresses of all functions and arguments."""
-        self._table = np.zeros((len(self._calls), 2), dtype=np.int64)
+        self.table = np.zeros((len(self._calls), 2), dtype=np.int64)
         self._words = []
-        for row, (made, arguments, _) in zip(self._table, self._calls, strict=True):
+        for row, (made, arguments, _) in zip(self.table, self._calls, strict=True):
             if made is not None:
                 function, caller = _addresses(made, tuple(map(numba.typeof, arguments)))
                 words = np.array([function, *_flat(arguments)], dtype=np.int64)
@@ -223,7 +231,7 @@ def _call(words: int, kind: Any) -> int:
 
 
 @kernel
-def _run(table: np.ndarray, start: int) -> int:
+def run_calls(table: np.ndarray, start: int) -> int:
     """Make calls (address of the caller, of its words) until one returns True, and tell which.
 
     Returns -1 at the end. An address of 0 is Python's turn.

@@ -70,6 +70,12 @@ def test_angles_on_the_axes_are_those_of_ieee(y, x):
     assert math.copysign(1, got) == math.copysign(1, expected)
 
 
+def test_angles_of_points_near_an_axis_do_not_overflow():
+    assert functions.atan2(4.0, 2.2e-308) == math.pi / 2
+    assert functions.atan2(2.2e-308, -4.0) == math.pi
+    assert functions.atan2(1e308, 1e308) == math.pi / 4
+
+
 def test_powers():
     x, y = np.exp(RNG.uniform(-20, 20, 3000)), RNG.uniform(-5, 5, 3000)
     got = functions.power(x, y)

@@ -281,7 +281,7 @@ if __name__ == "__main__":
             **{
                 f"PettingZoo, {drones}, {hz} Hz": partial(decide, drones, hz)
                 for drones in (1, 10, 100)
-                for hz in (240, 48, 30)
+                for hz in (240, 48, 30, 10)
             },
             "Gymnasium, 240 Hz": partial(decide_alone, 240),
             "reset, 10": partial(reset, 10),

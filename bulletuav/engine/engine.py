@@ -184,11 +184,16 @@ class Engine(EngineQueries):
         if self._live:
             self._renderer.show_city(0)
 
+    def note_obstacles(
+        self, position: np.ndarray, quaternion: np.ndarray, worlds: np.ndarray
+    ) -> None:
+        """Do what `set_obstacles` does but for Bullet's bodies; see `show_obstacles`."""
+        count = self.obstacle_radius.size
+        self._scenery.place[worlds, :count] = position[worlds]
+        self._scenery.quaternion[worlds, :count] = quaternion[worlds]
+
     def set_obstacles(
-        self,
-        position: np.ndarray,
-        quaternion: np.ndarray,
-        worlds: np.ndarray,
+        self, position: np.ndarray, quaternion: np.ndarray, worlds: np.ndarray
     ) -> None:
         """Put obstacles somewhere.
 
@@ -198,11 +203,7 @@ class Engine(EngineQueries):
             worlds: (W,) bool, worlds whose obstacles move.
         """
         if self.obstacle_radius.size:
-            count = self.obstacle_radius.size
-            self._scenery.place[worlds, :count] = position[worlds]
-            self._scenery.quaternion[worlds, :count] = quaternion[worlds]
-            if not self.asks_bodies:  # `show_obstacles` puts them there when they are looked at
-                return
+            self.note_obstacles(position, quaternion, worlds)
             bodies = self._bodies.obstacle[worlds].ravel()
             place = (position + self._offset)[worlds].reshape(-1, 3)
             self._calls.pose(bodies, place, quaternion[worlds].reshape(-1, 4))

@@ -39,6 +39,7 @@ class Aviary(Decisions):
         commanded: (W, N, 3) velocities commanded last, m/s.
         parameters: (W, N) rows of `PARAMETERS` with which the drones fly.
         rng: Random generator of each world.
+        program: What a decision does; None before the first one.
         given: (W, N, A) actions for `decide`.
         rewards: (W, N) rewards of the last decision.
         terminated: (W, N) bool, drones whose episode the task ended in it.
@@ -88,7 +89,11 @@ class Aviary(Decisions):
         self._dynamics.place(self.swarm, chosen)
         reset = np.any(chosen, axis=1)
         self._engine.set_layouts(self.scene.layout, reset)
-        self._engine.set_obstacles(self.scene.obstacle, self.scene.obstacle_quaternion, reset)
+        obstacles = (self.scene.obstacle, self.scene.obstacle_quaternion, reset)
+        if self._engine.asks_bodies:
+            self._engine.set_obstacles(*obstacles)
+        else:
+            self._engine.note_obstacles(*obstacles)
         frame = self._first_frame(chosen)
         self._start_memory(frame, chosen)
         if not self._checked:  # once: later results are of the same form
@@ -98,7 +103,7 @@ class Aviary(Decisions):
             self._name_infos([*result.terms, *self.task.extra_terms(frame)])
             self._checked = True
         self._frame = frame
-        if self._program is None:
+        if self.program is None:
             return self.observer.observe(frame, self.alive)
         self._present[:] = self.alive
         self._forget()
@@ -202,7 +207,7 @@ class Aviary(Decisions):
             ValueError: A number of a living drone's action cannot be. The worlds stay as they were.
         """
         self._look()
-        program = self._program or self._make_program()
+        program = self.program or self._make_program()
         self._contacts_before, self._contacts = self._contacts, None
         self._forget()
         program.run()
@@ -215,7 +220,7 @@ class Aviary(Decisions):
     def first_info(self) -> Infos:
         """Tell the infos right after a reset: the keys of every step's info, terms at zero."""
         self._current()
-        if self._program is None:
+        if self.program is None:
             self._make_program()
         self._forget()
         self._telling.run()

@@ -88,7 +88,7 @@ class Decisions(Worlds):
         )
         self._vector = self.observer.make_room(shape)
         self._account: Account | None = None
-        self._program: Program | None = None
+        self.program: Program | None = None
 
     def _tell_contacts(self) -> Contacts:
         """Tell what touched what in the last decision, told once."""
@@ -105,7 +105,7 @@ class Decisions(Worlds):
         """Take over what stands now; programs know only what stood when they were made."""
         if self._dynamics.look_around() or self._account is None:
             self._account = make_account(self._live)
-            self._reckoning, self._program = Program(), None
+            self._reckoning, self.program = Program(), None
             self._add_account(self._reckoning)
 
     def _add_account(self, program: Program) -> None:
@@ -150,7 +150,7 @@ class Decisions(Worlds):
             program.turn(lambda: task.update_memory(frame, self.rng))
         self._add_judgement(program)
         self._add_result(program)
-        self._program = program
+        self.program = program
         self._make_first()
         return program
 

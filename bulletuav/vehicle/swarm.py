@@ -130,7 +130,7 @@ class Motion(NamedTuple):
 
     Attributes:
         before: (W, K, 3) positions at the start, m.
-        after: (W, K, 3) positions at the end, m; the same array where nothing moves.
+        after: (W, K, 3) positions at the end, m.
         quaternion: (W, K, 4) attitudes.
     """
 
@@ -143,23 +143,6 @@ class Motion(NamedTuple):
         """Make the motion of no obstacles."""
         nowhere = np.zeros((num_worlds, 0, 3))
         return cls(before=nowhere, after=nowhere, quaternion=np.zeros((num_worlds, 0, 4)))
-
-    @property
-    def moving(self) -> bool:
-        """Whether any obstacle changes its place."""
-        return self.after is not self.before
-
-    def at(self, share: float | np.ndarray) -> np.ndarray:
-        """Return the positions after a share of the decision.
-
-        Args:
-            share: From 0 to 1: one number, or S shares as (S, 1, 1, 1).
-
-        Returns:
-            (W, K, 3) positions, m, or (S, W, K, 3) for S shares.
-        """
-        position: np.ndarray = self.before + share * (self.after - self.before)
-        return position
 
 
 GROUND = -1
