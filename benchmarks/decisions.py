@@ -78,12 +78,15 @@ def parts(dynamics: str) -> dict[str, float]:
     whole = per_call(lambda: env.step(actions))
     core = per_call(aviary.decide)
     program = aviary.program
-    empty = per_call(lambda: run_calls(program.table[:0], 0))
+
+    def took(rows: np.ndarray) -> float:
+        return per_call(lambda: run_calls(rows, 0))
+
+    empty = took(program.table[:0].copy())
     calls = {"flight": 0.0, "other stages": 0.0}
     for k, name in enumerate(program.names):
-        one = program.table[k : k + 1].copy()
         kind = "flight" if name in FLIGHT else "other stages"
-        calls[kind] += per_call(lambda one=one: run_calls(one, 0)) - empty
+        calls[kind] += took(program.table[k : k + 1].copy()) - empty
     env.close()
     around = core - sum(calls.values())
     return calls | {"around the program": around, "agents' dictionaries": whole - core}
