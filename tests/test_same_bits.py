@@ -4,12 +4,16 @@ Not of dynamics `bullet`: Bullet's own sine and cosine are those of the C librar
 """
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+import bulletuav
+
+PACKAGE = Path(bulletuav.__file__).parent
 PROGRAM = """
 import digests
 
@@ -69,3 +73,34 @@ def usual():
 def test_flights_are_the_same_on(machine, usual):
     assert len(usual) == 9
     assert flown(EMULATED[machine]) == usual
+
+
+ROOMS = [
+    "geometry",
+    "vehicle",
+    "control",
+    "contact",
+    "dynamics",
+    "network",
+    "sensors",
+    "tasks",
+    "envs",
+]
+OTHERS = re.compile(
+    r"\b(math|np|cmath)\.(exp|expm1|log|log10|log1p|log2|pow|power|float_power|sin|cos|tan|asin|"
+    r"acos|atan|atan2|arcsin|arccos|arctan|arctan2|sinh|cosh|tanh|hypot)\("
+)
+LOOKS = {"geometry/view.py", "sensors/camera.py", "envs/renderer.py"}
+"""Files of pictures, which flights do not depend on"""
+EXACT_ENOUGH = {
+    "geometry/convex.py",  # bounds of shapes, by the length of corners
+    "tasks/check.py",  # how deep a start may be in the ground
+}
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_flights_depend_on_functions_of_our_own(room):
+    for path in (PACKAGE / room).rglob("*.py"):
+        name = path.relative_to(PACKAGE).as_posix()
+        if name not in LOOKS | EXACT_ENOUGH:
+            assert not OTHERS.search(path.read_text()), name

@@ -4,13 +4,13 @@ Times are in s since the decision began, and a decision takes `dt` s.
 """
 
 import itertools
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from bulletuav.errors import as_sequence, finite, numbers_of
+from bulletuav.functions import log1p
 from bulletuav.kernel import allocating
 
 
@@ -117,13 +117,13 @@ def _spread(
         passed = 0.0
         # Gap, user and size of every task
         for k in range(count):
-            passed -= math.log1p(-uniform[offset + k])
+            passed -= log1p(-uniform[offset + k])
             time[begin + k] = passed
             share = uniform[offset + count + k] * cumulative[-1]
             user[begin + k] = np.searchsorted(cumulative, share, side="right")
             bits[begin + k] = low + (high - low) * uniform[offset + 2 * count + k]
         offset += 3 * count + 1
         # The last gap lies between the last task and the end of the decision
-        passed -= math.log1p(-uniform[offset - 1])
+        passed -= log1p(-uniform[offset - 1])
         time[begin : begin + count] *= dt / passed
     return user, time, bits
