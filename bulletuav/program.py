@@ -82,7 +82,7 @@ class Program:
     def run(self) -> None:
         """Run all calls and turns; an exception of a turn ends it."""
         if len(self.table) != len(self._calls):
-            self._compile()
+            self.compile()
         k = run_calls(self.table, 0)
         while k >= 0:
             for turn in self._calls[k].turns:
@@ -96,8 +96,8 @@ class Program:
                 for turn in turns:
                     turn()
 
-    def _compile(self) -> None:
-        """Look up the addresses of all functions and arguments."""
+    def compile(self) -> None:
+        """Look up the addresses of all functions and arguments; the first run does it otherwise."""
         self.table = np.zeros((len(self._calls), 2), dtype=np.int64)
         self._words = []
         for row, (made, arguments, _) in zip(self.table, self._calls, strict=True):

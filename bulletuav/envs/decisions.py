@@ -150,6 +150,7 @@ class Decisions(Worlds):
             program.turn(lambda: task.update_memory(frame, self.rng))
         self._add_judgement(program)
         self._add_result(program)
+        program.compile()  # now, so that the first decision takes no longer than others
         self.program = program
         self._make_first()
         return program
