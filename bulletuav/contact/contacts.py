@@ -300,20 +300,10 @@ def mark(
                 impulse[w, i] = max(impulse[w, i], total)
 
 
-@kernel
-def any_touched(contact: Contact) -> bool:
-    """Tell whether any drone touched anything in this decision."""
-    for w in range(contact.touches.number.shape[0]):
-        for i in range(contact.touches.number.shape[1]):
-            if contact.touches.number[w, i] > 0:
-                return True
-    return False
-
-
 def told(contact: Contact) -> Contacts:
     """Tell what was touched in a decision, sorted by world, drone and other."""
     touches = contact.touches
-    if not any_touched(contact):
+    if not touches.number.any():
         return Contacts.none()
     scenery = contact.scenery
     used = np.arange(touches.other.shape[-1]) < touches.number[..., None]

@@ -11,11 +11,9 @@ from bulletuav.envs.infos import columns
 from bulletuav.envs.stages import (
     admit,
     begin,
-    clear,
-    command,
     conclude,
+    copy_vectors,
     keep_before,
-    put_obstacles,
     settle,
     tell,
     tick,
@@ -29,7 +27,7 @@ from bulletuav.tasks.base import Task
 from bulletuav.tasks.check import require_finite
 from bulletuav.tasks.frame import Frame
 from bulletuav.tasks.ingredients import PRESENT
-from bulletuav.tasks.stages import Judgement, add_judgement
+from bulletuav.tasks.stages import Judgement, add_judgement, clear
 from bulletuav.vehicle.swarm import Contacts, Swarm, confine
 
 INFOS = {
@@ -181,7 +179,7 @@ class Decisions(Worlds):
         else:
             program.turn(self._decode)
         if action.level == SetpointLevel.VELOCITY:
-            program.call(command, self._setpoint, self.commanded)
+            program.call(copy_vectors, self._setpoint, self.commanded)
         if self._uncertainty.drains:
             program.turn(lambda: self._uncertainty.drain(frame.time))
 
@@ -201,11 +199,11 @@ class Decisions(Worlds):
     def _add_flight(self, program: Program) -> None:
         """Add the flight, and the energy that it takes."""
         frame, scene, task = self._live, self.scene, self.task
-        program.call(put_obstacles, scene.obstacle, self._dynamics.contact.after)
+        program.call(copy_vectors, scene.obstacle, self._dynamics.contact.after)
         flight = (self.action.level, self._setpoint, self._air)
         self._dynamics.add_to(program, self.swarm, frame.alive, *flight)
         if scene.obstacle.shape[1]:
-            program.call(put_obstacles, scene.obstacle, self._engine.scenery.place)
+            program.call(copy_vectors, scene.obstacle, self._engine.scenery.place)
             if self._engine.asks_bodies:
                 program.turn(self._engine.show_obstacles)
         if task.rebound is not None:
@@ -279,12 +277,11 @@ class Decisions(Worlds):
 
     def _measure(self, before: Swarm, after: Swarm, mask: np.ndarray) -> dict[str, np.ndarray]:
         """Measure with all sensors, from the drones of `mask` (W, N)."""
-        readings = {"sight": self._nothing_seen, **self._energy.readings()}
         if not self._sensors.sensors:
-            return readings
+            return {}
         targets = self.task.targets(self.scene)
         moment = Moment(before, after, targets, mask, self.steps, self.rng, {})
-        return {**readings, **self._sensors.measure(moment, self._show)}
+        return self._sensors.measure(moment, self._show)
 
     def _keep(self, readings: dict[str, np.ndarray]) -> None:
         """Write readings to the arrays of the frame."""
@@ -292,7 +289,7 @@ class Decisions(Worlds):
             held = self._readings.get(name)
             if held is None or held is self._nothing_seen:
                 self._readings[name] = np.array(value)
-            elif held is not value:
+            else:
                 held[...] = value
 
     def telling(self) -> Callable[[], dict[str, np.ndarray]]:

@@ -101,21 +101,12 @@ def keep_before(
 
 
 @kernel
-def command(setpoint: np.ndarray, commanded: np.ndarray) -> None:
-    """Keep the velocities (W, N, 3) that setpoints (W, N, 4) command."""
-    for w in range(commanded.shape[0]):
-        for i in range(commanded.shape[1]):
+def copy_vectors(given: np.ndarray, out: np.ndarray) -> None:
+    """Copy the first three numbers of `given` (W, K, ...) to `out` (W, K or more, 3)."""
+    for w in range(given.shape[0]):
+        for m in range(given.shape[1]):
             for k in range(3):
-                commanded[w, i, k] = setpoint[w, i, k]
-
-
-@kernel
-def put_obstacles(obstacle: np.ndarray, place: np.ndarray) -> None:
-    """Copy positions (W, K, 3) of the task's obstacles to the first of the places (W, R, 3)."""
-    for w in range(obstacle.shape[0]):
-        for m in range(obstacle.shape[1]):
-            for k in range(3):
-                place[w, m, k] = obstacle[w, m, k]
+                out[w, m, k] = given[w, m, k]
 
 
 @kernel
@@ -182,15 +173,6 @@ def conclude(
             left[w, i] = flown[w, i] and not alive[w, i]
             any_left = any_left or left[w, i]
     return any_left
-
-
-@kernel
-def clear(table: np.ndarray) -> None:
-    """Write zeros to a table (K, W, N)."""
-    for k in range(table.shape[0]):
-        for w in range(table.shape[1]):
-            for i in range(table.shape[2]):
-                table[k, w, i] = 0.0
 
 
 @kernel

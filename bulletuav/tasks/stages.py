@@ -146,3 +146,12 @@ def _join(another: np.ndarray, out: np.ndarray) -> None:
     for w in range(out.shape[0]):
         for i in range(out.shape[1]):
             out[w, i] = out[w, i] or another[w, i]
+
+
+@kernel
+def clear(table: np.ndarray) -> None:
+    """Write zeros to an array of three axes."""
+    for a in range(table.shape[0]):
+        for b in range(table.shape[1]):
+            for c in range(table.shape[2]):
+                table[a, b, c] = 0.0

@@ -17,7 +17,7 @@ from bulletuav.sensors.suite import provider, reading_labels
 from bulletuav.tasks.frame import Frame
 from bulletuav.tasks.ingredients import PRESENT, Binding, Bound
 from bulletuav.tasks.observations.base import Block
-from bulletuav.tasks.stages import Kept
+from bulletuav.tasks.stages import Kept, clear
 
 STATE = ("position", "attitude", "velocity", "rates", "goal_position", "alive")
 """Blocks of the global state, of every drone"""
@@ -153,7 +153,7 @@ class ObservationBuilder:
             frame: The decision; its `derived` has PRESENT, the drones that can still be met.
             vector: (W, N, D) float32, written.
         """
-        program.call(_clear, vector)
+        program.call(clear, vector)
         kept = Kept(program, frame)
         for part, writer in self._writers:
             out = vector[..., part]
@@ -194,15 +194,6 @@ class ObservationBuilder:
                 f"one for each label"
             )
         return {name: vector[..., part] for name, part in self.slices.items()}
-
-
-@kernel
-def _clear(vector: np.ndarray) -> None:
-    """Write zeros to `vector` (W, N, D)."""
-    for w in range(vector.shape[0]):
-        for i in range(vector.shape[1]):
-            for k in range(vector.shape[2]):
-                vector[w, i, k] = 0.0
 
 
 @kernel
