@@ -322,6 +322,7 @@ def told(contact: Contact) -> Contacts:
         point=touches.place[used],
         normal=touches.normal[used],
         velocity=touches.velocity[used],
+        depth=touches.depth[used],
     )
 
 

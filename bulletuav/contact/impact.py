@@ -220,9 +220,9 @@ def _tell_point(
     """Tell a point of contact, for both sides if both are drones."""
     place = plus(vector(space.motions[point.a].position), 1.0, vector(point.arm_a))
     normal = vector(point.normal)
-    tell(touches, w, point.a, other, point.total[0], place, normal, velocity, 1.0)
+    tell(touches, w, point.a, other, point.total[0], place, normal, velocity, 0.0, 1.0)
     if point.b >= 0:
-        tell(touches, w, point.b, point.a, point.total[0], place, normal, velocity, -1.0)
+        tell(touches, w, point.b, point.a, point.total[0], place, normal, velocity, 0.0, -1.0)
 
 
 @allocating
@@ -296,9 +296,10 @@ def tell_pair(space: Workspace, world: World, pair: np.record, touches: Touches)
         return
     place = plus(vector(space.motions[pair.a].position), 1.0, on_a)
     still = (0.0, 0.0, 0.0)
-    tell(touches, world.w, pair.a, pair.b, 0.0, place, normal, still, 1.0)
+    depth = max(0.0, -distance)
+    tell(touches, world.w, pair.a, pair.b, 0.0, place, normal, still, depth, 1.0)
     if pair.b < world.scenery.first_body:
-        tell(touches, world.w, pair.b, pair.a, 0.0, place, normal, still, -1.0)
+        tell(touches, world.w, pair.b, pair.a, 0.0, place, normal, still, depth, -1.0)
 
 
 @func
@@ -353,7 +354,7 @@ def halt(
         impulse = world.parameters[w, i].mass * math.sqrt(dot(moving, moving))
         other = pair.b if i == pair.a else pair.a
         sign = 1.0 if i == pair.a else -1.0
-        tell(touches, w, i, other, impulse, place, normal, velocity, sign)
+        tell(touches, w, i, other, impulse, place, normal, velocity, 0.0, sign)
     for m in range(members):
         i = space.island[m]
         stopped[w, i] = True

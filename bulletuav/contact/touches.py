@@ -21,6 +21,7 @@ class Touches(NamedTuple):
         place: (W, N, T, 3) where they touched first, m.
         normal: (W, N, T, 3) direction in which the drone was pushed there.
         velocity: (W, N, T, 3) of the drone's surface against the other's just before, m/s.
+        depth: (W, N, T) how deep shapes overlapped there, m.
     """
 
     number: np.ndarray
@@ -29,6 +30,7 @@ class Touches(NamedTuple):
     place: np.ndarray
     normal: np.ndarray
     velocity: np.ndarray
+    depth: np.ndarray
 
 
 def make_touches(num_worlds: int, num_drones: int) -> Touches:
@@ -41,6 +43,7 @@ def make_touches(num_worlds: int, num_drones: int) -> Touches:
         place=np.zeros((*shape, MOST_TOUCHES, 3)),
         normal=np.zeros((*shape, MOST_TOUCHES, 3)),
         velocity=np.zeros((*shape, MOST_TOUCHES, 3)),
+        depth=np.zeros((*shape, MOST_TOUCHES)),
     )
 
 
@@ -69,12 +72,13 @@ def tell(
     place: Vec3,
     normal: Vec3,
     velocity: Vec3,
+    depth: float,
     sign: float,
 ) -> None:
     """Add a point of contact to what drone i of world w touched.
 
     Args:
-        touches: Changed; place, normal and velocity are kept of the first point alone.
+        touches: Changed; all but the impulse are kept of the first point alone.
         w: The world.
         i: The drone.
         other: Number of the other shape.
@@ -82,12 +86,14 @@ def tell(
         place: Of the point, m.
         normal: Direction in which the impulse acts on the drone, if `sign` is 1.
         velocity: Of the drone's surface against the other's before, m/s, if `sign` is 1.
+        depth: How deep shapes overlap there, m.
         sign: -1 to turn normal and velocity round.
     """
     before = touches.number[w, i]
     k = _slot(touches, w, i, other)
     touches.impulse[w, i, k] += impulse
     if touches.number[w, i] > before:
+        touches.depth[w, i, k] = depth
         for m in range(3):
             touches.place[w, i, k, m] = place[m]
             touches.normal[w, i, k, m] = sign * normal[m]

@@ -241,7 +241,7 @@ def command_kinematic(
 
 @func
 def command_rotors(
-    level: int,
+    levels: np.ndarray,
     setpoint: np.ndarray,
     w: int,
     i: int,
@@ -254,7 +254,7 @@ def command_rotors(
     """Compute the rotor speeds of one drone, and advance its controller's memory.
 
     Args:
-        level: `SetpointLevel` of the setpoints.
+        levels: (W, N) `SetpointLevel` of each drone's setpoint.
         setpoint: (W, N, S) setpoints.
         w: Index of the world.
         i: Index of the drone.
@@ -267,6 +267,7 @@ def command_rotors(
     controller, all_nominal, all_gains, memory = cascade
     nominal = all_nominal[w, i]
     gain = all_gains[w, i]
+    level = levels[w, i]
     state = get(swarm, w, i)
     if level == SetpointLevel.ROTOR:
         # The setpoint is the command, within what rotors can do.

@@ -27,9 +27,10 @@ from bulletuav.dynamics.setpoints import convert
 from bulletuav.engine.c_extension import surface_below
 from bulletuav.engine.engine import Engine
 from bulletuav.geometry.rotation import dot, vec3
-from bulletuav.kernel import kernel
+from bulletuav.kernel import func, kernel
 from bulletuav.program import Program
 from bulletuav.vehicle.swarm import Contacts, Motion, Swarm
+from bulletuav.vehicle.wrench import Around
 
 
 class Air(NamedTuple):
@@ -39,11 +40,27 @@ class Air(NamedTuple):
         wind: (W, N, 3) velocity of the air at each drone, world axes, m/s.
         surface: (W, N) height z of the surface below each drone, m; -inf where nobody asked.
         gravity: m/s^2, downwards.
+        force: (W, N, 3) what pushes each drone from outside, world axes, N.
+        torque: (W, N, 3) what turns it from outside, body axes, N m.
     """
 
     wind: np.ndarray
     surface: np.ndarray
     gravity: float
+    force: np.ndarray
+    torque: np.ndarray
+
+
+@func
+def surroundings(air: Air, w: int, i: int) -> Around:
+    """Return what surrounds one drone, as `wrench` takes it."""
+    return (
+        vec3(air.wind, w, i),
+        air.surface[w, i],
+        air.gravity,
+        vec3(air.force, w, i),
+        vec3(air.torque, w, i),
+    )
 
 
 @dataclass(frozen=True)
@@ -121,6 +138,8 @@ class Dynamics(ABC):
     Attributes:
         name: What users call it; the name of the class where it tells none.
         feels_surface: Whether `air.surface` is wanted, for the ground effect. It costs rays.
+        feels_force: Whether `air.force` moves its drones.
+        feels_torque: Whether `air.torque` turns them.
         contacts: What contacts can do, the default first. "stop": a drone stays where it touches
             something until the decision ends. "impulse": it is pushed, slides and rests there;
             this needs velocities and rates that are those of the flight.
@@ -128,10 +147,14 @@ class Dynamics(ABC):
             `bulletuav.contact.rest.bears`.
         flight: What it was built from.
         contact: What its contacts need.
+        force: (W, N, 3) what pushes drones from outside, world axes, N; zeros unless written to.
+        torque: (W, N, 3) what turns them from outside, body axes, N m; zeros unless written to.
     """
 
     name: ClassVar[str]
     feels_surface: ClassVar[bool] = False
+    feels_force: ClassVar[bool] = False
+    feels_torque: ClassVar[bool] = False
     contacts: ClassVar[tuple[str, ...]] = ("stop", "impulse")
     sleeps: ClassVar[bool] = False
 
@@ -152,6 +175,7 @@ class Dynamics(ABC):
             flight.restitution,
         )
         gains = flight.parameters["ground_effect_gain"]
+        self.force, self.torque = np.zeros((2, *flight.parameters.shape, 3))
         self._near_ground = self.feels_surface and bool((gains > 0).any())
 
     @property
@@ -181,7 +205,7 @@ class Dynamics(ABC):
         self,
         swarm: Swarm,
         alive: np.ndarray,
-        level: SetpointLevel,
+        levels: SetpointLevel | np.ndarray,
         setpoint: np.ndarray,
         wind: np.ndarray,
         motion: Motion,
@@ -191,7 +215,7 @@ class Dynamics(ABC):
         Args:
             swarm: State of all drones, moved in place.
             alive: (W, N) bool, drones that fly; the others neither move nor act.
-            level: Level of the setpoints, `consumes` or above.
+            levels: Level of the setpoints, `consumes` or above; or (W, N) that of each drone.
             setpoint: (W, N, S) setpoints, held during the decision.
             wind: (W, N, 3) wind, held during the decision, m/s.
             motion: Where obstacles go meanwhile; with none they stay where they are.
@@ -209,7 +233,8 @@ class Dynamics(ABC):
         self.contact.before[:] = motion.before if given else stand
         self.contact.after[:] = motion.after if given else stand
         program = Program()
-        self.add_to(program, swarm, alive, level, setpoint, wind)
+        levels = np.array(np.broadcast_to(levels, alive.shape), dtype=np.int64)
+        self.add_to(program, swarm, alive, levels, setpoint, wind)
         program.interpret()
         return self.touched()
 
@@ -226,7 +251,7 @@ class Dynamics(ABC):
         program: Program,
         swarm: Swarm,
         alive: np.ndarray,
-        level: SetpointLevel,
+        levels: np.ndarray,
         setpoint: np.ndarray,
         wind: np.ndarray,
     ) -> None:
@@ -236,10 +261,11 @@ class Dynamics(ABC):
         """
         flight = self.flight
         program.call(begin_decision, self.contact, alive, flight.substeps * flight.dt)
-        air = Air(wind, np.full(alive.shape, -np.inf), flight.gravity)
+        surface = np.full(alive.shape, -np.inf)
+        air = Air(wind, surface, flight.gravity, self.force, self.torque)
         if self._near_ground:
             self._add_surface(program, swarm, alive, air.surface)
-        self.add_flight(program, swarm, alive, level, setpoint, air)
+        self.add_flight(program, swarm, alive, levels, setpoint, air)
         lost = np.zeros(2, dtype=np.int64)
 
         def refuse() -> None:
@@ -258,7 +284,7 @@ class Dynamics(ABC):
         program: Program,
         swarm: Swarm,
         alive: np.ndarray,
-        level: SetpointLevel,
+        levels: np.ndarray,
         setpoint: np.ndarray,
         air: Air,
     ) -> None:
@@ -268,11 +294,11 @@ class Dynamics(ABC):
             program: To be added to.
             swarm: State of all drones, moved in place.
             alive: (W, N) bool, drones that fly.
-            level: Level of the setpoints, `consumes` or above.
+            levels: (W, N) `SetpointLevel` of each drone, `consumes` or above.
             setpoint: (W, N, S) setpoints, held during the decision.
             air: What surrounds the drones, held during the decision.
         """
-        program.turn(lambda: self._advance_decision(swarm, alive, level, setpoint, air))
+        program.turn(lambda: self._advance_decision(swarm, alive, levels, setpoint, air))
 
     def touched(self) -> Contacts:
         """Tell what was touched in the last decision."""
@@ -286,7 +312,7 @@ class Dynamics(ABC):
         self,
         swarm: Swarm,
         alive: np.ndarray,
-        level: SetpointLevel,
+        levels: np.ndarray,
         setpoint: np.ndarray,
         air: Air,
     ) -> None:
@@ -300,7 +326,7 @@ class Dynamics(ABC):
             flying = alive & ~contact.stopped
             target = convert(
                 setpoint,
-                level,
+                levels,
                 self.consumes,
                 swarm=swarm,
                 alive=flying,

@@ -19,7 +19,7 @@ from bulletuav.contact.contacts import meet_all, place_obstacles, remember_all
 from bulletuav.contact.rest import Contact, bears, wake
 from bulletuav.control.cascade import Cascade, command_rotors
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.dynamics.base import Air, Dynamics, Flight
+from bulletuav.dynamics.base import Air, Dynamics, Flight, surroundings
 from bulletuav.engine.c_extension import Port, substep, surface_below, write_states
 from bulletuav.geometry.rotation import Vec3, cross, plus, quat4, vec3
 from bulletuav.kernel import allocating, borrowed, func, kernel
@@ -95,7 +95,7 @@ def engine_torque(
 def drive(
     swarm: Swarm,
     alive: np.ndarray,
-    level: int,
+    levels: np.ndarray,
     setpoint: np.ndarray,
     cascade: Cascade,
     parameters: np.ndarray,
@@ -109,7 +109,7 @@ def drive(
     Args:
         swarm: State before the substep; its rotor speeds are advanced.
         alive: (W, N) bool, drones that fly.
-        level: Level of the setpoints.
+        levels: (W, N) `SetpointLevel` of each drone's setpoint.
         setpoint: (W, N, S) setpoints.
         cascade: The controllers.
         parameters: (W, N) rows of `PARAMETERS`.
@@ -131,7 +131,7 @@ def drive(
                 # Controllers, then the lag of the rotors
                 row = parameters[w, i]
                 decay = lag_decay(dt, row)
-                command_rotors(level, setpoint, w, i, swarm, cascade, dt, air.gravity, command)
+                command_rotors(levels, setpoint, w, i, swarm, cascade, dt, air.gravity, command)
                 for rotor in range(row.num_rotors):
                     now = swarm.rotor_speed[w, i, rotor]
                     after = lagged(now, command[rotor], decay)
@@ -139,11 +139,7 @@ def drive(
                     speed[rotor] = after
 
                 # Wrench at the state before the substep with the rotor speeds after it
-                around = (
-                    vec3(air.wind, w, i),
-                    air.surface[w, i],
-                    air.gravity,
-                )
+                around = surroundings(air, w, i)
                 quaternion = quat4(swarm.quaternion, w, i)
                 velocity = vec3(swarm.velocity, w, i)
                 altitude = swarm.position[w, i, 2]
@@ -202,7 +198,7 @@ def advance(
     near_ground: bool,
     swarm: Swarm,
     alive: np.ndarray,
-    level: int,
+    levels: np.ndarray,
     setpoint: np.ndarray,
     cascade: Cascade,
     parameters: np.ndarray,
@@ -222,7 +218,7 @@ def advance(
         near_ground: Whether the ground effect wants the surface below.
         swarm: State of all drones, moved in place.
         alive: (W, N) bool, drones that fly.
-        level: Level of the setpoints.
+        levels: (W, N) `SetpointLevel` of each drone's setpoint.
         setpoint: (W, N, S) setpoints.
         cascade: The controllers.
         parameters: (W, N) rows of `PARAMETERS`.
@@ -242,7 +238,7 @@ def advance(
         if near_ground:
             place_obstacles(contact, piece / substeps, substeps * dt)
             surface_below(port, swarm.position, driven, air.surface)
-        drive(swarm, driven, level, setpoint, cascade, parameters, air, dt, force, torque)
+        drive(swarm, driven, levels, setpoint, cascade, parameters, air, dt, force, torque)
         choose_flying(alive, parameters, force, torque, swarm, dt, contact, flying)
         substep(port, force, torque, flying, swarm)
         # What they would have flown into; the engine goes on from there
@@ -258,6 +254,8 @@ class BulletDynamics(Dynamics):
     name = "bullet"
     consumes = SetpointLevel.ROTOR
     feels_surface = True
+    feels_force = True
+    feels_torque = True
     contacts = ("impulse", "stop", "bullet")
     sleeps = True
 
@@ -281,7 +279,7 @@ class BulletDynamics(Dynamics):
         program: Program,
         swarm: Swarm,
         alive: np.ndarray,
-        level: SetpointLevel,
+        levels: np.ndarray,
         setpoint: np.ndarray,
         air: Air,
     ) -> None:
@@ -289,7 +287,7 @@ class BulletDynamics(Dynamics):
         flight, port = self.flight, self.flight.engine.port
         # C reads arrays as they lie
         assert all(array.flags.c_contiguous for array in (*swarm, alive))
-        inputs = self._inputs(swarm, alive, level, setpoint, air)
+        inputs = self._inputs(swarm, alive, levels, setpoint, air)
         if flight.contacts == "bullet":
             program.turn(lambda: self._fly_in_engine(inputs))
         elif port is None:
@@ -325,7 +323,7 @@ class BulletDynamics(Dynamics):
         self,
         swarm: Swarm,
         alive: np.ndarray,
-        level: SetpointLevel,
+        levels: np.ndarray,
         setpoint: np.ndarray,
         air: Air,
     ) -> "_Inputs":
@@ -334,7 +332,7 @@ class BulletDynamics(Dynamics):
         return _Inputs(
             swarm=swarm,
             alive=alive,
-            level=int(level),
+            levels=levels,
             setpoint=setpoint,
             cascade=flight.cascade,
             parameters=flight.parameters,
@@ -389,7 +387,7 @@ class _Inputs(NamedTuple):
 
     swarm: Swarm
     alive: np.ndarray
-    level: int
+    levels: np.ndarray
     setpoint: np.ndarray
     cascade: Cascade
     parameters: np.ndarray

@@ -1,9 +1,9 @@
 """Kinematic dynamics: points that follow velocities or accelerations, level, with a yaw.
 
-- `point_mass`: v' = limited((v_cmd - v) / tau) - k (v - wind): first-order velocity lag,
-  acceleration limit, rotor drag.
+- `point_mass`: v' = limited((v_cmd - v) / tau) - k (v - wind) + f / m: first-order velocity lag,
+  acceleration limit, rotor drag, forces from outside.
 - `single_integrator`: v = v_cmd, p+ = p + v dt.
-- `double_integrator`: p+ = p + v dt + a dt^2 / 2, v+ = v + a dt.
+- `double_integrator`: p+ = p + v dt + a dt^2 / 2, v+ = v + a dt, with a = limited(a_cmd) + f / m.
 
 |v_cmd|, and |v| of the integrators, are limited to max_speed. The commanded acceleration is limited
 to what tilting by the controller's bound gives. Limits are of the norm, not of each axis. Within
@@ -23,7 +23,7 @@ from bulletuav.control.cascade import Cascade, command_kinematic
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.base import Air, Dynamics
 from bulletuav.functions import exp
-from bulletuav.geometry.rotation import Vec3, dot, from_euler, point, quat4, vec3
+from bulletuav.geometry.rotation import Vec3, dot, from_euler, plus, point, quat4, vec3
 from bulletuav.kernel import allocating, borrowed, func
 from bulletuav.program import Program
 from bulletuav.registry import register
@@ -49,18 +49,22 @@ def _relaxed(
     velocity: Vec3,
     command: Vec3,
     wind: Vec3,
+    pull: Vec3,
     lag: float,
     drag: float,
     dt: float,
 ) -> tuple[Vec3, Vec3]:
-    """Solve v' = (v_cmd - v) / lag - drag (v - wind) for dt; returns velocity and displacement."""
+    """Solve v' = (v_cmd - v) / lag - drag (v - wind) + pull for dt.
+
+    Returns velocity and displacement.
+    """
     # Exponential approach to the velocity at which lag and drag balance
     rate = 1.0 / lag + drag
     decay = exp(-rate * dt)
     share = (1.0 - decay) / rate
-    end0 = (command[0] / lag + drag * wind[0]) / rate
-    end1 = (command[1] / lag + drag * wind[1]) / rate
-    end2 = (command[2] / lag + drag * wind[2]) / rate
+    end0 = (command[0] / lag + drag * wind[0] + pull[0]) / rate
+    end1 = (command[1] / lag + drag * wind[1] + pull[1]) / rate
+    end2 = (command[2] / lag + drag * wind[2] + pull[2]) / rate
     away0 = velocity[0] - end0
     away1 = velocity[1] - end1
     away2 = velocity[2] - end2
@@ -82,6 +86,7 @@ def lagged_velocity(
     velocity: Vec3,
     command: Vec3,
     wind: Vec3,
+    pull: Vec3,
     lag: float,
     drag: float,
     most: float,
@@ -89,13 +94,14 @@ def lagged_velocity(
 ) -> tuple[Vec3, Vec3]:
     """Advance a `point_mass` by dt.
 
-    While the limit does not act, v' = (v_cmd - v) / lag - drag (v - wind) is linear and solved
-    exactly. While it does, the acceleration is held for dt.
+    While the limit does not act, v' = (v_cmd - v) / lag - drag (v - wind) + pull is linear and
+    solved exactly. While it does, the acceleration is held for dt.
 
     Args:
         velocity: m/s.
         command: Velocity that is asked for, m/s.
         wind: m/s.
+        pull: Acceleration by forces from outside, m/s^2.
         lag: Time constant of the velocity, s.
         drag: 1/s.
         most: Limit of the commanded acceleration, m/s^2.
@@ -104,19 +110,19 @@ def lagged_velocity(
     Returns:
         Velocity after dt, m/s, and displacement, m.
     """
-    pull = (
+    steered = (
         (command[0] - velocity[0]) / lag,
         (command[1] - velocity[1]) / lag,
         (command[2] - velocity[2]) / lag,
     )
-    if dot(pull, pull) <= most * most:
-        return _relaxed(velocity, command, wind, lag, drag, dt)
+    if dot(steered, steered) <= most * most:
+        return _relaxed(velocity, command, wind, pull, lag, drag, dt)
 
     # Constant acceleration
-    pull = limited(pull, most)
-    acceleration0 = pull[0] - drag * (velocity[0] - wind[0])
-    acceleration1 = pull[1] - drag * (velocity[1] - wind[1])
-    acceleration2 = pull[2] - drag * (velocity[2] - wind[2])
+    steered = limited(steered, most)
+    acceleration0 = steered[0] - drag * (velocity[0] - wind[0]) + pull[0]
+    acceleration1 = steered[1] - drag * (velocity[1] - wind[1]) + pull[1]
+    acceleration2 = steered[2] - drag * (velocity[2] - wind[2]) + pull[2]
     half = 0.5 * dt * dt
     after = (
         velocity[0] + acceleration0 * dt,
@@ -180,6 +186,7 @@ def _advance_point(
     target: Vec3,
     velocity: Vec3,
     wind: Vec3,
+    pull: Vec3,
     fastest: float,
     lag: float,
     drag: float,
@@ -188,11 +195,11 @@ def _advance_point(
 ) -> tuple[Vec3, Vec3]:
     """Return velocity and displacement of a point after dt, under the setpoint `target`."""
     if kind == DOUBLE_INTEGRATOR:
-        acceleration = limited(target, most)
+        acceleration = plus(limited(target, most), 1.0, pull)
         return accelerated(velocity, acceleration, fastest, dt)
     command = limited(target, fastest)
     if kind == POINT_MASS:
-        return lagged_velocity(velocity, command, wind, lag, drag, most, dt)
+        return lagged_velocity(velocity, command, wind, pull, lag, drag, most, dt)
     return command, (
         command[0] * dt,
         command[1] * dt,
@@ -214,33 +221,47 @@ def _constants(
     return lag, _drag_rate(swarm, w, i, row), gravity * gain.max_tilt
 
 
+@func
+def _pieces(kind: int, levels: np.ndarray, w: int, substeps: int) -> int:
+    """Return into how many straight pieces a decision is cut in world w.
+
+    One for drones that move with velocities, under which nothing changes on the way.
+    """
+    if kind != SINGLE_INTEGRATOR:
+        return substeps
+    for i in range(levels.shape[1]):
+        if levels[w, i] != SetpointLevel.VELOCITY:
+            return substeps
+    return 1
+
+
 @allocating
 def advance(
     kind: int,
     swarm: Swarm,
     alive: np.ndarray,
-    level: int,
+    levels: np.ndarray,
     setpoint: np.ndarray,
     cascade: Cascade,
     parameters: np.ndarray,
     air: Air,
-    pieces: int,
-    dt: float,
+    substeps: int,
+    length: float,
     contact: Contact,
 ) -> None:
-    """Fly all pieces of one decision in all worlds.
+    """Fly all substeps of one decision in all worlds.
 
     Args:
         kind: POINT_MASS, SINGLE_INTEGRATOR or DOUBLE_INTEGRATOR.
         swarm: State of all drones, moved in place.
         alive: (W, N) bool, drones that fly.
-        level: Level of the setpoints.
+        levels: (W, N) `SetpointLevel` of each drone's setpoint.
         setpoint: (W, N, 4) setpoints, held during the decision.
         cascade: The controllers, whose gains are used.
         parameters: (W, N) rows of `PARAMETERS`.
         air: What surrounds the drones.
-        pieces: Number of pieces.
-        dt: Duration of a piece, s.
+        substeps: Number of substeps.
+        length: Duration of a substep, s.
         contact: What contacts need.
     """
     swarm, cascade, air, contact = borrowed((swarm, cascade, air, contact))
@@ -250,6 +271,8 @@ def advance(
         for i in range(alive.shape[1]):
             gain = cascade.gains[w, i]
             constants[i] = _constants(swarm, w, i, parameters[w, i], gain, air.gravity)
+        pieces = _pieces(kind, levels, w, substeps)
+        dt = length * (substeps // pieces)
         for piece in range(pieces):
             remember(contact, swarm, w)
             for i in range(alive.shape[1]):
@@ -259,14 +282,16 @@ def advance(
                 position, quaternion, velocity, rates = get(swarm, w, i)
                 wanted = quat4(setpoint, w, i)
                 wind = vec3(air.wind, w, i)
+                pull = plus((0.0, 0.0, 0.0), 1.0 / parameters[w, i].mass, vec3(air.force, w, i))
                 quaternion = from_euler(0.0, 0.0, wanted[3])
 
                 # Down to the level that is consumed, then the integration
                 gain = cascade.gains[w, i]
+                level = levels[w, i]
                 target = command_kinematic(level, accelerates, wanted, position, velocity, gain)
                 lag, drag, most = point(constants, i)
                 velocity, moved = _advance_point(
-                    kind, target, velocity, wind, gain.max_speed, lag, drag, most, dt
+                    kind, target, velocity, wind, pull, gain.max_speed, lag, drag, most, dt
                 )
                 position = (
                     position[0] + moved[0],
@@ -287,14 +312,6 @@ class Kinematic(Dynamics):
     kind: ClassVar[int]
     contacts: ClassVar[tuple[str, ...]] = ("stop",)
 
-    def pieces(self, level: SetpointLevel) -> int:
-        """Return into how many straight pieces a decision is cut, by default one a substep.
-
-        Args:
-            level: Level of the setpoints that will be flown.
-        """
-        return self.flight.substeps
-
     def place(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Start drones level and without rates; see the base class."""
         swarm.quaternion[mask] = 0, 0, 0, 1
@@ -306,25 +323,24 @@ class Kinematic(Dynamics):
         program: Program,
         swarm: Swarm,
         alive: np.ndarray,
-        level: SetpointLevel,
+        levels: np.ndarray,
         setpoint: np.ndarray,
         air: Air,
     ) -> None:
-        """Add all pieces as one compiled call; see the base class."""
+        """Add all substeps as one compiled call; see the base class."""
         flight = self.flight
-        pieces = self.pieces(level)
         program.call(
             advance,
             self.kind,
             swarm,
             alive,
-            int(level),
+            levels,
             setpoint,
             flight.cascade,
             flight.parameters,
             air,
-            pieces,
-            flight.dt * (flight.substeps // pieces),
+            flight.substeps,
+            flight.dt,
             self.contact,
         )
 
@@ -337,10 +353,6 @@ class SingleIntegrator(Kinematic):
     consumes = SetpointLevel.VELOCITY
     kind = SINGLE_INTEGRATOR
 
-    def pieces(self, level: SetpointLevel) -> int:
-        """Return one for velocities, under which nothing changes on the way."""
-        return 1 if level == SetpointLevel.VELOCITY else super().pieces(level)
-
 
 @register("dynamics")
 class DoubleIntegrator(Kinematic):
@@ -348,6 +360,7 @@ class DoubleIntegrator(Kinematic):
 
     name = "double_integrator"
     consumes = SetpointLevel.ACCELERATION
+    feels_force = True
     kind = DOUBLE_INTEGRATOR
 
 
@@ -357,4 +370,5 @@ class PointMass(Kinematic):
 
     name = "point_mass"
     consumes = SetpointLevel.VELOCITY
+    feels_force = True
     kind = POINT_MASS

@@ -13,22 +13,20 @@ from bulletuav.contact.rest import Contact, bears
 from bulletuav.contact.rest import wake as rouse
 from bulletuav.control.cascade import Cascade, command_rotors
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.dynamics.base import Air, Dynamics
-from bulletuav.geometry.rotation import Quat4, Vec3, normalised, vec3
+from bulletuav.dynamics.base import Air, Dynamics, surroundings
+from bulletuav.geometry.rotation import Quat4, Vec3, normalised
 from bulletuav.kernel import allocating, borrowed, func
 from bulletuav.program import Program
 from bulletuav.registry import register
 from bulletuav.vehicle.aerodynamics import wakes
 from bulletuav.vehicle.rotors import lag_decay, lagged, rotor_wrench
 from bulletuav.vehicle.swarm import Swarm, get, put
-from bulletuav.vehicle.wrench import SMALL_TURN, body_acceleration, spin_parts, wrench
+from bulletuav.vehicle.wrench import SMALL_TURN, Around, body_acceleration, spin_parts, wrench
 
 State = tuple[Vec3, Quat4, Vec3, Vec3]
 """Position, quaternion, velocity and rates of one drone, or their slopes"""
 RotorWrench = tuple[float, Vec3, float]
 """Thrust, torque and sum of speeds, as `rotor_wrench` gives them"""
-Around = tuple[Vec3, float, float]
-"""Wind (3,) in m/s, height of the surface below in m, gravity in m/s^2"""
 
 
 @func
@@ -175,7 +173,7 @@ def _turn_rotors(
 def advance(
     swarm: Swarm,
     alive: np.ndarray,
-    level: int,
+    levels: np.ndarray,
     setpoint: np.ndarray,
     cascade: Cascade,
     parameters: np.ndarray,
@@ -189,7 +187,7 @@ def advance(
     Args:
         swarm: State of all drones, moved in place.
         alive: (W, N) bool, drones that fly.
-        level: Level of the setpoints.
+        levels: (W, N) `SetpointLevel` of each drone's setpoint.
         setpoint: (W, N, S) setpoints, held during the decision.
         cascade: The controllers.
         parameters: (W, N) rows of `PARAMETERS`.
@@ -217,7 +215,7 @@ def advance(
             wakes(w, swarm.position, alive, parameters, air.gravity, wake)
             for i in range(num_drones):
                 if alive[w, i] and not contact.stopped[w, i]:
-                    command_rotors(level, setpoint, w, i, swarm, cascade, dt, air.gravity, command)
+                    command_rotors(levels, setpoint, w, i, swarm, cascade, dt, air.gravity, command)
                     for rotor in range(num_rotors):
                         commands[i, rotor] = command[rotor]
 
@@ -228,11 +226,7 @@ def advance(
                     rotors = _turn_rotors(
                         swarm.rotor_speed, commands, decay, w, i, row, begin, middle, end
                     )
-                    around = (
-                        vec3(air.wind, w, i),
-                        air.surface[w, i],
-                        air.gravity,
-                    )
+                    around = surroundings(air, w, i)
                     state = get(swarm, w, i)
                     if contact.asleep[w, i]:
                         # Who rests is left alone as long as it bears its forces
@@ -257,6 +251,8 @@ class RigidBody(Dynamics):
     name = "rigid_body"
     consumes = SetpointLevel.ROTOR
     feels_surface = True
+    feels_force = True
+    feels_torque = True
     contacts = ("impulse", "stop")
     sleeps = True
 
@@ -265,7 +261,7 @@ class RigidBody(Dynamics):
         program: Program,
         swarm: Swarm,
         alive: np.ndarray,
-        level: SetpointLevel,
+        levels: np.ndarray,
         setpoint: np.ndarray,
         air: Air,
     ) -> None:
@@ -275,7 +271,7 @@ class RigidBody(Dynamics):
             advance,
             swarm,
             alive,
-            int(level),
+            levels,
             setpoint,
             flight.cascade,
             flight.parameters,

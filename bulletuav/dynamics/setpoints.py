@@ -14,7 +14,7 @@ CONVERTED = (SetpointLevel.VELOCITY, SetpointLevel.ACCELERATION, SetpointLevel.R
 
 @allocating
 def _convert(
-    level: int,
+    levels: np.ndarray,
     consumes: int,
     setpoint: np.ndarray,
     swarm: Swarm,
@@ -32,7 +32,7 @@ def _convert(
                 continue
             if consumes == SetpointLevel.ROTOR:
                 # All the way down the cascade; rotors that the drone lacks stay at zero
-                command_rotors(level, setpoint, w, i, swarm, cascade, dt, gravity, speed)
+                command_rotors(levels, setpoint, w, i, swarm, cascade, dt, gravity, speed)
                 for rotor in range(cascade.nominal[w, i].num_rotors):
                     converted[w, i, rotor] = speed[rotor]
             else:
@@ -41,6 +41,7 @@ def _convert(
                 wanted = quat4(setpoint, w, i)
                 accelerates = consumes == SetpointLevel.ACCELERATION
                 gain = cascade.gains[w, i]
+                level = levels[w, i]
                 target = command_kinematic(level, accelerates, wanted, position, velocity, gain)
                 for k in range(3):
                     converted[w, i, k] = target[k]
@@ -49,7 +50,7 @@ def _convert(
 
 def convert(
     setpoint: np.ndarray,
-    level: SetpointLevel,
+    levels: np.ndarray,
     consumes: SetpointLevel,
     swarm: Swarm,
     alive: np.ndarray,
@@ -57,11 +58,11 @@ def convert(
     dt: float,
     gravity: float,
 ) -> np.ndarray:
-    """Turn setpoints of one level into those of another, once a substep.
+    """Turn setpoints into those of the level that a dynamics consumes, once a substep.
 
     Args:
-        setpoint: (W, N, S) setpoints at `level`, see `SetpointLevel` for their columns.
-        level: Level of the action.
+        setpoint: (W, N, S) setpoints at `levels`, see `SetpointLevel` for their columns.
+        levels: (W, N) `SetpointLevel` of each drone's setpoint.
         consumes: Level that is wanted.
         swarm: Present state.
         alive: (W, N) bool, drones that fly; the others get zeros.
@@ -77,14 +78,15 @@ def convert(
         ValueError: No controller leads from one level to the other.
     """
     rotors = consumes == SetpointLevel.ROTOR
-    if level == consumes and not rotors:
+    if (levels == consumes).all() and not rotors:
         return setpoint
-    if consumes not in CONVERTED or level > consumes:
+    lowest = SetpointLevel(levels.max())
+    if consumes not in CONVERTED or lowest > consumes:
         raise ValueError(
-            f"{level.name.lower()} setpoints cannot be turned into {consumes.name.lower()}: "
+            f"{lowest.name.lower()} setpoints cannot be turned into {consumes.name.lower()}: "
             f"let the dynamics consume velocity, acceleration or rotor setpoints"
         )
     width = swarm.rotor_speed.shape[2] if rotors else 4
     converted = np.zeros((*alive.shape, width))
-    _convert(int(level), int(consumes), setpoint, swarm, alive, cascade, dt, gravity, converted)
+    _convert(levels, int(consumes), setpoint, swarm, alive, cascade, dt, gravity, converted)
     return converted

@@ -112,7 +112,8 @@ class EngineQueries:
                     speed = swarm.velocity[w, i] + cross(spin, place - swarm.position[w, i])
                     normal = sign * np.array(one[NORMAL_ON_B])
                     other = self._bodies.other(one[theirs])
-                    rows.append((w, i, other, one[NORMAL_FORCE] * dt, place, normal, speed))
+                    impulse, depth = one[NORMAL_FORCE] * dt, max(0.0, -one[DISTANCE])
+                    rows.append((w, i, other, impulse, place, normal, speed, depth))
         if not rows:
             return Contacts.none()
         return Contacts(*(np.array(column) for column in zip(*rows, strict=True)))

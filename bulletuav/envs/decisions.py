@@ -61,6 +61,7 @@ class Decisions(Worlds):
         size = self.action.low.shape[-1]
         self.given = np.zeros((*shape, size))
         self._setpoint = self.action.decode(np.zeros((*shape, size)), self.commanded).copy()
+        self._levels = np.full(shape, int(self.action.level))
         self._air = np.zeros((*shape, 3))
         self._payload = np.zeros(shape)
         self._flying = np.zeros(self.num_worlds, dtype=bool)
@@ -200,7 +201,7 @@ class Decisions(Worlds):
         """Add the flight, and the energy that it takes."""
         frame, scene, task = self._live, self.scene, self.task
         program.call(copy_vectors, scene.obstacle, self._dynamics.contact.after)
-        flight = (self.action.level, self._setpoint, self._air)
+        flight = (self._levels, self._setpoint, self._air)
         self._dynamics.add_to(program, self.swarm, frame.alive, *flight)
         if scene.obstacle.shape[1]:
             program.call(copy_vectors, scene.obstacle, self._engine.scenery.place)

@@ -149,6 +149,12 @@ class Airframe:
         return 2 * inscribed_radius(self.shape)
 
     @property
+    def standing_height(self) -> float:
+        """Height of the centre of mass above level ground on which the drone stands, m."""
+        corners = self.shape.corners
+        return -min(z for _, _, z in corners) if corners else self.shape.half[2]
+
+    @property
     def arm(self) -> float:
         """Distance of the outermost rotor from the centre of mass, m."""
         return max(hypot(x, y) for x, y, _ in self.rotors)

@@ -170,6 +170,8 @@ class Contacts(NamedTuple):
         point: (C, 3) where they touched first, m.
         normal: (C, 3) unit vector in which the drone was pushed there.
         velocity: (C, 3) velocity of the drone's surface against the other's just before, m/s.
+        depth: (C,) how deep their shapes overlapped there, m. Above 0 only for drones that were put
+            into something, and in Bullet's own contacts: else they meet at their surfaces.
     """
 
     world: np.ndarray
@@ -179,13 +181,15 @@ class Contacts(NamedTuple):
     point: np.ndarray
     normal: np.ndarray
     velocity: np.ndarray
+    depth: np.ndarray
 
     @classmethod
     def none(cls) -> "Contacts":
         """Make no contacts."""
         nobody = np.zeros(0, dtype=np.int64)
         nowhere = np.zeros((0, 3))
-        return cls(nobody, nobody, nobody, np.zeros(0), nowhere, nowhere, nowhere)
+        nothing = np.zeros(0)
+        return cls(nobody, nobody, nobody, nothing, nowhere, nowhere, nowhere, nothing)
 
     @classmethod
     def merged(cls, **columns: np.ndarray) -> "Contacts":

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from bulletuav.geometry.rotation import Quat4Like, Vec3, Vec3Like, axes, dot, minus
+from bulletuav.geometry.rotation import Quat4Like, Vec3, Vec3Like, axes, dot, minus, plus
 from bulletuav.kernel import func
 from bulletuav.vehicle.aerodynamics import ground_effect, rotor_drag
 from bulletuav.vehicle.parameters import ParameterRow
@@ -14,6 +14,10 @@ SMALL_TURN = 0.25
 MOST_PARTS = 64
 """Most parts of a step"""
 
+Around = tuple[Vec3, float, float, Vec3, Vec3]
+"""Wind (m/s), height of the surface below (m), gravity (m/s^2), and what pushes from outside: a
+force (N, world axes) and a torque (N m, body axes)"""
+
 
 @func
 def wrench(
@@ -21,7 +25,7 @@ def wrench(
     velocity: Vec3Like,
     altitude: float,
     rotors: tuple[float, Vec3, float],
-    air: tuple[Vec3Like, float, float],
+    around: Around,
     downwash: float,
     row: ParameterRow,
 ) -> tuple[Vec3, Vec3]:
@@ -32,14 +36,14 @@ def wrench(
         velocity: Velocity, world axes, m/s.
         altitude: Height of the centre of mass in the world, m.
         rotors: What `rotors.rotor_wrench` returns.
-        air: Wind, world axes, m/s; height of the surface below, m; gravity, m/s^2.
+        around: What surrounds the drone.
         downwash: Downward force of the wakes of other drones, N.
         row: Constants of the drone.
 
     Returns:
         The force, world axes, N, and the torque, body axes, N m.
     """
-    wind, surface, gravity = air
+    wind, surface, gravity, push, twist = around
     thrust, torque, total_speed = rotors
     # Thrust along the body's z axis, more near the surface.
     up = axes(quaternion)[2]
@@ -51,7 +55,7 @@ def wrench(
         thrust * up[1] + drag[1],
         thrust * up[2] + drag[2] - downwash - row.mass * gravity,
     )
-    return force, torque
+    return plus(force, 1.0, push), plus(torque, 1.0, twist)
 
 
 @func

@@ -23,7 +23,7 @@ def row_of(name, effects=None):
 
 
 def still_air(surface=-np.inf, wind=(0.0, 0.0, 0.0)):
-    return np.array(wind), surface, G
+    return np.array(wind), surface, G, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
 
 
 # Rotors

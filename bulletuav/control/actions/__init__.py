@@ -11,6 +11,7 @@ from bulletuav.control.actions.attitudes import attitude, rates
 from bulletuav.control.actions.base import Action, ActionContext, ActionMaker, limit_norm
 from bulletuav.control.actions.choices import discrete, discrete_27
 from bulletuav.control.actions.motion import (
+    acceleration,
     heading_speed,
     target_position,
     velocity,
@@ -27,6 +28,7 @@ ACTIONS: Mapping[str, ActionMaker] = MappingProxyType(
         for maker in (
             velocity,
             velocity_increment,
+            acceleration,
             heading_speed,
             target_position,
             attitude,

@@ -1,4 +1,4 @@
-"""Actions that ask for motion: a velocity, or a position to fly to."""
+"""Actions that ask for motion: a velocity, an acceleration, or a position to fly to."""
 
 import numpy as np
 
@@ -21,15 +21,15 @@ YAW = 3
 
 
 @kernel
-def _decode_velocity(
-    action: np.ndarray, commanded: np.ndarray, setpoint: np.ndarray, speed: float
+def _decode_limited(
+    action: np.ndarray, commanded: np.ndarray, setpoint: np.ndarray, most: float
 ) -> None:
-    """Write the velocities of action `velocity`."""
+    """Write vectors of up to `most`: velocities, or accelerations."""
     for w in range(action.shape[0]):
         for i in range(action.shape[1]):
             for k in range(3):
-                setpoint[w, i, k] = action[w, i, k] * speed
-            limit_drone(setpoint, speed, w, i)
+                setpoint[w, i, k] = action[w, i, k] * most
+            limit_drone(setpoint, most, w, i)
             setpoint[w, i, YAW] = 0.0
 
 
@@ -80,7 +80,30 @@ def velocity(context: ActionContext) -> Action:
         name="velocity",
         level=SetpointLevel.VELOCITY,
         labels=labels,
-        decode=Compiled(_decode_velocity, 4, speed),
+        decode=Compiled(_decode_limited, 4, speed),
+        encode=encode,
+    )
+
+
+@register("action")
+def acceleration(context: ActionContext) -> Action:
+    """Accelerate east, north and up, over half of gravity.
+
+    The acceleration is limited to half of gravity, and the direction kept. Yaw is held at 0.
+    """
+    most = context.gravity / 2
+    labels = tuple(f"a{axis} / {most:g} m/s^2" for axis in "xyz")
+
+    def encode(acceleration: np.ndarray, commanded: np.ndarray | None = None) -> np.ndarray:
+        share: np.ndarray = acceleration / most
+        return share
+
+    return normalised(
+        context,
+        name="acceleration",
+        level=SetpointLevel.ACCELERATION,
+        labels=labels,
+        decode=Compiled(_decode_limited, 4, most),
         encode=encode,
     )
 
