@@ -1,6 +1,8 @@
 """bulletuav: a drone-swarm gym on PyBullet."""
 
 from bulletuav.analysis.evaluation import evaluate
+from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.envs.airspace import Airspace
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.check import check_dynamics, check_sensor, check_task
 from bulletuav.envs.curriculum import curriculum_env
@@ -15,7 +17,9 @@ from bulletuav.version import __version__
 
 __all__ = [
     "Airframe",
+    "Airspace",
     "Aviary",
+    "SetpointLevel",
     "__version__",
     "aec_env",
     "available_airframes",

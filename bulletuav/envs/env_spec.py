@@ -1,5 +1,6 @@
 """Validated options, task, action and observation of an environment, before there is an engine."""
 
+import dataclasses
 import math
 from typing import Any
 
@@ -7,6 +8,7 @@ import numpy as np
 
 from bulletuav.control.actions import Action, ActionContext, make_action
 from bulletuav.envs.options import EnvOptions, check_names
+from bulletuav.envs.parts import sensor_setup
 from bulletuav.envs.resolve import resolve
 from bulletuav.errors import as_int, numbers_of, require_memory, shown, unknown
 from bulletuav.sensors.base import SensorSetup
@@ -111,23 +113,10 @@ class EnvSpec:
         return frozenset({*asked, *kind.required_sensors, *own})
 
     def _make_setup(self, wanted: frozenset[str]) -> SensorSetup:
-        options, context = self.options, self.task.context
-        randomization = options.randomization
-        delays = "radio_delay" in randomization.known
-        return SensorSetup(
-            shape=(self.num_worlds, options.num_drones),
-            period=context.period,
-            gravity=options.gravity,
-            radius=tuple(airframe.collision_radius for airframe in options.airframe),
-            max_range=options.max_range,
-            beams=context.beams,
-            beam_frame=options.lidar_frame,
-            camera_size=options.camera_size,
-            camera_every=options.decision_hz // (options.camera_hz or options.decision_hz),
+        return dataclasses.replace(
+            sensor_setup(self.options, self.num_worlds, wanted),
             num_targets=self.task.num_targets,
             arena=(self.task.arena_low, self.task.arena_high),
-            wanted=wanted,
-            longest_delay=randomization.bounds("radio_delay")[1] if delays else 0.0,
         )
 
     def _require_memory(self, each: float) -> None:

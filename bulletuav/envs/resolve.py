@@ -21,7 +21,7 @@ from bulletuav.sensors.base import Sensor
 from bulletuav.sensors.suite import known_sensors
 from bulletuav.tasks.base import DEFAULTS, Task, TaskConfig
 from bulletuav.tasks.observations.base import Block
-from bulletuav.vehicle.airframe import load_airframe
+from bulletuav.vehicle.airframe import Airframe, load_airframe
 
 NEVER_NONE = (
     "num_drones",
@@ -76,7 +76,7 @@ def resolve(task: type[Task[Any]], given: Mapping[str, Any]) -> Resolved:
     for name in NEVER_NONE:
         if values.get(name, "") is None:
             raise ValueError(f"{name} is None: leave it out for the task's default")
-    _make_tuples(values)
+    make_tuples(values)
     _find_airframes(values, given)
     sensors = known_sensors(values.get("sensors", ()))
     known = known_uncertainties(sensors)
@@ -123,7 +123,7 @@ def _with_defaults(
     return values
 
 
-def _make_tuples(values: dict[str, Any]) -> None:
+def make_tuples(values: dict[str, Any]) -> None:
     """Make tuples of options that are lists, also of a single entry where there can be several."""
     for name in SEVERAL:
         value = values.get(name)
@@ -149,20 +149,36 @@ def _find_airframes(values: dict[str, Any], given: Mapping[str, Any]) -> None:
 
     They set what nobody gave: how many drones there are, and the speed limit.
     """
-    airframe = values["airframe"]
-    if isinstance(airframe, list | tuple):
-        if not airframe:
-            raise ValueError("airframe is an empty list: give one airframe, or one for each drone")
-        as_sequence("airframe", airframe, most=MOST_DRONES)
-        values["airframe"] = tuple(load_airframe(one) for one in airframe)
-        if "num_drones" not in given:
-            values["num_drones"] = len(airframe)
-    else:
+    several = isinstance(values["airframe"], list | tuple)
+    if not several:
         as_int("num_drones", values["num_drones"], 1, MOST_DRONES)
-        values["airframe"] = (load_airframe(airframe),) * values["num_drones"]
+    values["airframe"] = airframes_of(values["airframe"], values["num_drones"])
+    if several and "num_drones" not in given:
+        values["num_drones"] = len(values["airframe"])
     if "max_speed" not in given:
         limit = finite("max_speed", values["max_speed"])
         values["max_speed"] = min(limit, *(one.max_speed for one in values["airframe"]))
+
+
+def airframes_of(airframe: Any, count: int) -> tuple[Airframe, ...]:
+    """Load the airframe of each drone.
+
+    Args:
+        airframe: One for all, or a list with one for each.
+        count: How many drones share one.
+
+    Returns:
+        One for each drone; of a list as many as are in it.
+
+    Raises:
+        ValueError: There is no such airframe, or none in the list.
+    """
+    if not isinstance(airframe, list | tuple):
+        return (load_airframe(airframe),) * count
+    if not airframe:
+        raise ValueError("airframe is an empty list: give one airframe, or one for each drone")
+    as_sequence("airframe", airframe, most=MOST_DRONES)
+    return tuple(load_airframe(one) for one in airframe)
 
 
 def _checked_config(config: TaskConfig) -> TaskConfig:

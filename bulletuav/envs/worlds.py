@@ -6,16 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.control.cascade import Cascade
-from bulletuav.control.gains import gain_rows
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.dynamics import find_dynamics
-from bulletuav.dynamics.base import Dynamics, Flight
 from bulletuav.engine.body_source import BodySource
-from bulletuav.engine.engine import Engine
 from bulletuav.envs.energy import Energy
 from bulletuav.envs.env_spec import MOST_WORLDS, EnvSpec
 from bulletuav.envs.environment import Environment, exclusive
+from bulletuav.envs.parts import hover_speeds, make_dynamics, make_engine
 from bulletuav.envs.randomization import Uncertainty
 from bulletuav.envs.renderer import Renderer
 from bulletuav.errors import as_int, points_of
@@ -25,7 +21,6 @@ from bulletuav.sensors.sight import line_of_sight
 from bulletuav.sensors.suite import SensorSuite
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.frame import Frame, Scene
-from bulletuav.vehicle.parameters import parameter_rows
 from bulletuav.vehicle.swarm import Contacts, Swarm
 from bulletuav.vehicle.wind import Wind
 
@@ -61,23 +56,18 @@ class Worlds(Environment):
         self.num_worlds, self.num_drones = spec.num_worlds, self.options.num_drones
         self._first_world = as_int("first_world", first_world, 0, MOST_WORLDS)
         obstacles = self.task.obstacles()
-        self._engine = Engine(
-            self.options.airframe,
-            self.num_worlds,
-            1 / self.options.physics_hz,
-            obstacles,
-            self.task.layouts(),
-            first_world,
-            self.options.render_mode == "human",
-            self.options.rays,
-            self.options.contacts == "bullet",
+        bodies = (obstacles, self.task.layouts())
+        self._engine = make_engine(self.options, self.num_worlds, *bodies, first_world)
+        self._dynamics = make_dynamics(self.options, self._engine)
+        self.parameters, self._cascade = (
+            self._dynamics.flight.parameters,
+            self._dynamics.flight.cascade,
         )
-        self._dynamics, self._cascade = self._make_dynamics()
         self.options.check_setpoint_levels(self.action.level, self._dynamics.consumes)
         self._renderer = Renderer(self._engine, self.options.render_size)
         shape = (self.num_worlds, self.num_drones)
-        rotors = max(len(airframe.rotors) for airframe in self.options.airframe)
-        self.swarm = Swarm.zeros(*shape, rotors)
+        self._hover_speed = hover_speeds(self.options)
+        self.swarm = Swarm.zeros(*shape, self._hover_speed.shape[1])
         self.scene = Scene.empty(*shape, len(obstacles), self.task.memory())
         self.commanded = np.zeros((*shape, 3))
         self.alive = np.zeros(shape, dtype=bool)
@@ -93,28 +83,6 @@ class Worlds(Environment):
         self.rng: list[np.random.Generator] = [UNSTARTED] * self.num_worlds
         self._frame: Frame | None = None
         self._checked = False
-        self._hover_speed = np.zeros(self.swarm.rotor_speed.shape[1:])
-        for i, airframe in enumerate(self.options.airframe):
-            hover = airframe.hover_speed(self.options.gravity)
-            self._hover_speed[i, : len(airframe.rotors)] = hover
-
-    def _make_dynamics(self) -> tuple[Dynamics, Cascade]:
-        options, worlds = self.options, (self.num_worlds, 1)
-        self.parameters = np.tile(parameter_rows(options.airframe, options.effects), worlds)
-        gains = np.tile(gain_rows(options.airframe, options.max_speed), worlds)
-        cascade = Cascade.of(options.controller, self.parameters.copy(), gains)
-        flight = Flight(
-            self._engine,
-            self.parameters,
-            cascade,
-            1 / options.physics_hz,
-            options.physics_hz // options.decision_hz,
-            options.gravity,
-            options.contacts or "",
-            options.friction,
-            options.restitution,
-        )
-        return find_dynamics(options.dynamics)(flight), cascade
 
     def _show(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Have the engine's bodies stand where drones of `mask` (W, N) and obstacles are."""

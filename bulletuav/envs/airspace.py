@@ -1,0 +1,171 @@
+"""An airspace: drones in Bullet that fly by a loop of one's own, without a task."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.envs.airspace_inputs import YAW, Drones, filled, level_of, rows_of, setpoint_numbers
+from bulletuav.envs.airspace_parts import STILL, AirspaceParts
+from bulletuav.envs.environment import exclusive
+from bulletuav.envs.stages import copy_vectors, finish, headings, prepare
+from bulletuav.errors import finite
+from bulletuav.program import Program
+from bulletuav.vehicle.swarm import Contacts
+
+MOST_TURN = 1e4
+"""Largest yaw (rad) and fastest turn of it (rad/s)"""
+
+
+class Airspace(AirspaceParts):
+    """One world of N drones that do what they are told, step by step: no goal, no reward, no end.
+
+    Each drone holds the setpoint that it was told last. Until it is told one, these are zeros at
+    the level that the dynamics consumes: motors off, or no motion.
+
+        airspace = Airspace([(0.0, 0.0, 1.0)], decision_hz=48)
+        airspace.command(0, SetpointLevel.POSITION, (1.0, 0.0, 1.0))
+        for _ in range(48):
+            airspace.step()
+        print(airspace.swarm.position[0])
+
+    Its arrays stay the same for its life, and each step writes them anew: copy what you keep. The
+    same calls with the same seed give the same bits.
+
+    Attributes:
+        airframes: Airframe of each drone.
+        swarm: State of the drones, arrays (N, ...); read-only, see `place`.
+        hover_speed: (N, R) rotor speeds at which drones hover, rad/s.
+        period: Duration of a step, s.
+        consumes: Setpoint level that the dynamics consumes; commands are of it or above.
+        levels: (N,) `SetpointLevel` that each drone holds; read-only.
+        setpoint: (N, S) setpoint that each drone holds; read-only.
+        readings: What sensors measured last, arrays (N, ...) by name.
+    """
+
+    @property
+    def time(self) -> float:
+        """Time since the airspace was made, s."""
+        return float(self._time[0])
+
+    @property
+    def contacts(self) -> Contacts:
+        """What touched what in the last step; the world of each row is 0."""
+        return self._dynamics.touched()
+
+    @exclusive
+    def command(
+        self,
+        drones: Drones,
+        level: SetpointLevel,
+        setpoint: Any,
+        *,
+        yaw: float | None = None,
+        yaw_rate: float | None = None,
+    ) -> None:
+        """Tell drones what to do from the next step on.
+
+        Args:
+            drones: Index of a drone, several, a mask (N,), or None for all.
+            level: Meaning of the setpoint; `consumes` or above it.
+            setpoint: Numbers of the level, see `SetpointLevel`: (S,) for all, or a row for each of
+                the drones. With POSITION, VELOCITY and ACCELERATION the yaw may be left out.
+            yaw: Yaw to hold, rad. Left out, that which was held before, or the present one.
+            yaw_rate: How fast the yaw to hold turns, rad/s.
+
+        Raises:
+            ValueError: There is no such drone or level, or numbers cannot be; nothing has changed.
+        """
+        self._require_open()
+        rows = rows_of(drones, len(self.airframes))
+        level = level_of(level, self.consumes, self._options)
+        held = self._setpoint[0, rows]
+        speaks = yaw is not None or yaw_rate is not None
+        sizes = (*held.shape[:-1], self.hover_speed.shape[1])
+        numbers, lacks_yaw = setpoint_numbers(level, setpoint, sizes, speaks)
+        turning = 0.0 if yaw_rate is None else finite("yaw_rate", yaw_rate, -MOST_TURN, MOST_TURN)
+        if lacks_yaw:
+            told = None if yaw is None else finite("yaw", yaw, -MOST_TURN, MOST_TURN)
+            self._setpoint[0, rows, YAW] = self._yaw_held(rows) if told is None else told
+        self._setpoint[0, rows, : numbers.shape[-1]] = numbers
+        self._levels[0, rows] = level
+        self._yaw_rate[0, rows] = turning
+
+    def stop(self, drones: Drones = None) -> None:
+        """Switch motors off, until the next command.
+
+        Args:
+            drones: Index of a drone, several, a mask (N,), or None for all.
+
+        Raises:
+            ValueError: There is no such drone, or the dynamics has no motors.
+        """
+        self.command(drones, SetpointLevel.ROTOR, np.zeros(self.hover_speed.shape[1]))
+
+    @exclusive
+    def apply(
+        self, drones: Drones, force: Sequence[float] = STILL, torque: Sequence[float] = STILL
+    ) -> None:
+        """Push drones during the next step, beside what pushes them already.
+
+        Args:
+            drones: Index of a drone, several, a mask (N,), or None for all.
+            force: (3,) at the centre of mass, world axes, N; or a row for each of the drones.
+            torque: The same in body axes, N m.
+
+        Raises:
+            ValueError: There is no such drone, numbers cannot be, or the dynamics does not feel it.
+        """
+        self._require_open()
+        rows = rows_of(drones, len(self.airframes))
+        shape = self._air[0, rows].shape
+        push, twist = filled("force", force, shape), filled("torque", torque, shape)
+        name = self._options.dynamics_name
+        if push.any() and not self._dynamics.feels_force:
+            raise ValueError(f"dynamics {name!r} feels no forces: use 'rigid_body' or 'bullet'")
+        if twist.any() and not self._dynamics.feels_torque:
+            raise ValueError(f"dynamics {name!r} feels no torques: use 'rigid_body' or 'bullet'")
+        self._dynamics.force[0, rows] += push
+        self._dynamics.torque[0, rows] += twist
+
+    @exclusive
+    def step(self) -> None:
+        """Fly for `period` seconds.
+
+        Raises:
+            RuntimeError: A flight diverged, or the airspace is closed.
+        """
+        self._look()
+        (self._program or self._make_program()).run()
+
+    def _make_program(self) -> Program:
+        """Make the program of a step, in the order in which things happen."""
+        program, contact = Program(), self._dynamics.contact
+        flying = np.ones(1, dtype=bool)
+        self._wind.add_to(program, self._swarm, self._time, [self.rng], flying, self._air)
+        obstacles = (self._obstacle, self._obstacle_velocity, contact.before, contact.after)
+        program.call(prepare, self._setpoint, self._yaw_rate, self.period, *obstacles)
+        given = (self._levels, self._setpoint, self._air)
+        self._dynamics.add_to(program, self._swarm, self._alive, *given)
+        if self._obstacle.shape[1]:
+            program.call(copy_vectors, self._obstacle, self._engine.scenery.place)
+            if self._engine.asks_bodies:
+                program.turn(self._engine.show_obstacles)
+        pushes = (self._dynamics.force, self._dynamics.torque)
+        program.call(finish, self._steps, 1 / self.period, self._time, *pushes)
+        if self._sensors.sensors:
+            program.turn(self._measure)
+        if self._options.render_mode == "human":
+            program.turn(self._show_live)
+        program.compile()
+        self._program = program
+        return program
+
+    def _yaw_held(self, rows: Any) -> np.ndarray:
+        """Tell the yaw that drones hold, or that which they have if they hold none, rad."""
+        present = np.zeros(self._levels.shape)
+        headings(self._swarm.quaternion, present)
+        holds = self._levels <= SetpointLevel.ACCELERATION
+        yaw: np.ndarray = np.where(holds, self._setpoint[..., YAW], present)[0, rows]
+        return yaw

@@ -1,0 +1,264 @@
+"""What users give to an airspace, checked: options, drones, setpoints, states."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from bulletuav.control.cascade import PID_LEVELS
+from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.engine.engine import PARKING_HEIGHT
+from bulletuav.engine.tiles import TILE_PITCH
+from bulletuav.envs.options import EnvOptions
+from bulletuav.envs.randomization import Randomization, known_uncertainties
+from bulletuav.envs.resolve import airframes_of, make_tuples
+from bulletuav.errors import UnknownOptionError, choose, finite, nearest, numbers_of, shown
+from bulletuav.sensors.base import Sensor
+from bulletuav.sensors.suite import find_sensor, known_sensors
+
+Drones = int | Sequence[int] | np.ndarray | None
+"""One drone by its index, several, a mask (N,), or None for all"""
+MOST = 1e9
+"""Greatest size of a number in a state or setpoint"""
+UNIT = 1e-6
+"""Error of the norm of a unit quaternion"""
+YAW = 3
+"""Column of a setpoint"""
+OF_TASKS = (
+    "num_drones",
+    "action",
+    "horizon",
+    "observation",
+    "observation_format",
+    "reward",
+    "num_neighbours",
+    "normalise",
+    "difficulty",
+    "preset",
+    "battery_capacity",
+    "energy",
+)
+"""Options that only tasks have a use for"""
+
+
+def airspace_options(
+    position: Any, airframe: Any, sensors: Any, given: Mapping[str, Any]
+) -> tuple[EnvOptions, dict[str, Sensor]]:
+    """Check the options of an airspace.
+
+    Args:
+        position: (N, 3) where drones start; tells how many there are.
+        airframe: One, or one for each drone.
+        sensors: Names of sensors, or objects.
+        given: Other options by name.
+
+    Returns:
+        The options, and the sensors that drones carry, by name.
+
+    Raises:
+        UnknownOptionError: There is no such option.
+        ValueError: A value cannot be.
+    """
+    known = {field.name for field in dataclasses.fields(EnvOptions)}.difference(OF_TASKS)
+    for name in given:
+        if name not in known:
+            raise UnknownOptionError(
+                f"unknown option of Airspace: {name!r}: {nearest(name, known)}"
+            )
+    places = numbers_of("position is", position)
+    if places.ndim != 2 or places.shape[1] != 3 or not len(places):
+        raise ValueError(
+            f"position is {shown(position)}: a row x, y, z for each drone is needed, such as "
+            f"[(0.0, 0.0, 1.0)]"
+        )
+    values = dict(given)
+    make_tuples(values)
+    values["airframe"] = airframes_of(airframe, len(places))
+    values.setdefault("max_speed", min(one.max_speed for one in values["airframe"]))
+    listed = sensors if isinstance(sensors, list | tuple) else (sensors,)
+    all_sensors = known_sensors(one for one in listed if not isinstance(one, str))
+    values["randomization"] = Randomization(
+        values.get("randomization"), known_uncertainties(all_sensors)
+    )
+    # Setpoints come from `command`; rotor speeds are what every option allows.
+    values |= {"num_drones": len(places), "action": "rotor", "horizon": 1, "sensors": listed}
+    names = [one if isinstance(one, str) else find_sensor(one).name for one in listed]
+    for name in names:
+        if name not in all_sensors:
+            raise ValueError(f"sensors: unknown sensor {shown(name)}: {nearest(name, all_sensors)}")
+    carried = {name: sensor for name, sensor in all_sensors.items() if name in names}
+    return EnvOptions(**values), carried
+
+
+def rows_of(drones: Drones, count: int) -> Any:
+    """Find which drones are meant.
+
+    Args:
+        drones: See `Drones`.
+        count: How many there are.
+
+    Returns:
+        What picks them from arrays (N, ...): an index for one drone, else an array or slice.
+
+    Raises:
+        ValueError: There is no such drone.
+    """
+    if type(drones) is int and 0 <= drones < count:
+        return drones
+    if drones is None:
+        return slice(None)
+    rows = np.asarray(drones)
+    if rows.dtype == bool and rows.shape == (count,):
+        return np.flatnonzero(rows)
+    whole = rows.dtype.kind in "iu" and rows.ndim <= 1
+    if not whole or ((rows < 0) | (rows >= count)).any() or rows.size != np.unique(rows).size:
+        raise ValueError(
+            f"drones is {shown(drones)}: an index from 0 to {count - 1}, several different ones, "
+            f"a mask of {count}, or None for all is needed"
+        )
+    return rows if rows.ndim else int(rows)
+
+
+def filled(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
+    """Take numbers that fill a shape, given whole or once for all drones.
+
+    Args:
+        name: What they are, for the message.
+        value: What was given.
+        shape: What is needed.
+
+    Returns:
+        A float64 array that broadcasts to the shape.
+
+    Raises:
+        ValueError: They have another shape, are not finite, or are too large.
+    """
+    array = value if type(value) is np.ndarray and value.dtype == float else None
+    if array is None:
+        array = numbers_of(f"{name} is", value)
+    if array.shape != shape and array.shape != shape[-1:]:
+        raise ValueError(f"{name} has shape {array.shape}: {shape} is needed")
+    flat = array.ravel()
+    # A sum of squares finds what is not finite, too
+    if not flat.dot(flat) <= MOST**2:
+        raise ValueError(f"{name} is {shown(value)}: finite numbers up to {MOST:g} are needed")
+    return array
+
+
+def level_of(level: Any, consumes: SetpointLevel, options: EnvOptions) -> SetpointLevel:
+    """Take a setpoint level, or its name, that drones can be told.
+
+    Args:
+        level: What was given.
+        consumes: What the dynamics consumes.
+        options: Options of the airspace.
+
+    Returns:
+        The level.
+
+    Raises:
+        ValueError: There is no such level, or it cannot drive the dynamics.
+    """
+    if isinstance(level, SetpointLevel):
+        chosen = level
+    else:
+        chosen = choose("setpoint level", level, {one.name.lower(): one for one in SetpointLevel})
+    if chosen > consumes:
+        raise ValueError(
+            f"dynamics {options.dynamics_name!r} is driven by {consumes.name.lower()} setpoints: "
+            f"command that level or one above it, not {chosen.name}, or use 'rigid_body' or 'bullet'"
+        )
+    if chosen < SetpointLevel.ROTOR:
+        if options.gravity == 0:
+            raise ValueError(
+                f"setpoints of {chosen.name} need gravity, against which thrust is steered: "
+                f"without it command ROTOR"
+            )
+        if options.controller == "pid" and chosen not in PID_LEVELS:
+            raise ValueError(
+                f"controller 'pid' takes no {chosen.name.lower()} setpoints: use controller 'lee'"
+            )
+    return chosen
+
+
+def setpoint_numbers(
+    level: SetpointLevel, setpoint: Any, sizes: tuple[int, ...], speaks: bool
+) -> tuple[np.ndarray, bool]:
+    """Take the numbers of a setpoint.
+
+    Args:
+        level: Its level.
+        setpoint: What was given.
+        sizes: (M, R) for M drones, (R,) for one, with R rotors.
+        speaks: Whether a yaw or its rate is told beside it.
+
+    Returns:
+        Numbers that broadcast to (M, numbers of the level); and whether the yaw is not among them.
+
+    Raises:
+        ValueError: They cannot be.
+    """
+    width = sizes[-1]
+    if level < SetpointLevel.ROTOR:
+        width = YAW + 1
+        if level < SetpointLevel.ATTITUDE:
+            width -= speaks or np.shape(setpoint)[-1:] == (YAW,)
+        elif speaks:
+            raise ValueError(
+                f"yaw and yaw_rate go with POSITION, VELOCITY and ACCELERATION, not {level.name}"
+            )
+    numbers = filled(f"setpoint of {level.name}", setpoint, (*sizes[:-1], width))
+    return numbers, width == YAW
+
+
+def state_numbers(
+    most: np.ndarray,
+    position: Any,
+    quaternion: Any,
+    velocity: Any,
+    rates: Any,
+    rotor_speed: Any,
+) -> tuple[np.ndarray, ...]:
+    """Take a state that drones are to have.
+
+    Args:
+        most: (M, R) the highest speed of each rotor, rad/s; (R,) for one drone.
+        position: (M, 3) m, or (3,) for one drone.
+        quaternion: (M, 4), or (4,) for all.
+        velocity: (M, 3), or (3,) for all, m/s.
+        rates: The same, rad/s.
+        rotor_speed: (M, R), (R,) for all, or one for all rotors, rad/s.
+
+    Returns:
+        The five as arrays.
+
+    Raises:
+        ValueError: A number cannot be; nothing has changed.
+    """
+    count = most.shape[:-1]
+    place = filled("position", position, (*count, 3))
+    if place.ndim < len(count) + 1 and count != (1,):
+        raise ValueError(f"position has shape {place.shape}: {(*count, 3)} is needed")
+    turn = filled("quaternion", quaternion, (*count, 4))
+    norms = np.sqrt((turn * turn).sum(axis=-1))
+    if (np.abs(norms - 1) > UNIT).any():
+        raise ValueError(
+            f"quaternion is {shown(quaternion)}: a length of 1 is needed, divide by its norm"
+        )
+    half = TILE_PITCH / 2
+    if (np.abs(place[..., :2]) >= half).any() or (np.abs(place[..., 2]) >= PARKING_HEIGHT).any():
+        raise ValueError(
+            f"position is {shown(position)}: less than {half:g} m aside and {PARKING_HEIGHT:g} m "
+            f"up is needed"
+        )
+    if np.ndim(rotor_speed) == 0:
+        rotor_speed = np.where(most > 0, finite("rotor_speed", rotor_speed), 0.0)
+    speed = filled("rotor_speed", rotor_speed, most.shape)
+    if (speed < 0).any() or (speed > most * (1 + UNIT)).any():
+        raise ValueError(
+            f"rotor_speed is {shown(rotor_speed)}: from 0 to the {most.max():g} rad/s of the "
+            f"airframe is needed"
+        )
+    moving = (filled("velocity", velocity, (*count, 3)), filled("rates", rates, (*count, 3)))
+    return place, turn, *moving, speed

@@ -1,0 +1,334 @@
+"""What an airspace is made of, and how things are put into it; `Airspace` flies it."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from bulletuav.contact.contacts import see
+from bulletuav.contact.touch import TOUCH
+from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.engine.body_source import BodySource, pose_of
+from bulletuav.engine.engine import PARKING_HEIGHT
+from bulletuav.envs.airspace_inputs import (
+    YAW,
+    Drones,
+    airspace_options,
+    filled,
+    rows_of,
+    state_numbers,
+)
+from bulletuav.envs.environment import Environment, exclusive
+from bulletuav.envs.parts import hover_speeds, make_dynamics, make_engine, sensor_setup
+from bulletuav.envs.randomization import Uncertainty
+from bulletuav.envs.renderer import FIELD_OF_VIEW, Renderer
+from bulletuav.errors import as_int, as_sequence, finite
+from bulletuav.geometry.obstacle import Obstacle
+from bulletuav.geometry.rotation import axes, product, to_world
+from bulletuav.geometry.solids import Solids
+from bulletuav.geometry.view import Picture, projection_matrix, view_matrix
+from bulletuav.program import Program
+from bulletuav.sensors.base import Moment
+from bulletuav.sensors.suite import SensorSuite
+from bulletuav.vehicle.swarm import GROUND, Swarm
+from bulletuav.vehicle.wind import Wind
+
+UPRIGHT = (0.0, 0.0, 0.0, 1.0)
+STILL = (0.0, 0.0, 0.0)
+MOST_SPIN = 1e4
+"""Fastest turn of a yaw, rad/s"""
+
+
+class AirspaceParts(Environment):
+    """Engine, dynamics, sensors and arrays of one world of N drones; see `Airspace`."""
+
+    def __init__(
+        self,
+        position: Sequence[Sequence[float]] | np.ndarray,
+        airframe: Any = "cf2x",
+        *,
+        physics_hz: int = 240,
+        decision_hz: int = 240,
+        rotor_speed: float | Sequence[Any] | np.ndarray = 0.0,
+        obstacles: Sequence[Obstacle] = (),
+        layout: Solids | None = None,
+        sensors: Sequence[Any] = (),
+        **options: Any,
+    ) -> None:
+        """Make an airspace, with drones at rest and level.
+
+        Args:
+            position: (N, 3) where drones start, m. To stand on the ground takes a height of
+                `Airframe.standing_height`.
+            airframe: Name of an airframe, path of a URDF, or an `Airframe`; or one for each drone.
+            physics_hz: Substeps a second.
+            decision_hz: Steps a second; must divide physics_hz.
+            rotor_speed: Speeds with which rotors start, rad/s; see `place`.
+            obstacles: What `place_obstacle` can put somewhere.
+            layout: Buildings that stand.
+            sensors: Names of sensors, or objects, that all drones carry.
+            **options: dynamics, seed, effects, wind, turbulence, gravity, max_speed, controller,
+                contacts, friction, restitution, randomization, rays, camera_size, camera_hz,
+                num_beams, max_range, lidar_elevations, lidar_frame, render_mode, render_size; see
+                `EnvOptions`.
+
+        Raises:
+            ValueError: An option cannot be, or drones overlap each other or what stands.
+        """
+        rates = {"physics_hz": physics_hz, "decision_hz": decision_hz}
+        known, carried = airspace_options(position, airframe, sensors, {**options, **rates})
+        shape = (1, known.num_drones)
+        layouts = () if layout is None else (layout,)
+        self._options, self.airframes = known, known.airframe
+        self._engine = make_engine(known, 1, obstacles, layouts)
+        self._dynamics = make_dynamics(known, self._engine)
+        self._renderer = Renderer(self._engine, known.render_size)
+        self.consumes, self.period = self._dynamics.consumes, 1 / known.decision_hz
+        self.hover_speed = hover_speeds(known)
+        self._make_arrays(shape, len(obstacles))
+        self.rng = np.random.default_rng(known.seed)
+        self._wind = Wind(known.wind, known.wind20, shape, self.period)
+        parameters = self._dynamics.flight.parameters
+        uncertain = Uncertainty(known.randomization, self._engine, parameters, self._wind)
+        wanted = frozenset(name for one in carried.values() for name in one.gives)
+        setup = sensor_setup(known, 1, wanted)
+        self._sensors = SensorSuite(carried, setup, self._engine, uncertain.drawn)
+        self._program: Program | None = None
+        self._put_up(layouts)
+        self._wind.reset(0, self.rng)
+        uncertain.reset(0, self.rng)
+        self.place(None, position, rotor_speed=rotor_speed)
+        self._sensors.reset(0, self._swarm, self.rng)
+        self._before = self._swarm.copy()
+        self._measure()
+
+    def _make_arrays(self, shape: tuple[int, int], obstacles: int) -> None:
+        """Make the arrays that steps read and write, and what shows them."""
+        rotors = self.hover_speed.shape[1]
+        self._swarm, self._alive = Swarm.zeros(*shape, rotors), np.ones(shape, dtype=bool)
+        self._levels = np.full(shape, int(self.consumes))
+        self._setpoint = np.zeros((*shape, max(YAW + 1, rotors)))
+        self._yaw_rate = np.zeros(shape)
+        self._air = np.zeros((*shape, 3))
+        self._steps, self._time = np.zeros(1, dtype=np.int64), np.zeros(1)
+        self._obstacle, self._obstacle_velocity = np.zeros((2, 1, obstacles, 3))
+        self._obstacle_turn = np.tile(UPRIGHT, (1, obstacles, 1))
+        self.swarm = Swarm(*map(_shown, self._swarm))
+        self.levels, self.setpoint = _shown(self._levels), _shown(self._setpoint)
+        self.readings: dict[str, np.ndarray] = {}
+
+    def _put_up(self, layouts: tuple[Solids, ...]) -> None:
+        """Put up what stands; obstacles wait deep below."""
+        if layouts:
+            self._engine.set_layouts(np.zeros(1, dtype=int), np.ones(1, dtype=bool))
+        self._obstacle[..., 2] = -PARKING_HEIGHT
+        self._engine.set_obstacles(self._obstacle, self._obstacle_turn, np.ones(1, dtype=bool))
+        self._dynamics.look_around()
+
+    @exclusive
+    def place(
+        self,
+        drones: Drones,
+        position: Any,
+        quaternion: Any = UPRIGHT,
+        velocity: Any = STILL,
+        rates: Any = STILL,
+        rotor_speed: Any = 0.0,
+    ) -> None:
+        """Put drones somewhere, as if nothing had been before; they hold their setpoints.
+
+        Args:
+            drones: Index of a drone, several, a mask (N,), or None for all.
+            position: (3,) m, or a row for each of the drones.
+            quaternion: (4,) body to world, or rows. Dynamics without tilt start level.
+            velocity: (3,) world axes, m/s, or rows.
+            rates: (3,) body axes, rad/s, or rows.
+            rotor_speed: (R,) or rows, or one number for all rotors, rad/s; such as `hover_speed`.
+                Dynamics without motors always have that of hovering.
+
+        Raises:
+            ValueError: There is no such drone, numbers cannot be, or drones would overlap each
+                other or what stands; nothing has changed.
+        """
+        self._require_open()
+        rows = rows_of(drones, len(self.airframes))
+        fastest = self._dynamics.flight.parameters["max_rotor_speed"][0, rows]
+        most = np.where(self.hover_speed[rows] > 0, np.expand_dims(fastest, -1), 0.0)
+        given = (position, quaternion, velocity, rates, rotor_speed)
+        state = state_numbers(most, *given)
+        after = self._swarm.copy()
+        for array, numbers in zip(after, state, strict=True):
+            array[0, rows] = numbers
+        if self.consumes < SetpointLevel.ROTOR:
+            after.rotor_speed[0] = self.hover_speed
+        moved = np.zeros_like(self._alive)
+        moved[0, rows] = True
+        self._refuse_overlap(after, moved)
+        for array, numbers in zip(self._swarm, after, strict=True):
+            array[:] = numbers
+        self._dynamics.flight.cascade.memory[moved] = 0.0
+        self._dynamics.place(self._swarm, moved)
+
+    def _refuse_overlap(self, after: Swarm, moved: np.ndarray) -> None:
+        """Raise ValueError if drones of `moved` (1, N) would overlap something."""
+        self._look()
+        told = [array.copy() for array in self._dynamics.contact.touches]
+        found = self._dynamics.overlaps(after, moved, self._alive)
+        for array, before in zip(self._dynamics.contact.touches, told, strict=True):
+            array[:] = before
+        deep = np.flatnonzero(found.depth > TOUCH)
+        if len(deep):
+            row = deep[found.depth[deep].argmax()]
+            i, other = int(found.drone[row]), int(found.other[row])
+            what = (
+                f"drone {other}"
+                if other >= 0
+                else "the ground"
+                if other == GROUND
+                else "what stands there"
+            )
+            raise ValueError(
+                f"drone {i} at {after.position[0, i]} m overlaps {what} by "
+                f"{found.depth[row]:.3g} m: place it elsewhere (on the ground it stands at a height "
+                f"of standing_height = {self.airframes[i].standing_height:.4g} m)"
+            )
+
+    @exclusive
+    def place_obstacle(
+        self,
+        obstacle: int,
+        position: Sequence[float],
+        quaternion: Sequence[float] = UPRIGHT,
+        velocity: Any = STILL,
+    ) -> None:
+        """Put one of `obstacles` somewhere; it moves on from there without turning.
+
+        Args:
+            obstacle: Its index.
+            position: (3,) m.
+            quaternion: (4,) body to world.
+            velocity: (3,) m/s.
+
+        Raises:
+            ValueError: There is no such obstacle, or numbers cannot be.
+        """
+        self._require_open()
+        if not self._obstacle.size:
+            raise ValueError("there are no obstacles: make the airspace with the option obstacles")
+        k = as_int("obstacle", obstacle, 0, self._obstacle.shape[1] - 1)
+        place, turn = pose_of(position, quaternion)
+        self._obstacle_velocity[0, k] = filled("velocity", velocity, (3,))
+        self._obstacle[0, k], self._obstacle_turn[0, k] = place, turn
+        self._engine.set_obstacles(self._obstacle, self._obstacle_turn, np.ones(1, dtype=bool))
+        # All look anew at what is near
+        see(self._dynamics.contact, self._dynamics.contact.scenery)
+
+    @exclusive
+    def add_body(
+        self,
+        source: BodySource,
+        position: Sequence[float],
+        quaternion: Sequence[float] = UPRIGHT,
+        friction: float | None = None,
+        restitution: float | None = None,
+    ) -> int:
+        """Put up a body that stands still, for good; see `Aviary.add_body`.
+
+        Returns:
+            What `Contacts.other` calls it.
+        """
+        self._require_open()
+        return self._engine.add_body(source, position, quaternion, None, friction, restitution)
+
+    def _look(self) -> None:
+        """Take over what stands now; a program knows only what stood when it was made."""
+        self._require_open()
+        if self._dynamics.look_around():
+            self._program = None
+
+    def _measure(self) -> None:
+        """Measure with all sensors."""
+        if not self._sensors.sensors:
+            return
+        nothing = np.zeros((1, 0, 3))
+        states = (self._before, self._swarm)
+        moment = Moment(*states, nothing, self._alive, self._steps, [self.rng], {})
+        for name, reading in self._sensors.measure(moment, self._show).items():
+            self.readings[name] = reading[0].copy()
+        self._before = self._swarm.copy()
+
+    def _show(self, swarm: Swarm, mask: np.ndarray) -> None:
+        """Have the engine's bodies stand where drones of `mask` (1, N) and obstacles are."""
+        self._dynamics.show(swarm, mask)
+        self._engine.show_obstacles()
+
+    def _show_live(self) -> None:
+        """Bring the live window up to date."""
+        self._show(self._swarm, self._alive)
+        self._renderer.show(self._swarm, self._alive, self.period)
+
+    @exclusive
+    def render(self) -> np.ndarray:
+        """Take a picture from afar of all drones, marked by rings.
+
+        Returns:
+            (height, width, 3) uint8.
+        """
+        self._require_open()
+        self._show(self._swarm, self._alive)
+        return self._renderer.picture(0, self._swarm, np.zeros((0, 3)), self._alive)
+
+    @exclusive
+    def picture(
+        self,
+        drone: int | None = None,
+        position: Sequence[float] = STILL,
+        quaternion: Sequence[float] = UPRIGHT,
+        size: Sequence[int] = (640, 480),
+        field_of_view: float = FIELD_OF_VIEW,
+    ) -> Picture:
+        """Take a picture with a camera that looks along its own x axis, z up.
+
+        Args:
+            drone: Index of the drone that carries it; None for one that stands in the world.
+            position: (3,) of the camera in body axes of the drone, or in the world, m.
+            quaternion: (4,) of the camera, to body axes or to the world.
+            size: Width and height, pixels.
+            field_of_view: Vertical angle, degrees.
+
+        Returns:
+            Colours, depth and labels of the pixels.
+
+        Raises:
+            ValueError: There is no such drone, or a number cannot be.
+        """
+        self._require_open()
+        place, turn = pose_of(position, quaternion)
+        width, height = (as_int("size", one, 8, 4096) for one in as_sequence("size", size, 2))
+        angle = finite("field_of_view", field_of_view, 1, 170)
+        if drone is not None:
+            i = as_int("drone", drone, 0, len(self.airframes) - 1)
+            body = self._swarm.quaternion[0, i]
+            place = self._swarm.position[0, i] + to_world(body, place)
+            turn = np.array(product(body, turn))
+        self._show(self._swarm, self._alive)
+        forward, _, up = (np.array(axis) for axis in axes(turn))
+        view = view_matrix(place, place + forward, up.tolist())
+        projection = projection_matrix(width / height, angle)
+        return self._engine.picture(0, view, projection, (width, height))
+
+    def _require_open(self) -> None:
+        if self._engine.closed:
+            raise RuntimeError("this airspace is closed: make a new one")
+
+    @exclusive
+    def close(self) -> None:
+        """Free the engine; a second call does nothing."""
+        self._engine.close()
+
+
+def _shown(array: np.ndarray) -> np.ndarray:
+    """Show the only world of an array (1, ...), read-only."""
+    view: np.ndarray = array[0]
+    view.flags.writeable = False
+    return view

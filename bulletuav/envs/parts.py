@@ -1,0 +1,98 @@
+"""Parts that worlds are made of, with a task or without: engine, dynamics, sensors."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from bulletuav.control.cascade import Cascade
+from bulletuav.control.gains import gain_rows
+from bulletuav.dynamics import find_dynamics
+from bulletuav.dynamics.base import Dynamics, Flight
+from bulletuav.engine.engine import Engine
+from bulletuav.envs.options import EnvOptions
+from bulletuav.geometry.obstacle import Obstacle
+from bulletuav.geometry.solids import Solids
+from bulletuav.sensors.base import SensorSetup
+from bulletuav.sensors.lidar import make_beams
+from bulletuav.vehicle.parameters import parameter_rows
+
+
+def make_engine(
+    options: EnvOptions,
+    num_worlds: int,
+    obstacles: Sequence[Obstacle],
+    layouts: Sequence[Solids],
+    first_world: int = 0,
+) -> Engine:
+    """Make the engine, with all bodies in it.
+
+    Args:
+        options: Common options.
+        num_worlds: W.
+        obstacles: The K obstacles of each world.
+        layouts: What can stand in a world, one at a time.
+        first_world: Number of the first world among those of several processes.
+    """
+    return Engine(
+        options.airframe,
+        num_worlds,
+        1 / options.physics_hz,
+        obstacles,
+        layouts,
+        first_world,
+        options.render_mode == "human",
+        options.rays,
+        options.contacts == "bullet",
+    )
+
+
+def make_dynamics(options: EnvOptions, engine: Engine) -> Dynamics:
+    """Make the dynamics of all drones, with their controllers; see `Dynamics.flight`."""
+    worlds = (engine.shape[0], 1)
+    parameters = np.tile(parameter_rows(options.airframe, options.effects), worlds)
+    gains = np.tile(gain_rows(options.airframe, options.max_speed), worlds)
+    flight = Flight(
+        engine,
+        parameters,
+        Cascade.of(options.controller, parameters.copy(), gains),
+        1 / options.physics_hz,
+        options.physics_hz // options.decision_hz,
+        options.gravity,
+        options.contacts or "",
+        options.friction,
+        options.restitution,
+    )
+    return find_dynamics(options.dynamics)(flight)
+
+
+def hover_speeds(options: EnvOptions) -> np.ndarray:
+    """Compute the rotor speeds (N, R) at which drones hover, rad/s; 0 of rotors that one lacks."""
+    speeds = np.zeros((options.num_drones, max(len(one.rotors) for one in options.airframe)))
+    for row, airframe in zip(speeds, options.airframe, strict=True):
+        row[: len(airframe.rotors)] = airframe.hover_speed(options.gravity)
+    return speeds
+
+
+def sensor_setup(options: EnvOptions, num_worlds: int, wanted: frozenset[str]) -> SensorSetup:
+    """Tell sensors what they know of where they fly, but for a task's targets and arena.
+
+    Args:
+        options: Common options.
+        num_worlds: W.
+        wanted: Readings that are wanted.
+    """
+    randomization = options.randomization
+    delays = "radio_delay" in randomization.known
+    return SensorSetup(
+        shape=(num_worlds, options.num_drones),
+        period=1 / options.decision_hz,
+        gravity=options.gravity,
+        radius=tuple(airframe.collision_radius for airframe in options.airframe),
+        max_range=options.max_range,
+        beams=make_beams(options.num_beams, options.lidar_elevations),
+        beam_frame=options.lidar_frame,
+        camera_size=options.camera_size,
+        camera_every=options.decision_hz // (options.camera_hz or options.decision_hz),
+        wanted=wanted,
+        longest_delay=randomization.bounds("radio_delay")[1] if delays else 0.0,
+    )
