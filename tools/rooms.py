@@ -16,7 +16,7 @@ PACKAGE = Path(__file__).parents[1] / "bulletuav"
 ROOMS = (
     ("version", "errors", "files", "kernel", "registry"),
     ("functions", "program"),
-    ("geometry",),
+    ("geometry", "earth"),
     ("conflict", "vehicle"),
     ("engine", "control"),
     ("contact",),

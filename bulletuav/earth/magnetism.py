@@ -1,0 +1,182 @@
+"""Magnetic field of the Earth, by the International Geomagnetic Reference Field.
+
+IGRF-14 at epoch 2025.0, in full: spherical harmonics of degrees 1 to 13. What is left out:
+
+- its change, some 0.1 % and 0.1 degrees a year;
+- magnetic rocks and currents in the air, which turn compasses by some 0.4 degrees;
+- iron nearby, which turns them by more.
+
+Sources: IAGA, IGRF-14 (2024), doi:10.5281/zenodo.14012302, for the coefficients. P. Alken et al.,
+International Geomagnetic Reference Field: the thirteenth generation (Earth, Planets and Space 73,
+2021), doi:10.1186/s40623-020-01288-x, for the formulas.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from bulletuav.earth.arrays import values_of
+from bulletuav.earth.geodesy import geodetic_to_ecef
+
+REFERENCE_RADIUS = 6371200.0
+"""Radius that the coefficients belong to, m."""
+DEGREE = 13
+"""Greatest degree of the coefficients."""
+LOWEST = -10e3
+"""Least altitude, m."""
+HIGHEST = 1000e3
+"""Greatest altitude, m; above it currents of the magnetosphere have their share."""
+TESLA = 1e-9
+"""Teslas in a nanotesla, the unit of the coefficients."""
+
+# One row a degree, from 1; orders from 0.
+COSINES = (
+    (-29350.0, -1410.3),
+    (-2556.2, 2950.9, 1648.7),
+    (1360.9, -2404.2, 1243.8, 453.4),
+    (894.7, 799.6, 55.8, -281.1, 12.0),
+    (-232.9, 369.0, 187.2, -138.7, -141.9, 20.9),
+    (64.3, 63.8, 76.7, -115.7, -40.9, 14.9, -60.8),
+    (79.6, -76.9, -8.8, 59.3, 15.8, 2.5, -11.2, 14.3),
+    (23.1, 10.9, -17.5, 2.0, -21.8, 16.9, 14.9, -16.8, 1.0),
+    (4.7, 8.0, 3.0, -0.2, -2.5, -13.1, 2.4, 8.6, -8.7, -12.8),
+    (-1.3, -6.4, 0.2, 2.0, -1.0, -0.5, -0.9, 1.5, 0.9, -2.6, -3.9),
+    (3.0, -1.4, -2.5, 2.4, -0.6, 0.0, -0.6, -0.1, 1.1, -1.0, -0.1, 2.6),
+    (-2.0, -0.1, 0.4, 1.2, -1.2, 0.6, 0.5, 0.5, -0.1, -0.5, -0.2, -1.2, -0.7),
+    (0.2, -0.9, 0.6, 0.7, -0.2, 0.5, 0.1, 0.7, 0.0, 0.3, 0.2, 0.4, -0.5, -0.4),
+)
+"""Coefficients g of cosines of the longitude, nT"""
+SINES = (
+    (0.0, 4545.5),
+    (0.0, -3133.6, -814.2),
+    (0.0, -56.9, 237.6, -549.6),
+    (0.0, 278.6, -134.0, 212.0, -375.4),
+    (0.0, 45.3, 220.0, -122.9, 42.9, 106.2),
+    (0.0, -18.4, 16.8, 48.9, -59.8, 10.9, 72.8),
+    (0.0, -48.9, -14.4, -1.0, 23.5, -7.4, -25.1, -2.2),
+    (0.0, 7.2, -12.6, 11.5, -9.7, 12.7, 0.7, -5.2, 3.9),
+    (0.0, -24.8, 12.1, 8.3, -3.4, -5.3, 7.2, -0.6, 0.8, 9.8),
+    (0.0, 3.3, 0.1, 2.5, 5.4, -9.0, 0.4, -4.2, -3.8, 0.9, -9.0),
+    (0.0, 0.0, 2.8, -0.6, 0.1, 0.5, -0.3, -1.2, -1.7, -2.9, -1.8, -2.3),
+    (0.0, -1.2, 0.6, 1.0, -1.5, 0.0, 0.6, -0.2, 0.8, 0.1, -0.9, 0.1, 0.2),
+    (0.0, -0.9, 0.7, 1.2, -0.3, -1.3, -0.1, 0.2, -0.2, 0.5, 0.6, -0.6, -0.3, -0.5),
+)
+"""Coefficients h of sines of the longitude, nT"""
+
+
+def magnetic_field(latitude: ArrayLike, longitude: ArrayLike, altitude: ArrayLike) -> np.ndarray:
+    """Tell the magnetic field of the Earth.
+
+    A compass on it points to magnetic north: a field of (0, north, up) has no declination. Within
+    a kilometre the field hardly changes, so one call at the origin does for a world.
+
+    Args:
+        latitude: Geodetic, from -90 to 90 deg.
+        longitude: Of any range, deg.
+        altitude: Above the ellipsoid of WGS-84, from -10 to 1000 km, in m.
+            The three have shapes that fit together.
+
+    Returns:
+        (..., 3) east, north and up, T. At the poles, north is the direction that the longitude
+        has nearby.
+
+    Raises:
+        ValueError: A number is not finite or out of bounds.
+    """
+    degrees, meridian, height = np.broadcast_arrays(
+        values_of("latitude", latitude, "degrees", -90.0, 90.0),
+        values_of("longitude", longitude, "degrees"),
+        values_of("altitude", altitude, "m", LOWEST, HIGHEST),
+    )
+    position = geodetic_to_ecef(np.stack([degrees, meridian, height], axis=-1))
+    # Harmonics are geocentric, and their latitude differs from the geodetic by up to 0.2 degrees.
+    from_axis = np.hypot(position[..., 0], position[..., 1])
+    geocentric = np.arctan2(position[..., 2], from_axis)
+    radius = np.hypot(from_axis, position[..., 2])
+    east, north, up = _geocentric_field(geocentric, np.radians(meridian), radius)
+    tilt = np.radians(degrees) - geocentric
+    return TESLA * np.stack(
+        [
+            east,
+            np.cos(tilt) * north - np.sin(tilt) * up,
+            np.sin(tilt) * north + np.cos(tilt) * up,
+        ],
+        axis=-1,
+    )
+
+
+def _geocentric_field(
+    latitude: np.ndarray, longitude: np.ndarray, radius: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Add up the harmonics: minus the gradient of the potential of Alken et al., equation 1.
+
+    Args:
+        latitude: (...) geocentric, rad.
+        longitude: (...) rad.
+        radius: (...) distance from the Earth's centre, m.
+
+    Returns:
+        The field east, north and along the radius, (...) nT each.
+    """
+    sine = np.sin(latitude)[..., None]  # the cosine of the colatitude
+    cosine = np.cos(latitude)[..., None]
+    ratio = REFERENCE_RADIUS / radius
+    turns = np.arange(DEGREE + 1) * longitude[..., None]
+    cosines, sines = np.cos(turns), np.sin(turns)
+    east, north, up = np.zeros((3, *np.shape(radius)))
+    # Legendre functions of one degree and the one before, for all orders (..., 14). Those of
+    # orders above 0 are divided by the cosine of the latitude, so that poles need no division.
+    before, legendre = np.zeros((2, *turns.shape))
+    legendre[..., 0] = 1.0
+    for degree in range(1, DEGREE + 1):
+        before, legendre = legendre, _next_legendre(degree, sine, cosine, legendre, before)
+        order = np.arange(degree + 1)
+        g, h = np.array(COSINES[degree - 1]), np.array(SINES[degree - 1])
+        cos_turn, sin_turn = cosines[..., : degree + 1], sines[..., : degree + 1]
+        along = g * cos_turn + h * sin_turn
+        across = order * (g * sin_turn - h * cos_turn)
+        shared = legendre[..., : degree + 1]
+        whole = shared * np.where(order > 0, cosine, 1.0)
+        # Derivatives with respect to the colatitude.
+        slope = degree * sine * shared - np.sqrt(degree**2 - order**2) * before[..., : degree + 1]
+        slope[..., 0] = -np.sqrt(degree * (degree + 1) / 2) * whole[..., 1]
+        scale = ratio ** (degree + 2)
+        up += scale * (degree + 1) * (along * whole).sum(axis=-1)
+        north += scale * (along * slope).sum(axis=-1)
+        east += scale * (across * shared).sum(axis=-1)
+    return east, north, up
+
+
+def _next_legendre(
+    degree: int,
+    sine: np.ndarray,
+    cosine: np.ndarray,
+    last: np.ndarray,
+    before: np.ndarray,
+) -> np.ndarray:
+    """Find Schmidt's semi-normalised Legendre functions from those of the two degrees below.
+
+    All orders above 0 are divided by the cosine of the latitude, see `_geocentric_field`.
+
+    Args:
+        degree: The degree n, from 1.
+        sine: (..., 1) of the latitude.
+        cosine: (..., 1) of the latitude.
+        last: (..., 14) functions of degree n - 1; those of orders above it are 0.
+        before: (..., 14) functions of degree n - 2.
+
+    Returns:
+        (..., 14) functions of degree n.
+    """
+    order = np.arange(degree)
+    root = np.sqrt((degree - 1) ** 2 - order**2)
+    legendre = np.zeros_like(last)
+    legendre[..., :degree] = (
+        (2 * degree - 1) * sine * last[..., :degree] - root * before[..., :degree]
+    ) / np.sqrt(degree**2 - order**2)
+    if degree == 1:
+        legendre[..., 1] = 1.0
+    else:
+        # The diagonal follows from the one before it.
+        share = np.sqrt(1.0 - 0.5 / degree)
+        legendre[..., degree] = share * cosine[..., 0] * last[..., degree - 1]
+    return legendre
