@@ -85,9 +85,11 @@ class Airspace(AirspaceParts):
         sizes = (*held.shape[:-1], self.hover_speed.shape[1])
         numbers, lacks_yaw = setpoint_numbers(level, setpoint, sizes, speaks)
         turning = 0.0 if yaw_rate is None else finite("yaw_rate", yaw_rate, -MOST_TURN, MOST_TURN)
-        if lacks_yaw:
-            told = None if yaw is None else finite("yaw", yaw, -MOST_TURN, MOST_TURN)
-            self._setpoint[0, rows, YAW] = self._yaw_held(rows) if told is None else told
+        if yaw is not None:
+            told = finite("yaw", yaw, -MOST_TURN, MOST_TURN)
+            self._setpoint[0, rows, YAW] = told
+        elif lacks_yaw:
+            self._hold_yaw(rows)
         self._setpoint[0, rows, : numbers.shape[-1]] = numbers
         self._levels[0, rows] = level
         self._yaw_rate[0, rows] = turning
@@ -162,10 +164,11 @@ class Airspace(AirspaceParts):
         self._program = program
         return program
 
-    def _yaw_held(self, rows: Any) -> np.ndarray:
-        """Tell the yaw that drones hold, or that which they have if they hold none, rad."""
-        present = np.zeros(self._levels.shape)
-        headings(self._swarm.quaternion, present)
-        holds = self._levels <= SetpointLevel.ACCELERATION
-        yaw: np.ndarray = np.where(holds, self._setpoint[..., YAW], present)[0, rows]
-        return yaw
+    def _hold_yaw(self, rows: Any) -> None:
+        """Let drones that hold no yaw hold the present one."""
+        free = np.flatnonzero(self._levels[0, rows] > SetpointLevel.ACCELERATION)
+        if len(free):
+            present = np.zeros(self._levels.shape)
+            headings(self._swarm.quaternion, present)
+            who = np.atleast_1d(np.arange(len(self.airframes))[rows])[free]
+            self._setpoint[0, who, YAW] = present[0, who]

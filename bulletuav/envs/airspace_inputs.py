@@ -25,6 +25,8 @@ UNIT = 1e-6
 """Error of the norm of a unit quaternion"""
 YAW = 3
 """Column of a setpoint"""
+PLAIN = frozenset((float, int))
+"""Types of numbers that need no closer look"""
 OF_TASKS = (
     "num_drones",
     "action",
@@ -120,8 +122,34 @@ def rows_of(drones: Drones, count: int) -> Any:
     return rows if rows.ndim else int(rows)
 
 
+def numbers(name: str, value: Any) -> np.ndarray:
+    """Take finite numbers of any shape.
+
+    Args:
+        name: What they are, for the message.
+        value: What was given.
+
+    Returns:
+        A float64 array.
+
+    Raises:
+        ValueError: They are no numbers, not finite, or too large.
+    """
+    if type(value) is np.ndarray and value.dtype == np.float64:
+        array = value
+    elif type(value) is tuple and PLAIN.issuperset(map(type, value)):
+        array = np.array(value, dtype=np.float64)
+    else:
+        array = numbers_of(f"{name} is", value)
+    flat = array.ravel()
+    # A sum of squares finds what is not finite, too
+    if not flat.dot(flat) <= MOST**2:
+        raise ValueError(f"{name} is {shown(value)}: finite numbers up to {MOST:g} are needed")
+    return array
+
+
 def filled(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
-    """Take numbers that fill a shape, given whole or once for all drones.
+    """Take finite numbers that fill a shape, given whole or once for all drones.
 
     Args:
         name: What they are, for the message.
@@ -132,17 +160,15 @@ def filled(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
         A float64 array that broadcasts to the shape.
 
     Raises:
-        ValueError: They have another shape, are not finite, or are too large.
+        ValueError: They have another shape, or are no finite numbers.
     """
-    array = value if type(value) is np.ndarray and value.dtype == float else None
-    if array is None:
-        array = numbers_of(f"{name} is", value)
+    return _fit(name, numbers(name, value), shape)
+
+
+def _fit(name: str, array: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """Return the array. Raises ValueError unless it broadcasts to the shape as rows do."""
     if array.shape != shape and array.shape != shape[-1:]:
         raise ValueError(f"{name} has shape {array.shape}: {shape} is needed")
-    flat = array.ravel()
-    # A sum of squares finds what is not finite, too
-    if not flat.dot(flat) <= MOST**2:
-        raise ValueError(f"{name} is {shown(value)}: finite numbers up to {MOST:g} are needed")
     return array
 
 
@@ -167,7 +193,7 @@ def level_of(level: Any, consumes: SetpointLevel, options: EnvOptions) -> Setpoi
     if chosen > consumes:
         raise ValueError(
             f"dynamics {options.dynamics_name!r} is driven by {consumes.name.lower()} setpoints: "
-            f"command that level or one above it, not {chosen.name}, or use 'rigid_body' or 'bullet'"
+            f"command that level or one above it, not {chosen.name}; or use 'rigid_body', 'bullet'"
         )
     if chosen < SetpointLevel.ROTOR:
         if options.gravity == 0:
@@ -199,17 +225,17 @@ def setpoint_numbers(
     Raises:
         ValueError: They cannot be.
     """
-    width = sizes[-1]
+    name = f"setpoint of {level.name}"
+    array, width = numbers(name, setpoint), sizes[-1]
     if level < SetpointLevel.ROTOR:
         width = YAW + 1
         if level < SetpointLevel.ATTITUDE:
-            width -= speaks or np.shape(setpoint)[-1:] == (YAW,)
+            width -= speaks or array.shape[-1:] == (YAW,)
         elif speaks:
             raise ValueError(
                 f"yaw and yaw_rate go with POSITION, VELOCITY and ACCELERATION, not {level.name}"
             )
-    numbers = filled(f"setpoint of {level.name}", setpoint, (*sizes[:-1], width))
-    return numbers, width == YAW
+    return _fit(name, array, (*sizes[:-1], width)), width == YAW
 
 
 def state_numbers(

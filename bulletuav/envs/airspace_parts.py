@@ -189,8 +189,8 @@ class AirspaceParts(Environment):
             )
             raise ValueError(
                 f"drone {i} at {after.position[0, i]} m overlaps {what} by "
-                f"{found.depth[row]:.3g} m: place it elsewhere (on the ground it stands at a height "
-                f"of standing_height = {self.airframes[i].standing_height:.4g} m)"
+                f"{found.depth[row]:.3g} m: place it elsewhere (on the ground it stands at "
+                f"standing_height = {self.airframes[i].standing_height:.4g} m)"
             )
 
     @exclusive

@@ -1,11 +1,10 @@
 """Pictures and live view of a world: a camera that keeps all drones and goals in sight."""
 
-import time
-
 import numpy as np
 from PIL import Image, ImageDraw
 
 from bulletuav.engine.engine import Engine
+from bulletuav.envs.pacer import Pacer
 from bulletuav.geometry.view import AIR, LAND, SKY, projection_matrix, view_matrix
 from bulletuav.vehicle.swarm import Swarm
 
@@ -41,7 +40,7 @@ class Renderer:
         """
         self._engine = engine
         self._size = size
-        self._next_time: float | None = None
+        self._pacer: Pacer | None = None
 
     def picture(
         self,
@@ -122,21 +121,19 @@ class Renderer:
     def show(self, swarm: Swarm, alive: np.ndarray, period: float) -> None:
         """Keep the live view of world 0 in real time.
 
-        The first call points it at the drones. Later ones wait until a period has passed since
-        the call before.
+        The first call points it at the drones. Each waits until its time has come.
 
         Args:
             swarm: State of all worlds.
             alive: (W, N) bool, drones that are to be seen.
             period: Time between calls, s.
         """
-        flying = swarm.position[0][alive[0]]
-        if self._next_time is None and len(flying):
-            target, distance = self._framing(flying)
-            self._engine.look_at(0, target, distance)
-        now = time.monotonic()
-        self._next_time = max(self._next_time or now, now - period) + period
-        time.sleep(max(0.0, self._next_time - now))
+        if self._pacer is None:
+            flying = swarm.position[0][alive[0]]
+            if len(flying):
+                self._engine.look_at(0, *self._framing(flying))
+            self._pacer = Pacer(period)
+        self._pacer.wait()
 
     @staticmethod
     def _framing(points: np.ndarray) -> tuple[np.ndarray, float]:
