@@ -60,7 +60,7 @@ SUBSTEPS, DECISIONS = "drone-substeps/s", "decisions/s"
 def _short(ours: str, drones: int, hz: int, bare: float, everything: float) -> list[Comparison]:
     """Compare decisions of few substeps, with the goals against bare and all forces."""
     title = f"{ours}, all forces, N = {drones}, decisions at {hz} Hz"
-    case = f"{ours}, {drones}, {hz} Hz" if ours == "PettingZoo" else f"{ours}, {hz} Hz"
+    case = f"{ours}, {hz} Hz" if ours == "Gymnasium" else f"{ours}, {drones}, {hz} Hz"
     theirs = {f"bare, {drones}, {hz} Hz": bare, f"all forces, {drones}, {hz} Hz": everything}
     return [
         Comparison(title, case, "gym-pybullet-drones", name, DECISIONS, goal)
@@ -69,6 +69,9 @@ def _short(ours: str, drones: int, hz: int, bare: float, everything: float) -> l
 
 
 COMPARISONS = [
+    *_short("Airspace", 1, 240, 4, 10),
+    *_short("Airspace", 1, 48, 5, 18),
+    *_short("Airspace", 10, 240, 10, 40),
     *_short("Gymnasium", 1, 240, 4, 10),
     *_short("PettingZoo", 1, 240, 4, 10),
     *_short("PettingZoo", 1, 48, 5, 18),

@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 import pybullet
 from gymnasium.vector import AutoresetMode
-from serve import serve
+from serve import grid, serve
 
 import bulletuav
 from bulletuav.analysis.benchmark import SUBSTEPS, floors, hovering
@@ -94,6 +94,23 @@ def decide_alone(hz: int):
     def step() -> None:
         if env.step(action)[2]:
             env.reset()
+
+    return step, 1
+
+
+def own_loop(drones: int, hz: int):
+    """Command the rotor speeds of hover from a loop of one's own, without a task.
+
+    The rate is in steps.
+    """
+    start = np.array(grid(drones))
+    airspace = bulletuav.Airspace(start, decision_hz=hz, seed=0)
+    speeds = airspace.hover_speed
+    airspace.place(None, start, rotor_speed=speeds)
+
+    def step() -> None:
+        airspace.command(None, bulletuav.SetpointLevel.ROTOR, speeds)
+        airspace.step()
 
     return step, 1
 
@@ -284,6 +301,11 @@ if __name__ == "__main__":
                 for hz in (240, 48, 30, 10)
             },
             "Gymnasium, 240 Hz": partial(decide_alone, 240),
+            **{
+                f"Airspace, {drones}, {hz} Hz": partial(own_loop, drones, hz)
+                for drones in (1, 10, 50)
+                for hz in (240, 48)
+            },
             "reset, 10": partial(reset, 10),
             "floor, 64 x 8": partial(floor, 64, 8),
             **in_cities(),

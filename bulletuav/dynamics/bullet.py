@@ -26,6 +26,7 @@ from bulletuav.kernel import allocating, borrowed, func, kernel
 from bulletuav.program import Program
 from bulletuav.registry import register
 from bulletuav.vehicle.aerodynamics import wakes
+from bulletuav.vehicle.airframe import MAX_ROTORS
 from bulletuav.vehicle.rotors import lag_decay, lagged, rotor_wrench
 from bulletuav.vehicle.swarm import Contacts, Swarm
 from bulletuav.vehicle.wrench import SMALL_TURN, body_acceleration, spin_parts, wrench
@@ -91,7 +92,7 @@ def engine_torque(
     )
 
 
-@allocating
+@kernel
 def drive(
     swarm: Swarm,
     alive: np.ndarray,
@@ -103,6 +104,7 @@ def drive(
     dt: float,
     force: np.ndarray,
     torque: np.ndarray,
+    room: np.ndarray,
 ) -> None:
     """Run controllers and rotors of one substep, and fill in the wrenches for the engine.
 
@@ -117,12 +119,10 @@ def drive(
         dt: Duration of the substep, s.
         force: (W, N, 3) forces to be written, world axes, N.
         torque: (W, N, 3) torques to be written, body axes, N m.
+        room: (3, most of N and `MAX_ROTORS`) room for commands, rotor speeds and wakes.
     """
-    swarm, cascade, air = borrowed((swarm, cascade, air))
-    num_rotors = swarm.rotor_speed.shape[2]
-    command = np.empty(num_rotors)
-    speed = np.empty(num_rotors)
-    wake = np.empty(alive.shape[1])
+    swarm, cascade, air, room = borrowed((swarm, cascade, air, room))
+    command, speed, wake = room[0], room[1], room[2, : alive.shape[1]]
     for w in range(alive.shape[0]):
         # Downwash of all on all
         wakes(w, swarm.position, alive, parameters, air.gravity, wake)
@@ -206,6 +206,7 @@ def advance(
     dt: float,
     force: np.ndarray,
     torque: np.ndarray,
+    room: np.ndarray,
     contact: Contact,
     driven: np.ndarray,
     flying: np.ndarray,
@@ -226,6 +227,7 @@ def advance(
         dt: Duration of a substep, s.
         force: (W, N, 3) room for forces, N.
         torque: (W, N, 3) room for torques, N m.
+        room: Room for `drive`.
         contact: What contacts need.
         driven: (W, N) bool, room for those whose rotors turn.
         flying: (W, N) bool, room for those whom the engine moves.
@@ -238,7 +240,7 @@ def advance(
         if near_ground:
             place_obstacles(contact, piece / substeps, substeps * dt)
             surface_below(port, swarm.position, driven, air.surface)
-        drive(swarm, driven, levels, setpoint, cascade, parameters, air, dt, force, torque)
+        drive(swarm, driven, levels, setpoint, cascade, parameters, air, dt, force, torque, room)
         choose_flying(alive, parameters, force, torque, swarm, dt, contact, flying)
         substep(port, force, torque, flying, swarm)
         # What they would have flown into; the engine goes on from there
@@ -264,6 +266,7 @@ class BulletDynamics(Dynamics):
         super().__init__(flight)
         self._force, self._torque = np.zeros((2, *flight.parameters.shape, 3))
         self._driven, self._flying = np.zeros((2, *flight.parameters.shape), dtype=bool)
+        self._room = np.zeros((3, max(MAX_ROTORS, flight.parameters.shape[1])))
         self._in_engine = Contacts.none()
 
     def place(self, swarm: Swarm, mask: np.ndarray) -> None:
@@ -340,17 +343,16 @@ class BulletDynamics(Dynamics):
             dt=flight.dt,
             force=self._force,
             torque=self._torque,
+            room=self._room,
         )
 
     def _advance_once(self, inputs: "_Inputs") -> None:
         """Fly one substep through the engine's own calls."""
         engine = self.flight.engine
         if self._near_ground:
-            surface = engine.surface_below(inputs.swarm.position, inputs.alive)
-            inputs.air.surface[:] = surface
+            inputs.air.surface[:] = engine.surface_below(inputs.swarm.position, inputs.alive)
         drive(*inputs)
-        flying = np.zeros(inputs.alive.shape, dtype=bool)
-        force, torque = inputs.force, inputs.torque
+        force, torque, flying = inputs.force, inputs.torque, self._flying
         choose_flying(
             inputs.alive,
             inputs.parameters,
@@ -395,3 +397,4 @@ class _Inputs(NamedTuple):
     dt: float
     force: np.ndarray
     torque: np.ndarray
+    room: np.ndarray

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bulletuav.engine.calls import VISIBLE
-from bulletuav.engine.tiles import columns, globalise, land, localise
+from bulletuav.engine.tiles import columns, cover, globalise, land, localise
 from bulletuav.geometry.city_grid import CityGrid
 from bulletuav.geometry.raycast import walk
 from bulletuav.geometry.scenery import Scenery
@@ -132,9 +132,10 @@ def surface_below(port: Port, position: np.ndarray, mask: np.ndarray, surface: n
         mask: (W, N) bool, drones that are asked for.
         surface: (W, N) heights z, m, which are written; -inf outside `mask`.
     """
-    who, start, end = columns(position, mask, port.scenery, surface)
-    if who.shape[0] == 0:
+    covered = cover(position, mask, port.scenery, surface)
+    if covered == 0:
         return
+    who, start, end = columns(position, surface, covered)
     fraction, left = walk(port.scenery, start, end, who[:, 0], port.compiled)
     # Bullet answers the others.
     count = left.shape[0]

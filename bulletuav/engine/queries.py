@@ -19,7 +19,7 @@ from bulletuav.engine.calls import (
     bullet,
 )
 from bulletuav.engine.rendering import SceneRenderer
-from bulletuav.engine.tiles import columns, land, within_tile
+from bulletuav.engine.tiles import columns, cover, land, within_tile
 from bulletuav.geometry.city_grid import CityGrid
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.raycast import meet_drones, walk
@@ -164,8 +164,9 @@ class EngineQueries:
         """
         # Most drones have only ground below, which takes no ray.
         surface = np.empty(self.shape)
-        who, start, end = columns(position, mask, self._scenery, surface)
-        if len(who):
+        count = cover(position, mask, self._scenery, surface)
+        if count:
+            who, start, end = columns(position, surface, count)
             land(surface, who, start, self.cast_rays(start, end, who[:, 0]))
         return surface
 

@@ -104,13 +104,8 @@ def _is_covered(here: Vec3Like, scenery: Scenery, w: int) -> bool:
     return meets(scenery.city_grid, w, low, high)
 
 
-@allocating
-def columns(
-    position: np.ndarray,
-    mask: np.ndarray,
-    scenery: Scenery,
-    surface: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+@kernel
+def cover(position: np.ndarray, mask: np.ndarray, scenery: Scenery, surface: np.ndarray) -> int:
     """Find the drones whose surface below takes a ray to find.
 
     Those are drones with a body or a building in their column. Below others lies the ground.
@@ -119,24 +114,45 @@ def columns(
         position: (W, N, 3) of the drones, m.
         mask: (W, N) bool, drones that are asked for.
         scenery: What stands in each world.
-        surface: (W, N) heights, m, which are written: 0 for drones of `mask`, -inf for others.
+        surface: (W, N) heights, m, which are written: NaN for drones that need a ray, 0 for others
+            of `mask`, -inf for those that are not asked for.
 
     Returns:
-        (world, drone) (M, 2) of the drones that need a ray; start and end (M, 3) of the rays, m.
+        How many need a ray.
     """
-    found = [(0, 0) for _ in range(0)]
+    count = 0
     for w in range(mask.shape[0]):
         for i in range(mask.shape[1]):
             surface[w, i] = 0.0 if mask[w, i] else -np.inf
             if mask[w, i] and _is_covered(vec3(position, w, i), scenery, w):
-                found.append((w, i))
+                surface[w, i] = np.nan
+                count += 1
+    return count
 
-    # Their rays, straight down.
-    who = np.empty((len(found), 2), np.int64)
-    start = np.empty((len(found), 3))
-    for m in range(len(found)):
-        who[m, 0], who[m, 1] = found[m]
-        start[m] = position[found[m]]
+
+@allocating
+def columns(
+    position: np.ndarray, surface: np.ndarray, count: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Make the rays of the drones that `cover` found.
+
+    Args:
+        position: (W, N, 3) of the drones, m.
+        surface: (W, N) what it wrote.
+        count: How many there are, M.
+
+    Returns:
+        (world, drone) (M, 2); start and end (M, 3) of rays straight down, m.
+    """
+    who = np.empty((count, 2), np.int64)
+    start = np.empty((count, 3))
+    m = 0
+    for w in range(surface.shape[0]):
+        for i in range(surface.shape[1]):
+            if np.isnan(surface[w, i]):
+                who[m, 0], who[m, 1] = w, i
+                start[m] = position[w, i]
+                m += 1
     end = start.copy()
     end[:, 2] -= RAY_LENGTH
     return who, start, end
@@ -144,7 +160,7 @@ def columns(
 
 @kernel
 def land(surface: np.ndarray, who: np.ndarray, start: np.ndarray, fraction: np.ndarray) -> None:
-    """Write the heights that the rays of `columns` met; where they met nothing the ground stays.
+    """Write the heights that the rays of `columns` met: the ground's where they met nothing.
 
     Args:
         surface: (W, N) heights, m, which are written.
@@ -153,8 +169,9 @@ def land(surface: np.ndarray, who: np.ndarray, start: np.ndarray, fraction: np.n
         fraction: (M,) share of each ray before it met something, 1 where it met nothing.
     """
     for m in range(who.shape[0]):
-        if fraction[m] < 1.0:
-            surface[who[m, 0], who[m, 1]] = start[m, 2] - RAY_LENGTH * fraction[m]
+        met = fraction[m] < 1.0
+        height = start[m, 2] - RAY_LENGTH * fraction[m] if met else 0.0
+        surface[who[m, 0], who[m, 1]] = height
 
 
 @allocating

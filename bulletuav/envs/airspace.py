@@ -78,12 +78,11 @@ class Airspace(AirspaceParts):
             ValueError: There is no such drone or level, or numbers cannot be; nothing has changed.
         """
         self._require_open()
-        rows = rows_of(drones, len(self.airframes))
+        rows, count = rows_of(drones, len(self.airframes))
         level = level_of(level, self.consumes, self._options)
-        held = self._setpoint[0, rows]
         speaks = yaw is not None or yaw_rate is not None
-        sizes = (*held.shape[:-1], self.hover_speed.shape[1])
-        numbers, lacks_yaw = setpoint_numbers(level, setpoint, sizes, speaks)
+        rotors = self.hover_speed.shape[1]
+        numbers, lacks_yaw = setpoint_numbers(level, setpoint, count, rotors, speaks)
         turning = 0.0 if yaw_rate is None else finite("yaw_rate", yaw_rate, -MOST_TURN, MOST_TURN)
         if yaw is not None:
             told = finite("yaw", yaw, -MOST_TURN, MOST_TURN)
@@ -91,8 +90,10 @@ class Airspace(AirspaceParts):
         elif lacks_yaw:
             self._hold_yaw(rows)
         self._setpoint[0, rows, : numbers.shape[-1]] = numbers
-        self._levels[0, rows] = level
-        self._yaw_rate[0, rows] = turning
+        self._levels[0, rows] = int(level)
+        if turning or self._turns:
+            self._turns = True
+            self._yaw_rate[0, rows] = turning
 
     def stop(self, drones: Drones = None) -> None:
         """Switch motors off, until the next command.
@@ -120,8 +121,8 @@ class Airspace(AirspaceParts):
             ValueError: There is no such drone, numbers cannot be, or the dynamics does not feel it.
         """
         self._require_open()
-        rows = rows_of(drones, len(self.airframes))
-        shape = self._air[0, rows].shape
+        rows, count = rows_of(drones, len(self.airframes))
+        shape = (*count, 3)
         push, twist = filled("force", force, shape), filled("torque", torque, shape)
         name = self._options.dynamics_name
         if push.any() and not self._dynamics.feels_force:

@@ -25,6 +25,8 @@ UNIT = 1e-6
 """Error of the norm of a unit quaternion"""
 YAW = 3
 """Column of a setpoint"""
+EVERY = slice(None)
+FLOAT = np.dtype(np.float64)
 PLAIN = frozenset((float, int))
 """Types of numbers that need no closer look"""
 OF_TASKS = (
@@ -93,7 +95,7 @@ def airspace_options(
     return EnvOptions(**values), carried
 
 
-def rows_of(drones: Drones, count: int) -> Any:
+def rows_of(drones: Drones, count: int) -> tuple[Any, tuple[int, ...]]:
     """Find which drones are meant.
 
     Args:
@@ -101,25 +103,26 @@ def rows_of(drones: Drones, count: int) -> Any:
         count: How many there are.
 
     Returns:
-        What picks them from arrays (N, ...): an index for one drone, else an array or slice.
+        What picks them from arrays (N, ...), an index for one drone, else an array or slice; and
+        the shape that it picks, () for one drone, else (M,).
 
     Raises:
         ValueError: There is no such drone.
     """
     if type(drones) is int and 0 <= drones < count:
-        return drones
+        return drones, ()
     if drones is None:
-        return slice(None)
+        return EVERY, (count,)
     rows = np.asarray(drones)
     if rows.dtype == bool and rows.shape == (count,):
-        return np.flatnonzero(rows)
+        return np.flatnonzero(rows), (int(rows.sum()),)
     whole = rows.dtype.kind in "iu" and rows.ndim <= 1
     if not whole or ((rows < 0) | (rows >= count)).any() or rows.size != np.unique(rows).size:
         raise ValueError(
             f"drones is {shown(drones)}: an index from 0 to {count - 1}, several different ones, "
             f"a mask of {count}, or None for all is needed"
         )
-    return rows if rows.ndim else int(rows)
+    return (rows, rows.shape) if rows.ndim else (int(rows), ())
 
 
 def numbers(name: str, value: Any) -> np.ndarray:
@@ -135,7 +138,7 @@ def numbers(name: str, value: Any) -> np.ndarray:
     Raises:
         ValueError: They are no numbers, not finite, or too large.
     """
-    if type(value) is np.ndarray and value.dtype == np.float64:
+    if type(value) is np.ndarray and value.dtype is FLOAT:
         array = value
     elif type(value) is tuple and PLAIN.issuperset(map(type, value)):
         array = np.array(value, dtype=np.float64)
@@ -162,11 +165,7 @@ def filled(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
     Raises:
         ValueError: They have another shape, or are no finite numbers.
     """
-    return _fit(name, numbers(name, value), shape)
-
-
-def _fit(name: str, array: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """Return the array. Raises ValueError unless it broadcasts to the shape as rows do."""
+    array = numbers(name, value)
     if array.shape != shape and array.shape != shape[-1:]:
         raise ValueError(f"{name} has shape {array.shape}: {shape} is needed")
     return array
@@ -209,14 +208,15 @@ def level_of(level: Any, consumes: SetpointLevel, options: EnvOptions) -> Setpoi
 
 
 def setpoint_numbers(
-    level: SetpointLevel, setpoint: Any, sizes: tuple[int, ...], speaks: bool
+    level: SetpointLevel, setpoint: Any, count: tuple[int, ...], rotors: int, speaks: bool
 ) -> tuple[np.ndarray, bool]:
     """Take the numbers of a setpoint.
 
     Args:
         level: Its level.
         setpoint: What was given.
-        sizes: (M, R) for M drones, (R,) for one, with R rotors.
+        count: (M,) for M drones, () for one.
+        rotors: How many rotors setpoints are for, R.
         speaks: Whether a yaw or its rate is told beside it.
 
     Returns:
@@ -225,8 +225,7 @@ def setpoint_numbers(
     Raises:
         ValueError: They cannot be.
     """
-    name = f"setpoint of {level.name}"
-    array, width = numbers(name, setpoint), sizes[-1]
+    array, width = numbers("setpoint", setpoint), rotors
     if level < SetpointLevel.ROTOR:
         width = YAW + 1
         if level < SetpointLevel.ATTITUDE:
@@ -235,7 +234,10 @@ def setpoint_numbers(
             raise ValueError(
                 f"yaw and yaw_rate go with POSITION, VELOCITY and ACCELERATION, not {level.name}"
             )
-    return _fit(name, array, (*sizes[:-1], width)), width == YAW
+    if array.shape != (width,) and array.shape != (*count, width):
+        needed = (*count, width)
+        raise ValueError(f"setpoint of {level.name} has shape {array.shape}: {needed} is needed")
+    return array, width == YAW
 
 
 def state_numbers(

@@ -108,7 +108,7 @@ class AirspaceParts(Environment):
         self._swarm, self._alive = Swarm.zeros(*shape, rotors), np.ones(shape, dtype=bool)
         self._levels = np.full(shape, int(self.consumes))
         self._setpoint = np.zeros((*shape, max(YAW + 1, rotors)))
-        self._yaw_rate = np.zeros(shape)
+        self._yaw_rate, self._turns = np.zeros(shape), False
         self._air = np.zeros((*shape, 3))
         self._steps, self._time = np.zeros(1, dtype=np.int64), np.zeros(1)
         self._obstacle, self._obstacle_velocity = np.zeros((2, 1, obstacles, 3))
@@ -151,7 +151,7 @@ class AirspaceParts(Environment):
                 other or what stands; nothing has changed.
         """
         self._require_open()
-        rows = rows_of(drones, len(self.airframes))
+        rows, _ = rows_of(drones, len(self.airframes))
         fastest = self._dynamics.flight.parameters["max_rotor_speed"][0, rows]
         most = np.where(self.hover_speed[rows] > 0, np.expand_dims(fastest, -1), 0.0)
         given = (position, quaternion, velocity, rates, rotor_speed)
