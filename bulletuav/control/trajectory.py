@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.interpolate import PPoly, make_interp_spline
+from scipy.interpolate import BSpline, PPoly, make_interp_spline
 
 from bulletuav.control.gains import gain_rows
 from bulletuav.errors import numbers_of
@@ -59,9 +59,7 @@ class Trajectory:
         """
         knots, places = _checked(times, points)
         still = [(1, np.zeros(AXES)), (2, np.zeros(AXES))]
-        self._keep(
-            PPoly.from_spline(make_interp_spline(knots, places, DEGREE, bc_type=(still,) * 2))
-        )
+        self._keep(make_interp_spline(knots, places, DEGREE, bc_type=(still,) * 2), *knots[[0, -1]])
 
     @classmethod
     def polynomial(cls, durations: Sequence[float], coefficients: Any) -> "Trajectory":
@@ -96,15 +94,14 @@ class Trajectory:
         if not np.isfinite(terms).all():
             raise ValueError("coefficients have numbers that are not finite")
         self = cls.__new__(cls)
-        self._keep(
-            PPoly(terms.transpose(2, 0, 1)[::-1], np.concatenate([[0.0], np.cumsum(lasting)]))
-        )
+        ends = np.concatenate([[0.0], np.cumsum(lasting)])
+        self._keep(PPoly(terms.transpose(2, 0, 1)[::-1], ends), *ends[[0, -1]])
         return self
 
-    def _keep(self, curve: PPoly) -> None:
+    def _keep(self, curve: BSpline | PPoly, begin: float, end: float) -> None:
         """Keep the curve and its derivatives."""
         self._curves = (curve, curve.derivative(1), curve.derivative(2))
-        self.begin, self.end = float(curve.x[0]), float(curve.x[-1])
+        self.begin, self.end = float(begin), float(end)
 
     def at(self, time: float) -> Target:
         """Tell where the trajectory is.
