@@ -10,7 +10,9 @@ import pytest
 
 import bulletuav
 
-FOLDER = Path(__file__).parent.parent / "examples"
+ROOT = Path(__file__).parent.parent
+FOLDER = ROOT / "examples"
+GYM = "from_gym_pybullet_drones"
 EXAMPLES = {
     "step_response": "",
     "pid_flight": "--seconds 2",
@@ -22,6 +24,14 @@ EXAMPLES = {
     "camera_cnn": "--steps 1 --episodes 1 --forests 2",
     "domain_randomisation": "--steps 1 --episodes 1",
     "curriculum": "--steps 1 --episodes 1",
+    "own_pid": "",
+    "figure_eight": "--out figure_eight",
+    "rotor_control": "--seconds 2",
+    "exchange_places": "--seconds 4",
+    "crash_and_recovery": "--blow 6",
+    f"{GYM}/pid": "--seconds 4",
+    f"{GYM}/downwash": "--seconds 4",
+    f"{GYM}/learn": "--steps 1",
 }
 """Arguments of the shortest form"""
 PICTURES = {
@@ -31,6 +41,12 @@ PICTURES = {
     "ppo_hover": "flight.png",
     "ppo_crossing": "flight.png",
     "camera_cnn": "flight.png",
+    "figure_eight": "eight.png",
+    "rotor_control": "recovery.png",
+    "exchange_places": "exchange.png",
+    "crash_and_recovery": "crash.png",
+    f"{GYM}/pid": "circles.png",
+    f"{GYM}/downwash": "heights.png",
 }
 MODELS = {
     "ppo_hover": {"model.zip"},
@@ -39,6 +55,7 @@ MODELS = {
     "camera_cnn": {"model.zip"},
     "domain_randomisation": {"certain.zip", "uncertain.zip"},
     "curriculum": {"model.zip"},
+    f"{GYM}/learn": {"model.zip"},
 }
 NUMBER = r"(-?\d+(?:\.\d+)?|nan|-?inf)"
 
@@ -66,8 +83,10 @@ def numbers(pattern, text):
 
 
 def test_every_example_is_tested_and_short():
-    assert {path.stem for path in FOLDER.glob("*.py")} == set(EXAMPLES)
-    for path in FOLDER.glob("*.py"):
+    paths = [*FOLDER.glob("*.py"), *FOLDER.glob(f"{GYM}/*.py")]
+    names = {path.relative_to(FOLDER).with_suffix("").as_posix() for path in paths}
+    assert names == set(EXAMPLES)
+    for path in paths:
         assert len(path.read_text().splitlines()) < 250, path.name
 
 
@@ -84,12 +103,14 @@ def test_help_tells_what_one_sees(name, run, capsys):
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_it_runs(name, run, tmp_path):
     told = run(name, EXAMPLES[name])
-    CHECKS[name](told, tmp_path / name)
+    short = Path(name).name
+    folder = tmp_path / short
+    CHECKS[short](told, folder)
     written = {path.name for path in tmp_path.rglob("*") if path.is_file()}
-    assert {path.name for path in tmp_path.iterdir()} <= {name}, "writes outside its folder"
+    assert {path.name for path in tmp_path.iterdir()} <= {short}, "writes outside its folder"
     assert MODELS.get(name, set()) == {file for file in written if file.endswith(".zip")}
     if name in PICTURES:
-        assert (tmp_path / name / PICTURES[name]).read_bytes().startswith(b"\x89PNG")
+        assert (folder / PICTURES[name]).read_bytes().startswith(b"\x89PNG")
 
 
 def check_step_response(told, folder):
@@ -162,6 +183,89 @@ def check_curriculum(told, folder):
     rows = numbers(r"stage # in bullet: success of drones #, episodes with conflict #", told)
     assert list(rows[:, 0]) == [0, 1, 2, 3]
     assert (rows[:, 1:] <= 1).all()
+
+
+def check_own_pid(told, folder):
+    errors = numbers(r"after \d s the error is # cm", told)
+    assert len(errors) == 8
+    assert errors[0] > 10 > errors[4]
+    assert numbers(r"last second the error is # cm", told)[0] < 1
+    source = (FOLDER / "own_pid.py").read_text()
+    core = source[source.index("import numpy") : source.index("\nfor second")].splitlines()
+    assert len([line for line in core if line and not line.strip().startswith("#")]) <= 25
+
+
+def check_figure_eight(told, folder):
+    assert 0 < numbers(r"overshoots by # cm", told)[0] < 5
+    speed, rms, most = numbers(r"at # m/s on average: error # cm rms, # cm at most", told)[0]
+    assert speed == pytest.approx(1.0, abs=0.01)
+    assert rms < 5
+    assert rms < most < 10
+    assert numbers(r"it rests on the ground, # cm beside", told)[0] < 1
+
+
+def check_rotor_control(told, folder):
+    settled, falls, drifts = numbers(r"in # s, falls # cm, drifts # cm", told)[0]
+    assert 0.2 < settled < 1.6
+    assert falls < 40
+    assert drifts < 150
+    tilt, height = numbers(r"the tilt is # degrees, the height # m", told)[0]
+    assert tilt < 1
+    assert height == pytest.approx(2.0, abs=0.01)
+
+
+def check_exchange_places(told, folder):
+    beside, above = numbers(r"separation # m at least, errors # and # cm at most", told)
+    assert beside[0] > 0.9
+    assert above[0] > 0.4
+    # The wake of the upper drone pushes the lower one
+    assert above[2] > 3 * beside[2]
+    assert (numbers(r"# cm from the other's place", told) < 2).all()
+
+
+def check_crash_and_recovery(told, folder):
+    hits = numbers(r"at \(#, #, #\) m with # m/s and # mN s", told)
+    ground = numbers(r"touches the ground at \(#, #, #\) m with # m/s", told)
+    assert len(hits) > len(ground) >= 1  # the roof, too
+    assert (hits[:, 2] < 0.61).all()
+    assert ground[0][2] == pytest.approx(0.0, abs=0.01)
+    assert (hits[:, 4] > 0).all()
+    assert numbers(r"tilted by # degrees", told)[0] == pytest.approx(180, abs=1)
+    away, error = numbers(r"moved it by # cm; at the end the error is # cm", told)[0]
+    assert 5 < away < 30
+    assert error < 1
+
+
+def check_pid(told, folder):
+    rows = numbers(r"drone \d: error # cm on average, # at most", told)
+    assert len(rows) == 3
+    assert ((rows[:, 0] > 5) & (rows[:, 1] < 15)).all()
+
+
+def check_downwash(told, folder):
+    assert 3 < numbers(r"lower drone down by # cm", told)[0] < 10
+    assert numbers(r"upper one by # cm", told)[0] == 0
+
+
+def check_learn(told, folder):
+    rows = numbers(r"learning: return # \+- #, ends # cm from", told)
+    assert len(rows) == 2
+    assert (rows[:, 0] < 240).all()
+    assert (rows[:, 2] < 2000).all()
+
+
+@pytest.mark.parametrize("name", ["pid", "downwash", "learn"])
+def test_the_page_for_those_who_come_shows_lines_of_the_scripts(name):
+    def bare(code):
+        return re.sub(r"\s", "", code).replace(",)", ")")
+
+    source = bare((FOLDER / GYM / f"{name}.py").read_text())
+    page = (ROOT / "docs" / f"{GYM}.md").read_text()
+    (section,) = re.findall(rf"^## {name}\.py$(.*?)(?=^## |\Z)", page, re.MULTILINE | re.DOTALL)
+    rows = re.findall(r"^\| .* \| (.*) \|$", section, re.MULTILINE)
+    codes = [code for row in rows for code in re.findall(r"`([^`]+)`", row)]
+    assert len(codes) >= 8
+    assert [code for code in codes if bare(code) not in source] == []
 
 
 CHECKS = {
