@@ -185,6 +185,7 @@ KINEMATIC_LEVELS = {
 ACTION_LEVELS = {
     "velocity": SetpointLevel.VELOCITY,
     "velocity_increment": SetpointLevel.VELOCITY,
+    "acceleration": SetpointLevel.ACCELERATION,
     "heading_speed": SetpointLevel.VELOCITY,
     "target_position": SetpointLevel.POSITION,
     "attitude": SetpointLevel.ATTITUDE,
