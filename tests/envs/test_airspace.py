@@ -13,6 +13,7 @@ from bulletuav import Airspace, SetpointLevel
 from bulletuav.contact.touch import TOUCH
 from bulletuav.dynamics import DYNAMICS
 from bulletuav.dynamics.base import Dynamics
+from bulletuav.engine import engine as engine_module
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.solids import Solids
 from bulletuav.geometry.view import DRONE, FAR, OBSTACLE
@@ -488,3 +489,34 @@ def test_drones_of_several_kinds_have_the_rotors_that_they_have():
 def test_it_is_what_the_package_offers():
     assert bulletuav.Airspace is Airspace
     assert bulletuav.SetpointLevel is SetpointLevel
+
+
+def test_without_the_extension_flights_are_the_same_to_the_bit(monkeypatch):
+    def flight():
+        airspace = Airspace(
+            [(0, 0, 0.4), (0.2, 0, 0.6)], obstacles=(Obstacle("sphere", (0.1,)),), decision_hz=48
+        )
+        airspace.place_obstacle(0, (0.0, 0, 0.2), velocity=(0.1, 0, 0))
+        airspace.command(1, "position", (0.0, 0.1, 0.5))
+        airspace.apply(0, torque=(1e-5, 0, 0))
+        return state(steps(airspace, 48)), tuple(airspace.contacts)
+
+    fast = flight()
+    without = engine_module.EXTENSION._replace(library=None)
+    monkeypatch.setattr(engine_module, "EXTENSION", without)
+    slow = flight()
+    np.testing.assert_array_equal(fast[0], slow[0])
+    for one, other in zip(fast[1], slow[1], strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_the_engines_own_contacts_are_deep_and_compiled_ones_are_not():
+    deepest = {}
+    for contacts in ("bullet", "impulse"):
+        airspace = Airspace([(0, 0, 2)], contacts=contacts, decision_hz=240)
+        deepest[contacts] = max(
+            steps(airspace, 1).contacts.depth.max(initial=0.0) for _ in range(240)
+        )
+    assert deepest["impulse"] == 0
+    # Bullet notices within some steps of a fall at 6.3 m/s
+    assert 1e-4 < deepest["bullet"] < 3 * 6.3 / 240
