@@ -1,4 +1,4 @@
-"""Dictionaries of agents: in C and in Python the same, and what cannot be taken as it lies is left."""
+"""Dictionaries of agents: in C and in Python the same; the unusual is left to a closer look."""
 
 import gc
 import sys
@@ -48,7 +48,7 @@ def test_actions_go_to_the_rows_of_their_agents(take, share, dtype):
         {name: np.zeros(2, dtype=complex) for name in NAMES},
         {name: np.zeros(2, dtype=">f8") for name in NAMES},
         {name: np.array(["a", "b"]) for name in NAMES},
-        {name: None for name in NAMES},
+        dict.fromkeys(NAMES),
         [np.zeros(2)] * 3,
         None,
     ],
