@@ -52,7 +52,8 @@ if lacks_compiler():
     )
 setup(
     ext_modules=[
-        Extension("bulletuav.engine._batch", ["bulletuav/engine/_batch.c"], optional=True)
+        Extension("bulletuav.engine._batch", ["bulletuav/engine/_batch.c"], optional=True),
+        Extension("bulletuav.envs._agents", ["bulletuav/envs/_agents.c"], optional=True),
     ],
     cmdclass={"build_py": BuildWithAirframes},
 )

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from bulletuav.envs.agents import USUAL_TYPES
 from bulletuav.envs.decisions import Decisions
 from bulletuav.envs.environment import exclusive
 from bulletuav.envs.infos import Infos
@@ -13,9 +14,6 @@ from bulletuav.tasks.base import Task
 from bulletuav.tasks.check import check_info, check_step_result, take_spawns
 from bulletuav.tasks.frame import Frame
 from bulletuav.tasks.observations.observer import Observation
-
-USUAL_TYPES = tuple(map(np.dtype, ("f8", "f4", "i8", "i4")))
-"""Types of actions that need no other look than the program's"""
 
 
 class Aviary(Decisions):

@@ -16,7 +16,8 @@ from gymnasium.spaces import Box, Dict, Space
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from bulletuav.envs.aviary import USUAL_TYPES, Aviary
+from bulletuav.envs.agents import USUAL_TYPES
+from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
 from bulletuav.envs.infos import Infos
 from bulletuav.envs.spaces import joint_action_space, joint_numbers

@@ -1,6 +1,5 @@
 """PettingZoo environments: one world whose agents leave when their episode ends."""
 
-import contextlib
 import copy
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
@@ -11,6 +10,7 @@ from pettingzoo import ParallelEnv
 from pettingzoo.utils.conversions import parallel_to_aec_wrapper
 from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
+from bulletuav.envs.agents import share, take
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
 from bulletuav.envs.infos import Infos as LazyInfos
@@ -57,12 +57,9 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
         self.agents: list[str] = []
         self._rows = {agent: i for i, agent in enumerate(self.possible_agents)}
         action = self.aviary.action
-        # Shapes of actions that can be taken over together: those of drones that are alike
+        # Actions of drones that are alike can be taken over together
         alike = {action.size(i) for i in range(common.num_drones)} == {action.low.shape[1]}
-        together = alike and action.choices is None
-        self._forms = [action.low.shape[1:]] * common.num_drones if together else []
-        self._flat = self.aviary.given.reshape(-1)
-        self._expected: frozenset[str] = frozenset()
+        self._together = alike and action.choices is None
         self.observation_spaces = {agent: self._observer.space() for agent in self.possible_agents}
         self.action_spaces = {
             agent: drone_action_space(self.aviary.action, i)
@@ -98,7 +95,6 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
         """
         observations = self.aviary.reset(seeds=seed)
         self.agents = self.possible_agents[:]
-        self._expected = frozenset(self.agents)
         rows = self._living_rows()
         first = self.aviary.first_info()
         infos = self._infos(lambda: first, rows)
@@ -126,26 +122,18 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
         if not agents:
             return {}, {}, {}, {}, {}
         aviary.decide()
-        numbers = (aviary.rewards, aviary.terminated, aviary.truncated)
-        # Results by agent, in Python's own types, which PettingZoo's tests want
-        rows = self._living_rows()
-        if rows is None:
-            rewards, terminated, truncated = [array[0].tolist() for array in numbers]
-        else:
-            rewards, terminated, truncated = [array[0, rows].tolist() for array in numbers]
-        results = (
-            self._by_agent(aviary.observations(), rows),
-            dict(zip(agents, rewards, strict=True)),
-            dict(zip(agents, terminated, strict=True)),
-            dict(zip(agents, truncated, strict=True)),
-            self._infos(aviary.telling(), rows),
-        )
+        rows, observations = self._living_rows(), aviary.observations()
+        ends = (aviary.terminated[0], aviary.truncated[0])
+        shared = ends[0] if isinstance(observations, dict) else observations[0]
+        results = share(agents, rows, shared, aviary.rewards[0], *ends)
+        seen, rewards, terminated, truncated = results
+        if isinstance(observations, dict):
+            seen = self._by_agent(observations, rows)
+        infos = self._infos(aviary.telling(), rows)
         # Agents leave after the step that ended their episode
-        if True in terminated or True in truncated:
-            ends = zip(agents, terminated, truncated, strict=True)
-            self.agents = [agent for agent, *ended in ends if True not in ended]
-            self._expected = frozenset(self.agents)
-        return results
+        if True in terminated.values() or True in truncated.values():
+            self.agents = [one for one in agents if not terminated[one] and not truncated[one]]
+        return seen, rewards, terminated, truncated, infos
 
     def _living_rows(self) -> list[int] | None:
         """Return the rows of the living agents in the batch; None for all."""
@@ -159,23 +147,14 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
         Raises:
             ValueError: They cannot be.
         """
-        agents, given = self.agents, self.aviary.given[0]
-        if type(actions) is not dict or actions.keys() != self._expected:
-            check_agents(actions, agents, self._rows)
-        own = [actions[agent] for agent in agents]
-        forms = self._forms[: len(own)]
-        if forms and [getattr(one, "shape", None) for one in own] == forms:
-            with contextlib.suppress(TypeError):  # of what is no numbers
-                if len(own) == len(given):
-                    np.concatenate(own, out=self._flat)
-                else:
-                    numbers = np.concatenate(own, dtype=np.float64, casting="same_kind")
-                    given[self._living_rows()] = numbers.reshape(len(own), -1)
-                return
+        given, agents = self.aviary.given, self.agents
+        if self._together and take(actions, agents, self._living_rows(), given):
+            return
         # One by one, with clear errors
-        for agent, one in zip(agents, own, strict=True):
+        check_agents(actions, agents, self._rows)
+        for agent in agents:
             row = self._rows[agent]
-            given[row] = drone_numbers(self.aviary.action, row, one)
+            given[0, row] = drone_numbers(self.aviary.action, row, actions[agent])
 
     def _by_agent(self, observations: Observation, rows: list[int] | None) -> ByAgent:
         """Share out (1, N, ...) to the living agents."""

@@ -33,6 +33,15 @@ def test_velocity_scales_and_limits_the_norm(context):
     np.testing.assert_allclose(decode("velocity", context, (1, 1, 1)), (*[10 / np.sqrt(3)] * 3, 0))
 
 
+def test_acceleration_scales_to_half_of_gravity_and_limits_the_norm(context):
+    half = context.gravity / 2
+    np.testing.assert_allclose(
+        decode("acceleration", context, (0.3, -0.4, 0)), (0.3 * half, -0.4 * half, 0, 0)
+    )
+    longest = decode("acceleration", context, (1, 1, 1))[:3]
+    np.testing.assert_allclose(longest, np.full(3, half / np.sqrt(3)))
+
+
 def test_target_position_spans_the_arena(context):
     np.testing.assert_allclose(decode("target_position", context, (-1, 1, 0)), (-20, 30, 4, 0))
 
@@ -119,7 +128,7 @@ def test_rpm_is_raw(context):
     assert make_action("rpm", context).high[0, 0] == pytest.approx(2273.5 * 30 / np.pi)
 
 
-@pytest.mark.parametrize("name", ["velocity", "target_position"])
+@pytest.mark.parametrize("name", ["velocity", "acceleration", "target_position"])
 def test_encoding_is_the_inverse(context, name):
     action = make_action(name, context)
     setpoint = np.array((1.5, -2.0, 3.0)).reshape(1, 1, 3)

@@ -112,6 +112,7 @@ def test_contacts_merge_in_order():
         "point": np.array([(1.0, 0, 0), (2.0, 0, 0), (3.0, 0, 0)]),
         "normal": np.array([(0.0, 0, 1), (0.0, 1, 0), (1.0, 0, 0)]),
         "velocity": np.array([(0.0, 0, -4), (0.0, -5, 0), (-6.0, 0, 0)]),
+        "depth": np.array([0.1, 0.2, 0.3]),
     }
     contacts = Contacts.merged(**rows)
     assert contacts.world.tolist() == [0, 1]
@@ -121,8 +122,9 @@ def test_contacts_merge_in_order():
     assert contacts.point.tolist() == [[2, 0, 0], [1, 0, 0]]
     assert contacts.normal.tolist() == [[0, 1, 0], [0, 0, 1]]
     assert contacts.velocity.tolist() == [[0, -5, 0], [0, 0, -4]]
+    assert contacts.depth.tolist() == [0.2, 0.1]
     assert not len(Contacts.none().world)
-    assert [len(column) for column in Contacts.merged(**Contacts.none()._asdict())] == [0] * 7
+    assert [len(column) for column in Contacts.merged(**Contacts.none()._asdict())] == [0] * 8
 
 
 def test_parked_drones_stay_out_of_the_way(make_bench):

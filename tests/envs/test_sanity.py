@@ -38,6 +38,7 @@ def manoeuvre(aviary, action):
     return {
         "velocity": lambda: ((MOVE, 0, 0), east),
         "velocity_increment": lambda: ((1.0, 0, 0), lambda s, p: s.velocity[0] > 0.3),
+        "acceleration": lambda: ((0.1, 0, 0), lambda s, p: 0.25 < s.velocity[0] < 0.55),
         "heading_speed": lambda: ((0.5, 2 * MOVE - 1, 0), north),
         "target_position": lambda: (
             aviary.action.encode(goal),
@@ -106,7 +107,8 @@ def test_every_allowed_combination_flies_its_manoeuvre(airframe, dynamics, contr
         rotors = ["rotor", "rpm", "hover_rpm"]
         expected = [] if kinematic or not crazyflie else [*velocities, *rotors]
     else:
-        expected = velocities if kinematic else list(ACTIONS)
+        accelerated = ["acceleration"] if dynamics == "double_integrator" else []
+        expected = [*velocities, *accelerated] if kinematic else list(ACTIONS)
     assert sorted(flown) == sorted(expected)
 
 
@@ -185,6 +187,7 @@ KINEMATIC_LEVELS = {
 ACTION_LEVELS = {
     "velocity": SetpointLevel.VELOCITY,
     "velocity_increment": SetpointLevel.VELOCITY,
+    "acceleration": SetpointLevel.ACCELERATION,
     "heading_speed": SetpointLevel.VELOCITY,
     "target_position": SetpointLevel.POSITION,
     "attitude": SetpointLevel.ATTITUDE,

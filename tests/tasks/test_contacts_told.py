@@ -39,7 +39,8 @@ def contacts(*rows):
     """Contacts of (world, drone, other, impulse), whose points tell their rows."""
     world, drone, other, impulse = (np.array(column) for column in zip(*rows, strict=True))
     point = np.arange(3.0 * len(rows)).reshape(-1, 3)
-    return Contacts(world, drone, other, impulse, point, point + 100, point + 200)
+    depth = np.arange(len(rows)) / 10
+    return Contacts(world, drone, other, impulse, point, point + 100, point + 200, depth)
 
 
 def frame(swarm, touched):
@@ -98,9 +99,10 @@ def fallen(request):
 def test_a_fall_is_told_as_mechanics_say(fallen):
     airframe = load_airframe("cf2x")
     (row,) = zip(*fallen.aviary.contacts, strict=True)
-    world, drone, other, impulse, point, normal, velocity = row
+    world, drone, other, impulse, point, normal, velocity, depth = row
     assert (world, drone, other) == (0, 0, GROUND)
     np.testing.assert_allclose(normal, (0, 0, 1), atol=1e-12)
+    assert depth == 0  # they met at their surfaces
     # Met at the speed of the fall, sqrt(2 g h), where its underside was above the ground
     middle = fallen.aviary.swarm.position[0, 0]
     speed = math.sqrt(2 * STANDARD_GRAVITY * (fallen.height - middle[2]))

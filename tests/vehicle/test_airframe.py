@@ -1,12 +1,14 @@
 import math
 import sys
 import types
+from dataclasses import replace
 
 import bench
 import numpy as np
 import pytest
 
 from bulletuav import Airframe, available_airframes, load_airframe, registry
+from bulletuav.geometry.shapes import HULL, Shape
 from bulletuav.vehicle.parameters import parameter_rows
 
 # Computed by hand from published constants: hover speed (rad/s), most thrust (N), thrust to weight,
@@ -248,3 +250,11 @@ def test_effects_are_switched_off_by_zero_constants():
             np.testing.assert_array_equal(full[field], none[field])
     with pytest.raises(ValueError, match="did you mean 'drag'"):
         parameter_rows([cf2x], ("drags",))
+
+
+def test_the_height_at_which_a_drone_stands_is_how_far_its_shape_reaches_down():
+    assert load_airframe("cf2x").standing_height == pytest.approx(0.015)
+    hull = replace(
+        load_airframe("cf2x"), shape=Shape(HULL, (0.1, 0.1, 0.3), ((0.1, 0, -0.1), (0, 0.1, 0.3)))
+    )
+    assert hull.standing_height == 0.1

@@ -1,0 +1,90 @@
+"""Dictionaries of agents: actions that come in, and results that go out.
+
+Functions in C, in `_agents.c`, do the same in a fraction of the time, where they could be built.
+"""
+
+import importlib
+import os
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import numpy as np
+
+from bulletuav.engine.c_extension import SWITCH
+
+USUAL_TYPES = tuple(map(np.dtype, ("f8", "f4", "i8", "i4")))
+"""Types of actions that need no other look than the program's"""
+Function = TypeVar("Function", bound=Callable[..., Any])
+Rows = list[int] | None
+"""Row of each agent in the arrays; None where agents are all, in order"""
+Shared = tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool]]
+"""Observations, rewards, terminated and truncated, by agent"""
+
+
+def take_plainly(actions: Any, agents: list[str], rows: Rows, given: np.ndarray) -> bool:
+    """Copy the action of each agent to its row.
+
+    Args:
+        actions: A dict with an array (A,) of numbers for each agent, and no others.
+        agents: Names of the agents.
+        rows: Their rows.
+        given: (1, N, A) float64, written.
+
+    Returns:
+        Whether it was done. False where actions are anything else; some may be copied then.
+    """
+    if type(actions) is not dict or len(actions) != len(agents):
+        return False
+    own = [actions.get(agent) for agent in agents]
+    for one in own:
+        if type(one) is not np.ndarray or one.shape != given.shape[2:]:
+            return False
+        if one.dtype not in USUAL_TYPES:
+            return False
+    if own:
+        given[0, slice(len(own)) if rows is None else rows] = own
+    return True
+
+
+def share_plainly(
+    agents: list[str],
+    rows: Rows,
+    observations: np.ndarray,
+    rewards: np.ndarray,
+    terminated: np.ndarray,
+    truncated: np.ndarray,
+) -> Shared:
+    """Share results out to agents, in Python's own types.
+
+    Args:
+        agents: Names of the agents.
+        rows: Their rows.
+        observations: (N, ...) of all drones.
+        rewards: (N,) float64.
+        terminated: (N,) bool.
+        truncated: (N,) bool.
+
+    Returns:
+        Observations (views of the rows), rewards, terminated and truncated, by agent.
+    """
+    chosen = range(len(agents)) if rows is None else rows
+    seen = {agent: observations[row] for agent, row in zip(agents, chosen, strict=True)}
+    told = (rewards, terminated, truncated)
+    numbers = [dict(zip(agents, array[list(chosen)].tolist(), strict=True)) for array in told]
+    return seen, numbers[0], numbers[1], numbers[2]
+
+
+def _in_c(plain: Function) -> Function:
+    """Return what does the same in C, or the function itself where that was not built."""
+    if os.environ.get(SWITCH) == "0":
+        return plain
+    try:
+        module = importlib.import_module("bulletuav.envs._agents")
+    except ImportError:
+        return plain
+    in_c: Function = getattr(module, plain.__name__.removesuffix("_plainly"))
+    return in_c
+
+
+take = _in_c(take_plainly)
+share = _in_c(share_plainly)
