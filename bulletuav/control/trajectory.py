@@ -10,8 +10,8 @@ import numpy as np
 from scipy.interpolate import BSpline, PPoly, make_interp_spline
 
 from bulletuav.control.gains import gain_rows
-from bulletuav.errors import numbers_of
-from bulletuav.vehicle.airframe import Airframe
+from bulletuav.errors import finite, numbers_of, points_of
+from bulletuav.vehicle.airframe import Airframe, load_airframe
 
 AXES = 4
 """Numbers along a trajectory: x, y, z (m) and yaw (rad)"""
@@ -42,9 +42,10 @@ class Trajectory:
     Attributes:
         begin: When it begins, s.
         end: When it ends, s.
+        has_yaw: Whether it tells a yaw; else that is 0.
     """
 
-    def __init__(self, times: Sequence[float], points: Any) -> None:
+    def __init__(self, times: Sequence[float] | np.ndarray, points: Any) -> None:
         """Lay a smooth curve through points, at rest at both ends.
 
         The curve is a spline of degree 5. Velocity, acceleration, jerk and its rate are continuous.
@@ -57,9 +58,37 @@ class Trajectory:
         Raises:
             ValueError: Times do not grow, fewer than two points, wrong shapes or numbers.
         """
-        knots, places = _checked(times, points)
+        knots, places, self.has_yaw = _checked(times, points)
         still = [(1, np.zeros(AXES)), (2, np.zeros(AXES))]
         self._keep(make_interp_spline(knots, places, DEGREE, bc_type=(still,) * 2), *knots[[0, -1]])
+
+    @classmethod
+    def along(cls, points: Any, speed: float) -> "Trajectory":
+        """Lay a smooth curve through points, at about one speed, from time 0 on.
+
+        Each piece takes its length over the speed; the first and the last, from and to rest, take
+        twice that.
+
+        Args:
+            points: (P, 3) or (P, 4), as above; no two neighbours at one place.
+            speed: m/s.
+
+        Returns:
+            The trajectory.
+
+        Raises:
+            ValueError: The speed is not above 0, points coincide, wrong shapes or numbers.
+        """
+        places = numbers_of("points are", points)
+        if places.ndim != 2 or len(places) < 2:
+            raise ValueError(f"points have shape {places.shape}: two rows or more are needed")
+        if finite("speed", speed) <= 0:
+            raise ValueError(f"speed is {speed:g} m/s: it must be above 0")
+        steps = np.diff(places[:, :3], axis=0)
+        pieces = np.sqrt((steps * steps).sum(axis=1)) / speed
+        pieces[0] *= 2
+        pieces[-1] *= 2 if len(pieces) > 1 else 1
+        return cls(np.concatenate([[0.0], np.cumsum(pieces)]), places)
 
     @classmethod
     def polynomial(cls, durations: Sequence[float], coefficients: Any) -> "Trajectory":
@@ -94,6 +123,7 @@ class Trajectory:
         if not np.isfinite(terms).all():
             raise ValueError("coefficients have numbers that are not finite")
         self = cls.__new__(cls)
+        self.has_yaw = True
         ends = np.concatenate([[0.0], np.cumsum(lasting)])
         self._keep(PPoly(terms.transpose(2, 0, 1)[::-1], ends), *ends[[0, -1]])
         return self
@@ -111,7 +141,11 @@ class Trajectory:
 
         Returns:
             Position, velocity, acceleration and yaw; of an end without motion beyond it.
+
+        Raises:
+            ValueError: The time is not finite.
         """
+        time = finite("time", time)
         inside = min(max(time, self.begin), self.end)
         place, velocity, acceleration = (curve(inside) for curve in self._curves)
         moves = self.begin <= time <= self.end
@@ -128,22 +162,27 @@ class Tracker:
     """A controller that follows a trajectory by setpoints of `SetpointLevel.ACCELERATION`.
 
     a = a_ref(t + lead) + 2 z w (v_ref - v) + w^2 (x_ref - x), with the frequency w and damping z of
-    the position loop of the airframe. Feed-forward comes before its time, as the attitude follows
-    with a delay of about 2 z / w_R (the linear phase of its second-order loop).
+    the position loop of the airframe. Feed-forward comes before its time: sideways by the delay of
+    the attitude, 2 z / w_R (the linear phase of its second-order loop), upwards by the rotors' lag.
     """
 
-    def __init__(self, airframe: Airframe, trajectory: Trajectory) -> None:
+    def __init__(self, airframe: str | Airframe, trajectory: Trajectory) -> None:
         """Take the gains from the airframe.
 
         Args:
-            airframe: Of the drone.
+            airframe: Of the drone, or its name.
             trajectory: What to follow.
+
+        Raises:
+            ValueError: There is no such airframe.
         """
         self.trajectory = trajectory
-        gains = gain_rows([airframe], airframe.max_speed)[0]
+        frame = load_airframe(airframe)
+        gains = gain_rows([frame], frame.max_speed)[0]
         frequency, damping = float(gains["position_frequency"]), float(gains["damping"])
         self._rate, self._stiffness = 2 * damping * frequency, frequency**2
-        self._lead = 2 * damping / float(gains["attitude_frequency"][0])
+        self._sideways = 2 * damping / float(gains["attitude_frequency"][0])
+        self._upwards = max(frame.lag_up, frame.lag_down)
 
     def setpoint(self, time: float, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         """Tell how to accelerate now.
@@ -154,16 +193,23 @@ class Tracker:
             velocity: (3,) m/s.
 
         Returns:
-            (4,) acceleration, m/s^2, world axes, and yaw, rad.
+            Acceleration, m/s^2, world axes, and the yaw, rad, if the trajectory has one: (3,) or
+            (4,).
+
+        Raises:
+            ValueError: A number is not finite, or a shape is wrong.
         """
-        now, ahead = self.trajectory.at(time), self.trajectory.at(time + self._lead)
-        error, slip = now.position - position, now.velocity - velocity
-        wanted = ahead.acceleration + self._rate * slip + self._stiffness * error
-        return np.array([*wanted, now.yaw])
+        (place,), (speed,) = points_of("position", position), points_of("velocity", velocity)
+        now = self.trajectory.at(time)
+        x, y, _ = self.trajectory.at(time + self._sideways).acceleration
+        z = self.trajectory.at(time + self._upwards).acceleration[2]
+        back = self._rate * (now.velocity - speed) + self._stiffness * (now.position - place)
+        wanted = np.array((x, y, z)) + back
+        return np.append(wanted, now.yaw) if self.trajectory.has_yaw else wanted
 
 
-def _checked(times: Any, points: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Take times (P,) and points as (P, 4), refusing what no curve goes through."""
+def _checked(times: Any, points: Any) -> tuple[np.ndarray, np.ndarray, bool]:
+    """Take times (P,), points as (P, 4), and whether they tell a yaw; refuse what is no curve."""
     knots, places = numbers_of("times are", times), numbers_of("points are", points)
     if knots.ndim != 1 or not 2 <= len(knots) <= MOST_POINTS:
         raise ValueError(f"times have shape {knots.shape}: from 2 to {MOST_POINTS} are needed")
@@ -178,4 +224,4 @@ def _checked(times: Any, points: Any) -> tuple[np.ndarray, np.ndarray]:
         raise ValueError("points have numbers that are not finite")
     rows = np.zeros((len(knots), AXES))
     rows[:, : places.shape[1]] = places
-    return knots, rows
+    return knots, rows, places.shape[1] == AXES

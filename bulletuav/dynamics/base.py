@@ -274,7 +274,7 @@ class Dynamics(ABC):
             raise RuntimeError(
                 f"the flight of drone {i} in world {flight.engine.first_world + w} diverged "
                 f"({speed:.3g} m/s, {spin:.3g} rad/s): raise physics_hz or check the inertia of "
-                f"its airframe; reset() starts the world anew"
+                f"its airframe; reset() starts the world anew, place() a drone of an airspace"
             )
 
         program.call(_any_lost, swarm, alive, lost, otherwise=refuse)

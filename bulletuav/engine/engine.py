@@ -7,7 +7,7 @@ leave no trace of the past. A world does not feel what other worlds do.
 
 import warnings
 import weakref
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from bulletuav.engine.tiles import globalise, localise, tile_offset
 from bulletuav.errors import choose, finite
 from bulletuav.geometry.obstacle import MOST_FRICTION, Obstacle
 from bulletuav.geometry.rotation import product, to_world
-from bulletuav.geometry.scenery import NOWHERE, add_pieces
+from bulletuav.geometry.scenery import NOWHERE, Scenery, add_pieces
 from bulletuav.geometry.solids import Solids
 from bulletuav.vehicle.airframe import Airframe
 from bulletuav.vehicle.swarm import FIRST_OBSTACLE, Swarm
@@ -229,8 +229,12 @@ class Engine(EngineQueries):
         world: int | None = None,
         friction: float | None = None,
         restitution: float | None = None,
+        check: Callable[[Scenery], None] | None = None,
     ) -> int:
-        """Put up a body that stands still, for good; see `Worlds.add_body`."""
+        """Put up a body that stands still, for good; see `Worlds.add_body`.
+
+        `check` is shown what would stand then, and may raise an error before anything has changed.
+        """
         place, turn = pose_of(position, quaternion)
         pieces = pieces_of(source)
         # An obstacle tells what a mesh does not.
@@ -247,10 +251,7 @@ class Engine(EngineQueries):
         for p, piece in enumerate(pieces):
             places[worlds, p] = place + to_world(turn, piece.place)
             turns[worlds, p] = product(turn, piece.quaternion)
-            in_bullet = places[worlds, p] + self._offset[worlds, 0]
-            poses = zip(in_bullet.tolist(), turns[worlds, p].tolist(), strict=True)
-            self._bodies.add(piece.shape, like.colour, poses, other)
-        self._scenery = add_pieces(
+        scenery = add_pieces(
             self._scenery,
             [piece.shape for piece in pieces],
             place=places,
@@ -259,6 +260,13 @@ class Engine(EngineQueries):
             friction=friction,
             restitution=restitution,
         )
+        if check is not None:
+            check(scenery)
+        for p, piece in enumerate(pieces):
+            in_bullet = places[worlds, p] + self._offset[worlds, 0]
+            poses = zip(in_bullet.tolist(), turns[worlds, p].tolist(), strict=True)
+            self._bodies.add(piece.shape, like.colour, poses, other)
+        self._scenery = scenery
         self._num_added += 1
         return other
 

@@ -6,16 +6,21 @@ from typing import Any
 import numpy as np
 
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.envs.airspace_inputs import YAW, Drones, filled, level_of, rows_of, setpoint_numbers
+from bulletuav.envs.airspace_inputs import (
+    YAW,
+    Angle,
+    Drones,
+    angles,
+    filled,
+    level_of,
+    rows_of,
+    setpoint_numbers,
+)
 from bulletuav.envs.airspace_parts import STILL, AirspaceParts
 from bulletuav.envs.environment import exclusive
 from bulletuav.envs.stages import copy_vectors, finish, headings, prepare
-from bulletuav.errors import finite
 from bulletuav.program import Program
 from bulletuav.vehicle.swarm import Contacts
-
-MOST_TURN = 1e4
-"""Largest yaw (rad) and fastest turn of it (rad/s)"""
 
 
 class Airspace(AirspaceParts):
@@ -41,7 +46,7 @@ class Airspace(AirspaceParts):
         consumes: Setpoint level that the dynamics consumes; commands are of it or above.
         levels: (N,) `SetpointLevel` that each drone holds; read-only.
         setpoint: (N, S) setpoint that each drone holds; read-only.
-        readings: What sensors measured last, arrays (N, ...) by name.
+        readings: What sensors measured last, arrays (N, ...) by name, new ones each step.
     """
 
     @property
@@ -52,27 +57,30 @@ class Airspace(AirspaceParts):
     @property
     def contacts(self) -> Contacts:
         """What touched what in the last step; the world of each row is 0."""
-        return self._dynamics.touched()
+        return self._dynamics.touched().of_worlds(np.ones(1, dtype=bool))
 
     @exclusive
     def command(
         self,
         drones: Drones,
-        level: SetpointLevel,
+        level: SetpointLevel | str,
         setpoint: Any,
         *,
-        yaw: float | None = None,
-        yaw_rate: float | None = None,
+        yaw: Angle | None = None,
+        yaw_rate: Angle | None = None,
     ) -> None:
         """Tell drones what to do from the next step on.
 
         Args:
             drones: Index of a drone, several, a mask (N,), or None for all.
-            level: Meaning of the setpoint; `consumes` or above it.
+            level: Meaning of the setpoint, or its name; `consumes` or above it.
             setpoint: Numbers of the level, see `SetpointLevel`: (S,) for all, or a row for each of
-                the drones. With POSITION, VELOCITY and ACCELERATION the yaw may be left out.
-            yaw: Yaw to hold, rad. Left out, that which was held before, or the present one.
-            yaw_rate: How fast the yaw to hold turns, rad/s.
+                the drones. With POSITION, VELOCITY and ACCELERATION the yaw may be left out. What a
+                drone cannot do is cut to what it can.
+            yaw: Yaw to hold, rad, or one for each of the drones. Left out, that which was held
+                before, or the present one.
+            yaw_rate: How fast the yaw to hold turns, rad/s, or one for each of the drones. It is
+                at most 1 rad ahead of the drone; with "lee" that turns a cf2x at 2 rad/s.
 
         Raises:
             ValueError: There is no such drone or level, or numbers cannot be; nothing has changed.
@@ -82,18 +90,20 @@ class Airspace(AirspaceParts):
         level = level_of(level, self.consumes, self._options)
         speaks = yaw is not None or yaw_rate is not None
         rotors = self.hover_speed.shape[1]
-        numbers, lacks_yaw = setpoint_numbers(level, setpoint, count, rotors, speaks)
-        turning = 0.0 if yaw_rate is None else finite("yaw_rate", yaw_rate, -MOST_TURN, MOST_TURN)
+        numbers = setpoint_numbers(level, setpoint, count, rotors, speaks)
+        turning = None if yaw_rate is None else angles("yaw_rate", yaw_rate, count)
         if yaw is not None:
-            told = finite("yaw", yaw, -MOST_TURN, MOST_TURN)
-            self._setpoint[0, rows, YAW] = told
-        elif lacks_yaw:
+            self._setpoint[0, rows, YAW] = angles("yaw", yaw, count)
+        elif level < SetpointLevel.ATTITUDE and numbers.shape[-1] == YAW:
             self._hold_yaw(rows)
         self._setpoint[0, rows, : numbers.shape[-1]] = numbers
         self._levels[0, rows] = int(level)
-        if turning or self._turns:
+        self._told[0, rows] = True
+        if level == SetpointLevel.ROTOR and self._options.controller == "pid":
+            self._dynamics.flight.cascade.memory[0, rows] = 0.0
+        if turning is not None or self._turns:
             self._turns = True
-            self._yaw_rate[0, rows] = turning
+            self._yaw_rate[0, rows] = 0.0 if turning is None else turning
 
     def stop(self, drones: Drones = None) -> None:
         """Switch motors off, until the next command.
@@ -140,7 +150,13 @@ class Airspace(AirspaceParts):
             RuntimeError: A flight diverged, or the airspace is closed.
         """
         self._look()
-        (self._program or self._make_program()).run()
+        program = self._program or self._make_program()
+        try:
+            program.run()
+        except BaseException:
+            # So that `place` is enough to go on
+            self._dynamics.force[:] = self._dynamics.torque[:] = 0.0
+            raise
 
     def _make_program(self) -> Program:
         """Make the program of a step, in the order in which things happen."""
@@ -148,7 +164,8 @@ class Airspace(AirspaceParts):
         flying = np.ones(1, dtype=bool)
         self._wind.add_to(program, self._swarm, self._time, [self.rng], flying, self._air)
         obstacles = (self._obstacle, self._obstacle_velocity, contact.before, contact.after)
-        program.call(prepare, self._setpoint, self._yaw_rate, self.period, *obstacles)
+        turning = (self._swarm.quaternion, self._setpoint, self._yaw_rate)
+        program.call(prepare, *turning, self.period, *obstacles)
         given = (self._levels, self._setpoint, self._air)
         self._dynamics.add_to(program, self._swarm, self._alive, *given)
         if self._obstacle.shape[1]:
@@ -156,7 +173,8 @@ class Airspace(AirspaceParts):
             if self._engine.asks_bodies:
                 program.turn(self._engine.show_obstacles)
         pushes = (self._dynamics.force, self._dynamics.torque)
-        program.call(finish, self._steps, 1 / self.period, self._time, *pushes)
+        hz = float(self._options.decision_hz)
+        program.call(finish, self._steps, hz, self._time, *pushes)
         if self._sensors.sensors:
             program.turn(self._measure)
         if self._options.render_mode == "human":
@@ -167,7 +185,8 @@ class Airspace(AirspaceParts):
 
     def _hold_yaw(self, rows: Any) -> None:
         """Let drones that hold no yaw hold the present one."""
-        free = np.flatnonzero(self._levels[0, rows] > SetpointLevel.ACCELERATION)
+        holds = self._told[0, rows] & (self._levels[0, rows] <= SetpointLevel.ACCELERATION)
+        free = np.flatnonzero(~holds)
         if len(free):
             present = np.zeros(self._levels.shape)
             headings(self._swarm.quaternion, present)

@@ -8,21 +8,35 @@ import numpy as np
 
 from bulletuav.control.cascade import PID_LEVELS
 from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.dynamics.base import FASTEST, FASTEST_SPIN
+from bulletuav.dynamics.setpoints import CONVERTED
 from bulletuav.engine.engine import PARKING_HEIGHT
 from bulletuav.engine.tiles import TILE_PITCH
 from bulletuav.envs.options import EnvOptions
 from bulletuav.envs.randomization import Randomization, known_uncertainties
 from bulletuav.envs.resolve import airframes_of, make_tuples
 from bulletuav.errors import UnknownOptionError, choose, finite, nearest, numbers_of, shown
+from bulletuav.geometry.obstacle import Obstacle
+from bulletuav.geometry.solids import Solids
 from bulletuav.sensors.base import Sensor
 from bulletuav.sensors.suite import find_sensor, known_sensors
 
 Drones = int | Sequence[int] | np.ndarray | None
 """One drone by its index, several, a mask (N,), or None for all"""
+Angle = float | Sequence[float] | np.ndarray
+"""One for all drones, or one for each, rad"""
+MOST_TURN = 1e4
+"""Largest yaw (rad), and fastest turn of it (rad/s)"""
 MOST = 1e9
 """Greatest size of a number in a state or setpoint"""
 UNIT = 1e-6
 """Error of the norm of a unit quaternion"""
+LEVELS = {one.name.lower(): one for one in SetpointLevel}
+"""Setpoint levels by name"""
+FASTEST_OF = (FASTEST, FASTEST_SPIN)
+"""Bounds of speed (m/s) and spin (rad/s)"""
+NEED_GRAVITY = ("point_mass", "double_integrator")
+"""Dynamics whose accelerations are bounded by a share of gravity"""
 YAW = 3
 """Column of a setpoint"""
 EVERY = slice(None)
@@ -87,12 +101,30 @@ def airspace_options(
     )
     # Setpoints come from `command`; rotor speeds are what every option allows.
     values |= {"num_drones": len(places), "action": "rotor", "horizon": 1, "sensors": listed}
+    options = EnvOptions(**values)
+    if options.gravity == 0 and options.dynamics_name in NEED_GRAVITY:
+        raise ValueError(
+            f"gravity is 0: dynamics {options.dynamics_name!r} bounds accelerations by it, use "
+            f"another dynamics"
+        )
     names = [one if isinstance(one, str) else find_sensor(one).name for one in listed]
     for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"sensors has {name!r} {names.count(name)} times: name it once")
         if name not in all_sensors:
             raise ValueError(f"sensors: unknown sensor {shown(name)}: {nearest(name, all_sensors)}")
     carried = {name: sensor for name, sensor in all_sensors.items() if name in names}
-    return EnvOptions(**values), carried
+    return options, carried
+
+
+def require_bodies(obstacles: Any, layout: Any) -> None:
+    """Raise ValueError unless these are obstacles, and a layout or None."""
+    if not isinstance(obstacles, list | tuple) or not all(
+        isinstance(one, Obstacle) for one in obstacles
+    ):
+        raise ValueError(f"obstacles is {shown(obstacles)}: a list of `Obstacle` is needed")
+    if layout is not None and not isinstance(layout, Solids):
+        raise ValueError(f"layout is {shown(layout)}: `Solids`, such as those of a city, is needed")
 
 
 def rows_of(drones: Drones, count: int) -> tuple[Any, tuple[int, ...]]:
@@ -113,7 +145,12 @@ def rows_of(drones: Drones, count: int) -> tuple[Any, tuple[int, ...]]:
         return drones, ()
     if drones is None:
         return EVERY, (count,)
-    rows = np.asarray(drones)
+    try:
+        rows = np.asarray(drones)
+    except ValueError:  # rows of several lengths
+        rows = np.zeros(1)
+    if rows.shape == (0,):
+        return np.zeros(0, dtype=int), (0,)
     if rows.dtype == bool and rows.shape == (count,):
         return np.flatnonzero(rows), (int(rows.sum()),)
     whole = rows.dtype.kind in "iu" and rows.ndim <= 1
@@ -171,6 +208,24 @@ def filled(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
     return array
 
 
+def angles(name: str, value: Any, count: tuple[int, ...]) -> np.ndarray | float:
+    """Take an angle or its rate, or one for each of the drones (M,).
+
+    Raises:
+        ValueError: They are no finite numbers up to `MOST_TURN`, or not as many.
+    """
+    if np.ndim(value) == 0:
+        one = value[()] if isinstance(value, np.ndarray) else value
+        return finite(name, one, -MOST_TURN, MOST_TURN)
+    several = numbers(name, value)
+    if several.shape != count or np.abs(several).max(initial=0.0) > MOST_TURN:
+        raise ValueError(
+            f"{name} is {shown(value)}: a number up to {MOST_TURN:g}, or one for each of the "
+            f"drones, is needed"
+        )
+    return several
+
+
 def level_of(level: Any, consumes: SetpointLevel, options: EnvOptions) -> SetpointLevel:
     """Take a setpoint level, or its name, that drones can be told.
 
@@ -187,14 +242,23 @@ def level_of(level: Any, consumes: SetpointLevel, options: EnvOptions) -> Setpoi
     """
     if isinstance(level, SetpointLevel):
         chosen = level
+    elif isinstance(level, np.integer) and level in LEVELS.values():  # as `levels` tells it
+        chosen = SetpointLevel(int(level))
     else:
-        chosen = choose("setpoint level", level, {one.name.lower(): one for one in SetpointLevel})
+        chosen = choose(
+            "setpoint level", level.lower() if isinstance(level, str) else level, LEVELS
+        )
     if chosen > consumes:
         raise ValueError(
             f"dynamics {options.dynamics_name!r} is driven by {consumes.name.lower()} setpoints: "
             f"command that level or one above it, not {chosen.name}; or use 'rigid_body', 'bullet'"
         )
-    if chosen < SetpointLevel.ROTOR:
+    if chosen != consumes and consumes not in CONVERTED:
+        raise ValueError(
+            f"dynamics {options.dynamics_name!r} is driven by {consumes.name.lower()} setpoints, "
+            f"to which no controller leads: command {consumes.name}"
+        )
+    if chosen < consumes == SetpointLevel.ROTOR:
         if options.gravity == 0:
             raise ValueError(
                 f"setpoints of {chosen.name} need gravity, against which thrust is steered: "
@@ -209,7 +273,7 @@ def level_of(level: Any, consumes: SetpointLevel, options: EnvOptions) -> Setpoi
 
 def setpoint_numbers(
     level: SetpointLevel, setpoint: Any, count: tuple[int, ...], rotors: int, speaks: bool
-) -> tuple[np.ndarray, bool]:
+) -> np.ndarray:
     """Take the numbers of a setpoint.
 
     Args:
@@ -220,7 +284,7 @@ def setpoint_numbers(
         speaks: Whether a yaw or its rate is told beside it.
 
     Returns:
-        Numbers that broadcast to (M, numbers of the level); and whether the yaw is not among them.
+        Numbers that broadcast to (M, numbers of the level); without the yaw where it is left out.
 
     Raises:
         ValueError: They cannot be.
@@ -235,9 +299,11 @@ def setpoint_numbers(
                 f"yaw and yaw_rate go with POSITION, VELOCITY and ACCELERATION, not {level.name}"
             )
     if array.shape != (width,) and array.shape != (*count, width):
-        needed = (*count, width)
-        raise ValueError(f"setpoint of {level.name} has shape {array.shape}: {needed} is needed")
-    return array, width == YAW
+        twice = "; the yaw is told beside it" if speaks else ""
+        raise ValueError(
+            f"setpoint of {level.name} has shape {array.shape}: {(*count, width)} is needed{twice}"
+        )
+    return array
 
 
 def state_numbers(
@@ -289,4 +355,7 @@ def state_numbers(
             f"airframe is needed"
         )
     moving = (filled("velocity", velocity, (*count, 3)), filled("rates", rates, (*count, 3)))
+    for name, array, most_of in zip(("velocity", "rates"), moving, FASTEST_OF, strict=True):
+        if np.abs(array).max(initial=0.0) >= most_of / 2:
+            raise ValueError(f"{name} is {shown(array)}: less than {most_of / 2:g} is needed")
     return place, turn, *moving, speed

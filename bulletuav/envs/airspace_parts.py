@@ -1,11 +1,11 @@
 """What an airspace is made of, and how things are put into it; `Airspace` flies it."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
-from bulletuav.contact.contacts import see
+from bulletuav.contact.contacts import overlaps, see
 from bulletuav.contact.touch import TOUCH
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.engine.body_source import BodySource, pose_of
@@ -15,6 +15,7 @@ from bulletuav.envs.airspace_inputs import (
     Drones,
     airspace_options,
     filled,
+    require_bodies,
     rows_of,
     state_numbers,
 )
@@ -22,21 +23,21 @@ from bulletuav.envs.environment import Environment, exclusive
 from bulletuav.envs.parts import hover_speeds, make_dynamics, make_engine, sensor_setup
 from bulletuav.envs.randomization import Uncertainty
 from bulletuav.envs.renderer import FIELD_OF_VIEW, Renderer
-from bulletuav.errors import as_int, as_sequence, finite
+from bulletuav.errors import as_int, as_sequence, choose, finite, points_of, shown
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.rotation import axes, product, to_world
+from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.solids import Solids
 from bulletuav.geometry.view import Picture, projection_matrix, view_matrix
 from bulletuav.program import Program
 from bulletuav.sensors.base import Moment
 from bulletuav.sensors.suite import SensorSuite
-from bulletuav.vehicle.swarm import GROUND, Swarm
+from bulletuav.vehicle.swarm import CITY, GROUND, Swarm
 from bulletuav.vehicle.wind import Wind
 
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 STILL = (0.0, 0.0, 0.0)
-MOST_SPIN = 1e4
-"""Fastest turn of a yaw, rad/s"""
+UP, NORTH = np.array((0.0, 0.0, 1.0)), np.array((0.0, 1.0, 0.0))
 
 
 class AirspaceParts(Environment):
@@ -49,7 +50,7 @@ class AirspaceParts(Environment):
         *,
         physics_hz: int = 240,
         decision_hz: int = 240,
-        rotor_speed: float | Sequence[Any] | np.ndarray = 0.0,
+        rotor_speed: float | str | Sequence[Any] | np.ndarray = 0.0,
         obstacles: Sequence[Obstacle] = (),
         layout: Solids | None = None,
         sensors: Sequence[Any] = (),
@@ -75,6 +76,7 @@ class AirspaceParts(Environment):
         Raises:
             ValueError: An option cannot be, or drones overlap each other or what stands.
         """
+        require_bodies(obstacles, layout)
         rates = {"physics_hz": physics_hz, "decision_hz": decision_hz}
         known, carried = airspace_options(position, airframe, sensors, {**options, **rates})
         shape = (1, known.num_drones)
@@ -85,6 +87,7 @@ class AirspaceParts(Environment):
         self._renderer = Renderer(self._engine, known.render_size)
         self.consumes, self.period = self._dynamics.consumes, 1 / known.decision_hz
         self.hover_speed = hover_speeds(known)
+        self.hover_speed.flags.writeable = False
         self._make_arrays(shape, len(obstacles))
         self.rng = np.random.default_rng(known.seed)
         self._wind = Wind(known.wind, known.wind20, shape, self.period)
@@ -97,9 +100,9 @@ class AirspaceParts(Environment):
         self._put_up(layouts)
         self._wind.reset(0, self.rng)
         uncertain.reset(0, self.rng)
+        self._before = self._swarm.copy()
         self.place(None, position, rotor_speed=rotor_speed)
         self._sensors.reset(0, self._swarm, self.rng)
-        self._before = self._swarm.copy()
         self._measure()
 
     def _make_arrays(self, shape: tuple[int, int], obstacles: int) -> None:
@@ -109,6 +112,7 @@ class AirspaceParts(Environment):
         self._levels = np.full(shape, int(self.consumes))
         self._setpoint = np.zeros((*shape, max(YAW + 1, rotors)))
         self._yaw_rate, self._turns = np.zeros(shape), False
+        self._told = np.zeros(shape, dtype=bool)
         self._air = np.zeros((*shape, 3))
         self._steps, self._time = np.zeros(1, dtype=np.int64), np.zeros(1)
         self._obstacle, self._obstacle_velocity = np.zeros((2, 1, obstacles, 3))
@@ -135,7 +139,9 @@ class AirspaceParts(Environment):
         rates: Any = STILL,
         rotor_speed: Any = 0.0,
     ) -> None:
-        """Put drones somewhere, as if nothing had been before; they hold their setpoints.
+        """Put drones somewhere, as if nothing had been before.
+
+        They hold their setpoints. Gusts, and biases of sensors, go on.
 
         Args:
             drones: Index of a drone, several, a mask (N,), or None for all.
@@ -143,8 +149,8 @@ class AirspaceParts(Environment):
             quaternion: (4,) body to world, or rows. Dynamics without tilt start level.
             velocity: (3,) world axes, m/s, or rows.
             rates: (3,) body axes, rad/s, or rows.
-            rotor_speed: (R,) or rows, or one number for all rotors, rad/s; such as `hover_speed`.
-                Dynamics without motors always have that of hovering.
+            rotor_speed: (R,) or rows, or one number for all rotors, rad/s; or "hover". Dynamics
+                without motors always have that of hovering.
 
         Raises:
             ValueError: There is no such drone, numbers cannot be, or drones would overlap each
@@ -152,8 +158,12 @@ class AirspaceParts(Environment):
         """
         self._require_open()
         rows, _ = rows_of(drones, len(self.airframes))
+        if isinstance(rotor_speed, str):
+            rotor_speed = choose("rotor_speed", rotor_speed, {"hover": self.hover_speed})[rows]
         fastest = self._dynamics.flight.parameters["max_rotor_speed"][0, rows]
-        most = np.where(self.hover_speed[rows] > 0, np.expand_dims(fastest, -1), 0.0)
+        rotors = self._dynamics.flight.parameters["num_rotors"][0, rows]
+        has = np.arange(self.hover_speed.shape[1]) < np.expand_dims(rotors, -1)
+        most = np.where(has, np.expand_dims(fastest, -1), 0.0)
         given = (position, quaternion, velocity, rates, rotor_speed)
         state = state_numbers(most, *given)
         after = self._swarm.copy()
@@ -163,33 +173,32 @@ class AirspaceParts(Environment):
             after.rotor_speed[0] = self.hover_speed
         moved = np.zeros_like(self._alive)
         moved[0, rows] = True
-        self._refuse_overlap(after, moved)
+        self._look()
+        self._refuse_overlap(after, moved, self._engine.scenery)
         for array, numbers in zip(self._swarm, after, strict=True):
             array[:] = numbers
         self._dynamics.flight.cascade.memory[moved] = 0.0
+        self._dynamics.force[moved] = self._dynamics.torque[moved] = 0.0
         self._dynamics.place(self._swarm, moved)
+        for array, numbers in zip(self._before, self._swarm, strict=True):
+            array[moved] = numbers[moved]
 
-    def _refuse_overlap(self, after: Swarm, moved: np.ndarray) -> None:
+    def _refuse_overlap(self, after: Swarm, moved: np.ndarray, scenery: Scenery) -> None:
         """Raise ValueError if drones of `moved` (1, N) would overlap something."""
-        self._look()
-        told = [array.copy() for array in self._dynamics.contact.touches]
-        found = self._dynamics.overlaps(after, moved, self._alive)
-        for array, before in zip(self._dynamics.contact.touches, told, strict=True):
+        contact = self._dynamics.contact._replace(scenery=scenery)
+        told = [array.copy() for array in contact.touches]
+        found = overlaps(contact, after, moved, self._alive, self._dynamics.flight.parameters)
+        for array, before in zip(contact.touches, told, strict=True):
             array[:] = before
         deep = np.flatnonzero(found.depth > TOUCH)
         if len(deep):
             row = deep[found.depth[deep].argmax()]
             i, other = int(found.drone[row]), int(found.other[row])
-            what = (
-                f"drone {other}"
-                if other >= 0
-                else "the ground"
-                if other == GROUND
-                else "what stands there"
-            )
+            names = {GROUND: "the ground", CITY: "a building"}
+            what = f"drone {other}" if other >= 0 else names.get(other, "a body")
             raise ValueError(
-                f"drone {i} at {after.position[0, i]} m overlaps {what} by "
-                f"{found.depth[row]:.3g} m: place it elsewhere (on the ground it stands at "
+                f"drone {i} at {after.position[0, i]} m would overlap {what} by "
+                f"{found.depth[row]:.3g} m: choose another place (on the ground it stands at "
                 f"standing_height = {self.airframes[i].standing_height:.4g} m)"
             )
 
@@ -210,18 +219,24 @@ class AirspaceParts(Environment):
             velocity: (3,) m/s.
 
         Raises:
-            ValueError: There is no such obstacle, or numbers cannot be.
+            ValueError: There is no such obstacle, numbers cannot be, or it would overlap a drone.
         """
         self._require_open()
         if not self._obstacle.size:
             raise ValueError("there are no obstacles: make the airspace with the option obstacles")
         k = as_int("obstacle", obstacle, 0, self._obstacle.shape[1] - 1)
         place, turn = pose_of(position, quaternion)
-        self._obstacle_velocity[0, k] = filled("velocity", velocity, (3,))
+        moving = filled("velocity", velocity, (3,))
+        self._look()
+        scenery = self._engine.scenery
+        trial = scenery._replace(place=scenery.place.copy(), quaternion=scenery.quaternion.copy())
+        trial.place[0, k], trial.quaternion[0, k] = place, turn
+        self._refuse_overlap(self._swarm, self._alive, trial)
+        self._obstacle_velocity[0, k] = moving
         self._obstacle[0, k], self._obstacle_turn[0, k] = place, turn
         self._engine.set_obstacles(self._obstacle, self._obstacle_turn, np.ones(1, dtype=bool))
         # All look anew at what is near
-        see(self._dynamics.contact, self._dynamics.contact.scenery)
+        see(self._dynamics.contact, scenery)
 
     @exclusive
     def add_body(
@@ -236,9 +251,18 @@ class AirspaceParts(Environment):
 
         Returns:
             What `Contacts.other` calls it.
+
+        Raises:
+            ValueError: The source or a number cannot be, or the body would overlap a drone.
+            FileNotFoundError: There is no such file.
         """
-        self._require_open()
-        return self._engine.add_body(source, position, quaternion, None, friction, restitution)
+        self._look()
+        pose, surface = (position, quaternion), (friction, restitution)
+        return self._engine.add_body(source, *pose, None, *surface, check=self._refuse_body)
+
+    def _refuse_body(self, scenery: Scenery) -> None:
+        """Raise ValueError if drones would overlap what stands then."""
+        self._refuse_overlap(self._swarm, self._alive, scenery)
 
     def _look(self) -> None:
         """Take over what stands now; a program knows only what stood when it was made."""
@@ -282,8 +306,9 @@ class AirspaceParts(Environment):
     def picture(
         self,
         drone: int | None = None,
-        position: Sequence[float] = STILL,
+        position: Sequence[float] | None = None,
         quaternion: Sequence[float] = UPRIGHT,
+        target: Sequence[float] | None = None,
         size: Sequence[int] = (640, 480),
         field_of_view: float = FIELD_OF_VIEW,
     ) -> Picture:
@@ -291,8 +316,10 @@ class AirspaceParts(Environment):
 
         Args:
             drone: Index of the drone that carries it; None for one that stands in the world.
-            position: (3,) of the camera in body axes of the drone, or in the world, m.
+            position: (3,) of the camera in body axes of the drone, or in the world, m. Left out, at
+                the nose of the drone, or the world's origin.
             quaternion: (4,) of the camera, to body axes or to the world.
+            target: (3,) point in the world to look at, m, in place of the quaternion.
             size: Width and height, pixels.
             field_of_view: Vertical angle, degrees.
 
@@ -303,19 +330,46 @@ class AirspaceParts(Environment):
             ValueError: There is no such drone, or a number cannot be.
         """
         self._require_open()
+        if drone is not None:
+            i = as_int("drone", drone, 0, len(self.airframes) - 1)
+        if position is None:
+            nose = 0.0 if drone is None else self.airframes[i].collision_radius
+            position = (nose, 0.0, 0.0)
         place, turn = pose_of(position, quaternion)
         width, height = (as_int("size", one, 8, 4096) for one in as_sequence("size", size, 2))
         angle = finite("field_of_view", field_of_view, 1, 170)
         if drone is not None:
-            i = as_int("drone", drone, 0, len(self.airframes) - 1)
             body = self._swarm.quaternion[0, i]
             place = self._swarm.position[0, i] + to_world(body, place)
             turn = np.array(product(body, turn))
         self._show(self._swarm, self._alive)
         forward, _, up = (np.array(axis) for axis in axes(turn))
+        if target is not None:
+            (ahead,) = points_of("target", [target])
+            forward = ahead - place
+            level = np.abs(forward[:2]).max() > 1e-6 * np.abs(forward).max()
+            up = UP if level else NORTH
+            if not forward.any():
+                raise ValueError(f"target is {shown(target)}, where the camera is: look elsewhere")
         view = view_matrix(place, place + forward, up.tolist())
         projection = projection_matrix(width / height, angle)
         return self._engine.picture(0, view, projection, (width, height))
+
+    def __repr__(self) -> str:
+        """Tell what flies, how, and for how long."""
+        kinds = ", ".join(dict.fromkeys(one.name for one in self.airframes))
+        flown = f"{self._time[0]:g} s"
+        return (
+            f"<Airspace of {len(self.airframes)} {kinds}, {self._options.dynamics_name}, {flown}>"
+        )
+
+    def __enter__(self) -> Self:
+        """Return itself, which is closed at the end of the `with`."""
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Close it."""
+        self.close()
 
     def _require_open(self) -> None:
         if self._engine.closed:
@@ -329,6 +383,7 @@ class AirspaceParts(Environment):
 
 def _shown(array: np.ndarray) -> np.ndarray:
     """Show the only world of an array (1, ...), read-only."""
-    view: np.ndarray = array[0]
-    view.flags.writeable = False
-    return view
+    locked = array.view()
+    locked.flags.writeable = False
+    world: np.ndarray = locked[0]
+    return world

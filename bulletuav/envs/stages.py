@@ -4,13 +4,14 @@ import math
 
 import numpy as np
 
-from bulletuav.functions import atan2
-from bulletuav.geometry.rotation import quat4
-from bulletuav.kernel import kernel
+from bulletuav.geometry.rotation import heading, quat4
+from bulletuav.kernel import func, kernel
 from bulletuav.vehicle.swarm import Swarm
 
 TURN = 2 * math.pi
 """A whole turn, rad"""
+MOST_LEAD = 1.0
+"""How far a yaw that turns may be ahead of the drone, rad"""
 
 
 @kernel
@@ -239,8 +240,15 @@ def tell(
             rows[8, w, i] = charge[w, i]
 
 
+@func
+def half_turn(angle: float) -> float:
+    """Return the same angle within half a turn to either side, rad."""
+    return angle - TURN * math.floor(angle / TURN + 0.5)
+
+
 @kernel
 def prepare(
+    quaternion: np.ndarray,
     setpoint: np.ndarray,
     yaw_rate: np.ndarray,
     period: float,
@@ -252,6 +260,7 @@ def prepare(
     """Tell how obstacles move in a step, and turn the yaws that drones of an airspace are to hold.
 
     Args:
+        quaternion: (W, N, 4) attitudes.
         setpoint: (W, N, S) setpoints; the yaw of those that have one is their fourth number.
         yaw_rate: (W, N) how fast to turn it, rad/s.
         period: Duration of the step, s.
@@ -266,11 +275,13 @@ def prepare(
                 before[w, k, m] = obstacle[w, k, m]
                 obstacle[w, k, m] += period * obstacle_velocity[w, k, m]
                 after[w, k, m] = obstacle[w, k, m]
-        # Yaws stay within half a turn to either side
+        # Yaws stay near those that drones have, so that who turns slowly is not overtaken
         for i in range(yaw_rate.shape[1]):
             if yaw_rate[w, i] != 0.0:
-                yaw = setpoint[w, i, 3] + period * yaw_rate[w, i]
-                setpoint[w, i, 3] = yaw - TURN * math.floor(yaw / TURN + 0.5)
+                present = heading(quat4(quaternion, w, i))
+                lead = half_turn(setpoint[w, i, 3] + period * yaw_rate[w, i] - present)
+                lead = min(max(lead, -MOST_LEAD), MOST_LEAD)
+                setpoint[w, i, 3] = half_turn(present + lead)
 
 
 @kernel
@@ -300,5 +311,4 @@ def headings(quaternion: np.ndarray, yaw: np.ndarray) -> None:
     """Write the yaw (W, N) of attitudes (W, N, 4), rad."""
     for w in range(yaw.shape[0]):
         for i in range(yaw.shape[1]):
-            x, y, z, real = quat4(quaternion, w, i)
-            yaw[w, i] = atan2(2 * (real * z + x * y), 1 - 2 * (y * y + z * z))
+            yaw[w, i] = heading(quat4(quaternion, w, i))

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from bulletuav.functions import cos, sin
+from bulletuav.functions import atan2, cos, sin
 from bulletuav.kernel import func
 
 Vec3 = tuple[float, float, float]
@@ -153,3 +153,10 @@ def from_euler(roll: float, pitch: float, yaw: float) -> Quat4:
         cr * cp * sy - sr * sp * cy,
         cr * cp * cy + sr * sp * sy,
     )
+
+
+@func
+def heading(quaternion: Quat4Like) -> float:
+    """Return the yaw of an attitude, rad."""
+    x, y, z, w = quaternion
+    return atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))

@@ -170,8 +170,8 @@ class Contacts(NamedTuple):
         point: (C, 3) where they touched first, m.
         normal: (C, 3) unit vector in which the drone was pushed there.
         velocity: (C, 3) velocity of the drone's surface against the other's just before, m/s.
-        depth: (C,) how deep their shapes overlapped there, m. Above 0 only for drones that were put
-            into something, and in Bullet's own contacts: else they meet at their surfaces.
+        depth: (C,) how deep their shapes overlapped there, m. Above 0 only in Bullet's own
+            contacts, and where `Dynamics.overlaps` looks: in flight they meet at their surfaces.
     """
 
     world: np.ndarray

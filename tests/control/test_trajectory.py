@@ -136,10 +136,59 @@ def test_a_crazyflie_follows_an_eight_of_1_m_s_within_5_cm(dynamics):
 def test_on_its_trajectory_a_tracker_asks_for_its_acceleration_and_off_it_goes_back():
     hold = Trajectory((0, 1), [(1.0, 2, 3), (1.0, 2, 3)])
     tracker = Tracker(CF2X, hold)
-    np.testing.assert_allclose(
-        tracker.setpoint(0.5, np.array((1.0, 2, 3)), np.zeros(3)), 0, atol=1e-9
-    )
+    here = np.array((1.0, 2, 3))
+    np.testing.assert_allclose(tracker.setpoint(0.5, here, np.zeros(3)), np.zeros(3), atol=1e-9)
     # w^2 (x_ref - x) and 2 z w (v_ref - v), with w = 1 / (8 lag) and z = 0.8
     w = 1 / (8 * CF2X.lag_up)
     away = tracker.setpoint(0.5, np.array((1.0, 2, 2)), np.array((0.1, 0, 0)))
-    np.testing.assert_allclose(away, (-0.16 * w, 0, w * w, 0), atol=1e-9)
+    np.testing.assert_allclose(away, (-0.16 * w, 0, w * w), atol=1e-9)
+    turning = Trajectory((0, 1), [(1.0, 2, 3, 0.5), (1.0, 2, 3, 0.5)])
+    assert Tracker("cf2x", turning).setpoint(0.5, here, np.zeros(3))[3] == pytest.approx(0.5)
+
+
+def test_what_comes_is_asked_for_early_by_the_delay_of_each_axis():
+    # x and z alike; sideways the attitude's 2 z / w_R, upwards the rotors' lag
+    both = Trajectory((0, 1, 2), [(0.0, 0, 0), (1, 0, 1), (0, 0, 0)])
+    for name in ("cf2x", "hummingbird"):
+        lag = load_airframe(name).lag_up
+        asked = Tracker(name, both)
+        target = both.at(0.6)
+        wanted = asked.setpoint(0.6, target.position, target.velocity)
+        down = max(lag, load_airframe(name).lag_down)
+        sideways = 2 * 0.8 / min(10, 1 / (2 * down))
+        assert wanted[0] == pytest.approx(both.at(0.6 + sideways).acceleration[0])
+        assert wanted[2] == pytest.approx(both.at(0.6 + down).acceleration[2])
+
+
+def test_along_points_the_speed_is_about_what_is_asked():
+    corners = np.array([(0.0, 0, 1), (1, 0, 1), (2, 0.5, 1), (3, 0.5, 1), (4, 0, 1)])
+    path = Trajectory.along(corners, 0.5)
+    ways = np.linalg.norm(np.diff(corners, axis=0), axis=1)
+    assert path.end == pytest.approx((ways.sum() + ways[0] + ways[-1]) / 0.5)
+    speeds = [np.linalg.norm(path.at(t).velocity) for t in np.linspace(0, path.end, 200)]
+    assert np.linalg.norm(path.at(path.end / 2).velocity) == pytest.approx(0.5, abs=0.1)
+    assert 0.5 < max(speeds) < 0.7
+    assert Trajectory.along(corners[:2], 0.5).end == pytest.approx(4.0)
+    for wrong, message in (
+        ((corners, 0.0), "speed is 0 m/s"),
+        ((corners, np.nan), "speed is nan"),
+        ((corners[:1], 1.0), "two rows or more"),
+        ((corners[[0, 0, 1]], 1.0), "above the one before"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            Trajectory.along(*wrong)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        (np.nan, np.zeros(3), np.zeros(3)),
+        (0.0, np.zeros(2), np.zeros(3)),
+        (0.0, np.zeros(3), np.full(3, np.inf)),
+    ],
+)
+def test_a_tracker_refuses_states_that_cannot_be(wrong):
+    with pytest.raises(ValueError, match="finite"):
+        Tracker("cf2x", Trajectory((0, 1), np.zeros((2, 3)))).setpoint(*wrong)
+    with pytest.raises(ValueError, match="did you mean 'cf2x'"):
+        Tracker("cf3x", Trajectory((0, 1), np.zeros((2, 3))))

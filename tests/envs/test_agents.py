@@ -57,12 +57,39 @@ def test_anything_else_is_left_to_a_closer_look(take, share, wrong):
     assert take(wrong, NAMES, None, np.zeros((1, 3, 2))) is False
 
 
-def test_arrays_that_do_not_lie_in_a_row_come_out_the_same():
+def test_arrays_that_do_not_lie_in_a_row_are_copied_or_left_but_never_wrong():
     strided = np.arange(8.0)[::4]
+    taken = []
     for take in (take_plainly, in_use.take):
         given = np.zeros((1, 1, 2))
-        if take({"drone_0": strided}, ["drone_0"], None, given):
+        taken.append(take({"drone_0": strided}, ["drone_0"], None, given))
+        if taken[-1]:
             np.testing.assert_array_equal(given[0, 0], strided)
+    assert taken[0]
+
+
+@pytest.mark.skipif(in_use.take is take_plainly, reason="not built")
+@pytest.mark.parametrize(
+    ("name", "arguments"),
+    [
+        ("take", ({}, [], None)),
+        ("take", ({}, [], None, 5)),
+        ("take", ({}, (), None, np.zeros((1, 3, 2)))),
+        ("take", ({}, [], [0], np.zeros((1, 3, 2)))),
+        ("take", ({}, [], None, np.zeros((1, 3, 2), np.float32))),
+        ("take", ({"drone_0": np.zeros(2)}, ["drone_0"], [7], np.zeros((1, 3, 2)))),
+        ("take", ({"drone_0": np.zeros(2)}, ["drone_0"], ["x"], np.zeros((1, 3, 2)))),
+        ("share", ([], None)),
+        ("share", (["a"], [-1], np.zeros((3, 2)), np.zeros(3), *np.zeros((2, 3), bool))),
+        ("share", (["a"], ["x"], np.zeros((3, 2)), np.zeros(3), *np.zeros((2, 3), bool))),
+        ("share", (["a"], None, np.zeros((3, 2)), np.zeros(3, int), *np.zeros((2, 3), bool))),
+        ("share", (["a"], None, np.zeros((3, 2)), np.zeros(3), *np.zeros((2, 2), bool))),
+        ("share", (["a"], None, 5, np.zeros(3), *np.zeros((2, 3), bool))),
+    ],
+)
+def test_in_c_what_is_not_as_needed_is_an_error(name, arguments):
+    with pytest.raises(TypeError):
+        getattr(in_use, name)(*arguments)
 
 
 @BOTH

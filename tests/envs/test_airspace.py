@@ -128,11 +128,12 @@ def test_yaws_are_held_turned_and_wrapped():
     airspace.command(0, "position", APART[0], yaw=0.7)
     airspace.command(0, "velocity", (0.0, 0, 0))  # goes on to hold 0.7
     assert airspace.setpoint[0, 3] == 0.7
-    airspace.command(1, "position", APART[1], yaw=3.0, yaw_rate=0.5)
+    airspace.command(1, "position", APART[1], yaw=0.2, yaw_rate=0.5)
     steps(airspace, 96)
-    heading = Rotation.from_quat(airspace.swarm.quaternion).as_euler("xyz")[:, 2]
+    heading = Rotation.from_quat(airspace.swarm.quaternion.copy()).as_euler("xyz")[:, 2]
     assert heading[0] == pytest.approx(0.7, abs=0.02)
-    assert airspace.setpoint[1, 3] == pytest.approx(4.0 - 2 * math.pi, abs=1e-12)
+    assert airspace.setpoint[1, 3] == pytest.approx(1.2, abs=1e-12)
+    assert steps(airspace, 4 * 48).setpoint[1, 3] == pytest.approx(3.2 - 2 * math.pi, abs=1e-12)
     # It follows at the rate
     before = Rotation.from_quat(steps(airspace, 96).swarm.quaternion[1])
     after = Rotation.from_quat(steps(airspace, 48).swarm.quaternion[1])
@@ -265,14 +266,14 @@ def test_bodies_and_obstacles_are_hit_and_told_by_their_names():
         met |= set(zip(airspace.contacts.drone, airspace.contacts.other, strict=True))
     assert met == {(0, box), (1, FIRST_OBSTACLE)}
     airspace.place_obstacle(0, (0.0, 30, 0))  # out of the way, at rest
-    assert not len(steps(airspace, 2).contacts.of_worlds(np.ones(1, bool)).other[1:])
+    assert FIRST_OBSTACLE not in steps(airspace, 2).contacts.other
 
 
 def test_buildings_stand():
     walls = Solids(np.array([[(1.0, -1.0, 0.0), (2.0, 1.0, 3.0)]]))
     airspace = Airspace([(0, 0, 1)], dynamics="point_mass", layout=walls, sensors=("lidar",))
     assert airspace.readings["lidar"][0, 0] == pytest.approx(1.0, abs=1e-6)
-    with pytest.raises(ValueError, match="drone 0 at .* overlaps what stands there by"):
+    with pytest.raises(ValueError, match="drone 0 at .* would overlap a building by"):
         airspace.place(0, (1.5, 0, 1))
     airspace.command(0, "velocity", (1.0, 0, 0))
     steps(airspace, 2 * 240)
@@ -326,9 +327,9 @@ def test_pictures_are_taken_from_a_drone_and_from_a_place():
     )
     # To the left, in body axes; then the same from a camera in the world
     left = Rotation.from_euler("z", 90, degrees=True).as_quat()
-    mounted = airspace.picture(0, (0, CF2X.collision_radius, 0), left, (64, 48), 40.0)
+    mounted = airspace.picture(0, (0, CF2X.collision_radius, 0), left, None, (64, 48), 40.0)
     assert mounted.labels[24, 32] == OBSTACLE
-    standing = airspace.picture(None, (0, CF2X.collision_radius, 1), left, (64, 48), 40.0)
+    standing = airspace.picture(None, (0, CF2X.collision_radius, 1), left, None, (64, 48), 40.0)
     np.testing.assert_array_equal(mounted.pixels, standing.pixels)
     assert standing.depth[0, 32] == FAR
     assert airspace.render().shape == (480, 640, 3)
@@ -358,6 +359,18 @@ WRONG = [
     (lambda a: a.command(0.5, "position", (0, 0, 1)), "drones is 0.5"),
     (lambda a: a.command(0, "positon", (0, 0, 1)), "did you mean 'position'"),
     (lambda a: a.command(0, 3, (0, 0, 1)), "unknown setpoint level 3"),
+    (lambda a: a.command(0, np.int64(9), (0, 0, 1)), "unknown setpoint level"),
+    (lambda a: a.command([[0], [0, 1]], "position", (0, 0, 1)), r"drones is \[\[0\], \[0, 1\]\]"),
+    (lambda a: a.command(0, "position", (0, 0, 1, 2), yaw=1.0), "the yaw is told beside it"),
+    (lambda a: a.command(None, "position", (0, 0, 1), yaw=(1.0, 2, 3)), "one for each of the"),
+    (lambda a: a.command(None, "position", (0, 0, 1), yaw_rate=(1.0, 2e4)), "up to 10000"),
+    (lambda a: a.place(0, (3, 0, 1), velocity=(1e4, 0, 0)), "velocity is .* less than 4950"),
+    (lambda a: a.place(0, (3, 0, 1), rates=(0, 1e4, 0)), "rates is .* less than 4950"),
+    (lambda a: a.place(0, (3, 0, 1), rotor_speed="hovr"), "did you mean 'hover'"),
+    (lambda a: a.place_obstacle(0, (0, 0, 0.1)), "drone 0 at .* would overlap a body by"),
+    (lambda a: a.add_body(Obstacle("box", (9, 9, 9)), (0, 0, 0)), "would overlap a body by"),
+    (lambda a: a.picture(0, target=(0, 0)), "target is"),
+    (lambda a: a.picture(None, (1.0, 1, 1), target=(1.0, 1, 1)), "where the camera is"),
     (lambda a: a.command(0, "position", (0, math.nan, 1)), "finite numbers up to 1e.09"),
     (lambda a: a.command(0, "position", (0, 1e10, 1)), "finite numbers up to 1e.09"),
     (lambda a: a.command(0, "position", (0, "1", 1)), "not numbers"),
@@ -366,8 +379,11 @@ WRONG = [
     (lambda a: a.command(0, "rates", (0, 0, 0, 1), yaw=1.0), "yaw and yaw_rate go with POSITION"),
     (lambda a: a.command(0, "position", (0, 0, 1), yaw=math.inf), "yaw is inf"),
     (lambda a: a.command(0, "position", (0, 0, 1), yaw_rate="fast"), "yaw_rate is 'fast'"),
-    (lambda a: a.place(0, (0, 0, 0)), "drone 0 at .* overlaps the ground by 0.015 m"),
-    (lambda a: a.place([0, 1], [(3, 0, 1), (3, 0, 1.01)]), "drone 0 at .* overlaps drone 1 by"),
+    (lambda a: a.place(0, (0, 0, 0)), "drone 0 at .* would overlap the ground by 0.015 m"),
+    (
+        lambda a: a.place([0, 1], [(3, 0, 1), (3, 0, 1.01)]),
+        "drone 0 at .* would overlap drone 1 by",
+    ),
     (lambda a: a.place([0, 1], (5, 0, 1)), r"position has shape \(3,\): \(2, 3\)"),
     (lambda a: a.place(0, (0, 0, 1), (0, 0, 0, 2)), "a length of 1 is needed"),
     (lambda a: a.place(0, (0, 0, 1), velocity=(0, 0)), "velocity has shape"),
@@ -392,9 +408,11 @@ def test_what_cannot_be_is_refused_and_changes_nothing(call, message):
         airspace = Airspace(
             [(0, 0, 1), (1, 0, 1)], obstacles=(Obstacle("sphere", (0.1,)),), decision_hz=48, seed=0
         )
-        airspace.command(None, "position", [(0, 0, 0.5), (1, 0, 1.5)])
+        airspace.place(0, (0, 0, CF2X.standing_height))
+        airspace.command(1, "position", (1, 0, 1.2))
         steps(airspace, 30)
         touched = len(airspace.contacts.other)
+        assert touched  # one stands on the ground
         if wrong:
             with pytest.raises((ValueError, FileNotFoundError), match=message):
                 call(airspace)
@@ -407,7 +425,7 @@ def test_what_cannot_be_is_refused_and_changes_nothing(call, message):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"position": [(0, 0, 1), (0, 0, 1.001)]}, "drone 0 at .* overlaps drone 1"),
+        ({"position": [(0, 0, 1), (0, 0, 1.001)]}, "drone 0 at .* would overlap drone 1"),
         ({"position": [(0, 0, 0)]}, "stands at standing_height = 0.015 m"),
         ({"position": (0, 0, 1)}, "a row x, y, z for each drone"),
         ({"position": []}, "a row x, y, z for each drone"),
@@ -418,6 +436,10 @@ def test_what_cannot_be_is_refused_and_changes_nothing(call, message):
         ({"dynamcs": "bullet"}, "unknown option of Airspace: 'dynamcs': did you mean 'dynamics'"),
         ({"horizon": 3}, "unknown option of Airspace: 'horizon'"),
         ({"sensors": ("gsp",)}, "unknown sensor 'gsp': did you mean 'gps'"),
+        ({"sensors": ("imu", "imu")}, "sensors has 'imu' 2 times"),
+        ({"obstacles": ["box"]}, "obstacles is .* a list of `Obstacle`"),
+        ({"layout": "city"}, "layout is 'city': `Solids`"),
+        ({"gravity": 0.0, "dynamics": "point_mass"}, "'point_mass' bounds accelerations by it"),
         ({"wind": (1, 2)}, "wind is"),
         ({"controller": "pid", "airframe": "iris", "effects": ()}, "has no <pwm> tag"),
     ],
@@ -443,6 +465,11 @@ def test_levels_that_cannot_drive_the_drone_are_refused():
         floating.command(0, "velocity", (0, 0, 1))
     floating.command(0, "rotor", (0, 0, 0, 0))
     np.testing.assert_array_equal(steps(floating, 10).swarm.position[0], (0, 0, 1))
+    floating.place(0, (0, 0, 1), rotor_speed=500.0)
+    assert (floating.swarm.rotor_speed == 500).all()
+    drifting = Airspace([(0, 0, 1)], gravity=0.0, dynamics="single_integrator")
+    drifting.command(0, "velocity", (0, 0, 1))
+    assert steps(drifting, 240).swarm.position[0, 2] == pytest.approx(2.0)
 
 
 def test_a_closed_airspace_says_so():
@@ -520,3 +547,116 @@ def test_the_engines_own_contacts_are_deep_and_compiled_ones_are_not():
     assert deepest["impulse"] == 0
     # Bullet notices within some steps of a fall at 6.3 m/s
     assert 1e-4 < deepest["bullet"] < 3 * 6.3 / 240
+
+
+@pytest.mark.parametrize("dynamics", SIX)
+def test_a_fast_yaw_rate_turns_as_fast_as_the_drone_can_and_no_slower_one_faster(dynamics):
+    rates = []
+    for rate in (1.0, 3.0, 50.0):
+        airspace = Airspace([(0, 0, 20)], dynamics=dynamics, decision_hz=48, rotor_speed="hover")
+        airspace.command(0, "position", (0, 0, 20), yaw_rate=rate)
+        steps(airspace, 3 * 48)
+        rates.append(np.mean([steps(airspace, 1).swarm.rates[0, 2] for _ in range(96)]))
+    assert rates[0] == pytest.approx(1.0, abs=0.02)
+    assert rates[2] == pytest.approx(rates[1], rel=0.05)
+    assert rates[1] > 1.8
+    # One for each, and what is told without a rate stands still
+    pair = Airspace(APART[:2], dynamics=dynamics, decision_hz=48, rotor_speed="hover")
+    pair.command(None, "position", APART[:2], yaw=(0.3, -0.3), yaw_rate=(0.5, -0.5))
+    steps(pair, 48)
+    np.testing.assert_allclose(pair.setpoint[:, 3], (0.8, -0.8), atol=1e-12)
+    pair.command(0, "position", APART[0])
+    steps(pair, 48)
+    np.testing.assert_allclose(pair.setpoint[:, 3], (0.8, -1.3), atol=1e-12)
+
+
+def test_after_a_flight_that_diverged_placing_is_enough():
+    airspace = Airspace(APART[:2], dynamics="rigid_body", decision_hz=48, rotor_speed="hover")
+    airspace.command(None, "position", APART[:2])
+    airspace.apply(0, (0, 1e6, 0))
+    with pytest.raises(RuntimeError, match=r"diverged.*place\(\) a drone"):
+        airspace.step()
+    airspace.place(0, APART[0], rotor_speed="hover")
+    steps(airspace, 48)
+    np.testing.assert_allclose(airspace.swarm.position, APART[:2], atol=0.05)
+
+
+def test_a_placed_drone_forgets_pushes_integrals_and_what_its_sensors_felt():
+    airspace = Airspace([(0, 0, 5)], decision_hz=48, effects=(), controller="pid", sensors=("imu",))
+    airspace.command(0, "position", (1.0, 0, 5))
+    steps(airspace, 48)
+    airspace.apply(0, (0.1, 0, 0))
+    airspace.place(0, (0, 0, 6), velocity=(5.0, 0, 0), rotor_speed="hover")
+    airspace.command(0, "position", (0, 0, 6))
+    steps(airspace, 1)
+    new = Airspace([(0, 0, 6)], decision_hz=48, effects=(), controller="pid", sensors=("imu",))
+    new.place(0, (0, 0, 6), velocity=(5.0, 0, 0), rotor_speed="hover")
+    new.command(0, "position", (0, 0, 6))
+    steps(new, 1)
+    np.testing.assert_array_equal(state(airspace), state(new))
+    np.testing.assert_array_equal(airspace.readings["imu"], new.readings["imu"])
+    # From then on it is as if it had flown like that before
+    assert np.abs(new.readings["imu"][0, :3]).max() < 3 * G
+    # Motors that were off begin without integrals
+    airspace.stop()
+    assert not airspace._dynamics.flight.cascade.memory.any()
+
+
+def test_points_keep_the_heading_with_which_they_are_placed():
+    airspace = Airspace([(0, 0, 5)], dynamics="point_mass", decision_hz=48)
+    tilted = Rotation.from_euler("xyz", (0.3, -0.2, 1.0)).as_quat()
+    airspace.place(0, (0, 0, 5), tilted)
+    expected = Rotation.from_quat(tilted).as_euler("xyz")[2]
+    for _ in range(2):
+        roll, pitch, yaw = Rotation.from_quat(airspace.swarm.quaternion[0].copy()).as_euler("xyz")
+        np.testing.assert_allclose((roll, pitch, yaw), (0, 0, expected), atol=1e-9)
+        airspace.command(0, "velocity", (1.0, 0, 0))
+        airspace.step()
+
+
+def test_dynamics_to_which_no_controller_leads_take_their_own_level_alone():
+    class Turning(Dynamics):
+        consumes = SetpointLevel.RATES
+
+        def advance_substep(self, swarm, alive, setpoint, air):
+            swarm.rates[:] = setpoint[..., :3]
+
+    airspace = Airspace([(0, 0, 5)], dynamics=Turning)
+    with pytest.raises(ValueError, match="to which no controller leads: command RATES"):
+        airspace.command(0, "position", (0, 0, 5))
+    airspace.command(0, "rates", (0, 0, 1.0, 0))
+    assert steps(airspace, 1).swarm.rates[0, 2] == 1.0
+
+
+def test_it_tells_what_it_is_closes_at_the_end_of_a_with_and_counts_whole_seconds():
+    with Airspace([(0, 0, 1), (3, 0, 1)], physics_hz=490, decision_hz=49) as airspace:
+        steps(airspace, 49)
+        assert airspace.time == 1.0
+        assert repr(airspace) == "<Airspace of 2 cf2x, bullet, 1 s>"
+        before = airspace.setpoint.copy()
+        airspace.command([], "position", (0, 0, 1))
+        np.testing.assert_array_equal(airspace.setpoint, before)
+        airspace.command(0, airspace.levels[0], np.zeros(4))
+        airspace.command(0, "POSITION", (0, 0, 1))
+    with pytest.raises(RuntimeError, match="closed"):
+        airspace.step()
+
+
+def test_what_contacts_tell_is_a_copy():
+    for contacts in ("impulse", "bullet"):
+        airspace = Airspace([(0, 0, CF2X.standing_height)], contacts=contacts)
+        steps(airspace, 24).contacts.other[:] = 77
+        assert set(airspace.contacts.other) == {GROUND}
+
+
+def test_cameras_look_at_what_they_are_told_to():
+    airspace = Airspace([(0, 0, 1), (2, 2, 1.5)], obstacles=(Obstacle("box", (1.0, 1, 1)),))
+    airspace.place_obstacle(0, (0.0, -4, 1))
+    for drone, place in ((0, None), (None, (0.0, 0, 1.2))):
+        seen = airspace.picture(drone, place, target=(0, -4, 1), size=(64, 48))
+        assert seen.labels[24, 32] == OBSTACLE
+    # Straight down: the ground, at the height of the camera
+    down = airspace.picture(None, (5.0, 5, 3), target=(5, 5, 0), size=(64, 48))
+    assert down.depth[24, 32] == pytest.approx(3, abs=0.01)
+    # By default from the nose, where a drone does not see itself
+    assert not (airspace.picture(0, size=(64, 48)).labels == DRONE).any()
