@@ -23,8 +23,8 @@ from bulletuav.control.cascade import Cascade, command_kinematic
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.base import Air, Dynamics
 from bulletuav.functions import exp
-from bulletuav.geometry.rotation import Vec3, dot, from_euler, heading, plus, point, quat4, vec3
-from bulletuav.kernel import allocating, borrowed, func, kernel
+from bulletuav.geometry.rotation import Vec3, dot, from_euler, plus, point, quat4, vec3
+from bulletuav.kernel import allocating, borrowed, func
 from bulletuav.program import Program
 from bulletuav.registry import register
 from bulletuav.vehicle.swarm import Swarm, get, put
@@ -302,17 +302,6 @@ def advance(
             meet(contact, swarm, alive, parameters, w, piece, pieces, dt)
 
 
-@kernel
-def _level(quaternion: np.ndarray, mask: np.ndarray) -> None:
-    """Make the attitudes (W, N, 4) of `mask` (W, N) level; headings stay."""
-    for w in range(mask.shape[0]):
-        for i in range(mask.shape[1]):
-            if mask[w, i]:
-                level = from_euler(0.0, 0.0, heading(quat4(quaternion, w, i)))
-                for k in range(4):
-                    quaternion[w, i, k] = level[k]
-
-
 class Kinematic(Dynamics):
     """Points without tilt and rates; the base of the three kinematic dynamics.
 
@@ -324,8 +313,8 @@ class Kinematic(Dynamics):
     contacts: ClassVar[tuple[str, ...]] = ("stop",)
 
     def place(self, swarm: Swarm, mask: np.ndarray) -> None:
-        """Start drones level and without rates, with their heading; see the base class."""
-        _level(swarm.quaternion, mask)
+        """Start drones level and without rates; see the base class."""
+        swarm.quaternion[mask] = 0, 0, 0, 1
         swarm.rates[mask] = 0
         super().place(swarm, mask)
 

@@ -23,9 +23,10 @@ from bulletuav.envs.environment import Environment, exclusive
 from bulletuav.envs.parts import hover_speeds, make_dynamics, make_engine, sensor_setup
 from bulletuav.envs.randomization import Uncertainty
 from bulletuav.envs.renderer import FIELD_OF_VIEW, Renderer
+from bulletuav.envs.stages import headings
 from bulletuav.errors import as_int, as_sequence, choose, finite, points_of, shown
 from bulletuav.geometry.obstacle import Obstacle
-from bulletuav.geometry.rotation import axes, product, to_world
+from bulletuav.geometry.rotation import axes, from_euler, product, to_world
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.solids import Solids
 from bulletuav.geometry.view import Picture, projection_matrix, view_matrix
@@ -146,7 +147,7 @@ class AirspaceParts(Environment):
         Args:
             drones: Index of a drone, several, a mask (N,), or None for all.
             position: (3,) m, or a row for each of the drones.
-            quaternion: (4,) body to world, or rows. Dynamics without tilt start level.
+            quaternion: (4,) body to world, or rows. Dynamics without tilt take its heading alone.
             velocity: (3,) world axes, m/s, or rows.
             rates: (3,) body axes, rad/s, or rows.
             rotor_speed: (R,) or rows, or one number for all rotors, rad/s; or "hover". Dynamics
@@ -180,8 +181,17 @@ class AirspaceParts(Environment):
         self._dynamics.flight.cascade.memory[moved] = 0.0
         self._dynamics.force[moved] = self._dynamics.torque[moved] = 0.0
         self._dynamics.place(self._swarm, moved)
+        self._keep_headings(after.quaternion, moved)
         for array, numbers in zip(self._before, self._swarm, strict=True):
             array[moved] = numbers[moved]
+
+    def _keep_headings(self, given: np.ndarray, moved: np.ndarray) -> None:
+        """Turn drones of `moved` (1, N) that the dynamics made level to where they are to head."""
+        level = np.argwhere(moved & (self._swarm.quaternion != given).any(axis=-1))
+        yaw = np.zeros(moved.shape)
+        headings(given, yaw)
+        for w, i in level.tolist():
+            self._swarm.quaternion[w, i] = from_euler(0.0, 0.0, yaw[w, i])
 
     def _refuse_overlap(self, after: Swarm, moved: np.ndarray, scenery: Scenery) -> None:
         """Raise ValueError if drones of `moved` (1, N) would overlap something."""
@@ -383,7 +393,6 @@ class AirspaceParts(Environment):
 
 def _shown(array: np.ndarray) -> np.ndarray:
     """Show the only world of an array (1, ...), read-only."""
-    locked = array.view()
-    locked.flags.writeable = False
-    world: np.ndarray = locked[0]
-    return world
+    view: np.ndarray = array[0]
+    view.flags.writeable = False
+    return view
