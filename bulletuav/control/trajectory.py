@@ -130,7 +130,8 @@ class Trajectory:
 
     def _keep(self, curve: BSpline | PPoly, begin: float, end: float) -> None:
         """Keep the curve and its derivatives."""
-        self._curves = (curve, curve.derivative(1), curve.derivative(2))
+        self._place, self._velocity = curve, curve.derivative(1)
+        self._acceleration = curve.derivative(2)
         self.begin, self.end = float(begin), float(end)
 
     def at(self, time: float) -> Target:
@@ -146,16 +147,19 @@ class Trajectory:
             ValueError: The time is not finite.
         """
         time = finite("time", time)
-        inside = min(max(time, self.begin), self.end)
-        place, velocity, acceleration = (curve(inside) for curve in self._curves)
+        place = self._place(min(max(time, self.begin), self.end))
+        velocity = self._moving(self._velocity, time)
+        return Target(place[:3], velocity, self.acceleration(time), float(place[3]))
+
+    def acceleration(self, time: float) -> np.ndarray:
+        """Tell the acceleration alone, (3,) m/s^2; see `at`."""
+        return self._moving(self._acceleration, time)
+
+    def _moving(self, curve: BSpline | PPoly, time: float) -> np.ndarray:
+        """Evaluate a derivative: (3,), zeros before the begin and after the end."""
         moves = self.begin <= time <= self.end
-        still = np.zeros(3)
-        return Target(
-            place[:3],
-            velocity[:3] if moves else still,
-            acceleration[:3] if moves else still,
-            float(place[3]),
-        )
+        value: np.ndarray = curve(time)[:3] if moves else np.zeros(3)
+        return value
 
 
 class Tracker:
@@ -201,8 +205,8 @@ class Tracker:
         """
         (place,), (speed,) = points_of("position", position), points_of("velocity", velocity)
         now = self.trajectory.at(time)
-        x, y, _ = self.trajectory.at(time + self._sideways).acceleration
-        z = self.trajectory.at(time + self._upwards).acceleration[2]
+        x, y, _ = self.trajectory.acceleration(time + self._sideways)
+        z = self.trajectory.acceleration(time + self._upwards)[2]
         back = self._rate * (now.velocity - speed) + self._stiffness * (now.position - place)
         wanted = np.array((x, y, z)) + back
         return np.append(wanted, now.yaw) if self.trajectory.has_yaw else wanted

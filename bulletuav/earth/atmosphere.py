@@ -78,7 +78,7 @@ def geometric_height(geopotential: ArrayLike) -> np.ndarray:
     """
     least, most = geopotential_height((LOWEST, HIGHEST)) * (1.0 + ROUNDING)
     array = values_of("geopotential", geopotential, "m", least, most)
-    return np.asarray(EARTH_RADIUS * array / (EARTH_RADIUS - array))
+    return _geometric(array)
 
 
 def temperature(
@@ -180,5 +180,9 @@ def pressure_altitude(
     ratio = np.maximum(pascal, tropopause) / sea_level_pressure
     below = sea_level_temperature / LAPSE * (1.0 - ratio ** (1.0 / EXPONENT))
     above = GAS_CONSTANT * top / GRAVITY * np.log(tropopause / np.minimum(pascal, tropopause))
-    geopotential = below + above
+    return _geometric(below + above)
+
+
+def _geometric(geopotential: np.ndarray) -> np.ndarray:
+    """Return geometric heights, m, of geopotential ones."""
     return np.asarray(EARTH_RADIUS * geopotential / (EARTH_RADIUS - geopotential))

@@ -18,7 +18,8 @@ from bulletuav.envs.airspace_inputs import (
 )
 from bulletuav.envs.airspace_parts import STILL, AirspaceParts
 from bulletuav.envs.environment import exclusive
-from bulletuav.envs.stages import copy_vectors, finish, headings, prepare
+from bulletuav.envs.parts import add_obstacles
+from bulletuav.envs.stages import finish, headings, prepare
 from bulletuav.program import Program
 from bulletuav.vehicle.swarm import Contacts
 
@@ -168,10 +169,7 @@ class Airspace(AirspaceParts):
         program.call(prepare, *turning, self.period, *obstacles)
         given = (self._levels, self._setpoint, self._air)
         self._dynamics.add_to(program, self._swarm, self._alive, *given)
-        if self._obstacle.shape[1]:
-            program.call(copy_vectors, self._obstacle, self._engine.scenery.place)
-            if self._engine.asks_bodies:
-                program.turn(self._engine.show_obstacles)
+        add_obstacles(program, self._engine, self._obstacle)
         pushes = (self._dynamics.force, self._dynamics.torque)
         hz = float(self._options.decision_hz)
         program.call(finish, self._steps, hz, self._time, *pushes)

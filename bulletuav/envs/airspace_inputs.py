@@ -6,13 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.control.cascade import PID_LEVELS
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.base import FASTEST, FASTEST_SPIN
 from bulletuav.dynamics.setpoints import CONVERTED
 from bulletuav.engine.engine import PARKING_HEIGHT
 from bulletuav.engine.tiles import TILE_PITCH
-from bulletuav.envs.options import EnvOptions
+from bulletuav.envs.options import EnvOptions, check_names
 from bulletuav.envs.randomization import Randomization, known_uncertainties
 from bulletuav.envs.resolve import airframes_of, make_tuples
 from bulletuav.errors import UnknownOptionError, choose, finite, nearest, numbers_of, shown
@@ -108,11 +107,7 @@ def airspace_options(
             f"another dynamics"
         )
     names = [one if isinstance(one, str) else find_sensor(one).name for one in listed]
-    for name in names:
-        if names.count(name) > 1:
-            raise ValueError(f"sensors has {name!r} {names.count(name)} times: name it once")
-        if name not in all_sensors:
-            raise ValueError(f"sensors: unknown sensor {shown(name)}: {nearest(name, all_sensors)}")
+    check_names("sensors", "sensor", names, tuple(all_sensors))
     carried = {name: sensor for name, sensor in all_sensors.items() if name in names}
     return options, carried
 
@@ -264,10 +259,7 @@ def level_of(level: Any, consumes: SetpointLevel, options: EnvOptions) -> Setpoi
                 f"setpoints of {chosen.name} need gravity, against which thrust is steered: "
                 f"without it command ROTOR"
             )
-        if options.controller == "pid" and chosen not in PID_LEVELS:
-            raise ValueError(
-                f"controller 'pid' takes no {chosen.name.lower()} setpoints: use controller 'lee'"
-            )
+        options.check_controller(chosen)
     return chosen
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from bulletuav.control.actions.base import Compiled
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.envs.infos import columns
+from bulletuav.envs.parts import add_obstacles
 from bulletuav.envs.stages import (
     admit,
     begin,
@@ -203,10 +204,7 @@ class Decisions(Worlds):
         program.call(copy_vectors, scene.obstacle, self._dynamics.contact.after)
         flight = (self._levels, self._setpoint, self._air)
         self._dynamics.add_to(program, self.swarm, frame.alive, *flight)
-        if scene.obstacle.shape[1]:
-            program.call(copy_vectors, scene.obstacle, self._engine.scenery.place)
-            if self._engine.asks_bodies:
-                program.turn(self._engine.show_obstacles)
+        add_obstacles(program, self._engine, scene.obstacle)
         if task.rebound is not None:
             program.turn(self._confine)
         clock = (self.steps, float(self.options.decision_hz), self.options.horizon)

@@ -337,9 +337,13 @@ class EnvOptions:
                 f"controller 'pid' drives motors, and dynamics {self.dynamics_name!r} has none: "
                 f"use controller 'lee'"
             )
-        if self.controller == "pid" and action not in PID_LEVELS:
+        self.check_controller(action)
+
+    def check_controller(self, level: SetpointLevel) -> None:
+        """Raise ValueError for setpoints of a level that the controller does not take."""
+        if self.controller == "pid" and level not in PID_LEVELS:
             raise ValueError(
-                f"controller 'pid' takes no {action.name.lower()} setpoints: use controller 'lee'"
+                f"controller 'pid' takes no {level.name.lower()} setpoints: use controller 'lee'"
             )
 
 

@@ -10,8 +10,10 @@ from bulletuav.dynamics import find_dynamics
 from bulletuav.dynamics.base import Dynamics, Flight
 from bulletuav.engine.engine import Engine
 from bulletuav.envs.options import EnvOptions
+from bulletuav.envs.stages import copy_vectors
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.solids import Solids
+from bulletuav.program import Program
 from bulletuav.sensors.base import SensorSetup
 from bulletuav.sensors.lidar import make_beams
 from bulletuav.vehicle.parameters import parameter_rows
@@ -63,6 +65,14 @@ def make_dynamics(options: EnvOptions, engine: Engine) -> Dynamics:
         options.restitution,
     )
     return find_dynamics(options.dynamics)(flight)
+
+
+def add_obstacles(program: Program, engine: Engine, obstacle: np.ndarray) -> None:
+    """Add to a program that obstacles stand where (W, K, 3) tells after a flight, m."""
+    if obstacle.shape[1]:
+        program.call(copy_vectors, obstacle, engine.scenery.place)
+        if engine.asks_bodies:
+            program.turn(engine.show_obstacles)
 
 
 def hover_speeds(options: EnvOptions) -> np.ndarray:

@@ -62,6 +62,25 @@ def _decode_position(
             setpoint[w, i, YAW] = 0.0
 
 
+def _limited(
+    context: ActionContext, name: str, level: SetpointLevel, labels: tuple[str, ...], most: float
+) -> Action:
+    """Make an action that asks for vectors over `most`, which limits their norm."""
+
+    def encode(vector: np.ndarray, commanded: np.ndarray | None = None) -> np.ndarray:
+        share: np.ndarray = vector / most
+        return share
+
+    return normalised(
+        context,
+        name=name,
+        level=level,
+        labels=labels,
+        decode=Compiled(_decode_limited, 4, most),
+        encode=encode,
+    )
+
+
 @register("action")
 def velocity(context: ActionContext) -> Action:
     """Fly at a velocity east, north and up, over max_speed.
@@ -71,18 +90,7 @@ def velocity(context: ActionContext) -> Action:
     speed = context.max_speed
     labels = tuple(f"v{axis} / {speed:g} m/s" for axis in "xyz")
 
-    def encode(velocity: np.ndarray, commanded: np.ndarray | None = None) -> np.ndarray:
-        share: np.ndarray = velocity / speed
-        return share
-
-    return normalised(
-        context,
-        name="velocity",
-        level=SetpointLevel.VELOCITY,
-        labels=labels,
-        decode=Compiled(_decode_limited, 4, speed),
-        encode=encode,
-    )
+    return _limited(context, "velocity", SetpointLevel.VELOCITY, labels, speed)
 
 
 @register("action")
@@ -94,18 +102,7 @@ def acceleration(context: ActionContext) -> Action:
     most = context.gravity / 2
     labels = tuple(f"a{axis} / {most:g} m/s^2" for axis in "xyz")
 
-    def encode(acceleration: np.ndarray, commanded: np.ndarray | None = None) -> np.ndarray:
-        share: np.ndarray = acceleration / most
-        return share
-
-    return normalised(
-        context,
-        name="acceleration",
-        level=SetpointLevel.ACCELERATION,
-        labels=labels,
-        decode=Compiled(_decode_limited, 4, most),
-        encode=encode,
-    )
+    return _limited(context, "acceleration", SetpointLevel.ACCELERATION, labels, most)
 
 
 @register("action")
