@@ -20,7 +20,7 @@ import numpy as np
 import bulletuav
 from bulletuav.dynamics import DYNAMICS, find_dynamics
 from bulletuav.tasks import find_task
-from bulletuav.vehicle.airframe import available_airframes
+from bulletuav.vehicle.airframes import available_airframes
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 

@@ -12,7 +12,8 @@ from bulletuav.envs.workers import batch_env
 from bulletuav.policies.check import check_policy
 from bulletuav.registry import register
 from bulletuav.tasks import list_tasks
-from bulletuav.vehicle.airframe import Airframe, available_airframes, load_airframe
+from bulletuav.vehicle.airframe import Airframe
+from bulletuav.vehicle.airframes import available_airframes, load_airframe
 from bulletuav.version import __version__
 
 __all__ = [

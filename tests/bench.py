@@ -8,8 +8,9 @@ from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics import DYNAMICS, find_dynamics
 from bulletuav.dynamics.base import Flight
 from bulletuav.engine.engine import Engine
-from bulletuav.vehicle.airframe import EFFECTS, STANDARD_GRAVITY, load_airframe
-from bulletuav.vehicle.parameters import parameter_rows
+from bulletuav.vehicle.airframe import STANDARD_GRAVITY
+from bulletuav.vehicle.airframes import load_airframe
+from bulletuav.vehicle.parameters import USUAL_EFFECTS, parameter_rows
 from bulletuav.vehicle.swarm import Motion, Swarm
 
 FLIGHTS = [
@@ -42,7 +43,7 @@ class Bench:
         drones=1,
         hz=240,
         substeps=24,
-        effects=EFFECTS,
+        effects=USUAL_EFFECTS,
         controller="lee",
         gravity=STANDARD_GRAVITY,
         wind=(0, 0, 0),

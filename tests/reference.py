@@ -25,6 +25,7 @@ class Reference:
         lag=True,
         drag=True,
         ground_effect=True,
+        rotor_inertia=True,
         gravity=G,
     ):
         self.a, self.command, self.wind = (
@@ -33,6 +34,7 @@ class Reference:
             np.asarray(wind, float),
         )
         self.lag, self.drag, self.ground_effect, self.gravity = lag, drag, ground_effect, gravity
+        self.rotor_inertia = airframe.rotor_inertia if lag and rotor_inertia else 0.0
         self.x, self.y, self.turn = np.array(airframe.rotors).T
         self.J = np.diag(airframe.inertia)
 
@@ -43,33 +45,52 @@ class Reference:
             return self.command
         return self.command + (initial - self.command) * np.exp(-t / tau)
 
-    def wrench(self, position, quaternion, velocity, speeds):
-        """Force (world) and torque (body)."""
+    def winding(self, speeds):
+        """How fast the rotors speed up, rad/s^2."""
+        tau = np.where(self.command > speeds, self.a.lag_up, self.a.lag_down)
+        if not self.lag or (tau == 0).all():
+            return np.zeros_like(speeds)
+        return (self.command - speeds) / tau
+
+    def wrench(self, position, quaternion, velocity, speeds, winding):
+        """Force (world) and torque (body), but for the torques that the rates make."""
         a, R = self.a, Rotation.from_quat(quaternion).as_matrix()
         thrusts = a.thrust_coefficient * speeds**2
-        total = thrusts.sum()
-        if self.ground_effect:
-            R_p, k = a.propeller_radius, a.ground_effect_gain
-            h = max(position[2], R_p * np.sqrt(15 * k / 4) / 4)
-            total *= 1 + max(R[2, 2], 0) * k * (R_p / (4 * h)) ** 2
-        force = total * R[:, 2] - np.array([0, 0, a.mass * self.gravity])
-        if self.drag:
-            D = np.diag([a.drag_xy, a.drag_xy, a.drag_z])
-            force -= R @ D @ R.T @ (velocity - self.wind) * speeds.sum()
         yaw = a.thrust_coefficient * a.torque_ratio * speeds**2
-        return force, np.array([self.y @ thrusts, -self.x @ thrusts, self.turn @ yaw])
+        if self.ground_effect:
+            places = np.stack([self.x, self.y, np.zeros_like(self.x)])
+            heights = position[2] + (R @ places)[2]
+            near = np.exp(-np.maximum(heights, 0) / a.ground_effect_decay)
+            thrusts = thrusts * (1 + max(R[2, 2], 0) * a.ground_effect_gain * near)
+        torque = np.array([self.y @ thrusts, -self.x @ thrusts, self.turn @ yaw])
+        torque[2] += self.rotor_inertia * self.turn @ winding
+        force = thrusts.sum() * R[:, 2] - np.array([0, 0, a.mass * self.gravity])
+        if self.drag:
+            v = R.T @ (velocity - self.wind)
+            of_rotors = -np.array([a.drag_xy, a.drag_xy, a.drag_z]) * v * speeds.sum()
+            areas = np.array([a.body_drag[0], a.body_drag[0], a.body_drag[1]])
+            of_body = -0.5 * 1.225 * areas * np.linalg.norm(v) * v
+            force += R @ (of_rotors + of_body)
+            sideways = of_rotors * (1, 1, 0)
+            torque += np.cross([0, 0, a.drag_height], sideways)
+        return force, torque
 
-    def rates_slope(self, rates, torque):
-        return np.linalg.solve(self.J, torque - np.cross(rates, self.J @ rates))
+    def rates_slope(self, rates, torque, speeds):
+        """Euler's equation, with the damping by the rotors and their angular momentum."""
+        momentum = np.array([0, 0, -self.rotor_inertia * self.turn @ speeds])
+        if self.drag:
+            hover = len(self.turn) * self.a.hover_speed()
+            torque = torque - self.a.damping * np.diag(self.J) * rates * speeds.sum() / hover
+        return np.linalg.solve(self.J, torque - np.cross(rates, self.J @ rates + momentum))
 
     def solve(self, position, quaternion, velocity, rates, initial_speeds, duration):
         """(position, quaternion, velocity, rates) after `duration`, to 1e-10."""
         initial_speeds = np.asarray(initial_speeds, float)
 
         def slope(t, s):
-            force, torque = self.wrench(
-                s[:3], s[3:7] / np.linalg.norm(s[3:7]), s[7:10], self.speeds(initial_speeds, t)
-            )
+            speeds = self.speeds(initial_speeds, t)
+            q = s[3:7] / np.linalg.norm(s[3:7])
+            force, torque = self.wrench(s[:3], q, s[7:10], speeds, self.winding(speeds))
             x, y, z, w = s[3:7]
             p, q, r = s[10:13]
             turn = 0.5 * np.array(
@@ -81,7 +102,7 @@ class Reference:
                 ]
             )
             return np.concatenate(
-                [s[7:10], turn, force / self.a.mass, self.rates_slope(s[10:13], torque)]
+                [s[7:10], turn, force / self.a.mass, self.rates_slope(s[10:13], torque, speeds)]
             )
 
         start = np.concatenate([position, quaternion, velocity, rates])
@@ -98,12 +119,12 @@ class Reference:
         p, v, w = (np.array(value, float) for value in (position, velocity, rates))
         R, n = Rotation.from_quat(quaternion), np.asarray(initial_speeds, float)
         for _ in range(steps):
-            n = np.asarray(self.speeds(n, dt))
-            force, torque = self.wrench(p, R.as_quat(), v, n)
-            k1 = self.rates_slope(w, torque)
-            k2 = self.rates_slope(w + dt / 2 * k1, torque)
-            k3 = self.rates_slope(w + dt / 2 * k2, torque)
-            k4 = self.rates_slope(w + dt * k3, torque)
+            before, n = n, np.asarray(self.speeds(n, dt))
+            force, torque = self.wrench(p, R.as_quat(), v, n, (n - before) / dt)
+            k1 = self.rates_slope(w, torque, n)
+            k2 = self.rates_slope(w + dt / 2 * k1, torque, n)
+            k3 = self.rates_slope(w + dt / 2 * k2, torque, n)
+            k4 = self.rates_slope(w + dt * k3, torque, n)
             w = w + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
             v = v + dt * force / self.a.mass
             p = p + dt * v

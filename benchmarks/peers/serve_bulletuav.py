@@ -17,7 +17,7 @@ from bulletuav.engine.engine import Engine
 from bulletuav.envs.gymnasium import CentralAviary
 from bulletuav.sensors.lidar import cast, make_beams
 from bulletuav.tasks.lidar_navigation import LidarNavigation
-from bulletuav.vehicle.airframe import load_airframe
+from bulletuav.vehicle.airframes import load_airframe
 
 CITY = {"num_drones": 3, "num_beams": 16, "max_range": 60.0}
 # A decision in one piece.

@@ -14,7 +14,7 @@ import numpy as np
 from bulletuav.dynamics import DYNAMICS
 from bulletuav.engine.engine import Engine
 from bulletuav.envs.aviary import Aviary
-from bulletuav.vehicle.airframe import load_airframe
+from bulletuav.vehicle.airframes import load_airframe
 from bulletuav.vehicle.swarm import Swarm
 
 SIZES = (1, 10, 100, 1000)

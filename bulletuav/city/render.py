@@ -5,7 +5,7 @@ import numpy as np
 from bulletuav.engine.engine import Engine
 from bulletuav.geometry.solids import Solids
 from bulletuav.geometry.view import AIR, SKY, projection_matrix, view_matrix
-from bulletuav.vehicle.airframe import load_airframe
+from bulletuav.vehicle.airframes import load_airframe
 
 FIELD_OF_VIEW = 40.0
 """Vertical, degrees"""

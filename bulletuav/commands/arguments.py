@@ -19,7 +19,7 @@ from bulletuav.envs.options import EnvOptions
 from bulletuav.envs.resolve import resolve
 from bulletuav.policies import PolicySpec, policy_names
 from bulletuav.tasks import find_task
-from bulletuav.vehicle.airframe import available_airframes
+from bulletuav.vehicle.airframes import available_airframes
 
 Advance = Callable[[int], None]
 """Function that takes how many more episodes are done"""

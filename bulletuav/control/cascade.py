@@ -20,7 +20,8 @@ from bulletuav.control.lee import (
     torque_setpoint,
     velocity_setpoint,
 )
-from bulletuav.control.pid import MEMORY, pid_rotors
+from bulletuav.control.observers import MEMORY, learned_push, learned_torque
+from bulletuav.control.pid import pid_rotors
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.geometry.rotation import (
     Quat4,
@@ -30,9 +31,12 @@ from bulletuav.geometry.rotation import (
     axes,
     dot,
     from_euler,
+    plus,
     quat4,
 )
 from bulletuav.kernel import func
+from bulletuav.vehicle.aerodynamics import drag
+from bulletuav.vehicle.rotors import rotor_wrench
 from bulletuav.vehicle.swarm import Swarm, get
 
 LEE = 0
@@ -53,29 +57,33 @@ class Cascade(NamedTuple):
         controller: A value of `CONTROLLERS`.
         nominal: (W, N) rows of `PARAMETERS` that the controller believes in.
         gains: (W, N) rows of `GAINS`.
-        memory: (W, N, 6) integrals of the PID, zero at reset.
+        memory: (W, N, M) integrals of the PID, or what observers remember; zero at reset.
+        integral: Whether the Lee controller learns steady pushes.
     """
 
     controller: int
     nominal: np.ndarray
     gains: np.ndarray
     memory: np.ndarray
+    integral: bool
 
     @classmethod
-    def of(cls, controller: str, nominal: np.ndarray, gains: np.ndarray) -> "Cascade":
+    def of(
+        cls, controller: str, nominal: np.ndarray, gains: np.ndarray, integral: bool = False
+    ) -> "Cascade":
         """Make a controller whose memory is empty.
 
         Args:
             controller: A name in `CONTROLLERS`.
             nominal: (W, N) rows of `PARAMETERS`.
             gains: (W, N) rows of `GAINS`.
+            integral: Whether the Lee controller learns steady pushes.
 
         Returns:
             The controller.
         """
         memory = np.zeros((*gains.shape, MEMORY))
-        number = CONTROLLERS[controller]
-        return cls(controller=number, nominal=nominal, gains=gains, memory=memory)
+        return cls(CONTROLLERS[controller], nominal, gains, memory, integral)
 
 
 @func
@@ -84,6 +92,8 @@ def lee_rotors(
     setpoint: Quat4Like,
     state: State,
     total_speed: float,
+    push: Vec3,
+    twist: Vec3,
     nominal: np.record,
     gain: GainRow,
     gravity: float,
@@ -96,6 +106,8 @@ def lee_rotors(
         setpoint: The setpoint's four numbers.
         state: State of the drone.
         total_speed: Sum of its rotors' speeds, rad/s.
+        push: Acceleration that is to be made up for, m/s^2, world.
+        twist: Torque that is to be made up for, N m, body axes.
         nominal: Row of `PARAMETERS`.
         gain: Row of `GAINS`.
         gravity: Gravitational acceleration, m/s^2.
@@ -117,7 +129,7 @@ def lee_rotors(
     if level <= SetpointLevel.ATTITUDE:
         if level <= SetpointLevel.ACCELERATION:
             force = force_setpoint(
-                target,
+                plus(target, -1.0, push),
                 quaternion,
                 velocity,
                 total_speed,
@@ -130,7 +142,8 @@ def lee_rotors(
         else:
             desired = axes(from_euler(target[0], target[1], target[2]))
         target = rates_setpoint(quaternion, desired, gain)
-    torque = torque_setpoint(rates, target, nominal, gain)
+    torque = torque_setpoint(rates, target, total_speed, nominal, gain)
+    torque = plus(torque, -1.0, twist)
     mix(thrust, torque, nominal, gain, command)
 
 
@@ -175,7 +188,7 @@ def step_pid(
         level: POSITION or VELOCITY of `SetpointLevel`.
         setpoint: The setpoint's four numbers.
         state: State of the drone.
-        memory: (W, N, 6) integrals of all drones.
+        memory: (W, N, M) integrals of all drones, the first six.
         w: Index of the world.
         i: Index of the drone.
         dt: Time since the last step, s.
@@ -264,7 +277,7 @@ def command_rotors(
         gravity: Gravitational acceleration, m/s^2.
         command: (R,) speed of each rotor, rad/s, which is written.
     """
-    controller, all_nominal, all_gains, memory = cascade
+    controller, all_nominal, all_gains, memory, integral = cascade
     nominal = all_nominal[w, i]
     gain = all_gains[w, i]
     level = levels[w, i]
@@ -277,15 +290,36 @@ def command_rotors(
         target = quat4(setpoint, w, i)
         step_pid(level, target, state, memory, w, i, dt, gravity, nominal, gain, command)
     else:
-        # The drag that Lee's controller compensates grows with the speed of all rotors.
-        total_speed = 0.0
-        for r in range(nominal.num_rotors):
-            total_speed += swarm.rotor_speed[w, i, r]
+        # What the rotors and the air do now, as far as the controller knows.
+        _, quaternion, velocity, rates = state
+        rotors = rotor_wrench(swarm.rotor_speed[w, i], 0.0, nominal)
+        slowed, twist = drag(quaternion, velocity, rotors[2], nominal)
+        push = (0.0, 0.0, 0.0)
+        if integral:
+            push = learned_push(
+                quaternion,
+                velocity,
+                rotors[0],
+                slowed,
+                memory,
+                w,
+                i,
+                dt,
+                gravity,
+                nominal,
+                gain,
+            )
+        # Wind turns drones whose drag acts far above the centre of mass.
+        if nominal.drag_height > 0.0:
+            learned = learned_torque(rates, rotors, twist, memory, w, i, dt, nominal, gain)
+            twist = plus(twist, 1.0, learned)
         lee_rotors(
             level,
             quat4(setpoint, w, i),
             state,
-            total_speed,
+            rotors[2],
+            push,
+            twist,
             nominal,
             gain,
             gravity,

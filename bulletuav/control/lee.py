@@ -24,10 +24,11 @@ from bulletuav.geometry.rotation import (
     axes,
     cross,
     dot,
-    to_body,
-    to_world,
+    plus,
 )
 from bulletuav.kernel import func
+from bulletuav.vehicle.aerodynamics import drag
+from bulletuav.vehicle.wrench import damping_torque
 
 
 @func
@@ -103,17 +104,10 @@ def force_setpoint(
     Returns:
         Force, N, world.
     """
-    # Rotor drag is linear in the velocity along body axes and in the sum of rotor speeds.
-    body_velocity = to_body(quaternion, velocity)
-    drag_xy = row.drag_xy * total_speed
-    drag_z = row.drag_z * total_speed
-    drag = to_world(
-        quaternion,
-        (drag_xy * body_velocity[0], drag_xy * body_velocity[1], drag_z * body_velocity[2]),
-    )
-    x = row.mass * acceleration[0] + drag[0]
-    y = row.mass * acceleration[1] + drag[1]
-    z = row.mass * (acceleration[2] + gravity) + drag[2]
+    slowed, _ = drag(quaternion, velocity, total_speed, row)
+    x = row.mass * acceleration[0] - slowed[0]
+    y = row.mass * acceleration[1] - slowed[1]
+    z = row.mass * (acceleration[2] + gravity) - slowed[2]
 
     # Height first: what is left of the thrust, within the tilt, goes sideways.
     most = 0.9 * gain.max_thrust
@@ -197,12 +191,18 @@ def rates_setpoint(
 
 
 @func
-def torque_setpoint(rates: Vec3Like, target: Vec3Like, row: np.record, gain: GainRow) -> Vec3:
-    """Step from RATES to a body torque: -k_W (W - W_target) + W x J W.
+def torque_setpoint(
+    rates: Vec3Like, target: Vec3Like, total_speed: float, row: np.record, gain: GainRow
+) -> Vec3:
+    """Step from RATES to a body torque: -k_W (W - W_target) + W x J W + c W_target.
+
+    The last term, which is not in the source, carries the damping c by the rotors: without it rates
+    that are held would stay below the target.
 
     Args:
         rates: Body rates W of the drone, rad/s.
         target: Body rates wanted, rad/s.
+        total_speed: Sum of the rotors' speeds, rad/s.
         row: Row of `PARAMETERS`.
         gain: Row of `GAINS`.
 
@@ -210,13 +210,13 @@ def torque_setpoint(rates: Vec3Like, target: Vec3Like, row: np.record, gain: Gai
         Torque, N m, body axes.
     """
     momentum = (row.inertia[0] * rates[0], row.inertia[1] * rates[1], row.inertia[2] * rates[2])
-    gyroscopic = cross(rates, momentum)
+    carried = plus(cross(rates, momentum), 1.0, damping_torque(target, total_speed, row))
     twice = 2.0 * gain.damping
     frequency = gain.attitude_frequency
     return (
-        gyroscopic[0] - twice * row.inertia[0] * frequency[0] * (rates[0] - target[0]),
-        gyroscopic[1] - twice * row.inertia[1] * frequency[1] * (rates[1] - target[1]),
-        gyroscopic[2] - twice * row.inertia[2] * frequency[2] * (rates[2] - target[2]),
+        carried[0] - twice * row.inertia[0] * frequency[0] * (rates[0] - target[0]),
+        carried[1] - twice * row.inertia[1] * frequency[1] * (rates[1] - target[1]),
+        carried[2] - twice * row.inertia[2] * frequency[2] * (rates[2] - target[2]),
     )
 
 

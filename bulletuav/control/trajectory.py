@@ -11,7 +11,8 @@ from scipy.interpolate import BSpline, PPoly, make_interp_spline
 
 from bulletuav.control.gains import gain_rows
 from bulletuav.errors import finite, numbers_of, points_of
-from bulletuav.vehicle.airframe import Airframe, load_airframe
+from bulletuav.vehicle.airframe import Airframe
+from bulletuav.vehicle.airframes import load_airframe
 
 AXES = 4
 """Numbers along a trajectory: x, y, z (m) and yaw (rad)"""

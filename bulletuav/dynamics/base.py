@@ -26,7 +26,7 @@ from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.setpoints import convert
 from bulletuav.engine.c_extension import surface_below
 from bulletuav.engine.engine import Engine
-from bulletuav.geometry.rotation import dot, vec3
+from bulletuav.geometry.rotation import dot, plus, vec3
 from bulletuav.kernel import func, kernel
 from bulletuav.program import Program
 from bulletuav.vehicle.swarm import Contacts, Motion, Swarm
@@ -42,6 +42,7 @@ class Air(NamedTuple):
         gravity: m/s^2, downwards.
         force: (W, N, 3) what pushes each drone from outside, world axes, N.
         torque: (W, N, 3) what turns it from outside, body axes, N m.
+        supply: (W, N) share of the commanded rotor speed that the battery's voltage gives.
     """
 
     wind: np.ndarray
@@ -49,17 +50,26 @@ class Air(NamedTuple):
     gravity: float
     force: np.ndarray
     torque: np.ndarray
+    supply: np.ndarray
 
 
 @func
-def surroundings(air: Air, w: int, i: int) -> Around:
-    """Return what surrounds one drone, as `wrench` takes it."""
+def surroundings(air: Air, w: int, i: int, wake: np.ndarray) -> Around:
+    """Return what surrounds one drone, as `wrench` takes it.
+
+    Args:
+        air: What surrounds all drones.
+        w: Index of the world.
+        i: Index of the drone.
+        wake: (N, 4) the wakes on the drones of this world, see `wakes`.
+    """
+    force = vec3(air.force, w, i)
     return (
         vec3(air.wind, w, i),
         air.surface[w, i],
         air.gravity,
-        vec3(air.force, w, i),
-        vec3(air.torque, w, i),
+        (force[0], force[1], force[2] - wake[i, 0]),
+        plus(vec3(air.torque, w, i), 1.0, (wake[i, 1], wake[i, 2], wake[i, 3])),
     )
 
 
@@ -149,6 +159,7 @@ class Dynamics(ABC):
         contact: What its contacts need.
         force: (W, N, 3) what pushes drones from outside, world axes, N; zeros unless written to.
         torque: (W, N, 3) what turns them from outside, body axes, N m; zeros unless written to.
+        supply: (W, N) share of the commanded rotor speed that motors reach; ones unless written to.
     """
 
     name: ClassVar[str]
@@ -176,6 +187,7 @@ class Dynamics(ABC):
         )
         gains = flight.parameters["ground_effect_gain"]
         self.force, self.torque = np.zeros((2, *flight.parameters.shape, 3))
+        self.supply = np.ones(flight.parameters.shape)
         self._near_ground = self.feels_surface and bool((gains > 0).any())
 
     @property
@@ -262,7 +274,7 @@ class Dynamics(ABC):
         flight = self.flight
         program.call(begin_decision, self.contact, alive, flight.substeps * flight.dt)
         surface = np.full(alive.shape, -np.inf)
-        air = Air(wind, surface, flight.gravity, self.force, self.torque)
+        air = Air(wind, surface, flight.gravity, self.force, self.torque, self.supply)
         if self._near_ground:
             self._add_surface(program, swarm, alive, air.surface)
         self.add_flight(program, swarm, alive, levels, setpoint, air)

@@ -17,138 +17,17 @@ import numpy as np
 
 from bulletuav.contact.contacts import meet_all, place_obstacles, remember_all
 from bulletuav.contact.rest import Contact, bears, wake
-from bulletuav.control.cascade import Cascade, command_rotors
+from bulletuav.control.cascade import Cascade
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.dynamics.base import Air, Dynamics, Flight, surroundings
+from bulletuav.dynamics.base import Air, Dynamics, Flight
+from bulletuav.dynamics.drive import drive
 from bulletuav.engine.c_extension import Port, substep, surface_below, write_states
-from bulletuav.geometry.rotation import Vec3, cross, plus, quat4, vec3
-from bulletuav.kernel import allocating, borrowed, func, kernel
+from bulletuav.geometry.rotation import plus, quat4, vec3
+from bulletuav.kernel import allocating, borrowed, kernel
 from bulletuav.program import Program
 from bulletuav.registry import register
-from bulletuav.vehicle.aerodynamics import wakes
 from bulletuav.vehicle.airframe import MAX_ROTORS
-from bulletuav.vehicle.rotors import lag_decay, lagged, rotor_wrench
 from bulletuav.vehicle.swarm import Contacts, Swarm
-from bulletuav.vehicle.wrench import SMALL_TURN, body_acceleration, spin_parts, wrench
-
-
-@func
-def _slopes(rates: Vec3, torque: Vec3, dt: float, row: np.record) -> Vec3:
-    """Return six times the weighted mean of the four slopes of the rates (RK4), rad/s^2."""
-    k1 = body_acceleration(rates, torque, row)
-    k2 = body_acceleration(plus(rates, 0.5 * dt, k1), torque, row)
-    k3 = body_acceleration(plus(rates, 0.5 * dt, k2), torque, row)
-    k4 = body_acceleration(plus(rates, dt, k3), torque, row)
-    return (
-        k1[0] + 2 * k2[0] + 2 * k3[0] + k4[0],
-        k1[1] + 2 * k2[1] + 2 * k3[1] + k4[1],
-        k1[2] + 2 * k2[2] + 2 * k3[2] + k4[2],
-    )
-
-
-@func
-def engine_torque(
-    rates: Vec3,
-    torque: Vec3,
-    dt: float,
-    row: np.record,
-) -> Vec3:
-    """Return the torque M' with which Bullet's step of the rates lands on the RK4 solution for M.
-
-    Bullet's step is explicit: w + dt J^-1 (M' - w x J w).
-
-    Args:
-        rates: Body rates w before the substep, rad/s.
-        torque: M in body axes, N m.
-        dt: Duration of the substep, s.
-        row: Row of `PARAMETERS` of the drone.
-
-    Returns:
-        M' in body axes, N m.
-    """
-    parts = spin_parts(rates, dt, SMALL_TURN)
-    step = dt / parts
-    slope = _slopes(rates, torque, step, row)
-    total = slope
-    now = rates
-    for _ in range(parts - 1):
-        now = plus(now, step / 6.0, slope)
-        slope = _slopes(now, torque, step, row)
-        total = plus(total, 1.0, slope)
-    total = (total[0] / parts, total[1] / parts, total[2] / parts)
-
-    # What Bullet takes off again: w x J w
-    inertia = row.inertia
-    momentum = (
-        inertia[0] * rates[0],
-        inertia[1] * rates[1],
-        inertia[2] * rates[2],
-    )
-    gyroscopic = cross(rates, momentum)
-    return (
-        gyroscopic[0] + inertia[0] * total[0] / 6.0,
-        gyroscopic[1] + inertia[1] * total[1] / 6.0,
-        gyroscopic[2] + inertia[2] * total[2] / 6.0,
-    )
-
-
-@kernel
-def drive(
-    swarm: Swarm,
-    alive: np.ndarray,
-    levels: np.ndarray,
-    setpoint: np.ndarray,
-    cascade: Cascade,
-    parameters: np.ndarray,
-    air: Air,
-    dt: float,
-    force: np.ndarray,
-    torque: np.ndarray,
-    room: np.ndarray,
-) -> None:
-    """Run controllers and rotors of one substep, and fill in the wrenches for the engine.
-
-    Args:
-        swarm: State before the substep; its rotor speeds are advanced.
-        alive: (W, N) bool, drones that fly.
-        levels: (W, N) `SetpointLevel` of each drone's setpoint.
-        setpoint: (W, N, S) setpoints.
-        cascade: The controllers.
-        parameters: (W, N) rows of `PARAMETERS`.
-        air: What surrounds the drones.
-        dt: Duration of the substep, s.
-        force: (W, N, 3) forces to be written, world axes, N.
-        torque: (W, N, 3) torques to be written, body axes, N m.
-        room: (3, most of N and `MAX_ROTORS`) room for commands, rotor speeds and wakes.
-    """
-    swarm, cascade, air, room = borrowed((swarm, cascade, air, room))
-    command, speed, wake = room[0], room[1], room[2, : alive.shape[1]]
-    for w in range(alive.shape[0]):
-        # Downwash of all on all
-        wakes(w, swarm.position, alive, parameters, air.gravity, wake)
-        for i in range(alive.shape[1]):
-            if alive[w, i]:
-                # Controllers, then the lag of the rotors
-                row = parameters[w, i]
-                decay = lag_decay(dt, row)
-                command_rotors(levels, setpoint, w, i, swarm, cascade, dt, air.gravity, command)
-                for rotor in range(row.num_rotors):
-                    now = swarm.rotor_speed[w, i, rotor]
-                    after = lagged(now, command[rotor], decay)
-                    swarm.rotor_speed[w, i, rotor] = after
-                    speed[rotor] = after
-
-                # Wrench at the state before the substep with the rotor speeds after it
-                around = surroundings(air, w, i)
-                quaternion = quat4(swarm.quaternion, w, i)
-                velocity = vec3(swarm.velocity, w, i)
-                altitude = swarm.position[w, i, 2]
-                rotors = rotor_wrench(speed, row)
-                push, turn = wrench(quaternion, velocity, altitude, rotors, around, wake[i], row)
-                turn = engine_torque(vec3(swarm.rates, w, i), turn, dt, row)
-                for k in range(3):
-                    force[w, i, k] = push[k]
-                    torque[w, i, k] = turn[k]
 
 
 @kernel
@@ -207,6 +86,7 @@ def advance(
     force: np.ndarray,
     torque: np.ndarray,
     room: np.ndarray,
+    wake: np.ndarray,
     contact: Contact,
     driven: np.ndarray,
     flying: np.ndarray,
@@ -228,6 +108,7 @@ def advance(
         force: (W, N, 3) room for forces, N.
         torque: (W, N, 3) room for torques, N m.
         room: Room for `drive`.
+        wake: (N, 4) room for wakes.
         contact: What contacts need.
         driven: (W, N) bool, room for those whose rotors turn.
         flying: (W, N) bool, room for those whom the engine moves.
@@ -240,7 +121,20 @@ def advance(
         if near_ground:
             place_obstacles(contact, piece / substeps, substeps * dt)
             surface_below(port, swarm.position, driven, air.surface)
-        drive(swarm, driven, levels, setpoint, cascade, parameters, air, dt, force, torque, room)
+        drive(
+            swarm,
+            driven,
+            levels,
+            setpoint,
+            cascade,
+            parameters,
+            air,
+            dt,
+            force,
+            torque,
+            room,
+            wake,
+        )
         choose_flying(alive, parameters, force, torque, swarm, dt, contact, flying)
         substep(port, force, torque, flying, swarm)
         # What they would have flown into; the engine goes on from there
@@ -266,7 +160,8 @@ class BulletDynamics(Dynamics):
         super().__init__(flight)
         self._force, self._torque = np.zeros((2, *flight.parameters.shape, 3))
         self._driven, self._flying = np.zeros((2, *flight.parameters.shape), dtype=bool)
-        self._room = np.zeros((3, max(MAX_ROTORS, flight.parameters.shape[1])))
+        self._room = np.zeros((2, MAX_ROTORS))
+        self._wake = np.zeros((flight.parameters.shape[1], 4))
         self._in_engine = Contacts.none()
 
     def place(self, swarm: Swarm, mask: np.ndarray) -> None:
@@ -344,6 +239,7 @@ class BulletDynamics(Dynamics):
             force=self._force,
             torque=self._torque,
             room=self._room,
+            wake=self._wake,
         )
 
     def _advance_once(self, inputs: "_Inputs") -> None:
@@ -398,3 +294,4 @@ class _Inputs(NamedTuple):
     force: np.ndarray
     torque: np.ndarray
     room: np.ndarray
+    wake: np.ndarray

@@ -18,28 +18,30 @@ from bulletuav.geometry.rotation import Quat4, Vec3, normalised
 from bulletuav.kernel import allocating, borrowed, func
 from bulletuav.program import Program
 from bulletuav.registry import register
-from bulletuav.vehicle.aerodynamics import wakes
-from bulletuav.vehicle.rotors import lag_decay, lagged, rotor_wrench
+from bulletuav.vehicle.rotors import Rotors, lag_decay, lagged, rotor_wrench, spin_up
 from bulletuav.vehicle.swarm import Swarm, get, put
+from bulletuav.vehicle.wake import wakes
 from bulletuav.vehicle.wrench import SMALL_TURN, Around, body_acceleration, spin_parts, wrench
 
 State = tuple[Vec3, Quat4, Vec3, Vec3]
 """Position, quaternion, velocity and rates of one drone, or their slopes"""
-RotorWrench = tuple[float, Vec3, float]
-"""Thrust, torque and sum of speeds, as `rotor_wrench` gives them"""
+Stages = tuple[Rotors, Rotors, Rotors]
+"""What the rotors do at the begin, middle and end of a substep"""
+Speeds = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Rotor speeds (R,) at the same times, rad/s"""
 
 
 @func
 def _slope(
     state: State,
-    rotors: RotorWrench,
+    speed: np.ndarray,
+    rotors: Rotors,
     around: Around,
-    wake: float,
     row: np.record,
 ) -> State:
-    """Return the time derivative of a state; `wake` is the downwash of other drones, N."""
+    """Return the time derivative of a state under rotors at some speed (R,)."""
     position, quaternion, velocity, rates = state
-    force, torque = wrench(quaternion, velocity, position[2], rotors, around, wake, row)
+    force, torque = wrench(quaternion, velocity, position[2], speed, rotors, around, row)
 
     # Kinematics of the quaternion (x, y, z, w) under body rates (p, q, r)
     x, y, z, w = quaternion
@@ -58,7 +60,7 @@ def _slope(
         lightness * force[1],
         lightness * force[2],
     )
-    spinning = body_acceleration(rates, torque, row)
+    spinning = body_acceleration(rates, torque, rotors[2], rotors[3], row)
     return velocity, turning, acceleration, spinning
 
 
@@ -95,21 +97,17 @@ def _moved(state: State, time: float, slope: State) -> State:
 @func
 def _rk4(
     state: State,
-    rotors: tuple[RotorWrench, RotorWrench, RotorWrench],
+    speeds: Speeds,
+    rotors: Stages,
     dt: float,
     around: Around,
-    wake: float,
     row: np.record,
 ) -> State:
-    """Return a state after one classical Runge-Kutta step.
-
-    `rotors` holds what they give at the begin, middle and end of the step.
-    """
-    begin, middle, end = rotors
-    k1 = _slope(state, begin, around, wake, row)
-    k2 = _slope(_moved(state, 0.5 * dt, k1), middle, around, wake, row)
-    k3 = _slope(_moved(state, 0.5 * dt, k2), middle, around, wake, row)
-    k4 = _slope(_moved(state, dt, k3), end, around, wake, row)
+    """Return a state after one classical Runge-Kutta step."""
+    k1 = _slope(state, speeds[0], rotors[0], around, row)
+    k2 = _slope(_moved(state, 0.5 * dt, k1), speeds[1], rotors[1], around, row)
+    k3 = _slope(_moved(state, 0.5 * dt, k2), speeds[1], rotors[1], around, row)
+    k4 = _slope(_moved(state, dt, k3), speeds[2], rotors[2], around, row)
     # k1 + 2 k2 + 2 k3 + k4
     total = _moved(k1, 2.0, k2)
     total = _moved(total, 2.0, k3)
@@ -139,33 +137,40 @@ def _lag_stages(
 def _turn_rotors(
     speed: np.ndarray,
     command: np.ndarray,
+    supply: float,
     decay: np.ndarray,
     w: int,
     i: int,
     row: np.record,
-    begin: np.ndarray,
-    middle: np.ndarray,
-    end: np.ndarray,
-) -> tuple[RotorWrench, RotorWrench, RotorWrench]:
+    speeds: Speeds,
+) -> Stages:
     """Let the rotors of drone i in world w follow their commands for a substep.
 
-    `decay` (N, 3, 2) is their lag until its begin, middle and end. `begin`, `middle` and `end` (R,)
-    are room for the speeds there. Returns the wrenches at these three times.
+    `supply` is the share of the commands that they reach. `decay` (N, 3, 2) is their lag until its
+    begin, middle and end. `speeds` is room for the rotor speeds then. Returns what they do then.
     """
+    begin, middle, end = speeds
     at_begin = (decay[i, 0, 0], decay[i, 0, 1])
     at_middle = (decay[i, 1, 0], decay[i, 1, 1])
     at_end = (decay[i, 2, 0], decay[i, 2, 1])
+    winding0 = winding1 = winding2 = 0.0
     for rotor in range(row.num_rotors):
         now = speed[w, i, rotor]
-        wanted = command[i, rotor]
+        wanted = supply * command[i, rotor]
         begin[rotor] = lagged(now, wanted, at_begin)
         middle[rotor] = lagged(now, wanted, at_middle)
         end[rotor] = lagged(now, wanted, at_end)
         speed[w, i, rotor] = end[rotor]
+        # What is left of the way, and with it the acceleration, shrinks as the lag tells
+        turn = row.rotor_turn[rotor] * spin_up(begin[rotor], wanted, row)
+        faster = wanted > now
+        winding0 += turn
+        winding1 += turn * (at_middle[0] if faster else at_middle[1])
+        winding2 += turn * (at_end[0] if faster else at_end[1])
     return (
-        rotor_wrench(begin, row),
-        rotor_wrench(middle, row),
-        rotor_wrench(end, row),
+        rotor_wrench(begin, winding0, row),
+        rotor_wrench(middle, winding1, row),
+        rotor_wrench(end, winding2, row),
     )
 
 
@@ -199,7 +204,7 @@ def advance(
     swarm, cascade, air, contact = borrowed((swarm, cascade, air, contact))
     # Room that all worlds share
     num_drones, num_rotors = swarm.rotor_speed.shape[1:]
-    wake = np.empty(num_drones)
+    wake = np.empty((num_drones, 4))
     commands = np.empty((num_drones, num_rotors))
     command = np.empty(num_rotors)
     begin = np.empty(num_rotors)
@@ -212,7 +217,7 @@ def advance(
         for substep in range(substeps):
             remember(contact, swarm, w)
             # Wakes and commands of all drones come from the state before any of them moves
-            wakes(w, swarm.position, alive, parameters, air.gravity, wake)
+            wakes(w, swarm, alive, parameters, wake)
             for i in range(num_drones):
                 if alive[w, i] and not contact.stopped[w, i]:
                     command_rotors(levels, setpoint, w, i, swarm, cascade, dt, air.gravity, command)
@@ -223,21 +228,22 @@ def advance(
             for i in range(num_drones):
                 if alive[w, i] and not contact.stopped[w, i]:
                     row = parameters[w, i]
-                    rotors = _turn_rotors(
-                        swarm.rotor_speed, commands, decay, w, i, row, begin, middle, end
-                    )
-                    around = surroundings(air, w, i)
+                    speed = swarm.rotor_speed
+                    supply = air.supply[w, i]
+                    speeds = (begin, middle, end)
+                    rotors = _turn_rotors(speed, commands, supply, decay, w, i, row, speeds)
+                    around = surroundings(air, w, i, wake)
                     state = get(swarm, w, i)
                     if contact.asleep[w, i]:
                         # Who rests is left alone as long as it bears its forces
-                        _, _, pull, spinning = _slope(state, rotors[2], around, wake[i], row)
+                        _, _, pull, spinning = _slope(state, end, rotors[2], around, row)
                         if bears(contact, w, i, state[1], pull, spinning, row, dt):
                             continue
                         rouse(contact, w, i)
                     # Fast spins in pieces: their precession is stiff
                     parts = spin_parts(state[3], dt, SMALL_TURN)
                     for _ in range(parts):
-                        state = _rk4(state, rotors, dt / parts, around, wake[i], row)
+                        state = _rk4(state, speeds, rotors, dt / parts, around, row)
                     put(swarm, w, i, state)
 
             # What they would have flown into

@@ -7,7 +7,13 @@ import numpy as np
 from bulletuav.envs.options import EnvOptions
 from bulletuav.kernel import kernel
 from bulletuav.program import Program
-from bulletuav.vehicle.battery import Battery, drain
+from bulletuav.vehicle.battery import (
+    Battery,
+    drain,
+    loaded_voltage,
+    resting_voltage,
+    speed_share,
+)
 from bulletuav.vehicle.power import (
     ROTARY_WING,
     airframe_wing,
@@ -22,21 +28,30 @@ class Energy:
 
     With the option `energy` "zeng" power follows from the rotary-wing formula, at the velocity
     relative to the air. With "actuator", and always without gravity, it is that of the simulated
-    rotors.
+    rotors. Both are electrical, with the losses of the airframe's motors.
 
     Attributes:
         power: (W, N) mean power over the last decision, W.
+        voltage: (W, N) voltage of the batteries, V; 0 where the airframe tells of none.
     """
 
-    def __init__(self, options: EnvOptions, parameters: np.ndarray) -> None:
+    def __init__(self, options: EnvOptions, parameters: np.ndarray, supply: np.ndarray) -> None:
         """Start with full batteries.
 
         Args:
             options: Options of the environment.
             parameters: (W, N) rows of `PARAMETERS` with which the dynamics flies.
+            supply: (W, N) share of the commanded rotor speed that motors reach; written with the
+                effect "voltage".
         """
-        self.power = np.zeros(parameters.shape)
-        self._battery = Battery(parameters.shape, options.battery_capacity or math.inf)
+        self.power, self.voltage = np.zeros((2, *parameters.shape))
+        self._battery = Battery(parameters.shape, _capacities(options))
+        # Cells, resistance and nominal voltage of each drone
+        self._packs = np.zeros((options.num_drones, 3))
+        for row, airframe in zip(self._packs, options.airframe, strict=True):
+            if airframe.pack is not None:
+                row[:] = airframe.pack.cells, airframe.pack.resistance, airframe.pack.voltage
+        self._supply = supply if "voltage" in options.effects else np.ones(parameters.shape)
         self._parameters = parameters
         self._period = 1 / options.decision_hz
         self._wings: np.ndarray | None = None
@@ -49,6 +64,7 @@ class Energy:
         """Begin episodes of worlds (S,) with full batteries."""
         self._battery.start(worlds)
         self.power[worlds] = 0
+        _fill_voltage(*self._voltage_arrays())
 
     def add_to(
         self,
@@ -72,21 +88,37 @@ class Energy:
         if self._wings is None:
             speeds = (before.rotor_speed, after.rotor_speed)
             program.call(fill_actuator_power, *speeds, self._parameters, self.power)
+            program.call(_add_losses, self._parameters, self.power)
         else:
             velocities = (before.velocity, after.velocity, wind)
             program.call(_fill_propulsion, *velocities, self._wings, self.power)
         program.call(_add_payload, payload, flown, self.power)
         battery = self._battery
         program.call(drain, self.power, self._period, flown, battery.energy, battery.charge)
+        if self._packs.any():
+            program.call(_fill_voltage, *self._voltage_arrays())
+
+    def _voltage_arrays(self) -> tuple[np.ndarray, ...]:
+        """Collect the arguments of `_fill_voltage`."""
+        return self._battery.charge, self.power, self._packs, self.voltage, self._supply
 
     def readings(self) -> dict[str, np.ndarray]:
         """Return what drones know of their energy.
 
         Returns:
-            "charge", share of the energy that is left, and "power", W: (W, N) each, which are
-            written anew in each decision.
+            "charge", share of the energy that is left, "power", W, and "voltage", V, 0 where the
+            airframe tells of no battery: (W, N) each, which are written anew in each decision.
         """
-        return {"charge": self._battery.charge, "power": self.power}
+        return {"charge": self._battery.charge, "power": self.power, "voltage": self.voltage}
+
+
+def _capacities(options: EnvOptions) -> np.ndarray:
+    """Compute the energy of full batteries, W h: (N,), or one number; infinite for no limit."""
+    if options.battery_capacity == "airframe":
+        return np.array([one.pack.capacity for one in options.airframe if one.pack is not None])
+    return np.array(
+        math.inf if options.battery_capacity is None else options.battery_capacity, float
+    )
 
 
 @kernel
@@ -102,6 +134,41 @@ def _fill_propulsion(
                 (before[w, i, 2] + after[w, i, 2]) / 2 - wind[w, i, 2],
             )
             power[w, i] = propulsion_power(velocity, wings[w, i])
+
+
+@kernel
+def _add_losses(parameters: np.ndarray, power: np.ndarray) -> None:
+    """Turn power at the shafts (W, N) into electrical power, W."""
+    for w in range(power.shape[0]):
+        for i in range(power.shape[1]):
+            row = parameters[w, i]
+            power[w, i] = power[w, i] / row.efficiency + row.electronics
+
+
+@kernel
+def _fill_voltage(
+    charge: np.ndarray,
+    power: np.ndarray,
+    packs: np.ndarray,
+    voltage: np.ndarray,
+    supply: np.ndarray,
+) -> None:
+    """Write the voltage of all batteries, and the share of rotor speeds that they give.
+
+    Args:
+        charge: (W, N) share of the energy that is left.
+        power: (W, N) power that is taken, W.
+        packs: (N, 3) cells, resistance (ohm) and nominal voltage (V) of each drone's battery.
+        voltage: (W, N) written, V.
+        supply: (W, N) written.
+    """
+    for w in range(voltage.shape[0]):
+        for i in range(voltage.shape[1]):
+            cells, resistance, nominal = packs[i]
+            if cells > 0.0:
+                rest = cells * resting_voltage(charge[w, i])
+                voltage[w, i] = loaded_voltage(rest, power[w, i], resistance)
+                supply[w, i] = speed_share(voltage[w, i], nominal)
 
 
 @kernel

@@ -33,7 +33,7 @@ MOST_WORLDS = 1_000_000
 BODY_BYTES, OBSTACLE_BYTES, LAYOUT_BYTES = 100_000, 5_000, 100_000
 """Of a drone, an obstacle and a city in one world of the engine, measured"""
 NUMBER_BYTES = 8
-ENERGY_READINGS = frozenset({"charge", "power"})
+ENERGY_READINGS = frozenset({"charge", "power", "voltage"})
 """Readings that come from the battery, not from a sensor"""
 
 

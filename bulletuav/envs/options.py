@@ -14,7 +14,8 @@ from bulletuav.envs.randomization import CERTAIN, Randomization
 from bulletuav.errors import as_int, as_sequence, choose, finite, shown, unknown
 from bulletuav.geometry.obstacle import MOST_FRICTION
 from bulletuav.sensors.lidar import FRAMES
-from bulletuav.vehicle.airframe import EFFECTS, STANDARD_GRAVITY, Airframe
+from bulletuav.vehicle.airframe import STANDARD_GRAVITY, Airframe
+from bulletuav.vehicle.parameters import EFFECTS, USUAL_EFFECTS
 from bulletuav.vehicle.wind import MOST_WIND, TURBULENCE, WindField, check_field
 
 ENERGIES = ("zeng", "actuator")
@@ -80,7 +81,11 @@ class EnvOptions:
         render_mode: None, "rgb_array" (pictures, no screen needed) or "human" (a live window).
         render_size: Width and height of pictures, pixels.
         controller: "lee" (geometric) or "pid" (the Crazyflie's own).
-        effects: Which of "lag", "drag", "ground_effect", "downwash" are simulated.
+        integral: Whether "lee" makes up for steady pushes that it does not know, such as wakes and
+            wind; see `bulletuav.control.push`.
+        effects: Which of `EFFECTS` are simulated: "lag" of the rotors, "drag" of the rotors,
+            "body_drag", "damping" of rates, "rotor_inertia", "ground_effect", "downwash", and
+            "voltage" of the battery. All but the last unless told otherwise.
         wind: Steady wind (east, north, up), m/s, or a function of positions (W, N, 3) m and times
             (W,) s that gives (W, N, 3) m/s.
         turbulence: Dryden gusts: None, "light", "moderate", "severe", or the wind speed at 20 feet
@@ -95,8 +100,8 @@ class EnvOptions:
         max_range: How far range finder and clearance reach, m.
         lidar_elevations: Degrees above the horizon.
         lidar_frame: "yaw" (the first beam along the drone's heading) or "world" (to the east).
-        battery_capacity: W h; a drone's episode ends with its charge; None for batteries that never
-            empty.
+        battery_capacity: W h, or "airframe" for the airframe's own battery; a drone's episode ends
+            with its charge. None for batteries that never empty.
         energy: What takes charge: "zeng" (rotary-wing formula) or "actuator" (the simulated rotors;
             also without gravity).
         rays: What answers the rays of sensors: "compiled" code, exact and fast, or "bullet" (the
@@ -129,7 +134,8 @@ class EnvOptions:
     render_mode: str | None = None
     render_size: tuple[int, int] = (640, 480)
     controller: str = "lee"
-    effects: tuple[str, ...] = EFFECTS
+    integral: bool = False
+    effects: tuple[str, ...] = USUAL_EFFECTS
     wind: tuple[float, float, float] | WindField = (0.0, 0.0, 0.0)
     turbulence: str | float | None = None
     randomization: Randomization = CERTAIN
@@ -140,7 +146,7 @@ class EnvOptions:
     max_range: float = 60.0
     lidar_elevations: tuple[float, ...] = (0.0,)
     lidar_frame: str = "yaw"
-    battery_capacity: float | None = None
+    battery_capacity: float | str | None = None
     energy: str = "zeng"
     rays: str = "compiled"
     contacts: str | None = None
@@ -183,8 +189,10 @@ class EnvOptions:
                 "observation is empty: name at least one block, or leave it out for the task's own"
             )
         check_names("effects", "effect", self.effects, EFFECTS)
-        if not isinstance(self.normalise, bool):
-            raise ValueError(f"normalise is {shown(self.normalise)}: True or False is needed")
+        for name in ("normalise", "integral"):
+            value = getattr(self, name)
+            if not isinstance(value, bool):
+                raise ValueError(f"{name} is {shown(value)}: True or False is needed")
         self._check_reward()
         self._check_sensors()
         self._check_flight()
@@ -230,15 +238,19 @@ class EnvOptions:
                 f"lidar_elevations: at most "
                 f"{MOST_BEAMS} beams in all are possible"
             )
-        if self.battery_capacity is not None:
-            self._keep(
-                "battery_capacity",
-                finite("battery_capacity", self.battery_capacity, most=MOST_CAPACITY),
-            )
-            if self.battery_capacity <= 0:
+        if self.battery_capacity == "airframe":
+            for airframe in self.airframe:
+                if airframe.pack is None:
+                    raise ValueError(
+                        f"battery_capacity is 'airframe', and airframe {airframe.name!r} has no "
+                        f"<battery> tag: give watt-hours"
+                    )
+        elif self.battery_capacity is not None:
+            capacity = finite("battery_capacity", self.battery_capacity, most=MOST_CAPACITY)
+            self._keep("battery_capacity", capacity)
+            if capacity <= 0:
                 raise ValueError(
-                    f"battery_capacity is {self.battery_capacity:g} W h: it must be above 0; None "
-                    f"for no limit"
+                    f"battery_capacity is {capacity:g} W h: it must be above 0; None for no limit"
                 )
 
     def _check_flight(self) -> None:
@@ -261,6 +273,8 @@ class EnvOptions:
                 f"action {self.action!r} needs gravity: use 'rotor' or 'rpm', all others steer "
                 f"thrust against weight"
             )
+        if self.integral and self.controller == "pid":
+            raise ValueError("integral is for controller 'lee': 'pid' has integrals of its own")
         if self.controller == "pid" and "lag" in self.effects:
             warnings.warn(
                 "controller 'pid' is made for motors without lag and may turn a drone over: leave "

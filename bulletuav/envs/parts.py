@@ -56,7 +56,7 @@ def make_dynamics(options: EnvOptions, engine: Engine) -> Dynamics:
     flight = Flight(
         engine,
         parameters,
-        Cascade.of(options.controller, parameters.copy(), gains),
+        Cascade.of(options.controller, parameters.copy(), gains, options.integral),
         1 / options.physics_hz,
         options.physics_hz // options.decision_hz,
         options.gravity,

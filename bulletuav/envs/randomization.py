@@ -23,13 +23,13 @@ DRONES = {
     "motor_lag": Uncertain(0.0, 100.0, usual=1.0),
     "battery": Uncertain(0.0, 1.0),
 }
-"""Of each drone: factors on mass and inertia, thrust, rotor drag and lag; thrust lost a minute"""
+"""Of each drone: factors on mass and inertia, thrust, drag and lag; thrust lost a minute"""
 WIND = {"wind": Uncertain(-100.0, 100.0, per="world")}
 """Each axis of a steady wind, m/s"""
 FACTORS = {
     "mass": ("mass", "inertia"),
     "thrust": ("thrust_coefficient", "torque_coefficient"),
-    "drag": ("drag_xy", "drag_z"),
+    "drag": ("drag_xy", "drag_z", "body_drag_xy", "body_drag_z", "damping"),
     "motor_lag": ("lag_up", "lag_down"),
 }
 """Which parameters of a drone each factor changes"""
@@ -56,8 +56,8 @@ class Randomization:
 
     For each drone:
 
-    - mass, thrust, drag, motor_lag: factors on the airframe's mass and inertia, thrust, rotor drag
-      and lag. Controllers know the airframe's own values only.
+    - mass, thrust, drag, motor_lag: factors on the airframe's mass and inertia, thrust, drag and
+      damping, and lag. Controllers know the airframe's own values only.
     - battery: share of the thrust lost a minute, down to half.
     - gps_noise: standard deviation of known positions, m; of known velocities a tenth of it, m/s.
     - gps_walk: random walk of known positions, m after one second, growing with the root of time.

@@ -21,7 +21,8 @@ from bulletuav.sensors.base import Sensor
 from bulletuav.sensors.suite import known_sensors
 from bulletuav.tasks.base import DEFAULTS, Task, TaskConfig
 from bulletuav.tasks.observations.base import Block
-from bulletuav.vehicle.airframe import Airframe, load_airframe
+from bulletuav.vehicle.airframe import Airframe
+from bulletuav.vehicle.airframes import load_airframe
 
 NEVER_NONE = (
     "num_drones",

@@ -78,7 +78,7 @@ class Worlds(Environment):
         self._uncertainty = Uncertainty(randomization, self._engine, self.parameters, self._wind)
         drawn = self._uncertainty.drawn
         self._sensors = SensorSuite(spec.sensors, spec.setup, self._engine, drawn)
-        self._energy = Energy(self.options, self.parameters)
+        self._energy = Energy(self.options, self.parameters, self._dynamics.supply)
         self._nothing_seen = np.zeros((*shape, self.task.num_targets), dtype=bool)
         self.rng: list[np.random.Generator] = [UNSTARTED] * self.num_worlds
         self._frame: Frame | None = None

@@ -10,7 +10,7 @@ from bulletuav.engine.engine import ENGINE_VERSION, EXTENSION, Engine
 from bulletuav.engine.screen import require_screen
 from bulletuav.errors import install
 from bulletuav.kernel import cache_folder
-from bulletuav.vehicle.airframe import load_airframe
+from bulletuav.vehicle.airframes import load_airframe
 from bulletuav.version import __version__
 
 PACKAGES = ("pybullet", "numpy", "numba", "scipy", "gymnasium", "pettingzoo", "matplotlib")

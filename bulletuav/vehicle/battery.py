@@ -1,12 +1,58 @@
-"""Batteries that give all of their energy at any power, without losses."""
+"""Batteries: their energy, which they give at any power, and the voltage of their cells."""
+
+import math
 
 import numpy as np
 
 from bulletuav.errors import numbers_of
-from bulletuav.kernel import kernel
+from bulletuav.kernel import func, kernel
 
 WATT_HOUR = 3600.0
 """Joules in a watt-hour."""
+VOLTS = np.array([3.27, *(3.69, 3.73, 3.77, 3.80, 3.84, 3.87, 3.95, 4.02, 4.11), 4.20])
+"""Voltage of a resting lithium-polymer cell at charges of 0, 10 % ... 100 %, a common table."""
+VOLTAGE_POWER = 0.89
+"""Relative change of the rotor speed at one command, over that of the voltage: fit to Crazyflies,
+see docs/truth.md."""
+
+
+@func
+def resting_voltage(charge: float) -> float:
+    """Return the voltage of a lithium-polymer cell at rest, V.
+
+    Args:
+        charge: Share of the charge that is left, from 0 to 1.
+    """
+    place = (VOLTS.size - 1) * min(max(charge, 0.0), 1.0)
+    low = min(int(place), VOLTS.size - 2)
+    volts: float = VOLTS[low] + (place - low) * (VOLTS[low + 1] - VOLTS[low])
+    return volts
+
+
+@func
+def loaded_voltage(rest: float, power: float, resistance: float) -> float:
+    """Return the voltage of a battery that gives a power: V = E - R P / V.
+
+    Args:
+        rest: Its voltage E at rest, V.
+        power: Power P that is taken, W.
+        resistance: Inner resistance R, ohm.
+
+    Returns:
+        The voltage, V; half of E where the battery cannot give the power.
+    """
+    return 0.5 * (rest + math.sqrt(max(rest * rest - 4.0 * power * resistance, 0.0)))
+
+
+@func
+def speed_share(voltage: float, nominal: float) -> float:
+    """Return the share of a commanded rotor speed that motors reach at a voltage.
+
+    Args:
+        voltage: Voltage of the battery, V.
+        nominal: Voltage at which they reach it, V.
+    """
+    return max(1.0 + VOLTAGE_POWER * (voltage / nominal - 1.0), 0.0)
 
 
 class Battery:

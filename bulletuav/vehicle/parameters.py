@@ -6,7 +6,21 @@ from typing import Protocol
 import numpy as np
 
 from bulletuav.errors import unknown
-from bulletuav.vehicle.airframe import DOWNWASH_GAIN, EFFECTS, MAX_ROTORS, Airframe
+from bulletuav.vehicle.airframe import DENSITY, MAX_ROTORS, Airframe
+
+EFFECTS = (
+    "lag",
+    "drag",
+    "body_drag",
+    "damping",
+    "rotor_inertia",
+    "ground_effect",
+    "downwash",
+    "voltage",
+)
+"""Effects that can be switched off."""
+USUAL_EFFECTS = EFFECTS[:-1]
+"""Effects that are on unless told otherwise: firmwares make up for the battery's voltage."""
 
 PARAMETERS = np.dtype(
     [
@@ -23,10 +37,20 @@ PARAMETERS = np.dtype(
         ("lag_down", "f8"),
         ("drag_xy", "f8"),
         ("drag_z", "f8"),
+        ("drag_height", "f8"),
+        ("body_drag_xy", "f8"),
+        ("body_drag_z", "f8"),
+        ("damping", "f8", 3),
+        ("rotor_inertia", "f8"),
         ("propeller_radius", "f8"),
+        ("arm", "f8"),
         ("ground_effect_gain", "f8"),
-        ("downwash_gain", "f8"),
-        ("downwash_radius", "f8"),
+        ("ground_effect_decay", "f8"),
+        ("wake_share", "f8"),
+        ("wake_spread", "f8"),
+        ("wake_radius", "f8"),
+        ("efficiency", "f8"),
+        ("electronics", "f8"),
         ("collision_radius", "f8"),
         ("thinnest", "f8"),
         ("friction", "f8"),
@@ -53,10 +77,21 @@ class ParameterRow(Protocol):
         lag_down: Time constant of a rotor that slows down, s; 0 for none.
         drag_xy: Drag of a rotor across its axis, for each m/s and rad/s, N.
         drag_z: Drag of a rotor along its axis, for each m/s and rad/s, N.
+        drag_height: Height above the centre of mass at which the rotors' drag acts, m.
+        body_drag_xy: Drag of the body in the rotor plane over the square of the speed, N s^2/m^2.
+        body_drag_z: The same across the rotor plane.
+        damping: (3,) torque that damps rates, for each rad/s of them and of the sum of the rotor
+            speeds, N m s^2.
+        rotor_inertia: Moment of inertia of a rotor, kg m^2; 0 for none.
         propeller_radius: Radius of the propellers, m.
-        ground_effect_gain: Factor of the ground effect; 0 for none.
-        downwash_gain: Gain of the downwash, N; 0 for none.
-        downwash_radius: Radius of the disc that the rotors sweep together, m.
+        arm: Distance of the outermost rotor from the centre of mass, m.
+        ground_effect_gain: Share of a rotor's thrust that a surface right below adds; 0 for none.
+        ground_effect_decay: Height over which that falls to 1/e, m.
+        wake_share: Share of the thrust that the wake puts on a drone right below; 0 for none.
+        wake_spread: Growth of the wake's width with the distance below.
+        wake_radius: Width of the wake at its start, m.
+        efficiency: Power at the rotors' shafts over electrical power.
+        electronics: Electrical power of all but the motors, W.
         collision_radius: Radius of the sphere that holds the collision shape, m.
         thinnest: Least extent of the collision shape, m.
         friction: Coefficient of friction of its surface.
@@ -76,10 +111,20 @@ class ParameterRow(Protocol):
     lag_down: float
     drag_xy: float
     drag_z: float
+    drag_height: float
+    body_drag_xy: float
+    body_drag_z: float
+    damping: np.ndarray
+    rotor_inertia: float
     propeller_radius: float
+    arm: float
     ground_effect_gain: float
-    downwash_gain: float
-    downwash_radius: float
+    ground_effect_decay: float
+    wake_share: float
+    wake_spread: float
+    wake_radius: float
+    efficiency: float
+    electronics: float
     collision_radius: float
     thinnest: float
     friction: float
@@ -92,6 +137,12 @@ _COPIED = (
     "thrust_coefficient",
     "max_rotor_speed",
     "propeller_radius",
+    "arm",
+    "ground_effect_decay",
+    "wake_spread",
+    "wake_radius",
+    "efficiency",
+    "electronics",
     "collision_radius",
     "thinnest",
     "friction",
@@ -100,7 +151,9 @@ _COPIED = (
 """Fields that an airframe has under the same name, and that no effect switches."""
 
 
-def parameter_rows(airframes: Sequence[Airframe], effects: Sequence[str] = EFFECTS) -> np.ndarray:
+def parameter_rows(
+    airframes: Sequence[Airframe], effects: Sequence[str] = USUAL_EFFECTS
+) -> np.ndarray:
     """Make the rows that the compiled loops read.
 
     Args:
@@ -132,9 +185,17 @@ def parameter_rows(airframes: Sequence[Airframe], effects: Sequence[str] = EFFEC
         if "drag" in effects:
             row["drag_xy"] = airframe.drag_xy
             row["drag_z"] = airframe.drag_z
+            row["drag_height"] = airframe.drag_height
+        if "body_drag" in effects:
+            row["body_drag_xy"] = 0.5 * DENSITY * airframe.body_drag[0]
+            row["body_drag_z"] = 0.5 * DENSITY * airframe.body_drag[1]
+        if "damping" in effects:
+            total_speed = len(airframe.rotors) * airframe.hover_speed()
+            row["damping"] = np.array(airframe.damping) * airframe.inertia / total_speed
+        if "rotor_inertia" in effects:
+            row["rotor_inertia"] = airframe.rotor_inertia
         if "ground_effect" in effects:
             row["ground_effect_gain"] = airframe.ground_effect_gain
         if "downwash" in effects:
-            row["downwash_gain"] = DOWNWASH_GAIN
-            row["downwash_radius"] = airframe.arm + airframe.propeller_radius
+            row["wake_share"] = airframe.wake_share
     return rows

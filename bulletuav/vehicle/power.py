@@ -1,4 +1,4 @@
-"""Power that rotors need, from the velocity through the air or from the torque of the rotors.
+"""Power that flight takes, from the velocity through the air or from the torque of the rotors.
 
 Level flight: Y. Zeng, J. Xu, R. Zhang, Energy Minimization for Wireless Communication with
 Rotary-Wing UAV, IEEE TWC 18(4), 2019. Climb and descent, which are not in it: axial momentum theory
@@ -15,11 +15,9 @@ from bulletuav.errors import finite
 from bulletuav.functions import hypot
 from bulletuav.geometry.rotation import Vec3Like, vec3
 from bulletuav.kernel import allocating, func, kernel
-from bulletuav.vehicle.airframe import STANDARD_GRAVITY, Airframe
+from bulletuav.vehicle.airframe import DENSITY, STANDARD_GRAVITY, Airframe
 
 # Airframes do not tell the following numbers. They get those of Zeng, Xu and Zhang (our choice).
-DENSITY = 1.225
-"""Density of the air, kg/m^3: standard atmosphere at sea level."""
 PROFILE_DRAG = 0.012
 """Profile drag coefficient of the blades."""
 SOLIDITY = 0.05
@@ -43,6 +41,8 @@ class RotaryWing(NamedTuple):
         solidity: Area of the blades over that of the discs.
         disc_area: Area of the discs of all rotors, m^2.
         weight: Weight, N.
+        efficiency: Power at the shafts over electrical power; 1 where no losses are counted.
+        electronics: Electrical power of all but the motors, W.
     """
 
     blade: float
@@ -54,6 +54,8 @@ class RotaryWing(NamedTuple):
     solidity: float
     disc_area: float
     weight: float
+    efficiency: float = 1.0
+    electronics: float = 0.0
 
 
 ROTARY_WING = np.dtype([(name, "f8") for name in RotaryWing._fields])
@@ -126,6 +128,10 @@ Its constants must not be mixed with those of `W20`.
 def airframe_wing(airframe: Airframe, gravity: float = STANDARD_GRAVITY) -> RotaryWing:
     """Compute the constants of an airframe at sea level.
 
+    Small rotors lose much more in their blades than helicopters, of which the formula is. So the
+    power of the blades is what the rotors' torque takes in hover beyond the induced power, and the
+    losses of motors and controllers are those of the airframe.
+
     Args:
         airframe: Its mass, propellers and hover speed count.
         gravity: Gravity, m/s^2.
@@ -135,12 +141,19 @@ def airframe_wing(airframe: Airframe, gravity: float = STANDARD_GRAVITY) -> Rota
     """
     radius = airframe.propeller_radius
     area = len(airframe.rotors) * math.pi * radius**2
-    return rotary_wing(
-        weight=airframe.mass * gravity,
+    weight, speed = airframe.mass * gravity, airframe.hover_speed(gravity)
+    wing = rotary_wing(
+        weight=weight,
         radius=radius,
         disc_area=area,
-        rotor_speed=airframe.hover_speed(gravity),
+        rotor_speed=speed,
         parasite_area=PARASITE_SHARE * area,
+    )
+    shafts = weight * airframe.torque_ratio * speed
+    return wing._replace(
+        blade=max(wing.blade, shafts - wing.induced),
+        efficiency=airframe.efficiency,
+        electronics=airframe.electronics,
     )
 
 
@@ -210,10 +223,10 @@ def vertical_power(climb: float, wing: RotaryWing) -> float:
 
 @func
 def propulsion_power(velocity: Vec3Like, wing: RotaryWing) -> float:
-    """Return the power at a velocity: that of level flight and climb.
+    """Return the power at a velocity: that of level flight and climb, with electrical losses.
 
-    It is at least the power of the blades in hover. Rotors turn in descent too, and none of the
-    power that the air gives back is stored (our choice).
+    The shafts take at least the power of the blades in hover. Rotors turn in descent too, and none
+    of the power that the air gives back is stored (our choice).
 
     Args:
         velocity: (3,) velocity through the air, world axes, m/s.
@@ -223,7 +236,8 @@ def propulsion_power(velocity: Vec3Like, wing: RotaryWing) -> float:
         The power, W.
     """
     blade, induced, parasite = level_power(hypot(velocity[0], velocity[1]), wing)
-    return max(blade + induced + parasite + vertical_power(velocity[2], wing), wing.blade)
+    shafts = max(blade + induced + parasite + vertical_power(velocity[2], wing), wing.blade)
+    return shafts / wing.efficiency + wing.electronics
 
 
 @allocating

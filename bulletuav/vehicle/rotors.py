@@ -1,5 +1,6 @@
 """Rotors of one drone: first-order speed lag, thrust k_f w^2 and reaction torque k_m w^2.
 
+Their inertia J turns the body back while they speed up, by J dw/dt, and makes them a gyroscope.
 Source: R. Mahony, V. Kumar, P. Corke, Multirotor Aerial Vehicles, IEEE RAM 2012.
 """
 
@@ -14,6 +15,10 @@ from bulletuav.vehicle.parameters import ParameterRow
 
 RPM = 2.0 * math.pi / 60.0
 """One revolution a minute, rad/s."""
+
+Rotors = tuple[float, Vec3, float, float]
+"""Thrust (N), torque about the body axes (N m), sum of the rotor speeds (rad/s), and their angular
+momentum about the body's z axis (N m s)"""
 
 
 @func
@@ -51,17 +56,32 @@ def lagged(speed: float, command: float, decay: tuple[float, float]) -> float:
 
 
 @func
-def rotor_wrench(speed: np.ndarray, row: ParameterRow) -> tuple[float, Vec3, float]:
+def spin_up(speed: float, command: float, row: ParameterRow) -> float:
+    """Return how fast a rotor speeds up towards a command, rad/s^2; 0 without lag.
+
+    Args:
+        speed: Its speed, rad/s.
+        command: Speed that is commanded, rad/s.
+        row: Constants of the drone.
+    """
+    lag = row.lag_up if command > speed else row.lag_down
+    return (command - speed) / lag if lag > 0.0 else 0.0
+
+
+@func
+def rotor_wrench(speed: np.ndarray, winding: float, row: ParameterRow) -> Rotors:
     """Return what the rotors do to the body.
 
     Args:
         speed: (R,) rotor speeds, rad/s.
+        winding: Sum over the rotors of turn dw/dt, rad/s^2: how fast they speed up.
         row: Constants of the drone.
 
     Returns:
-        Thrust (N), torque about the body axes (N m), and sum of the rotor speeds (rad/s).
+        What they do.
     """
-    thrust = torque_x = torque_y = torque_z = total = 0.0
+    thrust = torque_x = torque_y = total = spin = 0.0
+    torque_z = row.rotor_inertia * winding
     for r in range(row.num_rotors):
         now = speed[r]
         # Thrust at the rotor's place turns the body, and so does its drag torque.
@@ -71,4 +91,6 @@ def rotor_wrench(speed: np.ndarray, row: ParameterRow) -> tuple[float, Vec3, flo
         torque_y -= row.rotor_x[r] * force
         torque_z += row.rotor_turn[r] * row.torque_coefficient * now * now
         total += now
-    return thrust, (torque_x, torque_y, torque_z), total
+        # A rotor spins against the torque that it exerts on the body.
+        spin -= row.rotor_turn[r] * now
+    return thrust, (torque_x, torque_y, torque_z), total, row.rotor_inertia * spin

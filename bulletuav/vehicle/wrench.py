@@ -6,8 +6,9 @@ import numpy as np
 
 from bulletuav.geometry.rotation import Quat4Like, Vec3, Vec3Like, axes, dot, minus, plus
 from bulletuav.kernel import func
-from bulletuav.vehicle.aerodynamics import ground_effect, rotor_drag
+from bulletuav.vehicle.aerodynamics import drag, ground_wrench
 from bulletuav.vehicle.parameters import ParameterRow
+from bulletuav.vehicle.rotors import Rotors
 
 SMALL_TURN = 0.25
 """Angle by which a body may turn in one step of RK4, rad"""
@@ -24,9 +25,9 @@ def wrench(
     quaternion: Quat4Like,
     velocity: Vec3Like,
     altitude: float,
-    rotors: tuple[float, Vec3, float],
+    speed: np.ndarray,
+    rotors: Rotors,
     around: Around,
-    downwash: float,
     row: ParameterRow,
 ) -> tuple[Vec3, Vec3]:
     """Return force and torque on one drone.
@@ -35,36 +36,62 @@ def wrench(
         quaternion: Attitude, body to world.
         velocity: Velocity, world axes, m/s.
         altitude: Height of the centre of mass in the world, m.
-        rotors: What `rotors.rotor_wrench` returns.
+        speed: (R,) rotor speeds, rad/s.
+        rotors: What `rotors.rotor_wrench` returns for them.
         around: What surrounds the drone.
-        downwash: Downward force of the wakes of other drones, N.
         row: Constants of the drone.
 
     Returns:
-        The force, world axes, N, and the torque, body axes, N m.
+        The force, world axes, N, and the torque, body axes, N m. The torques that depend on the
+        body's rates are in `body_acceleration`.
     """
     wind, surface, gravity, push, twist = around
-    thrust, torque, total_speed = rotors
+    thrust, torque, total_speed, _ = rotors
     # Thrust along the body's z axis, more near the surface.
-    up = axes(quaternion)[2]
-    thrust *= 1.0 + ground_effect(altitude - surface, up[2], row)
+    ahead, left, up = axes(quaternion)
+    more = ground_wrench(altitude - surface, (ahead[2], left[2], up[2]), speed, row)
+    thrust += more[0]
     # Drag against the air, which moves with the wind.
-    drag = rotor_drag(quaternion, minus(velocity, wind), total_speed, row)
+    slowed, tipped = drag(quaternion, minus(velocity, wind), total_speed, row)
     force = (
-        thrust * up[0] + drag[0],
-        thrust * up[1] + drag[1],
-        thrust * up[2] + drag[2] - downwash - row.mass * gravity,
+        thrust * up[0] + slowed[0],
+        thrust * up[1] + slowed[1],
+        thrust * up[2] + slowed[2] - row.mass * gravity,
     )
+    torque = (torque[0] + more[1] + tipped[0], torque[1] + more[2] + tipped[1], torque[2])
     return plus(force, 1.0, push), plus(torque, 1.0, twist)
 
 
 @func
-def body_acceleration(rates: Vec3Like, torque: Vec3Like, row: ParameterRow) -> Vec3:
-    """Return the angular acceleration by Euler's equation, J^-1 (M - w x J w).
+def damping_torque(rates: Vec3Like, total_speed: float, row: ParameterRow) -> Vec3:
+    """Return the torque c w by which spinning rotors slow a turning body down, N m.
+
+    Args:
+        rates: Angular velocity w, body axes, rad/s.
+        total_speed: Sum of the rotor speeds, rad/s.
+        row: Constants of the drone.
+    """
+    return (
+        row.damping[0] * total_speed * rates[0],
+        row.damping[1] * total_speed * rates[1],
+        row.damping[2] * total_speed * rates[2],
+    )
+
+
+@func
+def body_acceleration(
+    rates: Vec3Like, torque: Vec3Like, total_speed: float, momentum: float, row: ParameterRow
+) -> Vec3:
+    """Return the angular acceleration by Euler's equation, J^-1 (M - w x (J w + h) - c w).
+
+    h is the angular momentum of the rotors. c w is the damping by rotors that move through the air
+    as the body turns; it grows with their speeds.
 
     Args:
         rates: Angular velocity w, body axes, rad/s.
         torque: Torque M, body axes, N m.
+        total_speed: Sum of the rotor speeds, rad/s.
+        momentum: Angular momentum of the rotors about the body's z axis, N m s.
         row: Constants of the drone.
 
     Returns:
@@ -73,11 +100,15 @@ def body_acceleration(rates: Vec3Like, torque: Vec3Like, row: ParameterRow) -> V
     jx = row.inertia[0]
     jy = row.inertia[1]
     jz = row.inertia[2]
+    turned = damping_torque(rates, total_speed, row)
+    x = torque[0] - rates[1] * momentum - turned[0]
+    y = torque[1] + rates[0] * momentum - turned[1]
+    z = torque[2] - turned[2]
     # Written with 1 / J, divisions that several calls for one drone share.
     return (
-        (torque[0] - (jz - jy) * rates[1] * rates[2]) * (1.0 / jx),
-        (torque[1] - (jx - jz) * rates[2] * rates[0]) * (1.0 / jy),
-        (torque[2] - (jy - jx) * rates[0] * rates[1]) * (1.0 / jz),
+        (x - (jz - jy) * rates[1] * rates[2]) * (1.0 / jx),
+        (y - (jx - jz) * rates[2] * rates[0]) * (1.0 / jy),
+        (z - (jy - jx) * rates[0] * rates[1]) * (1.0 / jz),
     )
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from contact.rig import Rig, random_attitudes
 
 from bulletuav.geometry.obstacle import Obstacle
-from bulletuav.vehicle.airframe import load_airframe
+from bulletuav.vehicle.airframes import load_airframe
 
 
 class Heap(NamedTuple):

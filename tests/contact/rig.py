@@ -19,7 +19,8 @@ from bulletuav.geometry.scenery import NOWHERE
 from bulletuav.geometry.shapes import HALF_SPACE
 from bulletuav.geometry.solids import Solids
 from bulletuav.kernel import allocating
-from bulletuav.vehicle.airframe import STANDARD_GRAVITY, load_airframe
+from bulletuav.vehicle.airframe import STANDARD_GRAVITY
+from bulletuav.vehicle.airframes import load_airframe
 from bulletuav.vehicle.parameters import parameter_rows
 from bulletuav.vehicle.swarm import Contacts, Motion, Swarm
 

@@ -5,7 +5,7 @@ import pytest
 from contact.landings import PLACES, land
 from contact.rig import Rig
 
-from bulletuav.vehicle.airframe import available_airframes
+from bulletuav.vehicle.airframes import available_airframes
 
 
 @pytest.mark.parametrize("airframe", available_airframes())

@@ -6,7 +6,7 @@ from contact.shots import TARGETS, Range
 from contact.trains import push
 
 from bulletuav.dynamics import DYNAMICS, find_dynamics
-from bulletuav.vehicle.airframe import available_airframes
+from bulletuav.vehicle.airframes import available_airframes
 
 
 @pytest.fixture(scope="module")

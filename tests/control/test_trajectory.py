@@ -5,7 +5,7 @@ import pytest
 
 from bulletuav import Airspace, SetpointLevel
 from bulletuav.control.trajectory import Tracker, Trajectory
-from bulletuav.vehicle.airframe import load_airframe
+from bulletuav.vehicle.airframes import load_airframe
 
 CF2X = load_airframe("cf2x")
 

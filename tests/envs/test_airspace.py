@@ -18,7 +18,8 @@ from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.solids import Solids
 from bulletuav.geometry.view import DRONE, FAR, OBSTACLE
 from bulletuav.sensors.imu import Imu
-from bulletuav.vehicle.airframe import STANDARD_GRAVITY, load_airframe
+from bulletuav.vehicle.airframe import STANDARD_GRAVITY
+from bulletuav.vehicle.airframes import load_airframe
 from bulletuav.vehicle.swarm import FIRST_OBSTACLE, GROUND
 
 CF2X = load_airframe("cf2x")

@@ -11,7 +11,7 @@ from bulletuav.engine.engine import RAY_METHODS, Engine
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.raycast import walk
 from bulletuav.geometry.solids import Solids, box_corners
-from bulletuav.vehicle.airframe import load_airframe
+from bulletuav.vehicle.airframes import load_airframe
 
 LEVEL = (0.0, 0.0, 0.0, 1.0)
 TOWER = np.array([[(20.0, -5.0, 0.0), (40.0, 5.0, 60.0)]])

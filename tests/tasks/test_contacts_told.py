@@ -9,7 +9,8 @@ import pytest
 import bulletuav
 from bulletuav.tasks import end, find_task, reward
 from bulletuav.tasks.frame import Frame
-from bulletuav.vehicle.airframe import STANDARD_GRAVITY, load_airframe
+from bulletuav.vehicle.airframe import STANDARD_GRAVITY
+from bulletuav.vehicle.airframes import load_airframe
 from bulletuav.vehicle.swarm import FIRST_OBSTACLE, GROUND, Contacts, Swarm
 
 OFF = np.full((1, 1, 4), -1.0)

@@ -1,0 +1,139 @@
+"""What the controller's model does not know: pushes and torques, learned while flying.
+
+An observer predicts velocity or rates from the rotors' speeds. What the prediction misses is
+integrated into an estimate (K. Ohnishi, M. Shibata, T. Murakami, Motion control for advanced
+mechatronics, IEEE/ASME T-Mech 1996). Limits of the rotors do not wind it up, since it looks at what
+they did. While the model is right the estimate stays near zero, and flights are as without it.
+"""
+
+import math
+
+import numpy as np
+
+from bulletuav.control.gains import GainRow
+from bulletuav.geometry.rotation import Quat4, Vec3, Vec3Like, axes, dot
+from bulletuav.kernel import func
+from bulletuav.vehicle.rotors import Rotors
+from bulletuav.vehicle.wrench import body_acceleration
+
+MEMORY = 10
+"""Numbers that observers remember: predicted velocity (3) and push (3), predicted rates (2) and
+torque (2)"""
+FASTER = 2.0
+"""Frequency of the observer of pushes over that of the position loop"""
+LARGEST_PUSH = 0.5
+"""Largest push that is learned, in gravities"""
+LARGEST_TORQUE = 0.25
+"""Largest torque that is learned, over the greatest thrust times the arm"""
+
+
+@func
+def _fresh(memory: np.ndarray, w: int, i: int, first: int, last: int) -> bool:
+    """Tell whether an observer has just started: its memory is all zeros."""
+    for k in range(first, last):
+        if memory[w, i, k] != 0.0:
+            return False
+    return True
+
+
+@func
+def learned_push(
+    quaternion: Quat4,
+    velocity: Vec3,
+    thrust: float,
+    slowed: Vec3Like,
+    memory: np.ndarray,
+    w: int,
+    i: int,
+    dt: float,
+    gravity: float,
+    row: np.record,
+    gain: GainRow,
+) -> Vec3:
+    """Advance the observer of what pushes a drone, such as a wake or a weak battery.
+
+    With velocity v, prediction p and estimate d: p' = a + d + 2 z f (v - p) and d' = f^2 (v - p).
+    Here a is the acceleration by thrust, gravity and drag.
+
+    Args:
+        quaternion: Attitude, body to world.
+        velocity: Velocity, m/s, world.
+        thrust: Thrust at the present rotor speeds, N.
+        slowed: Drag in still air, N, world.
+        memory: (W, N, M) memory of all drones; zeros for a drone that starts.
+        w: Index of the world.
+        i: Index of the drone.
+        dt: Time since the last call, s.
+        gravity: Gravitational acceleration, m/s^2.
+        row: Row of the nominal `PARAMETERS`.
+        gain: Row of `GAINS`.
+
+    Returns:
+        Acceleration by what pushes beside the known forces, m/s^2, world.
+    """
+    if _fresh(memory, w, i, 0, 6):
+        for k in range(3):
+            memory[w, i, k] = velocity[k]
+    frequency = FASTER * gain.position_frequency
+    up = axes(quaternion)[2]
+    for k in range(3):
+        known = (thrust * up[k] + slowed[k]) / row.mass - (gravity if k == 2 else 0.0)
+        missed = velocity[k] - memory[w, i, k]
+        correction = 2.0 * gain.damping * frequency * missed
+        memory[w, i, k] += dt * (known + memory[w, i, 3 + k] + correction)
+        memory[w, i, 3 + k] += dt * frequency * frequency * missed
+    # Bounded: on the ground, or held by a hand, it would grow for ever.
+    push = (memory[w, i, 3], memory[w, i, 4], memory[w, i, 5])
+    size = math.sqrt(dot(push, push))
+    if size > LARGEST_PUSH * gravity:
+        for k in range(3):
+            memory[w, i, 3 + k] = push[k] * LARGEST_PUSH * gravity / size
+    return memory[w, i, 3], memory[w, i, 4], memory[w, i, 5]
+
+
+@func
+def learned_torque(
+    rates: Vec3,
+    rotors: Rotors,
+    tipped: Vec3Like,
+    memory: np.ndarray,
+    w: int,
+    i: int,
+    dt: float,
+    row: np.record,
+    gain: GainRow,
+) -> Vec3:
+    """Advance the observer of what turns a drone about its x and y axes, such as wind.
+
+    It is that of `learned_push` for rates, at the frequency of the attitude loop.
+
+    Args:
+        rates: Body rates, rad/s.
+        rotors: What the rotors do.
+        tipped: Torque of the drag in still air, N m.
+        memory: (W, N, M) memory of all drones; zeros for a drone that starts.
+        w: Index of the world.
+        i: Index of the drone.
+        dt: Time since the last call, s.
+        row: Row of the nominal `PARAMETERS`.
+        gain: Row of `GAINS`.
+
+    Returns:
+        Torque beside the known ones, N m, body axes; none about z.
+    """
+    if _fresh(memory, w, i, 6, 10):
+        for k in range(2):
+            memory[w, i, 6 + k] = rates[k]
+    _, torque, total_speed, momentum = rotors
+    known = (torque[0] + tipped[0], torque[1] + tipped[1], torque[2])
+    spinning = body_acceleration(rates, known, total_speed, momentum, row)
+    most = LARGEST_TORQUE * gain.max_thrust * row.arm
+    for k in range(2):
+        frequency = gain.attitude_frequency[k]
+        missed = rates[k] - memory[w, i, 6 + k]
+        correction = 2.0 * gain.damping * frequency * missed
+        learned = memory[w, i, 8 + k]
+        memory[w, i, 6 + k] += dt * (spinning[k] + learned / row.inertia[k] + correction)
+        learned += dt * row.inertia[k] * frequency * frequency * missed
+        memory[w, i, 8 + k] = min(max(learned, -most), most)
+    return memory[w, i, 8], memory[w, i, 9], 0.0

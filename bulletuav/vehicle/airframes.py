@@ -1,0 +1,327 @@
+"""Airframes by name and from files: one-link URDF files, read into frozen constants.
+
+A drone of your own is a URDF and nothing else. Beside the standard `<link>` (inertial, one convex
+collision shape, any number of visuals) it holds `<airframe>` with the tags of `Airframe`, and one
+`<rotor x y spin>` for each rotor; see assets/urdf. Tags that a file leaves out get what
+`bulletuav.vehicle.scaling` computes from size and disc loading.
+
+Airframes have names: those of the files in assets/urdf, and those that are registered as kind
+"airframe" (see `bulletuav.registry`), as an `Airframe` or as the path of a URDF.
+"""
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from bulletuav.errors import require_file, shown, unknown
+from bulletuav.geometry.obstacle import FRICTION, MOST_FRICTION
+from bulletuav.registry import find, register
+from bulletuav.vehicle.airframe import MAX_ROTORS, STANDARD_GRAVITY, Airframe, Pack, Pwm
+from bulletuav.vehicle.scaling import scaled_constants
+from bulletuav.vehicle.urdf import LARGEST, WIDEST, UrdfFile
+
+_PACKAGE = Path(__file__).parents[1]
+URDF_FOLDER = next(
+    folder / "assets" / "urdf"
+    for folder in (_PACKAGE, _PACKAGE.parent)
+    if (folder / "assets").is_dir()
+)
+"""Folder of the airframes that come with the package.
+
+In the package of a wheel; beside it in a checkout.
+"""
+
+TAGS = (
+    "thrust_coefficient",
+    "torque_ratio",
+    "max_rotor_speed",
+    "motor_lag",
+    "rotor_drag",
+    "propeller_radius",
+    "rotor_inertia",
+    "rate_damping",
+    "body_drag",
+    "ground_effect",
+    "wake",
+    "power",
+    "battery",
+    "max_speed",
+    "rotor",
+    "pwm",
+    "contact",
+)
+"""Tags within `<airframe>`."""
+HEAVIEST = 1e5
+"""Greatest mass, kg."""
+FASTEST = 1000.0
+"""Greatest speed of a drone, m/s."""
+FASTEST_ROTOR = 1e5
+"""Greatest speed of a rotor, rad/s."""
+HEAVIEST_ROTOR = 10.0
+"""Greatest moment of inertia of a rotor, kg m^2."""
+MOST_DAMPING = 1e3
+"""Fastest decay of rates, 1/s."""
+HIGHEST_VOLTAGE = 1e4
+"""Greatest voltage of a battery, V."""
+SLOWEST_LAG = 100.0
+"""Greatest time constant of a motor, s."""
+MOST_DRAG = 1.0
+"""Greatest drag of a rotor, N for each m/s and rad/s."""
+STRONGEST = 1000.0
+"""Greatest thrust of a drone, in its weights."""
+
+
+def available_airframes() -> list[str]:
+    """List the names of the airframes that come with the package."""
+    return sorted(path.stem for path in URDF_FOLDER.glob("*.urdf"))
+
+
+def load_airframe(source: str | Path | Airframe) -> Airframe:
+    """Load an airframe.
+
+    Args:
+        source: A name (of `available_airframes` or registered), `module:Name` of an `Airframe` or
+            of a path, the path of a URDF, which ends in ".urdf", or the airframe itself.
+
+    Returns:
+        The airframe.
+
+    Raises:
+        ValueError: The name is unknown, or a value is missing or not physical; file, tag and value
+            are named.
+        FileNotFoundError: There is no such file.
+    """
+    if isinstance(source, Airframe):
+        return source
+    if not isinstance(source, str | Path):
+        raise ValueError(
+            f"airframe is {shown(source)}: a name, the path of a URDF, or an Airframe is needed"
+        )
+    if isinstance(source, str) and not source.endswith(".urdf"):
+        found = _find_by_name(source)
+        if isinstance(found, Airframe):
+            return found
+        source = found
+    path = require_file(
+        "airframe", source, f"pass the path of a URDF or one of {available_airframes()}"
+    )
+    return _read_airframe(path.resolve())
+
+
+def _find_by_name(name: str) -> str | Path | Airframe:
+    """Find what a name stands for: a file of the package comes before what is registered."""
+    if name in available_airframes():
+        return URDF_FOLDER / f"{name}.urdf"
+    found: str | Path | Airframe = find("airframe", name, _is_airframe_or_path)
+    if not _is_airframe_or_path(found):
+        raise ValueError(
+            f"airframe {name} is {shown(found)}: the path of a URDF, or an Airframe is needed"
+        )
+    return found
+
+
+def _is_airframe_or_path(ingredient: object) -> bool:
+    """Tell whether an object of the registry can be an airframe."""
+    return isinstance(ingredient, str | Path | Airframe)
+
+
+def _read_airframe(path: Path) -> Airframe:
+    """Read an airframe from a URDF file."""
+    urdf = UrdfFile(path)
+    urdf.require_one_link()
+    _refuse_unknown_tags(urdf)
+    shape = urdf.collision_shape()
+    for element in (urdf.root, urdf.element("link")):
+        if not element.get("name"):
+            raise urdf.refusal(f"{element.tag} name", "missing", "the engine needs it")
+    # Each number is read within the bounds that the dynamics can compute with.
+    mass = urdf.number(urdf.element("link/inertial/mass"), "value", low=0, most=HEAVIEST)
+    inertia = urdf.inertia()
+    rotors = _rotors(urdf)
+    thrust_coefficient = _positive(urdf, "thrust_coefficient", LARGEST)
+    usual = scaled_constants(
+        inertia,
+        rotors,
+        thrust_coefficient,
+        _not_negative(urdf, "rotor_drag", "xy", MOST_DRAG),
+        _positive(urdf, "propeller_radius", WIDEST),
+        math.sqrt(mass * STANDARD_GRAVITY / (len(rotors) * thrust_coefficient)),
+    )
+    near = _several(urdf, "ground_effect", {"decay": WIDEST}, {"gain": 1.0}, usual.ground_effect)
+    wake = _several(urdf, "wake", {"radius": WIDEST}, {"share": 1.0, "spread": 1.0}, usual.wake)
+    power = _several(urdf, "power", {"efficiency": 1.0}, {"electronics": LARGEST}, usual.power)
+    damping = _several(urdf, "rate_damping", {}, dict.fromkeys("xyz", MOST_DAMPING), usual.damping)
+    body_drag = _several(urdf, "body_drag", {}, {"xy": WIDEST**2, "z": WIDEST**2}, usual.body_drag)
+    turning = _several(urdf, "rotor_inertia", {}, {"value": HEAVIEST_ROTOR}, (0.0,))
+    airframe = Airframe(
+        name=urdf.root.get("name", ""),
+        urdf=urdf.path,
+        mass=mass,
+        inertia=inertia,
+        rotors=rotors,
+        thrust_coefficient=thrust_coefficient,
+        torque_ratio=_positive(urdf, "torque_ratio", WIDEST),
+        max_rotor_speed=_positive(urdf, "max_rotor_speed", FASTEST_ROTOR),
+        lag_up=_not_negative(urdf, "motor_lag", "up", SLOWEST_LAG),
+        lag_down=_not_negative(urdf, "motor_lag", "down", SLOWEST_LAG),
+        drag_xy=_not_negative(urdf, "rotor_drag", "xy", MOST_DRAG),
+        drag_z=_not_negative(urdf, "rotor_drag", "z", MOST_DRAG),
+        drag_height=_drag_height(urdf),
+        propeller_radius=_positive(urdf, "propeller_radius", WIDEST),
+        rotor_inertia=turning[0],
+        damping=(damping[0], damping[1], damping[2]),
+        body_drag=(body_drag[0], body_drag[1]),
+        ground_effect_decay=near[0],
+        ground_effect_gain=near[1],
+        wake_radius=wake[0],
+        wake_share=wake[1],
+        wake_spread=wake[2],
+        efficiency=power[0],
+        electronics=power[1],
+        max_speed=_positive(urdf, "max_speed", FASTEST),
+        shape=shape,
+        pack=_pack(urdf),
+        pwm=_pwm(urdf),
+        friction=_contact(urdf, "friction", FRICTION, MOST_FRICTION),
+        restitution=_contact(urdf, "restitution", 0.0, 1.0),
+    )
+    _require_flyable(urdf, airframe)
+    return airframe
+
+
+def _refuse_unknown_tags(urdf: UrdfFile) -> None:
+    """Refuse tags within `<airframe>` that nobody would read, such as misspelt ones."""
+    for element in urdf.element("airframe"):
+        if isinstance(element.tag, str) and element.tag not in TAGS:
+            reason = str(unknown("tag", element.tag, TAGS))
+            raise urdf.refusal(f"airframe/{element.tag}", "unknown", reason)
+
+
+def _positive(urdf: UrdfFile, tag: str, most: float) -> float:
+    """Read the value of a tag within `<airframe>` that must be above 0."""
+    return urdf.number(urdf.element(f"airframe/{tag}"), "value", low=0, most=most)
+
+
+def _not_negative(urdf: UrdfFile, tag: str, attribute: str, most: float) -> float:
+    """Read an attribute of a tag within `<airframe>` that must be at least 0."""
+    element = urdf.element(f"airframe/{tag}")
+    return urdf.number(element, attribute, low=0, strict=False, most=most)
+
+
+def _several(
+    urdf: UrdfFile,
+    tag: str,
+    positive: dict[str, float],
+    others: dict[str, float],
+    usual: tuple[float, ...],
+) -> tuple[float, ...]:
+    """Read the attributes of a tag within `<airframe>` that may be left out.
+
+    Args:
+        urdf: The file.
+        tag: The tag; where it stands, it has all attributes.
+        positive: Attributes that must be above 0, with their greatest values.
+        others: Attributes that must be at least 0, with their greatest values.
+        usual: The values where the tag is left out.
+
+    Returns:
+        The values, in this order.
+    """
+    element = urdf.root.find(f"airframe/{tag}")
+    if element is None:
+        return usual
+    return (
+        *(urdf.number(element, name, low=0, most=most) for name, most in positive.items()),
+        *(_not_negative(urdf, tag, name, most) for name, most in others.items()),
+    )
+
+
+def _drag_height(urdf: UrdfFile) -> float:
+    """Read the height at which the rotors' drag acts, where the file has it."""
+    element = urdf.element("airframe/rotor_drag")
+    return urdf.number(element, "height", most=WIDEST) if "height" in element.attrib else 0.0
+
+
+def _pack(urdf: UrdfFile) -> Pack | None:
+    """Read the battery, where the file has it."""
+    element = urdf.root.find("airframe/battery")
+    if element is None:
+        return None
+    cells = urdf.number(element, "cells", low=0)
+    if cells != int(cells):
+        raise urdf.refusal("battery cells", cells, "a whole number is needed")
+    return Pack(
+        cells=int(cells),
+        capacity=urdf.number(element, "capacity", low=0),
+        resistance=urdf.number(element, "resistance", low=0, strict=False),
+        voltage=urdf.number(element, "voltage", low=0, most=HIGHEST_VOLTAGE),
+    )
+
+
+def _rotors(urdf: UrdfFile) -> tuple[tuple[float, float, int], ...]:
+    """Read the place (m) and the turn of each rotor."""
+    elements = urdf.root.findall("airframe/rotor")
+    if not 4 <= len(elements) <= MAX_ROTORS:
+        reason = f"between 4 and {MAX_ROTORS} rotors are supported"
+        raise urdf.refusal("rotor", f"there {len(elements)} times", reason)
+    turns = {"cw": 1, "ccw": -1}
+    for element in elements:
+        if element.get("spin") not in turns:
+            spin = element.get("spin", "missing")
+            raise urdf.refusal("rotor spin", spin, "it must be cw or ccw, seen from above")
+    return tuple(
+        (
+            urdf.number(element, "x", most=WIDEST),
+            urdf.number(element, "y", most=WIDEST),
+            turns[element.get("spin", "")],
+        )
+        for element in elements
+    )
+
+
+def _pwm(urdf: UrdfFile) -> Pwm | None:
+    """Read the motor command, where the file has it."""
+    element = urdf.root.find("airframe/pwm")
+    if element is None:
+        return None
+    minimum = urdf.number(element, "min", low=0, strict=False)
+    return Pwm(
+        slope=urdf.number(element, "slope", low=0),
+        intercept=urdf.number(element, "intercept"),
+        minimum=minimum,
+        maximum=urdf.number(element, "max", low=minimum),
+    )
+
+
+def _contact(urdf: UrdfFile, attribute: str, default: float, most: float) -> float:
+    """Read a number of the tag `<contact>` within `<airframe>`, where it is there."""
+    element = urdf.root.find("airframe/contact")
+    if element is None or attribute not in element.attrib:
+        return default
+    value = urdf.number(element, attribute, low=0, strict=False)
+    if value > most:
+        raise urdf.refusal(f"contact {attribute}", value, f"at most {most:g} is possible")
+    return value
+
+
+def _require_flyable(urdf: UrdfFile, airframe: Airframe) -> None:
+    """Refuse airframes that are too heavy to hover, far too strong, or cannot turn."""
+    weight = airframe.mass * STANDARD_GRAVITY
+    if airframe.max_thrust <= weight:
+        thrust = f"{airframe.max_rotor_speed:g} (thrust {airframe.max_thrust:.4g} N)"
+        reason = f"the drone weighs {weight:.4g} N and cannot hover"
+        raise urdf.refusal("max_rotor_speed", thrust, reason)
+    if airframe.max_thrust > STRONGEST * airframe.mass * STANDARD_GRAVITY:
+        thrust = f"{airframe.thrust_coefficient:g} (thrust {airframe.max_thrust:.4g} N)"
+        reason = f"at most {STRONGEST:g} times the weight of {airframe.mass:g} kg can be flown with"
+        raise urdf.refusal("thrust_coefficient", thrust, reason)
+    if np.linalg.matrix_rank(airframe.allocation()) < 4:
+        reason = "these rotors cannot turn the body about all three axes"
+        raise urdf.refusal("rotor", airframe.rotors, reason)
+
+
+# Tell the registry where the package's own airframes are; each file is read when it is asked for.
+for _path in URDF_FOLDER.glob("*.urdf"):
+    if _path.stem.isidentifier():
+        register("airframe", _path.stem)(_path)

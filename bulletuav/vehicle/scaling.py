@@ -1,0 +1,84 @@
+"""Constants of airframes for which nobody measured them: those of the Crazyflie, scaled.
+
+Rotors of one shape that carry their weight at one disc loading do the same things at their own
+size: lengths grow with the propeller, forces with the weight.
+"""
+
+import math
+from typing import NamedTuple
+
+from bulletuav.functions import hypot
+
+GROUND_EFFECT_GAIN = 0.35
+"""Share of the thrust that a surface adds to a rotor that touches it (fit, see docs/truth.md)."""
+GROUND_EFFECT_DECAY = 1.34
+"""Height in propeller radii over which that falls to 1/e (fit: 0.031 m for the Crazyflie)."""
+WAKE_SHARE = 0.32
+"""Share of a drone's thrust that its wake puts on a drone just below (fit, see docs/truth.md)."""
+WAKE_SPREAD = 0.1
+"""Growth of the wake's width with the distance below (fit)."""
+WAKE_RADIUS = 1.0
+"""Width of the wake at its start, in arms of the drone (fit)."""
+AXIAL_DAMPING = 4.6
+"""Loss of a rotor's thrust as it climbs, in k_f w / R (fit: damping of 2 1/s for the Crazyflie).
+Blade-element theory without inflow, a s / (4 C_T), would give 12."""
+BODY_DRAG = (0.075, 0.52)
+"""Drag areas along and across the rotor plane, in areas of all rotor discs (our estimate, from the
+outlines of a Crazyflie: 5 and 35 cm^2)."""
+EFFICIENCY = 0.6
+"""Power at the shafts over electrical power (our estimate)."""
+
+
+class Scaled(NamedTuple):
+    """Constants that scale; see `Airframe` for what they are."""
+
+    ground_effect: tuple[float, float]
+    """Decay and gain"""
+    wake: tuple[float, float, float]
+    """Radius, share and spread"""
+    damping: tuple[float, float, float]
+    body_drag: tuple[float, float]
+    power: tuple[float, float]
+    """Efficiency, and the power of the electronics"""
+
+
+def scaled_constants(
+    inertia: tuple[float, float, float],
+    rotors: tuple[tuple[float, float, int], ...],
+    thrust_coefficient: float,
+    drag_xy: float,
+    propeller_radius: float,
+    hover_speed: float,
+) -> Scaled:
+    """Scale the Crazyflie's constants to another airframe.
+
+    A rotor that moves along its axis gains or loses thrust, which damps roll and pitch (G. J.
+    Leishman, Principles of Helicopter Aerodynamics, 2006, chapter 3). In yaw the rotors' drag damps
+    alone, so the law gives less than was measured on a Crazyflie.
+
+    Args:
+        inertia: Principal moments, kg m^2.
+        rotors: Place x, y (m) and turn of each rotor.
+        thrust_coefficient: k_f, N s^2.
+        drag_xy: Drag of a rotor across its axis, for each m/s and rad/s, N.
+        propeller_radius: R, m.
+        hover_speed: Rotor speed in hover w, rad/s.
+
+    Returns:
+        The constants.
+    """
+    axial = AXIAL_DAMPING * thrust_coefficient * hover_speed / propeller_radius
+    aside = sum(y * y for _, y, _ in rotors)
+    along = sum(x * x for x, _, _ in rotors)
+    disc_area = len(rotors) * math.pi * propeller_radius**2
+    return Scaled(
+        ground_effect=(GROUND_EFFECT_DECAY * propeller_radius, GROUND_EFFECT_GAIN),
+        wake=(WAKE_RADIUS * max(hypot(x, y) for x, y, _ in rotors), WAKE_SHARE, WAKE_SPREAD),
+        damping=(
+            axial * aside / inertia[0],
+            axial * along / inertia[1],
+            drag_xy * hover_speed * (along + aside) / inertia[2],
+        ),
+        body_drag=(BODY_DRAG[0] * disc_area, BODY_DRAG[1] * disc_area),
+        power=(EFFICIENCY, 0.0),
+    )
