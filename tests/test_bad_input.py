@@ -553,7 +553,7 @@ ROUND = [
 )
 @pytest.mark.parametrize("turn", [(0, 0, 0), (0.7, -0.4, 1.0), (math.pi, 0, 0)])
 def test_a_drone_may_stand_on_the_ground_and_no_deeper(urdf, shape, extremes, turn):
-    path = urdf("cf2x", ('<cylinder radius="0.0628" length="0.03"/>', shape))
+    path = urdf("cf2x", ('<cylinder radius="0.0691" length="0.03"/>', shape))
     airframe, attitude = bulletuav.load_airframe(path), exponential(np.array(turn, dtype=float))
     x, y, z, w = attitude
     up = np.array(

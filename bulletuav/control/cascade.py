@@ -17,6 +17,7 @@ from bulletuav.control.lee import (
     force_setpoint,
     mix,
     rates_setpoint,
+    torque_of_drag_ahead,
     torque_setpoint,
     velocity_setpoint,
 )
@@ -293,26 +294,18 @@ def command_rotors(
         # What the rotors and the air do now, as far as the controller knows.
         _, quaternion, velocity, rates = state
         rotors = rotor_wrench(swarm.rotor_speed[w, i], 0.0, nominal)
-        slowed, twist = drag(quaternion, velocity, rotors[2], nominal)
+        slowed, tipped = drag(quaternion, velocity, rotors[2], nominal)
+        lift = plus(slowed, rotors[0], axes(quaternion)[2])
+        known = plus((0.0, 0.0, -gravity), 1.0 / nominal.mass, lift)
         push = (0.0, 0.0, 0.0)
         if integral:
-            push = learned_push(
-                quaternion,
-                velocity,
-                rotors[0],
-                slowed,
-                memory,
-                w,
-                i,
-                dt,
-                gravity,
-                nominal,
-                gain,
-            )
+            push = learned_push(velocity, known, memory, w, i, dt, gravity, gain)
+        twist = (0.0, 0.0, 0.0)
         # Wind turns drones whose drag acts far above the centre of mass.
         if nominal.drag_height > 0.0:
-            learned = learned_torque(rates, rotors, twist, memory, w, i, dt, nominal, gain)
-            twist = plus(twist, 1.0, learned)
+            twist = learned_torque(rates, rotors, tipped, memory, w, i, dt, nominal, gain)
+            still = torque_of_drag_ahead(quaternion, velocity, rates, known, rotors[2], nominal)
+            twist = plus(twist, 1.0, still)
         lee_rotors(
             level,
             quat4(setpoint, w, i),

@@ -25,6 +25,7 @@ from bulletuav.geometry.rotation import (
     cross,
     dot,
     plus,
+    to_body,
 )
 from bulletuav.kernel import func
 from bulletuav.vehicle.aerodynamics import drag
@@ -118,6 +119,37 @@ def force_setpoint(
         x *= limit / sideways
         y *= limit / sideways
     return x, y, z
+
+
+@func
+def torque_of_drag_ahead(
+    quaternion: Quat4Like,
+    velocity: Vec3Like,
+    rates: Vec3Like,
+    acceleration: Vec3Like,
+    total_speed: float,
+    row: np.record,
+) -> Vec3:
+    """Compute the torque of the rotors' drag in still air, as it will be when rotors have answered.
+
+    They answer to a command with their lag. So the velocity along the body's axes is taken that
+    much ahead: v + lag (R^T a - W x v).
+
+    Args:
+        quaternion: Attitude R of the drone, body to world.
+        velocity: Its velocity, m/s, world.
+        rates: Its body rates W, rad/s.
+        acceleration: Its acceleration a, m/s^2, world.
+        total_speed: Sum of the rotors' speeds, rad/s.
+        row: Row of `PARAMETERS`.
+
+    Returns:
+        Torque, N m, body axes.
+    """
+    along = to_body(quaternion, velocity)
+    change = plus(to_body(quaternion, acceleration), -1.0, cross(rates, along))
+    ahead = plus(along, max(row.lag_up, row.lag_down), change)
+    return drag((0.0, 0.0, 0.0, 1.0), ahead, total_speed, row)[1]
 
 
 @func

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from bulletuav.control.gains import GainRow
-from bulletuav.geometry.rotation import Quat4, Vec3, Vec3Like, axes, dot
+from bulletuav.geometry.rotation import Vec3, Vec3Like, dot
 from bulletuav.kernel import func
 from bulletuav.vehicle.rotors import Rotors
 from bulletuav.vehicle.wrench import body_acceleration
@@ -38,34 +38,27 @@ def _fresh(memory: np.ndarray, w: int, i: int, first: int, last: int) -> bool:
 
 @func
 def learned_push(
-    quaternion: Quat4,
-    velocity: Vec3,
-    thrust: float,
-    slowed: Vec3Like,
+    velocity: Vec3Like,
+    known: Vec3Like,
     memory: np.ndarray,
     w: int,
     i: int,
     dt: float,
     gravity: float,
-    row: np.record,
     gain: GainRow,
 ) -> Vec3:
     """Advance the observer of what pushes a drone, such as a wake or a weak battery.
 
-    With velocity v, prediction p and estimate d: p' = a + d + 2 z f (v - p) and d' = f^2 (v - p).
-    Here a is the acceleration by thrust, gravity and drag.
+    With velocity v, prediction p and estimate d: p' = a + d + 2 z f (v - p), d' = f^2 (v - p).
 
     Args:
-        quaternion: Attitude, body to world.
         velocity: Velocity, m/s, world.
-        thrust: Thrust at the present rotor speeds, N.
-        slowed: Drag in still air, N, world.
+        known: Acceleration a by thrust, gravity and drag in still air, m/s^2, world.
         memory: (W, N, M) memory of all drones; zeros for a drone that starts.
         w: Index of the world.
         i: Index of the drone.
         dt: Time since the last call, s.
         gravity: Gravitational acceleration, m/s^2.
-        row: Row of the nominal `PARAMETERS`.
         gain: Row of `GAINS`.
 
     Returns:
@@ -75,12 +68,10 @@ def learned_push(
         for k in range(3):
             memory[w, i, k] = velocity[k]
     frequency = FASTER * gain.position_frequency
-    up = axes(quaternion)[2]
     for k in range(3):
-        known = (thrust * up[k] + slowed[k]) / row.mass - (gravity if k == 2 else 0.0)
         missed = velocity[k] - memory[w, i, k]
         correction = 2.0 * gain.damping * frequency * missed
-        memory[w, i, k] += dt * (known + memory[w, i, 3 + k] + correction)
+        memory[w, i, k] += dt * (known[k] + memory[w, i, 3 + k] + correction)
         memory[w, i, 3 + k] += dt * frequency * frequency * missed
     # Bounded: on the ground, or held by a hand, it would grow for ever.
     push = (memory[w, i, 3], memory[w, i, 4], memory[w, i, 5])

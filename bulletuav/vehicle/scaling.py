@@ -19,7 +19,7 @@ WAKE_SPREAD = 0.1
 """Growth of the wake's width with the distance below (fit)."""
 WAKE_RADIUS = 1.0
 """Width of the wake at its start, in arms of the drone (fit)."""
-AXIAL_DAMPING = 4.6
+AXIAL_DAMPING = 4.8
 """Loss of a rotor's thrust as it climbs, in k_f w / R (fit: damping of 2 1/s for the Crazyflie).
 Blade-element theory without inflow, a s / (4 C_T), would give 12."""
 BODY_DRAG = (0.075, 0.52)

@@ -123,9 +123,9 @@ def test_drones_with_fewer_rotors_read_fewer_numbers():
 
 def test_rpm_is_raw(context):
     np.testing.assert_allclose(
-        decode("rpm", context, (0, 60, 14473, 60)), (0, 2 * np.pi, 14473 * np.pi / 30, 2 * np.pi)
+        decode("rpm", context, (0, 60, 16608, 60)), (0, 2 * np.pi, 16608 * np.pi / 30, 2 * np.pi)
     )
-    assert make_action("rpm", context).high[0, 0] == pytest.approx(2273.5 * 30 / np.pi)
+    assert make_action("rpm", context).high[0, 0] == pytest.approx(2607.5 * 30 / np.pi)
 
 
 @pytest.mark.parametrize("name", ["velocity", "acceleration", "target_position"])

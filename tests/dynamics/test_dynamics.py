@@ -143,8 +143,8 @@ def same_state(swarm, expected):
 
 
 def powered(make_bench, dynamics, airframe, **options):
-    bench = make_bench(dynamics, airframe, substeps=240, **options)
-    bench.swarm.position[..., 2] = 0.3
+    bench = make_bench(dynamics, airframe, substeps=72, **options)
+    bench.swarm.position[..., 2] = 0.15
     bench.swarm.quaternion[:] = Rotation.from_euler("xyz", (0.1, -0.2, 0.5)).as_quat()
     bench.swarm.velocity[:] = 1, 2, 0.5
     bench.swarm.rates[:] = 0.2, -0.1, 0.3
@@ -159,7 +159,7 @@ def powered(make_bench, dynamics, airframe, **options):
 def test_rigid_body_agrees_with_an_independent_integration_of_all_forces(make_bench, airframe):
     bench = powered(make_bench, "rigid_body", airframe, wind=(2.0, -1.0, 0.3))
     bench.spin(bench.command)
-    exact = Reference(bench.airframe, bench.command, wind=(2.0, -1.0, 0.3)).solve(*bench.start, 1.0)
+    exact = Reference(bench.airframe, bench.command, wind=(2.0, -1.0, 0.3)).solve(*bench.start, 0.3)
     same_state(bench.swarm, exact)
 
 
@@ -168,7 +168,7 @@ def test_bullet_agrees_with_its_declared_scheme_with_all_forces(make_bench, airf
     bench = powered(make_bench, "bullet", airframe, wind=(2.0, -1.0, 0.3))
     bench.spin(bench.command)
     model = Reference(bench.airframe, bench.command, wind=(2.0, -1.0, 0.3))
-    same_state(bench.swarm, model.engine_scheme(*bench.start, 1 / 240, 240))
+    same_state(bench.swarm, model.engine_scheme(*bench.start, 1 / 240, 72))
 
 
 @pytest.mark.parametrize("airframe", AIRFRAMES)
@@ -200,7 +200,7 @@ def test_rpm_obeys_the_plain_quadrotor_equations(dynamics):
     env = bulletuav.parallel_env("hover", action="rpm", effects=(), dynamics=dynamics, height=3.0)
     env.reset(seed=0)
     start = env.aviary.swarm.world(0).copy()
-    rpm = np.array([14600.0, 14610.0, 14605.0, 14602.0])
+    rpm = np.array([16750.0, 16760.0, 16755.0, 16752.0])
     for _ in range(30):
         env.step({"drone_0": rpm})
     model = Reference(
@@ -225,7 +225,8 @@ def test_downwash_pushes_the_lower_drone_only(make_bench, dynamics):
         bench.place().spin(bench.airframe.hover_speed())
         speeds.append(bench.swarm.velocity[0, :, 2].copy())
     np.testing.assert_allclose(speeds[0], 0, atol=1e-9)
-    assert speeds[1][0] == pytest.approx(-0.0758 / 0.027 * 0.1, rel=0.06)
+    # 0.32 m g 0.046 / sqrt(0.046^2 + 0.1^2) = 0.0354 N, for 0.1 s
+    assert speeds[1][0] == pytest.approx(-0.0354 / 0.027 * 0.1, rel=0.02)
     assert speeds[1][1] == pytest.approx(0, abs=1e-9)
 
 
@@ -233,8 +234,8 @@ def test_downwash_pushes_the_lower_drone_only(make_bench, dynamics):
 def test_steady_wind_carries_a_hovering_drone(make_bench, dynamics):
     bench = make_bench(dynamics, "cf2x", wind=(3.0, 0, 0), substeps=1)
     bench.place().spin(bench.airframe.hover_speed())
-    drag = 9.1785e-7 * 4 * bench.airframe.hover_speed()
-    assert bench.swarm.velocity[0, 0, 0] == pytest.approx(3 * drag / 0.027 / 240, rel=1e-3)
+    drag = 1.6e-6 * 4 * bench.airframe.hover_speed() * 3 + 0.5 * 1.225 * 5e-4 * 9
+    assert bench.swarm.velocity[0, 0, 0] == pytest.approx(drag / 0.027 / 240, rel=1e-3)
 
 
 @pytest.mark.parametrize("dynamics", BOTH)

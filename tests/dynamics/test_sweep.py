@@ -218,7 +218,7 @@ def test_flat_drones_meet_face_to_face_in_bullet(make_bench, airframe):
 
 @pytest.mark.parametrize("dynamics", ["rigid_body", "bullet"])
 def test_a_flight_that_diverges_is_named_and_can_be_reset(urdf, dynamics):
-    inertia = ('ixx="1.4e-5" iyy="1.4e-5" izz="2.17e-5"', 'ixx="1e-12" iyy="1e-12" izz="1e-12"')
+    inertia = ('ixx="1.68e-5" iyy="1.68e-5" izz="2.93e-5"', 'ixx="1e-12" iyy="1e-12" izz="1e-12"')
     aviary = bulletuav.Aviary("hover", airframe=urdf("cf2x", inertia), dynamics=dynamics)
     aviary.reset(seeds=0)
 

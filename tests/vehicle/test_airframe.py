@@ -9,16 +9,19 @@ import pytest
 
 from bulletuav import Airframe, available_airframes, load_airframe, registry
 from bulletuav.geometry.shapes import HULL, Shape
-from bulletuav.vehicle.parameters import parameter_rows
+from bulletuav.vehicle.parameters import EFFECTS, parameter_rows
+from bulletuav.vehicle.scaling import scaled_constants
 
 # Computed by hand from published constants: hover speed (rad/s), most thrust (N), thrust to weight,
 # drag at hover (N s/m).
 FIGURES = {
-    "cf2p": (1515.64, 0.5958, 2.25, (0.00556, 0.00625)),
+    "cf2p": (1739.16, 0.5952, 2.25, (0.01113, 0.00974)),
     "racer": (1623.14, 33.94, 4.17, (0.266, 0.422)),
     "iris": (660.25, 24.013, 1.611, (0.2130, 0.0)),
     "firefly": (540.86, 36.019, 2.401, (0.2617, 0.0)),
-    "cf2x": (1515.64, 0.5958, 2.25, (0.00556, 0.00625)),
+    "cf2x": (1739.16, 0.5952, 2.25, (0.01113, 0.00974)),
+    "cf2x_L250": (1985.98, 0.48, 1.5343, (0.01472, 0.01277)),
+    "cf21B": (1664.35, 0.8, 1.8806, (0.02149, 0.0236)),
     "hummingbird": (453.15, 24.013, 3.420, (0.1462, 0.0)),
 }
 
@@ -39,8 +42,10 @@ def test_published_figures(name):
 # hummingbird, iris and firefly (front left, back left, right), Bitcraze's motor map for the
 # Crazyflie (M1, M3), Betaflight's quad X for the racer.
 COUNTER_CLOCKWISE = {
-    "cf2p": {(0.0397, 0.0), (-0.0397, 0.0)},
-    "cf2x": {(0.028072, -0.028072), (-0.028072, 0.028072)},
+    "cf2p": {(0.046, 0.0), (-0.046, 0.0)},
+    "cf2x": {(0.03253, -0.03253), (-0.03253, 0.03253)},
+    "cf2x_L250": {(0.03253, -0.03253), (-0.03253, 0.03253)},
+    "cf21B": {(0.035355, -0.035355), (-0.035355, 0.035355)},
     "firefly": {(0.186195, 0.1075), (-0.186195, 0.1075), (0.0, -0.215)},
     "hummingbird": {(0.0, 0.17), (0.0, -0.17)},
     "iris": {(0.13, -0.22), (-0.13, 0.2)},
@@ -56,13 +61,50 @@ def test_rotors_spin_as_published(name):
     assert sum(turn for _, _, turn in airframe.rotors) == 0
 
 
-def test_crazyflie_constants_are_consistent():
+def test_crazyflie_constants_are_those_of_the_stand():
+    """Bitcraze's stand: all four rotors lift 57.9 g at 23,882 rpm and 27 g at 16,700 rpm."""
     cf2x = load_airframe("cf2x")
-    per_rpm = (60 / (2 * math.pi)) ** 2
-    assert cf2x.thrust_coefficient == pytest.approx(3.16e-10 * per_rpm, rel=1e-4)
-    assert cf2x.torque_ratio == pytest.approx(1.885e-12 / 3.16e-10, rel=1e-3)
-    assert cf2x.arm == pytest.approx(0.0397, abs=5e-5)
-    assert cf2x.hover_speed() * 60 / (2 * math.pi) == pytest.approx(14473, abs=1)
+    for grams, rpm in ((57.9, 23882), (27.0, 16700)):
+        lift = 4 * cf2x.thrust_coefficient * (rpm * 2 * math.pi / 60) ** 2
+        assert lift / 9.80665e-3 == pytest.approx(grams, rel=0.04)
+    assert cf2x.torque_ratio == 0.00596
+    assert cf2x.arm == pytest.approx(0.046, abs=5e-5)
+    assert cf2x.hover_speed() * 60 / (2 * math.pi) == pytest.approx(16608, abs=1)
+    # Foerster's map from PWM, stretched so that its thrust at a PWM stays with the smaller k_f
+    stretch = math.sqrt(3.16e-10 / 2.40e-10)
+    assert cf2x.pwm.slope == pytest.approx(0.2685 * stretch, rel=1e-4)
+    assert cf2x.pwm.intercept == pytest.approx(4070.3 * stretch, rel=1e-4)
+
+
+def test_constants_that_a_file_leaves_out_are_those_of_the_crazyflie_scaled():
+    """Twice the lengths, weight and thrust per disc area kept: 4 times the mass, 1/2 the speed."""
+    file = load_airframe("racer")
+    disc = 4 * math.pi * file.propeller_radius**2
+    assert file.body_drag == pytest.approx((0.075 * disc, 0.52 * disc))
+    assert file.ground_effect_decay == pytest.approx(1.34 * 0.0635)
+    assert (file.ground_effect_gain, file.wake_share, file.wake_spread) == (0.35, 0.32, 0.1)
+    assert file.wake_radius == file.arm
+    assert file.rotor_inertia > 0
+    # By hand: 4.8 * 7.7237e-7 * 1623.14 / 0.0635 = 0.094766 N for each m/s along the axis
+    assert file.damping[0] == pytest.approx(0.094766 * 4 * 0.0675**2 / 0.003113, rel=1e-4)
+    assert file.damping[1] == pytest.approx(0.094766 * 4 * 0.085**2 / 0.003113, rel=1e-4)
+    radius = 4 * (0.0675**2 + 0.085**2)
+    assert file.damping[2] == pytest.approx(4.1e-5 * 1623.14 * radius / 0.005, rel=1e-4)
+
+
+def test_the_scaled_law_gives_back_the_crazyflie():
+    cf2x = load_airframe("cf2x")
+    usual = scaled_constants(
+        cf2x.inertia,
+        cf2x.rotors,
+        cf2x.thrust_coefficient,
+        cf2x.drag_xy,
+        cf2x.propeller_radius,
+        cf2x.hover_speed(),
+    )
+    assert usual.damping[:2] == pytest.approx(cf2x.damping[:2], rel=0.02)
+    assert usual.damping[2] < cf2x.damping[2]
+    assert usual.body_drag == pytest.approx(cf2x.body_drag, rel=0.02)
 
 
 def test_all_shipped_airframes_load_and_are_frozen():
@@ -99,15 +141,15 @@ REFUSED = [
     ('<mass value="0.027"/>', "", "inertial/mass", "missing"),
     ('<mass value="0.027"/>', '<mass value="-1"/>', "mass value", "-1"),
     ('<mass value="0.027"/>', '<mass value="heavy"/>', "mass value", "heavy"),
-    ('<thrust_coefficient value="2.8816e-8"/>', "", "thrust_coefficient", "missing"),
+    ('<thrust_coefficient value="2.1885e-8"/>', "", "thrust_coefficient", "missing"),
     (
-        '<thrust_coefficient value="2.8816e-8"/>',
+        '<thrust_coefficient value="2.1885e-8"/>',
         '<thrust_coefficient value="nan"/>',
         "thrust_coefficient",
         "nan",
     ),
     (
-        '<thrust_coefficient value="2.8816e-8"/>',
+        '<thrust_coefficient value="2.1885e-8"/>',
         '<thrust_coefficient value="0"/>',
         "thrust_coefficient",
         "0",
@@ -115,13 +157,13 @@ REFUSED = [
     ('up="0.065"', 'up="-0.1"', "motor_lag up", "-0.1"),
     ('up="0.065"', "", "motor_lag up", "missing"),
     (
-        '<max_rotor_speed value="2273.5"/>',
+        '<max_rotor_speed value="2607.5"/>',
         '<max_rotor_speed value="1000"/>',
         "max_rotor_speed",
         "cannot hover",
     ),
-    ('izz="2.17e-5"', 'izz="2.9e-5"', "inertia", "no body has it"),
-    ('izz="2.17e-5"', 'izz="0"', "inertia izz", "0"),
+    ('izz="2.93e-5"', 'izz="3.9e-5"', "inertia", "no body has it"),
+    ('izz="2.93e-5"', 'izz="0"', "inertia izz", "0"),
     ('ixy="0"', 'ixy="1e-6"', "inertia ixy", "principal axes"),
     ('ixy="0"', 'ixy="abc"', "inertia ixy", "a number is needed"),
     ('<mass value="0.027"/>', '<mass value="0.02_7"/>', "mass value", "a number is needed"),
@@ -130,8 +172,8 @@ REFUSED = [
     ('<robot name="cf2x">', "<robot>", "robot name", "missing"),
     ('<link name="base">', "<link>", "link name", "missing"),
     (
-        '<cylinder radius="0.0628"',
-        '<sphere radius="1"/><cylinder radius="0.0628"',
+        '<cylinder radius="0.0691"',
+        '<sphere radius="1"/><cylinder radius="0.0691"',
         "collision geometry",
         "one cylinder",
     ),
@@ -142,16 +184,16 @@ REFUSED = [
         "centre of mass",
     ),
     ('spin="ccw"', 'spin="left"', "rotor spin", "left"),
-    ('<rotor x="0.028072" y="-0.028072" spin="ccw"/>', "", "rotor", "3 times"),
-    ('x="-0.028072"', 'x="0.028072"', "rotor", "cannot turn"),
+    ('<rotor x="0.03253" y="-0.03253" spin="ccw"/>', "", "rotor", "3 times"),
+    ('x="-0.03253"', 'x="0.03253"', "rotor", "cannot turn"),
     (
-        '<cylinder radius="0.0628" length="0.03"/>',
+        '<cylinder radius="0.0691" length="0.03"/>',
         '<mesh filename="x"/>',
         "mesh filename",
         "x: the name of a Wavefront OBJ file",
     ),
     (
-        '<cylinder radius="0.0628" length="0.03"/>',
+        '<cylinder radius="0.0691" length="0.03"/>',
         '<box size="1 2"/>',
         "box size",
         "three positive",
@@ -159,6 +201,16 @@ REFUSED = [
     ("<collision>", '<collision><origin xyz="0 0 1"/>', "collision origin", "centred"),
     ("<collision>", "<collision/><collision>", "collision", "2 times"),
     ("</link>", '</link><link name="prop"/>', "link", "2 links"),
+    ('height="0.034"', 'height="tall"', "rotor_drag height", "a number is needed"),
+    ('<rotor_inertia value="2.697e-8"/>', "<rotor_inertia/>", "rotor_inertia value", "missing"),
+    ('<rate_damping x="2"', '<rate_damping x="-2"', "rate_damping x", "-2"),
+    ('<body_drag xy="5e-4"', "<body_drag", "body_drag xy", "missing"),
+    ("<max_speed", '<ground_effect gain="1"/><max_speed', "ground_effect decay", "missing"),
+    ("<max_speed", '<ground_effect gain="2" decay="0.1"/><max_speed', "ground_effect gain", "2"),
+    ("<max_speed", '<wake share="0.3" spread="0.1" radius="0"/><max_speed', "wake radius", "0"),
+    ('efficiency="0.53"', 'efficiency="0"', "power efficiency", "0"),
+    ('cells="1"', 'cells="1.5"', "battery cells", "a whole number"),
+    ('capacity="0.925"', 'capacity="full"', "battery capacity", "a number is needed"),
     ('min="20000"', 'min="70000"', "pwm max", "65535"),
 ]
 
@@ -179,7 +231,7 @@ def test_flat_bodies_are_taken_whatever_the_rounding(urdf):
     for ixx, iyy, izz in (("2.7e-5", "2.8e-5", "5.5e-5"), ("7e-6", "26e-6", "33e-6")):
         path = urdf(
             "cf2x",
-            ('ixx="1.4e-5" iyy="1.4e-5" izz="2.17e-5"', f'ixx="{ixx}" iyy="{iyy}" izz="{izz}"'),
+            ('ixx="1.68e-5" iyy="1.68e-5" izz="2.93e-5"', f'ixx="{ixx}" iyy="{iyy}" izz="{izz}"'),
         )
         assert load_airframe(path).inertia == (float(ixx), float(iyy), float(izz))
         one = bench.Bench("bullet", path, effects=(), gravity=0.0)
@@ -226,28 +278,33 @@ def test_airframes_have_names_in_the_registry(urdf, monkeypatch):
 
 @pytest.mark.parametrize("shape", ['<box size="0.1 0.1 0.05"/>', '<sphere radius="0.075"/>'])
 def test_other_collision_shapes(urdf, shape):
-    airframe = load_airframe(urdf("cf2x", ('<cylinder radius="0.0628" length="0.03"/>', shape)))
+    airframe = load_airframe(urdf("cf2x", ('<cylinder radius="0.0691" length="0.03"/>', shape)))
     assert airframe.collision_radius == pytest.approx(0.075)
 
 
 def test_effects_are_switched_off_by_zero_constants():
     cf2x = load_airframe("cf2x")
     full, none = parameter_rows([cf2x])[0], parameter_rows([cf2x], ())[0]
-    touched = {
-        "lag_up",
-        "lag_down",
-        "drag_xy",
-        "drag_z",
-        "ground_effect_gain",
-        "downwash_gain",
-        "downwash_radius",
+    switched = {
+        "lag": {"lag_up", "lag_down"},
+        "drag": {"drag_xy", "drag_z", "drag_height"},
+        "body_drag": {"body_drag_xy", "body_drag_z"},
+        "damping": {"damping"},
+        "rotor_inertia": {"rotor_inertia"},
+        "ground_effect": {"ground_effect_gain"},
+        "downwash": {"wake_share"},
+        "voltage": set(),
     }
-    for field in full.dtype.names:
-        if field in touched:
-            assert full[field] > 0
-            assert none[field] == 0
-        else:
-            np.testing.assert_array_equal(full[field], none[field])
+    assert tuple(switched) == EFFECTS
+    for effect, fields in switched.items():
+        one = parameter_rows([cf2x], (effect,))[0]
+        for field in full.dtype.names:
+            if field in fields:
+                assert (full[field] > 0).all()
+                assert (none[field] == 0).all()
+                np.testing.assert_array_equal(one[field], full[field])
+            else:
+                np.testing.assert_array_equal(one[field], none[field])
     with pytest.raises(ValueError, match="did you mean 'drag'"):
         parameter_rows([cf2x], ("drags",))
 

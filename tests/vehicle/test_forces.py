@@ -1,4 +1,3 @@
-import itertools
 import math
 
 import numpy as np
@@ -7,14 +6,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from bulletuav import load_airframe
-from bulletuav.vehicle.aerodynamics import downwash, ground_effect, rotor_drag, wakes
-from bulletuav.vehicle.parameters import parameter_rows
-from bulletuav.vehicle.rotors import lag_decay, lagged, rotor_wrench
-from bulletuav.vehicle.wrench import wrench
+from bulletuav import available_airframes, load_airframe
+from bulletuav.vehicle.aerodynamics import drag, ground_effect, ground_wrench
+from bulletuav.vehicle.parameters import EFFECTS, parameter_rows
+from bulletuav.vehicle.rotors import lag_decay, lagged, rotor_wrench, spin_up
+from bulletuav.vehicle.wrench import body_acceleration, damping_torque, wrench
 
 G = 9.80665
-NAMES = ("cf2x", "hummingbird", "cf2p", "racer", "iris", "firefly")
+NAMES = available_airframes()
+LEVEL = (0.0, 0.0, 0.0, 1.0)
+ZERO = (0.0, 0.0, 0.0)
 
 
 def row_of(name, effects=None):
@@ -22,8 +23,16 @@ def row_of(name, effects=None):
     return airframe, parameter_rows([airframe], *([] if effects is None else [effects]))[0]
 
 
-def still_air(surface=-np.inf, wind=(0.0, 0.0, 0.0)):
-    return np.array(wind), surface, G, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+def still_air(surface=-np.inf, wind=ZERO):
+    return np.array(wind), surface, G, ZERO, ZERO
+
+
+def wrench_of(row, speed, quaternion=LEVEL, velocity=ZERO, altitude=1e9, **air):
+    speed = np.asarray(speed, float)
+    rotors = rotor_wrench(speed, 0.0, row)
+    around = still_air(**air)
+    force, torque = wrench(quaternion, np.array(velocity), altitude, speed, rotors, around, row)
+    return np.array(force), np.array(torque)
 
 
 # Rotors
@@ -45,60 +54,112 @@ def test_without_lag_the_command_is_the_speed():
     _, row = row_of("cf2x", ())
     assert after(5.0, 900.0, 1e-3, row) == 900.0
     assert after(900.0, 5.0, 1e-3, row) == 5.0
+    assert spin_up(5.0, 900.0, row) == 0
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_hover_balances_weight_to_1e9(name):
     airframe, row = row_of(name)
-    speed = np.full(len(airframe.rotors), airframe.hover_speed())
-    force, torque = wrench(
-        (0.0, 0.0, 0.0, 1.0), np.zeros(3), 1e9, rotor_wrench(speed, row), still_air(), 0.0, row
-    )
+    force, torque = wrench_of(row, np.full(len(airframe.rotors), airframe.hover_speed()))
     np.testing.assert_allclose(force, 0, atol=1e-9)
     np.testing.assert_allclose(torque, 0, atol=1e-9)
 
 
 def test_torques_of_single_rotors_by_hand():
+    """k_f w^2 is 0.021885 N at 1000 rad/s, the drag torque 0.00596 m times that."""
     airframe, row = row_of("cf2x")
     for r, (x, y, turn) in enumerate(airframe.rotors):
         speed = np.zeros(4)
         speed[r] = 1000.0
-        thrust, torque, total = rotor_wrench(speed, row)
-        assert (thrust, total) == (pytest.approx(0.028816), 1000.0)
+        thrust, torque, total, momentum = rotor_wrench(speed, 0.0, row)
+        assert (thrust, total) == (pytest.approx(0.021885), 1000.0)
+        assert momentum == pytest.approx(-turn * 2.697e-8 * 1000)
         np.testing.assert_allclose(
-            torque, (y * 0.028816, -x * 0.028816, turn * 0.028816 * 0.00596), rtol=1e-12
+            torque, (y * 0.021885, -x * 0.021885, turn * 0.021885 * 0.00596), rtol=1e-12
         )
 
 
 def test_faster_clockwise_rotors_turn_the_crazyflie_to_the_left():
     _, row = row_of("cf2x")
-    _, torque, _ = rotor_wrench(np.array([1000.0, 1100.0, 1000.0, 1100.0]), row)
+    _, torque, _, _ = rotor_wrench(np.array([1000.0, 1100.0, 1000.0, 1100.0]), 0.0, row)
     np.testing.assert_allclose(torque[:2], 0, atol=1e-12)
     assert torque[2] > 0
 
 
+def test_rotors_that_speed_up_turn_the_body_by_their_own_momentum():
+    """2.697e-8 kg m^2 at 100 rad/s in 0.065 s: 4.149e-5 N m at first, against the rotor's spin."""
+    _, row = row_of("cf2x")
+    first = spin_up(1700.0, 1800.0, row)
+    assert first == pytest.approx(100 / 0.065)
+    calm = rotor_wrench(np.full(4, 1700.0), 0.0, row)
+    faster = rotor_wrench(np.full(4, 1700.0), first, row)
+    assert faster[1][2] - calm[1][2] == pytest.approx(4.149e-5, rel=1e-3)
+    assert faster[0] == calm[0]
+    assert rotor_wrench(np.full(4, 1700.0), first, row_of("cf2x", ("lag",))[1])[1] == calm[1]
+
+
+# Rates
+
+
+def test_damping_is_the_share_that_the_airframe_tells_at_hover():
+    airframe, row = row_of("cf2x")
+    total = 4 * airframe.hover_speed()
+    slowed = body_acceleration((1.0, -2.0, 0.5), ZERO, total, 0.0, row)
+    gyroscopic = body_acceleration((1.0, -2.0, 0.5), ZERO, 0.0, 0.0, row)
+    np.testing.assert_allclose(np.subtract(slowed, gyroscopic), (-2.0, 4.0, -1.25), rtol=1e-12)
+    assert damping_torque((1.0, 1.0, 1.0), 0.0, row) == (0, 0, 0)
+
+
+spin = st.tuples(*[st.floats(-30, 30)] * 3)
+
+
+@given(spin, st.floats(0, 1e4), st.floats(-1e-4, 1e-4))
+def test_rotors_that_spin_take_energy_by_damping_only(rates, total, momentum):
+    """The gyroscope and the body's own precession do no work; damping never gives any."""
+    airframe, row = row_of("cf2x")
+    power = np.dot(
+        np.multiply(airframe.inertia, rates),
+        body_acceleration(rates, ZERO, total, momentum, row),
+    )
+    lost = np.dot(damping_torque(rates, total, row), rates)
+    assert lost >= 0
+    assert power == pytest.approx(-lost, abs=1e-12 * (1 + np.dot(rates, rates)))
+
+
+def test_a_gyroscope_precesses_by_hand():
+    """h = -1e-5 N m s about z, rolling at 2 rad/s: M_y = 2 h, over 1.68e-5 kg m^2: -1.19 rad/s^2."""
+    _, row = row_of("cf2x", ())
+    assert body_acceleration((2.0, 0.0, 0.0), ZERO, 0.0, -1e-5, row) == (
+        0,
+        pytest.approx(-2e-5 / 1.68e-5),
+        0,
+    )
+
+
 # Drag
+
+ROTORS_ONLY = tuple(effect for effect in EFFECTS if effect != "body_drag")
 
 
 @pytest.mark.parametrize(
-    ("name", "tilt", "speed"),
+    ("name", "tilt", "rotor_speed", "v"),
     [
-        ("cf2x", 23.95, 1601.4),
-        ("cf2p", 23.95, 1601.4),
-        ("racer", 39.69, 2059.3),
-        ("hummingbird", 21.86, 436.6),
-        ("iris", 15.66, 647.9),
-        ("firefly", 18.75, 526.3),
+        ("cf2x", 11.966, 1753.64, 5.0),
+        ("cf2x", 23.488, 1797.90, 10.0),
+        ("cf2x", 43.821, 1985.18, 20.0),
+        ("racer", 39.69, 2059.3, 20.0),
+        ("hummingbird", 21.86, 436.6, 20.0),
+        ("iris", 15.66, 647.9, 20.0),
+        ("firefly", 18.75, 526.3, 20.0),
     ],
 )
-def test_level_flight_at_20_m_s_needs_the_published_tilt_and_rotor_speed(name, tilt, speed):
-    airframe, row = row_of(name)
+def test_level_flight_needs_the_tilt_that_the_rotors_drag_tells(name, tilt, rotor_speed, v):
+    """Without body drag: m g sin t = k_xy sum(w) v cos t, m g cos t + k_z sum(w) v sin t = T."""
+    airframe, row = row_of(name, ROTORS_ONLY)
     pitch = Rotation.from_euler("y", tilt, degrees=True).as_quat()
-    speeds = np.full(len(airframe.rotors), speed)
-    force, _ = wrench(
-        pitch, np.array([20.0, 0, 0]), 1e9, rotor_wrench(speeds, row), still_air(), 0.0, row
-    )
-    np.testing.assert_allclose(np.array(force) / (airframe.mass * G), 0, atol=4e-4)
+    speeds = np.full(len(airframe.rotors), rotor_speed)
+    force, _ = wrench_of(row, speeds, pitch, (v, 0, 0))
+    np.testing.assert_allclose(force / (airframe.mass * G), 0, atol=4e-4)
 
 
 vector = st.tuples(*[st.floats(-30, 30)] * 3)
@@ -108,131 +169,108 @@ vector = st.tuples(*[st.floats(-30, 30)] * 3)
 def test_drag_takes_power_and_turns_with_the_body(v, turn):
     _, row = row_of("cf2x")
     q = Rotation.from_rotvec(turn)
-    drag = np.array(rotor_drag(q.as_quat(), v, 6000.0, row))
-    assert drag @ v <= 1e-12
-    body = np.array(rotor_drag((0.0, 0.0, 0.0, 1.0), q.inv().apply(v), 6000.0, row))
-    np.testing.assert_allclose(drag, q.apply(body), atol=1e-10)
+    force, torque = drag(q.as_quat(), v, 6000.0, row)
+    assert np.dot(force, v) <= 1e-12
+    body, same = drag(LEVEL, q.inv().apply(v), 6000.0, row)
+    np.testing.assert_allclose(force, q.apply(body), atol=1e-10)
+    np.testing.assert_allclose(torque, same, atol=1e-12)
+
+
+def test_drag_by_hand():
+    """At 4 m/s forwards and 3 m/s up: 1.6e-6 * 7000 * 4 and 1.4e-6 * 7000 * 3 of the rotors.
+
+    The body adds 1.225 / 2 * 5e-4 * 5 * 4 and 1.225 / 2 * 35e-4 * 5 * 3. That of the rotors acts
+    34 mm above the centre of mass and pitches the nose up.
+    """
+    _, row = row_of("cf2x")
+    force, torque = drag(LEVEL, (4.0, 0.0, 3.0), 7000.0, row)
+    np.testing.assert_allclose(force, (-0.0448 - 0.006125, 0, -0.0294 - 0.03215625), rtol=1e-12)
+    np.testing.assert_allclose(torque, (0, -0.0448 * 0.034, 0), rtol=1e-12)
+    _, torque = drag(LEVEL, (0.0, 2.0, 0.0), 7000.0, row)
+    np.testing.assert_allclose(torque, (0.0224 * 0.034, 0, 0), rtol=1e-12)
 
 
 def test_drag_is_relative_to_the_air_and_linear_in_rotor_speed():
-    _, row = row_of("hummingbird")
-    speeds, q = np.full(4, 450.0), (0.0, 0.0, 0.0, 1.0)
-    with_wind, _ = wrench(
-        q,
-        np.array([3.0, 0, 0]),
-        1e9,
-        rotor_wrench(speeds, row),
-        still_air(wind=(3.0, 0, 0)),
-        0.0,
-        row,
-    )
+    _, row = row_of("hummingbird", ROTORS_ONLY)
+    with_wind, torque = wrench_of(row, np.full(4, 450.0), velocity=(3.0, 0, 0), wind=(3.0, 0, 0))
     np.testing.assert_allclose(with_wind[:2], 0, atol=1e-15)
-    np.testing.assert_allclose(
-        rotor_drag(q, (1.0, 2.0, 3.0), 1800.0, row), (-8.06428e-5 * 1800, -2 * 8.06428e-5 * 1800, 0)
-    )
+    np.testing.assert_allclose(torque, 0, atol=1e-15)
+    force, _ = drag(LEVEL, (1.0, 2.0, 3.0), 1800.0, row)
+    np.testing.assert_allclose(force, (-8.06428e-5 * 1800, -2 * 8.06428e-5 * 1800, 0))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_drone_with_stopped_rotors_falls_at_a_terminal_speed(name):
+    airframe, row = row_of(name)
+    terminal = math.sqrt(2 * airframe.mass * G / (1.225 * airframe.body_drag[1]))
+    assert 8 < terminal < 30
+    force, _ = wrench_of(row, np.zeros(len(airframe.rotors)), velocity=(0, 0, -terminal))
+    np.testing.assert_allclose(force, 0, atol=1e-12)
 
 
 # Ground effect
 
 
-@pytest.mark.parametrize(
-    ("name", "figures"),
-    [
-        ("cf2x", (1.1521, 1.0380, 1.0095, 1.0015)),
-        ("cf2p", (1.1521, 1.0380, 1.0095, 1.0015)),
-        ("racer", (1.1008, 1.0252, 1.0063, 1.0010)),
-        ("hummingbird", (1.2500, 1.0625, 1.0156, 1.0025)),
-        ("iris", (1.2667, 1.1024, 1.0256, 1.0041)),
-        ("firefly", (1.2500, 1.0625, 1.0156, 1.0025)),
-    ],
-)
-def test_ground_effect_figures(name, figures):
-    _, row = row_of(name)
-    for height, figure in zip((0.05, 0.1, 0.2, 0.5), figures, strict=True):
-        assert 1 + ground_effect(height, 1.0, row) == pytest.approx(figure, abs=5e-5)
+def test_ground_effect_figures():
+    """0.35 exp(-h / 1.34 R), by hand: R is 0.0231348 m and 0.1 m."""
+    heights = (0.0, 0.03, 0.1, 0.3)
+    for name, shares in (
+        ("cf2x", (0.35, 0.1329816, 0.01390422, 2.19434e-05)),
+        ("hummingbird", (0.35, 0.2797937, 0.1659463, 0.03730499)),
+    ):
+        _, row = row_of(name)
+        for height, share in zip(heights, shares, strict=True):
+            assert ground_effect(height, row) == pytest.approx(share, rel=1e-6)
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_ground_effect_is_bounded_falls_with_height_and_fades_with_tilt(name):
+def test_ground_effect_is_bounded_and_falls_with_height(name):
     _, row = row_of(name)
-    gains = [ground_effect(h, 1.0, row) for h in (-1.0, 0.0, 1e-9, 0.01, 0.1, 1.0, 100.0, np.inf)]
-    assert gains[0] == pytest.approx(4 / 15, rel=1e-12)
+    gains = [ground_effect(h, row) for h in (-1.0, 0.0, 1e-9, 0.01, 0.1, 1.0, 100.0, np.inf)]
+    assert gains[:2] == [0.35, 0.35]
     assert gains == sorted(gains, reverse=True)
     assert gains[-1] == 0
-    assert ground_effect(0.1, 0.5, row) == pytest.approx(0.5 * ground_effect(0.1, 1.0, row))
-    assert ground_effect(0.1, -1.0, row) == 0
-    assert ground_effect(0.1, 1.0, row_of(name, ())[1]) == 0
+    assert ground_effect(0.1, row_of(name, ())[1]) == 0
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_ground_effect_lifts_the_lower_side_of_a_tilted_drone(name):
+    airframe, row = row_of(name)
+    speed = np.full(len(airframe.rotors), airframe.hover_speed())
+    for axis, k in (("x", 0), ("y", 1)):
+        for tilt in (-0.2, 0.2):
+            q = Rotation.from_euler(axis, tilt).as_quat()
+            near = wrench_of(row, speed, q, altitude=2 * airframe.propeller_radius, surface=0.0)[1]
+            assert near[k] * tilt < 0
+            assert abs(near[2]) < 1e-9
+
+
+def test_the_levelling_torque_by_hand():
+    """Two rotors 0.17 m ahead and behind, pitched by 0.2 rad at 0.2 m: 0.166 and 0.234 m high."""
+    airframe, row = row_of("hummingbird")
+    lean = (-math.sin(0.2), 0.0, math.cos(0.2))
+    speed = np.full(4, airframe.hover_speed())
+    thrust, torque_x, torque_y = ground_wrench(0.2, lean, speed, row)
+    each = airframe.mass * G / 4
+    share = [0.35 * math.exp(-h / 0.134) * math.cos(0.2) for h in (0.166226, 0.2, 0.2, 0.233774)]
+    assert thrust == pytest.approx(each * sum(share), rel=1e-5)
+    assert torque_x == pytest.approx(0, abs=1e-12)
+    assert torque_y == pytest.approx(-0.17 * each * (share[0] - share[3]), rel=1e-4)
+
+
+def test_ground_effect_fades_with_tilt_and_ends_where_nothing_is_left():
+    airframe, row = row_of("cf2x")
+    speed = np.full(4, airframe.hover_speed())
+    assert ground_wrench(0.05, (0.0, 0.0, -1.0), speed, row) == (0, 0, 0)
+    assert ground_wrench(0.05, (1.0, 0.0, 0.0), speed, row) == (0, 0, 0)
+    edge = 25 * airframe.ground_effect_decay
+    assert ground_wrench(edge, (0.0, 0.0, 1.0), speed, row) == (0, 0, 0)
+    just_below = ground_wrench(0.999 * edge, (0.0, 0.0, 1.0), speed, row)[0]
+    assert 0 < just_below < 1e-11 * airframe.mass * G
+    assert ground_wrench(0.05, (0.0, 0.0, 1.0), speed, row_of("cf2x", ())[1]) == (0, 0, 0)
 
 
 def test_thrust_grows_near_the_surface_wherever_it_is():
     airframe, row = row_of("hummingbird")
-    speed, q = np.full(4, airframe.hover_speed()), (0.0, 0.0, 0.0, 1.0)
-    force, _ = wrench(
-        q, np.zeros(3), 30.1, rotor_wrench(speed, row), still_air(surface=30.0), 0.0, row
-    )
-    assert force[2] == pytest.approx(0.0625 * airframe.mass * G, rel=1e-9)
-
-
-# Downwash
-
-
-@pytest.mark.parametrize(
-    ("aside", "figures"), [(0.0, (0.26478, 0.07584, 0.01896)), (0.1, (0.07463, 0.02138, 0.01693))]
-)
-def test_downwash_figures_of_the_crazyflie(aside, figures):
-    _, row = row_of("cf2x")
-    for drop, figure in zip((0.5, 1.0, 2.0), figures, strict=True):
-        assert downwash(aside**2, drop, G, row) == pytest.approx(figure, abs=6e-6)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_downwash_has_no_singularity_and_never_exceeds_the_weight_above(name):
-    airframe, row = row_of(name)
-    for drop in (1e-300, 1e-3, 0.6875, 0.69, 10.0, 1e6):
-        for aside in (0.0, 0.5, 5.0, 1e6):
-            force = downwash(aside**2, drop, G, row)
-            assert 0 <= force <= airframe.mass * G
-    assert (
-        downwash(0.25, 1e-3, G, row_of("cf2x")[1]) < 1e-6
-    )  # the unbounded formula gives nine weights here
-    assert downwash(0.0, 0.0, G, row) == downwash(0.0, -1.0, G, row) == 0
-    assert downwash(0.0, 0.5, G, row_of(name, ())[1]) == 0
-
-
-def wakes_of(position, alive, parameters):
-    total = np.full(alive.shape[1], np.nan)
-    wakes(0, position, alive, parameters, G, total)
-    return total
-
-
-def test_downwash_adds_up_over_living_drones_above():
-    _, row = row_of("cf2x")
-    parameters = np.array([[row] * 4])
-    position = np.array([[(0, 0, 1), (0, 0, 2), (0.1, 0, 3), (0, 0, 0)]], dtype=float)
-    alive = np.ones((1, 4), dtype=bool)
-    expected = downwash(0.0, 1.0, G, row) + downwash(0.01, 2.0, G, row)
-    assert wakes_of(position, alive, parameters)[0] == pytest.approx(expected, rel=1e-12)
-    alive[0, 1] = False
-    assert wakes_of(position, alive, parameters)[0] == pytest.approx(
-        downwash(0.01, 2.0, G, row), rel=1e-12
-    )
-    assert wakes_of(position, alive, parameters)[2] == 0
-
-
-def test_the_edge_of_wakes_leaves_nothing_out():
-    """Against every pair of a mixed swarm by the published fit, without an edge."""
-    rng = np.random.default_rng(0)
-    for height in (0.5, 5.0, 60.0):
-        airframes = [load_airframe(name) for name in rng.choice(NAMES, 40)]
-        position = rng.uniform(0, 1, (1, 40, 3)) * (10, 10, height)
-        expected = np.zeros(40)
-        for lower, upper in itertools.permutations(range(40), 2):
-            dx, dy, drop = position[0, upper] - position[0, lower]
-            if drop > 0:
-                above = airframes[upper]
-                strength = min(2267.18 * (above.propeller_radius / (4 * drop)) ** 2, above.mass * G)
-                width = max(0.16 * drop - 0.11, above.arm + above.propeller_radius)
-                expected[lower] += strength * np.exp(-0.5 * (dx**2 + dy**2) / width**2)
-        got = wakes_of(position, np.ones((1, 40), dtype=bool), parameter_rows(airframes)[None])
-        np.testing.assert_allclose(got, expected, rtol=1e-12, atol=1e-14)
-        assert (got > 1e-3).sum() > 3
+    force, _ = wrench_of(row, np.full(4, airframe.hover_speed()), altitude=30.1, surface=30.0)
+    assert force[2] == pytest.approx(0.1659463 * airframe.mass * G, rel=1e-6)

@@ -15,7 +15,7 @@ from bulletuav.tasks import find_task
 from bulletuav.vehicle.parameters import parameter_rows
 from bulletuav.vehicle.swarm import GROUND
 
-CYLINDER = '<cylinder radius="0.0628" length="0.03"/>'
+CYLINDER = '<cylinder radius="0.0691" length="0.03"/>'
 WEDGE = [(0.1, 0.06, -0.01), (0.1, -0.06, -0.01), (-0.1, 0.06, -0.01), (-0.1, -0.06, -0.01)]
 WEDGE += [(-0.1, 0.06, 0.03), (-0.1, -0.06, 0.03)]
 """A wedge, 4 cm high at its tail and flat at its nose; its roof passes 1 cm over the origin"""
