@@ -15,7 +15,14 @@ from bulletuav.errors import as_int, as_sequence, choose, finite, shown, unknown
 from bulletuav.geometry.obstacle import MOST_FRICTION
 from bulletuav.sensors.lidar import FRAMES
 from bulletuav.vehicle.airframe import EFFECTS, STANDARD_GRAVITY, Airframe
-from bulletuav.vehicle.wind import MOST_WIND, TURBULENCE, WindField, check_field
+from bulletuav.vehicle.wind import (
+    MOST_WIND,
+    TURBULENCE,
+    Profile,
+    WindField,
+    as_profile,
+    check_field,
+)
 
 ENERGIES = ("zeng", "actuator")
 FORMATS = ("vector", "dict")
@@ -83,6 +90,9 @@ class EnvOptions:
         effects: Which of "lag", "drag", "ground_effect", "downwash" are simulated.
         wind: Steady wind (east, north, up), m/s, or a function of positions (W, N, 3) m and times
             (W,) s that gives (W, N, 3) m/s.
+        wind_profile: How the steady wind grows with height, with the given speed at 20 feet: None
+            (not at all), "power", "log", or a pair: ("power", exponent) or ("log", roughness
+            length in m). See `bulletuav.vehicle.wind.PROFILES`.
         turbulence: Dryden gusts: None, "light", "moderate", "severe", or the wind speed at 20 feet
             that sets them, m/s.
         randomization: What is uncertain, such as {"gps_noise": 1.0}; see
@@ -131,6 +141,7 @@ class EnvOptions:
     controller: str = "lee"
     effects: tuple[str, ...] = EFFECTS
     wind: tuple[float, float, float] | WindField = (0.0, 0.0, 0.0)
+    wind_profile: Profile | None = None
     turbulence: str | float | None = None
     randomization: Randomization = CERTAIN
     camera_size: tuple[int, int] = (64, 48)
@@ -289,6 +300,12 @@ class EnvOptions:
             self._keep(
                 "wind",
                 tuple(finite("wind", component, -MOST_WIND, MOST_WIND) for component in given),
+            )
+        self._keep("wind_profile", as_profile(self.wind_profile))
+        if callable(self.wind) and self.wind_profile is not None:
+            raise ValueError(
+                "wind_profile changes a steady wind with height: leave it out where wind is a "
+                "function, which tells the wind at each height"
             )
         if isinstance(self.turbulence, str):
             choose("turbulence", self.turbulence, TURBULENCE)
