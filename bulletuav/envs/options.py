@@ -93,8 +93,8 @@ class EnvOptions:
         wind_profile: How the steady wind grows with height, with the given speed at 20 feet: None
             (not at all), "power", "log", or a pair: ("power", exponent) or ("log", roughness
             length in m). See `bulletuav.vehicle.wind.PROFILES`.
-        turbulence: Dryden gusts: None, "light", "moderate", "severe", or the wind speed at 20 feet
-            that sets them, m/s.
+        turbulence: Dryden gusts, one field in each world: None, "light", "moderate", "severe", or
+            the wind speed at 20 feet that sets them, m/s.
         randomization: What is uncertain, such as {"gps_noise": 1.0}; see
             `bulletuav.envs.randomization.Randomization`.
         camera_size: Width and height of the drones' cameras, pixels (observations "rgb", "depth",
