@@ -162,8 +162,7 @@ class Airspace(AirspaceParts):
     def _make_program(self) -> Program:
         """Make the program of a step, in the order in which things happen."""
         program, contact = Program(), self._dynamics.contact
-        flying = np.ones(1, dtype=bool)
-        self._wind.add_to(program, self._swarm, self._time, [self.rng], flying, self._air)
+        self._wind.add_to(program, self._swarm.position, self._time, self._air)
         obstacles = (self._obstacle, self._obstacle_velocity, contact.before, contact.after)
         turning = (self._swarm.quaternion, self._setpoint, self._yaw_rate)
         program.call(prepare, *turning, self.period, *obstacles)

@@ -69,10 +69,10 @@ class AirspaceParts(Environment):
             obstacles: What `place_obstacle` can put somewhere.
             layout: Buildings that stand.
             sensors: Names of sensors, or objects, that all drones carry.
-            **options: dynamics, seed, effects, wind, turbulence, gravity, max_speed, controller,
-                contacts, friction, restitution, randomization, rays, camera_size, camera_hz,
-                num_beams, max_range, lidar_elevations, lidar_frame, render_mode, render_size; see
-                `EnvOptions`.
+            **options: dynamics, seed, effects, wind, wind_profile, turbulence, gravity, max_speed,
+                controller, contacts, friction, restitution, randomization, rays, camera_size,
+                camera_hz, num_beams, max_range, lidar_elevations, lidar_frame, render_mode,
+                render_size; see `EnvOptions`.
 
         Raises:
             ValueError: An option cannot be, or drones overlap each other or what stands.
@@ -91,7 +91,7 @@ class AirspaceParts(Environment):
         self.hover_speed.flags.writeable = False
         self._make_arrays(shape, len(obstacles))
         self.rng = np.random.default_rng(known.seed)
-        self._wind = Wind(known.wind, known.wind20, shape, self.period)
+        self._wind = Wind(known.wind, known.wind20, 1, known.wind_profile)
         parameters = self._dynamics.flight.parameters
         uncertain = Uncertainty(known.randomization, self._engine, parameters, self._wind)
         wanted = frozenset(name for one in carried.values() for name in one.gives)

@@ -170,7 +170,7 @@ class Decisions(Worlds):
         program.call(admit, self.given, self.alive, *bounds, frame.action, otherwise=self._refuse)
         clock = (self.steps, float(self.options.decision_hz))
         program.call(begin, self.alive, *clock, frame.alive, self._flying, frame.time)
-        self._wind.add_to(program, self.swarm, frame.time, self.rng, self._flying, self._air)
+        self._wind.add_to(program, self.swarm.position, frame.time, self._air)
         before = (scene.goal, frame.goal_before, scene.obstacle, self._dynamics.contact.before)
         program.call(keep_before, self.swarm, frame.before, *before)
         if type(self.task).move_scene is not Task.move_scene:

@@ -16,7 +16,14 @@ from bulletuav.geometry.obstacle import MOST_FRICTION
 from bulletuav.sensors.lidar import FRAMES
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY, Airframe
 from bulletuav.vehicle.parameters import EFFECTS, USUAL_EFFECTS
-from bulletuav.vehicle.wind import MOST_WIND, TURBULENCE, WindField, check_field
+from bulletuav.vehicle.wind import (
+    MOST_WIND,
+    TURBULENCE,
+    Profile,
+    WindField,
+    as_profile,
+    check_field,
+)
 
 ENERGIES = ("zeng", "actuator")
 FORMATS = ("vector", "dict")
@@ -82,14 +89,17 @@ class EnvOptions:
         render_size: Width and height of pictures, pixels.
         controller: "lee" (geometric) or "pid" (the Crazyflie's own).
         integral: Whether "lee" makes up for steady pushes that it does not know, such as wakes and
-            wind; see `bulletuav.control.push`.
+            wind; see `bulletuav.control.observers`.
         effects: Which of `EFFECTS` are simulated: "lag" of the rotors, "drag" of the rotors,
             "body_drag", "damping" of rates, "rotor_inertia", "ground_effect", "downwash", and
             "voltage" of the battery. All but the last unless told otherwise.
         wind: Steady wind (east, north, up), m/s, or a function of positions (W, N, 3) m and times
             (W,) s that gives (W, N, 3) m/s.
-        turbulence: Dryden gusts: None, "light", "moderate", "severe", or the wind speed at 20 feet
-            that sets them, m/s.
+        wind_profile: How the steady wind grows with height, with the given speed at 20 feet: None
+            (not at all), "power", "log", or a pair: ("power", exponent) or ("log", roughness
+            length in m). See `bulletuav.vehicle.wind.PROFILES`.
+        turbulence: Dryden gusts, one field in each world: None, "light", "moderate", "severe", or
+            the wind speed at 20 feet that sets them, m/s.
         randomization: What is uncertain, such as {"gps_noise": 1.0}; see
             `bulletuav.envs.randomization.Randomization`.
         camera_size: Width and height of the drones' cameras, pixels (observations "rgb", "depth",
@@ -137,6 +147,7 @@ class EnvOptions:
     integral: bool = False
     effects: tuple[str, ...] = USUAL_EFFECTS
     wind: tuple[float, float, float] | WindField = (0.0, 0.0, 0.0)
+    wind_profile: Profile | None = None
     turbulence: str | float | None = None
     randomization: Randomization = CERTAIN
     camera_size: tuple[int, int] = (64, 48)
@@ -303,6 +314,12 @@ class EnvOptions:
             self._keep(
                 "wind",
                 tuple(finite("wind", component, -MOST_WIND, MOST_WIND) for component in given),
+            )
+        self._keep("wind_profile", as_profile(self.wind_profile))
+        if callable(self.wind) and self.wind_profile is not None:
+            raise ValueError(
+                "wind_profile changes a steady wind with height: leave it out where wind is a "
+                "function, which tells the wind at each height"
             )
         if isinstance(self.turbulence, str):
             choose("turbulence", self.turbulence, TURBULENCE)

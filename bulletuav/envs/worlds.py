@@ -72,8 +72,8 @@ class Worlds(Environment):
         self.commanded = np.zeros((*shape, 3))
         self.alive = np.zeros(shape, dtype=bool)
         self.steps = np.zeros(self.num_worlds, dtype=np.int64)
-        period = 1 / self.options.decision_hz
-        self._wind = Wind(self.options.wind, self.options.wind20, shape, period)
+        blowing = (self.options.wind, self.options.wind20)
+        self._wind = Wind(*blowing, self.num_worlds, self.options.wind_profile)
         randomization = self.options.randomization
         self._uncertainty = Uncertainty(randomization, self._engine, self.parameters, self._wind)
         drawn = self._uncertainty.drawn

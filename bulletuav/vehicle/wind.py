@@ -1,160 +1,107 @@
-"""Wind: steady, Dryden turbulence on top, or a function of place and time.
+"""Wind: steady, uniform or with a profile over height, or a function; gusts on top.
 
-Dryden spectra at low altitude after MIL-F-8785C (altitude h in feet, kept within 10 and 1000). They
-are sampled exactly: each filter is advanced by the transition of its linear system over the time
-step, so the variance is right for every step.
+Gusts are those of `bulletuav.vehicle.gusts`. Buildings and drones cast no wind shadows: what stands
+in the way does not slow the wind.
 """
 
 import inspect
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.errors import numbers_of
-from bulletuav.functions import exp, expm1, hypot, power
-from bulletuav.geometry.rotation import dot
+from bulletuav.errors import as_sequence, choose, finite, numbers_of
+from bulletuav.functions import log, power
 from bulletuav.kernel import func, kernel
 from bulletuav.program import Program
-from bulletuav.vehicle.swarm import Swarm
+from bulletuav.vehicle.gusts import DRAWS, FOOT, ROWS, WAVES, add_gusts, draw_waves
 
-FOOT = 0.3048
-"""One foot, m."""
 KNOT = 1852 / 3600
 """One knot, m/s."""
 TURBULENCE = {"light": 15 * KNOT, "moderate": 30 * KNOT, "severe": 45 * KNOT}
 """Wind speeds at 20 feet, m/s, by the names that MIL-F-8785C gives them."""
-SLOWEST = 1.0
-"""Airspeed, m/s, below which the turbulence passes as if at it."""
 MOST_WIND = 100.0
 """Greatest wind speed that may be asked for, m/s."""
+REFERENCE = 20 * FOOT
+"""Height at which a steady wind with a profile has its full speed, m, as in MIL-F-8785C; the wind
+speed that sets the turbulence is of that height, too"""
+CEILING = 1000 * FOOT
+"""Height up to which profiles go on, m, as in MIL-F-8785C"""
 
 WindField = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Function from positions (W, N, 3), m, and times (W,), s, to the wind (W, N, 3), m/s."""
 
 
+class Profile(NamedTuple):
+    """A law of the steady wind's speed over height.
+
+    Attributes:
+        law: Its name in `PROFILES`.
+        number: Exponent of the law "power"; roughness length of the law "log", m.
+    """
+
+    law: str
+    number: float
+
+
+class _Number(NamedTuple):
+    """The number of a law: what it is, its usual value, its least and its greatest one."""
+
+    name: str
+    usual: float
+    least: float
+    most: float
+
+
+PROFILES = {
+    "power": _Number("exponent", 1 / 7, 0.0, 1.0),
+    "log": _Number("roughness length", 0.15 * FOOT, 1e-5, 3.0),
+}
+"""Laws of the steady wind over height.
+
+Power law with the exponent 1/7, of open land in neutral air; about 0.1 over water, 0.25 and more
+over towns. Logarithmic law with the roughness length 0.15 feet of MIL-F-8785C (terminal flight
+phases; 2 feet in all others).
+"""
+
+
+def as_profile(given: object) -> Profile | None:
+    """Check a profile of the steady wind.
+
+    Args:
+        given: None for a uniform wind, a name in `PROFILES`, or (name, number).
+
+    Raises:
+        ValueError: There is no such law, or its number cannot be.
+    """
+    if given is None:
+        return None
+    named = isinstance(given, str)
+    law, *numbers = (given,) if named else as_sequence("wind_profile", given, 2)
+    number = choose("wind_profile", law, PROFILES)
+    if not numbers:
+        return Profile(law, number.usual)
+    label = f"wind_profile: {number.name} of {law!r}"
+    return Profile(law, finite(label, numbers[0], number.least, number.most))
+
+
 @func
-def dryden_scales(altitude: float, wind20: float) -> tuple[float, float, float, float]:
-    """Return scale lengths and intensities of the turbulence by MIL-F-8785C.
+def speed_share(altitude: float, is_log: bool, number: float) -> float:
+    """Return the share of the speed at `REFERENCE` that a steady wind has at a height.
 
     Args:
         altitude: Height above the ground, m.
-        wind20: Wind speed at 20 feet, m/s.
+        is_log: Whether the law is logarithmic, and not a power.
+        number: Roughness length, m, or exponent.
 
     Returns:
-        L_u = L_v and L_w, m; s_u = s_v and s_w, m/s.
+        (h / REFERENCE)^number, or ln(h / number) / ln(REFERENCE / number); 0 on the ground and
+        below the roughness length; above `CEILING` as there.
     """
-    h = min(max(altitude / FOOT, 10.0), 1000.0)
-    ratio = 0.177 + 0.000823 * h
-    s_w = 0.1 * wind20
-    return h / power(ratio, 1.2) * FOOT, h * FOOT, s_w / power(ratio, 0.4), s_w
-
-
-@func
-def first_order(state: float, share: float, noise: float) -> float:
-    """Advance the longitudinal filter, exactly for the spectrum 1 / (1 + tau s).
-
-    Args:
-        state: Its state, of unit variance.
-        share: Time step over the time constant, dt / tau.
-        noise: A standard normal number.
-
-    Returns:
-        The new state, of unit variance.
-    """
-    decay = exp(-share)
-    return decay * state + math.sqrt(-expm1(-2.0 * share)) * noise
-
-
-@func
-def second_order(
-    one: float, two: float, share: float, noise_one: float, noise_two: float
-) -> tuple[float, float]:
-    """Advance the transverse filter.
-
-    Its two states are scaled to unit variance each and uncorrelated. For x' = A x the transition is
-    M = e^-r [[1 + r, r], [-r, 1 - r]] in these units, and the noise has the covariance 1 - M M^T.
-
-    Args:
-        one: First state.
-        two: Second state.
-        share: Time step over the time constant, r = dt / tau.
-        noise_one: A standard normal number.
-        noise_two: Another one.
-
-    Returns:
-        The new states.
-    """
-    r = share
-    decay = exp(-r)
-    # The transition M.
-    a = decay * (1.0 + r)
-    b = decay * r
-    c = -decay * r
-    d = decay * (1.0 - r)
-    # The covariance [[p, q], [q, rest]] of the noise; the terms of p cancel for small r.
-    square = decay * decay
-    p = r**3 * (4.0 / 3.0 - 2.0 * r) if r < 1e-3 else 1.0 - a * a - b * b
-    q = 2.0 * r * r * square
-    rest = -expm1(-2.0 * r) + square * (2.0 * r - 2.0 * r * r)
-    # Its Cholesky factor turns independent numbers into such noise.
-    left = math.sqrt(p)
-    low = q / left if left > 0.0 else 0.0
-    right = math.sqrt(max(rest - low * low, 0.0))
-    return (
-        a * one + b * two + left * noise_one,
-        c * one + d * two + low * noise_one + right * noise_two,
-    )
-
-
-@kernel
-def advance_gusts(
-    state: np.ndarray,
-    noise: np.ndarray,
-    position: np.ndarray,
-    velocity: np.ndarray,
-    steady: np.ndarray,
-    wind20: float,
-    dt: float,
-    wind: np.ndarray,
-) -> None:
-    """Advance the filters of all drones, and add the gusts to the wind.
-
-    The gust u is along the steady wind (east where there is none), v to its left, w up. The air
-    passes at the drone's speed against the steady wind.
-
-    Args:
-        state: (W, N, 5) states of the filters u, v (2) and w (2), each of unit variance; changed in
-            place.
-        noise: (W, N, 5) standard normal numbers.
-        position: (W, N, 3) positions of the drones, m.
-        velocity: (W, N, 3) their velocities, m/s.
-        steady: (W, 3) steady wind, m/s.
-        wind20: Wind speed at 20 feet, m/s.
-        dt: Time step, s.
-        wind: (W, N, 3) wind, m/s, to which the gusts are added in place.
-    """
-    for w in range(state.shape[0]):
-        # Direction of the steady wind in plan.
-        size = hypot(steady[w, 0], steady[w, 1])
-        ex, ey = (steady[w, 0] / size, steady[w, 1] / size) if size > 1e-9 else (1.0, 0.0)
-        for i in range(state.shape[1]):
-            x = state[w, i]
-            n = noise[w, i]
-            v = velocity[w, i]
-            # How far the air, and the turbulence frozen in it, passes the drone in a step.
-            length_u, length_w, s_u, s_w = dryden_scales(position[w, i, 2], wind20)
-            air = (v[0] - steady[w, 0], v[1] - steady[w, 1], v[2] - steady[w, 2])
-            passed = dt * max(math.sqrt(dot(air, air)), SLOWEST)
-            x[0] = first_order(x[0], passed / length_u, n[0])
-            x[1], x[2] = second_order(x[1], x[2], passed / length_u, n[1], n[2])
-            x[3], x[4] = second_order(x[3], x[4], passed / length_w, n[3], n[4])
-            # The filters' outputs are the gusts; turn them into world axes.
-            along = s_u * x[0]
-            left = s_u * (0.5 * x[1] + math.sqrt(0.75) * x[2])
-            wind[w, i, 0] += along * ex - left * ey
-            wind[w, i, 1] += along * ey + left * ex
-            wind[w, i, 2] += s_w * (0.5 * x[3] + math.sqrt(0.75) * x[4])
+    h = min(max(altitude, 0.0), CEILING)
+    if is_log:
+        return log(h / number) / log(REFERENCE / number) if h > number else 0.0
+    return power(h / REFERENCE, number)
 
 
 @kernel
@@ -166,79 +113,91 @@ def _spread(steady: np.ndarray, wind: np.ndarray) -> None:
                 wind[w, i, k] = steady[w, k]
 
 
+@kernel
+def _spread_by_height(
+    steady: np.ndarray, position: np.ndarray, is_log: bool, number: float, wind: np.ndarray
+) -> None:
+    """Write the steady wind (W, 3) to drones at `position` (W, N, 3); its level part by a profile.
+
+    See `speed_share` for the profile.
+    """
+    for w in range(wind.shape[0]):
+        for i in range(wind.shape[1]):
+            share = speed_share(position[w, i, 2], is_log, number)
+            wind[w, i, 0] = share * steady[w, 0]
+            wind[w, i, 1] = share * steady[w, 1]
+            wind[w, i, 2] = steady[w, 2]
+
+
 class Wind:
     """The wind of all worlds: steady or a field, with Dryden gusts on top where asked for.
 
+    It follows from place, time, and what a world drew at its reset: who asks, and in what order,
+    does not matter.
+
     Attributes:
         given: (3,) the steady wind that was asked for, m/s; zero for a field.
-        steady: (W, 3) the steady wind of each world, m/s, which may be set; beside a field it adds
-            to it.
+        steady: (W, 3) the steady wind of each world, m/s, which may be set at a reset; beside a
+            field it adds to it. It carries the gusts.
     """
 
     def __init__(
         self,
         steady: tuple[float, float, float] | WindField,
         wind20: float,
-        shape: tuple[int, int],
-        dt: float,
+        num_worlds: int,
+        profile: Profile | None = None,
     ) -> None:
         """Make the wind.
 
         Args:
             steady: The steady wind, world axes, m/s, or a wind field.
             wind20: Wind speed at 20 feet, which sets the turbulence, m/s; 0 for none.
-            shape: (W, N).
-            dt: Time between samples, s.
+            num_worlds: W.
+            profile: How the steady wind changes with height; None if it does not.
         """
         self._field = steady if callable(steady) else None
         self.given = np.zeros(3) if callable(steady) else np.array(steady, dtype=float)
-        self.steady = np.tile(self.given, (shape[0], 1))
+        self.steady = np.tile(self.given, (num_worlds, 1))
         self._wind20 = wind20
-        self._dt = dt
-        self._shape = shape
-        self._gusts = np.zeros((*shape, 5))
+        self._profile = profile
+        # Worlds without gusts need no room for them
+        self._waves = np.zeros((num_worlds if wind20 > 0 else 0, ROWS, WAVES))
+        self._parts = np.zeros((3, WAVES))
 
     def reset(self, world: int, rng: np.random.Generator) -> None:
-        """Start the gusts of one world in their stationary distribution."""
+        """Draw the gusts of one world."""
         if self._wind20 > 0:
-            self._gusts[world] = rng.standard_normal(self._gusts[world].shape)
+            draw_waves(rng.random(DRAWS), self._waves[world])
 
     def add_to(
-        self,
-        program: Program,
-        swarm: Swarm,
-        time: np.ndarray,
-        rngs: Sequence[np.random.Generator | None],
-        flying: np.ndarray,
-        wind: np.ndarray,
+        self, program: Program, position: np.ndarray, time: np.ndarray, wind: np.ndarray
     ) -> None:
-        """Add to a program that the wind of a decision is written to `wind` (W, N, 3).
-
-        See `sample` for the other arguments.
-        """
-        if self._field is None and self._wind20 == 0:
-            program.call(_spread, self.steady, wind)
-            return
-
-        def blow() -> None:
-            wind[:] = self.sample(swarm, time, rngs, flying)
-
-        program.turn(blow)
-
-    def sample(
-        self,
-        swarm: Swarm,
-        time: np.ndarray,
-        rngs: Sequence[np.random.Generator | None],
-        flying: np.ndarray,
-    ) -> np.ndarray:
-        """Return the wind for the next decision.
+        """Add to a program that the wind is written.
 
         Args:
-            swarm: State of the drones.
+            program: Where to add it.
+            position: (W, N, 3) where to tell the wind, m.
             time: (W,) time of each world, s.
-            rngs: Random generator of each world.
-            flying: (W,) bool; only these worlds draw from their generators.
+            wind: (W, N, 3) what to write, world axes, m/s.
+        """
+        if self._profile is None:
+            program.call(_spread, self.steady, wind)
+        else:
+            law = (self._profile.law == "log", self._profile.number)
+            program.call(_spread_by_height, self.steady, position, *law, wind)
+        if self._field is not None:
+            program.turn(lambda: self._add_field(position, time, wind))
+        if self._wind20 > 0:
+            room = (self._waves, self._parts)
+            program.call(add_gusts, *room, position, time, self.steady, self._wind20, wind)
+
+    def sample(self, position: np.ndarray, time: np.ndarray) -> np.ndarray:
+        """Return the wind at some places.
+
+        Args:
+            position: (W, N, 3) the places, m; any number N of them.
+            time: (W,) time of each world, s.
 
         Returns:
             (W, N, 3) wind, world axes, m/s.
@@ -246,33 +205,19 @@ class Wind:
         Raises:
             ValueError: The wind field gives another shape, or numbers that are not finite.
         """
-        wind = np.empty((*self._shape, 3))
-        wind[:] = self.steady[:, None]
-        if self._field is not None:
-            wind += self._checked(self._field(swarm.position.copy(), time.copy()))
-        if self._wind20 > 0:
-            noise = np.zeros_like(self._gusts)
-            for k in np.flatnonzero(flying).tolist():
-                rng = rngs[k]
-                # A world that flies was reset, and so has its generator.
-                assert rng is not None
-                noise[k] = rng.standard_normal(noise[k].shape)
-            advance_gusts(
-                self._gusts,
-                noise,
-                swarm.position,
-                swarm.velocity,
-                self.steady,
-                self._wind20,
-                self._dt,
-                wind,
-            )
+        program, wind = Program(), np.empty(position.shape)
+        self.add_to(program, position, time, wind)
+        program.interpret()
         return wind
 
-    def _checked(self, wind: object) -> np.ndarray:
+    def _add_field(self, position: np.ndarray, time: np.ndarray, wind: np.ndarray) -> None:
+        """Add what the wind field gives to the wind."""
+        assert self._field is not None
+        wind += self._checked(self._field(position.copy(), time.copy()), position.shape)
+
+    def _checked(self, wind: object, expected: tuple[int, ...]) -> np.ndarray:
         """Return what the wind field gave, refusing other shapes and numbers."""
         given = numbers_of("what the wind function gave is", wind)
-        expected = (*self._shape, 3)
         if given.shape != expected:
             raise ValueError(
                 f"the wind function gave shape {given.shape}: "

@@ -185,7 +185,7 @@ def test_wind_of_an_episode_adds_to_the_steady_one():
     aviary.reset(seeds=0)
     info = aviary.first_info()
     drawn = np.stack([info[f"random/wind_{axis}"] for axis in "xyz"], axis=-1)
-    wind = aviary._wind.sample(aviary.swarm, np.zeros(20), aviary.rng, np.ones(20, dtype=bool))
+    wind = aviary._wind.sample(aviary.swarm.position, np.zeros(20))
     np.testing.assert_allclose(wind, drawn + (1.0, 2.0, 0.0))
     aviary.close()
 

@@ -1,107 +1,133 @@
-"""Dryden turbulence against the tables of MIL-F-8785C and its closed-form statistics."""
+"""The wind in flights: steady, with a profile over height, as a function; gusts on top."""
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
 
 import bulletuav
-from bulletuav.vehicle.swarm import Swarm
-from bulletuav.vehicle.wind import TURBULENCE, Wind, dryden_scales, first_order, second_order
+from bulletuav.envs.airspace import Airspace
+from bulletuav.envs.env_spec import EnvSpec
+from bulletuav.vehicle.wind import PROFILES, TURBULENCE, Profile, Wind, as_profile, speed_share
 
-W20 = 7.7167
-
-
-@pytest.mark.parametrize(
-    ("altitude", "figures"),
-    [
-        (10.0, (67.366, 10.0, 1.45739, 0.77167)),
-        (50.0, (202.290, 50.0, 1.22960, 0.77167)),
-        (304.8, (304.8, 304.8, 0.77167, 0.77167)),
-        (1000.0, (304.8, 304.8, 0.77167, 0.77167)),
-    ],
-)
-def test_scales_and_intensities(altitude, figures):
-    np.testing.assert_allclose(dryden_scales(altitude, W20), figures, rtol=2e-5)
-
-
-def test_low_altitudes_are_those_of_ten_feet():
-    assert dryden_scales(-1.0, W20) == dryden_scales(3.048, W20) == dryden_scales(0.5, W20)
+FOOT = 0.3048
 
 
 def test_named_levels():
-    assert TURBULENCE["light"] == pytest.approx(W20, abs=5e-5)
+    assert TURBULENCE["light"] == pytest.approx(7.7167, abs=5e-5)
     assert TURBULENCE["severe"] == pytest.approx(23.15, abs=0.01)
 
 
-def ensemble(dt, lag_steps, airspeed=10.0, worlds=4000, altitude=50.0):
-    """Gusts of 4,000 independent drones now and `lag_steps` later.
-
-    The standard error of a variance is 2.2 %.
-    """
-    wind = Wind((0.0, 0.0, 0.0), W20, (worlds, 1), dt)
-    rngs = [np.random.default_rng(k) for k in range(worlds)]
-    for k, rng in enumerate(rngs):
-        wind.reset(k, rng)
-    swarm = Swarm.zeros(worlds, 1, 4)
-    swarm.position[..., 2] = altitude
-    swarm.velocity[..., 0] = airspeed
-    flying = np.ones(worlds, dtype=bool)
-    samples = [
-        wind.sample(swarm, np.zeros(worlds), rngs, flying)[:, 0] for _ in range(lag_steps + 1)
-    ]
-    return samples[0], samples[-1]
+# Profiles
 
 
-@pytest.mark.parametrize(("dt", "steps"), [(0.01, 100), (0.1, 10), (5.0, 3), (100.0, 2)])
-def test_variance_is_right_for_every_step(dt, steps):
-    _, _, s_u, s_w = dryden_scales(50.0, W20)
-    for sample in ensemble(dt, steps):
-        np.testing.assert_allclose(sample.var(axis=0), (s_u**2, s_u**2, s_w**2), rtol=0.09)
-        np.testing.assert_allclose(sample.mean(axis=0), 0, atol=0.08)
+@pytest.mark.parametrize(
+    ("feet", "profile", "share"),
+    [
+        (20, "power", 1.0),
+        (200, "power", 1.389495),
+        (200, ("power", 0.25), 1.778279),
+        (1, ("power", 1.0), 0.05),
+        (0, "power", 0.0),
+        (-5, "power", 0.0),
+        (1000, "power", 1.748679),
+        (5000, "power", 1.748679),
+        # ln(h / 0.15) / ln(20 / 0.15) in feet, by hand
+        (20, "log", 1.0),
+        (3, "log", 0.612267),
+        (200, "log", 1.470602),
+        (1000, "log", 1.799538),
+        (5000, "log", 1.799538),
+        (200, ("log", 2 * FOOT), 2.0),
+        (2, ("log", 2 * FOOT), 0.0),
+        (0.01, "log", 0.0),
+        (-5, "log", 0.0),
+    ],
+)
+def test_profiles_by_hand(feet, profile, share):
+    law, number = as_profile(profile)
+    found = speed_share(feet * FOOT, law == "log", number)
+    assert found == pytest.approx(share, abs=1e-6)
+    wind = Wind((3.0, -4.0, 0.5), 0.0, 1, as_profile(profile))
+    found = wind.sample(np.array([[(1.0, 2.0, feet * FOOT)]]), np.zeros(1))[0, 0]
+    np.testing.assert_allclose(found, (3 * share, -4 * share, 0.5), atol=1e-5)
 
 
-@pytest.mark.parametrize(("dt", "steps"), [(0.5, 2), (1.0, 8), (2.0, 10)])
-def test_autocorrelation(dt, steps):
-    """e^-r along the wind, e^-r (1 - r / 2) across it, with r = elapsed airspeed / length."""
-    length_u, length_w, s_u, s_w = dryden_scales(50.0, W20)
-    first, last = ensemble(dt, steps)
-    measured = (first * last).mean(axis=0) / (s_u**2, s_u**2, s_w**2)
-    r = steps * dt * 10.0 / np.array((length_u, length_u, length_w))
-    np.testing.assert_allclose(measured, np.exp(-r) * (1 - np.array((0, 0.5, 0.5)) * r), atol=0.06)
+@pytest.mark.parametrize("law", PROFILES)
+def test_wind_never_falls_with_height(law):
+    _, number = as_profile(law)
+    shares = [speed_share(h, law == "log", number) for h in np.linspace(-1, 400, 2000)]
+    assert (np.diff(shares) >= 0).all()
+    assert np.abs(np.diff(shares)).max() < 0.6
 
 
-@pytest.mark.parametrize("share", [1e-8, 1e-6, 5e-6, 7e-6, 1e-4, 9.9e-4, 1.01e-3, 0.03, 1.0, 10.0])
-def test_unit_variance_is_stationary_for_any_share(share):
-    """M M^T + L L^T = 1 exactly, with M the transition and L the noise of one step.
+def test_a_profile_without_a_slope_is_a_uniform_wind():
+    place, time = np.random.default_rng(0).uniform(0, 99, (2, 5, 3)), np.zeros(2)
+    steady = (3.0, -4.0, 0.5)
+    level = Wind(steady, 0.0, 2, Profile("power", 0.0)).sample(place, time)
+    np.testing.assert_array_equal(level, Wind(steady, 0.0, 2).sample(place, time))
 
-    Both are read off the filter's answers.
-    """
-    transition = np.array(
-        [second_order(*unit, share, 0.0, 0.0) for unit in ((1.0, 0.0), (0.0, 1.0))]
-    ).T
-    noise = np.array([second_order(0.0, 0.0, share, *unit) for unit in ((1.0, 0.0), (0.0, 1.0))]).T
-    defect = transition @ transition.T + noise @ noise.T - np.eye(2)
-    assert np.abs(defect).max() < 1e-12
-    exact = expm(share * np.array([(0.0, 1.0), (-1.0, -2.0)]))  # x' = A x with tau = 1
-    scale = np.sqrt((0.25, 0.25))
-    np.testing.assert_allclose(transition, exact * scale[:, None] / scale, atol=1e-12)
-    assert first_order(0.0, share, 1.0) ** 2 + first_order(1.0, share, 0.0) ** 2 == pytest.approx(
-        1, abs=1e-14
+
+def test_gusts_are_the_same_with_a_profile():
+    place, time = np.random.default_rng(0).uniform(10, 99, (1, 5, 3)), np.ones(1)
+    found = []
+    for profile in (None, Profile("power", 0.0), Profile("log", 0.1)):
+        wind = Wind((3.0, -4.0, 0.5), 7.0, 1, profile)
+        wind.reset(0, np.random.default_rng(0))
+        calm = Wind((3.0, -4.0, 0.5), 0.0, 1, profile)
+        found.append(wind.sample(place, time) - calm.sample(place, time))
+    np.testing.assert_array_equal(found[0], found[1])
+    np.testing.assert_allclose(found[0], found[2], atol=1e-12)
+
+
+def test_drones_higher_up_drift_faster():
+    """Points at 6.096 and 60.96 m reach the wind's speeds there, 1 to 1.389495."""
+    airspace = Airspace(
+        [(0, 0, 20 * FOOT), (0, 0, 200 * FOOT)],
+        wind=(5.0, 0.0, 0.0),
+        wind_profile="power",
+        dynamics="point_mass",
     )
+    airspace.step()
+    low, high = airspace.swarm.velocity[:, 0]
+    assert high / low == pytest.approx(1.389495, rel=1e-6)
+    airspace.close()
 
 
-def test_gusts_turn_with_the_steady_wind():
-    """With the wind from the south, `along` is north: the same numbers, turned by 90 degrees."""
-    samples = []
-    for steady in ((5.0, 0.0, 0.0), (0.0, 5.0, 0.0)):
-        wind = Wind(steady, W20, (1, 1), 0.1)
-        rng = np.random.default_rng(0)
-        wind.reset(0, rng)
-        swarm = Swarm.zeros(1, 1, 4)
-        swarm.position[..., 2] = 20
-        samples.append(wind.sample(swarm, np.zeros(1), [rng], np.ones(1, bool))[0, 0] - steady)
-    (x, y, z), turned = samples
-    np.testing.assert_allclose(turned, (-y, x, z), rtol=1e-12)
+@pytest.mark.parametrize(
+    ("profile", "message"),
+    [
+        ("logg", "unknown wind_profile 'logg': did you mean 'log'"),
+        ("", "unknown wind_profile ''"),
+        (("pow", 0.2), "unknown wind_profile 'pow'"),
+        ((1, 0.2), "unknown wind_profile"),
+        (0.143, "wind_profile is 0.143: a list or tuple of 2 values is needed"),
+        (("log",), "a list or tuple of 2 values is needed"),
+        (("log", 0.0), "wind_profile: roughness length of 'log' is 0"),
+        (("log", 6.1), "wind_profile: roughness length of 'log' is 6.1"),
+        (("log", "rough"), "wind_profile: roughness length of 'log' is 'rough'"),
+        (("power", -0.1), "wind_profile: exponent of 'power' is -0.1"),
+        (("power", 1.5), "wind_profile: exponent of 'power' is 1.5"),
+        (("power", float("nan")), "wind_profile: exponent of 'power' is nan"),
+    ],
+)
+def test_profiles_that_cannot_be_are_refused(profile, message):
+    with pytest.raises(ValueError, match="wind_profile") as refused:
+        EnvSpec("hover", 1, {"wind_profile": profile})
+    assert message in str(refused.value)
+
+
+def test_a_wind_function_takes_no_profile():
+    options = {"wind": lambda position, time: position, "wind_profile": "log"}
+    with pytest.raises(ValueError, match="wind_profile changes a steady wind"):
+        EnvSpec("hover", 1, options)
+
+
+def test_options_keep_the_number_of_a_profile():
+    options = EnvSpec("hover", 1, {"wind_profile": ["log", 1]}).options
+    assert options.wind_profile == ("log", 1.0)
+    assert EnvSpec("hover", 1, {}).options.wind_profile is None
+
+
+# Functions
 
 
 def test_wind_as_a_function_of_place_and_time():
@@ -139,6 +165,50 @@ def test_a_wind_function_that_answers_wrongly_is_named_and_nothing_is_lost(answe
     assert aviary.steps[0] == 0
     aviary.step(np.zeros((1, 1, 4)))
     aviary.close()
+
+
+# Gusts in flight
+
+
+def test_flights_feel_the_field_and_draw_nothing_for_it():
+    """What a decision flew in is what anyone is told of these places and times."""
+    aviary = bulletuav.Aviary(
+        "hover", 2, num_drones=3, turbulence="light", wind=(2.0, 0.0, 0.0), wind_profile="log"
+    )
+    aviary.reset(seeds=0)
+    states = [rng.bit_generator.state for rng in aviary.rng]
+    for k in range(3):
+        place, time = aviary.swarm.position.copy(), np.full(2, k / aviary.options.decision_hz)
+        aviary.step(np.zeros((2, 3, aviary.given.shape[-1])))
+        np.testing.assert_array_equal(aviary._air, aviary._wind.sample(place, time))
+    assert [rng.bit_generator.state for rng in aviary.rng] == states
+    aviary.close()
+
+
+def test_gusts_and_functions_add_up():
+    """Beside a function, the gusts are those of still air."""
+    place, time = np.random.default_rng(0).uniform(10, 99, (1, 5, 3)), np.ones(1)
+    found = []
+    for steady in ((0.0, 0.0, 0.0), lambda position, time: 2 * position):
+        wind = Wind(steady, 7.0, 1)
+        wind.reset(0, np.random.default_rng(0))
+        found.append(wind.sample(place, time))
+    np.testing.assert_allclose(found[1], found[0] + 2 * place, atol=1e-12)
+
+
+def test_an_airspace_has_one_field_for_all():
+    """Drones that swap places swap flights, and 3 m apart they are pushed alike."""
+    places = [(0.0, 0.0, 20.0), (3.0, 0.0, 20.0)]
+    ends = []
+    for order in (places, places[::-1]):
+        airspace = Airspace(order, turbulence="severe", seed=3, dynamics="point_mass")
+        for _ in range(60):
+            airspace.step()
+        ends.append(airspace.swarm.velocity.copy())
+        airspace.close()
+    np.testing.assert_array_equal(ends[0], ends[1][::-1])
+    one, two = ends[0]
+    assert 0 < np.linalg.norm(one - two) < 0.5 * np.linalg.norm(one)
 
 
 def test_turbulence_shakes_reproducibly_and_world_by_world():
