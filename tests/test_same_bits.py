@@ -77,6 +77,7 @@ def test_flights_are_the_same_on(machine, usual):
 
 ROOMS = [
     "geometry",
+    "earth",
     "vehicle",
     "control",
     "contact",
