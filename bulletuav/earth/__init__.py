@@ -1,6 +1,6 @@
-"""Places, axes, air and magnetic field of the Earth, for clients and bridges.
+"""Places, axes, air and magnetic field of the Earth, for clients, bridges and sensors.
 
-Flights do not depend on it.
+Flights depend on it where drones observe a barometer or a magnetometer.
 """
 
 from bulletuav.earth.atmosphere import (

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from bulletuav.earth.arrays import values_of
 from bulletuav.errors import finite
+from bulletuav.functions import exp, log, power
 
 SEA_LEVEL_PRESSURE = 101325.0
 """Standard pressure at sea level, Pa."""
@@ -120,10 +121,10 @@ def pressure(
     """
     base = finite("sea_level_pressure", sea_level_pressure, *PRESSURES)
     kelvin = temperature(height, sea_level_temperature)
-    troposphere = base * (kelvin / sea_level_temperature) ** EXPONENT
+    troposphere = base * power(kelvin / sea_level_temperature, EXPONENT)
     # Above the tropopause the pressure falls from there on, at its constant temperature.
     above = np.maximum(geopotential_height(height) - TROPOPAUSE, 0.0)
-    return np.asarray(troposphere * np.exp(-GRAVITY * above / (GAS_CONSTANT * kelvin)))
+    return np.asarray(troposphere * exp(-GRAVITY * above / (GAS_CONSTANT * kelvin)))
 
 
 def density(
@@ -175,11 +176,11 @@ def pressure_altitude(
         "static_pressure", static_pressure, "Pa", least * (1.0 - ROUNDING), most * (1.0 + ROUNDING)
     )
     top = sea_level_temperature - LAPSE * TROPOPAUSE
-    tropopause = sea_level_pressure * (top / sea_level_temperature) ** EXPONENT
+    tropopause = sea_level_pressure * power(top / sea_level_temperature, EXPONENT)
     # The troposphere up to the height or to its end, and what is above.
     ratio = np.maximum(pascal, tropopause) / sea_level_pressure
-    below = sea_level_temperature / LAPSE * (1.0 - ratio ** (1.0 / EXPONENT))
-    above = GAS_CONSTANT * top / GRAVITY * np.log(tropopause / np.minimum(pascal, tropopause))
+    below = sea_level_temperature / LAPSE * (1.0 - power(ratio, 1.0 / EXPONENT))
+    above = GAS_CONSTANT * top / GRAVITY * log(tropopause / np.minimum(pascal, tropopause))
     return _geometric(below + above)
 
 

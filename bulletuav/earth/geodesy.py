@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from bulletuav.earth.arrays import values_of, vectors_of
 from bulletuav.errors import finite
+from bulletuav.functions import atan2, cos, hypot, sin
 
 SEMI_MAJOR_AXIS = 6378137.0
 """Radius of the equator, m."""
@@ -48,14 +49,14 @@ def geodetic_to_ecef(geodetic: ArrayLike) -> np.ndarray:
             90 degrees.
     """
     latitude, longitude, altitude = _split_geodetic(geodetic)
-    sine = np.sin(latitude)
+    sine = sin(latitude)
     # From the place along the vertical down to the Earth's axis.
     normal = SEMI_MAJOR_AXIS / np.sqrt(1.0 - ECCENTRICITY_SQUARED * sine * sine)
-    from_axis = (normal + altitude) * np.cos(latitude)
+    from_axis = (normal + altitude) * cos(latitude)
     return np.stack(
         [
-            from_axis * np.cos(longitude),
-            from_axis * np.sin(longitude),
+            from_axis * cos(longitude),
+            from_axis * sin(longitude),
             (normal * (1.0 - ECCENTRICITY_SQUARED) + altitude) * sine,
         ],
         axis=-1,
@@ -88,21 +89,21 @@ def ecef_to_geodetic(position: ArrayLike) -> np.ndarray:
             f"least {LEAST_RADIUS:g} m are needed; local ones are converted by an Origin"
         )
     x, y, z = np.moveaxis(array, -1, 0)
-    from_axis = np.hypot(x, y)
+    from_axis = hypot(x, y)
     second = ECCENTRICITY_SQUARED / (1.0 - ECCENTRICITY_SQUARED)
     # The first guess of the parametric latitude is exact on the ellipsoid.
-    reduced = np.arctan2(z, (1.0 - FLATTENING) * from_axis)
+    reduced = atan2(z, (1.0 - FLATTENING) * from_axis)
     latitude = reduced
     for _ in range(ITERATIONS):
-        latitude = np.arctan2(
-            z + second * SEMI_MINOR_AXIS * np.sin(reduced) ** 3,
-            from_axis - ECCENTRICITY_SQUARED * SEMI_MAJOR_AXIS * np.cos(reduced) ** 3,
+        latitude = atan2(
+            z + second * SEMI_MINOR_AXIS * sin(reduced) ** 3,
+            from_axis - ECCENTRICITY_SQUARED * SEMI_MAJOR_AXIS * cos(reduced) ** 3,
         )
-        reduced = np.arctan2((1.0 - FLATTENING) * np.sin(latitude), np.cos(latitude))
-    sine = np.sin(latitude)
+        reduced = atan2((1.0 - FLATTENING) * sin(latitude), cos(latitude))
+    sine = sin(latitude)
     ellipsoid = SEMI_MAJOR_AXIS * np.sqrt(1.0 - ECCENTRICITY_SQUARED * sine * sine)
-    altitude = from_axis * np.cos(latitude) + z * sine - ellipsoid
-    return np.stack([np.degrees(latitude), np.degrees(np.arctan2(y, x)), altitude], axis=-1)
+    altitude = from_axis * cos(latitude) + z * sine - ellipsoid
+    return np.stack([np.degrees(latitude), np.degrees(atan2(y, x)), altitude], axis=-1)
 
 
 @dataclass(frozen=True)
@@ -170,10 +171,10 @@ class Origin:
     def _axes(self) -> np.ndarray:
         """Return the axes east, north and up as rows (3, 3) in ECEF."""
         latitude, longitude = np.radians((self.latitude, self.longitude))
-        sine, cosine = np.sin(latitude), np.cos(latitude)
-        east = (-np.sin(longitude), np.cos(longitude), 0.0)
-        north = (-sine * np.cos(longitude), -sine * np.sin(longitude), cosine)
-        up = (cosine * np.cos(longitude), cosine * np.sin(longitude), sine)
+        sine, cosine = sin(latitude), cos(latitude)
+        east = (-sin(longitude), cos(longitude), 0.0)
+        north = (-sine * cos(longitude), -sine * sin(longitude), cosine)
+        up = (cosine * cos(longitude), cosine * sin(longitude), sine)
         return np.array((east, north, up))
 
 

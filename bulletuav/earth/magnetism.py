@@ -1,8 +1,9 @@
 """Magnetic field of the Earth, by the International Geomagnetic Reference Field.
 
-IGRF-14 at epoch 2025.0, in full: spherical harmonics of degrees 1 to 13. What is left out:
+IGRF-14 from 2025.0 to 2030.0, in full: spherical harmonics of degrees 1 to 13 at 2025.0, and the
+change of degrees 1 to 8 that is foreseen. It is some 0.1 % and 0.1 degrees a year. What is left
+out:
 
-- its change, some 0.1 % and 0.1 degrees a year;
 - magnetic rocks and currents in the air, which turn compasses by some 0.4 degrees;
 - iron nearby, which turns them by more.
 
@@ -11,11 +12,16 @@ International Geomagnetic Reference Field: the thirteenth generation (Earth, Pla
 2021), doi:10.1186/s40623-020-01288-x, for the formulas.
 """
 
+import calendar
+import datetime
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from bulletuav.earth.arrays import values_of
 from bulletuav.earth.geodesy import geodetic_to_ecef
+from bulletuav.errors import finite
+from bulletuav.functions import atan2, cos, hypot, sin
 
 REFERENCE_RADIUS = 6371200.0
 """Radius that the coefficients belong to, m."""
@@ -25,6 +31,10 @@ LOWEST = -10e3
 """Least altitude, m."""
 HIGHEST = 1000e3
 """Greatest altitude, m; above it currents of the magnetosphere have their share."""
+EPOCH = 2025.0
+"""Decimal year of the coefficients."""
+LAST = 2030.0
+"""Decimal year up to which their change is foreseen."""
 TESLA = 1e-9
 """Teslas in a nanotesla, the unit of the coefficients."""
 
@@ -61,9 +71,55 @@ SINES = (
     (0.0, -0.9, 0.7, 1.2, -0.3, -1.3, -0.1, 0.2, -0.2, 0.5, 0.6, -0.6, -0.3, -0.5),
 )
 """Coefficients h of sines of the longitude, nT"""
+COSINE_RATES = (
+    (12.6, 10.0),
+    (-11.2, -5.3, -8.3),
+    (-1.5, -4.4, 0.4, -15.6),
+    (-1.7, -2.3, -5.8, 5.4, -6.8),
+    (0.6, 1.3, 0.0, 0.7, 2.3, 1.0),
+    (-0.2, -0.3, 0.8, 1.2, -0.8, 0.4, 0.9),
+    (-0.1, -0.1, -0.1, 0.5, -0.1, -0.8, -0.8, 0.9),
+    (-0.1, 0.2, 0.0, 0.4, -0.1, 0.3, 0.1, 0.0, 0.3),
+)
+"""Change of the coefficients g up to degree 8, nT a year"""
+SINE_RATES = (
+    (0.0, -21.5),
+    (0.0, -27.3, -11.1),
+    (0.0, 3.8, -0.2, -3.9),
+    (0.0, -1.3, 4.1, 1.6, -4.1),
+    (0.0, -0.5, 2.1, 0.5, 1.7, 1.9),
+    (0.0, 0.3, -1.6, -0.4, 0.8, 0.7, 0.9),
+    (0.0, 0.6, 0.5, -0.7, 0.0, -0.9, 0.5, -0.3),
+    (0.0, -0.3, 0.4, -0.3, 0.4, -0.5, -0.6, 0.3, 0.2),
+)
+"""Change of the coefficients h up to degree 8, nT a year"""
 
 
-def magnetic_field(latitude: ArrayLike, longitude: ArrayLike, altitude: ArrayLike) -> np.ndarray:
+def decimal_year(date: float | datetime.date) -> float:
+    """Tell the decimal year of a date: 2027.5 is in the middle of 2027.
+
+    Args:
+        date: A decimal year, or the day at whose beginning the field is asked for.
+
+    Returns:
+        The decimal year, from `EPOCH` to `LAST`.
+
+    Raises:
+        ValueError: It is no such date.
+    """
+    year: object = date
+    if isinstance(date, datetime.date):
+        days = 366 if calendar.isleap(date.year) else 365
+        year = date.year + (date.timetuple().tm_yday - 1) / days
+    return finite("date", year, EPOCH, LAST)
+
+
+def magnetic_field(
+    latitude: ArrayLike,
+    longitude: ArrayLike,
+    altitude: ArrayLike,
+    date: float | datetime.date = EPOCH,
+) -> np.ndarray:
     """Tell the magnetic field of the Earth.
 
     A compass on it points to magnetic north: a field of (0, north, up) has no declination. Within
@@ -74,6 +130,7 @@ def magnetic_field(latitude: ArrayLike, longitude: ArrayLike, altitude: ArrayLik
         longitude: Of any range, deg.
         altitude: Above the ellipsoid of WGS-84, from -10 to 1000 km, in m.
             The three have shapes that fit together.
+        date: Decimal year from 2025.0 to 2030.0, or a day in them.
 
     Returns:
         (..., 3) east, north and up, T. At the poles, north is the direction that the longitude
@@ -87,25 +144,26 @@ def magnetic_field(latitude: ArrayLike, longitude: ArrayLike, altitude: ArrayLik
         values_of("longitude", longitude, "degrees"),
         values_of("altitude", altitude, "m", LOWEST, HIGHEST),
     )
+    years = decimal_year(date) - EPOCH
     position = geodetic_to_ecef(np.stack([degrees, meridian, height], axis=-1))
     # Harmonics are geocentric, and their latitude differs from the geodetic by up to 0.2 degrees.
-    from_axis = np.hypot(position[..., 0], position[..., 1])
-    geocentric = np.arctan2(position[..., 2], from_axis)
-    radius = np.hypot(from_axis, position[..., 2])
-    east, north, up = _geocentric_field(geocentric, np.radians(meridian), radius)
+    from_axis = hypot(position[..., 0], position[..., 1])
+    geocentric = atan2(position[..., 2], from_axis)
+    radius = hypot(from_axis, position[..., 2])
+    east, north, up = _geocentric_field(geocentric, np.radians(meridian), radius, years)
     tilt = np.radians(degrees) - geocentric
     return TESLA * np.stack(
         [
             east,
-            np.cos(tilt) * north - np.sin(tilt) * up,
-            np.sin(tilt) * north + np.cos(tilt) * up,
+            cos(tilt) * north - sin(tilt) * up,
+            sin(tilt) * north + cos(tilt) * up,
         ],
         axis=-1,
     )
 
 
 def _geocentric_field(
-    latitude: np.ndarray, longitude: np.ndarray, radius: np.ndarray
+    latitude: np.ndarray, longitude: np.ndarray, radius: np.ndarray, years: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Add up the harmonics: minus the gradient of the potential of Alken et al., equation 1.
 
@@ -113,15 +171,17 @@ def _geocentric_field(
         latitude: (...) geocentric, rad.
         longitude: (...) rad.
         radius: (...) distance from the Earth's centre, m.
+        years: Time since `EPOCH`, years.
 
     Returns:
         The field east, north and along the radius, (...) nT each.
     """
-    sine = np.sin(latitude)[..., None]  # the cosine of the colatitude
-    cosine = np.cos(latitude)[..., None]
+    sine = sin(latitude)[..., None]  # the cosine of the colatitude
+    cosine = cos(latitude)[..., None]
     ratio = REFERENCE_RADIUS / radius
+    scale = ratio * ratio
     turns = np.arange(DEGREE + 1) * longitude[..., None]
-    cosines, sines = np.cos(turns), np.sin(turns)
+    cosines, sines = cos(turns), sin(turns)
     east, north, up = np.zeros((3, *np.shape(radius)))
     # Legendre functions of one degree and the one before, for all orders (..., 14). Those of
     # orders above 0 are divided by the cosine of the latitude, so that poles need no division.
@@ -130,7 +190,8 @@ def _geocentric_field(
     for degree in range(1, DEGREE + 1):
         before, legendre = legendre, _next_legendre(degree, sine, cosine, legendre, before)
         order = np.arange(degree + 1)
-        g, h = np.array(COSINES[degree - 1]), np.array(SINES[degree - 1])
+        g = _at(years, COSINES, COSINE_RATES, degree)
+        h = _at(years, SINES, SINE_RATES, degree)
         cos_turn, sin_turn = cosines[..., : degree + 1], sines[..., : degree + 1]
         along = g * cos_turn + h * sin_turn
         across = order * (g * sin_turn - h * cos_turn)
@@ -139,11 +200,22 @@ def _geocentric_field(
         # Derivatives with respect to the colatitude.
         slope = degree * sine * shared - np.sqrt(degree**2 - order**2) * before[..., : degree + 1]
         slope[..., 0] = -np.sqrt(degree * (degree + 1) / 2) * whole[..., 1]
-        scale = ratio ** (degree + 2)
+        scale = scale * ratio
         up += scale * (degree + 1) * (along * whole).sum(axis=-1)
         north += scale * (along * slope).sum(axis=-1)
         east += scale * (across * shared).sum(axis=-1)
     return east, north, up
+
+
+def _at(
+    years: float,
+    values: tuple[tuple[float, ...], ...],
+    rates: tuple[tuple[float, ...], ...],
+    degree: int,
+) -> np.ndarray:
+    """Return the coefficients of a degree (degree + 1,) some years after `EPOCH`, nT."""
+    now = np.array(values[degree - 1])
+    return now + years * np.array(rates[degree - 1]) if degree <= len(rates) else now
 
 
 def _next_legendre(

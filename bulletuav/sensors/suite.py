@@ -21,7 +21,19 @@ from bulletuav.sensors.gps import Gps
 from bulletuav.sensors.imperfect import unwrapped
 from bulletuav.vehicle.swarm import Swarm
 
-ORDER = ("gps", "radio", "imu", "lidar", "camera", "clearance", "sight", "sight_ahead")
+ORDER = (
+    "gps",
+    "radio",
+    "imu",
+    "lidar",
+    "camera",
+    "clearance",
+    "sight",
+    "sight_ahead",
+    "barometer",
+    "magnetometer",
+    "optical_flow",
+)
 """In which the package's own sensors measure, and draw random numbers; others follow"""
 
 

@@ -1,5 +1,8 @@
 """A barometer as a sensor of one's own, and an observation block that shows it in metres.
 
+The package has one, too, with the errors of a real chip. Given to an environment, this one takes
+its place.
+
 Run it:
 
     python examples/own/barometer.py

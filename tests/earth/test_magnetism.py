@@ -1,5 +1,6 @@
 """The magnetic field against published values, and against the gradient of its potential."""
 
+import datetime
 import math
 
 import numpy as np
@@ -7,7 +8,14 @@ import pytest
 from scipy.special import lpmv
 
 from bulletuav.earth import Origin, geodetic_to_ecef, magnetic_field
-from bulletuav.earth.magnetism import COSINES, DEGREE, SINES
+from bulletuav.earth.magnetism import (
+    COSINE_RATES,
+    COSINES,
+    DEGREE,
+    SINE_RATES,
+    SINES,
+    decimal_year,
+)
 
 
 @pytest.mark.parametrize(
@@ -40,6 +48,75 @@ def test_values_of_the_world_magnetic_model(place, north_east_down):
 
 
 @pytest.mark.parametrize(
+    ("year", "kilometres", "colatitude", "longitude", "north_east_down"),
+    [
+        (2027.0, 101.99, 68.54, 277.27, (24647.90876, -2283.98317, 29268.17197)),
+        (2028.6, 161.08, 35.10, 62.37, (15164.04454, 3451.76443, 50529.10557)),
+        (2029.9, 554.55, 47.36, 192.94, (18365.55340, 2412.51292, 29274.52518)),
+        (2026.6, 120.96, 89.19, 108.99, (38188.56964, 115.46005, -9120.05745)),
+        (2030.0, 397.34, 17.78, 246.22, (4642.74152, 854.57128, 48023.38690)),
+    ],
+)
+def test_values_of_other_years(year, kilometres, colatitude, longitude, north_east_down):
+    """Of IAGA's program igrf14syn, which rounds its ellipsoid; tests of JuliaSpace/IGRF_Test."""
+    north, east, down = north_east_down
+    found = magnetic_field(90.0 - colatitude, longitude, 1e3 * kilometres, year) * 1e9
+    np.testing.assert_allclose(found, (east, north, -down), atol=0.1)
+
+
+def test_the_field_changes_steadily_from_the_epoch_on():
+    fields = [magnetic_field(47.4, 8.5, 0.0, year) for year in (2025.0, 2026.0, 2027.0, 2030.0)]
+    np.testing.assert_array_equal(fields[0], magnetic_field(47.4, 8.5, 0.0))
+    yearly = fields[1] - fields[0]
+    np.testing.assert_allclose(fields[2] - fields[1], yearly, rtol=1e-7)
+    np.testing.assert_allclose(fields[3] - fields[0], 5 * yearly, rtol=1e-7)
+    assert 20e-9 < np.linalg.norm(yearly) < 100e-9
+
+
+def test_values_of_the_world_magnetic_model_in_the_middle_of_its_years():
+    """WMM2025 by NOAA at 2027.5: its test values, 100 km high."""
+    for place, (north, east, down) in (
+        ((80.0, 0.0), (6196.7, 233.8, 52670.5)),
+        ((0.0, 120.0), (37711.5, -148.7, -9969.8)),
+        ((-80.0, 240.0), (5984.0, 14760.1, -49317.7)),
+    ):
+        found = magnetic_field(*place, 100e3, 2027.5) * 1e9
+        np.testing.assert_allclose(found, (east, north, -down), atol=25)
+
+
+@pytest.mark.parametrize(
+    ("date", "year"),
+    [
+        (2026, 2026.0),
+        (datetime.date(2025, 1, 1), 2025.0),
+        (datetime.date(2027, 12, 31), 2027 + 364 / 365),
+        (datetime.date(2028, 12, 31), 2028 + 365 / 366),
+        (datetime.datetime(2026, 7, 2, 12, 0), 2026 + 182 / 365),
+    ],
+)
+def test_days_have_decimal_years(date, year):
+    assert decimal_year(date) == pytest.approx(year, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("date", "message"),
+    [
+        (2024.99, "date is 2024.99: at least 2025"),
+        (2030.01, "date is 2030.01: at most 2030"),
+        (datetime.date(2031, 5, 1), "date is .*: at most 2030"),
+        (datetime.date(1999, 5, 1), "date is .*: at least 2025"),
+        (math.nan, "date is nan: a finite number"),
+        ("2026", "date is '2026'"),
+        (None, "date is None"),
+        (True, "date is True"),
+    ],
+)
+def test_dates_that_are_not_foreseen_are_refused(date, message):
+    with pytest.raises(ValueError, match=message):
+        magnetic_field(0.0, 0.0, 0.0, date)
+
+
+@pytest.mark.parametrize(
     ("latitude", "longitude", "sign"), [(85.762, 139.298, -1), (-63.851, 135.078, 1)]
 )
 def test_it_is_vertical_at_the_magnetic_poles(latitude, longitude, sign):
@@ -65,6 +142,11 @@ def test_there_is_a_coefficient_of_each_degree_and_order():
     # Sums of the columns 2025.0 of igrf14coeffs.txt
     assert sum(map(sum, COSINES)) == pytest.approx(-26449.7, abs=0.05)
     assert sum(map(sum, SINES)) == pytest.approx(487.6, abs=0.05)
+    # and of the columns 2025-30
+    assert [len(row) for row in COSINE_RATES] == list(range(2, 10))
+    assert [len(row) for row in SINE_RATES] == list(range(2, 10))
+    assert sum(map(sum, COSINE_RATES)) == pytest.approx(-26.1, abs=0.05)
+    assert sum(map(sum, SINE_RATES)) == pytest.approx(-54.2, abs=0.05)
 
 
 def potential(position):

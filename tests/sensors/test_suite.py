@@ -13,6 +13,7 @@ from bulletuav.registry import names
 from bulletuav.sensors.base import Image, Label, Sensor, SensorSetup, Uncertain, vector_labels
 from bulletuav.sensors.gps import Gps
 from bulletuav.sensors.lidar import make_beams
+from bulletuav.sensors.optical_flow import OpticalFlow
 from bulletuav.sensors.suite import (
     ORDER,
     SensorSuite,
@@ -25,7 +26,16 @@ from bulletuav.sensors.suite import (
 
 ALL = names("sensor")
 WORLDS, DRONES, TARGETS = 2, 3, 4
-SOME = {"noise": 0.5, "walk": 0.3, "dropout": 0.2, "delay": 0.13, "loss": 0.2, "range": 40.0}
+SOME = {
+    "noise": 0.5,
+    "walk": 0.3,
+    "dropout": 0.2,
+    "delay": 0.13,
+    "loss": 0.2,
+    "range": 40.0,
+    "bias": 3.0,
+    "iron": 2.0,
+}
 """Values of uncertain parameters, by the ends of their names"""
 CHECKED = {
     "gps": {"observation": ("position", "velocity"), "randomization": {"gps_noise": 1.0}},
@@ -36,6 +46,8 @@ CHECKED = {
 }
 """Options with which sensors are checked whose readings are not all observed by their names"""
 CITY = {"area": 250.0, "num_layouts": 1, "num_users": TARGETS, "camera_size": (16, 12)}
+FAR = {"optical_flow": (OpticalFlow(max_distance=500.0),)}
+"""Sensors that see the ground from where drones of `los` fly, in place of those that do not"""
 SHOWN = [(name, reading) for name in ALL for reading in find_sensor(name).labels(SensorSetup())] + [
     ("gps", "position"),
     ("gps", "velocity"),
@@ -134,7 +146,10 @@ def test_what_is_observed_by_its_name_is_what_the_frame_holds(name, reading, mak
     sensor = find_sensor(name)
     uncertain = {f"{sensor.prefix}{key}": usual(key) for key in sensor.uncertain}
     aviary, observations = make_aviary(
-        observation=(reading,), observation_format="dict", randomization=uncertain
+        observation=(reading,),
+        observation_format="dict",
+        randomization=uncertain,
+        sensors=FAR.get(name, ()),
     )
     assert set(observations) == {reading}
     held = aviary._frame.readings[reading]

@@ -1,0 +1,237 @@
+"""Optical flow and a range finder that look down, as on the Flow deck of a Crazyflie."""
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import numpy as np
+
+from bulletuav.engine.engine import Engine
+from bulletuav.errors import finite
+from bulletuav.functions import cos, exp, hypot
+from bulletuav.geometry.rotation import Vec3Like, axes, quat4, to_body, vec3
+from bulletuav.kernel import func, kernel
+from bulletuav.registry import register
+from bulletuav.sensors.base import Image, Label, Moment, Sensor, SensorSetup, Uncertain
+from bulletuav.vehicle.swarm import Swarm, get
+
+NEAREST, FASTEST = 0.08, 7.4
+"""m, rad/s; least distance and greatest flow of a PMW3901 (PixArt's datasheet, as in PX4)"""
+FARTHEST = 4.0
+"""m; range of a VL53L1x (ST's datasheet)"""
+TILTED = 45.0
+"""deg; tilt up to which PX4 uses range finders and flow (`range_cos_max_tilt`)"""
+NOISE = 0.09
+"""rad/s; over good ground at 100 Hz: 0.43 counts, each of 0.1 of 35 pixels in 0.717 rad
+
+Source: Crazyflie firmware, flowdeck_v1v2.c (fitted to flights) and mm_flow.c.
+"""
+RANGE_NOISE = 0.0025
+"""m; near the ground, see `range_deviation`"""
+LOG_80 = 4.382026634673881
+MOST_DISTANCE, MOST_FLOW = 1000.0, 1000.0
+"""m, rad/s; greatest values that limits can have"""
+
+
+@func
+def angular_flow(velocity: Vec3Like, rates: Vec3Like, distance: float) -> tuple[float, float]:
+    """Compute how the ground passes the middle of a picture that looks down.
+
+    The flow is the angular velocity at which a drone that only turned would see the same.
+
+    Args:
+        velocity: Velocity above the ground, m/s, body axes.
+        rates: Angular velocity, rad/s, body axes.
+        distance: Distance of the ground along the body's -z axis, m.
+
+    Returns:
+        Flow about the body's x and y axes, rad/s: right-handed turns are positive, flight to the
+        left is positive about x, and flight ahead negative about y.
+
+    Sources: D. Honegger et al., An open source and open hardware embedded metric optical flow CMOS
+    camera (ICRA 2013); mm_flow.c of the Crazyflie's firmware. Signs are those of MAVLink's
+    OPTICAL_FLOW_RAD, in axes forward, left, up.
+    """
+    return rates[0] + velocity[1] / distance, rates[1] - velocity[0] / distance
+
+
+def range_deviation(distance: np.ndarray, reach: float) -> np.ndarray:
+    """Tell how the noise of a range finder grows towards the end of its range.
+
+    Args:
+        distance: Distances, m, of any shape.
+        reach: Length of the range, m.
+
+    Returns:
+        Factors on the noise near the ground: 2 at 5/8 of the range, and 81 at its end.
+
+    Source: zranger2.c of the Crazyflie's firmware, for a range of 4 m.
+    """
+    return 1.0 + exp(LOG_80 * (distance / reach - 0.625) / 0.375)
+
+
+@kernel
+def _look_down(
+    swarm: Swarm,
+    mask: np.ndarray,
+    reach: float,
+    start: np.ndarray,
+    end: np.ndarray,
+    world: np.ndarray,
+) -> None:
+    """List the rays (M, 3) of the drones of `mask` (W, N), along their -z axes."""
+    m = 0
+    for w in range(mask.shape[0]):
+        for i in range(mask.shape[1]):
+            if not mask[w, i]:
+                continue
+            up = axes(quat4(swarm.quaternion, w, i))[2]
+            position = vec3(swarm.position, w, i)
+            for k in range(3):
+                start[m, k] = position[k]
+                end[m, k] = position[k] - reach * up[k]
+            world[m] = w
+            m += 1
+
+
+@kernel
+def _measure(
+    swarm: Swarm,
+    mask: np.ndarray,
+    distance: np.ndarray,
+    limits: tuple[float, float, float, float],
+    error: np.ndarray,
+    fails: np.ndarray,
+    flow: np.ndarray,
+) -> None:
+    """Measure flow and quality (W, N, 3) of the drones of `mask`.
+
+    `distance` (W, N) is that of the ground, `error` (W, N, 2) is added, and `fails` (W, N) tells
+    who finds nothing to follow. See `OpticalFlow` for the limits.
+    """
+    nearest, farthest, fastest, upright = limits
+    for w in range(mask.shape[0]):
+        for i in range(mask.shape[1]):
+            if not mask[w, i]:
+                continue
+            for k in range(3):
+                flow[w, i, k] = 0.0
+            # Is there ground that it can see?
+            _, quaternion, velocity, rates = get(swarm, w, i)
+            far = distance[w, i]
+            if fails[w, i] or far < nearest or far >= farthest:
+                continue
+            if axes(quaternion)[2][2] < upright:
+                continue
+            # Does the ground pass slowly enough?
+            true = angular_flow(to_body(quaternion, velocity), rates, far)
+            if hypot(true[0], true[1]) > fastest:
+                continue
+            for k in range(2):
+                flow[w, i, k] = min(max(true[k] + error[w, i, k], -fastest), fastest)
+            flow[w, i, 2] = 1.0
+
+
+@register("sensor")
+class OpticalFlow(Sensor):
+    """Flow of the ground below a drone, and its distance, both along the body's -z axis.
+
+    The reading "optical_flow" is the flow about the body's x and y axes, rad/s, see `angular_flow`,
+    and its quality. It is that of the moment, not summed up over time. The quality is 1, or 0 where
+    flow cannot be measured, and flow is 0 then: the ground is too near or out of range, passes too
+    fast, or the drone is too tilted. The reading "ground_distance" is that of the range finder, m,
+    and `max_distance` where nothing is in range.
+
+    Both look from the drone's centre, along one ray, at ground, buildings, obstacles and other
+    drones, as the range finder `lidar` does. What they see is taken to stand still.
+    `Imperfect(OpticalFlow(), rate=100)` measures as often as a Flow deck.
+
+    Attributes:
+        noise: (W, N) standard deviation of each axis of the flow, rad/s.
+        range_noise: (W, N) standard deviation of a distance near the ground, m; it grows with the
+            distance, see `range_deviation`.
+        dropout: (W, N) probability that there is nothing to follow, as above smooth or dark floors.
+    """
+
+    name = "optical_flow"
+    gives = ("optical_flow", "ground_distance")
+    uncertain: ClassVar = {
+        "noise": Uncertain(0.0, 1000.0, usual=NOISE),
+        "range_noise": Uncertain(0.0, 1000.0, usual=RANGE_NOISE),
+        "dropout": Uncertain(0.0, 1.0),
+    }
+
+    noise: np.ndarray
+    range_noise: np.ndarray
+    dropout: np.ndarray
+
+    def __init__(
+        self,
+        min_distance: float = NEAREST,
+        max_distance: float = FARTHEST,
+        max_flow: float = FASTEST,
+        max_tilt: float = TILTED,
+    ) -> None:
+        """Set the sensor up.
+
+        Args:
+            min_distance: Least distance of ground whose flow is measured, m.
+            max_distance: Range, m.
+            max_flow: Greatest flow, about any level axis, rad/s.
+            max_tilt: Greatest angle between the body's z axis and the vertical, deg.
+
+        Raises:
+            ValueError: A limit is not finite or out of bounds, or the range ends before it begins.
+        """
+        self._nearest = finite("min_distance", min_distance, 1e-3, MOST_DISTANCE)
+        self._reach = finite("max_distance", max_distance, 1e-3, MOST_DISTANCE)
+        self._fastest = finite("max_flow", max_flow, 1e-3, MOST_FLOW)
+        self._tilt = finite("max_tilt", max_tilt, 0.0, 90.0)
+        if self._nearest >= self._reach:
+            raise ValueError(
+                f"min_distance is {self._nearest:g} and max_distance {self._reach:g}: "
+                f"a greater max_distance is needed"
+            )
+
+    def labels(self, setup: SensorSetup) -> Mapping[str, tuple[Label, ...] | Image]:
+        """Tell the bounds of flow, quality and distance."""
+        most = self._fastest
+        flow = [Label(f"flow {axis}", "rad/s", -most, most) for axis in "xy"]
+        return {
+            "optical_flow": (*flow, Label("flow quality", "1", 0.0, 1.0)),
+            "ground_distance": (Label("ground distance", "m", 0.0, self._reach),),
+        }
+
+    def attach(self, setup: SensorSetup, engine: Engine) -> None:
+        """Make arrays for readings."""
+        super().attach(setup, engine)
+        upright = float(cos(np.radians(self._tilt)))
+        self._limits = (self._nearest, self._reach, self._fastest, upright)
+        self._flow = np.zeros((*setup.shape, 3))
+        self._distance = np.full(setup.shape, self._reach)
+
+    def measure(self, moment: Moment) -> Mapping[str, np.ndarray]:
+        """Measure from the drones that measure; others keep their readings, and are not seen.
+
+        Each world draws from its own generator, if its drones' readings are uncertain.
+        """
+        swarm, mask = moment.after, moment.mask
+        scales = (self.noise, self.range_noise, self.dropout)
+        uncertain = np.any([scale > 0 for scale in scales], axis=(0, 2))
+        normal, luck = moment._replace(mask=mask & uncertain[:, None]).draw(3)
+        true = self._true_distance(swarm, mask)
+        fails = luck < self.dropout
+        error = self.noise[..., None] * normal[..., :2]
+        _measure(swarm, mask, true, self._limits, error, fails, self._flow)
+        deviation = self.range_noise * range_deviation(true, self._reach)
+        measured = np.clip(true + deviation * normal[..., 2], 0.0, self._reach)
+        np.copyto(self._distance, np.where(true < self._reach, measured, true), where=mask)
+        return {"optical_flow": self._flow.copy(), "ground_distance": self._distance.copy()}
+
+    def _true_distance(self, swarm: Swarm, mask: np.ndarray) -> np.ndarray:
+        """Find the distance (W, N) of what is below the drones of `mask`, at most the range, m."""
+        count = np.count_nonzero(mask)
+        start, end, world = np.empty((count, 3)), np.empty((count, 3)), np.empty(count, np.int64)
+        _look_down(swarm, mask, self._reach, start, end, world)
+        distance = np.full(mask.shape, self._reach)
+        distance[mask] = self._reach * self.engine.cast_rays(start, end, world, (swarm, mask))
+        return distance
