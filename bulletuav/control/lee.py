@@ -262,7 +262,8 @@ def mix(
 ) -> None:
     """Share collective thrust and torques out among the rotors, within what each can do.
 
-    Yaw needs the most of the rotors and matters least. It gets what thrust, roll and pitch leave.
+    Roll and pitch come first: thrust above half of the greatest gives way to them. Yaw needs the
+    most of the rotors and matters least. It gets what the others leave.
 
     Args:
         thrust: Collective thrust, N.
@@ -272,6 +273,11 @@ def mix(
         command: (R,) speed of each rotor, rad/s, which is written.
     """
     most = row.thrust_coefficient * row.max_rotor_speed * row.max_rotor_speed
+    # Thrust at which roll and pitch still fit.
+    for r in range(row.num_rotors):
+        turn = gain.mixer[r, 1] * torque[0] + gain.mixer[r, 2] * torque[1]
+        if gain.mixer[r, 0] * thrust + turn > most:
+            thrust = min(thrust, max(most - turn, 0.5 * most) / gain.mixer[r, 0])
     # Thrust of each rotor without yaw, and the largest share of yaw that all rotors can add.
     share = 1.0
     for r in range(row.num_rotors):

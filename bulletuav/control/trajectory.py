@@ -169,6 +169,7 @@ class Tracker:
     a = a_ref(t + lead) + 2 z w (v_ref - v) + w^2 (x_ref - x), with the frequency w and damping z of
     the position loop of the airframe. Feed-forward comes before its time: sideways by the delay of
     the attitude, 2 z / w_R (the linear phase of its second-order loop), upwards by the rotors' lag.
+    Meanwhile drag k v grows by k lead a_ref, which is added.
     """
 
     def __init__(self, airframe: str | Airframe, trajectory: Trajectory) -> None:
@@ -188,6 +189,11 @@ class Tracker:
         self._rate, self._stiffness = 2 * damping * frequency, frequency**2
         self._sideways = 2 * damping / float(gains["attitude_frequency"][0])
         self._upwards = max(frame.lag_up, frame.lag_down)
+        # The controller knows the drag of now; what it grows by meanwhile goes with the lead.
+        hover = len(frame.rotors) * frame.hover_speed() / frame.mass
+        self._ahead = 1 + hover * np.array(
+            (frame.drag_xy * self._sideways,) * 2 + (frame.drag_z * self._upwards,)
+        )
 
     def setpoint(self, time: float, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         """Tell how to accelerate now.
@@ -209,7 +215,7 @@ class Tracker:
         x, y, _ = self.trajectory.acceleration(time + self._sideways)
         z = self.trajectory.acceleration(time + self._upwards)[2]
         back = self._rate * (now.velocity - speed) + self._stiffness * (now.position - place)
-        wanted = np.array((x, y, z)) + back
+        wanted = self._ahead * (x, y, z) + back
         return np.append(wanted, now.yaw) if self.trajectory.has_yaw else wanted
 
 

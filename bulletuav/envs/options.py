@@ -249,7 +249,8 @@ class EnvOptions:
                 f"lidar_elevations: at most "
                 f"{MOST_BEAMS} beams in all are possible"
             )
-        if self.battery_capacity == "airframe":
+        if isinstance(self.battery_capacity, str):
+            choose("battery_capacity", self.battery_capacity, ("airframe",))
             for airframe in self.airframe:
                 if airframe.pack is None:
                     raise ValueError(

@@ -147,17 +147,19 @@ def test_on_its_trajectory_a_tracker_asks_for_its_acceleration_and_off_it_goes_b
 
 
 def test_what_comes_is_asked_for_early_by_the_delay_of_each_axis():
-    # x and z alike; sideways the attitude's 2 z / w_R, upwards the rotors' lag
+    # x and z alike; sideways the attitude's 2 z / w_R, upwards the rotors' lag. Drag grows too.
     both = Trajectory((0, 1, 2), [(0.0, 0, 0), (1, 0, 1), (0, 0, 0)])
     for name in ("cf2x", "hummingbird"):
-        lag = load_airframe(name).lag_up
+        frame = load_airframe(name)
         asked = Tracker(name, both)
         target = both.at(0.6)
         wanted = asked.setpoint(0.6, target.position, target.velocity)
-        down = max(lag, load_airframe(name).lag_down)
+        down = max(frame.lag_up, frame.lag_down)
         sideways = 2 * 0.8 / min(10, 1 / (2 * down))
-        assert wanted[0] == pytest.approx(both.at(0.6 + sideways).acceleration[0])
-        assert wanted[2] == pytest.approx(both.at(0.6 + down).acceleration[2])
+        hover = len(frame.rotors) * frame.hover_speed() / frame.mass
+        more_x, more_z = 1 + hover * frame.drag_xy * sideways, 1 + hover * frame.drag_z * down
+        assert wanted[0] == pytest.approx(more_x * both.at(0.6 + sideways).acceleration[0])
+        assert wanted[2] == pytest.approx(more_z * both.at(0.6 + down).acceleration[2])
 
 
 def test_along_points_the_speed_is_about_what_is_asked():

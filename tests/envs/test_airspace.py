@@ -91,7 +91,8 @@ def test_each_level_does_what_its_name_says(dynamics):
     steps(airspace, 24)
     swarm = airspace.swarm
     gained = (swarm.velocity[2] - before) / 0.5
-    np.testing.assert_allclose(gained, (0.3, 0.0, 0.1), atol=0.02)
+    # Drag, which grows by 0.4 1/s of it, is made up for after the attitude's delay of 0.2 s
+    np.testing.assert_allclose(gained, (0.3, 0.0, 0.1), atol=0.03)
     roll, _, yaw = Rotation.from_quat(swarm.quaternion[3]).as_euler("xyz")
     np.testing.assert_allclose((roll, yaw), (0.1, 0.3), atol=0.02)
     np.testing.assert_allclose(swarm.rates[4], (0, 0, 0.5), atol=0.01)

@@ -208,7 +208,7 @@ REFUSED = [
     ("<max_speed", '<ground_effect gain="1"/><max_speed', "ground_effect decay", "missing"),
     ("<max_speed", '<ground_effect gain="2" decay="0.1"/><max_speed', "ground_effect gain", "2"),
     ("<max_speed", '<wake share="0.3" spread="0.1" radius="0"/><max_speed', "wake radius", "0"),
-    ('efficiency="0.53"', 'efficiency="0"', "power efficiency", "0"),
+    ('efficiency="0.43"', 'efficiency="0"', "power efficiency", "0"),
     ('cells="1"', 'cells="1.5"', "battery cells", "a whole number"),
     ('capacity="0.925"', 'capacity="full"', "battery capacity", "a number is needed"),
     ('min="20000"', 'min="70000"', "pwm max", "65535"),
