@@ -1,7 +1,12 @@
 import numpy as np
 import pytest
 
-from bulletuav.vehicle.battery import Battery
+from bulletuav.vehicle.battery import (
+    Battery,
+    loaded_voltage,
+    resting_voltage,
+    speed_share,
+)
 
 # W, W, W, m/s, see test_power.py
 HOVER = 168.4842
@@ -75,3 +80,31 @@ def test_a_start_without_charge_is_refused_and_changes_nothing(charge):
     with pytest.raises(ValueError, match="charge is "):
         battery.start(0, charge)
     np.testing.assert_array_equal(battery.charge, 1.0)
+
+
+# Voltage
+
+
+def test_a_resting_cell_by_the_table():
+    assert [resting_voltage(charge) for charge in (0.0, 0.1, 0.5, 1.0)] == [3.27, 3.69, 3.84, 4.20]
+    assert resting_voltage(0.95) == pytest.approx((4.11 + 4.20) / 2)
+    assert resting_voltage(-0.2) == 3.27
+    assert resting_voltage(1.5) == 4.20
+    volts = [resting_voltage(charge) for charge in np.linspace(0, 1, 500)]
+    assert (np.diff(volts) > 0).all()
+
+
+def test_a_loaded_cell_by_hand():
+    """4 V with 0.16 ohm at 2 A: 3.68 V, so 7.36 W."""
+    assert loaded_voltage(4.0, 7.36, 0.16) == pytest.approx(3.68)
+    assert loaded_voltage(4.0, 0.0, 0.16) == 4.0
+    assert loaded_voltage(4.0, 7.36, 0.0) == 4.0
+    # The most that it can give is E^2 / 4 R = 25 W
+    assert loaded_voltage(4.0, 25.0, 0.16) == pytest.approx(2.0)
+    assert loaded_voltage(4.0, 99.0, 0.16) == 2.0
+
+
+def test_motors_turn_slower_at_a_lower_voltage():
+    assert speed_share(3.57, 3.57) == 1.0
+    assert speed_share(0.9 * 3.57, 3.57) == pytest.approx(1 - 0.089)
+    assert speed_share(0.0, 3.57) == pytest.approx(0.11)
