@@ -148,16 +148,17 @@ DRONE_MODELS_P250 = _drone_models(
 )
 NOW = Predictor(
     "now",
-    mass=model.MASS,
-    half_arm=model.ARM / np.sqrt(2.0),
-    inertia=model.INERTIA,
-    torque_ratio=model.TORQUE_RATIO,
+    mass=model.AIRFRAME.mass,
+    half_arm=model.AIRFRAME.arm / np.sqrt(2.0),
+    inertia=model.AIRFRAME.inertia,
+    torque_ratio=model.AIRFRAME.torque_ratio,
     speed=model.rotor_speed,
-    thrust=_square(model.THRUST),
-    lag=_lag(model.LAG),
+    thrust=_square(model.AIRFRAME.thrust_coefficient),
+    lag=_lag(model.AIRFRAME.lag_up),
     rotor_drag=model.ROTOR_DRAG,
-    drag_height=model.DRAG_HEIGHT,
-    rate_damping=model.RATE_DAMPING,
+    drag_height=model.AIRFRAME.drag_height,
+    rate_damping=model.AIRFRAME.damping,
+    propeller_inertia=model.AIRFRAME.rotor_inertia,
 )
 PREDICTORS = (GYM_PYBULLET_DRONES, DRONE_MODELS_L250, DRONE_MODELS_P250, BEFORE, NOW)
 PROPELLER_RADIUS = 0.0231348

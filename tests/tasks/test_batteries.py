@@ -156,7 +156,7 @@ def test_the_airframes_own_battery_lasts_as_long_as_it_tells():
 
 @pytest.mark.parametrize("dynamics", ["rigid_body", "bullet"])
 def test_a_drone_sinks_as_its_battery_does(dynamics):
-    """At one command of rotor speeds: the fuller, the more thrust. Firmware would make up for it."""
+    """At one command of rotor speeds: the fuller, the more thrust; firmware would help."""
     heights = {}
     for charge in (1.0, 0.3):
         for effects in (("lag",), ("lag", "voltage")):

@@ -127,7 +127,7 @@ def test_rotors_that_spin_take_energy_by_damping_only(rates, total, momentum):
 
 
 def test_a_gyroscope_precesses_by_hand():
-    """h = -1e-5 N m s about z, rolling at 2 rad/s: M_y = 2 h, over 1.68e-5 kg m^2: -1.19 rad/s^2."""
+    """h = -1e-5 N m s about z, rolling at 2 rad/s: M_y = 2 h, over 1.68e-5 kg m^2."""
     _, row = row_of("cf2x", ())
     assert body_acceleration((2.0, 0.0, 0.0), ZERO, 0.0, -1e-5, row) == (
         0,
