@@ -96,7 +96,6 @@ def write_urdf(path: Path, payload: float) -> None:
     <motor_lag up="{MOTOR_LAG}" down="{MOTOR_LAG}"/>
     <rotor_drag xy="{drag:.4g}" z="{drag:.4g}"/>
     <propeller_radius value="{PROPELLER_RADIUS}"/>
-    <ground_effect gain="1"/>
     <max_speed value="15"/>
 {rotors}
   </airframe>

@@ -57,7 +57,7 @@ def fly(setpoints: np.ndarray) -> np.ndarray:
         airframe="cf2x",
         action="target_position",
         controller="pid",
-        effects=("drag", "ground_effect", "downwash"),  # all but "lag"
+        effects=("ground_effect", "downwash"),  # it is made for motors without lag and drag
         start=(tuple(CORNERS[0]),),
         decision_hz=DECISION_HZ,
         horizon=len(setpoints),

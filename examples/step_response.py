@@ -18,7 +18,7 @@ DECISION_HZ = 60
 START = np.array((0.0, 0.0, 2.0))  # m
 STEP = np.array((1.0, 0.0, 0.0))  # m, to the east
 EFFECTS = ("lag", "drag", "ground_effect", "downwash")
-CONTROLLERS = {"lee": EFFECTS, "pid": EFFECTS[1:]}  # with the effects that each flies with
+CONTROLLERS = {"lee": EFFECTS, "pid": EFFECTS[2:]}  # with the effects that each flies with
 
 
 def step_response(controller: str, effects: tuple[str, ...]) -> tuple[float, float]:

@@ -6,7 +6,7 @@ import numpy as np
 from placing import fly
 
 import bulletuav
-from bulletuav.vehicle.power import airframe_wing
+from bulletuav.vehicle.power import airframe_wing, propulsion_power
 
 EDGE = ("mec", "mec_advanced")
 DEAF = {"n_nlos": 300.0}  # nothing is heard without a line of sight
@@ -48,5 +48,4 @@ def alone(aviary, decisions):
 
 def hover_power():
     """Of a hummingbird, W."""
-    wing = airframe_wing(bulletuav.load_airframe("hummingbird"))
-    return wing.blade + wing.induced
+    return propulsion_power((0.0, 0.0, 0.0), airframe_wing(bulletuav.load_airframe("hummingbird")))

@@ -21,7 +21,7 @@ from bulletuav.control.lee import (
     torque_setpoint,
     velocity_setpoint,
 )
-from bulletuav.control.observers import MEMORY, learned_push, learned_torque
+from bulletuav.control.observers import MEMORY, felt_acceleration, learned_push, learned_torque
 from bulletuav.control.pid import pid_rotors
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.geometry.rotation import (
@@ -295,16 +295,17 @@ def command_rotors(
         _, quaternion, velocity, rates = state
         rotors = rotor_wrench(swarm.rotor_speed[w, i], 0.0, nominal)
         slowed, tipped = drag(quaternion, velocity, rotors[2], nominal)
-        lift = plus(slowed, rotors[0], axes(quaternion)[2])
-        known = plus((0.0, 0.0, -gravity), 1.0 / nominal.mass, lift)
         push = (0.0, 0.0, 0.0)
         if integral:
+            lift = plus(slowed, rotors[0], axes(quaternion)[2])
+            known = plus((0.0, 0.0, -gravity), 1.0 / nominal.mass, lift)
             push = learned_push(velocity, known, memory, w, i, dt, gravity, gain)
         twist = (0.0, 0.0, 0.0)
         # Wind turns drones whose drag acts far above the centre of mass.
         if nominal.drag_height > 0.0:
             twist = learned_torque(rates, rotors, tipped, memory, w, i, dt, nominal, gain)
-            still = torque_of_drag_ahead(quaternion, velocity, rates, known, rotors[2], nominal)
+            felt = felt_acceleration(velocity, memory, w, i, dt)
+            still = torque_of_drag_ahead(quaternion, velocity, rates, felt, rotors[2], nominal)
             twist = plus(twist, 1.0, still)
         lee_rotors(
             level,

@@ -11,14 +11,14 @@ import math
 import numpy as np
 
 from bulletuav.control.gains import GainRow
-from bulletuav.geometry.rotation import Vec3, Vec3Like, dot
+from bulletuav.geometry.rotation import Vec3, Vec3Like, dot, plus
 from bulletuav.kernel import func
 from bulletuav.vehicle.rotors import Rotors
 from bulletuav.vehicle.wrench import body_acceleration
 
-MEMORY = 10
+MEMORY = 13
 """Numbers that observers remember: predicted velocity (3) and push (3), predicted rates (2) and
-torque (2)"""
+torque (2), and the last velocity (3)"""
 FASTER = 2.0
 """Frequency of the observer of pushes over that of the position loop"""
 LARGEST_PUSH = 0.5
@@ -34,6 +34,31 @@ def _fresh(memory: np.ndarray, w: int, i: int, first: int, last: int) -> bool:
         if memory[w, i, k] != 0.0:
             return False
     return True
+
+
+@func
+def felt_acceleration(velocity: Vec3Like, memory: np.ndarray, w: int, i: int, dt: float) -> Vec3:
+    """Return how a drone was accelerated since the last call, as an accelerometer would tell.
+
+    Args:
+        velocity: Velocity, m/s, world.
+        memory: (W, N, M) memory of all drones; zeros for a drone that starts.
+        w: Index of the world.
+        i: Index of the drone.
+        dt: Time since the last call, s.
+
+    Returns:
+        Acceleration, m/s^2, world; none at a start.
+    """
+    fresh = _fresh(memory, w, i, 10, 13)
+    before = (memory[w, i, 10], memory[w, i, 11], memory[w, i, 12])
+    for k in range(3):
+        memory[w, i, 10 + k] = velocity[k]
+    if fresh:
+        return 0.0, 0.0, 0.0
+    return plus(
+        (0.0, 0.0, 0.0), 1.0 / dt, plus((velocity[0], velocity[1], velocity[2]), -1.0, before)
+    )
 
 
 @func

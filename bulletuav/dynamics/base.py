@@ -55,14 +55,7 @@ class Air(NamedTuple):
 
 @func
 def surroundings(air: Air, w: int, i: int, wake: np.ndarray) -> Around:
-    """Return what surrounds one drone, as `wrench` takes it.
-
-    Args:
-        air: What surrounds all drones.
-        w: Index of the world.
-        i: Index of the drone.
-        wake: (N, 4) the wakes on the drones of this world, see `wakes`.
-    """
+    """Return what surrounds drone i of world w, which feels the wakes (N, 4), for `wrench`."""
     force = vec3(air.force, w, i)
     return (
         vec3(air.wind, w, i),
@@ -100,7 +93,7 @@ class Flight:
     restitution: float
 
 
-# The engine clamps velocities and rates at 1e4
+# The engine clamps both at 1e4
 FASTEST = 9.9e3  # m/s
 FASTEST_SPIN = 9.9e3  # rad/s
 

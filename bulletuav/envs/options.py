@@ -250,7 +250,8 @@ class EnvOptions:
                 f"{MOST_BEAMS} beams in all are possible"
             )
         if isinstance(self.battery_capacity, str):
-            choose("battery_capacity", self.battery_capacity, ("airframe",))
+            if self.battery_capacity != "airframe":
+                raise unknown("battery_capacity", self.battery_capacity, ("airframe",))
             for airframe in self.airframe:
                 if airframe.pack is None:
                     raise ValueError(

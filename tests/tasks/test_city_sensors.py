@@ -108,7 +108,7 @@ def test_readings_hold_what_was_asked_for(make_urban, task, observation, read):
     aviary = make_urban(task, **({} if observation is None else {"observation": observation}))
     for _ in range(2):
         readings = aviary._frame.readings
-        always = {"charge", "power", "sight"}
+        always = {"charge", "power", "voltage", "sight"}
         assert read - always == set(readings) - always
         assert read <= set(readings)
         assert readings["sight"].size == aviary.num_drones * aviary.task.num_targets

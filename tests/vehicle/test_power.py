@@ -296,7 +296,7 @@ def test_rotors_that_speed_up_take_the_mean_of_both_ends():
     )
 
 
-def test_at_ten_metres_a_second_the_formula_gains_by_inflow_and_the_rotors_hardly():
+def test_at_ten_metres_a_second_the_formula_gains_by_inflow_and_the_rotors_do_not():
     """The simulated rotors' torque knows nothing of the air that comes from ahead.
 
     docs/service.md tells why.
@@ -327,4 +327,4 @@ def test_at_ten_metres_a_second_the_formula_gains_by_inflow_and_the_rotors_hardl
     assert power["zeng", 0.0] == pytest.approx(70.27, abs=0.01)
     # Blades 14.0 (1 + 3 (10 / 45.3)^2) = 16.1, induced 17.2, fuselage 2.3: 35.6 W at the shafts
     assert power["zeng", 1.0] == pytest.approx(35.6 / 0.78 + 5, abs=0.1)
-    assert 0.9 < power["actuator", 1.0] / power["actuator", 0.0] < 1.0
+    assert 1.1 < power["actuator", 1.0] / power["actuator", 0.0] < 1.25

@@ -121,7 +121,8 @@ class Airspace(Task[FlightConfigT], Generic[FlightConfigT]):
         if along is None:
             along = goal - start
         heading = along / np.linalg.norm(along, axis=1, keepdims=True)
-        slowest, fastest = self.config.start_speed
+        limit = self.context.max_speed
+        slowest, fastest = (min(speed, limit) for speed in self.config.start_speed)
         speed = rng.uniform(slowest, fastest, (len(start), 1))
         velocity = heading * speed
         return Spawn(position=start, goal=goal, velocity=velocity)

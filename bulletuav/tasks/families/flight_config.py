@@ -15,7 +15,7 @@ class FlightConfig(TaskConfig):
 
     Attributes:
         d_safe: Separation below which two drones are in conflict, m.
-        start_speed: Least and greatest speed at the start, m/s.
+        start_speed: Least and greatest speed at the start, m/s; by default cut to max_speed.
         goal_radius: Distance from the goal at which it counts as reached, m.
         at_goal: What happens at the goal. "leave": the drone leaves the airspace. "land": it has
             to go down to the ground below first. "hold": it stays, until all that fly are at
@@ -53,7 +53,8 @@ class FlightConfig(TaskConfig):
                 begins, or the discount is above 1.
         """
         slowest, fastest = self.start_speed
-        if not 0 <= slowest <= fastest <= context.max_speed:
+        usual = self.start_speed == type(self).start_speed
+        if not (0 <= slowest <= fastest and (usual or fastest <= context.max_speed)):
             raise ValueError(
                 f"start_speed is {self.start_speed}: "
                 f"from low to high within 0 and max_speed {context.max_speed:g}"
