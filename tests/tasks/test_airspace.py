@@ -209,8 +209,8 @@ def test_hold_ends_when_all_are_at_their_goals_and_pays_each_once():
 
     def pass_below(aviary):
         action = towards_goal(aviary)
-        if aviary.steps[0] < 20:
-            action[0, 1, 2] = -0.6
+        if aviary.steps[0] < 60:
+            action[0, 1, 2] = -0.6 if aviary.steps[0] < 20 else 0.0
         return action
 
     steps = fly(aviary, pass_below)

@@ -72,9 +72,9 @@ def test_an_empty_battery_ends_the_episode_then_and_only_then(put_urban, horizon
     assert not step.info["collision"].any()
     if horizon == 5:
         return
-    for k in (6, 7):  # 0.87 + 0.63 (k - 1) times hover's comes to 4.04, then to 4.68
-        step = aviary.step(np.array([(STAY, (0, -0.5, 0))]))
-        assert step.terminated[0].tolist() == [False, k == 7]
+    # 0.91 + 0.77 (k - 1) times hover's comes to 3.98, then to 4.75
+    step = aviary.step(np.array([(STAY, (0, -0.5, 0))]))
+    assert step.terminated[0].tolist() == [False, True]
     assert (aviary.reset(seeds=0)[0, :, charge] == 1).all()
     assert not aviary.step(np.zeros((1, 2, 3))).terminated.any()
 
@@ -185,5 +185,5 @@ def test_a_drone_sinks_as_its_battery_does(dynamics):
             assert volts == pytest.approx({1.0: 3.92, 0.3: 3.44}[charge], abs=0.05)
             aviary.close()
     assert heights[1.0, ("lag",)] == heights[0.3, ("lag",)]
-    assert heights[1.0, ("lag", "voltage")] > 5.4
+    assert heights[1.0, ("lag", "voltage")] > 5.3
     assert heights[0.3, ("lag", "voltage")] < 4.9

@@ -302,7 +302,7 @@ def test_the_queue_is_the_work_that_is_left(put):
 
 def test_cores_are_paid_for_by_the_battery_a_decision_later(put):
     """Drones take hover's power and 12.5 W of a busy core: kappa f^2 for each cycle."""
-    options = {"arrival_rate": 2.0, "horizon": 100, "battery_capacity": 1.0, **EQUAL}
+    options = {"arrival_rate": 2.0, "horizon": 100, "battery_capacity": 2.0, **EQUAL}
     aviary = put("mec", OPEN, [(0, 0, 50)], [(0, 0, 1.5)], **options)
     memory, before, energy, finished = aviary.scene.memory, np.zeros(1), 0.0, 0
     assert pytest.approx(50) == 4 * CORE
@@ -310,7 +310,7 @@ def test_cores_are_paid_for_by_the_battery_a_decision_later(put):
         step = fly(aviary, STAY)
         assert step.info["power"][0] == pytest.approx(hover_power() + before * 4 * CORE)
         before, energy = memory["utilisation"][0].copy(), energy + float(step.info["power"][0, 0])
-        assert step.info["charge"][0, 0] == pytest.approx(1 - energy / 3600)
+        assert step.info["charge"][0, 0] == pytest.approx(1 - energy / 7200)
     while memory["utilisation"].any():
         finished = memory["finished"][0]
         energy += float(fly(aviary, STAY).info["power"][0, 0])
