@@ -28,7 +28,7 @@ EXAMPLES = {
     "figure_eight": "--out figure_eight",
     "rotor_control": "--seconds 2",
     "exchange_places": "--seconds 4",
-    "crash_and_recovery": "--blow 6",
+    "crash_and_recovery": "--blow 12",
     f"{GYM}/pid": "--seconds 4",
     f"{GYM}/downwash": "--seconds 4",
     f"{GYM}/learn": "--steps 1",

@@ -36,7 +36,7 @@ BAD = [
     ),
     *(
         ({"battery_capacity": value}, f"battery_capacity is {value!r}: a finite number")
-        for value in (NAN, [1.0])
+        for value in (NAN, float("inf"))
     ),
     ({"energy": "zen"}, "unknown energy 'zen': did you mean 'zeng'"),
     ({"energy": ""}, "unknown energy ''"),
