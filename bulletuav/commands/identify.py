@@ -31,7 +31,6 @@ ABOUT = {
 }
 COLUMNS: tuple[tuple[str, JustifyMethod], ...] = (
     ("constant", "left"),
-    ("unit", "left"),
     ("before", "right"),
     ("after", "right"),
     (f"{100 * LEVEL:.0f} % interval", "right"),
@@ -116,13 +115,13 @@ def run(arguments: argparse.Namespace) -> None:
 
 def _constants(result: Identification) -> Table:
     """Lay out the constants."""
-    table = Table(title=f"{result.before.name}, mass {result.airframe.mass:g} kg")
+    table = Table(title=f"{result.before.name}, mass {result.airframe.mass:g} kg; SI units")
     for heading, side in COLUMNS:
-        table.add_column(heading, justify=side)
+        table.add_column(heading, justify=side, no_wrap=True)
     for name, row in as_table(result)["constants"].items():
         interval = f"{row['low']:.4g} to {row['high']:.4g}" if row["told"] else "not told"
         after = f"{row['after']:.5g}" if row["told"] else "as it was"
-        table.add_row(name, row["unit"], f"{row['before']:.5g}", after, interval)
+        table.add_row(name, f"{row['before']:.5g}", after, interval)
     return table
 
 

@@ -26,6 +26,7 @@ class Constant:
         start: Where the fit starts if the airframe has 0.
         scale: For a constant of either sign, the step in which it is fitted; 0 for one above 0,
             of which the logarithm is fitted.
+        resolution: Standard deviation that the method adds to that of the number that is fitted.
     """
 
     name: str
@@ -35,6 +36,7 @@ class Constant:
     put: Put
     start: float
     scale: float = 0.0
+    resolution: float = 0.002
 
     def encode(self, airframe: Airframe) -> float:
         """Return the number that is fitted, for the airframe's value."""
@@ -103,6 +105,9 @@ def _nominal() -> tuple[Get, Put]:
     return get, put
 
 
+COARSE = 0.007
+"""Resolution of damping, in its logarithm. It is what noise of the rates at the start of a
+window, and smoothing, add; found on simulated logs, as that of the others."""
 CONSTANTS = (
     Constant("thrust_coefficient", "thrust", "N s^2", *_field("thrust_coefficient"), 1e-8),
     Constant("torque_ratio", "torque", "m", *_field("torque_ratio"), 0.01),
@@ -113,9 +118,9 @@ CONSTANTS = (
     Constant("inertia_x", "inertia", "kg m^2", *_entry("inertia", 0), 1.0),
     Constant("inertia_y", "inertia", "kg m^2", *_entry("inertia", 1), 1.0),
     Constant("inertia_z", "inertia", "kg m^2", *_entry("inertia", 2), 1.0),
-    Constant("damping_x", "damping", "1/s", *_entry("damping", 0), 1.0),
-    Constant("damping_y", "damping", "1/s", *_entry("damping", 1), 1.0),
-    Constant("damping_z", "damping", "1/s", *_entry("damping", 2), 1.0),
+    Constant("damping_x", "damping", "1/s", *_entry("damping", 0), 1.0, resolution=COARSE),
+    Constant("damping_y", "damping", "1/s", *_entry("damping", 1), 1.0, resolution=COARSE),
+    Constant("damping_z", "damping", "1/s", *_entry("damping", 2), 1.0, resolution=COARSE),
     Constant("ground_gain", "ground_effect", "1", *_field("ground_effect_gain"), 0.3),
     Constant("ground_decay", "ground_effect", "m", *_field("ground_effect_decay"), 0.03),
     Constant("wake_share", "wake", "1", *_field("wake_share"), 0.3),

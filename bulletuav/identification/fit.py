@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 from bulletuav.identification.constants import Constant
 from bulletuav.identification.errors import NUM_OFFSETS, SPREAD, Errors, errors_of, with_constants
 from bulletuav.identification.flight import Flight
-from bulletuav.identification.intervals import RESOLUTION, UNSURE, Information, quantile
+from bulletuav.identification.intervals import UNSURE, Information, quantile
 from bulletuav.identification.weights import Weights, whiten
 from bulletuav.vehicle.airframe import Airframe
 
@@ -228,7 +228,7 @@ class Problem:
             airframe=airframe,
             constants=self.constants,
             numbers=numbers[:count],
-            deviation=np.hypot(deviation[:count], RESOLUTION),
+            deviation=np.hypot(deviation[:count], [one.resolution for one in self.constants]),
             quantile=quantile(sum(map(len, known.scores)), count + len(self.free)),
             offsets=offsets,
             offset_deviation=self.own(deviation),

@@ -5,9 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from bulletuav.identification.constants import Constant
-from bulletuav.identification.errors import DELAY
+from bulletuav.identification.errors import DELAY, naive_errors
 from bulletuav.identification.fit import Fit, Part, Problem, Progress
 from bulletuav.identification.flight import Flight
+from bulletuav.identification.logs import RATES
 from bulletuav.identification.weights import weights_of
 from bulletuav.vehicle.airframe import Airframe
 
@@ -19,6 +20,8 @@ ROUNDS = 3
 """Fits, each with the errors of the one before as its weights"""
 DELAYS = np.arange(-0.1, 0.2001, 0.01)
 """Delays of commands that are tried first, behind the gyroscope's clock, s"""
+OPPOSITE = -0.4
+"""Correlation of turns with those that commands ask for from which on rotors are out of order"""
 
 
 def silent(_: float) -> None:
@@ -106,6 +109,7 @@ class Fitting:
         numbers = problem.begin() if start is None else start
         if start is None:
             numbers = aligned(problem, numbers)
+            require_order(problem, numbers)
         for _ in range(rounds):
             problem.weights = weights_of(problem.errors(numbers))
             numbers = problem.solve(numbers)
@@ -133,6 +137,33 @@ def aligned(problem: Problem, numbers: np.ndarray) -> np.ndarray:
     found = numbers.copy()
     problem.own(found)[:, 0] = (clocks + DELAYS[best]) / DELAY
     return found
+
+
+def require_order(problem: Problem, numbers: np.ndarray) -> None:
+    """Refuse logs whose drone turns against what its commands ask for.
+
+    Args:
+        problem: The problem.
+        numbers: Where the fit starts, with the right delays.
+
+    Raises:
+        ValueError: Turns are opposite; the rotors have another order.
+    """
+    for part, errors in zip(problem.parts, problem.errors(numbers), strict=True):
+        naive = naive_errors(part.flight, part.windows).turned
+        asked, turned = (values[:, -1, 3:] for values in (errors.turned - naive, -naive))
+        for axis in range(3):
+            fit = np.corrcoef(asked[:, axis], turned[:, axis])[0, 1]
+            if fit < OPPOSITE:
+                places = "; ".join(
+                    f"{k + 1} at x {x:g}, y {y:g} m"
+                    for k, (x, y, _) in enumerate(problem.airframe.rotors)
+                )
+                raise ValueError(
+                    f"{part.flight.log.path}: {RATES[axis]} changes against what the commands ask "
+                    f"for (correlation {fit:.2f}): the order of rotors is {places}; map commands "
+                    f"to it, and check the signs of body axes"
+                )
 
 
 def own_numbers(parts: Sequence[Part], drone: Airframe, free: np.ndarray) -> np.ndarray:

@@ -78,8 +78,9 @@ class Flight:
         ahead = np.maximum(time[0] - edges, 0.0)[:, None] * speeds[0]
         after = np.maximum(edges - time[-1], 0.0)[:, None] * speeds[-1]
         passed = np.stack([np.interp(edges, time, column) for column in total.T], axis=1)
-        commands: np.ndarray = np.diff(passed - ahead + after, axis=0) / self.dt
-        return np.maximum(commands, 0.0)
+        mean = np.diff(passed - ahead + after, axis=0) / self.dt
+        commands: np.ndarray = np.maximum(mean, 0.0)
+        return commands
 
 
 @kernel

@@ -10,9 +10,6 @@ LEVEL = 0.95
 UNSURE = 0.35
 """Standard deviation of a logarithm from which on a log does not tell a constant: the interval's
 ends are a factor of 4 apart"""
-RESOLUTION = 0.002
-"""Standard deviation that smoothing, and steps of finite length, add to that of a logarithm: found
-on simulated logs"""
 
 
 def quantile(count: int, numbers: int) -> float:

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.files import replace_file, whole_file
+from bulletuav.errors import read_file
+from bulletuav.files import replace_file
 from bulletuav.identification.errors import DELAY, OFFSETS, TILT
 from bulletuav.identification.fitting import BLOCK
 from bulletuav.identification.identify import Identification, Prediction
@@ -43,20 +44,20 @@ def write_urdf(result: Identification, folder: Path) -> Path:
         The file.
     """
     source = result.before.urdf
+    text = read_file(source)
     parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
-    root = ElementTree.parse(source, parser).getroot()
+    root = ElementTree.fromstring(text, parser)
     _set_numbers(root, result.airframe)
-    comment = ElementTree.Comment(f" {_origin(result)} ")
-    comment.tail = "\n  "
-    root.insert(0, comment)
+    # What stands before the robot, the file's own comments, is no part of the tree
+    head = text[: text.index(f"<{root.tag}")]
+    robot = ElementTree.tostring(root, encoding="unicode")
     path = folder / f"{result.before.name}.urdf"
     for mesh in root.iter("mesh"):
         name = mesh.get("filename", "")
         if name and (source.parent / name).is_file() and source.parent != folder:
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(source.parent / name, folder / name)
-    with whole_file(path) as part:
-        ElementTree.ElementTree(root).write(part, encoding="unicode", xml_declaration=True)
+    replace_file(path, f"{head}<!-- {_origin(result)} -->\n{robot}\n")
     return path
 
 
@@ -71,8 +72,9 @@ def _origin(result: Identification) -> str:
             if is_told
         )
     logs = ", ".join(item.part.flight.log.path.name for item in result.fitted)
+    text = f"Fitted by bulletuav identify: {told}. Logs: {logs}. See report.md."
     # Two hyphens would end the comment
-    return f"Fitted by bulletuav identify: {told}. Logs: {logs}. See report.md.".replace("--", "-")
+    return text.replace("--", "-")
 
 
 def _set_numbers(root: ElementTree.Element, airframe: Airframe) -> None:

@@ -64,5 +64,5 @@ def _draw(axes: Axes, curve: CurveLike) -> None:
     # Predictions that run away must not hide the flight
     span = max(float(np.ptp(curve.measured)), 1e-3)
     low, high = float(curve.measured.min()), float(curve.measured.max())
-    axes.set(ylabel=curve.label, ylim=(low - span, high + span))
+    axes.set(ylabel=curve.label, ylim=(low - 0.5 * span, high + 0.5 * span))
     axes.grid(alpha=0.3)
