@@ -130,6 +130,8 @@ CONSTANTS = (
 """All constants that flights can be fitted with"""
 BY_NAME = {constant.name: constant for constant in CONSTANTS}
 GROUPS = tuple(dict.fromkeys(constant.group for constant in CONSTANTS))
+GROUND = "ground_effect"
+"""Group of the ground effect, which needs flights near the ground"""
 BATTERY = "battery"
 """Name in --fit of the battery's resistance and capacity, which are fitted by themselves"""
 NOT_USUAL = ("inertia_z", "battery_voltage")

@@ -9,7 +9,7 @@ import numpy as np
 from bulletuav.errors import finite
 from bulletuav.identification.battery import BatteryFit, fit_battery
 from bulletuav.identification.checks import checked, require_same_logs
-from bulletuav.identification.constants import BATTERY, Constant, choose_constants
+from bulletuav.identification.constants import BATTERY, GROUND, Constant, choose_constants
 from bulletuav.identification.errors import DELAY, OFFSETS, Errors, errors_of, naive_errors
 from bulletuav.identification.fit import Fit, Part, Progress
 from bulletuav.identification.fitting import Fitting, halves, own_numbers, silent, split
@@ -20,6 +20,10 @@ from bulletuav.vehicle.airframes import HEAVIEST, load_airframe
 
 WINDOW = 0.5
 """Usual duration of a window, s"""
+LOW = 3.0
+"""Height in decay lengths below which windows tell of the ground effect: it is 5 % of itself"""
+FEWEST_LOW = 20
+"""Fewest such windows: a few take-offs tell more of the touch of the ground than of its effect"""
 DIGITS = 5
 """Significant digits of constants that were fitted"""
 
@@ -144,6 +148,8 @@ def identify(
         flights.append(prepare(log, drone, window))
         progress(0.1 * (k + 1) / len(read))
     parts, kept = split(flights)
+    if not fit and low_windows(parts, drone) < FEWEST_LOW:
+        constants = [constant for constant in constants if constant.group != GROUND]
     free = np.array([name != "gain" or len(logs) > 1 for name in OFFSETS])
     found = Fitting(parts, drone, free, bool(fit), progress).run(constants)
     fitted_airframe, note = _possible(_rounded(found.airframe, found.constants), found.constants)
@@ -164,6 +170,15 @@ def identify(
         window=window,
         note=note,
     )
+
+
+def low_windows(parts: Sequence[Part], airframe: Airframe) -> int:
+    """Count the windows near the ground, where its effect is felt."""
+    count = 0
+    for part in parts:
+        height = part.flight.track.position[part.flight.windows[part.windows], 2]
+        count += int((height < LOW * airframe.ground_effect_decay).sum())
+    return count
 
 
 def _predictions(
