@@ -82,13 +82,12 @@ class Fitting:
     def run(self, constants: list[Constant]) -> Fit:
         """Fit, leave out what the logs do not tell, and fit the rest."""
         problem, numbers = self._solve(constants, 0.1, ROUNDS)
-        own = numbers[len(constants) :]
-        keep = np.ones(len(constants), bool)
-        if not self.asked:
+        while not self.asked:
             keep = problem.told(numbers)
-        rest = [constant for constant, is_kept in zip(constants, keep, strict=True) if is_kept]
-        if len(rest) < len(constants):
-            start = np.concatenate([numbers[: len(constants)][keep], own])
+            if keep.all():
+                break
+            start = np.concatenate([numbers[: len(keep)][keep], numbers[len(keep) :]])
+            rest = [one for one, is_kept in zip(problem.constants, keep, strict=True) if is_kept]
             problem, numbers = self._solve(rest, 0.6, 2, start)
         return problem.found(numbers)
 
