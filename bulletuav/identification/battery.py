@@ -136,7 +136,7 @@ def fit_battery(
     return BatteryFit(
         resistance=_ends(own[0], numbers[0], reach * deviation[0]),
         capacity=_ends(own[1], numbers[1], reach * deviation[1]),
-        told=(bool(deviation[0] < UNSURE), bool(deviation[1] < UNSURE)),
+        told=(bool(reach * deviation[0] < UNSURE), bool(reach * deviation[1] < UNSURE)),
         error=(next(rms), next(rms)),
         start=numbers[2:],
     )

@@ -28,7 +28,7 @@ STEP = 1e-4
 """Step of numbers for derivatives"""
 MOST_STEPS = 25
 """Most iterations of a fit"""
-UNSURE_STEP = 0.1
+UNSURE_STEP = 0.2
 """The same for constants of either sign, in their scale"""
 FARTHEST = 3.0
 """Bound of the logarithms of constants, about the start"""
@@ -213,7 +213,9 @@ class Problem:
             size = int((rest < len(limit)).sum())
             if not size:
                 return keep[: len(limit)]
-            excess = np.sqrt(np.diag(known.covariance(rest)))[:size] / limit[rest[:size]]
+            deviation = np.sqrt(np.diag(known.covariance(rest)))[:size]
+            reach = quantile(sum(map(len, known.scores)), size + len(self.free))
+            excess = reach * deviation / limit[rest[:size]]
             if excess.max() < 1:
                 return keep[: len(limit)]
             keep[rest[int(np.argmax(excess))]] = False

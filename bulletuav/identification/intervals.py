@@ -7,8 +7,8 @@ from scipy.stats import t as student
 
 LEVEL = 0.95
 """Level of intervals"""
-UNSURE = 0.35
-"""Standard deviation of a logarithm from which on a log does not tell a constant: the interval's
+UNSURE = 0.69
+"""Half of the length of a logarithm's interval from which on a log does not tell a constant: its
 ends are a factor of 4 apart"""
 
 
