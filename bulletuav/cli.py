@@ -1,6 +1,7 @@
 """Command line `bulletuav`: finds the command, runs it, and turns errors into one line.
 
-Its commands are `tasks`, `fly`, `city`, `evaluate`, `compare`, `train`, `benchmark` and `doctor`.
+Its commands are `tasks`, `fly`, `city`, `evaluate`, `compare`, `train`, `identify`, `benchmark` and
+`doctor`.
 """
 
 import argparse
@@ -12,7 +13,17 @@ from collections.abc import Sequence
 from types import ModuleType
 from typing import NoReturn
 
-from bulletuav.commands import benchmark, city, compare, doctor, evaluate, fly, tasks, train
+from bulletuav.commands import (
+    benchmark,
+    city,
+    compare,
+    doctor,
+    evaluate,
+    fly,
+    identify,
+    tasks,
+    train,
+)
 from bulletuav.version import __version__
 
 COMMANDS: dict[str, ModuleType] = {
@@ -22,6 +33,7 @@ COMMANDS: dict[str, ModuleType] = {
     "evaluate": evaluate,
     "compare": compare,
     "train": train,
+    "identify": identify,
     "benchmark": benchmark,
     "doctor": doctor,
 }

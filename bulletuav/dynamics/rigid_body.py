@@ -95,7 +95,7 @@ def _moved(state: State, time: float, slope: State) -> State:
 
 
 @func
-def _rk4(
+def rk4(
     state: State,
     speeds: Speeds,
     rotors: Stages,
@@ -118,7 +118,7 @@ def _rk4(
 
 
 @func
-def _lag_stages(
+def lag_stages(
     parameters: np.ndarray,
     w: int,
     dt: float,
@@ -134,7 +134,7 @@ def _lag_stages(
 
 
 @func
-def _turn_rotors(
+def turn_rotors(
     speed: np.ndarray,
     command: np.ndarray,
     supply: float,
@@ -213,7 +213,7 @@ def advance(
     decay = np.empty((num_drones, 3, 2))
     for w in range(alive.shape[0]):
         # The same in all substeps
-        _lag_stages(parameters, w, dt, decay)
+        lag_stages(parameters, w, dt, decay)
         for substep in range(substeps):
             remember(contact, swarm, w)
             # Wakes and commands of all drones come from the state before any of them moves
@@ -231,7 +231,7 @@ def advance(
                     speed = swarm.rotor_speed
                     supply = air.supply[w, i]
                     speeds = (begin, middle, end)
-                    rotors = _turn_rotors(speed, commands, supply, decay, w, i, row, speeds)
+                    rotors = turn_rotors(speed, commands, supply, decay, w, i, row, speeds)
                     around = surroundings(air, w, i, wake)
                     state = get(swarm, w, i)
                     if contact.asleep[w, i]:
@@ -243,7 +243,7 @@ def advance(
                     # Fast spins in pieces: their precession is stiff
                     parts = spin_parts(state[3], dt, SMALL_TURN)
                     for _ in range(parts):
-                        state = _rk4(state, speeds, rotors, dt / parts, around, row)
+                        state = rk4(state, speeds, rotors, dt / parts, around, row)
                     put(swarm, w, i, state)
 
             # What they would have flown into

@@ -1,0 +1,138 @@
+"""`bulletuav identify`: constants of an airframe from flight logs."""
+
+import argparse
+from pathlib import Path
+
+from rich.console import Console, JustifyMethod
+from rich.markup import escape
+from rich.table import Table
+
+from bulletuav.commands.arguments import out_folder, print_files
+from bulletuav.commands.progress import show_progress
+from bulletuav.identification.constants import BATTERY, CONSTANTS, GROUPS
+from bulletuav.identification.curves import curves
+from bulletuav.identification.identify import WINDOW, Identification, identify
+from bulletuav.identification.intervals import LEVEL
+from bulletuav.identification.logs import FACTORS
+from bulletuav.identification.write import KINDS, MEASURES, as_table, rms, write_report, write_urdf
+from bulletuav.report.identification import plot_identification
+from bulletuav.vehicle.airframes import available_airframes
+
+ABOUT = {
+    "help": "fit an airframe's constants to flight logs and write its URDF",
+    "description": (
+        "Fit constants of an airframe to flight logs. Print them with 95 % intervals, and how well "
+        "they predict what was kept back. Write a URDF, a report and a picture."
+    ),
+    "epilog": """examples:
+  bulletuav identify flight.csv --airframe cf2x --out fitted
+  bulletuav identify a.csv b.csv --airframe own.urdf --fit thrust,drag,lag --mass 0.0312
+  bulletuav identify log.csv --map t=time*ms p=gyro_x*deg q=gyro_y*-deg z=altitude*mm-0.03""",
+}
+COLUMNS: tuple[tuple[str, JustifyMethod], ...] = (
+    ("constant", "left"),
+    ("before", "right"),
+    ("after", "right"),
+    (f"{100 * LEVEL:.0f} % interval", "right"),
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the logs, the airframe, what to fit, and where to write."""
+    parser.add_argument(
+        "logs", nargs="+", type=Path, metavar="LOG", help="CSV files with named columns"
+    )
+    parser.add_argument(
+        "--airframe",
+        required=True,
+        help=f"who flew: {', '.join(available_airframes())}, or the path of a URDF",
+    )
+    parser.add_argument(
+        "--fit",
+        default="",
+        metavar="A,B",
+        help=(
+            f"groups ({', '.join((*GROUPS, BATTERY))}) or constants "
+            f"({', '.join(constant.name for constant in CONSTANTS)}) (default: what the logs tell)"
+        ),
+    )
+    parser.add_argument(
+        "--map",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="NAME=COLUMN[*FACTOR][+OFFSET]",
+        help=(
+            f"where a column is that has another name or unit; a factor is a number or one of "
+            f"{', '.join(FACTORS)}, with a minus sign for a reversed axis"
+        ),
+    )
+    parser.add_argument(
+        "--mass", type=float, metavar="KG", help="mass that flew (default: the airframe's)"
+    )
+    parser.add_argument(
+        "--window",
+        type=float,
+        default=WINDOW,
+        metavar="S",
+        help=f"duration of the predicted flights (default: {WINDOW:g})",
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("identified"),
+        metavar="DIR",
+        help="folder for the files (default: identified)",
+    )
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Fit, print and write."""
+    names = [name.strip() for name in arguments.fit.split(",") if name.strip()]
+    with show_progress("fitting", 100, "%") as report:
+        result = identify(
+            arguments.logs,
+            arguments.airframe,
+            fit=names,
+            columns=arguments.map,
+            mass=arguments.mass,
+            window=arguments.window,
+            progress=lambda share: report(100 * share),
+        )
+    out = out_folder(arguments.out)
+    picture = out / "prediction.png"
+    shown = max(result.kept, key=lambda one: len(one.part.windows))
+    title = f"{result.before.name}: {shown.part.flight.log.path.name}, kept back"
+    plot_identification(curves(shown), title, picture)
+    files = [write_urdf(result, out), *write_report(result, out), picture]
+    console = Console()
+    console.print(_constants(result))
+    console.print(_errors(result))
+    if result.note:
+        console.print(escape(result.note))
+    print_files(console, files)
+
+
+def _constants(result: Identification) -> Table:
+    """Lay out the constants."""
+    table = Table(title=f"{result.before.name}, mass {result.airframe.mass:g} kg; SI units")
+    for heading, side in COLUMNS:
+        table.add_column(heading, justify=side, no_wrap=True)
+    for name, row in as_table(result)["constants"].items():
+        interval = f"{row['low']:.4g} to {row['high']:.4g}" if row["told"] else "not told"
+        after = f"{row['after']:.5g}" if row["told"] else "as it was"
+        table.add_row(name, f"{row['before']:.5g}", after, interval)
+    return table
+
+
+def _errors(result: Identification) -> Table:
+    """Lay out the errors in what was kept back."""
+    kept = "the logs" if result.whole_logs else "the half"
+    table = Table(title=f"RMS errors of predictions in {kept} kept back")
+    table.add_column("error")
+    for kind in KINDS:
+        table.add_column(kind, justify="right")
+    values = [rms(result.kept, kind) for kind in KINDS]
+    for (name, *_), *row in zip(MEASURES, *values, strict=True):
+        table.add_row(name, *(f"{value:.4g}" for value in row))
+    return table

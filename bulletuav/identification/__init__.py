@@ -1,0 +1,1 @@
+"""Identification: constants of an airframe from flight logs."""

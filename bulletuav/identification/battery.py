@@ -1,0 +1,177 @@
+"""Resistance and capacity of a battery, from its voltage and current in flight."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from bulletuav.identification.fit import MILD
+from bulletuav.identification.intervals import UNSURE, newey_west, quantile
+from bulletuav.identification.logs import Log
+from bulletuav.kernel import kernel
+from bulletuav.vehicle.airframe import Airframe
+from bulletuav.vehicle.battery import WATT_HOUR, loaded_voltage, resting_voltage
+
+PERIOD = 0.1
+"""Time between voltages that are compared, s"""
+BLOCK = 20
+"""Voltages whose errors are summed to a score: 2 s"""
+DIGITS = 5
+"""Significant digits of constants that were fitted"""
+LEAST_RESISTANCE = 1e-3
+"""Resistance at which a fit starts where a battery has none, ohm"""
+
+
+@dataclasses.dataclass(frozen=True)
+class BatteryFit:
+    """What voltages and currents tell.
+
+    Attributes:
+        resistance: Inner resistance, ohm, with the ends of its interval.
+        capacity: Energy of a full battery, W h, with the ends of its interval.
+        told: Whether the logs tell the resistance, and the capacity.
+        error: RMS of the voltage's error, V: in what was fitted, and in what was kept.
+        start: (L,) charge at the start of each log, from 0 to 1.
+    """
+
+    resistance: tuple[float, float, float]
+    capacity: tuple[float, float, float]
+    told: tuple[bool, bool]
+    error: tuple[float, float]
+    start: np.ndarray
+
+    def put(self, airframe: Airframe) -> Airframe:
+        """Return an airframe with these constants, where the logs tell them."""
+        assert airframe.pack is not None
+        pack = airframe.pack
+        if self.told[0]:
+            pack = dataclasses.replace(pack, resistance=self.resistance[0])
+        if self.told[1]:
+            pack = dataclasses.replace(pack, capacity=self.capacity[0])
+        return dataclasses.replace(airframe, pack=pack)
+
+
+@kernel
+def voltages(
+    power: np.ndarray,
+    dt: float,
+    cells: float,
+    start: float,
+    energy: float,
+    resistance: float,
+    volts: np.ndarray,
+) -> None:
+    """Predict the voltage of a battery whose power is known.
+
+    Args:
+        power: (n,) power that is taken, W.
+        dt: Time between samples, s.
+        cells: Cells in series.
+        start: Charge at the start, from 0 to 1.
+        energy: Energy of the full battery, J.
+        resistance: Inner resistance, ohm.
+        volts: (n,) voltages; filled.
+    """
+    charge = start
+    for k in range(power.size):
+        rest = cells * resting_voltage(charge)
+        volts[k] = loaded_voltage(rest, power[k], resistance)
+        charge -= power[k] * dt / energy
+
+
+def fit_battery(
+    logs: Sequence[Log], airframe: Airframe, required: bool = False
+) -> BatteryFit | None:
+    """Fit a battery's resistance and capacity to the logs that have voltage and current.
+
+    Every other block of 2 s of each log is fitted, and the rest kept back.
+
+    Args:
+        logs: The logs.
+        airframe: Its battery is where the fit starts.
+        required: Whether it is an error that no log has both.
+
+    Returns:
+        What was found; None if no log has both.
+
+    Raises:
+        ValueError: It is required, and not possible.
+    """
+    having = [log for log in logs if "vbat" in log and "current" in log]
+    if not having or airframe.pack is None:
+        if not required:
+            return None
+        lacks = "the columns vbat and current" if not having else "a <battery> in the URDF"
+        raise ValueError(f"--fit battery needs {lacks}")
+    runs = [_even(log) for log in having]
+    pack = airframe.pack
+    fitted = np.concatenate([np.arange(len(volts)) // BLOCK % 2 == 0 for volts, _ in runs])
+
+    def errors(numbers: np.ndarray) -> np.ndarray:
+        found = []
+        for (volts, power), start in zip(runs, numbers[2:], strict=True):
+            told = np.empty_like(volts)
+            energy = WATT_HOUR * pack.capacity * np.exp(numbers[1])
+            ohm = max(pack.resistance, LEAST_RESISTANCE) * np.exp(numbers[0])
+            voltages(power, PERIOD, float(pack.cells), start, energy, ohm, told)
+            found.append(told - volts)
+        return np.concatenate(found)
+
+    def residuals(numbers: np.ndarray) -> np.ndarray:
+        # A weak rule holds what nothing tells
+        return np.concatenate([errors(numbers)[fitted] / 0.01, numbers[:2]])
+
+    start = np.concatenate([np.zeros(2), np.full(len(runs), 0.9)])
+    low = np.concatenate([np.full(2, -3.0), np.zeros(len(runs))])
+    high = np.concatenate([np.full(2, 3.0), np.ones(len(runs))])
+    solution = least_squares(
+        residuals, start, bounds=(low, high), loss="soft_l1", f_scale=MILD, x_scale="jac"
+    )
+    numbers = solution.x
+    deviation, reach = _deviation(residuals, numbers)
+    error = errors(numbers)
+    rms = (float(np.sqrt(np.mean(error[part] ** 2))) for part in (fitted, ~fitted))
+    own = (max(pack.resistance, LEAST_RESISTANCE), pack.capacity)
+    return BatteryFit(
+        resistance=_ends(own[0], numbers[0], reach * deviation[0]),
+        capacity=_ends(own[1], numbers[1], reach * deviation[1]),
+        told=(bool(reach * deviation[0] < UNSURE), bool(reach * deviation[1] < UNSURE)),
+        error=(next(rms), next(rms)),
+        start=numbers[2:],
+    )
+
+
+def _ends(own: float, number: float, reach: float) -> tuple[float, float, float]:
+    """Return a value and the ends of its interval, from the logarithm of its ratio to its start."""
+    values = own * np.exp([number, number - reach, number + reach])
+    middle, low, high = (float(f"{value:.{DIGITS}g}") for value in values)
+    return middle, low, high
+
+
+def _even(log: Log) -> tuple[np.ndarray, np.ndarray]:
+    """Return voltage (V) and power (W) at even times."""
+    time = log.time
+    grid = np.arange(time[0], time[-1], PERIOD)
+    volts = np.interp(grid, time, log.columns["vbat"])
+    current = np.interp(grid, time, log.columns["current"])
+    return volts, volts * np.maximum(current, 0.0)
+
+
+def _deviation(residuals: object, numbers: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return robust standard deviations of the numbers, and the quantile for intervals."""
+    assert callable(residuals)
+    base = residuals(numbers)
+    step = 1e-5
+    slopes = np.stack(
+        [(residuals(numbers + step * unit) - base) / step for unit in np.eye(len(numbers))], axis=1
+    )
+    stretch = 1 + (base / MILD) ** 2
+    scores = (stretch**-0.5 * base)[:, None] * slopes
+    bread = (stretch**-1.5 * slopes.T) @ slopes
+    count = -(-len(scores) // BLOCK)
+    blocks = np.add.reduceat(scores, np.arange(0, len(scores), BLOCK))
+    meat = newey_west(blocks) + np.diag([1.0, 1.0, *np.zeros(len(numbers) - 2)])
+    inverse = np.linalg.pinv(bread)
+    covariance = inverse @ meat @ inverse * count / max(count - len(numbers), 1)
+    return np.sqrt(np.diag(covariance)), quantile(count, len(numbers))

@@ -1,0 +1,170 @@
+"""Constants of an airframe that can be fitted, by name."""
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from bulletuav.errors import nearest
+from bulletuav.vehicle.airframe import Airframe
+
+Get = Callable[[Airframe], float]
+Put = Callable[[Airframe, float], Airframe]
+
+
+@dataclass(frozen=True)
+class Constant:
+    """A constant of an airframe.
+
+    Attributes:
+        name: Name in --fit and in reports.
+        group: Another name for it and others together.
+        unit: Its unit.
+        get: Reads it.
+        put: Returns an airframe with another value.
+        start: Where the fit starts if the airframe has 0.
+        scale: For a constant of either sign, the step in which it is fitted; 0 for one above 0,
+            of which the logarithm is fitted.
+        resolution: Standard deviation that the method adds to that of the number that is fitted.
+    """
+
+    name: str
+    group: str
+    unit: str
+    get: Get
+    put: Put
+    start: float
+    scale: float = 0.0
+    resolution: float = 0.002
+
+    def encode(self, airframe: Airframe) -> float:
+        """Return the number that is fitted, for the airframe's value."""
+        value = self.get(airframe)
+        return value / self.scale if self.scale else math.log(value or self.start)
+
+    def decode(self, number: float) -> float:
+        """Return the value for the number that is fitted."""
+        return number * self.scale if self.scale else math.exp(number)
+
+
+def _field(name: str) -> tuple[Get, Put]:
+    """Make functions that read and replace a field."""
+
+    def get(airframe: Airframe) -> float:
+        value: float = getattr(airframe, name)
+        return value
+
+    def put(airframe: Airframe, value: float) -> Airframe:
+        changed: dict[str, Any] = {name: value}
+        return dataclasses.replace(airframe, **changed)
+
+    return get, put
+
+
+def _entry(name: str, axis: int) -> tuple[Get, Put]:
+    """Make functions that read and replace an entry of a field of several numbers."""
+
+    def get(airframe: Airframe) -> float:
+        value: float = getattr(airframe, name)[axis]
+        return value
+
+    def put(airframe: Airframe, value: float) -> Airframe:
+        values = list(getattr(airframe, name))
+        values[axis] = value
+        changed: dict[str, Any] = {name: tuple(values)}
+        return dataclasses.replace(airframe, **changed)
+
+    return get, put
+
+
+def _lag() -> tuple[Get, Put]:
+    """Make functions for the lag of rotors that speed up; slowing down keeps its ratio to it."""
+
+    def get(airframe: Airframe) -> float:
+        return airframe.lag_up
+
+    def put(airframe: Airframe, value: float) -> Airframe:
+        ratio = airframe.lag_down / airframe.lag_up if airframe.lag_up > 0 else 1.0
+        return dataclasses.replace(airframe, lag_up=value, lag_down=ratio * value)
+
+    return get, put
+
+
+def _nominal() -> tuple[Get, Put]:
+    """Make functions for the voltage at which motors reach the speed that is commanded."""
+
+    def get(airframe: Airframe) -> float:
+        return airframe.pack.voltage if airframe.pack else 0.0
+
+    def put(airframe: Airframe, value: float) -> Airframe:
+        if airframe.pack is None:
+            raise ValueError(f"voltage cannot be fitted: {airframe.name} has no <battery>")
+        return dataclasses.replace(airframe, pack=dataclasses.replace(airframe.pack, voltage=value))
+
+    return get, put
+
+
+COARSE = 0.007
+"""Resolution of damping, in its logarithm. It is what noise of the rates at the start of a
+window, and smoothing, add; found on simulated logs, as that of the others."""
+CONSTANTS = (
+    Constant("thrust_coefficient", "thrust", "N s^2", *_field("thrust_coefficient"), 1e-8),
+    Constant("torque_ratio", "torque", "m", *_field("torque_ratio"), 0.01),
+    Constant("drag_xy", "drag", "N/(rad/s m/s)", *_field("drag_xy"), 1e-6),
+    Constant("drag_z", "drag", "N/(rad/s m/s)", *_field("drag_z"), 1e-6),
+    Constant("drag_height", "drag", "m", *_field("drag_height"), 0.0, scale=0.1),
+    Constant("motor_lag", "lag", "s", *_lag(), 0.03),
+    Constant("inertia_x", "inertia", "kg m^2", *_entry("inertia", 0), 1.0),
+    Constant("inertia_y", "inertia", "kg m^2", *_entry("inertia", 1), 1.0),
+    Constant("inertia_z", "inertia", "kg m^2", *_entry("inertia", 2), 1.0),
+    Constant("damping_x", "damping", "1/s", *_entry("damping", 0), 1.0, resolution=COARSE),
+    Constant("damping_y", "damping", "1/s", *_entry("damping", 1), 1.0, resolution=COARSE),
+    Constant("damping_z", "damping", "1/s", *_entry("damping", 2), 1.0, resolution=COARSE),
+    Constant("ground_gain", "ground_effect", "1", *_field("ground_effect_gain"), 0.3),
+    Constant("ground_decay", "ground_effect", "m", *_field("ground_effect_decay"), 0.03),
+    Constant("wake_share", "wake", "1", *_field("wake_share"), 0.3),
+    Constant("wake_spread", "wake", "1", *_field("wake_spread"), 0.1),
+    Constant("battery_voltage", "voltage", "V", *_nominal(), 3.7),
+)
+"""All constants that flights can be fitted with"""
+BY_NAME = {constant.name: constant for constant in CONSTANTS}
+GROUPS = tuple(dict.fromkeys(constant.group for constant in CONSTANTS))
+GROUND = "ground_effect"
+"""Group of the ground effect, which needs flights near the ground"""
+BATTERY = "battery"
+"""Name in --fit of the battery's resistance and capacity, which are fitted by themselves"""
+NOT_USUAL = ("inertia_z", "battery_voltage")
+"""Left out unless asked for. Yaw tells but the quotient of torque ratio and inertia_z, and the
+voltage's constant scales thrust."""
+
+
+def choose_constants(names: Sequence[str], has_other: bool, has_pwm: bool) -> list[Constant]:
+    """Choose the constants to fit.
+
+    Args:
+        names: Names of constants and of groups; none for all that logs of this kind can tell.
+        has_other: Whether the logs know of a drone above.
+        has_pwm: Whether they have motor commands and voltages.
+
+    Raises:
+        ValueError: A name is unknown, or the logs lack what it needs.
+    """
+    if not names:
+        return [
+            constant
+            for constant in CONSTANTS
+            if constant.name not in NOT_USUAL and (constant.group != "wake" or has_other)
+        ]
+    chosen = []
+    for name in names:
+        found = [constant for constant in CONSTANTS if name in (constant.name, constant.group)]
+        if not found and name != BATTERY:
+            choices = (*BY_NAME, *GROUPS, BATTERY)
+            raise ValueError(f"--fit {name}: there is no such constant; {nearest(name, choices)}")
+        if found and found[0].group == "wake" and not has_other:
+            raise ValueError(f"--fit {name} needs the columns other_x, other_y, other_z")
+        if found and found[0].group == "voltage" and not has_pwm:
+            raise ValueError(f"--fit {name} needs the columns pwm1 ... and vbat")
+        chosen += found
+    return list(dict.fromkeys(chosen))

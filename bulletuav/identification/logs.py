@@ -1,0 +1,264 @@
+"""Flight logs: CSV files with named columns, read into arrays in SI units.
+
+Needed are:
+
+- `t`, s;
+- `x`, `y`, `z`: position, world ENU, z above the ground, m;
+- `qx`, `qy`, `qz`, `qw`: attitude, body FLU to world; or `roll`, `pitch`, `yaw`, rad;
+- `w1` ... (rad/s) or `rpm1` ... (1/min) or `pwm1` ...: commands of the rotors, in the airframe's
+  order.
+
+May be left out:
+
+- `vx`, `vy`, `vz`: velocity, world, m/s;
+- `p`, `q`, `r`: rates from the gyroscope, body, rad/s;
+- `ax`, `ay`, `az`: specific force from the accelerometer, body, m/s^2; only its unit is checked;
+- `vbat`, `current`: the battery's voltage and current, V and A;
+- `other_x`, `other_y`, `other_z`: position of a drone above this one, world, m.
+"""
+
+import csv
+import math
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from bulletuav.errors import nearest, require_file
+from bulletuav.vehicle.airframe import MAX_ROTORS, STANDARD_GRAVITY
+from bulletuav.vehicle.rotors import RPM
+
+POSITION = ("x", "y", "z")
+QUATERNION = ("qx", "qy", "qz", "qw")
+EULER = ("roll", "pitch", "yaw")
+VELOCITY = ("vx", "vy", "vz")
+RATES = ("p", "q", "r")
+FORCE = ("ax", "ay", "az")
+OTHER = ("other_x", "other_y", "other_z")
+GROUPS = (VELOCITY, RATES, FORCE, ("vbat",), ("current",), OTHER)
+"""Columns that may be left out, but not some of a group"""
+COMMANDS = ("w", "rpm", "pwm")
+"""Kinds of commands; a number tells the rotor"""
+NAMES = (
+    "t",
+    *POSITION,
+    *QUATERNION,
+    *EULER,
+    *(name for group in GROUPS for name in group),
+    *(f"{kind}{rotor}" for kind in COMMANDS for rotor in range(1, MAX_ROTORS + 1)),
+)
+"""All columns that have a meaning"""
+FACTORS = {
+    "deg": math.pi / 180,
+    "g": STANDARD_GRAVITY,
+    "rpm": RPM,
+    "mm": 1e-3,
+    "cm": 1e-2,
+    "ms": 1e-3,
+    "us": 1e-6,
+}
+"""Units that can be named in place of a factor"""
+SOURCE = re.compile(r"(?P<column>[^*]+?)(\*(?P<factor>[^*+]+?))?(?P<offset>[+-]\d[\d.e-]*)?")
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where the values of a column come from: factor * column + offset.
+
+    Attributes:
+        column: Name in the file's header.
+        factor: What it is multiplied by.
+        offset: What is added then.
+    """
+
+    column: str
+    factor: float = 1.0
+    offset: float = 0.0
+
+
+@dataclass(frozen=True)
+class Log:
+    """One flight as it was logged.
+
+    Attributes:
+        path: The file.
+        columns: (n,) values by the names of `NAMES`, SI units, finite.
+        filled: How many missing values were filled in between neighbours, by column.
+    """
+
+    path: Path
+    columns: Mapping[str, np.ndarray]
+    filled: Mapping[str, int]
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.columns
+
+    def stack(self, names: Iterable[str]) -> np.ndarray:
+        """Return columns side by side, (n, len(names))."""
+        return np.stack([self.columns[name] for name in names], axis=1)
+
+    @property
+    def time(self) -> np.ndarray:
+        """Times (n,), s."""
+        return self.columns["t"]
+
+    @property
+    def kind(self) -> str:
+        """Kind of its commands, one of `COMMANDS`."""
+        return next(kind for kind in COMMANDS if f"{kind}1" in self)
+
+
+def parse_map(pairs: Iterable[str]) -> dict[str, Source]:
+    """Parse texts such as "z=altitude*mm-0.03", which tell where a column comes from.
+
+    Args:
+        pairs: Texts NAME=COLUMN, then optionally *FACTOR (a number or one of `FACTORS`, with a
+            minus sign for a reversed axis), then optionally +OFFSET or -OFFSET.
+
+    Returns:
+        The sources by name.
+
+    Raises:
+        ValueError: A name is unknown or comes twice, or a text has another form.
+    """
+    sources: dict[str, Source] = {}
+    for pair in pairs:
+        name, equals, text = (part.strip() for part in pair.partition("="))
+        if not equals or not text:
+            raise ValueError(f"--map {pair}: NAME=COLUMN[*FACTOR][+OFFSET] is needed")
+        if name not in NAMES:
+            raise ValueError(f"--map {pair}: no column is called {name!r}; {nearest(name, NAMES)}")
+        if name in sources:
+            raise ValueError(f"--map {pair}: {name} is given twice")
+        sources[name] = _parse_source(pair, text)
+    return sources
+
+
+def _parse_source(pair: str, text: str) -> Source:
+    """Parse what stands behind the equals sign."""
+    found = SOURCE.fullmatch(text)
+    if found is None:
+        raise ValueError(f"--map {pair}: NAME=COLUMN[*FACTOR][+OFFSET] is needed")
+    factor = (found["factor"] or "1").strip()
+    sign = -1.0 if factor.startswith("-") else 1.0
+    size = factor.removeprefix("-")
+    try:
+        number = FACTORS[size] if size in FACTORS else float(size)
+        offset = float(found["offset"] or 0.0)
+    except ValueError:
+        raise ValueError(
+            f"--map {pair}: the factor is {factor!r}: a number, or one of {', '.join(FACTORS)}, "
+            f"is needed"
+        ) from None
+    return Source(found["column"].strip(), sign * number, offset)
+
+
+def read_log(path: str | Path, sources: Mapping[str, Source], num_rotors: int) -> Log:
+    """Read a log.
+
+    Args:
+        path: A CSV file whose first line names the columns.
+        sources: Where columns come from that have other names or units there.
+        num_rotors: Rotors R of the airframe: so many commands are needed.
+
+    Returns:
+        The log; missing values of up to `checks.LONGEST_HOLE` are filled in.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: Columns are missing, or it cannot be read; the message names them.
+    """
+    found = require_file("log", path, "pass the path of a CSV file")
+    try:
+        with found.open(newline="", encoding="utf-8-sig") as file:
+            header = [name.strip() for name in next(csv.reader(file), [])]
+    except UnicodeDecodeError:
+        raise ValueError(f"{found} is no text in UTF-8: export the log as CSV") from None
+    _require_header(found, header)
+    wanted = _wanted(found, header, sources, num_rotors)
+    places = [header.index(source.column) for source in wanted.values()]
+    try:
+        table = np.genfromtxt(
+            found, delimiter=",", skip_header=1, usecols=places, encoding="utf-8-sig", ndmin=2
+        )
+    except ValueError as error:
+        first = " ".join(str(error).split())[:200]
+        raise ValueError(f"{found}: rows have other numbers of columns: {first}") from None
+    columns = {
+        name: source.factor * table[:, k] + source.offset
+        for k, (name, source) in enumerate(wanted.items())
+    }
+    return Log(found, columns, {})
+
+
+def _require_header(path: Path, header: list[str]) -> None:
+    """Refuse files whose first line does not name the columns."""
+    if not header:
+        raise ValueError(f"{path} is empty")
+    numbers = [name for name in header if re.fullmatch(r"[-+]?\d[\d.eE+-]*", name)]
+    if numbers:
+        raise ValueError(
+            f"{path} has no header: its first line begins with {header[0]}; name the columns "
+            f"there, such as t,x,y,z,qx,qy,qz,qw,w1,w2,w3,w4"
+        )
+    twice = [name for name in header if header.count(name) > 1]
+    if twice:
+        raise ValueError(f"{path}: the column {twice[0]!r} is there twice: rename one of them")
+
+
+def _wanted(
+    path: Path, header: list[str], sources: Mapping[str, Source], num_rotors: int
+) -> dict[str, Source]:
+    """Choose the columns to read, and refuse logs that lack some."""
+    known = {name: Source(name) for name in NAMES if name in header} | dict(sources)
+    for name, source in known.items():
+        if source.column not in header:
+            raise ValueError(
+                f"{path}: --map {name}={source.column}: there is no such column; "
+                f"{nearest(source.column, header)}"
+            )
+    attitude = EULER if all(name in known for name in EULER) else QUATERNION
+    if all(name in known for name in QUATERNION):
+        attitude = QUATERNION
+    kinds = [kind for kind in COMMANDS if f"{kind}1" in known]
+    if len(kinds) > 1:
+        raise ValueError(f"{path} has commands of several kinds ({', '.join(kinds)}): map one")
+    kind = kinds[0] if kinds else COMMANDS[0]
+    needed = ["t", *POSITION, *attitude, *(f"{kind}{r + 1}" for r in range(num_rotors))]
+    for group in GROUPS:
+        if any(name in known for name in group):
+            needed += group
+    lacking = [name for name in needed if name not in known]
+    if lacking:
+        hints = "; ".join(f"{name}: {_hint(name, header)}" for name in lacking[:4])
+        raise ValueError(
+            f"{path} lacks the columns {', '.join(lacking)} ({hints}). Name them in the header, "
+            f"or tell where they are by --map {lacking[0]}=COLUMN"
+        )
+    return {name: known[name] for name in needed}
+
+
+SYNONYMS = {
+    "t": ("time", "timestamp", "stamp"),
+    **{axis: (f"p{axis}", f"pos_{axis}", f"position_{axis}") for axis in "xyz"},
+    "p": ("gyro_x", "wx"),
+    "q": ("gyro_y", "wy"),
+    "r": ("gyro_z", "wz"),
+    **{
+        f"{kind}{r}": (f"m{r}", f"motor_{r}", f"motor{r}")
+        for kind in COMMANDS
+        for r in range(1, MAX_ROTORS + 1)
+    },
+}
+"""What others call the columns"""
+
+
+def _hint(name: str, header: list[str]) -> str:
+    """Tell which columns of a header may be the one that is missing."""
+    known = SYNONYMS.get(name, (name,))
+    like = [column for column in header if column.lower().endswith(known)]
+    if like:
+        return f"perhaps {' or '.join(map(repr, like[:3]))}"
+    return nearest(name, header)

@@ -1,0 +1,168 @@
+"""Short flights from measured states under logged commands, by the laws of `rigid_body`."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from bulletuav.dynamics.base import Air, surroundings
+from bulletuav.dynamics.rigid_body import lag_stages, rk4, turn_rotors
+from bulletuav.geometry.rotation import Quat4, Quat4Like, Vec3, point, product
+from bulletuav.kernel import allocating, func, kernel
+from bulletuav.vehicle.rotors import lag_decay, lagged
+from bulletuav.vehicle.swarm import Swarm, get, put
+from bulletuav.vehicle.wake import wakes
+
+STATE = 13
+"""Numbers of a state: position, quaternion, velocity, rates."""
+
+
+class Track(NamedTuple):
+    """What a log measured, at times with a fixed step, on the clock of the attitude.
+
+    Attributes:
+        position: (n, 3) world, m.
+        quaternion: (n, 4) body to world.
+        velocity: (n, 3) world, m/s.
+        rates: (n, 3) body axes, rad/s.
+        other: (n, 3) position of a drone above, m; (0, 3) for none.
+    """
+
+    position: np.ndarray
+    quaternion: np.ndarray
+    velocity: np.ndarray
+    rates: np.ndarray
+    other: np.ndarray
+
+
+class Legs(NamedTuple):
+    """Which parts of a log are flown again.
+
+    Attributes:
+        start: (K,) index of the sample at which each leg starts.
+        picks: How many states of each leg are kept.
+        every: Steps between them.
+        guided: Whether attitude and rates are set to the measured ones after every step.
+    """
+
+    start: np.ndarray
+    picks: int
+    every: int
+    guided: bool
+
+
+@kernel
+def follow(command: np.ndarray, row: np.record, dt: float, speed: np.ndarray) -> None:
+    """Let rotors follow their commands over a whole log.
+
+    Args:
+        command: (n, R) rotor speeds that are commanded from each sample on, rad/s.
+        row: Row of `PARAMETERS`.
+        dt: Time between samples, s.
+        speed: (n, R) rotor speeds at each sample; filled, begins with the first command.
+    """
+    decay = lag_decay(dt, row)
+    for r in range(command.shape[1]):
+        now = command[0, r]
+        for k in range(command.shape[0]):
+            speed[k, r] = now
+            now = lagged(now, command[k, r], decay)
+
+
+@func
+def _turned(quaternion: np.ndarray, k: int, tilt: Quat4Like) -> Quat4:
+    """Return the measured attitude k, put right by the tilt of what was measured."""
+    measured = quaternion[k, 0], quaternion[k, 1], quaternion[k, 2], quaternion[k, 3]
+    return product(measured, tilt)
+
+
+@allocating
+def roll_out(
+    legs: Legs,
+    track: Track,
+    command: np.ndarray,
+    speed: np.ndarray,
+    tilt: Quat4Like,
+    twist: Vec3,
+    parameters: np.ndarray,
+    thrust_speed: float,
+    gravity: float,
+    dt: float,
+    states: np.ndarray,
+) -> None:
+    """Fly legs of a log anew: from the measured state, with the commands of the log.
+
+    Args:
+        legs: Which parts.
+        track: What was measured.
+        command: (n, R) rotor speeds that are commanded from each sample on, rad/s.
+        speed: (n, R) rotor speeds at each sample, see `follow`.
+        tilt: Quaternion from the drone's body to the body whose attitude was measured.
+        twist: Torque that acts throughout, body axes, N m.
+        parameters: (1, N) rows of `PARAMETERS` of the drone, and of the other where there is one.
+        thrust_speed: Rotor speed of the other drone, rad/s.
+        gravity: m/s^2, downwards.
+        dt: Time between samples, s.
+        states: (K, picks, 13) predicted positions, quaternions, velocities, rates; filled.
+    """
+    num_drones = parameters.shape[1]
+    num_rotors = command.shape[1]
+    swarm = Swarm(
+        np.zeros((1, num_drones, 3)),
+        np.zeros((1, num_drones, 4)),
+        np.zeros((1, num_drones, 3)),
+        np.zeros((1, num_drones, 3)),
+        np.full((1, num_drones, num_rotors), thrust_speed),
+    )
+    air = Air(
+        np.zeros((1, num_drones, 3)),
+        np.zeros((1, num_drones)),
+        gravity,
+        np.zeros((1, num_drones, 3)),
+        np.zeros((1, num_drones, 3)),
+        np.ones((1, num_drones)),
+    )
+    for k in range(3):
+        air.torque[0, 0, k] = twist[k]
+    for i in range(num_drones):
+        swarm.quaternion[0, i, 3] = 1.0
+    alive = np.ones((1, num_drones), dtype=np.bool_)
+    wake = np.zeros((num_drones, 4))
+    wanted = np.zeros((num_drones, num_rotors))
+    decay = np.empty((num_drones, 3, 2))
+    speeds = (np.empty(num_rotors), np.empty(num_rotors), np.empty(num_rotors))
+    lag_stages(parameters, 0, dt, decay)
+    row = parameters[0, 0]
+    for leg in range(legs.start.size):
+        first = legs.start[leg]
+        begin = (
+            point(track.position, first),
+            _turned(track.quaternion, first, tilt),
+            point(track.velocity, first),
+            point(track.rates, first),
+        )
+        put(swarm, 0, 0, begin)
+        for r in range(num_rotors):
+            swarm.rotor_speed[0, 0, r] = speed[first, r]
+        for step in range(legs.picks * legs.every):
+            now = first + step
+            if num_drones > 1:
+                for k in range(3):
+                    swarm.position[0, 1, k] = track.other[now, k]
+                wakes(0, swarm, alive, parameters, wake)
+            for r in range(num_rotors):
+                wanted[0, r] = command[now, r]
+            rotors = turn_rotors(swarm.rotor_speed, wanted, 1.0, decay, 0, 0, row, speeds)
+            around = surroundings(air, 0, 0, wake)
+            state = rk4(get(swarm, 0, 0), speeds, rotors, dt, around, row)
+            if legs.guided:
+                measured = _turned(track.quaternion, now + 1, tilt)
+                state = (state[0], measured, state[2], point(track.rates, now + 1))
+            put(swarm, 0, 0, state)
+            if (step + 1) % legs.every == 0:
+                pick = step // legs.every
+                for k in range(3):
+                    states[leg, pick, k] = state[0][k]
+                    states[leg, pick, 7 + k] = state[2][k]
+                    states[leg, pick, 10 + k] = state[3][k]
+                for k in range(4):
+                    states[leg, pick, 3 + k] = state[1][k]

@@ -1,0 +1,55 @@
+"""Whitening of errors: those of one axis count together as much as they tell."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from bulletuav.identification.errors import Errors
+
+Weights = tuple[np.ndarray, np.ndarray]
+"""Whitening matrices of positions and velocities, (3, 10, 10), and of attitudes and rates"""
+LEAST_SHARE = 0.05
+"""Least share of the diagonal in a covariance"""
+
+
+def whiten(errors: Errors, weights: Weights) -> np.ndarray:
+    """Return errors with about unit covariance, (K, E).
+
+    Args:
+        errors: Errors of K windows.
+        weights: Whitening matrices.
+    """
+    parts = []
+    for values, weight in zip(_by_axis(errors), weights, strict=True):
+        parts.append(np.einsum("aij,akj->kai", weight, values).reshape(values.shape[1], -1))
+    return np.concatenate(parts, axis=1)
+
+
+def _by_axis(errors: Errors) -> tuple[np.ndarray, np.ndarray]:
+    """Return what is whitened together: all of an axis, (3, K, E)."""
+    found = []
+    for values in (errors.moved, errors.turned):
+        size = len(values)
+        split = values.reshape(size, -1, 2, 3)
+        found.append(np.moveaxis(split, 3, 0).reshape(3, size, -1))
+    return found[0], found[1]
+
+
+def weights_of(errors: Sequence[Errors]) -> Weights:
+    """Return whitening matrices for errors: their covariance, drawn to its diagonal."""
+    found = []
+    for values in zip(*map(_by_axis, errors), strict=True):
+        joined = np.concatenate(values, axis=1)
+        matrices = []
+        for axis in joined:
+            middle = np.median(axis, axis=0)
+            deviation = 1.4826 * np.median(np.abs(axis - middle), axis=0)
+            deviation = np.maximum(deviation, 1e-3 * deviation.max() + 1e-12)
+            clipped = np.clip((axis - middle) / deviation, -3, 3)
+            count, size = clipped.shape
+            covariance = clipped.T @ clipped / count
+            share = max(LEAST_SHARE, size / (count + size))
+            covariance = (1 - share) * covariance + share * np.diag(np.diag(covariance))
+            matrices.append(np.linalg.inv(np.linalg.cholesky(covariance)) / deviation)
+        found.append(np.array(matrices))
+    return found[0], found[1]

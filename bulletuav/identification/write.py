@@ -1,0 +1,272 @@
+"""What an identification found, as files: a URDF, a table in JSON, a report."""
+
+import json
+import shutil
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bulletuav.errors import read_file
+from bulletuav.files import replace_file
+from bulletuav.identification.errors import DELAY, OFFSETS, TILT
+from bulletuav.identification.fitting import BLOCK
+from bulletuav.identification.identify import Identification, Prediction
+from bulletuav.identification.intervals import LEVEL
+from bulletuav.vehicle.airframe import Airframe
+
+KINDS = ("naive", "before", "after")
+MEASURES = (
+    ("position, horizontal, m", "moved", slice(0, 2), 1.0),
+    ("position, vertical, m", "moved", slice(2, 3), 1.0),
+    ("velocity, horizontal, m/s", "moved", slice(3, 5), 1.0),
+    ("velocity, vertical, m/s", "moved", slice(5, 6), 1.0),
+    ("tilt, deg", "turned", slice(0, 2), 180 / np.pi),
+    ("turn about z, deg", "turned", slice(2, 3), 180 / np.pi),
+    ("rates, roll and pitch, rad/s", "turned", slice(3, 5), 1.0),
+    ("rates, yaw, rad/s", "turned", slice(5, 6), 1.0),
+)
+"""Name of an error, where it stands in `Errors`, and its factor"""
+
+
+def write_urdf(result: Identification, folder: Path) -> Path:
+    """Write the airframe that was found as a URDF file.
+
+    It is the file of the airframe with other numbers, and a comment on where they are from.
+
+    Args:
+        result: What was found.
+        folder: Where the file goes; meshes go beside it.
+
+    Returns:
+        The file.
+    """
+    source = result.before.urdf
+    text = read_file(source)
+    parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
+    root = ElementTree.fromstring(text, parser)
+    _set_numbers(root, result.airframe)
+    # What stands before the robot, the file's own comments, is no part of the tree
+    head = text[: text.index(f"<{root.tag}")]
+    robot = ElementTree.tostring(root, encoding="unicode")
+    path = folder / f"{result.before.name}.urdf"
+    for mesh in root.iter("mesh"):
+        name = mesh.get("filename", "")
+        if name and (source.parent / name).is_file() and source.parent != folder:
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(source.parent / name, folder / name)
+    replace_file(path, f"{head}<!-- {_origin(result)} -->\n{robot}\n")
+    return path
+
+
+def _origin(result: Identification) -> str:
+    """Tell which numbers were fitted, and to what."""
+    told = ", ".join(one.constant.name for one in result.estimates if one.told) or "nothing"
+    if result.battery is not None:
+        names = ("resistance", "capacity")
+        told += "".join(
+            f", battery {name}"
+            for name, is_told in zip(names, result.battery.told, strict=True)
+            if is_told
+        )
+    logs = ", ".join(item.part.flight.log.path.name for item in result.fitted)
+    text = f"Fitted by bulletuav identify: {told}. Logs: {logs}. See report.md."
+    # Two hyphens would end the comment
+    return text.replace("--", "-")
+
+
+def _set_numbers(root: ElementTree.Element, airframe: Airframe) -> None:
+    """Write an airframe's constants into its URDF; what a file left out is written too."""
+    x, y, z = airframe.inertia
+    place = root.find("link/inertial")
+    assert place is not None  # as the airframe was read from this file
+    _set(place, "mass", value=airframe.mass)
+    _set(place, "inertia", ixx=x, iyy=y, izz=z)
+    own = root.find("airframe")
+    assert own is not None
+    _set(own, "thrust_coefficient", value=airframe.thrust_coefficient)
+    _set(own, "torque_ratio", value=airframe.torque_ratio)
+    _set(own, "motor_lag", up=airframe.lag_up, down=airframe.lag_down)
+    drag = {"xy": airframe.drag_xy, "z": airframe.drag_z, "height": airframe.drag_height}
+    _set(own, "rotor_drag", **drag)
+    x, y, z = airframe.damping
+    _set(own, "rate_damping", x=x, y=y, z=z)
+    gain = airframe.ground_effect_gain
+    _set(own, "ground_effect", gain=gain, decay=airframe.ground_effect_decay)
+    wake = {"share": airframe.wake_share, "spread": airframe.wake_spread}
+    _set(own, "wake", radius=airframe.wake_radius, **wake)
+    _set(own, "body_drag", xy=airframe.body_drag[0], z=airframe.body_drag[1])
+    _set(own, "power", efficiency=airframe.efficiency, electronics=airframe.electronics)
+    if airframe.pack is not None:
+        pack = airframe.pack
+        numbers = {"capacity": pack.capacity, "resistance": pack.resistance}
+        _set(own, "battery", **numbers, voltage=pack.voltage)
+
+
+def _set(parent: ElementTree.Element, tag: str, **numbers: float) -> None:
+    """Set attributes of an element, which is made where it lacks; equal ones keep their text."""
+    element = parent.find(tag)
+    if element is None:
+        element = ElementTree.SubElement(parent, tag)
+        element.tail = "\n    "
+    for name, number in numbers.items():
+        if name not in element.attrib or float(element.attrib[name]) != number:
+            element.set(name, repr(float(number)))
+
+
+def rms(predictions: Sequence[Prediction], kind: str) -> list[float]:
+    """Return the RMS of errors at the ends of legs, for each of `MEASURES`.
+
+    Args:
+        predictions: Predictions in several logs.
+        kind: One of `KINDS`.
+    """
+    found = []
+    for _, field, columns, factor in MEASURES:
+        ends = [getattr(getattr(one, kind), field) for one in predictions]
+        # The last states of the two legs without guidance in a window, or of the one with it
+        picks = [values[:, [-1]] if field == "moved" else values[:, 4::5] for values in ends]
+        joined = np.concatenate([values[..., columns].reshape(-1) for values in picks])
+        size = columns.stop - columns.start
+        found.append(factor * float(np.sqrt(size * np.mean(joined**2))))
+    return found
+
+
+def as_table(result: Identification) -> dict[str, Any]:
+    """Put what was found into a dict for JSON; what is not there is null."""
+    constants = {
+        one.constant.name: {
+            "unit": one.constant.unit,
+            "before": one.before,
+            "after": one.after,
+            "low": one.low if one.told else None,
+            "high": one.high if one.told else None,
+            "told": one.told,
+        }
+        for one in result.estimates
+    }
+    if result.battery is not None:
+        pairs = (("resistance", "ohm"), ("capacity", "W h"))
+        for (name, unit), told in zip(pairs, result.battery.told, strict=True):
+            value, low, high = getattr(result.battery, name)
+            before = getattr(result.before.pack, name)
+            constants[f"battery_{name}"] = {
+                "unit": unit,
+                "before": before,
+                "after": value if told else before,
+                "low": low if told else None,
+                "high": high if told else None,
+                "told": told,
+            }
+    names = [name for name, *_ in MEASURES]
+    errors = {
+        part: {kind: dict(zip(names, rms(predictions, kind), strict=True)) for kind in KINDS}
+        for part, predictions in (("fitted", result.fitted), ("kept", result.kept))
+    }
+    return {
+        "airframe": result.before.name,
+        "level": LEVEL,
+        "window": result.window,
+        "constants": constants,
+        "errors": errors,
+        "logs": [*_logs("fitted", result.fitted), *_logs("kept", result.kept)],
+        "note": result.note,
+    }
+
+
+def _logs(use: str, predictions: Sequence[Prediction]) -> list[dict[str, Any]]:
+    """Describe the logs, and their own numbers."""
+    found = []
+    for one in predictions:
+        flight = one.part.flight
+        tilt = np.degrees(TILT * one.offsets[1:3])
+        found.append(
+            {
+                "log": flight.log.path.name,
+                "use": use,
+                "windows": len(one.part.windows),
+                "command_delay": DELAY * float(one.offsets[OFFSETS.index("delay")]),
+                "gyro_delay": flight.gyro_delay,
+                "gyro_bias": [float(rate) for rate in flight.gyro_bias],
+                "tilt_deg": [float(angle) for angle in tilt],
+                "gain": 1 + 0.01 * float(one.offsets[OFFSETS.index("gain")]),
+                "filled": dict(flight.log.filled),
+            }
+        )
+    return found
+
+
+def markdown(result: Identification) -> str:
+    """Write the report: constants, errors of predictions, and logs."""
+    table = as_table(result)
+    window = result.window
+    lines = [
+        f"# {result.before.name}, fitted to {len({row['log'] for row in table['logs']})} log(s)",
+        "",
+        f"Intervals are of {100 * LEVEL:.0f} %. Mass: {result.airframe.mass:g} kg, as given: "
+        "forces and inertia scale with it.",
+        "",
+        "| constant | unit | before | after | interval |",
+        "|---|---|---|---|---|",
+    ]
+    for name, row in table["constants"].items():
+        told = f"{row['low']:.4g} to {row['high']:.4g}" if row["told"] else "logs do not tell it"
+        lines.append(
+            f"| {name} | {row['unit']} | {row['before']:.5g} | {row['after']:.5g} | {told} |"
+        )
+    if result.note:
+        lines += ["", result.note]
+    kept = (
+        "every other log" if result.whole_logs else f"every other {BLOCK * window:g} s of the log"
+    )
+    lines += [
+        "",
+        "## Errors of predictions",
+        "",
+        f"RMS after {window:g} s of position and velocity, with the attitude as measured, and "
+        f"after {window / 2:g} s of attitude and rates. Kept: {kept}. Naive: velocity and rates "
+        "stay what they are.",
+        "",
+        "| | fitted: naive | before | after | kept: naive | before | after |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for name, *_ in MEASURES:
+        cells = [
+            f"{table['errors'][part][kind][name]:.4g}"
+            for part in ("fitted", "kept")
+            for kind in KINDS
+        ]
+        lines.append(f"| {name} | {' | '.join(cells)} |")
+    lines += [
+        "",
+        "## Logs",
+        "",
+        "Commands and gyroscope lag behind the attitude by these delays, which were taken off. "
+        "Tilt: of the body whose attitude was measured. Gain: thrust over that of all logs.",
+        "",
+        "| log | use | windows | commands, ms | gyro, ms | tilt x, y, deg | gain | filled in |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for row in table["logs"]:
+        tilt = ", ".join(f"{angle:.2f}" for angle in row["tilt_deg"])
+        filled = ", ".join(f"{name}: {count}" for name, count in row["filled"].items()) or "none"
+        lines.append(
+            f"| {row['log']} | {row['use']} | {row['windows']} | "
+            f"{1e3 * row['command_delay']:.1f} | {1e3 * row['gyro_delay']:.1f} | {tilt} | "
+            f"{row['gain']:.3f} | {filled} |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def write_report(result: Identification, folder: Path) -> list[Path]:
+    """Write report.md and report.json.
+
+    Returns:
+        The files.
+    """
+    files = [folder / "report.md", folder / "report.json"]
+    replace_file(files[0], markdown(result))
+    replace_file(files[1], json.dumps(as_table(result), indent=1) + "\n")
+    return files
