@@ -17,7 +17,9 @@ from typing import Any
 
 import numpy as np
 from flight_data import arpl, ground, model, nanobench, neural_swarm, pairs, pictures, predictors
-from flight_data.series import GRAVITY, commit, split
+from flight_data.series import commit, split
+
+from bulletuav.vehicle.airframe import STANDARD_GRAVITY
 
 MEASURED = Path(__file__).parent / "flight_data" / "measured.json"
 HALVES = ("fit", "kept")
@@ -132,8 +134,8 @@ def judge_wake(folder: Path, out: Path) -> tuple[Table, dict[str, Any]]:
         before = predictors.downwash_before(felt.distance, felt.drop)
         laws = {
             "no wake": (nothing, nothing),
-            "gym-pybullet-drones": (theirs / GRAVITY * 1e3, nothing),
-            "before": (before / GRAVITY * 1e3, nothing),
+            "gym-pybullet-drones": (theirs / STANDARD_GRAVITY * 1e3, nothing),
+            "before": (before / STANDARD_GRAVITY * 1e3, nothing),
             "now": pairs.now(felt),
         }
         for name, law in laws.items():

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
+from bulletuav.vehicle.airframe import STANDARD_GRAVITY
 from flight_data.predictors import Predictor
 from flight_data.series import (
     FULL_PWM,
-    GRAVITY,
     SPINS,
     LogError,
     first_order_lag,
@@ -131,7 +131,7 @@ def load(path: Path) -> Log:
     pwm = table[:, 6:] / FULL_PWM
     if pwm.max() > 1.0:
         raise LogError(f"{path.name}: motor commands up to {pwm.max():.2f} of full")
-    force, rates = table[:, :3] * GRAVITY, np.radians(table[:, 3:6])
+    force, rates = table[:, :3] * STANDARD_GRAVITY, np.radians(table[:, 3:6])
     return Log(path.name, time - time[0], force, rates, pwm)
 
 

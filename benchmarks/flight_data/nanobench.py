@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
+from bulletuav.vehicle.airframe import STANDARD_GRAVITY
 from flight_data.predictors import Predictor
 from flight_data.series import (
     FULL_PWM,
-    GRAVITY,
     LogError,
     binned,
     binned_error,
@@ -160,7 +160,7 @@ def predict(predictor: Predictor, cut: Windows) -> tuple[np.ndarray, np.ndarray]
     count = cut.flight.max() + 1
     thrust = predictor.thrust(cut.speed).sum(axis=2) / predictor.mass
     total = cut.speed.sum(axis=2)
-    gain = np.full(count, GRAVITY / np.median(thrust))
+    gain = np.full(count, STANDARD_GRAVITY / np.median(thrust))
     tilt = np.zeros((count, 2))
     for _ in range(4):
         _, velocity = _fly(predictor, cut, thrust, total, gain, tilt)
@@ -168,8 +168,8 @@ def predict(predictor: Predictor, cut: Windows) -> tuple[np.ndarray, np.ndarray]
         body = np.einsum("nji,nj->ni", cut.attitude[:, STEPS // 2], error)
         for flight in range(count):
             its = cut.flight == flight
-            tilt[flight] += body[its, :2].mean(axis=0) / GRAVITY
-            gain[flight] *= 1.0 + error[its, 2].mean() / GRAVITY
+            tilt[flight] += body[its, :2].mean(axis=0) / STANDARD_GRAVITY
+            gain[flight] *= 1.0 + error[its, 2].mean() / STANDARD_GRAVITY
     return _fly(predictor, cut, thrust, total, gain, tilt)
 
 
@@ -194,7 +194,7 @@ def _fly(
         force[:, :2] += tilts * push[:, None]
         force[:, 2] += push
         acceleration = np.einsum("nij,nj->ni", attitude, force)
-        acceleration[:, 2] -= GRAVITY
+        acceleration[:, 2] -= STANDARD_GRAVITY
         position += velocity * DT + 0.5 * acceleration * DT * DT
         velocity = velocity + acceleration * DT
     return position, velocity
@@ -229,7 +229,7 @@ def tilting_moments(flights: Sequence[Flight], predictor: Predictor) -> tuple[np
     for flight in flights:
         rows = window_starts(flight)[:, None] + np.arange(STEPS)
         thrust = predictor.thrust(predictor.rotor_speeds(flight.pwm, flight.volts, DT))
-        thrust *= predictor.mass * GRAVITY / np.median(thrust[rows].sum(axis=2))
+        thrust *= predictor.mass * STANDARD_GRAVITY / np.median(thrust[rows].sum(axis=2))
         torque = 1e3 * moments(thrust, predictor.half_arm)[rows].mean(axis=1)
         body = np.einsum("tji,tj->ti", flight.attitude, flight.velocity)[rows].mean(axis=1)
         for axis, held in ((0, torque[:, 1]), (1, -torque[:, 0])):

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
+from bulletuav.vehicle.airframe import STANDARD_GRAVITY
 from flight_data.series import (
     FULL_PWM,
-    GRAVITY,
     LogError,
     first_order_lag,
     in_gap,
@@ -150,7 +150,7 @@ def load(path: Path) -> Log:
     return Log(
         time,
         position=series[:, 1:4] / 1e3,
-        load=uniform_filter1d(series[:, 6] / 1e3 / GRAVITY, SMOOTH),
+        load=uniform_filter1d(series[:, 6] / 1e3 / STANDARD_GRAVITY, SMOOTH),
         rates=series[:, 7:10] / 1e3,
         attitude=rotations(quaternion),
         thrust=first_order_lag(thrust, LAG, DT),

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
+from bulletuav.vehicle.airframe import STANDARD_GRAVITY
 from flight_data import model
 from flight_data.neural_swarm import DT, Log, load, training
-from flight_data.series import GRAVITY, LogError, binned, binned_error, moments, rms
+from flight_data.series import LogError, binned, binned_error, moments, rms
 
 FOLDERS = ("swap_small_small", "random_walk_small_small", "swap_ss", "randomwalk_ss")
 """Experiments with two unmodified Crazyflies"""
@@ -98,7 +99,7 @@ def _seen_by(me: Log, other: Log, mine: slice, its: slice) -> tuple[np.ndarray, 
     push = lift - np.median((lift / weight)[free]) * weight
     rates = uniform_filter1d(me.rates[mine, :2], 5, axis=0)
     torque = INERTIA * np.gradient(rates, DT, axis=0)
-    torque -= moments(me.thrust[mine] * GRAVITY / 1e3, HALF_ARM)
+    torque -= moments(me.thrust[mine] * STANDARD_GRAVITY / 1e3, HALF_ARM)
     torque -= np.median(torque[free], axis=0)
     towards = side / np.maximum(distance, 1e-6)[:, None]
     moment = 1e3 * (torque[:, 1] * towards[:, 0] - torque[:, 0] * towards[:, 1])
@@ -131,4 +132,4 @@ def errors(felt: Samples, push: np.ndarray, moment: np.ndarray) -> list[float]:
 def now(felt: Samples) -> tuple[np.ndarray, np.ndarray]:
     """Return push, g, and moment, mN m, by the law of this repository."""
     push = model.wake_force(felt.distance, felt.drop, felt.upper)
-    return push, GRAVITY * model.wake_moment(felt.distance, felt.drop, felt.upper)
+    return push, STANDARD_GRAVITY * model.wake_moment(felt.distance, felt.drop, felt.upper)

@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 
 from bulletuav.report.charts import COLOURS
 from bulletuav.report.figures import blank_figure, save_figure
+from bulletuav.vehicle.airframe import STANDARD_GRAVITY
 from flight_data import arpl, model, nanobench, predictors
-from flight_data.series import GRAVITY
 
 Bins = Sequence[Mapping[str, float]]
 HOVER = 33.0
@@ -87,8 +87,8 @@ def wake(path: Path, bins: Bins) -> None:
         its = [row for row in bins if low <= row["drop"] < high]
         drop = np.full(200, np.mean([row["drop"] for row in its]))
         push = model.wake_force(distance, drop, np.full(200, HOVER))
-        moment = GRAVITY * model.wake_moment(distance, drop, np.full(200, HOVER))
-        before = predictors.downwash_before(distance, drop) / GRAVITY * 1e3
+        moment = STANDARD_GRAVITY * model.wake_moment(distance, drop, np.full(200, HOVER))
+        before = predictors.downwash_before(distance, drop) / STANDARD_GRAVITY * 1e3
         for axes, name, law in (
             (grid[0][column], "push", push),
             (grid[1][column], "moment", moment),

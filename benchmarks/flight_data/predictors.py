@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bulletuav.vehicle.airframe import STANDARD_GRAVITY
+from bulletuav.vehicle.rotors import RPM
 from flight_data import model
-from flight_data.series import GRAVITY, first_order_lag
+from flight_data.series import first_order_lag
 
-RPM = 2.0 * np.pi / 60.0
-"""rad/s"""
 Triple = tuple[float, float, float]
 
 
@@ -54,7 +54,9 @@ class Predictor:
     def hover_speed(self) -> float:
         """Return the sum of the rotor speeds at hover, rad/s."""
         speeds = np.linspace(0.0, 4000.0, 40001)
-        return 4.0 * float(np.interp(self.mass * GRAVITY / 4.0, self.thrust(speeds), speeds))
+        return 4.0 * float(
+            np.interp(self.mass * STANDARD_GRAVITY / 4.0, self.thrust(speeds), speeds)
+        )
 
 
 def _lag(constant: float) -> Callable[[np.ndarray, float], np.ndarray]:
@@ -176,7 +178,7 @@ def downwash_of_gym_pybullet_drones(distance: np.ndarray, drop: np.ndarray) -> n
 def downwash_before(distance: np.ndarray, drop: np.ndarray) -> np.ndarray:
     """Return the downwash of bulletuav before, N: that fit, bounded by weight and rotor disc."""
     z = np.where(drop > 0.0, drop, np.nan)
-    strength = np.minimum(2267.18 * (PROPELLER_RADIUS / (4.0 * z)) ** 2, 0.027 * GRAVITY)
+    strength = np.minimum(2267.18 * (PROPELLER_RADIUS / (4.0 * z)) ** 2, 0.027 * STANDARD_GRAVITY)
     width = np.maximum(0.16 * z - 0.11, 0.0397 + PROPELLER_RADIUS)
     return np.asarray(np.nan_to_num(strength * np.exp(-0.5 * (distance / width) ** 2)))
 

@@ -9,9 +9,8 @@ from typing import TypeVar
 
 import numpy as np
 from scipy.signal import lfilter
+from scipy.spatial.transform import Rotation
 
-GRAVITY = 9.80665
-"""m/s^2"""
 FULL_PWM = 65535.0
 """Greatest motor command of a Crazyflie"""
 SPINS = np.array([-1.0, 1.0, -1.0, 1.0])
@@ -106,13 +105,7 @@ def in_gap(time: np.ndarray, at: np.ndarray, longest: float) -> np.ndarray:
 
 def rotations(quaternions: np.ndarray) -> np.ndarray:
     """Return body-to-world matrices (T, 3, 3) of quaternions (T, 4), scalar last."""
-    x, y, z, w = (quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)).T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), 2, 0)
+    return np.asarray(Rotation.from_quat(quaternions).as_matrix())
 
 
 def moments(forces: np.ndarray, half_arm: float) -> np.ndarray:
