@@ -20,6 +20,16 @@ DENSITY = 1.225
 """Density of the air, kg/m^3: standard atmosphere at sea level."""
 
 
+def hover_speed(weight: float, num_rotors: int, thrust_coefficient: float) -> float:
+    """Compute the rotor speed at which thrust k_f w^2 of all rotors equals a weight (N), rad/s."""
+    return math.sqrt(weight / (num_rotors * thrust_coefficient))
+
+
+def reach_of(rotors: tuple[tuple[float, float, int], ...]) -> float:
+    """Compute the distance of the outermost rotor from the centre of mass, m."""
+    return max(hypot(x, y) for x, y, _ in rotors)
+
+
 @dataclass(frozen=True)
 class Pwm:
     """The Crazyflie's motor command: rpm = slope pwm + intercept.
@@ -145,7 +155,7 @@ class Airframe:
     @property
     def arm(self) -> float:
         """Distance of the outermost rotor from the centre of mass, m."""
-        return max(hypot(x, y) for x, y, _ in self.rotors)
+        return reach_of(self.rotors)
 
     @property
     def max_thrust(self) -> float:
@@ -158,7 +168,7 @@ class Airframe:
         Args:
             gravity: Gravity, m/s^2.
         """
-        return math.sqrt(self.mass * gravity / (len(self.rotors) * self.thrust_coefficient))
+        return hover_speed(self.mass * gravity, len(self.rotors), self.thrust_coefficient)
 
     def allocation(self) -> np.ndarray:
         """Return what a newton of each rotor's thrust does to the body.

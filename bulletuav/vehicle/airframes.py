@@ -9,7 +9,6 @@ Airframes have names: those of the files in assets/urdf, and those that are regi
 "airframe" (see `bulletuav.registry`), as an `Airframe` or as the path of a URDF.
 """
 
-import math
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,14 @@ import numpy as np
 from bulletuav.errors import require_file, shown, unknown
 from bulletuav.geometry.obstacle import FRICTION, MOST_FRICTION
 from bulletuav.registry import find, register
-from bulletuav.vehicle.airframe import MAX_ROTORS, STANDARD_GRAVITY, Airframe, Pack, Pwm
+from bulletuav.vehicle.airframe import (
+    MAX_ROTORS,
+    STANDARD_GRAVITY,
+    Airframe,
+    Pack,
+    Pwm,
+    hover_speed,
+)
 from bulletuav.vehicle.scaling import scaled_constants
 from bulletuav.vehicle.urdf import LARGEST, WIDEST, UrdfFile
 
@@ -140,13 +146,15 @@ def _read_airframe(path: Path) -> Airframe:
     inertia = urdf.inertia()
     rotors = _rotors(urdf)
     thrust_coefficient = _positive(urdf, "thrust_coefficient", LARGEST)
+    drag_xy = _not_negative(urdf, "rotor_drag", "xy", MOST_DRAG)
+    propeller_radius = _positive(urdf, "propeller_radius", WIDEST)
     usual = scaled_constants(
         inertia,
         rotors,
         thrust_coefficient,
-        _not_negative(urdf, "rotor_drag", "xy", MOST_DRAG),
-        _positive(urdf, "propeller_radius", WIDEST),
-        math.sqrt(mass * STANDARD_GRAVITY / (len(rotors) * thrust_coefficient)),
+        drag_xy,
+        propeller_radius,
+        hover_speed(mass * STANDARD_GRAVITY, len(rotors), thrust_coefficient),
     )
     near = _several(urdf, "ground_effect", {"decay": WIDEST}, {"gain": 1.0}, usual.ground_effect)
     wake = _several(urdf, "wake", {"radius": WIDEST}, {"share": 1.0, "spread": 1.0}, usual.wake)
@@ -165,10 +173,10 @@ def _read_airframe(path: Path) -> Airframe:
         max_rotor_speed=_positive(urdf, "max_rotor_speed", FASTEST_ROTOR),
         lag_up=_not_negative(urdf, "motor_lag", "up", SLOWEST_LAG),
         lag_down=_not_negative(urdf, "motor_lag", "down", SLOWEST_LAG),
-        drag_xy=_not_negative(urdf, "rotor_drag", "xy", MOST_DRAG),
+        drag_xy=drag_xy,
         drag_z=_not_negative(urdf, "rotor_drag", "z", MOST_DRAG),
         drag_height=_drag_height(urdf),
-        propeller_radius=_positive(urdf, "propeller_radius", WIDEST),
+        propeller_radius=propeller_radius,
         rotor_inertia=turning[0],
         damping=(damping[0], damping[1], damping[2]),
         body_drag=(body_drag[0], body_drag[1]),

@@ -8,6 +8,7 @@ from bulletuav.functions import exp
 from bulletuav.geometry.rotation import quat4, to_body
 from bulletuav.kernel import func, kernel
 from bulletuav.vehicle.parameters import ParameterRow
+from bulletuav.vehicle.rotors import rotor_wrench
 from bulletuav.vehicle.swarm import Swarm
 
 WAKE_EDGE = 80.0
@@ -63,10 +64,7 @@ def _blow(
 ) -> None:
     """Add the wake of drone `above` on drone `below` of world w to `wake` (N, 4)."""
     row = parameters[w, above]
-    thrust = 0.0
-    for r in range(row.num_rotors):
-        speed = swarm.rotor_speed[w, above, r]
-        thrust += row.thrust_coefficient * speed * speed
+    thrust = rotor_wrench(swarm.rotor_speed[w, above], 0.0, row)[0]
     # From the lower drone to the axis of the wake.
     x = swarm.position[w, above, 0] - swarm.position[w, below, 0]
     y = swarm.position[w, above, 1] - swarm.position[w, below, 1]
