@@ -15,8 +15,8 @@ import rooms
 PACKAGE = Path(bulletuav.__file__).parent
 RANK = {name: rank for rank, names in enumerate(rooms.ROOMS) for name in names}
 FILES = sorted(PACKAGE.rglob("*.py"))
-PARTS = {"__init__", "account", "base", "check", "ends", "frame", "ingredients", "loops"}
-PARTS |= {"stages", "targets"}
+PARTS = {"__init__", "account", "base", "check", "config", "ends", "frame", "given"}
+PARTS |= {"ingredients", "loops", "stages", "starts", "targets"}
 """Files beside the tasks of which these are made"""
 EXTRAS = {
     "shapely",

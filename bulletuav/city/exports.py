@@ -18,7 +18,7 @@ def write_obj(city: City, path: str | Path) -> None:
         path: The file, replaced where there is one.
     """
     about = (
-        f"# city {city.name}: a square of {city.side:g} m about the origin; "
+        f"# city {city.name}: {city.sides[0]:g} m x {city.sides[1]:g} m about the origin; "
         f"metres, x east, y north, z up"
     )
     owners = zip(city.building, city.solids.faces, strict=True)

@@ -1,6 +1,7 @@
 """Cities with the statistics of ITU-R P.1410 on a grid of streets, regular or not."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -25,15 +26,15 @@ NOTCH = (0.1, 0.3)
 
 def generate(
     kind: str | Statistics,
-    side: float,
+    side: float | tuple[float, float],
     rng: np.random.Generator,
     irregularity: float = 0.0,
 ) -> City:
     """Generate a city of one of `KINDS`, or of statistics of one's own.
 
-    The ground is cut into that whole number of square blocks whose size is nearest to what beta
-    asks for. A block holds one building, of boxes along x and y. The built-up share of the ground
-    is alpha exactly. Heights are Rayleigh distributed with no floor: a few buildings are very low.
+    Each side is cut into that whole number of blocks whose size is nearest to what beta asks for.
+    A block holds one building, of boxes along x and y. The built-up share of the ground is alpha
+    exactly. Heights are Rayleigh distributed with no floor: a few buildings are very low.
 
     At `irregularity` 0 buildings are square and centred. Towards 1 they vary in size, shape and
     place, up to half of them are L-shaped (two boxes), and some blocks are parks. Up to a fifth of
@@ -42,7 +43,7 @@ def generate(
 
     Args:
         kind: Name of one of `KINDS`, or the statistics.
-        side: Of the square that the city covers, m.
+        side: Of the square that the city covers, or its lengths along x and y, m.
         rng: Source of all random numbers.
         irregularity: From 0 to 1.
 
@@ -63,24 +64,32 @@ def generate(
             f"irregularity is {irregularity!r}: a number from 0 (regular) to 1 is needed"
         )
     irregularity = finite("irregularity", irregularity)
-    side = finite("side", side)
+    sides = tuple(
+        finite("side", one) for one in (side if isinstance(side, tuple) else (side, side))
+    )
 
     # Blocks, smaller where parks take some of them
     parks = PARKS * irregularity * (1 - math.sqrt(statistics.alpha))
-    count = _blocks(side, statistics.pitch * math.sqrt(1 - parks))
-    lots = _lots(statistics.alpha, side, count, rng, irregularity)
-    built = rng.permutation(count**2)[int(parks * count**2) :]
+    pitch = statistics.pitch * math.sqrt(1 - parks)
+    counts = tuple(_blocks(one, pitch) for one in sides)
+    lots = _lots(statistics.alpha, sides, counts, rng, irregularity)
+    built = rng.permutation(len(lots))[int(parks * len(lots)) :]
     lots = lots[np.sort(built)]
 
     # Buildings and their heights
-    boxes, building = _buildings(statistics.alpha * side**2, lots, rng, irregularity)
+    boxes, building = _buildings(statistics.alpha * math.prod(sides), lots, rng, irregularity)
     heights = rng.rayleigh(statistics.gamma, building.max() + 1)
     boxes[:, 1, 2] = heights[building]
 
-    lines = np.linspace(-side / 2, side / 2, count + 1)[1:-1]
-    streets = grid_streets(lines, side)
+    lines = [_lines(one, count)[1:-1] for one, count in zip(sides, counts, strict=True)]
+    streets = grid_streets(lines, np.array(sides))
     name = kind if isinstance(kind, str) else "own"
-    return City(name, float(side), Solids(boxes), building, streets)
+    return City(name, sides[0], Solids(boxes), building, streets, sides[1])
+
+
+def _lines(side: float, count: int) -> np.ndarray:
+    """Return where `count` blocks along a side begin and end, m."""
+    return np.linspace(-side / 2, side / 2, count + 1)
 
 
 def _blocks(side: float, pitch: float) -> int:
@@ -101,32 +110,31 @@ def _blocks(side: float, pitch: float) -> int:
 
 def _lots(
     alpha: float,
-    side: float,
-    count: int,
+    sides: Sequence[float],
+    counts: Sequence[int],
     rng: np.random.Generator,
     irregularity: float,
 ) -> np.ndarray:
-    """Return (count^2, 2, 2) low and high corner, m, of the ground that may be built on.
+    """Return (blocks, 2, 2) low and high corner, m, of the ground that may be built on.
 
     Boulevards take less from it than narrow streets add: there is always enough for alpha, parks
     taken out.
     """
-    width = side / count * math.sqrt(alpha)
-    street = side / count - width
-
-    # Half of a street's width, for the lines of each axis
-    usual = (1 - irregularity / 2) * street / 2
-    half = np.full((2, count + 1), usual)
-    for axis in range(2):
+    low: list[np.ndarray] = []
+    high: list[np.ndarray] = []
+    for side, count in zip(sides, counts, strict=True):
+        width = side / count * math.sqrt(alpha)
+        street = side / count - width
+        # Half of a street's width, for the lines of this axis
+        half = np.full(count + 1, (1 - irregularity / 2) * street / 2)
         # No block lies between two boulevards
         apart = np.arange(1 + rng.integers(2), count, 2)
         boulevards = int(BOULEVARDS * irregularity * (count - 1))
         wide = rng.permutation(apart)[:boulevards]
-        half[axis, wide] = street / 2 + min(street / 2, width / 4)
-
-    lines = np.linspace(-side / 2, side / 2, count + 1)
-    low = lines[:-1] + half[:, :-1]
-    high = lines[1:] - half[:, 1:]
+        half[wide] = street / 2 + min(street / 2, width / 4)
+        lines = _lines(side, count)
+        low.append(lines[:-1] + half[:-1])
+        high.append(lines[1:] - half[1:])
     grids = [np.meshgrid(*edges, indexing="ij") for edges in (low, high)]
     corners = [np.stack(grid, axis=-1).reshape(-1, 2) for grid in grids]
     return np.stack(corners, axis=1)

@@ -36,16 +36,17 @@ def draw_map(city: City, axes: Axes) -> None:
         borderaxespad=0,
     )
     _draw_scale(city.side, axes)
-    half = city.side / 2
+    half = city.sides / 2
     axes.set(
-        xlim=(-half, half),
-        ylim=(-half, half),
+        xlim=(-half[0], half[0]),
+        ylim=(-half[1], half[1]),
         aspect="equal",
         facecolor=GROUND_COLOUR,
     )
     axes.set(xlabel="x east (m)", ylabel="y north (m)")
     axes.set_title(
-        f"{city.name}: {len(city.heights)} buildings on {city.side:.4g} m x {city.side:.4g} m"
+        f"{city.name}: {len(city.heights)} buildings on "
+        f"{city.sides[0]:.4g} m x {city.sides[1]:.4g} m"
     )
 
 

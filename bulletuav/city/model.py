@@ -18,16 +18,17 @@ UPRIGHT = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class City:
-    """Buildings of convex pieces on the flat ground z = 0 of the square [-side/2, side/2]^2.
+    """Buildings of convex pieces on the flat ground z = 0, about the origin.
 
     x is east, y north, z up, in metres.
 
     Attributes:
         name: Of its kind or file.
-        side: Of the square, m.
+        side: Length of the ground along x, m.
         solids: The pieces.
         building: (P,) int, the building that each piece belongs to.
         streets: Where one walks.
+        depth: Length of the ground along y, m; None for a square.
     """
 
     name: str
@@ -35,6 +36,12 @@ class City:
     solids: Solids
     building: np.ndarray
     streets: Streets
+    depth: float | None = None
+
+    @cached_property
+    def sides(self) -> np.ndarray:
+        """Lengths (2,) of the ground along x and along y, m."""
+        return np.array([self.side, self.side if self.depth is None else self.depth])
 
     @cached_property
     def heights(self) -> np.ndarray:
@@ -59,7 +66,7 @@ class City:
         forward = start[..., 0] * way[..., 1]
         backward = start[..., 1] * way[..., 0]
         double = forward - backward
-        return float(double.sum() / 2 / self.side**2)
+        return float(double.sum() / 2 / self.sides.prod())
 
     def outdoors(self, points: np.ndarray, margin: float = 0.0) -> np.ndarray:
         """Tell which points are farther from all footprints than a margin.

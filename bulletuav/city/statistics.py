@@ -78,6 +78,17 @@ KINDS = {
 altitude platforms in built-up areas", IEEE Trans. Antennas Propag. 56 (2008), table I"""
 
 
+def parameters(city: City) -> tuple[float, float, float]:
+    """Measure alpha, beta (buildings per km^2) and gamma (m) of a city; gamma is 0 of none.
+
+    gamma is the estimate of greatest likelihood.
+    """
+    heights = city.heights
+    density = len(heights) / (city.sides / 1000).prod()
+    scale = math.sqrt((heights**2).sum() / (2 * max(len(heights), 1)))
+    return city.coverage, float(density), scale
+
+
 def realised(city: City, target: Statistics | None = None) -> dict[str, tuple[float, float]]:
     """Compare what a city has with what was aimed at.
 
@@ -95,17 +106,18 @@ def realised(city: City, target: Statistics | None = None) -> dict[str, tuple[fl
         (NaN without a target).
     """
     heights = city.heights
+    share, density, scale = parameters(city)
     found = {
-        "built-up share": city.coverage,
-        "buildings per km2": len(heights) / (city.side / 1000) ** 2,
-        "Rayleigh scale of heights, m": math.sqrt((heights**2).mean() / 2),
+        "built-up share": share,
+        "buildings per km2": density,
+        "Rayleigh scale of heights, m": scale,
         "mean height, m": float(heights.mean()),
         "greatest height, m": float(heights.max()),
     }
     if target is None:
         return {name: (value, math.nan) for name, value in found.items()}
 
-    block = city.side / math.sqrt(len(heights))
+    block = math.sqrt(city.sides.prod() / len(heights))
     middles = city.streets.nodes[city.streets.edges].mean(axis=1)
     widths = 2 * city.clearance(middles, block)
     found["width of streets, m"] = float(np.median(widths))

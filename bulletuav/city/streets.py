@@ -1,6 +1,6 @@
 """Graphs of streets."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,22 +19,25 @@ class Streets:
     edges: np.ndarray
 
 
-def grid_streets(lines: np.ndarray, side: float) -> Streets:
+def grid_streets(lines: Sequence[np.ndarray], sides: np.ndarray) -> Streets:
     """Lay streets along x and along y, from edge to edge of a city.
 
     Args:
-        lines: (K,) coordinates of the streets, the same for both axes, m; ascending, in the city.
-        side: Of the city's square about the origin, m.
+        lines: For x and for y the coordinates (K,) of the streets, m; ascending, in the city.
+        sides: (2,) lengths of the city's ground about the origin, m.
     """
-    stops = np.concatenate([[-side / 2], lines, [side / 2]])
-    nodes, edges = _lattice(stops)
+    stops = [
+        np.concatenate([[-side / 2], own, [side / 2]])
+        for own, side in zip(lines, sides, strict=True)
+    ]
+    nodes, edges = _lattice(*stops)
     middles = nodes[edges].mean(axis=1)
-    return _connected(nodes, edges[_inside(middles, side)])
+    return _connected(nodes, edges[_inside(middles, sides)])
 
 
-def _inside(points: np.ndarray, side: float) -> np.ndarray:
+def _inside(points: np.ndarray, sides: np.ndarray) -> np.ndarray:
     """Tell which points (..., 2) lie within the city, not on its edge."""
-    within: np.ndarray = (np.abs(points) < side / 2).all(axis=-1)
+    within: np.ndarray = (np.abs(points) < sides / 2).all(axis=-1)
     return within
 
 
@@ -59,7 +62,7 @@ def free_streets(
     """
     count = int(side / spacing) + 1
     stops = spacing * (np.arange(count) - (count - 1) / 2)
-    nodes, edges = _lattice(stops)
+    nodes, edges = _lattice(stops, stops)
     start, end = nodes[edges].swapaxes(0, 1)
     # Points along each way that are at most `margin` apart
     share = np.linspace(0, 1, int(spacing / margin) + 2)[:, None, None]
@@ -73,12 +76,12 @@ def free_streets(
     return _connected(nodes, edges[free])
 
 
-def _lattice(stops: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return nodes (K^2, 2) at all x and y of `stops` (K,), and edges between neighbours."""
-    grid = np.meshgrid(stops, stops, indexing="ij")
+def _lattice(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return nodes (K L, 2) at all `x` (K,) and `y` (L,), and edges between neighbours."""
+    grid = np.meshgrid(x, y, indexing="ij")
     nodes = np.stack(grid, axis=-1).reshape(-1, 2)
     # Neighbours along x, and along y
-    index = np.arange(len(nodes)).reshape(len(stops), len(stops))
+    index = np.arange(len(nodes)).reshape(len(x), len(y))
     pairs = [(index[:-1], index[1:]), (index[:, :-1], index[:, 1:])]
     edges = [np.stack([one.ravel(), two.ravel()], axis=1) for one, two in pairs]
     return nodes, np.concatenate(edges)

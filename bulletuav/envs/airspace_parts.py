@@ -20,6 +20,7 @@ from bulletuav.envs.airspace_inputs import (
     state_numbers,
 )
 from bulletuav.envs.environment import Environment, exclusive
+from bulletuav.envs.marks import drone_marks
 from bulletuav.envs.parts import hover_speeds, make_dynamics, make_engine, sensor_setup
 from bulletuav.envs.randomization import Uncertainty
 from bulletuav.envs.renderer import FIELD_OF_VIEW, Renderer
@@ -303,14 +304,15 @@ class AirspaceParts(Environment):
 
     @exclusive
     def render(self) -> np.ndarray:
-        """Take a picture from afar of all drones, marked by rings.
+        """Take a picture from afar: rings on drones, arrows of a second's flight, lidar beams.
 
         Returns:
             (height, width, 3) uint8.
         """
         self._require_open()
         self._show(self._swarm, self._alive)
-        return self._renderer.picture(0, self._swarm, np.zeros((0, 3)), self._alive)
+        marks = drone_marks(self._swarm, self._alive, 0, self._sensors.sensors.values())
+        return self._renderer.picture(0, self._swarm, marks, self._alive)
 
     @exclusive
     def picture(

@@ -1,6 +1,7 @@
 """The batched core: W independent worlds of N drones through one decision at a time."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -12,8 +13,10 @@ from bulletuav.envs.step import Step
 from bulletuav.envs.worlds import UNSTARTED
 from bulletuav.tasks.base import Task
 from bulletuav.tasks.check import check_info, check_step_result, take_spawns
-from bulletuav.tasks.frame import Frame
+from bulletuav.tasks.frame import Frame, Spawn
+from bulletuav.tasks.given import Given
 from bulletuav.tasks.observations.observer import Observation
+from bulletuav.tasks.starts import take_given
 
 
 class Aviary(Decisions):
@@ -30,6 +33,7 @@ class Aviary(Decisions):
         task: The task.
         action: What actions mean.
         observer: Makes observations; tells labels, and splits by name.
+        global_state: Tells labels of the global state, and splits it by name.
         swarm: State of the drones, (W, N, ...).
         scene: Goals, obstacles and the task's memory.
         alive: (W, N) bool, drones whose episode goes on.
@@ -46,7 +50,11 @@ class Aviary(Decisions):
 
     @exclusive
     def reset(
-        self, mask: np.ndarray | None = None, seeds: int | Sequence[int] | None = None
+        self,
+        mask: np.ndarray | None = None,
+        seeds: int | Sequence[int] | None = None,
+        start: Any = None,
+        goal: Any = None,
     ) -> Observation:
         """Start new episodes.
 
@@ -55,12 +63,15 @@ class Aviary(Decisions):
             seeds: An int s gives world k the seed s + k; a sequence gives each of the W worlds its
                 own; None goes on with each world's random numbers, which begin from the option
                 `seed`, or from entropy.
+            start: (N, 3) where drones start in these episodes, m; as the task's option `start`
+                says when left out.
+            goal: (N, 3) where they are to go, m; as `goal` says when left out.
 
         Returns:
             Observations of all worlds, (W, N, D) float32 or a dict.
 
         Raises:
-            ValueError: The task's start cannot be; the worlds stay as they were.
+            ValueError: The task's start cannot be, or what is given; the worlds stay as they were.
             RuntimeError: The environment is closed.
         """
         self._require_open()
@@ -73,6 +84,12 @@ class Aviary(Decisions):
                 f"{len(generators)} "
                 f"are needed, one for each generator"
             )
+        given = take_given(self.task, start, goal)
+        given = Given(*(self._given[k] if one is None else one for k, one in enumerate(given)))
+        spawns = [
+            self.task.finish(spawn, given, rng) if isinstance(spawn, Spawn) else spawn
+            for spawn, rng in zip(spawns, generators, strict=True)
+        ]
         # All before anything of the worlds is written
         things = self.scene.obstacle.shape[1]
         starts = take_spawns(self.task, spawns, self.options.airframe, things, self.scene.memory)

@@ -12,6 +12,7 @@ from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
 from bulletuav.envs.parallel import AgentResults, ByAgent, Infos, ParallelAviary, check_agents
 from bulletuav.envs.spaces import drone_action_space
+from bulletuav.envs.state import slices
 from bulletuav.errors import as_int, as_sequence, choose, finite, shown
 from bulletuav.sensors.base import Label
 from bulletuav.tasks import TaskSource
@@ -142,7 +143,12 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
             agent: drone_action_space(widest.action, i)
             for i, agent in enumerate(self.possible_agents)
         }
-        self._state_size = len(widest.state_observer.labels) * drones
+        # Parts of the state are as wide as in the stage that has most of each
+        sizes: dict[str, int] = {}
+        for spec in specs:
+            for name, part in spec.state.parts.items():
+                sizes[name] = max(sizes.get(name, 0), part.stop - part.start)
+        self._parts, self._state_size = slices(sizes), sum(sizes.values())
         self.metadata = {
             "name": f"bulletuav_{specs[0].task.name}_curriculum_v0",
             "render_modes": ["rgb_array", "human"],
@@ -238,11 +244,13 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
         """Return the global state, with zeros for drones that the stage has not.
 
         Returns:
-            (17 N,) float32 for the N agents of the largest stage; see `Aviary.state`.
+            (K,) float32, each part as wide as in the stage that has most of it; see `Aviary.state`.
         """
         state = self.env.state()
         padded = np.zeros(self._state_size, dtype=np.float32)
-        padded[: state.size] = state
+        for name, own in self.env.aviary.global_state.parts.items():
+            first = self._parts[name].start
+            padded[first : first + own.stop - own.start] = state[own]
         return padded
 
     def render(self) -> np.ndarray | None:

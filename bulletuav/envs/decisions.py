@@ -42,7 +42,10 @@ INFOS = {
     "power": float,
     "charge": float,
 }
-"""Names and types of what infos tell beside reward terms, in the order of `stages.tell`"""
+"""Names and types of what infos tell beside reward terms, in the order of `stages.tell`.
+
+Of tasks without goals they do not tell "goal_distance".
+"""
 
 
 class Decisions(Worlds):
@@ -123,11 +126,13 @@ class Decisions(Worlds):
     def _name_infos(self, terms: list[str]) -> None:
         """Make room for infos; `terms` are the names of the reward terms that the task gives."""
         shape = self.alive.shape
+        untold = None if self.task.has_goals else "goal_distance"
         self._terms = terms
         self._unweighted = np.zeros((len(terms), *shape))
         self._table = np.zeros((len(terms) + len(INFOS), *shape))
         self._weighted = self._table[: len(terms)]
-        self._rows = [*((f"reward/{name}", float) for name in terms), *INFOS.items()]
+        standard = [(None if name == untold else name, kind) for name, kind in INFOS.items()]
+        self._rows = [*((f"reward/{name}", float) for name in terms), *standard]
         own = type(self.task).info is not Task.info
         self._tells_more = own or bool(self._uncertainty.drawn or self._sensors.sensors)
 

@@ -7,17 +7,20 @@ from typing import Any
 import numpy as np
 
 from bulletuav.control.actions import Action, ActionContext, make_action
+from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.envs.options import EnvOptions, check_names
 from bulletuav.envs.parts import sensor_setup
 from bulletuav.envs.resolve import resolve
+from bulletuav.envs.state import GlobalState
 from bulletuav.errors import as_int, numbers_of, require_memory, shown, unknown
 from bulletuav.sensors.base import SensorSetup
 from bulletuav.sensors.camera import IMAGES
 from bulletuav.sensors.lidar import make_beams
 from bulletuav.sensors.suite import provider
 from bulletuav.tasks import TaskSource, find_task
-from bulletuav.tasks.base import Task, TaskConfig
+from bulletuav.tasks.base import Task
 from bulletuav.tasks.check import check_arena, check_bodies
+from bulletuav.tasks.config import TaskConfig
 from bulletuav.tasks.frame import TaskContext
 from bulletuav.tasks.ingredients import find_term
 from bulletuav.tasks.observations.observer import (
@@ -46,7 +49,7 @@ class EnvSpec:
         task: The task that is flown.
         action: What the drones' actions mean.
         observer: Makes the observations.
-        state_observer: Makes the global state.
+        state: Makes the global state.
         sensors: All sensors that there are, by name.
         setup: What sensors know of their environment.
     """
@@ -73,7 +76,8 @@ class EnvSpec:
         self.observer = ObservationBuilder(
             sources, *parts, normalise=self.options.normalise, form=form
         )
-        self.state_observer = ObservationBuilder(STATE, *parts)
+        drones = ObservationBuilder(STATE, *parts)
+        self.state = GlobalState(self.task, drones, self.options)
         self._names = {observation_name(source) for source in sources}
         self._require_memory(self._world_bytes())
 
@@ -291,14 +295,22 @@ def _make_task(kind: type[Task[Any]], config: TaskConfig, options: EnvOptions) -
 
 def _make_action(options: EnvOptions, task: Task[Any]) -> Action:
     period = 1 / options.decision_hz
-    return make_action(
+    climb = options.max_climb
+    action = make_action(
         options.action,
         ActionContext(
             options.airframe,
             options.max_speed,
+            options.max_speed if climb is None else min(climb, options.max_speed),
             task.arena_low,
             task.arena_high,
             period,
             options.gravity,
         ),
     )
+    if climb is not None and action.level != SetpointLevel.VELOCITY:
+        raise ValueError(
+            f"max_climb is {climb:g} m/s: it limits actions that ask for velocities, and "
+            f"{options.action!r} does not; max_climb=None leaves it out"
+        )
+    return action

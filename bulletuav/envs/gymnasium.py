@@ -20,6 +20,7 @@ from bulletuav.envs.agents import USUAL_TYPES
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
 from bulletuav.envs.infos import Infos
+from bulletuav.envs.reset_options import reset_options
 from bulletuav.envs.spaces import joint_action_space, joint_numbers
 from bulletuav.envs.vector import BatchAviary, BatchResults
 from bulletuav.errors import as_int
@@ -58,7 +59,7 @@ class CentralEnvironment(LabelledEnvironment):
         """Choose what the agent observes: one drone's own observation, or the global state."""
         self.aviary = aviary
         self._is_alone = aviary.num_drones == 1
-        self._observer = aviary.observer if self._is_alone else aviary.state_observer
+        self._observer = aviary.observer if self._is_alone else aviary.global_state.drones
         self._gives_dict = aviary.options.observation_format == "dict"
 
     @property
@@ -66,8 +67,7 @@ class CentralEnvironment(LabelledEnvironment):
         """Space of what the agent of one world observes, a new object each time."""
         if self._is_alone:
             return self._observer.space()
-        low = np.tile(self._observer.low, self.aviary.num_drones)
-        high = np.tile(self._observer.high, self.aviary.num_drones)
+        low, high = self.aviary.global_state.low, self.aviary.global_state.high
         if not self._gives_dict:
             return Box(low, high, dtype=np.float32)
         lows = self.split(low)
@@ -87,7 +87,7 @@ class CentralEnvironment(LabelledEnvironment):
 
         Args:
             observations: (W, N, ...) observations of the drones.
-            state: (W, 17 N) global state; asked of the core when left out.
+            state: (W, K) global state; asked of the core when left out.
 
         Returns:
             Arrays (W, ...).
@@ -102,28 +102,19 @@ class CentralEnvironment(LabelledEnvironment):
         """Split observations by the names of their blocks.
 
         Args:
-            observation: What `reset` or `step` gave: (..., N * D) numbers, or a dict.
+            observation: What `reset` or `step` gave: (..., K) numbers, or a dict.
 
         Returns:
             Arrays (..., N, numbers of the block) by name, views of the given one: all drones have
-            the same blocks. With one drone there is no axis for drones. Dicts by block come back
-            as they are.
+            the same blocks. What is told of the world has no axis for drones. With one drone there
+            is none at all. Dicts by block come back as they are.
 
         Raises:
             ValueError: The observation has another number of numbers.
         """
         if self._is_alone or isinstance(observation, dict):
             return super().split(observation)
-        drones = self.aviary.num_drones
-        vector = np.asarray(observation)
-        width = drones * len(self._observer.labels)
-        if vector.ndim == 0 or vector.shape[-1] != width:
-            raise ValueError(
-                f"observation is an array {vector.shape}: {width} numbers are needed, one for "
-                f"each label of {drones} drones"
-            )
-        rows = vector.reshape(*vector.shape[:-1], drones, -1)
-        return super().split(rows)
+        return self.aviary.global_state.split(observation)
 
 
 class CentralAviary(CentralEnvironment, gymnasium.Env[Any, Any]):
@@ -160,7 +151,7 @@ class CentralAviary(CentralEnvironment, gymnasium.Env[Any, Any]):
 
         Args:
             seed: Seed of the random numbers; None goes on with them.
-            options: Part of Gymnasium's interface; not read.
+            options: Any of "start" and "goal", (N, 3) m each, for places instead of drawn ones.
 
         Returns:
             The observation, and infos (N,) by name.
@@ -169,7 +160,7 @@ class CentralAviary(CentralEnvironment, gymnasium.Env[Any, Any]):
         if seed is not None:
             seed = as_int("seed", seed, 0)
         super().reset(seed=seed)
-        observations = self.aviary.reset(seeds=seed)
+        observations = self.aviary.reset(seeds=seed, **reset_options(options))
         observation = part(self._central(observations), 0)
         return observation, _of_world(self.aviary.first_info())
 

@@ -57,14 +57,15 @@ for _name in METHODS:
     setattr(Infos, _name, _filled_first(_name))
 
 
-def columns(table: np.ndarray, names: Iterable[tuple[str, Any]]) -> dict[str, np.ndarray]:
+def columns(table: np.ndarray, names: Iterable[tuple[str | None, Any]]) -> dict[str, np.ndarray]:
     """Make infos of a table's rows.
 
     Args:
         table: (K, W, N) numbers.
-        names: Name and type of each row.
+        names: Name and type of each row; those without a name are left out.
 
     Returns:
         Arrays (W, N) by name.
     """
-    return {name: row.astype(kind) for row, (name, kind) in zip(table, names, strict=True)}
+    told = zip(table, names, strict=True)
+    return {name: row.astype(kind) for row, (name, kind) in told if name is not None}

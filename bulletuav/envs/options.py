@@ -11,6 +11,7 @@ from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics import find_dynamics
 from bulletuav.engine.engine import RAY_METHODS
 from bulletuav.envs.randomization import CERTAIN, Randomization
+from bulletuav.envs.rates import MOST_HZ, decision_rate, picture_rate
 from bulletuav.errors import as_int, as_sequence, choose, finite, shown, unknown
 from bulletuav.geometry.obstacle import MOST_FRICTION
 from bulletuav.sensors.lidar import FRAMES
@@ -39,7 +40,6 @@ SEVERAL = (
 RENDER_MODES = ("rgb_array", "human")
 ROTOR_ACTIONS = ("rotor", "rpm")
 MOST_DRONES = 10_000
-MOST_HZ = 100_000
 MOST_PIXELS = 4096  # along a side
 MOST_BEAMS = 8192  # of a drone's range finder in all
 MOST_RANGE = 10_000.0  # m
@@ -52,7 +52,6 @@ COUNTS = {
     "num_neighbours": 1000,
     "horizon": 10**9,
     "physics_hz": MOST_HZ,
-    "decision_hz": MOST_HZ,
     "num_beams": MOST_BEAMS,
 }
 """Whole numbers above 0, and the most that each can be"""
@@ -67,9 +66,12 @@ class EnvOptions:
         num_drones: Drones in a world.
         airframe: Name of an airframe, path of a URDF, or an `Airframe`; or one for each drone.
         action: What the drones' actions mean: a name in `bulletuav.control.actions.ACTIONS`.
-        decision_hz: Decisions a second; must divide physics_hz.
+        decision_hz: Decisions a second: a whole number that divides physics_hz, or down to 0.1,
+            decisions of 10 s, where they are of whole substeps.
         horizon: Decisions until truncation.
         max_speed: Scale of velocity actions, m/s; at most the airframe's.
+        max_climb: Limit of the vertical velocity that velocity actions ask for, up and down, m/s;
+            None for max_speed.
         dynamics: "bullet" (the engine), "rigid_body" (the same forces by RK4), "point_mass",
             "double_integrator" or "single_integrator"; `module:Name`, or a class derived from
             `bulletuav.dynamics.base.Dynamics`.
@@ -127,7 +129,7 @@ class EnvOptions:
     num_drones: int
     airframe: tuple[Airframe, ...]
     action: str
-    decision_hz: int
+    decision_hz: float
     horizon: int
     max_speed: float
     dynamics: str = "bullet"
@@ -139,6 +141,7 @@ class EnvOptions:
     normalise: bool = False
     difficulty: str = "easy"
     preset: str | None = None
+    max_climb: float | None = None
     physics_hz: int = 240
     seed: int | None = None
     render_mode: str | None = None
@@ -167,10 +170,9 @@ class EnvOptions:
     def __post_init__(self) -> None:
         for name, most in COUNTS.items():
             self._keep(name, as_int(name, getattr(self, name), 1, most))
-        _divides("decision_hz", self.decision_hz, "physics_hz", self.physics_hz)
+        self._keep("decision_hz", decision_rate(self.decision_hz, self.physics_hz))
         if self.camera_hz is not None:
-            self._keep("camera_hz", as_int("camera_hz", self.camera_hz, 1, MOST_HZ))
-            _divides("camera_hz", self.camera_hz, "decision_hz", self.decision_hz)
+            self._keep("camera_hz", picture_rate(self.camera_hz, self.decision_hz))
         if self.seed is not None:
             self._keep("seed", as_int("seed", self.seed, 0))
         if self.render_mode is not None:
@@ -280,6 +282,10 @@ class EnvOptions:
                 f"{slowest.max_speed:g} m/s of "
                 f"airframe {slowest.name!r}"
             )
+        if self.max_climb is not None:
+            self._keep("max_climb", finite("max_climb", self.max_climb))
+            if self.max_climb <= 0:
+                raise ValueError(f"max_climb is {self.max_climb:g} m/s: it must be above 0")
         self._check_air()
         if self.gravity == 0 and self.action not in ROTOR_ACTIONS:
             raise ValueError(
@@ -332,6 +338,11 @@ class EnvOptions:
         self._keep("gravity", finite("gravity", self.gravity))
         if self.gravity < 0:
             raise ValueError(f"gravity is {self.gravity:g} m/s^2: it pulls down with 0 or more")
+
+    @property
+    def substeps(self) -> int:
+        """Substeps of a decision."""
+        return round(self.physics_hz / self.decision_hz)
 
     @property
     def wind20(self) -> float:
@@ -387,10 +398,3 @@ def check_names(name: str, what: str, given: Any, known: Sequence[str]) -> None:
             raise ValueError(f"{name}: {unknown(what, one, known)}")
         if given.count(one) > 1:
             raise ValueError(f"{name} has {one!r} {given.count(one)} times: name it once")
-
-
-def _divides(name: str, rate: int, into: str, total: int) -> None:
-    if total % rate:
-        divisors = [divisor for divisor in range(1, total + 1) if total % divisor == 0]
-        near = sorted(divisors, key=lambda divisor: abs(divisor - rate))[:3]
-        raise ValueError(f"{name} {rate} does not divide {into} {total}: try {sorted(near)}")

@@ -14,6 +14,7 @@ from bulletuav.envs.agents import share, take
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
 from bulletuav.envs.infos import Infos as LazyInfos
+from bulletuav.envs.reset_options import reset_options
 from bulletuav.envs.spaces import drone_action_space, drone_numbers
 from bulletuav.errors import choose, shown, unknown
 from bulletuav.tasks import TaskSource
@@ -65,10 +66,8 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
             agent: drone_action_space(self.aviary.action, i)
             for i, agent in enumerate(self.possible_agents)
         }
-        state = self.aviary.state_observer
-        low = np.tile(state.low, common.num_drones)
-        high = np.tile(state.high, common.num_drones)
-        self.state_space = Box(low, high, dtype=np.float32)
+        state = self.aviary.global_state
+        self.state_space = Box(state.low, state.high, dtype=np.float32)
 
     def observation_space(self, agent: str) -> Space[Any]:
         """Return the agent's observation space, the same object each time."""
@@ -88,12 +87,12 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
 
         Args:
             seed: Seed of the random numbers; None goes on with them.
-            options: Part of PettingZoo's interface; not read.
+            options: Any of "start" and "goal", (N, 3) m each, for places instead of drawn ones.
 
         Returns:
             Observations and infos, by agent.
         """
-        observations = self.aviary.reset(seeds=seed)
+        observations = self.aviary.reset(seeds=seed, **reset_options(options))
         self.agents = self.possible_agents[:]
         rows = self._living_rows()
         first = self.aviary.first_info()
@@ -181,7 +180,7 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
         """Return the global state for centralised critics.
 
         Returns:
-            (17 N,) float32; see `Aviary.state`.
+            (K,) float32; see `Aviary.state`.
         """
         state: np.ndarray = self.aviary.state()[0]
         return state

@@ -58,7 +58,7 @@ def make_dynamics(options: EnvOptions, engine: Engine) -> Dynamics:
         parameters,
         Cascade.of(options.controller, parameters.copy(), gains, options.integral),
         1 / options.physics_hz,
-        options.physics_hz // options.decision_hz,
+        options.substeps,
         options.gravity,
         options.contacts or "",
         options.friction,
@@ -102,7 +102,7 @@ def sensor_setup(options: EnvOptions, num_worlds: int, wanted: frozenset[str]) -
         beams=make_beams(options.num_beams, options.lidar_elevations),
         beam_frame=options.lidar_frame,
         camera_size=options.camera_size,
-        camera_every=options.decision_hz // (options.camera_hz or options.decision_hz),
+        camera_every=int(options.decision_hz / (options.camera_hz or options.decision_hz)),
         wanted=wanted,
         longest_delay=randomization.bounds("radio_delay")[1] if delays else 0.0,
     )

@@ -1,31 +1,28 @@
-"""Pictures and live view of a world: a camera that keeps all drones and goals in sight."""
+"""Pictures and live view of a world: a camera that keeps drones, goals and targets in sight."""
 
 import numpy as np
 from PIL import Image, ImageDraw
 
 from bulletuav.engine.engine import Engine
+from bulletuav.envs.marks import Colour, Lens, Marks, draw
 from bulletuav.envs.pacer import Pacer
 from bulletuav.geometry.view import AIR, LAND, SKY, projection_matrix, view_matrix
 from bulletuav.vehicle.swarm import Swarm
 
-Colour = tuple[int, int, int]
-
 GRID: Colour = (176, 182, 174)
 """Colour of grid lines on the ground"""
-DRONE: Colour = (216, 67, 21)
-"""Colour of the rings around drones"""
-GOAL: Colour = (46, 125, 50)
-"""Colour of the crosses on goals"""
 SHADOW: Colour = (120, 124, 120)
 """Colour of the lines from drones down to the ground"""
 DIRECTION = np.array([-0.55, -0.75, 0.5])
 """Where the camera stands as seen from what it looks at, in distances to it"""
+NEAREST = 0.8
+"""Distance from which a single drone is looked at, as `DIRECTION` measures, m"""
+MARGIN = 1.12
+"""How much farther away the camera stands than where all is just in the picture"""
 GRID_LINES = 25
 """Grid lines to each side of the middle"""
 FIELD_OF_VIEW = 60.0
 """Vertical field of view, degrees"""
-RING_RADIUS, CROSS_RADIUS = 7, 5
-"""Size of the marks of drones and goals, pixels"""
 
 
 class Renderer:
@@ -46,33 +43,34 @@ class Renderer:
         self,
         world: int,
         swarm: Swarm,
-        goal: np.ndarray,
+        marks: Marks,
         alive: np.ndarray,
         collision: bool = False,
+        marked: bool = True,
     ) -> np.ndarray:
-        """Take a picture of the living drones and of the goals.
+        """Take a picture of the living drones, with marks of what is too small to be seen.
 
-        Rings mark drones and crosses goals, as a drone is smaller than a pixel from afar. Thin
-        lines drop from drones to the ground.
+        Thin lines drop from drones to the ground.
 
         Args:
             world: Index of the world.
             swarm: State of all worlds.
-            goal: (N, 3) goals of this world, m.
+            marks: What there is in this world beside bodies.
             alive: (W, N) bool, drones that are to be seen.
             collision: Whether drones are drawn by their collision shapes.
+            marked: Whether marks are drawn.
 
         Returns:
             (height, width, 3) uint8, red, green, blue.
         """
-        flying = swarm.position[world][alive[world]]
-        # Point the camera at all of them.
-        shown = np.concatenate([flying, goal])
-        target, distance = self._framing(shown)
+        # Point the camera at all of them, or at where drones were last.
+        shown = np.concatenate([marks.drone, marks.goal, marks.target])
         width, height = self._size
+        points = shown if len(shown) else swarm.position[world]
+        target, distance = self._fit(points, width / height)
         view = view_matrix(target + distance * DIRECTION, target)
         projection = projection_matrix(width / height, FIELD_OF_VIEW)
-        matrix = projection @ view
+        lens = Lens(projection @ view, self._size)
         # Colour the sky, draw on the ground, then draw marks above everything.
         pixels, _, labels = self._engine.picture(
             world, view, projection, self._size, (swarm, alive) if collision else None
@@ -80,9 +78,10 @@ class Renderer:
         pixels[labels == SKY] = AIR
         ground = labels == LAND
         grid = self._grid(target, distance)
-        self._draw_ground(pixels, ground, grid, flying, matrix)
+        self._draw_ground(pixels, ground, grid, marks.drone, lens)
         image = Image.fromarray(pixels)
-        self._draw_marks(ImageDraw.Draw(image), flying, goal, matrix)
+        if marked:
+            draw(marks, lens, ImageDraw.Draw(image))
         return np.asarray(image)
 
     def _draw_ground(
@@ -91,32 +90,16 @@ class Renderer:
         ground: np.ndarray,
         grid: np.ndarray,
         flying: np.ndarray,
-        matrix: np.ndarray,
+        lens: Lens,
     ) -> None:
         """Draw the grid, and lines below drones, into the pixels that show bare ground."""
         lines = Image.fromarray(pixels.copy())
         pen = ImageDraw.Draw(lines)
-        self._draw_lines(pen, grid, matrix, GRID)
+        lens.draw_lines(pen, grid, GRID)
         feet = flying * [1, 1, 0]
         drops = np.stack([flying, feet], axis=1)
-        self._draw_lines(pen, drops, matrix, SHADOW)
+        lens.draw_lines(pen, drops, SHADOW)
         pixels[ground] = np.asarray(lines)[ground]
-
-    def _draw_marks(
-        self,
-        pen: ImageDraw.ImageDraw,
-        flying: np.ndarray,
-        goal: np.ndarray,
-        matrix: np.ndarray,
-    ) -> None:
-        """Draw a cross on each goal and a ring around each drone."""
-        r = CROSS_RADIUS
-        for x, y in self._project(goal, matrix)[0]:
-            pen.line((x - r, y - r, x + r, y + r), GOAL, 2)
-            pen.line((x - r, y + r, x + r, y - r), GOAL, 2)
-        r = RING_RADIUS
-        for x, y in self._project(flying, matrix)[0]:
-            pen.ellipse((x - r, y - r, x + r, y + r), outline=DRONE, width=2)
 
     def show(self, swarm: Swarm, alive: np.ndarray, period: float) -> None:
         """Keep the live view of world 0 in real time.
@@ -136,13 +119,27 @@ class Renderer:
         self._pacer.wait()
 
     @staticmethod
+    def _fit(points: np.ndarray, aspect: float) -> tuple[np.ndarray, float]:
+        """Find the middle of points (M, 3), and the distance from which a picture shows just all.
+
+        A point is in the picture where, from its axis, it is no farther than its depth times the
+        tangent of half the angle of view.
+        """
+        middle = (points.min(axis=0) + points.max(axis=0)) / 2
+        # The camera's axes from one that stands in the same direction; rows right, up, back.
+        right, up, back = view_matrix(DIRECTION, np.zeros(3))[:3, :3] @ (points - middle).T
+        tangent = np.tan(np.radians(FIELD_OF_VIEW) / 2)
+        needed = np.maximum(np.abs(right) / aspect, np.abs(up)) / tangent + back
+        return middle, NEAREST + MARGIN * float(needed.max()) / float(np.linalg.norm(DIRECTION))
+
+    @staticmethod
     def _framing(points: np.ndarray) -> tuple[np.ndarray, float]:
         """Find the middle of points (M, 3), and a distance from which all are in sight, m."""
         low = points.min(axis=0)
         high = points.max(axis=0)
         middle = (low + high) / 2
         diagonal = float(np.linalg.norm(high - low))
-        return middle, 0.8 + 1.1 * diagonal
+        return middle, NEAREST + 1.1 * diagonal
 
     @staticmethod
     def _grid(target: np.ndarray, distance: float) -> np.ndarray:
@@ -165,36 +162,3 @@ class Renderer:
         centre = np.round(target / pitch) * pitch * [1, 1, 0]
         grid: np.ndarray = pieces + centre
         return grid
-
-    def _draw_lines(
-        self,
-        pen: ImageDraw.ImageDraw,
-        lines: np.ndarray,
-        matrix: np.ndarray,
-        colour: Colour,
-    ) -> None:
-        """Draw those of the lines (L, 2, 3) that lie before the camera."""
-        ends, is_before = self._project(lines.reshape(-1, 3), matrix)
-        ends = ends.reshape(-1, 4)
-        both_before = np.all(is_before.reshape(-1, 2), axis=1)
-        # Far outside of the picture coordinates get too large to draw.
-        limit = 4 * max(self._size)
-        near = np.all(np.abs(ends) < limit, axis=1)
-        for line in ends[both_before & near]:
-            pen.line(tuple(line), colour)
-
-    def _project(self, points: np.ndarray, matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Project points (M, 3) into the picture.
-
-        Returns:
-            (M, 2) x and y, pixels; and (M,) bool, points that lie before the camera.
-        """
-        ones = np.ones((len(points), 1))
-        clip = np.concatenate([points, ones], axis=1) @ matrix.T
-        # Points in the plane of the lens have no place in the picture.
-        distance = clip[:, 3]
-        depth = np.where(np.abs(distance) > 1e-6, distance, 1e-6)
-        width, height = self._size
-        x = (1 + clip[:, 0] / depth) / 2 * width
-        y = (1 - clip[:, 1] / depth) / 2 * height
-        return np.stack([x, y], axis=1), distance > 0.1

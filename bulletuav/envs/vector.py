@@ -1,6 +1,5 @@
 """Batches of worlds that reset themselves: arrays in, arrays out."""
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -11,8 +10,9 @@ from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.env_spec import MOST_WORLDS
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
 from bulletuav.envs.infos import Infos
+from bulletuav.envs.reset_options import MASK, reset_options
 from bulletuav.envs.spaces import widest_action_space
-from bulletuav.errors import as_int, choose, shown
+from bulletuav.errors import as_int, choose
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.observations.observer import Observation
 
@@ -36,20 +36,6 @@ def autoreset(mode: Any) -> AutoresetMode:
         modes[one.name] = one
         modes[one.value] = one
     return choose("autoreset_mode", mode, modes)
-
-
-def reset_mask(options: Any) -> Any:
-    """Return what a reset's options say of the worlds to reset, None for nothing.
-
-    Raises:
-        ValueError: Options are neither a dict nor None.
-    """
-    if options is not None and not isinstance(options, Mapping):
-        raise ValueError(
-            f"options is {shown(options)}: a dict such as {{'reset_mask': mask}}, or None, is "
-            f"needed"
-        )
-    return (options or {}).get("reset_mask")
 
 
 class BatchAviary(LabelledEnvironment):
@@ -128,16 +114,18 @@ class BatchAviary(LabelledEnvironment):
         Args:
             seed: An int s gives world k the seed s + k; a sequence gives one to each. None goes on
                 with each world's own random numbers.
-            options: {"reset_mask": (W,) bool} for some of the worlds only; all when left out.
+            options: Any of "reset_mask", (W,) bool, for some of the worlds only; "start" and
+                "goal", (N, 3) m each, for places instead of drawn ones.
 
         Returns:
             Observations of all worlds, (W, N, D) or a dict, and infos (W, N) by name.
 
         Raises:
-            ValueError: Seed or mask cannot be, or the task's start.
+            ValueError: Seed or options cannot be, or the task's start.
         """
-        mask = reset_mask(options)
-        observations = self.aviary.reset(mask, seed)
+        given = reset_options(options, MASK)
+        mask = given.pop(MASK, None)
+        observations = self.aviary.reset(mask, seed, **given)
         kept = False if mask is None else ~np.asarray(mask)
         self._ended = self._ended & kept
         return observations, self.aviary.first_info()
@@ -197,7 +185,7 @@ class BatchAviary(LabelledEnvironment):
         """Return the global state.
 
         Returns:
-            (W, 17 N) float32; see `Aviary.state`.
+            (W, K) float32; see `Aviary.state`.
         """
         return self.aviary.state()
 

@@ -17,8 +17,9 @@ from gymnasium.vector import AutoresetMode
 
 from bulletuav.envs.env_spec import MOST_WORLDS, EnvSpec
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
+from bulletuav.envs.reset_options import MASK, reset_options
 from bulletuav.envs.spaces import widest_action_space
-from bulletuav.envs.vector import BatchAviary, BatchResults, autoreset, reset_mask
+from bulletuav.envs.vector import BatchAviary, BatchResults, autoreset
 from bulletuav.envs.worker import Layout, SharedArrays, by_shared_name, work
 from bulletuav.errors import as_int, choose, finite
 from bulletuav.tasks import TaskSource
@@ -254,12 +255,13 @@ class WorkerAviary(LabelledEnvironment):
         options: dict[str, Any] | None = None,
     ) -> tuple[Observation, dict[str, Any]]:
         """Start new episodes; see `BatchAviary.reset`."""
-        mask = self._spec.mask(reset_mask(options))
+        given = reset_options(options, MASK)
+        mask = self._spec.mask(given.pop(MASK, None))
         seeds = self._spec.seeds(seed)
         keywords: dict[int, dict[str, Any]] = {}
         for k, part in enumerate(self._parts):
             own_seeds = None if seeds is None else seeds[part]
-            keywords[k] = {"seed": own_seeds, "options": {"reset_mask": mask[part]}}
+            keywords[k] = {"seed": own_seeds, "options": {MASK: mask[part], **given}}
         infos = self._ask("reset", keywords)
         self._started = True
         return self._observations(), _merged(self._parts, infos, self.num_envs)

@@ -1,6 +1,5 @@
 """What W worlds of N drones are made of, and what can be asked of them."""
 
-import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -11,6 +10,7 @@ from bulletuav.engine.body_source import BodySource
 from bulletuav.envs.energy import Energy
 from bulletuav.envs.env_spec import MOST_WORLDS, EnvSpec
 from bulletuav.envs.environment import Environment, exclusive
+from bulletuav.envs.marks import marks_of
 from bulletuav.envs.parts import hover_speeds, make_dynamics, make_engine
 from bulletuav.envs.randomization import Uncertainty
 from bulletuav.envs.renderer import Renderer
@@ -21,6 +21,8 @@ from bulletuav.sensors.sight import line_of_sight
 from bulletuav.sensors.suite import SensorSuite
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.frame import Frame, Scene
+from bulletuav.tasks.given import PLACES
+from bulletuav.tasks.starts import take_given
 from bulletuav.vehicle.swarm import Contacts, Swarm
 from bulletuav.vehicle.wind import Wind
 
@@ -52,7 +54,7 @@ class Worlds(Environment):
         """
         self._spec = spec = EnvSpec(task, num_worlds, options)
         self.options, self.task, self.action = spec.options, spec.task, spec.action
-        self.observer, self.state_observer = spec.observer, spec.state_observer
+        self.observer, self.global_state = spec.observer, spec.state
         self.num_worlds, self.num_drones = spec.num_worlds, self.options.num_drones
         self._first_world = as_int("first_world", first_world, 0, MOST_WORLDS)
         obstacles = self.task.obstacles()
@@ -83,6 +85,9 @@ class Worlds(Environment):
         self.rng: list[np.random.Generator] = [UNSTARTED] * self.num_worlds
         self._frame: Frame | None = None
         self._checked = False
+        self._given = take_given(
+            self.task, *(getattr(self.task.config, name, None) for name in PLACES)
+        )
 
     def _show(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Have the engine's bodies stand where drones of `mask` (W, N) and obstacles are."""
@@ -99,24 +104,29 @@ class Worlds(Environment):
         """Tell the global state.
 
         Returns:
-            (W, N * 17) float32: the true position, attitude, velocity, rates, goal position
-            and alive of every drone.
+            (W, K) float32: the true position, attitude, velocity, rates, goal position and alive of
+            every drone, 17 numbers each; then what there is of charges, the city's parameters,
+            users, utilisations and queues. `global_state.labels` name them all.
         """
         self._require_open()
-        frame = dataclasses.replace(self._current(), readings={})
-        state = self.state_observer.observe(frame, self.alive)
-        assert isinstance(state, np.ndarray)  # no pictures among its blocks
-        return state.reshape(self.num_worlds, -1)
+        return self.global_state.tell(self._current(), self.alive)
 
     @exclusive
-    def render(self, world: int = 0, *, collision: bool = False) -> np.ndarray | None:
+    def render(
+        self, world: int = 0, *, collision: bool = False, marks: bool = True
+    ) -> np.ndarray | None:
         """(height, width, 3) uint8 picture of a world with render_mode "rgb_array"; None otherwise.
 
-        Shows the drones that flew the last decision, so also those that it ended.
+        Shows the drones that flew the last decision, so also those that it ended. Marks are rings
+        around drones, and arrows as far as they fly in a second; crosses on goals, and lines to
+        them; dots on targets, green where some drone sees them, else red, and blue lines to those
+        that a drone serves; orange lines along the range finder's beams, pale where they hit
+        nothing. A key tells them in pictures of 240 pixels' height or more.
 
         Args:
             world: Index of the world.
             collision: Whether drones are drawn by the shapes that touch, not by their looks.
+            marks: Whether marks are drawn.
         """
         self._require_open()
         if self.options.render_mode != "rgb_array":
@@ -127,8 +137,8 @@ class Worlds(Environment):
         self._engine.set_poses(
             self.swarm, flown & ~self.alive
         )  # those that just ended are still to be seen
-        goal = self.scene.goal[world]
-        picture = self._renderer.picture(world, self.swarm, goal, flown, collision)
+        seen = marks_of(self.task, self._current(), world, self._sensors.sensors.values())
+        picture = self._renderer.picture(world, self.swarm, seen, flown, collision, marks)
         self._engine.park(flown & ~self.alive)
         return picture
 

@@ -19,29 +19,30 @@ STRATEGIES = {"nearest": NEAREST, "max_rate": MAX_RATE, "dtlcm": DTLCM}
 """Codes of the strategies by name"""
 SCORE_RANGE = 1000.0
 """Distance beyond which it no longer lowers `dtlcm_score`, m"""
-DISTANCE_WEIGHT = 0.7
-"""Weight of distance in `dtlcm_score`; computing capacity has the rest"""
 LOAD_WEIGHT = 0.1
 """Weight of load in `dtlcm_score`"""
 
 
 @elementwise
-def dtlcm_score(distance: float, capacity: float, demand: float, load: float) -> float:
+def dtlcm_score(
+    distance: float, capacity: float, demand: float, load: float, distance_weight: float
+) -> float:
     """Score how well a drone suits a user; higher is better.
 
     The heuristic of UrbanMARL 0.3.1 for a distance d, capacity C, demand X and load L:
-    w (1 - min(d / 1 km, 1)) + (1 - w) min(C / X, 1) - 0.1 L / C with w = 0.7.
+    w (1 - min(d / 1 km, 1)) + (1 - w) min(C / X, 1) - 0.1 L / C, there with w = 0.7.
 
     Args:
         distance: Distance over ground, m.
         capacity: Computing capacity of the drone, cycles/s.
         demand: Demand of a task, cycles.
         load: Load of the drone, cycles/s.
+        distance_weight: Weight w of distance, from 0 to 1; computing capacity has the rest.
     """
     nearness = 1.0 - min(distance / SCORE_RANGE, 1.0)
     ability = min(capacity / demand, 1.0)
     penalty = LOAD_WEIGHT * load / capacity
-    return DISTANCE_WEIGHT * nearness + (1.0 - DISTANCE_WEIGHT) * ability - penalty
+    return distance_weight * nearness + (1.0 - distance_weight) * ability - penalty
 
 
 @allocating
@@ -54,6 +55,7 @@ def assign(
     capacity: float,
     demand: float,
     load: np.ndarray,
+    distance_weight: float,
 ) -> np.ndarray:
     """Choose the living drone that serves each user; the first one where several are equal.
 
@@ -66,6 +68,7 @@ def assign(
         capacity: Computing capacity of a drone, cycles/s.
         demand: Demand of a task, cycles.
         load: Load (W, N) of each drone, cycles/s.
+        distance_weight: Weight of distance in `dtlcm_score`.
 
     Returns:
         Index (W, U) of a drone, or `NOBODY`.
@@ -90,7 +93,8 @@ def assign(
                     score = -(east * east + north * north + up * up)
                 else:
                     distance = math.sqrt(east * east + north * north)
-                    score = dtlcm_score(distance, capacity, demand, load[w, i])
+                    own = load[w, i]
+                    score = dtlcm_score(distance, capacity, demand, own, distance_weight)
                 # Only a better one replaces the first
                 if score > best:
                     best = score

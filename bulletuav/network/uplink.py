@@ -6,6 +6,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from bulletuav.errors import choose, finite
 from bulletuav.functions import hypot
 from bulletuav.geometry.rotation import quat4, to_body
 from bulletuav.kernel import allocating, func
@@ -36,6 +37,9 @@ class RadioConfig:
             that looks along the body's -z axis.
         access: How users share the band: "ofdma", "tdma" or "shared", see
             `bulletuav.network.access`.
+        activity: Share of the time, from 0 to 1, in which a user sends, for the interference that
+            others have of it; or "load", that which its tasks can take at most: arrival rate times
+            deadline.
         fading: Small-scale fading, drawn anew at every decision: "none"; "rician", which without
             line of sight is Rayleigh; or "rayleigh".
         rician_factor: Power of the direct path over that of all others, not in dB.
@@ -50,6 +54,7 @@ class RadioConfig:
     n_nlos: float = field(default=3.19, metadata={"most": 1000.0})
     antenna: Literal["isotropic", "downward"] = "isotropic"
     access: Literal["ofdma", "tdma", "shared"] = "ofdma"
+    activity: float | Literal["load"] = "load"
     fading: Literal["none", "rician", "rayleigh"] = "none"
     rician_factor: float = 10.0
 
@@ -162,13 +167,17 @@ class Uplink:
             config: Options of the link.
 
         Raises:
-            ValueError: A number is not above 0, or the path loss model is not meant for the
-                frequency.
+            ValueError: A number is not above 0, the activity is no share, or the path loss model is
+                not meant for the frequency.
         """
         # Quantities that divide or enter a logarithm
         for name in ("frequency", "bandwidth", "user_power"):
             if getattr(config, name) <= 0:
                 raise ValueError(f"{name} is {getattr(config, name):g}: it must be above 0")
+        if isinstance(config.activity, str):
+            choose("activity", config.activity, {"load": None})
+        else:
+            finite("activity", config.activity, 0, 1)
         # The standards' models are each for a range of frequencies
         if config.path_loss != "log_distance":
             check_validity(config.path_loss, config.frequency)

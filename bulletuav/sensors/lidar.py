@@ -11,6 +11,7 @@ from bulletuav.geometry.rotation import axes, quat4
 from bulletuav.kernel import allocating
 from bulletuav.registry import register
 from bulletuav.sensors.base import Image, Label, Moment, Sensor, SensorSetup, Uncertain
+from bulletuav.vehicle.swarm import Swarm
 
 FRAMES = ("yaw", "world")
 
@@ -88,6 +89,22 @@ class Lidar(Sensor):
             self._blur(ranges, mask, moment.rngs)
         self.ranges[mask] = ranges
         return {"lidar": self.ranges.copy()}
+
+    def beams(self, swarm: Swarm, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Tell where beams begin and where they end, by what they measured last.
+
+        Args:
+            swarm: State of the drones, in which they measured.
+            mask: (W, N) bool, drones whose beams are told.
+
+        Returns:
+            (M, 2, 3) m, and (M,) bool, whether they hit something.
+        """
+        where = (swarm.position, swarm.quaternion, mask)
+        start, end, _ = cast(*where, self._directions, 1.0, self._turns)
+        ranges = self.ranges[mask].reshape(-1, 1)
+        ends = np.stack([start, start + ranges * (end - start)], axis=1)
+        return ends, ranges[:, 0] < self._range
 
     def _blur(
         self, ranges: np.ndarray, mask: np.ndarray, rngs: Sequence[np.random.Generator]

@@ -7,7 +7,8 @@ from typing import Any
 
 from bulletuav.errors import shown
 from bulletuav.registry import find, names
-from bulletuav.tasks.base import Task, TaskConfig
+from bulletuav.tasks.base import Task
+from bulletuav.tasks.config import TaskConfig
 from bulletuav.tasks.frame import Frame, Scene, Spawn, StepResult, TaskContext
 from bulletuav.tasks.ingredients import block, end, reward
 
@@ -78,9 +79,9 @@ def require_task(kind: type[Task[Any]]) -> None:
         if field not in fields:
             raise ValueError(
                 f"Config of task {name} has no field {field}: derive it from "
-                f"bulletuav.tasks.base.TaskConfig, as a frozen dataclass"
+                f"bulletuav.tasks.config.TaskConfig, as a frozen dataclass"
             )
-    for one in ("defaults", "difficulties", "presets", "reward"):
+    for one in ("defaults", "difficulties", "presets", "reward", "shows"):
         if not isinstance(getattr(kind, one), Mapping):
             raise ValueError(
                 f"{one} of task {name} is {shown(getattr(kind, one))}: a dict is needed"

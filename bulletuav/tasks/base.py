@@ -1,20 +1,21 @@
 """What a task is: a Markov decision process whose parts a reader sees at the top of its class."""
 
-import dataclasses
 import typing
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Generic
 
 import numpy as np
 
 from bulletuav.errors import unknown
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.solids import Solids
+from bulletuav.tasks.config import ConfigT, TaskConfig
 from bulletuav.tasks.frame import Frame, Scene, Spawn, StepResult, TaskContext
-from bulletuav.tasks.ingredients import Binding, Bound, Parts, find_term
+from bulletuav.tasks.given import Given
+from bulletuav.tasks.ingredients import Binding, Bound, Parts, find_term, numbers_in
+from bulletuav.tasks.observations.base import Block
 
 REBOUND = {"soft": 0.8, "hard": 0.0}
 """Share of the speed against a wall that is left, reversed, by the option `boundary`"""
@@ -29,28 +30,19 @@ DEFAULTS: Mapping[str, Any] = MappingProxyType(
     }
 )
 """Options of a task that tells nothing else"""
+SHOWS: Mapping[str, str] = MappingProxyType(
+    {
+        "success": "reached",
+        "separation": "nearest (m)",
+        "conflicts": "conflicts",
+        "collision": "collisions",
+        "goal_distance": "to goal (m)",
+    }
+)
+"""What is shown of flights of a task that tells nothing else"""
 Rngs = Sequence[np.random.Generator]
 Term = Callable[..., Any]
 Weighted = float | tuple[Term | str, float]
-
-
-@dataclass(frozen=True)
-class TaskConfig:
-    """Options of a task beside those that all tasks have. Derive from it, as a frozen dataclass.
-
-    Float fields are sizes: finite and not negative. A field's metadata may tell the "least" of a
-    whole number (1 unless told), and the "most" of any number (1e9 unless told).
-
-    Attributes:
-        d_safe: Separation below which two drones are in conflict, m.
-        weights: Changes of the weights of reward terms, by name.
-    """
-
-    d_safe: float = 1.0
-    weights: Mapping[str, float] = field(default_factory=dict)
-
-
-ConfigT = TypeVar("ConfigT", bound=TaskConfig)
 
 
 class Task(ABC, Generic[ConfigT]):
@@ -99,13 +91,17 @@ class Task(ABC, Generic[ConfigT]):
         success: What tells that a drone is where the task wants it.
         events: Names of what `terminated` puts into `Frame.derived` for terms.
         computed_terms: Names of terms that `compute_terms` computes, from the others.
+        has_goals: Whether drones have goals, as `goal_distance` tells; else goals mean nothing.
+        shows: Infos that tables and pictures of a flight show, by name: what they are called.
         baseline: Policy that flies it when none is named.
+        places: Which of its drones' places users may give: "start", "goal".
         rebound: Share of the speed that is left, reversed, to a drone at the arena's bounds; None
             where they hold nobody back.
         num_targets: How many points drones are to see.
         zone: Separation at which the warning zone about a drone ends, m.
         arena_low: (3,) lower corner of the space to which positions are scaled, m.
         arena_high: (3,) its upper corner, m.
+        team: (N,) number of each drone's team, from 0.
     """
 
     name: ClassVar[str]
@@ -121,6 +117,9 @@ class Task(ABC, Generic[ConfigT]):
     events: ClassVar[tuple[str, ...]] = ()
     computed_terms: ClassVar[tuple[str, ...]] = ()
     baseline: ClassVar[str] = "straight"
+    places: ClassVar[tuple[str, ...]] = ()
+    has_goals: ClassVar[bool] = True
+    shows: ClassVar[Mapping[str, str]] = SHOWS
 
     rebound: float | None = None
     num_targets: int = 0
@@ -148,11 +147,12 @@ class Task(ABC, Generic[ConfigT]):
         """
         self.config = config
         self.context = context
-        self.weights = merged_weights(
-            {name: _weight(value) for name, value in self.reward.items()}, config.weights
-        )
+        given = self.reward.items()
+        usual = {name: value[1] if isinstance(value, tuple) else value for name, value in given}
+        self.weights = merged_weights(usual, config.weights)
         self.zone = 2 * config.d_safe
         self.parts = Parts()
+        self.team = np.zeros(context.num_drones, dtype=int)
         self._named_terms: dict[str, Bound] | None = None
 
     def bind(self, readings: frozenset[str], extra: Mapping[str, tuple[Any, float]]) -> Binding:
@@ -169,7 +169,7 @@ class Task(ABC, Generic[ConfigT]):
             ValueError: An ingredient asks for a name that there is not, or a term is not known.
         """
         kind = type(self)
-        numbers = {**_numbers(self.context), **_numbers(self.config), "zone": self.zone}
+        numbers = {**numbers_in(self.context), **numbers_in(self.config), "zone": self.zone}
         quantities = {"outside": self.outside, **self.quantities()}
         names = (readings, frozenset(self.memory()))
         binding = Binding(self.name, *names, quantities, frozenset(self.events), numbers)
@@ -220,6 +220,26 @@ class Task(ABC, Generic[ConfigT]):
     def spawn_many(self, rngs: Rngs) -> Sequence[Spawn]:
         """Draw the starts of several worlds, each from its own generator; by default one by one."""
         return [self.spawn(rng) for rng in rngs]
+
+    def finish(self, spawn: Spawn, given: Given, rng: np.random.Generator) -> Spawn:
+        """Finish the start of one world: put in the places that users gave.
+
+        Args:
+            spawn: What `spawn` drew.
+            given: Places in their stead.
+            rng: Generator of the world, for what depends on them.
+        """
+        return given.put_into(spawn)
+
+    def is_free(self, place: np.ndarray, radius: float, layout: int) -> bool:
+        """Tell whether a ball touches nothing of what stands in a world; by default always.
+
+        Args:
+            place: (3,) its middle, m.
+            radius: m.
+            layout: What stands there, one of `layouts`.
+        """
+        return True
 
     def obstacles(self) -> Sequence[Obstacle]:
         """List the bodies that are in every world; none by default."""
@@ -286,6 +306,10 @@ class Task(ABC, Generic[ConfigT]):
         """Tell what infos say beside rewards and success, (W, N) by name; nothing by default."""
         return {}
 
+    def world_state(self) -> Mapping[str, Block]:
+        """List what the global state tells beside drones, of (W, labels); nothing by default."""
+        return {}
+
     def outside(self, frame: Frame) -> np.ndarray:
         """Tell who is outside the arena, or held back at its bounds, (W, N) bool."""
         known = frame.derived.get("outside")
@@ -349,50 +373,9 @@ class Task(ABC, Generic[ConfigT]):
         return StepResult(self.reward_terms(frame), terminated, success)
 
 
-def _weight(value: Weighted) -> float:
-    return value[1] if isinstance(value, tuple) else value
-
-
-def _numbers(options: Any) -> dict[str, Any]:
-    """List the numbers among the fields of a dataclass."""
-    values = {one.name: getattr(options, one.name) for one in dataclasses.fields(options)}
-    return {
-        name: value
-        for name, value in values.items()
-        if isinstance(value, bool | int | float)
-        or (isinstance(value, tuple) and all(isinstance(one, float) for one in value))
-    }
-
-
-def affected(happened: np.ndarray, frame: Frame, whom: str) -> np.ndarray:
-    """Tell whose episode is concerned, (W, N) bool.
-
-    Args:
-        happened: (W, N) bool, drones to which it happened.
-        frame: The decision.
-        whom: "drone" for these, "world" for all drones of their worlds.
-    """
-    if whom == "world":
-        any_drone = np.any(happened & frame.alive, axis=1, keepdims=True)
-        return np.broadcast_to(any_drone, happened.shape)
-    return happened
-
-
 def merged_weights(defaults: Mapping[str, float], changes: Mapping[str, float]) -> dict[str, float]:
     """Change some reward weights. Raises ValueError for a term that does not exist."""
     for term in changes:
         if term not in defaults:
             raise ValueError(f"weights: {unknown('reward term', term, defaults)}")
     return {**defaults, **changes}
-
-
-def refuse_early_end(max_distance: float, start_offset: float) -> None:
-    """Refuse starts, up to `start_offset` m off the goal on each axis, that are too far from it.
-
-    Raises:
-        ValueError: They can be farther than `max_distance`, m, where an episode ends.
-    """
-    if max_distance <= start_offset * np.sqrt(3):
-        raise ValueError(
-            f"max_distance {max_distance:g} m must exceed the start offset of {start_offset:g} m"
-        )

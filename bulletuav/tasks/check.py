@@ -5,7 +5,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from bulletuav.engine.engine import PARKING_HEIGHT
 from bulletuav.engine.tiles import TILE_PITCH
@@ -17,6 +16,7 @@ from bulletuav.geometry.shapes import CYLINDER, HULL, SPHERE, Shape
 from bulletuav.geometry.solids import Solids
 from bulletuav.tasks.base import Task
 from bulletuav.tasks.frame import UPRIGHT, Spawn, StepResult
+from bulletuav.tasks.starts import refuse_overlap
 from bulletuav.vehicle.airframe import Airframe
 
 UNIT = 1e-6
@@ -36,7 +36,7 @@ STANDARD_INFOS = frozenset(
         "charge",
     }
 )
-"""Infos of every task"""
+"""Infos of every task; "goal_distance" of those with goals"""
 STANDARD_PREFIXES = ("reward/", "random/")
 """Beginnings of the names of reward terms and of randomized parameters"""
 LARGE = 100.0
@@ -272,21 +272,6 @@ def require_finite(task: Task[Any], terms: Mapping[str, np.ndarray], reward: np.
         f"{task.name!r} gave "
         f"{wrong or 'terms too large to be added'}, weighted; finite numbers are needed"
     )
-
-
-def refuse_overlap(position: np.ndarray, radius: float) -> None:
-    """Raise ValueError when two of (N, 3) positions are closer than two collision radii."""
-    if len(position) < 2:
-        return
-    pairs = cKDTree(position).query_pairs(2 * radius)
-    if pairs:
-        i, j = min(pairs)
-        gap = float(np.linalg.norm(position[i] - position[j]))
-        raise ValueError(
-            f"start positions of drones {i} and {j} overlap: {gap:.3g} m apart, their collision "
-            f"shapes need more than "
-            f"{2 * radius:.3g} m; move them or widen the spacing"
-        )
 
 
 def check_arena(task: Task[Any], config: Any, radius: float) -> None:

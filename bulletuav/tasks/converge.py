@@ -8,7 +8,7 @@ import numpy as np
 from bulletuav.functions import cos, sin
 from bulletuav.registry import register
 from bulletuav.tasks.families.airspace import Airspace
-from bulletuav.tasks.families.difficulties import UNCERTAINTY
+from bulletuav.tasks.families.difficulties import AIRSPACE_DIFFICULTIES
 from bulletuav.tasks.families.flight_config import (
     AirspaceConfig,
     circle_arena,
@@ -36,9 +36,9 @@ class Converge(Airspace[ConvergeConfig]):
     Drones start evenly spread on a circle at an altitude of 40 m, in flight towards its centre.
     Each one's goal is the opposite point. All ways cross in the centre.
 
-    Observation, Box(31) per drone with the defaults, in world axes (east, north, up): position,
-    velocity, direction and distance of the goal, and the nearest living drones. These come nearest
-    first, relative to the drone, and are zeros where there are fewer.
+    Observation, Box(55) per drone with the defaults, in world axes (east, north, up): position,
+    velocity, direction and distance of the goal, the nearest living drones, and the nearest
+    obstacles. Both come nearest first, relative to the drone, and are zeros where there are fewer.
 
     Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 20 m/s.
     Its norm is limited to max_speed. There are 10 decisions a second.
@@ -52,29 +52,22 @@ class Converge(Airspace[ConvergeConfig]):
     - collision -200: 1 on contact.
     - out_of_bounds -50: 1 outside the arena.
     - energy -0.01: square of the velocity change, (m/s)^2.
+    - time -0.5: 1 a decision until the goal is reached; on another end also all that are left.
 
     End: terminated within 2 m of the goal, on contact, with an empty battery, or outside the
     arena. Truncated after 500 decisions.
 
     Success: the goal is reached.
 
-    Difficulties (drones, radius of the circle); from medium on positions are noisy, hard adds
-    wind, extreme makes everything uncertain:
-
-    - easy 4, 80 m.
-    - medium 8, 80 m.
-    - hard 20, 80 m.
-    - extreme 100, 150 m.
-
     Preset uavconflict: sizes, observation and reward constants of UAVConflictGym.
     """
 
     name = "converge"
     difficulties: ClassVar = {
-        "easy": {"num_drones": 4, **UNCERTAINTY["easy"]},
-        "medium": UNCERTAINTY["medium"],
-        "hard": {"num_drones": 20, **UNCERTAINTY["hard"]},
-        "extreme": {"num_drones": 100, "radius": 150.0, **UNCERTAINTY["extreme"]},
+        "easy": AIRSPACE_DIFFICULTIES["easy"],
+        "medium": AIRSPACE_DIFFICULTIES["medium"],
+        "hard": AIRSPACE_DIFFICULTIES["hard"],
+        "extreme": {"radius": 150.0, **AIRSPACE_DIFFICULTIES["extreme"]},
     }
 
     def __init__(self, config: ConvergeConfig, context: TaskContext) -> None:

@@ -5,9 +5,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from bulletuav.errors import shown
 from bulletuav.registry import register
 from bulletuav.tasks.families.airspace import Airspace
-from bulletuav.tasks.families.difficulties import UNCERTAINTY
+from bulletuav.tasks.families.difficulties import AIRSPACE_DIFFICULTIES
 from bulletuav.tasks.families.flight_config import AirspaceConfig, clearance
 from bulletuav.tasks.frame import Spawn, TaskContext
 
@@ -21,12 +22,14 @@ class CrossingConfig(AirspaceConfig):
         altitude_spread: Range of the drones' heights about `altitude`, half of it to each side, m.
         lanes: Columns of a team's formation.
         lane_spacing: Distance between columns, and between ranks, m.
+        teams: Drones that fly north, and east; when left out half each, the odd one north.
     """
 
     half_length: float = 100.0
     altitude_spread: float = 6.0
     lanes: int = field(default=10, metadata={"most": 10_000})
     lane_spacing: float = 15.0
+    teams: tuple[int, int] | None = None
 
 
 @register("task")
@@ -37,9 +40,9 @@ class Crossing(Airspace[CrossingConfig]):
     from (-100, 0) to (100, 0) m. Teams start in formation, in flight, at an altitude of 40 m. Each
     drone has its lane and its own goal, straight ahead.
 
-    Observation, Box(31) per drone with the defaults, in world axes (east, north, up): position,
-    velocity, direction and distance of the goal, and the nearest living drones. These come nearest
-    first, relative to the drone, and are zeros where there are fewer.
+    Observation, Box(55) per drone with the defaults, in world axes (east, north, up): position,
+    velocity, direction and distance of the goal, the nearest living drones, and the nearest
+    obstacles. Both come nearest first, relative to the drone, and are zeros where there are fewer.
 
     Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 20 m/s.
     Its norm is limited to max_speed. There are 10 decisions a second.
@@ -53,19 +56,12 @@ class Crossing(Airspace[CrossingConfig]):
     - collision -200: 1 on contact.
     - out_of_bounds -50: 1 outside the arena.
     - energy -0.01: square of the velocity change, (m/s)^2.
+    - time -0.5: 1 a decision until the goal is reached; on another end also all that are left.
 
     End: terminated within 2 m of the goal, on contact, with an empty battery, or outside the
     arena. Truncated after 500 decisions.
 
     Success: the goal is reached.
-
-    Difficulties (drones, lane spacing, altitude spread); from medium on positions are noisy, hard
-    adds wind, extreme makes everything uncertain:
-
-    - easy 4, 20 m, 10 m.
-    - medium 8, 15 m, 6 m.
-    - hard 20, 12 m, 4 m.
-    - extreme 100, 12 m, 4 m.
 
     Preset uavconflict: sizes, observation and reward constants of UAVConflictGym.
     """
@@ -73,23 +69,20 @@ class Crossing(Airspace[CrossingConfig]):
     name = "crossing"
     difficulties: ClassVar = {
         "easy": {
-            "num_drones": 4,
             "lane_spacing": 20.0,
-            "altitude_spread": 10.0,
-            **UNCERTAINTY["easy"],
+            "altitude_spread": 2.0,
+            **AIRSPACE_DIFFICULTIES["easy"],
         },
-        "medium": UNCERTAINTY["medium"],
+        "medium": AIRSPACE_DIFFICULTIES["medium"],
         "hard": {
-            "num_drones": 20,
             "lane_spacing": 12.0,
             "altitude_spread": 4.0,
-            **UNCERTAINTY["hard"],
+            **AIRSPACE_DIFFICULTIES["hard"],
         },
         "extreme": {
-            "num_drones": 100,
             "lane_spacing": 12.0,
             "altitude_spread": 4.0,
-            **UNCERTAINTY["extreme"],
+            **AIRSPACE_DIFFICULTIES["extreme"],
         },
     }
 
@@ -108,10 +101,12 @@ class Crossing(Airspace[CrossingConfig]):
                 f"less twice jitter {config.jitter:g} m must exceed {clear:.3g} m (d_safe)"
             )
         # Size of the larger team's formation: how deep it is, and how far it reaches aside.
-        self._num_north = (context.num_drones + 1) // 2
-        ranks = -(-self._num_north // config.lanes)
+        self._num_north, east = _teams(config, context.num_drones)
+        self.team[self._num_north :] = 1
+        largest = max(self._num_north, east)
+        ranks = -(-largest // config.lanes)
         depth = (ranks - 1) * config.lane_spacing
-        width = min(self._num_north, config.lanes) * config.lane_spacing / 2
+        width = min(largest, config.lanes) * config.lane_spacing / 2
         if config.half_length <= width + config.jitter + clear:
             raise ValueError(
                 f"half_length {config.half_length:g} m is too short for formations "
@@ -155,3 +150,19 @@ class Crossing(Airspace[CrossingConfig]):
         start[:, 2] = height
         goal[:, 2] = height
         return self.launch(config.scattered(start, rng), goal, rng)
+
+
+def _teams(config: CrossingConfig, drones: int) -> tuple[int, int]:
+    """Return the sizes of both teams, and refuse those that do not add up."""
+    if config.teams is None:
+        return (drones + 1) // 2, drones // 2
+    whole = isinstance(config.teams, tuple) and [type(size) for size in config.teams]
+    if whole != [int, int]:
+        raise ValueError(f"teams is {shown(config.teams)}: two whole numbers are needed")
+    north, east = config.teams
+    if min(north, east) < 0 or north + east != drones:
+        raise ValueError(
+            f"teams is {config.teams}, {north + east} drones, and num_drones is {drones}: "
+            f"they must add up"
+        )
+    return north, east

@@ -10,15 +10,16 @@ import numpy as np
 
 from bulletuav.registry import register
 from bulletuav.tasks.ends import collision, leaves_arena
-from bulletuav.tasks.families.city_layouts import UrbanConfig
-from bulletuav.tasks.families.urban import URBAN_DEFAULTS, UrbanTask
+from bulletuav.tasks.families.presets import URBANMARL_DEFAULT
+from bulletuav.tasks.families.urban import URBAN_DEFAULTS, StreetsConfig, UrbanTask
 from bulletuav.tasks.frame import Spawn
+from bulletuav.tasks.given import PLACES
 from bulletuav.tasks.ingredients import end, reward
 
 
 @dataclass(frozen=True)
-class DefaultConfig(UrbanConfig):
-    """Options of `default`, beside those of cities (`UrbanConfig`).
+class DefaultConfig(StreetsConfig):
+    """Options of `default`, beside those of streets (`StreetsConfig`).
 
     Attributes:
         d_safe: Separation below which two drones are in conflict, m.
@@ -43,6 +44,23 @@ def arrival(distance: float, goal_radius: float, collision: bool) -> float:
     return 1.0 if distance <= goal_radius and not collision else 0.0
 
 
+@reward
+def time(
+    distance: float,
+    goal_radius: float,
+    collision: bool,
+    outside: bool,
+    depleted: bool,
+    time: float,
+    duration: float,
+    period: float,
+) -> float:
+    """Give 1 a decision until the goal is reached; an end before that costs all that are left."""
+    if collision or outside or depleted:
+        return 1.0 + (duration - time) / period
+    return 0.0 if distance <= goal_radius else 1.0
+
+
 @end
 def arrived(distance: float, goal_radius: float, collision: bool) -> bool:
     """Tell whether the goal is reached without a crash."""
@@ -53,12 +71,14 @@ def arrived(distance: float, goal_radius: float, collision: bool) -> bool:
 class Default(UrbanTask[DefaultConfig]):
     """Flight of each drone through a city to its own goal.
 
-    Drones start at rest at random places outdoors, 5 to 25 m high. Goals are such places, too.
+    Drones start at rest at random places outdoors, 5 to 12 m high. Goals are such places, too.
+    The ceiling, at 15 m, is below most roofs: the way leads through the streets.
 
-    Observation, Box(24) per drone with the defaults, in world axes (east, north, up): velocity,
-    direction and distance of the goal, charge of the battery, and 16 ranges of the lidar. Its
-    beams are level, each at so many degrees to the left of the drone's nose. A range of 60 m is
-    also that of a beam that hits nothing.
+    Observation, Box(30) per drone with the defaults, in world axes (east, north, up): velocity,
+    direction and distance of the goal, charge of the battery, room to the city's edges, its ceiling
+    and the ground (see `room`), and 16 ranges of the lidar. Its beams are level, each at so many
+    degrees to the left of the drone's nose. A range of 60 m is also that of a beam that hits
+    nothing; room that is more is 60 m, too.
 
     Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 15 m/s.
     Its norm is limited to max_speed. There are 10 decisions a second.
@@ -68,31 +88,27 @@ class Default(UrbanTask[DefaultConfig]):
     - progress 1: speed towards the goal over max_speed.
     - goal 10: 1 on reaching the goal.
     - collision -10: 1 on contact of collision shapes.
-    - time -0.1: 1 a decision.
+    - time -0.1: 1 a decision until the goal is reached; on another end also all that are left.
 
     End: terminated within 5 m of the goal, on contact, with an empty battery, and outside the
     city's square or above its ceiling. Truncated after 600 decisions.
 
     Success: the goal is reached.
 
-    Difficulties (drones, city, irregularity); from medium on positions are noisy, hard adds wind,
-    extreme makes everything uncertain, as in the shared airspace:
-
-    - easy 3, urban, 0.
-    - medium 5, urban, 0.5.
-    - hard 8, dense, 0.5.
-    - extreme 16, high_rise, 1.
+    Preset urbanmarl: sizes and rates of UrbanMARL 0.3.1 (docs/service.md).
     """
 
     name = "default"
+    presets: ClassVar = {"urbanmarl": URBANMARL_DEFAULT}
     defaults: ClassVar = {**URBAN_DEFAULTS, "horizon": 600}
-    observation = ("velocity", "goal", "battery", "lidar")
+    observation = ("velocity", "goal", "battery", "room", "lidar")
     baseline = "planner"
+    places: ClassVar[tuple[str, ...]] = PLACES
     reward: ClassVar = {
         "progress": (speed_made_good, 1.0),
         "goal": (arrival, 10.0),
         "collision": -10.0,
-        "time": -0.1,
+        "time": (time, -0.1),
     }
     ends = (arrived, collision, leaves_arena)
     success = arrived

@@ -1,5 +1,8 @@
 """Ends and successes that several tasks have in common."""
 
+import numpy as np
+
+from bulletuav.tasks.frame import Frame
 from bulletuav.tasks.ingredients import end
 
 
@@ -25,3 +28,17 @@ def at_goal(distance: float, goal_radius: float) -> bool:
 def leaves_arena(outside: bool) -> bool:
     """Tell whether the drone is outside the arena."""
     return outside
+
+
+def affected(happened: np.ndarray, frame: Frame, whom: str) -> np.ndarray:
+    """Tell whose episode is concerned, (W, N) bool.
+
+    Args:
+        happened: (W, N) bool, drones to which it happened.
+        frame: The decision.
+        whom: "drone" for these, "world" for all drones of their worlds.
+    """
+    if whom == "world":
+        any_drone = np.any(happened & frame.alive, axis=1, keepdims=True)
+        return np.broadcast_to(any_drone, happened.shape)
+    return happened

@@ -10,11 +10,12 @@ from bulletuav.errors import choose
 from bulletuav.functions import atan2, cos, hypot, sin
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.registry import register
-from bulletuav.tasks.base import Rngs, Task, TaskConfig, refuse_early_end
-from bulletuav.tasks.check import refuse_overlap
+from bulletuav.tasks.base import Rngs, Task
+from bulletuav.tasks.config import TaskConfig
 from bulletuav.tasks.ends import at_goal, collision, too_far
 from bulletuav.tasks.frame import Scene, Spawn, TaskContext
 from bulletuav.tasks.rewards.station import speed_to_goal
+from bulletuav.tasks.starts import refuse_early_end, refuse_overlap
 
 RED = (0.75, 0.2, 0.15, 1.0)
 """Colour of targets, RGBA"""
@@ -101,13 +102,6 @@ class Follow(Task[FollowConfig]):
     Truncated after 300 decisions.
 
     Success: the drone is within 1 m of its station.
-
-    Difficulties (target's speed, its turns):
-
-    - easy: 5 m/s, 0.3 rad.
-    - medium: 8 m/s, 0.5 rad.
-    - hard: 10 m/s, 0.8 rad.
-    - extreme: 12 m/s, 1.2 rad.
     """
 
     name = "follow"
@@ -127,6 +121,11 @@ class Follow(Task[FollowConfig]):
     }
     observation = ("attitude", "goal_offset", "velocity", "rates", "goal_velocity")
     reward: ClassVar = {"alive": 1.0, "distance": -0.1, "speed": (speed_to_goal, -0.05)}
+    shows: ClassVar = {
+        "success": "at station",
+        "collision": "collisions",
+        "goal_distance": "to station (m)",
+    }
     ends = (collision, too_far)
     success = at_goal
 

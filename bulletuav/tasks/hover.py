@@ -5,13 +5,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from bulletuav.errors import numbers_of, shown
 from bulletuav.geometry.rotation import exponential
 from bulletuav.registry import register
-from bulletuav.tasks.base import Task, TaskConfig, refuse_early_end
-from bulletuav.tasks.check import refuse_overlap
+from bulletuav.tasks.base import Task
+from bulletuav.tasks.config import TaskConfig
 from bulletuav.tasks.ends import at_goal, collision, too_far
 from bulletuav.tasks.frame import Spawn, TaskContext
+from bulletuav.tasks.given import PLACES
+from bulletuav.tasks.starts import refuse_early_end
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,6 @@ class HoverConfig(TaskConfig):
         start_speed: Greatest speed at the start, m/s.
         start_tilt: Greatest tilt at the start, about a random axis, degrees.
         start_rates: Greatest body rate at the start, rad/s.
-        start: (N, 3) fixed start positions, m; at random about the targets when None.
         goal_radius: Distance from the target that is success, m.
         max_distance: Distance from the target at which an episode ends, m.
     """
@@ -38,22 +38,8 @@ class HoverConfig(TaskConfig):
     start_speed: float = field(default=0.0, metadata={"most": 100.0})
     start_tilt: float = field(default=0.0, metadata={"most": 180.0})
     start_rates: float = field(default=0.0, metadata={"most": 100.0})
-    start: tuple[tuple[float, float, float], ...] | None = None
     goal_radius: float = 0.1
     max_distance: float = 20.0
-
-
-def _checked_positions(start: object, count: int) -> np.ndarray:
-    """Return the option `start` as an array (N, 3), m, and refuse all but finite positions."""
-    try:
-        positions = numbers_of("start is", start)
-    except ValueError:
-        positions = np.empty(0)
-    if positions.shape != (count, 3) or not np.isfinite(positions).all():
-        raise ValueError(
-            f"start is {shown(start)}: {count} finite positions (x, y, z) in metres are needed"
-        )
-    return positions
 
 
 @register("task")
@@ -72,6 +58,7 @@ class Hover(Task[HoverConfig]):
     Reward per decision, the sum of these terms times their weights:
 
     - alive 1: 1 a decision.
+    - holding 1: 1 within 0.1 m of the target.
     - distance -0.1: distance to the target, m.
     - speed -0.05: speed, m/s.
 
@@ -79,13 +66,6 @@ class Hover(Task[HoverConfig]):
     Truncated after 240 decisions.
 
     Success: the drone is within 0.1 m of its target.
-
-    Difficulties (offset on each axis, speed, tilt and body rates at the start; height of targets):
-
-    - easy: 0.5 m, at rest, 2 m high.
-    - medium: 1 m, 1 m/s, 20 degrees, 3 m high.
-    - hard: 1.5 m, 2 m/s, 60 degrees, 3 rad/s, 5 m high.
-    - extreme: 1.5 m, 4 m/s, 180 degrees, 6 rad/s, 15 m high.
 
     Preset hover_aviary: cf2x, 240 Hz physics, 30 Hz decisions, 240 decisions and action
     `hover_rpm`, as in gym-pybullet-drones.
@@ -138,7 +118,13 @@ class Hover(Task[HoverConfig]):
         }
     }
     observation = ("attitude", "goal_offset", "velocity", "rates")
-    reward: ClassVar = {"alive": 1.0, "distance": -0.1, "speed": -0.05}
+    reward: ClassVar = {"alive": 1.0, "holding": 1.0, "distance": -0.1, "speed": -0.05}
+    places: ClassVar[tuple[str, ...]] = PLACES
+    shows: ClassVar = {
+        "success": "at target",
+        "collision": "collisions",
+        "goal_distance": "to target (m)",
+    }
     ends = (collision, too_far)
     success = at_goal
 
@@ -146,8 +132,7 @@ class Hover(Task[HoverConfig]):
         """Place the targets, lay out the arena, and check the starts.
 
         Raises:
-            ValueError: Start positions could overlap each other or the ground, are outside the
-                arena, or are no positions.
+            ValueError: Start positions could overlap each other or the ground.
         """
         super().__init__(config, context)
         refuse_early_end(config.max_distance, config.start_offset)
@@ -160,46 +145,31 @@ class Hover(Task[HoverConfig]):
         self.arena_low = self.target.min(axis=0) - config.max_distance
         self.arena_high = self.target.max(axis=0) + config.max_distance
         self.arena_low[2] = 0.0
-        self._check_start()
+        if config.start is None:
+            self._check_start()
 
     def _check_start(self) -> None:
-        """Refuse starts that could overlap or touch the ground, or are outside the arena."""
+        """Refuse drawn starts that could overlap or touch the ground."""
         config = self.config
         radius = self.context.collision_radius
-        if config.start is None:
-            gap = config.spacing - 2 * config.start_offset
-            if len(self.target) > 1 and gap <= 2 * radius:
-                raise ValueError(
-                    f"start positions may overlap: spacing {config.spacing:g} m less twice "
-                    f"start_offset {config.start_offset:g} m must exceed {2 * radius:.3g} m"
-                )
-            lowest = config.height - config.start_offset
-            remedy = "raise height, or lower start_offset"
-        else:
-            start = _checked_positions(config.start, len(self.target))
-            if ((start < self.arena_low) | (start > self.arena_high)).any():
-                raise ValueError(
-                    f"start is {shown(config.start)}: positions inside the arena are needed"
-                )
-            refuse_overlap(start, radius)
-            lowest = float(start[:, 2].min())
-            remedy = "raise start"
+        gap = config.spacing - 2 * config.start_offset
+        if len(self.target) > 1 and gap <= 2 * radius:
+            raise ValueError(
+                f"start positions may overlap: spacing {config.spacing:g} m less twice "
+                f"start_offset {config.start_offset:g} m must exceed {2 * radius:.3g} m"
+            )
+        lowest = config.height - config.start_offset
         if lowest <= radius:
             raise ValueError(
                 f"start positions may touch the ground: the lowest is {lowest:g} m up, "
-                f"more than {radius:.3g} needed; {remedy}"
+                f"more than {radius:.3g} needed; raise height, or lower start_offset"
             )
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
         """Draw a start near the targets, disturbed as much as the difficulty says."""
         config = self.config
         shape = self.target.shape
-        # Position: the offset is drawn even where positions are fixed, so that all else is equal.
-        offset = rng.uniform(-config.start_offset, config.start_offset, shape)
-        if config.start is None:
-            position = self.target + offset
-        else:
-            position = np.asarray(config.start, dtype=float)
+        position = self.target + rng.uniform(-config.start_offset, config.start_offset, shape)
         # Attitude: a tilt about an axis of any direction.
         axis = rng.normal(size=shape)
         axis /= np.linalg.norm(axis, axis=1, keepdims=True)

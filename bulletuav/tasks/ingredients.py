@@ -19,7 +19,7 @@ and context. `i` is the drone's index, and `out` room to write to.
 
 import inspect
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from types import FunctionType, MappingProxyType
 from typing import Any, NamedTuple, TypeVar
 
@@ -374,3 +374,14 @@ def _reason(error: Exception) -> str:
 def find_term(kind: str, source: Any) -> Any:
     """Find a reward term or an observation: a function, a registered name, or `module:Name`."""
     return find(kind, source, callable)
+
+
+def numbers_in(options: Any) -> dict[str, Any]:
+    """List the numbers among the fields of a dataclass."""
+    values = {one.name: getattr(options, one.name) for one in fields(options)}
+    return {
+        name: value
+        for name, value in values.items()
+        if isinstance(value, bool | int | float)
+        or (isinstance(value, tuple) and all(isinstance(one, float) for one in value))
+    }

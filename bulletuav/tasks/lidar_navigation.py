@@ -6,6 +6,7 @@ from typing import ClassVar
 from bulletuav.registry import register
 from bulletuav.tasks.families.airspace import REWARD_WEIGHTS
 from bulletuav.tasks.families.difficulties import URBAN_DIFFICULTIES
+from bulletuav.tasks.families.presets import URBANMARL_LIDAR_NAVIGATION
 from bulletuav.tasks.families.urban import UrbanFlight, UrbanFlightConfig
 from bulletuav.tasks.frame import TaskContext
 
@@ -33,13 +34,14 @@ class LidarNavigationConfig(UrbanFlightConfig):
 class LidarNavigation(UrbanFlight[LidarNavigationConfig]):
     """Flight through a city to goals, in which drones sense what is near, but not where they are.
 
-    Drones start at rest outdoors, 5 to 25 m high. Each one's goal lies outdoors, too, 150 m or
-    farther away.
+    Drones start at rest outdoors, 5 to 12 m high. Each one's goal lies outdoors, too, 200 m or
+    farther away. The ceiling, at 15 m, is below most roofs: the way leads through the streets.
 
-    Observation, Box(24) per drone with the defaults, in world axes (east, north, up): velocity,
-    direction and distance of the goal, charge of the battery, and 16 ranges of the lidar. Its
-    beams are level, each at so many degrees to the left of the drone's nose. A range of 60 m is
-    also that of a beam that hits nothing.
+    Observation, Box(30) per drone with the defaults, in world axes (east, north, up): velocity,
+    direction and distance of the goal, charge of the battery, room to the city's edges, its ceiling
+    and the ground (see `room`), and 16 ranges of the lidar. Its beams are level, each at so many
+    degrees to the left of the drone's nose. A range of 60 m is also that of a beam that hits
+    nothing; room that is more is 60 m, too.
 
     Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 15 m/s.
     Its norm is limited to max_speed. There are 10 decisions a second.
@@ -53,23 +55,20 @@ class LidarNavigation(UrbanFlight[LidarNavigationConfig]):
     - collision -200: 1 on contact, also with a building.
     - out_of_bounds -50: 1 outside the city's square or above its ceiling.
     - energy -0.01: square of the velocity change, (m/s)^2.
+    - time -0.5: 1 a decision until the goal is reached; on another end also all that are left.
     - proximity -1: linear from 0 where the shortest range is 5 m to 1 at 0 m.
+    - distance 0: metres to the goal.
 
     End: terminated within 2 m of the goal, on contact, with an empty battery, and outside the
     city's square or above its ceiling. Truncated after 600 decisions.
 
     Success: the goal is reached.
 
-    Difficulties (drones, city, irregularity, noise of ranges, beams lost); from medium on positions
-    are noisy, hard adds wind, extreme makes everything uncertain, as in the shared airspace:
-
-    - easy 3, urban, 0.
-    - medium 5, urban, 0.5, 0.1 m.
-    - hard 8, dense, 0.5, 0.3 m, 1 %.
-    - extreme 16, high_rise, 1, 0.5 m, 5 %.
+    Preset urbanmarl: sizes and rates of UrbanMARL 0.3.1 (docs/service.md).
     """
 
     name = "lidar_navigation"
+    presets: ClassVar = {"urbanmarl": URBANMARL_LIDAR_NAVIGATION}
     difficulties: ClassVar = {
         difficulty: {
             **options,
@@ -77,9 +76,9 @@ class LidarNavigation(UrbanFlight[LidarNavigationConfig]):
         }
         for difficulty, options in URBAN_DIFFICULTIES.items()
     }
-    observation = ("velocity", "goal", "battery", "lidar")
+    observation = ("velocity", "goal", "battery", "room", "lidar")
     required_sensors = ("lidar",)
-    reward: ClassVar = {**REWARD_WEIGHTS, "proximity": -1.0}
+    reward: ClassVar = {**REWARD_WEIGHTS, "proximity": -1.0, "distance": 0.0}
 
     def __init__(self, config: LidarNavigationConfig, context: TaskContext) -> None:
         """Make the cities, and check the range of the term `proximity`.

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 from bulletuav.registry import register
+from bulletuav.tasks.families.presets import URBANMARL_LOS
 from bulletuav.tasks.families.urban import URBAN_DEFAULTS
 from bulletuav.tasks.families.users import UsersConfig, UsersTask
 
@@ -35,8 +36,8 @@ class Los(UsersTask[LosConfig]):
 
     Reward per decision, the sum of these terms times their weights:
 
-    - sight 1: share of the users that the drone sees.
-    - served 0: share of the users that any drone sees.
+    - served 1: share of the users that some drone sees.
+    - sight 0: share of the users that the drone itself sees.
     - collision -10: 1 on contact of collision shapes.
     - out_of_bounds -10: 1 outside the city's square or above its ceiling.
 
@@ -45,21 +46,16 @@ class Los(UsersTask[LosConfig]):
 
     Success: 90 % of the users are seen by some drone.
 
-    Difficulties (drones, city, irregularity); from medium on positions are noisy, hard adds wind,
-    extreme makes everything uncertain, as in the shared airspace:
-
-    - easy 3, urban, 0.
-    - medium 5, urban, 0.5.
-    - hard 8, dense, 0.5.
-    - extreme 16, high_rise, 1.
+    Preset urbanmarl: sizes and rates of UrbanMARL 0.3.1 (docs/service.md).
     """
 
     name = "los"
+    presets: ClassVar = {"urbanmarl": URBANMARL_LOS}
     defaults: ClassVar = {**URBAN_DEFAULTS, "horizon": 300}
     observation = ("position", "velocity", "battery", "neighbours", "targets")
     reward: ClassVar = {
         "collision": -10.0,
         "out_of_bounds": -10.0,
-        "sight": 1.0,
-        "served": 0.0,
+        "served": 1.0,
+        "sight": 0.0,
     }

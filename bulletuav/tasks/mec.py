@@ -5,7 +5,7 @@ from typing import ClassVar
 
 from bulletuav.registry import register
 from bulletuav.tasks.families.edge import EdgeConfig, EdgeTask
-from bulletuav.tasks.families.presets import URBANMARL
+from bulletuav.tasks.families.presets import URBANMARL_MEC
 from bulletuav.tasks.rewards.users import power_share
 
 
@@ -35,8 +35,9 @@ class Mec(EdgeTask[MecConfig]):
     - tasks 1: completed tasks over those that all users are expected to have in a decision.
     - latency -0.5: latencies of the completed tasks over the deadline, and over the same number.
     - energy -0.1: power over 400 W.
-    - dwell_time 0.3: tanh(0.1 s), where s are the seconds for which the drone has seen a user
+    - service_time 0.3: tanh(0.1 s), where s are the seconds for which a drone has seen a user
       without a break, averaged over all users.
+    - dwell_time 0: the same of what the drone itself sees.
     - collision -2: 1 on contact of collision shapes.
     - out_of_bounds 0: 1 where the bounds hold the drone back.
 
@@ -45,27 +46,11 @@ class Mec(EdgeTask[MecConfig]):
 
     Success: 70 % of the episode's tasks are completed.
 
-    Difficulties (drones, city, irregularity); from medium on positions are noisy, hard adds wind,
-    extreme makes everything uncertain, as in the shared airspace:
-
-    - easy 3, urban, 0.
-    - medium 5, urban, 0.5.
-    - hard 8, dense, 0.5.
-    - extreme 16, high_rise, 1.
-
     Preset urbanmarl: sizes and rates of UrbanMARL 0.3.1 (docs/service.md).
     """
 
     name = "mec"
-    presets: ClassVar = {
-        "urbanmarl": {
-            **URBANMARL,
-            "arrival_rate": 0.1,
-            "n_nlos": 3.5,
-            "queue": "erlang",
-            "assignment": "dtlcm",
-        }
-    }
+    presets: ClassVar = {"urbanmarl": URBANMARL_MEC}
     observation = ("position", "battery", "server")
     reward: ClassVar = {
         "collision": -2.0,
@@ -73,5 +58,6 @@ class Mec(EdgeTask[MecConfig]):
         "tasks": 1.0,
         "latency": -0.5,
         "energy": (power_share, -0.1),
-        "dwell_time": 0.3,
+        "service_time": 0.3,
+        "dwell_time": 0.0,
     }

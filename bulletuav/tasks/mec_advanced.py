@@ -5,7 +5,7 @@ from typing import ClassVar, Literal
 
 from bulletuav.registry import register
 from bulletuav.tasks.families.edge import EdgeConfig, EdgeTask
-from bulletuav.tasks.families.presets import URBANMARL
+from bulletuav.tasks.families.presets import URBANMARL_MEC_ADVANCED
 from bulletuav.tasks.rewards.users import power_share
 
 
@@ -21,6 +21,8 @@ class MecAdvancedConfig(EdgeConfig):
         core_frequency: Frequency of a core, cycles/s.
         bandwidth: Bandwidth that all drones share, Hz.
         antenna: Antenna of the drones, "isotropic" or "downward".
+        height: Least and greatest height of starts, m.
+        ceiling: Greatest height of the airspace, m: low enough that not every place serves all.
     """
 
     num_users: int = field(default=10, metadata={"most": 10_000})
@@ -30,13 +32,15 @@ class MecAdvancedConfig(EdgeConfig):
     core_frequency: float = field(default=10e9, metadata={"most": 1e12})
     bandwidth: float = field(default=100e6, metadata={"most": 1e12})
     antenna: Literal["isotropic", "downward"] = "downward"
+    height: tuple[float, float] = (20.0, 45.0)
+    ceiling: float = 50.0
 
 
 @register("task")
 class MecAdvanced(EdgeTask[MecAdvancedConfig]):
     """Service to few users with many urgent tasks, through directional antennas.
 
-    Drones start at rest at random places outdoors, 20 to 60 m high. 10 users stand still outdoors
+    Drones start at rest at random places outdoors, 20 to 45 m high. 10 users stand still outdoors
     and have tasks at random, 2.5 a second each. A task is to be uploaded and computed within 0.2 s.
     See `EdgeTask` for what becomes of it. The drones' antennas (3GPP TR 38.901, 8 dBi) look along
     the body's -z axis, so they tilt with the drone.
@@ -55,8 +59,9 @@ class MecAdvanced(EdgeTask[MecAdvancedConfig]):
     - tasks 2: completed tasks over those that all users are expected to have in a decision.
     - latency -1.5: latencies of the completed tasks over the deadline, and over the same number.
     - energy 0: power over 400 W.
-    - dwell_time 0.5: tanh(0.1 s), where s are the seconds for which the drone has seen a user
+    - service_time 0.5: tanh(0.1 s), where s are the seconds for which a drone has seen a user
       without a break, averaged over all users.
+    - dwell_time 0: the same of what the drone itself sees.
     - collision -5: 1 on contact of collision shapes.
     - out_of_bounds 0: 1 where the bounds hold the drone back.
 
@@ -65,29 +70,11 @@ class MecAdvanced(EdgeTask[MecAdvancedConfig]):
 
     Success: 70 % of the episode's tasks are completed.
 
-    Difficulties (drones, city, irregularity); from medium on positions are noisy, hard adds wind,
-    extreme makes everything uncertain, as in the shared airspace:
-
-    - easy 3, urban, 0.
-    - medium 5, urban, 0.5.
-    - hard 8, dense, 0.5.
-    - extreme 16, high_rise, 1.
-
     Preset urbanmarl: sizes and rates of UrbanMARL 0.3.1 (docs/service.md).
     """
 
     name = "mec_advanced"
-    presets: ClassVar = {
-        "urbanmarl": {
-            **URBANMARL,
-            "num_users": 10,
-            "height": (20.0, 120.0),
-            "bandwidth": 10e6,
-            "n_nlos": 3.5,
-            "queue": "erlang",
-            "assignment": "dtlcm",
-        }
-    }
+    presets: ClassVar = {"urbanmarl": URBANMARL_MEC_ADVANCED}
     observation = ("position", "velocity", "battery", "power", "link_rates", "server")
     reward: ClassVar = {
         "collision": -5.0,
@@ -95,5 +82,6 @@ class MecAdvanced(EdgeTask[MecAdvancedConfig]):
         "tasks": 2.0,
         "latency": -1.5,
         "energy": (power_share, 0.0),
-        "dwell_time": 0.5,
+        "service_time": 0.5,
+        "dwell_time": 0.0,
     }

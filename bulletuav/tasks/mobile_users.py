@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from bulletuav.registry import register
-from bulletuav.tasks.families.presets import URBANMARL
+from bulletuav.tasks.families.presets import URBANMARL_MOBILE_USERS
 from bulletuav.tasks.families.users import UsersConfig, UsersTask
 
 
@@ -21,7 +21,7 @@ class MobileUsersConfig(UsersConfig):
 
 @register("task")
 class MobileUsers(UsersTask[MobileUsersConfig]):
-    """Search for users who walk the streets, each to be seen by one drone for as long as can be.
+    """Search for users who walk the streets, each to be seen by some drone for as long as can be.
 
     Drones start at rest at random places outdoors, 20 to 60 m high. 20 users walk along the
     streets.
@@ -37,9 +37,10 @@ class MobileUsers(UsersTask[MobileUsersConfig]):
 
     Reward per decision, the sum of these terms times their weights:
 
-    - sight 1: share of the users that the drone sees.
-    - dwell_time 0.5: tanh(0.1 s), where s are the seconds for which the drone has seen a user
+    - served 1: share of the users that some drone sees.
+    - service_time 0.5: tanh(0.1 s), where s are the seconds for which a drone has seen a user
       without a break, averaged over all users.
+    - sight 0, dwell_time 0: the same of what the drone itself sees.
     - collision -2: 1 on contact of collision shapes.
     - out_of_bounds 0: 1 where the bounds hold the drone back.
 
@@ -48,23 +49,17 @@ class MobileUsers(UsersTask[MobileUsersConfig]):
 
     Success: 90 % of the users are seen by some drone.
 
-    Difficulties (drones, city, irregularity); from medium on positions are noisy, hard adds wind,
-    extreme makes everything uncertain, as in the shared airspace:
-
-    - easy 3, urban, 0.
-    - medium 5, urban, 0.5.
-    - hard 8, dense, 0.5.
-    - extreme 16, high_rise, 1.
-
     Preset urbanmarl: sizes and rates of UrbanMARL 0.3.1 (docs/service.md).
     """
 
     name = "mobile_users"
-    presets: ClassVar = {"urbanmarl": {**URBANMARL, "mobility": "manhattan"}}
+    presets: ClassVar = {"urbanmarl": URBANMARL_MOBILE_USERS}
     observation = ("position", "battery", "centroids", "sight_matrix")
     reward: ClassVar = {
         "collision": -2.0,
         "out_of_bounds": 0.0,
-        "sight": 1.0,
-        "dwell_time": 0.5,
+        "served": 1.0,
+        "service_time": 0.5,
+        "sight": 0.0,
+        "dwell_time": 0.0,
     }

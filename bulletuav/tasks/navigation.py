@@ -1,6 +1,9 @@
 """Task `navigation`: drones fly to goals through a city that they do not see."""
 
+from typing import ClassVar
+
 from bulletuav.registry import register
+from bulletuav.tasks.families.presets import URBANMARL_NAVIGATION
 from bulletuav.tasks.families.urban import UrbanFlight, UrbanFlightConfig
 
 
@@ -8,11 +11,12 @@ from bulletuav.tasks.families.urban import UrbanFlight, UrbanFlightConfig
 class Navigation(UrbanFlight[UrbanFlightConfig]):
     """Flight through a city to goals, in which drones know where they are, but sense no building.
 
-    Drones start at rest outdoors, 5 to 25 m high. Each one's goal lies outdoors, too, 150 m or
-    farther away.
+    Drones start at rest outdoors, 5 to 12 m high. Each one's goal lies outdoors, too, 200 m or
+    farther away. The ceiling, at 15 m, is below most roofs: the way leads through the streets.
 
-    Observation, Box(32) per drone with the defaults, in world axes (east, north, up): position,
-    velocity, direction and distance of the goal, charge of the battery, and the nearest living
+    Observation, Box(38) per drone with the defaults, in world axes (east, north, up): position,
+    velocity, direction and distance of the goal, charge of the battery, room to the
+    city's edges, its ceiling and the ground up to 60 m (see `room`), and the nearest living
     drones. These come nearest first, relative to the drone, and are zeros where there are fewer.
 
     Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 15 m/s.
@@ -27,20 +31,16 @@ class Navigation(UrbanFlight[UrbanFlightConfig]):
     - collision -200: 1 on contact, also with a building.
     - out_of_bounds -50: 1 outside the city's square or above its ceiling.
     - energy -0.01: square of the velocity change, (m/s)^2.
+    - time -0.5: 1 a decision until the goal is reached; on another end also all that are left.
 
     End: terminated within 2 m of the goal, on contact, with an empty battery, and outside the
     city's square or above its ceiling. Truncated after 600 decisions.
 
     Success: the goal is reached.
 
-    Difficulties (drones, city, irregularity); from medium on positions are noisy, hard adds wind,
-    extreme makes everything uncertain, as in the shared airspace:
-
-    - easy 3, urban, 0.
-    - medium 5, urban, 0.5.
-    - hard 8, dense, 0.5.
-    - extreme 16, high_rise, 1.
+    Preset urbanmarl: sizes and rates of UrbanMARL 0.3.1 (docs/service.md).
     """
 
     name = "navigation"
-    observation = ("position", "velocity", "goal", "battery", "neighbours")
+    presets: ClassVar = {"urbanmarl": URBANMARL_NAVIGATION}
+    observation = ("position", "velocity", "goal", "battery", "room", "neighbours")

@@ -6,11 +6,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from bulletuav.functions import cos, sin
+from bulletuav.functions import atan2, cos, sin
 from bulletuav.registry import register
 from bulletuav.tasks.base import Rngs
 from bulletuav.tasks.families.airspace import Airspace
-from bulletuav.tasks.families.difficulties import UNCERTAINTY
+from bulletuav.tasks.families.difficulties import AIRSPACE_DIFFICULTIES
 from bulletuav.tasks.families.flight_config import (
     AirspaceConfig,
     circle_arena,
@@ -18,6 +18,9 @@ from bulletuav.tasks.families.flight_config import (
     least_distance,
 )
 from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
+
+TOLERANCE = 0.5
+"""Angle by which laps may be short, rad: starts, and ends at the goal, are a little off"""
 
 
 @dataclass(frozen=True)
@@ -42,11 +45,13 @@ class Pursuit(Airspace[PursuitConfig]):
     """Flight of a queue round a circle, the faster behind the slower, so that they overtake.
 
     Each drone's goal runs ahead on the circle, clockwise, at the drone's own pace. It runs once
-    round, back to the drone's start, and stops there. Drone 0 leads and is the slowest.
+    round, back to the drone's start, and stops there. Drones have to fly round, too: waiting for
+    the goal does not count. Drone 0 leads and is the slowest.
 
-    Observation, Box(34) per drone with the defaults, in world axes (east, north, up): position,
-    velocity, direction and distance of the goal, the goal's velocity, and the nearest living
-    drones. These come nearest first, relative to the drone, and are zeros where there are fewer.
+    Observation, Box(58) per drone with the defaults, in world axes (east, north, up): position,
+    velocity, direction and distance of the goal, the goal's velocity, the nearest living
+    drones, and the nearest obstacles. Both come nearest first, relative to the drone, and are zeros
+    where there are fewer.
 
     Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 20 m/s.
     Its norm is limited to max_speed. There are 10 decisions a second.
@@ -54,42 +59,42 @@ class Pursuit(Airspace[PursuitConfig]):
     Reward per decision, as in every shared airspace (see `Airspace` for all terms):
 
     - progress 5: metres nearer to the goal.
-    - goal 50: 1 on reaching the goal.
+    - goal 50: 1 on reaching the goal after flying all laps.
     - conflict -100: other drones that come closer than d_safe = 5 m.
     - warning -5: nearness to other drones, from 0 at 10 m to 1 at 5 m.
     - collision -200: 1 on contact.
     - out_of_bounds -50: 1 outside the arena.
     - energy -0.01: square of the velocity change, (m/s)^2.
+    - time -0.5: 1 a decision until the goal is reached; on another end also all that are left.
 
     End: terminated within 2 m of the goal once the goal has stopped, on contact, with an empty
     battery, or outside the arena. Truncated after 500 decisions; extreme has 1,000.
 
     Success: the goal is reached once it has stopped, without any conflict on the way.
 
-    Difficulties (drones, radius, spacing, speeds); from medium on positions are noisy, hard adds
-    wind, extreme makes everything uncertain:
-
-    - easy 4, 60 m, 15 m, 10 to 18 m/s.
-    - medium 8, 60 m, 15 m, 10 to 18 m/s.
-    - hard 20, 60 m, 15 m, 10 to 18 m/s.
-    - extreme 100, 150 m, 8.5 m, 12 to 18 m/s.
-
     Preset uavconflict: sizes, observation and reward constants of UAVConflictGym.
     """
 
     name = "pursuit"
-    observation = ("position", "velocity", "goal", "goal_velocity", "neighbours")
+    places: ClassVar[tuple[str, ...]] = ("start",)
+    observation = (
+        "position",
+        "velocity",
+        "goal",
+        "goal_velocity",
+        "neighbours",
+        "obstacles",
+    )
     difficulties: ClassVar = {
-        "easy": {"num_drones": 4, **UNCERTAINTY["easy"]},
-        "medium": UNCERTAINTY["medium"],
-        "hard": {"num_drones": 20, **UNCERTAINTY["hard"]},
+        "easy": AIRSPACE_DIFFICULTIES["easy"],
+        "medium": AIRSPACE_DIFFICULTIES["medium"],
+        "hard": AIRSPACE_DIFFICULTIES["hard"],
         "extreme": {
-            "num_drones": 100,
             "radius": 150.0,
             "spacing": 8.5,
             "speed": (12.0, 18.0),
             "horizon": 1000,
-            **UNCERTAINTY["extreme"],
+            **AIRSPACE_DIFFICULTIES["extreme"],
         },
     }
 
@@ -160,13 +165,24 @@ class Pursuit(Airspace[PursuitConfig]):
         return self.launch(start, goal, rng, along=velocity)._replace(goal_velocity=velocity)
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
-        """Tell, beside the shapes of every airspace, that of each drone's number of conflicts."""
-        return {**super().memory(), "conflicts": (self.context.num_drones,)}
+        """Tell, beside the shapes of every airspace, what is kept of each drone's flight.
+
+        Returns:
+            "conflicts" (N,), their number; "swept" (N,), the angle flown round the centre
+            clockwise, rad.
+        """
+        drones = (self.context.num_drones,)
+        return {**super().memory(), "conflicts": drones, "swept": drones}
 
     def update_memory(self, frame: Frame, rngs: Rngs) -> None:
-        """Count conflicts, beside what every airspace notes."""
+        """Count conflicts and laps, beside what every airspace notes."""
+        memory = frame.scene.memory
+        turned = _bearing(frame.before.position) - _bearing(frame.after.position)
+        # The short way round: no drone flies half a lap in one decision.
+        turned -= 2 * np.pi * np.round(turned / (2 * np.pi))
+        memory["swept"][:] += np.where(frame.alive, turned, 0.0)
+        memory["conflicts"][:] += np.where(frame.alive, frame.conflict.onsets, 0)
         super().update_memory(frame, rngs)
-        frame.scene.memory["conflicts"][:] += np.where(frame.alive, frame.conflict.onsets, 0)
 
     def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
         """Let goals run on."""
@@ -191,9 +207,10 @@ class Pursuit(Airspace[PursuitConfig]):
         return left
 
     def arrived(self, frame: Frame) -> np.ndarray:
-        """Tell who is at its goal after that has stopped, (W, N) bool."""
+        """Tell who flew its laps and is at its goal after that has stopped, (W, N) bool."""
         has_stopped = self._pace * frame.time[:, None] >= self._track_length
-        arrived: np.ndarray = has_stopped & super().arrived(frame)
+        has_flown = frame.scene.memory["swept"] >= 2 * np.pi * self.config.laps - TOLERANCE
+        arrived: np.ndarray = has_stopped & has_flown & super().arrived(frame)
         return arrived
 
     def succeeded(self, frame: Frame) -> np.ndarray:
@@ -201,3 +218,9 @@ class Pursuit(Airspace[PursuitConfig]):
         without_conflict = frame.scene.memory["conflicts"] == 0
         succeeded: np.ndarray = super().succeeded(frame) & without_conflict
         return succeeded
+
+
+def _bearing(position: np.ndarray) -> np.ndarray:
+    """Compute the angle of places (..., 3) about the centre, from east to north, rad."""
+    bearing: np.ndarray = atan2(position[..., 1], position[..., 0])
+    return bearing

@@ -1,16 +1,23 @@
 """Tasks in which drones are to see points: users on the ground, or cells of it."""
 
-from typing import Any, Generic
+from typing import Any, ClassVar, Generic
 
 import numpy as np
 
 from bulletuav.kernel import allocating
-from bulletuav.tasks.base import ConfigT, Task
+from bulletuav.tasks.base import Task
+from bulletuav.tasks.config import ConfigT
 from bulletuav.tasks.frame import Frame, Scene
 
 
 class TargetTask(Task[ConfigT], Generic[ConfigT]):
-    """A task with `num_targets` targets; a task says where they are, by `targets(scene)`."""
+    """A task with `num_targets` targets; a task says where they are, by `targets(scene)`.
+
+    Its drones have no goals of their own.
+    """
+
+    has_goals = False
+    shows: ClassVar = {"served": "served by all", "collision": "collisions"}
 
     def active_targets(self, scene: Scene) -> np.ndarray:
         """Tell which targets count, (W, num_targets) bool; all by default."""
@@ -24,6 +31,10 @@ class TargetTask(Task[ConfigT], Generic[ConfigT]):
         """Compute the share of the targets that some living drone sees, (W, N)."""
         active = self.active_targets(frame.scene)
         return served_share(frame.readings["sight"], frame.alive, active)
+
+    def links(self, frame: Frame) -> np.ndarray:
+        """Tell which drones serve which targets, for pictures, (W, N, U) bool; by default none."""
+        return np.zeros_like(frame.seen)
 
     def service_quality(
         self, place: np.ndarray, targets: np.ndarray, sight: np.ndarray
@@ -46,6 +57,11 @@ def active_targets(task: Task[Any], scene: Scene) -> np.ndarray:
     if isinstance(task, TargetTask):
         return task.active_targets(scene)
     return np.ones((len(scene.goal), task.num_targets), dtype=bool)
+
+
+def links(task: Task[Any], frame: Frame) -> np.ndarray:
+    """Tell which drones of any task serve which targets; see `TargetTask.links`."""
+    return task.links(frame) if isinstance(task, TargetTask) else np.zeros_like(frame.seen)
 
 
 def service_quality(

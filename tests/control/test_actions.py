@@ -14,6 +14,7 @@ def context():
     return ActionContext(
         [load_airframe("cf2x")],
         10.0,
+        10.0,
         np.array((-20.0, -10, 0)),
         np.array((20.0, 30, 8)),
         0.1,
@@ -110,6 +111,7 @@ def test_discrete_directions(context):
 def test_drones_with_fewer_rotors_read_fewer_numbers():
     both = ActionContext(
         [load_airframe("cf2x"), load_airframe("firefly")],
+        5.0,
         5.0,
         np.zeros(3),
         np.ones(3),

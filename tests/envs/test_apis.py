@@ -212,12 +212,12 @@ def test_a_world_goes_on_until_its_last_drone():
 def test_batch_shapes_seeds_and_state():
     env = bulletuav.batch_env("crossing", num_envs=3, num_drones=4)
     first, infos = env.reset(seed=5)
-    assert first.shape == (3, 4, 31)
+    assert first.shape == (3, 4, 55)
     assert infos["separation"].shape == (3, 4)
     np.testing.assert_array_equal(env.reset(seed=[5, 6, 7])[0], first)
     assert env.state().shape == (3, 68)
     observations, rewards, terminated, truncated, _ = env.step(np.zeros((3, 4, 3)))
-    assert observations.shape == (3, 4, 31)
+    assert observations.shape == (3, 4, 55)
     assert rewards.shape == terminated.shape == truncated.shape == (3, 4)
     assert env.observation_space.contains(observations[1, 2])
     assert env.render() is None

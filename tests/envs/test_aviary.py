@@ -276,6 +276,6 @@ def test_many_drones_fly_in_one_world():
     aviary = bulletuav.Aviary("crossing", difficulty="extreme")
     aviary.reset(seeds=0)
     step = aviary.step(np.zeros((1, 100, 3)))
-    assert step.observations.shape == (1, 100, 31)
+    assert step.observations.shape == (1, 100, 55)
     assert aviary.alive.all()
     aviary.close()

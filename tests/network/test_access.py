@@ -118,21 +118,21 @@ def serving(strategy, position, users, power=None, alive=None, load=None):
     power = np.ones((*shape, users.shape[1])) if power is None else np.array([power], dtype=float)
     alive = np.ones(shape, dtype=bool) if alive is None else np.array([alive])
     load = np.zeros(shape) if load is None else np.array([load], dtype=float)
-    return assign(strategy, position, alive, users, power, 20e9, 1.25e9, load)[0].tolist()
+    return assign(strategy, position, alive, users, power, 20e9, 1.25e9, load, 0.7)[0].tolist()
 
 
 def test_matching_by_distance_task_and_load():
-    assert dtlcm_score(100.0, 20e9, 1.25e9, 0.0) == pytest.approx(0.93)
-    assert dtlcm_score(200.0, 20e9, 1.25e9, 0.0) == pytest.approx(0.86)
-    assert dtlcm_score(100.0, 20e9, 1.25e9, 16e9) == pytest.approx(0.85)
+    assert dtlcm_score(100.0, 20e9, 1.25e9, 0.0, 0.7) == pytest.approx(0.93)
+    assert dtlcm_score(200.0, 20e9, 1.25e9, 0.0, 0.7) == pytest.approx(0.86)
+    assert dtlcm_score(100.0, 20e9, 1.25e9, 16e9, 0.7) == pytest.approx(0.85)
     drones, user = [(0, 0, 50), (300, 0, 50)], [(100, 0, 1.5)]
     assert serving(DTLCM, drones, user) == [0]
     assert serving(DTLCM, drones, user, load=[16e9, 0]) == [1]
 
 
 def test_matching_has_its_bounds():
-    assert dtlcm_score(5000.0, 20e9, 1.25e9, 0.0) == pytest.approx(0.3)
-    assert dtlcm_score(0.0, 1e9, 2e9, 0.0) == pytest.approx(0.7 + 0.3 / 2)
+    assert dtlcm_score(5000.0, 20e9, 1.25e9, 0.0, 0.7) == pytest.approx(0.3)
+    assert dtlcm_score(0.0, 1e9, 2e9, 0.0, 0.7) == pytest.approx(0.7 + 0.3 / 2)
 
 
 def test_nearest_counts_height_and_matching_does_not():

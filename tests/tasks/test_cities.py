@@ -28,7 +28,7 @@ def test_everybody_starts_outdoors_with_room_and_apart(task, kind):
         "min_separation": 30.0,
     }
     plan = EnvSpec(task, 1, options | ({"leg": 120.0} if task in FLIGHTS else {}))
-    low, high = (20, 60) if task in ("los", "coverage") else (5, 25)
+    low, high = (20, 60) if task in ("los", "coverage") else (5, 12)
     drawn = set()
     for seed in range(30):
         spawn = plan.task.spawn(np.random.default_rng(seed))
@@ -105,7 +105,7 @@ def test_a_city_made_by_hand(make_urban):
     aviary = make_urban("default", city=WALL)
     assert aviary.task.town.cities == (WALL,)
     assert aviary.solids(0) is WALL.solids
-    np.testing.assert_array_equal(aviary.task.arena_high, (100, 100, 120))
+    np.testing.assert_array_equal(aviary.task.arena_high, (100, 100, 15))
     assert list(aviary.line_of_sight([(0, 0, 10), (0, 70, 10)], [(30, 0, 10), (30, 70, 10)])) == [
         False,
         True,
@@ -142,7 +142,7 @@ def test_a_city_of_footprints_in_degrees(make_urban, tmp_path):
         aviary = make_urban("los", city=source)
         bounds = aviary.solids(0).bounds
         reach = 0.002 * 111195 / 2
-        np.testing.assert_allclose(aviary.task.arena_high, (reach, reach, 120), atol=0.02)
+        np.testing.assert_allclose(aviary.task.arena_high, (reach, reach, 70), atol=0.02)
         np.testing.assert_allclose(
             bounds[:, 1] - bounds[:, 0], [(22.24, 22.24, 12), (22.24, 22.24, 30)], atol=0.02
         )
@@ -172,7 +172,7 @@ REFUSED = [
     ({"city": (0.3, 500.0)}, r"city is \(0.3, 500.0\): .* of 3 values"),
     ({"city": (1.5, 500.0, 15.0)}, "alpha is 1.5: .* between 0 and 1"),
     ({"city": (0.3, float("nan"), 15.0)}, "beta is nan"),
-    ({"city": city_of(side=3.0)}, "no street 8.21 m wide"),
+    ({"city": city_of(side=3.0)}, "min_separation is 20 m: less than 15.59 m"),
     ({"city": city_of(((-100, -100, 0), (100, 100, 10)))}, "'hand' has no street"),
     ({"city": (0.97, 2000.0, 10.0)}, "no street"),
     ({"area": 0.0}, "side is 0.0 m: two blocks need"),
@@ -187,7 +187,7 @@ REFUSED = [
         {"height": (0.2, 20.0)},
         r"height is \(0.2, 20.0\).*0.276 m, where a drone touches the ground",
     ),
-    ({"height": (20.0, 120.0)}, r"height is \(20.0, 120.0\).*ceiling 120 m"),
+    ({"height": (20.0, 120.0)}, r"height is \(20.0, 120.0\).*ceiling 15 m"),
     ({"height": (float("nan"), 20.0)}, "height is nan"),
     ({"height": 5.0}, "height is 5.0: a list or tuple of 2"),
     ({"ceiling": 2000.0}, "2000 m up"),
@@ -223,12 +223,14 @@ def test_a_file_that_is_not_there(name):
 )
 def test_too_little_room_for_so_many(options, message):
     with pytest.raises(ValueError, match=message):
-        EnvSpec("navigation", 1, {"area": 250.0, **options}).task.spawn(np.random.default_rng(0))
+        EnvSpec("navigation", 1, {"area": 250.0, "leg": 150.0, **options}).task.spawn(
+            np.random.default_rng(0)
+        )
 
 
 def test_where_there_is_room_no_reset_fails_by_bad_luck():
     """In a square of 250 m nearly all starts have goals 150 m away, those in its middle hardly."""
-    plan = EnvSpec("navigation", 1, {"area": 250.0, "num_layouts": 1})
+    plan = EnvSpec("navigation", 1, {"area": 250.0, "num_layouts": 1, "leg": 150.0})
     for seed in range(100):
         plan.task.spawn(np.random.default_rng(seed))
 

@@ -13,7 +13,7 @@ from bulletuav.policies import find_policy
     ("task", "weight"), list(zip(URBAN, (-200, -200, -10, -10, -10), strict=True))
 )
 def test_a_wall_ends_the_episode_of_who_flies_into_it(put_urban, task, weight, dynamics):
-    aviary = put_urban(task, WALL, [(0, 0, 10), (-50, -20, 30)], dynamics=dynamics)
+    aviary = put_urban(task, WALL, [(0, 0, 10), (-50, -20, 12)], dynamics=dynamics)
     for _ in range(30):
         step = aviary.step(np.array([(EAST, STAY)]))
         if not aviary.alive.all():
@@ -66,7 +66,7 @@ def test_flights_reward_progress_and_end_at_the_goal(put_urban, task):
 def test_default_rewards_by_hand(put_urban):
     """Of 30 m to go 1.5 m nearer, all that max_speed makes good: 1 - 0.1 for time.
 
-    Away from the goal it is -1 - 0.1.
+    Away from the goal it is -1 - 0.1; at the goal time is free.
     """
     aviary = put_urban("default", WALL, [(-50, 0, 10)], goal=[(-20, 0, 10)])
     for way, reward in ((EAST, 0.9), (WEST, -1.1), (EAST, 0.9), (STAY, -0.1)):
@@ -77,7 +77,7 @@ def test_default_rewards_by_hand(put_urban):
         step = aviary.step(np.array([[EAST]]))
         assert not step.terminated.any()
     step = aviary.step(np.array([[EAST]]))  # 4.5 m off: within 5
-    assert step.rewards[0, 0] == pytest.approx(10 + 1 - 0.1)
+    assert step.rewards[0, 0] == pytest.approx(10 + 1)
     assert step.terminated.all()
     assert step.info["success"].all()
 
@@ -95,7 +95,7 @@ def test_proximity_by_hand(put_urban, distance, nearness):
     aviary = put_urban("lidar_navigation", WALL, [(10 - distance, 0, 10)])
     step = aviary.step(np.array([[STAY]]))
     assert step.info["reward/proximity"][0, 0] == pytest.approx(-nearness, abs=1e-5)
-    assert step.rewards[0, 0] == pytest.approx(-nearness, abs=1e-5)
+    assert step.rewards[0, 0] == pytest.approx(-nearness - 0.5, abs=1e-5)
 
 
 def test_proximity_follows_its_option_and_weight(put_urban):
@@ -113,16 +113,17 @@ def test_ranges_stand_at_their_place_in_the_observation(put_urban):
     observation = aviary.reset(seeds=0)[0, 0]
     assert [label.name for label in aviary.observer.labels][7:10] == [
         "charge",
-        "beam 0",
-        "beam 22.5",
+        "room east",
+        "room north",
     ]
+    assert [label.name for label in aviary.observer.labels][14:16] == ["beam 0", "beam 22.5"]
     ahead = 4 / np.cos(np.radians(22.5 * np.arange(4)))  # 0, 22.5, 45, 67.5 degrees
     ranges = [*ahead, *[60.0] * 9, *ahead[:0:-1]]
-    np.testing.assert_allclose(observation[8:], ranges, atol=1e-4)
+    np.testing.assert_allclose(observation[14:], ranges, atol=1e-4)
     for _ in range(3):
         step = aviary.step(np.array([[(0.2, 0.3, 0.1)]]))
         readings = aviary._frame.readings["lidar"][0, 0]
-        np.testing.assert_array_equal(step.observations[0, 0, 8:], readings.astype(np.float32))
+        np.testing.assert_array_equal(step.observations[0, 0, 14:], readings.astype(np.float32))
     assert readings[0] == pytest.approx(4 - 3 * 0.3, abs=1e-4)
 
 
@@ -178,3 +179,28 @@ def test_an_empty_battery_ends_the_episode_for_the_task_too():
     assert step.terminated.all()
     np.testing.assert_allclose(step.info["reward/shaping"], way, rtol=1e-9)
     aviary.close()
+
+
+@pytest.mark.parametrize("task", ["navigation", "lidar_navigation", "default"])
+def test_room_by_hand(put_urban, task):
+    """At (-80, 60, 10) in a square of 200 m below 15 m: to the east it is 180 m, shown as 60."""
+    aviary = put_urban(task, WALL, [(-80, 60, 10)])
+    told = aviary.observer.split(aviary.reset(seeds=0)[0, 0])
+    np.testing.assert_allclose(told["room"], (60, 40, 5, 20, 60, 10), atol=1e-5)
+    # Up by 1.5 m, and not above the ceiling that the user asks for.
+    aviary = put_urban(task, WALL, [(-80, 60, 10)], ceiling=40.0)
+    step = aviary.step(np.array([[UP]]))
+    told = aviary.observer.split(step.observations[0, 0])
+    np.testing.assert_allclose(told["room"], (60, 40, 28.5, 20, 60, 11.5), atol=1e-5)
+
+
+@pytest.mark.parametrize("task", ["navigation", "lidar_navigation", "default"])
+def test_a_crash_pays_for_all_decisions_that_are_left(put_urban, task):
+    """Who dives into the ground pays as many decisions as who stays to the end."""
+    aviary = put_urban(task, WALL, [(-50, 0, 10)], horizon=50)
+    paid = 0.0
+    while aviary.alive.any():
+        step = aviary.step(np.array([[(0, 0, -1.0)]]))
+        paid += step.info["reward/time"][0, 0]
+    assert step.info["collision"].all()
+    assert paid == pytest.approx(50 * aviary.task.weights["time"])

@@ -59,7 +59,7 @@ def test_a_drone_that_left_covers_nothing(put_urban):
 
 
 def test_drones_that_are_near_each_other_all_pay_the_same(put_urban):
-    """Three, 42 to 60 m from each other, pay 5 for each of the other two.
+    """Three, 42 to 60 m from each other, pay 0.2 for each of the other two.
 
     The fourth is 120 m away from all.
     """
@@ -67,11 +67,11 @@ def test_drones_that_are_near_each_other_all_pay_the_same(put_urban):
     assert (pdist(drones[:3]) < 100).all()
     aviary = put_urban("coverage", TOWER, drones)
     step = aviary.step(np.zeros((1, 4, 3)))
-    assert step.info["reward/close"][0].tolist() == [-10, -10, -10, 0]
+    assert step.info["reward/close"][0].tolist() == [-0.4, -0.4, -0.4, 0]
     while aviary.alive.all():
         aviary.step(np.array([[(0, 0, -1.0), STAY, STAY, STAY]]))
     step = aviary.step(np.zeros((1, 4, 3)))
-    assert step.info["reward/close"][0].tolist() == [0, -5, -5, 0]
+    assert step.info["reward/close"][0].tolist() == [0, -0.2, -0.2, 0]
 
 
 @pytest.fixture

@@ -322,6 +322,7 @@ def test_cores_are_paid_for_by_the_battery_a_decision_later(put):
 def test_rewards_of_a_task_that_came_alone(put):
     """Of 0.3 tasks that are expected, latency over the deadline, power over 50 W, and sight."""
     options = {"arrival_rate": 0.3, "deadline": 2.0, "power_scale": 50.0, **EQUAL}
+    options["weights"] = {"dwell_time": 0.3, "service_time": 0.0}
     aviary = put("mec", OPEN, [(0, 0, 50)], [(0, 0, 1.5)], **options)
     latency, memory, seen = (
         1e6 / shannon(friis(48.5) / NOISE) + COMPUTED,

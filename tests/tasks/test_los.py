@@ -12,7 +12,7 @@ def test_sight_by_hand(put_urban):
         [not blocked(drone, user, TOWER.solids.boxes[0]) for user in USERS] for drone in DRONES
     ]
     np.testing.assert_array_equal(exact, SEEN)
-    aviary = put_urban("los", TOWER, DRONES, users=USERS, weights={"served": 2.0})
+    aviary = put_urban("los", TOWER, DRONES, users=USERS, weights={"served": 2.0, "sight": 1.0})
     step = aviary.step(np.zeros((1, 2, 3)))
     np.testing.assert_allclose(step.info["reward/sight"][0], (0.6, 0.4))
     # Of 5 users each but the second is seen.
@@ -42,7 +42,7 @@ def test_targets_are_observed_where_they_are_and_whether_they_are_seen(put_urban
 
 
 def test_who_has_left_sees_nothing_and_serves_nobody(put_urban):
-    aviary = put_urban("los", TOWER, DRONES, users=USERS, weights={"served": 1.0}, wanted=0.8)
+    aviary = put_urban("los", TOWER, DRONES, users=USERS, weights={"sight": 1.0}, wanted=0.8)
     while aviary.alive.all():
         step = aviary.step(np.array([[(0, 0, -1.0), STAY]]))  # the first one dives
     assert step.info["collision"][0].tolist() == [True, False]

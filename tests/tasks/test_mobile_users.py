@@ -9,6 +9,21 @@ import bulletuav
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.network.mobility import find_mobility
 
+OWN = {"served": 0.0, "service_time": 0.0, "sight": 1.0, "dwell_time": 0.5}
+"""Weights by which drones are paid for what they see themselves"""
+
+
+@pytest.fixture
+def put(put):
+    """Builds aviaries that pay drones for what they see themselves."""
+
+    def one(task, *places, **options):
+        own = OWN if task == "mobile_users" else {}
+        return put(task, *places, **{**options, "weights": {**own, **options.get("weights", {})}})
+
+    return one
+
+
 EAST, WEST, NORTH, SOUTH = (1.0, 0, 0), (-1.0, 0, 0), (0, 1.0, 0), (0, -1.0, 0)
 UP, DOWN, STAY = (0, 0, 1.0), (0, 0, -1.0), (0.0, 0, 0)
 
@@ -411,7 +426,7 @@ def test_agents_of_pettingzoo_get_the_same_infos_at_reset_and_at_every_step():
     env = bulletuav.parallel_env("mobile_users", horizon=4, **SMALL)
     observations, infos = env.reset(seed=0)
     names = set(infos["drone_0"])
-    assert {"served", "power", "charge", "reward/dwell_time"} <= names
+    assert {"served", "power", "charge", "reward/service_time"} <= names
     while env.agents:
         assert all(
             env.observation_space(agent).contains(observations[agent]) for agent in env.agents

@@ -10,7 +10,7 @@ from bulletuav import Aviary
 
 def one_by_one(task, rng, obstacle, start):
     """Draw as the text says: each drone tries places until one is clear."""
-    keep_off = task._radius + task._apart / 2
+    keep_off = task.obstacle_radius + task._apart / 2
     places = []
     while len(places) < task.context.num_drones:
         place = rng.uniform(task._low, task._high)
@@ -26,7 +26,7 @@ def one_by_one(task, rng, obstacle, start):
 @pytest.mark.parametrize("drones", [1, 8])
 @pytest.mark.parametrize("crowd", [1, 40])
 def test_places_and_generator_are_as_if_drawn_one_by_one(drones, crowd):
-    options = {"num_obstacles": crowd, "num_moving": 0}
+    options = {"num_obstacles": crowd, "num_moving": 0, "altitude_spread": 40.0}
     with contextlib.closing(Aviary("obstacles", num_drones=drones, **options)) as aviary:
         task = aviary.task
         for seed in range(20):

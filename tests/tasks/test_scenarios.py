@@ -18,7 +18,7 @@ REFUSED = [
     ("pursuit", {"laps": 0}, "laps is 0"),
     ("pursuit", {"laps": 2}, "too slow for 754 m of way within 50 s"),
     ("obstacles", {"area": 40.0}, "keep others out of"),
-    ("obstacles", {"num_moving": 11}, "num_moving 11 of 10"),
+    ("obstacles", {"num_moving": 26}, "num_moving 26 of 25"),
     ("obstacles", {"obstacle_radius": (0.0, 5.0)}, "obstacle_radius is"),
     ("obstacles", {"altitude": 10.0}, "too low for altitude_spread"),
     ("obstacles", {"leg": 150.0}, "leg 150 m is too long"),
@@ -101,7 +101,7 @@ def test_obstacles_start_clear_and_everything_has_its_room():
             assert gaps.min() > 5
     assert (aviary.first_info()["goal_distance"] >= 80).all()
     moving = np.any(aviary.scene.obstacle_velocity != 0, axis=-1)
-    np.testing.assert_array_equal(moving, np.tile(np.arange(15) < 10, (20, 1)))
+    np.testing.assert_array_equal(moving, np.tile(np.arange(25) < 16, (20, 1)))
     assert np.abs(aviary.scene.obstacle_velocity).max() <= 5
     aviary.close()
 
@@ -117,7 +117,7 @@ def test_moving_obstacles_are_reflected_at_the_bounds():
     )
     aviary.reset(seeds=0)
     place, velocity = aviary.scene.obstacle[0].copy(), aviary.scene.obstacle_velocity[0].copy()
-    low, high = np.array((-100, -100, 20.0)), np.array((100, 100, 60.0))
+    low, high = np.array((-100, -100, 25.0)), np.array((100, 100, 55.0))
     for step in range(1, 200):
         aviary.step(np.zeros((1, 1, 3)))
         # A triangle wave in closed form.

@@ -8,8 +8,8 @@ from scipy.spatial.distance import cdist
 
 from bulletuav.conflict.separation import conflict
 from bulletuav.tasks.base import merged_weights
-from bulletuav.tasks.check import refuse_overlap
 from bulletuav.tasks.observations.neighbours import nearest
+from bulletuav.tasks.starts import refuse_overlap
 
 NEIGHBOURS = 3
 

@@ -24,6 +24,7 @@ class ActionContext:
     Attributes:
         airframes: Airframe of each of N drones.
         max_speed: Speed limit, m/s.
+        max_climb: Limit of the vertical velocity, m/s; at most `max_speed`.
         arena_low: (3,) lower corner of the arena, m.
         arena_high: (3,) upper corner of the arena, m.
         period: Time between decisions, s.
@@ -32,6 +33,7 @@ class ActionContext:
 
     airframes: Sequence[Airframe]
     max_speed: float
+    max_climb: float
     arena_low: np.ndarray
     arena_high: np.ndarray
     period: float
@@ -128,6 +130,13 @@ def limit_norm(vector: np.ndarray, limit: float) -> np.ndarray:
     """
     result = np.array(vector, dtype=float)
     _limit_all(result, limit)
+    return result
+
+
+def within_climb(velocity: np.ndarray, most: float) -> np.ndarray:
+    """Shorten velocities (..., 3) whose vertical part is above `most`; their direction stays."""
+    excess = np.abs(velocity[..., 2:]) / most
+    result: np.ndarray = velocity / np.maximum(excess, 1.0)
     return result
 
 

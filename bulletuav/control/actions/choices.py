@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 
-from bulletuav.control.actions.base import Action, ActionContext, Compiled
+from bulletuav.control.actions.base import Action, ActionContext, Compiled, within_climb
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.kernel import kernel
 from bulletuav.registry import register
@@ -24,12 +24,15 @@ def _decode(
 
 
 def _directions(name: str, context: ActionContext, directions: np.ndarray) -> Action:
-    """Make an action that chooses among velocities at max_speed; the first of them is to stay."""
+    """Make an action that chooses among velocities at max_speed; the first of them is to stay.
+
+    Those that climb faster than max_climb are shortened to it.
+    """
     speed = context.max_speed
     drones = len(context.airframes)
     last = len(directions) - 1
     sizes = np.linalg.norm(directions, axis=1, keepdims=True)
-    table = speed * directions / np.maximum(sizes, 1)
+    table = within_climb(speed * directions / np.maximum(sizes, 1), context.max_climb)
     label = f"0 stay, 1 to {last} a velocity of {speed:g} m/s"
 
     return Action(

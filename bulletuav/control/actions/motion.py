@@ -10,32 +10,38 @@ from bulletuav.control.actions.base import (
     limit_norm,
     normalised,
     with_yaw,
+    within_climb,
 )
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.functions import cos, sin
 from bulletuav.kernel import kernel
 from bulletuav.registry import register
 
-YAW = 3
-"""Column of a setpoint"""
+UP, YAW = 2, 3
+"""Columns of a setpoint"""
 
 
 @kernel
 def _decode_limited(
-    action: np.ndarray, commanded: np.ndarray, setpoint: np.ndarray, most: float
+    action: np.ndarray, commanded: np.ndarray, setpoint: np.ndarray, most: float, climb: float
 ) -> None:
-    """Write vectors of up to `most`: velocities, or accelerations."""
+    """Write vectors of up to `most`, and `climb` upwards: velocities, or accelerations."""
     for w in range(action.shape[0]):
         for i in range(action.shape[1]):
             for k in range(3):
-                setpoint[w, i, k] = action[w, i, k] * most
+                setpoint[w, i, k] = action[w, i, k] * (climb if k == UP else most)
             limit_drone(setpoint, most, w, i)
             setpoint[w, i, YAW] = 0.0
 
 
 @kernel
 def _decode_increment(
-    action: np.ndarray, commanded: np.ndarray, setpoint: np.ndarray, speed: float, step: float
+    action: np.ndarray,
+    commanded: np.ndarray,
+    setpoint: np.ndarray,
+    speed: float,
+    climb: float,
+    step: float,
 ) -> None:
     """Write the velocities of action `velocity_increment`."""
     for w in range(action.shape[0]):
@@ -43,6 +49,7 @@ def _decode_increment(
             for k in range(3):
                 setpoint[w, i, k] = commanded[w, i, k] + step * action[w, i, k]
             limit_drone(setpoint, speed, w, i)
+            setpoint[w, i, UP] = min(max(setpoint[w, i, UP], -climb), climb)
             setpoint[w, i, YAW] = 0.0
 
 
@@ -63,12 +70,25 @@ def _decode_position(
 
 
 def _limited(
-    context: ActionContext, name: str, level: SetpointLevel, labels: tuple[str, ...], most: float
+    context: ActionContext,
+    name: str,
+    level: SetpointLevel,
+    symbol: str,
+    unit: str,
+    most: float,
+    climb: float,
 ) -> Action:
-    """Make an action that asks for vectors over `most`, which limits their norm."""
+    """Make an action that asks for vectors over `most`, which limits their norm.
+
+    Their vertical part is over `climb`.
+    """
+    scale = np.array([most, most, climb])
+    labels = tuple(
+        f"{symbol}{axis} / {one:g} {unit}" for axis, one in zip("xyz", scale, strict=True)
+    )
 
     def encode(vector: np.ndarray, commanded: np.ndarray | None = None) -> np.ndarray:
-        share: np.ndarray = vector / most
+        share: np.ndarray = within_climb(vector, climb) / scale
         return share
 
     return normalised(
@@ -76,21 +96,19 @@ def _limited(
         name=name,
         level=level,
         labels=labels,
-        decode=Compiled(_decode_limited, 4, most),
+        decode=Compiled(_decode_limited, 4, most, climb),
         encode=encode,
     )
 
 
 @register("action")
 def velocity(context: ActionContext) -> Action:
-    """Fly at a velocity east, north and up, over max_speed.
+    """Fly at a velocity east, north and up: the first two over max_speed, the last over max_climb.
 
     The speed is limited to max_speed, and the direction kept. Yaw is held at 0.
     """
-    speed = context.max_speed
-    labels = tuple(f"v{axis} / {speed:g} m/s" for axis in "xyz")
-
-    return _limited(context, "velocity", SetpointLevel.VELOCITY, labels, speed)
+    limits = (context.max_speed, context.max_climb)
+    return _limited(context, "velocity", SetpointLevel.VELOCITY, "v", "m/s", *limits)
 
 
 @register("action")
@@ -100,24 +118,23 @@ def acceleration(context: ActionContext) -> Action:
     The acceleration is limited to half of gravity, and the direction kept. Yaw is held at 0.
     """
     most = context.gravity / 2
-    labels = tuple(f"a{axis} / {most:g} m/s^2" for axis in "xyz")
-
-    return _limited(context, "acceleration", SetpointLevel.ACCELERATION, labels, most)
+    limits = (most, most)
+    return _limited(context, "acceleration", SetpointLevel.ACCELERATION, "a", "m/s^2", *limits)
 
 
 @register("action")
 def velocity_increment(context: ActionContext) -> Action:
     """Change the commanded velocity, on each axis by up to max_speed times the decision period.
 
-    The velocity is limited as in `velocity`. An episode begins with the velocity that the drone
-    starts with.
+    The speed is limited to max_speed, then the vertical velocity to max_climb. An episode begins
+    with the velocity that the drone starts with.
     """
-    speed = context.max_speed
+    speed, climb = context.max_speed, context.max_climb
     step = speed * context.period
     labels = tuple(f"change of v{axis} / {step:g} m/s" for axis in "xyz")
 
     def encode(velocity: np.ndarray, commanded: np.ndarray) -> np.ndarray:
-        change = (velocity - commanded) / step
+        change = (within_climb(velocity, climb) - commanded) / step
         # What is too far for one step is shortened, and keeps its direction.
         largest = np.abs(change).max(axis=-1, keepdims=True)
         share: np.ndarray = change / np.maximum(largest, 1.0)
@@ -128,7 +145,7 @@ def velocity_increment(context: ActionContext) -> Action:
         name="velocity_increment",
         level=SetpointLevel.VELOCITY,
         labels=labels,
-        decode=Compiled(_decode_increment, 4, speed, step),
+        decode=Compiled(_decode_increment, 4, speed, climb, step),
         encode=encode,
     )
 
@@ -138,16 +155,20 @@ def heading_speed(context: ActionContext) -> Action:
     """Fly towards a heading at a speed, with a climb.
 
     The heading is from -1 to 1 for -180 to 180 degrees from east, to the left. The speed is from
-    -1 to 1 for 0 to max_speed. The climb is over max_speed. The nose points along the heading.
+    -1 to 1 for 0 to max_speed. The climb is over max_climb. The nose points along the heading.
     The speed with climb is limited to max_speed.
     """
-    speed = context.max_speed
-    labels = ("heading / 180 degrees", f"2 speed / {speed:g} m/s - 1", f"climb / {speed:g} m/s")
+    speed, most_climb = context.max_speed, context.max_climb
+    labels = (
+        "heading / 180 degrees",
+        f"2 speed / {speed:g} m/s - 1",
+        f"climb / {most_climb:g} m/s",
+    )
 
     def decode(action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
         heading = np.pi * action[..., 0]
         forward = speed * (action[..., 1] + 1) / 2
-        climb = speed * action[..., 2]
+        climb = most_climb * action[..., 2]
         east = forward * cos(heading)
         north = forward * sin(heading)
         wanted = np.stack([east, north, climb], axis=-1)

@@ -22,13 +22,13 @@ class Raster(NamedTuple):
 
     Attributes:
         free: Whether (L, C, C) each cell is free.
-        side: Side (L,) of each layout's square, m.
+        sides: Lengths (L, 2) of each layout's ground along x and y, m.
         cell: Side of a cell, m.
         reach: Half of the side of the raster, m: cells cover [-reach, reach]^2.
     """
 
     free: np.ndarray
-    side: np.ndarray
+    sides: np.ndarray
     cell: float
     reach: float
 
@@ -40,10 +40,10 @@ def rasterise(cities: Sequence[City], cell: float) -> Raster:
         cities: City of each layout.
         cell: Side of a cell, m.
     """
-    count = int(max(city.side for city in cities) / cell)
+    count = int(max(city.sides.max() for city in cities) / cell)
     raster = Raster(
         free=np.zeros((len(cities), count, count), dtype=bool),
-        side=np.array([city.side for city in cities]),
+        sides=np.array([city.sides for city in cities]),
         cell=cell,
         reach=count * cell / 2,
     )
@@ -51,9 +51,9 @@ def rasterise(cities: Sequence[City], cell: float) -> Raster:
     lines = np.arange(count + 1) * cell - raster.reach
     for own, city in zip(raster.free, cities, strict=True):
         # Cells between two lines in bounds are in bounds; allow for rounding
-        reached = np.abs(lines) <= city.side / 2 * (1 + 1e-12)
-        inside = reached[:-1] & reached[1:]
-        own[:] = inside[:, None] & inside
+        reached = np.abs(lines) <= city.sides[:, None] / 2 * (1 + 1e-12)
+        inside = reached[:, :-1] & reached[:, 1:]
+        own[:] = inside[0][:, None] & inside[1]
         for outline in city.footprints:
             block_outline(own, np.ascontiguousarray(outline), cell, raster.reach)
     return raster

@@ -204,11 +204,10 @@ def seen_place(
         x and y of the place, or of the user where no place was found, m; and how many numbers are
         drawn then.
     """
-    # Draw from the whole square until a place is free and in view
-    side = raster.side[layout]
+    # Draw from the whole ground until a place is free and in view
     for _ in range(MAX_TRIES):
-        new_x = side * (uniform(key, drawn) - 0.5)
-        new_y = side * (uniform(key, drawn + 1) - 0.5)
+        new_x = raster.sides[layout, 0] * (uniform(key, drawn) - 0.5)
+        new_y = raster.sides[layout, 1] * (uniform(key, drawn + 1) - 0.5)
         drawn += 2
         if is_free(raster, layout, cell_of(new_x, raster), cell_of(new_y, raster)):
             end_x, end_y, share, _ = walk(raster, layout, x, y, new_x - x, new_y - y)

@@ -5,12 +5,20 @@ from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
+from bulletuav.functions import cos, sin
 from bulletuav.geometry.closest_approach import distances
-from bulletuav.tasks.base import REBOUND, Rngs, Task, Weighted, affected
-from bulletuav.tasks.families.flight_config import FlightConfig
+from bulletuav.tasks.base import REBOUND, Rngs, Weighted
+from bulletuav.tasks.ends import affected
+from bulletuav.tasks.families.flight_config import FlightConfig, directions, facing
+from bulletuav.tasks.families.obstacle_field import ObstacleTask
 from bulletuav.tasks.families.presets import UAVCONFLICT
-from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
-from bulletuav.tasks.rewards.airspace import follow_encounters, variance_nearby
+from bulletuav.tasks.frame import UPRIGHT, Frame, Scene, Spawn, TaskContext
+from bulletuav.tasks.given import PLACES, Given
+from bulletuav.tasks.rewards.airspace import (
+    follow_encounters,
+    sum_obstacle_nearness,
+    variance_nearby,
+)
 
 TOUCHDOWN_HEIGHT = 1.0
 """Height above the ground below which a drone can have landed, m"""
@@ -22,11 +30,12 @@ REWARD_WEIGHTS = {
     "conflict": -100.0,
     "warning": -5.0,
     "collision": -200.0,
+    "obstacle_warning": -5.0,
     "out_of_bounds": -50.0,
     "energy": -0.01,
     "efficiency": 0.0,
     "speed_keeping": 0.0,
-    "time": 0.0,
+    "time": -0.5,
     "shaping": 0.0,
     "fairness": 0.0,
     "concession": 0.0,
@@ -36,7 +45,7 @@ REWARD_WEIGHTS = {
 FlightConfigT = TypeVar("FlightConfigT", bound=FlightConfig)
 
 
-class Airspace(Task[FlightConfigT], Generic[FlightConfigT]):
+class Airspace(ObstacleTask[FlightConfigT], Generic[FlightConfigT]):
     """Base of flights to goals in one airspace; a task adds where drones start and where they go.
 
     Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed. Its norm
@@ -49,11 +58,14 @@ class Airspace(Task[FlightConfigT], Generic[FlightConfigT]):
     - conflict -100: other drones with which a separation falls below d_safe = 5 m.
     - warning -5: for each other drone, linear from 0 at 2 d_safe to 1 at d_safe.
     - collision -200: 1 on contact of collision shapes.
+    - obstacle_warning -5: for each obstacle, linear from 0 at d_safe from its bounding sphere to
+      1 at contact with it.
     - out_of_bounds -50: 1 outside the arena.
     - energy -0.01: square of the velocity change, (m/s)^2.
     - efficiency 0: 1 - distance to the goal over that at the start.
     - speed_keeping 0: 1 at a speed between 0.3 and 0.8 of max_speed.
-    - time 0: 1 a decision.
+    - time -0.5: 1 a decision until the goal is reached. Whoever ends before that pays for all
+      decisions that are left.
     - shaping 0: discounted change of the potential, which is -distance to the goal.
     - fairness 0: variance of the rewards of drones nearby.
     - concession 0: at the end, drones that it made way for less those that made way for it.
@@ -87,9 +99,17 @@ class Airspace(Task[FlightConfigT], Generic[FlightConfigT]):
         "difficulty": "medium",
     }
     presets: ClassVar = {"uavconflict": UAVCONFLICT}
-    observation: ClassVar[tuple[str, ...]] = ("position", "velocity", "goal", "neighbours")
+    baseline = "orca"
+    observation: ClassVar[tuple[str, ...]] = (
+        "position",
+        "velocity",
+        "goal",
+        "neighbours",
+        "obstacles",
+    )
     reward: ClassVar[Mapping[str, Weighted]] = REWARD_WEIGHTS
-    events = ("reached", "terminated", "ended")
+    places: ClassVar[tuple[str, ...]] = PLACES
+    events = ("finished", "reached", "terminated", "ended")
     computed_terms = ("fairness",)
 
     def __init__(self, config: FlightConfigT, context: TaskContext) -> None:
@@ -102,6 +122,8 @@ class Airspace(Task[FlightConfigT], Generic[FlightConfigT]):
         config.check(context)
         self.rebound = REBOUND.get(config.boundary)
         self.zone = config.warning_zone * config.d_safe
+        if not config.num_obstacles:
+            self.weights["obstacle_warning"] = 0.0
 
     def launch(
         self,
@@ -110,22 +132,44 @@ class Airspace(Task[FlightConfigT], Generic[FlightConfigT]):
         rng: np.random.Generator,
         along: np.ndarray | None = None,
     ) -> Spawn:
-        """Make a start in flight, with level drones whose noses point east.
+        """Make a start in flight, with level drones, as the option `heading` says.
 
         Args:
             start: (N, 3) where drones start, m.
             goal: (N, 3) where they are to go, m.
-            rng: Generator of the start speeds.
-            along: (N, 3) directions in which they fly, of any length; towards the goal by default.
+            rng: Generator of the start speeds, and of random headings.
+            along: (N, 3) directions in which they fly, of any length, where the option says
+                nothing; towards the goal by default.
         """
-        if along is None:
-            along = goal - start
-        heading = along / np.linalg.norm(along, axis=1, keepdims=True)
         limit = self.context.max_speed
         slowest, fastest = (min(speed, limit) for speed in self.config.start_speed)
         speed = rng.uniform(slowest, fastest, (len(start), 1))
-        velocity = heading * speed
-        return Spawn(position=start, goal=goal, velocity=velocity)
+        wanted = self.config.heading
+        if isinstance(wanted, str) and wanted == "random":
+            along = rng.normal(size=start.shape)
+        elif wanted is not None and not isinstance(wanted, str):
+            angle = np.broadcast_to(np.radians(wanted), len(start))
+            along = np.stack([cos(angle), sin(angle), np.zeros(len(start))], axis=1)
+        direction = directions(goal - start if along is None else along)
+        # Noses point east unless a heading is asked for.
+        quaternion = UPRIGHT if wanted is None else facing(direction)
+        return Spawn(position=start, goal=goal, velocity=direction * speed, quaternion=quaternion)
+
+    def finish(self, spawn: Spawn, given: Given, rng: np.random.Generator) -> Spawn:
+        """Put given places into a start, and have drones fly towards their goals from there.
+
+        Raises:
+            ValueError: There is no room for obstacles.
+        """
+        spawn = super().finish(spawn, given, rng)
+        if given.is_empty or "goal" not in self.places:
+            return spawn
+        if not (self.config.heading is None or self.config.heading == "goal"):
+            return spawn
+        speed = np.linalg.norm(spawn.velocity, axis=1, keepdims=True)
+        direction = directions(spawn.goal - spawn.position)
+        quaternion = UPRIGHT if self.config.heading is None else facing(direction)
+        return spawn._replace(velocity=direction * speed, quaternion=quaternion)
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
         """Tell the shapes of what is kept of each drone and, where concession counts, of pairs.
@@ -143,15 +187,27 @@ class Airspace(Task[FlightConfigT], Generic[FlightConfigT]):
         return shapes
 
     def quantities(self) -> Mapping[str, Any]:
-        """Tell the remaining ways to the goal before and after the decision."""
-        return {"way": self.way, "way_before": self.way_before}
+        """Tell the ways to the goal before and after the decision, and how near obstacles are."""
+        return {
+            "way": self.way,
+            "way_before": self.way_before,
+            "obstacle_nearness": self._obstacle_nearness,
+        }
+
+    def _obstacle_nearness(self, frame: Frame) -> np.ndarray:
+        """Sum up over obstacles how deep each drone is within d_safe of them, (W, N)."""
+        nearness = np.empty(frame.alive.shape)
+        reach = self.obstacle_radius + self.context.collision_radius
+        place, d_safe = frame.scene.obstacle, float(frame.d_safe)
+        sum_obstacle_nearness(frame.after.position, place, reach, d_safe, nearness)
+        return nearness
 
     def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
-        """Move goals that were reached down to the ground, for drones that are to land."""
+        """Move obstacles, and goals that were reached down to the ground for who is to land."""
         if self.config.at_goal == "land":
             is_landing = (scene.memory["reached"] > 0) & flying[:, None]
             scene.goal[..., 2] = np.where(is_landing, TOUCHDOWN_HEIGHT / 2, scene.goal[..., 2])
-        return False
+        return super().move_scene(scene, time, flying, rngs)
 
     def goal_travel_left(self, goal: np.ndarray, time: np.ndarray) -> np.ndarray | float:
         """Tell how far goals have yet to move: down to the ground for landing, else not at all.

@@ -11,11 +11,11 @@ import numpy as np
 from bulletuav.city.generator import generate
 from bulletuav.city.imports import READERS
 from bulletuav.city.model import City
-from bulletuav.city.statistics import KINDS, Statistics
+from bulletuav.city.statistics import KINDS, Statistics, parameters
 from bulletuav.engine.tiles import TILE_PITCH
-from bulletuav.errors import as_sequence, choose, shown
+from bulletuav.errors import as_sequence, choose, finite, shown
 from bulletuav.geometry.solids import Solids
-from bulletuav.tasks.base import TaskConfig
+from bulletuav.tasks.families.obstacle_field import ObstacleConfig
 from bulletuav.tasks.frame import Spawn, TaskContext
 
 RASTER_CELL = 4.0
@@ -31,14 +31,15 @@ MAX_TRIES = 200
 
 
 @dataclass(frozen=True)
-class UrbanConfig(TaskConfig):
-    """Options of tasks in a city, beside those of every task.
+class UrbanConfig(ObstacleConfig):
+    """Options of tasks in a city, beside those of obstacles (`ObstacleConfig`).
 
     Attributes:
         city: "suburban", "urban", "dense" or "high_rise"; (alpha, beta, gamma), see
             `bulletuav.city.statistics.Statistics`; the path of a .geojson or .obj file; or a
             `City`.
-        area: Side of the city's square, m; for files, the smallest square that holds all.
+        area: Side of the city's square, or its lengths along x and y, m. Files have the smallest
+            square that holds all.
         irregularity: Irregularity of the city, from 0, a regular grid, to 1.
         num_layouts: Number of cities that are made; a world has one of them for an episode. Files
             give one.
@@ -47,16 +48,21 @@ class UrbanConfig(TaskConfig):
         height: Least and greatest height of starts and goals, m. They are outdoors.
         ceiling: Greatest height of the airspace, m.
         min_separation: Least distance between starts, and between goals, m.
+        obstacle_radius: Least and greatest radius of the obstacles' bounding spheres, m: they have
+            to fit into streets.
+        obstacle_speed: Greatest speed of an obstacle on each axis, m/s.
     """
 
     city: Any = "urban"
-    area: float = 500.0
+    area: float | tuple[float, float] = 500.0
     irregularity: float = 0.0
     num_layouts: int = field(default=4, metadata={"most": 256})
     city_seed: int = field(default=0, metadata={"least": 0, "most": 2**32})
     height: tuple[float, float] = (5.0, 25.0)
     ceiling: float = 120.0
     min_separation: float = 20.0
+    obstacle_radius: tuple[float, float] = (0.5, 2.0)
+    obstacle_speed: float = field(default=2.0, metadata={"most": 100.0})
 
 
 def make_cities(config: UrbanConfig) -> tuple[City, ...]:
@@ -73,6 +79,7 @@ def make_cities(config: UrbanConfig) -> tuple[City, ...]:
         ValueError: There can be no such city.
         FileNotFoundError: `city` is the path of a file that is not there.
     """
+    sides = _sides(config.area)
     kind = config.city
     # A city that is ready, or a file of one.
     if isinstance(kind, City):
@@ -90,19 +97,29 @@ def make_cities(config: UrbanConfig) -> tuple[City, ...]:
         raise ValueError(
             f"irregularity is {config.irregularity!r}: a number from 0 (regular) to 1 is needed"
         )
-    if config.area >= TILE_PITCH:
+    if max(sides) >= TILE_PITCH:
         raise ValueError(
-            f"area is {config.area:g} m: "
+            f"area is {max(sides):g} m: "
             f"less than {TILE_PITCH:g} m is needed, where other worlds begin"
         )
     seeds = range(config.city_seed, config.city_seed + config.num_layouts)
     try:
         return tuple(
-            generate(kind, config.area, np.random.default_rng(seed), config.irregularity)
+            generate(kind, sides, np.random.default_rng(seed), config.irregularity)
             for seed in seeds
         )
     except ValueError as error:
-        raise ValueError(f"area is {config.area:g} m: its {error}") from None
+        raise ValueError(f"area is {min(sides):g} m: its {error}") from None
+
+
+def _sides(area: Any) -> tuple[float, float]:
+    """Make lengths along x and y, m, of one number or two."""
+    single = not isinstance(area, list | tuple)
+    given = (area, area) if single else as_sequence("area", area, 2)
+    sides = (finite("area", given[0]), finite("area", given[1]))
+    if min(sides) < 0:
+        raise ValueError(f"area is {min(sides):g}: it must not be negative")
+    return sides
 
 
 def _given_statistics(given: Any) -> Statistics:
@@ -124,6 +141,8 @@ class CityLayouts:
         solids: Buildings of each layout, for the engine.
         low: (3,) lower corner of the airspace above all layouts, m.
         high: (3,) upper corner of the airspace, m.
+        parameters: alpha, beta and gamma (L + 1, 3) of each city, see `parameters`; then zeros, for
+            worlds without a city.
     """
 
     def __init__(self, config: UrbanConfig, context: TaskContext) -> None:
@@ -141,10 +160,11 @@ class CityLayouts:
         self.config = config
         self.cities = make_cities(config)
         self.solids: tuple[Solids, ...] = tuple(city.solids for city in self.cities)
+        self.parameters = np.array([*map(parameters, self.cities), (0.0, 0.0, 0.0)])
         # The airspace holds the widest city, and must hold drones as far apart as asked for.
-        reach = max(city.side for city in self.cities) / 2
-        self.low = np.array([-reach, -reach, 0.0])
-        self.high = np.array([reach, reach, config.ceiling])
+        reach = np.max([city.sides for city in self.cities], axis=0) / 2
+        self.low = np.array([-reach[0], -reach[1], 0.0])
+        self.high = np.array([reach[0], reach[1], config.ceiling])
         diagonal = math.dist(self.low, self.high)
         if context.num_drones > 1 and config.min_separation >= diagonal:
             raise ValueError(
@@ -270,8 +290,25 @@ class CityLayouts:
         return ValueError(
             f"no places for {count} drones with min_separation "
             f"{self.config.min_separation:g} m{also} in a city of side "
-            f"{self.cities[layout].side:g} m: lower these, or raise area"
+            f"{self.cities[layout].sides.min():g} m: lower these, or raise area"
         )
+
+    def goal_from(
+        self, rng: np.random.Generator, layout: int, place: np.ndarray, leg: float
+    ) -> np.ndarray:
+        """Draw a goal (3,), m, for a drone at `place` (3,): the first that is `leg` m away.
+
+        Where none of many is, the farthest.
+        """
+        farthest, reach = place, -1.0
+        for _ in range(MAX_TRIES):
+            goal = np.append(self.outdoors(rng, layout, 1)[0], rng.uniform(*self.config.height))
+            distance = math.dist(place, goal)
+            if distance > reach:
+                farthest, reach = goal, distance
+            if distance >= leg:
+                break
+        return farthest
 
     def hovering(self, rng: np.random.Generator, layout: int, count: int) -> Spawn:
         """Draw a start at rest at random places, which are the drones' goals too.
@@ -310,10 +347,12 @@ def _outdoor_cells(city: City, cell: float, margin: float, edge: float = 0.0) ->
 
     They are `margin` m from footprints and `edge` m from the city's edge.
     """
-    count = int(city.side / cell)
-    middle = (np.arange(count) + 0.5) * city.side / count - city.side / 2
-    places = np.stack(np.meshgrid(middle, middle, indexing="ij"), axis=-1).reshape(-1, 2)
-    is_inside = np.abs(places).max(axis=1, initial=0.0) <= city.side / 2 - edge
+    middles = [
+        (np.arange(count) + 0.5) * side / count - side / 2
+        for side, count in ((side, int(side / cell)) for side in city.sides)
+    ]
+    places = np.stack(np.meshgrid(*middles, indexing="ij"), axis=-1).reshape(-1, 2)
+    is_inside = (np.abs(places) <= city.sides / 2 - edge).all(axis=1)
     cells: np.ndarray = places[is_inside & city.outdoors(places, margin)]
     return cells
 

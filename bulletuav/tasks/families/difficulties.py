@@ -35,6 +35,14 @@ UNCERTAINTY: dict[str, dict[str, Any]] = {
 Units are those of `bulletuav.envs.randomization.Randomization`.
 """
 
+AIRSPACE_DIFFICULTIES: dict[str, dict[str, Any]] = {
+    "easy": {"num_drones": 4, **UNCERTAINTY["easy"]},
+    "medium": UNCERTAINTY["medium"],
+    "hard": {"num_drones": 20, "num_obstacles": 6, "num_moving": 3, **UNCERTAINTY["hard"]},
+    "extreme": {"num_drones": 100, "num_obstacles": 12, "num_moving": 6, **UNCERTAINTY["extreme"]},
+}
+"""Difficulties of flights through free airspace: drones, obstacles, and what is uncertain."""
+
 URBAN_DIFFICULTIES: dict[str, dict[str, Any]] = {
     "easy": UNCERTAINTY["easy"],
     "medium": {

@@ -2,10 +2,11 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Generic, Literal, TypeVar
+from typing import Any, ClassVar, Generic, Literal, TypeVar
 
 import numpy as np
 
+from bulletuav.errors import finite
 from bulletuav.network.arrivals import Arrivals, Tasks
 from bulletuav.network.assignment import STRATEGIES, assign
 from bulletuav.network.link import capacity
@@ -16,6 +17,8 @@ from bulletuav.network.uplink import RadioConfig, Uplink
 from bulletuav.tasks.base import Rngs
 from bulletuav.tasks.families.users import UsersConfig, UsersTask
 from bulletuav.tasks.frame import Frame, Scene, TaskContext
+from bulletuav.tasks.observations.base import Block, of_drones
+from bulletuav.tasks.observations.users import MAX_QUEUE
 
 MAX_TASKS = 1e6
 """Most tasks that a world may have in a decision on average"""
@@ -45,6 +48,8 @@ class EdgeConfig(RadioConfig, UsersConfig):
             had always been as now.
         assignment: Who serves whom: "max_rate", "nearest" or "dtlcm", see
             `bulletuav.network.assignment`.
+        distance_weight: Weight of distance in "dtlcm", from 0 to 1; computing capacity has the
+            rest.
         power_scale: Power that the reward term `energy` divides by, W: about what full thrust and
             busy cores take.
     """
@@ -60,6 +65,7 @@ class EdgeConfig(RadioConfig, UsersConfig):
     capacitance: float = field(default=1e-28, metadata={"most": 1e-20})
     queue: Literal["simulated", "erlang"] = "simulated"
     assignment: Literal["max_rate", "nearest", "dtlcm"] = "max_rate"
+    distance_weight: float = 0.7
     power_scale: float = 400.0
 
 
@@ -82,6 +88,14 @@ class EdgeTask(UsersTask[EdgeConfigT], Generic[EdgeConfigT]):
     Attributes:
         uplink: Radio link from users to drones.
     """
+
+    shows: ClassVar = {
+        "completed": "completed by all",
+        "latency": "latency of all (s)",
+        "served": "in sight of any",
+        "queue": "queue (tasks)",
+        "collision": "collisions",
+    }
 
     def __init__(self, config: EdgeConfigT, context: TaskContext) -> None:
         """Make the cities, the radio link, and the arrivals of tasks.
@@ -108,10 +122,12 @@ class EdgeTask(UsersTask[EdgeConfigT], Generic[EdgeConfigT]):
         for name in ("cycles_per_bit", "deadline", "core_frequency", "power_scale"):
             if getattr(config, name) <= 0:
                 raise ValueError(f"{name} is {getattr(config, name):g}: it must be above 0")
+        finite("distance_weight", config.distance_weight, 0, 1)
         self.uplink = Uplink(config)
         self._expected_tasks = max(tasks, LEAST_TASKS)
         # Uploads end at the deadline: a user sends no more than all the time.
-        self._activity = min(config.arrival_rate * config.deadline, 1.0)
+        load = min(config.arrival_rate * config.deadline, 1.0)
+        self._activity = load if isinstance(config.activity, str) else float(config.activity)
         # Numbers of the servers: cycles of a task, cycles/s, tasks/s and W.
         mean_bits = (smallest + largest) / 2
         self._demand = mean_bits * config.cycles_per_bit
@@ -127,8 +143,8 @@ class EdgeTask(UsersTask[EdgeConfigT], Generic[EdgeConfigT]):
         Returns:
             Beside those of `UsersTask.memory`: the fields of
             `bulletuav.network.service_stats.ServiceStats`; "received" (N, U), power from each
-            user, W; "link_free" (U,) and "core_free" (N, C), time for which uplinks and cores
-            are still taken, s.
+            user, W; "serves" (N, U), 1 where the drone serves the user; "link_free" (U,) and
+            "core_free" (N, C), time for which uplinks and cores are still taken, s.
         """
         drones = self.context.num_drones
         users = self.config.num_users
@@ -140,6 +156,7 @@ class EdgeTask(UsersTask[EdgeConfigT], Generic[EdgeConfigT]):
             **super().memory(),
             **stats,
             "received": (drones, users),
+            "serves": (drones, users),
             "link_free": (users,),
             "core_free": (drones, self.config.num_cores),
         }
@@ -180,7 +197,9 @@ class EdgeTask(UsersTask[EdgeConfigT], Generic[EdgeConfigT]):
         strategy = STRATEGIES[self.config.assignment]
         load = memory["utilisation"] * self._capacity
         who = (strategy, swarm.position, frame.alive, users, power)
-        servers = assign(*who, self._capacity, self._demand, load)
+        weight = self.config.distance_weight
+        servers = assign(*who, self._capacity, self._demand, load, weight)
+        memory["serves"][:] = servers[:, None] == np.arange(self.context.num_drones)[:, None]
         return servers, self.uplink.rates(power, servers, self._activity)
 
     def _serve(
@@ -256,12 +275,31 @@ class EdgeTask(UsersTask[EdgeConfigT], Generic[EdgeConfigT]):
 
         Returns:
             "completed", the share of tasks that are completed, and "latency", their mean latency,
-            s: (W, N), the same for all drones. Tasks that are yet to come, as many as on average,
-            count as not completed, so ending early does not raise the share.
+            s. Tasks that are yet to come, as many as on average, count as not completed, so ending
+            early does not raise the share. "dropped", how many tasks of the episode were lost.
+            These are the same for all drones. "queue", tasks of mean size that wait at each drone
+            or are computed there, and "utilisation", the share of the last decision in which its
+            cores worked, mean over them. All are (W, N).
         """
         memory = frame.scene.memory
-        service = {"completed": memory["share"].copy(), "latency": memory["mean_latency"].copy()}
-        return {**super().info(frame), **service}
+        kept = {"completed": "share", "latency": "mean_latency"}
+        kept |= {name: name for name in ("queue", "utilisation")}
+        service = {name: memory[its].copy() for name, its in kept.items()}
+        lost = (memory["generated"] - memory["finished"])[:, None]
+        dropped = np.broadcast_to(lost, frame.alive.shape)
+        return {**super().info(frame), **service, "dropped": dropped}
+
+    def world_state(self) -> Mapping[str, Block]:
+        """Tell, beside those of `UsersTask`, utilisation and queue of every drone."""
+        bounds = {"utilisation": ("1", 1.0), "queue": ("tasks", MAX_QUEUE)}
+        drones = self.context.num_drones
+        own = {name: of_drones(name, *bound, drones) for name, bound in bounds.items()}
+        return {**super().world_state(), **own}
+
+    def links(self, frame: Frame) -> np.ndarray:
+        """Tell which drones serve which users, (W, N, U) bool; none before the first decision."""
+        serving: np.ndarray = frame.scene.memory["serves"] > 0
+        return serving
 
     def succeeded(self, frame: Frame) -> np.ndarray:
         """Tell whether the wanted share of the episode's tasks is completed, (W, N) bool."""

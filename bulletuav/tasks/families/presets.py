@@ -1,5 +1,6 @@
 """Presets that several tasks share: sizes and rates of other projects' environments."""
 
+import math
 from typing import Any
 
 UAVCONFLICT: dict[str, Any] = {
@@ -24,6 +25,7 @@ UAVCONFLICT: dict[str, Any] = {
         "out_of_bounds": 0.0,
         "energy": -0.01,
         "speed_keeping": 0.5,
+        "time": 0.0,
     },
 }
 """Sizes, observation and reward constants of UAVConflictGym.
@@ -34,7 +36,6 @@ docs/conflict.md lists where the tasks differ from it, and why.
 URBANMARL: dict[str, Any] = {
     "dynamics": "single_integrator",
     "num_drones": 3,
-    "num_users": 50,
     "decision_hz": 1,
     "horizon": 100,
     "city": "urban",
@@ -42,7 +43,82 @@ URBANMARL: dict[str, Any] = {
     "ceiling": 200.0,
     "height": (20.0, 150.0),
     "max_speed": 20.0,
+    "max_climb": 12.0,
+}
+"""Sizes and rates of UrbanMARL 0.3.1 that all its scenarios share.
+
+docs/service.md lists where the tasks differ from them, and why.
+"""
+_UNPAID = ("progress", "conflict", "warning", "energy", "time", "out_of_bounds")
+_FLIGHT = {**dict.fromkeys(_UNPAID, 0.0), "goal": 5.0}
+_USERS: dict[str, Any] = {
+    **URBANMARL,
+    "num_users": 50,
     "boundary": "hard",
     "contact_ends": "world",
 }
-"""Sizes and rates of UrbanMARL 0.3.1, which tasks over users share (docs/service.md)."""
+_MEC: dict[str, Any] = {**_USERS, "n_nlos": 3.5, "queue": "erlang", "assignment": "dtlcm"}
+_WAYPOINT: dict[str, Any] = {**URBANMARL, "observation": ("position", "battery", "goal_offset")}
+_OWN_SHARE = {"served": 0.0, "sight": 1.0}
+
+URBANMARL_DEFAULT: dict[str, Any] = {
+    **_WAYPOINT,
+    "weights": {"progress": 1.0, "goal": 5.0, "collision": -1.0, "time": 0.0},
+}
+URBANMARL_NAVIGATION: dict[str, Any] = {
+    **_WAYPOINT,
+    "goal_radius": 5.0,
+    "boundary": "hard",
+    "contact_ends": "world",
+    "weights": {**_FLIGHT, "progress": 1 / 20.0, "collision": -1.0},  # of max_speed for 1 s
+}
+URBANMARL_LIDAR_NAVIGATION: dict[str, Any] = {
+    **URBANMARL_NAVIGATION,
+    "height": (20.0, 120.0),
+    "at_goal": "respawn",
+    "num_beams": 8,
+    "max_range": 60.0,
+    "lidar_frame": "world",
+    "proximity_range": 15.0,
+    "observation": ("goal_offset", "velocity", "battery", "lidar"),
+    "normalise": True,
+    "weights": {
+        **_FLIGHT,
+        "collision": -5.0,
+        "proximity": -0.25,  # UrbanMARL's is in shares of the range: 15 m are 0.25 of 60 m
+        "distance": -1 / math.dist((0.0, 0.0, 0.0), (500.0, 500.0, 200.0)),
+    },
+}
+URBANMARL_LOS: dict[str, Any] = {
+    **_USERS,
+    "observation": ("position", "battery"),
+    "weights": {**_OWN_SHARE, "collision": -1.0, "out_of_bounds": 0.0},
+}
+URBANMARL_COVERAGE: dict[str, Any] = {
+    **URBANMARL,
+    "observation": ("position", "battery"),
+    "weights": {
+        "covered": 0.0,
+        "sight": 1.0,
+        "close": -5.0,
+        "collision": -1.0,
+        "out_of_bounds": 0.0,
+    },
+}
+URBANMARL_MOBILE_USERS: dict[str, Any] = {
+    **_USERS,
+    "mobility": "manhattan",
+    "weights": {**_OWN_SHARE, "service_time": 0.0, "dwell_time": 0.5},
+}
+URBANMARL_MEC: dict[str, Any] = {
+    **_MEC,
+    "arrival_rate": 0.1,
+    "weights": {"service_time": 0.0, "dwell_time": 0.3},
+}
+URBANMARL_MEC_ADVANCED: dict[str, Any] = {
+    **_MEC,
+    "num_users": 10,
+    "height": (20.0, 120.0),
+    "bandwidth": 10e6,
+    "weights": {"service_time": 0.0, "dwell_time": 0.5},
+}

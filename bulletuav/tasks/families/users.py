@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import Any, ClassVar, Generic, Literal, TypeVar
 
 import numpy as np
@@ -9,10 +10,13 @@ import numpy as np
 from bulletuav.network.dwell_time import watch
 from bulletuav.network.mobility import find_mobility
 from bulletuav.network.mobility.ground import Ground
-from bulletuav.tasks.base import REBOUND, Rngs, affected
+from bulletuav.sensors.base import vector_labels
+from bulletuav.tasks.base import REBOUND, Rngs
+from bulletuav.tasks.ends import affected
 from bulletuav.tasks.families.city_layouts import USER_HEIGHT, UrbanConfig
 from bulletuav.tasks.families.urban import URBAN_DEFAULTS, UrbanTask, check_share
 from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
+from bulletuav.tasks.observations.base import Block
 from bulletuav.tasks.targets import TargetTask
 
 
@@ -32,6 +36,7 @@ class UsersConfig(UrbanConfig):
         contact_ends: Whose episode a contact of collision shapes ends: that of the "drone", or
             of its whole "world".
         height: Least and greatest height of starts, m.
+        ceiling: Greatest height of the airspace, m: low enough that not every place sees all.
     """
 
     d_safe: float = 2.0
@@ -41,6 +46,7 @@ class UsersConfig(UrbanConfig):
     boundary: Literal["end", "soft", "hard"] = "hard"
     contact_ends: Literal["drone", "world"] = "drone"
     height: tuple[float, float] = (20.0, 60.0)
+    ceiling: float = 70.0
 
 
 UsersConfigT = TypeVar("UsersConfigT", bound=UsersConfig)
@@ -54,7 +60,7 @@ class UsersTask(UrbanTask[UsersConfigT], TargetTask[UsersConfigT], Generic[Users
     otherwise.
     """
 
-    baseline = "kmeans"
+    baseline = "oracle"
     defaults: ClassVar = {
         **URBAN_DEFAULTS,
         "dynamics": "single_integrator",
@@ -108,7 +114,7 @@ class UsersTask(UrbanTask[UsersConfigT], TargetTask[UsersConfigT], Generic[Users
         """Let users walk."""
         period = self.context.period
         self.mobility.move(scene.memory, self.ground, scene.layout, flying, period, rngs)
-        return False
+        return super().move_scene(scene, time, flying, rngs)
 
     def update_memory(self, frame: Frame, rngs: Rngs) -> None:
         """Note for how long each living drone has seen each user without a break."""
@@ -120,6 +126,22 @@ class UsersTask(UrbanTask[UsersConfigT], TargetTask[UsersConfigT], Generic[Users
         """Tell the share of users that some drone sees."""
         return {"served": self.served}
 
+    def info(self, frame: Frame) -> dict[str, np.ndarray]:
+        """Tell, beside `served`, for how long the drone has seen users, mean of all, s."""
+        mean = frame.scene.memory["mean_dwell_time"]
+        return {**super().info(frame), "dwell_time": mean.copy()}
+
+    def world_state(self) -> Mapping[str, Block]:
+        """Tell, beside the city's parameters, where the users are."""
+        count = self.config.num_users
+        names = (f"user {j}" for j in range(1, count + 1))
+        labels = [vector_labels(one, "m", self.arena_low, self.arena_high) for one in names]
+
+        def places(frame: Frame, present: np.ndarray) -> np.ndarray:
+            return frame.scene.memory["users"].reshape(-1, 3 * count)
+
+        return {**super().world_state(), "users": Block(tuple(chain(*labels)), places)}
+
     def terminated(self, frame: Frame) -> np.ndarray:
         """Tell whose episode ends by contact, or outside the airspace where options say so.
 
@@ -130,6 +152,10 @@ class UsersTask(UrbanTask[UsersConfigT], TargetTask[UsersConfigT], Generic[Users
         if self.config.boundary == "end":
             ended = ended | self.outside(frame)
         return ended
+
+    def links(self, frame: Frame) -> np.ndarray:
+        """Tell which drones see which users, (W, N, U) bool."""
+        return frame.seen
 
     def succeeded(self, frame: Frame) -> np.ndarray:
         """Tell whether some drone sees the wanted share of users, (W, N) bool."""

@@ -10,7 +10,7 @@ from bulletuav.program import Program
 from bulletuav.sensors.base import Label, vector_labels
 from bulletuav.tasks.frame import Frame
 
-__all__ = ["Block", "Label", "Maker", "require_memory", "vector_labels"]
+__all__ = ["Block", "Label", "Maker", "of_drones", "require_memory", "vector_labels"]
 
 Compute = Callable[[Frame, np.ndarray], np.ndarray]
 Add = Callable[[Program, Frame, np.ndarray], bool]
@@ -35,6 +35,12 @@ class Block:
 
 Maker = Callable[[Any], Block]
 """Makes a block for a task"""
+
+
+def of_drones(name: str, unit: str, most: float, drones: int) -> Block:
+    """Make the part of a global state that is memory (W, N) of this name, from 0 to `most`."""
+    labels = tuple(Label(f"{name} of drone_{i}", unit, 0.0, most) for i in range(drones))
+    return Block(labels, lambda frame, present: frame.scene.memory[name])
 
 
 def require_memory(task: Any, block: str, names: tuple[str, ...]) -> None:

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from bulletuav.geometry.closest_approach import closest_squared, offset
-from bulletuav.geometry.rotation import Vec3, dot, vec3
+from bulletuav.geometry.rotation import Vec3, dot, minus, vec3
 from bulletuav.kernel import allocating, func, kernel
 from bulletuav.registry import register
 from bulletuav.tasks.frame import Frame
@@ -39,6 +39,13 @@ def conflict(conflicts: int) -> float:
 def warning(nearness: float) -> float:
     """Sum over other drones: from 0 at the edge of the warning zone, linear, to 1 at d_safe."""
     return nearness
+
+
+@register("reward")
+@reward
+def obstacle_warning(obstacle_nearness: float) -> float:
+    """Sum over obstacles: 0 at d_safe from the bounding sphere, linear, to 1 at contact."""
+    return obstacle_nearness
 
 
 @register("reward")
@@ -83,9 +90,14 @@ def speed_keeping(velocity: Vec3, max_speed: float) -> float:
 
 @register("reward")
 @reward
-def time() -> float:
-    """1 a decision."""
-    return 1.0
+def time(terminated: bool, finished: bool, time: float, duration: float, period: float) -> float:
+    """1 a decision until the drone has finished; an end before that costs all that are left.
+
+    So no drone saves time by crashing or leaving.
+    """
+    if finished:
+        return 0.0
+    return 1.0 + (duration - time) / period if terminated else 1.0
 
 
 @register("reward")
@@ -219,3 +231,25 @@ def variance_nearby(
             if alive[w, i]:
                 result[w, i] = max(0.0, square / count - (total / count) ** 2)
     return result
+
+
+@kernel
+def sum_obstacle_nearness(
+    position: np.ndarray, obstacle: np.ndarray, reach: np.ndarray, d_safe: float, out: np.ndarray
+) -> None:
+    """Sum up how deep drones are within d_safe of obstacles.
+
+    Args:
+        position: (W, N, 3) m.
+        obstacle: (W, K, 3) m.
+        reach: (K,) distances of the middles at which they touch, m.
+        d_safe: m.
+        out: (W, N), overwritten; of each obstacle 0 at d_safe from touch, 1 in touch.
+    """
+    for w in range(out.shape[0]):
+        for i in range(out.shape[1]):
+            out[w, i] = 0.0
+            for k in range(obstacle.shape[1]):
+                away = minus(vec3(obstacle, w, k), vec3(position, w, i))
+                gap = math.sqrt(dot(away, away)) - reach[k]
+                out[w, i] += min(max(1.0 - gap / d_safe, 0.0), 1.0)

@@ -33,6 +33,17 @@ def dwell_time(frame: Frame) -> np.ndarray:
 
 
 @register("reward")
+def service_time(frame: Frame) -> np.ndarray:
+    """tanh(0.1 s) of the mean seconds s for which users have been seen: from 0 to 1.
+
+    Of the drones that see a user the one counts that has done so for longest.
+    """
+    longest = frame.scene.memory["dwell_time"].max(axis=1)
+    bonus = tanh(DWELL_TIME_SCALE * longest.mean(axis=-1))
+    return np.broadcast_to(bonus[:, None], frame.alive.shape)
+
+
+@register("reward")
 @reward
 def tasks(completed: float, expected_tasks: float) -> float:
     """Completed tasks of the decision over those that all users are expected to have in one."""

@@ -1,0 +1,121 @@
+"""Flights among random places of a box: starts, goals and obstacles lie anywhere in it."""
+
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from bulletuav.tasks.families.airspace import Airspace
+from bulletuav.tasks.families.flight_config import AirspaceConfig, clearance
+from bulletuav.tasks.families.places import place_in_turn
+from bulletuav.tasks.frame import Spawn, TaskContext
+
+MAX_OCCUPANCY = 0.3
+"""Greatest share of the space that drones and obstacles may keep others out of"""
+
+
+@dataclass(frozen=True)
+class FreeSpaceConfig(AirspaceConfig):
+    """Options of flights among random places, beside those of free airspace (`AirspaceConfig`).
+
+    Starts, and goals, keep 2 d_safe from each other, and d_safe from obstacles.
+
+    Attributes:
+        area: Side of the square in which starts, goals and obstacles lie, m.
+        altitude_spread: Range of their heights about `altitude`, half of it to each side, m.
+        leg: Least distance from a start to its goal, m.
+        jitter: Largest random shift of a start on each axis, m.
+    """
+
+    area: float = 200.0
+    altitude_spread: float = 40.0
+    leg: float = 80.0
+    jitter: float = 0.0
+
+
+FreeSpaceConfigT = TypeVar("FreeSpaceConfigT", bound=FreeSpaceConfig)
+
+
+class FreeSpace(Airspace[FreeSpaceConfigT], Generic[FreeSpaceConfigT]):
+    """Base of flights in which starts, goals and obstacles lie at random places of a box."""
+
+    def __init__(self, config: FreeSpaceConfigT, context: TaskContext) -> None:
+        """Lay out the box, and check that there is room for all.
+
+        Raises:
+            ValueError: There is no room, or starts could touch the ground.
+        """
+        super().__init__(config, context)
+        # The space in which everything lies.
+        side = config.area / 2
+        rise = config.altitude_spread / 2
+        self._low = np.array([-side, -side, config.altitude - rise])
+        self._high = np.array([side, side, config.altitude + rise])
+        if self._low[2] - config.jitter <= context.collision_radius:
+            raise ValueError(
+                f"altitude {config.altitude:g} m is too low "
+                f"for altitude_spread {config.altitude_spread:g} m"
+            )
+        # How far apart starts, and goals, lie.
+        self._apart = 2 * clearance(config, context) + 2 * config.jitter
+        self._check_room()
+        self.arena_low = self._low - config.margin
+        self.arena_high = self._high + config.margin
+        self.arena_low[2] = 0.0
+
+    def _check_room(self) -> None:
+        """Refuse crowds: random places are found fast where little of the space is taken."""
+        config = self.config
+        drones = self.context.num_drones
+        balls = (self.obstacle_radius + self._apart) ** 3
+        taken = 4 / 3 * np.pi * (balls.sum() + drones * self._apart**3)
+        room = float(np.prod(self._high - self._low + 2 * self._apart))
+        if taken > MAX_OCCUPANCY * room:
+            raise ValueError(
+                f"{drones} drones and {config.num_obstacles} obstacles keep others out of "
+                f"{taken / room:.0%} of the space, at most {MAX_OCCUPANCY:.0%} is possible: "
+                f"widen area or altitude_spread"
+            )
+        if config.leg > 0.5 * config.area:
+            raise ValueError(
+                f"leg {config.leg:g} m is too long for an area of {config.area:g} m: "
+                f"at most half of it"
+            )
+
+    def obstacle_bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Tell the box in which everything lies, (3,) each, m."""
+        return self._low, self._high
+
+    def _places(
+        self, rng: np.random.Generator, obstacle: np.ndarray, start: np.ndarray | None
+    ) -> np.ndarray:
+        """Draw places (N, 3), clear of each other and of obstacles, m.
+
+        Where `start` (N, 3) is given, each is `leg` or farther from its drone's start.
+        """
+        places = np.empty((self.context.num_drones, 3))
+        keep_off = self.obstacle_radius + self._apart / 2
+        from_start = places[:0] if start is None else start
+        rules = (keep_off, self._apart, from_start, self.config.leg)
+        placed = 0
+        while placed < len(places):
+            # Draw many at once, and then go back to what was needed of them
+            generator = rng.bit_generator
+            state = generator.state
+            draws = rng.uniform(self._low, self._high, (2 * len(places), 3))
+            used, placed = place_in_turn(places, placed, draws, obstacle, *rules)
+            if used < len(draws):
+                generator.state = state
+                rng.random(3 * used)
+        return places
+
+    def spawn(self, rng: np.random.Generator) -> Spawn:
+        """Draw a start with everything at random places."""
+        config = self.config
+        obstacle = rng.uniform(self._low, self._high, (config.num_obstacles, 3))
+        velocity = rng.uniform(-config.obstacle_speed, config.obstacle_speed, obstacle.shape)
+        velocity[config.num_moving :] = 0
+        start = self._places(rng, obstacle, None)
+        goal = self._places(rng, obstacle, start)
+        start = config.scattered(start, rng)
+        return self.launch(start, goal, rng)._replace(obstacle=obstacle, obstacle_velocity=velocity)

@@ -1,0 +1,166 @@
+"""Obstacles that stand or move among the drones of any flight."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from bulletuav.geometry.obstacle import Obstacle
+from bulletuav.tasks.base import Rngs, Task
+from bulletuav.tasks.config import TaskConfig
+from bulletuav.tasks.frame import Scene, Spawn, TaskContext
+from bulletuav.tasks.given import Given
+
+GOLDEN_RATIO = (np.sqrt(5) - 1) / 2
+"""Its multiples modulo 1 spread sizes evenly over any number of obstacles"""
+MAX_TRIES = 1000
+"""How often an obstacle is drawn anew until it keeps clear of starts, goals and buildings"""
+
+
+@dataclass(frozen=True)
+class ObstacleConfig(TaskConfig):
+    """Options of obstacles, beside those of every task.
+
+    Attributes:
+        num_obstacles: Number of obstacles; every second one is a cube, the others are spheres.
+        num_moving: Number of them that move, reflected at the bounds of their space.
+        obstacle_radius: Least and greatest radius of the obstacles' bounding spheres, m. Sizes
+            spread between them.
+        obstacle_speed: Greatest speed of an obstacle on each axis, m/s.
+    """
+
+    num_obstacles: int = field(default=0, metadata={"least": 0, "most": 10_000})
+    num_moving: int = field(default=0, metadata={"least": 0})
+    obstacle_radius: tuple[float, float] = (3.0, 10.0)
+    obstacle_speed: float = field(default=5.0, metadata={"most": 100.0})
+
+
+ObstacleConfigT = TypeVar("ObstacleConfigT", bound=ObstacleConfig)
+
+
+class ObstacleTask(Task[ObstacleConfigT], Generic[ObstacleConfigT]):
+    """Base of tasks with obstacles among the drones, which stand or move.
+
+    Attributes:
+        obstacle_radius: (K,) radius of the obstacles' bounding spheres, m.
+        keep_off: (K,) how far from their middles starts and goals are, m.
+    """
+
+    def __init__(self, config: ObstacleConfigT, context: TaskContext) -> None:
+        """Make the obstacles.
+
+        Raises:
+            ValueError: Their sizes or numbers cannot be.
+        """
+        super().__init__(config, context)
+        smallest, largest = config.obstacle_radius
+        if not 0 < smallest <= largest:
+            raise ValueError(
+                f"obstacle_radius is {config.obstacle_radius}: from low to high, above 0, is needed"
+            )
+        if config.num_moving > config.num_obstacles:
+            raise ValueError(
+                f"num_moving {config.num_moving} of {config.num_obstacles} obstacles: "
+                f"at most all can move"
+            )
+        # Obstacles of all sizes, and how far off starts and goals are.
+        index = np.arange(config.num_obstacles)
+        sizes = smallest + (largest - smallest) * (index * GOLDEN_RATIO % 1)
+        self._bodies = tuple(_body(k, radius) for k, radius in enumerate(sizes.tolist()))
+        self.obstacle_radius = np.array([body.radius for body in self._bodies])
+        self.keep_off = self.obstacle_radius + max(2 * context.collision_radius, config.d_safe)
+
+    def obstacles(self) -> Sequence[Obstacle]:
+        """List the obstacles, those that move first."""
+        return self._bodies
+
+    def obstacle_bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Tell the box in which the obstacles' middles are, (3,) each, m; by default the arena."""
+        reach = self.obstacle_radius.max(initial=0.0)
+        return self.arena_low + reach, self.arena_high - reach
+
+    def finish(self, spawn: Spawn, given: Given, rng: np.random.Generator) -> Spawn:
+        """Put given places into a start, and draw obstacles clear of starts and goals.
+
+        Raises:
+            ValueError: There is no room for them.
+        """
+        spawn = super().finish(spawn, given, rng)
+        if not self._bodies:
+            return spawn
+        low, high = self.obstacle_bounds()
+        if (low > high).any():
+            raise ValueError(
+                f"obstacle_radius is {self.config.obstacle_radius}: the arena has no room for "
+                f"obstacles of {self.obstacle_radius.max():.3g} m; lower it"
+            )
+        # Those that the task has drawn stay, unless they are in the way.
+        shape = (len(self._bodies), 3)
+        was_drawn = len(spawn.obstacle) > 0
+        obstacle = spawn.obstacle.copy() if was_drawn else rng.uniform(low, high, shape)
+        velocity = spawn.obstacle_velocity
+        if not was_drawn:
+            fastest = self.config.obstacle_speed
+            velocity = rng.uniform(-fastest, fastest, shape)
+            velocity[self.config.num_moving :] = 0.0
+        places = np.concatenate([spawn.position, np.broadcast_to(spawn.goal, spawn.position.shape)])
+        for k in range(len(obstacle)):
+            tries = 0
+            while not self._is_clear(obstacle[k], k, places, spawn.layout):
+                obstacle[k] = rng.uniform(low, high)
+                tries += 1
+                if tries == MAX_TRIES:
+                    raise ValueError(
+                        f"num_obstacles is {self.config.num_obstacles}: no place is left for "
+                        f"obstacle {k} clear of starts, goals and buildings; lower it, or "
+                        f"obstacle_radius"
+                    )
+        return spawn._replace(obstacle=obstacle, obstacle_velocity=velocity)
+
+    def _is_clear(self, middle: np.ndarray, k: int, places: np.ndarray, layout: int) -> bool:
+        """Tell whether obstacle k at `middle` (3,) m keeps off places (M, 3) and what stands."""
+        gap = np.linalg.norm(places - middle, axis=1).min()
+        is_off = gap > self.keep_off[k]
+        return bool(is_off) and self.is_free(middle, float(self.obstacle_radius[k]), layout)
+
+    def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
+        """Move obstacles straight on, reflected at the bounds; where buildings are, turned back.
+
+        Returns:
+            Whether any obstacle can have moved.
+        """
+        super().move_scene(scene, time, flying, rngs)
+        moving = self.config.num_moving
+        if not moving:
+            return False
+        low, high = self.obstacle_bounds()
+        before = scene.obstacle[flying, :moving]
+        place = before + self.context.period * scene.obstacle_velocity[flying, :moving]
+        # How far each is beyond a bound, on each axis: it comes back as far, and turns round.
+        beyond = np.maximum(place - high, 0) + np.minimum(place - low, 0)
+        place = place - 2 * beyond
+        turned = np.where(beyond == 0, 1.0, -1.0)
+        self._turn_back(before, place, turned, scene.layout[flying])
+        scene.obstacle[flying, :moving] = place
+        scene.obstacle_velocity[flying, :moving] *= turned
+        return True
+
+    def _turn_back(
+        self, before: np.ndarray, place: np.ndarray, turned: np.ndarray, layout: np.ndarray
+    ) -> None:
+        """Let obstacles that would enter a building stay where they were, and turn round."""
+        if not self.layouts():
+            return
+        for w, k in np.ndindex(place.shape[:2]):
+            if not self.is_free(place[w, k], float(self.obstacle_radius[k]), int(layout[w])):
+                place[w, k] = before[w, k]
+                turned[w, k] = -1.0
+
+
+def _body(index: int, radius: float) -> Obstacle:
+    """Make a sphere, or for odd indices a cube, of that bounding radius, m."""
+    if index % 2:
+        side = 2 * radius / np.sqrt(3)
+        return Obstacle("box", (side, side, side))
+    return Obstacle("sphere", (radius,))

@@ -1,0 +1,84 @@
+"""Task `free_flight`: from random places, in random directions, to random goals."""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from bulletuav.registry import register
+from bulletuav.tasks.families.difficulties import AIRSPACE_DIFFICULTIES
+from bulletuav.tasks.families.free_space import FreeSpace, FreeSpaceConfig
+from bulletuav.tasks.families.presets import UAVCONFLICT
+
+
+@dataclass(frozen=True)
+class FreeFlightConfig(FreeSpaceConfig):
+    """Options of `free_flight`, beside those of flights among random places (`FreeSpaceConfig`).
+
+    Attributes:
+        altitude: Height above ground of the middle of the box, m.
+        altitude_spread: Range of heights of starts and goals about it, m.
+        leg: Least distance from a start to its goal, m.
+        heading: Where drones fly to at the start, by default in a random direction.
+    """
+
+    altitude: float = 70.0
+    altitude_spread: float = 60.0
+    leg: float = 20.0
+    heading: Any = "random"
+
+
+@register("task")
+class FreeFlight(FreeSpace[FreeFlightConfig]):
+    """Flight between random places of one airspace, in which nothing is arranged.
+
+    Drones start at random places in a square of 200 m, between 40 and 100 m high. They fly in
+    random directions at 5 to 15 m/s. Goals are such places, too.
+
+    Observation, Box(55) per drone with the defaults, in world axes (east, north, up): position,
+    velocity, direction and distance of the goal, the nearest living drones, and the nearest
+    obstacles. Both come nearest first, relative to the drone, and are zeros where there are fewer.
+    Obstacles are sorted by the distance to their bounding spheres.
+
+    Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 20 m/s.
+    Its norm is limited to max_speed. There are 10 decisions a second.
+
+    Reward per decision, as in every shared airspace (see `Airspace` for all terms):
+
+    - progress 5: metres nearer to the goal.
+    - goal 50: 1 on reaching the goal.
+    - conflict -100: other drones that come closer than d_safe = 5 m.
+    - warning -5: nearness to other drones, from 0 at 10 m to 1 at 5 m.
+    - collision -200: 1 on contact.
+    - out_of_bounds -50: 1 outside the arena.
+    - energy -0.01: square of the velocity change, (m/s)^2.
+    - time -0.5: 1 a decision until the goal is reached; on another end also all that are left.
+    - obstacle_warning -5: for each obstacle, linear from 0 at d_safe from its bounding sphere to
+      1 at contact with it.
+
+    End: terminated within 2 m of the goal, on contact, with an empty battery, or outside the
+    arena. Truncated after 500 decisions.
+
+    Success: the goal is reached.
+
+    Preset uavconflict: the scenario of UAVConflictGym with its sizes, observation and reward
+    constants.
+    """
+
+    name = "free_flight"
+    difficulties: ClassVar = {
+        "easy": {**AIRSPACE_DIFFICULTIES["easy"], "area": 100.0},
+        "medium": {**AIRSPACE_DIFFICULTIES["medium"], "area": 120.0},
+        "hard": {**AIRSPACE_DIFFICULTIES["hard"], "area": 160.0},
+        "extreme": {**AIRSPACE_DIFFICULTIES["extreme"], "area": 300.0},
+    }
+    presets: ClassVar = {
+        "uavconflict": {
+            **UAVCONFLICT,
+            "area": 200.0,
+            # A cube of 200 m, above the ground.
+            "altitude": 120.0,
+            "altitude_spread": 200.0,
+            "leg": 0.0,
+            "num_obstacles": 0,
+            "num_moving": 0,
+        }
+    }

@@ -1,0 +1,97 @@
+"""Checks of starts, and of places that users give."""
+
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from bulletuav.errors import numbers_of, shown
+from bulletuav.tasks.base import Task
+from bulletuav.tasks.given import PLACES, Given
+
+
+def take_given(task: Task[Any], start: object = None, goal: object = None) -> Given:
+    """Take places that users give, and refuse those that cannot be.
+
+    Args:
+        task: The task.
+        start: (N, 3) numbers, m; None to have starts drawn.
+        goal: The same of goals.
+
+    Raises:
+        ValueError: The task takes no such places, or they are no finite positions inside the arena,
+            one for each drone; they are in a building, or starts overlap.
+    """
+    places = {}
+    for name, value in zip(PLACES, (start, goal), strict=True):
+        if value is None:
+            continue
+        if name not in task.places:
+            remedy = " or ".join(task.places) or "nothing"
+            raise ValueError(f"{name} cannot be given in task {task.name!r}: {remedy} can")
+        places[name] = _given_positions(task, name, value)
+    if "start" in places:
+        lowest = float(places["start"][:, 2].min())
+        if lowest <= task.context.collision_radius:
+            raise ValueError(
+                f"start is {lowest:g} m up at its lowest: drones touch the ground there; more than "
+                f"{task.context.collision_radius:.3g} m is needed"
+            )
+        refuse_overlap(places["start"], task.context.collision_radius)
+    return Given(**places)
+
+
+def _given_positions(task: Task[Any], name: str, value: object) -> np.ndarray:
+    """Return an option as positions (N, 3), m, and refuse all but those in the free."""
+    drones = task.context.num_drones
+    try:
+        positions = numbers_of(f"{name} is", value)
+    except ValueError:
+        positions = np.empty(0)
+    if positions.shape != (drones, 3) or not np.isfinite(positions).all():
+        raise ValueError(
+            f"{name} is {shown(value)}: {drones} finite positions (x, y, z) in metres are needed"
+        )
+    beyond = ((positions < task.arena_low) | (positions > task.arena_high)).any(axis=1)
+    if beyond.any():
+        i = int(beyond.argmax())
+        low, high = (tuple(corner.tolist()) for corner in (task.arena_low, task.arena_high))
+        raise ValueError(
+            f"{name} of drone {i} is {tuple(positions[i].tolist())}: "
+            f"a position inside the arena, from {low} to {high} m, is needed"
+        )
+    for layout in range(len(task.layouts())):
+        for i, place in enumerate(positions):
+            if not task.is_free(place, task.context.collision_radius, layout):
+                raise ValueError(
+                    f"{name} of drone {i} is {tuple(place.tolist())}: that is inside a building, "
+                    f"or in touch with it, in layout {layout}; choose a place outdoors"
+                )
+    return positions
+
+
+def refuse_overlap(position: np.ndarray, radius: float) -> None:
+    """Raise ValueError when two of (N, 3) positions are closer than two collision radii."""
+    if len(position) < 2:
+        return
+    pairs = cKDTree(position).query_pairs(2 * radius)
+    if pairs:
+        i, j = min(pairs)
+        gap = float(np.linalg.norm(position[i] - position[j]))
+        raise ValueError(
+            f"start positions of drones {i} and {j} overlap: {gap:.3g} m apart, their collision "
+            f"shapes need more than "
+            f"{2 * radius:.3g} m; move them or widen the spacing"
+        )
+
+
+def refuse_early_end(max_distance: float, start_offset: float) -> None:
+    """Refuse starts, up to `start_offset` m off the goal on each axis, that are too far from it.
+
+    Raises:
+        ValueError: They can be farther than `max_distance`, m, where an episode ends.
+    """
+    if max_distance <= start_offset * np.sqrt(3):
+        raise ValueError(
+            f"max_distance {max_distance:g} m must exceed the start offset of {start_offset:g} m"
+        )

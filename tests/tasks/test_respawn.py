@@ -1,0 +1,98 @@
+"""Flights whose goals are drawn anew when they are reached."""
+
+import numpy as np
+import pytest
+from placing import OPEN, SMALL
+from urban import WALL
+
+import bulletuav
+from bulletuav.policies import find_policy
+
+FREE = {"dynamics": "single_integrator", "at_goal": "respawn", "battery_capacity": None}
+
+
+def at_goals(aviary):
+    """Move the goals to where the first drone is, and the others out of reach."""
+    aviary.scene.goal[:, 0] = aviary.swarm.position[:, 0] + (0.5, 0, 0)
+
+
+@pytest.fixture
+def aviary():
+    made = bulletuav.Aviary("navigation", 3, city=OPEN, num_drones=2, leg=80.0, **FREE)
+    made.reset(seeds=0)
+    yield made
+    made.close()
+
+
+def test_a_goal_that_is_reached_counts_and_gives_way_to_another(aviary):
+    at_goals(aviary)
+    old = aviary.scene.goal.copy()
+    step = aviary.step(np.zeros((3, 2, 3)))
+    np.testing.assert_array_equal(step.info["goals"], [[1, 0]] * 3)
+    assert (step.info["reward/goal"][:, 0] == 50).all()
+    assert (step.info["reward/goal"][:, 1] == 0).all()
+    # What is paid and told is about the old goal, what is observed about the new.
+    assert (step.info["goal_distance"][:, 0] < 1).all()
+    way = np.linalg.norm(aviary.scene.goal - aviary.swarm.position, axis=-1)
+    assert (way[:, 0] >= 80).all()
+    np.testing.assert_array_equal(aviary.scene.goal[:, 1], old[:, 1])
+    seen = aviary.observer.split(step.observations)["goal"]
+    np.testing.assert_allclose(seen[..., 3], way, rtol=1e-5)
+    np.testing.assert_allclose(np.linalg.norm(seen[..., :3], axis=-1), 1, rtol=1e-5)
+    assert aviary.alive.all()
+    np.testing.assert_array_equal(step.info["success"], [[True, False]] * 3)
+
+
+def test_each_goal_counts_and_progress_is_towards_the_one_that_was_flown_to(aviary):
+    for k in range(1, 4):
+        at_goals(aviary)
+        step = aviary.step(np.zeros((3, 2, 3)))
+        assert (step.info["goals"][:, 0] == k).all()
+        assert (step.info["reward/goal"][:, 0] == 50).all()
+        assert np.abs(step.info["reward/progress"]).max() < 1e-9
+    step = aviary.step(np.zeros((3, 2, 3)))
+    assert (step.info["reward/goal"] == 0).all()
+    assert step.info["success"][:, 0].all()
+
+
+def test_goals_are_those_of_the_worlds_own_generator():
+    drawn = []
+    for worlds in (1, 2):
+        made = bulletuav.Aviary("navigation", worlds, city=OPEN, num_drones=2, leg=80.0, **FREE)
+        made.reset(seeds=5)
+        at_goals(made)
+        made.step(np.zeros((worlds, 2, 3)))
+        drawn.append(made.scene.goal[0].copy())
+        made.close()
+    np.testing.assert_array_equal(*drawn)
+
+
+def test_where_no_place_is_far_enough_the_farthest_is_taken():
+    town = bulletuav.Aviary("navigation", city=OPEN, leg=80.0, **FREE).task.town
+    goal = town.goal_from(np.random.default_rng(0), 0, np.array((0.0, 0, 10)), 500.0)
+    assert 100 < np.linalg.norm(goal[:2]) < 90 * 2**0.5
+
+
+def test_a_crash_at_the_goal_is_no_goal(aviary):
+    made = bulletuav.Aviary("navigation", city=WALL, num_drones=1, leg=80.0, **FREE)
+    made.reset(seeds=0)
+    made.swarm.position[:] = (9.5, 0, 20)
+    made.scene.goal[:] = (10.0, 0, 20)
+    step = made.step(np.full((1, 1, 3), (1.0, 0, 0)))
+    assert step.info["collision"].all()
+    assert (step.info["goals"] == 0).all()
+    assert not step.info["success"].any()
+    made.close()
+
+
+def test_a_planner_flies_to_one_goal_after_the_other():
+    made = bulletuav.Aviary(
+        "lidar_navigation", 2, num_drones=1, leg=60.0, **FREE, **{**SMALL, "num_layouts": 1}
+    )
+    observations = made.reset(seeds=0)
+    policy = find_policy("planner")(made)
+    while made.alive.any():
+        step = made.step(policy.act(observations, made.swarm))
+        observations = step.observations
+    assert (made.scene.memory["goals"] >= 2).all()
+    made.close()

@@ -1,0 +1,114 @@
+"""What `bulletuav tasks NAME` prints contradicts neither the code nor itself."""
+
+import inspect
+import re
+
+import pytest
+
+import bulletuav
+from bulletuav.cli import main
+from bulletuav.commands.tasks import (
+    difficulties_table,
+    ends_table,
+    option_texts,
+    options_table,
+    reward_table,
+)
+from bulletuav.envs.env_spec import EnvSpec
+from bulletuav.tasks import find_task
+from bulletuav.tasks.ends import leaves_arena
+
+TASKS = bulletuav.list_tasks()
+
+
+def rows(table):
+    """Rows of a table, as lists of texts."""
+    return [list(row) for row in zip(*(column.cells for column in table.columns), strict=True)]
+
+
+@pytest.fixture(params=TASKS)
+def printed(request, capsys, monkeypatch):
+    """A task's class, its defaults, and what is printed of it, on one line."""
+    monkeypatch.setenv("COLUMNS", "2000")
+    main(["tasks", request.param])
+    said = " ".join(capsys.readouterr().out.split())
+    return find_task(request.param), EnvSpec(request.param, 1, {}), said
+
+
+def ends_outside(task, spec):
+    """Whether drones outside of the arena end, with the defaults."""
+    return leaves_arena in task.ends or getattr(spec.task.config, "boundary", "") == "end"
+
+
+def test_the_text_says_each_thing_once(printed):
+    _, spec, said = printed
+    d_safe = spec.task.config.d_safe
+    told = re.findall(r"d_safe(?: =| is|:)? (\d+(?:\.\d+)?)(?= m|,)", said)
+    assert all(float(one) == d_safe for one in told)
+    for far, near in re.findall(r"from 0 at (\d+) m to 1 at (\d+) m", said):
+        assert (float(far), float(near)) == (spec.task.zone, d_safe)
+    horizons = re.findall(r"(?:[Tt]runcated a|A)fter (\d+) decisions", said)
+    assert [int(one) for one in horizons] == [spec.options.horizon] * 2  # in words, and in a table
+    assert "Difficulties (" not in said  # which a table tells
+    for heading in ("Observation,", "Action,", "Reward per decision,", "End:", "Success:"):
+        assert said.count(f" {heading}") == 1
+
+
+def test_the_text_ends_episodes_where_the_task_does(printed):
+    task, spec, said = printed
+    (end,) = re.findall(r" End: (.*?) Success:", said)
+    assert ("outside" in end) == ends_outside(task, spec)
+    assert ("stop at" in end) == (spec.task.rebound == 0.0)
+    names = [row[0] for row in rows(ends_table(task))]
+    assert names[-1] == "horizon"
+    assert ("battery" in names) == (spec.options.battery_capacity is not None)
+    assert set(names) >= {one.__name__ for one in task.ends}
+    boundary = [row[1] for row in rows(ends_table(task)) if row[0] == "boundary"]
+    assert boundary == [repr(getattr(spec.task.config, "boundary", ""))] * len(boundary)
+
+
+def test_presets_that_the_text_names_can_be_asked_for(printed):
+    task, _, said = printed
+    named = set(re.findall(r"Preset (\w+):", said))
+    assert named == set(task.presets)
+    for preset in named:
+        EnvSpec(task.name, 1, {"preset": preset})
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_tables_hold_what_the_code_does(name):
+    task = find_task(name)
+    spec = EnvSpec(name, 1, {})
+    weights = {term: float(weight) for term, weight, _ in rows(reward_table(task))}
+    if not getattr(spec.task.config, "num_obstacles", 0):
+        # Without obstacles there is nothing to warn of.
+        weights.pop("obstacle_warning", None)
+        spec.task.weights.pop("obstacle_warning", None)
+    assert weights == spec.task.weights
+    assert all(about for *_, about in rows(reward_table(task)))
+    values = dict(rows(difficulties_table(task)))
+    assert set(values) == {
+        *(f"difficulty {one}" for one in task.difficulties),
+        *(f"preset {one}" for one in task.presets),
+    }
+    for one, options in task.difficulties.items():
+        for option, value in options.items():
+            assert f"{option}={value!r}" in values[f"difficulty {one}"]
+    options = {option: (default, about) for option, default, about in rows(options_table(task))}
+    assert options["horizon"][0] == repr(task.defaults["horizon"])
+    assert options["d_safe"][0] == repr(spec.task.config.d_safe)
+    assert all(about for _, about in options.values())
+
+
+def test_options_are_told_by_the_nearest_class():
+    told = option_texts(find_task("los").Config)
+    assert told["boundary"].startswith("What happens at the bounds, by default")
+    assert told["contact_ends"].endswith('or of its whole "world".')
+    assert "d_safe" in told
+
+
+def test_bases_are_not_printed(printed):
+    task, _, said = printed
+    for base in inspect.getmro(task)[1:]:
+        if base.__module__.startswith("bulletuav.tasks.families"):
+            assert inspect.getdoc(base).partition("\n")[0] not in said
