@@ -153,13 +153,22 @@ class PathFollower(Policy):
 
 @register("policy")
 class Planner(PathFollower):
-    """Flight to the task's goals, which are taken to stand still."""
+    """Flight to the task's goals, which are taken to stand still, or to jump to another place."""
 
     name = "planner"
 
+    def __init__(self, aviary: Aviary) -> None:
+        """Take the aviary to fly; see `Policy`."""
+        super().__init__(aviary)
+        self._goal = aviary.scene.goal.copy()
+
     def goals(self, swarm: Swarm) -> np.ndarray:
-        """Give the task's goals (W, N, 3), m."""
-        return self.aviary.scene.goal
+        """Give the task's goals (W, N, 3), m; ways to those that jumped are made anew."""
+        goal, options = self.aviary.scene.goal, self.aviary.options
+        step = options.max_speed / options.decision_hz
+        self._count[np.linalg.norm(goal - self._goal, axis=-1) > step] = 0
+        self._goal = goal.copy()
+        return goal
 
 
 @allocating

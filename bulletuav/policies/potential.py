@@ -93,7 +93,7 @@ class PotentialField(Policy):
         scene = aviary.scene
         speed = aviary.options.max_speed
         radius = np.array([obstacle.radius for obstacle in aviary.task.obstacles()])
-        wanted = preferred_velocity(scene.goal, scene.goal_velocity, swarm.position, speed)
+        wanted = preferred_velocity(scene.goal - swarm.position, scene.goal_velocity, speed)
         push = repulsion(swarm.position, aviary.alive, scene.obstacle, radius, make_field(aviary))
         return self.encoded(limit_norm(wanted + push, speed))
 

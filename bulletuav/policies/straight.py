@@ -35,28 +35,19 @@ class StraightLine(Policy):
         options = self.aviary.options
         if options.action == "target_position":
             return self.encoded(scene.goal)
-        wanted = preferred_velocity(
-            scene.goal, scene.goal_velocity, swarm.position, options.max_speed
-        )
-        return self.encoded(wanted)
+        way = scene.goal - swarm.position
+        return self.encoded(preferred_velocity(way, scene.goal_velocity, options.max_speed))
 
 
-def preferred_velocity(
-    goal: np.ndarray,
-    goal_velocity: np.ndarray,
-    position: np.ndarray,
-    max_speed: float,
-) -> np.ndarray:
+def preferred_velocity(way: np.ndarray, goal_velocity: np.ndarray, max_speed: float) -> np.ndarray:
     """Compute the velocities that lead straight to the goals, and with them.
 
     Args:
-        goal: (W, N, 3) goals, m.
-        goal_velocity: (W, N, 3) their velocities, m/s.
-        position: (W, N, 3) positions of the drones, m.
+        way: (W, N, 3) ways to the goals, m.
+        goal_velocity: (W, N, 3) velocities of the goals, m/s.
         max_speed: Limit of the speed, m/s.
 
     Returns:
         (W, N, 3) velocities, m/s.
     """
-    towards = APPROACH * (goal - position)
-    return limit_norm(towards + goal_velocity, max_speed)
+    return limit_norm(APPROACH * way + goal_velocity, max_speed)

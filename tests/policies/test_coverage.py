@@ -242,7 +242,7 @@ def test_tasks_without_targets_are_refused(make, name):
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("action", ["velocity", "velocity_increment"])
 def test_drones_come_to_rest_at_their_places_below_the_ceiling(make, name, action):
-    aviary = make(num_drones=2, city=OPEN, action=action, horizon=400)
+    aviary = make(num_drones=2, city=OPEN, action=action, horizon=400, ceiling=120.0)
     policy = find_policy(name)(aviary)
     _, served, ended = fly(aviary, policy, 300)
     assert not ended
@@ -392,7 +392,7 @@ def test_nobody_collides(make, name, options):
 
 def test_placement_serves_more_than_chance_and_the_oracle_most(make):
     """Means of 12 episodes; over 20 they are 0.4, 0.4, 0.6, 0.9, 0.9 and 1, to 0.07 or less."""
-    aviary, served = make(num_worlds=12, num_layouts=4), {}
+    aviary, served = make(num_worlds=12, num_layouts=4, ceiling=120.0), {}
     for name in ("random", "straight", *NAMES):
         served[name] = fly(aviary, find_policy(name)(aviary), 250)[1].mean()
     assert max(served["random"], served["straight"]) + 0.05 < served["centroid"]

@@ -9,10 +9,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import minimize
+from traffic_around import fly as fly_points
+from traffic_around import velocities as chosen
+from urban import TOWER, WALL, placed
 
 import bulletuav
+from bulletuav.policies.half_spaces import SLIGHT_TURN, Rules, half_space, turn_of, turned
 from bulletuav.policies.linear_program import DEPTH, best_velocity, nearest
-from bulletuav.policies.orca import TO_RIGHT, Orca, Rules, Surroundings, half_space, orca_velocities
+from bulletuav.policies.orca import Orca, orca_velocities
 
 # Time step, time horizon, radius of an agent, max speed; position, velocity and preferred velocity
 # of each; its new velocity.
@@ -110,25 +114,26 @@ REFERENCE = {
     ),
 }
 
-OPEN = (np.full(3, -np.inf), np.full(3, np.inf))
 numbers = st.integers(0, 2**32 - 1).map(np.random.default_rng)
 
 
-def around(ball=(), ball_velocity=(), ball_radius=(), low=OPEN[0], high=OPEN[1]):
-    """Surroundings of one world."""
-    places, speeds = (np.array(a, float).reshape(1, -1, 3) for a in (ball, ball_velocity))
-    return Surroundings(
-        places, speeds, np.array(ball_radius, float), np.array(low, float), np.array(high, float)
-    )
+def velocities(state, rules, **around):
+    return chosen(orca_velocities, state, rules, **around)
 
 
-def velocities(state, rules, surroundings=None, alive=None):
-    """New velocities (N, 3) of rows of position, velocity and preferred velocity, in one world."""
-    position, velocity, preferred = (
-        np.array(state, float).reshape(1, -1, 3, 3).transpose(2, 0, 1, 3).copy()
-    )
-    alive = np.ones(position.shape[:2], bool) if alive is None else np.array([alive])
-    return orca_velocities(position, velocity, preferred, alive, rules, surroundings or around())[0]
+def without_turns(state, rules, wishes=None):
+    """Permitted velocities nearest to wishes, in half-spaces of all drones one by one."""
+    state = np.array(state, float).reshape(-1, 3, 3)
+    found = []
+    for i, (here, own, wish) in enumerate(state):
+        spaces = [
+            half_space(tuple(there - here), tuple(own), tuple(other), rules.separation, rules, 0.5)
+            for there, other, _ in np.delete(state, i, axis=0)
+        ]
+        room, spare = rows(np.array([(*n, bound) for n, bound in spaces]))
+        aim = wish if wishes is None else wishes[i]
+        found.append(best_velocity(room, spare, len(spaces), tuple(aim), rules.max_speed))
+    return np.array(found)
 
 
 def crowd(rng, drones=8, side=8.0):
@@ -141,7 +146,20 @@ def crowd(rng, drones=8, side=8.0):
 def test_velocities_are_those_of_the_reference_library(name):
     (step, horizon, radius, speed), state, expected = REFERENCE[name]
     rules = Rules(2.0 * radius, float(horizon), 1.0, step, float(speed))
-    np.testing.assert_allclose(velocities(state, rules), expected, atol=1e-5)
+    np.testing.assert_allclose(without_turns(state, rules), expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", REFERENCE)
+def test_wishes_turn_right_by_as_much_as_is_not_given(name):
+    """The same half-spaces, with wishes that turn a little, and then by what is left of them."""
+    (step, horizon, radius, speed), state, _ = REFERENCE[name]
+    rules = Rules(2.0 * radius, float(horizon), 1.0, step, float(speed))
+    first = [turned(row[6:], SLIGHT_TURN) for row in state]
+    given = without_turns(state, rules, first)
+    angles = [turn_of(one, tuple(best)) for one, best in zip(first, given, strict=True)]
+    again = [turned(one, angle) for one, angle in zip(first, angles, strict=True)]
+    expected = without_turns(state, rules, again)
+    np.testing.assert_allclose(velocities(state, rules), expected, atol=1e-6)
 
 
 def half_spaces(rng, count=10):
@@ -230,49 +248,13 @@ def test_linear_program_by_hand(spaces, wanted, expected):
     )
 
 
-def test_half_space_of_a_head_on_pair_by_hand():
-    """10 m apart, to stay 1 m apart for 2 s: together 4.5 m/s, so 2.25 m/s each."""
-    n, bound = half_space(
-        (10.0, 0, 0), (1.0, 0, 0), (-1.0, 0, 0), 1.0, Rules(1.0, 2.0, 1.0, 0.1, 2.0), 0.5
-    )
-    np.testing.assert_allclose((*n, bound), (-1, 0, 0, -2.25))
-
-
 @pytest.mark.parametrize("axis", [(1, 0, 0), (0, 0, 1), (0.6, 0, 0.8)])
-def test_head_on_pair_keeps_apart(axis):
-    """Both turn to their right, without noise; on a vertical there is no right, and they stop."""
-    axis, rules = np.array(axis, float), Rules(2.0, 3.0, 1.0, 0.1, 2.0)
-    position, goal = np.array((10 * axis, -10 * axis)), np.array((-10 * axis, 10 * axis))
-    velocity, least = 0.1 * (goal - position), np.inf
-    for _ in range(200):
-        wanted = goal - position
-        wanted *= 2 / np.maximum(np.linalg.norm(wanted, axis=1, keepdims=True), 2)
-        velocity = velocities(
-            np.concatenate([position, velocity, wanted @ TO_RIGHT], axis=1), rules
-        )
-        position = position + 0.1 * velocity
-        least = min(least, np.linalg.norm(position[0] - position[1]))
+def test_a_pair_changes_places(axis):
+    """Both turn to their right, also where one is above the other."""
+    places = 10 * np.array((axis, -np.array(axis)))
+    end, least = fly_points(orca_velocities, places, -places, Rules(2.0, 3.0, 1.0, 0.1, 2.0), 20.0)
+    np.testing.assert_allclose(end, -places, atol=1e-2)
     assert least >= 2 - 1e-3
-    if axis[0]:
-        np.testing.assert_allclose(position, goal, atol=1e-3)
-
-
-@pytest.mark.parametrize(("axis", "sideways"), [((1, 0, 0), (0, -1, 0)), ((0, 0, 1), (0, 1, 0))])
-def test_fast_head_on_pair_turns_to_its_right(axis, sideways):
-    """Nearest to the cone, equally far from all of it; on a vertical any side they agree on."""
-    gap, own, back = (
-        tuple(8.0 * np.array(axis)),
-        tuple(3.0 * np.array(axis)),
-        tuple(-3.0 * np.array(axis)),
-    )
-    rules = Rules(2.0, 8.0, 1.0, 0.1, 3.0)
-    n, bound = half_space(gap, own, back, 2.0, rules, 0.5)
-    np.testing.assert_allclose(
-        n, -0.25 * np.array(axis) + np.sqrt(1 - 0.25**2) * np.array(sideways), atol=1e-12
-    )
-    assert bound == pytest.approx(-0.25 * 3 + 0.5 * 0.25 * 6)
-    other, same = half_space(tuple(-8.0 * np.array(axis)), back, own, 2.0, rules, 0.5)
-    np.testing.assert_allclose((*other, same), (*(-np.array(n)), bound))
 
 
 @given(numbers)
@@ -284,42 +266,39 @@ def test_the_order_of_drones_and_their_heading_do_not_matter(rng):
     turn = np.array(
         ((np.cos(angle), -np.sin(angle), 0), (np.sin(angle), np.cos(angle), 0), (0, 0, 1))
     )
-    turned = (state.reshape(-1, 3, 3) @ turn.T).reshape(-1, 9)
-    np.testing.assert_allclose(velocities(turned, rules), expected @ turn.T, atol=1e-6)
+    moved = (state.reshape(-1, 3, 3) @ turn.T).reshape(-1, 9)
+    np.testing.assert_allclose(velocities(moved, rules), expected @ turn.T, atol=1e-6)
 
 
-def test_only_the_nearest_living_drones_count():
-    state, rules = (
-        crowd(np.random.default_rng(1), drones=12, side=3.0),
-        Rules(1.6, 4.0, 1.0, 0.25, 1.5),
-    )
-    distance = np.linalg.norm(state[:, :3] - state[0, :3], axis=1)
-    near = np.argsort(distance)[:4]
-    few = velocities(state, rules._replace(neighbours=3))[0]
-    np.testing.assert_array_equal(few, velocities(state[near], rules)[0])
-    assert not np.array_equal(few, velocities(state, rules)[0])
-    alive = np.isin(np.arange(12), near)
+@given(numbers)
+def test_up_and_down_are_alike(rng):
+    state, rules = crowd(rng), Rules(1.6, 4.0, 1.0, 0.25, 1.5)
+    mirrored = state * np.tile((1, 1, -1), 3)
+    expected = velocities(state, rules) * (1, 1, -1)
+    np.testing.assert_allclose(velocities(mirrored, rules), expected, atol=1e-6)
+
+
+def test_all_drones_count_that_can_come_too_close_within_the_horizon():
+    """At 1.5 m/s each, 1.6 m apart for 4 s: those within 13.6 m, and no others."""
+    rules = Rules(1.6, 4.0, 1.0, 0.25, 1.5)
+    own = (0, 0, 0, 0, 0, 0, 1.5, 0, 0)
+    for distance, is_free in ((13.5, False), (13.7, True)):
+        state = [own, (distance, 0, 0, -1.5, 0, 0, -1.5, 0, 0)]
+        free = velocities([own, (1000, 0, 0, 0, 0, 0, 0, 0, 0)], rules)[0]
+        assert np.array_equal(velocities(state, rules)[0], free) == is_free
+    # Also the fortieth of a row, which has slower ones before it.
+    row = [(0, 0.5 * k - 10, 2.0, 0, 0, 0, 0, 0, 0) for k in range(40)]
+    fast = (9.0, 0, 0, -1.5, 0, 0, -1.5, 0, 0)
+    with_it, without = velocities([own, *row, fast], rules)[0], velocities([own, *row], rules)[0]
+    assert not np.allclose(with_it, without)
+
+
+def test_drones_that_do_not_fly_do_not_count():
+    state, rules = crowd(np.random.default_rng(1), 12, 3.0), Rules(1.6, 4.0, 1.0, 0.25, 1.5)
+    alive = np.arange(12) < 5
     masked = velocities(state, rules, alive=alive)
-    np.testing.assert_array_equal(masked[0], few)
-    assert (masked[~alive] == 0).all()
-
-
-def test_obstacles_leave_all_the_avoiding_to_the_drone():
-    """Ball of 1 m, 10 m off, coming at 1 m/s: in 2 s they may close 9 m: at 3.5 m/s."""
-    rules = Rules(1.0, 2.0, 1.0, 0.1, 5.0)
-    ball = around([(10, 0, 0)], [(-1, 0, 0)], [1])
-    np.testing.assert_allclose(
-        velocities([(0, 0, 0, 1, 0, 0, 5, 0, 0)], rules, ball), [(3.5, 0, 0)]
-    )
-
-
-def test_walls_stop_drones():
-    """With 2 s to a wall: half its distance a second, and back from outside."""
-    box, rules = around(low=(-10, -10, 0), high=(10, 10, 20)), Rules(1.0, 2.0, 2.0, 0.1, 5.0)
-    np.testing.assert_allclose(
-        velocities([(0, 4, 3, 0, 0, 0, 0, 4, -3)], rules, box), [(0, 3, -1.5)]
-    )
-    np.testing.assert_allclose(velocities([(0, 0, -2, 0, 0, 0, 0, 0, 0)], rules, box), [(0, 0, 1)])
+    np.testing.assert_array_equal(masked[alive], velocities(state[alive], rules))
+    assert not np.allclose(masked[alive], velocities(state, rules)[alive])
 
 
 @pytest.fixture
@@ -346,6 +325,22 @@ def test_policy_crosses_without_conflict(fly):
     conflicts, success = fly(Orca, "crossing", 3, dynamics="bullet")
     assert conflicts == 0
     assert success.all()
+
+
+@pytest.mark.parametrize("dynamics", ["single_integrator", "bullet"])
+def test_policy_keeps_off_buildings(fly, dynamics):
+    """Straight through a tower 20 m wide, and before a wall 100 m wide."""
+    options = {"dynamics": dynamics, "num_drones": 1, "height": (5.0, 20.0), "ceiling": 120.0}
+    task = placed("navigation", [(-50.0, 0, 10)], goal=[(50.0, 0, 10)])
+    _, success = fly(Orca, task, 1, city=TOWER, **options)
+    assert success.all()
+    aviary = bulletuav.Aviary(task, city=WALL, horizon=200, **options)
+    pilot, observations = Orca(aviary), aviary.reset(seeds=0)
+    while aviary.alive.any():
+        step = aviary.step(pilot.act(observations, aviary.swarm))
+        observations = step.observations
+        assert not step.info["collision"].any()
+    aviary.close()
 
 
 def test_policy_gives_velocities_only():

@@ -41,7 +41,7 @@ def test_random_actions_follow_from_the_seed_and_fill_the_bounds():
         aviary.close()
 
 
-@pytest.mark.parametrize("name", ["straight", "potential", "orca"])
+@pytest.mark.parametrize("name", ["straight", "potential", "orca", "mvp", "voronoi"])
 def test_increments_lead_where_velocities_do(name):
     for action in ("velocity", "velocity_increment"):
         aviary = bulletuav.Aviary("crossing", action=action, **CALM)
@@ -53,7 +53,14 @@ def test_increments_lead_where_velocities_do(name):
 
 def test_every_policy_says_what_it_reads():
     specs = [find_policy(name) for name in registry.names("policy")]
-    assert {spec.name for spec in specs if not spec.reads_swarm} == {"random"}
+    observed = {f"{name}_observed" for name in ("straight", "orca", "mvp", "voronoi")}
+    assert {spec.name for spec in specs if not spec.reads_swarm} == {
+        "random",
+        "over_roofs",
+        "lidar_hop",
+        "street_pilot",
+        *observed,
+    }
     assert find_policy("straight").reads_swarm
 
 

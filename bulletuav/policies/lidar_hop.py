@@ -1,0 +1,60 @@
+"""Policy `lidar_hop`, which flies at its goal and climbs where its range finder sees a wall."""
+
+import numpy as np
+
+from bulletuav.control.actions import limit_norm
+from bulletuav.envs.aviary import Aviary
+from bulletuav.policies.base import Policy
+from bulletuav.policies.readings import CEILING_ROOM, Readings, goal_offset
+from bulletuav.policies.straight import APPROACH
+from bulletuav.policies.street_map import level_beams
+from bulletuav.registry import register
+from bulletuav.tasks.observations.observer import Observation
+from bulletuav.vehicle.swarm import Swarm
+
+SPEED = 6.0
+"""Greatest speed, m/s: a Hummingbird then stops within BLOCKED"""
+BLOCKED = 12.0
+"""Range of a beam towards the goal below which the way is blocked, m"""
+CONE = 0.8
+"""Cosine of the greatest angle between the goal and a beam towards it"""
+
+
+@register("policy")
+class LidarHop(Policy):
+    """Flight towards the goal, and up, as far as the ceiling, where something stands in the way."""
+
+    name = "lidar_hop"
+    actions = ("velocity", "velocity_increment")
+    reads_swarm = False
+
+    def __init__(self, aviary: Aviary) -> None:
+        """Take the aviary to fly; see `Policy`.
+
+        Raises:
+            ValueError: The action is another one, or what it reads is not observed.
+        """
+        super().__init__(aviary)
+        self.readings = Readings(self.name, aviary, ("goal", "room", "lidar"))
+        self._chosen, self._directions = level_beams(aviary)
+
+    def reset(self, mask: np.ndarray) -> None:
+        """Do nothing, as no world is remembered."""
+
+    def act(self, observations: Observation, swarm: Swarm) -> np.ndarray:
+        """Fly at the goal, or climb; see `Policy.act`."""
+        told = self.readings(observations)
+        offset = goal_offset(told["goal"])
+        flat = np.linalg.norm(offset[..., :2], axis=-1, keepdims=True)
+        towards = offset[..., :2] / np.maximum(flat, 1e-9)
+        # What beams towards the goal see before it.
+        cosine = towards @ self._directions.T
+        near = told["lidar"][..., self._chosen] < np.minimum(BLOCKED, flat)
+        blocked = ((cosine > CONE) & near).any(axis=-1)
+        # Level flight to above the goal, then down: what was hopped over is not descended into.
+        wanted = np.zeros(offset.shape)
+        wanted[..., :2] = np.where(blocked[..., None], 0.0, offset[..., :2])
+        over = flat[..., 0] < BLOCKED
+        wanted[..., 2] = np.where(over & ~blocked, offset[..., 2], 0.0)
+        wanted[..., 2] = np.where(blocked, told["room"][..., 2] - CEILING_ROOM, wanted[..., 2])
+        return self.encoded(limit_norm(APPROACH * wanted, SPEED))

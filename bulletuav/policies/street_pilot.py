@@ -1,0 +1,173 @@
+"""Policy `street_pilot`, which finds its way through streets by its range finder alone.
+
+It draws a map of what its beams have met, takes what it has not seen for free, and follows the
+shortest way through that, which it plans anew as the map grows: S. Koenig, Y. Smirnov,
+Sensor-based planning with the freespace assumption (1997).
+"""
+
+import math
+
+import numpy as np
+
+from bulletuav.control.actions import limit_norm
+from bulletuav.envs.aviary import Aviary
+from bulletuav.policies.astar import plan
+from bulletuav.policies.base import Policy
+from bulletuav.policies.over_roofs import ABOVE_GOAL, LEVEL
+from bulletuav.policies.planner import ACCELERATION, DELAY, HALF_WIDTH, Limits, follow
+from bulletuav.policies.readings import Readings, climb, goal_offset
+from bulletuav.policies.straight import APPROACH
+from bulletuav.policies.street_map import CELL, grow, level_beams, scan
+from bulletuav.policies.voxels import Voxels
+from bulletuav.registry import register
+from bulletuav.tasks.observations.observer import Observation
+from bulletuav.vehicle.swarm import Swarm
+
+MARGIN = 60.0
+"""How far a map reaches beyond start and goal, m"""
+PLAN_EVERY = 5
+"""Decisions from one plan to the next"""
+WAYPOINTS = 8
+"""Waypoints of a plan that are kept"""
+SPEED = 10.0
+"""Greatest speed, m/s: a Hummingbird then stops within half of a street's width from a wall that
+shows up as it rounds a corner"""
+TRUST = 0.2
+"""Share of the difference to the observed place by which the reckoned one is corrected"""
+BERTH = 3.0
+"""Range below which what is seen pushes a drone away, m"""
+PUSH = 1.5
+"""Speed of that push for each metre nearer, 1/s"""
+
+
+@register("policy")
+class StreetPilot(Policy):
+    """Flight level below the ceiling along the shortest way that a drone's own map leaves.
+
+    A drone climbs first, then crosses the city, then descends to its goal. It knows its place
+    relative to the goal by the velocity that it observes, corrected by the goal's direction and
+    distance. Other drones are returns of the range finder like walls, and fade from the map.
+    """
+
+    name = "street_pilot"
+    actions = ("velocity", "velocity_increment")
+    reads_swarm = False
+
+    def __init__(self, aviary: Aviary) -> None:
+        """Take the aviary to fly; see `Policy`.
+
+        Raises:
+            ValueError: The action is another one, or what it reads is not observed.
+        """
+        super().__init__(aviary)
+        self.readings = Readings(self.name, aviary, ("goal", "velocity", "room", "lidar"))
+        self._chosen, self._directions = level_beams(aviary)
+        shape = aviary.alive.shape
+        task = aviary.task
+        side = float((task.arena_high - task.arena_low)[:2].max())
+        cells = math.ceil((side + 2 * MARGIN) / CELL)
+        self._evidence = np.zeros((*shape, cells, cells), dtype=np.int8)
+        self._occupied = np.ones((cells + 2, cells + 2, 3), dtype=bool)
+        # Place and goal, m from the first corner of each map; airspace known so far.
+        self._place = np.zeros((*shape, 2))
+        self._goal = np.zeros((*shape, 2))
+        self._low = np.zeros((*shape, 2))
+        self._high = np.zeros((*shape, 2))
+        self._way = np.zeros((*shape, WAYPOINTS, 3))
+        self._count = np.zeros(shape, dtype=np.int64)
+        self._next = np.ones(shape, dtype=np.int64)
+        self._age = np.zeros(len(aviary.alive), dtype=np.int64)
+
+    def reset(self, mask: np.ndarray) -> None:
+        """Forget the maps of the worlds of `mask` (W,)."""
+        self._evidence[mask] = 0
+        self._age[mask] = 0
+
+    def act(self, observations: Observation, swarm: Swarm) -> np.ndarray:
+        """Look, plan, and fly along the way; see `Policy.act`."""
+        told = self.readings(observations)
+        offset = goal_offset(told["goal"])
+        rise = climb(offset, told["room"])
+        self._reckon(offset[..., :2], told)
+        # What stands at another height is no matter.
+        is_level = np.abs(rise) < LEVEL
+        far = np.linalg.norm(offset[..., :2], axis=-1) > ABOVE_GOAL
+        ranges = told["lidar"][..., self._chosen]
+        reach = self.aviary.task.context.max_range
+        # A range is stored as float32: the rest of `reach` is rounding.
+        alive = self.aviary.alive
+        scan(
+            self._evidence,
+            self._place,
+            ranges,
+            self._directions,
+            reach - 1e-3,
+            alive & is_level & far,
+        )
+        is_due = alive & (self._age % PLAN_EVERY == 0)[:, None]
+        for w, i in np.argwhere(is_due).tolist():
+            self._plan(w, i)
+        self._age += 1
+        wanted = self._along(told["velocity"])
+        wanted[far & ~is_level, :2] = 0.0
+        wanted[..., :2] += self._push(ranges, offset)
+        wanted = limit_norm(wanted, min(SPEED, float(self.aviary.options.max_speed)))
+        wanted[..., 2] = APPROACH * np.where(far, rise, offset[..., 2])
+        return self.encoded(limit_norm(wanted, float(self.aviary.options.max_speed)))
+
+    def _reckon(self, offset: np.ndarray, told: dict[str, np.ndarray]) -> None:
+        """Bring the places up to date, from the way to the goal (W, N, 2), m."""
+        is_new = self._age == 0
+        # A map begins MARGIN beyond start and goal.
+        corner = np.minimum(0.0, offset) - MARGIN
+        self._place[is_new] = -corner[is_new]
+        self._goal[is_new] = (offset - corner)[is_new]
+        self._low[is_new] = -np.inf
+        self._high[is_new] = np.inf
+        old = ~is_new
+        moved = self._place + told["velocity"][..., :2] * self.aviary.task.context.period
+        moved += TRUST * (self._goal - offset - moved)
+        self._place[old] = moved[old]
+        # Edges of the airspace, once they are near.
+        room = told["room"]
+        reach = self.aviary.task.context.max_range - 1e-3
+        for axis in range(2):
+            here = self._place[..., axis]
+            high, low = room[..., axis], room[..., axis + 3]
+            seen = high < reach
+            self._high[..., axis][seen] = (here + high)[seen]
+            seen = low < reach
+            self._low[..., axis][seen] = (here - low)[seen]
+
+    def _plan(self, w: int, i: int) -> None:
+        """Find the way of a drone; a map without a way is forgotten."""
+        grow(self._evidence[w, i], self._occupied, self._low[w, i], self._high[w, i])
+        origin = np.array([-CELL, -CELL, -1.5 * CELL])
+        start, goal = np.append(self._place[w, i], 0.0), np.append(self._goal[w, i], 0.0)
+        way = plan(Voxels(self._occupied, origin, CELL), start, goal)
+        if not len(way):
+            self._evidence[w, i] = 0
+            way = np.stack([start, goal])
+        way = way[:WAYPOINTS]
+        way[:, 2] = 0.0
+        self._way[w, i, : len(way)] = way
+        self._count[w, i] = len(way)
+        self._next[w, i] = 1
+
+    def _along(self, velocity: np.ndarray) -> np.ndarray:
+        """Compute level velocities (W, N, 3) along the ways, m/s."""
+        speed = min(SPEED, float(self.aviary.options.max_speed))
+        limits = Limits(speed, ACCELERATION, DELAY, HALF_WIDTH)
+        zero = np.zeros((*self._count.shape, 1))
+        place = np.concatenate([self._place, zero], axis=-1)
+        level = np.concatenate([velocity[..., :2], zero], axis=-1)
+        wanted, self._next = follow(place, level, self._way, self._count, self._next, limits)
+        return wanted
+
+    def _push(self, ranges: np.ndarray, offset: np.ndarray) -> np.ndarray:
+        """Compute velocities (W, N, 2) away from what is near, m/s; less and less at the goal."""
+        flat = np.linalg.norm(offset[..., :2], axis=-1, keepdims=True)
+        berth = np.clip(flat - ABOVE_GOAL, 0.0, BERTH)
+        nearness = PUSH * np.maximum(berth - ranges, 0.0)
+        push: np.ndarray = -(nearness[..., None] * self._directions).sum(axis=-2)
+        return push

@@ -1,0 +1,77 @@
+import numpy as np
+import pytest
+from traffic_around import traffic_of
+
+from bulletuav.geometry.solids import Solids
+from bulletuav.policies.traffic import FACES, Clearance
+
+BOX = np.array([[(0.0, 0, 0), (10, 20, 30)]])
+PRISM = np.array([(x, y, z) for x, y in ((0, 0), (10, 0), (0, 10)) for z in (0, 30)], float)
+
+
+def building(place, solids, clear=None):
+    """Rows of the buildings about a drone at a place."""
+    clear = clear or Clearance(0.0, 0.0, 50.0)
+    return traffic_of([(*place, 0, 0, 0)], solids=solids, clear=clear).surface[0, 0, FACES:]
+
+
+def test_others_are_seen_from_the_drone():
+    state = [(1, 2, 3, 4, 5, 6), (3, 2, 1, -1, 0, 0), (0, 0, 0, 1, 1, 1)]
+    traffic = traffic_of(state, balls=[(5, 5, 5, 1, 0, 0, 2)], alive=[True, True, False])
+    np.testing.assert_array_equal(traffic.known[0], [[0, 1, 0], [1, 0, 0], [0, 0, 0]])
+    np.testing.assert_array_equal(traffic.gap[0, 0, 1], (2, 0, -2))
+    np.testing.assert_array_equal(traffic.other[0, 0, 1], (-1, 0, 0))
+    np.testing.assert_array_equal(traffic.goal[0, 1], (-3, -2, -1))
+    np.testing.assert_array_equal(traffic.ball[0, :, 0], [(4, 3, 2), (2, 3, 4), (5, 5, 5)])
+    np.testing.assert_array_equal(traffic.ball_velocity[0, 2, 0], (1, 0, 0))
+    np.testing.assert_array_equal(traffic.ball_radius[0], [[2], [2], [2]])
+
+
+def test_faces_of_the_arena_are_as_far_as_the_body_may_go():
+    clear = Clearance(0.5, 9.0, 0.0)
+    rows = traffic_of([(1, 2, 3, 0, 0, 0)], box=((-10, -10, 0), (10, 10, 20)), clear=clear).surface
+    expected = [
+        (1, 0, 0, 10.5), (-1, 0, 0, 8.5), (0, 1, 0, 11.5), (0, -1, 0, 7.5), (0, 0, 1, 2.5),
+        (0, 0, -1, 16.5),
+    ]  # fmt: skip
+    np.testing.assert_allclose(rows[0, 0], expected)
+
+
+@pytest.mark.parametrize(
+    ("place", "surface"),
+    [
+        ((-5, 10, 10), (-1, 0, 0, 5)),  # of a face
+        ((13, 24, 10), (0.6, 0.8, 0, 5)),  # of an edge
+        ((12, 22, 31), (2 / 3, 2 / 3, 1 / 3, 3)),  # of a corner
+        ((5, 5, 40), (0, 0, 1, 10)),  # of the roof
+        ((5, 5, 5), (0, 0, 1, 0)),  # inside, up and out
+    ],
+)
+def test_nearest_surface_of_a_box_by_hand(place, surface):
+    np.testing.assert_allclose(building(place, Solids(BOX)), [surface])
+
+
+@pytest.mark.parametrize(
+    ("place", "surface"),
+    [
+        ((-5, 4, 10), (-1, 0, 0, 5)),
+        ((10, 10, 10), (np.sqrt(0.5), np.sqrt(0.5), 0, 10 / np.sqrt(2))),
+        ((2, 2, 34), (0, 0, 1, 4)),
+        ((-3, -4, 10), (0, -1, 0, 4)),  # at an edge 5 m off, by the plane of the farther face
+    ],
+)
+def test_nearest_face_of_a_prism_by_hand(place, surface):
+    solids = Solids(np.zeros((0, 2, 3)), (PRISM,))
+    np.testing.assert_allclose(building(place, solids), [surface], atol=1e-12)
+
+
+def test_buildings_keep_drones_off_by_body_and_margin_within_their_reach():
+    solids = Solids(np.concatenate([BOX, BOX + 100]), (PRISM - (40, 0, 0),))
+    near = building((-5, 10, 10), solids, Clearance(0.5, 1.5, 6.0))
+    np.testing.assert_allclose(near, [(-1, 0, 0, 3)])
+    assert len(building((-5, 10, 10), solids, Clearance(0.5, 1.5, 4.9))) == 0
+    assert len(building((-5, 10, 10), solids)) == 2
+    # One row each where another drone has more of them.
+    state = [(-5, 10, 10, 0, 0, 0), (500, 0, 10, 0, 0, 0)]
+    rows = traffic_of(state, solids=solids).surface[0, 1, FACES:]
+    assert np.isinf(rows[:, 3]).all()
