@@ -1,7 +1,7 @@
 """Command line `bulletuav`: finds the command, runs it, and turns errors into one line.
 
-Its commands are `tasks`, `fly`, `city`, `evaluate`, `compare`, `train`, `identify`, `benchmark` and
-`doctor`.
+Its commands are `tasks`, `fly`, `city`, `evaluate`, `compare`, `train`, `identify`, `incentives`,
+`benchmark` and `doctor`.
 """
 
 import argparse
@@ -21,6 +21,7 @@ from bulletuav.commands import (
     evaluate,
     fly,
     identify,
+    incentives,
     tasks,
     train,
 )
@@ -34,6 +35,7 @@ COMMANDS: dict[str, ModuleType] = {
     "compare": compare,
     "train": train,
     "identify": identify,
+    "incentives": incentives,
     "benchmark": benchmark,
     "doctor": doctor,
 }

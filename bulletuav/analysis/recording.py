@@ -1,31 +1,32 @@
 """Recording of an episode: fly it, keep everything, write it to files and read it again."""
 
 import csv
-import dataclasses
 import json
 import zipfile
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from bulletuav.analysis.described import described
-from bulletuav.analysis.infos import own_infos
+from bulletuav.analysis.recorded import ARRAYS, TOLD, VERSION, Outcome, Recording, outcomes
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.step import Step
 from bulletuav.errors import require_file
 from bulletuav.files import replace_file, whole_file
+from bulletuav.geometry.closest_approach import distances
 from bulletuav.policies.base import Policy
 from bulletuav.tasks.targets import active_targets
 from bulletuav.vehicle.swarm import Contacts, Swarm
 from bulletuav.version import __version__
 
-VERSION = 2
-"""Version of the form of recordings; one that is read has to have it"""
+__all__ = ["Outcome", "Recording", "fly_episode", "load", "outcomes", "save"]
+
+READABLE = (2, 3)
+"""Versions that are read. 2 tells the task's own infos alone, and goals where there are none."""
 INFO = "info/"
-"""Beginning of the names that the task's own infos have in the file"""
+"""Beginning of the names that infos have in the file"""
 REMEDY = "fly the episode again with this bulletuav"
 HEADER = (
     *("time", "drone", "alive"),
@@ -37,109 +38,11 @@ HEADER = (
 """Columns of `trajectory.csv`: position, m; quaternion; velocity, m/s; body rates, rad/s"""
 
 
-@dataclass(frozen=True)
-class Recording:
-    """One episode of one world: T decisions of N drones, and C contacts in the order of time.
-
-    States have T + 1 rows, of which the first is the start. A drone that left keeps its last state.
-    Contacts are told as in `vehicle.swarm.Contacts`.
-
-    Attributes:
-        time: Time since the start, (T+1,), s.
-        position: Positions, (T+1, N, 3), m.
-        quaternion: Attitudes, (T+1, N, 4), x, y, z, w.
-        velocity: Velocities, (T+1, N, 3), m/s.
-        rates: Body rates, (T+1, N, 3), rad/s.
-        alive: Drones in the airspace, (T+1, N) bool.
-        action: Actions, (T, N, A).
-        reward: Rewards, (T, N).
-        separation: Least separation within the decision, (T, N), m; inf when alone.
-        conflicts: Conflicts that began, (T, N).
-        collision: Drones whose collision shapes touched something, (T, N) bool.
-        contact_step: Decision of each contact, (C,), from 0 to T - 1.
-        contact_drone: Drone that touched, (C,).
-        contact_other: Drone that it touched, (C,), or below zero what else.
-        contact_impulse: Impulse along the normals, summed over the decision, (C,), N s.
-        contact_point: Where they touched first in the decision, (C, 3), m.
-        contact_normal: Unit vector in which the drone was pushed there, (C, 3).
-        contact_velocity: Of the drone's surface against the other's just before, (C, 3), m/s.
-        success: Drones that are where the task wants them, (T, N) bool.
-        goal: Goals, (T+1, N, 3), m.
-        obstacle: Middles of the K obstacles, (T+1, K, 3), m.
-        obstacle_radius: Radii of their bounding spheres, (K,), m.
-        building: Lower and upper corners of the bounding boxes of buildings' pieces, (P, 2, 3), m.
-        target: Targets of the task that count, (T+1, U, 3), m.
-        seen: Targets that some drone sees, (T+1, U) bool.
-        info: What the task tells by itself after each decision, (T, N, ...) by name.
-        version: Version of this form.
-    """
-
-    time: np.ndarray
-    position: np.ndarray
-    quaternion: np.ndarray
-    velocity: np.ndarray
-    rates: np.ndarray
-    alive: np.ndarray
-    action: np.ndarray
-    reward: np.ndarray
-    separation: np.ndarray
-    conflicts: np.ndarray
-    collision: np.ndarray
-    contact_step: np.ndarray
-    contact_drone: np.ndarray
-    contact_other: np.ndarray
-    contact_impulse: np.ndarray
-    contact_point: np.ndarray
-    contact_normal: np.ndarray
-    contact_velocity: np.ndarray
-    success: np.ndarray
-    goal: np.ndarray
-    obstacle: np.ndarray
-    obstacle_radius: np.ndarray
-    building: np.ndarray
-    target: np.ndarray
-    seen: np.ndarray
-    info: Mapping[str, np.ndarray] = field(default_factory=dict)
-    version: int = VERSION
-
-    def arrays(self) -> dict[str, np.ndarray]:
-        """Return the arrays by name, without the task's own infos."""
-        return {name: getattr(self, name) for name in ARRAYS}
-
-
-ARRAYS = tuple(
-    one.name for one in dataclasses.fields(Recording) if one.name not in ("info", "version")
-)
-"""Names of the arrays that every recording has"""
-
-
-class Outcome(NamedTuple):
-    """How one drone's episode went.
-
-    Attributes:
-        drone: Number of the drone.
-        reached: Success in the last decision that it flew.
-        min_separation: Least separation, m.
-        conflicts: Conflicts that began.
-        collisions: Decisions with a contact of its collision shape.
-        final_distance: Distance to the goal at its end, m.
-        time: Time of its last decision, s.
-    """
-
-    drone: int
-    reached: bool
-    min_separation: float
-    conflicts: int
-    collisions: int
-    final_distance: float
-    time: float
-
-
 class _View(NamedTuple):
     """What is in world 0 beside its drones.
 
     Attributes:
-        goal: Goals, (N, 3), m.
+        goal: Goals, (N, 3), m, if there are any.
         obstacle: Obstacles, (K, 3), m.
         target: Targets that count, (U, 3), m.
         seen: Those of them that some drone sees, (U,) bool.
@@ -204,7 +107,7 @@ def _view(aviary: Aviary) -> _View:
     active = active_targets(aviary.task, scene)[0]
     seen = np.any(aviary.sight[0], axis=0)
     return _View(
-        goal=scene.goal[0].copy(),
+        goal=scene.goal[0].copy() if aviary.task.has_goals else np.zeros((0, 3)),
         obstacle=scene.obstacle[0].copy(),
         target=aviary.task.targets(scene)[0, active],
         seen=seen[active],
@@ -226,9 +129,9 @@ def _recording(
         return np.array([step.info[name][0] for step in steps])
 
     # Infos have to be there in every decision, for each world, and not to be Python's objects.
-    own = [
+    kept = [
         name
-        for name, values in own_infos(steps[0].info).items()
+        for name, values in steps[0].info.items()
         if values.ndim and values.dtype.kind != "O" and all(name in step.info for step in steps)
     ]
     return Recording(
@@ -240,18 +143,18 @@ def _recording(
         alive=np.array([mask[0] for mask in alive]),
         action=np.array([action[0] for action in actions]),
         reward=np.array([step.rewards[0] for step in steps]),
+        success=column("success"),
         separation=column("separation"),
         conflicts=column("conflicts"),
         collision=column("collision"),
         **_contact_columns(contacts),
-        success=column("success"),
         goal=np.array([view.goal for view in views]),
         obstacle=np.array([view.obstacle for view in views]),
         obstacle_radius=np.array([obstacle.radius for obstacle in aviary.task.obstacles()]),
         building=aviary.solids().bounds,
         target=np.array([view.target for view in views]),
         seen=np.array([view.seen for view in views]),
-        info={name: column(name) for name in own},
+        info={name: column(name) for name in kept if name not in TOLD},
     )
 
 
@@ -262,29 +165,6 @@ def _contact_columns(contacts: list[Contacts]) -> dict[str, Any]:
     told = dict(zip(Contacts._fields, columns, strict=True))
     del told["world"], told["depth"]  # compiled contacts meet at their surfaces
     return {"contact_step": step} | {f"contact_{name}": told[name] for name in told}
-
-
-def outcomes(recording: Recording) -> list[Outcome]:
-    """Sum up how the episode of each drone went, in their order."""
-    rows = []
-    for drone in range(recording.position.shape[1]):
-        # A drone flies from the start on without a gap, so that counting tells its last decision.
-        last = int(recording.alive[:-1, drone].sum()) - 1
-        flown = slice(0, last + 1)
-        goal = recording.goal[last + 1, drone]
-        distance = np.linalg.norm(goal - recording.position[last + 1, drone])
-        rows.append(
-            Outcome(
-                drone=drone,
-                reached=bool(recording.success[last, drone]),
-                min_separation=float(recording.separation[flown, drone].min()),
-                conflicts=int(recording.conflicts[flown, drone].sum()),
-                collisions=int(recording.collision[flown, drone].sum()),
-                final_distance=float(distance),
-                time=float(recording.time[last + 1]),
-            )
-        )
-    return rows
 
 
 def save(recording: Recording, aviary: Aviary, policy: str, seed: int, folder: Path) -> list[Path]:
@@ -298,7 +178,7 @@ def save(recording: Recording, aviary: Aviary, policy: str, seed: int, folder: P
         folder: Where to; it exists.
 
     Returns:
-        The paths of `trajectory.npz` (all arrays and the version), `trajectory.csv` (a row for
+        The paths of `trajectory.npz` (arrays, infos and the version), `trajectory.csv` (a row for
         each drone and time) and `run.json` (options and outcomes).
 
     Raises:
@@ -325,7 +205,7 @@ def save(recording: Recording, aviary: Aviary, policy: str, seed: int, folder: P
 
 
 def _write_arrays(recording: Recording, path: Path) -> None:
-    """Write all arrays, the task's own infos among them, and the version."""
+    """Write all arrays, infos and the version."""
     infos = {f"{INFO}{name}": values for name, values in recording.info.items()}
     arrays: dict[str, Any] = {**recording.arrays(), **infos}
     with whole_file(path) as part:
@@ -359,11 +239,11 @@ def load(path: str | Path) -> Recording:
         path: Its `trajectory.npz`, or the folder of it.
 
     Returns:
-        The recording as it was written.
+        The recording as it was written. One of version 2 has fewer infos and no reward terms.
 
     Raises:
         FileNotFoundError: There is no such file.
-        ValueError: It is no recording, or one without a version or of another one.
+        ValueError: It is no recording, or one without a version or of an unknown one.
     """
     folder = isinstance(path, str | Path) and Path(path).is_dir()
     given = Path(path) / "trajectory.npz" if folder else path
@@ -375,24 +255,35 @@ def load(path: str | Path) -> Recording:
     except (ValueError, TypeError, AttributeError, EOFError, OSError, zipfile.BadZipFile) as error:
         raise ValueError(f"{found} is no recording ({error}): {REMEDY}") from None
     # The version is looked at before anything that may differ between versions.
-    _require_version(arrays.pop("version", None), found)
+    version = _known_version(arrays.pop("version", None), found)
     missing = [name for name in ARRAYS if name not in arrays]
     if missing:
         raise ValueError(f"{found} is a damaged recording, without {missing[0]!r}: {REMEDY}")
     infos = {
         name.removeprefix(INFO): values for name, values in arrays.items() if name.startswith(INFO)
     }
-    return Recording(**{name: arrays[name] for name in ARRAYS}, info=infos)
+    if version == 2:
+        _complete(arrays, infos)
+    return Recording(**{name: arrays[name] for name in ARRAYS}, info=infos, version=version)
 
 
-def _require_version(version: np.ndarray | None, path: Path) -> None:
-    """Raise ValueError unless the version of a recording is the one that is read."""
+def _complete(arrays: dict[str, np.ndarray], infos: dict[str, np.ndarray]) -> None:
+    """Bring a recording of version 2 to what one of version 3 says of goals."""
+    if arrays["target"].shape[1]:
+        arrays["goal"] = arrays["goal"][:, :0]  # where drones started
+    else:
+        infos["goal_distance"] = distances(arrays["goal"], arrays["position"])[1:]
+
+
+def _known_version(version: np.ndarray | None, path: Path) -> int:
+    """Return the version of a recording. Raises ValueError unless it is one that is read."""
     if version is None:
         raise ValueError(
             f"{path} is a recording without a version, and version {VERSION} is needed: {REMEDY}"
         )
-    if version.shape != () or version.dtype.kind not in "iu" or version != VERSION:
+    if version.shape != () or version.dtype.kind not in "iu" or version not in READABLE:
         raise ValueError(
             f"{path} is a recording of version {version}, and version {VERSION} is needed: "
             f"{REMEDY}, or read it with the bulletuav that wrote it"
         )
+    return int(version)

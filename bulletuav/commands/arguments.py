@@ -47,7 +47,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--physics-hz", type=int, metavar="HZ", help="physics substeps a second (default: 240)"
     )
-    parser.add_argument("--decision-hz", type=int, metavar="HZ", help="decisions a second")
+    parser.add_argument(
+        "--decision-hz", type=_parse_literal, metavar="HZ", help="decisions a second"
+    )
     parser.add_argument(
         "--horizon", type=int, metavar="STEPS", help="decisions until the episode is cut"
     )

@@ -3,13 +3,16 @@
 import argparse
 import itertools
 import math
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
 from bulletuav.analysis.evaluation import EPISODES
-from bulletuav.analysis.recording import Recording, fly_episode, outcomes, save
+from bulletuav.analysis.recorded import Recording, outcomes, summary
+from bulletuav.analysis.recording import fly_episode, save
 from bulletuav.commands.arguments import (
     POLICY_HELP,
     add_options,
@@ -25,6 +28,7 @@ from bulletuav.errors import as_int
 from bulletuav.policies import find_policy
 from bulletuav.report.pictures import Animation, plot_tracks
 from bulletuav.tasks import find_task
+from bulletuav.tasks.base import Task
 
 ABOUT = {
     "help": "fly one episode and write trajectories and pictures",
@@ -38,7 +42,8 @@ ABOUT = {
   bulletuav fly lidar_navigation --city urban --out out
   bulletuav fly crossing --dynamics rigid_body --wind 3 0 0 --set lane_spacing=20 --out out""",
 }
-HEADINGS = ("drone", "reached", "nearest m", "conflicts", "collisions", "to goal m", "time s")
+CAPTION = "of each drone's last decision; nearest: the least; conflicts, collisions: in all"
+"""What the numbers of the table are of"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -82,7 +87,7 @@ def run(arguments: argparse.Namespace) -> None:
     files = save(recording, aviary, arguments.policy, arguments.seed, arguments.out)
     files += _draw(recording, aviary, arguments)
     console = Console()
-    console.print(_table(recording, arguments.task, aviary))
+    console.print(_table(recording, aviary))
     print_files(console, files)
     aviary.close()
 
@@ -102,7 +107,7 @@ def _draw(recording: Recording, aviary: Aviary, arguments: argparse.Namespace) -
     title = f"{arguments.task}: {drones}, {arguments.policy}, seed {arguments.seed}"
     d_safe = aviary.task.config.d_safe
     tracks = arguments.out / "tracks.png"
-    plot_tracks(recording, d_safe, title, tracks)
+    plot_tracks(recording, d_safe, title, tracks, shown_infos(aviary.task))
     if arguments.animation == "none":
         return [tracks]
 
@@ -115,23 +120,35 @@ def _draw(recording: Recording, aviary: Aviary, arguments: argparse.Namespace) -
     return [tracks, path]
 
 
-def _table(recording: Recording, task: str, aviary: Aviary) -> Table:
-    """Lay out the outcome of each drone."""
+def shown_infos(task: Task[Any]) -> Mapping[str, str]:
+    """List the infos that a task shows, by name, with what they are called."""
+    untold = () if task.has_goals else ("goal_distance",)
+    return {name: label for name, label in task.shows.items() if name not in untold}
+
+
+def _table(recording: Recording, aviary: Aviary) -> Table:
+    """Lay out how each drone's episode went."""
+    task = aviary.task
+    shows = shown_infos(task)
     table = Table(
-        title=f"{task}, drones: {aviary.num_drones}, d_safe {aviary.task.config.d_safe:g} m"
+        title=f"{task.name}, drones: {aviary.num_drones}, d_safe {task.config.d_safe:g} m",
+        caption=CAPTION,
     )
-    for heading in HEADINGS:
-        table.add_column(heading, justify="right")
-    for outcome in outcomes(recording):
-        # A drone that flies alone has no nearest neighbour.
-        alone = not outcome.min_separation < math.inf
-        table.add_row(
-            f"drone_{outcome.drone}",
-            "yes" if outcome.reached else "no",
-            "-" if alone else f"{outcome.min_separation:.2f}",
-            str(outcome.conflicts),
-            str(outcome.collisions),
-            f"{outcome.final_distance:.2f}",
-            f"{outcome.time:.2f}",
-        )
+    for heading in ("drone", *shows.values(), "time (s)"):
+        # Where room is short, headings break between words.
+        table.add_column(heading, justify="right", min_width=max(map(len, heading.split())))
+    rows = zip(outcomes(recording), summary(recording, shows), strict=True)
+    for outcome, numbers in rows:
+        cells = map(_cell, numbers.values())
+        table.add_row(f"drone_{outcome.drone}", *cells, f"{outcome.time:.2f}")
     return table
+
+
+def _cell(value: float) -> str:
+    """Write a number as what it is: a flag, a count, or a size."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, int):
+        return str(value)
+    # A drone that flies alone has no nearest neighbour.
+    return f"{value:.2f}" if math.isfinite(value) else "-"

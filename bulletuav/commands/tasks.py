@@ -3,6 +3,7 @@
 import argparse
 import dataclasses
 import inspect
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -14,11 +15,16 @@ from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.options import EnvOptions
 from bulletuav.tasks import find_task, list_tasks
 from bulletuav.tasks.base import Task
+from bulletuav.tasks.ingredients import find_term
 
 ABOUT = {
     "help": "list the tasks, or print the MDP and options of one",
     "description": "List the tasks, or explain one.",
 }
+ENDING = ("at_goal", "boundary", "contact_ends", "conflict_ends")
+"""Options that say what ends an episode"""
+OPTION = re.compile(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", re.MULTILINE)
+"""An option in the list of attributes of a docstring: its name, and what it is"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -66,46 +72,136 @@ def observation_table(task: str, options: Mapping[str, Any]) -> Table:
     return table
 
 
-def explanations(task: type[Task[Any]]) -> list[str]:
-    """Collect the docstrings that explain a task's MDP.
-
-    Args:
-        task: Class of the task.
-
-    Returns:
-        Its own docstring, then those of the classes that it shares with other tasks.
-    """
-    kinds = [kind for kind in inspect.getmro(task) if issubclass(kind, Task) and kind is not Task]
-    return [inspect.cleandoc(kind.__doc__) for kind in kinds if kind.__doc__]
-
-
 def _print_list() -> None:
     """Print each task's name and the first line of its docstring."""
     tasks = list_tasks()
     width = max(map(len, tasks))
     for name in tasks:
-        summary = (inspect.getdoc(find_task(name)) or "").partition("\n")[0]
-        print(f"{name:{width}s} {summary}")
+        print(f"{name:{width}s} {_summary(find_task(name))}")
 
 
 def _explain(name: str) -> None:
-    """Print a task's docstrings, defaults, presets and options."""
+    """Print a task's docstring, and tables of what its class and its options say."""
     task = find_task(name)
-    print("\n\n".join(explanations(task)) + "\n")
-    Console().print(observation_table(name, {}))
-    # After the MDP in words come the values: defaults, presets and the task's own options.
-    print(
-        "\nDefaults of the options common to all tasks, where the task has its own: "
-        + _pairs(task.defaults)
-    )
-    for preset, values in task.presets.items():
-        print(f"Preset {preset}: {_pairs(values)}")
-    print(f"\n{inspect.getdoc(task.Config)}\n")
+    console = Console()
+    print(f"{inspect.getdoc(task)}\n")
+    console.print(observation_table(name, {}))
+    for table in (reward_table, ends_table, difficulties_table):
+        console.print(table(task))
+    print(f"\n{_before_attributes(task.Config)}\n")
+    console.print(options_table(task))
+    print(f"\n{inspect.getdoc(EnvOptions)}")
+
+
+def reward_table(task: type[Task[Any]]) -> Table:
+    """Lay out all reward terms of a task, those of weight 0 too.
+
+    Args:
+        task: Class of the task.
+
+    Returns:
+        A table with each term's name, its weight, and what it is.
+    """
+    table = _table("reward per decision: the sum of these terms times their weights")
+    for name, value in task.reward.items():
+        term, weight = value if isinstance(value, tuple) else (name, value)
+        computed = name in task.computed_terms
+        function = task.compute_terms if computed else find_term("reward", term)
+        table.add_row(name, f"{weight:g}", _summary(function))
+    return table
+
+
+def ends_table(task: type[Task[Any]]) -> Table:
+    """Lay out what ends a drone's episode, with the defaults.
+
+    Args:
+        task: Class of the task.
+
+    Returns:
+        A table of the functions in `ends`, the options that say what ends an episode, the battery
+        and the horizon.
+    """
+    spec = EnvSpec(task, 1, {})
+    table = _table("ends of an episode, with the defaults")
+    for one in task.ends:
+        table.add_row(one.__name__, "terminated", _summary(one))
+    told = option_texts(task.Config)
+    for name in ENDING:
+        if name in told:
+            value = getattr(spec.task.config, name)
+            table.add_row(name, repr(value), told[name])
+    if spec.options.battery_capacity is not None:
+        table.add_row("battery", "terminated", "Its charge is used up.")
+    table.add_row("horizon", "truncated", f"After {spec.options.horizon} decisions.")
+    return table
+
+
+def difficulties_table(task: type[Task[Any]]) -> Table:
+    """Lay out which options difficulties and presets set.
+
+    Args:
+        task: Class of the task.
+
+    Returns:
+        A table with the name of each, and its options as NAME=VALUE.
+    """
+    table = _table("difficulties and presets: options that they set")
+    for name, values in task.difficulties.items():
+        table.add_row(f"difficulty {name}", _pairs(values) or "the defaults")
+    for name, values in task.presets.items():
+        table.add_row(f"preset {name}", _pairs(values))
+    return table
+
+
+def options_table(task: type[Task[Any]]) -> Table:
+    """Lay out the task's own options, and its defaults of those common to all tasks.
+
+    Args:
+        task: Class of the task.
+
+    Returns:
+        A table with each option's name, default and meaning.
+    """
+    table = _table("options and their defaults")
+    told = option_texts(task.Config)
     for field in dataclasses.fields(task.Config):
         # Fields without a plain default are dicts, empty unless the user fills them.
         default = field.default if field.default is not dataclasses.MISSING else {}
-        print(f"  {field.name:16s} {default!r}")
-    print(f"\n{inspect.getdoc(EnvOptions)}")
+        table.add_row(field.name, repr(default), told.get(field.name, ""))
+    for name, value in task.defaults.items():
+        table.add_row(name, repr(value), "Common to all tasks, see below.")
+    return table
+
+
+def option_texts(config: type) -> dict[str, str]:
+    """Read what a config's docstring, and those of its bases, tell of each option.
+
+    Args:
+        config: Class of the config.
+
+    Returns:
+        Text by name of the option; that of the nearest class counts.
+    """
+    texts: dict[str, str] = {}
+    for kind in inspect.getmro(config):
+        found = OPTION.findall(inspect.cleandoc(kind.__doc__ or ""))
+        texts = {name: " ".join(text.split()) for name, text in found} | texts
+    return texts
+
+
+def _before_attributes(config: type) -> str:
+    """Return a docstring without its list of attributes."""
+    return inspect.cleandoc(config.__doc__ or "").partition("\n\nAttributes:")[0]
+
+
+def _summary(function: Any) -> str:
+    """Return the first line of a docstring."""
+    return (inspect.getdoc(function) or "").partition("\n")[0]
+
+
+def _table(title: str) -> Table:
+    """Make a table without headings, whose last column is a text."""
+    return Table(title=title, title_justify="left", show_header=False, show_lines=True)
 
 
 def _pairs(options: Mapping[str, Any]) -> str:

@@ -34,7 +34,7 @@ GONE = 0.25
 class Animation:
     """The episode from above.
 
-    Drones are discs of a visible size with trails, goals are crosses, and rings show d_safe.
+    Drones are discs of a visible size with trails, goals crosses, targets dots; rings show d_safe.
 
     Attributes:
         figure: The figure that all pictures are drawn in.
@@ -107,6 +107,7 @@ class Animation:
         parts = (
             recording.position,
             recording.goal,
+            recording.target,
             recording.obstacle,
             recording.building,
         )
@@ -122,12 +123,13 @@ class Animation:
 
     def _caption(self, drawn: float, drone_size: float) -> str:
         """Write what the signs mean."""
-        has_targets = self._recording.target.shape[1] > 0
-        signs = "Dots: targets, green in sight." if has_targets else "Crosses: goals."
+        recording = self._recording
+        goals = "Crosses: goals. " if recording.goal.shape[1] else ""
+        targets = "Dots: targets, green in sight. " if recording.target.shape[1] else ""
         return (
             f"x east (m)\n\nDiscs: drones, drawn {drawn:.2g} m across (real {drone_size:.2g} m), "
             "pale once they have finished.\n"
-            f"{signs} Grey: obstacles, buildings (darker: higher).\n"
+            f"{goals}{targets}Grey: obstacles, buildings (darker: higher).\n"
             f"Rings: {self._d_safe:g} m across, red while another drone is nearer."
         )
 
@@ -184,13 +186,13 @@ class Animation:
         self._trails.set(segments=list(trail.swapaxes(0, 1)), color=colours)
 
     def _place_others(self, row: int) -> None:
-        """Put obstacles, and targets or else goals, where they are."""
+        """Put obstacles, targets and goals where they are."""
         recording = self._recording
         self._bodies.set(offsets=recording.obstacle[row, :, :2])
         if recording.target.shape[1]:
             colour = np.where(recording.seen[row], SEEN, UNSEEN)
             self._targets.set(offsets=recording.target[row, :, :2], color=colour.tolist())
-        else:
+        if recording.goal.shape[1]:
             self._goals.set(offsets=recording.goal[row, :, :2], color=self._colours)
 
     def save(self, path: Path, progress: Callable[[], None] = lambda: None) -> None:

@@ -1,5 +1,6 @@
-"""Pictures of a recorded episode: tracks from above with altitudes, and an animation."""
+"""Pictures of a recorded episode: tracks from above with what is told, and an animation."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -17,36 +18,62 @@ from bulletuav.report.figures import (
     drone_colours,
     save_figure,
 )
+from bulletuav.tasks.base import SHOWS
 
 __all__ = ["Animation", "blank_figure", "plot_tracks", "save_figure"]
 
 MOST_NUMBERS = 24
 """Drones are numbered up to this many"""
+MOST_ROWS = 3
+"""Panels that stand one above another"""
+TOGETHER = "0.2"
+"""Colour of what is the same for all drones"""
 
 
-def plot_tracks(recording: Recording, d_safe: float, title: str, path: Path) -> None:
-    """Plot tracks from above, and altitudes and separations over time, as a PNG file.
+def plot_tracks(
+    recording: Recording,
+    d_safe: float,
+    title: str,
+    path: Path,
+    shows: Mapping[str, str] = SHOWS,
+) -> None:
+    """Plot tracks from above, and altitudes and what infos tell over time, as a PNG file.
 
-    Starts are numbered; goals are crosses. Where there are targets they are drawn instead of goals,
-    as they are at the end. Small black crosses show where shapes touched, red rings where a
-    conflict began. A single drone's distance to its goal stands in for separations.
+    Starts are numbered discs, ends are squares, goals are crosses. Targets are drawn as they are at
+    the end. Small black crosses show where shapes touched, red rings where a conflict began.
 
     Args:
         recording: The episode.
         d_safe: Separation below which there is a conflict, m.
         title: Title of the picture.
         path: The file.
+        shows: Infos by name, with what to call them, as `Task.shows` tells. Numbers have a panel
+            each; flags and counts have none.
+
+    Raises:
+        ValueError: Infos told nothing of a name.
     """
-    figure = blank_figure(12, 6.5)
-    grid = figure.add_gridspec(2, 2, width_ratios=[1.15, 1])
+    panels = {name: label for name, label in shows.items() if _has_history(recording, name)}
+    columns = -(-(1 + len(panels)) // MOST_ROWS)
+    rows = -(-(1 + len(panels)) // columns)
+    figure = blank_figure(8 + 4 * columns, 6.5)
+    grid = figure.add_gridspec(rows, 1 + columns, width_ratios=[1.7, *[1] * columns])
     above = figure.add_subplot(grid[:, 0])
-    altitude = figure.add_subplot(grid[0, 1])
-    apart = figure.add_subplot(grid[1, 1])
-    drones = recording.position.shape[1]
-    # Drones first: each has its colour in all three parts.
-    for drone, colour in enumerate(drone_colours(drones)):
+    places = [figure.add_subplot(grid[k % rows, 1 + k // rows]) for k in range(1 + len(panels))]
+    # Drones first: each has its colour in all parts.
+    colours = drone_colours(recording.position.shape[1])
+    for drone, colour in enumerate(colours):
         _draw_track(above, recording, drone, colour)
-        _draw_history(altitude, apart, recording, drone, colour)
+    height = recording.position[..., 2]
+    _draw_history(places[0], recording.time, height, recording.alive[:-1], colours)
+    places[0].set(ylabel="altitude (m)")
+    for axes, (name, label) in zip(places[1:], panels.items(), strict=True):
+        told = np.asarray(recording.told(name))
+        _draw_history(axes, recording.time[1:], told, recording.alive[:-1], colours)
+        axes.set_ylim(bottom=0)
+        axes.set(ylabel=label)
+        if name == "separation":
+            _mark_separations(axes, told, d_safe)
     _draw_obstacles(above, recording)
     draw_buildings(above, recording)
     _draw_targets(above, recording)
@@ -54,27 +81,34 @@ def plot_tracks(recording: Recording, d_safe: float, title: str, path: Path) -> 
     _mark_contacts(above, recording)
     # Without marks there is nothing to explain.
     if above.get_legend_handles_labels()[0]:
-        above.legend(loc="upper right")
+        above.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=4)
     above.set(title=title, xlabel="x east (m)", ylabel="y north (m)", aspect="equal")
-    altitude.set(xlabel="time (s)", ylabel="altitude (m)")
-    altitude.ticklabel_format(useOffset=False)
-    apart.set(xlabel="time (s)", ylabel="distance to goal (m)")
-    if drones > 1:
-        _label_separations(apart, recording, d_safe)
-    for axes in (above, altitude, apart):
+    for axes in places:
+        axes.set(xlabel="time (s)")
+        axes.ticklabel_format(useOffset=False)
+    for axes in (above, *places):
         axes.grid(alpha=0.3)
     save_figure(figure, path)
 
 
+def _has_history(recording: Recording, name: str) -> bool:
+    """Tell whether an info is a number that there was at some time, neither a flag nor a count."""
+    told = recording.told(name)
+    return told.dtype.kind == "f" and bool(np.isfinite(told).any())
+
+
 def _draw_track(axes: Axes, recording: Recording, drone: int, colour: np.ndarray) -> None:
-    """Draw the track of a drone from above, with its start and, where it counts, its goal."""
+    """Draw the track of a drone from above, with its start, its end and its goal, if any."""
     end = int(recording.alive[:-1, drone].sum()) + 1
     track = recording.position[:end, drone]
-    goal = recording.goal[:end, drone]
     axes.plot(track[:, 0], track[:, 1], color=colour, lw=1.2)
-    axes.plot(*track[0, :2], "o", color=colour, ms=5)
-    if not recording.target.shape[1]:
-        axes.plot(*goal[-1, :2], "x", color=colour, ms=8, mew=2)
+    # One drone's marks stand for all in the legend.
+    told = ("start", "end", "goal") if drone == 0 else (None, None, None)
+    axes.plot(*track[0, :2], "o", color=colour, ms=5, label=told[0])
+    axes.plot(*track[-1, :2], "s", color=colour, ms=6, mec="black", mew=0.6, label=told[1])
+    if recording.goal.shape[1]:
+        goal = recording.goal[end - 1, drone, :2]
+        axes.plot(*goal, "x", color=colour, ms=8, mew=2, label=told[2])
     if recording.position.shape[1] <= MOST_NUMBERS:
         axes.annotate(
             str(drone),
@@ -86,37 +120,31 @@ def _draw_track(axes: Axes, recording: Recording, drone: int, colour: np.ndarray
 
 
 def _draw_history(
-    altitude: Axes,
-    apart: Axes,
-    recording: Recording,
-    drone: int,
-    colour: np.ndarray,
+    axes: Axes, time: np.ndarray, told: np.ndarray, flown: np.ndarray, colours: np.ndarray
 ) -> None:
-    """Draw a drone's altitude and separation over time; the distance to its goal when alone."""
-    end = int(recording.alive[:-1, drone].sum()) + 1
-    track = recording.position[:end, drone]
-    time = recording.time[:end]
-    altitude.plot(time, track[:, 2], color=colour, lw=1.2)
-    if recording.position.shape[1] > 1:
-        gaps = recording.separation[: end - 1, drone]
-        apart.plot(
-            time[1:],
-            np.where(np.isfinite(gaps), gaps, np.nan),
-            color=colour,
-            lw=1.2,
-        )
-    else:
-        distance = np.linalg.norm(recording.goal[:end, drone] - track, axis=1)
-        apart.plot(time, distance, color=colour, lw=1.2)
+    """Draw a number of each drone over time, or one line where it is the same for all.
+
+    Args:
+        axes: The panel.
+        time: (T,) s.
+        told: (T, N), while drones fly.
+        flown: (decisions, N) bool, drones that flew them; `told` may have the start before.
+        colours: (N, 4) of the drones.
+    """
+    known = np.where(np.isfinite(told), told, np.nan)
+    if len(colours) > 1 and (told == told[:, :1]).all():
+        axes.plot(time, known[:, 0], color=TOGETHER, lw=1.6, label="all drones together")
+        axes.legend(loc="best", fontsize=8)
+        return
+    ends = flown.sum(axis=0) + len(told) - len(flown)
+    for row, end, colour in zip(known.T, ends, colours, strict=True):
+        axes.plot(time[:end], row[:end], color=colour, lw=1.2)
 
 
-def _label_separations(axes: Axes, recording: Recording, d_safe: float) -> None:
-    """Mark d_safe among separations, and leave out those that are far above it."""
+def _mark_separations(axes: Axes, separation: np.ndarray, d_safe: float) -> None:
+    """Mark d_safe among separations (T, N), and leave out those that are far above it."""
     axes.axhline(d_safe, color="crimson", ls="--", lw=1, label=f"d_safe {d_safe:g} m")
-    is_known = np.isfinite(recording.separation)
-    nearest = float(np.min(recording.separation, where=is_known, initial=np.inf))
-    top = max(5 * d_safe, 2 * nearest if np.isfinite(nearest) else 0.0)
-    axes.set(ylabel="nearest drone (m)", ylim=(0, top))
+    axes.set(ylim=(0, max(5 * d_safe, 2 * float(separation.min()))))
     axes.legend(loc="upper right")
 
 
@@ -146,8 +174,8 @@ def _draw_targets(axes: Axes, recording: Recording) -> None:
     lines = list(way.swapaxes(0, 1))
     axes.add_collection(LineCollection(lines, colors="0.7", linewidths=0.6, zorder=1))
     for some, colour, label in (
-        (seen, SEEN, "in sight"),
-        (~seen, UNSEEN, "out of sight"),
+        (seen, SEEN, "target in sight"),
+        (~seen, UNSEEN, "target out of sight"),
     ):
         if some.any():
             axes.plot(*way[-1, some].T, ".", color=colour, ms=4, label=label, zorder=1)

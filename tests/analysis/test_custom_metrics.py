@@ -290,11 +290,15 @@ def test_episodes_without_an_info_have_none():
     assert "height" in result.metrics
 
 
+CITY = ("city_alpha", "city_beta", "city_gamma")
+EDGE = (*CITY, "dwell_time", "dropped", "utilisation", "queue")
+
+
 def test_standard_infos_are_no_tasks_own():
     for task, options, own in (
         ("converge", {"randomization": {"radio_delay": 0.05, "mass": 0.1}}, set()),
         (Telling, {}, {"height", "is_high", "place", "of_world", "jerk", "seed", "never"}),
-        ("mec", {"area": 200.0, "num_layouts": 1}, {"served", "completed", "latency"}),
+        ("mec", {"area": 200.0, "num_layouts": 1}, {"served", "completed", "latency", *EDGE}),
     ):
         aviary = bulletuav.Aviary(task, num_drones=2, dynamics="point_mass", **options)
         aviary.reset(seeds=0)

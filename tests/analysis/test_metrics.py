@@ -345,6 +345,11 @@ def test_what_is_completed_and_how_late_is_what_was_told_last(dives):
     aviary.close()
 
 
+USERS = ("city_alpha", "city_beta", "city_gamma", "dwell_time")
+EDGE = (*USERS, "dropped", "utilisation", "queue")
+OWN = {"los": USERS, "mobile_users": USERS, "mec": EDGE, "mec_advanced": EDGE}
+
+
 @pytest.mark.parametrize(
     ("task", "missing"),
     [
@@ -358,7 +363,7 @@ def test_what_is_completed_and_how_late_is_what_was_told_last(dives):
 def test_episodes_have_the_metrics_of_their_task_alone(task, missing):
     options = {"dynamics": "single_integrator", "horizon": 3}
     (row,) = metered(task, dive(), **({} if task == "crossing" else HOVER) | options)
-    assert set(row) == set(METRICS)
+    assert set(row) == {*METRICS, *OWN.get(task, ())}
     for name in (*GOALS, *SERVICE):
         assert np.isnan(row[name]) == (
             name in missing or (task, name) == ("crossing", "path_efficiency")

@@ -8,6 +8,7 @@ import pytest
 from PIL import Image
 
 import bulletuav
+from bulletuav.analysis.recorded import summary
 from bulletuav.analysis.recording import Recording, fly_episode, load, outcomes, save
 from bulletuav.policies import Policy, find_policy
 from bulletuav.report import pictures
@@ -98,10 +99,67 @@ def test_a_recording_is_read_as_it_was_written(flown, tmp_path):
     path, *_ = save(recording, aviary, "straight", 0, tmp_path)
     for source in (path, str(path), tmp_path):
         again = load(source)
-        assert (again.version, again.info) == (2, {})
+        assert again.version == 3
+        assert list(again.info) == list(recording.info)
+        for name, array in recording.info.items():
+            np.testing.assert_array_equal(again.info[name], array)
         for name, array in recording.arrays().items():
             np.testing.assert_array_equal(getattr(again, name), array)
             assert getattr(again, name).dtype == array.dtype
+
+
+def test_weighted_reward_terms_are_recorded_and_add_up_to_rewards(flown):
+    _, recording, _ = flown
+    terms = {name: row for name, row in recording.info.items() if name.startswith("reward/")}
+    assert {"reward/progress", "reward/collision"} <= set(terms)
+    np.testing.assert_allclose(sum(terms.values()), recording.reward, atol=1e-9)
+    assert recording.info["reward/collision"].min() == -200
+    assert set(recording.info) >= {"goal_distance", "power", "charge", "impulse", "resting"}
+    assert not set(recording.info) & set(recording.arrays())
+
+
+def test_what_infos_told_is_found_by_their_names(flown):
+    _, recording, _ = flown
+    assert recording.told("separation") is recording.separation
+    assert recording.told("charge") is recording.info["charge"]
+    for name in ("goal_distanc", "position"):
+        with pytest.raises(ValueError, match=f"unknown info of the recording '{name}'"):
+            recording.told(name)
+
+
+def test_episodes_are_summed_up_by_hand(flown):
+    _, recording, _ = flown
+    names = ("success", "separation", "conflicts", "collision", "goal_distance")
+    rows = summary(recording, names)
+    for row, outcome in zip(rows, outcomes(recording), strict=True):
+        assert tuple(row) == names
+        wanted = (outcome.reached, outcome.min_separation, outcome.conflicts, outcome.collisions)
+        assert tuple(row.values())[:4] == wanted
+        assert row["goal_distance"] == pytest.approx(outcome.final_distance)
+    assert [type(value) for value in rows[0].values()] == [bool, float, int, int, float]
+
+
+def test_a_recording_of_version_2_is_read(flown, tmp_path):
+    """It has no infos but the task's own, and starts as goals where there are targets."""
+    aviary, recording, _ = flown
+    path, *_ = save(recording, aviary, "straight", 0, tmp_path)
+    told = dict.fromkeys(f"info/{name}" for name in recording.info)
+    change(path, version=np.array(2), **told)
+    again = load(path)
+    assert (again.version, set(again.info)) == (2, {"goal_distance"})
+    assert outcomes(again) == outcomes(recording)
+    for i, end in enumerate(recording.alive[:-1].sum(axis=0)):
+        np.testing.assert_allclose(
+            again.told("goal_distance")[:end, i], recording.told("goal_distance")[:end, i]
+        )
+    plot_tracks(again, 5.0, "old", tmp_path / "old.png")
+    targets = {
+        "target": np.zeros((len(again.time), 2, 3)),
+        "seen": np.ones((len(again.time), 2), bool),
+    }
+    change(path, **targets)
+    assert load(path).goal.shape == (len(again.time), 0, 3)
+    assert all(row.final_distance == np.inf for row in outcomes(load(path)))
 
 
 def test_contacts_of_the_first_world_are_recorded():
@@ -166,7 +224,8 @@ def test_infos_of_the_task_are_recorded(tmp_path):
     path, *_ = save(recording, aviary, "straight", 0, tmp_path)
     aviary.close()
     for one in (recording, load(path)):
-        assert set(one.info) == {"height", "place"}
+        assert {"height", "place"} <= set(one.info)
+        assert not {"object", "number", "late"} & set(one.info)
         np.testing.assert_array_equal(one.info["place"], recording.position[1:])
         np.testing.assert_array_equal(one.info["height"], recording.position[1:, :, 2])
 
@@ -181,10 +240,10 @@ def change(path, **changes):
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"version": None}, "without a version, and version 2 is needed: fly the episode again"),
-        ({"version": np.array(1)}, "of version 1, and version 2 is needed: .*or read it with"),
-        ({"version": np.array(3)}, "of version 3, and version 2 is needed: .*or read it with"),
-        ({"version": np.array("2")}, "of version 2, and version 2"),
+        ({"version": None}, "without a version, and version 3 is needed: fly the episode again"),
+        ({"version": np.array(1)}, "of version 1, and version 3 is needed: .*or read it with"),
+        ({"version": np.array(4)}, "of version 4, and version 3 is needed: .*or read it with"),
+        ({"version": np.array("2")}, "of version 2, and version 3"),
         ({"version": np.array([2, 2])}, "of version"),
         ({"goal": None}, "damaged recording, without 'goal': fly the episode again"),
         ({"contact_step": None}, "damaged recording, without 'contact_step'"),
@@ -237,10 +296,12 @@ def test_pictures_are_drawn(flown, tmp_path):
         name: value[:, :1] if value.ndim > 1 and name not in whole else value
         for name, value in recording.arrays().items()
     }
+    alone["info"] = {name: value[:, :1] for name, value in recording.info.items()}
     plot_tracks(Recording(**alone), 5.0, "one drone", tmp_path / "alone.png")
     with Image.open(tmp_path / "tracks.png") as image:
         assert image.size == (1320, 715)
     animation = Animation(recording, 5.0, 0.55, "title")
+    assert "Crosses: goals" in animation.figure.axes[0].get_xlabel()
     caption = animation.figure.axes[0].get_xlabel()
     assert "real 0.55 m" in caption
     assert "Rings: 5 m across" in caption
@@ -308,9 +369,11 @@ def test_users_are_recorded_and_drawn_by_whether_they_are_seen(tmp_path):
     np.testing.assert_allclose(recording.seen.mean(axis=1), served)
     assert 0 < recording.seen.mean() < 1
     assert recording.target.shape == (21, 12, 3)
+    assert recording.goal.shape == (21, 0, 3)
+    np.testing.assert_allclose(recording.told("served")[:, 0], served[1:])
     pace = np.linalg.norm(np.diff(recording.target, axis=0), axis=-1)
     assert 0 < pace.max() <= 3.0 + 1e-9  # 1 s at the speed of users
-    plot_tracks(recording, 2.0, "users", tmp_path / "tracks.png")
+    plot_tracks(recording, 2.0, "users", tmp_path / "tracks.png", {"served": "served"})
     assert (tmp_path / "tracks.png").stat().st_size > 10000
     picture = Animation(recording, 2.0, 0.55, "users").draw(20).astype(int)
     green, red = (
@@ -319,3 +382,26 @@ def test_users_are_recorded_and_drawn_by_whether_they_are_seen(tmp_path):
     assert green.any() == recording.seen[20].any()
     assert red.any() == (~recording.seen[20]).any()
     aviary.close()
+
+
+def panels(recording, shows, tmp_path, monkeypatch):
+    """Panels of a picture beside the map: what each is called, and how many lines it has."""
+    drawn = []
+    monkeypatch.setattr(pictures, "save_figure", lambda figure, path: drawn.append(figure))
+    plot_tracks(recording, 5.0, "title", tmp_path / "tracks.png", shows)
+    return {axes.get_ylabel(): len(axes.lines) for axes in drawn[0].axes[1:]}
+
+
+def test_panels_are_those_that_the_task_shows(flown, tmp_path, monkeypatch):
+    """A line for each drone, one of d_safe, and one alone for what is the same for all."""
+    aviary, recording, _ = flown
+    wanted = {"altitude (m)": 3, "nearest (m)": 4, "to goal (m)": 3}
+    assert panels(recording, aviary.task.shows, tmp_path, monkeypatch) == wanted
+    same = np.broadcast_to(
+        np.linspace(0, 1, len(recording.reward))[:, None], (len(recording.reward), 3)
+    )
+    together = dataclasses.replace(recording, info={**recording.info, "served": same})
+    shows = {"served": "served", "collision": "collisions"}
+    assert panels(together, shows, tmp_path, monkeypatch) == {"altitude (m)": 3, "served": 1}
+    with pytest.raises(ValueError, match="unknown info of the recording 'servd'"):
+        panels(together, {"servd": "served"}, tmp_path, monkeypatch)

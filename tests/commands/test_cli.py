@@ -31,7 +31,7 @@ def test_the_main_job_from_another_directory(tmp_path):
         "nearest",
         "conflicts",
         "collisions",
-        "time s",
+        "time (s)",
         "result/flight.gif",
     ):
         assert word in run.stdout
@@ -220,9 +220,7 @@ def test_a_flight_does_not_go_into_the_folder_of_an_evaluation(tmp_path, capsys,
         "normalise=true",
     ]
     main(["evaluate", *common, "--episodes", "1"])
-    assert (
-        tmp_path / "evaluation" / "converge-default-point_mass-straight" / "episodes.csv"
-    ).exists()
+    assert (tmp_path / "evaluation" / "converge-default-point_mass-orca" / "episodes.csv").exists()
     with pytest.raises(SystemExit):
         main(["fly", *common, "--out", "evaluation/converge-default-point_mass-straight"])
     assert "holds an evaluation" in capsys.readouterr().err
@@ -362,7 +360,7 @@ def test_help(arguments, capsys):
         (["fly", "crossing", "--airframe", "nowhere.urdf"], "nowhere.urdf"),
         (
             ["fly", "crossing", "--action", "rpm"],
-            "gives velocity or velocity_increment or target_position actions",
+            "gives velocity or velocity_increment actions",
         ),
         (
             ["fly", "crossing", "--out", "/dev/null/x"],

@@ -84,7 +84,8 @@ class Meter:
         # Of drones that have left, what they told last stays.
         self._collided |= info["collision"] & flown
         self._succeeded = np.where(flown, info["success"], self._succeeded)
-        self._left = np.where(flown, info["goal_distance"], self._left)
+        if self._aviary.task.has_goals:
+            self._left = np.where(flown, info["goal_distance"], self._left)
         self._return += np.where(flown, step.rewards, 0.0)
         self._record_conflicts(info, before, after, flown)
         self._record_way(before, after, flown)
@@ -176,13 +177,13 @@ class Meter:
             episode has not.
         """
         row = self._standard(w)
-        if self._aviary.task.num_targets:
-            # The task has no goals: its drones are to be anywhere.
+        if not self._aviary.task.has_goals:
+            # Its drones are to be anywhere.
             row |= dict.fromkeys(
                 ("goal_distance", "path_efficiency", "fairness", "throughput"),
                 np.nan,
             )
-        else:
+        if not self._aviary.task.num_targets:
             row["served"] = np.nan
         # What is infinite, such as the separation of one drone, is none.
         row |= {metric.name: metric.values[w] for metric in self._custom}

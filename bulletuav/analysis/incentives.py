@@ -1,0 +1,115 @@
+"""Whether a task pays for what it wants: its baseline against policies that shirk."""
+
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+from bulletuav.analysis.evaluation import Evaluation, evaluate
+from bulletuav.analysis.metrics import Estimate, mean_estimate
+from bulletuav.policies import PolicySource
+from bulletuav.tasks import TaskSource, find_task
+from bulletuav.tasks.targets import TargetTask
+
+SHIRKERS = ("stay", "climb", "dive", "leave", "crash", "circle", "straight", "clump")
+"""Policies that no task should pay; see `bulletuav.policies.scripted`"""
+STANDING = "stay"
+"""The one from which leads are measured"""
+LEAST_LEAD = 0.1
+"""Share of its lead over standing still by which the baseline is to out-earn each of them"""
+
+
+class Incentive(NamedTuple):
+    """What a task pays its baseline and a policy that shirks, in the same episodes.
+
+    Attributes:
+        task: Name of the task.
+        difficulty: Its difficulty.
+        baseline: Name of the baseline.
+        shirker: Name of the other policy.
+        earned: Return of the baseline, mean of the drones.
+        success: Share of drones that succeed with the baseline.
+        gained: Return of the other.
+        gap: By how much the baseline earns more in the same episode.
+        lead: By how much it earns more than standing still, in the mean.
+    """
+
+    task: str
+    difficulty: str
+    baseline: str
+    shirker: str
+    earned: Estimate
+    success: Estimate
+    gained: Estimate
+    gap: Estimate
+    lead: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether the baseline out-earns the other by more than a tenth of its lead.
+
+        That is of the lower end of the 95 % interval of the gap.
+        """
+        return self.lead > 0 and self.gap.low > LEAST_LEAD * self.lead
+
+
+def shirkers(task: TaskSource, baseline: PolicySource) -> list[str]:
+    """List the policies to compare a task's baseline with."""
+    with_targets = issubclass(find_task(task), TargetTask)
+    return [name for name in SHIRKERS if name != baseline and (name != "clump" or with_targets)]
+
+
+def incentives(
+    task: TaskSource,
+    policy: PolicySource | None = None,
+    episodes: int = 20,
+    seed: int = 0,
+    workers: int = 1,
+    progress: Callable[[int], None] | None = None,
+    trust: bool = False,
+    **options: Any,
+) -> Iterator[Incentive]:
+    """Compare a task's baseline with each policy that shirks, in the same episodes.
+
+    Args:
+        task: The task: a name or a class.
+        policy: The baseline; the task's own when left out.
+        episodes: How many each flies.
+        seed: Seed of the first.
+        workers: Processes, which change nothing but the time.
+        progress: Told how many more episodes are done.
+        trust: Whether a model may be read that can run code meanwhile.
+        **options: Those of `parallel_env`, such as `difficulty`.
+
+    Yields:
+        A comparison for each policy that shirks, standing still first.
+
+    Raises:
+        ValueError: An argument is none that can be.
+    """
+    chosen = find_task(task).baseline if policy is None else policy
+
+    def fly(name: PolicySource) -> Evaluation:
+        given = (task, name, episodes, seed, workers, None, progress, trust)
+        # All of them ask for velocities, whatever the task's usual action.
+        return evaluate(*given, **{"action": "velocity", **options})
+
+    base, standing = fly(chosen), fly(STANDING)
+    lead = _gap(base, standing).mean
+    for name in shirkers(task, chosen):
+        other = standing if name == STANDING else fly(name)
+        yield Incentive(
+            task=base.about["task"],
+            difficulty=base.about["options"]["difficulty"],
+            baseline=base.about["policy"],
+            shirker=name,
+            earned=base.estimates()["return"],
+            success=base.estimates()["drone_success"],
+            gained=other.estimates()["return"],
+            gap=_gap(base, other),
+            lead=lead,
+        )
+
+
+def _gap(one: Evaluation, other: Evaluation) -> Estimate:
+    """Estimate by how much returns differ, episode by episode."""
+    pairs = zip(one.rows, other.rows, strict=True)
+    return mean_estimate([mine["return"] - yours["return"] for mine, yours in pairs])

@@ -1,0 +1,66 @@
+"""Tasks pay for what they want; `bulletuav.analysis.incentives` tells where they do not."""
+
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+from bulletuav import cli
+from bulletuav.analysis.incentives import SHIRKERS, incentives, shirkers
+from bulletuav.tasks.converge import Converge
+
+POINTS = {"dynamics": "single_integrator"}
+CASES = ["converge", "pursuit", "hover", "los"]
+
+
+@pytest.mark.parametrize("task", CASES)
+def test_no_shirker_earns_what_the_baseline_does(task):
+    found = list(incentives(task, episodes=3, difficulty="easy", **POINTS))
+    assert [one.shirker for one in found] == shirkers(task, found[0].baseline)
+    assert found[0].shirker == "stay"
+    assert found[0].lead > 0
+    for one in found:
+        assert one.gap.low > 0.1 * one.lead, one
+        assert one.holds
+
+
+def test_a_reward_for_nothing_is_found_out():
+    """A task that pays for being there, and not for arriving, is told of."""
+
+    class Idle(Converge):
+        reward: ClassVar = {**Converge.reward, "alive": 10.0, "time": 0.0}
+
+    found = {one.shirker: one for one in incentives(Idle, episodes=2, **POINTS)}
+    assert not found["stay"].holds
+    assert found["stay"].lead < 0
+
+
+def test_death_never_saves_time():
+    """Whoever crashes at once pays the time of the whole episode, as whoever stays."""
+    found = {
+        one.shirker: one
+        for one in incentives("converge", episodes=2, weights={"collision": 0.0}, **POINTS)
+    }
+    assert found["dive"].gained.mean <= found["stay"].gained.mean + 50.0
+
+
+def test_clump_is_for_tasks_with_targets():
+    assert "clump" in shirkers("los", "oracle")
+    assert "clump" not in shirkers("hover", "straight")
+    assert shirkers("follow", "straight") == [
+        name for name in SHIRKERS if name not in ("straight", "clump")
+    ]
+
+
+def test_the_command_writes_the_table(tmp_path, capsys):
+    arguments = ["hover", "--difficulties", "easy", "--episodes", "2", "--out", str(tmp_path)]
+    cli.main(["incentives", *arguments, "--dynamics", "single_integrator"])
+    rows = (tmp_path / "all.md").read_text().splitlines()
+    assert len(rows) == 2 + len(shirkers("hover", "straight"))
+    worst = (tmp_path / "incentives.md").read_text().splitlines()
+    assert len(worst) == 3
+    assert worst[2] in rows
+    shares = [float(row.split("|")[8]) for row in rows[2:]]
+    assert float(worst[2].split("|")[8]) == min(shares)
+    assert "yes" in capsys.readouterr().out
+    assert np.isfinite(shares).all()
