@@ -16,7 +16,7 @@ REMEDY: Mapping[str, str] = MappingProxyType(
     {
         "goal": "direction and distance of the goal",
         "velocity": "its velocity",
-        "room": "the ceiling, in tasks in cities",
+        "room": "the ceiling",
         "lidar": "what stands around",
     }
 )

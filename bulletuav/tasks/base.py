@@ -45,6 +45,10 @@ Term = Callable[..., Any]
 Weighted = float | tuple[Term | str, float]
 
 
+SIDES = ("east", "north", "up", "west", "south", "down")
+"""Sides of an arena: its upper corner's, then its lower one's"""
+
+
 class Task(ABC, Generic[ConfigT]):
     """A task. A subclass's docstring tells its MDP, its attributes hold the parts.
 
@@ -170,7 +174,9 @@ class Task(ABC, Generic[ConfigT]):
         """
         kind = type(self)
         numbers = {**numbers_in(self.context), **numbers_in(self.config), "zone": self.zone}
-        quantities = {"outside": self.outside, **self.quantities()}
+        corners = np.ravel([self.arena_high, self.arena_low]).tolist()
+        bounds = {f"bound_{side}": bound for side, bound in zip(SIDES, corners, strict=False)}
+        quantities = {"outside": self.outside, **bounds, **self.quantities()}
         names = (readings, frozenset(self.memory()))
         binding = Binding(self.name, *names, quantities, frozenset(self.events), numbers)
         for name in extra:

@@ -222,7 +222,7 @@ def test_a_flight_does_not_go_into_the_folder_of_an_evaluation(tmp_path, capsys,
     main(["evaluate", *common, "--episodes", "1"])
     assert (tmp_path / "evaluation" / "converge-default-point_mass-orca" / "episodes.csv").exists()
     with pytest.raises(SystemExit):
-        main(["fly", *common, "--out", "evaluation/converge-default-point_mass-straight"])
+        main(["fly", *common, "--out", "evaluation/converge-default-point_mass-orca"])
     assert "holds an evaluation" in capsys.readouterr().err
 
 

@@ -55,8 +55,9 @@ def test_obstacles_can_be_hit():
 
 
 def test_a_crowd_of_obstacles_is_refused():
+    wide = {"d_safe": 130.0, "altitude": 100.0, "obstacle_radius": (20.0, 20.0)}
     with pytest.raises(ValueError, match="no place is left for obstacle"):
-        made("default", num_obstacles=1, obstacle_radius=(14.9, 14.9), ceiling=40.0)
+        made("converge", num_drones=2, num_obstacles=1, **wide)
     with pytest.raises(ValueError, match="no room for obstacles of 60 m"):
         made("converge", num_obstacles=1, obstacle_radius=(60.0, 60.0))
 

@@ -126,7 +126,6 @@ def test_every_block_can_be_asked_for_in_every_task_that_has_what_it_shows(task)
         for name in VECTORS
         if (name not in SHOWN_MEMORY or SHOWN_MEMORY[name] in memory)
         and (name not in SHOWN_TARGETS or isinstance(made, TargetTask))
-        and (name != "room" or made.layouts())
     )
     uncertain = {"radio_loss": 0.1}
     aviary = bulletuav.Aviary(task, observation=blocks, num_drones=2, randomization=uncertain)

@@ -94,11 +94,6 @@ class UrbanTask(ObstacleTask[UrbanConfigT], Generic[UrbanConfigT]):
         spawn = super().finish(spawn, given, rng)
         return spawn if "goal" in self.places else spawn._replace(goal=spawn.position)
 
-    def quantities(self) -> Mapping[str, Any]:
-        """Tell how far the airspace reaches from its middle to its edges, m."""
-        east, north = self.arena_high[:2].tolist()
-        return {**super().quantities(), "reach_east": east, "reach_north": north}
-
     def info(self, frame: Frame) -> dict[str, np.ndarray]:
         """Tell what the city of the world measures, (W, N), the same for all drones.
 

@@ -5,10 +5,8 @@ from typing import Any
 from bulletuav.geometry.rotation import Vec3
 from bulletuav.registry import register
 from bulletuav.sensors.base import Label
+from bulletuav.tasks.base import SIDES
 from bulletuav.tasks.ingredients import block
-
-SIDES = ("east", "north", "up", "west", "south", "down")
-"""Sides of the airspace, in the order of `room`"""
 
 
 def _room_labels(task: Any) -> tuple[Label, ...]:
@@ -19,8 +17,15 @@ def _room_labels(task: Any) -> tuple[Label, ...]:
 @register("observation")
 @block(_room_labels)
 def room(
-    known_position: Vec3, reach_east: float, reach_north: float, ceiling: float
+    known_position: Vec3,
+    bound_east: float,
+    bound_north: float,
+    bound_up: float,
+    bound_west: float,
+    bound_south: float,
+    bound_down: float,
 ) -> tuple[float, float, float, float, float, float]:
-    """Distances to the sides of a city's airspace: edges, ceiling and ground, up to max_range."""
+    """Distances to the sides of the arena: edges, ceiling and ground, up to max_range."""
     x, y, z = known_position
-    return reach_east - x, reach_north - y, ceiling - z, reach_east + x, reach_north + y, z
+    beyond = bound_east - x, bound_north - y, bound_up - z
+    return *beyond, x - bound_west, y - bound_south, z - bound_down
