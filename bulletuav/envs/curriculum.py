@@ -150,7 +150,7 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
                 sizes[name] = max(sizes.get(name, 0), part.stop - part.start)
         self._parts, self._state_size = slices(sizes), sum(sizes.values())
         self.metadata = {
-            "name": f"bulletuav_{specs[0].task.name}_curriculum_v0",
+            "name": f"bulletuav_{specs[0].task.name}_curriculum_v{specs[0].task.version}",
             "render_modes": ["rgb_array", "human"],
         }
         self.render_mode = specs[0].options.render_mode

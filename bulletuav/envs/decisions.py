@@ -23,7 +23,7 @@ from bulletuav.envs.worlds import Worlds
 from bulletuav.program import Program
 from bulletuav.sensors.base import Moment
 from bulletuav.tasks import TaskSource
-from bulletuav.tasks.account import Account, add_account, make_account, mark_contacts
+from bulletuav.tasks.account import Account, add_account, make_account, mark_contacts, mark_landings
 from bulletuav.tasks.base import Task
 from bulletuav.tasks.check import require_finite
 from bulletuav.tasks.frame import Frame
@@ -117,6 +117,9 @@ class Decisions(Worlds):
         add_account(program, self._account, self._live, self._dynamics.contact)
         if self._collects_contacts:
             program.turn(self._mark_contacts)
+        if self.task.lands:
+            known = (self._account, self._live, np.array(self.task.context.standing_height))
+            program.turn(lambda: mark_landings(*known))
 
     def _mark_contacts(self) -> None:
         """Take over contacts that were collected in Python."""
@@ -134,7 +137,9 @@ class Decisions(Worlds):
         standard = [(None if name == untold else name, kind) for name, kind in INFOS.items()]
         self._rows = [*((f"reward/{name}", float) for name in terms), *standard]
         own = type(self.task).info is not Task.info
-        self._tells_more = own or bool(self._uncertainty.drawn or self._sensors.sensors)
+        self._tells_more = own or bool(
+            self.task.lands or self._uncertainty.drawn or self._sensors.sensors
+        )
 
     def _forget(self) -> None:
         """Forget what was worked out of the frame as it was before."""
@@ -301,6 +306,12 @@ class Decisions(Worlds):
         table, rows = self._table.copy(), self._rows
         if not self._tells_more:
             return lambda: columns(table, rows)
-        told = {**self.task.info(self._live), **self._uncertainty.info(), **self._sensors.info()}
+        landed = {"landed": self._live.landed} if self.task.lands else {}
+        told = {
+            **landed,
+            **self.task.info(self._live),
+            **self._uncertainty.info(),
+            **self._sensors.info(),
+        }
         more = {name: np.array(value) for name, value in told.items()}  # for callers to write into
         return lambda: columns(table, rows) | more

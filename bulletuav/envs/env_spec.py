@@ -281,6 +281,7 @@ def _make_task(kind: type[Task[Any]], config: TaskConfig, options: EnvOptions) -
             options.horizon * period,
             make_beams(options.num_beams, options.lidar_elevations),
             options.max_range,
+            tuple(airframe.standing_height for airframe in options.airframe),
         ),
     )
     check_arena(task, config, radius)

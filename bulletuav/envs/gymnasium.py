@@ -24,15 +24,15 @@ from bulletuav.envs.reset_options import reset_options
 from bulletuav.envs.spaces import joint_action_space, joint_numbers
 from bulletuav.envs.vector import BatchAviary, BatchResults
 from bulletuav.errors import as_int
-from bulletuav.tasks import TaskSource, list_tasks
+from bulletuav.tasks import TaskSource, find_task, list_tasks
 from bulletuav.tasks.observations.observer import Observation, part
 
 METADATA: dict[str, Any] = {"render_modes": ["rgb_array", "human"]}
 
 
 def environment_id(task: str) -> str:
-    """Return the Gymnasium id of a task: `bulletuav/Hover-v0` for hover."""
-    return f"bulletuav/{task.title().replace('_', '')}-v0"
+    """Return the Gymnasium id of a task, with its version: `bulletuav/Hover-v1` for hover."""
+    return f"bulletuav/{task.title().replace('_', '')}-v{find_task(task).version}"
 
 
 def register_environments() -> None:

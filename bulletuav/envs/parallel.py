@@ -48,7 +48,7 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
         self._observer = self.aviary.observer
         common = self.aviary.options
         self.metadata = {
-            "name": f"bulletuav_{self.aviary.task.name}_v0",
+            "name": f"bulletuav_{self.aviary.task.name}_v{self.aviary.task.version}",
             "render_modes": ["rgb_array", "human"],
             "render_fps": common.decision_hz,
             "is_parallelizable": True,

@@ -7,6 +7,7 @@ import numpy as np
 from bulletuav.envs.aviary import Aviary
 from bulletuav.policies.base import Policy
 from bulletuav.policies.half_spaces import Rules
+from bulletuav.policies.landing import touch_down
 from bulletuav.policies.straight import preferred_velocity
 from bulletuav.policies.traffic import Clearance, Traffic, buildings, true_traffic
 from bulletuav.tasks.observations.observer import Observation
@@ -65,7 +66,13 @@ class Avoidance(Policy):
         """Ask for the velocities of `avoid`; see `Policy.act`."""
         traffic = self.traffic(observations, swarm)
         wish = preferred_velocity(traffic.goal, traffic.goal_velocity, self.rules.max_speed)
-        return self.encoded(self.avoid(traffic, wish, self.rules))
+        velocity = self.avoid(traffic, wish, self.rules)
+        goal_height = self.goal_height(observations, traffic)
+        return self.encoded(touch_down(velocity, traffic.goal, goal_height, self.aviary.task))
+
+    def goal_height(self, observations: Observation, traffic: Traffic) -> np.ndarray:
+        """Tell how high above the ground goals are, as drones know it, (W, N) m."""
+        return self.aviary.scene.goal[..., 2]
 
     def traffic(self, observations: Observation, swarm: Swarm) -> Traffic:
         """Tell what drones know of the traffic around them."""

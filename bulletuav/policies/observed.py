@@ -86,6 +86,14 @@ class Observed(Avoidance):
             surface=surface,
         )
 
+    def goal_height(self, observations: Observation, traffic: Traffic) -> np.ndarray:
+        """Tell how high goals are; infinitely where the position is not observed, (W, N) m."""
+        seen = self.blocks(observations)
+        if "position" not in seen:
+            return np.full(self.aviary.alive.shape, np.inf)
+        height: np.ndarray = seen["position"][..., 2] + traffic.goal[..., 2]
+        return height
+
     def blocks(self, observations: Observation) -> dict[str, np.ndarray]:
         """Split observations into their blocks of numbers, in their units also where normalised.
 

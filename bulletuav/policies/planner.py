@@ -16,6 +16,7 @@ from bulletuav.geometry.solids import Solids
 from bulletuav.kernel import allocating, func
 from bulletuav.policies.astar import plan
 from bulletuav.policies.base import Policy
+from bulletuav.policies.landing import touch_down
 from bulletuav.policies.potential import make_field, repulsion
 from bulletuav.policies.straight import APPROACH
 from bulletuav.policies.voxels import Voxels, voxels
@@ -103,7 +104,9 @@ class PathFollower(Policy):
         field = make_field(aviary, surfaces=0.0)
         push = repulsion(swarm.position, aviary.alive, no_balls, np.zeros(0), field)
         push = limit_norm(push, APPROACH * HALF_WIDTH)
-        return self.encoded(limit_norm(wanted + push, speed))
+        flown = limit_norm(wanted + push, speed)
+        way = aviary.scene.goal - swarm.position
+        return self.encoded(touch_down(flown, way, aviary.scene.goal[..., 2], aviary.task))
 
     @abstractmethod
     def goals(self, swarm: Swarm) -> np.ndarray:

@@ -74,7 +74,7 @@ class PotentialField(Policy):
     """Flight towards the goal, repelled by living drones, obstacles and the ground.
 
     Obstacles are known by their bounding spheres. A drone may get stuck where all that acts on it
-    cancels.
+    cancels. It does not land.
     """
 
     name = "potential"

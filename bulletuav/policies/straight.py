@@ -7,6 +7,7 @@ import numpy as np
 
 from bulletuav.control.actions import limit_norm
 from bulletuav.policies.base import Policy
+from bulletuav.policies.landing import touch_down
 from bulletuav.registry import register
 from bulletuav.tasks.observations.observer import Observation
 from bulletuav.vehicle.swarm import Swarm
@@ -36,7 +37,9 @@ class StraightLine(Policy):
         if options.action == "target_position":
             return self.encoded(scene.goal)
         way = scene.goal - swarm.position
-        return self.encoded(preferred_velocity(way, scene.goal_velocity, options.max_speed))
+        velocity = preferred_velocity(way, scene.goal_velocity, options.max_speed)
+        task = self.aviary.task
+        return self.encoded(touch_down(velocity, way, scene.goal[..., 2], task))
 
 
 def preferred_velocity(way: np.ndarray, goal_velocity: np.ndarray, max_speed: float) -> np.ndarray:

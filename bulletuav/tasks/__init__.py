@@ -2,6 +2,7 @@
 
 import dataclasses
 import inspect
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -30,7 +31,9 @@ __all__ = [
 ]
 
 TaskSource = str | type[Task[Any]]
-"""A task by its name, by `module:Name`, or its class"""
+"""A task by its name, also with its version, by `module:Name`, or its class"""
+VERSIONED = re.compile(r"(\w+?)[-_]v(\d+)")
+"""A task's name with the version of its environment"""
 NEEDED = ("name", "observation", "reward")
 """Attributes that every task class has"""
 
@@ -43,11 +46,21 @@ def list_tasks() -> list[str]:
 def find_task(source: TaskSource) -> type[Task[Any]]:
     """Find a task by its name, by `module:Name`, or take the class itself.
 
+    A name may end with the version of its environment: "hover_v1" or "hover-v1".
+
     Raises:
-        ValueError: There is none of that name (the nearest are told), or the class lacks something.
+        ValueError: There is none of that name (the nearest are told) or version, or the class lacks
+            something.
     """
-    kind: type[Task[Any]] = find("task", source, _is_task)
+    versioned = VERSIONED.fullmatch(source) if isinstance(source, str) else None
+    kind: type[Task[Any]] = find("task", versioned[1] if versioned else source, _is_task)
     require_task(kind)
+    if versioned and int(versioned[2]) != kind.version:
+        raise ValueError(
+            f"task {source!r}: this is version {kind.version} of {versioned[1]!r}, and results of "
+            f"versions differ; ask for '{versioned[1]}-v{kind.version}', or install a package "
+            f"that has the other"
+        )
     return kind
 
 

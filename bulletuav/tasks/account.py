@@ -11,7 +11,15 @@ from bulletuav.contact.rest import Contact
 from bulletuav.geometry.closest_approach import fill_distances
 from bulletuav.kernel import kernel
 from bulletuav.program import Program
-from bulletuav.tasks.frame import RESTING_SPEED, RESTING_SPIN, Frame
+from bulletuav.tasks.frame import (
+    RESTING_SPEED,
+    RESTING_SPIN,
+    STANDING_GAP,
+    TOUCHDOWN_SPEED,
+    TOUCHDOWN_TILT,
+    Frame,
+)
+from bulletuav.vehicle.swarm import GROUND
 
 
 class Account(NamedTuple):
@@ -25,6 +33,7 @@ class Account(NamedTuple):
         collision: Whether the drone touched anything.
         resting: Whether it did, and hardly moves.
         impulse: Greatest impulse of a contact, N s.
+        landed: Whether it stands or lands on the ground, in tasks that allow it.
     """
 
     conflict: Conflict
@@ -34,13 +43,14 @@ class Account(NamedTuple):
     collision: np.ndarray
     resting: np.ndarray
     impulse: np.ndarray
+    landed: np.ndarray
 
 
 def make_account(frame: Frame) -> Account:
     """Make arrays that the frame shows from now on as its properties of the same names."""
     shape = frame.alive.shape
     distance, distance_before, known_distance, impulse = np.zeros((4, *shape))
-    collision, resting = np.zeros((2, *shape), dtype=bool)
+    collision, resting, landed = np.zeros((3, *shape), dtype=bool)
     account = Account(
         conflict=no_conflict(shape),
         distance=distance,
@@ -49,6 +59,7 @@ def make_account(frame: Frame) -> Account:
         collision=collision,
         resting=resting,
         impulse=impulse,
+        landed=landed,
     )
     vars(frame).update(account._asdict())
     return account
@@ -94,3 +105,25 @@ def mark_contacts(account: Account, frame: Frame) -> None:
     account.collision[:] = fresh.collision
     account.resting[:] = fresh.resting
     account.impulse[:] = fresh.impulse
+
+
+def mark_landings(account: Account, frame: Frame, standing_height: np.ndarray) -> None:
+    """Tell who stands or lands on the ground, see `Frame.landed`; landings are no collisions.
+
+    Args:
+        account: Of the frame, changed.
+        frame: The decision.
+        standing_height: (N,) of the centre of mass of a drone that stands, m.
+    """
+    touched, landed = frame.contacts, account.landed
+    # Who touches anything, or stands so near that nothing is felt.
+    low = frame.after.position[..., 2] <= standing_height + STANDING_GAP
+    landed[:] = (account.collision | low) & frame.alive
+    for swarm in (frame.before, frame.after):
+        x, y = swarm.quaternion[..., 0], swarm.quaternion[..., 1]
+        landed &= 1 - 2 * (x * x + y * y) >= np.cos(TOUCHDOWN_TILT)
+    # What it touches, and how fast.
+    rough = np.linalg.norm(touched.velocity, axis=-1) > TOUCHDOWN_SPEED
+    rough |= touched.other != GROUND
+    landed[touched.world[rough], touched.drone[rough]] = False
+    account.collision[landed] = False

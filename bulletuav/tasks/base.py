@@ -12,7 +12,7 @@ from bulletuav.errors import unknown
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.solids import Solids
 from bulletuav.tasks.config import ConfigT, TaskConfig
-from bulletuav.tasks.frame import Frame, Scene, Spawn, StepResult, TaskContext
+from bulletuav.tasks.frame import UPRIGHT, Frame, Scene, Spawn, StepResult, TaskContext
 from bulletuav.tasks.given import Given
 from bulletuav.tasks.ingredients import Binding, Bound, Parts, find_term, numbers_in
 from bulletuav.tasks.observations.base import Block
@@ -86,6 +86,7 @@ class Task(ABC, Generic[ConfigT]):
         Config: Class of its own options; taken from `Task[...]`.
         defaults: Values of the common options where they differ from `DEFAULTS`.
         difficulties: For each difficulty the options that it sets, common or own.
+        version: Of its environments; it is raised when their default behaviour changes.
         presets: Named sets of values of options.
         observation: Names of observation blocks, or such blocks.
         required_sensors: Readings that the task itself works with, such as "lidar".
@@ -106,9 +107,11 @@ class Task(ABC, Generic[ConfigT]):
         arena_low: (3,) lower corner of the space to which positions are scaled, m.
         arena_high: (3,) its upper corner, m.
         team: (N,) number of each drone's team, from 0.
+        lands: Whether drones may touch the ground: what `Frame.landed` tells is no collision then.
     """
 
     name: ClassVar[str]
+    version: ClassVar[int] = 1
     Config: ClassVar[type[TaskConfig]] = TaskConfig
     defaults: ClassVar[Mapping[str, Any]] = MappingProxyType({})
     difficulties: ClassVar[Mapping[str, Mapping[str, Any]]] = MappingProxyType({"easy": {}})
@@ -157,6 +160,7 @@ class Task(ABC, Generic[ConfigT]):
         self.zone = 2 * config.d_safe
         self.parts = Parts()
         self.team = np.zeros(context.num_drones, dtype=int)
+        self.lands = config.take_off
         self._named_terms: dict[str, Bound] | None = None
 
     def bind(self, readings: frozenset[str], extra: Mapping[str, tuple[Any, float]]) -> Binding:
@@ -228,14 +232,22 @@ class Task(ABC, Generic[ConfigT]):
         return [self.spawn(rng) for rng in rngs]
 
     def finish(self, spawn: Spawn, given: Given, rng: np.random.Generator) -> Spawn:
-        """Finish the start of one world: put in the places that users gave.
+        """Finish the start of one world: put in what users gave, and drones on the ground.
 
         Args:
             spawn: What `spawn` drew.
             given: Places in their stead.
             rng: Generator of the world, for what depends on them.
         """
-        return given.put_into(spawn)
+        spawn = given.put_into(spawn)
+        if not self.config.take_off:
+            return spawn
+        place = self.on_ground(np.asarray(spawn.position))
+        return spawn._replace(position=place, velocity=0.0, rates=0.0, quaternion=UPRIGHT)
+
+    def on_ground(self, positions: np.ndarray) -> np.ndarray:
+        """Tell where drones stand on the ground below positions (N, 3), m."""
+        return np.column_stack([positions[:, :2], self.context.standing_height])
 
     def is_free(self, place: np.ndarray, radius: float, layout: int) -> bool:
         """Tell whether a ball touches nothing of what stands in a world; by default always.

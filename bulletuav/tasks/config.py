@@ -21,12 +21,15 @@ class TaskConfig:
         weights: Changes of the weights of reward terms, by name.
         start: (N, 3) where drones start, m, in tasks that take it; drawn when left out.
         goal: (N, 3) where they are to go, m, in tasks that take it; drawn when left out.
+        take_off: Whether drones start at rest on the ground below their starts, with rotors that
+            stand still. They may then touch the ground, see `Frame.landed`.
     """
 
     d_safe: float = 1.0
     weights: Mapping[str, float] = field(default_factory=dict)
     start: Any = None
     goal: Any = None
+    take_off: bool = False
 
     def __post_init__(self) -> None:
         """Keep arrays as tuples, so that configs can be compared and written."""

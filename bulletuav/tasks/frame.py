@@ -23,6 +23,13 @@ RESTING_SPEED = 0.01
 RESTING_SPIN = 0.1
 """rad/s, of a drone at rest at most; a rim at 0.1 m from the middle then moves at 0.01 m/s"""
 
+TOUCHDOWN_SPEED = 2.0
+"""m/s against the ground, of a landing at most; a fall from 0.2 m ends with it"""
+TOUCHDOWN_TILT = np.radians(30.0)
+"""rad, of a landing at most, before and after the decision"""
+STANDING_GAP = 0.001
+"""m, above the ground at most, of kinematic drones that stand there without a touch"""
+
 
 class Spawn(NamedTuple):
     """Start of one world of N drones. Only position and goal are needed.
@@ -162,6 +169,7 @@ class TaskContext:
         duration: Of an episode, s.
         beams: Of the range finder.
         max_range: How far the range finder reaches, m.
+        standing_height: How high each drone's centre of mass is when it stands on the ground, m.
     """
 
     num_drones: int
@@ -172,6 +180,7 @@ class TaskContext:
     duration: float
     beams: tuple[Beam, ...]
     max_range: float
+    standing_height: tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -272,6 +281,15 @@ class Frame:
         return resting
 
     @cached_property
+    def landed(self) -> np.ndarray:
+        """(W, N) bool: stands or lands on the ground, told where `Task.lands` allows it.
+
+        It touches nothing else, met the ground at TOUCHDOWN_SPEED or less, and is tilted by
+        TOUCHDOWN_TILT at most. Such a touch is no collision.
+        """
+        return np.zeros(self.alive.shape, dtype=bool)
+
+    @cached_property
     def impulse(self) -> np.ndarray:
         """(W, N) greatest impulse of a contact, each summed over the decision, N s; 0 of none."""
         impulse = np.zeros(self.alive.shape)
@@ -331,6 +349,7 @@ FIELDS: Mapping[str, tuple[str, Reader]] = MappingProxyType(
         "alive": ("whether it flew the decision", attrgetter("alive")),
         "collision": ("whether its shape touched anything", attrgetter("collision")),
         "resting": ("whether it touches and hardly moves", attrgetter("resting")),
+        "landed": ("whether it stands on the ground", attrgetter("landed")),
         "impulse": ("N s, the greatest of a contact", attrgetter("impulse")),
         "depleted": ("whether its battery is empty", attrgetter("depleted")),
         "conflicts": ("conflicts that began", attrgetter("conflict.onsets")),

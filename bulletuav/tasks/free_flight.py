@@ -21,8 +21,8 @@ class FreeFlightConfig(FreeSpaceConfig):
     """
 
     altitude: float = 70.0
-    altitude_spread: float = 60.0
-    leg: float = 20.0
+    altitude_spread: float = 10.0
+    leg: float = 25.0
     heading: Any = "random"
 
 
@@ -30,8 +30,9 @@ class FreeFlightConfig(FreeSpaceConfig):
 class FreeFlight(FreeSpace[FreeFlightConfig]):
     """Flight between random places of one airspace, in which nothing is arranged.
 
-    Drones start at random places in a square of 200 m, between 40 and 100 m high. They fly in
-    random directions at 5 to 15 m/s. Goals are such places, too.
+    Drones start at random places in a square of 80 m, between 65 and 75 m high. They fly in
+    random directions at 5 to 15 m/s. Goals are such places, too. The difficulty sets the square:
+    so small that about every second drone meets another on its way.
 
     Observation, Box(55) per drone with the defaults, in world axes (east, north, up): position,
     velocity, direction and distance of the goal, the nearest living drones, and the nearest
@@ -45,7 +46,7 @@ class FreeFlight(FreeSpace[FreeFlightConfig]):
 
     - progress 5: metres nearer to the goal.
     - goal 50: 1 on reaching the goal.
-    - conflict -100: other drones that come closer than d_safe = 5 m.
+    - conflict -200: other drones that come closer than d_safe = 5 m.
     - warning -5: nearness to other drones, from 0 at 10 m to 1 at 5 m.
     - collision -200: 1 on contact.
     - out_of_bounds -50: 1 outside the arena.
@@ -65,10 +66,10 @@ class FreeFlight(FreeSpace[FreeFlightConfig]):
 
     name = "free_flight"
     difficulties: ClassVar = {
-        "easy": {**AIRSPACE_DIFFICULTIES["easy"], "area": 100.0},
-        "medium": {**AIRSPACE_DIFFICULTIES["medium"], "area": 120.0},
-        "hard": {**AIRSPACE_DIFFICULTIES["hard"], "area": 160.0},
-        "extreme": {**AIRSPACE_DIFFICULTIES["extreme"], "area": 300.0},
+        "easy": {**AIRSPACE_DIFFICULTIES["easy"], "area": 50.0},
+        "medium": {**AIRSPACE_DIFFICULTIES["medium"], "area": 80.0},
+        "hard": {**AIRSPACE_DIFFICULTIES["hard"], "area": 140.0},
+        "extreme": {**AIRSPACE_DIFFICULTIES["extreme"], "area": 250.0},
     }
     presets: ClassVar = {
         "uavconflict": {

@@ -9,9 +9,10 @@ from bulletuav.geometry.rotation import exponential
 from bulletuav.registry import register
 from bulletuav.tasks.base import Task
 from bulletuav.tasks.config import TaskConfig
-from bulletuav.tasks.ends import at_goal, collision, too_far
+from bulletuav.tasks.ends import collision, too_far
 from bulletuav.tasks.frame import Spawn, TaskContext
 from bulletuav.tasks.given import PLACES
+from bulletuav.tasks.ingredients import end, reward
 from bulletuav.tasks.starts import refuse_early_end
 
 
@@ -29,6 +30,8 @@ class HoverConfig(TaskConfig):
         start_rates: Greatest body rate at the start, rad/s.
         goal_radius: Distance from the target that is success, m.
         max_distance: Distance from the target at which an episode ends, m.
+        land: Whether targets are on the ground below. Drones hold them only by standing there, see
+            `Frame.landed`.
     """
 
     d_safe: float = 1.0
@@ -40,6 +43,19 @@ class HoverConfig(TaskConfig):
     start_rates: float = field(default=0.0, metadata={"most": 100.0})
     goal_radius: float = 0.1
     max_distance: float = 20.0
+    land: bool = False
+
+
+@end
+def holds(distance: float, goal_radius: float, landed: bool, land: bool) -> bool:
+    """Tell whether the drone is at its target, and stands there where it is to land."""
+    return distance <= goal_radius and (landed or not land)
+
+
+@reward
+def holding(distance: float, goal_radius: float, landed: bool, land: bool) -> float:
+    """1 at the target, where it is to land only on the ground."""
+    return 1.0 if distance <= goal_radius and (landed or not land) else 0.0
 
 
 @register("task")
@@ -58,14 +74,14 @@ class Hover(Task[HoverConfig]):
     Reward per decision, the sum of these terms times their weights:
 
     - alive 1: 1 a decision.
-    - holding 1: 1 within 0.1 m of the target.
+    - holding 1: 1 within 0.1 m of the target; with `land` only on the ground.
     - distance -0.1: distance to the target, m.
     - speed -0.05: speed, m/s.
 
     End: terminated on any contact of collision shapes, or further than 20 m from the target.
     Truncated after 240 decisions.
 
-    Success: the drone is within 0.1 m of its target.
+    Success: the drone is within 0.1 m of its target; with `land` it stands there.
 
     Preset hover_aviary: cf2x, 240 Hz physics, 30 Hz decisions, 240 decisions and action
     `hover_rpm`, as in gym-pybullet-drones.
@@ -118,7 +134,7 @@ class Hover(Task[HoverConfig]):
         }
     }
     observation = ("attitude", "goal_offset", "velocity", "rates")
-    reward: ClassVar = {"alive": 1.0, "holding": 1.0, "distance": -0.1, "speed": -0.05}
+    reward: ClassVar = {"alive": 1.0, "holding": (holding, 1.0), "distance": -0.1, "speed": -0.05}
     places: ClassVar[tuple[str, ...]] = PLACES
     shows: ClassVar = {
         "success": "at target",
@@ -126,7 +142,7 @@ class Hover(Task[HoverConfig]):
         "goal_distance": "to target (m)",
     }
     ends = (collision, too_far)
-    success = at_goal
+    success = holds
 
     def __init__(self, config: HoverConfig, context: TaskContext) -> None:
         """Place the targets, lay out the arena, and check the starts.
@@ -135,13 +151,18 @@ class Hover(Task[HoverConfig]):
             ValueError: Start positions could overlap each other or the ground.
         """
         super().__init__(config, context)
-        refuse_early_end(config.max_distance, config.start_offset)
+        if config.land and config.take_off:
+            raise ValueError("land and take_off are both on: drones that stand are to fly first")
+        rise = config.height if config.land or config.take_off else 0.0
+        refuse_early_end(config.max_distance, config.start_offset, rise)
         # Targets on a square grid about the origin.
         columns = int(np.ceil(np.sqrt(context.num_drones)))
         index = np.arange(context.num_drones)
         grid = np.stack([index % columns, index // columns], axis=1) * config.spacing
         height = np.full((len(index), 1), config.height)
-        self.target = np.concatenate([grid - grid.mean(axis=0), height], axis=1)
+        self.lands |= config.land
+        self._middle = np.concatenate([grid - grid.mean(axis=0), height], axis=1)
+        self.target = self.on_ground(self._middle) if config.land else self._middle
         self.arena_low = self.target.min(axis=0) - config.max_distance
         self.arena_high = self.target.max(axis=0) + config.max_distance
         self.arena_low[2] = 0.0
@@ -159,7 +180,7 @@ class Hover(Task[HoverConfig]):
                 f"start_offset {config.start_offset:g} m must exceed {2 * radius:.3g} m"
             )
         lowest = config.height - config.start_offset
-        if lowest <= radius:
+        if lowest <= radius and not config.take_off:
             raise ValueError(
                 f"start positions may touch the ground: the lowest is {lowest:g} m up, "
                 f"more than {radius:.3g} needed; raise height, or lower start_offset"
@@ -169,7 +190,7 @@ class Hover(Task[HoverConfig]):
         """Draw a start near the targets, disturbed as much as the difficulty says."""
         config = self.config
         shape = self.target.shape
-        position = self.target + rng.uniform(-config.start_offset, config.start_offset, shape)
+        position = self._middle + rng.uniform(-config.start_offset, config.start_offset, shape)
         # Attitude: a tilt about an axis of any direction.
         axis = rng.normal(size=shape)
         axis /= np.linalg.norm(axis, axis=1, keepdims=True)

@@ -26,7 +26,7 @@ class Navigation(UrbanFlight[UrbanFlightConfig]):
 
     - progress 5: metres nearer to the goal.
     - goal 50: 1 on reaching the goal.
-    - conflict -100: other drones that come closer than d_safe = 2 m.
+    - conflict -200: other drones that come closer than d_safe = 2 m.
     - warning -5: nearness to other drones, from 0 at 4 m to 1 at 2 m.
     - collision -200: 1 on contact, also with a building.
     - out_of_bounds -50: 1 outside the city's square or above its ceiling.

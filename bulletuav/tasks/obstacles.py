@@ -45,7 +45,7 @@ class Obstacles(FreeSpace[ObstaclesConfig]):
 
     - progress 5: metres nearer to the goal.
     - goal 50: 1 on reaching the goal.
-    - conflict -100: other drones that come closer than d_safe = 5 m.
+    - conflict -200: other drones that come closer than d_safe = 5 m.
     - warning -5: nearness to other drones, from 0 at 10 m to 1 at 5 m.
     - collision -200: 1 on contact.
     - out_of_bounds -50: 1 outside the arena.

@@ -30,13 +30,14 @@ def take_given(task: Task[Any], start: object = None, goal: object = None) -> Gi
             remedy = " or ".join(task.places) or "nothing"
             raise ValueError(f"{name} cannot be given in task {task.name!r}: {remedy} can")
         places[name] = _given_positions(task, name, value)
-    if "start" in places:
+    if "start" in places and not task.config.take_off:
         lowest = float(places["start"][:, 2].min())
         if lowest <= task.context.collision_radius:
             raise ValueError(
                 f"start is {lowest:g} m up at its lowest: drones touch the ground there; more than "
-                f"{task.context.collision_radius:.3g} m is needed"
+                f"{task.context.collision_radius:.3g} m is needed; or choose take_off=True"
             )
+    if "start" in places:
         refuse_overlap(places["start"], task.context.collision_radius)
     return Given(**places)
 
@@ -52,6 +53,8 @@ def _given_positions(task: Task[Any], name: str, value: object) -> np.ndarray:
         raise ValueError(
             f"{name} is {shown(value)}: {drones} finite positions (x, y, z) in metres are needed"
         )
+    if name == "start" and task.config.take_off:
+        positions = task.on_ground(positions)
     beyond = ((positions < task.arena_low) | (positions > task.arena_high)).any(axis=1)
     if beyond.any():
         i = int(beyond.argmax())
@@ -85,13 +88,20 @@ def refuse_overlap(position: np.ndarray, radius: float) -> None:
         )
 
 
-def refuse_early_end(max_distance: float, start_offset: float) -> None:
-    """Refuse starts, up to `start_offset` m off the goal on each axis, that are too far from it.
+def refuse_early_end(max_distance: float, start_offset: float, rise: float = 0.0) -> None:
+    """Refuse starts that are too far from the goal.
+
+    Args:
+        max_distance: Distance at which an episode ends, m.
+        start_offset: How far starts may be from the goal on each axis, m.
+        rise: By how much they are below it or above beside that, m.
 
     Raises:
-        ValueError: They can be farther than `max_distance`, m, where an episode ends.
+        ValueError: They can be farther away than `max_distance`.
     """
-    if max_distance <= start_offset * np.sqrt(3):
+    farthest = float(np.hypot(start_offset * np.sqrt(2), start_offset + rise))
+    if max_distance <= farthest:
         raise ValueError(
-            f"max_distance {max_distance:g} m must exceed the start offset of {start_offset:g} m"
+            f"max_distance is {max_distance:g} m: starts may be {farthest:.4g} m from their goals, "
+            f"by start_offset {start_offset:g} m and height {rise:g} m; raise it"
         )

@@ -18,7 +18,8 @@ def made(task, worlds=1, **options):
 
 @pytest.mark.parametrize("task", SPACES)
 def test_obstacles_keep_off_starts_goals_and_buildings_and_stay_in_bounds(task):
-    aviary = made(task, 3, num_obstacles=6, num_moving=4, randomization={})
+    wide = {"area": 200.0} if task == "free_flight" else {}
+    aviary = made(task, 3, num_obstacles=6, num_moving=4, randomization={}, **wide)
     at, task = aviary.scene, aviary.task
     low, high = task.obstacle_bounds()
     for w in range(3):

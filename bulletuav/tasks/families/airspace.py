@@ -5,29 +5,25 @@ from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
-from bulletuav.functions import cos, sin
 from bulletuav.geometry.closest_approach import distances
 from bulletuav.tasks.base import REBOUND, Rngs, Weighted
 from bulletuav.tasks.ends import affected
-from bulletuav.tasks.families.flight_config import FlightConfig, directions, facing
+from bulletuav.tasks.families.flight_config import FlightConfig
+from bulletuav.tasks.families.headings import directions
 from bulletuav.tasks.families.obstacle_field import ObstacleTask
 from bulletuav.tasks.families.presets import UAVCONFLICT
-from bulletuav.tasks.frame import UPRIGHT, Frame, Scene, Spawn, TaskContext
-from bulletuav.tasks.given import PLACES, Given
+from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
+from bulletuav.tasks.given import PLACES
 from bulletuav.tasks.rewards.airspace import (
     follow_encounters,
     sum_obstacle_nearness,
     variance_nearby,
 )
 
-TOUCHDOWN_HEIGHT = 1.0
-"""Height above the ground below which a drone can have landed, m"""
-TOUCHDOWN_SPEED = 2.0
-"""Speed below which a drone can have landed, m/s"""
 REWARD_WEIGHTS = {
     "progress": 5.0,
     "goal": 50.0,
-    "conflict": -100.0,
+    "conflict": -200.0,
     "warning": -5.0,
     "collision": -200.0,
     "obstacle_warning": -5.0,
@@ -55,7 +51,7 @@ class Airspace(ObstacleTask[FlightConfigT], Generic[FlightConfigT]):
 
     - progress 5: metres nearer to the goal.
     - goal 50: 1 on reaching the goal, once.
-    - conflict -100: other drones with which a separation falls below d_safe = 5 m.
+    - conflict -200: other drones with which a separation falls below d_safe = 5 m.
     - warning -5: for each other drone, linear from 0 at 2 d_safe to 1 at d_safe.
     - collision -200: 1 on contact of collision shapes.
     - obstacle_warning -5: for each obstacle, linear from 0 at d_safe from its bounding sphere to
@@ -122,6 +118,7 @@ class Airspace(ObstacleTask[FlightConfigT], Generic[FlightConfigT]):
         config.check(context)
         self.rebound = REBOUND.get(config.boundary)
         self.zone = config.warning_zone * config.d_safe
+        self.lands = config.take_off or config.at_goal == "land"
         if not config.num_obstacles:
             self.weights["obstacle_warning"] = 0.0
 
@@ -132,44 +129,19 @@ class Airspace(ObstacleTask[FlightConfigT], Generic[FlightConfigT]):
         rng: np.random.Generator,
         along: np.ndarray | None = None,
     ) -> Spawn:
-        """Make a start in flight, with level drones, as the option `heading` says.
+        """Make a start in flight, with level drones.
 
         Args:
             start: (N, 3) where drones start, m.
             goal: (N, 3) where they are to go, m.
-            rng: Generator of the start speeds, and of random headings.
-            along: (N, 3) directions in which they fly, of any length, where the option says
-                nothing; towards the goal by default.
+            rng: Generator of the start speeds.
+            along: (N, 3) directions in which they fly, of any length; towards the goal by default.
         """
         limit = self.context.max_speed
         slowest, fastest = (min(speed, limit) for speed in self.config.start_speed)
         speed = rng.uniform(slowest, fastest, (len(start), 1))
-        wanted = self.config.heading
-        if isinstance(wanted, str) and wanted == "random":
-            along = rng.normal(size=start.shape)
-        elif wanted is not None and not isinstance(wanted, str):
-            angle = np.broadcast_to(np.radians(wanted), len(start))
-            along = np.stack([cos(angle), sin(angle), np.zeros(len(start))], axis=1)
         direction = directions(goal - start if along is None else along)
-        # Noses point east unless a heading is asked for.
-        quaternion = UPRIGHT if wanted is None else facing(direction)
-        return Spawn(position=start, goal=goal, velocity=direction * speed, quaternion=quaternion)
-
-    def finish(self, spawn: Spawn, given: Given, rng: np.random.Generator) -> Spawn:
-        """Put given places into a start, and have drones fly towards their goals from there.
-
-        Raises:
-            ValueError: There is no room for obstacles.
-        """
-        spawn = super().finish(spawn, given, rng)
-        if given.is_empty or "goal" not in self.places:
-            return spawn
-        if not (self.config.heading is None or self.config.heading == "goal"):
-            return spawn
-        speed = np.linalg.norm(spawn.velocity, axis=1, keepdims=True)
-        direction = directions(spawn.goal - spawn.position)
-        quaternion = UPRIGHT if self.config.heading is None else facing(direction)
-        return spawn._replace(velocity=direction * speed, quaternion=quaternion)
+        return Spawn(position=start, goal=goal, velocity=direction * speed)
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
         """Tell the shapes of what is kept of each drone and, where concession counts, of pairs.
@@ -206,7 +178,7 @@ class Airspace(ObstacleTask[FlightConfigT], Generic[FlightConfigT]):
         """Move obstacles, and goals that were reached down to the ground for who is to land."""
         if self.config.at_goal == "land":
             is_landing = (scene.memory["reached"] > 0) & flying[:, None]
-            scene.goal[..., 2] = np.where(is_landing, TOUCHDOWN_HEIGHT / 2, scene.goal[..., 2])
+            scene.goal[..., 2] = np.where(is_landing, 0.0, scene.goal[..., 2])
         return super().move_scene(scene, time, flying, rngs)
 
     def goal_travel_left(self, goal: np.ndarray, time: np.ndarray) -> np.ndarray | float:
@@ -221,7 +193,7 @@ class Airspace(ObstacleTask[FlightConfigT], Generic[FlightConfigT]):
         """
         if self.config.at_goal != "land":
             return 0.0
-        left: np.ndarray = goal[..., 2] - TOUCHDOWN_HEIGHT / 2
+        left: np.ndarray = goal[..., 2]
         return left
 
     def way(self, frame: Frame) -> np.ndarray:
@@ -264,10 +236,8 @@ class Airspace(ObstacleTask[FlightConfigT], Generic[FlightConfigT]):
             return at_goal
         offset = frame.after.position - frame.scene.goal
         is_near = np.linalg.norm(offset[..., :2], axis=-1) <= self.config.goal_radius
-        is_slow = np.linalg.norm(frame.after.velocity, axis=-1) <= TOUCHDOWN_SPEED
-        is_low = frame.after.position[..., 2] <= TOUCHDOWN_HEIGHT
         was_at_goal = frame.scene.memory["reached"] > 0
-        landed: np.ndarray = was_at_goal & is_low & is_slow & is_near & ~frame.collision
+        landed: np.ndarray = was_at_goal & frame.landed & is_near
         return landed
 
     def succeeded(self, frame: Frame) -> np.ndarray:

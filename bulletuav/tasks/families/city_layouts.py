@@ -272,6 +272,8 @@ class CityLayouts:
     ) -> np.ndarray:
         """Draw places (count, 3), each `leg` from its entry of `start` where that is given."""
         lowest, highest = self.config.height
+        if start is None and self.config.take_off:
+            highest = lowest  # apart as seen from above
         places = np.empty((count, 3))
         for i in range(count):
             for _ in range(MAX_TRIES):

@@ -1,17 +1,12 @@
 """Options of flights to goals, and the distances that follow from them."""
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
-from bulletuav.errors import numbers_of, shown
-from bulletuav.functions import atan2, cos, sin
 from bulletuav.tasks.families.obstacle_field import ObstacleConfig
 from bulletuav.tasks.frame import TaskContext
-
-HEADINGS = ("goal", "random")
-"""Headings that have names"""
 
 
 @dataclass(frozen=True)
@@ -21,13 +16,10 @@ class FlightConfig(ObstacleConfig):
     Attributes:
         d_safe: Separation below which two drones are in conflict, m.
         start_speed: Least and greatest speed at the start, m/s; by default cut to max_speed.
-        heading: Direction of flight at the start, and of the noses: "goal", "random" (in space),
-            an angle from east to north, or one for each drone, degrees. When left out drones fly
-            towards their goals, and noses point east.
         goal_radius: Distance from the goal at which it counts as reached, m.
         at_goal: What happens at the goal. "leave": the drone leaves the airspace. "land": it has
-            to go down to the ground below first. "hold": it stays, until all that fly are at
-            their goals.
+            to land on the ground below first, see `Frame.landed`. "hold": it stays, until all
+            that fly are at their goals.
         boundary: What happens outside the arena. "end": the drone's episode ends. "soft": it is
             thrown back with 0.8 of its speed. "hard": it stops at the wall. "open": nothing.
         contact_ends: Whose episode a contact of collision shapes ends: that of the "drone", or
@@ -41,7 +33,6 @@ class FlightConfig(ObstacleConfig):
 
     d_safe: float = 5.0
     start_speed: tuple[float, float] = (5.0, 15.0)
-    heading: Any = None
     goal_radius: float = 2.0
     at_goal: Literal["leave", "land", "hold"] = "leave"
     boundary: Literal["end", "soft", "hard", "open"] = "end"
@@ -68,27 +59,12 @@ class FlightConfig(ObstacleConfig):
                 f"start_speed is {self.start_speed}: "
                 f"from low to high within 0 and max_speed {context.max_speed:g}"
             )
-        self._check_heading(context)
         if self.warning_zone <= 1:
             raise ValueError(
                 f"warning_zone is {self.warning_zone:g}: it must end beyond d_safe, at more than 1"
             )
         if self.discount > 1:
             raise ValueError(f"discount is {self.discount:g}: from 0 to 1 is needed")
-
-    def _check_heading(self, context: TaskContext) -> None:
-        """Refuse a heading that is no direction."""
-        if self.heading is None or (isinstance(self.heading, str) and self.heading in HEADINGS):
-            return
-        try:
-            angles = numbers_of("heading is", self.heading)
-        except ValueError:
-            angles = np.array(np.nan)
-        if angles.shape not in ((), (context.num_drones,)) or not np.isfinite(angles).all():
-            raise ValueError(
-                f"heading is {shown(self.heading)}: {', '.join(map(repr, HEADINGS))}, an angle "
-                f"in degrees, or one for each of {context.num_drones} drones is needed"
-            )
 
 
 @dataclass(frozen=True)
@@ -124,20 +100,6 @@ class AirspaceConfig(FlightConfig):
     def scattered(self, places: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """Shift places (N, 3), m, at random by up to `jitter` on each axis."""
         return places + rng.uniform(-self.jitter, self.jitter, places.shape)
-
-
-def directions(ways: np.ndarray) -> np.ndarray:
-    """Shorten ways (N, 3) to length 1; east where there is none."""
-    length = np.linalg.norm(ways, axis=1, keepdims=True)
-    unit: np.ndarray = ways / np.where(length > 0, length, 1.0)
-    return np.where(length > 0, unit, (1.0, 0.0, 0.0))
-
-
-def facing(direction: np.ndarray) -> np.ndarray:
-    """Compute attitudes (N, 4), body to world, of level drones with noses along (N, 3)."""
-    half = atan2(direction[:, 1], direction[:, 0]) / 2
-    zero = np.zeros(len(half))
-    return np.stack([zero, zero, sin(half), cos(half)], axis=1)
 
 
 def clearance(config: FlightConfig, context: TaskContext) -> float:

@@ -57,6 +57,10 @@ class FreeSpace(Airspace[FreeSpaceConfigT], Generic[FreeSpaceConfigT]):
                 f"for altitude_spread {config.altitude_spread:g} m"
             )
         # How far apart starts, and goals, lie.
+        # Drones that start on the ground are drawn on a plane: above each other there is no room.
+        self._start_high = self._high.copy()
+        if config.take_off:
+            self._start_high[2] = self._low[2]
         self._apart = 2 * clearance(config, context) + 2 * config.jitter
         self._check_room()
         self.arena_low = self._low - config.margin
@@ -76,6 +80,14 @@ class FreeSpace(Airspace[FreeSpaceConfigT], Generic[FreeSpaceConfigT]):
                 f"{taken / room:.0%} of the space, at most {MAX_OCCUPANCY:.0%} is possible: "
                 f"widen area or altitude_spread"
             )
+        if config.take_off:
+            taken = drones * np.pi * self._apart**2
+            room = float(np.prod(self._high[:2] - self._low[:2] + 2 * self._apart))
+            if taken > MAX_OCCUPANCY * room:
+                raise ValueError(
+                    f"{drones} drones keep others off {taken / room:.0%} of the ground, at most "
+                    f"{MAX_OCCUPANCY:.0%} is possible with take_off: widen area, or lower d_safe"
+                )
         if config.leg > 0.5 * config.area:
             raise ValueError(
                 f"leg {config.leg:g} m is too long for an area of {config.area:g} m: "
@@ -96,13 +108,14 @@ class FreeSpace(Airspace[FreeSpaceConfigT], Generic[FreeSpaceConfigT]):
         places = np.empty((self.context.num_drones, 3))
         keep_off = self.obstacle_radius + self._apart / 2
         from_start = places[:0] if start is None else start
+        high = self._start_high if start is None else self._high
         rules = (keep_off, self._apart, from_start, self.config.leg)
         placed = 0
         while placed < len(places):
             # Draw many at once, and then go back to what was needed of them
             generator = rng.bit_generator
             state = generator.state
-            draws = rng.uniform(self._low, self._high, (2 * len(places), 3))
+            draws = rng.uniform(self._low, high, (2 * len(places), 3))
             used, placed = place_in_turn(places, placed, draws, obstacle, *rules)
             if used < len(draws):
                 generator.state = state

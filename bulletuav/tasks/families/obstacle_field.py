@@ -2,13 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.tasks.base import Rngs, Task
 from bulletuav.tasks.config import TaskConfig
+from bulletuav.tasks.families.headings import check_heading, facing, headed
 from bulletuav.tasks.frame import Scene, Spawn, TaskContext
 from bulletuav.tasks.given import Given
 
@@ -20,9 +21,12 @@ MAX_TRIES = 1000
 
 @dataclass(frozen=True)
 class ObstacleConfig(TaskConfig):
-    """Options of obstacles, beside those of every task.
+    """Options of obstacles and headings, beside those of every task.
 
     Attributes:
+        heading: Direction of flight at the start, and of the noses: "goal", "random" (in space),
+            an angle from east to north, or one for each drone, degrees. When left out, drones that
+            start in flight fly towards their goals, and noses point east.
         num_obstacles: Number of obstacles; every second one is a cube, the others are spheres.
         num_moving: Number of them that move, reflected at the bounds of their space.
         obstacle_radius: Least and greatest radius of the obstacles' bounding spheres, m. Sizes
@@ -30,6 +34,7 @@ class ObstacleConfig(TaskConfig):
         obstacle_speed: Greatest speed of an obstacle on each axis, m/s.
     """
 
+    heading: Any = None
     num_obstacles: int = field(default=0, metadata={"least": 0, "most": 10_000})
     num_moving: int = field(default=0, metadata={"least": 0})
     obstacle_radius: tuple[float, float] = (3.0, 10.0)
@@ -51,9 +56,10 @@ class ObstacleTask(Task[ObstacleConfigT], Generic[ObstacleConfigT]):
         """Make the obstacles.
 
         Raises:
-            ValueError: Their sizes or numbers cannot be.
+            ValueError: Their sizes or numbers cannot be, or the heading.
         """
         super().__init__(config, context)
+        check_heading(config.heading, context.num_drones, self.has_goals)
         smallest, largest = config.obstacle_radius
         if not 0 < smallest <= largest:
             raise ValueError(
@@ -81,12 +87,13 @@ class ObstacleTask(Task[ObstacleConfigT], Generic[ObstacleConfigT]):
         return self.arena_low + reach, self.arena_high - reach
 
     def finish(self, spawn: Spawn, given: Given, rng: np.random.Generator) -> Spawn:
-        """Put given places into a start, and draw obstacles clear of starts and goals.
+        """Put given places into a start, turn drones, and draw obstacles clear of all places.
 
         Raises:
             ValueError: There is no room for them.
         """
         spawn = super().finish(spawn, given, rng)
+        spawn = self._turned(spawn, not given.is_empty, rng)
         if not self._bodies:
             return spawn
         low, high = self.obstacle_bounds()
@@ -117,6 +124,21 @@ class ObstacleTask(Task[ObstacleConfigT], Generic[ObstacleConfigT]):
                         f"obstacle_radius"
                     )
         return spawn._replace(obstacle=obstacle, obstacle_velocity=velocity)
+
+    def _turned(self, spawn: Spawn, is_given: bool, rng: np.random.Generator) -> Spawn:
+        """Turn velocities and noses as `heading` says.
+
+        Where it says nothing and places are given, drones fly towards their goals.
+        """
+        heading = self.config.heading
+        if heading is None and not (is_given and "goal" in self.places):
+            return spawn
+        place = spawn.position
+        direction = headed(heading or "goal", np.broadcast_to(spawn.goal, place.shape) - place, rng)
+        velocity = np.broadcast_to(spawn.velocity, place.shape)
+        speed = np.linalg.norm(velocity, axis=1, keepdims=True)
+        quaternion = spawn.quaternion if heading is None else facing(direction)
+        return spawn._replace(velocity=direction * speed, quaternion=quaternion)
 
     def _is_clear(self, middle: np.ndarray, k: int, places: np.ndarray, layout: int) -> bool:
         """Tell whether obstacle k at `middle` (3,) m keeps off places (M, 3) and what stands."""

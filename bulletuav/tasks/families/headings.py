@@ -1,0 +1,69 @@
+"""Directions in which drones fly, and face, at the start: the option `heading`."""
+
+from typing import Any
+
+import numpy as np
+
+from bulletuav.errors import numbers_of, shown
+from bulletuav.functions import atan2, cos, sin
+
+HEADINGS = ("goal", "random")
+"""Headings that have names"""
+
+
+def check_heading(heading: Any, num_drones: int, has_goals: bool) -> None:
+    """Refuse a heading that is no direction.
+
+    Args:
+        heading: Value of the option.
+        num_drones: Drones in a world.
+        has_goals: Whether they have goals.
+
+    Raises:
+        ValueError: It is none of `HEADINGS`, no angle, and no angle for each drone; or it is
+            "goal", and there are no goals.
+    """
+    if heading is None or (isinstance(heading, str) and heading in HEADINGS):
+        if heading == "goal" and not has_goals:
+            raise ValueError("heading is 'goal': this task has no goals; 'random' or angles can be")
+        return
+    try:
+        angles = numbers_of("heading is", heading)
+    except ValueError:
+        angles = np.array(np.nan)
+    if angles.shape not in ((), (num_drones,)) or not np.isfinite(angles).all():
+        raise ValueError(
+            f"heading is {shown(heading)}: {', '.join(map(repr, HEADINGS))}, an angle "
+            f"in degrees, or one for each of {num_drones} drones is needed"
+        )
+
+
+def headed(heading: Any, ways: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Make directions of a heading.
+
+    Args:
+        heading: Value of the option, one that there is.
+        ways: (N, 3) from the drones to their goals, m.
+        rng: Generator of random headings.
+
+    Returns:
+        (N, 3) of length 1.
+    """
+    if isinstance(heading, str):
+        return directions(ways if heading == "goal" else rng.normal(size=ways.shape))
+    angle = np.broadcast_to(np.radians(heading), len(ways))
+    return np.stack([cos(angle), sin(angle), np.zeros(len(ways))], axis=1)
+
+
+def directions(ways: np.ndarray) -> np.ndarray:
+    """Shorten ways (N, 3) to length 1; east where there is none."""
+    length = np.linalg.norm(ways, axis=1, keepdims=True)
+    unit: np.ndarray = ways / np.where(length > 0, length, 1.0)
+    return np.where(length > 0, unit, (1.0, 0.0, 0.0))
+
+
+def facing(direction: np.ndarray) -> np.ndarray:
+    """Compute attitudes (N, 4), body to world, of level drones with noses along (N, 3)."""
+    half = atan2(direction[:, 1], direction[:, 0]) / 2
+    zero = np.zeros(len(half))
+    return np.stack([zero, zero, sin(half), cos(half)], axis=1)
