@@ -82,6 +82,7 @@ class Formation(Airspace[FormationConfig]):
     """
 
     name = "formation"
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
     places: ClassVar[tuple[str, ...]] = ("start",)
     observation: ClassVar[tuple[Any, ...]] = (
         "position",
@@ -124,8 +125,7 @@ class Formation(Airspace[FormationConfig]):
             "shapes": ("ring", "letters"),
             "text": "SWARM",
             "turn_rate": 1.0,
-            "change_every": 40.0,
-            "assignment": "free",
+            "change_every": 50.0,
             "horizon": 1000,
             **AIRSPACE_DIFFICULTIES["extreme"],
         },
@@ -249,7 +249,8 @@ class Formation(Airspace[FormationConfig]):
         flies = frame.alive.any(axis=1)
         is_first = flies & (in_place | ~frame.alive).all(axis=1) & (memory["formed"] == 0)
         np.copyto(memory["formed"], frame.time - memory["asked"], where=is_first)
-        for w in np.flatnonzero(flies).tolist():
+        # Nobody is told anything at the end.
+        for w in np.flatnonzero(flies & ~frame.last).tolist():
             self._tell_places(frame, w, rngs[w])
         super().update_memory(frame, rngs)
 

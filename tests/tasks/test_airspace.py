@@ -7,7 +7,7 @@ import bulletuav
 from bulletuav.tasks.rewards.airspace import CLEAR, CONFLICT, follow_encounters, variance_nearby
 from bulletuav.vehicle.swarm import Swarm
 
-AIRSPACES = ("crossing", "converge", "pursuit", "obstacles")
+AIRSPACES = ("crossing", "converge", "pursuit", "obstacles", "formation")
 CALM = {"dynamics": "rigid_body", "randomization": {}}
 ASKED = {
     "efficiency": 1.0,
