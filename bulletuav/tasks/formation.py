@@ -82,7 +82,7 @@ class Formation(Airspace[FormationConfig]):
     """
 
     name = "formation"
-    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
+    presets: ClassVar[dict[str, Mapping[str, Any]]] = {}
     places: ClassVar[tuple[str, ...]] = ("start",)
     observation: ClassVar[tuple[Any, ...]] = (
         "position",

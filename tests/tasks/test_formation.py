@@ -318,11 +318,14 @@ def test_rewards_by_hand():
     aviary = made(shapes=DIAMOND, turn_rate=5.0)
     for _ in range(3):
         before = np.linalg.norm(aviary.scene.goal - aviary.swarm.position, axis=-1)
-        info = still(aviary).info
+        step = still(aviary)
+        info = step.info
         after = np.linalg.norm(aviary.scene.goal - aviary.swarm.position, axis=-1)
         np.testing.assert_allclose(info["reward/progress"], before - after, atol=1e-12)
         np.testing.assert_array_equal(info["reward/holding"], np.where(after <= 2.0, 1.0, 0.0))
         np.testing.assert_array_equal(info["reward/time"], np.where(after <= 2.0, 0.0, -0.5))
+        terms = sum(value for name, value in info.items() if name.startswith("reward/"))
+        np.testing.assert_allclose(step.rewards, terms, rtol=1e-12)
     assert "reward/goal" not in info
     aviary.close()
 
