@@ -82,6 +82,7 @@ class Formation(Airspace[FormationConfig]):
     """
 
     name = "formation"
+    baseline = "mvp"
     presets: ClassVar[dict[str, Mapping[str, Any]]] = {}
     places: ClassVar[tuple[str, ...]] = ("start",)
     observation: ClassVar[tuple[Any, ...]] = (
