@@ -1,10 +1,15 @@
 """Frames that move with a leader, who goes to which place in them, and how far off all are."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from bulletuav.functions import cos, hypot, sin
+from bulletuav.kernel import allocating, kernel
+
+SWEEPS = 6
+"""Of Jacobi's rotations; four leave nothing of random matrices but the last bits"""
 
 
 class Leader(NamedTuple):
@@ -146,11 +151,12 @@ def off_places(position: np.ndarray, goal: np.ndarray, counts: np.ndarray) -> np
     return off
 
 
+@allocating
 def off_shape(position: np.ndarray, goal: np.ndarray, counts: np.ndarray) -> np.ndarray:
     """Compute what is left of `off_places` after the best shift and rotation of the places.
 
-    W. Kabsch, A solution for the best rotation to relate two sets of vectors (1976). Mirror images
-    and other sizes stay off.
+    B. K. P. Horn, Closed-form solution of absolute orientation using unit quaternions (1987).
+    Mirror images and other sizes stay off.
 
     Args:
         position: (W, N, 3) m.
@@ -160,19 +166,64 @@ def off_shape(position: np.ndarray, goal: np.ndarray, counts: np.ndarray) -> np.
     Returns:
         (W,) m, 0 where no drone counts.
     """
-    number = np.maximum(counts.sum(axis=1), 1)
-    of, to = (_centred(points, counts, number) for points in (position, goal))
-    covariance = np.einsum("wni,wnj->wij", of, to)
-    scale = np.linalg.svd(covariance, compute_uv=False)
-    # A rotation that is no mirror image takes the smallest singular value with this sign.
-    scale[:, 2] *= np.where(np.linalg.det(covariance) < 0, -1.0, 1.0)
-    square = (of**2).sum(axis=(1, 2)) + (to**2).sum(axis=(1, 2)) - 2 * scale.sum(axis=1)
-    off: np.ndarray = np.sqrt(np.maximum(square, 0.0) / number)
+    off = np.zeros(len(position))
+    s, table = np.empty((3, 3)), np.empty((4, 4))
+    for w in range(len(position)):
+        # The best shift puts the means on each other.
+        number, mean = 0, np.zeros((2, 3))
+        for i in range(counts.shape[1]):
+            if counts[w, i]:
+                number += 1
+                mean[0] += position[w, i]
+                mean[1] += goal[w, i]
+        if number == 0:
+            continue
+        mean /= number
+        # Sums of squares, and of products of coordinates before and after the rotation.
+        s[:] = 0.0
+        square = 0.0
+        for i in range(counts.shape[1]):
+            if counts[w, i]:
+                for a in range(3):
+                    to = position[w, i, a] - mean[0, a]
+                    square += to * to + (goal[w, i, a] - mean[1, a]) ** 2
+                    for b in range(3):
+                        s[b, a] += (goal[w, i, b] - mean[1, b]) * to
+        # The best rotation is the eigenvector of the largest eigenvalue of Horn's matrix.
+        table[0, 0] = s[0, 0] + s[1, 1] + s[2, 2]
+        for a in range(3):
+            b, c = (a + 1) % 3, (a + 2) % 3
+            table[a + 1, a + 1] = s[a, a] - s[b, b] - s[c, c]
+            table[0, a + 1] = table[a + 1, 0] = s[b, c] - s[c, b]
+            table[b + 1, c + 1] = table[c + 1, b + 1] = s[b, c] + s[c, b]
+        rest = square - 2.0 * _largest_eigenvalue(table)
+        off[w] = math.sqrt(max(rest, 0.0) / number)
     return off
 
 
-def _centred(points: np.ndarray, counts: np.ndarray, number: np.ndarray) -> np.ndarray:
-    """Shift those of (W, N, 3) that count to a mean of zero, and put the others there."""
-    mean = np.where(counts[..., None], points, 0.0).sum(axis=1) / number[:, None]
-    centred: np.ndarray = np.where(counts[..., None], points - mean[:, None], 0.0)
-    return centred
+@kernel
+def _largest_eigenvalue(table: np.ndarray) -> float:
+    """Compute the largest eigenvalue of a symmetric matrix by Jacobi's rotations, in place."""
+    size = len(table)
+    for _ in range(SWEEPS):
+        for p in range(size - 1):
+            for q in range(p + 1, size):
+                if table[p, q] == 0.0:
+                    continue
+                # The rotation that makes this entry zero.
+                ratio = (table[q, q] - table[p, p]) / (2.0 * table[p, q])
+                tangent = math.copysign(1.0, ratio) / (abs(ratio) + math.sqrt(ratio * ratio + 1.0))
+                cosine = 1.0 / math.sqrt(tangent * tangent + 1.0)
+                sine = tangent * cosine
+                for k in range(size):
+                    one, other = table[k, p], table[k, q]
+                    table[k, p] = cosine * one - sine * other
+                    table[k, q] = sine * one + cosine * other
+                for k in range(size):
+                    one, other = table[p, k], table[q, k]
+                    table[p, k] = cosine * one - sine * other
+                    table[q, k] = sine * one + cosine * other
+    largest = table[0, 0]
+    for k in range(1, size):
+        largest = max(largest, table[k, k])
+    return float(largest)
