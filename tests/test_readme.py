@@ -11,10 +11,20 @@ from bulletuav.policies.run import RunConfig, shipped
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+GROWING = "write_a_task.md"
+"""Page on which each snippet goes on where the one before ended"""
+
+
+def snippets(page):
+    """Python programs of a page; those of a growing page are one."""
+    found = re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL)
+    return ["\n".join(found)] if page.name == GROWING else found
+
+
 PYTHON = [
     pytest.param(code, id=f"{page.name}-{k}")
     for page in PAGES
-    for k, code in enumerate(re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL))
+    for k, code in enumerate(snippets(page))
 ]
 COMMANDS = re.findall(r"```bash\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
 
@@ -48,6 +58,15 @@ def test_the_main_command_of_the_readme(tmp_path, monkeypatch):
     assert words[0] == ".venv/bin/bulletuav"
     main(words[1:])
     assert (tmp_path / "out" / "flight.gif").stat().st_size > 10000
+
+
+def test_the_first_file_of_the_page_on_tasks_is_flown_by_its_command(tmp_path, monkeypatch):
+    text = (ROOT / "docs" / GROWING).read_text()
+    (tmp_path / "wedge.py").write_text(re.findall(r"```python\n(.*?)```", text, re.DOTALL)[0])
+    monkeypatch.chdir(tmp_path)
+    (command,) = re.findall(r"```bash\nbulletuav (.*?)\n```", text)
+    main([*shlex.split(command), "--set", "horizon=20", "--dynamics", "single_integrator"])
+    assert (tmp_path / "out" / "flight.gif").stat().st_size > 1000
 
 
 def test_links_lead_somewhere():

@@ -26,6 +26,7 @@ CASES = [
     {"task": "lidar_navigation", "dynamics": "rigid_body"},
     {"task": "mec_advanced", "difficulty": "hard"},
     {"task": "mobile_users"},
+    {"task": "formation", "dynamics": "rigid_body", "assignment": "free", "change_every": 2.0},
     {"task": "hover", "dynamics": "rigid_body", "controller": "pid", "effects": ("downwash",)},
     {"task": "hover", "observation": ("barometric_height", "magnetometer", "optical_flow")},
 ]

@@ -21,6 +21,10 @@ SHOWN = {
     "served": "served",
     "completed": "completed",
     "latency": "latency s",
+    "in_place": "in place",
+    "formation_error": "off places m",
+    "shape_error": "off shape m",
+    "time_to_form": "to form s",
 }
 """Metrics of the table, with their headings; those that no episode of a table has are left out"""
 FOOTNOTE = (
@@ -93,7 +97,11 @@ def _table(
     estimates: Sequence[Mapping[str, Estimate]],
 ) -> str:
     """Write a table, a row for each result; dynamics have a column where there are several."""
-    shown = [metric for metric in SHOWN if any(found[metric].episodes for found in estimates)]
+    shown = [
+        metric
+        for metric in SHOWN
+        if any(metric in found and found[metric].episodes for found in estimates)
+    ]
     # A column that says the same in every row is left out.
     has_dynamics = len(set(map(_dynamics, results))) > 1
     headings = ["policy"]
@@ -124,6 +132,7 @@ def _differences(result: Evaluation, reference: Evaluation) -> dict[str, Estimat
     return {
         metric: mean_estimate([one[metric] - other[metric] for one, other in pairs])
         for metric in SHOWN
+        if metric in result.rows[0]
     }
 
 

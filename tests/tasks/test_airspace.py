@@ -55,7 +55,7 @@ def test_the_reward_is_the_sum_of_its_terms_every_one_in_info(task):
         )
 
 
-@pytest.mark.parametrize("task", AIRSPACES)
+@pytest.mark.parametrize("task", [*AIRSPACES, "formation"])
 def test_terms_without_weight_are_left_out(task):
     aviary = bulletuav.Aviary(task, num_drones=2, **CALM)
     aviary.reset(seeds=0)

@@ -7,7 +7,16 @@ from scipy.spatial.distance import cdist
 import bulletuav
 
 POINTS = {"dynamics": "single_integrator"}
-SPACES = ["converge", "crossing", "pursuit", "free_flight", "navigation", "default", "los"]
+SPACES = [
+    "converge",
+    "crossing",
+    "pursuit",
+    "free_flight",
+    "formation",
+    "navigation",
+    "default",
+    "los",
+]
 
 
 def made(task, worlds=1, **options):

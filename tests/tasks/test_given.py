@@ -79,7 +79,8 @@ def test_what_cannot_be_given_is_told_and_nothing_is_lost(given, said):
 
 
 @pytest.mark.parametrize(
-    ("task", "given"), [("pursuit", "goal"), ("los", "goal"), ("coverage", "goal")]
+    ("task", "given"),
+    [("pursuit", "goal"), ("formation", "goal"), ("los", "goal"), ("coverage", "goal")],
 )
 def test_tasks_refuse_places_that_they_do_not_have(task, given):
     with pytest.raises(ValueError, match=f"{given} cannot be given in task '{task}': start can"):

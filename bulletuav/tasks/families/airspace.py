@@ -246,6 +246,21 @@ class Airspace(ObstacleTask[FlightConfigT], Generic[FlightConfigT]):
         finished = frame.derived.get("finished")
         return self.finished(frame) if finished is None else finished
 
+    def goals_end(self, frame: Frame, finished: np.ndarray) -> np.ndarray:
+        """Tell whose episode goals end: the drone's own, or that of all of a world together.
+
+        Args:
+            frame: The decision.
+            finished: (W, N) bool, who is at the goal, or landed.
+
+        Returns:
+            (W, N) bool.
+        """
+        if self.config.at_goal != "hold":
+            return finished
+        all_there = np.all(finished | ~frame.alive, axis=1, keepdims=True)
+        return np.broadcast_to(all_there, finished.shape)
+
     def terminated(self, frame: Frame) -> np.ndarray:
         """Tell whose episode ends as the options ask for, and derive the events that terms read.
 
@@ -257,11 +272,7 @@ class Airspace(ObstacleTask[FlightConfigT], Generic[FlightConfigT]):
         # Crashes and empty batteries always end an episode.
         crashed = affected(frame.collision, frame, config.contact_ends)
         ended: np.ndarray = crashed | frame.depleted
-        # Goals end it for the drone, or for all drones of a world together.
-        if config.at_goal == "hold":
-            ended = ended | np.all(finished | ~frame.alive, axis=1, keepdims=True)
-        else:
-            ended = ended | finished
+        ended = ended | self.goals_end(frame, finished)
         # Bounds and conflicts end it where options say so.
         if config.boundary == "end":
             ended = ended | self.outside(frame)

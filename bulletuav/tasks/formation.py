@@ -1,0 +1,302 @@
+"""Task `formation`: drones hold a shape about a leader, who moves and turns."""
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+
+from bulletuav.functions import cos, sin
+from bulletuav.geometry.rotation import Vec3
+from bulletuav.registry import register
+from bulletuav.sensors.base import Label, vector_labels
+from bulletuav.tasks.base import Rngs
+from bulletuav.tasks.families.airspace import REWARD_WEIGHTS, Airspace
+from bulletuav.tasks.families.difficulties import AIRSPACE_DIFFICULTIES
+from bulletuav.tasks.families.flight_config import circle_arena, clearance, least_distance
+from bulletuav.tasks.families.formation_plan import FormationConfig, Plan
+from bulletuav.tasks.families.formations import Course, Leader, in_world, off_places, off_shape
+from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
+from bulletuav.tasks.given import Given
+from bulletuav.tasks.ingredients import block, reward
+from bulletuav.tasks.observations.base import Block
+
+
+@reward
+def approach(way: float, way_before: float) -> float:
+    """Metres nearer to the place than before the decision; how the place moved counts, too."""
+    return way_before - way
+
+
+def leader_labels(task: Any) -> tuple[Label, ...]:
+    """Label the leader's motion."""
+    fastest = task.context.max_speed
+    level = (Label(f"leader velocity {axis}", "m/s", -fastest, fastest) for axis in "xy")
+    return (*level, Label("leader turn", "rad/s", -np.pi, np.pi))
+
+
+@block(leader_labels)
+def leader(all_leader_velocity: np.ndarray, turn: float) -> Vec3:
+    """Velocity of the leader over ground, world axes, and how fast it turns to the left."""
+    return all_leader_velocity[0], all_leader_velocity[1], turn
+
+
+@register("task")
+class Formation(Airspace[FormationConfig]):
+    """Flight in a shape about a leader, who moves, turns, and asks for another shape.
+
+    The leader is no drone: it is a point that flies level at 5 m/s, in a direction drawn at the
+    start, and turns by 2 degrees a second. Each drone's goal is its place in the leader's frame. It
+    moves and turns with the leader. Drones start in a square block about the leader, in random
+    order, in flight with it. The shape is a V with arms at right angles, neighbours 12 m apart.
+    Every 20 s it changes to a line side by side, and back.
+
+    Observation, Box(61) per drone with the defaults, in world axes (east, north, up): position,
+    velocity, direction and distance of the place, the place's velocity, the leader's velocity and
+    turn, the nearest living drones, and the nearest obstacles. Both come nearest first, relative to
+    the drone, and are zeros where there are fewer.
+
+    Action, by default `velocity`, Box(3) per drone in [-1, 1]: velocity over max_speed = 20 m/s.
+    Its norm is limited to max_speed. There are 10 decisions a second.
+
+    Reward per decision, as in every shared airspace (see `Airspace` for all terms) but for:
+
+    - progress 1: metres nearer to the place; how the place moved counts, too.
+    - holding 1: 1 within 2 m of the place.
+    - conflict -100: other drones that come closer than d_safe = 5 m.
+    - warning -1: nearness to other drones, from 0 at 10 m to 1 at 5 m.
+    - collision -200: 1 on contact.
+    - out_of_bounds -50: 1 outside the arena.
+    - energy -0.01: square of the velocity change, (m/s)^2.
+    - time -0.5: 1 a decision away from the place; on another end also all that are left.
+
+    End: terminated on contact, with an empty battery, or outside the arena. Truncated after 500
+    decisions; extreme has 1,000.
+
+    Success: the drone is at its place.
+
+    Infos: `formation_error` is the root mean square of the living drones' distances from their
+    places. `shape_error` is what is left of it after the best shift and rotation of the shape.
+    `in_place` is the share of the time for which the drone was at its place. `time_to_form` is how
+    long it took until all living drones were first at their places at once, s, since the shape or
+    the places last changed; NaN before.
+    """
+
+    name = "formation"
+    baseline = "mvp"
+    presets: ClassVar[dict[str, Mapping[str, Any]]] = {}
+    places: ClassVar[tuple[str, ...]] = ("start",)
+    observation: ClassVar[tuple[Any, ...]] = (
+        "position",
+        "velocity",
+        "goal",
+        "goal_velocity",
+        leader,
+        "neighbours",
+        "obstacles",
+    )
+    reward: ClassVar = {
+        **REWARD_WEIGHTS,
+        "progress": (approach, 1.0),
+        "goal": 0.0,
+        "warning": -1.0,
+        "holding": 1.0,
+    }
+    shows: ClassVar = {
+        "success": "in place",
+        "formation_error": "off places (m)",
+        "shape_error": "off shape (m)",
+        "separation": "nearest (m)",
+        "conflicts": "conflicts",
+        "collision": "collisions",
+    }
+    difficulties: ClassVar = {
+        "easy": {"exchange": 20.0, **AIRSPACE_DIFFICULTIES["easy"]},
+        "medium": {
+            "shapes": ("v", "line"),
+            "turn_rate": 2.0,
+            **AIRSPACE_DIFFICULTIES["medium"],
+        },
+        "hard": {
+            "shapes": ("v", "ring", "line"),
+            "turn_rate": 2.0,
+            "change_every": 20.0,
+            **AIRSPACE_DIFFICULTIES["hard"],
+        },
+        "extreme": {
+            "shapes": ("ring", "letters"),
+            "text": "SWARM",
+            "turn_rate": 1.0,
+            "change_every": 50.0,
+            "horizon": 1000,
+            **AIRSPACE_DIFFICULTIES["extreme"],
+        },
+    }
+
+    def __init__(self, config: FormationConfig, context: TaskContext) -> None:
+        """Find the places, check that drones can fly in them, and lay out the arena.
+
+        Raises:
+            ValueError: A shape is none, or has too few places or ones that are too close; places
+                move too fast or are too low; shapes or places change too often; or drones could
+                start in conflict.
+        """
+        super().__init__(config, context)
+        self.plan = Plan(config, context)
+        turn = float(np.radians(config.turn_rate))
+        clock = (context.duration, context.period)
+        self.course = Course(config.leader_speed, turn, config.altitude, *clock)
+        self._block = self._starts(context.num_drones)
+        self._lay_out()
+
+    def _starts(self, drones: int) -> np.ndarray:
+        """Lay out a square block about the leader, (N, 3) m, or refuse one that is too narrow."""
+        config, apart = self.config, clearance(self.config, self.context)
+        nearest = least_distance(config, config.spacing)
+        if drones > 1 and nearest <= apart:
+            raise ValueError(
+                f"start positions may be in conflict: spacing {config.spacing:g} m with jitter "
+                f"{config.jitter:g} m leaves {nearest:.3g} m between neighbours, "
+                f"more than {apart:.3g} m (d_safe) is needed"
+            )
+        columns = int(np.ceil(np.sqrt(drones)))
+        index = np.arange(drones)
+        grid = np.stack([index // columns, index % columns, np.zeros(drones)], axis=1)
+        block: np.ndarray = config.spacing * (grid - grid.mean(axis=0))
+        return block
+
+    def _lay_out(self) -> None:
+        """Lay out an arena in which all places stay, or refuse places in the ground."""
+        config = self.config
+        every = np.concatenate([self._block, *self.plan.shapes])
+        extent = float(np.linalg.norm(every[:, :2], axis=1).max())
+        reach = self.course.reach + extent
+        self.arena_low, self.arena_high = circle_arena(config, self.context, reach)
+        self.arena_high[2] += every[:, 2].max()
+        lowest = config.altitude + float(every[:, 2].min())
+        if lowest <= self.context.collision_radius:
+            raise ValueError(
+                f"altitude {config.altitude:g} m is too low: the lowest place of shapes is "
+                f"{lowest:.3g} m up, more than {self.context.collision_radius:.3g} m is needed"
+            )
+
+    def memory(self) -> Mapping[str, tuple[int, ...]]:
+        """Tell, beside the shapes of every airspace, what is kept of leader and places.
+
+        Returns:
+            Of the leader "leader" (4,), its position, m, and yaw, rad; "leader_velocity" (3,), m/s;
+            "course" (), its yaw at the start, rad; "turn" (), rad/s. "place" (N,), index of each
+            drone's place. "asked" (), when places were last told, s; "formed" (), the time that
+            it then took until all were there, s, 0 before. "held" (N,), time in place, s.
+        """
+        drones = self.context.num_drones
+        of_leader = {"leader": (4,), "leader_velocity": (3,), "course": (), "turn": ()}
+        of_shape = {"place": (drones,), "asked": (), "formed": (), "held": (drones,)}
+        return {**super().memory(), **of_leader, **of_shape}
+
+    def spawn(self, rng: np.random.Generator) -> Spawn:
+        """Draw a start of drones in a block about the leader, in random order, in flight."""
+        course = rng.uniform(-np.pi, np.pi)
+        turn = self.course.turn if rng.uniform() < 0.5 else -self.course.turn
+        leader = self.course.at(np.zeros(1), np.array([course]), np.array([turn]))
+        in_order = self._block[rng.permutation(self.context.num_drones)]
+        start = self.config.scattered(in_world(in_order[None], leader)[0][0], rng)
+        memory = {
+            "leader": np.append(leader.position, leader.yaw),
+            "leader_velocity": leader.velocity[0],
+            "course": np.array(course),
+            "turn": np.array(turn),
+        }
+        along = np.tile((cos(course), sin(course), 0.0), (len(start), 1))
+        spawn = self.launch(start, start, rng, along)._replace(memory=memory)
+        return self._told(spawn, start, leader)
+
+    def _told(self, spawn: Spawn, start: np.ndarray, leader: Leader) -> Spawn:
+        """Tell drones that start at (N, 3), m, their places."""
+        place = self.plan.first(start, leader)
+        goal, goal_velocity = in_world(self.plan.shapes[None, 0, place], leader)
+        memory = {**spawn.memory, "place": place}
+        return spawn._replace(goal=goal[0], goal_velocity=goal_velocity[0], memory=memory)
+
+    def finish(self, spawn: Spawn, given: Given, rng: np.random.Generator) -> Spawn:
+        """Put given places into a start, and assign drones to places from there.
+
+        Raises:
+            ValueError: There is no room for obstacles.
+        """
+        if given.start is not None:
+            course, turn = (np.atleast_1d(spawn.memory[name]) for name in ("course", "turn"))
+            leader = self.course.at(np.zeros(1), course, turn)
+            spawn = self._told(spawn, given.start, leader)
+        return super().finish(spawn, given, rng)
+
+    def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
+        """Move the leader, and drones' places with it."""
+        memory = scene.memory
+        turn, period = memory["turn"][flying], self.context.period
+        leader = self.course.at(time[flying] + period, memory["course"][flying], turn)
+        memory["leader"][flying] = np.column_stack([leader.position, leader.yaw])
+        memory["leader_velocity"][flying] = leader.velocity
+        place = memory["place"][flying].astype(int)
+        shape = self.plan.shape_at(time[flying])
+        goal, goal_velocity = in_world(self.plan.shapes[shape[:, None], place], leader)
+        scene.goal[flying], scene.goal_velocity[flying] = goal, goal_velocity
+        return super().move_scene(scene, time, flying, rngs)
+
+    def update_memory(self, frame: Frame, rngs: Rngs) -> None:
+        """Note who is in place and when all are, and tell places where it is time to."""
+        memory, period = frame.scene.memory, self.context.period
+        in_place = self.finished(frame) & frame.alive
+        memory["held"][:] += np.where(in_place, period, 0.0)
+        flies = frame.alive.any(axis=1)
+        is_first = flies & (in_place | ~frame.alive).all(axis=1) & (memory["formed"] == 0)
+        np.copyto(memory["formed"], frame.time - memory["asked"], where=is_first)
+        # Nobody is told anything at the end.
+        for w in np.flatnonzero(flies & ~frame.last).tolist():
+            self._tell_places(frame, w, rngs[w])
+        super().update_memory(frame, rngs)
+
+    def _tell_places(self, frame: Frame, w: int, rng: np.random.Generator) -> None:
+        """Tell the living drones of a world their places, where the shape or they change."""
+        now, memory = frame.time[w], frame.scene.memory
+        due = self.plan.due(now, self.context.period)
+        if not any(due):
+            return
+        leader = self.course.at(frame.time[[w]], memory["course"][[w]], memory["turn"][[w]])
+        alive = np.flatnonzero(frame.alive[w])
+        position = frame.after.position[w, alive]
+        place = memory["place"][w]
+        place[alive] = self.plan.told(place[alive], position, leader, now, due, rng)
+        memory["asked"][w], memory["formed"][w] = now, 0.0
+
+    def goals_end(self, frame: Frame, finished: np.ndarray) -> np.ndarray:
+        """Tell that places end nothing: they are to be held."""
+        return np.zeros_like(finished)
+
+    def info(self, frame: Frame) -> dict[str, np.ndarray]:
+        """Tell how far the swarm is off its places and its shape, and how long it took and held."""
+        memory, shape = frame.scene.memory, frame.alive.shape
+        swarm = (frame.after.position, frame.scene.goal, frame.alive)
+        formed = np.where(memory["formed"] > 0, memory["formed"], np.nan)
+        of_world = {
+            "formation_error": off_places(*swarm),
+            "shape_error": off_shape(*swarm),
+            "time_to_form": formed,
+        }
+        told = {name: np.broadcast_to(one[:, None], shape) for name, one in of_world.items()}
+        share = memory["held"] / np.maximum(frame.time, self.context.period)[:, None]
+        return {**super().info(frame), **told, "in_place": share}
+
+    def world_state(self) -> Mapping[str, Block]:
+        """Tell where the leader is, and how it moves and turns."""
+        labels = (
+            *vector_labels("leader", "m", self.arena_low, self.arena_high),
+            *leader_labels(self),
+        )
+
+        def moved(frame: Frame, present: np.ndarray) -> np.ndarray:
+            memory = frame.scene.memory
+            return np.column_stack(
+                [memory["leader"][:, :3], memory["leader_velocity"][:, :2], memory["turn"]]
+            )
+
+        return {**super().world_state(), "leader": Block(labels, moved)}
