@@ -106,6 +106,9 @@ class Task(ABC, Generic[ConfigT]):
         arena_low: (3,) lower corner of the space to which positions are scaled, m.
         arena_high: (3,) its upper corner, m.
         team: (N,) number of each drone's team, from 0.
+        team_names: Names of the teams, in their order; none where all drones are one.
+        speed_limit: (N,) greatest speed that each drone can ask for, m/s, at most max_speed; None
+            where that alone holds.
     """
 
     name: ClassVar[str]
@@ -125,7 +128,10 @@ class Task(ABC, Generic[ConfigT]):
     has_goals: ClassVar[bool] = True
     shows: ClassVar[Mapping[str, str]] = SHOWS
 
+    team_names: ClassVar[tuple[str, ...]] = ()
+
     rebound: float | None = None
+    speed_limit: np.ndarray | None = None
     num_targets: int = 0
     zone: float
     _binding: Binding
