@@ -23,7 +23,7 @@ from bulletuav.envs.parallel import (
 from bulletuav.envs.teams import team_names, team_rows
 from bulletuav.errors import choose, shown
 from bulletuav.policies import Policy, PolicySource, find_policy
-from bulletuav.policies.versus import TeamPolicies
+from bulletuav.policies.versus import TeamPolicies, joint_options
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.observations.observer import Observation
 
@@ -53,7 +53,10 @@ class TeamAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  # has
         **options: Any,
     ) -> None:
         """Make the environment; see `team_env`."""
-        self.env = ParallelAviary(task, **options)
+        # What opponents learned with gives way to options of the call.
+        sources = opponents.values() if isinstance(opponents, Mapping) else (opponents,)
+        needed = joint_options([find_policy(one, task, trust).options for one in sources])
+        self.env = ParallelAviary(task, **{**needed, **options})
         self._observer = self.env.aviary.observer
         self._trust = trust
         groups = self.env.group_map

@@ -61,8 +61,11 @@ class Incentive(NamedTuple):
 def shirkers(task: TaskSource, baseline: PolicySource) -> list[str]:
     """List the policies to compare a task's baseline with."""
     with_targets = issubclass(find_task(task), TargetTask)
-    first = _sides(baseline)[0]
-    return [name for name in SHIRKERS if name != first and (name != "clump" or with_targets)]
+    first, *opponents = _sides(baseline)
+    left_out = {first} if with_targets else {first, "clump"}
+    # In a game, whose goals are opponents, who flies straight at its goal does what is wanted.
+    left_out |= {"straight"} if opponents else set()
+    return [name for name in SHIRKERS if name not in left_out]
 
 
 def _sides(policy: PolicySource) -> list[PolicySource]:

@@ -34,9 +34,10 @@ class Flee(Game):
 
 @register("policy")
 class FleeWeighted(Game):
-    """Flight at full speed away from all opponents and walls, from the nearer ones more.
+    """Flight at full speed away from all other drones and walls, from the nearer ones more.
 
-    Each pushes with the inverse square of its distance.
+    Each pushes with the inverse square of its distance. Without those of teammates, evaders would
+    meet where the others balance.
     """
 
     name = "flee_weighted"
@@ -45,7 +46,8 @@ class FleeWeighted(Game):
         """Choose the sum of pushes; see `Game.velocities`."""
         ways = offsets(swarm.position)
         distance = np.maximum(np.linalg.norm(ways, axis=-1, keepdims=True), NEAR)
-        push = np.where(self.opponents()[..., None], -ways / distance**3, 0.0).sum(axis=2)
+        there = self.aviary.alive[:, None, :, None]
+        push = np.where(there, -ways / distance**3, 0.0).sum(axis=2)
         low, high = self.box
         body = self.clear.body
         push += 1 / np.maximum(swarm.position - low, body) ** 2

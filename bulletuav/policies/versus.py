@@ -113,8 +113,15 @@ class RowsPolicy(SharedPolicy):
         self._function = function
 
     def _choose(self, rows: Any) -> np.ndarray:
-        """Ask the function."""
-        return np.asarray(self._function(rows))
+        """Ask the function; refuse what are no rows of actions."""
+        given = np.asarray(self._function(rows))
+        drones, size = self.aviary.alive.size, self.aviary.action.low.shape[-1]
+        if given.shape != (drones, size) and (size > 1 or given.shape != (drones,)):
+            raise ValueError(
+                f"function {shown(self._function)} gave an array {given.shape} of actions: "
+                f"{(drones, size)} is needed, a row for each row of observations"
+            )
+        return given
 
 
 def joint_actions(kinds: Sequence[tuple[str, ...]]) -> tuple[str, ...]:

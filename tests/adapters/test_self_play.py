@@ -10,6 +10,7 @@ from pettingzoo.test import parallel_api_test
 
 import bulletuav
 from bulletuav.policies import find_policy
+from bulletuav.policies.run import RunConfig, shipped
 
 POINTS = {"dynamics": "single_integrator", "difficulty": "easy", "horizon": 40}
 
@@ -149,7 +150,7 @@ def test_what_cannot_be_is_refused(make):
     with pytest.raises(ValueError, match=r"opponents are \['chasers'\]: a policy for each of evad"):
         make("chasers", {"chasers": "lead"})
     with pytest.raises(ValueError, match="central=True joins vectors of numbers"):
-        make(central=True, action="discrete")
+        make("chasers", "random", central=True, action="discrete")
     env = make()
     with pytest.raises(RuntimeError, match="reset"):
         env.step({})
@@ -162,6 +163,28 @@ def test_what_cannot_be_is_refused(make):
     central.reset(seed=0)
     with pytest.raises(ValueError, match=r"action has shape \(3,\): \(9,\) is needed"):
         central.step(np.zeros(3))
+
+
+def test_what_an_opponent_learned_with_is_what_all_see():
+    """The policy that comes with `converge` flies opponents of teams that it has never seen."""
+    from bulletuav.tasks.converge import Converge
+
+    class Duel(Converge):
+        name = "duel"
+        team_names = ("one", "other")
+
+        def __init__(self, config, context):
+            super().__init__(config, context)
+            self.team[1:] = 1
+
+    run = str(shipped("converge"))
+    config = RunConfig.read(shipped("converge") / "run.yaml")
+    env = bulletuav.team_env(Duel, "one", run, num_drones=2, dynamics="single_integrator")
+    env.reset(seed=0)
+    assert env.env.aviary.options.action == config.action
+    env.step({"drone_0": np.zeros(3)})
+    assert env.env.aviary.swarm.velocity[0, 1].any()
+    env.close()
 
 
 def test_a_copy_is_made_anew():

@@ -28,6 +28,7 @@ def test_returns_of_teams_are_means_of_their_drones():
 def test_chasers_that_shirk_earn_less_than_the_baseline():
     found = list(incentives("pursuit_evasion", episodes=3, **POINTS))
     assert [one.shirker for one in found] == shirkers("pursuit_evasion", "lead vs flee")
+    assert "straight" not in [one.shirker for one in found]
     assert found[0].baseline == "lead vs flee"
     assert found[0].success.mean == 1
     assert all(one.holds for one in found), found

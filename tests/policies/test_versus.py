@@ -57,6 +57,11 @@ def test_a_function_of_rows_is_a_policy(aviary):
     assert repr(bulletuav.Versus(a="x", b="y")) == "Versus(a='x', b='y')"
 
 
+def test_a_function_that_gives_other_rows_is_refused(aviary):
+    with pytest.raises(ValueError, match=r"gave an array \(3,\) of actions: \(8, 3\) is needed"):
+        acted(lambda rows: rows[0, :3], aviary)
+
+
 def test_versus_is_evaluated():
     versus = bulletuav.Versus(chasers="lead", evaders=east)
     result = bulletuav.evaluate("pursuit_evasion", versus, 3, **POINTS)

@@ -327,6 +327,19 @@ def test_environments_tell_the_groups_that_trainers_ask_for(task, options, group
     env.close()
 
 
+@pytest.mark.parametrize("limit", [np.ones(3), np.zeros(4)])
+def test_a_task_with_wrong_speed_limits_is_refused(limit):
+    from bulletuav.tasks.crossing import Crossing
+
+    class Limited(Crossing):
+        speed_limit = limit
+
+    with pytest.raises(
+        ValueError, match="speed_limit of task 'crossing' is .*: a speed above 0 fo"
+    ):
+        bulletuav.Aviary(Limited, num_drones=4)
+
+
 def test_teams_without_names_are_numbered():
     from bulletuav.tasks.crossing import Crossing
 
