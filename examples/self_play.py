@@ -13,7 +13,7 @@ Takes about 10 minutes on one core. Needs the extra `sb3`.
 """
 
 import argparse
-import copy
+import io
 from collections.abc import Callable
 from pathlib import Path
 
@@ -64,7 +64,10 @@ def make_learner(env: CentralTeamAviary, seed: int) -> PPO:
 
 def frozen(model: PPO) -> Rows:
     """Make a function of observations that flies as the model does now, whatever it learns."""
-    policy = copy.deepcopy(model.policy)
+    file = io.BytesIO()
+    model.policy.save(file)
+    file.seek(0)
+    policy = type(model.policy).load(file)
 
     def fly(rows: np.ndarray) -> np.ndarray:
         return policy.predict(rows, deterministic=True)[0]
