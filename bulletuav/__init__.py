@@ -1,5 +1,6 @@
 """bulletuav: a drone-swarm gym on PyBullet."""
 
+from bulletuav.adapters.self_play import team_env
 from bulletuav.analysis.evaluation import evaluate
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.envs.airspace import Airspace
@@ -10,6 +11,7 @@ from bulletuav.envs.gymnasium import register_environments
 from bulletuav.envs.parallel import aec_env, parallel_env
 from bulletuav.envs.workers import batch_env
 from bulletuav.policies.check import check_policy
+from bulletuav.policies.versus import Versus
 from bulletuav.registry import register
 from bulletuav.tasks import list_tasks
 from bulletuav.vehicle.airframe import Airframe
@@ -21,6 +23,7 @@ __all__ = [
     "Airspace",
     "Aviary",
     "SetpointLevel",
+    "Versus",
     "__version__",
     "aec_env",
     "available_airframes",
@@ -35,6 +38,7 @@ __all__ = [
     "load_airframe",
     "parallel_env",
     "register",
+    "team_env",
 ]
 
 register_environments()

@@ -24,6 +24,7 @@ EXAMPLES = {
     "camera_cnn": "--steps 1 --episodes 1 --forests 2",
     "domain_randomisation": "--steps 1 --episodes 1",
     "curriculum": "--steps 1 --episodes 1",
+    "self_play": "--rounds 1 --steps 1 --episodes 2",
     "own_pid": "",
     "figure_eight": "--out figure_eight",
     "rotor_control": "--seconds 2",
@@ -55,6 +56,7 @@ MODELS = {
     "camera_cnn": {"model.zip"},
     "domain_randomisation": {"certain.zip", "uncertain.zip"},
     "curriculum": {"model.zip"},
+    "self_play": {"chaser.zip", "evader.zip"},
     f"{GYM}/learn": {"model.zip"},
 }
 NUMBER = r"(-?\d+(?:\.\d+)?|nan|-?inf)"
@@ -183,6 +185,12 @@ def check_curriculum(told, folder):
     rows = numbers(r"stage # in bullet: success of drones #, episodes with conflict #", told)
     assert list(rows[:, 0]) == [0, 1, 2, 3]
     assert (rows[:, 1:] <= 1).all()
+
+
+def check_self_play(told, folder):
+    shares = numbers(r"wander #, against flee #, evader, against lead #, both #", told)
+    assert len(shares) == 1
+    assert ((shares >= 0) & (shares <= 1)).all()
 
 
 def check_own_pid(told, folder):

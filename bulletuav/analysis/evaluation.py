@@ -37,6 +37,7 @@ from bulletuav.files import replace_file
 from bulletuav.kernel import source_hash
 from bulletuav.policies import PolicySource, PolicySpec, find_policy
 from bulletuav.policies.base import check_action
+from bulletuav.policies.versus import Versus
 from bulletuav.tasks import TaskSource, find_task
 from bulletuav.version import __version__
 
@@ -256,23 +257,23 @@ def _about(run: Run, pilot: PolicySpec) -> dict[str, Any]:
         "seed": run.seed,
         "batch": BATCH,
         "metrics": [metric.name for metric in run.metrics],
-        "fingerprint": _fingerprint(run, spec, pilot.model),
+        "fingerprint": _fingerprint(run, spec, pilot.models),
         "options": described(spec.options, spec.task.config),
     }
     # As it comes back from a file, with which it is compared.
     return cast(dict[str, Any], json.loads(json.dumps(about)))
 
 
-def _fingerprint(run: Run, spec: EnvSpec, model: Path | None) -> str:
+def _fingerprint(run: Run, spec: EnvSpec, models: Sequence[Path]) -> str:
     """Hash what decides the results and has no value to compare.
 
-    That is the code, the airframes, the cities, and a model's file.
+    That is the code, the airframes, the cities, and files of models.
     """
     # Code of the package, and of what comes from outside of it.
     digest = hashlib.sha256(source_hash().encode())
     for source in (
         type(spec.task),
-        run.policy,
+        *(run.policy.sides.values() if isinstance(run.policy, Versus) else (run.policy,)),
         *(metric.source for metric in run.metrics),
         spec.options.dynamics,
         *(spec.options.observation or ()),
@@ -280,7 +281,7 @@ def _fingerprint(run: Run, spec: EnvSpec, model: Path | None) -> str:
         *(term for term, _ in spec.options.reward.values()),
     ):
         digest.update(_code(source))
-    if model is not None:
+    for model in models:
         digest.update(model.read_bytes())
     # The numbers of airframes count, not where their files are.
     for airframe in spec.options.airframe:

@@ -1,11 +1,18 @@
-"""Whether a task pays for what it wants: its baseline against policies that shirk."""
+"""Whether a task pays for what it wants: its baseline against policies that shirk.
+
+Of a game between teams the shirkers fly the first team, and the others fly as in the baseline: what
+the first team earns is compared. Averages over opponents would tell nothing, as gains of one are
+losses of the other.
+"""
 
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 from bulletuav.analysis.evaluation import Evaluation, evaluate
 from bulletuav.analysis.metrics import Estimate, mean_estimate
+from bulletuav.analysis.metrics.teams import FIRST_RETURN, FIRST_SUCCESS
 from bulletuav.policies import PolicySource
+from bulletuav.policies.versus import VERSUS
 from bulletuav.tasks import TaskSource, find_task
 from bulletuav.tasks.targets import TargetTask
 
@@ -25,8 +32,8 @@ class Incentive(NamedTuple):
         difficulty: Its difficulty.
         baseline: Name of the baseline.
         shirker: Name of the other policy.
-        earned: Return of the baseline, mean of the drones.
-        success: Share of drones that succeed with the baseline.
+        earned: Return of the baseline, mean of the drones; of a game, of the first team's.
+        success: Share of these drones that succeed with the baseline.
         gained: Return of the other.
         gap: By how much the baseline earns more in the same episode.
         lead: By how much it earns more than standing still, in the mean.
@@ -54,7 +61,16 @@ class Incentive(NamedTuple):
 def shirkers(task: TaskSource, baseline: PolicySource) -> list[str]:
     """List the policies to compare a task's baseline with."""
     with_targets = issubclass(find_task(task), TargetTask)
-    return [name for name in SHIRKERS if name != baseline and (name != "clump" or with_targets)]
+    first, *opponents = _sides(baseline)
+    left_out = {first} if with_targets else {first, "clump"}
+    # In a game, whose goals are opponents, who flies straight at its goal does what is wanted.
+    left_out |= {"straight"} if opponents else set()
+    return [name for name in SHIRKERS if name not in left_out]
+
+
+def _sides(policy: PolicySource) -> list[PolicySource]:
+    """List what flies each team, the first one first; a policy of all drones alone."""
+    return [*policy.split(VERSUS)] if isinstance(policy, str) else [policy]
 
 
 def incentives(
@@ -86,30 +102,36 @@ def incentives(
         ValueError: An argument is none that can be.
     """
     chosen = find_task(task).baseline if policy is None else policy
+    opponents = _sides(chosen)[1:]
+    metrics = (FIRST_RETURN, FIRST_SUCCESS) if opponents else ()
+    gained, success = (one.name for one in metrics) if opponents else ("return", "drone_success")
 
     def fly(name: PolicySource) -> Evaluation:
-        given = (task, name, episodes, seed, workers, None, progress, trust)
+        given = (task, name, episodes, seed, workers, None, progress, trust, metrics)
         # All of them ask for velocities, whatever the task's usual action.
         return evaluate(*given, **{"action": "velocity", **options})
 
-    base, standing = fly(chosen), fly(STANDING)
-    lead = _gap(base, standing).mean
+    def shirk(name: str) -> Evaluation:
+        return fly(VERSUS.join([name, *map(str, opponents)]))
+
+    base, standing = fly(chosen), shirk(STANDING)
+    lead = _gap(base, standing, gained).mean
     for name in shirkers(task, chosen):
-        other = standing if name == STANDING else fly(name)
+        other = standing if name == STANDING else shirk(name)
         yield Incentive(
             task=base.about["task"],
             difficulty=base.about["options"]["difficulty"],
             baseline=base.about["policy"],
             shirker=name,
-            earned=base.estimates()["return"],
-            success=base.estimates()["drone_success"],
-            gained=other.estimates()["return"],
-            gap=_gap(base, other),
+            earned=base.estimates()[gained],
+            success=base.estimates()[success],
+            gained=other.estimates()[gained],
+            gap=_gap(base, other, gained),
             lead=lead,
         )
 
 
-def _gap(one: Evaluation, other: Evaluation) -> Estimate:
+def _gap(one: Evaluation, other: Evaluation, metric: str) -> Estimate:
     """Estimate by how much returns differ, episode by episode."""
     pairs = zip(one.rows, other.rows, strict=True)
-    return mean_estimate([mine["return"] - yours["return"] for mine, yours in pairs])
+    return mean_estimate([mine[metric] - yours[metric] for mine, yours in pairs])

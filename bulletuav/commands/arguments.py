@@ -25,7 +25,7 @@ Advance = Callable[[int], None]
 """Function that takes how many more episodes are done"""
 POLICY_HELP = (
     f"{', '.join(policy_names())}, module:Name of a class of your own, the folder of a training "
-    f"run, or ppo:model.zip (see --trust)"
+    f"run, or ppo:model.zip (see --trust); for teams one each, such as 'lead vs flee'"
 )
 
 

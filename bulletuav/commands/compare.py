@@ -132,7 +132,7 @@ def _each(option: str, values: list[str] | None) -> list[dict[str, str]]:
 def _case_options(task: str, name: str, options: dict[str, Any], trust: bool) -> dict[str, Any]:
     """Complete the options for a policy; trained ones keep their own action."""
     policy = find_policy(name, task, trust)
-    if policy.model and policy.actions:
+    if policy.models and policy.actions:
         # The user's action is for the others, which may not be able to give the trained one's.
         options = {option: value for option, value in options.items() if option != "action"}
     return policy_options(task, policy, options)

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.control.actions.base import Compiled
+from bulletuav.control.actions.base import Compiled, limit_each
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.envs.infos import columns
 from bulletuav.envs.parts import add_obstacles
@@ -190,6 +190,8 @@ class Decisions(Worlds):
             program.call(action.decode.kernel, frame.action, self.commanded, *numbers)
         else:
             program.turn(self._decode)
+        if self.task.speed_limit is not None:
+            program.call(limit_each, self._setpoint, np.array(self.task.speed_limit, dtype=float))
         if action.level == SetpointLevel.VELOCITY:
             program.call(copy_vectors, self._setpoint, self.commanded)
         if self._uncertainty.drains:

@@ -314,4 +314,15 @@ def _make_action(options: EnvOptions, task: Task[Any]) -> Action:
             f"max_climb is {climb:g} m/s: it limits actions that ask for velocities, and "
             f"{options.action!r} does not; max_climb=None leaves it out"
         )
+    limit = task.speed_limit
+    if limit is not None and (np.shape(limit) != (options.num_drones,) or not (limit > 0).all()):
+        raise ValueError(
+            f"speed_limit of task {task.name!r} is {shown(limit)}: a speed above 0 for each of "
+            f"{options.num_drones} drones is needed"
+        )
+    if limit is not None and action.level != SetpointLevel.VELOCITY:
+        raise ValueError(
+            f"action {options.action!r} does not ask for velocities, and task {task.name!r} limits "
+            f"the speeds that drones ask for: choose action='velocity', or options without limits"
+        )
     return action

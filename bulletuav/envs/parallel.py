@@ -16,6 +16,7 @@ from bulletuav.envs.environment import LabelledEnvironment, exclusive
 from bulletuav.envs.infos import Infos as LazyInfos
 from bulletuav.envs.reset_options import reset_options
 from bulletuav.envs.spaces import drone_action_space, drone_numbers
+from bulletuav.envs.teams import team_rows
 from bulletuav.errors import choose, shown, unknown
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.observations.observer import Observation, part
@@ -38,7 +39,8 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
         observation_spaces: Observation space of each agent.
         action_spaces: Action space of each agent.
         state_space: Space of the global state.
-        metadata: What PettingZoo wants to know.
+        group_map: Agents of each team, by its name, as TorchRL takes them.
+        metadata: What PettingZoo wants to know, and "group_map".
         render_mode: None, "rgb_array" or "human".
     """
 
@@ -56,6 +58,11 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
         self.render_mode = common.render_mode
         self.possible_agents = [f"drone_{i}" for i in range(common.num_drones)]
         self.agents: list[str] = []
+        self.group_map = {
+            team: [self.possible_agents[i] for i in rows]
+            for team, rows in team_rows(self.aviary.task).items()
+        }
+        self.metadata["group_map"] = self.group_map
         self._rows = {agent: i for i, agent in enumerate(self.possible_agents)}
         action = self.aviary.action
         # Actions of drones that are alike can be taken over together

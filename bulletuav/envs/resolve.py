@@ -19,8 +19,8 @@ from bulletuav.envs.randomization import Randomization, known_uncertainties
 from bulletuav.errors import UnknownOptionError, as_int, as_sequence, choose, finite, nearest, shown
 from bulletuav.sensors.base import Sensor
 from bulletuav.sensors.suite import known_sensors
-from bulletuav.tasks.base import DEFAULTS, Task
-from bulletuav.tasks.config import TaskConfig
+from bulletuav.tasks.base import Task
+from bulletuav.tasks.config import DEFAULTS, TaskConfig
 from bulletuav.tasks.observations.base import Block
 from bulletuav.vehicle.airframe import Airframe
 from bulletuav.vehicle.airframes import load_airframe

@@ -1,7 +1,7 @@
 """Lookup of policies: by name, as `module:Name`, by class, by run folder, or by model file."""
 
 import importlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple, cast
@@ -11,11 +11,20 @@ from bulletuav.errors import choose, shown, unknown
 from bulletuav.policies.base import Policy, check_action
 from bulletuav.policies.run import ALGORITHMS, CHECKPOINTS, CONFIG, POLICY, RunConfig, shipped
 from bulletuav.policies.trained import TRUST, SharedPolicy, Trained
+from bulletuav.policies.versus import (
+    VERSUS,
+    Rows,
+    RowsPolicy,
+    TeamPolicies,
+    Versus,
+    joint_actions,
+    joint_options,
+)
 from bulletuav.registry import find, names
 from bulletuav.tasks import TaskSource, find_task
 
-PolicySource = str | Path | type[Policy]
-"""A policy by its name, `module:Name`, file or folder; or its class"""
+PolicySource = str | Path | type[Policy] | Versus | Rows
+"""A policy by its name, `module:Name`, file or folder; its class; one for each team; a function"""
 NEEDED = ("name", "actions", "reads_swarm")
 """Attributes that every policy class has"""
 SHIPPED_NAMES = ("trained", "untrained")
@@ -34,7 +43,7 @@ class PolicySpec(NamedTuple):
         actions: Actions that it can give, the preferred one first; none named: any.
         reads_swarm: Whether it uses the true state instead of the observations.
         make: Makes the policy for an aviary.
-        model: The file of a trained policy; None for all others.
+        models: Files of trained policies; none for all others.
         options: Options that environments need for the policy to see and do what it learned with.
     """
 
@@ -42,7 +51,7 @@ class PolicySpec(NamedTuple):
     actions: tuple[str, ...]
     reads_swarm: bool
     make: Callable[[Aviary], Policy]
-    model: Path | None = None
+    models: tuple[Path, ...] = ()
     options: Mapping[str, Any] = MappingProxyType({})
 
     def __call__(self, aviary: Aviary) -> Policy:
@@ -73,7 +82,9 @@ def find_policy(
             - "module:Name", a class derived from `Policy` in a module that can be imported;
             - such a class itself;
             - the folder of a training run, or of one of its checkpoints (RUN/checkpoints/003);
-            - "ppo:model.zip" (also sac, td3, dqn, a2c, ddpg), saved by stable-baselines3.
+            - "ppo:model.zip" (also sac, td3, dqn, a2c, ddpg), saved by stable-baselines3;
+            - a function from rows of observations (M, D), or a dict of such, to rows of actions;
+            - one of these for each team: a `Versus`, or "lead vs flee" in the teams' order.
         task: The task that it is to fly; needed for "trained" and "untrained".
         trust: Whether to read files that can run code when they are read, which
             stable-baselines3's models can.
@@ -88,12 +99,19 @@ def find_policy(
     """
     if isinstance(source, type) and issubclass(source, Policy):
         return _from_class(source)
+    if isinstance(source, Versus):
+        return _from_sides(source.sides, task, trust)
+    if callable(source) and not isinstance(source, type):
+        name = str(getattr(source, "__name__", type(source).__name__))
+        return PolicySpec(name, (), False, lambda aviary: RowsPolicy(aviary, source))
     if not isinstance(source, str | Path) or not str(source):
         raise ValueError(
             f"policy is {shown(source)}: a name, module:Name, a run's folder, 'ppo:model.zip', "
-            f"or a class is needed"
+            f"a class, a function, or a Versus is needed"
         )
     text = str(source)
+    if VERSUS in text:
+        return _from_sides(text.split(VERSUS), task, trust)
     if text in SHIPPED_NAMES:
         return _from_package(text, task, trust)
     if text not in names("policy") and Path(text).is_dir():
@@ -105,6 +123,24 @@ def find_policy(
     if before in ALGORITHMS or not after.isidentifier():
         return _from_model(text, before, after, trust)
     return _from_class(find("policy", text, _is_policy))
+
+
+def _from_sides(
+    sides: Mapping[str, Any] | Sequence[Any], task: TaskSource | None, trust: bool
+) -> PolicySpec:
+    """Find a policy for each team, by name or in the teams' order, and join them."""
+    teams = tuple(sides) if isinstance(sides, Mapping) else ()
+    listed = sides.values() if isinstance(sides, Mapping) else sides
+    found = [find_policy(side, task, trust) for side in listed]
+    makers = [one.__call__ for one in found]
+    return PolicySpec(
+        name=VERSUS.join(one.name for one in found),
+        actions=joint_actions([one.actions for one in found]),
+        reads_swarm=any(one.reads_swarm for one in found),
+        make=lambda aviary: TeamPolicies(aviary, makers, teams),
+        models=tuple(model for one in found for model in one.models),
+        options=joint_options([one.options for one in found]),
+    )
 
 
 def _is_policy(found: object) -> bool:
@@ -198,4 +234,4 @@ def _from_file(name: str, path: Path, make: Callable[[Aviary], Policy]) -> Polic
     """Describe a policy that is read from a file; raise FileNotFoundError unless it is there."""
     if not path.is_file():
         raise FileNotFoundError(f"no model {path}: a file that training saved is needed")
-    return PolicySpec(name, (), SharedPolicy.reads_swarm, make, path)
+    return PolicySpec(name, (), SharedPolicy.reads_swarm, make, (path,))

@@ -17,19 +17,6 @@ from bulletuav.tasks.given import Given
 from bulletuav.tasks.ingredients import Binding, Bound, Parts, find_term, numbers_in
 from bulletuav.tasks.observations.base import Block
 
-REBOUND = {"soft": 0.8, "hard": 0.0}
-"""Share of the speed against a wall that is left, reversed, by the option `boundary`"""
-DEFAULTS: Mapping[str, Any] = MappingProxyType(
-    {
-        "num_drones": 1,
-        "airframe": "hummingbird",
-        "action": "velocity",
-        "decision_hz": 10,
-        "horizon": 300,
-        "max_speed": 10.0,
-    }
-)
-"""Options of a task that tells nothing else"""
 SHOWS: Mapping[str, str] = MappingProxyType(
     {
         "success": "reached",
@@ -108,6 +95,9 @@ class Task(ABC, Generic[ConfigT]):
         arena_high: (3,) its upper corner, m.
         team: (N,) number of each drone's team, from 0.
         lands: Whether drones may touch the ground: what `Frame.landed` tells is no collision then.
+        team_names: Names of the teams, in their order; none where all drones are one.
+        speed_limit: (N,) greatest speed that each drone can ask for, m/s, at most max_speed; None
+            where that alone holds.
     """
 
     name: ClassVar[str]
@@ -128,7 +118,10 @@ class Task(ABC, Generic[ConfigT]):
     has_goals: ClassVar[bool] = True
     shows: ClassVar[Mapping[str, str]] = SHOWS
 
+    team_names: ClassVar[tuple[str, ...]] = ()
+
     rebound: float | None = None
+    speed_limit: np.ndarray | None = None
     num_targets: int = 0
     zone: float
     _binding: Binding

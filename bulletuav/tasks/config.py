@@ -2,11 +2,26 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any, TypeVar
 
 import numpy as np
 
 from bulletuav.tasks.given import PLACES
+
+REBOUND = {"soft": 0.8, "hard": 0.0}
+"""Share of the speed against a wall that is left, reversed, by the option `boundary`"""
+DEFAULTS: Mapping[str, Any] = MappingProxyType(
+    {
+        "num_drones": 1,
+        "airframe": "hummingbird",
+        "action": "velocity",
+        "decision_hz": 10,
+        "horizon": 300,
+        "max_speed": 10.0,
+    }
+)
+"""Options of a task that tells nothing else"""
 
 
 @dataclass(frozen=True)

@@ -5,11 +5,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from bulletuav.errors import shown
 from bulletuav.registry import register
 from bulletuav.tasks.families.airspace import Airspace
 from bulletuav.tasks.families.difficulties import AIRSPACE_DIFFICULTIES
 from bulletuav.tasks.families.flight_config import AirspaceConfig, clearance
+from bulletuav.tasks.families.teams import team_sizes
 from bulletuav.tasks.frame import Spawn, TaskContext
 
 
@@ -67,6 +67,7 @@ class Crossing(Airspace[CrossingConfig]):
     """
 
     name = "crossing"
+    team_names = ("north", "east")
     difficulties: ClassVar = {
         "easy": {
             "lane_spacing": 20.0,
@@ -101,7 +102,9 @@ class Crossing(Airspace[CrossingConfig]):
                 f"less twice jitter {config.jitter:g} m must exceed {clear:.3g} m (d_safe)"
             )
         # Size of the larger team's formation: how deep it is, and how far it reaches aside.
-        self._num_north, east = _teams(config, context.num_drones)
+        drones = context.num_drones
+        usual = ((drones + 1) // 2, drones // 2)
+        self._num_north, east = team_sizes(config.teams, drones, usual)
         self.team[self._num_north :] = 1
         largest = max(self._num_north, east)
         ranks = -(-largest // config.lanes)
@@ -150,19 +153,3 @@ class Crossing(Airspace[CrossingConfig]):
         start[:, 2] = height
         goal[:, 2] = height
         return self.launch(config.scattered(start, rng), goal, rng)
-
-
-def _teams(config: CrossingConfig, drones: int) -> tuple[int, int]:
-    """Return the sizes of both teams, and refuse those that do not add up."""
-    if config.teams is None:
-        return (drones + 1) // 2, drones // 2
-    whole = isinstance(config.teams, tuple) and [type(size) for size in config.teams]
-    if whole != [int, int]:
-        raise ValueError(f"teams is {shown(config.teams)}: two whole numbers are needed")
-    north, east = config.teams
-    if min(north, east) < 0 or north + east != drones:
-        raise ValueError(
-            f"teams is {config.teams}, {north + east} drones, and num_drones is {drones}: "
-            f"they must add up"
-        )
-    return north, east

@@ -62,7 +62,7 @@ class Formation(Airspace[FormationConfig]):
 
     - progress 1: metres nearer to the place; how the place moved counts, too.
     - holding 1: 1 within 2 m of the place.
-    - conflict -100: other drones that come closer than d_safe = 5 m.
+    - conflict -200: other drones that come closer than d_safe = 5 m.
     - warning -1: nearness to other drones, from 0 at 10 m to 1 at 5 m.
     - collision -200: 1 on contact.
     - out_of_bounds -50: 1 outside the arena.

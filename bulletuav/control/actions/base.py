@@ -118,6 +118,14 @@ def _limit_all(vector: np.ndarray, limit: float) -> None:
             limit_drone(vector, limit, w, i)
 
 
+@kernel
+def limit_each(vector: np.ndarray, limit: np.ndarray) -> None:
+    """Shorten the first three numbers of vectors (W, N, S) to limits (N,), in place."""
+    for w in range(vector.shape[0]):
+        for i in range(vector.shape[1]):
+            limit_drone(vector, limit[i], w, i)
+
+
 def limit_norm(vector: np.ndarray, limit: float) -> np.ndarray:
     """Shorten vectors that are longer than a limit; their direction stays.
 

@@ -6,7 +6,8 @@ from typing import Any, ClassVar, Generic, TypeVar
 import numpy as np
 
 from bulletuav.geometry.closest_approach import distances
-from bulletuav.tasks.base import REBOUND, Rngs, Weighted
+from bulletuav.tasks.base import Rngs, Weighted
+from bulletuav.tasks.config import REBOUND
 from bulletuav.tasks.ends import affected
 from bulletuav.tasks.families.flight_config import FlightConfig
 from bulletuav.tasks.families.headings import directions

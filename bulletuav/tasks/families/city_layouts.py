@@ -12,6 +12,7 @@ from bulletuav.city.generator import generate
 from bulletuav.city.imports import READERS
 from bulletuav.city.model import City
 from bulletuav.city.statistics import KINDS, Statistics, parameters
+from bulletuav.city.streets import Streets
 from bulletuav.engine.tiles import TILE_PITCH
 from bulletuav.errors import as_sequence, choose, finite, shown
 from bulletuav.geometry.solids import Solids
@@ -26,6 +27,8 @@ EDGE_MARGIN = 10.0
 """Distance between drones that start, or goals, and the city's edge, m"""
 USER_HEIGHT = 1.5
 """Height of a user's device above the ground, m"""
+OPEN = "open"
+"""Name of the city in which nothing stands"""
 MAX_TRIES = 200
 """Random draws of a place before it counts as impossible"""
 
@@ -35,8 +38,8 @@ class UrbanConfig(ObstacleConfig):
     """Options of tasks in a city, beside those of obstacles (`ObstacleConfig`).
 
     Attributes:
-        city: "suburban", "urban", "dense" or "high_rise"; (alpha, beta, gamma), see
-            `bulletuav.city.statistics.Statistics`; the path of a .geojson or .obj file; or a
+        city: "suburban", "urban", "dense" or "high_rise"; "open" for none; (alpha, beta, gamma),
+            see `bulletuav.city.statistics.Statistics`; the path of a .geojson or .obj file; or a
             `City`.
         area: Side of the city's square, or its lengths along x and y, m. Files have the smallest
             square that holds all.
@@ -90,7 +93,7 @@ def make_cities(config: UrbanConfig) -> tuple[City, ...]:
         return (read(Path(kind)),)
     # Cities made at random, of a known kind or of given statistics.
     if isinstance(kind, str):
-        choose("kind of city", kind, KINDS)
+        choose("kind of city", kind, {**KINDS, OPEN: None})
     else:
         kind = _given_statistics(kind)
     if config.irregularity > 1:
@@ -102,6 +105,8 @@ def make_cities(config: UrbanConfig) -> tuple[City, ...]:
             f"area is {max(sides):g} m: "
             f"less than {TILE_PITCH:g} m is needed, where other worlds begin"
         )
+    if kind == OPEN:
+        return (open_ground(sides),)
     seeds = range(config.city_seed, config.city_seed + config.num_layouts)
     try:
         return tuple(
@@ -110,6 +115,13 @@ def make_cities(config: UrbanConfig) -> tuple[City, ...]:
         )
     except ValueError as error:
         raise ValueError(f"area is {min(sides):g} m: its {error}") from None
+
+
+def open_ground(sides: tuple[float, float]) -> City:
+    """Make ground of these lengths along x and y, m, on which nothing stands."""
+    nothing = Solids(np.zeros((0, 2, 3)))
+    nowhere = Streets(np.zeros((0, 2)), np.zeros((0, 2), dtype=int))
+    return City(OPEN, sides[0], nothing, np.zeros(0, dtype=int), nowhere, sides[1])
 
 
 def _sides(area: Any) -> tuple[float, float]:

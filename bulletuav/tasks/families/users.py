@@ -11,7 +11,8 @@ from bulletuav.network.dwell_time import watch
 from bulletuav.network.mobility import find_mobility
 from bulletuav.network.mobility.ground import Ground
 from bulletuav.sensors.base import vector_labels
-from bulletuav.tasks.base import REBOUND, Rngs
+from bulletuav.tasks.base import Rngs
+from bulletuav.tasks.config import REBOUND
 from bulletuav.tasks.ends import affected
 from bulletuav.tasks.families.city_layouts import USER_HEIGHT, UrbanConfig
 from bulletuav.tasks.families.urban import URBAN_DEFAULTS, UrbanTask, check_share

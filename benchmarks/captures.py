@@ -1,0 +1,88 @@
+"""Measure how chasers do against evaders in `pursuit_evasion`, all pairs at every difficulty.
+
+    python benchmarks/captures.py --out docs/results/pursuit_evasion
+
+Of each pair: share of episodes in which all evaders were captured, with Wilson's 95 % interval;
+share of evaders captured; and time until capture, s, mean of the evaders, 30 s for those that were
+not. Finished pairs are kept below --runs, and the same command goes on where it was interrupted.
+Writes captures.md and captures.csv.
+"""
+
+import argparse
+import csv
+import itertools
+from pathlib import Path
+
+import bulletuav
+from bulletuav.analysis.metrics import estimate
+from bulletuav.files import replace_file
+from bulletuav.tasks import find_task
+
+TASK = "pursuit_evasion"
+CHASERS = ("lead", "pure_pursuit", "area_minimising", "random")
+EVADERS = ("random", "wander", "flee", "flee_weighted", "flee_gap")
+COLUMNS = ("difficulty", "chasers", "evaders", "all", "low", "high", "captured", "seconds")
+
+
+def measure(difficulty: str, chasers: str, evaders: str, arguments: argparse.Namespace) -> tuple:
+    """Fly a pair; give a row of the columns."""
+    name = "-".join((difficulty, arguments.dynamics, chasers, evaders))
+    result = bulletuav.evaluate(
+        TASK,
+        f"{chasers} vs {evaders}",
+        arguments.episodes,
+        out=arguments.runs / name,
+        dynamics=arguments.dynamics,
+        difficulty=difficulty,
+    )
+    every = estimate("success", [row["captured"] == 1 for row in result.rows])
+    means = [result.estimates()[metric].mean for metric in ("captured", "capture_time")]
+    return (difficulty, chasers, evaders, every.mean, every.low, every.high, *means)
+
+
+def markdown(rows: list[tuple], arguments: argparse.Namespace) -> str:
+    """Write a table for each difficulty, with a line for each policy of chasers."""
+    lines = [
+        "Share of episodes in which all evaders were captured, with its 95 % interval / share of "
+        "evaders captured / seconds until capture (30 for those that were not).",
+        f"{arguments.episodes} episodes each, `{arguments.dynamics}`. Made by",
+        "",
+        "```bash",
+        f"python benchmarks/captures.py --episodes {arguments.episodes} --dynamics "
+        f"{arguments.dynamics} --out docs/results/pursuit_evasion",
+        "```",
+    ]
+    for difficulty, group in itertools.groupby(rows, lambda row: row[0]):
+        lines += ["", f"## {difficulty}", "", f"| chasers | {' | '.join(EVADERS)} |"]
+        lines.append("|" + "---|" * (1 + len(EVADERS)))
+        for chasers, cells in itertools.groupby(group, lambda row: row[1]):
+            told = (
+                f"{every:.2f} [{low:.2f}, {high:.2f}] / {share:.2f} / {seconds:.1f}"
+                for *_, every, low, high, share, seconds in cells
+            )
+            lines.append(f"| `{chasers}` | {' | '.join(told)} |")
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    """Measure all pairs and write the tables."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--episodes", type=int, default=100)
+    parser.add_argument("--dynamics", default="bullet")
+    parser.add_argument("--out", type=Path, default=Path("out/captures"))
+    parser.add_argument("--runs", type=Path, default=Path("out/captures/runs"))
+    arguments = parser.parse_args()
+    cases = itertools.product(find_task(TASK).difficulties, CHASERS, EVADERS)
+    rows = [measure(*case, arguments) for case in cases]
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    replace_file(arguments.out / "captures.md", markdown(rows, arguments))
+    with (arguments.out / "captures.csv").open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(COLUMNS)
+        writer.writerows([[*row[:3], *(f"{one:.4g}" for one in row[3:])] for row in rows])
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,324 @@
+"""Environments in which one team learns, and policies fly the others.
+
+An opponent may be frozen, as a name or a run's folder is, or learn as well: a function of rows of
+observations is asked anew at every decision.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.spaces import Box, Dict, Discrete, Space
+from pettingzoo import ParallelEnv
+
+from bulletuav.envs.environment import LabelledEnvironment, exclusive
+from bulletuav.envs.parallel import (
+    AgentResults,
+    ByAgent,
+    Infos,
+    ParallelAviary,
+    check_agents,
+)
+from bulletuav.envs.teams import team_names, team_rows
+from bulletuav.errors import choose, shown
+from bulletuav.policies import Policy, PolicySource, find_policy
+from bulletuav.policies.versus import TeamPolicies, joint_options
+from bulletuav.tasks import TaskSource
+from bulletuav.tasks.observations.observer import Observation
+
+Opponents = PolicySource | Mapping[str, PolicySource]
+"""What flies all other teams, or each of them by its name"""
+
+
+class TeamAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  # has no types
+    """`pettingzoo.ParallelEnv` of one team of a task; policies fly its opponents.
+
+    Attributes:
+        env: The environment of all teams, with its `aviary`.
+        team: Name of the team.
+        possible_agents: Agents of the team.
+        agents: Those whose episode goes on.
+        observation_spaces: Observation space of each agent.
+        action_spaces: Action space of each agent.
+        metadata: As of the environment of all teams, with the team alone in its "group_map".
+    """
+
+    def __init__(
+        self,
+        task: TaskSource,
+        team: str,
+        opponents: Opponents,
+        trust: bool = False,
+        **options: Any,
+    ) -> None:
+        """Make the environment; see `team_env`."""
+        # What opponents learned with gives way to options of the call.
+        sources = opponents.values() if isinstance(opponents, Mapping) else (opponents,)
+        needed = joint_options([find_policy(one, task, trust).options for one in sources])
+        self.env = ParallelAviary(task, **{**needed, **options})
+        self._observer = self.env.aviary.observer
+        self._trust = trust
+        groups = self.env.group_map
+        self.team = team
+        self.possible_agents: list[str] = choose("team", team, groups)
+        self.group_map = {team: self.possible_agents}
+        self.metadata = {**self.env.metadata, "group_map": self.group_map}
+        self.render_mode = self.env.render_mode
+        self.agents: list[str] = []
+        spaces = (self.env.observation_spaces, self.env.action_spaces)
+        self.observation_spaces, self.action_spaces = (
+            {agent: one[agent] for agent in self.possible_agents} for one in spaces
+        )
+        self._policy: Policy | None = None
+        self._seen: ByAgent = {}
+        self.opponents = opponents
+
+    @property
+    def opponents(self) -> Opponents:
+        """What flies the other teams; another one flies from the next reset on."""
+        return self._opponents
+
+    @opponents.setter
+    def opponents(self, opponents: Opponents) -> None:
+        aviary, task = self.env.aviary, self.env.aviary.task
+        others = [name for name in team_names(task) if name != self.team]
+        each = opponents if isinstance(opponents, Mapping) else dict.fromkeys(others, opponents)
+        if sorted(each) != sorted(others):
+            raise ValueError(
+                f"opponents are {shown(list(each))}: a policy for each of {', '.join(others)} is "
+                f"needed"
+            )
+        found = [find_policy(source, type(task), self._trust) for source in each.values()]
+        makers = [one.__call__ for one in found]
+        # The team itself flies by the actions that it is given.
+        self._made = TeamPolicies(aviary, [*makers, makers[0]], [*each, self.team])
+        self._opponents = opponents
+
+    def observation_space(self, agent: str) -> Space[Any]:
+        """Return the agent's observation space, the same object each time."""
+        return choose("agent", agent, self.observation_spaces)
+
+    def action_space(self, agent: str) -> Space[Any]:
+        """Return the agent's action space, the same object each time."""
+        return choose("agent", agent, self.action_spaces)
+
+    @exclusive
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[ByAgent, Infos]:
+        """Start a new episode; see `ParallelAviary.reset`.
+
+        Returns:
+            Observations and infos, by agent of the team.
+        """
+        self._seen, infos = self.env.reset(seed, options)
+        self._policy = self._made
+        self._policy.reset(np.ones(1, dtype=bool))
+        self.agents = self.possible_agents[:]
+        return self._own(self._seen), self._own(infos)
+
+    @exclusive
+    def step(self, actions: dict[str, np.ndarray]) -> AgentResults:
+        """Fly one decision of all living drones; see `ParallelAviary.step`.
+
+        Args:
+            actions: One for each of `agents`.
+
+        Returns:
+            Observations, rewards, terminated, truncated and infos, by agent of the team.
+
+        Raises:
+            ValueError: An action is missing, cannot be, or is for no agent of the team.
+            RuntimeError: Before the first reset, or after `close`.
+        """
+        self.env.aviary.require_started()
+        check_agents(actions, self.agents, self.possible_agents)
+        if not self.agents:
+            return {}, {}, {}, {}, {}
+        results = self.env.step({**self._opposed(), **actions})
+        self._seen = results[0]
+        self.agents = [agent for agent in self.agents if agent in self.env.agents]
+        seen, rewards, terminated, truncated, infos = map(self._own, results)
+        return seen, rewards, terminated, truncated, infos
+
+    def _own(self, by_agent: Mapping[str, Any]) -> dict[str, Any]:
+        """Take what is of the team's agents."""
+        return {agent: by_agent[agent] for agent in self.possible_agents if agent in by_agent}
+
+    def _opposed(self) -> ByAgent:
+        """Ask the opponents' policies for actions of those that fly."""
+        env = self.env
+        assert self._policy is not None  # there was a reset
+        actions = self._policy.act(self._all_seen(), env.aviary.swarm)[0]
+        opposed: ByAgent = {}
+        for i, agent in enumerate(env.possible_agents):
+            if agent in env.agents and agent not in self.possible_agents:
+                is_choice = isinstance(env.action_spaces[agent], Discrete)
+                size = env.aviary.action.size(i)
+                opposed[agent] = int(actions[i, 0]) if is_choice else actions[i, :size]
+        return opposed
+
+    def _all_seen(self) -> Observation:
+        """Put the last observations side by side, (1, N, ...); zeros of drones that have left."""
+        env, space = self.env, self._observer.space()
+        if not isinstance(space, Dict):
+            return _side_by_side(self._seen, env.possible_agents, space)[None]
+        entries: Observation = {}
+        for name, one in space.items():
+            seen = {agent: observed[name] for agent, observed in self._seen.items()}
+            entries[name] = _side_by_side(seen, env.possible_agents, one)[None]
+        return entries
+
+    def render(self) -> np.ndarray | None:
+        """Take a picture; see `ParallelAviary.render`."""
+        return self.env.render()
+
+    def close(self) -> None:
+        """Free the engine; a second call does nothing."""
+        self.env.close()
+
+
+def _side_by_side(seen: ByAgent, agents: list[str], space: Space[Any]) -> np.ndarray:
+    """Stack the agents' observations of a space, (N, ...); zeros where there is none."""
+    nothing = np.zeros(space.shape or (), dtype=space.dtype)
+    return np.stack([seen.get(agent, nothing) for agent in agents])
+
+
+class CentralTeamAviary(LabelledEnvironment, gymnasium.Env[Any, Any]):
+    """`gymnasium.Env` of one team: an agent that commands all its drones.
+
+    It observes what they observe, one after the other, and zeros for those that have left. Its
+    reward is their mean. With one drone it is that drone.
+
+    Attributes:
+        env: The `TeamAviary`.
+        observation_space: The drones' observations, one after the other.
+        action_space: The drones' numbers, one after the other.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"]}  # noqa: RUF012
+
+    def __init__(
+        self,
+        task: TaskSource,
+        team: str,
+        opponents: Opponents,
+        trust: bool = False,
+        **options: Any,
+    ) -> None:
+        """Make the environment; see `team_env`."""
+        self.env = TeamAviary(task, team, opponents, trust, **options)
+        self._observer = self.env.env.aviary.observer
+        self.render_mode = self.env.render_mode
+        self._agents = self.env.possible_agents
+        boxes = self.env.observation_spaces, self.env.action_spaces
+        self.observation_space, self.action_space = (self._joined(one) for one in boxes)
+        aviary = self.env.env.aviary
+        sizes = [aviary.action.size(i) for i in team_rows(aviary.task)[team]]
+        self._cuts = np.cumsum(sizes)[:-1]
+
+    def _joined(self, spaces: Mapping[str, Space[Any]]) -> Box:
+        """Join the drones' boxes."""
+        each = [spaces[agent] for agent in self._agents]
+        for space in each:
+            if not isinstance(space, Box) or len(space.shape) != 1:
+                raise ValueError(
+                    f"central=True joins vectors of numbers, and a drone has {shown(space)}: "
+                    f"choose observation_format='vector' and a continuous action"
+                )
+        low, high = (np.concatenate([getattr(one, k) for one in each]) for k in ("low", "high"))
+        return Box(low, high, dtype=np.float32)
+
+    @property
+    def opponents(self) -> Opponents:
+        """What flies the other teams; another one flies from the next reset on."""
+        return self.env.opponents
+
+    @opponents.setter
+    def opponents(self, opponents: Opponents) -> None:
+        self.env.opponents = opponents
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Start a new episode; see `TeamAviary.reset`.
+
+        Returns:
+            The observation, and infos by agent.
+        """
+        super().reset(seed=seed)
+        seen, infos = self.env.reset(seed, options)
+        return self._observed(seen), dict(infos)
+
+    def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """Fly one decision; see `TeamAviary.step`.
+
+        Args:
+            action: As in `action_space`.
+
+        Returns:
+            The observation, reward, terminated, truncated, and infos by agent.
+
+        Raises:
+            ValueError: The action cannot be.
+        """
+        numbers = np.asarray(action)
+        if numbers.shape != self.action_space.shape:
+            raise ValueError(
+                f"action has shape {numbers.shape}: {self.action_space.shape} is needed"
+            )
+        parts = np.split(numbers, self._cuts)
+        given = dict(zip(self._agents, parts, strict=True))
+        flying = {agent: given[agent] for agent in self.env.agents}
+        seen, rewards, _, truncated, infos = self.env.step(flying)
+        is_over = not self.env.agents
+        cut = is_over and any(truncated.values())
+        mean = sum(rewards.values()) / len(self._agents)
+        return self._observed(seen), mean, is_over and not cut, cut, dict(infos)
+
+    def _observed(self, seen: ByAgent) -> np.ndarray:
+        space = self.env.observation_spaces[self._agents[0]]
+        flat: np.ndarray = _side_by_side(seen, self._agents, space).ravel()
+        return flat
+
+    def render(self) -> np.ndarray | None:
+        """Take a picture; see `ParallelAviary.render`."""
+        return self.env.render()
+
+    def close(self) -> None:
+        """Free the engine; a second call does nothing."""
+        self.env.close()
+
+
+def team_env(
+    task: TaskSource,
+    team: str,
+    opponents: Opponents,
+    *,
+    central: bool = False,
+    trust: bool = False,
+    **options: Any,
+) -> TeamAviary | CentralTeamAviary:
+    """Make an environment of one team of a task, whose opponents fly by policies.
+
+        env = bulletuav.team_env("pursuit_evasion", "chasers", opponents="flee")
+        env.opponents = "flee_gap"  # from the next reset on
+
+    Args:
+        task: One of `list_tasks()`, `module:Name`, or a class of one's own.
+        team: Name of the team, such as "chasers".
+        opponents: What flies all others: a policy's name, class or run's folder; a function of rows
+            of observations, which may learn meanwhile; or a dict of these by team.
+        central: Whether it is a `gymnasium.Env` with one agent for the whole team.
+        trust: Whether a model may be read that can run code meanwhile.
+        **options: Those of `parallel_env`.
+
+    Returns:
+        A `pettingzoo.ParallelEnv` with the team's agents alone, or a `gymnasium.Env`.
+
+    Raises:
+        ValueError: There is no such team or policy, or an option cannot be.
+    """
+    kind = CentralTeamAviary if central else TeamAviary
+    return kind(task, team, opponents, trust, **options)

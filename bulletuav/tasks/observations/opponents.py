@@ -1,0 +1,97 @@
+"""Observation blocks of teams with opposed aims: opponents that a drone sees, and teammates."""
+
+from typing import Any
+
+import numpy as np
+
+from bulletuav.registry import register
+from bulletuav.sensors.base import Label, vector_labels
+from bulletuav.sensors.drone_sight import DRONE_SIGHT
+from bulletuav.tasks.frame import Frame
+from bulletuav.tasks.observations.base import Block
+from bulletuav.tasks.observations.neighbours import PER_NEIGHBOUR, heard, nearest
+
+PER_OPPONENT = 1 + PER_NEIGHBOUR
+"""Numbers of each: whether it is seen, distance, relative position, relative velocity"""
+
+
+def opponents_in_sight(task: Any, frame: Frame, present: np.ndarray) -> np.ndarray:
+    """Tell which opponents each drone sees.
+
+    They are within the task's `sight_range`, and nothing but drones is in between, where the
+    reading "drone_sight" tells that.
+
+    Args:
+        task: The task, which has the teams.
+        frame: The decision.
+        present: (W, N) bool, drones that can still be met.
+
+    Returns:
+        (W, N, N) bool, whether drone i sees drone j.
+    """
+    opposed = task.team[:, None] != task.team
+    position = frame.after.position
+    gap = np.linalg.norm(position[:, None] - position[:, :, None], axis=-1)
+    seen: np.ndarray = opposed & present[:, None, :]
+    seen &= gap <= getattr(task, "sight_range", np.inf)
+    if DRONE_SIGHT in frame.readings:
+        seen &= frame.readings[DRONE_SIGHT]
+    return seen
+
+
+def _labels(task: Any, who: str) -> tuple[Label, ...]:
+    """Label distance, relative position and relative velocity of another drone."""
+    size = task.arena_high - task.arena_low
+    speed = np.full(3, 4 * task.context.max_speed)
+    return (
+        Label(f"{who} distance", "m", 0.0, float(np.linalg.norm(size))),
+        *vector_labels(f"{who} position", "m", -size, size),
+        *vector_labels(f"{who} velocity", "m/s", -speed, speed),
+    )
+
+
+@register("observation")
+def opponents(task: Any) -> Block:
+    """Nearest opponents in sight: 1 for seen, distance, relative position and velocity.
+
+    Nearest first; zeros where there are fewer. They are measured without error, as by eye.
+    """
+    slots = task.context.num_neighbours
+    labels: list[Label] = []
+    for k in range(1, slots + 1):
+        labels += [Label(f"opponent {k} seen", "1", 0.0, 1.0), *_labels(task, f"opponent {k}")]
+
+    def compute(frame: Frame, present: np.ndarray) -> np.ndarray:
+        position, velocity = frame.after.position, frame.after.velocity
+        shape = (*present.shape, present.shape[1], 3)
+        places = np.broadcast_to(position[:, None], shape)
+        speeds = np.broadcast_to(velocity[:, None], shape)
+        seen = opponents_in_sight(task, frame, present)
+        rows = np.zeros((*present.shape, slots * PER_NEIGHBOUR))
+        nearest(position, velocity, places, speeds, seen, slots, rows)
+        flags = np.arange(slots) < seen.sum(axis=-1)[..., None]
+        rows = rows.reshape(*present.shape, slots, PER_NEIGHBOUR)
+        return np.concatenate([flags[..., None], rows], axis=-1).reshape(*present.shape, -1)
+
+    return Block(tuple(labels), compute)
+
+
+@register("observation")
+def teammates(task: Any) -> Block:
+    """Nearest others of the own team: distance, relative position and velocity.
+
+    Nearest first; zeros where there are fewer. They tell each other where they think that they are.
+    """
+    slots = task.context.num_neighbours
+    names = range(1, slots + 1)
+    labels = tuple(label for k in names for label in _labels(task, f"teammate {k}"))
+    own = task.team[:, None] == task.team
+
+    def compute(frame: Frame, present: np.ndarray) -> np.ndarray:
+        position, velocity, known = heard(frame, present)
+        rows = np.zeros((*present.shape, len(labels)))
+        mine = (frame.known_position, frame.known_velocity)
+        nearest(*mine, position, velocity, known & own, slots, rows)
+        return rows
+
+    return Block(labels, compute)
