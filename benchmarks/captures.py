@@ -5,7 +5,7 @@
 Of each pair: share of episodes in which all evaders were captured, with Wilson's 95 % interval;
 share of evaders captured; and time until capture, s, mean of the evaders, 30 s for those that were
 not. Finished pairs are kept below --runs, and the same command goes on where it was interrupted.
-Writes captures.md and captures.csv.
+Writes NAME.md and NAME.csv.
 """
 
 import argparse
@@ -42,19 +42,22 @@ def measure(difficulty: str, chasers: str, evaders: str, arguments: argparse.Nam
 
 def markdown(rows: list[tuple], arguments: argparse.Namespace) -> str:
     """Write a table for each difficulty, with a line for each policy of chasers."""
+    evaders = arguments.evaders.split(",")
     lines = [
         "Share of episodes in which all evaders were captured, with its 95 % interval / share of "
         "evaders captured / seconds until capture (30 for those that were not).",
         f"{arguments.episodes} episodes each, `{arguments.dynamics}`. Made by",
         "",
         "```bash",
-        f"python benchmarks/captures.py --episodes {arguments.episodes} --dynamics "
-        f"{arguments.dynamics} --out docs/results/pursuit_evasion",
+        f"python benchmarks/captures.py --difficulties {arguments.difficulties} --chasers "
+        f"{arguments.chasers} --evaders {arguments.evaders} --episodes {arguments.episodes} "
+        f"--dynamics {arguments.dynamics} --name {arguments.name} "
+        "--out docs/results/pursuit_evasion",
         "```",
     ]
     for difficulty, group in itertools.groupby(rows, lambda row: row[0]):
-        lines += ["", f"## {difficulty}", "", f"| chasers | {' | '.join(EVADERS)} |"]
-        lines.append("|" + "---|" * (1 + len(EVADERS)))
+        lines += ["", f"## {difficulty}", "", f"| chasers | {' | '.join(evaders)} |"]
+        lines.append("|" + "---|" * (1 + len(evaders)))
         for chasers, cells in itertools.groupby(group, lambda row: row[1]):
             told = (
                 f"{every:.2f} [{low:.2f}, {high:.2f}] / {share:.2f} / {seconds:.1f}"
@@ -69,16 +72,22 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
+    known = ",".join(find_task(TASK).difficulties)
+    parser.add_argument("--difficulties", default=known, help=f"such as {known}")
+    parser.add_argument("--chasers", default=",".join(CHASERS))
+    parser.add_argument("--evaders", default=",".join(EVADERS))
+    parser.add_argument("--name", default="captures", help="of the files")
     parser.add_argument("--episodes", type=int, default=100)
     parser.add_argument("--dynamics", default="bullet")
     parser.add_argument("--out", type=Path, default=Path("out/captures"))
     parser.add_argument("--runs", type=Path, default=Path("out/captures/runs"))
     arguments = parser.parse_args()
-    cases = itertools.product(find_task(TASK).difficulties, CHASERS, EVADERS)
+    asked = (arguments.difficulties, arguments.chasers, arguments.evaders)
+    cases = itertools.product(*(one.split(",") for one in asked))
     rows = [measure(*case, arguments) for case in cases]
     arguments.out.mkdir(parents=True, exist_ok=True)
-    replace_file(arguments.out / "captures.md", markdown(rows, arguments))
-    with (arguments.out / "captures.csv").open("w", newline="") as file:
+    replace_file(arguments.out / f"{arguments.name}.md", markdown(rows, arguments))
+    with (arguments.out / f"{arguments.name}.csv").open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(COLUMNS)
         writer.writerows([[*row[:3], *(f"{one:.4g}" for one in row[3:])] for row in rows])

@@ -46,9 +46,9 @@ def parse_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--rounds", type=int, default=4, help="how often each side learns")
+    parser.add_argument("--rounds", type=int, default=3, help="how often each side learns")
     parser.add_argument(
-        "--steps", type=int, default=100_000, help="decisions of a side in each round"
+        "--steps", type=int, default=30_000, help="decisions of a side in each round"
     )
     parser.add_argument("--episodes", type=int, default=50, help="episodes of an evaluation")
     parser.add_argument("--seed", type=int, default=0)

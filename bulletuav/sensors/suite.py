@@ -33,6 +33,7 @@ ORDER = (
     "barometer",
     "magnetometer",
     "optical_flow",
+    "drone_sight",
 )
 """In which the package's own sensors measure, and draw random numbers; others follow"""
 
