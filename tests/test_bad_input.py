@@ -587,7 +587,8 @@ def judged(change):
         return change(Hover.evaluate_step(self, frame))
 
     # Named as its own terms, so that a task which evaluates by itself has them, too.
-    reward = {name: (name, weight) for name, weight in Hover.reward.items()}
+    given = Hover.reward.items()
+    reward = {name: one if isinstance(one, tuple) else (name, one) for name, one in given}
     aviary = Aviary(hover(evaluate_step=evaluate_step, reward=reward), 2)
     try:
         return refusal(lambda: (aviary.reset(seeds=0), aviary.step(np.zeros((2, 1, 4)))))

@@ -141,7 +141,7 @@ class Aviary(Decisions):
         swarm, scene = self.swarm, self.scene
         swarm.position[worlds], swarm.quaternion[worlds] = start["position"], start["quaternion"]
         swarm.velocity[worlds], swarm.rates[worlds] = start["velocity"], start["rates"]
-        swarm.rotor_speed[worlds] = 0.0 if self.task.config.take_off else self._hover_speed
+        swarm.rotor_speed[worlds] = 0.0 if self.task.takes_off else self._hover_speed
         scene.start[worlds], scene.goal[worlds] = start["position"], start["goal"]
         scene.goal_velocity[worlds] = start["goal_velocity"]
         scene.obstacle[worlds] = start["obstacle"]

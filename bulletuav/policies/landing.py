@@ -30,7 +30,7 @@ def touch_down(
     if not task.lands:
         return velocity
     is_down = goal_height <= np.array(task.context.standing_height)
-    is_near = (np.hypot(way[..., 0], way[..., 1]) <= NEAR) & (way[..., 2] >= -LOW)
+    is_near = (way[..., 0] ** 2 + way[..., 1] ** 2 <= NEAR**2) & (way[..., 2] >= -LOW)
     result: np.ndarray = velocity.copy()
     fall = np.minimum(velocity[..., 2], -DESCENT)
     result[..., 2] = np.where(is_down & is_near, fall, velocity[..., 2])

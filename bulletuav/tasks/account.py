@@ -16,7 +16,7 @@ from bulletuav.tasks.frame import (
     RESTING_SPIN,
     STANDING_GAP,
     TOUCHDOWN_SPEED,
-    TOUCHDOWN_TILT,
+    TOUCHDOWN_UPRIGHT,
     Frame,
 )
 from bulletuav.vehicle.swarm import GROUND
@@ -121,7 +121,7 @@ def mark_landings(account: Account, frame: Frame, standing_height: np.ndarray) -
     landed[:] = (account.collision | low) & frame.alive
     for swarm in (frame.before, frame.after):
         x, y = swarm.quaternion[..., 0], swarm.quaternion[..., 1]
-        landed &= 1 - 2 * (x * x + y * y) >= np.cos(TOUCHDOWN_TILT)
+        landed &= 1 - 2 * (x * x + y * y) >= TOUCHDOWN_UPRIGHT
     # What it touches, and how fast.
     rough = np.linalg.norm(touched.velocity, axis=-1) > TOUCHDOWN_SPEED
     rough |= touched.other != GROUND

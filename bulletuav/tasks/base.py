@@ -94,6 +94,7 @@ class Task(ABC, Generic[ConfigT]):
         arena_low: (3,) lower corner of the space to which positions are scaled, m.
         arena_high: (3,) its upper corner, m.
         team: (N,) number of each drone's team, from 0.
+        takes_off: Whether drones start on the ground.
         lands: Whether drones may touch the ground: what `Frame.landed` tells is no collision then.
         team_names: Names of the teams, in their order; none where all drones are one.
         speed_limit: (N,) greatest speed that each drone can ask for, m/s, at most max_speed; None
@@ -153,7 +154,8 @@ class Task(ABC, Generic[ConfigT]):
         self.zone = 2 * config.d_safe
         self.parts = Parts()
         self.team = np.zeros(context.num_drones, dtype=int)
-        self.lands = config.take_off
+        # Configs of other classes may have no such option.
+        self.lands = self.takes_off = bool(getattr(config, "take_off", False))
         self._named_terms: dict[str, Bound] | None = None
 
     def bind(self, readings: frozenset[str], extra: Mapping[str, tuple[Any, float]]) -> Binding:
@@ -233,7 +235,7 @@ class Task(ABC, Generic[ConfigT]):
             rng: Generator of the world, for what depends on them.
         """
         spawn = given.put_into(spawn)
-        if not self.config.take_off:
+        if not self.takes_off:
             return spawn
         place = self.on_ground(np.asarray(spawn.position))
         return spawn._replace(position=place, velocity=0.0, rates=0.0, quaternion=UPRIGHT)

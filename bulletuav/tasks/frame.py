@@ -25,8 +25,8 @@ RESTING_SPIN = 0.1
 
 TOUCHDOWN_SPEED = 2.0
 """m/s against the ground, of a landing at most; a fall from 0.2 m ends with it"""
-TOUCHDOWN_TILT = np.radians(30.0)
-"""rad, of a landing at most, before and after the decision"""
+TOUCHDOWN_UPRIGHT = np.sqrt(0.75)
+"""Cosine of the tilt of a landing at least, before and after the decision: 30 degrees"""
 STANDING_GAP = 0.001
 """m, above the ground at most, of kinematic drones that stand there without a touch"""
 
@@ -285,7 +285,7 @@ class Frame:
         """(W, N) bool: stands or lands on the ground, told where `Task.lands` allows it.
 
         It touches nothing else, met the ground at TOUCHDOWN_SPEED or less, and is tilted by
-        TOUCHDOWN_TILT at most. Such a touch is no collision.
+        30 degrees at most. Such a touch is no collision.
         """
         return np.zeros(self.alive.shape, dtype=bool)
 

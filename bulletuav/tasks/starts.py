@@ -30,7 +30,7 @@ def take_given(task: Task[Any], start: object = None, goal: object = None) -> Gi
             remedy = " or ".join(task.places) or "nothing"
             raise ValueError(f"{name} cannot be given in task {task.name!r}: {remedy} can")
         places[name] = _given_positions(task, name, value)
-    if "start" in places and not task.config.take_off:
+    if "start" in places and not task.takes_off:
         lowest = float(places["start"][:, 2].min())
         if lowest <= task.context.collision_radius:
             raise ValueError(
@@ -53,7 +53,7 @@ def _given_positions(task: Task[Any], name: str, value: object) -> np.ndarray:
         raise ValueError(
             f"{name} is {shown(value)}: {drones} finite positions (x, y, z) in metres are needed"
         )
-    if name == "start" and task.config.take_off:
+    if name == "start" and task.takes_off:
         positions = task.on_ground(positions)
     beyond = ((positions < task.arena_low) | (positions > task.arena_high)).any(axis=1)
     if beyond.any():
@@ -99,7 +99,7 @@ def refuse_early_end(max_distance: float, start_offset: float, rise: float = 0.0
     Raises:
         ValueError: They can be farther away than `max_distance`.
     """
-    farthest = float(np.hypot(start_offset * np.sqrt(2), start_offset + rise))
+    farthest = float(np.sqrt(2 * start_offset**2 + (start_offset + rise) ** 2))
     if max_distance <= farthest:
         raise ValueError(
             f"max_distance is {max_distance:g} m: starts may be {farthest:.4g} m from their goals, "

@@ -32,7 +32,7 @@ def test_numpy_flies_as_pytorch_learned(task):
     pilot, config = find_policy("trained", task), RunConfig.read(SHIPPED / task / "run.yaml")
     aviary = bulletuav.Aviary(task, 2, **pilot.options)
     policy, observations = pilot(aviary), aviary.reset(seeds=0)
-    weights = read_weights(pilot.model)
+    weights = read_weights(pilot.models[0])
     space, action = (
         aviary.observer.space(),
         bulletuav.batch_env(task, 1, **pilot.options).action_space,

@@ -119,7 +119,7 @@ class Airspace(ObstacleTask[FlightConfigT], Generic[FlightConfigT]):
         config.check(context)
         self.rebound = REBOUND.get(config.boundary)
         self.zone = config.warning_zone * config.d_safe
-        self.lands = config.take_off or config.at_goal == "land"
+        self.lands = self.takes_off or config.at_goal == "land"
         if not config.num_obstacles:
             self.weights["obstacle_warning"] = 0.0
 

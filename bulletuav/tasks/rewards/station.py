@@ -16,6 +16,13 @@ def alive() -> float:
 
 @register("reward")
 @reward
+def holding(distance: float, goal_radius: float) -> float:
+    """1 within `goal_radius` of the goal."""
+    return 1.0 if distance <= goal_radius else 0.0
+
+
+@register("reward")
+@reward
 def distance(distance: float) -> float:
     """Distance to the goal, m."""
     return distance
