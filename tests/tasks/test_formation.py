@@ -375,7 +375,7 @@ def test_same_seed_same_flight_whatever_other_worlds_do():
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ({"shapes": "wedge"}, "unknown shape 'wedge'"),
+        ({"shapes": "wedge"}, "unknown entry of shapes 'wedge'"),
         ({"shapes": ("v", "lime")}, "did you mean 'line'"),
         ({"shapes": ()}, "is no shape"),
         ({"shapes": [(0.0, 0.0)] * 4}, "is no shape"),

@@ -183,7 +183,7 @@ def least_gap(place: np.ndarray) -> float:
 def _named(shape: str) -> Callable[[int, float], np.ndarray]:
     """Find a shape by its name."""
     if shape not in SHAPES:
-        raise unknown("shape", shape, NAMES)
+        raise unknown("entry of shapes", shape, NAMES)
     return SHAPES[shape]
 
 
