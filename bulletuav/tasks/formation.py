@@ -78,7 +78,7 @@ class Formation(Airspace[FormationConfig]):
     places. `shape_error` is what is left of it after the best shift and rotation of the shape.
     `in_place` is the share of the time for which the drone was at its place. `time_to_form` is how
     long it took until all living drones were first at their places at once, s, since the shape or
-    the places last changed; NaN before.
+    the places last changed. Until then it is the time since the change.
     """
 
     name = "formation"
@@ -276,7 +276,8 @@ class Formation(Airspace[FormationConfig]):
         """Tell how far the swarm is off its places and its shape, and how long it took and held."""
         memory, shape = frame.scene.memory, frame.alive.shape
         swarm = (frame.after.position, frame.scene.goal, frame.alive)
-        formed = np.where(memory["formed"] > 0, memory["formed"], np.nan)
+        so_far = frame.time - memory["asked"]
+        formed = np.where(memory["formed"] > 0, memory["formed"], so_far)
         of_world = {
             "formation_error": off_places(*swarm),
             "shape_error": off_shape(*swarm),

@@ -274,7 +274,7 @@ def test_infos_tell_errors_time_in_place_and_time_to_form():
     told = aviary.first_info()
     first = np.linalg.norm(aviary.swarm.position - aviary.scene.goal, axis=-1)
     assert told["formation_error"][0] == pytest.approx([np.sqrt((first**2).mean())] * 4)
-    assert np.isnan(told["time_to_form"]).all()
+    assert not told["time_to_form"].any()
     jump_to(aviary, aviary.scene.goal.copy())
     info = still(aviary).info
     assert info["formation_error"].max() < 1e-6
@@ -292,12 +292,16 @@ def test_infos_tell_errors_time_in_place_and_time_to_form():
     # At the change the clock starts anew.
     while aviary.steps[0] < 30:
         info = still(aviary).info
-    assert np.isnan(info["time_to_form"]).all()
+    assert not info["time_to_form"].any()
     held = info["in_place"] * 3.0
-    while np.isnan(info["time_to_form"]).all():
+    info = still(aviary).info
+    while not info["success"].all():
+        assert info["time_to_form"][0, 0] == pytest.approx(aviary.steps[0] / 10 - 3.0)
         way = aviary.scene.goal - aviary.swarm.position
         info = aviary.step(np.clip(way / 2, -1, 1)).info
     assert info["time_to_form"][0, 0] == pytest.approx(aviary.steps[0] / 10 - 3.0)
+    taken = still(aviary).info["time_to_form"]
+    np.testing.assert_array_equal(taken, info["time_to_form"])
     assert (info["in_place"] * aviary.steps[0] / 10 > held - 1e-9).all()
     aviary.close()
 
