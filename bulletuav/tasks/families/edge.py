@@ -15,6 +15,7 @@ from bulletuav.network.server import Served, serve, serve_on_average
 from bulletuav.network.service_stats import ServiceStats, count
 from bulletuav.network.uplink import RadioConfig, Uplink
 from bulletuav.tasks.base import Rngs
+from bulletuav.tasks.families.difficulties import URBAN_DIFFICULTIES
 from bulletuav.tasks.families.users import UsersConfig, UsersTask
 from bulletuav.tasks.frame import Frame, Scene, TaskContext
 from bulletuav.tasks.observations.base import Block, of_drones
@@ -89,6 +90,11 @@ class EdgeTask(UsersTask[EdgeConfigT], Generic[EdgeConfigT]):
         uplink: Radio link from users to drones.
     """
 
+    difficulties: ClassVar = {
+        **URBAN_DIFFICULTIES,
+        # 16 drones serve everybody wherever they are.
+        "extreme": {**URBAN_DIFFICULTIES["extreme"], "num_drones": 8},
+    }
     shows: ClassVar = {
         "completed": "completed by all",
         "latency": "latency of all (s)",
