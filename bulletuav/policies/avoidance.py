@@ -67,8 +67,11 @@ class Avoidance(Policy):
         traffic = self.traffic(observations, swarm)
         wish = preferred_velocity(traffic.goal, traffic.goal_velocity, self.rules.max_speed)
         velocity = self.avoid(traffic, wish, self.rules)
-        goal_height = self.goal_height(observations, traffic)
-        return self.encoded(touch_down(velocity, traffic.goal, goal_height, self.aviary.task))
+        task = self.aviary.task
+        if task.lands:  # else nobody needs to know how high goals are
+            goal_height = self.goal_height(observations, traffic)
+            velocity = touch_down(velocity, traffic.goal, goal_height, task)
+        return self.encoded(velocity)
 
     def goal_height(self, observations: Observation, traffic: Traffic) -> np.ndarray:
         """Tell how high above the ground goals are, as drones know it, (W, N) m."""
