@@ -15,7 +15,7 @@ from setuptools.command.build_py import build_py
 WHEELS_UNTIL = (3, 11)  # the newest Python for which pybullet 3.2.7 has wheels
 
 
-class BuildWithAirframes(build_py):
+class BuildWithAssets(build_py):
     """Build that copies the top-level `assets/` into the package.
 
     An editable install reads them where they are.
@@ -25,8 +25,8 @@ class BuildWithAirframes(build_py):
         """Build, then copy."""
         super().run()
         if not self.editable_mode:
-            target = Path(self.build_lib, "bulletuav", "assets", "urdf")
-            shutil.copytree("assets/urdf", target, dirs_exist_ok=True)
+            target = Path(self.build_lib, "bulletuav", "assets")
+            shutil.copytree("assets", target, dirs_exist_ok=True)
 
 
 def lacks_compiler() -> bool:
@@ -55,5 +55,5 @@ setup(
         Extension("bulletuav.engine._batch", ["bulletuav/engine/_batch.c"], optional=True),
         Extension("bulletuav.envs._agents", ["bulletuav/envs/_agents.c"], optional=True),
     ],
-    cmdclass={"build_py": BuildWithAirframes},
+    cmdclass={"build_py": BuildWithAssets},
 )

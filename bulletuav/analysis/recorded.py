@@ -11,7 +11,7 @@ import numpy as np
 
 from bulletuav.errors import unknown
 
-VERSION = 3
+VERSION = 4
 """Version of the form of recordings"""
 
 
@@ -45,6 +45,7 @@ class Recording:
         goal: Goals, (T+1, N, 3), m; (T+1, 0, 3) of a task without goals.
         obstacle: Middles of the K obstacles, (T+1, K, 3), m.
         obstacle_radius: Radii of their bounding spheres, (K,), m.
+        obstacle_axis: From the middle of each that is a bar to its end, (K, 3), m; zeros of others.
         building: Lower and upper corners of the bounding boxes of buildings' pieces, (P, 2, 3), m.
         target: Targets of the task that count, (T+1, U, 3), m.
         seen: Targets that some drone sees, (T+1, U) bool.
@@ -75,6 +76,7 @@ class Recording:
     goal: np.ndarray
     obstacle: np.ndarray
     obstacle_radius: np.ndarray
+    obstacle_axis: np.ndarray
     building: np.ndarray
     target: np.ndarray
     seen: np.ndarray

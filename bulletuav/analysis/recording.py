@@ -16,6 +16,7 @@ from bulletuav.envs.step import Step
 from bulletuav.errors import require_file
 from bulletuav.files import replace_file, whole_file
 from bulletuav.geometry.closest_approach import distances
+from bulletuav.geometry.rotation import to_world
 from bulletuav.policies.base import Policy
 from bulletuav.tasks.targets import active_targets
 from bulletuav.vehicle.swarm import Contacts, Swarm
@@ -23,8 +24,11 @@ from bulletuav.version import __version__
 
 __all__ = ["Outcome", "Recording", "fly_episode", "load", "outcomes", "save"]
 
-READABLE = (2, 3)
-"""Versions that are read. 2 tells the task's own infos alone, and goals where there are none."""
+READABLE = (2, 3, 4)
+"""Versions that are read. 2 tells the task's own infos alone, and goals where there are none.
+
+2 and 3 do not tell which obstacles are bars.
+"""
 INFO = "info/"
 """Beginning of the names that infos have in the file"""
 REMEDY = "fly the episode again with this bulletuav"
@@ -151,11 +155,20 @@ def _recording(
         goal=np.array([view.goal for view in views]),
         obstacle=np.array([view.obstacle for view in views]),
         obstacle_radius=np.array([obstacle.radius for obstacle in aviary.task.obstacles()]),
+        obstacle_axis=_bar_axes(aviary),
         building=aviary.solids().bounds,
         target=np.array([view.target for view in views]),
         seen=np.array([view.seen for view in views]),
         info={name: column(name) for name in kept if name not in TOLD},
     )
+
+
+def _bar_axes(aviary: Aviary) -> np.ndarray:
+    """Tell how bars among the obstacles of world 0 lie, (K, 3) m; they do not turn in flight."""
+    turn = aviary.scene.obstacle_quaternion[0].tolist()
+    bodies = zip(aviary.task.obstacles(), turn, strict=True)
+    axes = [to_world(tuple(one), body.long_axis) for body, one in bodies]
+    return np.array(axes).reshape(-1, 3)
 
 
 def _contact_columns(contacts: list[Contacts]) -> dict[str, Any]:
@@ -256,6 +269,8 @@ def load(path: str | Path) -> Recording:
         raise ValueError(f"{found} is no recording ({error}): {REMEDY}") from None
     # The version is looked at before anything that may differ between versions.
     version = _known_version(arrays.pop("version", None), found)
+    if version < 4 and "obstacle_radius" in arrays:
+        arrays["obstacle_axis"] = np.zeros((*arrays["obstacle_radius"].shape, 3))
     missing = [name for name in ARRAYS if name not in arrays]
     if missing:
         raise ValueError(f"{found} is a damaged recording, without {missing[0]!r}: {REMEDY}")

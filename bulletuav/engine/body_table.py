@@ -25,6 +25,8 @@ from bulletuav.vehicle.swarm import CITY, FIRST_OBSTACLE, GROUND
 
 GHOST_COLOUR = (0.98, 0.62, 0.15, 1.0)
 """Colour of the collision shapes of drones in pictures"""
+SPREAD, IN_ROW = 4.0, 32
+"""How far apart obstacles are made below their world, m, and how many in a row"""
 
 
 class BodyTable:
@@ -69,9 +71,10 @@ class BodyTable:
             for w in range(num_worlds)
         ]
         self.drone = np.array(drones, dtype=np.int32)
-        below = [((0, 0, -depth), LEVEL)] * num_worlds
+        # Bullet's tree of bodies stays slow forever where many are made at the same place.
         of_obstacles = [
-            make_solids(client, obstacle.shape, obstacle.colour, below) for obstacle in obstacles
+            make_solids(client, obstacle.shape, obstacle.colour, _below(offset, k, depth))
+            for k, obstacle in enumerate(obstacles)
         ]
         by_obstacle = np.array(of_obstacles, dtype=np.int32).reshape(len(obstacles), num_worlds)
         self.obstacle = by_obstacle.T.copy()
@@ -181,3 +184,9 @@ class BodyTable:
         label[self.floor] = LAND
         label[-1] = SKY
         return label
+
+
+def _below(offset: np.ndarray, k: int, depth: float) -> list[Pose]:
+    """Choose places for obstacle k below the middles (W, 3) of all worlds."""
+    place = np.array((SPREAD * (k % IN_ROW), SPREAD * (k // IN_ROW), -depth))
+    return [(tuple(one), LEVEL) for one in (offset + place).tolist()]

@@ -146,6 +146,7 @@ class Aviary(Decisions):
         scene.goal_velocity[worlds] = start["goal_velocity"]
         scene.obstacle[worlds] = start["obstacle"]
         scene.obstacle_velocity[worlds] = start["obstacle_velocity"]
+        scene.obstacle_quaternion[worlds] = start["obstacle_quaternion"]
         scene.layout[worlds] = start["layout"]
         for name, remembered in scene.memory.items():
             remembered[worlds] = start[f"memory {name}"]

@@ -12,6 +12,8 @@ SIZES = {"box": 3, "sphere": 1, "cylinder": 2, "hull": 0}
 """Kinds of obstacles, and how many numbers tell their size."""
 LARGEST = 4096.0
 """Greatest edge or radius of an obstacle, m."""
+BAR = 4.0
+"""How many times as long as wide a box is at least that is a bar"""
 MOST_CORNERS = 256
 """Most corners of a hull."""
 MOST_FRICTION = 10.0
@@ -83,6 +85,15 @@ class Obstacle:
             return Shape(CYLINDER, (radius, radius, height / 2))
         across, deep, high = np.abs(np.array(self.corners)).max(axis=0).tolist()
         return Shape(HULL, (across, deep, high), self.corners)
+
+    @property
+    def long_axis(self) -> tuple[float, float, float]:
+        """From the middle of a bar to its end, m; zeros of what is no box as long as a bar."""
+        across, along = sorted(self.size)[-2:] if self.kind == "box" else (1.0, 1.0)
+        if along < BAR * across:
+            return 0.0, 0.0, 0.0
+        x, y, z = (0.5 * edge if edge == along else 0.0 for edge in self.size)
+        return x, y, z
 
     @property
     def radius(self) -> float:

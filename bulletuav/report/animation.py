@@ -14,8 +14,10 @@ from bulletuav.analysis.recording import Recording
 from bulletuav.errors import missing
 from bulletuav.files import whole_file
 from bulletuav.report.figures import (
+    BARS,
     SEEN,
     UNSEEN,
+    bar_lines,
     blank_figure,
     draw_buildings,
     drone_colours,
@@ -69,9 +71,11 @@ class Animation:
         draw_buildings(self._axes, recording)
         # What changes from picture to picture; the order is that of drawing.
         self._text = self._axes.set_title(" ")
-        self._bodies = self._circles(
-            2 * recording.obstacle_radius, facecolors="0.8", edgecolors="0.5"
-        )
+        # Bars are lines, other obstacles discs.
+        sizes = np.where(recording.obstacle_axis.any(axis=1), 0.0, 2 * recording.obstacle_radius)
+        self._bodies = self._circles(sizes, facecolors="0.8", edgecolors="0.5")
+        self._bars = LineCollection([], colors=BARS, linewidths=2)
+        self._axes.add_collection(self._bars)
         self._goals = self._axes.scatter([], [], marker="x", s=60, linewidths=1.6)
         self._targets = self._axes.scatter([], [], marker=".", s=16)
         self._trails = LineCollection([], linewidths=1.2)
@@ -189,6 +193,7 @@ class Animation:
         """Put obstacles, targets and goals where they are."""
         recording = self._recording
         self._bodies.set(offsets=recording.obstacle[row, :, :2])
+        self._bars.set(segments=bar_lines(recording, row))
         if recording.target.shape[1]:
             colour = np.where(recording.seen[row], SEEN, UNSEEN)
             self._targets.set(offsets=recording.target[row, :, :2], color=colour.tolist())

@@ -16,6 +16,8 @@ SEEN = "#228833"
 """Colour of targets in sight"""
 UNSEEN = "#cc3311"
 """Colour of the other targets"""
+BARS = "#d2691e"
+"""Colour of obstacles that are bars, such as those of gates"""
 
 
 def blank_figure(width: float, height: float) -> Figure:
@@ -45,6 +47,14 @@ def drone_colours(count: int) -> np.ndarray:
     """Return colours (count, 4) of drones, from blue to red."""
     shades = np.linspace(0.05, 0.95, count)
     return np.asarray(matplotlib.colormaps["turbo"](shades))
+
+
+def bar_lines(recording: Recording, row: int) -> list[np.ndarray]:
+    """List the bars among obstacles as lines (2, 2) seen from above, at a row of the states."""
+    axis = recording.obstacle_axis
+    is_bar = axis.any(axis=1)
+    middle, half = recording.obstacle[row, is_bar, :2], axis[is_bar, :2]
+    return list(np.stack([middle - half, middle + half], axis=1))
 
 
 def draw_buildings(axes: Axes, recording: Recording) -> None:

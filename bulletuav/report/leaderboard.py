@@ -25,6 +25,11 @@ SHOWN = {
     "formation_error": "off places m",
     "shape_error": "off shape m",
     "time_to_form": "to form s",
+    "gates": "gates",
+    "missed": "missed",
+    "overtakes": "overtakes",
+    "lap_time": "lap s",
+    "race_time": "race s",
 }
 """Metrics of the table, with their headings; those that no episode of a table has are left out"""
 FOOTNOTE = (

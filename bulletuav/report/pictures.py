@@ -11,8 +11,10 @@ from matplotlib.patches import Circle
 from bulletuav.analysis.recording import Recording
 from bulletuav.report.animation import Animation
 from bulletuav.report.figures import (
+    BARS,
     SEEN,
     UNSEEN,
+    bar_lines,
     blank_figure,
     draw_buildings,
     drone_colours,
@@ -151,7 +153,11 @@ def _mark_separations(axes: Axes, separation: np.ndarray, d_safe: float) -> None
 def _draw_obstacles(axes: Axes, recording: Recording) -> None:
     """Draw the ways of obstacles, where they were at first (dotted) and where they came to."""
     tracks = recording.obstacle.swapaxes(0, 1)
-    for track, radius in zip(tracks, recording.obstacle_radius, strict=True):
+    is_bar = recording.obstacle_axis.any(axis=1)
+    for row, style in ((0, ":"), (-1, "-")):
+        lines = bar_lines(recording, row)
+        axes.add_collection(LineCollection(lines, colors=BARS, linewidths=2, linestyles=style))
+    for track, radius in zip(tracks[~is_bar], recording.obstacle_radius[~is_bar], strict=True):
         axes.plot(track[:, 0], track[:, 1], color="0.6", lw=1)
         for row, style in ((0, ":"), (-1, "-")):
             axes.add_patch(

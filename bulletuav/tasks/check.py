@@ -68,6 +68,7 @@ def take_spawns(
     drones, things = (len(airframes), 3), (obstacles, 3)
     shapes = dict.fromkeys(("position", "goal", "velocity", "rates", "goal_velocity"), drones)
     shapes |= {"quaternion": (len(airframes), 4), "obstacle": things, "obstacle_velocity": things}
+    shapes["obstacle_quaternion"] = (obstacles, 4)
     for spawn in spawns:
         if not isinstance(spawn, Spawn):
             raise ValueError(f"spawn of task {task.name!r} gave {shown(spawn)}: a Spawn is needed")
@@ -86,6 +87,7 @@ def take_spawns(
             for one in values:
                 if not np.isfinite(one).all():
                     raise _refused(task, name, f"is {shown(one)}", "finite numbers are needed")
+    _check_turns(task, fields["obstacle_quaternion"])
     places = (fields["position"], fields["quaternion"])
     if not _all_clear(*places, task.context.collision_radius):
         for position, quaternion in zip(*places, strict=True):
@@ -120,6 +122,7 @@ ONE_FOR_ALL = {
     "goal": ((3,), (1, 3)),
     "velocity": ((), (3,), (1, 3)),
     "quaternion": ((4,), (1, 4)),
+    "obstacle_quaternion": ((4,), (1, 4)),
     "rates": ((), (3,), (1, 3)),
     "goal_velocity": ((), (3,), (1, 3)),
 }
@@ -154,6 +157,17 @@ def _check_memory(task: Task[Any], spawn: Spawn, remembered: Mapping[str, np.nda
             raise _refused(
                 task, f"memory {name!r}", what, f"{remembered[name].shape[1:]} is needed"
             )
+
+
+def _check_turns(task: Task[Any], quaternion: np.ndarray) -> None:
+    """Refuse obstacles (S, K) that are not turned by unit quaternions."""
+    off = np.abs(np.einsum("skj,skj->sk", quaternion, quaternion) - 1)
+    if off.max(initial=0.0) > 2 * UNIT:
+        world, k = np.unravel_index(int(off.argmax()), off.shape)
+        what = f"of obstacle {k} has the norm {np.linalg.norm(quaternion[world, k]):g}"
+        raise _refused(
+            task, "obstacle_quaternion", what, "a unit quaternion is needed: divide by it"
+        )
 
 
 def _check_places(

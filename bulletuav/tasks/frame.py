@@ -43,6 +43,7 @@ class Spawn(NamedTuple):
         goal_velocity: (N, 3) m/s, or one number or (3,) for all.
         obstacle: (K, 3) position of the task's obstacles, m.
         obstacle_velocity: (K, 3) m/s.
+        obstacle_quaternion: (K, 4) body to world, or one (4,) for all.
         layout: Index of the city that stands in the world, among the task's `layouts`.
         memory: What the task remembers from the start, by name.
     """
@@ -55,6 +56,7 @@ class Spawn(NamedTuple):
     goal_velocity: np.ndarray | float = 0.0
     obstacle: np.ndarray = NO_OBSTACLES
     obstacle_velocity: np.ndarray = NO_OBSTACLES
+    obstacle_quaternion: np.ndarray | tuple[float, float, float, float] = UPRIGHT
     layout: int = NO_LAYOUT
     memory: Mapping[str, np.ndarray] = MappingProxyType({})
 

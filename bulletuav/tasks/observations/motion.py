@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bulletuav.control.actions import Action
-from bulletuav.geometry.rotation import Quat4, Vec3
+from bulletuav.geometry.rotation import Quat4, Vec3, to_body
 from bulletuav.registry import register
 from bulletuav.sensors.base import Label, vector_labels
 from bulletuav.sensors.imu import MAX_BODY_RATE
@@ -52,6 +52,13 @@ def attitude(quaternion: Quat4) -> Quat4:
 def velocity(known_velocity: Vec3) -> Vec3:
     """Own velocity, world axes."""
     return known_velocity
+
+
+@register("observation")
+@block(lambda task: _speeds("body velocity", task))
+def body_velocity(quaternion: Quat4, known_velocity: Vec3) -> Vec3:
+    """Own velocity, body axes."""
+    return to_body(quaternion, known_velocity)
 
 
 @register("observation")

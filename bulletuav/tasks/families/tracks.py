@@ -1,0 +1,255 @@
+"""Race tracks: read from files, made at random, and refused where they cannot be flown."""
+
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bulletuav.errors import nearest, require_file, shown, unknown
+from bulletuav.functions import atan2, cos, hypot, sin
+from bulletuav.geometry.closest_approach import closest_squared
+from bulletuav.tasks.families.gates import SIDES, Gate, gate_axes
+
+RANDOM = "random"
+"""Name of tracks that are drawn for each episode"""
+SHAPES = (*SIDES, "mixed")
+"""Shapes of gates of a random track; "mixed" alternates"""
+FIELDS = ("position", "yaw", "pitch", "roll", "shape", "size")
+"""What a file tells of a gate; only `position` is needed"""
+ROOM = 3.0
+"""Clear way that is needed before and behind a gate, m"""
+FREE = 0.5
+"""How far that way keeps from frames and from the ground, m"""
+ROW = 4
+"""Blocks side by side"""
+ASIDE, BACK = 2.0, 2.5
+"""Distance between neighbouring blocks, and between rows of them, m"""
+RUN_UP = 6.0
+"""Distance from the first row of blocks to the first gate, m"""
+MAX_TRIES = 200
+"""How often a random track is drawn anew until it can be flown"""
+SPREAD = 0.3
+"""How much nearer to the middle than others a gate of a random track can be, as a share"""
+AIM = 15.0
+"""How far the direction of a random gate is off the way through it, degrees"""
+
+_PACKAGE = Path(__file__).parents[2]
+TRACK_FOLDER = next(
+    folder / "assets" / "tracks"
+    for folder in (_PACKAGE, _PACKAGE.parent)
+    if (folder / "assets").is_dir()
+)
+"""Folder of the tracks that come with the package"""
+
+
+@dataclass(frozen=True)
+class RandomTrack:
+    """What random tracks are like.
+
+    Attributes:
+        gates: How many gates they have.
+        radius: Greatest distance of a gate from the middle, m.
+        height: Least and greatest height of the middles of gates, m.
+        tilt: Greatest pitch and roll of gates, degrees.
+        shape: One of `SHAPES`.
+        size: Width of the openings, m.
+    """
+
+    gates: int
+    radius: float
+    height: tuple[float, float]
+    tilt: float
+    shape: str
+    size: float
+
+    def draw(self, rng: np.random.Generator) -> tuple[Gate, ...]:
+        """Draw gates round the middle, in a random sense of rotation; they may overlap."""
+        count = self.gates
+        turn = 2 * np.pi * (np.arange(count) + rng.uniform(-0.2, 0.2, count)) / count
+        angle = (1.0 if rng.uniform() < 0.5 else -1.0) * turn + rng.uniform(-np.pi, np.pi)
+        radius = self.radius * rng.uniform(1 - SPREAD, 1, count)
+        height = rng.uniform(*self.height, count)
+        place = np.stack([radius * cos(angle), radius * sin(angle), height], axis=1)
+        # Gates are flown along the way from the one before to the one behind, more or less.
+        way = np.roll(place, -1, axis=0) - np.roll(place, 1, axis=0)
+        yaw = np.degrees(atan2(way[:, 1], way[:, 0])) + rng.uniform(-AIM, AIM, count)
+        slope = np.degrees(atan2(way[:, 2], hypot(way[:, 0], way[:, 1])))
+        pitch = slope + self.tilt * rng.uniform(-1, 1, count)
+        roll = self.tilt * rng.uniform(-1, 1, count)
+        pitch = np.clip(pitch, -60, 60)
+        # The first gate is upright: drones come to it from the ground.
+        pitch[0] = roll[0] = 0.0
+        shapes = [self.shape_of(k) for k in range(count)]
+        numbers = zip(place.tolist(), yaw.tolist(), pitch.tolist(), roll.tolist(), strict=True)
+        return tuple(
+            Gate((x, y, z), yaw_, pitch_, roll_, shape, self.size)
+            for ((x, y, z), yaw_, pitch_, roll_), shape in zip(numbers, shapes, strict=True)
+        )
+
+    def shape_of(self, k: int) -> str:
+        """Tell the shape of gate k."""
+        return ("square", "round")[k % 2] if self.shape == "mixed" else self.shape
+
+
+def list_tracks() -> list[str]:
+    """List the names of the tracks that come with the package."""
+    return sorted(path.stem for path in TRACK_FOLDER.glob("*.toml"))
+
+
+def load_track(source: object, usual: RandomTrack) -> tuple[Gate, ...]:
+    """Read a track.
+
+    Args:
+        source: Name of a track, or the path of a TOML file. That has a table `[[gates]]` for each
+            gate, in the order of flight, with what `Gate` has; angles and shape may be left out.
+        usual: Shape and size of gates whose file tells none.
+
+    Returns:
+        The gates.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: The name is unknown, or the file is no track.
+    """
+    names = list_tracks()
+    if isinstance(source, str) and not source.endswith(".toml"):
+        if source not in names:
+            raise unknown("track", source, (RANDOM, *names))
+        source = TRACK_FOLDER / f"{source}.toml"
+    path = require_file("track", source, f"choose from {', '.join(names)}, or give a .toml file")
+    try:
+        told = tomllib.loads(path.read_text())
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"track {path} is no TOML: {error}") from None
+    tables = told.get("gates")
+    if not isinstance(tables, list) or len(tables) < 2:
+        raise ValueError(f"track {path} has {shown(tables)} as gates: two or more are needed")
+    return tuple(_gate_of(path, k, table, usual) for k, table in enumerate(tables))
+
+
+def _gate_of(path: Path, k: int, table: object, usual: RandomTrack) -> Gate:
+    """Make a gate of its table. Raises ValueError for what it cannot be made of."""
+    who = f"gate {k} of track {path}"
+    if not isinstance(table, dict):
+        raise ValueError(f"{who} is {shown(table)}: a table [[gates]] is needed")
+    for name in table:
+        if name not in FIELDS:
+            raise ValueError(f"{who} has {shown(name)}: {nearest(name, FIELDS)}")
+    if "position" not in table:
+        raise ValueError(f"{who} has no position: position = [x, y, z] is needed, m")
+    given: Mapping[str, Any] = {"shape": usual.shape_of(k), "size": usual.size, **table}
+    try:
+        return Gate(**given)
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"{who}: {error}") from None
+
+
+def blocks(gates: tuple[Gate, ...], drones: int) -> np.ndarray:
+    """Place starting blocks on the ground before the first gate, in rows of four.
+
+    Returns:
+        (N, 3) m; the first ones are nearest to the gate.
+
+    Raises:
+        ValueError: The first gate is to be flown straight up or down.
+    """
+    (east, north, _) = gate_axes(gates[:1])[0, 0]
+    level = float(hypot(east, north))
+    if level < 0.5:
+        raise ValueError(
+            f"gate 0 has a pitch of {gates[0].pitch:g} degrees: 60 at most are possible, as drones "
+            f"start on the ground before it"
+        )
+    forward = np.array((east, north)) / level
+    left = np.array((-forward[1], forward[0]))
+    index = np.arange(drones)
+    row, column = index // ROW, index % ROW
+    in_row = np.minimum(drones - row * ROW, ROW)
+    aside = ASIDE * (column - (in_row - 1) / 2)
+    behind = RUN_UP + BACK * row
+    places = np.array(gates[0].position[:2]) - np.outer(behind, forward) + np.outer(aside, left)
+    return np.column_stack([places, np.zeros(drones)])
+
+
+def fault(gates: tuple[Gate, ...], start: np.ndarray, radius: float, motion: float) -> str | None:
+    """Tell why a track cannot be flown, or None where it can.
+
+    Args:
+        gates: In the order of flight.
+        start: (N, 3) where drones start, m.
+        radius: Of the drones, m.
+        motion: How far gates move to either side, m.
+    """
+    middle = np.array([gate.position for gate in gates])
+    reach = np.array([gate.reach for gate in gates]) + motion
+    forward = gate_axes(gates)[:, 0]
+    for k, gate in enumerate(gates):
+        who = f"gate {k} at {shown(gate.position)} m"
+        if gate.size <= 2 * radius:
+            return f"{who} is {gate.size:g} m wide, and a drone is {2 * radius:.3g} m: widen it"
+        if middle[k, 2] - _depth(gate) < 0:
+            return f"{who} reaches into the ground: raise it"
+        # Others must not touch it, nor stand in the way through it.
+        ends = np.stack([middle[k] - ROOM * forward[k], middle[k] + ROOM * forward[k]])
+        for other in range(len(gates)):
+            if other == k:
+                continue
+            gap = float(np.linalg.norm(middle[k] - middle[other]))
+            if gap < reach[k] + reach[other]:
+                return (
+                    f"{who} and gate {other} overlap: their middles are {gap:.3g} m apart, "
+                    f"{reach[k] + reach[other]:.3g} m are needed"
+                )
+            near, far = map(tuple, (ends - middle[other]).tolist())
+            if closest_squared(near, far)[1] < (reach[other] + FREE) ** 2:
+                return (
+                    f"{who} faces gate {other} like a wall: {ROOM:g} m before and behind it have "
+                    f"to be clear; turn or move it"
+                )
+        if ends[:, 2].min() < FREE:
+            return (
+                f"{who} faces the ground: the way through it is below {FREE:g} m at {ROOM:g} m "
+                f"from it; raise it, or lower its pitch"
+            )
+        off = np.linalg.norm(start - middle[k], axis=1).min()
+        if off < reach[k] + FREE:
+            return f"{who} is {off:.3g} m from a starting block: {reach[k] + FREE:.3g} m are needed"
+    return None
+
+
+def _depth(gate: Gate) -> float:
+    """Tell how far a frame reaches down from its middle, m."""
+    _, left, up = gate_axes([gate])[0]
+    steps = 2 * math.pi * (np.arange(gate.sides) + 0.5) / gate.sides
+    return float(-gate.reach * (cos(steps) * left[2] + sin(steps) * up[2]).min())
+
+
+def draw_track(
+    rng: np.random.Generator, like: RandomTrack, drones: int, radius: float, motion: float
+) -> tuple[Gate, ...]:
+    """Draw a track that can be flown.
+
+    Args:
+        rng: Random generator.
+        like: What it is like.
+        drones: How many start.
+        radius: Of the drones, m.
+        motion: How far gates move to either side, m.
+
+    Raises:
+        ValueError: None was found; the last fault is told.
+    """
+    found = None
+    for _ in range(MAX_TRIES):
+        gates = like.draw(rng)
+        found = fault(gates, blocks(gates, drones), radius, motion)
+        if found is None:
+            return gates
+    raise ValueError(
+        f"no random track of {like.gates} gates within {like.radius:g} m can be flown ({found}): "
+        f"raise track_radius, or lower num_gates, gate_size or gate_tilt"
+    )

@@ -1,0 +1,66 @@
+"""Observation blocks about the gates of a race."""
+
+from typing import Any
+
+import numpy as np
+
+from bulletuav.geometry.rotation import Quat4, to_body
+from bulletuav.registry import register
+from bulletuav.sensors.base import Label, vector_labels
+from bulletuav.tasks.ingredients import block
+
+PER_GATE = 10
+"""Numbers of each: position, direction, velocity; width"""
+
+
+def gate_labels(task: Any) -> tuple[Label, ...]:
+    """Label what is seen of the next gates."""
+    size = np.full(3, float(np.linalg.norm(task.arena_high - task.arena_low)))
+    fast = np.full(3, task.course.fastest)
+    labels: list[Label] = []
+    for k in range(1, task.config.gates_seen + 1):
+        labels += vector_labels(f"gate {k} position", "m", -size, size)
+        labels += vector_labels(f"gate {k} direction", "1", -np.ones(3), np.ones(3))
+        labels += vector_labels(f"gate {k} velocity", "m/s", -fast, fast)
+        labels.append(Label(f"gate {k} size", "m", 0.0, task.course.widest))
+    return tuple(labels)
+
+
+@register("observation")
+@block(gate_labels)
+def next_gates(
+    known_position: np.ndarray,
+    quaternion: Quat4,
+    passed: float,
+    all_gate: np.ndarray,
+    all_gate_axis: np.ndarray,
+    all_gate_velocity: np.ndarray,
+    all_gate_size: np.ndarray,
+    laps: int,
+    out: np.ndarray,
+) -> None:
+    """Gates that come next, in body axes: middle, direction to fly, velocity; and width.
+
+    Zeros where there are fewer.
+    """
+    count = len(all_gate)
+    for k in range(len(out) // PER_GATE):
+        turn = int(passed) + k
+        if turn >= laps * count:
+            continue
+        g = turn % count
+        middle, ahead, moving = all_gate[g], all_gate_axis[g, 0], all_gate_velocity[g]
+        way = (
+            middle[0] - known_position[0],
+            middle[1] - known_position[1],
+            middle[2] - known_position[2],
+        )
+        seen = (
+            to_body(quaternion, way),
+            to_body(quaternion, (ahead[0], ahead[1], ahead[2])),
+            to_body(quaternion, (moving[0], moving[1], moving[2])),
+        )
+        for m in range(3):
+            for axis in range(3):
+                out[PER_GATE * k + 3 * m + axis] = seen[m][axis]
+        out[PER_GATE * k + 9] = all_gate_size[g]
