@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Iterable, Sequence
+from functools import cached_property
 
 import numpy as np
 
@@ -36,7 +37,6 @@ class BodyTable:
         floor: The ground that pictures show.
         ground: The plane z = 0 that drones and rays meet.
         drone: (W, N) the drones.
-        obstacle: (W, K) the obstacles.
         layouts: The city layouts.
     """
 
@@ -49,8 +49,9 @@ class BodyTable:
         offset: np.ndarray,
         parking: np.ndarray,
         depth: float,
+        with_obstacles: bool,
     ) -> None:
-        """Make all bodies, out of each other's way.
+        """Make the bodies, out of each other's way.
 
         Args:
             client: Number that Bullet gave the client.
@@ -60,28 +61,28 @@ class BodyTable:
             offset: (W, 3) origins of the tiles, m.
             parking: (W, N, 3) places of the drones in Bullet's frame, m.
             depth: Depth of the obstacles below the ground, m.
+            with_obstacles: Whether obstacles are made now, or when somebody first asks for them:
+                Bullet takes time for each body in every step.
         """
-        num_worlds = len(offset)
         num_drones = len(airframes)
         # Bullet numbers bodies in the order in which they are made, and solves contacts by number.
         self.floor = make_floor(client)
         self.ground = make_ground(client)
         drones = [
             [make_drone(client, airframe, parking[w, i]) for i, airframe in enumerate(airframes)]
-            for w in range(num_worlds)
+            for w in range(len(offset))
         ]
         self.drone = np.array(drones, dtype=np.int32)
-        # Bullet's tree of bodies stays slow forever where many are made at the same place.
-        of_obstacles = [
-            make_solids(client, obstacle.shape, obstacle.colour, _below(offset, k, depth))
-            for k, obstacle in enumerate(obstacles)
-        ]
-        by_obstacle = np.array(of_obstacles, dtype=np.int32).reshape(len(obstacles), num_worlds)
-        self.obstacle = by_obstacle.T.copy()
+        self._client = client
+        self._obstacles, self._offset, self._depth = obstacles, offset, depth
+        self._other_of_body: dict[int, int] = {}
+        self._made_later = 0
+        if with_obstacles:
+            self.obstacle  # noqa: B018
+            self._made_later = 0
         diameter = 2 * max(airframe.collision_radius for airframe in airframes)
         self.layouts = LayoutBodies(client, layouts, offset, diameter)
 
-        self._client = client
         self._num_bodies: int = bullet.getNumBodies(client)
         self._airframes = tuple(airframes)
         self._added: list[int] = []
@@ -93,14 +94,23 @@ class BodyTable:
             body: divmod(k, num_drones) for k, body in enumerate(self.drone.ravel().tolist())
         }
         # What a contact calls other bodies; those that are left out are the ground.
-        self._other_of_body = {
-            body: FIRST_OBSTACLE - k
-            for bodies in self.obstacle.tolist()
-            for k, body in enumerate(bodies)
-        }
         self._other_of_body |= {
             body: CITY for bodies in self.layouts.body for body in bodies.ravel().tolist()
         }
+
+    @cached_property
+    def obstacle(self) -> np.ndarray:
+        """(W, K) the obstacles; they are made when this is first asked for."""
+        # Bullet's tree of bodies stays slow forever where many are made at the same place.
+        made = [
+            make_solids(self._client, one.shape, one.colour, _below(self._offset, k, self._depth))
+            for k, one in enumerate(self._obstacles)
+        ]
+        for k, bodies in enumerate(made):
+            self._other_of_body |= dict.fromkeys(bodies, FIRST_OBSTACLE - k)
+        self._made_later = sum(map(len, made))
+        bodies_of = np.array(made, dtype=np.int32).reshape(len(made), len(self._offset))
+        return bodies_of.T.copy()
 
     def add(self, shape: Shape, colour: Colour, poses: Iterable[Pose], other: int) -> None:
         """Make a piece of a body that stands still.
@@ -117,7 +127,8 @@ class BodyTable:
 
     def warn_of_strangers(self) -> None:
         """Warn, once each, of bodies that someone made in our client without `add_body`."""
-        known = self._num_bodies + self.layouts.num_facades + len(self._added + self._ghosts)
+        made_later = self._made_later + self.layouts.num_facades + len(self._added + self._ghosts)
+        known = self._num_bodies + made_later
         strangers = bullet.getNumBodies(self._client) - known
         if strangers > self._strangers:
             warnings.warn(
@@ -175,7 +186,8 @@ class BodyTable:
             (B,) uint8. The entry before the last is for all bodies that are made later. The last is
             for pixels without a body (-1).
         """
-        last = max([self._num_bodies - 1, *self._added, *self._ghosts])
+        obstacles = self.obstacle.ravel().tolist()
+        last = max([self._num_bodies - 1, *self._added, *self._ghosts, *obstacles])
         label = np.full(last + 3, BUILDING, dtype=np.uint8)
         label[self.drone] = DRONE
         label[self._ghosts] = DRONE

@@ -36,7 +36,7 @@ SHARE, FREE = 0.9, 0.9
 narrower ones less, so that more is left to correct errors"""
 SPEED = 0.98
 """Share of max_speed that lines need"""
-CLEAR = 0.3
+CLEAR = 0.4
 """Room that lines leave between a drone's shape and the frames, m"""
 ROUND = 0.7
 """Size of a square in a round opening, as a share of the opening"""

@@ -1,6 +1,6 @@
 """Task `follow`: drones keep their stations about a moving target."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
@@ -14,9 +14,12 @@ from bulletuav.tasks.base import Rngs, Task
 from bulletuav.tasks.config import TaskConfig
 from bulletuav.tasks.ends import at_goal, collision, too_far
 from bulletuav.tasks.frame import Scene, Spawn, TaskContext
+from bulletuav.tasks.ingredients import reward
 from bulletuav.tasks.rewards.station import speed_to_goal
 from bulletuav.tasks.starts import refuse_early_end, refuse_overlap
 
+TURN_ACCELERATION = 3.0
+"""Greatest acceleration of targets across their way, m/s^2: that of a car in a curve"""
 RED = (0.75, 0.2, 0.15, 1.0)
 """Colour of targets, RGBA"""
 
@@ -57,7 +60,8 @@ class FollowConfig(TaskConfig):
     Attributes:
         target: What is followed: "vehicle" or "drone".
         target_speed: Speed of the target, m/s.
-        turn: Random change of the target's heading, rad: its standard deviation after one second.
+        turn: Random change of the target's course, rad: its standard deviation after one second.
+            The heading follows as fast as TURN_ACCELERATION allows.
         arena: Distance from the start at which the target turns home, m.
         distance: Radius of the circle of stations about the target, m.
         start_offset: Largest offset of a start from its station on each axis, m.
@@ -77,13 +81,33 @@ class FollowConfig(TaskConfig):
     max_distance: float = 40.0
 
 
+@reward
+def lost(
+    collision: bool,
+    distance: float,
+    max_distance: float,
+    time: float,
+    duration: float,
+    period: float,
+) -> float:
+    """Decisions that are left when the drone's episode ends early."""
+    return (duration - time) / period if collision or distance > max_distance else 0.0
+
+
+def angle_between(first: float, second: float) -> float:
+    """Compute the turn from one heading to another, from -pi to pi, rad."""
+    turn = second - first
+    return turn - 2 * np.pi * round(turn / (2 * np.pi))
+
+
 @register("task")
 class Follow(Task[FollowConfig]):
     """Flight about a moving target, in which each drone keeps its own station.
 
     The target is a body that can be hit: a ground vehicle or another drone. It drives at a constant
-    speed, and its heading wanders. Stations are spread evenly on a circle of 6 m about it, 8 m
-    above a vehicle, level with a drone, and move with it. Drones start at rest near them.
+    speed, and its heading wanders; 80 m from the start it turns home. Stations are spread evenly on
+    a circle of 6 m about it, 8 m above a vehicle, level with a drone, and move with it. Drones
+    start at rest near them.
 
     Observation, Box(16) per drone with the defaults: attitude as a quaternion, body to world;
     offset from the drone to its station, velocity and the station's velocity in world axes (east,
@@ -97,6 +121,7 @@ class Follow(Task[FollowConfig]):
     - alive 1: 1 a decision.
     - distance -0.1: distance to the station, m.
     - speed -0.05: speed relative to the station, m/s.
+    - lost -1: decisions that are left when the drone's episode ends early.
 
     End: terminated on any contact of collision shapes, or further than 40 m from the station.
     Truncated after 300 decisions.
@@ -120,7 +145,12 @@ class Follow(Task[FollowConfig]):
         "extreme": {"target_speed": 12.0, "turn": 1.2},
     }
     observation = ("attitude", "goal_offset", "velocity", "rates", "goal_velocity")
-    reward: ClassVar = {"alive": 1.0, "distance": -0.1, "speed": (speed_to_goal, -0.05)}
+    reward: ClassVar = {
+        "alive": 1.0,
+        "distance": -0.1,
+        "speed": (speed_to_goal, -0.05),
+        "lost": (lost, -1.0),
+    }
     shows: ClassVar = {
         "success": "at station",
         "collision": "collisions",
@@ -152,7 +182,8 @@ class Follow(Task[FollowConfig]):
         self._station = circle + np.array((0, 0, target.station_height))
         self._check_start(target)
         refuse_early_end(config.max_distance, config.start_offset)
-        reach = config.arena + config.distance + config.max_distance
+        half_circle = 2 * config.target_speed**2 / TURN_ACCELERATION
+        reach = config.arena + half_circle + config.distance + config.max_distance
         top = self._height + target.station_height + config.max_distance
         self.arena_low = np.array([-reach, -reach, 0.0])
         self.arena_high = np.array([reach, reach, top])
@@ -180,6 +211,10 @@ class Follow(Task[FollowConfig]):
         """List the target, which is the only obstacle."""
         return (self._body,)
 
+    def memory(self) -> Mapping[str, tuple[int, ...]]:
+        """Tell that the "course" () is kept that the target's heading follows, rad."""
+        return {"course": ()}
+
     def spawn(self, rng: np.random.Generator) -> Spawn:
         """Draw a start of the target at the origin, and of drones at rest near their stations."""
         config = self.config
@@ -195,6 +230,7 @@ class Follow(Task[FollowConfig]):
             goal_velocity=velocity,
             obstacle=target,
             obstacle_velocity=velocity,
+            memory={"course": np.array(heading)},
         )
 
     def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
@@ -204,15 +240,17 @@ class Follow(Task[FollowConfig]):
             True: the target moves.
         """
         config = self.config
-        period = self.context.period
+        period, course = self.context.period, scene.memory["course"]
+        most = TURN_ACCELERATION * period / max(config.target_speed, period)
         for w in np.flatnonzero(flying).tolist():
             x, y, _ = scene.obstacle[w, 0]
             vx, vy, _ = scene.obstacle_velocity[w, 0]
-            # The heading wanders, but at the edge it turns home.
-            turn = config.turn * np.sqrt(period) * rngs[w].standard_normal()
-            heading = atan2(vy, vx) + turn
+            # The course wanders, but at the edge it is home. The heading follows as it can.
+            course[w] += config.turn * np.sqrt(period) * rngs[w].standard_normal()
             if hypot(x, y) > config.arena and x * vx + y * vy > 0:
-                heading = atan2(-y, -x)
+                course[w] = atan2(-y, -x)
+            heading = atan2(vy, vx)
+            heading += min(max(angle_between(heading, course[w]), -most), most)
             direction = np.array([cos(heading), sin(heading), 0.0])
             scene.obstacle_velocity[w, 0] = config.target_speed * direction
             scene.obstacle[w, 0] += period * scene.obstacle_velocity[w, 0]

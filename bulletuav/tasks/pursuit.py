@@ -91,10 +91,11 @@ class Pursuit(Airspace[PursuitConfig]):
         "hard": AIRSPACE_DIFFICULTIES["hard"],
         "extreme": {
             "radius": 150.0,
-            "spacing": 8.5,
+            "spacing": 17.0,
             "speed": (12.0, 18.0),
             "horizon": 1000,
             **AIRSPACE_DIFFICULTIES["extreme"],
+            "num_drones": 50,
         },
     }
 

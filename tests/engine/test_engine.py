@@ -24,6 +24,23 @@ def test_tiles_depend_on_the_index_alone_and_never_coincide():
     np.testing.assert_array_equal(offsets[:4, :2] / TILE_PITCH, [(0, 0), (1, 0), (0, 1), (1, 1)])
 
 
+def test_obstacles_are_bodies_when_somebody_looks_and_lie_apart_before():
+    """Many bodies at one place would slow Bullet's tree down for good."""
+    aviary = bulletuav.Aviary("obstacles", 3, dynamics="bullet", num_obstacles=40)
+    bodies = lambda: bullet.getNumBodies(physicsClientId=aviary.client)  # noqa: E731
+    aviary.reset(seeds=0)
+    before = aviary._engine._bodies._num_bodies
+    table = aviary._engine._bodies.obstacle
+    assert bodies() == before + 3 * 40
+    places = [bullet.getBasePositionAndOrientation(one, aviary.client)[0] for one in table.ravel()]
+    assert len(set(places)) == 3 * 40
+    assert max(place[2] for place in places) < -1000.0
+    aviary.render()
+    shown = bullet.getBasePositionAndOrientation(int(table[0, 7]), aviary.client)[0]
+    np.testing.assert_allclose(shown, aviary.scene.obstacle[0, 7])
+    aviary.close()
+
+
 def test_states_go_in_and_out_unchanged(make_bench):
     one = make_bench("bullet", worlds=3, drones=2)
     rng = np.random.default_rng(0)

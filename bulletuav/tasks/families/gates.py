@@ -13,7 +13,7 @@ import numpy as np
 from bulletuav.errors import choose, finite, points_of
 from bulletuav.functions import cos, sin, tan
 from bulletuav.geometry.obstacle import Obstacle
-from bulletuav.geometry.rotation import axes, from_euler, product
+from bulletuav.geometry.rotation import axes, from_euler
 from bulletuav.kernel import kernel
 
 SIDES = {"square": 4, "round": 12}
@@ -90,17 +90,18 @@ def bar_places(gates: Sequence[Gate]) -> tuple[np.ndarray, np.ndarray, np.ndarra
         (B,) which gate each belongs to; (B, 3) how far it is from that gate's middle, in world
         axes, m; (B, 4) its turn, body to world. A bar's y points away from the middle.
     """
-    whose, offset, turn = [], [], []
-    for k, gate in enumerate(gates):
-        _, left, up = axes(gate.quaternion)
-        for side in range(gate.sides):
-            angle = 2 * math.pi * side / gate.sides
-            out = cos(angle) * np.array(left) + sin(angle) * np.array(up)
-            about_x = (float(sin(angle / 2)), 0.0, 0.0, float(cos(angle / 2)))
-            whose.append(k)
-            offset.append((gate.size + BAR) / 2 * out)
-            turn.append(product(gate.quaternion, about_x))
-    return np.array(whose), np.array(offset), np.array(turn)
+    sides = np.array([gate.sides for gate in gates])
+    whose = np.repeat(np.arange(len(gates)), sides)
+    side = np.arange(len(whose)) - np.repeat(np.cumsum(sides) - sides, sides)
+    angle = (2 * np.pi * side / sides[whose])[:, None]
+    out = (np.array([gate.size for gate in gates])[whose, None] + BAR) / 2
+    axis = gate_axes(gates)[whose]
+    offset = out * (cos(angle) * axis[:, 1] + sin(angle) * axis[:, 2])
+    # The gate's turn, after one about its own x axis.
+    x, y, z, w = np.array([gate.quaternion for gate in gates])[whose].T[..., None]
+    c, s = cos(angle / 2), sin(angle / 2)
+    turn = np.concatenate([w * s + x * c, y * c + z * s, z * c - y * s, w * c - x * s], axis=1)
+    return whose, offset, turn
 
 
 def gate_axes(gates: Sequence[Gate]) -> np.ndarray:

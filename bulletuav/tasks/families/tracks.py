@@ -11,7 +11,6 @@ import numpy as np
 
 from bulletuav.errors import nearest, require_file, shown, unknown
 from bulletuav.functions import atan2, cos, hypot, sin
-from bulletuav.geometry.closest_approach import closest_squared
 from bulletuav.tasks.families.gates import SIDES, Gate, gate_axes
 
 RANDOM = "random"
@@ -86,8 +85,8 @@ class RandomTrack:
         shapes = [self.shape_of(k) for k in range(count)]
         numbers = zip(place.tolist(), yaw.tolist(), pitch.tolist(), roll.tolist(), strict=True)
         return tuple(
-            Gate((x, y, z), yaw_, pitch_, roll_, shape, self.size)
-            for ((x, y, z), yaw_, pitch_, roll_), shape in zip(numbers, shapes, strict=True)
+            Gate((x, y, z), heading, rise, lean, shape, self.size)
+            for ((x, y, z), heading, rise, lean), shape in zip(numbers, shapes, strict=True)
         )
 
     def shape_of(self, k: int) -> str:
@@ -187,37 +186,39 @@ def fault(gates: tuple[Gate, ...], start: np.ndarray, radius: float, motion: flo
     middle = np.array([gate.position for gate in gates])
     reach = np.array([gate.reach for gate in gates]) + motion
     forward = gate_axes(gates)[:, 0]
+    # How far each gate is from each other one, and that from the way through it.
+    way = middle - middle[:, None]
+    along = np.clip((way * forward[:, None]).sum(axis=-1), -ROOM, ROOM)
+    off = way - along[..., None] * forward[:, None]
+    gap, off = (np.sqrt((one**2).sum(axis=-1)) for one in (way, off))
+    apart, clear = reach[:, None] + reach, reach + FREE
+    np.fill_diagonal(gap, np.inf)
+    np.fill_diagonal(off, np.inf)
+    block = np.sqrt(((start[:, None] - middle) ** 2).sum(axis=-1)).min(axis=0)
     for k, gate in enumerate(gates):
         who = f"gate {k} at {shown(gate.position)} m"
         if gate.size <= 2 * radius:
             return f"{who} is {gate.size:g} m wide, and a drone is {2 * radius:.3g} m: widen it"
-        if middle[k, 2] - _depth(gate) < 0:
+        if middle[k, 2] < reach[k] and middle[k, 2] < _depth(gate):
             return f"{who} reaches into the ground: raise it"
-        # Others must not touch it, nor stand in the way through it.
-        ends = np.stack([middle[k] - ROOM * forward[k], middle[k] + ROOM * forward[k]])
-        for other in range(len(gates)):
-            if other == k:
-                continue
-            gap = float(np.linalg.norm(middle[k] - middle[other]))
-            if gap < reach[k] + reach[other]:
-                return (
-                    f"{who} and gate {other} overlap: their middles are {gap:.3g} m apart, "
-                    f"{reach[k] + reach[other]:.3g} m are needed"
-                )
-            near, far = map(tuple, (ends - middle[other]).tolist())
-            if closest_squared(near, far)[1] < (reach[other] + FREE) ** 2:
-                return (
-                    f"{who} faces gate {other} like a wall: {ROOM:g} m before and behind it have "
-                    f"to be clear; turn or move it"
-                )
-        if ends[:, 2].min() < FREE:
+        if (gap[k] < apart[k]).any():
+            other = int((gap[k] < apart[k]).argmax())
+            return (
+                f"{who} and gate {other} overlap: their middles are {gap[k, other]:.3g} m apart, "
+                f"{apart[k, other]:.3g} m are needed"
+            )
+        if (off[k] < clear).any():
+            return (
+                f"{who} faces gate {int((off[k] < clear).argmax())} like a wall: {ROOM:g} m before "
+                f"and behind it have to be clear; turn or move it"
+            )
+        if middle[k, 2] - ROOM * abs(forward[k, 2]) < FREE:
             return (
                 f"{who} faces the ground: the way through it is below {FREE:g} m at {ROOM:g} m "
                 f"from it; raise it, or lower its pitch"
             )
-        off = np.linalg.norm(start - middle[k], axis=1).min()
-        if off < reach[k] + FREE:
-            return f"{who} is {off:.3g} m from a starting block: {reach[k] + FREE:.3g} m are needed"
+        if block[k] < clear[k]:
+            return f"{who} is {block[k]:.3g} m from a starting block: {clear[k]:.3g} m are needed"
     return None
 
 
