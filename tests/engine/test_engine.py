@@ -8,6 +8,7 @@ import weakref
 import bench
 import numpy as np
 import psutil
+import pybullet as bullet
 import pytest
 
 import bulletuav
@@ -27,16 +28,16 @@ def test_tiles_depend_on_the_index_alone_and_never_coincide():
 def test_obstacles_are_bodies_when_somebody_looks_and_lie_apart_before():
     """Many bodies at one place would slow Bullet's tree down for good."""
     aviary = bulletuav.Aviary("obstacles", 3, dynamics="bullet", num_obstacles=40)
-    bodies = lambda: bullet.getNumBodies(physicsClientId=aviary.client)  # noqa: E731
     aviary.reset(seeds=0)
-    before = aviary._engine._bodies._num_bodies
+    client = aviary._engine._client
+    before = bullet.getNumBodies(physicsClientId=client)
     table = aviary._engine._bodies.obstacle
-    assert bodies() == before + 3 * 40
-    places = [bullet.getBasePositionAndOrientation(one, aviary.client)[0] for one in table.ravel()]
+    assert bullet.getNumBodies(physicsClientId=client) == before + 3 * 40
+    places = [bullet.getBasePositionAndOrientation(one, client)[0] for one in table.ravel()]
     assert len(set(places)) == 3 * 40
     assert max(place[2] for place in places) < -1000.0
     aviary.render()
-    shown = bullet.getBasePositionAndOrientation(int(table[0, 7]), aviary.client)[0]
+    shown = bullet.getBasePositionAndOrientation(int(table[0, 7]), client)[0]
     np.testing.assert_allclose(shown, aviary.scene.obstacle[0, 7])
     aviary.close()
 

@@ -404,7 +404,7 @@ NORTH = {"position": [0.0, 9.0, 4.0], "yaw": 180.0}
     [
         ([SOUTH], "two or more are needed"),
         ([SOUTH, {"yaw": 3.0}], "gate 1 of track .* has no position"),
-        ([SOUTH, {**NORTH, "with": 2.0}], "'with': did you mean 'size'|choose from"),
+        ([SOUTH, {**NORTH, "width": 2.0}], "gate 1 of track .* has 'width': choose from position"),
         (
             [SOUTH, {**NORTH, "shape": "rond"}],
             "unknown shape of a gate 'rond': did you mean 'round'",
