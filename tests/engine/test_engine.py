@@ -27,7 +27,7 @@ def test_tiles_depend_on_the_index_alone_and_never_coincide():
 
 def test_obstacles_are_bodies_when_somebody_looks_and_lie_apart_before():
     """Many bodies at one place would slow Bullet's tree down for good."""
-    aviary = bulletuav.Aviary("obstacles", 3, dynamics="bullet", num_obstacles=40)
+    aviary = bulletuav.Aviary("obstacles", 3, num_obstacles=40, area=400.0, render_mode="rgb_array")
     aviary.reset(seeds=0)
     client = aviary._engine._client
     before = bullet.getNumBodies(physicsClientId=client)

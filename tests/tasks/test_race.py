@@ -47,9 +47,9 @@ def straight(tmp_path):
     return track_file(tmp_path, there, on)
 
 
-def made(track, worlds=1, **options):
+def made(track, worlds=1, task="race", **options):
     usual = {"num_drones": 1, "take_off": False, **POINTS}
-    aviary = bulletuav.Aviary("race", worlds, **{**usual, "track": track, **options})
+    aviary = bulletuav.Aviary(task, worlds, **{**usual, "track": track, **options})
     aviary.reset(seeds=0)
     return aviary
 
@@ -219,7 +219,7 @@ def test_bars_are_turned_by_unit_quaternions():
             return spawn._replace(obstacle_quaternion=2.0 * spawn.obstacle_quaternion)
 
     with pytest.raises(
-        ValueError, match="obstacle_quaternion .* of obstacle 0 has the norm 2: a un"
+        ValueError, match="obstacle_quaternion .* of obstacle .* has the norm 2: a un"
     ):
         bulletuav.Aviary(Bent, **POINTS).reset()
 
@@ -299,25 +299,25 @@ def test_drones_start_on_blocks_before_the_first_gate(straight):
 )
 @pytest.mark.parametrize("bar", [(0.0, 1.3), (1.3, 0.0), (0.0, -1.3)])
 def test_frames_stop_drones_at_20_metres_a_second(straight, dynamics, bar):
-    aside, above = bar
-    start = [(-14.0, aside, 5.0 + above)]
+    class Shot(Race):
+        name = "shot"
+
+        def spawn(self, rng):
+            return super().spawn(rng)._replace(velocity=(20.0, 0.0, 0.0))
+
+    start = [(-3.0, bar[0], 5.0 + bar[1])]
     options = {"max_speed": 20.0, "start": start, "contact_ends": "nothing"}
-    aviary = made(straight, dynamics=dynamics, **options)
+    aviary = made(straight, task=Shot, dynamics=dynamics, **options)
     ahead = np.zeros((1, 1, 3))
     ahead[..., 0] = 1.0
-    touched, fastest = False, 0.0
-    for _ in range(40):
-        fastest = max(fastest, float(aviary.swarm.velocity[0, 0, 0]))
-        touched |= bool(aviary.step(ahead).info["collision"][0, 0])
-        if touched:
+    for _ in range(10):
+        speed = aviary.swarm.velocity[0, 0, 0]
+        if aviary.step(ahead).info["collision"][0, 0]:
             break
-        # Keep on the height of the bar: drones sink as they tilt.
-        ahead[0, 0, 1:] = (start[0] - aviary.swarm.position[0, 0])[1:] * 0.1
-    assert touched
+    assert speed > 15.0
+    assert aviary.scene.memory["contacts"][0, 0] == 1
     assert aviary.swarm.position[0, 0, 0] < 0.0
     assert aviary.scene.memory["passed"][0, 0] == 0
-    if dynamics in ("single_integrator", "double_integrator", "point_mass"):
-        assert fastest > 15.0
 
 
 @pytest.mark.parametrize("motion", [0.0, 1.5])
@@ -363,9 +363,7 @@ def test_the_next_gates_are_seen_in_body_axes():
             memory["gate_velocity"][0, k],
         )
         expected = np.concatenate([*turn.apply(vectors), memory["gate_size"][0, k : k + 1]])
-        bounds = aviary.observer.labels[first + 10 * k : first + 10 * (k + 1)]
-        scale = np.array([label.high for label in bounds])
-        np.testing.assert_allclose(told * scale, expected, atol=1e-3)
+        np.testing.assert_allclose(told, expected, atol=1e-4)
     memory["passed"][:] = 5
     seen = aviary.observer.observe(aviary._current(), aviary.alive)[0]
     assert (seen[:, first + 10 : first + 20] == 0).all()  # after the last one there is none
@@ -377,7 +375,8 @@ def test_the_next_gates_are_seen_in_body_axes():
 
 @pytest.mark.parametrize("name", list_tracks())
 def test_our_tracks_can_be_flown_by_eight(name):
-    assert fault(track := load_track(name, USUAL), blocks(track, 8), 0.2, 0.0) is None
+    track = load_track(name, USUAL)
+    assert fault(track, blocks(track, 8), 0.2, 0.0) is None
     aviary = made(name, num_drones=8, laps=2)
     assert aviary.task.turns == 2 * len(track)
     assert (aviary.task.arena_low < [gate.position for gate in track]).all()
@@ -404,7 +403,7 @@ NORTH = {"position": [0.0, 9.0, 4.0], "yaw": 180.0}
     [
         ([SOUTH], "two or more are needed"),
         ([SOUTH, {"yaw": 3.0}], "gate 1 of track .* has no position"),
-        ([SOUTH, {**NORTH, "width": 2.0}], "gate 1 of track .* has 'width': choose from position"),
+        ([SOUTH, {**NORTH, "width": 2.0}], "gate 1 of track .* has 'width'"),
         (
             [SOUTH, {**NORTH, "shape": "rond"}],
             "unknown shape of a gate 'rond': did you mean 'round'",
@@ -414,7 +413,7 @@ NORTH = {"position": [0.0, 9.0, 4.0], "yaw": 180.0}
         ([SOUTH, {**NORTH, "pitch": 95.0}], "pitch of a gate"),
         ([SOUTH, {**NORTH, "position": [0.0, 9.0]}], "position of a gate"),
         ([SOUTH, {**NORTH, "position": [1.0, -9.0, 4.0]}], "gate 0 .* and gate 1 overlap"),
-        ([SOUTH, {"position": [3.2, -9.0, 4.0]}], "faces gate 1 like a wall"),
+        ([SOUTH, {"position": [4.2, -9.0, 4.0]}], "faces gate 1 like a wall"),
         ([SOUTH, {**NORTH, "position": [0.0, 9.0, 1.0]}], "gate 1 .* reaches into the ground"),
         ([SOUTH, {**NORTH, "pitch": -80.0, "position": [0, 9, 3.0]}], "gate 1 .* faces the ground"),
         ([SOUTH, {**NORTH, "size": 0.3}], "gate 1 .* is 0.3 m wide, and a drone is 0.3"),
