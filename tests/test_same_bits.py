@@ -25,6 +25,7 @@ CASES = [
     {"task": "obstacles", "dynamics": "rigid_body", "action": "heading_speed"},
     {"task": "lidar_navigation", "dynamics": "rigid_body"},
     {"task": "mec_advanced", "difficulty": "hard"},
+    {"task": "race", "dynamics": "rigid_body", "difficulty": "extreme", "randomization": {}},
     {"task": "mobile_users"},
     {"task": "formation", "dynamics": "rigid_body", "assignment": "free", "change_every": 2.0},
     {"task": "hover", "dynamics": "rigid_body", "controller": "pid", "effects": ("downwash",)},
@@ -73,7 +74,7 @@ def usual():
     ],
 )
 def test_flights_are_the_same_on(machine, usual):
-    assert len(usual) == 11
+    assert len(usual) == 12
     assert flown(EMULATED[machine]) == usual
 
 

@@ -12,7 +12,7 @@ SIZES = {"box": 3, "sphere": 1, "cylinder": 2, "hull": 0}
 """Kinds of obstacles, and how many numbers tell their size."""
 LARGEST = 4096.0
 """Greatest edge or radius of an obstacle, m."""
-BAR = 4.0
+BAR = 2.5
 """How many times as long as wide a box is at least that is a bar"""
 MOST_CORNERS = 256
 """Most corners of a hull."""

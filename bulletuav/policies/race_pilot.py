@@ -142,6 +142,21 @@ class RacePilot(Policy):
         velocity[now[:, None] < self._begin - LEAD_IN] = (0.0, 0.0, -REST)
         return self.encoded(velocity)
 
+    def fastest(self, w: int, swarm: Swarm) -> float:
+        """Compute how long the fastest line of drone 0 of world w takes, s: a reference for it.
+
+        It begins at once from rest, touches frames, and needs all of the speed and acceleration.
+        Gates that swing count where they are at the start. Call it before the flight.
+
+        Args:
+            w: Index of the world.
+            swarm: The state of all drones, right after a reset.
+        """
+        limits = Limits(self.aviary.options.max_speed, MOST, DRAG)
+        self._begin_at(w, 0, swarm, 0.0)
+        way = self._way(w, 0, 0.0, clear=0.0)
+        return float(line_of(way, fastest_choice(way, limits), limits).time[-1])
+
     def _look_up(self, swarm: Swarm, now: np.ndarray) -> None:
         """Find out what lines say at times (W,), s."""
         lines = (self._position, self._velocity, self._time, self._count)
@@ -205,7 +220,7 @@ class RacePilot(Policy):
         self._time[w, i, :count], self._time[w, i, count:] = line.time, np.inf
         self._count[w, i] = count
 
-    def _way(self, w: int, i: int, now: float) -> Way:
+    def _way(self, w: int, i: int, now: float, clear: float = CLEAR) -> Way:
         """Tell what a line has to pass."""
         first, course = int(self._first[w, i]), self._task.course
         turn = np.arange(first, min(first + LOOK, self._task.turns)) % course.gates
@@ -217,7 +232,7 @@ class RacePilot(Policy):
         middle = (self._memory("gate")[w] - swung[0])[turn] + later[:, 0]
         start, speed = self._start[w, i], math.sqrt(float((self._speed[w, i] ** 2).sum()))
         ahead = self._speed[w, i] / speed if speed > 1.0 else _climbing(middle[0] - start)
-        free = self._memory("gate_size")[w, turn] / 2 - self._radius - CLEAR
+        free = self._memory("gate_size")[w, turn] / 2 - self._radius - clear
         free = np.where(course.sides[turn] > SIDES["square"], ROUND * free, free)
         return Way(
             point=np.concatenate([start[None], middle]),

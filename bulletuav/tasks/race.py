@@ -152,7 +152,7 @@ class Race(Task[RaceConfig]):
     }
     shows: ClassVar = {
         "success": "finished",
-        "race_time": "race time (s)",
+        "goal_distance": "to gate (m)",
         "gates": "gates",
         "missed": "missed",
         "overtakes": "overtakes",

@@ -10,7 +10,7 @@ from bulletuav.analysis.incentives import SHIRKERS, incentives, shirkers
 from bulletuav.tasks.converge import Converge
 
 POINTS = {"dynamics": "single_integrator"}
-CASES = ["converge", "pursuit", "formation", "hover", "los"]
+CASES = ["converge", "pursuit", "formation", "hover", "los", "race"]
 
 
 @pytest.mark.parametrize("task", CASES)

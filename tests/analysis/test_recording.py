@@ -12,6 +12,7 @@ from bulletuav.analysis.recorded import summary
 from bulletuav.analysis.recording import Recording, fly_episode, load, outcomes, save
 from bulletuav.policies import Policy, find_policy
 from bulletuav.report import pictures
+from bulletuav.report.figures import bar_lines
 from bulletuav.report.pictures import Animation, plot_tracks
 from bulletuav.tasks import find_task
 
@@ -99,7 +100,7 @@ def test_a_recording_is_read_as_it_was_written(flown, tmp_path):
     path, *_ = save(recording, aviary, "straight", 0, tmp_path)
     for source in (path, str(path), tmp_path):
         again = load(source)
-        assert again.version == 3
+        assert again.version == 4
         assert list(again.info) == list(recording.info)
         for name, array in recording.info.items():
             np.testing.assert_array_equal(again.info[name], array)
@@ -137,6 +138,31 @@ def test_episodes_are_summed_up_by_hand(flown):
         assert tuple(row.values())[:4] == wanted
         assert row["goal_distance"] == pytest.approx(outcome.final_distance)
     assert [type(value) for value in rows[0].values()] == [bool, float, int, int, float]
+
+
+def test_a_recording_of_version_3_has_no_bars(flown, tmp_path):
+    aviary, recording, _ = flown
+    path, *_ = save(recording, aviary, "straight", 0, tmp_path)
+    change(path, version=np.array(3), obstacle_axis=None)
+    assert load(path).obstacle_axis.shape == (*recording.obstacle_radius.shape, 3)
+
+
+def test_bars_of_gates_are_told_and_drawn(tmp_path):
+    aviary = bulletuav.Aviary(
+        "race", num_drones=1, difficulty="medium", dynamics="point_mass", horizon=5
+    )
+    recording = fly_episode(aviary, find_policy("stay")(aviary), 0)
+    size = np.linalg.norm(recording.obstacle_axis, axis=1)
+    square, ring = 1.0 + 0.2, 1.2 * np.tan(np.pi / 12)
+    np.testing.assert_allclose(size, ([square] * 4 + [ring] * 12) * 3)
+    gate = aviary.scene.memory["gate"][0, 0]
+    # The four bars of an upright gate: two lie, two stand.
+    assert sorted(np.abs(recording.obstacle_axis[:4, 2]).round(6)) == [0, 0, square, square]
+    np.testing.assert_allclose(recording.obstacle[0, :4].mean(axis=0), gate)
+    lines = np.array(bar_lines(recording, 0))
+    assert lines.shape == (48, 2, 2)
+    plot_tracks(recording, 1.0, "race", tmp_path / "race.png")
+    Animation(recording, 1.0, 0.4, "race")
 
 
 def test_a_recording_of_version_2_is_read(flown, tmp_path):
@@ -240,10 +266,10 @@ def change(path, **changes):
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"version": None}, "without a version, and version 3 is needed: fly the episode again"),
-        ({"version": np.array(1)}, "of version 1, and version 3 is needed: .*or read it with"),
-        ({"version": np.array(4)}, "of version 4, and version 3 is needed: .*or read it with"),
-        ({"version": np.array("2")}, "of version 2, and version 3"),
+        ({"version": None}, "without a version, and version 4 is needed: fly the episode again"),
+        ({"version": np.array(1)}, "of version 1, and version 4 is needed: .*or read it with"),
+        ({"version": np.array(5)}, "of version 5, and version 4 is needed: .*or read it with"),
+        ({"version": np.array("2")}, "of version 2, and version 4"),
         ({"version": np.array([2, 2])}, "of version"),
         ({"goal": None}, "damaged recording, without 'goal': fly the episode again"),
         ({"contact_step": None}, "damaged recording, without 'contact_step'"),
