@@ -10,6 +10,7 @@ from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.registry import register
 from bulletuav.sensors.base import Label, vector_labels
 from bulletuav.tasks.base import Rngs, Task
+from bulletuav.tasks.ends import leaves_arena
 from bulletuav.tasks.families.gates import cross_gates, rank_drones, ways_left
 from bulletuav.tasks.families.race_course import RaceConfig, RaceCourse
 from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
@@ -57,7 +58,7 @@ class Race(Task[RaceConfig]):
     episode: 6 gates round a circle of 25 m, 2 to 5 m high. A drone's goal is the middle of its next
     gate.
 
-    Observation, Box(53) per drone with the defaults: velocity in body axes (forward, left, up);
+    Observation, Box(48) per drone with the defaults: velocity in body axes (forward, left, up);
     attitude as a quaternion, body to world; the next two gates in body axes: position, direction
     to fly, velocity, width of the opening; the nearest living drones, in world axes.
 
@@ -96,6 +97,7 @@ class Race(Task[RaceConfig]):
     baseline = "race_pilot"
     places: ClassVar[tuple[str, ...]] = ("start",)
     events = ("finished", "terminated")
+    ends: ClassVar = (leaves_arena,)
     defaults: ClassVar = {
         "num_drones": 4,
         "airframe": "racer",
@@ -280,7 +282,7 @@ class Race(Task[RaceConfig]):
             (W, N) bool. `frame.derived` gets all of `events`.
         """
         finished: np.ndarray = frame.alive & self.succeeded(frame)
-        ended: np.ndarray = finished | frame.depleted | self.outside(frame)
+        ended: np.ndarray = super().terminated(frame) | finished | frame.depleted
         if self.config.contact_ends == "drone":
             ended = ended | frame.collision
         frame.derived["finished"], frame.derived["terminated"] = finished, ended

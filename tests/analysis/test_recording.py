@@ -149,7 +149,7 @@ def test_a_recording_of_version_3_has_no_bars(flown, tmp_path):
 
 def test_bars_of_gates_are_told_and_drawn(tmp_path):
     aviary = bulletuav.Aviary(
-        "race", num_drones=1, difficulty="medium", dynamics="point_mass", horizon=5
+        "race", num_drones=1, difficulty="medium", dynamics="point_mass", horizon=200
     )
     recording = fly_episode(aviary, find_policy("stay")(aviary), 0)
     size = np.linalg.norm(recording.obstacle_axis, axis=1)

@@ -67,7 +67,7 @@ class Gate:
     @property
     def reach(self) -> float:
         """Distance of the frame's outer corners from the middle, m."""
-        return (self.size / 2 + BAR) / math.cos(math.pi / self.sides)
+        return (self.size / 2 + BAR) / float(cos(math.pi / self.sides))
 
     @property
     def quaternion(self) -> tuple[float, float, float, float]:

@@ -49,12 +49,12 @@ class RaceConfig(TaskConfig):
     track: str = RANDOM
     laps: int = field(default=1, metadata={"most": 100})
     num_gates: int = field(default=6, metadata={"least": 2, "most": 50})
-    track_radius: float = 25.0
+    track_radius: float = field(default=25.0, metadata={"most": 1000.0})
     gate_height: tuple[float, float] = (2.0, 5.0)
     gate_tilt: float = field(default=15.0, metadata={"most": 45.0})
     gate_shape: Literal["square", "round", "mixed"] = "mixed"
-    gate_size: float = 2.0
-    gate_motion: float = 0.0
+    gate_size: float = field(default=2.0, metadata={"most": 100.0})
+    gate_motion: float = field(default=0.0, metadata={"most": 100.0})
     gate_period: float = 6.0
     gates_seen: int = field(default=2, metadata={"most": 50})
     contact_ends: Literal["drone", "nothing"] = "drone"
@@ -72,7 +72,7 @@ class RaceCourse:
         bodies: Bars of all gates.
         sides: (G,) how many sides the openings have.
         widest, narrowest: Width of the widest and of the narrowest opening, m.
-        fastest: Speed of gates in the middle of their swings, m/s.
+        fastest: Speed of gates in the middle of their swings, m/s; 1 where none does.
         arena: Its lower and upper corner, (3,) each, m.
     """
 
@@ -90,9 +90,11 @@ class RaceCourse:
         if config.gate_motion and not config.gate_period:
             raise ValueError("gate_period is 0 s: above 0 is needed where gates swing")
         self._config, self._context = config, context
+        # What a user gives may be no text at all, such as an array.
+        self._is_random = isinstance(config.track, str) and config.track == RANDOM
         shape = (config.gate_tilt, config.gate_shape, config.gate_size)
         self._like = RandomTrack(config.num_gates, config.track_radius, config.gate_height, *shape)
-        self._given = None if config.track == RANDOM else self._read()
+        self._given = None if self._is_random else self._read()
         # Bars are the same in all random tracks; only where they are is drawn.
         some = self._given or self._drawn(np.random.default_rng(0))
         self.gates, self.turns = len(some), config.laps * len(some)
@@ -101,7 +103,8 @@ class RaceCourse:
         sizes = [gate.size for gate in some]
         self.widest, self.narrowest = max(sizes), min(sizes)
         self._rate = 2 * np.pi / config.gate_period if config.gate_motion else 0.0
-        self.fastest = self._rate * config.gate_motion
+        self._speed = self._rate * config.gate_motion
+        self.fastest = self._speed or 1.0
         self._whose = bar_places(some)[0]
         self.arena = self._lay_out(some)
 
@@ -138,7 +141,7 @@ class RaceCourse:
             raise ValueError(
                 f"track {config.track!r} has {config.laps} laps of {lap:.4g} m, and drones fly "
                 f"{furthest:.4g} m in {context.duration:g} s at most: raise horizon or max_speed, "
-                f"or fly fewer laps"
+                f"fly fewer laps, or lower track_radius"
             )
         return low, high
 
@@ -189,7 +192,7 @@ class RaceCourse:
         """
         angle = (self._rate * time[:, None] + phase)[..., None]
         left = axis[:, :, 1]
-        return self._config.gate_motion * sin(angle) * left, self.fastest * cos(angle) * left
+        return self._config.gate_motion * sin(angle) * left, self._speed * cos(angle) * left
 
     def move(self, scene: Scene, time: np.ndarray, flying: np.ndarray) -> None:
         """Swing the gates of the worlds of `flying` (W,) on by a decision that begins at `time`."""

@@ -115,6 +115,11 @@ def load_track(source: object, usual: RandomTrack) -> tuple[Gate, ...]:
         ValueError: The name is unknown, or the file is no track.
     """
     names = list_tracks()
+    if not isinstance(source, str | Path):
+        raise ValueError(
+            f"track is {shown(source)}: {RANDOM!r}, a name such as {names[0]!r}, or the path of a "
+            f".toml file is needed"
+        )
     if isinstance(source, str) and not source.endswith(".toml"):
         if source not in names:
             raise unknown("track", source, (RANDOM, *names))
@@ -252,5 +257,5 @@ def draw_track(
             return gates
     raise ValueError(
         f"no random track of {like.gates} gates within {like.radius:g} m can be flown ({found}): "
-        f"raise track_radius, or lower num_gates, gate_size or gate_tilt"
+        f"raise track_radius, or lower num_gates, gate_size, gate_tilt or gate_motion"
     )
