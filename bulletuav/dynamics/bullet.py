@@ -169,6 +169,14 @@ class BulletDynamics(Dynamics):
         self.flight.engine.set_states(swarm, mask)
         super().place(swarm, mask)
 
+    def kept(self) -> dict[str, np.ndarray]:
+        """Tell also velocities as the engine has them; see the base class."""
+        return {**super().kept(), "omega": self.flight.engine.omega}
+
+    def restore(self, swarm: Swarm, mask: np.ndarray) -> None:
+        """Bring the engine to the state; see the base class."""
+        self.flight.engine.restore_states(swarm, mask)
+
     def show(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Leave the engine's bodies, which are where the swarm is."""
 

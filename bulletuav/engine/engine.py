@@ -311,6 +311,22 @@ class Engine(EngineQueries):
         globalise(self._place, self._offset, self._omega, mask, swarm)
         self._calls.write(mask, self._place, swarm.quaternion, swarm.velocity, self._omega)
 
+    @property
+    def omega(self) -> np.ndarray:
+        """(W, N, 3) angular velocities as Bullet gave them last, world axes, rad/s."""
+        return self._omega
+
+    def restore_states(self, swarm: Swarm, mask: np.ndarray) -> None:
+        """Give drones the poses and velocities that Bullet gave once, to the last bit.
+
+        Args:
+            swarm: The states; angular velocities are those of `omega`.
+            mask: (W, N) bool, drones to set.
+        """
+        self._out |= mask
+        self._place[mask] = (swarm.position + self._offset)[mask]
+        self._calls.write(mask, self._place, swarm.quaternion, swarm.velocity, self._omega)
+
     def set_poses(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Show drones where a swarm is, without a change to velocities or contacts.
 

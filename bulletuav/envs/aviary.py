@@ -9,6 +9,7 @@ from bulletuav.envs.agents import USUAL_TYPES
 from bulletuav.envs.decisions import Decisions
 from bulletuav.envs.environment import exclusive
 from bulletuav.envs.infos import Infos
+from bulletuav.envs.snapshot import Snapshot, form_of, hashes_of, pack, unpack
 from bulletuav.envs.step import Step
 from bulletuav.envs.worlds import UNSTARTED
 from bulletuav.tasks.base import Task
@@ -104,11 +105,7 @@ class Aviary(Decisions):
         self._dynamics.place(self.swarm, chosen)
         reset = np.any(chosen, axis=1)
         self._engine.set_layouts(self.scene.layout, reset)
-        obstacles = (self.scene.obstacle, self.scene.obstacle_quaternion, reset)
-        if self._engine.asks_bodies:
-            self._engine.set_obstacles(*obstacles)
-        else:
-            self._engine.note_obstacles(*obstacles)
+        self._put_obstacles(reset)
         frame = self._first_frame(chosen)
         self._start_memory(frame, chosen)
         if not self._checked:  # once: later results are of the same form
@@ -241,3 +238,98 @@ class Aviary(Decisions):
         self._forget()
         self._telling.run()
         return Infos(self.telling())
+
+    @exclusive
+    def save_state(self, worlds: Any = None) -> Snapshot:
+        """Save all that makes the future of worlds, for `load_state`.
+
+        With dynamics "bullet" this rounds their attitudes by some 1e-17: a flight that was saved
+        goes on as from the snapshot, and differs in the last bits from one that was not.
+
+        Args:
+            worlds: Indices of them; all when left out.
+
+        Raises:
+            RuntimeError: Before the first reset, or after `close`.
+            ValueError: There are no such worlds, or contacts are Bullet's own.
+        """
+        self.require_started()
+        if self.options.contacts == "bullet":
+            raise ValueError(
+                "contacts='bullet' has no snapshots, as Bullet keeps its contacts to itself: "
+                "choose contacts='impulse'"
+            )
+        fields, chosen = self._all_arrays(), self._spec.indices(worlds)
+        mask = np.zeros(self.num_worlds, dtype=bool)
+        mask[chosen] = True
+        # Bullet rounds what is written: both flights are to go on from that.
+        self._dynamics.restore(self.swarm, mask[:, None] & self.alive)
+        return Snapshot(pack(fields, self.rng, chosen), form_of(self.task.name, fields))
+
+    @exclusive
+    def load_state(self, snapshot: Snapshot, worlds: Any = None) -> Observation:
+        """Go on from a state that was saved here, or in an environment made from the same options.
+
+        What follows is the same to the last bit; with dynamics "bullet" only in the world's own
+        place, as Bullet rounds by where it is.
+
+        Args:
+            snapshot: As many worlds as are to be written.
+            worlds: Their indices here; all when left out.
+
+        Returns:
+            Observations of all worlds, as `reset` gives them.
+
+        Raises:
+            ValueError: It does not fit; the worlds stay as they were.
+            RuntimeError: After `close`.
+        """
+        chosen = self._spec.indices(worlds)
+        if self._frame is None:
+            self.reset()
+        fields = self._all_arrays()
+        self._spec.require_snapshot(snapshot, form_of(self.task.name, fields), chosen)
+        unpack(snapshot.data, fields, self.rng, chosen)
+        mask = np.zeros(self.num_worlds, dtype=bool)
+        mask[chosen] = True
+        # Bodies, and what was worked out of the state.
+        drones = mask[:, None] & self.alive
+        self._uncertainty.restore(chosen)
+        self._engine.set_layouts(self.scene.layout, mask)
+        self._put_obstacles(mask)
+        self._dynamics.restore(self.swarm, drones)
+        self._engine.park(mask[:, None] & ~self.alive)
+        self._contacts = None
+        self._forget()
+        self._look()
+        self._reckoning.run()
+        if self.program is None:
+            self._make_program()
+        self._forget()
+        self._observing.run()
+        return self.observations()
+
+    @exclusive
+    def state_hash(self, worlds: Any = None) -> tuple[str, ...]:
+        """Hash the state of each world, with its random generator.
+
+        Equal flights have equal hashes, whatever flew before. What sensors and contacts remember is
+        left out.
+
+        Args:
+            worlds: Indices of them; all when left out.
+        """
+        self.require_started()
+        chosen = self._spec.indices(worlds)
+        return hashes_of(pack(self._state_arrays(), self.rng, chosen))
+
+    def _all_arrays(self) -> dict[str, np.ndarray]:
+        return {**self._state_arrays(), **self._more_arrays()}
+
+    def _put_obstacles(self, worlds: np.ndarray) -> None:
+        """Tell the engine where obstacles of `worlds` (W,) bool are."""
+        obstacles = (self.scene.obstacle, self.scene.obstacle_quaternion, worlds)
+        if self._engine.asks_bodies:
+            self._engine.set_obstacles(*obstacles)
+        else:
+            self._engine.note_obstacles(*obstacles)

@@ -93,6 +93,20 @@ class Decisions(Worlds):
         self._account: Account | None = None
         self.program: Program | None = None
 
+    def _more_arrays(self) -> dict[str, np.ndarray]:
+        """Tell also what the last decision told; see `Worlds._more_arrays`."""
+        frame = self._live
+        told = {f"before {name}": array for name, array in frame.before._asdict().items()}
+        told |= {f"reading {name}": array for name, array in self._readings.items()}
+        names = ("action", "alive", "time", "last", "goal_before")
+        told |= {f"frame {name}": getattr(frame, name) for name in names}
+        ends = {
+            "terminated": self.terminated,
+            "truncated": self.truncated,
+            "present": self._present,
+        }
+        return {**super()._more_arrays(), **told, **ends, "rewards": self.rewards}
+
     def _tell_contacts(self) -> Contacts:
         """Tell what touched what in the last decision, told once."""
         if self._contacts is None:

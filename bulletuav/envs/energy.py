@@ -102,6 +102,11 @@ class Energy:
         """Collect the arguments of `_fill_voltage`."""
         return self._battery.charge, self.power, self._packs, self.voltage, self._supply
 
+    def kept(self) -> dict[str, np.ndarray]:
+        """Tell the arrays (W, N) by name that follow from the last decision."""
+        energy = {"full": self._battery.energy, "supply": self._supply}
+        return {"power": self.power, "voltage": self.voltage, **energy}
+
     def readings(self) -> dict[str, np.ndarray]:
         """Return what drones know of their energy.
 

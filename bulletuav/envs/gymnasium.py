@@ -21,6 +21,7 @@ from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
 from bulletuav.envs.infos import Infos
 from bulletuav.envs.reset_options import reset_options
+from bulletuav.envs.snapshot import Snapshot
 from bulletuav.envs.spaces import joint_action_space, joint_numbers
 from bulletuav.envs.vector import BatchAviary, BatchResults
 from bulletuav.errors import as_int
@@ -200,6 +201,20 @@ class CentralAviary(CentralEnvironment, gymnasium.Env[Any, Any]):
         infos = Infos(lambda: {name: value[0] for name, value in telling().items()})
         return observation, mean, terminated, truncated, infos
 
+    @exclusive
+    def save_state(self) -> Snapshot:
+        """Save all that makes the future; see `Aviary.save_state`."""
+        return self.aviary.save_state()
+
+    @exclusive
+    def load_state(self, snapshot: Snapshot) -> Any:
+        """Go on from a state that was saved, and give the observation; see `Aviary.load_state`."""
+        return part(self._central(self.aviary.load_state(snapshot)), 0)
+
+    def state_hash(self) -> str:
+        """Hash the state; see `Aviary.state_hash`."""
+        return self.aviary.state_hash()[0]
+
     def render(self) -> np.ndarray | None:
         """Take a picture.
 
@@ -312,6 +327,20 @@ class CentralVectorAviary(CentralEnvironment, gymnasium.vector.VectorEnv[Any, An
             infos["final_obs"] = self._central(infos["final_obs"], infos["final_state"])
         mean_rewards = rewards.mean(axis=1)
         return self._central(observations), mean_rewards, terminated, truncated, infos
+
+    @exclusive
+    def save_state(self, worlds: Any = None) -> Snapshot:
+        """Save all that makes the future of worlds; see `Aviary.save_state`."""
+        return self._batch.save_state(worlds)
+
+    @exclusive
+    def load_state(self, snapshot: Snapshot, worlds: Any = None) -> Any:
+        """Go on from a state that was saved, and give observations; see `Aviary.load_state`."""
+        return self._central(self._batch.load_state(snapshot, worlds))
+
+    def state_hash(self, worlds: Any = None) -> tuple[str, ...]:
+        """Hash the state of each world; see `Aviary.state_hash`."""
+        return self.aviary.state_hash(worlds)
 
     def render(self) -> tuple[np.ndarray | None, ...]:  # type: ignore[override]
         """Take pictures of all worlds.

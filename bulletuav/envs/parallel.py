@@ -15,6 +15,7 @@ from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
 from bulletuav.envs.infos import Infos as LazyInfos
 from bulletuav.envs.reset_options import reset_options
+from bulletuav.envs.snapshot import Snapshot
 from bulletuav.envs.spaces import drone_action_space, drone_numbers
 from bulletuav.envs.teams import team_rows
 from bulletuav.errors import choose, shown, unknown
@@ -182,6 +183,27 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
             }
 
         return LazyInfos(make)
+
+    @exclusive
+    def save_state(self) -> Snapshot:
+        """Save all that makes the future; see `Aviary.save_state`."""
+        return self.aviary.save_state()
+
+    @exclusive
+    def load_state(self, snapshot: Snapshot) -> ByAgent:
+        """Go on from a state that was saved; see `Aviary.load_state`.
+
+        Returns:
+            Observations by agent, of those that fly.
+        """
+        observations = self.aviary.load_state(snapshot)
+        flies = self.aviary.alive[0]
+        self.agents = [one for one, row in self._rows.items() if flies[row]]
+        return self._by_agent(observations, self._living_rows())
+
+    def state_hash(self) -> str:
+        """Hash the state; see `Aviary.state_hash`."""
+        return self.aviary.state_hash()[0]
 
     def state(self) -> np.ndarray:
         """Return the global state for centralised critics.

@@ -185,6 +185,14 @@ class Uncertainty:
         if "wind" in self.drawn:
             self._wind.steady[world] = self._wind.given + self.drawn["wind"][world]
 
+    def restore(self, worlds: np.ndarray) -> None:
+        """Take over what was written to `drawn` and the drones' parameters in worlds (S,)."""
+        self._told = None
+        if "mass" in self.drawn:
+            for w in worlds.tolist():
+                row = self._parameters[w]
+                self._engine.set_masses(w, row["mass"], row["inertia"])
+
     @property
     def drains(self) -> bool:
         """Whether rotors weaken with time."""

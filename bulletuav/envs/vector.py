@@ -11,6 +11,7 @@ from bulletuav.envs.env_spec import MOST_WORLDS
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
 from bulletuav.envs.infos import Infos
 from bulletuav.envs.reset_options import MASK, reset_options
+from bulletuav.envs.snapshot import Snapshot
 from bulletuav.envs.spaces import widest_action_space
 from bulletuav.errors import as_int, choose
 from bulletuav.tasks import TaskSource
@@ -180,6 +181,23 @@ class BatchAviary(LabelledEnvironment):
         return Infos(
             lambda: {name: np.where(worlds[:, None], first[name], info[name]) for name in first}
         )
+
+    @exclusive
+    def save_state(self, worlds: Any = None) -> Snapshot:
+        """Save all that makes the future of worlds; see `Aviary.save_state`."""
+        return self.aviary.save_state(worlds)
+
+    @exclusive
+    def load_state(self, snapshot: Snapshot, worlds: Any = None) -> Observation:
+        """Go on from a state that was saved; see `Aviary.load_state`."""
+        observations = self.aviary.load_state(snapshot, worlds)
+        chosen = slice(None) if worlds is None else worlds
+        self._ended[chosen] = ~np.any(self.aviary.alive, axis=1)[chosen]
+        return observations
+
+    def state_hash(self, worlds: Any = None) -> tuple[str, ...]:
+        """Hash the state of each world; see `Aviary.state_hash`."""
+        return self.aviary.state_hash(worlds)
 
     def state(self) -> np.ndarray:
         """Return the global state.

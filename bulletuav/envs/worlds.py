@@ -94,6 +94,29 @@ class Worlds(Environment):
         self._dynamics.show(swarm, mask)
         self._engine.show_obstacles()
 
+    def _state_arrays(self) -> dict[str, np.ndarray]:
+        """Tell the arrays (W, ...) by name that are a world's state, whatever flew before."""
+        scene = self.scene._asdict()
+        memory = {f"memory {name}": array for name, array in scene.pop("memory").items()}
+        drawn = {f"drawn {name}": array for name, array in self._uncertainty.drawn.items()}
+        return {
+            **self.swarm._asdict(),
+            **scene,
+            **memory,
+            **drawn,
+            "commanded": self.commanded,
+            "alive": self.alive,
+            "steps": self.steps,
+            "parameters": self.parameters,
+            "controller": self._cascade.memory,
+            "charge": self._energy.readings()["charge"],
+        }
+
+    def _more_arrays(self) -> dict[str, np.ndarray]:
+        """Tell what else its future follows from; something in them may be left from before."""
+        parts = (self._wind, self._energy, self._sensors, self._dynamics)
+        return {name: array for part in parts for name, array in part.kept().items()}
+
     def _current(self) -> Frame:
         if self._frame is None:
             raise RuntimeError("the worlds have not been started: call reset() first")

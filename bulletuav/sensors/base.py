@@ -250,6 +250,15 @@ class Sensor(ABC):
         """Tell what infos say of it, (W, N) by name; by default nothing."""
         return {}
 
+    def kept(self) -> Mapping[str, np.ndarray]:
+        """Tell the arrays that its next readings follow from, (W, ...) by name, for snapshots.
+
+        By default all of its attributes that are arrays (W, N, ...).
+        """
+        shape = self.setup.shape
+        arrays = {name: one for name, one in vars(self).items() if isinstance(one, np.ndarray)}
+        return {name: array for name, array in arrays.items() if array.shape[:2] == shape}
+
 
 def check_readings(
     sensor: Sensor,

@@ -66,6 +66,10 @@ class Camera(Sensor):
             np.broadcast_arrays(1.0, left[None, :], up[:, None]), axis=-1
         ).reshape(-1, 3)
 
+    def kept(self) -> Mapping[str, np.ndarray]:
+        """Tell the last pictures; see the base class."""
+        return self.pictures
+
     def measure(self, moment: Moment) -> Mapping[str, np.ndarray]:
         """Take new pictures in worlds whose step count says so; others show the last ones."""
         swarm, mask = moment.after, moment.mask

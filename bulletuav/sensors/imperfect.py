@@ -130,6 +130,11 @@ class Imperfect(Sensor):
         """Tell what the wrapped sensor tells."""
         return self.sensor.info()
 
+    def kept(self) -> Mapping[str, np.ndarray]:
+        """Tell what the wrapped sensor keeps, and readings that are on their way."""
+        past = {f"past {name}": array.swapaxes(0, 1) for name, array in self._past.items()}
+        return {**super().kept(), **self.sensor.kept(), **past}
+
     def _share(self) -> None:
         """Let the wrapped sensor work with what was drawn for it."""
         for key in self.sensor.uncertain:

@@ -74,6 +74,10 @@ class Lidar(Sensor):
         self._turns = setup.beam_frame == "yaw"
         self.ranges = np.full((*setup.shape, len(setup.beams)), setup.max_range)
 
+    def kept(self) -> Mapping[str, np.ndarray]:
+        """Tell the last ranges; see the base class."""
+        return {"ranges": self.ranges}
+
     def measure(self, moment: Moment) -> Mapping[str, np.ndarray]:
         """Measure new ranges of the drones that measure; others keep theirs, and are not seen.
 

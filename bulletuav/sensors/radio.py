@@ -125,6 +125,11 @@ class Radio(Sensor):
         """Tell the messages that came in the last decision."""
         return {"messages": self.received}
 
+    def kept(self) -> Mapping[str, np.ndarray]:
+        """Tell what was heard, and what is on its way; see the base class."""
+        arrays = {"message": self.message, "age": self._age, "received": self.received}
+        return {**arrays, "sent": self._sent.swapaxes(0, 1)}
+
     def _deliver(
         self,
         world: int,

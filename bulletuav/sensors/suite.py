@@ -174,6 +174,14 @@ class SensorSuite:
             moment.readings.update(readings)
         return moment.readings
 
+    def kept(self) -> dict[str, np.ndarray]:
+        """Tell the arrays that the next readings follow from, (W, ...) by name."""
+        return {
+            f"{name} {key}": array
+            for name, sensor in self.sensors.items()
+            for key, array in sensor.kept().items()
+        }
+
     def info(self) -> dict[str, np.ndarray]:
         """Tell what infos say of sensors, (W, N) by name."""
         return {key: value for one in self.sensors.values() for key, value in one.info().items()}

@@ -165,6 +165,11 @@ class Wind:
         self._waves = np.zeros((num_worlds if wind20 > 0 else 0, ROWS, WAVES))
         self._parts = np.zeros((3, WAVES))
 
+    def kept(self) -> dict[str, np.ndarray]:
+        """Tell the arrays (W, ...) by name that the wind of a world follows from."""
+        gusts = {"waves": self._waves} if len(self._waves) else {}
+        return {"steady wind": self.steady, **gusts}
+
     def reset(self, world: int, rng: np.random.Generator) -> None:
         """Draw the gusts of one world."""
         if self._wind20 > 0:

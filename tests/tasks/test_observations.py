@@ -111,7 +111,12 @@ VECTORS = [
     if not isinstance(reading_labels(SENSORS, name, SETUP), Image)
 ]
 """Names of all blocks but pictures"""
-SHOWN_MEMORY = {"dwell_time": "dwell_time", "server": "queue", "link_rates": "received"}
+SHOWN_MEMORY = {
+    "dwell_time": "dwell_time",
+    "server": "queue",
+    "link_rates": "received",
+    "next_gates": "gate_axis",
+}
 """Blocks that show what some tasks alone remember, and the name of that"""
 SHOWN_TARGETS = ("centroids", "seen_share", "sight", "sight_ahead")
 """Blocks that show targets"""

@@ -1,0 +1,105 @@
+"""Snapshots: all that makes the future of worlds, as bytes that can be kept, sent and put back."""
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from bulletuav.errors import shown
+
+GENERATOR = 37
+"""Bytes of the state of a random generator"""
+Fields = Mapping[str, np.ndarray]
+"""Arrays (W, ...) by name"""
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """The state of S worlds, as `save_state` gives it. It can be pickled, and sent to others.
+
+    Attributes:
+        data: (S, B) uint8.
+        form: What it fits: a hash of the task's name and of the form of all arrays.
+    """
+
+    data: np.ndarray
+    form: str
+
+    def __len__(self) -> int:
+        """Count its worlds."""
+        return len(self.data)
+
+    def __getitem__(self, worlds: int | slice | list[int] | np.ndarray) -> "Snapshot":
+        """Take some of its worlds, in the order of their indices, also several times."""
+        chosen = [worlds] if isinstance(worlds, int | np.integer) else worlds
+        return Snapshot(self.data[chosen], self.form)
+
+
+def form_of(task: str, fields: Fields) -> str:
+    """Hash what a snapshot has to fit: the task's name, and names, types and shapes of arrays."""
+    told = [(name, array.dtype.str, array.shape[1:]) for name, array in fields.items()]
+    return hashlib.blake2b(repr((task, told)).encode(), digest_size=8).hexdigest()
+
+
+def pack(fields: Fields, rngs: list[np.random.Generator], worlds: np.ndarray) -> np.ndarray:
+    """Copy worlds (S,) of all arrays, and their random generators, into bytes (S, B)."""
+    parts = [_bytes_of(array, worlds) for array in fields.values() if array.size]
+    states = b"".join(_generator_bytes(rngs[w]) for w in worlds.tolist())
+    parts.append(np.frombuffer(states, np.uint8).reshape(len(worlds), GENERATOR))
+    return np.concatenate(parts, axis=1)
+
+
+def unpack(
+    data: np.ndarray, fields: Fields, rngs: list[np.random.Generator], worlds: np.ndarray
+) -> None:
+    """Write bytes (S, B) back into worlds (S,) of all arrays, and of the random generators."""
+    at = 0
+    for array in fields.values():
+        if array.size:
+            size = array[0].nbytes
+            part = np.ascontiguousarray(data[:, at : at + size])
+            array[worlds] = part.view(array.dtype).reshape(len(worlds), *array.shape[1:])
+            at += size
+    for w, row in zip(worlds.tolist(), data[:, at:], strict=True):
+        rngs[w] = _generator_of(row.tobytes())
+
+
+def hashes_of(data: np.ndarray) -> tuple[str, ...]:
+    """Hash each row of bytes (S, B)."""
+    return tuple(hashlib.blake2b(row.tobytes(), digest_size=16).hexdigest() for row in data)
+
+
+def _bytes_of(array: np.ndarray, worlds: np.ndarray) -> np.ndarray:
+    rows = np.ascontiguousarray(array[worlds])
+    return rows.reshape(len(worlds), -1).view(np.uint8)
+
+
+def _generator_bytes(rng: np.random.Generator) -> bytes:
+    """Write the state of a generator of `default_rng`. Raises ValueError for another one."""
+    state = rng.bit_generator.state
+    if state["bit_generator"] != "PCG64":
+        raise ValueError(
+            f"the random generator of a world is {shown(rng)}: one of np.random.default_rng is "
+            f"needed for a snapshot"
+        )
+    numbers = (state["state"]["state"], state["state"]["inc"])
+    parts = [number.to_bytes(16, "little") for number in numbers]
+    parts.append(int(state["has_uint32"]).to_bytes(1, "little"))
+    parts.append(int(state["uinteger"]).to_bytes(4, "little"))
+    return b"".join(parts)
+
+
+def _generator_of(data: bytes) -> np.random.Generator:
+    """Make a generator of the state that `_generator_bytes` wrote."""
+    bits = np.random.PCG64(0)
+    bits.state = {
+        "bit_generator": "PCG64",
+        "state": {
+            "state": int.from_bytes(data[:16], "little"),
+            "inc": int.from_bytes(data[16:32], "little"),
+        },
+        "has_uint32": data[32],
+        "uinteger": int.from_bytes(data[33:37], "little"),
+    }
+    return np.random.Generator(bits)

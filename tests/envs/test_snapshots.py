@@ -1,0 +1,269 @@
+"""Snapshots: the same bits go on from them, here, in another process, and in another world."""
+
+import pickle
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+
+import bulletuav
+from bulletuav.envs.gymnasium import CentralAviary, CentralVectorAviary
+from bulletuav.envs.snapshot import Snapshot
+from bulletuav.sensors.imperfect import Imperfect
+from bulletuav.sensors.imu import Imu
+
+UNCERTAIN = {
+    "mass": (0.8, 1.2),
+    "thrust": (0.9, 1.1),
+    "battery": (0.0, 0.1),
+    "gps_noise": (0.1, 1.0),
+    "gps_walk": (0.0, 0.1),
+    "gps_dropout": (0.0, 0.2),
+    "accelerometer_noise": 0.1,
+    "gyroscope_walk": 0.01,
+    "wind": (-2.0, 2.0),
+    "radio_delay": (0.005, 0.2),
+    "radio_loss": (0.0, 0.3),
+}
+CASES = {
+    "crossing": {"difficulty": "extreme", "num_drones": 6},
+    "obstacles": {"num_drones": 4, "area": 120.0, "num_obstacles": 8, "num_moving": 4, "leg": 30.0},
+    "uncertain": {
+        "task": "converge",
+        "num_drones": 3,
+        "randomization": UNCERTAIN,
+        "turbulence": "light",
+        "observation": ("velocity", "goal", "neighbours", "imu", "all_neighbours"),
+    },
+    "late": {
+        "task": "converge",
+        "num_drones": 2,
+        "sensors": (Imperfect(Imu(), delay=0.3, noise=0.1),),
+        "observation": ("velocity", "imu"),
+    },
+    "hover": {"controller": "pid", "effects": ("downwash", "voltage"), "num_drones": 2},
+    "mec_advanced": {"difficulty": "hard", "num_layouts": 1, "area": 250.0},
+    "mobile_users": {"num_layouts": 1, "area": 250.0},
+    "lidar_navigation": {"num_layouts": 2, "area": 250.0, "leg": 60.0},
+    "pursuit_evasion": {"difficulty": "hard"},
+    "formation": {"num_drones": 4, "change_every": 2.0, "assignment": "free"},
+    "race": {"difficulty": "extreme", "num_drones": 3, "contact_ends": "nothing"},
+}
+DYNAMICS = ("single_integrator", "point_mass", "rigid_body", "bullet")
+
+
+def made(case, worlds=3, **options):
+    given = {"task": case, **CASES[case], **options}
+    aviary = bulletuav.Aviary(given.pop("task"), worlds, **given)
+    aviary.reset(seeds=7)
+    return aviary
+
+
+def random_actions(aviary, rng):
+    """Actions that crash some: half at random, half downwards."""
+    actions = rng.uniform(
+        aviary.action.low, aviary.action.high, (*aviary.alive.shape, aviary.action.low.shape[-1])
+    )
+    actions[:, ::2] = np.where(rng.uniform() < 0.5, actions[:, ::2], aviary.action.low[::2])
+    return actions
+
+
+def flown(aviary, decisions, seed, worlds=slice(None)):
+    """Fly, with resets of worlds that are over; list all that is told of some worlds."""
+    rng, told = np.random.default_rng(seed), []
+    for _ in range(decisions):
+        step = aviary.step(random_actions(aviary, rng))
+        parts = [step.rewards, step.terminated, step.truncated, *step.info.values()]
+        told += [np.array(part[worlds]) for part in parts]
+        over = ~aviary.alive.any(axis=1)
+        seen = aviary.reset(over) if over.any() else step.observations
+        told.append(np.array(seen[worlds]))
+    return told
+
+
+def same(one, other):
+    assert len(one) == len(other)
+    for mine, theirs in zip(one, other, strict=True):
+        np.testing.assert_array_equal(mine, theirs)
+
+
+@pytest.mark.parametrize("dynamics", DYNAMICS)
+@pytest.mark.parametrize("case", CASES)
+def test_flights_go_on_from_a_snapshot_to_the_last_bit(case, dynamics):
+    if case == "hover" and dynamics in ("single_integrator", "point_mass"):
+        pytest.skip("hover commands rotors")
+    aviary = made(case, dynamics=dynamics)
+    flown(aviary, 15, 0)
+    saved, before = aviary.save_state(), aviary.state_hash()
+    seen, state = aviary.observations(), aviary.state()
+    first = flown(aviary, 15, 1)
+    assert aviary.state_hash() != before
+    flown(aviary, 10, 2)
+    again = aviary.load_state(saved)
+    np.testing.assert_array_equal(again, seen)
+    np.testing.assert_array_equal(aviary.state(), state)
+    assert aviary.state_hash() == before
+    same(flown(aviary, 15, 1), first)
+    aviary.close()
+
+
+@pytest.mark.parametrize("dynamics", ["point_mass", "rigid_body"])
+@pytest.mark.parametrize("case", ["crossing", "uncertain", "late", "mec_advanced", "race"])
+def test_a_world_goes_on_in_the_place_of_another(case, dynamics):
+    aviary, other = (made(case, dynamics=dynamics) for _ in range(2))
+    flown(aviary, 12, 0)
+    flown(other, 9, 5)
+    other.load_state(aviary.save_state([0, 2]), [2, 1])
+    assert other.state_hash([2, 1]) == aviary.state_hash([0, 2])
+    rng = np.random.default_rng(3)
+    for _ in range(12):
+        actions = random_actions(aviary, rng)
+        mine = aviary.step(actions)
+        theirs = other.step(actions[[1, 2, 0]])
+        for a, b in ((0, 2), (2, 1)):
+            np.testing.assert_array_equal(mine.observations[a], theirs.observations[b])
+            np.testing.assert_array_equal(mine.rewards[a], theirs.rewards[b])
+    aviary.close()
+    other.close()
+
+
+@pytest.mark.parametrize("dynamics", ["rigid_body", "bullet"])
+def test_what_lies_in_contact_goes_on_lying(dynamics):
+    """Drones on the ground and on each other: contacts, their memory, and sleep."""
+    aviary = bulletuav.Aviary(
+        "race", 2, difficulty="medium", dynamics=dynamics, contact_ends="nothing", horizon=2000
+    )
+    aviary.reset(seeds=0)
+    down = np.zeros((2, 4, 3))
+    down[..., 2] = -1.0
+    for _ in range(60):
+        aviary.step(down)
+    saved = aviary.save_state()
+    first = [aviary.step(down).info["impulse"] for _ in range(40)]
+    aviary.load_state(saved)
+    same([aviary.step(down).info["impulse"] for _ in range(40)], first)
+    aviary.close()
+
+
+PROGRAM = """
+import pickle, sys
+import numpy as np
+import bulletuav
+
+snapshot = pickle.load(open(sys.argv[1], "rb"))
+aviary = bulletuav.Aviary("crossing", 2, dynamics="bullet", num_drones=4)
+aviary.load_state(snapshot)
+for k in range(20):
+    aviary.step(np.full((2, 4, 3), 0.1 * k - 1.0))
+print(*aviary.state_hash())
+"""
+
+
+def test_flights_go_on_in_another_process(tmp_path):
+    aviary = bulletuav.Aviary("crossing", 2, dynamics="bullet", num_drones=4)
+    aviary.reset(seeds=3)
+    aviary.step(np.ones((2, 4, 3)))
+    path = tmp_path / "state.pickle"
+    path.write_bytes(pickle.dumps(aviary.save_state()))
+    for k in range(20):
+        aviary.step(np.full((2, 4, 3), 0.1 * k - 1.0))
+    told = subprocess.run(
+        [sys.executable, "-c", PROGRAM, str(path)], capture_output=True, text=True, check=True
+    )
+    assert tuple(told.stdout.split()) == aviary.state_hash()
+    aviary.close()
+
+
+def test_hashes_tell_states_apart_and_nothing_else():
+    aviary, other = (made("crossing", dynamics="rigid_body") for _ in range(2))
+    flown(other, 40, 9)
+    other.reset(seeds=7)
+    assert other.state_hash() == aviary.state_hash()  # whatever flew before
+    assert len(set(aviary.state_hash())) == 3
+    aviary.swarm.velocity[1, 0, 2] = np.nextafter(aviary.swarm.velocity[1, 0, 2], 1.0)
+    mine, theirs = aviary.state_hash(), other.state_hash()
+    assert [a == b for a, b in zip(mine, theirs, strict=True)] == [True, False, True]
+    other.rng[2].random()
+    assert other.state_hash([2]) != theirs[2:]
+
+
+def test_environment_classes_save_and_load():
+    parallel = bulletuav.parallel_env("crossing", num_drones=3, dynamics="point_mass")
+    seen, _ = parallel.reset(seed=1)
+    fly = lambda: parallel.step({one: np.ones(3) for one in parallel.agents})  # noqa: E731
+    fly()
+    saved, hashed, agents = parallel.save_state(), parallel.state_hash(), list(parallel.agents)
+    first = fly()
+    while parallel.agents:
+        fly()
+    again = parallel.load_state(saved)
+    assert parallel.agents == agents == list(again)
+    assert parallel.state_hash() == hashed
+    assert again["drone_0"].shape == seen["drone_0"].shape
+    for mine, theirs in zip(first[:4], fly()[:4], strict=True):
+        for one in agents:
+            np.testing.assert_array_equal(mine[one], theirs[one])
+
+    batch = bulletuav.batch_env("crossing", num_envs=3, num_drones=2, horizon=5)
+    batch.reset(seed=0)
+    actions = np.zeros((3, 2, 3))
+    for _ in range(5):
+        batch.step(actions)
+    assert batch.ended.all()
+    saved = batch.save_state()
+    rewards = [batch.step(actions)[1] for _ in range(3)]
+    observations = batch.load_state(saved)
+    assert batch.ended.all()
+    assert observations.shape[:2] == (3, 2)
+    same([batch.step(actions)[1] for _ in range(3)], rewards)
+    batch.load_state(saved[1], 2)
+    assert batch.state_hash(2) == (saved_hash := batch.state_hash([2]))
+    assert len(saved_hash) == 1
+
+    one = CentralAviary("hover")
+    first, _ = one.reset(seed=0)
+    saved = one.save_state()
+    after = one.step(one.action_space.low)[0]
+    np.testing.assert_array_equal(one.load_state(saved), first)
+    np.testing.assert_array_equal(one.step(one.action_space.low)[0], after)
+    assert len(one.state_hash()) == 32
+
+
+def test_vector_environments_save_and_load():
+    env = CentralVectorAviary("converge", 2, AutoresetMode.SAME_STEP, num_drones=2)
+    env.reset(seed=0)
+    saved = env.save_state()
+    actions = np.zeros(env.action_space.shape)
+    rewards = [env.step(actions)[1] for _ in range(4)]
+    env.load_state(saved)
+    same([env.step(actions)[1] for _ in range(4)], rewards)
+    assert len(env.state_hash()) == 2
+    env.close()
+
+
+def test_snapshots_that_do_not_fit_are_refused():
+    aviary = made("crossing", dynamics="point_mass")
+    saved, hashed = aviary.save_state(), aviary.state_hash()
+    refused = (
+        ({"snapshot": b"bytes"}, "snapshot is b'bytes': what save_state gave is needed"),
+        ({"snapshot": saved[:2]}, "holds 2 worlds, and 3 are to be written"),
+        ({"snapshot": saved[0], "worlds": 3}, "world is 3"),
+        ({"snapshot": saved[[0, 0]], "worlds": [1, 1]}, "each one once"),
+        ({"snapshot": saved[0], "worlds": 0.5}, "worlds is 0.5"),
+        ({"snapshot": Snapshot(saved.data, "other")}, "of another task, or of other options"),
+    )
+    for keywords, told in refused:
+        with pytest.raises(ValueError, match=told):
+            aviary.load_state(**keywords)
+        assert aviary.state_hash() == hashed
+    with pytest.raises(RuntimeError, match="reset"):
+        bulletuav.Aviary("crossing", dynamics="point_mass").save_state()
+    of_bullet = bulletuav.Aviary("crossing", contacts="bullet", dynamics="bullet")
+    of_bullet.reset(seeds=0)
+    with pytest.raises(ValueError, match="contacts='bullet' has no snapshots"):
+        of_bullet.save_state()
+    aviary.rng[1] = np.random.Generator(np.random.MT19937(0))
+    with pytest.raises(ValueError, match="MT19937.*default_rng is needed"):
+        aviary.save_state()
