@@ -187,7 +187,8 @@ def atan(x: float) -> float:
     if x != x:
         return x
     size = abs(x)
-    t = 1.0 / size if size > 1.0 else size
+    # One division that never is by 0: compiled code may divide before it knows whether it has to
+    t = min(size, 1.0) / max(size, 1.0)
     # atan t = atan c + atan u, with c the nearest of 0, 1/4, 1/2, 3/4, 1
     k = math.floor(4.0 * t + 0.5)
     c = 0.25 * k
@@ -219,8 +220,9 @@ def atan2(y: float, x: float) -> float:
             return math.copysign(0.0 if math.copysign(1.0, x) > 0.0 else PI, y)
         return math.copysign(0.5 * PI, y)
     # Of the quotient that cannot overflow
-    steep = abs(y) > abs(x)
-    angle = atan(abs(x / y) if steep else abs(y / x))
+    wide, high = abs(x), abs(y)
+    steep = high > wide
+    angle = atan((wide if steep else high) / (high if steep else wide))
     if steep:
         angle = (HALF_PI_REST - angle) + 0.5 * PI
     if x < 0.0:

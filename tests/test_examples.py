@@ -25,6 +25,7 @@ EXAMPLES = {
     "domain_randomisation": "--steps 1 --episodes 1",
     "curriculum": "--steps 1 --episodes 1",
     "self_play": "--rounds 1 --steps 1 --episodes 2",
+    "plan_ahead": "--decisions 3 --plans 4 --ahead 3",
     "own_pid": "",
     "figure_eight": "--out figure_eight",
     "rotor_control": "--seconds 2",

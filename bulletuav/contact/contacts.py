@@ -1,6 +1,7 @@
 """Contacts of all worlds: what compiled dynamics call in every substep, and what is told after."""
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -232,6 +233,14 @@ def begin_decision(contact: Contact, alive: np.ndarray, period: float) -> None:
             for i in range(alive.shape[1]):
                 contact.budget[w, i] = -1.0
                 contact.asleep[w, i] = False
+
+
+def remembered(contact: Contact) -> dict[str, np.ndarray]:
+    """Tell the arrays (W, ...) by name that later contacts follow from."""
+    parts: dict[str, Any] = contact._asdict()
+    for name in ("slept", "touches", "memory"):
+        parts |= {f"{name} {key}": one for key, one in getattr(contact, name)._asdict().items()}
+    return {name: one for name, one in parts.items() if isinstance(one, np.ndarray)}
 
 
 def see(contact: Contact, scenery: Scenery) -> Contact:

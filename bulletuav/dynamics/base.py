@@ -16,6 +16,7 @@ from bulletuav.contact.contacts import (
     meet_all,
     overlaps,
     remember_all,
+    remembered,
     see,
     start,
     told,
@@ -198,24 +199,11 @@ class Dynamics(ABC):
         start(self.contact, mask)
 
     def kept(self) -> dict[str, np.ndarray]:
-        """Tell the arrays (W, ...) by name that flights follow from beside the swarm.
-
-        By default what contacts remember. Dynamics with a state of their own add it.
-        """
-        contact, worlds = self.contact, len(self.supply)
-        parts: dict[str, Any] = contact._asdict()
-        for name in ("slept", "touches", "memory"):
-            parts |= {f"{name} {key}": one for key, one in getattr(contact, name)._asdict().items()}
-        arrays = {name: one for name, one in parts.items() if isinstance(one, np.ndarray)}
-        return {name: array for name, array in arrays.items() if len(array) == worlds}
+        """Tell the arrays (W, ...) by name that flights follow from, beside the swarm."""
+        return remembered(self.contact)
 
     def restore(self, swarm: Swarm, mask: np.ndarray) -> None:  # noqa: B027
-        """Go on from a state whose arrays of `kept` were written; by default nothing to do.
-
-        Args:
-            swarm: State of all drones.
-            mask: (W, N) bool, drones that fly on.
-        """
+        """Go on with drones of `mask` (W, N) after `kept` was written; by default nothing to do."""
 
     def show(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Have the engine's bodies stand where drones are, for pictures; changes nothing in flight.
