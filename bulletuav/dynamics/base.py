@@ -190,12 +190,7 @@ class Dynamics(ABC):
         """Setpoint level that drives it; a class attribute will do."""
 
     def place(self, swarm: Swarm, mask: np.ndarray) -> None:
-        """Start drones from their state, as if nothing had been before.
-
-        Args:
-            swarm: State of all drones.
-            mask: (W, N) bool, drones that start.
-        """
+        """Start drones of `mask` (W, N) from their state, as if nothing had been before."""
         start(self.contact, mask)
 
     def kept(self) -> dict[str, np.ndarray]:
