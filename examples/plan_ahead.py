@@ -8,6 +8,8 @@ Run it:
 
     python examples/plan_ahead.py
     python examples/plan_ahead.py --drones 6 --plans 128 --seed 1
+
+Takes about 10 seconds on one core, once kernels are compiled.
 """
 
 import argparse

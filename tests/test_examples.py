@@ -194,6 +194,12 @@ def check_self_play(told, folder):
     assert ((shares >= 0) & (shares <= 1)).all()
 
 
+def check_plan_ahead(told, folder):
+    flown = numbers(r"(?:straight|planned): return #, conflicts #", told)
+    assert len(flown) == 2
+    assert (flown[:, 1] >= 0).all()
+
+
 def check_own_pid(told, folder):
     errors = numbers(r"after \d s the error is # cm", told)
     assert len(errors) == 8
