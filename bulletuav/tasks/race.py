@@ -206,9 +206,8 @@ class Race(Task[RaceConfig]):
     def start_memory(self, frame: Frame) -> None:
         """Find the ways to the finish from the start, and the order there."""
         memory = frame.scene.memory
-        self._find_ways(frame, memory["way"])
+        self._follow_ways(frame)
         memory["way_before"][:] = memory["way"]
-        self._rank(frame, frame.alive)
 
     def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
         """Swing gates, and move goals with them.
@@ -231,18 +230,14 @@ class Race(Task[RaceConfig]):
         for goal, gate in ((scene.goal, "gate"), (scene.goal_velocity, "gate_velocity")):
             goal[:] = np.take_along_axis(memory[gate], turn[..., None], axis=1)
 
-    def _find_ways(self, frame: Frame, way: np.ndarray) -> None:
-        """Write how far drones have yet to fly, (W, N) m."""
+    def _follow_ways(self, frame: Frame) -> None:
+        """Bring the ways that are left up to date, and the order; count who was overtaken."""
         memory = frame.scene.memory
         gates = (memory["passed"], memory["gate"], memory["leg"], self.turns)
-        ways_left(frame.after.position, *gates, way)
-
-    def _rank(self, frame: Frame, flown: np.ndarray) -> None:
-        """Bring the order up to date, and count who was overtaken."""
-        memory = frame.scene.memory
+        ways_left(frame.after.position, *gates, memory["way"])
         last = memory["split"][..., -1]
         order = (memory["rank"], memory["rank_before"], memory["overtaken"])
-        rank_drones(memory["way"], last, flown, *order)
+        rank_drones(memory["way"], last, frame.alive, *order)
 
     def update_memory(self, frame: Frame, rngs: Rngs) -> None:
         """Credit drones with gates, bring the order up to date, and count what went wrong."""
@@ -264,8 +259,7 @@ class Race(Task[RaceConfig]):
             memory["missing"],
         )
         memory["way_before"][:] = memory["way"]
-        self._find_ways(frame, memory["way"])
-        self._rank(frame, frame.alive)
+        self._follow_ways(frame)
         memory["missed"][:] += memory["missing"]
         memory["overtakes"][:] += memory["overtaken"]
         touching = frame.collision & frame.alive
