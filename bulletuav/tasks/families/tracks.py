@@ -11,12 +11,11 @@ import numpy as np
 
 from bulletuav.errors import nearest, require_file, shown, unknown
 from bulletuav.functions import atan2, cos, hypot, sin
-from bulletuav.tasks.families.gates import SIDES, Gate, gate_axes
+from bulletuav.tasks.families.gates import Gate, gate_axes
+from bulletuav.vehicle.airframes import URDF_FOLDER
 
 RANDOM = "random"
 """Name of tracks that are drawn for each episode"""
-SHAPES = (*SIDES, "mixed")
-"""Shapes of gates of a random track; "mixed" alternates"""
 FIELDS = ("position", "yaw", "pitch", "roll", "shape", "size")
 """What a file tells of a gate; only `position` is needed"""
 ROOM = 3.0
@@ -36,12 +35,7 @@ SPREAD = 0.3
 AIM = 15.0
 """How far the direction of a random gate is off the way through it, degrees"""
 
-_PACKAGE = Path(__file__).parents[2]
-TRACK_FOLDER = next(
-    folder / "assets" / "tracks"
-    for folder in (_PACKAGE, _PACKAGE.parent)
-    if (folder / "assets").is_dir()
-)
+TRACK_FOLDER = URDF_FOLDER.parent / "tracks"
 """Folder of the tracks that come with the package"""
 
 
@@ -54,7 +48,7 @@ class RandomTrack:
         radius: Greatest distance of a gate from the middle, m.
         height: Least and greatest height of the middles of gates, m.
         tilt: Greatest pitch and roll of gates, degrees.
-        shape: One of `SHAPES`.
+        shape: "square", "round", or "mixed" for both in turn.
         size: Width of the openings, m.
     """
 
