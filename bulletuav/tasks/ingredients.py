@@ -120,6 +120,13 @@ class Binding:
     events: frozenset[str]
     numbers: Mapping[str, Any]
 
+    def __post_init__(self) -> None:
+        """Refuse one name for two things. Raises ValueError."""
+        for name in sorted(self.memory & set(self.quantities)):
+            raise ValueError(
+                f"{name!r} is an array in the memory of task {self.task!r} and a quantity: rename one"
+            )
+
     def source(self, name: str, who: str) -> Source:
         """Find what an argument name stands for. Raises ValueError with the nearest names."""
         whole_world = name.startswith(ALL)

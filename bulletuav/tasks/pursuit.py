@@ -9,7 +9,7 @@ import numpy as np
 from bulletuav.functions import atan2, cos, sin
 from bulletuav.registry import register
 from bulletuav.tasks.base import Rngs
-from bulletuav.tasks.families.airspace import Airspace
+from bulletuav.tasks.families.airspace import REWARD_WEIGHTS, Airspace
 from bulletuav.tasks.families.difficulties import AIRSPACE_DIFFICULTIES
 from bulletuav.tasks.families.flight_config import (
     AirspaceConfig,
@@ -18,6 +18,7 @@ from bulletuav.tasks.families.flight_config import (
     least_distance,
 )
 from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
+from bulletuav.tasks.ingredients import reward
 
 TOLERANCE = 0.5
 """Angle by which laps may be short, rad: starts, and ends at the goal, are a little off"""
@@ -40,6 +41,12 @@ class PursuitConfig(AirspaceConfig):
     laps: int = 1
 
 
+@reward
+def progress(way: float, way_before: float) -> float:
+    """Metres nearer to the end of the laps: along the track, and to the goal."""
+    return way_before - way
+
+
 @register("task")
 class Pursuit(Airspace[PursuitConfig]):
     """Flight of a queue round a circle, the faster behind the slower, so that they overtake.
@@ -58,7 +65,7 @@ class Pursuit(Airspace[PursuitConfig]):
 
     Reward per decision, as in every shared airspace (see `Airspace` for all terms):
 
-    - progress 5: metres nearer to the goal.
+    - progress 1: metres nearer to the end of the laps, along the track, and to the goal.
     - goal 50: 1 on reaching the goal after flying all laps.
     - conflict -200: other drones that come closer than d_safe = 5 m.
     - warning -5: nearness to other drones, from 0 at 10 m to 1 at 5 m.
@@ -85,6 +92,7 @@ class Pursuit(Airspace[PursuitConfig]):
         "neighbours",
         "obstacles",
     )
+    reward: ClassVar = {**REWARD_WEIGHTS, "progress": (progress, 1.0)}
     difficulties: ClassVar = {
         "easy": AIRSPACE_DIFFICULTIES["easy"],
         "medium": AIRSPACE_DIFFICULTIES["medium"],
@@ -170,10 +178,14 @@ class Pursuit(Airspace[PursuitConfig]):
 
         Returns:
             "conflicts" (N,), their number; "swept" (N,), the angle flown round the centre
-            clockwise, rad.
+            clockwise, rad; "laps_left", "laps_left_before" (N,), ways that `way` tells, m.
         """
-        drones = (self.context.num_drones,)
-        return {**super().memory(), "conflicts": drones, "swept": drones}
+        own = ("conflicts", "swept", "laps_left", "laps_left_before")
+        return {**super().memory(), **dict.fromkeys(own, (self.context.num_drones,))}
+
+    def start_memory(self, frame: Frame) -> None:
+        """Find the ways to the end of the laps from the start."""
+        self._follow_ways(frame)
 
     def update_memory(self, frame: Frame, rngs: Rngs) -> None:
         """Count conflicts and laps, beside what every airspace notes."""
@@ -183,7 +195,23 @@ class Pursuit(Airspace[PursuitConfig]):
         turned -= 2 * np.pi * np.round(turned / (2 * np.pi))
         memory["swept"][:] += np.where(frame.alive, turned, 0.0)
         memory["conflicts"][:] += np.where(frame.alive, frame.conflict.onsets, 0)
+        memory["laps_left_before"][:] = memory["laps_left"]
+        self._follow_ways(frame)
         super().update_memory(frame, rngs)
+
+    def _follow_ways(self, frame: Frame) -> None:
+        """Bring the ways that are left up to date: along the track, and to the goal."""
+        memory = frame.scene.memory
+        angle = np.maximum(2 * np.pi * self.config.laps - memory["swept"], 0.0)
+        memory["laps_left"][:] = self.config.radius * angle + super().way(frame)
+
+    def way(self, frame: Frame) -> np.ndarray:
+        """Compute the way that is left: the laps along the track, and to the goal, (W, N) m."""
+        return frame.scene.memory["laps_left"]
+
+    def way_before(self, frame: Frame) -> np.ndarray:
+        """Tell what `way` was before the decision, (W, N) m."""
+        return frame.scene.memory["laps_left_before"]
 
     def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
         """Let goals run on."""
@@ -191,21 +219,6 @@ class Pursuit(Airspace[PursuitConfig]):
         scene.goal[flying] = goal[flying]
         scene.goal_velocity[flying] = velocity[flying]
         return super().move_scene(scene, time, flying, rngs)
-
-    def goal_travel_left(self, goal: np.ndarray, time: np.ndarray) -> np.ndarray:
-        """Tell how far goals have yet to move: what is left of the laps, and of a descent.
-
-        Args:
-            goal: (W, N, 3) where they are, m.
-            time: (W,) time since each world's reset, s.
-
-        Returns:
-            (W, N) m.
-        """
-        flown = self._pace * np.asarray(time)[:, None]
-        laps = np.maximum(self._track_length - flown, 0.0)
-        left: np.ndarray = super().goal_travel_left(goal, time) + laps
-        return left
 
     def arrived(self, frame: Frame) -> np.ndarray:
         """Tell who flew its laps and is at its goal after that has stopped, (W, N) bool."""

@@ -182,16 +182,8 @@ class Airspace(ObstacleTask[FlightConfigT], Generic[FlightConfigT]):
             scene.goal[..., 2] = np.where(is_landing, 0.0, scene.goal[..., 2])
         return super().move_scene(scene, time, flying, rngs)
 
-    def goal_travel_left(self, goal: np.ndarray, time: np.ndarray) -> np.ndarray | float:
-        """Tell how far goals have yet to move: down to the ground for landing, else not at all.
-
-        Args:
-            goal: (W, N, 3) where they are, m.
-            time: (W,) time since each world's reset, s.
-
-        Returns:
-            (W, N) m, or 0.
-        """
+    def _descent(self, goal: np.ndarray) -> np.ndarray | float:
+        """Tell how far goals (W, N, 3) have yet to come down for landing, (W, N) m, or 0."""
         if self.config.at_goal != "land":
             return 0.0
         left: np.ndarray = goal[..., 2]
@@ -199,13 +191,12 @@ class Airspace(ObstacleTask[FlightConfigT], Generic[FlightConfigT]):
 
     def way(self, frame: Frame) -> np.ndarray:
         """Compute the way to the goal, and on with the goal to where it stops, (W, N) m."""
-        return frame.distance + self.goal_travel_left(frame.scene.goal, frame.time)
+        return frame.distance + self._descent(frame.scene.goal)
 
     def way_before(self, frame: Frame) -> np.ndarray:
         """Compute what `way` was before the decision, (W, N) m."""
-        time_before = frame.time - self.context.period
-        left = self.goal_travel_left(frame.goal_before, time_before)
-        way: np.ndarray = distances(frame.goal_before, frame.before.position) + left
+        way: np.ndarray = distances(frame.goal_before, frame.before.position)
+        way += self._descent(frame.goal_before)
         return way
 
     def arrived(self, frame: Frame) -> np.ndarray:
