@@ -22,7 +22,8 @@ import numpy as np
 from bulletuav.adapters.features import Symlog
 from bulletuav.adapters.sb3_buffers import LivingReplay, LivingRollouts
 from bulletuav.envs.aviary import Aviary
-from bulletuav.envs.curriculum import Curriculum, common_observation
+from bulletuav.envs.common_spaces import common_observation
+from bulletuav.envs.curriculum import Curriculum
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.environment import Environment, exclusive
 from bulletuav.envs.spaces import widest_action_space

@@ -19,6 +19,15 @@ from bulletuav.envs.airspace_inputs import (
 from bulletuav.envs.airspace_parts import STILL, AirspaceParts
 from bulletuav.envs.environment import exclusive
 from bulletuav.envs.parts import add_obstacles
+from bulletuav.envs.snapshot import (
+    Snapshot,
+    form_of,
+    hashes_of,
+    pack,
+    require_form,
+    require_snapshot,
+    unpack,
+)
 from bulletuav.envs.stages import finish, headings, prepare
 from bulletuav.program import Program
 from bulletuav.vehicle.swarm import Contacts
@@ -179,6 +188,77 @@ class Airspace(AirspaceParts):
         program.compile()
         self._program = program
         return program
+
+    @exclusive
+    def save_state(self) -> Snapshot:
+        """Save all that makes the future but which bodies there are; see `Aviary.save_state`."""
+        self._require_open()
+        arrays, only = self._state_arrays() | self._more_arrays(), np.zeros(1, dtype=int)
+        # Bullet rounds what is written: both flights are to go on from that.
+        self._dynamics.restore(self._swarm, self._alive)
+        return Snapshot(pack(arrays, [self.rng], only), form_of("airspace", arrays))
+
+    @exclusive
+    def load_state(self, snapshot: Snapshot) -> None:
+        """Go on from a state that was saved here, or in an airspace made alike.
+
+        Obstacles go back to where they were; bodies that were added have to be the same.
+
+        Args:
+            snapshot: What `save_state` gave.
+
+        Raises:
+            ValueError: It does not fit; all stays as it was.
+            RuntimeError: The airspace is closed.
+        """
+        self._look()
+        # What was read from `readings` before stays as it is.
+        self.readings = {name: reading.copy() for name, reading in self.readings.items()}
+        arrays, rngs = self._state_arrays() | self._more_arrays(), [self.rng]
+        require_snapshot(snapshot, Snapshot)
+        require_form(snapshot, form_of("airspace", arrays), "airspace")
+        unpack(snapshot.data, arrays, rngs, np.zeros(1, dtype=int))
+        (self.rng,) = rngs
+        self._turns = bool(self._yaw_rate.any())
+        self._uncertainty.restore(np.zeros(1, dtype=int))
+        obstacles = (self._obstacle, self._obstacle_turn, np.ones(1, dtype=bool))
+        self._engine.set_obstacles(*obstacles)
+        self._dynamics.restore(self._swarm, self._alive)
+
+    def state_hash(self) -> str:
+        """Hash the state; see `Aviary.state_hash`."""
+        self._require_open()
+        (told,) = hashes_of(pack(self._state_arrays(), [self.rng], np.zeros(1, dtype=int)))
+        return told
+
+    def _state_arrays(self) -> dict[str, np.ndarray]:
+        """Tell the arrays (1, ...) by name that are the state, whatever flew before."""
+        drawn = {f"drawn {name}": array for name, array in self._uncertainty.drawn.items()}
+        return {
+            **self._swarm._asdict(),
+            **drawn,
+            "levels": self._levels,
+            "setpoint": self._setpoint,
+            "told": self._told,
+            "yaw_rate": self._yaw_rate,
+            "steps": self._steps,
+            "time": self._time,
+            "obstacle": self._obstacle,
+            "obstacle_velocity": self._obstacle_velocity,
+            "obstacle_turn": self._obstacle_turn,
+            "force": self._dynamics.force,
+            "torque": self._dynamics.torque,
+            "parameters": self._dynamics.flight.parameters,
+            "controller": self._dynamics.flight.cascade.memory,
+        }
+
+    def _more_arrays(self) -> dict[str, np.ndarray]:
+        """Tell what else its future follows from; something in them may be left from before."""
+        told = {f"before {name}": array for name, array in self._before._asdict().items()}
+        told |= {f"reading {name}": array[None] for name, array in self.readings.items()}
+        for part in (self._wind, self._sensors, self._dynamics):
+            told.update(part.kept())
+        return told
 
     def _hold_yaw(self, rows: Any) -> None:
         """Let drones that hold no yaw hold the present one."""

@@ -94,14 +94,14 @@ class AirspaceParts(Environment):
         self.rng = np.random.default_rng(known.seed)
         self._wind = Wind(known.wind, known.wind20, 1, known.wind_profile)
         parameters = self._dynamics.flight.parameters
-        uncertain = Uncertainty(known.randomization, self._engine, parameters, self._wind)
+        self._uncertainty = Uncertainty(known.randomization, self._engine, parameters, self._wind)
         wanted = frozenset(name for one in carried.values() for name in one.gives)
         setup = sensor_setup(known, 1, wanted)
-        self._sensors = SensorSuite(carried, setup, self._engine, uncertain.drawn)
+        self._sensors = SensorSuite(carried, setup, self._engine, self._uncertainty.drawn)
         self._program: Program | None = None
         self._put_up(layouts)
         self._wind.reset(0, self.rng)
-        uncertain.reset(0, self.rng)
+        self._uncertainty.reset(0, self.rng)
         self._before = self._swarm.copy()
         self.place(None, position, rotor_speed=rotor_speed)
         self._sensors.reset(0, self._swarm, self.rng)

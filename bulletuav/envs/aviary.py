@@ -9,7 +9,15 @@ from bulletuav.envs.agents import USUAL_TYPES
 from bulletuav.envs.decisions import Decisions
 from bulletuav.envs.environment import exclusive
 from bulletuav.envs.infos import Infos
-from bulletuav.envs.snapshot import Snapshot, form_of, hashes_of, pack, unpack
+from bulletuav.envs.snapshot import (
+    Snapshot,
+    form_of,
+    hashes_of,
+    pack,
+    require_form,
+    require_snapshot,
+    unpack,
+)
 from bulletuav.envs.step import Step
 from bulletuav.envs.worlds import UNSTARTED
 from bulletuav.tasks.base import Task
@@ -288,7 +296,9 @@ class Aviary(Decisions):
         if self._frame is None:
             self.reset()
         fields = self._all_arrays()
-        self._spec.require_snapshot(snapshot, form_of(self.task.name, fields), chosen)
+        require_snapshot(snapshot, Snapshot, len(chosen))
+        form = form_of(self.task.name, fields)
+        require_form(snapshot, form, f"environment of {self.task.name!r}")
         unpack(snapshot.data, fields, self.rng, chosen)
         mask = np.zeros(self.num_worlds, dtype=bool)
         mask[chosen] = True

@@ -5,12 +5,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from gymnasium.spaces import Box, Dict, Space
+from gymnasium.spaces import Space
 from pettingzoo import ParallelEnv
 
+from bulletuav.envs.common_spaces import common_labels, common_observation
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
 from bulletuav.envs.parallel import AgentResults, ByAgent, Infos, ParallelAviary, check_agents
+from bulletuav.envs.snapshot import FaceSnapshot, require_snapshot
 from bulletuav.envs.spaces import drone_action_space
 from bulletuav.envs.state import slices
 from bulletuav.errors import as_int, as_sequence, choose, finite, shown
@@ -133,7 +135,7 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
         specs = [EnvSpec(task, 1, stage) for stage in self._options]
         widest = max(specs, key=lambda spec: spec.options.num_drones)
         self._observer = widest.observer
-        self._labels = _common_labels(specs)
+        self._labels = common_labels(specs)
         # Spaces: the same observation for all, actions of each drone of the largest stage.
         drones = widest.options.num_drones
         self.possible_agents = [f"drone_{i}" for i in range(drones)]
@@ -207,14 +209,17 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
         self._successes = {}
         if seed is not None:
             self._rng = np.random.default_rng(as_int("seed", seed, 0))
-        stage = self.curriculum.stage
-        if stage not in self._envs:
-            self._envs[stage] = ParallelAviary(self._task, **self._options[stage])
-        self._current = self._envs[stage]
+        self._current = self._env_of(self.curriculum.stage)
         own_seed = int(self._rng.integers(2**31))
         observations, infos = self.env.reset(seed=own_seed)
         self.agents = self.env.agents[:]
         return observations, self._with_stage(infos)
+
+    def _env_of(self, stage: int) -> ParallelAviary:
+        """Find the environment of a stage, or make it."""
+        if stage not in self._envs:
+            self._envs[stage] = ParallelAviary(self._task, **self._options[stage])
+        return self._envs[stage]
 
     @exclusive
     def step(self, actions: dict[str, np.ndarray]) -> AgentResults:
@@ -240,6 +245,39 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
         stage = float(self.curriculum.stage)
         return {agent: {**info, "stage": stage} for agent, info in infos.items()}
 
+    @exclusive
+    def save_state(self) -> FaceSnapshot:
+        """Save all that makes the future, with where the curriculum stands.
+
+        See `Aviary.save_state`.
+        """
+        env = self.env
+        (flown,) = (stage for stage, one in self._envs.items() if one is env)
+        beside = {
+            "flown": flown,
+            "curriculum": self.curriculum.state(),
+            "successes": dict(self._successes),
+            "generator": self._rng.bit_generator.state,
+        }
+        return FaceSnapshot(env.save_state(), beside)
+
+    @exclusive
+    def load_state(self, snapshot: FaceSnapshot) -> ByAgent:
+        """Go on from a state that was saved, at its stage; see `ParallelAviary.load_state`."""
+        require_snapshot(snapshot, FaceSnapshot)
+        beside = snapshot.beside
+        env = self._env_of(beside["flown"])
+        observations = env.load_state(snapshot.flight)
+        self._current, self.agents = env, env.agents[:]
+        self.curriculum.restore(beside["curriculum"])
+        self._successes = dict(beside["successes"])
+        self._rng.bit_generator.state = beside["generator"]
+        return observations
+
+    def state_hash(self) -> str:
+        """Hash the state of the world that is flown; see `Aviary.state_hash`."""
+        return self.env.state_hash()
+
     def state(self) -> np.ndarray:
         """Return the global state, with zeros for drones that the stage has not.
 
@@ -262,83 +300,6 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
         """Free the engines; a second call does nothing."""
         for env in self._envs.values():
             env.close()
-
-
-def common_observation(specs: Sequence[EnvSpec]) -> Space[Any]:
-    """Make the space that holds the observations of all stages.
-
-    Args:
-        specs: Options of each stage, and what follows from them.
-
-    Returns:
-        A Box, or a Dict of them, with bounds that hold those of all.
-
-    Raises:
-        ValueError: Observations differ in more than their bounds, such as in their blocks, or
-            actions in their kind.
-    """
-    spaces = [spec.observer.space() for spec in specs]
-    if len(spaces) == 1:
-        return spaces[0]
-    shapes = [_shapes(space) for space in spaces]
-    if any(shape != shapes[0] for shape in shapes):
-        raise ValueError(
-            f"the stages' observations have shapes {shapes}: choose vectors whose size does not "
-            f"depend on the number of drones, such as 'neighbours' instead of 'all_neighbours' "
-            f"and 'identity'"
-        )
-    _require_same_blocks(specs)
-    actions = [spec.action.name for spec in specs]
-    if len(set(actions)) > 1:
-        raise ValueError(f"the stages' actions are {actions}: one kind for all is needed")
-    return _union(spaces)
-
-
-def _require_same_blocks(specs: Sequence[EnvSpec]) -> None:
-    """Refuse stages whose vectors are equally long, but of other blocks or in another order."""
-    told = [_blocks(spec) for spec in specs]
-    for stage, blocks in enumerate(told):
-        if blocks != told[0]:
-            raise ValueError(
-                f"stage 0 observes {told[0]}, and stage {stage} observes {blocks}: the same blocks "
-                f"of the same sizes, in the same order, are needed"
-            )
-
-
-def _blocks(spec: EnvSpec) -> str:
-    """Tell the blocks of a stage's vector, each with how many numbers it has."""
-    parts = spec.observer.slices.items()
-    return ", ".join(f"{name} ({part.stop - part.start})" for name, part in parts)
-
-
-def _shapes(space: Space[Any]) -> Any:
-    """Return the shape of observations: of each entry by name where they are dicts."""
-    if isinstance(space, Dict):
-        return {name: one.shape for name, one in space.spaces.items()}
-    return space.shape
-
-
-def _union(spaces: Sequence[Space[Any]]) -> Space[Any]:
-    """Make the space that holds all spaces of the same shape."""
-    # All are dicts, or all are boxes, of the same shapes.
-    dicts = [space for space in spaces if isinstance(space, Dict)]
-    if dicts:
-        names = dicts[0].spaces
-        return Dict({name: _union([space.spaces[name] for space in dicts]) for name in names})
-    boxes = [space for space in spaces if isinstance(space, Box)]
-    low = np.min([box.low for box in boxes], axis=0)
-    high = np.max([box.high for box in boxes], axis=0)
-    return Box(low, high, dtype=boxes[0].low.dtype)
-
-
-def _common_labels(specs: Sequence[EnvSpec]) -> list[Label]:
-    """Make labels of observations with bounds that hold those of all stages."""
-    labels: list[Label] = []
-    for same in zip(*(spec.observer.labels for spec in specs), strict=False):
-        low = min(label.low for label in same)
-        high = max(label.high for label in same)
-        labels.append(same[0]._replace(low=low, high=high))
-    return labels
 
 
 def check_stages(stages: Any) -> None:

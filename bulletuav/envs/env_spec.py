@@ -11,7 +11,6 @@ from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.envs.options import EnvOptions, check_names
 from bulletuav.envs.parts import sensor_setup
 from bulletuav.envs.resolve import resolve
-from bulletuav.envs.snapshot import Snapshot
 from bulletuav.envs.state import GlobalState
 from bulletuav.errors import as_int, as_sequence, numbers_of, require_memory, shown, unknown
 from bulletuav.sensors.base import SensorSetup
@@ -186,25 +185,6 @@ class EnvSpec:
         if len(set(chosen)) < len(chosen):
             raise ValueError(f"worlds is {shown(worlds)}: each one once is needed")
         return np.array(chosen, dtype=int)
-
-    def require_snapshot(self, snapshot: Any, form: str, worlds: np.ndarray) -> None:
-        """Refuse a snapshot that does not fit worlds (S,).
-
-        Raises:
-            ValueError: It is none, is of another form, or holds another number of worlds.
-        """
-        if not isinstance(snapshot, Snapshot):
-            raise ValueError(f"snapshot is {shown(snapshot)}: what save_state gave is needed")
-        if snapshot.form != form:
-            raise ValueError(
-                f"the snapshot is of another task, or of other options, than this environment of "
-                f"{self.task.name!r}: load it where the options are those that it was saved with"
-            )
-        if len(snapshot) != len(worlds):
-            raise ValueError(
-                f"the snapshot holds {len(snapshot)} worlds, and {len(worlds)} are to be written: "
-                f"take some of them, snapshot[0], or name the worlds"
-            )
 
     def require_world(self, world: Any) -> None:
         """Refuse the number of a world that there is not.

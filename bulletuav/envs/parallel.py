@@ -15,7 +15,7 @@ from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
 from bulletuav.envs.infos import Infos as LazyInfos
 from bulletuav.envs.reset_options import reset_options
-from bulletuav.envs.snapshot import Snapshot
+from bulletuav.envs.snapshot import FaceSnapshot, Snapshot, require_snapshot
 from bulletuav.envs.spaces import drone_action_space, drone_numbers
 from bulletuav.envs.teams import team_rows
 from bulletuav.errors import choose, shown, unknown
@@ -280,6 +280,14 @@ def parallel_env(task: TaskSource, **options: Any) -> ParallelAviary:
     return ParallelAviary(task, **options)
 
 
+TURN = (
+    *("agents", "_live_agents", "_actions", "_agent_selector", "agent_selection", "new_agents"),
+    *("new_values", "_observations", "rewards", "_cumulative_rewards", "terminations"),
+    *("truncations", "infos"),
+)
+"""Where PettingZoo's conversion keeps what happened since the last decision"""
+
+
 class TurnAviary(LabelledEnvironment, OrderEnforcingWrapper):  # type: ignore[misc]  # has no types
     """`pettingzoo.AECEnv` of one task, whose agents take turns; by PettingZoo's own conversion."""
 
@@ -287,11 +295,28 @@ class TurnAviary(LabelledEnvironment, OrderEnforcingWrapper):  # type: ignore[mi
         """Make the environment; see `parallel_env`."""
         parallel = ParallelAviary(task, **options)
         super().__init__(parallel_to_aec_wrapper(parallel))
-        self._observer = parallel.aviary.observer
+        self._parallel, self._observer = parallel, parallel.aviary.observer
 
     def observe(self, agent: str) -> Any:
         """Return a copy of the agent's last observation, as PettingZoo keeps the original."""
         return copy.deepcopy(super().observe(agent))
+
+    def save_state(self) -> FaceSnapshot:
+        """Save all that makes the future, with whose turn it is; see `Aviary.save_state`."""
+        turn = {name: value for name, value in vars(self.env).items() if name in TURN}
+        return FaceSnapshot(self._parallel.save_state(), copy.deepcopy(turn))
+
+    def load_state(self, snapshot: FaceSnapshot) -> None:
+        """Go on from a state that was saved; see `Aviary.load_state`."""
+        require_snapshot(snapshot, FaceSnapshot)
+        self._parallel.load_state(snapshot.flight)
+        for name, value in copy.deepcopy(dict(snapshot.beside)).items():
+            setattr(self.env, name, value)
+        self._has_reset = self._has_updated = True
+
+    def state_hash(self) -> str:
+        """Hash the state of the world; see `Aviary.state_hash`."""
+        return self._parallel.state_hash()
 
 
 def aec_env(task: TaskSource, **options: Any) -> TurnAviary:

@@ -1,8 +1,10 @@
 """Snapshots: all that makes the future of worlds, as bytes that can be kept, sent and put back."""
 
 import hashlib
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -34,6 +36,43 @@ class Snapshot:
         """Take some of its worlds, in the order of their indices, also several times."""
         chosen = [worlds] if isinstance(worlds, int | np.integer) else worlds
         return Snapshot(self.data[chosen], self.form)
+
+
+@dataclass(frozen=True, eq=False)
+class FaceSnapshot:
+    """The state of an environment class that keeps something beside its world.
+
+    Attributes:
+        flight: The state of the world.
+        beside: What else the class goes on from, such as whose turn it is.
+    """
+
+    flight: Snapshot
+    beside: Mapping[str, Any]
+
+
+def require_snapshot(snapshot: Any, kind: type, worlds: int = 1) -> None:
+    """Refuse what is no snapshot of a kind, or one of another number of worlds.
+
+    Raises:
+        ValueError: It is something else, or holds more or fewer of them.
+    """
+    if not isinstance(snapshot, kind):
+        raise ValueError(f"snapshot is {shown(snapshot)}: what save_state gave is needed")
+    if isinstance(snapshot, Snapshot) and len(snapshot) != worlds:
+        raise ValueError(
+            f"the snapshot holds {len(snapshot)} worlds, and {worlds} are to be written: "
+            f"take some of them, snapshot[0], or name the worlds"
+        )
+
+
+def require_form(snapshot: Snapshot, form: str, of: str) -> None:
+    """Refuse a snapshot of another form. Raises ValueError."""
+    if snapshot.form != form:
+        raise ValueError(
+            f"the snapshot is of another task, or of other options, than this {of}: load it where "
+            f"the options are those that it was saved with"
+        )
 
 
 def form_of(task: str, fields: Fields) -> str:
@@ -72,7 +111,7 @@ def hashes_of(data: np.ndarray) -> tuple[str, ...]:
 
 def _bytes_of(array: np.ndarray, worlds: np.ndarray) -> np.ndarray:
     rows = np.ascontiguousarray(array[worlds])
-    return rows.reshape(len(worlds), -1).view(np.uint8)
+    return rows.reshape(len(worlds), math.prod(array.shape[1:])).view(np.uint8)
 
 
 def _generator_bytes(rng: np.random.Generator) -> bytes:

@@ -111,10 +111,10 @@ def _answer(
         actions = arrays["action"]
         keywords = {"actions": actions[..., 0] if keywords["choices"] else actions}
     answer = getattr(batch, method)(**keywords)
-    if method not in ("step", "reset"):
+    if method not in ("step", "reset", "load_state"):
         return answer
-    # A reset has no results between observations and infos.
-    observations, *results, infos = answer
+    # A reset has no results between observations and infos, a snapshot no infos.
+    observations, *results, infos = (answer, None) if method == "load_state" else answer
     arrays["alive"][:] = batch.alive
     arrays["ended"][:] = batch.ended
     for name, array in by_shared_name(observations).items():
@@ -122,6 +122,40 @@ def _answer(
     for name, array in zip(("reward", "terminated", "truncated"), results, strict=False):
         arrays[name][:] = array
     return infos
+
+
+def merged(
+    parts: list[slice],
+    infos: list[dict[str, Any]],
+    num_envs: int,
+) -> dict[str, Any]:
+    """Merge infos of several processes.
+
+    Args:
+        parts: Worlds of each process.
+        infos: Infos of each process.
+        num_envs: How many worlds there are in all.
+
+    Returns:
+        Infos of all worlds. Where a process lacks an entry (final ones) its worlds have zeros.
+    """
+    whole: dict[str, Any] = {}
+    for name in dict.fromkeys(name for info in infos for name in info):
+        # Those that have the entry, and what it is in them.
+        given = [
+            (part, info[name]) for part, info in zip(parts, infos, strict=True) if name in info
+        ]
+        first = given[0][1]
+        if isinstance(first, dict):
+            own_parts = [part for part, _ in given]
+            own_infos = [value for _, value in given]
+            whole[name] = merged(own_parts, own_infos, num_envs)
+            continue
+        shape = (num_envs, *first.shape[1:])
+        whole[name] = np.zeros(shape, dtype=first.dtype)
+        for part, value in given:
+            whole[name][part] = value
+    return whole
 
 
 def portable(error: Exception) -> Exception:

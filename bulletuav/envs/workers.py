@@ -18,9 +18,10 @@ from gymnasium.vector import AutoresetMode
 from bulletuav.envs.env_spec import MOST_WORLDS, EnvSpec
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
 from bulletuav.envs.reset_options import MASK, reset_options
+from bulletuav.envs.snapshot import Snapshot, require_snapshot
 from bulletuav.envs.spaces import widest_action_space
 from bulletuav.envs.vector import BatchAviary, BatchResults, autoreset
-from bulletuav.envs.worker import Layout, SharedArrays, by_shared_name, work
+from bulletuav.envs.worker import Layout, SharedArrays, by_shared_name, merged, work
 from bulletuav.errors import as_int, choose, finite
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.observations.observer import VECTOR, Observation
@@ -32,11 +33,7 @@ TIMEOUT = 600.0
 """Time that an answer may take, s: longer than any decision, and than compiling for a first one"""
 
 
-def _end_processes(
-    owner: int,
-    pipes: list[Connection],
-    processes: list[Any],
-) -> None:
+def _end_processes(owner: int, pipes: list[Connection], processes: list[Any]) -> None:
     """Ask the processes to end, and kill those that do not."""
     # A copy of the owner, made by a fork, has no say.
     if os.getpid() != owner:
@@ -264,7 +261,7 @@ class WorkerAviary(LabelledEnvironment):
             keywords[k] = {"seed": own_seeds, "options": {MASK: mask[part], **given}}
         infos = self._ask("reset", keywords)
         self._started = True
-        return self._observations(), _merged(self._parts, infos, self.num_envs)
+        return self._observations(), merged(self._parts, infos, self.num_envs)
 
     @exclusive
     def step(self, actions: np.ndarray) -> BatchResults:
@@ -284,8 +281,48 @@ class WorkerAviary(LabelledEnvironment):
             self._arrays["reward"].copy(),
             self._arrays["terminated"].copy(),
             self._arrays["truncated"].copy(),
-            _merged(self._parts, infos, self.num_envs),
+            merged(self._parts, infos, self.num_envs),
         )
+
+    @exclusive
+    def save_state(self, worlds: Any = None) -> Snapshot:
+        """Save all that makes the future of worlds; see `Aviary.save_state`."""
+        rows, saved = self._ask_owners("save_state", self._spec.indices(worlds))
+        data = np.concatenate([one.data for one in saved])
+        return Snapshot(data[np.argsort(rows)], saved[0].form)
+
+    @exclusive
+    def load_state(self, snapshot: Snapshot, worlds: Any = None) -> Observation:
+        """Go on from a state that was saved; see `Aviary.load_state`."""
+        chosen = self._spec.indices(worlds)
+        require_snapshot(snapshot, Snapshot, len(chosen))
+        self._ask_owners("load_state", chosen, snapshot)
+        self._started = True
+        return self._observations()
+
+    @exclusive
+    def state_hash(self, worlds: Any = None) -> tuple[str, ...]:
+        """Hash the state of each world; see `Aviary.state_hash`."""
+        rows, told = self._ask_owners("state_hash", self._spec.indices(worlds))
+        hashes = [one for ones in told for one in ones]
+        return tuple(hashes[k] for k in np.argsort(rows))
+
+    def _ask_owners(
+        self, method: str, worlds: np.ndarray, snapshot: Snapshot | None = None
+    ) -> tuple[np.ndarray, list[Any]]:
+        """Call a method of snapshots in all workers, each with those of worlds (S,) that it has.
+
+        Returns:
+            (S,) places of worlds in the order of the answers, and what each worker answered.
+        """
+        keywords, order = {}, []
+        for k, part in enumerate(self._parts):
+            rows = np.flatnonzero((worlds >= part.start) & (worlds < part.stop))
+            keywords[k] = {"worlds": (worlds[rows] - part.start).tolist()}
+            if snapshot is not None:
+                keywords[k]["snapshot"] = snapshot[rows]
+            order.append(rows)
+        return np.concatenate(order), self._ask(method, keywords)
 
     @exclusive
     def state(self) -> np.ndarray:
@@ -314,40 +351,6 @@ def _raise_first(answers: list[Any]) -> list[Any]:
         if isinstance(answer, Exception):
             raise answer
     return answers
-
-
-def _merged(
-    parts: list[slice],
-    infos: list[dict[str, Any]],
-    num_envs: int,
-) -> dict[str, Any]:
-    """Merge infos of several processes.
-
-    Args:
-        parts: Worlds of each process.
-        infos: Infos of each process.
-        num_envs: How many worlds there are in all.
-
-    Returns:
-        Infos of all worlds. Where a process lacks an entry (final ones) its worlds have zeros.
-    """
-    merged: dict[str, Any] = {}
-    for name in dict.fromkeys(name for info in infos for name in info):
-        # Those that have the entry, and what it is in them.
-        given = [
-            (part, info[name]) for part, info in zip(parts, infos, strict=True) if name in info
-        ]
-        first = given[0][1]
-        if isinstance(first, dict):
-            own_parts = [part for part, _ in given]
-            own_infos = [value for _, value in given]
-            merged[name] = _merged(own_parts, own_infos, num_envs)
-            continue
-        shape = (num_envs, *first.shape[1:])
-        merged[name] = np.zeros(shape, dtype=first.dtype)
-        for part, value in given:
-            merged[name][part] = value
-    return merged
 
 
 def _check_processes(workers: Any, start_method: Any, timeout: Any) -> None:

@@ -124,7 +124,7 @@ class Binding:
         """Refuse one name for two things. Raises ValueError."""
         for name in sorted(self.memory & set(self.quantities)):
             raise ValueError(
-                f"{name!r} is an array in the memory of task {self.task!r} and a quantity: rename one"
+                f"{name!r} is an array in memory and a quantity of task {self.task!r}: rename one"
             )
 
     def source(self, name: str, who: str) -> Source:

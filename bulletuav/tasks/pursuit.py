@@ -17,6 +17,7 @@ from bulletuav.tasks.families.flight_config import (
     clearance,
     least_distance,
 )
+from bulletuav.tasks.families.presets import UAVCONFLICT
 from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
 from bulletuav.tasks.ingredients import reward
 
@@ -42,9 +43,9 @@ class PursuitConfig(AirspaceConfig):
 
 
 @reward
-def progress(way: float, way_before: float) -> float:
-    """Metres nearer to the end of the laps: along the track, and to the goal."""
-    return way_before - way
+def lap(way: float, way_before: float, radius: float, laps: int) -> float:
+    """Share of all laps by which it came nearer to their end, along the track and to the goal."""
+    return (way_before - way) / (2 * np.pi * radius * laps)
 
 
 @register("task")
@@ -65,7 +66,9 @@ class Pursuit(Airspace[PursuitConfig]):
 
     Reward per decision, as in every shared airspace (see `Airspace` for all terms):
 
-    - progress 1: metres nearer to the end of the laps, along the track, and to the goal.
+    - lap 1000: share of all laps by which it came nearer to their end, along the track and to the
+      goal.
+    - progress 0: metres nearer to where the goal is now.
     - goal 50: 1 on reaching the goal after flying all laps.
     - conflict -200: other drones that come closer than d_safe = 5 m.
     - warning -5: nearness to other drones, from 0 at 10 m to 1 at 5 m.
@@ -92,7 +95,10 @@ class Pursuit(Airspace[PursuitConfig]):
         "neighbours",
         "obstacles",
     )
-    reward: ClassVar = {**REWARD_WEIGHTS, "progress": (progress, 1.0)}
+    reward: ClassVar = {**REWARD_WEIGHTS, "progress": 0.0, "lap": (lap, 1000.0)}
+    presets: ClassVar = {
+        "uavconflict": {**UAVCONFLICT, "weights": {**UAVCONFLICT["weights"], "lap": 0.0}}
+    }
     difficulties: ClassVar = {
         "easy": AIRSPACE_DIFFICULTIES["easy"],
         "medium": AIRSPACE_DIFFICULTIES["medium"],

@@ -11,6 +11,7 @@ from gymnasium.vector import AutoresetMode
 import bulletuav
 from bulletuav.envs.gymnasium import CentralAviary, CentralVectorAviary
 from bulletuav.envs.snapshot import Snapshot
+from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.sensors.imperfect import Imperfect
 from bulletuav.sensors.imu import Imu
 
@@ -241,6 +242,152 @@ def test_vector_environments_save_and_load():
     same([env.step(actions)[1] for _ in range(4)], rewards)
     assert len(env.state_hash()) == 2
     env.close()
+
+
+def test_worlds_of_several_processes_save_and_load():
+    options = {"num_drones": 2, "dynamics": "rigid_body", "horizon": 12}
+    alone = bulletuav.batch_env("crossing", num_envs=3, **options)
+    spread = bulletuav.batch_env("crossing", num_envs=3, workers=2, **options)
+    actions = np.random.default_rng(0).uniform(-1, 1, (20, 3, 2, 3))
+    for env in (alone, spread):
+        env.reset(seed=0)
+        env.step(actions[0])
+    assert spread.state_hash() == alone.state_hash()
+    assert spread.state_hash([2, 0]) == alone.state_hash([2, 0])
+    assert spread.state_hash([]) == ()
+    saved = alone.save_state([2, 0])
+    np.testing.assert_array_equal(spread.save_state([2, 0]).data, saved.data)
+    first = [alone.step(one)[:4] for one in actions]
+    for one in actions[:14]:
+        spread.step(one)
+    # Those of one process go on in worlds of another.
+    alone.load_state(saved, [1, 2])
+    seen = spread.load_state(saved, [1, 2])
+    assert spread.state_hash([1, 2]) == alone.state_hash([1, 2])
+    np.testing.assert_array_equal(seen[1:], alone.aviary.observations()[1:])
+    for mine, one in zip(first, actions, strict=True):
+        told = spread.step(one[[1, 2, 0]])[:4]
+        for a, b in zip(mine, told, strict=True):
+            np.testing.assert_array_equal(a[[2, 0]], b[1:])
+    with pytest.raises(ValueError, match="holds 2 worlds, and 3"):
+        spread.load_state(saved)
+    with pytest.raises(ValueError, match="of another task"):
+        spread.load_state(Snapshot(saved.data, "other"), [0, 2])
+    assert spread.step(actions[0])[0].shape[:2] == (3, 2)
+    alone.close()
+    spread.close()
+
+
+def test_turns_go_on_from_a_snapshot():
+    def flown(env, turns):
+        told = []
+        for _ in env.agent_iter(turns):
+            seen, reward, ended, cut, info = env.last()
+            told += [seen, reward, ended, cut, info.get("success", -1.0)]
+            env.step(None if ended or cut else np.full(3, 0.5))
+        return told
+
+    options = {"num_drones": 3, "dynamics": "point_mass", "horizon": 6}
+    env = bulletuav.aec_env("crossing", **options)
+    env.reset(seed=4)
+    flown(env, 4)  # between two decisions
+    saved, hashed = pickle.loads(pickle.dumps(env.save_state())), env.state_hash()
+    first = flown(env, 30)
+    assert not env.agents
+    for other in (env, bulletuav.aec_env("crossing", **options)):
+        other.load_state(saved)
+        assert other.state_hash() == hashed
+        same([np.array(one) for one in flown(other, 30)], [np.array(one) for one in first])
+    with pytest.raises(ValueError, match="what save_state gave is needed"):
+        env.load_state(saved.flight)
+    env.close()
+
+
+def test_curricula_go_on_from_a_snapshot():
+    options = {"dynamics": "point_mass", "horizon": 4, "difficulty": "easy"}
+    stages = ({"num_drones": 2}, {"num_drones": 3})
+    env = bulletuav.curriculum_env("crossing", stages, window=1, up=0.01, down=0.0, **options)
+    with pytest.raises(RuntimeError, match="reset"):
+        env.save_state()
+    env.reset(seed=0)
+    saved = env.save_state()
+
+    def flown():
+        told = []
+        for _ in range(3):
+            while env.agents:
+                results = env.step({one: np.ones(3) for one in env.agents})
+                told += [np.array(list(part.values())) for part in results[:4]]
+            env.curriculum.record(1.0)  # to the next stage
+            told += [np.array(list(env.reset()[0].values())), np.array(env.curriculum.stage)]
+        return told
+
+    first = flown()
+    assert env.curriculum.stage == 1
+    late, hashed = env.save_state(), env.state_hash()
+    again = env.load_state(saved)
+    assert list(again) == env.agents == ["drone_0", "drone_1"]
+    assert env.curriculum.stage == 0
+    same(flown(), first)
+    env.load_state(saved)
+    env.load_state(late)
+    assert env.state_hash() == hashed
+    assert len(env.agents) == 3
+    env.close()
+
+
+@pytest.mark.parametrize("dynamics", ["single_integrator", "rigid_body", "bullet"])
+def test_airspaces_go_on_from_a_snapshot(dynamics):
+    ball = Obstacle("sphere", (0.3,))
+
+    def made():
+        places = [(0.0, 0.0, 0.5), (1.0, 0.0, 0.5), (2.0, 0.0, 1.0)]
+        noise = {"accelerometer_noise": 0.1} if dynamics != "single_integrator" else {}
+        sensors = ("imu",) if noise else ("gps",)
+        return bulletuav.Airspace(
+            places,
+            dynamics=dynamics,
+            obstacles=(ball,),
+            sensors=sensors,
+            turbulence="light",
+            randomization=noise,
+            seed=2,
+        )
+
+    def flown(airspace, steps):
+        told = []
+        for k in range(steps):
+            if k == 10:
+                airspace.command(0, "velocity", (1.0, 0.2, -0.5), yaw_rate=0.3)
+            airspace.step()
+            told += [array.copy() for array in airspace.swarm]
+            told += list(airspace.readings.values())
+        return told
+
+    airspace = made()
+    airspace.command(None, "velocity", (0.5, 0.0, 0.0))
+    airspace.place_obstacle(0, (1.5, 0.1, 0.6), velocity=(0.3, 0.0, 0.0))
+    flown(airspace, 30)
+    saved, hashed, read = airspace.save_state(), airspace.state_hash(), dict(airspace.readings)
+    first = flown(airspace, 60)
+    kept = {name: array.copy() for name, array in airspace.readings.items()}
+    held = dict(airspace.readings)
+    airspace.load_state(saved)
+    same(list(held.values()), list(kept.values()))
+    same(list(airspace.readings.values()), list(read.values()))
+    assert airspace.state_hash() == hashed
+    same(flown(airspace, 60), first)
+    other = made()
+    other.load_state(saved)
+    same(flown(other, 60), first)
+    with pytest.raises(
+        ValueError, match="of another task, or of other options, than this airspace"
+    ):
+        other.load_state(Snapshot(saved.data, "other"))
+    airspace.close()
+    with pytest.raises(RuntimeError, match="closed"):
+        airspace.save_state()
+    other.close()
 
 
 def test_snapshots_that_do_not_fit_are_refused():

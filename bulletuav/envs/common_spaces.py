@@ -1,0 +1,87 @@
+"""Spaces and labels that hold for all stages of a curriculum."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium.spaces import Box, Dict, Space
+
+from bulletuav.envs.env_spec import EnvSpec
+from bulletuav.sensors.base import Label
+
+
+def common_observation(specs: Sequence[EnvSpec]) -> Space[Any]:
+    """Make the space that holds the observations of all stages.
+
+    Args:
+        specs: Options of each stage, and what follows from them.
+
+    Returns:
+        A Box, or a Dict of them, with bounds that hold those of all.
+
+    Raises:
+        ValueError: Observations differ in more than their bounds, such as in their blocks, or
+            actions in their kind.
+    """
+    spaces = [spec.observer.space() for spec in specs]
+    if len(spaces) == 1:
+        return spaces[0]
+    shapes = [_shapes(space) for space in spaces]
+    if any(shape != shapes[0] for shape in shapes):
+        raise ValueError(
+            f"the stages' observations have shapes {shapes}: choose vectors whose size does not "
+            f"depend on the number of drones, such as 'neighbours' instead of 'all_neighbours' "
+            f"and 'identity'"
+        )
+    _require_same_blocks(specs)
+    actions = [spec.action.name for spec in specs]
+    if len(set(actions)) > 1:
+        raise ValueError(f"the stages' actions are {actions}: one kind for all is needed")
+    return _union(spaces)
+
+
+def _require_same_blocks(specs: Sequence[EnvSpec]) -> None:
+    """Refuse stages whose vectors are equally long, but of other blocks or in another order."""
+    told = [_blocks(spec) for spec in specs]
+    for stage, blocks in enumerate(told):
+        if blocks != told[0]:
+            raise ValueError(
+                f"stage 0 observes {told[0]}, and stage {stage} observes {blocks}: the same blocks "
+                f"of the same sizes, in the same order, are needed"
+            )
+
+
+def _blocks(spec: EnvSpec) -> str:
+    """Tell the blocks of a stage's vector, each with how many numbers it has."""
+    parts = spec.observer.slices.items()
+    return ", ".join(f"{name} ({part.stop - part.start})" for name, part in parts)
+
+
+def _shapes(space: Space[Any]) -> Any:
+    """Return the shape of observations: of each entry by name where they are dicts."""
+    if isinstance(space, Dict):
+        return {name: one.shape for name, one in space.spaces.items()}
+    return space.shape
+
+
+def _union(spaces: Sequence[Space[Any]]) -> Space[Any]:
+    """Make the space that holds all spaces of the same shape."""
+    # All are dicts, or all are boxes, of the same shapes.
+    dicts = [space for space in spaces if isinstance(space, Dict)]
+    if dicts:
+        names = dicts[0].spaces
+        return Dict({name: _union([space.spaces[name] for space in dicts]) for name in names})
+    boxes = [space for space in spaces if isinstance(space, Box)]
+    low = np.min([box.low for box in boxes], axis=0)
+    high = np.max([box.high for box in boxes], axis=0)
+    return Box(low, high, dtype=boxes[0].low.dtype)
+
+
+def common_labels(specs: Sequence[EnvSpec]) -> list[Label]:
+    """Make labels of observations with bounds that hold those of all stages."""
+    labels: list[Label] = []
+    for same in zip(*(spec.observer.labels for spec in specs), strict=False):
+        low = min(label.low for label in same)
+        high = max(label.high for label in same)
+        labels.append(same[0]._replace(low=low, high=high))
+    return labels
