@@ -1,7 +1,7 @@
 """Command line `bulletuav`: finds the command, runs it, and turns errors into one line.
 
-Its commands are `tasks`, `fly`, `city`, `evaluate`, `compare`, `train`, `identify`, `incentives`,
-`benchmark` and `doctor`.
+Its commands are `tasks`, `fly`, `city`, `evaluate`, `compare`, `train`, `verify`, `identify`,
+`incentives`, `benchmark` and `doctor`.
 """
 
 import argparse
@@ -24,6 +24,7 @@ from bulletuav.commands import (
     incentives,
     tasks,
     train,
+    verify,
 )
 from bulletuav.version import __version__
 
@@ -34,6 +35,7 @@ COMMANDS: dict[str, ModuleType] = {
     "evaluate": evaluate,
     "compare": compare,
     "train": train,
+    "verify": verify,
     "identify": identify,
     "incentives": incentives,
     "benchmark": benchmark,

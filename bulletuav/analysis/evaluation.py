@@ -30,6 +30,7 @@ from bulletuav.analysis.results_folder import (
     RUN,
     ResultsFolder,
 )
+from bulletuav.analysis.seals import call_text, hash_files, hash_rows, sealed
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.resolve import resolve
 from bulletuav.errors import as_int, shown
@@ -63,7 +64,8 @@ class Evaluation:
     Attributes:
         about: What was flown: "bulletuav" (its version), "task", "policy", "reads_swarm" (whether
             it uses the true state instead of observations), "episodes", "seed", "batch",
-            "metrics" (of users), "options", and "fingerprint" (of code, airframes and model).
+            "metrics" (of users), "options", "fingerprint" (of code, airframes and model), and
+            "call" (arguments of `evaluate` as a Python literal, None where they were objects).
         rows: Metrics of each episode by name, with "episode" and "seed"; NaN for what it has not.
         seconds: Wall time of the episodes that were flown now, s; differs from run to run.
         flight: Duration of those episodes, s.
@@ -87,8 +89,20 @@ class Evaluation:
             metric: estimate(metric, [row[metric] for row in self.rows]) for metric in self.metrics
         }
 
+    @cached_property
+    def hash(self) -> str:
+        """Hash of all rows, to the last bit."""
+        return hash_rows(self.rows)
+
+    def figures(self) -> dict[str, dict[str, float | None]]:
+        """Return `estimates` as JSON can tell them: it has no NaN."""
+        return {
+            name: {key: None if np.isnan(value) else value for key, value in one._asdict().items()}
+            for name, one in self.estimates().items()
+        }
+
     def save(self, folder: Path) -> Path:
-        """Write `summary.json` beside the `run.json` and `episodes.csv` of the run.
+        """Write `summary.json`, sealed, beside the `run.json` and `episodes.csv` of the run.
 
         Args:
             folder: That of the run.
@@ -97,15 +111,9 @@ class Evaluation:
             The path of the file.
         """
         path = folder / "summary.json"
-        # JSON has no NaN.
-        figures = {
-            name: {key: None if np.isnan(value) else value for key, value in one._asdict().items()}
-            for name, one in self.estimates().items()
-        }
-        replace_file(
-            path,
-            json.dumps({**self.about, "estimates": figures}, indent=2) + "\n",
-        )
+        files = hash_files(folder, (RUN, EPISODES))
+        told = {**self.about, "estimates": self.figures(), "hash": self.hash, "files": files}
+        replace_file(path, json.dumps(sealed(told), indent=2) + "\n")
         return path
 
 
@@ -186,9 +194,11 @@ def evaluate(
             "wind is a function, which a folder cannot tell from another one: "
             "evaluate it without out"
         )
+    flown = {"task": task, "policy": chosen, "seed": seed, "metrics": list(metrics)}
+    call = call_text({**flown, "options": options})
     return _evaluate(
         run,
-        _about(run, pilot),
+        _about(run, pilot, call),
         workers,
         None if out is None else Path(out),
         progress,
@@ -244,7 +254,7 @@ def _meanings(metrics: tuple[MetricSpec, ...], rows: list[Row]) -> dict[str, str
     return meanings
 
 
-def _about(run: Run, pilot: PolicySpec) -> dict[str, Any]:
+def _about(run: Run, pilot: PolicySpec, call: str | None) -> dict[str, Any]:
     """Tell what is flown, as a json file can hold it."""
     spec = EnvSpec(run.task, BATCH, run.options)
     check_action(pilot.name, pilot.actions, spec.options.action)
@@ -259,6 +269,7 @@ def _about(run: Run, pilot: PolicySpec) -> dict[str, Any]:
         "metrics": [metric.name for metric in run.metrics],
         "fingerprint": _fingerprint(run, spec, pilot.models),
         "options": described(spec.options, spec.task.config),
+        "call": call,
     }
     # As it comes back from a file, with which it is compared.
     return cast(dict[str, Any], json.loads(json.dumps(about)))

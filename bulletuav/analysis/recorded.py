@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bulletuav.analysis.seals import hash_arrays
 from bulletuav.errors import unknown
 
 VERSION = 4
@@ -86,6 +87,11 @@ class Recording:
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays by name, without infos."""
         return {name: getattr(self, name) for name in ARRAYS}
+
+    def hash(self) -> str:
+        """Hash all arrays and infos, to the last bit; equal flights have equal hashes."""
+        infos = {f"info/{name}": np.asarray(values) for name, values in self.info.items()}
+        return hash_arrays({**self.arrays(), **infos})
 
     def told(self, name: str) -> np.ndarray:
         """Look up what infos told of each decision, (T, N, ...), by the name that they use.

@@ -11,6 +11,8 @@ import numpy as np
 
 from bulletuav.analysis.described import described
 from bulletuav.analysis.recorded import ARRAYS, TOLD, VERSION, Outcome, Recording, outcomes
+from bulletuav.analysis.results_folder import RUN
+from bulletuav.analysis.seals import call_text, hash_files, sealed
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.step import Step
 from bulletuav.errors import require_file
@@ -24,6 +26,8 @@ from bulletuav.version import __version__
 
 __all__ = ["Outcome", "Recording", "fly_episode", "load", "outcomes", "save"]
 
+ARRAYS_FILE = "trajectory.npz"
+TABLE_FILE = "trajectory.csv"
 READABLE = (2, 3, 4)
 """Versions that are read. 2 tells the task's own infos alone, and goals where there are none.
 
@@ -192,14 +196,12 @@ def save(recording: Recording, aviary: Aviary, policy: str, seed: int, folder: P
 
     Returns:
         The paths of `trajectory.npz` (arrays, infos and the version), `trajectory.csv` (a row for
-        each drone and time) and `run.json` (options and outcomes).
+        each drone and time) and `run.json` (options, outcomes, and hashes for `bulletuav verify`).
 
     Raises:
         OSError: A file cannot be written.
     """
-    arrays = folder / "trajectory.npz"
-    table = folder / "trajectory.csv"
-    run = folder / "run.json"
+    arrays, table, run = folder / ARRAYS_FILE, folder / TABLE_FILE, folder / RUN
     _write_arrays(recording, arrays)
     _write_table(recording, table)
     about = {
@@ -212,9 +214,20 @@ def save(recording: Recording, aviary: Aviary, policy: str, seed: int, folder: P
             {name: value if value != np.inf else None for name, value in row._asdict().items()}
             for row in outcomes(recording)
         ],
+        "call": _call(aviary, policy, seed),
+        "hash": recording.hash(),
+        "files": hash_files(folder, (ARRAYS_FILE, TABLE_FILE)),
     }
-    replace_file(run, json.dumps(about, indent=2) + "\n")
+    replace_file(run, json.dumps(sealed(about), indent=2) + "\n")
     return [arrays, table, run]
+
+
+def _call(aviary: Aviary, policy: str, seed: int) -> str | None:
+    """Tell what was flown such that it can be flown again; see `call_text`."""
+    (task, *_), options = aviary.made_from
+    given = {name: value for name, value in options.items() if name != "num_worlds"}
+    flown = {"task": task, "policy": policy, "seed": seed, "num_worlds": aviary.num_worlds}
+    return call_text({**flown, "options": given})
 
 
 def _write_arrays(recording: Recording, path: Path) -> None:
@@ -259,7 +272,7 @@ def load(path: str | Path) -> Recording:
         ValueError: It is no recording, or one without a version or of an unknown one.
     """
     folder = isinstance(path, str | Path) and Path(path).is_dir()
-    given = Path(path) / "trajectory.npz" if folder else path
+    given = Path(path) / ARRAYS_FILE if folder else path
     found = require_file("recording", given, "give the trajectory.npz of a flight, or its folder")
     try:
         # NumPy would leave a damaged file open.

@@ -61,19 +61,7 @@ class ResultsFolder:
             # What is compared next has to be there.
             known["options"]
         _require_same(known, about, folder)
-        with (
-            _damaged(folder / EPISODES),
-            (folder / EPISODES).open(newline="") as file,
-        ):
-            table = csv.DictReader(file)
-            columns = tuple(table.fieldnames or ())
-            if columns[: len(COLUMNS)] != COLUMNS:
-                raise ValueError(f"its columns are {shown(table.fieldnames)}")
-            for row in table:
-                numbers: Row = {name: float(row[name]) for name in columns}
-                self.rows[int(row["episode"])] = numbers | {
-                    name: int(row[name]) for name in ("episode", "seed")
-                }
+        self.rows = read_rows(folder)
 
     def add(self, rows: list[Row]) -> None:
         """Keep the rows of a batch, on disk too, in the order of the episodes.
@@ -94,6 +82,25 @@ class ResultsFolder:
         replace_file(self._folder / EPISODES, text.getvalue())
 
 
+def read_rows(folder: Path) -> dict[int, Row]:
+    """Read the rows of a folder, by the number of the episode.
+
+    Raises:
+        ValueError: They cannot be read.
+    """
+    rows: dict[int, Row] = {}
+    with _damaged(folder / EPISODES), (folder / EPISODES).open(newline="") as file:
+        table = csv.DictReader(file)
+        columns = tuple(table.fieldnames or ())
+        if columns[: len(COLUMNS)] != COLUMNS:
+            raise ValueError(f"its columns are {shown(table.fieldnames)}")
+        for row in table:
+            numbers: Row = {name: float(row[name]) for name in columns}
+            whole = {name: int(row[name]) for name in ("episode", "seed")}
+            rows[whole["episode"]] = numbers | whole
+    return rows
+
+
 @contextlib.contextmanager
 def _damaged(path: Path) -> Iterator[None]:
     """Name the file that cannot be read as what it should be."""
@@ -110,7 +117,7 @@ def _damaged(path: Path) -> Iterator[None]:
 def _require_same(known: dict[str, Any], about: dict[str, Any], folder: Path) -> None:
     """Raise ValueError unless both tell of the same run, maybe of more or fewer episodes."""
     known, about = (
-        {**one["options"], **one, "options": 0, "episodes": 0} for one in (known, about)
+        {**one["options"], **one, "options": 0, "episodes": 0, "call": 0} for one in (known, about)
     )
     for name in about:
         if known.get(name) != about[name]:

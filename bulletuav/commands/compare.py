@@ -23,7 +23,7 @@ from bulletuav.errors import unknown
 from bulletuav.files import replace_file
 from bulletuav.policies import find_policy
 from bulletuav.report.charts import plot_leaderboard
-from bulletuav.report.leaderboard import markdown, write_csv
+from bulletuav.report.leaderboard import LEADERBOARD, markdown, write_csv, write_json
 
 ABOUT = {
     "help": "evaluate several policies in several tasks and write a leaderboard",
@@ -88,12 +88,14 @@ def run(arguments: argparse.Namespace) -> None:
     out = out_folder(arguments.out)
     results = _evaluate(arguments, _cases(arguments, options, dynamics), out)
 
-    # Write the same leaderboard in three forms, and print the first.
-    files = [out / "leaderboard.md", out / "leaderboard.csv", out / "leaderboard.png"]
+    # Write the same leaderboard in three forms, and what verifies it; print the first.
+    names = ("leaderboard.md", "leaderboard.csv", "leaderboard.png", LEADERBOARD)
+    files = [out / name for name in names]
     table = markdown(results, arguments.against)
     replace_file(files[0], table)
     write_csv(results, files[1])
     plot_leaderboard(results, files[2])
+    write_json(results, arguments.against, files[3])
     console = Console()
     console.print(table, markup=False, soft_wrap=True)
     print_files(console, files)

@@ -20,15 +20,18 @@ class Environment:
     A copy is made anew from the same arguments, so it shares nothing with the original. It
     travels to other processes, and begins with a reset. `copy.copy` would share the engine and is
     refused.
+
+    Attributes:
+        made_from: The arguments that it was made from: positional ones, and others by name.
     """
 
-    _made_from: tuple[tuple[Any, ...], dict[str, Any]]
+    made_from: tuple[tuple[Any, ...], dict[str, Any]]
     _busy: threading.RLock
 
     def __new__(cls, *args: Any, **kwargs: Any) -> Any:
         """Note the arguments, each as it is now: the caller may change lists and dicts later."""
         self = super().__new__(cls)
-        self._made_from = (
+        self.made_from = (
             tuple(map(copy.copy, args)),
             {name: copy.copy(value) for name, value in kwargs.items()},
         )
@@ -37,7 +40,7 @@ class Environment:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Tell pickle and `copy.deepcopy` how a copy is made."""
-        return _make_again, (type(self), *self._made_from)
+        return _make_again, (type(self), *self.made_from)
 
     def __copy__(self) -> NoReturn:
         """Raise TypeError."""

@@ -1,13 +1,19 @@
 """Tables of several evaluations side by side."""
 
 import csv
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from bulletuav.analysis.evaluation import Evaluation
 from bulletuav.analysis.metrics import Estimate, mean_estimate
-from bulletuav.files import whole_file
+from bulletuav.analysis.seals import sealed
+from bulletuav.files import replace_file, whole_file
 
+LEADERBOARD = "leaderboard.json"
+"""File from which a leaderboard can be flown again"""
+DIGITS = 8
+"""Of hashes in tables"""
 SHOWN = {
     "success": "success",
     "drone_success": "drones",
@@ -35,14 +41,15 @@ SHOWN = {
 FOOTNOTE = (
     "\\* reads the true state instead of observations. In brackets: 95 % confidence intervals.\n"
 )
-CASE = ("task", "difficulty", "drones", "dynamics", "policy", "reads_swarm")
+CASE = ("task", "difficulty", "drones", "dynamics", "policy", "reads_swarm", "hash")
 """Columns of the csv file that tell one evaluation from others"""
 
 
 def markdown(results: Sequence[Evaluation], against: str | None = None) -> str:
     """Write a table for each task, difficulty and size of the swarm.
 
-    Cells are means with 95 % intervals; * marks policies that read the true state.
+    Cells are means with 95 % intervals, and the first digits of the hash of all episodes; * marks
+    policies that read the true state.
 
     Args:
         results: The evaluations.
@@ -112,13 +119,13 @@ def _table(
     headings = ["policy"]
     if has_dynamics:
         headings.append("dynamics")
-    headings += [SHOWN[metric] for metric in shown]
+    headings += [SHOWN[metric] for metric in shown] + ["hash"]
     lines = [title, _line(headings), "|---" * len(headings) + "|"]
     for result, found in zip(results, estimates, strict=True):
         cells = [result.about["policy"] + (" \\*" if result.about["reads_swarm"] else "")]
         if has_dynamics:
             cells.append(_dynamics(result))
-        cells += [_cell(found[metric]) for metric in shown]
+        cells += [_cell(found[metric]) for metric in shown] + [result.hash[:DIGITS]]
         lines.append(_line(cells))
     return "\n".join(lines) + "\n"
 
@@ -177,5 +184,22 @@ def write_csv(results: Sequence[Evaluation], path: Path) -> None:
                 options["dynamics"],
                 about["policy"],
                 about["reads_swarm"],
+                result.hash,
             ]
             writer.writerows([*case, metric, *one] for metric, one in result.estimates().items())
+
+
+def write_json(results: Sequence[Evaluation], against: str | None, path: Path) -> None:
+    """Write what is needed to fly a leaderboard again, sealed.
+
+    Args:
+        results: The evaluations.
+        against: As of `markdown`.
+        path: The file.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+    cases = [{**result.about, "hash": result.hash} for result in results]
+    told = sealed({"against": against, "cases": cases})
+    replace_file(path, json.dumps(told, indent=2) + "\n")

@@ -1,0 +1,111 @@
+"""Hashes of results, and seals of the files that tell of them."""
+
+import ast
+import hashlib
+import json
+import re
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+SEAL = "seal"
+"""Entry of a sealed file that hashes all the others"""
+CODE = re.compile(r"[A-Za-z_][\w.]*:\w")
+"""Beginning of a name that leads to code or to a pickled model, such as `mine:Policy`"""
+
+
+def hash_bytes(parts: Iterable[bytes]) -> str:
+    """Hash bytes, one part after the other: 32 hexadecimal digits of BLAKE2b."""
+    digest = hashlib.blake2b(digest_size=16)
+    for part in parts:
+        digest.update(part)
+    return digest.hexdigest()
+
+
+def hash_arrays(arrays: Mapping[str, np.ndarray]) -> str:
+    """Hash arrays with their names, types and shapes, in the order of their names."""
+    parts = []
+    for name, array in sorted(arrays.items()):
+        parts += [repr((name, array.dtype.str, array.shape)).encode(), array.tobytes()]
+    return hash_bytes(parts)
+
+
+def hash_rows(rows: Iterable[Mapping[str, float]]) -> str:
+    """Hash the numbers of rows with their names, to the last bit."""
+    return hash_bytes(
+        repr(sorted((name, float(value)) for name, value in row.items())).encode() for row in rows
+    )
+
+
+def hash_files(folder: Path, names: Iterable[str]) -> dict[str, str]:
+    """Hash the bytes of those files of a folder that are there, by their names."""
+    there = [name for name in names if (folder / name).exists()]
+    return {name: hash_bytes([(folder / name).read_bytes()]) for name in there}
+
+
+def sealed(told: Mapping[str, Any]) -> dict[str, Any]:
+    """Add a seal to what a JSON file is to tell."""
+    return {**told, SEAL: seal_of(told)}
+
+
+def seal_of(told: Mapping[str, Any]) -> str:
+    """Hash all entries but the seal, as JSON writes them."""
+    rest = {name: value for name, value in told.items() if name != SEAL}
+    return hash_bytes([json.dumps(rest, sort_keys=True).encode()])
+
+
+def call_text(call: Mapping[str, Any]) -> str | None:
+    """Write the arguments of a call as a Python literal.
+
+    Returns:
+        The text, or None where some of them are objects, which no text tells.
+    """
+    text = repr(dict(call))
+    try:
+        return text if ast.literal_eval(text) == call else None
+    except (ValueError, SyntaxError):
+        return None
+
+
+def read_call(text: Any, trust: bool) -> dict[str, Any]:
+    """Read what `call_text` wrote.
+
+    Args:
+        text: The text, from a file.
+        trust: Whether names in it may lead to code.
+
+    Raises:
+        ValueError: It is no such text, or names code that is not trusted.
+    """
+    if text is None:
+        raise ValueError(
+            "the file cannot be flown again: its task, policy or options were Python objects, "
+            "which no file tells"
+        )
+    try:
+        call = ast.literal_eval(text)
+    except (ValueError, SyntaxError, TypeError, MemoryError, RecursionError):
+        call = None
+    if not isinstance(call, dict) or not isinstance(call.get("options"), dict):
+        raise ValueError(f"the file tells no call that could be flown again: {str(text)[:80]!r}")
+    for name in _texts(call):
+        if not trust and CODE.match(name):
+            raise ValueError(
+                f"the file names {name!r}, which is code or a model that can run code: "
+                f"say --trust if you know its maker"
+            )
+    return call
+
+
+def _texts(value: Any) -> Iterable[str]:
+    """Yield all texts within a literal."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, dict):
+        for name, one in value.items():
+            yield from (*_texts(name), *_texts(one))
+    elif isinstance(value, list | tuple | set):
+        for one in value:
+            yield from _texts(one)

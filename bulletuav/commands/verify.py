@@ -1,0 +1,53 @@
+"""`bulletuav verify`: fly what files tell of once more, and compare."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from bulletuav.commands.arguments import add_trust
+from bulletuav.commands.progress import show_progress
+from bulletuav.report.verification import Check, Verifier
+
+ABOUT = {
+    "help": "fly a recording, an evaluation or a leaderboard again and compare every bit",
+    "description": (
+        "Check the seals of files that fly, evaluate or compare wrote, fly what they tell of once "
+        "more, and compare the hashes. The exit code is 1 where something differs."
+    ),
+    "epilog": """examples:
+  bulletuav fly crossing --out flight && bulletuav verify flight
+  bulletuav verify leaderboard --workers 2""",
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what is verified, in how many processes, and whether it is trusted."""
+    parser.add_argument("path", type=Path, metavar="FILE", help="a file of results, or its folder")
+    parser.add_argument(
+        "--workers", type=int, default=1, help="processes for evaluations (default: 1)"
+    )
+    add_trust(parser)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Verify, print, and leave with code 1 where something differs."""
+    verifier = Verifier(arguments.workers, arguments.trust, show_progress)
+    checks = verifier.verify(arguments.path)
+    Console().print(_table(arguments.path, checks))
+    if not all(check.same for check in checks):
+        sys.exit(1)
+
+
+def _table(path: Path, checks: list[Check]) -> Table:
+    """Lay out what was compared."""
+    table = Table(title=escape(str(path)))
+    for heading in ("what", "in the file", "found", "same"):
+        table.add_column(heading)
+    for check in checks:
+        same = "yes" if check.same else "[bold red]NO[/bold red]"
+        table.add_row(escape(check.what), check.told[:12], check.found[:12], same)
+    return table

@@ -1,0 +1,182 @@
+"""Verification of files: their seals, and whether flights from the same seeds give their bits."""
+
+import contextlib
+import itertools
+import json
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from bulletuav.analysis.evaluation import RUN, Evaluation, evaluate
+from bulletuav.analysis.recording import ARRAYS_FILE, fly_episode, load
+from bulletuav.analysis.seals import SEAL, hash_bytes, hash_files, read_call, seal_of
+from bulletuav.envs.aviary import Aviary
+from bulletuav.errors import read_file
+from bulletuav.policies import find_policy
+from bulletuav.report.leaderboard import LEADERBOARD, markdown, write_csv
+
+SUMMARY = "summary.json"
+"""File that tells how an evaluation went"""
+Report = Callable[[float], None]
+"""Function that takes how much is done so far"""
+Show = Callable[[str, int, str], AbstractContextManager[Report]]
+"""What shows progress: of an activity, up to a total, in a unit"""
+
+
+@contextlib.contextmanager
+def _show_nothing(activity: str, total: int, unit: str) -> Iterator[Report]:
+    """Keep silent."""
+    yield lambda done: None
+
+
+class Check(NamedTuple):
+    """One thing that was compared.
+
+    Attributes:
+        what: Its name.
+        told: Hash that the file tells.
+        found: Hash of what was found.
+    """
+
+    what: str
+    told: str
+    found: str
+
+    @property
+    def same(self) -> bool:
+        """Whether both agree."""
+        return self.told == self.found
+
+
+class Verifier(NamedTuple):
+    """How files are verified.
+
+    Attributes:
+        workers: Processes that fly evaluations.
+        trust: Whether names in the files may lead to code.
+        show: Shows how far flights are.
+    """
+
+    workers: int = 1
+    trust: bool = False
+    show: Show = _show_nothing
+
+    def verify(self, path: Path) -> list[Check]:
+        """Compare a recording, an evaluation or a leaderboard with itself, and with a new flight.
+
+        Args:
+            path: Its folder, or one of its files.
+
+        Returns:
+            What was compared: files first, then flights.
+
+        Raises:
+            FileNotFoundError: There is no such file.
+            ValueError: The files are none of the three, are damaged beyond reading, or cannot be
+                flown again.
+        """
+        if not path.exists():
+            raise FileNotFoundError(f"there is no {path}: give a file or a folder of results")
+        folder = path if path.is_dir() else path.parent
+        for name, verify in (
+            (LEADERBOARD, self._leaderboard),
+            (ARRAYS_FILE, self._recording),
+            (SUMMARY, self._evaluation),
+        ):
+            if (folder / name).exists():
+                return verify(folder)
+        raise ValueError(
+            f"{folder} holds no recording ({ARRAYS_FILE}), evaluation ({SUMMARY}) or leaderboard "
+            f"({LEADERBOARD}): give the folder of one"
+        )
+
+    def _recording(self, folder: Path) -> list[Check]:
+        """Verify what `bulletuav fly` wrote."""
+        about, checks = _read_sealed(folder / RUN)
+        if not all(check.same for check in checks):
+            return checks
+        recording = load(folder)
+        call = read_call(about.get("call"), self.trust)
+        aviary = Aviary(call["task"], call["num_worlds"], **call["options"])
+        policy = find_policy(call["policy"], call["task"], self.trust)(aviary)
+        done = itertools.count(1)
+        with self.show("flying", len(recording.reward), "decisions") as report:
+            flown = fly_episode(aviary, policy, call["seed"], lambda: report(next(done)))
+        aviary.close()
+        return [*checks, Check("flight", about["hash"], flown.hash())]
+
+    def _evaluation(self, folder: Path) -> list[Check]:
+        """Verify what `bulletuav evaluate` wrote."""
+        about, checks = _read_sealed(folder / SUMMARY)
+        if not all(check.same for check in checks):
+            return checks
+        (result,) = self._fly([about])
+        told, found = (
+            hash_bytes([json.dumps(one, sort_keys=True).encode()])
+            for one in (about["estimates"], result.figures())
+        )
+        flight = Check("episodes", about["hash"], result.hash)
+        return [*checks, flight, Check("estimates", told, found)]
+
+    def _leaderboard(self, folder: Path) -> list[Check]:
+        """Verify what `bulletuav compare` wrote: each row flown again, and the tables from that."""
+        about, checks = _read_sealed(folder / LEADERBOARD)
+        if not all(check.same for check in checks):
+            return checks
+        results = self._fly(about["cases"])
+        for case, result in zip(about["cases"], results, strict=True):
+            options = case["options"]
+            where = ", ".join((case["task"], options["difficulty"], options["dynamics"]))
+            checks.append(Check(f"{where}: {case['policy']}", case["hash"], result.hash))
+        # The tables follow from the flights.
+        with tempfile.TemporaryDirectory() as place:
+            table = Path(place) / "leaderboard.csv"
+            write_csv(results, table)
+            texts = {"leaderboard.csv": table.read_text()}
+        texts["leaderboard.md"] = markdown(results, about["against"])
+        for name, text in texts.items():
+            told = hash_bytes([read_file(folder / name).encode()])
+            checks.append(Check(name, told, hash_bytes([text.encode()])))
+        return checks
+
+    def _fly(self, cases: list[dict[str, Any]]) -> list[Evaluation]:
+        """Evaluate again what was evaluated."""
+        calls = [read_call(case.get("call"), self.trust) for case in cases]
+        done = 0
+        with self.show("flying", sum(case["episodes"] for case in cases), "episodes") as report:
+
+            def advance(episodes: int) -> None:
+                nonlocal done
+                done += episodes
+                report(done)
+
+            how: dict[str, Any] = {"workers": self.workers, "trust": self.trust}
+            return [
+                evaluate(**call, episodes=case["episodes"], progress=advance, **how, **options)
+                for case, call in zip(cases, calls, strict=True)
+                for options in (call.pop("options"),)
+            ]
+
+
+def _read_sealed(path: Path) -> tuple[dict[str, Any], list[Check]]:
+    """Read a sealed file; compare its seal, and the files beside it that it tells of.
+
+    Raises:
+        ValueError: It is no JSON, or has no seal.
+    """
+    try:
+        told = json.loads(read_file(path))
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{path} is damaged: {error}") from None
+    if not isinstance(told, dict) or not isinstance(told.get(SEAL), str):
+        raise ValueError(
+            f"{path} has no seal: it is damaged, or from an earlier bulletuav; fly it again"
+        )
+    checks = [Check(path.name, told[SEAL], seal_of(told))]
+    if checks[0].same:
+        files = told.get("files", {})
+        found = hash_files(path.parent, files)
+        checks += [Check(name, one, found.get(name, "missing")) for name, one in files.items()]
+    return told, checks
