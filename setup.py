@@ -12,6 +12,8 @@ from pathlib import Path
 from setuptools import Extension, setup
 from setuptools.command.build_py import build_py
 
+FLAGS = [] if sys.platform == "win32" else ["-g0", "-ffp-contract=off"]
+"""Of compilers: no paths of the machine, so that two builds are equal; no rounding of their own"""
 WHEELS_UNTIL = (3, 11)  # the newest Python for which pybullet 3.2.7 has wheels
 
 
@@ -52,8 +54,8 @@ if lacks_compiler():
     )
 setup(
     ext_modules=[
-        Extension("bulletuav.engine._batch", ["bulletuav/engine/_batch.c"], optional=True),
-        Extension("bulletuav.envs._agents", ["bulletuav/envs/_agents.c"], optional=True),
+        Extension(name, [f"{name.replace('.', '/')}.c"], extra_compile_args=FLAGS, optional=True)
+        for name in ("bulletuav.engine._batch", "bulletuav.envs._agents")
     ],
     cmdclass={"build_py": BuildWithAssets},
 )
