@@ -120,7 +120,7 @@ def test_workers_and_folders_change_no_bit_of_them(measured, tmp_path):
     summary = json.loads(more.save(tmp_path).read_text())
     assert summary["estimates"]["top_speed"]["mean"] == np.mean(column(measured, "top_speed"))
     write_csv([more], tmp_path / "board.csv")
-    assert "straight,True,final_height," in (tmp_path / "board.csv").read_text()
+    assert f"straight,True,{more.hash},final_height," in (tmp_path / "board.csv").read_text()
     for others in (ALL[:2], (*ALL[:2], Faster(6))):
         with pytest.raises(ValueError, match="its metrics is"):
             evaluate("converge", "straight", 13, **{**run, "metrics": others})

@@ -266,11 +266,11 @@ COMMON = ["success", "drones", "return", "conflict", "collision", "nearest m", "
 
 def test_columns_that_no_episode_has_are_left_out(straight, served):
     goals, users = cells(markdown([straight, *served[::2]]))
-    assert goals[0] == ["policy", *COMMON, "efficiency", "fairness"]
-    assert users[0] == ["policy", *COMMON, "served", "completed", "latency s"]
+    assert goals[0] == ["policy", *COMMON, "efficiency", "fairness", "hash"]
+    assert users[0] == ["policy", *COMMON, "served", "completed", "latency s", "hash"]
     assert [row[0] for row in users[1:]] == ["random", "kmeans \\*"]
-    assert {len(row) for row in goals} == {10}
-    assert {len(row) for row in users} == {11}
+    assert {len(row) for row in goals} == {11}
+    assert {len(row) for row in users} == {12}
 
 
 def test_a_cell_that_an_evaluation_has_not_is_a_dash():
@@ -293,7 +293,7 @@ def test_dynamics_have_a_column_where_there_are_several(served, tmp_path):
         in text
     )
     (table,) = cells(text)
-    assert table[0] == ["policy", "dynamics", *COMMON, "served", "completed", "latency s"]
+    assert table[0] == ["policy", "dynamics", *COMMON, "served", "completed", "latency s", "hash"]
     single, point = "single_integrator at 240 Hz", "point_mass at 240 Hz"
     ways = [["random", single], ["random", point], ["kmeans \\*", single], ["kmeans \\*", point]]
     assert [row[:2] for row in table[1:]] == ways

@@ -270,6 +270,7 @@ def test_comparing_writes_a_leaderboard(tmp_path, capsys):
         "leaderboard.md",
         "leaderboard.csv",
         "leaderboard.png",
+        "leaderboard.json",
         "runs",
     }
     assert len(list((tmp_path / "runs").iterdir())) == 8
