@@ -6,6 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
+from bulletuav.city.import_report import ImportReport
 from bulletuav.city.streets import Streets
 from bulletuav.errors import finite, numbers_of, shown
 from bulletuav.geometry.solids import Solids, box_corners
@@ -14,6 +15,8 @@ GROUP = 256
 """Points that are neighbours along x are asked together, as few pieces come into question"""
 UPRIGHT = 1e-9
 """Facets whose normal rises less than this are walls"""
+HEADROOM = 2.0
+"""Height of an underside, m, from which on the ground below is not built up"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +32,7 @@ class City:
         building: (P,) int, the building that each piece belongs to.
         streets: Where one walks.
         depth: Length of the ground along y, m; None for a square.
+        report: What its importer did; None for a city that is not from a file.
     """
 
     name: str
@@ -37,6 +41,7 @@ class City:
     building: np.ndarray
     streets: Streets
     depth: float | None = None
+    report: ImportReport | None = None
 
     @cached_property
     def sides(self) -> np.ndarray:
@@ -60,8 +65,11 @@ class City:
 
     @cached_property
     def coverage(self) -> float:
-        """Built-up share of the ground; pieces above each other count each."""
-        start, way = self._walls
+        """Built-up share of the ground.
+
+        Pieces that begin 2 m up or higher do not count; others above each other count each.
+        """
+        start, way = (ends[self.solids.bounds[:, 0, 2] < HEADROOM] for ends in self._walls)
         # Shoelace formula: twice the area of each footprint
         forward = start[..., 0] * way[..., 1]
         backward = start[..., 1] * way[..., 0]
