@@ -1,4 +1,3 @@
-import json
 import math
 import sys
 
@@ -28,26 +27,6 @@ def feature(*rings, height: object = 12, kind="Polygon"):
         "properties": {"height": height},
         "geometry": {"type": kind, "coordinates": rings},
     }
-
-
-@pytest.fixture
-def geojson(tmp_path):
-    def write(*features):
-        path = tmp_path / "town.geojson"
-        path.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
-        return path
-
-    return write
-
-
-@pytest.fixture
-def obj(tmp_path):
-    def write(text):
-        path = tmp_path / "town.obj"
-        path.write_text(text)
-        return path
-
-    return write
 
 
 def sorted_rows(points):
