@@ -7,6 +7,7 @@ from typing import Any, cast
 import numpy as np
 
 from bulletuav.errors import missing
+from bulletuav.geometry.convex import MOST_CORNERS
 
 STRAIGHT = 1e-9
 """Sine of an angle that turns right and is taken as straight"""
@@ -46,13 +47,20 @@ def convex_pieces(polygon: Any) -> Iterator[np.ndarray]:
 
     outline = shapely.get_coordinates(polygon.normalize().exterior)[-2::-1]
     if not polygon.interiors and turns_left(outline):
-        yield outline
+        yield from _of_few_corners(outline)
         return
     triangles = triangles_of(polygon)
     # Corners by number, as those of different triangles are the same to the last bit
     points, number = np.unique(triangles.reshape(-1, 2), axis=0, return_inverse=True)
     for piece in _joined(points, number.reshape(-1, 3).tolist()):
-        yield points[piece]
+        yield from _of_few_corners(points[piece])
+
+
+def _of_few_corners(outline: np.ndarray) -> Iterator[np.ndarray]:
+    """Cut a convex outline into ones of as many corners as a face may have."""
+    first, others = outline[:1], outline[1:]
+    for k in range(0, len(others) - 1, MOST_CORNERS - 2):
+        yield np.concatenate([first, others[k : k + MOST_CORNERS - 1]])
 
 
 def turns_left(outline: np.ndarray) -> bool:

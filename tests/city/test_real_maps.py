@@ -280,6 +280,17 @@ def test_few_pieces_are_made_of_usual_shapes():
         assert sum(map(area_of, pieces)) == pytest.approx(shapely.Polygon(corners).area), name
 
 
+def test_a_round_house_of_many_corners_is_cut_into_faces_that_can_be():
+    turn = np.linspace(0, 2 * np.pi, 600, endpoint=False)
+    polygon = shapely.Polygon(20 * np.stack([np.cos(turn), np.sin(turn)], axis=1))
+    pieces = list(convex_pieces(polygon))
+    assert [len(piece) for piece in pieces] == [256, 256, 92]
+    assert sum(map(area_of, pieces)) == pytest.approx(polygon.area, rel=1e-12)
+    assert shapely.union_all([shapely.Polygon(piece) for piece in pieces]).area == pytest.approx(
+        polygon.area
+    )
+
+
 def test_a_prism_has_its_outline_at_both_heights():
     corners = extruded(np.array([[0.0, 0], [4, 0], [0, 3]]), 2.0, 7.0)
     assert corners.tolist() == [[0, 0, 2], [4, 0, 2], [0, 3, 2], [0, 0, 7], [4, 0, 7], [0, 3, 7]]
