@@ -81,6 +81,8 @@ class City:
     def outdoors(self, points: np.ndarray, margin: float = 0.0) -> np.ndarray:
         """Tell which points are farther from all footprints than a margin.
 
+        The ground below parts in the air is not outdoors.
+
         Args:
             points: (..., 2 or 3) in m; their z does not matter.
             margin: m.
