@@ -50,7 +50,8 @@ def read_length(value: Any) -> tuple[float, str]:
     if isinstance(value, str) and ";" in value:
         value = value.split(";")
     if isinstance(value, list):
-        known = [length for length, _ in map(read_length, value) if not math.isnan(length)]
+        flat = [read_length(one)[0] for one in value if not isinstance(one, list)]
+        known = [length for length in flat if not math.isnan(length)]
         return (max(known), "list") if known else (math.nan, "unreadable")
     try:
         # Some write heights as texts
@@ -63,7 +64,7 @@ def read_length(value: Any) -> tuple[float, str]:
 def _with_unit(text: str) -> float:
     """Read a length with a unit or a decimal comma, m; NaN where it cannot be read."""
     if both := FEET_AND_INCHES.fullmatch(text.strip()):
-        return int(both[1]) * FOOT + float(both[2]) * INCH
+        return float(both[1]) * FOOT + float(both[2]) * INCH
     found = LENGTH.fullmatch(text.strip())
     if not found or found[2].lower() not in UNITS:
         return math.nan
@@ -115,7 +116,9 @@ class HeightReader:
         if top is None:
             top = self._by_levels(properties, where)
         if top is None:
-            top = bottom + self._without(properties, where)
+            top = self._without(properties, where)
+            if 0 <= bottom <= MOST_HEIGHT - top:
+                top += bottom
         if not 0 <= bottom <= top - LEAST_HEIGHT:
             self.notes.add(
                 "underside", where, f"its underside is {bottom:g} m up, its top {top:g} m"

@@ -71,6 +71,11 @@ HEIGHTS = [
     ({"height": 12, "min_height": "high"}, 12, "underside"),
     ({"height": 12, "min_height": 12}, 12, "underside"),
     ({"height": 12, "min_height": -2}, 12, "underside"),
+    ({"height": [[[3]]]}, 10, "unreadable"),
+    ({"height": "9" * 5000 + "'1\""}, 10, "unreadable"),
+    ({"min_height": 1995}, 10, "underside"),
+    ({"min_height": "9" * 400 + " m"}, 10, "underside"),
+    ({"building:min_level": "1e9"}, 10, "underside"),
 ]
 
 
