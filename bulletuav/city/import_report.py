@@ -136,19 +136,21 @@ class Notebook:
         self.notes: list[Note] = []
         self.splits: list[Split] = []
 
-    def add(self, kind: str, where: str, what: str) -> None:
+    def add(self, kind: str, where: str, what: str, needed: str = "") -> None:
         """Note what was found.
 
         Args:
             kind: A name among `KINDS`.
             where: Name of the feature or object.
             what: What was found there, for people.
+            needed: What is needed in its place, told where it is refused.
 
         Raises:
             ValueError: It is refused.
         """
         if self.strict and KINDS[kind].refused:
-            raise ValueError(f"{self.path}, {where}: {what}")
+            told = f"{what}: {needed}" if needed else what
+            raise ValueError(f"{self.path}, {where}: {told}")
         self.notes.append(Note(kind, where, what))
 
     def report(self) -> ImportReport:

@@ -18,6 +18,7 @@ LEVEL = 3.0
 """Height of a level, m, as OSM Buildings 4.1 has it (METERS_PER_LEVEL)"""
 GUESS = 10.0
 """Height of a building of which nothing is told, m, as OSM Buildings 4.1 has it (DEFAULT_HEIGHT)"""
+NEEDED = "metres above 0, or a default height, are needed"
 FOOT = 0.3048
 INCH = 0.0254
 UNITS = {
@@ -135,23 +136,21 @@ class HeightReader:
             return None
         length, oddity = read_length(value)
         if not 0 < length < math.inf:
-            self.notes.add("unreadable", where, self._needed(value))
+            self.notes.add("unreadable", where, f"its {self.name} is {shown(value)}", NEEDED)
             return None
         if not LEAST_HEIGHT <= length <= MOST_HEIGHT:
             self.notes.add(
                 "unreadable",
                 where,
-                f"its {self.name} is {length:g} m: "
+                f"its {self.name} is {length:g} m",
                 f"from {LEAST_HEIGHT:g} to {MOST_HEIGHT:g} m is possible",
             )
             return None
         if oddity:
-            self.notes.add(oddity, where, self._needed(value))
+            self.notes.add(
+                oddity, where, f"its {self.name} is {shown(value)}, taken as {length:g} m", NEEDED
+            )
         return length
-
-    def _needed(self, value: Any) -> str:
-        """Tell what is needed in place of a value."""
-        return f"its {self.name} is {shown(value)}: metres above 0, or a default height, are needed"
 
     def _by_levels(self, properties: Mapping[str, Any], where: str) -> float | None:
         """Return the height that the levels make, m, if they can be; strict readers do not ask."""
@@ -173,7 +172,7 @@ class HeightReader:
         if self.default is not None:
             self.notes.add("default", where, f"it is taken as {self.default:g} m high")
             return self.default
-        self.notes.add("guessed", where, self._needed(properties.get(self.name)))
+        self.notes.add("guessed", where, f"its {self.name} is None", NEEDED)
         return GUESS
 
     def _bottom(self, properties: Mapping[str, Any], where: str) -> float:
@@ -184,7 +183,7 @@ class HeightReader:
         length, oddity = read_length(value)
         if oddity:
             kind = "underside" if oddity == "unreadable" else oddity
-            self.notes.add(kind, where, f"its min_height is {shown(value)}: metres are needed")
+            self.notes.add(kind, where, f"its min_height is {shown(value)}", "metres are needed")
         return 0.0 if math.isnan(length) else length
 
 
