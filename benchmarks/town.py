@@ -162,11 +162,14 @@ def main() -> None:
     arguments.out.mkdir(parents=True, exist_ok=True)
     path = arguments.out / "town.geojson"
     write_town(path, arguments.buildings, arguments.odd)
-    begin = time.perf_counter()
+    begin, spent = time.perf_counter(), time.process_time()
     with warnings.catch_warnings(action="ignore", category=MendedWarning):
         town = from_geojson(path)
     pieces = len(town.building)
-    print(f"read in {time.perf_counter() - begin:.1f} s: {len(town.heights)} buildings, ", end="")
+    took, spent = time.perf_counter() - begin, time.process_time() - spent
+    print(
+        f"read in {took:.1f} s ({spent:.1f} s of CPU time): {len(town.heights)} buildings, ", end=""
+    )
     print(f"{pieces} pieces, {path.stat().st_size / 1000:.0f} kB; {town.report.counts}")
     if arguments.no_flights:
         return
