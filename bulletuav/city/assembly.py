@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from bulletuav.city.import_report import Notebook
 from bulletuav.city.model import City
 from bulletuav.city.streets import Streets, free_streets
 from bulletuav.engine.tiles import TILE_PITCH
@@ -58,7 +59,12 @@ def check_extent(
         )
 
 
-def assemble(path: Path, pieces: Sequence[tuple[str, np.ndarray]], side: float | None) -> City:
+def assemble(
+    path: Path,
+    pieces: Sequence[tuple[str, np.ndarray]],
+    side: float | None,
+    notes: Notebook,
+) -> City:
     """Make a city of convex pieces.
 
     Args:
@@ -66,6 +72,7 @@ def assemble(path: Path, pieces: Sequence[tuple[str, np.ndarray]], side: float |
         pieces: Of each the name of its building, and points (V, 3) whose hull it is, m.
         side: Of the city's square about the origin, m; None for the smallest square about the
             middle of the pieces, which becomes the origin.
+        notes: What was done to get them; the city gets its report.
 
     Returns:
         The city, with streets on its free ground. Boxes come first among its pieces.
@@ -74,7 +81,8 @@ def assemble(path: Path, pieces: Sequence[tuple[str, np.ndarray]], side: float |
         ValueError: There are no pieces, one has no volume, they do not fit, or nothing is free.
     """
     if not pieces:
-        raise ValueError(f"{path} holds no buildings")
+        mended = notes.report().summary()
+        raise ValueError(f"{path} holds no buildings" + (mended and f": {mended}"))
     corners = np.concatenate([points for _, points in pieces])
     low = corners[:, :2].min(axis=0)
     high = corners[:, :2].max(axis=0)
@@ -113,7 +121,8 @@ def assemble(path: Path, pieces: Sequence[tuple[str, np.ndarray]], side: float |
     no_edges = np.zeros((0, 2), dtype=int)
     no_streets = Streets(no_nodes, no_edges)
     bare = City(path.stem, float(side), solids, building, no_streets)
-    return replace(bare, streets=free_streets(bare.side, bare.outdoors))
+    streets = free_streets(bare.side, bare.outdoors)
+    return replace(bare, streets=streets, report=notes.warn())
 
 
 def _hull(points: np.ndarray, where: str) -> tuple[np.ndarray, bool]:

@@ -1,32 +1,48 @@
 """Cities from GeoJSON files: footprints of buildings with heights."""
 
-import itertools
 import json
 import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import ModuleType
-from typing import Any, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from bulletuav.city.assembly import (
-    FLUSH,
-    LEAST_HEIGHT,
-    MOST_HEIGHT,
-    REMEDY,
-    assemble,
-    check_extent,
-    check_flags,
-)
+from bulletuav.city.assembly import REMEDY, assemble, check_extent, check_flags
+from bulletuav.city.import_report import Notebook
 from bulletuav.city.model import City
-from bulletuav.errors import finite, missing, read_file, require_file, shown
+from bulletuav.city.polygons import SLIVER, area_of, convex_pieces, extruded, import_shapely
+from bulletuav.city.tags import HeightReader
+from bulletuav.errors import read_file, require_file, shown
 
 EARTH_RADIUS = 6_371_008.8
 """Mean radius, m (Moritz, Geodetic Reference System 1980)"""
 LEAST_AREA = 1e-18
 """Square degrees, or m^2, below which a footprint is a point"""
-SLIVER = 1e-4
-"""Pieces of a footprint smaller than this, m^2, are left out"""
+
+COVERED = 0.9
+"""Share of an outline that parts must cover not to leave a hole worth a warning"""
+
+
+class Footprint(NamedTuple):
+    """What stands on a polygon.
+
+    Attributes:
+        where: Name of its feature.
+        building: Name of the building that it belongs to.
+        properties: Of its feature.
+        shape: Shapely Polygon or MultiPolygon.
+    """
+
+    where: str
+    building: str
+    properties: Mapping[str, Any]
+    shape: Any
+
+    @property
+    def is_part(self) -> bool:
+        """Whether it is a part of a building, as OpenStreetMap calls it."""
+        return self.properties.get("building:part") not in (None, False, "no")
 
 
 def from_geojson(
@@ -35,6 +51,7 @@ def from_geojson(
     height: str = "height",
     default_height: float | None = None,
     metres: bool = False,
+    strict: bool = False,
 ) -> City:
     """Read a city from a FeatureCollection of footprints, each of them a building.
 
@@ -43,16 +60,23 @@ def from_geojson(
     middle of all footprints such that meridians and the middle parallel keep their length. It needs
     the extra `city`.
 
+    Properties are read as OpenStreetMap writes them. A height may have a unit ("40 ft"); of a list
+    ("12;14") the highest counts. Without a height, `building:levels` and `roof:levels` tell it, 3 m
+    each. `min_height`, or `building:min_level`, is the height of the underside. Where features
+    with `building:part` are in an outline, they count in its place.
+
     Args:
         path: The file.
         side: Of the city's square, m, with coordinates in metres taken as they are; None for the
             smallest square about the middle.
         height: Property of the features that holds a building's height, m.
-        default_height: Height of buildings without one, m.
+        default_height: Height of buildings of which neither height nor levels are told, m; None
+            for a guess of 10 m.
         metres: Whether coordinates are metres east and north, and not degrees.
+        strict: Whether to refuse what is repaired, guessed or left out otherwise.
 
     Returns:
-        The city, with streets on its free ground.
+        The city, with streets on its free ground. Its `report` tells what was mended.
 
     Raises:
         FileNotFoundError: There is no such file.
@@ -60,48 +84,32 @@ def from_geojson(
         ValueError: Something cannot be read; the feature is named.
     """
     path = require_file("city", path, REMEDY)
-    check_flags(metres=metres)
-    if not isinstance(height, str):
-        raise ValueError(
-            f"height is {shown(height)}: the name of a property of the features is needed"
-        )
-    features = _features(path)
-    shapely = _shapely()
-    shapes = [_geometry(feature, where) for where, feature in features]
-    if not metres and shapes:
-        shapes = list(_projected(np.array(shapes), path))
-    if shapes:
-        west, south, east, north = shapely.total_bounds(np.array(shapes))
-        low = np.array([west, south])
-        high = np.array([east, north])
-        check_extent(path, low, high, side)
+    check_flags(metres=metres, strict=strict)
+    notes = Notebook(path, strict)
+    reader = HeightReader(height, default_height, notes)
+    shapely = import_shapely("reading GeoJSON")
+    footprints = _footprints(path, notes)
+    if footprints:
+        shapes = np.array([footprint.shape for footprint in footprints])
+        if not metres:
+            shapes = _projected(shapes, path)
+        west, south, east, north = shapely.total_bounds(shapes)
+        check_extent(path, np.array([west, south]), np.array([east, north]), side)
+        moved = zip(footprints, shapes, strict=True)
+        footprints = [footprint._replace(shape=shape) for footprint, shape in moved]
 
     pieces: list[tuple[str, np.ndarray]] = []
-    for (where, feature), shape in zip(features, shapes, strict=True):
-        top = _height(feature, height, default_height, where)
-        try:
-            parts = [
-                piece for polygon in shapely.get_parts(shape) for piece in _convex_pieces(polygon)
-            ]
-        except shapely.errors.ShapelyError as error:
-            raise ValueError(f"{where} cannot be cut into convex pieces: {error}") from None
-        for piece in parts:
-            outline = np.array(piece.exterior.coords)[:-1]
-            pieces.append((where, _extruded(outline, top)))
-    return assemble(path, pieces, side)
+    for footprint in _without_outlines(footprints, notes):
+        bottom, top = reader.span(footprint.properties, footprint.where)
+        outlines = _outlines(footprint.shape)
+        if not outlines:
+            notes.add("skipped", footprint.where, "it has no area")
+        pieces += [(footprint.building, extruded(outline, bottom, top)) for outline in outlines]
+    return assemble(path, pieces, side, notes)
 
 
-def _shapely() -> ModuleType:
-    """Import shapely, or name the extra that brings it."""
-    try:
-        import shapely
-    except ImportError:
-        raise missing("reading GeoJSON", "city") from None
-    return cast(ModuleType, shapely)
-
-
-def _features(path: Path) -> list[tuple[str, dict[str, Any]]]:
-    """Read the features of a file, each with a name for messages."""
+def _footprints(path: Path, notes: Notebook) -> list[Footprint]:
+    """Read the features of a file that have a footprint, in the coordinates of the file."""
     text = read_file(path)
     try:
         content = json.loads(text)
@@ -113,42 +121,67 @@ def _features(path: Path) -> list[tuple[str, dict[str, Any]]]:
         ) from None
     if not isinstance(content, dict) or not isinstance(content.get("features"), list):
         raise ValueError(f"{path} is no FeatureCollection")
-    return [
-        (f"{path}, feature {k} (from 0)", feature) for k, feature in enumerate(content["features"])
-    ]
+    found = []
+    for k, feature in enumerate(content["features"]):
+        where = f"feature {k} (from 0)"
+        shape = _shape(feature, where, notes)
+        if shape is not None:
+            properties = feature.get("properties")
+            known = properties if isinstance(properties, dict) else {}
+            found.append(Footprint(where, where, known, shape))
+    return found
 
 
-def _geometry(feature: dict[str, Any], where: str) -> Any:
-    """Return the footprint of a feature as a checked shapely geometry in two dimensions."""
-    shapely = _shapely()
+def _shape(feature: Any, where: str, notes: Notebook) -> Any:
+    """Return the footprint of a feature as a valid shapely geometry in two dimensions, if any."""
+    shapely = import_shapely("reading GeoJSON")
     geometry = feature.get("geometry") if isinstance(feature, dict) else None
     if not isinstance(geometry, dict):
-        raise ValueError(
-            f"{where}: its geometry cannot be read: a Polygon or MultiPolygon is needed, "
-            f"not {shown(geometry)}"
+        notes.add(
+            "skipped",
+            where,
+            f"its geometry cannot be read: a Polygon or MultiPolygon is needed, "
+            f"not {shown(geometry)}",
         )
+        return None
     try:
-        shape = shapely.from_geojson(json.dumps(geometry))
+        shape = shapely.force_2d(shapely.from_geojson(json.dumps(geometry)))
     except shapely.errors.ShapelyError as error:
-        raise ValueError(f"{where}: its geometry cannot be read: {error}") from None
+        notes.add("skipped", where, f"its geometry cannot be read: {error}")
+        return None
     if shape.geom_type not in ("Polygon", "MultiPolygon"):
-        raise ValueError(
-            f"{where} is a {shape.geom_type}: only Polygon and MultiPolygon are footprints"
+        notes.add(
+            "skipped",
+            where,
+            f"it is a {shape.geom_type}: only Polygon and MultiPolygon are footprints",
         )
+        return None
     if shape.is_empty:
-        raise ValueError(f"{where} is an empty {shape.geom_type}: it has no coordinates")
-    if not shape.is_valid:
-        raise ValueError(f"{where} is no valid polygon: {shapely.is_valid_reason(shape)}")
-    if not np.isfinite(shape.bounds).all() or shape.area < LEAST_AREA:
-        raise ValueError(
-            f"{where} has no area: its corners go from {shape.bounds[:2]} to {shape.bounds[2:]}"
+        notes.add("skipped", where, f"it is an empty {shape.geom_type}, without coordinates")
+        return None
+    corners = shape.bounds
+    if not shape.is_valid and np.isfinite(corners).all():
+        reason = shapely.is_valid_reason(shape)
+        notes.add("repaired", where, f"it is no valid polygon: {reason}")
+        shape = _polygons(shapely.make_valid(shape))
+    if not np.isfinite(corners).all() or shape.area < LEAST_AREA:
+        notes.add(
+            "skipped", where, f"it has no area: its corners go from {corners[:2]} to {corners[2:]}"
         )
-    return shapely.force_2d(shape)
+        return None
+    return shape
+
+
+def _polygons(shape: Any) -> Any:
+    """Return the polygons of a geometry, without its lines and points."""
+    shapely = import_shapely("reading GeoJSON")
+    parts = shapely.get_parts(shapely.get_parts(shape))
+    return shapely.union_all([part for part in parts if part.geom_type == "Polygon"])
 
 
 def _projected(shapes: np.ndarray, path: Path) -> np.ndarray:
     """Project shapes in degrees to metres about their middle (equirectangular projection)."""
-    shapely = _shapely()
+    shapely = import_shapely("reading GeoJSON")
     west, south, east, north = bounds = shapely.total_bounds(shapes)
     if (np.abs(bounds) > [180, 90, 180, 90]).any():
         raise ValueError(
@@ -168,55 +201,42 @@ def _projected(shapes: np.ndarray, path: Path) -> np.ndarray:
     return projected
 
 
-def _height(
-    feature: dict[str, Any],
-    name: str,
-    default: float | None,
-    where: str,
-) -> float:
-    """Return the height of a feature, m."""
-    properties = feature.get("properties")
-    value = properties.get(name) if isinstance(properties, dict) else None
-    if value is None:
-        value = default
-    try:
-        # Some write heights as texts
-        top = finite(name, float(value) if isinstance(value, str) else value)
-    except ValueError:
-        top = math.nan
-    if not 0 < top < math.inf:
-        raise ValueError(
-            f"{where}: its {name} is {shown(value)}: "
-            f"metres above 0, or a default height, are needed"
-        )
-    if not LEAST_HEIGHT <= top <= MOST_HEIGHT:
-        raise ValueError(
-            f"{where}: its {name} is {top:g} m: "
-            f"from {LEAST_HEIGHT:g} to {MOST_HEIGHT:g} m is possible"
-        )
-    return top
+def _without_outlines(footprints: Sequence[Footprint], notes: Notebook) -> list[Footprint]:
+    """Leave out the outlines of buildings whose parts are told, which get the building's name.
+
+    The wiki of OpenStreetMap, Simple_3D_Buildings: a renderer in three dimensions ignores the
+    outline of a building that has parts.
+    """
+    shapely = import_shapely("reading GeoJSON")
+    outlines = [footprint for footprint in footprints if not footprint.is_part]
+    parts = [footprint for footprint in footprints if footprint.is_part]
+    points = [part.shape.representative_point() for part in parts]
+    tree = shapely.STRtree([outline.shape for outline in outlines])
+    owners = dict(zip(*tree.query(points, predicate="within"), strict=True)) if parts else {}
+    own: dict[str, list[Any]] = {}
+    named = {}
+    for k, part in enumerate(parts):
+        building = outlines[owners[k]].where if k in owners else part.where
+        own.setdefault(building, []).append(part.shape)
+        named[part.where] = part._replace(building=building)
+
+    left = []
+    for footprint in footprints:
+        if footprint.where in named:
+            left.append(named[footprint.where])
+        elif footprint.where in own:
+            shapes = own[footprint.where]
+            covered = shapely.union_all(shapes).intersection(footprint.shape).area
+            share = covered / footprint.shape.area
+            what = f"its parts, {len(shapes)}, cover {share:.0%} of it and count in its place"
+            notes.add("outline" if share >= COVERED else "uncovered", footprint.where, what)
+        else:
+            left.append(footprint)
+    return left
 
 
-def _convex_pieces(polygon: Any) -> list[Any]:
-    """Cut a polygon into triangles, and join them as long as what they make is convex."""
-    shapely = _shapely()
-    pieces: list[Any] = []
-    for piece in shapely.get_parts(shapely.constrained_delaunay_triangles(polygon)):
-        k = 0
-        while k < len(pieces):
-            union = pieces[k].union(piece)
-            if union.convex_hull.area - union.area <= FLUSH * union.area:
-                # What was joined may go together with pieces that did not fit before
-                piece = union
-                del pieces[k]
-                k = 0
-            else:
-                k += 1
-        pieces.append(piece)
-    return [piece for piece in pieces if piece.area > SLIVER]
-
-
-def _extruded(outline: np.ndarray, top: float) -> np.ndarray:
-    """Return (2 V, 3) corners of a prism on the ground over an outline (V, 2)."""
-    corners = itertools.product(outline, (0.0, top))
-    return np.array([(x, y, z) for (x, y), z in corners])
+def _outlines(shape: Any) -> list[np.ndarray]:
+    """Return the outlines (V, 2) of the convex pieces of a footprint, m."""
+    shapely = import_shapely("reading GeoJSON")
+    pieces = [piece for polygon in shapely.get_parts(shape) for piece in convex_pieces(polygon)]
+    return [piece for piece in pieces if area_of(piece - piece[0]) > SLIVER]

@@ -1,4 +1,4 @@
-"""Cities from files of users: footprints with heights, or convex pieces."""
+"""Cities from files of users: footprints with heights, or meshes."""
 
 from collections.abc import Callable
 

@@ -6,14 +6,19 @@ from functools import cached_property
 
 import numpy as np
 
+from bulletuav.city.import_report import ImportReport
 from bulletuav.city.streets import Streets
 from bulletuav.errors import finite, numbers_of, shown
 from bulletuav.geometry.solids import Solids, box_corners
 
 GROUP = 256
-"""Points that are neighbours along x are asked together, as few pieces come into question"""
+"""Points that are neighbours are asked together, as few pieces come into question"""
+STRIP = 50.0
+"""Width of the strips along y in which neighbours are looked for, m"""
 UPRIGHT = 1e-9
 """Facets whose normal rises less than this are walls"""
+HEADROOM = 2.0
+"""Height of an underside, m, from which on the ground below is not built up"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +34,7 @@ class City:
         building: (P,) int, the building that each piece belongs to.
         streets: Where one walks.
         depth: Length of the ground along y, m; None for a square.
+        report: What its importer did; None for a city that is not from a file.
     """
 
     name: str
@@ -37,6 +43,7 @@ class City:
     building: np.ndarray
     streets: Streets
     depth: float | None = None
+    report: ImportReport | None = None
 
     @cached_property
     def sides(self) -> np.ndarray:
@@ -60,8 +67,11 @@ class City:
 
     @cached_property
     def coverage(self) -> float:
-        """Built-up share of the ground; pieces above each other count each."""
-        start, way = self._walls
+        """Built-up share of the ground.
+
+        Pieces that begin 2 m up or higher do not count; others above each other count each.
+        """
+        start, way = (ends[self.solids.bounds[:, 0, 2] < HEADROOM] for ends in self._walls)
         # Shoelace formula: twice the area of each footprint
         forward = start[..., 0] * way[..., 1]
         backward = start[..., 1] * way[..., 0]
@@ -70,6 +80,8 @@ class City:
 
     def outdoors(self, points: np.ndarray, margin: float = 0.0) -> np.ndarray:
         """Tell which points are farther from all footprints than a margin.
+
+        The ground below parts in the air is not outdoors.
 
         Args:
             points: (..., 2 or 3) in m; their z does not matter.
@@ -153,9 +165,13 @@ class City:
 
         Returns the indices of both, and their distance, m, 0 inside.
         """
-        order = np.argsort(plan[:, 0])
+        # Strip by strip from west to east, in each from south to north
+        order = np.lexsort([plan[:, 1], np.floor(plan[:, 0] / STRIP)])
         groups = np.split(order, range(GROUP, len(order), GROUP))
-        found = [self._near_group(plan, group, reach) for group in groups]
+        west, south = self.solids.bounds[:, 0, :2].T - reach
+        east, north = self.solids.bounds[:, 1, :2].T + reach
+        sides = np.stack([west, east, south, north])
+        found = [self._near_group(plan, group, reach, sides) for group in groups]
         point, piece, distance = zip(*found, strict=True)
         return np.concatenate(point), np.concatenate(piece), np.concatenate(distance)
 
@@ -164,28 +180,27 @@ class City:
         plan: np.ndarray,
         group: np.ndarray,
         reach: float,
+        sides: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Do as `_near`, of the points with the indices `group`."""
-        low = self.solids.bounds[:, 0] - reach
-        high = self.solids.bounds[:, 1] + reach
-        x, y = plan.T
+        """Do as `_near`, of the points with the indices `group`.
 
-        # Pieces in the strip of x that the group covers
-        last = x[group].max(initial=-np.inf)
-        first = x[group].min(initial=np.inf)
-        strip = np.flatnonzero((low[:, 0] <= last) & (high[:, 0] >= first))
+        `sides` (4, P) are those of rectangles about the footprints: west, east, south, north.
+        """
+        x, y = plan[group].T
+        west, east, south, north = sides
 
-        # Pairs whose boxes overlap along x, then along y
-        beyond_low = x[group, None] >= low[strip, 0]
-        below_high = x[group, None] <= high[strip, 0]
-        one, other = np.nonzero(beyond_low & below_high)
+        # Pieces near the rectangle that the group covers
+        beside = (west <= x.max(initial=-np.inf)) & (east >= x.min(initial=np.inf))
+        beside &= (south <= y.max(initial=-np.inf)) & (north >= y.min(initial=np.inf))
+        close = np.flatnonzero(beside)
+        west, east, south, north = sides[:, close]
+
+        # Pairs of points and rectangles that hold them
+        holds = (x[:, None] >= west) & (x[:, None] <= east)
+        holds &= (y[:, None] >= south) & (y[:, None] <= north)
+        one, other = np.nonzero(holds)
         point = group[one]
-        piece = strip[other]
-        beyond_low = y[point] >= low[piece, 1]
-        below_high = y[point] <= high[piece, 1]
-        beside = beyond_low & below_high
-        point = point[beside]
-        piece = piece[beside]
+        piece = close[other]
 
         # Exact distances
         start, way = self._walls

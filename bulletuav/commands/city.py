@@ -5,6 +5,7 @@ import dataclasses
 import inspect
 import json
 import math
+import warnings
 from collections.abc import Container
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,8 @@ from rich.table import Table
 
 from bulletuav.city.exports import write_obj
 from bulletuav.city.generator import generate
+from bulletuav.city.import_report import FIRST_SHOWN, ImportReport, MendedWarning
+from bulletuav.city.import_report import KINDS as NOTE_KINDS
 from bulletuav.city.imports import READERS
 from bulletuav.city.maps import draw_map
 from bulletuav.city.model import City
@@ -35,7 +38,8 @@ ABOUT = {
     "epilog": """examples:
   bulletuav city --kind dense --seed 3 --out dense
   bulletuav city --kind urban --irregularity 1 --gamma 30 --out towers
-  bulletuav city --import footprints.geojson --default-height 9 --out home""",
+  bulletuav city --import footprints.geojson --default-height 9 --out home
+  bulletuav city --import town.obj --elevation ground --out town""",
 }
 NUMBERS = ("alpha", "beta", "gamma")
 GENERATOR = {"kind", "seed", "irregularity", "side", *NUMBERS}
@@ -91,7 +95,13 @@ def _add_import(parser: argparse.ArgumentParser) -> None:
         type=Path,
         dest="file",
         metavar="FILE",
-        help="read footprints (GeoJSON) or pieces (OBJ) instead of generating",
+        help="read footprints (GeoJSON) or meshes (OBJ) instead of generating",
+    )
+    parser.add_argument(
+        "--strict",
+        action="store_true",
+        default=None,
+        help="refuse what is repaired, guessed or left out otherwise",
     )
     parser.add_argument(
         "--height",
@@ -102,7 +112,7 @@ def _add_import(parser: argparse.ArgumentParser) -> None:
         "--default-height",
         type=float,
         metavar="M",
-        help="GeoJSON: height of buildings that have none",
+        help="GeoJSON: height of buildings that tell neither height nor levels (default: 10)",
     )
     parser.add_argument(
         "--metres",
@@ -114,6 +124,12 @@ def _add_import(parser: argparse.ArgumentParser) -> None:
         "--scale", type=float, help="OBJ: metres in a unit of the file (default: 1)"
     )
     parser.add_argument("--y-up", action="store_true", default=None, help="OBJ: y points up, not z")
+    parser.add_argument(
+        "--elevation",
+        metavar="HOW",
+        help="OBJ: ground puts each building on the ground, keep leaves heights as they are "
+        "(default: auto, ground where the whole model is above it)",
+    )
 
 
 def run(arguments: argparse.Namespace) -> None:
@@ -134,6 +150,8 @@ def run(arguments: argparse.Namespace) -> None:
     replace_file(statistics_file, json.dumps(_described(city, measured), indent=2) + "\n")
     console = Console()
     console.print(_table(city, measured))
+    if city.report is not None and (city.report.notes or city.report.splits):
+        console.print(_report_table(city.report))
     print_files(console, files)
 
 
@@ -150,7 +168,9 @@ def _city(arguments: argparse.Namespace) -> tuple[City, Statistics | None]:
     # The ending chooses the reader, whose parameters are the options with a meaning.
     reader = choose(f"kind of file {str(file)!r} with ending", file.suffix.lower(), READERS)
     _refuse_others(options, inspect.signature(reader).parameters, f"an import of {file}")
-    return reader(file, **options), None
+    # The report is printed, so there is no need of its one line.
+    with warnings.catch_warnings(action="ignore", category=MendedWarning):
+        return reader(file, **options), None
 
 
 def _generated(options: dict[str, Any]) -> tuple[City, Statistics]:
@@ -179,12 +199,45 @@ def _described(city: City, measured: Measured) -> dict[str, Any]:
         name: {"realised": value, "target": None if math.isnan(target) else target}
         for name, (value, target) in measured.items()
     }
+    report = city.report
+    told = {} if report is None else {"import": _described_import(report)}
     return {
         "name": city.name,
         "side_m": city.side,
         "buildings": len(city.heights),
         "statistics": statistics,
+        **told,
     }
+
+
+def _described_import(report: ImportReport) -> dict[str, Any]:
+    """Collect what an importer did, for statistics.json."""
+    return {
+        "file": str(report.path),
+        "counts": report.counts,
+        "notes": [note._asdict() for note in report.notes],
+        "splits": [split._asdict() for split in report.splits],
+    }
+
+
+def _report_table(report: ImportReport) -> Table:
+    """Lay out what an importer did: how often, and where first."""
+    table = Table(title=f"what was done to read {report.path.name}")
+    table.add_column("count", justify="right")
+    table.add_column("what")
+    table.add_column("first")
+    for kind, count in report.counts.items():
+        table.add_row(str(count), NOTE_KINDS[kind].meaning, ", ".join(report.first(kind)))
+    if report.splits:
+        excess = max(abs(one.pieces_volume / one.mesh_volume - 1) for one in report.splits)
+        beyond = max(one.beyond for one in report.splits)
+        table.add_row(
+            str(len(report.splits)),
+            f"meshes split into convex pieces: at most {excess:.2%} off in volume, "
+            f"{beyond:.2g} m beyond",
+            ", ".join(one.where for one in report.splits[:FIRST_SHOWN]),
+        )
+    return table
 
 
 def _table(city: City, measured: Measured) -> Table:

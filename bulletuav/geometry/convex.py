@@ -102,9 +102,12 @@ def _hull_faces(points: np.ndarray) -> tuple[np.ndarray, list[tuple[np.ndarray, 
 def _turning_left(corners: np.ndarray, normal: np.ndarray, face: list[int]) -> list[int]:
     """Order the corners of a face so that they turn left, seen from where its normal points."""
     middle = corners[face].mean(axis=0)
-    ahead = corners[face[0]] - middle
-    left = np.cross(normal, ahead)
-    angle = [atan2((corners[k] - middle) @ left, (corners[k] - middle) @ ahead) for k in face]
+    offset = [corners[k] - middle for k in face]
+    # By hand, as cities have many faces and NumPy takes long for one product
+    a, b, c = normal.tolist()
+    x, y, z = offset[0].tolist()
+    left = np.array([b * z - c * y, c * x - a * z, a * y - b * x])
+    angle = [atan2(one @ left, one @ offset[0]) for one in offset]
     return [k for _, k in sorted(zip(angle, face, strict=True))]
 
 

@@ -2,6 +2,7 @@ import argparse
 import json
 
 import pytest
+from city.meshes import ELL, prism, written
 from matplotlib.image import imread
 
 from bulletuav.city.imports import from_obj
@@ -63,3 +64,41 @@ def test_an_imported_city_and_one_number_of_ones_own(tmp_path, capsys):
 def test_words_without_a_meaning(tmp_path, words, message):
     with pytest.raises(ValueError, match=message):
         run(*words, "--out", str(tmp_path))
+
+
+def test_what_an_import_mended_is_told(tmp_path, capsys):
+    ring = [[0, 0], [30, 0], [30, 10], [10, 10], [10, 30], [0, 30], [0, 0]]
+    features = [
+        {"type": "Feature", "properties": {"height": height}, "geometry": geometry}
+        for height, geometry in (
+            ("40 ft", {"type": "Polygon", "coordinates": [ring]}),
+            (3, {"type": "Point", "coordinates": [5, 5]}),
+        )
+    ]
+    path = tmp_path / "town.geojson"
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    words = ["--import", str(path), "--metres", "--side", "80"]
+    run(*words, "--out", str(tmp_path / "out"))
+    told = json.loads((tmp_path / "out" / "statistics.json").read_text())["import"]
+    assert told["counts"] == {"skipped": 1, "unit": 1}
+    assert told["notes"][0]["where"] == "feature 1 (from 0)"
+    assert told["splits"] == []
+    printed = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    assert "what was done to read town.geojson" in printed
+    assert "feature 1 (from 0)" in printed
+    with pytest.raises(ValueError, match=r"feature 1 \(from 0\): it is a Point"):
+        run(*words, "--strict", "--out", str(tmp_path / "out"))
+
+
+def test_split_meshes_are_told(tmp_path, capsys):
+    path = tmp_path / "town.obj"
+    path.write_text(written(("house", prism(ELL, 12)[0] + [0, 0, 400], prism(ELL, 12)[1])))
+    run("--import", str(path), "--side", "100", "--out", str(tmp_path / "out"))
+    told = json.loads((tmp_path / "out" / "statistics.json").read_text())
+    assert told["import"]["counts"] == {"moved": 1}
+    assert told["import"]["splits"][0]["pieces"] == 2
+    assert told["statistics"]["greatest height, m"]["realised"] == pytest.approx(12)
+    assert "at most 0.00%" in capsys.readouterr().out
+    run("--import", str(path), "--elevation", "keep", "--out", str(tmp_path / "out"))
+    told = json.loads((tmp_path / "out" / "statistics.json").read_text())
+    assert told["statistics"]["greatest height, m"]["realised"] == pytest.approx(412)

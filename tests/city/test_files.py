@@ -1,4 +1,3 @@
-import json
 import math
 import sys
 
@@ -9,6 +8,7 @@ from matplotlib.collections import PolyCollection
 
 from bulletuav.city.exports import write_obj
 from bulletuav.city.generator import generate
+from bulletuav.city.import_report import MendedWarning
 from bulletuav.city.imports import EARTH_RADIUS, from_geojson, from_obj
 from bulletuav.city.maps import draw_map
 from bulletuav.report.pictures import blank_figure
@@ -27,26 +27,6 @@ def feature(*rings, height: object = 12, kind="Polygon"):
         "properties": {"height": height},
         "geometry": {"type": kind, "coordinates": rings},
     }
-
-
-@pytest.fixture
-def geojson(tmp_path):
-    def write(*features):
-        path = tmp_path / "town.geojson"
-        path.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
-        return path
-
-    return write
-
-
-@pytest.fixture
-def obj(tmp_path):
-    def write(text):
-        path = tmp_path / "town.obj"
-        path.write_text(text)
-        return path
-
-    return write
 
 
 def sorted_rows(points):
@@ -87,7 +67,8 @@ def test_obj_by_others(obj):
         + "f 6 7 8 9\nf 10 11 12 13\n"
     )
     text = f"# by hand\nmtllib no.mtl\ng wedge # a ramp\n{wedge}{unused}g shop\n{box}"
-    made = from_obj(obj(text), scale=0.5, y_up=True)
+    with pytest.warns(MendedWarning, match="2 meshes that are not closed, filled"):
+        made = from_obj(obj(text), scale=0.5, y_up=True)
     assert made.name == "town"
     assert made.side == 60
     assert len(made.solids.boxes) == len(made.solids.hulls) == 1
@@ -109,8 +90,8 @@ def test_obj_by_others(obj):
         ("v 0 0 inf\n", "line 1 cannot be read: a coordinate is inf"),
         ("v 0 0 0\nf 1 2 3\n", "line 2 cannot be read: there is no vertex 2 among the 1"),
         ("v 0 0 0\nf 0 0 0\n", "line 2 cannot be read: there is no vertex 0"),
-        ("o plate\nv 0 0 0\nv 9 0 0\nv 9 9 0\nv 0 9 0\nf 1 2 3 4\n", "plate has no volume"),
-        ("o dot\nv 0 0 0\nf 1 1 1\n", "dot has no volume"),
+        ("o plate\nv 0 0 0\nv 9 0 0\nv 9 9 0\nv 0 9 0\nf 1 2 3 4\n", "left out .object plate"),
+        ("o dot\nv 0 0 0\nf 1 1 1\n", "holds no buildings: 1 .* left out .object dot"),
     ],
 )
 def test_obj_that_cannot_be_read(obj, text, message):
@@ -179,7 +160,7 @@ def test_footprints_in_degrees(geojson):
         ({"properties": {"height": [3]}}, r"feature 1 \(from 0\): its height is \[3\]"),
         (
             {"geometry": {"type": "Point", "coordinates": [1, 2]}},
-            r"feature 1 \(from 0\) is a Point",
+            r"feature 1 \(from 0\): it is a Point",
         ),
         ({"geometry": None}, r"feature 1 \(from 0\): its geometry cannot be read"),
         (
@@ -193,18 +174,20 @@ def test_footprints_in_degrees(geojson):
                     "coordinates": [[[0, 0], [5, 5], [5, 0], [0, 5], [0, 0]]],
                 }
             },
-            r"feature 1 \(from 0\) is no valid polygon: Self-intersection",
+            r"feature 1 \(from 0\): it is no valid polygon: Self-intersection",
         ),
     ],
 )
 def test_features_that_cannot_be(geojson, change, message):
     with pytest.raises(ValueError, match=message):
-        from_geojson(geojson(feature(SQUARE), {**feature(BENT), **change}), metres=True)
+        from_geojson(
+            geojson(feature(SQUARE), {**feature(BENT), **change}), metres=True, strict=True
+        )
 
 
 def test_a_bad_height_is_not_replaced(geojson):
     with pytest.raises(ValueError, match="its height is 0"):
-        from_geojson(geojson(feature(SQUARE, height=0)), metres=True, default_height=5)
+        from_geojson(geojson(feature(SQUARE, height=0)), metres=True, default_height=5, strict=True)
 
 
 def test_files_that_are_no_footprints(tmp_path, geojson):

@@ -1,0 +1,179 @@
+"""Meshes of buildings: their parts, volume, and how far points are from them."""
+
+import itertools
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from bulletuav.city.polygons import (
+    SLIVER,
+    area_of,
+    convex_pieces,
+    extruded,
+    import_shapely,
+    triangles_of,
+    turns_left,
+)
+
+SAME = 6
+"""Decimals of a metre in which corners at one place agree"""
+FLAT = 1e-12
+"""Area, m^2, below which a triangle is a line"""
+
+
+class Mesh(NamedTuple):
+    """Triangles in space.
+
+    Attributes:
+        points: Corners (V, 3), m.
+        triangles: (T, 3) int, which turn left seen from outside.
+    """
+
+    points: np.ndarray
+    triangles: np.ndarray
+
+
+def make_mesh(points: np.ndarray, faces: Sequence[Sequence[int]]) -> Mesh:
+    """Join faces to a mesh; corners at one place become one.
+
+    Args:
+        points: (V, 3), m.
+        faces: Indices of the corners of each face, in order, which need not be convex.
+
+    Returns:
+        The mesh, of the points that have faces.
+    """
+    used = np.unique([corner for face in faces for corner in face])
+    _, first, number = np.unique(
+        np.round(points[used], SAME), axis=0, return_index=True, return_inverse=True
+    )
+    # Points stay in the order of the file
+    order = np.argsort(first)
+    rank = np.argsort(order)[number.ravel()]
+    renumbered = dict(zip(used.tolist(), rank.tolist(), strict=True))
+    own = points[used][first[order]]
+    triangles = [
+        triangle
+        for face in faces
+        for triangle in _triangulated(own, [renumbered[corner] for corner in face])
+    ]
+    return Mesh(own, np.array(triangles, dtype=int).reshape(-1, 3))
+
+
+def _triangulated(points: np.ndarray, face: list[int]) -> Iterator[list[int]]:
+    """Yield the triangles of a face, an outline through points (V, 3)."""
+    corners = points[face]
+    # Newell's normal: the face is seen along its greatest component, from outside
+    normal = np.cross(corners, np.roll(corners, -1, axis=0)).sum(axis=0)
+    axis = int(np.abs(normal).argmax())
+    plan = np.roll(corners, -axis - 1, axis=1)[:, :2]
+    if normal[axis] < 0:
+        plan = plan[:, ::-1]
+    outline = None
+    if not turns_left(plan):
+        shapely = import_shapely("reading faces that are not convex")
+        outline = shapely.Polygon(plan)
+    if outline is None or not outline.is_valid:
+        fan = ([face[0], *pair] for pair in itertools.pairwise(face[1:]))
+        yield from (triangle for triangle in fan if len(set(triangle)) == 3)
+        return
+    by_place = {tuple(place): k for place, k in zip(plan.tolist(), face, strict=True)}
+    for ring in triangles_of(outline).tolist():
+        yield [by_place[tuple(place)] for place in ring]
+
+
+def components(mesh: Mesh) -> list[Mesh]:
+    """Take a mesh apart into those that have no corner in common."""
+    from scipy.sparse import coo_array  # which takes long to import
+    from scipy.sparse.csgraph import connected_components
+
+    count = len(mesh.points)
+    # Older SciPy finds its way in 32-bit indices alone
+    sides = mesh.triangles[:, [0, 1, 1, 2]].reshape(-1, 2).T.astype(np.int32)
+    graph = coo_array((np.ones(sides.shape[1]), sides), shape=(count, count))
+    part = connected_components(graph, directed=False)[1][mesh.triangles[:, 0]]
+    found = []
+    for k in dict.fromkeys(part.tolist()):
+        used, number = np.unique(mesh.triangles[part == k], return_inverse=True)
+        found.append(Mesh(mesh.points[used], number.reshape(-1, 3)))
+    return found
+
+
+def is_closed(mesh: Mesh) -> bool:
+    """Tell whether each side of a triangle is that of one other, the other way round."""
+    ways = mesh.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).tolist()
+    count = Counter(map(tuple, ways))
+    return all(number == 1 == count[way[::-1]] for way, number in count.items())
+
+
+def volume(mesh: Mesh) -> float:
+    """Return the volume of a closed mesh, m^3, by the divergence theorem; inside out, negative."""
+    a, b, c = (mesh.points - mesh.points[0])[mesh.triangles].swapaxes(0, 1)
+    return float((a * np.cross(b, c)).sum() / 6)
+
+
+def prism_pieces(mesh: Mesh, filled: float) -> list[np.ndarray]:
+    """Cut a prism that stands upright into convex ones, exactly.
+
+    Args:
+        mesh: A closed mesh.
+        filled: Its volume, m^3.
+
+    Returns:
+        Corners (2 V, 3) of each piece, m; none where the mesh is no such prism.
+    """
+    bottom, top = mesh.points[:, 2].min(), mesh.points[:, 2].max()
+    height = mesh.points[:, 2]
+    if np.round(np.minimum(height - bottom, top - height), SAME).max() > 0:
+        return []
+    shapely = import_shapely("cutting a prism")
+    roof = mesh.triangles[(height[mesh.triangles] > (bottom + top) / 2).all(axis=1)]
+    plan = shapely.union_all(shapely.polygons(mesh.points[roof][..., :2]))
+    if abs(plan.area * (top - bottom) - filled) > 1e-6 * filled:
+        return []
+    outlines = [piece for polygon in shapely.get_parts(plan) for piece in convex_pieces(polygon)]
+    return [extruded(outline, bottom, top) for outline in outlines if area_of(outline) > SLIVER]
+
+
+def outside(mesh: Mesh, points: np.ndarray) -> np.ndarray:
+    """Return the distances (K,) of points (K, 3) from a closed mesh, m, 0 inside of it."""
+    corners = mesh.points[mesh.triangles]
+    inside = _winding(corners, points) > 0.5
+    return np.where(inside, 0.0, _distance(corners, points))
+
+
+def _winding(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return how often triangles (T, 3, 3) go round points (K, 3).
+
+    A. van Oosterom and J. Strackee, "The solid angle of a plane triangle", IEEE Trans. Biomed.
+    Eng. 30 (1983).
+    """
+    a, b, c = (corners[None, :, k] - points[:, None] for k in range(3))
+    lengths = [np.linalg.norm(side, axis=-1) for side in (a, b, c)]
+    triple = (a * np.cross(b, c)).sum(axis=-1)
+    below = lengths[0] * lengths[1] * lengths[2]
+    for one, two, opposite in ((a, b, 2), (b, c, 0), (c, a, 1)):
+        below = below + (one * two).sum(axis=-1) * lengths[opposite]
+    share: np.ndarray = np.abs(np.arctan2(triple, below).sum(axis=1)) / (2 * np.pi)
+    return share
+
+
+def _distance(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return the distances (K,) of points (K, 3) from the nearest of triangles (T, 3, 3), m."""
+    start = corners[None]
+    way = np.roll(corners, -1, axis=1)[None] - start
+    offset = points[:, None, None] - start
+    # Nearest point of each side
+    square = np.maximum((way**2).sum(axis=-1), np.finfo(float).tiny)
+    along = np.clip((offset * way).sum(axis=-1) / square, 0, 1)
+    sides = np.linalg.norm(offset - along[..., None] * way, axis=-1).min(axis=-1)
+    # The plane, where a point is over the triangle: to the left of all its sides
+    normal = np.cross(way[:, :, 0], way[:, :, 1])
+    length = np.maximum(np.linalg.norm(normal, axis=-1), FLAT)
+    left = (np.cross(way, offset) * normal[:, :, None]).sum(axis=-1)
+    plane = np.abs((offset[:, :, 0] * normal).sum(axis=-1)) / length
+    over = (left >= 0).all(axis=-1) & (length > FLAT)
+    nearest: np.ndarray = np.where(over, plane, sides).min(axis=1)
+    return nearest

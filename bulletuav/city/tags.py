@@ -1,0 +1,193 @@
+"""Heights of buildings from properties of features, as OpenStreetMap writes them.
+
+The wiki of OpenStreetMap: Key:height, Key:min_height, Key:building:levels, Simple_3D_Buildings and
+Map_Features/Units. There heights are metres unless a unit is told, and reach from the ground to
+the top of the roof. Levels count those that a part in the air has below it.
+"""
+
+import math
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from bulletuav.city.assembly import LEAST_HEIGHT, MOST_HEIGHT
+from bulletuav.city.import_report import Notebook
+from bulletuav.errors import finite, shown
+
+LEVEL = 3.0
+"""Height of a level, m, as OSM Buildings 4.1 has it (METERS_PER_LEVEL)"""
+GUESS = 10.0
+"""Height of a building of which nothing is told, m, as OSM Buildings 4.1 has it (DEFAULT_HEIGHT)"""
+NEEDED = "metres above 0, or a default height, are needed"
+FOOT = 0.3048
+INCH = 0.0254
+UNITS = {
+    "": 1.0,
+    "m": 1.0,
+    "metre": 1.0,
+    "metres": 1.0,
+    "meter": 1.0,
+    "meters": 1.0,
+    "ft": FOOT,
+    "foot": FOOT,
+    "feet": FOOT,
+    "'": FOOT,
+}
+"""Metres in a unit of length"""
+LENGTH = re.compile(r"([+-]?\d+(?:[.,]\d+)?)\s*([a-z']*)", re.IGNORECASE)
+FEET_AND_INCHES = re.compile(r"(\d+)'\s*(\d+(?:\.\d+)?)\"")
+
+
+def read_length(value: Any) -> tuple[float, str]:
+    r"""Read a length.
+
+    Args:
+        value: A number of metres, a text such as "12 m", "40 ft", "7'4\"" or "12;14", or a list.
+
+    Returns:
+        The length, m, NaN where it cannot be read; of a list the greatest. Then the kind of note
+        that it is worth: "" for a number, "unit", "list" or "unreadable".
+    """
+    if isinstance(value, str) and ";" in value:
+        value = value.split(";")
+    if isinstance(value, list):
+        flat = [read_length(one)[0] for one in value if not isinstance(one, list)]
+        known = [length for length in flat if not math.isnan(length)]
+        return (max(known), "list") if known else (math.nan, "unreadable")
+    try:
+        # Some write heights as texts
+        return finite("length", float(value) if isinstance(value, str) else value), ""
+    except ValueError:
+        length = _with_unit(value) if isinstance(value, str) else math.nan
+    return length, "unreadable" if math.isnan(length) else "unit"
+
+
+def _with_unit(text: str) -> float:
+    """Read a length with a unit or a decimal comma, m; NaN where it cannot be read."""
+    if both := FEET_AND_INCHES.fullmatch(text.strip()):
+        return float(both[1]) * FOOT + float(both[2]) * INCH
+    found = LENGTH.fullmatch(text.strip())
+    if not found or found[2].lower() not in UNITS:
+        return math.nan
+    return float(found[1].replace(",", ".")) * UNITS[found[2].lower()]
+
+
+class HeightReader:
+    """Reader of the heights between which buildings are.
+
+    Attributes:
+        name: Property that tells the height.
+        default: Height of buildings that tell none, m; None for a guess.
+        notes: Where what is odd is noted.
+    """
+
+    def __init__(self, name: str, default: float | None, notes: Notebook) -> None:
+        """Check the property's name and the default.
+
+        Args:
+            name: Property that tells the height.
+            default: Height of buildings that tell none, m; None for a guess.
+            notes: Where what is odd is noted.
+
+        Raises:
+            ValueError: One cannot be.
+        """
+        if not isinstance(name, str):
+            raise ValueError(
+                f"height is {shown(name)}: the name of a property of the features is needed"
+            )
+        if default is not None:
+            default = finite("default_height", default, LEAST_HEIGHT, MOST_HEIGHT)
+        self.name = name
+        self.default = default
+        self.notes = notes
+
+    def span(self, properties: Mapping[str, Any], where: str) -> tuple[float, float]:
+        """Return the heights above the ground, m, between which a building or part is.
+
+        Args:
+            properties: Of its feature.
+            where: Name of the feature.
+
+        Raises:
+            ValueError: What it tells is refused.
+        """
+        bottom = self._bottom(properties, where)
+        top = self._told(properties, where)
+        if top is None:
+            top = self._by_levels(properties, where)
+        if top is None:
+            top = self._without(properties, where)
+            if 0 <= bottom <= MOST_HEIGHT - top:
+                top += bottom
+        if not 0 <= bottom <= top - LEAST_HEIGHT:
+            self.notes.add(
+                "underside", where, f"its underside is {bottom:g} m up, its top {top:g} m"
+            )
+            bottom = 0.0
+        if bottom > 0:
+            self.notes.add("above", where, f"it begins {bottom:g} m above the ground")
+        return bottom, top
+
+    def _told(self, properties: Mapping[str, Any], where: str) -> float | None:
+        """Return the height that is told, m, if it can be."""
+        value = properties.get(self.name)
+        if value is None:
+            return None
+        length, oddity = read_length(value)
+        if not 0 < length < math.inf:
+            self.notes.add("unreadable", where, f"its {self.name} is {shown(value)}", NEEDED)
+            return None
+        if not LEAST_HEIGHT <= length <= MOST_HEIGHT:
+            self.notes.add(
+                "unreadable",
+                where,
+                f"its {self.name} is {length:g} m",
+                f"from {LEAST_HEIGHT:g} to {MOST_HEIGHT:g} m is possible",
+            )
+            return None
+        if oddity:
+            self.notes.add(
+                oddity, where, f"its {self.name} is {shown(value)}, taken as {length:g} m", NEEDED
+            )
+        return length
+
+    def _by_levels(self, properties: Mapping[str, Any], where: str) -> float | None:
+        """Return the height that the levels make, m, if they can be; strict readers do not ask."""
+        levels, _ = read_length(properties.get("building:levels"))
+        if self.notes.strict or not levels > 0:
+            return None
+        rise, _ = read_length(properties.get("roof:height"))
+        if not rise >= 0:
+            rise = LEVEL * _count(properties, "roof:levels")
+        height = LEVEL * levels + rise
+        if height > MOST_HEIGHT:
+            self.notes.add("unreadable", where, f"its {levels:g} levels would be {height:g} m high")
+            return None
+        self.notes.add("levels", where, f"its {levels:g} levels are taken as {height:g} m")
+        return height
+
+    def _without(self, properties: Mapping[str, Any], where: str) -> float:
+        """Return the height of a building that tells none, m."""
+        if self.default is not None:
+            self.notes.add("default", where, f"it is taken as {self.default:g} m high")
+            return self.default
+        self.notes.add("guessed", where, f"its {self.name} is None", NEEDED)
+        return GUESS
+
+    def _bottom(self, properties: Mapping[str, Any], where: str) -> float:
+        """Return the height of the underside above the ground, m."""
+        value = properties.get("min_height")
+        if value is None:
+            return LEVEL * _count(properties, "building:min_level")
+        length, oddity = read_length(value)
+        if oddity:
+            kind = "underside" if oddity == "unreadable" else oddity
+            self.notes.add(kind, where, f"its min_height is {shown(value)}", "metres are needed")
+        return 0.0 if math.isnan(length) else length
+
+
+def _count(properties: Mapping[str, Any], name: str) -> float:
+    """Return a number of levels, 0 where none is told."""
+    levels, _ = read_length(properties.get(name))
+    return levels if levels > 0 else 0.0

@@ -1,0 +1,177 @@
+"""Objects of OBJ files that are not convex, not closed, or not on the ground."""
+
+import itertools
+import sys
+
+import numpy as np
+import pytest
+from city.meshes import ELL, podium, prism, written
+from scipy.spatial import ConvexHull
+
+from bulletuav.city.import_report import MendedWarning
+from bulletuav.city.imports import from_obj
+from bulletuav.city.mesh import components, is_closed, make_mesh, outside, volume
+
+SQUARE = [(50, 50), (60, 50), (60, 60), (50, 60)]
+CUBE = make_mesh(*prism([(0, 0), (10, 0), (10, 10), (0, 10)], 10))
+
+
+def volumes(city):
+    """Volume of each piece of a city, m^3."""
+    boxes = [np.ptp(box, axis=0).prod() for box in city.solids.boxes]
+    return boxes + [ConvexHull(hull).volume for hull in city.solids.hulls]
+
+
+def turned(points, angle=0.4):
+    """Points turned about z."""
+    c, s = np.cos(angle), np.sin(angle)
+    return points @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+
+
+def test_a_cube_by_hand():
+    assert is_closed(CUBE)
+    assert volume(CUBE) == pytest.approx(1000)
+    assert volume(CUBE._replace(triangles=CUBE.triangles[:, ::-1])) == pytest.approx(-1000)
+    assert volume(CUBE._replace(points=CUBE.points + 1e6)) == pytest.approx(1000)
+    assert not is_closed(CUBE._replace(triangles=CUBE.triangles[1:]))
+    # Inside; beyond a side, an edge and a corner: 1, sqrt(2) and sqrt(3) m
+    points = np.array([[5.0, 5, 5], [11, 5, 5], [11, 11, 5], [11, 11, 11], [-3, 5, 14]])
+    assert outside(CUBE, points) == pytest.approx([0, 1, 2**0.5, 3**0.5, 5], abs=1e-9)
+
+
+def test_distances_against_those_of_a_ball():
+    hull = ConvexHull(np.random.default_rng(0).normal(size=(400, 3)))
+    unit = hull.points / np.linalg.norm(hull.points, axis=1)[:, None]
+    ball = ConvexHull(unit)
+    flip = (
+        np.cross(*(unit[ball.simplices[:, k]] - unit[ball.simplices[:, 0]] for k in (1, 2)))
+        * ball.equations[:, :3]
+    ).sum(axis=1) < 0
+    ball.simplices[flip] = ball.simplices[flip, ::-1]
+    mesh = make_mesh(unit, ball.simplices.tolist())
+    assert is_closed(mesh)
+    points = np.random.default_rng(1).normal(size=(50, 3)) * 2
+    radius = np.linalg.norm(points, axis=1)
+    # The mesh is inside of the ball, by less than its deepest facet
+    depth = 1 + ball.equations[:, 3].max()
+    found = outside(mesh, points)
+    assert (found >= np.maximum(radius - 1, 0) - 1e-12).all()
+    assert (found <= np.maximum(radius - 1 + depth, 0) + 1e-12).all()
+
+
+def test_corners_that_faces_do_not_share_are_joined():
+    points, faces = prism(ELL, 12)
+    apart = [points[list(face)] for face in faces]
+    numbers = itertools.count()
+    mesh = make_mesh(np.concatenate(apart), [[next(numbers) for _ in face] for face in faces])
+    assert is_closed(mesh)
+    assert volume(mesh) == pytest.approx(6000)
+    assert len(mesh.points) == 12
+    assert [len(part.points) for part in components(mesh)] == [12]
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.4])
+def test_a_house_of_an_ell_is_cut_and_not_filled(obj, angle):
+    points, faces = prism(ELL, 12)
+    city = from_obj(obj(written(("house", turned(points, angle), faces))), side=100.0)
+    assert sum(volumes(city)) == pytest.approx(6000)  # its hull has 8400
+    assert city.building.tolist() == [0, 0]
+    corner = turned(np.array([[20.0, 20, 0], [5, 20, 0], [20, 5, 0]]), angle)
+    assert city.roof(corner) == pytest.approx([0, 12, 12])
+    (split,) = city.report.splits
+    assert (split.where, split.pieces) == ("object house", 2)
+    assert split.mesh_volume == pytest.approx(6000)
+    assert split.pieces_volume == pytest.approx(6000)
+    assert split.beyond < 1e-9
+    assert city.report.notes == ()
+
+
+def test_a_house_inside_out_is_the_same_house(obj):
+    points, faces = prism(ELL, 12)
+    inward = [face[::-1] for face in faces]
+    city = from_obj(obj(written(("house", points, inward))))
+    assert sum(volumes(city)) == pytest.approx(6000)
+
+
+def test_a_tower_on_a_podium_is_split_by_coacd(obj):
+    points, faces = podium()
+    text = written(("tower", points, faces), ("shop", *prism(SQUARE, 5)))
+    city = from_obj(obj(text))
+    (split,) = city.report.splits
+    assert split.where == "object tower"
+    assert split.mesh_volume == pytest.approx(15968)
+    assert split.pieces_volume == pytest.approx(15968, rel=2e-3)
+    assert split.pieces_volume == pytest.approx(sum(volumes(city)) - 500)
+    assert 0 <= split.beyond < 0.1
+    assert city.heights == pytest.approx([30, 5], abs=0.01)
+    middle = -np.array([30.0, 30])
+    assert city.roof(middle + [[15, 15], [35, 35]]) == pytest.approx([30, 8], abs=0.05)
+    # What is above the podium does not cover the ground a second time
+    assert city.coverage == pytest.approx(1700 / 3600, rel=2e-3)
+    again = from_obj(obj(text))
+    for one, two in zip(city.solids.hulls, again.solids.hulls, strict=True):
+        np.testing.assert_array_equal(one, two)
+
+
+def test_parts_of_an_object_that_share_no_corner_are_pieces_by_themselves(obj):
+    one, faces = prism([(0, 0), (10, 0), (10, 10), (0, 10)], 5)
+    both = np.concatenate([one, one + [30, 0, 0]])
+    more = [tuple(k + len(one) for k in face) for face in faces]
+    city = from_obj(obj(written(("twins", both, faces + more))))
+    assert volumes(city) == pytest.approx([500, 500])
+    assert city.building.tolist() == [0, 0]
+    assert city.report.splits == ()
+
+
+def test_meshes_that_are_not_closed_are_filled(obj):
+    points, faces = prism(ELL, 12)
+    path = obj(written(("house", points, faces[1:])))
+    with pytest.warns(MendedWarning, match=r"1 meshes that are not closed.*\(object house\)"):
+        city = from_obj(path)
+    assert volumes(city) == pytest.approx([700 * 12])
+    with pytest.raises(ValueError, match=r"town.obj, object house: its mesh is not closed"):
+        from_obj(path, strict=True)
+
+
+def test_plates_are_left_out(obj):
+    plate = np.array([[0.0, 0, 0], [90, 0, 0], [90, 90, 0], [0, 90, 0]])
+    path = obj(written(("ground", plate, [(0, 1, 2, 3)]), ("shop", *prism(SQUARE, 5))))
+    with pytest.warns(MendedWarning, match=r"1 without a shape .*\(object ground\)"):
+        city = from_obj(path, side=200.0)
+    assert volumes(city) == [500]
+    with pytest.raises(ValueError, match="object ground: it has no volume"):
+        from_obj(path, strict=True)
+
+
+@pytest.mark.parametrize("lift", [(412.0, 412.0), (400.0, 412.0)])
+def test_absolute_elevations_do_not_float(obj, lift):
+    one, faces = prism([(0, 0), (10, 0), (10, 10), (0, 10)], 6)
+    two = one + [40, 0, 0]
+    path = obj(written(("a", one + [0, 0, lift[0]], faces), ("b", two + [0, 0, lift[1]], faces)))
+    city = from_obj(path)
+    assert city.solids.bounds[..., 2].tolist() == [[0, 6], [0, 6]]
+    assert city.report.counts == {"moved": 2}
+    assert city.report.notes[0].what == f"it is moved by {-lift[0]:g} m"
+    kept = from_obj(path, elevation="keep")
+    assert kept.solids.bounds[:, 0, 2].tolist() == list(lift)
+    assert kept.report.counts == {"above": 2}
+
+
+def test_a_model_that_stands_on_the_ground_keeps_what_hangs(obj):
+    house, faces = prism([(0, 0), (10, 0), (10, 10), (0, 10)], 6)
+    bridge = house + [40, 0, 8]
+    path = obj(written(("house", house, faces), ("bridge", bridge, faces)))
+    city = from_obj(path)
+    assert city.solids.bounds[:, 0, 2].tolist() == [0, 8]
+    assert city.report.counts == {"above": 1}
+    assert from_obj(path, elevation="ground").solids.bounds[:, 0, 2].tolist() == [0, 0]
+    with pytest.raises(ValueError, match="unknown elevation 'sea'"):
+        from_obj(path, elevation="sea")
+
+
+def test_splitting_without_the_extra(obj, monkeypatch):
+    monkeypatch.setitem(sys.modules, "coacd", None)
+    with pytest.raises(ImportError, match=r"not convex needs the extra .*\[city\]'"):
+        from_obj(obj(written(("tower", *podium()))))
+    # What is convex needs nothing
+    assert volumes(from_obj(obj(written(("shop", *prism(SQUARE, 5)))), side=200.0)) == [500]
