@@ -188,10 +188,8 @@ class WorkerAviary(LabelledEnvironment):
         Returns:
             What each of them answered.
         """
-        if not self._finalizer.alive:
-            raise RuntimeError("this environment is closed: make a new one")
-        if os.getpid() != self._owner:
-            raise RuntimeError("workers answer the process that made them alone: make a new one")
+        if not self._finalizer.alive or os.getpid() != self._owner:
+            raise RuntimeError("this environment is closed, or of another process: make a new one")
         with self._closed_by_errors():
             for k, arguments in keywords.items():
                 # A dead worker takes no question; that it gives no answer either tells why.
@@ -276,8 +274,7 @@ class WorkerAviary(LabelledEnvironment):
         if choices:
             actions = actions[..., None]
         # Workers read their actions from the shared array.
-        checked = self._spec.actions(actions, self._arrays["alive"])
-        self._arrays["action"][:] = checked
+        self._arrays["action"][:] = self._spec.actions(actions, self._arrays["alive"])
         infos = self._ask("step", self._for_all(choices=choices))
         return (
             self._observations(),

@@ -183,7 +183,7 @@ def test_a_fork_does_not_take_the_answers_of_the_workers_from_its_parent():
     os.waitpid(child, 0)
     os.close(writer)
     with os.fdopen(reader) as stream:
-        assert "answer the process that made them alone" in stream.read()
+        assert "of another process: make a new one" in stream.read()
     assert env.step(np.zeros((2, 2, 3)))[1].shape == (2, 2)
     env.close()
 
