@@ -201,10 +201,12 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
         self.agents = [one for one, row in self._rows.items() if flies[row]]
         return self._by_agent(observations, self._living_rows())
 
+    @exclusive
     def state_hash(self) -> str:
         """Hash the state; see `Aviary.state_hash`."""
         return self.aviary.state_hash()[0]
 
+    @exclusive
     def state(self) -> np.ndarray:
         """Return the global state for centralised critics.
 
@@ -214,6 +216,7 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
         state: np.ndarray = self.aviary.state()[0]
         return state
 
+    @exclusive
     def render(self) -> np.ndarray | None:
         """Take a picture.
 
@@ -297,15 +300,33 @@ class TurnAviary(LabelledEnvironment, OrderEnforcingWrapper):  # type: ignore[mi
         super().__init__(parallel_to_aec_wrapper(parallel))
         self._parallel, self._observer = parallel, parallel.aviary.observer
 
+    @exclusive
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
+        """Start a new episode; see `ParallelAviary.reset`."""
+        super().reset(seed, options)
+
+    @exclusive
+    def step(self, action: Any) -> None:
+        """Take the action of the agent whose turn it is; all fly when each has had its turn.
+
+        Raises:
+            ValueError: At the last turn, an action cannot be; nobody has flown then.
+            RuntimeError: Before the first reset, or after `close`.
+        """
+        self._parallel.aviary.require_started()
+        super().step(action)
+
     def observe(self, agent: str) -> Any:
         """Return a copy of the agent's last observation, as PettingZoo keeps the original."""
         return copy.deepcopy(super().observe(agent))
 
+    @exclusive
     def save_state(self) -> FaceSnapshot:
         """Save all that makes the future, with whose turn it is; see `Aviary.save_state`."""
         turn = {name: value for name, value in vars(self.env).items() if name in TURN}
         return FaceSnapshot(self._parallel.save_state(), copy.deepcopy(turn))
 
+    @exclusive
     def load_state(self, snapshot: FaceSnapshot) -> None:
         """Go on from a state that was saved; see `Aviary.load_state`."""
         require_snapshot(snapshot, FaceSnapshot)
@@ -314,6 +335,7 @@ class TurnAviary(LabelledEnvironment, OrderEnforcingWrapper):  # type: ignore[mi
             setattr(self.env, name, value)
         self._has_reset = self._has_updated = True
 
+    @exclusive
     def state_hash(self) -> str:
         """Hash the state of the world; see `Aviary.state_hash`."""
         return self._parallel.state_hash()

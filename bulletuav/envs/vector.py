@@ -13,7 +13,7 @@ from bulletuav.envs.infos import Infos
 from bulletuav.envs.reset_options import MASK, reset_options
 from bulletuav.envs.snapshot import Snapshot
 from bulletuav.envs.spaces import widest_action_space
-from bulletuav.errors import as_int, choose
+from bulletuav.errors import as_int, choose, numbers_of
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.observations.observer import Observation
 
@@ -146,7 +146,7 @@ class BatchAviary(LabelledEnvironment):
             ValueError: Actions cannot be; nobody has flown then.
             RuntimeError: Before the first reset, or after `close`.
         """
-        actions = np.asarray(actions)
+        actions = numbers_of("actions are", actions)
         if self.aviary.action.choices is not None:
             actions = actions[..., None]
         # Worlds that this step resets instead of flying them, and those that it flies.
@@ -195,10 +195,12 @@ class BatchAviary(LabelledEnvironment):
         self._ended[chosen] = ~np.any(self.aviary.alive, axis=1)[chosen]
         return observations
 
+    @exclusive
     def state_hash(self, worlds: Any = None) -> tuple[str, ...]:
         """Hash the state of each world; see `Aviary.state_hash`."""
         return self.aviary.state_hash(worlds)
 
+    @exclusive
     def state(self) -> np.ndarray:
         """Return the global state.
 
@@ -207,6 +209,7 @@ class BatchAviary(LabelledEnvironment):
         """
         return self.aviary.state()
 
+    @exclusive
     def render(self, world: int = 0) -> np.ndarray | None:
         """Take a picture of one world.
 
