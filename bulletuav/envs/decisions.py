@@ -215,6 +215,12 @@ class Decisions(Worlds):
         if self._uncertainty.drains:
             program.turn(lambda: self._uncertainty.drain(frame.time))
 
+    def require_action(self, drone: int, numbers: np.ndarray) -> None:
+        """Raise ValueError for numbers (A,) of a drone that cannot be; nobody flies."""
+        given, chosen = np.zeros(self.given.shape), np.zeros(self.alive.shape, dtype=bool)
+        given[:, drone], chosen[:, drone] = numbers, True
+        self._spec.actions(given, chosen)
+
     def _refuse(self) -> None:
         """Raise ValueError for an action that cannot be; everything is as before."""
         self._contacts = self._contacts_before

@@ -163,6 +163,11 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
             row = self._rows[agent]
             given[0, row] = drone_numbers(self.aviary.action, row, actions[agent])
 
+    def require_action(self, agent: str, action: Any) -> None:
+        """Raise ValueError for an action of an agent that cannot be."""
+        row = self._rows[agent]
+        self.aviary.require_action(row, drone_numbers(self.aviary.action, row, action))
+
     def _by_agent(self, observations: Observation, rows: list[int] | None) -> ByAgent:
         """Share out (1, N, ...) to the living agents."""
         if isinstance(observations, dict):
@@ -310,10 +315,14 @@ class TurnAviary(LabelledEnvironment, OrderEnforcingWrapper):  # type: ignore[mi
         """Take the action of the agent whose turn it is; all fly when each has had its turn.
 
         Raises:
-            ValueError: At the last turn, an action cannot be; nobody has flown then.
+            ValueError: The action cannot be; it is still the agent's turn.
             RuntimeError: Before the first reset, or after `close`.
         """
         self._parallel.aviary.require_started()
+        agent = self.agent_selection
+        if agent in self.agents and not (self.terminations[agent] or self.truncations[agent]):
+            # Once all have had their turns nobody could take it back
+            self._parallel.require_action(agent, action)
         super().step(action)
 
     def observe(self, agent: str) -> Any:

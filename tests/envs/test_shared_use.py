@@ -193,9 +193,7 @@ def test_actions_of_several_lengths_are_named(env):
         pytest.skip("they take arrays by themselves, see test_bad_input")
     env.reset(seed=0)
     ragged = [[1.0], [1.0, 2.0]]
-    if hasattr(env, "possible_agents"):
-        if hasattr(env, "agent_selection"):
-            pytest.skip("turns are looked at together")
+    if hasattr(env, "possible_agents") and not hasattr(env, "agent_selection"):
         ragged = dict.fromkeys(env.agents, ragged)
     with pytest.raises(ValueError, match="not numbers"):
         env.step(ragged)
@@ -246,3 +244,17 @@ def test_curricula_refuse_actions_that_do_not_drive_the_dynamics_when_they_are_m
     stages = ({}, {"action": "rotor"})
     with pytest.raises(ValueError, match="gives rotor setpoints, but dynamics 'point_mass'"):
         bulletuav.curriculum_env("hover", stages, dynamics="point_mass", action="velocity")
+
+
+@pytest.mark.parametrize("bad", [None, "text", np.full(3, np.nan), np.zeros(2), [[1.0], [1, 2]]])
+def test_an_action_that_cannot_be_leaves_the_turn_with_its_agent(bad):
+    env = bulletuav.aec_env("crossing", num_drones=2, **OPTIONS)
+    env.reset(seed=0)
+    for agent in ("drone_0", "drone_1"):
+        with pytest.raises(ValueError, match="action"):
+            env.step(bad)
+        assert env.agent_selection == agent
+        env.step(np.zeros(3))
+    assert env.agent_selection == "drone_0"
+    assert env.rewards["drone_0"] != 0.0  # they have flown
+    env.close()

@@ -317,7 +317,7 @@ class Turns(Face):
         return sample(self.env.action_space(agent), rng)
 
     def spoil(self, rng: np.random.Generator, action: Any) -> Any:
-        return None  # the others' turns come before anybody looks at it
+        return None if action is None else super().spoil(rng, action)
 
     def step(self, action: Any) -> Any:
         self.env.step(action)
