@@ -12,7 +12,7 @@ from bulletuav.envs.common_spaces import common_labels, common_observation
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
 from bulletuav.envs.parallel import AgentResults, ByAgent, Infos, ParallelAviary, check_agents
-from bulletuav.envs.snapshot import FaceSnapshot, require_snapshot
+from bulletuav.envs.snapshot import FaceSnapshot, require_face
 from bulletuav.envs.spaces import drone_action_space
 from bulletuav.envs.state import slices
 from bulletuav.errors import as_int, as_sequence, choose, finite, shown
@@ -275,14 +275,20 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
             "successes": dict(self._successes),
             "generator": self._rng.bit_generator.state,
         }
-        return FaceSnapshot(env.save_state(), beside)
+        return FaceSnapshot("curriculum_env", env.save_state(), beside)
 
     @exclusive
     def load_state(self, snapshot: FaceSnapshot) -> ByAgent:
         """Go on from a state that was saved, at its stage; see `ParallelAviary.load_state`."""
         self._require_open()
-        require_snapshot(snapshot, FaceSnapshot)
+        require_face(snapshot, "curriculum_env")
         beside = snapshot.beside
+        last = max(beside["flown"], beside["curriculum"]["stage"])
+        if last >= self.curriculum.count:
+            raise ValueError(
+                f"the snapshot is of stage {last}, and this curriculum has "
+                f"{self.curriculum.count} stages: load it where the stages are the same"
+            )
         env = self._env_of(beside["flown"])
         observations = env.load_state(snapshot.flight)
         self._current, self.agents = env, env.agents[:]

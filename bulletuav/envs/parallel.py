@@ -15,7 +15,7 @@ from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
 from bulletuav.envs.infos import Infos as LazyInfos
 from bulletuav.envs.reset_options import reset_options
-from bulletuav.envs.snapshot import FaceSnapshot, Snapshot, require_snapshot
+from bulletuav.envs.snapshot import FaceSnapshot, Snapshot, require_face
 from bulletuav.envs.spaces import drone_action_space, drone_numbers
 from bulletuav.envs.teams import team_rows
 from bulletuav.errors import choose, shown, unknown
@@ -333,12 +333,12 @@ class TurnAviary(LabelledEnvironment, OrderEnforcingWrapper):  # type: ignore[mi
     def save_state(self) -> FaceSnapshot:
         """Save all that makes the future, with whose turn it is; see `Aviary.save_state`."""
         turn = {name: value for name, value in vars(self.env).items() if name in TURN}
-        return FaceSnapshot(self._parallel.save_state(), copy.deepcopy(turn))
+        return FaceSnapshot("aec_env", self._parallel.save_state(), copy.deepcopy(turn))
 
     @exclusive
     def load_state(self, snapshot: FaceSnapshot) -> None:
         """Go on from a state that was saved; see `Aviary.load_state`."""
-        require_snapshot(snapshot, FaceSnapshot)
+        require_face(snapshot, "aec_env")
         self._parallel.load_state(snapshot.flight)
         for name, value in copy.deepcopy(dict(snapshot.beside)).items():
             setattr(self.env, name, value)

@@ -258,3 +258,25 @@ def test_an_action_that_cannot_be_leaves_the_turn_with_its_agent(bad):
     assert env.agent_selection == "drone_0"
     assert env.rewards["drone_0"] != 0.0  # they have flown
     env.close()
+
+
+def test_snapshots_of_another_class_or_of_stages_that_are_not_there_are_refused():
+    def made(count):
+        one = bulletuav.curriculum_env("crossing", ({},) * count, window=1, down=0.0, **OPTIONS)
+        one.reset(seed=0)
+        return one
+
+    turns, few, many = bulletuav.aec_env("crossing", **OPTIONS), made(1), made(2)
+    turns.reset(seed=0)
+    before = few.state_hash(), turns.state_hash()
+    with pytest.raises(ValueError, match="of aec_env, and this is of curriculum_env"):
+        few.load_state(turns.save_state())
+    with pytest.raises(ValueError, match="of curriculum_env, and this is of aec_env"):
+        turns.load_state(few.save_state())
+    few.load_state(many.save_state())  # it was at the first stage
+    many.curriculum.record(1.0)
+    with pytest.raises(ValueError, match="of stage 1, and this curriculum has 1 stages"):
+        few.load_state(many.save_state())
+    assert (few.state_hash(), turns.state_hash()) == before
+    for env in (turns, few, many):
+        env.close()
