@@ -325,9 +325,25 @@ class TurnAviary(LabelledEnvironment, OrderEnforcingWrapper):  # type: ignore[mi
             self._parallel.require_action(agent, action)
         super().step(action)
 
+    @exclusive
     def observe(self, agent: str) -> Any:
         """Return a copy of the agent's last observation, as PettingZoo keeps the original."""
         return copy.deepcopy(super().observe(agent))
+
+    @exclusive
+    def state(self) -> np.ndarray:
+        """Return the global state; see `ParallelAviary.state`."""
+        return self._parallel.state()
+
+    @exclusive
+    def render(self) -> np.ndarray | None:
+        """Take a picture; see `ParallelAviary.render`."""
+        return self._parallel.render()
+
+    @exclusive
+    def close(self) -> None:
+        """Free the engine; a second call does nothing."""
+        super().close()
 
     @exclusive
     def save_state(self) -> FaceSnapshot:

@@ -115,7 +115,7 @@ def test_a_thread_that_is_refused_leaves_the_other_one_in():
 
 def test_what_is_closed_stays_closed(env):
     env.close()
-    calls = {name: call for name, call in calls_of(env) if name != "close"}
+    calls = {name: call for name, call in calls_of(env) if name not in ("close", "step")}
     for name, call in calls.items():
         with pytest.raises(RuntimeError, match="closed|not been started"):
             call()
@@ -208,7 +208,7 @@ def test_a_reset_mends_what_an_interrupt_left_wherever_it_came(task):
     expected = fresh.reset(seeds=0)
     flown = fresh.step(np.zeros((1, 3, 3)))
 
-    for after in range(40, 600, 17):
+    for after in np.geomspace(40, 40_000, 40).astype(int).tolist():
         left = after
 
         def profile(frame, event, _):
