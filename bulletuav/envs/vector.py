@@ -149,16 +149,19 @@ class BatchAviary(LabelledEnvironment):
         actions = numbers_of("actions are", actions)
         if self.aviary.action.choices is not None:
             actions = actions[..., None]
-        # Worlds that this step resets instead of flying them, and those that it flies.
-        fresh = self._ended & (self.autoreset_mode == AutoresetMode.NEXT_STEP)
+        # Worlds that this step flies, and those that it resets instead.
         flying = self.aviary.alive.any(axis=1)
+        fresh = self._ended & ~flying & (self.autoreset_mode != AutoresetMode.DISABLED)
         observations, rewards, terminated, truncated, info = self.aviary.step(actions)
         infos: dict[str, Any] = info
         # What follows depends on the worlds in which nobody flies any more.
-        self._ended = flying & ~np.any(self.aviary.alive, axis=1)
+        ended = flying & ~np.any(self.aviary.alive, axis=1)
+        # A start may find no room: the next step tries again.
+        self._ended = fresh | ended
         if fresh.any():
             observations = self.aviary.reset(fresh)
             infos = self._with_fresh(info, fresh)
+        self._ended = ended
         if self._ended.any() and self.autoreset_mode == AutoresetMode.SAME_STEP:
             final = {
                 "final_obs": observations,

@@ -1,4 +1,4 @@
-"""Environments that several threads or processes hold, that are interrupted, or closed."""
+"""Environments that threads or processes share, that are interrupted, closed, or full."""
 
 import copy
 import os
@@ -280,3 +280,31 @@ def test_snapshots_of_another_class_or_of_stages_that_are_not_there_are_refused(
     assert (few.state_hash(), turns.state_hash()) == before
     for env in (turns, few, many):
         env.close()
+
+
+@pytest.mark.parametrize("mode", ["NEXT_STEP", "SAME_STEP"])
+def test_a_world_whose_start_finds_no_room_starts_with_a_later_step(mode, monkeypatch):
+    env = bulletuav.batch_env("crossing", 2, autoreset_mode=mode, num_drones=2, **OPTIONS)
+    env.reset(seed=0)
+    task, full = env.aviary.task, [True]
+    spawn_many = task.spawn_many
+
+    def crowded(generators):
+        if full:
+            raise ValueError("no room for a start")
+        return spawn_many(generators)
+
+    monkeypatch.setattr(task, "spawn_many", crowded)
+    with pytest.raises(ValueError, match="no room"):
+        for _ in range(7):
+            env.step(np.zeros((2, 2, 3)))
+    assert not env.alive.any()
+    with pytest.raises(ValueError, match="no room"):
+        env.step(np.zeros((2, 2, 3)))
+    full.clear()
+    _, rewards, terminated, truncated, _ = env.step(np.zeros((2, 2, 3)))
+    assert env.alive.all()
+    assert not rewards.any()
+    assert not (terminated | truncated).any()
+    assert env.step(np.zeros((2, 2, 3)))[1].all()
+    env.close()

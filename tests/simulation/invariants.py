@@ -26,7 +26,7 @@ ERRORS = (ValueError, TypeError, RuntimeError, KeyError, OSError)
 REMEDY = re.compile(
     r"need|must|choose|call |make |use |give|lower|at (least|most)|from .* to|did you mean|leave|"
     r"load it|raise|or more|name |cannot|has no|is no|are no|not |unknown|in use|takes|write|only|"
-    r"too |overlap|twice"
+    r"too |take |overlap|twice"
 )
 MOST_CLIENTS = 64
 
@@ -74,9 +74,9 @@ def require_clear(error: BaseException) -> None:
     on_purpose = last.filename.startswith(PACKAGE) and source.startswith("raise")
     # Arguments that a function does not have
     calls = isinstance(error, TypeError) and "unexpected keyword argument" in str(error)
-    clear = isinstance(error, ERRORS) and (on_purpose or calls)
+    clear = isinstance(error, ERRORS) and on_purpose
     clear = clear and not isinstance(error, IndexError | NotImplementedError | RecursionError)
-    if not clear or not REMEDY.search(str(error)):
+    if not calls and not (clear and REMEDY.search(str(error))):
         raise Broken(f"no clear error: {tell(error)}") from error
 
 

@@ -125,19 +125,26 @@ def rebuild(turn: Turn) -> str:
 def fly(face: Face, action: Any) -> Any:
     """Fly one decision that has to be valid."""
     before = face.note()
-    value, _ = attempt(lambda: face.step(action), must=False)
+    again = face.batched and not isinstance(face, Core)  # a world may start anew
+    value, error = attempt(lambda: face.step(action), must=None if again else False)
+    if error is not None:
+        return no_start(error)
     face.check_step(value, before)
     return value
+
+
+def no_start(error: Exception) -> str:
+    """Tell an error of starts, which are drawn, and may find no room; others are no good."""
+    found = any(word in str(error) for word in ("start", "room", "places"))
+    require(found, f"refused what can be: {error}")
+    return str(error)
 
 
 def restart(face: Face, **keywords: Any) -> Any:
     """Start new episodes, which has to be valid."""
     value, error = attempt(lambda: face.reset(**keywords))
     if error is not None:
-        # Starts are drawn, and may find no room
-        found = any(word in str(error) for word in ("start", "room", "places"))
-        require(found, f"no reset: {error}")
-        return str(error)
+        return no_start(error)
     face.check_reset(value)
     return value
 
