@@ -247,6 +247,7 @@ def evaluate(turn: Turn) -> str:
     if isinstance(face, Space | Team):
         return "skipped"
     options = {**face.form.options, "horizon": 3}
+    options.pop("seed", None)
     call = (face.form.task, "random", 1, int(turn.rng.integers(9)))
     result, error = attempt(lambda: bulletuav.evaluate(*call, **options))
     turn.sim.digest.add(

@@ -52,13 +52,14 @@ class Form(NamedTuple):
     is_plain: bool
 
 
-def draw(rng: np.random.Generator, faces: tuple[str, ...], wide: bool) -> Form:
+def draw(rng: np.random.Generator, faces: tuple[str, ...], wide: bool, badly: float = 0.25) -> Form:
     """Draw a form.
 
     Args:
         rng: Random numbers.
         faces: Names to choose from.
         wide: Whether to draw from everything, or from forms whose kernels are soon compiled.
+        badly: Share of values that no option is likely to take.
     """
     task = pick(rng, bulletuav.list_tasks())
     kind = find_task(task)
@@ -79,7 +80,7 @@ def draw(rng: np.random.Generator, faces: tuple[str, ...], wide: bool) -> Form:
     fields = {one.name: one for one in (*fields_of(kind.Config), *fields_of(EnvOptions))}
     free = [name for name in fields if name not in NEVER and (wide or name not in COMPILED)]
     for name in rng.choice(free, int(rng.integers(1, 4)), replace=False).tolist():
-        bad = rng.random() < 0.25
+        bad = rng.random() < badly
         options[name] = pick(rng, BAD) if bad else good(rng, kind, fields[name])
     if rng.random() < 0.05:
         options[pick(rng, ("nonsense", "num_drone", "first_world"))] = pick(rng, BAD)

@@ -9,11 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from pettingzoo import ParallelEnv
 
+from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.policies import find_policy
 from bulletuav.registry import names
 
 from . import airspace  # adds a face
-from .faces import FACES, Batch, Core, Curriculum, Face, Parallel, Turns, Workers
+from .faces import FACES, Batch, Central, Core, Curriculum, Face, Parallel, Turns, Workers
 from .forms import draw, pick
 from .invariants import Digest, attempt, digest_of, require, sample
 
@@ -158,6 +159,19 @@ def ready(turn: Turn) -> bool:
     return face.started and not face.is_over()
 
 
+@operation(6.0)
+def plan(turn: Turn) -> str:
+    """Check options of everything that there is, good and bad, without making an engine."""
+    form = draw(turn.rng, ("core",), wide=True, badly=0.5)
+    turn.sim.notes = f"planned {form}"
+    _, error = attempt(
+        lambda: EnvSpec(form.task, form.worlds, form.options),
+        must=False if form.is_plain else None,
+    )
+    turn.sim.digest.add((form.task, str(error)))
+    return "ok" if error is None else type(error).__name__
+
+
 @operation(60.0)
 def step(turn: Turn) -> str:
     """Fly a decision or some."""
@@ -212,7 +226,8 @@ def reset(turn: Turn) -> str:
 def reset_badly(turn: Turn) -> str:
     """Give a seed, options or a mask that cannot be: everything stays as it was."""
     face, rng = turn.face, turn.rng
-    if isinstance(face, airspace.Space):
+    # Gymnasium's checker needs a first reset that worked
+    if isinstance(face, airspace.Space) or (isinstance(face, Central) and not face.started):
         return "skipped"
     kind = int(rng.integers(3 if face.batched else 2))
     keywords: dict[str, Any] = {"seed": 0}
