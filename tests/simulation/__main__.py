@@ -39,23 +39,29 @@ def main() -> int:
             print(f"seed {seed}: {one.digest} {resident():.0f} MB {took:.0f} s", flush=True)
             if one.failure is not None:
                 failed += not one.failure.known
-                if one.failure.known:
-                    print(f"  known: {one.failure.known}", flush=True)
-                    seed += 1
-                    continue
-                print(f"  operation {one.failure.operation}, {one.failure.name}", flush=True)
-                print(f"  {one.failure.what}\n  {one.failure.notes}", flush=True)
-                if one.failure.operation >= 0:
-                    few = shrink(one.failure, one.ran, folder, wide)
-                    numbers = ",".join(map(str, few))
-                    narrow = "" if wide else " --narrow"
-                    print(f"  python -m tests.simulation --seed {seed}{narrow} --only {numbers}")
+                report(one, folder, wide)
             if only is not None:
                 break
             seed += 1
     print(table(outcomes))
+    done = sum(sum(one.counts.values()) for one in outcomes)
     print(f"{done} operations, {failed} failures, {time.perf_counter() - begin:.0f} s")
     return int(failed > 0)
+
+
+def report(outcome: Outcome, folder: str, wide: bool) -> None:
+    """Tell what failed, and the few operations that replay it."""
+    failure = outcome.failure
+    assert failure is not None
+    if failure.known:
+        print(f"  known: {failure.known}", flush=True)
+        return
+    print(f"  operation {failure.operation}, {failure.name}", flush=True)
+    print(f"  {failure.what}\n  {failure.notes}", flush=True)
+    if failure.operation >= 0:
+        numbers = ",".join(map(str, shrink(failure, outcome.ran, folder, wide)))
+        narrow = "" if wide else " --narrow"
+        print(f"  python -m tests.simulation --seed {failure.seed}{narrow} --only {numbers}")
 
 
 if __name__ == "__main__":
