@@ -14,7 +14,7 @@ from bulletuav.vehicle.airframe import Airframe
 
 FLOOR = 0.02
 """Thickness of the ground in pictures, m"""
-FLOOR_HALF_EDGE = 1000.0
+FLOOR_HALF_EDGE = 20_000.0
 """Half the edge of the ground in pictures, m"""
 OFFSTAGE = (0.0, 0.0, -4096.0)
 """Where bodies wait that pictures do not show yet, m"""

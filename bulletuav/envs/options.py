@@ -117,7 +117,8 @@ class EnvOptions:
         energy: What takes charge: "zeng" (rotary-wing formula) or "actuator" (the simulated rotors;
             also without gravity).
         rays: What answers the rays of sensors: "compiled" code, exact and fast, or "bullet" (the
-            engine, to a millimetre, where there is more than ground and boxes).
+            engine: hulls are a millimetre thicker, faces of buildings that are no boxes reach a
+            ten-thousandth of their size beyond their edges).
         contacts: What happens at a touch: "impulse" (drones are pushed, slide and rest), "stop" (a
             drone stays there until the decision ends), or "bullet" (the engine's own contacts, for
             comparison). None for the first that the dynamics can do.

@@ -8,7 +8,7 @@ import pytest
 import bulletuav
 from bulletuav.envs.marks import DRONE, GOAL
 from bulletuav.envs.renderer import GRID
-from bulletuav.geometry.view import AIR, projection_matrix, view_matrix
+from bulletuav.geometry.view import AIR, FAR, projection_matrix, view_matrix
 from bulletuav.geometry.view import DRONE as VIEW_DRONE
 
 
@@ -150,3 +150,24 @@ def test_a_picture_is_of_one_world():
         with pytest.raises(ValueError, match="world is .*: a whole number from 0 to 1 is needed"):
             env.render(world)
     env.close()
+
+
+@pytest.mark.parametrize("away", [0.0, 900.0, 4000.0])
+def test_ground_is_seen_as_far_as_pictures_go(away):
+    """Of a camera 150 m high that looks level; rows meet the ground where trigonometry says."""
+    airspace = bulletuav.Airspace([(0.0, 0.0, 1.0)], dynamics="point_mass")
+    height, angle = 150.0, 60.0
+    eye = np.array([away, 0.0, height])
+    picture = airspace.picture(
+        position=eye, target=eye + [1.0, 0.0, 0.0], size=(64, 240), field_of_view=angle
+    )
+    airspace.close()
+    below = (np.arange(240) + 0.5 - 120) / 120 * np.tan(np.radians(angle / 2))
+    exact = height / np.maximum(below, 1e-9)
+    is_ground = picture.labels[:, 32] == 1
+    # A row is half a pixel wrong at most.
+    steps = np.flatnonzero(is_ground != (exact < FAR))
+    assert len(steps) <= 1
+    told = picture.depth[is_ground, 32]
+    np.testing.assert_allclose(told, exact[is_ground], rtol=0.04)
+    assert told.max() > 1700.0

@@ -110,6 +110,30 @@ def test_flights_go_on_from_a_snapshot_to_the_last_bit(case, dynamics):
     aviary.close()
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("dynamics", DYNAMICS)
+@pytest.mark.parametrize("case", CASES)
+def test_any_moment_of_any_flight_can_be_gone_back_to(case, dynamics):
+    """10,000 moments in all; half of the drones dive, so there are contacts."""
+    if case == "hover" and dynamics in ("single_integrator", "point_mass"):
+        pytest.skip("hover commands rotors")
+    aviary, rng, touched = made(case, dynamics=dynamics), np.random.default_rng(0), 0
+    for k in range(240):
+        flown(aviary, int(rng.integers(1, 12)), k)
+        which = rng.permutation(3)[: rng.integers(1, 4)]
+        saved, after = aviary.save_state(which), int(rng.integers(1, 6))
+        first = flown(aviary, after, 1000 + k, which)
+        hashes = aviary.state_hash(which)
+        flown(aviary, int(rng.integers(0, 8)), k)
+        aviary.load_state(saved, which)
+        # Other worlds may reset at other times, which draws from the same random actions.
+        same(flown(aviary, after, 1000 + k, which), first)
+        assert aviary.state_hash(which) == hashes
+        touched += int((aviary.contacts.world >= 0).sum())
+    assert touched or "bullet" not in dynamics
+    aviary.close()
+
+
 @pytest.mark.parametrize("dynamics", ["point_mass", "rigid_body"])
 @pytest.mark.parametrize("case", ["crossing", "uncertain", "late", "mec_advanced", "race"])
 def test_a_world_goes_on_in_the_place_of_another(case, dynamics):

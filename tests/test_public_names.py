@@ -1,0 +1,52 @@
+"""The list of public names in docs/releases.md is what documentation and examples import."""
+
+import ast
+import importlib
+import re
+from pathlib import Path
+
+import bulletuav
+
+ROOT = Path(__file__).parents[1]
+
+
+def imported(source):
+    """Names that a program imports from the package, as (module, name)."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "bulletuav":
+            yield from ((node.module, alias.name) for alias in node.names)
+
+
+def used():
+    """All names of the package that pages and examples show, and those of its top."""
+    pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
+    programs = [
+        code
+        for page in pages
+        for code in re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL)
+    ]
+    programs += [path.read_text() for path in (ROOT / "examples").rglob("*.py")]
+    names = {pair for program in programs for pair in imported(program)}
+    return names | {("bulletuav", name) for name in bulletuav.__all__}
+
+
+def listed():
+    """Rows of the table of the page, as (module, name)."""
+    rows = re.findall(r"^\| `(bulletuav[\w.]*)` \| (.*) \|$", PAGE.read_text(), re.MULTILINE)
+    return {(module, name) for module, names in rows for name in re.findall(r"`(\w+)`", names)}
+
+
+PAGE = ROOT / "docs" / "releases.md"
+
+
+def test_the_page_lists_what_documentation_and_examples_import():
+    names = {}
+    for module, name in sorted(used()):
+        names.setdefault(module, []).append(f"`{name}`")
+    table = "\n".join(f"| `{module}` | {', '.join(own)} |" for module, own in names.items())
+    assert listed() == used(), f"the table in {PAGE.name} should be:\n{table}"
+
+
+def test_public_names_are_there():
+    for module, name in listed():
+        assert hasattr(importlib.import_module(module), name), (module, name)
