@@ -344,7 +344,9 @@ class Central(Face):
         self.wrapped = bool(rng.integers(2))
         self.ended = False
         if self.wrapped:
-            return gymnasium.make(environment_id(form.task), **form.options)
+            # Its checker breaks when a first reset is refused
+            options = {"disable_env_checker": True, **form.options}
+            return gymnasium.make(environment_id(form.task), **options)
         return CentralAviary(form.task, **form.options)
 
     @property
