@@ -5,8 +5,8 @@ import sys
 from pathlib import Path
 
 import pytest
+from simulation.at_work import OPERATIONS, WARNINGS
 from simulation.invariants import Broken, attempt, require_clear, require_inside, resident
-from simulation.operations import OPERATIONS, WARNINGS
 from simulation.run import drawn, run, shrink, table
 
 import bulletuav

@@ -17,10 +17,11 @@ from bulletuav.analysis.recording import fly_episode, load, save
 from bulletuav.policies import find_policy
 
 from .airspace import Space
+from .at_work import Turn, operation
 from .faces import Core, Curriculum, Team, Turns, Workers
 from .forms import pick
 from .invariants import PACKAGE, attempt, digest_of, require, tell
-from .operations import Turn, compare, fly, has, hash_of, operation, ready, restart
+from .operations import compare, fly, has, hash_of, ready, restart
 
 FILES = ("trajectory.npz", "trajectory.csv", "run.json")
 

@@ -10,8 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from . import faults  # noqa: F401  # adds operations
+from .at_work import OPERATIONS, SLOTS, Sim, Turn, unexpected
 from .invariants import Broken, Resources, tell
-from .operations import OPERATIONS, SLOTS, Sim, Turn, build, unexpected
+from .operations import build
 
 PATIENCE = 600.0
 """Time that some operations may take before the process tells where it hangs, and ends, s"""
