@@ -98,14 +98,16 @@ class Program:
 
     def compile(self) -> None:
         """Look up the addresses of all functions and arguments; the first run does it otherwise."""
-        self.table = np.zeros((len(self._calls), 2), dtype=np.int64)
-        self._words = []
-        for row, (made, arguments, _) in zip(self.table, self._calls, strict=True):
+        table = np.zeros((len(self._calls), 2), dtype=np.int64)
+        kept: list[np.ndarray] = []
+        for row, (made, arguments, _) in zip(table, self._calls, strict=True):
             if made is not None:
                 function, caller = _addresses(made, tuple(map(numba.typeof, arguments)))
                 words = np.array([function, *_flat(arguments)], dtype=np.int64)
                 row[:] = caller, words.ctypes.data
-                self._words.append(words)
+                kept.append(words)
+        # At once: an interrupt before it leaves no table without some of the calls
+        self._words, self.table = kept, table
 
 
 def _flat(value: Any) -> Iterator[int]:

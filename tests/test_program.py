@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+import bulletuav.program
 from bulletuav.envs.aviary import Aviary
 from bulletuav.kernel import allocating, kernel
 from bulletuav.program import Program
@@ -207,3 +208,24 @@ def test_a_decision_is_the_same_call_by_call(task, monkeypatch):
         results.append(np.concatenate([np.ravel(row).astype(float) for row in rows]))
         aviary.close()
     assert results[0].tobytes() == results[1].tobytes()
+
+
+def test_an_interrupt_while_a_program_is_compiled_leaves_no_call_out(monkeypatch):
+    """The next run begins anew; a table without some of the calls would be run in silence."""
+    one, out, program = np.ones(3), np.zeros(3), Program()
+    program.call(add, one, one, out)
+    program.call(add, out, one, out)
+    looked_up = bulletuav.program._addresses
+    calls = []
+
+    def interrupted(*given):
+        calls.append(given)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return looked_up(*given)
+
+    monkeypatch.setattr(bulletuav.program, "_addresses", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        program.run()
+    program.run()
+    np.testing.assert_array_equal(out, 3.0)

@@ -21,7 +21,7 @@ from bulletuav.envs.parallel import (
     check_agents,
 )
 from bulletuav.envs.teams import team_names, team_rows
-from bulletuav.errors import choose, shown
+from bulletuav.errors import choose, numbers_of, shown
 from bulletuav.policies import Policy, PolicySource, find_policy
 from bulletuav.policies.versus import TeamPolicies, joint_options
 from bulletuav.tasks import TaskSource
@@ -170,10 +170,12 @@ class TeamAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  # has
             entries[name] = _side_by_side(seen, env.possible_agents, one)[None]
         return entries
 
+    @exclusive
     def render(self) -> np.ndarray | None:
         """Take a picture; see `ParallelAviary.render`."""
         return self.env.render()
 
+    @exclusive
     def close(self) -> None:
         """Free the engine; a second call does nothing."""
         self.env.close()
@@ -239,6 +241,7 @@ class CentralTeamAviary(LabelledEnvironment, gymnasium.Env[Any, Any]):
     def opponents(self, opponents: Opponents) -> None:
         self.env.opponents = opponents
 
+    @exclusive
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
@@ -251,6 +254,7 @@ class CentralTeamAviary(LabelledEnvironment, gymnasium.Env[Any, Any]):
         seen, infos = self.env.reset(seed, options)
         return self._observed(seen), dict(infos)
 
+    @exclusive
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Fly one decision; see `TeamAviary.step`.
 
@@ -263,7 +267,7 @@ class CentralTeamAviary(LabelledEnvironment, gymnasium.Env[Any, Any]):
         Raises:
             ValueError: The action cannot be.
         """
-        numbers = np.asarray(action)
+        numbers = numbers_of("action is", action)
         if numbers.shape != self.action_space.shape:
             raise ValueError(
                 f"action has shape {numbers.shape}: {self.action_space.shape} is needed"
@@ -282,10 +286,12 @@ class CentralTeamAviary(LabelledEnvironment, gymnasium.Env[Any, Any]):
         flat: np.ndarray = _side_by_side(seen, self._agents, space).ravel()
         return flat
 
+    @exclusive
     def render(self) -> np.ndarray | None:
         """Take a picture; see `ParallelAviary.render`."""
         return self.env.render()
 
+    @exclusive
     def close(self) -> None:
         """Free the engine; a second call does nothing."""
         self.env.close()

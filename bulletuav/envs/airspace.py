@@ -225,6 +225,7 @@ class Airspace(AirspaceParts):
         self._engine.set_obstacles(*obstacles)
         self._dynamics.restore(self._swarm, self._alive)
 
+    @exclusive
     def state_hash(self) -> str:
         """Hash the state; see `Aviary.state_hash`."""
         self._require_open()

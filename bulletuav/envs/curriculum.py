@@ -12,7 +12,7 @@ from bulletuav.envs.common_spaces import common_labels, common_observation
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
 from bulletuav.envs.parallel import AgentResults, ByAgent, Infos, ParallelAviary, check_agents
-from bulletuav.envs.snapshot import FaceSnapshot, require_snapshot
+from bulletuav.envs.snapshot import FaceSnapshot, require_face
 from bulletuav.envs.spaces import drone_action_space
 from bulletuav.envs.state import slices
 from bulletuav.errors import as_int, as_sequence, choose, finite, shown
@@ -66,6 +66,12 @@ class Curriculum:
     def success_rate(self) -> float:
         """Mean success of the episodes in the window, NaN before the first."""
         return float(np.mean(self._recent)) if self._recent else np.nan
+
+    def __copy__(self) -> "Curriculum":
+        """Copy it with the episodes that count: none of either counts for the other."""
+        again = Curriculum(self.count, self.up, self.down, self.window)
+        again.restore(self.state())
+        return again
 
     def record(self, success: float) -> None:
         """Count an episode at this stage, and change the stage when it is time.
@@ -159,16 +165,22 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
         # The environment of each stage that was flown, and the success of each agent's episode.
         self._envs: dict[int, ParallelAviary] = {}
         self._current: ParallelAviary | None = None
+        self._closed = False
         self._successes: dict[str, float] = {}
         self._rng = np.random.default_rng(specs[0].options.seed)
+
+    def _require_open(self) -> None:
+        if self._closed:
+            raise RuntimeError("this environment is closed: make a new one")
 
     @property
     def env(self) -> ParallelAviary:
         """Environment of the episode that goes on.
 
         Raises:
-            RuntimeError: Before the first reset.
+            RuntimeError: Before the first reset, or after `close`.
         """
+        self._require_open()
         if self._current is None:
             raise RuntimeError("the environment has not been started: call reset() first")
         return self._current
@@ -201,7 +213,11 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
 
         Returns:
             Observations and infos, by agent.
+
+        Raises:
+            RuntimeError: After `close`.
         """
+        self._require_open()
         # An episode that was left early tells nothing.
         if self._successes and not self.agents:
             successes = list(self._successes.values())
@@ -259,13 +275,20 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
             "successes": dict(self._successes),
             "generator": self._rng.bit_generator.state,
         }
-        return FaceSnapshot(env.save_state(), beside)
+        return FaceSnapshot("curriculum_env", env.save_state(), beside)
 
     @exclusive
     def load_state(self, snapshot: FaceSnapshot) -> ByAgent:
         """Go on from a state that was saved, at its stage; see `ParallelAviary.load_state`."""
-        require_snapshot(snapshot, FaceSnapshot)
+        self._require_open()
+        require_face(snapshot, "curriculum_env")
         beside = snapshot.beside
+        last = max(beside["flown"], beside["curriculum"]["stage"])
+        if last >= self.curriculum.count:
+            raise ValueError(
+                f"the snapshot is of stage {last}, and this curriculum has "
+                f"{self.curriculum.count} stages: load it where the stages are the same"
+            )
         env = self._env_of(beside["flown"])
         observations = env.load_state(snapshot.flight)
         self._current, self.agents = env, env.agents[:]
@@ -274,10 +297,12 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
         self._rng.bit_generator.state = beside["generator"]
         return observations
 
+    @exclusive
     def state_hash(self) -> str:
         """Hash the state of the world that is flown; see `Aviary.state_hash`."""
         return self.env.state_hash()
 
+    @exclusive
     def state(self) -> np.ndarray:
         """Return the global state, with zeros for drones that the stage has not.
 
@@ -291,6 +316,7 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
             padded[first : first + own.stop - own.start] = state[own]
         return padded
 
+    @exclusive
     def render(self) -> np.ndarray | None:
         """Take a picture of the episode that goes on; see `ParallelAviary.render`."""
         return self.env.render()
@@ -298,6 +324,7 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
     @exclusive
     def close(self) -> None:
         """Free the engines; a second call does nothing."""
+        self._closed = True
         for env in self._envs.values():
             env.close()
 

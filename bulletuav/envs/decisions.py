@@ -120,19 +120,21 @@ class Decisions(Worlds):
 
     def _look(self) -> None:
         """Take over what stands now; programs know only what stood when they were made."""
-        if self._dynamics.look_around() or self._account is None:
-            self._account = make_account(self._live)
-            self._reckoning, self.program = Program(), None
-            self._add_account(self._reckoning)
+        if self._dynamics.look_around():
+            self._account = None
+        if self._account is None:
+            account, reckoning = make_account(self._live), Program()
+            self._add_account(reckoning, account)
+            # Last, so that an interrupt before it leaves nothing that is half made
+            self._reckoning, self.program, self._account = reckoning, None, account
 
-    def _add_account(self, program: Program) -> None:
+    def _add_account(self, program: Program, account: Account) -> None:
         """Add what follows from a flight for every drone."""
-        assert self._account is not None
-        add_account(program, self._account, self._live, self._dynamics.contact)
+        add_account(program, account, self._live, self._dynamics.contact)
         if self._collects_contacts:
             program.turn(self._mark_contacts)
         if self.task.lands:
-            known = (self._account, self._live, np.array(self.task.context.standing_height))
+            known = (account, self._live, np.array(self.task.context.standing_height))
             program.turn(lambda: mark_landings(*known))
 
     def _mark_contacts(self) -> None:
@@ -169,23 +171,25 @@ class Decisions(Worlds):
         self._add_flight(program)
         if self._sensors.sensors:
             program.turn(lambda: self._keep(self._measure(frame.before, frame.after, frame.alive)))
-        self._add_account(program)
+        assert self._account is not None
+        self._add_account(program, self._account)
         if type(task).update_memory is not Task.update_memory:
             program.turn(lambda: task.update_memory(frame, self.rng))
         self._add_judgement(program)
         self._add_result(program)
         program.compile()  # now, so that the first decision takes no longer than others
-        self.program = program
-        self._make_first()
+        self._observing, self._telling = self._make_first()
+        self.program = program  # last: an interrupt before it leaves nothing that is half made
         return program
 
-    def _make_first(self) -> None:
-        """Make the programs of what is observed and told right after a reset."""
-        self._observing, self._telling = Program(), Program()
-        self.observer.add_to(self._observing, self._live, self._vector)
-        self._add_judgement(self._telling)
-        self._telling.call(clear, self._weighted)
-        self._add_infos(self._telling)
+    def _make_first(self) -> tuple[Program, Program]:
+        """Make the programs of what is observed, and of what is told, right after a reset."""
+        observing, telling = Program(), Program()
+        self.observer.add_to(observing, self._live, self._vector)
+        self._add_judgement(telling)
+        telling.call(clear, self._weighted)
+        self._add_infos(telling)
+        return observing, telling
 
     def _add_action(self, program: Program) -> None:
         """Add what comes before the flight: actions, wind, goals and obstacles, setpoints."""
@@ -210,6 +214,12 @@ class Decisions(Worlds):
             program.call(copy_vectors, self._setpoint, self.commanded)
         if self._uncertainty.drains:
             program.turn(lambda: self._uncertainty.drain(frame.time))
+
+    def require_action(self, drone: int, numbers: np.ndarray) -> None:
+        """Raise ValueError for numbers (A,) of a drone that cannot be; nobody flies."""
+        given, chosen = np.zeros(self.given.shape), np.zeros(self.alive.shape, dtype=bool)
+        given[:, drone], chosen[:, drone] = numbers, True
+        self._spec.actions(given, chosen)
 
     def _refuse(self) -> None:
         """Raise ValueError for an action that cannot be; everything is as before."""

@@ -8,6 +8,7 @@ import numpy as np
 
 from bulletuav.control.actions import Action, ActionContext, make_action
 from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.dynamics import find_dynamics
 from bulletuav.envs.options import EnvOptions, check_names
 from bulletuav.envs.parts import sensor_setup
 from bulletuav.envs.resolve import resolve
@@ -22,6 +23,7 @@ from bulletuav.tasks.base import Task
 from bulletuav.tasks.check import check_arena, check_bodies
 from bulletuav.tasks.config import TaskConfig
 from bulletuav.tasks.frame import TaskContext
+from bulletuav.tasks.given import PLACES
 from bulletuav.tasks.ingredients import find_term
 from bulletuav.tasks.observations.observer import (
     STATE,
@@ -31,6 +33,7 @@ from bulletuav.tasks.observations.observer import (
     needed_readings,
     observation_name,
 )
+from bulletuav.tasks.starts import take_given
 
 MOST_WORLDS = 1_000_000
 BODY_BYTES, OBSTACLE_BYTES, LAYOUT_BYTES = 100_000, 5_000, 100_000
@@ -47,6 +50,7 @@ class EnvSpec:
         num_worlds: W.
         options: Common options.
         task: The task that is flown.
+        given: Where drones start and are to go, as options tell.
         action: What the drones' actions mean.
         observer: Makes the observations.
         state: Makes the global state.
@@ -65,6 +69,8 @@ class EnvSpec:
         self.options, config, self.sensors = resolve(kind, options)
         self._require_memory(BODY_BYTES * self.options.num_drones)
         self.task = _make_task(kind, config, self.options)
+        places = (getattr(self.task.config, name, None) for name in PLACES)
+        self.given = take_given(self.task, *places)
         self.action = _make_action(self.options, self.task)
         sources = kind.observation if self.options.observation is None else self.options.observation
         self._check_observation(sources)
@@ -80,6 +86,10 @@ class EnvSpec:
         self.state = GlobalState(self.task, drones, self.options)
         self._names = {observation_name(source) for source in sources}
         self._require_memory(self._world_bytes())
+        # Where it is no class attribute, the dynamics tells once it is made
+        consumes: object = find_dynamics(self.options.dynamics).consumes
+        if isinstance(consumes, SetpointLevel):
+            self.options.check_setpoint_levels(self.action.level, consumes)
 
     def _check_observation(self, sources: tuple[Any, ...]) -> None:
         """Refuse names of observations that there are not, or that are there twice."""

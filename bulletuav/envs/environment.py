@@ -11,6 +11,8 @@ import numpy as np
 from bulletuav.sensors.base import Label
 from bulletuav.tasks.observations.observer import Observation, ObservationBuilder
 
+USER = "user"
+"""Where an environment notes the thread that is in one of its methods"""
 Method = TypeVar("Method", bound=Callable[..., Any])
 
 
@@ -26,7 +28,7 @@ class Environment:
     """
 
     made_from: tuple[tuple[Any, ...], dict[str, Any]]
-    _busy: threading.RLock
+    _busy: dict[str, tuple[int]]
 
     def __new__(cls, *args: Any, **kwargs: Any) -> Any:
         """Note the arguments, each as it is now: the caller may change lists and dicts later."""
@@ -35,7 +37,7 @@ class Environment:
             tuple(map(copy.copy, args)),
             {name: copy.copy(value) for name, value in kwargs.items()},
         )
-        self._busy = threading.RLock()
+        self._busy = {}
         return self
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -89,15 +91,18 @@ def exclusive(method: Method) -> Method:
 
     @functools.wraps(method)
     def guarded(self: Any, *args: Any, **kwargs: Any) -> Any:
-        if not self._busy.acquire(False):
-            raise RuntimeError(
-                f"this {type(self).__name__} is in use by another thread: give each thread an "
-                f"environment of its own"
-            )
+        # An interrupt may come right after any call, so also after one that takes a lock
+        busy, me = self._busy, (threading.get_ident(),)
         try:
+            if busy.setdefault(USER, me) != me:
+                raise RuntimeError(
+                    f"this {type(self).__name__} is in use by another thread: give each thread an "
+                    f"environment of its own"
+                )
             return method(self, *args, **kwargs)
         finally:
-            self._busy.release()
+            if USER in busy and busy[USER] is me:
+                del busy[USER]
 
     return cast(Method, guarded)
 

@@ -24,7 +24,7 @@ from bulletuav.envs.reset_options import reset_options
 from bulletuav.envs.snapshot import Snapshot
 from bulletuav.envs.spaces import joint_action_space, joint_numbers
 from bulletuav.envs.vector import BatchAviary, BatchResults
-from bulletuav.errors import as_int
+from bulletuav.errors import as_int, numbers_of
 from bulletuav.tasks import TaskSource, find_task, list_tasks
 from bulletuav.tasks.observations.observer import Observation, part
 
@@ -188,7 +188,7 @@ class CentralAviary(CentralEnvironment, gymnasium.Env[Any, Any]):
         ):
             aviary.given[0, 0] = action  # the program looks at it
         else:
-            aviary.given[:] = joint_numbers(aviary.action, np.asarray(action)[None], 1)
+            aviary.given[:] = joint_numbers(aviary.action, numbers_of("action is", action)[None], 1)
         aviary.decide()
         # An episode that time ended for one of the drones is truncated
         is_over = True not in aviary.alive[0].tolist()
@@ -211,10 +211,12 @@ class CentralAviary(CentralEnvironment, gymnasium.Env[Any, Any]):
         """Go on from a state that was saved, and give the observation; see `Aviary.load_state`."""
         return part(self._central(self.aviary.load_state(snapshot)), 0)
 
+    @exclusive
     def state_hash(self) -> str:
         """Hash the state; see `Aviary.state_hash`."""
         return self.aviary.state_hash()[0]
 
+    @exclusive
     def render(self) -> np.ndarray | None:
         """Take a picture.
 
@@ -338,10 +340,12 @@ class CentralVectorAviary(CentralEnvironment, gymnasium.vector.VectorEnv[Any, An
         """Go on from a state that was saved, and give observations; see `Aviary.load_state`."""
         return self._central(self._batch.load_state(snapshot, worlds))
 
+    @exclusive
     def state_hash(self, worlds: Any = None) -> tuple[str, ...]:
         """Hash the state of each world; see `Aviary.state_hash`."""
         return self.aviary.state_hash(worlds)
 
+    @exclusive
     def render(self) -> tuple[np.ndarray | None, ...]:  # type: ignore[override]
         """Take pictures of all worlds.
 

@@ -15,7 +15,7 @@ from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
 from bulletuav.envs.infos import Infos as LazyInfos
 from bulletuav.envs.reset_options import reset_options
-from bulletuav.envs.snapshot import FaceSnapshot, Snapshot, require_snapshot
+from bulletuav.envs.snapshot import FaceSnapshot, Snapshot, require_face
 from bulletuav.envs.spaces import drone_action_space, drone_numbers
 from bulletuav.envs.teams import team_rows
 from bulletuav.errors import choose, shown, unknown
@@ -163,6 +163,11 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
             row = self._rows[agent]
             given[0, row] = drone_numbers(self.aviary.action, row, actions[agent])
 
+    def require_action(self, agent: str, action: Any) -> None:
+        """Raise ValueError for an action of an agent that cannot be."""
+        row = self._rows[agent]
+        self.aviary.require_action(row, drone_numbers(self.aviary.action, row, action))
+
     def _by_agent(self, observations: Observation, rows: list[int] | None) -> ByAgent:
         """Share out (1, N, ...) to the living agents."""
         if isinstance(observations, dict):
@@ -201,10 +206,12 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
         self.agents = [one for one, row in self._rows.items() if flies[row]]
         return self._by_agent(observations, self._living_rows())
 
+    @exclusive
     def state_hash(self) -> str:
         """Hash the state; see `Aviary.state_hash`."""
         return self.aviary.state_hash()[0]
 
+    @exclusive
     def state(self) -> np.ndarray:
         """Return the global state for centralised critics.
 
@@ -214,6 +221,7 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
         state: np.ndarray = self.aviary.state()[0]
         return state
 
+    @exclusive
     def render(self) -> np.ndarray | None:
         """Take a picture.
 
@@ -297,23 +305,62 @@ class TurnAviary(LabelledEnvironment, OrderEnforcingWrapper):  # type: ignore[mi
         super().__init__(parallel_to_aec_wrapper(parallel))
         self._parallel, self._observer = parallel, parallel.aviary.observer
 
+    @exclusive
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
+        """Start a new episode; see `ParallelAviary.reset`."""
+        super().reset(seed, options)
+
+    @exclusive
+    def step(self, action: Any) -> None:
+        """Take the action of the agent whose turn it is; all fly when each has had its turn.
+
+        Raises:
+            ValueError: The action cannot be; it is still the agent's turn.
+            RuntimeError: Before the first reset, or after `close`.
+        """
+        self._parallel.aviary.require_started()
+        agent = self.agent_selection
+        if agent in self.agents and not (self.terminations[agent] or self.truncations[agent]):
+            # Once all have had their turns nobody could take it back
+            self._parallel.require_action(agent, action)
+        super().step(action)
+
+    @exclusive
     def observe(self, agent: str) -> Any:
         """Return a copy of the agent's last observation, as PettingZoo keeps the original."""
         return copy.deepcopy(super().observe(agent))
 
+    @exclusive
+    def state(self) -> np.ndarray:
+        """Return the global state; see `ParallelAviary.state`."""
+        return self._parallel.state()
+
+    @exclusive
+    def render(self) -> np.ndarray | None:
+        """Take a picture; see `ParallelAviary.render`."""
+        return self._parallel.render()
+
+    @exclusive
+    def close(self) -> None:
+        """Free the engine; a second call does nothing."""
+        super().close()
+
+    @exclusive
     def save_state(self) -> FaceSnapshot:
         """Save all that makes the future, with whose turn it is; see `Aviary.save_state`."""
         turn = {name: value for name, value in vars(self.env).items() if name in TURN}
-        return FaceSnapshot(self._parallel.save_state(), copy.deepcopy(turn))
+        return FaceSnapshot("aec_env", self._parallel.save_state(), copy.deepcopy(turn))
 
+    @exclusive
     def load_state(self, snapshot: FaceSnapshot) -> None:
         """Go on from a state that was saved; see `Aviary.load_state`."""
-        require_snapshot(snapshot, FaceSnapshot)
+        require_face(snapshot, "aec_env")
         self._parallel.load_state(snapshot.flight)
         for name, value in copy.deepcopy(dict(snapshot.beside)).items():
             setattr(self.env, name, value)
         self._has_reset = self._has_updated = True
 
+    @exclusive
     def state_hash(self) -> str:
         """Hash the state of the world; see `Aviary.state_hash`."""
         return self._parallel.state_hash()

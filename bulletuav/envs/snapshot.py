@@ -43,10 +43,12 @@ class FaceSnapshot:
     """The state of an environment class that keeps something beside its world.
 
     Attributes:
+        of: What makes environments of the class, such as "aec_env".
         flight: The state of the world.
         beside: What else the class goes on from, such as whose turn it is.
     """
 
+    of: str
     flight: Snapshot
     beside: Mapping[str, Any]
 
@@ -63,6 +65,15 @@ def require_snapshot(snapshot: Any, kind: type, worlds: int = 1) -> None:
         raise ValueError(
             f"the snapshot holds {len(snapshot)} worlds, and {worlds} are to be written: "
             f"take some of them, snapshot[0], or name the worlds"
+        )
+
+
+def require_face(snapshot: Any, of: str) -> None:
+    """Refuse what is no snapshot of a class of environments. Raises ValueError."""
+    require_snapshot(snapshot, FaceSnapshot)
+    if snapshot.of != of:
+        raise ValueError(
+            f"the snapshot is of {snapshot.of}, and this is of {of}: load it in its own class"
         )
 
 

@@ -13,7 +13,7 @@ from bulletuav.envs.infos import Infos
 from bulletuav.envs.reset_options import MASK, reset_options
 from bulletuav.envs.snapshot import Snapshot
 from bulletuav.envs.spaces import widest_action_space
-from bulletuav.errors import as_int, choose
+from bulletuav.errors import as_int, choose, numbers_of
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.observations.observer import Observation
 
@@ -146,19 +146,22 @@ class BatchAviary(LabelledEnvironment):
             ValueError: Actions cannot be; nobody has flown then.
             RuntimeError: Before the first reset, or after `close`.
         """
-        actions = np.asarray(actions)
+        actions = numbers_of("actions are", actions)
         if self.aviary.action.choices is not None:
             actions = actions[..., None]
-        # Worlds that this step resets instead of flying them, and those that it flies.
-        fresh = self._ended & (self.autoreset_mode == AutoresetMode.NEXT_STEP)
+        # Worlds that this step flies, and those that it resets instead.
         flying = self.aviary.alive.any(axis=1)
+        fresh = self._ended & ~flying & (self.autoreset_mode != AutoresetMode.DISABLED)
         observations, rewards, terminated, truncated, info = self.aviary.step(actions)
         infos: dict[str, Any] = info
         # What follows depends on the worlds in which nobody flies any more.
-        self._ended = flying & ~np.any(self.aviary.alive, axis=1)
+        ended = flying & ~np.any(self.aviary.alive, axis=1)
+        # A start may find no room: the next step tries again.
+        self._ended = fresh | ended
         if fresh.any():
             observations = self.aviary.reset(fresh)
             infos = self._with_fresh(info, fresh)
+        self._ended = ended
         if self._ended.any() and self.autoreset_mode == AutoresetMode.SAME_STEP:
             final = {
                 "final_obs": observations,
@@ -195,10 +198,12 @@ class BatchAviary(LabelledEnvironment):
         self._ended[chosen] = ~np.any(self.aviary.alive, axis=1)[chosen]
         return observations
 
+    @exclusive
     def state_hash(self, worlds: Any = None) -> tuple[str, ...]:
         """Hash the state of each world; see `Aviary.state_hash`."""
         return self.aviary.state_hash(worlds)
 
+    @exclusive
     def state(self) -> np.ndarray:
         """Return the global state.
 
@@ -207,6 +212,7 @@ class BatchAviary(LabelledEnvironment):
         """
         return self.aviary.state()
 
+    @exclusive
     def render(self, world: int = 0) -> np.ndarray | None:
         """Take a picture of one world.
 

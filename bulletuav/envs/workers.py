@@ -22,7 +22,7 @@ from bulletuav.envs.snapshot import Snapshot, require_snapshot
 from bulletuav.envs.spaces import widest_action_space
 from bulletuav.envs.vector import BatchAviary, BatchResults, autoreset
 from bulletuav.envs.worker import Layout, SharedArrays, by_shared_name, merged, work
-from bulletuav.errors import as_int, choose, finite
+from bulletuav.errors import as_int, choose, finite, numbers_of
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.observations.observer import VECTOR, Observation
 
@@ -114,8 +114,9 @@ class WorkerAviary(LabelledEnvironment):
         # Processes, and what ends them when this object goes.
         self._pipes: list[Connection] = []
         self._processes: list[Any] = []
+        self._owner = os.getpid()
         self._finalizer = weakref.finalize(
-            self, _end_processes, os.getpid(), self._pipes, self._processes
+            self, _end_processes, self._owner, self._pipes, self._processes
         )
         self._started = False
         with self._closed_by_errors():
@@ -187,8 +188,8 @@ class WorkerAviary(LabelledEnvironment):
         Returns:
             What each of them answered.
         """
-        if not self._finalizer.alive:
-            raise RuntimeError("this environment is closed: make a new one")
+        if not self._finalizer.alive or os.getpid() != self._owner:
+            raise RuntimeError("this environment is closed, or of another process: make a new one")
         with self._closed_by_errors():
             for k, arguments in keywords.items():
                 # A dead worker takes no question; that it gives no answer either tells why.
@@ -269,12 +270,11 @@ class WorkerAviary(LabelledEnvironment):
         if not self._started:
             raise RuntimeError("the worlds have not been started: call reset() first")
         choices = self._spec.action.choices is not None
-        actions = np.asarray(actions)
+        actions = numbers_of("actions are", actions)
         if choices:
             actions = actions[..., None]
         # Workers read their actions from the shared array.
-        checked = self._spec.actions(actions, self._arrays["alive"])
-        self._arrays["action"][:] = checked
+        self._arrays["action"][:] = self._spec.actions(actions, self._arrays["alive"])
         infos = self._ask("step", self._for_all(choices=choices))
         return (
             self._observations(),

@@ -21,8 +21,6 @@ from bulletuav.sensors.sight import line_of_sight
 from bulletuav.sensors.suite import SensorSuite
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.frame import Frame, Scene
-from bulletuav.tasks.given import PLACES
-from bulletuav.tasks.starts import take_given
 from bulletuav.vehicle.swarm import Contacts, Swarm
 from bulletuav.vehicle.wind import Wind
 
@@ -85,9 +83,7 @@ class Worlds(Environment):
         self.rng: list[np.random.Generator] = [UNSTARTED] * self.num_worlds
         self._frame: Frame | None = None
         self._checked = False
-        self._given = take_given(
-            self.task, *(getattr(self.task.config, name, None) for name in PLACES)
-        )
+        self._given = spec.given
 
     def _show(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Have the engine's bodies stand where drones of `mask` (W, N) and obstacles are."""
