@@ -24,6 +24,7 @@ from bulletuav.envs.snapshot import (
     form_of,
     hashes_of,
     pack,
+    require_contacts,
     require_form,
     require_snapshot,
     unpack,
@@ -193,6 +194,7 @@ class Airspace(AirspaceParts):
     def save_state(self) -> Snapshot:
         """Save all that makes the future but which bodies there are; see `Aviary.save_state`."""
         self._require_open()
+        require_contacts(self._options.contacts)
         arrays, only = self._state_arrays() | self._more_arrays(), np.zeros(1, dtype=int)
         # Bullet rounds what is written: both flights are to go on from that.
         self._dynamics.restore(self._swarm, self._alive)

@@ -14,6 +14,7 @@ from bulletuav.envs.snapshot import (
     form_of,
     hashes_of,
     pack,
+    require_contacts,
     require_form,
     require_snapshot,
     unpack,
@@ -262,11 +263,7 @@ class Aviary(Decisions):
             ValueError: There are no such worlds, or contacts are Bullet's own.
         """
         self.require_started()
-        if self.options.contacts == "bullet":
-            raise ValueError(
-                "contacts='bullet' has no snapshots, as Bullet keeps its contacts to itself: "
-                "choose contacts='impulse'"
-            )
+        require_contacts(self.options.contacts)
         fields, chosen = self._all_arrays(), self._spec.indices(worlds)
         mask = np.zeros(self.num_worlds, dtype=bool)
         mask[chosen] = True

@@ -77,6 +77,15 @@ def require_face(snapshot: Any, of: str) -> None:
         )
 
 
+def require_contacts(contacts: str | None) -> None:
+    """Refuse contacts of which nothing can be saved. Raises ValueError."""
+    if contacts == "bullet":
+        raise ValueError(
+            "contacts='bullet' has no snapshots, as Bullet keeps its contacts to itself: "
+            "choose contacts='impulse'"
+        )
+
+
 def require_form(snapshot: Snapshot, form: str, of: str) -> None:
     """Refuse a snapshot of another form. Raises ValueError."""
     if snapshot.form != form:

@@ -433,8 +433,10 @@ def test_snapshots_that_do_not_fit_are_refused():
         bulletuav.Aviary("crossing", dynamics="point_mass").save_state()
     of_bullet = bulletuav.Aviary("crossing", contacts="bullet", dynamics="bullet")
     of_bullet.reset(seeds=0)
-    with pytest.raises(ValueError, match="contacts='bullet' has no snapshots"):
-        of_bullet.save_state()
+    airspace = bulletuav.Airspace([(0.0, 0.0, 1.0)], contacts="bullet", dynamics="bullet")
+    for environment in (of_bullet, airspace):
+        with pytest.raises(ValueError, match="contacts='bullet' has no snapshots"):
+            environment.save_state()
     aviary.rng[1] = np.random.Generator(np.random.MT19937(0))
     with pytest.raises(ValueError, match="MT19937.*default_rng is needed"):
         aviary.save_state()
