@@ -48,8 +48,11 @@ def city(houses, tmp_path_factory):
     lines, first = [], 1
     for k, corners in enumerate(houses):
         lines += [f"o house{k}", *("v {:.17g} {:.17g} {:.17g}".format(*one) for one in corners)]
-        hull = ConvexHull(corners).simplices + first
-        lines += ["f {} {} {}".format(*face) for face in hull]
+        hull = ConvexHull(corners)
+        for face, plane in zip(hull.simplices, hull.equations, strict=True):
+            a, b, c = corners[face]
+            outward = np.dot(np.cross(b - a, c - a), plane[:3]) > 0
+            lines.append("f {} {} {}".format(*((face if outward else face[::-1]) + first)))
         first += len(corners)
     path = tmp_path_factory.mktemp("city") / "houses.obj"
     path.write_text("\n".join(lines))
