@@ -12,6 +12,8 @@ import numpy as np
 from bulletuav.analysis.seals import hash_arrays
 from bulletuav.errors import unknown
 
+INFO = "info/"
+"""Beginning of the names that infos have in files"""
 VERSION = 4
 """Version of the form of recordings"""
 
@@ -90,8 +92,12 @@ class Recording:
 
     def hash(self) -> str:
         """Hash all arrays and infos, to the last bit; equal flights have equal hashes."""
-        infos = {f"info/{name}": np.asarray(values) for name, values in self.info.items()}
-        return hash_arrays({**self.arrays(), **infos})
+        return hash_arrays(self.everything())
+
+    def everything(self) -> dict[str, np.ndarray]:
+        """Return the arrays and the infos by the names that files give them."""
+        infos = {f"{INFO}{name}": np.asarray(values) for name, values in self.info.items()}
+        return {**self.arrays(), **infos}
 
     def told(self, name: str) -> np.ndarray:
         """Look up what infos told of each decision, (T, N, ...), by the name that they use.

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bulletuav.analysis.described import described
-from bulletuav.analysis.recorded import ARRAYS, TOLD, VERSION, Outcome, Recording, outcomes
+from bulletuav.analysis.recorded import ARRAYS, INFO, TOLD, VERSION, Outcome, Recording, outcomes
 from bulletuav.analysis.results_folder import RUN
 from bulletuav.analysis.seals import call_text, hash_files, sealed
 from bulletuav.envs.aviary import Aviary
@@ -33,8 +33,6 @@ READABLE = (2, 3, 4)
 
 2 and 3 do not tell which obstacles are bars.
 """
-INFO = "info/"
-"""Beginning of the names that infos have in the file"""
 REMEDY = "fly the episode again with this bulletuav"
 HEADER = (
     *("time", "drone", "alive"),
@@ -232,10 +230,9 @@ def _call(aviary: Aviary, policy: str, seed: int) -> str | None:
 
 def _write_arrays(recording: Recording, path: Path) -> None:
     """Write all arrays, infos and the version."""
-    infos = {f"{INFO}{name}": values for name, values in recording.info.items()}
-    arrays: dict[str, Any] = {**recording.arrays(), **infos}
+    told: dict[str, Any] = recording.everything()
     with whole_file(path) as part:
-        np.savez_compressed(part, version=np.array(recording.version), **arrays)
+        np.savez_compressed(part, version=np.array(recording.version), **told)
 
 
 def _write_table(recording: Recording, path: Path) -> None:

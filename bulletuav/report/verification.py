@@ -80,23 +80,24 @@ class Verifier(NamedTuple):
         if not path.exists():
             raise FileNotFoundError(f"there is no {path}: give a file or a folder of results")
         folder = path if path.is_dir() else path.parent
-        for name, verify in (
-            (LEADERBOARD, self._leaderboard),
-            (ARRAYS_FILE, self._recording),
-            (SUMMARY, self._evaluation),
+        for name, sealed, fly_again in (
+            (LEADERBOARD, LEADERBOARD, self._leaderboard),
+            (ARRAYS_FILE, RUN, self._recording),
+            (SUMMARY, SUMMARY, self._evaluation),
         ):
             if (folder / name).exists():
-                return verify(folder)
+                about, checks = _read_sealed(folder / sealed)
+                # Of changed files there is nothing to fly.
+                if all(check.same for check in checks):
+                    checks += fly_again(folder, about)
+                return checks
         raise ValueError(
             f"{folder} holds no recording ({ARRAYS_FILE}), evaluation ({SUMMARY}) or leaderboard "
             f"({LEADERBOARD}): give the folder of one"
         )
 
-    def _recording(self, folder: Path) -> list[Check]:
-        """Verify what `bulletuav fly` wrote."""
-        about, checks = _read_sealed(folder / RUN)
-        if not all(check.same for check in checks):
-            return checks
+    def _recording(self, folder: Path, about: dict[str, Any]) -> list[Check]:
+        """Fly again what `bulletuav fly` wrote."""
         recording = load(folder)
         call = read_call(about.get("call"), self.trust)
         aviary = Aviary(call["task"], call["num_worlds"], **call["options"])
@@ -105,27 +106,21 @@ class Verifier(NamedTuple):
         with self.show("flying", len(recording.reward), "decisions") as report:
             flown = fly_episode(aviary, policy, call["seed"], lambda: report(next(done)))
         aviary.close()
-        return [*checks, Check("flight", about["hash"], flown.hash())]
+        return [Check("flight", about["hash"], flown.hash())]
 
-    def _evaluation(self, folder: Path) -> list[Check]:
-        """Verify what `bulletuav evaluate` wrote."""
-        about, checks = _read_sealed(folder / SUMMARY)
-        if not all(check.same for check in checks):
-            return checks
+    def _evaluation(self, folder: Path, about: dict[str, Any]) -> list[Check]:
+        """Fly again what `bulletuav evaluate` wrote."""
         (result,) = self._fly([about])
         told, found = (
             hash_bytes([json.dumps(one, sort_keys=True).encode()])
             for one in (about["estimates"], result.figures())
         )
         flight = Check("episodes", about["hash"], result.hash)
-        return [*checks, flight, Check("estimates", told, found)]
+        return [flight, Check("estimates", told, found)]
 
-    def _leaderboard(self, folder: Path) -> list[Check]:
-        """Verify what `bulletuav compare` wrote: each row flown again, and the tables from that."""
-        about, checks = _read_sealed(folder / LEADERBOARD)
-        if not all(check.same for check in checks):
-            return checks
-        results = self._fly(about["cases"])
+    def _leaderboard(self, folder: Path, about: dict[str, Any]) -> list[Check]:
+        """Fly each row again that `bulletuav compare` wrote, and compare the tables from that."""
+        results, checks = self._fly(about["cases"]), []
         for case, result in zip(about["cases"], results, strict=True):
             options = case["options"]
             where = ", ".join((case["task"], options["difficulty"], options["dynamics"]))
