@@ -6,8 +6,8 @@ one drone that they call, and `elementwise` functions of numbers that broadcast 
 Numba stamps a cached function with its own source file only. Machine code that inlined a helper
 from another file therefore survives an edit of that helper. Here the cache lives in a folder named
 by a hash of every source file of the package: any edit, upgrade or downgrade starts from an empty
-folder. Only the files right in `tasks/` do not count: a test holds that no file with kernels
-imports one, and the kernels in them bear numba's stamp.
+folder. Only the files right in the folders of `APART` do not count: a test holds that no file
+with kernels imports one, and the kernels in them bear numba's stamp.
 """
 
 import contextlib
@@ -27,16 +27,18 @@ from numba.core import cgutils
 Function = TypeVar("Function", bound=Callable[..., Any])
 """Type of a function that is compiled; the decorators keep its signature."""
 
+APART = ("adapters", "bridges", "commands", "tasks", "training")
+"""Folders whose files no kernel uses; those in their own folders count"""
 _PACKAGE = Path(__file__).parent
 _FOLDERS_KEPT = 8
 
 
-def source_hash(package: Path = _PACKAGE, but: str | None = None) -> str:
+def source_hash(package: Path = _PACKAGE, but: tuple[str, ...] = ()) -> str:
     """Hash the Python files of a package, and the version of numba.
 
     Args:
         package: Folder of the package; all files below it count, by path and content.
-        but: A folder below it, such as "tasks", whose files do not count; those in its own
+        but: Folders below it, such as "tasks", whose files do not count; those in their own
             folders do.
 
     Returns:
@@ -44,7 +46,7 @@ def source_hash(package: Path = _PACKAGE, but: str | None = None) -> str:
     """
     digest = hashlib.sha256(numba.__version__.encode())
     for path in sorted(package.rglob("*.py")):
-        if path.parent.relative_to(package).as_posix() == but:
+        if path.parent.relative_to(package).as_posix() in but:
             continue
         name = path.relative_to(package).as_posix().encode()
         digest.update(name + b"\0" + path.read_bytes() + b"\0")
@@ -68,7 +70,7 @@ def cache_folder() -> Path:
     spare = Path(tempfile.gettempdir(), f"bulletuav-{user}")
     candidates = [Path(chosen), spare]
     for base in candidates:
-        folder = base / "bulletuav-kernels" / source_hash(but="tasks")
+        folder = base / "bulletuav-kernels" / source_hash(but=APART)
         with contextlib.suppress(OSError):
             # Others may write to the folder for temporary files, but must not to ours in it.
             if base == spare and not _is_private(spare):

@@ -11,6 +11,7 @@ import pytest
 from own_ingredients import DRONES, GLOBAL, Perch, Uwb, fly, near, wrong
 
 import bulletuav
+from bulletuav import registry
 from bulletuav.tasks import Task, TaskConfig, end, reward
 
 
@@ -329,3 +330,21 @@ def draws_once_for_all_worlds(self, scene, time, flying, rngs):
 def test_what_only_the_check_of_tasks_sees(attributes, message):
     with pytest.raises(ValueError, match=f"'perch'.*{message}|{message}"):
         bulletuav.check_task(wrong(Perch, **attributes))
+
+
+@pytest.mark.parametrize("task", bulletuav.list_tasks())
+def test_a_registered_term_flies_in_a_task_or_is_refused_when_it_is_made(task):
+    refused = []
+    for name in registry.names("reward"):
+        own = {"reward": {"own": (name, 0.5)}}
+        try:
+            aviary = bulletuav.Aviary(task, dynamics="single_integrator", action="velocity", **own)
+        except ValueError as error:
+            refused.append(str(error))
+            continue
+        aviary.reset()
+        rewards = aviary.step(np.zeros((1, aviary.num_drones, 3))).rewards
+        assert np.isfinite(rewards).all()
+        aviary.close()
+    assert all("reward term 'own' of task" in one for one in refused)
+    assert 0 < len(refused) < len(registry.names("reward"))

@@ -97,7 +97,7 @@ def test_the_hash_covers_every_file_and_name(tmp_path):
 def test_old_folders_are_forgotten_and_a_place_to_write_is_found(tmp_path, monkeypatch):
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
     folder = kernel.cache_folder()
-    assert folder == tmp_path / "bulletuav-kernels" / kernel.source_hash(but="tasks")
+    assert folder == tmp_path / "bulletuav-kernels" / kernel.source_hash(but=kernel.APART)
     for k in range(12):
         (folder.parent / f"old{k}").mkdir()
         os.utime(folder.parent / f"old{k}", (k, k))
@@ -124,23 +124,25 @@ def test_the_global_setting_of_numba_is_left_alone():
 
 def test_a_new_task_leaves_the_kernels_as_they_are(tmp_path):
     (tmp_path / "tasks" / "rewards").mkdir(parents=True)
-    before = kernel.source_hash(tmp_path, but="tasks")
+    before = kernel.source_hash(tmp_path, but=kernel.APART)
     (tmp_path / "tasks" / "mine.py").write_text("x = 1")
-    assert kernel.source_hash(tmp_path, but="tasks") == before != kernel.source_hash(tmp_path)
+    assert kernel.source_hash(tmp_path, but=kernel.APART) == before != kernel.source_hash(tmp_path)
     (tmp_path / "tasks" / "rewards" / "mine.py").write_text("x = 1")
-    assert kernel.source_hash(tmp_path, but="tasks") != before
+    assert kernel.source_hash(tmp_path, but=kernel.APART) != before
 
 
-def test_kernels_use_nothing_of_task_files():
+def test_kernels_use_nothing_of_files_that_do_not_count():
     """What lets their cache outlive an edit of those: the folders below them do count."""
     package, count = Path(bulletuav.__file__).parent, 0
-    of_tasks = re.compile(r"bulletuav\.tasks(\.(?!observations|rewards|families)\w+)?")
+    of_tasks = r"bulletuav\.tasks(\.(?!observations|rewards|families)\w+)?"
+    flat = [rf"bulletuav\.{one}(\.\w+)?" for one in kernel.APART if one != "tasks"]
+    apart = re.compile("|".join([of_tasks, *flat]))
     for path in package.rglob("*.py"):
         tree = ast.parse(path.read_text())
         imported = {
             alias.asname or alias.name
             for node in ast.walk(tree)
-            if isinstance(node, ast.ImportFrom) and of_tasks.fullmatch(node.module or "")
+            if isinstance(node, ast.ImportFrom) and apart.fullmatch(node.module or "")
             for alias in node.names
         }
         for node in ast.walk(tree):

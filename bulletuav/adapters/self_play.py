@@ -20,6 +20,7 @@ from bulletuav.envs.parallel import (
     ParallelAviary,
     check_agents,
 )
+from bulletuav.envs.snapshot import FaceSnapshot, require_face
 from bulletuav.envs.teams import team_names, team_rows
 from bulletuav.errors import choose, numbers_of, shown
 from bulletuav.policies import Policy, PolicySource, find_policy
@@ -137,7 +138,7 @@ class TeamAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  # has
         if not self.agents:
             return {}, {}, {}, {}, {}
         results = self.env.step({**self._opposed(), **actions})
-        self._seen = results[0]
+        self._seen = {agent: results[0][agent] for agent in self.env.agents}
         self.agents = [agent for agent in self.agents if agent in self.env.agents]
         seen, rewards, terminated, truncated, infos = map(self._own, results)
         return seen, rewards, terminated, truncated, infos
@@ -169,6 +170,43 @@ class TeamAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  # has
             seen = {agent: observed[name] for agent, observed in self._seen.items()}
             entries[name] = _side_by_side(seen, env.possible_agents, one)[None]
         return entries
+
+    @exclusive
+    def save_state(self) -> FaceSnapshot:
+        """Save all that makes the future, with what the policies remember.
+
+        What an opponent learns is not saved; see `Aviary.save_state`.
+        """
+        flight = self.env.save_state()
+        assert self._policy is not None  # there was a reset
+        return FaceSnapshot("team_env", flight, self._policy.memory())
+
+    @exclusive
+    def load_state(self, snapshot: FaceSnapshot) -> ByAgent:
+        """Go on from a state that was saved; see `Aviary.load_state`.
+
+        Returns:
+            Observations by agent of the team, of those that fly.
+
+        Raises:
+            ValueError: It does not fit, or other policies flew then.
+        """
+        require_face(snapshot, "team_env")
+        before = self._made.memory()
+        self._made.restore(snapshot.beside)
+        try:
+            self._seen = self.env.load_state(snapshot.flight)
+        except ValueError:  # it is of another form
+            self._made.restore(before)
+            raise
+        self._policy = self._made
+        self.agents = [agent for agent in self.possible_agents if agent in self.env.agents]
+        return self._own(self._seen)
+
+    @exclusive
+    def state_hash(self) -> str:
+        """Hash the state of the world; see `Aviary.state_hash`."""
+        return self.env.state_hash()
 
     @exclusive
     def render(self) -> np.ndarray | None:
@@ -285,6 +323,25 @@ class CentralTeamAviary(LabelledEnvironment, gymnasium.Env[Any, Any]):
         space = self.env.observation_spaces[self._agents[0]]
         flat: np.ndarray = _side_by_side(seen, self._agents, space).ravel()
         return flat
+
+    @exclusive
+    def save_state(self) -> FaceSnapshot:
+        """Save all that makes the future; see `TeamAviary.save_state`."""
+        return self.env.save_state()
+
+    @exclusive
+    def load_state(self, snapshot: FaceSnapshot) -> np.ndarray:
+        """Go on from a state that was saved; see `TeamAviary.load_state`.
+
+        Returns:
+            The observation.
+        """
+        return self._observed(self.env.load_state(snapshot))
+
+    @exclusive
+    def state_hash(self) -> str:
+        """Hash the state of the world; see `Aviary.state_hash`."""
+        return self.env.state_hash()
 
     @exclusive
     def render(self) -> np.ndarray | None:

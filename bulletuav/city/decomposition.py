@@ -7,7 +7,7 @@ from typing import cast
 import numpy as np
 
 from bulletuav.city.import_report import Notebook, Split
-from bulletuav.city.mesh import Mesh, components, is_closed, outside, prism_pieces, volume
+from bulletuav.city.mesh import Mesh, components, outside, outward, prism_pieces, volume
 from bulletuav.errors import missing
 
 FILLED = 1e-4
@@ -59,29 +59,30 @@ def split(mesh: Mesh, where: str, notes: Notebook) -> Iterator[np.ndarray]:
 
 def _split_component(mesh: Mesh, hull: float, where: str, notes: Notebook) -> Iterator[np.ndarray]:
     """Split a mesh, whose hull has a volume, m^3, into convex pieces."""
-    filled = abs(volume(mesh))
-    if not is_closed(mesh):
+    closed = outward(mesh)
+    if closed is None:
         notes.add("hull", where, "its mesh is not closed")
         yield mesh.points
-    elif filled >= (1 - FILLED) * hull:
+        return
+    filled = volume(closed)
+    if filled >= (1 - FILLED) * hull:
         yield mesh.points
     else:
-        pieces = prism_pieces(mesh, filled) or _approximated(mesh)
+        pieces = prism_pieces(closed, filled) or _approximated(closed)
         sizes = [_hull_volume(piece) for piece in pieces]
-        beyond = max(float(_outside_in_chunks(mesh, piece).max()) for piece in pieces)
+        beyond = max(float(_outside_in_chunks(closed, piece).max()) for piece in pieces)
         notes.splits.append(Split(where, len(pieces), filled, sum(sizes), beyond))
         yield from pieces
 
 
 def _approximated(mesh: Mesh) -> list[np.ndarray]:
-    """Split a closed mesh by CoACD; the same mesh gives the same pieces, on any threads."""
+    """Split what `outward` gave by CoACD; it gives the same pieces on any number of threads."""
     coacd = _import_coacd()
     coacd.set_log_level("error")
-    outward = mesh.triangles if volume(mesh) > 0 else mesh.triangles[:, ::-1]
     # It works on a mesh that is about the origin
     middle = mesh.points.mean(axis=0)
     found = coacd.run_coacd(
-        coacd.Mesh(mesh.points - middle, outward),
+        coacd.Mesh(mesh.points - middle, mesh.triangles),
         threshold=CONCAVITY,
         preprocess_mode="off",
         seed=0,

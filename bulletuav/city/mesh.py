@@ -1,7 +1,6 @@
 """Meshes of buildings: their parts, volume, and how far points are from them."""
 
 import itertools
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -28,7 +27,7 @@ class Mesh(NamedTuple):
 
     Attributes:
         points: Corners (V, 3), m.
-        triangles: (T, 3) int, which turn left seen from outside.
+        triangles: (T, 3) int, corners of each.
     """
 
     points: np.ndarray
@@ -85,15 +84,19 @@ def _triangulated(points: np.ndarray, face: list[int]) -> Iterator[list[int]]:
 
 
 def components(mesh: Mesh) -> list[Mesh]:
-    """Take a mesh apart into those that have no corner in common."""
+    """Take a mesh apart into those that have no side of a triangle in common."""
     from scipy.sparse import coo_array  # which takes long to import
     from scipy.sparse.csgraph import connected_components
 
-    count = len(mesh.points)
-    # Older SciPy finds its way in 32-bit indices alone
-    sides = mesh.triangles[:, [0, 1, 1, 2]].reshape(-1, 2).T.astype(np.int32)
-    graph = coo_array((np.ones(sides.shape[1]), sides), shape=(count, count))
-    part = connected_components(graph, directed=False)[1][mesh.triangles[:, 0]]
+    count = len(mesh.triangles)
+    if not count:
+        return []
+    _, side = np.unique(np.sort(_sides(mesh), axis=1), axis=0, return_inverse=True)
+    # A graph of triangles and their sides; older SciPy finds its way in 32-bit indices alone
+    ends = np.stack([np.repeat(np.arange(count), 3), count + side.ravel()]).astype(np.int32)
+    size = count + int(side.max()) + 1
+    graph = coo_array((np.ones(ends.shape[1]), ends), shape=(size, size))
+    part = connected_components(graph, directed=False)[1][:count]
     found = []
     for k in dict.fromkeys(part.tolist()):
         used, number = np.unique(mesh.triangles[part == k], return_inverse=True)
@@ -101,15 +104,50 @@ def components(mesh: Mesh) -> list[Mesh]:
     return found
 
 
-def is_closed(mesh: Mesh) -> bool:
-    """Tell whether each side of a triangle is that of one other, the other way round."""
-    ways = mesh.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).tolist()
-    count = Counter(map(tuple, ways))
-    return all(number == 1 == count[way[::-1]] for way, number in count.items())
+def _sides(mesh: Mesh) -> np.ndarray:
+    """List the sides of all triangles, from corner to corner, (3 T, 2)."""
+    return mesh.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+
+
+def outward(mesh: Mesh) -> Mesh | None:
+    """Turn the triangles of a connected mesh, however they come, so that they face outwards.
+
+    Returns:
+        None where it is not closed: a side belongs to one triangle or to three, or the surface has
+        no inside.
+    """
+    ways: dict[tuple[int, ...], list[tuple[int, bool]]] = {}
+    for k, (begin, end) in enumerate(_sides(mesh).tolist()):
+        ways.setdefault((min(begin, end), max(begin, end)), []).append((k // 3, begin < end))
+    if any(len(pair) != 2 for pair in ways.values()):
+        return None
+    neighbours: list[list[tuple[int, bool]]] = [[] for _ in mesh.triangles]
+    for (one, rises), (other, also) in ways.values():
+        neighbours[one].append((other, rises == also))
+        neighbours[other].append((one, rises == also))
+    # Whether each is to be turned over, as seen from the first one
+    turned = {0: False}
+    waiting = [0]
+    while waiting:
+        k = waiting.pop()
+        for other, is_against in neighbours[k]:
+            if other not in turned:
+                turned[other] = turned[k] != is_against
+                waiting.append(other)
+            elif turned[other] != (turned[k] != is_against):
+                return None
+    over = np.array([turned[k] for k in range(len(mesh.triangles))])
+    found = mesh._replace(
+        triangles=np.where(over[:, None], mesh.triangles[:, ::-1], mesh.triangles)
+    )
+    return found if volume(found) > 0 else found._replace(triangles=found.triangles[:, ::-1])
 
 
 def volume(mesh: Mesh) -> float:
-    """Return the volume of a closed mesh, m^3, by the divergence theorem; inside out, negative."""
+    """Return the volume of a closed mesh, m^3, by the divergence theorem.
+
+    It is negative where triangles face inwards.
+    """
     a, b, c = (mesh.points - mesh.points[0])[mesh.triangles].swapaxes(0, 1)
     return float((a * np.cross(b, c)).sum() / 6)
 

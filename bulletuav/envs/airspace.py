@@ -30,8 +30,10 @@ from bulletuav.envs.snapshot import (
     unpack,
 )
 from bulletuav.envs.stages import finish, headings, prepare
+from bulletuav.errors import numbers_of, shown
 from bulletuav.program import Program
 from bulletuav.vehicle.swarm import Contacts
+from bulletuav.vehicle.wind import MOST_WIND
 
 
 class Airspace(AirspaceParts):
@@ -152,6 +154,25 @@ class Airspace(AirspaceParts):
             raise ValueError(f"dynamics {name!r} feels no torques: use 'rigid_body' or 'bullet'")
         self._dynamics.force[0, rows] += push
         self._dynamics.torque[0, rows] += twist
+
+    @exclusive
+    def set_wind(self, wind: Sequence[float]) -> None:
+        """Change the steady wind, from the next step on; gusts and profiles go on.
+
+        Args:
+            wind: (3,) east, north and up, m/s. It adds to a wind that is a function.
+
+        Raises:
+            ValueError: A number cannot be.
+        """
+        self._require_open()
+        given = numbers_of("wind is", wind)
+        if given.shape != (3,) or not (np.abs(given) <= MOST_WIND).all():
+            raise ValueError(
+                f"wind is {shown(wind)}: three numbers from {-MOST_WIND:g} to {MOST_WIND:g} m/s "
+                f"are needed"
+            )
+        self._wind.steady[0] = given
 
     @exclusive
     def step(self) -> None:

@@ -76,6 +76,8 @@ class EnvSpec:
         self._check_observation(sources)
         self.setup = self._make_setup(self._wanted(sources))
         readings = frozenset(name for one in self.sensors.values() for name in one.gives)
+        if not self.task.num_targets:  # of which there is nothing to see
+            readings -= {"sight"}
         binding = self.task.bind(readings | ENERGY_READINGS, self.options.reward)
         parts = (self.task, self.action, binding, self.sensors, self.setup)
         form: Any = self.options.observation_format

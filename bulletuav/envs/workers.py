@@ -45,8 +45,8 @@ def _end_processes(owner: int, pipes: list[Connection], processes: list[Any]) ->
     end = time.monotonic() + PATIENCE
     for process in processes:
         process.join(max(0.0, end - time.monotonic()))
-        # Ends one that is stopped, too.
-        process.kill()
+        process.kill()  # ends one that is stopped, too; a record of it is kept until it is joined
+        process.join(PATIENCE)
 
 
 class WorkerAviary(LabelledEnvironment):

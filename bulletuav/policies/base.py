@@ -1,7 +1,9 @@
 """The interface of policies, which choose the actions of all drones of all worlds at once."""
 
+import copy
 from abc import ABC, abstractmethod
-from typing import ClassVar
+from collections.abc import Mapping
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -30,12 +32,15 @@ class Policy(ABC):
         name: Its name on the command line and in tables.
         actions: Actions that it can give, the preferred one first; none named: any.
         reads_swarm: Whether it uses the true state instead of the observations.
+        remembers: Names of the attributes in which it remembers anything between decisions, for
+            snapshots.
         aviary: The worlds that it flies.
     """
 
     name: ClassVar[str]
     actions: ClassVar[tuple[str, ...]]
     reads_swarm: ClassVar[bool]
+    remembers: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, aviary: Aviary) -> None:
         """Take the aviary to fly.
@@ -78,6 +83,15 @@ class Policy(ABC):
         Returns:
             (W, N, A) actions.
         """
+
+    def memory(self) -> dict[str, Any]:
+        """Copy all that it remembers, for `restore`."""
+        return {name: copy.deepcopy(getattr(self, name)) for name in self.remembers}
+
+    def restore(self, memory: Mapping[str, Any]) -> None:
+        """Go on with what `memory` gave, here or in another policy of the same class."""
+        for name, value in copy.deepcopy(dict(memory)).items():
+            setattr(self, name, value)
 
 
 def check_action(policy: str, actions: tuple[str, ...], action: str) -> None:

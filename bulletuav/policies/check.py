@@ -10,12 +10,14 @@ from bulletuav.policies.find import find_policy
 from bulletuav.tasks import TaskSource
 
 DECISIONS = 30
+SAVED = 13
+"""Decision before which the flight is saved"""
 NUM_WORLDS = 3
 SEED = 1
 
 
 def check_policy(policy: Any, task: TaskSource = "crossing", **options: Any) -> None:
-    """Look for mistakes of a policy's author: shapes, numbers, seeds and state that is not its own.
+    """Look for mistakes of a policy's author: shapes, numbers, seeds, memory, others' state.
 
     Args:
         policy: A name, `module:Name`, or its class.
@@ -27,17 +29,34 @@ def check_policy(policy: Any, task: TaskSource = "crossing", **options: Any) -> 
     """
     spec = find_policy(policy, task)
     usual = {"action": spec.actions[0]} if spec.actions else {}
-    one, other = (_flown(policy, task, {**usual, **options}) for _ in range(2))
-    for k, (mine, theirs) in enumerate(zip(one, other, strict=True)):
-        if not np.array_equal(mine, theirs):
-            raise ValueError(
-                f"policy {spec.name!r} acts differently at decision {k} of two flights from the "
-                f"same seed: draw from generators that are seeded at a reset"
-            )
+    given = {**usual, **options}
+    one = _flown(policy, task, given)
+    k = _first_difference(one, _flown(policy, task, given))
+    if k is not None:
+        raise ValueError(
+            f"policy {spec.name!r} acts differently at decision {k} of two flights from the "
+            f"same seed: draw from generators that are seeded at a reset"
+        )
+    if given.get("contacts") == "bullet":  # of which there are no snapshots
+        return
+    k = _first_difference(one, _flown(policy, task, given, anew=True))
+    if k is not None:
+        raise ValueError(
+            f"policy {spec.name!r} acts differently at decision {k} where another one went on "
+            f"with its memory at {SAVED}: name all that it remembers in `remembers`"
+        )
 
 
-def _flown(policy: Any, task: TaskSource, options: dict[str, Any]) -> list[np.ndarray]:
-    """Fly from one seed; list the actions."""
+def _first_difference(one: list[np.ndarray], other: list[np.ndarray]) -> int | None:
+    """Find the first decision at which two flights differ."""
+    pairs = enumerate(zip(one, other, strict=True))
+    return next((k for k, (mine, theirs) in pairs if not np.array_equal(mine, theirs)), None)
+
+
+def _flown(
+    policy: Any, task: TaskSource, options: dict[str, Any], anew: bool = False
+) -> list[np.ndarray]:
+    """Fly from one seed; list the actions. With `anew` another policy goes on with the memory."""
     spec = find_policy(policy, task)
     aviary = Aviary(task, NUM_WORLDS, **{"seed": SEED, **options})
     try:
@@ -46,7 +65,14 @@ def _flown(policy: Any, task: TaskSource, options: dict[str, Any]) -> list[np.nd
         pilot.reset(np.ones(NUM_WORLDS, dtype=bool))
         shape = (*aviary.alive.shape, aviary.action.low.shape[-1])
         rows = []
-        for _ in range(DECISIONS):
+        for k in range(DECISIONS):
+            if k == SAVED and options.get("contacts") != "bullet":
+                snapshot, memory = aviary.save_state(), pilot.memory()
+                if anew:
+                    pilot = spec(aviary)
+                    pilot.reset(np.ones(NUM_WORLDS, dtype=bool))
+                    pilot.restore(memory)
+                observations = aviary.load_state(snapshot)
             before = [array.copy() for array in aviary.swarm]
             actions = pilot.act(observations, aviary.swarm)
             _check(spec.name, actions, shape)

@@ -56,6 +56,8 @@ class Placement(PathFollower):
         apart: Distance that places keep where there is room, m.
     """
 
+    remembers = (*PathFollower.remembers, "_place", "_placed", "_targets")
+
     def __init__(self, aviary: Aviary) -> None:
         """Take the aviary to fly.
 

@@ -93,6 +93,7 @@ class Wander(Game):
     """Flight at full speed in random directions, each for 2 s."""
 
     name = "wander"
+    remembers = ("_rng", "_way")
 
     def __init__(self, aviary: Aviary) -> None:
         """Take the aviary to fly; see `Policy`."""

@@ -5,7 +5,7 @@ A way is a row of waypoints, and leg k is the segment that ends at waypoint k.
 
 import math
 from abc import abstractmethod
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -66,6 +66,7 @@ class PathFollower(Policy):
 
     actions = ("velocity", "velocity_increment")
     reads_swarm = True
+    remembers: ClassVar[tuple[str, ...]] = ("_way", "_count", "_next")
 
     def __init__(self, aviary: Aviary) -> None:
         """Take the aviary to fly; see `Policy`."""
@@ -159,6 +160,7 @@ class Planner(PathFollower):
     """Flight to the task's goals, which are taken to stand still, or to jump to another place."""
 
     name = "planner"
+    remembers = (*PathFollower.remembers, "_goal")
 
     def __init__(self, aviary: Aviary) -> None:
         """Take the aviary to fly; see `Policy`."""

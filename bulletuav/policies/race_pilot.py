@@ -87,6 +87,17 @@ class RacePilot(Policy):
     name = "race_pilot"
     actions = ("velocity",)
     reads_swarm = True
+    remembers = (
+        "_begin",
+        "_start",
+        "_speed",
+        "_first",
+        "_choice",
+        "_position",
+        "_velocity",
+        "_time",
+        "_count",
+    )
 
     def __init__(self, aviary: Aviary) -> None:
         """Take the aviary to fly; see `Policy`.

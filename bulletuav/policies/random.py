@@ -19,6 +19,7 @@ class RandomActions(Policy):
     name = "random"
     actions = ()
     reads_swarm = False
+    remembers = ("_rng",)
 
     def __init__(self, aviary: Aviary) -> None:
         """Take the aviary to fly; see `Policy`."""

@@ -52,6 +52,17 @@ class StreetPilot(Policy):
     name = "street_pilot"
     actions = ("velocity", "velocity_increment")
     reads_swarm = False
+    remembers = (
+        "_evidence",
+        "_place",
+        "_goal",
+        "_low",
+        "_high",
+        "_way",
+        "_count",
+        "_next",
+        "_age",
+    )
 
     def __init__(self, aviary: Aviary) -> None:
         """Take the aviary to fly; see `Policy`.

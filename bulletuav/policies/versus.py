@@ -100,6 +100,28 @@ class TeamPolicies(Policy):
                 actions[:, own] = policy.act(observations, swarm)[:, own]
         return actions
 
+    def memory(self) -> dict[str, Any]:
+        """Copy all that the teams' policies remember, by their place; see `Policy.memory`."""
+        return {
+            f"{place}: {type(policy).__name__}": policy.memory()
+            for place, (_, policy) in enumerate(self._policies)
+        }
+
+    def restore(self, memory: Mapping[str, Any]) -> None:
+        """Go on with what `memory` gave; see `Policy.restore`.
+
+        Raises:
+            ValueError: It is of other policies; nothing has changed then.
+        """
+        own = self.memory()
+        if list(memory) != list(own):
+            raise ValueError(
+                f"the snapshot is of policies {shown(list(memory))}, and {shown(list(own))} fly "
+                f"here: load it where they are the same"
+            )
+        for (_, policy), one in zip(self._policies, memory.values(), strict=True):
+            policy.restore(one)
+
 
 class RowsPolicy(SharedPolicy):
     """A function of rows of observations, one for each drone, that gives rows of actions.

@@ -1,6 +1,7 @@
 """Environments of one team, whose opponents fly by policies."""
 
 import copy
+import pickle
 import warnings
 
 import numpy as np
@@ -97,6 +98,47 @@ def test_other_opponents_fly_from_the_next_reset_on(central, make):
     env.step(still)
     assert aviary.swarm.velocity[0, 3, 2] > 0
     assert env.opponents == {"evaders": "climb"}
+
+
+@pytest.mark.parametrize("central", [False, True])
+@pytest.mark.parametrize("opponents", ["wander", "flee", "random"])
+def test_flights_go_on_from_a_snapshot_with_what_policies_remember(opponents, central, make):
+    def flown(env, decisions):
+        told = []
+        for k in range(decisions):
+            push = np.full(3, 0.1 * (k % 5))
+            agents = env.env.agents if central else env.agents
+            results = env.step(np.tile(push, 3) if central else dict.fromkeys(agents, push))
+            told.append(results[0] if central else dict(results[0]))
+        return told, env.state_hash()
+
+    env, other = (make("chasers", opponents, central=central) for _ in range(2))
+    env.reset(seed=4)
+    flown(env, 3)
+    saved, hashed = pickle.loads(pickle.dumps(env.save_state())), env.state_hash()
+    first = flown(env, 25)
+    other.reset(seed=9)
+    for one in (env, other):
+        seen = one.load_state(saved)
+        assert one.state_hash() == hashed
+        assert len(seen) == (one.observation_space.shape[0] if central else 3)
+        np.testing.assert_equal(flown(one, 25), first)
+
+
+def test_a_snapshot_of_other_opponents_or_options_changes_nothing(make):
+    env, other = make(opponents="wander"), make(opponents="flee")
+    more = make(opponents="wander", num_drones=5)
+    for one in (env, other, more):
+        one.reset(seed=0)
+    hashed, memory = env.state_hash(), repr(env.save_state().beside["0: Wander"]["_way"])
+    with pytest.raises(ValueError, match=r"of policies \['0: Flee', .*'0: Wander'"):
+        env.load_state(other.save_state())
+    with pytest.raises(ValueError, match="of another task, or of other options"):
+        env.load_state(more.save_state())
+    with pytest.raises(ValueError, match="what save_state gave is needed"):
+        env.load_state(env.save_state().flight)
+    assert env.state_hash() == hashed
+    assert repr(env.save_state().beside["0: Wander"]["_way"]) == memory
 
 
 @pytest.mark.parametrize("format_", [{"observation_format": "dict"}, {"action": "discrete"}])

@@ -10,7 +10,7 @@ from scipy.spatial import ConvexHull
 
 from bulletuav.city.import_report import MendedWarning
 from bulletuav.city.imports import from_obj
-from bulletuav.city.mesh import components, is_closed, make_mesh, outside, volume
+from bulletuav.city.mesh import components, make_mesh, outside, outward, volume
 
 SQUARE = [(50, 50), (60, 50), (60, 60), (50, 60)]
 CUBE = make_mesh(*prism([(0, 0), (10, 0), (10, 10), (0, 10)], 10))
@@ -29,11 +29,11 @@ def turned(points, angle=0.4):
 
 
 def test_a_cube_by_hand():
-    assert is_closed(CUBE)
+    assert (outward(CUBE).triangles == CUBE.triangles).all()
     assert volume(CUBE) == pytest.approx(1000)
     assert volume(CUBE._replace(triangles=CUBE.triangles[:, ::-1])) == pytest.approx(-1000)
     assert volume(CUBE._replace(points=CUBE.points + 1e6)) == pytest.approx(1000)
-    assert not is_closed(CUBE._replace(triangles=CUBE.triangles[1:]))
+    assert outward(CUBE._replace(triangles=CUBE.triangles[1:])) is None
     # Inside; beyond a side, an edge and a corner: 1, sqrt(2) and sqrt(3) m
     points = np.array([[5.0, 5, 5], [11, 5, 5], [11, 11, 5], [11, 11, 11], [-3, 5, 14]])
     assert outside(CUBE, points) == pytest.approx([0, 1, 2**0.5, 3**0.5, 5], abs=1e-9)
@@ -43,13 +43,10 @@ def test_distances_against_those_of_a_ball():
     hull = ConvexHull(np.random.default_rng(0).normal(size=(400, 3)))
     unit = hull.points / np.linalg.norm(hull.points, axis=1)[:, None]
     ball = ConvexHull(unit)
-    flip = (
-        np.cross(*(unit[ball.simplices[:, k]] - unit[ball.simplices[:, 0]] for k in (1, 2)))
-        * ball.equations[:, :3]
-    ).sum(axis=1) < 0
-    ball.simplices[flip] = ball.simplices[flip, ::-1]
-    mesh = make_mesh(unit, ball.simplices.tolist())
-    assert is_closed(mesh)
+    mesh = outward(make_mesh(unit, ball.simplices.tolist()))  # which SciPy gives either way
+    assert volume(mesh) == pytest.approx(ball.volume)
+    normal = np.cross(*(unit[mesh.triangles[:, k]] - unit[mesh.triangles[:, 0]] for k in (1, 2)))
+    assert ((normal * unit[mesh.triangles[:, 0]]).sum(axis=1) > 0).all()
     points = np.random.default_rng(1).normal(size=(50, 3)) * 2
     radius = np.linalg.norm(points, axis=1)
     # The mesh is inside of the ball, by less than its deepest facet
@@ -64,8 +61,7 @@ def test_corners_that_faces_do_not_share_are_joined():
     apart = [points[list(face)] for face in faces]
     numbers = itertools.count()
     mesh = make_mesh(np.concatenate(apart), [[next(numbers) for _ in face] for face in faces])
-    assert is_closed(mesh)
-    assert volume(mesh) == pytest.approx(6000)
+    assert volume(outward(mesh)) == pytest.approx(6000)
     assert len(mesh.points) == 12
     assert [len(part.points) for part in components(mesh)] == [12]
 
@@ -91,6 +87,39 @@ def test_a_house_inside_out_is_the_same_house(obj):
     inward = [face[::-1] for face in faces]
     city = from_obj(obj(written(("house", points, inward))))
     assert sum(volumes(city)) == pytest.approx(6000)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_faces_may_come_either_way(seed, obj):
+    points, faces = prism(ELL, 12)
+    rng = np.random.default_rng(seed)
+    mixed = [face[::-1] if rng.random() < 0.5 else face for face in faces]
+    city = from_obj(obj(written(("house", points, mixed))))
+    assert sum(volumes(city)) == pytest.approx(6000)
+    assert city.report.notes == ()
+    found = outward(make_mesh(points, mixed))
+    assert volume(found) == pytest.approx(6000)
+    ways = {tuple(way) for way in found.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).tolist()}
+    assert {way[::-1] for way in ways} == ways
+    assert len(ways) == 3 * len(found.triangles)
+
+
+def test_a_surface_of_one_side_has_no_inside():
+    """The real projective plane of six points: each side is that of two triangles."""
+    triangles = ["012", "023", "034", "045", "051", "124", "235", "341", "452", "513"]
+    rows = [[int(k) for k in one] for one in triangles]
+    points = np.random.default_rng(0).normal(size=(6, 3))
+    assert outward(make_mesh(points, rows)) is None
+
+
+def test_two_houses_that_touch_in_a_corner_are_two(obj):
+    one, faces = prism([(0, 0), (10, 0), (10, 10), (0, 10)], 5)
+    more = [tuple(k + len(one) for k in face) for face in faces]
+    both = np.concatenate([one, one + [10, 10, 5]])
+    assert [len(part.points) for part in components(make_mesh(both, faces + more))] == [8, 8]
+    city = from_obj(obj(written(("twins", both, faces + more))), side=100.0)
+    assert volumes(city) == pytest.approx([500, 500])
+    assert components(CUBE._replace(triangles=CUBE.triangles[:0])) == []
 
 
 def test_a_tower_on_a_podium_is_split_by_coacd(obj):

@@ -662,3 +662,23 @@ def test_cameras_look_at_what_they_are_told_to():
     assert down.depth[24, 32] == pytest.approx(3, abs=0.01)
     # By default from the nose, where a drone does not see itself
     assert not (airspace.picture(0, size=(64, 48)).labels == DRONE).any()
+
+
+def test_the_wind_can_change():
+    """After it has, drones fly as in an airspace that had it from the start."""
+    changed = Airspace([(0.0, 0.0, 50.0)], decision_hz=48, rotor_speed=HOVER, seed=0)
+    given = Airspace([(0.0, 0.0, 50.0)], decision_hz=48, rotor_speed=HOVER, wind=(3, -1, 0), seed=0)
+    changed.set_wind((3.0, -1.0, 0.0))
+    for airspace in (changed, given):
+        airspace.command(0, "attitude", (0.0, 0.0, 0.0, CF2X.mass * G))
+        steps(airspace, 10)
+    np.testing.assert_array_equal(state(changed), state(given))
+    assert changed.swarm.velocity[0, 0] > 0.01
+    changed.set_wind((0.0, 0.0, 0.0))
+    for wrong in ((1.0, 2.0), (0.0, 0.0, 200.0), (0.0, np.nan, 0.0), "calm"):
+        with pytest.raises(ValueError, match="wind is"):
+            changed.set_wind(wrong)
+    changed.close()
+    given.close()
+    with pytest.raises(RuntimeError, match="closed"):
+        changed.set_wind((0.0, 0.0, 0.0))

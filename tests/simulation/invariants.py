@@ -1,11 +1,14 @@
 """What must hold after each operation: clear errors, valid results, nothing left behind."""
 
+import contextlib
 import gc
 import hashlib
 import linecache
+import multiprocessing
 import os
 import re
 import threading
+import time
 import traceback
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -23,6 +26,8 @@ OWN = str(Path(__file__).parent)
 OUTSIDE = ("gymnasium", "pettingzoo")
 """Libraries whose wrappers check by themselves"""
 ERRORS = (ValueError, TypeError, RuntimeError, KeyError, OSError)
+ENDING = 10.0
+"""Time for processes to end, s"""
 REMEDY = re.compile(
     r"need|must|choose|call |make |use |give|lower|at (least|most)|from .* to|did you mean|leave|"
     r"load it|raise|or more|name |cannot|has no|is no|are no|not |unknown|in use|takes|write|only|"
@@ -182,7 +187,7 @@ class Resources(NamedTuple):
         threads: Threads of Python.
         children: Processes that it started.
         clients: Clients of Bullet.
-        shared: Segments of shared memory.
+        shared: Its segments of shared memory.
     """
 
     descriptors: int
@@ -193,17 +198,40 @@ class Resources(NamedTuple):
 
     @classmethod
     def now(cls) -> "Resources":
-        """Count them, once what nobody uses has gone."""
+        """Count them, once what nobody uses has gone, and what is ending has ended."""
         gc.collect()
-        process = psutil.Process()
+        end = time.monotonic() + ENDING
+        while _children() and time.monotonic() < end:
+            multiprocessing.active_children()  # forgets those that have ended
+            time.sleep(0.02)
         shared = Path("/dev/shm")
         return cls(
-            process.num_fds(),
+            sum(not _is_kept(path) for path in Path("/proc/self/fd").iterdir()),
             threading.active_count(),
-            len(process.children(recursive=True)),
+            len(_children()),
             sum(bullet.getConnectionInfo(k)["isConnected"] for k in range(MOST_CLIENTS)),
-            len(list(shared.iterdir())) if shared.is_dir() else 0,
+            len(list(shared.glob(f"*-{os.getpid()}-*"))) if shared.is_dir() else 0,
         )
+
+
+def _children() -> list[psutil.Process]:
+    """List the processes that this one started, but for those that `multiprocessing` keeps."""
+    found = []
+    for one in psutil.Process().children(recursive=True):
+        with contextlib.suppress(psutil.NoSuchProcess):
+            text = " ".join(one.cmdline())
+            serves = "multiprocessing.forkserver" in text and one.ppid() == os.getpid()
+            if not serves and "multiprocessing.resource_tracker" not in text:
+                found.append(one)
+    return found
+
+
+def _is_kept(descriptor: Path) -> bool:
+    """Tell whether it is of memory that `multiprocessing` keeps for the next who asks."""
+    try:
+        return str(descriptor.readlink()).startswith("/dev/shm/pym-")
+    except OSError:  # that of the listing itself
+        return True
 
 
 def resident() -> float:

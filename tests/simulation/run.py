@@ -17,11 +17,6 @@ from .operations import build
 PATIENCE = 600.0
 """Time that some operations may take before the process tells where it hangs, and ends, s"""
 EVERY = 50
-KNOWN = {
-    "unknown memory": "seed 420 of `--each 120`: a reward term that reads another task's memory is "
-    "refused by the first reset, as nothing tells before what a function of the frame reads",
-}
-"""What is told of failures that are known, and why they are still there"""
 SHRINKING = 60
 """Runs that are spent on finding fewer operations"""
 
@@ -42,11 +37,6 @@ class Failure(NamedTuple):
     name: str
     what: str
     notes: str
-
-    @property
-    def known(self) -> str:
-        """Why it is still there; empty where nobody knows of it."""
-        return next((why for part, why in KNOWN.items() if part in self.what), "")
 
     @property
     def kind(self) -> str:

@@ -124,8 +124,8 @@ class UsersTask(UrbanTask[UsersConfigT], TargetTask[UsersConfigT], Generic[Users
         watch(*times, frame.readings["sight"], frame.alive, self.context.period)
 
     def quantities(self) -> Mapping[str, Any]:
-        """Tell the share of users that some drone sees."""
-        return {"served": self.served}
+        """Tell the share of users that some drone sees, and how long they have been seen, s."""
+        return {"served": self.served, "mean_service_time": _mean_service_time}
 
     def info(self, frame: Frame) -> dict[str, np.ndarray]:
         """Tell, beside `served`, for how long the drone has seen users, mean of all, s."""
@@ -161,3 +161,9 @@ class UsersTask(UrbanTask[UsersConfigT], TargetTask[UsersConfigT], Generic[Users
     def succeeded(self, frame: Frame) -> np.ndarray:
         """Tell whether some drone sees the wanted share of users, (W, N) bool."""
         return self.served(frame) >= self.config.wanted
+
+
+def _mean_service_time(frame: Frame) -> np.ndarray:
+    """Compute for how long users have been seen, by whom longest, mean of all, (W, N) s."""
+    mean = frame.scene.memory["dwell_time"].max(axis=1).mean(axis=-1)
+    return np.broadcast_to(mean[:, None], frame.alive.shape)

@@ -8,7 +8,6 @@ from bulletuav.geometry.closest_approach import closest_squared, offset
 from bulletuav.geometry.rotation import Vec3, dot, minus, vec3
 from bulletuav.kernel import allocating, func, kernel
 from bulletuav.registry import register
-from bulletuav.tasks.frame import Frame
 from bulletuav.tasks.ingredients import reward
 from bulletuav.vehicle.swarm import Swarm
 
@@ -113,16 +112,20 @@ def shaping(way: float, way_before: float, terminated: bool, discount: float) ->
 
 
 @register("reward")
-def concession(frame: Frame) -> np.ndarray:
+@reward
+def concession(
+    i: int, encounter: np.ndarray, effort: np.ndarray, all_effort: np.ndarray, ended: bool
+) -> float:
     """At the end of an episode: for how many drones it made way, less how many made way for it.
 
     0 at least; see `follow_encounters`.
     """
-    memory = frame.scene.memory
-    met, effort = memory["encounter"] == CLEAR, memory["effort"]
-    yielded = np.sign(effort - effort.swapaxes(1, 2))
-    balance = np.maximum((met * yielded).sum(axis=2), 0.0)
-    return np.where(frame.derived["ended"], balance, 0.0)
+    balance = 0.0
+    if ended:
+        for j in range(len(effort)):
+            if encounter[j] == CLEAR:
+                balance += np.sign(effort[j] - all_effort[j, i])
+    return max(balance, 0.0)
 
 
 @register("reward")

@@ -4,7 +4,6 @@ import numpy as np
 
 from bulletuav.functions import tanh
 from bulletuav.registry import register
-from bulletuav.tasks.frame import Frame
 from bulletuav.tasks.ingredients import reward
 
 DWELL_TIME_SCALE = 0.1
@@ -12,10 +11,13 @@ DWELL_TIME_SCALE = 0.1
 
 
 @register("reward")
-def sight(frame: Frame) -> np.ndarray:
+@reward
+def sight(sight: np.ndarray) -> float:
     """Share of the targets that the drone sees."""
-    share: np.ndarray = frame.seen.mean(axis=-1)
-    return share
+    seen = 0
+    for j in range(len(sight)):
+        seen += 1 if sight[j] else 0
+    return seen / len(sight)
 
 
 @register("reward")
@@ -26,21 +28,20 @@ def served(served: float) -> float:
 
 
 @register("reward")
-def dwell_time(frame: Frame) -> np.ndarray:
+@reward
+def dwell_time(mean_dwell_time: float) -> float:
     """tanh(0.1 s) of the mean seconds s for which the drone has seen users: from 0 to 1."""
-    bonus: np.ndarray = tanh(DWELL_TIME_SCALE * frame.scene.memory["mean_dwell_time"])
-    return bonus
+    return tanh(DWELL_TIME_SCALE * mean_dwell_time)
 
 
 @register("reward")
-def service_time(frame: Frame) -> np.ndarray:
+@reward
+def service_time(mean_service_time: float) -> float:
     """tanh(0.1 s) of the mean seconds s for which users have been seen: from 0 to 1.
 
     Of the drones that see a user the one counts that has done so for longest.
     """
-    longest = frame.scene.memory["dwell_time"].max(axis=1)
-    bonus = tanh(DWELL_TIME_SCALE * longest.mean(axis=-1))
-    return np.broadcast_to(bonus[:, None], frame.alive.shape)
+    return tanh(DWELL_TIME_SCALE * mean_service_time)
 
 
 @register("reward")
