@@ -1,0 +1,251 @@
+"""Measure what servers for programs of others keep up with.
+
+    python benchmarks/bridges.py --out docs/results/bridges
+
+The server runs in a process of its own, and the client here, by bytes on sockets. Virtual
+Crazyflies: all hold a place, with setpoints at 50 Hz and a log block at 100 Hz each. Reported are
+setpoints and log packets a second, the real-time factor, the processor time of the server, how long
+an echo takes, and how much faster than real time the fleet flies if nothing holds it back.
+
+AirSim's calls: states that one client reads a second, one after the other, while the world flies
+in real time; velocities that it sets, one after the other; and how much faster than real time a
+loop in lockstep runs that commands and reads every vehicle ten times a simulated second.
+
+Writes crazyflie.md and airsim.md. Needs psutil and msgpack, of the extra `test`.
+"""
+
+import argparse
+import socket
+import statistics
+import struct
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import msgpack
+import psutil
+
+from bulletuav.bridges.crazyflie_fleet import Fleet
+from bulletuav.bridges.crtp import Packet
+from bulletuav.files import replace_file
+
+PORT = 20850
+AIRSIM_PORT = 20450
+SETPOINTS_HZ = 50
+HEIGHT = 1.0
+
+
+def served(*words: str) -> tuple[subprocess.Popen, psutil.Process]:
+    """Start `bulletuav serve`, and wait until it has told its address."""
+    command = [sys.executable, "-m", "bulletuav", "serve", *words]
+    server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert server.stdout is not None
+    while " at " not in server.stdout.readline():
+        if server.poll() is not None:
+            raise SystemExit(f"{' '.join(words)} did not start")
+    return server, psutil.Process(server.pid)
+
+
+def links(drones: int) -> list[socket.socket]:
+    """Connect to all drones, let each log its place at 100 Hz, and take off."""
+    found = []
+    log = b"\x5d\x06\x00" + b"".join(struct.pack("<BH", 7, k) for k in range(3))
+    take_off = b"\x8c" + struct.pack("<BBff?f", 7, 0, HEIGHT, 0.0, True, 1.0)
+    for k in range(drones):
+        link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        link.connect(("127.0.0.1", PORT + k))
+        for request in (b"\xfd\x00", log, b"\x5d\x03\x00\x01", take_off):
+            link.send(request)
+            link.recv(100)
+        link.setblocking(False)
+        found.append(link)
+    return found
+
+
+def stream(found: list[socket.socket], seconds: float) -> tuple[int, list[int]]:
+    """Send setpoints and read logs for a time; tell how many were sent, and the stamps of logs."""
+    hold = [
+        struct.pack("<BBffff", 0x7C, 7, 0.5 * (k % 10), 0.5 * (k // 10), HEIGHT, 0.0)
+        for k in range(len(found))
+    ]
+    sent, stamps = 0, []
+    end = due = time.perf_counter()
+    end += seconds
+    while time.perf_counter() < end:
+        for link, packet in zip(found, hold, strict=True):
+            link.send(packet)
+            sent += 1
+        due += 1 / SETPOINTS_HZ
+        for link in found:
+            try:
+                while True:
+                    data = link.recv(100)
+                    if data[0] == 0x5E:
+                        stamps.append(int.from_bytes(data[2:5], "little"))
+            except BlockingIOError:
+                pass
+        time.sleep(max(due - time.perf_counter(), 0.0))
+    return sent, stamps
+
+
+def echo(link: socket.socket, times: int) -> float:
+    """Measure the median time of an echo, s."""
+    link.settimeout(1.0)
+    lasted = []
+    for _ in range(times):
+        begin = time.perf_counter()
+        link.send(b"\xfc")
+        while link.recv(100)[0] >> 4 != 15:
+            pass
+        lasted.append(time.perf_counter() - begin)
+    return statistics.median(lasted)
+
+
+def unbound(drones: int, steps: int) -> float:
+    """Tell simulated seconds in one of the clock for a fleet that nobody waits for."""
+    fleet = Fleet(drones, seed=0)
+    fleet.warm_up()
+    for k in range(drones):
+        fleet.take(k, Packet(8, 0, struct.pack("<BBff?f", 7, 0, HEIGHT, 0.0, True, 1.0)))
+    begin = time.perf_counter()
+    for _ in range(steps):
+        fleet.step()
+    lasted = time.perf_counter() - begin
+    fleet.close()
+    return steps * fleet.airspace.period / lasted
+
+
+def crazyflies(drones: int, seconds: float) -> list[str]:
+    """Measure a number of virtual Crazyflies; give the cells of a row."""
+    server, process = served("crazyflie", "--drones", str(drones), "--port", str(PORT))
+    try:
+        found = links(drones)
+        stream(found, 2.0)  # until all are there
+        before, begin = sum(process.cpu_times()[:2]), time.perf_counter()
+        sent, stamps = stream(found, seconds)
+        lasted = time.perf_counter() - begin
+        busy = (sum(process.cpu_times()[:2]) - before) / lasted
+        delay = echo(found[0], 300)
+    finally:
+        server.terminate()
+        server.wait()
+    factor = (stamps[-1] - stamps[0]) / 1000 / lasted
+    free = unbound(drones, max(2000 // drones, 200))
+    return [
+        str(drones),
+        f"{sent / lasted:.0f}",
+        f"{len(stamps) / lasted:.0f}",
+        f"{factor:.2f}",
+        f"{100 * busy:.0f} %",
+        f"{1000 * delay:.2f}",
+        f"{free:.1f}",
+    ]
+
+
+class Caller:
+    """A client of AirSim's calls that waits for each answer."""
+
+    def __init__(self) -> None:
+        """Connect."""
+        self._socket = socket.create_connection(("127.0.0.1", AIRSIM_PORT))
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._unpacker, self._count = msgpack.Unpacker(), 0
+
+    def send(self, name: str, *arguments: object) -> int:
+        """Send a request; give its number."""
+        self._count += 1
+        self._socket.sendall(msgpack.packb([0, self._count, name, list(arguments)]))
+        return self._count
+
+    def get(self, name: str, *arguments: object) -> object:
+        """Send a request and wait for its answer; other answers are dropped."""
+        number = self.send(name, *arguments)
+        while True:
+            for _, told, error, result in self._unpacker:
+                if told == number:
+                    assert error is None, error
+                    return result
+            self._unpacker.feed(self._socket.recv(2**20))
+
+
+def times(seconds: float, call: Callable[[], object]) -> float:
+    """Do something again and again for a time, s; tell how often a second."""
+    count, begin = 0, time.perf_counter()
+    while time.perf_counter() - begin < seconds:
+        call()
+        count += 1
+    return count / (time.perf_counter() - begin)
+
+
+def airsim(drones: int, seconds: float) -> list[str]:
+    """Measure AirSim's calls with a number of vehicles; give the cells of a row."""
+    server, _ = served("airsim", "--drones", str(drones), "--port", str(AIRSIM_PORT))
+    free = (0, {"is_rate": True, "yaw_or_rate": 0.0})
+    try:
+        caller = Caller()
+        names = caller.get("listVehicles")
+        for name in names:
+            caller.get("enableApiControl", True, name)
+            caller.get("armDisarm", True, name)
+            caller.send("takeoff", 20.0, name)
+
+        def command() -> None:
+            caller.send("moveByVelocity", 0.1, 0.0, 0.0, 9.0, *free, names[0])
+            caller.get("ping")
+
+        reads = times(seconds, lambda: caller.get("getMultirotorState", names[0]))
+        commands = times(seconds, command)
+        caller.get("simPause", True)
+
+        def turn() -> None:
+            for name in names:
+                caller.send("moveByVelocity", 0.1, 0.0, 0.0, 9.0, *free, name)
+            caller.get("simContinueForTime", 0.1)
+            for name in names:
+                caller.get("getMultirotorState", name)
+
+        factor = 0.1 * times(seconds, turn)
+    finally:
+        server.terminate()
+        server.wait()
+    return [str(drones), f"{reads:.0f}", f"{commands:.0f}", f"{factor:.1f}"]
+
+
+def write(path: Path, heads: tuple[str, ...], rows: list[list[str]]) -> None:
+    """Write a table."""
+    lines = [list(heads), ["---:"] * len(heads), *rows]
+    table = "".join(f"| {' | '.join(row)} |\n" for row in lines)
+    replace_file(path, table)
+    print(table)
+
+
+def main() -> None:
+    """Measure, and write the tables."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--out", type=Path, default=Path("docs/results/bridges"))
+    parser.add_argument("--drones", type=int, nargs="+", default=[1, 10, 100])
+    parser.add_argument("--seconds", type=float, default=10.0)
+    arguments = parser.parse_args()
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    heads = (
+        "drones",
+        "setpoints/s",
+        "log packets/s",
+        "real-time factor",
+        "processor of the server",
+        "echo, ms",
+        "times real time, unpaced",
+    )
+    rows = [crazyflies(count, arguments.seconds) for count in arguments.drones]
+    write(arguments.out / "crazyflie.md", heads, rows)
+    heads = ("vehicles", "states read/s", "velocities set/s", "times real time, in lockstep")
+    rows = [airsim(count, arguments.seconds / 3) for count in arguments.drones]
+    write(arguments.out / "airsim.md", heads, rows)
+
+
+if __name__ == "__main__":
+    main()

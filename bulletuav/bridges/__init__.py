@@ -1,0 +1,1 @@
+"""Servers through which programs of others fly the drones of an airspace."""

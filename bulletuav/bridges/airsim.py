@@ -1,0 +1,238 @@
+"""Server of AirSim's calls: msgpack-rpc over TCP, for clients of AirSim and Cosys-AirSim.
+
+    server = AirsimServer(World(3))
+    server.run()
+
+A request is [0, number, name, arguments], its answer [1, number, error or nil, result].
+"""
+
+import asyncio
+import contextlib
+import socket
+from typing import TYPE_CHECKING, Any
+
+from bulletuav.bridges.airsim_calls import Calls
+from bulletuav.bridges.airsim_motions import MOTIONS
+from bulletuav.bridges.airsim_world import World
+from bulletuav.envs.pacer import Pacer
+from bulletuav.errors import as_int, missing
+
+if TYPE_CHECKING:
+    import msgpack
+
+PORT = 41451
+"""Port that clients connect to, unless they are told another"""
+MOST_CLIENTS = 64
+MOST_REQUEST = 2**20
+"""Greatest size of a request, bytes"""
+MOST_WAITING = 2**26
+"""Most bytes of answers that a client leaves unread until it is let go"""
+IN_ONE_GO = 50
+"""Requests of a client, or steps of a call, after which others have their turn"""
+CONTINUES = ("simContinueForTime", "simContinueForFrames")
+
+
+class AirsimServer:
+    """A world that flies in real time, and the clients that fly it.
+
+    Attributes:
+        world: The vehicles.
+        host: Address that it listens at.
+        port: Port that it listens at.
+        pacer: Keeps the time; tells how many steps were late.
+    """
+
+    def __init__(
+        self, world: World, host: str = "127.0.0.1", port: int = PORT, speed: float = 1.0
+    ) -> None:
+        """Open the port; clients are answered once it runs.
+
+        Args:
+            world: The vehicles.
+            host: Address to listen at. Whoever can reach it can fly the vehicles.
+            port: Port; 0 for a free one.
+            speed: Simulated seconds in one of the clock.
+
+        Raises:
+            ValueError: The port or the speed cannot be.
+            OSError: The port is in use, or there is no such address.
+            ImportError: The package msgpack is not installed.
+        """
+        try:
+            import msgpack
+        except ImportError:
+            raise missing("serving clients of AirSim", "airsim") from None
+        self._msgpack = msgpack
+        as_int("port", port, 0, 65535)
+        self.world, self.host = world, host
+        self._calls = Calls(world)
+        self._left = 0.0
+        self.pacer = Pacer(world.airspace.period, speed, _sleep=self._note)
+        self._clients: set[_Client] = set()
+        self._meetings: set[asyncio.Future[Any]] = set()
+        self._stopped = False
+        self._socket = _listening(host, port)
+        self.port: int = self._socket.getsockname()[1]
+
+    def _note(self, seconds: float) -> None:
+        """Note how long the pacer would sleep: others work meanwhile."""
+        self._left = seconds
+
+    def stop(self) -> None:
+        """Let `run` return after its present turn; may be called from any thread."""
+        self._stopped = True
+
+    def run(self, seconds: float | None = None) -> None:
+        """Fly and answer.
+
+        Args:
+            seconds: How long, by the clock; until it is interrupted, if left out.
+
+        Raises:
+            RuntimeError: The flight diverged, or it has run before.
+        """
+        if self._socket.fileno() < 0:
+            raise RuntimeError("this server is closed: make a new one")
+        asyncio.run(self.serve(seconds))
+
+    def close(self) -> None:
+        """Close the port, as the end of `run` does; the world stays."""
+        self._socket.close()
+
+    async def serve(self, seconds: float | None = None) -> None:
+        """Do what `run` does, in an event loop of one's own."""
+        server = await asyncio.start_server(self._meet, sock=self._socket)
+        try:
+            async with asyncio.timeout(seconds):
+                await self._fly()
+        except TimeoutError:
+            pass
+        finally:
+            server.close()
+            for client in self._clients:
+                client.close()
+            await asyncio.gather(*self._meetings, return_exceptions=True)
+
+    async def _fly(self) -> None:
+        """Fly in real time, unless time stands still."""
+        self.pacer.restart()
+        while not self._stopped:
+            if not self.world.paused:
+                self.world.step()
+            self._left = 0.0
+            self.pacer.wait()
+            await asyncio.sleep(self._left)
+
+    async def _meet(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Answer a client until it goes."""
+        client = _Client(self, writer)
+        if len(self._clients) >= MOST_CLIENTS:
+            client.close()
+            return
+        meeting = asyncio.current_task()
+        assert meeting is not None  # as this is a coroutine
+        self._clients.add(client)
+        self._meetings.add(meeting)
+        try:
+            await client.listen(reader)
+        finally:
+            self._clients.discard(client)
+            self._meetings.discard(meeting)
+            client.close()
+
+    async def advance(self, steps: int) -> None:
+        """Fly a number of steps at once; others have their turns meanwhile."""
+        for k in range(steps):
+            self.world.step()
+            if k % IN_ONE_GO == IN_ONE_GO - 1:
+                await asyncio.sleep(0)
+        self.pacer.restart()
+
+
+def _listening(host: str, port: int) -> socket.socket:
+    """Open a socket that listens.
+
+    Raises:
+        OSError: The port is in use, or there is no such address.
+    """
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        return socket.create_server((host, port), family=family)
+    except OSError as error:
+        reason = error.strerror or error
+        raise OSError(
+            f"cannot listen at {host}, port {port} (TCP): {reason}; is another server running? "
+            f"Choose another port"
+        ) from error
+
+
+class _Client:
+    """One client's connection."""
+
+    def __init__(self, server: AirsimServer, writer: asyncio.StreamWriter) -> None:
+        self._server, self._writer = server, writer
+        self._calls, self._msgpack = server._calls, server._msgpack
+
+    def close(self) -> None:
+        """End the connection."""
+        self._writer.close()
+
+    async def listen(self, reader: asyncio.StreamReader) -> None:
+        """Answer requests until the client goes, or sends what is no msgpack."""
+        unpacker: msgpack.Unpacker = self._msgpack.Unpacker(
+            max_buffer_size=MOST_REQUEST, strict_map_key=False, unicode_errors="replace"
+        )
+        taken, goes_on = 0, True
+        with contextlib.suppress(ConnectionError):
+            while goes_on and (data := await reader.read(65536)):
+                messages, goes_on = self._messages(unpacker, data)
+                for message in messages:
+                    await self._take(message)
+                    if self._writer.is_closing():
+                        return
+                    taken += 1
+                    if taken % IN_ONE_GO == 0:
+                        await asyncio.sleep(0)
+
+    def _messages(self, unpacker: "msgpack.Unpacker", data: bytes) -> tuple[list[Any], bool]:
+        """Read all messages that are whole; tell also whether what follows can be read."""
+        messages: list[Any] = []
+        try:
+            unpacker.feed(data)
+            messages.extend(unpacker)
+        # TypeError is for maps whose keys are lists.
+        except (ValueError, TypeError, self._msgpack.UnpackException):
+            return messages, False
+        return messages, True
+
+    async def _take(self, message: Any) -> None:
+        """Answer a message; one that is no request is a probe, and not answered."""
+        if not isinstance(message, list) or len(message) != 4 or message[0] != 0:
+            return
+        _, number, name, arguments = message
+        if not isinstance(number, int) or not isinstance(arguments, list):
+            return
+        try:
+            if isinstance(name, str) and name in MOTIONS:
+                self._calls.move(name, arguments, lambda done: self._answer(number, None, done))
+                return
+            if name in CONTINUES:
+                await self._server.advance(self._calls.steps(name, arguments))
+                self._answer(number, None, None)
+                return
+            result = self._calls.call(name, arguments)
+        # What clients send wrong is told to them; a flight that diverged ends the server.
+        except ValueError as error:
+            self._answer(number, str(error), None)
+            return
+        self._answer(number, None, result)
+
+    def _answer(self, number: int, error: str | None, result: Any) -> None:
+        """Send an answer; a client that reads nothing is let go."""
+        transport = self._writer.transport
+        if transport.is_closing():
+            return
+        if transport.get_write_buffer_size() > MOST_WAITING:
+            transport.abort()
+            return
+        self._writer.write(self._msgpack.packb([1, number, error, result]))

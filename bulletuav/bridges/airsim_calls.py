@@ -1,0 +1,227 @@
+"""The calls of AirSim that are there, over a world; `airsim.py` brings them to the network."""
+
+import inspect
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from bulletuav.bridges import airsim_states as states
+from bulletuav.bridges.airsim_images import Request, response
+from bulletuav.bridges.airsim_motions import MOTIONS
+from bulletuav.bridges.airsim_tasks import Answer
+from bulletuav.bridges.airsim_values import duration, pose_in, pose_of, vector_in
+from bulletuav.bridges.airsim_world import Collision, World
+from bulletuav.earth import ned_to_enu
+from bulletuav.errors import as_int, as_sequence, shown, unknown
+
+SERVER_VERSION = 4
+"""What clients of Cosys-AirSim want at least; those of AirSim want 1"""
+OLDEST_CLIENT = 1
+MOST_IMAGES = 32
+"""Most pictures of one call"""
+LONGEST_CALL = 600.0
+"""Longest time that one call flies, s"""
+
+
+class Calls:
+    """Calls of clients, by name.
+
+    Attributes:
+        world: The vehicles.
+    """
+
+    def __init__(self, world: World) -> None:
+        """Take the world that clients fly."""
+        self.world = world
+        self._table: Mapping[str, Callable[..., Any]] = {
+            "ping": lambda: True,
+            "getServerVersion": lambda: SERVER_VERSION,
+            "getMinRequiredClientVersion": lambda: OLDEST_CLIENT,
+            "reset": world.reset,
+            "simPause": self._pause,
+            "simIsPaused": lambda: world.paused,
+            "listVehicles": lambda: list(world.vehicles),
+            "getSettingsString": lambda: "{}",
+            "simSetWind": self._set_wind,
+            "enableApiControl": self._enable,
+            "isApiControlEnabled": lambda name: world.vehicle(name)[1].is_ours,
+            "armDisarm": self._arm,
+            "cancelLastTask": self._cancel,
+            "simSetVehiclePose": self._place,
+            "simGetVehiclePose": self._pose,
+            "getHomeGeoPoint": self._home,
+            "simGetCollisionInfo": self._collision,
+            "simGetImage": self._image,
+            "simGetImages": self._images,
+            "simPrintLogMessage": lambda message, parameter="", severity=0: None,
+            "getMultirotorState": self._of(states.multirotor),
+            "simGetGroundTruthKinematics": self._of(states.kinematics),
+            "simGetGroundTruthEnvironment": self._of(states.environment),
+            "getRotorStates": self._of(states.rotors),
+            **{
+                name: self._sensor(read)
+                for name, read in (
+                    ("getImuData", states.imu),
+                    ("getBarometerData", states.barometer),
+                    ("getMagnetometerData", states.magnetometer),
+                    ("getGpsData", states.gps),
+                    ("getLidarData", states.lidar),
+                )
+            },
+        }
+
+    def names(self) -> list[str]:
+        """List all calls that are there."""
+        return sorted({*self._table, *MOTIONS, "simContinueForTime", "simContinueForFrames"})
+
+    def call(self, name: Any, arguments: list[Any]) -> Any:
+        """Answer a call that takes no time.
+
+        Args:
+            name: Of the call.
+            arguments: What was sent with it.
+
+        Returns:
+            What is answered.
+
+        Raises:
+            ValueError: There is no such call, or it cannot be; the world is as it was.
+        """
+        if not isinstance(name, str) or name not in self._table:
+            raise unknown("call", name, self.names())
+        function = self._table[name]
+        _require_arguments(name, function, arguments)
+        return function(*arguments)
+
+    def steps(self, name: str, arguments: list[Any]) -> int:
+        """Tell how many steps a call lets the world fly.
+
+        Args:
+            name: "simContinueForTime" or "simContinueForFrames".
+            arguments: What was sent with it.
+
+        Raises:
+            ValueError: It cannot be.
+        """
+        (given,) = as_sequence("arguments", arguments, 1)
+        if name == "simContinueForFrames":
+            return as_int("frames", given, 0, round(LONGEST_CALL * 100))
+        seconds = duration("seconds", given)
+        if seconds > LONGEST_CALL:
+            raise ValueError(f"seconds is {seconds:g}: at most {LONGEST_CALL:g} are possible")
+        return self.world.advance(seconds)
+
+    def move(self, name: str, arguments: list[Any], answer: Answer) -> None:
+        """Begin a motion, in place of what the drone did.
+
+        Args:
+            name: One of `MOTIONS`.
+            arguments: What was sent with it; the vehicle's name is last.
+            answer: Function that is told when it ends.
+
+        Raises:
+            ValueError: It cannot be; the drone goes on with what it did.
+        """
+        if not arguments or not isinstance(arguments[-1], str):
+            raise ValueError(f"{name} needs a vehicle's name, or an empty one, as last argument")
+        i, vehicle = self.world.vehicle(arguments[-1])
+        if not vehicle.is_ours:
+            raise ValueError(f"{name}: call enableApiControl(True) first")
+        if not vehicle.is_armed:
+            raise ValueError(f"{name}: {vehicle.name} is not armed, call armDisarm(True) first")
+        given = (self.world, i, vehicle, *arguments[:-1])
+        _require_arguments(name, MOTIONS[name], given)
+        vehicle.begin(MOTIONS[name](*given), answer)
+
+    def _of(self, read: Callable[..., Any]) -> Callable[[str], Any]:
+        """Make a call that reads something of a vehicle."""
+
+        def call(vehicle_name: str = "") -> Any:
+            return read(self.world, *self.world.vehicle(vehicle_name))
+
+        return call
+
+    def _sensor(self, read: Callable[..., Any]) -> Callable[[str, str], Any]:
+        """Make a call that reads a sensor of a vehicle; there is one of each kind."""
+
+        def call(sensor_name: str = "", vehicle_name: str = "") -> Any:
+            return read(self.world, *self.world.vehicle(vehicle_name))
+
+        return call
+
+    def _pause(self, is_paused: bool) -> None:
+        """Let time stand still, or go on."""
+        self.world.paused = bool(is_paused)
+
+    def _set_wind(self, wind: Any) -> None:
+        """Change the steady wind, north, east, down."""
+        self.world.airspace.set_wind(ned_to_enu(vector_in("wind", wind)).tolist())
+
+    def _enable(self, is_enabled: bool, vehicle_name: str = "") -> None:
+        """Ask for control of a vehicle, or give it back; then it stays where it is."""
+        i, vehicle = self.world.vehicle(vehicle_name)
+        vehicle.is_ours = bool(is_enabled)
+        if not is_enabled:
+            vehicle.stay(self.world.state(i))
+
+    def _arm(self, arm: bool, vehicle_name: str = "") -> bool:
+        """Let motors turn, or stop them."""
+        _, vehicle = self.world.vehicle(vehicle_name)
+        if not vehicle.is_ours:
+            raise ValueError("armDisarm: call enableApiControl(True) first")
+        vehicle.is_armed = bool(arm)
+        if not arm:
+            vehicle.stop()
+        return True
+
+    def _cancel(self, vehicle_name: str = "") -> None:
+        """End what a vehicle does; it stays where it is."""
+        i, vehicle = self.world.vehicle(vehicle_name)
+        vehicle.stay(self.world.state(i))
+
+    def _place(self, pose: Any, ignore_collision: bool, vehicle_name: str = "") -> None:
+        """Put a vehicle somewhere, at rest."""
+        i, _ = self.world.vehicle(vehicle_name)
+        self.world.place(i, *pose_in(pose))
+
+    def _pose(self, vehicle_name: str = "") -> dict[str, Any]:
+        """Tell where a vehicle is."""
+        i, vehicle = self.world.vehicle(vehicle_name)
+        swarm = self.world.airspace.swarm
+        return pose_of(swarm.position[i] - vehicle.start, swarm.quaternion[i])
+
+    def _home(self, vehicle_name: str = "") -> dict[str, float]:
+        """Tell where a vehicle starts, on the Earth."""
+        return states.geo_point(self.world, self.world.vehicle(vehicle_name)[1].start)
+
+    def _collision(self, vehicle_name: str = "") -> dict[str, Any]:
+        """Tell what a vehicle has hit since it was asked last."""
+        _, vehicle = self.world.vehicle(vehicle_name)
+        told, vehicle.collision = vehicle.collision, Collision()
+        return states.collision(vehicle, told)
+
+    def _image(self, camera: Any, kind: Any, vehicle_name: str = "", more: Any = None) -> bytes:
+        """Take one picture, as a PNG; `more` is another thing for each client, and not there."""
+        request = Request({"camera_name": camera, "image_type": kind, "compress": True})
+        picture: bytes = self._taken(request, vehicle_name)["image_data_uint8"]
+        return picture
+
+    def _images(
+        self, requests: Any, vehicle_name: str = "", external: Any = False
+    ) -> list[dict[str, Any]]:
+        """Take pictures; cameras that belong to no vehicle are not there."""
+        wanted = [Request(one) for one in as_sequence("requests", requests, most=MOST_IMAGES)]
+        return [self._taken(one, vehicle_name) for one in wanted]
+
+    def _taken(self, request: Request, vehicle_name: str) -> dict[str, Any]:
+        """Take one picture of a vehicle's camera."""
+        i, _ = self.world.vehicle(vehicle_name)
+        return response(self.world, i, request)
+
+
+def _require_arguments(name: str, function: Callable[..., Any], arguments: Any) -> None:
+    """Raise ValueError unless a call has as many arguments as its function takes."""
+    try:
+        inspect.signature(function).bind(*arguments)
+    except TypeError as error:
+        told = [one for one in arguments if isinstance(one, int | float | str | list | dict)]
+        raise ValueError(f"{name} with {shown(told)}: {error}") from None

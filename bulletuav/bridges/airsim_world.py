@@ -1,0 +1,354 @@
+"""Vehicles of AirSim's calls in one airspace: what they do, touch and feel, without a network."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from bulletuav.bridges.airsim_tasks import Answer, Motion, Off, Stay
+from bulletuav.bridges.airsim_values import attitude_of
+from bulletuav.bridges.setpoints import Guide, Order, Setpoint, State
+from bulletuav.earth import Origin
+from bulletuav.envs.airspace import Airspace
+from bulletuav.errors import as_int, as_sequence, points_of, shown, unknown
+from bulletuav.sensors.imperfect import Imperfect
+from bulletuav.sensors.lidar import Lidar
+from bulletuav.vehicle.airframes import load_airframe
+from bulletuav.vehicle.swarm import CITY, FIRST_OBSTACLE, GROUND
+
+PHYSICS_HZ, DECISION_HZ = 500, 100
+"""Steps of physics, and of commands, a second"""
+HOME = (47.641468, -122.140165, 122.0)
+"""Where AirSim's worlds are: latitude, longitude (degrees), altitude (m)"""
+SPACING = 2.0
+"""Distance between neighbours at the start, m"""
+NORTH = (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))
+"""Attitude of a drone that looks north"""
+HARD = 1.0
+"""Speed onto the ground from which on a touch is a collision, m/s"""
+MOST_VEHICLES = 256
+LIDAR: dict[str, Any] = {
+    "num_beams": 36,
+    "lidar_elevations": (-45.0, -30.0, -15.0, 0.0, 15.0),
+    "max_range": 40.0,
+}
+"""Beams of the range finder: options of `Airspace`"""
+LIDAR_HZ = 10
+"""How often it measures a second"""
+
+
+class Collision:
+    """What a vehicle has hit since somebody asked.
+
+    Attributes:
+        has_collided: Whether it has hit something.
+        time: When, s.
+        name: Of what it hit.
+        number: Of what it hit; -1 for nothing.
+        point, normal: (3,) where, m, and in which direction it was pushed, east, north, up.
+        place: (3,) of the vehicle then, m.
+        depth: How deep shapes overlapped, m.
+    """
+
+    def __init__(self) -> None:
+        """Begin with nothing."""
+        self.has_collided, self.time, self.name, self.number = False, 0.0, "", -1
+        self.point = self.normal = self.place = np.zeros(3)
+        self.depth = 0.0
+
+
+class Vehicle:
+    """One drone.
+
+    Attributes:
+        name: As clients call it.
+        start: (3,) where it starts, m: the origin of its coordinates.
+        is_ours: Whether a client has asked for control.
+        is_armed: Whether motors may turn.
+        collision: What it has hit.
+        stands: Whether it touches what it can stand on.
+    """
+
+    def __init__(self, name: str, start: np.ndarray, guide: Guide) -> None:
+        """Begin on the ground, motors off."""
+        self.name, self.start, self._guide = name, start, guide
+        self.collision = Collision()
+        self._motion: Motion = Off()
+        self._answer: Answer | None = None
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin anew; a motion that goes on ends."""
+        self.end(False)
+        self._guide.rest()
+        self._motion = Off()
+        self.is_ours = self.is_armed = False
+        self.collision, self.stands = Collision(), True
+
+    @property
+    def flies(self) -> bool:
+        """Whether its motors turn."""
+        return not isinstance(self._motion, Off)
+
+    def begin(self, motion: Motion, answer: Answer) -> None:
+        """Do something else from now on; who asked for what it did is told that it is over."""
+        self.end(False)
+        self._motion, self._answer = motion, answer
+
+    def end(self, success: bool) -> None:
+        """Tell who asked for the motion that it is over."""
+        answer, self._answer = self._answer, None
+        if answer is not None:
+            answer(success)
+
+    def stay(self, state: State) -> None:
+        """Stay where it is, if it flies."""
+        self.end(False)
+        if self.flies:
+            self._motion = Stay(state)
+
+    def moved(self, state: State) -> None:
+        """Stay where it was put, if it flies; it has hit nothing there."""
+        self.collision = Collision()
+        self._guide.rest()
+        self.stay(state)
+
+    def stop(self) -> None:
+        """Switch motors off."""
+        self.end(False)
+        self._motion = Off()
+
+    def order(self, state: State, now: float, period: float) -> Order | None:
+        """Tell the command of the next step; None for motors off."""
+        wanted = self._motion.order(state, now) if self.is_armed else None
+        if isinstance(wanted, Setpoint):
+            return self._guide.order(wanted, state, period)
+        return wanted
+
+    def look(self, state: State, now: float) -> None:
+        """Look whether the motion has come to its end."""
+        if self._answer is None:
+            return
+        outcome = self._motion.outcome(state, now, self.stands)
+        if outcome is not None:
+            self._motion = self._motion.after(state)
+            self.end(outcome)
+
+
+class World:
+    """N vehicles in one airspace, which clients fly.
+
+    Attributes:
+        airspace: Where they fly.
+        vehicles: By name, in order.
+        origin: Place on the Earth of the airspace's origin.
+        paused: Whether time stands still.
+        acceleration: (N, 3) of the last step, m/s^2, east, north, up.
+        turning: (N, 3) angular acceleration of the last step, rad/s^2, body.
+    """
+
+    def __init__(
+        self,
+        drones: int | Sequence[str] = 1,
+        airframe: Any = "iris",
+        *,
+        places: Any = None,
+        home: Sequence[float] = HOME,
+        lidar: bool = False,
+        **options: Any,
+    ) -> None:
+        """Put vehicles on the ground; they look north.
+
+        Args:
+            drones: How many there are, or their names. One is called "SimpleFlight", several
+                "Drone1" and so on, as in AirSim's documentation.
+            airframe: Their airframe.
+            places: (N, 2) where they stand, east and north, m; left out, 2 m apart to the east.
+            home: Latitude, longitude (degrees) and altitude (m) of the origin.
+            lidar: Whether vehicles carry a range finder of 180 beams.
+            **options: More options of `Airspace`, such as obstacles, a layout, sensors or wind.
+
+        Raises:
+            ValueError: An option cannot be.
+        """
+        frame = load_airframe(airframe)
+        names = _names(drones)
+        flat = [(SPACING * k, 0.0) for k in range(len(names))] if places is None else places
+        if len(flat) != len(names):
+            raise ValueError(f"places are {len(flat)}: one for each of {len(names)} is needed")
+        self._starts = points_of("places", [(*one, frame.standing_height) for one in flat])
+        if "decision_hz" in options:
+            raise ValueError(f"decision_hz is {DECISION_HZ} for clients of AirSim: leave it out")
+        known = {"physics_hz": PHYSICS_HZ, "decision_hz": DECISION_HZ, **options}
+        if lidar:
+            known |= {"sensors": (Imperfect(Lidar(), rate=LIDAR_HZ),), **LIDAR}
+        self.airspace = Airspace(self._starts, frame, **known)
+        self.origin = Origin(*as_sequence("home", home, 3))
+        self.vehicles = {
+            name: Vehicle(name, start, Guide(frame))
+            for name, start in zip(names, self._starts, strict=True)
+        }
+        self.paused = False
+        self._due, self._ticks = 0.0, 0
+        self._velocity = self.airspace.swarm.velocity.copy()
+        self._rates = self.airspace.swarm.rates.copy()
+        self.acceleration = np.zeros_like(self._velocity)
+        self.turning = np.zeros_like(self._rates)
+        self.reset()
+
+    @property
+    def time(self) -> float:
+        """Time since the start, s."""
+        return self.airspace.time
+
+    @property
+    def clock(self) -> float:
+        """Time since the last reset, s: motions go by it, so that they repeat to the last bit."""
+        return self._ticks / DECISION_HZ
+
+    def vehicle(self, name: Any) -> tuple[int, Vehicle]:
+        """Find a vehicle.
+
+        Args:
+            name: Its name; empty for the first.
+
+        Raises:
+            ValueError: There is none of that name.
+        """
+        if name == "":
+            name = next(iter(self.vehicles))
+        if not isinstance(name, str) or name not in self.vehicles:
+            raise unknown("vehicle", name, self.vehicles)
+        return list(self.vehicles).index(name), self.vehicles[name]
+
+    def state(self, i: int) -> State:
+        """Tell position, quaternion, velocity and rates of a drone."""
+        swarm = self.airspace.swarm
+        return (
+            swarm.position[i].tolist(),
+            swarm.quaternion[i].tolist(),
+            swarm.velocity[i].tolist(),
+            swarm.rates[i].tolist(),
+        )
+
+    def step(self) -> None:
+        """Fly for 10 ms.
+
+        Raises:
+            RuntimeError: The flight diverged, or the airspace is closed.
+        """
+        for i, vehicle in enumerate(self.vehicles.values()):
+            order = vehicle.order(self.state(i), self.clock, self.airspace.period)
+            if order is None:
+                self.airspace.stop(i)
+            else:
+                self.airspace.command(i, order.level, order.numbers)
+        self.airspace.step()
+        self._ticks += 1
+        swarm, period = self.airspace.swarm, self.airspace.period
+        self.acceleration = (swarm.velocity - self._velocity) / period
+        self.turning = (swarm.rates - self._rates) / period
+        self._velocity, self._rates = swarm.velocity.copy(), swarm.rates.copy()
+        self._touch()
+        for i, vehicle in enumerate(self.vehicles.values()):
+            vehicle.look(self.state(i), self.clock)
+
+    def advance(self, seconds: float) -> int:
+        """Tell how many steps a time takes; what is left over counts for the next time.
+
+        Args:
+            seconds: Time to fly, s.
+
+        Returns:
+            Steps.
+        """
+        self._due += seconds * DECISION_HZ
+        steps = math.floor(self._due + 1e-6)
+        self._due -= steps
+        return max(steps, 0)
+
+    def _touch(self) -> None:
+        """Note what was touched in the last step."""
+        contacts = self.airspace.contacts
+        vehicles = list(self.vehicles.values())
+        for vehicle in vehicles:
+            vehicle.stands = False
+        for k, i in enumerate(contacts.drone.tolist()):
+            other, normal = int(contacts.other[k]), contacts.normal[k]
+            vehicle = vehicles[i]
+            vehicle.stands = vehicle.stands or bool(normal[2] > 0.7)
+            if other == GROUND and -contacts.velocity[k, 2] < HARD:
+                continue
+            hit = vehicle.collision = Collision()
+            hit.has_collided, hit.time = True, self.time
+            hit.name, hit.number = self._name_of(other), other
+            hit.point, hit.normal = contacts.point[k].copy(), normal.copy()
+            hit.place = self.airspace.swarm.position[i].copy()
+            hit.depth = float(contacts.depth[k])
+
+    def _name_of(self, other: int) -> str:
+        """Name what was touched, by its number in `Contacts`."""
+        if other >= 0:
+            return list(self.vehicles)[other]
+        if other <= FIRST_OBSTACLE:
+            return f"Obstacle{FIRST_OBSTACLE - other}"
+        return {GROUND: "Ground", CITY: "Building"}[other]
+
+    def place(self, i: int, place: np.ndarray, turn: np.ndarray) -> None:
+        """Put a drone somewhere at rest, where it stays if it flew.
+
+        Args:
+            i: Its index.
+            place: (3,) north, east, down of its start, m; NaN for as it is.
+            turn: (4,) x, y, z, w of its orientation; NaN for as it is.
+
+        Raises:
+            ValueError: It would overlap something; all stays as it was.
+        """
+        swarm, vehicle = self.airspace.swarm, list(self.vehicles.values())[i]
+        wanted = vehicle.start + np.array([place[1], place[0], -place[2]])
+        wanted = np.where(np.isfinite(wanted), wanted, swarm.position[i])
+        # Who is put onto the ground stands on it, however coordinates are rounded.
+        if abs(wanted[2] - vehicle.start[2]) < 1e-3:
+            wanted[2] = vehicle.start[2]
+        attitude = attitude_of(turn) if np.isfinite(turn).all() else swarm.quaternion[i].copy()
+        speed = "hover" if vehicle.flies else 0.0
+        self.airspace.place(i, wanted, attitude, rotor_speed=speed)
+        self._forget(i)
+        vehicle.moved(self.state(i))
+
+    def _forget(self, drones: Any) -> None:
+        """Forget how drones moved before they were placed."""
+        self._velocity[drones] = self._rates[drones] = 0.0
+        self.acceleration[drones] = self.turning[drones] = 0.0
+
+    def reset(self) -> None:
+        """Put all vehicles back to where they started, motors off; time goes on."""
+        for vehicle in self.vehicles.values():
+            vehicle.restart()
+        self.airspace.place(None, self._starts, NORTH)
+        self._forget(slice(None))
+        self._due, self._ticks = 0.0, 0
+
+    def warm_up(self) -> None:
+        """Compile what flies, which takes minutes at the first time; drones stay where they are."""
+        self.airspace.step()
+        self.reset()
+
+    def close(self) -> None:
+        """Free the airspace."""
+        self.airspace.close()
+
+
+def _names(drones: int | Sequence[str]) -> tuple[str, ...]:
+    """Tell the names of vehicles, of which there are some or which are given."""
+    if isinstance(drones, int):
+        count = as_int("drones", drones, 1, MOST_VEHICLES)
+        return ("SimpleFlight",) if count == 1 else tuple(f"Drone{k + 1}" for k in range(count))
+    names = as_sequence("drones", drones, most=MOST_VEHICLES)
+    if not names or not all(isinstance(one, str) and one for one in names):
+        raise ValueError(f"drones is {shown(drones)}: names, or how many, are needed")
+    if len(set(names)) < len(names):
+        raise ValueError(f"drones is {shown(drones)}: names that differ are needed")
+    return names

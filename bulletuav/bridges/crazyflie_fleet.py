@@ -1,0 +1,177 @@
+"""Virtual Crazyflies in one airspace, without sockets: packets in, packets out, step by step."""
+
+import functools
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from bulletuav.bridges.crazyflie_services import TICK
+from bulletuav.bridges.crazyflie_tables import LOGS
+from bulletuav.bridges.crazyflie_vehicle import Vehicle
+from bulletuav.bridges.crtp import Packet
+from bulletuav.bridges.setpoints import euler
+from bulletuav.earth import pressure
+from bulletuav.envs.airspace import Airspace
+from bulletuav.errors import as_int, points_of
+from bulletuav.functions import cos, sin
+from bulletuav.vehicle.airframes import load_airframe
+
+DECISION_HZ = 1000 // TICK
+"""Steps a second: commands and logs have the firmware's unit of time"""
+PHYSICS_HZ = 500
+"""Steps of physics, and of the loops of attitude and rates, a second"""
+SPACING = 0.5
+"""Distance between neighbours at the start, m"""
+MOST_DRONES = 256
+
+
+class Fleet:
+    """N virtual Crazyflies whose bodies fly, and collide, in one airspace.
+
+        fleet = Fleet(2)
+        fleet.take(0, packet)
+        answers = fleet.step()
+
+    Attributes:
+        airspace: Where they fly.
+        vehicles: One for each drone.
+        tick: Steps flown, of 10 ms each.
+    """
+
+    def __init__(
+        self,
+        drones: int | Sequence[Sequence[float]] = 1,
+        airframe: Any = "cf2x",
+        **options: Any,
+    ) -> None:
+        """Put drones on the ground, and switch them on.
+
+        Args:
+            drones: How many there are, in rows 0.5 m apart; or where they stand, (N, 2), m.
+            airframe: Their airframe.
+            **options: More options of `Airspace`, such as wind or obstacles.
+
+        Raises:
+            ValueError: An option cannot be.
+        """
+        frame = load_airframe(airframe)
+        places = starts(drones, frame.standing_height)
+        if "decision_hz" in options:
+            raise ValueError(f"decision_hz is {DECISION_HZ} in the firmware: leave it out")
+        known = {"physics_hz": PHYSICS_HZ, "decision_hz": DECISION_HZ, **options}
+        self.airspace = Airspace(places, frame, **known)
+        self.vehicles = [
+            Vehicle(frame, functools.partial(self._stand_up, i)) for i in range(len(places))
+        ]
+        self.tick, self._starts = 0, places
+        self._velocity = self.airspace.swarm.velocity.copy()
+        self._sense()
+
+    def __len__(self) -> int:
+        """Tell how many drones there are."""
+        return len(self.vehicles)
+
+    @property
+    def time(self) -> float:
+        """Time since the start, s."""
+        return self.tick * TICK / 1000
+
+    def take(self, drone: int, packet: Packet) -> list[Packet]:
+        """Give a packet to a drone; its answers are returned."""
+        return self.vehicles[drone].answer(packet, self.tick)
+
+    def step(self) -> list[tuple[int, Packet]]:
+        """Fly for 10 ms.
+
+        Returns:
+            Packets that drones send by themselves, each with the index of its drone.
+
+        Raises:
+            RuntimeError: The flight diverged, or the airspace is closed.
+        """
+        for i, vehicle in enumerate(self.vehicles):
+            order = vehicle.order(self.airspace.period)
+            if order is None:
+                self.airspace.stop(i)
+            else:
+                self.airspace.command(i, order.level, order.numbers)
+        self.airspace.step()
+        self.tick += 1
+        self._sense()
+        return [
+            (i, packet)
+            for i, vehicle in enumerate(self.vehicles)
+            for packet in self._logged(vehicle)
+        ]
+
+    def warm_up(self) -> None:
+        """Compile what flies, which takes minutes at the first time; drones stay where they are."""
+        self.airspace.step()
+        for variable in LOGS.values():
+            variable.read(self.vehicles[0].telemetry(_pressure))
+        self.airspace.place(None, self._starts)
+
+    def _sense(self) -> None:
+        """Tell the drones how their bodies move."""
+        swarm = self.airspace.swarm
+        change = (swarm.velocity - self._velocity) / self.airspace.period
+        self._velocity = swarm.velocity.copy()
+        arrays = (swarm.position, swarm.quaternion, swarm.velocity, swarm.rates)
+        rows = zip(*(array.tolist() for array in arrays), strict=True)
+        rest = zip(change.tolist(), swarm.rotor_speed.tolist(), strict=True)
+        for vehicle, state, (acceleration, speed) in zip(self.vehicles, rows, rest, strict=True):
+            vehicle.sense(state, acceleration, speed, self.time)
+
+    def _logged(self, vehicle: Vehicle) -> list[Packet]:
+        """Write the log blocks that are due."""
+        due = vehicle.logs.due(self.tick)
+        if not due:
+            return []
+        told = vehicle.telemetry(_pressure)
+        return [vehicle.logs.write(number, block, self.tick, told) for number, block in due]
+
+    def _stand_up(self, i: int) -> bool:
+        """Put a drone on its feet where it lies, if there is room."""
+        swarm = self.airspace.swarm
+        yaw = euler(swarm.quaternion[i].tolist())[2]
+        place = swarm.position[i].copy()
+        place[2] += self.airspace.airframes[i].standing_height
+        try:
+            self.airspace.place(i, place, (0.0, 0.0, sin(yaw / 2), cos(yaw / 2)), rotor_speed=0.0)
+        except ValueError:
+            return False
+        return True
+
+    def close(self) -> None:
+        """Free the airspace."""
+        self.airspace.close()
+
+
+def _pressure(height: float) -> float:
+    """Tell the pressure of the air at a height above the ground, which is at sea level, Pa."""
+    return float(pressure(height))
+
+
+def starts(drones: int | Sequence[Sequence[float]], height: float) -> np.ndarray:
+    """Tell where drones stand at the start.
+
+    Args:
+        drones: Their number, or (N, 2) where, m.
+        height: Of their centres, m.
+
+    Returns:
+        (N, 3) m; of a number, in rows as long as there are rows, the first at the origin.
+
+    Raises:
+        ValueError: A number cannot be.
+    """
+    if isinstance(drones, int | np.integer):
+        count = as_int("drones", drones, 1, MOST_DRONES)
+        side = math.isqrt(count - 1) + 1
+        places = [(SPACING * (k % side), SPACING * (k // side)) for k in range(count)]
+    else:
+        as_int("number of drones", len(drones), 1, MOST_DRONES)
+        places = [(one[0], one[1]) for one in map(tuple, drones)]
+    return points_of("drones", [(*place, height) for place in places])

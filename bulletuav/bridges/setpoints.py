@@ -1,0 +1,151 @@
+"""Setpoints as clients of bridges give them, and the commands of an airspace that follow.
+
+A setpoint may mix what `SetpointLevel` keeps apart, such as a velocity across and a height to hold.
+"""
+
+import math
+from typing import NamedTuple
+
+from bulletuav.control.gains import gain_rows
+from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.functions import atan2, cos, sin
+from bulletuav.vehicle.airframe import STANDARD_GRAVITY, Airframe
+
+MOST_LEAD = 1.0
+"""How far the yaw to hold may run ahead of the drone, rad"""
+
+State = tuple[list[float], list[float], list[float], list[float]]
+"""Position, quaternion, velocity, rates of a drone; see `Swarm`"""
+
+
+def euler(quaternion: list[float] | tuple[float, ...]) -> tuple[float, float, float]:
+    """Convert an attitude into Euler angles in the aerospace order.
+
+    Args:
+        quaternion: (4,) x, y, z, w, body (FLU) to world (ENU).
+
+    Returns:
+        Roll, pitch (nose down) and yaw, rad.
+    """
+    x, y, z, w = quaternion
+    roll = atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    sine = min(max(2 * (w * y - z * x), -1.0), 1.0)
+    pitch = atan2(sine, math.sqrt(1 - sine * sine))
+    return roll, pitch, atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+
+
+class Setpoint(NamedTuple):
+    """What a drone is to do, in the units of this package.
+
+    Attributes:
+        across: What `xy` is: "position" (m), "velocity" (world) or "body" (m/s), "attitude" (roll
+            and pitch, rad) or "rates" (rad/s).
+        xy: Two numbers.
+        upward: What `z` is: "position" (m), "velocity" (m/s) or "thrust" (N).
+        z: A number.
+        turning: What `yaw` is: "angle" (rad) or "rate" (rad/s).
+        yaw: A number.
+        ahead: Velocity (m/s) and acceleration (m/s^2) that go with a position, six numbers.
+    """
+
+    across: str
+    xy: tuple[float, float]
+    upward: str
+    z: float
+    turning: str = "rate"
+    yaw: float = 0.0
+    ahead: tuple[float, ...] = ()
+
+    def levelled(self) -> "Setpoint":
+        """Return the setpoint of a drone that has heard nothing for a while: level, as high."""
+        return Setpoint("attitude", (0.0, 0.0), self.upward, self.z)
+
+
+class Order(NamedTuple):
+    """A command for an airspace: level and numbers."""
+
+    level: SetpointLevel
+    numbers: tuple[float, ...]
+
+
+class Guide:
+    """Turns setpoints into commands of an airspace, for one drone."""
+
+    def __init__(self, airframe: Airframe) -> None:
+        """Take the loops of the airframe's controller."""
+        gains = gain_rows([airframe], airframe.max_speed)[0]
+        frequency, damping = float(gains["position_frequency"]), float(gains["damping"])
+        self._near = frequency / (2 * damping)
+        self._rate, self._stiffness = 2 * damping * frequency, frequency**2
+        self._mass, self._fastest = airframe.mass, airframe.max_speed
+        self._yaw: float | None = None
+
+    def rest(self) -> None:
+        """Forget the yaw that was held."""
+        self._yaw = None
+
+    def order(self, setpoint: Setpoint, state: State, period: float) -> Order:
+        """Tell the command for a setpoint.
+
+        Args:
+            setpoint: What the drone is to do.
+            state: Its state.
+            period: Time until the next command, s.
+
+        Returns:
+            The command.
+        """
+        position, quaternion, velocity, _ = state
+        roll, pitch, heading = euler(quaternion)
+        yaw = self._held_yaw(setpoint, heading, period)
+        if setpoint.across in ("attitude", "rates"):
+            thrust = setpoint.z
+            if setpoint.upward != "thrust":
+                up = self._rate * (self._climb(setpoint, position[2]) - velocity[2])
+                lean = max(cos(roll) * cos(pitch), 0.5)
+                thrust = self._mass * max(STANDARD_GRAVITY + up, 0.0) / lean
+            if setpoint.across == "attitude":
+                return Order(SetpointLevel.ATTITUDE, (*setpoint.xy, yaw, thrust))
+            rate = setpoint.yaw if setpoint.turning == "rate" else 0.0
+            return Order(SetpointLevel.RATES, (*setpoint.xy, rate, thrust))
+        if setpoint.across == "position":
+            if setpoint.ahead:
+                return Order(
+                    SetpointLevel.ACCELERATION, (*self._follow(setpoint, position, velocity), yaw)
+                )
+            return Order(SetpointLevel.POSITION, (*setpoint.xy, setpoint.z, yaw))
+        x, y = setpoint.xy
+        if setpoint.across == "body":
+            x, y = (
+                x * cos(heading) - y * sin(heading),
+                x * sin(heading) + y * cos(heading),
+            )
+        return Order(SetpointLevel.VELOCITY, (x, y, self._climb(setpoint, position[2]), yaw))
+
+    def _climb(self, setpoint: Setpoint, height: float) -> float:
+        """Tell the velocity upwards, m/s, that leads to the height wanted, or is wanted."""
+        if setpoint.upward == "velocity":
+            return setpoint.z
+        return min(max(self._near * (setpoint.z - height), -self._fastest), self._fastest)
+
+    def _follow(
+        self, setpoint: Setpoint, position: list[float], velocity: list[float]
+    ) -> list[float]:
+        """Tell the acceleration that leads to a position that moves."""
+        place = (*setpoint.xy, setpoint.z)
+        return [
+            setpoint.ahead[3 + k]
+            + self._rate * (setpoint.ahead[k] - velocity[k])
+            + self._stiffness * (place[k] - position[k])
+            for k in range(3)
+        ]
+
+    def _held_yaw(self, setpoint: Setpoint, heading: float, period: float) -> float:
+        """Turn the yaw that is held."""
+        if setpoint.turning == "angle":
+            self._yaw = setpoint.yaw
+            return setpoint.yaw
+        held = heading if self._yaw is None else self._yaw
+        lead = math.remainder(held + setpoint.yaw * period - heading, math.tau)
+        self._yaw = math.remainder(heading + min(max(lead, -MOST_LEAD), MOST_LEAD), math.tau)
+        return self._yaw

@@ -1,0 +1,208 @@
+"""The server of virtual Crazyflies, spoken to by datagrams: clients, floods, and other bytes."""
+
+import socket
+import struct
+import threading
+import time
+
+import numpy as np
+import pytest
+from bridges.crtp_client import entries, read
+
+from bulletuav.bridges import crazyflie
+from bulletuav.bridges.crazyflie import CrazyflieServer
+from bulletuav.cli import main
+
+SOURCE = b"\xfd\x00"
+"""Request for the link's source, with which clients begin"""
+
+
+class Client:
+    """A socket that talks to one drone."""
+
+    def __init__(self, server, drone=0):
+        host, port = server.uris[drone].removeprefix("udp://").split(":")
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.connect((host, int(port)))
+        self.socket.settimeout(10.0)
+
+    def send(self, datagram):
+        self.socket.send(datagram)
+
+    def receive(self):
+        return read(self.socket.recv(100))
+
+    def ask(self, port, channel, data=b""):
+        self.send(bytes([port << 4 | 0x0C | channel]) + data)
+        told, from_channel, answer = self.receive()
+        assert (told, from_channel) == (port, channel)
+        return answer
+
+    def silent(self, seconds=0.1):
+        """Tell whether nothing comes for a while."""
+        self.socket.settimeout(seconds)
+        try:
+            self.socket.recv(100)
+        except TimeoutError:
+            return True
+        finally:
+            self.socket.settimeout(10.0)
+        return False
+
+
+@pytest.fixture
+def serve(make_fleet):
+    """Runs servers in a thread, ten times as fast as real time, until the test ends."""
+    running = []
+
+    def serve(drones=1, speed=10.0):
+        server = CrazyflieServer(make_fleet(drones), port=0, speed=speed)
+        stop = threading.Event()
+
+        def run():
+            while not stop.is_set():
+                server.run(0.05)
+
+        thread = threading.Thread(target=run)
+        thread.start()
+        running.append((server, stop, thread))
+        return server
+
+    yield serve
+    for server, stop, thread in running:
+        stop.set()
+        thread.join()
+        server.close()
+
+
+def until(happens):
+    """Wait for something, at most 10 s."""
+    end = time.perf_counter() + 10
+    while not happens():
+        assert time.perf_counter() < end
+        time.sleep(0.01)
+
+
+@pytest.fixture
+def connect():
+    made = []
+
+    def connect(*args):
+        made.append(Client(*args))
+        return made[-1]
+
+    yield connect
+    for client in made:
+        client.socket.close()
+
+
+def test_a_client_finds_drones_connects_and_flies(serve, connect):
+    server = serve(2)
+    probe = connect(server)
+    probe.send(b"\xff")
+    assert probe.socket.recv(10)
+    assert server._peers == [None, None]
+    client = connect(server, 1)
+    assert client.ask(15, 1, b"\0").startswith(b"Bitcraze Crazyflie\0")
+    names = entries(client.ask, 5, "BB")
+    height = names["stateEstimate.z"][0]
+    assert client.ask(5, 1, b"\x06\x00" + struct.pack("<BH", 7, height)) == b"\x06\0\0"
+    assert client.ask(8, 0, struct.pack("<BBff?f", 7, 0, 0.5, 0.0, True, 1.0))[3] == 0
+    assert client.ask(5, 1, b"\x03\x00\x0a") == b"\x03\0\0"
+    heights = [struct.unpack("<f", client.receive()[2][4:])[0] for _ in range(20)]
+    assert heights[0] < 0.05
+    assert heights[-1] == pytest.approx(0.5, abs=0.03)
+    assert server.fleet.airspace.swarm.position[0, 2] < 0.02
+
+
+def test_a_second_client_waits_until_the_first_is_silent(serve, connect, monkeypatch):
+    monkeypatch.setattr(crazyflie, "SILENT", 1.0)
+    server = serve()
+    first, second = connect(server), connect(server)
+    first.ask(15, 1, b"\0")
+    second.send(SOURCE)
+    port, _, text = second.receive()
+    assert port == 0
+    assert text.startswith(b"drone 0 is flown by port")
+    second.send(bytes([0x8C]) + struct.pack("<BBff?f", 7, 0, 0.5, 0.0, True, 1.0))
+    assert second.silent()
+    assert server.refused == 2
+    first.ask(15, 0, b"ping")
+    assert second.receive()[0] == 15  # once the first has been silent
+    assert second.ask(15, 0, b"ping") == b"ping"
+    first.send(b"\xfcping")
+    assert first.silent()
+
+
+def test_a_client_that_closes_its_link_leaves_the_drone_at_once(serve, connect):
+    server = serve()
+    first, second = connect(server), connect(server)
+    first.ask(15, 1, b"\0")
+    assert first.ask(5, 1, b"\x06\x00" + struct.pack("<BH", 7, 0)) == b"\x06\0\0"
+    first.send(b"\x3c" + bytes(14))
+    until(lambda: server._peers[0].left)
+    assert second.ask(15, 1, b"\0").startswith(b"Bitcraze")
+    assert second.ask(5, 1, b"\x03\x00\x01")[2] == 2  # the log blocks went with the first
+    assert server.refused == 0
+
+
+def test_a_client_that_vanished_is_sent_nothing_more(serve, connect, monkeypatch):
+    monkeypatch.setattr(crazyflie, "GONE", 0.1)
+    server = serve()
+    client = connect(server)
+    client.ask(15, 1, b"\0")
+    client.ask(5, 1, b"\x06\x00" + struct.pack("<BH", 7, 0))
+    client.ask(5, 1, b"\x03\x00\x01")
+    client.socket.close()
+    until(lambda: server._peers == [None])
+    assert server.fleet.vehicles[0].logs.due(10**6) == []
+    assert connect(server).ask(15, 0, b"alive") == b"alive"
+
+
+def test_it_survives_what_is_no_packet(serve, connect):
+    server = serve()
+    client, rng = connect(server), np.random.default_rng(0)
+    client.ask(15, 1, b"\0")
+    for _ in range(2000):
+        client.send(rng.bytes(rng.integers(0, 40)))
+    client.send(bytes(1400))
+    deadline = time.perf_counter() + 10
+    client.send(b"\xfcdone")
+    while client.receive()[2] != b"done":
+        assert time.perf_counter() < deadline
+        client.send(b"\xfcdone")
+    assert server.fleet.vehicles[0].malformed > 100
+    assert np.isfinite(server.fleet.airspace.swarm.position).all()
+
+
+def test_a_flood_does_not_stop_the_flight(serve, connect):
+    server = serve(2, speed=1.0)
+    flooding, client = connect(server), connect(server, 1)
+    end, before = time.perf_counter() + 0.6, server.fleet.tick
+    answered = 0
+    while time.perf_counter() < end:
+        for _ in range(200):
+            flooding.send(b"\xfc" + bytes(30))
+        answered += client.ask(15, 0, b"still there") == b"still there"
+    assert answered > 5
+    assert server.fleet.tick - before > 20
+
+
+def test_a_port_in_use_is_told(serve, make_fleet):
+    server = serve()
+    port = int(server.uris[0].rsplit(":", 1)[1])
+    with pytest.raises(OSError, match=f"port {port} .UDP.: .*another server running"):
+        CrazyflieServer(make_fleet(1), port=port)
+    with pytest.raises(ValueError, match="port is 65535: "):
+        CrazyflieServer(make_fleet(2), port=65535)
+    with pytest.raises(OSError, match=r"cannot listen at 203\.0\.113\.1"):
+        CrazyflieServer(make_fleet(1), host="203.0.113.1", port=0)
+
+
+def test_the_command_serves_for_a_time(capsys):
+    main(["serve", "crazyflie", "--drones", "2", "--port", "0", "--seconds", "0.05"])
+    told = capsys.readouterr().out
+    assert "2 drones at udp://127.0.0.1:" in told
+    with pytest.raises(SystemExit):
+        main(["serve", "crazyfly"])
+    assert "did you mean 'crazyflie'" in capsys.readouterr().err
