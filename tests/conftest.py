@@ -1,3 +1,4 @@
+import multiprocessing
 import os
 
 # Two processes fly at once: threads of PyTorch and BLAS in each would wait for one another.
@@ -8,6 +9,9 @@ import bench
 import placing
 import pytest
 from hypothesis import settings
+
+# TorchRL sets "spawn" for the whole process when it is imported, if nobody has asked before.
+multiprocessing.get_start_method()
 
 settings.register_profile(
     "bulletuav", deadline=None, derandomize=True

@@ -2,10 +2,11 @@
 
 import multiprocessing
 import signal
-from collections.abc import Iterator
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -15,16 +16,18 @@ from bulletuav.envs.worker import portable
 from bulletuav.policies import PolicySource, find_policy
 from bulletuav.policies.base import Policy
 from bulletuav.tasks import TaskSource
+from bulletuav.tasks.observations.observer import Observation
 
 BATCH = 10
 """Episodes flown at once; part of what an evaluation is, whatever the number of processes"""
 Row = dict[str, float]
 """Metrics of an episode by name, with "episode" and "seed" """
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
-class Run:
-    """Everything that a process needs to fly episodes.
+class Flights(ABC, Generic[Result]):
+    """Everything that a process needs to fly episodes, and what it makes of a batch of them.
 
     Attributes:
         task: What is flown.
@@ -33,7 +36,6 @@ class Run:
         episodes: How many there are.
         options: Options of the environment.
         trust: Whether the policy's file may run code when it is read.
-        metrics: What is measured beside the standard metrics.
     """
 
     task: TaskSource
@@ -42,7 +44,6 @@ class Run:
     episodes: int
     options: dict[str, Any]
     trust: bool = False
-    metrics: tuple[MetricSpec, ...] = ()
 
     def batches(self) -> list[range]:
         """List the episodes that fly together; episode e flies in world e mod `BATCH`."""
@@ -51,24 +52,52 @@ class Run:
             for first in range(0, self.episodes, BATCH)
         ]
 
-    def fly(self, batches: list[range]) -> Iterator[list[Row]]:
-        """Yield the rows of each batch in turn."""
+    def fly(self, batches: Sequence[range]) -> Iterator[Result]:
+        """Yield the result of each batch in turn."""
         if not batches:
             return
         aviary = Aviary(self.task, BATCH, **self.options)
         try:
             policy = find_policy(self.policy, self.task, self.trust)(aviary)
             for batch in batches:
-                yield self._episodes(aviary, policy, batch)
+                yield self._flown(aviary, policy, batch)
         finally:
             aviary.close()
 
-    def _episodes(self, aviary: Aviary, policy: Policy, batch: range) -> list[Row]:
-        """Fly one batch."""
-        # The last batch may be smaller: then the other worlds are not started.
+    def fly_all(self, batches: Sequence[range]) -> list[Result]:
+        """Return the results of all batches."""
+        return list(self.fly(batches))
+
+    def start(self, aviary: Aviary, policy: Policy, batch: range) -> tuple[Observation, np.ndarray]:
+        """Start a batch.
+
+        Returns:
+            First observations, and the worlds that fly, (BATCH,) bool: the last batch may be
+            smaller than others.
+        """
         worlds = np.arange(BATCH) < len(batch)
         observations = aviary.reset(worlds, [self.seed + batch.start + k for k in range(BATCH)])
         policy.reset(worlds)
+        return observations, worlds
+
+    @abstractmethod
+    def _flown(self, aviary: Aviary, policy: Policy, batch: range) -> Result:
+        """Fly one batch."""
+
+
+@dataclass(frozen=True)
+class Run(Flights[list[Row]]):
+    """The episodes of an evaluation; see `Flights`.
+
+    Attributes:
+        metrics: What is measured beside the standard metrics.
+    """
+
+    metrics: tuple[MetricSpec, ...] = ()
+
+    def _flown(self, aviary: Aviary, policy: Policy, batch: range) -> list[Row]:
+        """Measure the episodes of a batch."""
+        observations, worlds = self.start(aviary, policy, batch)
         meter = Meter(aviary, self.metrics)
         # Worlds whose episode has ended stand still until all have.
         while aviary.alive[worlds].any():
@@ -82,17 +111,26 @@ class Run:
         ]
 
 
-def fly_batches(run: Run, batches: list[range], workers: int) -> Iterator[list[Row]]:
-    """Yield the rows of all batches as they come.
+def fly_batches(
+    run: Flights[Result], batches: list[range], workers: int, ray: str | None = None
+) -> Iterator[Result]:
+    """Yield the results of all batches as they come.
 
     Args:
         run: What is flown.
         batches: Those of its batches that are to be flown.
         workers: Processes that fly them, which change the order of the batches alone.
+        ray: Address of a Ray cluster that flies them instead.
 
     Raises:
         RuntimeError: A process has died.
+        ConnectionError: No cluster answers.
     """
+    if ray is not None and batches:
+        from bulletuav.adapters.ray import spread  # which needs an extra
+
+        yield from spread(ray, run.fly_all, batches)
+        return
     workers = min(workers, len(batches))
     if workers <= 1:
         yield from run.fly(batches)
@@ -100,7 +138,7 @@ def fly_batches(run: Run, batches: list[range], workers: int) -> Iterator[list[R
     processes: list[multiprocessing.Process] = []
     pipes: list[Connection] = []
     try:
-        # Each process takes every `workers`-th batch, and sends rows through a pipe of its own.
+        # Each process takes every `workers`-th batch, and sends results through its own pipe.
         for k in range(workers):
             mine, theirs = multiprocessing.Pipe()
             share = batches[k::workers]
@@ -118,20 +156,20 @@ def fly_batches(run: Run, batches: list[range], workers: int) -> Iterator[list[R
             process.join()
 
 
-def _work(pipe: Connection, run: Run, batches: list[range]) -> None:
-    """Fly batches in a process of its own, and send their rows, None at the end, or the error."""
+def _work(pipe: Connection, run: Flights[Any], batches: list[range]) -> None:
+    """Fly batches in a process of its own; send their results, None at the end, or the error."""
     # An interrupt is for the process that asks.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
-        for rows in run.fly(batches):
-            pipe.send(rows)
+        for result in run.fly(batches):
+            pipe.send(result)
         pipe.send(None)
     except Exception as error:
         pipe.send(portable(error))
 
 
-def _received(pipes: list[Connection]) -> Iterator[list[Row]]:
-    """Yield rows of whichever process has some, until all are done."""
+def _received(pipes: list[Connection]) -> Iterator[Any]:
+    """Yield results of whichever process has some, until all are done."""
     open_pipes: list[Any] = list(pipes)
     while open_pipes:
         for pipe in wait(open_pipes):

@@ -1,19 +1,16 @@
 """Evaluation of a policy: many episodes, to the same numbers however they are divided."""
 
-import contextlib
-import hashlib
-import inspect
 import json
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
-from bulletuav.analysis.described import described
+from bulletuav.analysis.about import about_flights
 from bulletuav.analysis.episodes import BATCH, Row, Run, fly_batches
 from bulletuav.analysis.metrics import (
     METRICS,
@@ -24,6 +21,7 @@ from bulletuav.analysis.metrics import (
     estimate,
     find_metrics,
 )
+from bulletuav.analysis.pieces import Piece, as_piece
 from bulletuav.analysis.results_folder import (
     COLUMNS,
     EPISODES,
@@ -31,16 +29,11 @@ from bulletuav.analysis.results_folder import (
     ResultsFolder,
 )
 from bulletuav.analysis.seals import call_text, hash_files, hash_rows, sealed
-from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.resolve import resolve
 from bulletuav.errors import as_int, shown
 from bulletuav.files import replace_file
-from bulletuav.kernel import source_hash
 from bulletuav.policies import PolicySource, PolicySpec, find_policy
-from bulletuav.policies.base import check_action
-from bulletuav.policies.versus import Versus
 from bulletuav.tasks import TaskSource, find_task
-from bulletuav.version import __version__
 
 __all__ = [
     "BATCH",
@@ -131,6 +124,8 @@ def evaluate(
     progress: Callable[[int], None] | None = None,
     trust: bool = False,
     metrics: Sequence[MetricSource] = (),
+    piece: Piece | str | None = None,
+    ray: str | None = None,
     **options: Any,
 ) -> Evaluation:
     """Fly many episodes of a task and measure them.
@@ -151,6 +146,10 @@ def evaluate(
         trust: Whether a model may be read that can run code meanwhile, as "ppo:model.zip" can.
         metrics: What is measured beside the standard metrics: functions, classes or objects as
             told in `bulletuav.analysis.metrics.custom`, their names, or `module:Name`.
+        piece: Which part of the episodes to fly, such as "2/8", the second of eight. It is kept in
+            a folder of its own in `out`, where a call without a piece, or `bulletuav merge`,
+            collects all.
+        ray: Address of a Ray cluster that flies them, such as "auto"; needs the extra `ray`.
         **options: Those of `parallel_env`.
 
     Returns:
@@ -160,6 +159,7 @@ def evaluate(
         ValueError: An argument is none that can be, or `out` holds another run.
         FileNotFoundError: The policy's file is not there.
         RuntimeError: A process has died.
+        ConnectionError: No Ray cluster answers.
     """
     # What only this call needs is checked first, then what makes the run.
     as_int("workers", workers, 1)
@@ -167,6 +167,11 @@ def evaluate(
         raise ValueError(
             f"out is {shown(out)}: the path of a folder, or None to keep nothing, is needed"
         )
+    part = None if piece is None else as_piece(piece)
+    if part is not None and out is None:
+        raise ValueError(f"piece is {shown(piece)} without out: give the folder that all write to")
+    if ray is not None and (not isinstance(ray, str) or not ray):
+        raise ValueError(f"ray is {shown(ray)}: the address of a cluster is needed, such as 'auto'")
     if progress is None:
         progress = _ignore_progress
     if not callable(progress):
@@ -198,10 +203,11 @@ def evaluate(
     call = call_text({**flown, "options": options})
     return _evaluate(
         run,
-        _about(run, pilot, call),
-        workers,
+        about_flights(run, pilot, call, run.metrics),
         None if out is None else Path(out),
+        part,
         progress,
+        lambda batches: fly_batches(run, batches, workers, ray),
     )
 
 
@@ -216,24 +222,26 @@ def _flyable(task: TaskSource, pilot: PolicySpec, options: dict[str, Any]) -> di
 def _evaluate(
     run: Run,
     about: dict[str, Any],
-    workers: int,
     out: Path | None,
+    piece: Piece | None,
     progress: Callable[[int], None],
+    fly: Callable[[list[range]], Iterator[list[Row]]],
 ) -> Evaluation:
-    """Fly the batches of a run that are not in its folder yet."""
+    """Fly the batches of a run, or of a piece of it, that are not in its folder yet."""
     begin = time.perf_counter()
     # Batches fly as a whole: one that lacks an episode is flown again.
+    batches = run.batches()
+    if piece is not None and out is not None:
+        batches, out = piece.share(batches), piece.folder(out)
     folder = ResultsFolder(out, about)
-    missing = [
-        batch for batch in run.batches() if not all(episode in folder.rows for episode in batch)
-    ]
-    progress(run.episodes - sum(map(len, missing)))
+    missing = [batch for batch in batches if not all(episode in folder.rows for episode in batch)]
+    progress(sum(map(len, batches)) - sum(map(len, missing)))
     flight = 0.0
-    for rows in fly_batches(run, missing, workers):
+    for rows in fly(missing):
         folder.add(rows)
         flight += sum(row["length"] for row in rows)
         progress(len(rows))
-    rows = [folder.rows[episode] for episode in range(run.episodes)]
+    rows = [folder.rows[episode] for batch in batches for episode in batch]
     meanings = _meanings(run.metrics, rows)
     return Evaluation(
         about=about,
@@ -252,72 +260,3 @@ def _meanings(metrics: tuple[MetricSpec, ...], rows: list[Row]) -> dict[str, str
         infos = [name for name in row if name not in meanings and name not in ROW_LABELS]
         meanings |= dict.fromkeys(infos, INFO_ABOUT)
     return meanings
-
-
-def _about(run: Run, pilot: PolicySpec, call: str | None) -> dict[str, Any]:
-    """Tell what is flown, as a json file can hold it."""
-    spec = EnvSpec(run.task, BATCH, run.options)
-    check_action(pilot.name, pilot.actions, spec.options.action)
-    about = {
-        "bulletuav": __version__,
-        "task": spec.task.name,
-        "policy": pilot.name,
-        "reads_swarm": pilot.reads_swarm,
-        "episodes": run.episodes,
-        "seed": run.seed,
-        "batch": BATCH,
-        "metrics": [metric.name for metric in run.metrics],
-        "fingerprint": _fingerprint(run, spec, pilot.models),
-        "options": described(spec.options, spec.task.config),
-        "call": call,
-    }
-    # As it comes back from a file, with which it is compared.
-    return cast(dict[str, Any], json.loads(json.dumps(about)))
-
-
-def _fingerprint(run: Run, spec: EnvSpec, models: Sequence[Path]) -> str:
-    """Hash what decides the results and has no value to compare.
-
-    That is the code, the airframes, the cities, and files of models.
-    """
-    # Code of the package, and of what comes from outside of it.
-    digest = hashlib.sha256(source_hash().encode())
-    for source in (
-        type(spec.task),
-        *(run.policy.sides.values() if isinstance(run.policy, Versus) else (run.policy,)),
-        *(metric.source for metric in run.metrics),
-        spec.options.dynamics,
-        *(spec.options.observation or ()),
-        *spec.options.sensors,
-        *(term for term, _ in spec.options.reward.values()),
-    ):
-        digest.update(_code(source))
-    for model in models:
-        digest.update(model.read_bytes())
-    # The numbers of airframes count, not where their files are.
-    for airframe in spec.options.airframe:
-        digest.update(repr(replace(airframe, urdf=Path())).encode())
-    # Cities by their faces, and the arena that follows from them.
-    for solids in spec.task.layouts():
-        for corners, _ in solids.faces:
-            digest.update(corners.tobytes())
-    digest.update(np.concatenate([spec.task.arena_low, spec.task.arena_high]).tobytes())
-    return digest.hexdigest()[:16]
-
-
-def _code(source: object) -> bytes:
-    """Tell a class, function or object from others: its name, and the file that it is from."""
-    if isinstance(source, str | Path):
-        return b""
-    home: Any = source if inspect.isroutine(source) or inspect.isclass(source) else type(source)
-    named = str(home.__qualname__)
-    # What a function was made with counts, too.
-    for cell in getattr(home, "__closure__", None) or ():
-        named += repr(cell.cell_contents)
-    # Parameters of an object count as well as its class.
-    if home is not source:
-        named += repr(getattr(source, "__dict__", {}))
-    # The source of what is from an interactive session is not known.
-    with contextlib.suppress(OSError, TypeError):
-        return named.encode() + Path(inspect.getfile(home)).read_bytes()
-    return named.encode()

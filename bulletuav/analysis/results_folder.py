@@ -10,6 +10,7 @@ from typing import Any
 
 from bulletuav.analysis.episodes import Row
 from bulletuav.analysis.metrics import METRICS
+from bulletuav.analysis.pieces import piece_folders
 from bulletuav.errors import shown
 from bulletuav.files import replace_file
 
@@ -29,7 +30,7 @@ class ResultsFolder:
     """
 
     def __init__(self, folder: Path | None, about: dict[str, Any]) -> None:
-        """Open a folder and read what is there.
+        """Open a folder and read what is there, also what pieces of the run have flown.
 
         Args:
             folder: Where to keep the rows; None for memory alone.
@@ -45,8 +46,9 @@ class ResultsFolder:
         try:
             folder.mkdir(parents=True, exist_ok=True)
             # A folder without a run may hold anything else.
-            if (folder / RUN).exists():
-                self._load(folder, about)
+            for one in (folder, *piece_folders(folder).values()):
+                if (one / RUN).exists():
+                    self._load(one, about)
             replace_file(folder / RUN, json.dumps(about, indent=2) + "\n")
             self.add([])
         except OSError as error:
@@ -60,8 +62,8 @@ class ResultsFolder:
             known = json.loads((folder / RUN).read_text())
             # What is compared next has to be there.
             known["options"]
-        _require_same(known, about, folder)
-        self.rows = read_rows(folder)
+        require_same(known, about, folder)
+        self.rows |= read_rows(folder)
 
     def add(self, rows: list[Row]) -> None:
         """Keep the rows of a batch, on disk too, in the order of the episodes.
@@ -114,7 +116,7 @@ def _damaged(path: Path) -> Iterator[None]:
         ) from None
 
 
-def _require_same(known: dict[str, Any], about: dict[str, Any], folder: Path) -> None:
+def require_same(known: dict[str, Any], about: dict[str, Any], folder: Path) -> None:
     """Raise ValueError unless both tell of the same run, maybe of more or fewer episodes."""
     known, about = (
         {**one["options"], **one, "options": 0, "episodes": 0, "call": 0} for one in (known, about)

@@ -11,6 +11,7 @@ from typing import Any
 
 from rich.console import Console
 
+from bulletuav.analysis.pieces import Piece, as_piece
 from bulletuav.commands.progress import show_progress
 from bulletuav.control.actions import ACTIONS
 from bulletuav.control.cascade import CONTROLLERS
@@ -109,6 +110,38 @@ def add_episodes(parser: argparse.ArgumentParser) -> None:
         help="processes; their number does not change the results (default: 1)",
     )
     add_trust(parser)
+
+
+def add_sharing(parser: argparse.ArgumentParser) -> None:
+    """Add arguments by which several machines share the episodes."""
+    parser.add_argument(
+        "--piece",
+        type=_parse_piece,
+        metavar="K/N",
+        help="fly the K-th of N parts, such as one job of an array; `bulletuav merge` joins them",
+    )
+    parser.add_argument(
+        "--ray",
+        metavar="ADDRESS",
+        help="fly on a Ray cluster, such as auto or 10.0.0.1:6379 (extra ray); local begins one",
+    )
+
+
+def _parse_piece(text: str) -> Piece:
+    """Read K/N."""
+    try:
+        return as_piece(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+
+
+def print_piece(console: Console, piece: Piece, out: Path) -> None:
+    """Tell that a piece was flown, and what makes a whole of all."""
+    console.print(
+        f"flew piece {piece.number} of {piece.of}; when all are there: bulletuav merge {out}",
+        highlight=False,
+        soft_wrap=True,
+    )
 
 
 def given_options(arguments: argparse.Namespace) -> dict[str, Any]:

@@ -7,23 +7,24 @@ from typing import Any, NamedTuple
 
 from rich.console import Console
 
-from bulletuav.analysis.evaluation import Evaluation
+from bulletuav.analysis.evaluation import BATCH, Evaluation
 from bulletuav.commands.arguments import (
     POLICY_HELP,
     add_episodes,
     add_options,
+    add_sharing,
     given_options,
     out_folder,
     policy_options,
     print_files,
+    print_piece,
     show_episodes,
 )
-from bulletuav.commands.evaluate import evaluate_case, run_name
+from bulletuav.commands.evaluate import evaluate_case, run_name, shared_episodes
 from bulletuav.errors import unknown
-from bulletuav.files import replace_file
 from bulletuav.policies import find_policy
-from bulletuav.report.charts import plot_leaderboard
-from bulletuav.report.leaderboard import LEADERBOARD, markdown, write_csv, write_json
+from bulletuav.report.leaderboard import markdown
+from bulletuav.report.results import note_cases, write_comparison
 
 ABOUT = {
     "help": "evaluate several policies in several tasks and write a leaderboard",
@@ -66,6 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="one of the policies: print by how much the others differ from it",
     )
     add_episodes(parser)
+    add_sharing(parser)
     parser.add_argument(
         "--out",
         type=Path,
@@ -86,18 +88,19 @@ def run(arguments: argparse.Namespace) -> None:
     if arguments.against not in (None, *arguments.policies):
         raise unknown("policy in --against,", arguments.against, arguments.policies)
     out = out_folder(arguments.out)
-    results = _evaluate(arguments, _cases(arguments, options, dynamics), out)
-
-    # Write the same leaderboard in three forms, and what verifies it; print the first.
-    names = ("leaderboard.md", "leaderboard.csv", "leaderboard.png", LEADERBOARD)
-    files = [out / name for name in names]
-    table = markdown(results, arguments.against)
-    replace_file(files[0], table)
-    write_csv(results, files[1])
-    plot_leaderboard(results, files[2])
-    write_json(results, arguments.against, files[3])
+    cases = _cases(arguments, options, dynamics)
+    folders = [out / "runs" / run_name(*case) for case in cases]
     console = Console()
-    console.print(table, markup=False, soft_wrap=True)
+    if arguments.piece is not None:
+        note_cases(folders, arguments.against, out)
+        _evaluate(arguments, cases, folders)
+        print_piece(console, arguments.piece, out)
+        return
+    results = _evaluate(arguments, cases, folders)
+    for result, folder in zip(results, folders, strict=True):
+        result.save(folder)
+    files = write_comparison(results, arguments.against, out)
+    console.print(markdown(results, arguments.against), markup=False, soft_wrap=True)
     print_files(console, files)
 
 
@@ -140,13 +143,16 @@ def _case_options(task: str, name: str, options: dict[str, Any], trust: bool) ->
     return policy_options(task, policy, options)
 
 
-def _evaluate(arguments: argparse.Namespace, cases: list[_Case], out: Path) -> list[Evaluation]:
-    """Evaluate the cases in turn, each in a folder of its own."""
+def _evaluate(
+    arguments: argparse.Namespace, cases: list[_Case], folders: list[Path]
+) -> list[Evaluation]:
+    """Evaluate the cases, or a piece of each, in turn, each in a folder of its own."""
     results = []
-    with show_episodes(arguments.episodes * len(cases)) as advance:
-        for task, policy, options in cases:
-            folder = out / "runs" / run_name(task, policy, options)
-            result = evaluate_case(arguments, task, policy, options, out=folder, progress=advance)
-            result.save(folder)
-            results.append(result)
+    batches = -(-arguments.episodes // BATCH)
+    with show_episodes(shared_episodes(arguments, len(cases))) as advance:
+        for k, (case, folder) in enumerate(zip(cases, folders, strict=True)):
+            first = k * batches
+            results.append(
+                evaluate_case(arguments, *case, out=folder, progress=advance, first=first)
+            )
     return results

@@ -9,20 +9,22 @@ from rich.console import Console, JustifyMethod
 from rich.markup import escape
 from rich.table import Table
 
-from bulletuav.analysis.evaluation import Evaluation, evaluate
+from bulletuav.analysis.evaluation import BATCH, Evaluation, evaluate
 from bulletuav.analysis.metrics import Estimate
 from bulletuav.commands.arguments import (
     POLICY_HELP,
     Advance,
     add_episodes,
     add_options,
+    add_sharing,
     given_options,
     policy_options,
     print_files,
+    print_piece,
     show_episodes,
 )
 from bulletuav.policies import find_policy
-from bulletuav.report.charts import plot_evaluation
+from bulletuav.report.results import write_evaluation
 from bulletuav.tasks import find_task
 
 ABOUT = {
@@ -50,6 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("task", help="one of `bulletuav tasks`")
     parser.add_argument("--policy", help=f"who flies: {POLICY_HELP} (default: the task's)")
     add_episodes(parser)
+    add_sharing(parser)
     parser.add_argument(
         "--metric",
         action="append",
@@ -66,13 +69,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Evaluate, print and write."""
-    # Complete what was left out, by the task and by the policy.
-    task = arguments.task
-    policy = arguments.policy or find_task(task).baseline
-    spec = find_policy(policy, task, arguments.trust)
-    options = policy_options(task, spec, given_options(arguments))
-    out = arguments.out or Path("evaluation") / run_name(task, policy, options)
-    with show_episodes(arguments.episodes) as advance:
+    task, policy, options, out = completed_case(arguments, "evaluation")
+    with show_episodes(shared_episodes(arguments)) as advance:
         result = evaluate_case(
             arguments,
             task,
@@ -82,15 +80,33 @@ def run(arguments: argparse.Namespace) -> None:
             progress=advance,
             metrics=arguments.metric,
         )
-
-    # `evaluate` has written the run and its episodes; add the summary and a picture.
-    picture = out / "summary.png"
-    plot_evaluation(result, picture)
-    files = [out / "run.json", out / "episodes.csv", result.save(out), picture]
     console = Console()
+    if arguments.piece is not None:
+        print_piece(console, arguments.piece, out)
+        return
+    files = write_evaluation(result, out)
     console.print(_table(result))
     console.print(_pace(result))
     print_files(console, files)
+
+
+def completed_case(
+    arguments: argparse.Namespace, home: str
+) -> tuple[str, str, dict[str, Any], Path]:
+    """Complete what a command left out, by the task and by the policy.
+
+    Args:
+        arguments: Parsed arguments of a command with a task, `--policy`, `--out` and `--trust`.
+        home: Where its folder is, when none is given.
+
+    Returns:
+        Task, policy, options of the environment, and the folder for the files.
+    """
+    task = arguments.task
+    policy = arguments.policy or find_task(task).baseline
+    spec = find_policy(policy, task, arguments.trust)
+    options = policy_options(task, spec, given_options(arguments))
+    return task, policy, options, arguments.out or Path(home) / run_name(task, policy, options)
 
 
 def run_name(task: str, policy: str, options: dict[str, Any]) -> str:
@@ -109,6 +125,7 @@ def evaluate_case(
     out: Path,
     progress: Advance,
     metrics: Sequence[str] = (),
+    first: int = 0,
 ) -> Evaluation:
     """Call `evaluate` with a command's episodes, seed, workers and trust.
 
@@ -120,9 +137,10 @@ def evaluate_case(
         out: Folder for the episodes; those that are there already are not flown again.
         progress: Called with the number of episodes that were done since its last call.
         metrics: Metrics beside the standard ones.
+        first: How many batches of other cases come before, where pieces are flown.
 
     Returns:
-        The evaluation.
+        The evaluation, or that of a piece.
 
     Raises:
         KeyboardInterrupt: After a line about what is kept.
@@ -138,6 +156,8 @@ def evaluate_case(
             progress=progress,
             trust=arguments.trust,
             metrics=metrics,
+            piece=None if arguments.piece is None else arguments.piece._replace(first=first),
+            ray=arguments.ray,
             **options,
         )
     except KeyboardInterrupt:
@@ -145,6 +165,13 @@ def evaluate_case(
             f"interrupted: finished batches of episodes are kept in {out}; the same command goes on"
         )
         raise
+
+
+def shared_episodes(arguments: argparse.Namespace, cases: int = 1) -> int:
+    """Count the episodes, of all cases, that this call is to fly."""
+    batches = -(-arguments.episodes // BATCH)
+    counts = [min(BATCH, arguments.episodes - k * BATCH) for k in range(batches)] * cases
+    return sum(counts if arguments.piece is None else arguments.piece.share(counts))
 
 
 def _table(result: Evaluation) -> Table:

@@ -1,6 +1,7 @@
 import contextlib
 import csv
 import json
+import multiprocessing
 import os
 import signal
 
@@ -47,9 +48,20 @@ def test_episode_e_is_the_one_of_seed_plus_e_flown_alone(straight):
     aviary.close()
 
 
+@pytest.fixture
+def start_method(request):
+    """Starts processes in another way, as a user's program or TorchRL may."""
+    usual = multiprocessing.get_start_method()
+    multiprocessing.set_start_method(request.param, force=True)
+    yield request.param
+    multiprocessing.set_start_method(usual, force=True)
+
+
 @pytest.mark.parametrize("policy", ["straight", "random"])
-@pytest.mark.parametrize("workers", [2, 3])
-def test_workers_change_no_bit(policy, workers, tmp_path):
+@pytest.mark.parametrize(
+    ("workers", "start_method"), [(2, "fork"), (2, "spawn"), (3, "fork")], indirect=["start_method"]
+)
+def test_workers_change_no_bit(policy, workers, start_method, tmp_path):
     options = QUICK | {"dynamics": "bullet", "horizon": 40, "difficulty": "extreme"}
     one = evaluate("converge", policy, 25, out=tmp_path / "one", **options)
     more = evaluate("converge", policy, 25, workers=workers, out=tmp_path / "more", **options)
@@ -63,7 +75,7 @@ def test_workers_change_no_bit(policy, workers, tmp_path):
 
 def test_an_interrupted_run_goes_on_where_it_was(tmp_path, straight, monkeypatch):
     flown = []
-    original = Run._episodes
+    original = Run._flown
 
     def watched(self, aviary, policy, batch):
         if len(flown) == 1:
@@ -72,7 +84,7 @@ def test_an_interrupted_run_goes_on_where_it_was(tmp_path, straight, monkeypatch
         flown.append(batch)
         return original(self, aviary, policy, batch)
 
-    monkeypatch.setattr(Run, "_episodes", watched)
+    monkeypatch.setattr(Run, "_flown", watched)
     with pytest.raises(KeyboardInterrupt):
         evaluate("converge", "straight", 13, 4, out=tmp_path, **QUICK)
     (tmp_path / "episodes.csv.part").write_text(

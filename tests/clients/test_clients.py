@@ -3,6 +3,7 @@
 Their calls are made always, the trainers themselves run by hand (`-m slow`).
 """
 
+import importlib
 import os
 import subprocess
 import sys
@@ -126,6 +127,29 @@ def test_torchrls_gymenv_finds_out_that_there_is_no_frameskip():
         bulletuav.batch_env("hover", 2, workers=2, dynamic="bullet")
 
 
+@pytest.fixture
+def client(monkeypatch):
+    """Imports a client as its program does: client(name)."""
+    monkeypatch.syspath_prepend(HERE)
+    return lambda name: importlib.import_module(f"{name}_client")
+
+
+def test_supersuit_makes_vectors_of_a_swarm(client):
+    supersuit = client("supersuit")
+    assert supersuit.fly("alone", supersuit.make(), 1).startswith("alone ")
+    both = supersuit.make(2, num_cpus=0, base_class="gymnasium")
+    assert supersuit.fly("two", both, 2).startswith("two ")
+
+
+def test_torchrl_wraps_a_swarm_and_a_gymnasium_environment(client, monkeypatch):
+    torchrl = client("torchrl")
+    monkeypatch.setattr(torchrl, "EPISODES", 15)
+    early, mixed = torchrl.fly_swarm()
+    assert early > 0
+    assert mixed > 0
+    assert torchrl.fly_hover() > torchrl.fly_hover(frame_skip=2)
+
+
 @pytest.fixture(scope="session")
 def python(tmp_path_factory):
     """Interpreter of an environment with the clients, made in some minutes and two gigabytes."""
@@ -138,7 +162,21 @@ def python(tmp_path_factory):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("client", ["rllib", "torchrl", "supersuit"])
-def test_the_client_itself_flies(python, client):
+def test_benchmarl_trains_with_each_algorithm(tmp_path):
+    """In an environment of its own: BenchMARL needs an older TorchRL."""
+    place = tmp_path / "venv"
+    subprocess.run([sys.executable, "-m", "venv", place], check=True)
+    pip = [place / "bin" / "pip", "install", "-q", "-c", ROOT / "constraints" / "benchmarl.txt"]
+    subprocess.run([*pip, "torch==2.13.0"], check=True)
+    subprocess.run([*pip, "-e", f"{ROOT}[benchmarl]"], check=True)
+    subprocess.run([place / "bin" / "pip", "check"], check=True)
     variables = {**os.environ, "OMP_NUM_THREADS": "1"}
-    subprocess.run([python, HERE / f"{client}_client.py"], check=True, env=variables)
+    command = [place / "bin" / "python", HERE / "benchmarl_client.py"]
+    subprocess.run(command, check=True, env=variables, cwd=tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["rllib", "rllib_adapter", "torchrl", "supersuit"])
+def test_the_client_itself_flies(python, name):
+    variables = {**os.environ, "OMP_NUM_THREADS": "1"}
+    subprocess.run([python, HERE / f"{name}_client.py"], check=True, env=variables)

@@ -1,0 +1,83 @@
+"""Tables of transitions as Parquet files; needs the extra `dataset`."""
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bulletuav.errors import missing
+from bulletuav.files import whole_file
+
+try:
+    import pyarrow as pa
+    from pyarrow import parquet
+except ImportError:
+    raise missing("writing a dataset", "dataset") from None
+
+ABOUT = b"bulletuav"
+"""Key of what a file tells of itself"""
+
+
+def write_table(columns: Mapping[str, Any], about: Any, path: Path) -> None:
+    """Write columns as one file, compressed.
+
+    Args:
+        columns: Arrays (K,) or (K, numbers); or (places, rows, K) of a column that is empty in all
+            other places.
+        about: What the file tells of itself, as JSON can.
+        path: The file.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+    table = pa.table({name: _column(values) for name, values in columns.items()})
+    told = {ABOUT: json.dumps(about).encode()}
+    with whole_file(path) as part:
+        parquet.write_table(table.replace_schema_metadata(told), part, compression="zstd")
+
+
+def read_about(path: Path) -> Any:
+    """Read what a file tells of itself.
+
+    Raises:
+        ValueError: It is damaged.
+    """
+    try:
+        return json.loads(parquet.read_schema(path).metadata[ABOUT])
+    except (pa.ArrowInvalid, KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path} is damaged ({error!r}): delete it, and collect again") from None
+
+
+def read_table(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
+    """Read columns as arrays; rows of a column of lists are joined, without those that are empty.
+
+    Args:
+        path: The file.
+        names: Those of the columns.
+    """
+    table = parquet.read_table(path, columns=list(names))
+    return {name: _array(table[name].combine_chunks()) for name in names}
+
+
+def _column(values: Any) -> pa.Array:
+    """Make a column of an array, or of rows (at, rows, count) in places of a longer column."""
+    if isinstance(values, tuple):
+        at, rows, count = values
+        place = np.full(count, -1)
+        place[at] = np.arange(len(at))
+        return _column(rows).take(pa.array(place, mask=place < 0))
+    if values.ndim == 2:
+        flat = pa.array(np.ascontiguousarray(values).reshape(-1))
+        return pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
+    return pa.array(values)
+
+
+def _array(column: Any) -> np.ndarray:
+    """Make an array of a column."""
+    if pa.types.is_fixed_size_list(column.type):
+        flat: np.ndarray = column.drop_null().flatten().to_numpy(zero_copy_only=False)
+        return flat.reshape(-1, column.type.list_size)
+    array: np.ndarray = column.to_numpy(zero_copy_only=False)
+    return array
