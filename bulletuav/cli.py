@@ -1,7 +1,7 @@
 """Command line `bulletuav`: finds the command, runs it, and turns errors into one line.
 
-Its commands are `tasks`, `fly`, `city`, `evaluate`, `compare`, `train`, `verify`, `identify`,
-`incentives`, `benchmark` and `doctor`.
+Its commands are `tasks`, `fly`, `city`, `evaluate`, `compare`, `dataset`, `merge`, `train`,
+`verify`, `identify`, `incentives`, `serve`, `benchmark` and `doctor`.
 """
 
 import argparse
@@ -17,11 +17,14 @@ from bulletuav.commands import (
     benchmark,
     city,
     compare,
+    dataset,
     doctor,
     evaluate,
     fly,
     identify,
     incentives,
+    merge,
+    serve,
     tasks,
     train,
     verify,
@@ -34,10 +37,13 @@ COMMANDS: dict[str, ModuleType] = {
     "city": city,
     "evaluate": evaluate,
     "compare": compare,
+    "dataset": dataset,
+    "merge": merge,
     "train": train,
     "verify": verify,
     "identify": identify,
     "incentives": incentives,
+    "serve": serve,
     "benchmark": benchmark,
     "doctor": doctor,
 }

@@ -30,6 +30,8 @@ CHECKOUT = Path(__file__).parents[1]
 """Folder of constraints.txt in a checkout: beside the package."""
 SHARED = Path(sys.prefix, "share", "bulletuav")
 """Folder of constraints.txt after an install: where the wheel puts it."""
+PINS = "constraints"
+"""Folder beside constraints.txt, with a file for each extra that has versions of its own."""
 
 
 class _Shown(reprlib.Repr):
@@ -102,11 +104,14 @@ def nearest(name: object, choices: Iterable[str]) -> str:
 def install(extra: str) -> str:
     """Tell the command that installs an extra at tested versions.
 
-    The versions come from constraints.txt: without them pip fetches a PyTorch of several gigabytes.
+    The versions come from a file: without them pip fetches a PyTorch of several gigabytes.
     """
-    if (CHECKOUT / "setup.cfg").is_file():
-        return f"pip install -c {CHECKOUT / 'constraints.txt'} -e '{CHECKOUT}[{extra}]'"
-    return f"pip install -c {SHARED / 'constraints.txt'} 'bulletuav[{extra}]'"
+    in_checkout = (CHECKOUT / "setup.cfg").is_file()
+    folder = CHECKOUT if in_checkout else SHARED
+    own = folder / PINS / f"{extra}.txt"
+    pins = own if own.is_file() else folder / "constraints.txt"
+    what = f"-e '{CHECKOUT}[{extra}]'" if in_checkout else f"'bulletuav[{extra}]'"
+    return f"pip install -c {pins} {what}"
 
 
 def missing(what: str, extra: str) -> ImportError:

@@ -26,7 +26,12 @@ EXTRAS = {
     "filelock",
     "ray",
     "torchrl",
+    "tensordict",
+    "benchmarl",
+    "hydra",
+    "omegaconf",
     "imageio",
+    "msgpack",
 }
 
 

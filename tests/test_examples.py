@@ -24,6 +24,8 @@ EXAMPLES = {
     "camera_cnn": "--steps 1 --episodes 1 --forests 2",
     "domain_randomisation": "--steps 1 --episodes 1",
     "curriculum": "--steps 1 --episodes 1",
+    "behaviour_cloning": "--flights 20 --epochs 1 --episodes 2",
+    "torchrl_mappo": "--steps 1 --episodes 2",
     "self_play": "--rounds 1 --steps 1 --episodes 2",
     "plan_ahead": "--decisions 3 --plans 4 --ahead 3",
     "own_pid": "",
@@ -36,6 +38,8 @@ EXAMPLES = {
     f"{GYM}/learn": "--steps 1",
 }
 """Arguments of the shortest form"""
+BY_HAND = {"rllib_ppo"}
+"""Examples that need what the suite has not: Ray"""
 PICTURES = {
     "pid_flight": "square.png",
     "custom_task": "idleness.png",
@@ -88,7 +92,7 @@ def numbers(pattern, text):
 def test_every_example_is_tested_and_short():
     paths = [*FOLDER.glob("*.py"), *FOLDER.glob(f"{GYM}/*.py")]
     names = {path.relative_to(FOLDER).with_suffix("").as_posix() for path in paths}
-    assert names == set(EXAMPLES)
+    assert names == set(EXAMPLES) | BY_HAND
     for path in paths:
         assert len(path.read_text().splitlines()) < 250, path.name
 
@@ -158,6 +162,14 @@ def check_ppo_crossing(told, folder):
     assert table["ppo"][0] == 0  # which has learned nothing yet
 
 
+def check_torchrl_mappo(told, folder):
+    assert numbers("# decisions: mean reward #", told)[0, 0] == 32 * 64 * 4
+    rows = numbers(r"in bullet: drone_success # \(# to #\)", told)
+    assert len(rows) == 2
+    assert (rows[:, 0] < 0.5).all()  # which has learned nothing yet
+    assert (folder / "agent.pt").stat().st_size > 10_000
+
+
 def check_dqn_discrete(told, folder):
     rows = numbers(
         r"ed in (?:point_mass|bullet): drone_success #, conflict #, conflicts #, goal_distance #",
@@ -198,6 +210,13 @@ def check_plan_ahead(told, folder):
     flown = numbers(r"(?:straight|planned): return #, conflicts #", told)
     assert len(flown) == 2
     assert (flown[:, 1] >= 0).all()
+
+
+def check_behaviour_cloning(told, folder):
+    assert numbers("# decisions of 20 flights", told)[0] > 5000
+    shares = numbers(r"(?:random|clone|orca): # \(", told)
+    assert len(shares) == 3
+    assert shares[2] == 1
 
 
 def check_own_pid(told, folder):

@@ -239,7 +239,7 @@ def test_entities_of_xml_neither_expand_without_end_nor_read_files(entities, tmp
 
 READS = re.compile(
     r"(?<!def )(?<!builder\.)\b(load|loads|load_file|safe_open|parse|read_text|read_bytes|recv|"
-    r"loadURDF|load_replay_buffer|eval|exec)\("
+    r"recvfrom|feed|loadURDF|load_replay_buffer|eval|exec)\("
     r"|(?<!os)\.open\((?!'w')"
 )
 

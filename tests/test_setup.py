@@ -7,7 +7,10 @@ from pathlib import Path
 
 import pytest
 
-SETUP = Path(__file__).parents[1] / "setup.py"
+ROOT = Path(__file__).parents[1]
+SETUP = ROOT / "setup.py"
+OTHER = {"torchrl": set(), "benchmarl": {"torchrl", "tensordict"}}
+"""Packages of which an extra needs another version than the suite"""
 
 
 @pytest.fixture
@@ -47,3 +50,16 @@ def test_a_compiler_a_wheel_or_pybullet_itself_is_enough(made, monkeypatch, tmp_
     runpy.run_path(str(SETUP))
     assert len(made) == 3
     assert all(given["ext_modules"][0].optional for given in made)
+
+
+def pins(path):
+    """Version of each package in a file of constraints, by its name in lower case."""
+    lines = [line for line in path.read_text().splitlines() if not line.startswith("#")]
+    return dict(line.lower().replace("-", "_").split("==") for line in lines)
+
+
+@pytest.mark.parametrize("extra", OTHER)
+def test_extras_are_pinned_to_the_versions_of_the_suite_where_they_can_be(extra):
+    own, suite = pins(ROOT / "constraints" / f"{extra}.txt"), pins(ROOT / "constraints.txt")
+    assert {extra, "torch", "numpy", "gymnasium"} <= own.keys()
+    assert {name for name in own.keys() & suite.keys() if own[name] != suite[name]} == OTHER[extra]

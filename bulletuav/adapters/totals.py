@@ -1,0 +1,51 @@
+"""Totals of drones' episodes: what trainers log beside the return."""
+
+import numpy as np
+
+from bulletuav.envs.step import Step
+
+
+class EpisodeTotals:
+    """Success, collision, conflicts and returns by reward term of W worlds of N drones.
+
+    Attributes:
+        by_name: (W, N) arrays: "success" and "collision" (0 or 1), "conflicts", and the return of
+            each reward term ("reward/goal", ...).
+    """
+
+    def __init__(self) -> None:
+        """Begin with nothing: arrays come with the first step."""
+        self.by_name: dict[str, np.ndarray] = {}
+
+    def forget(self, worlds: np.ndarray) -> None:
+        """Begin new episodes in the worlds of a mask (W,)."""
+        for total in self.by_name.values():
+            total[worlds] = 0
+
+    def add(self, step: Step, flown: np.ndarray) -> None:
+        """Add a step.
+
+        Args:
+            step: What came of it.
+            flown: (W, N) bool, drones that flew it.
+        """
+        told = step.info
+        for name in told:
+            if name.startswith("reward/") or name == "conflicts":
+                self._of(name, flown)[flown] += told[name][flown]
+        self._of("success", flown)[flown] = told["success"][flown]
+        self._of("collision", flown)[flown] += told["collision"][flown]
+        np.minimum(self.by_name["collision"], 1.0, out=self.by_name["collision"])
+
+    def _of(self, name: str, flown: np.ndarray) -> np.ndarray:
+        if name not in self.by_name:
+            self.by_name[name] = np.zeros(flown.shape)
+        return self.by_name[name]
+
+    def of_drone(self, world: int, drone: int) -> dict[str, float]:
+        """Tell the totals of one drone."""
+        return {name: float(total[world, drone]) for name, total in self.by_name.items()}
+
+    def of_world(self, world: int) -> dict[str, float]:
+        """Tell the means of all drones of a world."""
+        return {name: float(total[world].mean()) for name, total in self.by_name.items()}

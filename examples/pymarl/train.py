@@ -1,0 +1,64 @@
+"""Train drones with QMIX, VDN, MAPPO or MADDPG of EPyMARL or pymarlzooplus, as these programs are.
+
+The program is a folder with a checkout of EPyMARL, or the word `pymarlzooplus`, which pip installs.
+The algorithm is the name of a file beside this one. What follows goes to the program, such as
+`with t_max=100000 env_args.num_drones=3`. The files `bulletuav.yaml` (the task) and `qmix.yaml`,
+`vdn.yaml`, `mappo.yaml` and `maddpg.yaml` are meant to be copied and changed.
+
+Run it:
+
+    python examples/pymarl/train.py path/to/epymarl qmix
+    python examples/pymarl/train.py pymarlzooplus mappo with t_max=20000
+
+Results are in the folder `results` of the EPyMARL checkout, or beside this file.
+"""
+
+import importlib.util
+import runpy
+import sys
+import types
+from pathlib import Path
+
+from bulletuav.adapters.pymarl import register_pymarl
+
+HERE = Path(__file__).parent.resolve()
+
+
+def run_epymarl(checkout: Path, arguments: list[str]) -> None:
+    """Run EPyMARL's main program."""
+    source = checkout / "src"
+    sys.path.insert(0, str(source))
+    # Another environment that EPyMARL imports in any case, and that no package index has.
+    if importlib.util.find_spec("smaclite") is None:
+        sys.modules["smaclite"] = types.ModuleType("smaclite")
+    from envs import REGISTRY
+
+    register_pymarl(REGISTRY)
+    sys.argv = ["main.py", *arguments]
+    runpy.run_path(str(source / "main.py"), run_name="__main__")
+
+
+def run_pymarlzooplus(arguments: list[str]) -> None:
+    """Run pymarlzooplus."""
+    from pymarlzooplus import pymarlzooplus
+    from pymarlzooplus.envs import REGISTRY
+
+    register_pymarl(REGISTRY, flavour="pymarl")
+    pymarlzooplus(["main.py", *arguments])
+
+
+def main() -> None:
+    """Give the program the files beside this one; it takes full paths without their endings."""
+    if len(sys.argv) < 3:
+        sys.exit(__doc__)
+    program, algorithm, *rest = sys.argv[1:]
+    files = [f"--config={HERE / algorithm}", f"--env-config={HERE / 'bulletuav'}"]
+    if program == "pymarlzooplus":
+        run_pymarlzooplus([*files, *rest])
+    else:
+        run_epymarl(Path(program), [*files, *rest])
+
+
+# Programs start their parallel environments in processes that import this file.
+if __name__ == "__main__":
+    main()
