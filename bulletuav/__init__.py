@@ -7,8 +7,8 @@ from bulletuav.envs.airspace import Airspace
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.check import check_dynamics, check_sensor, check_task
 from bulletuav.envs.curriculum import curriculum_env
-from bulletuav.envs.gymnasium import register_environments
 from bulletuav.envs.parallel import aec_env, parallel_env
+from bulletuav.envs.registration import register_environments
 from bulletuav.envs.workers import batch_env
 from bulletuav.policies.check import check_policy
 from bulletuav.policies.versus import Versus

@@ -1,7 +1,7 @@
 """Tables of transitions as Parquet files; needs the extra `dataset`."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -50,15 +50,10 @@ def read_about(path: Path) -> Any:
         raise ValueError(f"{path} is damaged ({error!r}): delete it, and collect again") from None
 
 
-def read_table(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
-    """Read columns as arrays; rows of a column of lists are joined, without those that are empty.
-
-    Args:
-        path: The file.
-        names: Those of the columns.
-    """
-    table = parquet.read_table(path, columns=list(names))
-    return {name: _array(table[name].combine_chunks()) for name in names}
+def read_table(path: Path) -> dict[str, np.ndarray]:
+    """Read all columns as arrays; rows of a column of lists are joined, without empty ones."""
+    table = parquet.read_table(path)
+    return {name: _array(table[name].combine_chunks()) for name in table.column_names}
 
 
 def _column(values: Any) -> pa.Array:

@@ -15,7 +15,7 @@ from bulletuav.analysis.episodes import fly_batches
 from bulletuav.analysis.pieces import Piece, as_piece
 from bulletuav.analysis.results_folder import RUN, require_same
 from bulletuav.analysis.seals import call_text, hash_files, sealed
-from bulletuav.analysis.transitions import Collection, Transitions
+from bulletuav.analysis.transitions import DATASET, Collection, Transitions
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.spaces import widest_action_space
 from bulletuav.errors import as_int, read_file
@@ -23,8 +23,6 @@ from bulletuav.files import replace_file
 from bulletuav.policies import PolicySource, find_policy
 from bulletuav.tasks import TaskSource, find_task
 
-DATASET = "dataset.json"
-"""File that tells what a dataset is"""
 TABLES = "parquet"
 """Folder of its tables, one for each batch of episodes"""
 MINARI = "minari"
@@ -76,9 +74,7 @@ def collect(
     """
     chosen = find_task(task).baseline if policy is None else policy
     pilot = find_policy(chosen, task, trust)
-    options = {**pilot.options, **options}
-    if pilot.actions and "action" not in options:
-        options["action"] = pilot.actions[0]
+    options = pilot.complete(task, options)
     flights = Collection(
         task=task,
         policy=chosen,
@@ -164,7 +160,7 @@ def _finish(folder: Path, tables: list[Path], about: dict[str, Any], spec: EnvSp
         name = f"{about['task']}/{policy}/drone_{drone}-v0"
         flights = _flights(tables, drone, ends)
         written.append(write_minari(flights, spaces, told, name, folder / MINARI))
-    files = hash_files(folder / TABLES, [path.name for path in tables])
+    files = hash_files(folder, [f"{TABLES}/{path.name}" for path in tables])
     path = folder / DATASET
     whole = sealed({**about, "ends": list(ends.values()), "files": files})
     replace_file(path, json.dumps(whole, indent=2) + "\n")
@@ -173,10 +169,9 @@ def _finish(folder: Path, tables: list[Path], about: dict[str, Any], spec: EnvSp
 
 def _flights(tables: list[Path], drone: int, ends: dict[int, Any]) -> Iterator[Flight]:
     """Read what one drone did, episode by episode."""
-    names = ("drone", "episode", "observation", "action", "reward", "terminated", "truncated")
     for path in tables:
-        rows = read_table(path, names)
-        finals = read_table(path, ("final_observation",))["final_observation"]
+        rows = read_table(path)
+        finals = rows["final_observation"]
         first = np.flatnonzero(np.diff(rows["episode"] * 1_000_000 + rows["drone"], prepend=-1))
         bounds = np.append(first, len(rows["drone"])).tolist()
         for k, begin in enumerate(first.tolist()):

@@ -29,10 +29,9 @@ from bulletuav.analysis.results_folder import (
     ResultsFolder,
 )
 from bulletuav.analysis.seals import call_text, hash_files, hash_rows, sealed
-from bulletuav.envs.resolve import resolve
 from bulletuav.errors import as_int, shown
 from bulletuav.files import replace_file
-from bulletuav.policies import PolicySource, PolicySpec, find_policy
+from bulletuav.policies import PolicySource, find_policy
 from bulletuav.tasks import TaskSource, find_task
 
 __all__ = [
@@ -134,9 +133,9 @@ def evaluate(
         task: What is flown: a name or a class.
         policy: Who flies: a name, the folder of a training run, a class, or "ppo:model.zip" (or
             sac, td3, dqn) for a model of stable-baselines3. When left out it is the task's own
-            baseline, with an action that it can give unless one is asked.
-            The policy of a run sees what it learned with, unless options say otherwise, and takes
-            no other action.
+            baseline. Where it cannot give the task's own action, and none is asked, it gives the
+            first that it can. The policy of a run sees what it learned with, unless options say
+            otherwise, and takes no other action.
         episodes: How many; episode e begins from `seed` + e.
         seed: Seed of the first episode.
         workers: Processes, which change nothing but the time.
@@ -181,10 +180,7 @@ def evaluate(
         )
     chosen = find_task(task).baseline if policy is None else policy
     pilot = find_policy(chosen, task, trust)
-    # The options of a trained policy give way to those of the call.
-    options = {**pilot.options, **options}
-    if policy is None:
-        options = _flyable(task, pilot, options)
+    options = pilot.complete(task, options)
     run = Run(
         task=task,
         policy=chosen,
@@ -209,14 +205,6 @@ def evaluate(
         progress,
         lambda batches: fly_batches(run, batches, workers, ray),
     )
-
-
-def _flyable(task: TaskSource, pilot: PolicySpec, options: dict[str, Any]) -> dict[str, Any]:
-    """Add an action that the task's baseline can give, where it cannot give the usual one."""
-    if not pilot.actions or "action" in options:
-        return options
-    usual = resolve(find_task(task), options).options
-    return options if usual.action in pilot.actions else {**options, "action": pilot.actions[0]}
 
 
 def _evaluate(

@@ -10,6 +10,9 @@ from bulletuav.envs.aviary import Aviary
 from bulletuav.errors import shown
 from bulletuav.policies.base import Policy
 
+DATASET = "dataset.json"
+"""File that tells what a dataset is"""
+
 
 class Transitions(NamedTuple):
     """K decisions of drones, sorted by episode, then by drone, then by time.

@@ -17,9 +17,7 @@ from bulletuav.control.actions import ACTIONS
 from bulletuav.control.cascade import CONTROLLERS
 from bulletuav.dynamics import DYNAMICS
 from bulletuav.envs.options import EnvOptions
-from bulletuav.envs.resolve import resolve
-from bulletuav.policies import PolicySpec, policy_names
-from bulletuav.tasks import find_task
+from bulletuav.policies import policy_names
 from bulletuav.vehicle.airframes import available_airframes
 
 Advance = Callable[[int], None]
@@ -194,27 +192,6 @@ def parse_pairs(
             raise ValueError(f"{option} {pair}: {name} is given twice")
         values[name] = _parse_value(text)
     return values
-
-
-def policy_options(task: str, policy: PolicySpec, options: dict[str, Any]) -> dict[str, Any]:
-    """Complete the options of an environment by what a policy needs to fly in it.
-
-    Args:
-        task: Name of the task.
-        policy: The policy that is to fly.
-        options: Options that the user gave; they go before those of the policy.
-
-    Returns:
-        The options with those that a trained policy needs. Where the user chose no action and
-        the policy cannot give the task's own, they have the first that it can give.
-    """
-    options = {**policy.options, **options}
-    # Also refuses what cannot be, before any flight.
-    common = resolve(find_task(task), options).options
-    # A policy without a list of actions can give all of them.
-    if not policy.actions or "action" in options or common.action in policy.actions:
-        return options
-    return {**options, "action": policy.actions[0]}
 
 
 @contextlib.contextmanager

@@ -15,7 +15,6 @@ from bulletuav.commands.arguments import (
     add_sharing,
     given_options,
     out_folder,
-    policy_options,
     print_files,
     print_piece,
     show_episodes,
@@ -140,7 +139,7 @@ def _case_options(task: str, name: str, options: dict[str, Any], trust: bool) ->
     if policy.models and policy.actions:
         # The user's action is for the others, which may not be able to give the trained one's.
         options = {option: value for option, value in options.items() if option != "action"}
-    return policy_options(task, policy, options)
+    return policy.complete(task, options)
 
 
 def _evaluate(

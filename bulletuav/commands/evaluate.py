@@ -18,7 +18,6 @@ from bulletuav.commands.arguments import (
     add_options,
     add_sharing,
     given_options,
-    policy_options,
     print_files,
     print_piece,
     show_episodes,
@@ -105,7 +104,7 @@ def completed_case(
     task = arguments.task
     policy = arguments.policy or find_task(task).baseline
     spec = find_policy(policy, task, arguments.trust)
-    options = policy_options(task, spec, given_options(arguments))
+    options = spec.complete(task, given_options(arguments))
     return task, policy, options, arguments.out or Path(home) / run_name(task, policy, options)
 
 

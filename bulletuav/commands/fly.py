@@ -19,7 +19,6 @@ from bulletuav.commands.arguments import (
     add_trust,
     given_options,
     out_folder,
-    policy_options,
     print_files,
 )
 from bulletuav.commands.progress import show_progress
@@ -74,7 +73,7 @@ def run(arguments: argparse.Namespace) -> None:
     as_int("seed", arguments.seed, 0)
     arguments.policy = arguments.policy or find_task(arguments.task).baseline
     spec = find_policy(arguments.policy, arguments.task, arguments.trust)
-    options = policy_options(arguments.task, spec, given_options(arguments))
+    options = spec.complete(arguments.task, given_options(arguments))
     aviary = Aviary(arguments.task, 1, **options)
     policy = spec(aviary)
     _prepare_folder(arguments.out)

@@ -13,10 +13,10 @@ from bulletuav.commands.progress import show_progress
 from bulletuav.report.verification import Check, Verifier
 
 ABOUT = {
-    "help": "fly a recording, an evaluation or a leaderboard again and compare every bit",
+    "help": "fly a recording, evaluation, leaderboard or dataset again and compare every bit",
     "description": (
-        "Check the seals of files that fly, evaluate or compare wrote, fly what they tell of once "
-        "more, and compare the hashes. The exit code is 1 where something differs."
+        "Check the seals of files that fly, evaluate, compare or dataset wrote, fly what they tell "
+        "of once more, and compare the hashes. The exit code is 1 where something differs."
     ),
     "epilog": """examples:
   bulletuav fly crossing --out flight && bulletuav verify flight
@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what is verified, in how many processes, and whether it is trusted."""
     parser.add_argument("path", type=Path, metavar="FILE", help="a file of results, or its folder")
     parser.add_argument(
-        "--workers", type=int, default=1, help="processes for evaluations (default: 1)"
+        "--workers", type=int, default=1, help="processes for many episodes (default: 1)"
     )
     add_trust(parser)
 

@@ -25,26 +25,15 @@ from bulletuav.envs.snapshot import Snapshot
 from bulletuav.envs.spaces import joint_action_space, joint_numbers
 from bulletuav.envs.vector import BatchAviary, BatchResults
 from bulletuav.errors import as_int, numbers_of
-from bulletuav.tasks import TaskSource, find_task, list_tasks
+from bulletuav.tasks import TaskSource, find_task
 from bulletuav.tasks.observations.observer import Observation, part
 
 METADATA: dict[str, Any] = {"render_modes": ["rgb_array", "human"]}
 
 
 def environment_id(task: str) -> str:
-    """Return the Gymnasium id of a task, with its version: `bulletuav/Hover-v1` for hover."""
+    """Return the id of a task for Gymnasium and PettingZoo: `bulletuav/Hover-v1` for hover."""
     return f"bulletuav/{task.title().replace('_', '')}-v{find_task(task).version}"
-
-
-def register_environments() -> None:
-    """Make every task known to `gymnasium.make` and `gymnasium.make_vec`."""
-    for task in list_tasks():
-        gymnasium.register(
-            environment_id(task),
-            entry_point=f"{__name__}:CentralAviary",
-            vector_entry_point=f"{__name__}:CentralVectorAviary",
-            kwargs={"task": task},
-        )
 
 
 class CentralEnvironment(LabelledEnvironment):

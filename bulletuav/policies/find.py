@@ -7,6 +7,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple, cast
 
 from bulletuav.envs.aviary import Aviary
+from bulletuav.envs.resolve import resolve
 from bulletuav.errors import choose, shown, unknown
 from bulletuav.policies.base import Policy, check_action
 from bulletuav.policies.run import ALGORITHMS, CHECKPOINTS, CONFIG, POLICY, RunConfig, shipped
@@ -62,6 +63,28 @@ class PolicySpec(NamedTuple):
         """
         check_action(self.name, self.actions, aviary.options.action)
         return self.make(aviary)
+
+    def complete(self, task: TaskSource, options: Mapping[str, Any]) -> dict[str, Any]:
+        """Complete the options of an environment by what the policy needs to fly in it.
+
+        Args:
+            task: What it is to fly.
+            options: Options that the user gave; they go before those of the policy.
+
+        Returns:
+            The options with those that a trained policy needs. Where the user chose no action and
+            the policy cannot give the task's own, they have the first that it can give.
+
+        Raises:
+            ValueError: An option is none that can be.
+        """
+        whole = {**self.options, **options}
+        # Also refuses what cannot be, before any flight.
+        common = resolve(find_task(task), whole).options
+        # A policy without a list of actions can give all of them.
+        if not self.actions or "action" in whole or common.action in self.actions:
+            return whole
+        return {**whole, "action": self.actions[0]}
 
 
 def policy_names() -> list[str]:

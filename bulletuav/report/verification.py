@@ -11,7 +11,15 @@ from typing import Any, NamedTuple
 
 from bulletuav.analysis.evaluation import RUN, Evaluation, evaluate
 from bulletuav.analysis.recording import ARRAYS_FILE, fly_episode, load
-from bulletuav.analysis.seals import SEAL, hash_bytes, hash_files, read_call, seal_of
+from bulletuav.analysis.seals import (
+    SEAL,
+    hash_arrays,
+    hash_bytes,
+    hash_files,
+    read_call,
+    seal_of,
+)
+from bulletuav.analysis.transitions import DATASET
 from bulletuav.envs.aviary import Aviary
 from bulletuav.errors import read_file
 from bulletuav.policies import find_policy
@@ -64,18 +72,20 @@ class Verifier(NamedTuple):
     show: Show = _show_nothing
 
     def verify(self, path: Path) -> list[Check]:
-        """Compare a recording, an evaluation or a leaderboard with itself, and with a new flight.
+        """Compare what files tell with themselves, and with new flights.
 
         Args:
-            path: Its folder, or one of its files.
+            path: The folder of a recording, an evaluation, a leaderboard or a dataset, or a file
+                in it.
 
         Returns:
             What was compared: files first, then flights.
 
         Raises:
             FileNotFoundError: There is no such file.
-            ValueError: The files are none of the three, are damaged beyond reading, or cannot be
-                flown again.
+            ValueError: The files are none of these, are damaged beyond reading, or cannot be flown
+                again.
+            ImportError: The extra `dataset` is not installed, which datasets need.
         """
         if not path.exists():
             raise FileNotFoundError(f"there is no {path}: give a file or a folder of results")
@@ -84,6 +94,7 @@ class Verifier(NamedTuple):
             (LEADERBOARD, LEADERBOARD, self._leaderboard),
             (ARRAYS_FILE, RUN, self._recording),
             (SUMMARY, SUMMARY, self._evaluation),
+            (DATASET, DATASET, self._dataset),
         ):
             if (folder / name).exists():
                 about, checks = _read_sealed(folder / sealed)
@@ -92,8 +103,8 @@ class Verifier(NamedTuple):
                     checks += fly_again(folder, about)
                 return checks
         raise ValueError(
-            f"{folder} holds no recording ({ARRAYS_FILE}), evaluation ({SUMMARY}) or leaderboard "
-            f"({LEADERBOARD}): give the folder of one"
+            f"{folder} holds no recording ({ARRAYS_FILE}), evaluation ({SUMMARY}), leaderboard "
+            f"({LEADERBOARD}) or dataset ({DATASET}): give the folder of one"
         )
 
     def _recording(self, folder: Path, about: dict[str, Any]) -> list[Check]:
@@ -136,23 +147,62 @@ class Verifier(NamedTuple):
             checks.append(Check(name, told, hash_bytes([text.encode()])))
         return checks
 
+    def _dataset(self, folder: Path, about: dict[str, Any]) -> list[Check]:
+        """Collect again what `bulletuav dataset` wrote: rows of tables, and states at the end."""
+        from bulletuav.analysis.dataset import collect  # which needs an extra
+
+        call = read_call(about.get("call"), self.trust)
+        options = call.pop("options")
+        with (
+            self._advance(about["episodes"]) as advance,
+            tempfile.TemporaryDirectory() as place,
+        ):
+            # A single piece of all is the tables alone.
+            again = collect(
+                **call,
+                episodes=about["episodes"],
+                workers=self.workers,
+                out=place,
+                progress=advance,
+                trust=self.trust,
+                piece="1/1",
+                **options,
+            )
+            return [check for path in again for check in _table_checks(folder, path)]
+
     def _fly(self, cases: list[dict[str, Any]]) -> list[Evaluation]:
         """Evaluate again what was evaluated."""
         calls = [read_call(case.get("call"), self.trust) for case in cases]
-        done = 0
-        with self.show("flying", sum(case["episodes"] for case in cases), "episodes") as report:
-
-            def advance(episodes: int) -> None:
-                nonlocal done
-                done += episodes
-                report(done)
-
+        with self._advance(sum(case["episodes"] for case in cases)) as advance:
             how: dict[str, Any] = {"workers": self.workers, "trust": self.trust}
             return [
                 evaluate(**call, episodes=case["episodes"], progress=advance, **how, **options)
                 for case, call in zip(cases, calls, strict=True)
                 for options in (call.pop("options"),)
             ]
+
+    @contextlib.contextmanager
+    def _advance(self, episodes: int) -> Iterator[Callable[[int], None]]:
+        """Show how far flights are, as a function that takes how many more are done."""
+        done = 0
+        with self.show("flying", episodes, "episodes") as report:
+
+            def advance(more: int) -> None:
+                nonlocal done
+                done += more
+                report(done)
+
+            yield advance
+
+
+def _table_checks(folder: Path, again: Path) -> Iterator[Check]:
+    """Compare a table of a dataset with the one that was collected again."""
+    from bulletuav.adapters.parquet import read_about, read_table  # which needs an extra
+
+    told = folder / again.parent.name / again.name
+    ends = [hash_bytes([json.dumps(read_about(path)).encode()]) for path in (told, again)]
+    yield Check(f"{again.stem}: states", *ends)
+    yield Check(f"{again.stem}: rows", *(hash_arrays(read_table(path)) for path in (told, again)))
 
 
 def _read_sealed(path: Path) -> tuple[dict[str, Any], list[Check]]:

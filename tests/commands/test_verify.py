@@ -5,11 +5,20 @@ import json
 import shutil
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 import bulletuav
 from bulletuav.analysis.recording import fly_episode, load, save
-from bulletuav.analysis.seals import call_text, hash_arrays, hash_rows, read_call, sealed
+from bulletuav.analysis.seals import (
+    call_text,
+    hash_arrays,
+    hash_files,
+    hash_rows,
+    read_call,
+    sealed,
+)
 from bulletuav.cli import main
 from bulletuav.policies import find_policy
 from bulletuav.report.verification import Verifier
@@ -17,15 +26,17 @@ from bulletuav.tasks import find_task
 
 FLIGHT = ["crossing", "--drones", "2", "--dynamics", "point_mass", "--horizon", "15"]
 CASE = ["--policy", "straight", "--set", "lane_spacing=15.0"]
+TABLE = "parquet/episodes-000000.parquet"
 
 
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory):
-    """A recording, an evaluation and a leaderboard, each in its folder."""
+    """A recording, an evaluation, a leaderboard and a dataset, each in its folder."""
     place = tmp_path_factory.mktemp("results")
     main(["fly", *FLIGHT, *CASE, "--animation", "none", "--out", str(place / "flight")])
     few = ["--episodes", "3", "--seed", "5"]
     main(["evaluate", *FLIGHT, *CASE, *few, "--out", str(place / "evaluation")])
+    main(["dataset", *FLIGHT, *CASE, *few, "--out", str(place / "dataset")])
     tasks = ["--tasks", "crossing", "--policies", "straight,orca", "--against", "straight"]
     main(["compare", *tasks, *FLIGHT[1:], *few, "--out", str(place / "leaderboard")])
     return place
@@ -45,6 +56,7 @@ def verified(path):
         ("flight", 4, ("run.json", "trajectory.npz", "trajectory.csv", "flight")),
         ("evaluation", 5, ("summary.json", "run.json", "episodes.csv", "episodes", "estimates")),
         ("leaderboard", 5, ("leaderboard.json", "leaderboard.csv", "leaderboard.md")),
+        ("dataset", 4, ("dataset.json", TABLE, "episodes-000000: states", "episodes-000000: rows")),
     ],
 )
 def test_what_was_flown_is_flown_again(folders, folder, counts, files, capsys):
@@ -66,6 +78,8 @@ def test_what_was_flown_is_flown_again(folders, folder, counts, files, capsys):
         ("evaluation", "episodes.csv"),
         ("evaluation", "run.json"),
         ("leaderboard", "leaderboard.json"),
+        ("dataset", "dataset.json"),
+        ("dataset", TABLE),
     ],
 )
 def test_a_changed_byte_is_found(folders, folder, file, tmp_path):
@@ -97,6 +111,28 @@ def test_a_sealed_lie_is_found_by_the_flight(folders, tmp_path, capsys):
     assert not verified(path)
     shown = capsys.readouterr().out
     assert "NO" in next(line for line in shown.splitlines() if "flight" in line)
+
+
+@pytest.mark.parametrize("what", ["rows", "states"])
+def test_a_sealed_lie_in_a_dataset_is_found_by_the_flights(folders, what, tmp_path):
+    copy = tmp_path / "copy"
+    shutil.copytree(folders / "dataset", copy)
+    table = pq.read_table(copy / TABLE)
+    if what == "rows":
+        at = table.column_names.index("reward")
+        paid = table["reward"].to_numpy().copy()
+        paid[-1] = np.nextafter(paid[-1], 9)
+        table = table.set_column(at, "reward", pa.array(paid))
+    else:
+        ends = json.loads(table.schema.metadata[b"bulletuav"])
+        ends[-1]["state_hash"] = ends[0]["state_hash"]
+        table = table.replace_schema_metadata({"bulletuav": json.dumps(ends)})
+    pq.write_table(table, copy / TABLE)
+    told = json.loads((copy / "dataset.json").read_text())
+    told["files"] = hash_files(copy, [TABLE])
+    (copy / "dataset.json").write_text(json.dumps(sealed({**told, "seal": ""})))
+    different = [check.what for check in Verifier().verify(copy) if not check.same]
+    assert different == [f"episodes-000000: {what}"]
 
 
 def test_tables_of_leaderboards_tell_hashes(folders):

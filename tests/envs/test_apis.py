@@ -1,9 +1,11 @@
 """Batches, and the APIs of Gymnasium and PettingZoo's AEC."""
 
+import contextlib
 import warnings
 
 import gymnasium
 import numpy as np
+import pettingzoo
 import placing
 import pytest
 from gymnasium.utils.env_checker import check_env
@@ -42,6 +44,14 @@ def test_ids_by_module():
     env = gymnasium.make("bulletuav:bulletuav/Hover-v1")
     env.reset(seed=0)
     env.close()
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_pettingzoo_makes_every_id(name):
+    for kind, base in (("parallel", pettingzoo.ParallelEnv), ("aec", pettingzoo.AECEnv)):
+        with contextlib.closing(pettingzoo.make(kind, name, num_drones=3)) as env:
+            assert isinstance(env, base)
+            assert len(env.possible_agents) == 3
 
 
 @pytest.mark.parametrize("task", TASKS)
