@@ -119,6 +119,11 @@ class TeamAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  # has
         self.agents = self.possible_agents[:]
         return self._own(self._seen), self._own(infos)
 
+    @property
+    def np_random(self) -> np.random.Generator:
+        """Random generator of the episode; see `ParallelAviary.np_random`."""
+        return self.env.np_random
+
     @exclusive
     def step(self, actions: dict[str, np.ndarray]) -> AgentResults:
         """Fly one decision of all living drones; see `ParallelAviary.step`.

@@ -237,6 +237,11 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
             self._envs[stage] = ParallelAviary(self._task, **self._options[stage])
         return self._envs[stage]
 
+    @property
+    def np_random(self) -> np.random.Generator:
+        """Random generator of the episode; see `ParallelAviary.np_random`."""
+        return self.env.np_random
+
     @exclusive
     def step(self, actions: dict[str, np.ndarray]) -> AgentResults:
         """Fly one decision of all living agents; see `ParallelAviary.step`.

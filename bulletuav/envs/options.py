@@ -293,7 +293,7 @@ class EnvOptions:
                 f"thrust against weight"
             )
         if self.integral and self.controller == "pid":
-            raise ValueError("integral is for controller 'lee': 'pid' has integrals of its own")
+            raise ValueError("integral is for controller 'lee': leave it out, 'pid' has its own")
         if self.controller == "pid" and "lag" in self.effects:
             warnings.warn(
                 "controller 'pid' is made for motors without lag and may turn a drone over: leave "

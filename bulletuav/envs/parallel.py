@@ -85,6 +85,18 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
         """Return the agent's action space, the same object each time."""
         return choose("agent", agent, self.action_spaces)
 
+    @property
+    def np_random(self) -> np.random.Generator:
+        """Random generator of the episode, for wrappers that draw, such as SuperSuit's frame skip.
+
+        What they draw follows from the seed, too, and is part of the state that is saved.
+
+        Raises:
+            RuntimeError: Before the first reset, or after `close`.
+        """
+        self.aviary.require_started()
+        return self.aviary.rng[0]
+
     @exclusive
     def reset(
         self,

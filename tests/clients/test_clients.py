@@ -12,6 +12,7 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 import pytest
+import supersuit
 from clients.swarm import HORIZON, make_env
 
 import bulletuav
@@ -139,6 +140,33 @@ def test_supersuit_makes_vectors_of_a_swarm(client):
     assert supersuit.fly("alone", supersuit.make(), 1).startswith("alone ")
     both = supersuit.make(2, num_cpus=0, base_class="gymnasium")
     assert supersuit.fly("two", both, 2).startswith("two ")
+
+
+def drawn_skips(make_env):
+    """Fly a frame skip that draws its lengths, and return what it gave."""
+    env = supersuit.frame_skip_v0(make_env(), (1, 4))
+    with pytest.raises(RuntimeError, match="reset"):
+        env.unwrapped.np_random  # noqa: B018  # as nothing is seeded yet
+    env.reset(seed=5)
+    told = []
+    while env.agents:
+        told.append(env.step({agent: np.full(3, 0.1, np.float32) for agent in env.agents}))
+    env.close()
+    return told
+
+
+@pytest.mark.parametrize(
+    "make_env",
+    [
+        lambda: bulletuav.parallel_env("crossing", horizon=20),
+        lambda: bulletuav.team_env("pursuit_evasion", "chasers", opponents="flee", horizon=20),
+        lambda: bulletuav.curriculum_env("crossing", [{"num_drones": 2}], horizon=20),
+    ],
+)
+def test_supersuit_draws_its_frame_skips_from_the_seed(make_env):
+    first, again = drawn_skips(make_env), drawn_skips(make_env)
+    assert 20 / 4 <= len(first) < 20
+    np.testing.assert_equal(first, again)
 
 
 def test_torchrl_wraps_a_swarm_and_a_gymnasium_environment(client, monkeypatch):

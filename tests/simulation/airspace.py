@@ -23,6 +23,9 @@ class Space(Face):
         count = int(rng.integers(1, 5))
         self.places = np.array([(2.0 * k, 0.0, 5.0) for k in range(count)])
         options = {name: form.options[name] for name in KEPT if name in form.options}
+        # Without weight nothing but ROTOR can be commanded, and only in dynamics with motors.
+        if not options.get("gravity", True):
+            del options["gravity"]
         self.started = True
         return Airspace(self.places, **{"decision_hz": 24, "seed": 0, **options})
 
