@@ -23,9 +23,10 @@ import numpy as np
 import bulletuav
 from bulletuav.city.generator import generate
 from bulletuav.city.import_report import MendedWarning
-from bulletuav.city.imports import EARTH_RADIUS, from_geojson
+from bulletuav.city.imports import from_geojson
 from bulletuav.city.model import City
 from bulletuav.city.statistics import Statistics
+from bulletuav.earth import degree_lengths
 
 LOT = 40.0  # side, m
 LATITUDE, LONGITUDE = 52.0, 13.0
@@ -66,9 +67,7 @@ def ring(outline: Outline, size: tuple[float, float], place: np.ndarray, turn: f
     """Turn an outline about its middle, put it at a place, m, and give the ring in degrees."""
     ways = np.array([(math.cos(turn), math.sin(turn)), (-math.sin(turn), math.cos(turn))])
     metres = (np.array(outline) - np.array(size) / 2) @ ways + place
-    degree = math.radians(EARTH_RADIUS)
-    scale = np.array([degree * math.cos(math.radians(LATITUDE)), degree])
-    corners = np.round(metres / scale + (LONGITUDE, LATITUDE), 7).tolist()
+    corners = np.round(metres / degree_lengths(LATITUDE) + (LONGITUDE, LATITUDE), 7).tolist()
     return [*corners, corners[0]]
 
 

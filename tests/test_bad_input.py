@@ -16,7 +16,7 @@ from gymnasium.vector import AutoresetMode
 
 import bulletuav
 from bulletuav.city.generator import generate
-from bulletuav.city.imports import EARTH_RADIUS, from_geojson, from_obj
+from bulletuav.city.imports import from_geojson, from_obj
 from bulletuav.city.statistics import Statistics
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.env_spec import EnvSpec
@@ -98,7 +98,7 @@ CASES = [("hover", name) for name in COMMON] + [
 ]
 
 
-def refusal(call, limit=2.0):
+def refusal(call, limit=5.0):
     """Give the message of the refusal, or None where the call was accepted.
 
     Either must take less than `limit` seconds of the processor.
@@ -196,7 +196,7 @@ def test_numbers_are_no_texts_nor_dates_nor_imaginary():
 def test_worlds_that_do_not_fit_into_the_machine_are_refused_with_both_figures(
     worlds, options, asked
 ):
-    told = refusal(lambda: EnvSpec("hover", worlds, options), 1.0)
+    told = refusal(lambda: EnvSpec("hover", worlds, options))
     assert asked in told
     assert told.count(" GiB") == 2
     assert "lower num_worlds" in told
@@ -222,7 +222,7 @@ def test_worlds_that_do_not_fit_into_the_machine_are_refused_with_both_figures(
     ],
 )
 def test_sizes_have_bounds(make, name):
-    assert name in refusal(make, 1.0)
+    assert name in refusal(make)
 
 
 def test_what_is_large_and_possible_is_planned():
@@ -273,8 +273,12 @@ def test_settings_of_models_are_named(model, told):
 # Cities
 
 
+DEGREES = 1 / 111_000
+"""In a metre, about"""
+
+
 def square(x, y, side=20.0, metres=False):
-    unit = 1.0 if metres else 180 / math.pi / EARTH_RADIUS
+    unit = 1.0 if metres else DEGREES
     corners = ((0, 0), (side, 0), (side, side), (0, side), (0, 0))
     return [[x + unit * dx, y + unit * dy] for dx, dy in corners]
 
@@ -391,9 +395,8 @@ def test_paths_of_cities_that_are_none(tmp_path, read):
 
 def test_a_town_on_both_sides_of_the_antimeridian_is_the_town_that_it_is_elsewhere(tmp_path):
     def town(name, longitude):
-        turn = 180 / math.pi / EARTH_RADIUS
         rings = [
-            square((longitude + 180 + turn * x) % 360 - 180, 0.001) for x in (-300, -40, 35, 280)
+            square((longitude + 180 + DEGREES * x) % 360 - 180, 0.001) for x in (-300, -40, 35, 280)
         ]
         path = tmp_path / f"{name}.geojson"
         path.write_text(collection(*rings))

@@ -1,7 +1,6 @@
 """Cities from GeoJSON files: footprints of buildings with heights."""
 
 import json
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,10 +12,9 @@ from bulletuav.city.import_report import Notebook
 from bulletuav.city.model import City
 from bulletuav.city.polygons import SLIVER, area_of, convex_pieces, extruded, import_shapely
 from bulletuav.city.tags import HeightReader
+from bulletuav.earth.geodesy import degree_lengths
 from bulletuav.errors import read_file, require_file, shown
 
-EARTH_RADIUS = 6_371_008.8
-"""Mean radius, m (Moritz, Geodetic Reference System 1980)"""
 LEAST_AREA = 1e-18
 """Square degrees, or m^2, below which a footprint is a point"""
 
@@ -180,7 +178,10 @@ def _polygons(shape: Any) -> Any:
 
 
 def _projected(shapes: np.ndarray, path: Path) -> np.ndarray:
-    """Project shapes in degrees to metres about their middle (equirectangular projection)."""
+    """Project shapes in degrees to metres about their middle.
+
+    East and north of it are true to scale there, on the ellipsoid of WGS-84.
+    """
     shapely = import_shapely("reading GeoJSON")
     west, south, east, north = bounds = shapely.total_bounds(shapes)
     if (np.abs(bounds) > [180, 90, 180, 90]).any():
@@ -195,8 +196,7 @@ def _projected(shapes: np.ndarray, path: Path) -> np.ndarray:
         )
         west, south, east, north = shapely.total_bounds(shapes)
     middle = np.array([west + east, south + north]) / 2
-    shrink = math.cos(math.radians(middle[1]))
-    metres = EARTH_RADIUS * np.radians([shrink, 1])
+    metres = np.array(degree_lengths(middle[1]))
     projected: np.ndarray = shapely.transform(shapes, lambda degrees: (degrees - middle) * metres)
     return projected
 

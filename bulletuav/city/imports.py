@@ -2,11 +2,11 @@
 
 from collections.abc import Callable
 
-from bulletuav.city.geojson import EARTH_RADIUS, from_geojson
+from bulletuav.city.geojson import from_geojson
 from bulletuav.city.model import City
 from bulletuav.city.wavefront import from_obj
 
-__all__ = ["EARTH_RADIUS", "READERS", "from_geojson", "from_obj"]
+__all__ = ["READERS", "from_geojson", "from_obj"]
 
 READERS: dict[str, Callable[..., City]] = {
     ".geojson": from_geojson,

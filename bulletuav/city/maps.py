@@ -8,6 +8,8 @@ from bulletuav.city.model import City
 
 GROUND_COLOUR = "#f2efe9"
 STREET_COLOUR = "#d98e04"
+FINENESS = 20.0
+"""Width of a street's line, points, where its pieces are as long as the city"""
 BELOW = -0.09
 """Where scale and legend are, below the map, in heights of the map"""
 
@@ -21,9 +23,12 @@ def draw_map(city: City, axes: Axes) -> None:
     """
     prints = PolyCollection(city.footprints, cmap="viridis_r", edgecolors="face", linewidths=0.4)
     prints.set(array=city.heights[city.building], clim=(0, city.heights.max(initial=1.0)))
-    lines = list(city.streets.nodes[city.streets.edges])
+    lines = city.streets.nodes[city.streets.edges]
+    # The finer the net of streets, the finer its lines.
+    mesh = np.median(np.linalg.norm(np.diff(lines, axis=1), axis=-1)) if len(lines) else 0.0
+    width = np.clip(FINENESS * mesh / city.side, 0.15, 0.8)
     streets = LineCollection(
-        lines, colors=STREET_COLOUR, linewidths=0.8, label="centre lines of streets"
+        list(lines), colors=STREET_COLOUR, linewidths=width, label="centre lines of streets"
     )
     for collection in (streets, prints):
         axes.add_collection(collection)

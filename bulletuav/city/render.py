@@ -4,7 +4,7 @@ import numpy as np
 
 from bulletuav.engine.engine import Engine
 from bulletuav.geometry.solids import Solids
-from bulletuav.geometry.view import AIR, SKY, projection_matrix, view_matrix
+from bulletuav.geometry.view import AIR, FAR, SKY, projection_matrix, view_matrix
 from bulletuav.vehicle.airframes import load_airframe
 
 FIELD_OF_VIEW = 40.0
@@ -30,11 +30,11 @@ def render(solids: Solids, side: float, size: tuple[int, int] = (1200, 800)) -> 
     everywhere = np.ones(1, dtype=bool)
     engine.set_layouts(layout, everywhere)
 
-    # A camera that looks at a point a little below the ground
+    # A camera that looks at a point a little below the ground, beyond which the city ends
     eye = 1.5 * side * DIRECTION
     target = np.array([0.0, 0.0, -0.02 * side])
     view = view_matrix(eye, target)
-    projection = projection_matrix(size[0] / size[1], FIELD_OF_VIEW)
+    projection = projection_matrix(size[0] / size[1], FIELD_OF_VIEW, max(FAR, 4 * side))
     picture = engine.picture(0, view, projection, size)
     engine.close()
     picture.pixels[picture.labels == SKY] = AIR

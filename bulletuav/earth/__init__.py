@@ -19,13 +19,19 @@ from bulletuav.earth.axes import (
     frd_to_flu,
     ned_to_enu,
 )
-from bulletuav.earth.geodesy import Origin, ecef_to_geodetic, geodetic_to_ecef
+from bulletuav.earth.geodesy import (
+    Origin,
+    degree_lengths,
+    ecef_to_geodetic,
+    geodetic_to_ecef,
+)
 from bulletuav.earth.magnetism import magnetic_field
 
 __all__ = [
     "Origin",
     "attitude_to_enu",
     "attitude_to_ned",
+    "degree_lengths",
     "density",
     "ecef_to_geodetic",
     "enu_to_ned",

@@ -11,6 +11,7 @@ Altitudes are not those above mean sea level: the geoid lies up to 107 m away fr
 Source: NGA.STND.0036, Department of Defense World Geodetic System 1984 (2014).
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -176,6 +177,26 @@ class Origin:
         north = (-sine * cos(longitude), -sine * sin(longitude), cosine)
         up = (cosine * cos(longitude), cosine * sin(longitude), sine)
         return np.array((east, north, up))
+
+
+def degree_lengths(latitude: float) -> tuple[float, float]:
+    """Measure a degree of longitude and one of latitude, on the ellipsoid.
+
+    Args:
+        latitude: Where, degrees north.
+
+    Returns:
+        Metres to the east of a degree of longitude, and to the north of a degree of latitude. They
+        follow from the radii of curvature in the prime vertical, N, and in the meridian, M.
+
+    Raises:
+        ValueError: There is no such latitude.
+    """
+    phi = math.radians(finite("latitude", latitude, -90, 90))
+    flat = 1.0 - ECCENTRICITY_SQUARED * math.sin(phi) ** 2
+    prime_vertical = SEMI_MAJOR_AXIS / math.sqrt(flat)
+    meridian = prime_vertical * (1.0 - ECCENTRICITY_SQUARED) / flat
+    return math.radians(prime_vertical * math.cos(phi)), math.radians(meridian)
 
 
 def _split_geodetic(geodetic: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -222,13 +222,13 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
         if self._successes and not self.agents:
             successes = list(self._successes.values())
             self.curriculum.record(float(np.mean(successes)))
-        self._successes = {}
+            self._successes = {}
         if seed is not None:
             self._rng = np.random.default_rng(as_int("seed", seed, 0))
-        self._current = self._env_of(self.curriculum.stage)
-        own_seed = int(self._rng.integers(2**31))
-        observations, infos = self.env.reset(seed=own_seed)
-        self.agents = self.env.agents[:]
+        env = self._env_of(self.curriculum.stage)
+        observations, infos = env.reset(seed=int(self._rng.integers(2**31)))
+        # Only now: where no start is found, the episode that was flown goes on.
+        self._current, self._successes, self.agents = env, {}, env.agents[:]
         return observations, self._with_stage(infos)
 
     def _env_of(self, stage: int) -> ParallelAviary:

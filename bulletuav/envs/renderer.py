@@ -6,7 +6,7 @@ from PIL import Image, ImageDraw
 from bulletuav.engine.engine import Engine
 from bulletuav.envs.marks import Colour, Lens, Marks, draw
 from bulletuav.envs.pacer import Pacer
-from bulletuav.geometry.view import AIR, LAND, SKY, projection_matrix, view_matrix
+from bulletuav.geometry.view import AIR, FAR, LAND, SKY, projection_matrix, view_matrix
 from bulletuav.vehicle.swarm import Swarm
 
 GRID: Colour = (176, 182, 174)
@@ -69,7 +69,8 @@ class Renderer:
         points = shown if len(shown) else swarm.position[world]
         target, distance = self._fit(points, width / height)
         view = view_matrix(target + distance * DIRECTION, target)
-        projection = projection_matrix(width / height, FIELD_OF_VIEW)
+        # What is spread over kilometres is seen from farther away than drones see.
+        projection = projection_matrix(width / height, FIELD_OF_VIEW, max(FAR, 2 * distance))
         lens = Lens(projection @ view, self._size)
         # Colour the sky, draw on the ground, then draw marks above everything.
         pixels, _, labels = self._engine.picture(

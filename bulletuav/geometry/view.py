@@ -8,7 +8,7 @@ import numpy as np
 NEAR = 0.05
 """Distance along the view axis at which cameras begin to see, m."""
 FAR = 2000.0
-"""Distance along the view axis to which cameras see, m."""
+"""Distance along the view axis to which cameras of drones see, m."""
 
 AIR = (206, 224, 240)
 """Colour of the sky: red, green, blue, from 0 to 255."""
@@ -53,23 +53,24 @@ def view_matrix(
     return matrix
 
 
-def projection_matrix(aspect: float, field_of_view: float) -> np.ndarray:
-    """Return the perspective projection between NEAR and FAR.
+def projection_matrix(aspect: float, field_of_view: float, far: float = FAR) -> np.ndarray:
+    """Return the perspective projection from NEAR on.
 
     Args:
         aspect: Width of the image over its height.
         field_of_view: Vertical angle of view, degrees.
+        far: Distance along the view axis to which the camera sees, m. `metres` is for FAR.
 
     Returns:
         (4, 4) matrix from the camera to clip space.
     """
     scale = 1 / np.tan(np.radians(field_of_view) / 2)
-    matrix = np.diag([scale / aspect, scale, (FAR + NEAR) / (NEAR - FAR), 0.0])
-    matrix[2, 3] = 2 * FAR * NEAR / (NEAR - FAR)
+    matrix = np.diag([scale / aspect, scale, (far + NEAR) / (NEAR - far), 0.0])
+    matrix[2, 3] = 2 * far * NEAR / (NEAR - far)
     matrix[3, 2] = -1.0
     return matrix
 
 
 def metres(buffer: np.ndarray) -> np.ndarray:
-    """Turn a depth buffer in [0, 1] into depth along the view axis, m."""
+    """Turn a depth buffer in [0, 1], of a projection to FAR, into depth along the view axis, m."""
     return NEAR * FAR / (FAR - (FAR - NEAR) * buffer)

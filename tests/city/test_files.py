@@ -9,7 +9,7 @@ from matplotlib.collections import PolyCollection
 from bulletuav.city.exports import write_obj
 from bulletuav.city.generator import generate
 from bulletuav.city.import_report import MendedWarning
-from bulletuav.city.imports import EARTH_RADIUS, from_geojson, from_obj
+from bulletuav.city.imports import from_geojson, from_obj
 from bulletuav.city.maps import draw_map
 from bulletuav.report.pictures import blank_figure
 
@@ -133,9 +133,15 @@ def test_footprints_in_metres(geojson):
     assert made.coverage == pytest.approx((200 + shapely.Polygon(BENT).area + 800) / 4900)
 
 
+def cosine(times):
+    """Cosine of a multiple of a latitude."""
+    return math.cos(math.radians(times * (48 + 50 / 111200)))
+
+
 def test_footprints_in_degrees(geojson):
-    turn = 180 / math.pi / EARTH_RADIUS  # degrees in a metre
-    wide = turn / math.cos(math.radians(48 + 50 * turn))
+    # Degrees in a metre, by series of the lengths of degrees on the ellipsoid of WGS-84
+    turn = 1 / (111132.92 - 559.82 * cosine(2) + 1.175 * cosine(4) - 0.0023 * cosine(6))
+    wide = 1 / (111412.84 * cosine(1) - 93.5 * cosine(3) + 0.118 * cosine(5))
 
     def ring(x, y):
         return [[11 + wide * (x + dx), 48 + turn * (y + dy), 500.0] for dx, dy in SQUARE]
@@ -145,10 +151,10 @@ def test_footprints_in_degrees(geojson):
     assert made.side == pytest.approx(100)
     assert made.building.tolist() == [0, 0]
     expected = [[[-40, -50, 0], [-20, -40, 7]], [[20, 40, 0], [40, 50, 7]]]
-    np.testing.assert_allclose(made.solids.boxes, expected, atol=1e-6)
+    np.testing.assert_allclose(made.solids.boxes, expected, atol=2e-5)
     wider = from_geojson(geojson(parts), side=300.0, default_height=7.0)
     assert wider.side == 300
-    np.testing.assert_allclose(wider.solids.boxes, expected, atol=1e-6)
+    np.testing.assert_allclose(wider.solids.boxes, expected, atol=2e-5)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,8 @@ import shapely
 
 import bulletuav
 from bulletuav.city.import_report import MendedWarning
-from bulletuav.city.imports import EARTH_RADIUS, from_geojson
+from bulletuav.city.imports import from_geojson
+from bulletuav.earth import degree_lengths
 
 FILE = Path(__file__).parent / "data" / "synthetic_town.geojson"
 
@@ -33,7 +34,7 @@ def polygons():
     ]
     west, south, east, north = shapely.total_bounds([shape for shape, _ in solid])
     middle = np.array([west + east, south + north]) / 2
-    metres = EARTH_RADIUS * np.radians([np.cos(np.radians(middle[1])), 1])
+    metres = np.array(degree_lengths(middle[1]))
     moved = [
         (shapely.transform(shape, lambda degrees: (degrees - middle) * metres), part)
         for shape, part in solid

@@ -1,13 +1,14 @@
 """Places against published coordinates, formulas of small steps, and round trips."""
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from bulletuav.earth import Origin, ecef_to_geodetic, geodetic_to_ecef
+from bulletuav.earth import Origin, degree_lengths, ecef_to_geodetic, geodetic_to_ecef
 from bulletuav.earth.geodesy import ECCENTRICITY_SQUARED, SEMI_MAJOR_AXIS, SEMI_MINOR_AXIS
 
 # The worked examples of IOGP Geomatics Guidance Note 7-2 (EPSG methods 9602 and 9837).
@@ -177,3 +178,28 @@ def test_origins_that_cannot_be(place, message):
 def test_coordinates_that_cannot_be(convert, value, message):
     with pytest.raises(ValueError, match=message):
         convert(value)
+
+
+@pytest.mark.parametrize("latitude", [0.0, 0.5, 48.0, -60.17, 89.9, 90.0])
+def test_lengths_of_degrees_are_those_of_the_series(latitude):
+    """The series are usual in navigation; they leave out some centimetres."""
+
+    def cosine(times):
+        return math.cos(math.radians(times * latitude))
+
+    east = 111412.84 * cosine(1) - 93.5 * cosine(3) + 0.118 * cosine(5)
+    north = 111132.92 - 559.82 * cosine(2) + 1.175 * cosine(4) - 0.0023 * cosine(6)
+    assert degree_lengths(latitude) == pytest.approx((east, north), abs=0.04)
+
+
+def test_lengths_of_degrees_are_those_of_local_coordinates():
+    place = Origin(60.17, 24.94, 0.0)
+    step = 1e-4
+    beyond = place.to_local([(60.17, 24.94 + step, 0.0), (60.17 + step, 24.94, 0.0)])
+    found = (beyond[0, 0] / step, beyond[1, 1] / step)
+    assert degree_lengths(60.17) == pytest.approx(found, rel=1e-6)
+
+
+def test_there_are_no_degrees_beyond_the_poles():
+    with pytest.raises(ValueError, match="latitude is 91"):
+        degree_lengths(91.0)

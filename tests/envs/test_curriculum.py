@@ -110,6 +110,23 @@ def test_an_episode_that_is_left_early_is_not_counted():
     env.close()
 
 
+def test_where_the_next_stage_finds_no_start_the_episode_goes_on():
+    """The places of six drones, 100 m apart, do not fit into the streets of so small a city."""
+    env = curriculum_env(
+        "coverage", [{"num_drones": 2}, {"num_drones": 6}], area=250.0, dynamics="point_mass"
+    )
+    env.reset(seed=0)
+    actions = {agent: np.zeros(3, np.float32) for agent in env.agents}
+    env.step(actions)
+    before = env.state_hash()
+    env.curriculum.restore({**env.curriculum.state(), "stage": 1})
+    with pytest.raises(ValueError, match="no places for 6 drones"):
+        env.reset()
+    assert env.state_hash() == before
+    assert set(env.step(actions)[0]) == set(actions)
+    env.close()
+
+
 def test_it_is_a_pettingzoo_environment_and_its_spaces_hold_all_stages():
     env = curriculum_env(
         "crossing", ({"num_drones": 4}, {"num_drones": 4, "half_length": 150.0}), window=1, **FAST

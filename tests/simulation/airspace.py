@@ -13,6 +13,8 @@ from .invariants import require
 KEPT = ("dynamics", "seed", "wind", "turbulence", "effects", "contacts", "physics_hz", "airframe")
 KEPT += ("friction", "restitution", "gravity", "max_speed", "controller", "randomization", "rays")
 KEPT += ("wind_profile", "lidar_frame", "num_beams", "max_range", "lidar_elevations", "sensors")
+NO_PID = SetpointLevel.ACCELERATION
+"""Level that the controller 'pid' does not take"""
 SIZES = {SetpointLevel.VELOCITY: 3, SetpointLevel.ACCELERATION: 3, SetpointLevel.POSITION: 3}
 
 
@@ -44,6 +46,8 @@ class Space(Face):
 
     def act(self, rng: np.random.Generator) -> Any:
         levels = [one for one in SIZES if one <= self.env.consumes]
+        if self.form.options.get("controller") == "pid":
+            levels = [one for one in levels if one != NO_PID]
         level = pick(rng, levels)
         drone = pick(rng, (None, int(rng.integers(len(self.places)))))
         return drone, level, rng.normal(0.0, 1.0, 3) + (0.0, 0.0, 2.0)

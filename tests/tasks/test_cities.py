@@ -121,12 +121,15 @@ def test_a_city_of_ones_own_statistics():
 
 
 def test_a_city_of_footprints_in_degrees(make_urban, tmp_path):
-    """At 60 degrees north a degree of longitude is half as long as one of latitude, 111,195 m."""
+    """At 60 degrees north a degree of longitude is 55,798 m long, one of latitude 111,412 m.
+
+    Lengths of WGS-84, from the series that `tests/earth/test_geodesy.py` has.
+    """
     features = []
     for west, south, height in (
         (10.0, 60.0, 12.0),
         (10.0036, 60.0018, 30.0),
-    ):  # each 22.2 m x 22.2 m, in two corners
+    ):  # each 22.3 m x 22.3 m, in two corners
         east, north = west + 0.0004, south + 0.0002
         ring = [(west, south), (east, south), (east, north), (west, north), (west, south)]
         features.append(
@@ -141,13 +144,14 @@ def test_a_city_of_footprints_in_degrees(make_urban, tmp_path):
     for source in (path, str(path)):
         aviary = make_urban("los", city=source)
         bounds = aviary.solids(0).bounds
-        reach = 0.002 * 111195 / 2
-        np.testing.assert_allclose(aviary.task.arena_high, (reach, reach, 70), atol=0.02)
+        east, north = 0.004 * 55798.3 / 2, 0.002 * 111412.3 / 2
+        np.testing.assert_allclose(aviary.task.arena_high, (east, east, 70), atol=1e-3)
+        wide, deep = east / 5, north / 5
         np.testing.assert_allclose(
-            bounds[:, 1] - bounds[:, 0], [(22.24, 22.24, 12), (22.24, 22.24, 30)], atol=0.02
+            bounds[:, 1] - bounds[:, 0], [(wide, deep, 12), (wide, deep, 30)], atol=1e-3
         )
         np.testing.assert_allclose(
-            bounds[:, 0, :2], [(-reach, -reach), (reach - 22.24, reach - 22.24)], atol=0.02
+            bounds[:, 0, :2], [(-east, -north), (east - wide, north - deep)], atol=1e-3
         )
 
 
@@ -175,7 +179,7 @@ REFUSED = [
     ({"city": city_of(side=3.0)}, "min_separation is 20 m: less than 15.59 m"),
     ({"city": city_of(((-100, -100, 0), (100, 100, 10)))}, "'hand' has no street"),
     ({"city": (0.97, 2000.0, 10.0)}, "no street"),
-    ({"area": 0.0}, "side is 0.0 m: two blocks need"),
+    ({"area": 0}, "area is 0 m: it must be above 0"),
     ({"area": "x"}, "area is 'x'"),
     ({"area": float("nan")}, "area is nan"),
     ({"irregularity": 1.5}, "irregularity is 1.5: .* 0 .* to 1"),

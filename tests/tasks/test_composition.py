@@ -92,6 +92,13 @@ def test_headings_turn_velocity_and_nose():
         np.testing.assert_allclose(nose, faced, atol=1e-12)
 
 
+def test_a_heading_may_be_a_number_of_python_that_no_array_holds():
+    env = bulletuav.Aviary("converge", 1, dynamics="point_mass", heading=10**30)
+    env.reset(seeds=0)
+    assert np.isfinite(env.swarm.velocity).all()
+    env.close()
+
+
 def test_random_headings_are_uniform_in_space():
     aviary = made("free_flight", 100, num_drones=8)
     velocity = aviary.swarm.velocity.reshape(-1, 3)

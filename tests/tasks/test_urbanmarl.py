@@ -164,7 +164,7 @@ BAD = [
     ("mec", {"distance_weight": math.nan}, "distance_weight is nan"),
     ("mec", {"activity": 1.2}, "activity is 1.2: at most 1 is possible"),
     ("mec", {"activity": "lod"}, "unknown activity 'lod': did you mean 'load'"),
-    ("los", {"area": (300.0, -1.0)}, "area is -1: it must not be negative"),
+    ("los", {"area": (300.0, -1.0)}, "area is -1 m: it must be above 0"),
     ("los", {"area": (300.0,)}, "area is"),
     ("los", {"area": (300.0, 60.0)}, "area is 60 m: its side is 60"),
     ("los", {"area": "large"}, "area is 'large': a finite number"),

@@ -129,8 +129,8 @@ def _sides(area: Any) -> tuple[float, float]:
     single = not isinstance(area, list | tuple)
     given = (area, area) if single else as_sequence("area", area, 2)
     sides = (finite("area", given[0]), finite("area", given[1]))
-    if min(sides) < 0:
-        raise ValueError(f"area is {min(sides):g}: it must not be negative")
+    if min(sides) <= 0:
+        raise ValueError(f"area is {min(sides):g} m: it must be above 0")
     return sides
 
 

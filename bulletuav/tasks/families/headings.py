@@ -51,7 +51,7 @@ def headed(heading: Any, ways: np.ndarray, rng: np.random.Generator) -> np.ndarr
     """
     if isinstance(heading, str):
         return directions(ways if heading == "goal" else rng.normal(size=ways.shape))
-    angle = np.broadcast_to(np.radians(heading), len(ways))
+    angle = np.broadcast_to(np.radians(np.asarray(heading, dtype=float)), len(ways))
     return np.stack([cos(angle), sin(angle), np.zeros(len(ways))], axis=1)
 
 
