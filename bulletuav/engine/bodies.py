@@ -1,8 +1,10 @@
 """Makers of the bodies of an engine: ground, drones, solids, and the buildings of cities."""
 
 import tempfile
+import threading
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -32,6 +34,8 @@ MESH = 100_000
 """Corners of the triangles of a mesh; Bullet takes 131,072 vertices"""
 UNSEEN = 1e-3
 """Half the edge of a body that pictures do not show, m"""
+_HANDED = threading.local()
+"""Lists that Bullet is handed, and their rows, by what they are; of each thread"""
 
 Body = int
 """Number that Bullet gave a body"""
@@ -238,12 +242,29 @@ def make_city(
     ]
 
 
+def _handed(name: str, values: np.ndarray) -> list[Any]:
+    """Put numbers into a list for Bullet, the same list in each call.
+
+    PyBullet 3.2.7 never lets go of the lists of a mesh: new ones would fill the memory.
+    """
+    kept: tuple[list[Any], list[Any]] = _HANDED.__dict__.setdefault(name, ([], []))
+    handed, rows = kept
+    numbers = values.tolist()
+    if values.ndim > 1:
+        rows.extend([] for _ in range(len(numbers) - len(rows)))
+        for row, one in zip(rows, numbers, strict=False):
+            row[:] = one
+        numbers = rows[: len(numbers)]
+    handed[:] = numbers
+    return handed
+
+
 def _make_mesh(client: int, vertices: np.ndarray, triangles: np.ndarray) -> ShapeNumber:
     """Make a collision shape of triangles (T, 3) of vertices (V, 3), m."""
     mesh: ShapeNumber = bullet.createCollisionShape(
         bullet.GEOM_MESH,
-        vertices=vertices.tolist(),
-        indices=triangles.ravel().tolist(),
+        vertices=_handed("vertices", vertices),
+        indices=_handed("indices", triangles.ravel()),
         flags=bullet.GEOM_FORCE_CONCAVE_TRIMESH,
         physicsClientId=client,
     )
@@ -317,9 +338,9 @@ def _flat_visual(client: int, corner: np.ndarray, colour: Colour) -> ShapeNumber
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     visual: ShapeNumber = bullet.createVisualShape(
         bullet.GEOM_MESH,
-        vertices=corner.reshape(-1, 3).tolist(),
-        indices=list(range(corner.shape[0] * 3)),
-        normals=np.repeat(normal, 3, axis=0).tolist(),
+        vertices=_handed("vertices", corner.reshape(-1, 3)),
+        indices=_handed("indices", np.arange(corner.shape[0] * 3)),
+        normals=_handed("normals", np.repeat(normal, 3, axis=0)),
         rgbaColor=colour,
         specularColor=[0, 0, 0],
         physicsClientId=client,

@@ -1,6 +1,8 @@
 """Cities in worlds: what rays meet, what drones touch, and layouts that come and go."""
 
+import gc
 import os
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -522,3 +524,25 @@ def test_nothing_stands_in_a_city_without_buildings(make_city_bench):
         == 1
     )
     assert one.engine._bodies.layouts.facades(0) == []
+
+
+def test_a_life_in_a_city_leaves_no_memory_behind():
+    """PyBullet keeps the lists that it is handed; 60 kB of a small city stayed for good."""
+
+    def live():
+        aviary = bulletuav.Aviary("navigation", 1, num_layouts=1, area=250.0)
+        aviary.reset(seeds=0)
+        aviary.close()
+
+    live()
+    tracemalloc.start()
+    try:
+        live()
+        gc.collect()
+        before = tracemalloc.get_traced_memory()[0]
+        for _ in range(4):
+            live()
+        gc.collect()
+        assert tracemalloc.get_traced_memory()[0] - before < 20_000
+    finally:
+        tracemalloc.stop()
