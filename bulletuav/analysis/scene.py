@@ -81,7 +81,8 @@ class SceneLog:
         """Make the parts of the scene."""
         hulls = self._aviary.solids().hulls
         return {
-            "about": np.array(json.dumps(self._about())),
+            # Users may give NumPy's numbers.
+            "about": np.array(json.dumps(self._about(), default=float)),
             "rotor_speed": np.array(self._rotor_speed),
             "obstacle_quaternion": np.array(self._turns),
             "link": np.argwhere(np.array(self._links)),

@@ -74,7 +74,7 @@ class Payload:
         Args:
             about: What else there is to tell, as JSON can hold it.
         """
-        head = json.dumps({**about, "arrays": self._arrays}).encode()
+        head = json.dumps({**about, "arrays": self._arrays}, allow_nan=False).encode()
         head += b" " * (-len(head) % 4)
         block = len(head).to_bytes(4, "little") + head + b"".join(self._parts)
         return base64.b64encode(zlib.compress(block, 9)).decode()

@@ -19,8 +19,9 @@ from bulletuav.cli import main
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.policies import find_policy
 from bulletuav.report.payload import TYPES, Payload
-from bulletuav.report.replay import WEB, replay_run
+from bulletuav.report.replay import WEB, replay_run, write_replay
 from bulletuav.report.verification import Verifier
+from bulletuav.tasks import find_task
 
 ROOT = Path(__file__).parents[2]
 SHORT = {"num_drones": 3, "dynamics": "point_mass", "horizon": 20}
@@ -221,6 +222,50 @@ def test_obstacles_are_kept_with_their_shapes(tmp_path):
         assert np.linalg.norm(turn) == pytest.approx(1)
     colour = Obstacle("sphere", (1.0,)).colour
     assert all(len(told["colour"]) == len(colour) for told in about["obstacles"])
+
+
+@pytest.mark.parametrize("task", bulletuav.list_tasks())
+def test_every_task_replays(task, tmp_path):
+    horizon = {"race": 200, "pursuit": 400}.get(task, 3)
+    aviary = bulletuav.Aviary(task, horizon=horizon)
+    recording = fly_episode(aviary, find_policy("random")(aviary), 0)
+    write_replay(recording, task, tmp_path / "page.html")
+    block = Block(tmp_path / "page.html")
+    assert block.about["task"] == task
+    shown = {chart["title"] for chart in block.about["charts"] if chart["group"] == "Flight"}
+    numbers = {name for name in aviary.task.shows if name in recording.info}
+    assert {aviary.task.shows[name] for name in numbers} <= shown
+    aviary.close()
+
+
+def test_numbers_of_numpy_and_infinite_ones_are_no_trouble(tmp_path):
+    class Odd(find_task("hover")):
+        name = "odd"
+
+        def obstacles(self):
+            size = (np.float32(1.0), np.int64(2), np.float32(1.5))
+            return [Obstacle("box", size, colour=(np.float32(0.5),) * 3 + (1,))]
+
+        def spawn(self, rng):
+            return (
+                super()
+                .spawn(rng)
+                ._replace(obstacle=np.array([[50.0, 0, 5]]), obstacle_velocity=np.zeros((1, 3)))
+            )
+
+        def info(self, frame):
+            height = frame.after.position[..., 2]
+            return {"endless": height * np.inf, "none": height * np.nan, "huge": height * 1e200}
+
+    aviary = bulletuav.Aviary(Odd, num_drones=1, horizon=4, action="velocity")
+    recording = fly_episode(aviary, find_policy("stay")(aviary), 0)
+    write_replay(recording, "odd", tmp_path / "page.html")
+    block = Block(tmp_path / "page.html")
+    assert block.about["obstacles"][0]["half"] == [0.5, 1, 0.75]
+    by_title = {chart["title"]: chart["lines"][0]["series"] for chart in block.about["charts"]}
+    for name in ("endless", "none", "huge", "separation"):  # a single drone has no neighbour
+        assert np.isnan(block.series(by_title[name])[0]).all(), name
+    aviary.close()
 
 
 def test_recordings_of_version_4_verify_but_do_not_replay(copied, capsys):

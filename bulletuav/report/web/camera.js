@@ -21,10 +21,14 @@ export class View {
       canvas.addEventListener(name, (event) => this.fingers.delete(event.pointerId));
     }
     canvas.addEventListener("contextmenu", (event) => event.preventDefault());
-    canvas.addEventListener("wheel", (event) => {
-      event.preventDefault();
-      this.zoom(Math.exp(0.0012 * Math.max(-400, Math.min(400, event.deltaY))));
-    }, { passive: false });
+    canvas.addEventListener(
+      "wheel",
+      (event) => {
+        event.preventDefault();
+        this.zoom(Math.exp(0.0012 * Math.max(-400, Math.min(400, event.deltaY))));
+      },
+      { passive: false },
+    );
   }
 
   /** Look at everything, from the south-west and above. */
@@ -34,14 +38,19 @@ export class View {
     [this.azimuth, this.elevation, this.distance] = [-0.7 * Math.PI, 0.6, 1];
     this.update();
     // A corner is in the picture where it is no farther from the axis than its depth allows.
-    const tangent = Math.tan(FIELD_OF_VIEW * Math.PI / 360);
+    const tangent = Math.tan((FIELD_OF_VIEW * Math.PI) / 360);
     const across = tangent * this.camera.aspect * this.free[0];
     const upright = tangent * this.free[1];
     const turned = new Matrix3().setFromMatrix4(this.camera.matrixWorld).transpose();
     for (let corner = 0; corner < 8; corner += 1) {
-      const at = new Vector3(...[0, 1, 2].map((axis) => (corner >> axis & 1 ? high : low)[axis] - middle[axis]));
+      const at = new Vector3(
+        ...[0, 1, 2].map((axis) => ((corner >> axis) & 1 ? high : low)[axis] - middle[axis]),
+      );
       at.applyMatrix3(turned);
-      this.distance = Math.max(this.distance, MARGIN * Math.max(Math.abs(at.x) / across, Math.abs(at.y) / upright) + at.z);
+      this.distance = Math.max(
+        this.distance,
+        MARGIN * Math.max(Math.abs(at.x) / across, Math.abs(at.y) / upright) + at.z,
+      );
     }
     this.changed = true;
   }
@@ -94,10 +103,10 @@ export class View {
 
   /** Size of a pixel that is so far away, m. */
   pixelAt(distance) {
-    return 2 * distance * Math.tan(FIELD_OF_VIEW * Math.PI / 360) / this.height;
+    return (2 * distance * Math.tan((FIELD_OF_VIEW * Math.PI) / 360)) / this.height;
   }
 
-  /** Take a new size of the picture, of which some pixels on the right and below are under panels. */
+  /** Take a new size of the picture; panels cover some pixels on the right and below. */
   resize(width, height, right, below) {
     this.height = height;
     this.free = [1 - right / width, 1 - below / height];

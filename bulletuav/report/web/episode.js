@@ -28,7 +28,8 @@ export class Episode {
     this.share = Math.max(0, place - this.row);
     // A decision ends with its row: what it told holds while it lasts.
     this.decision = Math.min(Math.ceil(place - 1e-4), last);
-    for (const name of this.moving) this.payload.series(name).between(this.row, this.share, this[name]);
+    for (const name of this.moving)
+      this.payload.series(name).between(this.row, this.share, this[name]);
   }
 
   flies(drone) {

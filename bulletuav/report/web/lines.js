@@ -1,6 +1,15 @@
 // Lines some pixels wide, all of one kind in one draw call.
 
-import { Color, InstancedBufferAttribute, InstancedBufferGeometry, BufferAttribute, DoubleSide, Mesh, ShaderMaterial, Vector2 } from "./three.module.min.js";
+import {
+  Color,
+  InstancedBufferAttribute,
+  InstancedBufferGeometry,
+  BufferAttribute,
+  DoubleSide,
+  Mesh,
+  ShaderMaterial,
+  Vector2,
+} from "./three.module.min.js";
 
 const VERTEX = `
 attribute vec3 start;
@@ -28,11 +37,16 @@ void main() {
   gl_Position = place;
 }`;
 /** The same for circles about `centre`, level, whose line has a width of its own. */
-const RING = VERTEX
-  .replace("attribute vec3 start;\nattribute vec3 finish;", "attribute vec3 centre;\nattribute vec2 arc;\nattribute float thick;\nuniform float radius;")
-  .replace("void main() {", `void main() {
+const RING = VERTEX.replace(
+  "attribute vec3 start;\nattribute vec3 finish;",
+  "attribute vec3 centre;\nattribute vec2 arc;\nattribute float thick;\nuniform float radius;",
+)
+  .replace(
+    "void main() {",
+    `void main() {
   vec3 start = centre + radius * vec3(cos(arc.x), sin(arc.x), 0.0);
-  vec3 finish = centre + radius * vec3(cos(arc.y), sin(arc.y), 0.0);`)
+  vec3 finish = centre + radius * vec3(cos(arc.y), sin(arc.y), 0.0);`,
+  )
   .replace("position.y * width", "position.y * thick");
 const SIDES = 48;
 const FRAGMENT = `
@@ -58,10 +72,20 @@ export function setLineSize(width, height) {
 
 function lineMaterial(vertexShader, width, opacity, more = {}) {
   const uniforms = {
-    size: shared.size, width: { value: width }, opacity: { value: opacity }, now: { value: 0 }, reach: { value: 0 }, ...more,
+    size: shared.size,
+    width: { value: width },
+    opacity: { value: opacity },
+    now: { value: 0 },
+    reach: { value: 0 },
+    ...more,
   };
   return new ShaderMaterial({
-    uniforms, vertexShader, fragmentShader: FRAGMENT, transparent: true, depthWrite: false, side: DoubleSide,
+    uniforms,
+    vertexShader,
+    fragmentShader: FRAGMENT,
+    transparent: true,
+    depthWrite: false,
+    side: DoubleSide,
   });
 }
 
@@ -71,8 +95,16 @@ export class Lines extends Mesh {
     const geometry = new InstancedBufferGeometry();
     geometry.setAttribute("position", new BufferAttribute(CORNERS, 3));
     geometry.setIndex([0, 2, 1, 1, 2, 3]);
-    for (const [name, parts] of [["start", 3], ["finish", 3], ["tint", 3], ["when", 2]]) {
-      geometry.setAttribute(name, new InstancedBufferAttribute(new Float32Array(most * parts), parts));
+    for (const [name, parts] of [
+      ["start", 3],
+      ["finish", 3],
+      ["tint", 3],
+      ["when", 2],
+    ]) {
+      geometry.setAttribute(
+        name,
+        new InstancedBufferAttribute(new Float32Array(most * parts), parts),
+      );
     }
     geometry.instanceCount = 0;
     super(geometry, lineMaterial(VERTEX, width, opacity));
@@ -101,15 +133,22 @@ export class Rings extends Mesh {
     const [position, arc, index] = [[], [], []];
     for (let k = 0; k < SIDES; k += 1) {
       position.push(...CORNERS);
-      const ends = [2 * Math.PI * k / SIDES, 2 * Math.PI * (k + 1) / SIDES];
+      const ends = [(2 * Math.PI * k) / SIDES, (2 * Math.PI * (k + 1)) / SIDES];
       for (let corner = 0; corner < 4; corner += 1) arc.push(...ends);
       index.push(...[0, 2, 1, 1, 2, 3].map((corner) => 4 * k + corner));
     }
     geometry.setAttribute("position", new BufferAttribute(new Float32Array(position), 3));
     geometry.setAttribute("arc", new BufferAttribute(new Float32Array(arc), 2));
     geometry.setIndex(index);
-    for (const [name, parts] of [["centre", 3], ["tint", 3], ["thick", 1]]) {
-      geometry.setAttribute(name, new InstancedBufferAttribute(new Float32Array(count * parts), parts));
+    for (const [name, parts] of [
+      ["centre", 3],
+      ["tint", 3],
+      ["thick", 1],
+    ]) {
+      geometry.setAttribute(
+        name,
+        new InstancedBufferAttribute(new Float32Array(count * parts), parts),
+      );
     }
     super(geometry, lineMaterial(RING, 1, 0.9, { radius: { value: radius } }));
     this.frustumCulled = false;
@@ -149,7 +188,16 @@ export class Trails {
         position.between(row + 1, 0, to);
         for (let k = 0; k < drones; k += 1) {
           if (row >= episode.end[k]) continue;
-          lines.put(count, from, 3 * k, to, 3 * k, hues[k], episode.times[row], episode.times[row + 1]);
+          lines.put(
+            count,
+            from,
+            3 * k,
+            to,
+            3 * k,
+            hues[k],
+            episode.times[row],
+            episode.times[row + 1],
+          );
           count += 1;
         }
       }

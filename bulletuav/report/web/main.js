@@ -12,7 +12,21 @@ import { Service } from "./service.js";
 import { extent, World } from "./world.js";
 
 const COLOURS = [
-  "sky", "land", "grid", "building", "edge", "ring", "conflict", "goal", "seen", "unseen", "link", "beam", "miss", "contact",
+  "sky",
+  "land",
+  "grid",
+  "building",
+  "edge",
+  "ring",
+  "conflict",
+  "goal",
+  "seen",
+  "unseen",
+  "link",
+  "beam",
+  "miss",
+  "contact",
+  "glow",
 ];
 const PICK = 24; // pixels from a drone within which a click chooses it
 const KEPT = 600; // pictures whose times are kept
@@ -30,19 +44,33 @@ class Player {
     this.drones = new Drones(this.episode);
     this.service = new Service(this.episode);
     this.scene.add(this.world, this.drones, this.service);
-    Object.assign(this, { chosen: 0, speed: 1, playing: false, following: false, reach: 5, trueSize: false });
+    Object.assign(this, {
+      chosen: 0,
+      speed: 1,
+      playing: false,
+      following: false,
+      reach: 5,
+      trueSize: false,
+    });
     this.stats = { script: [], calls: 0, pictures: 0 }; // ms of scripts, draw calls, count
     const { about } = this.episode;
     this.layers = {
-      trails: this.drones.trails, rings: this.drones.rings, stems: this.drones.stems,
-      goals: about.goals && this.drones.goals, contacts: this.drones.contactRows.length && this.drones.contacts,
-      users: about.users && this.service.users, links: this.service.hasLinks && this.service.links,
-      beams: this.service.ranges && this.service.beams, city: this.world.city,
+      trails: this.drones.trails,
+      rings: this.drones.rings,
+      stems: this.drones.stems,
+      goals: about.goals && this.drones.goals,
+      contacts: this.drones.contactRows.length && this.drones.contacts,
+      users: about.users && this.service.users,
+      links: this.service.hasLinks && this.service.links,
+      beams: this.service.ranges && this.service.beams,
+      city: this.world.city,
     };
     this.plots = new Plots(this.episode, byId("charts"), (time) => this.seek(time));
     this.spot = new Vector3();
     connect(this);
-    this.canvas.addEventListener("pointerdown", (event) => { this.pressed = [event.clientX, event.clientY]; });
+    this.canvas.addEventListener("pointerdown", (event) => {
+      this.pressed = [event.clientX, event.clientY];
+    });
     this.canvas.addEventListener("click", (event) => this.pick(event));
     new ResizeObserver(() => this.resize()).observe(this.canvas);
     this.setTheme(matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
@@ -116,7 +144,10 @@ class Player {
     this.theme = theme;
     document.documentElement.dataset.theme = theme;
     const style = getComputedStyle(document.documentElement);
-    const told = COLOURS.map((name) => [name, new Color(style.getPropertyValue(`--${name}`).trim())]);
+    const told = COLOURS.map((name) => [
+      name,
+      new Color(style.getPropertyValue(`--${name}`).trim()),
+    ]);
     const palette = Object.fromEntries(told);
     this.scene.background = palette.sky;
     for (const part of [this.world, this.drones, this.service]) part.paint(palette);
@@ -130,17 +161,23 @@ class Player {
     const { layers } = this;
     const { d_safe: safe } = this.episode.about;
     const entries = [
-      ["conflict", `nearer than d_safe ${safe} m`, true], ["goal", "way to goal", layers.goals],
-      ["seen", "target in sight", layers.users], ["unseen", "target out of sight", layers.users],
-      ["link", "serves", layers.links], ["beam", "range measured", layers.beams], ["contact", "contact", layers.contacts],
+      ["conflict", `nearer than d_safe ${safe} m`, true],
+      ["goal", "way to goal", layers.goals],
+      ["seen", "target in sight", layers.users],
+      ["unseen", "target out of sight", layers.users],
+      ["link", "serves", layers.links],
+      ["beam", "range measured", layers.beams],
+      ["contact", "contact", layers.contacts],
     ].filter(([, , there]) => there);
-    byId("key").replaceChildren(...entries.map(([name, text]) => {
-      const item = document.createElement("li");
-      const chip = document.createElement("i");
-      chip.style.background = `var(--${name})`;
-      item.append(chip, text);
-      return item;
-    }));
+    byId("key").replaceChildren(
+      ...entries.map(([name, text]) => {
+        const item = document.createElement("li");
+        const chip = document.createElement("i");
+        chip.style.background = `var(--${name})`;
+        item.append(chip, text);
+        return item;
+      }),
+    );
   }
 
   resize() {
@@ -164,7 +201,7 @@ class Player {
   project(drone) {
     const at = this.spot.fromArray(this.episode.position, 3 * drone).project(this.view.camera);
     if (at.z > 1) return null;
-    return [(1 + at.x) / 2 * this.size[0], (1 - at.y) / 2 * this.size[1]];
+    return [((1 + at.x) / 2) * this.size[0], ((1 - at.y) / 2) * this.size[1]];
   }
 
   pick(event) {
@@ -218,12 +255,18 @@ class Player {
     byId("clock").textContent = `${episode.time.toFixed(1)} / ${episode.duration.toFixed(1)} s`;
     byId("scrub").value = episode.time;
     const [x, y, z] = episode.position.subarray(3 * chosen, 3 * chosen + 3);
-    const now = !episode.flies(chosen) ? "has finished" : episode.inConflict(chosen) ? "in conflict" : "flies";
+    const now = !episode.flies(chosen)
+      ? "has finished"
+      : episode.inConflict(chosen)
+        ? "in conflict"
+        : "flies";
     byId("state").textContent = `${now}, at ${x.toFixed(1)}, ${y.toFixed(1)}, ${z.toFixed(1)} m`;
     const at = this.project(chosen);
     byId("tag").hidden = !at;
     byId("tag").textContent = `drone_${chosen}`;
-    if (at) byId("tag").style.transform = `translate(${(at[0] + 16).toFixed(0)}px, ${(at[1] - 26).toFixed(0)}px)`;
+    if (at)
+      byId("tag").style.transform =
+        `translate(${(at[0] + 16).toFixed(0)}px, ${(at[1] - 26).toFixed(0)}px)`;
     this.plots.update();
   }
 }

@@ -53,7 +53,9 @@ export class Payload {
 
   series(name) {
     if (!this.known.has(name)) {
-      const [codes, low, step] = ["codes", "low", "step"].map((part) => this.array(`${name} ${part}`));
+      const [codes, low, step] = ["codes", "low", "step"].map((part) =>
+        this.array(`${name} ${part}`),
+      );
       this.known.set(name, new Series(codes, low, step, this.about.rows));
     }
     return this.known.get(name);

@@ -8,8 +8,9 @@ const OPEN = ["Flight", "Reward"];
 function written(value) {
   if (!Number.isFinite(value)) return "–";
   const size = Math.abs(value);
-  if (size !== 0 && (size < 0.001 || size >= 1e5)) return value.toExponential(1);
-  return value.toFixed(size < 10 ? 2 : size < 1000 ? 1 : 0);
+  if (size !== 0 && (size < 0.001 || size >= 1e7)) return value.toExponential(1);
+  const text = value.toFixed(size < 10 ? 2 : size < 1000 ? 1 : 0);
+  return Number(text) === 0 ? text.replace("-", "") : text;
 }
 
 function element(tag, parent, text = "") {
@@ -21,28 +22,42 @@ function element(tag, parent, text = "") {
 
 /** Colour of one line of several. */
 function lineColour(k, count, ink) {
-  return count === 1 ? ink : `hsl(${(210 + 360 * k / count) % 360} 65% 52%)`;
+  return count === 1 ? ink : `hsl(${(210 + (360 * k) / count) % 360} 65% 52%)`;
 }
 
 class Plot {
   constructor(chart, episode, parent, seek) {
     this.chart = chart;
     this.episode = episode;
-    this.lines = chart.lines.map((line) => ({ ...line, values: episode.payload.series(line.series) }));
+    this.lines = chart.lines.map((line) => ({
+      ...line,
+      values: episode.payload.series(line.series),
+    }));
     const figure = element("figure", parent);
     const caption = element("figcaption", figure);
     element("b", caption, chart.unit ? `${chart.title} (${chart.unit})` : chart.title);
-    this.value = element("span", caption);
+    const values = element("span", caption);
+    const count = this.lines.length;
+    this.values = this.lines
+      .slice(0, count > MOST_NAMES ? 0 : count)
+      .map(() => element("span", values));
+    if (!this.values.length) values.textContent = `${count} lines`;
     this.canvas = element("canvas", figure);
     this.cursor = element("div", figure);
     this.cursor.className = "cursor";
     this.canvas.addEventListener("pointerdown", (event) => this.point(event, seek));
-    this.canvas.addEventListener("pointermove", (event) => event.buttons && this.point(event, seek));
+    this.canvas.addEventListener(
+      "pointermove",
+      (event) => event.buttons && this.point(event, seek),
+    );
   }
 
   point(event, seek) {
     const box = this.canvas.getBoundingClientRect();
-    seek(this.episode.duration * Math.min(1, Math.max(0, (event.clientX - box.left - GUTTER) / (box.width - GUTTER))));
+    seek(
+      this.episode.duration *
+        Math.min(1, Math.max(0, (event.clientX - box.left - GUTTER) / (box.width - GUTTER))),
+    );
   }
 
   at(row, line, drone) {
@@ -76,6 +91,7 @@ class Plot {
     }
     this.lines.forEach((line, k) => {
       pen.strokeStyle = lineColour(k, this.lines.length, style.accent);
+      if (this.values[k] && this.lines.length > 1) this.values[k].style.color = pen.strokeStyle;
       pen.lineWidth = 1.3;
       pen.beginPath();
       let joined = false;
@@ -110,13 +126,14 @@ class Plot {
 
   update(drone) {
     const { time, duration, decision, end } = this.episode;
-    this.cursor.style.transform = `translateX(${(GUTTER + (this.width - GUTTER) * time / duration).toFixed(1)}px)`;
+    const along = GUTTER + ((this.width - GUTTER) * time) / duration;
+    this.cursor.style.transform = `translateX(${along.toFixed(1)}px)`;
     const row = Math.min(decision, end[drone]);
-    const told = this.lines.slice(0, MOST_NAMES).map((line) => {
-      const value = written(this.at(row, line, drone));
-      return this.lines.length > 1 ? `${line.name.split(" ").pop()} ${value}` : value;
+    this.values.forEach((place, k) => {
+      const line = this.lines[k];
+      const name = this.lines.length > 1 ? ` ${line.name.split(" ").pop()} ` : "";
+      place.textContent = name + written(this.at(row, line, drone));
     });
-    this.value.textContent = this.lines.length > MOST_NAMES ? `${this.lines.length} lines` : told.join("  ");
   }
 }
 
@@ -141,14 +158,18 @@ export class Plots {
   }
 
   shown() {
-    return [...this.groups.values()].filter(({ details }) => details.open).flatMap(({ plots }) => plots);
+    return [...this.groups.values()]
+      .filter(({ details }) => details.open)
+      .flatMap(({ plots }) => plots);
   }
 
   draw(drone = this.drone) {
     this.drone = drone;
     const colours = getComputedStyle(document.documentElement);
     const names = ["line", "accent", "faint", "conflict"];
-    const style = Object.fromEntries(names.map((name) => [name, colours.getPropertyValue(`--${name}`).trim()]));
+    const style = Object.fromEntries(
+      names.map((name) => [name, colours.getPropertyValue(`--${name}`).trim()]),
+    );
     for (const plot of this.shown()) plot.draw(drone, style);
     this.update();
   }

@@ -1,6 +1,14 @@
 // Users on the ground, the links that serve them, and the beams of the chosen drone's range finder.
 
-import { CylinderGeometry, Group, InstancedBufferAttribute, InstancedMesh, MeshLambertMaterial, SphereGeometry, Color } from "./three.module.min.js";
+import {
+  CylinderGeometry,
+  Group,
+  InstancedBufferAttribute,
+  InstancedMesh,
+  MeshLambertMaterial,
+  SphereGeometry,
+  Color,
+} from "./three.module.min.js";
 import { Lines } from "./lines.js";
 import { joined, pose, writePose } from "./shapes.js";
 
@@ -25,19 +33,23 @@ export class Service extends Group {
     this.walk = payload.series("target").step.some((step) => step > 0);
     const figure = this.walk ? person() : new SphereGeometry(0.5, 10, 8);
     this.users = new InstancedMesh(figure, new MeshLambertMaterial(), Math.max(1, about.users));
-    this.users.instanceColor = new InstancedBufferAttribute(new Float32Array(3 * Math.max(1, about.users)), 3);
+    this.users.instanceColor = new InstancedBufferAttribute(
+      new Float32Array(3 * Math.max(1, about.users)),
+      3,
+    );
     this.users.frustumCulled = false;
     this.users.count = about.users;
     this.who = payload.array("link_drone");
     this.whom = payload.array("link_target");
     this.begins = payload.array("link_start");
     let most = 1;
-    for (let row = 0; row < about.rows; row += 1) most = Math.max(most, this.begins[row + 1] - this.begins[row]);
+    for (let row = 0; row < about.rows; row += 1)
+      most = Math.max(most, this.begins[row + 1] - this.begins[row]);
     this.links = new Lines(most, 1.5, 0.75);
     this.hasLinks = this.who.length > 0;
     this.ranges = payload.has("reading/lidar") ? payload.series("reading/lidar") : null;
     const directions = about.lidar.beams.map(([azimuth, elevation]) => {
-      const [a, e] = [azimuth * Math.PI / 180, elevation * Math.PI / 180];
+      const [a, e] = [(azimuth * Math.PI) / 180, (elevation * Math.PI) / 180];
       return [Math.cos(e) * Math.cos(a), Math.cos(e) * Math.sin(a), Math.sin(e)];
     });
     this.directions = directions;
@@ -55,7 +67,7 @@ export class Service extends Group {
     const { target: at, about } = this.episode;
     for (let k = 0; k < about.users; k += 1) {
       const [x, y, z] = [at[3 * k], at[3 * k + 1], at[3 * k + 2]];
-      const scale = trueSize ? 1 : Math.max(1, SMALLEST * pixel(x, y, z) / TALL);
+      const scale = trueSize ? 1 : Math.max(1, (SMALLEST * pixel(x, y, z)) / TALL);
       // Targets are at the height of what a user holds: figures stand on the ground below.
       const foot = this.walk ? Math.max(0, z - TALL) : z;
       writePose(this.users.instanceMatrix.array, 16 * k, x, y, foot, 0, 0, 0, 1, scale);
@@ -71,7 +83,14 @@ export class Service extends Group {
     const first = this.begins[row];
     const count = this.begins[row + 1] - first;
     for (let k = 0; k < count; k += 1) {
-      this.links.put(k, position, 3 * this.who[first + k], target, 3 * this.whom[first + k], this.palette.link);
+      this.links.put(
+        k,
+        position,
+        3 * this.who[first + k],
+        target,
+        3 * this.whom[first + k],
+        this.palette.link,
+      );
     }
     this.links.show(count);
   }

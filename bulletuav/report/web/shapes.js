@@ -1,13 +1,24 @@
 // Geometries of the package's shapes, and several of them joined to one.
 
-import { BoxGeometry, BufferAttribute, BufferGeometry, Color, CylinderGeometry, Matrix4, Quaternion, SphereGeometry, Vector3 } from "./three.module.min.js";
+import {
+  BoxGeometry,
+  BufferAttribute,
+  BufferGeometry,
+  Color,
+  CylinderGeometry,
+  Matrix4,
+  Quaternion,
+  SphereGeometry,
+  Vector3,
+} from "./three.module.min.js";
 
 const [SPHERE, CYLINDER, BOX] = [0, 1, 2]; // numbers of geometry/shapes.py
 
 /** Geometry of a shape about its own origin. */
 export function shapeGeometry({ kind, half, corners, triangles }) {
   if (kind === SPHERE) return new SphereGeometry(half[0], 20, 14);
-  if (kind === CYLINDER) return new CylinderGeometry(half[0], half[0], 2 * half[2], 24).rotateX(Math.PI / 2);
+  if (kind === CYLINDER)
+    return new CylinderGeometry(half[0], half[0], 2 * half[2], 24).rotateX(Math.PI / 2);
   if (kind === BOX) return new BoxGeometry(2 * half[0], 2 * half[1], 2 * half[2]);
   const hull = new BufferGeometry();
   hull.setAttribute("position", new BufferAttribute(new Float32Array(corners.flat()), 3));
@@ -30,7 +41,11 @@ export function joined(parts) {
     for (let k = 0; k < flat.attributes.position.count; k += 1) colour.push(hue.r, hue.g, hue.b);
   }
   const whole = new BufferGeometry();
-  for (const [name, values] of [["position", position], ["normal", normal], ["color", colour]]) {
+  for (const [name, values] of [
+    ["position", position],
+    ["normal", normal],
+    ["color", colour],
+  ]) {
     whole.setAttribute(name, new BufferAttribute(new Float32Array(values), 3));
   }
   return whole;
@@ -38,7 +53,11 @@ export function joined(parts) {
 
 /** A place: where, how turned, how large. */
 export function pose(position, quaternion = [0, 0, 0, 1], scale = [1, 1, 1]) {
-  return new Matrix4().compose(new Vector3(...position), new Quaternion(...quaternion), new Vector3(...scale));
+  return new Matrix4().compose(
+    new Vector3(...position),
+    new Quaternion(...quaternion),
+    new Vector3(...scale),
+  );
 }
 
 /** Colour of [red, green, blue], as sRGB. */

@@ -1,8 +1,22 @@
 // What stands around: ground, city, obstacles, light.
 
 import {
-  BatchedMesh, BufferAttribute, BufferGeometry, CircleGeometry, Color, DirectionalLight, DoubleSide, EdgesGeometry, Group,
-  HemisphereLight, LineBasicMaterial, LineSegments, Matrix4, Mesh, MeshLambertMaterial, ShaderMaterial,
+  BatchedMesh,
+  BufferAttribute,
+  BufferGeometry,
+  CircleGeometry,
+  Color,
+  DirectionalLight,
+  DoubleSide,
+  EdgesGeometry,
+  Group,
+  HemisphereLight,
+  LineBasicMaterial,
+  LineSegments,
+  Matrix4,
+  Mesh,
+  MeshLambertMaterial,
+  ShaderMaterial,
 } from "./three.module.min.js";
 import { hue, joined, shapeGeometry, writePose } from "./shapes.js";
 
@@ -43,6 +57,11 @@ export function extent(episode) {
     low[k % 3] = Math.min(low[k % 3], corners[k]);
     high[k % 3] = Math.max(high[k % 3], corners[k]);
   }
+  // Rings reach over what they are about.
+  for (const axis of [0, 1]) {
+    low[axis] -= 0.5 * episode.about.d_safe;
+    high[axis] += 0.5 * episode.about.d_safe;
+  }
   const middle = low.map((least, axis) => (least + high[axis]) / 2);
   const size = Math.max(1, Math.hypot(...low.map((least, axis) => high[axis] - least)));
   return { low, high, middle, size };
@@ -51,9 +70,12 @@ export function extent(episode) {
 /** The nearest of 1, 2, 5, 10, 20, ... to a length, m. */
 function roundLength(length) {
   const power = 10 ** Math.floor(Math.log10(length));
-  return power * [1, 2, 5, 10].reduce((best, one) => (
-    Math.abs(one - length / power) < Math.abs(best - length / power) ? one : best
-  ));
+  return (
+    power *
+    [1, 2, 5, 10].reduce((best, one) =>
+      Math.abs(one - length / power) < Math.abs(best - length / power) ? one : best,
+    )
+  );
 }
 
 export class World extends Group {
@@ -70,15 +92,21 @@ export class World extends Group {
   }
 
   addGround(middle, size) {
-    this.ground = new Mesh(new CircleGeometry(REACH * size, 64), new ShaderMaterial({
-      uniforms: {
-        land: { value: new Color() }, grid: { value: new Color() }, sky: { value: new Color() },
-        pitch: { value: roundLength(size / 12) }, reach: { value: REACH * size },
-      },
-      vertexShader: GROUND_VERTEX,
-      fragmentShader: GROUND_FRAGMENT,
-      depthWrite: false,
-    }));
+    this.ground = new Mesh(
+      new CircleGeometry(REACH * size, 64),
+      new ShaderMaterial({
+        uniforms: {
+          land: { value: new Color() },
+          grid: { value: new Color() },
+          sky: { value: new Color() },
+          pitch: { value: roundLength(size / 12) },
+          reach: { value: REACH * size },
+        },
+        vertexShader: GROUND_VERTEX,
+        fragmentShader: GROUND_FRAGMENT,
+        depthWrite: false,
+      }),
+    );
     // Drawn before all else and without depth: nothing is below it.
     this.ground.renderOrder = -1;
     this.ground.position.set(middle[0], middle[1], 0);
@@ -102,12 +130,21 @@ export class World extends Group {
       shade.fill(bright, 3 * k, 3 * k + 3);
     }
     flat.setAttribute("color", new BufferAttribute(shade, 3));
-    this.city = new Mesh(flat, new MeshLambertMaterial({
-      vertexColors: true, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1,
-    }));
+    this.city = new Mesh(
+      flat,
+      new MeshLambertMaterial({
+        vertexColors: true,
+        polygonOffset: true,
+        polygonOffsetFactor: 1,
+        polygonOffsetUnits: 1,
+      }),
+    );
     this.add(this.city);
     if (place.count < 3 * MOST_EDGES) {
-      this.edges = new LineSegments(new EdgesGeometry(whole, 20), new LineBasicMaterial({ transparent: true, opacity: 0.55 }));
+      this.edges = new LineSegments(
+        new EdgesGeometry(whole, 20),
+        new LineBasicMaterial({ transparent: true, opacity: 0.55 }),
+      );
       this.add(this.edges);
     }
   }
@@ -119,10 +156,17 @@ export class World extends Group {
     for (const one of obstacles) {
       const key = JSON.stringify([one.kind, one.half, one.corners]);
       one.key = key;
-      const white = { geometry: shapeGeometry(one), matrix: new Matrix4(), hue: new Color(1, 1, 1) };
+      const white = {
+        geometry: shapeGeometry(one),
+        matrix: new Matrix4(),
+        hue: new Color(1, 1, 1),
+      };
       if (!known.has(key)) known.set(key, joined([white]));
     }
-    const corners = [...known.values()].reduce((sum, one) => sum + one.attributes.position.count, 0);
+    const corners = [...known.values()].reduce(
+      (sum, one) => sum + one.attributes.position.count,
+      0,
+    );
     const material = new MeshLambertMaterial({ side: DoubleSide });
     this.bodies = new BatchedMesh(obstacles.length, corners, 1, material);
     this.bodies.perObjectFrustumCulled = false;
@@ -133,7 +177,9 @@ export class World extends Group {
       const id = this.bodies.addInstance(shapes.get(one.key));
       this.bodies.setColorAt(id, hue(one.colour));
     }
-    const steps = ["obstacle", "obstacle_quaternion"].map((name) => this.episode.payload.series(name).step);
+    const steps = ["obstacle", "obstacle_quaternion"].map(
+      (name) => this.episode.payload.series(name).step,
+    );
     this.obstaclesMove = steps.some((step) => step.some((one) => one > 0));
     this.matrix4 = new Matrix4();
     this.placeObstacles();
@@ -144,8 +190,18 @@ export class World extends Group {
     const { obstacle, obstacle_quaternion: turn, about } = this.episode;
     for (let k = 0; k < about.obstacles.length; k += 1) {
       const [p, q] = [3 * k, 4 * k];
-      writePose(this.matrix4.elements, 0, obstacle[p], obstacle[p + 1], obstacle[p + 2],
-        turn[q], turn[q + 1], turn[q + 2], turn[q + 3], 1);
+      writePose(
+        this.matrix4.elements,
+        0,
+        obstacle[p],
+        obstacle[p + 1],
+        obstacle[p + 2],
+        turn[q],
+        turn[q + 1],
+        turn[q + 2],
+        turn[q + 3],
+        1,
+      );
       this.bodies.setMatrixAt(k, this.matrix4);
     }
   }
@@ -155,7 +211,8 @@ export class World extends Group {
   }
 
   paint(palette) {
-    for (const name of ["land", "grid", "sky"]) this.ground.material.uniforms[name].value = palette[name];
+    for (const name of ["land", "grid", "sky"])
+      this.ground.material.uniforms[name].value = palette[name];
     if (this.city) this.city.material.color = palette.building;
     if (this.edges) this.edges.material.color = palette.edge;
   }
