@@ -76,7 +76,8 @@ def table(flown: dict[str, float], shown: dict[str, dict[str, float]]) -> str:
         f"100 drones, {flown['duration']:g} s, {flown['buildings']:g} buildings, range finders "
         f"of 16 beams: a page of {flown['size']:.2f} MB (goal: {GOALS['size']:g}), written in "
         f"{flown['writing']:.1f} s. Chromium draws with the processor alone (SwiftShader), "
-        f"{os.cpu_count()} cores, {platform.machine()}, 1280 x 760 pixels.",
+        f"{os.cpu_count()} cores, {platform.machine()}, 1280 x 760 pixels, at a load average of "
+        f"{os.getloadavg()[0]:.1f}.",
         "",
         "| view | can be used after (s) | script a picture: median, 95 %, most (ms) | draw calls "
         "| pictures a second |",

@@ -177,14 +177,15 @@ def test_users_links_and_beams_are_drawn(browser, tmp_path):
     browser.open(tmp_path / "users.html", "#time=3")
     row = int(browser.tell("replay.episode.row"))
     links = (service.scene["link"][:, 0] == row).sum()
-    assert browser.tell("replay.layers.links.geometry.instanceCount") == links > 0
+    assert browser.tell("replay.layers.links.geometry.drawRange.count") == 6 * links > 0
     assert browser.tell("replay.layers.users.count") == 12
+    assert browser.tell("replay.stats.calls") < 20
     flown = recorded("lidar_navigation", "straight", num_drones=2, area=200.0, leg=50.0, horizon=6)
     write_replay(flown, "beams", tmp_path / "beams.html")
     browser.open(tmp_path / "beams.html", "#drone=1")
     beams = browser.tell("[...replay.layers.beams.geometry.attributes.finish.array]")
     ranges = flown.reading["lidar"][0, 1]
-    away = np.array(beams[: 3 * len(ranges)]).reshape(-1, 3) - flown.position[0, 1]
+    away = np.array(beams[: 12 * len(ranges)]).reshape(-1, 4, 3)[:, 0] - flown.position[0, 1]
     np.testing.assert_allclose(np.linalg.norm(away, axis=1), ranges, atol=0.01)
     assert browser.messages == []
 

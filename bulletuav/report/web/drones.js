@@ -161,8 +161,7 @@ export class Drones extends Group {
         ),
     );
     this.sizes = kinds.map((kind) => 2 * airframes[kind].radius);
-    this.trails = new Group();
-    this.trailPieces = new Trails(episode, this.trails);
+    this.trails = new Trails(episode);
     this.rings = new Rings(drones, 0.5 * about.d_safe);
     this.stems = new Lines(drones + 1, 1, 0.6);
     this.goals = instances(
@@ -191,7 +190,7 @@ export class Drones extends Group {
       this.scales[k] = trueSize ? 1 : Math.max(1, least / this.sizes[k]);
     }
     for (const fleet of this.fleets) fleet.update(this.episode, this.scales, seconds);
-    this.trailPieces.update(this.episode.time, reach);
+    this.trails.update(reach);
     this.placeRings();
     this.placeStems(chosen);
     this.placeGoals(pixel);

@@ -5,6 +5,7 @@ import {
   InstancedBufferAttribute,
   InstancedBufferGeometry,
   BufferAttribute,
+  BufferGeometry,
   DoubleSide,
   Mesh,
   ShaderMaterial,
@@ -12,6 +13,7 @@ import {
 } from "./three.module.min.js";
 
 const VERTEX = `
+attribute vec2 corner;
 attribute vec3 start;
 attribute vec3 finish;
 attribute vec3 tint;
@@ -30,10 +32,10 @@ void main() {
   vec2 way = (b.xy / b.w - a.xy / a.w) * size;
   float span = length(way);
   vec2 across = span > 0.0 ? vec2(-way.y, way.x) / span : vec2(0.0, 1.0);
-  vec4 place = mix(a, b, position.x);
-  place.xy += across * position.y * width / size * place.w;
+  vec4 place = mix(a, b, corner.x);
+  place.xy += across * corner.y * width / size * place.w;
   hue = tint;
-  moment = mix(when.x, when.y, position.x);
+  moment = mix(when.x, when.y, corner.x);
   gl_Position = place;
 }`;
 /** The same for circles about `centre`, level, whose line has a width of its own. */
@@ -47,7 +49,7 @@ const RING = VERTEX.replace(
   vec3 start = centre + radius * vec3(cos(arc.x), sin(arc.x), 0.0);
   vec3 finish = centre + radius * vec3(cos(arc.y), sin(arc.y), 0.0);`,
   )
-  .replace("position.y * width", "position.y * thick");
+  .replace("corner.y * width", "corner.y * thick");
 const SIDES = 48;
 const FRAGMENT = `
 uniform float now;
@@ -62,7 +64,8 @@ void main() {
   gl_FragColor = vec4(hue, opacity * (reach > 0.0 ? 1.0 - 0.85 * age / reach : 1.0));
   #include <colorspace_fragment>
 }`;
-const CORNERS = new Float32Array([0, -1, 0, 1, -1, 0, 0, 1, 0, 1, 1, 0]);
+const CORNERS = [0, -1, 1, -1, 0, 1, 1, 1]; // of a line: along it, across it
+const TRIANGLES = [0, 2, 1, 1, 2, 3];
 const shared = { size: { value: new Vector2(1, 1) } };
 
 /** Tell lines how large the picture is, pixels. */
@@ -89,24 +92,26 @@ function lineMaterial(vertexShader, width, opacity, more = {}) {
   });
 }
 
-/** Up to `most` lines; `put` them from 0 on, then tell by `show` how many there are. */
+/**
+ * Up to `most` lines; `put` them from 0 on, then tell by `show` how many there are.
+ *
+ * Each has four corners of its own: where the processor draws, instances as small are slow.
+ */
 export class Lines extends Mesh {
   constructor(most, width, opacity = 1) {
-    const geometry = new InstancedBufferGeometry();
-    geometry.setAttribute("position", new BufferAttribute(CORNERS, 3));
-    geometry.setIndex([0, 2, 1, 1, 2, 3]);
-    for (const [name, parts] of [
-      ["start", 3],
-      ["finish", 3],
-      ["tint", 3],
-      ["when", 2],
-    ]) {
-      geometry.setAttribute(
-        name,
-        new InstancedBufferAttribute(new Float32Array(most * parts), parts),
-      );
+    const geometry = new BufferGeometry();
+    const corner = new Float32Array(8 * most);
+    const index = new Uint32Array(6 * most);
+    for (let k = 0; k < most; k += 1) {
+      corner.set(CORNERS, 8 * k);
+      for (let part = 0; part < 6; part += 1) index[6 * k + part] = 4 * k + TRIANGLES[part];
     }
-    geometry.instanceCount = 0;
+    geometry.setIndex(new BufferAttribute(index, 1));
+    geometry.setAttribute("corner", new BufferAttribute(corner, 2));
+    geometry.setAttribute("start", new BufferAttribute(new Float32Array(12 * most), 3));
+    geometry.setAttribute("finish", new BufferAttribute(new Float32Array(12 * most), 3));
+    geometry.setAttribute("tint", new BufferAttribute(new Uint8Array(16 * most), 4, true));
+    geometry.setAttribute("when", new BufferAttribute(new Float32Array(8 * most), 2));
     super(geometry, lineMaterial(VERTEX, width, opacity));
     this.frustumCulled = false;
     this.parts = ["start", "finish", "tint", "when"].map((name) => geometry.attributes[name]);
@@ -114,15 +119,24 @@ export class Lines extends Mesh {
 
   put(k, from, fromAt, to, toAt, colour, whenFrom = 0, whenTo = 0) {
     const [start, finish, tint, when] = this.parts;
-    start.setXYZ(k, from[fromAt], from[fromAt + 1], from[fromAt + 2]);
-    finish.setXYZ(k, to[toAt], to[toAt + 1], to[toAt + 2]);
-    tint.setXYZ(k, colour.r, colour.g, colour.b);
-    when.setXY(k, whenFrom, whenTo);
+    for (let v = 4 * k; v < 4 * k + 4; v += 1) {
+      for (let axis = 0; axis < 3; axis += 1) {
+        start.array[3 * v + axis] = from[fromAt + axis];
+        finish.array[3 * v + axis] = to[toAt + axis];
+      }
+      tint.setXYZ(v, colour.r, colour.g, colour.b);
+      when.array[2 * v] = whenFrom;
+      when.array[2 * v + 1] = whenTo;
+    }
   }
 
   show(count) {
-    this.geometry.instanceCount = count;
-    for (const part of this.parts) part.needsUpdate = true;
+    this.geometry.setDrawRange(0, 6 * count);
+    for (const part of this.parts) {
+      part.clearUpdateRanges();
+      part.addUpdateRange(0, 4 * count * part.itemSize);
+      part.needsUpdate = count > 0;
+    }
   }
 }
 
@@ -130,14 +144,14 @@ export class Lines extends Mesh {
 export class Rings extends Mesh {
   constructor(count, radius) {
     const geometry = new InstancedBufferGeometry();
-    const [position, arc, index] = [[], [], []];
+    const [corners, arc, index] = [[], [], []];
     for (let k = 0; k < SIDES; k += 1) {
-      position.push(...CORNERS);
+      corners.push(...CORNERS);
       const ends = [(2 * Math.PI * k) / SIDES, (2 * Math.PI * (k + 1)) / SIDES];
       for (let corner = 0; corner < 4; corner += 1) arc.push(...ends);
-      index.push(...[0, 2, 1, 1, 2, 3].map((corner) => 4 * k + corner));
+      index.push(...TRIANGLES.map((corner) => 4 * k + corner));
     }
-    geometry.setAttribute("position", new BufferAttribute(new Float32Array(position), 3));
+    geometry.setAttribute("corner", new BufferAttribute(new Float32Array(corners), 2));
     geometry.setAttribute("arc", new BufferAttribute(new Float32Array(arc), 2));
     geometry.setIndex(index);
     for (const [name, parts] of [
@@ -168,51 +182,41 @@ export class Rings extends Mesh {
   }
 }
 
-/** Trails of all drones: pieces of some rows each, of which those in reach are drawn. */
-export class Trails {
-  constructor(episode, group) {
+/** Trails of all drones: pieces in the order of time, of which those in reach are drawn. */
+export class Trails extends Lines {
+  constructor(episode) {
     const { rows, drones, colours } = episode.about;
+    super(Math.max(1, (rows - 1) * drones), 2);
     const hues = colours.map((one) => new Color(one));
     const position = episode.payload.series("position");
-    const pieces = 24;
-    const each = Math.max(1, Math.ceil((rows - 1) / pieces));
-    this.pieces = [];
     const from = new Float32Array(3 * drones);
     const to = new Float32Array(3 * drones);
-    for (let first = 0; first + 1 < rows; first += each) {
-      const last = Math.min(first + each, rows - 1);
-      const lines = new Lines((last - first) * drones, 2);
-      let count = 0;
-      for (let row = first; row < last; row += 1) {
-        position.between(row, 0, from);
-        position.between(row + 1, 0, to);
-        for (let k = 0; k < drones; k += 1) {
-          if (row >= episode.end[k]) continue;
-          lines.put(
-            count,
-            from,
-            3 * k,
-            to,
-            3 * k,
-            hues[k],
-            episode.times[row],
-            episode.times[row + 1],
-          );
-          count += 1;
-        }
+    // Pieces of row k are those from `begins[k]` on.
+    this.begins = new Uint32Array(rows + 1);
+    let count = 0;
+    for (let row = 0; row + 1 < rows; row += 1) {
+      this.begins[row] = count;
+      position.between(row, 0, from);
+      position.between(row + 1, 0, to);
+      for (let k = 0; k < drones; k += 1) {
+        if (row >= episode.end[k]) continue;
+        const [then, later] = [episode.times[row], episode.times[row + 1]];
+        this.put(count, from, 3 * k, to, 3 * k, hues[k], then, later);
+        count += 1;
       }
-      lines.show(count);
-      group.add(lines);
-      this.pieces.push({ lines, begins: episode.times[first], ends: episode.times[last] });
     }
+    this.begins.fill(count, rows - 1);
+    this.show(count);
+    this.episode = episode;
   }
 
   /** Show what was flown in the last `reach` seconds. */
-  update(now, reach) {
-    for (const { lines, begins, ends } of this.pieces) {
-      lines.visible = reach > 0 && begins <= now && ends >= now - reach;
-      lines.material.uniforms.now.value = now;
-      lines.material.uniforms.reach.value = reach;
-    }
+  update(reach) {
+    const { time, row, period } = this.episode;
+    const first = this.begins[Math.max(0, Math.floor((time - reach) / period))];
+    const count = reach > 0 ? this.begins[row + 1] - first : 0;
+    this.geometry.setDrawRange(6 * first, 6 * count);
+    this.material.uniforms.now.value = time;
+    this.material.uniforms.reach.value = reach;
   }
 }
