@@ -1,7 +1,7 @@
 """Command line `bulletuav`: finds the command, runs it, and turns errors into one line.
 
 Its commands are `tasks`, `fly`, `city`, `evaluate`, `compare`, `dataset`, `merge`, `train`,
-`verify`, `identify`, `incentives`, `serve`, `benchmark` and `doctor`.
+`verify`, `replay`, `identify`, `incentives`, `serve`, `benchmark` and `doctor`.
 """
 
 import argparse
@@ -24,6 +24,7 @@ from bulletuav.commands import (
     identify,
     incentives,
     merge,
+    replay,
     serve,
     tasks,
     train,
@@ -41,6 +42,7 @@ COMMANDS: dict[str, ModuleType] = {
     "merge": merge,
     "train": train,
     "verify": verify,
+    "replay": replay,
     "identify": identify,
     "incentives": incentives,
     "serve": serve,

@@ -26,6 +26,9 @@ NEEDED = (
     "assets/urdf/cf2x.urdf",
     "assets/tracks/oval.toml",
     "py.typed",
+    "report/web/page.html",
+    "report/web/three.module.min.js",
+    "report/web/three.LICENSE",
     "constraints.txt",
 )
 """Ends of names that a wheel has, beside all modules"""

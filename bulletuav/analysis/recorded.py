@@ -14,7 +14,11 @@ from bulletuav.errors import unknown
 
 INFO = "info/"
 """Beginning of the names that infos have in files"""
-VERSION = 4
+READING = "reading/"
+"""Beginning of the names that readings of sensors have in files"""
+SCENE = "scene/"
+"""Beginning of the names that parts of the scene have in files"""
+VERSION = 5
 """Version of the form of recordings"""
 
 
@@ -54,6 +58,8 @@ class Recording:
         seen: Targets that some drone sees, (T+1, U) bool.
         info: What infos tell of each decision beside these arrays, (T, N, ...) by name. Weighted
             reward terms are among them, such as "reward/progress".
+        reading: What sensors measured, (T+1, N, ...) by name, without pictures.
+        scene: What a replay shows beside all this, by name; see `analysis.scene`.
         version: Version of the form that it was read from.
     """
 
@@ -84,20 +90,34 @@ class Recording:
     target: np.ndarray
     seen: np.ndarray
     info: Mapping[str, np.ndarray] = field(default_factory=dict)
+    reading: Mapping[str, np.ndarray] = field(default_factory=dict)
+    scene: Mapping[str, np.ndarray] = field(default_factory=dict)
     version: int = VERSION
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Return the arrays by name, without infos."""
+        """Return the arrays by name, without infos, readings and the scene."""
         return {name: getattr(self, name) for name in ARRAYS}
 
-    def hash(self) -> str:
-        """Hash all arrays and infos, to the last bit; equal flights have equal hashes."""
-        return hash_arrays(self.everything())
+    def hash(self, like: "Recording | None" = None) -> str:
+        """Hash everything, to the last bit; equal flights have equal hashes.
+
+        Args:
+            like: Of version 4: what it has no entries for is left out.
+        """
+        told = self.everything()
+        if like is not None and like.version < VERSION:
+            told = {name: told[name] for name in like.everything() if name in told}
+        return hash_arrays(told)
 
     def everything(self) -> dict[str, np.ndarray]:
-        """Return the arrays and the infos by the names that files give them."""
-        infos = {f"{INFO}{name}": np.asarray(values) for name, values in self.info.items()}
-        return {**self.arrays(), **infos}
+        """Return all arrays by the names that files give them."""
+        more = {INFO: self.info, READING: self.reading, SCENE: self.scene}
+        named = {
+            f"{prefix}{name}": np.asarray(values)
+            for prefix, told in more.items()
+            for name, values in told.items()
+        }
+        return {**self.arrays(), **named}
 
     def told(self, name: str) -> np.ndarray:
         """Look up what infos told of each decision, (T, N, ...), by the name that they use.
@@ -114,7 +134,9 @@ class Recording:
 
 
 ARRAYS = tuple(
-    one.name for one in dataclasses.fields(Recording) if one.name not in ("info", "version")
+    one.name
+    for one in dataclasses.fields(Recording)
+    if one.name not in ("info", "reading", "scene", "version")
 )
 """Names of the arrays that every recording has"""
 TOLD = ("success", "separation", "conflicts", "collision")

@@ -3,6 +3,7 @@
 import csv
 import json
 import zipfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,8 +11,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bulletuav.analysis.described import described
-from bulletuav.analysis.recorded import ARRAYS, INFO, TOLD, VERSION, Outcome, Recording, outcomes
+from bulletuav.analysis.recorded import (
+    ARRAYS,
+    INFO,
+    READING,
+    SCENE,
+    TOLD,
+    VERSION,
+    Outcome,
+    Recording,
+    outcomes,
+)
 from bulletuav.analysis.results_folder import RUN
+from bulletuav.analysis.scene import PARTS, SceneLog
 from bulletuav.analysis.seals import call_text, hash_files, sealed
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.step import Step
@@ -28,11 +40,16 @@ __all__ = ["Outcome", "Recording", "fly_episode", "load", "outcomes", "save"]
 
 ARRAYS_FILE = "trajectory.npz"
 TABLE_FILE = "trajectory.csv"
-READABLE = (2, 3, 4)
+READABLE = (2, 3, 4, 5)
 """Versions that are read. 2 tells the task's own infos alone, and goals where there are none.
 
-2 and 3 do not tell which obstacles are bars.
+2 and 3 do not tell which obstacles are bars, and 5 alone has readings and the scene.
 """
+UNREADABLE = (
+    *(ValueError, TypeError, AttributeError, EOFError, OSError, KeyError, RuntimeError),
+    *(MemoryError, SyntaxError, OverflowError, zipfile.BadZipFile, zlib.error),
+)
+"""Errors of NumPy and zipfile about files that are damaged"""
 REMEDY = "fly the episode again with this bulletuav"
 HEADER = (
     *("time", "drone", "alive"),
@@ -86,6 +103,7 @@ def fly_episode(
     actions: list[np.ndarray] = []
     steps: list[Step] = []
     contacts: list[Contacts] = []
+    log = SceneLog(aviary)
     in_first = np.arange(aviary.num_worlds) == 0
     while aviary.alive[0].any():
         actions.append(policy.act(observations, aviary.swarm))
@@ -95,6 +113,7 @@ def fly_episode(
         states.append(aviary.swarm.copy())
         alive.append(aviary.alive.copy())
         views.append(_view(aviary))
+        log.note()
         progress()
     return _recording(
         aviary,
@@ -104,6 +123,7 @@ def fly_episode(
         contacts=contacts,
         actions=actions,
         steps=steps,
+        log=log,
     )
 
 
@@ -128,6 +148,7 @@ def _recording(
     contacts: list[Contacts],
     actions: list[np.ndarray],
     steps: list[Step],
+    log: SceneLog,
 ) -> Recording:
     """Stack what was kept of each decision."""
 
@@ -162,6 +183,8 @@ def _recording(
         target=np.array([view.target for view in views]),
         seen=np.array([view.seen for view in views]),
         info={name: column(name) for name in kept if name not in TOLD},
+        reading=log.readings(),
+        scene=log.scene(),
     )
 
 
@@ -193,7 +216,7 @@ def save(recording: Recording, aviary: Aviary, policy: str, seed: int, folder: P
         folder: Where to; it exists.
 
     Returns:
-        The paths of `trajectory.npz` (arrays, infos and the version), `trajectory.csv` (a row for
+        The paths of `trajectory.npz` (all of the recording), `trajectory.csv` (a row for
         each drone and time) and `run.json` (options, outcomes, and hashes for `bulletuav verify`).
 
     Raises:
@@ -262,7 +285,8 @@ def load(path: str | Path) -> Recording:
         path: Its `trajectory.npz`, or the folder of it.
 
     Returns:
-        The recording as it was written. One of version 2 has fewer infos and no reward terms.
+        The recording as it was written. One of version 2 has fewer infos and no reward terms;
+        before version 5 there are no readings and no scene.
 
     Raises:
         FileNotFoundError: There is no such file.
@@ -275,21 +299,24 @@ def load(path: str | Path) -> Recording:
         # NumPy would leave a damaged file open.
         with found.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
-    except (ValueError, TypeError, AttributeError, EOFError, OSError, zipfile.BadZipFile) as error:
+    except UNREADABLE as error:
         raise ValueError(f"{found} is no recording ({error}): {REMEDY}") from None
     # The version is looked at before anything that may differ between versions.
     version = _known_version(arrays.pop("version", None), found)
     if version < 4 and "obstacle_radius" in arrays:
         arrays["obstacle_axis"] = np.zeros((*arrays["obstacle_radius"].shape, 3))
-    missing = [name for name in ARRAYS if name not in arrays]
+    needed = [*ARRAYS, *(f"{SCENE}{part}" for part in PARTS if version == VERSION)]
+    missing = [name for name in needed if name not in arrays]
     if missing:
         raise ValueError(f"{found} is a damaged recording, without {missing[0]!r}: {REMEDY}")
-    infos = {
-        name.removeprefix(INFO): values for name, values in arrays.items() if name.startswith(INFO)
-    }
+    infos, readings, scene = (
+        {key.removeprefix(prefix): one for key, one in arrays.items() if key.startswith(prefix)}
+        for prefix in (INFO, READING, SCENE)
+    )
     if version == 2:
         _complete(arrays, infos)
-    return Recording(**{name: arrays[name] for name in ARRAYS}, info=infos, version=version)
+    own = {name: arrays[name] for name in ARRAYS}
+    return Recording(**own, info=infos, reading=readings, scene=scene, version=version)
 
 
 def _complete(arrays: dict[str, np.ndarray], infos: dict[str, np.ndarray]) -> None:

@@ -26,6 +26,7 @@ from bulletuav.envs.aviary import Aviary
 from bulletuav.errors import as_int
 from bulletuav.policies import find_policy
 from bulletuav.report.pictures import Animation, plot_tracks
+from bulletuav.report.replay import REPLAY, replay_run
 from bulletuav.tasks import find_task
 from bulletuav.tasks.base import Task
 
@@ -37,6 +38,7 @@ ABOUT = {
     ),
     "epilog": """examples:
   bulletuav fly crossing --drones 8 --policy straight --seed 0 --out out
+  bulletuav fly crossing --html --animation none --out out
   bulletuav fly hover --airframe hummingbird --difficulty hard --out out
   bulletuav fly lidar_navigation --city urban --out out
   bulletuav fly crossing --dynamics rigid_body --wind 3 0 0 --set lane_spacing=20 --out out""",
@@ -63,6 +65,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="gif",
         help="mp4 needs the extra 'video'",
     )
+    parser.add_argument(
+        "--html", action="store_true", help=f"also write {REPLAY}, as `bulletuav replay` does"
+    )
     add_trust(parser)
     add_options(parser)
 
@@ -85,6 +90,8 @@ def run(arguments: argparse.Namespace) -> None:
 
     files = save(recording, aviary, arguments.policy, arguments.seed, arguments.out)
     files += _draw(recording, aviary, arguments)
+    if arguments.html:
+        files.append(replay_run(arguments.out))
     console = Console()
     console.print(_table(recording, aviary))
     print_files(console, files)
@@ -92,11 +99,11 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def _prepare_folder(out: Path) -> None:
-    """Make the folder, without the animation of an earlier flight; refuse that of an evaluation."""
+    """Make the folder, without pictures of an earlier flight; refuse that of an evaluation."""
     if (out / EPISODES).exists():
         raise ValueError(f"--out {out} holds an evaluation: choose another folder")
-    for old in out_folder(out).glob("flight.*"):
-        old.unlink()
+    for old in (*out_folder(out).glob("flight.*"), out / REPLAY):
+        old.unlink(missing_ok=True)
 
 
 def _draw(recording: Recording, aviary: Aviary, arguments: argparse.Namespace) -> list[Path]:

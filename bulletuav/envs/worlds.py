@@ -1,6 +1,6 @@
 """What W worlds of N drones are made of, and what can be asked of them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,10 +17,12 @@ from bulletuav.envs.renderer import Renderer
 from bulletuav.errors import as_int, points_of
 from bulletuav.geometry.city_grid import NO_LAYOUT
 from bulletuav.geometry.solids import Solids
+from bulletuav.sensors.base import Label
 from bulletuav.sensors.sight import line_of_sight
 from bulletuav.sensors.suite import SensorSuite
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.frame import Frame, Scene
+from bulletuav.tasks.targets import links
 from bulletuav.vehicle.swarm import Contacts, Swarm
 from bulletuav.vehicle.wind import Wind
 
@@ -225,6 +227,23 @@ class Worlds(Environment):
     def sight(self) -> np.ndarray:
         """(W, N, U) bool: which targets the drones saw that flew the last decision."""
         return self._current().seen
+
+    @property
+    def links(self) -> np.ndarray:
+        """(W, N, U) bool: which targets the drones serve that flew the last decision."""
+        frame = self._current()
+        served: np.ndarray = links(self.task, frame) & frame.alive[..., None]
+        return served
+
+    @property
+    def readings(self) -> Mapping[str, np.ndarray]:
+        """What sensors measured last, (W, N, ...) by name; see `Frame.readings`."""
+        return self._current().readings
+
+    @property
+    def reading_labels(self) -> dict[str, tuple[Label, ...]]:
+        """Labels of the numbers that sensors measure, by name of the reading."""
+        return self._sensors.numbers()
 
     @property
     def contacts(self) -> Contacts:

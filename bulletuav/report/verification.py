@@ -97,7 +97,7 @@ class Verifier(NamedTuple):
             (DATASET, DATASET, self._dataset),
         ):
             if (folder / name).exists():
-                about, checks = _read_sealed(folder / sealed)
+                about, checks = read_sealed(folder / sealed)
                 # Of changed files there is nothing to fly.
                 if all(check.same for check in checks):
                     checks += fly_again(folder, about)
@@ -117,7 +117,7 @@ class Verifier(NamedTuple):
         with self.show("flying", len(recording.reward), "decisions") as report:
             flown = fly_episode(aviary, policy, call["seed"], lambda: report(next(done)))
         aviary.close()
-        return [Check("flight", about["hash"], flown.hash())]
+        return [Check("flight", about["hash"], flown.hash(like=recording))]
 
     def _evaluation(self, folder: Path, about: dict[str, Any]) -> list[Check]:
         """Fly again what `bulletuav evaluate` wrote."""
@@ -205,7 +205,7 @@ def _table_checks(folder: Path, again: Path) -> Iterator[Check]:
     yield Check(f"{again.stem}: rows", *(hash_arrays(read_table(path)) for path in (told, again)))
 
 
-def _read_sealed(path: Path) -> tuple[dict[str, Any], list[Check]]:
+def read_sealed(path: Path) -> tuple[dict[str, Any], list[Check]]:
     """Read a sealed file; compare its seal, and the files beside it that it tells of.
 
     Raises:

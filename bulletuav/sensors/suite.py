@@ -182,6 +182,15 @@ class SensorSuite:
             for key, array in sensor.kept().items()
         }
 
+    def numbers(self) -> dict[str, tuple[Label, ...]]:
+        """Tell the labels of all readings but pictures, by the readings' names."""
+        return {
+            name: label
+            for labels in self._labels.values()
+            for name, label in labels.items()
+            if not isinstance(label, Image)
+        }
+
     def info(self) -> dict[str, np.ndarray]:
         """Tell what infos say of sensors, (W, N) by name."""
         return {key: value for one in self.sensors.values() for key, value in one.info().items()}

@@ -100,7 +100,7 @@ def test_a_recording_is_read_as_it_was_written(flown, tmp_path):
     path, *_ = save(recording, aviary, "straight", 0, tmp_path)
     for source in (path, str(path), tmp_path):
         again = load(source)
-        assert again.version == 4
+        assert again.version == 5
         assert list(again.info) == list(recording.info)
         for name, array in recording.info.items():
             np.testing.assert_array_equal(again.info[name], array)
@@ -266,10 +266,10 @@ def change(path, **changes):
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"version": None}, "without a version, and version 4 is needed: fly the episode again"),
-        ({"version": np.array(1)}, "of version 1, and version 4 is needed: .*or read it with"),
-        ({"version": np.array(5)}, "of version 5, and version 4 is needed: .*or read it with"),
-        ({"version": np.array("2")}, "of version 2, and version 4"),
+        ({"version": None}, "without a version, and version 5 is needed: fly the episode again"),
+        ({"version": np.array(1)}, "of version 1, and version 5 is needed: .*or read it with"),
+        ({"version": np.array(6)}, "of version 6, and version 5 is needed: .*or read it with"),
+        ({"version": np.array("2")}, "of version 2, and version 5"),
         ({"version": np.array([2, 2])}, "of version"),
         ({"goal": None}, "damaged recording, without 'goal': fly the episode again"),
         ({"contact_step": None}, "damaged recording, without 'contact_step'"),

@@ -1,0 +1,139 @@
+"""What a recording keeps for replays: what drones and obstacles look like, links, readings.
+
+The parts of `Recording.scene`, with T decisions, N drones and K obstacles:
+
+- `about`: JSON text with the task's name, d_safe (m), units, airframes, obstacles, range finder,
+  and labels of readings.
+- `rotor_speed`: (T+1, N, R) rad/s, in the order of each airframe's rotors.
+- `obstacle_quaternion`: (T+1, K, 4) from the obstacle's axes to the world's.
+- `link`: (L, 3) row of the states, drone, and number among the targets of who serves whom.
+- `hull`: (V, 3) corners of the city's pieces that are no boxes, m, one piece after the other.
+- `hull_size`: (H,) how many corners each of these has. They are the last H of `building`.
+"""
+
+import json
+from typing import Any
+
+import numpy as np
+
+from bulletuav.envs.aviary import Aviary
+from bulletuav.geometry.shapes import Shape
+from bulletuav.tasks.targets import active_targets
+from bulletuav.vehicle.airframe import Airframe
+from bulletuav.vehicle.looks import parts_of
+
+PARTS = ("about", "rotor_speed", "obstacle_quaternion", "link", "hull", "hull_size")
+"""Names of the parts that every scene has"""
+UNITS = {
+    "time": "s",
+    "position": "m",
+    "velocity": "m/s",
+    "rates": "rad/s",
+    "separation": "m",
+    "contact_impulse": "N s",
+    "contact_point": "m",
+    "contact_velocity": "m/s",
+    "goal": "m",
+    "obstacle": "m",
+    "obstacle_radius": "m",
+    "obstacle_axis": "m",
+    "building": "m",
+    "target": "m",
+    "info/goal_distance": "m",
+    "info/impulse": "N s",
+    "info/power": "W",
+    "scene/rotor_speed": "rad/s",
+    "scene/hull": "m",
+}
+"""Units of a recording's arrays, by the names of files; others have none, or are told by labels"""
+
+
+class SceneLog:
+    """Keeps, row by row, what recordings of world 0 tell of its scene and its sensors."""
+
+    def __init__(self, aviary: Aviary) -> None:
+        """Begin with the start, right after a reset."""
+        self._aviary = aviary
+        self._labels = aviary.reading_labels
+        self._active = active_targets(aviary.task, aviary.scene)[0]
+        self._rotor_speed: list[np.ndarray] = []
+        self._turns: list[np.ndarray] = []
+        self._links: list[np.ndarray] = []
+        self._readings: dict[str, list[np.ndarray]] = {}
+        self.note()
+
+    def note(self) -> None:
+        """Keep one row."""
+        aviary = self._aviary
+        self._rotor_speed.append(aviary.swarm.rotor_speed[0].copy())
+        self._turns.append(aviary.scene.obstacle_quaternion[0].copy())
+        self._links.append(aviary.links[0][:, self._active])
+        for name, values in aviary.readings.items():
+            if name in self._labels:
+                self._readings.setdefault(name, []).append(values[0].copy())
+
+    def readings(self) -> dict[str, np.ndarray]:
+        """Stack what sensors measured in each row, by name."""
+        rows = len(self._turns)
+        return {name: np.array(kept) for name, kept in self._readings.items() if len(kept) == rows}
+
+    def scene(self) -> dict[str, np.ndarray]:
+        """Make the parts of the scene."""
+        hulls = self._aviary.solids().hulls
+        return {
+            # Users may give NumPy's numbers.
+            "about": np.array(json.dumps(self._about(), default=float)),
+            "rotor_speed": np.array(self._rotor_speed),
+            "obstacle_quaternion": np.array(self._turns),
+            "link": np.argwhere(np.array(self._links)),
+            "hull": np.concatenate([np.zeros((0, 3)), *hulls]),
+            "hull_size": np.array([len(hull) for hull in hulls], dtype=np.int64),
+        }
+
+    def _about(self) -> dict[str, Any]:
+        """Tell what does not change."""
+        task, options = self._aviary.task, self._aviary.options
+        airframes = list(dict.fromkeys(options.airframe))
+        return {
+            "task": task.name,
+            "d_safe": float(task.config.d_safe),
+            "has_goals": task.has_goals,
+            "shows": dict(task.shows),
+            "units": UNITS,
+            "airframes": [_airframe(one) for one in airframes],
+            "airframe_of": [airframes.index(one) for one in options.airframe],
+            "obstacles": [{**_shape(one.shape), "colour": one.colour} for one in task.obstacles()],
+            "lidar": {
+                "beams": task.context.beams,
+                "frame": options.lidar_frame,
+                "max_range": task.context.max_range,
+            },
+            "readings": {
+                name: [(label.name, label.unit) for label in self._labels[name]]
+                for name in self.readings()
+            },
+        }
+
+
+def _airframe(airframe: Airframe) -> dict[str, Any]:
+    """Tell what an airframe looks like."""
+    return {
+        "name": airframe.name,
+        "radius": airframe.collision_radius,
+        "rotors": airframe.rotors,
+        "propeller_radius": airframe.propeller_radius,
+        "parts": [
+            {
+                **_shape(part.shape),
+                "position": part.position.tolist(),
+                "quaternion": part.quaternion.tolist(),
+                "colour": part.colour,
+            }
+            for part in parts_of(airframe)
+        ],
+    }
+
+
+def _shape(shape: Shape) -> dict[str, Any]:
+    """Tell a shape; its kind is the number that `geometry.shapes` gives it."""
+    return {"kind": shape.kind, "half": shape.half, "corners": shape.corners}

@@ -1,0 +1,219 @@
+"""Replays: one page of HTML that shows a recorded episode in three dimensions, without a network.
+
+The page's own files are in `web/`. They are put into it as they are, beside a block of the
+recording's numbers; see `payload`.
+"""
+
+import base64
+import colorsys
+import html
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.colors import to_hex
+
+from bulletuav.analysis.recorded import READING, Recording
+from bulletuav.analysis.recording import ARRAYS_FILE, REMEDY, load
+from bulletuav.analysis.results_folder import RUN
+from bulletuav.files import replace_file
+from bulletuav.geometry.shapes import HULL
+from bulletuav.geometry.solids import Solids
+from bulletuav.report.figures import drone_colours
+from bulletuav.report.payload import Payload
+from bulletuav.report.replay_charts import add_charts, later
+from bulletuav.report.verification import read_sealed
+
+REPLAY = "replay.html"
+"""Name of the page beside a recording"""
+WEB = Path(__file__).parent / "web"
+BESIDE = re.compile(r'(from\s*)"\./')
+"""How the scripts name others: in the page they have no folder"""
+
+
+def read_run(path: Path) -> tuple[Recording, str]:
+    """Read what `bulletuav fly` wrote, and compare it with its seals.
+
+    Args:
+        path: The folder, or a file in it.
+
+    Returns:
+        The recording, and a title that tells task, policy and seed.
+
+    Raises:
+        FileNotFoundError: There is no such folder.
+        ValueError: It holds no recording, or one that is damaged or of an earlier version.
+    """
+    if not path.exists():
+        raise FileNotFoundError(f"there is no {path}: give the folder of a flight")
+    folder = path if path.is_dir() else path.parent
+    if not (folder / ARRAYS_FILE).exists():
+        raise ValueError(
+            f"{folder} holds no recording ({ARRAYS_FILE}): give a folder that `bulletuav fly` wrote"
+        )
+    about, checks = read_sealed(folder / RUN)
+    changed = [check.what for check in checks if not check.same]
+    if changed:
+        raise ValueError(
+            f"{folder / changed[0]} is damaged or was changed: it does not match {RUN}; {REMEDY}"
+        )
+    recording = load(folder)
+    if not recording.scene:
+        raise ValueError(
+            f"{folder / ARRAYS_FILE} is a recording of version {recording.version}, which has no "
+            f"scene to replay: {REMEDY}"
+        )
+    task, policy, seed = (about.get(name, "?") for name in ("task", "policy", "seed"))
+    drones = recording.position.shape[1]
+    return (
+        recording,
+        f"{task}: {drones} {'drones' if drones > 1 else 'drone'}, {policy}, seed {seed}",
+    )
+
+
+def replay_run(run: Path, path: Path | None = None) -> Path:
+    """Write the page of what `bulletuav fly` wrote.
+
+    Args:
+        run: The folder of the flight, or a file in it.
+        path: The page; `replay.html` beside the recording when left out.
+
+    Returns:
+        The path of the page.
+
+    Raises:
+        FileNotFoundError: There is no such folder.
+        ValueError: It holds no recording, or one that is damaged or of an earlier version.
+        OSError: The page cannot be written.
+    """
+    recording, title = read_run(run)
+    target = path or (run if run.is_dir() else run.parent) / REPLAY
+    write_replay(recording, title, target)
+    return target
+
+
+def write_replay(recording: Recording, title: str, path: Path) -> None:
+    """Write a page that replays an episode: one file that needs no other and no network.
+
+    Args:
+        recording: The episode, with its scene.
+        title: Title of the page.
+        path: The file.
+
+    Raises:
+        ValueError: The recording's scene is none.
+        OSError: The file cannot be written.
+    """
+    try:
+        text = _payload(recording, title)
+    except (KeyError, TypeError, IndexError, AttributeError, ValueError) as error:
+        raise ValueError(f"the scene of the recording is damaged ({error!r}): {REMEDY}") from None
+    replace_file(path, page(title, text))
+
+
+def page(title: str, payload: str) -> str:
+    """Make the page.
+
+    Args:
+        title: Its title.
+        payload: The text of a `Payload`.
+    """
+    scripts = {}
+    for script in sorted(WEB.glob("*.js")):
+        code = BESIDE.sub(r'\1"', script.read_text())
+        data = base64.b64encode(code.encode()).decode()
+        scripts[script.name] = f"data:text/javascript;base64,{data}"
+    parts = {
+        "title": html.escape(title),
+        "style": (WEB / "style.css").read_text(),
+        "scripts": json.dumps({"imports": scripts}),
+        "license": (WEB / "three.LICENSE").read_text(),
+        "payload": payload,
+    }
+    template = (WEB / "page.html").read_text()
+    return re.sub(r"<!--put (\w+)-->", lambda found: parts[found[1]], template)
+
+
+def _payload(recording: Recording, title: str) -> str:
+    """Write what the page shows."""
+    about = json.loads(str(recording.scene["about"]))
+    payload = Payload()
+    payload.add("time", recording.time, "f4")
+    # A drone flies from the start on without a gap.
+    payload.add("end", recording.alive[:-1].sum(axis=0), "u4")
+    payload.add_series("position", recording.position)
+    payload.add_series("quaternion", _continuous(recording.quaternion))
+    payload.add_series("rotors", recording.scene["rotor_speed"].mean(axis=-1))
+    payload.add_series("goal", recording.goal)
+    payload.add_series("obstacle", recording.obstacle)
+    turns = _continuous(recording.scene["obstacle_quaternion"])
+    payload.add_series("obstacle_quaternion", turns)
+    payload.add("conflict", later(recording.separation) < about["d_safe"], "u1")
+    payload.add("contact_row", recording.contact_step + 1, "u4")
+    payload.add("contact_point", recording.contact_point, "f4")
+    _add_users(payload, recording)
+    _add_city(payload, recording)
+    for name, values in recording.reading.items():
+        if values.dtype.kind != "b":
+            payload.add_series(f"{READING}{name}", values)
+    for part in (*about["obstacles"], *(p for one in about["airframes"] for p in one["parts"])):
+        if part["kind"] == HULL:
+            part["triangles"] = _hull_triangles(part["corners"])
+    told = {
+        "title": title,
+        "rows": len(recording.time),
+        "drones": recording.position.shape[1],
+        "goals": recording.goal.shape[1],
+        "users": recording.target.shape[1],
+        "colours": _colours(recording.position.shape[1]),
+        **{name: about[name] for name in ("task", "d_safe", "airframes", "airframe_of")},
+        **{name: about[name] for name in ("obstacles", "lidar")},
+        "charts": add_charts(payload, recording, about),
+    }
+    return payload.text(told)
+
+
+def _colours(count: int) -> list[str]:
+    """Return the colours of drones as `tracks.png` has them, but seen on light and dark ground."""
+    colours = []
+    for red, green, blue, _ in drone_colours(count):
+        hue, light, strength = colorsys.rgb_to_hls(red, green, blue)
+        colours.append(to_hex(colorsys.hls_to_rgb(hue, min(max(light, 0.42), 0.58), strength)))
+    return colours
+
+
+def _add_users(payload: Payload, recording: Recording) -> None:
+    """Add targets, whether they are seen, and links to them."""
+    payload.add_series("target", recording.target)
+    payload.add("seen", recording.seen, "u1")
+    row, drone, target = recording.scene["link"].T
+    payload.add("link_drone", drone, "u2")
+    payload.add("link_target", target, "u2")
+    # Links are in the order of rows: those of row k begin at the k-th number.
+    payload.add("link_start", np.searchsorted(row, np.arange(len(recording.time) + 1)), "u4")
+
+
+def _add_city(payload: Payload, recording: Recording) -> None:
+    """Add the mesh of all pieces that stand."""
+    sizes = recording.scene["hull_size"]
+    hulls = np.split(recording.scene["hull"], np.cumsum(sizes)[:-1]) if len(sizes) else []
+    boxes = recording.building[: len(recording.building) - len(sizes)]
+    corners, triangles = Solids(boxes, tuple(hulls)).mesh
+    payload.add("city_corners", corners, "f4")
+    payload.add("city_triangles", triangles, "u4")
+
+
+def _hull_triangles(corners: list[Any]) -> list[list[int]]:
+    """Find the triangles of a convex hull, as indices of its corners."""
+    _, triangles = Solids(np.zeros((0, 2, 3)), (np.array(corners),)).mesh
+    found: list[list[int]] = triangles.tolist()
+    return found
+
+
+def _continuous(quaternion: np.ndarray) -> np.ndarray:
+    """Choose the signs of quaternions (R, ..., 4) such that each is near the one before."""
+    dot = (quaternion[1:] * quaternion[:-1]).sum(axis=-1, keepdims=True)
+    flips = np.cumprod(np.where(dot < 0, -1.0, 1.0), axis=0)
+    return np.concatenate([quaternion[:1], quaternion[1:] * flips])

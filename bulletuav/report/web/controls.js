@@ -1,0 +1,122 @@
+// Buttons, menus and keys.
+
+const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4, 8, 16];
+const REACHES = [
+  [0, "none"],
+  [2, "2 s"],
+  [5, "5 s"],
+  [15, "15 s"],
+  [1e9, "all"],
+];
+const LAYERS = [
+  ["trails", "Trails"],
+  ["rings", "Rings of d_safe"],
+  ["stems", "Lines to ground and goal"],
+  ["goals", "Goals"],
+  ["contacts", "Contacts"],
+  ["users", "Users"],
+  ["links", "Links"],
+  ["beams", "Beams"],
+  ["city", "City"],
+];
+const PAN = 40; // pixels that a key moves the view by
+
+export const byId = (id) => document.getElementById(id);
+
+/** Connect the page's controls with a `player`; see main.js. */
+export function connect(player) {
+  const speed = byId("speed");
+  for (const one of SPEEDS) speed.add(new Option(`${one}×`, one, one === 1, one === 1));
+  speed.addEventListener("change", () => player.setSpeed(Number(speed.value)));
+  const reach = byId("reach");
+  for (const [seconds, name] of REACHES)
+    reach.add(new Option(name, seconds, seconds === 5, seconds === 5));
+  reach.addEventListener("change", () => player.set("reach", Number(reach.value)));
+  const drone = byId("drone");
+  for (let k = 0; k < player.episode.about.drones; k += 1) drone.add(new Option(`drone_${k}`, k));
+  drone.addEventListener("change", () => player.choose(Number(drone.value)));
+  addLayers(player);
+  byId("true-size").addEventListener("change", (event) =>
+    player.set("trueSize", event.target.checked),
+  );
+  byId("scrub").max = player.episode.duration;
+  byId("scrub").addEventListener("input", (event) => player.seek(Number(event.target.value)));
+  for (const [id, act] of [
+    ["play", () => player.toggle()],
+    ["follow", () => player.follow(!player.following)],
+    ["reset", () => player.whole()],
+    ["theme", () => player.changeTheme()],
+    ["plots", () => player.showPlots()],
+  ])
+    byId(id).addEventListener("click", act);
+  document.addEventListener("keydown", (event) => press(event, player, speed));
+  // An open menu closes with a click elsewhere.
+  document.addEventListener("pointerdown", (event) => {
+    for (const menu of document.querySelectorAll("footer details[open]")) {
+      if (!menu.contains(event.target)) menu.open = false;
+    }
+  });
+}
+
+function addLayers(player) {
+  for (const [name, text] of LAYERS) {
+    if (!player.layers[name]) continue;
+    const label = document.createElement("label");
+    label.className = "row";
+    const box = document.createElement("input");
+    box.type = "checkbox";
+    box.checked = true;
+    box.id = `layer-${name}`;
+    box.addEventListener("change", () => player.showLayer(name, box.checked));
+    label.append(box, text);
+    byId("layers").append(label);
+  }
+}
+
+function press(event, player, speed) {
+  const field =
+    ["INPUT", "SELECT", "TEXTAREA"].includes(event.target.tagName) &&
+    event.target.type !== "checkbox";
+  if (event.ctrlKey || event.metaKey || event.altKey) return;
+  // Fields and buttons keep the keys that they work with.
+  if (field && event.target.id !== "scrub") return;
+  if (event.key === " " && ["BUTTON", "SUMMARY", "INPUT"].includes(event.target.tagName)) {
+    if (event.target.id !== "scrub") return;
+  }
+  const jump = event.shiftKey ? 1 : player.episode.period;
+  const keys = {
+    " ": () => player.toggle(),
+    arrowleft: () => player.seek(player.episode.time - jump),
+    arrowright: () => player.seek(player.episode.time + jump),
+    home: () => player.seek(0),
+    end: () => player.seek(player.episode.duration),
+    "<": () => faster(speed, -1),
+    ",": () => faster(speed, -1),
+    ">": () => faster(speed, 1),
+    ".": () => faster(speed, 1),
+    n: () => player.choose(player.chosen + 1),
+    p: () => player.choose(player.chosen - 1),
+    f: () => player.follow(!player.following),
+    r: () => player.whole(),
+    t: () => player.changeTheme(),
+    b: () => player.showPlots(),
+    w: () => player.pan(0, PAN),
+    s: () => player.pan(0, -PAN),
+    a: () => player.pan(-PAN, 0),
+    d: () => player.pan(PAN, 0),
+    q: () => player.view.turn(-0.08, 0),
+    e: () => player.view.turn(0.08, 0),
+    "+": () => player.view.zoom(0.85),
+    "=": () => player.view.zoom(0.85),
+    "-": () => player.view.zoom(1 / 0.85),
+  };
+  const act = keys[event.key.toLowerCase()];
+  if (!act) return;
+  event.preventDefault();
+  act();
+}
+
+function faster(speed, by) {
+  speed.selectedIndex = Math.min(Math.max(speed.selectedIndex + by, 0), speed.length - 1);
+  speed.dispatchEvent(new Event("change"));
+}

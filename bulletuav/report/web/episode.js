@@ -1,0 +1,64 @@
+// The episode at any time: where drones, goals, obstacles and users are, between two rows.
+
+/** Moves through an episode; `sample` brings its arrays to a time. */
+export class Episode {
+  constructor(payload) {
+    const { about } = payload;
+    this.payload = payload;
+    this.about = about;
+    this.times = payload.array("time");
+    this.duration = this.times[about.rows - 1];
+    this.period = about.rows > 1 ? this.times[1] : 1;
+    this.end = payload.array("end");
+    this.conflicts = payload.array("conflict");
+    this.seen = payload.array("seen");
+    this.moving = ["position", "quaternion", "goal", "obstacle", "obstacle_quaternion", "target"];
+    for (const name of this.moving) this[name] = new Float32Array(payload.series(name).low.length);
+    this.rotors = payload.series("rotors");
+    this.sample(0);
+  }
+
+  /** Bring everything to a time, s. */
+  sample(time) {
+    const last = this.about.rows - 1;
+    this.time = Math.min(Math.max(time, 0), this.duration);
+    const place = Math.min(this.time / this.period, last);
+    // The small number keeps rounding from showing the row before.
+    this.row = Math.min(Math.floor(place + 1e-4), last);
+    this.share = Math.max(0, place - this.row);
+    // A decision ends with its row: what it told holds while it lasts.
+    this.decision = Math.min(Math.ceil(place - 1e-4), last);
+    for (const name of this.moving)
+      this.payload.series(name).between(this.row, this.share, this[name]);
+  }
+
+  flies(drone) {
+    return this.row < this.end[drone];
+  }
+
+  inConflict(drone) {
+    return this.flies(drone) && this.conflicts[this.decision * this.about.drones + drone] === 1;
+  }
+
+  isSeen(user) {
+    return this.seen[this.row * this.about.users + user] === 1;
+  }
+
+  rotorSpeed(drone) {
+    return this.flies(drone) ? this.rotors.at(this.row, drone) : 0;
+  }
+
+  /** Least and greatest x, y, z of all that moves: [[x, y, z], [x, y, z]]. */
+  bounds() {
+    const low = [Infinity, Infinity, Infinity];
+    const high = [-Infinity, -Infinity, -Infinity];
+    for (const name of ["position", "goal", "target", "obstacle"]) {
+      const { low: least, step } = this.payload.series(name);
+      for (let part = 0; part < least.length; part += 1) {
+        low[part % 3] = Math.min(low[part % 3], least[part]);
+        high[part % 3] = Math.max(high[part % 3], least[part] + 65534 * step[part]);
+      }
+    }
+    return [low, high];
+  }
+}

@@ -1,0 +1,222 @@
+// Lines some pixels wide, all of one kind in one draw call.
+
+import {
+  Color,
+  InstancedBufferAttribute,
+  InstancedBufferGeometry,
+  BufferAttribute,
+  BufferGeometry,
+  DoubleSide,
+  Mesh,
+  ShaderMaterial,
+  Vector2,
+} from "./three.module.min.js";
+
+const VERTEX = `
+attribute vec2 corner;
+attribute vec3 start;
+attribute vec3 finish;
+attribute vec3 tint;
+attribute vec2 when;
+uniform vec2 size;
+uniform float width;
+varying vec3 hue;
+varying float moment;
+void main() {
+  vec4 a = projectionMatrix * viewMatrix * vec4(start, 1.0);
+  vec4 b = projectionMatrix * viewMatrix * vec4(finish, 1.0);
+  // Ends behind the camera are moved to right before it.
+  float near = 1e-3;
+  if (a.w < near && b.w > near) a = mix(b, a, (b.w - near) / (b.w - a.w));
+  if (b.w < near && a.w > near) b = mix(a, b, (a.w - near) / (a.w - b.w));
+  vec2 way = (b.xy / b.w - a.xy / a.w) * size;
+  float span = length(way);
+  vec2 across = span > 0.0 ? vec2(-way.y, way.x) / span : vec2(0.0, 1.0);
+  vec4 place = mix(a, b, corner.x);
+  place.xy += across * corner.y * width / size * place.w;
+  hue = tint;
+  moment = mix(when.x, when.y, corner.x);
+  gl_Position = place;
+}`;
+/** The same for circles about `centre`, level, whose line has a width of its own. */
+const RING = VERTEX.replace(
+  "attribute vec3 start;\nattribute vec3 finish;",
+  "attribute vec3 centre;\nattribute vec2 arc;\nattribute float thick;\nuniform float radius;",
+)
+  .replace(
+    "void main() {",
+    `void main() {
+  vec3 start = centre + radius * vec3(cos(arc.x), sin(arc.x), 0.0);
+  vec3 finish = centre + radius * vec3(cos(arc.y), sin(arc.y), 0.0);`,
+  )
+  .replace("corner.y * width", "corner.y * thick");
+const SIDES = 48;
+const FRAGMENT = `
+uniform float now;
+uniform float reach;
+uniform float opacity;
+varying vec3 hue;
+varying float moment;
+void main() {
+  // Lines with a time fade as they age; the others have none.
+  float age = now - moment;
+  if (reach > 0.0 && (age < 0.0 || age > reach)) discard;
+  gl_FragColor = vec4(hue, opacity * (reach > 0.0 ? 1.0 - 0.85 * age / reach : 1.0));
+  #include <colorspace_fragment>
+}`;
+const CORNERS = [0, -1, 1, -1, 0, 1, 1, 1]; // of a line: along it, across it
+const TRIANGLES = [0, 2, 1, 1, 2, 3];
+const shared = { size: { value: new Vector2(1, 1) } };
+
+/** Tell lines how large the picture is, pixels. */
+export function setLineSize(width, height) {
+  shared.size.value.set(width, height);
+}
+
+function lineMaterial(vertexShader, width, opacity, more = {}) {
+  const uniforms = {
+    size: shared.size,
+    width: { value: width },
+    opacity: { value: opacity },
+    now: { value: 0 },
+    reach: { value: 0 },
+    ...more,
+  };
+  return new ShaderMaterial({
+    uniforms,
+    vertexShader,
+    fragmentShader: FRAGMENT,
+    transparent: true,
+    depthWrite: false,
+    side: DoubleSide,
+  });
+}
+
+/**
+ * Up to `most` lines; `put` them from 0 on, then tell by `show` how many there are.
+ *
+ * Each has four corners of its own: where the processor draws, instances as small are slow.
+ */
+export class Lines extends Mesh {
+  constructor(most, width, opacity = 1) {
+    const geometry = new BufferGeometry();
+    const corner = new Float32Array(8 * most);
+    const index = new Uint32Array(6 * most);
+    for (let k = 0; k < most; k += 1) {
+      corner.set(CORNERS, 8 * k);
+      for (let part = 0; part < 6; part += 1) index[6 * k + part] = 4 * k + TRIANGLES[part];
+    }
+    geometry.setIndex(new BufferAttribute(index, 1));
+    geometry.setAttribute("corner", new BufferAttribute(corner, 2));
+    geometry.setAttribute("start", new BufferAttribute(new Float32Array(12 * most), 3));
+    geometry.setAttribute("finish", new BufferAttribute(new Float32Array(12 * most), 3));
+    geometry.setAttribute("tint", new BufferAttribute(new Uint8Array(16 * most), 4, true));
+    geometry.setAttribute("when", new BufferAttribute(new Float32Array(8 * most), 2));
+    super(geometry, lineMaterial(VERTEX, width, opacity));
+    this.frustumCulled = false;
+    this.parts = ["start", "finish", "tint", "when"].map((name) => geometry.attributes[name]);
+  }
+
+  put(k, from, fromAt, to, toAt, colour, whenFrom = 0, whenTo = 0) {
+    const [start, finish, tint, when] = this.parts;
+    for (let v = 4 * k; v < 4 * k + 4; v += 1) {
+      for (let axis = 0; axis < 3; axis += 1) {
+        start.array[3 * v + axis] = from[fromAt + axis];
+        finish.array[3 * v + axis] = to[toAt + axis];
+      }
+      tint.setXYZ(v, colour.r, colour.g, colour.b);
+      when.array[2 * v] = whenFrom;
+      when.array[2 * v + 1] = whenTo;
+    }
+  }
+
+  show(count) {
+    this.geometry.setDrawRange(0, 6 * count);
+    for (const part of this.parts) {
+      part.clearUpdateRanges();
+      part.addUpdateRange(0, 4 * count * part.itemSize);
+      part.needsUpdate = count > 0;
+    }
+  }
+}
+
+/** Circles about drones, level. */
+export class Rings extends Mesh {
+  constructor(count, radius) {
+    const geometry = new InstancedBufferGeometry();
+    const [corners, arc, index] = [[], [], []];
+    for (let k = 0; k < SIDES; k += 1) {
+      corners.push(...CORNERS);
+      const ends = [(2 * Math.PI * k) / SIDES, (2 * Math.PI * (k + 1)) / SIDES];
+      for (let corner = 0; corner < 4; corner += 1) arc.push(...ends);
+      index.push(...TRIANGLES.map((corner) => 4 * k + corner));
+    }
+    geometry.setAttribute("corner", new BufferAttribute(new Float32Array(corners), 2));
+    geometry.setAttribute("arc", new BufferAttribute(new Float32Array(arc), 2));
+    geometry.setIndex(index);
+    for (const [name, parts] of [
+      ["centre", 3],
+      ["tint", 3],
+      ["thick", 1],
+    ]) {
+      geometry.setAttribute(
+        name,
+        new InstancedBufferAttribute(new Float32Array(count * parts), parts),
+      );
+    }
+    super(geometry, lineMaterial(RING, 1, 0.9, { radius: { value: radius } }));
+    this.frustumCulled = false;
+    this.parts = ["centre", "tint", "thick"].map((name) => geometry.attributes[name]);
+  }
+
+  put(k, places, colour, thick) {
+    const [centre, tint, width] = this.parts;
+    centre.setXYZ(k, places[3 * k], places[3 * k + 1], places[3 * k + 2]);
+    tint.setXYZ(k, colour.r, colour.g, colour.b);
+    width.setX(k, thick);
+  }
+
+  show(count) {
+    this.geometry.instanceCount = count;
+    for (const part of this.parts) part.needsUpdate = true;
+  }
+}
+
+/** Trails of all drones: pieces in the order of time, of which those in reach are drawn. */
+export class Trails extends Lines {
+  constructor(episode) {
+    const { rows, drones, colours } = episode.about;
+    super(Math.max(1, (rows - 1) * drones), 2);
+    const hues = colours.map((one) => new Color(one));
+    const position = episode.payload.series("position");
+    const from = new Float32Array(3 * drones);
+    const to = new Float32Array(3 * drones);
+    // Pieces of row k are those from `begins[k]` on.
+    this.begins = new Uint32Array(rows + 1);
+    let count = 0;
+    for (let row = 0; row + 1 < rows; row += 1) {
+      this.begins[row] = count;
+      position.between(row, 0, from);
+      position.between(row + 1, 0, to);
+      for (let k = 0; k < drones; k += 1) {
+        if (row >= episode.end[k]) continue;
+        const [then, later] = [episode.times[row], episode.times[row + 1]];
+        this.put(count, from, 3 * k, to, 3 * k, hues[k], then, later);
+        count += 1;
+      }
+    }
+    this.begins.fill(count, rows - 1);
+    this.show(count);
+    this.episode = episode;
+  }
+
+  /** Show what was flown in the last `reach` seconds. */
+  update(reach) {
+    const { time, row, period } = this.episode;
+    const first = this.begins[Math.max(0, Math.floor((time - reach) / period))];
+    const count = reach > 0 ? this.begins[row + 1] - first : 0;
+    this.geometry.setDrawRange(6 * first, 6 * count);
+    this.material.uniforms.now.value = time;
+    this.material.uniforms.reach.value = reach;
+  }
+}

@@ -1,0 +1,293 @@
+// Builds the page from its payload, and draws a picture whenever something has changed.
+
+import { Color, Scene, Vector3, WebGLRenderer } from "./three.module.min.js";
+import { View } from "./camera.js";
+import { byId, connect } from "./controls.js";
+import { Drones } from "./drones.js";
+import { Episode } from "./episode.js";
+import { setLineSize } from "./lines.js";
+import { readPayload } from "./payload.js";
+import { Plots } from "./plots.js";
+import { Service } from "./service.js";
+import { extent, World } from "./world.js";
+
+const COLOURS = [
+  "sky",
+  "land",
+  "grid",
+  "building",
+  "edge",
+  "ring",
+  "conflict",
+  "goal",
+  "seen",
+  "unseen",
+  "link",
+  "beam",
+  "miss",
+  "contact",
+  "glow",
+];
+const PICK = 24; // pixels from a drone within which a click chooses it
+const KEPT = 600; // pictures whose times are kept
+
+/** What plays the episode; `globalThis.replay` for consoles and tests. */
+class Player {
+  constructor(payload) {
+    this.episode = new Episode(payload);
+    this.canvas = byId("view");
+    this.renderer = new WebGLRenderer({ canvas: this.canvas, antialias: true });
+    this.scene = new Scene();
+    const whole = extent(this.episode);
+    this.view = new View(this.canvas, whole);
+    this.world = new World(this.episode, whole);
+    this.drones = new Drones(this.episode);
+    this.service = new Service(this.episode);
+    this.scene.add(this.world, this.drones, this.service);
+    Object.assign(this, {
+      chosen: 0,
+      speed: 1,
+      playing: false,
+      following: false,
+      reach: 5,
+      trueSize: false,
+    });
+    this.stats = { script: [], calls: 0, pictures: 0 }; // ms of scripts, draw calls, count
+    const { about } = this.episode;
+    this.layers = {
+      trails: this.drones.trails,
+      rings: this.drones.rings,
+      stems: this.drones.stems,
+      goals: about.goals && this.drones.goals,
+      contacts: this.drones.contactRows.length && this.drones.contacts,
+      users: about.users && this.service.users,
+      links: this.service.hasLinks && this.service.links,
+      beams: this.service.ranges && this.service.beams,
+      city: this.world.city,
+    };
+    this.plots = new Plots(this.episode, byId("charts"), (time) => this.seek(time));
+    this.spot = new Vector3();
+    connect(this);
+    this.canvas.addEventListener("pointerdown", (event) => {
+      this.pressed = [event.clientX, event.clientY];
+    });
+    this.canvas.addEventListener("click", (event) => this.pick(event));
+    new ResizeObserver(() => this.resize()).observe(this.canvas);
+    this.setTheme(matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
+    this.resize();
+    this.view.whole();
+    this.choose(0);
+  }
+
+  set(name, value) {
+    this[name] = value;
+    this.dirty = true;
+  }
+
+  setSpeed(speed) {
+    this.speed = speed;
+  }
+
+  seek(time) {
+    this.episode.sample(time);
+    this.dirty = true;
+  }
+
+  toggle() {
+    this.playing = !this.playing;
+    if (this.playing && this.episode.time >= this.episode.duration) this.seek(0);
+    byId("play").textContent = this.playing ? "Pause" : "Play";
+  }
+
+  choose(drone) {
+    const { drones } = this.episode.about;
+    this.chosen = (drone + drones) % drones;
+    byId("drone").value = this.chosen;
+    this.plots.draw(this.chosen);
+    this.dirty = true;
+  }
+
+  follow(on) {
+    this.following = on;
+    byId("follow").setAttribute("aria-pressed", on);
+    if (on) this.view.approach(this.drones.sizes[this.chosen]);
+    this.dirty = true;
+  }
+
+  whole() {
+    this.follow(false);
+    this.view.whole();
+  }
+
+  pan(right, forward) {
+    this.follow(false);
+    this.view.move(right, forward);
+  }
+
+  showLayer(name, on) {
+    this.layers[name].visible = on;
+    if (name === "city" && this.world.edges) this.world.edges.visible = on;
+    this.dirty = true;
+  }
+
+  showPlots() {
+    const plain = document.body.classList.toggle("plain");
+    byId("plots").setAttribute("aria-pressed", !plain);
+    this.resize();
+  }
+
+  changeTheme() {
+    this.setTheme(this.theme === "dark" ? "light" : "dark");
+  }
+
+  setTheme(theme) {
+    this.theme = theme;
+    document.documentElement.dataset.theme = theme;
+    const style = getComputedStyle(document.documentElement);
+    const told = COLOURS.map((name) => [
+      name,
+      new Color(style.getPropertyValue(`--${name}`).trim()),
+    ]);
+    const palette = Object.fromEntries(told);
+    this.scene.background = palette.sky;
+    for (const part of [this.world, this.drones, this.service]) part.paint(palette);
+    this.plots.draw();
+    this.writeKey();
+    this.dirty = true;
+  }
+
+  /** Tell what colours mean that are there. */
+  writeKey() {
+    const { layers } = this;
+    const { d_safe: safe } = this.episode.about;
+    const entries = [
+      ["conflict", `nearer than d_safe ${safe} m`, true],
+      ["goal", "way to goal", layers.goals],
+      ["seen", "target in sight", layers.users],
+      ["unseen", "target out of sight", layers.users],
+      ["link", "serves", layers.links],
+      ["beam", "range measured", layers.beams],
+      ["contact", "contact", layers.contacts],
+    ].filter(([, , there]) => there);
+    byId("key").replaceChildren(
+      ...entries.map(([name, text]) => {
+        const item = document.createElement("li");
+        const chip = document.createElement("i");
+        chip.style.background = `var(--${name})`;
+        item.append(chip, text);
+        return item;
+      }),
+    );
+  }
+
+  resize() {
+    const [width, height] = [this.canvas.clientWidth || 1, this.canvas.clientHeight || 1];
+    const ratio = Math.min(window.devicePixelRatio || 1, 2);
+    this.size = [width, height];
+    this.renderer.setPixelRatio(ratio);
+    this.renderer.setSize(width, height, false);
+    setLineSize(width, height);
+    // The panel is on the right, in narrow windows below, or hidden.
+    const panel = byId("side").getBoundingClientRect();
+    const isBelow = panel.width > 0.5 * width;
+    const lower = isBelow ? panel : document.querySelector("footer").getBoundingClientRect();
+    const right = isBelow || !panel.width ? 0 : width - panel.left;
+    this.view.resize(width, height, right, height - lower.top);
+    this.plots.draw();
+    this.dirty = true;
+  }
+
+  /** Where a drone is in the picture, pixels; null behind the camera. */
+  project(drone) {
+    const at = this.spot.fromArray(this.episode.position, 3 * drone).project(this.view.camera);
+    if (at.z > 1) return null;
+    return [((1 + at.x) / 2) * this.size[0], ((1 - at.y) / 2) * this.size[1]];
+  }
+
+  pick(event) {
+    // What was dragged is no click.
+    if (Math.hypot(event.clientX - this.pressed[0], event.clientY - this.pressed[1]) > 4) return;
+    let [best, nearest] = [-1, PICK];
+    for (let k = 0; k < this.episode.about.drones; k += 1) {
+      const at = this.project(k);
+      const away = at ? Math.hypot(at[0] - event.clientX, at[1] - event.clientY) : Infinity;
+      if (away < nearest) [best, nearest] = [k, away];
+    }
+    if (best >= 0) this.choose(best);
+  }
+
+  /** One turn of the page: go on in time, and draw if anything has changed. */
+  turn(now) {
+    const begin = performance.now();
+    const seconds = Math.min(0.1, (now - (this.before ?? now)) / 1000);
+    this.before = now;
+    if (this.playing) {
+      this.seek(this.episode.time + this.speed * seconds);
+      if (this.episode.time >= this.episode.duration) this.toggle();
+    }
+    if (this.dirty || this.view.changed) {
+      this.draw(this.playing ? seconds : 0);
+      this.stats.script.push(performance.now() - begin);
+      this.stats.ready ??= performance.now();
+      if (this.stats.script.length > KEPT) this.stats.script.shift();
+    }
+    requestAnimationFrame((later) => this.turn(later));
+  }
+
+  draw(seconds) {
+    [this.dirty, this.view.changed] = [false, false];
+    if (this.following) this.view.target.fromArray(this.episode.position, 3 * this.chosen);
+    this.view.update();
+    const eye = this.view.camera.position;
+    const pixel = (x, y, z) => this.view.pixelAt(Math.hypot(x - eye.x, y - eye.y, z - eye.z));
+    const { chosen, reach, trueSize } = this;
+    const moment = { pixel, seconds, chosen, reach, trueSize };
+    for (const part of [this.world, this.drones, this.service]) part.update(moment);
+    this.renderer.render(this.scene, this.view.camera);
+    this.stats.calls = this.renderer.info.render.calls;
+    this.stats.pictures += 1;
+    this.write();
+  }
+
+  /** Bring texts and plots to the time that is shown. */
+  write() {
+    const { episode, chosen } = this;
+    byId("clock").textContent = `${episode.time.toFixed(1)} / ${episode.duration.toFixed(1)} s`;
+    byId("scrub").value = episode.time;
+    const [x, y, z] = episode.position.subarray(3 * chosen, 3 * chosen + 3);
+    const now = !episode.flies(chosen)
+      ? "has finished"
+      : episode.inConflict(chosen)
+        ? "in conflict"
+        : "flies";
+    byId("state").textContent = `${now}, at ${x.toFixed(1)}, ${y.toFixed(1)}, ${z.toFixed(1)} m`;
+    const at = this.project(chosen);
+    byId("tag").hidden = !at;
+    byId("tag").textContent = `drone_${chosen}`;
+    if (at)
+      byId("tag").style.transform =
+        `translate(${(at[0] + 16).toFixed(0)}px, ${(at[1] - 26).toFixed(0)}px)`;
+    this.plots.update();
+  }
+}
+
+/** Take what the address tells behind #: time, drone, theme, follow, play. */
+function obey(player) {
+  const told = new URLSearchParams(location.hash.slice(1));
+  if (told.has("theme")) player.setTheme(told.get("theme") === "dark" ? "dark" : "light");
+  if (told.has("drone")) player.choose(Number(told.get("drone")) || 0);
+  if (told.has("time")) player.seek(Number(told.get("time")) || 0);
+  if (told.has("follow")) player.follow(true);
+  if (told.has("play")) player.toggle();
+}
+
+try {
+  const player = new Player(await readPayload(byId("payload").textContent));
+  obey(player);
+  globalThis.replay = player;
+  requestAnimationFrame((now) => player.turn(now));
+} catch (error) {
+  byId("trouble").hidden = false;
+  byId("trouble").textContent = `This replay needs a browser with WebGL 2: ${error.message}`;
+  console.error(error);
+}

@@ -1,0 +1,70 @@
+// Reads the block of numbers that the page carries; report/payload.py writes it.
+
+const NO_VALUE = 65535;
+const TYPES = { f4: Float32Array, u4: Uint32Array, u2: Uint16Array, u1: Uint8Array };
+
+/** Numbers over time, rounded: `parts` lines of `rows` values each. */
+class Series {
+  constructor(changes, low, step, rows) {
+    this.low = low;
+    this.step = step;
+    this.rows = rows;
+    this.codes = changes;
+    // What is kept is the change from row to row; sums wrap as the differences did.
+    for (let part = 0; part < low.length; part += 1) {
+      for (let k = part * rows + 1; k < (part + 1) * rows; k += 1) changes[k] += changes[k - 1];
+    }
+  }
+
+  /** One value; NaN where there is none. */
+  at(row, part) {
+    const code = this.codes[part * this.rows + row];
+    return code === NO_VALUE ? NaN : this.low[part] + code * this.step[part];
+  }
+
+  /** Write all values of a row between two rows to `out`. */
+  between(row, share, out) {
+    const { codes, low, step, rows } = this;
+    const next = row + 1 < rows ? 1 : 0;
+    for (let part = 0, k = row; part < low.length; part += 1, k += rows) {
+      out[part] = low[part] + (codes[k] + share * (codes[k + next] - codes[k])) * step[part];
+    }
+  }
+}
+
+/** What the page shows: `about`, and arrays by name. */
+export class Payload {
+  constructor(block) {
+    const length = new DataView(block).getUint32(0, true);
+    this.about = JSON.parse(new TextDecoder().decode(new Uint8Array(block, 4, length)));
+    this.block = block;
+    this.start = 4 + length;
+    this.known = new Map();
+  }
+
+  array(name) {
+    const { at, length, kind } = this.about.arrays[name];
+    return new TYPES[kind](this.block, this.start + at, length);
+  }
+
+  has(name) {
+    return `${name} codes` in this.about.arrays;
+  }
+
+  series(name) {
+    if (!this.known.has(name)) {
+      const [codes, low, step] = ["codes", "low", "step"].map((part) =>
+        this.array(`${name} ${part}`),
+      );
+      this.known.set(name, new Series(codes, low, step, this.about.rows));
+    }
+    return this.known.get(name);
+  }
+}
+
+/** Read the text that `Payload.text` in Python wrote. */
+export async function readPayload(text) {
+  const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+  const whole = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
+  return new Payload(await new Response(whole).arrayBuffer());
+}

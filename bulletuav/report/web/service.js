@@ -1,0 +1,129 @@
+// Users on the ground, the links that serve them, and the beams of the chosen drone's range finder.
+
+import {
+  CylinderGeometry,
+  Group,
+  InstancedBufferAttribute,
+  InstancedMesh,
+  MeshLambertMaterial,
+  SphereGeometry,
+  Color,
+} from "./three.module.min.js";
+import { Lines } from "./lines.js";
+import { joined, pose, writePose } from "./shapes.js";
+
+const TALL = 1.7; // m, of a user
+const SMALLEST = 13; // pixels, at which a user is seen
+
+function person() {
+  const white = new Color(1, 1, 1);
+  const body = new CylinderGeometry(0.14, 0.24, 1.3, 8).rotateX(Math.PI / 2);
+  return joined([
+    { geometry: body, matrix: pose([0, 0, 0.65]), hue: white },
+    { geometry: new SphereGeometry(0.2, 8, 6), matrix: pose([0, 0, 1.5]), hue: white },
+  ]);
+}
+
+export class Service extends Group {
+  constructor(episode) {
+    super();
+    this.episode = episode;
+    const { about, payload } = episode;
+    // Targets that stay where they are may be cells of the ground.
+    this.walk = payload.series("target").step.some((step) => step > 0);
+    const figure = this.walk ? person() : new SphereGeometry(0.5, 10, 8);
+    this.users = new InstancedMesh(figure, new MeshLambertMaterial(), Math.max(1, about.users));
+    this.users.instanceColor = new InstancedBufferAttribute(
+      new Float32Array(3 * Math.max(1, about.users)),
+      3,
+    );
+    this.users.frustumCulled = false;
+    this.users.count = about.users;
+    this.who = payload.array("link_drone");
+    this.whom = payload.array("link_target");
+    this.begins = payload.array("link_start");
+    let most = 1;
+    for (let row = 0; row < about.rows; row += 1)
+      most = Math.max(most, this.begins[row + 1] - this.begins[row]);
+    this.links = new Lines(most, 1.5, 0.75);
+    this.hasLinks = this.who.length > 0;
+    this.ranges = payload.has("reading/lidar") ? payload.series("reading/lidar") : null;
+    const directions = about.lidar.beams.map(([azimuth, elevation]) => {
+      const [a, e] = [(azimuth * Math.PI) / 180, (elevation * Math.PI) / 180];
+      return [Math.cos(e) * Math.cos(a), Math.cos(e) * Math.sin(a), Math.sin(e)];
+    });
+    this.directions = directions;
+    this.beams = new Lines(Math.max(1, directions.length), 1.5, 0.8);
+    this.add(this.users, this.links, this.beams);
+  }
+
+  update({ pixel, chosen, trueSize }) {
+    this.placeUsers(pixel, trueSize);
+    this.placeLinks();
+    this.placeBeams(chosen);
+  }
+
+  placeUsers(pixel, trueSize) {
+    const { target: at, about } = this.episode;
+    for (let k = 0; k < about.users; k += 1) {
+      const [x, y, z] = [at[3 * k], at[3 * k + 1], at[3 * k + 2]];
+      const scale = trueSize ? 1 : Math.max(1, (SMALLEST * pixel(x, y, z)) / TALL);
+      // Targets are at the height of what a user holds: figures stand on the ground below.
+      const foot = this.walk ? Math.max(0, z - TALL) : z;
+      writePose(this.users.instanceMatrix.array, 16 * k, x, y, foot, 0, 0, 0, 1, scale);
+      const colour = this.episode.isSeen(k) ? this.palette.seen : this.palette.unseen;
+      colour.toArray(this.users.instanceColor.array, 3 * k);
+    }
+    this.users.instanceMatrix.needsUpdate = true;
+    this.users.instanceColor.needsUpdate = true;
+  }
+
+  placeLinks() {
+    const { position, target, row } = this.episode;
+    const first = this.begins[row];
+    const count = this.begins[row + 1] - first;
+    for (let k = 0; k < count; k += 1) {
+      this.links.put(
+        k,
+        position,
+        3 * this.who[first + k],
+        target,
+        3 * this.whom[first + k],
+        this.palette.link,
+      );
+    }
+    this.links.show(count);
+  }
+
+  placeBeams(chosen) {
+    const { position: p, quaternion: q, about, row } = this.episode;
+    if (!this.ranges || !this.episode.flies(chosen)) {
+      this.beams.show(0);
+      return;
+    }
+    let [cosine, sine] = [1, 0];
+    if (about.lidar.frame === "yaw") {
+      // The heading is that of the nose over ground.
+      const [x, y, z, w] = q.subarray(4 * chosen, 4 * chosen + 4);
+      const [east, north] = [1 - 2 * (y * y + z * z), 2 * (x * y + z * w)];
+      const level = Math.hypot(east, north) || 1;
+      [cosine, sine] = [east / level, north / level];
+    }
+    const end = [0, 0, 0];
+    const count = this.directions.length;
+    for (let k = 0; k < count; k += 1) {
+      const [x, y, z] = this.directions[k];
+      const range = this.ranges.at(row, chosen * count + k);
+      end[0] = p[3 * chosen] + range * (cosine * x - sine * y);
+      end[1] = p[3 * chosen + 1] + range * (sine * x + cosine * y);
+      end[2] = p[3 * chosen + 2] + range * z;
+      const hits = range < 0.9999 * about.lidar.max_range;
+      this.beams.put(k, p, 3 * chosen, end, 0, hits ? this.palette.beam : this.palette.miss);
+    }
+    this.beams.show(count);
+  }
+
+  paint(palette) {
+    this.palette = palette;
+  }
+}

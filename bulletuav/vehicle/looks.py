@@ -1,0 +1,65 @@
+"""What an airframe looks like: the visual shapes of its URDF."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from bulletuav.geometry.shapes import Shape
+from bulletuav.vehicle.airframe import Airframe
+from bulletuav.vehicle.urdf import UrdfFile
+
+Colour = tuple[float, float, float, float]
+UPRIGHT = (0.0, 0.0, 0.0, 1.0)
+PLAIN: Colour = (0.45, 0.47, 0.5, 1.0)
+"""Colour of parts whose file tells none"""
+
+
+class Part(NamedTuple):
+    """One visual shape of an airframe.
+
+    Attributes:
+        shape: Its form, in axes of its own.
+        position: (3,) where it is in body axes, m.
+        quaternion: (4,) from its axes to the body's.
+        colour: Red, green, blue and opacity, from 0 to 1.
+    """
+
+    shape: Shape
+    position: np.ndarray
+    quaternion: np.ndarray
+    colour: Colour
+
+
+def parts_of(airframe: Airframe) -> list[Part]:
+    """Read the visual shapes of an airframe.
+
+    Args:
+        airframe: Its file may name meshes in forms that are not read, such as .dae.
+
+    Returns:
+        Those that are read; the collision shape where there are none.
+    """
+    urdf = UrdfFile(airframe.urdf)
+    colours = {
+        material.get("name"): _colour(color.get("rgba", ""))
+        for material in urdf.root.iter("material")
+        for color in material.findall("color")
+    }
+    parts = []
+    for visual in urdf.root.findall("link/visual"):
+        material = visual.find("material")
+        colour = PLAIN if material is None else colours.get(material.get("name"), PLAIN)
+        try:
+            parts.append(Part(urdf.shape(visual), *urdf.origin(visual), colour))
+        except ValueError:
+            continue  # a form that the engine alone reads
+    return parts or [Part(airframe.shape, np.zeros(3), np.array(UPRIGHT), PLAIN)]
+
+
+def _colour(text: str) -> Colour:
+    """Read a colour, four numbers."""
+    try:
+        red, green, blue, alpha = map(float, text.split())
+    except ValueError:
+        return PLAIN
+    return red, green, blue, alpha
