@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.bridges.airsim_tasks import Answer, Motion, Off, Stay
 from bulletuav.bridges.airsim_values import attitude_of
-from bulletuav.bridges.setpoints import Guide, Order, Setpoint, State
+from bulletuav.bridges.motions import Answer, Motion, Off, Stay
+from bulletuav.bridges.setpoints import NORTH, Guide, Order, Setpoint, State
 from bulletuav.earth import Origin
 from bulletuav.envs.airspace import Airspace
 from bulletuav.errors import as_int, as_sequence, points_of, shown, unknown
@@ -23,8 +23,6 @@ HOME = (47.641468, -122.140165, 122.0)
 """Where AirSim's worlds are: latitude, longitude (degrees), altitude (m)"""
 SPACING = 2.0
 """Distance between neighbours at the start, m"""
-NORTH = (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))
-"""Attitude of a drone that looks north"""
 HARD = 1.0
 """Speed onto the ground from which on a touch is a collision, m/s"""
 MOST_VEHICLES = 256

@@ -4,18 +4,49 @@ A setpoint may mix what `SetpointLevel` keeps apart, such as a velocity across a
 """
 
 import math
+from collections.abc import Mapping
 from typing import NamedTuple
 
 from bulletuav.control.gains import gain_rows
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.functions import atan2, cos, sin
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY, Airframe
+from bulletuav.vehicle.swarm import Swarm
 
+NORTH = (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))
+"""Attitude of a drone that looks north"""
 MOST_LEAD = 1.0
 """How far the yaw to hold may run ahead of the drone, rad"""
 
 State = tuple[list[float], list[float], list[float], list[float]]
 """Position, quaternion, velocity, rates of a drone; see `Swarm`"""
+
+
+def states_of(swarm: Swarm) -> list[State]:
+    """Tell the states of all drones of an airspace, as lists of numbers."""
+    arrays = (swarm.position, swarm.quaternion, swarm.velocity, swarm.rates)
+    return list(zip(*(array.tolist() for array in arrays), strict=True))
+
+
+def corner_speeds(frame: Airframe, shares: Mapping[tuple[int, int], float]) -> tuple[float, ...]:
+    """Tell the speeds of four rotors, in the order of the URDF.
+
+    Args:
+        frame: The airframe.
+        shares: Of the greatest speed, by the signs of a rotor's x (forward) and y (left).
+
+    Returns:
+        One for each rotor, rad/s.
+
+    Raises:
+        ValueError: It has not four rotors.
+    """
+    if len(frame.rotors) != 4:
+        raise ValueError(f"{frame.name} has {len(frame.rotors)} rotors: this is for four")
+    return tuple(
+        frame.max_rotor_speed * shares[1 if x > 0 else -1, 1 if y > 0 else -1]
+        for x, y, _ in frame.rotors
+    )
 
 
 def euler(quaternion: list[float] | tuple[float, ...]) -> tuple[float, float, float]:

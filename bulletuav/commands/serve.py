@@ -5,9 +5,10 @@ from typing import Any
 
 from rich.console import Console
 
-from bulletuav.bridges import airsim, crazyflie
+from bulletuav.bridges import airsim, crazyflie, mavlink
 from bulletuav.bridges.airsim_world import World
 from bulletuav.bridges.crazyflie_fleet import Fleet
+from bulletuav.bridges.mavlink_fleet import MavlinkFleet
 from bulletuav.errors import choose
 
 ABOUT = {
@@ -19,7 +20,8 @@ ABOUT = {
     "epilog": """examples:
   bulletuav serve crazyflie --drones 10
   bulletuav serve crazyflie --drones 4 --wind 2 0 0 --port 19860
-  bulletuav serve airsim --drones 2 --lidar""",
+  bulletuav serve airsim --drones 2 --lidar
+  bulletuav serve mavlink --drones 3""",
 }
 LOOPBACK = "127.0.0.1"
 COMPILING = "compiling what flies; minutes at the first time"
@@ -29,13 +31,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the kind of server, where it listens, and what flies."""
     parser.add_argument("kind", help=f"one of: {', '.join(KINDS)}")
     parser.add_argument("--drones", type=int, default=1, metavar="N", help="how many (default: 1)")
-    parser.add_argument("--airframe", help="name or URDF (default: cf2x; for airsim iris)")
+    parser.add_argument("--airframe", help="name or URDF (default: iris; for crazyflie cf2x)")
     parser.add_argument(
         "--host",
         default=LOOPBACK,
         help=f"address to listen at (default: {LOOPBACK}); whoever reaches it can fly the drones",
     )
     parser.add_argument("--port", type=int, help="first port (default: the client's)")
+    parser.add_argument(
+        "--client-port",
+        type=int,
+        default=mavlink.CLIENT_PORT,
+        help=f"mavlink: where the first vehicle's client listens (default: {mavlink.CLIENT_PORT})",
+    )
     parser.add_argument(
         "--speed", type=float, default=1.0, help="simulated seconds a second (default: 1)"
     )
@@ -111,5 +119,34 @@ def _serve_airsim(arguments: argparse.Namespace) -> None:
         world.close()
 
 
-KINDS = {"crazyflie": _serve_crazyflie, "airsim": _serve_airsim}
+def _serve_mavlink(arguments: argparse.Namespace) -> None:
+    """Serve MAVLink vehicles."""
+    console = Console()
+    frame = arguments.airframe or "iris"
+    fleet = MavlinkFleet(arguments.drones, frame, **_options(arguments))
+    port = mavlink.PORT if arguments.port is None else arguments.port
+    clients = arguments.client_port
+    try:
+        server = mavlink.MavlinkServer(fleet, arguments.host, port, arguments.speed, clients)
+        try:
+            with console.status(COMPILING):
+                fleet.warm_up()
+            count = len(fleet) - 1
+            console.print(
+                f"{len(fleet)} vehicles at {arguments.host}:{server.ports[0]} to "
+                f"{server.ports[-1]}; they send to ports {clients} to {clients + count}",
+                soft_wrap=True,
+            )
+            server.run(arguments.seconds)
+        finally:
+            server.close()
+    finally:
+        fleet.close()
+
+
+KINDS = {
+    "crazyflie": _serve_crazyflie,
+    "airsim": _serve_airsim,
+    "mavlink": _serve_mavlink,
+}
 """Servers by name"""

@@ -1,4 +1,4 @@
-"""What AirSim's motion calls make a drone do, until they are done."""
+"""What clients of bridges make a drone do, until it is done."""
 
 import math
 from abc import ABC, abstractmethod
@@ -241,16 +241,18 @@ class Path(Motion):
 class Land(Motion):
     """Sink until something is touched, then switch the motors off."""
 
-    def __init__(self, state: State, begin: float, limit: float) -> None:
-        """Sink from where the drone is."""
+    def __init__(
+        self, state: State, begin: float, limit: float, speed: float = LANDING_SPEED
+    ) -> None:
+        """Sink from where the drone is, at a speed, m/s."""
         super().__init__(begin, limit)
-        self._place = state[0]
+        self._place, self._speed = state[0], speed
 
     def order(self, state: State, now: float) -> Setpoint:
         """Tell to sink, right below."""
         x, y, z = self._place
-        down = LANDING_SPEED * (now - self.begin)
-        ahead = (0.0, 0.0, -LANDING_SPEED, 0.0, 0.0, 0.0)
+        down = self._speed * (now - self.begin)
+        ahead = (0.0, 0.0, -self._speed, 0.0, 0.0, 0.0)
         return Setpoint("position", (x, y), "position", z - down, "rate", 0.0, ahead)
 
     def outcome(self, state: State, now: float, touches: bool) -> bool | None:
