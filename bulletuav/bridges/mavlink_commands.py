@@ -12,7 +12,7 @@ from bulletuav.bridges.mavlink_wire import Command, Message, Mode, RefusedError,
 BY_FORCE = 21196
 """Second parameter of a disarming in the air"""
 LEFT_OUT = 2**31 - 1
-AUTOPILOT_VERSION, PROTOCOL_VERSION, HOME_POSITION = 148, 300, 242
+AUTOPILOT_VERSION, HOME_POSITION = 148, 242
 CUSTOM = 1
 """Bit of a base mode that says that numbers of PX4's modes follow"""
 
@@ -201,7 +201,6 @@ COMMANDS: Mapping[int, Does] = {
     Command.GET_INTERVAL: _get_interval,
     Command.SET_INTERVAL: _set_interval,
     Command.REQUEST_MESSAGE: _request,
-    Command.REQUEST_PROTOCOL: _requesting(PROTOCOL_VERSION),
     Command.REQUEST_CAPABILITIES: _requesting(AUTOPILOT_VERSION),
 }
 """Commands by their numbers; others are answered as unsupported"""

@@ -38,10 +38,10 @@ PARAMETERS = {
     "MPC_THR_HOVER": Parameter(0.5, 0.0, 1.0),
     "MPC_TKO_SPEED": Parameter(1.5, 0.2, 5.0),
     "MPC_XY_CRUISE": Parameter(5.0, 0.2, 20.0),
+    "MPC_YAWRAUTO_MAX": Parameter(60.0, 5.0, 360.0),
     "MPC_Z_VEL_MAX_DN": Parameter(1.5, 0.2, 10.0),
     "MPC_Z_VEL_MAX_UP": Parameter(3.0, 0.2, 10.0),
     "RTL_DESCEND_ALT": Parameter(30.0, 0.0, 100.0),
-    "RTL_LAND_DELAY": Parameter(0.0, -1.0, 300.0),
     "RTL_RETURN_ALT": Parameter(60.0, 0.0, 150.0),
 }
 """What there is, in the order of their numbers"""

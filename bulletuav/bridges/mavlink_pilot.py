@@ -10,7 +10,7 @@ from bulletuav.bridges.mavlink_places import Site
 from bulletuav.bridges.mavlink_route import Route
 from bulletuav.bridges.mavlink_wire import Mode, RefusedError, Result
 from bulletuav.bridges.motions import Heading, Land, Motion, Off, Path, Stay
-from bulletuav.bridges.setpoints import Guide, Order, Setpoint, State
+from bulletuav.bridges.setpoints import Guide, Order, Setpoint, State, euler
 from bulletuav.vehicle.airframe import Airframe
 
 STANDS_AFTER = 0.1
@@ -51,6 +51,7 @@ class Pilot:
         self._goal: tuple[float, float, float] | None = None
         self._offboard: Setpoint | Order | None = None
         self._heard = -math.inf
+        self._yaw = math.pi / 2
         self._changed = self._upright = 0.0
         self._touched, self._has_flown, self._is_inside = True, False, True
 
@@ -141,13 +142,24 @@ class Pilot:
     def order(self, period: float) -> Order | None:
         """Tell the command of the next step, or None for motors off."""
         wanted: Setpoint | Order | None = None
-        if self.is_armed:
-            is_offboard = self.mode == Mode.OFFBOARD
-            wanted = self._offboard if is_offboard else self._motion.order(self.state, self.now)
+        if self.is_armed and self.mode == Mode.OFFBOARD:
+            wanted = self._offboard
+        elif self.is_armed:
+            wanted = self._motion.order(self.state, self.now)
+            if isinstance(wanted, Setpoint) and wanted.turning == "angle":
+                return self._guide.order(self._slowed(wanted, period), self.state, period)
+        self._yaw = euler(self.state[1])[2]
         if isinstance(wanted, Setpoint):
             return self._guide.order(wanted, self.state, period)
         self._guide.rest()
         return wanted
+
+    def _slowed(self, wanted: Setpoint, period: float) -> Setpoint:
+        """Turn to the yaw of a motion by and by: at once, it would disturb the flight."""
+        most = math.radians(self._values["MPC_YAWRAUTO_MAX"]) * period
+        away = math.remainder(wanted.yaw - self._yaw, math.tau)
+        self._yaw = math.remainder(self._yaw + min(max(away, -most), most), math.tau)
+        return wanted._replace(yaw=self._yaw)
 
     def arm(self) -> None:
         """Arm, and do what the mode asks for.

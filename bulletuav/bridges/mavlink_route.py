@@ -28,6 +28,8 @@ SLOWEST, FASTEST = 0.1, 100.0
 """Speeds that an item may ask for, m/s"""
 NEAR = 0.5
 """Distance across below which a place is where the vehicle is, m"""
+NEAREST = 0.1
+"""Distance from a place at which it has arrived, unless an item allows more, m"""
 PATIENCE = 5.0
 """How long after its time a leg may arrive, s"""
 
@@ -86,6 +88,7 @@ class Route:
         speed: float,
         heading: Heading,
         now: float,
+        near: float = NEAREST,
     ) -> Path:
         """Fly straight to a place, m, as fast as parameters allow.
 
@@ -95,6 +98,7 @@ class Route:
             speed: m/s.
             heading: Where to look.
             now: Time, s.
+            near: Distance from the place at which it has arrived, m.
         """
         rise = goal[2] - state[0][2]
         way = math.dist(goal, state[0])
@@ -103,7 +107,7 @@ class Route:
             speed = most * way / abs(rise)
         # A wind may keep it from arriving: it goes on all the same, a while later.
         limit = way / speed + speed / ACCELERATION + PATIENCE
-        return Path(state, [np.array(goal)], speed, heading, (now, limit))
+        return Path(state, [np.array(goal)], speed, heading, (now, limit), near)
 
     def motion(self, state: State, now: float, has_landed: bool) -> Motion | Mode | None:
         """Tell what comes next.
@@ -135,6 +139,8 @@ class Route:
         elif item.command == DELAY:
             yield self._wait(item.numbers[0])
         elif item.command == RETURN:
+            self.reached.append(self.current)
+            self.jump(len(self.items))
             yield Mode.RETURN
         else:
             yield from self._at_place(item)
@@ -157,17 +163,19 @@ class Route:
         if item.command != TAKEOFF or is_far:
             yaw = item.numbers[3]
             turn = math.remainder(math.pi / 2 - math.radians(yaw), math.tau)
-            yield self._leg(
-                goal, Heading("angle", turn) if math.isfinite(yaw) else Heading(forward=True)
-            )
+            heading = Heading("angle", turn) if math.isfinite(yaw) else Heading(forward=True)
+            near = item.numbers[1] if item.numbers[1] > NEAREST else NEAREST
+            yield self._leg(goal, heading, near)
         if item.command in (WAYPOINT, LOITER_TIME) and item.numbers[0] > 0:
             yield self._wait(item.numbers[0])
         while item.command == LOITER_UNLIMITED:
             yield self._wait(LONGEST)
 
-    def _leg(self, goal: tuple[float, float, float], heading: Heading) -> Path:
+    def _leg(
+        self, goal: tuple[float, float, float], heading: Heading, near: float = NEAREST
+    ) -> Path:
         """Fly straight to a place, at the mission's speed."""
-        return self.leg(self._state, goal, self.speed, heading, self._now)
+        return self.leg(self._state, goal, self.speed, heading, self._now, near)
 
     def _wait(self, seconds: float) -> Hold:
         """Stay for a time, s."""

@@ -66,11 +66,11 @@ class Services:
         """
         if getattr(message, "target_system", 0) not in (0, self.vehicle.system):
             return []
+        if getattr(message, "target_component", 0) not in (0, COMPONENT):
+            return []
         kind = message.get_type()
         if kind in COMMAND_MESSAGES:
             return self._obey(message, sender)
-        if getattr(message, "target_component", 0) not in (0, COMPONENT):
-            return []
         if kind in SETPOINTS:
             return self._follow(message, sender)
         if kind in MISSIONS:
@@ -99,8 +99,7 @@ class Services:
     def _obey(self, message: Message, sender: Sender) -> list[Told]:
         """Do what a command says, and acknowledge it."""
         result, said = Result.UNSUPPORTED, list[Told]()
-        is_ours = message.target_component in (0, COMPONENT)
-        if is_ours and message.command in COMMANDS:
+        if message.command in COMMANDS:
             try:
                 does, request = COMMANDS[message.command], Request.of(message)
                 said = list(does(self.vehicle, self.streams, request))

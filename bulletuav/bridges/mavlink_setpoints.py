@@ -63,7 +63,7 @@ def _moving(
     message: Message, mask: int, place: tuple[float, float, float], state: State, body: str
 ) -> Setpoint | Order:
     """Join what a message tells of place, velocity, acceleration and yaw."""
-    if mask & IS_FORCE:
+    if mask & IS_FORCE and mask & ACCELERATION != ACCELERATION:
         raise RefusedError("setpoint: forces are not supported")
     velocity = _vector(message, "v", mask >> 3, FASTEST)
     turning, yaw = _turning(message, mask)

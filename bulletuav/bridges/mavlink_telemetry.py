@@ -157,11 +157,6 @@ def _autopilot_version(vehicle: Vehicle) -> tuple[Any, ...]:
     return CAPABILITIES, VERSION, 0, 0, 0, none, none, none, 0, 0, vehicle.system
 
 
-def _protocol_version(vehicle: Vehicle) -> tuple[Any, ...]:
-    """Tell that MAVLink is 2."""
-    return 200, 100, 200, [0] * 8, [0] * 8
-
-
 class Stream(NamedTuple):
     """A message that a vehicle can send.
 
@@ -193,7 +188,6 @@ STREAMS: Mapping[int, Stream] = {
     148: Stream("autopilot_version", 0, _autopilot_version),
     242: Stream("home_position", 0.5, _home),
     245: Stream("extended_sys_state", 2, _extended),
-    300: Stream("protocol_version", 0, _protocol_version),
     331: Stream("odometry", 0, _odometry),
 }
 """Messages by their numbers"""
@@ -242,9 +236,12 @@ class Streams:
             self._periods[number] = _steps(wanted)
 
     def interval(self, number: int) -> int:
-        """Tell a rate: us, -1 for never, 0 for a message that there is not."""
-        if number not in STREAMS:
-            return 0
+        """Tell a rate: us, or -1 for never.
+
+        Raises:
+            RefusedError: There is no such message.
+        """
+        stream(number)
         period = self._periods.get(number)
         return -1 if period is None else period * (10**6 // STEP_HZ)
 

@@ -13,7 +13,7 @@ from bulletuav.functions import atan2
 ACCELERATION = 2.0
 """How fast drones speed up and brake along paths, m/s^2"""
 ARRIVED = 0.3
-"""Distance from a goal, m, at which a path is done"""
+"""Distance from a goal, m, at which a path is done, unless another is given"""
 LANDING_SPEED = 0.5
 """m/s"""
 Answer = Callable[[bool], None]
@@ -195,6 +195,7 @@ class Path(Motion):
         speed: float,
         heading: Heading,
         times: tuple[float, float],
+        near: float = ARRIVED,
     ) -> None:
         """Plan the path from where the drone is.
 
@@ -204,8 +205,10 @@ class Path(Motion):
             speed: m/s, above 0.
             heading: Where to look.
             times: When it begins, and how long it may take, s.
+            near: Distance from the goal at which it is done, m.
         """
         super().__init__(*times)
+        self._near = near
         self._points = np.array([state[0], *points])
         steps = np.diff(self._points, axis=0)
         lengths = np.sqrt((steps * steps).sum(axis=1))
@@ -228,7 +231,7 @@ class Path(Motion):
         """Tell whether it has arrived, or the time is over."""
         if now - self.begin >= self._ramp.duration:
             away = np.array(state[0]) - self._points[-1]
-            if float((away * away).sum()) < ARRIVED**2:
+            if float((away * away).sum()) < self._near**2:
                 return True
         return False if now - self.begin >= self.limit else None
 

@@ -1,7 +1,9 @@
 import pytest
 from bridges.crtp_client import Drone
+from bridges.mavlink_client import Station
 
 from bulletuav.bridges.crazyflie_fleet import Fleet
+from bulletuav.bridges.mavlink_fleet import MavlinkFleet
 
 
 @pytest.fixture
@@ -21,6 +23,26 @@ def make_fleet():
 @pytest.fixture
 def drone(make_fleet):
     return Drone(make_fleet(1))
+
+
+@pytest.fixture
+def make_vehicles():
+    """Makes fleets of MAVLink vehicles, and closes them."""
+    made = []
+
+    def make(*args, **options):
+        made.append(MavlinkFleet(*args, **{"seed": 0, **options}))
+        return made[-1]
+
+    yield make
+    for fleet in made:
+        fleet.close()
+
+
+@pytest.fixture
+def station(make_vehicles):
+    """A ground station of one vehicle, which stands on the ground."""
+    return Station(make_vehicles(1))
 
 
 @pytest.fixture
