@@ -8,7 +8,7 @@ import numpy as np
 
 from bulletuav.bridges.airsim_values import attitude_of
 from bulletuav.bridges.motions import Answer, Motion, Off, Stay
-from bulletuav.bridges.setpoints import NORTH, Guide, Order, Setpoint, State
+from bulletuav.bridges.setpoints import NORTH, Guide, Order, Setpoint, State, give
 from bulletuav.earth import Origin
 from bulletuav.envs.airspace import Airspace
 from bulletuav.errors import as_int, as_sequence, points_of, shown, unknown
@@ -236,12 +236,11 @@ class World:
         Raises:
             RuntimeError: The flight diverged, or the airspace is closed.
         """
-        for i, vehicle in enumerate(self.vehicles.values()):
-            order = vehicle.order(self.state(i), self.clock, self.airspace.period)
-            if order is None:
-                self.airspace.stop(i)
-            else:
-                self.airspace.command(i, order.level, order.numbers)
+        orders = [
+            vehicle.order(self.state(i), self.clock, self.airspace.period)
+            for i, vehicle in enumerate(self.vehicles.values())
+        ]
+        give(self.airspace, orders)
         self.airspace.step()
         self._ticks += 1
         swarm, period = self.airspace.swarm, self.airspace.period

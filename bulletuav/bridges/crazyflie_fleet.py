@@ -8,7 +8,7 @@ from bulletuav.bridges.crazyflie_services import TICK
 from bulletuav.bridges.crazyflie_tables import LOGS
 from bulletuav.bridges.crazyflie_vehicle import Vehicle
 from bulletuav.bridges.crtp import Packet
-from bulletuav.bridges.setpoints import euler, states_of
+from bulletuav.bridges.setpoints import euler, give, states_of
 from bulletuav.bridges.starts import starts
 from bulletuav.earth import pressure
 from bulletuav.envs.airspace import Airspace
@@ -87,12 +87,7 @@ class Fleet:
         Raises:
             RuntimeError: The flight diverged, or the airspace is closed.
         """
-        for i, vehicle in enumerate(self.vehicles):
-            order = vehicle.order(self.airspace.period)
-            if order is None:
-                self.airspace.stop(i)
-            else:
-                self.airspace.command(i, order.level, order.numbers)
+        give(self.airspace, [one.order(self.airspace.period) for one in self.vehicles])
         self.airspace.step()
         self.tick += 1
         self._sense()

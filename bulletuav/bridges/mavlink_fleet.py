@@ -1,6 +1,7 @@
 """MAVLink vehicles in one airspace, without sockets: messages in, messages out, step by step."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 from bulletuav.bridges.mavlink_places import Site
@@ -8,7 +9,7 @@ from bulletuav.bridges.mavlink_services import Services
 from bulletuav.bridges.mavlink_telemetry import STEP_HZ
 from bulletuav.bridges.mavlink_vehicle import Vehicle
 from bulletuav.bridges.mavlink_wire import Message, Sender, Told
-from bulletuav.bridges.setpoints import NORTH, states_of
+from bulletuav.bridges.setpoints import NORTH, give, states_of
 from bulletuav.bridges.starts import starts
 from bulletuav.earth import Origin
 from bulletuav.envs.airspace import Airspace
@@ -69,7 +70,7 @@ class MavlinkFleet:
         known = {"physics_hz": PHYSICS_HZ, "decision_hz": STEP_HZ, **options}
         self.airspace = Airspace(places, frame, **known)
         self.services = [
-            Services(Vehicle(k + 1, frame, Site.at(self.origin, place)))
+            Services(Vehicle(k + 1, frame, Site.at(self.origin, place), partial(self._locate, k)))
             for k, place in enumerate(places)
         ]
         self.tick, self._starts = 0, places
@@ -98,12 +99,8 @@ class MavlinkFleet:
         Raises:
             RuntimeError: The flight diverged, or the airspace is closed.
         """
-        for i, one in enumerate(self.services):
-            order = one.vehicle.pilot.order(self.airspace.period)
-            if order is None:
-                self.airspace.stop(i)
-            else:
-                self.airspace.command(i, order.level, order.numbers)
+        period = self.airspace.period
+        give(self.airspace, [one.vehicle.pilot.order(period) for one in self.services])
         self.airspace.step()
         self.tick += 1
         self._sense()
@@ -118,10 +115,15 @@ class MavlinkFleet:
         """Tell the vehicles how their bodies move."""
         swarm, contacts = self.airspace.swarm, self.airspace.contacts
         touching = set(contacts.drone[contacts.normal[:, 2] > UPWARD].tolist())
-        geodetic = self.origin.to_geodetic(swarm.position).tolist()
-        rows = zip(self.services, states_of(swarm), geodetic, strict=True)
-        for i, (one, state, place) in enumerate(rows):
-            one.vehicle.sense(state, place, self.time, i in touching or self.tick == 0)
+        self._geodetic: list[list[float]] | None = None
+        for i, (one, state) in enumerate(zip(self.services, states_of(swarm), strict=True)):
+            one.vehicle.pilot.sense(state, self.time, i in touching or self.tick == 0)
+
+    def _locate(self, i: int) -> list[float]:
+        """Tell where a vehicle is on the Earth; all are worked out at once, if one is asked for."""
+        if self._geodetic is None:
+            self._geodetic = self.origin.to_geodetic(self.airspace.swarm.position).tolist()
+        return self._geodetic[i]
 
     def close(self) -> None:
         """Free the airspace."""

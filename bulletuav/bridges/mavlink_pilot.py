@@ -51,7 +51,7 @@ class Pilot:
         self._goal: tuple[float, float, float] | None = None
         self._offboard: Setpoint | Order | None = None
         self._heard = -math.inf
-        self._yaw = math.pi / 2
+        self._yaw: float | None = None
         self._changed = self._upright = 0.0
         self._touched, self._has_flown, self._is_inside = True, False, True
 
@@ -148,7 +148,7 @@ class Pilot:
             wanted = self._motion.order(self.state, self.now)
             if isinstance(wanted, Setpoint) and wanted.turning == "angle":
                 return self._guide.order(self._slowed(wanted, period), self.state, period)
-        self._yaw = euler(self.state[1])[2]
+        self._yaw = None
         if isinstance(wanted, Setpoint):
             return self._guide.order(wanted, self.state, period)
         self._guide.rest()
@@ -157,8 +157,9 @@ class Pilot:
     def _slowed(self, wanted: Setpoint, period: float) -> Setpoint:
         """Turn to the yaw of a motion by and by: at once, it would disturb the flight."""
         most = math.radians(self._values["MPC_YAWRAUTO_MAX"]) * period
-        away = math.remainder(wanted.yaw - self._yaw, math.tau)
-        self._yaw = math.remainder(self._yaw + min(max(away, -most), most), math.tau)
+        yaw = euler(self.state[1])[2] if self._yaw is None else self._yaw
+        away = math.remainder(wanted.yaw - yaw, math.tau)
+        self._yaw = math.remainder(yaw + min(max(away, -most), most), math.tau)
         return wanted._replace(yaw=self._yaw)
 
     def arm(self) -> None:

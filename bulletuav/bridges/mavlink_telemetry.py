@@ -290,7 +290,7 @@ def _heading(vehicle: Vehicle) -> int:
 
 def _degrees(vehicle: Vehicle) -> tuple[int, int, int]:
     """Tell where it is: latitude and longitude, 1e-7 deg, and altitude, mm."""
-    return _whole_degrees(vehicle.geodetic)
+    return _whole_degrees(vehicle.locate())
 
 
 def _whole_degrees(spot: Sequence[float]) -> tuple[int, int, int]:

@@ -1,12 +1,13 @@
 """One MAVLink vehicle: who flies it, its parameters, its missions and its fence."""
 
+from collections.abc import Callable
+
 from bulletuav.bridges.mavlink_fence import Fence, Item
 from bulletuav.bridges.mavlink_items import check_items
 from bulletuav.bridges.mavlink_missions import MISSION, MissionService
 from bulletuav.bridges.mavlink_parameters import ParameterService
 from bulletuav.bridges.mavlink_pilot import Pilot
 from bulletuav.bridges.mavlink_places import Site
-from bulletuav.bridges.setpoints import State
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY, Airframe
 
 
@@ -20,24 +21,26 @@ class Vehicle:
         parameters: Its parameters.
         pilot: Who flies it.
         missions: Lists of items.
-        geodetic: Latitude and longitude, deg, and altitude, m.
+        locate: Function that tells latitude and longitude, deg, and altitude, m.
     """
 
-    def __init__(self, system: int, airframe: Airframe, site: Site) -> None:
+    def __init__(
+        self, system: int, airframe: Airframe, site: Site, locate: Callable[[], list[float]]
+    ) -> None:
         """Switch it on, on the ground, disarmed.
 
         Args:
             system: Number of the system.
             airframe: Of its body.
             site: Where it starts.
+            locate: Function that tells latitude and longitude, deg, and altitude, m.
         """
-        self.system, self.airframe, self.site = system, airframe, site
+        self.system, self.airframe, self.site, self.locate = system, airframe, site, locate
         hover = airframe.mass * STANDARD_GRAVITY / airframe.max_thrust
         self.parameters = ParameterService(MAV_SYS_ID=system, MPC_THR_HOVER=hover)
         self._fence = Fence(site, self.parameters.values)
         self.pilot = Pilot(airframe, site, self.parameters, self._fence)
         self.missions = MissionService(self._check, self._fence, self._load)
-        self.geodetic: list[float] = list(site.home)
 
     def _check(self, items: tuple[Item, ...]) -> None:
         """Check a mission that was uploaded."""
@@ -51,8 +54,3 @@ class Vehicle:
     def stamp(self) -> int:
         """Time since the start, ms."""
         return round(self.pilot.now * 1000)
-
-    def sense(self, state: State, geodetic: list[float], now: float, touches: bool) -> None:
-        """Take the body's state over; see `Pilot.sense`."""
-        self.geodetic = geodetic
-        self.pilot.sense(state, now, touches)
