@@ -153,13 +153,32 @@ class Wire:
         return found
 
 
+def whole_frames(data: bytes) -> tuple[bytes, bytes]:
+    """Split a stream into frames that are whole, and the beginning of the next.
+
+    Args:
+        data: What has come so far, from the beginning of a frame on.
+
+    Returns:
+        Whole frames, and what is left.
+    """
+    *most, last = [b"", *_frames(data)]
+    is_whole = last[:1] not in (MAGIC_1.to_bytes(), MAGIC_2.to_bytes()) or len(last) == _size(last)
+    return (data, b"") if is_whole else (b"".join(most), last)
+
+
 def _frames(data: bytes) -> Iterator[bytes]:
     """Cut data into frames; a last one that is none holds all that could not be cut."""
     while data:
-        size = len(data)
-        if data[0] == MAGIC_1 and size > 1:
-            size = 8 + data[1]
-        elif data[0] == MAGIC_2 and size > 2:
-            size = 12 + data[1] + (13 if data[2] & SIGNED else 0)
+        size = _size(data)
         yield data[:size]
         data = data[size:]
+
+
+def _size(data: bytes) -> int:
+    """Tell how long the frame is that data begins with; more than all of it, if it is cut."""
+    if data[0] == MAGIC_1:
+        return 8 + (data[1] if len(data) > 1 else 0)
+    if data[0] == MAGIC_2:
+        return 12 + (data[1] + (13 if data[2] & SIGNED else 0) if len(data) > 2 else 0)
+    return len(data)

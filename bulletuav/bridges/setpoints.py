@@ -10,6 +10,7 @@ from typing import NamedTuple
 from bulletuav.control.gains import gain_rows
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.envs.airspace import Airspace
+from bulletuav.errors import shown
 from bulletuav.functions import atan2, cos, sin
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY, Airframe
 from bulletuav.vehicle.swarm import Swarm
@@ -40,14 +41,15 @@ def corner_speeds(frame: Airframe, shares: Mapping[tuple[int, int], float]) -> t
         One for each rotor, rad/s.
 
     Raises:
-        ValueError: It has not four rotors.
+        ValueError: It has not four rotors, one in each corner.
     """
-    if len(frame.rotors) != 4:
-        raise ValueError(f"{frame.name} has {len(frame.rotors)} rotors: this is for four")
-    return tuple(
-        frame.max_rotor_speed * shares[1 if x > 0 else -1, 1 if y > 0 else -1]
-        for x, y, _ in frame.rotors
-    )
+    corners = [(1 if x > 0 else -1, 1 if y > 0 else -1) for x, y, _ in frame.rotors]
+    if sorted(corners) != sorted(shares):
+        raise ValueError(
+            f"{frame.name} has {len(corners)} rotors at corners {shown(corners)}: one in each of "
+            f"four is needed, as those of 'iris'"
+        )
+    return tuple(frame.max_rotor_speed * shares[corner] for corner in corners)
 
 
 def euler(quaternion: list[float] | tuple[float, ...]) -> tuple[float, float, float]:
