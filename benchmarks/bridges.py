@@ -369,29 +369,14 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=10.0)
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
-    heads = (
-        "drones",
-        "setpoints/s",
-        "log packets/s",
-        "real-time factor",
-        "processor of the server",
-        "echo, ms",
-        "times real time, unpaced",
-    )
+    rates = ("real-time factor", "processor of the server", "echo, ms", "times real time, unpaced")
+    heads = ("drones", "setpoints/s", "log packets/s", *rates)
     rows = [crazyflies(count, arguments.seconds) for count in arguments.drones]
     write(arguments.out / "crazyflie.md", heads, rows)
     heads = ("vehicles", "states read/s", "velocities set/s", "times real time, in lockstep")
     rows = [airsim(count, arguments.seconds / 3) for count in arguments.drones]
     write(arguments.out / "airsim.md", heads, rows)
-    heads = (
-        "vehicles",
-        "setpoints/s",
-        "messages/s",
-        "real-time factor",
-        "processor of the server",
-        "echo, ms",
-        "times real time, unpaced",
-    )
+    heads = ("vehicles", "setpoints/s", "messages/s", *rates)
     rows = [mavlink(count, arguments.seconds) for count in arguments.drones]
     write(arguments.out / "mavlink.md", heads, rows)
 

@@ -5,9 +5,10 @@ from typing import Any
 
 from rich.console import Console
 
-from bulletuav.bridges import airsim, crazyflie, mavlink
+from bulletuav.bridges import airsim, crazyflie, hil, mavlink
 from bulletuav.bridges.airsim_world import World
 from bulletuav.bridges.crazyflie_fleet import Fleet
+from bulletuav.bridges.hil_bodies import HilBodies
 from bulletuav.bridges.mavlink_fleet import MavlinkFleet
 from bulletuav.errors import choose
 
@@ -21,7 +22,8 @@ ABOUT = {
   bulletuav serve crazyflie --drones 10
   bulletuav serve crazyflie --drones 4 --wind 2 0 0 --port 19860
   bulletuav serve airsim --drones 2 --lidar
-  bulletuav serve mavlink --drones 3""",
+  bulletuav serve mavlink --drones 3
+  bulletuav serve hil --wind 3 0 0""",
 }
 LOOPBACK = "127.0.0.1"
 COMPILING = "compiling what flies; minutes at the first time"
@@ -144,9 +146,34 @@ def _serve_mavlink(arguments: argparse.Namespace) -> None:
         fleet.close()
 
 
+def _serve_hil(arguments: argparse.Namespace) -> None:
+    """Serve bodies to autopilots, by PX4's protocol for simulators."""
+    console = Console()
+    seed = 0 if arguments.seed is None else arguments.seed
+    options = {**_options(arguments), "seed": seed}
+    bodies = HilBodies(arguments.drones, arguments.airframe or "iris", **options)
+    port = hil.PORT if arguments.port is None else arguments.port
+    try:
+        server = hil.HilServer(bodies, arguments.host, port, arguments.speed)
+        try:
+            with console.status(COMPILING):
+                bodies.warm_up()
+            console.print(
+                f"{len(bodies)} bodies wait for autopilots at {arguments.host}:{server.ports[0]} "
+                f"to {server.ports[-1]}",
+                soft_wrap=True,
+            )
+            server.run(arguments.seconds)
+        finally:
+            server.close()
+    finally:
+        bodies.close()
+
+
 KINDS = {
     "crazyflie": _serve_crazyflie,
     "airsim": _serve_airsim,
     "mavlink": _serve_mavlink,
+    "hil": _serve_hil,
 }
 """Servers by name"""

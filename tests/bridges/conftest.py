@@ -1,3 +1,5 @@
+import threading
+
 import pytest
 from bridges.crtp_client import Drone
 from bridges.mavlink_client import Station
@@ -43,6 +45,30 @@ def make_vehicles():
 def station(make_vehicles):
     """A ground station of one vehicle, which stands on the ground."""
     return Station(make_vehicles(1))
+
+
+@pytest.fixture
+def keep_running():
+    """Runs servers of datagrams in threads, until the test ends."""
+    running = []
+
+    def keep_running(server):
+        stop = threading.Event()
+
+        def run():
+            while not stop.is_set():
+                server.run(0.05)
+
+        thread = threading.Thread(target=run)
+        thread.start()
+        running.append((server, stop, thread))
+        return server
+
+    yield keep_running
+    for server, stop, thread in running:
+        stop.set()
+        thread.join()
+        server.close()
 
 
 @pytest.fixture

@@ -19,6 +19,7 @@ from bulletuav.bridges import hil
 from bulletuav.bridges.hil import HilServer
 from bulletuav.bridges.hil_bodies import HilBodies
 from bulletuav.bridges.mavlink_wire import Wire, whole_frames
+from bulletuav.cli import main
 
 IRIS = load_airframe("iris")
 HOVER = float(np.max(IRIS.hover_speed())) / IRIS.max_rotor_speed
@@ -308,3 +309,12 @@ def test_streams_are_cut_into_frames_wherever_they_break():
         assert len(rest) < len(frame)
         assert len(wire.read(whole)) == cut // len(frame)
     assert wire.malformed == 0
+
+
+def test_the_command_waits_for_an_autopilot_and_flies(capsys, monkeypatch):
+    made = []
+    monkeypatch.setattr(hil.HilServer, "run", lambda self, seconds: made.append((self, seconds)))
+    main(["serve", "hil", "--port", "0", "--drones", "2", "--seconds", "0.5"])
+    ((server, seconds),) = made
+    assert (len(server.ports), seconds) == (2, 0.5)
+    assert f"at 127.0.0.1:{server.ports[0]} to {server.ports[1]}" in capsys.readouterr().out

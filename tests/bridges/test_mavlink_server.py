@@ -1,7 +1,6 @@
 """The server of MAVLink vehicles, spoken to by pymavlink's own connections, and by other bytes."""
 
 import socket
-import threading
 import time
 
 import numpy as np
@@ -16,29 +15,14 @@ from bulletuav.cli import main
 
 
 @pytest.fixture
-def serve(make_vehicles):
-    """Runs servers in a thread, ten times as fast as real time, until the test ends."""
-    running = []
+def serve(make_vehicles, keep_running):
+    """Runs servers, ten times as fast as real time, until the test ends."""
 
     def serve(drones=1, speed=10.0, client_port=None):
         fleet = make_vehicles(drones)
-        server = MavlinkServer(fleet, port=0, speed=speed, client_port=client_port)
-        stop = threading.Event()
+        return keep_running(MavlinkServer(fleet, port=0, speed=speed, client_port=client_port))
 
-        def run():
-            while not stop.is_set():
-                server.run(0.05)
-
-        thread = threading.Thread(target=run)
-        thread.start()
-        running.append((server, stop, thread))
-        return server
-
-    yield serve
-    for server, stop, thread in running:
-        stop.set()
-        thread.join()
-        server.close()
+    return serve
 
 
 @pytest.fixture
