@@ -224,9 +224,9 @@ class Pilot:
         self.mode, self._next = Mode.HOLD, lambda: None
         self._motion = self._leg(place, self.route.speed, heading)
 
-    def load(self, items: tuple[Item, ...]) -> None:
+    def take_mission(self, items: tuple[Item, ...]) -> None:
         """Take another mission; who flies the old one holds."""
-        self.route.load(items)
+        self.route.replace(items)
         if self.mode == Mode.MISSION:
             self.enter(Mode.HOLD)
 

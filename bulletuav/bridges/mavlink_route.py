@@ -54,9 +54,9 @@ class Route:
         self._site, self._values = site, values
         self._state: State = ([0.0] * 3, [0.0, 0.0, 0.0, 1.0], [0.0] * 3, [0.0] * 3)
         self._now, self._has_landed = 0.0, True
-        self.load(())
+        self.replace(())
 
-    def load(self, items: tuple[Item, ...]) -> None:
+    def replace(self, items: tuple[Item, ...]) -> None:
         """Take another mission."""
         self.items, self.reached = items, list[int]()
         self._speed: float | None = None

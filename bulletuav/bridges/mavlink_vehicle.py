@@ -40,15 +40,15 @@ class Vehicle:
         self.parameters = ParameterService(MAV_SYS_ID=system, MPC_THR_HOVER=hover)
         self._fence = Fence(site, self.parameters.values)
         self.pilot = Pilot(airframe, site, self.parameters, self._fence)
-        self.missions = MissionService(self._check, self._fence, self._load)
+        self.missions = MissionService(self._check, self._fence, self._begin)
 
     def _check(self, items: tuple[Item, ...]) -> None:
         """Check a mission that was uploaded."""
         check_items(items, self.site, self._fence, self.parameters.values["MIS_DIST_1WP"])
 
-    def _load(self) -> None:
+    def _begin(self) -> None:
         """Give the pilot another mission; one that flies the old one holds."""
-        self.pilot.load(self.missions.lists[MISSION])
+        self.pilot.take_mission(self.missions.lists[MISSION])
 
     @property
     def stamp(self) -> int:

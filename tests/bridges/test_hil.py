@@ -148,7 +148,7 @@ def start():
         assert not thread.is_alive()
 
 
-def test_it_hovers_in_lockstep_twice_to_the_last_bit(serve, start):
+def test_it_hovers_in_lockstep_twice_to_the_last_bit(start, serve):
     hashes = set()
     for delay in (0.0, 0.3):  # the autopilot takes its time to start
 
@@ -167,7 +167,7 @@ def test_it_hovers_in_lockstep_twice_to_the_last_bit(serve, start):
     assert len(hashes) == 1
 
 
-def test_another_seed_gives_another_noise(serve, start):
+def test_another_seed_gives_another_noise(start, serve):
     hashes = set()
     for seed in (1, 2):
         server = serve(seed=seed)
@@ -197,7 +197,7 @@ def test_sensors_of_a_body_at_rest_tell_gravity_the_field_and_the_air(serve):
     assert gps[:5] == (100_000, 3, 473977420, 85455940, 488055)
 
 
-def test_the_truth_is_told_if_it_is_asked_for(serve, start):
+def test_the_truth_is_told_if_it_is_asked_for(start, serve):
     server, heard = serve(), []
     start(lambda: heard.extend(fly(server.ports[0])))
     server.run(3.0)
@@ -225,7 +225,7 @@ def test_motors_are_in_the_order_of_px4_and_stand_still_disarmed(serve):
     assert bodies._orders == [None]
 
 
-def test_two_fly_at_once_and_one_that_goes_falls_alone(serve, start):
+def test_two_fly_at_once_and_one_that_goes_falls_alone(start, serve):
     server = serve(2)
     start(fly, server.ports[0])
     start(fly, server.ports[1], 3.0, 1500)
@@ -237,7 +237,7 @@ def test_two_fly_at_once_and_one_that_goes_falls_alone(serve, start):
     assert second < 0.2
 
 
-def test_one_that_goes_or_is_silent_or_sends_no_mavlink_is_let_go(serve, start, monkeypatch):
+def test_one_that_goes_or_is_silent_or_sends_no_mavlink_is_let_go(start, serve, monkeypatch):
     monkeypatch.setattr(hil, "SILENT", 0.2)
     server = serve()
     port = server.ports[0]
@@ -266,7 +266,7 @@ def test_one_that_goes_or_is_silent_or_sends_no_mavlink_is_let_go(serve, start, 
         server.run(0.1)
 
 
-def test_an_autopilot_that_does_not_answer_yet_is_sent_more_and_nothing_flies(serve, start):
+def test_an_autopilot_that_does_not_answer_yet_is_sent_more_and_nothing_flies(start, serve):
     server = serve()
     server._patience = 0.004
     stamps = []

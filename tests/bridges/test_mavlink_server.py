@@ -69,6 +69,16 @@ def command(link, number, *numbers):
     return expect(link, "COMMAND_ACK", lambda ack: ack.command == number).result
 
 
+def go_offboard(link, setpoint):
+    """Send a setpoint and change the mode, until both have come within a second of the flight."""
+    for _ in range(100):
+        link.mav.set_position_target_local_ned_send(*setpoint)
+        link.set_mode_px4("OFFBOARD", 0, 0)
+        if expect(link, "COMMAND_ACK", lambda ack: ack.command == 176).result == 0:
+            return
+    raise AssertionError("the mode did not change")
+
+
 def test_a_client_of_pymavlink_flies(serve, connect):
     """As scripts do it, but for the speed of the server."""
     server = serve(2)
@@ -82,12 +92,7 @@ def test_a_client_of_pymavlink_flies(serve, connect):
     expect(link, "LOCAL_POSITION_NED", lambda told: told.z < -2.3)
     expect(link, "HEARTBEAT", lambda told: told.custom_mode == Mode.HOLD)
     fields = (0, 2, 1, 8, VELOCITY_ONLY, 0, 0, 0, 1.0, 0, 0, 0, 0, 0, 0, 0)
-    link.mav.set_position_target_local_ned_send(*fields)
-    link.set_mode_px4("OFFBOARD", 0, 0)
-    assert expect(link, "COMMAND_ACK").result == 0
-    for _ in range(20):
-        link.mav.set_position_target_local_ned_send(*fields)
-        time.sleep(0.01)
+    go_offboard(link, fields)
     expect(link, "LOCAL_POSITION_NED", lambda told: told.x > 0.5)
     assert command(link, 21) == 0
     link.motors_disarmed_wait()
@@ -118,15 +123,13 @@ def test_frames_of_the_older_mavlink_are_read_and_several_of_a_datagram(serve, c
 def test_clients_that_vanish_are_sent_nothing_more_and_the_vehicle_holds(
     serve, connect, monkeypatch
 ):
-    monkeypatch.setattr(mavlink, "GONE", 0.3)
-    server = serve()
+    server = serve(speed=5.0)
     link = connect(server)
     command(link, 400, 1)
     command(link, 22, 0, 0, 0, NAN, NAN, NAN, NAN)
     expect(link, "LOCAL_POSITION_NED", lambda told: told.z < -2.3)
-    fields = (0, 1, 1, 1, VELOCITY_ONLY, 0, 0, 0, 1.0, 0, 0, 0, 0, 0, 0, 0)
-    link.mav.set_position_target_local_ned_send(*fields)
-    command(link, 176, 1, 6, 0)
+    go_offboard(link, (0, 1, 1, 1, VELOCITY_ONLY, 0, 0, 0, 1.0, 0, 0, 0, 0, 0, 0, 0))
+    monkeypatch.setattr(mavlink, "GONE", 0.3)
     link.close()
     pilot = server.fleet.services[0].vehicle.pilot
     until(lambda: server._clients == [{}] and pilot.mode == Mode.HOLD)
