@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from bulletuav.bridges.mavlink_places import Site
 from bulletuav.bridges.mavlink_services import Services
 from bulletuav.bridges.mavlink_telemetry import STEP_HZ
@@ -11,7 +13,7 @@ from bulletuav.bridges.mavlink_vehicle import Vehicle
 from bulletuav.bridges.mavlink_wire import Message, Sender, Told
 from bulletuav.bridges.setpoints import NORTH, give, states_of
 from bulletuav.bridges.starts import starts
-from bulletuav.earth import Origin
+from bulletuav.earth import Origin, attitude_to_ned
 from bulletuav.envs.airspace import Airspace
 from bulletuav.errors import as_int, as_sequence
 from bulletuav.vehicle.airframes import load_airframe
@@ -115,15 +117,18 @@ class MavlinkFleet:
         """Tell the vehicles how their bodies move."""
         swarm, contacts = self.airspace.swarm, self.airspace.contacts
         touching = set(contacts.drone[contacts.normal[:, 2] > UPWARD].tolist())
-        self._geodetic: list[list[float]] | None = None
+        self._located: list[list[float]] | None = None
         for i, (one, state) in enumerate(zip(self.services, states_of(swarm), strict=True)):
             one.vehicle.pilot.sense(state, self.time, i in touching or self.tick == 0)
 
     def _locate(self, i: int) -> list[float]:
-        """Tell where a vehicle is on the Earth; all are worked out at once, if one is asked for."""
-        if self._geodetic is None:
-            self._geodetic = self.origin.to_geodetic(self.airspace.swarm.position).tolist()
-        return self._geodetic[i]
+        """Tell where a vehicle is, see `Vehicle.locate`; all are worked out at once."""
+        if self._located is None:
+            swarm = self.airspace.swarm
+            turns = attitude_to_ned(swarm.quaternion, scalar_first=True)
+            places = self.origin.to_geodetic(swarm.position)
+            self._located = np.concatenate([places, turns], axis=1).tolist()
+        return self._located[i]
 
     def close(self) -> None:
         """Free the airspace."""

@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 from bulletuav.bridges.mavlink_vehicle import Vehicle
 from bulletuav.bridges.mavlink_wire import Mode, RefusedError, Result, Told
 from bulletuav.bridges.setpoints import euler
-from bulletuav.earth import attitude_to_ned
 
 STEP_HZ = 100
 """Steps a second, and most messages of a kind"""
@@ -268,7 +267,7 @@ def tell(vehicle: Vehicle, number: int) -> Told:
 
 def _quaternion(vehicle: Vehicle) -> tuple[float, ...]:
     """Tell the attitude as w, x, y, z, from forward, right, down to north, east, down."""
-    return tuple(attitude_to_ned(vehicle.pilot.state[1], scalar_first=True).tolist())
+    return tuple(vehicle.locate()[3:])
 
 
 def _rates(vehicle: Vehicle) -> tuple[float, float, float]:
@@ -290,7 +289,7 @@ def _heading(vehicle: Vehicle) -> int:
 
 def _degrees(vehicle: Vehicle) -> tuple[int, int, int]:
     """Tell where it is: latitude and longitude, 1e-7 deg, and altitude, mm."""
-    return _whole_degrees(vehicle.locate())
+    return _whole_degrees(vehicle.locate()[:3])
 
 
 def _whole_degrees(spot: Sequence[float]) -> tuple[int, int, int]:

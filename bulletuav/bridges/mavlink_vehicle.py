@@ -21,7 +21,8 @@ class Vehicle:
         parameters: Its parameters.
         pilot: Who flies it.
         missions: Lists of items.
-        locate: Function that tells latitude and longitude, deg, and altitude, m.
+        locate: Function that tells latitude and longitude, deg, and altitude, m; then the
+            attitude w, x, y, z, from forward, right, down to north, east, down.
     """
 
     def __init__(
@@ -33,7 +34,7 @@ class Vehicle:
             system: Number of the system.
             airframe: Of its body.
             site: Where it starts.
-            locate: Function that tells latitude and longitude, deg, and altitude, m.
+            locate: Function that tells where it is on the Earth, see `locate`.
         """
         self.system, self.airframe, self.site, self.locate = system, airframe, site, locate
         hover = airframe.mass * STANDARD_GRAVITY / airframe.max_thrust

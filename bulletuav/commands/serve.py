@@ -1,6 +1,7 @@
 """`bulletuav serve`: drones that programs of others fly."""
 
 import argparse
+from collections.abc import Callable
 from typing import Any
 
 from rich.console import Console
@@ -82,92 +83,89 @@ def _options(arguments: argparse.Namespace) -> dict[str, Any]:
     }
 
 
+def _serve(
+    flown: Any, make: Callable[[], Any], told: Callable[[Any], str], seconds: float | None
+) -> None:
+    """Open the ports, compile, tell where they are, and serve; close all at the end.
+
+    Args:
+        flown: What flies.
+        make: Function that opens the ports.
+        told: Function of the server that gives the line to print.
+        seconds: How long to serve.
+    """
+    console = Console()
+    try:
+        server = make()
+        try:
+            with console.status(COMPILING):
+                flown.warm_up()
+            console.print(told(server), soft_wrap=True)
+            server.run(seconds)
+        finally:
+            server.close()
+    finally:
+        flown.close()
+
+
+def _at(arguments: argparse.Namespace, usual: int) -> tuple[str, int, float]:
+    """Tell address, port and speed."""
+    port = usual if arguments.port is None else arguments.port
+    return arguments.host, port, arguments.speed
+
+
 def _serve_crazyflie(arguments: argparse.Namespace) -> None:
     """Serve virtual Crazyflies."""
-    console = Console()
     fleet = Fleet(arguments.drones, arguments.airframe or "cf2x", **_options(arguments))
-    port = crazyflie.PORT if arguments.port is None else arguments.port
-    server = crazyflie.CrazyflieServer(fleet, arguments.host, port, arguments.speed)
-    try:
-        with console.status(COMPILING):
-            fleet.warm_up()
-        console.print(
-            f"{len(fleet)} drones at {server.uris[0]} to {server.uris[-1]}", soft_wrap=True
-        )
-        server.run(arguments.seconds)
-    finally:
-        server.close()
-        fleet.close()
+    _serve(
+        fleet,
+        lambda: crazyflie.CrazyflieServer(fleet, *_at(arguments, crazyflie.PORT)),
+        lambda server: f"{len(fleet)} drones at {server.uris[0]} to {server.uris[-1]}",
+        arguments.seconds,
+    )
 
 
 def _serve_airsim(arguments: argparse.Namespace) -> None:
     """Serve vehicles of AirSim's calls."""
-    console = Console()
     frame = arguments.airframe or "iris"
     world = World(arguments.drones, frame, lidar=arguments.lidar, **_options(arguments))
     world.paused = arguments.paused
-    port = airsim.PORT if arguments.port is None else arguments.port
-    try:
-        server = airsim.AirsimServer(world, arguments.host, port, arguments.speed)
-        try:
-            with console.status(COMPILING):
-                world.warm_up()
-            names = ", ".join(world.vehicles)
-            console.print(f"{names} at {server.host}:{server.port}", soft_wrap=True)
-            server.run(arguments.seconds)
-        finally:
-            server.close()
-    finally:
-        world.close()
+    _serve(
+        world,
+        lambda: airsim.AirsimServer(world, *_at(arguments, airsim.PORT)),
+        lambda server: f"{', '.join(world.vehicles)} at {server.host}:{server.port}",
+        arguments.seconds,
+    )
 
 
 def _serve_mavlink(arguments: argparse.Namespace) -> None:
     """Serve MAVLink vehicles."""
-    console = Console()
-    frame = arguments.airframe or "iris"
-    fleet = MavlinkFleet(arguments.drones, frame, **_options(arguments))
-    port = mavlink.PORT if arguments.port is None else arguments.port
+    fleet = MavlinkFleet(arguments.drones, arguments.airframe or "iris", **_options(arguments))
     clients = arguments.client_port
-    try:
-        server = mavlink.MavlinkServer(fleet, arguments.host, port, arguments.speed, clients)
-        try:
-            with console.status(COMPILING):
-                fleet.warm_up()
-            count = len(fleet) - 1
-            console.print(
-                f"{len(fleet)} vehicles at {arguments.host}:{server.ports[0]} to "
-                f"{server.ports[-1]}; they send to ports {clients} to {clients + count}",
-                soft_wrap=True,
-            )
-            server.run(arguments.seconds)
-        finally:
-            server.close()
-    finally:
-        fleet.close()
+    _serve(
+        fleet,
+        lambda: mavlink.MavlinkServer(fleet, *_at(arguments, mavlink.PORT), clients),
+        lambda server: (
+            f"{len(fleet)} vehicles at {arguments.host}:{server.ports[0]} to {server.ports[-1]}; "
+            f"they send to ports {clients} to {clients + len(fleet) - 1}"
+        ),
+        arguments.seconds,
+    )
 
 
 def _serve_hil(arguments: argparse.Namespace) -> None:
     """Serve bodies to autopilots, by PX4's protocol for simulators."""
-    console = Console()
-    seed = 0 if arguments.seed is None else arguments.seed
-    options = {**_options(arguments), "seed": seed}
+    options = {**_options(arguments), "seed": arguments.seed or 0}
     bodies = HilBodies(arguments.drones, arguments.airframe or "iris", **options)
-    port = hil.PORT if arguments.port is None else arguments.port
-    try:
-        server = hil.HilServer(bodies, arguments.host, port, arguments.speed)
-        try:
-            with console.status(COMPILING):
-                bodies.warm_up()
-            console.print(
-                f"{len(bodies)} bodies wait for autopilots at {arguments.host}:{server.ports[0]} "
-                f"to {server.ports[-1]}",
-                soft_wrap=True,
-            )
-            server.run(arguments.seconds)
-        finally:
-            server.close()
-    finally:
-        bodies.close()
+    _serve(
+        bodies,
+        lambda: hil.HilServer(bodies, *_at(arguments, hil.PORT)),
+        lambda server: (
+            f"{len(bodies)} bodies wait for autopilots at {arguments.host}:{server.ports[0]} "
+            f"to {server.ports[-1]}"
+        ),
+        arguments.seconds,
+    )
 
 
 KINDS = {
