@@ -11,10 +11,16 @@ AirSim's calls: states that one client reads a second, one after the other, whil
 in real time; velocities that it sets, one after the other; and how much faster than real time a
 loop in lockstep runs that commands and reads every vehicle ten times a simulated second.
 
-Writes crazyflie.md and airsim.md. Needs psutil and msgpack, of the extra `test`.
+MAVLink: all vehicles fly offboard, with setpoints at 50 Hz each, and send telemetry at the usual
+rates, with local positions at 50 Hz. Reported are setpoints and messages a second, and the rest as
+for Crazyflies; an echo is a TIMESYNC.
+
+Writes crazyflie.md, airsim.md and mavlink.md. Needs psutil, msgpack and pymavlink, of the extra
+`test`.
 """
 
 import argparse
+import math
 import socket
 import statistics
 import struct
@@ -26,13 +32,18 @@ from pathlib import Path
 
 import msgpack
 import psutil
+from pymavlink.dialects.v20 import common
 
 from bulletuav.bridges.crazyflie_fleet import Fleet
 from bulletuav.bridges.crtp import Packet
+from bulletuav.bridges.mavlink_fleet import MavlinkFleet
+from bulletuav.bridges.mavlink_services import packed
+from bulletuav.bridges.mavlink_wire import Sender, Wire
 from bulletuav.files import replace_file
 
 PORT = 20850
 AIRSIM_PORT = 20450
+MAVLINK_PORT, MAVLINK_CLIENT = 21570, 21270
 SETPOINTS_HZ = 50
 HEIGHT = 1.0
 
@@ -213,6 +224,133 @@ def airsim(drones: int, seconds: float) -> list[str]:
     return [str(drones), f"{reads:.0f}", f"{commands:.0f}", f"{factor:.1f}"]
 
 
+def frame(drone: int, name: str, *fields: object) -> bytes:
+    """Pack a message for a vehicle."""
+    made = getattr(common, f"MAVLink_{name}_message")(*fields)
+    return bytes(made.pack(common.MAVLink(None, 255, 190)))
+
+
+def held(drone: int) -> bytes:
+    """Pack a setpoint: 1.5 m above the start."""
+    target = (drone + 1, 1, 1, 0xDF8)
+    place = (0.0, 0.0, -1.5, *[0.0] * 8)
+    return frame(drone, "set_position_target_local_ned", 0, *target, *place)
+
+
+def requests(drone: int) -> list[bytes]:
+    """Pack what lets a vehicle take off, and fly offboard."""
+    commands = ((511, 32, 20000), (400, 1), (176, 1, 6, 0))
+    packed = [
+        frame(drone, "command_long", drone + 1, 1, one[0], 0, *one[1:], *[0.0] * (8 - len(one)))
+        for one in commands
+    ]
+    return [held(drone), *packed]
+
+
+def stream_mavlink(
+    found: list[socket.socket], seconds: float
+) -> tuple[int, int, list[tuple[float, int]]]:
+    """Send setpoints and read telemetry for a time.
+
+    Returns:
+        How many setpoints were sent, how many messages came, and when (s) local positions of the
+        first vehicle came, with their stamps (ms).
+    """
+    hold = [held(k) for k in range(len(found))]
+    sent, came, stamps = 0, 0, []
+    due = time.perf_counter()
+    end = due + seconds
+    while time.perf_counter() < end:
+        for k, link in enumerate(found):
+            link.sendto(hold[k], ("127.0.0.1", MAVLINK_PORT + k))
+            sent += 1
+        due += 1 / SETPOINTS_HZ
+        for k, link in enumerate(found):
+            try:
+                while True:
+                    data = link.recv(2000)
+                    while data:
+                        came += 1
+                        if k == 0 and data[7] == 32:
+                            stamp = int.from_bytes(data[10:14], "little")
+                            stamps.append((time.perf_counter(), stamp))
+                        data = data[12 + data[1] :]
+            except BlockingIOError:
+                pass
+        time.sleep(max(due - time.perf_counter(), 0.0))
+    return sent, came, stamps
+
+
+def echo_mavlink(link: socket.socket, times: int) -> float:
+    """Measure the median time of a TIMESYNC, s."""
+    link.settimeout(1.0)
+    lasted = []
+    for k in range(times):
+        request = frame(0, "timesync", 0, k + 1)
+        begin = time.perf_counter()
+        link.sendto(request, ("127.0.0.1", MAVLINK_PORT))
+        while link.recv(2000)[7] != common.MAVLINK_MSG_ID_TIMESYNC:
+            pass
+        lasted.append(time.perf_counter() - begin)
+    return statistics.median(lasted)
+
+
+def unbound_mavlink(drones: int, steps: int) -> float:
+    """Tell simulated seconds in one of the clock for vehicles that nobody waits for."""
+    fleet, sender = MavlinkFleet(drones, seed=0), Sender(255, 190)
+    fleet.warm_up()
+    wires = [Wire(k + 1) for k in range(drones)]
+    for k, wire in enumerate(wires):
+        (take_off,) = wire.read(frame(k, "command_long", k + 1, 1, 22, 0, *[math.nan] * 7))
+        (arm,) = wire.read(frame(k, "command_long", k + 1, 1, 400, 0, 1, *[0.0] * 6))
+        for message in (take_off, arm):
+            fleet.take(k, message, sender)
+    begin = time.perf_counter()
+    for _ in range(steps):
+        for wire, told in zip(wires, fleet.step(), strict=True):
+            packed([wire.pack(one) for one in told], 1400)
+    lasted = time.perf_counter() - begin
+    fleet.close()
+    return steps * fleet.airspace.period / lasted
+
+
+def mavlink(drones: int, seconds: float) -> list[str]:
+    """Measure a number of MAVLink vehicles; give the cells of a row."""
+    ports = ("--port", str(MAVLINK_PORT), "--client-port", str(MAVLINK_CLIENT))
+    server, process = served("mavlink", "--drones", str(drones), *ports)
+    found = []
+    try:
+        for k in range(drones):
+            link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+            link.bind(("127.0.0.1", MAVLINK_CLIENT + k))
+            for request in requests(k):
+                link.sendto(request, ("127.0.0.1", MAVLINK_PORT + k))
+            link.setblocking(False)
+            found.append(link)
+        stream_mavlink(found, 4.0)  # until all are there
+        before, begin = sum(process.cpu_times()[:2]), time.perf_counter()
+        sent, came, stamps = stream_mavlink(found, seconds)
+        lasted = time.perf_counter() - begin
+        busy = (sum(process.cpu_times()[:2]) - before) / lasted
+        delay = echo_mavlink(found[0], 300)
+    finally:
+        server.terminate()
+        server.wait()
+        for link in found:
+            link.close()
+    (first, early), (last, late) = stamps[0], stamps[-1]
+    free = unbound_mavlink(drones, max(2000 // drones, 200))
+    return [
+        str(drones),
+        f"{sent / lasted:.0f}",
+        f"{came / lasted:.0f}",
+        f"{(late - early) / 1000 / (last - first):.2f}",
+        f"{100 * busy:.0f} %",
+        f"{1000 * delay:.2f}",
+        f"{free:.1f}",
+    ]
+
+
 def write(path: Path, heads: tuple[str, ...], rows: list[list[str]]) -> None:
     """Write a table."""
     lines = [list(heads), ["---:"] * len(heads), *rows]
@@ -231,20 +369,16 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=10.0)
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
-    heads = (
-        "drones",
-        "setpoints/s",
-        "log packets/s",
-        "real-time factor",
-        "processor of the server",
-        "echo, ms",
-        "times real time, unpaced",
-    )
+    rates = ("real-time factor", "processor of the server", "echo, ms", "times real time, unpaced")
+    heads = ("drones", "setpoints/s", "log packets/s", *rates)
     rows = [crazyflies(count, arguments.seconds) for count in arguments.drones]
     write(arguments.out / "crazyflie.md", heads, rows)
     heads = ("vehicles", "states read/s", "velocities set/s", "times real time, in lockstep")
     rows = [airsim(count, arguments.seconds / 3) for count in arguments.drones]
     write(arguments.out / "airsim.md", heads, rows)
+    heads = ("vehicles", "setpoints/s", "messages/s", *rates)
+    rows = [mavlink(count, arguments.seconds) for count in arguments.drones]
+    write(arguments.out / "mavlink.md", heads, rows)
 
 
 if __name__ == "__main__":

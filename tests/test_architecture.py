@@ -32,6 +32,7 @@ EXTRAS = {
     "omegaconf",
     "imageio",
     "msgpack",
+    "pymavlink",
 }
 
 

@@ -8,12 +8,12 @@ A request is [0, number, name, arguments], its answer [1, number, error or nil, 
 
 import asyncio
 import contextlib
-import socket
 from typing import TYPE_CHECKING, Any
 
 from bulletuav.bridges.airsim_calls import Calls
 from bulletuav.bridges.airsim_motions import MOTIONS
 from bulletuav.bridges.airsim_world import World
+from bulletuav.bridges.sockets import listening
 from bulletuav.envs.pacer import Pacer
 from bulletuav.errors import as_int, missing
 
@@ -71,7 +71,7 @@ class AirsimServer:
         self._clients: set[_Client] = set()
         self._meetings: set[asyncio.Future[Any]] = set()
         self._stopped = False
-        self._socket = _listening(host, port)
+        self._socket = listening(host, port)
         self.port: int = self._socket.getsockname()[1]
 
     def _note(self, seconds: float) -> None:
@@ -147,23 +147,6 @@ class AirsimServer:
             if k % IN_ONE_GO == IN_ONE_GO - 1:
                 await asyncio.sleep(0)
         self.pacer.restart()
-
-
-def _listening(host: str, port: int) -> socket.socket:
-    """Open a socket that listens.
-
-    Raises:
-        OSError: The port is in use, or there is no such address.
-    """
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    try:
-        return socket.create_server((host, port), family=family)
-    except OSError as error:
-        reason = error.strerror or error
-        raise OSError(
-            f"cannot listen at {host}, port {port} (TCP): {reason}; is another server running? "
-            f"Choose another port"
-        ) from error
 
 
 class _Client:

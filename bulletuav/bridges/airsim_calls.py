@@ -7,9 +7,9 @@ from typing import Any
 from bulletuav.bridges import airsim_states as states
 from bulletuav.bridges.airsim_images import Request, response
 from bulletuav.bridges.airsim_motions import MOTIONS
-from bulletuav.bridges.airsim_tasks import Answer
 from bulletuav.bridges.airsim_values import duration, pose_in, pose_of, vector_in
 from bulletuav.bridges.airsim_world import Collision, World
+from bulletuav.bridges.motions import Answer
 from bulletuav.earth import ned_to_enu
 from bulletuav.errors import as_int, as_sequence, shown, unknown
 

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.bridges.airsim_tasks import Heading, Hold, Land, Motion, Path, Stay, Turn
 from bulletuav.bridges.airsim_values import MOST, duration, number, vector_in, yaw_in
 from bulletuav.bridges.airsim_world import Vehicle, World
-from bulletuav.bridges.setpoints import Order, Setpoint
+from bulletuav.bridges.motions import Heading, Hold, Land, Motion, Path, Stay, Turn
+from bulletuav.bridges.setpoints import Order, Setpoint, corner_speeds
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.errors import as_sequence, shown
 
@@ -213,15 +213,13 @@ def move_by_motors(
     rear_right: Any, limit: Any,
 ) -> Motion:  # fmt: skip
     """Hold shares of the greatest thrust of each of four rotors."""
-    frame = world.airspace.airframes[i]
-    if len(frame.rotors) != 4:
-        raise ValueError(f"{frame.name} has {len(frame.rotors)} rotors: this call is for four")
-    shares = {(1, -1): front_right, (-1, 1): rear_left, (1, 1): front_left, (-1, -1): rear_right}
-    speeds = []
-    for x, y, _ in frame.rotors:
-        share = number("pwm", shares[1 if x > 0 else -1, 1 if y > 0 else -1], MOST)
-        speeds.append(frame.max_rotor_speed * math.sqrt(min(max(share, 0.0), 1.0)))
-    order = Order(SetpointLevel.ROTOR, tuple(speeds))
+    thrusts = {(1, -1): front_right, (-1, 1): rear_left, (1, 1): front_left, (-1, -1): rear_right}
+    shares = {
+        corner: math.sqrt(min(max(number("pwm", thrust, MOST), 0.0), 1.0))
+        for corner, thrust in thrusts.items()
+    }
+    speeds = corner_speeds(world.airspace.airframes[i], shares)
+    order = Order(SetpointLevel.ROTOR, speeds)
     return Hold(world.clock, duration("duration", limit), order)
 
 

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.bridges.airsim_tasks import Answer, Motion, Off, Stay
 from bulletuav.bridges.airsim_values import attitude_of
-from bulletuav.bridges.setpoints import Guide, Order, Setpoint, State
+from bulletuav.bridges.motions import Answer, Motion, Off, Stay
+from bulletuav.bridges.setpoints import NORTH, Guide, Order, Setpoint, State, give
 from bulletuav.earth import Origin
 from bulletuav.envs.airspace import Airspace
 from bulletuav.errors import as_int, as_sequence, points_of, shown, unknown
@@ -23,8 +23,6 @@ HOME = (47.641468, -122.140165, 122.0)
 """Where AirSim's worlds are: latitude, longitude (degrees), altitude (m)"""
 SPACING = 2.0
 """Distance between neighbours at the start, m"""
-NORTH = (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))
-"""Attitude of a drone that looks north"""
 HARD = 1.0
 """Speed onto the ground from which on a touch is a collision, m/s"""
 MOST_VEHICLES = 256
@@ -238,12 +236,11 @@ class World:
         Raises:
             RuntimeError: The flight diverged, or the airspace is closed.
         """
-        for i, vehicle in enumerate(self.vehicles.values()):
-            order = vehicle.order(self.state(i), self.clock, self.airspace.period)
-            if order is None:
-                self.airspace.stop(i)
-            else:
-                self.airspace.command(i, order.level, order.numbers)
+        orders = [
+            vehicle.order(self.state(i), self.clock, self.airspace.period)
+            for i, vehicle in enumerate(self.vehicles.values())
+        ]
+        give(self.airspace, orders)
         self.airspace.step()
         self._ticks += 1
         swarm, period = self.airspace.swarm, self.airspace.period

@@ -6,16 +6,12 @@
 Clients open `udp://127.0.0.1:19850` and the ports after it, one for each drone.
 """
 
-import contextlib
-import selectors
-import socket
 import time
 from dataclasses import dataclass
 
 from bulletuav.bridges.crazyflie_fleet import Fleet
 from bulletuav.bridges.crtp import MOST_DATA, NULL, MalformedError, Packet, Port
-from bulletuav.envs.pacer import Pacer
-from bulletuav.errors import as_int
+from bulletuav.bridges.sockets import Address, DatagramServer
 
 PORT = 19850
 """Port of the first drone; cflib looks for drones at this one and the nine after it"""
@@ -25,8 +21,6 @@ GONE = 10.0
 """How long a client says nothing until it is sent no more logs, s"""
 MOST_READ = 16
 """Most packets that are taken from a drone's socket in one go: others wait, or are dropped"""
-
-Address = tuple[str, int]
 
 
 @dataclass
@@ -44,7 +38,7 @@ class Peer:
     left: bool = False
 
 
-class CrazyflieServer:
+class CrazyflieServer(DatagramServer):
     """Sockets, one a drone, around a fleet that flies in real time.
 
     Attributes:
@@ -69,65 +63,18 @@ class CrazyflieServer:
             ValueError: The port or the speed cannot be.
             OSError: A port is in use, or there is no such address.
         """
-        as_int("port", port, 0, 65536 - len(fleet) if port else 0)
+        super().__init__(len(fleet), host, port, fleet.airspace.period, speed)
         self.fleet = fleet
-        self.pacer = Pacer(fleet.airspace.period, speed, _sleep=self._answer_for)
         self.refused = 0
         self._peers: list[Peer | None] = [None] * len(fleet)
         self._waiting: dict[int, tuple[Address, Packet]] = {}
-        self._selector = selectors.DefaultSelector()
-        self._sockets: list[socket.socket] = []
-        try:
-            for i in range(len(fleet)):
-                self._open(host, port + i if port else 0)
-        except OSError:
-            self.close()
-            raise
-        self.uris = [f"udp://{host}:{one.getsockname()[1]}" for one in self._sockets]
+        self.uris = [f"udp://{host}:{one}" for one in self.ports]
 
-    def _open(self, host: str, port: int) -> None:
-        """Open the socket of the next drone."""
-        family = socket.AF_INET6 if ":" in host else socket.AF_INET
-        one = socket.socket(family, socket.SOCK_DGRAM)
-        self._sockets.append(one)
-        one.setblocking(False)
-        try:
-            one.bind((host, port))
-        except OSError as error:
-            reason = error.strerror or error
-            raise OSError(
-                f"cannot listen at {host}, port {port} (UDP): {reason}; is another server running? "
-                f"Choose another port"
-            ) from error
-        self._selector.register(one, selectors.EVENT_READ, len(self._sockets) - 1)
-
-    def run(self, seconds: float | None = None) -> None:
-        """Fly and answer.
-
-        Args:
-            seconds: How long, simulated; until it is interrupted, if left out.
-
-        Raises:
-            RuntimeError: The flight diverged.
-        """
-        end = None if seconds is None else self.fleet.time + seconds
-        self.pacer.restart()
-        while end is None or self.fleet.time < end - 1e-9:
-            for i, packet in self.fleet.step():
-                self._send(i, packet)
-            self._serve_waiting()
-            # A late loop does not sleep: packets are taken all the same.
-            if self.pacer.wait():
-                self._answer_for(0.0)
-
-    def _answer_for(self, seconds: float) -> None:
-        """Answer packets for a time, s."""
-        end = time.perf_counter() + seconds
-        while True:
-            for key, _ in self._selector.select(max(end - time.perf_counter(), 0.0)):
-                self._read(key.data)
-            if time.perf_counter() >= end:
-                return
+    def _step(self) -> None:
+        """Fly for 10 ms, and send logs."""
+        for i, packet in self.fleet.step():
+            self._send(i, packet)
+        self._serve_waiting()
 
     def _read(self, i: int) -> None:
         """Take the packets that have come for a drone, as many as may be in one go."""
@@ -198,14 +145,3 @@ class CrazyflieServer:
             self.fleet.vehicles[i].leave()
             return
         self._send_to(i, packet.frame(), peer.address)
-
-    def _send_to(self, i: int, datagram: bytes, address: Address) -> None:
-        """Send a datagram; one that cannot be sent is lost, as on the radio."""
-        with contextlib.suppress(OSError):
-            self._sockets[i].sendto(datagram, address)
-
-    def close(self) -> None:
-        """Close the ports; the fleet stays."""
-        for one in self._sockets:
-            one.close()
-        self._selector.close()

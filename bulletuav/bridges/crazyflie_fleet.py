@@ -1,20 +1,17 @@
 """Virtual Crazyflies in one airspace, without sockets: packets in, packets out, step by step."""
 
 import functools
-import math
 from collections.abc import Sequence
 from typing import Any
-
-import numpy as np
 
 from bulletuav.bridges.crazyflie_services import TICK
 from bulletuav.bridges.crazyflie_tables import LOGS
 from bulletuav.bridges.crazyflie_vehicle import Vehicle
 from bulletuav.bridges.crtp import Packet
-from bulletuav.bridges.setpoints import euler
+from bulletuav.bridges.setpoints import euler, give, states_of
+from bulletuav.bridges.starts import starts
 from bulletuav.earth import pressure
 from bulletuav.envs.airspace import Airspace
-from bulletuav.errors import as_int, points_of
 from bulletuav.functions import cos, sin
 from bulletuav.vehicle.airframes import load_airframe
 
@@ -24,7 +21,6 @@ PHYSICS_HZ = 500
 """Steps of physics, and of the loops of attitude and rates, a second"""
 SPACING = 0.5
 """Distance between neighbours at the start, m"""
-MOST_DRONES = 256
 
 
 class Fleet:
@@ -57,7 +53,7 @@ class Fleet:
             ValueError: An option cannot be.
         """
         frame = load_airframe(airframe)
-        places = starts(drones, frame.standing_height)
+        places = starts(drones, frame.standing_height, SPACING)
         if "decision_hz" in options:
             raise ValueError(f"decision_hz is {DECISION_HZ} in the firmware: leave it out")
         known = {"physics_hz": PHYSICS_HZ, "decision_hz": DECISION_HZ, **options}
@@ -91,12 +87,7 @@ class Fleet:
         Raises:
             RuntimeError: The flight diverged, or the airspace is closed.
         """
-        for i, vehicle in enumerate(self.vehicles):
-            order = vehicle.order(self.airspace.period)
-            if order is None:
-                self.airspace.stop(i)
-            else:
-                self.airspace.command(i, order.level, order.numbers)
+        give(self.airspace, [one.order(self.airspace.period) for one in self.vehicles])
         self.airspace.step()
         self.tick += 1
         self._sense()
@@ -118,10 +109,9 @@ class Fleet:
         swarm = self.airspace.swarm
         change = (swarm.velocity - self._velocity) / self.airspace.period
         self._velocity = swarm.velocity.copy()
-        arrays = (swarm.position, swarm.quaternion, swarm.velocity, swarm.rates)
-        rows = zip(*(array.tolist() for array in arrays), strict=True)
         rest = zip(change.tolist(), swarm.rotor_speed.tolist(), strict=True)
-        for vehicle, state, (acceleration, speed) in zip(self.vehicles, rows, rest, strict=True):
+        told = zip(self.vehicles, states_of(swarm), rest, strict=True)
+        for vehicle, state, (acceleration, speed) in told:
             vehicle.sense(state, acceleration, speed, self.time)
 
     def _logged(self, vehicle: Vehicle) -> list[Packet]:
@@ -152,26 +142,3 @@ class Fleet:
 def _pressure(height: float) -> float:
     """Tell the pressure of the air at a height above the ground, which is at sea level, Pa."""
     return float(pressure(height))
-
-
-def starts(drones: int | Sequence[Sequence[float]], height: float) -> np.ndarray:
-    """Tell where drones stand at the start.
-
-    Args:
-        drones: Their number, or (N, 2) where, m.
-        height: Of their centres, m.
-
-    Returns:
-        (N, 3) m; of a number, in rows as long as there are rows, the first at the origin.
-
-    Raises:
-        ValueError: A number cannot be.
-    """
-    if isinstance(drones, int | np.integer):
-        count = as_int("drones", drones, 1, MOST_DRONES)
-        side = math.isqrt(count - 1) + 1
-        places = [(SPACING * (k % side), SPACING * (k // side)) for k in range(count)]
-    else:
-        as_int("number of drones", len(drones), 1, MOST_DRONES)
-        places = [(one[0], one[1]) for one in map(tuple, drones)]
-    return points_of("drones", [(*place, height) for place in places])

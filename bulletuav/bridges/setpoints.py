@@ -4,18 +4,52 @@ A setpoint may mix what `SetpointLevel` keeps apart, such as a velocity across a
 """
 
 import math
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from bulletuav.control.gains import gain_rows
 from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.envs.airspace import Airspace
+from bulletuav.errors import shown
 from bulletuav.functions import atan2, cos, sin
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY, Airframe
+from bulletuav.vehicle.swarm import Swarm
 
+NORTH = (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))
+"""Attitude of a drone that looks north"""
 MOST_LEAD = 1.0
 """How far the yaw to hold may run ahead of the drone, rad"""
 
 State = tuple[list[float], list[float], list[float], list[float]]
 """Position, quaternion, velocity, rates of a drone; see `Swarm`"""
+
+
+def states_of(swarm: Swarm) -> list[State]:
+    """Tell the states of all drones of an airspace, as lists of numbers."""
+    arrays = (swarm.position, swarm.quaternion, swarm.velocity, swarm.rates)
+    return list(zip(*(array.tolist() for array in arrays), strict=True))
+
+
+def corner_speeds(frame: Airframe, shares: Mapping[tuple[int, int], float]) -> tuple[float, ...]:
+    """Tell the speeds of four rotors, in the order of the URDF.
+
+    Args:
+        frame: The airframe.
+        shares: Of the greatest speed, by the signs of a rotor's x (forward) and y (left).
+
+    Returns:
+        One for each rotor, rad/s.
+
+    Raises:
+        ValueError: It has not four rotors, one in each corner.
+    """
+    corners = [(1 if x > 0 else -1, 1 if y > 0 else -1) for x, y, _ in frame.rotors]
+    if sorted(corners) != sorted(shares):
+        raise ValueError(
+            f"{frame.name} has {len(corners)} rotors at corners {shown(corners)}: one in each of "
+            f"four is needed, as those of 'iris'"
+        )
+    return tuple(frame.max_rotor_speed * shares[corner] for corner in corners)
 
 
 def euler(quaternion: list[float] | tuple[float, ...]) -> tuple[float, float, float]:
@@ -68,6 +102,19 @@ class Order(NamedTuple):
     numbers: tuple[float, ...]
 
 
+def give(airspace: Airspace, orders: Sequence[Order | None]) -> None:
+    """Tell each drone of an airspace its command; None is for motors off."""
+    rows: dict[SetpointLevel | None, list[int]] = {}
+    for i, order in enumerate(orders):
+        rows.setdefault(None if order is None else order.level, []).append(i)
+    for level, drones in rows.items():
+        if level is None:
+            airspace.stop(drones)
+        else:
+            wanted = [order.numbers for order in orders if order and order.level == level]
+            airspace.command(drones, level, wanted)
+
+
 class Guide:
     """Turns setpoints into commands of an airspace, for one drone."""
 
@@ -96,12 +143,12 @@ class Guide:
             The command.
         """
         position, quaternion, velocity, _ = state
-        roll, pitch, heading = euler(quaternion)
-        yaw = self._held_yaw(setpoint, heading, period)
+        yaw = self._held_yaw(setpoint, quaternion, period)
         if setpoint.across in ("attitude", "rates"):
             thrust = setpoint.z
             if setpoint.upward != "thrust":
                 up = self._rate * (self._climb(setpoint, position[2]) - velocity[2])
+                roll, pitch, _ = euler(quaternion)
                 lean = max(cos(roll) * cos(pitch), 0.5)
                 thrust = self._mass * max(STANDARD_GRAVITY + up, 0.0) / lean
             if setpoint.across == "attitude":
@@ -116,6 +163,7 @@ class Guide:
             return Order(SetpointLevel.POSITION, (*setpoint.xy, setpoint.z, yaw))
         x, y = setpoint.xy
         if setpoint.across == "body":
+            heading = euler(quaternion)[2]
             x, y = (
                 x * cos(heading) - y * sin(heading),
                 x * sin(heading) + y * cos(heading),
@@ -140,11 +188,12 @@ class Guide:
             for k in range(3)
         ]
 
-    def _held_yaw(self, setpoint: Setpoint, heading: float, period: float) -> float:
+    def _held_yaw(self, setpoint: Setpoint, quaternion: list[float], period: float) -> float:
         """Turn the yaw that is held."""
         if setpoint.turning == "angle":
             self._yaw = setpoint.yaw
             return setpoint.yaw
+        heading = euler(quaternion)[2]
         held = heading if self._yaw is None else self._yaw
         lead = math.remainder(held + setpoint.yaw * period - heading, math.tau)
         self._yaw = math.remainder(heading + min(max(lead, -MOST_LEAD), MOST_LEAD), math.tau)

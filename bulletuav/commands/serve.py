@@ -1,13 +1,16 @@
 """`bulletuav serve`: drones that programs of others fly."""
 
 import argparse
+from collections.abc import Callable
 from typing import Any
 
 from rich.console import Console
 
-from bulletuav.bridges import airsim, crazyflie
+from bulletuav.bridges import airsim, crazyflie, hil, mavlink
 from bulletuav.bridges.airsim_world import World
 from bulletuav.bridges.crazyflie_fleet import Fleet
+from bulletuav.bridges.hil_bodies import HilBodies
+from bulletuav.bridges.mavlink_fleet import MavlinkFleet
 from bulletuav.errors import choose
 
 ABOUT = {
@@ -19,7 +22,9 @@ ABOUT = {
     "epilog": """examples:
   bulletuav serve crazyflie --drones 10
   bulletuav serve crazyflie --drones 4 --wind 2 0 0 --port 19860
-  bulletuav serve airsim --drones 2 --lidar""",
+  bulletuav serve airsim --drones 2 --lidar
+  bulletuav serve mavlink --drones 3
+  bulletuav serve hil --wind 3 0 0""",
 }
 LOOPBACK = "127.0.0.1"
 COMPILING = "compiling what flies; minutes at the first time"
@@ -29,13 +34,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the kind of server, where it listens, and what flies."""
     parser.add_argument("kind", help=f"one of: {', '.join(KINDS)}")
     parser.add_argument("--drones", type=int, default=1, metavar="N", help="how many (default: 1)")
-    parser.add_argument("--airframe", help="name or URDF (default: cf2x; for airsim iris)")
+    parser.add_argument("--airframe", help="name or URDF (default: iris; for crazyflie cf2x)")
     parser.add_argument(
         "--host",
         default=LOOPBACK,
         help=f"address to listen at (default: {LOOPBACK}); whoever reaches it can fly the drones",
     )
     parser.add_argument("--port", type=int, help="first port (default: the client's)")
+    parser.add_argument(
+        "--client-port",
+        type=int,
+        default=mavlink.CLIENT_PORT,
+        help=f"mavlink: where the first vehicle's client listens (default: {mavlink.CLIENT_PORT})",
+    )
     parser.add_argument(
         "--speed", type=float, default=1.0, help="simulated seconds a second (default: 1)"
     )
@@ -72,44 +83,95 @@ def _options(arguments: argparse.Namespace) -> dict[str, Any]:
     }
 
 
+def _serve(
+    flown: Any, make: Callable[[], Any], told: Callable[[Any], str], seconds: float | None
+) -> None:
+    """Open the ports, compile, tell where they are, and serve; close all at the end.
+
+    Args:
+        flown: What flies.
+        make: Function that opens the ports.
+        told: Function of the server that gives the line to print.
+        seconds: How long to serve.
+    """
+    console = Console()
+    try:
+        server = make()
+        try:
+            with console.status(COMPILING):
+                flown.warm_up()
+            console.print(told(server), soft_wrap=True)
+            server.run(seconds)
+        finally:
+            server.close()
+    finally:
+        flown.close()
+
+
+def _at(arguments: argparse.Namespace, usual: int) -> tuple[str, int, float]:
+    """Tell address, port and speed."""
+    port = usual if arguments.port is None else arguments.port
+    return arguments.host, port, arguments.speed
+
+
 def _serve_crazyflie(arguments: argparse.Namespace) -> None:
     """Serve virtual Crazyflies."""
-    console = Console()
     fleet = Fleet(arguments.drones, arguments.airframe or "cf2x", **_options(arguments))
-    port = crazyflie.PORT if arguments.port is None else arguments.port
-    server = crazyflie.CrazyflieServer(fleet, arguments.host, port, arguments.speed)
-    try:
-        with console.status(COMPILING):
-            fleet.warm_up()
-        console.print(
-            f"{len(fleet)} drones at {server.uris[0]} to {server.uris[-1]}", soft_wrap=True
-        )
-        server.run(arguments.seconds)
-    finally:
-        server.close()
-        fleet.close()
+    _serve(
+        fleet,
+        lambda: crazyflie.CrazyflieServer(fleet, *_at(arguments, crazyflie.PORT)),
+        lambda server: f"{len(fleet)} drones at {server.uris[0]} to {server.uris[-1]}",
+        arguments.seconds,
+    )
 
 
 def _serve_airsim(arguments: argparse.Namespace) -> None:
     """Serve vehicles of AirSim's calls."""
-    console = Console()
     frame = arguments.airframe or "iris"
     world = World(arguments.drones, frame, lidar=arguments.lidar, **_options(arguments))
     world.paused = arguments.paused
-    port = airsim.PORT if arguments.port is None else arguments.port
-    try:
-        server = airsim.AirsimServer(world, arguments.host, port, arguments.speed)
-        try:
-            with console.status(COMPILING):
-                world.warm_up()
-            names = ", ".join(world.vehicles)
-            console.print(f"{names} at {server.host}:{server.port}", soft_wrap=True)
-            server.run(arguments.seconds)
-        finally:
-            server.close()
-    finally:
-        world.close()
+    _serve(
+        world,
+        lambda: airsim.AirsimServer(world, *_at(arguments, airsim.PORT)),
+        lambda server: f"{', '.join(world.vehicles)} at {server.host}:{server.port}",
+        arguments.seconds,
+    )
 
 
-KINDS = {"crazyflie": _serve_crazyflie, "airsim": _serve_airsim}
+def _serve_mavlink(arguments: argparse.Namespace) -> None:
+    """Serve MAVLink vehicles."""
+    fleet = MavlinkFleet(arguments.drones, arguments.airframe or "iris", **_options(arguments))
+    clients = arguments.client_port
+    _serve(
+        fleet,
+        lambda: mavlink.MavlinkServer(fleet, *_at(arguments, mavlink.PORT), clients),
+        lambda server: (
+            f"{len(fleet)} vehicles at {arguments.host}:{server.ports[0]} to {server.ports[-1]}; "
+            f"they send to ports {clients} to {clients + len(fleet) - 1}"
+        ),
+        arguments.seconds,
+    )
+
+
+def _serve_hil(arguments: argparse.Namespace) -> None:
+    """Serve bodies to autopilots, by PX4's protocol for simulators."""
+    options = {**_options(arguments), "seed": arguments.seed or 0}
+    bodies = HilBodies(arguments.drones, arguments.airframe or "iris", **options)
+    _serve(
+        bodies,
+        lambda: hil.HilServer(bodies, *_at(arguments, hil.PORT)),
+        lambda server: (
+            f"{len(bodies)} bodies wait for autopilots at {arguments.host}:{server.ports[0]} "
+            f"to {server.ports[-1]}"
+        ),
+        arguments.seconds,
+    )
+
+
+KINDS = {
+    "crazyflie": _serve_crazyflie,
+    "airsim": _serve_airsim,
+    "mavlink": _serve_mavlink,
+    "hil": _serve_hil,
+}
 """Servers by name"""

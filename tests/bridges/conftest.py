@@ -1,7 +1,11 @@
+import threading
+
 import pytest
 from bridges.crtp_client import Drone
+from bridges.mavlink_client import Station
 
 from bulletuav.bridges.crazyflie_fleet import Fleet
+from bulletuav.bridges.mavlink_fleet import MavlinkFleet
 
 
 @pytest.fixture
@@ -21,6 +25,50 @@ def make_fleet():
 @pytest.fixture
 def drone(make_fleet):
     return Drone(make_fleet(1))
+
+
+@pytest.fixture
+def make_vehicles():
+    """Makes fleets of MAVLink vehicles, and closes them."""
+    made = []
+
+    def make(*args, **options):
+        made.append(MavlinkFleet(*args, **{"seed": 0, **options}))
+        return made[-1]
+
+    yield make
+    for fleet in made:
+        fleet.close()
+
+
+@pytest.fixture
+def station(make_vehicles):
+    """A ground station of one vehicle, which stands on the ground."""
+    return Station(make_vehicles(1))
+
+
+@pytest.fixture
+def keep_running():
+    """Runs servers of datagrams in threads, until the test ends."""
+    running = []
+
+    def keep_running(server):
+        stop = threading.Event()
+
+        def run():
+            while not stop.is_set():
+                server.run(0.05)
+
+        thread = threading.Thread(target=run)
+        thread.start()
+        running.append((server, stop, thread))
+        return server
+
+    yield keep_running
+    for server, stop, thread in running:
+        stop.set()
+        thread.join()
+        server.close()
 
 
 @pytest.fixture

@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from bulletuav.bridges.airsim_calls import Calls
 from bulletuav.bridges.airsim_motions import MOTIONS
-from bulletuav.bridges.airsim_tasks import ACCELERATION, Ramp
 from bulletuav.bridges.airsim_values import attitude_of, pose_in, pose_of, yaw_in, yaw_out
 from bulletuav.bridges.airsim_world import World
+from bulletuav.bridges.motions import ACCELERATION, Ramp
 from bulletuav.earth import enu_to_ned, pressure
 from bulletuav.geometry.obstacle import Obstacle
 

@@ -116,3 +116,39 @@ def test_examples_of_cflib_run(example, cflib, drones, tmp_path):
     )
     assert told.returncode == 0, told.stderr
     assert EXAMPLES[example] in told.stdout
+
+
+@pytest.fixture
+def mavsdk(tmp_path):
+    """Flies vehicles by a version of MAVSDK; returns what it printed."""
+
+    def mavsdk(version, program, drones):
+        place = environment(tmp_path / "venv", f"mavsdk=={version}")
+        command = [sys.executable, "-m", "bulletuav", "serve", "mavlink", "--drones", str(drones)]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=quiet()) as server:
+            while "vehicles at" not in server.stdout.readline():
+                assert server.poll() is None
+            ports = [str(14540 + k) for k in range(drones)]
+            told = subprocess.run(
+                [place / "bin" / "python", "-W", "ignore", HERE / program, *ports],
+                capture_output=True,
+                text=True,
+                timeout=200,
+                cwd=tmp_path,
+                env=alone(),
+            )
+            server.terminate()
+        assert told.returncode == 0, told.stdout + told.stderr
+        return told.stdout
+
+    return mavsdk
+
+
+@pytest.mark.slow
+def test_mavsdk_of_the_third_version_flies_two_vehicles(mavsdk):
+    assert mavsdk("3.17.4", "mavsdk_grpc_client.py", 2).endswith("all flew\n")
+
+
+@pytest.mark.slow
+def test_mavsdk_of_the_fourth_version_flies(mavsdk):
+    assert "returned, landed, disarmed" in mavsdk("4.1.0", "mavsdk_client.py", 1)

@@ -10,10 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bulletuav import load_airframe
-from bulletuav.bridges.crazyflie_fleet import Fleet, starts
+from bulletuav.bridges.crazyflie_fleet import Fleet
 from bulletuav.bridges.crazyflie_setpoints import Commander, Motors, uncompressed
 from bulletuav.bridges.crtp import Packet
 from bulletuav.bridges.setpoints import Guide
+from bulletuav.bridges.starts import starts
 
 CF2X = load_airframe("cf2x")
 EBUSY, EINVAL, ENOENT, ENOEXEC, ENOMEM = 16, 22, 2, 8, 12
@@ -69,17 +70,17 @@ def test_any_32_bits_are_a_unit_quaternion():
 
 
 def test_places_of_drones_lie_apart():
-    places = starts(10, 0.02)
+    places = starts(10, 0.02, 0.5)
     assert places.shape == (10, 3)
     assert places[0].tolist() == [0, 0, 0.02]
     gaps = np.linalg.norm(places[:, None] - places[None], axis=2) + 9 * np.eye(10)
     assert gaps.min() == 0.5
-    assert starts([(1, 2), (3, 4)], 0.1).tolist() == [[1, 2, 0.1], [3, 4, 0.1]]
+    assert starts([(1, 2), (3, 4)], 0.1, 0.5).tolist() == [[1, 2, 0.1], [3, 4, 0.1]]
     with pytest.raises(ValueError, match="decision_hz is 100"):
         Fleet(1, decision_hz=50)
     for wrong in (0, 257, []):
         with pytest.raises(ValueError, match="drones is"):
-            starts(wrong, 0.1)
+            starts(wrong, 0.1, 0.5)
 
 
 # The planner

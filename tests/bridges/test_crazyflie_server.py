@@ -2,7 +2,6 @@
 
 import socket
 import struct
-import threading
 import time
 
 import numpy as np
@@ -51,28 +50,13 @@ class Client:
 
 
 @pytest.fixture
-def serve(make_fleet):
-    """Runs servers in a thread, ten times as fast as real time, until the test ends."""
-    running = []
+def serve(make_fleet, keep_running):
+    """Runs servers, ten times as fast as real time, until the test ends."""
 
     def serve(drones=1, speed=10.0):
-        server = CrazyflieServer(make_fleet(drones), port=0, speed=speed)
-        stop = threading.Event()
+        return keep_running(CrazyflieServer(make_fleet(drones), port=0, speed=speed))
 
-        def run():
-            while not stop.is_set():
-                server.run(0.05)
-
-        thread = threading.Thread(target=run)
-        thread.start()
-        running.append((server, stop, thread))
-        return server
-
-    yield serve
-    for server, stop, thread in running:
-        stop.set()
-        thread.join()
-        server.close()
+    return serve
 
 
 def until(happens):

@@ -1,8 +1,9 @@
-"""What AirSim's motion calls make a drone do, until they are done."""
+"""What clients of bridges make a drone do, until it is done."""
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +14,7 @@ from bulletuav.functions import atan2
 ACCELERATION = 2.0
 """How fast drones speed up and brake along paths, m/s^2"""
 ARRIVED = 0.3
-"""Distance from a goal, m, at which a path is done"""
+"""Distance from a goal, m, at which a path is done, unless another is given"""
 LANDING_SPEED = 0.5
 """m/s"""
 Answer = Callable[[bool], None]
@@ -69,7 +70,7 @@ class Heading(NamedTuple):
     yaw: float = 0.0
     forward: bool = False
 
-    def along(self, velocity: np.ndarray) -> tuple[str, float]:
+    def along(self, velocity: Sequence[float]) -> tuple[str, float]:
         """Tell turning and yaw for a velocity (2,) or more, m/s, east and north."""
         if self.forward and abs(velocity[0]) + abs(velocity[1]) > 0.1:
             return "angle", atan2(velocity[1], velocity[0])
@@ -177,7 +178,7 @@ class Hold(Motion):
         super().__init__(begin, limit)
         self._setpoint = setpoint
         if forward and isinstance(setpoint, Setpoint):
-            turning, yaw = Heading(forward=True).along(np.array(setpoint.xy))
+            turning, yaw = Heading(forward=True).along(setpoint.xy)
             self._setpoint = setpoint._replace(turning=turning, yaw=yaw)
 
     def order(self, state: State, now: float) -> Setpoint | Order:
@@ -195,6 +196,7 @@ class Path(Motion):
         speed: float,
         heading: Heading,
         times: tuple[float, float],
+        near: float = ARRIVED,
     ) -> None:
         """Plan the path from where the drone is.
 
@@ -204,53 +206,58 @@ class Path(Motion):
             speed: m/s, above 0.
             heading: Where to look.
             times: When it begins, and how long it may take, s.
+            near: Distance from the goal at which it is done, m.
         """
         super().__init__(*times)
-        self._points = np.array([state[0], *points])
-        steps = np.diff(self._points, axis=0)
+        self._near = near
+        places = np.array([state[0], *points])
+        steps = np.diff(places, axis=0)
         lengths = np.sqrt((steps * steps).sum(axis=1))
-        self._ends = np.concatenate([[0.0], np.cumsum(lengths)])
-        self._ways = steps / np.maximum(lengths, 1e-9)[:, None]
-        self._ramp = Ramp(float(self._ends[-1]), speed)
+        # Lists of numbers, as each step asks for a few of them.
+        self._points: list[list[float]] = places.tolist()
+        self._ends: list[float] = [0.0, *np.cumsum(lengths).tolist()]
+        self._ways: list[list[float]] = (steps / np.maximum(lengths, 1e-9)[:, None]).tolist()
+        self._ramp = Ramp(self._ends[-1], speed)
         self._heading = heading
 
     def order(self, state: State, now: float) -> Setpoint:
         """Tell where to be, how fast, and where to look."""
         far, speed, gain = self._ramp.at(now - self.begin)
-        piece = int(np.searchsorted(self._ends[1:-1], far, side="right"))
-        way = self._ways[piece]
-        x, y, z = (self._points[piece] + (far - self._ends[piece]) * way).tolist()
-        ahead = (*(speed * way).tolist(), *(gain * way).tolist())
-        turning, yaw = self._heading.along(way * max(speed, 0.2))
+        piece = bisect_right(self._ends, far, 1, len(self._ends) - 1) - 1
+        way, begin, more = self._ways[piece], self._points[piece], far - self._ends[piece]
+        x, y, z = (one + more * part for one, part in zip(begin, way, strict=True))
+        ahead = (*(speed * one for one in way), *(gain * one for one in way))
+        turning, yaw = self._heading.along([one * max(speed, 0.2) for one in way])
         return Setpoint("position", (x, y), "position", z, turning, yaw, ahead)
 
     def outcome(self, state: State, now: float, touches: bool) -> bool | None:
         """Tell whether it has arrived, or the time is over."""
-        if now - self.begin >= self._ramp.duration:
-            away = np.array(state[0]) - self._points[-1]
-            if float((away * away).sum()) < ARRIVED**2:
-                return True
+        is_over = now - self.begin >= self._ramp.duration
+        if is_over and math.dist(state[0], self._points[-1]) < self._near:
+            return True
         return False if now - self.begin >= self.limit else None
 
     def after(self, state: State) -> Motion:
         """Tell that the drone stays at the goal."""
-        still = (self._points[-1].tolist(), state[1], [0.0] * 3, [0.0] * 3)
+        still = (self._points[-1], state[1], [0.0] * 3, [0.0] * 3)
         return Stay(still)
 
 
 class Land(Motion):
     """Sink until something is touched, then switch the motors off."""
 
-    def __init__(self, state: State, begin: float, limit: float) -> None:
-        """Sink from where the drone is."""
+    def __init__(
+        self, state: State, begin: float, limit: float, speed: float = LANDING_SPEED
+    ) -> None:
+        """Sink from where the drone is, at a speed, m/s."""
         super().__init__(begin, limit)
-        self._place = state[0]
+        self._place, self._speed = state[0], speed
 
     def order(self, state: State, now: float) -> Setpoint:
         """Tell to sink, right below."""
         x, y, z = self._place
-        down = LANDING_SPEED * (now - self.begin)
-        ahead = (0.0, 0.0, -LANDING_SPEED, 0.0, 0.0, 0.0)
+        down = self._speed * (now - self.begin)
+        ahead = (0.0, 0.0, -self._speed, 0.0, 0.0, 0.0)
         return Setpoint("position", (x, y), "position", z - down, "rate", 0.0, ahead)
 
     def outcome(self, state: State, now: float, touches: bool) -> bool | None:

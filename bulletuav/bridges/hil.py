@@ -1,0 +1,238 @@
+"""The simulator's side of PX4's protocol for simulators: TCP, MAVLink, lockstep.
+
+    server = HilServer(HilBodies(1))
+    server.run()
+
+Autopilots connect to port 4560 and those after it, one for each body. They are sent what sensors
+measure, and answer with what motors are to do. Time goes on when all have answered.
+"""
+
+import contextlib
+import math
+import selectors
+import socket
+import time
+from collections.abc import Callable
+from typing import Any
+
+from bulletuav.bridges.hil_bodies import STEP_HZ, HilBodies
+from bulletuav.bridges.mavlink_wire import Command, Message, Told, Wire, whole_frames
+from bulletuav.bridges.sockets import listening
+from bulletuav.envs.pacer import Pacer
+from bulletuav.errors import as_int, finite
+
+PORT = 4560
+"""Port that the first of PX4's instances connects to"""
+MOST_READ = 4096
+"""Most bytes that are taken of a connection in one go"""
+MOST_WAITING = 65536
+"""Most bytes of a frame that is not whole, and of what an autopilot leaves unread"""
+SILENT = 10.0
+"""How long an autopilot may take to answer, s; then it is let go"""
+LONGEST_WAIT = 0.1
+"""Time after which `run` looks again who has connected, s"""
+SIMULATOR = 1
+"""System number of the simulator"""
+STATE_QUATERNION = 115
+
+
+class Link:
+    """The connection of one autopilot.
+
+    Attributes:
+        answers: Whether it has answered newest measurements: from then on it is waited for.
+        waits: Whether an answer is awaited.
+        asked: When it was sent something that it has not answered yet, by the clock, s.
+        wants_truth: Whether it has asked for HIL_STATE_QUATERNION.
+    """
+
+    def __init__(self, one: socket.socket) -> None:
+        """Take a connection over."""
+        self.socket, self.wire, self._rest = one, Wire(SIMULATOR), b""
+        self.answers = self.waits = self.wants_truth = False
+        self.asked = time.perf_counter()
+        one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        one.setblocking(False)
+
+    def send(self, told: list[Told]) -> None:
+        """Send messages.
+
+        Raises:
+            OSError: The autopilot has gone, or reads nothing.
+        """
+        data = b"".join(self.wire.pack(one) for one in told)
+        if self.socket.send(data) < len(data):
+            raise ConnectionError("an autopilot reads nothing")
+
+    def read(self) -> list[Message]:
+        """Read messages.
+
+        Raises:
+            OSError: The autopilot has gone, or sends what is no MAVLink.
+        """
+        data = self.socket.recv(MOST_READ)
+        if not data:
+            raise ConnectionError("an autopilot has gone")
+        frames, self._rest = whole_frames(self._rest + data)
+        found = self.wire.read(frames)
+        if self.wire.malformed or len(self._rest) > MOST_WAITING:
+            raise ConnectionError("an autopilot sends what is no MAVLink")
+        return found
+
+
+class HilServer:
+    """Bodies, and the autopilots that fly them in lockstep.
+
+    Attributes:
+        bodies: What flies.
+        ports: Of each body.
+        pacer: Keeps time from going faster than asked for.
+    """
+
+    def __init__(
+        self,
+        bodies: HilBodies,
+        host: str = "127.0.0.1",
+        port: int = PORT,
+        speed: float = 1.0,
+        patience: float = 1 / STEP_HZ,
+    ) -> None:
+        """Open the ports; autopilots are answered once it runs.
+
+        Args:
+            bodies: What flies.
+            host: Address to listen at. Whoever can reach it can fly.
+            port: Of the first body; 0 for free ones.
+            speed: Simulated seconds in one of the clock, at most.
+            patience: How long an autopilot that starts may take to answer a measurement, until it
+                is sent the next one, s. Flights repeat to the last bit if it always answers in it.
+
+        Raises:
+            ValueError: The port or the speed cannot be.
+            OSError: A port is in use, or there is no such address.
+            ImportError: pymavlink is not installed.
+        """
+        as_int("port", port, 0, 65536 - len(bodies) if port else 0)
+        Wire(SIMULATOR)
+        self.bodies, self._patience = bodies, finite("patience", patience, 0.0)
+        self.pacer = Pacer(bodies.airspace.period, speed, _sleep=self._listen_for)
+        self._selector = selectors.DefaultSelector()
+        self._links: list[Link | None] = [None] * len(bodies)
+        self._listening: list[socket.socket] = []
+        self._flies = False
+        try:
+            for i in range(len(bodies)):
+                self._listening.append(listening(host, port + i if port else 0))
+                self._listening[i].setblocking(False)
+                self._selector.register(self._listening[i], selectors.EVENT_READ, i)
+        except OSError:
+            self.close()
+            raise
+        self.ports: list[int] = [one.getsockname()[1] for one in self._listening]
+
+    def run(self, seconds: float | None = None) -> None:
+        """Fly, and answer.
+
+        Args:
+            seconds: How long to fly, simulated, from when all autopilots have answered; until it
+                is interrupted, if left out.
+
+        Raises:
+            RuntimeError: The flight diverged.
+        """
+        end = math.inf if seconds is None else self.bodies.airspace.time + seconds - 1e-9
+        self.pacer.restart()
+        while self.bodies.airspace.time < end:
+            self._turn()
+
+    def _turn(self) -> None:
+        """Measure, wait for the answers, and fly a step once all autopilots have answered."""
+        if not self._flies and None in self._links:
+            self._listen(LONGEST_WAIT)
+            return
+        measured = self.bodies.measure()
+        for i, link in enumerate(self._links):
+            if link is not None:
+                told = measured[i] + ([self.bodies.truth(i)] if link.wants_truth else [])
+                link.waits, link.asked = True, time.perf_counter()
+                self._guarded(i, link.send, told)
+        while (left := self._left()) > 0:
+            self._listen(left)
+        for i, link in enumerate(self._links):
+            if link is not None and link.answers and link.waits:
+                self._drop(i)
+        self._flies = self._flies or all(link and link.answers for link in self._links)
+        if self._flies:
+            self.bodies.step()
+        if self.pacer.wait():
+            self._listen(0.0)
+
+    def _left(self) -> float:
+        """Tell how long answers may be waited for, s; those of autopilots that start, less."""
+        ends = [
+            link.asked + (SILENT if link.answers else self._patience)
+            for link in self._links
+            if link is not None and link.waits
+        ]
+        return max(ends, default=-math.inf) - time.perf_counter()
+
+    def _listen_for(self, seconds: float) -> None:
+        """Take what comes for a time, s."""
+        end = time.perf_counter() + seconds
+        while (left := end - time.perf_counter()) > 0:
+            self._listen(left)
+
+    def _listen(self, seconds: float) -> None:
+        """Take what comes, and wait for it at most a time, s."""
+        for key, _ in self._selector.select(seconds):
+            i, link = key.data, self._links[key.data]
+            if key.fileobj is self._listening[i]:
+                self._meet(i)
+            elif link is not None:
+                self._guarded(i, self._take, i, link)
+
+    def _meet(self, i: int) -> None:
+        """Take an autopilot in; a second one of a body is turned away."""
+        with contextlib.suppress(OSError):
+            one, _ = self._listening[i].accept()
+            if self._links[i] is not None:
+                one.close()
+                return
+            self._links[i] = Link(one)
+            self._selector.register(one, selectors.EVENT_READ, i)
+
+    def _take(self, i: int, link: Link) -> None:
+        """Take the messages of an autopilot."""
+        for message in link.read():
+            kind = message.get_type()
+            if kind == "HIL_ACTUATOR_CONTROLS":
+                # An autopilot that starts may answer late; lockstep begins with what is new.
+                if link.answers or message.time_usec >= self.bodies.stamp:
+                    link.answers, link.waits = True, False
+                    self.bodies.command(i, message)
+            elif kind == "COMMAND_LONG" and message.command == Command.SET_INTERVAL:
+                link.wants_truth |= message.param1 == STATE_QUATERNION
+
+    def _guarded(self, i: int, does: Callable[..., None], *arguments: Any) -> None:
+        """Do something with a connection; an autopilot that has gone is forgotten."""
+        try:
+            does(*arguments)
+        except OSError:
+            self._drop(i)
+
+    def _drop(self, i: int) -> None:
+        """Forget an autopilot; its motors stop, and others fly on."""
+        link = self._links[i]
+        if link is not None:
+            self._selector.unregister(link.socket)
+            link.socket.close()
+            self._links[i] = None
+            self.bodies.stop(i)
+
+    def close(self) -> None:
+        """Close the ports and connections; the bodies stay."""
+        for i in range(len(self._links)):
+            self._drop(i)
+        for one in self._listening:
+            one.close()
+        self._selector.close()

@@ -1,0 +1,213 @@
+"""Bodies for autopilots that fly in lockstep: what their sensors measure, what their motors do."""
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bulletuav.bridges.mavlink_fleet import HOME, SPACING
+from bulletuav.bridges.mavlink_wire import Message, Told
+from bulletuav.bridges.setpoints import NORTH, Order, corner_speeds, give
+from bulletuav.bridges.starts import starts
+from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.earth import (
+    Origin,
+    attitude_to_ned,
+    enu_to_ned,
+    flu_to_frd,
+    geopotential_height,
+    magnetic_field,
+    pressure,
+    temperature,
+)
+from bulletuav.envs.airspace import Airspace
+from bulletuav.errors import as_sequence, finite
+from bulletuav.geometry.rotation import to_body
+from bulletuav.vehicle.airframe import STANDARD_GRAVITY
+from bulletuav.vehicle.airframes import load_airframe
+
+STEP_HZ = 250
+"""Steps, and measurements of the inertial unit, a second"""
+SLOW_STEPS, GPS_STEPS = 5, 25
+"""Steps between measurements of compass and barometer, and of the satellite receiver"""
+INERTIAL, SLOW = 0b111111, 0b1111111 << 6
+"""Fields of HIL_SENSOR: accelerometer and gyroscope; compass, pressures, temperature"""
+ARMED = 128
+"""Bit of the mode of HIL_ACTUATOR_CONTROLS"""
+GAUSS, KELVIN = 1e-4, 273.15
+"""Teslas in a gauss; the zero of degrees Celsius"""
+
+
+class Noise(NamedTuple):
+    """Standard deviations of what sensors measure.
+
+    Attributes:
+        acceleration: m/s^2.
+        rate: rad/s.
+        field: gauss.
+        pressure: hPa.
+    """
+
+    acceleration: float = 0.02
+    rate: float = 0.002
+    field: float = 0.001
+    pressure: float = 0.005
+
+
+class HilBodies:
+    """N bodies in one airspace, whose motors autopilots command; they look north at the start.
+
+    Attributes:
+        airspace: Where they fly.
+        origin: Place on the Earth of the airspace's origin.
+        tick: Times that sensors have measured: the autopilots' clock, in units of 4 ms.
+    """
+
+    def __init__(
+        self,
+        drones: int | Sequence[Sequence[float]] = 1,
+        airframe: Any = "iris",
+        *,
+        home: Sequence[float] = HOME,
+        noise: float = 1.0,
+        seed: int = 0,
+        **options: Any,
+    ) -> None:
+        """Put bodies on the ground, motors off.
+
+        Args:
+            drones: How many there are, in rows 2 m apart; or where they stand, (N, 2), m.
+            airframe: Their airframe, of four rotors.
+            home: Latitude, longitude (degrees) and altitude (m) of the origin.
+            noise: How many times the usual noise sensors have.
+            seed: Of the noise, and of gusts.
+            **options: More options of `Airspace`, such as wind or obstacles.
+
+        Raises:
+            ValueError: An option cannot be.
+        """
+        frame = load_airframe(airframe)
+        self._frame = frame
+        corner_speeds(frame, dict.fromkeys(((1, 1), (1, -1), (-1, 1), (-1, -1)), 0.0))
+        self._noise = np.repeat(Noise(), (3, 3, 3, 1)) * finite("noise", noise, 0.0, 100.0)
+        self._starts = starts(drones, frame.standing_height, SPACING)
+        if "decision_hz" in options:
+            raise ValueError(f"decision_hz is {STEP_HZ} for autopilots: leave it out")
+        self.origin = Origin(*as_sequence("home", home, 3))
+        self._field = magnetic_field(*as_sequence("home", home, 3)) / GAUSS
+        known = {"physics_hz": 2 * STEP_HZ, "decision_hz": STEP_HZ, "seed": seed, **options}
+        self.airspace = Airspace(self._starts, frame, **known)
+        self.tick = 0
+        self._rng = np.random.default_rng(seed)
+        self._orders: list[Order | None] = [None] * len(self._starts)
+        self._stand()
+
+    def __len__(self) -> int:
+        """Tell how many bodies there are."""
+        return len(self._starts)
+
+    def warm_up(self) -> None:
+        """Compile what flies, which takes minutes at the first time; bodies stay where they are."""
+        self.airspace.step()
+        self._stand()
+
+    def _stand(self) -> None:
+        """Put all bodies to where they start, at rest."""
+        self.airspace.place(None, self._starts, NORTH)
+        self._velocity = self.airspace.swarm.velocity.copy()
+        self._acceleration = np.zeros_like(self._velocity)
+
+    @property
+    def stamp(self) -> int:
+        """Time that autopilots are told, us."""
+        return self.tick * (10**6 // STEP_HZ)
+
+    def measure(self) -> list[list[Told]]:
+        """Measure; the autopilots' clock goes on.
+
+        Returns:
+            Messages for each autopilot.
+        """
+        self.tick += 1
+        noise = self._rng.standard_normal((len(self), 10)) * self._noise
+        return [self._measured(i, noise[i]) for i in range(len(self))]
+
+    def _measured(self, i: int, noise: np.ndarray) -> list[Told]:
+        """Make the messages of one body."""
+        swarm = self.airspace.swarm
+        x, y, z = self._acceleration[i].tolist()
+        turn = swarm.quaternion[i]
+        force = flu_to_frd(to_body(turn, (x, y, z + STANDARD_GRAVITY))) + noise[:3]
+        rates = flu_to_frd(swarm.rates[i]) + noise[3:6]
+        field = flu_to_frd(to_body(turn, self._field)) + noise[6:9]
+        height = float(self.origin.altitude + swarm.position[i, 2])
+        air = (float(pressure(height)) / 100 + float(noise[9]), 0.0)
+        above = (float(geopotential_height(height)), float(temperature(height)) - KELVIN)
+        updated = INERTIAL | (SLOW if self.tick % SLOW_STEPS == 0 else 0)
+        felt = (*force.tolist(), *rates.tolist(), *field.tolist(), *air, *above)
+        told = [Told("hil_sensor", (self.stamp, *felt, updated))]
+        if self.tick % GPS_STEPS == 0:
+            told.append(self._located(i))
+        return told
+
+    def _located(self, i: int) -> Told:
+        """Tell what a satellite receiver measures, without noise: cm, cm/s and 1e-7 degrees."""
+        swarm = self.airspace.swarm
+        latitude, longitude, altitude = self.origin.to_geodetic(swarm.position[i]).tolist()
+        north, east, down = np.round(enu_to_ned(swarm.velocity[i]) * 100).astype(int).tolist()
+        flat = math.hypot(north, east)
+        course = round(math.degrees(math.atan2(east, north)) * 100) % 36000
+        where = (round(latitude * 1e7), round(longitude * 1e7), round(altitude * 1000), 30, 40)
+        return Told("hil_gps", (self.stamp, 3, *where, round(flat), north, east, down, course, 12))
+
+    def truth(self, i: int) -> Told:
+        """Tell how a body truly moves: HIL_STATE_QUATERNION."""
+        swarm = self.airspace.swarm
+        latitude, longitude, altitude = self.origin.to_geodetic(swarm.position[i]).tolist()
+        velocity = np.round(enu_to_ned(swarm.velocity[i]) * 100).astype(int).tolist()
+        turn = attitude_to_ned(swarm.quaternion[i], scalar_first=True).tolist()
+        speed = round(float(np.sqrt((swarm.velocity[i] ** 2).sum())) * 100)
+        x, y, z = self._acceleration[i].tolist()
+        force = flu_to_frd(to_body(swarm.quaternion[i], (x, y, z + STANDARD_GRAVITY)))
+        milli = np.clip(np.round(force / STANDARD_GRAVITY * 1000), -32768, 32767).astype(int)
+        where = (round(latitude * 1e7), round(longitude * 1e7), round(altitude * 1000))
+        rates = flu_to_frd(swarm.rates[i]).tolist()
+        rest = (*where, *velocity, speed, speed, *milli.tolist())
+        return Told("hil_state_quaternion", (self.stamp, turn, *rates, *rest))
+
+    def command(self, i: int, message: Message) -> None:
+        """Take HIL_ACTUATOR_CONTROLS: shares of the greatest rotor speed.
+
+        Args:
+            i: Index of the body.
+            message: Motors in PX4's order: front right, rear left, front left, rear right.
+        """
+        if not message.mode & ARMED:
+            self._orders[i] = None
+            return
+        shares = [
+            min(max(one, 0.0), 1.0) if math.isfinite(one) else 0.0 for one in message.controls[:4]
+        ]
+        corners = dict(zip(((1, -1), (-1, 1), (1, 1), (-1, -1)), shares, strict=True))
+        self._orders[i] = Order(SetpointLevel.ROTOR, corner_speeds(self._frame, corners))
+
+    def stop(self, i: int) -> None:
+        """Switch the motors of a body off."""
+        self._orders[i] = None
+
+    def step(self) -> None:
+        """Fly for 4 ms.
+
+        Raises:
+            RuntimeError: The flight diverged, or the airspace is closed.
+        """
+        give(self.airspace, self._orders)
+        self.airspace.step()
+        swarm = self.airspace.swarm
+        self._acceleration = (swarm.velocity - self._velocity) / self.airspace.period
+        self._velocity = swarm.velocity.copy()
+
+    def close(self) -> None:
+        """Free the airspace."""
+        self.airspace.close()

@@ -1,0 +1,86 @@
+"""What the items of a mission ask for: places, speeds, times."""
+
+import math
+from collections.abc import Sequence
+
+from bulletuav.bridges.mavlink_fence import Fence, Item
+from bulletuav.bridges.mavlink_places import GLOBAL_FRAMES, RELATIVE_FRAMES, Site
+from bulletuav.bridges.mavlink_wire import RefusedError
+
+WAYPOINT, LOITER_UNLIMITED, LOITER_TIME, RETURN, LAND, TAKEOFF = 16, 17, 19, 20, 21, 22
+DELAY, CHANGE_SPEED = 93, 178
+PLACES = (WAYPOINT, LOITER_UNLIMITED, LOITER_TIME, LAND, TAKEOFF)
+"""Items that tell a place"""
+ITEMS = (*PLACES, RETURN, DELAY, CHANGE_SPEED)
+"""Items that are supported"""
+UNSUPPORTED, BAD_FRAME, BAD_PLACE, DENIED = 3, 2, 10, 14
+"""How a mission is answered that cannot be taken"""
+Place = tuple[float, float, float]
+
+
+class MissionError(RefusedError):
+    """A mission that cannot be taken.
+
+    Attributes:
+        code: How MAVLink says so.
+    """
+
+    def __init__(self, text: str, code: int) -> None:
+        """Tell why."""
+        super().__init__(text)
+        self.code = code
+
+
+def place_of(item: Item, site: Site, present: Sequence[float]) -> Place:
+    """Tell where an item is.
+
+    Args:
+        item: One of `PLACES`. Take-offs and landings at latitude and longitude 0, or without
+            them, are where the vehicle is.
+        site: Where the vehicle's coordinates begin.
+        present: (3,) where the vehicle is, m.
+
+    Returns:
+        The place, m.
+
+    Raises:
+        RefusedError: It cannot be.
+    """
+    is_here = item.x == item.y == 0 or not math.isfinite(item.x + item.y)
+    if is_here and item.command in (TAKEOFF, LAND):
+        lifted = item.z + (site.altitude if item.frame in RELATIVE_FRAMES else 0.0)
+        height = site.start[2] + lifted - site.altitude
+        if not math.isfinite(height):
+            raise RefusedError("an altitude is no number")
+        return present[0], present[1], height
+    return site.of_global(item.frame, item.x, item.y, item.z)
+
+
+def check_items(items: Sequence[Item], site: Site, fence: Fence, farthest: float) -> None:
+    """Check a mission before it is taken.
+
+    Args:
+        items: The mission.
+        site: Where the vehicle's coordinates begin.
+        fence: Where the vehicle may be.
+        farthest: How far from home the first place may be, m; 0 or less for anywhere.
+
+    Raises:
+        MissionError: An item is not supported, or beyond the fence.
+    """
+    is_first = True
+    for number, item in enumerate(items):
+        if item.command not in ITEMS:
+            raise MissionError(f"item {number}: command {item.command} unknown", UNSUPPORTED)
+        if item.command not in PLACES:
+            continue
+        if item.frame not in GLOBAL_FRAMES + RELATIVE_FRAMES:
+            raise MissionError(f"item {number}: frame {item.frame} unknown", BAD_FRAME)
+        try:
+            place = place_of(item, site, site.start)
+            fence.check(f"item {number} is", place)
+        except RefusedError as error:
+            raise MissionError(str(error), BAD_PLACE) from None
+        if is_first and 0 < farthest < math.dist(place[:2], site.start[:2]):
+            raise MissionError("first item is beyond MIS_DIST_1WP", BAD_PLACE)
+        is_first = False
