@@ -4,6 +4,7 @@ import hashlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -97,13 +98,20 @@ def require_form(snapshot: Snapshot, form: str, of: str) -> None:
 
 def form_of(task: str, fields: Fields) -> str:
     """Hash what a snapshot has to fit: the task's name, and names, types and shapes of arrays."""
-    told = [(name, array.dtype.str, array.shape[1:]) for name, array in fields.items()]
-    return hashlib.blake2b(repr((task, told)).encode(), digest_size=8).hexdigest()
+    return _form(task, tuple((name, one.dtype, one.shape[1:]) for name, one in fields.items()))
+
+
+@lru_cache(maxsize=64)
+def _form(task: str, told: tuple[tuple[str, np.dtype[Any], tuple[int, ...]], ...]) -> str:
+    """Hash names, types and shapes of arrays; kept, as it takes longer than the copying."""
+    texts = [(name, kind.str, shape) for name, kind, shape in told]
+    return hashlib.blake2b(repr((task, texts)).encode(), digest_size=8).hexdigest()
 
 
 def pack(fields: Fields, rngs: list[np.random.Generator], worlds: np.ndarray) -> np.ndarray:
     """Copy worlds (S,) of all arrays, and their random generators, into bytes (S, B)."""
-    parts = [_bytes_of(array, worlds) for array in fields.values() if array.size]
+    rows = _rows(worlds)
+    parts = [_bytes_of(array[rows]) for array in fields.values() if array.size]
     states = b"".join(_generator_bytes(rngs[w]) for w in worlds.tolist())
     parts.append(np.frombuffer(states, np.uint8).reshape(len(worlds), GENERATOR))
     return np.concatenate(parts, axis=1)
@@ -113,12 +121,12 @@ def unpack(
     data: np.ndarray, fields: Fields, rngs: list[np.random.Generator], worlds: np.ndarray
 ) -> None:
     """Write bytes (S, B) back into worlds (S,) of all arrays, and of the random generators."""
-    at = 0
+    at, rows = 0, _rows(worlds)
     for array in fields.values():
         if array.size:
             size = array[0].nbytes
             part = np.ascontiguousarray(data[:, at : at + size])
-            array[worlds] = part.view(array.dtype).reshape(len(worlds), *array.shape[1:])
+            array[rows] = part.view(array.dtype).reshape(len(worlds), *array.shape[1:])
             at += size
     for w, row in zip(worlds.tolist(), data[:, at:], strict=True):
         rngs[w] = _generator_of(row.tobytes())
@@ -129,9 +137,16 @@ def hashes_of(data: np.ndarray) -> tuple[str, ...]:
     return tuple(hashlib.blake2b(row.tobytes(), digest_size=16).hexdigest() for row in data)
 
 
-def _bytes_of(array: np.ndarray, worlds: np.ndarray) -> np.ndarray:
-    rows = np.ascontiguousarray(array[worlds])
-    return rows.reshape(len(worlds), math.prod(array.shape[1:])).view(np.uint8)
+def _rows(worlds: np.ndarray) -> slice | np.ndarray:
+    """Index worlds (S,), by a slice where they stand side by side: several times as fast."""
+    first = int(worlds[0]) if len(worlds) else 0
+    side_by_side = np.array_equal(worlds, np.arange(first, first + len(worlds)))
+    return slice(first, first + len(worlds)) if side_by_side else worlds
+
+
+def _bytes_of(rows: np.ndarray) -> np.ndarray:
+    flat = np.ascontiguousarray(rows).reshape(len(rows), math.prod(rows.shape[1:]))
+    return flat.view(np.uint8)
 
 
 def _generator_bytes(rng: np.random.Generator) -> bytes:
