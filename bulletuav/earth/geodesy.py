@@ -193,10 +193,10 @@ def degree_lengths(latitude: float) -> tuple[float, float]:
         ValueError: There is no such latitude.
     """
     phi = math.radians(finite("latitude", latitude, -90, 90))
-    flat = 1.0 - ECCENTRICITY_SQUARED * math.sin(phi) ** 2
+    flat = 1.0 - ECCENTRICITY_SQUARED * float(sin(phi)) ** 2
     prime_vertical = SEMI_MAJOR_AXIS / math.sqrt(flat)
     meridian = prime_vertical * (1.0 - ECCENTRICITY_SQUARED) / flat
-    return math.radians(prime_vertical * math.cos(phi)), math.radians(meridian)
+    return math.radians(prime_vertical * float(cos(phi))), math.radians(meridian)
 
 
 def _split_geodetic(geodetic: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
