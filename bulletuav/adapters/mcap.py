@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.adapters.flights import Flight, results, rows_flown
+from bulletuav.adapters.flights import Flight, check, results, rows_flown
 from bulletuav.errors import missing
 from bulletuav.files import whole_file
 from bulletuav.geometry.rotation import to_body
@@ -46,8 +46,10 @@ def write_mcap(flight: Flight, path: Path) -> None:
         path: The file; replaced if it is there.
 
     Raises:
-        OSError: It cannot be written.
+        ValueError: An array is damaged.
+        OSError: The file cannot be written.
     """
+    check(flight)
     store = get_typestore(Stores.ROS2_JAZZY)
     stamps = [round(time * NANOSECONDS) for time in flight["time"].tolist()]
     topics = list(_Messages(flight, stamps, store.types).topics())

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.adapters.flights import Flight, results, rows_flown
+from bulletuav.adapters.flights import Flight, check, results, rows_flown
 from bulletuav.errors import missing
 from bulletuav.files import whole_file
 from bulletuav.geometry.shapes import CYLINDER, HULL, SPHERE
@@ -40,9 +40,11 @@ def write_rrd(flight: Flight, colours: np.ndarray, path: Path) -> None:
         path: The file; replaced if it is there.
 
     Raises:
-        OSError: It cannot be written.
+        ValueError: An array is damaged.
+        OSError: The file cannot be written.
         RuntimeError: The variable RERUN has turned Rerun off.
     """
+    check(flight)
     about = json.loads(str(flight["scene/about"]))
     with whole_file(path) as part:
         part.touch()  # so that a folder that is not there gets Python's error
@@ -52,7 +54,7 @@ def write_rrd(flight: Flight, colours: np.ndarray, path: Path) -> None:
             stream.save(part, _views())
             # Right-handed with z up: ENU.
             stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True, strict=True)
-            shades = np.uint8(255 * colours)
+            shades = (255 * colours).astype(np.uint8)
             _add_drones(stream, flight, about, shades)
             _add_curves(stream, flight, shades)
             _add_obstacles(stream, flight, about["obstacles"])

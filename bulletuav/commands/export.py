@@ -1,6 +1,7 @@
 """`bulletuav export`: a recorded flight as a file for viewers of others."""
 
 import argparse
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -16,8 +17,8 @@ from bulletuav.report.replay import read_run
 ABOUT = {
     "help": "write a flight as MCAP with ROS 2 messages, or for Rerun",
     "description": (
-        "Write what `bulletuav fly` recorded as one file for programs of others: MCAP with messages "
-        "of ROS 2 (extra mcap), or .rrd of Rerun (extra rerun)."
+        "Write what `bulletuav fly` recorded as one file for programs of others: MCAP with "
+        "messages of ROS 2 (extra mcap), or .rrd of the viewer Rerun (extra rerun)."
     ),
     "epilog": """examples:
   bulletuav fly crossing --out flight && bulletuav export flight --to mcap
@@ -34,7 +35,12 @@ def _write_mcap(recording: Recording, path: Path) -> None:
 def _write_rrd(recording: Recording, path: Path) -> None:
     from bulletuav.adapters.rerun import write_rrd  # which needs an extra
 
-    write_rrd(recording.everything(), drone_colours(recording.position.shape[1]), path)
+    colours = drone_colours(recording.alive.shape[-1])
+    # Seals hold for whoever made them: what is in a sealed scene can still be odd.
+    try:
+        write_rrd(recording.everything(), colours, path)
+    except (KeyError, TypeError, IndexError, AttributeError, json.JSONDecodeError) as error:
+        raise ValueError(f"the scene of the recording is damaged ({error!r}): {REMEDY}") from None
 
 
 FORMATS: dict[str, tuple[str, Callable[[Recording, Path], None]]] = {
@@ -62,9 +68,5 @@ def run(arguments: argparse.Namespace) -> None:
     recording, _ = read_run(arguments.run)
     folder = arguments.run if arguments.run.is_dir() else arguments.run.parent
     path = arguments.out or folder / name
-    try:
-        write(recording, path)
-    # Seals hold for whoever made them: what is in a sealed file can still be odd.
-    except (KeyError, TypeError, IndexError, AttributeError) as error:
-        raise ValueError(f"the recording is damaged ({error!r}): {REMEDY}") from None
+    write(recording, path)
     print_files(Console(), [path])
