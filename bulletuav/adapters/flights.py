@@ -8,8 +8,6 @@ Flight = Mapping[str, np.ndarray]
 """Arrays of a recording as `Recording.everything()` returns them"""
 RESULTS = ("reward", "separation", "conflicts", "collision", "success")
 """Arrays (T, N) that each decision has, beside those of infos"""
-
-
 LATEST = 2**31
 """s, from which on stamps of ROS have no room for a time"""
 
@@ -44,6 +42,7 @@ def check(flight: Flight) -> None:
 
 def rows_flown(flight: Flight) -> list[int]:
     """Count the rows of states of each drone, from the start to the end of its last decision."""
+    # A drone flies from the start on without a gap.
     flown = flight["alive"][:-1].astype(bool).sum(axis=0)
     counts: list[int] = (flown + 1).tolist()
     return counts
