@@ -1,7 +1,7 @@
 """Command line `bulletuav`: finds the command, runs it, and turns errors into one line.
 
 Its commands are `tasks`, `fly`, `city`, `evaluate`, `compare`, `dataset`, `merge`, `train`,
-`verify`, `replay`, `identify`, `incentives`, `serve`, `benchmark` and `doctor`.
+`verify`, `replay`, `export`, `identify`, `incentives`, `serve`, `benchmark` and `doctor`.
 """
 
 import argparse
@@ -20,6 +20,7 @@ from bulletuav.commands import (
     dataset,
     doctor,
     evaluate,
+    export,
     fly,
     identify,
     incentives,
@@ -43,6 +44,7 @@ COMMANDS: dict[str, ModuleType] = {
     "train": train,
     "verify": verify,
     "replay": replay,
+    "export": export,
     "identify": identify,
     "incentives": incentives,
     "serve": serve,

@@ -33,6 +33,8 @@ EXTRAS = {
     "imageio",
     "msgpack",
     "pymavlink",
+    "rerun",
+    "rosbags",
 }
 
 

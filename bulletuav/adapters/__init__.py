@@ -1,1 +1,1 @@
-"""Adapters to trainers, one file each; importing one needs the extra of its name."""
+"""Adapters to trainers and formats of others; importing one needs the extra of its name."""

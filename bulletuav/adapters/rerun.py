@@ -1,0 +1,183 @@
+"""Recorded flights as files of the viewer Rerun (.rrd); needs the extra `rerun`.
+
+Rerun keeps places in single precision; times and curves are exact.
+"""
+
+import json
+from collections.abc import Mapping, Sized
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bulletuav.adapters.flights import Flight, check, results, rows_flown
+from bulletuav.errors import missing
+from bulletuav.files import whole_file
+from bulletuav.geometry.shapes import CYLINDER, HULL, SPHERE
+from bulletuav.geometry.solids import Solids
+
+try:
+    import rerun as rr
+    import rerun.blueprint as rrb
+except ImportError:
+    raise missing("writing for Rerun", "rerun") from None
+
+TIME = "time"
+"""Name of the timeline, s since the start"""
+PATH_WIDTH = 1.5
+"""Width of drones' paths, in points of the screen"""
+GOAL_SIZE = 6.0
+"""Radius of goals, in points of the screen"""
+CITY_COLOUR = (150, 152, 158)
+
+
+def write_rrd(flight: Flight, colours: np.ndarray, path: Path) -> None:
+    """Write a recorded flight as one file.
+
+    Args:
+        flight: Arrays of the recording, as `Recording.everything()` returns them; of version 5.
+        colours: (N, 4) red, green, blue and opacity of each drone, from 0 to 1.
+        path: The file; replaced if it is there.
+
+    Raises:
+        ValueError: An array is damaged.
+        OSError: The file cannot be written.
+        RuntimeError: The variable RERUN has turned Rerun off.
+    """
+    check(flight)
+    about = json.loads(str(flight["scene/about"]))
+    with whole_file(path) as part:
+        part.touch()  # so that a folder that is not there gets Python's error
+        with rr.RecordingStream("bulletuav", send_properties=False) as stream:
+            if not rr.is_enabled(stream):
+                raise RuntimeError("Rerun is off by the variable RERUN: unset it, and export again")
+            stream.save(part, _views())
+            # Right-handed with z up: ENU.
+            stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True, strict=True)
+            shades = (255 * colours).astype(np.uint8)
+            _add_drones(stream, flight, about, shades)
+            _add_curves(stream, flight, shades)
+            _add_obstacles(stream, flight, about["obstacles"])
+            _add_city(stream, flight)
+
+
+def _views() -> rrb.Blueprint:
+    """Arrange the scene beside the curves."""
+    curves = [
+        rrb.TimeSeriesView(origin=name, name=name) for name in ("altitude", "reward", "separation")
+    ]
+    scene = rrb.Spatial3DView(origin="world", name="flight")
+    both = rrb.Horizontal(scene, rrb.Vertical(*curves), column_shares=[2, 1])
+    return rrb.Blueprint(both, rrb.TimePanel(timeline=TIME), collapse_panels=True)
+
+
+def _add_drones(
+    stream: rr.RecordingStream, flight: Flight, about: Mapping[str, Any], colours: np.ndarray
+) -> None:
+    """Add drones, their paths and their goals, each up to its last decision."""
+    time, position, quaternion = (flight[name] for name in ("time", "position", "quaternion"))
+    rows = rows_flown(flight)
+    for i, end in enumerate(rows):
+        body = f"world/drones/{i}"
+        _add_motion(stream, body, time[:end], position[:end, i], quaternion[:end, i])
+        for k, shape in enumerate(about["airframes"][about["airframe_of"][i]]["parts"]):
+            _add_shape(stream, f"{body}/{k}", shape)
+    paths = rr.LineStrips3D(
+        [position[:end, i] for i, end in enumerate(rows)],
+        colors=colours,
+        radii=rr.Radius.ui_points(PATH_WIDTH),
+        labels=_names(rows),
+    )
+    stream.log("world/paths", paths, static=True, strict=True)
+    goal = flight["goal"]
+    if goal.shape[1]:
+        look = rr.Points3D.from_fields(colors=colours, radii=rr.Radius.ui_points(GOAL_SIZE))
+        stream.log("world/goals", look, static=True, strict=True)
+        columns = rr.Points3D.columns(positions=goal.reshape(-1, 3))
+        _send(stream, "world/goals", time, columns.partition([goal.shape[1]] * len(time)))
+
+
+def _add_curves(stream: rr.RecordingStream, flight: Flight, colours: np.ndarray) -> None:
+    """Add altitudes and what each decision gave, a line for each drone while it flies."""
+    rows = rows_flown(flight)
+    altitude = flight["position"][:, :, 2]
+    for name, values in {"altitude": altitude, **results(flight)}.items():
+        # What a decision gave is told at its end, and drones that left tell nothing.
+        time = flight["time"][-len(values) :]
+        ends = np.array(rows) - (len(flight["time"]) - len(time))
+        flown = np.where(np.arange(len(time))[:, None] < ends, values, np.nan)
+        entity = rr.new_entity_path(name.split("/"))
+        look = rr.SeriesLines(colors=colours, names=_names(rows))
+        stream.log(entity, look, static=True, strict=True)
+        columns = rr.Scalars.columns(scalars=flown.reshape(-1))
+        _send(stream, entity, time, columns.partition([len(rows)] * len(time)))
+
+
+def _names(drones: Sized) -> list[str]:
+    """Name each drone."""
+    return [f"drone_{i}" for i in range(len(drones))]
+
+
+def _add_obstacles(stream: rr.RecordingStream, flight: Flight, shapes: list[Any]) -> None:
+    """Add obstacles, which may move."""
+    for k, shape in enumerate(shapes):
+        entity = f"world/obstacles/{k}"
+        position, quaternion = flight["obstacle"][:, k], flight["scene/obstacle_quaternion"][:, k]
+        _add_motion(stream, entity, flight["time"], position, quaternion)
+        _add_shape(stream, f"{entity}/shape", shape)
+
+
+def _add_city(stream: rr.RecordingStream, flight: Flight) -> None:
+    """Add one mesh of all buildings, if there are any."""
+    sizes = flight["scene/hull_size"]
+    hulls = np.split(flight["scene/hull"], np.cumsum(sizes)[:-1]) if len(sizes) else []
+    boxes = flight["building"][: len(flight["building"]) - len(sizes)]
+    if len(flight["building"]):
+        mesh = _mesh(Solids(boxes, tuple(hulls)), CITY_COLOUR)
+        stream.log("world/city", mesh, static=True, strict=True)
+
+
+def _add_motion(
+    stream: rr.RecordingStream,
+    entity: str,
+    time: np.ndarray,
+    position: np.ndarray,
+    quaternion: np.ndarray,
+) -> None:
+    """Add how something moves in the world; quaternions are x, y, z, w, as Rerun's are."""
+    columns = rr.Transform3D.columns(translation=position, quaternion=quaternion)
+    _send(stream, entity, time, columns)
+
+
+def _send(stream: rr.RecordingStream, entity: str, time: np.ndarray, columns: Any) -> None:
+    """Add columns, a row for each time, s."""
+    index = rr.TimeColumn(TIME, duration=np.round(time * 1e9).astype("timedelta64[ns]"))
+    stream.send_columns(entity, [index], columns, strict=True)
+
+
+def _add_shape(stream: rr.RecordingStream, entity: str, told: Mapping[str, Any]) -> None:
+    """Add a part of an airframe, or an obstacle; parts also tell where they are in the body."""
+    place = []
+    if "position" in told:
+        place = [rr.Transform3D(translation=told["position"], quaternion=told["quaternion"])]
+    stream.log(entity, _look(told), *place, static=True, strict=True)
+
+
+def _look(told: Mapping[str, Any]) -> Any:
+    """Make what Rerun draws of a shape."""
+    kind, half = told["kind"], told["half"]
+    colour = tuple(round(255 * share) for share in told["colour"])
+    solid = {"colors": colour, "fill_mode": rr.components.FillMode.Solid}
+    if kind == HULL:
+        return _mesh(Solids(np.zeros((0, 2, 3)), (np.array(told["corners"]),)), colour)
+    if kind == SPHERE:
+        return rr.Ellipsoids3D(half_sizes=half, **solid)
+    if kind == CYLINDER:
+        return rr.Cylinders3D(lengths=2 * half[2], radii=half[0], **solid)
+    return rr.Boxes3D(half_sizes=half, **solid)
+
+
+def _mesh(solids: Solids, colour: tuple[int, ...]) -> rr.Mesh3D:
+    """Make a mesh of convex pieces."""
+    corners, triangles = solids.mesh
+    return rr.Mesh3D(vertex_positions=corners, triangle_indices=triangles, albedo_factor=colour)
