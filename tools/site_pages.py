@@ -31,7 +31,9 @@ def public_names(text: str) -> dict[str, list[str]]:
     parts: dict[str, list[str]] = {}
     for module, names in ROW.findall(text):
         part = (module + ".bulletuav").split(".")[1]
-        parts.setdefault(part, []).extend(f"{module}.{name}" for name in re.findall(r"`(\w+)`", names))
+        parts.setdefault(part, []).extend(
+            f"{module}.{name}" for name in re.findall(r"`(\w+)`", names)
+        )
     return parts
 
 
@@ -54,7 +56,9 @@ def in_site(path: str) -> str:
 def targets(text: str, path: str) -> dict[str, str]:
     """Give the files of the repository that a page at `path` links to, by the link's text."""
     links = [link for link, _ in LINK.findall(CODE.sub("", text))]
-    found = {link: posixpath.normpath(posixpath.join(posixpath.dirname(path), link)) for link in links}
+    found = {
+        link: posixpath.normpath(posixpath.join(posixpath.dirname(path), link)) for link in links
+    }
     return {link: target for link, target in found.items() if (ROOT / target).exists()}
 
 
@@ -79,7 +83,9 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         entries = "\n\n".join(f"::: {name}" for name in names)
         text = f"# {part}\n\n{entries}\n"
         files.append(File.generated(config, f"{REFERENCE}/{part}.md", content=text))
-    waiting = [(f"docs/{file.src_uri}", file.content_string) for file in files.documentation_pages()]
+    waiting = [
+        (f"docs/{file.src_uri}", file.content_string) for file in files.documentation_pages()
+    ]
     while waiting:
         path, text = waiting.pop()
         for target in targets(text, path).values():
