@@ -41,7 +41,7 @@ def site(tmp_path_factory):
     """Folder of the site, built strictly, with proxies that answer nothing."""
     folder = tmp_path_factory.mktemp("site")
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", folder]
-    nowhere = {name: "http://127.0.0.1:9" for name in ("http_proxy", "https_proxy", "all_proxy")}
+    nowhere = dict.fromkeys(("http_proxy", "https_proxy", "all_proxy"), "http://127.0.0.1:9")
     told = subprocess.run(
         command, cwd=ROOT, env=os.environ | nowhere, capture_output=True, text=True, timeout=300
     )
