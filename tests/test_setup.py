@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from bulletuav.version import __version__
+
 ROOT = Path(__file__).parents[1]
 SETUP = ROOT / "setup.py"
 OTHER = {"torchrl": set(), "benchmarl": {"torchrl", "tensordict"}}
@@ -63,3 +65,7 @@ def test_extras_are_pinned_to_the_versions_of_the_suite_where_they_can_be(extra)
     own, suite = pins(ROOT / "constraints" / f"{extra}.txt"), pins(ROOT / "constraints.txt")
     assert {extra, "torch", "numpy", "gymnasium"} <= own.keys()
     assert {name for name in own.keys() & suite.keys() if own[name] != suite[name]} == OTHER[extra]
+
+
+def test_the_citation_is_of_this_version():
+    assert f"\nversion: {__version__}\n" in (ROOT / "CITATION.cff").read_text()
