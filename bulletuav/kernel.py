@@ -1,13 +1,8 @@
 """Compilation of the hot loops by numba, with a cache on disk that cannot go stale.
 
 `kernel` compiles loops over arrays, `allocating` those that make arrays, `func` the functions of
-one drone that they call, and `elementwise` functions of numbers that broadcast over arrays.
-
-Numba stamps a cached function with its own source file only. Machine code that inlined a helper
-from another file therefore survives an edit of that helper. Here the cache lives in a folder named
-by a hash of every source file of the package: any edit, upgrade or downgrade starts from an empty
-folder. Only the files right in the folders of `APART` do not count: a test holds that no file
-with kernels imports one, and the kernels in them bear numba's stamp.
+one drone that they call, and `elementwise` functions of numbers that broadcast over arrays. How
+they are stored and linked is told in `bulletuav.dispatcher`.
 """
 
 import contextlib
@@ -24,37 +19,17 @@ import numba
 import numpy as np
 from numba.core import cgutils
 
+from bulletuav.dispatcher import Cache, Dispatcher
+
 Function = TypeVar("Function", bound=Callable[..., Any])
 """Type of a function that is compiled; the decorators keep its signature."""
 
-APART = ("adapters", "bridges", "commands", "tasks", "training")
-"""Folders whose files no kernel uses; those in their own folders count"""
-_PACKAGE = Path(__file__).parent
+_OPTIONS = {"nopython": True, "boundscheck": None, "error_model": "numpy"}
 _FOLDERS_KEPT = 8
 
 
-def source_hash(package: Path = _PACKAGE, but: tuple[str, ...] = ()) -> str:
-    """Hash the Python files of a package, and the version of numba.
-
-    Args:
-        package: Folder of the package; all files below it count, by path and content.
-        but: Folders below it, such as "tasks", whose files do not count; those in their own
-            folders do.
-
-    Returns:
-        16 hexadecimal digits.
-    """
-    digest = hashlib.sha256(numba.__version__.encode())
-    for path in sorted(package.rglob("*.py")):
-        if path.parent.relative_to(package).as_posix() in but:
-            continue
-        name = path.relative_to(package).as_posix().encode()
-        digest.update(name + b"\0" + path.read_bytes() + b"\0")
-    return digest.hexdigest()[:16]
-
-
 def cache_folder() -> Path:
-    """Make the folder for the compiled kernels of exactly these sources.
+    """Make the folder for the compiled kernels of this installation of the package.
 
     It is below `NUMBA_CACHE_DIR`, or else below the user's cache folder. Where neither can be
     written to, it is below the folder for temporary files, if nobody else can write there: what
@@ -69,8 +44,9 @@ def cache_folder() -> Path:
     user = os.getuid() if hasattr(os, "getuid") else ""
     spare = Path(tempfile.gettempdir(), f"bulletuav-{user}")
     candidates = [Path(chosen), spare]
+    installation = hashlib.sha256(os.fsencode(Path(__file__).parent)).hexdigest()[:16]
     for base in candidates:
-        folder = base / "bulletuav-kernels" / source_hash(but=APART)
+        folder = base / "bulletuav-kernels" / installation
         with contextlib.suppress(OSError):
             # Others may write to the folder for temporary files, but must not to ours in it.
             if base == spare and not _is_private(spare):
@@ -94,7 +70,7 @@ def _is_private(folder: Path) -> bool:
 
 
 def _forget_old_folders(current: Path) -> None:
-    """Remove the folders of other sources, but for the ones used last."""
+    """Remove the folders of other installations, but for the ones used last."""
     # Another process may be tidying too: what it has removed is no error.
     with contextlib.suppress(OSError):
         os.utime(current)
@@ -108,7 +84,7 @@ _CACHE = cache_folder()
 
 
 def kernel(function: Function) -> Function:
-    """Compile a loop over arrays, cached on disk under the hash of the package's sources.
+    """Compile a loop over arrays, cached on disk until its file, or one it imports, changes.
 
     Division by zero gives inf or NaN as in numpy. Nothing is reordered (no fast-math), so results
     are reproducible. It makes and returns no arrays of its own. So references to those that it is
@@ -145,7 +121,9 @@ def elementwise(function: Callable[..., Any]) -> Elementwise:
     Kernels call it with numbers, users with arrays. It takes no keywords: numbers come in order.
     """
     with _cached():
-        return cast(Elementwise, numba.vectorize(nopython=True, cache=True)(function))
+        made = numba.vectorize(nopython=True)(function)
+        made._dispatcher.cache = Cache(function)
+    return cast(Elementwise, made)
 
 
 def _without_owner(context: Any, builder: Any, kind: Any, value: Any) -> Any:
@@ -177,8 +155,10 @@ def borrowed(_: Any, value: Any) -> Any:
 
 def _compiled(function: Function, **options: bool) -> Function:
     """Compile a function with numba's options."""
+    compiled = Dispatcher(function, targetoptions={**_OPTIONS, **options})
     with _cached():
-        return cast(Function, numba.njit(cache=True, error_model="numpy", **options)(function))
+        compiled.enable_caching()
+    return cast(Function, compiled)
 
 
 @contextlib.contextmanager

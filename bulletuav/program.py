@@ -141,8 +141,8 @@ def _addresses(kernel: Any, arguments: tuple[types.Type, ...]) -> tuple[int, int
 
 def _compiled(dispatcher: Any, arguments: tuple[types.Type, ...]) -> tuple[int, types.Type]:
     """Compile a function for some types; tells its address, and the type of its result."""
-    dispatcher.compile(arguments)
-    made = dispatcher.overloads[arguments]
+    dispatcher.inner.compile(arguments)
+    made = dispatcher.inner.overloads[arguments]
     address: int = made.library.get_pointer_to_function(made.fndesc.llvm_func_name)
     return address, made.signature.return_type
 

@@ -45,7 +45,7 @@ def test_rooms_import_those_above_them_alone(path):
     for module, _ in rooms.imported(path):
         if module.startswith("bulletuav."):
             other = module.split(".")[1]
-            allowed = other == own or (own, other) in rooms.NEIGHBOURS or RANK[other] < RANK[own]
+            allowed = other == own or RANK[other] < RANK[own]
             assert allowed, f"{path} imports {module}"
 
 

@@ -9,17 +9,19 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
+import numba
 import numpy as np
 
 from bulletuav.analysis.described import described
 from bulletuav.analysis.episodes import BATCH, Flights
 from bulletuav.analysis.metrics import MetricSpec
 from bulletuav.envs.env_spec import EnvSpec
-from bulletuav.kernel import source_hash
 from bulletuav.policies import PolicySpec
 from bulletuav.policies.base import check_action
 from bulletuav.policies.versus import Versus
 from bulletuav.version import __version__
+
+_PACKAGE = Path(__file__).parent.parent
 
 
 def about_flights(
@@ -58,6 +60,22 @@ def about_flights(
     return cast(dict[str, Any], json.loads(json.dumps(about)))
 
 
+def hash_sources(package: Path = _PACKAGE) -> str:
+    """Hash the Python files of a package, and the version of numba.
+
+    Args:
+        package: Folder of the package; all files below it count, by path and content.
+
+    Returns:
+        16 hexadecimal digits.
+    """
+    digest = hashlib.sha256(numba.__version__.encode())
+    for path in sorted(package.rglob("*.py")):
+        name = path.relative_to(package).as_posix().encode()
+        digest.update(name + b"\0" + path.read_bytes() + b"\0")
+    return digest.hexdigest()[:16]
+
+
 def _fingerprint(
     flights: Flights[Any], spec: EnvSpec, models: Sequence[Path], measures: Sequence[MetricSpec]
 ) -> str:
@@ -66,7 +84,7 @@ def _fingerprint(
     That is the code, the airframes, the cities, and files of models.
     """
     # Code of the package, and of what comes from outside of it.
-    digest = hashlib.sha256(source_hash().encode())
+    digest = hashlib.sha256(hash_sources().encode())
     policy = flights.policy
     for source in (
         type(spec.task),

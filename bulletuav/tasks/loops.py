@@ -96,9 +96,7 @@ def _from_file(module: str, name: str, source: str) -> Callable[..., None]:
         "function = func(plain)\n\n\n"
         f"@kernel\n{source}"
     )
-    # The folder's name leaves out files of tasks, so the ingredient's own file is stamped here.
-    code = Path(sys.modules[module].__file__ or "").read_bytes()
-    stamp = hashlib.sha256(text.encode() + code).hexdigest()[:12]
+    stamp = hashlib.sha256(text.encode()).hexdigest()[:12]
     path = Path(cache_folder(), "loops", f"{name}_{stamp}.py")
     if not path.is_file():
         path.parent.mkdir(exist_ok=True)
