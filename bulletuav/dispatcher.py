@@ -159,9 +159,10 @@ class Dispatcher(CPUDispatcher):  # type: ignore[misc]  # numba has no types
     ) -> None:
         """Prepare both; neither is compiled before it is called."""
         options = {**(targetoptions or {}), "no_cfunc_wrapper": True}
-        super().__init__(py_func, locals, options, pipeline_class)
         bare = {**options, "no_cpython_wrapper": True}
-        self.inner = CPUDispatcher(py_func, locals, bare, pipeline_class)
+        chosen = dict(locals or {})
+        super().__init__(py_func, chosen, options, pipeline_class)
+        self.inner = CPUDispatcher(py_func, chosen, bare, pipeline_class)
 
     @property
     def _numba_type_(self) -> Any:
