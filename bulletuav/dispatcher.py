@@ -56,7 +56,10 @@ class Need(NamedTuple):
 
     def is_met(self) -> bool:
         """Compile or load the function, and tell whether that gives it under the same symbol."""
-        compiled = getattr(import_module(self.module), self.name).inner
+        found = getattr(import_module(self.module), self.name, None)
+        if not isinstance(found, Dispatcher):
+            return False
+        compiled = found.inner
         compiled.compile(self.arguments)
         return bool(compiled.overloads[self.arguments].fndesc.mangled_name == self.symbol)
 

@@ -106,6 +106,17 @@ def allocating(function: Function) -> Function:
     return _compiled(function, forceinline=False, _nrt=True)
 
 
+def uncached(function: Function, forceinline: bool = False) -> Function:
+    """Compile a function anew in each process: one of users, whose source may be a text.
+
+    Args:
+        function: The function.
+        forceinline: Whether it becomes part of its callers.
+    """
+    options = {**_OPTIONS, "forceinline": forceinline}
+    return cast(Function, Dispatcher(function, targetoptions=options))
+
+
 class Elementwise(Protocol):
     """A compiled function of numbers, which also takes arrays."""
 

@@ -13,10 +13,8 @@ from pathlib import Path
 from types import FunctionType
 from typing import Any
 
-import numba
-
 from bulletuav.files import replace_file
-from bulletuav.kernel import cache_folder
+from bulletuav.kernel import cache_folder, uncached
 
 TUPLES = (2, 3, 4)
 """Vectors of so many numbers reach a function as tuples, longer ones as arrays"""
@@ -58,9 +56,10 @@ def _compiled(
     home = function.__module__ or ""  # none in code that is run from a text
     if home.startswith("bulletuav.") and function.__qualname__ == function.__name__:
         return _from_file(home, function.__name__, source)
-    space: dict[str, Any] = {"function": _inlined(function)}
+    space: dict[str, Any] = {"function": uncached(function, forceinline=True)}
     exec(compile(source, f"<loop of {function.__qualname__}>", "exec"), space)
-    return _uncached(space["loop"])
+    loop: Callable[..., None] = uncached(space["loop"])
+    return loop
 
 
 def _source(name: str, forms: tuple[tuple[str, Form], ...], results: int | None) -> str:
@@ -109,12 +108,3 @@ def _from_file(module: str, name: str, source: str) -> Callable[..., None]:
     spec.loader.exec_module(loaded)
     loop: Callable[..., None] = loaded.loop
     return loop
-
-
-def _inlined(function: FunctionType) -> Any:
-    return numba.njit(error_model="numpy", forceinline=True)(function)
-
-
-def _uncached(loop: Callable[..., None]) -> Callable[..., None]:
-    compiled: Callable[..., None] = numba.njit(error_model="numpy")(loop)
-    return compiled
