@@ -98,7 +98,8 @@ class Engine(EngineQueries):
         """
         choose("rays", rays, dict.fromkeys(RAY_METHODS))
         client = connect(live)
-        self._finalizer = weakref.finalize(self, disconnect, client)
+        self._open = [client]
+        self._finalizer = weakref.finalize(self, disconnect, self._open)
         configure(client, dt, live)
 
         offset = np.array([tile_offset(first_world + k) for k in range(num_worlds)])
@@ -395,4 +396,4 @@ class Engine(EngineQueries):
     @property
     def closed(self) -> bool:
         """True after `close`."""
-        return not self._finalizer.alive
+        return not self._open

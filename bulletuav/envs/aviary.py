@@ -8,7 +8,7 @@ import numpy as np
 from bulletuav.envs.agents import USUAL_TYPES
 from bulletuav.envs.decisions import Decisions
 from bulletuav.envs.environment import exclusive
-from bulletuav.envs.infos import Infos
+from bulletuav.envs.infos import Infos, later
 from bulletuav.envs.snapshot import (
     Snapshot,
     form_of,
@@ -217,7 +217,7 @@ class Aviary(Decisions):
             given[:] = self._spec.actions(actions, self.alive)
         self.decide()
         ends = (self.terminated.copy(), self.truncated.copy())
-        return Step(self.observations(), self.rewards.copy(), *ends, Infos(self.telling()))
+        return Step(self.observations(), self.rewards.copy(), *ends, later(self.telling()))
 
     def decide(self) -> None:
         """Fly one decision of the actions that were written to `given`.
@@ -236,7 +236,8 @@ class Aviary(Decisions):
 
     def observations(self) -> Observation:
         """Copy the observations of the last decision."""
-        return self.observer.shown(self._live, self._vector.copy())
+        vector = self._vector.copy()
+        return vector if self.observer.is_plain else self.observer.shown(self._live, vector)
 
     @exclusive
     def first_info(self) -> Infos:
@@ -246,7 +247,7 @@ class Aviary(Decisions):
             self._make_program()
         self._forget()
         self._telling.run()
-        return Infos(self.telling())
+        return later(self.telling())
 
     @exclusive
     def save_state(self, worlds: Any = None) -> Snapshot:
