@@ -182,7 +182,8 @@ class Engine(EngineQueries):
             worlds: (W,) bool, worlds to change; the others keep theirs.
         """
         self._bodies.warn_of_strangers()
-        self._bodies.layouts.put(layout, worlds, self._calls)
+        if self._bodies.layouts.solids:
+            self._bodies.layouts.put(layout, worlds, self._calls)
         if self._live:
             self._renderer.show_city(0)
 
@@ -191,8 +192,9 @@ class Engine(EngineQueries):
     ) -> None:
         """Do what `set_obstacles` does but for Bullet's bodies; see `show_obstacles`."""
         count = self.obstacle_radius.size
-        self._scenery.place[worlds, :count] = position[worlds]
-        self._scenery.quaternion[worlds, :count] = quaternion[worlds]
+        if count:
+            self._scenery.place[worlds, :count] = position[worlds]
+            self._scenery.quaternion[worlds, :count] = quaternion[worlds]
 
     def set_obstacles(
         self, position: np.ndarray, quaternion: np.ndarray, worlds: np.ndarray

@@ -15,7 +15,7 @@ from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.shapes import CYLINDER, HULL, SPHERE, Shape
 from bulletuav.geometry.solids import Solids
 from bulletuav.tasks.base import Task
-from bulletuav.tasks.frame import UPRIGHT, Spawn, StepResult
+from bulletuav.tasks.frame import NOTHING, UPRIGHT, Spawn, StepResult
 from bulletuav.tasks.starts import refuse_overlap
 from bulletuav.vehicle.airframe import Airframe
 
@@ -72,7 +72,10 @@ def take_spawns(
     for spawn in spawns:
         if not isinstance(spawn, Spawn):
             raise ValueError(f"spawn of task {task.name!r} gave {shown(spawn)}: a Spawn is needed")
-        _check_memory(task, spawn, remembered)
+    layouts = len(task.layouts())
+    for spawn in spawns:
+        if layouts or spawn.layout != NO_LAYOUT or spawn.memory is not NOTHING:
+            _check_memory(task, spawn, remembered, layouts)
     count = len(spawns)
     fields = {name: np.empty((count, *shape)) for name, shape in shapes.items()}
     for name, shape in shapes.items():
@@ -94,9 +97,10 @@ def take_spawns(
             _check_places(task, position, quaternion, airframes)
             refuse_overlap(position, task.context.collision_radius)
     for name, array in remembered.items():
-        fields[f"memory {name}"] = kept = np.empty((count, *array.shape[1:]), dtype=array.dtype)
+        fields[f"memory {name}"] = kept = np.zeros((count, *array.shape[1:]), dtype=array.dtype)
         for k, spawn in enumerate(spawns):
-            kept[k] = spawn.memory.get(name, 0)
+            if name in spawn.memory:
+                kept[k] = spawn.memory[name]
     return {**fields, "layout": np.array([spawn.layout for spawn in spawns], dtype=int)}
 
 
@@ -141,8 +145,9 @@ def _numbers(task: Task[Any], name: str, value: Any, shape: tuple[int, int]) -> 
     return array
 
 
-def _check_memory(task: Task[Any], spawn: Spawn, remembered: Mapping[str, np.ndarray]) -> None:
-    layouts = len(task.layouts())
+def _check_memory(
+    task: Task[Any], spawn: Spawn, remembered: Mapping[str, np.ndarray], layouts: int
+) -> None:
     if spawn.layout != NO_LAYOUT or layouts:
         as_int(f"layout of the spawn of task {task.name!r}", spawn.layout, NO_LAYOUT, layouts - 1)
     if not isinstance(spawn.memory, Mapping):

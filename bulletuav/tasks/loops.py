@@ -33,6 +33,10 @@ _EXPRESSIONS = {
 }
 
 
+_folder = functools.cache(cache_folder)
+"""The folder of compiled kernels: to find it takes a hash of all sources"""
+
+
 def make_loop(
     function: FunctionType, forms: Sequence[tuple[str, Form]], results: int | None
 ) -> Callable[..., None]:
@@ -99,7 +103,7 @@ def _from_file(module: str, name: str, source: str) -> Callable[..., None]:
     # The folder's name leaves out files of tasks, so the ingredient's own file is stamped here.
     code = Path(sys.modules[module].__file__ or "").read_bytes()
     stamp = hashlib.sha256(text.encode() + code).hexdigest()[:12]
-    path = Path(cache_folder(), "loops", f"{name}_{stamp}.py")
+    path = Path(_folder(), "loops", f"{name}_{stamp}.py")
     if not path.is_file():
         path.parent.mkdir(exist_ok=True)
         replace_file(path, text)
