@@ -182,8 +182,7 @@ class Engine(EngineQueries):
             worlds: (W,) bool, worlds to change; the others keep theirs.
         """
         self._bodies.warn_of_strangers()
-        if self._bodies.layouts.solids:
-            self._bodies.layouts.put(layout, worlds, self._calls)
+        self._bodies.layouts.put(layout, worlds, self._calls)
         if self._live:
             self._renderer.show_city(0)
 
