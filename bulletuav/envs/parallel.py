@@ -137,7 +137,7 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
         """
         aviary, agents = self.aviary, self.agents
         aviary.require_started()
-        rows = self._living_rows()
+        rows = None if len(agents) == len(self.possible_agents) else self._living_rows()
         if not self._together or not take(actions, agents, rows, aviary.given):
             self._take(actions)
         if not agents:
