@@ -134,7 +134,7 @@ COMPARISONS = [
         "VMAS",
         "navigation, 64 x 8",
         "agent-decisions/s",
-        1,
+        15,
     ),
     Comparison(
         "reset of 10 drones", "reset, 10", "gym-pybullet-drones", "reset, 10", "resets/s", 100

@@ -8,7 +8,6 @@ import cmath
 import math
 
 import numpy as np
-from scipy.special import exprel, ndtr
 
 from bulletuav.geometry.rotation import Vec3, point
 from bulletuav.kernel import func, kernel
@@ -118,6 +117,8 @@ def conflict_probability(
     Raises:
         ValueError: `sigma` or `d_safe` is not positive and finite.
     """
+    from scipy.special import exprel, ndtr  # which takes long to import
+
     _refuse_unless_positive("sigma", sigma)
     _refuse_unless_positive("d_safe", d_safe)
     # All lengths in standard deviations.

@@ -73,6 +73,8 @@ class LayoutBodies:
             worlds: (W,) bool, worlds to change; the others keep theirs.
             calls: That move bodies.
         """
+        if not self.solids:
+            return
         for w in np.flatnonzero(worlds & (layout != self.city_grid.layout)).tolist():
             old = int(self.city_grid.layout[w])
             new = int(layout[w])

@@ -51,7 +51,8 @@ def configure(client: int, dt: float, live: bool) -> None:
         bullet.configureDebugVisualizer(bullet.COV_ENABLE_GUI, 0, physicsClientId=client)
 
 
-def disconnect(client: int) -> None:
-    """Close a client; a live window may already have been closed by its user."""
-    with contextlib.suppress(bullet.error):
-        bullet.disconnect(client)
+def disconnect(clients: list[int]) -> None:
+    """Close clients and forget them; a live window may already have been closed by its user."""
+    while clients:
+        with contextlib.suppress(bullet.error):
+            bullet.disconnect(clients.pop())

@@ -98,7 +98,8 @@ class Engine(EngineQueries):
         """
         choose("rays", rays, dict.fromkeys(RAY_METHODS))
         client = connect(live)
-        self._finalizer = weakref.finalize(self, disconnect, client)
+        self._open = [client]
+        self._finalizer = weakref.finalize(self, disconnect, self._open)
         configure(client, dt, live)
 
         offset = np.array([tile_offset(first_world + k) for k in range(num_worlds)])
@@ -190,8 +191,9 @@ class Engine(EngineQueries):
     ) -> None:
         """Do what `set_obstacles` does but for Bullet's bodies; see `show_obstacles`."""
         count = self.obstacle_radius.size
-        self._scenery.place[worlds, :count] = position[worlds]
-        self._scenery.quaternion[worlds, :count] = quaternion[worlds]
+        if count:
+            self._scenery.place[worlds, :count] = position[worlds]
+            self._scenery.quaternion[worlds, :count] = quaternion[worlds]
 
     def set_obstacles(
         self, position: np.ndarray, quaternion: np.ndarray, worlds: np.ndarray
@@ -395,4 +397,4 @@ class Engine(EngineQueries):
     @property
     def closed(self) -> bool:
         """True after `close`."""
-        return not self._finalizer.alive
+        return not self._open

@@ -1,10 +1,14 @@
-/* Dictionaries of agents in and out: what bulletuav.envs.agents does, in C.
+/* What Python does around a decision, in C: dictionaries of agents in and out (bulletuav.envs.agents), setpoints of an airspace
+   (bulletuav.envs.airspace_inputs), and who is in an environment (bulletuav.envs.environment).
 
    Arrays are read by the layout that NumPy documents for the C interface (PyArrayObject_fields), so that its headers are not
    needed to build this. */
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
+#include <math.h>
+#include <stddef.h>
 #include <stdint.h>
+#include <structmember.h>
 
 struct array {
     PyObject_HEAD
@@ -35,6 +39,19 @@ static int kind_of(PyObject *object, Py_ssize_t size) {
     return -1;
 }
 
+/* Copy an action (`size`,); tells whether it is such an array. */
+static int copy(PyObject *action, Py_ssize_t size, double *to) {
+    int kind = kind_of(action, size);
+    if (kind < 0) return 0;
+    const void *from = ((struct array *)action)->data;
+    for (Py_ssize_t k = 0; k < size; k++)
+        to[k] = kind == DOUBLE ? ((const double *)from)[k]
+              : kind == SINGLE ? ((const float *)from)[k]
+              : kind == INT64  ? (double)((const int64_t *)from)[k]
+                               : ((const int32_t *)from)[k];
+    return 1;
+}
+
 /* The row of the i-th agent, of `most`; -1 where there is none. */
 static Py_ssize_t row_of(PyObject *rows, Py_ssize_t i, Py_ssize_t most) {
     Py_ssize_t row = rows == Py_None ? i : PyLong_AsSsize_t(PyList_GET_ITEM(rows, i));
@@ -62,22 +79,22 @@ static PyObject *take(PyObject *self, PyObject *const *arguments, Py_ssize_t cou
     Py_ssize_t size = given->shape[2];
     for (Py_ssize_t i = 0; i < PyList_GET_SIZE(agents); i++) {
         PyObject *action = PyDict_GetItemWithError(actions, PyList_GET_ITEM(agents, i));
-        int kind = action ? kind_of(action, size) : -1;
-        if (kind < 0) {
+        Py_ssize_t row = row_of(rows, i, given->shape[1]);
+        if (row < 0) return refuse();
+        if (!action || !copy(action, size, (double *)given->data + row * size)) {
             if (PyErr_Occurred()) return NULL;
             Py_RETURN_FALSE;
         }
-        Py_ssize_t row = row_of(rows, i, given->shape[1]);
-        if (row < 0) return refuse();
-        double *to = (double *)given->data + row * size;
-        const void *from = ((struct array *)action)->data;
-        for (Py_ssize_t k = 0; k < size; k++)
-            to[k] = kind == DOUBLE ? ((const double *)from)[k]
-                  : kind == SINGLE ? ((const float *)from)[k]
-                  : kind == INT64  ? (double)((const int64_t *)from)[k]
-                                   : ((const int32_t *)from)[k];
     }
     Py_RETURN_TRUE;
+}
+
+/* take_one(action, given) -> bool: copy an action (A,) to `given` (1, 1, A), float64. False where it is not such an array. */
+static PyObject *take_one(PyObject *self, PyObject *const *arguments, Py_ssize_t count) {
+    if (count != 2 || !lies(arguments[1], 3, types[DOUBLE])) return refuse();
+    struct array *given = (struct array *)arguments[1];
+    if (given->shape[0] != 1 || given->shape[1] != 1) return refuse();
+    return PyBool_FromLong(copy(arguments[0], given->shape[2], (double *)given->data));
 }
 
 /* Put a new reference into a dict. */
@@ -88,39 +105,216 @@ static int put(PyObject *dict, PyObject *agent, PyObject *value) {
     return failed;
 }
 
-/* share(agents, rows, observations, rewards, terminated, truncated) -> four dicts: the rows of arrays (N, ...), float64 and
-   bool but for the observations; rows None for the first ones. */
+/* Whether an array is (1, rows) as it lies. */
+static int is_world(PyObject *object, PyObject *type, Py_ssize_t rows) {
+    if (!lies(object, 2, type)) return 0;
+    Py_ssize_t *shape = ((struct array *)object)->shape;
+    return shape[0] == 1 && (rows < 0 || shape[1] == rows);
+}
+
+/* share(agents, rows, observations, rewards, terminated, truncated) -> four dicts, and whether any agent ended: the rows of
+   arrays (1, N, ...), float64 and bool but for the observations; rows None for the first ones. */
 static PyObject *share(PyObject *self, PyObject *const *arguments, Py_ssize_t count) {
-    if (count != 6 || !fit(arguments[0], arguments[1]) || !lies(arguments[3], 1, types[DOUBLE])) return refuse();
-    if (!lies(arguments[4], 1, types[BOOL]) || !lies(arguments[5], 1, types[BOOL])) return refuse();
-    PyObject *agents = arguments[0], *rows = arguments[1], *observations = arguments[2];
+    if (count != 6 || !fit(arguments[0], arguments[1]) || !is_world(arguments[3], types[DOUBLE], -1)) return refuse();
+    PyObject *agents = arguments[0], *rows = arguments[1];
     struct array *sums = (struct array *)arguments[3], *ends = (struct array *)arguments[4], *cuts = (struct array *)arguments[5];
-    if (ends->shape[0] != sums->shape[0] || cuts->shape[0] != sums->shape[0]) return refuse();
+    Py_ssize_t drones = sums->shape[1];
+    if (!is_world(arguments[4], types[BOOL], drones) || !is_world(arguments[5], types[BOOL], drones)) return refuse();
+    PyObject *observations = PySequence_GetItem(arguments[2], 0);
+    if (!observations) return NULL;
     const double *rewards = (const double *)sums->data;
     const char *terminated = ends->data, *truncated = cuts->data;
+    int any = 0;
     PyObject *seen = PyDict_New(), *earned = PyDict_New(), *ended = PyDict_New(), *cut = PyDict_New();
     if (!seen || !earned || !ended || !cut) goto failed;
     for (Py_ssize_t i = 0; i < PyList_GET_SIZE(agents); i++) {
         PyObject *agent = PyList_GET_ITEM(agents, i);
-        Py_ssize_t row = row_of(rows, i, sums->shape[0]);
+        Py_ssize_t row = row_of(rows, i, drones);
         if (row < 0) {
             refuse();
             goto failed;
         }
+        any |= terminated[row] | truncated[row];
         if (put(seen, agent, PySequence_GetItem(observations, row)) < 0) goto failed;
         if (put(earned, agent, PyFloat_FromDouble(rewards[row])) < 0) goto failed;
         if (put(ended, agent, PyBool_FromLong(terminated[row])) < 0) goto failed;
         if (put(cut, agent, PyBool_FromLong(truncated[row])) < 0) goto failed;
     }
-    return Py_BuildValue("(NNNN)", seen, earned, ended, cut);
+    Py_DECREF(observations);
+    return Py_BuildValue("(NNNNN)", seen, earned, ended, cut, PyBool_FromLong(any));
 failed:
-    Py_XDECREF(seen), Py_XDECREF(earned), Py_XDECREF(ended), Py_XDECREF(cut);
+    Py_DECREF(observations), Py_XDECREF(seen), Py_XDECREF(earned), Py_XDECREF(ended), Py_XDECREF(cut);
     return NULL;
+}
+
+enum { ATTITUDE_LEVEL = 3, YAW = 3 }; /* of SetpointLevel, and of a setpoint's columns */
+
+/* The numbers of `given`: of a contiguous array of float64 where they are, of a tuple of floats in `room`. NULL for anything else,
+   and for numbers above 1e6, whose sum of squares Python looks at. */
+static const double *numbers_of(PyObject *given, double *room, Py_ssize_t most, Py_ssize_t *count, int *dimensions) {
+    const double *numbers = room;
+    *dimensions = 1;
+    if (PyTuple_CheckExact(given)) {
+        if ((*count = PyTuple_GET_SIZE(given)) > most) return NULL;
+        for (Py_ssize_t k = 0; k < *count; k++) {
+            PyObject *one = PyTuple_GET_ITEM(given, k);
+            if (!PyFloat_CheckExact(one)) return NULL;
+            room[k] = PyFloat_AS_DOUBLE(one);
+        }
+    } else if (lies(given, 1, types[DOUBLE]) || lies(given, 2, types[DOUBLE])) {
+        struct array *array = (struct array *)given;
+        *dimensions = array->dimensions;
+        *count = array->shape[array->dimensions - 1] * (array->dimensions == 2 ? array->shape[0] : 1);
+        numbers = (const double *)array->data;
+    } else {
+        return NULL;
+    }
+    for (Py_ssize_t k = 0; k < *count; k++)
+        if (!(fabs(numbers[k]) < 1e6)) return NULL;
+    return numbers;
+}
+
+/* hold(levels, setpoint, told, drones, level, width, numbers) -> bool: let drones hold a setpoint of one level, which has so many
+   numbers; see bulletuav.envs.airspace_inputs. False, and nothing is written, where a closer look is needed. */
+static PyObject *hold(PyObject *self, PyObject *const *arguments, Py_ssize_t count) {
+    if (count != 7 || !is_world(arguments[0], types[INT64], -1) || !lies(arguments[1], 3, types[DOUBLE])) return refuse();
+    Py_ssize_t drones = ((struct array *)arguments[0])->shape[1], first = 0, last = drones;
+    struct array *setpoint = (struct array *)arguments[1];
+    if (!is_world(arguments[2], types[BOOL], drones) || setpoint->shape[0] != 1 || setpoint->shape[1] != drones) return refuse();
+    int64_t *levels = (int64_t *)((struct array *)arguments[0])->data;
+    char *told = ((struct array *)arguments[2])->data;
+    long level = PyLong_AsLong(arguments[4]), width = PyLong_AsLong(arguments[5]);
+    if (PyErr_Occurred()) return NULL;
+    Py_ssize_t room = setpoint->shape[2];
+    if (width < 1 || width > room) return refuse();
+    if (PyLong_CheckExact(arguments[3])) {
+        first = PyLong_AsSsize_t(arguments[3]);
+        if (first < 0 || first >= drones) {
+            PyErr_Clear();
+            Py_RETURN_FALSE;
+        }
+        last = first + 1;
+    } else if (arguments[3] != Py_None) {
+        Py_RETURN_FALSE;
+    }
+    double own[16];
+    Py_ssize_t given;
+    int dimensions;
+    const double *numbers = numbers_of(arguments[6], own, sizeof own / sizeof *own, &given, &dimensions);
+    if (!numbers) Py_RETURN_FALSE;
+    Py_ssize_t each = dimensions == 2 ? ((struct array *)arguments[6])->shape[1] : given;
+    if (dimensions == 2 && (arguments[3] != Py_None || given != each * drones)) Py_RETURN_FALSE;
+    if (each == YAW && level < ATTITUDE_LEVEL && width == YAW + 1) {
+        /* Without the yaw, which all hold already */
+        for (Py_ssize_t i = first; i < last; i++)
+            if (!told[i] || levels[i] >= ATTITUDE_LEVEL) Py_RETURN_FALSE;
+    } else if (each != width) {
+        Py_RETURN_FALSE;
+    }
+    double *to = (double *)setpoint->data + first * room;
+    for (Py_ssize_t i = first; i < last; i++, to += room) {
+        for (Py_ssize_t k = 0; k < each; k++) to[k] = numbers[k];
+        if (dimensions == 2) numbers += each;
+        levels[i] = level;
+        told[i] = 1;
+    }
+    Py_RETURN_TRUE;
+}
+
+/* A method that one thread is in at a time. */
+struct guard {
+    PyObject_HEAD
+    PyObject *method, *dict;
+    vectorcallfunc call;
+};
+static PyTypeObject *guard_type;
+static PyObject *busy_name, *user, *update_wrapper;
+
+static PyObject *guarded(PyObject *self, PyObject *const *arguments, size_t flags, PyObject *names) {
+    PyObject *method = ((struct guard *)self)->method;
+    if (PyVectorcall_NARGS(flags) < 1) return PyObject_Vectorcall(method, arguments, flags, names);
+    PyObject *busy = PyObject_GetAttr(arguments[0], busy_name);
+    if (!busy) return NULL;
+    PyObject *me = PyDict_CheckExact(busy) ? Py_BuildValue("(k)", PyThread_get_thread_ident()) : NULL, *result = NULL;
+    if (!me) {
+        if (!PyErr_Occurred()) refuse();
+        goto done;
+    }
+    PyObject *who = PyDict_SetDefault(busy, user, me);
+    int same = who ? who == me ? 1 : PyObject_RichCompareBool(who, me, Py_EQ) : -1;
+    if (same == 0)
+        PyErr_Format(PyExc_RuntimeError, "this %s is in use by another thread: give each thread an environment of its own",
+                     Py_TYPE(arguments[0])->tp_name);
+    if (same != 1) goto done;
+    result = PyObject_Vectorcall(method, arguments, flags, names);
+    PyObject *kind, *error, *trace;
+    PyErr_Fetch(&kind, &error, &trace);
+    if (PyDict_GetItemWithError(busy, user) == me) PyDict_DelItem(busy, user);
+    PyErr_Restore(kind, error, trace);
+done:
+    Py_DECREF(busy), Py_XDECREF(me);
+    return result;
+}
+
+static PyObject *guard_bind(PyObject *self, PyObject *instance, PyObject *type) {
+    return instance ? PyMethod_New(self, instance) : Py_NewRef(self);
+}
+
+static int guard_traverse(PyObject *self, visitproc visit, void *arg) {
+    Py_VISIT(Py_TYPE(self));
+    Py_VISIT(((struct guard *)self)->method);
+    Py_VISIT(((struct guard *)self)->dict);
+    return 0;
+}
+
+static int guard_clear(PyObject *self) {
+    Py_CLEAR(((struct guard *)self)->method);
+    Py_CLEAR(((struct guard *)self)->dict);
+    return 0;
+}
+
+static void guard_dealloc(PyObject *self) {
+    PyTypeObject *type = Py_TYPE(self);
+    PyObject_GC_UnTrack(self);
+    guard_clear(self);
+    type->tp_free(self);
+    Py_DECREF(type);
+}
+
+static PyMemberDef guard_members[] = {
+    {"__vectorcalloffset__", T_PYSSIZET, offsetof(struct guard, call), READONLY},
+    {"__dictoffset__", T_PYSSIZET, offsetof(struct guard, dict), READONLY},
+    {NULL},
+};
+static PyGetSetDef guard_dict[] = {{"__dict__", PyObject_GenericGetDict, PyObject_GenericSetDict}, {NULL}};
+static PyType_Slot guard_slots[] = {
+    {Py_tp_call, PyVectorcall_Call}, {Py_tp_descr_get, guard_bind}, {Py_tp_traverse, guard_traverse}, {Py_tp_clear, guard_clear},
+    {Py_tp_dealloc, guard_dealloc}, {Py_tp_members, guard_members}, {Py_tp_getset, guard_dict}, {0, NULL},
+};
+static PyType_Spec guard_spec = {
+    "bulletuav.envs._agents.exclusive_method", sizeof(struct guard), 0,
+    Py_TPFLAGS_DEFAULT | Py_TPFLAGS_HAVE_GC | Py_TPFLAGS_HAVE_VECTORCALL | Py_TPFLAGS_METHOD_DESCRIPTOR |
+        Py_TPFLAGS_DISALLOW_INSTANTIATION,
+    guard_slots,
+};
+
+/* exclusive(method) -> what does the same, and raises RuntimeError while another thread is in such a method of the instance. */
+static PyObject *exclusive(PyObject *self, PyObject *method) {
+    struct guard *made = PyObject_GC_New(struct guard, guard_type);
+    if (!made) return NULL;
+    made->method = Py_NewRef(method), made->dict = NULL, made->call = guarded;
+    PyObject_GC_Track(made);
+    PyObject *result = PyObject_CallFunctionObjArgs(update_wrapper, made, method, NULL);
+    Py_DECREF(made);
+    return result;
 }
 
 static PyMethodDef methods[] = {
     {"take", (PyCFunction)(void (*)(void))take, METH_FASTCALL, "See bulletuav.envs.agents."},
+    {"take_one", (PyCFunction)(void (*)(void))take_one, METH_FASTCALL, "See bulletuav.envs.agents."},
     {"share", (PyCFunction)(void (*)(void))share, METH_FASTCALL, "See bulletuav.envs.agents."},
+    {"hold", (PyCFunction)(void (*)(void))hold, METH_FASTCALL, "See bulletuav.envs.airspace_inputs."},
+    {"exclusive", exclusive, METH_O, "See bulletuav.envs.environment."},
     {NULL, NULL, 0, NULL},
 };
 static struct PyModuleDef module = {PyModuleDef_HEAD_INIT, .m_name = "_agents", .m_size = -1, .m_methods = methods};
@@ -135,5 +329,12 @@ PyMODINIT_FUNC PyInit__agents(void) {
     if (!ndarray) return NULL;
     for (int k = 0; k < TYPES; k++)
         if (!types[k]) return NULL;
+    PyObject *functools = PyImport_ImportModule("functools");
+    if (!functools) return NULL;
+    update_wrapper = PyObject_GetAttrString(functools, "update_wrapper");
+    Py_DECREF(functools);
+    guard_type = (PyTypeObject *)PyType_FromSpec(&guard_spec);
+    busy_name = PyUnicode_InternFromString("_busy"), user = PyUnicode_InternFromString("user");
+    if (!update_wrapper || !guard_type || !busy_name || !user) return NULL;
     return PyModule_Create(&module);
 }

@@ -17,8 +17,8 @@ USUAL_TYPES = tuple(map(np.dtype, ("f8", "f4", "i8", "i4")))
 Function = TypeVar("Function", bound=Callable[..., Any])
 Rows = list[int] | None
 """Row of each agent in the arrays; None where agents are all, in order"""
-Shared = tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool]]
-"""Observations, rewards, terminated and truncated, by agent"""
+Shared = tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool], bool]
+"""Observations, rewards, terminated and truncated, by agent; whether any agent's episode ended"""
 
 
 def take_plainly(actions: Any, agents: list[str], rows: Rows, given: np.ndarray) -> bool:
@@ -46,6 +46,19 @@ def take_plainly(actions: Any, agents: list[str], rows: Rows, given: np.ndarray)
     return True
 
 
+def take_one_plainly(action: Any, given: np.ndarray) -> bool:
+    """Copy the action of the only agent.
+
+    Args:
+        action: An array (A,) of numbers.
+        given: (1, 1, A) float64, written.
+
+    Returns:
+        Whether it was done. False where the action is anything else.
+    """
+    return take_plainly({"": action}, [""], None, given)
+
+
 def share_plainly(
     agents: list[str],
     rows: Rows,
@@ -59,22 +72,23 @@ def share_plainly(
     Args:
         agents: Names of the agents.
         rows: Their rows.
-        observations: (N, ...) of all drones.
-        rewards: (N,) float64.
-        terminated: (N,) bool.
-        truncated: (N,) bool.
+        observations: (1, N, ...) of all drones.
+        rewards: (1, N) float64.
+        terminated: (1, N) bool.
+        truncated: (1, N) bool.
 
     Returns:
-        Observations (views of the rows), rewards, terminated and truncated, by agent.
+        Observations (views of the rows), rewards, terminated and truncated, by agent; and whether
+        any agent's episode ended.
     """
-    chosen = range(len(agents)) if rows is None else rows
-    seen = {agent: observations[row] for agent, row in zip(agents, chosen, strict=True)}
-    told = (rewards, terminated, truncated)
-    numbers = [dict(zip(agents, array[list(chosen)].tolist(), strict=True)) for array in told]
-    return seen, numbers[0], numbers[1], numbers[2]
+    chosen = list(range(len(agents)) if rows is None else rows)
+    seen = {agent: observations[0][row] for agent, row in zip(agents, chosen, strict=True)}
+    lists = [array[0, chosen].tolist() for array in (rewards, terminated, truncated)]
+    earned, ended, cut = (dict(zip(agents, one, strict=True)) for one in lists)
+    return seen, earned, ended, cut, True in lists[1] or True in lists[2]
 
 
-def _in_c(plain: Function) -> Function:
+def in_c(plain: Function) -> Function:
     """Return what does the same in C, or the function itself where that was not built."""
     if os.environ.get(SWITCH) == "0":
         return plain
@@ -86,5 +100,6 @@ def _in_c(plain: Function) -> Function:
     return in_c
 
 
-take = _in_c(take_plainly)
-share = _in_c(share_plainly)
+take = in_c(take_plainly)
+take_one = in_c(take_one_plainly)
+share = in_c(share_plainly)

@@ -12,11 +12,10 @@ from bulletuav.envs.airspace_inputs import (
     Drones,
     angles,
     filled,
-    level_of,
     rows_of,
-    setpoint_numbers,
 )
 from bulletuav.envs.airspace_parts import STILL, AirspaceParts
+from bulletuav.envs.airspace_setpoints import hold, level_of, setpoint_numbers
 from bulletuav.envs.environment import exclusive
 from bulletuav.envs.parts import add_obstacles
 from bulletuav.envs.snapshot import (
@@ -99,6 +98,11 @@ class Airspace(AirspaceParts):
             ValueError: There is no such drone or level, or numbers cannot be; nothing has changed.
         """
         self._require_open()
+        if yaw is None and yaw_rate is None and not self._turns and type(level) is SetpointLevel:
+            width = self._widths.get(level)
+            held = (self._levels, self._setpoint, self._told)
+            if width and hold(*held, drones, level, width, setpoint):
+                return
         rows, count = rows_of(drones, len(self.airframes))
         level = level_of(level, self.consumes, self._options)
         speaks = yaw is not None or yaw_rate is not None

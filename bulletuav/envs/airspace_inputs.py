@@ -6,15 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.base import FASTEST, FASTEST_SPIN
-from bulletuav.dynamics.setpoints import CONVERTED
 from bulletuav.engine.engine import PARKING_HEIGHT
 from bulletuav.engine.tiles import TILE_PITCH
 from bulletuav.envs.options import EnvOptions, check_names
 from bulletuav.envs.randomization import Randomization, known_uncertainties
 from bulletuav.envs.resolve import airframes_of, make_tuples
-from bulletuav.errors import UnknownOptionError, choose, finite, nearest, numbers_of, shown
+from bulletuav.errors import UnknownOptionError, finite, nearest, numbers_of, shown
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.solids import Solids
 from bulletuav.sensors.base import Sensor
@@ -30,8 +28,6 @@ MOST = 1e9
 """Greatest size of a number in a state or setpoint"""
 UNIT = 1e-6
 """Error of the norm of a unit quaternion"""
-LEVELS = {one.name.lower(): one for one in SetpointLevel}
-"""Setpoint levels by name"""
 FASTEST_OF = (FASTEST, FASTEST_SPIN)
 """Bounds of speed (m/s) and spin (rad/s)"""
 NEED_GRAVITY = ("point_mass", "double_integrator")
@@ -219,83 +215,6 @@ def angles(name: str, value: Any, count: tuple[int, ...]) -> np.ndarray | float:
             f"drones, is needed"
         )
     return several
-
-
-def level_of(level: Any, consumes: SetpointLevel, options: EnvOptions) -> SetpointLevel:
-    """Take a setpoint level, or its name, that drones can be told.
-
-    Args:
-        level: What was given.
-        consumes: What the dynamics consumes.
-        options: Options of the airspace.
-
-    Returns:
-        The level.
-
-    Raises:
-        ValueError: There is no such level, or it cannot drive the dynamics.
-    """
-    if isinstance(level, SetpointLevel):
-        chosen = level
-    elif isinstance(level, np.integer) and level in LEVELS.values():  # as `levels` tells it
-        chosen = SetpointLevel(int(level))
-    else:
-        chosen = choose(
-            "setpoint level", level.lower() if isinstance(level, str) else level, LEVELS
-        )
-    if chosen > consumes:
-        raise ValueError(
-            f"dynamics {options.dynamics_name!r} is driven by {consumes.name.lower()} setpoints: "
-            f"command that level or one above it, not {chosen.name}; or use 'rigid_body', 'bullet'"
-        )
-    if chosen != consumes and consumes not in CONVERTED:
-        raise ValueError(
-            f"dynamics {options.dynamics_name!r} is driven by {consumes.name.lower()} setpoints, "
-            f"to which no controller leads: command {consumes.name}"
-        )
-    if chosen < consumes == SetpointLevel.ROTOR:
-        if options.gravity == 0:
-            raise ValueError(
-                f"setpoints of {chosen.name} need gravity, against which thrust is steered: "
-                f"without it command ROTOR"
-            )
-        options.check_controller(chosen)
-    return chosen
-
-
-def setpoint_numbers(
-    level: SetpointLevel, setpoint: Any, count: tuple[int, ...], rotors: int, speaks: bool
-) -> np.ndarray:
-    """Take the numbers of a setpoint.
-
-    Args:
-        level: Its level.
-        setpoint: What was given.
-        count: (M,) for M drones, () for one.
-        rotors: How many rotors setpoints are for, R.
-        speaks: Whether a yaw or its rate is told beside it.
-
-    Returns:
-        Numbers that broadcast to (M, numbers of the level); without the yaw where it is left out.
-
-    Raises:
-        ValueError: They cannot be.
-    """
-    array, width = numbers("setpoint", setpoint), rotors
-    if level < SetpointLevel.ROTOR:
-        width = YAW + 1
-        if level < SetpointLevel.ATTITUDE:
-            width -= speaks or array.shape[-1:] == (YAW,)
-        elif speaks:
-            raise ValueError(
-                f"yaw and yaw_rate go with POSITION, VELOCITY and ACCELERATION, not {level.name}"
-            )
-    if array.shape != (width,) and array.shape != (*count, width):
-        twice = "; the yaw is told beside it" if speaks else ""
-        raise ValueError(
-            f"setpoint of {level.name} has shape {array.shape}: {(*count, width)} is needed{twice}"
-        )
-    return array
 
 
 def state_numbers(

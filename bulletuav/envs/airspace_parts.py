@@ -19,6 +19,7 @@ from bulletuav.envs.airspace_inputs import (
     rows_of,
     state_numbers,
 )
+from bulletuav.envs.airspace_setpoints import usual_widths
 from bulletuav.envs.environment import Environment, exclusive
 from bulletuav.envs.marks import drone_marks
 from bulletuav.envs.parts import hover_speeds, make_dynamics, make_engine, sensor_setup
@@ -113,8 +114,8 @@ class AirspaceParts(Environment):
         self._swarm, self._alive = Swarm.zeros(*shape, rotors), np.ones(shape, dtype=bool)
         self._levels = np.full(shape, int(self.consumes))
         self._setpoint = np.zeros((*shape, max(YAW + 1, rotors)))
-        self._yaw_rate, self._turns = np.zeros(shape), False
-        self._told = np.zeros(shape, dtype=bool)
+        self._yaw_rate, self._turns, self._told = np.zeros(shape), False, np.zeros(shape, bool)
+        self._widths = usual_widths(self.consumes, self._options, rotors)
         self._air = np.zeros((*shape, 3))
         self._steps, self._time = np.zeros(1, dtype=np.int64), np.zeros(1)
         self._obstacle, self._obstacle_velocity = np.zeros((2, 1, obstacles, 3))
@@ -370,10 +371,8 @@ class AirspaceParts(Environment):
     def __repr__(self) -> str:
         """Tell what flies, how, and for how long."""
         kinds = ", ".join(dict.fromkeys(one.name for one in self.airframes))
-        flown = f"{self._time[0]:g} s"
-        return (
-            f"<Airspace of {len(self.airframes)} {kinds}, {self._options.dynamics_name}, {flown}>"
-        )
+        flown = f"{self._options.dynamics_name}, {self._time[0]:g} s"
+        return f"<Airspace of {len(self.airframes)} {kinds}, {flown}>"
 
     def __enter__(self) -> Self:
         """Return itself, which is closed at the end of the `with`."""

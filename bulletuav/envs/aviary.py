@@ -8,7 +8,7 @@ import numpy as np
 from bulletuav.envs.agents import USUAL_TYPES
 from bulletuav.envs.decisions import Decisions
 from bulletuav.envs.environment import exclusive
-from bulletuav.envs.infos import Infos
+from bulletuav.envs.infos import Infos, later
 from bulletuav.envs.snapshot import (
     Snapshot,
     form_of,
@@ -109,13 +109,14 @@ class Aviary(Decisions):
             self._wind.reset(k, rng)
             self._uncertainty.reset(k, rng)
             self._sensors.reset(k, self.swarm, rng)
+        reset = np.zeros(self.num_worlds, dtype=bool)
+        reset[worlds] = True
         chosen = np.zeros(self.alive.shape, dtype=bool)
-        chosen[worlds] = True
+        chosen[reset] = True
         self._dynamics.place(self.swarm, chosen)
-        reset = np.any(chosen, axis=1)
         self._engine.set_layouts(self.scene.layout, reset)
         self._put_obstacles(reset)
-        frame = self._first_frame(chosen)
+        frame = self._first_frame(chosen, reset)
         self._start_memory(frame, chosen)
         if not self._checked:  # once: later results are of the same form
             result = self.task.evaluate_step(frame)
@@ -145,26 +146,29 @@ class Aviary(Decisions):
     def _place(self, worlds: np.ndarray, start: Mapping[str, np.ndarray]) -> None:
         """Write the starts (S, ...) of some worlds (S,)."""
         swarm, scene = self.swarm, self.scene
-        swarm.position[worlds], swarm.quaternion[worlds] = start["position"], start["quaternion"]
-        swarm.velocity[worlds], swarm.rates[worlds] = start["velocity"], start["rates"]
-        swarm.rotor_speed[worlds] = 0.0 if self.task.takes_off else self._hover_speed
-        scene.start[worlds], scene.goal[worlds] = start["position"], start["goal"]
-        scene.goal_velocity[worlds] = start["goal_velocity"]
-        scene.obstacle[worlds] = start["obstacle"]
-        scene.obstacle_velocity[worlds] = start["obstacle_velocity"]
-        scene.obstacle_quaternion[worlds] = start["obstacle_quaternion"]
-        scene.layout[worlds] = start["layout"]
+        # A slice is found sooner than a list of indices
+        at = slice(worlds[0], worlds[0] + 1) if len(worlds) == 1 else worlds
+        swarm.position[at], swarm.quaternion[at] = start["position"], start["quaternion"]
+        swarm.velocity[at], swarm.rates[at] = start["velocity"], start["rates"]
+        swarm.rotor_speed[at] = 0.0 if self.task.takes_off else self._hover_speed
+        scene.start[at], scene.goal[at] = start["position"], start["goal"]
+        scene.goal_velocity[at] = start["goal_velocity"]
+        if scene.obstacle.shape[1]:
+            scene.obstacle[at] = start["obstacle"]
+            scene.obstacle_velocity[at] = start["obstacle_velocity"]
+            scene.obstacle_quaternion[at] = start["obstacle_quaternion"]
+        scene.layout[at] = start["layout"]
         for name, remembered in scene.memory.items():
-            remembered[worlds] = start[f"memory {name}"]
-        self._cascade.memory[worlds] = 0
-        self.commanded[worlds] = start["velocity"]
-        self.alive[worlds] = True
-        self.steps[worlds] = 0
-        self._energy.start(worlds)
+            remembered[at] = start[f"memory {name}"]
+        self._cascade.memory[at] = 0
+        self.commanded[at] = start["velocity"]
+        self.alive[at] = True
+        self.steps[at] = 0
+        self._energy.start(at)
 
-    def _first_frame(self, chosen: np.ndarray) -> Frame:
+    def _first_frame(self, chosen: np.ndarray, reset: np.ndarray) -> Frame:
         """Bring the frame to right after a reset of the drones of `chosen` (W, N)."""
-        frame, reset = self._live, np.any(chosen, axis=1)
+        frame = self._live
         # Of the worlds that fly on, it is as if no time had passed
         for before, now in zip(frame.before, self.swarm, strict=True):
             before[:] = now
@@ -217,7 +221,7 @@ class Aviary(Decisions):
             given[:] = self._spec.actions(actions, self.alive)
         self.decide()
         ends = (self.terminated.copy(), self.truncated.copy())
-        return Step(self.observations(), self.rewards.copy(), *ends, Infos(self.telling()))
+        return Step(self.observations(), self.rewards.copy(), *ends, later(self.telling()))
 
     def decide(self) -> None:
         """Fly one decision of the actions that were written to `given`.
@@ -236,7 +240,8 @@ class Aviary(Decisions):
 
     def observations(self) -> Observation:
         """Copy the observations of the last decision."""
-        return self.observer.shown(self._live, self._vector.copy())
+        vector = self._vector.copy()
+        return vector if self.observer.is_plain else self.observer.shown(self._live, vector)
 
     @exclusive
     def first_info(self) -> Infos:
@@ -246,7 +251,7 @@ class Aviary(Decisions):
             self._make_program()
         self._forget()
         self._telling.run()
-        return Infos(self.telling())
+        return later(self.telling())
 
     @exclusive
     def save_state(self, worlds: Any = None) -> Snapshot:

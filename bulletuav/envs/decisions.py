@@ -327,11 +327,16 @@ class Decisions(Worlds):
             else:
                 held[...] = value
 
-    def telling(self) -> Callable[[], dict[str, np.ndarray]]:
-        """Keep what the last decision tells; calling the result makes infos of it."""
+    def telling(self, world: Any = ...) -> Callable[[], dict[str, np.ndarray]]:
+        """Keep what the last decision tells; calling the result makes infos of it.
+
+        Args:
+            world: Index of the world of which they tell, in arrays (N,); of all, (W, N), when left
+                out.
+        """
         table, rows = self._table.copy(), self._rows
         if not self._tells_more:
-            return lambda: columns(table, rows)
+            return lambda: columns(table[:, world], rows)
         landed = {"landed": self._live.landed} if self.task.lands else {}
         told = {
             **landed,
@@ -340,4 +345,6 @@ class Decisions(Worlds):
             **self._sensors.info(),
         }
         more = {name: np.array(value) for name, value in told.items()}  # for callers to write into
-        return lambda: columns(table, rows) | more
+        return lambda: (
+            columns(table[:, world], rows) | {name: value[world] for name, value in more.items()}
+        )

@@ -60,9 +60,9 @@ class Energy:
             wings = [airframe_wing(airframe, options.gravity) for airframe in options.airframe]
             self._wings = np.array([wings] * len(parameters), dtype=ROTARY_WING)
 
-    def start(self, worlds: np.ndarray) -> None:
+    def start(self, worlds: np.ndarray | slice) -> None:
         """Begin episodes of worlds (S,) with full batteries."""
-        self._battery.start(worlds)
+        self._battery.charge[worlds] = 1.0
         self.power[worlds] = 0
         _fill_voltage(*self._voltage_arrays())
 

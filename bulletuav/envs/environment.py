@@ -8,6 +8,7 @@ from typing import Any, NoReturn, TypeVar, cast
 
 import numpy as np
 
+from bulletuav.envs.agents import in_c
 from bulletuav.sensors.base import Label
 from bulletuav.tasks.observations.observer import Observation, ObservationBuilder
 
@@ -86,7 +87,7 @@ class LabelledEnvironment(Environment):
         return self._observer.split(observation)
 
 
-def exclusive(method: Method) -> Method:
+def exclusive_plainly(method: Method) -> Method:
     """Make a method of an `Environment` raise RuntimeError while another thread is in one."""
 
     @functools.wraps(method)
@@ -105,6 +106,9 @@ def exclusive(method: Method) -> Method:
                 del busy[USER]
 
     return cast(Method, guarded)
+
+
+exclusive = in_c(exclusive_plainly)
 
 
 def _make_again(kind: type, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:

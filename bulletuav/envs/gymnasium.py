@@ -16,10 +16,10 @@ from gymnasium.spaces import Box, Dict, Space
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from bulletuav.envs.agents import USUAL_TYPES
+from bulletuav.envs.agents import take_one
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
-from bulletuav.envs.infos import Infos
+from bulletuav.envs.infos import later
 from bulletuav.envs.reset_options import reset_options
 from bulletuav.envs.snapshot import Snapshot
 from bulletuav.envs.spaces import joint_action_space, joint_numbers
@@ -126,9 +126,8 @@ class CentralAviary(CentralEnvironment, gymnasium.Env[Any, Any]):
         self.observation_space = self._central_space
         action = self.aviary.action
         self.action_space = joint_action_space(action)
-        # Shape of an action that can be taken over as it is: that of one drone
-        alone = self.aviary.num_drones == 1 and action.choices is None
-        self._form = action.low.shape[1:] if alone else None
+        # Whether actions can be taken over as they are
+        self._takes = self._is_alone and action.choices is None
 
     @exclusive
     def reset(
@@ -170,25 +169,20 @@ class CentralAviary(CentralEnvironment, gymnasium.Env[Any, Any]):
         """
         aviary = self.aviary
         aviary.require_started()
-        if (
-            type(action) is np.ndarray
-            and action.shape == self._form
-            and action.dtype in USUAL_TYPES
-        ):
-            aviary.given[0, 0] = action  # the program looks at it
-        else:
+        if not self._takes or not take_one(action, aviary.given):  # the program looks at it
             aviary.given[:] = joint_numbers(aviary.action, numbers_of("action is", action)[None], 1)
         aviary.decide()
         # An episode that time ended for one of the drones is truncated
-        is_over = True not in aviary.alive[0].tolist()
-        truncated = is_over and True in aviary.truncated[0].tolist()
-        terminated = is_over and not truncated
-        observation = part(self._central(aviary.observations()), 0)
-        rewards = aviary.rewards[0].tolist()
-        mean = rewards[0] if self._is_alone else float(aviary.rewards.mean())
-        telling = aviary.telling()
-        infos = Infos(lambda: {name: value[0] for name, value in telling().items()})
-        return observation, mean, terminated, truncated, infos
+        is_over = True not in aviary.alive.tolist()[0]
+        truncated = is_over and True in aviary.truncated.tolist()[0]
+        seen = aviary.observations()
+        if self._is_alone:
+            observation = part(seen, (0, 0))
+            mean = aviary.rewards.item()
+        else:
+            observation, mean = part(self._central(seen), 0), float(aviary.rewards.mean())
+        infos = later(aviary.telling(0))
+        return observation, mean, is_over and not truncated, truncated, infos
 
     @exclusive
     def save_state(self) -> Snapshot:
@@ -222,7 +216,7 @@ class CentralAviary(CentralEnvironment, gymnasium.Env[Any, Any]):
 
 def _of_world(info: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Return the infos of the only world."""
-    return Infos(lambda: {name: value[0] for name, value in info.items()})
+    return later(lambda: {name: value[0] for name, value in info.items()})
 
 
 class CentralVectorAviary(CentralEnvironment, gymnasium.vector.VectorEnv[Any, Any, Any]):

@@ -12,13 +12,11 @@ PENDING = {"": None}
 class Infos(dict[str, Any]):
     """A dict whose values are made all at once when somebody asks for one.
 
-    Most decisions of a training are never asked.
+    Most decisions of a training are never asked. `later` makes one.
     """
 
-    def __init__(self, make: Callable[[], Mapping[str, Any]]) -> None:
-        """Keep what makes the values."""
-        super().__init__(PENDING)
-        self._make: Callable[[], Mapping[str, Any]] | None = make
+    __slots__ = ("_make",)
+    _make: Callable[[], Mapping[str, Any]] | None
 
     def _fill(self) -> None:
         make, self._make = self._make, None
@@ -33,6 +31,13 @@ class Infos(dict[str, Any]):
     def copy(self) -> dict[str, Any]:
         """Return a plain dict."""
         return dict(self)
+
+
+def later(make: Callable[[], Mapping[str, Any]]) -> Infos:
+    """Make infos whose values `make` makes when somebody asks for one."""
+    infos = Infos(PENDING)
+    infos._make = make
+    return infos
 
 
 def _filled_first(name: str) -> Any:

@@ -13,7 +13,7 @@ from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 from bulletuav.envs.agents import share, take
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
-from bulletuav.envs.infos import Infos as LazyInfos
+from bulletuav.envs.infos import later
 from bulletuav.envs.reset_options import reset_options
 from bulletuav.envs.snapshot import FaceSnapshot, Snapshot, require_face
 from bulletuav.envs.spaces import drone_action_space, drone_numbers
@@ -137,20 +137,21 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
         """
         aviary, agents = self.aviary, self.agents
         aviary.require_started()
-        self._take(actions)
+        rows = None if len(agents) == len(self.possible_agents) else self._living_rows()
+        if not self._together or not take(actions, agents, rows, aviary.given):
+            self._take(actions)
         if not agents:
             return {}, {}, {}, {}, {}
         aviary.decide()
-        rows, observations = self._living_rows(), aviary.observations()
-        ends = (aviary.terminated[0], aviary.truncated[0])
-        shared = ends[0] if isinstance(observations, dict) else observations[0]
-        results = share(agents, rows, shared, aviary.rewards[0], *ends)
-        seen, rewards, terminated, truncated = results
+        observations, ends = aviary.observations(), (aviary.terminated, aviary.truncated)
+        shared = ends[0] if isinstance(observations, dict) else observations
+        results = share(agents, rows, shared, aviary.rewards, *ends)
+        seen, rewards, terminated, truncated, any_ended = results
         if isinstance(observations, dict):
             seen = self._by_agent(observations, rows)
         infos = self._infos(aviary.telling(), rows)
         # Agents leave after the step that ended their episode
-        if True in terminated.values() or True in truncated.values():
+        if any_ended:
             self.agents = [one for one in agents if not terminated[one] and not truncated[one]]
         return seen, rewards, terminated, truncated, infos
 
@@ -161,15 +162,12 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
         return [self._rows[agent] for agent in self.agents]
 
     def _take(self, actions: Any) -> None:
-        """Take actions over; rows of agents that have left do not count.
+        """Take actions over one by one, with clear errors.
 
         Raises:
             ValueError: They cannot be.
         """
         given, agents = self.aviary.given, self.agents
-        if self._together and take(actions, agents, self._living_rows(), given):
-            return
-        # One by one, with clear errors
         check_agents(actions, agents, self._rows)
         for agent in agents:
             row = self._rows[agent]
@@ -199,7 +197,7 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
                 for agent, row in zip(agents, table, strict=True)
             }
 
-        return LazyInfos(make)
+        return later(make)
 
     @exclusive
     def save_state(self) -> Snapshot:

@@ -163,19 +163,20 @@ class Uncertainty:
             parameters: (W, N) rows with which the dynamics flies; changed in place.
             wind: The wind, whose steady part is changed.
         """
-        self._spec, self._engine, self._wind = spec, engine, wind
+        self._engine, self._wind = engine, wind
         self._parameters, self._nominal = parameters, parameters.copy()
         worlds, drones = parameters.shape
         widths = {name: drones if spec.known[name].per == "drone" else 1 for name in spec.active}
         widths |= {"wind": 3} if "wind" in widths else {}
         self.drawn = {name: np.zeros((worlds, width)) for name, width in widths.items()}
+        self._bounds = {name: spec.bounds(name) for name in self.drawn}
         self._told: dict[str, np.ndarray] | None = None
 
     def reset(self, world: int, rng: np.random.Generator) -> None:
         """Draw what a world is like in its new episode, and change drones and wind."""
         self._told = None
         for name, values in self.drawn.items():
-            values[world] = rng.uniform(*self._spec.bounds(name), values.shape[1])
+            values[world] = rng.uniform(*self._bounds[name], values.shape[1])
             for parameter in FACTORS.get(name, ()):
                 nominal = self._nominal[parameter][world]
                 self._parameters[parameter][world] = (nominal.T * values[world]).T

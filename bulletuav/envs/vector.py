@@ -9,7 +9,7 @@ from gymnasium.vector import AutoresetMode
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.env_spec import MOST_WORLDS
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
-from bulletuav.envs.infos import Infos
+from bulletuav.envs.infos import later
 from bulletuav.envs.reset_options import MASK, reset_options
 from bulletuav.envs.snapshot import Snapshot
 from bulletuav.envs.spaces import widest_action_space
@@ -181,7 +181,7 @@ class BatchAviary(LabelledEnvironment):
     ) -> dict[str, Any]:
         """Return infos in which those of `worlds` (W,) are of their new episodes."""
         first = self.aviary.first_info()
-        return Infos(
+        return later(
             lambda: {name: np.where(worlds[:, None], first[name], info[name]) for name in first}
         )
 

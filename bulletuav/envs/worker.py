@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
+from bulletuav.envs.shared_infos import SharedInfos
 from bulletuav.envs.vector import BatchAviary
 from bulletuav.tasks import TaskSource
 
@@ -65,7 +66,8 @@ def work(
     """Fly some of the worlds until told to end; the main function of a worker process.
 
     Questions are (method of `BatchAviary`, keyword arguments), or None to end. Answers are what
-    the method gave, or an error. Actions, and results of steps, go through the shared arrays.
+    the method gave, or an error. Actions, and results of steps, go through the shared arrays; None
+    stands for infos of a step that do so, too.
 
     Args:
         pipe: Brings questions, takes answers; the first answer tells that the worlds are made.
@@ -85,11 +87,16 @@ def work(
         pipe.send(portable(error))
         return
     pipe.send(None)
+    shared_infos = SharedInfos(arrays["info"])
     # Answer one question after the other.
     while (question := _next(pipe)) is not None:
         method, keywords = question
         try:
             answer = _answer(batch, arrays, method, keywords)
+            if method == "reset":
+                shared_infos.learn(answer)
+            elif method == "step" and shared_infos.put(answer):
+                answer = None
         except Exception as error:
             answer = portable(error)
         pipe.send(answer)
@@ -122,40 +129,6 @@ def _answer(
     for name, array in zip(("reward", "terminated", "truncated"), results, strict=False):
         arrays[name][:] = array
     return infos
-
-
-def merged(
-    parts: list[slice],
-    infos: list[dict[str, Any]],
-    num_envs: int,
-) -> dict[str, Any]:
-    """Merge infos of several processes.
-
-    Args:
-        parts: Worlds of each process.
-        infos: Infos of each process.
-        num_envs: How many worlds there are in all.
-
-    Returns:
-        Infos of all worlds. Where a process lacks an entry (final ones) its worlds have zeros.
-    """
-    whole: dict[str, Any] = {}
-    for name in dict.fromkeys(name for info in infos for name in info):
-        # Those that have the entry, and what it is in them.
-        given = [
-            (part, info[name]) for part, info in zip(parts, infos, strict=True) if name in info
-        ]
-        first = given[0][1]
-        if isinstance(first, dict):
-            own_parts = [part for part, _ in given]
-            own_infos = [value for _, value in given]
-            whole[name] = merged(own_parts, own_infos, num_envs)
-            continue
-        shape = (num_envs, *first.shape[1:])
-        whole[name] = np.zeros(shape, dtype=first.dtype)
-        for part, value in given:
-            whole[name][part] = value
-    return whole
 
 
 def portable(error: Exception) -> Exception:

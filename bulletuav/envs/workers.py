@@ -18,10 +18,11 @@ from gymnasium.vector import AutoresetMode
 from bulletuav.envs.env_spec import MOST_WORLDS, EnvSpec
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
 from bulletuav.envs.reset_options import MASK, reset_options
+from bulletuav.envs.shared_infos import SharedInfos, merged, room_for
 from bulletuav.envs.snapshot import Snapshot, require_snapshot
 from bulletuav.envs.spaces import widest_action_space
 from bulletuav.envs.vector import BatchAviary, BatchResults, autoreset
-from bulletuav.envs.worker import Layout, SharedArrays, by_shared_name, merged, work
+from bulletuav.envs.worker import Layout, SharedArrays, by_shared_name, work
 from bulletuav.errors import as_int, choose, finite, numbers_of
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.observations.observer import VECTOR, Observation
@@ -128,6 +129,7 @@ class WorkerAviary(LabelledEnvironment):
         context: Any = multiprocessing.get_context(start_method)
         shared = SharedArrays(context, self._layout())
         self._arrays = shared.views(0, self.num_envs)
+        self._infos = SharedInfos(self._arrays["info"])
         for part in self._parts:
             self._start_worker(context, (shared, part.start, part.stop, *recipe))
 
@@ -176,6 +178,7 @@ class WorkerAviary(LabelledEnvironment):
             "truncated": (drones, bool),
             "alive": (drones, bool),
             "ended": ((self.num_envs,), bool),
+            "info": ((drones[0], room_for(len(self._spec.task.weights)), drones[1]), np.float64),
         }
 
     def _ask(self, method: str, keywords: dict[int, dict[str, Any]]) -> list[Any]:
@@ -260,9 +263,10 @@ class WorkerAviary(LabelledEnvironment):
         for k, part in enumerate(self._parts):
             own_seeds = None if seeds is None else seeds[part]
             keywords[k] = {"seed": own_seeds, "options": {MASK: mask[part], **given}}
-        infos = self._ask("reset", keywords)
+        infos = merged(self._parts, self._ask("reset", keywords), self.num_envs)
+        self._infos.learn(infos)
         self._started = True
-        return self._observations(), merged(self._parts, infos, self.num_envs)
+        return self._observations(), infos
 
     @exclusive
     def step(self, actions: np.ndarray) -> BatchResults:
@@ -275,14 +279,10 @@ class WorkerAviary(LabelledEnvironment):
             actions = actions[..., None]
         # Workers read their actions from the shared array.
         self._arrays["action"][:] = self._spec.actions(actions, self._arrays["alive"])
-        infos = self._ask("step", self._for_all(choices=choices))
-        return (
-            self._observations(),
-            self._arrays["reward"].copy(),
-            self._arrays["terminated"].copy(),
-            self._arrays["truncated"].copy(),
-            merged(self._parts, infos, self.num_envs),
-        )
+        told = self._ask("step", self._for_all(choices=choices))
+        infos = self._infos.take(told, self._parts)
+        rewards, *ends = (self._arrays[k].copy() for k in ("reward", "terminated", "truncated"))
+        return self._observations(), rewards, *ends, infos  # type: ignore[return-value]
 
     @exclusive
     def save_state(self, worlds: Any = None) -> Snapshot:

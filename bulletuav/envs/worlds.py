@@ -267,8 +267,9 @@ class Worlds(Environment):
 
     def require_started(self) -> None:
         """Raise RuntimeError before the first reset and after `close`."""
-        self._require_open()
-        self._current()
+        if self._engine.closed or self._frame is None:
+            self._require_open()
+            self._current()
 
     def _require_open(self) -> None:
         if self._engine.closed:

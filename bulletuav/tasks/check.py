@@ -1,6 +1,7 @@
 """Checks of what a task gives: starts, results of steps, infos, rewards, arenas."""
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -12,10 +13,12 @@ from bulletuav.errors import as_int, as_sequence, finite, numbers_of, shown, unk
 from bulletuav.geometry.city_grid import NO_LAYOUT
 from bulletuav.geometry.closest_approach import least_separation
 from bulletuav.geometry.obstacle import Obstacle
+from bulletuav.geometry.rotation import quat4, vec3
 from bulletuav.geometry.shapes import CYLINDER, HULL, SPHERE, Shape
 from bulletuav.geometry.solids import Solids
+from bulletuav.kernel import kernel
 from bulletuav.tasks.base import Task
-from bulletuav.tasks.frame import UPRIGHT, Spawn, StepResult
+from bulletuav.tasks.frame import NOTHING, UPRIGHT, Spawn, StepResult
 from bulletuav.tasks.starts import refuse_overlap
 from bulletuav.vehicle.airframe import Airframe
 
@@ -72,7 +75,10 @@ def take_spawns(
     for spawn in spawns:
         if not isinstance(spawn, Spawn):
             raise ValueError(f"spawn of task {task.name!r} gave {shown(spawn)}: a Spawn is needed")
-        _check_memory(task, spawn, remembered)
+    layouts = len(task.layouts())
+    for spawn in spawns:
+        if layouts or spawn.layout != NO_LAYOUT or spawn.memory is not NOTHING:
+            _check_memory(task, spawn, remembered, layouts)
     count = len(spawns)
     fields = {name: np.empty((count, *shape)) for name, shape in shapes.items()}
     for name, shape in shapes.items():
@@ -82,36 +88,64 @@ def take_spawns(
         else:
             for row, one in zip(fields[name], given, strict=True):
                 row[:] = _numbers(task, name, one, shape)
-    if not np.isfinite(np.concatenate(list(fields.values()), axis=None)).all():
+    if not _all_finite(tuple(fields.values())):
         for name, values in fields.items():
             for one in values:
                 if not np.isfinite(one).all():
                     raise _refused(task, name, f"is {shown(one)}", "finite numbers are needed")
-    _check_turns(task, fields["obstacle_quaternion"])
+    if obstacles:
+        _check_turns(task, fields["obstacle_quaternion"])
     places = (fields["position"], fields["quaternion"])
     if not _all_clear(*places, task.context.collision_radius):
         for position, quaternion in zip(*places, strict=True):
             _check_places(task, position, quaternion, airframes)
             refuse_overlap(position, task.context.collision_radius)
     for name, array in remembered.items():
-        fields[f"memory {name}"] = kept = np.empty((count, *array.shape[1:]), dtype=array.dtype)
+        fields[f"memory {name}"] = kept = np.zeros((count, *array.shape[1:]), dtype=array.dtype)
         for k, spawn in enumerate(spawns):
-            kept[k] = spawn.memory.get(name, 0)
+            if name in spawn.memory:
+                kept[k] = spawn.memory[name]
     return {**fields, "layout": np.array([spawn.layout for spawn in spawns], dtype=int)}
 
 
 def _all_clear(position: np.ndarray, quaternion: np.ndarray, radius: float) -> bool:
     """Tell whether starts (S, N, ...) are so far from all limits that none needs a closer look."""
-    off = np.abs(np.einsum("sij,sij->si", quaternion, quaternion) - 1)
-    height = position[..., 2]
-    half = TILE_PITCH / 2 - radius
-    return (
-        off.max(initial=0.0) <= UNIT
-        and np.abs(position[..., :2]).max(initial=0.0) < half
-        and height.max(initial=0.0) < PARKING_HEIGHT
-        and height.min(initial=np.inf) >= radius
-        and least_separation(position) > 2 * radius * (1 + UNIT)
-    )
+    bounds = (UNIT, TILE_PITCH / 2 - radius, radius, PARKING_HEIGHT)
+    apart = 2 * radius * (1 + UNIT)
+    return _each_clear(position, quaternion, *bounds) and least_separation(position) > apart
+
+
+@kernel
+def _each_clear(
+    position: np.ndarray,
+    quaternion: np.ndarray,
+    unit: float,
+    half: float,
+    lowest: float,
+    highest: float,
+) -> bool:
+    """Tell whether all starts (S, N, ...) are turned by unit quaternions, and within bounds, m."""
+    for s in range(position.shape[0]):
+        for i in range(position.shape[1]):
+            x, y, z, w = quat4(quaternion, s, i)
+            if not abs(x * x + y * y + z * z + w * w - 1.0) <= unit:
+                return False
+            east, north, up = vec3(position, s, i)
+            if not (abs(east) < half and abs(north) < half and lowest <= up < highest):
+                return False
+    return True
+
+
+@kernel
+def _all_finite(fields: tuple[np.ndarray, ...]) -> bool:
+    """Tell whether all numbers of arrays (S, N, M) are finite."""
+    for field in fields:
+        for s in range(field.shape[0]):
+            for i in range(field.shape[1]):
+                for k in range(field.shape[2]):
+                    if not math.isfinite(field[s, i, k]):
+                        return False
+    return True
 
 
 def _refused(task: Task[Any], name: str, what: str, remedy: str) -> ValueError:
@@ -141,8 +175,9 @@ def _numbers(task: Task[Any], name: str, value: Any, shape: tuple[int, int]) -> 
     return array
 
 
-def _check_memory(task: Task[Any], spawn: Spawn, remembered: Mapping[str, np.ndarray]) -> None:
-    layouts = len(task.layouts())
+def _check_memory(
+    task: Task[Any], spawn: Spawn, remembered: Mapping[str, np.ndarray], layouts: int
+) -> None:
     if spawn.layout != NO_LAYOUT or layouts:
         as_int(f"layout of the spawn of task {task.name!r}", spawn.layout, NO_LAYOUT, layouts - 1)
     if not isinstance(spawn.memory, Mapping):

@@ -106,6 +106,7 @@ class Crossing(Airspace[CrossingConfig]):
         usual = ((drones + 1) // 2, drones // 2)
         self._num_north, east = team_sizes(config.teams, drones, usual)
         self.team[self._num_north :] = 1
+        self._start, self._goal = self._places()
         largest = max(self._num_north, east)
         ranks = -(-largest // config.lanes)
         depth = (ranks - 1) * config.lane_spacing
@@ -126,6 +127,20 @@ class Crossing(Airspace[CrossingConfig]):
         self.arena_low = np.array([-reach, -reach, 0.0])
         self.arena_high = np.array([reach, reach, config.altitude + rise + config.margin])
 
+    def _places(self) -> tuple[np.ndarray, np.ndarray]:
+        """Tell where drones start and go to, (N, 3) each, m, but for heights and jitter."""
+        drones, half_length = self.context.num_drones, self.config.half_length
+        start, goal = np.zeros((2, drones, 3))
+        # The axis along which each team flies, and its drones.
+        teams = ((1, slice(0, self._num_north)), (0, slice(self._num_north, drones)))
+        for axis, team in teams:
+            aside, behind = self._formation(len(start[team]))
+            start[team, axis] = -half_length - behind
+            goal[team, axis] = half_length - behind
+            start[team, 1 - axis] = aside
+            goal[team, 1 - axis] = aside
+        return start, goal
+
     def _formation(self, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Return how far aside of, and behind, its first rank's middle each drone starts, m."""
         lanes = min(count, self.config.lanes)
@@ -138,18 +153,8 @@ class Crossing(Airspace[CrossingConfig]):
     def spawn(self, rng: np.random.Generator) -> Spawn:
         """Draw a start of both teams in formation, in flight."""
         config = self.config
-        drones = self.context.num_drones
-        start = np.zeros((drones, 3))
-        goal = np.zeros((drones, 3))
-        # The axis along which each team flies, and its drones.
-        teams = ((1, slice(0, self._num_north)), (0, slice(self._num_north, drones)))
-        for axis, team in teams:
-            aside, behind = self._formation(len(start[team]))
-            start[team, axis] = -config.half_length - behind
-            goal[team, axis] = config.half_length - behind
-            start[team, 1 - axis] = aside
-            goal[team, 1 - axis] = aside
-        height = config.altitude + config.altitude_spread * rng.uniform(-0.5, 0.5, drones)
+        start, goal = self._start.copy(), self._goal.copy()
+        height = config.altitude + config.altitude_spread * rng.uniform(-0.5, 0.5, len(start))
         start[:, 2] = height
         goal[:, 2] = height
         return self.launch(config.scattered(start, rng), goal, rng)

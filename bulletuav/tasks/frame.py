@@ -31,6 +31,10 @@ STANDING_GAP = 0.001
 """m, above the ground at most, of kinematic drones that stand there without a touch"""
 
 
+NOTHING: Mapping[str, np.ndarray] = MappingProxyType({})
+"""Memory of a start that gives none"""
+
+
 class Spawn(NamedTuple):
     """Start of one world of N drones. Only position and goal are needed.
 
@@ -58,7 +62,7 @@ class Spawn(NamedTuple):
     obstacle_velocity: np.ndarray = NO_OBSTACLES
     obstacle_quaternion: np.ndarray | tuple[float, float, float, float] = UPRIGHT
     layout: int = NO_LAYOUT
-    memory: Mapping[str, np.ndarray] = MappingProxyType({})
+    memory: Mapping[str, np.ndarray] = NOTHING
 
 
 class Memory(Mapping[str, np.ndarray]):

@@ -3,7 +3,6 @@
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from bulletuav.errors import numbers_of, shown
 from bulletuav.tasks.base import Task
@@ -77,6 +76,8 @@ def refuse_overlap(position: np.ndarray, radius: float) -> None:
     """Raise ValueError when two of (N, 3) positions are closer than two collision radii."""
     if len(position) < 2:
         return
+    from scipy.spatial import cKDTree  # which takes long to import
+
     pairs = cKDTree(position).query_pairs(2 * radius)
     if pairs:
         i, j = min(pairs)

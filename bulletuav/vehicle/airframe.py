@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from bulletuav.functions import hypot
 from bulletuav.geometry.convex import inscribed_radius, reach
 from bulletuav.geometry.obstacle import FRICTION
 from bulletuav.geometry.shapes import Shape
@@ -27,7 +26,7 @@ def hover_speed(weight: float, num_rotors: int, thrust_coefficient: float) -> fl
 
 def reach_of(rotors: tuple[tuple[float, float, int], ...]) -> float:
     """Compute the distance of the outermost rotor from the centre of mass, m."""
-    return max(hypot(x, y) for x, y, _ in rotors)
+    return max(math.sqrt(x * x + y * y) for x, y, _ in rotors)
 
 
 @dataclass(frozen=True)

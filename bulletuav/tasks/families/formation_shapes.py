@@ -6,7 +6,6 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from bulletuav.errors import numbers_of, shown, unknown
 from bulletuav.functions import cos, sin
@@ -176,6 +175,8 @@ def places_of(shape: Any, count: int, spacing: float, text: str, apart: float) -
 
 def least_gap(place: np.ndarray) -> float:
     """Compute the distance between the two nearest of places (M, 3), m; infinite of one."""
+    from scipy.spatial import cKDTree  # which takes long to import
+
     distance, _ = cKDTree(place).query(place, k=2)
     return float(distance[:, 1].min())
 

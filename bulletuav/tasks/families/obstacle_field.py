@@ -1,5 +1,6 @@
 """Obstacles that stand or move among the drones of any flight."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
@@ -7,6 +8,8 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from bulletuav.geometry.obstacle import Obstacle
+from bulletuav.geometry.rotation import dot, minus, point
+from bulletuav.kernel import kernel
 from bulletuav.tasks.base import Rngs, Task
 from bulletuav.tasks.config import TaskConfig
 from bulletuav.tasks.families.headings import check_heading, facing, headed
@@ -105,24 +108,26 @@ class ObstacleTask(Task[ObstacleConfigT], Generic[ObstacleConfigT]):
         # Those that the task has drawn stay, unless they are in the way.
         shape = (len(self._bodies), 3)
         was_drawn = len(spawn.obstacle) > 0
-        obstacle = spawn.obstacle.copy() if was_drawn else rng.uniform(low, high, shape)
+        drawn = spawn.obstacle if was_drawn else rng.uniform(low, high, shape)
+        obstacle = np.array(drawn, dtype=float)
         velocity = spawn.obstacle_velocity
         if not was_drawn:
             fastest = self.config.obstacle_speed
             velocity = rng.uniform(-fastest, fastest, shape)
             velocity[self.config.num_moving :] = 0.0
-        places = np.concatenate([spawn.position, np.broadcast_to(spawn.goal, spawn.position.shape)])
-        for k in range(len(obstacle)):
-            tries = 0
-            while not self._is_clear(obstacle[k], k, places, spawn.layout):
-                obstacle[k] = rng.uniform(low, high)
-                tries += 1
-                if tries == MAX_TRIES:
-                    raise ValueError(
-                        f"num_obstacles is {self.config.num_obstacles}: no place is left for "
-                        f"obstacle {k} clear of starts, goals and buildings; lower it, or "
-                        f"obstacle_radius"
-                    )
+        goal = np.broadcast_to(spawn.goal, spawn.position.shape)
+        places = np.concatenate([spawn.position, goal], dtype=float)
+        tries = np.zeros(len(obstacle), dtype=int)
+        k = 0
+        while (k := self._first_in_the_way(obstacle, k, places, spawn.layout)) < len(obstacle):
+            obstacle[k] = rng.uniform(low, high)
+            tries[k] += 1
+            if tries[k] == MAX_TRIES:
+                raise ValueError(
+                    f"num_obstacles is {self.config.num_obstacles}: no place is left for "
+                    f"obstacle {k} clear of starts, goals and buildings; lower it, or "
+                    f"obstacle_radius"
+                )
         return spawn._replace(obstacle=obstacle, obstacle_velocity=velocity)
 
     def _turned(self, spawn: Spawn, is_given: bool, rng: np.random.Generator) -> Spawn:
@@ -140,11 +145,18 @@ class ObstacleTask(Task[ObstacleConfigT], Generic[ObstacleConfigT]):
         quaternion = spawn.quaternion if heading is None else facing(direction)
         return spawn._replace(velocity=direction * speed, quaternion=quaternion)
 
-    def _is_clear(self, middle: np.ndarray, k: int, places: np.ndarray, layout: int) -> bool:
-        """Tell whether obstacle k at `middle` (3,) m keeps off places (M, 3) and what stands."""
-        gap = np.linalg.norm(places - middle, axis=1).min()
-        is_off = gap > self.keep_off[k]
-        return bool(is_off) and self.is_free(middle, float(self.obstacle_radius[k]), layout)
+    def _first_in_the_way(
+        self, obstacle: np.ndarray, first: int, places: np.ndarray, layout: int
+    ) -> int:
+        """Find the first of the obstacles (K, 3) m, from `first` on, that has to be elsewhere.
+
+        It is too near to places (M, 3) or in what stands; K where none is.
+        """
+        near: int = first_near(obstacle, first, self.keep_off, places)
+        for k in range(first, near):
+            if not self.is_free(obstacle[k], float(self.obstacle_radius[k]), layout):
+                return k
+        return near
 
     def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
         """Move obstacles straight on, reflected at the bounds; where buildings are, turned back.
@@ -178,6 +190,27 @@ class ObstacleTask(Task[ObstacleConfigT], Generic[ObstacleConfigT]):
             if not self.is_free(place[w, k], float(self.obstacle_radius[k]), int(layout[w])):
                 place[w, k] = before[w, k]
                 turned[w, k] = -1.0
+
+
+@kernel
+def first_near(obstacle: np.ndarray, first: int, keep_off: np.ndarray, places: np.ndarray) -> int:
+    """Find the first of the obstacles (K, 3), from `first` on, that does not keep off places.
+
+    Args:
+        obstacle: (K, 3) their middles, m.
+        first: Index of the first that is looked at.
+        keep_off: (K,) distances that they have to exceed, m.
+        places: (M, 3) m.
+
+    Returns:
+        Its index; K where none is.
+    """
+    for k in range(first, obstacle.shape[0]):
+        for m in range(places.shape[0]):
+            away = minus(point(places, m), point(obstacle, k))
+            if not math.sqrt(dot(away, away)) > keep_off[k]:
+                return k
+    return int(obstacle.shape[0])
 
 
 def _body(index: int, radius: float) -> Obstacle:

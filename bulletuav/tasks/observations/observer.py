@@ -100,6 +100,7 @@ class ObservationBuilder:
             self.labels += labels
             self.slices[observation_name(source)] = part
             self._writers.append((part, writer))
+        self.is_plain = not self.images and form == VECTOR
         self._low = np.array([label.low for label in self.labels], dtype=np.float32)
         self._high = np.array([label.high for label in self.labels], dtype=np.float32)
         middle, half = (self._low + self._high) / 2, (self._high - self._low) / 2
@@ -109,7 +110,7 @@ class ObservationBuilder:
 
     def space(self) -> Box | Dict:
         """Make one drone's observation space, a new object each time."""
-        if not self.images and self._form == VECTOR:
+        if self.is_plain:
             return Box(self.low, self.high, dtype=np.float32)
         spaces: dict[str, Space[Any]] = {}
         if self._form == VECTOR:
@@ -165,7 +166,7 @@ class ObservationBuilder:
 
     def shown(self, frame: Frame, vector: np.ndarray) -> Observation:
         """Make an observation of numbers (W, N, D) and the pictures of a frame."""
-        if not self.images and self._form == VECTOR:
+        if self.is_plain:
             return vector
         seen: dict[str, np.ndarray] = {}
         if self.labels:
