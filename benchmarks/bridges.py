@@ -15,12 +15,17 @@ MAVLink: all vehicles fly offboard, with setpoints at 50 Hz each, and send telem
 rates, with local positions at 50 Hz. Reported are setpoints and messages a second, and the rest as
 for Crazyflies; an echo is a TIMESYNC.
 
-Writes crazyflie.md, airsim.md and mavlink.md. Needs psutil, msgpack and pymavlink, of the extra
-`test`.
+Autopilots in the loop: every body is measured 250 times a simulated second, and each measurement is
+answered by motor commands. Reported are measurements a second of all bodies and the real-time
+factor at speed 1, and how much faster than real time lockstep runs.
+
+Writes crazyflie.md, airsim.md, mavlink.md and hil.md. Needs psutil, msgpack and pymavlink, of the
+extra `test`.
 """
 
 import argparse
 import math
+import selectors
 import socket
 import statistics
 import struct
@@ -44,6 +49,7 @@ from bulletuav.files import replace_file
 PORT = 20850
 AIRSIM_PORT = 20450
 MAVLINK_PORT, MAVLINK_CLIENT = 21570, 21270
+HIL_PORT, HIL_HZ = 24560, 250
 SETPOINTS_HZ = 50
 HEIGHT = 1.0
 
@@ -351,6 +357,45 @@ def mavlink(drones: int, seconds: float) -> list[str]:
     ]
 
 
+def lockstep(drones: int, seconds: float, speed: float) -> tuple[float, float]:
+    """Answer measurements of all bodies for a time.
+
+    Returns:
+        Measurements a second of all bodies, and the real-time factor.
+    """
+    words = ("--drones", str(drones), "--port", str(HIL_PORT), "--speed", str(speed))
+    server, _ = served("hil", *words)
+    controls = ([0.5] * 16, 128, 1)
+    answer = frame(0, "hil_actuator_controls", 2**62, *controls)
+    links, seen = selectors.DefaultSelector(), 0
+    try:
+        for k in range(drones):
+            link = socket.create_connection(("127.0.0.1", HIL_PORT + k))
+            link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            links.register(link, selectors.EVENT_READ)
+        begin = time.perf_counter()
+        while time.perf_counter() < begin + seconds:
+            for key, _ in links.select(1.0):
+                key.fileobj.recv(4096)
+                key.fileobj.send(answer)
+                seen += 1
+        lasted = time.perf_counter() - begin
+    finally:
+        server.terminate()
+        server.wait()
+        for key in list(links.get_map().values()):
+            key.fileobj.close()
+        links.close()
+    return seen / lasted, seen / drones / HIL_HZ / lasted
+
+
+def hil(drones: int, seconds: float) -> list[str]:
+    """Measure lockstep with a number of autopilots; give the cells of a row."""
+    rate, factor = lockstep(drones, seconds, 1.0)
+    _, free = lockstep(drones, seconds, 1000.0)
+    return [str(drones), f"{rate:.0f}", f"{factor:.2f}", f"{free:.1f}"]
+
+
 def write(path: Path, heads: tuple[str, ...], rows: list[list[str]]) -> None:
     """Write a table."""
     lines = [list(heads), ["---:"] * len(heads), *rows]
@@ -379,6 +424,9 @@ def main() -> None:
     heads = ("vehicles", "setpoints/s", "messages/s", *rates)
     rows = [mavlink(count, arguments.seconds) for count in arguments.drones]
     write(arguments.out / "mavlink.md", heads, rows)
+    heads = ("bodies", "measurements/s", "real-time factor", "times real time, in lockstep")
+    rows = [hil(count, arguments.seconds) for count in arguments.drones]
+    write(arguments.out / "hil.md", heads, rows)
 
 
 if __name__ == "__main__":

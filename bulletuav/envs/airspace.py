@@ -19,14 +19,14 @@ from bulletuav.envs.airspace_setpoints import hold, level_of, setpoint_numbers
 from bulletuav.envs.environment import exclusive
 from bulletuav.envs.parts import add_obstacles
 from bulletuav.envs.snapshot import (
+    Layout,
     Snapshot,
-    form_of,
     hashes_of,
+    layout_of,
     pack,
     require_contacts,
     require_form,
     require_snapshot,
-    unpack,
 )
 from bulletuav.envs.stages import finish, headings, prepare
 from bulletuav.errors import numbers_of, shown
@@ -60,6 +60,8 @@ class Airspace(AirspaceParts):
         setpoint: (N, S) setpoint that each drone holds; read-only.
         readings: What sensors measured last, arrays (N, ...) by name, new ones each step.
     """
+
+    _layout: Layout | None = None
 
     @property
     def time(self) -> float:
@@ -220,10 +222,10 @@ class Airspace(AirspaceParts):
         """Save all that makes the future but which bodies there are; see `Aviary.save_state`."""
         self._require_open()
         require_contacts(self._options.contacts)
-        arrays, only = self._state_arrays() | self._more_arrays(), np.zeros(1, dtype=int)
+        layout, only = self._all_arrays(), np.zeros(1, dtype=int)
         # Bullet rounds what is written: both flights are to go on from that.
         self._dynamics.restore(self._swarm, self._alive)
-        return Snapshot(pack(arrays, [self.rng], only), form_of("airspace", arrays))
+        return Snapshot(layout.pack([self.rng], only), layout.form)
 
     @exclusive
     def load_state(self, snapshot: Snapshot) -> None:
@@ -241,10 +243,10 @@ class Airspace(AirspaceParts):
         self._look()
         # What was read from `readings` before stays as it is.
         self.readings = {name: reading.copy() for name, reading in self.readings.items()}
-        arrays, rngs = self._state_arrays() | self._more_arrays(), [self.rng]
+        layout, rngs = self._all_arrays(), [self.rng]
         require_snapshot(snapshot, Snapshot)
-        require_form(snapshot, form_of("airspace", arrays), "airspace")
-        unpack(snapshot.data, arrays, rngs, np.zeros(1, dtype=int))
+        require_form(snapshot, layout.form, "airspace")
+        layout.unpack(snapshot.data, rngs, np.zeros(1, dtype=int))
         (self.rng,) = rngs
         self._turns = bool(self._yaw_rate.any())
         self._uncertainty.restore(np.zeros(1, dtype=int))
@@ -258,6 +260,11 @@ class Airspace(AirspaceParts):
         self._require_open()
         (told,) = hashes_of(pack(self._state_arrays(), [self.rng], np.zeros(1, dtype=int)))
         return told
+
+    def _all_arrays(self) -> Layout:
+        arrays = self._state_arrays() | self._more_arrays()
+        self._layout = layout_of(self._layout, "airspace", arrays)
+        return self._layout
 
     def _state_arrays(self) -> dict[str, np.ndarray]:
         """Tell the arrays (1, ...) by name that are the state, whatever flew before."""

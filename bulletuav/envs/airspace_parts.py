@@ -82,16 +82,16 @@ class AirspaceParts(Environment):
         require_bodies(obstacles, layout)
         rates = {"physics_hz": physics_hz, "decision_hz": decision_hz}
         known, carried = airspace_options(position, airframe, sensors, {**options, **rates})
-        shape = (1, known.num_drones)
         layouts = () if layout is None else (layout,)
         self._options, self.airframes = known, known.airframe
         self._engine = make_engine(known, 1, obstacles, layouts)
         self._dynamics = make_dynamics(known, self._engine)
         self._renderer = Renderer(self._engine, known.render_size)
         self.consumes, self.period = self._dynamics.consumes, 1 / known.decision_hz
+        known.check_setpoint_levels(self.consumes, self.consumes)
         self.hover_speed = hover_speeds(known)
         self.hover_speed.flags.writeable = False
-        self._make_arrays(shape, len(obstacles))
+        self._make_arrays((1, known.num_drones), len(obstacles))
         self.rng = np.random.default_rng(known.seed)
         self._wind = Wind(known.wind, known.wind20, 1, known.wind_profile)
         parameters = self._dynamics.flight.parameters

@@ -10,14 +10,14 @@ from bulletuav.envs.decisions import Decisions
 from bulletuav.envs.environment import exclusive
 from bulletuav.envs.infos import Infos, later
 from bulletuav.envs.snapshot import (
+    Layout,
     Snapshot,
-    form_of,
     hashes_of,
+    layout_of,
     pack,
     require_contacts,
     require_form,
     require_snapshot,
-    unpack,
 )
 from bulletuav.envs.step import Step
 from bulletuav.envs.worlds import UNSTARTED
@@ -57,6 +57,8 @@ class Aviary(Decisions):
         terminated: (W, N) bool, drones whose episode the task ended in it.
         truncated: (W, N) bool, drones whose episode the horizon ended in it.
     """
+
+    _layout: Layout | None = None
 
     @exclusive
     def reset(
@@ -269,12 +271,12 @@ class Aviary(Decisions):
         """
         self.require_started()
         require_contacts(self.options.contacts)
-        fields, chosen = self._all_arrays(), self._spec.indices(worlds)
+        layout, chosen = self._all_arrays(), self._spec.indices(worlds)
         mask = np.zeros(self.num_worlds, dtype=bool)
         mask[chosen] = True
         # Bullet rounds what is written: both flights are to go on from that.
         self._dynamics.restore(self.swarm, mask[:, None] & self.alive)
-        return Snapshot(pack(fields, self.rng, chosen), form_of(self.task.name, fields))
+        return Snapshot(layout.pack(self.rng, chosen), layout.form)
 
     @exclusive
     def load_state(self, snapshot: Snapshot, worlds: Any = None) -> Observation:
@@ -297,11 +299,10 @@ class Aviary(Decisions):
         chosen = self._spec.indices(worlds)
         if self._frame is None:
             self.reset()
-        fields = self._all_arrays()
+        layout = self._all_arrays()
         require_snapshot(snapshot, Snapshot, len(chosen))
-        form = form_of(self.task.name, fields)
-        require_form(snapshot, form, f"environment of {self.task.name!r}")
-        unpack(snapshot.data, fields, self.rng, chosen)
+        require_form(snapshot, layout.form, f"environment of {self.task.name!r}")
+        layout.unpack(snapshot.data, self.rng, chosen)
         mask = np.zeros(self.num_worlds, dtype=bool)
         mask[chosen] = True
         # Bodies, and what was worked out of the state.
@@ -335,8 +336,10 @@ class Aviary(Decisions):
         chosen = self._spec.indices(worlds)
         return hashes_of(pack(self._state_arrays(), self.rng, chosen))
 
-    def _all_arrays(self) -> dict[str, np.ndarray]:
-        return {**self._state_arrays(), **self._more_arrays()}
+    def _all_arrays(self) -> Layout:
+        arrays = {**self._state_arrays(), **self._more_arrays()}
+        self._layout = layout_of(self._layout, self.task.name, arrays)
+        return self._layout
 
     def _put_obstacles(self, worlds: np.ndarray) -> None:
         """Tell the engine where obstacles of `worlds` (W,) bool are."""

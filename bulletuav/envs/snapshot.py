@@ -2,6 +2,7 @@
 
 import hashlib
 import math
+import operator
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -13,6 +14,8 @@ from bulletuav.errors import shown
 
 GENERATOR = 37
 """Bytes of the state of a random generator"""
+ANY_SEED = np.random.SeedSequence(0)
+"""Where generators begin whose state is written right after; made once, as that takes long"""
 Fields = Mapping[str, np.ndarray]
 """Arrays (W, ...) by name"""
 
@@ -132,6 +135,55 @@ def unpack(
         rngs[w] = _generator_of(row.tobytes())
 
 
+class Layout:
+    """Where arrays are in the bytes of a snapshot.
+
+    To look at 80 arrays takes longer than to copy them. So it is done once, and again where one of
+    them is another.
+
+    Attributes:
+        form: What snapshots have to fit; see `form_of`.
+    """
+
+    def __init__(self, task: str, fields: Fields) -> None:
+        """Look at arrays (W, ...) by name."""
+        self._fields, self.form = dict(fields), form_of(task, fields)
+        filled = [array for array in fields.values() if array.size]
+        ends = np.cumsum([array[0].nbytes for array in filled]).tolist()
+        self._parts: list[tuple[memoryview, slice]] = []
+        # An array of one world alone is its bytes, as they lie
+        if all(len(array) == 1 and array.flags.c_contiguous for array in filled):
+            views = [array.reshape(-1).view(np.uint8).data for array in filled]
+            self._parts = list(zip(views, map(slice, [0, *ends], ends), strict=False))
+
+    def is_of(self, fields: Fields) -> bool:
+        """Tell whether these are the very arrays that it is of."""
+        known = self._fields.values()
+        return len(known) == len(fields) and all(map(operator.is_, known, fields.values()))
+
+    def pack(self, rngs: list[np.random.Generator], worlds: np.ndarray) -> np.ndarray:
+        """Copy worlds (S,) of all arrays, and their random generators; see `pack`."""
+        if not self._parts or not len(worlds):
+            return pack(self._fields, rngs, worlds)
+        copied = bytearray().join([*(view for view, _ in self._parts), _generator_bytes(rngs[0])])
+        return np.frombuffer(copied, np.uint8)[None]
+
+    def unpack(self, data: np.ndarray, rngs: list[np.random.Generator], worlds: np.ndarray) -> None:
+        """Write bytes (S, B) back into worlds (S,) of all; see `unpack`."""
+        if not self._parts or not len(worlds):
+            unpack(data, self._fields, rngs, worlds)
+            return
+        given = memoryview(data.tobytes())
+        for view, part in self._parts:
+            view[:] = given[part]
+        rngs[0] = _generator_of(given[-GENERATOR:])
+
+
+def layout_of(known: Layout | None, task: str, fields: Fields) -> Layout:
+    """Look at arrays, unless what is known is of them."""
+    return known if known is not None and known.is_of(fields) else Layout(task, fields)
+
+
 def hashes_of(data: np.ndarray) -> tuple[str, ...]:
     """Hash each row of bytes (S, B)."""
     return tuple(hashlib.blake2b(row.tobytes(), digest_size=16).hexdigest() for row in data)
@@ -164,9 +216,9 @@ def _generator_bytes(rng: np.random.Generator) -> bytes:
     return b"".join(parts)
 
 
-def _generator_of(data: bytes) -> np.random.Generator:
+def _generator_of(data: bytes | memoryview) -> np.random.Generator:
     """Make a generator of the state that `_generator_bytes` wrote."""
-    bits = np.random.PCG64(0)
+    bits = np.random.PCG64(ANY_SEED)
     bits.state = {
         "bit_generator": "PCG64",
         "state": {

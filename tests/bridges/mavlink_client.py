@@ -125,9 +125,12 @@ def texts(heard):
     return [one.text for one in messages(heard, "STATUSTEXT")]
 
 
-def random_frame(rng, packer):
-    """Make a frame of a message that is known, for vehicle 1 mostly, with random content."""
-    numbers = [*WELL_KNOWN, *common.mavlink_map]
+def random_frame(rng, packer, more=()):
+    """Make a frame of a message that is known, for vehicle 1 mostly, with random content.
+
+    Messages of the numbers in `more` are as likely as those that vehicles know.
+    """
+    numbers = [*WELL_KNOWN, *20 * more, *common.mavlink_map]
     kind = common.mavlink_map[numbers[rng.integers(len(numbers))]]
     payload = np.frombuffer(rng.bytes(kind.unpacker.size), np.uint8)
     # Small numbers go further into the code than those of random bits.

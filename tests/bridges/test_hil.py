@@ -12,7 +12,7 @@ import time
 
 import numpy as np
 import pytest
-from bridges.mavlink_client import common
+from bridges.mavlink_client import common, random_frame
 
 from bulletuav import load_airframe
 from bulletuav.bridges import hil
@@ -24,6 +24,7 @@ from bulletuav.cli import main
 IRIS = load_airframe("iris")
 HOVER = float(np.max(IRIS.hover_speed())) / IRIS.max_rotor_speed
 G, STEP = 9.80665, 0.004
+HIL_CONTROLS = common.MAVLINK_MSG_ID_HIL_ACTUATOR_CONTROLS
 ARMED_AND_LOCKSTEP = (128, 1)
 
 
@@ -297,6 +298,45 @@ def test_ports_in_use_and_airframes_of_other_shapes_are_refused(serve):
         HilBodies(1, "hummingbird")
     with pytest.raises(ValueError, match="decision_hz is 250"):
         HilBodies(1, decision_hz=100)
+
+
+def bombard(server, count, seed):
+    """Send random messages, with right checksums, beside the answers of an autopilot that flies."""
+    rng, sent = np.random.default_rng(seed), []
+
+    def attack():
+        connection = Connection(server.ports[0])
+        while len(sent) < count:
+            for told in connection.receive():
+                if told.get_type() == "HIL_SENSOR":
+                    packer = connection.packer
+                    frames = [random_frame(rng, packer, more=(HIL_CONTROLS,)) for _ in range(20)]
+                    connection.socket.sendall(b"".join(frames))
+                    sent.extend(map(len, frames))
+                    connection.answer(told, [HOVER] * 16)
+        connection.socket.close()
+
+    thread = threading.Thread(target=attack)
+    thread.start()
+    while thread.is_alive():
+        server.run(seconds=0.02)
+    assert len(sent) >= count  # it was never let go
+    assert np.isfinite(server.bodies.airspace.swarm.position).all()
+
+
+def test_messages_of_random_content_do_no_harm(serve):
+    bombard(serve(), 2000, 0)
+
+
+@pytest.mark.slow
+def test_many_messages_of_random_content_do_no_harm(serve):
+    import psutil
+
+    server, process = serve(), psutil.Process()
+    bombard(server, 10_000, 1)
+    before = process.memory_info().rss
+    bombard(server, 100_000, 2)
+    assert process.memory_info().rss - before < 4e6
 
 
 def test_streams_are_cut_into_frames_wherever_they_break():

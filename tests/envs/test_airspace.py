@@ -444,6 +444,10 @@ def test_what_cannot_be_is_refused_and_changes_nothing(call, message):
         ({"gravity": 0.0, "dynamics": "point_mass"}, "'point_mass' bounds accelerations by it"),
         ({"wind": (1, 2)}, "wind is"),
         ({"controller": "pid", "airframe": "iris", "effects": ()}, "has no <pwm> tag"),
+        (
+            {"controller": "pid", "effects": (), "dynamics": "point_mass"},
+            "'pid' drives motors, and .* has none",
+        ),
     ],
 )
 def test_options_that_cannot_be_are_refused(options, message):
