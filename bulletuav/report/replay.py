@@ -107,18 +107,18 @@ def write_replay(recording: Recording, title: str, path: Path) -> None:
         OSError: The file cannot be written.
     """
     try:
-        text = _payload(recording, title)
+        text = whole_payload(recording, title)
     except (KeyError, TypeError, IndexError, AttributeError, ValueError) as error:
         raise ValueError(f"the scene of the recording is damaged ({error!r}): {REMEDY}") from None
     replace_file(path, page(title, text))
 
 
-def page(title: str, payload: str) -> str:
+def page(title: str, payload: str = "") -> str:
     """Make the page.
 
     Args:
         title: Its title.
-        payload: The text of a `Payload`.
+        payload: The text of a `Payload`; a page without one asks its server for a live feed.
     """
     scripts = {}
     for script in sorted(WEB.glob("*.js")):
@@ -131,15 +131,44 @@ def page(title: str, payload: str) -> str:
         "scripts": json.dumps({"imports": scripts}),
         "license": (WEB / "three.LICENSE").read_text(),
         "payload": payload,
+        "connect": "" if payload else "connect-src 'self';",
     }
     template = (WEB / "page.html").read_text()
     return re.sub(r"<!--put (\w+)-->", lambda found: parts[found[1]], template)
 
 
-def _payload(recording: Recording, title: str) -> str:
-    """Write what the page shows."""
+def whole_payload(recording: Recording, title: str) -> str:
+    """Write all that a page shows."""
     about = json.loads(str(recording.scene["about"]))
     payload = Payload()
+    charts = _add_rows(payload, recording, about)
+    _add_city(payload, recording)
+    for part in (*about["obstacles"], *(p for one in about["airframes"] for p in one["parts"])):
+        if part["kind"] == HULL:
+            part["triangles"] = _hull_triangles(part["corners"])
+    told = {
+        "title": title,
+        "rows": len(recording.time),
+        "drones": recording.position.shape[1],
+        "goals": recording.goal.shape[1],
+        "users": recording.target.shape[1],
+        "colours": _colours(recording.position.shape[1]),
+        **{name: about[name] for name in ("task", "d_safe", "airframes", "airframe_of")},
+        **{name: about[name] for name in ("obstacles", "lidar")},
+        "charts": charts,
+    }
+    return payload.text(told)
+
+
+def rows_payload(recording: Recording) -> str:
+    """Write the rows of a recording alone, for a page that knows the rest."""
+    payload = Payload()
+    _add_rows(payload, recording, json.loads(str(recording.scene["about"])))
+    return payload.text({"rows": len(recording.time)})
+
+
+def _add_rows(payload: Payload, recording: Recording, about: dict[str, Any]) -> list[Any]:
+    """Add what changes over time, and return the plots of it."""
     payload.add("time", recording.time, "f4")
     # A drone flies from the start on without a gap.
     payload.add("end", recording.alive[:-1].sum(axis=0), "u4")
@@ -154,25 +183,10 @@ def _payload(recording: Recording, title: str) -> str:
     payload.add("contact_row", recording.contact_step + 1, "u4")
     payload.add("contact_point", recording.contact_point, "f4")
     _add_users(payload, recording)
-    _add_city(payload, recording)
     for name, values in recording.reading.items():
         if values.dtype.kind != "b":
             payload.add_series(f"{READING}{name}", values)
-    for part in (*about["obstacles"], *(p for one in about["airframes"] for p in one["parts"])):
-        if part["kind"] == HULL:
-            part["triangles"] = _hull_triangles(part["corners"])
-    told = {
-        "title": title,
-        "rows": len(recording.time),
-        "drones": recording.position.shape[1],
-        "goals": recording.goal.shape[1],
-        "users": recording.target.shape[1],
-        "colours": _colours(recording.position.shape[1]),
-        **{name: about[name] for name in ("task", "d_safe", "airframes", "airframe_of")},
-        **{name: about[name] for name in ("obstacles", "lidar")},
-        "charts": add_charts(payload, recording, about),
-    }
-    return payload.text(told)
+    return add_charts(payload, recording, about)
 
 
 def _colours(count: int) -> list[str]:
