@@ -29,6 +29,8 @@ from bulletuav.report.verification import read_sealed
 REPLAY = "replay.html"
 """Name of the page beside a recording"""
 WEB = Path(__file__).parent / "web"
+DAMAGE = (KeyError, TypeError, IndexError, AttributeError, ValueError)
+"""Errors of scenes that are damaged"""
 BESIDE = re.compile(r'(from\s*)"\./')
 """How the scripts name others: in the page they have no folder"""
 
@@ -108,9 +110,14 @@ def write_replay(recording: Recording, title: str, path: Path) -> None:
     """
     try:
         text = whole_payload(recording, title)
-    except (KeyError, TypeError, IndexError, AttributeError, ValueError) as error:
-        raise ValueError(f"the scene of the recording is damaged ({error!r}): {REMEDY}") from None
+    except DAMAGE as error:
+        raise damaged_scene(error) from None
     replace_file(path, page(title, text))
+
+
+def damaged_scene(error: Exception) -> ValueError:
+    """Make the error for a scene that cannot be read, for the caller to raise."""
+    return ValueError(f"the scene of the recording is damaged ({error!r}): {REMEDY}")
 
 
 def page(title: str, payload: str = "") -> str:
@@ -173,11 +180,11 @@ def _add_rows(payload: Payload, recording: Recording, about: dict[str, Any]) -> 
     # A drone flies from the start on without a gap.
     payload.add("end", recording.alive[:-1].sum(axis=0), "u4")
     payload.add_series("position", recording.position)
-    payload.add_series("quaternion", _continuous(recording.quaternion))
+    payload.add_series("quaternion", continuous(recording.quaternion))
     payload.add_series("rotors", recording.scene["rotor_speed"].mean(axis=-1))
     payload.add_series("goal", recording.goal)
     payload.add_series("obstacle", recording.obstacle)
-    turns = _continuous(recording.scene["obstacle_quaternion"])
+    turns = continuous(recording.scene["obstacle_quaternion"])
     payload.add_series("obstacle_quaternion", turns)
     payload.add("conflict", later(recording.separation) < about["d_safe"], "u1")
     payload.add("contact_row", recording.contact_step + 1, "u4")
@@ -226,7 +233,7 @@ def _hull_triangles(corners: list[Any]) -> list[list[int]]:
     return found
 
 
-def _continuous(quaternion: np.ndarray) -> np.ndarray:
+def continuous(quaternion: np.ndarray) -> np.ndarray:
     """Choose the signs of quaternions (R, ..., 4) such that each is near the one before."""
     dot = (quaternion[1:] * quaternion[:-1]).sum(axis=-1, keepdims=True)
     flips = np.cumprod(np.where(dot < 0, -1.0, 1.0), axis=0)

@@ -2,6 +2,7 @@
 
 import http.client
 import json
+import logging
 import socket
 import threading
 import time
@@ -213,6 +214,16 @@ def test_a_silent_feed_finds_out_who_has_left(env, monkeypatch):
     assert watcher.answer.readline() == b": nothing new\n"
     watcher.leave()
     until(lambda: not env.viewer.feed.is_watched)
+
+
+def test_requests_are_logged_by_name_and_nothing_is_printed(env, caplog, capfd):
+    handlers = logging.getLogger("bulletuav").handlers
+    assert [type(one) for one in handlers] == [logging.NullHandler]
+    with caplog.at_level(logging.DEBUG, logger="bulletuav"):
+        assert Watcher(env.viewer.feed.address, "/").answer.status == 200
+    assert {record.name for record in caplog.records} == {"bulletuav.live"}
+    assert "GET / HTTP/1.1" in caplog.text
+    assert capfd.readouterr() == ("", "")
 
 
 @pytest.mark.parametrize(
