@@ -1,5 +1,7 @@
 """bulletuav: a drone-swarm gym on PyBullet."""
 
+import logging
+
 from bulletuav.adapters.self_play import team_env
 from bulletuav.analysis.evaluation import evaluate
 from bulletuav.control.setpoint import SetpointLevel
@@ -42,3 +44,6 @@ __all__ = [
 ]
 
 register_environments()
+
+# Programs decide what becomes of messages; without a word of theirs nothing is written.
+logging.getLogger(__name__).addHandler(logging.NullHandler())

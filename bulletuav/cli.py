@@ -31,6 +31,9 @@ from bulletuav.commands import (
     train,
     verify,
 )
+from bulletuav.errors import missing
+from bulletuav.policies import policy_names
+from bulletuav.tasks import list_tasks
 from bulletuav.version import __version__
 
 COMMANDS: dict[str, ModuleType] = {
@@ -86,6 +89,23 @@ def _parser() -> tuple[_Parser, dict[str, _Parser]]:
     return parser, commands
 
 
+def _complete(parser: _Parser, commands: dict[str, _Parser]) -> None:
+    """Tell a shell that asks what words come next, where the extra `completion` is installed."""
+    if "_ARGCOMPLETE" not in os.environ:
+        return
+    try:
+        import argcomplete
+    except ImportError:
+        raise missing("completing words in a shell", "completion") from None
+    offered = {"task": list_tasks, "policy": policy_names}
+    for command in commands.values():
+        for action in command._actions:
+            if action.dest in offered:
+                names = offered[action.dest]
+                action.completer = lambda names=names, **_: names()  # type: ignore[attr-defined]
+    argcomplete.autocomplete(parser)
+
+
 def _check_known(rest: list[str], parser: argparse.ArgumentParser) -> None:
     """Complain about the first argument that no option took."""
     if not rest:
@@ -115,6 +135,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         sys.path.append("")
     # Unknown arguments are collected, not refused, so that the message can name the nearest.
     parser, commands = _parser()
+    _complete(parser, commands)
     arguments, rest = parser.parse_known_args(argv)
     command = commands[arguments.command]
     _check_known(rest, command)

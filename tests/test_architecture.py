@@ -19,6 +19,7 @@ PARTS = {"__init__", "account", "base", "check", "config", "ends", "frame", "giv
 PARTS |= {"ingredients", "loops", "stages", "starts", "targets"}
 """Files beside the tasks of which these are made"""
 EXTRAS = {
+    "argcomplete",
     "shapely",
     "imageio_ffmpeg",
     "stable_baselines3",

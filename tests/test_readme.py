@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+import bulletuav
 from bulletuav.cli import main
 from bulletuav.policies.run import RunConfig, shipped
 
@@ -15,7 +16,9 @@ PAGES = [
     *sorted((ROOT / "docs").glob("*.md")),
     *sorted((ROOT / "docs" / "bridges").glob("*.md")),
     *sorted((ROOT / "docs" / "trainers").glob("*.md")),
+    *sorted((ROOT / "docs" / "tutorials").glob("*.md")),
 ]
+TUTORIALS = [page for page in PAGES if page.parent.name == "tutorials"]
 BY_HAND = {"benchmarl.md": "tests/clients/benchmarl_client.py"}
 """Pages whose programs need what the suite has not, and what flies the same by hand"""
 GROWING = "write_a_task.md"
@@ -40,6 +43,27 @@ COMMANDS = re.findall(r"```bash\n(.*?)```", (ROOT / "README.md").read_text(), re
 def test_a_task_of_ones_own_takes_less_than_60_lines():
     (code,) = [param.values[0] for param in PYTHON if "class Gather(Task[" in param.values[0]]
     assert len(code.splitlines()) < 60
+
+
+@pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
+def test_commands_of_tutorials(page, tmp_path, monkeypatch):
+    """They run one after the other, as a reader runs them; trainings are shorter."""
+    lines = "".join(re.findall(r"```bash\n(.*?)```", page.read_text(), re.DOTALL)).splitlines()
+    if any(line.startswith("bulletuav train") for line in lines):
+        pytest.importorskip("stable_baselines3", reason="needs the extra sb3")
+    monkeypatch.chdir(tmp_path)
+    for line in lines:
+        program, *words = shlex.split(line.replace("--steps 2e5", "--steps 2e3"))
+        assert program == "bulletuav"
+        main(words)
+
+
+def test_the_gallery_has_every_task():
+    folder = ROOT / "docs" / "results" / "gallery"
+    headings = re.findall(r"^## (.*)$", (folder / "gallery.md").read_text(), re.MULTILINE)
+    pictures = sorted(path.stem for path in folder.glob("*.png"))
+    assert headings == pictures == bulletuav.list_tasks()
+    assert sum(path.stat().st_size for path in folder.iterdir()) < 1e6
 
 
 @pytest.mark.parametrize("code", PYTHON)

@@ -1,5 +1,7 @@
 """Installing: what setup.py says where pybullet cannot be built."""
 
+import configparser
+import re
 import runpy
 import sys
 import sysconfig
@@ -69,3 +71,19 @@ def test_extras_are_pinned_to_the_versions_of_the_suite_where_they_can_be(extra)
 
 def test_the_citation_is_of_this_version():
     assert f"\nversion: {__version__}\n" in (ROOT / "CITATION.cff").read_text()
+
+
+def test_licenses_of_all_dependencies_are_told():
+    setup = configparser.ConfigParser()
+    setup.read(ROOT / "setup.cfg")
+    wanted = {}
+    lists = {"always": setup["options"]["install_requires"], **setup["options.extras_require"]}
+    for extra, lines in lists.items():
+        for line in filter(None, map(str.strip, lines.splitlines())):
+            name = re.split(r"[\[<>=]", line)[0]
+            if name != "bulletuav":
+                wanted.setdefault(name, set()).add(extra)
+    _, told_of = (ROOT / "THIRD_PARTY.md").read_text().split("## What it is installed with")
+    _, *rows = re.findall(r"^\| ([\w-]+) \| (.*?) \| \S", told_of, re.MULTILINE)
+    told = {name: set(extras.replace("`", "").split(", ")) for name, extras in rows}
+    assert told == wanted

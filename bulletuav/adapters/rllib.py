@@ -22,6 +22,7 @@ from bulletuav.adapters.self_play import team_env
 from bulletuav.envs.curriculum import curriculum_env
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.environment import Environment, exclusive
+from bulletuav.envs.options import RENDER_MODES
 from bulletuav.envs.parallel import parallel_env
 from bulletuav.envs.teams import team_rows
 from bulletuav.errors import choose, missing, shown
@@ -63,7 +64,7 @@ class DroneMultiAgentEnv(Environment, MultiAgentEnv):  # type: ignore[misc]  # h
         outcome: What the infos told of the episode that ended last, the mean of all drones.
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"]}  # noqa: RUF012
+    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES)}  # noqa: RUF012
 
     def __init__(self, config: Mapping[str, Any]) -> None:
         """Make the environment.

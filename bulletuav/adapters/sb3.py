@@ -28,6 +28,7 @@ from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.environment import Environment, exclusive
 from bulletuav.envs.spaces import widest_action_space
 from bulletuav.envs.step import Step
+from bulletuav.envs.viewer import require_single
 from bulletuav.errors import as_int, missing
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.observations.observer import Observation, part
@@ -144,6 +145,7 @@ class DroneVecEnv(Environment, VecEnv):
         self.num_worlds = num_worlds
         self.num_drones = widest.options.num_drones
         self._render_mode = widest.options.render_mode
+        require_single(self._render_mode, len(specs))
         # Worlds by stage, made when it is first flown, and the stages that begin with the seed.
         self._aviaries: dict[int, Aviary] = {}
         self._seed: int | None = None

@@ -13,6 +13,7 @@ from gymnasium.spaces import Box, Dict, Discrete, Space
 from pettingzoo import ParallelEnv
 
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
+from bulletuav.envs.options import RENDER_MODES
 from bulletuav.envs.parallel import (
     AgentResults,
     ByAgent,
@@ -242,7 +243,7 @@ class CentralTeamAviary(LabelledEnvironment, gymnasium.Env[Any, Any]):
         action_space: The drones' numbers, one after the other.
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"]}  # noqa: RUF012
+    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES)}  # noqa: RUF012
 
     def __init__(
         self,

@@ -6,7 +6,7 @@ import zipfile
 import zlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -16,24 +16,20 @@ from bulletuav.analysis.recorded import (
     INFO,
     READING,
     SCENE,
-    TOLD,
     VERSION,
     Outcome,
     Recording,
     outcomes,
 )
+from bulletuav.analysis.recorder import Recorder
 from bulletuav.analysis.results_folder import RUN
-from bulletuav.analysis.scene import PARTS, SceneLog
+from bulletuav.analysis.scene import PARTS
 from bulletuav.analysis.seals import call_text, hash_files, sealed
 from bulletuav.envs.aviary import Aviary
-from bulletuav.envs.step import Step
 from bulletuav.errors import require_file
 from bulletuav.files import replace_file, whole_file
 from bulletuav.geometry.closest_approach import distances
-from bulletuav.geometry.rotation import to_world
 from bulletuav.policies.base import Policy
-from bulletuav.tasks.targets import active_targets
-from bulletuav.vehicle.swarm import Contacts, Swarm
 from bulletuav.version import __version__
 
 __all__ = ["Outcome", "Recording", "fly_episode", "load", "outcomes", "save"]
@@ -50,6 +46,8 @@ UNREADABLE = (
     *(MemoryError, SyntaxError, OverflowError, zipfile.BadZipFile, zlib.error),
 )
 """Errors of NumPy and zipfile about files that are damaged"""
+UNTOLD = ("num_worlds", "render_mode", "render_size", "render_address")
+"""Options that a recorded call leaves out: they change nothing of the flight"""
 REMEDY = "fly the episode again with this bulletuav"
 HEADER = (
     *("time", "drone", "alive"),
@@ -59,22 +57,6 @@ HEADER = (
     *("p", "q", "r"),
 )
 """Columns of `trajectory.csv`: position, m; quaternion; velocity, m/s; body rates, rad/s"""
-
-
-class _View(NamedTuple):
-    """What is in world 0 beside its drones.
-
-    Attributes:
-        goal: Goals, (N, 3), m, if there are any.
-        obstacle: Obstacles, (K, 3), m.
-        target: Targets that count, (U, 3), m.
-        seen: Those of them that some drone sees, (U,) bool.
-    """
-
-    goal: np.ndarray
-    obstacle: np.ndarray
-    target: np.ndarray
-    seen: np.ndarray
 
 
 def fly_episode(
@@ -96,113 +78,14 @@ def fly_episode(
     """
     observations = aviary.reset(seeds=seed)
     policy.reset(np.ones(aviary.num_worlds, dtype=bool))
-    # States and views have one row more than decisions: the start.
-    states = [aviary.swarm.copy()]
-    alive = [aviary.alive.copy()]
-    views = [_view(aviary)]
-    actions: list[np.ndarray] = []
-    steps: list[Step] = []
-    contacts: list[Contacts] = []
-    log = SceneLog(aviary)
-    in_first = np.arange(aviary.num_worlds) == 0
+    recorder = Recorder(aviary)
     while aviary.alive[0].any():
-        actions.append(policy.act(observations, aviary.swarm))
-        steps.append(aviary.step(actions[-1]))
-        observations = steps[-1].observations
-        contacts.append(aviary.contacts.of_worlds(in_first))
-        states.append(aviary.swarm.copy())
-        alive.append(aviary.alive.copy())
-        views.append(_view(aviary))
-        log.note()
+        actions = policy.act(observations, aviary.swarm)
+        step = aviary.step(actions)
+        observations = step.observations
+        recorder.note(actions, step.rewards, step.info)
         progress()
-    return _recording(
-        aviary,
-        states=states,
-        alive=alive,
-        views=views,
-        contacts=contacts,
-        actions=actions,
-        steps=steps,
-        log=log,
-    )
-
-
-def _view(aviary: Aviary) -> _View:
-    """Look at world 0."""
-    scene = aviary.scene
-    active = active_targets(aviary.task, scene)[0]
-    seen = np.any(aviary.sight[0], axis=0)
-    return _View(
-        goal=scene.goal[0].copy() if aviary.task.has_goals else np.zeros((0, 3)),
-        obstacle=scene.obstacle[0].copy(),
-        target=aviary.task.targets(scene)[0, active],
-        seen=seen[active],
-    )
-
-
-def _recording(
-    aviary: Aviary,
-    states: list[Swarm],
-    alive: list[np.ndarray],
-    views: list[_View],
-    contacts: list[Contacts],
-    actions: list[np.ndarray],
-    steps: list[Step],
-    log: SceneLog,
-) -> Recording:
-    """Stack what was kept of each decision."""
-
-    def column(name: str) -> np.ndarray:
-        return np.array([step.info[name][0] for step in steps])
-
-    # Infos have to be there in every decision, for each world, and not to be Python's objects.
-    kept = [
-        name
-        for name, values in steps[0].info.items()
-        if values.ndim and values.dtype.kind != "O" and all(name in step.info for step in steps)
-    ]
-    return Recording(
-        time=np.arange(len(states)) / aviary.options.decision_hz,
-        position=np.array([state.position[0] for state in states]),
-        quaternion=np.array([state.quaternion[0] for state in states]),
-        velocity=np.array([state.velocity[0] for state in states]),
-        rates=np.array([state.rates[0] for state in states]),
-        alive=np.array([mask[0] for mask in alive]),
-        action=np.array([action[0] for action in actions]),
-        reward=np.array([step.rewards[0] for step in steps]),
-        success=column("success"),
-        separation=column("separation"),
-        conflicts=column("conflicts"),
-        collision=column("collision"),
-        **_contact_columns(contacts),
-        goal=np.array([view.goal for view in views]),
-        obstacle=np.array([view.obstacle for view in views]),
-        obstacle_radius=np.array([obstacle.radius for obstacle in aviary.task.obstacles()]),
-        obstacle_axis=_bar_axes(aviary),
-        building=aviary.solids().bounds,
-        target=np.array([view.target for view in views]),
-        seen=np.array([view.seen for view in views]),
-        info={name: column(name) for name in kept if name not in TOLD},
-        reading=log.readings(),
-        scene=log.scene(),
-    )
-
-
-def _bar_axes(aviary: Aviary) -> np.ndarray:
-    """Tell how bars among the obstacles of world 0 lie, (K, 3) m; they do not turn in flight."""
-    turn = aviary.scene.obstacle_quaternion[0].tolist()
-    bodies = zip(aviary.task.obstacles(), turn, strict=True)
-    axes = [to_world(tuple(one), body.long_axis) for body, one in bodies]
-    return np.array(axes).reshape(-1, 3)
-
-
-def _contact_columns(contacts: list[Contacts]) -> dict[str, Any]:
-    """Stack the contacts of each decision, by the names that they have in recordings."""
-    step = np.repeat(np.arange(len(contacts)), [len(one.world) for one in contacts])
-    columns = map(np.concatenate, zip(*contacts, strict=True))
-    told = dict(zip(Contacts._fields, columns, strict=True))
-    del told["world"], told["depth"]  # compiled contacts meet at their surfaces
-    return {"contact_step": step} | {f"contact_{name}": told[name] for name in told}
+    return recorder.recording()
 
 
 def save(recording: Recording, aviary: Aviary, policy: str, seed: int, folder: Path) -> list[Path]:
@@ -246,7 +129,7 @@ def save(recording: Recording, aviary: Aviary, policy: str, seed: int, folder: P
 def _call(aviary: Aviary, policy: str, seed: int) -> str | None:
     """Tell what was flown such that it can be flown again; see `call_text`."""
     (task, *_), options = aviary.made_from
-    given = {name: value for name, value in options.items() if name != "num_worlds"}
+    given = {name: value for name, value in options.items() if name not in UNTOLD}
     flown = {"task": task, "policy": policy, "seed": seed, "num_worlds": aviary.num_worlds}
     return call_text({**flown, "options": given})
 

@@ -72,6 +72,11 @@ class SceneLog:
             if name in self._labels:
                 self._readings.setdefault(name, []).append(values[0].copy())
 
+    def forget(self) -> None:
+        """Drop all rows but the last."""
+        for kept in (self._rotor_speed, self._turns, self._links, *self._readings.values()):
+            del kept[:-1]
+
     def readings(self) -> dict[str, np.ndarray]:
         """Stack what sensors measured in each row, by name."""
         rows = len(self._turns)

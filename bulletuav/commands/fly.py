@@ -23,8 +23,10 @@ from bulletuav.commands.arguments import (
 )
 from bulletuav.commands.progress import show_progress
 from bulletuav.envs.aviary import Aviary
+from bulletuav.envs.viewer import USUAL_ADDRESS, parse_address
 from bulletuav.errors import as_int
 from bulletuav.policies import find_policy
+from bulletuav.report.live import LiveView
 from bulletuav.report.pictures import Animation, plot_tracks
 from bulletuav.report.replay import REPLAY, replay_run
 from bulletuav.tasks import find_task
@@ -39,6 +41,7 @@ ABOUT = {
     "epilog": """examples:
   bulletuav fly crossing --drones 8 --policy straight --seed 0 --out out
   bulletuav fly crossing --html --animation none --out out
+  bulletuav fly crossing --live --out out
   bulletuav fly hover --airframe hummingbird --difficulty hard --out out
   bulletuav fly lidar_navigation --city urban --out out
   bulletuav fly crossing --dynamics rigid_body --wind 3 0 0 --set lane_spacing=20 --out out""",
@@ -68,6 +71,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--html", action="store_true", help=f"also write {REPLAY}, as `bulletuav replay` does"
     )
+    parser.add_argument(
+        "--live",
+        nargs="?",
+        const=USUAL_ADDRESS,
+        metavar="HOST:PORT",
+        help=f"show the flight in browsers while it goes on (default: {USUAL_ADDRESS})",
+    )
     add_trust(parser)
     add_options(parser)
 
@@ -79,20 +89,29 @@ def run(arguments: argparse.Namespace) -> None:
     arguments.policy = arguments.policy or find_task(arguments.task).baseline
     spec = find_policy(arguments.policy, arguments.task, arguments.trust)
     options = spec.complete(arguments.task, given_options(arguments))
+    if arguments.live:
+        parse_address(arguments.live)
+        options |= {"render_mode": "web", "render_address": arguments.live}
     aviary = Aviary(arguments.task, 1, **options)
     policy = spec(aviary)
     _prepare_folder(arguments.out)
+    console = Console()
+    if isinstance(aviary.viewer, LiveView):
+        address = f"http://{aviary.viewer.feed.address}/"
+        console.print(f"open {address} in a browser: the flight begins then", soft_wrap=True)
+        aviary.viewer.feed.wait()
 
     # Drones may all be done before the horizon.
     decisions = itertools.count(1)
     with show_progress("flying", aviary.options.horizon, "decisions") as report:
         recording = fly_episode(aviary, policy, arguments.seed, lambda: report(next(decisions)))
+    if aviary.viewer is not None:
+        aviary.viewer.close()
 
     files = save(recording, aviary, arguments.policy, arguments.seed, arguments.out)
     files += _draw(recording, aviary, arguments)
     if arguments.html:
         files.append(replay_run(arguments.out))
-    console = Console()
     console.print(_table(recording, aviary))
     print_files(console, files)
     aviary.close()

@@ -97,6 +97,8 @@ def airspace_options(
     # Setpoints come from `command`; rotor speeds are what every option allows.
     values |= {"num_drones": len(places), "action": "rotor", "horizon": 1, "sensors": listed}
     options = EnvOptions(**values)
+    if options.render_mode == "web":
+        raise ValueError("render_mode is 'web': live pages show tasks; use 'human' or 'rgb_array'")
     if options.gravity == 0 and options.dynamics_name in NEED_GRAVITY:
         raise ValueError(
             f"gravity is 0: dynamics {options.dynamics_name!r} bounds accelerations by it, use "

@@ -56,6 +56,7 @@ class Aviary(Decisions):
         rewards: (W, N) rewards of the last decision.
         terminated: (W, N) bool, drones whose episode the task ended in it.
         truncated: (W, N) bool, drones whose episode the horizon ended in it.
+        viewer: Serves the live page of `render_mode="web"`; None otherwise.
     """
 
     _layout: Layout | None = None
@@ -127,6 +128,8 @@ class Aviary(Decisions):
             self._name_infos([*result.terms, *self.task.extra_terms(frame)])
             self._checked = True
         self._frame = frame
+        if self.viewer is not None and reset[0]:
+            self.viewer.begin()
         if self.program is None:
             return self.observer.observe(frame, self.alive)
         self._present[:] = self.alive
@@ -239,6 +242,8 @@ class Aviary(Decisions):
         self._contacts_before, self._contacts = self._contacts, None
         self._forget()
         program.run()
+        if self.viewer is not None:
+            self.viewer.show()
 
     def observations(self) -> Observation:
         """Copy the observations of the last decision."""

@@ -11,10 +11,12 @@ from pettingzoo import ParallelEnv
 from bulletuav.envs.common_spaces import common_labels, common_observation
 from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
+from bulletuav.envs.options import RENDER_MODES
 from bulletuav.envs.parallel import AgentResults, ByAgent, Infos, ParallelAviary, check_agents
 from bulletuav.envs.snapshot import FaceSnapshot, require_face
 from bulletuav.envs.spaces import drone_action_space
 from bulletuav.envs.state import slices
+from bulletuav.envs.viewer import require_single
 from bulletuav.errors import as_int, as_sequence, choose, finite, shown
 from bulletuav.sensors.base import Label
 from bulletuav.tasks import TaskSource
@@ -114,7 +116,7 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
         observation_spaces: Observation space of each agent.
         action_spaces: Action space of each agent.
         metadata: What PettingZoo wants to know.
-        render_mode: None, "rgb_array" or "human".
+        render_mode: None, "rgb_array", "human" or "web".
     """
 
     def __init__(
@@ -159,9 +161,10 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
         self._parts, self._state_size = slices(sizes), sum(sizes.values())
         self.metadata = {
             "name": f"bulletuav_{specs[0].task.name}_curriculum_v{specs[0].task.version}",
-            "render_modes": ["rgb_array", "human"],
+            "render_modes": list(RENDER_MODES),
         }
         self.render_mode = specs[0].options.render_mode
+        require_single(self.render_mode, len(specs))
         # The environment of each stage that was flown, and the success of each agent's episode.
         self._envs: dict[int, ParallelAviary] = {}
         self._current: ParallelAviary | None = None

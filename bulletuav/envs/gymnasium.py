@@ -20,6 +20,7 @@ from bulletuav.envs.agents import take_one
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
 from bulletuav.envs.infos import later
+from bulletuav.envs.options import RENDER_MODES
 from bulletuav.envs.reset_options import reset_options
 from bulletuav.envs.snapshot import Snapshot
 from bulletuav.envs.spaces import joint_action_space, joint_numbers
@@ -28,7 +29,7 @@ from bulletuav.errors import as_int, numbers_of
 from bulletuav.tasks import TaskSource, find_task
 from bulletuav.tasks.observations.observer import Observation, part
 
-METADATA: dict[str, Any] = {"render_modes": ["rgb_array", "human"]}
+METADATA: dict[str, Any] = {"render_modes": list(RENDER_MODES)}
 
 
 def environment_id(task: str) -> str:

@@ -37,6 +37,8 @@ RING_RADIUS, CROSS_RADIUS, DOT_RADIUS, HIT_RADIUS = 7, 5, 2, 2
 """Size of the marks of drones, goals, targets and hits, pixels"""
 ARROW = 6.0
 """Length of the two strokes of an arrow's head, pixels"""
+CLEAR = 0.99
+"""Share of a point's depth up to which what a picture shows there is before it"""
 LEAST_ARROW = 3.0
 """Length below which there is no arrow, pixels"""
 KEY_HEIGHT = 240
@@ -143,6 +145,20 @@ class Lens(NamedTuple):
         x = (1 + clip[:, 0] / depth) / 2 * width
         y = (1 - clip[:, 1] / depth) / 2 * height
         return np.stack([x, y], axis=1), distance > 0.1
+
+    def hidden(self, points: np.ndarray, depth: np.ndarray) -> np.ndarray:
+        """Tell which points (M, 3) something in the picture is before, (M,) bool.
+
+        Args:
+            points: (M, 3) m.
+            depth: (height, width) along the view axis, m.
+        """
+        away = np.concatenate([points, np.ones((len(points), 1))], axis=1) @ self.matrix[3]
+        places, _ = self.project(points)
+        inside = np.all((places >= 0) & (places < self.size), axis=1)
+        x, y = np.where(inside[:, None], places, 0).astype(int).T
+        found: np.ndarray = inside & (depth[y, x] < CLEAR * away)
+        return found
 
     def lines(self, points: np.ndarray) -> np.ndarray:
         """Project those lines (L, 2, 3) that lie before the camera to (K, 4) pixels."""

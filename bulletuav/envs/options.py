@@ -12,6 +12,7 @@ from bulletuav.dynamics import find_dynamics
 from bulletuav.engine.engine import RAY_METHODS
 from bulletuav.envs.randomization import CERTAIN, Randomization
 from bulletuav.envs.rates import MOST_HZ, decision_rate, picture_rate
+from bulletuav.envs.viewer import USUAL_ADDRESS, parse_address
 from bulletuav.errors import as_int, as_sequence, choose, finite, shown, unknown
 from bulletuav.geometry.obstacle import MOST_FRICTION
 from bulletuav.sensors.lidar import FRAMES
@@ -29,15 +30,10 @@ from bulletuav.vehicle.wind import (
 ENERGIES = ("zeng", "actuator")
 FORMATS = ("vector", "dict")
 SEVERAL = (
-    "observation",
-    "sensors",
-    "effects",
-    "wind",
-    "render_size",
-    "camera_size",
-    "lidar_elevations",
+    *("observation", "sensors", "effects", "wind"),
+    *("render_size", "camera_size", "lidar_elevations"),
 )
-RENDER_MODES = ("rgb_array", "human")
+RENDER_MODES = ("rgb_array", "human", "web")
 ROTOR_ACTIONS = ("rotor", "rpm")
 MOST_DRONES = 10_000
 MOST_PIXELS = 4096  # along a side
@@ -87,8 +83,10 @@ class EnvOptions:
         preset: A named set of values of other options, see the task; goes before the difficulty.
         physics_hz: Substeps a second.
         seed: Of the first reset when `reset` is given none.
-        render_mode: None, "rgb_array" (pictures, no screen needed) or "human" (a live window).
+        render_mode: None, "rgb_array" (pictures, no screen needed), "human" (a live window) or
+            "web" (a live page for browsers).
         render_size: Width and height of pictures, pixels.
+        render_address: Where the live page is served, host:port.
         controller: "lee" (geometric) or "pid" (the Crazyflie's own).
         integral: Whether "lee" makes up for steady pushes that it does not know, such as wakes and
             wind; see `bulletuav.control.observers`.
@@ -146,6 +144,7 @@ class EnvOptions:
     seed: int | None = None
     render_mode: str | None = None
     render_size: tuple[int, int] = (640, 480)
+    render_address: str = USUAL_ADDRESS
     controller: str = "lee"
     integral: bool = False
     effects: tuple[str, ...] = USUAL_EFFECTS
@@ -177,6 +176,7 @@ class EnvOptions:
             self._keep("seed", as_int("seed", self.seed, 0))
         if self.render_mode is not None:
             choose("render_mode", self.render_mode, dict.fromkeys(RENDER_MODES))
+        parse_address(self.render_address)
         for name in ("render_size", "camera_size"):
             self._keep(
                 name,

@@ -14,6 +14,7 @@ from bulletuav.envs.agents import share, take
 from bulletuav.envs.aviary import Aviary
 from bulletuav.envs.environment import LabelledEnvironment, exclusive
 from bulletuav.envs.infos import later
+from bulletuav.envs.options import RENDER_MODES
 from bulletuav.envs.reset_options import reset_options
 from bulletuav.envs.snapshot import FaceSnapshot, Snapshot, require_face
 from bulletuav.envs.spaces import drone_action_space, drone_numbers
@@ -42,7 +43,7 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
         state_space: Space of the global state.
         group_map: Agents of each team, by its name, as TorchRL takes them.
         metadata: What PettingZoo wants to know, and "group_map".
-        render_mode: None, "rgb_array" or "human".
+        render_mode: None, "rgb_array", "human" or "web".
     """
 
     def __init__(self, task: TaskSource, **options: Any) -> None:
@@ -52,7 +53,7 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
         common = self.aviary.options
         self.metadata = {
             "name": f"bulletuav_{self.aviary.task.name}_v{self.aviary.task.version}",
-            "render_modes": ["rgb_array", "human"],
+            "render_modes": list(RENDER_MODES),
             "render_fps": common.decision_hz,
             "is_parallelizable": True,
         }

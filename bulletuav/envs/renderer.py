@@ -6,7 +6,15 @@ from PIL import Image, ImageDraw
 from bulletuav.engine.engine import Engine
 from bulletuav.envs.marks import Colour, Lens, Marks, draw
 from bulletuav.envs.pacer import Pacer
-from bulletuav.geometry.view import AIR, FAR, LAND, SKY, projection_matrix, view_matrix
+from bulletuav.geometry.view import (
+    AIR,
+    FAR,
+    LAND,
+    SKY,
+    projection_matrix,
+    refocused,
+    view_matrix,
+)
 from bulletuav.vehicle.swarm import Swarm
 
 GRID: Colour = (176, 182, 174)
@@ -65,25 +73,47 @@ class Renderer:
         """
         # Point the camera at all of them, or at where drones were last.
         shown = np.concatenate([marks.drone, marks.goal, marks.target])
-        width, height = self._size
         points = shown if len(shown) else swarm.position[world]
-        target, distance = self._fit(points, width / height)
-        view = view_matrix(target + distance * DIRECTION, target)
-        # What is spread over kilometres is seen from farther away than drones see.
-        projection = projection_matrix(width / height, FIELD_OF_VIEW, max(FAR, 2 * distance))
-        lens = Lens(projection @ view, self._size)
-        # Colour the sky, draw on the ground, then draw marks above everything.
-        pixels, _, labels = self._engine.picture(
-            world, view, projection, self._size, (swarm, alive) if collision else None
-        )
-        pixels[labels == SKY] = AIR
-        ground = labels == LAND
-        grid = self._grid(target, distance)
-        self._draw_ground(pixels, ground, grid, marks.drone, lens)
-        image = Image.fromarray(pixels)
+        target, distance = fit(points, DIRECTION, self._size)
+        drones = (swarm, alive) if collision else None
+        image, lens, _ = self.shot(world, target, distance * DIRECTION, marks.drone, drones)
         if marked:
             draw(marks, lens, ImageDraw.Draw(image))
         return np.asarray(image)
+
+    def shot(
+        self,
+        world: int,
+        target: np.ndarray,
+        away: np.ndarray,
+        flying: np.ndarray,
+        drones: tuple[Swarm, np.ndarray] | None = None,
+    ) -> tuple[Image.Image, Lens, np.ndarray]:
+        """Take a picture without marks: bodies, sky, a grid on the ground, lines below drones.
+
+        Args:
+            world: Index of the world.
+            target: (3,) what the camera looks at, m.
+            away: (3,) from there to the camera, m.
+            flying: (M, 3) where lines to the ground begin, m.
+            drones: Those that are drawn by collision shapes; see `Engine.picture`.
+
+        Returns:
+            The picture; where places of the world are in it; and (height, width) how far along the
+            view axis what it shows is, m.
+        """
+        width, height = self._size
+        distance = float(np.linalg.norm(away)) / float(np.linalg.norm(DIRECTION))
+        view = view_matrix(target + away, target)
+        # What is spread over kilometres is seen from farther away than drones see.
+        far = max(FAR, 2 * distance)
+        projection = projection_matrix(width / height, FIELD_OF_VIEW, far)
+        lens = Lens(projection @ view, self._size)
+        pixels, depth, labels = self._engine.picture(world, view, projection, self._size, drones)
+        pixels[labels == SKY] = AIR
+        grid = self._grid(target, max(distance, float(target[2])))
+        self._draw_ground(pixels, labels == LAND, grid, flying, lens)
+        return Image.fromarray(pixels), lens, refocused(depth, far)
 
     def _draw_ground(
         self,
@@ -120,20 +150,6 @@ class Renderer:
         self._pacer.wait()
 
     @staticmethod
-    def _fit(points: np.ndarray, aspect: float) -> tuple[np.ndarray, float]:
-        """Find the middle of points (M, 3), and the distance from which a picture shows just all.
-
-        A point is in the picture where, from its axis, it is no farther than its depth times the
-        tangent of half the angle of view.
-        """
-        middle = (points.min(axis=0) + points.max(axis=0)) / 2
-        # The camera's axes from one that stands in the same direction; rows right, up, back.
-        right, up, back = view_matrix(DIRECTION, np.zeros(3))[:3, :3] @ (points - middle).T
-        tangent = np.tan(np.radians(FIELD_OF_VIEW) / 2)
-        needed = np.maximum(np.abs(right) / aspect, np.abs(up)) / tangent + back
-        return middle, NEAREST + MARGIN * float(needed.max()) / float(np.linalg.norm(DIRECTION))
-
-    @staticmethod
     def _framing(points: np.ndarray) -> tuple[np.ndarray, float]:
         """Find the middle of points (M, 3), and a distance from which all are in sight, m."""
         low = points.min(axis=0)
@@ -163,3 +179,33 @@ class Renderer:
         centre = np.round(target / pitch) * pitch * [1, 1, 0]
         grid: np.ndarray = pieces + centre
         return grid
+
+
+def fit(
+    points: np.ndarray, direction: np.ndarray, size: tuple[int, int]
+) -> tuple[np.ndarray, float]:
+    """Find the middle of points (M, 3), and the distance from which a picture shows just all.
+
+    A point is in the picture where, from its axis, it is no farther than its depth times the
+    tangent of half the angle of view.
+
+    Args:
+        points: (M, 3) m.
+        direction: (3,) from the middle to the camera.
+        size: Width and height of the picture, pixels.
+
+    Returns:
+        The middle, and how many times `direction` the camera is away from it.
+    """
+    aspect = size[0] / size[1]
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    # The camera's axes from one that stands in the same direction; rows right, up, back.
+    right, up, back = view_matrix(direction, np.zeros(3))[:3, :3] @ (points - middle).T
+    tangent = np.tan(np.radians(FIELD_OF_VIEW) / 2)
+    needed = np.maximum(np.abs(right) / aspect, np.abs(up)) / tangent + back
+    return middle, NEAREST + MARGIN * float(needed.max()) / float(np.linalg.norm(direction))
+
+
+def pixel_size(distance: float, height: int) -> float:
+    """Return the size of a pixel that is so far away, m, in a picture `height` pixels high."""
+    return 2 * distance * float(np.tan(np.radians(FIELD_OF_VIEW) / 2)) / height

@@ -104,8 +104,8 @@ class WorkerAviary(LabelledEnvironment):
                 f"workers is {workers}: at most one for each of the {self.num_envs} worlds is "
                 f"needed"
             )
-        if self._spec.options.render_mode == "human":
-            raise ValueError("render_mode is 'human': a live view needs workers=1")
+        if (mode := self._spec.options.render_mode) in ("human", "web"):
+            raise ValueError(f"render_mode is {mode!r}: a live view needs workers=1")
         self._timeout = float(timeout)
         self.observation_space: Box | Dict = self._observer.space()
         self.action_space: Space[Any] = widest_action_space(self._spec.action)

@@ -14,6 +14,7 @@ from bulletuav.envs.marks import marks_of
 from bulletuav.envs.parts import hover_speeds, make_dynamics, make_engine
 from bulletuav.envs.randomization import Uncertainty
 from bulletuav.envs.renderer import Renderer
+from bulletuav.envs.viewer import Viewer, make_viewer
 from bulletuav.errors import as_int, points_of
 from bulletuav.geometry.city_grid import NO_LAYOUT
 from bulletuav.geometry.solids import Solids
@@ -86,6 +87,9 @@ class Worlds(Environment):
         self._frame: Frame | None = None
         self._checked = False
         self._given = spec.given
+        # Last, as it opens a port.
+        is_served = self.options.render_mode == "web"
+        self.viewer: Viewer | None = make_viewer(self) if is_served else None
 
     def _show(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Have the engine's bodies stand where drones of `mask` (W, N) and obstacles are."""
@@ -277,5 +281,7 @@ class Worlds(Environment):
 
     @exclusive
     def close(self) -> None:
-        """Free the engine; a second call does nothing."""
+        """Free the engine, and end the live page; a second call does nothing."""
+        if self.viewer is not None:
+            self.viewer.close()
         self._engine.close()

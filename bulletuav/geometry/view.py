@@ -71,6 +71,12 @@ def projection_matrix(aspect: float, field_of_view: float, far: float = FAR) -> 
     return matrix
 
 
+def refocused(depth: np.ndarray, far: float) -> np.ndarray:
+    """Correct depths that `metres` gave for a projection that sees to `far`, m."""
+    buffer = (FAR - NEAR * FAR / depth) / (FAR - NEAR)
+    return NEAR * far / (far - (far - NEAR) * buffer)
+
+
 def metres(buffer: np.ndarray) -> np.ndarray:
     """Turn a depth buffer in [0, 1], of a projection to FAR, into depth along the view axis, m."""
     return NEAR * FAR / (FAR - (FAR - NEAR) * buffer)

@@ -1,4 +1,4 @@
-"""Animation of a recorded episode from above."""
+"""Animation of a recorded episode from above and, where it has heights, from the south."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -6,37 +6,42 @@ from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import EllipseCollection, LineCollection
 from PIL import Image
 
 from bulletuav.analysis.recording import Recording
-from bulletuav.errors import missing
 from bulletuav.files import whole_file
 from bulletuav.report.figures import (
+    ABOVE,
     BARS,
+    MOST_NUMBERS,
     SEEN,
+    SOUTH,
     UNSEEN,
     bar_lines,
     blank_figure,
     draw_buildings,
+    draw_skyline,
     drone_colours,
+    has_depth,
 )
+from bulletuav.report.video import FPS, save_video
 
 MOST_FRAMES = 150
 """Pictures of an animation, of which longer episodes leave some out"""
 TRAIL = 30
 """Decisions that a trail reaches back"""
-FPS = 20
-"""Pictures a second"""
 GONE = 0.25
 """Opacity of drones that have finished"""
 
 
 class Animation:
-    """The episode from above.
+    """The episode from above, and from the south where a view from above leaves something out.
 
-    Drones are discs of a visible size with trails, goals crosses, targets dots; rings show d_safe.
+    Drones are numbered discs of a visible size with trails, goals crosses, targets dots. Rings show
+    d_safe.
 
     Attributes:
         figure: The figure that all pictures are drawn in.
@@ -63,34 +68,37 @@ class Animation:
         # Drones that are small beside the airspace are drawn larger than they are.
         span, middle = self._extent(drone_size)
         drawn = max(drone_size, 0.018 * span)
-        self.figure = blank_figure(7, 7.4)
-        self._axes = self.figure.add_subplot()
-        self._frame_axes(middle, 0.56 * span + d_safe / 2)
-        self._axes.set(xlabel=self._caption(drawn, drone_size), ylabel="y north (m)")
-        self._axes.grid(alpha=0.3)
+        reach = 0.56 * span + d_safe / 2
+        heights = recording.position[..., 2]
+        deep = has_depth(recording)
+        # The view from the south is as wide, and as high as the flight and its city.
+        top = max(float(heights.max()), float(recording.building[:, 1, 2].max(initial=0)))
+        tall = 1.1 * top + d_safe / 2 if deep else 0.0
+        side = 6.0 * min(0.4, max(0.15, tall / (2 * reach)))
+        self.figure = blank_figure(7, 7.4 + (0.5 + side) * deep)
+        places = self.figure.subplots(
+            1 + deep, 1, squeeze=False, sharex=True, height_ratios=[6.0, side][: 1 + deep]
+        )[:, 0]
+        self._axes = places[0]
+        self._frame_axes(middle, reach)
+        self._axes.set(ylabel="y north (m)")
         draw_buildings(self._axes, recording)
+        if deep:
+            places[1].set(ylim=(0, tall), ylabel="z up (m)")
+            draw_skyline(places[1], recording)
+        places[-1].set(xlabel=self._caption(drawn, drone_size))
+        for axes in places:
+            axes.grid(alpha=0.3)
         # What changes from picture to picture; the order is that of drawing.
         self._text = self._axes.set_title(" ")
-        # Bars are lines, other obstacles discs.
-        sizes = np.where(recording.obstacle_axis.any(axis=1), 0.0, 2 * recording.obstacle_radius)
-        self._bodies = self._circles(sizes, facecolors="0.8", edgecolors="0.5")
-        self._bars = LineCollection([], colors=BARS, linewidths=2)
-        self._axes.add_collection(self._bars)
-        self._goals = self._axes.scatter([], [], marker="x", s=60, linewidths=1.6)
-        self._targets = self._axes.scatter([], [], marker=".", s=16)
-        self._trails = LineCollection([], linewidths=1.2)
-        self._axes.add_collection(self._trails)
-        self._rings = self._circles(np.full(drones, d_safe), facecolors="none", linewidths=1.2)
-        self._discs = self._circles(np.full(drones, drawn), linewidths=0.5)
-        self._moving: list[Artist] = [
-            self._text,
-            self._bodies,
-            self._targets,
-            self._goals,
-            self._trails,
-            self._rings,
-            self._discs,
+        shown = (drawn, d_safe)
+        self._views = [
+            _View(axes, recording, along, *shown)
+            for axes, along in zip(places, (ABOVE, SOUTH), strict=False)
         ]
+        self._moving: list[Artist] = [self._text]
+        for view in self._views:
+            self._moving += view.artists
         # Animated artists are left out when the whole figure is drawn.
         for artist in self._moving:
             artist.set_animated(True)
@@ -137,22 +145,6 @@ class Animation:
             f"Rings: {self._d_safe:g} m across, red while another drone is nearer."
         )
 
-    def _circles(self, diameter: np.ndarray, **style: Any) -> EllipseCollection:
-        """Add circles of these diameters, m, that have no place yet."""
-        angles = np.zeros(len(diameter))
-        nowhere = np.zeros((len(diameter), 2))
-        circles = EllipseCollection(
-            diameter,
-            diameter,
-            angles,
-            units="x",
-            offsets=nowhere,
-            transOffset=self._axes.transData,
-            **style,
-        )
-        self._axes.add_collection(circles)
-        return circles
-
     def draw(self, row: int) -> np.ndarray:
         """Draw one row of the recording.
 
@@ -162,43 +154,15 @@ class Animation:
         Returns:
             The picture, (height, width, 3) uint8.
         """
-        self._place_drones(row)
-        self._place_others(row)
+        for view in self._views:
+            view.place(row, self._colours)
         self._text.set_text(f"{self._title}   t = {self._recording.time[row]:.1f} s")
         canvas = self._canvas()
         canvas.restore_region(self._empty)
         for artist in self._moving:
-            self._axes.draw_artist(artist)
+            assert artist.axes is not None
+            artist.axes.draw_artist(artist)
         return np.asarray(canvas.buffer_rgba())[..., :3].copy()
-
-    def _place_drones(self, row: int) -> None:
-        """Put discs, rings and trails where the drones are."""
-        recording = self._recording
-        position = recording.position[row, :, :2]
-        alive = recording.alive[row]
-        colours = self._colours.copy()
-        # Drones that have finished are pale, and have no ring.
-        colours[~alive, 3] = GONE
-        edges = np.where(alive[:, None], (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0, GONE))
-        # Row k of separations belongs to the decision that ends in row k + 1 of states.
-        near = recording.separation[max(0, row - 1)] < self._d_safe
-        rings = np.where(near[:, None], (0.86, 0.08, 0.24, 1.0), (0.5, 0.5, 0.5, 1.0))
-        rings[~alive, 3] = 0
-        self._discs.set(offsets=position, facecolors=colours, edgecolors=edges)
-        self._rings.set(offsets=position, edgecolors=rings)
-        trail = recording.position[max(0, row - TRAIL) : row + 1, :, :2]
-        self._trails.set(segments=list(trail.swapaxes(0, 1)), color=colours)
-
-    def _place_others(self, row: int) -> None:
-        """Put obstacles, targets and goals where they are."""
-        recording = self._recording
-        self._bodies.set(offsets=recording.obstacle[row, :, :2])
-        self._bars.set(segments=bar_lines(recording, row))
-        if recording.target.shape[1]:
-            colour = np.where(recording.seen[row], SEEN, UNSEEN)
-            self._targets.set(offsets=recording.target[row, :, :2], color=colour.tolist())
-        if recording.goal.shape[1]:
-            self._goals.set(offsets=recording.goal[row, :, :2], color=self._colours)
 
     def save(self, path: Path, progress: Callable[[], None] = lambda: None) -> None:
         """Write the animation.
@@ -219,7 +183,7 @@ class Animation:
 
         with whole_file(path) as part:
             if path.suffix == ".mp4":
-                _save_video(part, pictures())
+                save_video(part, pictures())
                 return
             # Fewer colours make smaller files.
             first, *others = (Image.fromarray(picture).quantize(128) for picture in pictures())
@@ -236,21 +200,78 @@ class Animation:
         return len(self._frames)
 
 
-def _save_video(path: Path, pictures: Iterator[np.ndarray]) -> None:
-    """Write pictures, of which there is at least one, as a video."""
-    try:
-        import imageio_ffmpeg
-    except ImportError:
-        raise missing("writing a video (.mp4; a .gif needs nothing)", "video") from None
-    first = next(pictures)
-    count = 1
-    writer = imageio_ffmpeg.write_frames(str(path), first.shape[1::-1], fps=FPS, macro_block_size=2)
-    writer.send(None)
-    writer.send(first)
-    for picture in pictures:
-        writer.send(picture)
-        count += 1
-    writer.close()
-    # FFmpeg does not tell of a full disk.
-    if imageio_ffmpeg.count_frames_and_secs(str(path))[0] < count:
-        raise OSError("fewer pictures were written than there are; is the disk full?")
+class _View:
+    """What moves in one view of the episode, from above or from the south.
+
+    Attributes:
+        artists: In the order of drawing.
+    """
+
+    def __init__(
+        self,
+        axes: Axes,
+        recording: Recording,
+        along: tuple[int, int],
+        drawn: float,
+        d_safe: float,
+    ) -> None:
+        self._axes, self._recording, self._along, self._d_safe = axes, recording, along, d_safe
+        drones = recording.position.shape[1]
+        # Bars are lines, other obstacles discs.
+        sizes = np.where(recording.obstacle_axis.any(axis=1), 0.0, 2 * recording.obstacle_radius)
+        self._bodies = self._circles(sizes, facecolors="0.8", edgecolors="0.5")
+        self._bars = LineCollection([], colors=BARS, linewidths=2)
+        self._goals = axes.scatter([], [], marker="x", s=60, linewidths=1.6)
+        self._targets = axes.scatter([], [], marker=".", s=16)
+        self._trails = LineCollection([], linewidths=1.2)
+        for lines in (self._bars, self._trails):
+            axes.add_collection(lines)
+        self._rings = self._circles(np.full(drones, d_safe), facecolors="none", linewidths=1.2)
+        self._discs = self._circles(np.full(drones, drawn), linewidths=0.5)
+        numbers = range(drones if drones <= MOST_NUMBERS else 0)
+        self._numbers = [
+            axes.text(0, 0, f"  {drone}", fontsize=8, va="bottom") for drone in numbers
+        ]
+        self.artists: list[Artist] = [self._bodies, self._bars, self._targets, self._goals]
+        self.artists += [self._trails, self._rings, self._discs, *self._numbers]
+
+    def _circles(self, diameter: np.ndarray, **style: Any) -> EllipseCollection:
+        """Add circles of these diameters, m, that have no place yet."""
+        circles = EllipseCollection(
+            diameter,
+            diameter,
+            np.zeros(len(diameter)),
+            units="x",
+            offsets=np.zeros((len(diameter), 2)),
+            transOffset=self._axes.transData,
+            **style,
+        )
+        self._axes.add_collection(circles)
+        return circles
+
+    def place(self, row: int, colours: np.ndarray) -> None:
+        """Put everything where it is in a row of the states; drones have `colours` (N, 4)."""
+        recording, along = self._recording, self._along
+        position = recording.position[row][:, along]
+        alive = recording.alive[row]
+        faces = colours.copy()
+        # Drones that have finished are pale, and have no ring.
+        faces[~alive, 3] = GONE
+        edges = np.where(alive[:, None], (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0, GONE))
+        # Row k of separations belongs to the decision that ends in row k + 1 of states.
+        near = recording.separation[max(0, row - 1)] < self._d_safe
+        rings = np.where(near[:, None], (0.86, 0.08, 0.24, 1.0), (0.5, 0.5, 0.5, 1.0))
+        rings[~alive, 3] = 0
+        self._discs.set(offsets=position, facecolors=faces, edgecolors=edges)
+        self._rings.set(offsets=position, edgecolors=rings)
+        trail = recording.position[max(0, row - TRAIL) : row + 1][..., along]
+        self._trails.set(segments=list(trail.swapaxes(0, 1)), color=faces)
+        for text, place in zip(self._numbers, position, strict=False):
+            text.set_position(place)
+        self._bodies.set(offsets=recording.obstacle[row][:, along])
+        self._bars.set(segments=bar_lines(recording, row, along))
+        if recording.target.shape[1]:
+            colour = np.where(recording.seen[row], SEEN, UNSEEN)
+            self._targets.set(offsets=recording.target[row][:, along], color=colour.tolist())
+        if recording.goal.shape[1]:
+            self._goals.set(offsets=recording.goal[row][:, along], color=colours)

@@ -1,5 +1,6 @@
 """Figures without a window system, and what pictures of episodes share."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib
@@ -12,6 +13,12 @@ from matplotlib.patches import Rectangle
 from bulletuav.analysis.recording import Recording
 from bulletuav.files import whole_file
 
+MOST_NUMBERS = 24
+"""Drones are numbered up to this many"""
+ABOVE, SOUTH = (0, 1), (0, 2)
+"""Axes that views from above and from the south show"""
+LEVEL = 0.5
+"""Difference of heights up to which a flight counts as level, m"""
 SEEN = "#228833"
 """Colour of targets in sight"""
 UNSEEN = "#cc3311"
@@ -49,12 +56,27 @@ def drone_colours(count: int) -> np.ndarray:
     return np.asarray(matplotlib.colormaps["turbo"](shades))
 
 
-def bar_lines(recording: Recording, row: int) -> list[np.ndarray]:
-    """List the bars among obstacles as lines (2, 2) seen from above, at a row of the states."""
+def bar_lines(recording: Recording, row: int, axes: Sequence[int] = ABOVE) -> list[np.ndarray]:
+    """List the bars among obstacles as lines (2, 2), at a row of the states, seen along an axis."""
     axis = recording.obstacle_axis
     is_bar = axis.any(axis=1)
-    middle, half = recording.obstacle[row, is_bar, :2], axis[is_bar, :2]
+    middle, half = recording.obstacle[row, is_bar][:, axes], axis[is_bar][:, axes]
     return list(np.stack([middle - half, middle + half], axis=1))
+
+
+def has_depth(recording: Recording) -> bool:
+    """Tell whether a view from above leaves something out: heights that differ, or bodies."""
+    if len(recording.building) or recording.obstacle.shape[1]:
+        return True
+    return float(np.ptp(recording.position[..., 2])) > LEVEL
+
+
+def draw_skyline(axes: Axes, recording: Recording) -> None:
+    """Draw the pieces' bounding boxes from the south, the nearer above the farther."""
+    low, high = recording.building[:, 0], recording.building[:, 1]
+    for k in np.argsort(-low[:, 1], kind="stable"):
+        (x, _, z), (width, _, height) = low[k], high[k] - low[k]
+        axes.add_patch(Rectangle((x, z), width, height, fc="0.82", ec="0.6", lw=0.4, zorder=0))
 
 
 def draw_buildings(axes: Axes, recording: Recording) -> None:

@@ -12,20 +12,26 @@ from bulletuav.analysis.recording import Recording
 from bulletuav.report.animation import Animation
 from bulletuav.report.figures import (
     BARS,
+    MOST_NUMBERS,
     SEEN,
     UNSEEN,
     bar_lines,
     blank_figure,
     draw_buildings,
     drone_colours,
+    has_depth,
     save_figure,
 )
+from bulletuav.report.film import Film
 from bulletuav.tasks.base import SHOWS
 
 __all__ = ["Animation", "blank_figure", "plot_tracks", "save_figure"]
 
-MOST_NUMBERS = 24
-"""Drones are numbered up to this many"""
+ALTITUDE = "altitude (m)"
+SAME = 1e-9
+"""Span up to which numbers count as the same"""
+OVERVIEW = (840, 640)
+"""Size of the picture in three dimensions, pixels"""
 MOST_ROWS = 3
 """Panels that stand one above another"""
 TOGETHER = "0.2"
@@ -42,7 +48,8 @@ def plot_tracks(
     """Plot tracks from above, and altitudes and what infos tell over time, as a PNG file.
 
     Starts are numbered discs, ends are squares, goals are crosses. Targets are drawn as they are at
-    the end. Small black crosses show where shapes touched, red rings where a conflict began.
+    the end. Small black crosses show where shapes touched, red rings where a conflict began. Where
+    heights differ, or something stands, a picture in three dimensions is beside it.
 
     Args:
         recording: The episode.
@@ -50,32 +57,37 @@ def plot_tracks(
         title: Title of the picture.
         path: The file.
         shows: Infos by name, with what to call them, as `Task.shows` tells. Numbers have a panel
-            each; flags and counts have none.
+            each; flags, counts, and what never changes have none.
 
     Raises:
         ValueError: Infos told nothing of a name.
     """
-    panels = {name: label for name, label in shows.items() if _has_history(recording, name)}
-    columns = -(-(1 + len(panels)) // MOST_ROWS)
-    rows = -(-(1 + len(panels)) // columns)
-    figure = blank_figure(8 + 4 * columns, 6.5)
-    grid = figure.add_gridspec(rows, 1 + columns, width_ratios=[1.7, *[1] * columns])
+    heights = {ALTITUDE: recording.position[..., 2]}
+    told = heights | {name: np.asarray(recording.told(name)) for name in shows}
+    panels = {name: values for name, values in told.items() if _has_history(values)}
+    columns = -(-len(panels) // MOST_ROWS)
+    rows = -(-len(panels) // max(1, columns))
+    views = 2 if has_depth(recording) and recording.scene else 1
+    figure = blank_figure(1 + 7 * views + 4 * columns, 6.5)
+    ratios = [1.7] * views + [1.0] * columns
+    grid = figure.add_gridspec(max(1, rows), len(ratios), width_ratios=ratios)
     above = figure.add_subplot(grid[:, 0])
-    places = [figure.add_subplot(grid[k % rows, 1 + k // rows]) for k in range(1 + len(panels))]
+    if views > 1:
+        _draw_overview(figure.add_subplot(grid[:, 1]), recording)
+    cells = [grid[k % rows, views + k // rows] for k in range(len(panels))]
+    places = [figure.add_subplot(cell) for cell in cells]
     # Drones first: each has its colour in all parts.
     colours = drone_colours(recording.position.shape[1])
     for drone, colour in enumerate(colours):
         _draw_track(above, recording, drone, colour)
-    height = recording.position[..., 2]
-    _draw_history(places[0], recording.time, height, recording.alive[:-1], colours)
-    places[0].set(ylabel="altitude (m)")
-    for axes, (name, label) in zip(places[1:], panels.items(), strict=True):
-        told = np.asarray(recording.told(name))
-        _draw_history(axes, recording.time[1:], told, recording.alive[:-1], colours)
-        axes.set_ylim(bottom=0)
-        axes.set(ylabel=label)
+    for axes, (name, values) in zip(places, panels.items(), strict=True):
+        times = recording.time[-len(values) :]
+        _draw_history(axes, times, values, recording.alive[:-1], colours)
+        axes.set(ylabel=shows.get(name, name))
+        if name != ALTITUDE:
+            axes.set_ylim(bottom=0)
         if name == "separation":
-            _mark_separations(axes, told, d_safe)
+            _mark_separations(axes, values, d_safe)
     _draw_obstacles(above, recording)
     draw_buildings(above, recording)
     _draw_targets(above, recording)
@@ -93,10 +105,19 @@ def plot_tracks(
     save_figure(figure, path)
 
 
-def _has_history(recording: Recording, name: str) -> bool:
-    """Tell whether an info is a number that there was at some time, neither a flag nor a count."""
-    told = recording.told(name)
-    return told.dtype.kind == "f" and bool(np.isfinite(told).any())
+def _has_history(told: np.ndarray) -> bool:
+    """Tell whether numbers say something over time: no flags or counts, none that never change."""
+    known = told[np.isfinite(told)] if told.dtype.kind == "f" else told[:0]
+    return bool(known.size) and float(np.ptp(known)) > SAME
+
+
+def _draw_overview(axes: Axes, recording: Recording) -> None:
+    """Draw the whole flight in three dimensions."""
+    film = Film(recording, "", "still", size=OVERVIEW)
+    axes.imshow(film.picture(float(recording.time[-1]), reach=float("inf")))
+    axes.set(title="from the south-west; pale: behind something")
+    axes.set_axis_off()
+    film.close()
 
 
 def _draw_track(axes: Axes, recording: Recording, drone: int, colour: np.ndarray) -> None:

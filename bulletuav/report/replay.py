@@ -29,6 +29,8 @@ from bulletuav.report.verification import read_sealed
 REPLAY = "replay.html"
 """Name of the page beside a recording"""
 WEB = Path(__file__).parent / "web"
+DAMAGE = (KeyError, TypeError, IndexError, AttributeError, ValueError)
+"""Errors of scenes that are damaged"""
 BESIDE = re.compile(r'(from\s*)"\./')
 """How the scripts name others: in the page they have no folder"""
 
@@ -107,18 +109,23 @@ def write_replay(recording: Recording, title: str, path: Path) -> None:
         OSError: The file cannot be written.
     """
     try:
-        text = _payload(recording, title)
-    except (KeyError, TypeError, IndexError, AttributeError, ValueError) as error:
-        raise ValueError(f"the scene of the recording is damaged ({error!r}): {REMEDY}") from None
+        text = whole_payload(recording, title)
+    except DAMAGE as error:
+        raise damaged_scene(error) from None
     replace_file(path, page(title, text))
 
 
-def page(title: str, payload: str) -> str:
+def damaged_scene(error: Exception) -> ValueError:
+    """Make the error for a scene that cannot be read, for the caller to raise."""
+    return ValueError(f"the scene of the recording is damaged ({error!r}): {REMEDY}")
+
+
+def page(title: str, payload: str = "") -> str:
     """Make the page.
 
     Args:
         title: Its title.
-        payload: The text of a `Payload`.
+        payload: The text of a `Payload`; a page without one asks its server for a live feed.
     """
     scripts = {}
     for script in sorted(WEB.glob("*.js")):
@@ -131,33 +138,18 @@ def page(title: str, payload: str) -> str:
         "scripts": json.dumps({"imports": scripts}),
         "license": (WEB / "three.LICENSE").read_text(),
         "payload": payload,
+        "connect": "" if payload else "connect-src 'self';",
     }
     template = (WEB / "page.html").read_text()
     return re.sub(r"<!--put (\w+)-->", lambda found: parts[found[1]], template)
 
 
-def _payload(recording: Recording, title: str) -> str:
-    """Write what the page shows."""
+def whole_payload(recording: Recording, title: str) -> str:
+    """Write all that a page shows."""
     about = json.loads(str(recording.scene["about"]))
     payload = Payload()
-    payload.add("time", recording.time, "f4")
-    # A drone flies from the start on without a gap.
-    payload.add("end", recording.alive[:-1].sum(axis=0), "u4")
-    payload.add_series("position", recording.position)
-    payload.add_series("quaternion", _continuous(recording.quaternion))
-    payload.add_series("rotors", recording.scene["rotor_speed"].mean(axis=-1))
-    payload.add_series("goal", recording.goal)
-    payload.add_series("obstacle", recording.obstacle)
-    turns = _continuous(recording.scene["obstacle_quaternion"])
-    payload.add_series("obstacle_quaternion", turns)
-    payload.add("conflict", later(recording.separation) < about["d_safe"], "u1")
-    payload.add("contact_row", recording.contact_step + 1, "u4")
-    payload.add("contact_point", recording.contact_point, "f4")
-    _add_users(payload, recording)
+    charts = _add_rows(payload, recording, about)
     _add_city(payload, recording)
-    for name, values in recording.reading.items():
-        if values.dtype.kind != "b":
-            payload.add_series(f"{READING}{name}", values)
     for part in (*about["obstacles"], *(p for one in about["airframes"] for p in one["parts"])):
         if part["kind"] == HULL:
             part["triangles"] = _hull_triangles(part["corners"])
@@ -170,9 +162,38 @@ def _payload(recording: Recording, title: str) -> str:
         "colours": _colours(recording.position.shape[1]),
         **{name: about[name] for name in ("task", "d_safe", "airframes", "airframe_of")},
         **{name: about[name] for name in ("obstacles", "lidar")},
-        "charts": add_charts(payload, recording, about),
+        "charts": charts,
     }
     return payload.text(told)
+
+
+def rows_payload(recording: Recording) -> str:
+    """Write the rows of a recording alone, for a page that knows the rest."""
+    payload = Payload()
+    _add_rows(payload, recording, json.loads(str(recording.scene["about"])))
+    return payload.text({"rows": len(recording.time)})
+
+
+def _add_rows(payload: Payload, recording: Recording, about: dict[str, Any]) -> list[Any]:
+    """Add what changes over time, and return the plots of it."""
+    payload.add("time", recording.time, "f4")
+    # A drone flies from the start on without a gap.
+    payload.add("end", recording.alive[:-1].sum(axis=0), "u4")
+    payload.add_series("position", recording.position)
+    payload.add_series("quaternion", continuous(recording.quaternion))
+    payload.add_series("rotors", recording.scene["rotor_speed"].mean(axis=-1))
+    payload.add_series("goal", recording.goal)
+    payload.add_series("obstacle", recording.obstacle)
+    turns = continuous(recording.scene["obstacle_quaternion"])
+    payload.add_series("obstacle_quaternion", turns)
+    payload.add("conflict", later(recording.separation) < about["d_safe"], "u1")
+    payload.add("contact_row", recording.contact_step + 1, "u4")
+    payload.add("contact_point", recording.contact_point, "f4")
+    _add_users(payload, recording)
+    for name, values in recording.reading.items():
+        if values.dtype.kind != "b":
+            payload.add_series(f"{READING}{name}", values)
+    return add_charts(payload, recording, about)
 
 
 def _colours(count: int) -> list[str]:
@@ -212,7 +233,7 @@ def _hull_triangles(corners: list[Any]) -> list[list[int]]:
     return found
 
 
-def _continuous(quaternion: np.ndarray) -> np.ndarray:
+def continuous(quaternion: np.ndarray) -> np.ndarray:
     """Choose the signs of quaternions (R, ..., 4) such that each is near the one before."""
     dot = (quaternion[1:] * quaternion[:-1]).sum(axis=-1, keepdims=True)
     flips = np.cumprod(np.where(dot < 0, -1.0, 1.0), axis=0)

@@ -16,7 +16,7 @@ from bulletuav.envs.marks import (
     Lens,
     marks_of,
 )
-from bulletuav.envs.renderer import Renderer
+from bulletuav.envs.renderer import DIRECTION, fit
 from bulletuav.geometry.view import projection_matrix, view_matrix
 
 SMALL = {"area": 200.0, "num_layouts": 1, "render_mode": "rgb_array"}
@@ -53,7 +53,7 @@ def test_points_are_projected_as_by_hand():
 def test_a_picture_shows_all_points_and_little_more():
     points = np.random.default_rng(0).uniform((-90, -40, 0), (90, 60, 50), (60, 3))
     for width, height in ((640, 480), (300, 400)):
-        target, distance = Renderer._fit(points, width / height)
+        target, distance = fit(points, DIRECTION, (width, height))
         eye = target + distance * np.array([-0.55, -0.75, 0.5])
         matrix = projection_matrix(width / height, 60.0) @ view_matrix(eye, target)
         places, before = Lens(matrix, (width, height)).project(points)
@@ -150,7 +150,7 @@ def test_a_user_is_drawn_where_it_is():
     colour = SEEN if found.seen[0] else UNSEEN
     rows, columns = np.nonzero((picture == colour).all(axis=-1))
     points = np.concatenate([found.drone, found.target])
-    target, distance = Renderer._fit(points, 3.2)
+    target, distance = fit(points, DIRECTION, (640, 200))
     view = view_matrix(target + distance * np.array([-0.55, -0.75, 0.5]), target)
     lens = Lens(projection_matrix(3.2, 60.0) @ view, (640, 200))
     ((x, y),) = lens.project(found.target)[0]

@@ -6,11 +6,11 @@ import hashlib
 import json
 import re
 import shutil
-import zlib
 from pathlib import Path
 
 import numpy as np
 import pytest
+from payload_block import Block
 
 import bulletuav
 from bulletuav.analysis.recording import fly_episode, load, save
@@ -18,7 +18,7 @@ from bulletuav.analysis.seals import hash_files, sealed
 from bulletuav.cli import main
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.policies import find_policy
-from bulletuav.report.payload import TYPES, Payload
+from bulletuav.report.payload import Payload
 from bulletuav.report.replay import WEB, replay_run, write_replay
 from bulletuav.report.verification import Verifier
 from bulletuav.tasks import find_task
@@ -49,30 +49,6 @@ def copied(run, tmp_path):
     return shutil.copytree(run, tmp_path / "copy")
 
 
-class Block:
-    """Reads a page's block as the page does."""
-
-    def __init__(self, page):
-        text = re.search(r'id="payload">([^<]*)</script>', page.read_text())[1]
-        block = zlib.decompress(base64.b64decode(text))
-        size = int.from_bytes(block[:4], "little")
-        self.about = json.loads(block[4 : 4 + size])
-        self._rest = block[4 + size :]
-
-    def array(self, name):
-        told = self.about["arrays"][name]
-        kind = np.dtype(TYPES[told["kind"]])
-        assert (4 + told["at"]) % min(4, kind.itemsize) == 0
-        return np.frombuffer(self._rest, kind, told["length"], told["at"])
-
-    def series(self, name):
-        """Values (rows, ...) of a series, NaN where there are none, and the size of its steps."""
-        low, step = self.array(f"{name} low"), self.array(f"{name} step")
-        codes = self.array(f"{name} codes").reshape(len(low), -1).cumsum(axis=1, dtype=np.uint16)
-        values = low[:, None] + codes * step[:, None]
-        return np.where(codes == 65535, np.nan, values).T, step
-
-
 def test_series_come_back_to_half_a_step():
     rng = np.random.default_rng(0)
     values = rng.normal(size=(50, 4, 3)) * [1.0, 1e3, 1e-3]
@@ -82,14 +58,7 @@ def test_series_come_back_to_half_a_step():
     payload.add("odd", np.arange(3), "u1")
     payload.add_series("values", values)
     payload.add_series("nothing", np.zeros((50, 0, 3)))
-
-    class Made(Block):
-        def __init__(self, text):
-            block = zlib.decompress(base64.b64decode(text))
-            size = int.from_bytes(block[:4], "little")
-            self.about, self._rest = json.loads(block[4 : 4 + size]), block[4 + size :]
-
-    read = Made(payload.text({"rows": 50}))
+    read = Block(payload.text({"rows": 50}))
     again, step = read.series("values")
     wanted = np.where(np.isfinite(values), values, np.nan).reshape(50, -1)
     np.testing.assert_array_equal(np.isnan(again), np.isnan(wanted))
@@ -106,7 +75,7 @@ def test_series_come_back_to_half_a_step():
 def test_a_page_holds_the_flight(run, tmp_path):
     recording = load(run)
     page = replay_run(run, tmp_path / "page.html")
-    block = Block(page)
+    block = Block.of_page(page)
     about = block.about
     assert (about["drones"], about["rows"], about["task"]) == (3, len(recording.time), "crossing")
     for name in ("position", "goal"):
@@ -180,7 +149,7 @@ def test_scenes_tell_shapes_links_and_readings(tmp_path):
     assert links.shape[1] == 3
     assert len(links)
     assert (links.max(axis=0) < (rows, drones, users)).all()
-    block = Block(replay_run(tmp_path))
+    block = Block.of_page(replay_run(tmp_path))
     begins = block.array("link_start")
     for row in range(rows):
         mine = slice(begins[row], begins[row + 1])
@@ -230,7 +199,7 @@ def test_every_task_replays(task, tmp_path):
     aviary = bulletuav.Aviary(task, horizon=horizon)
     recording = fly_episode(aviary, find_policy("random")(aviary), 0)
     write_replay(recording, task, tmp_path / "page.html")
-    block = Block(tmp_path / "page.html")
+    block = Block.of_page(tmp_path / "page.html")
     assert block.about["task"] == task
     shown = {chart["title"] for chart in block.about["charts"] if chart["group"] == "Flight"}
     numbers = {name for name in aviary.task.shows if name in recording.info}
@@ -260,7 +229,7 @@ def test_numbers_of_numpy_and_infinite_ones_are_no_trouble(tmp_path):
     aviary = bulletuav.Aviary(Odd, num_drones=1, horizon=4, action="velocity")
     recording = fly_episode(aviary, find_policy("stay")(aviary), 0)
     write_replay(recording, "odd", tmp_path / "page.html")
-    block = Block(tmp_path / "page.html")
+    block = Block.of_page(tmp_path / "page.html")
     assert block.about["obstacles"][0]["half"] == [0.5, 1, 0.75]
     by_title = {chart["title"]: chart["lines"][0]["series"] for chart in block.about["charts"]}
     for name in ("endless", "none", "huge", "separation"):  # a single drone has no neighbour

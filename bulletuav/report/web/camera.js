@@ -14,7 +14,7 @@ export class View {
     this.camera.up.set(0, 0, 1);
     this.target = new Vector3();
     this.fingers = new Map();
-    [this.changed, this.height, this.free] = [true, 1, [1, 1]];
+    [this.changed, this.touched, this.height, this.free] = [true, false, 1, [1, 1]];
     canvas.addEventListener("pointerdown", (event) => this.press(event));
     canvas.addEventListener("pointermove", (event) => this.drag(event));
     for (const name of ["pointerup", "pointercancel"]) {
@@ -52,7 +52,7 @@ export class View {
         MARGIN * Math.max(Math.abs(at.x) / across, Math.abs(at.y) / upright) + at.z,
       );
     }
-    this.changed = true;
+    [this.changed, this.touched] = [true, false];
   }
 
   press(event) {
@@ -78,12 +78,12 @@ export class View {
   turn(azimuth, elevation) {
     this.azimuth += azimuth;
     this.elevation = Math.min(Math.max(this.elevation + elevation, LOWEST), Math.PI / 2 - 0.001);
-    this.changed = true;
+    this.changed = this.touched = true;
   }
 
   zoom(factor) {
     this.distance = Math.min(Math.max(this.distance * factor, 0.05), 8 * this.extent.size);
-    this.changed = true;
+    this.changed = this.touched = true;
   }
 
   /** Move what is looked at by pixels of the picture, right and forward over ground. */
@@ -92,13 +92,13 @@ export class View {
     const [cosine, sine] = [Math.cos(this.azimuth), Math.sin(this.azimuth)];
     this.target.x += metre * (-sine * right - cosine * forward);
     this.target.y += metre * (cosine * right - sine * forward);
-    this.changed = true;
+    this.changed = this.touched = true;
   }
 
   /** Look at a drone from near enough to see it. */
   approach(size) {
     this.distance = Math.min(this.distance, Math.max(12 * size, 0.008 * this.extent.size));
-    this.changed = true;
+    this.changed = this.touched = true;
   }
 
   /** Size of a pixel that is so far away, m. */

@@ -23,7 +23,7 @@ const PAN = 40; // pixels that a key moves the view by
 
 export const byId = (id) => document.getElementById(id);
 
-/** Connect the page's controls with a `player`; see main.js. */
+/** Connect the page's controls with a `player`, once; see main.js. */
 export function connect(player) {
   const speed = byId("speed");
   for (const one of SPEEDS) speed.add(new Option(`${one}×`, one, one === 1, one === 1));
@@ -33,13 +33,10 @@ export function connect(player) {
     reach.add(new Option(name, seconds, seconds === 5, seconds === 5));
   reach.addEventListener("change", () => player.set("reach", Number(reach.value)));
   const drone = byId("drone");
-  for (let k = 0; k < player.episode.about.drones; k += 1) drone.add(new Option(`drone_${k}`, k));
   drone.addEventListener("change", () => player.choose(Number(drone.value)));
-  addLayers(player);
   byId("true-size").addEventListener("change", (event) =>
     player.set("trueSize", event.target.checked),
   );
-  byId("scrub").max = player.episode.duration;
   byId("scrub").addEventListener("input", (event) => player.seek(Number(event.target.value)));
   for (const [id, act] of [
     ["play", () => player.toggle()],
@@ -47,6 +44,7 @@ export function connect(player) {
     ["reset", () => player.whole()],
     ["theme", () => player.changeTheme()],
     ["plots", () => player.showPlots()],
+    ["feed", () => player.goLive()],
   ])
     byId(id).addEventListener("click", act);
   document.addEventListener("keydown", (event) => press(event, player, speed));
@@ -58,14 +56,21 @@ export function connect(player) {
   });
 }
 
-function addLayers(player) {
+/** Offer what an episode has: drones, layers, its time. */
+export function fill(player) {
+  const { about } = player.episode;
+  const drones = Array.from({ length: about.drones }, (_, k) => new Option(`drone_${k}`, k));
+  byId("drone").replaceChildren(...drones);
+  byId("scrub").min = player.episode.start;
+  byId("scrub").max = player.episode.duration;
+  byId("layers").querySelectorAll("label").forEach((label) => label.remove());
   for (const [name, text] of LAYERS) {
     if (!player.layers[name]) continue;
     const label = document.createElement("label");
     label.className = "row";
     const box = document.createElement("input");
     box.type = "checkbox";
-    box.checked = true;
+    box.checked = !player.hidden.has(name);
     box.id = `layer-${name}`;
     box.addEventListener("change", () => player.showLayer(name, box.checked));
     label.append(box, text);
@@ -88,7 +93,7 @@ function press(event, player, speed) {
     " ": () => player.toggle(),
     arrowleft: () => player.seek(player.episode.time - jump),
     arrowright: () => player.seek(player.episode.time + jump),
-    home: () => player.seek(0),
+    home: () => player.seek(player.episode.start),
     end: () => player.seek(player.episode.duration),
     "<": () => faster(speed, -1),
     ",": () => faster(speed, -1),

@@ -176,8 +176,6 @@ export class Drones extends Group {
       MOST_CONTACTS,
       false,
     );
-    this.contactRows = episode.payload.array("contact_row");
-    this.contactPoints = episode.payload.array("contact_point");
     this.hues = colours.map((one) => new Color(one));
     this.add(...this.fleets, this.trails, this.rings, this.stems, this.goals, this.contacts);
   }
@@ -251,8 +249,8 @@ export class Drones extends Group {
   }
 
   placeContacts(pixel) {
-    const { row, period } = this.episode;
-    const [rows, points] = [this.contactRows, this.contactPoints];
+    const { payload, row, period } = this.episode;
+    const [rows, points] = ["contact_row", "contact_point"].map((name) => payload.array(name));
     let count = 0;
     // The latest come first; contacts are in the order of time.
     let k = rows.length - 1;

@@ -6,23 +6,27 @@ export class Episode {
     const { about } = payload;
     this.payload = payload;
     this.about = about;
-    this.times = payload.array("time");
-    this.duration = this.times[about.rows - 1];
-    this.period = about.rows > 1 ? this.times[1] : 1;
-    this.end = payload.array("end");
-    this.conflicts = payload.array("conflict");
-    this.seen = payload.array("seen");
+    this.read();
+    this.start = this.times[0];
+    this.period = about.rows > 1 ? this.times[1] - this.start : 1;
     this.moving = ["position", "quaternion", "goal", "obstacle", "obstacle_quaternion", "target"];
     for (const name of this.moving) this[name] = new Float32Array(payload.series(name).low.length);
     this.rotors = payload.series("rotors");
-    this.sample(0);
+    this.sample(this.start);
+  }
+
+  /** Take in rows that have come since; in replays all are there from the start. */
+  read() {
+    for (const name of ["end", "conflict", "seen"]) this[name] = this.payload.array(name);
+    this.times = this.payload.array("time");
+    this.duration = this.times[this.about.rows - 1];
   }
 
   /** Bring everything to a time, s. */
   sample(time) {
     const last = this.about.rows - 1;
-    this.time = Math.min(Math.max(time, 0), this.duration);
-    const place = Math.min(this.time / this.period, last);
+    this.time = Math.min(Math.max(time, this.start), this.duration);
+    const place = Math.min((this.time - this.start) / this.period, last);
     // The small number keeps rounding from showing the row before.
     this.row = Math.min(Math.floor(place + 1e-4), last);
     this.share = Math.max(0, place - this.row);
@@ -37,7 +41,7 @@ export class Episode {
   }
 
   inConflict(drone) {
-    return this.flies(drone) && this.conflicts[this.decision * this.about.drones + drone] === 1;
+    return this.flies(drone) && this.conflict[this.decision * this.about.drones + drone] === 1;
   }
 
   isSeen(user) {

@@ -66,6 +66,7 @@ void main() {
 }`;
 const CORNERS = [0, -1, 1, -1, 0, 1, 1, 1]; // of a line: along it, across it
 const TRIANGLES = [0, 2, 1, 1, 2, 3];
+const PARTS = ["start", "finish", "tint", "when"]; // of a line, what changes
 const shared = { size: { value: new Vector2(1, 1) } };
 
 /** Tell lines how large the picture is, pixels. */
@@ -92,6 +93,23 @@ function lineMaterial(vertexShader, width, opacity, more = {}) {
   });
 }
 
+function lineGeometry(most) {
+  const geometry = new BufferGeometry();
+  const corner = new Float32Array(8 * most);
+  const index = new Uint32Array(6 * most);
+  for (let k = 0; k < most; k += 1) {
+    corner.set(CORNERS, 8 * k);
+    for (let part = 0; part < 6; part += 1) index[6 * k + part] = 4 * k + TRIANGLES[part];
+  }
+  geometry.setIndex(new BufferAttribute(index, 1));
+  geometry.setAttribute("corner", new BufferAttribute(corner, 2));
+  geometry.setAttribute("start", new BufferAttribute(new Float32Array(12 * most), 3));
+  geometry.setAttribute("finish", new BufferAttribute(new Float32Array(12 * most), 3));
+  geometry.setAttribute("tint", new BufferAttribute(new Uint8Array(16 * most), 4, true));
+  geometry.setAttribute("when", new BufferAttribute(new Float32Array(8 * most), 2));
+  return geometry;
+}
+
 /**
  * Up to `most` lines; `put` them from 0 on, then tell by `show` how many there are.
  *
@@ -99,22 +117,19 @@ function lineMaterial(vertexShader, width, opacity, more = {}) {
  */
 export class Lines extends Mesh {
   constructor(most, width, opacity = 1) {
-    const geometry = new BufferGeometry();
-    const corner = new Float32Array(8 * most);
-    const index = new Uint32Array(6 * most);
-    for (let k = 0; k < most; k += 1) {
-      corner.set(CORNERS, 8 * k);
-      for (let part = 0; part < 6; part += 1) index[6 * k + part] = 4 * k + TRIANGLES[part];
-    }
-    geometry.setIndex(new BufferAttribute(index, 1));
-    geometry.setAttribute("corner", new BufferAttribute(corner, 2));
-    geometry.setAttribute("start", new BufferAttribute(new Float32Array(12 * most), 3));
-    geometry.setAttribute("finish", new BufferAttribute(new Float32Array(12 * most), 3));
-    geometry.setAttribute("tint", new BufferAttribute(new Uint8Array(16 * most), 4, true));
-    geometry.setAttribute("when", new BufferAttribute(new Float32Array(8 * most), 2));
-    super(geometry, lineMaterial(VERTEX, width, opacity));
+    super(lineGeometry(most), lineMaterial(VERTEX, width, opacity));
     this.frustumCulled = false;
-    this.parts = ["start", "finish", "tint", "when"].map((name) => geometry.attributes[name]);
+    this.most = most;
+    this.parts = PARTS.map((name) => this.geometry.attributes[name]);
+  }
+
+  /** Make room for more lines; those that are there stay. */
+  grow(most) {
+    const geometry = lineGeometry(most);
+    const parts = PARTS.map((name) => geometry.attributes[name]);
+    parts.forEach((part, k) => part.array.set(this.parts[k].array));
+    this.geometry.dispose();
+    [this.geometry, this.parts, this.most] = [geometry, parts, most];
   }
 
   put(k, from, fromAt, to, toAt, colour, whenFrom = 0, whenTo = 0) {
@@ -130,12 +145,13 @@ export class Lines extends Mesh {
     }
   }
 
-  show(count) {
+  /** Draw so many lines, of which those from `first` on have changed. */
+  show(count, first = 0) {
     this.geometry.setDrawRange(0, 6 * count);
     for (const part of this.parts) {
-      part.clearUpdateRanges();
-      part.addUpdateRange(0, 4 * count * part.itemSize);
-      part.needsUpdate = count > 0;
+      if (!first) part.clearUpdateRanges();
+      part.addUpdateRange(4 * first * part.itemSize, 4 * (count - first) * part.itemSize);
+      part.needsUpdate = count > first;
     }
   }
 }
@@ -187,34 +203,43 @@ export class Trails extends Lines {
   constructor(episode) {
     const { rows, drones, colours } = episode.about;
     super(Math.max(1, (rows - 1) * drones), 2);
-    const hues = colours.map((one) => new Color(one));
-    const position = episode.payload.series("position");
-    const from = new Float32Array(3 * drones);
-    const to = new Float32Array(3 * drones);
+    this.episode = episode;
+    this.hues = colours.map((one) => new Color(one));
     // Pieces of row k are those from `begins[k]` on.
-    this.begins = new Uint32Array(rows + 1);
-    let count = 0;
-    for (let row = 0; row + 1 < rows; row += 1) {
-      this.begins[row] = count;
+    this.begins = [];
+    this.total = 0;
+    this.read();
+  }
+
+  /** Add the pieces of rows that have come since. */
+  read() {
+    const { about, payload, times, end } = this.episode;
+    const position = payload.series("position");
+    const [from, to] = [new Float32Array(3 * about.drones), new Float32Array(3 * about.drones)];
+    let first = this.total;
+    for (let row = this.begins.length; row + 1 < about.rows; row += 1) {
+      this.begins.push(this.total);
+      if (this.total + about.drones > this.most) {
+        this.grow(2 * (this.total + about.drones));
+        first = 0;
+      }
       position.between(row, 0, from);
       position.between(row + 1, 0, to);
-      for (let k = 0; k < drones; k += 1) {
-        if (row >= episode.end[k]) continue;
-        const [then, later] = [episode.times[row], episode.times[row + 1]];
-        this.put(count, from, 3 * k, to, 3 * k, hues[k], then, later);
-        count += 1;
+      for (let k = 0; k < about.drones; k += 1) {
+        if (row >= end[k]) continue;
+        this.put(this.total, from, 3 * k, to, 3 * k, this.hues[k], times[row], times[row + 1]);
+        this.total += 1;
       }
     }
-    this.begins.fill(count, rows - 1);
-    this.show(count);
-    this.episode = episode;
+    this.show(this.total, first);
   }
 
   /** Show what was flown in the last `reach` seconds. */
   update(reach) {
-    const { time, row, period } = this.episode;
-    const first = this.begins[Math.max(0, Math.floor((time - reach) / period))];
-    const count = reach > 0 ? this.begins[row + 1] - first : 0;
+    const { time, start, row, period } = this.episode;
+    const before = (one) => this.begins[one] ?? this.total;
+    const first = before(Math.max(0, Math.floor((time - start - reach) / period)));
+    const count = reach > 0 ? before(row + 1) - first : 0;
     this.geometry.setDrawRange(6 * first, 6 * count);
     this.material.uniforms.now.value = time;
     this.material.uniforms.reach.value = reach;

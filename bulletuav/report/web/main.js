@@ -2,10 +2,11 @@
 
 import { Color, Scene, Vector3, WebGLRenderer } from "./three.module.min.js";
 import { View } from "./camera.js";
-import { byId, connect } from "./controls.js";
+import { byId, connect, fill } from "./controls.js";
 import { Drones } from "./drones.js";
 import { Episode } from "./episode.js";
 import { setLineSize } from "./lines.js";
+import { listen } from "./live.js";
 import { readPayload } from "./payload.js";
 import { Plots } from "./plots.js";
 import { Service } from "./service.js";
@@ -30,53 +31,102 @@ const COLOURS = [
 ];
 const PICK = 24; // pixels from a drone within which a click chooses it
 const KEPT = 600; // pictures whose times are kept
+const SPARE = 0.15; // of the size of what grows, around it
+const PLOT_EVERY = 400; // ms between plots of what grows
 
-/** What plays the episode; `globalThis.replay` for consoles and tests. */
+/** What plays episodes; `globalThis.replay` for consoles and tests. */
 class Player {
   constructor(payload) {
-    this.episode = new Episode(payload);
     this.canvas = byId("view");
     this.renderer = new WebGLRenderer({ canvas: this.canvas, antialias: true });
-    this.scene = new Scene();
-    const whole = extent(this.episode);
-    this.view = new View(this.canvas, whole);
-    this.world = new World(this.episode, whole);
-    this.drones = new Drones(this.episode);
-    this.service = new Service(this.episode);
-    this.scene.add(this.world, this.drones, this.service);
     Object.assign(this, {
       chosen: 0,
       speed: 1,
       playing: false,
+      atEnd: false, // of an episode that grows
       following: false,
       reach: 5,
       trueSize: false,
+      hidden: new Set(), // names of layers
     });
     this.stats = { script: [], calls: 0, pictures: 0 }; // ms of scripts, draw calls, count
-    const { about } = this.episode;
-    this.layers = {
-      trails: this.drones.trails,
-      rings: this.drones.rings,
-      stems: this.drones.stems,
-      goals: about.goals && this.drones.goals,
-      contacts: this.drones.contactRows.length && this.drones.contacts,
-      users: about.users && this.service.users,
-      links: this.service.hasLinks && this.service.links,
-      beams: this.service.ranges && this.service.beams,
-      city: this.world.city,
-    };
-    this.plots = new Plots(this.episode, byId("charts"), (time) => this.seek(time));
     this.spot = new Vector3();
+    this.theme = matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light";
+    this.load(payload);
     connect(this);
     this.canvas.addEventListener("pointerdown", (event) => {
       this.pressed = [event.clientX, event.clientY];
     });
     this.canvas.addEventListener("click", (event) => this.pick(event));
     new ResizeObserver(() => this.resize()).observe(this.canvas);
-    this.setTheme(matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
     this.resize();
     this.view.whole();
-    this.choose(0);
+  }
+
+  /** Show an episode, in place of the one before. */
+  load(payload) {
+    this.scene?.traverse((one) => {
+      one.geometry?.dispose();
+      one.material?.dispose();
+    });
+    this.episode = new Episode(payload);
+    const { about } = this.episode;
+    const whole = extent(this.episode);
+    this.view ??= new View(this.canvas, whole);
+    this.view.extent = whole;
+    this.world = new World(this.episode, whole);
+    this.drones = new Drones(this.episode);
+    this.service = new Service(this.episode);
+    this.scene = new Scene();
+    this.scene.add(this.world, this.drones, this.service);
+    const hasContacts = payload.grows || payload.array("contact_row").length;
+    this.layers = {
+      trails: this.drones.trails,
+      rings: this.drones.rings,
+      stems: this.drones.stems,
+      goals: about.goals && this.drones.goals,
+      contacts: hasContacts && this.drones.contacts,
+      users: about.users && this.service.users,
+      links: this.service.hasLinks && this.service.links,
+      beams: this.service.ranges && this.service.beams,
+      city: this.world.city,
+    };
+    for (const name of this.hidden) if (this.layers[name]) this.showLayer(name, false);
+    this.plots = new Plots(this.episode, byId("charts"), (time) => this.seek(time));
+    fill(this);
+    this.setTheme(this.theme);
+    this.choose(Math.min(this.chosen, about.drones - 1));
+    document.title = document.querySelector("h1").textContent = about.title;
+    if (payload.grows) this.goLive();
+  }
+
+  /** Take in rows that have come to an episode that grows. */
+  grow() {
+    const { episode, view } = this;
+    episode.read();
+    this.drones.trails.read();
+    byId("scrub").max = episode.duration;
+    const [low, high] = episode.bounds();
+    const leaves = (one, axis) => one < view.extent.low[axis] || high[axis] > view.extent.high[axis];
+    if (low.some(leaves)) {
+      view.extent = extent(episode, SPARE);
+      if (!view.touched) view.whole();
+    }
+    this.plotsAreOld = this.dirty = true;
+  }
+
+  /** Take in that an episode grows no more. */
+  finish() {
+    this.episode.payload.finish();
+    this.episode.read();
+    if (this.atEnd) this.toggle();
+    this.dirty = true;
+  }
+
+  /** Go to the end of an episode that grows, and stay there. */
+  goLive() {
+    this.atEnd = this.episode.payload.grows;
+    if (!this.playing) this.toggle();
   }
 
   set(name, value) {
@@ -89,13 +139,16 @@ class Player {
   }
 
   seek(time) {
+    this.atEnd = this.episode.payload.grows && time >= this.episode.duration;
     this.episode.sample(time);
     this.dirty = true;
   }
 
   toggle() {
+    const { episode } = this;
     this.playing = !this.playing;
-    if (this.playing && this.episode.time >= this.episode.duration) this.seek(0);
+    if (!this.playing) this.atEnd = false;
+    else if (!this.atEnd && episode.time >= episode.duration) this.seek(episode.start);
     byId("play").textContent = this.playing ? "Pause" : "Play";
   }
 
@@ -125,6 +178,7 @@ class Player {
   }
 
   showLayer(name, on) {
+    this.hidden[on ? "delete" : "add"](name);
     this.layers[name].visible = on;
     if (name === "city" && this.world.edges) this.world.edges.visible = on;
     this.dirty = true;
@@ -221,9 +275,15 @@ class Player {
     const begin = performance.now();
     const seconds = Math.min(0.1, (now - (this.before ?? now)) / 1000);
     this.before = now;
-    if (this.playing) {
+    this.plotted ??= now;
+    if (this.atEnd) this.approachEnd(seconds);
+    else if (this.playing) {
       this.seek(this.episode.time + this.speed * seconds);
-      if (this.episode.time >= this.episode.duration) this.toggle();
+      if (this.episode.time >= this.episode.duration && !this.atEnd) this.toggle();
+    }
+    if (this.plotsAreOld && now - this.plotted > PLOT_EVERY) {
+      [this.plotsAreOld, this.plotted] = [false, now];
+      this.plots.draw();
     }
     if (this.dirty || this.view.changed) {
       this.draw(this.playing ? seconds : 0);
@@ -232,6 +292,15 @@ class Player {
       if (this.stats.script.length > KEPT) this.stats.script.shift();
     }
     requestAnimationFrame((later) => this.turn(later));
+  }
+
+  /** Stay about a decision behind what has come, so that drones move without a stop. */
+  approachEnd(seconds) {
+    const { time, duration, period } = this.episode;
+    const lag = duration - time;
+    if (lag <= 0) return;
+    this.episode.sample(time + lag * Math.min(1, seconds / period));
+    this.dirty = true;
   }
 
   draw(seconds) {
@@ -281,13 +350,25 @@ function obey(player) {
   if (told.has("play")) player.toggle();
 }
 
-try {
-  const player = new Player(await readPayload(byId("payload").textContent));
+/** Begin with the first episode. */
+function begin(payload) {
+  const player = new Player(payload);
   obey(player);
   globalThis.replay = player;
   requestAnimationFrame((now) => player.turn(now));
-} catch (error) {
+  return player;
+}
+
+function fail(error) {
   byId("trouble").hidden = false;
   byId("trouble").textContent = `This replay needs a browser with WebGL 2: ${error.message}`;
   console.error(error);
+}
+
+try {
+  const text = byId("payload").textContent;
+  if (text) begin(await readPayload(text));
+  else listen(begin, fail);
+} catch (error) {
+  fail(error);
 }

@@ -39,6 +39,7 @@ export class Payload {
     this.about = JSON.parse(new TextDecoder().decode(new Uint8Array(block, 4, length)));
     this.block = block;
     this.start = 4 + length;
+    this.grows = false; // as live ones do
     this.known = new Map();
   }
 

@@ -54,10 +54,9 @@ class Plot {
 
   point(event, seek) {
     const box = this.canvas.getBoundingClientRect();
-    seek(
-      this.episode.duration *
-        Math.min(1, Math.max(0, (event.clientX - box.left - GUTTER) / (box.width - GUTTER))),
-    );
+    const share = (event.clientX - box.left - GUTTER) / (box.width - GUTTER);
+    const { start, duration } = this.episode;
+    seek(start + (duration - start) * Math.min(1, Math.max(0, share)));
   }
 
   at(row, line, drone) {
@@ -72,12 +71,13 @@ class Plot {
     this.canvas.height = HEIGHT * ratio;
     const pen = this.canvas.getContext("2d");
     pen.scale(ratio, ratio);
-    const last = this.episode.end[drone];
+    const { start, duration, about } = this.episode;
+    const last = Math.min(this.episode.end[drone], about.rows - 1);
     const [low, high] = this.range(drone, last);
     const span = high - low || 1;
     const inner = width - GUTTER;
     const up = (value) => 3 + (HEIGHT - 6) * (1 - (value - low) / span);
-    const along = inner / this.episode.duration;
+    const along = inner / (duration - start);
     pen.strokeStyle = style.line;
     pen.strokeRect(GUTTER + 0.5, 0.5, inner - 1, HEIGHT - 1);
     if (this.chart.mark !== undefined && this.chart.mark <= high) {
@@ -99,7 +99,8 @@ class Plot {
         const value = this.at(row, line, drone);
         if (Number.isNaN(value)) joined = false;
         else {
-          pen[joined ? "lineTo" : "moveTo"](GUTTER + along * this.episode.times[row], up(value));
+          const across = GUTTER + along * (this.episode.times[row] - start);
+          pen[joined ? "lineTo" : "moveTo"](across, up(value));
           joined = true;
         }
       }
@@ -125,8 +126,8 @@ class Plot {
   }
 
   update(drone) {
-    const { time, duration, decision, end } = this.episode;
-    const along = GUTTER + ((this.width - GUTTER) * time) / duration;
+    const { time, start, duration, decision, end } = this.episode;
+    const along = GUTTER + ((this.width - GUTTER) * (time - start)) / (duration - start);
     this.cursor.style.transform = `translateX(${along.toFixed(1)}px)`;
     const row = Math.min(decision, end[drone]);
     this.values.forEach((place, k) => {
@@ -141,6 +142,10 @@ export class Plots {
   constructor(episode, parent, seek) {
     this.drone = 0;
     this.groups = new Map();
+    // Groups that the reader opened stay so in the next episode.
+    const before = [...parent.children].map((one) => [one.dataset.name, one.open]);
+    this.open = new Map([...OPEN.map((name) => [name, true]), ...before]);
+    parent.replaceChildren();
     for (const chart of episode.about.charts) {
       if (!this.groups.has(chart.group)) this.addGroup(chart.group, parent);
       const { details, plots } = this.groups.get(chart.group);
@@ -151,7 +156,8 @@ export class Plots {
   addGroup(name, parent) {
     const details = element("details", parent);
     element("summary", details, name);
-    details.open = OPEN.includes(name);
+    details.dataset.name = name;
+    details.open = this.open.get(name) ?? false;
     // Plots have no size, and are not drawn, while their group is closed.
     details.addEventListener("toggle", () => this.draw());
     this.groups.set(name, { details, plots: [] });

@@ -39,14 +39,8 @@ export class Service extends Group {
     );
     this.users.frustumCulled = false;
     this.users.count = about.users;
-    this.who = payload.array("link_drone");
-    this.whom = payload.array("link_target");
-    this.begins = payload.array("link_start");
-    let most = 1;
-    for (let row = 0; row < about.rows; row += 1)
-      most = Math.max(most, this.begins[row + 1] - this.begins[row]);
-    this.links = new Lines(most, 1.5, 0.75);
-    this.hasLinks = this.who.length > 0;
+    this.links = new Lines(1, 1.5, 0.75);
+    this.hasLinks = payload.grows ? about.users > 0 : payload.array("link_drone").length > 0;
     this.ranges = payload.has("reading/lidar") ? payload.series("reading/lidar") : null;
     const directions = about.lidar.beams.map(([azimuth, elevation]) => {
       const [a, e] = [(azimuth * Math.PI) / 180, (elevation * Math.PI) / 180];
@@ -79,18 +73,16 @@ export class Service extends Group {
   }
 
   placeLinks() {
-    const { position, target, row } = this.episode;
-    const first = this.begins[row];
-    const count = this.begins[row + 1] - first;
+    const { payload, position, target, row } = this.episode;
+    const [who, whom, begins] = ["link_drone", "link_target", "link_start"].map((name) =>
+      payload.array(name),
+    );
+    const first = begins[row];
+    const count = begins[row + 1] - first;
+    if (count > this.links.most) this.links.grow(2 * count);
     for (let k = 0; k < count; k += 1) {
-      this.links.put(
-        k,
-        position,
-        3 * this.who[first + k],
-        target,
-        3 * this.whom[first + k],
-        this.palette.link,
-      );
+      const [from, to] = [3 * who[first + k], 3 * whom[first + k]];
+      this.links.put(k, position, from, target, to, this.palette.link);
     }
     this.links.show(count);
   }

@@ -49,8 +49,8 @@ void main() {
 }`;
 const MOST_EDGES = 200000; // triangles of a city up to which its edges are drawn
 
-/** Lowest and highest corner of everything, and what follows for the view. */
-export function extent(episode) {
+/** Lowest and highest corner of everything, with a margin, and what follows for the view. */
+export function extent(episode, margin = 0) {
   const [low, high] = episode.bounds();
   const corners = episode.payload.array("city_corners");
   for (let k = 0; k < corners.length; k += 1) {
@@ -58,9 +58,10 @@ export function extent(episode) {
     high[k % 3] = Math.max(high[k % 3], corners[k]);
   }
   // Rings reach over what they are about.
-  for (const axis of [0, 1]) {
-    low[axis] -= 0.5 * episode.about.d_safe;
-    high[axis] += 0.5 * episode.about.d_safe;
+  for (const axis of [0, 1, 2]) {
+    const more = (axis < 2 ? 0.5 * episode.about.d_safe : 0) + margin * (high[axis] - low[axis]);
+    low[axis] -= axis < 2 ? more : 0;
+    high[axis] += more;
   }
   const middle = low.map((least, axis) => (least + high[axis]) / 2);
   const size = Math.max(1, Math.hypot(...low.map((least, axis) => high[axis] - least)));
@@ -180,7 +181,7 @@ export class World extends Group {
     const steps = ["obstacle", "obstacle_quaternion"].map(
       (name) => this.episode.payload.series(name).step,
     );
-    this.obstaclesMove = steps.some((step) => step.some((one) => one > 0));
+    this.obstaclesMove = this.episode.payload.grows || steps.some((step) => step.some((one) => one > 0));
     this.matrix4 = new Matrix4();
     this.placeObstacles();
     this.add(this.bodies);

@@ -1,0 +1,86 @@
+"""Draw each task: a flight of it in three dimensions, and a page with all of them.
+
+    python benchmarks/gallery.py --out docs/results/gallery
+
+Each task is flown by its own baseline, with seed 0. Writes TASK.png for each, and gallery.md.
+"""
+
+import argparse
+import itertools
+from pathlib import Path
+from typing import Any
+
+from PIL import Image
+
+import bulletuav
+from bulletuav.analysis.recording import fly_episode
+from bulletuav.commands.progress import show_progress
+from bulletuav.files import replace_file, whole_file
+from bulletuav.policies import find_policy
+from bulletuav.report.film import Film
+from bulletuav.tasks import find_task
+
+SIZE = (560, 380)
+COLOURS = 64
+"""Of each picture, which makes files small"""
+CITY = {"area": 300.0, "num_layouts": 1}
+OPTIONS: dict[str, dict[str, Any]] = {
+    **dict.fromkeys(("coverage", "default", "lidar_navigation", "los", "mec"), CITY),
+    **dict.fromkeys(("mec_advanced", "mobile_users", "navigation"), CITY),
+    "crossing": {"num_drones": 8},
+    "converge": {"num_drones": 8},
+}
+"""Options of tasks beside `COMMON`"""
+COMMON = {"dynamics": "point_mass"}
+HEAD = """# Gallery
+
+After this page you know what each task looks like. Each picture shows a flight of its task's own
+baseline, with seed 0 and the tracks of all drones; what is pale is behind something. Fly one, and
+turn it about in your browser:
+
+```sh
+bulletuav fly TASK --html --out flight
+```
+
+`bulletuav tasks TASK` tells the task's MDP and options.
+"""
+
+
+def draw(task: str, path: Path) -> None:
+    """Fly a task, and draw the flight."""
+    policy = find_policy(find_task(task).baseline, task)
+    options = policy.complete(task, {**COMMON, **OPTIONS.get(task, {})})
+    aviary = bulletuav.Aviary(task, **options)
+    recording = fly_episode(aviary, policy(aviary), 0)
+    film = Film(recording, f"{task}, {policy.name}", "still", size=SIZE)
+    picture = film.picture(float(recording.time[-2]), reach=float("inf"))
+    with whole_file(path) as part:
+        Image.fromarray(picture).quantize(COLOURS).save(part, "PNG", optimize=True)
+    film.close()
+    aviary.close()
+
+
+def section(task: str) -> str:
+    """Write the part of the page about a task."""
+    summary = (find_task(task).__doc__ or "").split("\n", 1)[0]
+    return f"\n## {task}\n\n{summary}\n\n![A flight of {task}]({task}.png)\n"
+
+
+def main() -> None:
+    """Draw all tasks, or those that are named."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
+    parser.add_argument("--out", type=Path, required=True, help="folder for the files")
+    parser.add_argument("--tasks", nargs="+", default=bulletuav.list_tasks(), help="default: all")
+    arguments = parser.parse_args()
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    done = itertools.count(1)
+    with show_progress("flying", len(arguments.tasks), "tasks") as report:
+        for task in arguments.tasks:
+            draw(task, arguments.out / f"{task}.png")
+            report(next(done))
+    text = HEAD + "".join(map(section, bulletuav.list_tasks()))
+    replace_file(arguments.out / "gallery.md", text)
+
+
+if __name__ == "__main__":
+    main()

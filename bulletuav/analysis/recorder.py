@@ -1,0 +1,156 @@
+"""Recorder of an episode while it flies: states, decisions, contacts, and the scene of world 0."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bulletuav.analysis.recorded import TOLD, Recording
+from bulletuav.analysis.scene import SceneLog
+from bulletuav.envs.aviary import Aviary
+from bulletuav.geometry.rotation import to_world
+from bulletuav.tasks.targets import active_targets
+from bulletuav.vehicle.swarm import Contacts, Swarm
+
+
+class _State(NamedTuple):
+    """What there is in world 0 at one time.
+
+    Attributes:
+        swarm: State of all drones.
+        alive: Drones in the airspace, (N,) bool.
+        goal: Goals, (N, 3), m, if there are any.
+        obstacle: Obstacles, (K, 3), m.
+        target: Targets that count, (U, 3), m.
+        seen: Those of them that some drone sees, (U,) bool.
+    """
+
+    swarm: Swarm
+    alive: np.ndarray
+    goal: np.ndarray
+    obstacle: np.ndarray
+    target: np.ndarray
+    seen: np.ndarray
+
+
+class _Decision(NamedTuple):
+    """What one decision of all worlds told.
+
+    Attributes:
+        action: Actions, (W, N, A).
+        reward: Rewards, (W, N).
+        info: Infos, (W, N, ...) by name.
+        contacts: Contacts of world 0.
+    """
+
+    action: np.ndarray
+    reward: np.ndarray
+    info: Mapping[str, Any]
+    contacts: Contacts
+
+
+class Recorder:
+    """Keeps an episode of world 0 of an aviary, decision by decision."""
+
+    def __init__(self, aviary: Aviary) -> None:
+        """Begin with the state that there is now, such as right after a reset."""
+        self._aviary = aviary
+        self._first = int(aviary.steps[0])
+        # States have one row more than decisions: the start.
+        self._states = [_state(aviary)]
+        self._decisions: list[_Decision] = []
+        self._log = SceneLog(aviary)
+        self._in_first = np.arange(aviary.num_worlds) == 0
+
+    def note(self, action: np.ndarray, reward: np.ndarray, info: Mapping[str, Any]) -> None:
+        """Keep one decision, right after it was flown.
+
+        Args:
+            action: Actions, (W, N, A).
+            reward: Rewards, (W, N).
+            info: Infos, (W, N, ...) by name.
+        """
+        contacts = self._aviary.contacts.of_worlds(self._in_first)
+        self._decisions.append(_Decision(action, reward, info, contacts))
+        self._states.append(_state(self._aviary))
+        self._log.note()
+
+    def forget(self) -> None:
+        """Drop all but the last state: what is noted next goes on from there."""
+        self._first += len(self._decisions)
+        self._decisions.clear()
+        del self._states[:-1]
+        self._log.forget()
+
+    def recording(self) -> Recording:
+        """Make a recording of what was kept, which is at least one decision."""
+        states, decisions, aviary = self._states, self._decisions, self._aviary
+
+        def column(name: str) -> np.ndarray:
+            return np.array([decision.info[name][0] for decision in decisions])
+
+        # Infos have to be there in every decision, for each world, and not to be Python's objects.
+        kept = [
+            name
+            for name, values in decisions[0].info.items()
+            if values.ndim
+            and values.dtype.kind != "O"
+            and all(name in decision.info for decision in decisions)
+        ]
+        return Recording(
+            time=(self._first + np.arange(len(states))) / aviary.options.decision_hz,
+            position=np.array([state.swarm.position[0] for state in states]),
+            quaternion=np.array([state.swarm.quaternion[0] for state in states]),
+            velocity=np.array([state.swarm.velocity[0] for state in states]),
+            rates=np.array([state.swarm.rates[0] for state in states]),
+            alive=np.array([state.alive for state in states]),
+            action=np.array([decision.action[0] for decision in decisions]),
+            reward=np.array([decision.reward[0] for decision in decisions]),
+            success=column("success"),
+            separation=column("separation"),
+            conflicts=column("conflicts"),
+            collision=column("collision"),
+            **_contact_columns([decision.contacts for decision in decisions]),
+            goal=np.array([state.goal for state in states]),
+            obstacle=np.array([state.obstacle for state in states]),
+            obstacle_radius=np.array([obstacle.radius for obstacle in aviary.task.obstacles()]),
+            obstacle_axis=_bar_axes(aviary),
+            building=aviary.solids().bounds,
+            target=np.array([state.target for state in states]),
+            seen=np.array([state.seen for state in states]),
+            info={name: column(name) for name in kept if name not in TOLD},
+            reading=self._log.readings(),
+            scene=self._log.scene(),
+        )
+
+
+def _state(aviary: Aviary) -> _State:
+    """Look at world 0."""
+    scene = aviary.scene
+    active = active_targets(aviary.task, scene)[0]
+    seen = np.any(aviary.sight[0], axis=0)
+    return _State(
+        swarm=aviary.swarm.copy(),
+        alive=aviary.alive[0].copy(),
+        goal=scene.goal[0].copy() if aviary.task.has_goals else np.zeros((0, 3)),
+        obstacle=scene.obstacle[0].copy(),
+        target=aviary.task.targets(scene)[0, active],
+        seen=seen[active],
+    )
+
+
+def _bar_axes(aviary: Aviary) -> np.ndarray:
+    """Tell how bars among the obstacles of world 0 lie, (K, 3) m; they do not turn in flight."""
+    turn = aviary.scene.obstacle_quaternion[0].tolist()
+    bodies = zip(aviary.task.obstacles(), turn, strict=True)
+    axes = [to_world(tuple(one), body.long_axis) for body, one in bodies]
+    return np.array(axes).reshape(-1, 3)
+
+
+def _contact_columns(contacts: list[Contacts]) -> dict[str, Any]:
+    """Stack the contacts of each decision, by the names that they have in recordings."""
+    step = np.repeat(np.arange(len(contacts)), [len(one.world) for one in contacts])
+    columns = map(np.concatenate, zip(*contacts, strict=True))
+    told = dict(zip(Contacts._fields, columns, strict=True))
+    del told["world"], told["depth"]  # compiled contacts meet at their surfaces
+    return {"contact_step": step} | {f"contact_{name}": told[name] for name in told}

@@ -1,0 +1,39 @@
+"""Words that a shell completes; skipped without the extra."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from bulletuav.cli import main
+
+
+def completed(line, tmp_path):
+    """Words that are offered at the end of a line."""
+    told = tmp_path / "told"
+    asked = {
+        "_ARGCOMPLETE": "1",
+        "_ARGCOMPLETE_STDOUT_FILENAME": str(told),
+        "_ARGCOMPLETE_IFS": "\n",
+        "COMP_LINE": line,
+        "COMP_POINT": str(len(line)),
+    }
+    command = [sys.executable, "-m", "bulletuav"]
+    subprocess.run(command, env=os.environ | asked, check=True, timeout=120)
+    return {word.strip() for word in told.read_text().split("\n")}
+
+
+def test_tasks_policies_and_options_are_offered(tmp_path):
+    pytest.importorskip("argcomplete", reason="needs the extra completion")
+    assert completed("bulletuav fly cross", tmp_path) == {"crossing"}
+    assert completed("bulletuav fly crossing --policy orc", tmp_path) == {"orca", "orca_observed"}
+    assert completed("bulletuav fly crossing --dyn", tmp_path) == {"--dynamics"}
+    assert "replay" in completed("bulletuav re", tmp_path)
+
+
+def test_without_the_extra_it_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "argcomplete", None)
+    monkeypatch.setenv("_ARGCOMPLETE", "1")
+    with pytest.raises(ImportError, match=r"\[completion\]"):
+        main(["tasks"])
