@@ -32,6 +32,8 @@ EXTRAS = {
     "omegaconf",
     "imageio",
     "msgpack",
+    "onnx",
+    "onnxruntime",
     "pymavlink",
     "rerun",
     "rosbags",
