@@ -33,6 +33,8 @@ EXTRAS = {
     "omegaconf",
     "imageio",
     "msgpack",
+    "onnx",
+    "onnxruntime",
     "pymavlink",
     "rerun",
     "rosbags",

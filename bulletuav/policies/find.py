@@ -204,11 +204,25 @@ def _from_package(name: str, task: TaskSource | None, trust: bool) -> PolicySpec
     return _from_run(run if name == "trained" else run / CHECKPOINTS / "000", name, trust)
 
 
-def _from_run(folder: Path, name: str, trust: bool) -> PolicySpec:
-    """Find the policy of a run, or of a checkpoint two folders below it."""
+def read_run_config(folder: Path, trust: bool = False) -> RunConfig:
+    """Read the settings of a run.
+
+    Args:
+        folder: The folder of the run, or that of a checkpoint two folders below it.
+        trust: Whether modules that the file names may be imported.
+
+    Raises:
+        ValueError: The file is of another kind, or holds an impossible setting.
+        FileNotFoundError: There is no such file.
+    """
     is_checkpoint = folder.parent.name == CHECKPOINTS and not (folder / CONFIG).exists()
     home = folder.parents[1] if is_checkpoint else folder
-    config = RunConfig.read(home / CONFIG, trust)
+    return RunConfig.read(home / CONFIG, trust)
+
+
+def _from_run(folder: Path, name: str, trust: bool) -> PolicySpec:
+    """Find the policy of a run, or of a checkpoint two folders below it."""
+    config = read_run_config(folder, trust)
     path = folder / POLICY
     if not path.is_file() and (folder / OLD_MODEL).is_file():
         spec = _trusted(folder / OLD_MODEL, name, config.algo, trust)

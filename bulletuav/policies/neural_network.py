@@ -14,6 +14,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load_file
 
 from bulletuav.policies.features import Layers, UserFeatures, symlog
+from bulletuav.policies.layers import Affine, Choose, Clip, Dense, Layer, Relu, Symlog, Tanh
 
 LOW = "action.low"
 """Name of the lower bounds of the actions, float32; a policy of discrete actions has none"""
@@ -205,6 +206,28 @@ class Network:
             return squashed
         clipped: np.ndarray = np.clip(values, low, high)
         return clipped
+
+    def layers(self) -> list[Layer]:
+        """List what it computes, first to last, for writers of other formats.
+
+        Raises:
+            ValueError: It has features of users, for which there is no layer.
+        """
+        if self._users is not None:
+            raise ValueError(
+                "features 'user_sum' have no form for other programs: train with features 'symlog'"
+            )
+        layers: list[Layer] = [] if self._scale is None else [Symlog(self._scale)]
+        between = Tanh() if self._actor.activation is _tanh else Relu()
+        for k, (weight, bias) in enumerate(self._layers):
+            layers += [between, Dense(weight, bias)] if k else [Dense(weight, bias)]
+        if self._bounds is None:
+            return [*layers, Choose()]
+        low, high = (bound.astype(float) for bound in self._bounds)
+        if not self._actor.squashed:
+            return [*layers, Clip(low, high)]
+        half = (high - low) / 2
+        return [*layers, Tanh(), Affine(half, low + half)]
 
 
 def _dense(weights: Weights, name: str) -> Layers:

@@ -1,0 +1,190 @@
+"""Trained policies as ONNX, for runtimes of neural networks."""
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bulletuav.adapters.deployed import Deployed
+from bulletuav.errors import missing
+from bulletuav.files import whole_file
+from bulletuav.policies.layers import (
+    Affine,
+    Choose,
+    Clip,
+    Dense,
+    Layer,
+    LimitNorm,
+    Lookup,
+    Relu,
+    SquareRoot,
+    Symlog,
+    Tanh,
+)
+from bulletuav.sensors.base import Label
+
+try:
+    import onnx
+    import onnxruntime
+    from onnx import TensorProto, checker, helper, numpy_helper
+except ImportError:
+    raise missing("writing ONNX", "onnx") from None
+
+OPSET = 17
+"""Version of the operators, which runtimes since 2022 know"""
+IR_VERSION = 8
+"""Version of the format that goes with it"""
+
+
+class _Graph:
+    """A graph that grows by one operator after another."""
+
+    def __init__(self, kind: type[np.floating[Any]]) -> None:
+        """Begin with the observation; `kind` is the type of numbers."""
+        self.kind = kind
+        self.nodes: list[Any] = []
+        self.constants: list[Any] = []
+
+    def constant(self, values: Any) -> str:
+        """Add a constant and give its name."""
+        name = f"constant_{len(self.constants)}"
+        array = np.asarray(values, dtype=self.kind)
+        self.constants.append(numpy_helper.from_array(array, name))
+        return name
+
+    def add(self, operator: str, *inputs: str, **attributes: Any) -> str:
+        """Add an operator on named values and give the name of what it computes."""
+        name = f"value_{len(self.nodes)}"
+        self.nodes.append(helper.make_node(operator, inputs, [name], **attributes))
+        return name
+
+
+def write_onnx(policy: Deployed, path: Path, precision: str = "float") -> list[Path]:
+    """Write a policy as an ONNX model: (drones, D) "observation" to (drones, S) "setpoint".
+
+    Args:
+        policy: The policy. Names, units and bounds of its numbers become the model's metadata.
+        path: The file.
+        precision: "float" or "double".
+
+    Returns:
+        The file.
+
+    Raises:
+        ValueError: A layer has no form in ONNX.
+        OSError: The file cannot be written.
+    """
+    graph = _Graph(np.float32 if precision == "float" else np.float64)
+    value = "observation"
+    for layer in policy.layers:
+        write = LAYERS.get(type(layer))
+        if write is None:
+            raise ValueError(f"a layer {type(layer).__name__} has no form in ONNX")
+        value = write(graph, value, layer)
+    graph.nodes.append(helper.make_node("Identity", [value], ["setpoint"]))
+    kind = TensorProto.FLOAT if precision == "float" else TensorProto.DOUBLE
+    sizes = {"observation": len(policy.inputs), "setpoint": len(policy.outputs)}
+    given, out = (
+        helper.make_tensor_value_info(name, kind, ["drones", size]) for name, size in sizes.items()
+    )
+    body = helper.make_graph(graph.nodes, "policy", [given], [out], graph.constants)
+    model = helper.make_model(
+        body,
+        opset_imports=[helper.make_opsetid("", OPSET)],
+        ir_version=IR_VERSION,
+        producer_name="bulletuav",
+        doc_string=policy.about,
+    )
+    told = {"observation": _told(policy.inputs), "setpoint": _told(policy.outputs)}
+    helper.set_model_props(model, told)
+    checker.check_model(model, full_check=True)
+    with whole_file(path) as part:
+        onnx.save(model, part)
+    return [path]
+
+
+def run_onnx(path: Path, rows: np.ndarray, policy: Deployed, precision: str) -> np.ndarray:
+    """Run a file of `write_onnx` by onnxruntime.
+
+    Args:
+        path: The file.
+        rows: (M, D) observations.
+        policy: What it was written of.
+        precision: That of the file.
+
+    Returns:
+        (M, S) setpoints.
+    """
+    session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    kind = np.float32 if precision == "float" else np.float64
+    (given,) = session.run(["setpoint"], {"observation": rows.astype(kind)})
+    return np.asarray(given, dtype=float)
+
+
+def _told(labels: Iterable[Label]) -> str:
+    """List names, units and bounds, a line each."""
+    return "\n".join(f"{one.name}, {one.unit}, {one.low:.9g} to {one.high:.9g}" for one in labels)
+
+
+def _clip(graph: _Graph, value: str, layer: Clip) -> str:
+    above = graph.add("Max", value, graph.constant(layer.low))
+    return graph.add("Min", above, graph.constant(layer.high))
+
+
+def _affine(graph: _Graph, value: str, layer: Affine) -> str:
+    scaled = graph.add("Mul", value, graph.constant(layer.scale))
+    return graph.add("Add", scaled, graph.constant(layer.offset))
+
+
+def _symlog(graph: _Graph, value: str, layer: Symlog) -> str:
+    size = graph.add("Mul", graph.add("Abs", value), graph.constant(layer.scale))
+    grown = graph.add("Log", graph.add("Add", size, graph.constant(1.0)))
+    return graph.add("Mul", graph.add("Sign", value), grown)
+
+
+def _dense(graph: _Graph, value: str, layer: Dense) -> str:
+    product = graph.add("MatMul", value, graph.constant(layer.weight.T))
+    return graph.add("Add", product, graph.constant(layer.bias))
+
+
+def _tanh(graph: _Graph, value: str, layer: Tanh) -> str:
+    return graph.add("Tanh", value)
+
+
+def _relu(graph: _Graph, value: str, layer: Relu) -> str:
+    return graph.add("Max", value, graph.constant(0.0))
+
+
+def _square_root(graph: _Graph, value: str, layer: SquareRoot) -> str:
+    return graph.add("Sqrt", graph.add("Max", value, graph.constant(0.0)))
+
+
+def _limit_norm(graph: _Graph, value: str, layer: LimitNorm) -> str:
+    most = graph.constant(layer.most)
+    norm = graph.add("ReduceL2", value, axes=[-1], keepdims=1)
+    share = graph.add("Div", most, graph.add("Max", norm, most))
+    return graph.add("Mul", value, share)
+
+
+def _choose(graph: _Graph, value: str, layer: Choose) -> str:
+    return graph.add("ArgMax", value, axis=-1, keepdims=0)
+
+
+def _lookup(graph: _Graph, value: str, layer: Lookup) -> str:
+    return graph.add("Gather", graph.constant(layer.rows), value)
+
+
+LAYERS: dict[type[Layer], Callable[[_Graph, str, Any], str]] = {
+    Clip: _clip,
+    Affine: _affine,
+    Symlog: _symlog,
+    Dense: _dense,
+    Tanh: _tanh,
+    Relu: _relu,
+    SquareRoot: _square_root,
+    LimitNorm: _limit_norm,
+    Choose: _choose,
+    Lookup: _lookup,
+}
+"""What adds each kind of layer to a graph: of the value before it, to the name of the one after"""
