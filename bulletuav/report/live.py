@@ -9,7 +9,7 @@ import weakref
 
 from bulletuav.analysis.recorder import Recorder
 from bulletuav.envs.aviary import Aviary
-from bulletuav.envs.infos import Infos
+from bulletuav.envs.infos import later
 from bulletuav.envs.pacer import Pacer
 from bulletuav.envs.viewer import parse_address
 from bulletuav.report.feed import Feed, event
@@ -76,7 +76,7 @@ class LiveView:
     def _send(self, recorder: Recorder) -> None:
         """Send the decision that was flown."""
         aviary = self._aviary
-        recorder.note(aviary.given.copy(), aviary.rewards.copy(), Infos(aviary.telling()))
+        recorder.note(aviary.given.copy(), aviary.rewards.copy(), later(aviary.telling()))
         recording = recorder.recording()
         recorder.forget()
         self._rows += 1
