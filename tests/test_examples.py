@@ -38,8 +38,8 @@ EXAMPLES = {
     f"{GYM}/learn": "--steps 1",
 }
 """Arguments of the shortest form"""
-BY_HAND = {"rllib_ppo"}
-"""Examples that need what the suite has not: Ray"""
+BY_HAND = {"rllib_ppo", "betaflight_loop"}
+"""Examples that need what the suite has not: Ray, Betaflight"""
 PICTURES = {
     "pid_flight": "square.png",
     "custom_task": "idleness.png",

@@ -302,7 +302,7 @@ def parallel_env(task: TaskSource, **options: Any) -> ParallelAviary:
 TURN = (
     *("agents", "_live_agents", "_actions", "_agent_selector", "agent_selection", "new_agents"),
     *("new_values", "_observations", "rewards", "_cumulative_rewards", "terminations"),
-    *("truncations", "infos"),
+    *("truncations", "infos", "_skip_agent_selection"),
 )
 """Where PettingZoo's conversion keeps what happened since the last decision"""
 
@@ -359,7 +359,7 @@ class TurnAviary(LabelledEnvironment, OrderEnforcingWrapper):  # type: ignore[mi
     @exclusive
     def save_state(self) -> FaceSnapshot:
         """Save all that makes the future, with whose turn it is; see `Aviary.save_state`."""
-        turn = {name: value for name, value in vars(self.env).items() if name in TURN}
+        turn = {name: getattr(self.env, name, None) for name in TURN}
         return FaceSnapshot("aec_env", self._parallel.save_state(), copy.deepcopy(turn))
 
     @exclusive

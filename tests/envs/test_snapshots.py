@@ -327,6 +327,31 @@ def test_turns_go_on_from_a_snapshot():
     env.close()
 
 
+def test_turns_go_on_from_where_a_drone_leaves_and_the_other_flies_on():
+    options = {"num_drones": 2, "dynamics": "point_mass"}
+    env, other = (bulletuav.aec_env("crossing", **options) for _ in range(2))
+    env.reset(seed=0)
+    begin, dive = env.save_state(), {"drone_0": -1.0, "drone_1": 0.0}
+    while not env.terminations["drone_0"]:
+        env.step(np.array((0.0, 0.0, dive[env.agent_selection])))
+    assert env.agent_selection == "drone_0"
+    leaves = env.save_state()
+    # A turn that is at its end leaves nothing behind
+    env.load_state(begin)
+    env.load_state(leaves)
+    other.load_state(leaves)
+    for one in (env, other):
+        one.step(None)
+        assert (one.agents, one.agent_selection) == (["drone_1"], "drone_1")
+        assert one.last()[2:4] == (False, False)
+        one.load_state(leaves)
+        one.load_state(begin)
+        for agent in ("drone_0", "drone_1", "drone_0"):
+            assert one.agent_selection == agent
+            one.step(np.zeros(3))
+        one.close()
+
+
 def test_curricula_go_on_from_a_snapshot():
     options = {"dynamics": "point_mass", "horizon": 4, "difficulty": "easy"}
     stages = ({"num_drones": 2}, {"num_drones": 3})
