@@ -44,7 +44,7 @@ CONSOLE_LINES = (
     b"aux 1 1 0 1700 2100 0 0\n",  # and chooses the mode in which sticks command angles
     b"set angle_limit = %d\n" % ANGLE,
     b"set roll_rc_rate = 67\nset pitch_rc_rate = 67\n",  # as at the end of the way: linear
-    b"set failsafe_delay = 200\n",  # its clock jumps where the machine is busy
+    b"set failsafe_delay = 200\n",  # its clock may jump where the machine is busy
     b"save\n",
 )
 CORNERS = ((1, -1), (-1, 1), (1, 1), (-1, -1))  # of the numbers of a packet: forward, left
