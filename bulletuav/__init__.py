@@ -1,7 +1,5 @@
 """bulletuav: a drone-swarm gym on PyBullet."""
 
-import logging
-
 from bulletuav.adapters.self_play import team_env
 from bulletuav.analysis.evaluation import evaluate
 from bulletuav.control.setpoint import SetpointLevel
@@ -44,6 +42,3 @@ __all__ = [
 ]
 
 register_environments()
-
-# Programs decide what becomes of messages; without a word of theirs nothing is written.
-logging.getLogger(__name__).addHandler(logging.NullHandler())
