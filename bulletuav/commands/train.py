@@ -2,9 +2,9 @@
 
 import argparse
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from rich.console import Console
 
@@ -21,8 +21,8 @@ from bulletuav.files import replace_file
 from bulletuav.policies.run import ALGORITHMS, CONFIG, POLICY, RunConfig, shipped, shipped_tasks
 from bulletuav.report.charts import plot_curves
 from bulletuav.tasks import find_task
-from bulletuav.training.campaign import Campaign, learning_table
-from bulletuav.training.store import CURVE, Row
+from bulletuav.training.campaign import Campaign, learning_table, wall_time
+from bulletuav.training.store import CURVE, UPDATES, Row
 
 ABOUT = {
     "help": "train a policy that all drones share, with stable-baselines3",
@@ -40,6 +40,8 @@ ABOUT = {
   bulletuav train --config crossing-run/run.yaml --out again
   bulletuav train --all --seeds 0,1,2 --workers 2 --out learning""",
 }
+Result = TypeVar("Result")
+"""What some work gives"""
 GIVEN = ("seed", "steps", "worlds", "evaluations", "episodes")
 """Arguments that are fields of `RunConfig` under the same name"""
 DISCRETE_ACTIONS = ("discrete", "discrete_27")
@@ -203,8 +205,8 @@ def _train_one(arguments: argparse.Namespace, config: RunConfig) -> None:
     default = Path("training") / f"{config.task}-{config.algo}-{config.seed}"
     out = out_folder(arguments.out or default)
     with show_progress(f"training {config.task}", config.steps, "steps") as report:
-        rows = train(config, out, report)
-    _finish(out, [(config, rows)], [out / CONFIG, out / POLICY, out / CURVE])
+        rows = _or_tell(out, lambda: train(config, out, report, report.note))
+    _finish(out, [(config, rows)], [out / CONFIG, out / POLICY, out / CURVE, out / UPDATES])
 
 
 def _train_several(arguments: argparse.Namespace, configs: list[RunConfig]) -> None:
@@ -214,8 +216,24 @@ def _train_several(arguments: argparse.Namespace, configs: list[RunConfig]) -> N
     runs = [dataclasses.replace(config, seed=seed) for config in configs for seed in chosen]
     campaign = Campaign(runs, out / "runs")
     with show_progress(f"training {len(runs)} runs", campaign.total, "steps") as report:
-        learned = campaign.train(arguments.workers, report)
+        workers = arguments.workers
+        learned = _or_tell(out, lambda: campaign.train(workers, report, report.note))
     _finish(out, learned, [])
+
+
+def _or_tell(out: Path, work: Callable[[], Result]) -> Result:
+    """Do the work; where it is interrupted, tell how to go on."""
+    try:
+        return work()
+    except KeyboardInterrupt:
+        Console(stderr=True).print(
+            f"interrupted: the same command goes on from the last checkpoint in {out}, to the same "
+            f"weights",
+            markup=False,
+            highlight=False,
+            soft_wrap=True,
+        )
+        raise
 
 
 def _finish(out: Path, runs: list[tuple[RunConfig, list[Row]]], files: list[Path]) -> None:
@@ -226,4 +244,7 @@ def _finish(out: Path, runs: list[tuple[RunConfig, list[Row]]], files: list[Path
     plot_curves(runs, picture)
     console = Console()
     console.print(table.read_text(), markup=False, soft_wrap=True)
+    for config, rows in runs:
+        told = f"{config.task}, {config.algo}, seed {config.seed}: {wall_time(rows)}"
+        console.print(told, highlight=False, markup=False, soft_wrap=True)
     print_files(console, [*files, table, picture])

@@ -17,7 +17,7 @@ from typing import Any
 
 from bulletuav.errors import as_int
 from bulletuav.policies.run import RunConfig
-from bulletuav.training.store import STATE, Row
+from bulletuav.training.store import STATE, WALL, Row
 
 Learned = tuple[RunConfig, list[Row]]
 """A run and its learning curve"""
@@ -54,6 +54,7 @@ class Campaign:
         self,
         workers: int = 1,
         progress: Callable[[int], None] = lambda steps: None,
+        told: Callable[[str], None] = lambda text: None,
     ) -> list[Learned]:
         """Train all runs.
 
@@ -63,6 +64,7 @@ class Campaign:
         Args:
             workers: Processes, of which each trains one run at a time.
             progress: Told the steps done so far by all.
+            told: Told in words what the last evaluation of each run found.
 
         Returns:
             The runs with their learning curves.
@@ -81,7 +83,7 @@ class Campaign:
                 futures = [
                     pool.submit(_train, config, self.place(config)) for config in self.configs
                 ]
-                self._watch(futures, progress)
+                self._watch(futures, progress, told)
             except BaseException:
                 # A process that is stopped would not hear anything milder.
                 for process in set(multiprocessing.active_children()) - others:
@@ -96,12 +98,23 @@ class Campaign:
         self,
         futures: Sequence[Future[list[Row]]],
         progress: Callable[[int], None],
+        told: Callable[[str], None],
     ) -> None:
         """Tell the progress until all runs are done, or raise what one of them raised."""
         while wait(futures, LOOK, FIRST_EXCEPTION).not_done and not any(map(_failed, futures)):
-            progress(sum(_steps(self.place(config)) for config in self.configs))
+            last = [_last(self.place(config)) for config in self.configs]
+            told(self._words(last))
+            progress(sum(int(row["steps"]) for row in last if row))
         for future in filter(_failed, futures):
             future.result()
+
+    def _words(self, last: Sequence[Row]) -> str:
+        """Say what the last evaluation of each run found, of those that have one."""
+        return "; ".join(
+            f"{config.task} {config.seed}: return {row['return']:.4g}, success {row['success']:.2f}"
+            for config, row in zip(self.configs, last, strict=True)
+            if row
+        )
 
 
 def _failed(future: Future[Any]) -> bool:
@@ -128,13 +141,26 @@ def _train(config: RunConfig, folder: Path) -> list[Row]:
     return train(config, folder, end_with_parent)
 
 
-def _steps(folder: Path) -> int:
-    """Read the steps until the last checkpoint of a run."""
+def _last(folder: Path) -> Row:
+    """Read the last row of a run's curve; an empty one where there is none."""
     # A damaged file is for the run itself to complain of.
     try:
-        return int(json.loads((folder / STATE).read_text())["rows"][-1]["steps"])
+        row: Row = json.loads((folder / STATE).read_text())["rows"][-1]
     except (FileNotFoundError, ValueError):
-        return 0
+        return {}
+    return row
+
+
+def wall_time(rows: Sequence[Row]) -> str:
+    """Say how much wall time a run took, and what for.
+
+    Args:
+        rows: Its learning curve.
+    """
+    seconds = {name: sum(row[name] for row in rows) for name in WALL}
+    whole = sum(row["seconds"] for row in rows)
+    parts = ", ".join(f"{name} {100 * one / whole:.0f} %" for name, one in seconds.items())
+    return f"{whole / 60:.1f} minutes: {parts}"
 
 
 def learning_table(runs: Sequence[Learned]) -> str:
@@ -144,7 +170,7 @@ def learning_table(runs: Sequence[Learned]) -> str:
         runs: The runs with their learning curves.
 
     Returns:
-        The table in markdown.
+        The table in markdown. Minutes and speed are of wall time, with evaluations.
     """
     shown = [name for name in TOLD if any(not math.isnan(rows[-1][name]) for _, rows in runs)]
     headings = [
@@ -153,6 +179,7 @@ def learning_table(runs: Sequence[Learned]) -> str:
         "seed",
         "steps",
         "minutes",
+        *WALL,
         "steps/s",
         *shown,
     ]
@@ -169,6 +196,7 @@ def learning_table(runs: Sequence[Learned]) -> str:
                     str(config.seed),
                     f"{last['steps']:,.0f}",
                     f"{seconds / 60:.1f}",
+                    *(f"{100 * sum(row[name] for row in rows) / seconds:.0f} %" for name in WALL),
                     f"{last['steps'] / max(seconds, 1e-9):,.0f}",
                     *found,
                 ]

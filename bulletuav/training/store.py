@@ -7,6 +7,7 @@ import contextlib
 import csv
 import io
 import json
+import math
 import shutil
 import warnings
 from collections.abc import Iterator
@@ -19,6 +20,10 @@ from bulletuav.policies.run import CHECKPOINTS, CONFIG, MODULE_NAME, POLICY, Run
 
 CURVE = "curve.csv"
 """File of the learning curve"""
+UPDATES = "updates.csv"
+"""File of what training told of itself, by updates"""
+WALL = ("simulation", "update", "evaluation")
+"""Columns of the curve with the parts of its wall time"""
 STATE = "state.json"
 """File that tells how far the run is"""
 TRAINING = "training.safetensors"
@@ -43,14 +48,16 @@ class Store:
 
     Attributes:
         folder: Where the files are: `run.yaml`, `curve.csv`, `policy.safetensors`, `state.json`,
-            and checkpoints.
+            `updates.csv`, and checkpoints.
         rows: The learning curve, a row for each evaluation, see below.
+        updates: What training told of itself, about a thousand rows, until the last checkpoint.
         curriculum: State of the curriculum at the last checkpoint.
 
     Columns of the curve:
         - "steps" and, of them, "decisions" that a drone flew;
         - "stage" of the curriculum;
-        - "seconds" of wall time since the row before, without evaluations;
+        - "seconds" of wall time since the row before, which are those of "simulation" (with the
+          choice of actions), of the "update" of networks, and of "evaluation";
         - means of the episodes in training since then, of a drone: "train/return",
           "train/decisions", "train/success", "train/conflicts", "train/collision";
         - means of `bulletuav.analysis.metrics.METRICS` in the evaluation.
@@ -68,6 +75,7 @@ class Store:
         """
         self.folder = folder
         self.rows: list[Row] = []
+        self.updates: list[Row] = []
         self.curriculum: dict[str, Any] = {}
         self._config = config
         about = "# " + ", ".join(f"{name} {version(name)}" for name in PACKAGES)
@@ -90,13 +98,16 @@ class Store:
             )
         try:
             state = json.loads((self.folder / STATE).read_text())
-            self.rows = state["rows"]
+            # Runs of older versions do not tell where the time went.
+            self.rows = [dict.fromkeys(WALL, math.nan) | row for row in state["rows"]]
             self.curriculum = state["curriculum"]
+            self.updates = _read_rows(self.folder / UPDATES, int(self.rows[-1]["steps"]))
             if not (self.last / POLICY).exists():
                 raise FileNotFoundError(f"no {self.last / POLICY}")
         except (
-            json.JSONDecodeError,
+            ValueError,
             KeyError,
+            IndexError,
             TypeError,
             FileNotFoundError,
         ) as error:
@@ -142,11 +153,12 @@ class Store:
         """Return the folder of a checkpoint."""
         return self.folder / CHECKPOINTS / f"{number:03d}"
 
-    def add(self, row: Row, curriculum: dict[str, Any]) -> None:
+    def add(self, row: Row, updates: list[Row], curriculum: dict[str, Any]) -> None:
         """Keep a row of the curve, once its checkpoint is complete.
 
         Args:
             row: The row.
+            updates: Rows of the updates since the one before.
             curriculum: State of the curriculum.
 
         Raises:
@@ -156,22 +168,43 @@ class Store:
         rows = [*self.rows, row]
         with whole_file(self.folder / POLICY) as part:
             shutil.copyfile(checkpoint / POLICY, part)
-        table = io.StringIO()
-        writer = csv.DictWriter(table, row.keys(), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-        replace_file(self.folder / CURVE, table.getvalue())
+        replace_file(self.folder / CURVE, _table(rows))
+        # One that is ahead of the state is cut to it when the run goes on.
+        updates = [*self.updates, *updates]
+        replace_file(self.folder / UPDATES, _table(updates))
         # How far the run is comes last: who is interrupted before it does the chapter again.
         replace_file(
             self.folder / STATE,
             json.dumps({"rows": rows, "curriculum": curriculum}),
         )
-        self.rows = rows
+        self.rows, self.updates = rows, updates
         self.curriculum = curriculum
         # Of older checkpoints the policies alone are kept.
         for old in (self.folder / CHECKPOINTS).glob("*"):
             for name in (TRAINING, REPLAY) if old != checkpoint else ():
                 (old / name).unlink(missing_ok=True)
+
+
+def _table(rows: list[Row]) -> str:
+    """Write rows as CSV; what one of them lacks is left empty."""
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    table = io.StringIO()
+    writer = csv.DictWriter(table, names, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return table.getvalue()
+
+
+def _read_rows(path: Path, steps: int) -> list[Row]:
+    """Read the rows of `_table` until a number of steps; older versions wrote none."""
+    if not path.exists():
+        return []
+    with path.open(newline="") as file:
+        rows = [
+            {name: float(value) for name, value in row.items() if value}
+            for row in csv.DictReader(file)
+        ]
+    return [row for row in rows if row["steps"] <= steps]
 
 
 @contextlib.contextmanager

@@ -4,7 +4,6 @@ It goes on to the weights of a run that was never interrupted.
 """
 
 import importlib.util
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -20,11 +19,18 @@ from bulletuav.policies.run import RunConfig
 from bulletuav.training import checkpoint
 from bulletuav.training.models import make_model
 from bulletuav.training.store import Row, Store, opened
+from bulletuav.training.wall_time import WallTime
 
 EVALUATION_SEED = 1_000_000
 """Seed of the first episode of evaluations on the way: no seed of training or of tables"""
+MOST_UPDATES = 1000
+"""Most points that a run tells TensorBoard and `updates.csv`"""
+RECENT = 100
+"""Episodes over which progress tells means"""
 Progress = Callable[[int], None]
 """Is told the steps done so far"""
+Told = Callable[[str], None]
+"""Is told in words how the training goes"""
 TOLD = {
     "return": "r",
     "decisions": "l",
@@ -35,7 +41,12 @@ TOLD = {
 """Columns of the curve on the episodes of a chapter, and their keys in infos"""
 
 
-def train(config: RunConfig, out: Path, progress: Progress = lambda steps: None) -> list[Row]:
+def train(
+    config: RunConfig,
+    out: Path,
+    progress: Progress = lambda steps: None,
+    told: Told = lambda text: None,
+) -> list[Row]:
     """Train a policy and keep everything in a folder.
 
     A chapter ends with an evaluation and a checkpoint. The next begins with new episodes and random
@@ -46,6 +57,7 @@ def train(config: RunConfig, out: Path, progress: Progress = lambda steps: None)
         config: What is trained, and how.
         out: The folder.
         progress: Told the steps done so far.
+        told: Told return, success and speed in words, whenever they are new.
 
     Returns:
         The learning curve, see `Store`.
@@ -57,12 +69,12 @@ def train(config: RunConfig, out: Path, progress: Progress = lambda steps: None)
     single_thread()
     with opened(out, config) as store:
         if not store.finished:
-            _train(config, store, progress)
+            _train(config, store, progress, told)
         progress(config.steps)
         return store.rows
 
 
-def _train(config: RunConfig, store: Store, progress: Progress) -> None:
+def _train(config: RunConfig, store: Store, progress: Progress, told: Told) -> None:
     """Train until all steps are done."""
     from stable_baselines3.common.logger import configure
 
@@ -79,7 +91,7 @@ def _train(config: RunConfig, store: Store, progress: Progress) -> None:
     try:
         model = _model(config, env, store)
         model.set_logger(configure(str(store.folder / "tensorboard"), ["tensorboard"]))
-        chapters = _Chapters(config, env, store, progress)
+        chapters = _Chapters(config, env, store, progress, told)
         model.learn(
             config.steps - model.num_timesteps,
             callback=chapters,
@@ -111,18 +123,26 @@ class _Chapters(BaseCallback):
         env: DroneVecEnv,
         store: Store,
         progress: Progress,
+        told: Told,
     ) -> None:
         super().__init__()
         self._config = config
         self._env = env
         self._store = store
         self._progress = progress
+        self._told = told
+        # Episodes of the chapter, how many an update has told, and its rows.
         self._episodes: list[dict[str, float]] = []
+        self._counted = 0
+        self._updates: list[Row] = []
+        self._wall = WallTime()
         self._is_open = False
-        self._start = time.perf_counter()
 
     def _on_rollout_start(self) -> None:
         """End the chapter where it is long enough, and begin one where none is open."""
+        self._wall.part = "simulation"
+        if self._is_open:
+            self._tell_update()
         # What a policy does before it learns begins the curve.
         if not self._store.rows:
             self.end()
@@ -149,21 +169,62 @@ class _Chapters(BaseCallback):
             getattr(model, "actor", model.policy).reset_noise(self._env.num_envs)
         model._last_episode_starts = np.ones(self._env.num_envs, dtype=bool)
         self._is_open = True
-        self._start = time.perf_counter()
+        self._wall.part = "simulation"
+
+    def _on_rollout_end(self) -> None:
+        """Note that the networks learn from here on."""
+        self._wall.part = "update"
+
+    def _tell_update(self) -> None:
+        """Tell TensorBoard and the table of updates what they have not heard, if it is due."""
+        steps = self.num_timesteps
+        rows = self._updates or self._store.updates
+        since = steps - (rows[-1]["steps"] if rows else 0)
+        if since * MOST_UPDATES < self._config.steps:
+            return
+        fresh = self._episodes[self._counted :]
+        self._counted = len(self._episodes)
+        found = {f"rollout/{name}": _mean(fresh, key) for name, key in TOLD.items()}
+        # The algorithm's own numbers, such as losses, are in its logger by now.
+        logger = self.model.logger
+        found |= {
+            name: float(value)
+            for name, value in logger.name_to_value.items()
+            if isinstance(value, int | float | np.number)
+        }
+        self._updates.append({"steps": float(steps), **found})
+        for name, value in found.items():
+            logger.record(name, value)
+        logger.dump(steps)
 
     def _on_step(self) -> bool:
-        """Note the episodes that ended; True lets SB3 go on."""
+        """Note the episodes that ended, and tell of them; True lets SB3 go on."""
+        before = len(self._episodes)
         for info in self.locals["infos"]:
             if info:
                 self._episodes.append(info["episode"] | {"success": info["is_success"]})
+        if len(self._episodes) > before:
+            self._told(self._words())
         self._progress(self.num_timesteps)
         return True
+
+    def _words(self) -> str:
+        """Say how the training goes."""
+        recent = self._episodes[-RECENT:]
+        seconds = sum(self._wall.seconds().values())
+        done = self.num_timesteps - self._store.rows[-1]["steps"]
+        return (
+            f"return {_mean(recent, 'r'):.4g}, success {_mean(recent, 'success'):.2f}, "
+            f"{done / max(seconds, 1e-9):,.0f} steps/s"
+        )
 
     def end(self) -> None:
         """Keep the model, evaluate it, and add a row to the curve."""
         model: Any = self.model
         config = self._config
-        seconds = time.perf_counter() - self._start if self._is_open else 0.0
+        if self._is_open:
+            self._tell_update()
+        self._wall.part = "evaluation"
         folder = self._store.next
         checkpoint.save(model, folder)
         evaluation = evaluate(
@@ -174,24 +235,26 @@ class _Chapters(BaseCallback):
             **config.evaluated,
         )
         found = evaluation.estimates()
+        wall = self._wall.seconds()
         row = {
             "steps": model.num_timesteps,
             "decisions": self._env.decisions,
             "stage": self._env.curriculum.stage,
-            "seconds": seconds,
-            **{f"train/{name}": self._mean(key) for name, key in TOLD.items()},
+            "seconds": sum(wall.values()),
+            **wall,
+            **{f"train/{name}": _mean(self._episodes, key) for name, key in TOLD.items()},
             **{name: found[name].mean for name in METRICS},
         }
         # From here on the chapter is kept; TensorBoard's copy of the curve may lack its last row.
-        self._store.add(row, self._env.curriculum.state())
+        self._store.add(row, self._updates, self._env.curriculum.state())
         for name, value in row.items():
             model.logger.record(name if "/" in name else f"evaluation/{name}", value)
         model.logger.dump(model.num_timesteps)
-        self._episodes = []
+        self._episodes, self._counted, self._updates = [], 0, []
+        self._wall = WallTime()
         self._is_open = False
 
-    def _mean(self, key: str) -> float:
-        """Average a number over the episodes of the chapter; NaN where there are none."""
-        if not self._episodes:
-            return np.nan
-        return float(np.mean([episode[key] for episode in self._episodes]))
+
+def _mean(episodes: list[dict[str, float]], key: str) -> float:
+    """Average a number over episodes; NaN where there are none."""
+    return float(np.mean([episode[key] for episode in episodes])) if episodes else np.nan

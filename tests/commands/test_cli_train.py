@@ -1,4 +1,5 @@
 import json
+import re
 import sys
 
 import pytest
@@ -57,10 +58,34 @@ def test_a_run_trains_flies_is_evaluated_and_goes_on(tmp_path, capsys, monkeypat
     capsys.readouterr()
 
 
+def test_progress_tells_how_it_goes_and_where_the_time_went(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("bulletuav.commands.progress.LINE_PERIOD", 0.0)
+    main(["train", "obstacles", *TINY, "--set", "observation=goal", "--out", "run"])
+    told = capsys.readouterr()
+    first, *_, last = told.err.splitlines()
+    assert re.match(r"training obstacles: 4 of 64 steps \(6 %\), \d+ s$", first)
+    assert re.search(r"return -?[\d.]+, success \d\.\d\d, [\d,]+ steps/s$", last)
+    assert re.search(r"minutes: simulation \d+ %, update \d+ %, evaluation \d+ %", told.out)
+
+
+def test_an_interrupt_tells_how_to_go_on(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+    def cut(*_, **options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(trainer, "evaluate", cut)
+    with pytest.raises(SystemExit) as end:
+        main(["train", "obstacles", *TINY, "--out", "run"])
+    assert end.value.code == 130
+    assert "the same command goes on from the last checkpoint in run" in capsys.readouterr().err
+
+
 class OneProcess(Campaign):
     """Which starts faster."""
 
-    def train(self, workers=1, progress=lambda steps: None):
+    def train(self, workers=1, progress=lambda steps: None, told=lambda text: None):
         return [(config, trainer.train(config, self.place(config))) for config in self.configs]
 
 

@@ -1,8 +1,11 @@
 import contextlib
+import csv
 import dataclasses
 import importlib.util
+import json
 import math
 import random
+import re
 import shutil
 import subprocess
 import sys
@@ -13,6 +16,7 @@ import numpy as np
 import psutil
 import pytest
 import torch
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 import bulletuav
 from bulletuav.adapters.sb3 import DroneVecEnv
@@ -21,9 +25,9 @@ from bulletuav.policies import find_policy
 from bulletuav.policies.neural_network import read_weights
 from bulletuav.policies.run import RunConfig
 from bulletuav.report.charts import plot_curves
-from bulletuav.training.campaign import Campaign, learning_table
+from bulletuav.training.campaign import Campaign, learning_table, wall_time
 from bulletuav.training.models import make_model
-from bulletuav.training.store import Store, opened
+from bulletuav.training.store import WALL, Store, opened
 from bulletuav.training.trainer import train
 
 OPTIONS = {
@@ -85,7 +89,8 @@ CASES = {algo: {"algo": algo} for algo in MODELS} | {
 
 
 def comparable(rows):
-    return [{name: value for name, value in row.items() if name != "seconds"} for row in rows]
+    wall = ("seconds", *WALL)
+    return [{name: value for name, value in row.items() if name not in wall} for row in rows]
 
 
 SLOW = {"ddpg": pytest.mark.slow}  # which is TD3 with other settings
@@ -105,6 +110,8 @@ def test_an_interrupted_run_goes_on_to_the_weights_of_one_that_was_not(tmp_path,
     np.testing.assert_equal(comparable(again), comparable(rows))
     whole = weights(tmp_path / "whole")
     np.testing.assert_array_equal(weights(tmp_path / "cut"), whole)
+    told = [(tmp_path / name / "updates.csv").read_text() for name in ("whole", "cut")]
+    assert told[0] == told[1]
     assert not np.array_equal(weights(tmp_path / "whole", FIRST), whole)
     assert len(list((tmp_path / "whole").glob("checkpoints/*/training.safetensors"))) == 1
     assert len(list((tmp_path / "whole").glob("checkpoints/*/replay.safetensors"))) == (
@@ -113,7 +120,8 @@ def test_an_interrupted_run_goes_on_to_the_weights_of_one_that_was_not(tmp_path,
 
 
 @pytest.mark.parametrize(
-    ("name", "call"), [("shutil.copyfile", 4), ("replace_file", 8), ("replace_file", 9)]
+    ("name", "call"),
+    [("shutil.copyfile", 4), ("replace_file", 11), ("replace_file", 12), ("replace_file", 13)],
 )
 def test_a_kill_between_two_files_of_the_last_chapter_costs_no_more_than_it(
     tmp_path, monkeypatch, run, name, call
@@ -161,15 +169,88 @@ def test_the_curve_begins_before_learning_and_ends_with_the_last_step(run):
     folder, rows = run
     assert [row["steps"] for row in rows] == [0, 128, 192, 256]
     assert all(math.isnan(rows[0][name]) for name in rows[0] if name.startswith("train/"))
-    assert rows[0]["seconds"] == 0.0
-    assert all(row["seconds"] > 0 for row in rows[1:])
+    assert rows[0]["simulation"] + rows[0]["update"] < rows[0]["evaluation"]
+    for row in rows[1:]:
+        assert min(row[name] for name in WALL) > 0
+        assert row["seconds"] == pytest.approx(sum(row[name] for name in WALL))
+    assert wall_time(rows).count("%") == 3
     assert rows[-1]["decisions"] == 256
     assert -200 < rows[1]["train/return"] < 200
     assert rows[1]["train/decisions"] == 12
     lines = (folder / "curve.csv").read_text().splitlines()
-    assert lines[0].startswith("steps,decisions,stage,seconds,train/return")
+    assert lines[0].startswith("steps,decisions,stage,seconds,simulation,update,evaluation,")
     assert len(lines) == 5
-    assert list((folder / "tensorboard").glob("events.*"))
+
+
+def test_each_update_is_told_to_tensorboard_and_a_table(run):
+    folder, rows = run
+    with (folder / "updates.csv").open() as file:
+        table = list(csv.DictReader(file))
+    assert [float(row["steps"]) for row in table] == [64, 128, 192, 256]
+    assert all(row["train/value_loss"] for row in table)
+    last = [float(row["rollout/return"]) for row in table]
+    assert np.mean(last[:2]) == pytest.approx(rows[1]["train/return"])
+    told = EventAccumulator(str(folder / "tensorboard")).Reload()
+    points = told.Scalars("rollout/return")
+    assert [point.step for point in points] == [64, 128, 192, 256]
+    assert [point.value for point in points] == pytest.approx(last, rel=1e-6)
+    assert len(told.Scalars("evaluation/return")) == 4
+
+
+def test_long_runs_tell_of_a_thousand_updates(tmp_path, monkeypatch):
+    monkeypatch.setattr("bulletuav.training.trainer.MOST_UPDATES", 2)
+    train(config(), tmp_path)
+    assert (tmp_path / "updates.csv").read_text().count("\n") == 3  # at 128 and 256 of 200 steps
+
+
+def test_training_says_how_it_goes(tmp_path):
+    said = []
+    train(config(), tmp_path, told=said.append)
+    assert re.fullmatch(r"return -?[\d.]+, success \d\.\d\d, [\d,]+ steps/s", said[-1])
+
+
+def test_a_run_of_an_older_version_is_still_read(run, tmp_path):
+    shutil.copytree(run[0], tmp_path / "run")
+    (tmp_path / "run" / "updates.csv").unlink()
+    path = tmp_path / "run" / "state.json"
+    state = json.loads(path.read_text())
+    state["rows"] = [
+        {name: value for name, value in row.items() if name not in WALL} for row in state["rows"]
+    ]
+    path.write_text(json.dumps(state))
+    rows = train(config(), tmp_path / "run")
+    np.testing.assert_equal(comparable(rows), comparable(run[1]))
+    assert math.isnan(rows[-1]["update"])
+
+
+@pytest.mark.slow
+def test_signals_cost_no_more_than_the_chapter_that_they_cut(tmp_path):
+    """The command itself, stopped by Ctrl-C, then as a job is, then as by a power cut."""
+    learner = config(steps=6000, evaluations=60)
+    train(learner, tmp_path / "whole")
+    (tmp_path / "run.yaml").write_text(learner.text())
+    folder, reached = tmp_path / "cut", 0
+    command = [sys.executable, "-m", "bulletuav", "train", "--config", str(tmp_path / "run.yaml")]
+    for number, code in ((2, 130), (15, -15), (9, -9)):
+        process = subprocess.Popen(
+            [*command, "--out", str(folder)], stderr=subprocess.PIPE, text=True
+        )
+        wait_until(lambda: count_rows(folder) > reached + 2)  # noqa: B023 - ends at once
+        process.send_signal(number)
+        _, said = process.communicate(timeout=60)
+        assert process.returncode == code, said
+        assert ("the same command goes on" in said) == (number == 2)
+        reached = count_rows(folder)
+        assert reached < 60
+    train(learner, folder)
+    np.testing.assert_array_equal(weights(folder), weights(tmp_path / "whole"))
+    tables = [(tmp_path / name / "updates.csv").read_text() for name in ("cut", "whole")]
+    assert tables[0] == tables[1]
+
+
+def count_rows(folder):
+    state = folder / "state.json"
+    return len(json.loads(state.read_text())["rows"]) if state.exists() else 0
 
 
 def test_a_finished_run_is_not_trained_again(run):
