@@ -26,6 +26,7 @@ EXAMPLES = {
     "curriculum": "--steps 1 --episodes 1",
     "behaviour_cloning": "--flights 20 --epochs 1 --episodes 2",
     "torchrl_mappo": "--steps 1 --episodes 2",
+    "fast_ppo": "crossing --critic state --steps 1 --episodes 2",
     "self_play": "--rounds 1 --steps 1 --episodes 2",
     "plan_ahead": "--decisions 3 --plans 4 --ahead 3",
     "own_pid": "",
@@ -168,6 +169,13 @@ def check_torchrl_mappo(told, folder):
     assert len(rows) == 2
     assert (rows[:, 0] < 0.5).all()  # which has learned nothing yet
     assert (folder / "agent.pt").stat().st_size > 10_000
+
+
+def check_fast_ppo(told, folder):
+    assert numbers("# decisions: mean return #", told)[0, 0] == 32 * 64 * 8
+    success, low, high = numbers(r"in bullet: success # \(# to #\)", told)[0]
+    assert success == low == 0 < high  # which has learned nothing yet
+    assert {path.name for path in folder.iterdir()} == {"run.yaml", "policy.safetensors"}
 
 
 def check_dqn_discrete(told, folder):

@@ -107,14 +107,16 @@ def test_links_lead_somewhere():
             assert (page.parent / target).exists(), f"{page.name}: {target}"
 
 
-def test_the_run_of_the_page_on_learning_can_be(tmp_path):
-    (text,) = re.findall(
-        r"```yaml\n(.*?)```", (ROOT / "docs" / "learning.md").read_text(), re.DOTALL
-    )
-    (tmp_path / "run.yaml").write_text(text)
-    run = RunConfig.read(tmp_path / "run.yaml")
-    assert run.steps == 4_000_000
+def test_the_runs_of_the_page_on_learning_can_be(tmp_path):
+    page = (ROOT / "docs" / "learning.md").read_text()
+    runs = []
+    for text in re.findall(r"```yaml\n(.*?)```", page, re.DOTALL):
+        (tmp_path / "run.yaml").write_text(text)
+        runs.append(RunConfig.read(tmp_path / "run.yaml"))
+    one, of_any_size = runs
+    assert one.steps == 4_000_000
     assert (
-        run.options["weights"]
+        one.options["weights"]
         == RunConfig.read(shipped("crossing") / "run.yaml").options["weights"]
     )
+    assert of_any_size.settings["features"] == "swarm"

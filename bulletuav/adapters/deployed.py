@@ -104,7 +104,8 @@ def deployed(folder: Path, trust: bool = False) -> Deployed:
             f"{folder} observes pictures or has layers of PyTorch's own, which have no form for "
             f"other programs: train on vectors, with policy_kwargs of net_arch alone"
         )
-    network = Network(read_weights(folder / POLICY), config.algo, config.settings)
+    weights = read_weights(folder / POLICY)
+    network = Network(weights, config.algo, config.settings, spec.observer.labels)
     action, observer = spec.action, spec.observer
     outputs, decoding = _setpoints(action)
     layers = (*_observing(observer, config), *network.layers(), *decoding)

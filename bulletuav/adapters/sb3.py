@@ -104,6 +104,7 @@ class DroneVecEnv(Environment, VecEnv):
         num_drones: How many drones the largest stage has.
         curriculum: Where the stages stand.
         decisions: How many decisions drones have flown so far, without empty slots.
+        labels: Labels of the numbers of an observation; those of all stages are the same.
     """
 
     def __init__(
@@ -143,6 +144,7 @@ class DroneVecEnv(Environment, VecEnv):
         specs = [EnvSpec(task, num_worlds, stage) for stage in self._stage_options]
         widest = max(specs, key=lambda spec: spec.options.num_drones)
         self.num_worlds = num_worlds
+        self.labels = widest.observer.labels
         self.num_drones = widest.options.num_drones
         self._render_mode = widest.options.render_mode
         require_single(self._render_mode, len(specs))

@@ -1,6 +1,6 @@
 """Networks of stable-baselines3's policies, made from a run's settings."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -8,8 +8,11 @@ from gymnasium.spaces import Box, Dict, Space
 
 from bulletuav.adapters.features import Symlog, UserSum
 from bulletuav.adapters.sb3 import algorithm, own_random, single_thread
+from bulletuav.adapters.swarm_features import SwarmFeatures
 from bulletuav.errors import missing, unknown
 from bulletuav.policies.neural_network import HIGH, LOW
+from bulletuav.policies.swarm_features import find_layout
+from bulletuav.sensors.base import Label
 
 try:
     import torch
@@ -18,16 +21,24 @@ try:
 except ImportError:
     raise missing("learning with stable-baselines3", "sb3") from None
 
-FEATURES: dict[str | None, type | None] = {"symlog": Symlog, "user_sum": UserSum, None: None}
+FEATURES: dict[str | None, type | None] = {
+    "symlog": Symlog,
+    "swarm": SwarmFeatures,
+    "user_sum": UserSum,
+    None: None,
+}
 """Features that observed numbers go through first, by the setting `features` of a run"""
 
 
-def policy_arguments(model: Mapping[str, Any], num_drones: int, pictures: bool) -> dict[str, Any]:
+def policy_arguments(
+    model: Mapping[str, Any], num_drones: int, labels: Sequence[Label], pictures: bool
+) -> dict[str, Any]:
     """Make the arguments of stable-baselines3's policy.
 
     Args:
         model: A run's settings of its algorithm, `features` and `policy_kwargs` among them.
         num_drones: How many drones a world has.
+        labels: Labels of the numbers of an observation.
         pictures: Whether pictures are observed, which have features of their own.
 
     Returns:
@@ -45,10 +56,15 @@ def policy_arguments(model: Mapping[str, Any], num_drones: int, pictures: bool) 
     arguments = dict(given)
     if features is not None and not pictures:
         arguments.setdefault("features_extractor_class", FEATURES[features])
-    # Features of users depend on how many drones there are.
+    # Features of users depend on how many drones there are, those of others on where numbers are.
+    told: dict[str, Any] = {}
     if features == "user_sum":
+        told = {"num_drones": num_drones}
+    elif features == "swarm" and not pictures:
+        told = {"layout": find_layout(labels)}
+    if told:
         arguments["features_extractor_kwargs"] = {
-            "num_drones": num_drones,
+            **told,
             **arguments.get("features_extractor_kwargs", {}),
         }
     return arguments
@@ -60,6 +76,7 @@ def policy_network(
     observed: Space[Any],
     given: Space[Any],
     num_drones: int,
+    labels: Sequence[Label],
     weights: Mapping[str, np.ndarray],
 ) -> Callable[[Any], np.ndarray]:
     """Build the network of a run's policy and fill in its weights; nothing but numbers is read.
@@ -70,6 +87,7 @@ def policy_network(
         observed: Space of one drone's observations.
         given: Space of its actions.
         num_drones: How many drones a world has.
+        labels: Labels of the numbers of an observation.
         weights: Arrays by the names of the policy's `state_dict`, and the bounds of the actions.
 
     Returns:
@@ -85,7 +103,7 @@ def policy_network(
     if LOW in weights:
         given = Box(weights[LOW], weights[HIGH], dtype=np.float32)
     # The network as training makes it.
-    arguments = policy_arguments(model, num_drones, pictures)
+    arguments = policy_arguments(model, num_drones, labels, pictures)
     if name in ("ppo", "a2c", "sac"):
         arguments["use_sde"] = model.get("use_sde", False)
     with own_random():

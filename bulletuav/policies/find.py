@@ -1,6 +1,7 @@
 """Lookup of policies: by name, as `module:Name`, by class, by run folder, or by model file."""
 
 import importlib
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -23,6 +24,7 @@ from bulletuav.policies.versus import (
 )
 from bulletuav.registry import find, names
 from bulletuav.tasks import TaskSource, find_task
+from bulletuav.version import CONSTANTS
 
 PolicySource = str | Path | type[Policy] | Versus | Rows
 """A policy by its name, `module:Name`, file or folder; its class; one for each team; a function"""
@@ -223,6 +225,12 @@ def read_run_config(folder: Path, trust: bool = False) -> RunConfig:
 def _from_run(folder: Path, name: str, trust: bool) -> PolicySpec:
     """Find the policy of a run, or of a checkpoint two folders below it."""
     config = read_run_config(folder, trust)
+    if config.constants != CONSTANTS:
+        warnings.warn(
+            f"policy {name!r} of {config.task} learned with constants {config.constants}, and this "
+            f"package has {CONSTANTS}: it may fly worse than it did; train it anew",
+            stacklevel=3,
+        )
     path = folder / POLICY
     if not path.is_file() and (folder / OLD_MODEL).is_file():
         spec = _trusted(folder / OLD_MODEL, name, config.algo, trust)

@@ -5,7 +5,7 @@ are those of stable-baselines3's policies (`state_dict`), beside the bounds of t
 """
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,6 +15,8 @@ from safetensors.numpy import load_file
 
 from bulletuav.policies.features import Layers, UserFeatures, symlog
 from bulletuav.policies.layers import Affine, Choose, Clip, Dense, Layer, Relu, Symlog, Tanh
+from bulletuav.policies.swarm_features import SwarmFeatures, find_layout
+from bulletuav.sensors.base import Label
 
 LOW = "action.low"
 """Name of the lower bounds of the actions, float32; a policy of discrete actions has none"""
@@ -129,13 +131,20 @@ def is_plain(algorithm: str, model: Mapping[str, Any]) -> bool:
 class Network:
     """A network that chooses the deterministic action for each row of observations."""
 
-    def __init__(self, weights: Weights, algorithm: str, model: Mapping[str, Any]) -> None:
+    def __init__(
+        self,
+        weights: Weights,
+        algorithm: str,
+        model: Mapping[str, Any],
+        labels: Sequence[Label] = (),
+    ) -> None:
         """Take an actor out of the weights.
 
         Args:
             weights: Arrays by name. What they compute is computed in double precision.
             algorithm: One of `ACTORS`.
             model: The run's settings of the algorithm; `is_plain` holds for them.
+            labels: Labels of the numbers of an observation, for features of a swarm.
 
         Raises:
             ValueError: The weights are not those of such an actor.
@@ -146,11 +155,15 @@ class Network:
         self._bounds = (weights[LOW], weights[HIGH]) if has_bounds else None
         kind = model["features"]
         arguments = model.get("policy_kwargs", {}).get("features_extractor_kwargs", {})
-        self._scale = arguments.get("scale", 1.0) if kind == "symlog" else None
+        scale = arguments.get("scale", 1.0)
+        self._scale = scale if kind == "symlog" else None
         of_users = _dense(weights, f"{actor.features}each") if kind == "user_sum" else []
-        for layers in (self._layers, of_users):
+        of_others = _kinds(weights, f"{actor.features}each.") if kind == "swarm" else {}
+        for layers in (self._layers, of_users, *of_others.values()):
             _require_chain(layers)
         self._users = UserFeatures(of_users) if of_users else None
+        is_swarm = kind == "swarm"
+        self._swarm = SwarmFeatures(find_layout(labels), of_others, scale) if is_swarm else None
 
     @property
     def shape(self) -> str:
@@ -167,6 +180,9 @@ class Network:
             choices: Whether its action is a choice.
         """
         expected = self._layers[0][0].shape[1]
+        # Features of others were compared to the labels, and take any number of others.
+        if self._swarm is not None:
+            observed = expected
         if self._users is not None:
             try:
                 self._users.sizes(observed)
@@ -192,6 +208,8 @@ class Network:
             values = symlog(values, self._scale)
         if self._users is not None:
             values = self._users(values)
+        if self._swarm is not None:
+            values = self._swarm(values)
         # Layers.
         for k, (weight, bias) in enumerate(self._layers):
             values = (self._actor.activation(values) if k else values) @ weight.T + bias
@@ -211,11 +229,12 @@ class Network:
         """List what it computes, first to last, for writers of other formats.
 
         Raises:
-            ValueError: It has features of users, for which there is no layer.
+            ValueError: It has features of users or of others, for which there is no layer.
         """
-        if self._users is not None:
+        if self._users is not None or self._swarm is not None:
+            kind = "swarm" if self._users is None else "user_sum"
             raise ValueError(
-                "features 'user_sum' have no form for other programs: train with features 'symlog'"
+                f"features {kind!r} have no form for other programs: train with features 'symlog'"
             )
         layers: list[Layer] = [] if self._scale is None else [Symlog(self._scale)]
         between = Tanh() if self._actor.activation is _tanh else Relu()
@@ -247,6 +266,12 @@ def _dense(weights: Weights, name: str) -> Layers:
         ]
     except KeyError as error:
         raise ValueError(f"it lacks {error.args[0]}") from None
+
+
+def _kinds(weights: Weights, begin: str) -> dict[str, Layers]:
+    """Take out the stacks of layers by what stands between `begin` and their numbers."""
+    found = {name.removeprefix(begin).split(".")[0] for name in weights if name.startswith(begin)}
+    return {word: _dense(weights, f"{begin}{word}") for word in sorted(found)}
 
 
 def _require_chain(layers: Layers) -> None:

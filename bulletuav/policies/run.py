@@ -19,13 +19,14 @@ from bulletuav.envs.options import EnvOptions
 from bulletuav.envs.resolve import resolve
 from bulletuav.errors import as_int, choose, shown, unknown
 from bulletuav.tasks import find_task
+from bulletuav.version import CONSTANTS
 
 CONFIG = "run.yaml"
 """File with the settings of a run, in its folder"""
 VERSION = 1
+"""Version of that file: another number means other names or meanings of settings"""
 MODULE_NAME = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 """A name by which a module is imported: `module:Name`"""
-"""Version of that file: another number means other names or meanings of settings"""
 POLICY = "policy.safetensors"
 """File with the policy of a run or of a checkpoint, in its folder"""
 CHECKPOINTS = "checkpoints"
@@ -55,6 +56,7 @@ LIMITS = {
     "worlds": (1, MOST_WORLDS),
     "evaluations": (1, 10**6),
     "episodes": (1, 10**6),
+    "constants": (1, None),
 }
 """Least and greatest value of each setting that is a whole number; None: no bound"""
 _REPLAY = {
@@ -104,6 +106,7 @@ class RunConfig:
         evaluations: How many times the policy is evaluated and kept during training.
         episodes: Episodes of each evaluation.
         evaluation: Options of the environment in these, beside `INTERFACE` and `SCENE`.
+        constants: Number of the package's forces, airframes and rewards that it learned with.
     """
 
     task: str
@@ -119,6 +122,7 @@ class RunConfig:
     evaluations: int = 20
     episodes: int = 20
     evaluation: Mapping[str, Any] = field(default_factory=dict)
+    constants: int = CONSTANTS
 
     def __post_init__(self) -> None:
         """Check all settings but those of the algorithm, which its own model checks.

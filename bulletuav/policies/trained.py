@@ -106,11 +106,12 @@ def _network(aviary: Aviary, config: RunConfig, weights: Weights) -> Choose:
             observed=observed,
             given=given,
             num_drones=aviary.num_drones,
+            labels=aviary.observer.labels,
             weights=weights,
         )
         return cast(Choose, network)
     # All others are flown by NumPy.
-    plain = Network(weights, config.algo, settings)
+    plain = Network(weights, config.algo, settings, aviary.observer.labels)
     if isinstance(given, Discrete):
         size, unit = int(given.n), "choices"
     else:

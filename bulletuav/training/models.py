@@ -59,7 +59,7 @@ def make_model(config: RunConfig, env: DroneVecEnv) -> Any:
     Settings are the arguments of the algorithm's class. Some have a meaning of their own:
     `learning_rate` [a, b] falls linearly from a to b over the run. `action_noise` is the deviation
     of Gaussian noise on each number of an action. `features` names what observed numbers go through
-    first, of `bulletuav.adapters.features`: "symlog", also the default, "user_sum", or None.
+    first, of `bulletuav.adapters`: "symlog", also the default, "swarm", "user_sum", or None.
 
     Args:
         config: The run.
@@ -78,7 +78,7 @@ def make_model(config: RunConfig, env: DroneVecEnv) -> Any:
     if features is not None:
         named = {name: one for name, one in FEATURES.items() if name is not None}
         choose("features", features, named)
-    arguments = policy_arguments(settings, env.num_drones, pictures)
+    arguments = policy_arguments(settings, env.num_drones, env.labels, pictures)
     del settings["features"]
     # What the algorithm does not take is found before anything large is made.
     _check(kind, settings)

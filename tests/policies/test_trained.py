@@ -37,7 +37,8 @@ def test_numpy_flies_as_pytorch_learned(task):
         aviary.observer.space(),
         bulletuav.batch_env(task, 1, **pilot.options).action_space,
     )
-    chosen = policy_network(config.algo, config.settings, space, action, aviary.num_drones, weights)
+    about = (aviary.num_drones, aviary.observer.labels)
+    chosen = policy_network(config.algo, config.settings, space, action, *about, weights)
     learned = chosen.__closure__[0].cell_contents.double()
     for _ in range(20):
         actions = policy.act(observations, aviary.swarm)

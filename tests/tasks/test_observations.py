@@ -53,6 +53,17 @@ def test_how_many_neighbours_is_an_option():
         aviary.close()
 
 
+def test_intruders_are_told_as_neighbours_are():
+    """Of two others both are among the two nearest, now and later."""
+    aviary, rows = seen(num_drones=3, observation=("neighbours", "intruders"), num_neighbours=2)
+    near, later = rows.reshape(3, 2, 2, 7).swapaxes(0, 1)
+    for i in range(3):
+        np.testing.assert_array_equal(
+            near[i][near[i, :, 0].argsort()], later[i][later[i, :, 0].argsort()]
+        )
+    aviary.close()
+
+
 def test_obstacles_are_the_nearest_by_surface():
     ten = {"num_obstacles": 10, "num_moving": 5, "num_neighbours": 12}
     aviary, rows = seen("obstacles", num_drones=2, observation="obstacles", **ten)

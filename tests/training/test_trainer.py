@@ -577,3 +577,35 @@ def test_the_best_run_is_shipped_without_what_only_training_needs(
     (learned / best / "run.yaml").write_text(config(seed=int(best), steps=7).text())
     with pytest.raises(SystemExit, match="other settings"):
         ship.main()
+
+
+def test_features_of_a_swarm_are_learned_and_fly_among_any_number(tmp_path):
+    """Learned with two others in sight, flown with five drones and four in sight."""
+    seen = {"observation": ["velocity", "goal", "intruders"], "dynamics": "point_mass"}
+    options = {**seen, "num_drones": 3, "num_neighbours": 2}
+    small = {"n_steps": 4, "batch_size": 8, "policy_kwargs": {"net_arch": [8]}}
+    learned = RunConfig(
+        "converge",
+        steps=1,
+        worlds=2,
+        options=options,
+        evaluations=1,
+        episodes=1,
+        model={"features": "swarm", **small},
+    )
+    train(learned, tmp_path)
+    many = {"num_drones": 5, "num_neighbours": 4, "horizon": 5, "dynamics": "point_mass"}
+    assert bulletuav.evaluate("converge", tmp_path, 1, 0, **many).estimates()["length"].mean == 0.5
+    with pytest.raises(ValueError, match="features of each intruder take 19 numbers, and here"):
+        bulletuav.evaluate(
+            "converge", tmp_path, 1, 0, **many, observation=["velocity", "intruders"]
+        )
+
+
+def test_a_policy_of_other_constants_is_told(run, tmp_path):
+    folder = tmp_path / "old"
+    shutil.copytree(run[0], folder)
+    settings = (folder / "run.yaml").read_text()
+    (folder / "run.yaml").write_text(re.sub(r"constants: \d+", "constants: 1", settings))
+    with pytest.warns(UserWarning, match=r"learned with constants 1, and this package has 2"):
+        find_policy(folder)

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.geometry.closest_approach import keep_nearest
+from bulletuav.geometry.closest_approach import closest_squared, keep_nearest
 from bulletuav.geometry.rotation import Vec3, dot, minus, vec3
 from bulletuav.kernel import allocating, func
 from bulletuav.program import Program
@@ -19,6 +19,10 @@ HEARD = "heard"
 """Reading that tells which others drones have heard of; there only with communication"""
 PER_NEIGHBOUR, PER_OBSTACLE = 7, 8
 """Numbers of each: distance, relative position, relative velocity; of obstacles the radius, too"""
+NOW = 0.0
+"""Horizon, s, of what is nearest now"""
+AHEAD = 10.0
+"""Horizon of `intruders`, s: at 20 m/s two that fly at each other are 400 m apart"""
 
 
 def _relative(task: Any, name: str) -> tuple[Label, ...]:
@@ -40,25 +44,40 @@ def neighbours(task: Any) -> Block:
 
     Nearest first; zeros where there are fewer.
     """
+    return _others(task, "neighbour", NOW)
+
+
+@register("observation")
+def intruders(task: Any) -> Block:
+    """Other drones that come nearest within 10 s if all fly straight on, told as `neighbours`.
+
+    That one first which comes nearest; zeros where there are fewer. Few of them say what many
+    neighbours do not: whom to avoid among those that fly side by side.
+    """
+    return _others(task, "intruder", AHEAD)
+
+
+def _others(task: Any, name: str, horizon: float) -> Block:
+    """Make the block of others that come nearest within a time, s."""
     count = task.context.num_neighbours
     labels: list[Label] = []
     for k in range(1, count + 1):
-        labels += [_distance(task, f"neighbour {k}"), *_relative(task, f"neighbour {k}")]
+        labels += [_distance(task, f"{name} {k}"), *_relative(task, f"{name} {k}")]
 
     def compute(frame: Frame, present: np.ndarray) -> np.ndarray:
         out = np.zeros((*present.shape, len(labels)))
         own = (frame.known_position, frame.known_velocity)
         if HEARD in frame.readings:
-            nearest(*own, *heard(frame, present), count, out)
+            nearest(*own, *heard(frame, present), horizon, count, out)
         else:
-            nearest_present(*own, present, count, out)
+            nearest_present(*own, present, horizon, count, out)
         return out
 
     def add(program: Program, frame: Frame, out: np.ndarray) -> bool:
         if HEARD in frame.readings:
             return False
         own = (frame.known_position, frame.known_velocity)
-        program.call(nearest_present, *own, frame.derived[PRESENT], count, out)
+        program.call(nearest_present, *own, frame.derived[PRESENT], horizon, count, out)
         return True
 
     return Block(tuple(labels), compute, add)
@@ -142,18 +161,29 @@ def heard(frame: Frame, present: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
 
 
 @func
+def _least(theirs: tuple[Vec3, Vec3], own: tuple[Vec3, Vec3], horizon: float) -> float:
+    """Compute how near another comes within `horizon`, s, if both fly straight on, m."""
+    gap, speed = minus(theirs[0], own[0]), minus(theirs[1], own[1])
+    later = (
+        gap[0] + horizon * speed[0],
+        gap[1] + horizon * speed[1],
+        gap[2] + horizon * speed[2],
+    )
+    return math.sqrt(closest_squared(gap, later)[1])
+
+
+@func
 def _write(
     out: np.ndarray,
     place: tuple[int, int, int],
-    distance: float,
     theirs: tuple[Vec3, Vec3],
     own: tuple[Vec3, Vec3],
 ) -> None:
-    """Write one of the nearest others, as seen from the drone, to its `place` (w, i, slot)."""
+    """Write one of the others, as seen from the drone, to its `place` (w, i, slot)."""
     w, i, slot = place
     first = PER_NEIGHBOUR * slot
     gap, speed = minus(theirs[0], own[0]), minus(theirs[1], own[1])
-    out[w, i, first] = distance
+    out[w, i, first] = math.sqrt(dot(gap, gap))
     for k in range(3):
         out[w, i, first + 1 + k] = gap[k]
         out[w, i, first + 4 + k] = speed[k]
@@ -166,14 +196,16 @@ def nearest(
     their_position: np.ndarray,
     their_velocity: np.ndarray,
     known: np.ndarray,
+    horizon: float,
     count: int,
     out: np.ndarray,
 ) -> None:
-    """Fill `out` (W, N, 7 count) with the nearest others that are `known` (W, N, N).
+    """Fill `out` (W, N, 7 count) with others that are `known` (W, N, N).
 
-    See `heard` for what drones know of each other.
+    They are those that come nearest within `horizon`, s. See `heard` for what drones know of each
+    other.
     """
-    near, distance = np.empty(count, dtype=np.int64), np.empty(count)
+    near, least = np.empty(count, dtype=np.int64), np.empty(count)
     for w in range(known.shape[0]):
         for i in range(known.shape[1]):
             own = (vec3(position, w, i), vec3(velocity, w, i))
@@ -181,20 +213,28 @@ def nearest(
             found = 0
             for j in range(known.shape[1]):
                 if known[w, i, j]:
-                    gap = minus(vec3(their_position[w], i, j), own[0])
-                    found = keep_nearest(near, distance, found, j, math.sqrt(dot(gap, gap)))
+                    theirs = (vec3(their_position[w], i, j), vec3(their_velocity[w], i, j))
+                    found = keep_nearest(near, least, found, j, _least(theirs, own, horizon))
             for slot in range(found):
                 j = near[slot]
                 theirs = (vec3(their_position[w], i, j), vec3(their_velocity[w], i, j))
-                _write(out, (w, i, slot), distance[slot], theirs, own)
+                _write(out, (w, i, slot), theirs, own)
 
 
 @allocating
 def nearest_present(
-    position: np.ndarray, velocity: np.ndarray, present: np.ndarray, count: int, out: np.ndarray
+    position: np.ndarray,
+    velocity: np.ndarray,
+    present: np.ndarray,
+    horizon: float,
+    count: int,
+    out: np.ndarray,
 ) -> None:
-    """Fill `out` (W, N, 7 count) with the nearest others that are `present` (W, N)."""
-    near, distance = np.empty(count, dtype=np.int64), np.empty(count)
+    """Fill `out` (W, N, 7 count) with others that are `present` (W, N).
+
+    They are those that come nearest within `horizon`, s.
+    """
+    near, least = np.empty(count, dtype=np.int64), np.empty(count)
     for w in range(present.shape[0]):
         for i in range(present.shape[1]):
             own = (vec3(position, w, i), vec3(velocity, w, i))
@@ -202,12 +242,12 @@ def nearest_present(
             found = 0
             for j in range(present.shape[1]):
                 if present[w, j] and j != i:
-                    gap = minus(vec3(position, w, j), own[0])
-                    found = keep_nearest(near, distance, found, j, math.sqrt(dot(gap, gap)))
+                    theirs = (vec3(position, w, j), vec3(velocity, w, j))
+                    found = keep_nearest(near, least, found, j, _least(theirs, own, horizon))
             for slot in range(found):
                 j = near[slot]
                 theirs = (vec3(position, w, j), vec3(velocity, w, j))
-                _write(out, (w, i, slot), distance[slot], theirs, own)
+                _write(out, (w, i, slot), theirs, own)
 
 
 @allocating

@@ -9,7 +9,7 @@ from bulletuav.sensors.base import Label, vector_labels
 from bulletuav.sensors.drone_sight import DRONE_SIGHT
 from bulletuav.tasks.frame import Frame
 from bulletuav.tasks.observations.base import Block
-from bulletuav.tasks.observations.neighbours import PER_NEIGHBOUR, heard, nearest
+from bulletuav.tasks.observations.neighbours import NOW, PER_NEIGHBOUR, heard, nearest
 
 PER_OPPONENT = 1 + PER_NEIGHBOUR
 """Numbers of each: whether it is seen, distance, relative position, relative velocity"""
@@ -68,7 +68,7 @@ def opponents(task: Any) -> Block:
         speeds = np.broadcast_to(velocity[:, None], shape)
         seen = opponents_in_sight(task, frame, present)
         rows = np.zeros((*present.shape, slots * PER_NEIGHBOUR))
-        nearest(position, velocity, places, speeds, seen, slots, rows)
+        nearest(position, velocity, places, speeds, seen, NOW, slots, rows)
         flags = np.arange(slots) < seen.sum(axis=-1)[..., None]
         rows = rows.reshape(*present.shape, slots, PER_NEIGHBOUR)
         return np.concatenate([flags[..., None], rows], axis=-1).reshape(*present.shape, -1)
@@ -91,7 +91,7 @@ def teammates(task: Any) -> Block:
         position, velocity, known = heard(frame, present)
         rows = np.zeros((*present.shape, len(labels)))
         mine = (frame.known_position, frame.known_velocity)
-        nearest(*mine, position, velocity, known & own, slots, rows)
+        nearest(*mine, position, velocity, known & own, NOW, slots, rows)
         return rows
 
     return Block(labels, compute)

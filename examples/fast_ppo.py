@@ -1,0 +1,249 @@
+"""Train with PPO in one file, as fast as one core can: hover in a minute, crossing in two.
+
+The loop is plain PyTorch over `batch_env`, of which the decision is compiled. One policy flies
+batches of several sizes: `SwarmFeatures` make nothing of the number and order of others. With
+`--critic state` the critic sees the state of the whole world (MAPPO) instead of what the drone sees
+(IPPO). The folder it writes flies without PyTorch: `--policy FOLDER`.
+
+`hover` is a Crazyflie by its rotors, `crossing` 8 drones, `swarm` 8 to 32 that cross or converge.
+
+Run it:
+
+    python examples/fast_ppo.py crossing
+    python examples/fast_ppo.py hover --seed 1 --out hover-1
+
+Takes 1 to 5 minutes on one core. Needs the extra `sb3`.
+"""
+
+import argparse
+import math
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from safetensors.numpy import save_file
+from torch import nn
+
+import bulletuav
+from bulletuav.adapters.swarm_features import SwarmFeatures
+from bulletuav.policies.neural_network import HIGH, LOW
+from bulletuav.policies.run import CONFIG, POLICY, RunConfig
+from bulletuav.policies.swarm_features import find_layout
+
+# Smaller than the task's own weights, as networks like returns of the order of 1.
+PAID = {"progress": 0.05, "goal": 2.0, "energy": -0.0005, "time": -0.02}
+TRAFFIC = {**PAID, "conflict": -6.0, "warning": -0.1, "collision": -5.0, "out_of_bounds": -5.0}
+SEEN = ["velocity", "goal", "intruders"]  # nothing of where the arena is
+CLIP, LAMBDA, VALUE = 0.2, 0.95, 0.5
+
+
+class Plan(NamedTuple):
+    """What is trained: the task, its options, batches of worlds, and settings of PPO."""
+
+    task: str
+    options: dict[str, Any]
+    batches: list[dict[str, Any]]
+    steps: int  # decisions that are collected
+    decisions: int = 64  # of one rollout
+    minibatch: int = 2048
+    epochs: int = 4
+    rate: float = 1e-3
+    gamma: float = 0.99
+    log_std: float = -1.0
+    scale: float = 1.0
+
+
+POINTS = {"dynamics": "point_mass"}  # which are fast
+CROSSING = {"observation": SEEN, "num_neighbours": 4, "weights": TRAFFIC}
+STAY = {"alive": 0.2, "holding": 0.5, "distance": -0.3, "speed": -0.05}
+HOVER = {"difficulty": "medium", "weights": STAY}
+SWARM = [{"task": "crossing", "num_envs": 6, "num_drones": n, **POINTS} for n in (8, 16, 32)]
+SWARM += [{"task": "converge", "num_envs": 6, "num_drones": n, **POINTS} for n in (8, 16)]
+ALONE = [{"task": "hover", "num_envs": 128}]
+PLANS = {
+    "hover": Plan("hover", HOVER, ALONE, 600_000, 48, 1536, 5, 2e-3, 0.98, -1.8, 5.0),
+    "crossing": Plan("crossing", CROSSING, [SWARM[0] | {"num_envs": 32}], 1_800_000),
+    "swarm": Plan("crossing", CROSSING, SWARM, 6_000_000),
+}
+
+
+def parse_arguments() -> argparse.Namespace:
+    """Parse the command line."""
+    form = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=form)
+    parser.add_argument("plan", choices=PLANS)
+    parser.add_argument("--steps", type=int, help="decisions of all drones together")
+    parser.add_argument("--critic", choices=("own", "state"), default="own")
+    parser.add_argument("--episodes", type=int, default=100, help="episodes of the evaluation")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--out", type=Path, default=Path("fast_ppo"), help="folder for the policy")
+    return parser.parse_args()
+
+
+class Agent(nn.Module):
+    """Actor and critic of every drone; its arrays have the names of stable-baselines3."""
+
+    def __init__(self, env: Any, plan: Plan, told: int) -> None:
+        super().__init__()
+        layout = find_layout(env.observation_labels)
+        self.features_extractor = SwarmFeatures(env.observation_space, layout, scale=plan.scale)
+        inputs, size = self.features_extractor.features_dim, env.action_space.shape[0]
+        nets = {"policy_net": two_layers(inputs), "value_net": two_layers(inputs + told)}
+        self.mlp_extractor = nn.ModuleDict(nets)
+        self.action_net = scaled(nn.Linear(64, size), 0.01)
+        self.value_net = scaled(nn.Linear(64, 1), 1.0)
+        self.log_std = nn.Parameter(torch.full((size,), plan.log_std))
+
+    def forward(self, seen: torch.Tensor, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Compute mean actions (M, A) and values (M,)."""
+        known = self.features_extractor(seen)
+        told = torch.cat([known, torch.sign(state) * torch.log1p(state.abs())], 1)
+        mean = self.action_net(self.mlp_extractor["policy_net"](known))
+        return mean, self.value_net(self.mlp_extractor["value_net"](told)).squeeze(-1)
+
+    def log_prob(self, mean: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
+        """Compute the logarithm of the density of actions."""
+        away = (action - mean) * (-self.log_std).exp()
+        return (-0.5 * away.square() - self.log_std - 0.5 * math.log(2 * math.pi)).sum(-1)
+
+
+def scaled(layer: nn.Linear, gain: float) -> nn.Linear:
+    """Draw orthogonal weights of that gain."""
+    nn.init.orthogonal_(layer.weight, gain)
+    return layer
+
+
+def two_layers(inputs: int) -> nn.Sequential:
+    """Make two hidden layers."""
+    first, second = (scaled(nn.Linear(size, 64), 2**0.5) for size in (inputs, 64))
+    return nn.Sequential(first, nn.Tanh(), second, nn.Tanh())
+
+
+class Worlds:
+    """Batches of worlds, of which all drones are rows one below the other."""
+
+    def __init__(self, plan: Plan, seed: int, with_state: bool) -> None:
+        self.envs = [bulletuav.batch_env(**plan.options, **one) for one in plan.batches]
+        self.sizes = [env.num_envs * env.num_drones for env in self.envs]
+        self._ends = np.cumsum(self.sizes)[:-1]
+        self._with_state = with_state
+        starts = [env.reset(seed=seed + 10_000 * k)[0] for k, env in enumerate(self.envs)]
+        self.seen = self._rows(starts)
+
+    def _rows(self, arrays: list[np.ndarray]) -> torch.Tensor:
+        """Put arrays (W, N, ...) of all batches one below the other."""
+        rows = [np.reshape(one, (size, -1)) for one, size in zip(arrays, self.sizes, strict=True)]
+        return torch.from_numpy(np.concatenate(rows).astype(np.float32))
+
+    def state(self) -> torch.Tensor:
+        """Tell what the critic sees beside what the drone does, (M, K)."""
+        if not self._with_state:
+            return torch.zeros(len(self.seen), 0)
+        return self._rows([np.repeat(env.state(), env.num_drones, axis=0) for env in self.envs])
+
+    def step(self, actions: torch.Tensor) -> torch.Tensor:
+        """Fly a decision; gives (4, M): flown, reward, terminated, done."""
+        flown = self._rows([env.alive for env in self.envs])
+        parts = np.split(actions.clamp(-1, 1).numpy(), self._ends)
+        shapes = [(env.num_envs, env.num_drones, -1) for env in self.envs]
+        flights = zip(self.envs, parts, shapes, strict=True)
+        steps = [env.step(part.reshape(shape)) for env, part, shape in flights]
+        # A world that ended starts anew in the next step, which nobody flies.
+        self.seen = self._rows([step[0] for step in steps])
+        reward, ended, cut = (self._rows([step[k] for step in steps]) for k in (1, 2, 3))
+        return torch.stack([flown, reward, ended, torch.maximum(ended, cut)])[..., 0]
+
+
+@torch.no_grad()
+def collect(worlds: Worlds, agent: Agent, plan: Plan) -> list[torch.Tensor]:
+    """Fly a rollout; gives what was seen, state, action, log density, advantage and return."""
+    seen, states, actions, before, values, told = [], [], [], [], [], []
+    for _ in range(plan.decisions):
+        seen.append(worlds.seen)
+        states.append(worlds.state())
+        mean, value = agent(seen[-1], states[-1])
+        actions.append(mean + agent.log_std.exp() * torch.randn_like(mean))
+        before.append(agent.log_prob(mean, actions[-1]))
+        values.append(value)
+        told.append(worlds.step(actions[-1]))
+    values.append(agent(worlds.seen, worlds.state())[1])
+    flown, reward, ended, done = torch.stack(told, 1)
+    advantage, after = torch.zeros_like(reward), torch.zeros(len(worlds.seen))
+    for t in reversed(range(plan.decisions)):
+        # None reaches over the end of an episode.
+        error = reward[t] + plan.gamma * (1 - ended[t]) * values[t + 1] - values[t]
+        after = advantage[t] = flown[t] * (error + plan.gamma * LAMBDA * (1 - done[t]) * after)
+    lived = flown.bool()
+    parts = [torch.stack(one)[lived] for one in (seen, states, actions, before)]
+    return [*parts, advantage[lived], (advantage + torch.stack(values[:-1]))[lived]]
+
+
+def learn(agent: Agent, optimiser: Any, rows: list[torch.Tensor], plan: Plan) -> None:
+    """Improve actor and critic by what was flown."""
+    count = len(rows[0])
+    for _ in range(plan.epochs):
+        for chosen in torch.randperm(count).tensor_split(max(1, round(count / plan.minibatch))):
+            seen, state, action, before, gain, goal = (part[chosen] for part in rows)
+            mean, value = agent(seen, state)
+            gain = (gain - gain.mean()) / (gain.std(correction=0) + 1e-8)
+            ratio = (agent.log_prob(mean, action) - before).exp()
+            loss = -torch.minimum(ratio * gain, ratio.clamp(1 - CLIP, 1 + CLIP) * gain).mean()
+            loss = loss + VALUE * (value - goal).square().mean()
+            optimiser.zero_grad()
+            loss.backward()
+            nn.utils.clip_grad_norm_(agent.parameters(), 0.5)
+            optimiser.step()
+
+
+def train(plan: Plan, seed: int, central: bool) -> Agent:
+    """Train, and print how the reward of a decision rises."""
+    torch.manual_seed(seed)
+    worlds = Worlds(plan, seed, central)
+    agent = Agent(worlds.envs[0], plan, worlds.state().shape[1])
+    optimiser = torch.optim.Adam(agent.parameters(), plan.rate, eps=1e-5)
+    each = len(worlds.seen) * plan.decisions
+    rounds = max(1, plan.steps // each)
+    for k in range(rounds):
+        optimiser.param_groups[0]["lr"] = plan.rate * (1 - k / rounds)
+        rows = collect(worlds, agent, plan)
+        learn(agent, optimiser, rows, plan)
+        if k % 10 == 0 or k == rounds - 1:
+            print(f"{(k + 1) * each:9d} decisions: mean return {rows[-1].mean().item():.3f}")
+    for env in worlds.envs:
+        env.close()
+    return agent
+
+
+def save(agent: Agent, plan: Plan, seed: int, folder: Path) -> None:
+    """Write the policy and its settings as `bulletuav train` does."""
+    folder.mkdir(parents=True, exist_ok=True)
+    arrays = {name: part.numpy() for name, part in agent.state_dict().items()}
+    ones = np.ones_like(arrays["log_std"])
+    save_file({**arrays, LOW: -ones, HIGH: ones}, folder / POLICY)
+    features = {"features_extractor_kwargs": {"scale": plan.scale}}
+    model = {"features": "swarm", "policy_kwargs": {"net_arch": [64, 64], **features}}
+    config = RunConfig(plan.task, seed=seed, steps=plan.steps, options=plan.options, model=model)
+    (folder / CONFIG).write_text(config.text())
+
+
+def main() -> None:
+    """Train, save, and evaluate what was saved."""
+    args = parse_arguments()
+    torch.set_num_threads(1)
+    plan = PLANS[args.plan]._replace(steps=args.steps or PLANS[args.plan].steps)
+    begin = time.perf_counter(), time.process_time()
+    agent = train(plan, args.seed, args.critic == "state")
+    save(agent, plan, args.seed, args.out)
+    trained = time.perf_counter() - begin[0]
+    result = bulletuav.evaluate(plan.task, args.out, args.episodes, 1000, difficulty="medium")
+    for metric in ("success", "conflict"):
+        found = result.estimates()[metric]
+        print(f"in bullet: {metric} {found.mean:.3f} ({found.low:.3f} to {found.high:.3f})")
+    wall, cpu = time.perf_counter() - begin[0], time.process_time() - begin[1]
+    print(f"trained for {trained:.0f} s; with the evaluation {wall:.0f} s, {cpu:.0f} s of one core")
+
+
+if __name__ == "__main__":
+    main()
