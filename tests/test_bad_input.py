@@ -247,6 +247,7 @@ def test_buffers_and_networks_that_do_not_fit_are_refused_with_both_figures(conf
     env = type("Env", (), {"num_envs": run.worlds, "num_drones": 1})()
     plan = EnvSpec("hover", run.worlds, {})
     env.observation_space, env.action_space = plan.observer.space(), plan.observer.space()
+    env.labels = plan.observer.labels
     told = refusal(lambda: models.make_model(run, env), 20.0)  # torch is imported on the way
     assert asked in told
     assert told.count(" GiB") == 2
@@ -265,7 +266,9 @@ def test_settings_of_models_are_named(model, told):
     from bulletuav.policies.run import RunConfig
 
     env = type("Env", (), {"num_envs": 1, "num_drones": 1})()
-    env.observation_space = env.action_space = EnvSpec("hover", 1, {}).observer.space()
+    observer = EnvSpec("hover", 1, {}).observer
+    env.observation_space = env.action_space = observer.space()
+    env.labels = observer.labels
     with pytest.raises(ValueError, match=told):
         models.make_model(RunConfig("hover", model=model), env)
 

@@ -18,6 +18,7 @@ from bulletuav.analysis.results_folder import RUN
 from bulletuav.analysis.seals import hash_files, sealed
 from bulletuav.cli import main
 from bulletuav.policies import find_policy
+from bulletuav.policies.run import shipped
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +72,7 @@ def test_a_flight_becomes_mcap(copied, capsys):
 def test_the_commands_of_the_page_run(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     page = Path(__file__).parents[2] / "docs" / "export.md"
-    (commands,) = re.findall(r"```bash\n(.*?)```", page.read_text(), re.DOTALL)
+    commands, of_policies = re.findall(r"```bash\n(.*?)```", page.read_text(), re.DOTALL)
     short = ["--horizon", "5", "--animation", "none", "--dynamics", "point_mass"]
     fly, mcap, rerun = (shlex.split(line, comments=True)[1:] for line in commands.splitlines())
     main(fly + short)
@@ -80,6 +81,16 @@ def test_the_commands_of_the_page_run(tmp_path, monkeypatch):
     if importlib.util.find_spec("rerun"):
         main(rerun)
         assert (tmp_path / "crossing.rrd").stat().st_size > 10000
+    shutil.copytree(shipped("crossing"), "crossing-run")
+    as_c, as_onnx = (shlex.split(line, comments=True)[1:] for line in of_policies.splitlines())
+    main(as_c)
+    assert {path.name for path in Path("crossing-run").glob("policy.[ch]")} == {
+        "policy.c",
+        "policy.h",
+    }
+    if importlib.util.find_spec("onnxruntime"):
+        main(as_onnx)
+        assert Path("crossing-run", "policy.onnx").is_file()
 
 
 def test_a_file_of_the_run_and_another_place_will_do(copied, tmp_path):
@@ -108,7 +119,7 @@ def test_a_flight_in_a_city_is_written_for_rerun(tmp_path):
 
 def test_unknown_formats_are_refused_with_the_nearest(run, capsys):
     assert "unknown format 'mcpa': did you mean 'mcap'?" in refused([run, "--to", "mcpa"], capsys)
-    assert "choose from mcap, rerun" in refused([run, "--to", "zzz"], capsys)
+    assert "choose from c, mcap, onnx, rerun" in refused([run, "--to", "zzz"], capsys)
     assert "--to" in refused([run], capsys)
 
 
