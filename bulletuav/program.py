@@ -16,6 +16,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 from numba.np.arrayobj import populate_array
+from numba.np.numpy_support import from_dtype
 
 from bulletuav.kernel import kernel
 
@@ -24,6 +25,9 @@ Turn = Callable[[], None]
 _WORD = types.int64
 _KIND = types.TypeRef(_WORD)
 """A type as an argument; it takes no room, so that any stands for all"""
+_SCALARS = {float: types.float64, bool: types.boolean}
+_C_ORDER, _F_ORDER, _WRITEABLE = 1, 2, 0x400
+"""Bits of an array's `flags.num`"""
 
 
 class _Call(NamedTuple):
@@ -102,7 +106,7 @@ class Program:
         kept: list[np.ndarray] = []
         for row, (made, arguments, _) in zip(table, self._calls, strict=True):
             if made is not None:
-                function, caller = _addresses(made, tuple(map(numba.typeof, arguments)))
+                function, caller = _addresses(made, tuple(map(_form, arguments)))
                 words = np.array([function, *_flat(arguments)], dtype=np.int64)
                 row[:] = caller, words.ctypes.data
                 kept.append(words)
@@ -125,13 +129,52 @@ def _flat(value: Any) -> Iterator[int]:
         yield ctypes.cast(value, ctypes.c_void_p).value or 0
 
 
+class _ArrayForm(NamedTuple):
+    """What the type of an array follows from; `flags` are numpy's, in bits."""
+
+    dtype: np.dtype[Any]
+    ndim: int
+    flags: int
+
+
+class _TupleForm(NamedTuple):
+    """What the type of a tuple follows from."""
+
+    kind: type
+    parts: tuple[Any, ...]
+
+
+def _form(value: Any) -> Any:
+    """Tell what the type of an argument follows from: quicker to make and to look up than a type.
+
+    Numba takes ten times as long to make types, and an environment has hundreds of arguments.
+    """
+    if isinstance(value, np.ndarray):
+        return _ArrayForm(value.dtype, value.ndim, value.flags.num)
+    if isinstance(value, tuple):
+        return _TupleForm(type(value), tuple(map(_form, value)))
+    return _SCALARS.get(type(value)) or numba.typeof(value)
+
+
+def _type_of(form: Any) -> types.Type:
+    """Make numba's type of an argument of that form: what `numba.typeof` tells of it."""
+    if isinstance(form, _ArrayForm):
+        layout = "C" if form.flags & _C_ORDER else "F" if form.flags & _F_ORDER else "A"
+        readonly = not form.flags & _WRITEABLE
+        return types.Array(from_dtype(form.dtype), form.ndim, layout, readonly=readonly)
+    if isinstance(form, _TupleForm):
+        return types.BaseTuple.from_types(tuple(map(_type_of, form.parts)), form.kind)
+    return form
+
+
 @cache
-def _addresses(kernel: Any, arguments: tuple[types.Type, ...]) -> tuple[int, int]:
+def _addresses(kernel: Any, forms: tuple[Any, ...]) -> tuple[int, int]:
     """Look up a compiled function, and the one that calls it with what a program keeps.
 
     Raises:
         TypeError: The function returns something else than a bool.
     """
+    arguments = tuple(map(_type_of, forms))
     function, result = _compiled(kernel, arguments)
     if result not in (types.none, types.boolean):
         raise TypeError(f"{kernel.__name__} returns {result}: a bool, or nothing, is needed")

@@ -6,6 +6,7 @@ They follow from the frequencies that the drone's motors allow.
 import math
 from collections.abc import Sequence
 from fractions import Fraction
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -127,7 +128,13 @@ def exact_pseudo_inverse(matrix: np.ndarray) -> np.ndarray:
     Returns:
         (R, M) float64; each entry is the exact one, rounded.
     """
-    rows = [[Fraction(value) for value in row] for row in matrix.tolist()]
+    return np.array(_invert(tuple(map(tuple, matrix.tolist())))).T
+
+
+@lru_cache(128)
+def _invert(matrix: tuple[tuple[float, ...], ...]) -> list[list[float]]:
+    """Compute the transpose of `exact_pseudo_inverse`; a swarm asks for the same many times."""
+    rows = [[Fraction(value) for value in row] for row in matrix]
     size = len(rows)
     # Gauss-Jordan elimination of [A A^T | A]: what is left on the right is (A A^T)^-1 A.
     gram = [[_dot(one, other) for other in rows] for one in rows]
@@ -145,7 +152,7 @@ def exact_pseudo_inverse(matrix: np.ndarray) -> np.ndarray:
                     value - factor * of_pivot
                     for value, of_pivot in zip(table[i], table[k], strict=True)
                 ]
-    return np.array([[float(value) for value in row[size:]] for row in table]).T
+    return [[float(value) for value in row[size:]] for row in table]
 
 
 def _dot(one: list[Fraction], other: list[Fraction]) -> Fraction:

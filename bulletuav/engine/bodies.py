@@ -114,6 +114,8 @@ def make_drone(client: int, airframe: Airframe, place: np.ndarray) -> Body:
     """
     flags = bullet.URDF_USE_INERTIA_FROM_FILE | bullet.URDF_USE_IMPLICIT_CYLINDER
     flags |= bullet.URDF_USE_MATERIAL_COLORS_FROM_MTL
+    # Drones of one airframe share what is drawn, which takes Bullet half the time to make.
+    flags |= bullet.URDF_ENABLE_CACHED_GRAPHICS_SHAPES
     try:
         with silenced():
             body: Body = bullet.loadURDF(

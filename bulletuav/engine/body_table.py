@@ -49,7 +49,7 @@ class BodyTable:
         offset: np.ndarray,
         parking: np.ndarray,
         depth: float,
-        with_obstacles: bool,
+        at_once: bool,
     ) -> None:
         """Make the bodies, out of each other's way.
 
@@ -61,8 +61,8 @@ class BodyTable:
             offset: (W, 3) origins of the tiles, m.
             parking: (W, N, 3) places of the drones in Bullet's frame, m.
             depth: Depth of the obstacles below the ground, m.
-            with_obstacles: Whether obstacles are made now, or when somebody first asks for them:
-                Bullet takes time for each body in every step.
+            at_once: Whether obstacles and cities are made now, or when somebody first asks for
+                them: Bullet takes time to make each body, and in every step.
         """
         num_drones = len(airframes)
         # Bullet numbers bodies in the order in which they are made, and solves contacts by number.
@@ -77,13 +77,12 @@ class BodyTable:
         self._obstacles, self._offset, self._depth = obstacles, offset, depth
         self._other_of_body: dict[int, int] = {}
         self._made_later = 0
-        if with_obstacles:
-            self.obstacle  # noqa: B018
-            self._made_later = 0
         diameter = 2 * max(airframe.collision_radius for airframe in airframes)
         self.layouts = LayoutBodies(client, layouts, offset, diameter)
-
         self._num_bodies: int = bullet.getNumBodies(client)
+        if at_once:
+            self.obstacle  # noqa: B018
+            self.layouts.make()
         self._airframes = tuple(airframes)
         self._added: list[int] = []
         self._ghosts: list[int] = []
@@ -92,10 +91,6 @@ class BodyTable:
         # World and index of the drone that a body is.
         self._drone_of_body = {
             body: divmod(k, num_drones) for k, body in enumerate(self.drone.ravel().tolist())
-        }
-        # What a contact calls other bodies; those that are left out are the ground.
-        self._other_of_body |= {
-            body: CITY for bodies in self.layouts.body for body in bodies.ravel().tolist()
         }
 
     @cached_property
@@ -127,7 +122,8 @@ class BodyTable:
 
     def warn_of_strangers(self) -> None:
         """Warn, once each, of bodies that someone made in our client without `add_body`."""
-        made_later = self._made_later + self.layouts.num_facades + len(self._added + self._ghosts)
+        of_layouts = len(self.layouts.numbers) + self.layouts.num_facades
+        made_later = self._made_later + of_layouts + len(self._added + self._ghosts)
         known = self._num_bodies + made_later
         strangers = bullet.getNumBodies(self._client) - known
         if strangers > self._strangers:
@@ -159,7 +155,7 @@ class BodyTable:
         """Give what a contact calls a body: the index of a drone, or one of its numbers below 0."""
         if body in self._drone_of_body:
             return self._drone_of_body[body][1]
-        return self._other_of_body.get(body, GROUND)
+        return self._other_of_body.get(body, CITY if body in self.layouts.numbers else GROUND)
 
     def bodies_of(self, world: int, who: int) -> list[int]:
         """List the bodies of someone in a world.

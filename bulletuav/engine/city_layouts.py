@@ -1,8 +1,10 @@
 """City layouts as bodies of Bullet, and which of them stands in each world.
 
-Bodies are made once. While their layout stands nowhere they wait offstage, far below the ground.
+Bodies are made once, when somebody first asks for them: compiled rays and contacts never do. While
+their layout stands nowhere they wait offstage, far below the ground.
 """
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -27,7 +29,7 @@ class LayoutBodies:
     Attributes:
         solids: The layouts.
         city_grid: The pieces of the layouts; its `layout` tells which stands in each world.
-        body: For each layout, the bodies (W, B) that can stand for it in each world.
+        numbers: The bodies that were made.
     """
 
     def __init__(
@@ -37,7 +39,7 @@ class LayoutBodies:
         offset: np.ndarray,
         diameter: float,
     ) -> None:
-        """Make the bodies, all offstage.
+        """Note the layouts, none of which stands.
 
         Args:
             client: Number that Bullet gave the client.
@@ -52,18 +54,26 @@ class LayoutBodies:
         self._offstage = [
             offset - [0, 0, OFFSTAGE_PITCH * (layout + 1)] for layout in range(len(self.solids))
         ]
-        # For each layout and world, its meshes and its compounds.
-        made = [
-            make_city(client, one, diameter + GAP, places)
-            for one, places in zip(self.solids, self._offstage, strict=True)
-        ]
-        self.body = [
-            np.array([meshes + compounds for meshes, compounds in of_worlds], dtype=np.int32)
-            for of_worlds in made
-        ]
-        self._solid = [[compounds for _, compounds in of_worlds] for of_worlds in made]
+        self._apart = diameter + GAP
+        self._made: list[list[tuple[list[int], list[int]]]] = []
+        self.numbers: set[int] = set()
         # Made when a picture first needs them, as Bullet never frees their meshes.
         self._facade: dict[int, list[int]] = {}
+
+    def make(self) -> list[list[tuple[list[int], list[int]]]]:
+        """Give meshes and compounds for each layout and world; the first call makes them."""
+        if not self._made:
+            stands = self.city_grid.layout[:, None]
+            made = [
+                make_city(
+                    self._client, one, self._apart, np.where(stands == k, self._tile, offstage)
+                )
+                for k, (one, offstage) in enumerate(zip(self.solids, self._offstage, strict=True))
+            ]
+            worlds = itertools.chain.from_iterable(made)
+            self.numbers = {body for meshes, compounds in worlds for body in meshes + compounds}
+            self._made = made
+        return self._made
 
     def put(self, layout: np.ndarray, worlds: np.ndarray, calls: EngineCalls | CExtension) -> None:
         """Change which layouts stand.
@@ -78,22 +88,25 @@ class LayoutBodies:
         for w in np.flatnonzero(worlds & (layout != self.city_grid.layout)).tolist():
             old = int(self.city_grid.layout[w])
             new = int(layout[w])
-            if old != NO_LAYOUT:
-                self._move(calls, self.body[old][w], self._offstage[old][w])
-            if new != NO_LAYOUT:
-                self._move(calls, self.body[new][w], self._tile[w])
             self.city_grid.layout[w] = new
+            if self._made and old != NO_LAYOUT:
+                self._move(calls, self._made[old][w], self._offstage[old][w])
+            if self._made and new != NO_LAYOUT:
+                self._move(calls, self._made[new][w], self._tile[w])
 
     @staticmethod
-    def _move(calls: EngineCalls | CExtension, bodies: np.ndarray, place: np.ndarray) -> None:
-        """Put bodies at one place."""
+    def _move(
+        calls: EngineCalls | CExtension, made: tuple[list[int], list[int]], place: np.ndarray
+    ) -> None:
+        """Put meshes and compounds at one place."""
+        bodies = np.array(made[0] + made[1], dtype=np.int32)
         count = len(bodies)
         calls.pose(bodies, np.tile(place, (count, 1)), np.tile(LEVEL, (count, 1)))
 
     def solid_bodies(self, world: int) -> list[int]:
         """List the bodies that drones can touch in a world."""
         layout = self.city_grid.layout[world]
-        return [] if layout == NO_LAYOUT else self._solid[layout][world]
+        return [] if layout == NO_LAYOUT else self.make()[layout][world][1]
 
     @property
     def num_facades(self) -> int:

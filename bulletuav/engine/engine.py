@@ -112,7 +112,7 @@ class Engine(EngineQueries):
             offset=offset,
             parking=self._parking,
             depth=PARKING_HEIGHT,
-            with_obstacles=live or contacts or not RAY_METHODS[rays],
+            at_once=live or contacts or not RAY_METHODS[rays],
         )
         super().__init__(
             client,

@@ -3,6 +3,7 @@
 import gc
 import os
 import tracemalloc
+import warnings
 
 import numpy as np
 import pytest
@@ -317,9 +318,37 @@ def test_drones_touch_what_stands_in_their_own_world(make_city_bench):
     assert one.swarm.position[2, 0, 2] < 8.3 - 0.5 * 9 * 0.5**2
 
 
-def test_resets_make_no_bodies_and_remove_none():
+def test_cities_are_bodies_when_somebody_asks_for_them():
+    """Compiled rays and contacts do without; who asks finds what stands, where it stands."""
+    aviary = bulletuav.Aviary("navigation", 2, area=150.0, leg=50.0, seed=0)
+    aviary.reset(seeds=0)
+    engine, client = aviary._engine, aviary._engine._client
+    before = bullet.getNumBodies(physicsClientId=client)
+    layout = int(aviary.scene.layout[1])
+    standing = engine._bodies.bodies_of(1, CITY)
+    assert bullet.getNumBodies(physicsClientId=client) > before
+    assert standing == engine._bodies.layouts.make()[layout][1][1]
+    assert all(engine._bodies.other(body) == CITY for body in standing)
+    for k, of_worlds in enumerate(engine._bodies.layouts.make()):
+        for w in range(2):
+            for body in [*of_worlds[w][0], *of_worlds[w][1]]:
+                place = bullet.getBasePositionAndOrientation(body, client)[0]
+                assert place[:2] == tuple(engine._offset[w, 0, :2])
+                assert (place[2] == 0) == (aviary.scene.layout[w] == k)
+    # They follow from now on, and are no strangers.
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for seed in range(1, 9):
+            aviary.reset(seeds=seed)
+            body = engine._bodies.bodies_of(0, CITY)[0]
+            assert bullet.getBasePositionAndOrientation(body, client)[0][2] == 0
+    aviary.close()
+
+
+@pytest.mark.parametrize("rays", ["compiled", "bullet"])
+def test_resets_make_no_bodies_and_remove_none(rays):
     aviary = bulletuav.Aviary(
-        "navigation", 2, area=150.0, leg=50.0, num_layouts=3, irregularity=0.5, seed=0
+        "navigation", 2, area=150.0, leg=50.0, num_layouts=3, irregularity=0.5, seed=0, rays=rays
     )
     client = aviary._engine._client
 

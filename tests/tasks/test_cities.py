@@ -88,6 +88,18 @@ def test_layouts_differ_and_come_from_the_city_seed_alone():
     }
 
 
+def test_cities_of_one_kind_are_shared_and_nobody_writes_into_them():
+    """What one environment did to them another would feel."""
+    one, other = (town(area=200.0, leg=50.0, num_layouts=2) for _ in range(2))
+    assert all(mine is yours for mine, yours in zip(one.cities, other.cities, strict=True))
+    assert town(area=200.0, leg=50.0, irregularity=0.5).cities[0] is not one.cities[0]
+    city = one.cities[0]
+    streets = city.streets
+    for array in (city.solids.boxes, city.building, streets.nodes, streets.edges, one._raster[0]):
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 0
+
+
 @pytest.mark.parametrize("task", ["lidar_navigation", "los"])
 def test_the_same_seed_is_the_same_world_among_however_many(make_urban, task):
     many = make_urban(task, 4, num_layouts=3)

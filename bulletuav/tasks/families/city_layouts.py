@@ -3,6 +3,7 @@
 import contextlib
 import math
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -109,12 +110,20 @@ def make_cities(config: UrbanConfig) -> tuple[City, ...]:
         return (open_ground(sides),)
     seeds = range(config.city_seed, config.city_seed + config.num_layouts)
     try:
-        return tuple(
-            generate(kind, sides, np.random.default_rng(seed), config.irregularity)
-            for seed in seeds
-        )
+        return tuple(_generated(kind, sides, seed, config.irregularity) for seed in seeds)
     except ValueError as error:
         raise ValueError(f"area is {min(sides):g} m: its {error}") from None
+
+
+@lru_cache(32)
+def _generated(
+    kind: str | Statistics, sides: tuple[float, float], seed: int, irregularity: float
+) -> City:
+    """Generate a city, of which several environments of a process share all that it knows."""
+    city = generate(kind, sides, np.random.default_rng(seed), irregularity)
+    for array in (city.solids.boxes, city.building, city.streets.nodes, city.streets.edges):
+        array.setflags(write=False)
+    return city
 
 
 def open_ground(sides: tuple[float, float]) -> City:
@@ -356,6 +365,7 @@ def _check_heights(config: UrbanConfig, context: TaskContext) -> None:
         )
 
 
+@lru_cache(32)
 def _outdoor_cells(city: City, cell: float, margin: float, edge: float = 0.0) -> np.ndarray:
     """Return the middles (M, 2) of a raster's cells that are outdoors, m.
 
@@ -368,6 +378,7 @@ def _outdoor_cells(city: City, cell: float, margin: float, edge: float = 0.0) ->
     places = np.stack(np.meshgrid(*middles, indexing="ij"), axis=-1).reshape(-1, 2)
     is_inside = (np.abs(places) <= city.sides / 2 - edge).all(axis=1)
     cells: np.ndarray = places[is_inside & city.outdoors(places, margin)]
+    cells.setflags(write=False)
     return cells
 
 
