@@ -21,15 +21,22 @@ SLACK = 0.05  # m; a drone that tumbles over an edge goes round what a straight 
 FAR_AWAY = (0.0, 0.0, 500.0)
 
 
-def deepest(body, bench, k):
-    """Tell how deep the rim of any drone that is shot at body k is in it, m; below 0 if none is."""
-    mine = bench.chosen == k
-    points = rims(bench.airframe)
-    turn = Rotation.from_quat(np.repeat(bench.swarm.quaternion[mine, 0], len(points), axis=0))
-    around = turn.apply(np.tile(points, (mine.sum(), 1)))
-    places = around + np.repeat(bench.swarm.position[mine, 0] - bench.target, len(points), axis=0)
-    turns = np.repeat(bench.turns[mine, k], len(points), axis=0)
-    local = Rotation.from_quat(turns).inv().apply(places)
+def deepest(body, airframe, position, quaternion, turns):
+    """Tell how deep the rim of any drone is in its body, m; below 0 if none is.
+
+    Args:
+        body: The body.
+        airframe: That of the drones.
+        position: (M, 3) of the drones, seen from the body, m.
+        quaternion: (M, 4) of the drones.
+        turns: (M, 4) of the body.
+    """
+    points = rims(airframe)
+    around = Rotation.from_quat(np.repeat(quaternion, len(points), axis=0)).apply(
+        np.tile(points, (len(position), 1))
+    )
+    places = around + np.repeat(position, len(points), axis=0)
+    local = Rotation.from_quat(np.repeat(turns, len(points), axis=0)).inv().apply(places)
     if body.kind == "sphere":
         return (body.size[0] - np.linalg.norm(local, axis=1)).max()
     return (np.array(body.size) / 2 - np.abs(local)).min(axis=1).max()
@@ -115,8 +122,7 @@ def test_no_shot_passes(make_bench, airframe, dynamics, contacts, shots):
         SetpointLevel.ACCELERATION: np.zeros((shots, 1, 4)),
     }[level]
     met = np.zeros((shots, 1), dtype=bool)
-    passed = np.zeros(shots, dtype=bool)
-    start = bench.swarm.position[:, 0].copy()
+    places, attitudes = [bench.swarm.position[:, 0].copy()], []
     steps = int(np.ceil((2 * bench.distance / bench.speed).max() * 240))
     for _ in range(steps):
         bench.alive &= ~met if contacts == "stop" else True
@@ -125,36 +131,35 @@ def test_no_shot_passes(make_bench, airframe, dynamics, contacts, shots):
         )
         assert (touched.other == FIRST_OBSTACLE - bench.chosen[touched.world]).all()
         met |= touched.mask(met.shape)
-        for k, body in enumerate(BODIES):
-            mine = bench.chosen == k
-            now = bench.swarm.position[mine, 0]
-            passed[mine] |= crosses(body, start[mine], now, bench.target, bench.turns[mine, k])
-            assert deepest(body, bench, k) < 0
+        places.append(bench.swarm.position[:, 0].copy())
+        attitudes.append(bench.swarm.quaternion[:, 0].copy())
     assert met.all()
-    assert not passed.any()
+    # All substeps of a body's shots at once
+    for k, body in enumerate(BODIES):
+        mine = bench.chosen == k
+        start, *later = (place[mine] for place in places)
+        turns = np.tile(bench.turns[mine, k], (steps, 1))
+        now, start = np.concatenate(later), np.tile(start, (steps, 1))
+        attitude = np.concatenate([one[mine] for one in attitudes])
+        assert not crosses(body, start, now, bench.target, turns).any()
+        assert deepest(body, bench.airframe, now - bench.target, attitude, turns) < 0
     if contacts == "stop":  # outside, at the first touch
         assert not bench.swarm.velocity.any()
 
 
-def test_an_overlap_is_known_when_it_is_seen(make_bench):
+def test_an_overlap_is_known_when_it_is_seen():
     """A flat drone 1 mm above a ball, and 1 mm within; and beside a box that is turned."""
-    bench = make_bench("rigid_body", "cf2x", obstacles=BODIES, worlds=2)
-    half = bench.airframe.shape.half[2]
-    bench.chosen = np.zeros(2, dtype=int)
-    bench.target = np.array((0.0, 0.0, 60.0))
-    bench.turns = np.tile((0.0, 0, 0, 1), (2, len(BODIES), 1))
-    bench.swarm.position[:, 0] = bench.target + (0, 0, 0.3 + half + 0.001)
-    bench.chosen[:] = 3
-    assert deepest(BODIES[3], bench, 3) == pytest.approx(-0.001)
-    bench.swarm.position[1, 0, 2] -= 0.002
-    assert deepest(BODIES[3], bench, 3) == pytest.approx(0.001)
-    bench.chosen[:] = 0
-    bench.turns[:, 0] = Rotation.from_euler("z", 45, degrees=True).as_quat()
+    airframe = bulletuav.load_airframe("cf2x")
+    half = airframe.shape.half[2]
+    level = np.array([(0.0, 0, 0, 1)] * 2)
+    above = np.array([(0, 0, 0.3 + half + 0.001), (0, 0, 0.3 + half - 0.001)])
+    assert deepest(BODIES[3], airframe, above[:1], level[:1], level[:1]) == pytest.approx(-0.001)
+    assert deepest(BODIES[3], airframe, above, level, level) == pytest.approx(0.001)
+    turned = Rotation.from_euler("z", [[45], [45]], degrees=True).as_quat()
     corner = 0.5 * np.sqrt(2) / 2
-    bench.swarm.position[:, 0] = bench.target + (corner / 2, corner / 2, 0.25 + half - 0.002)
-    assert deepest(BODIES[0], bench, 0) == pytest.approx(0.002)
-    bench.swarm.position[:, 0] = bench.target + (0.37, 0.37, 0)
-    assert deepest(BODIES[0], bench, 0) < 0
+    over = np.array([(corner / 2, corner / 2, 0.25 + half - 0.002)] * 2)
+    assert deepest(BODIES[0], airframe, over, level, turned) == pytest.approx(0.002)
+    assert deepest(BODIES[0], airframe, np.array([(0.37, 0.37, 0)] * 2), level, turned) < 0
 
 
 @pytest.mark.parametrize(("dynamics", "contacts"), FLIGHTS)
