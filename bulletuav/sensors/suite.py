@@ -138,6 +138,11 @@ class SensorSuite:
             self._labels[name] = attached.labels(setup)
             self._unchecked.add(name)
 
+    @property
+    def keep_others(self) -> bool:
+        """Whether what drones of one world measure leaves the readings of all others alone."""
+        return all(type(sensor) is Gps for sensor in self.sensors.values())
+
     def reset(self, world: int, swarm: Swarm, rng: np.random.Generator) -> None:
         """Begin a new episode of one world."""
         known = swarm
