@@ -1,5 +1,6 @@
 """The batched core: W independent worlds of N drones through one decision at a time."""
 
+import operator
 from collections.abc import Sequence
 from typing import Any
 
@@ -13,7 +14,6 @@ from bulletuav.envs.snapshot import (
     Layout,
     Snapshot,
     hashes_of,
-    layout_of,
     pack,
     require_contacts,
     require_form,
@@ -57,6 +57,7 @@ class Aviary(Resets):
     """
 
     _layout: Layout | None = None
+    _varying: Sequence[np.ndarray] = ()
 
     @exclusive
     def reset(
@@ -227,7 +228,9 @@ class Aviary(Resets):
         self._engine.set_layouts(self.scene.layout, mask)
         self._put_obstacles(mask)
         self._dynamics.restore(self.swarm, drones)
-        self._engine.park(mask[:, None] & ~self.alive)
+        gone = mask[:, None] & ~self.alive
+        if gone.any():
+            self._engine.park(gone)
         self._contacts = None
         self._forget()
         self._look()
@@ -253,6 +256,12 @@ class Aviary(Resets):
         return hashes_of(pack(self._state_arrays(), self.rng, chosen))
 
     def _all_arrays(self) -> Layout:
-        arrays = {**self._state_arrays(), **self._more_arrays()}
-        self._layout = layout_of(self._layout, self.task.name, arrays)
+        # Who keeps arrays may keep others later, and first readings make some
+        varying = [*self._sensors.kept().values(), *self._dynamics.kept().values()]
+        varying += self._readings.values()
+        known = self._varying
+        is_known = len(known) == len(varying) and all(map(operator.is_, known, varying))
+        if self._layout is None or not is_known:
+            arrays = {**self._state_arrays(), **self._more_arrays()}
+            self._layout, self._varying = Layout(self.task.name, arrays), varying
         return self._layout

@@ -6,8 +6,8 @@ import numpy as np
 
 from bulletuav.envs.decisions import Decisions
 from bulletuav.envs.rows import add_rows, add_value, renew, spread
+from bulletuav.envs.snapshot import UNSTARTED
 from bulletuav.envs.stages import keep_before, tick
-from bulletuav.envs.worlds import UNSTARTED
 from bulletuav.program import ByWorld, Program, by_world
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.account import Account

@@ -1,6 +1,13 @@
 """Worlds as rows of bytes: what is written to some of them, whatever is in their arrays."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
 
 from bulletuav.kernel import kernel
 from bulletuav.program import Program
@@ -17,7 +24,31 @@ def add_rows(program: Program, mask: np.ndarray, rows: np.ndarray, array: np.nda
     """
     assert (rows.dtype, rows.shape) == (array.dtype, array.shape), (rows.shape, array.shape)
     if array.size:
-        program.call(_put, mask, _as_bytes(rows), _as_bytes(array))
+        program.call(_put, mask, as_bytes(rows), 0, as_bytes(array))
+
+
+class Rows:
+    """Room for the bytes of several arrays of W worlds side by side, a row for each world.
+
+    Attributes:
+        mask: (W,) bool, worlds that are copied, in their order, to and from the first rows.
+        data: (W, B) uint8.
+        collect: Copies worlds of all arrays to rows.
+        spread: Copies rows to worlds of all arrays.
+    """
+
+    def __init__(self, arrays: Sequence[np.ndarray]) -> None:
+        """Make room for C-contiguous arrays (W, ...)."""
+        every = [as_bytes(array) for array in arrays]
+        worlds = len(every[0])
+        self.mask = np.zeros(worlds, dtype=bool)
+        self.data = np.empty((worlds, sum(one.shape[1] for one in every)), dtype=np.uint8)
+        self.collect, self.spread = Program(), Program()
+        begin = 0
+        for one in every:
+            self.collect.call(_take, self.mask, one, self.data, begin)
+            self.spread.call(_put, self.mask, self.data, begin, one)
+            begin += one.shape[1]
 
 
 def add_value(program: Program, mask: np.ndarray, value: object, array: np.ndarray) -> None:
@@ -25,23 +56,47 @@ def add_value(program: Program, mask: np.ndarray, value: object, array: np.ndarr
     if array.size:
         row = np.empty((1, *array.shape[1:]), dtype=array.dtype)
         row[:] = value
-        program.call(_fill, mask, _as_bytes(row), _as_bytes(array))
+        program.call(_fill, mask, as_bytes(row), as_bytes(array))
 
 
-def _as_bytes(array: np.ndarray) -> np.ndarray:
+def as_bytes(array: np.ndarray) -> np.ndarray:
     """Show an array (W, ...) as bytes (W, B), where it is."""
     assert array.flags.c_contiguous
     return array.reshape(len(array), -1).view(np.uint8)
 
 
+@intrinsic  # type: ignore[untyped-decorator]
+def _copy(_: Any, target: Any, source: Any, count: Any) -> Any:
+    """Copy bytes from one address to another."""
+
+    def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        byte = ir.IntType(8).as_pointer()
+        to, start = (builder.inttoptr(address, byte) for address in given[:2])
+        cgutils.raw_memcpy(builder, to, start, given[2], 1)
+        return context.get_dummy_value()
+
+    return types.void(target, source, count), generate
+
+
 @kernel
-def _put(mask: np.ndarray, rows: np.ndarray, array: np.ndarray) -> None:
-    """Write the first rows (W, B) to rows of an array (W, B) that are of a mask (W,)."""
+def _put(mask: np.ndarray, rows: np.ndarray, begin: int, array: np.ndarray) -> None:
+    """Write bytes of the first rows, from `begin` on, to worlds of a mask (W,) of an array."""
     s = 0
     for w in range(mask.shape[0]):
         if mask[w]:
-            for k in range(array.shape[1]):
-                array[w, k] = rows[s, k]
+            target = array.ctypes.data + w * array.strides[0]
+            _copy(target, rows.ctypes.data + s * rows.strides[0] + begin, array.shape[1])
+            s += 1
+
+
+@kernel
+def _take(mask: np.ndarray, array: np.ndarray, rows: np.ndarray, begin: int) -> None:
+    """Do the reverse of `_put`."""
+    s = 0
+    for w in range(mask.shape[0]):
+        if mask[w]:
+            target = rows.ctypes.data + s * rows.strides[0] + begin
+            _copy(target, array.ctypes.data + w * array.strides[0], array.shape[1])
             s += 1
 
 
@@ -50,8 +105,8 @@ def _fill(mask: np.ndarray, row: np.ndarray, array: np.ndarray) -> None:
     """Write one row (1, B) to all rows of an array (W, B) that are of a mask (W,)."""
     for w in range(mask.shape[0]):
         if mask[w]:
-            for k in range(array.shape[1]):
-                array[w, k] = row[0, k]
+            target = array.ctypes.data + w * array.strides[0]
+            _copy(target, row.ctypes.data, array.shape[1])
 
 
 @kernel
