@@ -137,6 +137,7 @@ class SensorSuite:
             self.sensors[name] = attached
             self._labels[name] = attached.labels(setup)
             self._unchecked.add(name)
+        self._last = next(reversed(self.sensors.values()), None)
 
     @property
     def keep_others(self) -> bool:
@@ -148,6 +149,8 @@ class SensorSuite:
         known = swarm
         for sensor in self.sensors.values():
             sensor.reset(world, swarm, known, rng)
+            if sensor is self._last:  # nobody is left to know it
+                return
             gps = unwrapped(sensor)
             if isinstance(gps, Gps):
                 known = swarm._replace(position=gps.position, velocity=gps.velocity)
