@@ -6,18 +6,17 @@ without Python in between. Where a call needs Python, its turn comes right there
 """
 
 import ctypes
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 from numba.np.arrayobj import populate_array
-from numba.np.numpy_support import from_dtype
 
+from bulletuav.forms import form_of, type_of
 from bulletuav.kernel import kernel
 
 Turn = Callable[[], None]
@@ -25,9 +24,6 @@ Turn = Callable[[], None]
 _WORD = types.int64
 _KIND = types.TypeRef(_WORD)
 """A type as an argument; it takes no room, so that any stands for all"""
-_SCALARS = {float: types.float64, bool: types.boolean}
-_C_ORDER, _F_ORDER, _WRITEABLE = 1, 2, 0x400
-"""Bits of an array's `flags.num`"""
 
 
 class _Call(NamedTuple):
@@ -79,6 +75,11 @@ class Program:
             self._calls.append(_Call(None, (), [turn]))
 
     @property
+    def calls(self) -> Sequence[tuple[Callable[..., Any] | None, tuple[Any, ...], list[Turn]]]:
+        """The calls: function (None where it is always Python's turn), arguments and turns."""
+        return self._calls
+
+    @property
     def names(self) -> list[str]:
         """Names of the calls; "" for turns of Python."""
         return [getattr(call.kernel, "__name__", "") for call in self._calls]
@@ -106,12 +107,119 @@ class Program:
         kept: list[np.ndarray] = []
         for row, (made, arguments, _) in zip(table, self._calls, strict=True):
             if made is not None:
-                function, caller = _addresses(made, tuple(map(_form, arguments)))
+                function, caller = _addresses(made, tuple(map(form_of, arguments)))
                 words = np.array([function, *_flat(arguments)], dtype=np.int64)
                 row[:] = caller, words.ctypes.data
                 kept.append(words)
         # At once: an interrupt before it leaves no table without some of the calls
         self._words, self.table = kept, table
+
+
+class ByWorld:
+    """A program that can run for some worlds alone: its calls look at one world at a time."""
+
+    def __init__(self, table: np.ndarray, words: np.ndarray, steps: np.ndarray) -> None:
+        """Keep its calls.
+
+        Args:
+            table: (K, 2) addresses of each call, for `run_calls`.
+            words: (B,) what the calls are given of world 0, to which the table points.
+            steps: (B,) by how much each number grows from one world to the next.
+        """
+        self._table, self._words, self._steps = table, words, steps
+        self._first = words.copy()
+
+    def run(self, worlds: np.ndarray) -> None:
+        """Run all calls for each world of a mask (W,)."""
+        _run_by_world(self._table, self._words, self._first, self._steps, worlds)
+
+
+def by_world(program: Program, arrays: Iterable[np.ndarray]) -> ByWorld | None:
+    """Make a program that runs for some worlds alone.
+
+    Args:
+        program: Compiled calls of which each does the same in all worlds, one after the other.
+        arrays: Those that have a first axis of W worlds.
+
+    Returns:
+        None where Python has a turn, or a call is given an array that may be of worlds, too.
+    """
+    known = [_span(array) for array in arrays if array.size]
+    steps: list[int] = []
+    words: list[int] = []
+    begins: list[int] = []
+    for function, arguments, turns in program.calls:
+        parts = list(_arrays_in(arguments))
+        strides = [_world_stride(array, known) for array in parts]
+        if function is None or turns or None in strides:
+            return None
+        begins.append(len(words))
+        address, _ = _addresses(function, tuple(map(form_of, arguments)))
+        words.append(address)
+        steps.append(0)
+        for value, is_first in _of_one_world(arguments, iter(strides)):
+            words.append(value)
+            steps.append(is_first)
+    if len(program.table) != len(program.calls):
+        program.compile()
+    kept, table = np.array(words, dtype=np.int64), program.table.copy()
+    table[:, 1] = kept.ctypes.data + kept.itemsize * np.array(begins, dtype=np.int64)
+    return ByWorld(table, kept, np.array(steps, dtype=np.int64))
+
+
+def _arrays_in(value: Any) -> Iterator[np.ndarray]:
+    """List the arrays of an argument, in order."""
+    if isinstance(value, np.ndarray):
+        yield value
+    elif isinstance(value, tuple):
+        for part in value:
+            yield from _arrays_in(part)
+
+
+class _Span(NamedTuple):
+    """Where an array of worlds lies: first byte, the one after its last, one world, and W."""
+
+    low: int
+    high: int
+    stride: int
+    worlds: int
+
+
+def _span(array: np.ndarray) -> _Span:
+    """Tell where an array of worlds lies."""
+    low = array.ctypes.data
+    reach = sum((n - 1) * stride for n, stride in zip(array.shape, array.strides, strict=True))
+    return _Span(low, low + reach + array.itemsize, array.strides[0], len(array))
+
+
+NO_WORLDS = -1
+"""Stride of an array whose first axis is not that of worlds"""
+
+
+def _world_stride(array: np.ndarray, known: list[_Span]) -> int | None:
+    """Tell how far one world is from the next, bytes, or `NO_WORLDS`; None if that is unclear."""
+    worlds = known[0].worlds
+    if not array.size:
+        return array.strides[0] if len(array) == worlds else NO_WORLDS
+    for span in known:
+        if array.ndim and span.low <= array.ctypes.data < span.high:
+            is_same = len(array) == worlds and array.strides[0] == span.stride
+            return span.stride if is_same and array.ctypes.data < span.low + span.stride else None
+    return None if array.ndim and len(array) == worlds else NO_WORLDS
+
+
+def _of_one_world(value: Any, strides: Iterator[int | None]) -> Iterator[tuple[int, int]]:
+    """List what `_flat` does, of world 0 alone, each with how it grows from world to world."""
+    if isinstance(value, tuple):
+        for part in value:
+            yield from _of_one_world(part, strides)
+        return
+    numbers = [(number, 0) for number in _flat(value)]
+    if isinstance(value, np.ndarray):
+        stride = next(strides)
+        if stride is not None and stride != NO_WORLDS:
+            numbers[:2] = [(numbers[0][0], stride), (1, 0)]
+    yield from numbers
 
 
 def _flat(value: Any) -> Iterator[int]:
@@ -129,44 +237,6 @@ def _flat(value: Any) -> Iterator[int]:
         yield ctypes.cast(value, ctypes.c_void_p).value or 0
 
 
-class _ArrayForm(NamedTuple):
-    """What the type of an array follows from; `flags` are numpy's, in bits."""
-
-    dtype: np.dtype[Any]
-    ndim: int
-    flags: int
-
-
-class _TupleForm(NamedTuple):
-    """What the type of a tuple follows from."""
-
-    kind: type
-    parts: tuple[Any, ...]
-
-
-def _form(value: Any) -> Any:
-    """Tell what the type of an argument follows from: quicker to make and to look up than a type.
-
-    Numba takes ten times as long to make types, and an environment has hundreds of arguments.
-    """
-    if isinstance(value, np.ndarray):
-        return _ArrayForm(value.dtype, value.ndim, value.flags.num)
-    if isinstance(value, tuple):
-        return _TupleForm(type(value), tuple(map(_form, value)))
-    return _SCALARS.get(type(value)) or numba.typeof(value)
-
-
-def _type_of(form: Any) -> types.Type:
-    """Make numba's type of an argument of that form: what `numba.typeof` tells of it."""
-    if isinstance(form, _ArrayForm):
-        layout = "C" if form.flags & _C_ORDER else "F" if form.flags & _F_ORDER else "A"
-        readonly = not form.flags & _WRITEABLE
-        return types.Array(from_dtype(form.dtype), form.ndim, layout, readonly=readonly)
-    if isinstance(form, _TupleForm):
-        return types.BaseTuple.from_types(tuple(map(_type_of, form.parts)), form.kind)
-    return form
-
-
 @cache
 def _addresses(kernel: Any, forms: tuple[Any, ...]) -> tuple[int, int]:
     """Look up a compiled function, and the one that calls it with what a program keeps.
@@ -174,7 +244,7 @@ def _addresses(kernel: Any, forms: tuple[Any, ...]) -> tuple[int, int]:
     Raises:
         TypeError: The function returns something else than a bool.
     """
-    arguments = tuple(map(_type_of, forms))
+    arguments = tuple(map(type_of, forms))
     function, result = _compiled(kernel, arguments)
     if result not in (types.none, types.boolean):
         raise TypeError(f"{kernel.__name__} returns {result}: a bool, or nothing, is needed")
@@ -285,3 +355,17 @@ def run_calls(table: np.ndarray, start: int) -> int:
         if table[k, 0] == 0 or _at(table[k, 0], table[k, 1]) != 0:
             return k
     return -1
+
+
+@kernel
+def _run_by_world(
+    table: np.ndarray, words: np.ndarray, first: np.ndarray, steps: np.ndarray, worlds: np.ndarray
+) -> None:
+    """Run a program for each world of a mask; see `ByWorld`."""
+    for w in range(worlds.shape[0]):
+        if worlds[w]:
+            for k in range(words.shape[0]):
+                words[k] = first[k] + w * steps[k]
+            k = run_calls(table, 0)
+            while k >= 0:  # a call returned True, and nobody has a turn
+                k = run_calls(table, k + 1)

@@ -10,8 +10,9 @@ import pytest
 
 import bulletuav.program
 from bulletuav.envs.aviary import Aviary
+from bulletuav.forms import form_of, type_of
 from bulletuav.kernel import allocating, kernel
-from bulletuav.program import Program
+from bulletuav.program import Program, by_world
 
 ROW = np.dtype([("mass", "f8"), ("arms", "f8", (3,)), ("count", "i8")])
 
@@ -118,9 +119,9 @@ def test_types_follow_from_forms():
     pair = Pair(grid, still)
     tuples = [(), (grid,), (grid, grid), (1.0, (2, True)), pair, Nested(pair, rows, 2.0)]
     for value in [*arrays, *scalars, *tuples, ctypes.CFUNCTYPE(ctypes.c_int)(lambda: 0)]:
-        form = bulletuav.program._form(value)
-        assert bulletuav.program._type_of(form) == numba.typeof(value), value
-        assert hash(form) == hash(bulletuav.program._form(value))
+        form = form_of(value)
+        assert type_of(form) == numba.typeof(value), value
+        assert hash(form) == hash(form_of(value))
 
 
 def test_turns_of_python_come_in_their_places():
@@ -247,3 +248,44 @@ def test_an_interrupt_while_a_program_is_compiled_leaves_no_call_out(monkeypatch
         program.run()
     program.run()
     np.testing.assert_array_equal(out, 3.0)
+
+
+@kernel
+def sum_up(pair, weights, out):
+    for w in range(out.shape[0]):
+        for i in range(out.shape[1]):
+            out[w, i] += weights[i] * pair.one[w, i] + pair.two[w, 0]
+
+
+def by_worlds(given=None):
+    """A program over 4 worlds of 3 drones, what it writes, and the same for some worlds alone."""
+    rng = np.random.default_rng(0)
+    pair = Pair(rng.normal(size=(4, 3)), rng.normal(size=(4, 2))[:, 1:])
+    weights, out = rng.normal(size=3) if given is None else given, np.zeros((4, 3))
+    program = Program()
+    program.call(sum_up, pair, weights, out)
+    program.call(sum_up, pair, weights, out)
+    return program, out, by_world(program, [pair.one, pair.two, out])
+
+
+def test_some_worlds_alone_are_the_same_and_others_are_left_alone():
+    program, out, alone = by_worlds()
+    program.run()
+    whole = out.copy()
+    out[:] = 0.0
+    alone.run(np.array([False, True, False, True]))
+    np.testing.assert_array_equal(out[[1, 3]], whole[[1, 3]])
+    assert not out[[0, 2]].any()
+    alone.run(np.array([True, False, True, False]))
+    np.testing.assert_array_equal(out, whole)
+
+
+def test_worlds_are_not_run_alone_where_that_is_unclear():
+    # A constant that is as long as there are worlds may be of worlds, too
+    assert by_worlds(np.zeros(4))[2] is None
+    program, out, alone = by_worlds()
+    assert alone is not None
+    # One drone's row in all worlds is no array of worlds that begins with the first of them
+    assert by_world(program, [out.T]) is None
+    program.turn(lambda: None)
+    assert by_world(program, [out]) is None

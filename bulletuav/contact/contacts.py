@@ -176,19 +176,6 @@ def remember_all(contact: Contact, swarm: Swarm) -> None:
         remember(contact, swarm, w)
 
 
-def start(contact: Contact, mask: np.ndarray) -> None:
-    """Forget what was before of drones that are put somewhere else.
-
-    Args:
-        contact: Changed; all who sleep in these worlds wake.
-        mask: (W, N) bool, drones that are put somewhere else.
-    """
-    contact.budget[mask] = -1.0
-    contact.asleep[np.any(mask, axis=1)] = False
-    contact.quiet[mask] = 0.0
-    contact.memory.number[mask] = 0
-
-
 @func
 def _take_over_sleepers(contact: Contact, alive: np.ndarray, w: int) -> None:
     """Tell what sleepers touched before, and wake those in whose world a drone came or went."""

@@ -18,17 +18,18 @@ from bulletuav.contact.contacts import (
     remember_all,
     remembered,
     see,
-    start,
     told,
 )
 from bulletuav.contact.rest import make_contact
+from bulletuav.contact.start import start
 from bulletuav.control.cascade import Cascade
 from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.dynamics.divergence import any_lost
 from bulletuav.dynamics.setpoints import convert
 from bulletuav.engine.c_extension import surface_below
 from bulletuav.engine.engine import Engine
-from bulletuav.geometry.rotation import dot, plus, vec3
-from bulletuav.kernel import func, kernel
+from bulletuav.geometry.rotation import plus, vec3
+from bulletuav.kernel import func
 from bulletuav.program import Program
 from bulletuav.vehicle.swarm import Contacts, Motion, Swarm
 from bulletuav.vehicle.wrench import Around
@@ -94,28 +95,12 @@ class Flight:
     restitution: float
 
 
-# The engine clamps both at 1e4
-FASTEST = 9.9e3  # m/s
-FASTEST_SPIN = 9.9e3  # rad/s
+class _Placing(NamedTuple):
+    """A program that starts drones of a mask (W, N) from the state of a swarm."""
 
-
-@kernel
-def _any_lost(swarm: Swarm, alive: np.ndarray, lost: np.ndarray) -> bool:
-    """Tell whether the speed or spin of a living drone left all bounds, or is NaN.
-
-    Writes the first one's world and index to `lost` (2,).
-    """
-    for w in range(alive.shape[0]):
-        for i in range(alive.shape[1]):
-            velocity = vec3(swarm.velocity, w, i)
-            rates = vec3(swarm.rates, w, i)
-            slow = dot(velocity, velocity) < FASTEST**2
-            calm = dot(rates, rates) < FASTEST_SPIN**2
-            if alive[w, i] and not (slow and calm):
-                lost[0] = w
-                lost[1] = i
-                return True
-    return False
+    swarm: Swarm
+    mask: np.ndarray
+    program: Program
 
 
 class Dynamics(ABC):
@@ -183,6 +168,7 @@ class Dynamics(ABC):
         self.force, self.torque = np.zeros((2, *flight.parameters.shape, 3))
         self.supply = np.ones(flight.parameters.shape)
         self._near_ground = self.feels_surface and bool((gains > 0).any())
+        self._placing: _Placing | None = None
 
     @property
     @abstractmethod
@@ -191,7 +177,24 @@ class Dynamics(ABC):
 
     def place(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Start drones of `mask` (W, N) from their state, as if nothing had been before."""
-        start(self.contact, mask)
+        if self._placing is None or self._placing.swarm is not swarm:
+            placing = _Placing(swarm, np.zeros(mask.shape, dtype=bool), Program())
+            self._add_start(placing.program, swarm, placing.mask)
+            self._placing = placing
+        self._placing.mask[:] = mask
+        self._placing.program.run()
+
+    def add_place(self, program: Program, swarm: Swarm, mask: np.ndarray) -> None:
+        """Add to a program what `place` does."""
+        if type(self).place is Dynamics.place:
+            self._add_start(program, swarm, mask)
+        else:  # an author's own
+            program.turn(lambda: self.place(swarm, mask))
+
+    def _add_start(self, program: Program, swarm: Swarm, mask: np.ndarray) -> None:
+        """Add to a program that drones start from their state."""
+        kept = self.contact
+        program.call(start, mask, kept.budget, kept.asleep, kept.quiet, kept.memory.number)
 
     def kept(self) -> dict[str, np.ndarray]:
         """Tell the arrays (W, ...) by name that flights follow from, beside the swarm."""
@@ -285,7 +288,7 @@ class Dynamics(ABC):
                 f"its airframe; reset() starts the world anew, place() a drone of an airspace"
             )
 
-        program.call(_any_lost, swarm, alive, lost, otherwise=refuse)
+        program.call(any_lost, swarm, alive, lost, otherwise=refuse)
 
     def add_flight(
         self,

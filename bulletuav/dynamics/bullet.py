@@ -164,10 +164,10 @@ class BulletDynamics(Dynamics):
         self._wake = np.zeros((flight.parameters.shape[1], 4))
         self._in_engine = Contacts.none()
 
-    def place(self, swarm: Swarm, mask: np.ndarray) -> None:
-        """Start drones from their state, in the engine too; see the base class."""
-        self.flight.engine.set_states(swarm, mask)
-        super().place(swarm, mask)
+    def _add_start(self, program: Program, swarm: Swarm, mask: np.ndarray) -> None:
+        """Add that drones start in the engine, too; see the base class."""
+        self.flight.engine.add_states(program, swarm, mask)
+        super()._add_start(program, swarm, mask)
 
     def kept(self) -> dict[str, np.ndarray]:
         """Tell also velocities as the engine has them; see the base class."""

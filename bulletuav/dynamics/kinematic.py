@@ -24,7 +24,7 @@ from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.base import Air, Dynamics
 from bulletuav.functions import exp
 from bulletuav.geometry.rotation import Vec3, dot, from_euler, plus, point, quat4, vec3
-from bulletuav.kernel import allocating, borrowed, func
+from bulletuav.kernel import allocating, borrowed, func, kernel
 from bulletuav.program import Program
 from bulletuav.registry import register
 from bulletuav.vehicle.swarm import Swarm, get, put
@@ -302,6 +302,18 @@ def advance(
             meet(contact, swarm, alive, parameters, w, piece, pieces, dt)
 
 
+@kernel
+def _level(quaternion: np.ndarray, rates: np.ndarray, mask: np.ndarray) -> None:
+    """Make drones of `mask` (W, N) level, and take their rates."""
+    for w in range(mask.shape[0]):
+        for i in range(mask.shape[1]):
+            if mask[w, i]:
+                for k in range(3):
+                    quaternion[w, i, k] = 0.0
+                    rates[w, i, k] = 0.0
+                quaternion[w, i, 3] = 1.0
+
+
 class Kinematic(Dynamics):
     """Points without tilt and rates; the base of the three kinematic dynamics.
 
@@ -312,11 +324,10 @@ class Kinematic(Dynamics):
     kind: ClassVar[int]
     contacts: ClassVar[tuple[str, ...]] = ("stop",)
 
-    def place(self, swarm: Swarm, mask: np.ndarray) -> None:
-        """Start drones level and without rates; see the base class."""
-        swarm.quaternion[mask] = 0, 0, 0, 1
-        swarm.rates[mask] = 0
-        super().place(swarm, mask)
+    def _add_start(self, program: Program, swarm: Swarm, mask: np.ndarray) -> None:
+        """Add that drones start level and without rates; see the base class."""
+        program.call(_level, swarm.quaternion, swarm.rates, mask)
+        super()._add_start(program, swarm, mask)
 
     def add_flight(
         self,

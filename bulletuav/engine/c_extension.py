@@ -202,6 +202,15 @@ def write_states(port: Port, swarm: Swarm, mask: np.ndarray) -> None:
     )
 
 
+@kernel
+def bring_out(port: Port, swarm: Swarm, mask: np.ndarray, out: np.ndarray) -> None:
+    """Write the states of drones of `mask` (W, N), and note that they are not parked any more."""
+    write_states(port, swarm, mask)
+    for w in range(mask.shape[0]):
+        for i in range(mask.shape[1]):
+            out[w, i] = out[w, i] or mask[w, i]
+
+
 def _at(array: np.ndarray, kind: type = np.float64) -> int:
     """Give the address of an array that C can read as it lies."""
     assert array.dtype == kind, array.dtype

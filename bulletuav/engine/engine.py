@@ -13,9 +13,10 @@ import numpy as np
 
 from bulletuav.engine.body_source import BodySource, pieces_of, pose_of
 from bulletuav.engine.body_table import BodyTable
-from bulletuav.engine.c_extension import POSTFIX, CExtension, Port, load
+from bulletuav.engine.c_extension import POSTFIX, CExtension, Port, bring_out, load
 from bulletuav.engine.calls import DRONE_GROUP, SOLID, EngineCalls, bullet
 from bulletuav.engine.client import configure, connect, disconnect
+from bulletuav.engine.parking import PARKING_HEIGHT, parking_places
 from bulletuav.engine.queries import EngineQueries
 from bulletuav.engine.silence import silenced
 from bulletuav.engine.tiles import globalise, localise, tile_offset
@@ -24,6 +25,7 @@ from bulletuav.geometry.obstacle import MOST_FRICTION, Obstacle
 from bulletuav.geometry.rotation import product, to_world
 from bulletuav.geometry.scenery import NOWHERE, Scenery, add_pieces
 from bulletuav.geometry.solids import Solids
+from bulletuav.program import Program
 from bulletuav.vehicle.airframe import Airframe
 from bulletuav.vehicle.swarm import FIRST_OBSTACLE, Swarm
 
@@ -34,26 +36,6 @@ RAY_METHODS = {"compiled": True, "bullet": False}
 """Who answers rays, and whether it is compiled code"""
 PLAIN = Obstacle("sphere", (1.0,))
 """Whose colour and contact a body has that tells none"""
-PARKING_HEIGHT = 2000.0
-"""Height of parked drones, m; obstacles that are not placed wait as deep below the ground"""
-PARKING_PITCH = 10.0
-"""Distance of parked drones, m"""
-PARKING_COLUMNS = 100
-"""Parked drones in a row"""
-
-
-def _parking_places(offset: np.ndarray, num_drones: int) -> np.ndarray:
-    """Give each drone of each world a place (W, N, 3), m, for tiles at `offset` (W, 3)."""
-    grid = [
-        (
-            PARKING_PITCH * (i % PARKING_COLUMNS),
-            PARKING_PITCH * (i // PARKING_COLUMNS),
-            PARKING_HEIGHT,
-        )
-        for i in range(num_drones)
-    ]
-    places: np.ndarray = offset[:, None] + grid
-    return places
 
 
 class Engine(EngineQueries):
@@ -103,7 +85,7 @@ class Engine(EngineQueries):
         configure(client, dt, live)
 
         offset = np.array([tile_offset(first_world + k) for k in range(num_worlds)])
-        self._parking = _parking_places(offset, len(airframes))
+        self._parking = parking_places(offset, len(airframes))
         bodies = BodyTable(
             client,
             airframes=airframes,
@@ -301,6 +283,14 @@ class Engine(EngineQueries):
         if self._contacts:
             self._filter(mask, DRONE_GROUP | SOLID)
         self.write_states(swarm, mask)
+
+    def add_states(self, program: Program, swarm: Swarm, mask: np.ndarray) -> None:
+        """Add to a program what `set_states` does."""
+        port = self.port
+        if port is None or self._contacts:
+            program.turn(lambda: self.set_states(swarm, mask))
+        else:
+            program.call(bring_out, port, swarm, mask, self._out)
 
     def write_states(self, swarm: Swarm, mask: np.ndarray) -> None:
         """Give drones the poses and velocities of a swarm; what Bullet knows of contacts stays.

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from bulletuav.dynamics.base import FASTEST, FASTEST_SPIN
-from bulletuav.engine.engine import PARKING_HEIGHT
+from bulletuav.dynamics.divergence import FASTEST, FASTEST_SPIN
+from bulletuav.engine.parking import PARKING_HEIGHT
 from bulletuav.engine.tiles import TILE_PITCH
 from bulletuav.envs.options import EnvOptions, check_names
 from bulletuav.envs.randomization import Randomization, known_uncertainties

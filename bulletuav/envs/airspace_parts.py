@@ -9,7 +9,7 @@ from bulletuav.contact.contacts import overlaps, see
 from bulletuav.contact.touch import TOUCH
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.engine.body_source import BodySource, pose_of
-from bulletuav.engine.engine import PARKING_HEIGHT
+from bulletuav.engine.parking import PARKING_HEIGHT
 from bulletuav.envs.airspace_inputs import (
     YAW,
     Drones,

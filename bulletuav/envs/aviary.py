@@ -1,35 +1,32 @@
 """The batched core: W independent worlds of N drones through one decision at a time."""
 
-from collections.abc import Mapping, Sequence
+import operator
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from bulletuav.envs.agents import USUAL_TYPES
-from bulletuav.envs.decisions import Decisions
 from bulletuav.envs.environment import exclusive
 from bulletuav.envs.infos import Infos, later
+from bulletuav.envs.resets import Resets
 from bulletuav.envs.snapshot import (
     Layout,
     Snapshot,
     hashes_of,
-    layout_of,
     pack,
     require_contacts,
     require_form,
     require_snapshot,
 )
 from bulletuav.envs.step import Step
-from bulletuav.envs.worlds import UNSTARTED
-from bulletuav.tasks.base import Task
-from bulletuav.tasks.check import check_info, check_step_result, take_spawns
-from bulletuav.tasks.frame import Frame, Spawn
+from bulletuav.tasks.check import check_info, check_step_result
 from bulletuav.tasks.given import Given
 from bulletuav.tasks.observations.observer import Observation
 from bulletuav.tasks.starts import take_given
 
 
-class Aviary(Decisions):
+class Aviary(Resets):
     """W worlds of N drones flying one task.
 
     Never resets by itself: a drone whose episode ended leaves the airspace and is masked by `alive`
@@ -60,6 +57,7 @@ class Aviary(Decisions):
     """
 
     _layout: Layout | None = None
+    _varying: Sequence[np.ndarray] = ()
 
     @exclusive
     def reset(
@@ -88,119 +86,30 @@ class Aviary(Decisions):
             RuntimeError: The environment is closed.
         """
         self._require_open()
-        worlds = np.flatnonzero(self._spec.mask(mask))
-        generators = self._generators(worlds, self._spec.seeds(seeds))
-        spawns = list(self.task.spawn_many(generators))
-        if len(spawns) != len(generators):
-            raise ValueError(
-                f"spawn_many of task {self.task.name!r} gave {len(spawns)} starts: "
-                f"{len(generators)} "
-                f"are needed, one for each generator"
-            )
-        given = take_given(self.task, start, goal)
-        given = Given(*(self._given[k] if one is None else one for k, one in enumerate(given)))
-        spawns = [
-            self.task.finish(spawn, given, rng) if isinstance(spawn, Spawn) else spawn
-            for spawn, rng in zip(spawns, generators, strict=True)
-        ]
+        spec = self._spec
+        chosen = spec.mask(mask)
+        worlds = np.flatnonzero(chosen).tolist()
+        generators = self._generators(worlds, spec.seeds(seeds))
+        given = self._given
+        if not (start is None and goal is None):
+            places = take_given(self.task, start, goal)
+            given = Given(*(given[k] if one is None else one for k, one in enumerate(places)))
         # All before anything of the worlds is written
-        things = self.scene.obstacle.shape[1]
-        starts = take_spawns(self.task, spawns, self.options.airframe, things, self.scene.memory)
-        self._place(worlds, starts)
-        for k, rng in zip(worlds.tolist(), generators, strict=True):
-            self.rng[k] = rng
-            self._wind.reset(k, rng)
-            self._uncertainty.reset(k, rng)
-            self._sensors.reset(k, self.swarm, rng)
-        reset = np.zeros(self.num_worlds, dtype=bool)
-        reset[worlds] = True
-        chosen = np.zeros(self.alive.shape, dtype=bool)
-        chosen[reset] = True
-        self._dynamics.place(self.swarm, chosen)
-        self._engine.set_layouts(self.scene.layout, reset)
-        self._put_obstacles(reset)
-        frame = self._first_frame(chosen, reset)
-        self._start_memory(frame, chosen)
+        self._draw_starts(generators, given)
+        frame = self._begin(chosen, worlds, generators)
         if not self._checked:  # once: later results are of the same form
             result = self.task.evaluate_step(frame)
-            check_step_result(self.task, result, chosen.shape)
-            check_info(self.task, self.task.info(frame), chosen.shape)
+            check_step_result(self.task, result, self.alive.shape)
+            check_info(self.task, self.task.info(frame), self.alive.shape)
             self._name_infos([*result.terms, *self.task.extra_terms(frame)])
             self._checked = True
         self._frame = frame
-        if self.viewer is not None and reset[0]:
+        if self.viewer is not None and chosen[0]:
             self.viewer.begin()
         if self.program is None:
             return self.observer.observe(frame, self.alive)
-        self._present[:] = self.alive
-        self._forget()
-        self._observing.run()
+        self._observe_fresh()
         return self.observations()
-
-    def _generators(self, worlds: np.ndarray, seeds: list[int] | None) -> list[np.random.Generator]:
-        if seeds is not None:
-            return [np.random.default_rng(seeds[k]) for k in worlds]
-        first = None if self.options.seed is None else self.options.seed + self._first_world
-        return [
-            np.random.default_rng(None if first is None else first + int(k))
-            if self.rng[k] is UNSTARTED
-            else self.rng[k]
-            for k in worlds
-        ]
-
-    def _place(self, worlds: np.ndarray, start: Mapping[str, np.ndarray]) -> None:
-        """Write the starts (S, ...) of some worlds (S,)."""
-        swarm, scene = self.swarm, self.scene
-        # A slice is found sooner than a list of indices
-        at = slice(worlds[0], worlds[0] + 1) if len(worlds) == 1 else worlds
-        swarm.position[at], swarm.quaternion[at] = start["position"], start["quaternion"]
-        swarm.velocity[at], swarm.rates[at] = start["velocity"], start["rates"]
-        swarm.rotor_speed[at] = 0.0 if self.task.takes_off else self._hover_speed
-        scene.start[at], scene.goal[at] = start["position"], start["goal"]
-        scene.goal_velocity[at] = start["goal_velocity"]
-        if scene.obstacle.shape[1]:
-            scene.obstacle[at] = start["obstacle"]
-            scene.obstacle_velocity[at] = start["obstacle_velocity"]
-            scene.obstacle_quaternion[at] = start["obstacle_quaternion"]
-        scene.layout[at] = start["layout"]
-        for name, remembered in scene.memory.items():
-            remembered[at] = start[f"memory {name}"]
-        self._cascade.memory[at] = 0
-        self.commanded[at] = start["velocity"]
-        self.alive[at] = True
-        self.steps[at] = 0
-        self._energy.start(at)
-
-    def _first_frame(self, chosen: np.ndarray, reset: np.ndarray) -> Frame:
-        """Bring the frame to right after a reset of the drones of `chosen` (W, N)."""
-        frame = self._live
-        # Of the worlds that fly on, it is as if no time had passed
-        for before, now in zip(frame.before, self.swarm, strict=True):
-            before[:] = now
-        frame.goal_before[:] = self.scene.goal
-        frame.action[chosen] = 0.0
-        frame.alive[:] |= chosen
-        frame.time[:] = self.steps / self.options.decision_hz
-        frame.last[:] = self.steps >= self.options.horizon
-        kept = self._tell_contacts().of_worlds(~reset) if self._collects_contacts else None
-        self._contacts = kept
-        self._dynamics.contact.touches.number[reset] = 0
-        self._forget()
-        self._keep(self._measure(self.swarm, self.swarm, chosen))
-        self._look()
-        self._reckoning.run()
-        return frame
-
-    def _start_memory(self, frame: Frame, chosen: np.ndarray) -> None:
-        """Let the task fill the memory of the worlds that were reset; others keep theirs."""
-        if type(self.task).start_memory is Task.start_memory:
-            return
-        memory = self.scene.memory
-        kept = {name: array.copy() for name, array in memory.items()}
-        self.task.start_memory(frame)
-        others = ~np.any(chosen, axis=1)
-        for name, array in kept.items():
-            memory[name][others] = array[others]
 
     @exclusive
     def step(self, actions: np.ndarray) -> Step:
@@ -238,6 +147,7 @@ class Aviary(Decisions):
             ValueError: A number of a living drone's action cannot be. The worlds stay as they were.
         """
         self._look()
+        self._is_still = True
         program = self.program or self._make_program()
         self._contacts_before, self._contacts = self._contacts, None
         self._forget()
@@ -275,6 +185,7 @@ class Aviary(Decisions):
             ValueError: There are no such worlds, or contacts are Bullet's own.
         """
         self.require_started()
+        self._current()
         require_contacts(self.options.contacts)
         layout, chosen = self._all_arrays(), self._spec.indices(worlds)
         mask = np.zeros(self.num_worlds, dtype=bool)
@@ -304,6 +215,7 @@ class Aviary(Decisions):
         chosen = self._spec.indices(worlds)
         if self._frame is None:
             self.reset()
+        self._current()
         layout = self._all_arrays()
         require_snapshot(snapshot, Snapshot, len(chosen))
         require_form(snapshot, layout.form, f"environment of {self.task.name!r}")
@@ -316,7 +228,9 @@ class Aviary(Decisions):
         self._engine.set_layouts(self.scene.layout, mask)
         self._put_obstacles(mask)
         self._dynamics.restore(self.swarm, drones)
-        self._engine.park(mask[:, None] & ~self.alive)
+        gone = mask[:, None] & ~self.alive
+        if gone.any():
+            self._engine.park(gone)
         self._contacts = None
         self._forget()
         self._look()
@@ -342,14 +256,12 @@ class Aviary(Decisions):
         return hashes_of(pack(self._state_arrays(), self.rng, chosen))
 
     def _all_arrays(self) -> Layout:
-        arrays = {**self._state_arrays(), **self._more_arrays()}
-        self._layout = layout_of(self._layout, self.task.name, arrays)
+        # Who keeps arrays may keep others later, and first readings make some
+        varying = [*self._sensors.kept().values(), *self._dynamics.kept().values()]
+        varying += self._readings.values()
+        known = self._varying
+        is_known = len(known) == len(varying) and all(map(operator.is_, known, varying))
+        if self._layout is None or not is_known:
+            arrays = {**self._state_arrays(), **self._more_arrays()}
+            self._layout, self._varying = Layout(self.task.name, arrays), varying
         return self._layout
-
-    def _put_obstacles(self, worlds: np.ndarray) -> None:
-        """Tell the engine where obstacles of `worlds` (W,) bool are."""
-        obstacles = (self.scene.obstacle, self.scene.obstacle_quaternion, worlds)
-        if self._engine.asks_bodies:
-            self._engine.set_obstacles(*obstacles)
-        else:
-            self._engine.note_obstacles(*obstacles)

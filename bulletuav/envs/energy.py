@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from bulletuav.envs.options import EnvOptions
+from bulletuav.envs.rows import add_value
 from bulletuav.kernel import kernel
 from bulletuav.program import Program
 from bulletuav.vehicle.battery import (
@@ -60,11 +61,16 @@ class Energy:
             wings = [airframe_wing(airframe, options.gravity) for airframe in options.airframe]
             self._wings = np.array([wings] * len(parameters), dtype=ROTARY_WING)
 
-    def start(self, worlds: np.ndarray | slice) -> None:
-        """Begin episodes of worlds (S,) with full batteries."""
-        self._battery.charge[worlds] = 1.0
-        self.power[worlds] = 0
-        _fill_voltage(*self._voltage_arrays())
+    def add_start(self, program: Program, worlds: np.ndarray) -> None:
+        """Add to a program that episodes of worlds (W,) bool begin with full batteries."""
+        add_value(program, worlds, 1.0, self._battery.charge)
+        add_value(program, worlds, 0.0, self.power)
+
+    def add_voltage(self, program: Program) -> None:
+        """Add to a program that batteries have the voltage that follows from charge and power."""
+        if self._packs.any():
+            given = (self._battery.charge, self.power, self._packs)
+            program.call(_fill_voltage, *given, self.voltage, self._supply)
 
     def add_to(
         self,
@@ -95,12 +101,7 @@ class Energy:
         program.call(_add_payload, payload, flown, self.power)
         battery = self._battery
         program.call(drain, self.power, self._period, flown, battery.energy, battery.charge)
-        if self._packs.any():
-            program.call(_fill_voltage, *self._voltage_arrays())
-
-    def _voltage_arrays(self) -> tuple[np.ndarray, ...]:
-        """Collect the arguments of `_fill_voltage`."""
-        return self._battery.charge, self.power, self._packs, self.voltage, self._supply
+        self.add_voltage(program)
 
     def kept(self) -> dict[str, np.ndarray]:
         """Tell the arrays (W, N) by name that follow from the last decision."""

@@ -285,8 +285,10 @@ class EnvSpec:
         if not alive.all():
             actions = np.where(alive[..., None], actions, 0.0)
         clipped: np.ndarray = np.minimum(np.maximum(actions, self.action.low), self.action.high)
+        if self.action.choices is None:
+            return clipped
         wrong = (clipped != actions) | (clipped % 1 != 0)
-        if self.action.choices is not None and wrong.any():
+        if wrong.any():
             w, i, _ = np.argwhere(wrong)[0]
             raise ValueError(
                 f"action of drone {i} in world {w} is {actions[w, i, 0]:g}: a whole number from "

@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from bulletuav.envs.rows import Rows
 from bulletuav.errors import shown
 
 GENERATOR = 37
 """Bytes of the state of a random generator"""
-ANY_SEED = np.random.SeedSequence(0)
-"""Where generators begin whose state is written right after; made once, as that takes long"""
+UNSTARTED = np.random.default_rng(0)
+"""Generator of worlds before their first reset; nothing draws from it"""
 Fields = Mapping[str, np.ndarray]
 """Arrays (W, ...) by name"""
 
@@ -132,7 +133,7 @@ def unpack(
             array[rows] = part.view(array.dtype).reshape(len(worlds), *array.shape[1:])
             at += size
     for w, row in zip(worlds.tolist(), data[:, at:], strict=True):
-        rngs[w] = _generator_of(row.tobytes())
+        _restore(rngs, w, row.tobytes())
 
 
 class Layout:
@@ -148,13 +149,8 @@ class Layout:
     def __init__(self, task: str, fields: Fields) -> None:
         """Look at arrays (W, ...) by name."""
         self._fields, self.form = dict(fields), form_of(task, fields)
-        filled = [array for array in fields.values() if array.size]
-        ends = np.cumsum([array[0].nbytes for array in filled]).tolist()
-        self._parts: list[tuple[memoryview, slice]] = []
-        # An array of one world alone is its bytes, as they lie
-        if all(len(array) == 1 and array.flags.c_contiguous for array in filled):
-            views = [array.reshape(-1).view(np.uint8).data for array in filled]
-            self._parts = list(zip(views, map(slice, [0, *ends], ends), strict=False))
+        self._rows: Rows | None = None
+        self._is_known = False
 
     def is_of(self, fields: Fields) -> bool:
         """Tell whether these are the very arrays that it is of."""
@@ -163,20 +159,41 @@ class Layout:
 
     def pack(self, rngs: list[np.random.Generator], worlds: np.ndarray) -> np.ndarray:
         """Copy worlds (S,) of all arrays, and their random generators; see `pack`."""
-        if not self._parts or not len(worlds):
+        rows = self._chosen(worlds)
+        if rows is None:
             return pack(self._fields, rngs, worlds)
-        copied = bytearray().join([*(view for view, _ in self._parts), _generator_bytes(rngs[0])])
-        return np.frombuffer(copied, np.uint8)[None]
+        rows.collect.run()
+        size = rows.data.shape[1]
+        data = np.empty((len(worlds), size + GENERATOR), dtype=np.uint8)
+        data[np.argsort(worlds), :size] = rows.data[: len(worlds)]
+        for row, w in zip(data, worlds.tolist(), strict=True):
+            row[size:].data[:] = _generator_bytes(rngs[w])
+        return data
 
     def unpack(self, data: np.ndarray, rngs: list[np.random.Generator], worlds: np.ndarray) -> None:
         """Write bytes (S, B) back into worlds (S,) of all; see `unpack`."""
-        if not self._parts or not len(worlds):
+        rows = self._chosen(worlds)
+        if rows is None:
             unpack(data, self._fields, rngs, worlds)
             return
-        given = memoryview(data.tobytes())
-        for view, part in self._parts:
-            view[:] = given[part]
-        rngs[0] = _generator_of(given[-GENERATOR:])
+        size = rows.data.shape[1]
+        rows.data[: len(worlds)] = data[np.argsort(worlds), :size]
+        rows.spread.run()
+        for row, w in zip(data, worlds.tolist(), strict=True):
+            _restore(rngs, w, row[size:].tobytes())
+
+    def _chosen(self, worlds: np.ndarray) -> Rows | None:
+        """Choose worlds (S,) of rows; None where all arrays are looked at one by one."""
+        if self._rows is None and self._is_known:
+            filled = [array for array in self._fields.values() if array.size]
+            if all(array.flags.c_contiguous for array in filled):
+                self._rows = Rows(filled)
+        # Only what is used again is worth a program
+        self._is_known = True
+        if self._rows is not None:
+            self._rows.mask[:] = False
+            self._rows.mask[worlds] = True
+        return self._rows
 
 
 def layout_of(known: Layout | None, task: str, fields: Fields) -> Layout:
@@ -216,9 +233,12 @@ def _generator_bytes(rng: np.random.Generator) -> bytes:
     return b"".join(parts)
 
 
-def _generator_of(data: bytes | memoryview) -> np.random.Generator:
-    """Make a generator of the state that `_generator_bytes` wrote."""
-    bits = np.random.PCG64(ANY_SEED)
+def _restore(rngs: list[np.random.Generator], world: int, data: bytes) -> None:
+    """Bring a world's generator to the state that `_generator_bytes` wrote, or make one of it."""
+    bits = rngs[world].bit_generator
+    if rngs[world] is UNSTARTED or not isinstance(bits, np.random.PCG64):
+        bits = np.random.PCG64()
+        rngs[world] = np.random.Generator(bits)
     bits.state = {
         "bit_generator": "PCG64",
         "state": {
@@ -228,4 +248,3 @@ def _generator_of(data: bytes | memoryview) -> np.random.Generator:
         "has_uint32": data[32],
         "uinteger": int.from_bytes(data[33:37], "little"),
     }
-    return np.random.Generator(bits)

@@ -14,6 +14,7 @@ from bulletuav.envs.marks import marks_of
 from bulletuav.envs.parts import hover_speeds, make_dynamics, make_engine
 from bulletuav.envs.randomization import Uncertainty
 from bulletuav.envs.renderer import Renderer
+from bulletuav.envs.snapshot import UNSTARTED
 from bulletuav.envs.viewer import Viewer, make_viewer
 from bulletuav.errors import as_int, points_of
 from bulletuav.geometry.city_grid import NO_LAYOUT
@@ -28,8 +29,6 @@ from bulletuav.vehicle.swarm import Contacts, Swarm
 from bulletuav.vehicle.wind import Wind
 
 NOTHING_STANDS = Solids(np.zeros((0, 2, 3)))
-UNSTARTED = np.random.default_rng(0)
-"""Generator of worlds before their first reset; nothing draws from it"""
 
 
 class Worlds(Environment):

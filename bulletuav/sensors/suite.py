@@ -137,12 +137,20 @@ class SensorSuite:
             self.sensors[name] = attached
             self._labels[name] = attached.labels(setup)
             self._unchecked.add(name)
+        self._last = next(reversed(self.sensors.values()), None)
+
+    @property
+    def keep_others(self) -> bool:
+        """Whether what drones of one world measure leaves the readings of all others alone."""
+        return all(type(sensor) is Gps for sensor in self.sensors.values())
 
     def reset(self, world: int, swarm: Swarm, rng: np.random.Generator) -> None:
         """Begin a new episode of one world."""
         known = swarm
         for sensor in self.sensors.values():
             sensor.reset(world, swarm, known, rng)
+            if sensor is self._last:  # nobody is left to know it
+                return
             gps = unwrapped(sensor)
             if isinstance(gps, Gps):
                 known = swarm._replace(position=gps.position, velocity=gps.velocity)

@@ -207,7 +207,7 @@ class Formation(Airspace[FormationConfig]):
             "turn": np.array(turn),
         }
         along = np.tile((cos(course), sin(course), 0.0), (len(start), 1))
-        spawn = self.launch(start, start, rng, along)._replace(memory=memory)
+        spawn = self.launch(start, start, rng, along, memory=memory)
         return self._told(spawn, start, leader)
 
     def _told(self, spawn: Spawn, start: np.ndarray, leader: Leader) -> Spawn:

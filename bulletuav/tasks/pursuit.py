@@ -177,7 +177,7 @@ class Pursuit(Airspace[PursuitConfig]):
         """Draw a start of drones queued on the circle, in flight along it."""
         goal, velocity = self._track(np.zeros(()))
         start = self.config.scattered(goal, rng)
-        return self.launch(start, goal, rng, along=velocity)._replace(goal_velocity=velocity)
+        return self.launch(start, goal, rng, velocity, goal_velocity=velocity)
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
         """Tell, beside the shapes of every airspace, what is kept of each drone's flight.

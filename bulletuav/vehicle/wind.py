@@ -170,6 +170,11 @@ class Wind:
         gusts = {"waves": self._waves} if len(self._waves) else {}
         return {"steady wind": self.steady, **gusts}
 
+    @property
+    def is_gusty(self) -> bool:
+        """Whether gusts are drawn."""
+        return self._wind20 > 0
+
     def reset(self, world: int, rng: np.random.Generator) -> None:
         """Draw the gusts of one world."""
         if self._wind20 > 0:

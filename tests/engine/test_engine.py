@@ -12,7 +12,8 @@ import pybullet as bullet
 import pytest
 
 import bulletuav
-from bulletuav.engine.engine import PARKING_HEIGHT, Engine
+from bulletuav.engine.engine import Engine
+from bulletuav.engine.parking import PARKING_HEIGHT
 from bulletuav.engine.tiles import TILE_PITCH, tile_offset
 from bulletuav.vehicle.swarm import GROUND, Contacts, Swarm
 

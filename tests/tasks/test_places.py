@@ -26,18 +26,27 @@ def one_by_one(task, rng, obstacle, start):
 @pytest.mark.parametrize("drones", [1, 8])
 @pytest.mark.parametrize("crowd", [1, 40])
 def test_places_and_generator_are_as_if_drawn_one_by_one(drones, crowd):
-    options = {"num_obstacles": crowd, "num_moving": 0, "altitude_spread": 40.0}
+    options = {"num_obstacles": crowd, "num_moving": crowd // 2, "altitude_spread": 40.0}
+    options["jitter"] = 0.3
     with contextlib.closing(Aviary("obstacles", num_drones=drones, **options)) as aviary:
         task = aviary.task
         for seed in range(20):
             one, two = np.random.default_rng(seed), np.random.default_rng(seed)
             # Half a number is kept back by 32-bit draws: it must still be there
             assert one.integers(9, dtype=np.uint32) == two.integers(9, dtype=np.uint32)
-            obstacle = one.uniform(task._low, task._high, (crowd, 3))
-            two.uniform(task._low, task._high, (crowd, 3))
-            start = None
-            for _ in range(2):
-                found = task._places(one, obstacle, start)
-                np.testing.assert_array_equal(found, one_by_one(task, two, obstacle, start))
-                assert one.bit_generator.state == two.bit_generator.state
-                start = found
+            spawn, config = task.spawn(one), task.config
+            obstacle = two.uniform(task._low, task._high, (crowd, 3))
+            fastest = config.obstacle_speed
+            velocity = two.uniform(-fastest, fastest, (crowd, 3))
+            velocity[config.num_moving :] = 0
+            start = one_by_one(task, two, obstacle, None)
+            goal = one_by_one(task, two, obstacle, start)
+            start += two.uniform(-config.jitter, config.jitter, start.shape)
+            speed = two.uniform(*config.start_speed, (drones, 1))
+            drawn = (spawn.obstacle, spawn.obstacle_velocity, spawn.position, spawn.goal)
+            for found, wanted in zip(drawn, (obstacle, velocity, start, goal), strict=True):
+                np.testing.assert_array_equal(found, wanted)
+            way = goal - start
+            straight = speed * way / np.linalg.norm(way, axis=1, keepdims=True)
+            np.testing.assert_allclose(spawn.velocity, straight, rtol=1e-14)
+            assert one.bit_generator.state == two.bit_generator.state

@@ -129,6 +129,7 @@ class Airspace(ObstacleTask[FlightConfigT], Generic[FlightConfigT]):
         goal: np.ndarray,
         rng: np.random.Generator,
         along: np.ndarray | None = None,
+        **others: Any,
     ) -> Spawn:
         """Make a start in flight, with level drones.
 
@@ -137,12 +138,12 @@ class Airspace(ObstacleTask[FlightConfigT], Generic[FlightConfigT]):
             goal: (N, 3) where they are to go, m.
             rng: Generator of the start speeds.
             along: (N, 3) directions in which they fly, of any length; towards the goal by default.
+            **others: Other fields of the start.
         """
-        limit = self.context.max_speed
-        slowest, fastest = (min(speed, limit) for speed in self.config.start_speed)
-        speed = rng.uniform(slowest, fastest, (len(start), 1))
+        (slowest, fastest), limit = self.config.start_speed, self.context.max_speed
+        speed = rng.uniform(min(slowest, limit), min(fastest, limit), (len(start), 1))
         direction = directions(goal - start if along is None else along)
-        return Spawn(position=start, goal=goal, velocity=direction * speed)
+        return Spawn(position=start, goal=goal, velocity=direction * speed, **others)
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
         """Tell the shapes of what is kept of each drone and, where concession counts, of pairs.

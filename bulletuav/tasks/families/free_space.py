@@ -6,8 +6,9 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from bulletuav.tasks.families.airspace import Airspace
+from bulletuav.tasks.families.draws import source_of
 from bulletuav.tasks.families.flight_config import AirspaceConfig, clearance
-from bulletuav.tasks.families.places import place_in_turn
+from bulletuav.tasks.families.places import Rules, draw_places
 from bulletuav.tasks.frame import Spawn, TaskContext
 
 MAX_OCCUPANCY = 0.3
@@ -62,6 +63,8 @@ class FreeSpace(Airspace[FreeSpaceConfigT], Generic[FreeSpaceConfigT]):
         if config.take_off:
             self._start_high[2] = self._low[2]
         self._apart = 2 * clearance(config, context) + 2 * config.jitter
+        keep_off = self.obstacle_radius + self._apart / 2
+        self._rules = Rules(keep_off, float(self._apart), float(config.leg))
         self._check_room()
         self.arena_low = self._low - config.margin
         self.arena_high = self._high + config.margin
@@ -98,37 +101,12 @@ class FreeSpace(Airspace[FreeSpaceConfigT], Generic[FreeSpaceConfigT]):
         """Tell the box in which everything lies, (3,) each, m."""
         return self._low, self._high
 
-    def _places(
-        self, rng: np.random.Generator, obstacle: np.ndarray, start: np.ndarray | None
-    ) -> np.ndarray:
-        """Draw places (N, 3), clear of each other and of obstacles, m.
-
-        Where `start` (N, 3) is given, each is `leg` or farther from its drone's start.
-        """
-        places = np.empty((self.context.num_drones, 3))
-        keep_off = self.obstacle_radius + self._apart / 2
-        from_start = places[:0] if start is None else start
-        high = self._start_high if start is None else self._high
-        rules = (keep_off, self._apart, from_start, self.config.leg)
-        placed = 0
-        while placed < len(places):
-            # Draw many at once, and then go back to what was needed of them
-            generator = rng.bit_generator
-            state = generator.state
-            draws = rng.uniform(self._low, high, (2 * len(places), 3))
-            used, placed = place_in_turn(places, placed, draws, obstacle, *rules)
-            if used < len(draws):
-                generator.state = state
-                rng.random(3 * used)
-        return places
-
     def spawn(self, rng: np.random.Generator) -> Spawn:
         """Draw a start with everything at random places."""
-        config = self.config
-        obstacle = rng.uniform(self._low, self._high, (config.num_obstacles, 3))
-        velocity = rng.uniform(-config.obstacle_speed, config.obstacle_speed, obstacle.shape)
-        velocity[config.num_moving :] = 0
-        start = self._places(rng, obstacle, None)
-        goal = self._places(rng, obstacle, start)
-        start = config.scattered(start, rng)
-        return self.launch(start, goal, rng)._replace(obstacle=obstacle, obstacle_velocity=velocity)
+        config, corners = self.config, (self._low, self._high, self._start_high)
+        obstacle, velocity = np.empty((2, config.num_obstacles, 3))
+        start, goal = np.empty((2, self.context.num_drones, 3))
+        numbers = (config.obstacle_speed, config.num_moving, config.jitter)
+        places = (obstacle, velocity, start, goal)
+        draw_places(source_of(rng), *corners, self._rules, *numbers, *places)
+        return self.launch(start, goal, rng, obstacle=obstacle, obstacle_velocity=velocity)

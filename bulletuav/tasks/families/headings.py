@@ -1,11 +1,14 @@
 """Directions in which drones fly, and face, at the start: the option `heading`."""
 
+import math
 from typing import Any
 
 import numpy as np
 
 from bulletuav.errors import numbers_of, shown
 from bulletuav.functions import atan2, cos, sin
+from bulletuav.geometry.rotation import dot, point
+from bulletuav.kernel import allocating
 
 HEADINGS = ("goal", "random")
 """Headings that have names"""
@@ -55,11 +58,16 @@ def headed(heading: Any, ways: np.ndarray, rng: np.random.Generator) -> np.ndarr
     return np.stack([cos(angle), sin(angle), np.zeros(len(ways))], axis=1)
 
 
+@allocating
 def directions(ways: np.ndarray) -> np.ndarray:
     """Shorten ways (N, 3) to length 1; east where there is none."""
-    length = np.linalg.norm(ways, axis=1, keepdims=True)
-    unit: np.ndarray = ways / np.where(length > 0, length, 1.0)
-    return np.where(length > 0, unit, (1.0, 0.0, 0.0))
+    unit = np.empty(ways.shape)
+    for i in range(ways.shape[0]):
+        way = point(ways, i)
+        length = math.sqrt(dot(way, way))
+        for k in range(3):
+            unit[i, k] = way[k] / length if length > 0.0 else (1.0 if k == 0 else 0.0)
+    return unit
 
 
 def facing(direction: np.ndarray) -> np.ndarray:

@@ -1,11 +1,27 @@
 """Random places that keep clear of each other and of obstacles."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from bulletuav.geometry.rotation import Vec3, dot, minus, point
 from bulletuav.kernel import func, kernel
+from bulletuav.tasks.families.draws import Source, uniform
+
+
+class Rules(NamedTuple):
+    """How far random places are from what.
+
+    Attributes:
+        keep_off: (K,) from each obstacle, m.
+        apart: From each other, m.
+        leg: From the starts, of goals, m.
+    """
+
+    keep_off: np.ndarray
+    apart: float
+    leg: float
 
 
 @func
@@ -15,45 +31,85 @@ def _distance(one: Vec3, two: Vec3) -> float:
     return math.sqrt(dot(gap, gap))
 
 
-@kernel
-def place_in_turn(
+@func
+def _place_in_turn(
+    source: Source,
+    low: np.ndarray,
+    high: np.ndarray,
     places: np.ndarray,
-    placed: int,
-    draws: np.ndarray,
     obstacle: np.ndarray,
-    keep_off: np.ndarray,
-    apart: float,
+    rules: Rules,
     start: np.ndarray,
-    leg: float,
-) -> tuple[int, int]:
-    """Put drones at random places, one after the other, each at the first that is clear.
+) -> None:
+    """Put drones at random places of a box, one after the other, each at the first that is clear.
 
     Args:
-        places: (N, 3) m, written from `placed` on.
-        placed: How many drones have places.
-        draws: (M, 3) places to try, in this order, m.
+        source: Of random numbers.
+        low: (3,) low corner of the box, m.
+        high: (3,) its high corner, m.
+        places: (N, 3) m, written.
         obstacle: (K, 3) m.
-        keep_off: (K,) how far from each obstacle places are, m.
-        apart: How far from each other places are, m.
+        rules: How far from what.
         start: (N, 3) where drones start, or none, m.
-        leg: How far from them places are, m.
-
-    Returns:
-        How many places were tried, and how many drones have places.
     """
-    used = 0
-    while used < draws.shape[0] and placed < places.shape[0]:
-        place = point(draws, used)
-        used += 1
+    placed = 0
+    while placed < places.shape[0]:
+        east = uniform(source, low[0], high[0])
+        north = uniform(source, low[1], high[1])
+        place = (east, north, uniform(source, low[2], high[2]))
         is_clear = True
         for i in range(placed):
-            is_clear = is_clear and _distance(place, point(places, i)) > apart
+            is_clear = is_clear and _distance(place, point(places, i)) > rules.apart
         for k in range(obstacle.shape[0]):
-            is_clear = is_clear and _distance(place, point(obstacle, k)) > keep_off[k]
+            is_clear = is_clear and _distance(place, point(obstacle, k)) > rules.keep_off[k]
         if start.shape[0]:
-            is_clear = is_clear and _distance(place, point(start, placed)) >= leg
+            is_clear = is_clear and _distance(place, point(start, placed)) >= rules.leg
         if is_clear:
             for m in range(3):
                 places[placed, m] = place[m]
             placed += 1
-    return used, placed
+
+
+@kernel
+def draw_places(
+    source: Source,
+    low: np.ndarray,
+    high: np.ndarray,
+    start_high: np.ndarray,
+    rules: Rules,
+    fastest: float,
+    moving: int,
+    jitter: float,
+    obstacle: np.ndarray,
+    velocity: np.ndarray,
+    start: np.ndarray,
+    goal: np.ndarray,
+) -> None:
+    """Draw where everything is: obstacles, then starts, goals, and shifts of the starts.
+
+    Args:
+        source: Of random numbers.
+        low: (3,) low corner of the box in which all lies, m.
+        high: (3,) its high corner, m.
+        start_high: (3,) high corner of the box in which starts lie, m.
+        rules: How far from what.
+        fastest: Greatest speed of obstacles on each axis, m/s.
+        moving: How many obstacles move.
+        jitter: Largest shift of a start on each axis, m.
+        obstacle: (K, 3) m, written.
+        velocity: (K, 3) of obstacles, m/s, written.
+        start: (N, 3) m, written.
+        goal: (N, 3) m, written.
+    """
+    for k in range(obstacle.shape[0]):
+        for m in range(3):
+            obstacle[k, m] = uniform(source, low[m], high[m])
+    for k in range(obstacle.shape[0]):
+        for m in range(3):
+            drawn = uniform(source, -fastest, fastest)
+            velocity[k, m] = drawn if k < moving else 0.0
+    _place_in_turn(source, low, start_high, start, obstacle, rules, start[:0])
+    _place_in_turn(source, low, high, goal, obstacle, rules, start)
+    for i in range(start.shape[0]):
+        for m in range(3):
+            start[i, m] += uniform(source, -jitter, jitter)

@@ -190,7 +190,7 @@ class UrbanFlight(
         """Draw a start at rest outdoors, with goals outdoors."""
         layout = self.town.draw(rng)
         start, goal = self.town.legs(rng, layout, self.context.num_drones, self.config.leg)
-        return self.launch(start, goal, rng)._replace(layout=layout)
+        return self.launch(start, goal, rng, layout=layout)
 
     @property
     def _respawns(self) -> bool:

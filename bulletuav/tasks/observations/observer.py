@@ -1,7 +1,7 @@
 """Observations of all drones: blocks of numbers side by side, and pictures."""
 
 import inspect
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -15,7 +15,7 @@ from bulletuav.registry import find, names
 from bulletuav.sensors.base import Image, Label, Sensor, SensorSetup
 from bulletuav.sensors.suite import provider, reading_labels
 from bulletuav.tasks.frame import Frame
-from bulletuav.tasks.ingredients import PRESENT, Binding, Bound
+from bulletuav.tasks.ingredients import ALL, PRESENT, Binding, Bound
 from bulletuav.tasks.observations.base import Block
 from bulletuav.tasks.stages import Kept, clear
 
@@ -141,6 +141,12 @@ class ObservationBuilder:
             writer.fill(frame, vector[..., part])
         _bound(vector, *self._bounds)
         return self.shown(frame, vector)
+
+    def reads_none_of(self, names: Iterable[str]) -> bool:
+        """Tell whether no block that is a function of one drone's numbers asks for any of these."""
+        bounds = [writer for _, writer in self._writers if isinstance(writer, Bound)]
+        asked = {name.removeprefix(ALL) for bound in bounds for name in bound.sources}
+        return asked.isdisjoint(names)
 
     def make_room(self, shape: tuple[int, ...]) -> np.ndarray:
         """Make room for the numbers of all drones, (W, N, D) float32."""

@@ -1,0 +1,30 @@
+"""Flights that diverge."""
+
+import numpy as np
+
+from bulletuav.geometry.rotation import dot, vec3
+from bulletuav.kernel import kernel
+from bulletuav.vehicle.swarm import Swarm
+
+# The engine clamps both at 1e4
+FASTEST = 9.9e3  # m/s
+FASTEST_SPIN = 9.9e3  # rad/s
+
+
+@kernel
+def any_lost(swarm: Swarm, alive: np.ndarray, lost: np.ndarray) -> bool:
+    """Tell whether the speed or spin of a living drone left all bounds, or is NaN.
+
+    Writes the first one's world and index to `lost` (2,).
+    """
+    for w in range(alive.shape[0]):
+        for i in range(alive.shape[1]):
+            velocity = vec3(swarm.velocity, w, i)
+            rates = vec3(swarm.rates, w, i)
+            slow = dot(velocity, velocity) < FASTEST**2
+            calm = dot(rates, rates) < FASTEST_SPIN**2
+            if alive[w, i] and not (slow and calm):
+                lost[0] = w
+                lost[1] = i
+                return True
+    return False

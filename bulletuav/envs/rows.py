@@ -1,0 +1,134 @@
+"""Worlds as rows of bytes: what is written to some of them, whatever is in their arrays."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from bulletuav.kernel import kernel
+from bulletuav.program import Program
+
+
+def add_rows(program: Program, mask: np.ndarray, rows: np.ndarray, array: np.ndarray) -> None:
+    """Add to a program that the first rows are written to worlds of a mask, in their order.
+
+    Args:
+        program: To be added to.
+        mask: (W,) bool, worlds that are written.
+        rows: (W, ...) one row for each of them, and others that do not count.
+        array: (W, ...) of the same form.
+    """
+    assert (rows.dtype, rows.shape) == (array.dtype, array.shape), (rows.shape, array.shape)
+    if array.size:
+        program.call(_put, mask, as_bytes(rows), 0, as_bytes(array))
+
+
+class Rows:
+    """Room for the bytes of several arrays of W worlds side by side, a row for each world.
+
+    Attributes:
+        mask: (W,) bool, worlds that are copied, in their order, to and from the first rows.
+        data: (W, B) uint8.
+        collect: Copies worlds of all arrays to rows.
+        spread: Copies rows to worlds of all arrays.
+    """
+
+    def __init__(self, arrays: Sequence[np.ndarray]) -> None:
+        """Make room for C-contiguous arrays (W, ...)."""
+        every = [as_bytes(array) for array in arrays]
+        worlds = len(every[0])
+        self.mask = np.zeros(worlds, dtype=bool)
+        self.data = np.empty((worlds, sum(one.shape[1] for one in every)), dtype=np.uint8)
+        self.collect, self.spread = Program(), Program()
+        begin = 0
+        for one in every:
+            self.collect.call(_take, self.mask, one, self.data, begin)
+            self.spread.call(_put, self.mask, self.data, begin, one)
+            begin += one.shape[1]
+
+
+def add_value(program: Program, mask: np.ndarray, value: object, array: np.ndarray) -> None:
+    """Add to a program that all worlds of a mask (W,) get one value, one for all or for each."""
+    if array.size:
+        row = np.empty((1, *array.shape[1:]), dtype=array.dtype)
+        row[:] = value
+        program.call(_fill, mask, as_bytes(row), as_bytes(array))
+
+
+def as_bytes(array: np.ndarray) -> np.ndarray:
+    """Show an array (W, ...) as bytes (W, B), where it is."""
+    assert array.flags.c_contiguous
+    return array.reshape(len(array), -1).view(np.uint8)
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def _copy(_: Any, target: Any, source: Any, count: Any) -> Any:
+    """Copy bytes from one address to another."""
+
+    def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        byte = ir.IntType(8).as_pointer()
+        to, start = (builder.inttoptr(address, byte) for address in given[:2])
+        cgutils.raw_memcpy(builder, to, start, given[2], 1)
+        return context.get_dummy_value()
+
+    return types.void(target, source, count), generate
+
+
+@kernel
+def _put(mask: np.ndarray, rows: np.ndarray, begin: int, array: np.ndarray) -> None:
+    """Write bytes of the first rows, from `begin` on, to worlds of a mask (W,) of an array."""
+    s = 0
+    for w in range(mask.shape[0]):
+        if mask[w]:
+            target = array.ctypes.data + w * array.strides[0]
+            _copy(target, rows.ctypes.data + s * rows.strides[0] + begin, array.shape[1])
+            s += 1
+
+
+@kernel
+def _take(mask: np.ndarray, array: np.ndarray, rows: np.ndarray, begin: int) -> None:
+    """Do the reverse of `_put`."""
+    s = 0
+    for w in range(mask.shape[0]):
+        if mask[w]:
+            target = rows.ctypes.data + s * rows.strides[0] + begin
+            _copy(target, array.ctypes.data + w * array.strides[0], array.shape[1])
+            s += 1
+
+
+@kernel
+def _fill(mask: np.ndarray, row: np.ndarray, array: np.ndarray) -> None:
+    """Write one row (1, B) to all rows of an array (W, B) that are of a mask (W,)."""
+    for w in range(mask.shape[0]):
+        if mask[w]:
+            target = array.ctypes.data + w * array.strides[0]
+            _copy(target, row.ctypes.data, array.shape[1])
+
+
+@kernel
+def spread(mask: np.ndarray, each: np.ndarray) -> None:
+    """Write a mask (W,) of worlds to one of their drones (W, N)."""
+    for w in range(each.shape[0]):
+        for i in range(each.shape[1]):
+            each[w, i] = mask[w]
+
+
+@kernel
+def renew(alive: np.ndarray, fresh: np.ndarray, present: np.ndarray, due: np.ndarray) -> None:
+    """Write who can be met after a reset, and what worlds are to be observed anew.
+
+    Args:
+        alive: (W, N) bool.
+        fresh: (W,) bool, worlds that were reset.
+        present: (W, N) bool, drones that can be met; written.
+        due: (W,) bool, written: worlds of `fresh`, and those in which somebody is met no more.
+    """
+    for w in range(alive.shape[0]):
+        due[w] = fresh[w]
+        for i in range(alive.shape[1]):
+            due[w] = due[w] or present[w, i] != alive[w, i]
+            present[w, i] = alive[w, i]

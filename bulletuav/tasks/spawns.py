@@ -1,0 +1,284 @@
+"""Starts that tasks draw: taken together, checked, and kept until they are written to worlds."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from bulletuav.engine.parking import PARKING_HEIGHT
+from bulletuav.engine.tiles import TILE_PITCH
+from bulletuav.errors import as_int, numbers_of, shown, unknown
+from bulletuav.geometry.city_grid import NO_LAYOUT
+from bulletuav.geometry.closest_approach import offset
+from bulletuav.geometry.rotation import dot, quat4, vec3
+from bulletuav.geometry.shapes import CYLINDER, HULL, SPHERE, Shape
+from bulletuav.kernel import kernel
+from bulletuav.program import Program
+from bulletuav.tasks.base import Task
+from bulletuav.tasks.frame import NOTHING, UPRIGHT, Spawn
+from bulletuav.tasks.starts import refuse_overlap
+from bulletuav.vehicle.airframe import Airframe
+
+UNIT = 1e-6
+"""How far the norm of a start's quaternion may be off 1"""
+GRAZE = 1e-6
+"""m, how deep a drone that stands on the ground may be in it"""
+MEMORY = "memory "
+"""What is before the names of a task's arrays in those of rows"""
+
+
+class Starts:
+    """Room for starts of some of W worlds, one after the other; they are checked on their way in.
+
+    Attributes:
+        rows: Arrays (W, ...) by name of the field of `Spawn`, "memory NAME" for what the task
+            remembers. The first of them hold the starts that were taken last.
+    """
+
+    def __init__(
+        self,
+        task: Task[Any],
+        airframes: Sequence[Airframe],
+        worlds: int,
+        obstacles: int,
+        memory: Mapping[str, np.ndarray],
+    ) -> None:
+        """Make room.
+
+        Args:
+            task: Whose `spawn` gives starts.
+            airframes: Of the N drones.
+            worlds: W.
+            obstacles: How many there are in each.
+            memory: The task's arrays (W, ...) by name.
+        """
+        self._task, self._airframes, self._memory = task, airframes, memory
+        self._layouts = len(task.layouts())
+        drones, things = (len(airframes), 3), (obstacles, 3)
+        shapes = dict.fromkeys(("position", "goal", "velocity", "rates", "goal_velocity"), drones)
+        shapes |= {"quaternion": (len(airframes), 4)}
+        shapes |= {"obstacle": things, "obstacle_velocity": things}
+        shapes["obstacle_quaternion"] = (obstacles, 4)
+        self._fields = {name: np.zeros((worlds, *shape)) for name, shape in shapes.items()}
+        self._layout = np.zeros(worlds, dtype=int)
+        self._kept = {name: np.zeros_like(array) for name, array in memory.items()}
+        kept = {f"{MEMORY}{name}": array for name, array in self._kept.items()}
+        self.rows = {**self._fields, "layout": self._layout, **kept}
+        # One row a world, so that one compiled form does for all
+        flat = tuple(array.reshape(worlds, -1) for array in self._fields.values())
+        places = (self._fields["position"], self._fields["quaternion"])
+        radius = float(task.context.collision_radius)
+        self._count, self._in_doubt = np.zeros(1, dtype=np.int64), False
+        self._check = Program()
+        given = (self._count, flat, *places, radius)
+        self._check.call(_is_doubtful, *given, otherwise=self._doubt)
+
+    def take(self, spawns: Sequence[Any]) -> None:
+        """Take the starts of S worlds together, and refuse those that no world can have.
+
+        Args:
+            spawns: What the task's `spawn` gave.
+
+        Raises:
+            ValueError: With the task, what is wrong and the remedy.
+        """
+        for spawn in spawns:
+            if not isinstance(spawn, Spawn):
+                raise ValueError(
+                    f"spawn of task {self._task.name!r} gave {shown(spawn)}: a Spawn is needed"
+                )
+        if not spawns:
+            return
+        columns = dict(zip(Spawn._fields, zip(*spawns, strict=True), strict=True))
+        for name, array in self._fields.items():
+            _fill(self._task, name, columns[name], array)
+        self._count[0], self._in_doubt = len(spawns), False
+        self._check.run()
+        if self._in_doubt:
+            self._look_closer(len(spawns))
+        if self._fields["obstacle"].size:
+            _check_turns(self._task, self._fields["obstacle_quaternion"][: len(spawns)])
+        self._take_memory(spawns)
+
+    def _doubt(self) -> None:
+        self._in_doubt = True
+
+    def _look_closer(self, count: int) -> None:
+        """Raise ValueError for a number that is not finite, or a place where no drone can be."""
+        for name, values in self._fields.items():
+            for one in values[:count]:
+                if not np.isfinite(one).all():
+                    what = f"is {shown(one)}"
+                    raise _refused(self._task, name, what, "finite numbers are needed")
+        places = (self._fields["position"][:count], self._fields["quaternion"][:count])
+        for position, quaternion in zip(*places, strict=True):
+            _check_places(self._task, position, quaternion, self._airframes)
+            refuse_overlap(position, self._task.context.collision_radius)
+
+    def _take_memory(self, spawns: Sequence[Spawn]) -> None:
+        """Take what the task remembers from the start, and what stands; the rest is zero."""
+        for k, spawn in enumerate(spawns):
+            if self._layouts or spawn.layout != NO_LAYOUT or spawn.memory is not NOTHING:
+                _check_memory(self._task, spawn, self._memory, self._layouts)
+            self._layout[k] = spawn.layout
+        for name, array in self._kept.items():
+            for k, spawn in enumerate(spawns):
+                array[k] = spawn.memory.get(name, 0)
+
+
+def _fill(task: Task[Any], name: str, given: Sequence[Any], array: np.ndarray) -> None:
+    """Write a field of starts (S,) to the first rows of an array (W, N, M)."""
+    count, shape, one = len(given), array.shape[1:], given[0]
+    if count == 1:
+        array[0] = _numbers(task, name, one, shape)
+    elif len(set(map(id, given))) == 1:  # one for all
+        array[:count] = _numbers(task, name, one, shape)
+    elif all(
+        type(one) is np.ndarray and one.dtype == float and one.shape == shape for one in given
+    ):
+        np.concatenate(given, out=array[:count].reshape(-1, shape[1]))
+    else:
+        for row, one in zip(array, given, strict=False):
+            row[:] = _numbers(task, name, one, shape)
+
+
+@kernel
+def _is_doubtful(
+    count: np.ndarray,
+    fields: tuple[np.ndarray, ...],
+    position: np.ndarray,
+    quaternion: np.ndarray,
+    radius: float,
+) -> bool:
+    """Tell whether any of the first starts needs a closer look.
+
+    Args:
+        count: (1,) how many starts there are.
+        fields: Their numbers, arrays (W, M).
+        position: (W, N, 3) m.
+        quaternion: (W, N, 4).
+        radius: Collision radius, m.
+    """
+    for field in fields:
+        for s in range(count[0]):
+            for k in range(field.shape[1]):
+                if not math.isfinite(field[s, k]):
+                    return True
+    half = TILE_PITCH / 2 - radius
+    apart = 2 * radius * (1 + UNIT)
+    for s in range(count[0]):
+        for i in range(position.shape[1]):
+            x, y, z, w = quat4(quaternion, s, i)
+            if not abs(x * x + y * y + z * z + w * w - 1.0) <= UNIT:
+                return True
+            east, north, up = vec3(position, s, i)
+            if not (abs(east) < half and abs(north) < half and radius <= up < PARKING_HEIGHT):
+                return True
+            for j in range(i):
+                gap = offset(position, s, i, j)
+                if not dot(gap, gap) > apart * apart:
+                    return True
+    return False
+
+
+def _refused(task: Task[Any], name: str, what: str, remedy: str) -> ValueError:
+    return ValueError(f"{name} of the spawn of task {task.name!r} {what}: {remedy}")
+
+
+ONE_FOR_ALL = {
+    "goal": ((3,), (1, 3)),
+    "velocity": ((), (3,), (1, 3)),
+    "quaternion": ((4,), (1, 4)),
+    "obstacle_quaternion": ((4,), (1, 4)),
+    "rates": ((), (3,), (1, 3)),
+    "goal_velocity": ((), (3,), (1, 3)),
+}
+"""Shapes of what may be given once for all drones"""
+
+
+def _numbers(task: Task[Any], name: str, value: Any, shape: tuple[int, int]) -> Any:
+    """Return a field of a spawn. Raises ValueError unless it is numbers that fill this shape."""
+    if isinstance(value, np.ndarray) and value.dtype.kind == "f" and value.shape == shape:
+        return value
+    if value is UPRIGHT or (type(value) is float and () in ONE_FOR_ALL.get(name, ())):
+        return value
+    array = numbers_of(f"{name} of the spawn of task {task.name!r} is", value)
+    if array.shape != shape and array.shape not in ONE_FOR_ALL.get(name, ()):
+        raise _refused(task, name, f"has shape {array.shape}", f"{shape} is needed")
+    return array
+
+
+def _check_memory(
+    task: Task[Any], spawn: Spawn, remembered: Mapping[str, np.ndarray], layouts: int
+) -> None:
+    if spawn.layout != NO_LAYOUT or layouts:
+        as_int(f"layout of the spawn of task {task.name!r}", spawn.layout, NO_LAYOUT, layouts - 1)
+    if not isinstance(spawn.memory, Mapping):
+        raise _refused(
+            task, "memory", f"is {shown(spawn.memory)}", "a dict of arrays by name is needed"
+        )
+    for name, value in spawn.memory.items():
+        if name not in remembered:
+            raise unknown(f"memory in the spawn of task {task.name!r}:", name, remembered)
+        if np.shape(value) not in ((), remembered[name].shape[1:]):
+            what = f"has shape {np.shape(value)}"
+            raise _refused(
+                task, f"memory {name!r}", what, f"{remembered[name].shape[1:]} is needed"
+            )
+
+
+def _check_turns(task: Task[Any], quaternion: np.ndarray) -> None:
+    """Refuse obstacles (S, K) that are not turned by unit quaternions."""
+    off = np.abs(np.einsum("skj,skj->sk", quaternion, quaternion) - 1)
+    if off.max(initial=0.0) > 2 * UNIT:
+        world, k = np.unravel_index(int(off.argmax()), off.shape)
+        what = f"of obstacle {k} has the norm {np.linalg.norm(quaternion[world, k]):g}"
+        raise _refused(
+            task, "obstacle_quaternion", what, "a unit quaternion is needed: divide by it"
+        )
+
+
+def _check_places(
+    task: Task[Any], position: np.ndarray, quaternion: np.ndarray, airframes: Sequence[Airframe]
+) -> None:
+    """Refuse starts that are not turned by unit quaternions, too far out, or in the ground."""
+    off = np.abs(np.einsum("ij,ij->i", quaternion, quaternion) - 1)
+    if off.max() > 2 * UNIT:
+        i = int(off.argmax())
+        what = f"has the norm {np.linalg.norm(quaternion[i]):g}"
+        raise _refused(
+            task, f"quaternion of drone {i}", what, "a unit quaternion is needed: divide by it"
+        )
+    radius, height = task.context.collision_radius, position[:, 2]
+    half, aside = TILE_PITCH / 2 - radius, np.abs(position[:, :2])
+    if aside.max() >= half or height.max() >= PARKING_HEIGHT:
+        i = int(((aside >= half).any(axis=1) | (height >= PARKING_HEIGHT)).argmax())
+        remedy = f"start it less than {half:g} m aside and {PARKING_HEIGHT:g} m up"
+        raise _refused(task, f"position of drone {i}", f"is {position[i]} m", remedy)
+    if height.min() >= radius:  # clear, whatever the attitude
+        return
+    depth = _depth([one.shape for one in airframes], quaternion)
+    if (sunk := height < depth - GRAZE).any():
+        i = int(sunk.argmax())
+        what = f"is {height[i]:g} m up, and its shape reaches {depth[i]:g} m down"
+        raise _refused(
+            task, f"position of drone {i}", what, f"start it at z = {depth[i]:.6g} m or more"
+        )
+
+
+def _depth(shapes: Sequence[Shape], quaternion: np.ndarray) -> np.ndarray:
+    """(N,) how far collision shapes, turned by (N, 4), reach down from their middle, m."""
+    kind = np.array([shape.kind for shape in shapes])
+    half = np.array([shape.half for shape in shapes])
+    x, y, z, w = quaternion.T
+    # How far the tips of the body's axes rise.
+    rise = np.array([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]).T
+    slope = np.abs(rise)
+    rim = half[:, 0] * np.hypot(slope[:, 0], slope[:, 1]) + half[:, 2] * slope[:, 2]
+    depth: np.ndarray = np.select(
+        [kind == SPHERE, kind == CYLINDER], [half[:, 0], rim], (half * slope).sum(axis=1)
+    )
+    for i in np.flatnonzero(kind == HULL).tolist():
+        depth[i] = -(np.array(shapes[i].corners) * rise[i]).sum(axis=1).min()
+    return depth

@@ -1,0 +1,67 @@
+"""Resets of some worlds give what resets of all would, and leave the others as they are."""
+
+import numpy as np
+import pytest
+
+from bulletuav import Aviary
+from bulletuav.sensors.base import Label
+from bulletuav.tasks.ingredients import block
+
+
+@block([Label("nearest before", "m", 0.0, 1e3)])
+def nearest(separation):
+    return min(separation, 1e3)
+
+
+CASES = {
+    "hover": {"num_drones": 3, "dynamics": "rigid_body"},
+    "crossing": {"dynamics": "point_mass", "horizon": 7},
+    "obstacles": {"dynamics": "single_integrator", "num_drones": 4, "num_moving": 6},
+}
+
+
+def flight(task, options, by_whole):
+    """What an aviary of 5 worlds tells, some of which are reset now and then."""
+    aviary = Aviary(task, 5, **options)
+    told = [aviary.reset(seeds=2)]
+    rng = np.random.default_rng(4)
+    for k in range(16):
+        step = aviary.step(rng.uniform(-1, 1, aviary.given.shape))
+        told += [step.observations, step.rewards]
+        if k % 4 == 3:
+            if by_whole:
+                aviary._alone = None
+            assert (aviary._alone is None) == by_whole
+            mask = np.arange(5) == k % 5
+            mask[2] = k == 7
+            told += [aviary.reset(mask), aviary.state(), *aviary.first_info().values()]
+            told += [aviary.reset(mask), *aviary.first_info().values(), aviary.state()]
+    aviary.close()
+    return told
+
+
+@pytest.mark.parametrize("task", CASES)
+def test_fresh_worlds_alone_give_the_same_bits_as_all(task):
+    alone, whole = (flight(task, CASES[task], by_whole) for by_whole in (False, True))
+    for one, other in zip(alone, whole, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_observations_of_a_whole_decision_are_made_anew_in_all_worlds():
+    aviary = Aviary("hover", 5, **CASES["hover"], observation=("goal_offset", nearest))
+    aviary.reset(seeds=2)
+    aviary.step(np.zeros(aviary.given.shape))
+    assert aviary._alone is None
+    aviary.close()
+
+
+def test_starts_of_several_worlds_are_those_of_each_alone():
+    together, alone = (Aviary("hover", 3, num_drones=2, dynamics="rigid_body") for _ in range(2))
+    together.reset(seeds=5)
+    for k in range(3):
+        alone.reset(np.arange(3) == k, seeds=5)
+    for one, other in zip(together.swarm, alone.swarm, strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert together.state_hash() == alone.state_hash()
+    together.close()
+    alone.close()
