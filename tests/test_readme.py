@@ -1,4 +1,7 @@
-"""Every snippet of the README and the docs runs."""
+"""Every snippet of the README and the docs runs.
+
+Programs of tutorials are those of notebooks: `test_site.py` runs them, as it builds the site.
+"""
 
 import re
 import shlex
@@ -34,7 +37,7 @@ def snippets(page):
 PYTHON = [
     pytest.param(code, id=f"{page.name}-{k}")
     for page in PAGES
-    if page.name not in BY_HAND
+    if page not in TUTORIALS and page.name not in BY_HAND
     for k, code in enumerate(snippets(page))
 ]
 COMMANDS = re.findall(r"```bash\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
