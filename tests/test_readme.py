@@ -61,6 +61,12 @@ def test_commands_of_tutorials(page, tmp_path, monkeypatch):
         main(words)
 
 
+@pytest.mark.parametrize("page", PAGES[1:], ids=lambda page: page.stem)
+def test_pages_begin_with_what_readers_can_do_after_them(page):
+    before_headings, _, _ = page.read_text().partition("\n## ")
+    assert re.search(r"\bAfter this page\b", before_headings)
+
+
 def test_the_gallery_has_every_task():
     folder = ROOT / "docs" / "results" / "gallery"
     headings = re.findall(r"^## (.*)$", (folder / "gallery.md").read_text(), re.MULTILINE)
