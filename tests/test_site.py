@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import runpy
 import subprocess
 import sys
 from html import unescape
@@ -12,6 +13,8 @@ from urllib.parse import unquote, urlsplit
 
 import pytest
 from test_public_names import listed
+
+import bulletuav
 
 pytest.importorskip("material", reason="needs the extra docs")
 pytest.importorskip("mkdocstrings", reason="needs the extra docs")
@@ -142,6 +145,14 @@ def test_tutorials_are_notebooks_that_ran(page, site):
         else:
             assert f'src="{pictures.pop(0).name}"' in html
     assert pictures == []
+
+
+def test_the_gallery_can_have_replays():
+    """All of them take a minute: one is flown here, as its picture was."""
+    hook = runpy.run_path(str(ROOT / "tools" / "site_gallery.py"))
+    assert "<title>hover, " in hook["replay"]("hover")
+    gallery = (ROOT / "docs" / "results" / "gallery" / "gallery.md").read_text()
+    assert hook["PICTURE"].findall(gallery) == bulletuav.list_tasks()
 
 
 def test_the_navigation_has_each_page_that_people_write():
