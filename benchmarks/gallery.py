@@ -13,6 +13,7 @@ from typing import Any
 from PIL import Image
 
 import bulletuav
+from bulletuav.analysis.recorded import Recording
 from bulletuav.analysis.recording import fly_episode
 from bulletuav.commands.progress import show_progress
 from bulletuav.files import replace_file, whole_file
@@ -46,18 +47,24 @@ bulletuav fly TASK --html --out flight
 """
 
 
-def draw(task: str, path: Path) -> None:
-    """Fly a task, and draw the flight."""
+def fly(task: str) -> tuple[Recording, str]:
+    """Fly a task, and give the flight and its title."""
     policy = find_policy(find_task(task).baseline, task)
     options = policy.complete(task, {**COMMON, **OPTIONS.get(task, {})})
     aviary = bulletuav.Aviary(task, **options)
     recording = fly_episode(aviary, policy(aviary), 0)
-    film = Film(recording, f"{task}, {policy.name}", "still", size=SIZE)
+    aviary.close()
+    return recording, f"{task}, {policy.name}"
+
+
+def draw(task: str, path: Path) -> None:
+    """Fly a task, and draw the flight."""
+    recording, title = fly(task)
+    film = Film(recording, title, "still", size=SIZE)
     picture = film.picture(float(recording.time[-2]), reach=float("inf"))
     with whole_file(path) as part:
         Image.fromarray(picture).quantize(COLOURS).save(part, "PNG", optimize=True)
     film.close()
-    aviary.close()
 
 
 def section(task: str) -> str:

@@ -1,4 +1,7 @@
-"""Every snippet of the README and the docs runs."""
+"""Every snippet of the README and the docs runs.
+
+Programs of tutorials are those of notebooks: `test_site.py` runs them, as it builds the site.
+"""
 
 import re
 import shlex
@@ -34,7 +37,7 @@ def snippets(page):
 PYTHON = [
     pytest.param(code, id=f"{page.name}-{k}")
     for page in PAGES
-    if page.name not in BY_HAND
+    if page not in TUTORIALS and page.name not in BY_HAND
     for k, code in enumerate(snippets(page))
 ]
 COMMANDS = re.findall(r"```bash\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
@@ -56,6 +59,12 @@ def test_commands_of_tutorials(page, tmp_path, monkeypatch):
         program, *words = shlex.split(line.replace("--steps 2e5", "--steps 2e3"))
         assert program == "bulletuav"
         main(words)
+
+
+@pytest.mark.parametrize("page", PAGES[1:], ids=lambda page: page.stem)
+def test_pages_begin_with_what_readers_can_do_after_them(page):
+    before_headings, _, _ = page.read_text().partition("\n## ")
+    assert re.search(r"\bAfter this page\b", before_headings)
 
 
 def test_the_gallery_has_every_task():

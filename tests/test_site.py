@@ -1,9 +1,12 @@
 """The documentation's site builds without warnings, and all of it is there."""
 
+import json
 import os
 import re
+import runpy
 import subprocess
 import sys
+from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
@@ -11,8 +14,11 @@ from urllib.parse import unquote, urlsplit
 import pytest
 from test_public_names import listed
 
+import bulletuav
+
 pytest.importorskip("material", reason="needs the extra docs")
 pytest.importorskip("mkdocstrings", reason="needs the extra docs")
+pytest.importorskip("nbclient", reason="needs the extra docs")
 
 ROOT = Path(__file__).parents[1]
 LOADED = {"img": "src", "script": "src", "iframe": "src", "source": "src", "link": "href"}
@@ -117,6 +123,36 @@ def test_each_public_name_has_an_entry(site, pages):
         for anchor in reader.anchors
     }
     assert {f"{module}.{name}" for module, name in listed()} <= entries
+
+
+@pytest.mark.parametrize(
+    "page", sorted((ROOT / "docs" / "tutorials").glob("*.md")), ids=lambda page: page.stem
+)
+def test_tutorials_are_notebooks_that_ran(page, site):
+    programs = re.findall(r"```python\n(.*?)\n```", page.read_text(), re.DOTALL)
+    notebook = json.loads((site / "tutorials" / f"{page.stem}.ipynb").read_text())
+    cells = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    assert ["".join(cell["source"]) for cell in cells] == programs != []
+    html = (site / "tutorials" / f"{page.stem}.html").read_text()
+    pictures = sorted((site / "tutorials").glob(f"{page.stem}_*.png"))
+    for cell in cells:
+        # Each prints or draws something, and the page shows it.
+        (output,) = cell["outputs"]
+        if output["output_type"] == "stream":
+            assert output["name"] == "stdout"
+            for line in output["text"]:
+                assert unescape(html).count(line.strip()) >= 1
+        else:
+            assert f'src="{pictures.pop(0).name}"' in html
+    assert pictures == []
+
+
+def test_the_gallery_can_have_replays():
+    """All of them take a minute: one is flown here, as its picture was."""
+    hook = runpy.run_path(str(ROOT / "tools" / "site_gallery.py"))
+    assert "<title>hover, " in hook["replay"]("hover")
+    gallery = (ROOT / "docs" / "results" / "gallery" / "gallery.md").read_text()
+    assert hook["PICTURE"].findall(gallery) == bulletuav.list_tasks()
 
 
 def test_the_navigation_has_each_page_that_people_write():

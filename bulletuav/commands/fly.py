@@ -71,13 +71,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--html", action="store_true", help=f"also write {REPLAY}, as `bulletuav replay` does"
     )
-    parser.add_argument(
-        "--live",
-        nargs="?",
-        const=USUAL_ADDRESS,
-        metavar="HOST:PORT",
-        help=f"show the flight in browsers while it goes on (default: {USUAL_ADDRESS})",
-    )
+    for name, where in (("live", "in browsers"), ("foxglove", "in Foxglove")):
+        parser.add_argument(
+            f"--{name}",
+            nargs="?",
+            const=USUAL_ADDRESS,
+            metavar="HOST:PORT",
+            help=f"show the flight {where} while it goes on (default: {USUAL_ADDRESS})",
+        )
     add_trust(parser)
     add_options(parser)
 
@@ -89,17 +90,14 @@ def run(arguments: argparse.Namespace) -> None:
     arguments.policy = arguments.policy or find_task(arguments.task).baseline
     spec = find_policy(arguments.policy, arguments.task, arguments.trust)
     options = spec.complete(arguments.task, given_options(arguments))
-    if arguments.live:
-        parse_address(arguments.live)
-        options |= {"render_mode": "web", "render_address": arguments.live}
+    options |= _live_options(arguments)
     aviary = Aviary(arguments.task, 1, **options)
     policy = spec(aviary)
     _prepare_folder(arguments.out)
     console = Console()
     if isinstance(aviary.viewer, LiveView):
-        address = f"http://{aviary.viewer.feed.address}/"
-        console.print(f"open {address} in a browser: the flight begins then", soft_wrap=True)
-        aviary.viewer.feed.wait()
+        console.print(f"{aviary.viewer.invitation}: the flight begins then", soft_wrap=True)
+        aviary.viewer.wait()
 
     # Drones may all be done before the horizon.
     decisions = itertools.count(1)
@@ -115,6 +113,17 @@ def run(arguments: argparse.Namespace) -> None:
     console.print(_table(recording, aviary))
     print_files(console, files)
     aviary.close()
+
+
+def _live_options(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Give the options of a live view, if one is wanted."""
+    if arguments.live and arguments.foxglove:
+        raise ValueError("--live and --foxglove are two views of one flight: give one of them")
+    address = arguments.live or arguments.foxglove
+    if address is None:
+        return {}
+    parse_address(address)
+    return {"render_mode": "web" if arguments.live else "foxglove", "render_address": address}
 
 
 def _prepare_folder(out: Path) -> None:

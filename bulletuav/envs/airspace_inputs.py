@@ -12,6 +12,7 @@ from bulletuav.engine.tiles import TILE_PITCH
 from bulletuav.envs.options import EnvOptions, check_names
 from bulletuav.envs.randomization import Randomization, known_uncertainties
 from bulletuav.envs.resolve import airframes_of, make_tuples
+from bulletuav.envs.viewer import VIEWERS
 from bulletuav.errors import UnknownOptionError, finite, nearest, numbers_of, shown
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.solids import Solids
@@ -97,8 +98,11 @@ def airspace_options(
     # Setpoints come from `command`; rotor speeds are what every option allows.
     values |= {"num_drones": len(places), "action": "rotor", "horizon": 1, "sensors": listed}
     options = EnvOptions(**values)
-    if options.render_mode == "web":
-        raise ValueError("render_mode is 'web': live pages show tasks; use 'human' or 'rgb_array'")
+    if options.render_mode in VIEWERS:
+        raise ValueError(
+            f"render_mode is {options.render_mode!r}: live views show tasks; use 'human' or "
+            f"'rgb_array'"
+        )
     if options.gravity == 0 and options.dynamics_name in NEED_GRAVITY:
         raise ValueError(
             f"gravity is 0: dynamics {options.dynamics_name!r} bounds accelerations by it, use "

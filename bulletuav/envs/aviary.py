@@ -53,7 +53,7 @@ class Aviary(Resets):
         rewards: (W, N) rewards of the last decision.
         terminated: (W, N) bool, drones whose episode the task ended in it.
         truncated: (W, N) bool, drones whose episode the horizon ended in it.
-        viewer: Serves the live page of `render_mode="web"`; None otherwise.
+        viewer: Shows world 0 with `render_mode` "web" and "foxglove"; None otherwise.
     """
 
     _layout: Layout | None = None

@@ -116,7 +116,7 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
         observation_spaces: Observation space of each agent.
         action_spaces: Action space of each agent.
         metadata: What PettingZoo wants to know.
-        render_mode: None, "rgb_array", "human" or "web".
+        render_mode: None, "rgb_array", "human", "web" or "foxglove".
     """
 
     def __init__(

@@ -12,7 +12,7 @@ from bulletuav.dynamics import find_dynamics
 from bulletuav.engine.engine import RAY_METHODS
 from bulletuav.envs.randomization import CERTAIN, Randomization
 from bulletuav.envs.rates import MOST_HZ, decision_rate, picture_rate
-from bulletuav.envs.viewer import USUAL_ADDRESS, parse_address
+from bulletuav.envs.viewer import USUAL_ADDRESS, VIEWERS, parse_address
 from bulletuav.errors import as_int, as_sequence, choose, finite, shown, unknown
 from bulletuav.geometry.obstacle import MOST_FRICTION
 from bulletuav.sensors.lidar import FRAMES
@@ -33,7 +33,7 @@ SEVERAL = (
     *("observation", "sensors", "effects", "wind"),
     *("render_size", "camera_size", "lidar_elevations"),
 )
-RENDER_MODES = ("rgb_array", "human", "web")
+RENDER_MODES = ("rgb_array", "human", *VIEWERS)
 ROTOR_ACTIONS = ("rotor", "rpm")
 MOST_DRONES = 10_000
 MOST_PIXELS = 4096  # along a side
@@ -83,10 +83,10 @@ class EnvOptions:
         preset: A named set of values of other options, see the task; goes before the difficulty.
         physics_hz: Substeps a second.
         seed: Of the first reset when `reset` is given none.
-        render_mode: None, "rgb_array" (pictures, no screen needed), "human" (a live window) or
-            "web" (a live page for browsers).
+        render_mode: None, "rgb_array" (pictures, no screen needed), "human" (a live window),
+            "web" (a live page for browsers) or "foxglove" (topics for that viewer).
         render_size: Width and height of pictures, pixels.
-        render_address: Where the live page is served, host:port.
+        render_address: Where "web" or "foxglove" is served, host:port.
         controller: "lee" (geometric) or "pid" (the Crazyflie's own).
         integral: Whether "lee" makes up for steady pushes that it does not know, such as wakes and
             wind; see `bulletuav.control.observers`.

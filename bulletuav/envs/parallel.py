@@ -43,7 +43,7 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
         state_space: Space of the global state.
         group_map: Agents of each team, by its name, as TorchRL takes them.
         metadata: What PettingZoo wants to know, and "group_map".
-        render_mode: None, "rgb_array", "human" or "web".
+        render_mode: None, "rgb_array", "human", "web" or "foxglove".
     """
 
     def __init__(self, task: TaskSource, **options: Any) -> None:

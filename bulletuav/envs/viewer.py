@@ -1,6 +1,6 @@
-"""What shows worlds in browsers while they fly, and where browsers find it.
+"""What shows worlds in other programs while they fly, and where these find it.
 
-The viewer is in a room above this one, which needs it for `render_mode="web"` alone.
+Viewers are in a room above this one, which needs them for two kinds of `render_mode` alone.
 """
 
 import importlib
@@ -8,8 +8,10 @@ from typing import Any, Protocol
 
 from bulletuav.errors import as_int, shown
 
-VIEWER = "bulletuav.report.live"
-"""Module of the viewer"""
+MODULE = "bulletuav.report.live"
+"""Module of the viewers"""
+VIEWERS = {"web": "PageView", "foxglove": "FoxgloveView"}
+"""Class of the viewer of each kind of `render_mode`"""
 USUAL_ADDRESS = "127.0.0.1:8765"
 """Where it is served: to this machine alone"""
 
@@ -31,9 +33,11 @@ def make_viewer(aviary: Any) -> Viewer:
     """Make the viewer of an aviary, and begin to serve it.
 
     Raises:
+        ImportError: It needs an extra that is missing.
         OSError: The port is in use, or there is no such address.
     """
-    viewer: Viewer = importlib.import_module(VIEWER).LiveView(aviary)
+    kind = VIEWERS[aviary.options.render_mode]
+    viewer: Viewer = getattr(importlib.import_module(MODULE), kind)(aviary)
     return viewer
 
 
@@ -55,8 +59,9 @@ def parse_address(address: Any) -> tuple[str, int]:
 
 
 def require_single(render_mode: str | None, stages: int) -> None:
-    """Raise ValueError for a live page of several stages, each of which has worlds of its own."""
-    if render_mode == "web" and stages > 1:
+    """Raise ValueError for a live view of several stages, each of which has worlds of its own."""
+    if render_mode in VIEWERS and stages > 1:
         raise ValueError(
-            f"render_mode is 'web', and there are {stages} stages: give one, or another render_mode"
+            f"render_mode is {render_mode!r}, and there are {stages} stages: "
+            f"give one, or another render_mode"
         )

@@ -104,7 +104,7 @@ class WorkerAviary(LabelledEnvironment):
                 f"workers is {workers}: at most one for each of the {self.num_envs} worlds is "
                 f"needed"
             )
-        if (mode := self._spec.options.render_mode) in ("human", "web"):
+        if (mode := self._spec.options.render_mode) not in (None, "rgb_array"):
             raise ValueError(f"render_mode is {mode!r}: a live view needs workers=1")
         self._timeout = float(timeout)
         self.observation_space: Box | Dict = self._observer.space()

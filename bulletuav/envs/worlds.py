@@ -15,7 +15,7 @@ from bulletuav.envs.parts import hover_speeds, make_dynamics, make_engine
 from bulletuav.envs.randomization import Uncertainty
 from bulletuav.envs.renderer import Renderer
 from bulletuav.envs.snapshot import UNSTARTED
-from bulletuav.envs.viewer import Viewer, make_viewer
+from bulletuav.envs.viewer import VIEWERS, Viewer, make_viewer
 from bulletuav.errors import as_int, points_of
 from bulletuav.geometry.city_grid import NO_LAYOUT
 from bulletuav.geometry.solids import Solids
@@ -87,7 +87,7 @@ class Worlds(Environment):
         self._checked = False
         self._given = spec.given
         # Last, as it opens a port.
-        is_served = self.options.render_mode == "web"
+        is_served = self.options.render_mode in VIEWERS
         self.viewer: Viewer | None = make_viewer(self) if is_served else None
 
     def _show(self, swarm: Swarm, mask: np.ndarray) -> None:
@@ -280,7 +280,7 @@ class Worlds(Environment):
 
     @exclusive
     def close(self) -> None:
-        """Free the engine, and end the live page; a second call does nothing."""
+        """Free the engine, and end the live view; a second call does nothing."""
         if self.viewer is not None:
             self.viewer.close()
         self._engine.close()

@@ -66,12 +66,12 @@ def _extension() -> Finding:
 
 
 def _screen() -> Finding:
-    """Tell whether a window for the live view can be opened."""
+    """Tell whether a window that shows flights can be opened."""
     try:
         require_screen()
     except RuntimeError as error:
-        return Finding("live view", "not available", str(error))
-    return Finding("live view", "available")
+        return Finding("window", "not available", str(error))
+    return Finding("window", "available")
 
 
 def _extra(module: str, extra: str) -> Finding:

@@ -443,7 +443,7 @@ def test_the_doctor_tells_what_is_active(capsys, monkeypatch):
     assert state["extra sb3"].state == "installed"
     monkeypatch.setenv("DISPLAY", "")
     assert {finding.subject: finding for finding in doctor.examine()}[
-        "live view"
+        "window"
     ].state == "not available"
 
 
@@ -459,7 +459,7 @@ def test_the_doctor_tells_what_is_missing(monkeypatch, capsys):
     assert re.fullmatch(
         r"pip install -c \S+/constraints\.txt -e '\S+\[video\]'", found["extra video"].remedy
     )
-    assert found["live view"].state == "available"
+    assert found["window"].state == "available"
     monkeypatch.setattr("bulletuav.commands.doctor.examine", lambda: list(found.values()))
     main(["doctor"])
     assert "[video]'" in "".join(capsys.readouterr().out.split())

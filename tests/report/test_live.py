@@ -257,7 +257,7 @@ def test_what_cannot_be_is_one_line(capsys, tmp_path):
         bulletuav.curriculum_env("crossing", stages, render_mode="web")
     with pytest.raises(ValueError, match="workers=1"):
         bulletuav.batch_env("crossing", 2, workers=2, render_mode="web")
-    with pytest.raises(ValueError, match="live pages show tasks"):
+    with pytest.raises(ValueError, match="live views show tasks"):
         bulletuav.Airspace([(0.0, 0.0, 1.0)], render_mode="web")
 
 
