@@ -17,8 +17,6 @@ from bulletuav.kernel import func, kernel
 
 FIRM = 1e-9
 """Change of velocity below which a sweep changes nothing, as share of the greatest one or 1 m/s"""
-HELD = 1e-7
-"""The same where all is slow: the next substep begins with what is left"""
 SWEEPS = 200
 """Most sweeps over the points of a small island"""
 WORK = 20_000
@@ -134,7 +132,6 @@ def relax(
     points: np.ndarray,
     count: int,
     motions: np.ndarray,
-    firm: float,
     warm: bool = False,
 ) -> int:
     """Sweep over points until none closes faster than it may.
@@ -143,7 +140,6 @@ def relax(
         points: Rows of `POINT`; impulses are written.
         count: How many of them count.
         motions: (N,) rows of `MOTION`; velocities and spins are changed.
-        firm: FIRM or HELD: how little a last sweep changes.
         warm: Whether impulses start from those that are there, instead of zero.
 
     Returns:
@@ -179,7 +175,7 @@ def relax(
             step = minus(vector(row.impulse), old)
             put_vector(row.step, step)
             square += dot(step, step)
-        if change <= firm * fastest:
+        if change <= FIRM * fastest:
             return sweep + 1
         if sweep > 0 and sweep + 1 < most:
             _go_on(points, count, motions, square / before)
