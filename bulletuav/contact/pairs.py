@@ -25,6 +25,8 @@ FARTHEST = 20.0
 """Greatest budget, m"""
 VIEW = 5.0
 """Distance within which a city is looked at for a budget, m"""
+SOON = 0.2
+"""Speed that is added to those by which drones share what is between them, m/s"""
 SLACK = 2e-3
 """Metres beyond its way within which a drone's pairs are collected"""
 ORIGIN = (0.0, 0.0, 0.0)
@@ -251,6 +253,13 @@ def _passes_box(
     return False
 
 
+@func
+def _pace(swarm: Swarm, w: int, i: int) -> float:
+    """Return the speed of a drone, and some more, as even a slow one will have, m/s."""
+    velocity = vec3(swarm.velocity, w, i)
+    return math.sqrt(dot(velocity, velocity)) + SOON
+
+
 @kernel
 def rest_budget(
     scenery: Scenery,
@@ -290,11 +299,14 @@ def rest_budget(
                 for m in range(city_grid.first[layout, cell], city_grid.first[layout, cell + 1]):
                     distance = _piece_distance(city_grid, city_grid.item[m], here)
                     least = min(least, distance - own)
-    # What is between two drones is for both: half each
+    # What is between two drones is for both, more of it for the faster one
+    pace = _pace(swarm, w, i)
     for j in range(alive.shape[1]):
         if j != i and alive[w, j]:
             gap = minus(vec3(swarm.position, w, j), here)
-            share = 0.5 * (math.sqrt(dot(gap, gap)) - own - scenery.table.radius[j])
-            least = min(least, share)
-            budget[w, j] = min(budget[w, j], share)
+            left = math.sqrt(dot(gap, gap)) - own - scenery.table.radius[j]
+            if least + budget[w, j] > left:
+                share = pace / (pace + _pace(swarm, w, j))
+                least = min(least, share * left)
+                budget[w, j] = min(budget[w, j], left - share * left)
     budget[w, i] = least

@@ -29,8 +29,6 @@ ROUGH = 1e-7
 """The same of shapes that touched already, m; well below `SLIP` in `points`"""
 NEAR = 1e-3
 """Distance from a touch at which Newton's method takes over, m"""
-BOLD = 4.0
-"""Most that a step of Newton's method takes, in conservative steps"""
 MOST_STEPS = 200
 """Most steps to a touch"""
 NEVER = 2.0
@@ -101,17 +99,15 @@ def separation_along(
 
 
 @func
-def _turn_bound(radius: float, normal: Vec3, turn: Vec3) -> float:
-    """Bound how far a rotation moves any point of a shape along `normal`, m."""
-    bound = _length(cross(normal, turn))
-    return radius * bound if bound > 0.0 else 0.0
+def _swing(radius: float, normal: Vec3, turn: Vec3) -> tuple[float, float]:
+    """Bound how fast, m, and with which acceleration, a rotation moves a shape along `normal`.
 
-
-@func
-def _bend(radius: float, turn: Vec3) -> float:
-    """Bound the acceleration of any point of a shape that turns evenly, m per substep squared."""
-    square = dot(turn, turn)
-    return radius * square if square > 0.0 else 0.0
+    Both are per substep, for any of its points. A turn about the normal itself moves none.
+    """
+    across = _length(cross(normal, turn))
+    if across == 0.0:
+        return 0.0, 0.0
+    return radius * across, radius * across * _length(turn)
 
 
 @kernel
@@ -151,8 +147,6 @@ def touch_time(
     move_a, turn_a = change_rates(scenery, motions, w, a, dt)
     move_b, turn_b = change_rates(scenery, motions, w, b, dt)
     move = minus(move_a, move_b)
-    bend = 0.125 * _bend(scenery.table.radius[a], turn_a)
-    bend += 0.125 * _bend(scenery.table.radius[b], turn_b)
     end = min(valid_until(scenery, motions, a), valid_until(scenery, motions, b))
     time = start
     normal = guess
@@ -160,10 +154,11 @@ def touch_time(
     for _ in range(MOST_STEPS):
         distance, normal, on_a, on_b = gap_at(scenery, motions, w, a, b, time, dt, normal, room)
         near = near or (time == start and distance <= IN_TOUCH)
-        # How fast the gap can close, and how fast its closest points do approach
-        bound = max(0.0, -dot(move, normal))
-        bound += _turn_bound(scenery.table.radius[a], normal, turn_a)
-        bound += _turn_bound(scenery.table.radius[b], normal, turn_b)
+        # How fast the gap can close, and how far ways bend in between
+        bound_a, bend_a = _swing(scenery.table.radius[a], normal, turn_a)
+        bound_b, bend_b = _swing(scenery.table.radius[b], normal, turn_b)
+        bound = max(0.0, -dot(move, normal)) + bound_a + bound_b
+        bend = 0.125 * (bend_a + bend_b)
         left = distance - floor
         rest = end - time
         if left > bound * rest:
@@ -173,19 +168,23 @@ def touch_time(
         step = left / bound
         if left > 0.0:
             # How long the present plane keeps them apart: to the end, or as far as ways bend
-            reach = min(rest, math.sqrt(0.5 * left / bend)) if bend > 0.0 else rest
-            for span in (rest, reach, 0.5 * reach):
+            reach = math.sqrt(0.5 * left / bend) if bend > 0.0 else rest
+            span = rest
+            while span > step:
                 later, _, _ = separation_along(scenery, motions, w, a, b, time + span, dt, normal)
-                if min(distance, later) - bend * span * span >= floor:
-                    step = max(step, span)
-                    break
+                dip = bend * span * span
+                if later >= floor and (left >= 4.0 * dip or min(distance, later) - dip >= floor):
+                    step = span
+                span = min(reach, 0.5 * span)
             if step >= rest:
                 return NEVER, normal, near
         if left < NEAR:
             surface = minus(cross(turn_a, on_a), cross(turn_b, on_b))
             closing = -dot(move, normal) - dot(surface, normal)
-            # Back from too far by Newton alone, ahead no further than is safe to try
-            if closing > 0.0 and (left < 0.0 or step < left / closing < BOLD * step):
-                step = left / closing
+            # Back from too far by Newton alone; ahead as far as there is but one touch
+            if closing > 0.0:
+                aimed = left / closing
+                if left < 0.0 or (step < aimed and 4.0 * bend * aimed * aimed <= left):
+                    step = aimed
         time = min(end, max(start, time + step))
     return time, normal, near

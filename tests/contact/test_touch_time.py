@@ -1,0 +1,59 @@
+"""Times of touch of a drone that turns, against heights of its cylinder in closed form."""
+
+import numpy as np
+from contact.rig import Rig, random_attitudes, random_directions
+from scipy.spatial.transform import Rotation
+
+from bulletuav.contact.touch import EXACT, NEVER, TOUCH, touch_time
+from bulletuav.kernel import allocating
+
+DT = 1 / 240
+SAMPLES = np.linspace(0, 1, 2001)
+
+
+@allocating
+def _times(scenery, motions, room):  # type: ignore[no-untyped-def]
+    """Return when each of the drones of `motions` (M,) alone touches the ground."""
+    found = np.zeros(len(motions))
+    for m in range(len(motions)):
+        alone = motions[m : m + 1]
+        found[m] = touch_time(
+            scenery, alone, 0, 0, 1, 0.0, TOUCH, EXACT, DT, (0.0, 0.0, 1.0), room
+        )[0]
+    return found
+
+
+def _heights(motions: np.ndarray, share: np.ndarray, radius: float, half: float) -> np.ndarray:
+    """Return the height of the lowest points of upright cylinders after shares of a substep, m."""
+    turn = Rotation.from_rotvec(share[..., None] * motions["turn"])
+    up = (turn * Rotation.from_quat(motions["quaternion"])).as_matrix()[..., 2, 2]
+    deep = radius * np.sqrt(np.maximum(0.0, 1 - up**2)) + half * np.abs(up)
+    return motions["position"][..., 2] + share * motions["move"][..., 2] - deep
+
+
+def test_turning_drones_touch_when_their_lowest_point_does() -> None:
+    """The first touch is found to 1e-12 m, also of who rolls and hardly comes closer."""
+    rng = np.random.default_rng(3)
+    with Rig() as rig:
+        motions = np.repeat(rig.dynamics.contact.space.motions, 2000)
+        radius, _, half = rig.airframes[0].shape.half
+        motions["time"], motions["until"] = 0.0, 1.0
+        motions["quaternion"] = random_attitudes(rng, len(motions))
+        angle = 10 ** rng.uniform(-4, -0.3, (len(motions), 1))
+        motions["turn"] = angle * random_directions(rng, len(motions))
+        motions["move"] = 10 ** rng.uniform(-7, -2, (len(motions), 1)) * rng.normal(
+            size=(len(motions), 3)
+        )
+        motions["position"] = 0.0
+        gap = TOUCH + 10 ** rng.uniform(-7, -3, len(motions))
+        start = np.zeros(len(motions))
+        motions["position"][:, 2] = gap - _heights(motions, start, radius, half)
+        times = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.room)
+    hits = times < NEVER
+    assert 400 < hits.sum() < 1600
+    at_touch = _heights(motions[hits], times[hits], radius, half)
+    assert np.abs(at_touch - TOUCH).max() < 1e-12
+    for motion, time in zip(motions, times, strict=True):
+        before = SAMPLES[time > SAMPLES]
+        heights = _heights(np.repeat(motion, len(before)), before, radius, half)
+        assert heights.min() > TOUCH - 1e-12
