@@ -27,6 +27,7 @@ UNITS = {
     "positions": "m and m/s: horizontal position, velocity, vertical position, velocity",
     "drag_moment": "m/s and mN m",
     "rates": "rad/s: roll, pitch, yaw",
+    "rates_soon": "rad/s: roll, pitch, yaw",
     "wake": "m, grams and mN m; upper is the thrust of the upper drone",
     "ground_effect": "m and shares of the thrust; errors in %",
 }
@@ -103,18 +104,34 @@ def judge_drag_moment(folder: Path, out: Path) -> tuple[Table, dict[str, Any]]:
     return table, {"errors": rows, "bins": measured}
 
 
-def judge_rates(folder: Path, out: Path) -> tuple[Table, dict[str, Any]]:
-    """Judge predictions of body rates."""
-    logs = arpl.load_all(folder)
+def rate_errors(
+    logs: dict[str, arpl.Log], steps: int
+) -> tuple[dict[str, dict[str, list[float]]], tuple[arpl.Windows, np.ndarray]]:
+    """Return errors of body rates after some rows, and the last windows with what was told."""
     rows: dict[str, dict[str, list[float]]] = {"constant rates": {}, "rates of 0": {}}
     for predictor in predictors.PREDICTORS:
-        halves = arpl.windows(logs, predictor)
+        halves = arpl.windows(logs, predictor, steps)
         bias = arpl.fitted_bias(predictor, halves[0])
         for half, cut in zip(HALVES, halves, strict=True):
             told = arpl.predict(predictor, cut, bias)
             rows.setdefault(predictor.name, {})[half] = arpl.errors(cut, told)
             rows["constant rates"][half] = arpl.errors(cut, cut.start)
             rows["rates of 0"][half] = arpl.errors(cut, np.zeros_like(cut.start))
+    return rows, (cut, told)
+
+
+def judge_rates_soon(folder: Path, out: Path) -> tuple[Table, dict[str, Any]]:
+    """Judge predictions of body rates before disturbances add up."""
+    rows, _ = rate_errors(arpl.load_all(folder), arpl.SOON)
+    columns = ("roll", "pitch", "yaw")
+    table = Table("ARPL: rates after 0.1 s, rad/s", columns, (None, None, None), rows)
+    return table, {"errors": rows}
+
+
+def judge_rates(folder: Path, out: Path) -> tuple[Table, dict[str, Any]]:
+    """Judge predictions of body rates."""
+    logs = arpl.load_all(folder)
+    rows, (cut, told) = rate_errors(logs, arpl.STEPS)
     pictures.rates(out / "rates.png", cut, told)
     goals = (1.9, 1.8, 0.65)
     table = Table("ARPL: rates after 0.5 s, rad/s", ("roll", "pitch", "yaw"), goals, rows)
@@ -195,6 +212,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     tests = {
         "positions": (judge_positions, nanobench.REPOSITORY),
         "drag_moment": (judge_drag_moment, nanobench.REPOSITORY),
+        "rates_soon": (judge_rates_soon, arpl.REPOSITORY),
         "rates": (judge_rates, arpl.REPOSITORY),
         "wake": (judge_wake, neural_swarm.REPOSITORY),
         "ground_effect": (judge_ground, neural_swarm.REPOSITORY),

@@ -11,7 +11,7 @@ Functions (1980), and Taylor series of what is left.
 
 import math
 
-from bulletuav.kernel import elementwise, func
+from bulletuav.kernel import elementwise, func, two_to
 
 PI = math.pi
 LN2 = 0.6931471805599453
@@ -53,7 +53,8 @@ def exp(x: float) -> float:
     value = 1.0 + (r + (rest + r * r * series))
     # In two steps, so that results below 1e-308 are rounded once
     half = k // 2
-    return math.ldexp(math.ldexp(value, half), k - half)
+    scaled: float = value * two_to(half) * two_to(k - half)
+    return scaled
 
 
 @elementwise

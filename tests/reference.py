@@ -60,7 +60,7 @@ class Reference:
         if self.ground_effect:
             places = np.stack([self.x, self.y, np.zeros_like(self.x)])
             heights = position[2] + (R @ places)[2]
-            near = np.exp(-np.maximum(heights, 0) / a.ground_effect_decay)
+            near = np.clip(1 - heights / a.ground_effect_reach, 0, 1) ** 3
             thrusts = thrusts * (1 + max(R[2, 2], 0) * a.ground_effect_gain * near)
         torque = np.array([self.y @ thrusts, -self.x @ thrusts, self.turn @ yaw])
         torque[2] += self.rotor_inertia * self.turn @ winding

@@ -508,7 +508,7 @@ def test_the_command_writes_a_table_and_figures(monkeypatch, tmp_path, capsys):
     truth = importlib.import_module("truth")
     rows = {"none": {"fit": [2.0], "kept": [3.0]}, "now": {"fit": [0.5], "kept": [0.12345]}}
     table = truth.Table("wake", ("push, g",), (0.65,), rows)
-    for name in ("positions", "drag_moment", "rates", "wake", "ground"):
+    for name in ("positions", "drag_moment", "rates_soon", "rates", "wake", "ground"):
         monkeypatch.setattr(truth, f"judge_{name}", lambda folder, out: (table, {"errors": rows}))
     figures = tmp_path / "measured.json"
     truth.main([str(tmp_path), "--out", str(tmp_path / "out"), "--measured", str(figures)])

@@ -14,7 +14,7 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1] / "bulletuav"
 ROOMS = (
-    ("version", "errors", "files", "dispatcher"),
+    ("version", "errors", "files", "dispatcher", "forms"),
     ("kernel", "registry"),
     ("functions", "program"),
     ("geometry", "earth"),

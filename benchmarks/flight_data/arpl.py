@@ -42,8 +42,9 @@ COLUMNS = (*ACCELERATION, *GYROSCOPE, *MOTORS)
 TYPES = {"f": "<f4", "I": "<u4", "H": "<u2", "h": "<i2", "i": "<i4", "B": "u1", "b": "i1"}
 DT = 0.001
 STEPS = 500
-STRIDE = 250
-"""Rows of a window, and between two"""
+"""Rows of a window"""
+SOON = 100
+"""Rows of a short window"""
 BLOCK = 5.0
 """Seconds of a flight that are fitted or kept back, in turn"""
 COARSE = 5
@@ -141,10 +142,17 @@ def load_all(folder: Path) -> dict[str, Log]:
     return {name: load(folder / "logs_crazyflie" / name) for name in names}
 
 
-def windows(logs: dict[str, Log], predictor: Predictor) -> tuple[Windows, Windows]:
+def windows(
+    logs: dict[str, Log], predictor: Predictor, steps: int = STEPS
+) -> tuple[Windows, Windows]:
     """Cut the flights into windows of blocks to fit, and of blocks kept back.
 
     Windows that lie in two blocks or in a gap of the log are left out.
+
+    Args:
+        logs: The logs by name.
+        predictor: The model, for the torques of the rotors.
+        steps: Rows of a window, a multiple of `COARSE`; there are two windows in that time.
     """
     halves: tuple[list[tuple[np.ndarray, ...]], list[tuple[np.ndarray, ...]]] = ([], [])
     for name, first, last in FLIGHTS:
@@ -154,13 +162,13 @@ def windows(logs: dict[str, Log], predictor: Predictor) -> tuple[Windows, Window
         torque, spin = rotor_torques(predictor, log, time)
         force = first_order_lag(resample(log.time, log.force, time), SMOOTH, DT)[:, :2]
         gap = in_gap(log.time, time, LONGEST_GAP)
-        for row in range(0, len(time) - STEPS, STRIDE):
-            end = row + STEPS
+        for row in range(0, len(time) - steps, steps // 2):
+            end = row + steps
             block = int((time[row] - first) / BLOCK)
             if block != int((time[end] - first) / BLOCK) or gap[row : end + 1].any():
                 continue
             coarse = [
-                values[row:end].reshape(STEPS // COARSE, COARSE, -1).mean(axis=1)
+                values[row:end].reshape(steps // COARSE, COARSE, -1).mean(axis=1)
                 for values in (torque, force, spin[:, None])
             ]
             index = np.array(list(logs).index(name))
@@ -221,7 +229,8 @@ def fitted_bias(predictor: Predictor, cut: Windows) -> np.ndarray:
     """Fit the angular accelerations (L, 3) that motors and centre of mass cause, log by log."""
     bias = np.zeros((cut.log.max() + 1, 3))
     for _ in range(4):
-        error = (cut.end - predict(predictor, cut, bias)) / (STEPS * DT)
+        duration = cut.torque.shape[1] * COARSE * DT
+        error = (cut.end - predict(predictor, cut, bias)) / duration
         for log in range(len(bias)):
             bias[log] += error[cut.log == log].mean(axis=0)
     return bias

@@ -28,7 +28,7 @@ from bulletuav.geometry.rotation import (
     to_body,
 )
 from bulletuav.kernel import func
-from bulletuav.vehicle.aerodynamics import drag
+from bulletuav.vehicle.aerodynamics import drag, drag_along
 from bulletuav.vehicle.wrench import damping_torque
 
 
@@ -149,7 +149,8 @@ def torque_of_drag_ahead(
     along = to_body(quaternion, velocity)
     change = plus(to_body(quaternion, acceleration), -1.0, cross(rates, along))
     ahead = plus(along, max(row.lag_up, row.lag_down), change)
-    return drag((0.0, 0.0, 0.0, 1.0), ahead, total_speed, row)[1]
+    # The torque is of the rotors alone, whatever the speed.
+    return drag_along(ahead, 0.0, total_speed, row)[1]
 
 
 @func

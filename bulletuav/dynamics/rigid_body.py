@@ -18,7 +18,7 @@ from bulletuav.geometry.rotation import Quat4, Vec3, normalised
 from bulletuav.kernel import allocating, borrowed, func
 from bulletuav.program import Program
 from bulletuav.registry import register
-from bulletuav.vehicle.rotors import Rotors, lag_decay, lagged, rotor_wrench, spin_up
+from bulletuav.vehicle.rotors import Rotors, lag_decay, lag_rates, lagged, rotor_wrench, spin_up
 from bulletuav.vehicle.swarm import Swarm, get, put
 from bulletuav.vehicle.wake import wakes
 from bulletuav.vehicle.wrench import SMALL_TURN, Around, body_acceleration, spin_parts, wrench
@@ -153,6 +153,7 @@ def turn_rotors(
     at_begin = (decay[i, 0, 0], decay[i, 0, 1])
     at_middle = (decay[i, 1, 0], decay[i, 1, 1])
     at_end = (decay[i, 2, 0], decay[i, 2, 1])
+    rate = lag_rates(row)
     winding0 = winding1 = winding2 = 0.0
     for rotor in range(row.num_rotors):
         now = speed[w, i, rotor]
@@ -162,7 +163,7 @@ def turn_rotors(
         end[rotor] = lagged(now, wanted, at_end)
         speed[w, i, rotor] = end[rotor]
         # What is left of the way, and with it the acceleration, shrinks as the lag tells
-        turn = row.rotor_turn[rotor] * spin_up(begin[rotor], wanted, row)
+        turn = row.rotor_turn[rotor] * spin_up(begin[rotor], wanted, rate)
         faster = wanted > now
         winding0 += turn
         winding1 += turn * (at_middle[0] if faster else at_middle[1])

@@ -106,8 +106,9 @@ def _nominal() -> tuple[Get, Put]:
 
 
 COARSE = 0.007
-"""Resolution of damping, in its logarithm. It is what noise of the rates at the start of a
-window, and smoothing, add; found on simulated logs, as that of the others."""
+"""Resolution of damping, ground effect and wake, in their logarithm. It is what noise of the rates
+at the start of a window, few windows near the ground or below a drone, and smoothing add; found on
+simulated logs, as that of the others."""
 CONSTANTS = (
     Constant("thrust_coefficient", "thrust", "N s^2", *_field("thrust_coefficient"), 1e-8),
     Constant("torque_ratio", "torque", "m", *_field("torque_ratio"), 0.01),
@@ -121,10 +122,14 @@ CONSTANTS = (
     Constant("damping_x", "damping", "1/s", *_entry("damping", 0), 1.0, resolution=COARSE),
     Constant("damping_y", "damping", "1/s", *_entry("damping", 1), 1.0, resolution=COARSE),
     Constant("damping_z", "damping", "1/s", *_entry("damping", 2), 1.0, resolution=COARSE),
-    Constant("ground_gain", "ground_effect", "1", *_field("ground_effect_gain"), 0.3),
-    Constant("ground_decay", "ground_effect", "m", *_field("ground_effect_decay"), 0.03),
-    Constant("wake_share", "wake", "1", *_field("wake_share"), 0.3),
-    Constant("wake_spread", "wake", "1", *_field("wake_spread"), 0.1),
+    Constant(
+        "ground_gain", "ground_effect", "1", *_field("ground_effect_gain"), 0.3, resolution=COARSE
+    ),
+    Constant(
+        "ground_reach", "ground_effect", "m", *_field("ground_effect_reach"), 0.1, resolution=COARSE
+    ),
+    Constant("wake_share", "wake", "1", *_field("wake_share"), 0.3, resolution=COARSE),
+    Constant("wake_spread", "wake", "1", *_field("wake_spread"), 0.1, resolution=COARSE),
     Constant("battery_voltage", "voltage", "V", *_nominal(), 3.7),
 )
 """All constants that flights can be fitted with"""

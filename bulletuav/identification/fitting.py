@@ -20,7 +20,7 @@ ROUNDS = 3
 """Fits, each with the errors of the one before as its weights"""
 DELAYS = np.arange(-0.1, 0.2001, 0.01)
 """Delays of commands that are tried first, behind the gyroscope's clock, s"""
-OPPOSITE = -0.4
+OPPOSITE = -0.2
 """Correlation of turns with those that commands ask for from which on rotors are out of order"""
 
 

@@ -20,8 +20,8 @@ from bulletuav.vehicle.airframes import HEAVIEST, load_airframe
 
 WINDOW = 0.5
 """Usual duration of a window, s"""
-LOW = 3.0
-"""Height in decay lengths below which windows tell of the ground effect: it is 5 % of itself"""
+LOW = 0.63
+"""Share of its reach below which windows tell of the ground effect: there it is 5 % of itself"""
 FEWEST_LOW = 20
 """Fewest such windows: a few take-offs tell more of the touch of the ground than of its effect"""
 DIGITS = 5
@@ -177,7 +177,7 @@ def low_windows(parts: Sequence[Part], airframe: Airframe) -> int:
     count = 0
     for part in parts:
         height = part.flight.track.position[part.flight.windows[part.windows], 2]
-        count += int((height < LOW * airframe.ground_effect_decay).sum())
+        count += int((height < LOW * airframe.ground_effect_reach).sum())
     return count
 
 

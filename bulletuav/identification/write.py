@@ -94,7 +94,7 @@ def _set_numbers(root: ElementTree.Element, airframe: Airframe) -> None:
     x, y, z = airframe.damping
     _set(own, "rate_damping", x=x, y=y, z=z)
     gain = airframe.ground_effect_gain
-    _set(own, "ground_effect", gain=gain, decay=airframe.ground_effect_decay)
+    _set(own, "ground_effect", gain=gain, reach=airframe.ground_effect_reach)
     wake = {"share": airframe.wake_share, "spread": airframe.wake_spread}
     _set(own, "wake", radius=airframe.wake_radius, **wake)
     _set(own, "body_drag", xy=airframe.body_drag[0], z=airframe.body_drag[1])

@@ -87,7 +87,7 @@ class Airframe:
         damping: How fast rates about x, y, z decay by themselves in hover, 1/s.
         body_drag: Drag areas of the body in the rotor plane and across it, m^2.
         ground_effect_gain: Share of a rotor's thrust that a surface right below adds.
-        ground_effect_decay: Height over which that falls to 1/e, m.
+        ground_effect_reach: Height above which there is no ground effect, m.
         wake_share: Share of the drone's thrust that its wake puts on a drone right below.
         wake_spread: Growth of the wake's width with the distance below.
         wake_radius: Width of the wake at its start, m.
@@ -119,7 +119,7 @@ class Airframe:
     damping: tuple[float, float, float]
     body_drag: tuple[float, float]
     ground_effect_gain: float
-    ground_effect_decay: float
+    ground_effect_reach: float
     wake_share: float
     wake_spread: float
     wake_radius: float

@@ -156,7 +156,7 @@ def _read_airframe(path: Path) -> Airframe:
         propeller_radius,
         hover_speed(mass * STANDARD_GRAVITY, len(rotors), thrust_coefficient),
     )
-    near = _several(urdf, "ground_effect", {"decay": WIDEST}, {"gain": 1.0}, usual.ground_effect)
+    near = _several(urdf, "ground_effect", {"reach": WIDEST}, {"gain": 1.0}, usual.ground_effect)
     wake = _several(urdf, "wake", {"radius": WIDEST}, {"share": 1.0, "spread": 1.0}, usual.wake)
     power = _several(urdf, "power", {"efficiency": 1.0}, {"electronics": LARGEST}, usual.power)
     damping = _several(urdf, "rate_damping", {}, dict.fromkeys("xyz", MOST_DAMPING), usual.damping)
@@ -180,7 +180,7 @@ def _read_airframe(path: Path) -> Airframe:
         rotor_inertia=turning[0],
         damping=(damping[0], damping[1], damping[2]),
         body_drag=(body_drag[0], body_drag[1]),
-        ground_effect_decay=near[0],
+        ground_effect_reach=near[0],
         ground_effect_gain=near[1],
         wake_radius=wake[0],
         wake_share=wake[1],

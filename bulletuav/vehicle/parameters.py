@@ -45,7 +45,7 @@ PARAMETERS = np.dtype(
         ("propeller_radius", "f8"),
         ("arm", "f8"),
         ("ground_effect_gain", "f8"),
-        ("ground_effect_decay", "f8"),
+        ("ground_effect_reach", "f8"),
         ("wake_share", "f8"),
         ("wake_spread", "f8"),
         ("wake_radius", "f8"),
@@ -86,7 +86,7 @@ class ParameterRow(Protocol):
         propeller_radius: Radius of the propellers, m.
         arm: Distance of the outermost rotor from the centre of mass, m.
         ground_effect_gain: Share of a rotor's thrust that a surface right below adds; 0 for none.
-        ground_effect_decay: Height over which that falls to 1/e, m.
+        ground_effect_reach: Height above which there is no ground effect, m.
         wake_share: Share of the thrust that the wake puts on a drone right below; 0 for none.
         wake_spread: Growth of the wake's width with the distance below.
         wake_radius: Width of the wake at its start, m.
@@ -119,7 +119,7 @@ class ParameterRow(Protocol):
     propeller_radius: float
     arm: float
     ground_effect_gain: float
-    ground_effect_decay: float
+    ground_effect_reach: float
     wake_share: float
     wake_spread: float
     wake_radius: float
@@ -138,7 +138,7 @@ _COPIED = (
     "max_rotor_speed",
     "propeller_radius",
     "arm",
-    "ground_effect_decay",
+    "ground_effect_reach",
     "wake_spread",
     "wake_radius",
     "efficiency",

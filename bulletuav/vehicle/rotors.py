@@ -56,16 +56,23 @@ def lagged(speed: float, command: float, decay: tuple[float, float]) -> float:
 
 
 @func
-def spin_up(speed: float, command: float, row: ParameterRow) -> float:
+def lag_rates(row: ParameterRow) -> tuple[float, float]:
+    """Return 1 / time constant of rotors that speed up and slow down, 1/s; 0 without lag."""
+    up = 1.0 / row.lag_up if row.lag_up > 0.0 else 0.0
+    down = 1.0 / row.lag_down if row.lag_down > 0.0 else 0.0
+    return up, down
+
+
+@func
+def spin_up(speed: float, command: float, rate: tuple[float, float]) -> float:
     """Return how fast a rotor speeds up towards a command, rad/s^2; 0 without lag.
 
     Args:
         speed: Its speed, rad/s.
         command: Speed that is commanded, rad/s.
-        row: Constants of the drone.
+        rate: What `lag_rates` returns.
     """
-    lag = row.lag_up if command > speed else row.lag_down
-    return (command - speed) / lag if lag > 0.0 else 0.0
+    return (command - speed) * (rate[0] if command > speed else rate[1])
 
 
 @func

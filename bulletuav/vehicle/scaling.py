@@ -9,18 +9,18 @@ from typing import NamedTuple
 
 from bulletuav.vehicle.airframe import reach_of
 
-GROUND_EFFECT_GAIN = 0.35
+GROUND_EFFECT_GAIN = 0.27
 """Share of the thrust that a surface adds to a rotor that touches it (fit, see docs/truth.md)."""
-GROUND_EFFECT_DECAY = 1.34
-"""Height in propeller radii over which that falls to 1/e (fit: 0.031 m for the Crazyflie)."""
+GROUND_EFFECT_REACH = 6.2
+"""Height in propeller radii above which there is none (fit: 0.143 m for the Crazyflie)."""
 WAKE_SHARE = 0.32
 """Share of a drone's thrust that its wake puts on a drone just below (fit, see docs/truth.md)."""
 WAKE_SPREAD = 0.1
 """Growth of the wake's width with the distance below (fit)."""
 WAKE_RADIUS = 1.0
 """Width of the wake at its start, in arms of the drone (fit)."""
-AXIAL_DAMPING = 4.8
-"""Loss of a rotor's thrust as it climbs, in k_f w / R (fit: damping of 2 1/s for the Crazyflie).
+AXIAL_DAMPING = 7.2
+"""Loss of a rotor's thrust as it climbs, in k_f w / R (fit: damping of 3 1/s for the Crazyflie).
 Blade-element theory without inflow, a s / (4 C_T), would give 12."""
 BODY_DRAG = (0.075, 0.52)
 """Drag areas along and across the rotor plane, in areas of all rotor discs (our estimate, from the
@@ -33,7 +33,7 @@ class Scaled(NamedTuple):
     """Constants that scale; see `Airframe` for what they are."""
 
     ground_effect: tuple[float, float]
-    """Decay and gain"""
+    """Reach and gain"""
     wake: tuple[float, float, float]
     """Radius, share and spread"""
     damping: tuple[float, float, float]
@@ -72,7 +72,7 @@ def scaled_constants(
     along = sum(x * x for x, _, _ in rotors)
     disc_area = len(rotors) * math.pi * propeller_radius**2
     return Scaled(
-        ground_effect=(GROUND_EFFECT_DECAY * propeller_radius, GROUND_EFFECT_GAIN),
+        ground_effect=(GROUND_EFFECT_REACH * propeller_radius, GROUND_EFFECT_GAIN),
         wake=(WAKE_RADIUS * reach_of(rotors), WAKE_SHARE, WAKE_SPREAD),
         damping=(
             axial * aside / inertia[0],

@@ -28,6 +28,14 @@ def wake_width_squared(drop: float, row: ParameterRow) -> float:
 
 
 @func
+def is_in_wake(horizontal_squared: float, drop: float, row: ParameterRow) -> bool:
+    """Tell whether a place is in a drone's wake; see `downwash` for the arguments."""
+    if drop <= 0.0 or row.wake_share <= 0.0:
+        return False
+    return horizontal_squared <= WAKE_EDGE * wake_width_squared(drop, row)
+
+
+@func
 def downwash(
     horizontal_squared: float, drop: float, thrust: float, row: ParameterRow
 ) -> tuple[float, float]:
@@ -48,11 +56,9 @@ def downwash(
     Returns:
         The downward force F, N, and F / s^2, N/m^2.
     """
-    if drop <= 0.0 or row.wake_share <= 0.0:
+    if not is_in_wake(horizontal_squared, drop, row):
         return 0.0, 0.0
     square = wake_width_squared(drop, row)
-    if horizontal_squared > WAKE_EDGE * square:
-        return 0.0, 0.0
     strength = row.wake_share * thrust * row.wake_radius / math.sqrt(square)
     push = strength * exp(-0.5 * horizontal_squared / square)
     return push, push / square
@@ -64,17 +70,31 @@ def _blow(
 ) -> None:
     """Add the wake of drone `above` on drone `below` of world w to `wake` (N, 4)."""
     row = parameters[w, above]
-    thrust = rotor_wrench(swarm.rotor_speed[w, above], 0.0, row)[0]
     # From the lower drone to the axis of the wake.
     x = swarm.position[w, above, 0] - swarm.position[w, below, 0]
     y = swarm.position[w, above, 1] - swarm.position[w, below, 1]
     drop = swarm.position[w, above, 2] - swarm.position[w, below, 2]
+    if not is_in_wake(x * x + y * y, drop, row):
+        return
+    thrust = rotor_wrench(swarm.rotor_speed[w, above], 0.0, row)[0]
     push, tip = downwash(x * x + y * y, drop, thrust, row)
     tip *= parameters[w, below].arm * parameters[w, below].arm
     torque = to_body(quat4(swarm.quaternion, w, below), (-tip * y, tip * x, 0.0))
     wake[below, 0] += push
     for k in range(3):
         wake[below, 1 + k] += torque[k]
+
+
+@func
+def _has_company(position: np.ndarray, w: int, i: int, edge: float) -> bool:
+    """Tell whether a drone of higher index is within a squared horizontal distance of drone i."""
+    # A sum without branches, which compiles to several pairs at once
+    near = 0
+    for j in range(i + 1, position.shape[1]):
+        dx = position[w, j, 0] - position[w, i, 0]
+        dy = position[w, j, 1] - position[w, i, 1]
+        near += dx * dx + dy * dy <= edge
+    return near > 0
 
 
 @kernel
@@ -110,10 +130,12 @@ def wakes(
     edge = WAKE_EDGE * widest
     # Of each pair the upper drone blows on the lower one.
     for i in range(wake.shape[0]):
+        if not alive[w, i] or not _has_company(swarm.position, w, i, edge):
+            continue
         for j in range(i + 1, wake.shape[0]):
             dx = swarm.position[w, j, 0] - swarm.position[w, i, 0]
             dy = swarm.position[w, j, 1] - swarm.position[w, i, 1]
-            if dx * dx + dy * dy <= edge and alive[w, i] and alive[w, j]:
+            if dx * dx + dy * dy <= edge and alive[w, j]:
                 if swarm.position[w, j, 2] > swarm.position[w, i, 2]:
                     _blow(swarm, w, j, i, parameters, wake)
                 else:

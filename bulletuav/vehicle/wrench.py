@@ -4,9 +4,19 @@ import math
 
 import numpy as np
 
-from bulletuav.geometry.rotation import Quat4Like, Vec3, Vec3Like, axes, dot, minus, plus
+from bulletuav.geometry.rotation import (
+    Quat4Like,
+    Vec3,
+    Vec3Like,
+    axes,
+    dot,
+    minus,
+    plus,
+    to_body,
+    to_world,
+)
 from bulletuav.kernel import func
-from bulletuav.vehicle.aerodynamics import drag, ground_wrench
+from bulletuav.vehicle.aerodynamics import drag_along, ground_wrench
 from bulletuav.vehicle.parameters import ParameterRow
 from bulletuav.vehicle.rotors import Rotors
 
@@ -51,15 +61,20 @@ def wrench(
     ahead, left, up = axes(quaternion)
     more = ground_wrench(altitude - surface, (ahead[2], left[2], up[2]), speed, row)
     thrust += more[0]
-    # Drag against the air, which moves with the wind.
-    slowed, tipped = drag(quaternion, minus(velocity, wind), total_speed, row)
-    force = (
-        thrust * up[0] + slowed[0],
-        thrust * up[1] + slowed[1],
-        thrust * up[2] + slowed[2] - row.mass * gravity,
+    # Drag against the air, which moves with the wind. The speed is taken in world axes: it need not
+    # wait for the velocity along the body.
+    air_velocity = minus(velocity, wind)
+    speed_of_air = math.sqrt(dot(air_velocity, air_velocity))
+    slowed, tipped = drag_along(to_body(quaternion, air_velocity), speed_of_air, total_speed, row)
+    force = to_world(quaternion, (slowed[0], slowed[1], slowed[2] + thrust))
+    # What stage has in common is summed first.
+    held = (push[0], push[1], push[2] - row.mass * gravity)
+    turn = plus(torque, 1.0, twist)
+    return plus(force, 1.0, held), (
+        turn[0] + more[1] + tipped[0],
+        turn[1] + more[2] + tipped[1],
+        turn[2],
     )
-    torque = (torque[0] + more[1] + tipped[0], torque[1] + more[2] + tipped[1], torque[2])
-    return plus(force, 1.0, push), plus(torque, 1.0, twist)
 
 
 @func
@@ -101,14 +116,15 @@ def body_acceleration(
     jy = row.inertia[1]
     jz = row.inertia[2]
     turned = damping_torque(rates, total_speed, row)
-    x = torque[0] - rates[1] * momentum - turned[0]
-    y = torque[1] + rates[0] * momentum - turned[1]
-    z = torque[2] - turned[2]
+    # What the rates do is summed before the torque, which is known last.
+    x = turned[0] + rates[1] * momentum + (jz - jy) * rates[1] * rates[2]
+    y = turned[1] - rates[0] * momentum + (jx - jz) * rates[2] * rates[0]
+    z = turned[2] + (jy - jx) * rates[0] * rates[1]
     # Written with 1 / J, divisions that several calls for one drone share.
     return (
-        (x - (jz - jy) * rates[1] * rates[2]) * (1.0 / jx),
-        (y - (jx - jz) * rates[2] * rates[0]) * (1.0 / jy),
-        (z - (jy - jx) * rates[0] * rates[1]) * (1.0 / jz),
+        (torque[0] - x) * (1.0 / jx),
+        (torque[1] - y) * (1.0 / jy),
+        (torque[2] - z) * (1.0 / jz),
     )
 
 

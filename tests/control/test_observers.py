@@ -66,7 +66,7 @@ def test_a_torque_is_learned_and_bounded():
         rate = 0.0
         for _ in range(480):
             # Against the damping that the observer knows
-            damped = 2.0 * rate
+            damped = CF2X.damping[0] * rate
             rate += DT * (torque / CF2X.inertia[0] - damped)
             got = learned_torque((rate, 0.0, 0.0), rotors, still, memory, 0, 0, DT, ROW, GAIN)
         assert got[0] == pytest.approx(expected, rel=1e-3)

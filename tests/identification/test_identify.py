@@ -72,7 +72,7 @@ def test_constants_come_back_within_their_intervals(result):
 
 def test_constants_that_logs_of_this_kind_cannot_tell_are_left_out(result):
     names = {one.constant.name for one in result.estimates}
-    assert not names & {"wake_share", "ground_gain", "ground_decay", "inertia_z"}
+    assert not names & {"wake_share", "ground_gain", "ground_reach", "inertia_z"}
 
 
 def test_what_a_log_does_not_tell_stays(tmp_path):
@@ -197,7 +197,7 @@ def test_ground_effect_is_found_near_the_ground(tmp_path):
         return np.array([0.3 * np.sin(0.9 * time), 0.3 * np.cos(0.7 * time), low])
 
     rows = flown.noisy(flown.fly(TRUE, 20, seed=1, path=path), 1)
-    start = dataclasses.replace(TRUE, ground_effect_gain=0.2, ground_effect_decay=0.045)
+    start = dataclasses.replace(TRUE, ground_effect_gain=0.2, ground_effect_reach=0.2)
     log = flown.write(tmp_path / "low.csv", rows)
     found = identify([log], start, fit=["ground_effect", "thrust"])
     for one in found.estimates:

@@ -81,13 +81,13 @@ def test_constants_that_a_file_leaves_out_are_those_of_the_crazyflie_scaled():
     file = load_airframe("racer")
     disc = 4 * math.pi * file.propeller_radius**2
     assert file.body_drag == pytest.approx((0.075 * disc, 0.52 * disc))
-    assert file.ground_effect_decay == pytest.approx(1.34 * 0.0635)
-    assert (file.ground_effect_gain, file.wake_share, file.wake_spread) == (0.35, 0.32, 0.1)
+    assert file.ground_effect_reach == pytest.approx(6.2 * 0.0635)
+    assert (file.ground_effect_gain, file.wake_share, file.wake_spread) == (0.27, 0.32, 0.1)
     assert file.wake_radius == file.arm
     assert file.rotor_inertia > 0
-    # By hand: 4.8 * 7.7237e-7 * 1623.14 / 0.0635 = 0.094766 N for each m/s along the axis
-    assert file.damping[0] == pytest.approx(0.094766 * 4 * 0.0675**2 / 0.003113, rel=1e-4)
-    assert file.damping[1] == pytest.approx(0.094766 * 4 * 0.085**2 / 0.003113, rel=1e-4)
+    # By hand: 7.2 * 7.7237e-7 * 1623.14 / 0.0635 = 0.142149 N for each m/s along the axis
+    assert file.damping[0] == pytest.approx(0.142149 * 4 * 0.0675**2 / 0.003113, rel=1e-4)
+    assert file.damping[1] == pytest.approx(0.142149 * 4 * 0.085**2 / 0.003113, rel=1e-4)
     radius = 4 * (0.0675**2 + 0.085**2)
     assert file.damping[2] == pytest.approx(4.1e-5 * 1623.14 * radius / 0.005, rel=1e-4)
 
@@ -203,10 +203,10 @@ REFUSED = [
     ("</link>", '</link><link name="prop"/>', "link", "2 links"),
     ('height="0.034"', 'height="tall"', "rotor_drag height", "a number is needed"),
     ('<rotor_inertia value="2.697e-8"/>', "<rotor_inertia/>", "rotor_inertia value", "missing"),
-    ('<rate_damping x="2"', '<rate_damping x="-2"', "rate_damping x", "-2"),
+    ('<rate_damping x="3"', '<rate_damping x="-3"', "rate_damping x", "-3"),
     ('<body_drag xy="5e-4"', "<body_drag", "body_drag xy", "missing"),
-    ("<max_speed", '<ground_effect gain="1"/><max_speed', "ground_effect decay", "missing"),
-    ("<max_speed", '<ground_effect gain="2" decay="0.1"/><max_speed', "ground_effect gain", "2"),
+    ("<max_speed", '<ground_effect gain="1"/><max_speed', "ground_effect reach", "missing"),
+    ("<max_speed", '<ground_effect gain="2" reach="0.1"/><max_speed', "ground_effect gain", "2"),
     ("<max_speed", '<wake share="0.3" spread="0.1" radius="0"/><max_speed', "wake radius", "0"),
     ('efficiency="0.43"', 'efficiency="0"', "power efficiency", "0"),
     ('cells="1"', 'cells="1.5"', "battery cells", "a whole number"),

@@ -79,5 +79,10 @@ def test_predictions_of_flights_reach_what_docs_tell():
     for test, most in goals.items():
         errors = MEASURED[test]["errors"]
         assert (np.array(errors["now"]["kept"]) <= most).all()
-        for other in ("gym-pybullet-drones", "before"):
+        naive = "constant velocity" if test == "positions" else "constant rates"
+        for other in (naive, "gym-pybullet-drones", "before"):
             assert (np.array(errors["now"]["kept"]) < errors[other]["kept"]).all()
+    soon = MEASURED["rates_soon"]["errors"]
+    for half in ("fit", "kept"):
+        for other in ("constant rates", "rates of 0", "gym-pybullet-drones", "before"):
+            assert (np.array(soon["now"][half]) < soon[other][half]).all()

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from bulletuav import available_airframes, load_airframe
 from bulletuav.vehicle.aerodynamics import drag, ground_effect, ground_wrench
 from bulletuav.vehicle.parameters import EFFECTS, parameter_rows
-from bulletuav.vehicle.rotors import lag_decay, lagged, rotor_wrench, spin_up
+from bulletuav.vehicle.rotors import lag_decay, lag_rates, lagged, rotor_wrench, spin_up
 from bulletuav.vehicle.wrench import body_acceleration, damping_torque, wrench
 
 G = 9.80665
@@ -54,7 +54,7 @@ def test_without_lag_the_command_is_the_speed():
     _, row = row_of("cf2x", ())
     assert after(5.0, 900.0, 1e-3, row) == 900.0
     assert after(900.0, 5.0, 1e-3, row) == 5.0
-    assert spin_up(5.0, 900.0, row) == 0
+    assert spin_up(5.0, 900.0, lag_rates(row)) == 0
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -89,7 +89,7 @@ def test_faster_clockwise_rotors_turn_the_crazyflie_to_the_left():
 def test_rotors_that_speed_up_turn_the_body_by_their_own_momentum():
     """2.697e-8 kg m^2 at 100 rad/s in 0.065 s: 4.149e-5 N m at first, against the rotor's spin."""
     _, row = row_of("cf2x")
-    first = spin_up(1700.0, 1800.0, row)
+    first = spin_up(1700.0, 1800.0, lag_rates(row))
     assert first == pytest.approx(100 / 0.065)
     calm = rotor_wrench(np.full(4, 1700.0), 0.0, row)
     faster = rotor_wrench(np.full(4, 1700.0), first, row)
@@ -106,7 +106,7 @@ def test_damping_is_the_share_that_the_airframe_tells_at_hover():
     total = 4 * airframe.hover_speed()
     slowed = body_acceleration((1.0, -2.0, 0.5), ZERO, total, 0.0, row)
     gyroscopic = body_acceleration((1.0, -2.0, 0.5), ZERO, 0.0, 0.0, row)
-    np.testing.assert_allclose(np.subtract(slowed, gyroscopic), (-2.0, 4.0, -1.25), rtol=1e-12)
+    np.testing.assert_allclose(np.subtract(slowed, gyroscopic), (-3.0, 6.0, -1.25), rtol=1e-12)
     assert damping_torque((1.0, 1.0, 1.0), 0.0, row) == (0, 0, 0)
 
 
@@ -212,11 +212,11 @@ def test_a_drone_with_stopped_rotors_falls_at_a_terminal_speed(name):
 
 
 def test_ground_effect_figures():
-    """0.35 exp(-h / 1.34 R), by hand: R is 0.0231348 m and 0.1 m."""
+    """0.27 (1 - h / 6.2 R)^3, by hand: R is 0.0231348 m and 0.1 m."""
     heights = (0.0, 0.03, 0.1, 0.3)
     for name, shares in (
-        ("cf2x", (0.35, 0.1329816, 0.01390422, 2.19434e-05)),
-        ("hummingbird", (0.35, 0.2797937, 0.1659463, 0.03730499)),
+        ("cf2x", (0.27, 0.1335492, 0.007497798, 0.0)),
+        ("hummingbird", (0.27, 0.2326723, 0.1592937, 0.03712262)),
     ):
         _, row = row_of(name)
         for height, share in zip(heights, shares, strict=True):
@@ -227,7 +227,7 @@ def test_ground_effect_figures():
 def test_ground_effect_is_bounded_and_falls_with_height(name):
     _, row = row_of(name)
     gains = [ground_effect(h, row) for h in (-1.0, 0.0, 1e-9, 0.01, 0.1, 1.0, 100.0, np.inf)]
-    assert gains[:2] == [0.35, 0.35]
+    assert gains[:2] == [0.27, 0.27]
     assert gains == sorted(gains, reverse=True)
     assert gains[-1] == 0
     assert ground_effect(0.1, row_of(name, ())[1]) == 0
@@ -252,7 +252,7 @@ def test_the_levelling_torque_by_hand():
     speed = np.full(4, airframe.hover_speed())
     thrust, torque_x, torque_y = ground_wrench(0.2, lean, speed, row)
     each = airframe.mass * G / 4
-    share = [0.35 * math.exp(-h / 0.134) * math.cos(0.2) for h in (0.166226, 0.2, 0.2, 0.233774)]
+    share = [0.27 * (1 - h / 0.62) ** 3 * math.cos(0.2) for h in (0.166226, 0.2, 0.2, 0.233774)]
     assert thrust == pytest.approx(each * sum(share), rel=1e-5)
     assert torque_x == pytest.approx(0, abs=1e-12)
     assert torque_y == pytest.approx(-0.17 * each * (share[0] - share[3]), rel=1e-4)
@@ -263,14 +263,18 @@ def test_ground_effect_fades_with_tilt_and_ends_where_nothing_is_left():
     speed = np.full(4, airframe.hover_speed())
     assert ground_wrench(0.05, (0.0, 0.0, -1.0), speed, row) == (0, 0, 0)
     assert ground_wrench(0.05, (1.0, 0.0, 0.0), speed, row) == (0, 0, 0)
-    edge = 25 * airframe.ground_effect_decay
+    edge = airframe.ground_effect_reach
     assert ground_wrench(edge, (0.0, 0.0, 1.0), speed, row) == (0, 0, 0)
     just_below = ground_wrench(0.999 * edge, (0.0, 0.0, 1.0), speed, row)[0]
-    assert 0 < just_below < 1e-11 * airframe.mass * G
+    assert 0 < just_below < 1e-9 * airframe.mass * G
+    # The lower side of a drone that leans is reached from higher up
+    aside = ground_wrench(edge + 0.01, (0.6, 0.0, 0.8), speed, row)
+    assert aside[0] > 0
+    assert aside[2] != 0
     assert ground_wrench(0.05, (0.0, 0.0, 1.0), speed, row_of("cf2x", ())[1]) == (0, 0, 0)
 
 
 def test_thrust_grows_near_the_surface_wherever_it_is():
     airframe, row = row_of("hummingbird")
     force, _ = wrench_of(row, np.full(4, airframe.hover_speed()), altitude=30.1, surface=30.0)
-    assert force[2] == pytest.approx(0.1659463 * airframe.mass * G, rel=1e-6)
+    assert force[2] == pytest.approx(0.1592937 * airframe.mass * G, rel=1e-6)
