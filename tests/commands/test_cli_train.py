@@ -134,7 +134,7 @@ def test_dqn_chooses_among_discrete_actions_and_difficulties_make_a_curriculum(
 def configured(*arguments):
     parser, _ = _parser()
     given = parser.parse_args(["train", *arguments])
-    return train._config(given, given.task)
+    return train.run_config(given, train.base_config(given, given.task))
 
 
 def test_what_is_given_goes_before_the_settings_of_the_package():
