@@ -73,7 +73,7 @@ SWARM += [
 ]
 ALONE = [{"task": "hover", "num_envs": 128}]
 PLANS = {
-    "hover": Plan("hover", HOVER, ALONE, 600_000, 48, 1536, 5, 2e-3, 0.98, -1.8, 5.0),
+    "hover": Plan("hover", HOVER, ALONE, 1_000_000, 48, 1536, 5, 2e-3, 0.98, -1.8, 5.0),
     "crossing": Plan("crossing", CROSSING, [EIGHT], 1_800_000),
     "swarm": Plan("crossing", APART, SWARM, 6_000_000),
 }
@@ -235,6 +235,9 @@ def save(agent: Agent, folder: Path) -> None:
     """Write the policy as `bulletuav train` does."""
     folder.mkdir(parents=True, exist_ok=True)
     arrays = {name: part.numpy() for name, part in agent.state_dict().items()}
+    # Actor and critic share their features, which stable-baselines3 names three times.
+    shared = [name for name in arrays if name.startswith("features_extractor")]
+    arrays |= {f"{net}_{name}": arrays[name].copy() for net in ("pi", "vf") for name in shared}
     ones = np.ones_like(arrays["log_std"])
     save_file({**arrays, LOW: -ones, HIGH: ones}, folder / POLICY)
 
