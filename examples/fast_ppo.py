@@ -12,7 +12,7 @@ Run it:
     python examples/fast_ppo.py crossing
     python examples/fast_ppo.py hover --seed 1 --out hover-1
 
-Takes 1 to 5 minutes on one core. Needs the extra `sb3`.
+Takes 1 to 5 minutes on one core. `hover` may need another seed. Needs the extra `sb3`.
 """
 
 import argparse
