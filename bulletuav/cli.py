@@ -1,7 +1,7 @@
 """Command line `bulletuav`: finds the command, runs it, and turns errors into one line.
 
 Its commands are `tasks`, `fly`, `city`, `evaluate`, `compare`, `dataset`, `merge`, `train`,
-`verify`, `replay`, `export`, `identify`, `incentives`, `serve`, `benchmark` and `doctor`.
+`tune`, `verify`, `replay`, `export`, `identify`, `incentives`, `serve`, `benchmark` and `doctor`.
 """
 
 import argparse
@@ -29,6 +29,7 @@ from bulletuav.commands import (
     serve,
     tasks,
     train,
+    tune,
     verify,
 )
 from bulletuav.errors import missing
@@ -45,6 +46,7 @@ COMMANDS: dict[str, ModuleType] = {
     "dataset": dataset,
     "merge": merge,
     "train": train,
+    "tune": tune,
     "verify": verify,
     "replay": replay,
     "export": export,

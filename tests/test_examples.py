@@ -175,7 +175,9 @@ def check_fast_ppo(told, folder):
     assert numbers("# decisions: mean return #", told)[0, 0] == 32 * 64 * 8
     success, low, high = numbers(r"in bullet: success # \(# to #\)", told)[0]
     assert success == low == 0 < high  # which has learned nothing yet
-    assert {path.name for path in folder.iterdir()} == {"run.yaml", "policy.safetensors"}
+    assert {path.name for path in folder.rglob("*.*")} == {"run.yaml", "policy.safetensors"}
+    first = folder / "checkpoints" / "000" / "policy.safetensors"
+    assert first.read_bytes() != (folder / "policy.safetensors").read_bytes()
 
 
 def check_dqn_discrete(told, folder):

@@ -12,6 +12,7 @@ import pytest
 import bulletuav
 from bulletuav.cli import main
 from bulletuav.policies.run import RunConfig, shipped
+from bulletuav.training.study import Study
 
 ROOT = Path(__file__).parent.parent
 PAGES = [
@@ -118,11 +119,13 @@ def test_links_lead_somewhere():
 
 def test_the_runs_of_the_page_on_learning_can_be(tmp_path):
     page = (ROOT / "docs" / "learning.md").read_text()
-    runs = []
+    files = []
     for text in re.findall(r"```yaml\n(.*?)```", page, re.DOTALL):
         (tmp_path / "run.yaml").write_text(text)
-        runs.append(RunConfig.read(tmp_path / "run.yaml"))
-    one, of_any_size = runs
+        kind = Study if "space:" in text else RunConfig
+        files.append(kind.read(tmp_path / "run.yaml"))
+    one, study, of_any_size = files
+    assert study.space["model.n_epochs"].is_whole
     assert one.steps == 4_000_000
     assert (
         one.options["weights"]

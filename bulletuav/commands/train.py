@@ -58,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help=f"train the package's policies: {', '.join(shipped_tasks())}",
     )
-    _add_run_config(parser)
+    add_run(parser)
     parser.add_argument(
         "--seeds",
         type=seeds,
@@ -74,11 +74,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="folder for the files (default: one in training/)"
     )
-    add_options(parser)
 
 
-def _add_run_config(parser: argparse.ArgumentParser) -> None:
-    """Add the settings of a run beside the options of its environment."""
+def add_run(parser: argparse.ArgumentParser) -> None:
+    """Add the settings of a run, and the options of its environment."""
     parser.add_argument("--algo", help=f"{', '.join(ALGORITHMS)} (default: ppo)")
     parser.add_argument("--steps", type=count, help="decisions of all drones together, such as 2e6")
     parser.add_argument("--seed", type=int, help="same seed, same weights (default: 0)")
@@ -102,6 +101,7 @@ def _add_run_config(parser: argparse.ArgumentParser) -> None:
         metavar="NAME=VALUE",
         help="setting of the algorithm, such as gamma=0.98; can be repeated",
     )
+    add_options(parser)
 
 
 def count(text: str) -> int:
@@ -134,17 +134,23 @@ def run(arguments: argparse.Namespace) -> None:
         if getattr(arguments, one) is not None and getattr(arguments, other):
             raise ValueError(f"--{one} and --{other}: give one of them")
     tasks = shipped_tasks() if arguments.all else [arguments.task]
-    configs = [_config(arguments, task) for task in tasks]
+    configs = [run_config(arguments, base_config(arguments, task)) for task in tasks]
     if arguments.all or arguments.seeds:
         _train_several(arguments, configs)
     else:
         _train_one(arguments, configs[0])
 
 
-def _config(arguments: argparse.Namespace, task: str | None) -> RunConfig:
-    """Take the settings of the file, the package's or the defaults, and change what was given."""
-    # What the user gave goes before the settings that the run starts from.
-    base = _base_config(arguments, task)
+def run_config(arguments: argparse.Namespace, base: RunConfig) -> RunConfig:
+    """Change the settings that a run starts from by what was given on the command line.
+
+    Args:
+        arguments: Parsed arguments of a command with those of `add_run`.
+        base: The settings that it starts from.
+
+    Raises:
+        ValueError: A setting is impossible, or of a form that cannot be read.
+    """
     given = given_options(arguments)
     algo = arguments.algo or base.algo
     options = {**base.options, **given}
@@ -167,8 +173,16 @@ def _config(arguments: argparse.Namespace, task: str | None) -> RunConfig:
     return dataclasses.replace(base, algo=algo, options=options, model=model, **changes)
 
 
-def _base_config(arguments: argparse.Namespace, task: str | None) -> RunConfig:
-    """Read the settings of the file or of the package, or take the defaults."""
+def base_config(arguments: argparse.Namespace, task: str | None) -> RunConfig:
+    """Read the settings of the file or of the package, or take the defaults.
+
+    Args:
+        arguments: Parsed arguments of a command with `--config`.
+        task: The task, where no file is given.
+
+    Raises:
+        ValueError: The file holds no settings, or there is no such task.
+    """
     if arguments.config is not None:
         is_folder = arguments.config.is_dir()
         return RunConfig.read(arguments.config / CONFIG if is_folder else arguments.config)
@@ -205,7 +219,7 @@ def _train_one(arguments: argparse.Namespace, config: RunConfig) -> None:
     default = Path("training") / f"{config.task}-{config.algo}-{config.seed}"
     out = out_folder(arguments.out or default)
     with show_progress(f"training {config.task}", config.steps, "steps") as report:
-        rows = _or_tell(out, lambda: train(config, out, report, report.note))
+        rows = or_tell(out, lambda: train(config, out, report, report.note))
     _finish(out, [(config, rows)], [out / CONFIG, out / POLICY, out / CURVE, out / UPDATES])
 
 
@@ -217,12 +231,20 @@ def _train_several(arguments: argparse.Namespace, configs: list[RunConfig]) -> N
     campaign = Campaign(runs, out / "runs")
     with show_progress(f"training {len(runs)} runs", campaign.total, "steps") as report:
         workers = arguments.workers
-        learned = _or_tell(out, lambda: campaign.train(workers, report, report.note))
+        learned = or_tell(out, lambda: campaign.train(workers, report, report.note))
     _finish(out, learned, [])
 
 
-def _or_tell(out: Path, work: Callable[[], Result]) -> Result:
-    """Do the work; where it is interrupted, tell how to go on."""
+def or_tell(out: Path, work: Callable[[], Result]) -> Result:
+    """Do the work; where it is interrupted, tell how to go on.
+
+    Args:
+        out: The folder of the work.
+        work: What to do.
+
+    Returns:
+        What it gives.
+    """
     try:
         return work()
     except KeyboardInterrupt:

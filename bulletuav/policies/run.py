@@ -186,22 +186,7 @@ class RunConfig:
             ValueError: The file is of another kind or version, or holds an impossible setting.
             FileNotFoundError: There is no such file.
         """
-        try:
-            values = yaml.load(path.read_text(), _Loader)
-        except (yaml.YAMLError, UnicodeDecodeError) as error:
-            raise ValueError(f"{path} is no YAML file: {error}") from None
-        except (FileNotFoundError, IsADirectoryError):
-            raise FileNotFoundError(
-                f"no file {path}: the run.yaml of a run, or one like it, is needed"
-            ) from None
-        if not isinstance(values, Mapping):
-            raise ValueError(
-                f"{path} holds {values!r}: names with values are needed, such as task: crossing"
-            )
-        _require_version(path, values)
-        if not trust:
-            _refuse_modules(path, values)
-        settings = {name: value for name, value in values.items() if name != "version"}
+        settings = read_settings(path, "run.yaml of a run", trust)
         # Whatever is wrong with them is told with the file's name.
         try:
             return cls.of(settings)
@@ -214,15 +199,12 @@ class RunConfig:
         Returns:
             What a file holds, by name, in its order.
         """
-        settings = {name: _plain(value) for name, value in dataclasses.asdict(self).items()}
+        settings = {name: plain_value(value) for name, value in dataclasses.asdict(self).items()}
         return {"version": VERSION, **settings}
 
     def text(self) -> str:
         """Write the settings as YAML, which `read` takes back."""
-        text: str = yaml.safe_dump(
-            self.plain(), sort_keys=False, default_flow_style=None, width=110
-        )
-        return text
+        return write_settings(self.plain())
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -267,6 +249,43 @@ class RunConfig:
         return resolve(find_task(self.task), self._given).options
 
 
+def read_settings(path: Path, what: str, trust: bool = False) -> dict[str, Any]:
+    """Read names and values from a YAML file that tells the version of its form.
+
+    Args:
+        path: The file.
+        what: What is needed, for the message, such as "run.yaml of a run".
+        trust: Whether it may name modules as `module:Name`.
+
+    Returns:
+        Its values by name, without the version.
+
+    Raises:
+        ValueError: The file is of another kind or version, or names a module.
+        FileNotFoundError: There is no such file.
+    """
+    try:
+        values = yaml.load(path.read_text(), _Loader)
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path} is no YAML file: {error}") from None
+    except (FileNotFoundError, IsADirectoryError):
+        raise FileNotFoundError(f"no file {path}: the {what}, or one like it, is needed") from None
+    if not isinstance(values, Mapping):
+        raise ValueError(
+            f"{path} holds {values!r}: names with values are needed, such as task: crossing"
+        )
+    _require_version(path, values)
+    if not trust:
+        _refuse_modules(path, values)
+    return {name: value for name, value in values.items() if name != "version"}
+
+
+def write_settings(values: Mapping[str, Any]) -> str:
+    """Write plain values as YAML, which `read_settings` takes back."""
+    text: str = yaml.safe_dump(values, sort_keys=False, default_flow_style=None, width=110)
+    return text
+
+
 def shipped_tasks() -> list[str]:
     """List the tasks for which there is a trained policy in the package."""
     return sorted(path.parent.name for path in SHIPPED.glob(f"*/{CONFIG}"))
@@ -306,15 +325,15 @@ def _require_version(path: Path, values: Mapping[str, Any]) -> None:
     )
 
 
-def _plain(value: Any) -> Any:
+def plain_value(value: Any) -> Any:
     """Make a value of lists, dicts, texts and numbers alone."""
     if isinstance(value, Mapping):
-        return {name: _plain(one) for name, one in value.items()}
+        return {name: plain_value(one) for name, one in value.items()}
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, Path):
         return str(value)
-    return [_plain(one) for one in value] if isinstance(value, list | tuple) else value
+    return [plain_value(one) for one in value] if isinstance(value, list | tuple) else value
 
 
 class _Loader(yaml.SafeLoader):  # type: ignore[misc]  # which comes without types

@@ -1,13 +1,15 @@
 """Several training runs, in processes, and the table of what they learned."""
 
+import contextlib
 import json
 import math
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import (
     FIRST_EXCEPTION,
+    Executor,
     Future,
     ProcessPoolExecutor,
     wait,
@@ -72,23 +74,11 @@ class Campaign:
         Raises:
             Exception: Whatever a run raises.
         """
-        as_int("workers", workers, 1)
-        # PyTorch's threads do not survive a fork.
-        context = multiprocessing.get_context("spawn")
-        others = set(multiprocessing.active_children())
-        with ProcessPoolExecutor(
-            workers, mp_context=context, initializer=_leave_interrupts
-        ) as pool:
-            try:
-                futures = [
-                    pool.submit(_train, config, self.place(config)) for config in self.configs
-                ]
-                self._watch(futures, progress, told)
-            except BaseException:
-                # A process that is stopped would not hear anything milder.
-                for process in set(multiprocessing.active_children()) - others:
-                    process.kill()
-                raise
+        with processes(workers) as pool:
+            futures = [
+                pool.submit(train_in_process, config, self.place(config)) for config in self.configs
+            ]
+            self._watch(futures, progress, told)
         progress(self.total)
         return [
             (config, future.result()) for config, future in zip(self.configs, futures, strict=True)
@@ -117,6 +107,33 @@ class Campaign:
         )
 
 
+@contextlib.contextmanager
+def processes(workers: int) -> Iterator[Executor]:
+    """Begin processes that train; they are killed where anything is raised.
+
+    Args:
+        workers: How many.
+
+    Yields:
+        What runs `train_in_process`.
+
+    Raises:
+        ValueError: `workers` is no number of processes.
+    """
+    as_int("workers", workers, 1)
+    # PyTorch's threads do not survive a fork.
+    context = multiprocessing.get_context("spawn")
+    others = set(multiprocessing.active_children())
+    with ProcessPoolExecutor(workers, mp_context=context, initializer=_leave_interrupts) as pool:
+        try:
+            yield pool
+        except BaseException:
+            # A process that is stopped would not hear anything milder.
+            for process in set(multiprocessing.active_children()) - others:
+                process.kill()
+            raise
+
+
 def _failed(future: Future[Any]) -> bool:
     """Tell whether a run ended with an error."""
     return future.done() and future.exception() is not None
@@ -127,8 +144,8 @@ def _leave_interrupts() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def _train(config: RunConfig, folder: Path) -> list[Row]:
-    """Train one run in a process of a campaign."""
+def train_in_process(config: RunConfig, folder: Path) -> list[Row]:
+    """Train one run in a process of `processes`; see `bulletuav.training.trainer.train`."""
     from bulletuav.training.trainer import train
 
     parent = multiprocessing.parent_process()

@@ -112,6 +112,18 @@ def make_model(config: RunConfig, env: DroneVecEnv) -> Any:
         raise ValueError(f"model {config.algo}: {error}{remedy}") from None
 
 
+def check_settings(config: RunConfig) -> None:
+    """Check the algorithm's settings of a run without making anything.
+
+    Raises:
+        ValueError: The algorithm does not take one of them; the nearest names are told.
+        ImportError: The extra `sb3` is missing.
+    """
+    settings = config.settings
+    del settings["features"]
+    _check(algorithm(config.algo), settings)
+
+
 def _check(kind: Any, settings: dict[str, Any]) -> None:
     """Check the settings, and make numbers of the kind that their defaults are.
 

@@ -43,6 +43,10 @@ Row = dict[str, float]
 """A row of the learning curve"""
 
 
+class FolderError(ValueError):
+    """Error for a folder in which a run cannot be kept, whatever its settings."""
+
+
 class Store:
     """What is kept of a run, each file written as a whole or not at all.
 
@@ -71,7 +75,7 @@ class Store:
             config: The run.
 
         Raises:
-            ValueError: The folder holds another run, is damaged or cannot be written to.
+            FolderError: The folder holds another run, is damaged or cannot be written to.
         """
         self.folder = folder
         self.rows: list[Row] = []
@@ -92,7 +96,7 @@ class Store:
         """Read a run that was begun; warn of other versions than those that `about` tells."""
         self._require_same()
         if any((self.folder / CHECKPOINTS).glob("*.zip")):
-            raise ValueError(
+            raise FolderError(
                 f"{self.folder} holds checkpoints of an older version, "
                 "which can run code when read: choose another folder"
             )
@@ -111,7 +115,7 @@ class Store:
             TypeError,
             FileNotFoundError,
         ) as error:
-            raise ValueError(
+            raise FolderError(
                 f"{self.folder} holds a run that is damaged ({error!r}): choose another folder"
             ) from None
         # The first line of the configuration tells the versions.
@@ -129,7 +133,7 @@ class Store:
         known = RunConfig.read(self.folder / CONFIG, trust=names).plain()
         for name, value in self._config.plain().items():
             if known[name] != value:
-                raise ValueError(
+                raise FolderError(
                     f"{self.folder} holds another run: its {name} is {known[name]!r}, "
                     f"not {value!r}; choose another folder"
                 )
@@ -208,6 +212,33 @@ def _read_rows(path: Path, steps: int) -> list[Row]:
 
 
 @contextlib.contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Keep a folder to this process; it is made if it is not there.
+
+    Args:
+        folder: The folder.
+
+    Raises:
+        FolderError: Another process trains in the folder, or it cannot be written to.
+    """
+    # This package comes with PyTorch.
+    from filelock import FileLock, Timeout
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = FileLock(folder / "lock", timeout=0)
+        lock.acquire()
+    except Timeout:
+        raise FolderError(
+            f"{folder} is being trained in by another process: wait, or choose another folder"
+        ) from None
+    except OSError as error:
+        raise _not_writable(folder, error) from None
+    with lock:
+        yield
+
+
+@contextlib.contextmanager
 def opened(folder: Path, config: RunConfig) -> Iterator[Store]:
     """Open the store of a run, while nobody else trains in its folder.
 
@@ -219,25 +250,12 @@ def opened(folder: Path, config: RunConfig) -> Iterator[Store]:
         The store.
 
     Raises:
-        ValueError: Another process trains in the folder, or one of the errors of `Store`.
+        FolderError: See `locked` and `Store`.
     """
-    # This package comes with PyTorch.
-    from filelock import FileLock, Timeout
-
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        lock = FileLock(folder / "lock", timeout=0)
-        lock.acquire()
-    except Timeout:
-        raise ValueError(
-            f"{folder} is being trained in by another process: wait, or choose another folder"
-        ) from None
-    except OSError as error:
-        raise _not_writable(folder, error) from None
-    with lock:
+    with locked(folder):
         yield Store(folder, config)
 
 
-def _not_writable(folder: Path, error: OSError) -> ValueError:
+def _not_writable(folder: Path, error: OSError) -> FolderError:
     """Make the error for a folder that cannot be written to."""
-    return ValueError(f"{folder} cannot be a folder to write to: {error.strerror or error}")
+    return FolderError(f"{folder} cannot be a folder to write to: {error.strerror or error}")

@@ -185,7 +185,7 @@ def test_a_damaged_policy_is_refused(change, said, tmp_path):
     config = RunConfig.read(SHIPPED / "crossing" / "run.yaml")
     path = tmp_path / "policy.safetensors"
     save_file(change(read_weights(SHIPPED / "crossing" / "policy.safetensors")), path)
-    aviary = bulletuav.Aviary("crossing")
+    aviary = bulletuav.Aviary("crossing", **config.interface)
     with pytest.raises(ValueError, match=said):
         Trained(aviary, config, path)
     aviary.close()

@@ -558,10 +558,11 @@ def test_the_best_run_is_shipped_without_what_only_training_needs(
     best = max(outcomes, key=outcomes.__getitem__)
     monkeypatch.setattr(ship, "SHIPPED", package)
     monkeypatch.setattr(ship, "shipped_tasks", lambda: ["converge"])
+    monkeypatch.setattr(ship, "SWARM", ())
     monkeypatch.setattr("sys.argv", ["ship.py", str(tmp_path / "learned"), "--episodes", "2"])
     ship.main()
     assert (
-        f"converge: seed {best} (return {outcomes['0']:.2f}, {outcomes['1']:.2f})"
+        f"converge: seed {best} (outcomes {outcomes['0']:.2f}, {outcomes['1']:.2f})"
         in capsys.readouterr().out
     )
     assert (package / "converge" / "run.yaml").read_text().startswith("# ours\n")
@@ -574,6 +575,16 @@ def test_the_best_run_is_shipped_without_what_only_training_needs(
         "run.yaml",
         "policy.safetensors",
     }
+    # Of swarms, the one that does better in the cases that decide.
+    monkeypatch.setattr(ship, "SWARM", ("converge",))
+    monkeypatch.setattr(ship, "swarm_outcome", lambda run, episodes: -int(run.name))
+    swarms = [str(learned / seed) for seed in ("1", "0")]
+    monkeypatch.setattr("sys.argv", ["ship.py", "--swarm", *swarms])
+    ship.main()
+    assert "converge: seed 0 (outcomes -1.00, 0.00)" in capsys.readouterr().out
+    np.testing.assert_array_equal(weights(package / "converge"), weights(learned / "0"))
+    monkeypatch.setattr(ship, "SWARM", ())
+    monkeypatch.setattr("sys.argv", ["ship.py", str(tmp_path / "learned"), "--episodes", "2"])
     (learned / best / "run.yaml").write_text(config(seed=int(best), steps=7).text())
     with pytest.raises(SystemExit, match="other settings"):
         ship.main()

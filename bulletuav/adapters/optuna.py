@@ -1,0 +1,108 @@
+"""Optuna's sampler for studies of training runs; needs the extra `tune`."""
+
+import contextlib
+import json
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from bulletuav.errors import missing
+from bulletuav.training.search import Choices, Range, Space
+
+try:
+    import optuna
+    from optuna.distributions import (
+        BaseDistribution,
+        CategoricalDistribution,
+        FloatDistribution,
+        IntDistribution,
+    )
+except ImportError:
+    raise missing("tuning", "tune") from None
+
+Tried = tuple[Mapping[str, Any], float]
+"""Values of a trial by name, and what came out: NaN where it failed"""
+
+
+def suggest(
+    space: Space, tried: Sequence[Tried], count: int, seed: Sequence[int], maximise: bool
+) -> list[dict[str, Any]]:
+    """Choose the values of further trials, by a tree-structured Parzen estimator.
+
+    The study lives in memory, for this call alone. So what comes out depends on the arguments and
+    on nothing else, whoever flew the trials, and when.
+
+    Args:
+        space: What varies.
+        tried: Trials so far.
+        count: How many to choose.
+        seed: Whole numbers that seed the sampler.
+        maximise: Whether more is better.
+
+    Returns:
+        Values by name, for each trial.
+    """
+    drawn = {name: _distribution(one) for name, one in space.items()}
+    number = int(np.random.SeedSequence(seed).generate_state(1)[0])
+    with _quiet():
+        # Trials of one batch do not know each other's results, and are to differ nevertheless.
+        sampler = optuna.samplers.TPESampler(seed=number, multivariate=True, constant_liar=True)
+        direction = "maximize" if maximise else "minimize"
+        study = optuna.create_study(sampler=sampler, direction=direction)
+        for values, result in tried:
+            study.add_trial(_known(drawn, space, values, result))
+        asked = [study.ask(drawn).params for _ in range(count)]
+    return [
+        {name: _decode(space[name], value) for name, value in params.items()} for params in asked
+    ]
+
+
+def _distribution(one: Range | Choices) -> BaseDistribution:
+    """Make what Optuna draws from; it takes texts for choices, and no lists."""
+    if not isinstance(one, Range):
+        return CategoricalDistribution(list(_named(one)))
+    if one.is_whole:
+        return IntDistribution(int(one.low), int(one.high), log=one.log, step=int(one.step or 1))
+    return FloatDistribution(one.low, one.high, log=one.log, step=one.step)
+
+
+def _named(one: Choices) -> dict[str, Any]:
+    """Give the choices by their texts."""
+    return {json.dumps(value): value for value in one.values}
+
+
+def _decode(one: Range | Choices, value: Any) -> Any:
+    """Turn what Optuna drew into a setting."""
+    return value if isinstance(one, Range) else _named(one)[value]
+
+
+def _known(
+    drawn: Mapping[str, BaseDistribution], space: Space, values: Mapping[str, Any], result: float
+) -> Any:
+    """Make a trial of Optuna's that is over."""
+    params = {
+        name: value if isinstance(space[name], Range) else json.dumps(value)
+        for name, value in values.items()
+    }
+    if np.isnan(result):
+        state, value = optuna.trial.TrialState.FAIL, None
+    else:
+        state, value = optuna.trial.TrialState.COMPLETE, result
+    return optuna.trial.create_trial(
+        state=state, value=value, params=params, distributions=dict(drawn)
+    )
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep Optuna from telling of each study, and from calling settled arguments experimental."""
+    before = optuna.logging.get_verbosity()
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+            yield
+    finally:
+        optuna.logging.set_verbosity(before)

@@ -1,0 +1,141 @@
+"""`bulletuav tune`: search the settings of a training run."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from bulletuav.analysis.metrics import METRICS
+from bulletuav.commands.arguments import out_folder, parse_pairs, print_files
+from bulletuav.commands.progress import show_progress
+from bulletuav.commands.train import add_run, base_config, or_tell, run_config
+from bulletuav.errors import shown
+from bulletuav.files import replace_file
+from bulletuav.policies.run import CONFIG
+from bulletuav.report.study import plot_study, study_table
+from bulletuav.training.search import Space, parse_space
+from bulletuav.training.study import STUDY, TRIALS, Study, best_trials, run_study
+
+ABOUT = {
+    "help": "search the settings of a training run, with Optuna",
+    "description": (
+        "Train runs whose settings vary within ranges, each a run of `bulletuav train`, and tell "
+        "which did best (extras 'tune' and 'sb3'). What is tried follows from the seed alone, "
+        "whatever the number of processes. The same command continues where it was interrupted; "
+        "with more --trials it goes on."
+    ),
+    "epilog": """examples:
+  bulletuav tune crossing --dynamics point_mass --steps 3e5 --trials 24 --workers 2 \\
+      --search model.learning_rate=1e-4:3e-3:log --search model.n_epochs=2:10 \\
+      --search options.num_neighbours=2,4,6 --out study
+  bulletuav tune --study study/study.yaml --out again
+  bulletuav train --config study/trials/007/run.yaml --steps 4e6 --out long""",
+}
+GIVEN = ("metric", "trials", "batch")
+"""Arguments that are settings of a study under the same name"""
+KEYS = ("low", "high", "step")
+"""What stands between colons, in this order"""
+FORM = "LOW:HIGH, LOW:HIGH:log, LOW:HIGH:STEP or A,B,C is needed"
+"""What the argument of --search has to be"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what is searched, how long, and the settings of the runs."""
+    parser.add_argument("task", nargs="?", help="one of `bulletuav tasks`")
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help="run.yaml with the settings that do not vary"
+    )
+    parser.add_argument("--study", type=Path, metavar="FILE", help=f"{STUDY} of a study")
+    parser.add_argument(
+        "--search",
+        action="append",
+        default=[],
+        metavar="NAME=RANGE",
+        help=(
+            "setting that varies, by its name in run.yaml, such as model.gamma=0.9:0.999, "
+            "model.learning_rate=1e-4:1e-2:log, options.num_neighbours=2,4; can be repeated"
+        ),
+    )
+    parser.add_argument(
+        "--metric",
+        help=f"what the last evaluation is judged by: {', '.join(METRICS)} (default: return)",
+    )
+    parser.add_argument("--trials", type=int, metavar="N", help="runs to train (default: 20)")
+    parser.add_argument(
+        "--batch",
+        type=int,
+        metavar="N",
+        help="runs that are chosen at once; other numbers try other settings (default: 4)",
+    )
+    parser.add_argument(
+        "--workers",
+        type=int,
+        default=1,
+        help="processes; their number does not change the results (default: 1)",
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="folder for the files (default: one in tuning/)"
+    )
+    add_run(parser)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Search, print and draw."""
+    study = _study(arguments)
+    out = out_folder(arguments.out or Path("tuning") / study.run.task)
+    with show_progress(f"tuning {study.run.task}", study.trials, "trials") as report:
+        trials = or_tell(out, lambda: run_study(study, out, arguments.workers, report, report.note))
+    table, picture = out / "study.md", out / "study.png"
+    text = study_table(study, trials)
+    replace_file(table, text)
+    plot_study(study, trials, picture)
+    console = Console()
+    console.print(text, markup=False, soft_wrap=True)
+    best = best_trials(study, trials)[0].folder / CONFIG
+    console.print(
+        f"train the best one for longer: bulletuav train --config {best} --steps ... --out ...",
+        highlight=False,
+        markup=False,
+        soft_wrap=True,
+    )
+    print_files(console, [out / STUDY, out / TRIALS, table, picture])
+
+
+def _study(arguments: argparse.Namespace) -> Study:
+    """Take the settings of a study, a file or a task, and change what was given."""
+    sources = [arguments.task, arguments.config, arguments.study]
+    if sum(source is not None for source in sources) != 1:
+        raise ValueError("tune what? Give one of TASK, --config FILE or --study FILE")
+    settings: dict[str, Any] = {
+        name: getattr(arguments, name) for name in GIVEN if getattr(arguments, name) is not None
+    }
+    space: Space = {}
+    if arguments.study is not None:
+        known = Study.read(arguments.study)
+        base, space = known.run, known.space
+        settings = {name: getattr(known, name) for name in GIVEN} | settings
+    else:
+        base = base_config(arguments, arguments.task)
+    if arguments.search or not space:
+        space = space | parse_space(_searched(arguments.search))
+    return Study(run_config(arguments, base), space, **settings)
+
+
+def _searched(pairs: list[str]) -> dict[str, Any]:
+    """Make of --search what a file would hold."""
+    return {name: _range(name, told) for name, told in parse_pairs("--search", pairs).items()}
+
+
+def _range(name: str, told: Any) -> dict[str, Any]:
+    """Make one range, or choices, of a value with colons or commas."""
+    if isinstance(told, list | tuple):
+        return {"choices": list(told)}
+    parts = str(told).split(":")
+    if len(parts) not in (2, 3):
+        raise ValueError(f"--search {name}={shown(told)}: {FORM}")
+    named = [f"{key}={part}" for key, part in zip(KEYS, parts, strict=False)]
+    numbers = parse_pairs("--search", named)
+    if numbers.get("step") == "log":
+        return {"low": numbers["low"], "high": numbers["high"], "log": True}
+    return numbers
