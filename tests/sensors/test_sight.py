@@ -343,13 +343,16 @@ def test_what_overlaps_is_deep_in_all_of_it(make_world):
 def test_measuring_moves_no_body(make_world):
     engine = make_world((BLOCK,), drones=2, obstacles=(Obstacle("sphere", (1.0,)),))
     swarm = swarm_at(engine, [(0, 0, 20), (3, 0, 20)])
-    before = [bullet.getBasePositionAndOrientation(k, engine._client) for k in range(6)]
+    engine._bodies.layouts.make(), engine._bodies.obstacle  # noqa: B018  # all that can be moved
+    bodies = [bullet.getBodyUniqueId(k, engine._client) for k in range(7)]
+    before = [bullet.getBasePositionAndOrientation(k, engine._client) for k in bodies]
     everyone = np.ones((1, 2), dtype=bool)
     moved = swarm.copy()
     moved.position[:] += 5
     clearances(engine, moved, everyone, 50.0)
-    after = [bullet.getBasePositionAndOrientation(k, engine._client) for k in range(6)]
+    after = [bullet.getBasePositionAndOrientation(k, engine._client) for k in bodies]
     assert after == before
+    assert bullet.getNumBodies(engine._client) == len(bodies)
 
 
 def test_overlap_is_negative(make_world):
