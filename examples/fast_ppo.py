@@ -61,16 +61,10 @@ STAY = {"alive": 0.2, "holding": 0.5, "distance": -0.3, "speed": -0.05}
 HOVER = {"difficulty": "medium", "weights": STAY}
 # To keep 6.5 m apart leaves a margin for noise, and for what is seldom met in training.
 APART = {**CROSSING, "num_neighbours": 6, "d_safe": 6.5}
-CROSS, CONVERGE = {"task": "crossing", **POINTS}, {"task": "converge", **POINTS}
-EIGHT = {**CROSS, "num_envs": 32, "num_drones": 8}
-SWARM = [
-    {**CROSS, "num_envs": worlds, "num_drones": drones}
-    for worlds, drones in ((5, 8), (4, 16), (3, 32), (1, 64))
-]
-SWARM += [
-    {**CONVERGE, "num_envs": worlds, "num_drones": drones}
-    for worlds, drones in ((4, 8), (4, 16), (2, 32))
-]
+EIGHT = {"task": "crossing", **POINTS, "num_envs": 32, "num_drones": 8}
+SIZES = [("crossing", 5, 8), ("crossing", 4, 16), ("crossing", 3, 32), ("crossing", 1, 64)]
+SIZES += [("converge", 4, 8), ("converge", 4, 16), ("converge", 2, 32)]
+SWARM = [{"task": task, **POINTS, "num_envs": w, "num_drones": n} for task, w, n in SIZES]
 ALONE = [{"task": "hover", "num_envs": 128}]
 PLANS = {
     "hover": Plan("hover", HOVER, ALONE, 1_000_000, 48, 1536, 5, 2e-3, 0.98, -1.8, 5.0),

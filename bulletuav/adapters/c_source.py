@@ -6,7 +6,7 @@ import subprocess
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,10 +22,12 @@ from bulletuav.policies.layers import (
     Lookup,
     Relu,
     SquareRoot,
+    Swarm,
     Symlog,
     Tanh,
     width_after,
 )
+from bulletuav.policies.swarm_features import APPROACH, LOOK_AHEAD, TINY
 from bulletuav.sensors.base import Label
 
 PRECISIONS = ("float", "double")
@@ -116,14 +118,12 @@ def _source(policy: Deployed, name: str, precision: str) -> str:
         if write is None:
             raise ValueError(f"a layer {type(layer).__name__} has no form in C")
         given = width_after(layer, width)
-        fields = {
-            field: _table(f"{field}_{k}", value, precision, tables)
-            for field, value in layer._asdict().items()
-        }
+        fields = _fields(layer, str(k), precision, tables)
         steps.append(f"    /* {type(layer).__name__} */\n{write(fields, width, given)}")
         width = given
         widths.append(width)
     room = max(widths)
+    is_swarm = any(isinstance(layer, Swarm) for layer in policy.layers)
     suffix = "f" if precision == "float" else ""
     # Two buffers: dense layers read one and write the other.
     return f"""/* {_comment(policy.about)}; see {name}.h */
@@ -132,12 +132,13 @@ def _source(policy: Deployed, name: str, precision: str) -> str:
 
 typedef {precision} number;
 #define F(function) function{"##f" if suffix else ""}
+#define SYMLOG(scale, value) F(copysign)(F(log1p)((scale) * F(fabs)(value)), value)
 
-{"".join(tables)}
+{"".join(tables)}{_approach(precision) if is_swarm else ""}
 void {name}({_arguments(policy, "number")})
 {{
     number x[{room}], y[{room}];
-    int i, j = 0;
+    int i, j = 0{", other" if is_swarm else ""};
     for (i = 0; i < {len(policy.inputs)}; i++) x[i] = observation[i];
 {"".join(steps)}    for (i = 0; i < {len(policy.outputs)}; i++) setpoint[i] = x[i];
     (void)y;
@@ -146,13 +147,32 @@ void {name}({_arguments(policy, "number")})
 """
 
 
-def _table(name: str, value: Any, precision: str, tables: list[str]) -> str:
-    """Add an array as a constant and give its name; give a number as it is."""
+class _Table(NamedTuple):
+    """A constant array: its name in C, and its shape."""
+
+    name: str
+    shape: tuple[int, ...]
+
+    def __str__(self) -> str:
+        return self.name
+
+
+def _fields(value: Any, name: str, precision: str, tables: list[str]) -> Any:
+    """Add arrays as constants, and give what stands for a layer or a part of one in C."""
+    if hasattr(value, "_asdict"):
+        parts = value._asdict().items()
+        return {field: _fields(one, f"{field}_{name}", precision, tables) for field, one in parts}
+    if isinstance(value, tuple):
+        return [_fields(one, f"{name}_{k}", precision, tables) for k, one in enumerate(value)]
     if not isinstance(value, np.ndarray):
         return _number(value, precision)
-    numbers = ", ".join(_number(one, precision) for one in value.ravel())
-    tables.append(f"static const number {name}[{value.size}] = {{{numbers}}};\n")
-    return name
+    if value.dtype.kind == "i":
+        kind, numbers = "int", ", ".join(map(str, value.ravel()))
+    else:
+        kind, numbers = "number", ", ".join(_number(one, precision) for one in value.ravel())
+    if value.size:
+        tables.append(f"static const {kind} {name}[{value.size}] = {{{numbers}}};\n")
+    return _Table(name, value.shape)
 
 
 def _number(value: float, precision: str) -> str:
@@ -165,8 +185,8 @@ def _number(value: float, precision: str) -> str:
     return f"{text}f" if precision == "float" else text
 
 
-Fields = dict[str, str]
-"""Names of a layer's tables, and its numbers, by the names of its fields"""
+Fields = dict[str, Any]
+"""A layer's tables and numbers in C, and parts of it, by the names of its fields"""
 
 
 def _each(body: str, width: int) -> str:
@@ -184,8 +204,7 @@ def _affine(f: Fields, width: int, given: int) -> str:
 
 
 def _symlog(f: Fields, width: int, given: int) -> str:
-    grown = f"F(log1p)({f['scale']} * F(fabs)(x[i]))"
-    return _each(f"x[i] = F(copysign)({grown}, x[i]);", width)
+    return _each(f"x[i] = SYMLOG({f['scale']}, x[i]);", width)
 
 
 def _dense(f: Fields, width: int, given: int) -> str:
@@ -226,6 +245,81 @@ def _lookup(f: Fields, width: int, given: int) -> str:
     return "    j = (int)x[0];\n" + _each(f"x[i] = {f['rows']}[{given} * j + i];", given)
 
 
+def _approach(precision: str) -> str:
+    """Write the function that tells where another comes closest if both fly straight on."""
+    tiny, ahead = (_number(value, precision) for value in (TINY, LOOK_AHEAD))
+    return f"""
+/* Give {APPROACH} features of the closest approach: place (3), distance, time. */
+static void approach(const number *x, const int *columns, const int *motion, number *given)
+{{
+    number along = 0, square = 0, time, distance = {tiny};
+    int k;
+    for (k = 0; k < 3; k++) {{
+        along += x[columns[motion[k]]] * x[columns[motion[3 + k]]];
+        square += x[columns[motion[3 + k]]] * x[columns[motion[3 + k]]];
+    }}
+    time = -along / (square + {tiny});
+    time = time < 0 ? 0 : time > {ahead} ? {ahead} : time;
+    for (k = 0; k < 3; k++) {{
+        number place = x[columns[motion[k]]] + x[columns[motion[3 + k]]] * time;
+        distance += place * place;
+        given[k] = SYMLOG(1, place);
+    }}
+    given[3] = F(log1p)(F(sqrt)(distance));
+    given[4] = time / ({ahead} / 2);
+}}
+"""
+
+
+def _swarm(f: Fields, width: int, given: int) -> str:
+    (own,) = f["own"].shape
+    lines = _each(f"y[i] = SYMLOG({f['scale']}, x[{f['own']}[i]]);", own) if own else ""
+    place = own
+    for kind in f["kinds"]:
+        lines += _others(kind, own, f["scale"], place)
+        place += 2 * kind["layers"][-1]["bias"].shape[0]
+    return f"{lines}{_each('x[i] = y[i];', given)}"
+
+
+def _others(kind: Fields, own: int, scale: str, place: int) -> str:
+    """Write the sum and the largest over others of one kind to y, from a place on."""
+    columns, motion = kind["columns"], kind["motion"]
+    count, told = columns.shape
+    size = kind["layers"][-1]["bias"].shape[0]
+    known = told + (APPROACH if motion.shape[0] else 0)
+    room = max(layer["weight"].shape[1] for layer in kind["layers"])
+    room = max(room, *(layer["bias"].shape[0] for layer in kind["layers"]))
+    column = f"x[{columns}[{told} * other + i]]"
+    steps = f"""    for (i = 0; i < {2 * size}; i++) y[{place} + i] = 0;
+    for (other = 0; other < {count}; other++) {{
+        number here[{room}], next[{room}];
+        int there = 0;
+        for (i = 0; i < {told}; i++) {{
+            there |= {column} != 0;
+            here[i] = SYMLOG({scale}, {column});
+        }}
+        if (!there) continue;
+"""
+    if motion.shape[0]:
+        steps += f"        approach(x, {columns} + {told} * other, {motion}, here + {told});\n"
+    if own:
+        steps += f"        for (i = 0; i < {own}; i++) here[{known} + i] = y[i];\n"
+    for layer in kind["layers"]:
+        outputs, inputs = layer["weight"].shape
+        steps += f"""        for (i = 0; i < {outputs}; i++) {{
+            next[i] = {layer["bias"]}[i];
+            for (j = 0; j < {inputs}; j++) next[i] += {layer["weight"]}[{inputs} * i + j] * here[j];
+        }}
+        for (i = 0; i < {outputs}; i++) here[i] = next[i] > 0 ? next[i] : 0;
+"""
+    return f"""{steps}        for (i = 0; i < {size}; i++) {{
+            y[{place} + i] += here[i] / 2;
+            if (here[i] > y[{place + size} + i]) y[{place + size} + i] = here[i];
+        }}
+    }}
+"""
+
+
 LAYERS: dict[type[Layer], Callable[[Fields, int, int], str]] = {
     Clip: _clip,
     Affine: _affine,
@@ -237,6 +331,7 @@ LAYERS: dict[type[Layer], Callable[[Fields, int, int], str]] = {
     LimitNorm: _limit_norm,
     Choose: _choose,
     Lookup: _lookup,
+    Swarm: _swarm,
 }
 """What writes each kind of layer: of its fields, and of how many numbers it takes and gives"""
 

@@ -17,11 +17,14 @@ from bulletuav.policies.layers import (
     Layer,
     LimitNorm,
     Lookup,
+    Others,
     Relu,
     SquareRoot,
+    Swarm,
     Symlog,
     Tanh,
 )
+from bulletuav.policies.swarm_features import LOOK_AHEAD, TINY
 from bulletuav.sensors.base import Label
 
 try:
@@ -47,9 +50,10 @@ class _Graph:
         self.constants: list[Any] = []
 
     def constant(self, values: Any) -> str:
-        """Add a constant and give its name."""
+        """Add a constant and give its name; whole numbers stay such."""
         name = f"constant_{len(self.constants)}"
-        array = np.asarray(values, dtype=self.kind)
+        array = np.asarray(values)
+        array = array.astype(np.int64 if array.dtype.kind == "i" else self.kind)
         self.constants.append(numpy_helper.from_array(array, name))
         return name
 
@@ -175,6 +179,63 @@ def _lookup(graph: _Graph, value: str, layer: Lookup) -> str:
     return graph.add("Gather", graph.constant(layer.rows), value)
 
 
+def _swarm(graph: _Graph, value: str, layer: Swarm) -> str:
+    parts = []
+    if len(layer.own):
+        parts.append(_columns(graph, value, layer.own, layer.scale))
+    for kind in layer.kinds:
+        each = _each_other(graph, value, kind, layer)
+        summed = graph.add("ReduceSum", each, graph.constant([1]), keepdims=0)
+        parts.append(graph.add("Div", summed, graph.constant(2.0)))
+        parts.append(graph.add("ReduceMax", each, axes=[1], keepdims=0))
+    return graph.add("Concat", *parts, axis=1)
+
+
+def _columns(graph: _Graph, value: str, columns: np.ndarray, scale: float) -> str:
+    """Add compressed numbers of an observation."""
+    return _symlog(
+        graph, graph.add("Gather", value, graph.constant(columns), axis=1), Symlog(scale)
+    )
+
+
+def _each_other(graph: _Graph, value: str, kind: Others, layer: Swarm) -> str:
+    """Add what is made of each other of a kind, (drones, K, F); zeros for who is not there."""
+    others = graph.add("Gather", value, graph.constant(kind.columns), axis=1)
+    parts = [_symlog(graph, others, Symlog(layer.scale))]
+    if len(kind.motion):
+        parts += _approach(graph, others, kind.motion)
+    if len(layer.own):
+        shared = np.tile(layer.own, (len(kind.columns), 1))
+        parts.append(_columns(graph, value, shared, layer.scale))
+    each = graph.add("Concat", *parts, axis=-1)
+    for dense in kind.layers:
+        each = _relu(graph, _dense(graph, each, dense), Relu())
+    size = graph.add("ReduceMax", graph.add("Abs", others), axes=[-1], keepdims=1)
+    return graph.add("Mul", each, graph.add("Sign", size))
+
+
+def _approach(graph: _Graph, others: str, motion: np.ndarray) -> list[str]:
+    """Add where others come closest if both fly straight on: place, distance, time."""
+    position, velocity = (
+        graph.add("Gather", others, graph.constant(part), axis=2)
+        for part in (motion[:3], motion[3:])
+    )
+    tiny, last = graph.constant(TINY), graph.constant([-1])
+    along, square = (
+        graph.add("ReduceSum", graph.add("Mul", velocity, other), last, keepdims=1)
+        for other in (position, velocity)
+    )
+    soon = graph.add("Div", graph.add("Neg", along), graph.add("Add", square, tiny))
+    soon = graph.add("Max", soon, graph.constant(0.0))
+    time = graph.add("Min", soon, graph.constant(LOOK_AHEAD))
+    place = graph.add("Add", position, graph.add("Mul", velocity, time))
+    far = graph.add("ReduceSum", graph.add("Mul", place, place), last, keepdims=1)
+    distance = graph.add("Sqrt", graph.add("Add", far, tiny))
+    grown = graph.add("Log", graph.add("Add", distance, graph.constant(1.0)))
+    share = graph.add("Div", time, graph.constant(LOOK_AHEAD / 2))
+    return [_symlog(graph, place, Symlog(1.0)), grown, share]
+
+
 LAYERS: dict[type[Layer], Callable[[_Graph, str, Any], str]] = {
     Clip: _clip,
     Affine: _affine,
@@ -186,5 +247,6 @@ LAYERS: dict[type[Layer], Callable[[_Graph, str, Any], str]] = {
     LimitNorm: _limit_norm,
     Choose: _choose,
     Lookup: _lookup,
+    Swarm: _swarm,
 }
 """What adds each kind of layer to a graph: of the value before it, to the name of the one after"""

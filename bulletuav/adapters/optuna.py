@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bulletuav.errors import missing
-from bulletuav.training.search import Choices, Range, Space
+from bulletuav.policies.space import Choices, Range, Space
 
 try:
     import optuna

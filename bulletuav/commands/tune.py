@@ -13,8 +13,8 @@ from bulletuav.commands.train import add_run, base_config, or_tell, run_config
 from bulletuav.errors import shown
 from bulletuav.files import replace_file
 from bulletuav.policies.run import CONFIG
+from bulletuav.policies.space import Space, parse_space
 from bulletuav.report.study import plot_study, study_table
-from bulletuav.training.search import Space, parse_space
 from bulletuav.training.study import STUDY, TRIALS, Study, best_trials, run_study
 
 ABOUT = {

@@ -85,7 +85,38 @@ class Lookup(NamedTuple):
     rows: np.ndarray
 
 
-Layer = Clip | Affine | Symlog | Dense | Tanh | Relu | SquareRoot | LimitNorm | Choose | Lookup
+class Others(NamedTuple):
+    """Others of one kind, such as neighbours, among the numbers of an observation.
+
+    Attributes:
+        columns: (K, n) int, places of the numbers of each of them.
+        motion: (6,) int, places of relative position and velocity among the numbers of one; or (0,)
+            where they are not told.
+        layers: What each of them goes through, first to last, with `Relu` after each.
+    """
+
+    columns: np.ndarray
+    motion: np.ndarray
+    layers: tuple[Dense, ...]
+
+
+class Swarm(NamedTuple):
+    """Give features of a drone among others, see `bulletuav.policies.swarm_features`.
+
+    Attributes:
+        own: (m,) int, places of the numbers that tell of no other.
+        kinds: The others.
+        scale: Scale of the numbers, as that of `Symlog`.
+    """
+
+    own: np.ndarray
+    kinds: tuple[Others, ...]
+    scale: float
+
+
+Layer = (
+    Clip | Affine | Symlog | Dense | Tanh | Relu | SquareRoot | LimitNorm | Choose | Lookup | Swarm
+)
 """One layer, of any kind"""
 
 
@@ -98,6 +129,8 @@ def width_after(layer: Layer, width: int) -> int:
     """
     if isinstance(layer, Dense):
         return len(layer.bias)
+    if isinstance(layer, Swarm):
+        return len(layer.own) + sum(2 * len(kind.layers[-1].bias) for kind in layer.kinds)
     if isinstance(layer, Choose):
         return 1
     return layer.rows.shape[1] if isinstance(layer, Lookup) else width

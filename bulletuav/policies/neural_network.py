@@ -229,14 +229,14 @@ class Network:
         """List what it computes, first to last, for writers of other formats.
 
         Raises:
-            ValueError: It has features of users or of others, for which there is no layer.
+            ValueError: It has features of users, for which there is no layer.
         """
-        if self._users is not None or self._swarm is not None:
-            kind = "swarm" if self._users is None else "user_sum"
+        if self._users is not None:
             raise ValueError(
-                f"features {kind!r} have no form for other programs: train with features 'symlog'"
+                "features 'user_sum' have no form for other programs: train with features 'symlog'"
             )
         layers: list[Layer] = [] if self._scale is None else [Symlog(self._scale)]
+        layers += [] if self._swarm is None else [self._swarm.layer()]
         between = Tanh() if self._actor.activation is _tanh else Relu()
         for k, (weight, bias) in enumerate(self._layers):
             layers += [between, Dense(weight, bias)] if k else [Dense(weight, bias)]

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bulletuav.policies.features import Layers, symlog
+from bulletuav.policies.layers import Dense, Others, Swarm
 from bulletuav.sensors.base import Label
 
 OTHERS = ("neighbour", "intruder", "other", "opponent", "teammate", "obstacle", "target")
@@ -115,6 +116,18 @@ class SwarmFeatures:
                     f"features of each {word} take {known} numbers, and here they are {inputs}"
                 )
         self._layout, self._layers, self._scale = layout, layers, scale
+
+    def layer(self) -> Swarm:
+        """Tell what it computes, for writers of other formats."""
+        kinds = tuple(
+            Others(
+                np.array(kind.columns),
+                np.array(kind.motion, dtype=int),
+                tuple(Dense(weight, bias) for weight, bias in self._layers[word]),
+            )
+            for word, kind in self._layout.kinds.items()
+        )
+        return Swarm(np.array(self._layout.own, dtype=int), kinds, self._scale)
 
     def __call__(self, rows: np.ndarray) -> np.ndarray:
         """Compute features.

@@ -9,9 +9,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import NullFormatter
 
+from bulletuav.policies.space import Range
 from bulletuav.report.charts import COLOURS
 from bulletuav.report.figures import blank_figure, save_figure
-from bulletuav.training.search import Range
 from bulletuav.training.study import Study, Trial, best_trials
 
 COLUMNS = 4

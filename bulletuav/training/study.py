@@ -15,8 +15,8 @@ from bulletuav.analysis.metrics import METRICS
 from bulletuav.errors import as_int, choose, unknown
 from bulletuav.files import replace_file
 from bulletuav.policies.run import MODULE_NAME, VERSION, RunConfig, read_settings, write_settings
+from bulletuav.policies.space import Space, check_space, parse_space, with_values
 from bulletuav.training.campaign import processes, train_in_process
-from bulletuav.training.search import Space, check_space, parse_space, with_values
 from bulletuav.training.store import FolderError, Row, locked
 
 STUDY = "study.yaml"

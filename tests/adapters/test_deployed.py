@@ -12,6 +12,7 @@ from bulletuav.envs.env_spec import EnvSpec
 from bulletuav.policies.layers import Choose, Dense
 from bulletuav.policies.neural_network import ACTORS, HIGH, LOW
 from bulletuav.policies.run import RunConfig, shipped
+from bulletuav.policies.swarm_features import find_layout
 from bulletuav.sensors.base import Label
 
 NAMES = {
@@ -19,11 +20,17 @@ NAMES = {
     "dqn": ("q_net.q_net.0", "q_net.q_net.2"),
 }
 NAMES["sac"] = ("actor.latent_pi.0", "actor.mu")
+SWARM = {
+    "own and others": {"observation": ("velocity", "goal", "intruders", "neighbours")},
+    "others alone": {"observation": "intruders"},
+    "without motion": {"observation": ("goal", "obstacles"), "num_obstacles": 2},
+}
 CASES = {
     **{action: ("ppo", {"action": action}) for action in (*AFFINE, *LIMITED, "rotor")},
     "squashed": ("sac", {}),
     "choices": ("dqn", {"action": "discrete_27"}),
     "normalised": ("ppo", {"normalise": True}),
+    **{name: ("ppo", options) for name, options in SWARM.items()},
 }
 
 
@@ -31,13 +38,24 @@ CASES = {
 def policy(request, tmp_path):
     """A network of random weights, as a run keeps it."""
     algo, options = CASES[request.param]
-    config = RunConfig("crossing", algo, options={"num_drones": 3, **options})
+    model = {"features": "swarm"} if request.param in SWARM else {}
+    config = RunConfig("crossing", algo, options={"num_drones": 3, **options}, model=model)
     spec = EnvSpec("crossing", 1, config.evaluated)
     action, rng = spec.action, np.random.default_rng(1)
+    features, inputs = {}, len(spec.observer.labels)
+    if request.param in SWARM:
+        layout = find_layout(spec.observer.labels)
+        inputs = len(layout.own) + 2 * 5 * len(layout.kinds)
+        for word in layout.kinds:
+            for number, shape in ((0, (6, layout.inputs(word))), (2, (5, 6))):
+                name = f"features_extractor.each.{word}.{number}"
+                features[f"{name}.weight"] = rng.normal(0, 0.5, shape)
+                features[f"{name}.bias"] = rng.normal(0, 1, shape[0])
     size = action.choices or action.size(0)
     hidden, last = NAMES[algo]
     arrays = {
-        f"{hidden}.weight": rng.normal(0, 0.3, (8, len(spec.observer.labels))),
+        **features,
+        f"{hidden}.weight": rng.normal(0, 0.3, (8, inputs)),
         f"{hidden}.bias": rng.normal(0, 1, 8),
         f"{last}.weight": rng.normal(0, 1, (size, 8)),
         f"{last}.bias": rng.normal(0, 1, size),
@@ -53,6 +71,7 @@ def policy(request, tmp_path):
 
 def agree(policy, run, precision):
     rows = policy.observations()
+    rows[::3, len(rows[0]) // 2 :] = 0  # as of others who are not there
     own = policy.act(rows)
     given = run(rows, policy, precision)
     assert np.ptp(own, axis=0).max() > 0.1  # it does not do the same whatever it sees

@@ -343,7 +343,7 @@ def test_what_overlaps_is_deep_in_all_of_it(make_world):
 def test_measuring_moves_no_body(make_world):
     engine = make_world((BLOCK,), drones=2, obstacles=(Obstacle("sphere", (1.0,)),))
     swarm = swarm_at(engine, [(0, 0, 20), (3, 0, 20)])
-    engine._bodies.layouts.make(), engine._bodies.obstacle  # noqa: B018  # all that can be moved
+    engine._bodies.layouts.make(), engine._bodies.obstacle  # all that can be moved
     bodies = [bullet.getBodyUniqueId(k, engine._client) for k in range(7)]
     before = [bullet.getBasePositionAndOrientation(k, engine._client) for k in bodies]
     everyone = np.ones((1, 2), dtype=bool)

@@ -11,10 +11,10 @@ import pytest
 from bulletuav.cli import main
 from bulletuav.files import replace_file
 from bulletuav.policies.run import RunConfig
+from bulletuav.policies.space import Choices, Range, parse_space, with_values
 from bulletuav.report.study import plot_study, study_table
 from bulletuav.training import study as studies
 from bulletuav.training import trainer
-from bulletuav.training.search import Choices, Range, parse_space, with_values
 from bulletuav.training.store import FolderError
 from bulletuav.training.study import Study, best_trials, run_study
 
