@@ -98,7 +98,7 @@ LOOKS = {"geometry/view.py", "sensors/camera.py", "envs/renderer.py"}
 """Files of pictures, which flights do not depend on"""
 EXACT_ENOUGH = {
     "geometry/convex.py",  # bounds of shapes, by the length of corners
-    "tasks/check.py",  # how deep a start may be in the ground
+    "tasks/spawns.py",  # how deep a start may be in the ground
 }
 
 

@@ -163,7 +163,8 @@ def test_surface_below_an_edge_inside_the_compiled_loop(pair):
         one.place().spin(one.airframe.hover_speed())
         lifts.append(one.swarm.velocity[0, :, 2].copy())
     same(*benches)
-    assert lifts[0][0] > 5 * lifts[0][1] > 0
+    assert lifts[0][0] > 1e-3
+    assert abs(lifts[0][1]) < 1e-12  # 1.3 m above the ground no effect is left
     assert lifts[0][1] == pytest.approx(lifts[0][2], rel=1e-6)
 
 

@@ -215,7 +215,7 @@ def test_each_effect_can_be_switched_off_and_matters(effect):
         aviary = bulletuav.Aviary(
             "hover",
             num_drones=2,
-            start=((0, 0, 0.2), (0, 0, 0.7)),
+            start=((0, 0, 0.1), (0, 0, 0.6)),
             wind=(2.0, 0, 0),
             effects=chosen,
             dynamics="rigid_body",

@@ -62,6 +62,7 @@ def test_the_engine_gives_the_same(make_world, irregularity):
     way[:5000, 2] = way[5000:6000, 0] = way[6000:7000, 1] = 0  # level, and along the axes
     way *= rng.uniform(1, 300, (len(start), 1)) / np.linalg.norm(way, axis=1, keepdims=True)
     walked = cast(engine, start, start + way)
+    engine._bodies.layouts.make()
     reference = engine._calls.rays(start, start + way, VISIBLE)
     apart = np.abs(walked - reference) * np.linalg.norm(way, axis=1)
     assert (walked < 1).mean() > 0.3
