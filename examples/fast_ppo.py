@@ -53,6 +53,7 @@ class Plan(NamedTuple):
     gamma: float = 0.99
     log_std: float = -1.0
     scale: float = 1.0
+    decay: float = 1.0  # share of the training, at its end, in which the rate falls
 
 
 POINTS = {"dynamics": "point_mass"}  # which are fast
@@ -67,7 +68,7 @@ SIZES += [("converge", 4, 8), ("converge", 4, 16), ("converge", 2, 32)]
 SWARM = [{"task": task, **POINTS, "num_envs": w, "num_drones": n} for task, w, n in SIZES]
 ALONE = [{"task": "hover", "num_envs": 128}]
 PLANS = {
-    "hover": Plan("hover", HOVER, ALONE, 1_000_000, 48, 1536, 5, 2e-3, 0.98, -1.8, 5.0),
+    "hover": Plan("hover", HOVER, ALONE, 1_200_000, 48, 1536, 5, 2e-3, 0.98, -1.8, 5.0, 0.5),
     "crossing": Plan("crossing", CROSSING, [EIGHT], 1_800_000),
     "swarm": Plan("crossing", APART, SWARM, 6_000_000),
 }
@@ -214,7 +215,7 @@ def train(plan: Plan, seed: int, central: bool, folder: Path) -> None:
     each = len(worlds.seen) * plan.decisions
     rounds = max(1, plan.steps // each)
     for k in range(rounds):
-        optimiser.param_groups[0]["lr"] = plan.rate * (1 - k / rounds)
+        optimiser.param_groups[0]["lr"] = plan.rate * min(1.0, (1 - k / rounds) / plan.decay)
         rows = collect(worlds, agent, plan)
         learn(agent, optimiser, rows, plan)
         if k % 10 == 0 or k == rounds - 1:
