@@ -19,10 +19,11 @@ class Infos(dict[str, Any]):
     _make: Callable[[], Mapping[str, Any]] | None
 
     def _fill(self) -> None:
-        make, self._make = self._make, None
-        if make is not None:
-            super().clear()
-            super().update(make())
+        if self._make is not None:
+            # In this order: after an interrupt they are made by the next who asks
+            super().update(self._make())
+            super().pop("", None)
+            self._make = None
 
     def __reduce__(self) -> Any:
         """Travel as a plain dict."""

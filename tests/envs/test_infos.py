@@ -85,6 +85,22 @@ def test_every_method_of_dict_that_looks_at_values_is_one_of_theirs():
     }
 
 
+def test_an_interrupt_loses_nothing():
+    """Whoever asks next gets them."""
+    told = iter((KeyboardInterrupt, {"a": 1, "b": 2}))
+
+    def make():
+        value = next(told)
+        if value is KeyboardInterrupt:
+            raise value
+        return value
+
+    infos = later(make)
+    with pytest.raises(KeyboardInterrupt):
+        len(infos)
+    assert list(infos.items()) == [("a", 1), ("b", 2)]
+
+
 def test_infos_of_a_step_stay_when_others_are_flown():
     env = bulletuav.parallel_env("hover", dynamics="rigid_body", num_drones=2)
     env.reset(seed=0)
