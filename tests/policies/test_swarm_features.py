@@ -145,14 +145,3 @@ def test_layers_for_other_numbers_are_refused():
             {"features": "swarm"},
             labels(0),
         )
-
-
-def test_it_has_no_form_for_other_programs():
-    weights = {"action_net.weight": np.ones((1, 3)), "action_net.bias": np.ones(1)}
-    for kind, layers in flown(learned(2), 2)._layers.items():
-        for k, (weight, bias) in enumerate(layers):
-            weights[f"features_extractor.each.{kind}.{2 * k}.weight"] = weight
-            weights[f"features_extractor.each.{kind}.{2 * k}.bias"] = bias
-    network = Network(weights, "ppo", {"features": "swarm"}, labels(2))
-    with pytest.raises(ValueError, match="features 'swarm' have no form for other programs"):
-        network.layers()
