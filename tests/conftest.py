@@ -66,3 +66,13 @@ def urdf(tmp_path):
         return path
 
     return write
+
+
+@pytest.fixture
+def turns(monkeypatch):
+    """Periods of the turns that were waited for; nothing waits."""
+    from bulletuav.envs.pacer import Pacer
+
+    waited = []
+    monkeypatch.setattr(Pacer, "wait", lambda self: waited.append(self.period))
+    return waited

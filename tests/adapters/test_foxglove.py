@@ -16,7 +16,6 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 import bulletuav
 from bulletuav.cli import main
-from bulletuav.envs.pacer import Pacer
 
 pytest.importorskip("foxglove", reason="needs the extra foxglove")
 websockets = pytest.importorskip("websockets.sync.client", reason="needs websockets")
@@ -80,14 +79,6 @@ def until(condition):
     while not condition():
         assert time.monotonic() < end
         time.sleep(0.005)
-
-
-@pytest.fixture
-def turns(monkeypatch):
-    """Periods of the turns that were waited for; nothing waits."""
-    waited = []
-    monkeypatch.setattr(Pacer, "wait", lambda self: waited.append(self.period))
-    return waited
 
 
 @pytest.fixture

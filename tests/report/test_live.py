@@ -13,7 +13,6 @@ from payload_block import Block
 
 import bulletuav
 from bulletuav.cli import main
-from bulletuav.envs.pacer import Pacer
 from bulletuav.envs.viewer import parse_address
 from bulletuav.report import feed as feeds
 from bulletuav.report.feed import MOST_WAITING, Feed, event
@@ -50,14 +49,6 @@ class Watcher:
     def leave(self):
         self.answer.close()
         self.connection.close()
-
-
-@pytest.fixture
-def turns(monkeypatch):
-    """Periods of the turns that were waited for; nothing waits."""
-    waited = []
-    monkeypatch.setattr(Pacer, "wait", lambda self: waited.append(self.period))
-    return waited
 
 
 @pytest.fixture
