@@ -26,7 +26,8 @@ class Space(Face):
         self.places = np.array([(2.0 * k, 0.0, 5.0) for k in range(count)])
         options = {name: form.options[name] for name in KEPT if name in form.options}
         # Without weight nothing but ROTOR can be commanded, and only in dynamics with motors.
-        if not options.get("gravity", True):
+        gravity = options.get("gravity", 1.0)
+        if isinstance(gravity, int | float) and gravity == 0:
             del options["gravity"]
         self.started = True
         return Airspace(self.places, **{"decision_hz": 24, "seed": 0, **options})
