@@ -9,6 +9,7 @@ from typing import Any
 
 from bulletuav.adapters.flights import Flight
 from bulletuav.adapters.ros import stamps_of, topics_of
+from bulletuav.envs.viewer import join_address
 from bulletuav.errors import missing
 
 try:
@@ -54,8 +55,7 @@ class FoxgloveServer:
                 f"cannot serve Foxglove at {host}, port {port}: {reason}; "
                 f"if another live view is there, choose another port"
             ) from error
-        shown = f"[{host}]" if ":" in host else host
-        self.address = f"ws://{shown}:{self._server.port}"
+        self.address = f"ws://{join_address(host, self._server.port)}"
         for name, kind in FIRST:
             self._channel(name, kind)
 

@@ -58,6 +58,11 @@ def parse_address(address: Any) -> tuple[str, int]:
     return host.strip("[]"), as_int("port of render_address", int(port), 0, 65535)
 
 
+def join_address(host: str, port: int) -> str:
+    """Write host and port as `parse_address` reads them."""
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+
+
 def require_single(render_mode: str | None, stages: int) -> None:
     """Raise ValueError for a live view of several stages, each of which has worlds of its own."""
     if render_mode in VIEWERS and stages > 1:

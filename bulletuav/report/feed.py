@@ -13,6 +13,8 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from ipaddress import ip_address
 from typing import Any
 
+from bulletuav.envs.viewer import join_address
+
 MOST_VIEWERS = 64
 MOST_WAITING = 64
 """Events that a viewer leaves unread until it is let go; its page connects anew"""
@@ -77,8 +79,7 @@ class Feed:
                 f"cannot serve the live page at {host}, port {port}: {error.strerror or error}; "
                 f"if another live page is there, choose another port"
             ) from error
-        shown = f"[{host}]" if ":" in host else host
-        self.address = f"{shown}:{self._server.server_address[1]}"
+        self.address = join_address(host, self._server.server_address[1])
         self._names = (*LOOPBACK_NAMES, host) if _is_loopback(host) else ()
         threading.Thread(target=self._server.serve_forever, args=(0.1,), daemon=True).start()
         LOG.info("live page at http://%s/", self.address)

@@ -67,7 +67,7 @@ def wrench(
     speed_of_air = math.sqrt(dot(air_velocity, air_velocity))
     slowed, tipped = drag_along(to_body(quaternion, air_velocity), speed_of_air, total_speed, row)
     force = to_world(quaternion, (slowed[0], slowed[1], slowed[2] + thrust))
-    # What stage has in common is summed first.
+    # What all stages of a substep have in common is summed first.
     held = (push[0], push[1], push[2] - row.mass * gravity)
     turn = plus(torque, 1.0, twist)
     return plus(force, 1.0, held), (

@@ -13,7 +13,7 @@ from payload_block import Block
 
 import bulletuav
 from bulletuav.cli import main
-from bulletuav.envs.viewer import parse_address
+from bulletuav.envs.viewer import join_address, parse_address
 from bulletuav.report import feed as feeds
 from bulletuav.report.feed import MOST_WAITING, Feed, event
 
@@ -243,6 +243,7 @@ def test_what_cannot_be_is_one_line(capsys, tmp_path):
         with pytest.raises(ValueError, match=r"render_address"):
             parse_address(wrong)
     assert parse_address("[::1]:80") == ("::1", 80)
+    assert parse_address(join_address("::1", 80)) == ("::1", 80)
     stages = [{"num_drones": 2}, {"num_drones": 3}]
     with pytest.raises(ValueError, match="'web', and there are 2 stages"):
         bulletuav.curriculum_env("crossing", stages, render_mode="web")
