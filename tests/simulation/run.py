@@ -1,6 +1,7 @@
 """Runs: many operations from one integer, and the few of them that show a failure."""
 
 import faulthandler
+import gc
 import time
 import warnings
 from collections import Counter
@@ -93,6 +94,7 @@ def run(
         skip: Names of operations that are left out.
     """
     sim, before = Sim(wide, folder), Resources.now()
+    gc.freeze()  # what is compiled by now stays: searches for garbage leave it out
     counts: Counter[tuple[str, str]] = Counter()
     seconds: Counter[str] = Counter()
     failure, ran = None, []
