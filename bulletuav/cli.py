@@ -6,6 +6,7 @@ Its commands are `tasks`, `fly`, `city`, `evaluate`, `compare`, `dataset`, `merg
 
 import argparse
 import difflib
+import importlib
 import os
 import signal
 import sys
@@ -13,49 +14,31 @@ from collections.abc import Sequence
 from types import ModuleType
 from typing import NoReturn
 
-from bulletuav.commands import (
-    benchmark,
-    city,
-    compare,
-    dataset,
-    doctor,
-    evaluate,
-    export,
-    fly,
-    identify,
-    incentives,
-    merge,
-    replay,
-    serve,
-    tasks,
-    train,
-    tune,
-    verify,
-)
 from bulletuav.errors import missing
 from bulletuav.policies import policy_names
 from bulletuav.tasks import list_tasks
 from bulletuav.version import __version__
 
-COMMANDS: dict[str, ModuleType] = {
-    "tasks": tasks,
-    "fly": fly,
-    "city": city,
-    "evaluate": evaluate,
-    "compare": compare,
-    "dataset": dataset,
-    "merge": merge,
-    "train": train,
-    "tune": tune,
-    "verify": verify,
-    "replay": replay,
-    "export": export,
-    "identify": identify,
-    "incentives": incentives,
-    "serve": serve,
-    "benchmark": benchmark,
-    "doctor": doctor,
-}
+COMMANDS = (
+    "tasks",
+    "fly",
+    "city",
+    "evaluate",
+    "compare",
+    "dataset",
+    "merge",
+    "train",
+    "tune",
+    "verify",
+    "replay",
+    "export",
+    "identify",
+    "incentives",
+    "serve",
+    "benchmark",
+    "doctor",
+)
+"""Names of the commands, and of their modules in `bulletuav.commands`"""
 
 
 class _Parser(argparse.ArgumentParser):
@@ -65,8 +48,17 @@ class _Parser(argparse.ArgumentParser):
         self.exit(2, f"{self.prog}: error: {message} (see {self.prog} --help)\n")
 
 
-def _parser() -> tuple[_Parser, dict[str, _Parser]]:
-    """Build the parser of the command line, and those of its commands by name."""
+def _module(name: str) -> ModuleType:
+    """Import a command, once it is asked for: all of them take seconds."""
+    return importlib.import_module(f"bulletuav.commands.{name}")
+
+
+def _parser(words: Sequence[str]) -> tuple[_Parser, dict[str, _Parser]]:
+    """Build the parser of the command line, and those of its commands by name.
+
+    Args:
+        words: Words after `bulletuav`. Where the first names a command, the parser knows no other.
+    """
     parser = _Parser(
         prog="bulletuav",
         description="A drone-swarm gym on PyBullet.",
@@ -80,7 +72,8 @@ def _parser() -> tuple[_Parser, dict[str, _Parser]]:
         parser_class=_Parser,
     )
     commands = {}
-    for name, command in COMMANDS.items():
+    for name in words[:1] if words and words[0] in COMMANDS else COMMANDS:
+        command = _module(name)
         commands[name] = adder.add_parser(
             name,
             **command.ABOUT,
@@ -91,14 +84,13 @@ def _parser() -> tuple[_Parser, dict[str, _Parser]]:
     return parser, commands
 
 
-def _complete(parser: _Parser, commands: dict[str, _Parser]) -> None:
+def _complete() -> None:
     """Tell a shell that asks what words come next, where the extra `completion` is installed."""
-    if "_ARGCOMPLETE" not in os.environ:
-        return
     try:
         import argcomplete
     except ImportError:
         raise missing("completing words in a shell", "completion") from None
+    parser, commands = _parser(os.environ.get("COMP_LINE", "").split(" ")[1:-1])
     offered = {"task": list_tasks, "policy": policy_names}
     for command in commands.values():
         for action in command._actions:
@@ -136,13 +128,15 @@ def main(argv: Sequence[str] | None = None) -> None:
     if "" not in sys.path:  # the current folder, last of all, for names such as mine:Policy
         sys.path.append("")
     # Unknown arguments are collected, not refused, so that the message can name the nearest.
-    parser, commands = _parser()
-    _complete(parser, commands)
-    arguments, rest = parser.parse_known_args(argv)
+    if "_ARGCOMPLETE" in os.environ:
+        _complete()
+    words = sys.argv[1:] if argv is None else argv
+    parser, commands = _parser(words)
+    arguments, rest = parser.parse_known_args(words)
     command = commands[arguments.command]
     _check_known(rest, command)
     try:
-        COMMANDS[arguments.command].run(arguments)
+        _module(arguments.command).run(arguments)
         # A closed pipe is to be noticed here, not when Python ends.
         sys.stdout.flush()
     except BrokenPipeError:
