@@ -1,5 +1,6 @@
 """Words that a shell completes; skipped without the extra."""
 
+import contextlib
 import os
 import subprocess
 import sys
@@ -9,8 +10,8 @@ import pytest
 from bulletuav.cli import main
 
 
-def completed(line, tmp_path):
-    """Words that are offered at the end of a line."""
+def completed(line, tmp_path, forked=True):
+    """Words that are offered at the end of a line, by a copy of this process or by another."""
     told = tmp_path / "told"
     asked = {
         "_ARGCOMPLETE": "1",
@@ -19,14 +20,22 @@ def completed(line, tmp_path):
         "COMP_LINE": line,
         "COMP_POINT": str(len(line)),
     }
-    command = [sys.executable, "-m", "bulletuav"]
-    subprocess.run(command, env=os.environ | asked, check=True, timeout=120)
+    if not forked:
+        command = [sys.executable, "-m", "bulletuav"]
+        subprocess.run(command, env=os.environ | asked, check=True, timeout=120)
+    elif (child := os.fork()) == 0:  # a process that has imported the package
+        os.environ |= asked
+        with contextlib.suppress(BaseException):
+            main([])  # exits by itself
+        os._exit(1)
+    else:
+        assert os.waitpid(child, 0)[1] == 0
     return {word.strip() for word in told.read_text().split("\n")}
 
 
 def test_tasks_policies_and_options_are_offered(tmp_path):
     pytest.importorskip("argcomplete", reason="needs the extra completion")
-    assert completed("bulletuav fly cross", tmp_path) == {"crossing"}
+    assert completed("bulletuav fly cross", tmp_path, forked=False) == {"crossing"}
     assert completed("bulletuav fly crossing --policy orc", tmp_path) == {"orca", "orca_observed"}
     assert completed("bulletuav fly crossing --dyn", tmp_path) == {"--dynamics"}
     assert "replay" in completed("bulletuav re", tmp_path)
