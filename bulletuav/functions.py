@@ -152,9 +152,12 @@ def _cosine(r: float) -> float:
 @func
 def _turned(x: float, quarters: int) -> float:
     """Return the sine of x + `quarters` right angles."""
+    # Far out, a remainder; then the nearest multiple of a right angle
     near = math.copysign(abs(x) % (2.0 * PI), x) if abs(x) > FAR else x
     k = math.floor(near / (0.5 * PI) + 0.5)
+    # Subtracted in three parts, so that no bits are lost
     r = ((near - k * HALF_PI_HIGH) - k * HALF_PI_MIDDLE) - k * HALF_PI_LOW
+    # Each quarter is a sine or cosine, with one sign or the other
     quarter = (k + quarters) % 4
     value = _cosine(r) if quarter % 2 else _sine(r)
     return -value if quarter > 1 else value
@@ -203,11 +206,13 @@ def atan(x: float) -> float:
         known = 0.6435011087932844
     elif k == 4:
         known = 0.25 * PI
+    # The series of atan u, from its smallest term
     square = u * u
     series = 0.0
     for n in (19.0, 17.0, 15.0, 13.0, 11.0, 9.0, 7.0, 5.0, 3.0):
         series = square * (1.0 / n - series)
     angle = known + (u - u * series)
+    # Beyond 1 it is the rest of a right angle
     if size > 1.0:
         angle = (HALF_PI_REST - angle) + 0.5 * PI
     return math.copysign(angle, x)

@@ -113,6 +113,7 @@ def _source(policy: Deployed, name: str, precision: str) -> str:
     widths = [width]
     tables: list[str] = []
     steps: list[str] = []
+    # Each layer adds its tables and its steps, and tells the width of the next
     for k, layer in enumerate(policy.layers):
         write = LAYERS.get(type(layer))
         if write is None:
@@ -122,6 +123,7 @@ def _source(policy: Deployed, name: str, precision: str) -> str:
         steps.append(f"    /* {type(layer).__name__} */\n{write(fields, width, given)}")
         width = given
         widths.append(width)
+    # Both buffers are as wide as the widest layer
     room = max(widths)
     is_swarm = any(isinstance(layer, Swarm) for layer in policy.layers)
     suffix = "f" if precision == "float" else ""
@@ -286,10 +288,13 @@ def _others(kind: Fields, own: int, scale: str, place: int) -> str:
     columns, motion = kind["columns"], kind["motion"]
     count, told = columns.shape
     size = kind["layers"][-1]["bias"].shape[0]
+    # Numbers of another: its columns, and where it comes closest if its motion is among them
     known = told + (APPROACH if motion.shape[0] else 0)
+    # Longest vector on the way through the layers, for the C arrays
     room = max(layer["weight"].shape[1] for layer in kind["layers"])
     room = max(room, *(layer["bias"].shape[0] for layer in kind["layers"]))
     column = f"x[{columns}[{told} * other + i]]"
+    # Who is not there is told as zeros, and left out of sum and largest
     steps = f"""    for (i = 0; i < {2 * size}; i++) y[{place} + i] = 0;
     for (other = 0; other < {count}; other++) {{
         number here[{room}], next[{room}];
@@ -302,8 +307,10 @@ def _others(kind: Fields, own: int, scale: str, place: int) -> str:
 """
     if motion.shape[0]:
         steps += f"        approach(x, {columns} + {told} * other, {motion}, here + {told});\n"
+    # The drone's own features, which layers take beside those of the other
     if own:
         steps += f"        for (i = 0; i < {own}; i++) here[{known} + i] = y[i];\n"
+    # Dense layers with a ReLU after each
     for layer in kind["layers"]:
         outputs, inputs = layer["weight"].shape
         steps += f"""        for (i = 0; i < {outputs}; i++) {{
@@ -312,6 +319,7 @@ def _others(kind: Fields, own: int, scale: str, place: int) -> str:
         }}
         for (i = 0; i < {outputs}; i++) here[i] = next[i] > 0 ? next[i] : 0;
 """
+    # The sum is halved, as in the trained network; features after a ReLU are at least 0
     return f"""{steps}        for (i = 0; i < {size}; i++) {{
             y[{place} + i] += here[i] / 2;
             if (here[i] > y[{place + size} + i]) y[{place + size} + i] = here[i];
@@ -356,12 +364,14 @@ def run_c(path: Path, rows: np.ndarray, policy: Deployed, precision: str) -> np.
     Raises:
         ValueError: There is no compiler, or it refuses the file.
     """
+    # Without a compiler nothing can be compared
     found = compiler()
     if found is None:
         raise ValueError("no C compiler is installed (gcc or cc)")
     kind: Any = ctypes.c_float if precision == "float" else ctypes.c_double
     with tempfile.TemporaryDirectory() as folder:
         library = Path(folder) / "policy.so"
+        # C99 without a single warning, as code for a microcontroller should be
         strict = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC"]
         done = subprocess.run(
             [found, *strict, str(path), "-o", str(library), "-lm"],
@@ -371,6 +381,7 @@ def run_c(path: Path, rows: np.ndarray, policy: Deployed, precision: str) -> np.
         )
         if done.returncode:
             raise ValueError(f"{path} does not compile: {done.stderr}")
+        # One call for each row, as the drone would do it
         function = getattr(ctypes.CDLL(str(library)), path.stem)
         given = np.empty((len(rows), len(policy.outputs)))
         for row, out in zip(rows, given, strict=True):

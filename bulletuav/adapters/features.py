@@ -74,6 +74,7 @@ class UserSum(BaseFeaturesExtractor):
         Raises:
             ValueError: The observation is of another number of drones.
         """
+        # Numbers of an observation: position, others, and so many of each user
         shape = observation_space.shape
         others = 6 * (num_drones - 1)
         numbers_each = 4 + num_drones + len(AHEAD)
@@ -91,8 +92,10 @@ class UserSum(BaseFeaturesExtractor):
             num_drones * users,
             len(AHEAD) * users,
         ]
+        # Ways that the drone may fly; no weights, so they are not stored
         ways = torch.tensor(list(AHEAD.values()))
         self.register_buffer("ways", ways, persistent=False)
+        # The same layers for each user, whose features are summed
         known = 3 + 2 * num_drones + 1 + len(AHEAD)
         self.each = nn.Sequential(
             nn.Linear(known, size),

@@ -18,10 +18,12 @@ def check(flight: Flight) -> None:
     Raises:
         ValueError: One is damaged; it is named, with the shape that it needs.
     """
+    # The shape of the positions tells how long the flight was and how many flew
     if flight["position"].ndim != 3:
         raise ValueError("'position' of the recording is damaged: numbers (T+1, N, 3) are needed")
     states, time = flight["position"].shape[:2], flight["time"]
     rows, drones = states
+    # A row for each time: states; one fewer: results of the decisions between
     needed: dict[str, tuple[int, ...]] = {
         "time": (rows,),
         "alive": states,
@@ -29,6 +31,7 @@ def check(flight: Flight) -> None:
     }
     needed |= dict.fromkeys(("position", "velocity", "rates"), (*states, 3))
     needed |= dict.fromkeys(RESULTS, (rows - 1, drones))
+    # Goals and IMU are not in all recordings
     if flight["goal"].shape != (rows, 0, 3):
         needed["goal"] = (*states, 3)
     if "reading/imu" in flight:
@@ -36,6 +39,7 @@ def check(flight: Flight) -> None:
     for name, shape in needed.items():
         if flight[name].shape != shape or flight[name].dtype.kind not in "biuf":
             raise ValueError(f"{name!r} of the recording is damaged: numbers {shape} are needed")
+    # Stamps of ROS have 32 bits for the seconds
     if not ((time >= 0) & (time < LATEST)).all():
         raise ValueError(f"'time' of the recording is damaged: 0 to {LATEST} s are needed")
 

@@ -79,6 +79,7 @@ def write_onnx(policy: Deployed, path: Path, precision: str = "float") -> list[P
         ValueError: A layer has no form in ONNX.
         OSError: The file cannot be written.
     """
+    # Each layer adds its nodes, and names the value that it leaves
     graph = _Graph(np.float32 if precision == "float" else np.float64)
     value = "observation"
     for layer in policy.layers:
@@ -86,7 +87,9 @@ def write_onnx(policy: Deployed, path: Path, precision: str = "float") -> list[P
         if write is None:
             raise ValueError(f"a layer {type(layer).__name__} has no form in ONNX")
         value = write(graph, value, layer)
+    # The last layer's value gets the name that users ask for
     graph.nodes.append(helper.make_node("Identity", [value], ["setpoint"]))
+    # Any number of drones in a call, one a row
     kind = TensorProto.FLOAT if precision == "float" else TensorProto.DOUBLE
     sizes = {"observation": len(policy.inputs), "setpoint": len(policy.outputs)}
     given, out = (
@@ -100,8 +103,10 @@ def write_onnx(policy: Deployed, path: Path, precision: str = "float") -> list[P
         producer_name="bulletuav",
         doc_string=policy.about,
     )
+    # What the numbers mean goes with the model
     told = {"observation": _told(policy.inputs), "setpoint": _told(policy.outputs)}
     helper.set_model_props(model, told)
+    # The file is replaced only once the model is known to be valid
     checker.check_model(model, full_check=True)
     with whole_file(path) as part:
         onnx.save(model, part)
@@ -216,21 +221,26 @@ def _each_other(graph: _Graph, value: str, kind: Others, layer: Swarm) -> str:
 
 def _approach(graph: _Graph, others: str, motion: np.ndarray) -> list[str]:
     """Add where others come closest if both fly straight on: place, distance, time."""
+    # Relative position and velocity of each other drone
     position, velocity = (
         graph.add("Gather", others, graph.constant(part), axis=2)
         for part in (motion[:3], motion[3:])
     )
+    # Products of position and velocity, and of velocity with itself
     tiny, last = graph.constant(TINY), graph.constant([-1])
     along, square = (
         graph.add("ReduceSum", graph.add("Mul", velocity, other), last, keepdims=1)
         for other in (position, velocity)
     )
+    # Time of the least distance on straight paths, from now to the end of the look ahead
     soon = graph.add("Div", graph.add("Neg", along), graph.add("Add", square, tiny))
     soon = graph.add("Max", soon, graph.constant(0.0))
     time = graph.add("Min", soon, graph.constant(LOOK_AHEAD))
+    # Where the other is then, and how far
     place = graph.add("Add", position, graph.add("Mul", velocity, time))
     far = graph.add("ReduceSum", graph.add("Mul", place, place), last, keepdims=1)
     distance = graph.add("Sqrt", graph.add("Add", far, tiny))
+    # In the scales that the trained network saw: log(1 + m), and time from 0 to 2
     grown = graph.add("Log", graph.add("Add", distance, graph.constant(1.0)))
     share = graph.add("Div", time, graph.constant(LOOK_AHEAD / 2))
     return [_symlog(graph, place, Symlog(1.0)), grown, share]

@@ -83,17 +83,22 @@ class PymarlEnv(LabelledEnvironment):
         self._join: Callable[[np.ndarray], Any] = choose(
             "reward_scalarisation", reward_scalarisation, SCALARISATIONS
         )
+        # Options are checked before worlds are made, which takes longer
         spec = EnvSpec(task, 1, {**options, "action": action})
         _check(spec, common_reward, self._tells_apart)
         self.aviary = Aviary(task, 1, action=action, **options)
+        # How observations and rewards are told
         self._observer = self.aviary.observer
         self._symlog = symlog
         self._common = common_reward
+        # Pictures of the episode, for a replay that is asked for
         self._folder = None if replay_dir is None else Path(replay_dir)
         self._pictures: list[np.ndarray] = []
         self._replays = 0
+        # What PyMARL reads off an environment
         self.n_agents = self.aviary.num_drones
         self.episode_limit = self.aviary.options.horizon
+        # State of the episode
         self._seed: int | None = None
         self._present = np.zeros(self.n_agents, dtype=bool)
         self._observed = np.zeros((self.n_agents, self.get_obs_size()), np.float32)

@@ -40,6 +40,7 @@ def spread(
         ConnectionError: No cluster answers.
     """
     with _cluster(address):
+        # Several parts a processor, so that none waits long for the last
         processors = int(ray.cluster_resources().get("CPU", 1))
         size = max(1, len(items) // (PARTS * max(1, processors)))
         parts = [items[first : first + size] for first in range(0, len(items), size)]
@@ -47,9 +48,11 @@ def spread(
         def done_by_one(part: Sequence[Item]) -> list[Result]:
             return work(part)
 
+        # Parts of a node that died are done again, however often
         task: Any = ray.remote(done_by_one).options(num_cpus=1, max_retries=-1)
         waiting = [task.remote(part) for part in parts]
         while waiting:
+            # As they come; an error is told as if it had happened here
             done, waiting = ray.wait(waiting)
             try:
                 yield from ray.get(done[0])
@@ -60,9 +63,11 @@ def spread(
 @contextlib.contextmanager
 def _cluster(address: str) -> Iterator[None]:
     """Join a cluster, and leave it in the end; one that the caller has joined stays."""
+    # Who has joined by hand also leaves by hand
     if ray.is_initialized():
         yield
         return
+    # Ray would wait for minutes where nobody answers
     try:
         _require_answer(address)
         ray.init(address=address, log_to_driver=False, logging_level="error")

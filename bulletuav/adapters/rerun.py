@@ -76,12 +76,15 @@ def _add_drones(
 ) -> None:
     """Add drones, their paths and their goals, each up to its last decision."""
     time, position, quaternion = (flight[name] for name in ("time", "position", "quaternion"))
+    # A drone's path ends with its last decision
     rows = rows_flown(flight)
     for i, end in enumerate(rows):
         body = f"world/drones/{i}"
         _add_motion(stream, body, time[:end], position[:end, i], quaternion[:end, i])
+        # The parts hang below the body, which carries them along
         for k, shape in enumerate(about["airframes"][about["airframe_of"][i]]["parts"]):
             _add_shape(stream, f"{body}/{k}", shape)
+    # Paths do not change while time goes by
     paths = rr.LineStrips3D(
         [position[:end, i] for i, end in enumerate(rows)],
         colors=colours,
@@ -89,6 +92,7 @@ def _add_drones(
         labels=_names(rows),
     )
     stream.log("world/paths", paths, static=True, strict=True)
+    # Goals may move: one set of points for each time
     goal = flight["goal"]
     if goal.shape[1]:
         look = rr.Points3D.from_fields(colors=colours, radii=rr.Radius.ui_points(GOAL_SIZE))

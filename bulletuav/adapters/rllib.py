@@ -261,13 +261,16 @@ def policies(
         ValueError: There is no such grouping or policy, or an option cannot be.
     """
     one = choose("by", by, KINDS)
+    # The task tells the teams; no world is made for that
     kind = EnvSpec(task, 1, options).task
     agents = [f"drone_{i}" for i in range(len(kind.team))]
+    # The name of the policy of each agent
     if by == "team":
         rows = team_rows(kind).items()
         names = {agents[i]: team for team, members in rows for i in members}
     else:
         names = {agent: one or agent for agent in agents}
+    # Each name once, in the order of the drones
     known = list(dict.fromkeys(names.values()))
     chosen = (
         known

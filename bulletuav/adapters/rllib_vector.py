@@ -76,17 +76,20 @@ class DroneVectorEnv(Environment, VectorMultiAgentEnv):  # type: ignore[misc]  #
         """
         options = dict(config)
         task = take_task(options)
+        # Stages and teams would need other worlds for each environment
         for name in ("stages", "team"):
             if name in options:
                 raise ValueError(
                     f"env_config has {name!r}, and worlds that are flown at once have one stage "
                     f"and all teams: leave env_runner_cls out"
                 )
+        # The worlds, all in one batch
         self._symlog = options.pop("symlog", False)
         self.num_envs = as_int("num_envs_per_env_runner", num_envs, 1)
         self.aviary = Aviary(task, num_envs, **options)
         self.render_mode = self.aviary.options.render_mode
         self.metadata = {"autoreset_mode": "next_step"}
+        # Spaces of one world and of its agents
         self._agents = [f"drone_{i}" for i in range(self.aviary.num_drones)]
         space = shown_space(self.aviary.observer.space(), self._symlog)
         self.single_observation_spaces = dict.fromkeys(self._agents, space)
@@ -96,6 +99,7 @@ class DroneVectorEnv(Environment, VectorMultiAgentEnv):  # type: ignore[misc]  #
         self.single_observation_space = Dict(self.single_observation_spaces)
         self.single_action_space = Dict(self.single_action_spaces)
         spaces = (self.single_observation_spaces, self.single_action_spaces)
+        # RLlib wants one environment a world; these only tell their spaces
         self.envs = [World(spaces) for _ in range(num_envs)]
         self._totals = EpisodeTotals()
 
@@ -228,12 +232,15 @@ class BatchEnvRunner(MultiAgentEnvRunner):  # type: ignore[misc]  # has no types
             raise ValueError(
                 f"the environment is {shown(config.env)}: this runner flies DroneMultiAgentEnv"
             )
+        # A second call replaces the worlds
         if self.env is not None:
             self.env.close()
         self.env = DroneVectorEnv(config.env_config, config.num_envs_per_env_runner)
         self.num_envs = self.env.num_envs
+        # RLlib resets before the first sample, with a seed of this runner's own
         self._needs_initial_reset = True
         self._seed = self._first_seed()
+        # Users' callbacks, as RLlib's own runner calls them
         make_callback(
             "on_environment_created",
             callbacks_objects=self._callbacks,

@@ -64,8 +64,11 @@ def ros_names(names: tuple[str, ...]) -> list[str]:
     """Make names that ROS takes: letters, digits and underscores, and none of them twice."""
     made: list[str] = []
     for name in names:
+        # Slashes part the words of a topic
         words = re.sub(r"[^A-Za-z0-9/]+", "_", name).split("/")
+        # A word may not begin with a digit
         text = "".join(f"/_{word}" if word[0].isdigit() else f"/{word}" for word in words if word)
+        # Names that became the same are told apart by more underscores
         while text in made:
             text += "_"
         made.append(text)
@@ -150,6 +153,7 @@ class _Messages:
 
     def _odometry(self, i: int) -> Row:
         """Tell a drone's state; ROS wants twists in axes of the body."""
+        # As lists, whose numbers messages take without a conversion each
         columns = (self._flight[name] for name in ("position", "quaternion", "velocity", "rates"))
         position, quaternion, velocity, rates = (column[:, i].tolist() for column in columns)
 
@@ -157,6 +161,7 @@ class _Messages:
             pose = self._make(
                 "geometry_msgs/msg/Pose", self._point(position[k]), self._turn(quaternion[k])
             )
+            # Recordings have velocities in the world and rates in the body already
             linear = to_body(tuple(quaternion[k]), tuple(velocity[k]))
             twist = self._make(
                 "geometry_msgs/msg/Twist", self._vector(linear), self._vector(rates[k])

@@ -124,10 +124,13 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
 
     def _make_specs(self, spec: EnvSpec, groups: dict[str, list[int]]) -> None:
         """Tell TorchRL the shape and type of each entry."""
+        # Entries of the whole world first, then those of each group
         action, seen, reward, done = (Composite(device=self.device) for _ in range(4))
+        # An episode ends for all at once; groups tell their own ends, too
         done.update(dict.fromkeys(ENDS, self._flag(1)))
         if self._tells_state:
             seen["state"] = self._number(len(spec.state.labels))
+        # Worlds share the shape, so a spec has the drones of the group alone
         for group, rows in groups.items():
             count = len(rows)
             chosen = _action_spec(spec.action, rows, self._one_hot).to(self.device)
@@ -139,6 +142,7 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
             seen[group] = Composite(entries, shape=(count,))
             reward[group] = Composite({"reward": self._number(count, 1)}, shape=(count,))
             done[group] = Composite(dict.fromkeys(ENDS, self._flag(count, 1)), shape=(count,))
+        # TorchRL adds the dimension of the worlds to these itself
         self.full_action_spec_unbatched = action
         self.full_observation_spec_unbatched = seen
         self.full_reward_spec_unbatched = reward
@@ -217,7 +221,9 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Fly one decision of all worlds."""
+        # Who flies at the start of the decision is told a reward for it
         flown = self._alive
+        # Collectors hold worlds back by "_step"; a batch flies all or nothing
         asked = tensordict.get("_step", None)
         if asked is not None:
             held = ~asked.numpy(force=True).reshape(self.num_worlds)
@@ -229,9 +235,11 @@ class DroneTensorEnv(Environment, EnvBase):  # type: ignore[misc]  # has no type
         observations, rewards, terminated, truncated, info = self.batch.step(
             self._actions(tensordict)
         )
+        # Ends stay until the reset: an episode goes on for the other drones
         self._terminated = self._terminated | terminated
         self._truncated = self._truncated | truncated
         self._alive = self.batch.alive
+        # Observations after the step, and rewards in it, by group
         out = self._tensors(self._told(observations, info, flown))
         earned = rewards.astype(np.float32)[..., None]
         for group, rows in self._rows.items():

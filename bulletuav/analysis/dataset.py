@@ -72,6 +72,7 @@ def collect(
             holds something else.
         ImportError: The extra `dataset` is not installed.
     """
+    # What is flown, with the options that the policy asks for
     chosen = find_task(task).baseline if policy is None else policy
     pilot = find_policy(chosen, task, trust)
     options = pilot.complete(task, options)
@@ -83,6 +84,7 @@ def collect(
         options=options,
         trust=trust,
     )
+    # Bad arguments are told before anything is written
     part = None if piece is None else as_piece(piece)
     as_int("workers", workers, 1)
     spec = EnvSpec(task, 1, options)
@@ -90,9 +92,11 @@ def collect(
         raise ValueError(
             "a dataset holds vectors of numbers: choose observation_format='vector' and no pictures"
         )
+    # The folder remembers the call, and refuses to go on with another one
     call = call_text({"task": task, "policy": chosen, "seed": seed, "options": options})
     about = about_flights(flights, pilot, call)
     folder = _open(Path(out), about)
+    # Only batches without a file are flown: an interrupted call goes on
     batches = flights.batches()
     mine = batches if part is None else part.share(batches)
     missing = [batch for batch in mine if not _path(folder, batch).exists()]
@@ -100,6 +104,7 @@ def collect(
     for transitions in fly_batches(flights, missing, workers, ray):
         _write(transitions, folder)
         progress(len(transitions.ends))
+    # A piece leaves the index to the call that finds all tables
     tables = [_path(folder, batch) for batch in mine]
     return tables if part is not None else [*tables, *_finish(folder, tables, about, spec)]
 
@@ -172,11 +177,14 @@ def _flights(tables: list[Path], drone: int, ends: dict[int, Any]) -> Iterator[F
     for path in tables:
         rows = read_table(path)
         finals = rows["final_observation"]
+        # Rows are sorted by episode and drone: a new flight begins where these change
         first = np.flatnonzero(np.diff(rows["episode"] * 1_000_000 + rows["drone"], prepend=-1))
         bounds = np.append(first, len(rows["drone"])).tolist()
         for k, begin in enumerate(first.tolist()):
+            # Other drones' flights stand between
             if rows["drone"][begin] != drone:
                 continue
+            # The last observation stands in a list of its own, one a flight
             own = slice(begin, bounds[k + 1])
             end = ends[int(rows["episode"][begin])]
             yield Flight(

@@ -178,6 +178,7 @@ def evaluate(
             f"progress is {shown(progress)}: "
             "a function of how many more episodes are done is needed"
         )
+    # The policy may ask for options, such as its action
     chosen = find_task(task).baseline if policy is None else policy
     pilot = find_policy(chosen, task, trust)
     options = pilot.complete(task, options)
@@ -195,6 +196,7 @@ def evaluate(
             "wind is a function, which a folder cannot tell from another one: "
             "evaluate it without out"
         )
+    # The text by which `merge` asks for the same again
     flown = {"task": task, "policy": chosen, "seed": seed, "metrics": list(metrics)}
     call = call_text({**flown, "options": options})
     return _evaluate(

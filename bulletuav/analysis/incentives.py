@@ -101,6 +101,7 @@ def incentives(
     Raises:
         ValueError: An argument is none that can be.
     """
+    # Against opponents only the first team's part counts
     chosen = find_task(task).baseline if policy is None else policy
     opponents = _sides(chosen)[1:]
     metrics = (FIRST_RETURN, FIRST_SUCCESS) if opponents else ()
@@ -114,6 +115,7 @@ def incentives(
     def shirk(name: str) -> Evaluation:
         return fly(VERSUS.join([name, *map(str, opponents)]))
 
+    # Who stands still is the measure of what flying earns
     base, standing = fly(chosen), shirk(STANDING)
     lead = _gap(base, standing, gained).mean
     for name in shirkers(task, chosen):

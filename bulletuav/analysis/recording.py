@@ -105,9 +105,11 @@ def save(recording: Recording, aviary: Aviary, policy: str, seed: int, folder: P
     Raises:
         OSError: A file cannot be written.
     """
+    # The numbers first: the description holds hashes of these files
     arrays, table, run = folder / ARRAYS_FILE, folder / TABLE_FILE, folder / RUN
     _write_arrays(recording, arrays)
     _write_table(recording, table)
+    # JSON knows no infinity: a distance to nobody becomes null
     about = {
         "bulletuav": __version__,
         "task": aviary.task.name,
@@ -118,10 +120,12 @@ def save(recording: Recording, aviary: Aviary, policy: str, seed: int, folder: P
             {name: value if value != np.inf else None for name, value in row._asdict().items()}
             for row in outcomes(recording)
         ],
+        # With these, `bulletuav verify` flies the episode again and compares
         "call": _call(aviary, policy, seed),
         "hash": recording.hash(),
         "files": hash_files(folder, (ARRAYS_FILE, TABLE_FILE)),
     }
+    # Sealed, so that an edit by hand is found
     replace_file(run, json.dumps(sealed(about), indent=2) + "\n")
     return [arrays, table, run]
 

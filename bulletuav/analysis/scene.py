@@ -98,15 +98,18 @@ class SceneLog:
     def _about(self) -> dict[str, Any]:
         """Tell what does not change."""
         task, options = self._aviary.task, self._aviary.options
+        # Each kind of airframe once; drones tell which is theirs
         airframes = list(dict.fromkeys(options.airframe))
         return {
             "task": task.name,
+            # Conflicts and goals, which pictures mark
             "d_safe": float(task.config.d_safe),
             "has_goals": task.has_goals,
             "shows": dict(task.shows),
             "units": UNITS,
             "airframes": [_airframe(one) for one in airframes],
             "airframe_of": [airframes.index(one) for one in options.airframe],
+            # What stands still, and what sensors tell
             "obstacles": [{**_shape(one.shape), "colour": one.colour} for one in task.obstacles()],
             "lidar": {
                 "beams": task.context.beams,

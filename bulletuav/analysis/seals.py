@@ -84,12 +84,14 @@ def read_call(text: Any, trust: bool) -> dict[str, Any]:
             "the file cannot be flown again: its task, policy or options were Python objects, "
             "which no file tells"
         )
+    # Literals alone: reading the text runs nothing of it
     try:
         call = ast.literal_eval(text)
     except (ValueError, SyntaxError, TypeError, MemoryError, RecursionError):
         call = None
     if not isinstance(call, dict) or not isinstance(call.get("options"), dict):
         raise ValueError(f"the file tells no call that could be flown again: {str(text)[:80]!r}")
+    # Names may lead to modules or pickled models, which run code when loaded
     for name in _texts(call):
         if not trust and CODE.match(name):
             raise ValueError(

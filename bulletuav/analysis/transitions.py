@@ -53,6 +53,7 @@ class Collection(Flights[Transitions]):
         observations, worlds = self.start(aviary, policy, batch)
         seen = [_vector(observations)]
         flown, actions, told = [], [], []
+        # Worlds end one by one; those that are over are left out of the rows
         while aviary.alive[worlds].any():
             flown.append(aviary.alive & worlds[:, None])
             action = policy.act(observations, aviary.swarm)
@@ -64,7 +65,9 @@ class Collection(Flights[Transitions]):
         # (worlds, drones, decisions, ...): in this order rows are sorted as they are to be
         flew, did, saw = (np.stack(one, axis=2) for one in (flown, actions, seen))
         reward, terminated, truncated = (np.stack(one, axis=2) for one in zip(*told, strict=True))
+        # A row for each decision that a drone flew
         world, drone, time = np.nonzero(flew)
+        # The last of a drone has an observation after it, too
         is_last = np.append((world[1:] != world[:-1]) | (drone[1:] != drone[:-1]), True)
         last = np.flatnonzero(is_last)
         action = did[world, drone, time]

@@ -62,15 +62,18 @@ class AirsimServer:
             import msgpack
         except ImportError:
             raise missing("serving clients of AirSim", "airsim") from None
+        # The package is optional, so that it is kept rather than imported above
         self._msgpack = msgpack
         as_int("port", port, 0, 65535)
         self.world, self.host = world, host
         self._calls = Calls(world)
         self._left = 0.0
         self.pacer = Pacer(world.airspace.period, speed, _sleep=self._note)
+        # Who is there, and what has to be ended with the server
         self._clients: set[_Client] = set()
         self._meetings: set[asyncio.Future[Any]] = set()
         self._stopped = False
+        # Last, so that nobody comes too early
         self._socket = listening(host, port)
         self.port: int = self._socket.getsockname()[1]
 

@@ -33,15 +33,18 @@ class Calls:
         """Take the world that clients fly."""
         self.world = world
         self._table: Mapping[str, Callable[..., Any]] = {
+            # The connection and the clock
             "ping": lambda: True,
             "getServerVersion": lambda: SERVER_VERSION,
             "getMinRequiredClientVersion": lambda: OLDEST_CLIENT,
             "reset": world.reset,
             "simPause": self._pause,
             "simIsPaused": lambda: world.paused,
+            # The world
             "listVehicles": lambda: list(world.vehicles),
             "getSettingsString": lambda: "{}",
             "simSetWind": self._set_wind,
+            # Control of a vehicle
             "enableApiControl": self._enable,
             "isApiControlEnabled": lambda name: world.vehicle(name)[1].is_ours,
             "armDisarm": self._arm,
@@ -49,10 +52,12 @@ class Calls:
             "simSetVehiclePose": self._place,
             "simGetVehiclePose": self._pose,
             "getHomeGeoPoint": self._home,
+            # What it met and sees
             "simGetCollisionInfo": self._collision,
             "simGetImage": self._image,
             "simGetImages": self._images,
             "simPrintLogMessage": lambda message, parameter="", severity=0: None,
+            # States, and readings of sensors
             "getMultirotorState": self._of(states.multirotor),
             "simGetGroundTruthKinematics": self._of(states.kinematics),
             "simGetGroundTruthEnvironment": self._of(states.environment),

@@ -105,13 +105,16 @@ def response(world: World, i: int, request: Request) -> dict[str, Any]:
         ValueError: There is no such camera.
     """
     place, turn = mount(world, i, request.camera)
+    # AirSim tells the angle across the picture; `picture` takes the one up and down
     width, height = SIZE
     angle = math.degrees(2 * math.atan(math.tan(WIDTH_ANGLE / 2) * height / width))
     picture = world.airspace.picture(i, place.tolist(), turn, size=SIZE, field_of_view=angle)
+    # Depths in m, as numbers
     numbers: list[float] = []
     content = b""
     if request.as_float:
         values = picture.depth
+        # From distances along the axis to those along each pixel's ray
         if request.kind == PERSPECTIVE:
             values = values * _stretch()
         elif request.kind == GREY:
@@ -120,18 +123,22 @@ def response(world: World, i: int, request: Request) -> dict[str, Any]:
             raise ValueError("pixels_as_float is for depths: ask for image_type 1, 2 or 3")
         numbers = values.ravel().astype(float).tolist()
     else:
+        # Colours, labels, or depths as shades of grey
         pixels = picture.pixels
         if request.kind == SEGMENTATION:
             pixels = COLOURS[picture.labels]
         elif request.kind != SCENE:
             grey = np.clip(255 * picture.depth / FARTHEST, 0, 255).astype(np.uint8)
             pixels = np.repeat(grey[:, :, None], 3, axis=2)
+        # Uncompressed pixels are blue, green, red, as Unreal writes them
         content = png(pixels) if request.compress else pixels[:, :, ::-1].tobytes()
+    # Places are told from where the vehicle started
     swarm = world.airspace.swarm
     body = swarm.quaternion[i]
     start = list(world.vehicles.values())[i].start
     where = swarm.position[i] + to_world(body, place) - start
     pose = pose_of(where, product(body, turn))
+    # Names and types that AirSim's own clients unpack
     return {
         "image_data_uint8": content,
         "image_data_float": numbers,

@@ -192,15 +192,19 @@ def attitude(rates: bool, yaw_rate: bool, height: bool) -> MotionOf:
         world: World, i: int, vehicle: Vehicle, roll: Any, pitch: Any, yaw: Any, last: Any,
         limit: Any,
     ) -> Motion:  # fmt: skip
+        # Rates and tilt stay within what a caller may ask for
         most = QUICKEST if rates else STEEPEST
         lean = [min(max(number("angle", one), -most), most) for one in (roll, pitch)]
         turn = number("yaw", yaw)
+        # AirSim's yaw is clockwise from north, ours the other way from east
         turning, angle = ("rate", -turn) if rates or yaw_rate else ("angle", math.pi / 2 - turn)
+        # The fourth number holds the height, or is the thrust itself
         if height:
             upward, z = "position", float(_place(world, vehicle, 0.0, 0.0, last)[2])
         else:
             share = min(max(number("throttle", last), 0.0), 1.0)
             upward, z = "thrust", share * world.airspace.airframes[i].max_thrust
+        # Pitch of forward, right, down has the other sign in forward, left, up
         across = "rates" if rates else "attitude"
         wanted = Setpoint(across, (lean[0], -lean[1]), upward, z, turning, angle)
         return Hold(world.clock, duration("duration", limit), wanted)

@@ -174,11 +174,13 @@ def lidar(world: World, i: int, vehicle: Vehicle) -> dict[str, Any]:
     """
     if "lidar" not in world.airspace.readings:
         raise ValueError("there is no lidar: start the server with --lidar")
+    # Beams stay level, and turn with the drone's heading
     place = world.airspace.swarm.position[i] - vehicle.start
     yaw = euler(world.airspace.swarm.quaternion[i].tolist())[2]
     beams = np.radians(make_beams(LIDAR["num_beams"], LIDAR["lidar_elevations"]))
     azimuth, elevation = beams[:, 0] + yaw, beams[:, 1]
     ranges = world.airspace.readings["lidar"][i]
+    # From ranges and angles to points, without beams that met nothing
     flat = ranges * np.cos(elevation)
     ways = (flat * np.cos(azimuth), flat * np.sin(azimuth), ranges * np.sin(elevation))
     points = enu_to_ned(place + np.stack(ways, axis=1)[ranges < LIDAR["max_range"]])

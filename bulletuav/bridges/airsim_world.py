@@ -170,23 +170,28 @@ class World:
         Raises:
             ValueError: An option cannot be.
         """
+        # Names and places, checked together
         frame = load_airframe(airframe)
         names = _names(drones)
         flat = [(SPACING * k, 0.0) for k in range(len(names))] if places is None else places
         if len(flat) != len(names):
             raise ValueError(f"places are {len(flat)}: one for each of {len(names)} is needed")
         self._starts = points_of("places", [(*one, frame.standing_height) for one in flat])
+        # Clients count on the rate of AirSim
         if "decision_hz" in options:
             raise ValueError(f"decision_hz is {DECISION_HZ} for clients of AirSim: leave it out")
+        # Options of the caller go before the usual ones
         known = {"physics_hz": PHYSICS_HZ, "decision_hz": DECISION_HZ, **options}
         if lidar:
             known |= {"sensors": (Imperfect(Lidar(), rate=LIDAR_HZ),), **LIDAR}
         self.airspace = Airspace(self._starts, frame, **known)
         self.origin = Origin(*as_sequence("home", home, 3))
+        # Each vehicle starts on its feet and has a guide of its own
         self.vehicles = {
             name: Vehicle(name, start, Guide(frame))
             for name, start in zip(names, self._starts, strict=True)
         }
+        # Clock, and accelerations, which come from differences of velocities
         self.paused = False
         self._due, self._ticks = 0.0, 0
         self._velocity = self.airspace.swarm.velocity.copy()
@@ -269,12 +274,15 @@ class World:
         """Note what was touched in the last step."""
         contacts = self.airspace.contacts
         vehicles = list(self.vehicles.values())
+        # Standing is told anew in each step
         for vehicle in vehicles:
             vehicle.stands = False
         for k, i in enumerate(contacts.drone.tolist()):
+            # A contact from below is what it stands on
             other, normal = int(contacts.other[k]), contacts.normal[k]
             vehicle = vehicles[i]
             vehicle.stands = vehicle.stands or bool(normal[2] > 0.7)
+            # A soft landing is no collision
             if other == GROUND and -contacts.velocity[k, 2] < HARD:
                 continue
             hit = vehicle.collision = Collision()

@@ -97,6 +97,7 @@ class Planner:
         Raises:
             MalformedError: The packet is not what it should be; nothing has changed.
         """
+        # Numbers of the commands of the firmware's high-level commander
         (command,) = unpack("B", data)
         commands = {
             0: self._set_group,
@@ -110,6 +111,7 @@ class Planner:
         }
         if command not in commands:
             return Errno.ENOEXEC
+        # Those to fly may be meant for a group of drones alone
         if command not in (0, 6):
             _, group = unpack("BB", data)
             if group and not group & self._group:

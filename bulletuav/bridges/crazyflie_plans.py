@@ -234,22 +234,26 @@ def read_compressed(content: bytes, offset: int, count: int) -> Stored:
     Raises:
         MalformedError: They lie beyond the memory, or cannot be.
     """
+    # The first point, of which each piece needs only what follows
     units = np.array([1e-3, 1e-3, 1e-3, math.radians(0.1)])
     last = np.array(unpack("4h", content[offset:])) * units
     offset += 8
     durations, terms = np.zeros(count), np.zeros((count, 4, POWERS))
     for piece in range(count):
+        # Two bits an axis tell the degree of its curve
         kinds, lasting = unpack("BH", content[offset:])
         durations[piece], offset = lasting / 1000, offset + 3
         for axis in range(4):
             degree = COMPRESSED_DEGREES[kinds >> 2 * axis & 3]
             points = unpack(f"{degree}h", content[offset:])
             offset += 2 * degree
+            # Each curve begins where the one before ended
             control = [last[axis], *(one * units[axis] for one in points)]
             terms[piece, axis, : degree + 1] = _monomials(control)
             last[axis] = control[-1]
     if not durations.all():
         raise MalformedError("a piece of a trajectory that takes no time")
+    # Terms are by the share of the time; trajectories want them by seconds
     return Stored(durations, terms / np.array([_powers(one).T for one in durations])).checked()
 
 

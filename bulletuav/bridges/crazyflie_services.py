@@ -137,21 +137,25 @@ class LogService:
 
     def _change(self, request: int, block: int, rest: bytes, tick: int) -> Errno:
         """Create, delete, start, stop or extend a block."""
+        # Create: a block of this number must be new, and there must be room
         if request == 6:
             if block in self._blocks:
                 return Errno.EEXIST
             if len(self._blocks) == MOST_BLOCKS:
                 return Errno.ENOMEM
             error = self._extend(Block([]), rest, block)
+        # From here on the block must exist
         elif request not in (2, 3, 4, 7):
             error = Errno.ENOEXEC
         elif block not in self._blocks:
             error = Errno.ENOENT
+        # Append variables
         elif request == 7:
             error = self._extend(self._blocks[block], rest, block)
         else:
             error = Errno.NONE
             chosen = self._blocks[block]
+            # Delete, start with a period in units of 10 ms, or stop
             if request == 2:
                 del self._blocks[block]
             elif request == 3:
@@ -262,6 +266,7 @@ class ParameterService:
         """Tell what a rarer request asks about a parameter."""
         first = self._bytes(name, PARAMETERS[name].value)
         persistent = PARAMETERS[name].persistent
+        # Kind, first value, and their later forms: these change nothing
         answers = {
             2: lambda: pack("B", persistent),
             6: lambda: first,
@@ -270,8 +275,10 @@ class ParameterService:
         }
         if request in answers:
             return answers[request]()
+        # The rest is about stored values, which only some parameters have
         if not persistent:
             return pack("B", Errno.ENOENT)
+        # Store the present value, forget it, or tell both
         if request == 3:
             self._stored[name] = self.values[name]
         elif request == 5:
@@ -318,10 +325,12 @@ class MemoryService:
         Raises:
             MalformedError: The packet is not what it should be.
         """
+        # Channel 0 tells of memories, 1 reads, 2 writes
         if packet.channel == 0:
             return [packet._replace(data=self._about(packet.data))]
         if packet.channel not in (1, 2):
             raise MalformedError(f"channel {packet.channel} of memories takes no packets")
+        # Only memory 0 exists, and nothing reaches beyond its end
         memory, address = unpack("BI", packet.data)
         if packet.channel == 2:
             written = packet.data[5:]

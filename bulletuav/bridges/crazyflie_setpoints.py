@@ -101,9 +101,11 @@ class Commander:
 
     def _generic(self, kind: int, data: bytes) -> Setpoint | None:
         """Read a setpoint of the port SETPOINT by its kind."""
+        # A stop; thrust by hand is locked until a command of zero
         if kind == 0:
             self._locked = True
             return None
+        # By hand: angles and thrust; the yaw may be a rate
         if kind == 11:
             *angles, command, is_rate = unpack("fffHB", data)
             return self._manual(tuple(angles), command, bool(is_rate), True)._replace(
@@ -113,14 +115,18 @@ class Commander:
             return _full_state(data)
         if kind not in (7, 8, 9, 10):
             raise MalformedError(f"setpoint of kind {kind}: 0 or from 6 to 11 is needed")
+        # The other kinds are four numbers each
         a, b, c, d = unpack("ffff", data)
+        # A place with a yaw
         if kind == 7:
             place = (_within(a, FARTHEST), _within(b, FARTHEST))
             return Setpoint("position", place, "position", _within(c, FARTHEST), "angle", _angle(d))
+        # Angles at a height, with a rate of yaw
         if kind == 9:
             return Setpoint(
                 "attitude", _tilt(a, b), "position", _within(d, FARTHEST), "rate", _turn(c)
             )
+        # Velocity: in the world with a climb, or in the body at a height
         velocity = (_within(a, FASTEST), _within(b, FASTEST))
         if kind == 8:
             return Setpoint("velocity", velocity, "velocity", _within(c, FASTEST), "rate", _turn(d))

@@ -216,10 +216,12 @@ class Vehicle:
     def _supervise(self, packet: Packet) -> list[Packet]:
         """Answer the supervisor's port."""
         (request,) = unpack("B", packet.data)
+        # Channel 0 asks for the state, which is told as bits
         if packet.channel == 0:
             if request != 0x0C:
                 raise MalformedError(f"request {request} to the supervisor: 12 is needed")
             return [packet._replace(data=pack("BH", request | 0x80, int(self.bits)))]
+        # The other channel commands: arm, stand up, stop at once, feed the watchdog
         success = 1
         if request == 1:
             (_, arms) = unpack("BB", packet.data)

@@ -112,6 +112,7 @@ class HilServer:
             OSError: A port is in use, or there is no such address.
             ImportError: pymavlink is not installed.
         """
+        # Bad options, and a missing pymavlink, are told before a port is open
         as_int("port", port, 0, 65536 - len(bodies) if port else 0)
         Wire(SIMULATOR)
         self.bodies, self._patience = bodies, finite("patience", patience, 0.0)
@@ -120,6 +121,7 @@ class HilServer:
         self._links: list[Link | None] = [None] * len(bodies)
         self._listening: list[socket.socket] = []
         self._flies = False
+        # A port for each body; if one is taken, those before are closed again
         try:
             for i in range(len(bodies)):
                 self._listening.append(listening(host, port + i if port else 0))
@@ -147,23 +149,29 @@ class HilServer:
 
     def _turn(self) -> None:
         """Measure, wait for the answers, and fly a step once all autopilots have answered."""
+        # Before the first step all autopilots have to be there
         if not self._flies and None in self._links:
             self._listen(LONGEST_WAIT)
             return
+        # Readings go out first: autopilots then work at the same time
         measured = self.bodies.measure()
         for i, link in enumerate(self._links):
             if link is not None:
                 told = measured[i] + ([self.bodies.truth(i)] if link.wants_truth else [])
                 link.waits, link.asked = True, time.perf_counter()
                 self._guarded(i, link.send, told)
+        # Time stands still until all have answered, or waited too long
         while (left := self._left()) > 0:
             self._listen(left)
+        # Who is too slow is dropped, and the others fly on
         for i, link in enumerate(self._links):
             if link is not None and link.answers and link.waits:
                 self._drop(i)
+        # The first step waits for answers of all; later ones do without those dropped
         self._flies = self._flies or all(link and link.answers for link in self._links)
         if self._flies:
             self.bodies.step()
+        # A turn that is late has not listened while it waited
         if self.pacer.wait():
             self._listen(0.0)
 

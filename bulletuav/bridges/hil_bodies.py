@@ -89,12 +89,14 @@ class HilBodies:
         """
         frame = load_airframe(airframe)
         self._frame = frame
+        # Autopilots number the motors by their corners
         corner_speeds(frame, dict.fromkeys(((1, 1), (1, -1), (-1, 1), (-1, -1)), 0.0))
         self._noise = np.repeat(Noise(), (3, 3, 3, 1)) * finite("noise", noise, 0.0, 100.0)
         self._starts = starts(drones, frame.standing_height, SPACING)
         if "decision_hz" in options:
             raise ValueError(f"decision_hz is {STEP_HZ} for autopilots: leave it out")
         self.origin = Origin(*as_sequence("home", home, 3))
+        # The field of the Earth at home, in gauss as MAVLink wants it
         self._field = magnetic_field(*as_sequence("home", home, 3)) / GAUSS
         known = {"physics_hz": 2 * STEP_HZ, "decision_hz": STEP_HZ, "seed": seed, **options}
         self.airspace = Airspace(self._starts, frame, **known)
@@ -138,12 +140,15 @@ class HilBodies:
         swarm = self.airspace.swarm
         x, y, z = self._acceleration[i].tolist()
         turn = swarm.quaternion[i]
+        # In forward, right, down; an accelerometer at rest feels gravity as a push up
         force = flu_to_frd(to_body(turn, (x, y, z + STANDARD_GRAVITY))) + noise[:3]
         rates = flu_to_frd(swarm.rates[i]) + noise[3:6]
         field = flu_to_frd(to_body(turn, self._field)) + noise[6:9]
+        # Pressure in hPa, its altitude, and the temperature there
         height = float(self.origin.altitude + swarm.position[i, 2])
         air = (float(pressure(height)) / 100 + float(noise[9]), 0.0)
         above = (float(geopotential_height(height)), float(temperature(height)) - KELVIN)
+        # Bits of what is new: slow sensors measure in some steps only
         updated = INERTIAL | (SLOW if self.tick % SLOW_STEPS == 0 else 0)
         felt = (*force.tolist(), *rates.tolist(), *field.tolist(), *air, *above)
         told = [Told("hil_sensor", (self.stamp, *felt, updated))]

@@ -72,6 +72,7 @@ def check_items(items: Sequence[Item], site: Site, fence: Fence, farthest: float
     for number, item in enumerate(items):
         if item.command not in ITEMS:
             raise MissionError(f"item {number}: command {item.command} unknown", UNSUPPORTED)
+        # Commands without a place need no frame and no fence
         if item.command not in PLACES:
             continue
         if item.frame not in GLOBAL_FRAMES + RELATIVE_FRAMES:
@@ -81,6 +82,7 @@ def check_items(items: Sequence[Item], site: Site, fence: Fence, farthest: float
             fence.check(f"item {number} is", place)
         except RefusedError as error:
             raise MissionError(str(error), BAD_PLACE) from None
+        # As PX4 does: a first place far away is likely of another mission
         if is_first and 0 < farthest < math.dist(place[:2], site.start[:2]):
             raise MissionError("first item is beyond MIS_DIST_1WP", BAD_PLACE)
         is_first = False

@@ -77,15 +77,18 @@ class MissionService:
             What to send back.
         """
         kind = message.get_type()
+        # A client that acknowledges a request has given its upload up
         if kind == "MISSION_ACK":
             if self._is_uploading(sender):
                 self._upload = None
             return []
         if kind in ("MISSION_ITEM_INT", "MISSION_ITEM"):
             return self._take_item(message, sender, now)
+        # Missions, fences and rally points are lists of their own
         which = message.mission_type
         if kind == "MISSION_CLEAR_ALL":
             return self._clear(which, sender)
+        # Lists that are not kept are empty to who asks, and refuse the rest
         if which not in self.lists:
             if kind == "MISSION_REQUEST_LIST":
                 return [Told("mission_count", (*sender[:2], 0, which))]

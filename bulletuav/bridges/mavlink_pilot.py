@@ -274,10 +274,12 @@ class Pilot:
             goal, self._goal = self._goal, None
             assert goal is not None  # as `enter` sees to it
             return self._leg(goal, self._values["MPC_TKO_SPEED"], Heading())
+        # A mission that is over begins again
         if mode == Mode.MISSION:
             self.route.jump(0 if self.route.is_over else self.route.current)
             self._next = self._go_on
             return self._go_on() or Stay(self.state)
+        # On the ground other modes leave the motors off
         if self.has_landed:
             return Off()
         if mode == Mode.LAND:
@@ -305,6 +307,7 @@ class Pilot:
         """Rise, fly to above home, sink, and land."""
         x, y, z = self.state[0]
         home, values = self._site.start, self._values
+        # PX4's heights above home; never down before it is there
         high = max(z, home[2] + values["RTL_RETURN_ALT"])
         low = min(high, home[2] + values["RTL_DESCEND_ALT"])
         ways = iter([(home[0], home[1], high), (home[0], home[1], low)])
@@ -316,6 +319,7 @@ class Pilot:
                 return self._land()
             return self._leg(goal, values["MPC_XY_CRUISE"], Heading(forward=True))
 
+        # Rise where it is, then one leg after the other
         self._next = go_on
         return self._leg((x, y, high), values["MPC_XY_CRUISE"], Heading())
 

@@ -64,10 +64,12 @@ class Services:
         Returns:
             Answers to this client; none to a message that is for others, or not known.
         """
+        # 0 is for all; messages to others are not answered
         if getattr(message, "target_system", 0) not in (0, self.vehicle.system):
             return []
         if getattr(message, "target_component", 0) not in (0, COMPONENT):
             return []
+        # By kind: commands, setpoints, missions, and the rest
         kind = message.get_type()
         if kind in COMMAND_MESSAGES:
             return self._obey(message, sender)
@@ -112,8 +114,10 @@ class Services:
         """Take a setpoint; those of a second client are refused while the first sends some."""
         pilot, vehicle, kind = self.vehicle.pilot, self.vehicle, message.get_type()
         try:
+            # Two clients at once would make the vehicle jump to and fro
             if self._commander not in (None, sender) and pilot.hears:
                 raise RefusedError("setpoints refused: another client sends some")
+            # Each message has frames and masks of its own
             wanted: Setpoint | Order
             if kind == "SET_ATTITUDE_TARGET":
                 wanted = setpoints.of_attitude(message, vehicle.airframe)
@@ -123,6 +127,7 @@ class Services:
                 wanted = setpoints.of_global(message, vehicle.site, pilot.state)
             pilot.follow(wanted)
             self._commander = sender
+        # Setpoints come many times a second: the same complaint is told seldom
         except RefusedError as error:
             if pilot.now - self._complained < SAME_AGAIN:
                 return []

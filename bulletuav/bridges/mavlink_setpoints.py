@@ -124,6 +124,7 @@ def of_attitude(message: Message, airframe: Airframe) -> Setpoint:
     Raises:
         RefusedError: The mask is not supported, or a number cannot be.
     """
+    # Bits of the mask name what to leave out
     mask = message.type_mask
     if mask & NO_THRUST:
         raise RefusedError("attitude setpoint: a thrust is needed")
@@ -132,14 +133,17 @@ def of_attitude(message: Message, airframe: Airframe) -> Setpoint:
         0.0 if mask & 1 << k else _number(getattr(message, f"body_{axis}_rate"), QUICKEST)
         for k, axis in enumerate(("roll", "pitch", "yaw"))
     ]
+    # Rates alone; from forward, right, down to forward, left, up
     if mask & NO_ATTITUDE:
         if mask & NO_RATES == NO_RATES:
             raise RefusedError("attitude setpoint: an attitude or rates are needed")
         return Setpoint("rates", (rates[0], -rates[1]), "thrust", thrust, "rate", -rates[2])
+    # Clients' quaternions have lengths near 1; the attitude is from north, east, down
     size = math.sqrt(sum(_number(one, 1e3) ** 2 for one in message.q))
     if size < 1e-3:
         raise RefusedError("attitude setpoint: the quaternion has no length")
     w, x, y, z = (one / size for one in message.q)
     roll, pitch, yaw = euler(attitude_to_enu((x, y, z, w)).tolist())
+    # Tilt stays within what a client may ask for
     lean = [min(max(one, -STEEPEST), STEEPEST) for one in (roll, pitch)]
     return Setpoint("attitude", (lean[0], lean[1]), "thrust", thrust, "angle", yaw)

@@ -144,23 +144,28 @@ class Guide:
         """
         position, quaternion, velocity, _ = state
         yaw = self._held_yaw(setpoint, quaternion, period)
+        # Attitudes and rates need a thrust; one that holds a height is worked out here
         if setpoint.across in ("attitude", "rates"):
             thrust = setpoint.z
             if setpoint.upward != "thrust":
+                # The climb's error becomes an acceleration, as in the cascade
                 up = self._rate * (self._climb(setpoint, position[2]) - velocity[2])
                 roll, pitch, _ = euler(quaternion)
+                # Share of the thrust that lifts; below a half the drone may sink
                 lean = max(cos(roll) * cos(pitch), 0.5)
                 thrust = self._mass * max(STANDARD_GRAVITY + up, 0.0) / lean
             if setpoint.across == "attitude":
                 return Order(SetpointLevel.ATTITUDE, (*setpoint.xy, yaw, thrust))
             rate = setpoint.yaw if setpoint.turning == "rate" else 0.0
             return Order(SetpointLevel.RATES, (*setpoint.xy, rate, thrust))
+        # Positions: along with what moves, or to a stop
         if setpoint.across == "position":
             if setpoint.ahead:
                 return Order(
                     SetpointLevel.ACCELERATION, (*self._follow(setpoint, position, velocity), yaw)
                 )
             return Order(SetpointLevel.POSITION, (*setpoint.xy, setpoint.z, yaw))
+        # Velocities, of which those of the body turn with its heading
         x, y = setpoint.xy
         if setpoint.across == "body":
             heading = euler(quaternion)[2]

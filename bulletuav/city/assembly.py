@@ -83,6 +83,7 @@ def assemble(
     if not pieces:
         mended = notes.report().summary()
         raise ValueError(f"{path} holds no buildings" + (mended and f": {mended}"))
+    # How far the pieces reach, which must fit into a world
     corners = np.concatenate([points for _, points in pieces])
     low = corners[:, :2].min(axis=0)
     high = corners[:, :2].max(axis=0)
@@ -94,6 +95,7 @@ def assemble(
             f"{path} has buildings from {bottom:g} to {top:g} m up: "
             f"at most {MOST_HEIGHT:g} m is possible"
         )
+    # Without a side, the middle of the pieces becomes the origin
     middle = np.zeros(3)
     if side is None:
         side = float((high - low).max())

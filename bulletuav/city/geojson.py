@@ -81,12 +81,14 @@ def from_geojson(
         ImportError: The extra is not installed; it is named.
         ValueError: Something cannot be read; the feature is named.
     """
+    # What helps to read: remedies, notes of what was odd, heights from tags
     path = require_file("city", path, REMEDY)
     check_flags(metres=metres, strict=strict)
     notes = Notebook(path, strict)
     reader = HeightReader(height, default_height, notes)
     shapely = import_shapely("reading GeoJSON")
     footprints = _footprints(path, notes)
+    # To metres from the middle, unless the file has these already
     if footprints:
         shapes = np.array([footprint.shape for footprint in footprints])
         if not metres:
@@ -96,6 +98,7 @@ def from_geojson(
         moved = zip(footprints, shapes, strict=True)
         footprints = [footprint._replace(shape=shape) for footprint, shape in moved]
 
+    # Each footprint becomes convex prisms that share the building's name
     pieces: list[tuple[str, np.ndarray]] = []
     for footprint in _without_outlines(footprints, notes):
         bottom, top = reader.span(footprint.properties, footprint.where)
@@ -108,6 +111,7 @@ def from_geojson(
 
 def _footprints(path: Path, notes: Notebook) -> list[Footprint]:
     """Read the features of a file that have a footprint, in the coordinates of the file."""
+    # Files of others may be anything: each fault gets a sentence
     text = read_file(path)
     try:
         content = json.loads(text)
@@ -120,6 +124,7 @@ def _footprints(path: Path, notes: Notebook) -> list[Footprint]:
     if not isinstance(content, dict) or not isinstance(content.get("features"), list):
         raise ValueError(f"{path} is no FeatureCollection")
     found = []
+    # A feature that cannot be used is noted, and the others are read
     for k, feature in enumerate(content["features"]):
         where = f"feature {k} (from 0)"
         shape = _shape(feature, where, notes)
@@ -142,11 +147,13 @@ def _shape(feature: Any, where: str, notes: Notebook) -> Any:
             f"not {shown(geometry)}",
         )
         return None
+    # Shapely reads the geometry; a height in its coordinates is dropped
     try:
         shape = shapely.force_2d(shapely.from_geojson(json.dumps(geometry)))
     except shapely.errors.ShapelyError as error:
         notes.add("skipped", where, f"its geometry cannot be read: {error}")
         return None
+    # Points and lines are trees, lamps and paths
     if shape.geom_type not in ("Polygon", "MultiPolygon"):
         notes.add(
             "skipped",
@@ -157,11 +164,13 @@ def _shape(feature: Any, where: str, notes: Notebook) -> Any:
     if shape.is_empty:
         notes.add("skipped", where, f"it is an empty {shape.geom_type}, without coordinates")
         return None
+    # Outlines that cross themselves are common, and are repaired
     corners = shape.bounds
     if not shape.is_valid and np.isfinite(corners).all():
         reason = shapely.is_valid_reason(shape)
         notes.add("repaired", where, f"it is no valid polygon: {reason}")
         shape = _polygons(shapely.make_valid(shape))
+    # What is left of it may be a line
     if not np.isfinite(corners).all() or shape.area < LEAST_AREA:
         notes.add(
             "skipped", where, f"it has no area: its corners go from {corners[:2]} to {corners[2:]}"
@@ -210,9 +219,11 @@ def _without_outlines(footprints: Sequence[Footprint], notes: Notebook) -> list[
     shapely = import_shapely("reading GeoJSON")
     outlines = [footprint for footprint in footprints if not footprint.is_part]
     parts = [footprint for footprint in footprints if footprint.is_part]
+    # A part belongs to the outline that a point inside of it lies in
     points = [part.shape.representative_point() for part in parts]
     tree = shapely.STRtree([outline.shape for outline in outlines])
     owners = dict(zip(*tree.query(points, predicate="within"), strict=True)) if parts else {}
+    # Parts take the building's name; one without an outline is its own building
     own: dict[str, list[Any]] = {}
     named = {}
     for k, part in enumerate(parts):
@@ -220,6 +231,7 @@ def _without_outlines(footprints: Sequence[Footprint], notes: Notebook) -> list[
         own.setdefault(building, []).append(part.shape)
         named[part.where] = part._replace(building=building)
 
+    # Outlines go where parts cover them, and where they do not: noted
     left = []
     for footprint in footprints:
         if footprint.where in named:

@@ -21,6 +21,7 @@ def draw_map(city: City, axes: Axes) -> None:
         city: What is drawn.
         axes: Where it is drawn; limits, labels and a title are set.
     """
+    # Footprints shaded by height, streets as lines
     prints = PolyCollection(city.footprints, cmap="viridis_r", edgecolors="face", linewidths=0.4)
     prints.set(array=city.heights[city.building], clim=(0, city.heights.max(initial=1.0)))
     lines = city.streets.nodes[city.streets.edges]
@@ -33,6 +34,7 @@ def draw_map(city: City, axes: Axes) -> None:
     for collection in (streets, prints):
         axes.add_collection(collection)
     axes.figure.colorbar(prints, ax=axes, label="height (m)", shrink=0.85)
+    # Beside the scale, below the map
     axes.legend(
         handles=[streets],
         loc="center right",
@@ -57,9 +59,11 @@ def draw_map(city: City, axes: Axes) -> None:
 
 def _draw_scale(side: float, axes: Axes) -> None:
     """Draw a bar of the greatest round length that is at most a fifth of the side."""
+    # 1, 2 or 5 times a power of ten, in m
     power = 10 ** np.floor(np.log10(side / 5))
     length = power * max(digit for digit in (1, 2, 5) if digit * power <= side / 5)
     ends = np.array([0, length]) - side / 2
+    # Below the map: data along x, share of the axes' height along y
     below = axes.get_xaxis_transform()
     axes.plot(
         ends,

@@ -107,6 +107,7 @@ def realised(city: City, target: Statistics | None = None) -> dict[str, tuple[fl
     """
     heights = city.heights
     share, density, scale = parameters(city)
+    # The city alone: what its parameters are by estimate
     found = {
         "built-up share": share,
         "buildings per km2": density,
@@ -117,7 +118,9 @@ def realised(city: City, target: Statistics | None = None) -> dict[str, tuple[fl
     if target is None:
         return {name: (value, math.nan) for name, value in found.items()}
 
+    # Side of a block that holds one building, m; no street can be wider than two
     block = math.sqrt(city.sides.prod() / len(heights))
+    # Halfway between crossings, where the walls are nearest
     middles = city.streets.nodes[city.streets.edges].mean(axis=1)
     widths = 2 * city.clearance(middles, block)
     found["width of streets, m"] = float(np.median(widths))
@@ -126,6 +129,7 @@ def realised(city: City, target: Statistics | None = None) -> dict[str, tuple[fl
 
     test = stats.kstest(heights, stats.rayleigh(scale=target.gamma).cdf)
     found["KS test of heights, p"] = float(test.pvalue)
+    # The same order as `found`; what the target does not tell is NaN
     aims = [
         target.alpha,
         target.beta,

@@ -113,13 +113,16 @@ class HeightReader:
             ValueError: What it tells is refused.
         """
         bottom = self._bottom(properties, where)
+        # Tags of heights first, then of levels, then a guess
         top = self._told(properties, where)
         if top is None:
             top = self._by_levels(properties, where)
         if top is None:
             top = self._without(properties, where)
+            # A guessed height is that of the building itself, from its underside
             if 0 <= bottom <= MOST_HEIGHT - top:
                 top += bottom
+        # An underside above the top is a mistake of somebody's
         if not 0 <= bottom <= top - LEAST_HEIGHT:
             self.notes.add(
                 "underside", where, f"its underside is {bottom:g} m up, its top {top:g} m"
@@ -134,6 +137,7 @@ class HeightReader:
         value = properties.get(self.name)
         if value is None:
             return None
+        # A number that is none, or that no building can have, is told and not used
         length, oddity = read_length(value)
         if not 0 < length < math.inf:
             self.notes.add("unreadable", where, f"its {self.name} is {shown(value)}", NEEDED)
@@ -146,6 +150,7 @@ class HeightReader:
                 f"from {LEAST_HEIGHT:g} to {MOST_HEIGHT:g} m is possible",
             )
             return None
+        # Readable after a guess, such as a comma for a point
         if oddity:
             self.notes.add(
                 oddity, where, f"its {self.name} is {shown(value)}, taken as {length:g} m", NEEDED

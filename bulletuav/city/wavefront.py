@@ -60,14 +60,17 @@ def from_obj(
         ImportError: The extra is needed, and not installed.
         ValueError: A line cannot be read, or an object is refused; it is named.
     """
+    # Options before the file, which may be large
     path = require_file("city", path, REMEDY)
     check_flags(y_up=y_up, strict=strict)
     choose("elevation", elevation, ELEVATIONS)
     vertices, faces = _faces(path)
+    # To metres with z up
     scale = finite("scale", scale, most=MOST_SCALE)
     points = scale * np.array(vertices).reshape(-1, 3)
     if y_up:
         points = points[:, [0, 2, 1]] * [1, -1, 1]
+    # Objects become convex pieces, with the name of their building
     notes = Notebook(path, strict)
     pieces = [
         (name.partition("_piece_")[0], piece)
@@ -98,7 +101,9 @@ def _on_the_ground(
 
 def _faces(path: Path) -> tuple[list[list[float]], dict[str, list[list[int]]]]:
     """Read all vertices, and of each object by its name the vertices of each of its faces."""
+    # Words of each line, without comments
     lines = [line.partition("#")[0].split() for line in read_file(path).splitlines()]
+    # Buildings are objects, or groups in a file without objects
     starts = "o" if any(line[:1] == ["o"] for line in lines) else "g"
     vertices: list[list[float]] = []
     faces: dict[str, list[list[int]]] = {}
@@ -106,11 +111,13 @@ def _faces(path: Path) -> tuple[list[list[float]], dict[str, list[list[int]]]]:
     for number, line in enumerate(lines, 1):
         try:
             match line:
+                # Texture, normals and materials are passed over
                 case ["v", *words]:
                     vertices.append(_vertex(words))
                 case ["f", *words]:
                     if len(words) < 3:
                         raise ValueError(f"a face has three corners or more, not {len(words)}")
+                    # Indices may count from the end, so they depend on the vertices so far
                     face = list(_indices(words, len(vertices)))
                     faces.setdefault(name, []).append(face)
                 case [word, *words] if word == starts:

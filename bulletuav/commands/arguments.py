@@ -30,6 +30,7 @@ POLICY_HELP = (
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add arguments for the options that all tasks have, and --set for the others."""
+    # Who flies and how
     parser.add_argument(
         "--drones", type=int, dest="num_drones", metavar="N", help="number of drones"
     )
@@ -42,6 +43,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help=f"{', '.join(ACTIONS)} (default: the task's, or one that the policy gives)",
     )
     parser.add_argument("--controller", help=f"{' or '.join(CONTROLLERS)} (default: lee)")
+    # How hard and how long
     parser.add_argument("--difficulty", help="easy, medium, hard or extreme")
     parser.add_argument(
         "--physics-hz", type=int, metavar="HZ", help="physics substeps a second (default: 240)"
@@ -57,6 +59,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--city",
         help="suburban, urban, dense, high_rise; alpha,beta,gamma; or a .geojson or .obj file",
     )
+    # The air, and a name for many options
     parser.add_argument("--turbulence", help="Dryden gusts: light, moderate or severe")
     parser.add_argument("--preset", help="named set of options, see `bulletuav tasks TASK`")
     parser.add_argument(

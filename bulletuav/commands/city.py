@@ -68,6 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _add_generator(parser: argparse.ArgumentParser) -> None:
     """Add the options of a generated city."""
+    # Statistics of the ITU-R; a kind is a name for three of them
     parser.add_argument("--kind", help=f"{', '.join(KINDS)} (default: urban)")
     parser.add_argument(
         "--alpha", type=float, help="built-up share of the ground (default: the kind's)"
@@ -76,6 +77,7 @@ def _add_generator(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--gamma", type=float, metavar="M", help="most frequent height (default: the kind's)"
     )
+    # How regular, and how large
     parser.add_argument(
         "--irregularity", type=float, help="from 0, a regular grid (the default), to 1"
     )
@@ -90,6 +92,7 @@ def _add_generator(parser: argparse.ArgumentParser) -> None:
 
 def _add_import(parser: argparse.ArgumentParser) -> None:
     """Add the options of a city from a file."""
+    # Any file: strict is None when left out, as a generated city takes no such option
     parser.add_argument(
         "--import",
         type=Path,

@@ -45,6 +45,7 @@ def run(arguments: argparse.Namespace) -> None:
     """Collect, and tell what was written."""
     from bulletuav.analysis.dataset import collect  # which needs an extra
 
+    # Bad arguments end the command before anything is flown
     task, policy, options, out = completed_case(arguments, "datasets")
     with show_episodes(shared_episodes(arguments)) as advance:
         files = collect(
@@ -61,8 +62,10 @@ def run(arguments: argparse.Namespace) -> None:
             **options,
         )
     console = Console()
+    # A piece is a share of the episodes: nothing is complete yet
     if arguments.piece is not None:
         print_piece(console, arguments.piece, out)
         return
+    # Tables are many: their folder stands for them
     tables = [path for path in files if path.suffix == ".parquet"]
     print_files(console, [tables[0].parent, *files[len(tables) :]])

@@ -68,6 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Evaluate, print and write."""
+    # Bad arguments end the command before anything is flown
     task, policy, options, out = completed_case(arguments, "evaluation")
     with show_episodes(shared_episodes(arguments)) as advance:
         result = evaluate_case(
@@ -80,6 +81,7 @@ def run(arguments: argparse.Namespace) -> None:
             metrics=arguments.metric,
         )
     console = Console()
+    # A piece is a share of the episodes: no table before all are there
     if arguments.piece is not None:
         print_piece(console, arguments.piece, out)
         return
@@ -155,11 +157,13 @@ def evaluate_case(
             progress=progress,
             trust=arguments.trust,
             metrics=metrics,
+            # Cases of a comparison are dealt out one after the other, from `first` on
             piece=None if arguments.piece is None else arguments.piece._replace(first=first),
             ray=arguments.ray,
             **options,
         )
     except KeyboardInterrupt:
+        # Hours may be lost or not: tell which
         Console(stderr=True).print(
             f"interrupted: finished batches of episodes are kept in {out}; the same command goes on"
         )

@@ -136,6 +136,7 @@ def _prepare_folder(out: Path) -> None:
 
 def _draw(recording: Recording, aviary: Aviary, arguments: argparse.Namespace) -> list[Path]:
     """Draw the tracks and, unless it is not wanted, an animation."""
+    # Who flew, for the titles
     airframes = ", ".join(sorted({airframe.name for airframe in aviary.options.airframe}))
     drones = f"{aviary.num_drones} {airframes}"
     title = f"{arguments.task}: {drones}, {arguments.policy}, seed {arguments.seed}"
@@ -145,6 +146,7 @@ def _draw(recording: Recording, aviary: Aviary, arguments: argparse.Namespace) -
     if arguments.animation == "none":
         return [tracks]
 
+    # Pictures take minutes for long flights, so progress is shown
     drone_size = 2 * aviary.task.context.collision_radius
     animation = Animation(recording, d_safe, drone_size, title)
     path = arguments.out / f"flight.{arguments.animation}"

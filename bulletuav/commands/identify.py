@@ -39,6 +39,7 @@ COLUMNS: tuple[tuple[str, JustifyMethod], ...] = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the logs, the airframe, what to fit, and where to write."""
+    # What is known: logs and airframe
     parser.add_argument(
         "logs", nargs="+", type=Path, metavar="LOG", help="CSV files with named columns"
     )
@@ -88,6 +89,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Fit, print and write."""
+    # Nothing named: all that the logs tell
     names = [name.strip() for name in arguments.fit.split(",") if name.strip()]
     with show_progress("fitting", 100, "%") as report:
         result = identify(
@@ -99,12 +101,14 @@ def run(arguments: argparse.Namespace) -> None:
             window=arguments.window,
             progress=lambda share: report(100 * share),
         )
+    # The longest flight that was kept back shows how well the fit predicts
     out = out_folder(arguments.out)
     picture = out / "prediction.png"
     shown = max(result.kept, key=lambda one: len(one.part.windows))
     title = f"{result.before.name}: {shown.part.flight.log.path.name}, kept back"
     plot_identification(curves(shown), title, picture)
     files = [write_urdf(result, out), *write_report(result, out), picture]
+    # Constants, errors before and after, and where the files are
     console = Console()
     console.print(_constants(result))
     console.print(_errors(result))

@@ -64,6 +64,7 @@ def run(arguments: argparse.Namespace) -> None:
     """Compare, print and write."""
     options = given_options(arguments)
     out = out_folder(arguments.out)
+    # Each task at each difficulty, against each shirker that it has
     cases = [
         (task, difficulty)
         for task in arguments.tasks or list_tasks()
@@ -112,6 +113,7 @@ def markdown(found: list[Incentive]) -> str:
     """Write comparisons as a table in markdown."""
     lines = ["| " + " | ".join(COLUMNS) + " |", "|" + "---|" * len(COLUMNS)]
     for one in found:
+        # What a shirker loses, as a share of what flying earns at all
         share = one.gap.low / one.lead if one.lead > 0 else float("nan")
         row = (
             one.task,

@@ -32,9 +32,11 @@ COMPILING = "compiling what flies; minutes at the first time"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the kind of server, where it listens, and what flies."""
+    # Who flies
     parser.add_argument("kind", help=f"one of: {', '.join(KINDS)}")
     parser.add_argument("--drones", type=int, default=1, metavar="N", help="how many (default: 1)")
     parser.add_argument("--airframe", help="name or URDF (default: iris; for crazyflie cf2x)")
+    # Where to listen; only this machine unless told otherwise
     parser.add_argument(
         "--host",
         default=LOOPBACK,
@@ -50,6 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--speed", type=float, default=1.0, help="simulated seconds a second (default: 1)"
     )
+    # The world and its clock
     parser.add_argument("--dynamics", default="bullet", help="default: bullet")
     parser.add_argument(
         "--wind",

@@ -49,6 +49,7 @@ DISCRETE_ACTIONS = ("discrete", "discrete_27")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what to learn, by which algorithm, for how long, where to write, and the options."""
+    # What to train: a task, a file, or all that the package ships
     parser.add_argument("task", nargs="?", help="one of `bulletuav tasks`")
     parser.add_argument(
         "--config", type=Path, metavar="FILE", help="the run.yaml of a run, or one like it"
@@ -58,6 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help=f"train the package's policies: {', '.join(shipped_tasks())}",
     )
+    # How, how often, and where to write
     add_run(parser)
     parser.add_argument(
         "--seeds",
@@ -78,10 +80,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add_run(parser: argparse.ArgumentParser) -> None:
     """Add the settings of a run, and the options of its environment."""
+    # The learner
     parser.add_argument("--algo", help=f"{', '.join(ALGORITHMS)} (default: ppo)")
     parser.add_argument("--steps", type=count, help="decisions of all drones together, such as 2e6")
     parser.add_argument("--seed", type=int, help="same seed, same weights (default: 0)")
     parser.add_argument("--worlds", type=int, help="worlds that fly at once")
+    # How its progress is judged
     parser.add_argument(
         "--evaluations",
         type=int,

@@ -42,6 +42,7 @@ FORM = "LOW:HIGH, LOW:HIGH:log, LOW:HIGH:STEP or A,B,C is needed"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what is searched, how long, and the settings of the runs."""
+    # Where the settings come from that do not vary
     parser.add_argument("task", nargs="?", help="one of `bulletuav tasks`")
     parser.add_argument(
         "--config", type=Path, metavar="FILE", help="run.yaml with the settings that do not vary"
@@ -82,16 +83,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Search, print and draw."""
+    # Interrupted studies go on with the trials that are missing
     study = _study(arguments)
     out = out_folder(arguments.out or Path("tuning") / study.run.task)
     with show_progress(f"tuning {study.run.task}", study.trials, "trials") as report:
         trials = or_tell(out, lambda: run_study(study, out, arguments.workers, report, report.note))
+    # What was found, as a table and a picture
     table, picture = out / "study.md", out / "study.png"
     text = study_table(study, trials)
     replace_file(table, text)
     plot_study(study, trials, picture)
     console = Console()
     console.print(text, markup=False, soft_wrap=True)
+    # The command that makes something of it
     best = best_trials(study, trials)[0].folder / CONFIG
     console.print(
         f"train the best one for longer: bulletuav train --config {best} --steps ... --out ...",
@@ -107,6 +111,7 @@ def _study(arguments: argparse.Namespace) -> Study:
     sources = [arguments.task, arguments.config, arguments.study]
     if sum(source is not None for source in sources) != 1:
         raise ValueError("tune what? Give one of TASK, --config FILE or --study FILE")
+    # Options of the command go before what a file tells
     settings: dict[str, Any] = {
         name: getattr(arguments, name) for name in GIVEN if getattr(arguments, name) is not None
     }
@@ -117,6 +122,7 @@ def _study(arguments: argparse.Namespace) -> Study:
         settings = {name: getattr(known, name) for name in GIVEN} | settings
     else:
         base = base_config(arguments, arguments.task)
+    # A study without a new search goes on with its own
     if arguments.search or not space:
         space = space | parse_space(_searched(arguments.search))
     return Study(run_config(arguments, base), space, **settings)

@@ -253,12 +253,14 @@ def _saddle(square: Vec3, variance: Vec3) -> tuple[float, float]:
     for i in range(3):
         z = max(z, 0.5 * (math.sqrt(square[i]) - 1.0) / variance[i])
     while True:
+        # Slope of the logarithm, and its curvature, term by term
         slope = 1.0 - 1.0 / z
         curvature = 1.0 / z**2
         for i in range(3):
             shrink = 1.0 / (1.0 + 2.0 * z * variance[i])
             slope -= shrink * (variance[i] + square[i] * shrink)
             curvature += 2.0 * variance[i] * shrink**2 * (variance[i] + 2.0 * square[i] * shrink)
+        # A peak of this curvature falls off like a Gaussian of this width
         width = 1.0 / math.sqrt(curvature)
         step = -slope / curvature
         # A z so far out that rounding stops it belongs to a probability of 0.

@@ -49,6 +49,7 @@ def fill_conflict(
 ) -> None:
     """Fill the arrays of a `Conflict`; see `conflict` for the arguments."""
     for w in range(alive.shape[0]):
+        # Who flies alone keeps these
         for i in range(alive.shape[1]):
             separation[w, i] = np.inf
             onsets[w, i] = 0

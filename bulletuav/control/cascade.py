@@ -124,11 +124,13 @@ def lee_rotors(
     if level <= SetpointLevel.POSITION:
         target = velocity_setpoint(position, target, gain)
     if level <= SetpointLevel.VELOCITY:
+        # A velocity wanted becomes an acceleration by the error to the present one
         velocity = target
         target = acceleration_setpoint(current_velocity, target, gain)
     # Attitude: along the force that accelerates the drone, or as the setpoint says.
     if level <= SetpointLevel.ATTITUDE:
         if level <= SetpointLevel.ACCELERATION:
+            # What pushes the drone anyway is not asked of the rotors
             force = force_setpoint(
                 plus(target, -1.0, push),
                 quaternion,
@@ -138,11 +140,13 @@ def lee_rotors(
                 nominal,
                 gain,
             )
+            # Only the part along the present thrust axis can be had now
             thrust = dot(force, axes(quaternion)[2])
             desired = desired_axes(force, yaw)
         else:
             desired = axes(from_euler(target[0], target[1], target[2]))
         target = rates_setpoint(quaternion, desired, gain)
+    # Down to a torque, less what turns the drone anyway
     torque = torque_setpoint(rates, target, total_speed, nominal, gain)
     torque = plus(torque, -1.0, twist)
     mix(thrust, torque, nominal, gain, command)
@@ -161,10 +165,12 @@ def pid_errors(level: int, setpoint: Quat4Like, state: State) -> tuple[Vec3, Vec
         Errors (target minus state) of position (m) and velocity (m/s). A position is to be held at
         rest, and under a velocity no position is held.
     """
+    # A position: the derivative part brakes to rest
     position, _, velocity, _ = state
     if level == SetpointLevel.POSITION:
         away = (setpoint[0] - position[0], setpoint[1] - position[1], setpoint[2] - position[2])
         return away, (-velocity[0], -velocity[1], -velocity[2])
+    # A velocity: nothing to return to
     slow = (setpoint[0] - velocity[0], setpoint[1] - velocity[1], setpoint[2] - velocity[2])
     return (0.0, 0.0, 0.0), slow
 
@@ -198,6 +204,7 @@ def step_pid(
         gain: Row of `GAINS`.
         command: (R,) speed of each rotor, rad/s, which is written.
     """
+    # What the setpoint leaves to do
     position_error, velocity_error = pid_errors(level, setpoint, state)
     # Out of the memory as tuples, and back into it.
     integrals = (
@@ -218,6 +225,7 @@ def step_pid(
         gain,
         command,
     )
+    # Integrals go on from here in the next step
     for k in range(3):
         memory[w, i, k] = integrals[0][k]
         memory[w, i, 3 + k] = integrals[1][k]
@@ -245,6 +253,7 @@ def command_kinematic(
     Returns:
         Velocity (m/s) or acceleration (m/s^2), world.
     """
+    # The same first steps as the Lee controller
     target = (setpoint[0], setpoint[1], setpoint[2])
     if level <= SetpointLevel.POSITION:
         target = velocity_setpoint(position, target, gain)
@@ -278,6 +287,7 @@ def command_rotors(
         gravity: Gravitational acceleration, m/s^2.
         command: (R,) speed of each rotor, rad/s, which is written.
     """
+    # What the controller believes: nominal parameters, not those that fly
     controller, all_nominal, all_gains, memory, integral = cascade
     nominal = all_nominal[w, i]
     gain = all_gains[w, i]
@@ -295,6 +305,7 @@ def command_rotors(
         _, quaternion, velocity, rates = state
         rotors = rotor_wrench(swarm.rotor_speed[w, i], 0.0, nominal)
         slowed, tipped = drag(quaternion, velocity, rotors[2], nominal)
+        # Steady pushes, such as wind: learned from how the velocity departs from what is known
         push = (0.0, 0.0, 0.0)
         if integral:
             lift = plus(slowed, rotors[0], axes(quaternion)[2])
@@ -307,6 +318,7 @@ def command_rotors(
             felt = felt_acceleration(velocity, memory, w, i, dt)
             still = torque_of_drag_ahead(quaternion, velocity, rates, felt, rotors[2], nominal)
             twist = plus(twist, 1.0, still)
+        # All that is known and learned goes down the cascade
         lee_rotors(
             level,
             quat4(setpoint, w, i),

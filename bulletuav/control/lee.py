@@ -69,6 +69,7 @@ def acceleration_setpoint(velocity: Vec3Like, target: Vec3Like, gain: GainRow) -
     Returns:
         Acceleration, m/s^2, world.
     """
+    # 2 z w, the rate at which an error of velocity decays
     rate = 2.0 * gain.damping * gain.position_frequency
     return (
         rate * (target[0] - velocity[0]),
@@ -159,6 +160,7 @@ def nose(yaw: float) -> Vec3:
     # Most flights hold 0, which needs no sine.
     if yaw == 0.0:
         return 1.0, 0.0, 0.0
+    # The horizontal part of the body's x axis
     return cos(yaw), sin(yaw), 0.0
 
 
@@ -173,8 +175,10 @@ def desired_axes(force: Vec3Like, yaw: float) -> tuple[Vec3, Vec3, Vec3]:
     Returns:
         Body axes x, y, z in the world: the columns of the rotation matrix Rc.
     """
+    # Thrust acts along body z
     size = math.sqrt(dot(force, force))
     b3 = (force[0] / size, force[1] / size, force[2] / size)
+    # Body y is level towards the yaw, across z and the nose
     side = cross(b3, nose(yaw))
     size = math.sqrt(dot(side, side))
     b2 = (side[0] / size, side[1] / size, side[2] / size)
@@ -192,6 +196,7 @@ def attitude_error(quaternion: Quat4Like, desired: tuple[Vec3, Vec3, Vec3]) -> V
     Returns:
         Error about the body axes, without unit.
     """
+    # The matrix is skew: three of its entries tell it
     b1, b2, b3 = axes(quaternion)
     c1, c2, c3 = desired
     return dot(c3, b2) - dot(b3, c2), dot(c1, b3) - dot(b1, c3), dot(c2, b1) - dot(b2, c1)
@@ -213,6 +218,7 @@ def rates_setpoint(
     Returns:
         Body rates, rad/s.
     """
+    # Lee's e_R has a factor 1 / 2, which the scale holds with that of the formula
     error = attitude_error(quaternion, desired)
     scale = -0.25 / gain.damping
     frequency = gain.attitude_frequency
@@ -242,8 +248,10 @@ def torque_setpoint(
     Returns:
         Torque, N m, body axes.
     """
+    # Gyroscopic torque W x J W, and the rotors' damping at the rates wanted
     momentum = (row.inertia[0] * rates[0], row.inertia[1] * rates[1], row.inertia[2] * rates[2])
     carried = plus(cross(rates, momentum), 1.0, damping_torque(target, total_speed, row))
+    # Proportional part: k_W = 2 z w_R J on each axis
     twice = 2.0 * gain.damping
     frequency = gain.attitude_frequency
     return (
@@ -273,6 +281,7 @@ def mix(
         gain: Row of `GAINS`.
         command: (R,) speed of each rotor, rad/s, which is written.
     """
+    # Greatest thrust of one rotor, N
     most = row.thrust_coefficient * row.max_rotor_speed * row.max_rotor_speed
     # Thrust at which roll and pitch still fit.
     for r in range(row.num_rotors):
@@ -285,6 +294,7 @@ def mix(
         lift = (
             gain.mixer[r, 0] * thrust + gain.mixer[r, 1] * torque[0] + gain.mixer[r, 2] * torque[1]
         )
+        # A rotor cannot push down
         command[r] = min(max(lift, 0.0), most)
         turn = gain.mixer[r, 3] * torque[2]
         if command[r] + turn > most:

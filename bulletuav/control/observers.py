@@ -51,9 +51,11 @@ def felt_acceleration(velocity: Vec3Like, memory: np.ndarray, w: int, i: int, dt
         Acceleration, m/s^2, world; none at a start.
     """
     fresh = _fresh(memory, w, i, 10, 13)
+    # Velocity of the last call, which the present one replaces
     before = (memory[w, i, 10], memory[w, i, 11], memory[w, i, 12])
     for k in range(3):
         memory[w, i, 10 + k] = velocity[k]
+    # There is no velocity before: a difference from 0 would be a jolt
     if fresh:
         return 0.0, 0.0, 0.0
     return plus(
@@ -89,9 +91,11 @@ def learned_push(
     Returns:
         Acceleration by what pushes beside the known forces, m/s^2, world.
     """
+    # The prediction begins at the measured velocity
     if _fresh(memory, w, i, 0, 6):
         for k in range(3):
             memory[w, i, k] = velocity[k]
+    # Euler steps of the two equations; both poles lie at f for a damping of 1
     frequency = FASTER * gain.position_frequency
     for k in range(3):
         missed = velocity[k] - memory[w, i, k]
@@ -137,14 +141,18 @@ def learned_torque(
     Returns:
         Torque beside the known ones, N m, body axes; none about z.
     """
+    # The prediction begins at the measured rates
     if _fresh(memory, w, i, 6, 10):
         for k in range(2):
             memory[w, i, 6 + k] = rates[k]
+    # Angular acceleration by rotors and still air, as the controller knows them
     _, torque, total_speed, momentum = rotors
     known = (torque[0] + tipped[0], torque[1] + tipped[1], torque[2])
     spinning = body_acceleration(rates, known, total_speed, momentum, row)
+    # A bound by what the rotors could make up for
     most = LARGEST_TORQUE * gain.max_thrust * row.arm
     for k in range(2):
+        # As for pushes, with a torque over the inertia for the acceleration
         frequency = gain.attitude_frequency[k]
         missed = rates[k] - memory[w, i, 6 + k]
         correction = 2.0 * gain.damping * frequency * missed

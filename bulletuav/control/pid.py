@@ -81,6 +81,7 @@ def pid_force(
     Returns:
         Force setpoint, N, world.
     """
+    # P, I and D on each axis; upwards the weight is carried, too
     return (
         FORCE_P[0] * position_error[0] + FORCE_I[0] * integral[0] + FORCE_D[0] * velocity_error[0],
         FORCE_P[1] * position_error[1] + FORCE_I[1] * integral[1] + FORCE_D[1] * velocity_error[1],
@@ -103,6 +104,7 @@ def pid_torque(error: Vec3Like, rates: Vec3Like, integral: Vec3Like) -> Vec3:
     Returns:
         Commands about the body axes, PWM units, each within `TORQUE_LIMIT`.
     """
+    # A positive error is a turn too far, so P and D act against error and rates
     roll = -TORQUE_P[0] * error[0] + TORQUE_I[0] * integral[0] - TORQUE_D[0] * rates[0]
     pitch = -TORQUE_P[1] * error[1] + TORQUE_I[1] * integral[1] - TORQUE_D[1] * rates[1]
     yaw = -TORQUE_P[2] * error[2] + TORQUE_I[2] * integral[2] - TORQUE_D[2] * rates[2]

@@ -106,6 +106,7 @@ class Trajectory:
         Raises:
             ValueError: A duration is not above 0, or wrong shapes or numbers.
         """
+        # Numbers first, then their shapes and ranges
         lasting, terms = (
             numbers_of("durations are", durations),
             numbers_of("coefficients are", coefficients),
@@ -125,6 +126,7 @@ class Trajectory:
             raise ValueError("coefficients have numbers that are not finite")
         self = cls.__new__(cls)
         self.has_yaw = True
+        # SciPy wants the highest power first
         ends = np.concatenate([[0.0], np.cumsum(lasting)])
         self._keep(PPoly(terms.transpose(2, 0, 1)[::-1], ends), *ends[[0, -1]])
         return self
@@ -222,6 +224,7 @@ class Tracker:
 def _checked(times: Any, points: Any) -> tuple[np.ndarray, np.ndarray, bool]:
     """Take times (P,), points as (P, 4), and whether they tell a yaw; refuse what is no curve."""
     knots, places = numbers_of("times are", times), numbers_of("points are", points)
+    # Times must rise, as pieces of no length have no curve
     if knots.ndim != 1 or not 2 <= len(knots) <= MOST_POINTS:
         raise ValueError(f"times have shape {knots.shape}: from 2 to {MOST_POINTS} are needed")
     if not np.isfinite(knots).all() or (np.diff(knots) <= 0).any():
@@ -233,6 +236,7 @@ def _checked(times: Any, points: Any) -> tuple[np.ndarray, np.ndarray, bool]:
         )
     if not np.isfinite(places).all():
         raise ValueError("points have numbers that are not finite")
+    # Points without a yaw get one of 0, which nobody flies
     rows = np.zeros((len(knots), AXES))
     rows[:, : places.shape[1]] = places
     return knots, rows, places.shape[1] == AXES

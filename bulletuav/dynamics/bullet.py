@@ -55,8 +55,10 @@ def choose_flying(
     """
     for w in range(alive.shape[0]):
         for i in range(alive.shape[1]):
+            # Whom a contact stopped stays for the rest of the decision
             flying[w, i] = alive[w, i] and not contact.stopped[w, i]
             if flying[w, i] and contact.asleep[w, i]:
+                # What would move a sleeper: forces over mass, torques over inertia
                 row = parameters[w, i]
                 turn = vec3(torque, w, i)
                 inertia = row.inertia
@@ -65,6 +67,7 @@ def choose_flying(
                 turned = quat4(swarm.quaternion, w, i)
                 if not bears(contact, w, i, turned, accelerates, spins, row, dt):
                     wake(contact, w, i)
+    # The rest of the pile may have woken with one of its drones
     for w in range(alive.shape[0]):
         for i in range(alive.shape[1]):
             flying[w, i] = flying[w, i] and not contact.asleep[w, i]
@@ -114,6 +117,7 @@ def advance(
         flying: (W, N) bool, room for those whom the engine moves.
     """
     port, swarm, cascade, air, contact = borrowed((port, swarm, cascade, air, contact))
+    # Whom a contact stops in a substep rests until the end of the decision
     driven[:] = alive
     for piece in range(substeps):
         remember_all(contact, swarm)
@@ -217,9 +221,11 @@ class BulletDynamics(Dynamics):
         flight, contact, swarm, alive = self.flight, self.contact, inputs.swarm, inputs.alive
         driven = alive
         for piece in range(flight.substeps):
+            # Contacts need the states before the substep, and where obstacles are then
             remember_all(contact, swarm)
             place_obstacles(contact, piece / flight.substeps, flight.substeps * flight.dt)
             self._advance_once(inputs._replace(alive=driven))
+            # States that contacts changed go back to the engine
             parameters = flight.parameters
             if meet_all(contact, swarm, alive, parameters, piece, flight.substeps, flight.dt):
                 flight.engine.write_states(swarm, contact.changed)
@@ -253,10 +259,13 @@ class BulletDynamics(Dynamics):
     def _advance_once(self, inputs: "_Inputs") -> None:
         """Fly one substep through the engine's own calls."""
         engine = self.flight.engine
+        # Ground effect needs the height above what lies below now
         if self._near_ground:
             inputs.air.surface[:] = engine.surface_below(inputs.swarm.position, inputs.alive)
+        # Rotors, and what they and the air do
         drive(*inputs)
         force, torque, flying = inputs.force, inputs.torque, self._flying
+        # Sleepers take no part; contacts woke whom they do not hold
         choose_flying(
             inputs.alive,
             inputs.parameters,
@@ -267,6 +276,7 @@ class BulletDynamics(Dynamics):
             self.contact,
             flying,
         )
+        # Bullet integrates
         engine.apply_wrenches(force, torque, flying)
         engine.step()
         engine.read_states(inputs.swarm, flying)
@@ -279,11 +289,13 @@ class BulletDynamics(Dynamics):
         moving, flying = bool((before != after).any()), np.any(inputs.alive, axis=1)
         touched = []
         for piece in range(flight.substeps):
+            # Obstacles move in steps: the engine's own contacts know no time between
             if moving:
                 share = (piece + 1) / flight.substeps
                 engine.set_obstacles(before + share * (after - before), turns, flying)
             self._advance_once(inputs)
             touched.append(engine.contacts(inputs.swarm, flight.dt))
+        # One list of contacts for the whole decision
         columns = [np.concatenate(column) for column in zip(*touched, strict=True)]
         self._in_engine = Contacts.merged(**dict(zip(Contacts._fields, columns, strict=True)))
 

@@ -21,6 +21,7 @@ def any_lost(swarm: Swarm, alive: np.ndarray, lost: np.ndarray) -> bool:
         for i in range(alive.shape[1]):
             velocity = vec3(swarm.velocity, w, i)
             rates = vec3(swarm.rates, w, i)
+            # Squares save roots; comparisons with NaN are false, so NaN is lost, too
             slow = dot(velocity, velocity) < FASTEST**2
             calm = dot(rates, rates) < FASTEST_SPIN**2
             if alive[w, i] and not (slow and calm):

@@ -17,10 +17,12 @@ def _slopes(
     rates: Vec3, torque: Vec3, total_speed: float, momentum: float, dt: float, row: np.record
 ) -> Vec3:
     """Return six times the weighted mean of the four slopes of the rates (RK4), rad/s^2."""
+    # At the start, twice in the middle, and at the end of the step
     k1 = body_acceleration(rates, torque, total_speed, momentum, row)
     k2 = body_acceleration(plus(rates, 0.5 * dt, k1), torque, total_speed, momentum, row)
     k3 = body_acceleration(plus(rates, 0.5 * dt, k2), torque, total_speed, momentum, row)
     k4 = body_acceleration(plus(rates, dt, k3), torque, total_speed, momentum, row)
+    # Not divided by six: the caller does that once for all parts
     return (
         k1[0] + 2 * k2[0] + 2 * k3[0] + k4[0],
         k1[1] + 2 * k2[1] + 2 * k3[1] + k4[1],
@@ -52,15 +54,18 @@ def engine_torque(
     Returns:
         M' in body axes, N m.
     """
+    # Fast spins take several RK4 steps in a substep
     parts = spin_parts(rates, dt, SMALL_TURN)
     step = dt / parts
     slope = _slopes(rates, torque, total_speed, momentum, step, row)
     total = slope
+    # Each step goes on from where the last one came to
     now = rates
     for _ in range(parts - 1):
         now = plus(now, step / 6.0, slope)
         slope = _slopes(now, torque, total_speed, momentum, step, row)
         total = plus(total, 1.0, slope)
+    # Mean over the steps, six times the acceleration for the whole substep
     total = (total[0] / parts, total[1] / parts, total[2] / parts)
 
     # What Bullet takes off again: w x J w
@@ -71,6 +76,7 @@ def engine_torque(
         inertia[2] * rates[2],
     )
     gyroscopic = cross(rates, carried)
+    # J times the acceleration wanted, and what Bullet subtracts
     return (
         gyroscopic[0] + inertia[0] * total[0] / 6.0,
         gyroscopic[1] + inertia[1] * total[1] / 6.0,
@@ -123,9 +129,11 @@ def drive(
                 winding = 0.0
                 for rotor in range(row.num_rotors):
                     now = swarm.rotor_speed[w, i, rotor]
+                    # A weak battery gives less speed than was asked for
                     after = lagged(now, air.supply[w, i] * command[rotor], decay)
                     swarm.rotor_speed[w, i, rotor] = after
                     speed[rotor] = after
+                    # Torque by which the rotors' change of spin turns the body
                     if row.lag_up > 0.0:
                         winding += row.rotor_turn[rotor] * (after - now) / dt
 
@@ -136,6 +144,7 @@ def drive(
                 altitude = swarm.position[w, i, 2]
                 rotors = rotor_wrench(speed, winding, row)
                 push, turn = wrench(quaternion, velocity, altitude, speed, rotors, around, row)
+                # Bullet's explicit step of the rates is corrected by the torque
                 rates = vec3(swarm.rates, w, i)
                 turn = engine_torque(rates, turn, rotors[2], rotors[3], dt, row)
                 for k in range(3):

@@ -35,6 +35,7 @@ POINT_MASS, SINGLE_INTEGRATOR, DOUBLE_INTEGRATOR = range(3)
 @func
 def limited(vector: Vec3, limit: float) -> Vec3:
     """Return the vector, shortened to `limit` if it is longer."""
+    # The norm is limited, so the direction stays
     size = math.sqrt(dot(vector, vector))
     scale = limit / size if size > limit else 1.0
     return (
@@ -65,6 +66,7 @@ def _relaxed(
     end0 = (command[0] / lag + drag * wind[0] + pull[0]) / rate
     end1 = (command[1] / lag + drag * wind[1] + pull[1]) / rate
     end2 = (command[2] / lag + drag * wind[2] + pull[2]) / rate
+    # What is left to approach decays at the common rate
     away0 = velocity[0] - end0
     away1 = velocity[1] - end1
     away2 = velocity[2] - end2
@@ -73,6 +75,7 @@ def _relaxed(
         end1 + decay * away1,
         end2 + decay * away2,
     )
+    # Integral of the velocity over dt
     moved = (
         end0 * dt + share * away0,
         end1 * dt + share * away1,
@@ -110,6 +113,7 @@ def lagged_velocity(
     Returns:
         Velocity after dt, m/s, and displacement, m.
     """
+    # Within the limit the equation is linear
     steered = (
         (command[0] - velocity[0]) / lag,
         (command[1] - velocity[1]) / lag,
@@ -123,6 +127,7 @@ def lagged_velocity(
     acceleration0 = steered[0] - drag * (velocity[0] - wind[0]) + pull[0]
     acceleration1 = steered[1] - drag * (velocity[1] - wind[1]) + pull[1]
     acceleration2 = steered[2] - drag * (velocity[2] - wind[2]) + pull[2]
+    # Exact for an acceleration that is held
     half = 0.5 * dt * dt
     after = (
         velocity[0] + acceleration0 * dt,
@@ -194,12 +199,15 @@ def _advance_point(
     dt: float,
 ) -> tuple[Vec3, Vec3]:
     """Return velocity and displacement of a point after dt, under the setpoint `target`."""
+    # An acceleration: limited, while forces from outside are not
     if kind == DOUBLE_INTEGRATOR:
         acceleration = plus(limited(target, most), 1.0, pull)
         return accelerated(velocity, acceleration, fastest, dt)
+    # A velocity, within the speed limit
     command = limited(target, fastest)
     if kind == POINT_MASS:
         return lagged_velocity(velocity, command, wind, pull, lag, drag, most, dt)
+    # A single integrator has the velocity at once
     return command, (
         command[0] * dt,
         command[1] * dt,

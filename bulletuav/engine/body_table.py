@@ -75,6 +75,7 @@ class BodyTable:
         self.drone = np.array(drones, dtype=np.int32)
         self._client = client
         self._obstacles, self._offset, self._depth = obstacles, offset, depth
+        # Obstacles and cities, which may be made later
         self._other_of_body: dict[int, int] = {}
         self._made_later = 0
         diameter = 2 * max(airframe.collision_radius for airframe in airframes)

@@ -169,6 +169,7 @@ def substep(
         mask: (W, N) bool, drones that fly.
         swarm: Whose positions, attitudes and velocities are written.
     """
+    # Addresses of the arrays: C reads and writes them where they stand
     port.substep(
         port.session,
         mask.ctypes,
@@ -179,6 +180,7 @@ def substep(
         swarm.velocity.ctypes,
         port.omega.ctypes,
     )
+    # From the engine's tiles and axes to those of each world
     localise(port.place, port.offset, port.omega, mask, swarm)
 
 
@@ -191,6 +193,7 @@ def write_states(port: Port, swarm: Swarm, mask: np.ndarray) -> None:
         swarm: The states.
         mask: (W, N) bool, drones to set.
     """
+    # To the engine's tiles and axes
     globalise(port.place, port.offset, port.omega, mask, swarm)
     port.write(
         port.session,

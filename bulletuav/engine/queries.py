@@ -68,6 +68,7 @@ class EngineQueries:
         self._renderer = SceneRenderer(client, bodies, offset)
         self._offset = offset[:, None, :]
         self._compiled = compiled
+        # The same shapes for compiled code, which asks Bullet nothing
         self._scenery = make_scenery(
             drones=[airframe.shape for airframe in airframes],
             obstacles=obstacles,

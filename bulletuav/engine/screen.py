@@ -14,6 +14,7 @@ def require_screen() -> None:
     """
     if not sys.platform.startswith("linux"):
         return
+    # The library of X itself is asked, as Bullet will ask it
     name = ctypes.util.find_library("X11")
     display = os.environ.get("DISPLAY")
     if name and display:

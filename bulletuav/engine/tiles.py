@@ -57,7 +57,9 @@ def localise(
         for i in range(mask.shape[1]):
             if mask[w, i]:
                 for k in range(3):
+                    # Each world has a tile of Bullet's plane, and its own origin
                     swarm.position[w, i, k] = place[w, i, k] - offset[w, 0, k]
+                # Bullet tells angular velocities in world axes
                 swarm.rates[w, i] = to_body(swarm.quaternion[w, i], omega[w, i])
 
 
@@ -81,6 +83,7 @@ def globalise(
     for w in range(mask.shape[0]):
         for i in range(mask.shape[1]):
             if mask[w, i]:
+                # Back to world axes, and to the world's tile
                 spin = to_world(quat4(swarm.quaternion, w, i), vec3(swarm.rates, w, i))
                 for k in range(3):
                     place[w, i, k] = swarm.position[w, i, k] + offset[w, 0, k]
@@ -94,11 +97,13 @@ def _is_covered(here: Vec3Like, scenery: Scenery, w: int) -> bool:
     It goes by the bounding spheres of bodies and the bounding boxes of buildings.
     """
     for r in range(scenery.other.shape[0]):
+        # From above a sphere is a disc
         dx = scenery.place[w, r, 0] - here[0]
         dy = scenery.place[w, r, 1] - here[1]
         radius = scenery.table.radius[scenery.first_body + r]
         if dx * dx + dy * dy <= radius * radius:
             return True
+    # A column without end over the point
     low = (here[0], here[1], -np.inf)
     high = (here[0], here[1], np.inf)
     return meets(scenery.city_grid, w, low, high)
@@ -123,6 +128,7 @@ def cover(position: np.ndarray, mask: np.ndarray, scenery: Scenery, surface: np.
     count = 0
     for w in range(mask.shape[0]):
         for i in range(mask.shape[1]):
+            # The ground is flat, so it needs no ray
             surface[w, i] = 0.0 if mask[w, i] else -np.inf
             if mask[w, i] and _is_covered(vec3(position, w, i), scenery, w):
                 surface[w, i] = np.nan

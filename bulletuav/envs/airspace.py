@@ -100,26 +100,32 @@ class Airspace(AirspaceParts):
             ValueError: There is no such drone or level, or numbers cannot be; nothing has changed.
         """
         self._require_open()
+        # The usual call, checked and kept by compiled code
         if yaw is None and yaw_rate is None and not self._turns and type(level) is SetpointLevel:
             width = self._widths.get(level)
             held = (self._levels, self._setpoint, self._told)
             if width and hold(*held, drones, level, width, setpoint):
                 return
+        # Everything is checked before anything is kept
         rows, count = rows_of(drones, len(self.airframes))
         level = level_of(level, self.consumes, self._options)
         speaks = yaw is not None or yaw_rate is not None
         rotors = self.hover_speed.shape[1]
         numbers = setpoint_numbers(level, setpoint, count, rotors, speaks)
         turning = None if yaw_rate is None else angles("yaw_rate", yaw_rate, count)
+        # Without a yaw in the setpoint, the present heading is held
         if yaw is not None:
             self._setpoint[0, rows, YAW] = angles("yaw", yaw, count)
         elif level < SetpointLevel.ATTITUDE and numbers.shape[-1] == YAW:
             self._hold_yaw(rows)
+        # Held until told otherwise
         self._setpoint[0, rows, : numbers.shape[-1]] = numbers
         self._levels[0, rows] = int(level)
         self._told[0, rows] = True
+        # Integrals of the PID would be stale after a flight without it
         if level == SetpointLevel.ROTOR and self._options.controller == "pid":
             self._dynamics.flight.cascade.memory[0, rows] = 0.0
+        # From the first yaw rate on, drones that are told none stop turning
         if turning is not None or self._turns:
             self._turns = True
             self._yaw_rate[0, rows] = 0.0 if turning is None else turning
@@ -199,16 +205,20 @@ class Airspace(AirspaceParts):
     def _make_program(self) -> Program:
         """Make the program of a step, in the order in which things happen."""
         program, contact = Program(), self._dynamics.contact
+        # What is around: wind, obstacles on their ways, headings that turn
         self._wind.add_to(program, self._swarm.position, self._time, self._air)
         obstacles = (self._obstacle, self._obstacle_velocity, contact.before, contact.after)
         turning = (self._swarm.quaternion, self._setpoint, self._yaw_rate)
         program.call(prepare, *turning, self.period, *obstacles)
+        # The flight, and where obstacles are after it
         given = (self._levels, self._setpoint, self._air)
         self._dynamics.add_to(program, self._swarm, self._alive, *given)
         add_obstacles(program, self._engine, self._obstacle)
+        # Forces that were applied act in one step
         pushes = (self._dynamics.force, self._dynamics.torque)
         hz = float(self._options.decision_hz)
         program.call(finish, self._steps, hz, self._time, *pushes)
+        # Sensors and views come last, of the state after the step
         if self._sensors.sensors:
             program.turn(self._measure)
         if self._options.render_mode == "human":
@@ -268,6 +278,7 @@ class Airspace(AirspaceParts):
 
     def _state_arrays(self) -> dict[str, np.ndarray]:
         """Tell the arrays (1, ...) by name that are the state, whatever flew before."""
+        # What was drawn at the start belongs to the state: it is not drawn again
         drawn = {f"drawn {name}": array for name, array in self._uncertainty.drawn.items()}
         return {
             **self._swarm._asdict(),

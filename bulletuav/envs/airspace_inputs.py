@@ -74,18 +74,21 @@ def airspace_options(
         UnknownOptionError: There is no such option.
         ValueError: A value cannot be.
     """
+    # Options that only tasks have are unknown here
     known = {field.name for field in dataclasses.fields(EnvOptions)}.difference(OF_TASKS)
     for name in given:
         if name not in known:
             raise UnknownOptionError(
                 f"unknown option of Airspace: {name!r}: {nearest(name, known)}"
             )
+    # Positions tell how many drones there are
     places = numbers_of("position is", position)
     if places.ndim != 2 or places.shape[1] != 3 or not len(places):
         raise ValueError(
             f"position is {shown(position)}: a row x, y, z for each drone is needed, such as "
             f"[(0.0, 0.0, 1.0)]"
         )
+    # Usual values follow from the airframes
     values = dict(given)
     make_tuples(values)
     values["airframe"] = airframes_of(airframe, len(places))
@@ -98,6 +101,7 @@ def airspace_options(
     # Setpoints come from `command`; rotor speeds are what every option allows.
     values |= {"num_drones": len(places), "action": "rotor", "horizon": 1, "sensors": listed}
     options = EnvOptions(**values)
+    # What is possible in tasks alone
     if options.render_mode in VIEWERS:
         raise ValueError(
             f"render_mode is {options.render_mode!r}: live views show tasks; use 'human' or "
@@ -108,6 +112,7 @@ def airspace_options(
             f"gravity is 0: dynamics {options.dynamics_name!r} bounds accelerations by it, use "
             f"another dynamics"
         )
+    # Sensors that are named must be registered, or among those given
     names = [one if isinstance(one, str) else find_sensor(one).name for one in listed]
     check_names("sensors", "sensor", names, tuple(all_sensors))
     carried = {name: sensor for name, sensor in all_sensors.items() if name in names}
@@ -138,6 +143,7 @@ def rows_of(drones: Drones, count: int) -> tuple[Any, tuple[int, ...]]:
     Raises:
         ValueError: There is no such drone.
     """
+    # The usual forms first, without making arrays
     if type(drones) is int and 0 <= drones < count:
         return drones, ()
     if drones is None:
@@ -146,10 +152,12 @@ def rows_of(drones: Drones, count: int) -> tuple[Any, tuple[int, ...]]:
         rows = np.asarray(drones)
     except ValueError:  # rows of several lengths
         rows = np.zeros(1)
+    # An empty list is no drone, though NumPy takes it for numbers that are not whole
     if rows.shape == (0,):
         return np.zeros(0, dtype=int), (0,)
     if rows.dtype == bool and rows.shape == (count,):
         return np.flatnonzero(rows), (int(rows.sum()),)
+    # Twice the same drone would have two values
     whole = rows.dtype.kind in "iu" and rows.ndim <= 1
     if not whole or ((rows < 0) | (rows >= count)).any() or rows.size != np.unique(rows).size:
         raise ValueError(
@@ -247,22 +255,26 @@ def state_numbers(
     Raises:
         ValueError: A number cannot be; nothing has changed.
     """
+    # One place for several drones would put them into each other
     count = most.shape[:-1]
     place = filled("position", position, (*count, 3))
     if place.ndim < len(count) + 1 and count != (1,):
         raise ValueError(f"position has shape {place.shape}: {(*count, 3)} is needed")
+    # A quaternion of another length is a mistake, such as w first
     turn = filled("quaternion", quaternion, (*count, 4))
     norms = np.sqrt((turn * turn).sum(axis=-1))
     if (np.abs(norms - 1) > UNIT).any():
         raise ValueError(
             f"quaternion is {shown(quaternion)}: a length of 1 is needed, divide by its norm"
         )
+    # Beyond it are other worlds' tiles, or what is parked
     half = TILE_PITCH / 2
     if (np.abs(place[..., :2]) >= half).any() or (np.abs(place[..., 2]) >= PARKING_HEIGHT).any():
         raise ValueError(
             f"position is {shown(position)}: less than {half:g} m aside and {PARKING_HEIGHT:g} m "
             f"up is needed"
         )
+    # One number is for all rotors that the airframe has
     if np.ndim(rotor_speed) == 0:
         rotor_speed = np.where(most > 0, finite("rotor_speed", rotor_speed), 0.0)
     speed = filled("rotor_speed", rotor_speed, most.shape)
@@ -271,6 +283,7 @@ def state_numbers(
             f"rotor_speed is {shown(rotor_speed)}: from 0 to the {most.max():g} rad/s of the "
             f"airframe is needed"
         )
+    # Half of the speed at which flights count as diverged
     moving = (filled("velocity", velocity, (*count, 3)), filled("rates", rates, (*count, 3)))
     for name, array, most_of in zip(("velocity", "rates"), moving, FASTEST_OF, strict=True):
         if np.abs(array).max(initial=0.0) >= most_of / 2:

@@ -38,16 +38,19 @@ def level_of(level: Any, consumes: SetpointLevel, options: EnvOptions) -> Setpoi
         chosen = choose(
             "setpoint level", level.lower() if isinstance(level, str) else level, LEVELS
         )
+    # Nothing leads up: a dynamics of points has no attitude to command
     if chosen > consumes:
         raise ValueError(
             f"dynamics {options.dynamics_name!r} is driven by {consumes.name.lower()} setpoints: "
             f"command that level or one above it, not {chosen.name}; or use 'rigid_body', 'bullet'"
         )
+    # Own dynamics may consume levels that no controller gives
     if chosen != consumes and consumes not in CONVERTED:
         raise ValueError(
             f"dynamics {options.dynamics_name!r} is driven by {consumes.name.lower()} setpoints, "
             f"to which no controller leads: command {consumes.name}"
         )
+    # Controllers of rotors tilt thrust against the weight
     if chosen < consumes == SetpointLevel.ROTOR:
         if options.gravity == 0:
             raise ValueError(
@@ -127,6 +130,7 @@ def setpoint_numbers(
         ValueError: They cannot be.
     """
     array, width = numbers("setpoint", setpoint), rotors
+    # Three numbers and a yaw, which may be left out or told beside it
     if level < SetpointLevel.ROTOR:
         width = YAW + 1
         if level < SetpointLevel.ATTITUDE:
@@ -135,6 +139,7 @@ def setpoint_numbers(
             raise ValueError(
                 f"yaw and yaw_rate go with POSITION, VELOCITY and ACCELERATION, not {level.name}"
             )
+    # One setpoint for all, or one for each
     if array.shape != (width,) and array.shape != (*count, width):
         twice = "; the yaw is told beside it" if speaks else ""
         raise ValueError(

@@ -212,6 +212,7 @@ class Aviary(Resets):
             ValueError: It does not fit; the worlds stay as they were.
             RuntimeError: After `close`.
         """
+        # Worlds that were never reset begin first; then all is checked before it is written
         chosen = self._spec.indices(worlds)
         if self._frame is None:
             self.reset()
@@ -219,6 +220,7 @@ class Aviary(Resets):
         layout = self._all_arrays()
         require_snapshot(snapshot, Snapshot, len(chosen))
         require_form(snapshot, layout.form, f"environment of {self.task.name!r}")
+        # The state itself, and generators of random numbers
         layout.unpack(snapshot.data, self.rng, chosen)
         mask = np.zeros(self.num_worlds, dtype=bool)
         mask[chosen] = True
@@ -231,6 +233,7 @@ class Aviary(Resets):
         gone = mask[:, None] & ~self.alive
         if gone.any():
             self._engine.park(gone)
+        # What is worked out when asked for, and observations
         self._contacts = None
         self._forget()
         self._look()

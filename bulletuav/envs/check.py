@@ -132,15 +132,18 @@ def _flown(
 
 def _check_step(aviary: Aviary, step: Step) -> None:
     """Refuse numbers that are none, and a task that changes what it evaluates."""
+    # Infos of drones whose episode ended may be of nothing
     for name, array in step.info.items():
         if array.dtype.kind == "f" and np.isnan(array[~step.terminated]).any():
             raise ValueError(
                 f"info {name!r} of task {aviary.task.name!r} is NaN: a number is needed"
             )
+    # What tasks are shown, which they may only read
     frame = aviary._current()
     shown = (*frame.before, *frame.after, frame.action)
     before = [*_scene(aviary), *(array.copy() for array in shown)]
     shape = aviary.alive.shape
+    # Twice, as they may be asked again, which must change nothing
     for _ in range(2):
         result = aviary.task.evaluate_step(frame)
         check_step_result(aviary.task, result, shape)

@@ -26,6 +26,7 @@ def common_observation(specs: Sequence[EnvSpec]) -> Space[Any]:
     spaces = [spec.observer.space() for spec in specs]
     if len(spaces) == 1:
         return spaces[0]
+    # A network has one size of input for all stages
     shapes = [_shapes(space) for space in spaces]
     if any(shape != shapes[0] for shape in shapes):
         raise ValueError(
@@ -34,6 +35,7 @@ def common_observation(specs: Sequence[EnvSpec]) -> Space[Any]:
             f"and 'identity'"
         )
     _require_same_blocks(specs)
+    # And one kind of output
     actions = [spec.action.name for spec in specs]
     if len(set(actions)) > 1:
         raise ValueError(f"the stages' actions are {actions}: one kind for all is needed")

@@ -291,12 +291,14 @@ class CurriculumAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc] 
         self._require_open()
         require_face(snapshot, "curriculum_env")
         beside = snapshot.beside
+        # A curriculum with fewer stages has no world for it
         last = max(beside["flown"], beside["curriculum"]["stage"])
         if last >= self.curriculum.count:
             raise ValueError(
                 f"the snapshot is of stage {last}, and this curriculum has "
                 f"{self.curriculum.count} stages: load it where the stages are the same"
             )
+        # The worlds first: if they refuse, the curriculum stays as it was
         env = self._env_of(beside["flown"])
         observations = env.load_state(snapshot.flight)
         self._current, self.agents = env, env.agents[:]

@@ -63,17 +63,22 @@ class Decisions(Worlds):
         """Make the arrays of decisions, and the frame that shows them."""
         shape, task = self.alive.shape, self.task
         size = self.action.low.shape[-1]
+        # What is told: actions, and setpoints made of them
         self.given = np.zeros((*shape, size))
         self._setpoint = self.action.decode(np.zeros((*shape, size)), self.commanded).copy()
         self._levels = np.full(shape, int(self.action.level))
+        # Wind, and mass that is carried
         self._air = np.zeros((*shape, 3))
         self._payload = np.zeros(shape)
+        # Who flies, who ended how
         self._flying = np.zeros(self.num_worlds, dtype=bool)
         self._ended, self._success = np.zeros((2, *shape), dtype=bool)
         self.terminated, self.truncated, self._present, self._left = np.zeros((4, *shape), bool)
         self.rewards = np.zeros(shape)
+        # What was touched, worked out when somebody asks
         self._contacts: Contacts | None = Contacts.none()
         self._contacts_before: Contacts | None = None
+        # What tasks are shown; `after` is the state itself, so it is not copied
         self._readings = {"sight": self._nothing_seen, **self._energy.readings()}
         self._live = Frame(
             before=self.swarm.copy(),
@@ -89,6 +94,7 @@ class Decisions(Worlds):
             goal_before=self.scene.goal.copy(),
             readings=self._readings,
         )
+        # Room of observations, and the program, made once all is known
         self._vector = self.observer.make_room(shape)
         self._account: Account | None = None
         self.program: Program | None = None
@@ -195,14 +201,19 @@ class Decisions(Worlds):
         """Add what comes before the flight: actions, wind, goals and obstacles, setpoints."""
         frame, action, scene = self._live, self.action, self.scene
         bounds = (action.low, action.high, action.choices is not None)
+        # Actions that cannot be end the decision before anything has changed
         program.call(admit, self.given, self.alive, *bounds, frame.action, otherwise=self._refuse)
         clock = (self.steps, float(self.options.decision_hz))
         program.call(begin, self.alive, *clock, frame.alive, self._flying, frame.time)
+        # Wind at the places before the flight
         self._wind.add_to(program, self.swarm.position, frame.time, self._air)
+        # Tasks compare before and after
         before = (scene.goal, frame.goal_before, scene.obstacle, self._dynamics.contact.before)
         program.call(keep_before, self.swarm, frame.before, *before)
+        # Only tasks that move goals or obstacles take Python's time
         if type(self.task).move_scene is not Task.move_scene:
             program.turn(self._move_scene)
+        # Setpoints: compiled where the action allows it
         if isinstance(action.decode, Compiled):
             numbers = (self._setpoint, *action.decode.numbers)
             program.call(action.decode.kernel, frame.action, self.commanded, *numbers)
@@ -210,6 +221,7 @@ class Decisions(Worlds):
             program.turn(self._decode)
         if self.task.speed_limit is not None:
             program.call(limit_each, self._setpoint, np.array(self.task.speed_limit, dtype=float))
+        # The last velocity asked for, which increments start from
         if action.level == SetpointLevel.VELOCITY:
             program.call(copy_vectors, self._setpoint, self.commanded)
         if self._uncertainty.drains:

@@ -134,6 +134,7 @@ def _fill_propulsion(
     """Write the power (W, N) at the mean of two velocities (W, N, 3) through the air, W."""
     for w in range(power.shape[0]):
         for i in range(power.shape[1]):
+            # Airspeed in the middle of the decision
             velocity = (
                 (before[w, i, 0] + after[w, i, 0]) / 2 - wind[w, i, 0],
                 (before[w, i, 1] + after[w, i, 1]) / 2 - wind[w, i, 1],
@@ -171,7 +172,9 @@ def _fill_voltage(
     for w in range(voltage.shape[0]):
         for i in range(voltage.shape[1]):
             cells, resistance, nominal = packs[i]
+            # Without cells the voltage stays as it began
             if cells > 0.0:
+                # Voltage at rest, less what the current takes, as a share of speed
                 rest = cells * resting_voltage(charge[w, i])
                 voltage[w, i] = loaded_voltage(rest, power[w, i], resistance)
                 supply[w, i] = speed_share(voltage[w, i], nominal)

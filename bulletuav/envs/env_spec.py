@@ -64,6 +64,7 @@ class EnvSpec:
         Raises:
             ValueError: An option cannot be.
         """
+        # Options, then the task that they make, then what drones do in it
         kind = find_task(task)
         self.num_worlds = as_int("num_worlds", num_worlds, 1, MOST_WORLDS)
         self.options, config, self.sensors = resolve(kind, options)
@@ -72,12 +73,14 @@ class EnvSpec:
         places = (getattr(self.task.config, name, None) for name in PLACES)
         self.given = take_given(self.task, *places)
         self.action = _make_action(self.options, self.task)
+        # What is observed decides which sensors are needed
         sources = kind.observation if self.options.observation is None else self.options.observation
         self._check_observation(sources)
         self.setup = self._make_setup(self._wanted(sources))
         readings = frozenset(name for one in self.sensors.values() for name in one.gives)
         if not self.task.num_targets:  # of which there is nothing to see
             readings -= {"sight"}
+        # Names in ingredients and blocks are looked up once, here
         binding = self.task.bind(readings | ENERGY_READINGS, self.options.reward)
         parts = (self.task, self.action, binding, self.sensors, self.setup)
         form: Any = self.options.observation_format
@@ -87,6 +90,7 @@ class EnvSpec:
         drones = ObservationBuilder(STATE, *parts)
         self.state = GlobalState(self.task, drones, self.options)
         self._names = {observation_name(source) for source in sources}
+        # Now the size of a world is known
         self._require_memory(self._world_bytes())
         # Where it is no class attribute, the dynamics tells once it is made
         consumes: object = find_dynamics(self.options.dynamics).consumes
@@ -99,6 +103,7 @@ class EnvSpec:
             raise ValueError(
                 "observation is empty: name at least one block, or leave it out for the task's own"
             )
+        # Names must be known, and must be there once
         known = known_observations(self.sensors)
         plain = tuple(one for one in sources if isinstance(one, str) and ":" not in one)
         check_names("observation", "observation block", plain, known)
@@ -108,6 +113,7 @@ class EnvSpec:
                 raise ValueError(
                     f"observation has {name!r} {names.count(name)} times: name it once"
                 )
+        # Objects must be blocks
         for one in sources:
             if not isinstance(one, str) and not callable(one) and not hasattr(one, "labels"):
                 raise ValueError(f"observation: {unknown('observation block', one, known)}")
@@ -276,6 +282,7 @@ class EnvSpec:
                 f"actions have shape {actions.shape}: (worlds, drones, {self.action.name}) = "
                 f"{shape} is needed"
             )
+        # Drones that are not alive may be told anything
         finite = np.isfinite(actions)
         if not finite.all() and (bad := ~finite.all(axis=-1) & alive).any():
             w, i = np.argwhere(bad)[0]
@@ -285,6 +292,7 @@ class EnvSpec:
         if not alive.all():
             actions = np.where(alive[..., None], actions, 0.0)
         clipped: np.ndarray = np.minimum(np.maximum(actions, self.action.low), self.action.high)
+        # Numbers in a range are clipped; choices must be one of them
         if self.action.choices is None:
             return clipped
         wrong = (clipped != actions) | (clipped % 1 != 0)
@@ -298,6 +306,7 @@ class EnvSpec:
 
 
 def _make_task(kind: type[Task[Any]], config: TaskConfig, options: EnvOptions) -> Task[Any]:
+    # Tasks keep the distance that the largest drone needs
     radius = max(airframe.collision_radius for airframe in options.airframe)
     period = 1 / options.decision_hz
     task = kind(
@@ -314,6 +323,7 @@ def _make_task(kind: type[Task[Any]], config: TaskConfig, options: EnvOptions) -
             tuple(airframe.standing_height for airframe in options.airframe),
         ),
     )
+    # What the config makes is checked: sizes alone do not tell
     check_arena(task, config, radius)
     check_bodies(task)
     if config.d_safe <= 2 * radius:
@@ -327,6 +337,7 @@ def _make_task(kind: type[Task[Any]], config: TaskConfig, options: EnvOptions) -
 def _make_action(options: EnvOptions, task: Task[Any]) -> Action:
     period = 1 / options.decision_hz
     climb = options.max_climb
+    # No climb limit is the limit of the speed
     action = make_action(
         options.action,
         ActionContext(
@@ -339,11 +350,13 @@ def _make_action(options: EnvOptions, task: Task[Any]) -> Action:
             options.gravity,
         ),
     )
+    # Other actions have no velocity that could be limited
     if climb is not None and action.level != SetpointLevel.VELOCITY:
         raise ValueError(
             f"max_climb is {climb:g} m/s: it limits actions that ask for velocities, and "
             f"{options.action!r} does not; max_climb=None leaves it out"
         )
+    # The same for limits that a task sets for each drone
     limit = task.speed_limit
     if limit is not None and (np.shape(limit) != (options.num_drones,) or not (limit > 0).all()):
         raise ValueError(

@@ -94,6 +94,7 @@ def exclusive_plainly(method: Method) -> Method:
     def guarded(self: Any, *args: Any, **kwargs: Any) -> Any:
         # An interrupt may come right after any call, so also after one that takes a lock
         busy, me = self._busy, (threading.get_ident(),)
+        # `setdefault` is atomic: of two threads one finds itself
         try:
             if busy.setdefault(USER, me) != me:
                 raise RuntimeError(
@@ -102,6 +103,7 @@ def exclusive_plainly(method: Method) -> Method:
                 )
             return method(self, *args, **kwargs)
         finally:
+            # A call within a call leaves the mark to the outer one
             if USER in busy and busy[USER] is me:
                 del busy[USER]
 

@@ -51,6 +51,7 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
         self.aviary = Aviary(task, 1, **options)
         self._observer = self.aviary.observer
         common = self.aviary.options
+        # What PettingZoo asks of an environment
         self.metadata = {
             "name": f"bulletuav_{self.aviary.task.name}_v{self.aviary.task.version}",
             "render_modes": list(RENDER_MODES),
@@ -58,6 +59,7 @@ class ParallelAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  #
             "is_parallelizable": True,
         }
         self.render_mode = common.render_mode
+        # Drones are agents by number, and teams are groups of agents
         self.possible_agents = [f"drone_{i}" for i in range(common.num_drones)]
         self.agents: list[str] = []
         self.group_map = {

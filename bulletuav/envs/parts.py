@@ -50,6 +50,7 @@ def make_engine(
 
 def make_dynamics(options: EnvOptions, engine: Engine) -> Dynamics:
     """Make the dynamics of all drones, with their controllers; see `Dynamics.flight`."""
+    # Controllers keep a copy: they believe in the airframe, whatever is drawn
     worlds = (engine.shape[0], 1)
     parameters = np.tile(parameter_rows(options.airframe, options.effects), worlds)
     gains = np.tile(gain_rows(options.airframe, options.max_speed), worlds)

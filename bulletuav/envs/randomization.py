@@ -99,11 +99,13 @@ class Randomization:
                 f"randomization is {shown(given)}: a dict of names and numbers, or (low, high), is "
                 f"needed"
             )
+        # Unknown names first: their bounds cannot be told
         self.known = dict(known)
         self.ranges: dict[str, Any] = dict(given or {})
         for name in self.ranges:
             if name not in known:
                 raise unknown("randomization", name, known)
+        # Ranges within what physics allows
         for name, value in self.ranges.items():
             low, high = self.bounds(name)
             least, most = known[name].least, known[name].most
@@ -113,6 +115,7 @@ class Randomization:
                     f"and "
                     f"{most:g} is needed"
                 )
+        # What cannot vary from the usual value draws no numbers
         usual = {name: (one.usual, one.usual) for name, one in known.items()}
         self.active = tuple(name for name in known if self.bounds(name) != usual[name])
 

@@ -205,6 +205,7 @@ def _checked(field: dataclasses.Field[Any], kind: Any, value: Any) -> Any:
 
     A field's metadata may tell its "least" and "most". Float fields are sizes, so not negative.
     """
+    # The field's own bounds before the usual ones
     name = field.name
     usual_most = MOST_COUNT if kind is int else MOST_SIZE
     most = field.metadata.get("most", usual_most)
@@ -212,6 +213,7 @@ def _checked(field: dataclasses.Field[Any], kind: Any, value: Any) -> Any:
         return as_int(name, value, field.metadata.get("least", 1), most)
     if kind is bool and not isinstance(value, bool):
         raise ValueError(f"{name} is {shown(value)}: True or False is needed")
+    # By type; what is none of these is checked by who uses it
     if typing.get_origin(kind) is Literal:
         choose(name, value, dict.fromkeys(typing.get_args(kind)))
     elif kind is float:

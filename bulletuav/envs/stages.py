@@ -36,6 +36,7 @@ def admit(
     Returns:
         Whether a living drone's action cannot be; nothing is written then.
     """
+    # All are checked before any is written
     for w in range(given.shape[0]):
         for i in range(given.shape[1]):
             if alive[w, i]:
@@ -43,6 +44,7 @@ def admit(
                     number = given[w, i, k]
                     if not math.isfinite(number):
                         return True
+                    # A choice out of bounds is a mistake, and is not clipped
                     if discrete and not (low[i, k] <= number <= high[i, k] and number % 1 == 0):
                         return True
     for w in range(given.shape[0]):
@@ -73,6 +75,7 @@ def begin(
         time: (W,) since the reset, s, written.
     """
     for w in range(alive.shape[0]):
+        # A division each time, as sums of a period drift
         time[w] = steps[w] / hz
         flying[w] = False
         for i in range(alive.shape[1]):
@@ -90,6 +93,7 @@ def keep_before(
     obstacle_before: np.ndarray,
 ) -> None:
     """Copy the state, goals (W, N, 3) and obstacles (W, K, 3) before a decision."""
+    # Into arrays that tasks look at all the time, so in place
     for w in range(goal.shape[0]):
         for i in range(goal.shape[1]):
             for k in range(3):
@@ -99,8 +103,10 @@ def keep_before(
                 goal_before[w, i, k] = goal[w, i, k]
             for k in range(4):
                 before.quaternion[w, i, k] = swarm.quaternion[w, i, k]
+            # As many rotors as the airframe with the most
             for k in range(swarm.rotor_speed.shape[2]):
                 before.rotor_speed[w, i, k] = swarm.rotor_speed[w, i, k]
+        # Goals and obstacles may be moved next
         for m in range(obstacle.shape[1]):
             for k in range(3):
                 obstacle_before[w, m, k] = obstacle[w, m, k]
@@ -172,10 +178,13 @@ def conclude(
     any_left = False
     for w in range(flown.shape[0]):
         for i in range(flown.shape[1]):
+            # The task's ends, or an empty battery
             terminated[w, i] = flown[w, i] and (ended[w, i] or charge[w, i] <= 0.0)
             present[w, i] = flown[w, i] and not terminated[w, i]
+            # The time is over for who is still there
             truncated[w, i] = last[w] and present[w, i]
             alive[w, i] = present[w, i] and not truncated[w, i]
+            # Who flew this decision and will not fly the next
             left[w, i] = flown[w, i] and not alive[w, i]
             any_left = any_left or left[w, i]
     return any_left
@@ -196,11 +205,13 @@ def settle(
     broken = False
     for w in range(flown.shape[0]):
         for i in range(flown.shape[1]):
+            # In the order of the terms, so that sums have the same bits everywhere
             total = 0.0
             for k in range(weights.shape[0]):
                 weighted[k, w, i] = weights[k] * terms[k, w, i] if flown[w, i] else 0.0
                 total += weighted[k, w, i]
             reward[w, i] = total
+            # Only whether: Python finds out whose it is
             broken = broken or not math.isfinite(total)
     return broken
 
@@ -224,6 +235,7 @@ def tell(
         energy: Power and charge (W, N).
         rows: The table.
     """
+    # The order is that of `INFOS` in `bulletuav.envs.decisions`
     collision, resting, impulse = touched
     conflicts, separation, distance = apart
     power, charge = energy
@@ -298,6 +310,7 @@ def finish(
         torque: (W, N, 3) N m, cleared.
     """
     for w in range(steps.shape[0]):
+        # A division each time, as sums of a period drift
         steps[w] += 1
         time[w] = steps[w] / hz
         for i in range(force.shape[1]):

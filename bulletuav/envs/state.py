@@ -41,15 +41,18 @@ class GlobalState:
             options: Common options, of which `num_drones` and `battery_capacity` count.
         """
         self.drones, self._count = drones, options.num_drones
+        # Of the world: charges, and what the task tells
         self._world: dict[str, Block] = {}
         if options.battery_capacity is not None:
             self._world["charge"] = _charges(self._count)
         self._world |= task.world_state()
+        # Of each drone, with its name
         of_drones = [
             label._replace(name=f"{label.name} of drone_{i}")
             for i in range(self._count)
             for label in drones.labels
         ]
+        # Where each part begins in the vector
         sizes = {DRONES: len(of_drones)}
         sizes |= {name: len(block.labels) for name, block in self._world.items()}
         self.parts = slices(sizes)

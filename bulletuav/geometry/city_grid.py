@@ -109,6 +109,7 @@ def reached(
     Returns:
         The first column and the one after the last, the first row and the one after the last.
     """
+    # Cells are counted from the south-west corner, which is at -reach
     scale = city_grid.cells / (2.0 * city_grid.reach)
     return (
         max(0, math.floor((west + city_grid.reach) * scale)),
@@ -121,6 +122,7 @@ def reached(
 @func
 def _is_apart(city_grid: CityGrid, p: int, low: Vec3Like, high: Vec3Like) -> bool:
     """Tell whether the bounding box of piece p and the box between two corners do not overlap."""
+    # Boxes are apart if they are along any of the axes
     apart: bool = (
         city_grid.low[p, 0] > high[0]
         or city_grid.high[p, 0] < low[0]

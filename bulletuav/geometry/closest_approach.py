@@ -71,6 +71,7 @@ def least_separation(position: np.ndarray) -> float:
     for w in range(position.shape[0]):
         for i in range(position.shape[1]):
             for j in range(i):
+                # Of the squares, with one root at the end
                 gap = offset(position, w, i, j)
                 least = min(least, dot(gap, gap))
     return math.sqrt(least)

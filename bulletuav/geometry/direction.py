@@ -33,15 +33,19 @@ Feature = tuple[bool, Vec3, Vec3, float]
 def _feature(table: ShapeTable, s: int, turn: Turn, place: Vec3) -> Feature:
     """Tell on which feature of a shape a point lies, both from its position, world axes."""
     kind = table.kind[s]
+    # A sphere is a point, swollen: no edge and no rim
     if kind == SPHERE:
         return True, ORIGIN, ORIGIN, 0.0
+    # From here on in the shape's own axes
     local = turned_back(turn, place)
     if kind == CYLINDER:
+        # Side and end together are the rim; the side alone has lines along the axis
         radius = table.half[s, 0]
         on_side = math.sqrt(local[0] * local[0] + local[1] * local[1]) > radius - ON_IT
         on_end = abs(local[2]) > table.half[s, 2] - ON_IT
         return on_side, ORIGIN if on_end else turn[2], turn[2], radius
     if kind == BOX:
+        # On two faces it is an edge along the third axis, on three a corner
         inner = ORIGIN
         outer = ORIGIN
         found = 0
@@ -53,6 +57,7 @@ def _feature(table: ShapeTable, s: int, turn: Turn, place: Vec3) -> Feature:
             else:
                 inner = axis
         return found >= 2, inner if found == 2 else ORIGIN, outer, 0.0
+    # A hull's features are not told: what `gap` found stays
     return False, ORIGIN, ORIGIN, 0.0
 
 
@@ -68,9 +73,11 @@ def _bend(feature: Feature, d: Vec3, moved: Vec3) -> Vec3:
     _, _, axis, radius = feature
     if radius == 0.0:
         return ORIGIN
+    # The farthest point of the rim lies outwards, across the axis
     outward = _off(axis, d)
     size = math.sqrt(dot(outward, outward))
     radial = (outward[0] / size, outward[1] / size, outward[2] / size)
+    # Only the part of the change about the axis moves it
     along = _off(radial, _off(axis, moved))
     return plus(ORIGIN, radius / size, along)
 
@@ -106,14 +113,17 @@ def _between_edges(
     given: tuple[Vec3, Vec3, Vec3],
 ) -> tuple[Vec3, Vec3, Vec3]:
     """Return the direction across two edges, and the nearest points on them."""
+    # Edges that are nearly parallel have no sure direction across
     d = cross(one, two)
     square = dot(d, d)
     if square < BLUNT * BLUNT:
         return given
+    # From b to a, as before
     scale = 1.0 / math.sqrt(square)
     if dot(d, given[0]) < 0.0:
         scale = -scale
     d = (scale * d[0], scale * d[1], scale * d[2])
+    # Another pair of features may be nearer than these edges
     after, way = _reach(table, a, turn_a, b, turn_b, offset, d)
     if not after >= before - SAME:
         return given
@@ -153,11 +163,14 @@ def sharpened(
     Returns:
         The unit normal, and the nearest points.
     """
+    # Where nothing better is found, this is returned
     given = (normal, on_a, on_b)
     one = _feature(table, a, turn_a, on_a)
     two = _feature(table, b, turn_b, on_b)
+    # Two faces: the direction is exact already
     if not (one[0] or two[0]):
         return given
+    # How far apart they are along the first guess, which must not become less
     before, _ = _reach(table, a, turn_a, b, turn_b, offset, normal)
     if one[0] != two[0]:
         # A corner, edge or rim on a face: across the face
@@ -165,19 +178,24 @@ def sharpened(
         sign = 1.0 if dot(axis, normal) > 0.0 else -1.0
         d = plus(ORIGIN, sign, axis)
         after, _ = _reach(table, a, turn_a, b, turn_b, offset, d)
+        # An edge may lie on the face all along: no single point of it is nearest
         edge = one[1] if one[0] else two[1]
         if dot(edge, edge) > 0.0 or not after >= before - SAME:
             return given
+        # The point is exact; the other is its foot on the face
         if one[0]:
             on_a = plus(far_point(table, a, turn_a, plus(ORIGIN, -1.0, d)), -swell(table, a), d)
             return d, on_a, plus(minus(on_a, offset), -after, d)
         on_b = plus(far_point(table, b, turn_b, d), swell(table, b), d)
         return d, plus(plus(on_b, 1.0, offset), after, d), on_b
+    # Two edges that cross
     if dot(one[1], one[1]) > 0.0 and dot(two[1], two[1]) > 0.0:
         return _between_edges(table, a, turn_a, b, turn_b, offset, one[1], two[1], before, given)
+    # Corners are exact, and rims seen along their axis are as good as faces
     round_one = one[3] > 0.0 or two[3] > 0.0
     if not round_one or _flat(one, normal) or _flat(two, normal):
         return given
+    # A rim: Newton's steps on the direction; along an edge the way does not count
     edge = one[1] if dot(one[1], one[1]) > 0.0 else two[1]
     d = normal
     for _ in range(MOST_STEPS):
@@ -187,10 +205,12 @@ def sharpened(
         size = math.sqrt(dot(way, way))
         if size == 0.0:
             return given
+        # Shapes may overlap: then the way points backwards
         found = (way[0] / size, way[1] / size, way[2] / size)
         if dot(found, d) < 0.0:
             found = (-found[0], -found[1], -found[2])
             size = -size
+        # Two axes across d, in which a step is two numbers
         first = cross(d, (1.0, 0.0, 0.0) if abs(d[0]) < 0.7 else (0.0, 1.0, 0.0))
         scale = 1.0 / math.sqrt(dot(first, first))
         first = (scale * first[0], scale * first[1], scale * first[2])
@@ -202,20 +222,24 @@ def sharpened(
         m21 = -dot(turned_first, second)
         m12 = -dot(turned_second, first)
         m22 = 1.0 - dot(turned_second, second)
+        # Solve (1 - turning) step = found - d
         error = minus(found, d)
         r1 = dot(error, first)
         r2 = dot(error, second)
         scale = 1.0 / (m11 * m22 - m12 * m21)
         step_first = scale * (m22 * r1 - m12 * r2)
         step_second = scale * (m11 * r2 - m21 * r1)
+        # A step too long, or NaN, comes from rims without a sure direction
         step = math.sqrt(step_first * step_first + step_second * step_second)
         if not step < BLUNT:
             return given
+        # Back to length 1
         d = plus(plus(d, step_first, first), step_second, second)
         scale = 1.0 / math.sqrt(dot(d, d))
         d = (scale * d[0], scale * d[1], scale * d[2])
         if step < SHARP:
             break
+    # As above: never nearer than by the first guess
     after, _ = _reach(table, a, turn_a, b, turn_b, offset, d)
     if not after >= before - SAME:
         return given

@@ -27,6 +27,7 @@ def read_obj(path: str | Path) -> list[np.ndarray]:
         ValueError: A line cannot be read, or there is no face.
         FileNotFoundError: There is no such file.
     """
+    # A limit, as files may be of anybody
     path = require_file("mesh", path, "pass the path of a Wavefront OBJ file")
     lines = read_file(path).splitlines()
     if len(lines) > MOST_LINES:
@@ -34,6 +35,7 @@ def read_obj(path: str | Path) -> list[np.ndarray]:
     corners: list[tuple[float, ...]] = []
     objects: list[set[int]] = [set()]
     for number, line in enumerate(lines, start=1):
+        # Empty lines and comments have words that mean nothing here
         word, *values = line.split() or [""]
         try:
             if word == "o":
@@ -44,6 +46,7 @@ def read_obj(path: str | Path) -> list[np.ndarray]:
                 objects[-1].update(_corner(value, len(corners)) for value in values)
         except ValueError:
             raise ValueError(f"{path}: line {number} is {line!r}: it cannot be read") from None
+    # Objects without faces have no corners to take
     points = np.array(corners).reshape(-1, 3)
     found = [points[sorted(one)] for one in objects if one]
     if not found:

@@ -154,11 +154,13 @@ def _over_grid(
     city_grid: CityGrid, layout: int, start: Vec3Like, change: Vec3Like
 ) -> tuple[float, float]:
     """Return the shares between which a ray is over the grid and no higher than the roofs."""
+    # Between the lowest underside and the highest roof
     lowest = city_grid.heights[layout, 0]
     highest = city_grid.heights[layout, 1]
     least, last = slab(start[2], change[2], lowest, highest)
     least = max(least, 0.0)
     last = min(last, 1.0)
+    # And within the square that the grid covers
     for k in range(2):
         one, two = slab(start[k], change[k], -city_grid.reach, city_grid.reach)
         least = max(least, one)
@@ -177,6 +179,7 @@ def _buildings(
     change: Vec3Like,
 ) -> float:
     """Return the share at which a ray meets the first piece of a layout, 1 if none."""
+    # Over the roofs or beside the city nothing is met
     least, last = _over_grid(city_grid, layout, start, change)
     if least > last:
         return 1.0
@@ -261,6 +264,7 @@ def walk(
         w = world[m]
         layout = city_grid.layout[w]
         shaped = layout != NO_LAYOUT and not city_grid.boxes[layout]
+        # Rays that the engine has to cast are only listed
         if not compiled and (bodies > 0 or shaped):
             left.append(m)
             continue
@@ -271,6 +275,7 @@ def walk(
         found = 1.0
         if here[2] * there[2] <= 0.0 and change[2] != 0.0:
             found = min(1.0, -here[2] / change[2])
+        # The nearest of ground, buildings and bodies
         if layout != NO_LAYOUT:
             share = _buildings(city_grid, table, piece_place, first_piece, layout, here, change)
             found = min(found, share)
@@ -312,8 +317,10 @@ def meet_drones(
         there = point(end, m)
         for i in range(mask.shape[1]):
             if mask[w, i]:
+                # The ray in share of its length: where it enters and leaves the shape
                 place = vec3(swarm.position, w, i)
                 attitude = quat4(swarm.quaternion, w, i)
                 enters, leaves = _inside_placed(table, i, place, attitude, here, there)
+                # A negative entry is a ray that starts inside
                 if 0.0 <= enters <= leaves:
                     fraction[m] = min(fraction[m], enters)

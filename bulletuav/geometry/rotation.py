@@ -80,6 +80,7 @@ def normalised(q: Quat4Like) -> Quat4:
 @func
 def axes(q: Quat4Like) -> tuple[Vec3, Vec3, Vec3]:
     """Return the body's x, y and z axes in the world: the columns of the rotation matrix R."""
+    # Scalar last; the textbook matrix of a unit quaternion
     x = q[0]
     y = q[1]
     z = q[2]
@@ -94,6 +95,7 @@ def axes(q: Quat4Like) -> tuple[Vec3, Vec3, Vec3]:
 @func
 def to_world(q: Quat4Like, v: Vec3Like) -> Vec3:
     """Turn a vector from body axes into world axes: R v."""
+    # Columns of R, weighted by the vector's numbers
     bx, by, bz = axes(q)
     return (
         bx[0] * v[0] + by[0] * v[1] + bz[0] * v[2],
@@ -112,6 +114,7 @@ def to_body(q: Quat4Like, v: Vec3Like) -> Vec3:
 @func
 def product(p: Quat4Like, q: Quat4Like) -> Quat4:
     """Return the quaternion of the rotation by q and then by p: the product p q."""
+    # Hamilton's product, scalar last
     return (
         p[3] * q[0] + p[0] * q[3] + p[1] * q[2] - p[2] * q[1],
         p[3] * q[1] - p[0] * q[2] + p[1] * q[3] + p[2] * q[0],
@@ -141,6 +144,7 @@ def from_euler(roll: float, pitch: float, yaw: float) -> Quat4:
     Returns:
         The quaternion, body to world.
     """
+    # Product of the three turns by half angles: yaw, then pitch, then roll
     cr = cos(0.5 * roll)
     sr = sin(0.5 * roll)
     cp = cos(0.5 * pitch)

@@ -87,10 +87,13 @@ def make_scenery(
     """
     num_worlds = len(city_grid.layout)
     count = len(obstacles)
+    # Pieces of cities never turn, so their boxes are known from the start
     place = (city_grid.low + city_grid.high) / 2
     half = (city_grid.high - city_grid.low) / 2
     pieces = _city_shapes(layouts, place, half)
+    # Order of the table: drones, obstacles, pieces, and the ground last
     shapes = [*drones, *(one.shape for one in obstacles), *pieces, Shape(HALF_SPACE, (np.inf,) * 3)]
+    # Obstacles are nowhere until an episode puts them somewhere
     upright = np.zeros((num_worlds, count, 4))
     upright[..., 3] = 1.0
     return Scenery(

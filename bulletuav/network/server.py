@@ -180,13 +180,17 @@ def _carry_over(
 ) -> None:
     """Count the tasks that world w lost, and leave only work (N, C) to its next decision."""
     drones, cores = core_free.shape
+    # A lost task waited until its deadline; without one nothing is lost
     lost_latency = server.deadline if server.deadline < np.inf else 0.0
     for i in range(drones):
+        # Arrived and not completed in this decision
         lost = served.arrived[w, i] - served.completed[w, i]
         served.latency[w, i] += lost_latency * lost
         for j in range(cores):
+            # Cores begin the next decision with the work that is left, s
             core_free[i, j] = remaining[i, j]
             served.backlog[w, i] += remaining[i, j] / cores
+    # Links are busy for less, as time has gone by
     for j in range(len(link_free)):
         link_free[j] = max(link_free[j] - server.dt, 0.0)
 
@@ -249,10 +253,12 @@ def _upload(
     count = 0
     seconds_per_bit = server.cycles_per_bit / server.core_frequency
     for k in range(tasks.first[w], tasks.first[w + 1]):
+        # A user whom nobody serves sends nothing
         user = tasks.user[k]
         if assignment[user] < 0:
             continue
         arrived[assignment[user]] += 1
+        # It counts as arrived at the server, and will count as lost
         if uplink[user] <= 0.0:
             continue
         # Begin no upload after which not even an idle core would be in time

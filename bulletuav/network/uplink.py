@@ -93,6 +93,7 @@ def _path_loss(
     user_height: float,
 ) -> float:
     """Return the path loss with or without line of sight, dB."""
+    # Laws of 3GPP by scene: streets and roofs (TR 38.901), and aerial vehicles (TR 36.777)
     path = (ground_distance, drone_height, user_height, link.frequency)
     if link.model == UMI:
         return umi_los(*path) if sight else umi_nlos(*path)
@@ -102,6 +103,7 @@ def _path_loss(
         return umi_av_los(*path) if sight else umi_av_nlos(*path)
     if link.model == UMA_AV:
         return uma_av_los(*path) if sight else uma_av_nlos(*path)
+    # Else the log-distance model, along the straight way
     distance = hypot(ground_distance, drone_height - user_height)
     exponent = link.n_los if sight else link.n_nlos
     return log_distance(distance, link.frequency, exponent)

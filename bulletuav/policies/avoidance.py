@@ -46,6 +46,7 @@ class Avoidance(Policy):
         task = aviary.task
         speed = float(aviary.options.max_speed)
         body = float(task.context.collision_radius)
+        # Shapes must not touch, even where d_safe is smaller
         self.rules = Rules(
             separation=max(float(task.config.d_safe), 2 * body) + MARGIN,
             horizon=HORIZON,
@@ -53,7 +54,9 @@ class Avoidance(Policy):
             recovery=RECOVERY,
             max_speed=speed,
         )
+        # Far enough to see that braking from full speed is in time
         self.clear = Clearance(body, MARGIN, BRAKING * speed + body + MARGIN)
+        # Obstacles as balls, grown by the drone and a margin
         reach = [one.radius + body + MARGIN for one in task.obstacles()]
         self._ball_radius = np.array(reach, dtype=float)
         self.box = np.maximum(task.arena_low, LOWEST_CORNER), np.array(task.arena_high, dtype=float)

@@ -27,9 +27,11 @@ def check_policy(policy: Any, task: TaskSource = "crossing", **options: Any) -> 
     Raises:
         ValueError: A mistake was found; the message tells what and how to mend it.
     """
+    # An action that the policy gives, unless another is asked for
     spec = find_policy(policy, task)
     usual = {"action": spec.actions[0]} if spec.actions else {}
     given = {**usual, **options}
+    # Twice the same flight
     one = _flown(policy, task, given)
     k = _first_difference(one, _flown(policy, task, given))
     if k is not None:
@@ -39,6 +41,7 @@ def check_policy(policy: Any, task: TaskSource = "crossing", **options: Any) -> 
         )
     if given.get("contacts") == "bullet":  # of which there are no snapshots
         return
+    # The same flight again, where another pilot takes over half-way
     k = _first_difference(one, _flown(policy, task, given, anew=True))
     if k is not None:
         raise ValueError(
@@ -61,18 +64,21 @@ def _flown(
     aviary = Aviary(task, NUM_WORLDS, **{"seed": SEED, **options})
     try:
         observations = aviary.reset()
+        # A reset of all worlds, as trainers and evaluations do it
         pilot = spec(aviary)
         pilot.reset(np.ones(NUM_WORLDS, dtype=bool))
         shape = (*aviary.alive.shape, aviary.action.low.shape[-1])
         rows = []
         for k in range(DECISIONS):
             if k == SAVED and options.get("contacts") != "bullet":
+                # All flights go on from the snapshot, so that they differ by the pilot alone
                 snapshot, memory = aviary.save_state(), pilot.memory()
                 if anew:
                     pilot = spec(aviary)
                     pilot.reset(np.ones(NUM_WORLDS, dtype=bool))
                     pilot.restore(memory)
                 observations = aviary.load_state(snapshot)
+            # Other policies of the swarm see the same arrays
             before = [array.copy() for array in aviary.swarm]
             actions = pilot.act(observations, aviary.swarm)
             _check(spec.name, actions, shape)

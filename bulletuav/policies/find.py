@@ -122,6 +122,7 @@ def find_policy(
             something, or its file is not trusted.
         FileNotFoundError: There is no such file.
     """
+    # Objects: classes, sides, and functions of observations
     if isinstance(source, type) and issubclass(source, Policy):
         return _from_class(source)
     if isinstance(source, Versus):
@@ -134,6 +135,7 @@ def find_policy(
             f"policy is {shown(source)}: a name, module:Name, a run's folder, 'ppo:model.zip', "
             f"a class, a function, or a Versus is needed"
         )
+    # Texts, of which some are names, some files
     text = str(source)
     if VERSUS in text:
         return _from_sides(text.split(VERSUS), task, trust)

@@ -78,6 +78,7 @@ def nearest_first(
     found = 0
     for k in range(near.size):
         if traffic.known[w, i, k]:
+            # Squares of distances have the same order, and cost no root
             gap = vec3(traffic.gap[w], i, k)
             square = dot(gap, gap)
             if square <= reach * reach:
@@ -198,6 +199,7 @@ def turned(wish: Vec3, angle: float) -> Vec3:
     size = math.sqrt(dot(wish, wish))
     if size <= NO_DIRECTION:
         return wish
+    # A turn in the plane of the velocity and its right
     cosine = cos(angle)
     ahead = (cosine * wish[0], cosine * wish[1], cosine * wish[2])
     return plus(ahead, size * sin(angle), right_of(wish))
@@ -227,6 +229,7 @@ def turn_of(wish: Vec3, given: Vec3) -> float:
 def unit(vector: Vec3, otherwise: Vec3) -> tuple[Vec3, float]:
     """Compute direction and length of a vector; where it is too short, that of `otherwise`."""
     length = math.sqrt(dot(vector, vector))
+    # A direction is needed even where there is none, such as at the goal
     chosen = vector if length > NO_DIRECTION else otherwise
     size = math.sqrt(dot(chosen, chosen))
     direction = (
@@ -253,9 +256,11 @@ def going_round(
     Returns:
         The velocity, m/s.
     """
+    # A slight turn for all breaks the tie of two that meet head on
     first = turned(wish, SLIGHT_TURN)
     best = best_velocity(rows, spare, count, first, max_speed)
     angle = turn_of(first, best)
+    # What was not given is asked for once more, to the right
     if angle > NO_TURN:
         best = best_velocity(rows, spare, count, turned(first, angle), max_speed)
     return best

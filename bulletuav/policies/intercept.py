@@ -40,9 +40,11 @@ def constant_bearing(way: Vec3Like, other: Vec3Like, speed: float) -> Vec3:
     Returns:
         The velocity, m/s, of that norm.
     """
+    # Part of the target's velocity across the line of sight
     ahead = direction(way)
     across = plus(other, -dot(other, ahead), ahead)
     square = speed * speed - dot(across, across)
+    # It is faster across than the drone can fly
     if square <= 0.0:
         return plus((0.0, 0.0, 0.0), speed, ahead)
     return plus(across, math.sqrt(square), ahead)
@@ -71,10 +73,12 @@ def _cut(polygon: np.ndarray, count: int, normal: Vec3, bound: float, out: np.nd
         here = point(polygon, k)
         there = point(polygon, m)
         depth, later = dot(normal, here) - bound, dot(normal, there) - bound
+        # Corners on this side stay
         if depth <= 0.0:
             for axis in range(3):
                 out[left, axis] = here[axis]
             left += 1
+        # The edge changes sides: its share up to the plane
         if (depth <= 0.0) != (later <= 0.0):
             meeting = plus(here, depth / (depth - later), minus(there, here))
             for axis in range(3):
@@ -89,12 +93,14 @@ def _middle(polygon: np.ndarray, count: int) -> Vec3:
     total, result = 0.0, (0.0, 0.0, 0.0)
     first = point(polygon, 0)
     for k in range(1, count - 1):
+        # A fan of triangles from the first corner; twice their areas, as that cancels out
         one = minus(point(polygon, k), first)
         two = minus(point(polygon, k + 1), first)
         normal = cross(one, two)
         area = math.sqrt(dot(normal, normal))
         total += area
         result = plus(plus(result, area / 3.0, one), area / 3.0, two)
+    # No area: a line or a point
     if total < NO_LENGTH * NO_LENGTH:
         return first
     return plus(first, 1.0 / total, result)

@@ -110,6 +110,7 @@ def descend(
         How many half-spaces the lower depth has; -1 where the boundary is out of the ball, or
         wholly outside one of the half-spaces 0 to k - 1.
     """
+    # How far the boundary is from the middle of the ball, along its normal
     n = vec3(rows, depth, k)
     bound = rows[depth, k, 3]
     centre = vec3(frame, depth, 0)
@@ -124,18 +125,21 @@ def descend(
     to_point = depth == DEPTH - 2
     for j in range(k):
         other = vec3(rows, depth, j)
+        # What is left of the other's normal within the boundary
         share = dot(other, n)
         rest = rows[depth, j, 3] - share * bound
         within_boundary = plus(other, -share, n)
         has_direction = write(rows, depth + 1, count, within_boundary, rest)
         if has_direction and not to_point:
             count += 1
+        # Parallel, and the whole boundary is outside of it
         elif rest > ROUNDING:
             return -1
     # Cut the ball with it, and project the aim onto it.
     centre = plus(centre, height, n)
     wanted = vec3(frame, depth, 1)
     wanted = plus(wanted, (0.0 if linear else bound) - dot(n, wanted), n)
+    # A smaller ball, by Pythagoras
     cut_radius = math.sqrt(radius * radius - height * height)
     pose(frame, depth + 1, wanted, centre, cut_radius)
     return count

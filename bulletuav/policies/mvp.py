@@ -81,6 +81,7 @@ def _changed(own: Vec3, traffic: Traffic, rules: Rules, w: int, i: int) -> Vec3:
     for k in range(traffic.known.shape[2]):
         if traffic.known[w, i, k]:
             gap = vec3(traffic.gap[w], i, k)
+            # Each conflict by itself, with the velocity relative to the other
             other = vec3(traffic.other[w], i, k)
             result = plus(result, 1.0, change(gap, plus(own, -1.0, other), rules))
     return result

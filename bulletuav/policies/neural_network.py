@@ -149,16 +149,19 @@ class Network:
         Raises:
             ValueError: The weights are not those of such an actor.
         """
+        # Layers of the actor, and the bounds of its actions
         actor = self._actor = ACTORS[algorithm]
         self._layers = [pair for name in actor.layers for pair in _dense(weights, name)]
         has_bounds = LOW in weights and HIGH in weights
         self._bounds = (weights[LOW], weights[HIGH]) if has_bounds else None
+        # What the observation goes through before
         kind = model["features"]
         arguments = model.get("policy_kwargs", {}).get("features_extractor_kwargs", {})
         scale = arguments.get("scale", 1.0)
         self._scale = scale if kind == "symlog" else None
         of_users = _dense(weights, f"{actor.features}each") if kind == "user_sum" else []
         of_others = _kinds(weights, f"{actor.features}each.") if kind == "swarm" else {}
+        # Widths must fit, or the file is of something else
         for layers in (self._layers, of_users, *of_others.values()):
             _require_chain(layers)
         self._users = UserFeatures(of_users) if of_users else None
@@ -235,11 +238,14 @@ class Network:
             raise ValueError(
                 "features 'user_sum' have no form for other programs: train with features 'symlog'"
             )
+        # Features first, if there are any
         layers: list[Layer] = [] if self._scale is None else [Symlog(self._scale)]
         layers += [] if self._swarm is None else [self._swarm.layer()]
+        # Dense layers with an activation between each two
         between = Tanh() if self._actor.activation is _tanh else Relu()
         for k, (weight, bias) in enumerate(self._layers):
             layers += [between, Dense(weight, bias)] if k else [Dense(weight, bias)]
+        # Choices have no bounds, and clipped actions no squashing
         if self._bounds is None:
             return [*layers, Choose()]
         low, high = (bound.astype(float) for bound in self._bounds)

@@ -63,14 +63,18 @@ class Observed(Avoidance):
         """Tell what the observations tell of the traffic around drones."""
         seen = self.blocks(observations)
         shape = self.aviary.alive.shape
+        # What is not observed is zero, or not there
         zeros = np.zeros((*shape, 3))
         surface = np.zeros((*shape, 0, 4))
+        # Only the arena's box: buildings are not among the observations
         if "position" in seen:
             nowhere = np.full(len(zeros), -1)
             surface = surfaces(seen["position"], self.box, nowhere, NOTHING_STANDS, self.clear)
+        # Others are observed relative to the drone
         own = seen.get("velocity", zeros)
         gap, relative = _others(seen, shape)
         ball = seen.get("obstacles", zeros[..., :0]).reshape(*shape, -1, PER_OBSTACLE)
+        # Slots without an obstacle have the radius 0
         radius = ball[..., 7]
         keep = radius + self.clear.body + self.clear.margin
         return Traffic(

@@ -362,6 +362,7 @@ def leg(points: np.ndarray, k: int) -> tuple[Vec3, float]:
     """
     way = plus(point(points, k), -1.0, point(points, k - 1))
     length = math.sqrt(dot(way, way))
+    # Waypoints may fall together
     scale = 1.0 / length if length > NO_WAY else 0.0
     direction = (
         scale * way[0],

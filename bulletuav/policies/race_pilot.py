@@ -137,17 +137,20 @@ class RacePilot(Policy):
         """Ask for the velocities that keep drones on their lines; see `Policy.act`."""
         aviary = self.aviary
         now = aviary.steps / aviary.options.decision_hz
+        # Drones without a line plan one, all of a world together
         for w in np.flatnonzero(np.any(aviary.alive & (self._count == 0), axis=1)).tolist():
             self._plan_start(w, swarm, now[w])
         if self._task.config.gate_motion:  # gates will be elsewhere when lines have waited
             for w, i in np.argwhere(aviary.alive).tolist():
                 self._draw(w, i, now[w])
+        # Who is far off its line, or at its end, plans anew
         self._look_up(swarm, now)
         lost = np.argwhere(aviary.alive & self._is_lost(now)).tolist()
         for w, i in lost:
             self._plan_on(w, i, swarm, now[w])
         if lost:
             self._look_up(swarm, now)
+        # Wait for others on the way, and on the blocks until the own start
         self._wait(now)
         velocity = limit_norm(self._wanted + PULL * self._off, aviary.options.max_speed)
         velocity[now[:, None] < self._begin - LEAD_IN] = (0.0, 0.0, -REST)
@@ -303,14 +306,18 @@ def look_up(
     for w in range(position.shape[0]):
         for i in range(position.shape[1]):
             last = count[w, i] - 1
+            # No line yet, or a single point
             if last < 1:
                 continue
+            # Where on the line by the time, and a little later for the acceleration
             now = max(along[w, i], 0.0)
             s, share = piece_at(time, w, i, last, now)
             t, part = piece_at(time, w, i, last, now + 2.0 * ahead)
             for k in range(3):
+                # Way to the place on the line, between two of its points
                 here = line[w, i, s, k]
                 off[w, i, k] = here + share * (line[w, i, s + 1, k] - here) - position[w, i, k]
+                # Its velocity now and later; the difference is the acceleration to tell ahead
                 speed, later = velocity[w, i, s, k], velocity[w, i, t, k]
                 speed += share * (velocity[w, i, s + 1, k] - speed)
                 later += part * (velocity[w, i, t + 1, k] - later)

@@ -80,10 +80,13 @@ def knot(
     m: int, choice: np.ndarray, point: np.ndarray, axis: np.ndarray, room: np.ndarray
 ) -> tuple[Vec3, Vec3]:
     """Compute where a line passes gate m, m, and in which direction."""
+    # Spherical angles about the direction through the gate
     turn, rise = choice[TURN, m], choice[RISE, m]
     ahead, left, up = cos(turn) * cos(rise), sin(turn) * cos(rise), sin(rise)
     aside, high = room[m] * choice[ASIDE, m], room[m] * choice[HIGH, m]
+    # Axes of the gate: through it, to the left, up
     x, y, z = (axis[m, 0, 0], axis[m, 0, 1], axis[m, 0, 2]), axis[m, 1], axis[m, 2]
+    # Off the middle within the room that is left for errors
     place = (
         point[m, 0] + aside * y[0] + high * z[0],
         point[m, 1] + aside * y[1] + high * z[1],
@@ -212,11 +215,13 @@ def time_line(
     time[0] = 0.0
     for s in range(count - 1):
         both = math.sqrt(square[s]) + math.sqrt(square[s + 1])
+        # The mean of two speeds is exact for a constant acceleration
         time[s + 1] = time[s] + 2.0 * length[s] / max(both, NO_LENGTH)
     # Velocities along the mean of the directions before and behind.
     for k in range(3):
         velocity[count - 1, k] = velocity[count - 2, k]
     for s in range(count - 1, -1, -1):
+        # From the end, so that the piece before still has its own direction
         total = 0.0
         for k in range(3):
             if 0 < s < count - 1:

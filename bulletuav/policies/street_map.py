@@ -76,6 +76,7 @@ def scan(
             x, y = place[w, i, 0], place[w, i, 1]
             # What beams passed through is free.
             for b in range(beams):
+                # A cell short of the end, which belongs to what stands there
                 free = ranges[w, i, b] - CELL
                 pass_through(grid, x, y, directions[b, 0], directions[b, 1], free)
             # Where they ended something stands, also between the ends of neighbours.
@@ -85,6 +86,7 @@ def scan(
                 x_end = x + ranges[w, i, b] * directions[b, 0]
                 y_end = y + ranges[w, i, b] * directions[b, 1]
                 mark(grid, x_end, y_end)
+                # Both ends are near each other on one wall, or the gap is marked, too
                 other = (b + 1) % beams
                 if ranges[w, i, other] < reach:
                     x_other = x + ranges[w, i, other] * directions[other, 0]
@@ -99,8 +101,10 @@ def pass_through(
     """Take evidence from the cells along a beam of `length` m, once from each."""
     last_a, last_b = -1, -1
     for k in range(int(max(length, 0.0) / (0.5 * CELL))):
+        # Steps of half a cell: at most corners of cells are cut
         a = math.floor(x / CELL + 0.5 * k * east)
         b = math.floor(y / CELL + 0.5 * k * north)
+        # Evidence wears off, but never below none
         if is_within(grid, a, b) and (a != last_a or b != last_b):
             grid[a, b] = max(grid[a, b] - 1, 0)
         last_a, last_b = a, b

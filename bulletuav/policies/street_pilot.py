@@ -96,6 +96,7 @@ class StreetPilot(Policy):
 
     def act(self, observations: Observation, swarm: Swarm) -> np.ndarray:
         """Look, plan, and fly along the way; see `Policy.act`."""
+        # Readings alone; the map is made of them
         told = self.readings(observations)
         offset = goal_offset(told["goal"])
         rise = climb(offset, told["room"])
@@ -115,10 +116,12 @@ class StreetPilot(Policy):
             reach - 1e-3,
             alive & is_level & far,
         )
+        # Plans take time, so they are made every few decisions
         is_due = alive & (self._age % PLAN_EVERY == 0)[:, None]
         for w, i in np.argwhere(is_due).tolist():
             self._plan(w, i)
         self._age += 1
+        # Along the way, off what is near, at the goal's height
         wanted = self._along(told["velocity"])
         wanted[far & ~is_level, :2] = 0.0
         wanted[..., :2] += self._push(ranges, offset)

@@ -68,6 +68,7 @@ def find_layout(labels: Sequence[Label]) -> Layout:
     places: dict[str, dict[int, list[int]]] = {}
     told: dict[str, dict[int, list[str]]] = {}
     for place, label in enumerate(labels):
+        # Labels with a number tell of another, the rest of the drone itself
         match = NUMBERED.fullmatch(label.name)
         if match is None:
             own.append(place)
@@ -75,6 +76,7 @@ def find_layout(labels: Sequence[Label]) -> Layout:
         word, number = match[1], int(match[2])
         places.setdefault(word, {}).setdefault(number, []).append(place)
         told.setdefault(word, {}).setdefault(number, []).append(match[3])
+    # Others of a kind have the same numbers, in the same order
     kinds = {}
     for word, ones in places.items():
         first = min(ones)
@@ -141,15 +143,18 @@ class SwarmFeatures:
         own = symlog(rows[:, self._layout.own], self._scale)
         parts = [own]
         for word, kind in self._layout.kinds.items():
+            # All numbers of all others of a kind; zeros mean that nobody is there
             others = rows[:, np.array(kind.columns)]
             is_there = (others != 0).any(axis=-1, keepdims=True)
             known = [symlog(others, self._scale)]
             if kind.motion:
                 known += _approach(others[..., kind.motion])
+            # The drone's own numbers go along with those of each other
             shared = np.broadcast_to(own[:, None], (*others.shape[:2], own.shape[1]))
             each = np.concatenate([*known, shared], axis=-1)
             for weight, bias in self._layers[word]:
                 each = np.maximum(each @ weight.T + bias, 0)
+            # Who is not there adds nothing
             each = each * is_there
             parts += [each.sum(axis=1) / 2, each.max(axis=1)]
         return np.concatenate(parts, axis=1)

@@ -215,15 +215,18 @@ def _near_buildings(
     i: int,
 ) -> int:
     """Write the surfaces of pieces within reach to `out`, where there is room; count them."""
+    # A world without a city
     if layout[w] < 0:
         return 0
     here = vec3(position, w, i)
     count = 0
     for p in range(stands.layout[layout[w], 0], stands.layout[layout[w], 1]):
+        # The box tells fast whether a piece is near enough
         low = point(stands.low, p)
         high = point(stands.high, p)
         if distance_from_box(here, low, high) > clear.reach:
             continue
+        # All are counted, so that the caller can make room and ask again
         if count < out.shape[0]:
             n, distance = _nearest_surface(here, stands, p, low, high)
             for axis in range(3):
@@ -245,6 +248,7 @@ def _nearest_surface(
     best = (0.0, 0.0, 1.0)
     distance = -np.inf
     if stands.planes[p, 0] == stands.planes[p, 1]:
+        # A box: the point of it that is nearest; inside of it the distance is 0
         nearest = (
             min(max(here[0], low[0]), high[0]),
             min(max(here[1], low[1]), high[1]),
@@ -254,6 +258,7 @@ def _nearest_surface(
         distance = math.sqrt(dot(away, away))
         if distance > NO_DIRECTION:
             best = (away[0] / distance, away[1] / distance, away[2] / distance)
+    # A hull: heights over its faces are negative inside
     for f in range(stands.planes[p, 0], stands.planes[p, 1]):
         n = point(stands.plane, f)
         height = dot(n, here) - stands.plane[f, 3]

@@ -71,6 +71,7 @@ class TeamPolicies(Policy):
             ValueError: There is another number of teams, or none of a name.
         """
         super().__init__(aviary)
+        # Policies may come in another order than the teams
         names = team_names(aviary.task)
         given = teams or names
         for name in given:

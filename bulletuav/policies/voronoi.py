@@ -80,9 +80,11 @@ def _cell(
     i: int,
 ) -> int:
     """Write the half-spaces of a drone's cell; return how many there are."""
+    # Others farther off cannot come into the way while it brakes
     reach = rules.separation + 2.0 * rules.max_speed * rules.braking
     count = 0
     for k in range(nearest_first(traffic, w, i, reach, near, distance)):
+        # A side for each, between the two
         space = cell_side(vec3(traffic.gap[w], i, near[k]), rules)
         count = add(rows, count, space, rules.max_speed)
     return count

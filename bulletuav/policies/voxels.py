@@ -95,6 +95,7 @@ def nearest_free(grid: Voxels, point: np.ndarray) -> Cell:
         for y in range(grid.occupied.shape[1]):
             for z in range(grid.occupied.shape[2]):
                 if not grid.occupied[x, y, z]:
+                    # Offsets of the cell's centre from the point
                     gap = (
                         _offset(grid, point, 0, x),
                         _offset(grid, point, 1, y),
@@ -156,6 +157,7 @@ def is_clear(grid: Voxels, start: np.ndarray, end: np.ndarray) -> bool:
         start: (3,) one end, m.
         end: (3,) the other end, m.
     """
+    # Both ends must be free before the way between them matters
     cell = cell_of(grid, start)
     last = cell_of(grid, end)
     if not _is_free(grid, cell):
@@ -167,6 +169,7 @@ def is_clear(grid: Voxels, start: np.ndarray, end: np.ndarray) -> bool:
         x = _crossing(grid, start, end, cell, last, 0)
         y = _crossing(grid, start, end, cell, last, 1)
         z = _crossing(grid, start, end, cell, last, 2)
+        # Among equals the order is fixed, so that results repeat
         if x <= min(y, z):
             cell = _next(cell[0], last[0]), cell[1], cell[2]
         elif y <= z:

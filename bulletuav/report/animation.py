@@ -262,6 +262,7 @@ class _View:
         near = recording.separation[max(0, row - 1)] < self._d_safe
         rings = np.where(near[:, None], (0.86, 0.08, 0.24, 1.0), (0.5, 0.5, 0.5, 1.0))
         rings[~alive, 3] = 0
+        # Artists are moved, not made anew
         self._discs.set(offsets=position, facecolors=faces, edgecolors=edges)
         self._rings.set(offsets=position, edgecolors=rings)
         trail = recording.position[max(0, row - TRAIL) : row + 1][..., along]
@@ -270,6 +271,7 @@ class _View:
             text.set_position(place)
         self._bodies.set(offsets=recording.obstacle[row][:, along])
         self._bars.set(segments=bar_lines(recording, row, along))
+        # What not all tasks have
         if recording.target.shape[1]:
             colour = np.where(recording.seen[row], SEEN, UNSEEN)
             self._targets.set(offsets=recording.target[row][:, along], color=colour.tolist())

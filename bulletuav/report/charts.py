@@ -45,6 +45,7 @@ def plot_evaluation(result: Evaluation, path: Path) -> None:
     """
     figure = blank_figure(11, 7)
     rates, apart, time, way = np.ravel(figure.subplots(2, 2))
+    # Shares of all drones, each with its interval
     estimates = result.estimates()
     _bars(
         rates,
@@ -53,6 +54,7 @@ def plot_evaluation(result: Evaluation, path: Path) -> None:
         labels=[""],
     )
     rates.set(title="share, with 95 % interval", ylim=(0, 1.05))
+    # How episodes differ
     for axes, metric, label in (
         (apart, "min_separation", "least separation of an episode, m"),
         (time, "length", "duration of an episode, s"),
@@ -64,6 +66,7 @@ def plot_evaluation(result: Evaluation, path: Path) -> None:
     ):
         _histogram(axes, np.array([row[metric] for row in result.rows]))
         axes.set(xlabel=label, ylabel="episodes")
+    # Below this line episodes had a conflict
     about = result.about
     options = about["options"]
     d_safe = options["d_safe"]

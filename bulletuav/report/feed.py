@@ -80,7 +80,9 @@ class Feed:
                 f"if another live page is there, choose another port"
             ) from error
         self.address = join_address(host, self._server.server_address[1])
+        # Names by which a browser may ask for a page of this machine
         self._names = (*LOOPBACK_NAMES, host) if _is_loopback(host) else ()
+        # A daemon, so that a program that ends is not held up
         threading.Thread(target=self._server.serve_forever, args=(0.1,), daemon=True).start()
         LOG.info("live page at http://%s/", self.address)
 

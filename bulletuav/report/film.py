@@ -71,6 +71,7 @@ class Film:
         Raises:
             ValueError: There is no such camera or drone, or the scene is damaged.
         """
+        # What is shown, and by which camera
         choose("camera", camera, dict.fromkeys(CAMERAS))
         count = recording.position.shape[1]
         self._drone = as_int("drone", drone, 0, count - 1)
@@ -81,8 +82,10 @@ class Film:
             tuple(round(255 * part) for part in colour[:3])
             for colour in drone_colours(count).tolist()
         ]
+        # Cameras are laid out from the whole flight, so that they move evenly
         self._whole = self._fit_whole()
         self._behind = self._headings()
+        # Files of others may have any scene
         try:
             self._about = json.loads(str(recording.scene["about"]))
             self._make_bodies()
@@ -93,6 +96,7 @@ class Film:
     def _make_bodies(self) -> None:
         """Make an engine with the city, obstacles, and each part of each drone as an obstacle."""
         recording, about = self._recording, self._about
+        # Obstacles first; parts of drones follow, and tell whose they are
         bodies = [_obstacle(one) for one in about["obstacles"]]
         self._owner: list[int] = []
         places, turns = [], []
@@ -100,6 +104,7 @@ class Film:
             airframe = about["airframes"][kind]
             scale = self._scale(airframe["radius"])
             for part in airframe["parts"]:
+                # Rotors take the drone's colour, which tells who is who
                 colour = [share / 255 for share in self._colours[drone]]
                 own = part if not _is_disc(part) else {**part, "colour": [*colour, 1.0]}
                 bodies.append(_obstacle(own, scale))
@@ -108,10 +113,12 @@ class Film:
                 turns.append(part["quaternion"])
         self._place = np.array(places)
         self._own_turn = Rotation.from_quat(np.array(turns))
+        # The last buildings are hulls, whose corners stand one after the other
         sizes = recording.scene["hull_size"]
         hulls = np.split(recording.scene["hull"], np.cumsum(sizes)[:-1]) if len(sizes) else []
         boxes = recording.building[: len(recording.building) - len(sizes)]
         city = [Solids(boxes, tuple(hulls))] if len(recording.building) else []
+        # The engine flies nobody here: it only takes pictures
         self._engine = Engine([load_airframe(STAND_IN)], 1, 1.0, bodies, city)
         if city:
             self._engine.set_layouts(np.array([0]), np.array([True]))
@@ -167,6 +174,7 @@ class Film:
             (height, width, 3) uint8, red, green, blue.
         """
         recording = self._recording
+        # Between which two rows of the recording, and how far
         clock = np.clip(time, 0, recording.time[-1]) / (recording.time[1] - recording.time[0])
         row = min(int(clock + 1e-9), len(recording.time) - 2)
         share = clock - row
@@ -175,11 +183,13 @@ class Film:
             now: np.ndarray = (1 - share) * values[row] + share * values[row + 1]
             return now
 
+        # Move the bodies there, and take the picture
         position = between(recording.position)
         self._put(position, between(self._turns), between)
         flies = recording.alive[row]
         target, away = self._look(time, position, float(between(self._behind)))
         image, lens, depth = self._renderer.shot(0, target, away, position[flies])
+        # Draw over it what has no body: trails, marks, numbers
         pen = ImageDraw.Draw(image)
         self._draw_trails(pen, lens, depth, row, position, reach)
         draw(self._marks(row, position, flies, between), lens, pen)

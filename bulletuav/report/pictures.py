@@ -62,11 +62,13 @@ def plot_tracks(
     Raises:
         ValueError: Infos told nothing of a name.
     """
+    # Panels of what changes over time, in columns on the right
     heights = {ALTITUDE: recording.position[..., 2]}
     told = heights | {name: np.asarray(recording.told(name)) for name in shows}
     panels = {name: values for name, values in told.items() if _has_history(values)}
     columns = -(-len(panels) // MOST_ROWS)
     rows = -(-len(panels) // max(1, columns))
+    # The picture from above, and one in three dimensions where heights matter
     views = 2 if has_depth(recording) and recording.scene else 1
     figure = blank_figure(1 + 7 * views + 4 * columns, 6.5)
     ratios = [1.7] * views + [1.0] * columns
@@ -173,11 +175,13 @@ def _mark_separations(axes: Axes, separation: np.ndarray, d_safe: float) -> None
 
 def _draw_obstacles(axes: Axes, recording: Recording) -> None:
     """Draw the ways of obstacles, where they were at first (dotted) and where they came to."""
+    # Bars are drawn as lines, others as circles
     tracks = recording.obstacle.swapaxes(0, 1)
     is_bar = recording.obstacle_axis.any(axis=1)
     for row, style in ((0, ":"), (-1, "-")):
         lines = bar_lines(recording, row)
         axes.add_collection(LineCollection(lines, colors=BARS, linewidths=2, linestyles=style))
+    # A way, and a circle at each end of it
     for track, radius in zip(tracks[~is_bar], recording.obstacle_radius[~is_bar], strict=True):
         axes.plot(track[:, 0], track[:, 1], color="0.6", lw=1)
         for row, style in ((0, ":"), (-1, "-")):

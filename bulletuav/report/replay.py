@@ -50,17 +50,20 @@ def read_run(path: Path) -> tuple[Recording, str]:
     """
     if not path.exists():
         raise FileNotFoundError(f"there is no {path}: give the folder of a flight")
+    # A file in the folder stands for it
     folder = path if path.is_dir() else path.parent
     if not (folder / ARRAYS_FILE).exists():
         raise ValueError(
             f"{folder} holds no recording ({ARRAYS_FILE}): give a folder that `bulletuav fly` wrote"
         )
+    # Before anything is read: are the files those that were written?
     about, checks = read_sealed(folder / RUN)
     changed = [check.what for check in checks if not check.same]
     if changed:
         raise ValueError(
             f"{folder / changed[0]} is damaged or was changed: it does not match {RUN}; {REMEDY}"
         )
+    # Earlier versions have no scene
     recording = load(folder)
     if not recording.scene:
         raise ValueError(
@@ -127,11 +130,13 @@ def page(title: str, payload: str = "") -> str:
         title: Its title.
         payload: The text of a `Payload`; a page without one asks its server for a live feed.
     """
+    # All scripts go into the page, which then needs no other file
     scripts = {}
     for script in sorted(WEB.glob("*.js")):
         code = BESIDE.sub(r'\1"', script.read_text())
         data = base64.b64encode(code.encode()).decode()
         scripts[script.name] = f"data:text/javascript;base64,{data}"
+    # A page with numbers in it connects to nothing
     parts = {
         "title": html.escape(title),
         "style": (WEB / "style.css").read_text(),
@@ -147,12 +152,15 @@ def page(title: str, payload: str = "") -> str:
 def whole_payload(recording: Recording, title: str) -> str:
     """Write all that a page shows."""
     about = json.loads(str(recording.scene["about"]))
+    # Numbers go into series, each of which the page finds by its name
     payload = Payload()
     charts = _add_rows(payload, recording, about)
     _add_city(payload, recording)
+    # Browsers draw triangles; hulls are corners until here
     for part in (*about["obstacles"], *(p for one in about["airframes"] for p in one["parts"])):
         if part["kind"] == HULL:
             part["triangles"] = _hull_triangles(part["corners"])
+    # The rest is small, and goes as it is
     told = {
         "title": title,
         "rows": len(recording.time),

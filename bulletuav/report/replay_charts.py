@@ -27,7 +27,9 @@ def add_charts(payload: Payload, recording: Recording, about: dict[str, Any]) ->
         The plots in their order: group, title, unit, and lines, each with its name, the series,
         and which of the `parts` numbers of a drone it is.
     """
+    # Altitude is a part of the positions, which the page has already
     charts = [_chart("Flight", "altitude", "m", [""], "position", 3, [2])]
+    # What was decided: rewards and infos, a series each
     for group, title, unit, values in _decided(recording, about):
         rows = values.reshape(*values.shape[:2], -1)
         width = rows.shape[2]
@@ -35,11 +37,14 @@ def add_charts(payload: Payload, recording: Recording, about: dict[str, Any]) ->
         payload.add_series(series, rows)
         names = [str(part) if width > 1 else "" for part in range(width)]
         charts.append(_chart(group, title, unit, names, series, width, range(width)))
+    # Points have no rotors, and rows of zeros tell nothing
     if recording.scene["rotor_speed"].any():
         charts.append(_chart("Flight", "rotors, mean", "rad/s", [""], "rotors", 1, [0]))
+    # Readings that are pictures or flags, or too many lines, are left out
     for name, labels in about["readings"].items():
         if recording.reading[name].dtype.kind == "b" or len(labels) > MOST_LINES:
             continue
+        # One plot a unit, as axes have only one
         for unit in dict.fromkeys(unit for _, unit in labels):
             parts = [k for k, (_, own) in enumerate(labels) if own == unit]
             names = [labels[k][0] for k in parts]

@@ -90,11 +90,13 @@ def merge(out: Path, trust: bool = False) -> list[Path]:
         FileNotFoundError: There are no pieces.
         ValueError: Some are missing or not finished, or of other code than this.
     """
+    # The folder tells of what it holds pieces
     if (out / "parquet").is_dir():
         return _merged_dataset(out, trust)
     cases = out / PIECES / CASES
     if not cases.exists():
         return write_evaluation(_merged(out, trust), out)
+    # A comparison is several evaluations, each with pieces
     try:
         told = json.loads(read_file(cases))
         folders = [out / "runs" / str(name) for name in told["runs"]]
@@ -110,11 +112,13 @@ def merge(out: Path, trust: bool = False) -> list[Path]:
 
 def _merged(out: Path, trust: bool) -> Evaluation:
     """Join the pieces of an evaluation, all of which must be there."""
+    # A piece counts from when its description is there
     pieces = {piece: path for piece, path in piece_folders(out).items() if (path / RUN).exists()}
     if not pieces:
         raise FileNotFoundError(
             f"{out} holds no pieces: fly them with --piece 1/N to N/N and --out {out}"
         )
+    # All episodes must have been flown by one of the pieces
     about = _about(next(iter(pieces.values())) / RUN)
     flown = {episode for path in pieces.values() for episode in read_rows(path)}
     missing = sorted(set(range(about["episodes"])) - flown)
@@ -126,6 +130,7 @@ def _merged(out: Path, trust: bool) -> Evaluation:
             f"{missing[0]}: pieces {there} of {of} were begun; fly the others, and again those "
             f"that were interrupted, {BATCH} episodes at a time are kept"
         )
+    # Nothing is flown again: episodes that are there are only read
     call = read_call(about["call"], trust)
     options = call.pop("options")
     return evaluate(**call, episodes=about["episodes"], trust=trust, out=out, **options)

@@ -56,13 +56,16 @@ def plot_study(study: Study, trials: Sequence[Trial], path: Path) -> None:
         trials: Its trials, of which one at least did not fail.
         path: The file.
     """
+    # Failed trials have no result
     done = [trial for trial in trials if not trial.error]
     results = np.array([trial.result for trial in done])
     numbers = [trial.number for trial in done]
+    # One plot of the progress and one for each setting
     columns = min(COLUMNS, 1 + len(study.space))
     rows = -(-(1 + len(study.space)) // columns)
     figure = blank_figure(3.2 * columns, 2.8 * rows)
     first, *others = np.ravel(figure.subplots(rows, columns, squeeze=False))
+    # How much the search still gains
     best = (np.maximum if study.maximise else np.minimum).accumulate(results)
     first.scatter(numbers, results, color=COLOURS[0], s=16, label="trial")
     first.step(numbers, best, color="black", where="post", label="best so far")
@@ -70,6 +73,7 @@ def plot_study(study: Study, trials: Sequence[Trial], path: Path) -> None:
     first.legend()
     for axes, name in zip(others, study.space, strict=False):
         _scatter(axes, study, name, done)
+    # Places of the grid that are left over
     for axes in others[len(study.space) :]:
         axes.set_axis_off()
     figure.suptitle(f"{study.run.task}, {study.run.algo}, seed {study.run.seed}")
@@ -80,6 +84,7 @@ def _scatter(axes: Axes, study: Study, name: str, done: Sequence[Trial]) -> None
     """Draw the metric over one setting; later trials are darker, the best one is ringed."""
     searched = study.space[name]
     values = [trial.values[name] for trial in done]
+    # Ranges are axes; choices are ticks, by their order
     if isinstance(searched, Range):
         places = values
         if searched.log:
@@ -91,6 +96,7 @@ def _scatter(axes: Axes, study: Study, name: str, done: Sequence[Trial]) -> None
     results = [trial.result for trial in done]
     numbers = [trial.number for trial in done]
     axes.scatter(places, results, c=numbers, cmap="Blues", vmin=-len(done), s=16)
+    # The best one is ringed
     k = done.index(best_trials(study, done)[0])
     axes.scatter(places[k], results[k], s=90, facecolor="none", edgecolor=COLOURS[1])
     axes.set(xlabel=name)

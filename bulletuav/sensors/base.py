@@ -284,6 +284,7 @@ def check_readings(
         raise ValueError(f"{who} {shown(given)}: a dict of arrays by name of reading is needed")
     for name in sensor.gives:
         label = labels.get(name)
+        # A reading that nobody uses may be missing
         if name not in given:
             if label is not None and name in wanted:
                 raise ValueError(f"{who} no reading {name!r}: return it, or leave it out of labels")
@@ -291,14 +292,17 @@ def check_readings(
         reading = given[name]
         if not isinstance(reading, np.ndarray):
             raise ValueError(f"{who} {shown(reading)} as {name!r}: a NumPy array is needed")
+        # Pictures, and readings without labels, have any shape
         if label is None or isinstance(label, Image):
             continue
         worlds, drones = moment.mask.shape
+        # A single number a drone may go without the last dimension
         shapes = [(worlds, drones, len(label))] + [(worlds, drones)] * (len(label) == 1)
         if reading.shape not in shapes:
             raise ValueError(
                 f"{who} an array {reading.shape} as {name!r}: {shapes[-1]} is needed, "
                 f"one number for each of its {len(label)} labels"
             )
+        # Drones that are not measured may have anything
         if not np.isfinite(reading[moment.mask]).all():
             raise ValueError(f"{who} {shown(reading)} as {name!r}: finite numbers are needed")

@@ -39,6 +39,7 @@ def _measure(
     for w in range(mask.shape[0]):
         for i in range(mask.shape[1]):
             if mask[w, i]:
+                # The field is the same everywhere; the body turns in it
                 felt = to_body(quat4(quaternion, w, i), (field[0], field[1], field[2]))
                 for k in range(3):
                     reading[w, i, k] = felt[k] + error[w, i, k]

@@ -84,11 +84,13 @@ def _look_down(
         for i in range(mask.shape[1]):
             if not mask[w, i]:
                 continue
+            # The sensor looks along the body, so tilt turns it away from the ground
             up = axes(quat4(swarm.quaternion, w, i))[2]
             position = vec3(swarm.position, w, i)
             for k in range(3):
                 start[m, k] = position[k]
                 end[m, k] = position[k] - reach * up[k]
+            # Rays are listed without gaps for the drones that are left out
             world[m] = w
             m += 1
 

@@ -139,7 +139,9 @@ class Radio(Sensor):
         *,
         start: bool,
     ) -> None:
+        # The delay lies between two states that were kept: how many steps back, and how far on
         steps, between = divmod(self.delay[world] / self.setup.period, 1)
+        # One number for each pair, whoever flies, so that numbers stay the same
         luck = rng.random((len(flying), len(flying)))
         _hear(
             self._sent[int(steps), world],

@@ -121,21 +121,28 @@ class SensorSuite:
         self._labels: dict[str, Mapping[str, tuple[Label, ...] | Image]] = {}
         self._unchecked: set[str] = set()
         self._wanted = setup.wanted
+        # Only sensors that somebody reads cost time
         for name, sensor in sensors.items():
+            # Names that users write carry the sensor's prefix
             uncertain = {f"{sensor.prefix}{key}": key for key in sensor.uncertain}
+            # Tasks with targets need to know who sees them
             needed = bool(setup.wanted.intersection(sensor.gives))
             needed |= name == "sight" and setup.num_targets > 0
+            # Some change what drones know even where nobody reads them
             if not needed and not (
                 sensor.always_if_uncertain and not drawn.keys().isdisjoint(uncertain)
             ):
                 continue
+            # A copy that knows its environment; the one given stays as it is
             attached = sensor.attached(setup, engine)
+            # Arrays that resets write into, not copies of them
             for public, key in uncertain.items():
                 if public in drawn:
                     per_world = sensor.uncertain[key].per == "world"
                     setattr(attached, key, drawn[public][:, 0] if per_world else drawn[public])
             self.sensors[name] = attached
             self._labels[name] = attached.labels(setup)
+            # The first measurement of each is checked against its labels
             self._unchecked.add(name)
         self._last = next(reversed(self.sensors.values()), None)
 

@@ -75,11 +75,13 @@ def require_task(kind: type[Task[Any]]) -> None:
         ValueError: Something is missing; it is named.
     """
     name = kind.__name__
+    # What cannot be left out at all
     missing = [one for one in NEEDED if getattr(kind, one, None) in (None, ())]
     if lacks := sorted(kind.__abstractmethods__) or missing:
         raise ValueError(
             f"task {name} has no {lacks[0]}: a task needs it, see bulletuav.tasks.base.Task"
         )
+    # Name and config
     if not isinstance(kind.name, str):
         raise ValueError(f"name of task {name} is {shown(kind.name)}: a text is needed")
     options = kind.Config if dataclasses.is_dataclass(kind.Config) else None
@@ -94,11 +96,13 @@ def require_task(kind: type[Task[Any]]) -> None:
                 f"Config of task {name} has no field {field}: derive it from "
                 f"bulletuav.tasks.config.TaskConfig, as a frozen dataclass"
             )
+    # Tables by name
     for one in ("defaults", "difficulties", "presets", "reward", "shows"):
         if not isinstance(getattr(kind, one), Mapping):
             raise ValueError(
                 f"{one} of task {name} is {shown(getattr(kind, one))}: a dict is needed"
             )
+    # A text alone would be taken for a tuple of letters
     if not isinstance(kind.observation, list | tuple):
         raise ValueError(
             f"observation of task {name} is {shown(kind.observation)}: a tuple is needed, such as "

@@ -51,6 +51,7 @@ def make_account(frame: Frame) -> Account:
     shape = frame.alive.shape
     distance, distance_before, known_distance, impulse = np.zeros((4, *shape))
     collision, resting, landed = np.zeros((3, *shape), dtype=bool)
+    # The frame shows these arrays, so they are filled and never replaced
     account = Account(
         conflict=no_conflict(shape),
         distance=distance,

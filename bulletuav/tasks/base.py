@@ -172,6 +172,7 @@ class Task(ABC, Generic[ConfigT]):
             ValueError: An ingredient asks for a name that there is not, or a term is not known.
         """
         kind = type(self)
+        # All names that ingredients may use as arguments
         numbers = {**numbers_in(self.context), **numbers_in(self.config), "zone": self.zone}
         corners = np.ravel([self.arena_high, self.arena_low]).tolist()
         bounds = {f"bound_{side}": bound for side, bound in zip(SIDES, corners, strict=False)}
@@ -184,9 +185,11 @@ class Task(ABC, Generic[ConfigT]):
                     f"reward has {name!r}, which is a term of task {self.name!r}: choose another "
                     f"name, or change its weight by weights={{{name!r}: ...}}"
                 )
+        # Extra terms take part like the task's own
         self.weights |= {name: weight for name, (_, weight) in extra.items()}
         self._binding = binding
         beside = {name: find_term("reward", term) for name, (term, _) in extra.items()}
+        # Each ingredient is bound once, which finds wrong names before any flight
         self.parts = Parts(
             extra={name: self._bound(name, term) for name, term in beside.items()},
             terms={name: self._bound(name, term) for name, term in self.own_terms().items()},

@@ -47,6 +47,7 @@ def check_step_result(task: Task[Any], result: Any, shape: tuple[int, int]) -> N
         raise ValueError(
             f"{judged} the terms {shown(result.terms)}: a dict of arrays by name is needed"
         )
+    # Terms and weights must go together: neither may be left over
     for name in result.terms:
         if name not in task.weights:
             raise unknown(f"reward term in what {judged},", name, task.weights)
@@ -56,6 +57,7 @@ def check_step_result(task: Task[Any], result: Any, shape: tuple[int, int]) -> N
                 f"{judged} no reward term {name!r}: its weight is {weight:g}; give it, or the "
                 f"weight 0"
             )
+    # Then the arrays: numbers for terms, truth for ends and successes
     wanted = {f"reward term {name!r}": (term, "iufb") for name, term in result.terms.items()}
     wanted |= {name: (getattr(result, name), "b") for name in ("terminated", "success")}
     for name, (value, kinds) in wanted.items():
@@ -109,6 +111,7 @@ def require_finite(task: Task[Any], terms: Mapping[str, np.ndarray], reward: np.
 
 def check_arena(task: Task[Any], config: Any, radius: float) -> None:
     """Raise ValueError where an arena is none, or reaches into that of other worlds."""
+    # The arena itself
     arena = numbers_of(
         f"arena_low and arena_high of task {task.name!r} are", [task.arena_low, task.arena_high]
     )
@@ -117,11 +120,14 @@ def check_arena(task: Task[Any], config: Any, radius: float) -> None:
             f"arena_low and arena_high of task {task.name!r} are {shown(arena)}: lower and upper "
             f"corner are needed"
         )
+    # What else the task tells of places
     finite(f"zone of task {task.name!r}", task.zone)
     if task.rebound is not None:
         finite(f"rebound of task {task.name!r}", task.rebound, 0, 1)
+    # Worlds stand side by side on tiles, with parked bodies above them
     reach = float(np.abs(arena[:, :2]).max())
     if 2 * (reach + radius) >= TILE_PITCH or arena[1, 2] >= PARKING_HEIGHT:
+        # The message names the lengths of the config that may be too large
         sizes = {
             field.name: getattr(config, field.name)
             for field in dataclasses.fields(config)
@@ -138,6 +144,7 @@ def check_arena(task: Task[Any], config: Any, radius: float) -> None:
 
 def check_bodies(task: Task[Any]) -> None:
     """Raise ValueError where a task's bodies, cities or memory are none."""
+    # Bodies must be ones that engine and compiled code know
     kinds: dict[str, type] = {"obstacles": Obstacle, "layouts": Solids}
     for name, kind in kinds.items():
         things = getattr(task, name)()
@@ -146,6 +153,7 @@ def check_bodies(task: Task[Any]) -> None:
                 f"{name} of task {task.name!r} gave {shown(things)}: a list of {kind.__name__} is "
                 f"needed"
             )
+    # Memory is arrays of a fixed shape in each world
     memory: Any = task.memory()
     if not isinstance(memory, Mapping):
         raise ValueError(

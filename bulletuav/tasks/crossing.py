@@ -95,6 +95,7 @@ class Crossing(Airspace[CrossingConfig]):
                 ground.
         """
         super().__init__(config, context)
+        # Jitter may move two neighbours towards each other
         clear = clearance(config, context)
         if config.lane_spacing - 2 * config.jitter <= clear:
             raise ValueError(
@@ -107,10 +108,12 @@ class Crossing(Airspace[CrossingConfig]):
         self._num_north, east = team_sizes(config.teams, drones, usual)
         self.team[self._num_north :] = 1
         self._start, self._goal = self._places()
+        # Ranks behind each other, lanes beside each other, m
         largest = max(self._num_north, east)
         ranks = -(-largest // config.lanes)
         depth = (ranks - 1) * config.lane_spacing
         width = min(largest, config.lanes) * config.lane_spacing / 2
+        # The corners of two formations must not meet
         if config.half_length <= width + config.jitter + clear:
             raise ValueError(
                 f"half_length {config.half_length:g} m is too short for formations "
@@ -123,6 +126,7 @@ class Crossing(Airspace[CrossingConfig]):
                 f"altitude {config.altitude:g} m is too low "
                 f"for altitude_spread {config.altitude_spread:g} m"
             )
+        # The arena goes a margin beyond the farthest start
         reach = max(config.half_length + depth, width) + config.margin
         self.arena_low = np.array([-reach, -reach, 0.0])
         self.arena_high = np.array([reach, reach, config.altitude + rise + config.margin])

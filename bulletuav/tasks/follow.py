@@ -192,6 +192,7 @@ class Follow(Task[FollowConfig]):
         """Refuse starts that could touch each other, the target or the ground."""
         config = self.config
         radius = self.context.collision_radius
+        # Each drone may be shifted on all three axes at once
         largest_offset = config.start_offset * np.sqrt(3)
         refuse_overlap(self._station, radius + largest_offset)
         nearest = float(np.linalg.norm(self._station, axis=1).min()) - largest_offset
@@ -218,10 +219,12 @@ class Follow(Task[FollowConfig]):
     def spawn(self, rng: np.random.Generator) -> Spawn:
         """Draw a start of the target at the origin, and of drones at rest near their stations."""
         config = self.config
+        # The target may set out in any direction
         heading = rng.uniform(-np.pi, np.pi)
         target = np.array([[0.0, 0.0, self._height]])
         velocity = config.target_speed * np.array([[cos(heading), sin(heading), 0.0]])
         shape = (self.context.num_drones, 3)
+        # Drones start near their stations, which are also their goals
         offset = rng.uniform(-config.start_offset, config.start_offset, shape)
         station = target + self._station
         return Spawn(

@@ -131,8 +131,10 @@ class Binding:
         """Find what an argument name stands for. Raises ValueError with the nearest names."""
         whole_world = name.startswith(ALL)
         key = name.removeprefix(ALL)
+        # Worked out from the state when first asked for
         if key in (PRESENT, *self.events):
             return Source(lambda frame: frame.derived[key], whole_world, key == PRESENT)
+        # The task's own, before fields of the frame
         if key in self.quantities:
             quantity = self.quantities[key]
             if not callable(quantity):
@@ -144,9 +146,11 @@ class Binding:
             return Source(lambda frame: frame.readings[key], whole_world)
         if key in self.memory:
             return Source(lambda frame: frame.scene.memory[key], whole_world)
+        # Numbers of config and context are the same for all drones
         if name in self.numbers:
             number = self.numbers[name]
             return Source(lambda frame: number)
+        # All that there is, for the message that names the nearest
         known = {*FIELDS, *self.readings, *self.memory, *self.quantities, *self.events}
         choices = {
             *known,

@@ -54,8 +54,10 @@ def _compiled(
 ) -> Callable[..., None]:
     source = _source(function.__name__, forms, results)
     home = function.__module__ or ""  # none in code that is run from a text
+    # Loops of the package are files, whose machine code is kept for the next start
     if home.startswith("bulletuav.") and function.__qualname__ == function.__name__:
         return _from_file(home, function.__name__, source)
+    # Others' functions may change at any time, so nothing of them is kept
     space: dict[str, Any] = {"function": uncached(function, forceinline=True)}
     exec(compile(source, f"<loop of {function.__qualname__}>", "exec"), space)
     loop: Callable[..., None] = uncached(space["loop"])
@@ -95,6 +97,7 @@ def _from_file(module: str, name: str, source: str) -> Callable[..., None]:
         "function = func(plain)\n\n\n"
         f"@kernel\n{source}"
     )
+    # Another text is another file: no process reads half of one
     stamp = hashlib.sha256(text.encode()).hexdigest()[:12]
     path = Path(cache_folder(), "loops", f"{name}_{stamp}.py")
     if not path.is_file():
@@ -103,6 +106,7 @@ def _from_file(module: str, name: str, source: str) -> Callable[..., None]:
     spec = importlib.util.spec_from_file_location(f"_bulletuav_loop_{path.stem}", path)
     assert spec is not None
     assert spec.loader is not None  # a file of Python source has both
+    # Loaded by its path, as the folder is no package
     loaded = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = loaded  # where numba looks for it when it loads machine code
     spec.loader.exec_module(loaded)

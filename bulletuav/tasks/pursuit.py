@@ -121,12 +121,14 @@ class Pursuit(Airspace[PursuitConfig]):
                 slow for the horizon.
         """
         super().__init__(config, context)
+        # Paces lie between these two
         slowest, fastest = config.speed
         if not 0 < slowest <= fastest <= context.max_speed:
             raise ValueError(
                 f"speed is {config.speed}: "
                 f"from low to high, above 0 and up to max_speed {context.max_speed:g}"
             )
+        # Starts apart, and time enough for the slowest
         self._check_spacing()
         self.arena_low, self.arena_high = circle_arena(config, context, config.radius)
         self._pace = np.linspace(slowest, fastest, context.num_drones)
@@ -146,6 +148,7 @@ class Pursuit(Airspace[PursuitConfig]):
                 f"{drones} drones with spacing {config.spacing:g} m do not fit "
                 f"on a circle of radius {config.radius:g} m"
             )
+        # Spacing is along the circle; straight on it is less
         chord = 2 * config.radius * sin(config.spacing / (2 * config.radius))
         nearest = least_distance(config, chord)
         clear = clearance(config, self.context)

@@ -200,6 +200,7 @@ class PursuitEvasion(UrbanTask[PursuitEvasionConfig]):
             FileNotFoundError: The city's file is not there.
         """
         super().__init__(config, context)
+        # One in four evades, unless teams are told
         drones = context.num_drones
         evaders = max(drones // 4, 1) if drones > 1 else 0
         chasers, _ = team_sizes(config.teams, drones, (drones - evaders, evaders))
@@ -208,6 +209,7 @@ class PursuitEvasion(UrbanTask[PursuitEvasionConfig]):
         self.rebound = REBOUND.get(config.boundary)
         self.sight_range = config.sight_range
         self._check_distances()
+        # Teams may be slower than drones can fly, each by a share
         speeds = []
         for name in ("chaser_speed", "evader_speed"):
             check_share(name, getattr(config, name))
@@ -325,12 +327,15 @@ class PursuitEvasion(UrbanTask[PursuitEvasionConfig]):
             (W, N) bool. `frame.derived` gets all of `events`.
         """
         memory, flown, evader = frame.scene.memory, frame.alive, self._is_evader
+        # Lost in this decision, not in an earlier one
         now = frame.time[:, None]
         lost = flown & (memory["lost_at"] == now) & (now > 0)
         left = flown & ~lost
+        # Chasers win when the last evader is gone; without chasers it is over
         won = evader.any() & ~np.any(left & evader, axis=1)
         gone = (~evader).any() & ~np.any(left & ~evader, axis=1)
         chasers, evaders = flown & ~evader, flown & evader
+        # What reward terms and infos ask for by name
         frame.derived["lost"] = lost
         frame.derived["captured"] = lost & (memory["captured_at"] == now)
         frame.derived["won"] = np.broadcast_to(won[:, None], flown.shape) & left

@@ -242,6 +242,7 @@ class Race(Task[RaceConfig]):
     def update_memory(self, frame: Frame, rngs: Rngs) -> None:
         """Credit drones with gates, bring the order up to date, and count what went wrong."""
         memory = frame.scene.memory
+        # Gates that moved are crossed in their own frame, between before and after
         cross_gates(
             frame.before.position,
             frame.after.position,
@@ -258,13 +259,17 @@ class Race(Task[RaceConfig]):
             memory["passing"],
             memory["missing"],
         )
+        # Order by the ways left, now that gates are credited
         memory["way_before"][:] = memory["way"]
         self._follow_ways(frame)
+        # Counts of the episode
         memory["missed"][:] += memory["missing"]
         memory["overtakes"][:] += memory["overtaken"]
+        # A touch that lasts counts once
         touching = frame.collision & frame.alive
         memory["contacts"][:] += touching & (memory["touching"] == 0)
         memory["touching"][:] = touching
+        # The next gate may be another goal, so distances are measured again
         self._aim(frame.scene)
         fill_distances(frame.scene.goal, frame.after.position, frame.distance)
         fill_distances(frame.scene.goal, frame.known_position, frame.known_distance)
@@ -316,6 +321,7 @@ class Race(Task[RaceConfig]):
         """Tell where gates are, how they stand and move, and how many each drone has passed."""
         count, drones = self.course.gates, self.context.num_drones
         fast = np.full(3, self.course.fastest)
+        # The global state tells all gates; drones observe the next ones
         labels: list[Label] = []
         for k in range(count):
             labels += vector_labels(f"gate {k}", "m", self.arena_low, self.arena_high)

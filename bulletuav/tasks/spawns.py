@@ -90,11 +90,13 @@ class Starts:
                 )
         if not spawns:
             return
+        # Field by field into arrays, which compiled code checks at once
         columns = dict(zip(Spawn._fields, zip(*spawns, strict=True), strict=True))
         for name, array in self._fields.items():
             _fill(self._task, name, columns[name], array)
         self._count[0], self._in_doubt = len(spawns), False
         self._check.run()
+        # Python only looks at what may be wrong, and words the error
         if self._in_doubt:
             self._look_closer(len(spawns))
         if self._fields["obstacle"].size:
@@ -160,22 +162,27 @@ def _is_doubtful(
         quaternion: (W, N, 4).
         radius: Collision radius, m.
     """
+    # Numbers that are not finite; the closer look tells whose
     for field in fields:
         for s in range(count[0]):
             for k in range(field.shape[1]):
                 if not math.isfinite(field[s, k]):
                     return True
+    # Comparisons are written so that NaN is doubtful, too
     half = TILE_PITCH / 2 - radius
     apart = 2 * radius * (1 + UNIT)
     for s in range(count[0]):
         for i in range(position.shape[1]):
             x, y, z, w = quat4(quaternion, s, i)
+            # A unit quaternion
             if not abs(x * x + y * y + z * z + w * w - 1.0) <= UNIT:
                 return True
+            # On its own tile, off the ground, below what is parked
             east, north, up = vec3(position, s, i)
             if not (abs(east) < half and abs(north) < half and radius <= up < PARKING_HEIGHT):
                 return True
             for j in range(i):
+                # Apart from those before, whatever the attitude
                 gap = offset(position, s, i, j)
                 if not dot(gap, gap) > apart * apart:
                     return True
@@ -243,6 +250,7 @@ def _check_places(
     task: Task[Any], position: np.ndarray, quaternion: np.ndarray, airframes: Sequence[Airframe]
 ) -> None:
     """Refuse starts that are not turned by unit quaternions, too far out, or in the ground."""
+    # Squares of norms differ from 1 by twice as much as norms
     off = np.abs(np.einsum("ij,ij->i", quaternion, quaternion) - 1)
     if off.max() > 2 * UNIT:
         i = int(off.argmax())
@@ -250,6 +258,7 @@ def _check_places(
         raise _refused(
             task, f"quaternion of drone {i}", what, "a unit quaternion is needed: divide by it"
         )
+    # Beyond it are other worlds, or what is parked above
     radius, height = task.context.collision_radius, position[:, 2]
     half, aside = TILE_PITCH / 2 - radius, np.abs(position[:, :2])
     if aside.max() >= half or height.max() >= PARKING_HEIGHT:
@@ -258,6 +267,7 @@ def _check_places(
         raise _refused(task, f"position of drone {i}", f"is {position[i]} m", remedy)
     if height.min() >= radius:  # clear, whatever the attitude
         return
+    # Near the ground the attitude tells how far down the shape reaches
     depth = _depth([one.shape for one in airframes], quaternion)
     if (sunk := height < depth - GRAZE).any():
         i = int(sunk.argmax())

@@ -82,15 +82,18 @@ def add_judgement(program: Program, task: Task[Any], frame: Frame, judgement: Ju
         judgement.success[:] = result.success
         _copy(result.terms, judgement)
 
+    # A task that judges by itself takes Python's turn
     if kind.evaluate_step is not Task.evaluate_step:
         program.turn(evaluate)
     else:
+        # Own methods where there are some, and compiled ingredients beside them
         own = None if kind.terminated is Task.terminated else task.terminated
         _add_flags(program, frame, judgement.ended, own, parts.ends)
         own = None if kind.succeeded is Task.succeeded else task.succeeded
         success = () if parts.success is None else (parts.success,)
         _add_flags(program, frame, judgement.success, own, success)
         _add_terms(program, task, frame, judgement)
+    # Terms that users add, by the task's own way or as ingredients
     if kind.extra_terms is not Task.extra_terms:
         program.turn(lambda: _copy(task.extra_terms(frame), judgement))
         return

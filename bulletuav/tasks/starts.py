@@ -25,10 +25,12 @@ def take_given(task: Task[Any], start: object = None, goal: object = None) -> Gi
     for name, value in zip(PLACES, (start, goal), strict=True):
         if value is None:
             continue
+        # Not every task lets places be chosen
         if name not in task.places:
             remedy = " or ".join(task.places) or "nothing"
             raise ValueError(f"{name} cannot be given in task {task.name!r}: {remedy} can")
         places[name] = _given_positions(task, name, value)
+    # Who starts in the air must not touch the ground
     if "start" in places and not task.takes_off:
         lowest = float(places["start"][:, 2].min())
         if lowest <= task.context.collision_radius:
@@ -44,6 +46,7 @@ def take_given(task: Task[Any], start: object = None, goal: object = None) -> Gi
 def _given_positions(task: Task[Any], name: str, value: object) -> np.ndarray:
     """Return an option as positions (N, 3), m, and refuse all but those in the free."""
     drones = task.context.num_drones
+    # Anything may be given: numbers first, then their shape
     try:
         positions = numbers_of(f"{name} is", value)
     except ValueError:
@@ -52,8 +55,10 @@ def _given_positions(task: Task[Any], name: str, value: object) -> np.ndarray:
         raise ValueError(
             f"{name} is {shown(value)}: {drones} finite positions (x, y, z) in metres are needed"
         )
+    # Heights of those who take off follow from the airframe
     if name == "start" and task.takes_off:
         positions = task.on_ground(positions)
+    # Inside the arena, and outside of all buildings that an episode may have
     beyond = ((positions < task.arena_low) | (positions > task.arena_high)).any(axis=1)
     if beyond.any():
         i = int(beyond.argmax())

@@ -189,6 +189,7 @@ def learning_table(runs: Sequence[Learned]) -> str:
     Returns:
         The table in markdown. Minutes and speed are of wall time, with evaluations.
     """
+    # Metrics that at least one run has
     shown = [name for name in TOLD if any(not math.isnan(rows[-1][name]) for _, rows in runs)]
     headings = [
         "task",
@@ -201,8 +202,10 @@ def learning_table(runs: Sequence[Learned]) -> str:
         *shown,
     ]
     lines = [_line(headings), "|---" * len(headings) + "|"]
+    # One row a run, by its last evaluation
     for config, rows in runs:
         last = rows[-1]
+        # Rows tell the time since the one before
         seconds = sum(row["seconds"] for row in rows)
         found = ["-" if math.isnan(last[name]) else f"{last[name]:.2f}" for name in shown]
         lines.append(

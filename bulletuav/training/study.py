@@ -86,6 +86,7 @@ class Study:
         values = read_settings(path, f"{STUDY} of a study", trust)
         known = [field.name for field in dataclasses.fields(cls)]
         try:
+            # Files may be written by hand, so names are checked first
             for name in values:
                 if name not in known:
                     raise unknown("setting of a study:", name, known)
@@ -169,6 +170,7 @@ def run_study(
     with locked(folder), processes(workers) as pool:
         _begin(study, folder)
         progress(0)
+        # A batch is chosen from the results of those before, whoever was faster
         while len(trials) < study.trials:
             tried = [(trial.values, trial.result) for trial in trials]
             count = min(study.batch, study.trials - len(trials))
@@ -178,6 +180,7 @@ def run_study(
                 _submit(pool, study, values, _place(folder, len(trials) + k))
                 for k, values in enumerate(batch)
             ]
+            # In the order of the trials, and written after each
             for values, future in zip(batch, futures, strict=True):
                 number = len(trials)
                 outcome = _outcome(future, study.metric)

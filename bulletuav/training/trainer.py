@@ -78,6 +78,7 @@ def _train(config: RunConfig, store: Store, progress: Progress, told: Told) -> N
     """Train until all steps are done."""
     from stable_baselines3.common.logger import configure
 
+    # Told before worlds are made, rather than by an import far below
     if importlib.util.find_spec("tensorboard") is None:
         raise missing("training, which tells TensorBoard of its curves,", "sb3")
     env = DroneVecEnv(
@@ -88,10 +89,13 @@ def _train(config: RunConfig, store: Store, progress: Progress, told: Told) -> N
         config.shared_reward,
         **config.options,
     )
+    # With rows in the store, the model goes on from its last checkpoint
     try:
         model = _model(config, env, store)
         model.set_logger(configure(str(store.folder / "tensorboard"), ["tensorboard"]))
+        # Chapters evaluate and save between the steps
         chapters = _Chapters(config, env, store, progress, told)
+        # Steps that an earlier call did are not done again
         model.learn(
             config.steps - model.num_timesteps,
             callback=chapters,
@@ -224,9 +228,11 @@ class _Chapters(BaseCallback):
         config = self._config
         if self._is_open:
             self._tell_update()
+        # Time from here on counts as evaluation
         self._wall.part = "evaluation"
         folder = self._store.next
         checkpoint.save(model, folder)
+        # The checkpoint is flown as users would fly it
         evaluation = evaluate(
             config.task,
             folder,
@@ -250,6 +256,7 @@ class _Chapters(BaseCallback):
         for name, value in row.items():
             model.logger.record(name if "/" in name else f"evaluation/{name}", value)
         model.logger.dump(model.num_timesteps)
+        # The next chapter begins with nothing
         self._episodes, self._counted, self._updates = [], 0, []
         self._wall = WallTime()
         self._is_open = False

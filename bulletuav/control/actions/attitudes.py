@@ -36,6 +36,7 @@ def attitude(context: ActionContext) -> Action:
 
     The thrust is none at -1 and the most at 1.
     """
+    # Bounds of angles, rad, and of the thrust of each airframe, N
     scale = np.array((MAX_TILT, MAX_TILT, np.pi))
     most = np.array([airframe.max_thrust for airframe in context.airframes])
     labels = (

@@ -105,6 +105,7 @@ def limit_drone(vector: np.ndarray, limit: float, w: int, i: int) -> None:
     square = 0.0
     for k in range(3):
         square += vector[w, i, k] ** 2
+    # At most 1, and no division by a length of 0
     share = limit / max(math.sqrt(square), limit)
     for k in range(3):
         vector[w, i, k] = share * vector[w, i, k]

@@ -31,6 +31,7 @@ def _directions(name: str, context: ActionContext, directions: np.ndarray) -> Ac
     speed = context.max_speed
     drones = len(context.airframes)
     last = len(directions) - 1
+    # Diagonals are as fast as the axes; to stay has length 0
     sizes = np.linalg.norm(directions, axis=1, keepdims=True)
     table = within_climb(speed * directions / np.maximum(sizes, 1), context.max_climb)
     label = f"0 stay, 1 to {last} a velocity of {speed:g} m/s"

@@ -29,6 +29,7 @@ def _decode_limited(
     for w in range(action.shape[0]):
         for i in range(action.shape[1]):
             for k in range(3):
+                # Each axis by itself, then the norm of all
                 setpoint[w, i, k] = action[w, i, k] * (climb if k == UP else most)
             limit_drone(setpoint, most, w, i)
             setpoint[w, i, YAW] = 0.0
@@ -47,8 +48,10 @@ def _decode_increment(
     for w in range(action.shape[0]):
         for i in range(action.shape[1]):
             for k in range(3):
+                # From the velocity that was asked for last, not from the drone's own
                 setpoint[w, i, k] = commanded[w, i, k] + step * action[w, i, k]
             limit_drone(setpoint, speed, w, i)
+            # The climb has a limit of its own
             setpoint[w, i, UP] = min(max(setpoint[w, i, UP], -climb), climb)
             setpoint[w, i, YAW] = 0.0
 
@@ -166,6 +169,7 @@ def heading_speed(context: ActionContext) -> Action:
     )
 
     def decode(action: np.ndarray, commanded: np.ndarray) -> np.ndarray:
+        # Shares become an angle, a speed and a climb
         heading = np.pi * action[..., 0]
         forward = speed * (action[..., 1] + 1) / 2
         climb = most_climb * action[..., 2]
@@ -189,6 +193,7 @@ def target_position(context: ActionContext) -> Action:
 
     On each axis, -1 and 1 are the lower and upper bounds of the arena. Yaw is held at 0.
     """
+    # The arena from -1 to 1 on each axis
     centre = (context.arena_low + context.arena_high) / 2
     half = (context.arena_high - context.arena_low) / 2
     labels = tuple(

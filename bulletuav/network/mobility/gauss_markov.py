@@ -115,6 +115,7 @@ class GaussMarkov(Walking):
     ) -> None:
         """Move users as `move` tells."""
         velocity = state["user_velocity"]
+        # One normal number for each user and axis
         noise = standard_normals(rng, flying, *velocity.shape[1:])
         correlation = exp(-dt / self.correlation_time)
         advance(
@@ -170,6 +171,7 @@ def advance(
                 velocity[w, i, 1], mean[w, i, 1], correlation, deviation, noise[w, i, 1]
             )
             speed = length(x, y)
+            # Rare large numbers would make somebody run
             fastest = length(mean[w, i, 0], mean[w, i, 1]) + MAX_DEVIATIONS * deviation
             if speed > fastest:
                 x = x * fastest / speed
@@ -182,6 +184,7 @@ def advance(
             users[w, i, 1] = end_y
             velocity[w, i, 0] = turned_x * x
             velocity[w, i, 1] = turned_y * y
+            # Else the mean would push users along the wall for long
             if turned_x < 0.0:
                 mean[w, i, 0] = math.copysign(mean[w, i, 0], velocity[w, i, 0])
             if turned_y < 0.0:

@@ -125,7 +125,9 @@ class Hotspot(Walking):
         rng: Generators,
     ) -> None:
         """Move hotspots and users as `move` tells."""
+        # Hotspots first: users follow to where they are now
         drift(state["hotspots"], state["hotspot_velocity"], ground.raster, layout, flying, dt)
+        # Numbers are drawn only for worlds that fly, so pauses change nothing
         noise = standard_normals(rng, flying, *state["user_heading"].shape[1:])
         advance(
             state["users"],
@@ -170,6 +172,7 @@ def drift(
         for i in range(hotspots.shape[1]):
             place = hotspots[w, i]
             own = velocity[w, i]
+            # Walls turn hotspots, as they turn users
             end_x, end_y, turned_x, turned_y = bounce(
                 raster, layout[w], place[0], place[1], dt * own[0], dt * own[1]
             )

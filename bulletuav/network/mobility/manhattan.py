@@ -144,6 +144,7 @@ def advance(
         node = graph.node[layout[w]]
         drawn = 0
         for i in range(users.shape[1]):
+            # Where on its street the user would be by now
             behind = int(street[w, i, 0])
             ahead = int(street[w, i, 1])
             along = street[w, i, 2] + speed[w, i] * dt
@@ -151,6 +152,7 @@ def advance(
             # Go on into the next street at every node that is passed
             while along >= extent:
                 along -= extent
+                # One number a crossing: the same crossings, the same numbers
                 chance = uniform(key[w], drawn)
                 following = next_node(graph, layout[w], behind, ahead, turns, chance)
                 behind = ahead

@@ -145,6 +145,7 @@ def walk(
         axis, 0 (x) or 1 (y), across which the next cell stopped the walk, or -1 if none did. Who
         starts in no free cell stays: the share is 0, and the axis -1.
     """
+    # Who stands in a wall stays
     column = cell_of(x, raster)
     row = cell_of(y, raster)
     if not is_free(raster, layout, column, row):
@@ -158,10 +159,12 @@ def walk(
         next_x = ((column + max(east, 0)) * raster.cell - raster.reach - x) / way_x
     if way_y != 0.0:
         next_y = ((row + max(north, 0)) * raster.cell - raster.reach - y) / way_y
+    # The whole way, unless something is in it
     share = 1.0
     stopped = -1
     # Enter the cells on the way one by one, until one is not free
     while min(next_x, next_y) < 1.0:
+        # Whichever side of the cell is reached first
         if next_x <= next_y:
             if not is_free(raster, layout, column + east, row):
                 share = next_x

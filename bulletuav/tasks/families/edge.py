@@ -111,6 +111,7 @@ class EdgeTask(UsersTask[EdgeConfigT], Generic[EdgeConfigT]):
             FileNotFoundError: The city's file is not there.
         """
         super().__init__(config, context)
+        # Sizes and rates of tasks, which bound the memory that they take
         smallest, largest = config.task_bits
         if not 0 < smallest <= largest:
             raise ValueError(
@@ -125,6 +126,7 @@ class EdgeTask(UsersTask[EdgeConfigT], Generic[EdgeConfigT]):
             )
         rates = np.full(config.num_users, config.arrival_rate)
         self._arrivals = Arrivals(rates, context.period, config.task_bits)
+        # These divide, or scale what is used
         for name in ("cycles_per_bit", "deadline", "core_frequency", "power_scale"):
             if getattr(config, name) <= 0:
                 raise ValueError(f"{name} is {getattr(config, name):g}: it must be above 0")
@@ -191,6 +193,7 @@ class EdgeTask(UsersTask[EdgeConfigT], Generic[EdgeConfigT]):
         memory = frame.scene.memory
         users = memory["users"]
         swarm = frame.after
+        # Power that each drone receives from each user, by their lines of sight
         power = self.uplink.received(
             position=swarm.position,
             quaternion=swarm.quaternion,
@@ -200,11 +203,13 @@ class EdgeTask(UsersTask[EdgeConfigT], Generic[EdgeConfigT]):
             flying=flying,
         )
         memory["received"][:] = power
+        # Users go to drones by the strategy, by power, distance or load
         strategy = STRATEGIES[self.config.assignment]
         load = memory["utilisation"] * self._capacity
         who = (strategy, swarm.position, frame.alive, users, power)
         weight = self.config.distance_weight
         servers = assign(*who, self._capacity, self._demand, load, weight)
+        # Kept as a table of who serves whom, which observations read
         memory["serves"][:] = servers[:, None] == np.arange(self.context.num_drones)[:, None]
         return servers, self.uplink.rates(power, servers, self._activity)
 

@@ -79,12 +79,14 @@ class Plan:
             ValueError: A shape is none, or has too few places or ones that are too close; places
                 move too fast; shapes or places change too often.
         """
+        # Shapes may have different numbers of places; the table holds the largest
         drones, apart = context.num_drones, clearance(config, context)
         of_name = (drones, config.spacing, config.text, apart)
         shapes = [places_of(one, *of_name) for one in several(config.shapes)]
         self._counts = [len(one) for one in shapes]
         most = max(self._counts)
         self.shapes = np.stack([np.pad(one, ((0, most - len(one)), (0, 0))) for one in shapes])
+        # Times of changes, none of which may come within one decision
         self._is_free = config.assignment == "free"
         self._change = config.change_every if len(shapes) > 1 else NEVER
         self._exchange = config.exchange or NEVER
@@ -94,6 +96,7 @@ class Plan:
                     f"{name} is {time:g} s: at least {context.period:g} s, the time of a "
                     f"decision, is needed"
                 )
+        # Drones must be able to catch up with a place that moves
         every, turn = self.shapes.reshape(-1, 3), float(np.radians(config.turn_rate))
         fastest = greatest_speed(every, config.leader_speed, turn)
         if fastest >= context.max_speed:

@@ -85,6 +85,7 @@ def letters(count: int, spacing: float, text: str) -> np.ndarray:
     Raises:
         ValueError: A letter is unknown, nothing is to be written, or drones are too few for it.
     """
+    # Corners that strokes share take one drone
     edges = _edges(text)
     corners = list(dict.fromkeys(point for edge in edges for point in edge))
     if count < len(corners):
@@ -92,15 +93,18 @@ def letters(count: int, spacing: float, text: str) -> np.ndarray:
             f"text {shown(text)} has {len(corners)} corners and ends, each of which needs a "
             f"drone: num_drones is {count}"
         )
+    # The others: always one more to the stroke with the widest gaps
     ends = np.array(edges, dtype=float)
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     inner = np.zeros(len(edges), dtype=int)
     for _ in range(count - len(corners)):
         inner[np.argmax(length / (inner + 1))] += 1
+    # Even shares between the ends of each stroke
     parts = [np.array(corners, dtype=float)]
     for (start, end), number in zip(ends, inner.tolist(), strict=True):
         share = np.arange(1, number + 1)[:, None] / (number + 1)
         parts.append(start + share * (end - start))
+    # From a page to x ahead and y to the left, the middle at the leader
     right, forward = np.concatenate(parts).T
     middle = (right.max() + right.min()) / 2, (forward.max() + forward.min()) / 2
     place = np.stack([forward - middle[1], middle[0] - right, np.zeros(count)], axis=1)

@@ -215,6 +215,7 @@ def _largest_eigenvalue(table: np.ndarray) -> float:
                 tangent = math.copysign(1.0, ratio) / (abs(ratio) + math.sqrt(ratio * ratio + 1.0))
                 cosine = 1.0 / math.sqrt(tangent * tangent + 1.0)
                 sine = tangent * cosine
+                # It turns two columns, and then two rows
                 for k in range(size):
                     one, other = table[k, p], table[k, q]
                     table[k, p] = cosine * one - sine * other
@@ -223,6 +224,7 @@ def _largest_eigenvalue(table: np.ndarray) -> float:
                     one, other = table[p, k], table[q, k]
                     table[p, k] = cosine * one - sine * other
                     table[q, k] = sine * one + cosine * other
+    # What is left is diagonal, but for rounding
     largest = table[0, 0]
     for k in range(1, size):
         largest = max(largest, table[k, k])

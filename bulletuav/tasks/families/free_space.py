@@ -74,6 +74,7 @@ class FreeSpace(Airspace[FreeSpaceConfigT], Generic[FreeSpaceConfigT]):
         """Refuse crowds: random places are found fast where little of the space is taken."""
         config = self.config
         drones = self.context.num_drones
+        # Each drone and obstacle keeps others out of a ball around it
         balls = (self.obstacle_radius + self._apart) ** 3
         taken = 4 / 3 * np.pi * (balls.sum() + drones * self._apart**3)
         room = float(np.prod(self._high - self._low + 2 * self._apart))
@@ -83,6 +84,7 @@ class FreeSpace(Airspace[FreeSpaceConfigT], Generic[FreeSpaceConfigT]):
                 f"{taken / room:.0%} of the space, at most {MAX_OCCUPANCY:.0%} is possible: "
                 f"widen area or altitude_spread"
             )
+        # On the ground there are discs in place of balls
         if config.take_off:
             taken = drones * np.pi * self._apart**2
             room = float(np.prod(self._high[:2] - self._low[:2] + 2 * self._apart))
@@ -91,6 +93,7 @@ class FreeSpace(Airspace[FreeSpaceConfigT], Generic[FreeSpaceConfigT]):
                     f"{drones} drones keep others off {taken / room:.0%} of the ground, at most "
                     f"{MAX_OCCUPANCY:.0%} is possible with take_off: widen area, or lower d_safe"
                 )
+        # A goal must be found this far from any start
         if config.leg > 0.5 * config.area:
             raise ValueError(
                 f"leg {config.leg:g} m is too long for an area of {config.area:g} m: "

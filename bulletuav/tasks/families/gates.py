@@ -150,6 +150,7 @@ def cross_gates(
         for i in range(before.shape[1]):
             passing[w, i] = 0.0
             missing[w, i] = 0.0
+            # Who has passed all gates, or flew no more, is not asked
             turn = int(passed[w, i])
             if not flown[w, i] or turn >= split.shape[2]:
                 continue
@@ -168,6 +169,7 @@ def cross_gates(
             # The plane of the opening counts when it is crossed forwards.
             if not (x0 < 0.0 and x1 >= 0.0):
                 continue
+            # Where and when the plane was crossed
             share = x0 / (x0 - x1)
             y = y0 + share * (y1 - y0)
             z = z0 + share * (z1 - z0)
@@ -176,6 +178,7 @@ def cross_gates(
             for side in range(sides[g]):
                 angle = 2.0 * math.pi * side / sides[g]
                 out = max(out, y * cos(angle) + z * sin(angle))
+            # Through the opening, or so near beside it that it counts as missed
             if out <= 0.5 * size[w, g]:
                 passing[w, i] = 1.0
                 split[w, i, turn] = time[w] - (1.0 - share) * period
@@ -207,9 +210,11 @@ def ways_left(
         for i in range(position.shape[1]):
             way[w, i] = 0.0
             turn = int(passed[w, i])
+            # Who has passed all gates has no way left
             if turn >= turns:
                 continue
             g = turn % gate.shape[1]
+            # To the next gate, and from gate to gate through all laps
             square = 0.0
             for k in range(3):
                 square += (gate[w, g, k] - position[w, i, k]) ** 2
@@ -243,12 +248,14 @@ def rank_drones(
             rank_before[w, i] = rank[w, i]
             rank[w, i] = 1.0
             for j in range(drones):
+                # One more place for each that is ahead; ties go by time, then by number
                 is_first = way[w, j] < way[w, i]
                 if way[w, j] == way[w, i]:
                     is_first = split[w, j] < split[w, i] or (split[w, j] == split[w, i] and j < i)
                 if is_first:
                     rank[w, i] += 1.0
         for i in range(drones):
+            # Whoever was ahead before and is behind now, and still flies
             overtaken[w, i] = 0.0
             for j in range(drones):
                 # Who stands still by a crash is passed, not overtaken.

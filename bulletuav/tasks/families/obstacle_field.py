@@ -115,11 +115,13 @@ class ObstacleTask(Task[ObstacleConfigT], Generic[ObstacleConfigT]):
             fastest = self.config.obstacle_speed
             velocity = rng.uniform(-fastest, fastest, shape)
             velocity[self.config.num_moving :] = 0.0
+        # In the way is who is too near to a start, a goal or a building
         goal = np.broadcast_to(spawn.goal, spawn.position.shape)
         places = np.concatenate([spawn.position, goal], dtype=float)
         tries = np.zeros(len(obstacle), dtype=int)
         k = 0
         while (k := self._first_in_the_way(obstacle, k, places, spawn.layout)) < len(obstacle):
+            # Drawn anew, one by one; those before it stay
             obstacle[k] = rng.uniform(low, high)
             tries[k] += 1
             if tries[k] == MAX_TRIES:

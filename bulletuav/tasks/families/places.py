@@ -54,9 +54,11 @@ def _place_in_turn(
     """
     placed = 0
     while placed < places.shape[0]:
+        # Any place in the box is as likely as another
         east = uniform(source, low[0], high[0])
         north = uniform(source, low[1], high[1])
         place = (east, north, uniform(source, low[2], high[2]))
+        # Clear of those that are placed, of obstacles, and far enough from its own start
         is_clear = True
         for i in range(placed):
             is_clear = is_clear and _distance(place, point(places, i)) > rules.apart
@@ -64,6 +66,7 @@ def _place_in_turn(
             is_clear = is_clear and _distance(place, point(obstacle, k)) > rules.keep_off[k]
         if start.shape[0]:
             is_clear = is_clear and _distance(place, point(start, placed)) >= rules.leg
+        # Else drawn anew; crowds for which that takes long are refused before
         if is_clear:
             for m in range(3):
                 places[placed, m] = place[m]
@@ -101,15 +104,19 @@ def draw_places(
         start: (N, 3) m, written.
         goal: (N, 3) m, written.
     """
+    # Obstacles keep no distance from each other
     for k in range(obstacle.shape[0]):
         for m in range(3):
             obstacle[k, m] = uniform(source, low[m], high[m])
     for k in range(obstacle.shape[0]):
         for m in range(3):
+            # Drawn for all, so that the number of moving ones changes nothing else
             drawn = uniform(source, -fastest, fastest)
             velocity[k, m] = drawn if k < moving else 0.0
+    # Starts are only clear of obstacles; goals are far from their starts, too
     _place_in_turn(source, low, start_high, start, obstacle, rules, start[:0])
     _place_in_turn(source, low, high, goal, obstacle, rules, start)
+    # Jitter moves starts after all distances were kept; `apart` leaves some room
     for i in range(start.shape[0]):
         for m in range(3):
             start[i, m] += uniform(source, -jitter, jitter)

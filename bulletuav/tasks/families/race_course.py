@@ -127,6 +127,7 @@ class RaceCourse:
         """Lay out the arena, and refuse tracks that are too long for an episode."""
         config, context = self._config, self._context
         middle, start = np.array([gate.position for gate in gates]), self._blocks(gates)
+        # The arena holds gates and blocks, with a margin around
         places = np.concatenate([middle, start])
         low, high = places.min(axis=0), places.max(axis=0)
         if self._given is None:  # wherever gates and blocks of others are
@@ -135,6 +136,7 @@ class RaceCourse:
             low, high = np.full(3, -reach), np.array((reach, reach, config.gate_height[1]))
         low, high = low - config.margin, high + config.margin
         low[2] = 0.0
+        # The shortest way through all gates, m, must be possible in the time
         lap = float(np.linalg.norm(middle - np.roll(middle, 1, axis=0), axis=1).sum())
         furthest = context.max_speed * context.duration
         if config.laps * lap > furthest:
@@ -153,11 +155,14 @@ class RaceCourse:
     def spawn(self, rng: np.random.Generator) -> Spawn:
         """Draw a track, unless one is given, and the swings of its gates; put drones on blocks."""
         gates = self._given or self._drawn(rng)
+        # Gates swing from a phase of their own
         phase = rng.uniform(-np.pi, np.pi, len(gates))
         middle, axis = np.array([gate.position for gate in gates]), gate_axes(gates)
         (aside,), (velocity,) = self.swing(np.zeros(1), axis[None], phase[None])
+        # Frames are bars about the middle, which move with it
         whose, offset, turn = bar_places(gates)
         now = middle + aside
+        # What is kept of the gates; `leg` goes from each to the next
         memory = {
             "gate": now,
             "gate_before": now,

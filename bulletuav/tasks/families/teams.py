@@ -58,10 +58,12 @@ def nearest_opponents(
     """
     for w in range(position.shape[0]):
         for i in range(position.shape[1]):
+            # Nobody, until somebody is found
             nearest[w, i] = NOBODY
             least = np.inf
             for j in range(position.shape[1]):
                 if present[w, j] and team[j] != team[i]:
+                    # Among equals the first one
                     gap = offset(position, w, i, j)
                     square = dot(gap, gap)
                     if square < least:
@@ -95,6 +97,7 @@ def follow_chase(
     """
     for w in range(before.shape[0]):
         for i in range(before.shape[1]):
+            # What stays for chasers, and for evaders that nobody chases
             least[w, i] = np.inf
             by[w, i] = NOBODY
             closing[w, i] = 0.0
@@ -104,6 +107,7 @@ def follow_chase(
             first, nearest, last = np.inf, np.inf, np.inf
             for j in range(before.shape[1]):
                 if team[j] == 0 and flown[w, j]:
+                    # Both fly straight, so their gap does, too
                     later = offset(after, w, i, j)
                     start, way = closest_squared(offset(before, w, i, j), later)
                     first = min(first, start)
@@ -111,6 +115,7 @@ def follow_chase(
                     if way < nearest:
                         nearest = way
                         by[w, i] = j
+            # From squares to m
             if by[w, i] != NOBODY:
                 least[w, i] = math.sqrt(nearest)
                 closing[w, i] = math.sqrt(first) - math.sqrt(last)

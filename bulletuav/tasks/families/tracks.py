@@ -114,10 +114,12 @@ def load_track(source: object, usual: RandomTrack) -> tuple[Gate, ...]:
             f"track is {shown(source)}: {RANDOM!r}, a name such as {names[0]!r}, or the path of a "
             f".toml file is needed"
         )
+    # A name is a file of the package
     if isinstance(source, str) and not source.endswith(".toml"):
         if source not in names:
             raise unknown("track", source, (RANDOM, *names))
         source = TRACK_FOLDER / f"{source}.toml"
+    # Files of others may be anything
     path = require_file("track", source, f"choose from {', '.join(names)}, or give a .toml file")
     try:
         told = tomllib.loads(path.read_text())
@@ -162,8 +164,10 @@ def blocks(gates: tuple[Gate, ...], drones: int) -> np.ndarray:
             f"gate 0 has a pitch of {gates[0].pitch:g} degrees: 60 at most are possible, as drones "
             f"start on the ground before it"
         )
+    # Axes on the ground, towards the gate and to its left
     forward = np.array((east, north)) / level
     left = np.array((-forward[1], forward[0]))
+    # Rows of four; the last one is in the middle, too
     index = np.arange(drones)
     row, column = index // ROW, index % ROW
     in_row = np.minimum(drones - row * ROW, ROW)
@@ -194,6 +198,7 @@ def fault(gates: tuple[Gate, ...], start: np.ndarray, radius: float, motion: flo
     np.fill_diagonal(gap, np.inf)
     np.fill_diagonal(off, np.inf)
     block = np.sqrt(((start[:, None] - middle) ** 2).sum(axis=-1)).min(axis=0)
+    # The first fault is told, with what mends it
     for k, gate in enumerate(gates):
         who = f"gate {k} at {shown(gate.position)} m"
         if gate.size <= 2 * radius:

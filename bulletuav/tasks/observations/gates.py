@@ -47,10 +47,12 @@ def next_gates(
     """
     count = len(all_gate)
     for k in range(len(out) // PER_GATE):
+        # Past the last gate of the last lap there is nothing
         turn = int(passed) + k
         if turn >= laps * count:
             continue
         g = turn % count
+        # From the world to the drone's own axes
         middle, ahead, moving = all_gate[g], all_gate_axis[g, 0], all_gate_velocity[g]
         way = (
             middle[0] - known_position[0],

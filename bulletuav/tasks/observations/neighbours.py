@@ -60,6 +60,7 @@ def intruders(task: Any) -> Block:
 def _others(task: Any, name: str, horizon: float) -> Block:
     """Make the block of others that come nearest within a time, s."""
     count = task.context.num_neighbours
+    # For each, the nearest first: distance, relative position and velocity
     labels: list[Label] = []
     for k in range(1, count + 1):
         labels += [_distance(task, f"{name} {k}"), *_relative(task, f"{name} {k}")]
@@ -67,6 +68,7 @@ def _others(task: Any, name: str, horizon: float) -> Block:
     def compute(frame: Frame, present: np.ndarray) -> np.ndarray:
         out = np.zeros((*present.shape, len(labels)))
         own = (frame.known_position, frame.known_velocity)
+        # With a radio drones know of those that they heard, else of all
         if HEARD in frame.readings:
             nearest(*own, *heard(frame, present), horizon, count, out)
         else:
@@ -111,6 +113,7 @@ def obstacles(task: Any) -> Block:
 
     Nearest first; zeros where there are fewer.
     """
+    # Bounding spheres of the task's obstacles, which keep their sizes
     radius = np.array([obstacle.radius for obstacle in task.obstacles()])
     count = task.context.num_neighbours
     labels: list[Label] = []
@@ -118,6 +121,7 @@ def obstacles(task: Any) -> Block:
         labels += [_distance(task, f"obstacle {k}"), *_relative(task, f"obstacle {k}")]
         labels.append(Label(f"obstacle {k} radius", "m", 0.0, float(radius.max(initial=1.0))))
 
+    # On its own, or as a step of a compiled program
     def compute(frame: Frame, present: np.ndarray) -> np.ndarray:
         out = np.zeros((*present.shape, len(labels)))
         own = (frame.known_position, frame.known_velocity)
@@ -164,6 +168,7 @@ def heard(frame: Frame, present: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
 def _least(theirs: tuple[Vec3, Vec3], own: tuple[Vec3, Vec3], horizon: float) -> float:
     """Compute how near another comes within `horizon`, s, if both fly straight on, m."""
     gap, speed = minus(theirs[0], own[0]), minus(theirs[1], own[1])
+    # Where the other will be, relative to the drone
     later = (
         gap[0] + horizon * speed[0],
         gap[1] + horizon * speed[1],
@@ -182,6 +187,7 @@ def _write(
     """Write one of the others, as seen from the drone, to its `place` (w, i, slot)."""
     w, i, slot = place
     first = PER_NEIGHBOUR * slot
+    # Relative to the drone, in world axes
     gap, speed = minus(theirs[0], own[0]), minus(theirs[1], own[1])
     out[w, i, first] = math.sqrt(dot(gap, gap))
     for k in range(3):

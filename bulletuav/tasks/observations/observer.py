@@ -85,6 +85,7 @@ class ObservationBuilder:
         Raises:
             ValueError: A block does not exist, or is none.
         """
+        # Numbers go into one vector, pictures stand beside it
         self.labels: list[Label] = []
         self.slices: dict[str, slice] = {}
         self.images: dict[str, Image] = {}
@@ -96,15 +97,18 @@ class ObservationBuilder:
                 self.images[observation_name(source)] = made
                 continue
             labels, writer = made
+            # Each block has its part of the vector, in the order of the sources
             part = slice(len(self.labels), len(self.labels) + len(labels))
             self.labels += labels
             self.slices[observation_name(source)] = part
             self._writers.append((part, writer))
+        # Bounds of all labels, in single precision as what they bound
         self.is_plain = not self.images and form == VECTOR
         self._low = np.array([label.low for label in self.labels], dtype=np.float32)
         self._high = np.array([label.high for label in self.labels], dtype=np.float32)
         middle, half = (self._low + self._high) / 2, (self._high - self._low) / 2
         self._bounds = (self._low, self._high, normalise, middle, half)
+        # Outwards the bounds are those after scaling
         ones = np.ones_like(self._low)
         self.low, self.high = (-ones, ones) if normalise else (self._low, self._high)
 
@@ -218,8 +222,10 @@ def _bound(
         for i in range(vector.shape[1]):
             for k in range(vector.shape[2]):
                 value = vector[w, i, k]
+                # Comparisons keep a NaN, which min and max may lose
                 value = low[k] if value < low[k] else value
                 value = high[k] if value > high[k] else value
+                # Rounding may leave it just outside
                 if normalise:
                     value = (value - middle[k]) / half[k]
                     value = -one if value < -one else value
@@ -237,6 +243,7 @@ def _make(
 ) -> "tuple[tuple[Label, ...], Bound | _Shown] | Image":
     """Make the labels and the writer of a block, or a picture."""
     name = observation_name(source)
+    # A name that is no block may be a reading of a sensor
     if isinstance(source, str) and ":" not in source and source not in names("observation"):
         labels = reading_labels(sensors, source, setup)
         if labels is None:
@@ -247,6 +254,7 @@ def _make(
         return checked, _Shown(f"reading {source!r}", _reading(source))
     block = source if isinstance(source, Block) else find("observation", source, callable)
     who = f"observation block {name!r}"
+    # A function of one drone's numbers, which gets its loop here
     if getattr(block, "ingredient", None) == "block":
         make: Any = block.labels
         wants_action = "action" in inspect.signature(make).parameters
@@ -254,6 +262,7 @@ def _make(
         if not labels:
             raise ValueError(f"labels of {who} are empty: a label for each number is needed")
         return _checked(labels, who), Bound(block, binding, who, np.float32, len(labels))
+    # Else it must make a block of the task
     if isinstance(block, type):
         raise ValueError(f"observation block {shown(block)} is a class: a function is needed")
     if not isinstance(block, Block) and len(inspect.signature(block).parameters) != 1:

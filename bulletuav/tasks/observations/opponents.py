@@ -62,6 +62,7 @@ def opponents(task: Any) -> Block:
         labels += [Label(f"opponent {k} seen", "1", 0.0, 1.0), *_labels(task, f"opponent {k}")]
 
     def compute(frame: Frame, present: np.ndarray) -> np.ndarray:
+        # The eye needs no radio: true places of those in sight
         position, velocity = frame.after.position, frame.after.velocity
         shape = (*present.shape, present.shape[1], 3)
         places = np.broadcast_to(position[:, None], shape)
@@ -69,6 +70,7 @@ def opponents(task: Any) -> Block:
         seen = opponents_in_sight(task, frame, present)
         rows = np.zeros((*present.shape, slots * PER_NEIGHBOUR))
         nearest(position, velocity, places, speeds, seen, NOW, slots, rows)
+        # The nearest fill the first slots, so flags are a row of ones
         flags = np.arange(slots) < seen.sum(axis=-1)[..., None]
         rows = rows.reshape(*present.shape, slots, PER_NEIGHBOUR)
         return np.concatenate([flags[..., None], rows], axis=-1).reshape(*present.shape, -1)

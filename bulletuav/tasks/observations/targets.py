@@ -76,9 +76,12 @@ def centroids(task: Any) -> Block:
     def compute(frame: Frame, present: np.ndarray) -> np.ndarray:
         place = task.targets(frame.scene)[..., :2]
         active = task.active_targets(frame.scene)[:, None]
+        # Distances over ground; who is not present has no targets of its own
         gap = np.linalg.norm(place[:, None] - frame.known_position[:, :, None, :2], axis=-1)
         gap = np.where(present[..., None], gap, np.inf)
+        # Between equals a target counts for both
         own = (gap == gap.min(axis=1, keepdims=True)) & active & present[..., None]
+        # Who has none is shown those of all
         own = np.where(own.any(axis=-1, keepdims=True), own, active)
         of_all = _mean(place, np.broadcast_to(active, own.shape))
         return np.concatenate([of_all, _mean(place, own)], axis=-1)

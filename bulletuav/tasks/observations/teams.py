@@ -33,10 +33,12 @@ def neighbour_teams(task: Any) -> Block:
 
     def compute(frame: Frame, present: np.ndarray) -> np.ndarray:
         position, _, known = heard(frame, present)
+        # The same order as in `neighbours`: nearest first, stable
         distance = np.linalg.norm(position - frame.known_position[:, :, None], axis=-1)
         distance = np.where(known, distance, np.inf)
         nearest = np.argsort(distance, axis=-1, kind="stable")[..., :slots]
         is_there = np.take_along_axis(known, nearest, axis=-1)
+        # Zeros where fewer are known
         of_team = np.take_along_axis(np.broadcast_to(relation, known.shape), nearest, axis=-1)
         out = np.zeros((*present.shape, slots))
         out[..., : nearest.shape[-1]] = np.where(is_there, of_team, 0.0)

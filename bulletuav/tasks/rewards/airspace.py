@@ -188,6 +188,7 @@ def follow_encounters(
                 state = encounter[w, i, j]
                 # While they near each other an encounter may begin, and efforts count.
                 if along < 0.0:
+                    # Time until they are closest, and the square of their distance then
                     meeting = -along / fast
                     if (
                         state == NONE
@@ -195,9 +196,11 @@ def follow_encounters(
                         and dot(gap, gap) + meeting * along < d_safe * d_safe
                     ):
                         state = CLEAR
+                    # Changes of velocity count only while there is something to avoid
                     if state != NONE:
                         effort[w, i, j] += _change(before, after, w, i)
                         effort[w, j, i] += _change(before, after, w, j)
+                # Told by the way flown, not by the one foreseen
                 if least < d_safe * d_safe:
                     state = CONFLICT
                 encounter[w, i, j] = encounter[w, j, i] = state
@@ -254,5 +257,6 @@ def sum_obstacle_nearness(
             out[w, i] = 0.0
             for k in range(obstacle.shape[1]):
                 away = minus(vec3(obstacle, w, k), vec3(position, w, i))
+                # 0 at d_safe and beyond, 1 in touch
                 gap = math.sqrt(dot(away, away)) - reach[k]
                 out[w, i] += min(max(1.0 - gap / d_safe, 0.0), 1.0)
