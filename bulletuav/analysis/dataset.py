@@ -178,7 +178,8 @@ def _flights(tables: list[Path], drone: int, ends: dict[int, Any]) -> Iterator[F
         rows = read_table(path)
         finals = rows["final_observation"]
         # Rows are sorted by episode and drone: a new flight begins where these change
-        first = np.flatnonzero(np.diff(rows["episode"] * 1_000_000 + rows["drone"], prepend=-1))
+        begins = np.diff(rows["episode"], prepend=-1) | np.diff(rows["drone"], prepend=-1)
+        first = np.flatnonzero(begins)
         bounds = np.append(first, len(rows["drone"])).tolist()
         for k, begin in enumerate(first.tolist()):
             # Other drones' flights stand between

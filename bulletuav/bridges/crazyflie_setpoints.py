@@ -66,12 +66,12 @@ class Commander:
         self._motors = motors
         self._setpoint: Setpoint | None = None
         self._since = 0.0
-        self._locked = True
+        self._thrust_locked = True
         self.released = True
 
     def drop(self) -> None:
         """Forget the setpoint; thrust is locked until a command of zero."""
-        self._setpoint, self._locked, self.released = None, True, True
+        self._setpoint, self._thrust_locked, self.released = None, True, True
 
     def release(self) -> None:
         """Let the planner take over as soon as it has something to do."""
@@ -91,8 +91,8 @@ class Commander:
         if packet.port == Port.ATTITUDE_SETPOINT:
             *angles, command = unpack("fffH", packet.data)
             # A command of zero unlocks what a client may have left at full thrust.
-            self._locked = self._locked and command > 0
-            command = 0 if self._locked else command
+            self._thrust_locked = self._thrust_locked and command > 0
+            command = 0 if self._thrust_locked else command
             self._setpoint = self._manual(tuple(angles), command, *rates)
         else:
             (kind,) = unpack("B", packet.data)
@@ -103,7 +103,7 @@ class Commander:
         """Read a setpoint of the port SETPOINT by its kind."""
         # A stop; thrust by hand is locked until a command of zero
         if kind == 0:
-            self._locked = True
+            self._thrust_locked = True
             return None
         # By hand: angles and thrust; the yaw may be a rate
         if kind == 11:

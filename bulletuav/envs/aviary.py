@@ -209,7 +209,8 @@ class Aviary(Resets):
             Observations of all worlds, as `reset` gives them.
 
         Raises:
-            ValueError: It does not fit; the worlds stay as they were.
+            ValueError: It does not fit; the worlds stay as they were, or as their first reset made
+                them.
             RuntimeError: After `close`.
         """
         # Worlds that were never reset begin first; then all is checked before it is written

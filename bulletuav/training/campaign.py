@@ -205,8 +205,8 @@ def learning_table(runs: Sequence[Learned]) -> str:
     # One row a run, by its last evaluation
     for config, rows in runs:
         last = rows[-1]
-        # Rows tell the time since the one before
-        seconds = sum(row["seconds"] for row in rows)
+        # Rows tell the time since the one before; a clock may not have gone on
+        seconds = max(sum(row["seconds"] for row in rows), 1e-9)
         found = ["-" if math.isnan(last[name]) else f"{last[name]:.2f}" for name in shown]
         lines.append(
             _line(
@@ -217,7 +217,7 @@ def learning_table(runs: Sequence[Learned]) -> str:
                     f"{last['steps']:,.0f}",
                     f"{seconds / 60:.1f}",
                     *(f"{100 * sum(row[name] for row in rows) / seconds:.0f} %" for name in WALL),
-                    f"{last['steps'] / max(seconds, 1e-9):,.0f}",
+                    f"{last['steps'] / seconds:,.0f}",
                     *found,
                 ]
             )

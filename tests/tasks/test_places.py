@@ -17,7 +17,7 @@ def one_by_one(task, rng, obstacle, start):
         others = np.array(places).reshape(-1, 3)
         clear = (np.linalg.norm(others - place, axis=1) > task._apart).all()
         clear &= (np.linalg.norm(obstacle - place, axis=1) > keep_off).all()
-        far = start is None or np.linalg.norm(start[len(places)] - place) >= task.config.leg
+        far = start is None or np.linalg.norm(start[len(places)] - place) >= task._leg
         if clear and far:
             places.append(place)
     return np.array(places)
@@ -27,7 +27,7 @@ def one_by_one(task, rng, obstacle, start):
 @pytest.mark.parametrize("crowd", [1, 40])
 def test_places_and_generator_are_as_if_drawn_one_by_one(drones, crowd):
     options = {"num_obstacles": crowd, "num_moving": crowd // 2, "altitude_spread": 40.0}
-    options["jitter"] = 0.3
+    options["jitter"] = 0.15
     with contextlib.closing(Aviary("obstacles", num_drones=drones, **options)) as aviary:
         task = aviary.task
         for seed in range(20):
@@ -50,3 +50,16 @@ def test_places_and_generator_are_as_if_drawn_one_by_one(drones, crowd):
             straight = speed * way / np.linalg.norm(way, axis=1, keepdims=True)
             np.testing.assert_allclose(spawn.velocity, straight, rtol=1e-14)
             assert one.bit_generator.state == two.bit_generator.state
+
+
+def test_starts_that_are_shifted_keep_off_each_other_and_their_goals():
+    """The worst shifts: towards each other along the diagonals of their cubes."""
+    options = {"area": 200.0, "altitude": 80.0, "altitude_spread": 130.0, "leg": 40.0}
+    with contextlib.closing(Aviary("free_flight", num_drones=2, jitter=9.0, **options)) as aviary:
+        task, rng = aviary.task, np.random.default_rng(0)
+        # No draw that keeps the rules comes closer than the rule less both whole shifts
+        shift = np.sqrt(3) * task.config.jitter
+        assert task._apart - 2 * shift == pytest.approx(2 * task.config.d_safe)
+        spawns = [task.spawn(rng) for _ in range(500)]
+    way = [np.linalg.norm(spawn.goal - spawn.position, axis=1).min() for spawn in spawns]
+    assert task.config.leg <= min(way) < task.config.leg + 15.0

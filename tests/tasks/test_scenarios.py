@@ -21,7 +21,7 @@ REFUSED = [
     ("obstacles", {"num_moving": 26}, "num_moving 26 of 25"),
     ("obstacles", {"obstacle_radius": (0.0, 5.0)}, "obstacle_radius is"),
     ("obstacles", {"altitude": 10.0}, "too low for altitude_spread"),
-    ("obstacles", {"leg": 150.0}, "leg 150 m is too long"),
+    ("obstacles", {"leg": 150.0}, "leg 150 m with jitter 0 m is too long"),
     ("converge", {"at_goal": "rest"}, "unknown at_goal 'rest'"),
     ("converge", {"boundary": "sof"}, "did you mean 'soft'"),
     ("converge", {"warning_zone": 1.0}, "warning_zone is 1"),

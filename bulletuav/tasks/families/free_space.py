@@ -62,9 +62,12 @@ class FreeSpace(Airspace[FreeSpaceConfigT], Generic[FreeSpaceConfigT]):
         self._start_high = self._high.copy()
         if config.take_off:
             self._start_high[2] = self._low[2]
-        self._apart = 2 * clearance(config, context) + 2 * config.jitter
+        # A shift may be as long as the diagonal of its cube, towards another's or a goal
+        shift = np.sqrt(3) * config.jitter
+        self._apart = 2 * clearance(config, context) + 2 * shift
         keep_off = self.obstacle_radius + self._apart / 2
-        self._rules = Rules(keep_off, float(self._apart), float(config.leg))
+        self._leg = float(config.leg + shift)
+        self._rules = Rules(keep_off, float(self._apart), self._leg)
         self._check_room()
         self.arena_low = self._low - config.margin
         self.arena_high = self._high + config.margin
@@ -94,10 +97,10 @@ class FreeSpace(Airspace[FreeSpaceConfigT], Generic[FreeSpaceConfigT]):
                     f"{MAX_OCCUPANCY:.0%} is possible with take_off: widen area, or lower d_safe"
                 )
         # A goal must be found this far from any start
-        if config.leg > 0.5 * config.area:
+        if self._leg > 0.5 * config.area:
             raise ValueError(
-                f"leg {config.leg:g} m is too long for an area of {config.area:g} m: "
-                f"at most half of it"
+                f"leg {config.leg:g} m with jitter {config.jitter:g} m is too long for an area of "
+                f"{config.area:g} m: at most half of it"
             )
 
     def obstacle_bounds(self) -> tuple[np.ndarray, np.ndarray]:

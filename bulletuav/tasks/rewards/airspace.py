@@ -164,9 +164,9 @@ def follow_encounters(
     """Bring the encounters of all pairs up to date after a decision.
 
     An encounter begins when two living drones would come closer than d_safe within 10 s, if both
-    flew straight on from where they were. From then on, until they part, `effort` sums up each
-    one's change of velocity: of the two, the drone with the larger sum makes way. It is a conflict
-    once they are closer than d_safe.
+    flew straight on from where they were. From then on `effort` sums up each one's changes of
+    velocity while they near each other, at a second approach, too. Of the two, the drone with the
+    larger sum makes way. It is a conflict once they are closer than d_safe.
 
     Args:
         encounter: (W, N, N) state of each pair: NONE, CLEAR or CONFLICT; changed in place.
