@@ -1,4 +1,6 @@
 import ast
+import ctypes
+import math
 import os
 import re
 import shutil
@@ -13,6 +15,9 @@ import pytest
 
 import bulletuav
 from bulletuav import dispatcher, kernel
+
+TANH = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_double)(("tanh", ctypes.CDLL(None)))
+"""A function of the C library, at an address of this process"""
 
 
 @pytest.fixture
@@ -87,11 +92,49 @@ def test_a_caller_is_compiled_anew_where_what_it_calls_has_another_symbol(packag
     """Two processes that compile at once leave such files: calling them would end the process."""
     folder, run = package
     assert run() == (20, 0)
-    for file in (folder.parent / "cache").rglob("helper.*"):
+    for file in (folder.parent / "cache").rglob("helper-*"):
         file.unlink()
     # Numba counts what it compiles in its symbols: here one more comes before the helper
     assert run("from small.middle import middle; middle(1.5); middle(1j); ") == (20, 0)
     assert run() == (20, 1)
+
+
+def test_an_edit_leaves_no_old_machine_code(package):
+    folder, run = package
+    run()
+    before = {path.name for path in (folder.parent / "cache").rglob("*.nbc")}
+    edit(folder / "helper.py", "x + 1", "x + 2")
+    run()
+    after = {path.name for path in (folder.parent / "cache").rglob("*.nbc")}
+    assert len(before) == len(after) > 0
+    assert not before & after
+
+
+def test_stored_code_finds_functions_of_numbas(package):
+    """It ends the process otherwise."""
+    folder, run = package
+    (folder / "helper.py").write_text(
+        "import numpy as np\nfrom small.kernel import allocating\n@allocating\n"
+        "def helper(x):\n    made = np.ones(3)\n"
+        "    return x + int(made[1]) * (hash('text') == hash('text'))\n"
+    )
+    assert run() == (20, 0)
+    assert run() == (20, 1)
+
+
+def test_machine_code_with_addresses_of_this_process_is_not_stored(monkeypatch, tmp_path):
+    monkeypatch.setattr(kernel, "_CACHE", tmp_path)
+    compiled = kernel.kernel(lambda x: TANH(x))
+    assert compiled(0.5) == math.tanh(0.5)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_functions_of_numbers_take_numbers_and_arrays():
+    twice = kernel.elementwise(lambda x, y: 2.0 * x + y)
+    assert twice(1, 2.0) == 4
+    assert isinstance(twice(1, 2), np.float64)
+    assert twice(np.arange(3.0), 1.0).tolist() == [1, 3, 5]
+    assert twice([1.0, 2.0], np.zeros((2, 1))).shape == (2, 2)
 
 
 def test_plain_numba_would_have_run_stale_code(package):
@@ -152,7 +195,8 @@ def test_imports_are_found_as_python_finds_them():
                 place = PACKAGE.parent.joinpath(*name.split("."))
                 expected |= {place.with_suffix(".py"), place / "__init__.py"}
         files = {one for one in expected if PACKAGE in one.parents and one.is_file()}
-        assert files - {PACKAGE / "__init__.py"} <= dispatcher._imported(path), path
+        found = set(map(Path, dispatcher._imported(str(path))))
+        assert files - {PACKAGE / "__init__.py"} <= found, path
 
 
 PACKAGE = Path(bulletuav.__file__).parent
@@ -241,6 +285,7 @@ def test_a_first_run_tells_that_it_compiles(monkeypatch, caplog, tmp_path):
     compiled = kernel.kernel(lambda x: x + 1)
     for number in (1, 1.0, 1j):
         compiled(number)
+    assert len(list(tmp_path.iterdir())) == 3
     assert [one.message for one in caplog.records] == [
         "compiling for this machine, for a minute or two; later runs start at once"
     ]
