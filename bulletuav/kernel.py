@@ -148,6 +148,8 @@ class Elementwise:
 
     @functools.cached_property
     def _of_arrays(self) -> Any:
+        # Numba gets ready to compile: it writes a loop, also around stored machine code
+        cpu_target.target_context.refresh()
         made = numba.vectorize(nopython=True)(self._function)
         made._dispatcher.cache = Cache(self._function, _CACHE, "-elementwise")
         return made

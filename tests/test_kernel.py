@@ -129,6 +129,22 @@ def test_machine_code_with_addresses_of_this_process_is_not_stored(monkeypatch, 
     assert list(tmp_path.iterdir()) == []
 
 
+def test_functions_of_arrays_are_made_of_stored_code(package):
+    """In a process that has compiled nothing yet."""
+    folder, run = package
+    (folder / "helper.py").write_text(
+        "import numpy as np\nfrom small.kernel import elementwise\n@elementwise\n"
+        "def sum_of(x, y):\n    return x + y\n"
+        "def helper(x):\n    return int(sum_of(np.arange(2.0), x)[1])\n"
+    )
+    (folder / "caller.py").write_text(
+        "from types import SimpleNamespace\nfrom small.helper import helper\n"
+        "def caller(x):\n    return helper(x)\n"
+        "caller.stats = SimpleNamespace(cache_hits={})\n"
+    )
+    assert run() == run() == (2, 0)
+
+
 def test_functions_of_numbers_take_numbers_and_arrays():
     twice = kernel.elementwise(lambda x, y: 2.0 * x + y)
     assert twice(1, 2.0) == 4
