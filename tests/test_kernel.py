@@ -135,7 +135,7 @@ def test_functions_of_arrays_are_made_of_stored_code(package):
     (folder / "helper.py").write_text(
         "import numpy as np\nfrom small.kernel import elementwise\n@elementwise\n"
         "def sum_of(x, y):\n    return x + y\n"
-        "def helper(x):\n    return int(sum_of(np.arange(2.0), x)[1])\n"
+        "def helper(x):\n    return int(sum_of(np.arange(2), x)[1])\n"
     )
     (folder / "caller.py").write_text(
         "from types import SimpleNamespace\nfrom small.helper import helper\n"
@@ -151,6 +151,21 @@ def test_functions_of_numbers_take_numbers_and_arrays():
     assert isinstance(twice(1, 2), np.float64)
     assert twice(np.arange(3.0), 1.0).tolist() == [1, 3, 5]
     assert twice([1.0, 2.0], np.zeros((2, 1))).shape == (2, 2)
+
+
+def test_functions_of_numbers_give_arrays_the_same_before_and_after_many(monkeypatch):
+    monkeypatch.setattr(kernel, "_ONE_BY_ONE", 5)
+    third = kernel.elementwise(lambda x, y: x / 3.0 + y)
+    x = np.linspace(0.1, 0.7, 6).reshape(2, 3)
+    given = [(x[:, :2], 1.0), (x, x), (x.T, 1.0), (x, x[0]), (x[0, :, None], x[:1]), (x[:0], 1.0)]
+    given += [(np.float32(x), np.float32(1)), (np.arange(3), 1), (np.array(0.7), 1.0)]
+    for numbers in given:
+        third._left = 5
+        first, later = third(*numbers), third._of_arrays(*numbers)
+        assert type(first) is type(later)
+        assert first.dtype == later.dtype
+        assert first.strides == later.strides
+        assert np.array_equal(first, later)
 
 
 def test_plain_numba_would_have_run_stale_code(package):
