@@ -15,9 +15,10 @@ a helper in another file. Here the stamp covers all files that the function's fi
 
 import functools
 import hashlib
-import inspect
 import itertools
 import logging
+import os
+import pickle
 import re
 import sys
 from collections.abc import Callable, Mapping
@@ -27,16 +28,20 @@ from typing import Any, NamedTuple
 
 import llvmlite.binding as llvm
 import numba
-from numba.core import types
-from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
-from numba.core.compiler import Compiler
+from numba.core import sigutils, types
+from numba.core.compiler import Compiler, CompileResult
+from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
+from numba.core.runtime import _nrt_python
+from numba.core.serialize import dumps
 
 MANY = 20
 """Functions that a process compiles before it tells why nothing else happens"""
+PACKAGE = Path(__file__).parent
 _IMPORT = re.compile(
-    rb"^\s*(?:from\s+([\w.]+)\s+import\s+(\([^)]*\)|[^\n]*)|import\s+([\w.]+))", re.MULTILINE
+    PACKAGE.name.encode() + rb"\.?([\w.]*)(?:[ \t]+import[ \t]+(\([^)]*\)|[^\n]*))?"
 )
+"""What names a module of the package; that it may stand in a text does no harm"""
 
 
 class Need(NamedTuple):
@@ -64,48 +69,51 @@ class Need(NamedTuple):
         return bool(compiled.overloads[self.arguments].fndesc.mangled_name == self.symbol)
 
 
-class _Stored(CompileResultCacheImpl):  # type: ignore[misc]  # numba has no types
-    """Machine code on disk, with what it needs: that is loaded first."""
+class Cache:
+    """Machine code of a function on disk, with a stamp of all files that the function depends on.
 
-    def reduce(self, compiled: Any) -> Any:
-        """Return what is stored."""
-        return compiled.library.needs, super().reduce(compiled)
+    Each form of its arguments is a file of its own, whose name tells what it is. Numba's own cache
+    reads an index first, and makes all that compilation needs before it looks.
+    """
 
-    def rebuild(self, context: Any, stored: Any) -> Any:
-        """Load machine code; None where what it needs is not there, so that it is made anew."""
-        needs, payload = stored
-        if not all(need.is_met() for need in needs):
-            return None
-        compiled = super().rebuild(context, payload)
-        compiled.library.needs = needs
-        return compiled
-
-
-class Cache(FunctionCache):  # type: ignore[misc]  # numba has no types
-    """Numba's cache of a function, with a stamp of all files that the function depends on."""
-
-    _impl_class = _Stored
     _made = itertools.count(1)
 
-    def __init__(self, function: Callable[..., Any], suffix: str = "", apart: bool = False) -> None:
-        """Open the cache of a function.
+    def __init__(
+        self, function: Callable[..., Any], folder: Path, suffix: str = "", apart: bool = False
+    ) -> None:
+        """Open the cache of a function; nothing is read before it is asked.
 
         Args:
             function: The function.
+            folder: Where its machine code is.
             suffix: Tells two forms of a function from each other.
             apart: Whether callers call it where it is.
         """
-        super().__init__(function)
-        name = self._impl.filename_base + suffix
-        stamp = stamp_of(Path(inspect.getfile(function)))
-        self._cache_file = IndexDataCacheFile(self.cache_path, name, stamp)
+        self._py_func, self._folder, self._suffix = function, folder, suffix
         self._apart = apart
+
+    @property
+    def cache_path(self) -> str:
+        """Where machine code is; numba tells it with its statistics."""
+        return str(self._folder)
 
     def load_overload(self, signature: Any, context: Any) -> Any:
         """Load machine code for some types of arguments; None where there is none."""
-        compiled = super().load_overload(signature, context)
-        if compiled is not None:
-            self._link(compiled)
+        try:
+            data = self._file(signature, context).read_bytes()
+        except FileNotFoundError:
+            return None
+        _name_helpers()
+        if b"hashsecret" in data:
+            # Numba names these where it is imported, which takes longer than most
+            import_module("numba.cpython.hashing")
+        # Made by this user: nobody else can write there
+        needs, payload = pickle.loads(data)
+        if not all(need.is_met() for need in needs):
+            return None
+        compiled = CompileResult._rebuild(context, *payload)
+        compiled.library.needs = needs
+        self._link(compiled)
         return compiled
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
@@ -117,12 +125,43 @@ class Cache(FunctionCache):  # type: ignore[misc]  # numba has no types
             # What is stored for callers to copy: the name alone, which numba reads
             name = compiled.fndesc.mangled_name
             library._shared_module = llvm.parse_assembly(f'define void @"{name}"() {{ ret void }}')
-        super().save_overload(signature, compiled)
+        # Addresses of this process would be wrong in another
+        if not library.has_dynamic_globals:
+            file = self._file(signature, compiled.target_context)
+            _replace(file, dumps((library.needs, compiled._reduce())))
+            self._forget_old(file)
         self._link(compiled)
         if next(self._made) == MANY:
             logging.getLogger(__name__).warning(
                 "compiling for this machine, for a minute or two; later runs start at once"
             )
+
+    def _file(self, signature: Any, context: Any) -> Path:
+        """Name the file for some types of arguments."""
+        function = self._py_func
+        cells = tuple(cell.cell_contents for cell in function.__closure__ or ())
+        kinds = repr(sigutils.normalize_signature(signature))
+        key = hashlib.sha256(f"{kinds} {_machine(context.codegen())}".encode())
+        key.update(function.__code__.co_code)
+        key.update(dumps(cells) if cells else b"")
+        stamp = stamp_of(function.__code__.co_filename)
+        return self._folder / f"{self._base}.{stamp}.{key.hexdigest()[:24]}.nbc"
+
+    @functools.cached_property
+    def _base(self) -> str:
+        """What names of all files of the function begin with."""
+        function = self._py_func
+        code = function.__code__
+        place = f"{code.co_filename} {function.__qualname__} {code.co_firstlineno} {self._suffix}"
+        name = re.sub(r"\W", "", function.__name__)
+        return f"{name}-{hashlib.sha256(place.encode()).hexdigest()[:12]}"
+
+    def _forget_old(self, file: Path) -> None:
+        """Remove what other versions of the function's files have left."""
+        stamp = file.name.split(".")[1]
+        for other in self._folder.glob(f"{self._base}.*"):
+            if other.name.split(".")[1] != stamp:
+                other.unlink(missing_ok=True)
 
     def _is_apart(self) -> bool:
         """Tell whether callers call it where it is: if they can find it again."""
@@ -141,17 +180,56 @@ class Cache(FunctionCache):  # type: ignore[misc]  # numba has no types
             library.asked = (Need(function.__module__, function.__name__, arguments, symbol),)
 
 
+@functools.cache
+def _name_helpers() -> None:
+    """Tell LLVM where functions of numba's are that stored machine code calls.
+
+    Numba does it while it gets ready to compile, which takes longer than all that is loaded.
+    """
+    for name, address in _nrt_python.c_helpers.items():
+        llvm.add_symbol(name if name.startswith("_") else f"NRT_{name}", address)
+
+
+def _replace(file: Path, data: bytes) -> None:
+    """Write a file at a stroke: another process may write or read it now."""
+    part = file.with_name(f".part-{os.getpid()}-{file.name}")
+    try:
+        part.write_bytes(data)
+        os.replace(part, file)
+    finally:
+        part.unlink(missing_ok=True)
+
+
 def _asked(library: Any) -> tuple[Need, ...]:
     """Tell what is needed by whoever links a library; numba's own need nothing."""
     return getattr(library, "asked", ())
 
 
-class Dispatcher(CPUDispatcher):  # type: ignore[misc]  # numba has no types
-    """A compiled function as Python calls it.
+class _Stored(CPUDispatcher):  # type: ignore[misc]  # numba has no types
+    """A compiled function that looks for stored machine code before all else."""
 
-    Attributes:
-        inner: The same function for callers that are compiled, without a wrapper for Python.
-    """
+    def compile(self, sig: Any) -> Any:
+        """Load machine code for some types of arguments, or compile it; tells where it is.
+
+        Numba does the same, and takes the time of each call of LLVM meanwhile.
+        """
+        kinds, _ = sigutils.normalize_signature(sig)
+        with global_compiler_lock:
+            if kinds not in self.overloads and isinstance(self._cache, Cache):
+                found = self._cache.load_overload(sig, self.targetctx)
+                if found is not None:
+                    self._cache_hits[sig] += 1
+                    self.targetctx.insert_user_function(
+                        found.entry_point, found.fndesc, [found.library]
+                    )
+                    self.add_overload(found)
+        return super().compile(sig)
+
+
+class Dispatcher(_Stored):
+    """A compiled function as Python calls it."""
+
+    _folder: Path | None = None
 
     def __init__(
         self,
@@ -160,61 +238,89 @@ class Dispatcher(CPUDispatcher):  # type: ignore[misc]  # numba has no types
         targetoptions: Mapping[str, Any] | None = None,
         pipeline_class: type = Compiler,
     ) -> None:
-        """Prepare both; neither is compiled before it is called."""
+        """Prepare it; it is not compiled before it is called."""
         options = {**(targetoptions or {}), "no_cfunc_wrapper": True}
-        bare = {**options, "no_cpython_wrapper": True}
-        chosen = dict(locals or {})
-        super().__init__(py_func, chosen, options, pipeline_class)
-        self.inner = CPUDispatcher(py_func, chosen, bare, pipeline_class)
+        super().__init__(py_func, dict(locals or {}), options, pipeline_class)
+
+    @functools.cached_property
+    def inner(self) -> Any:
+        """The same function for callers that are compiled, without a wrapper for Python."""
+        options = {**self.targetoptions, "no_cpython_wrapper": True}
+        made = _Stored(self.py_func, dict(self.locals), options)
+        if self._folder is not None:
+            apart = not options.get("forceinline")
+            made._cache = Cache(self.py_func, self._folder, "-inner", apart)
+        return made
 
     @property
     def _numba_type_(self) -> Any:
         """What compiled callers find under the function's name."""
         return types.Dispatcher(self.inner)
 
-    def enable_caching(self) -> None:
+    def keep_in(self, folder: Path) -> None:
         """Keep both on disk."""
-        apart = not self.targetoptions.get("forceinline")
-        self._cache = Cache(self.py_func)
-        self.inner._cache = Cache(self.py_func, "-inner", apart)
+        self._folder = folder
+        self._cache = Cache(self.py_func, folder)
 
 
 @functools.cache
-def stamp_of(path: Path) -> str:
+def stamp_of(file: str) -> str:
     """Hash a file, all files that it imports of its package, and those that they import.
 
     Args:
-        path: The file.
+        file: Path of the file.
 
     Returns:
         16 hexadecimal digits, with the version of numba in them.
     """
     digest = hashlib.sha256(numba.__version__.encode())
-    seen = {path}
-    waiting = [*seen]
+    seen = {file}
+    waiting = [file]
     while waiting:
-        for imported in _imported(waiting.pop()) - seen:
-            seen.add(imported)
-            waiting.append(imported)
-    for file in sorted(seen):
-        digest.update(_hash(file))
+        new = _imported(waiting.pop()) - seen
+        seen |= new
+        waiting.extend(new)
+    for one in sorted(seen):
+        digest.update(_hash(one))
     return digest.hexdigest()[:16]
 
 
 @functools.cache
-def _hash(file: Path) -> bytes:
-    return hashlib.sha256(file.read_bytes()).digest()
+def _source(file: str) -> bytes:
+    return Path(file).read_bytes()
 
 
 @functools.cache
-def _imported(file: Path) -> frozenset[Path]:
+def _hash(file: str) -> bytes:
+    return hashlib.sha256(_source(file)).digest()
+
+
+@functools.cache
+def _imported(file: str) -> frozenset[str]:
     """List the files of our package that a file imports, in whatever place of it."""
-    package = Path(__file__).parent
-    found: set[Path] = set()
-    for source, names, module in _IMPORT.findall(file.read_bytes()):
-        first, *rest = (source or module).decode().split(".")
-        if first == package.name:
-            place = package.joinpath(*rest)
-            found |= {place.with_suffix(".py"), place / "__init__.py"}
-            found |= {place / f"{name}.py" for name in re.findall(r"\w+", names.decode())}
-    return frozenset(path for path in found if path.is_file() and path != package / "__init__.py")
+    modules = _modules()
+    found: set[str] = set()
+    for module, names in _IMPORT.findall(_source(file)):
+        home = module.decode()
+        members = [f"{home}.{name}".lstrip(".") for name in re.findall(r"\w+", names.decode())]
+        found.update(modules[one] for one in (home, *members) if one in modules)
+    return frozenset(found)
+
+
+@functools.cache
+def _modules() -> dict[str, str]:
+    """List the files of our package by the names of their modules in it, but its first."""
+    modules = {}
+    for folder, _, files in os.walk(PACKAGE):
+        home = Path(folder).relative_to(PACKAGE).parts
+        for name in files:
+            own = () if name == "__init__.py" else (name.removesuffix(".py"),)
+            modules[".".join((*home, *own))] = os.path.join(folder, name)
+    modules.pop("", None)
+    return modules
+
+
+@functools.cache
+def _machine(codegen: Any) -> str:
+    """Tell for what Python and processor machine code is made."""
+    return repr((sys.implementation.cache_tag, codegen.magic_tuple()))

@@ -6,19 +6,21 @@ they are stored and linked is told in `bulletuav.dispatcher`.
 """
 
 import contextlib
+import functools
 import hashlib
 import os
 import shutil
 import stat
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Protocol, TypeVar, cast, overload
+from typing import Any, TypeVar, cast, overload
 
 import numba
 import numpy as np
 from llvmlite import ir
 from numba.core import cgutils
+from numba.core.registry import cpu_target
 
 from bulletuav.dispatcher import Cache, Dispatcher
 
@@ -27,6 +29,8 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 _OPTIONS = {"nopython": True, "boundscheck": None, "error_model": "numpy"}
 _FOLDERS_KEPT = 8
+_ONE_BY_ONE = 20_000
+"""Numbers that take a tenth of the time in which numba makes a function of arrays"""
 
 
 def cache_folder() -> Path:
@@ -118,13 +122,52 @@ def uncached(function: Function, forceinline: bool = False) -> Function:
     return cast(Function, Dispatcher(function, targetoptions=options))
 
 
-class Elementwise(Protocol):
-    """A compiled function of numbers, which also takes arrays."""
+class Elementwise:
+    """A compiled function of numbers, which also takes arrays.
+
+    Numba makes a function of arrays anew in each process, in a third of a second. So the first
+    numbers of arrays are computed one by one.
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        """Take a function of numbers; see `elementwise`."""
+        functools.update_wrapper(self, function)
+        self._function = function
+        self._left = _ONE_BY_ONE
 
     @overload
     def __call__(self, *numbers: float) -> float: ...  # type: ignore[overload-overlap]  # by intent
     @overload
     def __call__(self, *numbers: float | np.ndarray) -> np.ndarray: ...
+    def __call__(self, *numbers: Any) -> Any:
+        """Compute it, of numbers or of arrays."""
+        if all(isinstance(number, float | int) for number in numbers):
+            return np.float64(self._of_numbers(*map(float, numbers)))
+        if self._left > 0:
+            arrays = list(map(np.asarray, numbers))
+            self._left -= np.broadcast(*arrays).size
+            # Those of which a function of arrays would give the same type and order in memory
+            is_plain = all(one.ndim < 2 or one.flags.c_contiguous for one in arrays)
+            if is_plain and np.result_type(*arrays) == np.float64:
+                return np.vectorize(self._of_numbers, otypes=[np.float64])(*arrays)[()]
+        return self._of_arrays(*numbers)
+
+    @functools.cached_property
+    def _of_numbers(self) -> Any:
+        return _compiled(self._function, forceinline=False, _nrt=False)
+
+    @functools.cached_property
+    def _of_arrays(self) -> Any:
+        # Numba gets ready to compile: it writes a loop, also around stored machine code
+        cpu_target.target_context.refresh()
+        made = numba.vectorize(nopython=True)(self._function)
+        made._dispatcher.cache = Cache(self._function, _CACHE, "-elementwise")
+        return made
+
+    @property
+    def _numba_type_(self) -> Any:
+        """What compiled callers find under the function's name."""
+        return cpu_target.typing_context.resolve_value_type(self._of_arrays)
 
 
 def elementwise(function: Callable[..., Any]) -> Elementwise:
@@ -132,10 +175,7 @@ def elementwise(function: Callable[..., Any]) -> Elementwise:
 
     Kernels call it with numbers, users with arrays. It takes no keywords: numbers come in order.
     """
-    with _cached():
-        made = numba.vectorize(nopython=True)(function)
-        made._dispatcher.cache = Cache(function)
-    return cast(Elementwise, made)
+    return Elementwise(function)
 
 
 def _without_owner(context: Any, builder: Any, kind: Any, value: Any) -> Any:
@@ -181,19 +221,7 @@ def two_to(_: Any, exponent: Any) -> Any:
 
 
 def _compiled(function: Function, **options: bool) -> Function:
-    """Compile a function with numba's options."""
+    """Compile a function with numba's options, and keep it on disk."""
     compiled = Dispatcher(function, targetoptions={**_OPTIONS, **options})
-    with _cached():
-        compiled.enable_caching()
+    compiled.keep_in(_CACHE)
     return cast(Function, compiled)
-
-
-@contextlib.contextmanager
-def _cached() -> Iterator[None]:
-    """Let numba keep what is compiled meanwhile in our folder, and set its option back after."""
-    before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = str(_CACHE)
-    try:
-        yield
-    finally:
-        numba.config.CACHE_DIR = before

@@ -6,9 +6,11 @@ three places: the decorator `register`, entry points of other packages in the gr
 kind.
 """
 
+import functools
 import importlib
 import importlib.metadata
 import pkgutil
+import sys
 import warnings
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -129,13 +131,19 @@ def _load(kind: str) -> None:
     for found in pkgutil.iter_modules(getattr(home, "__path__", ())):
         importlib.import_module(f"{PACKAGES[kind]}.{found.name}")
     group = f"bulletuav.{kind}"
-    for point in importlib.metadata.entry_points(group=group):
+    for point in _entry_points(tuple(sys.path)).select(group=group):
         try:
             register(kind, point.name)(point.load())
         except Exception as error:  # whatever another package does, our ingredients stay
             warnings.warn(
                 f"entry point {point.name!r} of {group} is left out: {error}", stacklevel=3
             )
+
+
+@functools.lru_cache(maxsize=1)
+def _entry_points(_: tuple[str, ...]) -> Any:
+    """Read what all packages of a search path offer, once for all kinds: it takes long."""
+    return importlib.metadata.entry_points()
 
 
 def _imported(kind: str, module: str, attribute: str, accepts: Callable[[Any], bool]) -> Any:

@@ -1,4 +1,6 @@
 import ast
+import ctypes
+import math
 import os
 import re
 import shutil
@@ -13,6 +15,9 @@ import pytest
 
 import bulletuav
 from bulletuav import dispatcher, kernel
+
+TANH = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_double)(("tanh", ctypes.CDLL(None)))
+"""A function of the C library, at an address of this process"""
 
 
 @pytest.fixture
@@ -87,11 +92,80 @@ def test_a_caller_is_compiled_anew_where_what_it_calls_has_another_symbol(packag
     """Two processes that compile at once leave such files: calling them would end the process."""
     folder, run = package
     assert run() == (20, 0)
-    for file in (folder.parent / "cache").rglob("helper.*"):
+    for file in (folder.parent / "cache").rglob("helper-*"):
         file.unlink()
     # Numba counts what it compiles in its symbols: here one more comes before the helper
     assert run("from small.middle import middle; middle(1.5); middle(1j); ") == (20, 0)
     assert run() == (20, 1)
+
+
+def test_an_edit_leaves_no_old_machine_code(package):
+    folder, run = package
+    run()
+    before = {path.name for path in (folder.parent / "cache").rglob("*.nbc")}
+    edit(folder / "helper.py", "x + 1", "x + 2")
+    run()
+    after = {path.name for path in (folder.parent / "cache").rglob("*.nbc")}
+    assert len(before) == len(after) > 0
+    assert not before & after
+
+
+def test_stored_code_finds_functions_of_numbas(package):
+    """It ends the process otherwise."""
+    folder, run = package
+    (folder / "helper.py").write_text(
+        "import numpy as np\nfrom small.kernel import allocating\n@allocating\n"
+        "def helper(x):\n    made = np.ones(3)\n"
+        "    return x + int(made[1]) * (hash('text') == hash('text'))\n"
+    )
+    assert run() == (20, 0)
+    assert run() == (20, 1)
+
+
+def test_machine_code_with_addresses_of_this_process_is_not_stored(monkeypatch, tmp_path):
+    monkeypatch.setattr(kernel, "_CACHE", tmp_path)
+    compiled = kernel.kernel(lambda x: TANH(x))
+    assert compiled(0.5) == math.tanh(0.5)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_functions_of_arrays_are_made_of_stored_code(package):
+    """In a process that has compiled nothing yet."""
+    folder, run = package
+    (folder / "helper.py").write_text(
+        "import numpy as np\nfrom small.kernel import elementwise\n@elementwise\n"
+        "def sum_of(x, y):\n    return x + y\n"
+        "def helper(x):\n    return int(sum_of(np.arange(2), x)[1])\n"
+    )
+    (folder / "caller.py").write_text(
+        "from types import SimpleNamespace\nfrom small.helper import helper\n"
+        "def caller(x):\n    return helper(x)\n"
+        "caller.stats = SimpleNamespace(cache_hits={})\n"
+    )
+    assert run() == run() == (2, 0)
+
+
+def test_functions_of_numbers_take_numbers_and_arrays():
+    twice = kernel.elementwise(lambda x, y: 2.0 * x + y)
+    assert twice(1, 2.0) == 4
+    assert isinstance(twice(1, 2), np.float64)
+    assert twice(np.arange(3.0), 1.0).tolist() == [1, 3, 5]
+    assert twice([1.0, 2.0], np.zeros((2, 1))).shape == (2, 2)
+
+
+def test_functions_of_numbers_give_arrays_the_same_before_and_after_many(monkeypatch):
+    monkeypatch.setattr(kernel, "_ONE_BY_ONE", 5)
+    third = kernel.elementwise(lambda x, y: x / 3.0 + y)
+    x = np.linspace(0.1, 0.7, 6).reshape(2, 3)
+    given = [(x[:, :2], 1.0), (x, x), (x.T, 1.0), (x, x[0]), (x[0, :, None], x[:1]), (x[:0], 1.0)]
+    given += [(np.float32(x), np.float32(1)), (np.arange(3), 1), (np.array(0.7), 1.0)]
+    for numbers in given:
+        third._left = 5
+        first, later = third(*numbers), third._of_arrays(*numbers)
+        assert type(first) is type(later)
+        assert first.dtype == later.dtype
+        assert first.strides == later.strides
+        assert np.array_equal(first, later)
 
 
 def test_plain_numba_would_have_run_stale_code(package):
@@ -152,7 +226,8 @@ def test_imports_are_found_as_python_finds_them():
                 place = PACKAGE.parent.joinpath(*name.split("."))
                 expected |= {place.with_suffix(".py"), place / "__init__.py"}
         files = {one for one in expected if PACKAGE in one.parents and one.is_file()}
-        assert files - {PACKAGE / "__init__.py"} <= dispatcher._imported(path), path
+        found = set(map(Path, dispatcher._imported(str(path))))
+        assert files - {PACKAGE / "__init__.py"} <= found, path
 
 
 PACKAGE = Path(bulletuav.__file__).parent
@@ -241,6 +316,7 @@ def test_a_first_run_tells_that_it_compiles(monkeypatch, caplog, tmp_path):
     compiled = kernel.kernel(lambda x: x + 1)
     for number in (1, 1.0, 1j):
         compiled(number)
+    assert len(list(tmp_path.iterdir())) == 3
     assert [one.message for one in caplog.records] == [
         "compiling for this machine, for a minute or two; later runs start at once"
     ]

@@ -1,7 +1,6 @@
 """One registry of ingredients by name, by `module:Name`, and from other packages."""
 
 import importlib
-import importlib.metadata
 import sys
 import warnings
 
@@ -269,16 +268,21 @@ class Point:
         self.name, self.load = name, load
 
 
+class Offered(dict):
+    """What is offered, by group."""
+
+    def select(self, group):
+        return self.get(group, [])
+
+
 @pytest.fixture
 def offer(monkeypatch):
     """Lets other packages offer ingredients of a kind: offer("sensor", rye=Bread)."""
 
     def installed(kind, **loads):
-        def entry_points(group):
-            points = [Point(name, load) for name, load in loads.items()]
-            return points if group == f"bulletuav.{kind}" else []
-
-        monkeypatch.setattr(importlib.metadata, "entry_points", entry_points)
+        points = [Point(name, load) for name, load in loads.items()]
+        offered = Offered({f"bulletuav.{kind}": points})
+        monkeypatch.setattr(registry, "_entry_points", lambda _: offered)
         registry._loaded.discard(kind)
 
     return installed

@@ -1,10 +1,9 @@
 """Marks that pictures show above the world: what is too small to be seen, or has no body."""
 
 from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from PIL import ImageDraw
 
 from bulletuav.sensors.base import Sensor
 from bulletuav.sensors.imperfect import unwrapped
@@ -13,6 +12,9 @@ from bulletuav.tasks.base import Task
 from bulletuav.tasks.frame import Frame
 from bulletuav.tasks.targets import active_targets, links
 from bulletuav.vehicle.swarm import Swarm
+
+if TYPE_CHECKING:
+    from PIL import ImageDraw
 
 Colour = tuple[int, int, int]
 NO_POINTS, NO_LINES, NONE = np.zeros((0, 3)), np.zeros((0, 2, 3)), np.zeros(0, dtype=bool)
@@ -170,13 +172,13 @@ class Lens(NamedTuple):
         kept: np.ndarray = ends[both_before & near]
         return kept
 
-    def draw_lines(self, pen: ImageDraw.ImageDraw, points: np.ndarray, colour: Colour) -> None:
+    def draw_lines(self, pen: "ImageDraw.ImageDraw", points: np.ndarray, colour: Colour) -> None:
         """Draw those of the lines (L, 2, 3) that lie before the camera."""
         for line in self.lines(points):
             pen.line(tuple(line), colour)
 
 
-def draw(marks: Marks, lens: Lens, pen: ImageDraw.ImageDraw) -> None:
+def draw(marks: Marks, lens: Lens, pen: "ImageDraw.ImageDraw") -> None:
     """Draw marks into a picture, those of drones above all others.
 
     Args:
@@ -205,7 +207,7 @@ def draw(marks: Marks, lens: Lens, pen: ImageDraw.ImageDraw) -> None:
         _draw_key(pen, marks, lens.size[1])
 
 
-def _draw_key(pen: ImageDraw.ImageDraw, marks: Marks, height: int) -> None:
+def _draw_key(pen: "ImageDraw.ImageDraw", marks: Marks, height: int) -> None:
     """Write in the lower left corner what the colours mean that are there."""
     key = (
         (marks.drone, DRONE, "drone"),
@@ -225,13 +227,13 @@ def _draw_key(pen: ImageDraw.ImageDraw, marks: Marks, height: int) -> None:
         pen.text((22, y), text, VELOCITY)
 
 
-def _dots(pen: ImageDraw.ImageDraw, places: np.ndarray, radius: int, colour: Colour) -> None:
+def _dots(pen: "ImageDraw.ImageDraw", places: np.ndarray, radius: int, colour: Colour) -> None:
     """Draw a disc at each of the places (M, 2), pixels."""
     for x, y in places:
         pen.ellipse((x - radius, y - radius, x + radius, y + radius), colour)
 
 
-def _arrow(pen: ImageDraw.ImageDraw, line: np.ndarray) -> None:
+def _arrow(pen: "ImageDraw.ImageDraw", line: np.ndarray) -> None:
     """Draw an arrow along a line (4,), pixels, unless it is too short for one."""
     start, end = line[:2], line[2:]
     length = float(np.linalg.norm(end - start))

@@ -1,7 +1,8 @@
 """Pictures and live view of a world: a camera that keeps drones, goals and targets in sight."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from PIL import Image, ImageDraw
 
 from bulletuav.engine.engine import Engine
 from bulletuav.envs.marks import Colour, Lens, Marks, draw
@@ -16,6 +17,9 @@ from bulletuav.geometry.view import (
     view_matrix,
 )
 from bulletuav.vehicle.swarm import Swarm
+
+if TYPE_CHECKING:
+    from PIL import Image
 
 GRID: Colour = (176, 182, 174)
 """Colour of grid lines on the ground"""
@@ -71,6 +75,8 @@ class Renderer:
         Returns:
             (height, width, 3) uint8, red, green, blue.
         """
+        from PIL import ImageDraw  # which takes long to import
+
         # Point the camera at all of them, or at where drones were last.
         shown = np.concatenate([marks.drone, marks.goal, marks.target])
         points = shown if len(shown) else swarm.position[world]
@@ -88,7 +94,7 @@ class Renderer:
         away: np.ndarray,
         flying: np.ndarray,
         drones: tuple[Swarm, np.ndarray] | None = None,
-    ) -> tuple[Image.Image, Lens, np.ndarray]:
+    ) -> tuple["Image.Image", Lens, np.ndarray]:
         """Take a picture without marks: bodies, sky, a grid on the ground, lines below drones.
 
         Args:
@@ -102,6 +108,8 @@ class Renderer:
             The picture; where places of the world are in it; and (height, width) how far along the
             view axis what it shows is, m.
         """
+        from PIL import Image
+
         width, height = self._size
         distance = float(np.linalg.norm(away)) / float(np.linalg.norm(DIRECTION))
         view = view_matrix(target + away, target)
@@ -124,6 +132,8 @@ class Renderer:
         lens: Lens,
     ) -> None:
         """Draw the grid, and lines below drones, into the pixels that show bare ground."""
+        from PIL import Image, ImageDraw
+
         lines = Image.fromarray(pixels.copy())
         pen = ImageDraw.Draw(lines)
         lens.draw_lines(pen, grid, GRID)
