@@ -47,6 +47,7 @@ def package(tmp_path):
             **os.environ,
             "PYTHONPATH": str(tmp_path),
             "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
+            "PYTHONDONTWRITEBYTECODE": "1",  # Python's own cache would not see the edits
         }
         code = (
             before + "from small.caller import caller; "
