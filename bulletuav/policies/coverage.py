@@ -7,11 +7,11 @@ import math
 from abc import abstractmethod
 
 import numpy as np
-from scipy.spatial.distance import cdist
 
 from bulletuav.envs.aviary import Aviary
 from bulletuav.policies.coverage_geometry import (
     best_responses,
+    distances,
     farthest_first,
     greedy_coverage,
     kmeans,
@@ -205,7 +205,7 @@ class Hotspot(Placement):
     ) -> np.ndarray:
         """Choose as many hotspots as drones; see `Placement.places`."""
         points = targets[:, :2]
-        distance = cdist(points, points)
+        distance = distances(points, points)
         # A hotspot serves the targets within its radius.
         near = (distance <= HOTSPOT).astype(float)
         hotspots = greedy_coverage(
@@ -265,7 +265,7 @@ class Oracle(Placement):
         if before is None:
             chosen = greedy_coverage(
                 serves=serves,
-                distance=cdist(tried, targets[:, :2]),
+                distance=distances(tried, targets[:, :2]),
                 places=tried,
                 count=count,
                 apart=self.apart,

@@ -6,13 +6,19 @@ Places come from rings, clusters and greedy coverage.
 import math
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
-from scipy.spatial.distance import cdist
 
 from bulletuav.functions import cos, sin
 
 ROUNDS = 100
 """Greatest number of rounds of Lloyd's iteration, which is done after some ten"""
+
+
+def distances(points: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Measure the distances (M, K) between points (M, 2) and others (K, 2), m."""
+    from scipy.spatial.distance import cdist  # which takes long to import
+
+    found: np.ndarray = cdist(points, others)
+    return found
 
 
 def ring(
@@ -62,10 +68,10 @@ def farthest_first(points: np.ndarray, count: int) -> np.ndarray:
         (count, 2) of the points, m.
     """
     mean = points.mean(axis=0)
-    from_mean = cdist(points, mean[None])
+    from_mean = distances(points, mean[None])
     taken = [int(from_mean.argmin())]
     while len(taken) < count:
-        from_taken = cdist(points, points[taken])
+        from_taken = distances(points, points[taken])
         taken.append(int(from_taken.min(axis=1).argmax()))
     return points[taken]
 
@@ -84,7 +90,7 @@ def kmeans(points: np.ndarray, centres: np.ndarray) -> np.ndarray:
     """
     for _ in range(ROUNDS):
         # Each point belongs to the nearest centre.
-        nearest = cdist(points, centres).argmin(axis=1)
+        nearest = distances(points, centres).argmin(axis=1)
         member = nearest == np.arange(len(centres))[:, None]
         # Each centre moves to the mean of its points.
         count = member.sum(axis=1, keepdims=True)
@@ -139,7 +145,7 @@ def greedy_coverage(
         taken.append(best)
         # What it serves, and how near it is, counts for the next ones.
         served = np.maximum(served, serves[best])
-        from_best = cdist(places, places[best][None])
+        from_best = distances(places, places[best][None])
         room = np.minimum(room, from_best[:, 0])
     return np.array(taken)
 
@@ -170,10 +176,10 @@ def best_responses(
         others = np.delete(taken, i)
         served = serves[others].max(axis=0, initial=0.0)
         adds = np.maximum(serves - served, 0.0).sum(axis=1)
-        from_others = cdist(places, places[others])
+        from_others = distances(places, places[others])
         room = from_others.min(axis=1, initial=apart)
         # By room, then by what is added, then by the way there.
-        ways = cdist(places, places[here][None])
+        ways = distances(places, places[here][None])
         order = np.lexsort((ways[:, 0], -adds, -room))
         taken[i] = order[0]
     return taken
@@ -191,7 +197,9 @@ def matched(places: np.ndarray, position: np.ndarray) -> np.ndarray:
     Returns:
         (K, 2) the place of each drone, m.
     """
-    _, chosen = linear_sum_assignment(cdist(position, places))
+    from scipy.optimize import linear_sum_assignment  # which takes long to import
+
+    _, chosen = linear_sum_assignment(distances(position, places))
     given: np.ndarray = places[chosen]
     return given
 
@@ -207,7 +215,7 @@ def nearest_left(places: np.ndarray, position: np.ndarray) -> np.ndarray:
         (K, 2) the place of each drone, m.
     """
     taken: list[int] = []
-    for row in cdist(position, places):
+    for row in distances(position, places):
         row[taken] = np.inf
         taken.append(int(row.argmin()))
     return places[taken]

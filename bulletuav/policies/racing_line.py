@@ -9,7 +9,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize
 
 from bulletuav.functions import cos, sin
 from bulletuav.geometry.rotation import Vec3, dot, minus
@@ -258,6 +257,8 @@ def fastest_choice(way: Way, limits: Limits, precision: float = 1e-7) -> np.ndar
     Returns:
         (6, M): a local optimum among cubic lines.
     """
+    from scipy.optimize import minimize  # which takes long to import
+
     first = usual_choice(len(way.point))
 
     def duration(numbers: np.ndarray) -> float:
