@@ -21,6 +21,7 @@ import numpy as np
 from llvmlite import ir
 from numba.core import cgutils
 from numba.core.registry import cpu_target
+from numba.core.typing.templates import AttributeTemplate
 
 from bulletuav.dispatcher import Cache, Dispatcher
 
@@ -203,6 +204,84 @@ def borrowed(_: Any, value: Any) -> Any:
         return _without_owner(context, builder, value, arguments[0])
 
     return value(value), generate
+
+
+class InMemory(numba.types.Type):  # type: ignore[misc]  # numba has no types
+    """Type of a named tuple of which compiled functions hand on the address; see `in_memory`.
+
+    Attributes:
+        whole: Type of the named tuple.
+    """
+
+    def __init__(self, whole: Any) -> None:
+        """Tell the type of the named tuple."""
+        self.whole = whole
+        super().__init__(f"in memory {whole.name}")
+
+
+@numba.extending.register_model(InMemory)
+class _Address(numba.extending.models.PrimitiveModel):  # type: ignore[misc]
+    """How `InMemory` is passed: as an address."""
+
+    def __init__(self, manager: Any, kind: InMemory) -> None:
+        super().__init__(manager, kind, cgutils.voidptr_t)
+
+
+_NAMED = (numba.types.NamedTuple, numba.types.NamedUniTuple)
+"""Numba's types of named tuples"""
+
+
+@numba.extending.infer_getattr
+class _Fields(AttributeTemplate):  # type: ignore[misc]
+    """Types of the fields of an `InMemory`."""
+
+    key = InMemory
+
+    def generic_resolve(self, kind: InMemory, name: str) -> Any:
+        if name not in kind.whole.fields:
+            return None
+        field = kind.whole.types[kind.whole.fields.index(name)]
+        return InMemory(field) if isinstance(field, _NAMED) else field
+
+
+@numba.extending.lower_getattr_generic(InMemory)  # type: ignore[untyped-decorator]
+def _load_field(context: Any, builder: Any, kind: InMemory, address: Any, name: str) -> Any:
+    """Return the code that reads one field, or tells the address of one that is a tuple."""
+    k = kind.whole.fields.index(name)
+    whole = builder.bitcast(address, context.get_value_type(kind.whole).as_pointer())
+    field = cgutils.gep_inbounds(builder, whole, 0, k)
+    if isinstance(kind.whole.types[k], _NAMED):
+        return builder.bitcast(field, cgutils.voidptr_t)
+    return builder.load(field)
+
+
+def _store_parts(builder: Any, kind: Any, value: Any, place: Any) -> None:
+    """Write a tuple part by part: as one value of hundreds of words it takes long to compile."""
+    if not isinstance(kind, numba.types.BaseTuple):
+        builder.store(value, place)
+        return
+    for k, part in enumerate(kind):
+        field = cgutils.gep_inbounds(builder, place, 0, k)
+        _store_parts(builder, part, builder.extract_value(value, k), field)
+
+
+@numba.extending.intrinsic  # type: ignore[untyped-decorator]
+def in_memory(_: Any, value: Any) -> Any:
+    """Return a named tuple of which others are given the address, and read what they need.
+
+    A tuple of arrays is hundreds of words, which every call would copy. Nobody counts references
+    to its arrays, as with `borrowed`. It must not leave the function that calls this, which keeps
+    the arrays alive. Its fields are read by name.
+    """
+    if isinstance(value, InMemory):
+        return value(value), lambda _, __, ___, arguments: arguments[0]
+
+    def generate(context: Any, builder: Any, _: Any, arguments: Any) -> Any:
+        place = cgutils.alloca_once(builder, context.get_value_type(value))
+        _store_parts(builder, value, _without_owner(context, builder, value, arguments[0]), place)
+        return builder.bitcast(place, cgutils.voidptr_t)
+
+    return InMemory(value)(value), generate
 
 
 @numba.extending.intrinsic  # type: ignore[untyped-decorator]

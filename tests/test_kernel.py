@@ -20,6 +20,17 @@ TANH = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_double)(("tanh", ctypes.CDLL(N
 """A function of the C library, at an address of this process"""
 
 
+class Inner(NamedTuple):
+    numbers: np.ndarray
+    scale: float
+
+
+class Outer(NamedTuple):
+    inner: Inner
+    pair: tuple[int, float]
+    flag: bool
+
+
 @pytest.fixture
 def package(tmp_path):
     """A package of our `kernel` module, a helper in one file and its compiled caller in another."""
@@ -321,3 +332,36 @@ def test_a_first_run_tells_that_it_compiles(monkeypatch, caplog, tmp_path):
     assert [one.message for one in caplog.records] == [
         "compiling for this machine, for a minute or two; later runs start at once"
     ]
+
+
+def test_tuples_in_memory_are_read_by_name_and_their_arrays_written_in_place():
+    """Also within each other, and by a function that is given the address again."""
+    in_memory = kernel.in_memory
+
+    @kernel.uncached
+    def add(inner, by):
+        inner = in_memory(inner)
+        inner.numbers[0] += by * inner.scale
+        return inner.numbers[0]
+
+    @kernel.uncached
+    def both(given):
+        given = in_memory(given)
+        other = in_memory(Outer(given.inner, given.pair, not given.flag))
+        first = add(given.inner, 1.0)
+        return first, add(other.inner, 2.0), other.pair[1], other.flag
+
+    numbers = np.array([1.0])
+    assert both(Outer(Inner(numbers, 10.0), (3, 4.0), True)) == (11.0, 31.0, 4.0, False)
+    assert numbers[0] == 31.0
+
+
+def test_a_tuple_in_memory_has_no_other_fields():
+    in_memory = kernel.in_memory
+
+    @kernel.uncached
+    def wrong(inner):
+        return in_memory(inner).missing
+
+    with pytest.raises(numba.TypingError, match="missing"):
+        wrong(Inner(np.zeros(1), 1.0))

@@ -7,11 +7,11 @@ import numpy as np
 
 from bulletuav.contact.impact import tell_pair
 from bulletuav.contact.points import World
-from bulletuav.contact.resolve import find_pairs, in_order, resolve
+from bulletuav.contact.resolve import find_pairs, resolve, set_order
 from bulletuav.contact.rest import Contact, settle, wake_for_obstacles
 from bulletuav.geometry.rotation import dot, minus, vec3
 from bulletuav.geometry.scenery import Scenery
-from bulletuav.kernel import allocating, borrowed, func, kernel
+from bulletuav.kernel import allocating, func, in_memory, kernel
 from bulletuav.vehicle.swarm import CITY, GROUND, Contacts, Swarm
 
 
@@ -119,21 +119,25 @@ def _look(
     dt: float,
 ) -> bool:
     """Do what `meet` does in a world where drones are due."""
-    contact = borrowed(contact)
+    contact = in_memory(contact)
     move_obstacles(contact, w, piece / pieces, pieces * dt)
-    world = World(
-        w,
-        dt,
-        contact.speed[w] * dt,
-        contact.friction,
-        contact.restitution,
-        contact.scenery,
-        contact.start,
-        borrowed(alive),
-        contact.asleep,
-        borrowed(parameters),
-        contact.memory,
+    world = in_memory(
+        World(
+            w,
+            dt,
+            contact.speed[w] * dt,
+            contact.friction,
+            contact.restitution,
+            contact.stops,
+            contact.scenery,
+            contact.start,
+            alive,
+            contact.asleep,
+            parameters,
+            contact.memory,
+        )
     )
+    swarm = in_memory(swarm)
     if contact.sleeps and world.speed > 0.0:
         wake_for_obstacles(contact, world)
     eventful = resolve(
@@ -142,7 +146,6 @@ def _look(
         swarm,
         contact.due,
         contact.budget,
-        contact.stops,
         contact.stopped,
         contact.changed,
         contact.touches,
@@ -331,26 +334,31 @@ def _note_overlaps(
     parameters: np.ndarray,
 ) -> None:
     """Tell what drones are in touch with that were put somewhere else; see `overlaps`."""
+    contact = in_memory(contact)
+    swarm = in_memory(swarm)
     space = contact.space
     for w in range(alive.shape[0]):
-        world = World(
-            w,
-            1.0,
-            0.0,
-            0.0,
-            0.0,
-            contact.scenery,
-            swarm,
-            alive,
-            contact.asleep,
-            parameters,
-            contact.memory,
+        world = in_memory(
+            World(
+                w,
+                1.0,
+                0.0,
+                0.0,
+                0.0,
+                contact.stops,
+                contact.scenery,
+                swarm,
+                alive,
+                contact.asleep,
+                parameters,
+                contact.memory,
+            )
         )
         for i in range(alive.shape[1]):
             space.motions[i].due = moved[w, i] and alive[w, i]
             space.motions[i].reach = 0.0
-        order = in_order(swarm.position, w)
-        pairs, count = find_pairs(space, world, swarm, order)
+        set_order(space.order, swarm.position, w)
+        pairs, count = find_pairs(space, world, swarm, space.order)
         for p in range(count):
             tell_pair(space, world, pairs[p], contact.touches)
 

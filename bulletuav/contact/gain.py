@@ -6,7 +6,7 @@ import numpy as np
 
 from bulletuav.contact.motion import put_vector, quaternion_of, vector
 from bulletuav.contact.points import Workspace, World
-from bulletuav.contact.relax import relax
+from bulletuav.contact.relax import FIRM, relax
 from bulletuav.geometry.rotation import Vec3, Vec3Like, axes, dot, minus, plus
 from bulletuav.kernel import func
 
@@ -105,7 +105,7 @@ def lose_gain(
         put_vector(motion.spin, motion.before[1])
     for k in range(size):
         points[k].least = min(points[k].least, 0.0)
-    relax(points, size, motions)
+    relax(points, size, motions, FIRM)
     had += _work(space, world, members, frame, rest)
     calm = moving_energy(space, world, members, frame, 0.0)
     half = 0.0

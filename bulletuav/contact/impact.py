@@ -20,7 +20,7 @@ from bulletuav.contact.points import (
     measure,
     touching,
 )
-from bulletuav.contact.relax import damp_tipping, keep, relax
+from bulletuav.contact.relax import FIRM, FIRM_ENOUGH, damp_tipping, keep, relax
 from bulletuav.contact.touch import IN_TOUCH, TOUCH
 from bulletuav.contact.touches import Touches, tell
 from bulletuav.geometry.contact_points import MOST_POINTS
@@ -87,12 +87,12 @@ def _rebound(space: Workspace, world: World, members: int, points: np.ndarray, s
         frame = _frame_of(points, size)
         had = moving_energy(space, world, members, frame, 0.0)
         remember_before(space, members, points, size)
-        relax(points, size, space.motions)
+        relax(points, size, space.motions, FIRM)
         keep(points, size)
         lose_gain(space, world, members, points, size, frame, had, 0.0)
     elif closes and slow:
         # What is only stopped gains no energy
-        relax(points, size, space.motions)
+        relax(points, size, space.motions, FIRM)
         keep(points, size)
     return slow
 
@@ -179,13 +179,13 @@ def _hold(
     for trial in range(FORESIGHT + 1):
         if trial == 0:
             recall(memory, motions, radii, world.w, points, owner, pairs, size, 1.0 - time)
-        relax(points, size, motions, trial == 0)
+        relax(points, size, motions, FIRM_ENOUGH, trial == 0)
         if trial == 0:
             island = space.island
             note(memory, motions, world.w, island, members, points, owner, pairs, size, 1.0 - time)
         keep(points, size)
         if trial == 0 and damp_tipping(points, size, motions):
-            relax(points, size, motions)
+            relax(points, size, motions, FIRM_ENOUGH)
             keep(points, size)
         if trial > 0:
             lose_gain(space, world, members, points, size, frame, had, 1.0 - time)

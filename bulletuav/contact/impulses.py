@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from bulletuav.contact.motion import put_vector, quaternion_of, vector
-from bulletuav.geometry.rotation import Vec3, Vec3Like, axes, cross, dot, minus, plus
+from bulletuav.geometry.rotation import Vec3, Vec3Like, axes, cross, dot, minus, plus, point
 from bulletuav.kernel import func, kernel
 
 POINT = np.dtype(
@@ -33,11 +33,13 @@ POINT = np.dtype(
         ("approach", "f8"),
         ("mass", "f8"),
         ("grip", "f8", 4),
+        ("hold", "f8", (3, 3)),
         ("least", "f8"),
         ("axis", "f8", (3, 3)),
         ("stiff", "f8", 3),
         ("resist", "f8", 3),
         ("roll", "f8", 3),
+        ("slides", "?"),
         ("damping", "f8"),
         ("impulse", "f8", 3),
         ("step", "f8", 3),
@@ -67,11 +69,13 @@ Attributes:
     mass: That the point feels along the normal, kg.
     grip: Inverse of the symmetric 2 x 2 matrix of velocities by impulses across: 11, 12, 22; and
         its least eigenvalue, kg.
+    hold: Inverse of the symmetric 3 x 3 matrix of velocities by impulses, kg.
     least: Velocity along the normal that must be reached, m/s.
     axis: Unit vectors about which they do not turn freely: z of a, z of b, and the normal.
     stiff: Moments of inertia about them, kg m^2.
     resist: Greatest angular impulses about them, over the normal impulse, m.
     roll: Angular impulses about the axes, in this pass, N m s.
+    slides: Whether friction did not hold it in the last sweep.
     damping: Angular impulse that damps tipping, over the normal impulse and the spin, m s.
     impulse: Along the normal and the tangents, in this pass, N s.
     step: Change of the impulse in the last sweep, N s.
@@ -79,6 +83,10 @@ Attributes:
     total: The same in all passes, N s.
     former: The same in all passes before those that may gain energy, N s.
 """
+
+
+Moving = tuple[Vec3, Vec3, Vec3, Vec3]
+"""Velocity and spin of a, and of b, m/s and rad/s"""
 
 
 @func
@@ -146,6 +154,20 @@ def _yield_of(row: np.record, one: int, two: int, light: float) -> float:
     return yields
 
 
+@func
+def _set_hold(
+    row: np.record, k00: float, k01: float, k02: float, k11: float, k12: float, k22: float
+) -> None:
+    """Invert the symmetric matrix of velocities along the axes of a point by impulses."""
+    first = (k00, k01, k02)
+    second = (k01, k11, k12)
+    third = (k02, k12, k22)
+    scale = 1.0 / dot(first, cross(second, third))
+    put_vector(row.hold[0], plus((0.0, 0.0, 0.0), scale, cross(second, third)))
+    put_vector(row.hold[1], plus((0.0, 0.0, 0.0), scale, cross(third, first)))
+    put_vector(row.hold[2], plus((0.0, 0.0, 0.0), scale, cross(first, second)))
+
+
 @kernel
 def prepare(row: np.record, motions: np.ndarray) -> None:
     """Fill in what a point feels of the masses; a, b, normal and arms must be there."""
@@ -165,7 +187,11 @@ def prepare(row: np.record, motions: np.ndarray) -> None:
     k11 = _yield_of(row, 1, 1, light)
     k12 = _yield_of(row, 1, 2, light)
     k22 = _yield_of(row, 2, 2, light)
-    row.mass = 1.0 / _yield_of(row, 0, 0, light)
+    k00 = _yield_of(row, 0, 0, light)
+    k01 = _yield_of(row, 0, 1, light)
+    k02 = _yield_of(row, 0, 2, light)
+    _set_hold(row, k00, k01, k02, k11, k12, k22)
+    row.mass = 1.0 / k00
     scale = 1.0 / (k11 * k22 - k12 * k12)
     row.grip[0] = k22 * scale
     row.grip[1] = -k12 * scale
@@ -191,27 +217,43 @@ def slip(row: np.record, motions: np.ndarray) -> Vec3:
 
 
 @func
-def speed_along(row: np.record, motions: np.ndarray, k: int, axis: Vec3Like) -> float:
-    """Return the velocity of a's surface against that of b along axis k of a point, m/s."""
-    motion = motions[row.a]
-    speed = dot(motion.velocity, axis) + dot(motion.spin, row.lever_a[k])
-    if row.b >= 0:
-        motion = motions[row.b]
-        return speed - dot(motion.velocity, axis) - dot(motion.spin, row.lever_b[k])
-    return speed - dot(row.drift, axis)
+def moving_at(row: np.record, motions: np.ndarray) -> Moving:
+    """Return how both bodies of a point move; what does not yield drifts."""
+    a = motions[row.a]
+    if row.b < 0:
+        return vector(a.velocity), vector(a.spin), vector(row.drift), (0.0, 0.0, 0.0)
+    b = motions[row.b]
+    return vector(a.velocity), vector(a.spin), vector(b.velocity), vector(b.spin)
 
 
 @func
-def push(row: np.record, motions: np.ndarray, k: int, axis: Vec3Like, impulse: float) -> None:
-    """Give both bodies of a point an impulse along its axis k, N s."""
-    motion = motions[row.a]
-    light = impulse * motion.lightness
-    for m in range(3):
-        motion.velocity[m] += light * axis[m]
-        motion.spin[m] += impulse * row.swing_a[k, m]
+def put_moving(row: np.record, motions: np.ndarray, moving: Moving) -> None:
+    """Let both bodies of a point move in another way."""
+    put_vector(motions[row.a].velocity, moving[0])
+    put_vector(motions[row.a].spin, moving[1])
     if row.b >= 0:
-        motion = motions[row.b]
-        light = impulse * motion.lightness
-        for m in range(3):
-            motion.velocity[m] -= light * axis[m]
-            motion.spin[m] -= impulse * row.swing_b[k, m]
+        put_vector(motions[row.b].velocity, moving[2])
+        put_vector(motions[row.b].spin, moving[3])
+
+
+@func
+def speed_along(row: np.record, moving: Moving, k: int, axis: Vec3) -> float:
+    """Return the velocity of a's surface against that of b along axis k of a point, m/s."""
+    speed = dot(moving[0], axis) + dot(moving[1], point(row.lever_a, k)) - dot(moving[2], axis)
+    if row.b >= 0:
+        speed -= dot(moving[3], point(row.lever_b, k))
+    return speed
+
+
+@func
+def pushed(
+    row: np.record, motions: np.ndarray, moving: Moving, k: int, axis: Vec3, impulse: float
+) -> Moving:
+    """Return how both bodies of a point move after an impulse along its axis k, N s."""
+    velocity_a, spin_a, velocity_b, spin_b = moving
+    velocity_a = plus(velocity_a, impulse * motions[row.a].lightness, axis)
+    spin_a = plus(spin_a, impulse, point(row.swing_a, k))
+    if row.b >= 0:
+        velocity_b = plus(velocity_b, -impulse * motions[row.b].lightness, axis)
+        spin_b = plus(spin_b, -impulse, point(row.swing_b, k))
+    return velocity_a, spin_a, velocity_b, spin_b

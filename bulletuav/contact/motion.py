@@ -16,6 +16,7 @@ from bulletuav.geometry.rotation import (
     Vec3Like,
     dot,
     exponential,
+    minus,
     normalised,
     plus,
     point,
@@ -28,7 +29,7 @@ from bulletuav.geometry.rotation import (
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.kernel import func
 from bulletuav.vehicle.swarm import Swarm
-from bulletuav.vehicle.wrench import spin_parts
+from bulletuav.vehicle.wrench import free_rates, spin_parts
 
 SMALL_TURN = 0.2
 """Angle by which a drone turns in one step of the midpoint rule, rad"""
@@ -182,9 +183,8 @@ def begin(
     later = quat4(after.quaternion, w, i)
     velocity = vec3(before.velocity, w, i)
     spin = to_world(quaternion, vec3(before.rates, w, i))
-    spin_after = to_world(later, vec3(after.rates, w, i))
-    angular = momentum(quaternion, spin, row)
-    angular_after = momentum(later, spin_after, row)
+    # What torques did, and no error of the attitude: momentum would be held on as one
+    gained = minus(vec3(after.rates, w, i), free_rates(vec3(before.rates, w, i), dt, row))
     motion.time = 0.0
     motion.impacts = 0
     motion.begun = True
@@ -195,7 +195,7 @@ def begin(
     put_vector(motion.move, plus(vec3(after.position, w, i), -1.0, position))
     put_vector(motion.turn, _rotation_between(quaternion, later))
     put_vector(motion.push, plus(vec3(after.velocity, w, i), -1.0, velocity))
-    put_vector(motion.twist, plus(angular_after, -1.0, angular))
+    put_vector(motion.twist, momentum(later, to_world(later, gained), row))
     motion.until = 1.0
     if dot(spin, spin) * dt * dt > FAR_TURN * FAR_TURN:
         way = vector(motion.move)

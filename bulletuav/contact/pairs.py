@@ -41,7 +41,8 @@ PAIR = np.dtype(
         ("held", "?"),
         ("near", "?"),
         ("knot", "?"),
-    ]
+    ],
+    align=True,
 )
 """A pair of shapes in one world.
 

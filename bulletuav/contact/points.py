@@ -16,6 +16,7 @@ from bulletuav.contact.motion import (
     quaternion_of,
     vector,
 )
+from bulletuav.contact.pairs import PAIR
 from bulletuav.contact.touch import IN_TOUCH, TOUCH, gap_at
 from bulletuav.geometry.contact_points import MOST_POINTS, contact_points
 from bulletuav.geometry.direction import sharpened
@@ -27,6 +28,8 @@ from bulletuav.kernel import func, kernel
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY
 from bulletuav.vehicle.swarm import Swarm
 
+ROOM = 16
+"""Pairs that there is room for at first"""
 MIDDLE = 0.5 * TOUCH
 """Distance that a touch leaves, m"""
 NEARBY = 5 * TOUCH
@@ -57,12 +60,16 @@ class Workspace(NamedTuple):
     Attributes:
         motions: (N,) rows of `MOTION`, how the drones move.
         island: (N,) drones that are solved together.
+        order: (N,) drones in the order of their places.
+        pairs: Rows of `PAIR`, as many as there mostly are.
         room: Scratch of `gap`.
         found: Scratch of `contact_points`.
     """
 
     motions: np.ndarray
     island: np.ndarray
+    order: np.ndarray
+    pairs: np.ndarray
     room: np.ndarray
     found: np.ndarray
 
@@ -72,6 +79,8 @@ def make_workspace(num_drones: int) -> Workspace:
     return Workspace(
         motions=np.zeros(num_drones, dtype=MOTION),
         island=np.zeros(num_drones, dtype=np.int64),
+        order=np.zeros(num_drones, dtype=np.int64),
+        pairs=np.zeros(ROOM, dtype=PAIR),
         room=make_room(),
         found=np.zeros((MOST_POINTS, 4)),
     )
@@ -86,6 +95,7 @@ class World(NamedTuple):
         speed: How far the fastest obstacle gets in the substep, m.
         friction: Coefficient of friction of the ground and of buildings.
         restitution: Their coefficient of restitution.
+        stops: Whether drones stop where they touch, instead of being pushed.
         scenery: What stands.
         start: State of all drones at the beginning.
         alive: (W, N) bool, drones that can be touched.
@@ -99,6 +109,7 @@ class World(NamedTuple):
     speed: float
     friction: float
     restitution: float
+    stops: bool
     scenery: Scenery
     start: Swarm
     alive: np.ndarray
@@ -132,12 +143,21 @@ def touching(pair: np.record, time: float) -> bool:
 def measure(
     space: Workspace, world: World, pair: np.record, time: float
 ) -> tuple[float, Vec3, Vec3, Vec3]:
-    """Measure a pair at a time, with `gap` and `sharpened`; keeps the direction."""
+    """Measure a pair at a time, keeping the direction."""
     guess = vector(pair.normal)
     distance, normal, on_a, on_b = gap_at(
-        world.scenery, space.motions, world.w, pair.a, pair.b, time, world.dt, guess, space.room
+        world.scenery,
+        space.motions,
+        world.w,
+        pair.a,
+        pair.b,
+        time,
+        world.dt,
+        guess,
+        space.room,
+        world.stops,
     )
-    if pair.b != world.scenery.ground and distance > 0.0:
+    if world.stops and pair.b != world.scenery.ground and distance > 0.0:
         position_a, turn_a = pose_at(world.scenery, space.motions, world.w, pair.a, time, world.dt)
         position_b, turn_b = pose_at(world.scenery, space.motions, world.w, pair.b, time, world.dt)
         normal, on_a, on_b = sharpened(

@@ -10,13 +10,23 @@ import math
 
 import numpy as np
 
-from bulletuav.contact.impulses import eased, push, slip, speed_along
+from bulletuav.contact.impulses import (
+    Moving,
+    eased,
+    moving_at,
+    pushed,
+    put_moving,
+    slip,
+    speed_along,
+)
 from bulletuav.contact.motion import put_vector, vector
-from bulletuav.geometry.rotation import Vec3, dot, minus
+from bulletuav.geometry.rotation import Vec3, dot, minus, plus, point
 from bulletuav.kernel import func, kernel
 
 FIRM = 1e-9
-"""Change of velocity below which a sweep changes nothing, as share of the greatest one or 1 m/s"""
+"""Precision of impulses of what rebounds, see `relax`"""
+FIRM_ENOUGH = 1e-6
+"""The same of what is held; rest begins at thousands of it"""
 SWEEPS = 200
 """Most sweeps over the points of a small island"""
 WORK = 20_000
@@ -28,57 +38,53 @@ FEWEST = 20
 
 
 @func
-def _rub(
-    row: np.record,
-    motions: np.ndarray,
-) -> float:
-    """Let friction act at a point; returns the change of velocity, m/s."""
-    one = row.tangent[0]
-    two = row.tangent[1]
-    along = speed_along(row, motions, 1, one)
-    across = speed_along(row, motions, 2, two)
+def _rub(row: np.record, motions: np.ndarray, moving: Moving) -> Moving:
+    """Let friction act at a point, and return how its bodies move then; notes if they slide."""
+    one = vector(row.tangent[0])
+    two = vector(row.tangent[1])
+    along = speed_along(row, moving, 1, one)
+    across = speed_along(row, moving, 2, two)
     # What would stop the slip
     first = row.impulse[1] - (row.grip[0] * along + row.grip[1] * across)
     second = row.impulse[2] - (row.grip[1] * along + row.grip[2] * across)
     most = row.friction * max(0.0, row.impulse[0])
     size = math.sqrt(first * first + second * second)
+    row.slides = False
     if size > most:
         # More than the normal impulse allows: as much as it does, against the slip
         first = row.impulse[1] - row.grip[3] * along
         second = row.impulse[2] - row.grip[3] * across
         size = math.sqrt(first * first + second * second)
         if size > most:
+            row.slides = True
             first *= most / size
             second *= most / size
-    first_change = first - row.impulse[1]
-    second_change = second - row.impulse[2]
+    moving = pushed(row, motions, moving, 1, one, first - row.impulse[1])
+    moving = pushed(row, motions, moving, 2, two, second - row.impulse[2])
     row.impulse[1] = first
     row.impulse[2] = second
-    push(row, motions, 1, one, first_change)
-    push(row, motions, 2, two, second_change)
-    moved: float = (abs(first_change) + abs(second_change)) / row.mass
-    return moved
+    return moving
 
 
 @func
-def _resist_turning(row: np.record, motions: np.ndarray) -> None:
+def _resist_turning(row: np.record, motions: np.ndarray, moving: Moving) -> Moving:
     """Let angular impulses about the axes of a point resist that its bodies roll or pivot."""
+    velocity_a, spin_a, velocity_b, spin_b = moving
     for side in range(3):
         if row.resist[side] == 0.0:
             continue
         axis = vector(row.axis[side])
-        spin = vector(motions[row.a].spin)
-        if row.b >= 0:
-            spin = minus(spin, vector(motions[row.b].spin))
+        spin = minus(spin_a, spin_b)
         most = row.resist[side] * max(0.0, row.impulse[0])
         wanted = row.roll[side] - row.stiff[side] * dot(spin, axis)
         wanted = min(max(wanted, -most), most)
         change = wanted - row.roll[side]
         row.roll[side] = wanted
         twist = (change * axis[0], change * axis[1], change * axis[2])
-        _spin_up(motions[row.a], twist, 1.0)
+        spin_a = plus(spin_a, 1.0, eased(motions[row.a], twist))
         if row.b >= 0:
-            _spin_up(motions[row.b], twist, -1.0)
+            spin_b = minus(spin_b, eased(motions[row.b], twist))
+    return velocity_a, spin_a, velocity_b, spin_b
 
 
 @func
@@ -90,20 +96,64 @@ def _spin_up(motion: np.record, twist: Vec3, sign: float) -> None:
 
 
 @func
-def _press(
-    row: np.record,
-    motions: np.ndarray,
-) -> float:
-    """Let a point push its surfaces apart; returns the change of velocity, m/s."""
-    missing = row.least - speed_along(row, motions, 0, row.normal)
-    pressed = row.impulse[0] + row.mass * missing
-    if pressed < 0.0:
-        pressed = 0.0
+def _press(row: np.record, motions: np.ndarray, moving: Moving) -> Moving:
+    """Let a point push its surfaces apart, and return how its bodies move then."""
+    normal = vector(row.normal)
+    missing = row.least - speed_along(row, moving, 0, normal)
+    pressed = max(0.0, row.impulse[0] + row.mass * missing)
     change = pressed - row.impulse[0]
     row.impulse[0] = pressed
-    push(row, motions, 0, row.normal, change)
-    moved: float = abs(change) / row.mass
-    return moved
+    return pushed(row, motions, moving, 0, normal, change)
+
+
+@func
+def _stick(row: np.record, motions: np.ndarray, moving: Moving) -> tuple[bool, Moving]:
+    """Stop a point along all of its axes at once, if friction can hold it; tells whether it can."""
+    missing = (
+        row.least - speed_along(row, moving, 0, vector(row.normal)),
+        -speed_along(row, moving, 1, vector(row.tangent[0])),
+        -speed_along(row, moving, 2, vector(row.tangent[1])),
+    )
+    change = (
+        dot(point(row.hold, 0), missing),
+        dot(point(row.hold, 1), missing),
+        dot(point(row.hold, 2), missing),
+    )
+    wanted = plus(vector(row.impulse), 1.0, change)
+    square = wanted[1] * wanted[1] + wanted[2] * wanted[2]
+    if wanted[0] < 0.0 or square > (row.friction * wanted[0]) ** 2:
+        return False, moving
+    put_vector(row.impulse, wanted)
+    return True, _given(row, motions, moving, change)
+
+
+@func
+def _given(row: np.record, motions: np.ndarray, moving: Moving, impulse: Vec3) -> Moving:
+    """Return how the bodies of a point move after an impulse along its axes, N s."""
+    moving = pushed(row, motions, moving, 0, vector(row.normal), impulse[0])
+    moving = pushed(row, motions, moving, 1, vector(row.tangent[0]), impulse[1])
+    return pushed(row, motions, moving, 2, vector(row.tangent[1]), impulse[2])
+
+
+@func
+def _visit(row: np.record, motions: np.ndarray) -> None:
+    """Let a point do what it has to, given what all others do; notes the change in `step`."""
+    old = vector(row.impulse)
+    moving = moving_at(row, motions)
+    sticks = False
+    if row.friction > 0.0:
+        pressed = old[0] != 0.0 or old[1] != 0.0 or old[2] != 0.0
+        if pressed:
+            moving = _resist_turning(row, motions, moving)
+        # Who slid a moment ago will hardly stick
+        if not row.slides:
+            sticks, moving = _stick(row, motions, moving)
+        if pressed and not sticks:
+            moving = _rub(row, motions, moving)
+    if not sticks:
+        moving = _press(row, motions, moving)
+    put_moving(row, motions, moving)
+    put_vector(row.step, minus(vector(row.impulse), old))
 
 
 @func
@@ -112,19 +162,13 @@ def _go_on(points: np.ndarray, count: int, motions: np.ndarray, share: float) ->
     for k in range(count):
         row = points[k]
         if share > 1.0:
-            row.way[:] = 0.0
+            put_vector(row.way, (0.0, 0.0, 0.0))
             continue
-        for m in range(3):
-            further = share * row.way[m]
-            row.impulse[m] += further
-            row.way[m] = further + row.step[m]
-            push(
-                row,
-                motions,
-                m,
-                vector(row.normal) if m == 0 else vector(row.tangent[m - 1]),
-                further,
-            )
+        way = vector(row.way)
+        further = (share * way[0], share * way[1], share * way[2])
+        put_vector(row.impulse, plus(vector(row.impulse), 1.0, further))
+        put_vector(row.way, plus(further, 1.0, vector(row.step)))
+        put_moving(row, motions, _given(row, motions, moving_at(row, motions), further))
 
 
 @kernel
@@ -132,6 +176,7 @@ def relax(
     points: np.ndarray,
     count: int,
     motions: np.ndarray,
+    firm: float,
     warm: bool = False,
 ) -> int:
     """Sweep over points until none closes faster than it may.
@@ -140,6 +185,8 @@ def relax(
         points: Rows of `POINT`; impulses are written.
         count: How many of them count.
         motions: (N,) rows of `MOTION`; velocities and spins are changed.
+        firm: Change of velocity below which a sweep changes nothing, as share of the greatest one
+            or 1 m/s.
         warm: Whether impulses start from those that are there, instead of zero.
 
     Returns:
@@ -148,14 +195,14 @@ def relax(
     fastest = 1.0
     for k in range(count):
         row = points[k]
-        for m in range(3):
-            row.impulse[m] = row.impulse[m] if warm else 0.0
-            row.roll[m] = 0.0
-            row.way[m] = 0.0
+        put_vector(row.roll, (0.0, 0.0, 0.0))
+        put_vector(row.way, (0.0, 0.0, 0.0))
+        row.slides = False
         if warm:
-            push(row, motions, 0, vector(row.normal), row.impulse[0])
-            push(row, motions, 1, vector(row.tangent[0]), row.impulse[1])
-            push(row, motions, 2, vector(row.tangent[1]), row.impulse[2])
+            start = moving_at(row, motions)
+            put_moving(row, motions, _given(row, motions, start, vector(row.impulse)))
+        else:
+            put_vector(row.impulse, (0.0, 0.0, 0.0))
     for k in range(count):
         moving = slip(points[k], motions)
         fastest = max(fastest, math.sqrt(dot(moving, moving)))
@@ -166,16 +213,11 @@ def relax(
         square = 0.0
         for k in range(count):
             row = points[k]
-            old = vector(row.impulse)
-            rubs = row.impulse[0] != 0.0 or row.impulse[1] != 0.0 or row.impulse[2] != 0.0
-            if row.friction > 0.0 and rubs:
-                _resist_turning(row, motions)
-                change = max(change, _rub(row, motions))
-            change = max(change, _press(row, motions))
-            step = minus(vector(row.impulse), old)
-            put_vector(row.step, step)
+            _visit(row, motions)
+            step = vector(row.step)
+            change = max(change, (abs(step[1]) + abs(step[2])) / row.mass, abs(step[0]) / row.mass)
             square += dot(step, step)
-        if change <= FIRM * fastest:
+        if change <= firm * fastest:
             return sweep + 1
         if sweep > 0 and sweep + 1 < most:
             _go_on(points, count, motions, square / before)

@@ -11,16 +11,13 @@ import numpy as np
 
 from bulletuav.contact.impact import MOST_IMPACTS, add_forces, halt, push_apart
 from bulletuav.contact.motion import aim, begin, finish, put_vector, valid_until, vector
-from bulletuav.contact.pairs import PAIR, SLACK, collect, rest_budget, sweeps_apart
+from bulletuav.contact.pairs import SLACK, collect, rest_budget, sweeps_apart
 from bulletuav.contact.points import Workspace, World, join
 from bulletuav.contact.touch import EXACT, NEVER, ROUGH, touch_time
 from bulletuav.contact.touches import Touches
 from bulletuav.geometry.rotation import dot, minus, plus, vec3
 from bulletuav.kernel import allocating, func, kernel
 from bulletuav.vehicle.swarm import Swarm
-
-ROOM = 16
-"""Pairs that there is room for at first"""
 
 
 @func
@@ -58,6 +55,7 @@ def _time_pair(space: Workspace, world: World, pair: np.record, start: float) ->
             world.dt,
             vector(pair.normal),
             space.room,
+            world.stops,
         )
         put_vector(pair.normal, normal)
     if pair.time == NEVER:
@@ -91,18 +89,16 @@ def _is_before(position: np.ndarray, w: int, i: int, j: int) -> bool:
     return False
 
 
-@allocating
-def in_order(position: np.ndarray, w: int) -> np.ndarray:
-    """Return the drones (N,) of a world by place, so that their numbers do not matter."""
-    order = np.arange(position.shape[1])
-    for last in range(1, order.shape[0]):
-        i = order[last]
+@func
+def set_order(order: np.ndarray, position: np.ndarray, w: int) -> None:
+    """Write the drones (N,) of a world by place, so that their numbers do not matter."""
+    for last in range(order.shape[0]):
+        i = last
         k = last
         while k > 0 and _is_before(position, w, i, order[k - 1]):
             order[k] = order[k - 1]
             k -= 1
         order[k] = i
-    return order
 
 
 @func
@@ -165,7 +161,7 @@ def find_pairs(
         motions[i].begun = False
         motions[i].member = False
         put_vector(motions[i].start, vec3(world.start.position, world.w, i))
-    pairs = np.empty(ROOM, dtype=PAIR)
+    pairs = space.pairs
     count = 0
     for rank in range(order.shape[0]):
         if motions[order[rank]].due:
@@ -227,7 +223,6 @@ def _fly_through(
     space: Workspace,
     world: World,
     end: Swarm,
-    stops: bool,
     stopped: np.ndarray,
     changed: np.ndarray,
     touches: Touches,
@@ -235,7 +230,8 @@ def _fly_through(
     """Take the drones that are due through the touches of a substep, in the order of time."""
     w = world.w
     motions = space.motions
-    order = in_order(world.start.position, w)
+    order = space.order
+    set_order(order, world.start.position, w)
     pairs, count = find_pairs(space, world, end, order)
     for p in range(count):
         _time_pair(space, world, pairs[p], 0.0)
@@ -248,7 +244,7 @@ def _fly_through(
         knot = pairs[first].knot
         if knot:
             members = _turn_on(space, world, pairs[first])
-        elif stops:
+        elif world.stops:
             members = halt(space, world, pairs[first], time, touches, stopped)
         else:
             members = push_apart(space, world, pairs, count, first, time, touches)
@@ -272,7 +268,6 @@ def resolve(
     end: Swarm,
     due: np.ndarray,
     budget: np.ndarray,
-    stops: bool,
     stopped: np.ndarray,
     changed: np.ndarray,
     touches: Touches,
@@ -285,7 +280,6 @@ def resolve(
         end: State at the end of the substep as flown freely; changed.
         due: (W, N) bool, drones that must be looked at.
         budget: (W, N) how far each drone may move before it must be looked at, m; changed.
-        stops: Whether drones stop where they touch, instead of being pushed.
         stopped: (W, N) bool, drones that stopped; changed.
         changed: (W, N) bool, drones whose state was changed; changed.
         touches: What was touched; added to.
@@ -295,7 +289,7 @@ def resolve(
     """
     _set_reach(space, world, end, due)
     w = world.w
-    eventful = _fly_through(space, world, end, stops, stopped, changed, touches)
+    eventful = _fly_through(space, world, end, stopped, changed, touches)
     for i in range(changed.shape[1]):
         if changed[w, i]:
             finish(space.motions[i], end, w, i, world.parameters[w, i])

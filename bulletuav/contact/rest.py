@@ -11,11 +11,12 @@ from typing import NamedTuple
 import numpy as np
 
 from bulletuav.contact.memory import Memory, make_memory
+from bulletuav.contact.motion import vector
 from bulletuav.contact.pairs import body_distance
 from bulletuav.contact.points import Workspace, World, make_workspace
 from bulletuav.contact.support import SUPPORT, find_support, pressing
 from bulletuav.contact.touches import Touches, make_touches
-from bulletuav.geometry.rotation import Quat4, Vec3, dot, minus, to_world, vec3
+from bulletuav.geometry.rotation import Quat4, Vec3, dot, minus, plus, to_world, vec3
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.kernel import func
 from bulletuav.vehicle.swarm import Swarm
@@ -28,8 +29,10 @@ SLOWEST = 5e-3
 """Speed below which a drone is at rest, m/s"""
 SLOWEST_SPIN = 0.05
 """Spin below which a drone is at rest, rad/s"""
+SHORT = 0.05
+"""How long a drone is at rest before it falls asleep on a face that bears it safely, s"""
 LONG = 0.25
-"""How long a drone is at rest before it falls asleep, s"""
+"""How long it is before it does elsewhere, s"""
 FASTER = 1.5e-4
 """How much faster a drone at rest may have become in that time, m/s"""
 
@@ -223,7 +226,8 @@ def bears(
         if borne:
             return True
     if first:
-        return True
+        # On a face alone it has been at rest for too short a time to trust that
+        return bool(contact.quiet[w, i] >= LONG)
     reach = contact.scenery.table.radius[i]
     for k in range(3):
         if abs(load[k] - acceleration[k]) > SAME_LOAD:
@@ -275,10 +279,14 @@ def settle(contact: Contact, world: World, swarm: Swarm, last: bool) -> None:
         if contact.quiet[w, i] == 0.0:
             contact.pace[w, i] = speed
         contact.quiet[w, i] += world.dt
+        if contact.quiet[w, i] >= SHORT and last and _is_borne(contact, w, i):
+            _note_support(contact, world, swarm, i)
+            contact.dozes[w, i] = _is_safe(contact, world, i)
         if contact.quiet[w, i] >= LONG:
             # Who slides ever faster down a slope that is hardly steep enough does not rest
             if speed > contact.pace[w, i] + FASTER:
                 contact.quiet[w, i] = 0.0
+                contact.dozes[w, i] = False
             else:
                 contact.dozes[w, i] = last and _is_borne(contact, w, i)
     # All at once, so that their order does not matter
@@ -288,9 +296,28 @@ def settle(contact: Contact, world: World, swarm: Swarm, last: bool) -> None:
             contact.asleep[w, i] = True
             contact.load[w, i, 0] = np.nan
             _note_support(contact, world, swarm, i)
+            support = contact.support[w, i]
+            if support.span > 0.0:
+                # What its support takes from it
+                lost = world.parameters[w, i].mass * dot(vec3(swarm.velocity, w, i), support.normal)
+                contact.touches.impulse[w, i, 0] -= lost
             for k in range(3):
                 swarm.velocity[w, i, k] = 0.0
                 swarm.rates[w, i, k] = 0.0
+
+
+@func
+def _is_safe(contact: Contact, world: World, i: int) -> bool:
+    """Tell whether the support of a drone bears the forces of this substep."""
+    support = contact.support[world.w, i]
+    if support.span <= 0.0:
+        return False
+    motion = contact.space.motions[i]
+    scale = 1.0 / world.dt
+    acceleration = plus((0.0, 0.0, 0.0), scale, vector(motion.push))
+    torque = plus((0.0, 0.0, 0.0), scale, vector(motion.twist))
+    _, borne = pressing(support, world.parameters[world.w, i].mass, acceleration, torque)
+    return borne
 
 
 @func

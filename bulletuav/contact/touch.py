@@ -14,6 +14,7 @@ import numpy as np
 from bulletuav.contact.motion import change_rates, pose_at, valid_until
 from bulletuav.geometry.gjk import gap
 from bulletuav.geometry.minkowski import far_point, swell
+from bulletuav.geometry.nearest import nearest
 from bulletuav.geometry.rotation import Vec3, axes, cross, dot, minus, plus
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.geometry.shapes import HALF_SPACE
@@ -46,12 +47,17 @@ def gap_at(
     dt: float,
     guess: Vec3,
     room: np.ndarray,
+    plain: bool = False,
 ) -> tuple[float, Vec3, Vec3, Vec3]:
-    """Measure a pair at a time in the substep; see `bulletuav.geometry.gjk.gap`."""
+    """Measure a pair at a time in the substep, with `nearest`, or `gap` if it is to be plain."""
     position_a, quaternion_a = pose_at(scenery, motions, w, a, time, dt)
     position_b, quaternion_b = pose_at(scenery, motions, w, b, time, dt)
     offset = minus(position_b, position_a)
-    return gap(scenery.table, a, axes(quaternion_a), b, axes(quaternion_b), offset, guess, room)
+    turn_a = axes(quaternion_a)
+    turn_b = axes(quaternion_b)
+    if plain:
+        return gap(scenery.table, a, turn_a, b, turn_b, offset, guess, room)
+    return nearest(scenery.table, a, turn_a, b, turn_b, offset, guess, room)
 
 
 @func
@@ -123,6 +129,7 @@ def touch_time(
     dt: float,
     guess: Vec3,
     room: np.ndarray,
+    plain: bool = False,
 ) -> tuple[float, Vec3, bool]:
     """Find when a pair comes within a distance, while both fly on straight.
 
@@ -138,6 +145,7 @@ def touch_time(
         dt: Length of the substep, s.
         guess: Direction of an earlier separation, or zeros.
         room: See `bulletuav.geometry.gjk.make_room`.
+        plain: Whether `gap` measures, with bits that kinematic flights keep.
 
     Returns:
         Share of the substep, `start` where they are as close already and may come closer, NEVER
@@ -152,7 +160,9 @@ def touch_time(
     normal = guess
     near = False
     for _ in range(MOST_STEPS):
-        distance, normal, on_a, on_b = gap_at(scenery, motions, w, a, b, time, dt, normal, room)
+        distance, normal, on_a, on_b = gap_at(
+            scenery, motions, w, a, b, time, dt, normal, room, plain
+        )
         near = near or (time == start and distance <= IN_TOUCH)
         # How fast the gap can close, and how far ways bend in between
         bound_a, bend_a = _swing(scenery.table.radius[a], normal, turn_a)

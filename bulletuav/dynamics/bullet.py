@@ -23,7 +23,7 @@ from bulletuav.dynamics.base import Air, Dynamics, Flight
 from bulletuav.dynamics.drive import drive
 from bulletuav.engine.c_extension import Port, substep, surface_below, write_states
 from bulletuav.geometry.rotation import plus, quat4, vec3
-from bulletuav.kernel import allocating, borrowed, kernel
+from bulletuav.kernel import allocating, borrowed, in_memory, kernel
 from bulletuav.program import Program
 from bulletuav.registry import register
 from bulletuav.vehicle.airframe import MAX_ROTORS
@@ -116,7 +116,8 @@ def advance(
         driven: (W, N) bool, room for those whose rotors turn.
         flying: (W, N) bool, room for those whom the engine moves.
     """
-    port, swarm, cascade, air, contact = borrowed((port, swarm, cascade, air, contact))
+    port, swarm, cascade, air = borrowed((port, swarm, cascade, air))
+    contact = in_memory(contact)
     # Whom a contact stops in a substep rests until the end of the decision
     driven[:] = alive
     for piece in range(substeps):

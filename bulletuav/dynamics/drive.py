@@ -9,25 +9,7 @@ from bulletuav.kernel import borrowed, func, kernel
 from bulletuav.vehicle.rotors import lag_decay, lagged, rotor_wrench
 from bulletuav.vehicle.swarm import Swarm
 from bulletuav.vehicle.wake import wakes
-from bulletuav.vehicle.wrench import SMALL_TURN, body_acceleration, spin_parts, wrench
-
-
-@func
-def _slopes(
-    rates: Vec3, torque: Vec3, total_speed: float, momentum: float, dt: float, row: np.record
-) -> Vec3:
-    """Return six times the weighted mean of the four slopes of the rates (RK4), rad/s^2."""
-    # At the start, twice in the middle, and at the end of the step
-    k1 = body_acceleration(rates, torque, total_speed, momentum, row)
-    k2 = body_acceleration(plus(rates, 0.5 * dt, k1), torque, total_speed, momentum, row)
-    k3 = body_acceleration(plus(rates, 0.5 * dt, k2), torque, total_speed, momentum, row)
-    k4 = body_acceleration(plus(rates, dt, k3), torque, total_speed, momentum, row)
-    # Not divided by six: the caller does that once for all parts
-    return (
-        k1[0] + 2 * k2[0] + 2 * k3[0] + k4[0],
-        k1[1] + 2 * k2[1] + 2 * k3[1] + k4[1],
-        k1[2] + 2 * k2[2] + 2 * k3[2] + k4[2],
-    )
+from bulletuav.vehicle.wrench import SMALL_TURN, rate_slopes, spin_parts, wrench
 
 
 @func
@@ -57,13 +39,13 @@ def engine_torque(
     # Fast spins take several RK4 steps in a substep
     parts = spin_parts(rates, dt, SMALL_TURN)
     step = dt / parts
-    slope = _slopes(rates, torque, total_speed, momentum, step, row)
+    slope = rate_slopes(rates, torque, total_speed, momentum, step, row)
     total = slope
     # Each step goes on from where the last one came to
     now = rates
     for _ in range(parts - 1):
         now = plus(now, step / 6.0, slope)
-        slope = _slopes(now, torque, total_speed, momentum, step, row)
+        slope = rate_slopes(now, torque, total_speed, momentum, step, row)
         total = plus(total, 1.0, slope)
     # Mean over the steps, six times the acceleration for the whole substep
     total = (total[0] / parts, total[1] / parts, total[2] / parts)

@@ -24,7 +24,7 @@ from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.base import Air, Dynamics
 from bulletuav.functions import exp
 from bulletuav.geometry.rotation import Vec3, dot, from_euler, plus, point, quat4, vec3
-from bulletuav.kernel import allocating, borrowed, func, kernel
+from bulletuav.kernel import allocating, borrowed, func, in_memory, kernel
 from bulletuav.program import Program
 from bulletuav.registry import register
 from bulletuav.vehicle.swarm import Swarm, get, put
@@ -272,7 +272,8 @@ def advance(
         length: Duration of a substep, s.
         contact: What contacts need.
     """
-    swarm, cascade, air, contact = borrowed((swarm, cascade, air, contact))
+    swarm, cascade, air = borrowed((swarm, cascade, air))
+    contact = in_memory(contact)
     accelerates = kind == DOUBLE_INTEGRATOR
     constants = np.empty((alive.shape[1], 3))
     for w in range(alive.shape[0]):

@@ -15,7 +15,7 @@ from bulletuav.control.cascade import Cascade, command_rotors
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.base import Air, Dynamics, surroundings
 from bulletuav.geometry.rotation import Quat4, Vec3, normalised
-from bulletuav.kernel import allocating, borrowed, func
+from bulletuav.kernel import allocating, borrowed, func, in_memory
 from bulletuav.program import Program
 from bulletuav.registry import register
 from bulletuav.vehicle.rotors import Rotors, lag_decay, lag_rates, lagged, rotor_wrench, spin_up
@@ -202,7 +202,8 @@ def advance(
         dt: Duration of a substep, s.
         contact: What contacts need.
     """
-    swarm, cascade, air, contact = borrowed((swarm, cascade, air, contact))
+    swarm, cascade, air = borrowed((swarm, cascade, air))
+    contact = in_memory(contact)
     # Room that all worlds share
     num_drones, num_rotors = swarm.rotor_speed.shape[1:]
     wake = np.empty((num_drones, 4))

@@ -62,7 +62,7 @@ def _feature(table: ShapeTable, s: int, turn: Turn, place: Vec3) -> Feature:
 
 
 @func
-def _off(edge: Vec3, v: Vec3) -> Vec3:
+def off(edge: Vec3, v: Vec3) -> Vec3:
     """Return the part of a vector across a unit vector, or all of it where that is zero."""
     return plus(v, -dot(v, edge), edge)
 
@@ -74,18 +74,18 @@ def _bend(feature: Feature, d: Vec3, moved: Vec3) -> Vec3:
     if radius == 0.0:
         return ORIGIN
     # The farthest point of the rim lies outwards, across the axis
-    outward = _off(axis, d)
+    outward = off(axis, d)
     size = math.sqrt(dot(outward, outward))
     radial = (outward[0] / size, outward[1] / size, outward[2] / size)
     # Only the part of the change about the axis moves it
-    along = _off(radial, _off(axis, moved))
+    along = off(radial, off(axis, moved))
     return plus(ORIGIN, radius / size, along)
 
 
 @func
 def _flat(feature: Feature, d: Vec3) -> bool:
     """Tell whether a rim is seen from so near its axis that it has no farthest point."""
-    outward = _off(feature[2], d)
+    outward = off(feature[2], d)
     return feature[3] > 0.0 and dot(outward, outward) < BLUNT * BLUNT
 
 
@@ -201,7 +201,7 @@ def sharpened(
     for _ in range(MOST_STEPS):
         # The way between the points that are farthest along d must lie along d
         _, way = _reach(table, a, turn_a, b, turn_b, offset, d)
-        way = _off(edge, way)
+        way = off(edge, way)
         size = math.sqrt(dot(way, way))
         if size == 0.0:
             return given
@@ -216,8 +216,8 @@ def sharpened(
         first = (scale * first[0], scale * first[1], scale * first[2])
         second = cross(d, first)
         # How that way turns with d: both rims give way against it
-        turned_first = _turning(one, two, edge, d, first, size)
-        turned_second = _turning(one, two, edge, d, second, size)
+        turned_first = turning(one, two, edge, d, first, size)
+        turned_second = turning(one, two, edge, d, second, size)
         m11 = 1.0 - dot(turned_first, first)
         m21 = -dot(turned_first, second)
         m12 = -dot(turned_second, first)
@@ -255,9 +255,9 @@ def sharpened(
 
 
 @func
-def _turning(one: Feature, two: Feature, edge: Vec3, d: Vec3, moved: Vec3, size: float) -> Vec3:
+def turning(one: Feature, two: Feature, edge: Vec3, d: Vec3, moved: Vec3, size: float) -> Vec3:
     """Return how the direction of the way between two features turns when d changes."""
     back = (-d[0], -d[1], -d[2])
     against = (-moved[0], -moved[1], -moved[2])
     way = minus(_bend(one, back, against), _bend(two, d, moved))
-    return plus(ORIGIN, 1.0 / size, _off(edge, way))
+    return plus(ORIGIN, 1.0 / size, off(edge, way))

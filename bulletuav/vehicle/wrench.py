@@ -129,6 +129,35 @@ def body_acceleration(
 
 
 @func
+def rate_slopes(
+    rates: Vec3, torque: Vec3, total_speed: float, momentum: float, dt: float, row: ParameterRow
+) -> Vec3:
+    """Return six times the weighted mean of the four slopes of the rates (RK4), rad/s^2."""
+    # At the start, twice in the middle, and at the end of the step
+    k1 = body_acceleration(rates, torque, total_speed, momentum, row)
+    k2 = body_acceleration(plus(rates, 0.5 * dt, k1), torque, total_speed, momentum, row)
+    k3 = body_acceleration(plus(rates, 0.5 * dt, k2), torque, total_speed, momentum, row)
+    k4 = body_acceleration(plus(rates, dt, k3), torque, total_speed, momentum, row)
+    # Not divided by six: the caller does that once for all parts
+    return (
+        k1[0] + 2 * k2[0] + 2 * k3[0] + k4[0],
+        k1[1] + 2 * k2[1] + 2 * k3[1] + k4[1],
+        k1[2] + 2 * k2[2] + 2 * k3[2] + k4[2],
+    )
+
+
+@func
+def free_rates(rates: Vec3, dt: float, row: ParameterRow) -> Vec3:
+    """Return the body rates after a time in which no torque acts, rad/s."""
+    parts = spin_parts(rates, dt, SMALL_TURN)
+    step = dt / parts
+    for _ in range(parts):
+        slope = rate_slopes(rates, (0.0, 0.0, 0.0), 0.0, 0.0, step, row)
+        rates = plus(rates, step / 6.0, slope)
+    return rates
+
+
+@func
 def spin_parts(spin: Vec3Like, dt: float, small: float) -> int:
     """Return into how many parts a step is cut so that precession is followed, 1 to MOST_PARTS.
 

@@ -46,3 +46,14 @@ def test_a_drone_that_falls_beside_the_roof_reaches_the_ground():
         assert -1 in contacts.other
         assert rig.lowest()[0] == pytest.approx(5e-5, abs=5e-5)
         assert np.linalg.norm(rig.swarm.velocity) < 0.01
+
+
+@pytest.mark.parametrize("dynamics", ["rigid_body", "bullet"])
+def test_who_lies_safely_on_a_face_sleeps_soon(dynamics):
+    """On its edge a drone does not: there it may still fall over."""
+    with Rig(dynamics=dynamics, worlds=2, hz=240, substeps=24) as rig:
+        half = rig.airframes[0].shape.half
+        rig.swarm.position[:, 0, 2] = half[2] + 5e-5, half[0] + 5e-5
+        rig.swarm.quaternion[1, 0] = (np.sqrt(0.5), 0, 0, np.sqrt(0.5))
+        rig.place().fly()
+        assert rig.dynamics.contact.asleep[:, 0].tolist() == [True, False]

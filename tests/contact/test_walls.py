@@ -58,3 +58,10 @@ def test_no_airframe_passes_the_thinnest_wall(ranges, airframe):
 def test_trains_push_nobody_through_a_wall():
     train = push("cf2x", hz=240, worlds=6, drones=5)
     assert not train.missed()
+
+
+def test_energy_does_not_grow_after_a_hit_in_bullet(ranges):
+    """Errors of the attitude by Bullet's step are no torques that act on after the hit."""
+    shots = ranges("iris", dynamics="bullet", hz=60).shoot("corner", spin=30.0)
+    assert shots.hits.sum() > 10
+    assert shots.gained.max() < 1e-6
