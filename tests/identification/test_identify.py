@@ -249,6 +249,17 @@ def test_the_command_maps_columns_and_writes_files(flight, tmp_path, monkeypatch
     assert row["low"] < TRUE.drag_xy < row["high"]
 
 
+def test_intervals_hold_with_other_noise(flight, tmp_path):
+    """Of ten intervals of 95 % fewer than seven hold once in 10,000 times."""
+    start = dataclasses.replace(TRUE, torque_ratio=START.torque_ratio, drag_xy=START.drag_xy)
+    inside = 0
+    for seed in range(5):
+        log = flown.write(tmp_path / f"{seed}.csv", flown.noisy(flight[:1400], 20 + seed))
+        for one in identify([log], start, fit=["torque_ratio", "drag_xy"]).estimates:
+            inside += one.low <= one.constant.get(TRUE) <= one.high
+    assert inside >= 7
+
+
 @pytest.mark.slow
 def test_intervals_hold_in_as_many_flights_as_they_say(tmp_path):
     inside = []
@@ -259,5 +270,5 @@ def test_intervals_hold_in_as_many_flights_as_they_say(tmp_path):
             one.low <= one.constant.get(TRUE) <= one.high for one in found.estimates if one.told
         ]
     assert len(inside) >= 30 * len(FOUND) - 10
-    # 95 % of about 330; those of one flight hang together
-    assert np.mean(inside) > 0.90
+    # 95 % of about 330 and three standard deviations; see benchmarks/intervals.py for more
+    assert 0.91 < np.mean(inside) < 0.99
