@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 
 import flown
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 from bulletuav import Airspace, load_airframe
 from bulletuav.cli import main
-from bulletuav.identification.fitting import BLOCK
+from bulletuav.identification.fitting import BLOCK, opposite
 from bulletuav.identification.identify import identify
 from bulletuav.identification.write import as_table, rms, write_report, write_urdf
 
@@ -183,12 +184,21 @@ def test_a_gyroscope_of_another_clock_and_with_a_bias(flight, tmp_path):
     assert found.estimates[0].low < TRUE.inertia[0] < found.estimates[0].high
 
 
-def test_rotors_out_of_order_are_refused(flight, tmp_path):
+@pytest.mark.parametrize("order", [(13, 14, 11, 12), (12, 11, 14, 13), (14, 13, 12, 11)])
+def test_rotors_out_of_order_are_refused(flight, tmp_path, order):
     rows = flown.noisy(flight[:1500], 8)
-    rows[:, 11:15] = rows[:, [13, 14, 11, 12]]
+    rows[:, 11:15] = rows[:, order]
     log = flown.write(tmp_path / "swapped.csv", rows)
-    with pytest.raises(ValueError, match=r"p changes against .* 1 at x 0\.03253, y -0\.03253 m"):
-        identify([log], TRUE)
+    said = r"[pqr] changes against .* 1 at x 0\.03253, y -0\.03253 m"
+    for start in (TRUE, START):
+        with pytest.raises(ValueError, match=said):
+            identify([log], start)
+
+
+def test_few_turns_may_be_opposite_by_chance():
+    """The quantile of the normal distribution at 1 - 0.01 / 93 is 3.70115 (tables: 3.70)."""
+    assert opposite(24) == pytest.approx(-math.tanh(3.70 / math.sqrt(21)), abs=1e-3)
+    assert -0.2 < opposite(1000) < 0
 
 
 def test_ground_effect_is_found_near_the_ground(tmp_path):
