@@ -26,7 +26,7 @@ HALVES = ("fit", "kept")
 UNITS = {
     "positions": "m and m/s: horizontal position, velocity, vertical position, velocity",
     "drag_moment": "m/s and mN m",
-    "rates": "rad/s: roll, pitch, yaw",
+    "rates": "rad/s: roll, pitch, yaw; 1/s: damping of roll and pitch, by the fitted half alone",
     "rates_soon": "rad/s: roll, pitch, yaw",
     "wake": "m, grams and mN m; upper is the thrust of the upper drone",
     "ground_effect": "m and shares of the thrust; errors in %",
@@ -137,7 +137,14 @@ def judge_rates(folder: Path, out: Path) -> tuple[Table, dict[str, Any]]:
     table = Table("ARPL: rates after 0.5 s, rad/s", ("roll", "pitch", "yaw"), goals, rows)
     names = [f"blocks {which} of {', '.join(logs)}" for which in ("1, 3, ...", "2, 4, ...")]
     about = source(folder, arpl.LICENCE, [names[0]], [names[1]])
-    return table, {"source": about, "errors": rows}
+    lengths = {"0.1 and 0.5 s": (arpl.SOON, arpl.STEPS), "0.05 to 0.5 s": arpl.LENGTHS}
+    damping = {
+        name: arpl.likeliest_damping(
+            [arpl.windows(logs, predictors.NOW, steps)[0] for steps in chosen], predictors.NOW
+        )
+        for name, chosen in lengths.items()
+    }
+    return table, {"source": about, "errors": rows, "likeliest_damping": damping}
 
 
 def judge_wake(folder: Path, out: Path) -> tuple[Table, dict[str, Any]]:

@@ -6,10 +6,11 @@ accelerometer, gyroscope and motor commands at 1 kHz. No attitude, velocity or v
 
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY
 from flight_data.predictors import Predictor
@@ -45,6 +46,8 @@ STEPS = 500
 """Rows of a window"""
 SOON = 100
 """Rows of a short window"""
+LENGTHS = (50, 100, 200, 300, 500)
+"""Rows of windows to which damping is fitted"""
 BLOCK = 5.0
 """Seconds of a flight that are fitted or kept back, in turn"""
 COARSE = 5
@@ -234,6 +237,29 @@ def fitted_bias(predictor: Predictor, cut: Windows) -> np.ndarray:
         for log in range(len(bias)):
             bias[log] += error[cut.log == log].mean(axis=0)
     return bias
+
+
+def likeliest_damping(cuts: Sequence[Windows], predictor: Predictor) -> float:
+    """Return the damping of roll and pitch rates that makes windows likeliest, 1/s.
+
+    Errors of each length of windows are taken as normal, with a variance of their own, and
+    windows as independent: the sum of n log(mean square) is least.
+
+    Args:
+        cuts: Windows of the half that is fitted, of each length.
+        predictor: The model; its damping in roll and pitch is replaced.
+    """
+
+    def unlikely(damping: float) -> float:
+        trial = replace(predictor, rate_damping=(damping, damping, predictor.rate_damping[2]))
+        total = 0.0
+        for cut in cuts:
+            roll, pitch, _ = errors(cut, predict(trial, cut, fitted_bias(trial, cut)))
+            total += len(cut.start) * np.log(roll**2 + pitch**2)
+        return total
+
+    found = minimize_scalar(unlikely, bounds=(0.0, 20.0), method="bounded")
+    return float(found.x)
 
 
 def errors(cut: Windows, rates: np.ndarray) -> list[float]:

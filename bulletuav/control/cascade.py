@@ -34,9 +34,10 @@ from bulletuav.geometry.rotation import (
     from_euler,
     plus,
     quat4,
+    to_body,
 )
 from bulletuav.kernel import func
-from bulletuav.vehicle.aerodynamics import drag
+from bulletuav.vehicle.aerodynamics import force_of_air, torque_of_drag
 from bulletuav.vehicle.rotors import rotor_wrench
 from bulletuav.vehicle.swarm import Swarm, get
 
@@ -304,16 +305,17 @@ def command_rotors(
         # What the rotors and the air do now, as far as the controller knows.
         _, quaternion, velocity, rates = state
         rotors = rotor_wrench(swarm.rotor_speed[w, i], 0.0, nominal)
-        slowed, tipped = drag(quaternion, velocity, rotors[2], nominal)
         # Steady pushes, such as wind: learned from how the velocity departs from what is known
         push = (0.0, 0.0, 0.0)
         if integral:
-            lift = plus(slowed, rotors[0], axes(quaternion)[2])
+            up = axes(quaternion)[2]
+            lift = force_of_air(velocity, up, rotors[0], rotors[2], nominal)
             known = plus((0.0, 0.0, -gravity), 1.0 / nominal.mass, lift)
             push = learned_push(velocity, known, memory, w, i, dt, gravity, gain)
         twist = (0.0, 0.0, 0.0)
         # Wind turns drones whose drag acts far above the centre of mass.
         if nominal.drag_height > 0.0:
+            tipped = torque_of_drag(to_body(quaternion, velocity), rotors[2], nominal)
             twist = learned_torque(rates, rotors, tipped, memory, w, i, dt, nominal, gain)
             felt = felt_acceleration(velocity, memory, w, i, dt)
             still = torque_of_drag_ahead(quaternion, velocity, rates, felt, rotors[2], nominal)

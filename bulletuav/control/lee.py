@@ -28,7 +28,7 @@ from bulletuav.geometry.rotation import (
     to_body,
 )
 from bulletuav.kernel import func
-from bulletuav.vehicle.aerodynamics import drag, drag_along
+from bulletuav.vehicle.aerodynamics import force_of_air, torque_of_drag
 from bulletuav.vehicle.wrench import damping_torque
 
 
@@ -106,7 +106,7 @@ def force_setpoint(
     Returns:
         Force, N, world.
     """
-    slowed, _ = drag(quaternion, velocity, total_speed, row)
+    slowed = force_of_air(velocity, axes(quaternion)[2], 0.0, total_speed, row)
     x = row.mass * acceleration[0] - slowed[0]
     y = row.mass * acceleration[1] - slowed[1]
     z = row.mass * (acceleration[2] + gravity) - slowed[2]
@@ -150,8 +150,7 @@ def torque_of_drag_ahead(
     along = to_body(quaternion, velocity)
     change = plus(to_body(quaternion, acceleration), -1.0, cross(rates, along))
     ahead = plus(along, max(row.lag_up, row.lag_down), change)
-    # The torque is of the rotors alone, whatever the speed.
-    return drag_along(ahead, 0.0, total_speed, row)[1]
+    return torque_of_drag(ahead, total_speed, row)
 
 
 @func

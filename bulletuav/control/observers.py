@@ -147,8 +147,10 @@ def learned_torque(
             memory[w, i, 6 + k] = rates[k]
     # Angular acceleration by rotors and still air, as the controller knows them
     _, torque, total_speed, momentum = rotors
-    known = (torque[0] + tipped[0], torque[1] + tipped[1], torque[2])
-    spinning = body_acceleration(rates, known, total_speed, momentum, row)
+    learned = (memory[w, i, 8], memory[w, i, 9])
+    x = torque[0] + tipped[0] + learned[0]
+    y = torque[1] + tipped[1] + learned[1]
+    spinning = body_acceleration(rates, (x, y, torque[2]), total_speed, momentum, row)
     # A bound by what the rotors could make up for
     most = LARGEST_TORQUE * gain.max_thrust * row.arm
     for k in range(2):
@@ -156,8 +158,7 @@ def learned_torque(
         frequency = gain.attitude_frequency[k]
         missed = rates[k] - memory[w, i, 6 + k]
         correction = 2.0 * gain.damping * frequency * missed
-        learned = memory[w, i, 8 + k]
-        memory[w, i, 6 + k] += dt * (spinning[k] + learned / row.inertia[k] + correction)
-        learned += dt * row.inertia[k] * frequency * frequency * missed
-        memory[w, i, 8 + k] = min(max(learned, -most), most)
+        memory[w, i, 6 + k] += dt * (spinning[k] + correction)
+        more = learned[k] + dt * row.inertia[k] * frequency * frequency * missed
+        memory[w, i, 8 + k] = min(max(more, -most), most)
     return memory[w, i, 8], memory[w, i, 9], 0.0

@@ -6,6 +6,7 @@ from bulletuav.control.cascade import Cascade, command_rotors
 from bulletuav.dynamics.base import Air, surroundings
 from bulletuav.geometry.rotation import Vec3, cross, plus, quat4, vec3
 from bulletuav.kernel import borrowed, func, kernel
+from bulletuav.vehicle.aerodynamics import lifted_rotors
 from bulletuav.vehicle.rotors import lag_decay, lagged, rotor_wrench
 from bulletuav.vehicle.swarm import Swarm
 from bulletuav.vehicle.wake import wakes
@@ -124,8 +125,11 @@ def drive(
                 quaternion = quat4(swarm.quaternion, w, i)
                 velocity = vec3(swarm.velocity, w, i)
                 altitude = swarm.position[w, i, 2]
+                lifted = lifted_rotors(altitude - around[1], velocity[2], dt, row)
                 rotors = rotor_wrench(speed, winding, row)
-                push, turn = wrench(quaternion, velocity, altitude, speed, rotors, around, row)
+                push, turn = wrench(
+                    quaternion, velocity, altitude, speed, rotors, around, lifted, row
+                )
                 # Bullet's explicit step of the rates is corrected by the torque
                 rates = vec3(swarm.rates, w, i)
                 turn = engine_torque(rates, turn, rotors[2], rotors[3], dt, row)

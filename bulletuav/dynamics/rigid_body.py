@@ -18,6 +18,7 @@ from bulletuav.geometry.rotation import Quat4, Vec3, normalised
 from bulletuav.kernel import allocating, borrowed, func, in_memory
 from bulletuav.program import Program
 from bulletuav.registry import register
+from bulletuav.vehicle.aerodynamics import lifted_rotors
 from bulletuav.vehicle.rotors import Rotors, lag_decay, lag_rates, lagged, rotor_wrench, spin_up
 from bulletuav.vehicle.swarm import Swarm, get, put
 from bulletuav.vehicle.wake import wakes
@@ -37,11 +38,12 @@ def _slope(
     speed: np.ndarray,
     rotors: Rotors,
     around: Around,
+    lifted: int,
     row: np.record,
 ) -> State:
     """Return the time derivative of a state under rotors at some speed (R,)."""
     position, quaternion, velocity, rates = state
-    force, torque = wrench(quaternion, velocity, position[2], speed, rotors, around, row)
+    force, torque = wrench(quaternion, velocity, position[2], speed, rotors, around, lifted, row)
 
     # Kinematics of the quaternion (x, y, z, w) under body rates (p, q, r)
     x, y, z, w = quaternion
@@ -104,10 +106,30 @@ def rk4(
     row: np.record,
 ) -> State:
     """Return a state after one classical Runge-Kutta step."""
-    k1 = _slope(state, speeds[0], rotors[0], around, row)
-    k2 = _slope(_moved(state, 0.5 * dt, k1), speeds[1], rotors[1], around, row)
-    k3 = _slope(_moved(state, 0.5 * dt, k2), speeds[1], rotors[1], around, row)
-    k4 = _slope(_moved(state, dt, k3), speeds[2], rotors[2], around, row)
+    lifted = lifted_rotors(state[0][2] - around[1], state[2][2], dt, row)
+    # Numbers known here let the compiler leave out what stays at 0, and write out four rotors
+    if lifted == 0:
+        return _stepped(state, speeds, rotors, dt, around, 0, row)
+    if lifted == 4:
+        return _stepped(state, speeds, rotors, dt, around, 4, row)
+    return _stepped(state, speeds, rotors, dt, around, lifted, row)
+
+
+@func
+def _stepped(
+    state: State,
+    speeds: Speeds,
+    rotors: Stages,
+    dt: float,
+    around: Around,
+    lifted: int,
+    row: np.record,
+) -> State:
+    """Do the step of `rk4`, in which a surface may lift so many rotors."""
+    k1 = _slope(state, speeds[0], rotors[0], around, lifted, row)
+    k2 = _slope(_moved(state, 0.5 * dt, k1), speeds[1], rotors[1], around, lifted, row)
+    k3 = _slope(_moved(state, 0.5 * dt, k2), speeds[1], rotors[1], around, lifted, row)
+    k4 = _slope(_moved(state, dt, k3), speeds[2], rotors[2], around, lifted, row)
     # k1 + 2 k2 + 2 k3 + k4
     total = _moved(k1, 2.0, k2)
     total = _moved(total, 2.0, k3)
@@ -238,7 +260,9 @@ def advance(
                     state = get(swarm, w, i)
                     if contact.asleep[w, i]:
                         # Who rests is left alone as long as it bears its forces
-                        _, _, pull, spinning = _slope(state, end, rotors[2], around, row)
+                        lifted = lifted_rotors(state[0][2] - around[1], state[2][2], dt, row)
+                        slope = _slope(state, end, rotors[2], around, lifted, row)
+                        pull, spinning = slope[2:]
                         if bears(contact, w, i, state[1], pull, spinning, row, dt):
                             continue
                         rouse(contact, w, i)

@@ -1,11 +1,13 @@
 """What is fitted and what is kept back, and fits one after the other."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.stats import norm
 
 from bulletuav.identification.constants import Constant
-from bulletuav.identification.errors import DELAY, naive_errors
+from bulletuav.identification.errors import DELAY, PICKS, TURNS, Errors, naive_errors
 from bulletuav.identification.fit import Fit, Part, Problem, Progress
 from bulletuav.identification.flight import Flight
 from bulletuav.identification.logs import RATES
@@ -20,8 +22,8 @@ ROUNDS = 3
 """Fits, each with the errors of the one before as its weights"""
 DELAYS = np.arange(-0.1, 0.2001, 0.01)
 """Delays of commands that are tried first, behind the gyroscope's clock, s"""
-OPPOSITE = -0.2
-"""Correlation of turns with those that commands ask for from which on rotors are out of order"""
+ALARM = 0.01
+"""Chance that a log whose turns have nothing to do with its commands is refused"""
 
 
 def silent(_: float) -> None:
@@ -141,28 +143,71 @@ def aligned(problem: Problem, numbers: np.ndarray) -> np.ndarray:
 def require_order(problem: Problem, numbers: np.ndarray) -> None:
     """Refuse logs whose drone turns against what its commands ask for.
 
+    With rotors out of order commands and turns correlate as they do in order, with the other sign.
+    But the delay that predicts best is then one at which they hardly correlate. So all delays are
+    tried, and the strongest correlation tells.
+
     Args:
         problem: The problem.
-        numbers: Where the fit starts, with the right delays.
+        numbers: Where the fit starts.
 
     Raises:
         ValueError: Turns are opposite; the rotors have another order.
     """
-    for part, errors in zip(problem.parts, problem.errors(numbers), strict=True):
-        naive = naive_errors(part.flight, part.windows).turned
-        asked, turned = (values[:, -1, 3:] for values in (errors.turned - naive, -naive))
-        for axis in range(3):
-            fit = np.corrcoef(asked[:, axis], turned[:, axis])[0, 1]
-            if fit < OPPOSITE:
-                places = "; ".join(
-                    f"{k + 1} at x {x:g}, y {y:g} m"
-                    for k, (x, y, _) in enumerate(problem.airframe.rotors)
-                )
-                raise ValueError(
-                    f"{part.flight.log.path}: {RATES[axis]} changes against what the commands ask "
-                    f"for (correlation {fit:.2f}): the order of rotors is {places}; map commands "
-                    f"to it, and check the signs of body axes"
-                )
+    clocks = np.array([part.flight.gyro_delay for part in problem.parts])
+    found = []
+    for delay in DELAYS:
+        trial = numbers.copy()
+        problem.own(trial)[:, 0] = (clocks + delay) / DELAY
+        found.append(
+            [
+                correlations(part, errors)
+                for part, errors in zip(problem.parts, problem.errors(trial), strict=True)
+            ]
+        )
+    lowest, highest = np.min(found, axis=0), np.max(found, axis=0)
+    for part, low, high in zip(problem.parts, lowest, highest, strict=True):
+        axis = int(np.argmin(low + high))
+        count = TURNS * len(part.windows)
+        if low[axis] + high[axis] < 0 and low[axis] < opposite(count):
+            places = "; ".join(
+                f"{k + 1} at x {x:g}, y {y:g} m"
+                for k, (x, y, _) in enumerate(problem.airframe.rotors)
+            )
+            raise ValueError(
+                f"{part.flight.log.path}: {RATES[axis]} changes against what the commands ask "
+                f"for (correlation {low[axis]:.2f}): the order of rotors is {places}; map commands "
+                f"to it, and check the signs of body axes"
+            )
+
+
+def correlations(part: Part, errors: Errors) -> np.ndarray:
+    """Return the correlation (3,) of rates' changes with those that commands ask for.
+
+    They are those to the first state of each leg, before feedback turns the drone back.
+
+    Args:
+        part: Windows.
+        errors: Errors of predictions in them.
+    """
+    naive = naive_errors(part.flight, part.windows).turned
+    first = slice(0, None, PICKS)
+    asked = (errors.turned - naive)[:, first, 3:].reshape(-1, 3)
+    turned = -naive[:, first, 3:].reshape(-1, 3)
+    return np.array([np.corrcoef(asked[:, k], turned[:, k])[0, 1] for k in range(3)])
+
+
+def opposite(count: int) -> float:
+    """Return the correlation from which on turns are opposite to what commands ask for.
+
+    That of unrelated numbers is below it in a share `ALARM` of all logs, by Fisher's transformation
+    (R. Fisher, Metron 1, 1921), for three axes and all delays that are tried.
+
+    Args:
+        count: Turns that are compared.
+    """
+    trials = 3 * len(DELAYS)
+    return -math.tanh(float(norm.ppf(1 - ALARM / trials)) / math.sqrt(count - 3))
 
 
 def own_numbers(parts: Sequence[Part], drone: Airframe, free: np.ndarray) -> np.ndarray:

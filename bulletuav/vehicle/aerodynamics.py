@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from bulletuav.geometry.rotation import Quat4Like, Vec3, Vec3Like, dot, to_body, to_world
+from bulletuav.geometry.rotation import Quat4Like, Vec3, Vec3Like, axes, dot
 from bulletuav.kernel import func
 from bulletuav.vehicle.parameters import ParameterRow
 
@@ -30,31 +30,53 @@ def drag(
     Returns:
         The force, world axes, N, and the torque, body axes, N m.
     """
-    speed = math.sqrt(dot(air_velocity, air_velocity))
-    force, torque = drag_along(to_body(quaternion, air_velocity), speed, total_speed, row)
-    return to_world(quaternion, force), torque
+    ahead, left, up = axes(quaternion)
+    along = (dot(ahead, air_velocity), dot(left, air_velocity), 0.0)
+    force = force_of_air(air_velocity, up, 0.0, total_speed, row)
+    return force, torque_of_drag(along, total_speed, row)
 
 
 @func
-def drag_along(
-    v: Vec3Like, speed: float, total_speed: float, row: ParameterRow
-) -> tuple[Vec3, Vec3]:
-    """Return what `drag` does, all in body axes.
+def force_of_air(
+    v: Vec3Like, up: Vec3Like, thrust: float, total_speed: float, row: ParameterRow
+) -> Vec3:
+    """Return thrust and drag, world axes, N.
+
+    Drag has the same constant along the body's x and y axes. So diag(k_xy, k_xy, k_z) in body axes
+    is k_xy v + (k_z - k_xy) (v . up) up in world axes, and no vector is turned.
 
     Args:
-        v: Velocity relative to the air, body axes, m/s.
-        speed: Its length, m/s, which the force on the body alone depends on.
+        v: Velocity relative to the air, world axes, m/s.
+        up: The body's z axis in the world.
+        thrust: Thrust along it, N.
         total_speed: Sum of the rotor speeds, rad/s.
         row: Constants of the drone.
-
-    Returns:
-        The force, N, and the torque, N m.
     """
-    rotors = -row.drag_xy * total_speed
-    xy = rotors - row.body_drag_xy * speed
-    z = -(row.drag_z * total_speed + row.body_drag_z * speed)
-    tip = row.drag_height * rotors
-    return (xy * v[0], xy * v[1], z * v[2]), (-tip * v[1], tip * v[0], 0.0)
+    climb = dot(up, v)
+    across = row.drag_xy * total_speed
+    lift = thrust + (across - row.drag_z * total_speed) * climb
+    body = row.body_drag_xy
+    rise = (body - row.body_drag_z) * climb
+    # Last, since the root takes longest
+    speed = math.sqrt(dot(v, v))
+    return (
+        lift * up[0] - across * v[0] + speed * (rise * up[0] - body * v[0]),
+        lift * up[1] - across * v[1] + speed * (rise * up[1] - body * v[1]),
+        lift * up[2] - across * v[2] + speed * (rise * up[2] - body * v[2]),
+    )
+
+
+@func
+def torque_of_drag(along: Vec3Like, total_speed: float, row: ParameterRow) -> Vec3:
+    """Return the torque of the rotors' drag, which acts above the centre of mass, body axes, N m.
+
+    Args:
+        along: Velocity relative to the air along the body's axes x and y, m/s.
+        total_speed: Sum of the rotor speeds, rad/s.
+        row: Constants of the drone.
+    """
+    tip = row.drag_height * (row.drag_xy * total_speed)
+    return tip * along[1], -tip * along[0], 0.0
 
 
 @func
@@ -83,11 +105,24 @@ def _nearness(left: float) -> float:
 
 
 @func
+def lifted_rotors(height: float, climb: float, dt: float, row: ParameterRow) -> int:
+    """Return how many rotors a surface below may lift within a step: all, or none.
+
+    Args:
+        height: Height of the centre of mass above the surface, m.
+        climb: Vertical velocity, m/s.
+        dt: Duration of the step, s.
+        row: Constants of the drone.
+    """
+    # No rotor is lower than the arm, whatever the tilt; twice the way leaves room for a fall
+    lowest = height - row.arm - 2.0 * dt * abs(climb)
+    near = lowest < row.ground_effect_reach and row.ground_effect_gain > 0.0
+    return row.num_rotors if near else 0
+
+
+@func
 def ground_wrench(
-    height: float,
-    lean: Vec3Like,
-    speed: np.ndarray,
-    row: ParameterRow,
+    height: float, lean: Vec3Like, speed: np.ndarray, lifted: int, row: ParameterRow
 ) -> Vec3:
     """Return what a surface below adds to the rotors: each gains by its own height.
 
@@ -98,27 +133,23 @@ def ground_wrench(
         height: Height of the centre of mass above the surface, m.
         lean: Vertical components of the body's axes x, y, z.
         speed: (R,) rotor speeds, rad/s.
+        lifted: What `lifted_rotors` returns.
         row: Constants of the drone.
 
     Returns:
         Thrust (N), and torques about the body's x and y axes (N m).
     """
-    # No rotor is lower than this, whatever the tilt
-    near = height < row.ground_effect_reach + row.arm
-    if not near or row.ground_effect_gain <= 0.0 or lean[2] <= 0.0:
-        return 0.0, 0.0, 0.0
     # In reaches, and what all rotors share left out of the loop: it runs in each stage of RK4
-    scale = 1.0 / row.ground_effect_reach
+    scale = 1.0 / row.ground_effect_reach if lifted > 0 else 0.0
     left = 1.0 - scale * height
-    by_x = scale * lean[0]
-    by_y = scale * lean[1]
     lift = lift_x = lift_y = 0.0
-    for r in range(row.num_rotors):
+    for r in range(lifted):
         x = row.rotor_x[r]
         y = row.rotor_y[r]
-        force = _nearness(left - x * by_x - y * by_y) * (speed[r] * speed[r])
+        lower = scale * x * lean[0] + scale * y * lean[1]
+        force = _nearness(left - lower) * (speed[r] * speed[r])
         lift += force
         lift_x += x * force
         lift_y += y * force
-    common = row.ground_effect_gain * lean[2] * row.thrust_coefficient
+    common = row.ground_effect_gain * max(lean[2], 0.0) * row.thrust_coefficient
     return common * lift, common * lift_y, -common * lift_x

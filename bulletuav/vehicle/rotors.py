@@ -87,17 +87,20 @@ def rotor_wrench(speed: np.ndarray, winding: float, row: ParameterRow) -> Rotors
     Returns:
         What they do.
     """
-    thrust = torque_x = torque_y = total = spin = 0.0
-    torque_z = row.rotor_inertia * winding
+    square = square_x = square_y = square_turn = total = turn = 0.0
     for r in range(row.num_rotors):
         now = speed[r]
-        # Thrust at the rotor's place turns the body, and so does its drag torque.
-        force = row.thrust_coefficient * now * now
-        thrust += force
-        torque_x += row.rotor_y[r] * force
-        torque_y -= row.rotor_x[r] * force
-        torque_z += row.rotor_turn[r] * row.torque_coefficient * now * now
         total += now
-        # A rotor spins against the torque that it exerts on the body.
-        spin -= row.rotor_turn[r] * now
-    return thrust, (torque_x, torque_y, torque_z), total, row.rotor_inertia * spin
+        turned = row.rotor_turn[r] * now
+        turn += turned
+        square_turn += turned * now
+        squared = now * now
+        square += squared
+        square_x += row.rotor_x[r] * squared
+        square_y += row.rotor_y[r] * squared
+    # Thrust at the rotor's place turns the body, and so does its drag torque.
+    lift = row.thrust_coefficient
+    torque_z = row.torque_coefficient * square_turn + row.rotor_inertia * winding
+    # A rotor spins against the torque that it exerts on the body.
+    momentum = -row.rotor_inertia * turn
+    return lift * square, (lift * square_y, -lift * square_x, torque_z), total, momentum

@@ -58,10 +58,11 @@ def downwash(
     """
     if not is_in_wake(horizontal_squared, drop, row):
         return 0.0, 0.0
-    square = wake_width_squared(drop, row)
-    strength = row.wake_share * thrust * row.wake_radius / math.sqrt(square)
-    push = strength * exp(-0.5 * horizontal_squared / square)
-    return push, push / square
+    # 1 / s^2
+    narrow = 1.0 / wake_width_squared(drop, row)
+    strength = row.wake_share * thrust * row.wake_radius * math.sqrt(narrow)
+    push = strength * exp(-0.5 * horizontal_squared * narrow)
+    return push, push * narrow
 
 
 @func

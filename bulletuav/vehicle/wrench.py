@@ -4,19 +4,9 @@ import math
 
 import numpy as np
 
-from bulletuav.geometry.rotation import (
-    Quat4Like,
-    Vec3,
-    Vec3Like,
-    axes,
-    dot,
-    minus,
-    plus,
-    to_body,
-    to_world,
-)
+from bulletuav.geometry.rotation import Quat4Like, Vec3, Vec3Like, axes, dot, minus, plus
 from bulletuav.kernel import func
-from bulletuav.vehicle.aerodynamics import drag_along, ground_wrench
+from bulletuav.vehicle.aerodynamics import force_of_air, ground_wrench, torque_of_drag
 from bulletuav.vehicle.parameters import ParameterRow
 from bulletuav.vehicle.rotors import Rotors
 
@@ -38,6 +28,7 @@ def wrench(
     speed: np.ndarray,
     rotors: Rotors,
     around: Around,
+    lifted: int,
     row: ParameterRow,
 ) -> tuple[Vec3, Vec3]:
     """Return force and torque on one drone.
@@ -49,6 +40,7 @@ def wrench(
         speed: (R,) rotor speeds, rad/s.
         rotors: What `rotors.rotor_wrench` returns for them.
         around: What surrounds the drone.
+        lifted: What `aerodynamics.lifted_rotors` returns.
         row: Constants of the drone.
 
     Returns:
@@ -59,20 +51,18 @@ def wrench(
     thrust, torque, total_speed, _ = rotors
     # Thrust along the body's z axis, more near the surface.
     ahead, left, up = axes(quaternion)
-    more = ground_wrench(altitude - surface, (ahead[2], left[2], up[2]), speed, row)
-    thrust += more[0]
-    # Drag against the air, which moves with the wind. The speed is taken in world axes: it need not
-    # wait for the velocity along the body.
-    air_velocity = minus(velocity, wind)
-    speed_of_air = math.sqrt(dot(air_velocity, air_velocity))
-    slowed, tipped = drag_along(to_body(quaternion, air_velocity), speed_of_air, total_speed, row)
-    force = to_world(quaternion, (slowed[0], slowed[1], slowed[2] + thrust))
+    lean = (ahead[2], left[2], up[2])
+    more, more_x, more_y = ground_wrench(altitude - surface, lean, speed, lifted, row)
+    # Drag against the air, which moves with the wind.
+    v = minus(velocity, wind)
+    force = force_of_air(v, up, thrust + more, total_speed, row)
+    tipped = torque_of_drag((dot(ahead, v), dot(left, v), 0.0), total_speed, row)
     # What all stages of a substep have in common is summed first.
     held = (push[0], push[1], push[2] - row.mass * gravity)
     turn = plus(torque, 1.0, twist)
     return plus(force, 1.0, held), (
-        turn[0] + more[1] + tipped[0],
-        turn[1] + more[2] + tipped[1],
+        turn[0] + (more_x + tipped[0]),
+        turn[1] + (more_y + tipped[1]),
         turn[2],
     )
 
@@ -117,8 +107,8 @@ def body_acceleration(
     jz = row.inertia[2]
     turned = damping_torque(rates, total_speed, row)
     # What the rates do is summed before the torque, which is known last.
-    x = turned[0] + rates[1] * momentum + (jz - jy) * rates[1] * rates[2]
-    y = turned[1] - rates[0] * momentum + (jx - jz) * rates[2] * rates[0]
+    x = turned[0] + rates[1] * (momentum + (jz - jy) * rates[2])
+    y = turned[1] + rates[0] * ((jx - jz) * rates[2] - momentum)
     z = turned[2] + (jy - jx) * rates[0] * rates[1]
     # Written with 1 / J, divisions that several calls for one drone share.
     return (

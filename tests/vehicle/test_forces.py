@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from bulletuav import available_airframes, load_airframe
-from bulletuav.vehicle.aerodynamics import drag, ground_effect, ground_wrench
+from bulletuav.vehicle.aerodynamics import drag, ground_effect, ground_wrench, lifted_rotors
 from bulletuav.vehicle.parameters import EFFECTS, parameter_rows
 from bulletuav.vehicle.rotors import lag_decay, lag_rates, lagged, rotor_wrench, spin_up
 from bulletuav.vehicle.wrench import body_acceleration, damping_torque, wrench
@@ -31,7 +31,10 @@ def wrench_of(row, speed, quaternion=LEVEL, velocity=ZERO, altitude=1e9, **air):
     speed = np.asarray(speed, float)
     rotors = rotor_wrench(speed, 0.0, row)
     around = still_air(**air)
-    force, torque = wrench(quaternion, np.array(velocity), altitude, speed, rotors, around, row)
+    lifted = lifted_rotors(altitude - around[1], velocity[2], 0.0, row)
+    force, torque = wrench(
+        quaternion, np.array(velocity), altitude, speed, rotors, around, lifted, row
+    )
     return np.array(force), np.array(torque)
 
 
@@ -250,7 +253,7 @@ def test_the_levelling_torque_by_hand():
     airframe, row = row_of("hummingbird")
     lean = (-math.sin(0.2), 0.0, math.cos(0.2))
     speed = np.full(4, airframe.hover_speed())
-    thrust, torque_x, torque_y = ground_wrench(0.2, lean, speed, row)
+    thrust, torque_x, torque_y = ground_wrench(0.2, lean, speed, 4, row)
     each = airframe.mass * G / 4
     share = [0.27 * (1 - h / 0.62) ** 3 * math.cos(0.2) for h in (0.166226, 0.2, 0.2, 0.233774)]
     assert thrust == pytest.approx(each * sum(share), rel=1e-5)
@@ -261,17 +264,37 @@ def test_the_levelling_torque_by_hand():
 def test_ground_effect_fades_with_tilt_and_ends_where_nothing_is_left():
     airframe, row = row_of("cf2x")
     speed = np.full(4, airframe.hover_speed())
-    assert ground_wrench(0.05, (0.0, 0.0, -1.0), speed, row) == (0, 0, 0)
-    assert ground_wrench(0.05, (1.0, 0.0, 0.0), speed, row) == (0, 0, 0)
+    assert ground_wrench(0.05, (0.0, 0.0, -1.0), speed, 4, row) == (0, 0, 0)
+    assert ground_wrench(0.05, (1.0, 0.0, 0.0), speed, 4, row) == (0, 0, 0)
     edge = airframe.ground_effect_reach
-    assert ground_wrench(edge, (0.0, 0.0, 1.0), speed, row) == (0, 0, 0)
-    just_below = ground_wrench(0.999 * edge, (0.0, 0.0, 1.0), speed, row)[0]
+    assert ground_wrench(edge, (0.0, 0.0, 1.0), speed, 4, row) == (0, 0, 0)
+    just_below = ground_wrench(0.999 * edge, (0.0, 0.0, 1.0), speed, 4, row)[0]
     assert 0 < just_below < 1e-9 * airframe.mass * G
     # The lower side of a drone that leans is reached from higher up
-    aside = ground_wrench(edge + 0.01, (0.6, 0.0, 0.8), speed, row)
+    aside = ground_wrench(edge + 0.01, (0.6, 0.0, 0.8), speed, 4, row)
     assert aside[0] > 0
     assert aside[2] != 0
-    assert ground_wrench(0.05, (0.0, 0.0, 1.0), speed, row_of("cf2x", ())[1]) == (0, 0, 0)
+    assert ground_wrench(0.05, (0.0, 0.0, 1.0), speed, 4, row_of("cf2x", ())[1]) == (0, 0, 0)
+
+
+@given(st.floats(0, 0.4), st.floats(-5, 5), st.tuples(*[st.floats(-2, 2)] * 3))
+def test_rotors_that_are_left_out_have_no_ground_effect(height, climb, turn):
+    airframe, row = row_of("cf2x")
+    speed = np.full(4, airframe.hover_speed())
+    lean = tuple(Rotation.from_rotvec(turn).as_matrix()[2])
+    lifted = lifted_rotors(height, climb, 0.01, row)
+    for now in (height, height + 0.01 * climb):
+        whole = ground_wrench(now, lean, speed, 4, row)
+        assert ground_wrench(now, lean, speed, lifted, row) == whole
+
+
+def test_a_surface_lifts_all_rotors_or_none():
+    airframe, row = row_of("firefly")
+    edge = airframe.ground_effect_reach + airframe.arm
+    assert lifted_rotors(edge + 0.001, 0.0, 0.01, row) == 0
+    assert lifted_rotors(edge - 0.001, 0.0, 0.01, row) == 6
+    assert lifted_rotors(edge + 0.001, -1.0, 0.01, row) == 6
+    assert lifted_rotors(0.01, 0.0, 0.01, row_of("firefly", ())[1]) == 0
 
 
 def test_thrust_grows_near_the_surface_wherever_it_is():
