@@ -79,7 +79,11 @@ class Cache:
     _made = itertools.count(1)
 
     def __init__(
-        self, function: Callable[..., Any], folder: Path, suffix: str = "", apart: bool = False
+        self,
+        function: Callable[..., Any],
+        folder: Path,
+        suffix: str = "",
+        apart: bool = False,
     ) -> None:
         """Open the cache of a function; nothing is read before it is asked.
 

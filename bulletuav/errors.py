@@ -77,7 +77,11 @@ def shown(value: object) -> str:
     return text if len(text) <= 2 * MOST_SHOWN else f"{text[:MOST_SHOWN]}..."
 
 
-def unknown(what: str, name: object, choices: Iterable[str]) -> ValueError:
+def unknown(
+    what: str,
+    name: object,
+    choices: Iterable[str],
+) -> ValueError:
     """Make the error for a name that is not among the choices.
 
     Args:
@@ -136,7 +140,11 @@ def memory() -> int:
         return USUAL_MEMORY
 
 
-def require_memory(what: str, needed: float, remedy: str) -> None:
+def require_memory(
+    what: str,
+    needed: float,
+    remedy: str,
+) -> None:
     """Refuse what this machine cannot hold, before any of it is allocated.
 
     Args:
@@ -155,7 +163,11 @@ def require_memory(what: str, needed: float, remedy: str) -> None:
         )
 
 
-def require_file(what: str, path: object, remedy: str) -> Path:
+def require_file(
+    what: str,
+    path: object,
+    remedy: str,
+) -> Path:
     """Check that a path leads to a file.
 
     Args:
@@ -202,7 +214,12 @@ def read_file(path: Path) -> str:
         raise ValueError(f"{path} cannot be read: {error.strerror}") from None
 
 
-def as_int(name: str, value: object, least: int, most: int | None = None) -> int:
+def as_int(
+    name: str,
+    value: object,
+    least: int,
+    most: int | None = None,
+) -> int:
     """Check that a value is a whole number within bounds.
 
     Args:
@@ -227,7 +244,10 @@ def as_int(name: str, value: object, least: int, most: int | None = None) -> int
 
 
 def finite(
-    name: str, value: object, least: float | None = None, most: float | None = None
+    name: str,
+    value: object,
+    least: float | None = None,
+    most: float | None = None,
 ) -> float:
     """Check that a value is a finite number within bounds.
 
@@ -261,7 +281,10 @@ def finite(
 
 
 def as_sequence(
-    name: str, value: Any, count: int | None = None, most: int | None = None
+    name: str,
+    value: Any,
+    count: int | None = None,
+    most: int | None = None,
 ) -> tuple[Any, ...]:
     """Check that a value is a list, a tuple or an array of one axis.
 
@@ -338,7 +361,11 @@ def points_of(name: str, value: object) -> np.ndarray:
     return points
 
 
-def choose(what: str, name: object, table: Mapping[str, Entry]) -> Entry:
+def choose(
+    what: str,
+    name: object,
+    table: Mapping[str, Entry],
+) -> Entry:
     """Look a name up in a table.
 
     Args:

@@ -179,7 +179,12 @@ def elementwise(function: Callable[..., Any]) -> Elementwise:
     return Elementwise(function)
 
 
-def _without_owner(context: Any, builder: Any, kind: Any, value: Any) -> Any:
+def _without_owner(
+    context: Any,
+    builder: Any,
+    kind: Any,
+    value: Any,
+) -> Any:
     """Return the code that takes the owner out of an array, or of all arrays in a tuple."""
     if isinstance(kind, numba.types.Array):
         array = cgutils.create_struct_proxy(kind)(context, builder, value=value)
@@ -200,7 +205,12 @@ def borrowed(_: Any, value: Any) -> Any:
     is done with it. The caller keeps the arrays alive.
     """
 
-    def generate(context: Any, builder: Any, _: Any, arguments: Any) -> Any:
+    def generate(
+        context: Any,
+        builder: Any,
+        _: Any,
+        arguments: Any,
+    ) -> Any:
         return _without_owner(context, builder, value, arguments[0])
 
     return value(value), generate
@@ -245,7 +255,13 @@ class _Fields(AttributeTemplate):  # type: ignore[misc]
 
 
 @numba.extending.lower_getattr_generic(InMemory)  # type: ignore[untyped-decorator]
-def _load_field(context: Any, builder: Any, kind: InMemory, address: Any, name: str) -> Any:
+def _load_field(
+    context: Any,
+    builder: Any,
+    kind: InMemory,
+    address: Any,
+    name: str,
+) -> Any:
     """Return the code that reads one field, or tells the address of one that is a tuple."""
     k = kind.whole.fields.index(name)
     whole = builder.bitcast(address, context.get_value_type(kind.whole).as_pointer())
@@ -255,7 +271,12 @@ def _load_field(context: Any, builder: Any, kind: InMemory, address: Any, name: 
     return builder.load(field)
 
 
-def _store_parts(builder: Any, kind: Any, value: Any, place: Any) -> None:
+def _store_parts(
+    builder: Any,
+    kind: Any,
+    value: Any,
+    place: Any,
+) -> None:
     """Write a tuple part by part: as one value of hundreds of words it takes long to compile."""
     if not isinstance(kind, numba.types.BaseTuple):
         builder.store(value, place)
@@ -276,7 +297,12 @@ def in_memory(_: Any, value: Any) -> Any:
     if isinstance(value, InMemory):
         return value(value), lambda _, __, ___, arguments: arguments[0]
 
-    def generate(context: Any, builder: Any, _: Any, arguments: Any) -> Any:
+    def generate(
+        context: Any,
+        builder: Any,
+        _: Any,
+        arguments: Any,
+    ) -> Any:
         place = cgutils.alloca_once(builder, context.get_value_type(value))
         _store_parts(builder, value, _without_owner(context, builder, value, arguments[0]), place)
         return builder.bitcast(place, cgutils.voidptr_t)
@@ -291,7 +317,12 @@ def two_to(_: Any, exponent: Any) -> Any:
     `math.ldexp` does the same by a call of the C library, which takes longer than all of `exp`.
     """
 
-    def generate(_: Any, builder: Any, __: Any, arguments: Any) -> Any:
+    def generate(
+        _: Any,
+        builder: Any,
+        __: Any,
+        arguments: Any,
+    ) -> Any:
         whole = ir.IntType(64)
         biased = builder.add(arguments[0], whole(1023))
         return builder.bitcast(builder.shl(biased, whole(52)), ir.DoubleType())

@@ -225,7 +225,11 @@ class TeamAviary(LabelledEnvironment, ParallelEnv):  # type: ignore[misc]  # has
         self.env.close()
 
 
-def _side_by_side(seen: ByAgent, agents: list[str], space: Space[Any]) -> np.ndarray:
+def _side_by_side(
+    seen: ByAgent,
+    agents: list[str],
+    space: Space[Any],
+) -> np.ndarray:
     """Stack the agents' observations of a space, (N, ...); zeros where there is none."""
     nothing = np.zeros(space.shape or (), dtype=space.dtype)
     return np.stack([seen.get(agent, nothing) for agent in agents])

@@ -77,7 +77,10 @@ def hash_sources(package: Path = _PACKAGE) -> str:
 
 
 def _fingerprint(
-    flights: Flights[Any], spec: EnvSpec, models: Sequence[Path], measures: Sequence[MetricSpec]
+    flights: Flights[Any],
+    spec: EnvSpec,
+    models: Sequence[Path],
+    measures: Sequence[MetricSpec],
 ) -> str:
     """Hash what decides the results and has no value to compare.
 

@@ -88,7 +88,13 @@ def fly_episode(
     return recorder.recording()
 
 
-def save(recording: Recording, aviary: Aviary, policy: str, seed: int, folder: Path) -> list[Path]:
+def save(
+    recording: Recording,
+    aviary: Aviary,
+    policy: str,
+    seed: int,
+    folder: Path,
+) -> list[Path]:
     """Write a recording.
 
     Args:
@@ -130,7 +136,11 @@ def save(recording: Recording, aviary: Aviary, policy: str, seed: int, folder: P
     return [arrays, table, run]
 
 
-def _call(aviary: Aviary, policy: str, seed: int) -> str | None:
+def _call(
+    aviary: Aviary,
+    policy: str,
+    seed: int,
+) -> str | None:
     """Tell what was flown such that it can be flown again; see `call_text`."""
     (task, *_), options = aviary.made_from
     given = {name: value for name, value in options.items() if name not in UNTOLD}

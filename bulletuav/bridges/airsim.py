@@ -43,7 +43,11 @@ class AirsimServer:
     """
 
     def __init__(
-        self, world: World, host: str = "127.0.0.1", port: int = PORT, speed: float = 1.0
+        self,
+        world: World,
+        host: str = "127.0.0.1",
+        port: int = PORT,
+        speed: float = 1.0,
     ) -> None:
         """Open the port; clients are answered once it runs.
 
@@ -213,7 +217,12 @@ class _Client:
             return
         self._answer(number, None, result)
 
-    def _answer(self, number: int, error: str | None, result: Any) -> None:
+    def _answer(
+        self,
+        number: int,
+        error: str | None,
+        result: Any,
+    ) -> None:
         """Send an answer; a client that reads nothing is let go."""
         transport = self._writer.transport
         if transport.is_closing():

@@ -115,7 +115,12 @@ class Calls:
             raise ValueError(f"seconds is {seconds:g}: at most {LONGEST_CALL:g} are possible")
         return self.world.advance(seconds)
 
-    def move(self, name: str, arguments: list[Any], answer: Answer) -> None:
+    def move(
+        self,
+        name: str,
+        arguments: list[Any],
+        answer: Answer,
+    ) -> None:
         """Begin a motion, in place of what the drone did.
 
         Args:
@@ -183,7 +188,12 @@ class Calls:
         i, vehicle = self.world.vehicle(vehicle_name)
         vehicle.stay(self.world.state(i))
 
-    def _place(self, pose: Any, ignore_collision: bool, vehicle_name: str = "") -> None:
+    def _place(
+        self,
+        pose: Any,
+        ignore_collision: bool,
+        vehicle_name: str = "",
+    ) -> None:
         """Put a vehicle somewhere, at rest."""
         i, _ = self.world.vehicle(vehicle_name)
         self.world.place(i, *pose_in(pose))
@@ -204,14 +214,23 @@ class Calls:
         told, vehicle.collision = vehicle.collision, Collision()
         return states.collision(vehicle, told)
 
-    def _image(self, camera: Any, kind: Any, vehicle_name: str = "", more: Any = None) -> bytes:
+    def _image(
+        self,
+        camera: Any,
+        kind: Any,
+        vehicle_name: str = "",
+        more: Any = None,
+    ) -> bytes:
         """Take one picture, as a PNG; `more` is another thing for each client, and not there."""
         request = Request({"camera_name": camera, "image_type": kind, "compress": True})
         picture: bytes = self._taken(request, vehicle_name)["image_data_uint8"]
         return picture
 
     def _images(
-        self, requests: Any, vehicle_name: str = "", external: Any = False
+        self,
+        requests: Any,
+        vehicle_name: str = "",
+        external: Any = False,
     ) -> list[dict[str, Any]]:
         """Take pictures; cameras that belong to no vehicle are not there."""
         wanted = [Request(one) for one in as_sequence("requests", requests, most=MOST_IMAGES)]
@@ -223,7 +242,11 @@ class Calls:
         return response(self.world, i, request)
 
 
-def _require_arguments(name: str, function: Callable[..., Any], arguments: Any) -> None:
+def _require_arguments(
+    name: str,
+    function: Callable[..., Any],
+    arguments: Any,
+) -> None:
     """Raise ValueError unless a call has as many arguments as its function takes."""
     try:
         inspect.signature(function).bind(*arguments)

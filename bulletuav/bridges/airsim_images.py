@@ -36,7 +36,11 @@ NUMBERS = {str(k): name for k, name in enumerate(YAWS)}
 """Their numbers, as older clients call them"""
 
 
-def mount(world: World, i: int, camera: str) -> tuple[np.ndarray, Quat4]:
+def mount(
+    world: World,
+    i: int,
+    camera: str,
+) -> tuple[np.ndarray, Quat4]:
     """Tell where a camera is on a drone.
 
     Args:
@@ -90,7 +94,11 @@ class Request:
             )
 
 
-def response(world: World, i: int, request: Request) -> dict[str, Any]:
+def response(
+    world: World,
+    i: int,
+    request: Request,
+) -> dict[str, Any]:
     """Take a picture, and write it as AirSim does.
 
     Args:

@@ -40,14 +40,25 @@ def _heading(drivetrain: Any, yaw_mode: Any) -> Heading:
     return Heading("angle", yaw_in(degrees), drivetrain == 1)
 
 
-def _place(world: World, vehicle: Vehicle, x: Any, y: Any, z: Any) -> np.ndarray:
+def _place(
+    world: World,
+    vehicle: Vehicle,
+    x: Any,
+    y: Any,
+    z: Any,
+) -> np.ndarray:
     """Convert north, east, down of a vehicle's start into a place of the airspace, (3,) m."""
     moved = (number("y", y), number("x", x), -number("z", z))
     return np.array([one + way for one, way in zip(vehicle.start, moved, strict=True)])
 
 
 def _path(
-    world: World, i: int, points: list[np.ndarray], speed: Any, heading: Heading, limit: Any
+    world: World,
+    i: int,
+    points: list[np.ndarray],
+    speed: Any,
+    heading: Heading,
+    limit: Any,
 ) -> Motion:
     """Make a motion along points."""
     fast = number("velocity", speed)
@@ -57,26 +68,45 @@ def _path(
     return Path(world.state(i), points, fast, heading, times)
 
 
-def take_off(world: World, i: int, vehicle: Vehicle, limit: Any) -> Motion:
+def take_off(
+    world: World,
+    i: int,
+    vehicle: Vehicle,
+    limit: Any,
+) -> Motion:
     """Rise to 3 m above the present place."""
     goal = np.array(world.state(i)[0])
     goal[2] += TAKE_OFF_HEIGHT
     return _path(world, i, [goal], TAKE_OFF_SPEED, Heading(), limit)
 
 
-def land(world: World, i: int, vehicle: Vehicle, limit: Any) -> Motion:
+def land(
+    world: World,
+    i: int,
+    vehicle: Vehicle,
+    limit: Any,
+) -> Motion:
     """Sink until something is touched, and stop the motors."""
     return Land(world.state(i), world.clock, duration("timeout_sec", limit))
 
 
-def go_home(world: World, i: int, vehicle: Vehicle, limit: Any) -> Motion:
+def go_home(
+    world: World,
+    i: int,
+    vehicle: Vehicle,
+    limit: Any,
+) -> Motion:
     """Fly back to above the start, at the present height."""
     goal = vehicle.start.copy()
     goal[2] = max(world.state(i)[0][2], goal[2] + TAKE_OFF_HEIGHT)
     return _path(world, i, [goal], 5.0, Heading(), limit)
 
 
-def hover(world: World, i: int, vehicle: Vehicle) -> Motion:
+def hover(
+    world: World,
+    i: int,
+    vehicle: Vehicle,
+) -> Motion:
     """Stay where the drone comes to rest."""
     return Stay(world.state(i), world.clock)
 
@@ -160,7 +190,12 @@ def move_by_velocity_z_body(
 
 
 def rotate_to_yaw(
-    world: World, i: int, vehicle: Vehicle, yaw: Any, limit: Any, margin: Any
+    world: World,
+    i: int,
+    vehicle: Vehicle,
+    yaw: Any,
+    limit: Any,
+    margin: Any,
 ) -> Motion:
     """Turn on the spot to a yaw, degrees clockwise from north."""
     times = (world.clock, duration("timeout_sec", limit))
@@ -168,7 +203,13 @@ def rotate_to_yaw(
     return Turn(world.state(i), *times, yaw_in(number("yaw", yaw)), near)
 
 
-def rotate_by_yaw_rate(world: World, i: int, vehicle: Vehicle, yaw_rate: Any, limit: Any) -> Motion:
+def rotate_by_yaw_rate(
+    world: World,
+    i: int,
+    vehicle: Vehicle,
+    yaw_rate: Any,
+    limit: Any,
+) -> Motion:
     """Turn on the spot at a rate, degrees a second, clockwise."""
     x, y, z = world.state(i)[0]
     rate = -math.radians(number("yaw_rate", yaw_rate))
@@ -176,7 +217,11 @@ def rotate_by_yaw_rate(world: World, i: int, vehicle: Vehicle, yaw_rate: Any, li
     return Hold(world.clock, duration("duration", limit), wanted)
 
 
-def attitude(rates: bool, yaw_rate: bool, height: bool) -> MotionOf:
+def attitude(
+    rates: bool,
+    yaw_rate: bool,
+    height: bool,
+) -> MotionOf:
     """Make the function of a call of roll, pitch, yaw, and height or throttle.
 
     Args:

@@ -49,7 +49,11 @@ class CrazyflieServer(DatagramServer):
     """
 
     def __init__(
-        self, fleet: Fleet, host: str = "127.0.0.1", port: int = PORT, speed: float = 1.0
+        self,
+        fleet: Fleet,
+        host: str = "127.0.0.1",
+        port: int = PORT,
+        speed: float = 1.0,
     ) -> None:
         """Open the ports; clients are answered once it runs.
 
@@ -86,7 +90,12 @@ class CrazyflieServer(DatagramServer):
                 return
             self._take(i, datagram, address[:2])
 
-    def _take(self, i: int, datagram: bytes, address: Address) -> None:
+    def _take(
+        self,
+        i: int,
+        datagram: bytes,
+        address: Address,
+    ) -> None:
         """Take one packet."""
         if datagram[:1] == NULL[:1]:
             # A client looks for drones: this is no connection.
@@ -109,7 +118,13 @@ class CrazyflieServer(DatagramServer):
         """Tell whether a client has gone, as far as can be known."""
         return peer.left or time.perf_counter() - peer.heard > SILENT
 
-    def _refuse(self, i: int, packet: Packet, address: Address, peer: Peer) -> None:
+    def _refuse(
+        self,
+        i: int,
+        packet: Packet,
+        address: Address,
+        peer: Peer,
+    ) -> None:
         """Let a second client of a drone wait; its request to connect is kept."""
         self.refused += 1
         if packet.port == Port.LINK and packet.channel == 1:
@@ -117,7 +132,12 @@ class CrazyflieServer(DatagramServer):
             text = f"drone {i} is flown by port {peer.address[1]}\n".encode()
             self._send_to(i, Packet(Port.CONSOLE, 0, text[:MOST_DATA]).frame(), address)
 
-    def _connect(self, i: int, address: Address, packet: Packet) -> None:
+    def _connect(
+        self,
+        i: int,
+        address: Address,
+        packet: Packet,
+    ) -> None:
         """Take a packet of a drone's own client, or of a new one."""
         peer = self._peers[i]
         if peer is None or peer.address != address:

@@ -221,7 +221,12 @@ class HilServer:
             elif kind == "COMMAND_LONG" and message.command == Command.SET_INTERVAL:
                 link.wants_truth |= message.param1 == STATE_QUATERNION
 
-    def _guarded(self, i: int, does: Callable[..., None], *arguments: Any) -> None:
+    def _guarded(
+        self,
+        i: int,
+        does: Callable[..., None],
+        *arguments: Any,
+    ) -> None:
         """Do something with a connection; an autopilot that has gone is forgotten."""
         try:
             does(*arguments)

@@ -112,7 +112,12 @@ class MavlinkServer(DatagramServer):
                 return
             left -= max(self._take(i, datagram, address[:2]), 1)
 
-    def _take(self, i: int, datagram: bytes, address: Address) -> int:
+    def _take(
+        self,
+        i: int,
+        datagram: bytes,
+        address: Address,
+    ) -> int:
         """Take a datagram; tell how many messages it had."""
         messages = self._wires[i].read(datagram)
         if not messages or not self._knows(i, address):

@@ -13,7 +13,12 @@ from bulletuav.errors import as_int
 Address = tuple[str, int]
 
 
-def cannot_listen(host: str, port: int, kind: str, error: OSError) -> OSError:
+def cannot_listen(
+    host: str,
+    port: int,
+    kind: str,
+    error: OSError,
+) -> OSError:
     """Make the error for a port that cannot be had.
 
     Args:
@@ -54,7 +59,14 @@ class DatagramServer(ABC):
         ports: Of each drone.
     """
 
-    def __init__(self, count: int, host: str, port: int, period: float, speed: float) -> None:
+    def __init__(
+        self,
+        count: int,
+        host: str,
+        port: int,
+        period: float,
+        speed: float,
+    ) -> None:
         """Open the ports; clients are answered once it runs.
 
         Args:
@@ -128,7 +140,12 @@ class DatagramServer(ABC):
     def _read(self, i: int) -> None:
         """Take the packets that have come for a drone, as many as may be in one go."""
 
-    def _send_to(self, i: int, datagram: bytes, address: Address) -> None:
+    def _send_to(
+        self,
+        i: int,
+        datagram: bytes,
+        address: Address,
+    ) -> None:
         """Send a datagram; one that cannot be sent is lost, as on the radio."""
         with contextlib.suppress(OSError):
             self._sockets[i].sendto(datagram, address)

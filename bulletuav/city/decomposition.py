@@ -20,7 +20,11 @@ CHUNK = 64
 """Samples whose distances are found together"""
 
 
-def split(mesh: Mesh, where: str, notes: Notebook) -> Iterator[np.ndarray]:
+def split(
+    mesh: Mesh,
+    where: str,
+    notes: Notebook,
+) -> Iterator[np.ndarray]:
     """Split what a mesh holds into convex pieces.
 
     Each closed component is one piece where it is convex. Upright prisms are cut exactly, all
@@ -57,7 +61,12 @@ def split(mesh: Mesh, where: str, notes: Notebook) -> Iterator[np.ndarray]:
         notes.add("skipped", where, f"it has no volume, or {len(flat)} flat meshes")
 
 
-def _split_component(mesh: Mesh, hull: float, where: str, notes: Notebook) -> Iterator[np.ndarray]:
+def _split_component(
+    mesh: Mesh,
+    hull: float,
+    where: str,
+    notes: Notebook,
+) -> Iterator[np.ndarray]:
     """Split a mesh, whose hull has a volume, m^3, into convex pieces."""
     closed = outward(mesh)
     if closed is None:

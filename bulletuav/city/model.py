@@ -209,7 +209,11 @@ class City:
         return point[near], piece[near], distance[near]
 
 
-def _distance(point: np.ndarray, start: np.ndarray, way: np.ndarray) -> np.ndarray:
+def _distance(
+    point: np.ndarray,
+    start: np.ndarray,
+    way: np.ndarray,
+) -> np.ndarray:
     """Return the distances (M,) from points (M, 1, 2) to convex polygons, 0 inside.
 
     Their sides begin at `start` and go `way`, both (M, V, 2).

@@ -81,7 +81,12 @@ class HeightReader:
         notes: Where what is odd is noted.
     """
 
-    def __init__(self, name: str, default: float | None, notes: Notebook) -> None:
+    def __init__(
+        self,
+        name: str,
+        default: float | None,
+        notes: Notebook,
+    ) -> None:
         """Check the property's name and the default.
 
         Args:

@@ -136,7 +136,11 @@ def _parse_piece(text: str) -> Piece:
         raise argparse.ArgumentTypeError(str(error)) from None
 
 
-def print_piece(console: Console, piece: Piece, out: Path) -> None:
+def print_piece(
+    console: Console,
+    piece: Piece,
+    out: Path,
+) -> None:
     """Tell that a piece was flown, and what makes a whole of all."""
     console.print(
         f"flew piece {piece.number} of {piece.of}; when all are there: bulletuav merge {out}",
@@ -171,7 +175,9 @@ def given_options(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def parse_pairs(
-    option: str, pairs: Iterable[str], known: Mapping[str, Any] = MappingProxyType({})
+    option: str,
+    pairs: Iterable[str],
+    known: Mapping[str, Any] = MappingProxyType({}),
 ) -> dict[str, Any]:
     """Parse NAME=VALUE pairs.
 

@@ -31,7 +31,11 @@ class Report:
 
 
 @contextlib.contextmanager
-def show_progress(activity: str, total: int, unit: str) -> Iterator[Report]:
+def show_progress(
+    activity: str,
+    total: int,
+    unit: str,
+) -> Iterator[Report]:
     """Show how much of something is done.
 
     Args:
@@ -53,7 +57,12 @@ def show_progress(activity: str, total: int, unit: str) -> Iterator[Report]:
 
 
 @contextlib.contextmanager
-def _bar(console: Console, activity: str, total: int, unit: str) -> Iterator[Show]:
+def _bar(
+    console: Console,
+    activity: str,
+    total: int,
+    unit: str,
+) -> Iterator[Show]:
     """Show a bar with the time that remains."""
     columns = (
         TextColumn("{task.description}"),
@@ -74,7 +83,11 @@ def _bar(console: Console, activity: str, total: int, unit: str) -> Iterator[Sho
 
 
 @contextlib.contextmanager
-def _lines(activity: str, total: int, unit: str) -> Iterator[Show]:
+def _lines(
+    activity: str,
+    total: int,
+    unit: str,
+) -> Iterator[Show]:
     """Print a line at the beginning, every `LINE_PERIOD`, and when all is done."""
     begin = time.monotonic()
     last: tuple[float, float] | None = None  # when the last line was printed, and what was done

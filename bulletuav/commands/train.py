@@ -204,7 +204,11 @@ def _stages_without(base: RunConfig, given: Mapping[str, Any]) -> list[dict[str,
     return stages if any(stage != stages[0] for stage in stages) else stages[:1]
 
 
-def _with_action(task: str, algo: str, options: dict[str, Any]) -> dict[str, Any]:
+def _with_action(
+    task: str,
+    algo: str,
+    options: dict[str, Any],
+) -> dict[str, Any]:
     """Give DQN, which chooses among discrete actions, those of `discrete` unless it has others."""
     if algo != "dqn":
         return options
@@ -262,7 +266,11 @@ def or_tell(out: Path, work: Callable[[], Result]) -> Result:
         raise
 
 
-def _finish(out: Path, runs: list[tuple[RunConfig, list[Row]]], files: list[Path]) -> None:
+def _finish(
+    out: Path,
+    runs: list[tuple[RunConfig, list[Row]]],
+    files: list[Path],
+) -> None:
     """Print and write the table of the runs, and draw their learning curves."""
     table = out / "learning.md"
     picture = out / "curves.png"

@@ -13,7 +13,11 @@ from bulletuav.kernel import func
 
 @func
 def _energy_of(
-    motion: np.record, velocity: Vec3Like, spin: Vec3Like, frame: Vec3, row: np.record
+    motion: np.record,
+    velocity: Vec3Like,
+    spin: Vec3Like,
+    frame: Vec3,
+    row: np.record,
 ) -> float:
     """Return a drone's kinetic energy (J) with a velocity and spin, as seen from a frame."""
     bx, by, bz = axes(quaternion_of(motion))
@@ -27,7 +31,12 @@ def _energy_of(
 
 
 @func
-def remember_before(space: Workspace, members: int, points: np.ndarray, size: int) -> None:
+def remember_before(
+    space: Workspace,
+    members: int,
+    points: np.ndarray,
+    size: int,
+) -> None:
     """Keep velocities and impulses as they are before passes that may gain energy."""
     for m in range(members):
         motion = space.motions[space.island[m]]
@@ -38,14 +47,24 @@ def remember_before(space: Workspace, members: int, points: np.ndarray, size: in
 
 
 @func
-def _between(one: Vec3Like, two: Vec3Like, share: float) -> Vec3:
+def _between(
+    one: Vec3Like,
+    two: Vec3Like,
+    share: float,
+) -> Vec3:
     """Return the vector at a share of the way from one to another."""
     start = vector(one)
     return plus(start, share, minus(vector(two), start))
 
 
 @func
-def moving_energy(space: Workspace, world: World, members: int, frame: Vec3, least: float) -> float:
+def moving_energy(
+    space: Workspace,
+    world: World,
+    members: int,
+    frame: Vec3,
+    least: float,
+) -> float:
     """Return the kinetic energy of an island as seen from a frame, or what speed `least` has, J."""
     total = 0.0
     for m in range(members):
@@ -57,7 +76,13 @@ def moving_energy(space: Workspace, world: World, members: int, frame: Vec3, lea
 
 
 @func
-def _work(space: Workspace, world: World, members: int, frame: Vec3, rest: float) -> float:
+def _work(
+    space: Workspace,
+    world: World,
+    members: int,
+    frame: Vec3,
+    rest: float,
+) -> float:
     """Return the work of forces on an island in the rest of the substep, seen from a frame, J."""
     total = 0.0
     for m in range(members):

@@ -60,7 +60,13 @@ def _frame_of(points: np.ndarray, size: int) -> Vec3:
 
 
 @func
-def _rebound(space: Workspace, world: World, members: int, points: np.ndarray, size: int) -> bool:
+def _rebound(
+    space: Workspace,
+    world: World,
+    members: int,
+    points: np.ndarray,
+    size: int,
+) -> bool:
     """Let what closes fast rebound (Newton), without a gain of energy, and stop what is slow.
 
     What closes fast and does not rebound is left to `_hold`: forces of this substep belong to the
@@ -98,7 +104,12 @@ def _rebound(space: Workspace, world: World, members: int, points: np.ndarray, s
 
 
 @func
-def _allow(points: np.ndarray, owner: np.ndarray, size: int, dt: float) -> None:
+def _allow(
+    points: np.ndarray,
+    owner: np.ndarray,
+    size: int,
+    dt: float,
+) -> None:
     """Set how fast the points of contact may close, or have to part.
 
     What is allowed to a pair is linear in the distances, as its motion is: it can reach it at all
@@ -122,7 +133,12 @@ def _allow(points: np.ndarray, owner: np.ndarray, size: int, dt: float) -> None:
 
 
 @func
-def add_forces(space: Workspace, members: int, time: float, sign: float) -> None:
+def add_forces(
+    space: Workspace,
+    members: int,
+    time: float,
+    sign: float,
+) -> None:
     """Add what forces do to the velocities of an island in the rest of the substep, or take it."""
     rest = sign * (1.0 - time)
     for m in range(members):
@@ -134,7 +150,11 @@ def add_forces(space: Workspace, members: int, time: float, sign: float) -> None
 
 
 @func
-def _take_mean(motion: np.record, time: float, dt: float) -> None:
+def _take_mean(
+    motion: np.record,
+    time: float,
+    dt: float,
+) -> None:
     """Let a drone fly on with the mean of its velocities at the beginning and the end.
 
     `aim` takes that at the end, which is 1 % too far in a slide that begins.
@@ -289,7 +309,12 @@ def push_apart(
 
 
 @kernel
-def tell_pair(space: Workspace, world: World, pair: np.record, touches: Touches) -> None:
+def tell_pair(
+    space: Workspace,
+    world: World,
+    pair: np.record,
+    touches: Touches,
+) -> None:
     """Tell a pair that is in touch at the beginning of a substep, without an impulse."""
     distance, normal, on_a, _ = measure(space, world, pair, 0.0)
     if distance > TOUCH:
@@ -303,7 +328,12 @@ def tell_pair(space: Workspace, world: World, pair: np.record, touches: Touches)
 
 
 @func
-def _way_velocity(space: Workspace, world: World, i: int, arm: Vec3) -> Vec3:
+def _way_velocity(
+    space: Workspace,
+    world: World,
+    i: int,
+    arm: Vec3,
+) -> Vec3:
     """Return the velocity of a drone's surface on its way, whatever the dynamics tells, m/s."""
     move, turn = change_rates(world.scenery, space.motions, world.w, i, world.dt)
     x, y, z = arm

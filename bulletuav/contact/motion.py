@@ -131,7 +131,11 @@ def _rotation_between(before: Quat4, after: Quat4) -> Vec3:
 
 
 @func
-def turned(rotation: Vec3, share: float, quaternion: Quat4) -> Quat4:
+def turned(
+    rotation: Vec3,
+    share: float,
+    quaternion: Quat4,
+) -> Quat4:
     """Return an attitude after a share of a rotation (axis times angle, world axes)."""
     part = (
         share * rotation[0],
@@ -142,7 +146,11 @@ def turned(rotation: Vec3, share: float, quaternion: Quat4) -> Quat4:
 
 
 @func
-def momentum(quaternion: Quat4, spin: Vec3, row: np.record) -> Vec3:
+def momentum(
+    quaternion: Quat4,
+    spin: Vec3,
+    row: np.record,
+) -> Vec3:
     """Return the angular momentum (N m s) of an angular velocity (rad/s), both in world axes."""
     p, q, r = to_body(quaternion, spin)
     inertia = row.inertia
@@ -150,7 +158,11 @@ def momentum(quaternion: Quat4, spin: Vec3, row: np.record) -> Vec3:
 
 
 @func
-def spin_of(quaternion: Quat4, angular: Vec3, row: np.record) -> Vec3:
+def spin_of(
+    quaternion: Quat4,
+    angular: Vec3,
+    row: np.record,
+) -> Vec3:
     """Return the angular velocity (rad/s) of an angular momentum (N m s), both in world axes."""
     p, q, r = to_body(quaternion, angular)
     inertia = row.inertia
@@ -211,7 +223,11 @@ def _share(motion: np.record, time: float) -> float:
 
 
 @func
-def advance_to(motion: np.record, time: float, row: np.record) -> None:
+def advance_to(
+    motion: np.record,
+    time: float,
+    row: np.record,
+) -> None:
     """Move a drone on to a time within the substep."""
     share = _share(motion, time)
     elapsed = time - motion.time
@@ -238,7 +254,11 @@ def advance_to(motion: np.record, time: float, row: np.record) -> None:
 
 
 @func
-def aim(motion: np.record, dt: float, row: np.record) -> None:
+def aim(
+    motion: np.record,
+    dt: float,
+    row: np.record,
+) -> None:
     """Let a drone fly on from its time with the velocities that it has, until it has turned far.
 
     The rotation takes the angular velocity halfway (midpoint rule), with the angular momentum held.
@@ -275,7 +295,13 @@ def stay(motion: np.record) -> None:
 
 
 @func
-def finish(motion: np.record, after: Swarm, w: int, i: int, row: np.record) -> None:
+def finish(
+    motion: np.record,
+    after: Swarm,
+    w: int,
+    i: int,
+    row: np.record,
+) -> None:
     """Write the state of drone i of world w at the end of the substep."""
     advance_to(motion, 1.0, row)
     quaternion = quaternion_of(motion)
@@ -290,7 +316,12 @@ def finish(motion: np.record, after: Swarm, w: int, i: int, row: np.record) -> N
 
 @func
 def pose_at(
-    scenery: Scenery, motions: np.ndarray, w: int, who: int, time: float, dt: float
+    scenery: Scenery,
+    motions: np.ndarray,
+    w: int,
+    who: int,
+    time: float,
+    dt: float,
 ) -> tuple[Vec3, Quat4]:
     """Return position and attitude of someone (number of a shape) at a time in the substep."""
     level = (0.0, 0.0, 0.0, 1.0)
@@ -310,14 +341,22 @@ def pose_at(
 
 
 @func
-def valid_until(scenery: Scenery, motions: np.ndarray, who: int) -> float:
+def valid_until(
+    scenery: Scenery,
+    motions: np.ndarray,
+    who: int,
+) -> float:
     """Return the share of the substep up to which the way of someone is known."""
     return motions[who].until if who < scenery.first_body else 1.0
 
 
 @func
 def change_rates(
-    scenery: Scenery, motions: np.ndarray, w: int, who: int, dt: float
+    scenery: Scenery,
+    motions: np.ndarray,
+    w: int,
+    who: int,
+    dt: float,
 ) -> tuple[Vec3, Vec3]:
     """Return displacement and rotation of someone on its way, per whole substep."""
     still = (0.0, 0.0, 0.0)

@@ -59,7 +59,13 @@ Attributes:
 
 
 @allocating
-def _with_pair(pairs: np.ndarray, count: int, first: int, a: int, b: int) -> tuple[np.ndarray, int]:
+def _with_pair(
+    pairs: np.ndarray,
+    count: int,
+    first: int,
+    a: int,
+    b: int,
+) -> tuple[np.ndarray, int]:
     """Add a pair unless it is among those from `first` on; returns the pairs and their number."""
     for p in range(first, count):
         same = pairs[p].a == a and pairs[p].b == b
@@ -82,7 +88,12 @@ def _with_pair(pairs: np.ndarray, count: int, first: int, a: int, b: int) -> tup
 
 
 @func
-def body_distance(scenery: Scenery, w: int, k: int, place: Vec3) -> float:
+def body_distance(
+    scenery: Scenery,
+    w: int,
+    k: int,
+    place: Vec3,
+) -> float:
     """Return a lower bound of the distance of a point from body piece k of a world, m."""
     table = scenery.table
     s = scenery.first_body + k
@@ -92,7 +103,11 @@ def body_distance(scenery: Scenery, w: int, k: int, place: Vec3) -> float:
 
 
 @func
-def _piece_distance(city_grid: CityGrid, p: int, place: Vec3) -> float:
+def _piece_distance(
+    city_grid: CityGrid,
+    p: int,
+    place: Vec3,
+) -> float:
     """Return the distance of a point from the bounding box of a city's piece, m."""
     return distance_from_box(place, point(city_grid.low, p), point(city_grid.high, p))
 
@@ -255,7 +270,11 @@ def _passes_box(
 
 
 @func
-def _pace(swarm: Swarm, w: int, i: int) -> float:
+def _pace(
+    swarm: Swarm,
+    w: int,
+    i: int,
+) -> float:
     """Return the speed of a drone, and some more, as even a slow one will have, m/s."""
     velocity = vec3(swarm.velocity, w, i)
     return math.sqrt(dot(velocity, velocity)) + SOON

@@ -119,7 +119,13 @@ class World(NamedTuple):
 
 
 @func
-def join(space: Workspace, world: World, members: int, i: int, time: float) -> int:
+def join(
+    space: Workspace,
+    world: World,
+    members: int,
+    i: int,
+    time: float,
+) -> int:
     """Bring a drone to the time of an impact, as one of its island; returns how many there are."""
     if i >= world.scenery.first_body or space.motions[i].member:
         return members
@@ -141,7 +147,10 @@ def touching(pair: np.record, time: float) -> bool:
 
 @func
 def measure(
-    space: Workspace, world: World, pair: np.record, time: float
+    space: Workspace,
+    world: World,
+    pair: np.record,
+    time: float,
 ) -> tuple[float, Vec3, Vec3, Vec3]:
     """Measure a pair at a time, keeping the direction."""
     guess = vector(pair.normal)
@@ -177,7 +186,12 @@ def measure(
 
 @func
 def gather(
-    space: Workspace, world: World, pairs: np.ndarray, count: int, first: int, time: float
+    space: Workspace,
+    world: World,
+    pairs: np.ndarray,
+    count: int,
+    first: int,
+    time: float,
 ) -> int:
     """Find all drones that hang together with a pair at the time of its touch.
 
@@ -228,7 +242,13 @@ def _rolls(kind: int) -> bool:
 
 
 @func
-def surface_of(space: Workspace, world: World, a: int, b: int, count: int) -> Surface:
+def surface_of(
+    space: Workspace,
+    world: World,
+    a: int,
+    b: int,
+    count: int,
+) -> Surface:
     """Collect what the points of a pair have in common, and how many there are.
 
     On a face friction alone resists turning: only fewer points do so by themselves.
@@ -266,7 +286,12 @@ def surface_of(space: Workspace, world: World, a: int, b: int, count: int) -> Su
 
 
 @func
-def _set_axis(motions: np.ndarray, point: np.record, side: int, axis: Vec3) -> None:
+def _set_axis(
+    motions: np.ndarray,
+    point: np.record,
+    side: int,
+    axis: Vec3,
+) -> None:
     """Set an axis about which a point resists turning."""
     yields = dot(axis, eased(motions[point.a], axis))
     if point.b >= 0:
@@ -276,7 +301,11 @@ def _set_axis(motions: np.ndarray, point: np.record, side: int, axis: Vec3) -> N
 
 
 @func
-def fill(motions: np.ndarray, point: np.record, surface: Surface) -> None:
+def fill(
+    motions: np.ndarray,
+    point: np.record,
+    surface: Surface,
+) -> None:
     """Fill in whose a point of contact is, its surfaces and masses; normal and arms are there."""
     a, b, drift, friction, restitution, damping, resist_a, resist_b, pivoting = surface
     point.a = a

@@ -38,7 +38,11 @@ FEWEST = 20
 
 
 @func
-def _rub(row: np.record, motions: np.ndarray, moving: Moving) -> Moving:
+def _rub(
+    row: np.record,
+    motions: np.ndarray,
+    moving: Moving,
+) -> Moving:
     """Let friction act at a point, and return how its bodies move then; notes if they slide."""
     one = vector(row.tangent[0])
     two = vector(row.tangent[1])
@@ -67,7 +71,11 @@ def _rub(row: np.record, motions: np.ndarray, moving: Moving) -> Moving:
 
 
 @func
-def _resist_turning(row: np.record, motions: np.ndarray, moving: Moving) -> Moving:
+def _resist_turning(
+    row: np.record,
+    motions: np.ndarray,
+    moving: Moving,
+) -> Moving:
     """Let angular impulses about the axes of a point resist that its bodies roll or pivot."""
     velocity_a, spin_a, velocity_b, spin_b = moving
     for side in range(3):
@@ -88,7 +96,11 @@ def _resist_turning(row: np.record, motions: np.ndarray, moving: Moving) -> Movi
 
 
 @func
-def _spin_up(motion: np.record, twist: Vec3, sign: float) -> None:
+def _spin_up(
+    motion: np.record,
+    twist: Vec3,
+    sign: float,
+) -> None:
     """Give a drone an angular impulse, N m s."""
     turning = eased(motion, twist)
     for k in range(3):
@@ -96,7 +108,11 @@ def _spin_up(motion: np.record, twist: Vec3, sign: float) -> None:
 
 
 @func
-def _press(row: np.record, motions: np.ndarray, moving: Moving) -> Moving:
+def _press(
+    row: np.record,
+    motions: np.ndarray,
+    moving: Moving,
+) -> Moving:
     """Let a point push its surfaces apart, and return how its bodies move then."""
     normal = vector(row.normal)
     missing = row.least - speed_along(row, moving, 0, normal)
@@ -107,7 +123,11 @@ def _press(row: np.record, motions: np.ndarray, moving: Moving) -> Moving:
 
 
 @func
-def _stick(row: np.record, motions: np.ndarray, moving: Moving) -> tuple[bool, Moving]:
+def _stick(
+    row: np.record,
+    motions: np.ndarray,
+    moving: Moving,
+) -> tuple[bool, Moving]:
     """Stop a point along all of its axes at once, if friction can hold it; tells whether it can."""
     missing = (
         row.least - speed_along(row, moving, 0, vector(row.normal)),
@@ -128,7 +148,12 @@ def _stick(row: np.record, motions: np.ndarray, moving: Moving) -> tuple[bool, M
 
 
 @func
-def _given(row: np.record, motions: np.ndarray, moving: Moving, impulse: Vec3) -> Moving:
+def _given(
+    row: np.record,
+    motions: np.ndarray,
+    moving: Moving,
+    impulse: Vec3,
+) -> Moving:
     """Return how the bodies of a point move after an impulse along its axes, N s."""
     moving = pushed(row, motions, moving, 0, vector(row.normal), impulse[0])
     moving = pushed(row, motions, moving, 1, vector(row.tangent[0]), impulse[1])
@@ -157,7 +182,12 @@ def _visit(row: np.record, motions: np.ndarray) -> None:
 
 
 @func
-def _go_on(points: np.ndarray, count: int, motions: np.ndarray, share: float) -> None:
+def _go_on(
+    points: np.ndarray,
+    count: int,
+    motions: np.ndarray,
+    share: float,
+) -> None:
     """Let impulses go on the way of the sweeps before, by a share of it; not if that is above 1."""
     for k in range(count):
         row = points[k]
@@ -226,7 +256,11 @@ def relax(
 
 
 @kernel
-def damp_tipping(points: np.ndarray, count: int, motions: np.ndarray) -> bool:
+def damp_tipping(
+    points: np.ndarray,
+    count: int,
+    motions: np.ndarray,
+) -> bool:
     """Damp the spin of bodies about axes across the normals of points that press.
 
     Args:

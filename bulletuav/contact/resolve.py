@@ -21,7 +21,12 @@ from bulletuav.vehicle.swarm import Swarm
 
 
 @func
-def _start_drone(space: Workspace, world: World, end: Swarm, i: int) -> None:
+def _start_drone(
+    space: Workspace,
+    world: World,
+    end: Swarm,
+    i: int,
+) -> None:
     """Begin the motion of a drone that may touch something, if it has not begun."""
     if i < world.scenery.first_body and not space.motions[i].begun:
         row = world.parameters[world.w, i]
@@ -29,7 +34,12 @@ def _start_drone(space: Workspace, world: World, end: Swarm, i: int) -> None:
 
 
 @kernel
-def _time_pair(space: Workspace, world: World, pair: np.record, start: float) -> None:
+def _time_pair(
+    space: Workspace,
+    world: World,
+    pair: np.record,
+    start: float,
+) -> None:
     """Find when a pair touches next, from a time on."""
     motions = space.motions
     # For drones of too many impacts time does not go on
@@ -79,7 +89,12 @@ def _next_pair(pairs: np.ndarray, count: int) -> int:
 
 
 @func
-def _is_before(position: np.ndarray, w: int, i: int, j: int) -> bool:
+def _is_before(
+    position: np.ndarray,
+    w: int,
+    i: int,
+    j: int,
+) -> bool:
     """Tell whether drone i comes before drone j by x, then y, then z."""
     for k in range(3):
         one = float(position[w, i, k])
@@ -90,7 +105,11 @@ def _is_before(position: np.ndarray, w: int, i: int, j: int) -> bool:
 
 
 @func
-def set_order(order: np.ndarray, position: np.ndarray, w: int) -> None:
+def set_order(
+    order: np.ndarray,
+    position: np.ndarray,
+    w: int,
+) -> None:
     """Write the drones (N,) of a world by place, so that their numbers do not matter."""
     for last in range(order.shape[0]):
         i = last
@@ -102,14 +121,24 @@ def set_order(order: np.ndarray, position: np.ndarray, w: int) -> None:
 
 
 @func
-def _distance(one: np.ndarray, two: np.ndarray, w: int, i: int) -> float:
+def _distance(
+    one: np.ndarray,
+    two: np.ndarray,
+    w: int,
+    i: int,
+) -> float:
     """Return how far drone i is in one array (W, N, 3) from where it is in another, m."""
     way = minus(vec3(one, w, i), vec3(two, w, i))
     return math.sqrt(dot(way, way))
 
 
 @func
-def _set_reach(space: Workspace, world: World, end: Swarm, due: np.ndarray) -> None:
+def _set_reach(
+    space: Workspace,
+    world: World,
+    end: Swarm,
+    due: np.ndarray,
+) -> None:
     """Set how far drones get in the substep, and which of them are due."""
     w = world.w
     for i in range(due.shape[1]):
@@ -153,7 +182,10 @@ def _collect_of(
 
 @allocating
 def find_pairs(
-    space: Workspace, world: World, end: Swarm, order: np.ndarray
+    space: Workspace,
+    world: World,
+    end: Swarm,
+    order: np.ndarray,
 ) -> tuple[np.ndarray, int]:
     """Collect the pairs of all drones that are due, and of sleepers within their reach."""
     motions = space.motions
@@ -204,7 +236,11 @@ def _widen(
 
 
 @func
-def _turn_on(space: Workspace, world: World, pair: np.record) -> int:
+def _turn_on(
+    space: Workspace,
+    world: World,
+    pair: np.record,
+) -> int:
     """Let those of a pair whose way ends fly on; returns how many, they are in `space.island`."""
     members = 0
     for who in (pair.a, pair.b):

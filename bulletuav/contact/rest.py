@@ -143,7 +143,11 @@ def make_contact(
 
 
 @func
-def wake(contact: Contact, w: int, i: int) -> None:
+def wake(
+    contact: Contact,
+    w: int,
+    i: int,
+) -> None:
     """Wake a drone, if it sleeps, and all who sleep in a heap with it."""
     space = contact.space
     asleep = contact.asleep
@@ -245,14 +249,23 @@ def _is_slow(velocity: Vec3, rates: Vec3) -> bool:
 
 
 @func
-def _speed(swarm: Swarm, w: int, i: int) -> float:
+def _speed(
+    swarm: Swarm,
+    w: int,
+    i: int,
+) -> float:
     """Return the speed of a drone, m/s."""
     velocity = vec3(swarm.velocity, w, i)
     return math.sqrt(dot(velocity, velocity))
 
 
 @func
-def settle(contact: Contact, world: World, swarm: Swarm, last: bool) -> None:
+def settle(
+    contact: Contact,
+    world: World,
+    swarm: Swarm,
+    last: bool,
+) -> None:
     """Let drones that have been at rest for long fall asleep, and sleepers that were hit wake.
 
     Args:
@@ -307,7 +320,11 @@ def settle(contact: Contact, world: World, swarm: Swarm, last: bool) -> None:
 
 
 @func
-def _is_safe(contact: Contact, world: World, i: int) -> bool:
+def _is_safe(
+    contact: Contact,
+    world: World,
+    i: int,
+) -> bool:
     """Tell whether the support of a drone bears the forces of this substep."""
     support = contact.support[world.w, i]
     if support.span <= 0.0:
@@ -321,7 +338,11 @@ def _is_safe(contact: Contact, world: World, i: int) -> bool:
 
 
 @func
-def _is_borne(contact: Contact, w: int, i: int) -> bool:
+def _is_borne(
+    contact: Contact,
+    w: int,
+    i: int,
+) -> bool:
     """Tell whether a drone touches something that does not yield, or somebody who sleeps on it."""
     touches = contact.touches
     for k in range(touches.number[w, i]):
@@ -332,7 +353,12 @@ def _is_borne(contact: Contact, w: int, i: int) -> bool:
 
 
 @func
-def _note_support(contact: Contact, world: World, swarm: Swarm, i: int) -> None:
+def _note_support(
+    contact: Contact,
+    world: World,
+    swarm: Swarm,
+    i: int,
+) -> None:
     """Keep what a drone that falls asleep touches, and what it rests on if that is one surface."""
     w = world.w
     touches = contact.touches
@@ -350,7 +376,12 @@ def _note_support(contact: Contact, world: World, swarm: Swarm, i: int) -> None:
 
 
 @func
-def _put_back(contact: Contact, swarm: Swarm, w: int, i: int) -> None:
+def _put_back(
+    contact: Contact,
+    swarm: Swarm,
+    w: int,
+    i: int,
+) -> None:
     """Put a drone back to where it was at the beginning of the substep, at rest."""
     for k in range(3):
         swarm.position[w, i, k] = contact.start.position[w, i, k]

@@ -105,7 +105,11 @@ def separation_along(
 
 
 @func
-def _swing(radius: float, normal: Vec3, turn: Vec3) -> tuple[float, float]:
+def _swing(
+    radius: float,
+    normal: Vec3,
+    turn: Vec3,
+) -> tuple[float, float]:
     """Bound how fast, m, and with which acceleration, a rotation moves a shape along `normal`.
 
     Both are per substep, for any of its points. A turn about the normal itself moves none.

@@ -71,7 +71,11 @@ class Cascade(NamedTuple):
 
     @classmethod
     def of(
-        cls, controller: str, nominal: np.ndarray, gains: np.ndarray, integral: bool = False
+        cls,
+        controller: str,
+        nominal: np.ndarray,
+        gains: np.ndarray,
+        integral: bool = False,
     ) -> "Cascade":
         """Make a controller whose memory is empty.
 
@@ -154,7 +158,11 @@ def lee_rotors(
 
 
 @func
-def pid_errors(level: int, setpoint: Quat4Like, state: State) -> tuple[Vec3, Vec3]:
+def pid_errors(
+    level: int,
+    setpoint: Quat4Like,
+    state: State,
+) -> tuple[Vec3, Vec3]:
     """Compute the errors that the PID sees.
 
     Args:

@@ -33,7 +33,11 @@ from bulletuav.vehicle.wrench import damping_torque
 
 
 @func
-def velocity_setpoint(position: Vec3Like, target: Vec3Like, gain: GainRow) -> Vec3:
+def velocity_setpoint(
+    position: Vec3Like,
+    target: Vec3Like,
+    gain: GainRow,
+) -> Vec3:
     """Step from POSITION to VELOCITY: fly towards the target, slowly enough to brake.
 
     Args:
@@ -58,7 +62,11 @@ def velocity_setpoint(position: Vec3Like, target: Vec3Like, gain: GainRow) -> Ve
 
 
 @func
-def acceleration_setpoint(velocity: Vec3Like, target: Vec3Like, gain: GainRow) -> Vec3:
+def acceleration_setpoint(
+    velocity: Vec3Like,
+    target: Vec3Like,
+    gain: GainRow,
+) -> Vec3:
     """Step from VELOCITY to ACCELERATION.
 
     Args:
@@ -230,7 +238,11 @@ def rates_setpoint(
 
 @func
 def torque_setpoint(
-    rates: Vec3Like, target: Vec3Like, total_speed: float, row: np.record, gain: GainRow
+    rates: Vec3Like,
+    target: Vec3Like,
+    total_speed: float,
+    row: np.record,
+    gain: GainRow,
 ) -> Vec3:
     """Step from RATES to a body torque: -k_W (W - W_target) + W x J W + c W_target.
 

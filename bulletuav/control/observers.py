@@ -28,7 +28,13 @@ LARGEST_TORQUE = 0.25
 
 
 @func
-def _fresh(memory: np.ndarray, w: int, i: int, first: int, last: int) -> bool:
+def _fresh(
+    memory: np.ndarray,
+    w: int,
+    i: int,
+    first: int,
+    last: int,
+) -> bool:
     """Tell whether an observer has just started: its memory is all zeros."""
     for k in range(first, last):
         if memory[w, i, k] != 0.0:
@@ -37,7 +43,13 @@ def _fresh(memory: np.ndarray, w: int, i: int, first: int, last: int) -> bool:
 
 
 @func
-def felt_acceleration(velocity: Vec3Like, memory: np.ndarray, w: int, i: int, dt: float) -> Vec3:
+def felt_acceleration(
+    velocity: Vec3Like,
+    memory: np.ndarray,
+    w: int,
+    i: int,
+    dt: float,
+) -> Vec3:
     """Return how a drone was accelerated since the last call, as an accelerometer would tell.
 
     Args:

@@ -169,7 +169,12 @@ class BulletDynamics(Dynamics):
         self._wake = np.zeros((flight.parameters.shape[1], 4))
         self._in_engine = Contacts.none()
 
-    def _add_start(self, program: Program, swarm: Swarm, mask: np.ndarray) -> None:
+    def _add_start(
+        self,
+        program: Program,
+        swarm: Swarm,
+        mask: np.ndarray,
+    ) -> None:
         """Add that drones start in the engine, too; see the base class."""
         self.flight.engine.add_states(program, swarm, mask)
         super()._add_start(program, swarm, mask)
@@ -213,7 +218,11 @@ class BulletDynamics(Dynamics):
         return self._in_engine if self.flight.contacts == "bullet" else super().touched()
 
     def _add_surface(
-        self, program: Program, swarm: Swarm, alive: np.ndarray, surface: np.ndarray
+        self,
+        program: Program,
+        swarm: Swarm,
+        alive: np.ndarray,
+        surface: np.ndarray,
     ) -> None:
         """Leave the surface, which is looked for anew in every substep."""
 

@@ -67,7 +67,11 @@ def _slope(
 
 
 @func
-def _moved(state: State, time: float, slope: State) -> State:
+def _moved(
+    state: State,
+    time: float,
+    slope: State,
+) -> State:
     """Return state + time * slope."""
     x, q, v, w = state
     dx, dq, dv, dw = slope

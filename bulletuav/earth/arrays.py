@@ -7,7 +7,11 @@ from bulletuav.errors import numbers_of
 
 
 def values_of(
-    name: str, value: ArrayLike, unit: str, least: float = -np.inf, most: float = np.inf
+    name: str,
+    value: ArrayLike,
+    unit: str,
+    least: float = -np.inf,
+    most: float = np.inf,
 ) -> np.ndarray:
     """Check that a value is finite numbers within bounds.
 
@@ -33,7 +37,11 @@ def values_of(
     return array
 
 
-def vectors_of(name: str, value: ArrayLike, entries: str) -> np.ndarray:
+def vectors_of(
+    name: str,
+    value: ArrayLike,
+    entries: str,
+) -> np.ndarray:
     """Check that a value is finite vectors along its last axis.
 
     Args:

@@ -163,7 +163,10 @@ def magnetic_field(
 
 
 def _geocentric_field(
-    latitude: np.ndarray, longitude: np.ndarray, radius: np.ndarray, years: float
+    latitude: np.ndarray,
+    longitude: np.ndarray,
+    radius: np.ndarray,
+    years: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Add up the harmonics: minus the gradient of the potential of Alken et al., equation 1.
 

@@ -98,7 +98,11 @@ def _make_still(
     return body
 
 
-def make_drone(client: int, airframe: Airframe, place: np.ndarray) -> Body:
+def make_drone(
+    client: int,
+    airframe: Airframe,
+    place: np.ndarray,
+) -> Body:
     """Make one drone.
 
     Args:
@@ -163,7 +167,11 @@ def make_solids(
     return [_make_still(client, collision, SURFACE_GROUP, visual, *pose) for pose in poses]
 
 
-def make_ghost(client: int, shape: Shape, colour: Colour) -> Body:
+def make_ghost(
+    client: int,
+    shape: Shape,
+    colour: Colour,
+) -> Body:
     """Make a body far below the ground that only pictures show."""
     visual = _visual_shape(client, shape, colour)
     body: Body = bullet.createMultiBody(0, -1, visual, OFFSTAGE, physicsClientId=client)
@@ -185,7 +193,11 @@ def _collision_shape(client: int, shape: Shape) -> ShapeNumber:
     return number
 
 
-def _visual_shape(client: int, shape: Shape, colour: Colour) -> ShapeNumber:
+def _visual_shape(
+    client: int,
+    shape: Shape,
+    colour: Colour,
+) -> ShapeNumber:
     """Make what pictures show of a shape."""
     if shape.kind in (HULL, CYLINDER):
         # The renderer rounds the ends of its own cylinders.
@@ -261,7 +273,11 @@ def _handed(name: str, values: np.ndarray) -> list[Any]:
     return handed
 
 
-def _make_mesh(client: int, vertices: np.ndarray, triangles: np.ndarray) -> ShapeNumber:
+def _make_mesh(
+    client: int,
+    vertices: np.ndarray,
+    triangles: np.ndarray,
+) -> ShapeNumber:
     """Make a collision shape of triangles (T, 3) of vertices (V, 3), m."""
     mesh: ShapeNumber = bullet.createCollisionShape(
         bullet.GEOM_MESH,
@@ -295,7 +311,11 @@ def _parts(bounds: np.ndarray, apart: float) -> list[np.ndarray]:
     return parts
 
 
-def _make_compound(client: int, solids: Solids, pieces: np.ndarray) -> ShapeNumber:
+def _make_compound(
+    client: int,
+    solids: Solids,
+    pieces: np.ndarray,
+) -> ShapeNumber:
     """Make one collision shape of convex pieces.
 
     It goes through a file, as Bullet's other ways take sixteen pieces at most.
@@ -334,7 +354,11 @@ def _make_facade(client: int, corner: np.ndarray) -> Body:
     return facade
 
 
-def _flat_visual(client: int, corner: np.ndarray, colour: Colour) -> ShapeNumber:
+def _flat_visual(
+    client: int,
+    corner: np.ndarray,
+    colour: Colour,
+) -> ShapeNumber:
     """Make a visual of triangles (T, 3, 3) with corners of their own: faces look flat."""
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)

@@ -108,7 +108,13 @@ class BodyTable:
         bodies_of = np.array(made, dtype=np.int32).reshape(len(made), len(self._offset))
         return bodies_of.T.copy()
 
-    def add(self, shape: Shape, colour: Colour, poses: Iterable[Pose], other: int) -> None:
+    def add(
+        self,
+        shape: Shape,
+        colour: Colour,
+        poses: Iterable[Pose],
+        other: int,
+    ) -> None:
         """Make a piece of a body that stands still.
 
         Args:
@@ -195,7 +201,11 @@ class BodyTable:
         return label
 
 
-def _below(offset: np.ndarray, k: int, depth: float) -> list[Pose]:
+def _below(
+    offset: np.ndarray,
+    k: int,
+    depth: float,
+) -> list[Pose]:
     """Choose places for obstacle k below the middles (W, 3) of all worlds."""
     place = np.array((SPREAD * (k % IN_ROW), SPREAD * (k // IN_ROW), -depth))
     return [(tuple(one), LEVEL) for one in (offset + place).tolist()]

@@ -123,7 +123,12 @@ class Port(NamedTuple):
 
 
 @allocating
-def surface_below(port: Port, position: np.ndarray, mask: np.ndarray, surface: np.ndarray) -> None:
+def surface_below(
+    port: Port,
+    position: np.ndarray,
+    mask: np.ndarray,
+    surface: np.ndarray,
+) -> None:
     """Write the height of the surface below drones, as `Engine.surface_below` does.
 
     Args:
@@ -185,7 +190,11 @@ def substep(
 
 
 @kernel
-def write_states(port: Port, swarm: Swarm, mask: np.ndarray) -> None:
+def write_states(
+    port: Port,
+    swarm: Swarm,
+    mask: np.ndarray,
+) -> None:
     """Do what `Engine.write_states` does.
 
     Args:
@@ -206,7 +215,12 @@ def write_states(port: Port, swarm: Swarm, mask: np.ndarray) -> None:
 
 
 @kernel
-def bring_out(port: Port, swarm: Swarm, mask: np.ndarray, out: np.ndarray) -> None:
+def bring_out(
+    port: Port,
+    swarm: Swarm,
+    mask: np.ndarray,
+    out: np.ndarray,
+) -> None:
     """Write the states of drones of `mask` (W, N), and note that they are not parked any more."""
     write_states(port, swarm, mask)
     for w in range(mask.shape[0]):
@@ -301,7 +315,12 @@ class CExtension:
         """Advance everything by one substep."""
         self._library.batch_step(self._session)
 
-    def rays(self, start: np.ndarray, end: np.ndarray, groups: int) -> np.ndarray:
+    def rays(
+        self,
+        start: np.ndarray,
+        end: np.ndarray,
+        groups: int,
+    ) -> np.ndarray:
         """Cast rays; see `EngineCalls.rays`."""
         fraction = np.empty(len(start))
         self._library.batch_rays(
@@ -314,7 +333,12 @@ class CExtension:
         )
         return fraction
 
-    def pose(self, body: np.ndarray, position: np.ndarray, quaternion: np.ndarray) -> None:
+    def pose(
+        self,
+        body: np.ndarray,
+        position: np.ndarray,
+        quaternion: np.ndarray,
+    ) -> None:
         """Put bodies somewhere, at rest; see `EngineCalls.pose`."""
         self._library.batch_pose(
             self._session,
@@ -324,7 +348,12 @@ class CExtension:
             _at(quaternion),
         )
 
-    def velocity(self, body: np.ndarray, velocity: np.ndarray, omega: np.ndarray) -> None:
+    def velocity(
+        self,
+        body: np.ndarray,
+        velocity: np.ndarray,
+        omega: np.ndarray,
+    ) -> None:
         """Give bodies velocities; see `EngineCalls.velocity`."""
         self._library.batch_velocity(
             self._session,
@@ -334,6 +363,11 @@ class CExtension:
             _at(omega),
         )
 
-    def filter(self, body: np.ndarray, group: int, meets: int) -> None:
+    def filter(
+        self,
+        body: np.ndarray,
+        group: int,
+        meets: int,
+    ) -> None:
         """Set which bodies meet; see `EngineCalls.filter`."""
         self._library.batch_filter(self._session, len(body), _at(body, np.int32), group, meets)

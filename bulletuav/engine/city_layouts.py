@@ -75,7 +75,12 @@ class LayoutBodies:
             self._made = made
         return self._made
 
-    def put(self, layout: np.ndarray, worlds: np.ndarray, calls: EngineCalls | CExtension) -> None:
+    def put(
+        self,
+        layout: np.ndarray,
+        worlds: np.ndarray,
+        calls: EngineCalls | CExtension,
+    ) -> None:
         """Change which layouts stand.
 
         Args:
@@ -96,7 +101,9 @@ class LayoutBodies:
 
     @staticmethod
     def _move(
-        calls: EngineCalls | CExtension, made: tuple[list[int], list[int]], place: np.ndarray
+        calls: EngineCalls | CExtension,
+        made: tuple[list[int], list[int]],
+        place: np.ndarray,
     ) -> None:
         """Put meshes and compounds at one place."""
         bodies = np.array(made[0] + made[1], dtype=np.int32)

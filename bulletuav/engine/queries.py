@@ -171,7 +171,13 @@ class EngineQueries:
             land(surface, who, start, self.cast_rays(start, end, who[:, 0]))
         return surface
 
-    def separation(self, world: int, one: PlacedShape, two: PlacedShape, within: float) -> float:
+    def separation(
+        self,
+        world: int,
+        one: PlacedShape,
+        two: PlacedShape,
+        within: float,
+    ) -> float:
         """Measure the closest distance of two collision shapes in a world.
 
         Shapes with a position are moved there, bodies and all. Others stay where they are.
@@ -239,7 +245,12 @@ class EngineQueries:
         with self._renderer.collision_shapes(world, *poses, mask[world]):
             return self._renderer.picture(world, view, projection, size)
 
-    def look_at(self, world: int, target: np.ndarray, distance: float) -> None:
+    def look_at(
+        self,
+        world: int,
+        target: np.ndarray,
+        distance: float,
+    ) -> None:
         """Point the live window at a place.
 
         Args:

@@ -91,7 +91,11 @@ def globalise(
 
 
 @func
-def _is_covered(here: Vec3Like, scenery: Scenery, w: int) -> bool:
+def _is_covered(
+    here: Vec3Like,
+    scenery: Scenery,
+    w: int,
+) -> bool:
     """Tell whether a body or a building may stand above or below a point.
 
     It goes by the bounding spheres of bodies and the bounding boxes of buildings.
@@ -110,7 +114,12 @@ def _is_covered(here: Vec3Like, scenery: Scenery, w: int) -> bool:
 
 
 @kernel
-def cover(position: np.ndarray, mask: np.ndarray, scenery: Scenery, surface: np.ndarray) -> int:
+def cover(
+    position: np.ndarray,
+    mask: np.ndarray,
+    scenery: Scenery,
+    surface: np.ndarray,
+) -> int:
     """Find the drones whose surface below takes a ray to find.
 
     Those are drones with a body or a building in their column. Below others lies the ground.
@@ -138,7 +147,9 @@ def cover(position: np.ndarray, mask: np.ndarray, scenery: Scenery, surface: np.
 
 @allocating
 def columns(
-    position: np.ndarray, surface: np.ndarray, count: int
+    position: np.ndarray,
+    surface: np.ndarray,
+    count: int,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Make the rays of the drones that `cover` found.
 
@@ -165,7 +176,12 @@ def columns(
 
 
 @kernel
-def land(surface: np.ndarray, who: np.ndarray, start: np.ndarray, fraction: np.ndarray) -> None:
+def land(
+    surface: np.ndarray,
+    who: np.ndarray,
+    start: np.ndarray,
+    fraction: np.ndarray,
+) -> None:
     """Write the heights that the rays of `columns` met: the ground's where they met nothing.
 
     Args:

@@ -143,7 +143,10 @@ class Airspace(AirspaceParts):
 
     @exclusive
     def apply(
-        self, drones: Drones, force: Sequence[float] = STILL, torque: Sequence[float] = STILL
+        self,
+        drones: Drones,
+        force: Sequence[float] = STILL,
+        torque: Sequence[float] = STILL,
     ) -> None:
         """Push drones during the next step, beside what pushes them already.
 

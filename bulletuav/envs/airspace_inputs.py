@@ -57,7 +57,10 @@ OF_TASKS = (
 
 
 def airspace_options(
-    position: Any, airframe: Any, sensors: Any, given: Mapping[str, Any]
+    position: Any,
+    airframe: Any,
+    sensors: Any,
+    given: Mapping[str, Any],
 ) -> tuple[EnvOptions, dict[str, Sensor]]:
     """Check the options of an airspace.
 
@@ -193,7 +196,11 @@ def numbers(name: str, value: Any) -> np.ndarray:
     return array
 
 
-def filled(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
+def filled(
+    name: str,
+    value: Any,
+    shape: tuple[int, ...],
+) -> np.ndarray:
     """Take finite numbers that fill a shape, given whole or once for all drones.
 
     Args:
@@ -213,7 +220,11 @@ def filled(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
     return array
 
 
-def angles(name: str, value: Any, count: tuple[int, ...]) -> np.ndarray | float:
+def angles(
+    name: str,
+    value: Any,
+    count: tuple[int, ...],
+) -> np.ndarray | float:
     """Take an angle or its rate, or one for each of the drones (M,).
 
     Raises:

@@ -16,7 +16,11 @@ LEVELS = {one.name.lower(): one for one in SetpointLevel}
 """Setpoint levels by name"""
 
 
-def level_of(level: Any, consumes: SetpointLevel, options: EnvOptions) -> SetpointLevel:
+def level_of(
+    level: Any,
+    consumes: SetpointLevel,
+    options: EnvOptions,
+) -> SetpointLevel:
     """Take a setpoint level, or its name, that drones can be told.
 
     Args:
@@ -62,7 +66,9 @@ def level_of(level: Any, consumes: SetpointLevel, options: EnvOptions) -> Setpoi
 
 
 def usual_widths(
-    consumes: SetpointLevel, options: EnvOptions, rotors: int
+    consumes: SetpointLevel,
+    options: EnvOptions,
+    rotors: int,
 ) -> dict[SetpointLevel, int]:
     """Tell the levels that drones can be told with no more ado, and how many numbers each has.
 
@@ -112,7 +118,11 @@ hold = in_c(hold_plainly)
 
 
 def setpoint_numbers(
-    level: SetpointLevel, setpoint: Any, count: tuple[int, ...], rotors: int, speaks: bool
+    level: SetpointLevel,
+    setpoint: Any,
+    count: tuple[int, ...],
+    rotors: int,
+    speaks: bool,
 ) -> np.ndarray:
     """Take the numbers of a setpoint.
 

@@ -73,7 +73,11 @@ def check_dynamics(dynamics: Any, **options: Any) -> None:
     _check_worlds(f"dynamics {name!r}", "hover", {**usual, **options})
 
 
-def _check_worlds(who: str, task: TaskSource, options: dict[str, Any]) -> None:
+def _check_worlds(
+    who: str,
+    task: TaskSource,
+    options: dict[str, Any],
+) -> None:
     """Fly a task twice in several worlds, and its last world alone: all must agree."""
     both = [list(_flown(task, options)) for _ in range(2)]
     alone = list(_flown(task, options, num_worlds=1, first_world=NUM_WORLDS - 1))

@@ -54,7 +54,12 @@ class Decisions(Worlds):
     Arrays stay where they are for the environment's life: compiled stages find them there.
     """
 
-    def __init__(self, task: TaskSource, num_worlds: int = 1, **options: Any) -> None:
+    def __init__(
+        self,
+        task: TaskSource,
+        num_worlds: int = 1,
+        **options: Any,
+    ) -> None:
         """Build the worlds; see `Worlds`."""
         super().__init__(task, num_worlds, **options)
         self._make_arrays()
@@ -322,7 +327,12 @@ class Decisions(Worlds):
         weighted = dict(zip(self._terms, self._weighted, strict=True))
         require_finite(self.task, weighted, self.rewards)
 
-    def _measure(self, before: Swarm, after: Swarm, mask: np.ndarray) -> dict[str, np.ndarray]:
+    def _measure(
+        self,
+        before: Swarm,
+        after: Swarm,
+        mask: np.ndarray,
+    ) -> dict[str, np.ndarray]:
         """Measure with all sensors, from the drones of `mask` (W, N)."""
         if not self._sensors.sensors:
             return {}

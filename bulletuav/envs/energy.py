@@ -36,7 +36,12 @@ class Energy:
         voltage: (W, N) voltage of the batteries, V; 0 where the airframe tells of none.
     """
 
-    def __init__(self, options: EnvOptions, parameters: np.ndarray, supply: np.ndarray) -> None:
+    def __init__(
+        self,
+        options: EnvOptions,
+        parameters: np.ndarray,
+        supply: np.ndarray,
+    ) -> None:
         """Start with full batteries.
 
         Args:
@@ -129,7 +134,11 @@ def _capacities(options: EnvOptions) -> np.ndarray:
 
 @kernel
 def _fill_propulsion(
-    before: np.ndarray, after: np.ndarray, wind: np.ndarray, wings: np.ndarray, power: np.ndarray
+    before: np.ndarray,
+    after: np.ndarray,
+    wind: np.ndarray,
+    wings: np.ndarray,
+    power: np.ndarray,
 ) -> None:
     """Write the power (W, N) at the mean of two velocities (W, N, 3) through the air, W."""
     for w in range(power.shape[0]):
@@ -181,7 +190,11 @@ def _fill_voltage(
 
 
 @kernel
-def _add_payload(payload: np.ndarray, flown: np.ndarray, power: np.ndarray) -> None:
+def _add_payload(
+    payload: np.ndarray,
+    flown: np.ndarray,
+    power: np.ndarray,
+) -> None:
     """Add the payload to the power (W, N) of who flew; that of others becomes 0."""
     for w in range(power.shape[0]):
         for i in range(power.shape[1]):

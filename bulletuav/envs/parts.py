@@ -68,7 +68,11 @@ def make_dynamics(options: EnvOptions, engine: Engine) -> Dynamics:
     return find_dynamics(options.dynamics)(flight)
 
 
-def add_obstacles(program: Program, engine: Engine, obstacle: np.ndarray) -> None:
+def add_obstacles(
+    program: Program,
+    engine: Engine,
+    obstacle: np.ndarray,
+) -> None:
     """Add to a program that obstacles stand where (W, K, 3) tells after a flight, m."""
     if obstacle.shape[1]:
         program.call(copy_vectors, obstacle, engine.scenery.place)
@@ -84,7 +88,11 @@ def hover_speeds(options: EnvOptions) -> np.ndarray:
     return speeds
 
 
-def sensor_setup(options: EnvOptions, num_worlds: int, wanted: frozenset[str]) -> SensorSetup:
+def sensor_setup(
+    options: EnvOptions,
+    num_worlds: int,
+    wanted: frozenset[str],
+) -> SensorSetup:
     """Tell sensors what they know of where they fly, but for a task's targets and arena.
 
     Args:

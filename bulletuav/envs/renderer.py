@@ -142,7 +142,12 @@ class Renderer:
         lens.draw_lines(pen, drops, SHADOW)
         pixels[ground] = np.asarray(lines)[ground]
 
-    def show(self, swarm: Swarm, alive: np.ndarray, period: float) -> None:
+    def show(
+        self,
+        swarm: Swarm,
+        alive: np.ndarray,
+        period: float,
+    ) -> None:
         """Keep the live view of world 0 in real time.
 
         The first call points it at the drones. Each waits until its time has come.
@@ -192,7 +197,9 @@ class Renderer:
 
 
 def fit(
-    points: np.ndarray, direction: np.ndarray, size: tuple[int, int]
+    points: np.ndarray,
+    direction: np.ndarray,
+    size: tuple[int, int],
 ) -> tuple[np.ndarray, float]:
     """Find the middle of points (M, 3), and the distance from which a picture shows just all.
 

@@ -37,7 +37,12 @@ class _Stillness(NamedTuple):
 class Resets(Decisions):
     """How some of the worlds start new episodes, while others stay as they are."""
 
-    def __init__(self, task: TaskSource, num_worlds: int = 1, **options: Any) -> None:
+    def __init__(
+        self,
+        task: TaskSource,
+        num_worlds: int = 1,
+        **options: Any,
+    ) -> None:
         """Build the worlds; see `Worlds`."""
         super().__init__(task, num_worlds, **options)
         things = self.scene.obstacle.shape[1]
@@ -82,7 +87,10 @@ class Resets(Decisions):
         )
 
     def _begin(
-        self, fresh: np.ndarray, worlds: list[int], generators: list[np.random.Generator]
+        self,
+        fresh: np.ndarray,
+        worlds: list[int],
+        generators: list[np.random.Generator],
     ) -> Frame:
         """Start worlds of `fresh` (W,) from what was drawn, and tell their first frame."""
         if self._start is None:

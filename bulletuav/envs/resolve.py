@@ -200,7 +200,11 @@ def _checked_config(config: TaskConfig) -> TaskConfig:
     return dataclasses.replace(config, **stored)
 
 
-def _checked(field: dataclasses.Field[Any], kind: Any, value: Any) -> Any:
+def _checked(
+    field: dataclasses.Field[Any],
+    kind: Any,
+    value: Any,
+) -> Any:
     """Check the value of a field by its type.
 
     A field's metadata may tell its "least" and "most". Float fields are sizes, so not negative.

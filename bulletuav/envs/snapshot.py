@@ -58,7 +58,11 @@ class FaceSnapshot:
     beside: Mapping[str, Any]
 
 
-def require_snapshot(snapshot: Any, kind: type, worlds: int = 1) -> None:
+def require_snapshot(
+    snapshot: Any,
+    kind: type,
+    worlds: int = 1,
+) -> None:
     """Refuse what is no snapshot of a kind, or one of another number of worlds.
 
     Raises:
@@ -91,7 +95,11 @@ def require_contacts(contacts: str | None) -> None:
         )
 
 
-def require_form(snapshot: Snapshot, form: str, of: str) -> None:
+def require_form(
+    snapshot: Snapshot,
+    form: str,
+    of: str,
+) -> None:
     """Refuse a snapshot of another form. Raises ValueError."""
     if snapshot.form != form:
         raise ValueError(
@@ -112,7 +120,11 @@ def _form(task: str, told: tuple[tuple[str, np.dtype[Any], tuple[int, ...]], ...
     return hashlib.blake2b(repr((task, texts)).encode(), digest_size=8).hexdigest()
 
 
-def pack(fields: Fields, rngs: list[np.random.Generator], worlds: np.ndarray) -> np.ndarray:
+def pack(
+    fields: Fields,
+    rngs: list[np.random.Generator],
+    worlds: np.ndarray,
+) -> np.ndarray:
     """Copy worlds (S,) of all arrays, and their random generators, into bytes (S, B)."""
     rows = _rows(worlds)
     parts = [_bytes_of(array[rows]) for array in fields.values() if array.size]
@@ -122,7 +134,10 @@ def pack(fields: Fields, rngs: list[np.random.Generator], worlds: np.ndarray) ->
 
 
 def unpack(
-    data: np.ndarray, fields: Fields, rngs: list[np.random.Generator], worlds: np.ndarray
+    data: np.ndarray,
+    fields: Fields,
+    rngs: list[np.random.Generator],
+    worlds: np.ndarray,
 ) -> None:
     """Write bytes (S, B) back into worlds (S,) of all arrays, and of the random generators."""
     at, rows = 0, _rows(worlds)
@@ -170,7 +185,12 @@ class Layout:
             row[size:].data[:] = _generator_bytes(rngs[w])
         return data
 
-    def unpack(self, data: np.ndarray, rngs: list[np.random.Generator], worlds: np.ndarray) -> None:
+    def unpack(
+        self,
+        data: np.ndarray,
+        rngs: list[np.random.Generator],
+        worlds: np.ndarray,
+    ) -> None:
         """Write bytes (S, B) back into worlds (S,) of all; see `unpack`."""
         rows = self._chosen(worlds)
         if rows is None:
@@ -196,7 +216,11 @@ class Layout:
         return self._rows
 
 
-def layout_of(known: Layout | None, task: str, fields: Fields) -> Layout:
+def layout_of(
+    known: Layout | None,
+    task: str,
+    fields: Fields,
+) -> Layout:
     """Look at arrays, unless what is known is of them."""
     return known if known is not None and known.is_of(fields) else Layout(task, fields)
 
@@ -233,7 +257,11 @@ def _generator_bytes(rng: np.random.Generator) -> bytes:
     return b"".join(parts)
 
 
-def _restore(rngs: list[np.random.Generator], world: int, data: bytes) -> None:
+def _restore(
+    rngs: list[np.random.Generator],
+    world: int,
+    data: bytes,
+) -> None:
     """Bring a world's generator to the state that `_generator_bytes` wrote, or make one of it."""
     bits = rngs[world].bit_generator
     if rngs[world] is UNSTARTED or not isinstance(bits, np.random.PCG64):

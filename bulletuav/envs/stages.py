@@ -298,7 +298,11 @@ def prepare(
 
 @kernel
 def finish(
-    steps: np.ndarray, hz: float, time: np.ndarray, force: np.ndarray, torque: np.ndarray
+    steps: np.ndarray,
+    hz: float,
+    time: np.ndarray,
+    force: np.ndarray,
+    torque: np.ndarray,
 ) -> None:
     """Count a step of an airspace, and end the forces that were applied in it.
 

@@ -30,7 +30,12 @@ Feature = tuple[bool, Vec3, Vec3, float]
 
 
 @func
-def _feature(table: ShapeTable, s: int, turn: Turn, place: Vec3) -> Feature:
+def _feature(
+    table: ShapeTable,
+    s: int,
+    turn: Turn,
+    place: Vec3,
+) -> Feature:
     """Tell on which feature of a shape a point lies, both from its position, world axes."""
     kind = table.kind[s]
     # A sphere is a point, swollen: no edge and no rim
@@ -68,7 +73,11 @@ def off(edge: Vec3, v: Vec3) -> Vec3:
 
 
 @func
-def _bend(feature: Feature, d: Vec3, moved: Vec3) -> Vec3:
+def _bend(
+    feature: Feature,
+    d: Vec3,
+    moved: Vec3,
+) -> Vec3:
     """Return how the farthest point of a rim along d moves when d changes by `moved`."""
     _, _, axis, radius = feature
     if radius == 0.0:
@@ -91,7 +100,13 @@ def _flat(feature: Feature, d: Vec3) -> bool:
 
 @func
 def _reach(
-    table: ShapeTable, a: int, turn_a: Turn, b: int, turn_b: Turn, offset: Vec3, d: Vec3
+    table: ShapeTable,
+    a: int,
+    turn_a: Turn,
+    b: int,
+    turn_b: Turn,
+    offset: Vec3,
+    d: Vec3,
 ) -> tuple[float, Vec3]:
     """Return how far shapes are apart along a direction, and the way between their points, m."""
     back = (-d[0], -d[1], -d[2])
@@ -255,7 +270,14 @@ def sharpened(
 
 
 @func
-def turning(one: Feature, two: Feature, edge: Vec3, d: Vec3, moved: Vec3, size: float) -> Vec3:
+def turning(
+    one: Feature,
+    two: Feature,
+    edge: Vec3,
+    d: Vec3,
+    moved: Vec3,
+    size: float,
+) -> Vec3:
     """Return how the direction of the way between two features turns when d changes."""
     back = (-d[0], -d[1], -d[2])
     against = (-moved[0], -moved[1], -moved[2])

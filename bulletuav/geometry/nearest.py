@@ -41,7 +41,12 @@ Answer = tuple[float, Vec3, Vec3, Vec3]
 
 
 @func
-def _face_along(table: ShapeTable, s: int, turn: Turn, d: Vec3) -> tuple[int, Vec3]:
+def _face_along(
+    table: ShapeTable,
+    s: int,
+    turn: Turn,
+    d: Vec3,
+) -> tuple[int, Vec3]:
     """Return the number of the axis across the face that looks along d, and it; -1 for none."""
     local = turned_back(turn, d)
     if table.kind[s] == CYLINDER:
@@ -57,7 +62,13 @@ def _face_along(table: ShapeTable, s: int, turn: Turn, d: Vec3) -> tuple[int, Ve
 
 
 @func
-def _is_beside(table: ShapeTable, s: int, turn: Turn, face: int, place: Vec3) -> bool:
+def _is_beside(
+    table: ShapeTable,
+    s: int,
+    turn: Turn,
+    face: int,
+    place: Vec3,
+) -> bool:
     """Tell whether a place from the position of a shape lies over one of its faces."""
     local = turned_back(turn, place)
     if table.kind[s] == CYLINDER:
@@ -72,7 +83,13 @@ def _is_beside(table: ShapeTable, s: int, turn: Turn, face: int, place: Vec3) ->
 
 @func
 def _over_face(
-    table: ShapeTable, s: int, turn: Turn, other: int, other_turn: Turn, offset: Vec3, d: Vec3
+    table: ShapeTable,
+    s: int,
+    turn: Turn,
+    other: int,
+    other_turn: Turn,
+    offset: Vec3,
+    d: Vec3,
 ) -> tuple[float, Vec3, Vec3]:
     """Measure a shape over a face of another one.
 
@@ -102,7 +119,11 @@ def _over_face(
 
 @func
 def _feature_along(
-    table: ShapeTable, s: int, turn: Turn, d: Vec3, edges: bool
+    table: ShapeTable,
+    s: int,
+    turn: Turn,
+    d: Vec3,
+    edges: bool,
 ) -> tuple[Feature, float]:
     """Return the edge, rim or corner that looks along d, and half the length of an edge, m."""
     if table.kind[s] == SPHERE:
@@ -137,7 +158,13 @@ def _scaled(v: Vec3) -> tuple[float, Vec3]:
 
 @func
 def _ends(
-    table: ShapeTable, a: int, turn_a: Turn, b: int, turn_b: Turn, offset: Vec3, d: Vec3
+    table: ShapeTable,
+    a: int,
+    turn_a: Turn,
+    b: int,
+    turn_b: Turn,
+    offset: Vec3,
+    d: Vec3,
 ) -> tuple[Vec3, Vec3, Vec3]:
     """Return the points of a and b that are nearest along a direction, and the way from b's to a's.
 
@@ -195,7 +222,13 @@ def _towards(
 
 @func
 def _along_edges(
-    one: Feature, long_a: float, two: Feature, long_b: float, on_a: Vec3, on_b: Vec3, offset: Vec3
+    one: Feature,
+    long_a: float,
+    two: Feature,
+    long_b: float,
+    on_a: Vec3,
+    on_b: Vec3,
+    offset: Vec3,
 ) -> tuple[bool, Vec3, Vec3]:
     """Move points along their edges to where they are nearest; tells whether that is on them."""
     way = minus(minus(on_a, on_b), offset)
@@ -259,7 +292,13 @@ def _between(
 
 @kernel
 def direct(
-    table: ShapeTable, a: int, turn_a: Turn, b: int, turn_b: Turn, offset: Vec3, d: Vec3
+    table: ShapeTable,
+    a: int,
+    turn_a: Turn,
+    b: int,
+    turn_b: Turn,
+    offset: Vec3,
+    d: Vec3,
 ) -> Answer:
     """Return what `gap` does, if a direction leads to it at once.
 

@@ -210,7 +210,11 @@ def opposite(count: int) -> float:
     return -math.tanh(float(norm.ppf(1 - ALARM / trials)) / math.sqrt(count - 3))
 
 
-def own_numbers(parts: Sequence[Part], drone: Airframe, free: np.ndarray) -> np.ndarray:
+def own_numbers(
+    parts: Sequence[Part],
+    drone: Airframe,
+    free: np.ndarray,
+) -> np.ndarray:
     """Fit the logs' own numbers alone, with the constants of an airframe; (L, 7)."""
     problem = Problem(parts, drone, [], free, silent)
     numbers = aligned(problem, problem.begin())

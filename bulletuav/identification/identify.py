@@ -211,7 +211,11 @@ def _predictions(
 
 
 def _predict(
-    part: Part, before: Airframe, after: Airframe, own_before: np.ndarray, own: np.ndarray
+    part: Part,
+    before: Airframe,
+    after: Airframe,
+    own_before: np.ndarray,
+    own: np.ndarray,
 ) -> Prediction:
     """Predict one part with both airframes."""
     return Prediction(
@@ -250,7 +254,10 @@ def _possible(airframe: Airframe, constants: Sequence[Constant]) -> tuple[Airfra
 
 
 def _estimates(
-    constants: list[Constant], found: Fit, before: Airframe, after: Airframe
+    constants: list[Constant],
+    found: Fit,
+    before: Airframe,
+    after: Airframe,
 ) -> list[Estimate]:
     """Put together what was before and after."""
     ends = {}

@@ -36,7 +36,12 @@ class Arrivals:
     The users' processes are merged: a task is a user's with the chance of its share of the rate.
     """
 
-    def __init__(self, rates: np.ndarray, dt: float, bits: tuple[float, float]) -> None:
+    def __init__(
+        self,
+        rates: np.ndarray,
+        dt: float,
+        bits: tuple[float, float],
+    ) -> None:
         """Set up the arrivals.
 
         Args:

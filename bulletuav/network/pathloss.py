@@ -187,7 +187,11 @@ Values = float | np.ndarray | None
 
 
 def check_validity(
-    name: str, frequency: Values, distance: Values = None, drone: Values = None, user: Values = None
+    name: str,
+    frequency: Values,
+    distance: Values = None,
+    drone: Values = None,
+    user: Values = None,
 ) -> PathLossModel:
     """Return the path loss model of a name, if it is meant for these values.
 

@@ -28,7 +28,11 @@ The customary values for 2 GHz: I. Bor-Yaliniz, A. El-Keyi, H. Yanikomeroglu, IE
 
 
 @func
-def antenna_distance(ground_distance: float, height: float, other_height: float) -> float:
+def antenna_distance(
+    ground_distance: float,
+    height: float,
+    other_height: float,
+) -> float:
     """Return the distance between two antennas, m, at least 1 m.
 
     Args:
@@ -51,7 +55,11 @@ def free_space(distance: float, frequency: float) -> float:
 
 
 @elementwise
-def log_distance(distance: float, frequency: float, exponent: float) -> float:
+def log_distance(
+    distance: float,
+    frequency: float,
+    exponent: float,
+) -> float:
     """Return a path loss that grows with a power of the distance, dB.
 
     It is the free-space loss at 1 m, plus 10 n log10(d).

@@ -122,7 +122,13 @@ def uma_av_los_probability(ground_distance: float, drone_height: float) -> float
 
 
 @elementwise
-def shadowing(drone_height: float, low: float, high: float, decay: float, least: float) -> float:
+def shadowing(
+    drone_height: float,
+    low: float,
+    high: float,
+    decay: float,
+    least: float,
+) -> float:
     """Return the standard deviation of the path loss about a model, dB.
 
     Sources: TR 38.901, table 7.4.1-1; TR 36.777, table B-3.

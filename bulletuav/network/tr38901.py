@@ -119,7 +119,11 @@ def uma_nlos(
 
 
 @func
-def fading_sight(ground_distance: float, certain: float, decay: float) -> float:
+def fading_sight(
+    ground_distance: float,
+    certain: float,
+    decay: float,
+) -> float:
     """Return a line-of-sight probability that is 1 up to a distance and then falls off.
 
     Both TR 38.901 and TR 36.777 have this form: s / d + exp(-d / decay) (1 - s / d).

@@ -229,7 +229,12 @@ class Uplink:
             power[w] *= rician_gain(factor, generator, sight[w].shape)
         return power
 
-    def rates(self, power: np.ndarray, servers: np.ndarray, activity: float) -> np.ndarray:
+    def rates(
+        self,
+        power: np.ndarray,
+        servers: np.ndarray,
+        activity: float,
+    ) -> np.ndarray:
         """Compute the uplink rates of users, see `uplink_rates`.
 
         Args:

@@ -30,7 +30,11 @@ UNREACHED = 2**62
 """Length of the way to a cell before one is known"""
 
 
-def plan(grid: Voxels, start: np.ndarray, goal: np.ndarray) -> np.ndarray:
+def plan(
+    grid: Voxels,
+    start: np.ndarray,
+    goal: np.ndarray,
+) -> np.ndarray:
     """Find a short way through free cells.
 
     A start or goal that is not in a free cell is joined to the centre of the nearest one by a
@@ -59,7 +63,11 @@ def plan(grid: Voxels, start: np.ndarray, goal: np.ndarray) -> np.ndarray:
 
 
 @allocating
-def shortest_path(occupied: np.ndarray, start: Cell, goal: Cell) -> np.ndarray:
+def shortest_path(
+    occupied: np.ndarray,
+    start: Cell,
+    goal: Cell,
+) -> np.ndarray:
     """Find a shortest way between two free cells, by steps to any of 26 neighbours.
 
     Steps cost their Euclidean length. A*: P. Hart, N. Nilsson, B. Raphael, A formal basis for the
@@ -112,7 +120,11 @@ def shortest_path(occupied: np.ndarray, start: Cell, goal: Cell) -> np.ndarray:
 
 
 @func
-def octile(x: int, y: int, z: int) -> int:
+def octile(
+    x: int,
+    y: int,
+    z: int,
+) -> int:
     """Compute the least length of steps that lead x, y and z cells away where all is free.
 
     Args:

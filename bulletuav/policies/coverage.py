@@ -288,7 +288,12 @@ class Oracle(Placement):
         middles: np.ndarray = grid.origin[:2] + grid.size * (kept + 0.5)
         return middles
 
-    def _served(self, w: int, places: np.ndarray, targets: np.ndarray) -> np.ndarray:
+    def _served(
+        self,
+        w: int,
+        places: np.ndarray,
+        targets: np.ndarray,
+    ) -> np.ndarray:
         """Tell how well (C, M), 0 to 1, drones at places (C, 2) would serve targets (M, 3)."""
         start = np.insert(places, 2, self.height.min(), axis=1)
         # A line from each place to each target.

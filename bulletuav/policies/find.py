@@ -95,7 +95,9 @@ def policy_names() -> list[str]:
 
 
 def find_policy(
-    source: PolicySource, task: TaskSource | None = None, trust: bool = False
+    source: PolicySource,
+    task: TaskSource | None = None,
+    trust: bool = False,
 ) -> PolicySpec:
     """Find a policy.
 
@@ -153,7 +155,9 @@ def find_policy(
 
 
 def _from_sides(
-    sides: Mapping[str, Any] | Sequence[Any], task: TaskSource | None, trust: bool
+    sides: Mapping[str, Any] | Sequence[Any],
+    task: TaskSource | None,
+    trust: bool,
 ) -> PolicySpec:
     """Find a policy for each team, by name or in the teams' order, and join them."""
     teams = tuple(sides) if isinstance(sides, Mapping) else ()
@@ -200,7 +204,11 @@ def _from_class(kind: type[Policy]) -> PolicySpec:
     return PolicySpec(kind.name, kind.actions, kind.reads_swarm, kind)
 
 
-def _from_package(name: str, task: TaskSource | None, trust: bool) -> PolicySpec:
+def _from_package(
+    name: str,
+    task: TaskSource | None,
+    trust: bool,
+) -> PolicySpec:
     """Find the package's own trained policy of a task, or what it was before."""
     if task is None:
         raise ValueError(f"policy {name!r} is another one in each task: say which task")
@@ -224,7 +232,11 @@ def read_run_config(folder: Path, trust: bool = False) -> RunConfig:
     return RunConfig.read(home / CONFIG, trust)
 
 
-def _from_run(folder: Path, name: str, trust: bool) -> PolicySpec:
+def _from_run(
+    folder: Path,
+    name: str,
+    trust: bool,
+) -> PolicySpec:
     """Find the policy of a run, or of a checkpoint two folders below it."""
     config = read_run_config(folder, trust)
     if config.constants != CONSTANTS:
@@ -277,7 +289,11 @@ def _trusted(
     return spec
 
 
-def _from_file(name: str, path: Path, make: Callable[[Aviary], Policy]) -> PolicySpec:
+def _from_file(
+    name: str,
+    path: Path,
+    make: Callable[[Aviary], Policy],
+) -> PolicySpec:
     """Describe a policy that is read from a file; raise FileNotFoundError unless it is there."""
     if not path.is_file():
         raise FileNotFoundError(f"no model {path}: a file that training saved is needed")

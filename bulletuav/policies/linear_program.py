@@ -161,7 +161,11 @@ def pose(
 
 
 @func
-def start(frame: np.ndarray, depth: int, linear: bool) -> Vec3:
+def start(
+    frame: np.ndarray,
+    depth: int,
+    linear: bool,
+) -> Vec3:
     """Find the best point of a depth's ball, without half-spaces."""
     wanted = vec3(frame, depth, 1)
     centre = vec3(frame, depth, 0)

@@ -165,7 +165,11 @@ def _push(
 
 
 @func
-def strength(distance: float, scale: float, field: Field) -> float:
+def strength(
+    distance: float,
+    scale: float,
+    field: Field,
+) -> float:
     """Compute the speed away from a body, as the potential's derivative (Khatib 1986).
 
     It is -dU/drho of U = eta / 2 (1 / rho - 1 / rho0)^2 within rho0, where

@@ -65,7 +65,12 @@ class Trained(SharedPolicy):
     unusual.
     """
 
-    def __init__(self, aviary: Aviary, config: RunConfig, path: str | Path) -> None:
+    def __init__(
+        self,
+        aviary: Aviary,
+        config: RunConfig,
+        path: str | Path,
+    ) -> None:
         """Read the policy.
 
         Args:
@@ -92,7 +97,11 @@ class Trained(SharedPolicy):
         return self._choose_rows(rows)
 
 
-def _network(aviary: Aviary, config: RunConfig, weights: Weights) -> Choose:
+def _network(
+    aviary: Aviary,
+    config: RunConfig,
+    weights: Weights,
+) -> Choose:
     """Build a run's network from its weights; raise ValueError where they do not fit."""
     observed = aviary.observer.space()
     given = widest_action_space(aviary.action)

@@ -131,7 +131,11 @@ def cell_of(grid: Voxels, point: Vec3Like) -> Cell:
 
 
 @func
-def _index(grid: Voxels, point: Vec3Like, axis: int) -> int:
+def _index(
+    grid: Voxels,
+    point: Vec3Like,
+    axis: int,
+) -> int:
     """Find the index of the cell that holds a point, on one axis."""
     index: int = math.floor((point[axis] - grid.origin[axis]) / grid.size)
     return index
@@ -147,7 +151,11 @@ def _is_free(grid: Voxels, cell: Cell) -> bool:
 
 
 @kernel
-def is_clear(grid: Voxels, start: np.ndarray, end: np.ndarray) -> bool:
+def is_clear(
+    grid: Voxels,
+    start: np.ndarray,
+    end: np.ndarray,
+) -> bool:
     """Tell whether the segment between two points is in free cells only.
 
     J. Amanatides, A. Woo, A fast voxel traversal algorithm for ray tracing (1987).

@@ -47,7 +47,13 @@ class Animation:
         figure: The figure that all pictures are drawn in.
     """
 
-    def __init__(self, recording: Recording, d_safe: float, drone_size: float, title: str) -> None:
+    def __init__(
+        self,
+        recording: Recording,
+        d_safe: float,
+        drone_size: float,
+        title: str,
+    ) -> None:
         """Set the scene.
 
         Args:

@@ -147,7 +147,11 @@ def plot_curves(runs: Sequence[Learned], path: Path) -> None:
     save_figure(figure, path)
 
 
-def _curves(axes: Axes, curves: Mapping[int, list[Row]], metric: str) -> None:
+def _curves(
+    axes: Axes,
+    curves: Mapping[int, list[Row]],
+    metric: str,
+) -> None:
     """Draw a metric over the steps for each seed, with mean and range where steps are the same."""
     lines = []
     for (seed, rows), colour in zip(curves.items(), itertools.cycle(COLOURS), strict=False):

@@ -57,7 +57,12 @@ class Feed:
         address: host:port that browsers open.
     """
 
-    def __init__(self, host: str, port: int, make_page: Callable[[], str]) -> None:
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        make_page: Callable[[], str],
+    ) -> None:
         """Open the port.
 
         Args:

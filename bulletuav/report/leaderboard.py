@@ -189,7 +189,11 @@ def write_csv(results: Sequence[Evaluation], path: Path) -> None:
             writer.writerows([*case, metric, *one] for metric, one in result.estimates().items())
 
 
-def write_json(results: Sequence[Evaluation], against: str | None, path: Path) -> None:
+def write_json(
+    results: Sequence[Evaluation],
+    against: str | None,
+    path: Path,
+) -> None:
     """Write what is needed to fly a leaderboard again, sealed.
 
     Args:

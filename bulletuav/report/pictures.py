@@ -122,7 +122,12 @@ def _draw_overview(axes: Axes, recording: Recording) -> None:
     film.close()
 
 
-def _draw_track(axes: Axes, recording: Recording, drone: int, colour: np.ndarray) -> None:
+def _draw_track(
+    axes: Axes,
+    recording: Recording,
+    drone: int,
+    colour: np.ndarray,
+) -> None:
     """Draw the track of a drone from above, with its start, its end and its goal, if any."""
     end = int(recording.alive[:-1, drone].sum()) + 1
     track = recording.position[:end, drone]
@@ -145,7 +150,11 @@ def _draw_track(axes: Axes, recording: Recording, drone: int, colour: np.ndarray
 
 
 def _draw_history(
-    axes: Axes, time: np.ndarray, told: np.ndarray, flown: np.ndarray, colours: np.ndarray
+    axes: Axes,
+    time: np.ndarray,
+    told: np.ndarray,
+    flown: np.ndarray,
+    colours: np.ndarray,
 ) -> None:
     """Draw a number of each drone over time, or one line where it is the same for all.
 
@@ -166,7 +175,11 @@ def _draw_history(
         axes.plot(time[:end], row[:end], color=colour, lw=1.2)
 
 
-def _mark_separations(axes: Axes, separation: np.ndarray, d_safe: float) -> None:
+def _mark_separations(
+    axes: Axes,
+    separation: np.ndarray,
+    d_safe: float,
+) -> None:
     """Mark d_safe among separations (T, N), and leave out those that are far above it."""
     axes.axhline(d_safe, color="crimson", ls="--", lw=1, label=f"d_safe {d_safe:g} m")
     axes.set(ylim=(0, max(5 * d_safe, 2 * float(separation.min()))))

@@ -34,7 +34,11 @@ Show = Callable[[str, int, str], AbstractContextManager[Report]]
 
 
 @contextlib.contextmanager
-def _show_nothing(activity: str, total: int, unit: str) -> Iterator[Report]:
+def _show_nothing(
+    activity: str,
+    total: int,
+    unit: str,
+) -> Iterator[Report]:
     """Keep silent."""
     yield lambda done: None
 

@@ -66,7 +66,12 @@ def make_account(frame: Frame) -> Account:
     return account
 
 
-def add_account(program: Program, account: Account, frame: Frame, contact: Contact) -> None:
+def add_account(
+    program: Program,
+    account: Account,
+    frame: Frame,
+    contact: Contact,
+) -> None:
     """Add to a program that the account is filled after a decision.
 
     Args:
@@ -108,7 +113,11 @@ def mark_contacts(account: Account, frame: Frame) -> None:
     account.impulse[:] = fresh.impulse
 
 
-def mark_landings(account: Account, frame: Frame, standing_height: np.ndarray) -> None:
+def mark_landings(
+    account: Account,
+    frame: Frame,
+    standing_height: np.ndarray,
+) -> None:
     """Tell who stands or lands on the ground, see `Frame.landed`; landings are no collisions.
 
     Args:

@@ -236,7 +236,13 @@ class Follow(Task[FollowConfig]):
             memory={"course": np.array(heading)},
         )
 
-    def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
+    def move_scene(
+        self,
+        scene: Scene,
+        time: np.ndarray,
+        flying: np.ndarray,
+        rngs: Rngs,
+    ) -> bool:
         """Drive the target of every world that flies, and its stations with it.
 
         Returns:

@@ -47,13 +47,23 @@ class HoverConfig(TaskConfig):
 
 
 @end
-def holds(distance: float, goal_radius: float, landed: bool, land: bool) -> bool:
+def holds(
+    distance: float,
+    goal_radius: float,
+    landed: bool,
+    land: bool,
+) -> bool:
     """Tell whether the drone is at its target, and stands there where it is to land."""
     return distance <= goal_radius and (landed or not land)
 
 
 @reward
-def holding(distance: float, goal_radius: float, landed: bool, land: bool) -> float:
+def holding(
+    distance: float,
+    goal_radius: float,
+    landed: bool,
+    land: bool,
+) -> float:
     """1 at the target, where it is to land only on the ground."""
     return 1.0 if distance <= goal_radius and (landed or not land) else 0.0
 

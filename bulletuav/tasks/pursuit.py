@@ -43,7 +43,12 @@ class PursuitConfig(AirspaceConfig):
 
 
 @reward
-def lap(way: float, way_before: float, radius: float, laps: int) -> float:
+def lap(
+    way: float,
+    way_before: float,
+    radius: float,
+    laps: int,
+) -> float:
     """Share of all laps by which it came nearer to their end, along the track and to the goal."""
     return (way_before - way) / (2 * np.pi * radius * laps)
 
@@ -222,7 +227,13 @@ class Pursuit(Airspace[PursuitConfig]):
         """Tell what `way` was before the decision, (W, N) m."""
         return frame.scene.memory["laps_left_before"]
 
-    def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
+    def move_scene(
+        self,
+        scene: Scene,
+        time: np.ndarray,
+        flying: np.ndarray,
+        rngs: Rngs,
+    ) -> bool:
         """Let goals run on."""
         goal, velocity = self._track(time + self.context.period)
         scene.goal[flying] = goal[flying]

@@ -209,7 +209,13 @@ class Race(Task[RaceConfig]):
         self._follow_ways(frame)
         memory["way_before"][:] = memory["way"]
 
-    def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
+    def move_scene(
+        self,
+        scene: Scene,
+        time: np.ndarray,
+        flying: np.ndarray,
+        rngs: Rngs,
+    ) -> bool:
         """Swing gates, and move goals with them.
 
         Returns:

@@ -129,7 +129,12 @@ class Starts:
                 array[k] = spawn.memory.get(name, 0)
 
 
-def _fill(task: Task[Any], name: str, given: Sequence[Any], array: np.ndarray) -> None:
+def _fill(
+    task: Task[Any],
+    name: str,
+    given: Sequence[Any],
+    array: np.ndarray,
+) -> None:
     """Write a field of starts (S,) to the first rows of an array (W, N, M)."""
     count, shape, one = len(given), array.shape[1:], given[0]
     if count == 1:
@@ -189,7 +194,12 @@ def _is_doubtful(
     return False
 
 
-def _refused(task: Task[Any], name: str, what: str, remedy: str) -> ValueError:
+def _refused(
+    task: Task[Any],
+    name: str,
+    what: str,
+    remedy: str,
+) -> ValueError:
     return ValueError(f"{name} of the spawn of task {task.name!r} {what}: {remedy}")
 
 
@@ -204,7 +214,12 @@ ONE_FOR_ALL = {
 """Shapes of what may be given once for all drones"""
 
 
-def _numbers(task: Task[Any], name: str, value: Any, shape: tuple[int, int]) -> Any:
+def _numbers(
+    task: Task[Any],
+    name: str,
+    value: Any,
+    shape: tuple[int, int],
+) -> Any:
     """Return a field of a spawn. Raises ValueError unless it is numbers that fill this shape."""
     if isinstance(value, np.ndarray) and value.dtype.kind == "f" and value.shape == shape:
         return value
@@ -217,7 +232,10 @@ def _numbers(task: Task[Any], name: str, value: Any, shape: tuple[int, int]) -> 
 
 
 def _check_memory(
-    task: Task[Any], spawn: Spawn, remembered: Mapping[str, np.ndarray], layouts: int
+    task: Task[Any],
+    spawn: Spawn,
+    remembered: Mapping[str, np.ndarray],
+    layouts: int,
 ) -> None:
     if spawn.layout != NO_LAYOUT or layouts:
         as_int(f"layout of the spawn of task {task.name!r}", spawn.layout, NO_LAYOUT, layouts - 1)
@@ -247,7 +265,10 @@ def _check_turns(task: Task[Any], quaternion: np.ndarray) -> None:
 
 
 def _check_places(
-    task: Task[Any], position: np.ndarray, quaternion: np.ndarray, airframes: Sequence[Airframe]
+    task: Task[Any],
+    position: np.ndarray,
+    quaternion: np.ndarray,
+    airframes: Sequence[Airframe],
 ) -> None:
     """Refuse starts that are not turned by unit quaternions, too far out, or in the ground."""
     # Squares of norms differ from 1 by twice as much as norms

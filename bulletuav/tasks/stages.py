@@ -63,7 +63,12 @@ class Kept:
         return kept
 
 
-def add_judgement(program: Program, task: Task[Any], frame: Frame, judgement: Judgement) -> None:
+def add_judgement(
+    program: Program,
+    task: Task[Any],
+    frame: Frame,
+    judgement: Judgement,
+) -> None:
     """Add to a program that a task works out ends, successes and reward terms.
 
     The task has evaluated a frame before.
@@ -124,7 +129,12 @@ def _add_flags(
         program.call(_join, another, out)
 
 
-def _add_terms(program: Program, task: Task[Any], frame: Frame, judgement: Judgement) -> None:
+def _add_terms(
+    program: Program,
+    task: Task[Any],
+    frame: Frame,
+    judgement: Judgement,
+) -> None:
     """Add to a program that a task's own reward terms are worked out."""
     if type(task).reward_terms is not Task.reward_terms:
         program.turn(lambda: _copy(task.reward_terms(frame), judgement))

@@ -37,7 +37,10 @@ class TargetTask(Task[ConfigT], Generic[ConfigT]):
         return np.zeros_like(frame.seen)
 
     def service_quality(
-        self, place: np.ndarray, targets: np.ndarray, sight: np.ndarray
+        self,
+        place: np.ndarray,
+        targets: np.ndarray,
+        sight: np.ndarray,
     ) -> np.ndarray:
         """Tell what targets are worth to drones, for policies that know everything.
 
@@ -65,7 +68,10 @@ def links(task: Task[Any], frame: Frame) -> np.ndarray:
 
 
 def service_quality(
-    task: Task[Any], place: np.ndarray, targets: np.ndarray, sight: np.ndarray
+    task: Task[Any],
+    place: np.ndarray,
+    targets: np.ndarray,
+    sight: np.ndarray,
 ) -> np.ndarray:
     """Tell what targets of any task are worth to drones; see `TargetTask.service_quality`."""
     if isinstance(task, TargetTask):
@@ -88,7 +94,11 @@ def share_of(seen: np.ndarray, active: np.ndarray) -> np.ndarray:
 
 
 @allocating
-def served_share(sight: np.ndarray, alive: np.ndarray, active: np.ndarray) -> np.ndarray:
+def served_share(
+    sight: np.ndarray,
+    alive: np.ndarray,
+    active: np.ndarray,
+) -> np.ndarray:
     """Compute the share of active targets that any living drone sees.
 
     Args:

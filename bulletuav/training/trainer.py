@@ -74,7 +74,12 @@ def train(
         return store.rows
 
 
-def _train(config: RunConfig, store: Store, progress: Progress, told: Told) -> None:
+def _train(
+    config: RunConfig,
+    store: Store,
+    progress: Progress,
+    told: Told,
+) -> None:
     """Train until all steps are done."""
     from stable_baselines3.common.logger import configure
 
@@ -107,7 +112,11 @@ def _train(config: RunConfig, store: Store, progress: Progress, told: Told) -> N
         env.close()
 
 
-def _model(config: RunConfig, env: DroneVecEnv, store: Store) -> Any:
+def _model(
+    config: RunConfig,
+    env: DroneVecEnv,
+    store: Store,
+) -> Any:
     """Make a new model, or one that stands where the last checkpoint does."""
     model = make_model(config, env)
     if not store.rows:

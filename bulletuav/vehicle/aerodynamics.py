@@ -11,7 +11,10 @@ from bulletuav.vehicle.parameters import ParameterRow
 
 @func
 def drag(
-    quaternion: Quat4Like, air_velocity: Vec3Like, total_speed: float, row: ParameterRow
+    quaternion: Quat4Like,
+    air_velocity: Vec3Like,
+    total_speed: float,
+    row: ParameterRow,
 ) -> tuple[Vec3, Vec3]:
     """Return the drag of the spinning rotors and of the body.
 
@@ -38,7 +41,11 @@ def drag(
 
 @func
 def force_of_air(
-    v: Vec3Like, up: Vec3Like, thrust: float, total_speed: float, row: ParameterRow
+    v: Vec3Like,
+    up: Vec3Like,
+    thrust: float,
+    total_speed: float,
+    row: ParameterRow,
 ) -> Vec3:
     """Return thrust and drag, world axes, N.
 
@@ -67,7 +74,11 @@ def force_of_air(
 
 
 @func
-def torque_of_drag(along: Vec3Like, total_speed: float, row: ParameterRow) -> Vec3:
+def torque_of_drag(
+    along: Vec3Like,
+    total_speed: float,
+    row: ParameterRow,
+) -> Vec3:
     """Return the torque of the rotors' drag, which acts above the centre of mass, body axes, N m.
 
     Args:
@@ -105,7 +116,12 @@ def _nearness(left: float) -> float:
 
 
 @func
-def lifted_rotors(height: float, climb: float, dt: float, row: ParameterRow) -> int:
+def lifted_rotors(
+    height: float,
+    climb: float,
+    dt: float,
+    row: ParameterRow,
+) -> int:
     """Return how many rotors a surface below may lift within a step: all, or none.
 
     Args:
@@ -122,7 +138,11 @@ def lifted_rotors(height: float, climb: float, dt: float, row: ParameterRow) -> 
 
 @func
 def ground_wrench(
-    height: float, lean: Vec3Like, speed: np.ndarray, lifted: int, row: ParameterRow
+    height: float,
+    lean: Vec3Like,
+    speed: np.ndarray,
+    lifted: int,
+    row: ParameterRow,
 ) -> Vec3:
     """Return what a surface below adds to the rotors: each gains by its own height.
 

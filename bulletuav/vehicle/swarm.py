@@ -31,7 +31,12 @@ class Swarm(NamedTuple):
     rotor_speed: np.ndarray
 
     @classmethod
-    def zeros(cls, num_worlds: int, num_drones: int, num_rotors: int) -> "Swarm":
+    def zeros(
+        cls,
+        num_worlds: int,
+        num_drones: int,
+        num_rotors: int,
+    ) -> "Swarm":
         """Make a swarm at rest at the origin, level, with stopped rotors.
 
         Args:
@@ -54,7 +59,11 @@ class Swarm(NamedTuple):
 
 
 @func
-def get(swarm: Swarm, w: int, i: int) -> State:
+def get(
+    swarm: Swarm,
+    w: int,
+    i: int,
+) -> State:
     """Return the state of one drone as tuples."""
     return (
         vec3(swarm.position, w, i),
@@ -65,7 +74,12 @@ def get(swarm: Swarm, w: int, i: int) -> State:
 
 
 @func
-def put(swarm: Swarm, w: int, i: int, state: State) -> None:
+def put(
+    swarm: Swarm,
+    w: int,
+    i: int,
+    state: State,
+) -> None:
     """Set the state of one drone, in the form that `get` returns."""
     position, quaternion, velocity, rates = state
     for k in range(3):
@@ -77,7 +91,11 @@ def put(swarm: Swarm, w: int, i: int, state: State) -> None:
 
 
 @func
-def _turned_back(velocity: float, beyond: float, rebound: float) -> float:
+def _turned_back(
+    velocity: float,
+    beyond: float,
+    rebound: float,
+) -> float:
     """Return a velocity across a side, turned back if it leads further beyond that side."""
     return -rebound * velocity if velocity * beyond > 0.0 else velocity
 

@@ -28,7 +28,11 @@ def wake_width_squared(drop: float, row: ParameterRow) -> float:
 
 
 @func
-def is_in_wake(horizontal_squared: float, drop: float, row: ParameterRow) -> bool:
+def is_in_wake(
+    horizontal_squared: float,
+    drop: float,
+    row: ParameterRow,
+) -> bool:
     """Tell whether a place is in a drone's wake; see `downwash` for the arguments."""
     if drop <= 0.0 or row.wake_share <= 0.0:
         return False
@@ -37,7 +41,10 @@ def is_in_wake(horizontal_squared: float, drop: float, row: ParameterRow) -> boo
 
 @func
 def downwash(
-    horizontal_squared: float, drop: float, thrust: float, row: ParameterRow
+    horizontal_squared: float,
+    drop: float,
+    thrust: float,
+    row: ParameterRow,
 ) -> tuple[float, float]:
     """Return what a drone's wake does to a drone below: it pushes it, and tips it to the axis.
 
@@ -67,7 +74,12 @@ def downwash(
 
 @func
 def _blow(
-    swarm: Swarm, w: int, above: int, below: int, parameters: np.ndarray, wake: np.ndarray
+    swarm: Swarm,
+    w: int,
+    above: int,
+    below: int,
+    parameters: np.ndarray,
+    wake: np.ndarray,
 ) -> None:
     """Add the wake of drone `above` on drone `below` of world w to `wake` (N, 4)."""
     row = parameters[w, above]
@@ -87,7 +99,12 @@ def _blow(
 
 
 @func
-def _has_company(position: np.ndarray, w: int, i: int, edge: float) -> bool:
+def _has_company(
+    position: np.ndarray,
+    w: int,
+    i: int,
+    edge: float,
+) -> bool:
     """Tell whether a drone of higher index is within a squared horizontal distance of drone i."""
     # A sum without branches, which compiles to several pairs at once
     near = 0

@@ -68,7 +68,11 @@ def wrench(
 
 
 @func
-def damping_torque(rates: Vec3Like, total_speed: float, row: ParameterRow) -> Vec3:
+def damping_torque(
+    rates: Vec3Like,
+    total_speed: float,
+    row: ParameterRow,
+) -> Vec3:
     """Return the torque c w by which spinning rotors slow a turning body down, N m.
 
     Args:
@@ -85,7 +89,11 @@ def damping_torque(rates: Vec3Like, total_speed: float, row: ParameterRow) -> Ve
 
 @func
 def body_acceleration(
-    rates: Vec3Like, torque: Vec3Like, total_speed: float, momentum: float, row: ParameterRow
+    rates: Vec3Like,
+    torque: Vec3Like,
+    total_speed: float,
+    momentum: float,
+    row: ParameterRow,
 ) -> Vec3:
     """Return the angular acceleration by Euler's equation, J^-1 (M - w x (J w + h) - c w).
 
@@ -120,7 +128,12 @@ def body_acceleration(
 
 @func
 def rate_slopes(
-    rates: Vec3, torque: Vec3, total_speed: float, momentum: float, dt: float, row: ParameterRow
+    rates: Vec3,
+    torque: Vec3,
+    total_speed: float,
+    momentum: float,
+    dt: float,
+    row: ParameterRow,
 ) -> Vec3:
     """Return six times the weighted mean of the four slopes of the rates (RK4), rad/s^2."""
     # At the start, twice in the middle, and at the end of the step
@@ -137,7 +150,11 @@ def rate_slopes(
 
 
 @func
-def free_rates(rates: Vec3, dt: float, row: ParameterRow) -> Vec3:
+def free_rates(
+    rates: Vec3,
+    dt: float,
+    row: ParameterRow,
+) -> Vec3:
     """Return the body rates after a time in which no torque acts, rad/s."""
     parts = spin_parts(rates, dt, SMALL_TURN)
     step = dt / parts
@@ -148,7 +165,11 @@ def free_rates(rates: Vec3, dt: float, row: ParameterRow) -> Vec3:
 
 
 @func
-def spin_parts(spin: Vec3Like, dt: float, small: float) -> int:
+def spin_parts(
+    spin: Vec3Like,
+    dt: float,
+    small: float,
+) -> int:
     """Return into how many parts a step is cut so that precession is followed, 1 to MOST_PARTS.
 
     Args:

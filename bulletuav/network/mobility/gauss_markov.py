@@ -34,7 +34,11 @@ MAX_DEVIATIONS = 4.0
 
 @elementwise
 def gauss_markov(
-    value: float, mean: float, correlation: float, deviation: float, normal: float
+    value: float,
+    mean: float,
+    correlation: float,
+    deviation: float,
+    normal: float,
 ) -> float:
     """Return the next value of a Gauss-Markov process (Liang and Haas).
 
@@ -89,7 +93,13 @@ class GaussMarkov(Walking):
         """
         return super().state(count) | {"user_mean_velocity": (count, 2)}
 
-    def start(self, rng: np.random.Generator, ground: Ground, layout: int, count: int) -> State:
+    def start(
+        self,
+        rng: np.random.Generator,
+        ground: Ground,
+        layout: int,
+        count: int,
+    ) -> State:
         """Draw random positions, and velocities of the stationary distribution.
 
         See `Mobility.start`.

@@ -91,7 +91,13 @@ class Hotspot(Walking):
             "user_heading": (count, 2),
         }
 
-    def start(self, rng: np.random.Generator, ground: Ground, layout: int, count: int) -> State:
+    def start(
+        self,
+        rng: np.random.Generator,
+        ground: Ground,
+        layout: int,
+        count: int,
+    ) -> State:
         """Draw random positions of users and hotspots, with random headings.
 
         See `Mobility.start`.

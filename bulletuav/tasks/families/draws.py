@@ -28,10 +28,19 @@ def _drawing(kind: type[np.random.BitGenerator]) -> int:
 
 
 @intrinsic  # type: ignore[untyped-decorator]
-def _next(_: Any, function: Any, state: Any) -> Any:
+def _next(
+    _: Any,
+    function: Any,
+    state: Any,
+) -> Any:
     """Call a function of C that takes an address and returns a double."""
 
-    def generate(context: Any, builder: Any, _: Any, given: Any) -> Any:
+    def generate(
+        context: Any,
+        builder: Any,
+        _: Any,
+        given: Any,
+    ) -> Any:
         form = ir.FunctionType(ir.DoubleType(), [ir.IntType(8).as_pointer()])
         drawing = builder.inttoptr(given[0], form.as_pointer())
         return builder.call(drawing, [builder.inttoptr(given[1], form.args[0])])
@@ -40,7 +49,11 @@ def _next(_: Any, function: Any, state: Any) -> Any:
 
 
 @func
-def uniform(source: Source, low: float, high: float) -> float:
+def uniform(
+    source: Source,
+    low: float,
+    high: float,
+) -> float:
     """Draw what `Generator.uniform(low, high)` draws."""
     drawn: float = _next(source[0], source[1])
     return low + (high - low) * drawn

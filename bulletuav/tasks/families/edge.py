@@ -187,7 +187,10 @@ class EdgeTask(UsersTask[EdgeConfigT], Generic[EdgeConfigT]):
         self._count(frame, served)
 
     def _connect(
-        self, frame: Frame, flying: np.ndarray, rngs: Rngs
+        self,
+        frame: Frame,
+        flying: np.ndarray,
+        rngs: Rngs,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Find the drone (W, U) that serves each user, and its uplink rate (W, U), bit/s."""
         memory = frame.scene.memory
@@ -244,7 +247,10 @@ class EdgeTask(UsersTask[EdgeConfigT], Generic[EdgeConfigT]):
         count(served, stats, tasks_left, config.deadline, core_seconds, full_rate)
 
     def service_quality(
-        self, place: np.ndarray, targets: np.ndarray, sight: np.ndarray
+        self,
+        place: np.ndarray,
+        targets: np.ndarray,
+        sight: np.ndarray,
     ) -> np.ndarray:
         """Tell the share of a user's tasks that would be in time.
 

@@ -119,7 +119,9 @@ def least_distance(config: AirspaceConfig, chord: float) -> float:
 
 
 def circle_arena(
-    config: AirspaceConfig, context: TaskContext, radius: float
+    config: AirspaceConfig,
+    context: TaskContext,
+    radius: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the arena of drones that start on a circle about the origin.
 

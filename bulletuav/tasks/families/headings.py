@@ -14,7 +14,11 @@ HEADINGS = ("goal", "random")
 """Headings that have names"""
 
 
-def check_heading(heading: Any, num_drones: int, has_goals: bool) -> None:
+def check_heading(
+    heading: Any,
+    num_drones: int,
+    has_goals: bool,
+) -> None:
     """Refuse a heading that is no direction.
 
     Args:
@@ -41,7 +45,11 @@ def check_heading(heading: Any, num_drones: int, has_goals: bool) -> None:
         )
 
 
-def headed(heading: Any, ways: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def headed(
+    heading: Any,
+    ways: np.ndarray,
+    rng: np.random.Generator,
+) -> np.ndarray:
     """Make directions of a heading.
 
     Args:

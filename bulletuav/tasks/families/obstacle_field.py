@@ -89,7 +89,12 @@ class ObstacleTask(Task[ObstacleConfigT], Generic[ObstacleConfigT]):
         reach = self.obstacle_radius.max(initial=0.0)
         return self.arena_low + reach, self.arena_high - reach
 
-    def finish(self, spawn: Spawn, given: Given, rng: np.random.Generator) -> Spawn:
+    def finish(
+        self,
+        spawn: Spawn,
+        given: Given,
+        rng: np.random.Generator,
+    ) -> Spawn:
         """Put given places into a start, turn drones, and draw obstacles clear of all places.
 
         Raises:
@@ -132,7 +137,12 @@ class ObstacleTask(Task[ObstacleConfigT], Generic[ObstacleConfigT]):
                 )
         return spawn._replace(obstacle=obstacle, obstacle_velocity=velocity)
 
-    def _turned(self, spawn: Spawn, is_given: bool, rng: np.random.Generator) -> Spawn:
+    def _turned(
+        self,
+        spawn: Spawn,
+        is_given: bool,
+        rng: np.random.Generator,
+    ) -> Spawn:
         """Turn velocities and noses as `heading` says.
 
         Where it says nothing and places are given, drones fly towards their goals.
@@ -148,7 +158,11 @@ class ObstacleTask(Task[ObstacleConfigT], Generic[ObstacleConfigT]):
         return spawn._replace(velocity=direction * speed, quaternion=quaternion)
 
     def _first_in_the_way(
-        self, obstacle: np.ndarray, first: int, places: np.ndarray, layout: int
+        self,
+        obstacle: np.ndarray,
+        first: int,
+        places: np.ndarray,
+        layout: int,
     ) -> int:
         """Find the first of the obstacles (K, 3) m, from `first` on, that has to be elsewhere.
 
@@ -160,7 +174,13 @@ class ObstacleTask(Task[ObstacleConfigT], Generic[ObstacleConfigT]):
                 return k
         return near
 
-    def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
+    def move_scene(
+        self,
+        scene: Scene,
+        time: np.ndarray,
+        flying: np.ndarray,
+        rngs: Rngs,
+    ) -> bool:
         """Move obstacles straight on, reflected at the bounds; where buildings are, turned back.
 
         Returns:
@@ -183,7 +203,11 @@ class ObstacleTask(Task[ObstacleConfigT], Generic[ObstacleConfigT]):
         return True
 
     def _turn_back(
-        self, before: np.ndarray, place: np.ndarray, turned: np.ndarray, layout: np.ndarray
+        self,
+        before: np.ndarray,
+        place: np.ndarray,
+        turned: np.ndarray,
+        layout: np.ndarray,
     ) -> None:
         """Let obstacles that would enter a building stay where they were, and turn round."""
         if not self.layouts():
@@ -195,7 +219,12 @@ class ObstacleTask(Task[ObstacleConfigT], Generic[ObstacleConfigT]):
 
 
 @kernel
-def first_near(obstacle: np.ndarray, first: int, keep_off: np.ndarray, places: np.ndarray) -> int:
+def first_near(
+    obstacle: np.ndarray,
+    first: int,
+    keep_off: np.ndarray,
+    places: np.ndarray,
+) -> int:
     """Find the first of the obstacles (K, 3), from `first` on, that does not keep off places.
 
     Args:

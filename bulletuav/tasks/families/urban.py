@@ -76,7 +76,12 @@ class UrbanTask(ObstacleTask[UrbanConfigT], Generic[UrbanConfigT]):
         """List the buildings of each city."""
         return self.town.solids
 
-    def is_free(self, place: np.ndarray, radius: float, layout: int) -> bool:
+    def is_free(
+        self,
+        place: np.ndarray,
+        radius: float,
+        layout: int,
+    ) -> bool:
         """Tell whether a ball at a place (3,), m, is off all buildings of a city; see `Task`."""
         city = self.town.cities[layout]
         # The highest roof below the ball, on a raster of it.
@@ -85,7 +90,12 @@ class UrbanTask(ObstacleTask[UrbanConfigT], Generic[UrbanConfigT]):
         is_above = place[2] - radius > float(city.roof(below).max())
         return bool(is_above) or bool(city.outdoors(place, radius))
 
-    def finish(self, spawn: Spawn, given: Given, rng: np.random.Generator) -> Spawn:
+    def finish(
+        self,
+        spawn: Spawn,
+        given: Given,
+        rng: np.random.Generator,
+    ) -> Spawn:
         """Put given places into a start; where drones have no goals they are their starts.
 
         Raises:

@@ -111,7 +111,13 @@ class UsersTask(UrbanTask[UsersConfigT], TargetTask[UsersConfigT], Generic[Users
         users = self.mobility.start(rng, self.ground, layout, self.config.num_users)
         return start._replace(memory=users)
 
-    def move_scene(self, scene: Scene, time: np.ndarray, flying: np.ndarray, rngs: Rngs) -> bool:
+    def move_scene(
+        self,
+        scene: Scene,
+        time: np.ndarray,
+        flying: np.ndarray,
+        rngs: Rngs,
+    ) -> bool:
         """Let users walk."""
         period = self.context.period
         self.mobility.move(scene.memory, self.ground, scene.layout, flying, period, rngs)
