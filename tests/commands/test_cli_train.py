@@ -132,8 +132,9 @@ def test_dqn_chooses_among_discrete_actions_and_difficulties_make_a_curriculum(
 
 
 def configured(*arguments):
-    parser, _ = _parser()
-    given = parser.parse_args(["train", *arguments])
+    words = ["train", *arguments]
+    parser, _ = _parser(words)
+    given = parser.parse_args(words)
     return train.run_config(given, train.base_config(given, given.task))
 
 
