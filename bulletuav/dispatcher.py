@@ -13,6 +13,7 @@ And numba stamps what it stores with the function's own file alone, so that it s
 a helper in another file. Here the stamp covers all files that the function's file imports.
 """
 
+import contextlib
 import functools
 import hashlib
 import itertools
@@ -21,10 +22,11 @@ import os
 import pickle
 import re
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from importlib import import_module
 from pathlib import Path
-from typing import Any, NamedTuple
+from types import ModuleType
+from typing import Any, ClassVar, NamedTuple
 
 import llvmlite.binding as llvm
 import numba
@@ -34,6 +36,12 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
 from numba.core.runtime import _nrt_python
 from numba.core.serialize import dumps
+
+fcntl: ModuleType | None
+try:
+    import fcntl
+except ImportError:  # Windows has no such locks
+    fcntl = None
 
 MANY = 20
 """Functions that a process compiles before it tells why nothing else happens"""
@@ -77,6 +85,8 @@ class Cache:
     """
 
     _made = itertools.count(1)
+    _locked: ClassVar[set[Path]] = set()
+    """Folders in which this process compiles; numba's own lock keeps its other threads out"""
 
     def __init__(
         self,
@@ -139,6 +149,28 @@ class Cache:
             logging.getLogger(__name__).warning(
                 "compiling for this machine, for a minute or two; later runs start at once"
             )
+
+    @contextlib.contextmanager
+    def alone(self) -> Iterator[None]:
+        """Keep other processes from compiling into the folder meanwhile.
+
+        They would compile the same functions under other symbols, and callers of either would be
+        compiled once more by the next process. Without locks, or a folder that can be written, each
+        goes on by itself.
+        """
+        if fcntl is None or self._folder in self._locked:
+            yield  # a function that is compiled for its caller
+            return
+        with contextlib.ExitStack() as stack:
+            with contextlib.suppress(OSError):
+                lock = stack.enter_context(open(self._folder / ".lock", "ab"))
+                # Ends with the process, and is not handed on to forks
+                fcntl.lockf(lock, fcntl.LOCK_EX)
+            self._locked.add(self._folder)
+            try:
+                yield
+            finally:
+                self._locked.discard(self._folder)
 
     def _file(self, signature: Any, context: Any) -> Path:
         """Name the file for some types of arguments."""
@@ -221,12 +253,17 @@ class _Stored(CPUDispatcher):  # type: ignore[misc]  # numba has no types
         with global_compiler_lock:
             if kinds not in self.overloads and isinstance(self._cache, Cache):
                 found = self._cache.load_overload(sig, self.targetctx)
-                if found is not None:
-                    self._cache_hits[sig] += 1
-                    self.targetctx.insert_user_function(
-                        found.entry_point, found.fndesc, [found.library]
-                    )
-                    self.add_overload(found)
+                if found is None:
+                    # Another process may have compiled it while this one waited
+                    with self._cache.alone():
+                        found = self._cache.load_overload(sig, self.targetctx)
+                        if found is None:
+                            return super().compile(sig)
+                self._cache_hits[sig] += 1
+                self.targetctx.insert_user_function(
+                    found.entry_point, found.fndesc, [found.library]
+                )
+                self.add_overload(found)
         return super().compile(sig)
 
 

@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
@@ -84,6 +85,15 @@ def edit(path, old, new):
     os.utime(path, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
 
 
+def test_of_processes_that_start_at_once_one_compiles(package):
+    """Else both do, and the next compiles what calls the one whose code was overwritten."""
+    _, run = package
+    with ThreadPoolExecutor(3) as pool:
+        found = list(pool.map(lambda _: run(), range(3)))
+    assert sorted(found) == [(20, 0), (20, 1), (20, 1)]
+    assert run() == (20, 1)
+
+
 def test_an_edit_of_a_helper_in_another_file_is_seen_by_its_cached_caller(package):
     folder, run = package
     assert run() == (20, 0)
@@ -138,7 +148,7 @@ def test_machine_code_with_addresses_of_this_process_is_not_stored(monkeypatch, 
     monkeypatch.setattr(kernel, "_CACHE", tmp_path)
     compiled = kernel.kernel(lambda x: TANH(x))
     assert compiled(0.5) == math.tanh(0.5)
-    assert list(tmp_path.iterdir()) == []
+    assert list(tmp_path.glob("*.nbc")) == []
 
 
 def test_functions_of_arrays_are_made_of_stored_code(package):
@@ -328,7 +338,7 @@ def test_a_first_run_tells_that_it_compiles(monkeypatch, caplog, tmp_path):
     compiled = kernel.kernel(lambda x: x + 1)
     for number in (1, 1.0, 1j):
         compiled(number)
-    assert len(list(tmp_path.iterdir())) == 3
+    assert len(list(tmp_path.glob("*.nbc"))) == 3
     assert [one.message for one in caplog.records] == [
         "compiling for this machine, for a minute or two; later runs start at once"
     ]

@@ -75,7 +75,7 @@ def test_heaps_with_contacts_are_the_same_to_the_bit(pair):
     for seed in (1, 2):
         scatter(benches, seed, 0.3)
         touched = 0
-        for _ in range(10):
+        for _ in range(4):
             fast, plain = (one.spin(200.0) for one in benches)
             for mine, theirs in zip(fast, plain, strict=True):
                 np.testing.assert_array_equal(mine, theirs)
