@@ -163,6 +163,8 @@ def touch_time(
     time = start
     normal = guess
     near = False
+    # The touch is between a time at which they were apart and one at which they were too close
+    apart, close = start, NEVER
     for _ in range(MOST_STEPS):
         distance, normal, on_a, on_b = gap_at(
             scenery, motions, w, a, b, time, dt, normal, room, plain
@@ -181,6 +183,7 @@ def touch_time(
             return (time if bound > 0.0 else NEVER), normal, near
         step = left / bound
         if left > 0.0:
+            apart = time
             # How long the present plane keeps them apart: to the end, or as far as ways bend
             reach = math.sqrt(0.5 * left / bend) if bend > 0.0 else rest
             span = rest
@@ -200,5 +203,13 @@ def touch_time(
                 aimed = left / closing
                 if left < 0.0 or (step < aimed and 4.0 * bend * aimed * aimed <= left):
                     step = aimed
-        time = min(end, max(start, time + step))
+        if left < 0.0:
+            close = time
+        time = min(end, time + step)
+        if close < NEVER:
+            # Newton's method may go back and forth for ever where a way only just grazes
+            if not apart < time < close:
+                time = 0.5 * (apart + close)
+            if bound * (close - apart) <= exact:
+                break
     return time, normal, near

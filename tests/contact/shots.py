@@ -218,7 +218,9 @@ class Range:
         scenery = self.rig.engine.scenery
         radius = self.rig.airframes[0].collision_radius
         bound = np.linalg.norm(velocity, axis=1) + radius * np.linalg.norm(rates, axis=1)
-        last = 2 * np.linalg.norm(start - HIGH, axis=1) / np.linalg.norm(velocity, axis=1)
+        # By then they have left the sphere about the target, on whatever side they entered it
+        reach = list(TARGETS.values())[k].radius + radius
+        last = (np.linalg.norm(start - HIGH, axis=1) + reach) / np.linalg.norm(velocity, axis=1)
         time = np.zeros(len(start))
         least = np.full(len(start), np.inf)
         when = np.zeros(len(start))

@@ -1,7 +1,8 @@
 """Times of touch of a drone that turns, against heights of its cylinder in closed form."""
 
 import numpy as np
-from contact.rig import Rig, random_attitudes, random_directions
+from contact.rig import Rig, measure_gaps, random_attitudes, random_directions
+from contact.shots import TARGETS
 from scipy.spatial.transform import Rotation
 
 from bulletuav.contact.touch import EXACT, NEVER, TOUCH, touch_time
@@ -13,12 +14,12 @@ SAMPLES = np.linspace(0, 1, 2001)
 
 @allocating
 def _times(scenery, motions, room):  # type: ignore[no-untyped-def]
-    """Return when each of the drones of `motions` (M,) alone touches the ground."""
+    """Return when each of the drones of `motions` (M,) alone touches the only other shape."""
     found = np.zeros(len(motions))
     for m in range(len(motions)):
         alone = motions[m : m + 1]
         found[m] = touch_time(
-            scenery, alone, 0, 0, 1, 0.0, TOUCH, EXACT, DT, (0.0, 0.0, 1.0), room
+            scenery, alone, 0, 0, 1, 0.0, TOUCH, EXACT, DT, (0.0, 0.0, 0.0), room
         )[0]
     return found
 
@@ -57,3 +58,32 @@ def test_turning_drones_touch_when_their_lowest_point_does() -> None:
         before = SAMPLES[time > SAMPLES]
         heights = _heights(np.repeat(motion, len(before)), before, radius, half)
         assert heights.min() > TOUCH - 1e-12
+
+
+def _gaps(rig: Rig, motions: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """Return the distances of drones from an obstacle at the origin, after shares (M,), m."""
+    turn = Rotation.from_rotvec(share[:, None] * motions["turn"])
+    attitude = (turn * Rotation.from_quat(motions["quaternion"])).as_quat()
+    place = motions["position"] + share[:, None] * motions["move"]
+    level = np.tile([0.0, 0, 0, 1], (len(motions), 1))
+    return measure_gaps(
+        rig.engine.scenery.table, 0, 1, place, attitude, np.zeros(place.shape), level
+    )
+
+
+def test_rims_that_graze_an_edge_touch_where_they_reach_it() -> None:
+    """Newton's method alone goes back and forth here, between too far away and too close."""
+    with Rig(["iris"], obstacles=[TARGETS["wall of 2 mm"]]) as rig:
+        rig.obstacle[:] = 0.0
+        rig.place()
+        motions = np.repeat(rig.dynamics.contact.space.motions, 40)
+        motions["time"], motions["until"] = 0.0, 1.0
+        motions["position"] = (0.3851, -2.0031, -0.6644)
+        motions["position"][:, 0] += np.linspace(3e-5, 6e-5, len(motions))
+        motions["quaternion"] = (0.15571, 0.20242, -0.77796, 0.57407)
+        motions["move"] = (0.0015, 0.0552, -0.0376)
+        motions["turn"] = (-0.0004, -0.0281, 0.0216)
+        assert _gaps(rig, motions, np.zeros(len(motions))).min() > 1.1 * TOUCH
+        times = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.room)
+        assert times.max() < 0.5
+        assert np.abs(_gaps(rig, motions, times) - TOUCH).max() < 1e-11
