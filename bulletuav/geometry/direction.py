@@ -150,6 +150,47 @@ def _between_edges(
     return d, on_a, plus(far_point(table, b, turn_b, d), far_b, two)
 
 
+@func
+def newton_step(
+    one: Feature,
+    two: Feature,
+    edge: Vec3,
+    d: Vec3,
+    found: Vec3,
+    size: float,
+    first: Vec3,
+    second: Vec3,
+) -> tuple[float, float]:
+    """Return the step to the direction along which two features lie, by Newton's method.
+
+    Args:
+        one: Feature of the first shape.
+        two: Feature of the second shape.
+        edge: Direction of an edge that the direction stays across, or zeros.
+        d: The present direction.
+        found: Direction between the points that are farthest along d.
+        size: Distance of these points, m.
+        first: Unit vector across d.
+        second: Unit vector across both.
+
+    Returns:
+        Along the first and the second vector; NaN where no step is sure.
+    """
+    # How that way turns with d: both rims give way against it
+    turned_first = turning(one, two, edge, d, first, size)
+    turned_second = turning(one, two, edge, d, second, size)
+    m11 = 1.0 - dot(turned_first, first)
+    m21 = -dot(turned_first, second)
+    m12 = -dot(turned_second, first)
+    m22 = 1.0 - dot(turned_second, second)
+    # Solve (1 - turning) step = found - d
+    error = minus(found, d)
+    r1 = dot(error, first)
+    r2 = dot(error, second)
+    scale = 1.0 / (m11 * m22 - m12 * m21)
+    return scale * (m22 * r1 - m12 * r2), scale * (m11 * r2 - m21 * r1)
+
+
 @kernel
 def sharpened(
     table: ShapeTable,
@@ -230,20 +271,7 @@ def sharpened(
         scale = 1.0 / math.sqrt(dot(first, first))
         first = (scale * first[0], scale * first[1], scale * first[2])
         second = cross(d, first)
-        # How that way turns with d: both rims give way against it
-        turned_first = turning(one, two, edge, d, first, size)
-        turned_second = turning(one, two, edge, d, second, size)
-        m11 = 1.0 - dot(turned_first, first)
-        m21 = -dot(turned_first, second)
-        m12 = -dot(turned_second, first)
-        m22 = 1.0 - dot(turned_second, second)
-        # Solve (1 - turning) step = found - d
-        error = minus(found, d)
-        r1 = dot(error, first)
-        r2 = dot(error, second)
-        scale = 1.0 / (m11 * m22 - m12 * m21)
-        step_first = scale * (m22 * r1 - m12 * r2)
-        step_second = scale * (m11 * r2 - m21 * r1)
+        step_first, step_second = newton_step(one, two, edge, d, found, size, first, second)
         # A step too long, or NaN, comes from rims without a sure direction
         step = math.sqrt(step_first * step_first + step_second * step_second)
         if not step < BLUNT:

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from bulletuav.geometry.convex import ShapeTable
-from bulletuav.geometry.direction import Feature, off, turning
+from bulletuav.geometry.direction import Feature, newton_step, off
 from bulletuav.geometry.gjk import DUALITY_GAP, TOUCH_CORE, gap
 from bulletuav.geometry.minkowski import Turn, far_point, swell, turned_back
 from bulletuav.geometry.rotation import Vec3, cross, dot, minus, plus
@@ -188,29 +188,21 @@ def _towards(
     d: Vec3,
 ) -> tuple[bool, Vec3]:
     """Find the direction that two features have from each other, by Newton's method from d on."""
+    # Along an edge the way does not count
     edge = one[1] if _has_edge(one) else two[1]
     _, d = _scaled(off(edge, d))
     for _ in range(MOST_STEPS):
+        # Where the points lie that are farthest along d, and how far that is from d
         _, _, way = _ends(table, a, turn_a, b, turn_b, offset, d)
         size, found = _scaled(off(edge, way))
         if not dot(found, d) > 0.0:
             return False, d
+        # Two axes across d, in which a step is two numbers
         first = cross(d, (1.0, 0.0, 0.0) if abs(d[0]) < 0.7 else (0.0, 1.0, 0.0))
         _, first = _scaled(first)
         second = cross(d, first)
-        # How that way turns with d: both rims give way against it
-        turned_first = turning(one, two, edge, d, first, size)
-        turned_second = turning(one, two, edge, d, second, size)
-        m11 = 1.0 - dot(turned_first, first)
-        m21 = -dot(turned_first, second)
-        m12 = -dot(turned_second, first)
-        m22 = 1.0 - dot(turned_second, second)
-        error = minus(found, d)
-        r1 = dot(error, first)
-        r2 = dot(error, second)
-        scale = 1.0 / (m11 * m22 - m12 * m21)
-        step_first = scale * (m22 * r1 - m12 * r2)
-        step_second = scale * (m11 * r2 - m21 * r1)
+        step_first, step_second = newton_step(one, two, edge, d, found, size, first, second)
+        # A step too long, or NaN, comes from rims without a sure direction
         square = step_first * step_first + step_second * step_second
         if not square < FAR * FAR:
             return False, d
@@ -233,6 +225,7 @@ def _along_edges(
     """Move points along their edges to where they are nearest; tells whether that is on them."""
     way = minus(minus(on_a, on_b), offset)
     if _has_edge(one) and _has_edge(two):
+        # Two lines that cross at an angle are nearest at one point each
         across = cross(one[1], two[1])
         square = dot(across, across)
         if square > PARALLEL:
@@ -252,6 +245,7 @@ def _along_edges(
         on_a = plus(on_a, -dot(way, one[1]), one[1])
     elif _has_edge(two):
         on_b = plus(on_b, dot(way, two[1]), two[1])
+    # Beyond the ends of an edge a corner is nearer
     fits = not _has_edge(one) or abs(dot(on_a, one[1])) <= long_a
     fits = fits and (not _has_edge(two) or abs(dot(on_b, two[1])) <= long_b)
     return fits, on_a, on_b
