@@ -22,11 +22,12 @@ import os
 import pickle
 import re
 import sys
+import time
 from collections.abc import Callable, Iterator, Mapping
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
-from typing import Any, ClassVar, NamedTuple
+from typing import IO, Any, ClassVar, NamedTuple
 
 import llvmlite.binding as llvm
 import numba
@@ -45,6 +46,8 @@ except ImportError:  # Windows has no such locks
 
 MANY = 20
 """Functions that a process compiles before it tells why nothing else happens"""
+PATIENCE = 300.0
+"""Time after which a process that compiles is taken for one that was stopped, s"""
 PACKAGE = Path(__file__).parent
 _IMPORT = re.compile(
     PACKAGE.name.encode() + rb"\.?([\w.]*)(?:[ \t]+import[ \t]+(\([^)]*\)|[^\n]*))?"
@@ -163,9 +166,7 @@ class Cache:
             return
         with contextlib.ExitStack() as stack:
             with contextlib.suppress(OSError):
-                lock = stack.enter_context(open(self._folder / ".lock", "ab"))
-                # Ends with the process, and is not handed on to forks
-                fcntl.lockf(lock, fcntl.LOCK_EX)
+                _wait_for(stack.enter_context(open(self._folder / ".lock", "ab")))
             self._locked.add(self._folder)
             try:
                 yield
@@ -224,6 +225,18 @@ def _name_helpers() -> None:
     """
     for name, address in _nrt_python.c_helpers.items():
         llvm.add_symbol(name if name.startswith("_") else f"NRT_{name}", address)
+
+
+def _wait_for(lock: IO[bytes]) -> None:
+    """Lock a file, unless another process holds it for longer than compilation takes."""
+    assert fcntl is not None
+    end = time.monotonic() + PATIENCE
+    while time.monotonic() < end:
+        # It ends with the process, and is not handed on to forks
+        with contextlib.suppress(BlockingIOError):
+            fcntl.lockf(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return
+        time.sleep(0.02)
 
 
 def _replace(file: Path, data: bytes) -> None:

@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
@@ -92,6 +93,24 @@ def test_of_processes_that_start_at_once_one_compiles(package):
         found = list(pool.map(lambda _: run(), range(3)))
     assert sorted(found) == [(20, 0), (20, 1), (20, 1)]
     assert run() == (20, 1)
+
+
+def test_a_process_that_was_stopped_is_not_waited_for_for_ever(package, tmp_path):
+    folder, run = package
+    (folder / "held.py").write_text(
+        "import fcntl, sys, time\nlock = open(sys.argv[1], 'ab')\n"
+        "fcntl.lockf(lock, fcntl.LOCK_EX)\nprint('locked', flush=True)\ntime.sleep(60)\n"
+    )
+    assert run() == (20, 0)
+    (lock,) = (tmp_path / "cache").rglob(".lock")
+    edit(folder / "helper.py", "x + 1", "x + 2")
+    command = [sys.executable, folder / "held.py", lock]
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as holder:
+        assert holder.stdout.readline() == b"locked\n"
+        begin = time.monotonic()
+        assert run("import small.dispatcher as d; d.PATIENCE = 0.3; ") == (30, 0)
+        assert time.monotonic() - begin < 30
+        holder.kill()
 
 
 def test_an_edit_of_a_helper_in_another_file_is_seen_by_its_cached_caller(package):
