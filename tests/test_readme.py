@@ -3,6 +3,7 @@
 Programs of tutorials are those of notebooks: `test_site.py` runs them, as it builds the site.
 """
 
+import ast
 import re
 import shlex
 from pathlib import Path
@@ -124,7 +125,7 @@ def test_the_runs_of_the_page_on_learning_can_be(tmp_path):
         (tmp_path / "run.yaml").write_text(text)
         kind = Study if "space:" in text else RunConfig
         files.append(kind.read(tmp_path / "run.yaml"))
-    one, study, of_any_size = files
+    one, study, of_any_size, in_a_minute = files
     assert study.space["model.n_epochs"].is_whole
     assert one.steps == 4_000_000
     assert (
@@ -132,3 +133,7 @@ def test_the_runs_of_the_page_on_learning_can_be(tmp_path):
         == RunConfig.read(shipped("crossing") / "run.yaml").options["weights"]
     )
     assert of_any_size.settings["features"] == "swarm"
+    # The same rewards as in the file that it is compared with
+    beside = (ROOT / "examples" / "fast_ppo.py").read_text()
+    paid = ast.literal_eval(re.search(r"^STAY = (.*)$", beside, re.MULTILINE)[1])
+    assert in_a_minute.options["weights"] == paid
