@@ -99,6 +99,25 @@ def _flat(feature: Feature, d: Vec3) -> bool:
 
 
 @func
+def ends(
+    table: ShapeTable,
+    a: int,
+    turn_a: Turn,
+    b: int,
+    turn_b: Turn,
+    offset: Vec3,
+    d: Vec3,
+) -> tuple[Vec3, Vec3, Vec3]:
+    """Return the points of a and b that are nearest along a direction, and the way from b's to a's.
+
+    Spheres are their centres.
+    """
+    on_a = far_point(table, a, turn_a, (-d[0], -d[1], -d[2]))
+    on_b = far_point(table, b, turn_b, d)
+    return on_a, on_b, minus(minus(on_a, on_b), offset)
+
+
+@func
 def _reach(
     table: ShapeTable,
     a: int,
@@ -109,9 +128,31 @@ def _reach(
     d: Vec3,
 ) -> tuple[float, Vec3]:
     """Return how far shapes are apart along a direction, and the way between their points, m."""
-    back = (-d[0], -d[1], -d[2])
-    way = minus(minus(far_point(table, a, turn_a, back), far_point(table, b, turn_b, d)), offset)
+    _, _, way = ends(table, a, turn_a, b, turn_b, offset, d)
     return dot(way, d) - swell(table, a) - swell(table, b), way
+
+
+@func
+def along_crossing(
+    one: Vec3,
+    two: Vec3,
+    square: float,
+    way: Vec3,
+) -> tuple[float, float]:
+    """Return how far points on two lines that cross are from where the lines are nearest, m.
+
+    Args:
+        one: Direction of the first line, a unit vector.
+        two: Direction of the second line.
+        square: Square of the length of their cross product.
+        way: From the point on the second line to that on the first, m.
+
+    Returns:
+        To be moved along the first line, and along the second.
+    """
+    slant = dot(one, two)
+    far = (slant * dot(way, two) - dot(way, one)) / square
+    return far, dot(way, two) + slant * far
 
 
 @func
@@ -143,9 +184,7 @@ def _between_edges(
     if not after >= before - SAME:
         return given
     # Along both edges, to where the way between them is across both
-    slant = dot(one, two)
-    far_a = (slant * dot(way, two) - dot(way, one)) / square
-    far_b = dot(way, two) + slant * far_a
+    far_a, far_b = along_crossing(one, two, square, way)
     on_a = plus(far_point(table, a, turn_a, (-d[0], -d[1], -d[2])), far_a, one)
     return d, on_a, plus(far_point(table, b, turn_b, d), far_b, two)
 

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from bulletuav.geometry.convex import ShapeTable
-from bulletuav.geometry.direction import Feature, newton_step, off
+from bulletuav.geometry.direction import Feature, along_crossing, ends, newton_step, off
 from bulletuav.geometry.gjk import DUALITY_GAP, TOUCH_CORE, gap
 from bulletuav.geometry.minkowski import Turn, far_point, swell, turned_back
 from bulletuav.geometry.rotation import Vec3, cross, dot, minus, plus
@@ -157,25 +157,6 @@ def _scaled(v: Vec3) -> tuple[float, Vec3]:
 
 
 @func
-def _ends(
-    table: ShapeTable,
-    a: int,
-    turn_a: Turn,
-    b: int,
-    turn_b: Turn,
-    offset: Vec3,
-    d: Vec3,
-) -> tuple[Vec3, Vec3, Vec3]:
-    """Return the points of a and b that are nearest along a direction, and the way from b's to a's.
-
-    Spheres are their centres.
-    """
-    on_a = far_point(table, a, turn_a, (-d[0], -d[1], -d[2]))
-    on_b = far_point(table, b, turn_b, d)
-    return on_a, on_b, minus(minus(on_a, on_b), offset)
-
-
-@func
 def _towards(
     table: ShapeTable,
     a: int,
@@ -193,7 +174,7 @@ def _towards(
     _, d = _scaled(off(edge, d))
     for _ in range(MOST_STEPS):
         # Where the points lie that are farthest along d, and how far that is from d
-        _, _, way = _ends(table, a, turn_a, b, turn_b, offset, d)
+        _, _, way = ends(table, a, turn_a, b, turn_b, offset, d)
         size, found = _scaled(off(edge, way))
         if not dot(found, d) > 0.0:
             return False, d
@@ -229,10 +210,9 @@ def _along_edges(
         across = cross(one[1], two[1])
         square = dot(across, across)
         if square > PARALLEL:
-            slant = dot(one[1], two[1])
-            far_a = (slant * dot(way, two[1]) - dot(way, one[1])) / square
+            far_a, far_b = along_crossing(one[1], two[1], square, way)
             on_a = plus(on_a, far_a, one[1])
-            on_b = plus(on_b, dot(way, two[1]) + slant * far_a, two[1])
+            on_b = plus(on_b, far_b, two[1])
         else:
             # In the middle of where one is beside the other
             there = dot(offset, one[1])
@@ -273,7 +253,7 @@ def _between(
         solved, d = _towards(table, a, turn_a, b, turn_b, offset, one, two, d)
         if not solved:
             return NOTHING
-    on_a, on_b, way = _ends(table, a, turn_a, b, turn_b, offset, d)
+    on_a, on_b, way = ends(table, a, turn_a, b, turn_b, offset, d)
     least = dot(way, d)
     fits, on_a, on_b = _along_edges(one, long_a, two, long_b, on_a, on_b, offset)
     way = minus(minus(on_a, on_b), offset)
