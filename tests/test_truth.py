@@ -304,6 +304,26 @@ def test_rates_follow_torque_and_bias_is_found_again(arpl, part, monkeypatch):
     np.testing.assert_allclose(tipped[:, 1], expected, rtol=1e-3)
 
 
+def test_the_likeliest_damping_is_found_again_and_sharper_windows_count_more(arpl, part):
+    predictors, rng = part("predictors"), np.random.default_rng(0)
+
+    def flown(damping, steps, noise):
+        true = replace(predictors.NOW, rate_damping=(damping, damping, 3.0))
+        zero = np.zeros((200, steps // arpl.COARSE, 3))
+        spin = np.ones((200, steps // arpl.COARSE, 1))
+        start = rng.normal(scale=5.0, size=(200, 3))
+        cut = arpl.Windows(start, start, zero, zero[..., :2], spin, np.zeros(200, dtype=int))
+        end = arpl.predict(true, cut, np.zeros((1, 3))) + rng.normal(scale=noise, size=(200, 3))
+        return replace(cut, end=end)
+
+    long = flown(4.0, 200, 0.02)
+    assert arpl.likeliest_damping([long], predictors.NOW) == pytest.approx(4.0, abs=0.1)
+    # Of two kinds that contradict each other, the one with errors 500 times as small decides.
+    sharp = flown(7.0, 100, 0.001)
+    found = arpl.likeliest_damping([flown(4.0, 100, 0.5), sharp], predictors.NOW)
+    assert found == pytest.approx(7.0, abs=0.1)
+
+
 # Neural-Swarm ------------------------------------------------------------------------------------
 
 
