@@ -5,6 +5,10 @@ import os
 # Two processes fly at once: threads of PyTorch and BLAS in each would wait for one another.
 # Set before these are imported, and inherited by what tests start.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+# Bullet takes 30 MB for each client, and tests make thousands: the C library keeps what is freed,
+# instead of asking the system anew. It reads this when a process starts, as those of xdist do.
+os.environ.setdefault("MALLOC_MMAP_THRESHOLD_", str(2**26))
+os.environ.setdefault("MALLOC_TRIM_THRESHOLD_", str(2**28))
 
 import bench
 import placing

@@ -193,7 +193,7 @@ def deepest(a, turn_a, b, turn_b, offset, count=4000):
 
     value = separations(n)
     best = value.max()
-    for start in n[np.argsort(-value)[:12]]:
+    for start in n[np.argsort(-value)[:4]]:
 
         def depth(x):
             return -separations((x / np.linalg.norm(x))[None])[0]

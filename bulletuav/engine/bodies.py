@@ -1,4 +1,4 @@
-"""Makers of the bodies of an engine: ground, drones, solids, and the buildings of cities."""
+"""Makers of the bodies of an engine but its drones: ground, solids, the buildings of cities."""
 
 import tempfile
 import threading
@@ -12,7 +12,6 @@ from bulletuav.engine.calls import CITY_GROUP, DRONE_GROUP, RAYS, SIGHT_GROUP, S
 from bulletuav.engine.silence import silenced
 from bulletuav.geometry.shapes import BOX, CYLINDER, HULL, SPHERE, Shape
 from bulletuav.geometry.solids import Solids, apart_groups, obj_lines
-from bulletuav.vehicle.airframe import Airframe
 
 FLOOR = 0.02
 """Thickness of the ground in pictures, m"""
@@ -98,53 +97,6 @@ def _make_still(
     return body
 
 
-def make_drone(
-    client: int,
-    airframe: Airframe,
-    place: np.ndarray,
-) -> Body:
-    """Make one drone.
-
-    Args:
-        client: Number that Bullet gave the client.
-        airframe: Its shape, mass and inertia.
-        place: (3,) position in Bullet's frame, m.
-
-    Returns:
-        The body.
-
-    Raises:
-        ValueError: Bullet cannot load the airframe's URDF.
-    """
-    flags = bullet.URDF_USE_INERTIA_FROM_FILE | bullet.URDF_USE_IMPLICIT_CYLINDER
-    flags |= bullet.URDF_USE_MATERIAL_COLORS_FROM_MTL
-    # Drones of one airframe share what is drawn, which takes Bullet half the time to make.
-    flags |= bullet.URDF_ENABLE_CACHED_GRAPHICS_SHAPES
-    try:
-        with silenced():
-            body: Body = bullet.loadURDF(
-                str(airframe.urdf),
-                place.tolist(),
-                flags=flags,
-                physicsClientId=client,
-            )
-    except bullet.error as error:
-        raise ValueError(f"{airframe.urdf}: the engine cannot load it: {error}") from None
-    # Bullet damps velocities by 4 % a second and clamps them at 100 unless told otherwise. Mass and
-    # inertia are ours, as its own reading of the file may round or scale them.
-    bullet.changeDynamics(
-        body,
-        -1,
-        mass=airframe.mass,
-        localInertiaDiagonal=airframe.inertia,
-        linearDamping=0,
-        angularDamping=0,
-        maxJointVelocity=1e4,
-        physicsClientId=client,
-    )
-    return body
-
-
 def make_solids(
     client: int,
     shape: Shape,
@@ -201,7 +153,7 @@ def _visual_shape(
     """Make what pictures show of a shape."""
     if shape.kind in (HULL, CYLINDER):
         # The renderer rounds the ends of its own cylinders.
-        points = _rims(shape) if shape.kind == CYLINDER else np.array(shape.corners)
+        points = rims(shape, SIDES) if shape.kind == CYLINDER else np.array(shape.corners)
         corners, triangles = Solids(np.zeros((0, 2, 3)), (points,)).mesh
         return _flat_visual(client, corners[triangles], colour)
     keywords: dict[str, object] = {"shapeType": bullet.GEOM_BOX, "halfExtents": list(shape.half)}
@@ -213,13 +165,13 @@ def _visual_shape(
     return number
 
 
-def _rims(cylinder: Shape) -> np.ndarray:
-    """Return points (2 SIDES, 3) on both rims of a cylinder, m."""
+def rims(cylinder: Shape, sides: int) -> np.ndarray:
+    """Return points (2 sides, 3) on both rims of a cylinder, m."""
     radius, _, half = cylinder.half
-    turn = 2 * np.pi * np.arange(SIDES) / SIDES
+    turn = 2 * np.pi * np.arange(sides) / sides
     across = radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    rims = [np.column_stack([across, np.full(SIDES, height)]) for height in (-half, half)]
-    return np.concatenate(rims)
+    both = [np.column_stack([across, np.full(sides, height)]) for height in (-half, half)]
+    return np.concatenate(both)
 
 
 def make_city(

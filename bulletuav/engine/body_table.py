@@ -9,7 +9,6 @@ import numpy as np
 from bulletuav.engine.bodies import (
     Colour,
     Pose,
-    make_drone,
     make_floor,
     make_ghost,
     make_ground,
@@ -17,6 +16,7 @@ from bulletuav.engine.bodies import (
 )
 from bulletuav.engine.calls import bullet
 from bulletuav.engine.city_layouts import LEVEL, LayoutBodies
+from bulletuav.engine.drones import drawn_files, make_drone
 from bulletuav.geometry.obstacle import Obstacle
 from bulletuav.geometry.shapes import Shape
 from bulletuav.geometry.solids import Solids
@@ -68,10 +68,14 @@ class BodyTable:
         # Bullet numbers bodies in the order in which they are made, and solves contacts by number.
         self.floor = make_floor(client)
         self.ground = make_ground(client)
-        drones = [
-            [make_drone(client, airframe, parking[w, i]) for i, airframe in enumerate(airframes)]
-            for w in range(len(offset))
-        ]
+        with drawn_files(airframes) as files:
+            drones = [
+                [
+                    make_drone(client, airframe, files[airframe.urdf], parking[w, i])
+                    for i, airframe in enumerate(airframes)
+                ]
+                for w in range(len(offset))
+            ]
         self.drone = np.array(drones, dtype=np.int32)
         self._client = client
         self._obstacles, self._offset, self._depth = obstacles, offset, depth

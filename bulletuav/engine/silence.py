@@ -2,6 +2,7 @@
 
 import contextlib
 import ctypes
+import functools
 import os
 import sys
 import threading
@@ -17,6 +18,12 @@ if hasattr(os, "register_at_fork"):
         after_in_parent=_ALONE.release,
         after_in_child=_ALONE.release,
     )
+
+
+@functools.cache
+def _c_library() -> ctypes.CDLL:
+    """Load the C library that this process uses."""
+    return ctypes.CDLL(None)
 
 
 @contextlib.contextmanager
@@ -45,7 +52,7 @@ def silenced() -> Iterator[None]:
             yield
         finally:
             # What C code still buffers goes nowhere, too.
-            ctypes.CDLL(None).fflush(None)
+            _c_library().fflush(None)
             for descriptor, copy in saved.items():
                 os.dup2(copy, descriptor)
                 os.close(copy)

@@ -1,0 +1,123 @@
+"""Makers of the bodies of drones, from the URDF of their airframes."""
+
+import contextlib
+import functools
+import tempfile
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from bulletuav.engine.bodies import Body, rims
+from bulletuav.engine.calls import bullet
+from bulletuav.engine.silence import silenced
+from bulletuav.geometry.shapes import CYLINDER, Shape
+from bulletuav.geometry.solids import Solids
+from bulletuav.vehicle.airframe import Airframe
+from bulletuav.vehicle.urdf import UrdfFile
+
+ROUND = 24
+"""Sides of a rotor's disc in pictures"""
+
+
+@contextlib.contextmanager
+def drawn_files(airframes: Iterable[Airframe]) -> Iterator[dict[Path, Path]]:
+    """Write the URDF of airframes with triangles in place of the cylinders that pictures show.
+
+    Of each cylinder Bullet makes a hull for every drone, which takes longer than all else about a
+    drone. It rounds the hull, too: rotors look like cones.
+
+    Args:
+        airframes: The airframes.
+
+    Yields:
+        The file to load for each URDF. Files that name meshes beside them stay as they are.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        disc = Path(folder, "disc.stl")
+        disc.write_bytes(_disc())
+        files = {}
+        for k, urdf in enumerate(dict.fromkeys(airframe.urdf for airframe in airframes)):
+            files[urdf] = urdf
+            robot = UrdfFile(urdf).root
+            if robot.find(".//mesh") is None:
+                files[urdf] = Path(folder, f"{k}.urdf")
+                _replace_cylinders(robot, disc)
+                files[urdf].write_bytes(ElementTree.tostring(robot))
+        yield files
+
+
+def make_drone(
+    client: int,
+    airframe: Airframe,
+    file: Path,
+    place: np.ndarray,
+) -> Body:
+    """Make one drone.
+
+    Args:
+        client: Number that Bullet gave the client.
+        airframe: Its shape, mass and inertia.
+        file: The file to load, of `drawn_files`.
+        place: (3,) position in Bullet's frame, m.
+
+    Returns:
+        The body.
+
+    Raises:
+        ValueError: Bullet cannot load the airframe's URDF.
+    """
+    flags = bullet.URDF_USE_INERTIA_FROM_FILE | bullet.URDF_USE_IMPLICIT_CYLINDER
+    flags |= bullet.URDF_USE_MATERIAL_COLORS_FROM_MTL
+    # Drones of one airframe share what is drawn, which takes Bullet half the time to make.
+    flags |= bullet.URDF_ENABLE_CACHED_GRAPHICS_SHAPES
+    try:
+        with silenced():
+            body: Body = bullet.loadURDF(
+                str(file),
+                place.tolist(),
+                flags=flags,
+                physicsClientId=client,
+            )
+    except bullet.error as error:
+        raise ValueError(f"{airframe.urdf}: the engine cannot load it: {error}") from None
+    # Bullet damps velocities by 4 % a second and clamps them at 100 unless told otherwise. Mass and
+    # inertia are ours, as its own reading of the file may round or scale them.
+    bullet.changeDynamics(
+        body,
+        -1,
+        mass=airframe.mass,
+        localInertiaDiagonal=airframe.inertia,
+        linearDamping=0,
+        angularDamping=0,
+        maxJointVelocity=1e4,
+        physicsClientId=client,
+    )
+    return body
+
+
+def _replace_cylinders(robot: ElementTree.Element, disc: Path) -> None:
+    """Replace the cylinders that pictures show by a mesh of radius and length 1 that is scaled."""
+    for geometry in robot.iterfind("link/visual/geometry"):
+        for cylinder in geometry.findall("cylinder"):
+            radius, length = cylinder.get("radius"), cylinder.get("length")
+            if radius and length:  # Bullet tells what is missing
+                geometry.remove(cylinder)
+                scale = f"{radius} {radius} {length}"
+                ElementTree.SubElement(geometry, "mesh", filename=str(disc), scale=scale)
+
+
+@functools.cache
+def _disc() -> bytes:
+    """Return a disc of radius and thickness 1 as a binary STL file, which Bullet reads fastest."""
+    unit = Shape(CYLINDER, (1.0, 1.0, 0.5))
+    corners, triangles = Solids(np.zeros((0, 2, 3)), (rims(unit, ROUND),)).mesh
+    corner = corners[triangles]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    rows = np.zeros(
+        len(corner), [("normal", "<f4", 3), ("corner", "<f4", (3, 3)), ("unused", "<u2")]
+    )
+    rows["normal"] = normal / np.linalg.norm(normal, axis=1, keepdims=True)
+    rows["corner"] = corner
+    return bytes(80) + np.uint32(len(rows)).tobytes() + rows.tobytes()
