@@ -1,6 +1,7 @@
 """What decides the results of flights, as a file can tell it."""
 
 import contextlib
+import functools
 import hashlib
 import inspect
 import json
@@ -76,6 +77,12 @@ def hash_sources(package: Path = _PACKAGE) -> str:
     return digest.hexdigest()[:16]
 
 
+@functools.cache
+def _own_sources() -> str:
+    """Hash this package once: what is edited later is not what this process runs."""
+    return hash_sources()
+
+
 def _fingerprint(
     flights: Flights[Any],
     spec: EnvSpec,
@@ -87,7 +94,7 @@ def _fingerprint(
     That is the code, the airframes, the cities, and files of models.
     """
     # Code of the package, and of what comes from outside of it.
-    digest = hashlib.sha256(hash_sources().encode())
+    digest = hashlib.sha256(_own_sources().encode())
     policy = flights.policy
     for source in (
         type(spec.task),
