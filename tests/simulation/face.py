@@ -94,8 +94,9 @@ class Face:
         now, still = self.core.steps, self.core.alive
         anew = np.zeros(len(flew), dtype=bool) if fresh is None else fresh
         expected = np.where(anew, 0, steps + flew)
-        require((now == expected).all(), f"steps went from {steps} to {now} where {flew} flew")
+        went = (now == expected).all()
+        require(went, "steps went from {} to {} where {} flew", steps, now, flew)
         require(not (still & ~alive)[~anew].any(), "a drone came back")
         time = self.core._live.time
         right = np.isclose(time, now / self.core.options.decision_hz)
-        require(right[flew].all(), f"time is {time} after {now} decisions")
+        require(right[flew].all(), "time is {} after {} decisions", time, now)

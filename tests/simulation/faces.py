@@ -175,14 +175,14 @@ class Parallel(Face):
     def check_step(self, value: Any, before: Any) -> None:
         agents, counters = before
         for told in value:
-            require(list(told) == agents, f"told of {list(told)}, and {agents} flew")
+            require(list(told) == agents, "told of {}, and {} flew", list(told), agents)
         observations, rewards, terminated, truncated, infos = value
         for agent in agents:
             require_inside(self.env.observation_space(agent), observations[agent])
             require(np.isfinite(rewards[agent]), "a reward is not finite")
             require_infos(infos[agent], ())
         left = [one for one in agents if not (terminated[one] or truncated[one])]
-        require(self.env.agents == left, f"{self.env.agents} fly, and {left} should")
+        require(self.env.agents == left, "{} fly, and {} should", self.env.agents, left)
         if counters is not None:
             self.check_counters(counters)
 

@@ -40,10 +40,10 @@ class Broken(Exception):  # noqa: N818  # it is no error of the package's
     """An invariant does not hold."""
 
 
-def require(holds: Any, what: str) -> None:
-    """Raise Broken unless something holds."""
+def require(holds: Any, what: str, *values: Any) -> None:
+    """Raise Broken unless something holds; values take the places of {} in what is told."""
     if not holds:
-        raise Broken(what)
+        raise Broken(what.format(*values) if values else what)
 
 
 def attempt(call: Callable[[], Any], must: bool | None = None) -> tuple[Any, Exception | None]:
@@ -95,29 +95,32 @@ def tell(error: BaseException) -> str:
 def require_inside(space: Space[Any], value: Any, lead: tuple[int, ...] = ()) -> None:
     """Raise Broken unless observations (*lead, ...) are finite, of the type and in the bounds."""
     if isinstance(space, Dict):
-        require(list(space.spaces) == sorted(value), f"entries {list(value)} of {space}")
+        require(list(space.spaces) == sorted(value), "entries {} of {}", list(value), space)
         for name, one in space.spaces.items():
             require_inside(one, value[name], lead)
         return
     assert isinstance(space, Box)
-    require(isinstance(value, np.ndarray), f"an observation is {type(value)}")
-    require(value.dtype == space.dtype, f"an observation is of {value.dtype}, not {space.dtype}")
-    require(value.shape == (*lead, *space.shape), f"an observation has shape {value.shape}")
+    require(isinstance(value, np.ndarray), "an observation is {}", type(value))
+    kind = value.dtype
+    require(kind == space.dtype, "an observation is of {}, not {}", kind, space.dtype)
+    require(value.shape == (*lead, *space.shape), "an observation has shape {}", value.shape)
     require(np.isfinite(value).all(), "an observation is not finite")
     within = (value >= space.low) & (value <= space.high)
-    require(within.all(), f"an observation is outside of its space: {value[~within][:5]}")
+    require(within.all(), "an observation is outside of its space: {}", value[~within][:5])
 
 
 def require_flags(value: Any, shape: tuple[int, ...], what: str) -> None:
     """Raise Broken unless a mask is bools of a shape."""
     array = np.asarray(value)
-    require(array.dtype == bool and array.shape == shape, f"{what}: {array.dtype}, {array.shape}")
+    fits = array.dtype == bool and array.shape == shape
+    require(fits, "{}: {}, {}", what, array.dtype, array.shape)
 
 
 def require_rewards(value: Any, shape: tuple[int, ...]) -> None:
     """Raise Broken unless rewards are finite float64 of a shape."""
     array = np.asarray(value)
-    require(array.dtype == float and array.shape == shape, f"rewards {array.dtype}, {array.shape}")
+    fits = array.dtype == float and array.shape == shape
+    require(fits, "rewards {}, {}", array.dtype, array.shape)
     require(np.isfinite(array).all(), "a reward is not finite")
 
 
@@ -127,9 +130,9 @@ def require_infos(infos: Mapping[str, Any], lead: tuple[int, ...]) -> None:
         if name.startswith(("final", "_final")):
             continue
         array = np.asarray(value)
-        require(array.shape[: len(lead)] == lead, f"info {name} has shape {array.shape}")
-        require(array.dtype.kind in "biuf", f"info {name} is of {array.dtype}")
-        require(not np.isnan(array).any(), f"info {name} is NaN")
+        require(array.shape[: len(lead)] == lead, "info {} has shape {}", name, array.shape)
+        require(array.dtype.kind in "biuf", "info {} is of {}", name, array.dtype)
+        require(not np.isnan(array).any(), "info {} is NaN", name)
 
 
 def sample(space: Space[Any], rng: np.random.Generator) -> Any:
