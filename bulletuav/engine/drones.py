@@ -34,17 +34,12 @@ def drawn_files(airframes: Iterable[Airframe]) -> Iterator[dict[Path, Path]]:
     Yields:
         The file to load for each URDF. Files that name meshes beside them stay as they are.
     """
-    with tempfile.TemporaryDirectory() as folder:
-        disc = Path(folder, "disc.stl")
-        disc.write_bytes(_disc())
-        files = {}
-        for k, urdf in enumerate(dict.fromkeys(airframe.urdf for airframe in airframes)):
-            files[urdf] = urdf
-            robot = UrdfFile(urdf).root
-            if robot.find(".//mesh") is None:
-                files[urdf] = Path(folder, f"{k}.urdf")
-                _replace_cylinders(robot, disc)
-                files[urdf].write_bytes(ElementTree.tostring(robot))
+    files = {airframe.urdf: airframe.urdf for airframe in airframes}
+    with contextlib.ExitStack() as stack:
+        # Where nothing can be written, drones are loaded as their files say
+        with contextlib.suppress(OSError):
+            folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+            files |= _write_drawn(files, folder)
         yield files
 
 
@@ -95,6 +90,20 @@ def make_drone(
         physicsClientId=client,
     )
     return body
+
+
+def _write_drawn(urdfs: Iterable[Path], folder: Path) -> dict[Path, Path]:
+    """Write what is loaded in place of those URDF that name no meshes."""
+    disc = Path(folder, "disc.stl")
+    disc.write_bytes(_disc())
+    files = {}
+    for k, urdf in enumerate(urdfs):
+        robot = UrdfFile(urdf).root
+        if robot.find(".//mesh") is None:
+            files[urdf] = Path(folder, f"{k}.urdf")
+            _replace_cylinders(robot, disc)
+            files[urdf].write_bytes(ElementTree.tostring(robot))
+    return files
 
 
 def _replace_cylinders(robot: ElementTree.Element, disc: Path) -> None:

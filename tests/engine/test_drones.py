@@ -59,3 +59,13 @@ def test_a_cylinder_without_a_size_is_left_to_bullet_which_refuses_it(urdf):
     path = urdf("cf2x", (CYLINDER, CYLINDER.replace('radius="0.02313"', "")))
     with pytest.raises(ValueError, match=f"{path}: the engine cannot load it"):
         parallel_env("hover", airframe=path)
+
+
+def test_drones_are_made_where_nothing_can_be_written(monkeypatch):
+    def full(*arguments, **keywords):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("tempfile.mkdtemp", full)
+    airframe = load_airframe("cf2x")
+    with drawn_files([airframe]) as files:
+        assert files == {airframe.urdf: airframe.urdf}
