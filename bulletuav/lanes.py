@@ -331,8 +331,8 @@ def _field(context: Any, builder: Any, kind: LanesRow, address: Any, name: str) 
 
 def _is_index(kind: Any) -> bool:
     """Tell whether a type is that of an index along one or two axes."""
-    pair = isinstance(kind, types.UniTuple) and kind.count == 2
-    return isinstance(kind.dtype if pair else kind, types.Integer)
+    parts = tuple(kind) if isinstance(kind, types.BaseTuple) else (kind,)
+    return len(parts) <= 2 and all(isinstance(part, types.Integer) for part in parts)
 
 
 @infer_global(operator.getitem)
@@ -361,9 +361,9 @@ def _place(context: Any, builder: Any, given: Any, values: Any) -> Any:
     """Return the address of one number of an array of lanes."""
     kind, index = given.args[:2]
     word = ir.IntType(64)
-    if isinstance(index, types.UniTuple):
-        parts = cgutils.unpack_tuple(builder, values[1], 2)
-        row, column = (context.cast(builder, one, index.dtype, types.intp) for one in parts)
+    if isinstance(index, types.BaseTuple):
+        parts = zip(cgutils.unpack_tuple(builder, values[1], 2), index, strict=True)
+        row, column = (context.cast(builder, one, part, types.intp) for one, part in parts)
         number = builder.add(builder.mul(row, word(kind.columns)), column)
     else:
         number = context.cast(builder, values[1], index, types.intp)
@@ -371,14 +371,14 @@ def _place(context: Any, builder: Any, given: Any, values: Any) -> Any:
 
 
 @lower_builtin(operator.getitem, LanesArray, types.Integer)  # type: ignore[untyped-decorator]
-@lower_builtin(operator.getitem, LanesArray, types.UniTuple)  # type: ignore[untyped-decorator]
+@lower_builtin(operator.getitem, LanesArray, types.BaseTuple)  # type: ignore[untyped-decorator]
 def _get(context: Any, builder: Any, given: Any, values: Any) -> Any:
     """Read lanes."""
     return _load(builder, _place(context, builder, given, values))
 
 
 @lower_builtin(operator.setitem, LanesArray, types.Integer, Lanes)  # type: ignore[untyped-decorator]
-@lower_builtin(operator.setitem, LanesArray, types.UniTuple, Lanes)  # type: ignore[untyped-decorator]
+@lower_builtin(operator.setitem, LanesArray, types.BaseTuple, Lanes)  # type: ignore[untyped-decorator]
 def _set(context: Any, builder: Any, given: Any, values: Any) -> Any:
     """Write lanes."""
     place = builder.bitcast(_place(context, builder, given, values), _VECTOR.as_pointer())

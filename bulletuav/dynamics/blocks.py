@@ -9,7 +9,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bulletuav.control.cascade import Cascade
 from bulletuav.dynamics.integration import stepped, turn_rotors
+from bulletuav.dynamics.steering import ALONE, Steering, copy_numbers, remember_lane, steer
 from bulletuav.kernel import func, kernel
 from bulletuav.lanes import WIDTH, gathered, is_any, lanes_of, lanes_row, where
 from bulletuav.vehicle.aerodynamics import is_near_surface
@@ -35,6 +37,7 @@ class Blocks(NamedTuple):
         held: (B, 11, `WIDTH`) wind, surface, force, torque and supply of the group's drones.
         decay: (G, N, 6) what `lag_stages` fills in.
         lag: (B, 6, `WIDTH`) the same, block by block.
+        flown: (B,) bool, whether drones of a block are moved together.
         alike: (B,) bool, whether all drones of a block have as many rotors.
         together: (D,) bool, whether a drone is moved with others of its block.
         wake: (G, N, 4) wakes.
@@ -42,6 +45,7 @@ class Blocks(NamedTuple):
         rotors: (5, R, `WIDTH`) speeds and commands of a block, and its speeds in a substep.
         alone: (3, R) the same speeds of one drone.
         state: (13, `WIDTH`) new state of a block.
+        steering: Room for controllers.
     """
 
     swarm: Swarm
@@ -51,6 +55,7 @@ class Blocks(NamedTuple):
     held: np.ndarray
     decay: np.ndarray
     lag: np.ndarray
+    flown: np.ndarray
     alike: np.ndarray
     together: np.ndarray
     wake: np.ndarray
@@ -58,14 +63,16 @@ class Blocks(NamedTuple):
     rotors: np.ndarray
     alone: np.ndarray
     state: np.ndarray
+    steering: Steering
 
     @classmethod
-    def of(cls, swarm: Swarm, parameters: np.ndarray) -> "Blocks":
+    def of(cls, swarm: Swarm, parameters: np.ndarray, cascade: Cascade) -> "Blocks":
         """Make room.
 
         Args:
             swarm: State of all worlds.
             parameters: (W, N) rows of `PARAMETERS`.
+            cascade: Controllers of all worlds.
         """
         assert all(array.flags.c_contiguous for array in (*swarm, parameters))
         num_worlds, num_drones, num_rotors = swarm.rotor_speed.shape
@@ -80,6 +87,7 @@ class Blocks(NamedTuple):
             held=np.zeros((blocks, 11, WIDTH)),
             decay=np.zeros((worlds, num_drones, 6)),
             lag=np.zeros((blocks, 6, WIDTH)),
+            flown=np.zeros(blocks, dtype=bool),
             alike=np.zeros(blocks, dtype=bool),
             together=np.zeros(blocks * WIDTH, dtype=bool),
             wake=np.zeros((worlds, num_drones, 4)),
@@ -87,15 +95,8 @@ class Blocks(NamedTuple):
             rotors=np.zeros((5, num_rotors, WIDTH)),
             alone=np.zeros((3, num_rotors)),
             state=np.zeros((13, WIDTH)),
+            steering=Steering.of(cascade, blocks),
         )
-
-
-@func
-def _copy_numbers(source: np.ndarray, drone: int, packed: np.ndarray, block: int) -> None:
-    """Copy all numbers of the drones from one on into a block."""
-    lanes = lanes_of(packed, block)
-    for k in range(source.shape[2]):
-        lanes[k] = gathered(source, drone, k)
 
 
 @kernel
@@ -111,8 +112,8 @@ def pack(blocks: Any, air: Any, first: int) -> None:
     count = min(-(-(blocks.rows.size - first) // WIDTH), blocks.packed.shape[0])
     for b in range(count):
         drone = first + b * WIDTH
-        _copy_numbers(blocks.numbers, drone, blocks.packed, b)
-        _copy_numbers(blocks.decay, b * WIDTH, blocks.lag, b)
+        copy_numbers(blocks.numbers, drone, blocks.packed, b)
+        copy_numbers(blocks.decay, b * WIDTH, blocks.lag, b)
         held = lanes_of(blocks.held, b)
         for k in range(3):
             held[k] = gathered(air.wind, drone, k)
@@ -149,9 +150,15 @@ def is_block(blocks: Any, b: int) -> bool:
     return False
 
 
+@func
+def is_steered(blocks: Any, drone: int) -> bool:
+    """Tell whether `fly_block` has the controller of a drone of the group, too."""
+    return blocks.together[drone] and blocks.steering.level[drone // WIDTH] != ALONE
+
+
 @kernel
 def fly_block(blocks: Any, first: int, b: int, gravity: float, dt: float) -> None:
-    """Move drones of a block that are marked by one step of RK4.
+    """Steer and move those drones of a block that are marked, by one step of RK4.
 
     Args:
         blocks: `Blocks` of a group.
@@ -164,22 +171,25 @@ def fly_block(blocks: Any, first: int, b: int, gravity: float, dt: float) -> Non
     swarm = blocks.swarm
     row = lanes_row(blocks.rows, blocks.packed, b)
     held = lanes_of(blocks.held, b)
-    # Rotors
     speed = lanes_of(blocks.rotors, 0)
     command = lanes_of(blocks.rotors, 1)
     for r in range(row.num_rotors):
         speed[r] = gathered(swarm.rotor_speed, drone, r)
         command[r] = gathered(blocks.command, b * WIDTH, r)
-    speeds = (lanes_of(blocks.rotors, 2), lanes_of(blocks.rotors, 3), lanes_of(blocks.rotors, 4))
-    rotors = turn_rotors(speed, command, held[10], lanes_of(blocks.lag, b), row, speeds)
-
-    # State and surroundings
     state = (
         _three(swarm.position, drone),
         _four(swarm.quaternion, drone),
         _three(swarm.velocity, drone),
         _three(swarm.rates, drone),
     )
+    # Controllers, which others of the world do not wait for: they do not feel each other's commands
+    steered = blocks.steering.level[b] != ALONE
+    if steered:
+        steer(blocks.steering, b, drone, state, speed, gravity, dt, command)
+    speeds = (lanes_of(blocks.rotors, 2), lanes_of(blocks.rotors, 3), lanes_of(blocks.rotors, 4))
+    rotors = turn_rotors(speed, command, held[10], lanes_of(blocks.lag, b), row, speeds)
+
+    # Surroundings
     near = is_near_surface(state[0][2] - held[3], state[2][2], dt, row)
     wind, force = (held[0], held[1], held[2]), (held[4], held[5], held[6])
     torque, wake = (held[7], held[8], held[9]), _four(blocks.wake, b * WIDTH)
@@ -210,6 +220,8 @@ def fly_block(blocks: Any, first: int, b: int, gravity: float, dt: float) -> Non
                 swarm.quaternion[0, drone + lane, k] = blocks.state[9 + k, lane]
             for r in range(row.num_rotors):
                 swarm.rotor_speed[0, drone + lane, r] = blocks.rotors[0, r, lane]
+            if steered:
+                remember_lane(blocks.steering, lane, drone + lane)
 
 
 @func

@@ -14,8 +14,9 @@ from bulletuav.contact.rest import wake as rouse
 from bulletuav.control.cascade import Cascade, command_rotors
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.base import Air, Dynamics, surroundings
-from bulletuav.dynamics.blocks import CALM, Blocks, fly_block, is_block, pack
+from bulletuav.dynamics.blocks import CALM, Blocks, fly_block, is_block, is_steered, pack
 from bulletuav.dynamics.integration import lag_stages, rk4, slope_of, turn_rotors
+from bulletuav.dynamics.steering import pack_steering
 from bulletuav.geometry.rotation import dot, vec3
 from bulletuav.kernel import borrowed, func, in_memory, kernel
 from bulletuav.lanes import WIDTH
@@ -87,6 +88,8 @@ def _mark(
             drone += 1
     for k in range(drone, blocks.together.shape[0]):
         blocks.together[k] = False
+    for b in range(blocks.packed.shape[0]):
+        blocks.flown[b] = is_block(blocks, b)
 
 
 @kernel
@@ -131,22 +134,25 @@ def advance(
         for w in range(first, last):
             lag_stages(parameters, w, dt, blocks.decay[w - first])
         pack(blocks, shared_air, first * num_drones)
+        pack_steering(blocks.steering, levels, setpoint, first * num_drones)
         for substep in range(substeps):
+            _mark(swarm, alive, dt, contact, blocks, first, last)
             for w in range(first, last):
                 remember(contact, swarm, w)
                 # Wakes and commands of all drones come from the state before any of them moves
                 wakes(w, swarm, alive, parameters, blocks.wake[w - first])
                 for i in range(num_drones):
                     if alive[w, i] and not contact.stopped[w, i]:
+                        drone = (w - first) * num_drones + i
                         command = blocks.command[w - first, i]
-                        command_rotors(
-                            levels, setpoint, w, i, swarm, cascade, dt, air.gravity, command
-                        )
+                        if not is_steered(blocks, drone):
+                            command_rotors(
+                                levels, setpoint, w, i, swarm, cascade, dt, air.gravity, command
+                            )
 
             # From here on drones do not feel each other
-            _mark(swarm, alive, dt, contact, blocks, first, last)
             for b in range(blocks.packed.shape[0]):
-                if is_block(blocks, b):
+                if blocks.flown[b]:
                     fly_block(blocks, first * num_drones, b, air.gravity, dt)
             for w in range(first, last):
                 for i in range(num_drones):
@@ -194,5 +200,5 @@ class RigidBody(Dynamics):
             flight.substeps,
             flight.dt,
             self.contact,
-            Blocks.of(swarm, flight.parameters),
+            Blocks.of(swarm, flight.parameters, flight.cascade),
         )

@@ -53,6 +53,7 @@ def draw(bench, rng):
         (1, WIDTH),
         (1, WIDTH + 1),
         (3, 5),
+        (3, 12),
         (2 * WIDTH, 1),
         (2, 4 * WIDTH + 3),
     ],
