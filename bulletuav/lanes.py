@@ -5,8 +5,7 @@ roots in each lane as it does with floats, and to the same bits on any processor
 `where`. Rows of constants and arrays of numbers have forms with lanes, too: `lanes_row` and
 `lanes_of`. They lie number by number, each with its lanes side by side.
 
-    arrays = np.zeros((numbers, WIDTH))
-    lanes_of(arrays, 0)[k]  # number k of all drones
+    lanes_of(room(numbers), 0)[k]  # number k of all drones
 """
 
 import math
@@ -14,6 +13,7 @@ import operator
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
@@ -38,6 +38,8 @@ _STAMP = f"{WIDTH} {stamp_of(__file__)}"
 _NUMBER = ir.DoubleType()
 _VECTOR = ir.VectorType(_NUMBER, WIDTH)
 _BITS = ir.VectorType(ir.IntType(1), WIDTH)
+_LINE = 8
+"""Numbers in a line of a processor's cache"""
 _ALIGNED = 8
 """Arrays begin at multiples of a number, not of a vector"""
 
@@ -95,6 +97,18 @@ class LanesRow(types.Type):  # type: ignore[misc]
 LANES, MASK = Lanes(), Mask()
 
 
+def room(*shape: int) -> np.ndarray:
+    """Make an array (..., `WIDTH`) of zeros that begins where a line of the processor's cache does.
+
+    Args:
+        shape: All axes but the last.
+    """
+    count = math.prod(shape) * WIDTH
+    numbers = np.zeros(count + _LINE)
+    first = -numbers.ctypes.data % (8 * _LINE) // 8
+    return numbers[first : first + count].reshape(*shape, WIDTH)
+
+
 def _model(kind: type, form: Any) -> None:
     """Tell numba how a type is held in machine code."""
 
@@ -144,56 +158,52 @@ def _of_lanes(operation: Any, count: int, result: Any, write: Callable[..., Any]
         return write(builder, *values)
 
 
-def _root(builder: Any, value: Any) -> Any:
-    """Write the square roots."""
+def _intrinsic(name: str) -> Callable[..., Any]:
+    """Return what writes a call of a function of LLVM's in each lane."""
     kind = ir.FunctionType(_VECTOR, [_VECTOR])
-    name = f"llvm.sqrt.v{WIDTH}f64"
-    return builder.call(cgutils.get_or_insert_function(builder.module, kind, name), [value])
 
-
-def _size(builder: Any, value: Any) -> Any:
-    """Write the absolute values."""
-    kind = ir.FunctionType(_VECTOR, [_VECTOR])
-    name = f"llvm.fabs.v{WIDTH}f64"
-    return builder.call(cgutils.get_or_insert_function(builder.module, kind, name), [value])
-
-
-def _compared(sign: str) -> Callable[..., Any]:
-    """Return what writes a comparison: False for NaN, and True of `!=`."""
-    if sign == "!=":
-        return lambda builder, one, other: builder.fcmp_unordered(sign, one, other)
-    return lambda builder, one, other: builder.fcmp_ordered(sign, one, other)
-
-
-def _first_unless(sign: str) -> Callable[..., Any]:
-    """Return what writes the first number, or the second where it compares so with the first."""
-
-    def write(builder: Any, one: Any, other: Any) -> Any:
-        return builder.select(builder.fcmp_ordered(sign, other, one), other, one)
+    def write(builder: Any, value: Any) -> Any:
+        full = f"llvm.{name}.v{WIDTH}f64"
+        return builder.call(cgutils.get_or_insert_function(builder.module, kind, full), [value])
 
     return write
 
 
-_of_lanes(operator.add, 2, LANES, lambda builder, a, b: builder.fadd(a, b))
-_of_lanes(operator.sub, 2, LANES, lambda builder, a, b: builder.fsub(a, b))
-_of_lanes(operator.mul, 2, LANES, lambda builder, a, b: builder.fmul(a, b))
-_of_lanes(operator.truediv, 2, LANES, lambda builder, a, b: builder.fdiv(a, b))
-_of_lanes(operator.iadd, 2, LANES, lambda builder, a, b: builder.fadd(a, b))
-_of_lanes(operator.isub, 2, LANES, lambda builder, a, b: builder.fsub(a, b))
-_of_lanes(operator.imul, 2, LANES, lambda builder, a, b: builder.fmul(a, b))
-_of_lanes(operator.itruediv, 2, LANES, lambda builder, a, b: builder.fdiv(a, b))
-_of_lanes(operator.neg, 1, LANES, lambda builder, a: builder.fneg(a))
-_of_lanes(abs, 1, LANES, _size)
-_of_lanes(math.sqrt, 1, LANES, _root)
-# NaN as in Python: max(a, b) is b where b > a
-_of_lanes(max, 2, LANES, _first_unless(">"))
-_of_lanes(min, 2, LANES, _first_unless("<"))
-_of_lanes(operator.gt, 2, MASK, _compared(">"))
-_of_lanes(operator.lt, 2, MASK, _compared("<"))
-_of_lanes(operator.ge, 2, MASK, _compared(">="))
-_of_lanes(operator.le, 2, MASK, _compared("<="))
-_of_lanes(operator.eq, 2, MASK, _compared("=="))
-_of_lanes(operator.ne, 2, MASK, _compared("!="))
+def _of_two(order: str) -> Callable[..., Any]:
+    """Return what writes an order of the processor that takes two numbers."""
+    return lambda builder, one, other: getattr(builder, order)(one, other)
+
+
+def _compared(sign: str) -> Callable[..., Any]:
+    """Return what writes a comparison: False for NaN, but True of `!=`."""
+    order = "fcmp_unordered" if sign == "!=" else "fcmp_ordered"
+    return lambda builder, one, other: getattr(builder, order)(sign, one, other)
+
+
+def _second_if(sign: str) -> Callable[..., Any]:
+    """Return what writes the second number where it compares so with the first, else the first."""
+    test = _compared(sign)
+    return lambda builder, one, other: builder.select(test(builder, other, one), other, one)
+
+
+for _name, _order in (("add", "fadd"), ("sub", "fsub"), ("mul", "fmul"), ("truediv", "fdiv")):
+    _of_lanes(getattr(operator, _name), 2, LANES, _of_two(_order))
+    _of_lanes(getattr(operator, f"i{_name}"), 2, LANES, _of_two(_order))
+for _name, _sign in (
+    ("gt", ">"),
+    ("lt", "<"),
+    ("ge", ">="),
+    ("le", "<="),
+    ("eq", "=="),
+    ("ne", "!="),
+):
+    _of_lanes(getattr(operator, _name), 2, MASK, _compared(_sign))
+_of_lanes(operator.neg, 1, LANES, lambda builder, value: builder.fneg(value))
+_of_lanes(abs, 1, LANES, _intrinsic("fabs"))
+_of_lanes(math.sqrt, 1, LANES, _intrinsic("sqrt"))
+# As in Python, also of NaN: max(a, b) is b where b > a
+_of_lanes(max, 2, LANES, _second_if(">"))
+_of_lanes(min, 2, LANES, _second_if("<"))
 
 
 @intrinsic  # type: ignore[untyped-decorator]
@@ -242,14 +252,18 @@ def gathered(_: Any, array: Any, first: Any, number: Any) -> Any:
     def generate(context: Any, builder: Any, given: Any, values: Any) -> Any:
         made = make_array(array)(context, builder, values[0])
         sizes = cgutils.unpack_tuple(builder, made.shape)
-        last = builder.sub(builder.mul(sizes[0], sizes[1]), sizes[0].type(1))
-        stride = sizes[2] if array.ndim == 3 else last.type(1)
+        drones = builder.mul(sizes[0], sizes[1])
+        stride = sizes[2] if array.ndim == 3 else drones.type(1)
+        place = builder.mul(values[1], stride)
         vector = ir.Constant(_VECTOR, ir.Undefined)
         for lane in range(WIDTH):
-            drone = builder.add(values[1], last.type(lane))
-            drone = builder.select(builder.icmp_signed("<", drone, last), drone, last)
-            place = builder.add(builder.mul(drone, stride), values[2])
-            value = builder.load(builder.gep(made.data, [place]))
+            if lane > 0:
+                is_there = builder.icmp_signed(
+                    "<", builder.add(values[1], stride.type(lane)), drones
+                )
+                way = builder.select(is_there, stride, stride.type(0))
+                place = builder.add(place, way)
+            value = builder.load(builder.gep(made.data, [builder.add(place, values[2])]))
             vector = builder.insert_element(vector, value, ir.IntType(32)(lane))
         return vector
 
@@ -319,9 +333,8 @@ class _Fields(AttributeTemplate):  # type: ignore[misc]
 @lower_getattr_generic(LanesRow)  # type: ignore[untyped-decorator]
 def _field(context: Any, builder: Any, kind: LanesRow, address: Any, name: str) -> Any:
     """Read one field. Whole numbers are those of the first drone: others do not share a block."""
-    first = kind.record.offset(name) // 8 * WIDTH
+    field, first = kind.record.typeof(name), kind.record.offset(name) // 8 * WIDTH
     place = builder.gep(address, [ir.IntType(64)(first)])
-    field = kind.record.typeof(name)
     if isinstance(field, types.NestedArray):
         return place
     if isinstance(field, types.Float):
@@ -359,8 +372,7 @@ class _Setting(AbstractTemplate):  # type: ignore[misc]
 
 def _place(context: Any, builder: Any, given: Any, values: Any) -> Any:
     """Return the address of one number of an array of lanes."""
-    kind, index = given.args[:2]
-    word = ir.IntType(64)
+    (kind, index), word = given.args[:2], ir.IntType(64)
     if isinstance(index, types.BaseTuple):
         parts = zip(cgutils.unpack_tuple(builder, values[1], 2), index, strict=True)
         row, column = (context.cast(builder, one, part, types.intp) for one, part in parts)

@@ -22,6 +22,8 @@ from bulletuav.vehicle.wrench import body_acceleration
 MEMORY = 13
 """Numbers that observers remember: predicted velocity (3) and push (3), predicted rates (2) and
 torque (2), and the last velocity (3)"""
+PUSHES = 6
+"""Of these about pushes, which come first"""
 FASTER = 2.0
 """Frequency of the observer of pushes over that of the position loop"""
 LARGEST_PUSH = 0.5
@@ -36,7 +38,8 @@ def _fresh(memory: np.ndarray, first: int, last: int) -> bool:
     size = abs(memory[first])
     for k in range(first + 1, last):
         size += abs(memory[k])
-    return size == 0.0
+    fresh: bool = size == 0.0
+    return fresh
 
 
 @func
@@ -91,7 +94,7 @@ def learned_push(
         Acceleration by what pushes beside the known forces, m/s^2, world.
     """
     # The prediction begins at the measured velocity
-    fresh = _fresh(memory, 0, 6)
+    fresh = _fresh(memory, 0, PUSHES)
     for k in range(3):
         memory[k] = where(fresh, velocity[k], memory[k])
     # Euler steps of the two equations; both poles lie at f for a damping of 1

@@ -13,7 +13,7 @@ from bulletuav.control.cascade import Cascade
 from bulletuav.dynamics.integration import stepped, turn_rotors
 from bulletuav.dynamics.steering import ALONE, Steering, copy_numbers, remember_lane, steer
 from bulletuav.kernel import func, kernel
-from bulletuav.lanes import WIDTH, gathered, is_any, lanes_of, lanes_row, where
+from bulletuav.lanes import WIDTH, gathered, is_any, lanes_of, lanes_row, room, where
 from bulletuav.vehicle.aerodynamics import is_near_surface
 from bulletuav.vehicle.swarm import Swarm
 from bulletuav.vehicle.wrench import SMALL_TURN, with_wake
@@ -83,18 +83,18 @@ class Blocks(NamedTuple):
             swarm=Swarm(*(array.reshape(1, -1, array.shape[2]) for array in swarm)),
             rows=parameters,
             numbers=numbers,
-            packed=np.zeros((blocks, numbers.shape[2], WIDTH)),
-            held=np.zeros((blocks, 11, WIDTH)),
+            packed=room(blocks, numbers.shape[2]),
+            held=room(blocks, 11),
             decay=np.zeros((worlds, num_drones, 6)),
-            lag=np.zeros((blocks, 6, WIDTH)),
+            lag=room(blocks, 6),
             flown=np.zeros(blocks, dtype=bool),
             alike=np.zeros(blocks, dtype=bool),
             together=np.zeros(blocks * WIDTH, dtype=bool),
             wake=np.zeros((worlds, num_drones, 4)),
             command=np.zeros((worlds, num_drones, num_rotors)),
-            rotors=np.zeros((5, num_rotors, WIDTH)),
+            rotors=room(5, num_rotors),
             alone=np.zeros((3, num_rotors)),
-            state=np.zeros((13, WIDTH)),
+            state=room(13),
             steering=Steering.of(cascade, blocks),
         )
 
@@ -153,7 +153,7 @@ def is_block(blocks: Any, b: int) -> bool:
 @func
 def is_steered(blocks: Any, drone: int) -> bool:
     """Tell whether `fly_block` has the controller of a drone of the group, too."""
-    return blocks.together[drone] and blocks.steering.level[drone // WIDTH] != ALONE
+    return bool(blocks.together[drone]) and bool(blocks.steering.level[drone // WIDTH] != ALONE)
 
 
 @kernel
@@ -175,7 +175,6 @@ def fly_block(blocks: Any, first: int, b: int, gravity: float, dt: float) -> Non
     command = lanes_of(blocks.rotors, 1)
     for r in range(row.num_rotors):
         speed[r] = gathered(swarm.rotor_speed, drone, r)
-        command[r] = gathered(blocks.command, b * WIDTH, r)
     state = (
         _three(swarm.position, drone),
         _four(swarm.quaternion, drone),
@@ -186,6 +185,9 @@ def fly_block(blocks: Any, first: int, b: int, gravity: float, dt: float) -> Non
     steered = blocks.steering.level[b] != ALONE
     if steered:
         steer(blocks.steering, b, drone, state, speed, gravity, dt, command)
+    else:
+        for r in range(row.num_rotors):
+            command[r] = gathered(blocks.command, b * WIDTH, r)
     speeds = (lanes_of(blocks.rotors, 2), lanes_of(blocks.rotors, 3), lanes_of(blocks.rotors, 4))
     rotors = turn_rotors(speed, command, held[10], lanes_of(blocks.lag, b), row, speeds)
 

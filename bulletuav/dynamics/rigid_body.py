@@ -78,13 +78,10 @@ def _mark(
     for w in range(first, last):
         for i in range(alive.shape[1]):
             rates = vec3(swarm.rates, w, i)
-            blocks.together[drone] = (
-                alive[w, i]
-                and not contact.stopped[w, i]
-                and not contact.asleep[w, i]
-                and blocks.alike[drone // WIDTH]
-                and dot(rates, rates) * dt * dt < CALM * CALM
-            )
+            still = contact.stopped[w, i] | contact.asleep[w, i]
+            calm = dot(rates, rates) * dt * dt < CALM * CALM
+            # Without branches, which would take longer
+            blocks.together[drone] = alive[w, i] & calm & (not still) & blocks.alike[drone // WIDTH]
             drone += 1
     for k in range(drone, blocks.together.shape[0]):
         blocks.together[k] = False

@@ -6,11 +6,11 @@ import numpy as np
 
 from bulletuav.control.cascade import LEE, Cascade, rates_of_motion, turn_by
 from bulletuav.control.lee import nose
-from bulletuav.control.observers import learned
+from bulletuav.control.observers import PUSHES, learned
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.geometry.rotation import Quat4, Vec3
 from bulletuav.kernel import func, kernel
-from bulletuav.lanes import WIDTH, gathered, lanes_of, lanes_row
+from bulletuav.lanes import WIDTH, gathered, lanes_of, lanes_row, room
 from bulletuav.vehicle.rotors import rotor_wrench
 
 ALONE = -1
@@ -63,11 +63,11 @@ class Steering(NamedTuple):
             is_lee=cascade.controller == LEE,
             nominal_numbers=nominal_numbers,
             gain_numbers=gain_numbers,
-            nominal=np.zeros((blocks, nominal_numbers.shape[2], WIDTH)),
-            gain=np.zeros((blocks, gain_numbers.shape[2], WIDTH)),
-            goal=np.zeros((blocks, 6, WIDTH)),
+            nominal=room(blocks, nominal_numbers.shape[2]),
+            gain=room(blocks, gain_numbers.shape[2]),
+            goal=room(blocks, 6),
             level=np.full(blocks, ALONE),
-            remembered=np.zeros((memory.shape[2], WIDTH)),
+            remembered=room(memory.shape[2]),
         )
 
 
@@ -122,6 +122,12 @@ def pack_steering(steering: Any, levels: np.ndarray, setpoint: np.ndarray, first
 
 
 @func
+def _first_remembered(steering: Any) -> int:
+    """Return the first number of the memory that is in use: pushes come first."""
+    return 0 if steering.integral else PUSHES
+
+
+@func
 def steer(
     steering: Any,
     b: int,
@@ -148,7 +154,7 @@ def steer(
     gain = lanes_row(steering.gain_rows, steering.gain, b)
     goal = lanes_of(steering.goal, b)
     memory = lanes_of(steering.remembered, 0)
-    for k in range(steering.remembered.shape[0]):
+    for k in range(_first_remembered(steering), steering.remembered.shape[0]):
         memory[k] = gathered(steering.memory, drone, k)
     rotors = rotor_wrench(speed, 0.0, nominal)
     push, twist = learned(state, rotors, memory, steering.integral, dt, gravity, nominal, gain)
@@ -163,6 +169,6 @@ def steer(
 def remember_lane(steering: Any, lane: int, drone: int) -> None:
     """Write the memory of one drone of the block that was steered last."""
     num_drones = steering.memory.shape[1]
-    for k in range(steering.remembered.shape[0]):
+    for k in range(_first_remembered(steering), steering.remembered.shape[0]):
         new = steering.remembered[k, lane]
         steering.memory[drone // num_drones, drone % num_drones, k] = new
