@@ -20,8 +20,8 @@ from bulletuav.vehicle.wrench import SMALL_TURN, with_wake
 
 DRONES = 4 * WIDTH
 """Drones of a group, about"""
-FEWEST = 2
-"""Drones that are moved together at least"""
+FEWEST = 3
+"""Drones that are moved together at least: fewer take longer in a block than one by one"""
 CALM = 0.99 * SMALL_TURN
 """Turn in a substep that surely takes one step of RK4, rad"""
 

@@ -14,7 +14,15 @@ from bulletuav.contact.rest import wake as rouse
 from bulletuav.control.cascade import Cascade, command_rotors
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.base import Air, Dynamics, surroundings
-from bulletuav.dynamics.blocks import CALM, Blocks, fly_block, is_block, is_steered, pack
+from bulletuav.dynamics.blocks import (
+    CALM,
+    FEWEST,
+    Blocks,
+    fly_block,
+    is_block,
+    is_steered,
+    pack,
+)
 from bulletuav.dynamics.integration import lag_stages, rk4, slope_of, turn_rotors
 from bulletuav.dynamics.steering import pack_steering
 from bulletuav.geometry.rotation import dot, vec3
@@ -130,8 +138,9 @@ def advance(
         # The same in all substeps
         for w in range(first, last):
             lag_stages(parameters, w, dt, blocks.decay[w - first])
-        pack(blocks, shared_air, first * num_drones)
-        pack_steering(blocks.steering, levels, setpoint, first * num_drones)
+        if alive.size >= FEWEST:
+            pack(blocks, shared_air, first * num_drones)
+            pack_steering(blocks.steering, levels, setpoint, first * num_drones)
         for substep in range(substeps):
             _mark(swarm, alive, dt, contact, blocks, first, last)
             for w in range(first, last):
