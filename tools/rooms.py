@@ -15,7 +15,7 @@ from pathlib import Path
 PACKAGE = Path(__file__).parents[1] / "bulletuav"
 ROOMS = (
     ("version", "errors", "files", "dispatcher", "forms"),
-    ("kernel", "registry"),
+    ("kernel", "lanes", "registry"),
     ("functions", "program"),
     ("geometry", "earth"),
     ("conflict", "vehicle"),

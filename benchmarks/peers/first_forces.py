@@ -9,11 +9,11 @@ import math
 
 import numpy as np
 
-from bulletuav.dynamics import drive, rigid_body
-from bulletuav.dynamics.base import Air
+from bulletuav.dynamics import base, blocks, drive, integration, rigid_body
 from bulletuav.functions import exp
-from bulletuav.geometry.rotation import Vec3, axes, minus, plus, to_body, to_world, vec3
+from bulletuav.geometry.rotation import Vec3, axes, minus, plus, to_body, to_world
 from bulletuav.kernel import func, kernel
+from bulletuav.lanes import where
 from bulletuav.vehicle.parameters import ParameterRow
 from bulletuav.vehicle.rotors import Rotors
 from bulletuav.vehicle.swarm import Swarm
@@ -42,11 +42,10 @@ def rotor_wrench(speed: np.ndarray, winding: float, row: ParameterRow) -> Rotors
 @func
 def ground_effect(height: float, up: float, row: ParameterRow) -> float:
     """Return the share by which thrust grows near a surface."""
-    if row.ground_effect_gain <= 0.0 or up <= 0.0:
-        return 0.0
     lowest = 0.25 * row.propeller_radius * math.sqrt(3.75 * GROUND_GAIN)
     ratio = row.propeller_radius / (4.0 * max(height, lowest))
-    return up * GROUND_GAIN * ratio * ratio
+    share = up * GROUND_GAIN * ratio * ratio
+    return where(row.ground_effect_gain > 0.0, where(up > 0.0, share, 0.0), 0.0)
 
 
 @func
@@ -82,16 +81,11 @@ def body_acceleration(rates, torque, total_speed: float, momentum: float, row: P
 
 
 @func
-def surroundings(air: Air, w: int, i: int, wake: np.ndarray) -> Around:
+def with_wake(
+    wind: Vec3, surface: float, gravity: float, force: Vec3, torque: Vec3, wake
+) -> Around:
     """Return what surrounds a drone; wakes push it, and do not turn it."""
-    force: Vec3 = vec3(air.force, w, i)
-    return (
-        vec3(air.wind, w, i),
-        air.surface[w, i],
-        air.gravity,
-        (force[0], force[1], force[2] - wake[i, 0]),
-        vec3(air.torque, w, i),
-    )
+    return wind, surface, gravity, (force[0], force[1], force[2] - wake[0]), torque
 
 
 @func
@@ -136,6 +130,6 @@ def wakes(w: int, swarm: Swarm, alive: np.ndarray, parameters: np.ndarray, wake:
 
 def install() -> None:
     """Let flights that are compiled from now on feel these forces."""
-    for flight in (rigid_body, drive):
-        for law in (rotor_wrench, wrench, body_acceleration, surroundings, wakes):
+    for flight in (base, integration, blocks, rigid_body, drive):
+        for law in (rotor_wrench, wrench, body_acceleration, with_wake, wakes):
             setattr(flight, law.__name__, law)

@@ -13,15 +13,15 @@ import numpy as np
 from bulletuav.control.gains import GainRow
 from bulletuav.control.lee import (
     acceleration_setpoint,
-    desired_axes,
+    axes_along,
     force_setpoint,
     mix,
+    nose,
     rates_setpoint,
-    torque_of_drag_ahead,
     torque_setpoint,
     velocity_setpoint,
 )
-from bulletuav.control.observers import MEMORY, felt_acceleration, learned_push, learned_torque
+from bulletuav.control.observers import MEMORY, learned
 from bulletuav.control.pid import pid_rotors
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.geometry.rotation import (
@@ -34,10 +34,8 @@ from bulletuav.geometry.rotation import (
     from_euler,
     plus,
     quat4,
-    to_body,
 )
 from bulletuav.kernel import func
-from bulletuav.vehicle.aerodynamics import force_of_air, torque_of_drag
 from bulletuav.vehicle.rotors import rotor_wrench
 from bulletuav.vehicle.swarm import Swarm, get
 
@@ -93,6 +91,80 @@ class Cascade(NamedTuple):
 
 
 @func
+def rates_of_motion(
+    level: int,
+    target: Vec3,
+    ahead: Vec3Like,
+    state: State,
+    total_speed: float,
+    push: Vec3,
+    nominal: np.record,
+    gain: GainRow,
+    gravity: float,
+) -> tuple[float, Vec3]:
+    """Run the steps of the Lee controller from a position, velocity or acceleration to rates.
+
+    Args:
+        level: `SetpointLevel` of the setpoint, up to ACCELERATION.
+        target: Its first three numbers.
+        ahead: Where the nose is to point, see `nose`.
+        state: State of the drone.
+        total_speed: Sum of its rotors' speeds, rad/s.
+        push: Acceleration that is to be made up for, m/s^2, world.
+        nominal: Row of `PARAMETERS`.
+        gain: Row of `GAINS`.
+        gravity: Gravitational acceleration, m/s^2.
+
+    Returns:
+        Collective thrust, N, and body rates, rad/s.
+    """
+    position, quaternion, current_velocity, _ = state
+    # Drag is compensated at the velocity wanted where there is one, else at the current one.
+    velocity = current_velocity
+    if level <= SetpointLevel.POSITION:
+        target = velocity_setpoint(position, target, gain)
+    if level <= SetpointLevel.VELOCITY:
+        # A velocity wanted becomes an acceleration by the error to the present one
+        velocity = target
+        target = acceleration_setpoint(current_velocity, target, gain)
+    # Attitude: along the force that accelerates the drone. What pushes it anyway is not asked of
+    # the rotors.
+    wanted = plus(target, -1.0, push)
+    force = force_setpoint(wanted, quaternion, velocity, total_speed, gravity, nominal, gain)
+    # Only the part along the present thrust axis can be had now
+    thrust = dot(force, axes(quaternion)[2])
+    return thrust, rates_setpoint(quaternion, axes_along(force, ahead), gain)
+
+
+@func
+def turn_by(
+    thrust: float,
+    target: Vec3,
+    rates: Vec3,
+    total_speed: float,
+    twist: Vec3,
+    nominal: np.record,
+    gain: GainRow,
+    command: np.ndarray,
+) -> None:
+    """Run the steps of the Lee controller from rates down to rotor speeds.
+
+    Args:
+        thrust: Collective thrust, N.
+        target: Body rates wanted, rad/s.
+        rates: Body rates of the drone, rad/s.
+        total_speed: Sum of its rotors' speeds, rad/s.
+        twist: Torque that is to be made up for, N m, body axes.
+        nominal: Row of `PARAMETERS`.
+        gain: Row of `GAINS`.
+        command: (R,) speed of each rotor, rad/s, which is written.
+    """
+    # Down to a torque, less what turns the drone anyway
+    torque = torque_setpoint(rates, target, total_speed, nominal, gain)
+    mix(thrust, plus(torque, -1.0, twist), nominal, gain, command)
+
+
+@func
 def lee_rotors(
     level: int,
     setpoint: Quat4Like,
@@ -119,42 +191,18 @@ def lee_rotors(
         gravity: Gravitational acceleration, m/s^2.
         command: (R,) speed of each rotor, rad/s, which is written.
     """
-    position, quaternion, current_velocity, rates = state
     # The first three numbers go down the cascade; the fourth is yaw or thrust, by the level.
     target = (setpoint[0], setpoint[1], setpoint[2])
     thrust = setpoint[3]
-    yaw = setpoint[3]
-    # Drag is compensated at the velocity wanted where there is one, else at the current one.
-    velocity = current_velocity
-    if level <= SetpointLevel.POSITION:
-        target = velocity_setpoint(position, target, gain)
-    if level <= SetpointLevel.VELOCITY:
-        # A velocity wanted becomes an acceleration by the error to the present one
-        velocity = target
-        target = acceleration_setpoint(current_velocity, target, gain)
-    # Attitude: along the force that accelerates the drone, or as the setpoint says.
-    if level <= SetpointLevel.ATTITUDE:
-        if level <= SetpointLevel.ACCELERATION:
-            # What pushes the drone anyway is not asked of the rotors
-            force = force_setpoint(
-                plus(target, -1.0, push),
-                quaternion,
-                velocity,
-                total_speed,
-                gravity,
-                nominal,
-                gain,
-            )
-            # Only the part along the present thrust axis can be had now
-            thrust = dot(force, axes(quaternion)[2])
-            desired = desired_axes(force, yaw)
-        else:
-            desired = axes(from_euler(target[0], target[1], target[2]))
-        target = rates_setpoint(quaternion, desired, gain)
-    # Down to a torque, less what turns the drone anyway
-    torque = torque_setpoint(rates, target, total_speed, nominal, gain)
-    torque = plus(torque, -1.0, twist)
-    mix(thrust, torque, nominal, gain, command)
+    if level <= SetpointLevel.ACCELERATION:
+        ahead = nose(setpoint[3])
+        thrust, target = rates_of_motion(
+            level, target, ahead, state, total_speed, push, nominal, gain, gravity
+        )
+    elif level == SetpointLevel.ATTITUDE:
+        desired = axes(from_euler(target[0], target[1], target[2]))
+        target = rates_setpoint(state[1], desired, gain)
+    turn_by(thrust, target, state[3], total_speed, twist, nominal, gain, command)
 
 
 @func
@@ -310,25 +358,9 @@ def command_rotors(
         target = quat4(setpoint, w, i)
         step_pid(level, target, state, memory, w, i, dt, gravity, nominal, gain, command)
     else:
-        # What the rotors and the air do now, as far as the controller knows.
-        _, quaternion, velocity, rates = state
-        rotors = rotor_wrench(swarm.rotor_speed[w, i], 0.0, nominal)
-        # Steady pushes, such as wind: learned from how the velocity departs from what is known
-        push = (0.0, 0.0, 0.0)
-        if integral:
-            up = axes(quaternion)[2]
-            lift = force_of_air(velocity, up, rotors[0], rotors[2], nominal)
-            known = plus((0.0, 0.0, -gravity), 1.0 / nominal.mass, lift)
-            push = learned_push(velocity, known, memory, w, i, dt, gravity, gain)
-        twist = (0.0, 0.0, 0.0)
-        # Wind turns drones whose drag acts far above the centre of mass.
-        if nominal.drag_height > 0.0:
-            tipped = torque_of_drag(to_body(quaternion, velocity), rotors[2], nominal)
-            twist = learned_torque(rates, rotors, tipped, memory, w, i, dt, nominal, gain)
-            felt = felt_acceleration(velocity, memory, w, i, dt)
-            still = torque_of_drag_ahead(quaternion, velocity, rates, felt, rotors[2], nominal)
-            twist = plus(twist, 1.0, still)
         # All that is known and learned goes down the cascade
+        rotors = rotor_wrench(swarm.rotor_speed[w, i], 0.0, nominal)
+        push, twist = learned(state, rotors, memory[w, i], integral, dt, gravity, nominal, gain)
         lee_rotors(
             level,
             quat4(setpoint, w, i),

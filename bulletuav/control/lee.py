@@ -28,6 +28,7 @@ from bulletuav.geometry.rotation import (
     to_body,
 )
 from bulletuav.kernel import func
+from bulletuav.lanes import is_any, where
 from bulletuav.vehicle.aerodynamics import force_of_air, torque_of_drag
 from bulletuav.vehicle.wrench import damping_torque
 
@@ -53,11 +54,13 @@ def velocity_setpoint(
     rate = gain.position_frequency / (2.0 * gain.damping)
     # Closer than this, the proportional law brakes gently enough.
     linear = gain.max_deceleration / (rate * rate)
-    if distance > linear:
+    far = distance > linear
+    fast = rate * distance > gain.max_speed
+    if is_any(fast):
+        rate = where(fast, gain.max_speed / distance, rate)
+    if is_any(far):
         speed = math.sqrt(2.0 * gain.max_deceleration * (distance - 0.5 * linear))
-        rate = min(speed, gain.max_speed) / distance
-    elif rate * distance > gain.max_speed:
-        rate = gain.max_speed / distance
+        rate = where(far, min(speed, gain.max_speed) / distance, rate)
     return rate * error[0], rate * error[1], rate * error[2]
 
 
@@ -124,9 +127,11 @@ def force_setpoint(
     z = min(max(z, 0.3 * row.mass * gravity), most)
     sideways = math.sqrt(x * x + y * y)
     limit = min(gain.max_tilt * z, math.sqrt(most * most - z * z))
-    if sideways > limit:
-        x *= limit / sideways
-        y *= limit / sideways
+    over = sideways > limit
+    if is_any(over):
+        share = where(over, limit / sideways, 1.0)
+        x *= share
+        y *= share
     return x, y, z
 
 
@@ -173,11 +178,17 @@ def nose(yaw: float) -> Vec3:
 
 @func
 def desired_axes(force: Vec3Like, yaw: float) -> tuple[Vec3, Vec3, Vec3]:
-    """Compute the attitude that points thrust along a force and the nose towards a yaw.
+    """Compute the attitude that points thrust along a force and the nose towards a yaw (rad)."""
+    return axes_along(force, nose(yaw))
+
+
+@func
+def axes_along(force: Vec3Like, ahead: Vec3Like) -> tuple[Vec3, Vec3, Vec3]:
+    """Compute the attitude that points thrust along a force and the nose ahead.
 
     Args:
         force: Force wanted, N, world.
-        yaw: Yaw wanted, rad.
+        ahead: Horizontal unit vector.
 
     Returns:
         Body axes x, y, z in the world: the columns of the rotation matrix Rc.
@@ -186,7 +197,7 @@ def desired_axes(force: Vec3Like, yaw: float) -> tuple[Vec3, Vec3, Vec3]:
     size = math.sqrt(dot(force, force))
     b3 = (force[0] / size, force[1] / size, force[2] / size)
     # Body y is level towards the yaw, across z and the nose
-    side = cross(b3, nose(yaw))
+    side = cross(b3, ahead)
     size = math.sqrt(dot(side, side))
     b2 = (side[0] / size, side[1] / size, side[2] / size)
     return cross(b2, b3), b2, b3
@@ -297,8 +308,10 @@ def mix(
     # Thrust at which roll and pitch still fit.
     for r in range(row.num_rotors):
         turn = gain.mixer[r, 1] * torque[0] + gain.mixer[r, 2] * torque[1]
-        if gain.mixer[r, 0] * thrust + turn > most:
-            thrust = min(thrust, max(most - turn, 0.5 * most) / gain.mixer[r, 0])
+        over = gain.mixer[r, 0] * thrust + turn > most
+        if is_any(over):
+            less = max(most - turn, 0.5 * most) / gain.mixer[r, 0]
+            thrust = where(over, min(thrust, less), thrust)
     # Thrust of each rotor without yaw, and the largest share of yaw that all rotors can add.
     share = 1.0
     for r in range(row.num_rotors):
@@ -306,12 +319,15 @@ def mix(
             gain.mixer[r, 0] * thrust + gain.mixer[r, 1] * torque[0] + gain.mixer[r, 2] * torque[1]
         )
         # A rotor cannot push down
-        command[r] = min(max(lift, 0.0), most)
+        level = min(max(lift, 0.0), most)
+        command[r] = level
         turn = gain.mixer[r, 3] * torque[2]
-        if command[r] + turn > most:
-            share = min(share, (most - command[r]) / turn)
-        elif command[r] + turn < 0.0:
-            share = min(share, -command[r] / turn)
+        over = level + turn > most
+        under = level + turn < 0.0
+        if is_any(over):
+            share = where(over, min(share, (most - level) / turn), share)
+        if is_any(under):
+            share = where(under, min(share, -level / turn), share)
 
     # With that share of yaw, from thrust to speed; rounding may leave the thrust just below zero.
     for r in range(row.num_rotors):

@@ -28,11 +28,11 @@ from bulletuav.dynamics.divergence import any_lost
 from bulletuav.dynamics.setpoints import convert
 from bulletuav.engine.c_extension import surface_below
 from bulletuav.engine.engine import Engine
-from bulletuav.geometry.rotation import plus, vec3
+from bulletuav.geometry.rotation import vec3
 from bulletuav.kernel import func
 from bulletuav.program import Program
 from bulletuav.vehicle.swarm import Contacts, Motion, Swarm
-from bulletuav.vehicle.wrench import Around
+from bulletuav.vehicle.wrench import Around, with_wake
 
 
 class Air(NamedTuple):
@@ -58,14 +58,9 @@ class Air(NamedTuple):
 @func
 def surroundings(air: Air, w: int, i: int, wake: np.ndarray) -> Around:
     """Return what surrounds drone i of world w, which feels the wakes (N, 4), for `wrench`."""
-    force = vec3(air.force, w, i)
-    return (
-        vec3(air.wind, w, i),
-        air.surface[w, i],
-        air.gravity,
-        (force[0], force[1], force[2] - wake[i, 0]),
-        plus(vec3(air.torque, w, i), 1.0, (wake[i, 1], wake[i, 2], wake[i, 3])),
-    )
+    blown = (wake[i, 0], wake[i, 1], wake[i, 2], wake[i, 3])
+    wind, force, torque = vec3(air.wind, w, i), vec3(air.force, w, i), vec3(air.torque, w, i)
+    return with_wake(wind, air.surface[w, i], air.gravity, force, torque, blown)
 
 
 @dataclass(frozen=True)

@@ -14,194 +14,90 @@ from bulletuav.contact.rest import wake as rouse
 from bulletuav.control.cascade import Cascade, command_rotors
 from bulletuav.control.setpoint import SetpointLevel
 from bulletuav.dynamics.base import Air, Dynamics, surroundings
-from bulletuav.geometry.rotation import Quat4, Vec3, normalised
-from bulletuav.kernel import allocating, borrowed, func, in_memory
+from bulletuav.dynamics.blocks import (
+    CALM,
+    FEWEST,
+    Blocks,
+    fly_block,
+    is_block,
+    is_steered,
+    pack,
+)
+from bulletuav.dynamics.integration import lag_stages, rk4, slope_of, turn_rotors
+from bulletuav.dynamics.steering import pack_steering
+from bulletuav.geometry.rotation import dot, vec3
+from bulletuav.kernel import borrowed, func, in_memory, kernel
+from bulletuav.lanes import WIDTH
 from bulletuav.program import Program
 from bulletuav.registry import register
 from bulletuav.vehicle.aerodynamics import lifted_rotors
-from bulletuav.vehicle.rotors import Rotors, lag_decay, lag_rates, lagged, rotor_wrench, spin_up
 from bulletuav.vehicle.swarm import Swarm, get, put
 from bulletuav.vehicle.wake import wakes
-from bulletuav.vehicle.wrench import SMALL_TURN, Around, body_acceleration, spin_parts, wrench
-
-State = tuple[Vec3, Quat4, Vec3, Vec3]
-"""Position, quaternion, velocity and rates of one drone, or their slopes"""
-Stages = tuple[Rotors, Rotors, Rotors]
-"""What the rotors do at the begin, middle and end of a substep"""
-Speeds = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Rotor speeds (R,) at the same times, rad/s"""
+from bulletuav.vehicle.wrench import SMALL_TURN, spin_parts
 
 
 @func
-def _slope(
-    state: State,
-    speed: np.ndarray,
-    rotors: Rotors,
-    around: Around,
-    lifted: int,
-    row: np.record,
-) -> State:
-    """Return the time derivative of a state under rotors at some speed (R,)."""
-    position, quaternion, velocity, rates = state
-    force, torque = wrench(quaternion, velocity, position[2], speed, rotors, around, lifted, row)
-
-    # Kinematics of the quaternion (x, y, z, w) under body rates (p, q, r)
-    x, y, z, w = quaternion
-    p, q, r = rates
-    turning = (
-        0.5 * (w * p + y * r - z * q),
-        0.5 * (w * q + z * p - x * r),
-        0.5 * (w * r + x * q - y * p),
-        -0.5 * (x * p + y * q + z * r),
-    )
-
-    # A division that all stages share
-    lightness = 1.0 / row.mass
-    acceleration = (
-        lightness * force[0],
-        lightness * force[1],
-        lightness * force[2],
-    )
-    spinning = body_acceleration(rates, torque, rotors[2], rotors[3], row)
-    return velocity, turning, acceleration, spinning
-
-
-@func
-def _moved(
-    state: State,
-    time: float,
-    slope: State,
-) -> State:
-    """Return state + time * slope."""
-    x, q, v, w = state
-    dx, dq, dv, dw = slope
-    return (
-        (
-            x[0] + time * dx[0],
-            x[1] + time * dx[1],
-            x[2] + time * dx[2],
-        ),
-        (
-            q[0] + time * dq[0],
-            q[1] + time * dq[1],
-            q[2] + time * dq[2],
-            q[3] + time * dq[3],
-        ),
-        (
-            v[0] + time * dv[0],
-            v[1] + time * dv[1],
-            v[2] + time * dv[2],
-        ),
-        (
-            w[0] + time * dw[0],
-            w[1] + time * dw[1],
-            w[2] + time * dw[2],
-        ),
-    )
-
-
-@func
-def rk4(
-    state: State,
-    speeds: Speeds,
-    rotors: Stages,
-    dt: float,
-    around: Around,
-    row: np.record,
-) -> State:
-    """Return a state after one classical Runge-Kutta step."""
-    lifted = lifted_rotors(state[0][2] - around[1], state[2][2], dt, row)
-    # Numbers known here let the compiler leave out what stays at 0, and write out four rotors
-    if lifted == 0:
-        return _stepped(state, speeds, rotors, dt, around, 0, row)
-    if lifted == 4:
-        return _stepped(state, speeds, rotors, dt, around, 4, row)
-    return _stepped(state, speeds, rotors, dt, around, lifted, row)
-
-
-@func
-def _stepped(
-    state: State,
-    speeds: Speeds,
-    rotors: Stages,
-    dt: float,
-    around: Around,
-    lifted: int,
-    row: np.record,
-) -> State:
-    """Do the step of `rk4`, in which a surface may lift so many rotors."""
-    k1 = _slope(state, speeds[0], rotors[0], around, lifted, row)
-    k2 = _slope(_moved(state, 0.5 * dt, k1), speeds[1], rotors[1], around, lifted, row)
-    k3 = _slope(_moved(state, 0.5 * dt, k2), speeds[1], rotors[1], around, lifted, row)
-    k4 = _slope(_moved(state, dt, k3), speeds[2], rotors[2], around, lifted, row)
-    # k1 + 2 k2 + 2 k3 + k4
-    total = _moved(k1, 2.0, k2)
-    total = _moved(total, 2.0, k3)
-    total = _moved(total, 1.0, k4)
-    # Normalised once, as the stages leave the unit sphere by little
-    position, quaternion, velocity, rates = _moved(state, dt / 6.0, total)
-    return position, normalised(quaternion), velocity, rates
-
-
-@func
-def lag_stages(
+def _fly_alone(
+    swarm: Swarm,
     parameters: np.ndarray,
-    w: int,
+    air: Air,
     dt: float,
-    decay: np.ndarray,
-) -> None:
-    """Fill `decay` (N, 3, 2): rotor lag until the begin, middle and end of a substep."""
-    for i in range(decay.shape[0]):
-        for stage in range(3):
-            elapsed = 0.5 * stage * dt
-            up, down = lag_decay(elapsed, parameters[w, i])
-            decay[i, stage, 0] = up
-            decay[i, stage, 1] = down
-
-
-@func
-def turn_rotors(
-    speed: np.ndarray,
-    command: np.ndarray,
-    supply: float,
-    decay: np.ndarray,
+    contact: Contact,
+    blocks: Blocks,
+    first: int,
     w: int,
     i: int,
-    row: np.record,
-    speeds: Speeds,
-) -> Stages:
-    """Let the rotors of drone i in world w follow their commands for a substep.
-
-    `supply` is the share of the commands that they reach. `decay` (N, 3, 2) is their lag until its
-    begin, middle and end. `speeds` is room for the rotor speeds then. Returns what they do then.
-    """
-    begin, middle, end = speeds
-    at_begin = (decay[i, 0, 0], decay[i, 0, 1])
-    at_middle = (decay[i, 1, 0], decay[i, 1, 1])
-    at_end = (decay[i, 2, 0], decay[i, 2, 1])
-    rate = lag_rates(row)
-    winding0 = winding1 = winding2 = 0.0
-    for rotor in range(row.num_rotors):
-        now = speed[w, i, rotor]
-        wanted = supply * command[i, rotor]
-        begin[rotor] = lagged(now, wanted, at_begin)
-        middle[rotor] = lagged(now, wanted, at_middle)
-        end[rotor] = lagged(now, wanted, at_end)
-        speed[w, i, rotor] = end[rotor]
-        # What is left of the way, and with it the acceleration, shrinks as the lag tells
-        turn = row.rotor_turn[rotor] * spin_up(begin[rotor], wanted, rate)
-        faster = wanted > now
-        winding0 += turn
-        winding1 += turn * (at_middle[0] if faster else at_middle[1])
-        winding2 += turn * (at_end[0] if faster else at_end[1])
-    return (
-        rotor_wrench(begin, winding0, row),
-        rotor_wrench(middle, winding1, row),
-        rotor_wrench(end, winding2, row),
-    )
+) -> None:
+    """Move drone i of world w through a substep by itself; the group's first world is `first`."""
+    row = parameters[w, i]
+    alone = blocks.alone
+    speeds = (alone[0], alone[1], alone[2])
+    command, decay = blocks.command[w - first, i], blocks.decay[w - first, i]
+    rotors = turn_rotors(swarm.rotor_speed[w, i], command, air.supply[w, i], decay, row, speeds)
+    around = surroundings(air, w, i, blocks.wake[w - first])
+    state = get(swarm, w, i)
+    if contact.asleep[w, i]:
+        # Who rests is left alone as long as it bears its forces
+        lifted = lifted_rotors(state[0][2] - around[1], state[2][2], dt, row)
+        slope = slope_of(state, speeds[2], rotors[2], around, lifted, row)
+        pull, spinning = slope[2:]
+        if bears(contact, w, i, state[1], pull, spinning, row, dt):
+            return
+        rouse(contact, w, i)
+    # Fast spins in pieces: their precession is stiff
+    parts = spin_parts(state[3], dt, SMALL_TURN)
+    for _ in range(parts):
+        state = rk4(state, speeds, rotors, dt / parts, around, row)
+    put(swarm, w, i, state)
 
 
-@allocating
+@func
+def _mark(
+    swarm: Swarm,
+    alive: np.ndarray,
+    dt: float,
+    contact: Contact,
+    blocks: Blocks,
+    first: int,
+    last: int,
+) -> None:
+    """Mark the drones of a group of worlds, from `first` to before `last`, that fly in blocks."""
+    drone = 0
+    for w in range(first, last):
+        for i in range(alive.shape[1]):
+            rates = vec3(swarm.rates, w, i)
+            still = contact.stopped[w, i] | contact.asleep[w, i]
+            calm = dot(rates, rates) * dt * dt < CALM * CALM
+            # Without branches, which would take longer
+            blocks.together[drone] = alive[w, i] & calm & (not still) & blocks.alike[drone // WIDTH]
+            drone += 1
+    for k in range(drone, blocks.together.shape[0]):
+        blocks.together[k] = False
+    for b in range(blocks.packed.shape[0]):
+        blocks.flown[b] = is_block(blocks, b)
+
+
+@kernel
 def advance(
     swarm: Swarm,
     alive: np.ndarray,
@@ -213,6 +109,7 @@ def advance(
     substeps: int,
     dt: float,
     contact: Contact,
+    blocks: Blocks,
 ) -> None:
     """Fly all substeps of one decision in all worlds.
 
@@ -227,57 +124,51 @@ def advance(
         substeps: Number of substeps.
         dt: Duration of a substep, s.
         contact: What contacts need.
+        blocks: Room for a group of worlds.
     """
     swarm, cascade, air = borrowed((swarm, cascade, air))
     contact = in_memory(contact)
-    # Room that all worlds share
-    num_drones, num_rotors = swarm.rotor_speed.shape[1:]
-    wake = np.empty((num_drones, 4))
-    commands = np.empty((num_drones, num_rotors))
-    command = np.empty(num_rotors)
-    begin = np.empty(num_rotors)
-    middle = np.empty(num_rotors)
-    end = np.empty(num_rotors)
-    decay = np.empty((num_drones, 3, 2))
-    for w in range(alive.shape[0]):
+    blocks = in_memory(blocks)
+    shared_air = in_memory(air)
+    num_drones = alive.shape[1]
+    # Worlds by groups, whose drones share blocks
+    worlds = blocks.wake.shape[0]
+    for first in range(0, alive.shape[0], worlds):
+        last = min(first + worlds, alive.shape[0])
         # The same in all substeps
-        lag_stages(parameters, w, dt, decay)
+        for w in range(first, last):
+            lag_stages(parameters, w, dt, blocks.decay[w - first])
+        if alive.size >= FEWEST:
+            pack(blocks, shared_air, first * num_drones)
+            pack_steering(blocks.steering, levels, setpoint, first * num_drones)
         for substep in range(substeps):
-            remember(contact, swarm, w)
-            # Wakes and commands of all drones come from the state before any of them moves
-            wakes(w, swarm, alive, parameters, wake)
-            for i in range(num_drones):
-                if alive[w, i] and not contact.stopped[w, i]:
-                    command_rotors(levels, setpoint, w, i, swarm, cascade, dt, air.gravity, command)
-                    for rotor in range(num_rotors):
-                        commands[i, rotor] = command[rotor]
+            _mark(swarm, alive, dt, contact, blocks, first, last)
+            for w in range(first, last):
+                remember(contact, swarm, w)
+                # Wakes and commands of all drones come from the state before any of them moves
+                wakes(w, swarm, alive, parameters, blocks.wake[w - first])
+                for i in range(num_drones):
+                    if alive[w, i] and not contact.stopped[w, i]:
+                        drone = (w - first) * num_drones + i
+                        command = blocks.command[w - first, i]
+                        if not is_steered(blocks, drone):
+                            command_rotors(
+                                levels, setpoint, w, i, swarm, cascade, dt, air.gravity, command
+                            )
 
-            # From here on each drone by itself
-            for i in range(num_drones):
-                if alive[w, i] and not contact.stopped[w, i]:
-                    row = parameters[w, i]
-                    speed = swarm.rotor_speed
-                    supply = air.supply[w, i]
-                    speeds = (begin, middle, end)
-                    rotors = turn_rotors(speed, commands, supply, decay, w, i, row, speeds)
-                    around = surroundings(air, w, i, wake)
-                    state = get(swarm, w, i)
-                    if contact.asleep[w, i]:
-                        # Who rests is left alone as long as it bears its forces
-                        lifted = lifted_rotors(state[0][2] - around[1], state[2][2], dt, row)
-                        slope = _slope(state, end, rotors[2], around, lifted, row)
-                        pull, spinning = slope[2:]
-                        if bears(contact, w, i, state[1], pull, spinning, row, dt):
-                            continue
-                        rouse(contact, w, i)
-                    # Fast spins in pieces: their precession is stiff
-                    parts = spin_parts(state[3], dt, SMALL_TURN)
-                    for _ in range(parts):
-                        state = rk4(state, speeds, rotors, dt / parts, around, row)
-                    put(swarm, w, i, state)
+            # From here on drones do not feel each other
+            for b in range(blocks.packed.shape[0]):
+                if blocks.flown[b]:
+                    fly_block(blocks, first * num_drones, b, air.gravity, dt)
+            for w in range(first, last):
+                for i in range(num_drones):
+                    moved = blocks.together[(w - first) * num_drones + i]
+                    if alive[w, i] and not contact.stopped[w, i] and not moved:
+                        _fly_alone(swarm, parameters, air, dt, contact, blocks, first, w, i)
 
             # What they would have flown into
-            meet(contact, swarm, alive, parameters, w, substep, substeps, dt)
+            for w in range(first, last):
+                meet(contact, swarm, alive, parameters, w, substep, substeps, dt)
 
 
 @register("dynamics")
@@ -315,4 +206,5 @@ class RigidBody(Dynamics):
             flight.substeps,
             flight.dt,
             self.contact,
+            Blocks.of(swarm, flight.parameters, flight.cascade),
         )

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bulletuav.dynamics.base import Air, surroundings
-from bulletuav.dynamics.rigid_body import lag_stages, rk4, turn_rotors
+from bulletuav.dynamics.integration import lag_stages, rk4, turn_rotors
 from bulletuav.geometry.rotation import Quat4, Quat4Like, Vec3, point, product
 from bulletuav.kernel import allocating, func, kernel
 from bulletuav.vehicle.rotors import lag_decay, lagged
@@ -137,7 +137,7 @@ def roll_out(
     alive = np.ones((1, num_drones), dtype=np.bool_)
     wake = np.zeros((num_drones, 4))
     wanted = np.zeros((num_drones, num_rotors))
-    decay = np.empty((num_drones, 3, 2))
+    decay = np.empty((num_drones, 6))
     speeds = (np.empty(num_rotors), np.empty(num_rotors), np.empty(num_rotors))
     lag_stages(parameters, 0, dt, decay)
     row = parameters[0, 0]
@@ -160,7 +160,7 @@ def roll_out(
                 wakes(0, swarm, alive, parameters, wake)
             for r in range(num_rotors):
                 wanted[0, r] = command[now, r]
-            rotors = turn_rotors(swarm.rotor_speed, wanted, 1.0, decay, 0, 0, row, speeds)
+            rotors = turn_rotors(swarm.rotor_speed[0, 0], wanted[0], 1.0, decay[0], row, speeds)
             around = surroundings(air, 0, 0, wake)
             state = rk4(get(swarm, 0, 0), speeds, rotors, dt, around, row)
             if legs.guided:

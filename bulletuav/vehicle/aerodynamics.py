@@ -6,6 +6,7 @@ import numpy as np
 
 from bulletuav.geometry.rotation import Quat4Like, Vec3, Vec3Like, axes, dot
 from bulletuav.kernel import func
+from bulletuav.lanes import where
 from bulletuav.vehicle.parameters import ParameterRow
 
 
@@ -116,13 +117,13 @@ def _nearness(left: float) -> float:
 
 
 @func
-def lifted_rotors(
+def is_near_surface(
     height: float,
     climb: float,
     dt: float,
     row: ParameterRow,
-) -> int:
-    """Return how many rotors a surface below may lift within a step: all, or none.
+) -> bool:
+    """Tell whether a surface below may lift rotors within a step.
 
     Args:
         height: Height of the centre of mass above the surface, m.
@@ -132,8 +133,19 @@ def lifted_rotors(
     """
     # No rotor is lower than the arm, whatever the tilt; twice the way leaves room for a fall
     lowest = height - row.arm - 2.0 * dt * abs(climb)
-    near = lowest < row.ground_effect_reach and row.ground_effect_gain > 0.0
-    return row.num_rotors if near else 0
+    near: bool = where(row.ground_effect_gain > 0.0, lowest, np.inf) < row.ground_effect_reach
+    return near
+
+
+@func
+def lifted_rotors(
+    height: float,
+    climb: float,
+    dt: float,
+    row: ParameterRow,
+) -> int:
+    """Return how many rotors a surface below may lift: all, or none; see `is_near_surface`."""
+    return row.num_rotors if is_near_surface(height, climb, dt, row) else 0
 
 
 @func

@@ -11,6 +11,7 @@ import numpy as np
 from bulletuav.functions import exp
 from bulletuav.geometry.rotation import Vec3
 from bulletuav.kernel import func
+from bulletuav.lanes import where
 from bulletuav.vehicle.parameters import ParameterRow
 
 RPM = 2.0 * math.pi / 60.0
@@ -56,14 +57,15 @@ def lagged(
     Returns:
         The speed now, rad/s.
     """
-    return command + (speed - command) * (decay[0] if command > speed else decay[1])
+    left: float = where(command > speed, decay[0], decay[1])
+    return command + (speed - command) * left
 
 
 @func
 def lag_rates(row: ParameterRow) -> tuple[float, float]:
     """Return 1 / time constant of rotors that speed up and slow down, 1/s; 0 without lag."""
-    up = 1.0 / row.lag_up if row.lag_up > 0.0 else 0.0
-    down = 1.0 / row.lag_down if row.lag_down > 0.0 else 0.0
+    up = where(row.lag_up > 0.0, 1.0 / row.lag_up, 0.0)
+    down = where(row.lag_down > 0.0, 1.0 / row.lag_down, 0.0)
     return up, down
 
 
@@ -80,7 +82,8 @@ def spin_up(
         command: Speed that is commanded, rad/s.
         rate: What `lag_rates` returns.
     """
-    return (command - speed) * (rate[0] if command > speed else rate[1])
+    pace: float = where(command > speed, rate[0], rate[1])
+    return (command - speed) * pace
 
 
 @func

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from bulletuav.geometry.rotation import Quat4Like, Vec3, Vec3Like, axes, dot, minus, plus
+from bulletuav.geometry.rotation import Quat4, Quat4Like, Vec3, Vec3Like, axes, dot, minus, plus
 from bulletuav.kernel import func
 from bulletuav.vehicle.aerodynamics import force_of_air, ground_wrench, torque_of_drag
 from bulletuav.vehicle.parameters import ParameterRow
@@ -18,6 +18,34 @@ MOST_PARTS = 64
 Around = tuple[Vec3, float, float, Vec3, Vec3]
 """Wind (m/s), height of the surface below (m), gravity (m/s^2), and what pushes from outside: a
 force (N, world axes) and a torque (N m, body axes)"""
+
+
+@func
+def with_wake(
+    wind: Vec3,
+    surface: float,
+    gravity: float,
+    force: Vec3,
+    torque: Vec3,
+    wake: Quat4,
+) -> Around:
+    """Return what surrounds a drone.
+
+    Args:
+        wind: Velocity of the air, m/s.
+        surface: Height of the surface below, m.
+        gravity: m/s^2, downwards.
+        force: What pushes it, world axes, N.
+        torque: What turns it, body axes, N m.
+        wake: Force of wakes downwards, N, and their torque, body axes, N m.
+    """
+    return (
+        wind,
+        surface,
+        gravity,
+        (force[0], force[1], force[2] - wake[0]),
+        plus(torque, 1.0, (wake[1], wake[2], wake[3])),
+    )
 
 
 @func

@@ -33,13 +33,13 @@ def hovering(seconds, push, integral, dynamics="rigid_body", airframe="cf2x", **
 
 def test_a_push_is_learned_as_a_second_order_system():
     """With a constant push a the estimate approaches a by the observer's own f and z."""
-    memory = np.zeros((1, 1, MEMORY))
+    memory = np.zeros(MEMORY)
     velocity, estimates = np.zeros(3), []
     frequency = 2 * GAIN["position_frequency"]
     for _ in range(int(10 / frequency / DT)):
         velocity = velocity + DT * np.array((0.0, 0.5, 0.0))
         known = (0.0, 0.0, 0.0)
-        estimates.append(learned_push(tuple(velocity), known, memory, 0, 0, DT, G, GAIN)[1])
+        estimates.append(learned_push(tuple(velocity), known, memory, DT, G, GAIN)[1])
     assert estimates[-1] == pytest.approx(0.5, rel=1e-3)
     assert 0.5 < max(estimates) < 0.52
     # A step answer of damping 0.8 is at one half after 1.6 / f
@@ -48,17 +48,17 @@ def test_a_push_is_learned_as_a_second_order_system():
 
 
 def test_a_push_is_bounded_and_what_is_known_is_not_learned():
-    memory = np.zeros((1, 1, MEMORY))
+    memory = np.zeros(MEMORY)
     for k in range(2000):
-        push = learned_push((3.0 * k * DT, 0.0, 0.0), (3.0, 0.0, 0.0), memory, 0, 0, DT, G, GAIN)
+        push = learned_push((3.0 * k * DT, 0.0, 0.0), (3.0, 0.0, 0.0), memory, DT, G, GAIN)
     assert np.abs(push).max() < 1e-9
     for k in range(2000):
-        push = learned_push((90.0 * k * DT, 0.0, 0.0), (0.0,) * 3, memory, 0, 0, DT, G, GAIN)
+        push = learned_push((90.0 * k * DT, 0.0, 0.0), (0.0,) * 3, memory, DT, G, GAIN)
     assert np.linalg.norm(push) == pytest.approx(0.5 * G)
 
 
 def test_a_torque_is_learned_and_bounded():
-    memory = np.zeros((1, 1, MEMORY))
+    memory = np.zeros(MEMORY)
     rotors = rotor_wrench(np.full(4, CF2X.hover_speed()), 0.0, ROW)
     still = (0.0, 0.0, 0.0)
     for torque, expected in ((2e-4, 2e-4), (1.0, 0.25 * CF2X.max_thrust * CF2X.arm)):
@@ -68,7 +68,7 @@ def test_a_torque_is_learned_and_bounded():
             # Against the damping that the observer knows
             damped = CF2X.damping[0] * rate
             rate += DT * (torque / CF2X.inertia[0] - damped)
-            got = learned_torque((rate, 0.0, 0.0), rotors, still, memory, 0, 0, DT, ROW, GAIN)
+            got = learned_torque((rate, 0.0, 0.0), rotors, still, memory, DT, ROW, GAIN)
         assert got[0] == pytest.approx(expected, rel=1e-3)
         assert got[1] == pytest.approx(0, abs=1e-9)
         assert got[2] == 0

@@ -1,0 +1,202 @@
+"""One step of RK4 of a rigid body under its rotors, for one drone or for lanes of several."""
+
+import numpy as np
+
+from bulletuav.geometry.rotation import Quat4, Vec3, normalised
+from bulletuav.kernel import func
+from bulletuav.lanes import where
+from bulletuav.vehicle.aerodynamics import lifted_rotors
+from bulletuav.vehicle.rotors import Rotors, lag_decay, lag_rates, lagged, rotor_wrench, spin_up
+from bulletuav.vehicle.wrench import Around, body_acceleration, wrench
+
+State = tuple[Vec3, Quat4, Vec3, Vec3]
+"""Position, quaternion, velocity and rates of one drone, or their slopes"""
+Stages = tuple[Rotors, Rotors, Rotors]
+"""What the rotors do at the begin, middle and end of a substep"""
+Speeds = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Rotor speeds (R,) at the same times, rad/s"""
+
+
+@func
+def slope_of(
+    state: State,
+    speed: np.ndarray,
+    rotors: Rotors,
+    around: Around,
+    lifted: int,
+    row: np.record,
+) -> State:
+    """Return the time derivative of a state under rotors at some speed (R,)."""
+    position, quaternion, velocity, rates = state
+    force, torque = wrench(quaternion, velocity, position[2], speed, rotors, around, lifted, row)
+
+    # Kinematics of the quaternion (x, y, z, w) under body rates (p, q, r)
+    x, y, z, w = quaternion
+    p, q, r = rates
+    turning = (
+        0.5 * (w * p + y * r - z * q),
+        0.5 * (w * q + z * p - x * r),
+        0.5 * (w * r + x * q - y * p),
+        -0.5 * (x * p + y * q + z * r),
+    )
+
+    # A division that all stages share
+    lightness = 1.0 / row.mass
+    acceleration = (
+        lightness * force[0],
+        lightness * force[1],
+        lightness * force[2],
+    )
+    spinning = body_acceleration(rates, torque, rotors[2], rotors[3], row)
+    return velocity, turning, acceleration, spinning
+
+
+@func
+def _moved(
+    state: State,
+    time: float,
+    slope: State,
+) -> State:
+    """Return state + time * slope."""
+    x, q, v, w = state
+    dx, dq, dv, dw = slope
+    return (
+        (
+            x[0] + time * dx[0],
+            x[1] + time * dx[1],
+            x[2] + time * dx[2],
+        ),
+        (
+            q[0] + time * dq[0],
+            q[1] + time * dq[1],
+            q[2] + time * dq[2],
+            q[3] + time * dq[3],
+        ),
+        (
+            v[0] + time * dv[0],
+            v[1] + time * dv[1],
+            v[2] + time * dv[2],
+        ),
+        (
+            w[0] + time * dw[0],
+            w[1] + time * dw[1],
+            w[2] + time * dw[2],
+        ),
+    )
+
+
+@func
+def rk4(
+    state: State,
+    speeds: Speeds,
+    rotors: Stages,
+    dt: float,
+    around: Around,
+    row: np.record,
+) -> State:
+    """Return a state after one classical Runge-Kutta step."""
+    lifted = lifted_rotors(state[0][2] - around[1], state[2][2], dt, row)
+    # Numbers known here let the compiler leave out what stays at 0, and write out four rotors
+    if lifted == 0:
+        return stepped(state, speeds, rotors, dt, around, 0, row)
+    if lifted == 4:
+        return stepped(state, speeds, rotors, dt, around, 4, row)
+    return stepped(state, speeds, rotors, dt, around, lifted, row)
+
+
+@func
+def stepped(
+    state: State,
+    speeds: Speeds,
+    rotors: Stages,
+    dt: float,
+    around: Around,
+    lifted: int,
+    row: np.record,
+) -> State:
+    """Do the step of `rk4`, in which a surface may lift so many rotors."""
+    k1 = slope_of(state, speeds[0], rotors[0], around, lifted, row)
+    k2 = slope_of(_moved(state, 0.5 * dt, k1), speeds[1], rotors[1], around, lifted, row)
+    k3 = slope_of(_moved(state, 0.5 * dt, k2), speeds[1], rotors[1], around, lifted, row)
+    k4 = slope_of(_moved(state, dt, k3), speeds[2], rotors[2], around, lifted, row)
+    # k1 + 2 k2 + 2 k3 + k4
+    total = _moved(k1, 2.0, k2)
+    total = _moved(total, 2.0, k3)
+    total = _moved(total, 1.0, k4)
+    # Normalised once, as the stages leave the unit sphere by little
+    position, quaternion, velocity, rates = _moved(state, dt / 6.0, total)
+    return position, normalised(quaternion), velocity, rates
+
+
+@func
+def lag_stages(
+    parameters: np.ndarray,
+    w: int,
+    dt: float,
+    decay: np.ndarray,
+) -> None:
+    """Fill `decay` (N, 6): lag of rotors that speed up and slow down, thrice.
+
+    It is that until the begin, the middle and the end of a substep.
+    """
+    for i in range(decay.shape[0]):
+        row = parameters[w, i]
+        # Most drones of a world have the motors of the one before
+        last = parameters[w, max(i - 1, 0)]
+        if i > 0 and row.lag_up == last.lag_up and row.lag_down == last.lag_down:
+            for k in range(6):
+                decay[i, k] = decay[i - 1, k]
+        else:
+            for stage in range(3):
+                elapsed = 0.5 * stage * dt
+                up, down = lag_decay(elapsed, row)
+                decay[i, 2 * stage] = up
+                decay[i, 2 * stage + 1] = down
+
+
+@func
+def turn_rotors(
+    speed: np.ndarray,
+    command: np.ndarray,
+    supply: float,
+    decay: np.ndarray,
+    row: np.record,
+    speeds: Speeds,
+) -> Stages:
+    """Let the rotors of a drone follow their commands for a substep.
+
+    Args:
+        speed: (R,) rotor speeds, rad/s, which are advanced.
+        command: (R,) commands, rad/s.
+        supply: Share of the commands that they reach.
+        decay: (6,) what `lag_stages` fills in for the drone.
+        row: Row of `PARAMETERS`.
+        speeds: Room for the rotor speeds at the begin, middle and end; filled.
+
+    Returns:
+        What the rotors do then.
+    """
+    begin, middle, end = speeds
+    at_begin = (decay[0], decay[1])
+    at_middle = (decay[2], decay[3])
+    at_end = (decay[4], decay[5])
+    rate = lag_rates(row)
+    winding0 = winding1 = winding2 = 0.0
+    for rotor in range(row.num_rotors):
+        now = speed[rotor]
+        wanted = supply * command[rotor]
+        begin[rotor] = lagged(now, wanted, at_begin)
+        middle[rotor] = lagged(now, wanted, at_middle)
+        end[rotor] = lagged(now, wanted, at_end)
+        speed[rotor] = end[rotor]
+        # What is left of the way, and with it the acceleration, shrinks as the lag tells
+        turn = row.rotor_turn[rotor] * spin_up(begin[rotor], wanted, rate)
+        faster = wanted > now
+        winding0 += turn
+        winding1 += turn * where(faster, at_middle[0], at_middle[1])
+        winding2 += turn * where(faster, at_end[0], at_end[1])
+    return (
+        rotor_wrench(begin, winding0, row),
+        rotor_wrench(middle, winding1, row),
+        rotor_wrench(end, winding2, row),
+    )

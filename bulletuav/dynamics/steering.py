@@ -1,0 +1,174 @@
+"""The Lee controller of a block of drones, in lanes; see `bulletuav.dynamics.blocks`."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bulletuav.control.cascade import LEE, Cascade, rates_of_motion, turn_by
+from bulletuav.control.lee import nose
+from bulletuav.control.observers import PUSHES, learned
+from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.geometry.rotation import Quat4, Vec3
+from bulletuav.kernel import func, kernel
+from bulletuav.lanes import WIDTH, gathered, lanes_of, lanes_row, room
+from bulletuav.vehicle.rotors import rotor_wrench
+
+ALONE = -1
+"""In the place of a level: each drone has a controller by itself"""
+
+
+class Steering(NamedTuple):
+    """Room for the controllers of a group of worlds in B blocks.
+
+    Attributes:
+        nominal_rows: (W, N) rows of `PARAMETERS` that the controller believes in.
+        gain_rows: (W, N) rows of `GAINS`.
+        memory: (W, N, M) the controllers' memory.
+        integral: Whether they learn steady pushes.
+        is_lee: Whether they are the Lee controller.
+        nominal_numbers: (W, N, P) the rows as numbers.
+        gain_numbers: (W, N, Q) the same of gains.
+        nominal: (B, P, `WIDTH`) rows of the group's drones, block by block.
+        gain: (B, Q, `WIDTH`) the same of gains.
+        goal: (B, 6, `WIDTH`) setpoints, and where the nose is to point.
+        level: (B,) level of all setpoints of a block, or `ALONE`.
+        remembered: (M, `WIDTH`) memory of one block.
+    """
+
+    nominal_rows: np.ndarray
+    gain_rows: np.ndarray
+    memory: np.ndarray
+    integral: bool
+    is_lee: bool
+    nominal_numbers: np.ndarray
+    gain_numbers: np.ndarray
+    nominal: np.ndarray
+    gain: np.ndarray
+    goal: np.ndarray
+    level: np.ndarray
+    remembered: np.ndarray
+
+    @classmethod
+    def of(cls, cascade: Cascade, blocks: int) -> "Steering":
+        """Make room for so many blocks."""
+        nominal, gains, memory = cascade.nominal, cascade.gains, cascade.memory
+        assert all(array.flags.c_contiguous for array in (nominal, gains, memory))
+        nominal_numbers = nominal.view(np.float64).reshape(*nominal.shape, -1)
+        gain_numbers = gains.view(np.float64).reshape(*gains.shape, -1)
+        return cls(
+            nominal_rows=nominal,
+            gain_rows=gains,
+            memory=memory,
+            integral=cascade.integral,
+            is_lee=cascade.controller == LEE,
+            nominal_numbers=nominal_numbers,
+            gain_numbers=gain_numbers,
+            nominal=room(blocks, nominal_numbers.shape[2]),
+            gain=room(blocks, gain_numbers.shape[2]),
+            goal=room(blocks, 6),
+            level=np.full(blocks, ALONE),
+            remembered=room(memory.shape[2]),
+        )
+
+
+@func
+def copy_numbers(source: np.ndarray, drone: int, packed: np.ndarray, block: int) -> None:
+    """Copy all numbers (W, N, K) of the drones from one on into a block (B, K, `WIDTH`)."""
+    lanes = lanes_of(packed, block)
+    for k in range(source.shape[2]):
+        lanes[k] = gathered(source, drone, k)
+
+
+@func
+def _common_level(steering: Any, levels: np.ndarray, drone: int) -> int:
+    """Return the level of `WIDTH` drones from one on, if they can be steered together."""
+    num_drones = levels.shape[1]
+    level = levels[drone // num_drones, drone % num_drones]
+    tips = steering.nominal_rows[drone // num_drones, drone % num_drones].drag_height > 0.0
+    if not steering.is_lee or level > SetpointLevel.ACCELERATION:
+        return ALONE
+    for other in range(drone + 1, min(drone + WIDTH, levels.size)):
+        w, i = other // num_drones, other % num_drones
+        if levels[w, i] != level or (steering.nominal_rows[w, i].drag_height > 0.0) != tips:
+            return ALONE
+    return int(level)
+
+
+@kernel
+def pack_steering(steering: Any, levels: np.ndarray, setpoint: np.ndarray, first: int) -> None:
+    """Lay out what the controllers of a group have during a decision.
+
+    Args:
+        steering: `Steering`.
+        levels: (W, N) levels of setpoints.
+        setpoint: (W, N, S) setpoints.
+        first: The group's first drone, counted on from world to world.
+    """
+    for b in range(steering.level.shape[0]):
+        drone = first + b * WIDTH
+        level = ALONE if drone >= levels.size else _common_level(steering, levels, drone)
+        steering.level[b] = level
+        if level != ALONE:
+            copy_numbers(steering.nominal_numbers, drone, steering.nominal, b)
+            copy_numbers(steering.gain_numbers, drone, steering.gain, b)
+            goal = lanes_of(steering.goal, b)
+            for k in range(4):
+                goal[k] = gathered(setpoint, drone, k)
+            # A sine once a decision
+            for lane in range(WIDTH):
+                ahead = nose(steering.goal[b, 3, lane])
+                steering.goal[b, 4, lane] = ahead[0]
+                steering.goal[b, 5, lane] = ahead[1]
+
+
+@func
+def _first_remembered(steering: Any) -> int:
+    """Return the first number of the memory that is in use: pushes come first."""
+    return 0 if steering.integral else PUSHES
+
+
+@func
+def steer(
+    steering: Any,
+    b: int,
+    drone: int,
+    state: tuple[Vec3, Quat4, Vec3, Vec3],
+    speed: Any,
+    gravity: float,
+    dt: float,
+    command: Any,
+) -> None:
+    """Compute the rotor speeds of a block, and advance the memory of its controllers in `Steering`.
+
+    Args:
+        steering: `Steering`, in which the block has a level.
+        b: Index of the block.
+        drone: Its first drone, counted on.
+        state: State of the drones.
+        speed: Their rotor speeds, rad/s.
+        gravity: m/s^2, downwards.
+        dt: Time since the last call, s.
+        command: Commanded speeds, rad/s, which are written.
+    """
+    nominal = lanes_row(steering.nominal_rows, steering.nominal, b)
+    gain = lanes_row(steering.gain_rows, steering.gain, b)
+    goal = lanes_of(steering.goal, b)
+    memory = lanes_of(steering.remembered, 0)
+    for k in range(_first_remembered(steering), steering.remembered.shape[0]):
+        memory[k] = gathered(steering.memory, drone, k)
+    rotors = rotor_wrench(speed, 0.0, nominal)
+    push, twist = learned(state, rotors, memory, steering.integral, dt, gravity, nominal, gain)
+    target, ahead = (goal[0], goal[1], goal[2]), (goal[4], goal[5], 0.0)
+    thrust, rates = rates_of_motion(
+        steering.level[b], target, ahead, state, rotors[2], push, nominal, gain, gravity
+    )
+    turn_by(thrust, rates, state[3], rotors[2], twist, nominal, gain, command)
+
+
+@func
+def remember_lane(steering: Any, lane: int, drone: int) -> None:
+    """Write the memory of one drone of the block that was steered last."""
+    num_drones = steering.memory.shape[1]
+    for k in range(_first_remembered(steering), steering.remembered.shape[0]):
+        new = steering.remembered[k, lane]
+        steering.memory[drone // num_drones, drone % num_drones, k] = new

@@ -1,0 +1,398 @@
+"""Numbers of several drones as one: formulas of one drone then compute `WIDTH` drones at once.
+
+A compiled function that is given `Lanes` instead of floats adds, multiplies, divides and takes
+roots in each lane as it does with floats, and to the same bits on any processor. Branches are
+`where`. Rows of constants and arrays of numbers have forms with lanes, too: `lanes_row` and
+`lanes_of`. They lie number by number, each with its lanes side by side.
+
+    lanes_of(room(numbers), 0)[k]  # number k of all drones
+"""
+
+import math
+import operator
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.core.imputils import lower_builtin, lower_cast, lower_getattr_generic
+from numba.core.typeconv import Conversion
+from numba.core.typing.templates import (
+    AbstractTemplate,
+    AttributeTemplate,
+    infer_getattr,
+    infer_global,
+    signature,
+)
+from numba.extending import intrinsic, models, register_model
+from numba.np.arrayobj import make_array
+
+from bulletuav.dispatcher import stamp_of
+
+WIDTH = 8
+"""Drones in a block"""
+_STAMP = f"{WIDTH} {stamp_of(__file__)}"
+"""Part of the types' names: machine code for them is old when this file is"""
+_NUMBER = ir.DoubleType()
+_VECTOR = ir.VectorType(_NUMBER, WIDTH)
+_BITS = ir.VectorType(ir.IntType(1), WIDTH)
+_LINE = 8
+"""Numbers in a line of a processor's cache"""
+_ALIGNED = 8
+"""Arrays begin at multiples of a number, not of a vector"""
+
+
+class Lanes(types.Type):  # type: ignore[misc]  # numba has no types
+    """Type of numbers of several drones."""
+
+    def __init__(self) -> None:
+        """Name it."""
+        super().__init__(f"Lanes {_STAMP}")
+
+    def can_convert_from(self, _: Any, other: Any) -> Any:
+        """Tell that a number may stand for lanes that are all the same."""
+        return Conversion.safe if isinstance(other, types.Number) else None
+
+    def unify(self, _: Any, other: Any) -> Any:
+        """Tell what a variable is that holds lanes or a number."""
+        return self if isinstance(other, types.Number) else None
+
+
+class Mask(types.Type):  # type: ignore[misc]
+    """Type of comparisons of lanes."""
+
+    def __init__(self) -> None:
+        """Name it."""
+        super().__init__(f"Mask {_STAMP}")
+
+
+class LanesArray(types.Type):  # type: ignore[misc]
+    """Type of an array of lanes: an address.
+
+    Attributes:
+        columns: Numbers in a row of an array of two axes.
+    """
+
+    def __init__(self, columns: int) -> None:
+        """Tell the length of rows."""
+        self.columns = columns
+        super().__init__(f"LanesArray {columns} {_STAMP}")
+
+
+class LanesRow(types.Type):  # type: ignore[misc]
+    """Type of rows of constants with lanes: an address.
+
+    Attributes:
+        record: Type of the row of one drone, of numbers of 8 bytes.
+    """
+
+    def __init__(self, record: Any) -> None:
+        """Tell the type of one drone's row."""
+        self.record = record
+        super().__init__(f"LanesRow {record.name} {_STAMP}")
+
+
+LANES, MASK = Lanes(), Mask()
+
+
+def room(*shape: int) -> np.ndarray:
+    """Make an array (..., `WIDTH`) of zeros that begins where a line of the processor's cache does.
+
+    Args:
+        shape: All axes but the last.
+    """
+    count = math.prod(shape) * WIDTH
+    numbers = np.zeros(count + _LINE)
+    first = -numbers.ctypes.data % (8 * _LINE) // 8
+    return numbers[first : first + count].reshape(*shape, WIDTH)
+
+
+def _model(kind: type, form: Any) -> None:
+    """Tell numba how a type is held in machine code."""
+
+    @register_model(kind)
+    class _Model(models.PrimitiveModel):  # type: ignore[misc]
+        def __init__(self, manager: Any, one: Any) -> None:
+            super().__init__(manager, one, form)
+
+
+_model(Lanes, _VECTOR)
+_model(Mask, _BITS)
+_model(LanesArray, _NUMBER.as_pointer())
+_model(LanesRow, _NUMBER.as_pointer())
+
+
+@lower_cast(types.Number, Lanes)  # type: ignore[untyped-decorator]
+def _spread(context: Any, builder: Any, kind: Any, _: Any, value: Any) -> Any:
+    """Write the same number into all lanes."""
+    nothing = ir.Constant(_VECTOR, ir.Undefined)
+    number = context.cast(builder, value, kind, types.float64)
+    first = builder.insert_element(nothing, number, ir.IntType(32)(0))
+    order = ir.Constant(ir.VectorType(ir.IntType(32), WIDTH), [0] * WIDTH)
+    return builder.shuffle_vector(first, nothing, order)
+
+
+def _of_lanes(operation: Any, count: int, result: Any, write: Callable[..., Any]) -> None:
+    """Give an operation or a function a form for lanes.
+
+    Args:
+        operation: The operation or function.
+        count: Number of its arguments, of which one at least has lanes.
+        result: Numba's type of its result.
+        write: Function of LLVM's builder and the values of the arguments.
+    """
+
+    class _Template(AbstractTemplate):  # type: ignore[misc]
+        def generic(self, arguments: Any, keywords: Any) -> Any:
+            fit = all(isinstance(one, (Lanes, types.Number)) for one in arguments)
+            if keywords or not fit or len(arguments) != count or LANES not in arguments:
+                return None
+            return signature(result, *[LANES] * count)
+
+    infer_global(operation)(_Template)
+
+    @lower_builtin(operation, *[Lanes] * count)  # type: ignore[untyped-decorator]
+    def _lower(_: Any, builder: Any, __: Any, values: Any) -> Any:
+        return write(builder, *values)
+
+
+def _intrinsic(name: str) -> Callable[..., Any]:
+    """Return what writes a call of a function of LLVM's in each lane."""
+    kind = ir.FunctionType(_VECTOR, [_VECTOR])
+
+    def write(builder: Any, value: Any) -> Any:
+        full = f"llvm.{name}.v{WIDTH}f64"
+        return builder.call(cgutils.get_or_insert_function(builder.module, kind, full), [value])
+
+    return write
+
+
+def _of_two(order: str) -> Callable[..., Any]:
+    """Return what writes an order of the processor that takes two numbers."""
+    return lambda builder, one, other: getattr(builder, order)(one, other)
+
+
+def _compared(sign: str) -> Callable[..., Any]:
+    """Return what writes a comparison: False for NaN, but True of `!=`."""
+    order = "fcmp_unordered" if sign == "!=" else "fcmp_ordered"
+    return lambda builder, one, other: getattr(builder, order)(sign, one, other)
+
+
+def _second_if(sign: str) -> Callable[..., Any]:
+    """Return what writes the second number where it compares so with the first, else the first."""
+    test = _compared(sign)
+    return lambda builder, one, other: builder.select(test(builder, other, one), other, one)
+
+
+for _name, _order in (("add", "fadd"), ("sub", "fsub"), ("mul", "fmul"), ("truediv", "fdiv")):
+    _of_lanes(getattr(operator, _name), 2, LANES, _of_two(_order))
+    _of_lanes(getattr(operator, f"i{_name}"), 2, LANES, _of_two(_order))
+for _name, _sign in (
+    ("gt", ">"),
+    ("lt", "<"),
+    ("ge", ">="),
+    ("le", "<="),
+    ("eq", "=="),
+    ("ne", "!="),
+):
+    _of_lanes(getattr(operator, _name), 2, MASK, _compared(_sign))
+_of_lanes(operator.neg, 1, LANES, lambda builder, value: builder.fneg(value))
+_of_lanes(abs, 1, LANES, _intrinsic("fabs"))
+_of_lanes(math.sqrt, 1, LANES, _intrinsic("sqrt"))
+# As in Python, also of NaN: max(a, b) is b where b > a
+_of_lanes(max, 2, LANES, _second_if(">"))
+_of_lanes(min, 2, LANES, _second_if("<"))
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def where(typing: Any, condition: Any, one: Any, other: Any) -> Any:
+    """Return one number if a condition holds, else the other, of floats and in each lane.
+
+    Both are computed, which must do no harm.
+    """
+    result = LANES if isinstance(condition, Mask) else typing.unify_types(one, other)
+
+    def generate(context: Any, builder: Any, given: Any, values: Any) -> Any:
+        pair = [
+            context.cast(builder, value, kind, result)
+            for value, kind in zip(values[1:], given.args[1:], strict=True)
+        ]
+        return builder.select(values[0], *pair)
+
+    return result(condition, one, other), generate
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def is_any(_: Any, condition: Any) -> Any:
+    """Tell whether a condition holds in any lane, or of a number."""
+
+    def generate(_: Any, builder: Any, __: Any, values: Any) -> Any:
+        if not isinstance(condition, Mask):
+            return values[0]
+        word = ir.IntType(WIDTH)
+        return builder.icmp_unsigned("!=", builder.bitcast(values[0], word), word(0))
+
+    return types.boolean(condition), generate
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def gathered(_: Any, array: Any, first: Any, number: Any) -> Any:
+    """Return a number of each of `WIDTH` drones, counted on from world to world.
+
+    Args:
+        array: (W, N, K) K numbers of each drone, or (W, N) one; C order.
+        first: The first drone. The last one of all stands for those that lack behind it.
+        number: Which of the K numbers; 0 of one.
+    """
+    if array.layout != "C" or array.dtype != types.float64:
+        return None
+
+    def generate(context: Any, builder: Any, given: Any, values: Any) -> Any:
+        made = make_array(array)(context, builder, values[0])
+        sizes = cgutils.unpack_tuple(builder, made.shape)
+        drones = builder.mul(sizes[0], sizes[1])
+        stride = sizes[2] if array.ndim == 3 else drones.type(1)
+        place = builder.mul(values[1], stride)
+        vector = ir.Constant(_VECTOR, ir.Undefined)
+        for lane in range(WIDTH):
+            if lane > 0:
+                is_there = builder.icmp_signed(
+                    "<", builder.add(values[1], stride.type(lane)), drones
+                )
+                way = builder.select(is_there, stride, stride.type(0))
+                place = builder.add(place, way)
+            value = builder.load(builder.gep(made.data, [builder.add(place, values[2])]))
+            vector = builder.insert_element(vector, value, ir.IntType(32)(lane))
+        return vector
+
+    return LANES(array, types.intp, types.intp), generate
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def lanes_of(_: Any, array: Any, first: Any) -> Any:
+    """Return an array (numbers, `WIDTH`), or one block of (blocks, numbers, `WIDTH`), as lanes.
+
+    Args:
+        array: The array, C order.
+        first: Index along its first axis: the number, or the block, that it begins with.
+    """
+
+    def generate(context: Any, builder: Any, _: Any, values: Any) -> Any:
+        made = make_array(array)(context, builder, values[0])
+        place = values[1]
+        for size in cgutils.unpack_tuple(builder, made.shape)[1:]:
+            place = builder.mul(place, size)
+        return builder.gep(made.data, [place])
+
+    return LanesArray(1)(array, types.intp), generate
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def lanes_row(_: Any, rows: Any, packed: Any, block: Any) -> Any:
+    """Return the rows of a block of drones as one row of lanes.
+
+    Args:
+        rows: Any array of rows: tells their type.
+        packed: (blocks, numbers, `WIDTH`) the numbers of the rows, C order.
+        block: Index of the block.
+    """
+
+    def generate(context: Any, builder: Any, _: Any, values: Any) -> Any:
+        made = make_array(packed)(context, builder, values[1])
+        _, numbers, width = cgutils.unpack_tuple(builder, made.shape)
+        place = builder.mul(values[2], builder.mul(numbers, width))
+        return builder.gep(made.data, [place])
+
+    return LanesRow(rows.dtype)(rows, packed, types.intp), generate
+
+
+def _load(builder: Any, place: Any) -> Any:
+    """Write the reading of lanes."""
+    loaded = builder.load(builder.bitcast(place, _VECTOR.as_pointer()))
+    loaded.align = _ALIGNED
+    return loaded
+
+
+@infer_getattr
+class _Fields(AttributeTemplate):  # type: ignore[misc]
+    """Types of the fields of a `LanesRow`."""
+
+    key = LanesRow
+
+    def generic_resolve(self, kind: LanesRow, name: str) -> Any:
+        if name not in kind.record.fields:
+            return None
+        field = kind.record.typeof(name)
+        if isinstance(field, types.NestedArray):
+            return LanesArray(math.prod(field.shape[1:]))
+        return LANES if isinstance(field, types.Float) else field
+
+
+@lower_getattr_generic(LanesRow)  # type: ignore[untyped-decorator]
+def _field(context: Any, builder: Any, kind: LanesRow, address: Any, name: str) -> Any:
+    """Read one field. Whole numbers are those of the first drone: others do not share a block."""
+    field, first = kind.record.typeof(name), kind.record.offset(name) // 8 * WIDTH
+    place = builder.gep(address, [ir.IntType(64)(first)])
+    if isinstance(field, types.NestedArray):
+        return place
+    if isinstance(field, types.Float):
+        return _load(builder, place)
+    return builder.load(builder.bitcast(place, context.get_value_type(field).as_pointer()))
+
+
+def _is_index(kind: Any) -> bool:
+    """Tell whether a type is that of an index along one or two axes."""
+    parts = tuple(kind) if isinstance(kind, types.BaseTuple) else (kind,)
+    return len(parts) <= 2 and all(isinstance(part, types.Integer) for part in parts)
+
+
+@infer_global(operator.getitem)
+class _Getting(AbstractTemplate):  # type: ignore[misc]
+    """Types of `array[k]` and `array[row, column]`."""
+
+    def generic(self, arguments: Any, _: Any) -> Any:
+        array, index = arguments
+        if isinstance(array, LanesArray) and _is_index(index):
+            return signature(LANES, array, index)
+        return None
+
+
+@infer_global(operator.setitem)
+class _Setting(AbstractTemplate):  # type: ignore[misc]
+    """Types of `array[k] = lanes`."""
+
+    def generic(self, arguments: Any, _: Any) -> Any:
+        array, index, _value = arguments
+        if isinstance(array, LanesArray) and _is_index(index):
+            return signature(types.none, array, index, LANES)
+        return None
+
+
+def _place(context: Any, builder: Any, given: Any, values: Any) -> Any:
+    """Return the address of one number of an array of lanes."""
+    (kind, index), word = given.args[:2], ir.IntType(64)
+    if isinstance(index, types.BaseTuple):
+        parts = zip(cgutils.unpack_tuple(builder, values[1], 2), index, strict=True)
+        row, column = (context.cast(builder, one, part, types.intp) for one, part in parts)
+        number = builder.add(builder.mul(row, word(kind.columns)), column)
+    else:
+        number = context.cast(builder, values[1], index, types.intp)
+    return builder.gep(values[0], [builder.mul(number, word(WIDTH))])
+
+
+@lower_builtin(operator.getitem, LanesArray, types.Integer)  # type: ignore[untyped-decorator]
+@lower_builtin(operator.getitem, LanesArray, types.BaseTuple)  # type: ignore[untyped-decorator]
+def _get(context: Any, builder: Any, given: Any, values: Any) -> Any:
+    """Read lanes."""
+    return _load(builder, _place(context, builder, given, values))
+
+
+@lower_builtin(operator.setitem, LanesArray, types.Integer, Lanes)  # type: ignore[untyped-decorator]
+@lower_builtin(operator.setitem, LanesArray, types.BaseTuple, Lanes)  # type: ignore[untyped-decorator]
+def _set(context: Any, builder: Any, given: Any, values: Any) -> Any:
+    """Write lanes."""
+    place = builder.bitcast(_place(context, builder, given, values), _VECTOR.as_pointer())
+    builder.store(values[2], place).align = _ALIGNED
+    return context.get_dummy_value()
