@@ -28,7 +28,7 @@ from bulletuav.tasks.base import Task
 from bulletuav.tasks.check import require_finite
 from bulletuav.tasks.frame import Frame
 from bulletuav.tasks.ingredients import PRESENT
-from bulletuav.tasks.stages import Judgement, add_judgement, clear
+from bulletuav.tasks.stages import Judgement, add_judgement, add_outcome, clear
 from bulletuav.vehicle.swarm import Contacts, Swarm, confine
 
 INFOS = {
@@ -197,7 +197,8 @@ class Decisions(Worlds):
         """Make the programs of what is observed, and of what is told, right after a reset."""
         observing, telling = Program(), Program()
         self.observer.add_to(observing, self._live, self._vector)
-        self._add_judgement(telling)
+        # Terms are zero then, whatever they would be
+        add_outcome(telling, self.task, self._live, self._judgement)
         telling.call(clear, self._weighted)
         self._add_infos(telling)
         return observing, telling
@@ -281,11 +282,15 @@ class Decisions(Worlds):
             told = self._tell_contacts()
             self._contacts = told.joined(self._dynamics.overlaps(self.swarm, moved, flown))
 
+    @property
+    def _judgement(self) -> Judgement:
+        """Arrays for what the task makes of the decision."""
+        terms = dict(zip(self._terms, self._unweighted, strict=True))
+        return Judgement(self._ended, self._success, terms)
+
     def _add_judgement(self, program: Program) -> None:
         """Add what the task makes of the decision."""
-        terms = dict(zip(self._terms, self._unweighted, strict=True))
-        judgement = Judgement(self._ended, self._success, terms)
-        add_judgement(program, self.task, self._live, judgement)
+        add_judgement(program, self.task, self._live, self._judgement)
 
     def _add_result(self, program: Program) -> None:
         """Add who leaves, observations, rewards and infos."""
