@@ -79,6 +79,7 @@ class Decisions(Worlds):
         self._flying = np.zeros(self.num_worlds, dtype=bool)
         self._ended, self._success = np.zeros((2, *shape), dtype=bool)
         self.terminated, self.truncated, self._present, self._left = np.zeros((4, *shape), bool)
+        self._moved = np.zeros(shape, dtype=bool)
         self.rewards = np.zeros(shape)
         # What was touched, worked out when somebody asks
         self._contacts: Contacts | None = Contacts.none()
@@ -149,9 +150,10 @@ class Decisions(Worlds):
             program.turn(lambda: mark_landings(*known))
 
     def _mark_contacts(self) -> None:
-        """Take over contacts that were collected in Python."""
+        """Take over contacts that were collected in Python; compiled code has marked all others."""
         assert self._account is not None
-        mark_contacts(self._account, self._live)
+        if self._contacts is not None or self.options.contacts == "bullet":
+            mark_contacts(self._account, self._live)
 
     def _name_infos(self, terms: list[str]) -> None:
         """Make room for infos; `terms` are the names of the reward terms that the task gives."""
@@ -260,7 +262,9 @@ class Decisions(Worlds):
         self._dynamics.add_to(program, self.swarm, frame.alive, *flight)
         add_obstacles(program, self._engine, scene.obstacle)
         if task.rebound is not None:
-            program.turn(self._confine)
+            flown, box = frame.alive, (task.arena_low, task.arena_high, float(task.rebound))
+            bounds = (self.swarm, self.commanded, flown, *box, self._moved)
+            program.call(confine, *bounds, otherwise=self._put_back)
         clock = (self.steps, float(self.options.decision_hz), self.options.horizon)
         program.call(tick, self._flying, *clock, frame.time, frame.last)
         if type(task).payload_power is not Task.payload_power:
@@ -272,15 +276,12 @@ class Decisions(Worlds):
         """Ask the task what equipment takes beside flight."""
         self._payload[:] = self.task.payload_power(self.scene)
 
-    def _confine(self) -> None:
-        """Put drones back that left the arena; contacts tell what they meet there, too."""
-        low, high, flown = self.task.arena_low, self.task.arena_high, self._live.alive
-        rebound = self.task.rebound or 0.0
-        moved = confine(self.swarm, self.commanded, flown, low, high, rebound)
-        if moved.any():
-            self._dynamics.place(self.swarm, moved)
-            told = self._tell_contacts()
-            self._contacts = told.joined(self._dynamics.overlaps(self.swarm, moved, flown))
+    def _put_back(self) -> None:
+        """Place drones that had left the arena; contacts tell what they meet there, too."""
+        moved, flown = self._moved, self._live.alive
+        self._dynamics.place(self.swarm, moved)
+        told = self._tell_contacts()
+        self._contacts = told.joined(self._dynamics.overlaps(self.swarm, moved, flown))
 
     @property
     def _judgement(self) -> Judgement:
@@ -371,7 +372,17 @@ class Decisions(Worlds):
             **self._uncertainty.info(),
             **self._sensors.info(),
         }
-        more = {name: np.array(value) for name, value in told.items()}  # for callers to write into
+        # Copies, for callers to write into: what stays as it is can wait until somebody asks
+        more = {name: value if _stays(value) else np.array(value) for name, value in told.items()}
         return lambda: (
-            columns(table[:, world], rows) | {name: value[world] for name, value in more.items()}
+            columns(table[:, world], rows)
+            | {
+                name: (value.copy() if _stays(value) else value)[world]
+                for name, value in more.items()
+            }
         )
+
+
+def _stays(value: Any) -> bool:
+    """Tell whether nobody writes into an array: it is read-only, and no view of another."""
+    return type(value) is np.ndarray and value.base is None and not value.flags.writeable

@@ -228,8 +228,10 @@ class Resets(Decisions):
 
     def _keep_contacts(self) -> None:
         """Keep the contacts of worlds that fly on, where only Python knows them."""
-        kept = self._tell_contacts().of_worlds(~self._fresh) if self._collects_contacts else None
-        self._contacts = kept
+        if self.options.contacts == "bullet":
+            self._tell_contacts()
+        told = self._contacts if self._collects_contacts else None
+        self._contacts = None if told is None else told.of_worlds(~self._fresh)
 
     def _start_memory(self) -> None:
         """Let the task fill the memory of the worlds that were reset; others keep theirs."""
