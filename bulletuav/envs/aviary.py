@@ -107,6 +107,7 @@ class Aviary(Resets):
         if self.viewer is not None and chosen[0]:
             self.viewer.begin()
         if self.program is None:
+            self._present[:] = False  # so that all are due when a program first observes
             return self.observer.observe(frame, self.alive)
         self._observe_fresh()
         return self.observations()

@@ -1,13 +1,12 @@
 """One decision of all worlds as a program: what happens from actions to observations."""
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from bulletuav.control.actions.base import Compiled, limit_each
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.envs.infos import columns
+from bulletuav.envs.infos import Told, stays
 from bulletuav.envs.parts import add_obstacles
 from bulletuav.envs.stages import (
     admit,
@@ -355,34 +354,22 @@ class Decisions(Worlds):
             else:
                 held[...] = value
 
-    def telling(self, world: Any = ...) -> Callable[[], dict[str, np.ndarray]]:
+    def telling(self, world: Any = ...) -> Told:
         """Keep what the last decision tells; calling the result makes infos of it.
 
         Args:
             world: Index of the world of which they tell, in arrays (N,); of all, (W, N), when left
                 out.
         """
-        table, rows = self._table.copy(), self._rows
-        if not self._tells_more:
-            return lambda: columns(table[:, world], rows)
-        landed = {"landed": self._live.landed} if self.task.lands else {}
-        told = {
-            **landed,
-            **self.task.info(self._live),
-            **self._uncertainty.info(),
-            **self._sensors.info(),
-        }
-        # Copies, for callers to write into: what stays as it is can wait until somebody asks
-        more = {name: value if _stays(value) else np.array(value) for name, value in told.items()}
-        return lambda: (
-            columns(table[:, world], rows)
-            | {
-                name: (value.copy() if _stays(value) else value)[world]
-                for name, value in more.items()
+        told: dict[str, np.ndarray] = {}
+        if self._tells_more:
+            landed = {"landed": self._live.landed} if self.task.lands else {}
+            told = {
+                **landed,
+                **self.task.info(self._live),
+                **self._uncertainty.info(),
+                **self._sensors.info(),
             }
-        )
-
-
-def _stays(value: Any) -> bool:
-    """Tell whether nobody writes into an array: it is read-only, and no view of another."""
-    return type(value) is np.ndarray and value.base is None and not value.flags.writeable
+        # What stays as it is can wait to be copied until somebody asks
+        more = {name: value if stays(value) else np.array(value) for name, value in told.items()}
+        return Told(self._table.copy(), self._rows, more, world)

@@ -104,3 +104,13 @@ def test_starts_are_taken_in_whatever_form_they_are_given():
         with pytest.raises(ValueError, match=r"velocity .* has shape \(2, 4\)"):
             take(starts)
     aviary.close()
+
+
+def test_worlds_that_were_never_flown_keep_their_observations():
+    aviary = Aviary("hover", 3, num_drones=2, dynamics="rigid_body")
+    first = aviary.reset(seeds=1)
+    aviary.first_info()
+    again = aviary.reset(np.arange(3) == 1)
+    np.testing.assert_array_equal(again[[0, 2]], first[[0, 2]])
+    assert (again[1] != first[1]).any()
+    aviary.close()
