@@ -135,7 +135,7 @@ class Starts:
     ) -> None:
         """Take what the task remembers from the start, and what stands; the rest is zero."""
         is_usual = layouts.count(NO_LAYOUT) == len(layouts) and not self._layouts
-        if not is_usual or any(memory is not NOTHING for memory in memories):
+        if not is_usual or any([memory is not NOTHING for memory in memories]):  # noqa: C419
             for spawn in spawns:
                 _check_memory(self._task, spawn, self._memory, self._layouts)
         self._layout[: len(layouts)] = layouts
@@ -168,7 +168,8 @@ class _Column:
         """Write values (S,) of starts. Raises ValueError for what does not fill the shape."""
         count, one = len(given), given[0]
         is_usual, was_usual, self._is_usual = one is self._usual, self._is_usual, False
-        if all(value is one for value in given):
+        # Lists, as generators that are left early swallow interrupts
+        if all([value is one for value in given]):  # noqa: C419
             if not (is_usual and was_usual):  # else it stands there already
                 rows = self._array if is_usual else self._array[:count]
                 rows[:] = _numbers(self._task, self._name, one, self._shape)
