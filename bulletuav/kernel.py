@@ -142,7 +142,8 @@ class Elementwise:
     def __call__(self, *numbers: float | np.ndarray) -> np.ndarray: ...
     def __call__(self, *numbers: Any) -> Any:
         """Compute it, of numbers or of arrays."""
-        if all(isinstance(number, float | int) for number in numbers):
+        # A list: a generator that is left early would swallow an interrupt
+        if all([isinstance(number, float | int) for number in numbers]):  # noqa: C419
             return np.float64(self._of_numbers(*map(float, numbers)))
         if self._left > 0:
             arrays = list(map(np.asarray, numbers))

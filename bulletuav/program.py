@@ -88,11 +88,12 @@ class Program:
         """Run all calls and turns; an exception of a turn ends it."""
         if len(self.table) != len(self._calls):
             self.compile()
+        last = len(self._calls) - 1
         k = run_calls(self.table, 0)
         while k >= 0:
             for turn in self._calls[k].turns:
                 turn()
-            k = run_calls(self.table, k + 1)
+            k = run_calls(self.table, k + 1) if k < last else -1
 
     def interpret(self) -> None:
         """Do what `run` does, call by call through Python; for programs that run once."""

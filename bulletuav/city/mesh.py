@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bulletuav.city.graphs import join
 from bulletuav.city.polygons import (
     SLIVER,
     area_of,
@@ -85,18 +86,14 @@ def _triangulated(points: np.ndarray, face: list[int]) -> Iterator[list[int]]:
 
 def components(mesh: Mesh) -> list[Mesh]:
     """Take a mesh apart into those that have no side of a triangle in common."""
-    from scipy.sparse import coo_array  # which takes long to import
-    from scipy.sparse.csgraph import connected_components
-
     count = len(mesh.triangles)
     if not count:
         return []
     _, side = np.unique(np.sort(_sides(mesh), axis=1), axis=0, return_inverse=True)
-    # A graph of triangles and their sides; older SciPy finds its way in 32-bit indices alone
-    ends = np.stack([np.repeat(np.arange(count), 3), count + side.ravel()]).astype(np.int32)
-    size = count + int(side.max()) + 1
-    graph = coo_array((np.ones(ends.shape[1]), ends), shape=(size, size))
-    part = connected_components(graph, directed=False)[1][:count]
+    # A graph of triangles and their sides
+    part = np.arange(count + int(side.max()) + 1)
+    join(part, np.stack([np.repeat(np.arange(count), 3), count + side.ravel()], axis=1))
+    part = part[:count]
     found = []
     for k in dict.fromkeys(part.tolist()):
         used, number = np.unique(mesh.triangles[part == k], return_inverse=True)

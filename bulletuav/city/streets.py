@@ -5,6 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bulletuav.city.graphs import join
+
 
 @dataclass(frozen=True, eq=False)
 class Streets:
@@ -89,14 +91,8 @@ def _lattice(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _connected(nodes: np.ndarray, edges: np.ndarray) -> Streets:
     """Return the greatest connected part, without the nodes that are not in it."""
-    from scipy.sparse import coo_array  # which takes long to import
-    from scipy.sparse.csgraph import connected_components
-
-    # Older SciPy finds its way in 32-bit indices alone
-    pairs = edges.T.astype(np.int32)
-    shape = (len(nodes), len(nodes))
-    graph = coo_array((np.ones(len(edges)), pairs), shape=shape)
-    part = connected_components(graph, directed=False)[1]
+    part = np.arange(len(nodes))
+    join(part, edges)
     # Both ends of an edge are in the same part
     greatest = np.bincount(part).argmax()
     kept = edges[part[edges[:, 0]] == greatest]

@@ -170,15 +170,17 @@ void batch_rays(struct session *s, int64_t rays, const double *start, const doub
     }
 }
 
+/* A command that puts a body somewhere. */
+static handle pose_command(struct session *s, int body, const double *p, const double *q) {
+    handle command = api.b3CreatePoseCommandInit(s->client, body);
+    api.b3CreatePoseCommandSetBasePosition(command, p[0], p[1], p[2]);
+    api.b3CreatePoseCommandSetBaseOrientation(command, q[0], q[1], q[2], q[3]);
+    return command;
+}
+
 /* Poses of any bodies. */
 void batch_pose(struct session *s, int64_t count, const int32_t *body, const double *position, const double *quaternion) {
-    for (int64_t k = 0; k < count; k++) {
-        const double *p = position + 3 * k, *q = quaternion + 4 * k;
-        handle command = api.b3CreatePoseCommandInit(s->client, body[k]);
-        api.b3CreatePoseCommandSetBasePosition(command, p[0], p[1], p[2]);
-        api.b3CreatePoseCommandSetBaseOrientation(command, q[0], q[1], q[2], q[3]);
-        run(s, command);
-    }
+    for (int64_t k = 0; k < count; k++) run(s, pose_command(s, body[k], position + 3 * k, quaternion + 4 * k));
 }
 
 /* Velocities, world axes, of any bodies. */
@@ -191,13 +193,15 @@ void batch_velocity(struct session *s, int64_t count, const int32_t *body, const
     }
 }
 
-/* The reverse of batch_read: poses and velocities of the drones of `mask`. */
+/* The reverse of batch_read: poses and velocities of the drones of `mask`, in one command each, which takes half as long. */
 void batch_write(struct session *s, const uint8_t *mask, const double *position, const double *quaternion, const double *velocity,
                  const double *omega) {
     for (int64_t k = 0; k < s->drones; k++) {
         if (!mask[k]) continue;
-        batch_pose(s, 1, s->body + k, position + 3 * k, quaternion + 4 * k);
-        batch_velocity(s, 1, s->body + k, velocity + 3 * k, omega + 3 * k);
+        handle command = pose_command(s, s->body[k], position + 3 * k, quaternion + 4 * k);
+        api.b3CreatePoseCommandSetBaseLinearVelocity(command, velocity + 3 * k);
+        api.b3CreatePoseCommandSetBaseAngularVelocity(command, omega + 3 * k);
+        run(s, command);
     }
 }
 

@@ -88,7 +88,7 @@ class Aviary(Resets):
         self._require_open()
         spec = self._spec
         chosen = spec.mask(mask)
-        worlds = np.flatnonzero(chosen).tolist()
+        worlds = chosen.nonzero()[0].tolist()
         generators = self._generators(worlds, spec.seeds(seeds))
         given = self._given
         if not (start is None and goal is None):
@@ -107,6 +107,7 @@ class Aviary(Resets):
         if self.viewer is not None and chosen[0]:
             self.viewer.begin()
         if self.program is None:
+            self._present[:] = False  # so that all are due when a program first observes
             return self.observer.observe(frame, self.alive)
         self._observe_fresh()
         return self.observations()
@@ -161,9 +162,15 @@ class Aviary(Resets):
         return vector if self.observer.is_plain else self.observer.shown(self._live, vector)
 
     @exclusive
-    def first_info(self) -> Infos:
-        """Tell the infos right after a reset: the keys of every step's info, terms at zero."""
-        self._current()
+    def first_info(self, worlds: np.ndarray | None = None) -> Infos:
+        """Tell the infos right after a reset: the keys of every step's info, terms at zero.
+
+        Args:
+            worlds: (W,) bool, worlds that were just reset, of which alone they are read; those of
+                others may then be of before the reset. All when left out.
+        """
+        if worlds is None:
+            self._current()
         if self.program is None:
             self._make_program()
         self._forget()

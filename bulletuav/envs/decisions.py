@@ -1,13 +1,12 @@
 """One decision of all worlds as a program: what happens from actions to observations."""
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from bulletuav.control.actions.base import Compiled, limit_each
 from bulletuav.control.setpoint import SetpointLevel
-from bulletuav.envs.infos import columns
+from bulletuav.envs.infos import Told, stays
 from bulletuav.envs.parts import add_obstacles
 from bulletuav.envs.stages import (
     admit,
@@ -28,7 +27,7 @@ from bulletuav.tasks.base import Task
 from bulletuav.tasks.check import require_finite
 from bulletuav.tasks.frame import Frame
 from bulletuav.tasks.ingredients import PRESENT
-from bulletuav.tasks.stages import Judgement, add_judgement, clear
+from bulletuav.tasks.stages import Judgement, add_judgement, add_outcome, clear
 from bulletuav.vehicle.swarm import Contacts, Swarm, confine
 
 INFOS = {
@@ -79,6 +78,7 @@ class Decisions(Worlds):
         self._flying = np.zeros(self.num_worlds, dtype=bool)
         self._ended, self._success = np.zeros((2, *shape), dtype=bool)
         self.terminated, self.truncated, self._present, self._left = np.zeros((4, *shape), bool)
+        self._moved = np.zeros(shape, dtype=bool)
         self.rewards = np.zeros(shape)
         # What was touched, worked out when somebody asks
         self._contacts: Contacts | None = Contacts.none()
@@ -149,9 +149,10 @@ class Decisions(Worlds):
             program.turn(lambda: mark_landings(*known))
 
     def _mark_contacts(self) -> None:
-        """Take over contacts that were collected in Python."""
+        """Take over contacts that were collected in Python; compiled code has marked all others."""
         assert self._account is not None
-        mark_contacts(self._account, self._live)
+        if self._contacts is not None or self.options.contacts == "bullet":
+            mark_contacts(self._account, self._live)
 
     def _name_infos(self, terms: list[str]) -> None:
         """Make room for infos; `terms` are the names of the reward terms that the task gives."""
@@ -197,7 +198,8 @@ class Decisions(Worlds):
         """Make the programs of what is observed, and of what is told, right after a reset."""
         observing, telling = Program(), Program()
         self.observer.add_to(observing, self._live, self._vector)
-        self._add_judgement(telling)
+        # Terms are zero then, whatever they would be
+        add_outcome(telling, self.task, self._live, self._judgement)
         telling.call(clear, self._weighted)
         self._add_infos(telling)
         return observing, telling
@@ -259,7 +261,9 @@ class Decisions(Worlds):
         self._dynamics.add_to(program, self.swarm, frame.alive, *flight)
         add_obstacles(program, self._engine, scene.obstacle)
         if task.rebound is not None:
-            program.turn(self._confine)
+            flown, box = frame.alive, (task.arena_low, task.arena_high, float(task.rebound))
+            bounds = (self.swarm, self.commanded, flown, *box, self._moved)
+            program.call(confine, *bounds, otherwise=self._put_back)
         clock = (self.steps, float(self.options.decision_hz), self.options.horizon)
         program.call(tick, self._flying, *clock, frame.time, frame.last)
         if type(task).payload_power is not Task.payload_power:
@@ -271,21 +275,22 @@ class Decisions(Worlds):
         """Ask the task what equipment takes beside flight."""
         self._payload[:] = self.task.payload_power(self.scene)
 
-    def _confine(self) -> None:
-        """Put drones back that left the arena; contacts tell what they meet there, too."""
-        low, high, flown = self.task.arena_low, self.task.arena_high, self._live.alive
-        rebound = self.task.rebound or 0.0
-        moved = confine(self.swarm, self.commanded, flown, low, high, rebound)
-        if moved.any():
-            self._dynamics.place(self.swarm, moved)
-            told = self._tell_contacts()
-            self._contacts = told.joined(self._dynamics.overlaps(self.swarm, moved, flown))
+    def _put_back(self) -> None:
+        """Place drones that had left the arena; contacts tell what they meet there, too."""
+        moved, flown = self._moved, self._live.alive
+        self._dynamics.place(self.swarm, moved)
+        told = self._tell_contacts()
+        self._contacts = told.joined(self._dynamics.overlaps(self.swarm, moved, flown))
+
+    @property
+    def _judgement(self) -> Judgement:
+        """Arrays for what the task makes of the decision."""
+        terms = dict(zip(self._terms, self._unweighted, strict=True))
+        return Judgement(self._ended, self._success, terms)
 
     def _add_judgement(self, program: Program) -> None:
         """Add what the task makes of the decision."""
-        terms = dict(zip(self._terms, self._unweighted, strict=True))
-        judgement = Judgement(self._ended, self._success, terms)
-        add_judgement(program, self.task, self._live, judgement)
+        add_judgement(program, self.task, self._live, self._judgement)
 
     def _add_result(self, program: Program) -> None:
         """Add who leaves, observations, rewards and infos."""
@@ -349,24 +354,22 @@ class Decisions(Worlds):
             else:
                 held[...] = value
 
-    def telling(self, world: Any = ...) -> Callable[[], dict[str, np.ndarray]]:
+    def telling(self, world: Any = ...) -> Told:
         """Keep what the last decision tells; calling the result makes infos of it.
 
         Args:
             world: Index of the world of which they tell, in arrays (N,); of all, (W, N), when left
                 out.
         """
-        table, rows = self._table.copy(), self._rows
-        if not self._tells_more:
-            return lambda: columns(table[:, world], rows)
-        landed = {"landed": self._live.landed} if self.task.lands else {}
-        told = {
-            **landed,
-            **self.task.info(self._live),
-            **self._uncertainty.info(),
-            **self._sensors.info(),
-        }
-        more = {name: np.array(value) for name, value in told.items()}  # for callers to write into
-        return lambda: (
-            columns(table[:, world], rows) | {name: value[world] for name, value in more.items()}
-        )
+        told: dict[str, np.ndarray] = {}
+        if self._tells_more:
+            landed = {"landed": self._live.landed} if self.task.lands else {}
+            told = {
+                **landed,
+                **self.task.info(self._live),
+                **self._uncertainty.info(),
+                **self._sensors.info(),
+            }
+        # What stays as it is can wait to be copied until somebody asks
+        more = {name: value if stays(value) else np.array(value) for name, value in told.items()}
+        return Told(self._table.copy(), self._rows, more, world)

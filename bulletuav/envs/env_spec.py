@@ -186,7 +186,7 @@ class EnvSpec:
             raise ValueError(
                 f"mask is {shown(mask)}: ({self.num_worlds},) bool is needed"
             ) from None
-        if mask.shape != (self.num_worlds,) or mask.dtype != bool:
+        if mask.shape != (self.num_worlds,) or mask.dtype.kind != "b":
             raise ValueError(
                 f"mask has shape {mask.shape} and type {mask.dtype}: ({self.num_worlds},) bool is "
                 f"needed"

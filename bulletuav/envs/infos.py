@@ -1,6 +1,7 @@
 """Infos of a decision: arrays by name, made when they are read."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -41,6 +42,12 @@ def later(make: Callable[[], Mapping[str, Any]]) -> Infos:
     return infos
 
 
+def untold(infos: Mapping[str, Any]) -> "Told | None":
+    """Tell what a decision told where nobody has asked for its infos yet; None otherwise."""
+    make = infos._make if type(infos) is Infos else None
+    return make if type(make) is Told else None
+
+
 def _filled_first(name: str) -> Any:
     """Make a method of dict that makes the values first."""
     plain = getattr(dict, name)
@@ -61,6 +68,36 @@ METHODS = (
 """Methods of dict that look at the values"""
 for _name in METHODS:
     setattr(Infos, _name, _filled_first(_name))
+
+
+@dataclass(slots=True)
+class Told:
+    """What a decision told; calling it makes infos.
+
+    Attributes:
+        table: (K, W, N) numbers.
+        rows: Name and type of each row of it; those without a name are left out.
+        more: Arrays (W, N) by name, told beside; those that stay as they are come as they are.
+        world: Index of the world of which infos tell; all when left out.
+    """
+
+    table: np.ndarray
+    rows: Sequence[tuple[str | None, Any]]
+    more: Mapping[str, np.ndarray]
+    world: Any = ...
+
+    def __call__(self) -> dict[str, np.ndarray]:
+        """Make infos, whose arrays callers may write into."""
+        more = {
+            name: (value.copy() if stays(value) else value)[self.world]
+            for name, value in self.more.items()
+        }
+        return columns(self.table[:, self.world], self.rows) | more
+
+
+def stays(value: Any) -> bool:
+    """Tell whether nobody writes into an array: it is read-only, and no view of another."""
+    return type(value) is np.ndarray and value.base is None and not value.flags.writeable
 
 
 def columns(table: np.ndarray, names: Iterable[tuple[str | None, Any]]) -> dict[str, np.ndarray]:

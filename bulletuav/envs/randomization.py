@@ -226,7 +226,8 @@ class Uncertainty:
             if name == "wind":
                 columns = {f"wind_{axis}": values[:, [k]] for k, axis in enumerate("xyz")}
             for key, column in columns.items():
-                array = np.broadcast_to(column, self._parameters.shape).copy()
+                array = np.empty(self._parameters.shape)
+                array[:] = column
                 array.flags.writeable = False
                 told[f"random/{key}"] = array
         return told

@@ -54,8 +54,6 @@ class Resets(Decisions):
         self._fresh_drones = np.zeros(self.alive.shape, dtype=bool)
         self._start: Program | None = None
         self._still: _Stillness | None = None
-        self._renewal = Program()
-        self._renewal.call(renew, self.alive, self._fresh, self._present, self._due)
         self._alone: tuple[ByWorld, ByWorld] | None = None
         self._is_still = True
 
@@ -79,12 +77,13 @@ class Resets(Decisions):
                 f"spawn_many of task {task.name!r} gave {len(spawns)} starts: "
                 f"{len(generators)} are needed, one for each generator"
             )
-        self._starts.take(
-            [
+        # Most starts are whole as they are drawn
+        if task.takes_off or not given.is_empty or type(task).finish is not Task.finish:
+            spawns = [
                 task.finish(spawn, given, rng) if isinstance(spawn, Spawn) else spawn
                 for spawn, rng in zip(spawns, generators, strict=True)
             ]
-        )
+        self._starts.take(spawns)
 
     def _begin(
         self,
@@ -96,8 +95,11 @@ class Resets(Decisions):
         if self._start is None:
             self._start = self._make_start()
         self._fresh[:], self._fresh_worlds = fresh, worlds
-        for k, rng in zip(worlds, generators, strict=True):
-            self.rng[k] = rng
+        if len(worlds) == len(fresh):
+            self.rng[:] = generators
+        else:
+            for k, rng in zip(worlds, generators, strict=True):
+                self.rng[k] = rng
         if self._wind.is_gusty or self._uncertainty.drawn:
             for k, rng in zip(worlds, generators, strict=True):
                 self._wind.reset(k, rng)
@@ -118,7 +120,6 @@ class Resets(Decisions):
 
     def _observe_fresh(self) -> None:
         """Write what is observed after a reset."""
-        self._renewal.run()
         self._forget()
         if self._is_still or self._alone is None:
             self._observing.run()
@@ -160,12 +161,14 @@ class Resets(Decisions):
         program, fresh = Program(), self._fresh
         self._add_rows(program)
         program.call(spread, fresh, self._fresh_drones)
+        self._dynamics.add_place(program, self.swarm, self._fresh_drones)
+        add_value(program, fresh, 0, self._dynamics.contact.touches.number)
+        program.call(renew, self.alive, fresh, self._present, self._due)
+        # Python's turns together, as each takes the way out of compiled code and back
         if self._sensors.sensors:
             program.turn(self._reset_sensors)
-        self._dynamics.add_place(program, self.swarm, self._fresh_drones)
         program.turn(self._put_scene)
         program.turn(self._keep_contacts)
-        add_value(program, fresh, 0, self._dynamics.contact.touches.number)
         if self._sensors.sensors:
             swarm, drones = self.swarm, self._fresh_drones
             program.turn(lambda: self._keep(self._measure(swarm, swarm, drones)))
@@ -212,7 +215,8 @@ class Resets(Decisions):
     def _put_scene(self) -> None:
         """Let what stands in worlds stand where it begins."""
         self._engine.set_layouts(self.scene.layout, self._fresh)
-        self._put_obstacles(self._fresh)
+        if self.scene.obstacle.size:
+            self._put_obstacles(self._fresh)
 
     def _put_obstacles(self, worlds: np.ndarray) -> None:
         """Tell the engine where obstacles of `worlds` (W,) bool are."""
@@ -224,8 +228,10 @@ class Resets(Decisions):
 
     def _keep_contacts(self) -> None:
         """Keep the contacts of worlds that fly on, where only Python knows them."""
-        kept = self._tell_contacts().of_worlds(~self._fresh) if self._collects_contacts else None
-        self._contacts = kept
+        if self.options.contacts == "bullet":
+            self._tell_contacts()
+        told = self._contacts if self._collects_contacts else None
+        self._contacts = None if told is None else told.of_worlds(~self._fresh)
 
     def _start_memory(self) -> None:
         """Let the task fill the memory of the worlds that were reset; others keep theirs."""

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from bulletuav.envs.decisions import INFOS
-from bulletuav.envs.infos import Infos, later
+from bulletuav.envs.infos import Infos, later, untold
 
 MORE = 16
 """How many infos of tasks, sensors and what is uncertain have room beside the usual ones"""
@@ -48,9 +48,22 @@ class SharedInfos:
         Returns:
             Whether all are as those of the reset, and were written.
         """
-        if not self._types or list(infos) != list(self._types):
+        if not self._types:
             return False
-        for k, (one, kind) in enumerate(zip(infos.values(), self._types.values(), strict=True)):
+        told, begin = untold(infos), 0
+        # Numbers of a decision lie in a table, from which infos need not be made first
+        if told is not None:
+            rows = [k for k, (name, _) in enumerate(told.rows) if name is not None]
+            names, begin = [told.rows[k][0] for k in rows], len(rows)
+            if [*names, *told.more] != list(self._types):
+                return False
+            table = told.table if begin == len(told.table) else told.table[rows]
+            self._array[:, :begin] = table.swapaxes(0, 1)
+            infos = told.more
+        elif list(infos) != list(self._types):
+            return False
+        others = zip(infos.values(), list(self._types.values())[begin:], strict=True)
+        for k, (one, kind) in enumerate(others, begin):
             if one.dtype != kind or (kind.kind == "i" and np.abs(one).max(initial=0) > EXACT):
                 return False
             self._array[:, k] = one

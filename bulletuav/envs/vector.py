@@ -180,7 +180,7 @@ class BatchAviary(LabelledEnvironment):
         worlds: np.ndarray,
     ) -> dict[str, Any]:
         """Return infos in which those of `worlds` (W,) are of their new episodes."""
-        first = self.aviary.first_info()
+        first = self.aviary.first_info(worlds)
         return later(
             lambda: {name: np.where(worlds[:, None], first[name], info[name]) for name in first}
         )

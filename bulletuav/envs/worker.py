@@ -1,4 +1,4 @@
-"""Worker processes: each flies some of the worlds for another process, through shared arrays."""
+"""Parts of a batch: each process flies some of the worlds, through shared arrays."""
 
 import ctypes
 import math
@@ -80,55 +80,84 @@ def work(
     """
     # An interrupt is for the process that asks.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    arrays = shared.views(first, last)
     try:
-        batch = BatchAviary(task, last - first, autoreset_mode, first_world=first, **options)
+        part = Part(shared, first, last, task, autoreset_mode, options)
     except Exception as error:
         pipe.send(portable(error))
         return
+    answers = shared.views(first, last)["answers"]
     pipe.send(None)
-    shared_infos = SharedInfos(arrays["info"])
+    answers[0] += 1  # after it has been sent: who sees it need not wait for the pipe
     # Answer one question after the other.
     while (question := _next(pipe)) is not None:
-        method, keywords = question
-        try:
-            answer = _answer(batch, arrays, method, keywords)
-            if method == "reset":
-                shared_infos.learn(answer)
-            elif method == "step" and shared_infos.put(answer):
-                answer = None
-        except Exception as error:
-            answer = portable(error)
-        pipe.send(answer)
-    batch.close()
+        pipe.send(part.answer(*question))
+        answers[0] += 1
+    part.close()
     for stream in filter(None, (sys.stdout, sys.stderr)):
         stream.flush()
     # Taking down an interpreter with its compiled kernels would take more than a second.
     os._exit(0)
 
 
-def _answer(
-    batch: BatchAviary,
-    arrays: dict[str, np.ndarray],
-    method: str,
-    keywords: dict[str, Any],
-) -> Any:
-    """Call a method; results of `reset` and `step` but the infos go into the arrays."""
-    if method == "step":
-        actions = arrays["action"]
-        keywords = {"actions": actions[..., 0] if keywords["choices"] else actions}
-    answer = getattr(batch, method)(**keywords)
-    if method not in ("step", "reset", "load_state"):
+class Part:
+    """Some of the worlds, flown by one process; results of steps go into shared arrays."""
+
+    def __init__(
+        self,
+        shared: SharedArrays,
+        first: int,
+        last: int,
+        task: TaskSource,
+        autoreset_mode: AutoresetMode,
+        options: dict[str, Any],
+    ) -> None:
+        """Make the worlds; see `work`."""
+        self._arrays = shared.views(first, last)
+        self._infos = SharedInfos(self._arrays["info"])
+        self._batch = BatchAviary(task, last - first, autoreset_mode, first_world=first, **options)
+
+    def answer(self, method: str, keywords: dict[str, Any]) -> Any:
+        """Call a method of `BatchAviary`, and tell what it gave, or its error; see `work`."""
+        try:
+            answer = self._call(method, keywords)
+            if method == "reset":
+                self._infos.learn(answer)
+            elif method == "step" and self._infos.put(answer):
+                return None
+        except Exception as error:
+            return portable(error)
         return answer
-    # A reset has no results between observations and infos, a snapshot no infos.
-    observations, *results, infos = (answer, None) if method == "load_state" else answer
-    arrays["alive"][:] = batch.alive
-    arrays["ended"][:] = batch.ended
-    for name, array in by_shared_name(observations).items():
-        arrays[name][:] = array
-    for name, array in zip(("reward", "terminated", "truncated"), results, strict=False):
-        arrays[name][:] = array
-    return infos
+
+    def _call(self, method: str, keywords: dict[str, Any]) -> Any:
+        """Call a method; results of `reset` and `step` but the infos go into the arrays."""
+        arrays, batch = self._arrays, self._batch
+        if method == "step":
+            actions = arrays["action"]
+            keywords = {"actions": actions[..., 0] if keywords["choices"] else actions}
+        answer = getattr(batch, method)(**keywords)
+        if method not in ("step", "reset", "load_state"):
+            return answer
+        # A reset has no results between observations and infos, a snapshot no infos.
+        observations, *results, infos = (answer, None) if method == "load_state" else answer
+        arrays["alive"][:] = batch.aviary.alive
+        arrays["ended"][:] = batch.ended
+        for name, array in by_shared_name(observations).items():
+            arrays[name][:] = array
+        for name, array in zip(("reward", "terminated", "truncated"), results, strict=False):
+            arrays[name][:] = array
+        return infos
+
+    def close(self) -> None:
+        """Free the worlds."""
+        self._batch.close()
+
+
+def raise_first(answers: list[Any]) -> list[Any]:
+    """Raise the first error among the answers, or return them."""
+    for answer in answers:
+        if isinstance(answer, Exception):
+            raise answer
+    return answers
 
 
 def portable(error: Exception) -> Exception:

@@ -22,7 +22,7 @@ from bulletuav.envs.shared_infos import SharedInfos, merged, room_for
 from bulletuav.envs.snapshot import Snapshot, require_snapshot
 from bulletuav.envs.spaces import widest_action_space
 from bulletuav.envs.vector import BatchAviary, BatchResults, autoreset
-from bulletuav.envs.worker import Layout, SharedArrays, by_shared_name, work
+from bulletuav.envs.worker import Layout, Part, SharedArrays, by_shared_name, raise_first, work
 from bulletuav.errors import as_int, choose, finite, numbers_of
 from bulletuav.tasks import TaskSource
 from bulletuav.tasks.observations.observer import VECTOR, Observation
@@ -53,6 +53,7 @@ def _end_processes(owner: int, pipes: list[Connection], processes: list[Any]) ->
 class WorkerAviary(LabelledEnvironment):
     """A `BatchAviary` flown by several processes: same arrays in, same bits out.
 
+    This process is one of them: it flies the first worlds itself while the others fly theirs.
     Their number changes nothing in the results. Without a main guard
     (`if __name__ == "__main__"`) scripts need the start method "fork". Functions among the options
     (wind) see the worlds of one process at a time. In SAME_STEP the rows of worlds outside the
@@ -83,7 +84,7 @@ class WorkerAviary(LabelledEnvironment):
             task: As of `BatchAviary`, like `num_envs`, `autoreset_mode` and the options.
             num_envs: W.
             autoreset_mode: What happens when an episode is over.
-            workers: How many processes there are.
+            workers: How many processes there are, this one included.
             start_method: As in `multiprocessing`, by default Python's own.
             timeout: Seconds after which a process without an answer counts as lost.
             **options: Options of the environment.
@@ -109,10 +110,12 @@ class WorkerAviary(LabelledEnvironment):
         self._timeout = float(timeout)
         self.observation_space: Box | Dict = self._observer.space()
         self.action_space: Space[Any] = widest_action_space(self._spec.action)
-        # The worlds of each process.
+        # The worlds of each process
         bounds = [self.num_envs * k // workers for k in range(workers + 1)]
         self._parts = [slice(*pair) for pair in itertools.pairwise(bounds)]
-        # Processes, and what ends them when this object goes.
+        # The first part, flown here; the others' processes, and what ends them
+        self._here: Part | None = None
+        self._asked = [1] * workers  # answers that each part is to give; the first when it is made
         self._pipes: list[Connection] = []
         self._processes: list[Any] = []
         self._owner = os.getpid()
@@ -122,16 +125,17 @@ class WorkerAviary(LabelledEnvironment):
         self._started = False
         with self._closed_by_errors():
             self._start_workers(start_method, (task, self.autoreset_mode, options))
-            _raise_first(self._answers(range(workers)))
+            raise_first(self._answers(range(1, workers)))
 
     def _start_workers(self, start_method: str | None, recipe: tuple[Any, ...]) -> None:
-        """Take the memory that all processes share, and start them."""
+        """Take the memory that all processes share, start them, and make the worlds of this one."""
         context: Any = multiprocessing.get_context(start_method)
         shared = SharedArrays(context, self._layout())
         self._arrays = shared.views(0, self.num_envs)
         self._infos = SharedInfos(self._arrays["info"])
-        for part in self._parts:
+        for part in self._parts[1:]:
             self._start_worker(context, (shared, part.start, part.stop, *recipe))
+        self._here = Part(shared, 0, self._parts[0].stop, *recipe)
 
     def _start_worker(self, context: Any, arguments: tuple[Any, ...]) -> None:
         """Start a process with a pipe to it."""
@@ -166,40 +170,34 @@ class WorkerAviary(LabelledEnvironment):
         drones = (self.num_envs, self.num_drones)
         space = self.observation_space
         parts = by_shared_name(space.spaces if isinstance(space, Dict) else space)
-        observed: Layout = {}
-        for name, one in parts.items():
-            observed[name] = ((*drones, *(one.shape or ())), one.dtype)
-        numbers = self._spec.action.low.shape[-1]
+        observed = {name: ((*drones, *(one.shape or ())), one.dtype) for name, one in parts.items()}
         return {
-            "action": ((*drones, numbers), np.float64),
+            "action": ((*drones, self._spec.action.low.shape[-1]), np.float64),
             **observed,
             "reward": (drones, np.float64),
             "terminated": (drones, bool),
             "truncated": (drones, bool),
             "alive": (drones, bool),
             "ended": ((self.num_envs,), bool),
+            "answers": ((self.num_envs,), np.int64),  # of each part, at its first world
             "info": ((drones[0], room_for(len(self._spec.task.weights)), drones[1]), np.float64),
         }
 
     def _ask(self, method: str, keywords: dict[int, dict[str, Any]]) -> list[Any]:
-        """Call a method in some of the workers.
-
-        Args:
-            method: Its name.
-            keywords: Its arguments for each worker that is asked.
-
-        Returns:
-            What each of them answered.
-        """
-        if not self._finalizer.alive or os.getpid() != self._owner:
+        """Call a method for some of the parts, with its arguments for each; tells their answers."""
+        if self._here is None or not self._finalizer.alive or os.getpid() != self._owner:
             raise RuntimeError("this environment is closed, or of another process: make a new one")
         with self._closed_by_errors():
-            for k, arguments in keywords.items():
+            others = [k for k in keywords if k]
+            for k in others:
                 # A dead worker takes no question; that it gives no answer either tells why.
                 with contextlib.suppress(OSError):
-                    self._pipes[k].send((method, arguments))
-            answers = self._answers(list(keywords))
-        return _raise_first(answers)
+                    self._pipes[k - 1].send((method, keywords[k]))
+                self._asked[k] += 1
+            # The first part is flown here meanwhile
+            own = [self._here.answer(method, keywords[0])] if 0 in keywords else []
+            answers = [*own, *self._answers(others)]
+        return raise_first(answers)
 
     def _for_all(self, **keywords: Any) -> dict[int, dict[str, Any]]:
         """Give all workers the same arguments."""
@@ -212,15 +210,16 @@ class WorkerAviary(LabelledEnvironment):
         try:
             for k in workers:
                 left = max(0.0, end - time.monotonic())
-                if not self._pipes[k].poll(left):
+                is_there = self._arrays["answers"][self._parts[k].start] == self._asked[k]
+                if not is_there and not self._pipes[k - 1].poll(left):
                     # It would not hear a request to end.
-                    self._processes[k].kill()
+                    self._processes[k - 1].kill()
                     raise RuntimeError(
                         f"worker process {k} has not answered for {self._timeout:g} s: it is "
                         f"stopped or stuck, or a decision takes longer (raise timeout); make a "
                         f"new environment"
                     )
-                answers.append(self._pipes[k].recv())
+                answers.append(self._pipes[k - 1].recv())
         except (EOFError, OSError):
             self.close()
             raise RuntimeError(
@@ -235,7 +234,7 @@ class WorkerAviary(LabelledEnvironment):
             return self._arrays["observation/"].copy()
         # The space sorts its entries; observations have them in the order of the blocks.
         order = (VECTOR, *self._observer.slices, *self._observer.images)
-        names = [name for name in order if name in self.observation_space.spaces]
+        names = filter(self.observation_space.spaces.__contains__, order)
         return {name: self._arrays[f"observation/{name}"].copy() for name in names}
 
     @property
@@ -261,8 +260,8 @@ class WorkerAviary(LabelledEnvironment):
         seeds = self._spec.seeds(seed)
         keywords: dict[int, dict[str, Any]] = {}
         for k, part in enumerate(self._parts):
-            own_seeds = None if seeds is None else seeds[part]
-            keywords[k] = {"seed": own_seeds, "options": {MASK: mask[part], **given}}
+            own = None if seeds is None else seeds[part]
+            keywords[k] = {"seed": own, "options": {MASK: mask[part], **given}}
         infos = merged(self._parts, self._ask("reset", keywords), self.num_envs)
         self._infos.learn(infos)
         self._started = True
@@ -277,8 +276,11 @@ class WorkerAviary(LabelledEnvironment):
         actions = numbers_of("actions are", actions)
         if choices:
             actions = actions[..., None]
-        # Workers read their actions from the shared array.
-        self._arrays["action"][:] = self._spec.actions(actions, self._arrays["alive"])
+        # All parts read their actions from the shared array, and clip them.
+        given = self._arrays["action"]
+        if choices or actions.shape != given.shape or not np.isfinite(actions).all():
+            actions = self._spec.actions(actions, self._arrays["alive"])
+        given[:] = actions
         told = self._ask("step", self._for_all(choices=choices))
         infos = self._infos.take(told, self._parts)
         rewards, *ends = (self._arrays[k].copy() for k in ("reward", "terminated", "truncated"))
@@ -335,22 +337,15 @@ class WorkerAviary(LabelledEnvironment):
         self._spec.require_world(world)
         # Ask the process that has the world, by its number there.
         k = next(k for k, part in enumerate(self._parts) if world < part.stop)
-        keywords = {"world": world - self._parts[k].start}
-        (picture,) = self._ask("render", {k: keywords})
+        (picture,) = self._ask("render", {k: {"world": world - self._parts[k].start}})
         return cast(np.ndarray | None, picture)
 
     @exclusive
     def close(self) -> None:
         """End the processes; a second call does nothing."""
         self._finalizer()
-
-
-def _raise_first(answers: list[Any]) -> list[Any]:
-    """Raise the first error among the answers, or return them."""
-    for answer in answers:
-        if isinstance(answer, Exception):
-            raise answer
-    return answers
+        if self._here is not None:
+            self._here.close()
 
 
 def _check_processes(workers: Any, start_method: Any, timeout: Any) -> None:

@@ -72,7 +72,9 @@ def uplink_rates(
                 if server != i:
                     others += power[w, i, j]
                     strongest[server] = max(strongest[server], power[w, i, j])
-            simultaneous = strongest.sum()
+            simultaneous = 0.0
+            for k in range(drones):
+                simultaneous += strongest[k]
             # Rates of the drone's own users against that interference
             for j in range(users):
                 if assignment[w, j] != i:

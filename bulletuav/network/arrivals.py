@@ -11,7 +11,7 @@ import numpy as np
 
 from bulletuav.errors import as_sequence, finite, numbers_of
 from bulletuav.functions import log1p
-from bulletuav.kernel import allocating
+from bulletuav.kernel import allocating, func
 
 
 class Tasks(NamedTuple):
@@ -34,6 +34,10 @@ class Arrivals:
     """Poisson arrivals of tasks, decision by decision, with uniform sizes.
 
     The users' processes are merged: a task is a user's with the chance of its share of the rate.
+
+    Attributes:
+        cumulative: Cumulative rates (U,), which tell whose a task is, 1/s.
+        decision: Length of a decision, s, and least and greatest size of a task, bit.
     """
 
     def __init__(
@@ -67,10 +71,9 @@ class Arrivals:
             raise ValueError(
                 f"rates are {rates!r}: finite numbers of tasks per second, at least 0, are needed"
             )
-        # Cumulative rates tell whose a task is
-        self._cumulative = np.cumsum(rates)
-        self._decision = (float(dt), low, high)
-        self._mean = float(self._cumulative[-1] * dt)
+        self.cumulative = np.cumsum(rates)
+        self.decision = (float(dt), float(low), float(high))
+        self._mean = float(self.cumulative[-1] * dt)
 
     def draw(self, rng: Sequence[np.random.Generator | None], flying: np.ndarray) -> Tasks:
         """Draw the tasks of one decision.
@@ -80,24 +83,62 @@ class Arrivals:
             flying: Whether (W,) each world has tasks: an episode is under way. Every such world
                 draws from its own generator.
         """
-        counts = [0] * (len(flying) + 1)
-        uniform: list[np.ndarray] = []
+        first = np.zeros(len(flying) + 1, dtype=np.int64)
+        uniform = self.draw_uniform(rng, flying, first, np.empty(0))
+        user, time, bits = spread(first, uniform, self.cumulative, *self.decision)
+        return Tasks(first, user, time, bits)
+
+    def draw_uniform(
+        self,
+        rng: Sequence[np.random.Generator | None],
+        flying: np.ndarray,
+        first: np.ndarray,
+        room: np.ndarray,
+    ) -> np.ndarray:
+        """Draw the numbers of which `spread` makes the tasks of one decision.
+
+        Args:
+            rng: Generator of each world; see `draw`.
+            flying: Whether (W,) each world has tasks.
+            first: Bounds (W + 1,) of the worlds' tasks, written.
+            room: Array for the numbers, written.
+
+        Returns:
+            The room, or a larger one where the numbers are more.
+        """
+        counts, used = [0] * len(first), 0
         for w in flying.nonzero()[0].tolist():
             generator = rng[w]
             assert generator is not None  # a world that flies was reset
-            # Three numbers a task, and one for the gap after the last
-            count = generator.poisson(self._mean)
-            counts[w + 1] = count
+            counts[w + 1] = count = generator.poisson(self._mean)
             if count:
-                uniform.append(generator.random(3 * count + 1))
-        first = np.array(list(itertools.accumulate(counts)))
-        drawn = np.concatenate(uniform) if uniform else np.empty(0)
-        user, time, bits = _spread(first, drawn, self._cumulative, *self._decision)
-        return Tasks(first, user, time, bits)
+                # Three numbers a task, and one for the gap after the last
+                begin, used = used, used + 3 * count + 1
+                if used > len(room):
+                    room = np.concatenate([room[:begin], np.empty(2 * used - begin)])
+                room[begin:used] = generator.random(used - begin)
+        first[:] = list(itertools.accumulate(counts))
+        return room
+
+
+@func
+def _first_above(ascending: np.ndarray, value: float) -> int:
+    """Find the first of ascending numbers that is greater; as `np.searchsorted` from the right.
+
+    Stored machine code of that one imports SciPy where it is loaded.
+    """
+    low, high = 0, len(ascending)
+    while low < high:
+        middle = (low + high) // 2
+        if ascending[middle] > value:
+            high = middle
+        else:
+            low = middle + 1
+    return low
 
 
 @allocating
-def _spread(
+def spread(
     first: np.ndarray,
     uniform: np.ndarray,
     cumulative: np.ndarray,
@@ -125,7 +166,7 @@ def _spread(
             passed -= log1p(-uniform[offset + k])
             time[begin + k] = passed
             share = uniform[offset + count + k] * cumulative[-1]
-            user[begin + k] = np.searchsorted(cumulative, share, side="right")
+            user[begin + k] = _first_above(cumulative, share)
             bits[begin + k] = low + (high - low) * uniform[offset + 2 * count + k]
         offset += 3 * count + 1
         # The last gap lies between the last task and the end of the decision

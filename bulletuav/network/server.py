@@ -101,8 +101,11 @@ def serve(
     served = _new_served(tasks, drones)
     server = _Server(cycles_per_bit, core_frequency, deadline, dt)
     # Buffers of one world: uploaded tasks, when they arrive, and work left of each core
-    order = np.empty(served.generated.max(), dtype=np.int64)
-    arrival = np.empty(served.generated.max())
+    most = 0
+    for w in range(worlds):
+        most = max(most, served.generated[w])
+    order = np.empty(most, dtype=np.int64)
+    arrival = np.empty(most)
     remaining = np.empty((drones, cores))
     for w in range(worlds):
         link, core, taken = link_free[w], core_free[w], assignment[w]
@@ -323,7 +326,10 @@ def serve_on_average(
     for w in range(len(served.generated)):
         # Steady state of every drone under the load of its users
         for i in range(drones):
-            offered = arrival_rate * (assignment[w] == i).sum()
+            users = 0
+            for j in range(assignment.shape[1]):
+                users += 1 if assignment[w, j] == i else 0
+            offered = arrival_rate * users
             response[i] = mean_response(cores, offered, service_rate)
             served.busy[w, i] = min(offered / service_rate, cores) * dt
             # Little's law: as many tasks as arrive within a response

@@ -18,6 +18,7 @@ from bulletuav.network.pathloss import check_validity
 from bulletuav.network.propagation import log_distance
 from bulletuav.network.tr36777 import uma_av_los, uma_av_nlos, umi_av_los, umi_av_nlos
 from bulletuav.network.tr38901 import uma_los, uma_nlos, umi_los, umi_nlos
+from bulletuav.program import Program
 
 
 @dataclass(frozen=True)
@@ -154,6 +155,23 @@ def received_power(
     return power
 
 
+@allocating
+def _receive(
+    link: LinkParams,
+    position: np.ndarray,
+    quaternion: np.ndarray,
+    users: np.ndarray,
+    sight: np.ndarray,
+    power: np.ndarray,
+) -> None:
+    """Write what `received_power` computes."""
+    received = received_power(link, position, quaternion, users, sight)
+    for w in range(power.shape[0]):
+        for i in range(power.shape[1]):
+            for j in range(power.shape[2]):
+                power[w, i, j] = received[w, i, j]
+
+
 class Uplink:
     """The radio link from users to drones that a `RadioConfig` describes.
 
@@ -218,8 +236,34 @@ class Uplink:
             Received power (W, N, U), W.
         """
         power = received_power(self._link, position, quaternion, users, sight)
+        self.fade(power, sight, rng, flying)
+        return power
+
+    def add_received(
+        self,
+        program: Program,
+        position: np.ndarray,
+        quaternion: np.ndarray,
+        users: np.ndarray,
+        sight: np.ndarray,
+        power: np.ndarray,
+    ) -> None:
+        """Add to a program that what drones receive from users is written to `power`.
+
+        Fading comes after it; see `received` for the arguments, and `fade`.
+        """
+        program.call(_receive, self._link, position, quaternion, users, sight, power)
+
+    def fade(
+        self,
+        power: np.ndarray,
+        sight: np.ndarray,
+        rng: Sequence[np.random.Generator | None],
+        flying: np.ndarray,
+    ) -> None:
+        """Let received power (W, N, U) fade in worlds that fly, where fading is on."""
         if self.config.fading == "none":
-            return power
+            return
         # Without a direct path the factor is 0, which is Rayleigh fading
         direct = self.config.rician_factor if self.config.fading == "rician" else 0.0
         for w in np.flatnonzero(flying).tolist():
@@ -227,7 +271,6 @@ class Uplink:
             assert generator is not None  # a world that flies has one
             factor = np.where(sight[w], direct, 0.0)
             power[w] *= rician_gain(factor, generator, sight[w].shape)
-        return power
 
     def rates(
         self,

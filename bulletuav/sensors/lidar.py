@@ -89,7 +89,7 @@ class Lidar(Sensor):
         )
         share = self.engine.cast_rays(start, end, world, (swarm, mask))
         ranges = self._range * share.reshape(-1, len(self._directions))
-        if self.noise.any() or self.dropout.any():
+        if np.count_nonzero(self.noise) or np.count_nonzero(self.dropout):
             self._blur(ranges, mask, moment.rngs)
         self.ranges[mask] = ranges
         return {"lidar": self.ranges.copy()}
@@ -152,7 +152,11 @@ def cast(
     Returns:
         Starts and ends (M, 3) of the beams, m, and their worlds (M,).
     """
-    count = mask.sum() * directions.shape[0]
+    # Counted by a loop: stored code of sums of arrays imports SciPy where it is loaded
+    count = 0
+    for w in range(mask.shape[0]):
+        for i in range(mask.shape[1]):
+            count += directions.shape[0] if mask[w, i] else 0
     start = np.empty((count, 3))
     end = np.empty((count, 3))
     world = np.empty(count, dtype=np.int64)

@@ -85,8 +85,11 @@ def sights(
     rays = np.count_nonzero(mask) * count
     start, end, where = np.empty((rays, 3)), np.empty((rays, 3)), np.empty(rays, dtype=np.int64)
     _links(position, targets, mask, start, end, where)
+    free = engine.cast_rays(start, end, where) >= 1
+    if rays == mask.size * count:  # all look
+        return free.reshape(*mask.shape, count)
     seen = np.zeros((*mask.shape, count), dtype=bool)
-    seen[mask] = (engine.cast_rays(start, end, where) >= 1).reshape(-1, count)
+    seen[mask] = free.reshape(-1, count)
     return seen
 
 
@@ -141,7 +144,7 @@ class Sight(Sensor):
         """Look from the drones that measure."""
         if self.setup.num_targets:
             seen = sights(self.engine, moment.after.position, moment.targets, moment.mask)
-            self._seen[moment.mask] = seen[moment.mask]
+            np.copyto(self._seen, seen, where=moment.mask[..., None])
         return {"sight": self._seen.copy()}
 
 

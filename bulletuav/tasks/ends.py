@@ -43,6 +43,6 @@ def affected(
         whom: "drone" for these, "world" for all drones of their worlds.
     """
     if whom == "world":
-        any_drone = np.any(happened & frame.alive, axis=1, keepdims=True)
-        return np.broadcast_to(any_drone, happened.shape)
+        happened = np.logical_or.reduce(happened & frame.alive, axis=1, keepdims=True)
+        return happened | np.zeros(frame.alive.shape, dtype=bool)
     return happened

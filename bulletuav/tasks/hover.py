@@ -5,7 +5,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from bulletuav.geometry.rotation import exponential
+from bulletuav.geometry.rotation import exponential, point
+from bulletuav.kernel import kernel
 from bulletuav.registry import register
 from bulletuav.tasks.base import Task
 from bulletuav.tasks.config import TaskConfig
@@ -66,6 +67,15 @@ def holding(
 ) -> float:
     """1 at the target, where it is to land only on the ground."""
     return 1.0 if distance <= goal_radius and (landed or not land) else 0.0
+
+
+@kernel
+def _turn(rotation: np.ndarray, quaternion: np.ndarray) -> None:
+    """Write the attitudes (N, 4) of drones turned by rotations (N, 3), rad."""
+    for i in range(rotation.shape[0]):
+        turned = exponential(point(rotation, i))
+        for k in range(4):
+            quaternion[i, k] = turned[k]
 
 
 @register("task")
@@ -205,7 +215,8 @@ class Hover(Task[HoverConfig]):
         axis = rng.normal(size=shape)
         axis /= np.linalg.norm(axis, axis=1, keepdims=True)
         angle = np.radians(config.start_tilt) * rng.uniform(0, 1, (len(axis), 1))
-        quaternion = np.array([exponential(turn) for turn in angle * axis])
+        quaternion = np.empty((len(axis), 4))
+        _turn(angle * axis, quaternion)
         # Velocity and rates: components up to the limit over sqrt(3), so that norms stay below it.
         velocity = rng.uniform(-1, 1, shape) / np.sqrt(3) * config.start_speed
         rates = rng.uniform(-1, 1, shape) / np.sqrt(3) * config.start_rates

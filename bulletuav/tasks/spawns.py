@@ -24,6 +24,7 @@ UNIT = 1e-6
 """How far the norm of a start's quaternion may be off 1"""
 GRAZE = 1e-6
 """m, how deep a drone that stands on the ground may be in it"""
+FLOAT = np.dtype(float)
 MEMORY = "memory "
 """What is before the names of a task's arrays in those of rows"""
 
@@ -56,11 +57,13 @@ class Starts:
         self._task, self._airframes, self._memory = task, airframes, memory
         self._layouts = len(task.layouts())
         drones, things = (len(airframes), 3), (obstacles, 3)
-        shapes = dict.fromkeys(("position", "goal", "velocity", "rates", "goal_velocity"), drones)
-        shapes |= {"quaternion": (len(airframes), 4)}
+        shapes = dict.fromkeys(("position", "goal", "velocity"), drones)
+        shapes |= {"quaternion": (len(airframes), 4), "rates": drones, "goal_velocity": drones}
         shapes |= {"obstacle": things, "obstacle_velocity": things}
         shapes["obstacle_quaternion"] = (obstacles, 4)
         self._fields = {name: np.zeros((worlds, *shape)) for name, shape in shapes.items()}
+        assert list(shapes) == list(Spawn._fields[: len(shapes)])
+        self._columns = [_Column(task, *field) for field in self._fields.items()]
         self._layout = np.zeros(worlds, dtype=int)
         self._kept = {name: np.zeros_like(array) for name, array in memory.items()}
         kept = {f"{MEMORY}{name}": array for name, array in self._kept.items()}
@@ -83,17 +86,23 @@ class Starts:
         Raises:
             ValueError: With the task, what is wrong and the remedy.
         """
+        if not spawns:
+            return
         for spawn in spawns:
             if not isinstance(spawn, Spawn):
                 raise ValueError(
                     f"spawn of task {self._task.name!r} gave {shown(spawn)}: a Spawn is needed"
                 )
-        if not spawns:
-            return
         # Field by field into arrays, which compiled code checks at once
-        columns = dict(zip(Spawn._fields, zip(*spawns, strict=True), strict=True))
-        for name, array in self._fields.items():
-            _fill(self._task, name, columns[name], array)
+        if len(spawns) == 1:
+            *fields, layout, memory = spawns[0]
+            for column, value in zip(self._columns, fields, strict=True):
+                column.take_one(value)
+            layouts, memories = (layout,), (memory,)
+        else:
+            *columns, layouts, memories = zip(*spawns, strict=True)
+            for column, values in zip(self._columns, columns, strict=True):
+                column.take(values)
         self._count[0], self._in_doubt = len(spawns), False
         self._check.run()
         # Python only looks at what may be wrong, and words the error
@@ -101,7 +110,7 @@ class Starts:
             self._look_closer(len(spawns))
         if self._fields["obstacle"].size:
             _check_turns(self._task, self._fields["obstacle_quaternion"][: len(spawns)])
-        self._take_memory(spawns)
+        self._take_memory(spawns, layouts, memories)
 
     def _doubt(self) -> None:
         self._in_doubt = True
@@ -118,36 +127,68 @@ class Starts:
             _check_places(self._task, position, quaternion, self._airframes)
             refuse_overlap(position, self._task.context.collision_radius)
 
-    def _take_memory(self, spawns: Sequence[Spawn]) -> None:
+    def _take_memory(
+        self,
+        spawns: Sequence[Spawn],
+        layouts: tuple[int, ...],
+        memories: tuple[Mapping[str, np.ndarray], ...],
+    ) -> None:
         """Take what the task remembers from the start, and what stands; the rest is zero."""
-        for k, spawn in enumerate(spawns):
-            if self._layouts or spawn.layout != NO_LAYOUT or spawn.memory is not NOTHING:
+        is_usual = layouts.count(NO_LAYOUT) == len(layouts) and not self._layouts
+        if not is_usual or any([memory is not NOTHING for memory in memories]):  # noqa: C419
+            for spawn in spawns:
                 _check_memory(self._task, spawn, self._memory, self._layouts)
-            self._layout[k] = spawn.layout
+        self._layout[: len(layouts)] = layouts
         for name, array in self._kept.items():
-            for k, spawn in enumerate(spawns):
-                array[k] = spawn.memory.get(name, 0)
+            for k, memory in enumerate(memories):
+                array[k] = memory.get(name, 0)
 
 
-def _fill(
-    task: Task[Any],
-    name: str,
-    given: Sequence[Any],
-    array: np.ndarray,
-) -> None:
-    """Write a field of starts (S,) to the first rows of an array (W, N, M)."""
-    count, shape, one = len(given), array.shape[1:], given[0]
-    if count == 1:
-        array[0] = _numbers(task, name, one, shape)
-    elif len(set(map(id, given))) == 1:  # one for all
-        array[:count] = _numbers(task, name, one, shape)
-    elif all(
-        type(one) is np.ndarray and one.dtype == float and one.shape == shape for one in given
-    ):
-        np.concatenate(given, out=array[:count].reshape(-1, shape[1]))
-    else:
-        for row, one in zip(array, given, strict=False):
-            row[:] = _numbers(task, name, one, shape)
+class _Column:
+    """One field of starts, written to the first rows of an array."""
+
+    def __init__(self, task: Task[Any], name: str, array: np.ndarray) -> None:
+        """Take the array (W, N, M), zeros."""
+        self._task, self._name, self._array = task, name, array
+        self._first, self._shape = array[0], array.shape[1:]
+        # What starts leave out, and whether all rows hold it
+        self._usual, self._is_usual = Spawn._field_defaults.get(name), False
+
+    def take_one(self, value: Any) -> None:
+        """Do what `take` does, of one start."""
+        if value is self._usual and self._is_usual:
+            return
+        self._is_usual = False
+        if type(value) is np.ndarray and value.dtype is FLOAT and value.shape == self._shape:
+            self._first[:] = value
+        else:
+            self._first[:] = _numbers(self._task, self._name, value, self._shape)
+
+    def take(self, given: tuple[Any, ...]) -> None:
+        """Write values (S,) of starts. Raises ValueError for what does not fill the shape."""
+        count, one = len(given), given[0]
+        is_usual, was_usual, self._is_usual = one is self._usual, self._is_usual, False
+        # Lists, as generators that are left early swallow interrupts
+        if all([value is one for value in given]):  # noqa: C419
+            if not (is_usual and was_usual):  # else it stands there already
+                rows = self._array if is_usual else self._array[:count]
+                rows[:] = _numbers(self._task, self._name, one, self._shape)
+            self._is_usual = is_usual
+        elif not self._takes_together(given):
+            for row, value in zip(self._array, given, strict=False):
+                row[:] = _numbers(self._task, self._name, value, self._shape)
+
+    def _takes_together(self, given: tuple[Any, ...]) -> bool:
+        """Write values at once where all are plain arrays of the shape; tells whether it did."""
+        drones, width = self._shape
+        if set(map(type, given)) != {np.ndarray} or set(map(len, given)) != {drones}:
+            return False
+        rows = self._array[: len(given)].reshape(-1, width)
+        try:  # other types are refused, and other widths
+            np.concatenate(given, out=rows, casting="no")
+        except (TypeError, ValueError):
+            return False
+        return True
 
 
 @kernel
@@ -221,7 +262,7 @@ def _numbers(
     shape: tuple[int, int],
 ) -> Any:
     """Return a field of a spawn. Raises ValueError unless it is numbers that fill this shape."""
-    if isinstance(value, np.ndarray) and value.dtype.kind == "f" and value.shape == shape:
+    if type(value) is np.ndarray and value.shape == shape and value.dtype.kind == "f":
         return value
     if value is UPRIGHT or (type(value) is float and () in ONE_FOR_ALL.get(name, ())):
         return value

@@ -63,13 +63,13 @@ class Kept:
         return kept
 
 
-def add_judgement(
+def add_outcome(
     program: Program,
     task: Task[Any],
     frame: Frame,
     judgement: Judgement,
 ) -> None:
-    """Add to a program that a task works out ends, successes and reward terms.
+    """Add to a program that a task works out ends and successes, and what it needs for them.
 
     The task has evaluated a frame before.
 
@@ -79,7 +79,6 @@ def add_judgement(
         frame: The decision.
         judgement: What is filled.
     """
-    kind, parts = type(task), task.parts
 
     def evaluate() -> None:
         result = task.evaluate_step(frame)
@@ -88,15 +87,28 @@ def add_judgement(
         _copy(result.terms, judgement)
 
     # A task that judges by itself takes Python's turn
+    kind, parts = type(task), task.parts
     if kind.evaluate_step is not Task.evaluate_step:
         program.turn(evaluate)
-    else:
-        # Own methods where there are some, and compiled ingredients beside them
-        own = None if kind.terminated is Task.terminated else task.terminated
-        _add_flags(program, frame, judgement.ended, own, parts.ends)
-        own = None if kind.succeeded is Task.succeeded else task.succeeded
-        success = () if parts.success is None else (parts.success,)
-        _add_flags(program, frame, judgement.success, own, success)
+        return
+    # Own methods where there are some, and compiled ingredients beside them
+    own = None if kind.terminated is Task.terminated else task.terminated
+    _add_flags(program, frame, judgement.ended, own, parts.ends)
+    own = None if kind.succeeded is Task.succeeded else task.succeeded
+    success = () if parts.success is None else (parts.success,)
+    _add_flags(program, frame, judgement.success, own, success)
+
+
+def add_judgement(
+    program: Program,
+    task: Task[Any],
+    frame: Frame,
+    judgement: Judgement,
+) -> None:
+    """Add to a program that a task works out what `add_outcome` tells, and reward terms."""
+    add_outcome(program, task, frame, judgement)
+    kind, parts = type(task), task.parts
+    if kind.evaluate_step is Task.evaluate_step:
         _add_terms(program, task, frame, judgement)
     # Terms that users add, by the task's own way or as ingredients
     if kind.extra_terms is not Task.extra_terms:

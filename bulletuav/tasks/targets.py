@@ -9,6 +9,9 @@ from bulletuav.tasks.base import Task
 from bulletuav.tasks.config import ConfigT
 from bulletuav.tasks.frame import Frame, Scene
 
+SERVED = "served share"
+"""Where a frame keeps what `TargetTask.served` tells"""
+
 
 class TargetTask(Task[ConfigT], Generic[ConfigT]):
     """A task with `num_targets` targets; a task says where they are, by `targets(scene)`.
@@ -29,8 +32,12 @@ class TargetTask(Task[ConfigT], Generic[ConfigT]):
 
     def served(self, frame: Frame) -> np.ndarray:
         """Compute the share of the targets that some living drone sees, (W, N)."""
-        active = self.active_targets(frame.scene)
-        return served_share(frame.readings["sight"], frame.alive, active)
+        known = frame.derived.get(SERVED)
+        if known is None:  # else asked before, of the same frame
+            active = self.active_targets(frame.scene)
+            known = served_share(frame.readings["sight"], frame.alive, active)
+            frame.derived[SERVED] = known
+        return known
 
     def links(self, frame: Frame) -> np.ndarray:
         """Tell which drones serve which targets, for pictures, (W, N, U) bool; by default none."""

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bulletuav.geometry.rotation import Quat4, Vec3, quat4, vec3
-from bulletuav.kernel import allocating, func
+from bulletuav.kernel import func, kernel
 
 State = tuple[Vec3, Quat4, Vec3, Vec3]
 """Position, quaternion, velocity and rates of one drone, as in `Swarm`."""
@@ -100,7 +100,7 @@ def _turned_back(
     return -rebound * velocity if velocity * beyond > 0.0 else velocity
 
 
-@allocating
+@kernel
 def confine(
     swarm: Swarm,
     commanded: np.ndarray,
@@ -108,7 +108,8 @@ def confine(
     low: np.ndarray,
     high: np.ndarray,
     rebound: float,
-) -> np.ndarray:
+    moved: np.ndarray,
+) -> bool:
     """Put drones that left a box back to its sides.
 
     Across a side that they left, their velocity turns back, and so does the commanded one.
@@ -120,13 +121,15 @@ def confine(
         low: (3,) low corner of the box, m.
         high: (3,) high corner of the box, m.
         rebound: Share of the velocity that turns back.
+        moved: (W, N) bool, written: the drones that were put back.
 
     Returns:
-        (W, N) bool, the drones that were put back.
+        Whether there are any.
     """
-    moved = np.zeros(flown.shape, dtype=np.bool_)
+    any_moved = False
     for w in range(flown.shape[0]):
         for i in range(flown.shape[1]):
+            moved[w, i] = False
             if not flown[w, i]:
                 continue
             for k in range(3):
@@ -135,12 +138,12 @@ def confine(
                 inside = min(max(place, low[k]), high[k])
                 if inside == place:
                     continue
-                moved[w, i] = True
+                moved[w, i] = any_moved = True
                 beyond = place - inside
                 swarm.velocity[w, i, k] = _turned_back(swarm.velocity[w, i, k], beyond, rebound)
                 commanded[w, i, k] = _turned_back(commanded[w, i, k], beyond, rebound)
                 swarm.position[w, i, k] = inside
-    return moved
+    return any_moved
 
 
 class Motion(NamedTuple):

@@ -2,8 +2,11 @@ import numpy as np
 import pytest
 import shapely
 from scipy.optimize import linprog
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from bulletuav.city.generator import generate
+from bulletuav.city.graphs import join
 from bulletuav.city.model import City
 from bulletuav.city.streets import Streets, free_streets
 from bulletuav.geometry.solids import Solids
@@ -115,3 +118,15 @@ def test_free_streets_go_round_buildings():
     )  # the part behind the wall, which is smaller, is not in the graph
     assert [-20.0, -20.0] in streets.nodes.tolist()
     assert set(np.unique(streets.edges)) == set(range(len(streets.nodes)))
+
+
+@pytest.mark.parametrize("edges", [0, 20, 45, 120])
+def test_parts_of_a_graph_are_those_of_scipy(edges):
+    pairs = np.random.default_rng(edges).integers(0, 60, (edges, 2))
+    part = np.arange(60)
+    join(part, pairs)
+    graph = coo_array((np.ones(edges), pairs.T), shape=(60, 60))
+    count, known = connected_components(graph, directed=False)
+    assert len(set(part.tolist())) == count
+    for k in range(count):
+        assert set(part[known == k].tolist()) == {int((known == k).argmax())}

@@ -5,6 +5,7 @@ import pytest
 
 from bulletuav import Aviary
 from bulletuav.sensors.base import Label
+from bulletuav.tasks.frame import Spawn
 from bulletuav.tasks.ingredients import block
 
 
@@ -65,3 +66,51 @@ def test_starts_of_several_worlds_are_those_of_each_alone():
     assert together.state_hash() == alone.state_hash()
     together.close()
     alone.close()
+
+
+@pytest.mark.parametrize("task", ["hover", "obstacles"])
+def test_first_infos_of_fresh_worlds_are_those_of_all(task):
+    told = []
+    for of_all in (False, True):
+        aviary = Aviary(task, 5, **CASES[task])
+        aviary.reset(seeds=2)
+        aviary.step(np.zeros(aviary.given.shape))
+        fresh = np.arange(5) == 3
+        aviary.reset(fresh)
+        told.append(dict(aviary.first_info(None if of_all else fresh)))
+        aviary.close()
+    assert list(told[0]) == list(told[1])
+    for name, value in told[0].items():
+        np.testing.assert_array_equal(value[3], told[1][name][3])
+
+
+def test_starts_are_taken_in_whatever_form_they_are_given():
+    aviary = Aviary("hover", 4, num_drones=2, dynamics="rigid_body")
+    rows, take = aviary._starts.rows, aviary._starts.take
+    place = np.array([[0.0, 0.0, 2.0], [5.0, 0.0, 3.0]])
+    usual = Spawn(place, place)
+    swift = usual._replace(velocity=2.0, rates=np.array([0.0, 0.0, 1.0]))
+    mixed = Spawn(place.astype(np.float32), place.tolist(), velocity=np.ones((2, 3)))
+    aside = usual._replace(quaternion=np.tile([1.0, 0.0, 0.0, 0.0], (2, 1)))
+    for starts in ([usual] * 4, [swift], [usual, swift, mixed, aside], [mixed] * 3, [usual] * 2):
+        take(starts)
+        for k, start in enumerate(starts):
+            for name in ("position", "goal", "velocity", "quaternion", "rates", "goal_velocity"):
+                given = np.broadcast_to(getattr(start, name), rows[name][k].shape)
+                np.testing.assert_array_equal(rows[name][k], given)
+    # Whatever comes together has to fit one by one
+    wide = usual._replace(velocity=np.zeros((2, 4)))
+    for starts in ([wide], [usual._replace(velocity=np.zeros((2, 3))), wide]):
+        with pytest.raises(ValueError, match=r"velocity .* has shape \(2, 4\)"):
+            take(starts)
+    aviary.close()
+
+
+def test_worlds_that_were_never_flown_keep_their_observations():
+    aviary = Aviary("hover", 3, num_drones=2, dynamics="rigid_body")
+    first = aviary.reset(seeds=1)
+    aviary.first_info()
+    again = aviary.reset(np.arange(3) == 1)
+    np.testing.assert_array_equal(again[[0, 2]], first[[0, 2]])
+    assert (again[1] != first[1]).any()
+    aviary.close()

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from bulletuav.envs.infos import Told, later
 from bulletuav.envs.shared_infos import SharedInfos
 
 PARTS = [slice(0, 2), slice(2, 3)]
@@ -95,3 +96,31 @@ def test_nothing_is_put_where_not_all_have_room(first):
 
 def test_nothing_is_put_before_a_reset():
     assert not SharedInfos(np.zeros((3, 5, 4))).put(FIRST)
+
+
+def told(rng, rows):
+    """What a decision of three worlds told, of which nobody has asked for infos."""
+    table = rng.integers(0, 2, (len(rows), 3, 4)).astype(float)
+    more = {"dwell_time": rng.normal(size=(3, 4))}
+    more["dwell_time"].flags.writeable = False
+    return Told(table, rows, more)
+
+
+@pytest.mark.parametrize("name", [None, "goal_distance"])
+def test_a_table_of_a_decision_goes_as_the_infos_that_are_made_of_it(name):
+    rows = [("reward/goal", float), (name, float), ("success", bool), ("conflicts", np.int64)]
+    decision = told(np.random.default_rng(3), rows)
+    infos = later(decision)
+    shared = SharedInfos(np.zeros((3, 5, 4)))
+    shared.learn(decision())
+    assert shared.put(infos)
+    assert infos._make is decision  # nobody had to make them
+    out = shared.take([None], [slice(0, 3)])
+    assert list(out) == list(infos)
+    for key, value in infos.items():
+        np.testing.assert_array_equal(out[key], value)
+        assert out[key].dtype == value.dtype
+    # What infos tell can be written into, though the decision's own array cannot
+    infos["dwell_time"][:] = 0.0
+    assert decision.more["dwell_time"].any()
+    assert not shared.put(later(told(np.random.default_rng(4), rows[::-1])))

@@ -5,7 +5,7 @@ import pytest
 
 from bulletuav.kernel import kernel
 from bulletuav.tasks.families.draws import source_of, uniform
-from bulletuav.tasks.families.headings import directions
+from bulletuav.tasks.families.headings import directions, draw_velocities
 
 
 @kernel
@@ -28,3 +28,13 @@ def test_directions_have_length_one_and_point_east_where_there_is_no_way():
     np.testing.assert_array_equal(
         directions(given), [(0.6, 0.0, 0.8), (1.0, 0.0, 0.0), (0.0, -1.0, 0.0)]
     )
+
+
+def test_velocities_are_drawn_along_ways_with_speeds_of_numpy():
+    ours, theirs = (np.random.default_rng(7) for _ in range(2))
+    ways = np.array([(3.0, 0.0, 4.0), (0.0, 0.0, 0.0), (1.0, -2.0, 0.5)])
+    velocity = np.empty(ways.shape)
+    draw_velocities(source_of(ours), 2.0, 5.0, ways, velocity)
+    speed = theirs.uniform(2.0, 5.0, (3, 1))
+    np.testing.assert_array_equal(velocity, directions(ways) * speed)
+    assert ours.random() == theirs.random()

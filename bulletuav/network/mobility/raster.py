@@ -82,8 +82,11 @@ def block_outline(
     low = np.empty(2, dtype=np.int64)
     high = np.empty(2, dtype=np.int64)
     for axis in range(2):
-        least = (outline[:, axis].min() - MARGIN + reach) / cell
-        most = (outline[:, axis].max() + MARGIN + reach) / cell
+        left = right = outline[0, axis]
+        for k in range(1, len(outline)):
+            left, right = min(left, outline[k, axis]), max(right, outline[k, axis])
+        least = (left - MARGIN + reach) / cell
+        most = (right + MARGIN + reach) / cell
         low[axis] = max(0, math.floor(least))
         high[axis] = min(len(free), math.floor(most) + 1)
     for i in range(low[0], high[0]):

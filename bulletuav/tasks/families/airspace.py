@@ -9,8 +9,9 @@ from bulletuav.geometry.closest_approach import distances
 from bulletuav.tasks.base import Rngs, Weighted
 from bulletuav.tasks.config import REBOUND
 from bulletuav.tasks.ends import affected
+from bulletuav.tasks.families.draws import source_of
 from bulletuav.tasks.families.flight_config import FlightConfig
-from bulletuav.tasks.families.headings import directions
+from bulletuav.tasks.families.headings import draw_velocities
 from bulletuav.tasks.families.obstacle_field import ObstacleTask
 from bulletuav.tasks.families.presets import UAVCONFLICT
 from bulletuav.tasks.frame import Frame, Scene, Spawn, TaskContext
@@ -141,9 +142,10 @@ class Airspace(ObstacleTask[FlightConfigT], Generic[FlightConfigT]):
             **others: Other fields of the start.
         """
         (slowest, fastest), limit = self.config.start_speed, self.context.max_speed
-        speed = rng.uniform(min(slowest, limit), min(fastest, limit), (len(start), 1))
-        direction = directions(goal - start if along is None else along)
-        return Spawn(position=start, goal=goal, velocity=direction * speed, **others)
+        velocity, ways = np.empty(start.shape), goal - start if along is None else along
+        speeds = (float(min(slowest, limit)), float(min(fastest, limit)))
+        draw_velocities(source_of(rng), *speeds, ways, velocity)
+        return Spawn(position=start, goal=goal, velocity=velocity, **others)
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
         """Tell the shapes of what is kept of each drone and, where concession counts, of pairs.

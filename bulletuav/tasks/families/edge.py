@@ -2,18 +2,20 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Generic, Literal, TypeVar
+from typing import Any, ClassVar, Generic, Literal, NamedTuple, TypeVar
 
 import numpy as np
 
 from bulletuav.errors import finite
-from bulletuav.network.arrivals import Arrivals, Tasks
-from bulletuav.network.assignment import STRATEGIES, assign
+from bulletuav.network.access import ACCESS
+from bulletuav.network.arrivals import Arrivals
+from bulletuav.network.assignment import STRATEGIES
+from bulletuav.network.exchange import Band, Drawn, Queue, Strategy, connect, work
 from bulletuav.network.link import capacity
 from bulletuav.network.queueing import core_power, service_rate
-from bulletuav.network.server import Served, serve, serve_on_average
-from bulletuav.network.service_stats import ServiceStats, count
+from bulletuav.network.service_stats import ServiceStats
 from bulletuav.network.uplink import RadioConfig, Uplink
+from bulletuav.program import Program
 from bulletuav.tasks.base import Rngs
 from bulletuav.tasks.families.difficulties import URBAN_DIFFICULTIES
 from bulletuav.tasks.families.users import UsersConfig, UsersTask
@@ -71,6 +73,30 @@ class EdgeConfig(RadioConfig, UsersConfig):
 
 
 EdgeConfigT = TypeVar("EdgeConfigT", bound=EdgeConfig)
+
+
+class _Service(NamedTuple):
+    """Programs of a decision's tasks, and the arrays of a frame in which they work.
+
+    Attributes:
+        frame: The frame.
+        sight: Its reading "sight".
+        first: Bounds (W + 1,) of the worlds' tasks.
+        uniform: Random numbers of which tasks are made.
+        receiving: Works out what drones receive from users.
+        working: Connects users and drones, and computes the tasks.
+    """
+
+    frame: Frame
+    sight: np.ndarray
+    first: np.ndarray
+    uniform: np.ndarray
+    receiving: Program
+    working: Program
+
+    def sees(self, frame: Frame) -> bool:
+        """Tell whether the frame's reading is still the same array; the first one makes it."""
+        return frame.readings["sight"] is self.sight
 
 
 class EdgeTask(UsersTask[EdgeConfigT], Generic[EdgeConfigT]):
@@ -138,12 +164,13 @@ class EdgeTask(UsersTask[EdgeConfigT], Generic[EdgeConfigT]):
         self._activity = load if isinstance(config.activity, str) else float(config.activity)
         # Numbers of the servers: cycles of a task, cycles/s, tasks/s and W.
         mean_bits = (smallest + largest) / 2
-        self._demand = mean_bits * config.cycles_per_bit
-        self._capacity = config.num_cores * config.core_frequency
+        self._demand = float(mean_bits * config.cycles_per_bit)
+        self._capacity = float(config.num_cores * config.core_frequency)
         rate = service_rate(config.core_frequency, mean_bits, config.cycles_per_bit)
         self._service_rate = float(rate)
         power = core_power(config.capacitance, config.core_frequency)
         self._compute_power = config.num_cores * float(power)
+        self._service: _Service | None = None
 
     def memory(self) -> Mapping[str, tuple[int, ...]]:
         """Tell the shapes of what is kept of users, servers and the episode's tasks.
@@ -180,71 +207,55 @@ class EdgeTask(UsersTask[EdgeConfigT], Generic[EdgeConfigT]):
     def update_memory(self, frame: Frame, rngs: Rngs) -> None:
         """Work out who serves whom at which rate, and what becomes of the decision's tasks."""
         super().update_memory(frame, rngs)
-        flying = np.any(frame.alive, axis=1)
-        servers, rates = self._connect(frame, flying, rngs)
-        tasks = self._arrivals.draw(rngs, flying)
-        served = self._serve(tasks, servers, rates, frame.scene.memory)
-        self._count(frame, served)
+        service = self._service
+        if service is None or service.frame is not frame or not service.sees(frame):
+            first = np.zeros(len(frame.alive) + 1, dtype=np.int64)
+            service = self._service = self._make_service(frame, first, np.empty(0))
+        # What worlds draw: fading, then tasks
+        flying = np.logical_or.reduce(frame.alive, axis=1)
+        service.receiving.run()
+        received = frame.scene.memory["received"]
+        self.uplink.fade(received, service.sight, rngs, flying)
+        room = self._arrivals.draw_uniform(rngs, flying, service.first, service.uniform)
+        if room is not service.uniform:
+            service = self._service = self._make_service(frame, service.first, room)
+        service.working.run()
 
-    def _connect(
-        self,
-        frame: Frame,
-        flying: np.ndarray,
-        rngs: Rngs,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Find the drone (W, U) that serves each user, and its uplink rate (W, U), bit/s."""
-        memory = frame.scene.memory
-        users = memory["users"]
-        swarm = frame.after
+    def _make_service(self, frame: Frame, first: np.ndarray, uniform: np.ndarray) -> "_Service":
+        """Make the programs that work in a frame's arrays."""
+        config, memory, swarm = self.config, frame.scene.memory, frame.after
+        users, received, sight = memory["users"], memory["received"], frame.readings["sight"]
         # Power that each drone receives from each user, by their lines of sight
-        power = self.uplink.received(
-            position=swarm.position,
-            quaternion=swarm.quaternion,
-            users=users,
-            sight=frame.readings["sight"],
-            rng=rngs,
-            flying=flying,
-        )
-        memory["received"][:] = power
+        receiving = Program()
+        poses = (swarm.position, swarm.quaternion)
+        self.uplink.add_received(receiving, *poses, users, sight, received)
         # Users go to drones by the strategy, by power, distance or load
-        strategy = STRATEGIES[self.config.assignment]
-        load = memory["utilisation"] * self._capacity
-        who = (strategy, swarm.position, frame.alive, users, power)
-        weight = self.config.distance_weight
-        servers = assign(*who, self._capacity, self._demand, load, weight)
-        # Kept as a table of who serves whom, which observations read
-        memory["serves"][:] = servers[:, None] == np.arange(self.context.num_drones)[:, None]
-        return servers, self.uplink.rates(power, servers, self._activity)
-
-    def _serve(
-        self,
-        tasks: Tasks,
-        servers: np.ndarray,
-        rates: np.ndarray,
-        memory: Mapping[str, np.ndarray],
-    ) -> Served:
-        """Compute the tasks of a decision, one by one or in the mean."""
-        config = self.config
-        cycles = config.cycles_per_bit
-        limits = (config.deadline, self.context.period)
-        if config.queue == "simulated":
-            free = (memory["link_free"], memory["core_free"])
-            return serve(tasks, servers, rates, cycles, config.core_frequency, *limits, *free)
-        drones = self.context.num_drones
-        queue = (config.num_cores, config.arrival_rate, self._service_rate)
-        return serve_on_average(tasks, servers, rates, drones, cycles, *queue, *limits)
-
-    def _count(self, frame: Frame, served: Served) -> None:
-        """Enter what became of a decision's tasks into the statistics of the episode."""
-        config = self.config
-        memory = frame.scene.memory
-        # Tasks that are yet to come, as many as on average.
-        seconds_left = np.maximum(self.context.duration - frame.time, 0.0)
-        tasks_left = config.arrival_rate * config.num_users * seconds_left
+        working = Program()
+        servers, rates = np.zeros(users.shape[:2], dtype=np.int64), np.zeros(users.shape[:2])
+        weight = float(config.distance_weight)
+        strategy = Strategy(STRATEGIES[config.assignment], self._capacity, self._demand, weight)
+        scheme, noise = ACCESS[config.access], self.uplink.noise
+        band = Band(float(config.bandwidth), noise, scheme, self._activity)
+        who = (swarm.position, frame.alive, users, received, memory["utilisation"])
+        working.call(connect, strategy, band, *who, servers, memory["serves"], rates)
+        # Tasks are computed one by one, or in the mean
+        dt, *bits = self._arrivals.decision
+        drawn = Drawn(first, uniform, self._arrivals.cumulative, *bits)
+        queue = Queue(
+            on_average=config.queue == "erlang",
+            cycles_per_bit=float(config.cycles_per_bit),
+            core_frequency=float(config.core_frequency),
+            cores=config.num_cores,
+            arrival_rate=float(config.arrival_rate),
+            service_rate=self._service_rate,
+            deadline=float(config.deadline),
+            dt=dt,
+            duration=float(self.context.duration),
+        )
         stats = ServiceStats(*(memory[name] for name in ServiceStats._fields))
-        core_seconds = config.num_cores * self.context.period
-        full_rate = config.num_cores * self._service_rate
-        count(served, stats, tasks_left, config.deadline, core_seconds, full_rate)
+        free = (memory["link_free"], memory["core_free"])
+        working.call(work, drawn, queue, servers, rates, *free, frame.time, stats)
+        return _Service(frame, sight, first, uniform, receiving, working)
 
     def service_quality(
         self,
@@ -303,7 +314,7 @@ class EdgeTask(UsersTask[EdgeConfigT], Generic[EdgeConfigT]):
         kept |= {name: name for name in ("queue", "utilisation")}
         service = {name: memory[its].copy() for name, its in kept.items()}
         lost = (memory["generated"] - memory["finished"])[:, None]
-        dropped = np.broadcast_to(lost, frame.alive.shape)
+        dropped = lost + np.zeros(frame.alive.shape)
         return {**super().info(frame), **service, "dropped": dropped}
 
     def world_state(self) -> Mapping[str, Block]:

@@ -7,8 +7,9 @@ import numpy as np
 
 from bulletuav.errors import numbers_of, shown
 from bulletuav.functions import atan2, cos, sin
-from bulletuav.geometry.rotation import dot, point
-from bulletuav.kernel import allocating
+from bulletuav.geometry.rotation import Vec3, dot, point
+from bulletuav.kernel import allocating, func, kernel
+from bulletuav.tasks.families.draws import Source, uniform
 
 HEADINGS = ("goal", "random")
 """Headings that have names"""
@@ -66,16 +67,36 @@ def headed(
     return np.stack([cos(angle), sin(angle), np.zeros(len(ways))], axis=1)
 
 
+@func
+def _unit(ways: np.ndarray, i: int) -> Vec3:
+    """Shorten the i-th of ways (N, 3) to length 1; east where it has none."""
+    x, y, z = point(ways, i)
+    length = math.sqrt(dot((x, y, z), (x, y, z)))
+    return (x / length, y / length, z / length) if length > 0.0 else (1.0, 0.0, 0.0)
+
+
 @allocating
 def directions(ways: np.ndarray) -> np.ndarray:
     """Shorten ways (N, 3) to length 1; east where there is none."""
     unit = np.empty(ways.shape)
     for i in range(ways.shape[0]):
-        way = point(ways, i)
-        length = math.sqrt(dot(way, way))
-        for k in range(3):
-            unit[i, k] = way[k] / length if length > 0.0 else (1.0 if k == 0 else 0.0)
+        unit[i, 0], unit[i, 1], unit[i, 2] = _unit(ways, i)
     return unit
+
+
+@kernel
+def draw_velocities(
+    source: Source,
+    slowest: float,
+    fastest: float,
+    ways: np.ndarray,
+    velocity: np.ndarray,
+) -> None:
+    """Draw a speed between two for each drone, m/s, and write velocities (N, 3) along its way."""
+    for i in range(ways.shape[0]):
+        speed = uniform(source, slowest, fastest)
+        x, y, z = _unit(ways, i)
+        velocity[i, 0], velocity[i, 1], velocity[i, 2] = x * speed, y * speed, z * speed
 
 
 def facing(direction: np.ndarray) -> np.ndarray:

@@ -69,6 +69,7 @@ class UrbanTask(ObstacleTask[UrbanConfigT], Generic[UrbanConfigT]):
         """
         super().__init__(config, context)
         self.town = CityLayouts(config, context)
+        self._measured: tuple[bytes, dict[str, np.ndarray]] = (b"", {})
         self.arena_low = self.town.low
         self.arena_high = self.town.high
 
@@ -111,9 +112,18 @@ class UrbanTask(ObstacleTask[UrbanConfigT], Generic[UrbanConfigT]):
             "city_alpha", the built-up share; "city_beta", buildings per km^2; "city_gamma", the
             Rayleigh scale of heights, m.
         """
-        rows = self.town.parameters[frame.scene.layout].T[..., None]
-        own = zip(CITY, np.broadcast_to(rows, (3, *frame.alive.shape)), strict=True)
-        return {**super().info(frame), **dict(own)}
+        return {**super().info(frame), **self._measures(frame.scene.layout)}
+
+    def _measures(self, layout: np.ndarray) -> dict[str, np.ndarray]:
+        """Tell what cities (W,) measure, see `info`; the same read-only arrays while they stand."""
+        stands = layout.tobytes()
+        if self._measured[0] != stands:
+            rows = np.repeat(self.town.parameters[layout][..., None], self.context.num_drones, 2)
+            own = {name: rows[:, k].copy() for k, name in enumerate(CITY)}
+            for array in own.values():
+                array.flags.writeable = False
+            self._measured = (stands, own)
+        return self._measured[1]
 
     def world_state(self) -> Mapping[str, Block]:
         """Tell the parameters of the city that stands in the world."""

@@ -171,5 +171,7 @@ class UsersTask(UrbanTask[UsersConfigT], TargetTask[UsersConfigT], Generic[Users
 
 def _mean_service_time(frame: Frame) -> np.ndarray:
     """Compute for how long users have been seen, by whom longest, mean of all, (W, N) s."""
-    mean = frame.scene.memory["dwell_time"].max(axis=1).mean(axis=-1)
-    return np.broadcast_to(mean[:, None], frame.alive.shape)
+    longest = np.maximum.reduce(frame.scene.memory["dwell_time"], axis=1)
+    # As `np.mean` adds and divides, in fewer calls
+    mean: np.ndarray = np.add.reduce(longest, axis=-1, keepdims=True) / longest.shape[-1]
+    return mean + np.zeros(frame.alive.shape)

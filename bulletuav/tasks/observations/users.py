@@ -41,7 +41,10 @@ def server(task: Any) -> Block:
     )
 
     def compute(frame: Frame, present: np.ndarray) -> np.ndarray:
-        return np.stack([frame.scene.memory[name] for name in names], axis=-1)
+        numbers = np.empty((*present.shape, len(names)))
+        for k, name in enumerate(names):
+            numbers[..., k] = frame.scene.memory[name]
+        return numbers
 
     return Block(labels, compute)
 
