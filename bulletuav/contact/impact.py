@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from bulletuav.contact.foresight import foresee
-from bulletuav.contact.gain import lose_gain, moving_energy, remember_before
+from bulletuav.contact.gain import frame_of, lose_gain, moving_energy, remember_before
 from bulletuav.contact.impulses import POINT, eased, slip
 from bulletuav.contact.memory import note, recall
 from bulletuav.contact.motion import aim, change_rates, put_vector, stay, vector
@@ -15,6 +15,7 @@ from bulletuav.contact.points import (
     Workspace,
     World,
     add_points,
+    carried,
     gather,
     join,
     measure,
@@ -51,15 +52,6 @@ def _rebounds(point: np.record) -> bool:
 
 
 @func
-def _frame_of(points: np.ndarray, size: int) -> Vec3:
-    """Return the velocity of what does not yield, or zeros, m/s."""
-    for k in range(size):
-        if points[k].b < 0:
-            return vector(points[k].drift)
-    return 0.0, 0.0, 0.0
-
-
-@func
 def _rebound(
     space: Workspace,
     world: World,
@@ -90,7 +82,7 @@ def _rebound(
             lively = lively or point.restitution > 0.0
             point.least = -point.restitution * point.approach
     if lively:
-        frame = _frame_of(points, size)
+        frame = frame_of(points, size)
         had = moving_energy(space, world, members, frame, 0.0)
         remember_before(space, members, points, size)
         relax(points, size, space.motions, FIRM)
@@ -190,7 +182,7 @@ def _hold(
     """
     motions = space.motions
     _allow(points, owner, size, world.dt)
-    frame = _frame_of(points, size)
+    frame = frame_of(points, size)
     had = moving_energy(space, world, members, frame, LIFT)
     add_forces(space, members, time, 1.0)
     remember_before(space, members, points, size)
@@ -298,13 +290,12 @@ def push_apart(
             continue
         other = pairs[owner[k]].b
         _tell_point(touches, space, world.w, points[k], other, vector(slips[k]))
-    # Who stays goes along with an obstacle that moves
-    drift = _frame_of(points, size)
     for m in range(members):
         motion = motions[space.island[m]]
         if motion.impacts >= MOST_IMPACTS:
             stay(motion)
-            put_vector(motion.move, plus((0.0, 0.0, 0.0), (1.0 - time) * world.dt, drift))
+            way = carried(space, world, pairs, count)
+            put_vector(motion.move, plus((0.0, 0.0, 0.0), 1.0 - time, way))
     return members
 
 
