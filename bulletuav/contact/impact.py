@@ -21,7 +21,7 @@ from bulletuav.contact.points import (
     measure,
     touching,
 )
-from bulletuav.contact.relax import FIRM, FIRM_ENOUGH, damp_tipping, keep, relax
+from bulletuav.contact.relax import FIRM, FIRM_ENOUGH, FIRM_IN_HEAPS, damp_tipping, keep, relax
 from bulletuav.contact.touch import IN_TOUCH, TOUCH
 from bulletuav.contact.touches import Touches, tell
 from bulletuav.geometry.contact_points import MOST_POINTS
@@ -90,7 +90,7 @@ def _rebound(
         lose_gain(space, world, members, points, size, frame, had, 0.0)
     elif closes and slow:
         # What is only stopped gains no energy
-        relax(points, size, space.motions, FIRM)
+        relax(points, size, space.motions, FIRM_ENOUGH)
         keep(points, size)
     return slow
 
@@ -188,16 +188,17 @@ def _hold(
     remember_before(space, members, points, size)
     memory = world.memory
     radii = world.scenery.table.radius
+    firm = FIRM_ENOUGH if members == 1 else FIRM_IN_HEAPS
     for trial in range(FORESIGHT + 1):
         if trial == 0:
             recall(memory, motions, radii, world.w, points, owner, pairs, size, 1.0 - time)
-        relax(points, size, motions, FIRM_ENOUGH, trial == 0)
+        relax(points, size, motions, firm, trial == 0)
         if trial == 0:
             island = space.island
             note(memory, motions, world.w, island, members, points, owner, pairs, size, 1.0 - time)
         keep(points, size)
         if trial == 0 and damp_tipping(points, size, motions):
-            relax(points, size, motions, FIRM_ENOUGH)
+            relax(points, size, motions, firm)
             keep(points, size)
         if trial > 0:
             lose_gain(space, world, members, points, size, frame, had, 1.0 - time)
