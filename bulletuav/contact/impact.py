@@ -295,7 +295,7 @@ def push_apart(
         motion = motions[space.island[m]]
         if motion.impacts >= MOST_IMPACTS:
             stay(motion)
-            way = carried(space, world, pairs, count)
+            way = carried(space, world, pairs, count, time)
             put_vector(motion.move, plus((0.0, 0.0, 0.0), 1.0 - time, way))
     return members
 

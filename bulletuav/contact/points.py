@@ -223,6 +223,7 @@ def carried(
     world: World,
     pairs: np.ndarray,
     count: int,
+    time: float,
 ) -> Vec3:
     """Return how far an obstacle takes an island along in a substep that touched it, m.
 
@@ -230,7 +231,7 @@ def carried(
     """
     still = (0.0, 0.0, 0.0)
     for p in range(count):
-        if space.motions[pairs[p].a].member and pairs[p].held:
+        if space.motions[pairs[p].a].member and touching(pairs[p], time):
             way, _ = change_rates(world.scenery, space.motions, world.w, pairs[p].b, world.dt)
             if pairs[p].b >= world.scenery.first_body and way != still:
                 return way

@@ -91,3 +91,20 @@ def test_who_touches_too_often_goes_along_with_an_obstacle() -> None:
         rig.place().fly()
         assert rig.dynamics.contact.space.motions["impacts"][0] == MOST_IMPACTS
         assert rig.gaps(0, rig.engine.scenery.first_body + wire)[0] > 0.0
+
+
+def test_who_touches_nothing_in_too_many_looks_goes_along_too() -> None:
+    """The search for a touch gives up here 16 times, beside the corner of a box that moves."""
+    box = list(TARGETS).index("corner")
+    with Rig(["iris"], hz=60, gravity=0.0, obstacles=list(TARGETS.values())) as rig:
+        rig.obstacle[0, box] = 0.010212627280, -0.10271730430, 100.06674658
+        rig.turn[0, box] = -0.4383155818, 0.7678049283, 0.1893458567, -0.4272039201
+        rig.drift[0, box] = 0.1531894092, -1.5407595645, 1.0011987681
+        swarm = rig.swarm
+        swarm.position[0, 0] = -0.063072698716, -0.82699668927, 99.650711774
+        swarm.velocity[0, 0] = 1.829187668, 4.9300734101, -0.0502967701
+        swarm.quaternion[0, 0] = -0.4810046409, 0.4011859175, 0.4022639236, 0.6677335777
+        swarm.rates[0, 0] = -23.951834773, -19.670279150, 0.0
+        rig.place().fly()
+        assert rig.dynamics.contact.space.motions["impacts"][0] == MOST_IMPACTS
+        assert rig.gaps(0, rig.engine.scenery.first_body + box)[0] > 0.0
