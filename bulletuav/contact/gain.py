@@ -31,6 +31,15 @@ def _energy_of(
 
 
 @func
+def frame_of(points: np.ndarray, size: int) -> Vec3:
+    """Return the velocity of what does not yield, or zeros, m/s."""
+    for k in range(size):
+        if points[k].b < 0:
+            return vector(points[k].drift)
+    return 0.0, 0.0, 0.0
+
+
+@func
 def remember_before(
     space: Workspace,
     members: int,

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from bulletuav.contact.foresight import foresee
-from bulletuav.contact.gain import lose_gain, moving_energy, remember_before
+from bulletuav.contact.gain import frame_of, lose_gain, moving_energy, remember_before
 from bulletuav.contact.impulses import POINT, eased, slip
 from bulletuav.contact.memory import note, recall
 from bulletuav.contact.motion import aim, change_rates, put_vector, stay, vector
@@ -15,12 +15,13 @@ from bulletuav.contact.points import (
     Workspace,
     World,
     add_points,
+    carried,
     gather,
     join,
     measure,
     touching,
 )
-from bulletuav.contact.relax import FIRM, FIRM_ENOUGH, damp_tipping, keep, relax
+from bulletuav.contact.relax import FIRM, FIRM_ENOUGH, FIRM_IN_HEAPS, damp_tipping, keep, relax
 from bulletuav.contact.touch import IN_TOUCH, TOUCH
 from bulletuav.contact.touches import Touches, tell
 from bulletuav.geometry.contact_points import MOST_POINTS
@@ -48,15 +49,6 @@ def _rebounds(point: np.record) -> bool:
     """Tell whether a point is in touch and closes fast enough to rebound."""
     found: bool = point.distance <= IN_TOUCH and point.approach < -SLOW
     return found
-
-
-@func
-def _frame_of(points: np.ndarray, size: int) -> Vec3:
-    """Return the velocity of what does not yield, or zeros, m/s."""
-    for k in range(size):
-        if points[k].b < 0:
-            return vector(points[k].drift)
-    return 0.0, 0.0, 0.0
 
 
 @func
@@ -90,7 +82,7 @@ def _rebound(
             lively = lively or point.restitution > 0.0
             point.least = -point.restitution * point.approach
     if lively:
-        frame = _frame_of(points, size)
+        frame = frame_of(points, size)
         had = moving_energy(space, world, members, frame, 0.0)
         remember_before(space, members, points, size)
         relax(points, size, space.motions, FIRM)
@@ -98,7 +90,7 @@ def _rebound(
         lose_gain(space, world, members, points, size, frame, had, 0.0)
     elif closes and slow:
         # What is only stopped gains no energy
-        relax(points, size, space.motions, FIRM)
+        relax(points, size, space.motions, FIRM_ENOUGH)
         keep(points, size)
     return slow
 
@@ -190,22 +182,23 @@ def _hold(
     """
     motions = space.motions
     _allow(points, owner, size, world.dt)
-    frame = _frame_of(points, size)
+    frame = frame_of(points, size)
     had = moving_energy(space, world, members, frame, LIFT)
     add_forces(space, members, time, 1.0)
     remember_before(space, members, points, size)
     memory = world.memory
     radii = world.scenery.table.radius
+    firm = FIRM_ENOUGH if members == 1 else FIRM_IN_HEAPS
     for trial in range(FORESIGHT + 1):
         if trial == 0:
             recall(memory, motions, radii, world.w, points, owner, pairs, size, 1.0 - time)
-        relax(points, size, motions, FIRM_ENOUGH, trial == 0)
+        relax(points, size, motions, firm, trial == 0)
         if trial == 0:
             island = space.island
             note(memory, motions, world.w, island, members, points, owner, pairs, size, 1.0 - time)
         keep(points, size)
         if trial == 0 and damp_tipping(points, size, motions):
-            relax(points, size, motions, FIRM_ENOUGH)
+            relax(points, size, motions, firm)
             keep(points, size)
         if trial > 0:
             lose_gain(space, world, members, points, size, frame, had, 1.0 - time)
@@ -298,13 +291,12 @@ def push_apart(
             continue
         other = pairs[owner[k]].b
         _tell_point(touches, space, world.w, points[k], other, vector(slips[k]))
-    # Who stays goes along with an obstacle that moves
-    drift = _frame_of(points, size)
     for m in range(members):
         motion = motions[space.island[m]]
         if motion.impacts >= MOST_IMPACTS:
             stay(motion)
-            put_vector(motion.move, plus((0.0, 0.0, 0.0), (1.0 - time) * world.dt, drift))
+            way = carried(space, world, pairs, count, time)
+            put_vector(motion.move, plus((0.0, 0.0, 0.0), 1.0 - time, way))
     return members
 
 

@@ -9,18 +9,15 @@ import math
 
 import numpy as np
 
-from bulletuav.functions import atan2
+from bulletuav.contact.spin import momentum, rotation_between, spin_of, spun, turned
 from bulletuav.geometry.rotation import (
     Quat4,
     Vec3,
     Vec3Like,
     dot,
-    exponential,
     minus,
-    normalised,
     plus,
     point,
-    product,
     quat4,
     to_body,
     to_world,
@@ -29,10 +26,7 @@ from bulletuav.geometry.rotation import (
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.kernel import func
 from bulletuav.vehicle.swarm import Swarm
-from bulletuav.vehicle.wrench import free_rates, spin_parts
-
-SMALL_TURN = 0.2
-"""Angle by which a drone turns in one step of the midpoint rule, rad"""
+from bulletuav.vehicle.wrench import free_rates
 
 FAR_TURN = 0.5
 """Angle by which a drone turns about one axis at most, rad; then it takes another"""
@@ -61,6 +55,9 @@ MOTION = np.dtype(
         ("ease", "f8", (3, 3)),
         ("before", "f8", (2, 3)),
         ("after", "f8", (2, 3)),
+        ("goal", "f8", 3),
+        ("heading", "f8", 4),
+        ("stray", "f8", 3),
     ]
 )
 """Motion of a drone from a time within the substep to another, mostly to its end.
@@ -86,6 +83,9 @@ Attributes:
     ease: Inverse inertia in world axes, 1 / (kg m^2).
     before: Velocity and spin before an impact.
     after: The same after one without rebound.
+    goal: Where it gets in the substep unless it touches anything, m.
+    heading: Its attitude there.
+    stray: Rotation to that attitude from where `aim` alone would get, world axes, rad.
 """
 
 
@@ -111,62 +111,10 @@ def quaternion_of(motion: np.record) -> Quat4:
 
 
 @func
-def _put_quaternion(motion: np.record, values: Quat4) -> None:
-    """Set the attitude of a drone."""
+def _put_quaternion(array: np.ndarray, values: Quat4) -> None:
+    """Write an attitude."""
     for k in range(4):
-        motion.quaternion[k] = values[k]
-
-
-@func
-def _rotation_between(before: Quat4, after: Quat4) -> Vec3:
-    """Return the rotation from one attitude to another as axis times angle, the shorter way."""
-    x, y, z, w = product(after, (-before[0], -before[1], -before[2], before[3]))
-    sine = math.sqrt(x * x + y * y + z * z)
-    if sine == 0.0:
-        return 0.0, 0.0, 0.0
-    scale = 2.0 * atan2(sine, abs(w)) / sine
-    if w < 0.0:
-        scale = -scale
-    return scale * x, scale * y, scale * z
-
-
-@func
-def turned(
-    rotation: Vec3,
-    share: float,
-    quaternion: Quat4,
-) -> Quat4:
-    """Return an attitude after a share of a rotation (axis times angle, world axes)."""
-    part = (
-        share * rotation[0],
-        share * rotation[1],
-        share * rotation[2],
-    )
-    return normalised(product(exponential(part), quaternion))
-
-
-@func
-def momentum(
-    quaternion: Quat4,
-    spin: Vec3,
-    row: np.record,
-) -> Vec3:
-    """Return the angular momentum (N m s) of an angular velocity (rad/s), both in world axes."""
-    p, q, r = to_body(quaternion, spin)
-    inertia = row.inertia
-    return to_world(quaternion, (inertia[0] * p, inertia[1] * q, inertia[2] * r))
-
-
-@func
-def spin_of(
-    quaternion: Quat4,
-    angular: Vec3,
-    row: np.record,
-) -> Vec3:
-    """Return the angular velocity (rad/s) of an angular momentum (N m s), both in world axes."""
-    p, q, r = to_body(quaternion, angular)
-    inertia = row.inertia
-    return to_world(quaternion, (p / inertia[0], q / inertia[1], r / inertia[2]))
+        array[k] = values[k]
 
 
 @func
@@ -201,18 +149,20 @@ def begin(
     motion.impacts = 0
     motion.begun = True
     put_vector(motion.position, position)
-    _put_quaternion(motion, quaternion)
+    _put_quaternion(motion.quaternion, quaternion)
     put_vector(motion.velocity, velocity)
     put_vector(motion.spin, spin)
     put_vector(motion.move, plus(vec3(after.position, w, i), -1.0, position))
-    put_vector(motion.turn, _rotation_between(quaternion, later))
+    put_vector(motion.turn, rotation_between(quaternion, later))
     put_vector(motion.push, plus(vec3(after.velocity, w, i), -1.0, velocity))
     put_vector(motion.twist, momentum(later, to_world(later, gained), row))
     motion.until = 1.0
     if dot(spin, spin) * dt * dt > FAR_TURN * FAR_TURN:
-        way = vector(motion.move)
+        put_vector(motion.goal, vec3(after.position, w, i))
+        _put_quaternion(motion.heading, later)
+        alone, _ = spun(quaternion, spin, dt, row)
+        put_vector(motion.stray, rotation_between(alone, later))
         aim(motion, dt, row)
-        put_vector(motion.move, plus((0.0, 0.0, 0.0), motion.until, way))
 
 
 @func
@@ -244,7 +194,7 @@ def advance_to(
         held = (scale * held[0], scale * held[1], scale * held[2])
     twisted = spin_of(there, vector(motion.twist), row)
     put_vector(motion.position, plus(vector(motion.position), share, vector(motion.move)))
-    _put_quaternion(motion, there)
+    _put_quaternion(motion.quaternion, there)
     put_vector(motion.velocity, plus(vector(motion.velocity), elapsed, vector(motion.push)))
     put_vector(motion.spin, plus(held, elapsed, twisted))
     for k in range(3):
@@ -261,28 +211,29 @@ def aim(
 ) -> None:
     """Let a drone fly on from its time with the velocities that it has, until it has turned far.
 
-    The rotation takes the angular velocity halfway (midpoint rule), with the angular momentum held.
+    Who has touched nothing goes where its dynamics took it: that is where it will be.
     """
     here = quaternion_of(motion)
     spin = vector(motion.spin)
+    left = 1.0 - motion.time
     motion.until = 1.0
     angle = math.sqrt(dot(spin, spin)) * dt
     if angle > FAR_TURN:
         motion.until = min(1.0, motion.time + max(SHORTEST_LEG, FAR_TURN / angle))
-    rest = (motion.until - motion.time) * dt
-    angular = momentum(here, spin, row)
-    # Fast spins in parts, so that their energy stays
-    parts = spin_parts(spin, rest, SMALL_TURN)
-    part = rest / parts
-    there = here
-    for _ in range(parts):
-        halfway = turned(spin_of(there, angular, row), 0.5 * part, there)
-        spin = spin_of(halfway, angular, row)
-        there = turned(spin, part, there)
-    turn = (rest * spin[0], rest * spin[1], rest * spin[2])
-    put_vector(motion.turn, turn if parts == 1 else _rotation_between(here, there))
-    for k in range(3):
-        motion.move[k] = rest * motion.velocity[k]
+    part = motion.until - motion.time
+    there, turn = spun(here, spin, part * dt, row)
+    way = plus((0.0, 0.0, 0.0), part * dt, vector(motion.velocity))
+    if motion.impacts == 0:
+        there = turned(vector(motion.stray), part, there)
+        if motion.until == 1.0:
+            q = motion.heading
+            there = (q[0], q[1], q[2], q[3])
+        turn = rotation_between(here, there)
+        share = part / left if left > 0.0 else 0.0
+        way = minus(vector(motion.goal), vector(motion.position))
+        way = (share * way[0], share * way[1], share * way[2])
+    put_vector(motion.turn, turn)
+    put_vector(motion.move, way)
 
 
 @func

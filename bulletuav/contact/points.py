@@ -218,6 +218,27 @@ def gather(
 
 
 @func
+def carried(
+    space: Workspace,
+    world: World,
+    pairs: np.ndarray,
+    count: int,
+    time: float,
+) -> Vec3:
+    """Return how far an obstacle takes an island along in a substep that touched it, m.
+
+    Whoever stays goes along, even who has just parted from it: it comes after.
+    """
+    still = (0.0, 0.0, 0.0)
+    for p in range(count):
+        if space.motions[pairs[p].a].member and touching(pairs[p], time):
+            way, _ = change_rates(world.scenery, space.motions, world.w, pairs[p].b, world.dt)
+            if pairs[p].b >= world.scenery.first_body and way != still:
+                return way
+    return still
+
+
+@func
 def coefficients(world: World, who: int) -> tuple[float, float]:
     """Return the coefficients of friction and restitution of someone."""
     scenery = world.scenery

@@ -26,7 +26,9 @@ from bulletuav.kernel import func, kernel
 FIRM = 1e-9
 """Precision of impulses of what rebounds, see `relax`"""
 FIRM_ENOUGH = 1e-6
-"""The same of what is held; rest begins at thousands of it"""
+"""The same of a drone that is held or stopped: slides are exact to 1e-3 by it"""
+FIRM_IN_HEAPS = 1e-5
+"""The same of drones that hold each other; rest begins at hundreds of it"""
 SWEEPS = 200
 """Most sweeps over the points of a small island"""
 WORK = 20_000

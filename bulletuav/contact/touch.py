@@ -4,7 +4,8 @@ Two bounds tell how far it is safe to go; both hold however thin or fast things 
 closes a gap faster than a bound along the present separating direction (B. Mirtich, Impulse-based
 dynamic simulation of rigid body systems, 1996). And between two times at which a plane separates
 the pair, no point can get beyond it by more than its greatest acceleration bends its way. Where
-the pair is close already, Newton's method on the distance ends the search.
+the pair is close already, Newton's method on the distance ends the search; who is apart after such
+a leap goes back unless a plane tells that there was no touch on the way.
 """
 
 import math
@@ -165,6 +166,7 @@ def touch_time(
     near = False
     # The touch is between a time at which they were apart and one at which they were too close
     apart, close = start, NEVER
+    safe, leapt = start, False
     for _ in range(MOST_STEPS):
         distance, normal, on_a, on_b = gap_at(
             scenery, motions, w, a, b, time, dt, normal, room, plain
@@ -177,6 +179,13 @@ def touch_time(
         bend = 0.125 * (bend_a + bend_b)
         left = distance - floor
         rest = end - time
+        landed, leapt = leapt and left > 0.0, False
+        if landed:
+            # Others than the nearest points may have touched on the way, and parted again
+            before, _, _ = separation_along(scenery, motions, w, a, b, apart, dt, normal)
+            if before - floor < 4.0 * bend * (time - apart) ** 2:
+                time = safe
+                continue
         if left > bound * rest:
             return NEVER, normal, near
         if left <= exact and (time == start or left >= -exact):
@@ -201,7 +210,9 @@ def touch_time(
             # Back from too far by Newton alone; ahead as far as there is but one touch
             if closing > 0.0:
                 aimed = left / closing
-                if left < 0.0 or (step < aimed and 4.0 * bend * aimed * aimed <= left):
+                leapt = left > 0.0 and step < aimed and 4.0 * bend * aimed * aimed <= left
+                safe = time + step
+                if left < 0.0 or leapt:
                     step = aimed
         if left < 0.0:
             close = time

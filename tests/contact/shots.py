@@ -152,6 +152,8 @@ class Range:
             rates[np.arange(worlds), axis] = rng.uniform(-spin, spin, worlds)
         far = target.radius + rig.airframes[0].collision_radius + 0.01
         start = HIGH + off - way * (far + 1.0)
+        # Who is aimed at a far end would begin within the other
+        start -= np.where(np.linalg.norm(start - HIGH, axis=1) < far, 2.0 * far, 0.0)[:, None] * way
         # How the free flight would go, and when it is to begin for a touch within the shot
         time, least = self._flight(k, turn, start, velocity, attitude, rates)
         hits = least <= TOUCH

@@ -1,6 +1,7 @@
 """Times of touch of a drone that turns, against heights of its cylinder in closed form."""
 
 import numpy as np
+import pytest
 from contact.rig import Rig, measure_gaps, random_attitudes, random_directions
 from contact.shots import TARGETS
 from scipy.spatial.transform import Rotation
@@ -87,3 +88,39 @@ def test_rims_that_graze_an_edge_touch_where_they_reach_it() -> None:
         times = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.room)
         assert times.max() < 0.5
         assert np.abs(_gaps(rig, motions, times) - TOUCH).max() < 1e-11
+
+
+GRAZES = {
+    "hull": (
+        (-0.2696170430, -0.4391763274, 0.4271825507),
+        (0.8128688797, 0.3417271410, 0.3367741287, 0.3302270912),
+        (-0.0009525733, 0.0001216883, 0.0000983275),
+        (0.0809235306, -0.2251732119, 0.3834387695),
+    ),
+    "wire of 2 cm": (
+        (-0.02920906, -0.03232178, 2.06237194),
+        (-0.07168078, 0.44991470, 0.46764095, 0.75746325),
+        (-0.00014351, -0.00019156, -0.00016930),
+        (-0.40653350, 0.17028877, 0.08880891),
+    ),
+}
+"""Place, attitude, move and turn of Crazyflies that come 3 and 10 um closer than a touch"""
+
+
+@pytest.mark.parametrize("name", GRAZES)
+def test_nobody_leaps_over_a_graze(name: str) -> None:
+    """By Newton's method alone, where others than the nearest points come closer."""
+    with Rig(obstacles=[TARGETS[name]]) as rig:
+        rig.obstacle[:] = 0.0
+        rig.place()
+        motions = rig.dynamics.contact.space.motions
+        motions["time"], motions["until"] = 0.0, 1.0
+        for column, values in zip(
+            ("position", "quaternion", "move", "turn"), GRAZES[name], strict=True
+        ):
+            motions[column] = values
+        gaps = _gaps(rig, np.repeat(motions, len(SAMPLES)), SAMPLES)
+        assert gaps[0] > TOUCH > gaps.min()
+        times = _times(rig.engine.scenery, motions, rig.dynamics.contact.space.room)
+        assert times[0] < SAMPLES[gaps.argmin()]
+        assert abs(_gaps(rig, motions, times)[0] - TOUCH) < 1e-11

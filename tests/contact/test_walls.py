@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from contact.rig import Rig
 from contact.shots import TARGETS, Range
 from contact.trains import push
 
+from bulletuav.contact.impact import MOST_IMPACTS
 from bulletuav.dynamics import DYNAMICS, find_dynamics
 from bulletuav.vehicle.airframes import available_airframes
 
@@ -65,3 +67,44 @@ def test_energy_does_not_grow_after_a_hit_in_bullet(ranges):
     shots = ranges("iris", dynamics="bullet", hz=60).shoot("corner", spin=30.0)
     assert shots.hits.sum() > 10
     assert shots.gained.max() < 1e-6
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_nobody_ends_within_what_stands_however_fast_it_spins(ranges, name):
+    """Bullet turns bodies by pi / 4 a substep at most: that is the way that is looked at."""
+    shots = ranges("cf2x", "bullet").shoot(name, spin=600.0)
+    assert not {"beyond", "depth"} & set(shots.missed())
+
+
+def test_who_touches_too_often_goes_along_with_an_obstacle() -> None:
+    """This drone rolls off the end of a wire that moves at 2 m/s, in 16 touches and more."""
+    wire = list(TARGETS).index("wire of 2 cm")
+    with Rig(["firefly"], hz=60, gravity=0.0, obstacles=list(TARGETS.values())) as rig:
+        rig.obstacle[0, wire] = 9.242109607e-02, 7.275863391e-03, 9.995263270e01
+        rig.turn[0, wire] = 0.115592413, -0.822031295, 0.282955357, 0.480457293
+        rig.drift[0, wire] = 1.848421921, 0.145517268, -0.947346056
+        swarm = rig.swarm
+        swarm.position[0, 0] = 1.683501195, 1.076850313, 100.566678932
+        swarm.velocity[0, 0] = 6.182716637, 0.978563538, 7.779104182
+        swarm.quaternion[0, 0] = 0.333877776, 0.013555912, -0.106930069, 0.936433568
+        swarm.rates[0, 0] = -9.940837260, -28.73479209, -3.461065054e-03
+        rig.place().fly()
+        assert rig.dynamics.contact.space.motions["impacts"][0] == MOST_IMPACTS
+        assert rig.gaps(0, rig.engine.scenery.first_body + wire)[0] > 0.0
+
+
+def test_who_touches_nothing_in_too_many_looks_goes_along_too() -> None:
+    """The search for a touch gives up here 16 times, beside the corner of a box that moves."""
+    box = list(TARGETS).index("corner")
+    with Rig(["iris"], hz=60, gravity=0.0, obstacles=list(TARGETS.values())) as rig:
+        rig.obstacle[0, box] = 0.010212627280, -0.10271730430, 100.06674658
+        rig.turn[0, box] = -0.4383155818, 0.7678049283, 0.1893458567, -0.4272039201
+        rig.drift[0, box] = 0.1531894092, -1.5407595645, 1.0011987681
+        swarm = rig.swarm
+        swarm.position[0, 0] = -0.063072698716, -0.82699668927, 99.650711774
+        swarm.velocity[0, 0] = 1.829187668, 4.9300734101, -0.0502967701
+        swarm.quaternion[0, 0] = -0.4810046409, 0.4011859175, 0.4022639236, 0.6677335777
+        swarm.rates[0, 0] = -23.951834773, -19.670279150, 0.0
+        rig.place().fly()
+        assert rig.dynamics.contact.space.motions["impacts"][0] == MOST_IMPACTS
+        assert rig.gaps(0, rig.engine.scenery.first_body + box)[0] > 0.0
