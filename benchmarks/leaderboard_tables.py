@@ -157,7 +157,8 @@ def _summary(entries: Mapping[str, Sequence[Entry]], scores: Mapping[str, str]) 
         link = f"[{task}](#{task})" if ones else task
         cells = [link, *(2 * ["not flown yet", ""])]
         if best:
-            cells[1:3] = [f"`{best.policy}`", _cells(best.score)]
+            seeds = f"{len(best.told)} seed" + "s" * (len(best.told) > 1)
+            cells[1:3] = [f"`{best.policy}`, {seeds}", _cells(best.score)]
         if other:
             cells[3:5] = [f"`{other.policy}`", _cells(other.score)]
         lines.append(_line([*cells, verdict(best, other) if best and other else ""]))
@@ -212,8 +213,14 @@ def _csv(entries: Mapping[str, Sequence[Entry]]) -> str:
 
 
 def plot(entries: Mapping[str, Sequence[Entry]], scores: Mapping[str, str], path: Path) -> None:
-    """Draw scores with their intervals, a panel for each task."""
-    there = {task: ones for task, ones in entries.items() if ones}
+    """Draw scores with their intervals, a panel for each task.
+
+    Flight at random is so far from all others that they could not be told apart beside it.
+    """
+    drawn = {
+        task: [one for one in ones if one.policy != "random"] for task, ones in entries.items()
+    }
+    there = {task: ones for task, ones in drawn.items() if ones}
     lines = max(1, -(-len(there) // COLUMNS))
     figure = blank_figure(4.2 * COLUMNS, 2.1 * lines)
     panels = np.ravel(figure.subplots(lines, COLUMNS, squeeze=False))
