@@ -83,8 +83,8 @@ class Verifier(NamedTuple):
         """Compare what files tell with themselves, and with new flights.
 
         Args:
-            path: The folder of a recording, an evaluation, a leaderboard or a dataset, or a file
-                in it.
+            path: The folder of a recording, an evaluation, a leaderboard, a row of the leaderboard
+                of algorithms or a dataset, or a file in it.
 
         Returns:
             What was compared: files first, then flights.
