@@ -205,12 +205,13 @@ def learn(agent: Agent, optimiser: Any, rows: list[torch.Tensor], plan: Plan) ->
             optimiser.step()
 
 
-def train(plan: Plan, seed: int, central: bool, folder: Path) -> None:
+def train(plan: Plan, seed: int, central: bool, folder: Path, look: Any = None) -> None:
     """Train, print how the reward of a decision rises, and save what it was before and after."""
     torch.manual_seed(seed)
     worlds = Worlds(plan, seed, central)
     agent = Agent(worlds.envs[0], plan, worlds.state().shape[1])
     save(agent, folder / CHECKPOINTS / "000")
+    write_settings(plan, seed, folder)
     optimiser = torch.optim.Adam(agent.parameters(), plan.rate, eps=1e-5)
     each = len(worlds.seen) * plan.decisions
     rounds = max(1, plan.steps // each)
@@ -220,10 +221,11 @@ def train(plan: Plan, seed: int, central: bool, folder: Path) -> None:
         learn(agent, optimiser, rows, plan)
         if k % 10 == 0 or k == rounds - 1:
             print(f"{(k + 1) * each:9d} decisions: mean return {rows[-1].mean().item():.3f}")
+        if look:  # who wants to know how far it is, and to keep what it has learned
+            look((k + 1) * each, lambda place: save(agent, place))
     for env in worlds.envs:
         env.close()
     save(agent, folder)
-    write_settings(plan, seed, folder)
 
 
 def save(agent: Agent, folder: Path) -> None:

@@ -20,7 +20,8 @@ ABOUT = {
     ),
     "epilog": """examples:
   bulletuav fly crossing --out flight && bulletuav verify flight
-  bulletuav verify leaderboard --workers 2""",
+  bulletuav verify leaderboard --workers 2
+  bulletuav verify docs/results/leaderboard/rows/crossing-mappo-0""",
 }
 
 

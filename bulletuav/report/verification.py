@@ -27,6 +27,10 @@ from bulletuav.report.leaderboard import LEADERBOARD, markdown, write_csv
 
 SUMMARY = "summary.json"
 """File that tells how an evaluation went"""
+ROW = "row.json"
+"""File that tells of a policy that was trained, in its own folder, and how its evaluation went"""
+ROW_POLICY = "{row}"
+"""What stands for that folder in the call of the evaluation"""
 Report = Callable[[float], None]
 """Function that takes how much is done so far"""
 Show = Callable[[str, int, str], AbstractContextManager[Report]]
@@ -79,8 +83,8 @@ class Verifier(NamedTuple):
         """Compare what files tell with themselves, and with new flights.
 
         Args:
-            path: The folder of a recording, an evaluation, a leaderboard or a dataset, or a file
-                in it.
+            path: The folder of a recording, an evaluation, a leaderboard, a row of the leaderboard
+                of algorithms or a dataset, or a file in it.
 
         Returns:
             What was compared: files first, then flights.
@@ -98,6 +102,7 @@ class Verifier(NamedTuple):
             (LEADERBOARD, LEADERBOARD, self._leaderboard),
             (ARRAYS_FILE, RUN, self._recording),
             (SUMMARY, SUMMARY, self._evaluation),
+            (ROW, ROW, self._evaluation),
             (DATASET, DATASET, self._dataset),
         ):
             if (folder / name).exists():
@@ -108,7 +113,7 @@ class Verifier(NamedTuple):
                 return checks
         raise ValueError(
             f"{folder} holds no recording ({ARRAYS_FILE}), evaluation ({SUMMARY}), leaderboard "
-            f"({LEADERBOARD}) or dataset ({DATASET}): give the folder of one"
+            f"({LEADERBOARD}), row of one ({ROW}) or dataset ({DATASET}): give the folder of one"
         )
 
     def _recording(self, folder: Path, about: dict[str, Any]) -> list[Check]:
@@ -124,8 +129,8 @@ class Verifier(NamedTuple):
         return [Check("flight", about["hash"], flown.hash(like=recording))]
 
     def _evaluation(self, folder: Path, about: dict[str, Any]) -> list[Check]:
-        """Fly again what `bulletuav evaluate` wrote."""
-        (result,) = self._fly([about])
+        """Fly again what `bulletuav evaluate` wrote, or the policy that is in the folder."""
+        (result,) = self._fly([about], folder)
         told, found = (
             hash_bytes([json.dumps(one, sort_keys=True).encode()])
             for one in (about["estimates"], result.figures())
@@ -135,7 +140,7 @@ class Verifier(NamedTuple):
 
     def _leaderboard(self, folder: Path, about: dict[str, Any]) -> list[Check]:
         """Fly each row again that `bulletuav compare` wrote, and compare the tables from that."""
-        results, checks = self._fly(about["cases"]), []
+        results, checks = self._fly(about["cases"], folder), []
         for case, result in zip(about["cases"], results, strict=True):
             options = case["options"]
             where = ", ".join((case["task"], options["difficulty"], options["dynamics"]))
@@ -174,9 +179,12 @@ class Verifier(NamedTuple):
             )
             return [check for path in again for check in _table_checks(folder, path)]
 
-    def _fly(self, cases: list[dict[str, Any]]) -> list[Evaluation]:
+    def _fly(self, cases: list[dict[str, Any]], folder: Path) -> list[Evaluation]:
         """Evaluate again what was evaluated."""
         calls = [read_call(case.get("call"), self.trust) for case in cases]
+        for call in calls:
+            if isinstance(call.get("policy"), str):
+                call["policy"] = call["policy"].replace(ROW_POLICY, str(folder))
         with self._advance(sum(case["episodes"] for case in cases)) as advance:
             how: dict[str, Any] = {"workers": self.workers, "trust": self.trust}
             return [

@@ -1,0 +1,300 @@
+"""Train drones with critics that see their whole team: VDN or MADDPG, in one file.
+
+All drones share one network and act on what each of them observes. `vdn` chooses among directions:
+the values of a team's choices add up to the value of its reward (P. Sunehag et al., Value-
+decomposition networks, 2017). `maddpg` gives velocities, and its critic sees what all drones
+observe and do (R. Lowe et al., Multi-agent actor-critic for mixed cooperative-competitive
+environments, 2017). The folder it writes flies without PyTorch: `--policy FOLDER`.
+
+Run it:
+
+    python examples/team_critics.py vdn
+    python examples/team_critics.py maddpg --steps 400000 --seed 1 --out maddpg
+
+Takes 1 to 3 minutes on one core. Needs the extra `sb3`.
+"""
+
+import argparse
+import copy
+import itertools
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from safetensors.numpy import save_file
+from torch import nn
+
+import bulletuav
+from bulletuav.adapters.swarm_features import SwarmFeatures
+from bulletuav.policies.neural_network import HIGH, LOW
+from bulletuav.policies.run import CONFIG, POLICY, RunConfig
+from bulletuav.policies.swarm_features import find_layout
+
+Array = torch.Tensor
+Keep = Callable[[Path], None]
+# Smaller than the task's own weights, as networks like returns of the order of 1.
+WEIGHTS = {"progress": 0.1, "goal": 1.0, "conflict": -4.0, "warning": -0.1, "collision": -4.0}
+WEIGHTS |= {"out_of_bounds": -1.0, "energy": -0.0002, "time": -0.01}
+
+
+class Plan(NamedTuple):
+    """What is trained, for how long, and the settings of the learner."""
+
+    task: str
+    options: dict[str, Any]
+    worlds: int = 32
+    steps: int = 300_000  # decisions of all drones together
+    kept: int = 200_000  # of them in the replay buffer
+    start: int = 10_000  # flown at random before anything is learned
+    batch: int = 128  # decisions of whole worlds in a minibatch
+    updates: int = 2  # after each decision of all worlds
+    rate: float = 1e-3
+    gamma: float = 0.98
+    tau: float = 0.005  # share by which targets follow
+    noise: float = 0.2  # of actions that are numbers
+    explore: float = 0.4  # share of the training until only 5 % of the choices are random
+
+
+def parse_arguments() -> argparse.Namespace:
+    """Parse the command line."""
+    form = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=form)
+    parser.add_argument("algorithm", choices=LEARNERS)
+    parser.add_argument("--task", default="crossing")
+    parser.add_argument("--steps", type=int, default=300_000, help="decisions of all drones")
+    parser.add_argument("--episodes", type=int, default=100, help="episodes of the evaluation")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--out", type=Path, default=Path("team_critics"), help="for the policy")
+    return parser.parse_args()
+
+
+def layers(*sizes: int) -> nn.Sequential:
+    """Make dense layers with ReLU between them."""
+    pairs = itertools.pairwise(sizes)
+    parts = [part for before, after in pairs for part in (nn.Linear(before, after), nn.ReLU())]
+    return nn.Sequential(*parts[:-1])
+
+
+class Actor(nn.Module):
+    """What a drone does or what its choices are worth; arrays are named as in `dqn` and `ddpg`."""
+
+    def __init__(self, env: Any, outputs: int, head: str) -> None:
+        super().__init__()
+        layout = find_layout(env.observation_labels)
+        self.features_extractor = SwarmFeatures(env.observation_space, layout)
+        self.head = head
+        self.add_module(head, layers(self.features_extractor.features_dim, 64, 64, outputs))
+
+    def forward(self, seen: Array) -> Array:
+        """Compute (..., outputs) of what drones observe (..., D)."""
+        known = self.features_extractor(seen.reshape(-1, seen.shape[-1]))
+        return self.get_submodule(self.head)(known).reshape(*seen.shape[:-1], -1)
+
+
+class Vdn:
+    """Values of choices that add up over a team, by double Q-learning."""
+
+    form, action = "dqn", "discrete"
+
+    def __init__(self, env: Any, plan: Plan) -> None:
+        self._choices = int(env.action_space.n)
+        self.actor = Actor(env, self._choices, "q_net")
+        self.target = copy.deepcopy(self.actor)
+        self.plan = plan
+        self._optimiser = torch.optim.Adam(self.actor.parameters(), plan.rate)
+        team = torch.from_numpy(np.asarray(env.aviary.task.team))
+        self._teams = nn.functional.one_hot(team).float()  # (N, teams)
+
+    def random(self, seen: Array) -> Array:
+        """Choose at random."""
+        return torch.randint(self._choices, (*seen.shape[:-1], 1)).float()
+
+    @torch.no_grad()
+    def choose(self, seen: Array, done: float) -> Array:
+        """Choose the best, or now and then at random; `done` is the share of the training."""
+        best = self.actor(seen).argmax(-1, keepdim=True).float()
+        share = max(0.05, 1 - 0.95 * done / self.plan.explore)
+        return torch.where(torch.rand(best.shape) < share, self.random(seen), best)
+
+    def learn(self, seen: Array, action: Array, told: Array, after: Array) -> None:
+        """Improve the values of what was chosen."""
+        reward, flown, goes_on = told.unbind(-1)
+        value = self.actor(seen).gather(-1, action.long()).squeeze(-1)
+        with torch.no_grad():
+            best = self.actor(after).argmax(-1, keepdim=True)
+            later = self.target(after).gather(-1, best).squeeze(-1)
+            goal = (reward + self.plan.gamma * goes_on * later) @ self._teams
+        error = nn.functional.smooth_l1_loss((value * flown) @ self._teams, goal)
+        descend(self._optimiser, error, self.actor)
+        follow(self.target, self.actor, self.plan.tau)
+
+    def arrays(self) -> dict[str, Array]:
+        """Name the arrays as stable-baselines3 does."""
+        return {f"q_net.{name}": part for name, part in self.actor.state_dict().items()}
+
+
+class Maddpg:
+    """An actor for all drones, and a critic that sees what everybody observes and does."""
+
+    form, action = "ddpg", "velocity"
+
+    def __init__(self, env: Any, plan: Plan) -> None:
+        drones, self._size = env.num_drones, env.action_space.shape[0]
+        self.actor = Actor(env, self._size, "mu")
+        width = drones * (len(env.observation_labels) + self._size + 1)
+        self.critic = layers(width, 128, 128, 1)
+        self.targets = copy.deepcopy((self.actor, self.critic))
+        self.plan = plan
+        self._optimisers = [
+            torch.optim.Adam(net.parameters(), plan.rate) for net in (self.actor, self.critic)
+        ]
+        # Each drone comes first in what its critic sees, the others follow in their order.
+        self._order = (torch.arange(drones)[:, None] + torch.arange(drones)) % drones
+
+    def random(self, seen: Array) -> Array:
+        """Choose at random."""
+        return 2 * torch.rand(*seen.shape[:-1], self._size) - 1
+
+    @torch.no_grad()
+    def choose(self, seen: Array, done: float) -> Array:
+        """Do what the actor says, with noise."""
+        best = torch.tanh(self.actor(seen))
+        return (best + self.plan.noise * torch.randn_like(best)).clamp(-1, 1)
+
+    def _joint(self, seen: Array, action: Array, flown: Array) -> Array:
+        """Put what all observe and do side by side, (B, N, K), for the critic of each."""
+        parts = torch.cat([seen.sign() * seen.abs().log1p(), action, torch.ones_like(flown)], -1)
+        return (parts * flown)[:, self._order].flatten(2)
+
+    def learn(self, seen: Array, action: Array, told: Array, after: Array) -> None:
+        """Improve the critic, and the actor by it."""
+        reward, flown, goes_on = told.unsqueeze(-1).unbind(-2)
+        actor, critic = self.targets
+        with torch.no_grad():
+            joint = self._joint(after, torch.tanh(actor(after)), goes_on)
+            goal = reward + self.plan.gamma * goes_on * critic(joint)
+        joint = self._joint(seen, action, flown)
+        error = (self.critic(joint) - goal).square() * flown
+        descend(self._optimisers[1], error.sum() / flown.sum(), self.critic)
+        # Each drone's own action is the actor's now; those of the others are what they did.
+        raw = self.actor(seen)
+        own = slice(seen.shape[-1], seen.shape[-1] + self._size)
+        joint = torch.cat([joint[..., : own.start], torch.tanh(raw), joint[..., own.stop :]], -1)
+        gain = (self.critic(joint) - 1e-3 * raw.square().mean(-1, keepdim=True)) * flown
+        descend(self._optimisers[0], -gain.sum() / flown.sum(), self.actor)
+        for target, net in zip(self.targets, (self.actor, self.critic), strict=True):
+            follow(target, net, self.plan.tau)
+
+    def arrays(self) -> dict[str, Array]:
+        """Name the arrays as stable-baselines3 does, with the bounds of the actions."""
+        ones = torch.ones(self._size)
+        named = {f"actor.{name}": part for name, part in self.actor.state_dict().items()}
+        return {**named, LOW: -ones, HIGH: ones}
+
+
+LEARNERS = {"vdn": Vdn, "maddpg": Maddpg}
+
+
+def descend(optimiser: torch.optim.Optimizer, loss: Array, net: nn.Module) -> None:
+    """Take a step down."""
+    optimiser.zero_grad()
+    loss.backward()
+    nn.utils.clip_grad_norm_(net.parameters(), 1.0)
+    optimiser.step()
+
+
+@torch.no_grad()
+def follow(target: nn.Module, net: nn.Module, share: float) -> None:
+    """Move a target towards a network."""
+    for kept, new in zip(target.parameters(), net.parameters(), strict=True):
+        kept.lerp_(new, share)
+
+
+class Replay:
+    """The last decisions of all worlds, a row of each part for each of them."""
+
+    def __init__(self, length: int) -> None:
+        self._length, self._count = length, 0
+        self._parts: list[Array] = []
+
+    def add(self, *parts: Array) -> None:
+        """Keep what was seen, done and told, each (W, N, ...)."""
+        if not self._parts:
+            self._parts = [torch.zeros(self._length, *part.shape) for part in parts]
+        for kept, part in zip(self._parts, parts, strict=True):
+            kept[self._count % self._length] = part
+        self._count += 1
+
+    def sample(self, count: int) -> list[Array]:
+        """Draw decisions of whole worlds; what is seen after each comes last."""
+        # The newest one has nothing after it yet.
+        ages = torch.randint(2, min(self._count, self._length) + 1, (count,))
+        world = torch.randint(self._parts[0].shape[1], (count,))
+        row = (self._count - ages) % self._length
+        chosen = [part[row, world] for part in self._parts]
+        return [*chosen, self._parts[0][(row + 1) % self._length, world]]
+
+
+def train(
+    name: str,
+    plan: Plan,
+    seed: int,
+    folder: Path,
+    look: Callable[[int, Keep], None] = lambda steps, keep: None,
+) -> None:
+    """Train and save; `look` is told how many decisions are flown, and what keeps the policy."""
+    torch.manual_seed(seed)
+    plan = plan._replace(options={"action": LEARNERS[name].action, **plan.options})
+    env = bulletuav.batch_env(plan.task, plan.worlds, **plan.options)
+    each = env.num_envs * env.num_drones
+    shape = (env.num_envs, env.num_drones, *env.action_space.shape)
+    learner = LEARNERS[name](env, plan)
+    write_settings(learner.form, plan, seed, folder)
+    replay, seen = Replay(plan.kept // each), torch.from_numpy(env.reset(seed=seed)[0])
+    for steps in range(each, plan.steps + each, each):
+        is_random = steps < plan.start
+        action = learner.random(seen) if is_random else learner.choose(seen, steps / plan.steps)
+        flown = env.alive
+        # A world that ended starts anew in the next step, which nobody flies.
+        after, reward, ended, _, _ = env.step(action.reshape(shape).numpy())
+        told = np.stack([reward, flown, flown & ~ended], -1)
+        replay.add(seen, action, torch.from_numpy(told))
+        seen = torch.from_numpy(after)
+        for _ in range(0 if is_random else plan.updates):
+            learner.learn(*replay.sample(plan.batch))
+        look(steps, lambda place: save(learner.arrays(), place))
+    env.close()
+    save(learner.arrays(), folder)
+
+
+def save(arrays: dict[str, Array], folder: Path) -> None:
+    """Write the policy as `bulletuav train` does."""
+    folder.mkdir(parents=True, exist_ok=True)
+    save_file({name: part.numpy() for name, part in arrays.items()}, folder / POLICY)
+
+
+def write_settings(form: str, plan: Plan, seed: int, folder: Path) -> None:
+    """Write what the policy sees and how it is built, as `bulletuav train` does."""
+    model = {"features": "swarm", "policy_kwargs": {"net_arch": [64, 64]}}
+    config = RunConfig(plan.task, form, seed, plan.steps, plan.worlds, plan.options, model=model)
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / CONFIG).write_text(config.text())
+
+
+def main() -> None:
+    """Train, and evaluate what was saved."""
+    args = parse_arguments()
+    torch.set_num_threads(1)
+    plan = Plan(args.task, {"dynamics": "point_mass", "weights": WEIGHTS}, steps=args.steps)
+
+    train(args.algorithm, plan, args.seed, args.out)
+    result = bulletuav.evaluate(args.task, args.out, args.episodes, 1000, dynamics="point_mass")
+    for metric in ("drone_success", "conflict", "return"):
+        found = result.estimates()[metric]
+        print(f"{metric} {found.mean:.3f} ({found.low:.3f} to {found.high:.3f})")
+
+
+if __name__ == "__main__":
+    main()
