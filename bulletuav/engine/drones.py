@@ -13,7 +13,6 @@ from bulletuav.engine.bodies import Body, rims
 from bulletuav.engine.calls import bullet
 from bulletuav.engine.silence import silenced
 from bulletuav.geometry.shapes import CYLINDER, Shape
-from bulletuav.geometry.solids import Solids
 from bulletuav.vehicle.airframe import Airframe
 from bulletuav.vehicle.urdf import UrdfFile
 
@@ -120,13 +119,22 @@ def _replace_cylinders(robot: ElementTree.Element, disc: Path) -> None:
 @functools.cache
 def _disc() -> bytes:
     """Return a disc of radius and thickness 1 as a binary STL file, which Bullet reads fastest."""
-    unit = Shape(CYLINDER, (1.0, 1.0, 0.5))
-    corners, triangles = Solids(np.zeros((0, 2, 3)), (rims(unit, ROUND),)).mesh
+    corners = rims(Shape(CYLINDER, (1.0, 1.0, 0.5)), ROUND)
+    # Corners of the lower rim, those after them, and the same on the upper rim
+    low = np.arange(ROUND)
+    after = (low + 1) % ROUND
+    high, beyond = low + ROUND, after + ROUND
+    sides = [(low, after, beyond), (low, beyond, high)]
+    caps = [(0 * low, after, low), (0 * low + ROUND, high, beyond)]
+    triangles = np.concatenate([np.stack(three, axis=1) for three in (*sides, *caps)])
     corner = corners[triangles]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    size = np.linalg.norm(normal, axis=1)
+    # Fans begin and end with triangles of no area
+    has_area = size > 0
     rows = np.zeros(
-        len(corner), [("normal", "<f4", 3), ("corner", "<f4", (3, 3)), ("unused", "<u2")]
+        has_area.sum(), [("normal", "<f4", 3), ("corner", "<f4", (3, 3)), ("unused", "<u2")]
     )
-    rows["normal"] = normal / np.linalg.norm(normal, axis=1, keepdims=True)
-    rows["corner"] = corner
+    rows["normal"] = normal[has_area] / size[has_area, None]
+    rows["corner"] = corner[has_area]
     return bytes(80) + np.uint32(len(rows)).tobytes() + rows.tobytes()
