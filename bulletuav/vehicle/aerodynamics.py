@@ -106,7 +106,7 @@ def ground_effect(height: float, row: ParameterRow) -> float:
     Returns:
         The share of the rotor's thrust that is added.
     """
-    return row.ground_effect_gain * _nearness(1.0 - height / row.ground_effect_reach)
+    return row.ground_effect_gain * _nearness(1.0 - row.ground_effect_fade * height)
 
 
 @func
@@ -172,13 +172,14 @@ def ground_wrench(
         Thrust (N), and torques about the body's x and y axes (N m).
     """
     # In reaches, and what all rotors share left out of the loop: it runs in each stage of RK4
-    scale = 1.0 / row.ground_effect_reach if lifted > 0 else 0.0
-    left = 1.0 - scale * height
+    left = 1.0 - row.ground_effect_fade * height
+    slope_x = row.ground_effect_fade * lean[0]
+    slope_y = row.ground_effect_fade * lean[1]
     lift = lift_x = lift_y = 0.0
     for r in range(lifted):
         x = row.rotor_x[r]
         y = row.rotor_y[r]
-        lower = scale * x * lean[0] + scale * y * lean[1]
+        lower = x * slope_x + y * slope_y
         force = _nearness(left - lower) * (speed[r] * speed[r])
         lift += force
         lift_x += x * force

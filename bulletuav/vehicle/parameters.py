@@ -46,6 +46,7 @@ PARAMETERS = np.dtype(
         ("arm", "f8"),
         ("ground_effect_gain", "f8"),
         ("ground_effect_reach", "f8"),
+        ("ground_effect_fade", "f8"),
         ("wake_share", "f8"),
         ("wake_spread", "f8"),
         ("wake_radius", "f8"),
@@ -87,6 +88,7 @@ class ParameterRow(Protocol):
         arm: Distance of the outermost rotor from the centre of mass, m.
         ground_effect_gain: Share of a rotor's thrust that a surface right below adds; 0 for none.
         ground_effect_reach: Height above which there is no ground effect, m.
+        ground_effect_fade: One over it, 1/m.
         wake_share: Share of the thrust that the wake puts on a drone right below; 0 for none.
         wake_spread: Growth of the wake's width with the distance below.
         wake_radius: Width of the wake at its start, m.
@@ -120,6 +122,7 @@ class ParameterRow(Protocol):
     arm: float
     ground_effect_gain: float
     ground_effect_reach: float
+    ground_effect_fade: float
     wake_share: float
     wake_spread: float
     wake_radius: float
@@ -174,6 +177,7 @@ def parameter_rows(
         for name in _COPIED:
             row[name] = getattr(airframe, name)
         row["num_rotors"] = len(airframe.rotors)
+        row["ground_effect_fade"] = 1.0 / airframe.ground_effect_reach
         row["torque_coefficient"] = airframe.thrust_coefficient * airframe.torque_ratio
         for i, (x, y, turn) in enumerate(airframe.rotors):
             row["rotor_x"][i] = x

@@ -26,6 +26,7 @@ def draw(bench, rng):
     rows = bench.dynamics.flight.parameters.copy()
     for name in ("mass", "inertia", "lag_up", "drag_xy", "ground_effect_reach"):
         rows[name] *= rng.uniform(0.8, 1.2, rows[name].shape)
+    rows["ground_effect_fade"] = 1.0 / rows["ground_effect_reach"]
     swarm.velocity[:] = rng.normal(size=swarm.velocity.shape)
     swarm.rates[:] = rng.normal(size=swarm.rates.shape)
     swarm.quaternion[:] += 0.2 * rng.normal(size=swarm.quaternion.shape)
