@@ -180,11 +180,10 @@ class _Column:
 
     def _takes_together(self, given: tuple[Any, ...]) -> bool:
         """Write values at once where all are plain arrays of the shape; tells whether it did."""
-        drones, width = self._shape
-        if set(map(type, given)) != {np.ndarray} or set(map(len, given)) != {drones}:
+        if set(map(type, given)) != {np.ndarray} or {a.shape for a in given} != {self._shape}:
             return False
-        rows = self._array[: len(given)].reshape(-1, width)
-        try:  # other types are refused, and other widths
+        rows = self._array[: len(given)].reshape(-1, self._shape[1])
+        try:  # other types are refused
             np.concatenate(given, out=rows, casting="no")
         except (TypeError, ValueError):
             return False

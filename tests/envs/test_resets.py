@@ -92,7 +92,10 @@ def test_starts_are_taken_in_whatever_form_they_are_given():
     swift = usual._replace(velocity=2.0, rates=np.array([0.0, 0.0, 1.0]))
     mixed = Spawn(place.astype(np.float32), place.tolist(), velocity=np.ones((2, 3)))
     aside = usual._replace(quaternion=np.tile([1.0, 0.0, 0.0, 0.0], (2, 1)))
-    for starts in ([usual] * 4, [swift], [usual, swift, mixed, aside], [mixed] * 3, [usual] * 2):
+    points = [usual._replace(velocity=np.array(speed)) for speed in (0.5, 0.6)]
+    shared = [usual._replace(velocity=np.full((1, 3), speed)) for speed in (0.5, 0.6)]
+    various = ([usual] * 4, [swift], [usual, swift, mixed, aside], [mixed] * 3, [usual] * 2)
+    for starts in (*various, points[:1], points, shared, [*points, *shared]):
         take(starts)
         for k, start in enumerate(starts):
             for name in ("position", "goal", "velocity", "quaternion", "rates", "goal_velocity"):
