@@ -3,6 +3,7 @@
 import contextlib
 import functools
 import tempfile
+import warnings
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -35,10 +36,16 @@ def drawn_files(airframes: Iterable[Airframe]) -> Iterator[dict[Path, Path]]:
     """
     files = {airframe.urdf: airframe.urdf for airframe in airframes}
     with contextlib.ExitStack() as stack:
-        # Where nothing can be written, drones are loaded as their files say
-        with contextlib.suppress(OSError):
+        try:
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
             files |= _write_drawn(files, folder)
+        except OSError as error:
+            warnings.warn(
+                f"the folder for temporary files ({tempfile.gettempdir()}) cannot be written: "
+                f"{error}: rotors look like cones, and drones take longer to make; "
+                f"set TMPDIR to a folder with room",
+                stacklevel=2,
+            )
         yield files
 
 

@@ -537,6 +537,7 @@ def full_disk():
     resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
+@pytest.mark.filterwarnings("ignore:the folder for temporary files")
 @pytest.mark.parametrize(
     ("room", "command"),
     [

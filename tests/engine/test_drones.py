@@ -1,5 +1,7 @@
 """The files that Bullet loads drones from: rotors are discs of triangles."""
 
+import re
+import tempfile
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
@@ -67,5 +69,6 @@ def test_drones_are_made_where_nothing_can_be_written(monkeypatch):
 
     monkeypatch.setattr("tempfile.mkdtemp", full)
     airframe = load_airframe("cf2x")
-    with drawn_files([airframe]) as files:
+    told = re.escape(f"({tempfile.gettempdir()}) cannot be written: [Errno 28]")
+    with pytest.warns(UserWarning, match=f"{told}.*TMPDIR"), drawn_files([airframe]) as files:
         assert files == {airframe.urdf: airframe.urdf}

@@ -7,6 +7,7 @@ import signal
 import sys
 import tempfile
 import threading
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -201,7 +202,9 @@ def limited(most: int) -> Iterator[None]:
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (most, before[1]))
     try:
-        yield
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "the folder for temporary files")
+            yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
