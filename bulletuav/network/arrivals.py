@@ -75,20 +75,7 @@ class Arrivals:
         self.decision = (float(dt), float(low), float(high))
         self._mean = float(self.cumulative[-1] * dt)
 
-    def draw(self, rng: Sequence[np.random.Generator | None], flying: np.ndarray) -> Tasks:
-        """Draw the tasks of one decision.
-
-        Args:
-            rng: Generator of each of the W worlds; None is possible where a world does not fly.
-            flying: Whether (W,) each world has tasks: an episode is under way. Every such world
-                draws from its own generator.
-        """
-        first = np.zeros(len(flying) + 1, dtype=np.int64)
-        uniform = self.draw_uniform(rng, flying, first, np.empty(0))
-        user, time, bits = spread(first, uniform, self.cumulative, *self.decision)
-        return Tasks(first, user, time, bits)
-
-    def draw_uniform(
+    def draw(
         self,
         rng: Sequence[np.random.Generator | None],
         flying: np.ndarray,
@@ -98,8 +85,9 @@ class Arrivals:
         """Draw the numbers of which `spread` makes the tasks of one decision.
 
         Args:
-            rng: Generator of each world; see `draw`.
-            flying: Whether (W,) each world has tasks.
+            rng: Generator of each of the W worlds; None is possible where a world does not fly.
+            flying: Whether (W,) each world has tasks: an episode is under way. Every such world
+                draws from its own generator.
             first: Bounds (W + 1,) of the worlds' tasks, written.
             room: Array for the numbers, written.
 

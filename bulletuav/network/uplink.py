@@ -10,7 +10,6 @@ from bulletuav.errors import choose, finite
 from bulletuav.functions import hypot
 from bulletuav.geometry.rotation import quat4, to_body
 from bulletuav.kernel import allocating, func
-from bulletuav.network.access import ACCESS, uplink_rates
 from bulletuav.network.antenna import PEAK, gain_towards
 from bulletuav.network.fading import rician_gain
 from bulletuav.network.link import noise_power, ratio
@@ -271,23 +270,3 @@ class Uplink:
             assert generator is not None  # a world that flies has one
             factor = np.where(sight[w], direct, 0.0)
             power[w] *= rician_gain(factor, generator, sight[w].shape)
-
-    def rates(
-        self,
-        power: np.ndarray,
-        servers: np.ndarray,
-        activity: float,
-    ) -> np.ndarray:
-        """Compute the uplink rates of users, see `uplink_rates`.
-
-        Args:
-            power: Received power (W, N, U), W.
-            servers: Drone (W, U) that serves each user, or `NOBODY`.
-            activity: Share of the time in which a user sends.
-
-        Returns:
-            Rates (W, U), bit/s.
-        """
-        config = self.config
-        scheme = ACCESS[config.access]
-        return uplink_rates(power, servers, config.bandwidth, self.noise, scheme, activity)

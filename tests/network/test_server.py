@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bulletuav.network.arrivals import Arrivals, Tasks
+from bulletuav.network.arrivals import Arrivals, Tasks, spread
 from bulletuav.network.queueing import mean_wait, response_exceeds, wait_exceeds
 from bulletuav.network.server import serve
 
@@ -13,8 +13,16 @@ def generators(worlds, seed=0):
     return [np.random.default_rng((seed, w)) for w in range(worlds)]
 
 
+def drawn(arrivals, rngs, flying=None):
+    """The tasks of one decision; all worlds fly unless told."""
+    flying = np.ones(len(rngs), dtype=bool) if flying is None else flying
+    first = np.zeros(len(flying) + 1, dtype=np.int64)
+    uniform = arrivals.draw(rngs, flying, first, np.empty(0))
+    return Tasks(first, *spread(first, uniform, arrivals.cumulative, *arrivals.decision))
+
+
 def draw(worlds, rates, dt, seed=0, bits=(1.0, 3.0)):
-    return Arrivals(rates, dt, bits).draw(generators(worlds, seed), np.ones(worlds, dtype=bool))
+    return drawn(Arrivals(rates, dt, bits), generators(worlds, seed))
 
 
 def world_of(tasks, w):
@@ -206,7 +214,7 @@ def test_work_is_done_once(deadline):
     rngs, results = generators(worlds), []
     for step in range(200):
         flying = np.full(worlds, step < 80)
-        served = server(Arrivals(np.full(12, 0.9), dt, (0.5, 3.0)).draw(rngs, flying), dt)
+        served = server(drawn(Arrivals(np.full(12, 0.9), dt, (0.5, 3.0)), rngs, flying), dt)
         assert (served.completed <= served.arrived).all()
         assert (served.arrived.sum(axis=1) <= served.generated).all()
         assert (served.busy <= cores * dt * (1 + 1e-12)).all()
@@ -247,9 +255,7 @@ def test_exponential_sizes_meet_erlang(cores, arrival_rate, rate):
     late = np.array([1.0, 4.0]) / rate
     waits, missed, results = [], [], []
     for step in range(60):
-        tasks = Arrivals(np.full(users, arrival_rate / users), dt, (1.0, 1.0)).draw(
-            rngs, np.ones(worlds, dtype=bool)
-        )
+        tasks = drawn(Arrivals(np.full(users, arrival_rate / users), dt, (1.0, 1.0)), rngs)
         served = server(tasks._replace(bits=rng.exponential(size=len(tasks.bits))), dt)
         if step < 10:  # it began empty
             continue
@@ -290,7 +296,7 @@ def test_uniform_sizes_meet_pollaczek_and_khinchine(where):
     speeds = {"core": {}, "uplink": {"uplink": 1.0, "frequency": INF}}[where]
     server, rngs, results = Server(worlds=worlds, **speeds), generators(worlds, 3), []
     for _ in range(12):
-        tasks = Arrivals([arrival_rate], 25.0, (low, high)).draw(rngs, np.ones(worlds, dtype=bool))
+        tasks = drawn(Arrivals([arrival_rate], 25.0, (low, high)), rngs)
         results.append(server(tasks, 25.0))
     total = totals(*results[2:])
     wait = (total["latency"] - total["cycles"])[:, 0] / total["completed"].mean()
@@ -316,9 +322,9 @@ def test_arrivals_are_poisson():
 @pytest.mark.parametrize("dt", [0.05, 1.0, 400.0])
 def test_gaps_are_exponential_whatever_the_decision(dt):
     steps = round(400 / dt)
-    rngs, flying, times = generators(4, 2), np.ones(4, dtype=bool), [[], [], [], []]
+    rngs, times = generators(4, 2), [[], [], [], []]
     for step in range(steps):
-        tasks = Arrivals([1.0, 2.0], dt, (1.0, 3.0)).draw(rngs, flying)
+        tasks = drawn(Arrivals([1.0, 2.0], dt, (1.0, 3.0)), rngs)
         for w in range(4):
             times[w].append(world_of(tasks, w).time + step * dt)
     gaps = np.concatenate([np.diff(np.concatenate(one)) for one in times])
@@ -349,17 +355,15 @@ def test_users_of_rate_0_have_no_tasks(number, user):
         def random(self, count):
             return np.full(count, number) if number else np.array([0.5, 0.5, 0, 0, 0.5, 0.5, 0.5])
 
-    tasks = Arrivals([0, 0.1, 0, 0.1, 0], 1.0, (1.0, 1.0)).draw(
-        [Fixed(np.random.PCG64())], np.array([True])
-    )
+    tasks = drawn(Arrivals([0, 0.1, 0, 0.1, 0], 1.0, (1.0, 1.0)), [Fixed(np.random.PCG64())])
     assert tasks.user.tolist() == [user, user]
 
 
 def test_worlds_draw_from_their_own_generators_alone():
     arrivals = Arrivals([9.0, 2.0], 2.0, (1.0, 3.0))
-    as_int = arrivals.draw(generators(4), np.ones(4, dtype=bool))
+    as_int = drawn(arrivals, generators(4))
     rngs = [None, *generators(4)[1:]]
-    some = arrivals.draw(rngs, np.array([False, True, True, False]))
+    some = drawn(arrivals, rngs, np.array([False, True, True, False]))
     assert np.diff(some.first)[[0, 3]].tolist() == [0, 0]
     for w in (1, 2):
         for one, same in zip(world_of(as_int, w), world_of(some, w), strict=True):
@@ -367,7 +371,7 @@ def test_worlds_draw_from_their_own_generators_alone():
             np.testing.assert_array_equal(one, same)
     assert rngs[3].random() == generators(4)[3].random()  # a world that does not fly draws nothing
     assert rngs[2].random() != generators(4)[2].random()
-    assert arrivals.draw([None], np.array([False])).first.tolist() == [0, 0]
+    assert drawn(arrivals, [None], np.array([False])).first.tolist() == [0, 0]
     assert draw(2, [0.0, 0.0], 2.0).first.tolist() == [0, 0, 0]
 
 

@@ -216,7 +216,7 @@ class EdgeTask(UsersTask[EdgeConfigT], Generic[EdgeConfigT]):
         service.receiving.run()
         received = frame.scene.memory["received"]
         self.uplink.fade(received, service.sight, rngs, flying)
-        room = self._arrivals.draw_uniform(rngs, flying, service.first, service.uniform)
+        room = self._arrivals.draw(rngs, flying, service.first, service.uniform)
         if room is not service.uniform:
             service = self._service = self._make_service(frame, service.first, room)
         service.working.run()
