@@ -1,4 +1,4 @@
-"""Rooms import those above them alone, and pybullet is known in three files of the engine."""
+"""Rooms import those above them alone, and one file of the engine imports pybullet."""
 
 import ast
 import graphlib
@@ -41,56 +41,64 @@ EXTRAS = {
 }
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_rooms_import_those_above_them_alone(path):
-    own = rooms.room_of(path)
-    assert own in RANK, f"{own} has no place in the architecture"
-    for module, _ in rooms.imported(path):
-        if module.startswith("bulletuav."):
-            other = module.split(".")[1]
-            allowed = other == own or RANK[other] < RANK[own]
-            assert allowed, f"{path} imports {module}"
+def own(path):
+    return path.relative_to(PACKAGE).as_posix()
 
 
-def test_no_file_imports_itself_by_others():
+@pytest.fixture(scope="module")
+def imports():
+    """(file, module, whether it is imported with the file) of all imports."""
+    return [(path, *one) for path in FILES for one in rooms.imported(path)]
+
+
+def test_rooms_import_those_above_them_alone(imports):
+    assert not {rooms.room_of(path) for path in FILES} - set(RANK), "no place in the architecture"
+    against = []
+    for path, module, _ in imports:
+        here, parts = rooms.room_of(path), module.split(".")
+        is_ours = parts[0] == "bulletuav" and len(parts) > 1 and parts[1] != here
+        if is_ours and RANK[parts[1]] >= RANK[here]:
+            against.append(f"{own(path)} imports {module}")
+    assert not against
+
+
+def test_no_file_imports_itself_by_others(imports):
     edges = {}
-    for path in FILES:
-        parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
-        own = ".".join(part for part in parts if part != "__init__")
-        edges[own] = {
-            module for module, _ in rooms.imported(path) if module.startswith("bulletuav.")
-        }
+    for path, module, _ in imports:
+        if module.startswith("bulletuav."):
+            parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
+            name = ".".join(part for part in parts if part != "__init__")
+            edges.setdefault(name, set()).add(module)
     assert len(list(graphlib.TopologicalSorter(edges).static_order())) > 100
 
 
-def test_tasks_never_import_each_other():
+def test_tasks_never_import_each_other(imports):
     tasks = [path for path in FILES if path.parent.name == "tasks" and path.stem not in PARTS]
     assert [path.stem for path in tasks] == bulletuav.list_tasks()
     names = {f"bulletuav.tasks.{path.stem}" for path in tasks}
-    for path in tasks:
-        assert not names & {module for module, _ in rooms.imported(path)}
+    assert not [own(path) for path, module, _ in imports if path in tasks and module in names]
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_engine_and_extras_stay_in_their_places(path):
-    for module, at_once in rooms.imported(path):
-        root = module.split(".")[0]
-        assert root != "pybullet" or path.relative_to(PACKAGE).as_posix() in (
-            "engine/engine.py",
-            "engine/calls.py",
-            "engine/bodies.py",
-        )
-        assert root not in EXTRAS or not at_once, f"{path} needs the extra {root} to be imported"
+def test_engine_and_extras_stay_in_their_places(imports):
+    engine = {own(path) for path, module, _ in imports if module.split(".")[0] == "pybullet"}
+    assert engine == {"engine/calls.py"}
+    needed = [
+        f"{own(path)} needs the extra {module} to be imported"
+        for path, module, at_once in imports
+        if at_once and module.split(".")[0] in EXTRAS
+    ]
+    assert not needed
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_the_library_does_not_print_and_files_stay_short(path):
-    text = path.read_text()
-    if path.parent.name != "commands":
-        calls = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Call)]
-        assert not [
-            call
-            for call in calls
-            if isinstance(call.func, ast.Name) and call.func.id in ("print", "exit")
-        ]
-    assert text.count("\n") <= 400
+def test_the_library_does_not_print_and_files_stay_short():
+    prints = [
+        f"{own(path)}, line {node.lineno}"
+        for path in FILES
+        if path.parent.name != "commands"
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Call)
+        and isinstance(node.func, ast.Name)
+        and node.func.id in ("print", "exit")
+    ]
+    assert not prints
+    assert not [own(path) for path in FILES if path.read_text().count("\n") > 400]
