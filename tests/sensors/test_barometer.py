@@ -71,11 +71,14 @@ def test_it_measures_pressure_whatever_the_attitude_and_where_it_is():
 
 
 def test_white_noise_has_the_standard_deviation_asked_for():
-    rows = rows_of(exact(shape=(1, 2), noise=np.array([(2.0, 0.5)])), 20000)
-    np.testing.assert_allclose(rows[:, 0].std(axis=0), (2.0, 0.5), rtol=0.03)
-    np.testing.assert_allclose(rows[:, 1].std(axis=0), (2.0 * PASCAL, 0.5 * PASCAL), rtol=0.03)
-    np.testing.assert_allclose(rows[:, 0].mean(axis=0), 101325.0, atol=0.1)
-    assert abs(np.corrcoef(rows[:-1, 0, 0], rows[1:, 0, 0])[0, 1]) < 0.04
+    noise = np.tile((2.0, 0.5), 20)  # of twenty pairs of drones
+    rows = rows_of(exact(shape=(1, 40), noise=noise[None]), 1000).reshape(1000, 2, 20, 2)
+    pressure, height = rows[:, 0], rows[:, 1]
+    np.testing.assert_allclose(pressure.std(axis=(0, 1)), (2.0, 0.5), rtol=0.03)
+    np.testing.assert_allclose(height.std(axis=(0, 1)), (2.0 * PASCAL, 0.5 * PASCAL), rtol=0.03)
+    np.testing.assert_allclose(pressure.mean(axis=(0, 1)), 101325.0, atol=0.1)
+    before, after = pressure[:-1, :, 0].ravel(), pressure[1:, :, 0].ravel()
+    assert abs(np.corrcoef(before, after)[0, 1]) < 0.04
 
 
 @pytest.mark.parametrize("period", [0.1, 0.02])

@@ -83,17 +83,18 @@ def test_a_thrust_along_the_body_is_felt_along_the_body():
 
 @pytest.mark.parametrize("kind", range(2), ids=KINDS)
 def test_white_noise_has_the_standard_deviation_asked_for(kind):
-    imu, count = sensing.sensor_of(Imu, (1, 2), period=0.01), 20000
-    getattr(imu, f"{KINDS[kind]}_noise")[:] = (2.0, 0.5)
-    rows = errors(imu, count)
+    imu, count = sensing.sensor_of(Imu, (1, 40), period=0.01), 20000
+    getattr(imu, f"{KINDS[kind]}_noise")[:] = np.tile((2.0, 0.5), 20)  # of twenty pairs of drones
+    rows = errors(imu, count // 20).reshape(-1, 2, 20, 2, 3).swapaxes(1, 2)
     expected = np.zeros((2, 2, 3))
     expected[kind] = [[2.0] * 3, [0.5] * 3]
     np.testing.assert_allclose(
-        rows.std(axis=0), expected, rtol=5 / math.sqrt(2 * count)
+        rows.std(axis=(0, 1)), expected, rtol=5 / math.sqrt(2 * count)
     )  # five of its standard errors
-    assert (np.abs(rows.mean(axis=0)) <= 5 * expected / math.sqrt(count)).all()
-    columns = rows[:, kind].reshape(count, 6)
-    correlations = np.corrcoef(np.concatenate([columns[:-1], columns[1:]], axis=1).T) - np.eye(12)
+    assert (np.abs(rows.mean(axis=(0, 1))) <= 5 * expected / math.sqrt(count)).all()
+    columns = rows[:, :, kind].reshape(-1, 20, 6)
+    both = np.concatenate([columns[:-1], columns[1:]], axis=-1).reshape(-1, 12)
+    correlations = np.corrcoef(both.T) - np.eye(12)
     assert np.abs(correlations).max() < 5 / math.sqrt(count)
 
 
@@ -114,19 +115,19 @@ def test_biases_walk_with_the_root_of_time_whatever_the_period(kind, period):
 
 
 def test_accelerometer_and_gyroscope_err_apart_from_each_other():
-    imu, count = sensing.sensor_of(Imu), 20000
+    imu, count = sensing.sensor_of(Imu, (1, 20)), 20000
     imu.accelerometer_noise[:] = imu.gyroscope_noise[:] = 1.0
-    rows = errors(imu, count)[:, :, 0]
-    assert np.abs(np.corrcoef(rows[:, 0].T, rows[:, 1].T)[:3, 3:]).max() < 5 / math.sqrt(count)
+    force, rates = errors(imu, count // 20).swapaxes(0, 1).reshape(2, count, 3)
+    assert np.abs(np.corrcoef(force.T, rates.T)[:3, 3:]).max() < 5 / math.sqrt(count)
 
 
 def test_white_noise_and_steps_of_the_bias_are_independent():
-    imu, count = sensing.sensor_of(Imu, period=1.0), 20000
+    imu, count = sensing.sensor_of(Imu, (1, 20), period=1.0), 20000
     imu.accelerometer_noise[:] = imu.gyroscope_noise[:] = 1.0
     imu.accelerometer_walk[:] = imu.gyroscope_walk[:] = 1.0
-    steps = np.diff(errors(imu, count)[:, :, 0], axis=0)
+    steps = np.diff(errors(imu, count // 20), axis=0)
     np.testing.assert_allclose(
-        steps.var(axis=0), 1 + 2, rtol=5 * math.sqrt(22 / 9 / count)
+        steps.var(axis=(0, 2)), 1 + 2, rtol=5 * math.sqrt(22 / 9 / count)
     )  # 2 sum of squared correlations
 
 

@@ -92,13 +92,14 @@ def test_the_field_changes_by_years_as_it_is_foreseen():
 
 
 def test_white_noise_has_the_standard_deviation_asked_for():
-    sensor, rng = compass((1, 2), noise=[(0.3, 2.0)]), np.random.default_rng(0)
-    rows = np.array([felt(sensor=sensor, rngs=[rng])[0] for _ in range(20000)]) - FIELD
-    np.testing.assert_allclose(rows.std(axis=0), [[0.3] * 3, [2.0] * 3], rtol=0.03)
-    np.testing.assert_allclose(rows.mean(axis=0), 0, atol=0.08)
-    columns = rows.reshape(len(rows), 6)
-    assert np.abs(np.corrcoef(columns.T) - np.eye(6)).max() < 0.04
-    assert abs(np.corrcoef(columns[:-1, 0], columns[1:, 0])[0, 1]) < 0.04
+    noise, rng = np.tile((0.3, 2.0), 20), np.random.default_rng(0)  # of twenty pairs of drones
+    sensor = compass((1, 40), noise=[noise])
+    rows = np.array([felt(sensor=sensor, rngs=[rng])[0] for _ in range(1000)]) - FIELD
+    rows = rows.reshape(1000, 20, 6)
+    np.testing.assert_allclose(rows.std(axis=(0, 1)), [0.3] * 3 + [2.0] * 3, rtol=0.03)
+    np.testing.assert_allclose(rows.mean(axis=(0, 1)), 0, atol=0.08)
+    assert np.abs(np.corrcoef(rows.reshape(-1, 6).T) - np.eye(6)).max() < 0.04
+    assert abs(np.corrcoef(rows[:-1, :, 0].ravel(), rows[1:, :, 0].ravel())[0, 1]) < 0.04
 
 
 def test_iron_on_board_turns_with_the_drone_and_is_another_in_each_episode():
