@@ -57,11 +57,12 @@ def start_method(request):
     multiprocessing.set_start_method(usual, force=True)
 
 
-@pytest.mark.parametrize("policy", ["straight", "random"])
 @pytest.mark.parametrize(
-    ("workers", "start_method"), [(2, "fork"), (2, "spawn"), (3, "fork")], indirect=["start_method"]
+    ("workers", "start_method", "policy"),
+    [(2, "fork", "straight"), (2, "spawn", "random"), (3, "fork", "random")],
+    indirect=["start_method"],
 )
-def test_workers_change_no_bit(policy, workers, start_method, tmp_path):
+def test_workers_change_no_bit(workers, start_method, policy, tmp_path):
     options = QUICK | {"dynamics": "bullet", "horizon": 40, "difficulty": "extreme"}
     one = evaluate("converge", policy, 25, out=tmp_path / "one", **options)
     more = evaluate("converge", policy, 25, workers=workers, out=tmp_path / "more", **options)

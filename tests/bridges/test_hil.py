@@ -150,8 +150,8 @@ def start():
 
 
 def test_it_hovers_in_lockstep_twice_to_the_last_bit(start, serve):
-    hashes = set()
-    for delay in (0.0, 0.3):  # the autopilot takes its time to start
+    hashes = []
+    for delay, duration in ((0.0, 12.0), (0.3, 4.0)):  # the autopilot takes its time to start
 
         def late(delay, port):
             time.sleep(delay)
@@ -159,13 +159,16 @@ def test_it_hovers_in_lockstep_twice_to_the_last_bit(start, serve):
 
         server = serve(seed=5)
         start(late, delay, server.ports[0])
-        server.run(12.0)
-        position = server.bodies.airspace.swarm.position[0]
-        np.testing.assert_allclose(position, (0, 0, 2 + IRIS.standing_height), atol=0.25)
-        hashes.add(server.bodies.airspace.state_hash())
-        assert server.bodies.tick == 3000
+        server.run(4.0)
+        hashes.append(server.bodies.airspace.state_hash())
+        assert server.bodies.tick == 1000
+        if duration > 4.0:
+            server.run(duration - 4.0)
+            position = server.bodies.airspace.swarm.position[0]
+            np.testing.assert_allclose(position, (0, 0, 2 + IRIS.standing_height), atol=0.25)
+            assert server.bodies.tick == 3000
         server.close()
-    assert len(hashes) == 1
+    assert hashes[0] == hashes[1]
 
 
 def test_another_seed_gives_another_noise(start, serve):
