@@ -121,7 +121,7 @@ def range_of_shots(make_bench, dynamics, airframe, shots, contacts):
     return bench.place()
 
 
-@pytest.mark.parametrize("shots", [35, pytest.param(1000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("shots", [18, pytest.param(1000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("dynamics", "contacts"), FLIGHTS)
 @pytest.mark.parametrize("airframe", bulletuav.available_airframes())
 def test_no_shot_passes(make_bench, airframe, dynamics, contacts, shots):
