@@ -161,10 +161,15 @@ def raise_first(answers: list[Any]) -> list[Any]:
 
 
 def portable(error: Exception) -> Exception:
-    """Return the error, or one that says the same and can be sent to another process."""
+    """Return the error, or one that says the same and can be sent to another process.
+
+    Within this process that one tells its cause, which does not go along to another.
+    """
     if type(error) in (ValueError, RuntimeError, ImportError):
         return error
-    return RuntimeError(f"{type(error).__name__}: {error}")
+    told = RuntimeError(f"{type(error).__name__}: {error}")
+    told.__cause__ = error
+    return told
 
 
 def _next(pipe: Connection) -> Any:
