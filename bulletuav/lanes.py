@@ -36,8 +36,10 @@ WIDTH = 8
 _STAMP = f"{WIDTH} {stamp_of(__file__)}"
 """Part of the types' names: machine code for them is old when this file is"""
 _NUMBER = ir.DoubleType()
-_VECTOR = ir.VectorType(_NUMBER, WIDTH)
-_BITS = ir.VectorType(ir.IntType(1), WIDTH)
+VECTOR = ir.VectorType(_NUMBER, WIDTH)
+"""Lanes in machine code"""
+BITS = ir.VectorType(ir.IntType(1), WIDTH)
+"""A mask in machine code"""
 _LINE = 8
 """Numbers in a line of a processor's cache"""
 _ALIGNED = 8
@@ -118,8 +120,8 @@ def _model(kind: type, form: Any) -> None:
             super().__init__(manager, one, form)
 
 
-_model(Lanes, _VECTOR)
-_model(Mask, _BITS)
+_model(Lanes, VECTOR)
+_model(Mask, BITS)
 _model(LanesArray, _NUMBER.as_pointer())
 _model(LanesRow, _NUMBER.as_pointer())
 
@@ -127,7 +129,7 @@ _model(LanesRow, _NUMBER.as_pointer())
 @lower_cast(types.Number, Lanes)  # type: ignore[untyped-decorator]
 def _spread(context: Any, builder: Any, kind: Any, _: Any, value: Any) -> Any:
     """Write the same number into all lanes."""
-    nothing = ir.Constant(_VECTOR, ir.Undefined)
+    nothing = ir.Constant(VECTOR, ir.Undefined)
     number = context.cast(builder, value, kind, types.float64)
     first = builder.insert_element(nothing, number, ir.IntType(32)(0))
     order = ir.Constant(ir.VectorType(ir.IntType(32), WIDTH), [0] * WIDTH)
@@ -160,7 +162,7 @@ def _of_lanes(operation: Any, count: int, result: Any, write: Callable[..., Any]
 
 def _intrinsic(name: str) -> Callable[..., Any]:
     """Return what writes a call of a function of LLVM's in each lane."""
-    kind = ir.FunctionType(_VECTOR, [_VECTOR])
+    kind = ir.FunctionType(VECTOR, [VECTOR])
 
     def write(builder: Any, value: Any) -> Any:
         full = f"llvm.{name}.v{WIDTH}f64"
@@ -238,39 +240,6 @@ def is_any(_: Any, condition: Any) -> Any:
 
 
 @intrinsic  # type: ignore[untyped-decorator]
-def gathered(_: Any, array: Any, first: Any, number: Any) -> Any:
-    """Return a number of each of `WIDTH` drones, counted on from world to world.
-
-    Args:
-        array: (W, N, K) K numbers of each drone, or (W, N) one; C order.
-        first: The first drone. The last one of all stands for those that lack behind it.
-        number: Which of the K numbers; 0 of one.
-    """
-    if array.layout != "C" or array.dtype != types.float64:
-        return None
-
-    def generate(context: Any, builder: Any, given: Any, values: Any) -> Any:
-        made = make_array(array)(context, builder, values[0])
-        sizes = cgutils.unpack_tuple(builder, made.shape)
-        drones = builder.mul(sizes[0], sizes[1])
-        stride = sizes[2] if array.ndim == 3 else drones.type(1)
-        place = builder.mul(values[1], stride)
-        vector = ir.Constant(_VECTOR, ir.Undefined)
-        for lane in range(WIDTH):
-            if lane > 0:
-                is_there = builder.icmp_signed(
-                    "<", builder.add(values[1], stride.type(lane)), drones
-                )
-                way = builder.select(is_there, stride, stride.type(0))
-                place = builder.add(place, way)
-            value = builder.load(builder.gep(made.data, [builder.add(place, values[2])]))
-            vector = builder.insert_element(vector, value, ir.IntType(32)(lane))
-        return vector
-
-    return LANES(array, types.intp, types.intp), generate
-
-
-@intrinsic  # type: ignore[untyped-decorator]
 def lanes_of(_: Any, array: Any, first: Any) -> Any:
     """Return an array (numbers, `WIDTH`), or one block of (blocks, numbers, `WIDTH`), as lanes.
 
@@ -310,7 +279,7 @@ def lanes_row(_: Any, rows: Any, packed: Any, block: Any) -> Any:
 
 def _load(builder: Any, place: Any) -> Any:
     """Write the reading of lanes."""
-    loaded = builder.load(builder.bitcast(place, _VECTOR.as_pointer()))
+    loaded = builder.load(builder.bitcast(place, VECTOR.as_pointer()))
     loaded.align = _ALIGNED
     return loaded
 
@@ -393,6 +362,6 @@ def _get(context: Any, builder: Any, given: Any, values: Any) -> Any:
 @lower_builtin(operator.setitem, LanesArray, types.BaseTuple, Lanes)  # type: ignore[untyped-decorator]
 def _set(context: Any, builder: Any, given: Any, values: Any) -> Any:
     """Write lanes."""
-    place = builder.bitcast(_place(context, builder, given, values), _VECTOR.as_pointer())
+    place = builder.bitcast(_place(context, builder, given, values), VECTOR.as_pointer())
     builder.store(values[2], place).align = _ALIGNED
     return context.get_dummy_value()

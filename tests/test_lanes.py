@@ -6,8 +6,9 @@ import math
 import numpy as np
 import pytest
 
+from bulletuav.gather import gathered
 from bulletuav.kernel import func, kernel
-from bulletuav.lanes import WIDTH, gathered, is_any, lanes_of, lanes_row, where
+from bulletuav.lanes import WIDTH, is_any, lanes_of, lanes_row, where
 from bulletuav.vehicle.parameters import PARAMETERS
 
 EDGES = (0.0, -0.0, 1.0, -1.0, math.inf, -math.inf, math.nan, 5e-324, -2e-308, 1e308, 1 / 3)

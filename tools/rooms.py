@@ -16,7 +16,7 @@ PACKAGE = Path(__file__).parents[1] / "bulletuav"
 ROOMS = (
     ("version", "errors", "files", "dispatcher", "forms"),
     ("kernel", "lanes", "registry"),
-    ("functions", "program"),
+    ("functions", "gather", "program"),
     ("geometry", "earth"),
     ("conflict", "vehicle"),
     ("engine", "control"),

@@ -8,8 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.geometry.closest_approach import closest_squared, offset
+from bulletuav.gather import gathered, lane_numbers, scatter, three
+from bulletuav.geometry.closest_approach import closest_squared
+from bulletuav.geometry.rotation import minus, vec3
 from bulletuav.kernel import kernel
+from bulletuav.lanes import WIDTH, is_any, where
 
 
 class Conflict(NamedTuple):
@@ -48,30 +51,38 @@ def fill_conflict(
     nearness: np.ndarray,
 ) -> None:
     """Fill the arrays of a `Conflict`; see `conflict` for the arguments."""
+    num_drones = alive.shape[1]
+    # Farther pairs are outside of the zone, however their squares are rounded
+    far = (1.0 + 1e-9) * zone * zone
     for w in range(alive.shape[0]):
-        # Who flies alone keeps these
-        for i in range(alive.shape[1]):
-            separation[w, i] = np.inf
-            onsets[w, i] = 0
-            nearness[w, i] = 0.0
-        for i in range(alive.shape[1]):
-            for j in range(i + 1, alive.shape[1]):
-                if not (alive[w, i] and alive[w, j]):
+        # Drones in lanes, each with all others of its world
+        for lowest in range(0, num_drones, WIDTH):
+            first = w * num_drones + lowest
+            here = three(before, first)
+            there = three(after, first)
+            # Nothing compares with NaN: who does not fly is near to nobody
+            x = where(gathered(alive, first, 0), here[0], math.nan)
+            itself = lane_numbers() + lowest
+            closest, begun, depths = np.inf, 0.0, 0.0
+            for j in range(num_drones):
+                if not alive[w, j]:
                     continue
-                # How close the pair comes on its way, and at its start.
-                at_start = offset(before, w, i, j)
-                at_end = offset(after, w, i, j)
+                # How close the pair comes on its way, and at its start
+                others = (where(itself != j, x, math.nan), here[1], here[2])
+                at_start = minus(vec3(before, w, j), others)
+                at_end = minus(vec3(after, w, j), there)
                 start_squared, least_squared = closest_squared(at_start, at_end)
-                start = math.sqrt(start_squared)
-                least = math.sqrt(least_squared)
-                # A conflict that lasts began in an earlier decision.
-                began = 1 if least < d_safe <= start else 0
-                depth = min(1.0, max(0.0, (zone - least) / (zone - d_safe)))
-                # Both drones of the pair count it.
-                for k in (i, j):
-                    separation[w, k] = min(separation[w, k], least)
-                    onsets[w, k] += began
-                    nearness[w, k] += depth
+                closest = min(closest, least_squared)
+                if is_any(least_squared < far):
+                    start = math.sqrt(start_squared)
+                    least = math.sqrt(least_squared)
+                    # A conflict that lasts began in an earlier decision
+                    begun += where(least < d_safe, where(d_safe <= start, 1.0, 0.0), 0.0)
+                    depths += min(1.0, max(0.0, (zone - least) / (zone - d_safe)))
+            count = min(num_drones - lowest, WIDTH)
+            scatter(separation, first, count, math.sqrt(closest))
+            scatter(onsets, first, count, begun)
+            scatter(nearness, first, count, depths)
 
 
 def conflict(
@@ -97,5 +108,6 @@ def conflict(
         The separations of each drone.
     """
     result = no_conflict(alive.shape)
-    fill_conflict(before, after, alive, d_safe, zone, *result)
+    places = (np.ascontiguousarray(before), np.ascontiguousarray(after))
+    fill_conflict(*places, np.ascontiguousarray(alive), d_safe, zone, *result)
     return result

@@ -284,13 +284,16 @@ def mark(
         for i in range(collision.shape[1]):
             count = number[w, i]
             collision[w, i] = count > 0
+            resting[w, i] = False
+            impulse[w, i] = 0.0
+            if count == 0:
+                continue
             fast, spin = vec3(velocity, w, i), vec3(rates, w, i)
             calm = math.sqrt(dot(fast, fast)) <= slowest
             calm = calm and math.sqrt(dot(spin, spin)) <= slowest_spin
-            resting[w, i] = count > 0 and calm
+            resting[w, i] = calm
 
             # Several pieces may be of one city, or of one body
-            impulse[w, i] = 0.0
             for k in range(count):
                 one, total = _called(other[w, i, k], names), 0.0
                 for m in range(count):

@@ -11,9 +11,10 @@ import numpy as np
 
 from bulletuav.control.cascade import Cascade
 from bulletuav.dynamics.integration import stepped, turn_rotors
-from bulletuav.dynamics.steering import ALONE, Steering, copy_numbers, remember_lane, steer
+from bulletuav.dynamics.steering import ALONE, Steering, remember_lane, steer
+from bulletuav.gather import copy_numbers, four, gathered, three
 from bulletuav.kernel import func, kernel
-from bulletuav.lanes import WIDTH, gathered, is_any, lanes_of, lanes_row, room, where
+from bulletuav.lanes import WIDTH, is_any, lanes_of, lanes_row, room, where
 from bulletuav.vehicle.aerodynamics import is_near_surface
 from bulletuav.vehicle.swarm import Swarm
 from bulletuav.vehicle.wrench import SMALL_TURN, with_wake
@@ -176,10 +177,10 @@ def fly_block(blocks: Any, first: int, b: int, gravity: float, dt: float) -> Non
     for r in range(row.num_rotors):
         speed[r] = gathered(swarm.rotor_speed, drone, r)
     state = (
-        _three(swarm.position, drone),
-        _four(swarm.quaternion, drone),
-        _three(swarm.velocity, drone),
-        _three(swarm.rates, drone),
+        three(swarm.position, drone),
+        four(swarm.quaternion, drone),
+        three(swarm.velocity, drone),
+        three(swarm.rates, drone),
     )
     # Controllers, which others of the world do not wait for: they do not feel each other's commands
     steered = blocks.steering.level[b] != ALONE
@@ -194,7 +195,7 @@ def fly_block(blocks: Any, first: int, b: int, gravity: float, dt: float) -> Non
     # Surroundings
     near = is_near_surface(state[0][2] - held[3], state[2][2], dt, row)
     wind, force = (held[0], held[1], held[2]), (held[4], held[5], held[6])
-    torque, wake = (held[7], held[8], held[9]), _four(blocks.wake, b * WIDTH)
+    torque, wake = (held[7], held[8], held[9]), four(blocks.wake, b * WIDTH)
     # Who is far from a surface has none
     surface = where(near, held[3], -np.inf)
     around = with_wake(wind, surface, gravity, force, torque, wake)
@@ -224,20 +225,3 @@ def fly_block(blocks: Any, first: int, b: int, gravity: float, dt: float) -> Non
                 swarm.rotor_speed[0, drone + lane, r] = blocks.rotors[0, r, lane]
             if steered:
                 remember_lane(blocks.steering, lane, drone + lane)
-
-
-@func
-def _three(array: np.ndarray, drone: int) -> Any:
-    """Return the first three numbers of the drones from one on."""
-    return gathered(array, drone, 0), gathered(array, drone, 1), gathered(array, drone, 2)
-
-
-@func
-def _four(array: np.ndarray, drone: int) -> Any:
-    """Return the first four numbers of the drones from one on."""
-    return (
-        gathered(array, drone, 0),
-        gathered(array, drone, 1),
-        gathered(array, drone, 2),
-        gathered(array, drone, 3),
-    )

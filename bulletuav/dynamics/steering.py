@@ -8,9 +8,10 @@ from bulletuav.control.cascade import LEE, Cascade, rates_of_motion, turn_by
 from bulletuav.control.lee import nose
 from bulletuav.control.observers import PUSHES, learned
 from bulletuav.control.setpoint import SetpointLevel
+from bulletuav.gather import copy_numbers, gathered
 from bulletuav.geometry.rotation import Quat4, Vec3
 from bulletuav.kernel import func, kernel
-from bulletuav.lanes import WIDTH, gathered, lanes_of, lanes_row, room
+from bulletuav.lanes import WIDTH, lanes_of, lanes_row, room
 from bulletuav.vehicle.rotors import rotor_wrench
 
 ALONE = -1
@@ -69,14 +70,6 @@ class Steering(NamedTuple):
             level=np.full(blocks, ALONE),
             remembered=room(memory.shape[2]),
         )
-
-
-@func
-def copy_numbers(source: np.ndarray, drone: int, packed: np.ndarray, block: int) -> None:
-    """Copy all numbers (W, N, K) of the drones from one on into a block (B, K, `WIDTH`)."""
-    lanes = lanes_of(packed, block)
-    for k in range(source.shape[2]):
-        lanes[k] = gathered(source, drone, k)
 
 
 @func

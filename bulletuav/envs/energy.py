@@ -6,7 +6,9 @@ import numpy as np
 
 from bulletuav.envs.options import EnvOptions
 from bulletuav.envs.rows import add_value
+from bulletuav.gather import pack_numbers, scatter, three
 from bulletuav.kernel import kernel
+from bulletuav.lanes import WIDTH, lanes_row, room
 from bulletuav.program import Program
 from bulletuav.vehicle.battery import (
     Battery,
@@ -65,6 +67,9 @@ class Energy:
         if options.energy == "zeng" and options.gravity > 0:
             wings = [airframe_wing(airframe, options.gravity) for airframe in options.airframe]
             self._wings = np.array([wings] * len(parameters), dtype=ROTARY_WING)
+            # They never change: laid out once, block by block
+            self._packed = room(-(-parameters.size // WIDTH), len(ROTARY_WING))
+            pack_numbers(self._wings.view(float).reshape(*parameters.shape, -1), self._packed)
 
     def add_start(self, program: Program, worlds: np.ndarray) -> None:
         """Add to a program that episodes of worlds (W,) bool begin with full batteries."""
@@ -102,7 +107,7 @@ class Energy:
             program.call(_add_losses, self._parameters, self.power)
         else:
             velocities = (before.velocity, after.velocity, wind)
-            program.call(_fill_propulsion, *velocities, self._wings, self.power)
+            program.call(_fill_propulsion, *velocities, self._wings, self._packed, self.power)
         program.call(_add_payload, payload, flown, self.power)
         battery = self._battery
         program.call(drain, self.power, self._period, flown, battery.energy, battery.charge)
@@ -138,18 +143,30 @@ def _fill_propulsion(
     after: np.ndarray,
     wind: np.ndarray,
     wings: np.ndarray,
+    packed: np.ndarray,
     power: np.ndarray,
 ) -> None:
-    """Write the power (W, N) at the mean of two velocities (W, N, 3) through the air, W."""
-    for w in range(power.shape[0]):
-        for i in range(power.shape[1]):
-            # Airspeed in the middle of the decision
-            velocity = (
-                (before[w, i, 0] + after[w, i, 0]) / 2 - wind[w, i, 0],
-                (before[w, i, 1] + after[w, i, 1]) / 2 - wind[w, i, 1],
-                (before[w, i, 2] + after[w, i, 2]) / 2 - wind[w, i, 2],
-            )
-            power[w, i] = propulsion_power(velocity, wings[w, i])
+    """Write the power (W, N) at the mean of two velocities (W, N, 3) through the air, W.
+
+    Args:
+        before: Velocities before the decision, m/s.
+        after: Velocities after it.
+        wind: Velocity of the air, m/s.
+        wings: (W, N) rows of `ROTARY_WING`.
+        packed: (B, numbers, `WIDTH`) the same, block by block.
+        power: Written.
+    """
+    for b in range(packed.shape[0]):
+        first = b * WIDTH
+        begin, end, air = three(before, first), three(after, first), three(wind, first)
+        # Airspeed in the middle of the decision
+        velocity = (
+            (begin[0] + end[0]) / 2 - air[0],
+            (begin[1] + end[1]) / 2 - air[1],
+            (begin[2] + end[2]) / 2 - air[2],
+        )
+        count = min(power.size - first, WIDTH)
+        scatter(power, first, count, propulsion_power(velocity, lanes_row(wings, packed, b)))
 
 
 @kernel

@@ -235,21 +235,27 @@ def tell(
         energy: Power and charge (W, N).
         rows: The table.
     """
-    # The order is that of `INFOS` in `bulletuav.envs.decisions`
-    collision, resting, impulse = touched
-    conflicts, separation, distance = apart
-    power, charge = energy
+    # Row by row, in the order of `INFOS` in `bulletuav.envs.decisions`: rows may be a power of two
+    # apart, and writing to all of them in turn would then push each other out of the cache
     for w in range(flown.shape[0]):
         for i in range(flown.shape[1]):
             rows[0, w, i] = 1.0 if success[w, i] and flown[w, i] else 0.0
-            rows[1, w, i] = collision[w, i]
-            rows[2, w, i] = resting[w, i]
-            rows[3, w, i] = impulse[w, i]
-            rows[4, w, i] = conflicts[w, i]
-            rows[5, w, i] = separation[w, i]
-            rows[6, w, i] = distance[w, i]
-            rows[7, w, i] = power[w, i]
-            rows[8, w, i] = charge[w, i]
+    _copy(touched[0], rows, 1)
+    _copy(touched[1], rows, 2)
+    _copy(touched[2], rows, 3)
+    _copy(apart[0], rows, 4)
+    _copy(apart[1], rows, 5)
+    _copy(apart[2], rows, 6)
+    _copy(energy[0], rows, 7)
+    _copy(energy[1], rows, 8)
+
+
+@func
+def _copy(given: np.ndarray, rows: np.ndarray, k: int) -> None:
+    """Copy an array (W, N) to row k of a table (K, W, N)."""
+    for w in range(given.shape[0]):
+        for i in range(given.shape[1]):
+            rows[k, w, i] = given[w, i]
 
 
 @func

@@ -6,7 +6,7 @@ import multiprocessing
 import os
 import signal
 import sys
-from multiprocessing.connection import Connection, wait
+from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,8 @@ from bulletuav.envs.shared_infos import SharedInfos
 from bulletuav.envs.vector import BatchAviary
 from bulletuav.tasks import TaskSource
 
+GLANCE = 2.0
+"""Seconds after which a process that is asked nothing looks whether the one that asks is there"""
 Layout = dict[str, tuple[tuple[int, ...], Any]]
 """Shape and NumPy type of each shared array, by name; the first axis is that of worlds"""
 
@@ -161,22 +163,29 @@ def raise_first(answers: list[Any]) -> list[Any]:
 
 
 def portable(error: Exception) -> Exception:
-    """Return the error, or one that says the same and can be sent to another process."""
+    """Return the error, or one that says the same and can be sent to another process.
+
+    Within this process that one tells its cause, which does not go along to another.
+    """
     if type(error) in (ValueError, RuntimeError, ImportError):
         return error
-    return RuntimeError(f"{type(error).__name__}: {error}")
+    told = RuntimeError(f"{type(error).__name__}: {error}")
+    told.__cause__ = error
+    return told
 
 
 def _next(pipe: Connection) -> Any:
     """Wait for the next question; None when the asking process has ended.
 
-    Its end of the pipe may still be open then, in a fork.
+    Its end of the pipe may still be open then, in a fork. So it is looked after now and then:
+    waiting for both at once would take three times as long in each step.
     """
     parent = multiprocessing.parent_process()
     assert parent is not None
-    if pipe not in wait([pipe, parent.sentinel]):
-        return None
     try:
+        while not pipe.poll(GLANCE):
+            if not parent.is_alive():
+                return None
         return pipe.recv()
     except (EOFError, OSError):
         return None

@@ -6,6 +6,7 @@ import numpy as np
 
 from bulletuav.geometry.rotation import Vec3, Vec3Like, dot, minus, vec3
 from bulletuav.kernel import allocating, func, kernel
+from bulletuav.lanes import is_any, where
 
 
 @func
@@ -94,7 +95,7 @@ def least_separation(position: np.ndarray) -> float:
 
 @func
 def closest_squared(gap: Vec3Like, later: Vec3Like) -> tuple[float, float]:
-    """Return how close two points come while both move straight.
+    """Return how close two points come while both move straight; of lanes, too.
 
     Args:
         gap: Offset of the points at the start, m.
@@ -109,7 +110,8 @@ def closest_squared(gap: Vec3Like, later: Vec3Like) -> tuple[float, float]:
     start = dot(gap, gap)
     least = start
     # The squared distance is a parabola in time; its vertex counts where it lies on the way.
-    if along < 0.0:
+    if is_any(along < 0.0):
         time = min(1.0, -along / square)
-        least = max(0.0, start + 2.0 * time * along + time * time * square)
+        vertex = max(0.0, start + 2.0 * time * along + time * time * square)
+        least = where(along < 0.0, vertex, start)
     return start, least

@@ -1,5 +1,6 @@
 """Task `hover`: every drone reaches its own target and holds it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar
 
@@ -8,7 +9,7 @@ import numpy as np
 from bulletuav.geometry.rotation import exponential, point
 from bulletuav.kernel import kernel
 from bulletuav.registry import register
-from bulletuav.tasks.base import Task
+from bulletuav.tasks.base import Rngs, Task
 from bulletuav.tasks.config import TaskConfig
 from bulletuav.tasks.ends import collision, too_far
 from bulletuav.tasks.frame import Spawn, TaskContext
@@ -208,22 +209,43 @@ class Hover(Task[HoverConfig]):
 
     def spawn(self, rng: np.random.Generator) -> Spawn:
         """Draw a start near the targets, disturbed as much as the difficulty says."""
+        return self._draw([rng])[0]
+
+    def spawn_many(self, rngs: Rngs) -> Sequence[Spawn]:
+        """Draw the starts of several worlds, unless one of a task derived from this is its own."""
+        is_own = type(self).spawn is not Hover.spawn
+        return super().spawn_many(rngs) if is_own else self._draw(rngs)
+
+    def _draw(self, rngs: Rngs) -> list[Spawn]:
+        """Draw starts, each from its own generator; what follows from numbers is worked out once.
+
+        In turn: offsets, axes of tilts, tilts, velocities, rates.
+        """
         config = self.config
-        shape = self.target.shape
-        position = self._middle + rng.uniform(-config.start_offset, config.start_offset, shape)
+        drones, shape = len(self.target), (len(rngs), *self.target.shape)
+        offset, axis = np.empty((2, *shape))
+        disturbed = np.empty((len(rngs), 7 * drones))
+        for rng, *rows in zip(rngs, offset, axis, disturbed, strict=True):
+            rng.random(out=rows[0])
+            rng.standard_normal(out=rows[1])
+            rng.random(out=rows[2])
+        position = self._middle + between(offset, config.start_offset)
         # Attitude: a tilt about an axis of any direction.
-        axis = rng.normal(size=shape)
-        axis /= np.linalg.norm(axis, axis=1, keepdims=True)
-        angle = np.radians(config.start_tilt) * rng.uniform(0, 1, (len(axis), 1))
-        quaternion = np.empty((len(axis), 4))
-        _turn(angle * axis, quaternion)
+        axis /= np.linalg.norm(axis, axis=-1, keepdims=True)
+        angle = np.radians(config.start_tilt) * disturbed[:, :drones, None]
+        quaternion = np.empty((*shape[:2], 4))
+        _turn((angle * axis).reshape(-1, 3), quaternion.reshape(-1, 4))
         # Velocity and rates: components up to the limit over sqrt(3), so that norms stay below it.
-        velocity = rng.uniform(-1, 1, shape) / np.sqrt(3) * config.start_speed
-        rates = rng.uniform(-1, 1, shape) / np.sqrt(3) * config.start_rates
-        return Spawn(
-            position=position,
-            goal=self.target.copy(),
-            velocity=velocity,
-            quaternion=quaternion,
-            rates=rates,
-        )
+        motion = between(disturbed[:, drones:].reshape(len(rngs), 2, drones, 3), 1.0) / np.sqrt(3)
+        velocity, rates = motion[:, 0] * config.start_speed, motion[:, 1] * config.start_rates
+        goal = np.broadcast_to(self.target, shape).copy()
+        parts = zip(position, goal, velocity, quaternion, rates, strict=True)
+        return [
+            Spawn(position=one, goal=two, velocity=three, quaternion=four, rates=five)
+            for one, two, three, four, five in parts
+        ]
+
+
+def between(share: np.ndarray, limit: float) -> np.ndarray:
+    """Turn numbers from 0 to 1 into numbers between limits to either side, as NumPy draws them."""
+    return -limit + (limit - -limit) * share

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from bulletuav.errors import finite
-from bulletuav.functions import hypot
 from bulletuav.geometry.rotation import Vec3Like, vec3
 from bulletuav.kernel import allocating, func, kernel
+from bulletuav.lanes import is_any, where
 from bulletuav.vehicle.airframe import DENSITY, STANDARD_GRAVITY, Airframe
 
 # Airframes do not tell the following numbers. They get those of Zeng, Xu and Zhang (our choice).
@@ -173,12 +173,13 @@ def level_power(speed: float, wing: RotaryWing) -> tuple[float, float, float]:
         Blade, induced and parasite power, W.
     """
     tip = speed / wing.tip_speed
-    x = 0.5 * (speed / wing.induced_velocity) ** 2
+    ratio = speed / wing.induced_velocity
+    x = 0.5 * (ratio * ratio)
     parasite_area = wing.drag_ratio * wing.solidity * wing.disc_area
     return (
         wing.blade * (1.0 + 3.0 * tip * tip),
         wing.induced / math.sqrt(math.sqrt(1.0 + x * x) + x),
-        0.5 * parasite_area * wing.density * speed**3,
+        0.5 * parasite_area * wing.density * (speed * speed * speed),
     )
 
 
@@ -197,14 +198,16 @@ def axial_inflow(x: float) -> float:
         The inflow, in induced velocities of hover.
     """
     # Climb.
-    if x >= 0.0:
-        return 0.5 * x + math.sqrt(0.25 * x * x + 1.0)
-    # Vortex ring: climb rate plus the fit of the induced velocity.
-    ring = x + (1.0 + x * (-1.125 + x * (-1.372 + x * (-1.718 - 0.655 * x))))
-    if x > -2.0:
-        return ring
-    # Windmill brake, from where it exceeds the fit.
-    return max(ring, 0.5 * x - math.sqrt(0.25 * x * x - 1.0))
+    inflow = 0.5 * x + math.sqrt(0.25 * x * x + 1.0)
+    if is_any(x < 0.0):
+        # Vortex ring: climb rate plus the fit of the induced velocity.
+        ring = x + (1.0 + x * (-1.125 + x * (-1.372 + x * (-1.718 - 0.655 * x))))
+        inflow = where(x < 0.0, ring, inflow)
+        if is_any(x <= -2.0):
+            # Windmill brake, from where it exceeds the fit.
+            brake = max(ring, 0.5 * x - math.sqrt(abs(0.25 * x * x - 1.0)))
+            inflow = where(x <= -2.0, brake, inflow)
+    return inflow
 
 
 @func
@@ -225,6 +228,8 @@ def vertical_power(climb: float, wing: RotaryWing) -> float:
 def propulsion_power(velocity: Vec3Like, wing: RotaryWing) -> float:
     """Return the power at a velocity: that of level flight and climb, with electrical losses.
 
+    Of lanes of velocities, too, as all that it calls.
+
     The shafts take at least the power of the blades in hover. Rotors turn in descent too, and none
     of the power that the air gives back is stored (our choice).
 
@@ -235,7 +240,8 @@ def propulsion_power(velocity: Vec3Like, wing: RotaryWing) -> float:
     Returns:
         The power, W.
     """
-    blade, induced, parasite = level_power(hypot(velocity[0], velocity[1]), wing)
+    level = math.sqrt(velocity[0] * velocity[0] + velocity[1] * velocity[1])
+    blade, induced, parasite = level_power(level, wing)
     shafts = max(blade + induced + parasite + vertical_power(velocity[2], wing), wing.blade)
     return shafts / wing.efficiency + wing.electronics
 

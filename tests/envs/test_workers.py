@@ -111,9 +111,14 @@ def test_an_error_in_one_part_is_told_and_no_answer_taken_for_another(worlds):
         "hover", 3, workers=2, action="velocity", wind=wind, start_method="fork"
     )
     env.reset(seed=0)
-    with pytest.raises(RuntimeError, match="OddError: blown away"):  # noqa: PT012, it comes at some step
+    said = "OddError: blown away"
+    with pytest.raises(RuntimeError, match=said) as raised:  # noqa: PT012, it comes at some step
         for _ in range(20):
             env.step(np.zeros((3, 1, 3)))
+    # Of this process it is told where it comes from
+    cause = raised.value.__cause__
+    assert isinstance(cause, OddError) == (worlds == 1)
+    assert worlds == 2 or cause.__traceback__ is not None
     fresh = bulletuav.batch_env("hover", 3, action="velocity")
     np.testing.assert_array_equal(env.reset(seed=4)[0], fresh.reset(seed=4)[0])
     np.testing.assert_array_equal(

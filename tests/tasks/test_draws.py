@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 
+import bulletuav
+from bulletuav.geometry.rotation import exponential
 from bulletuav.kernel import kernel
 from bulletuav.tasks.families.draws import source_of, uniform
 from bulletuav.tasks.families.headings import directions, draw_velocities
+from bulletuav.tasks.hover import Hover
 
 
 @kernel
@@ -38,3 +41,43 @@ def test_velocities_are_drawn_along_ways_with_speeds_of_numpy():
     speed = theirs.uniform(2.0, 5.0, (3, 1))
     np.testing.assert_array_equal(velocity, directions(ways) * speed)
     assert ours.random() == theirs.random()
+
+
+def by_numpy(hover, rng):
+    """Draw a start of `hover` by NumPy's own distributions."""
+    config, shape = hover.config, hover.target.shape
+    offset = rng.uniform(-config.start_offset, config.start_offset, shape)
+    axis = rng.normal(size=shape)
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    turn = np.radians(config.start_tilt) * rng.uniform(0, 1, (len(axis), 1)) * axis
+    scales = (config.start_speed, config.start_rates)
+    motion = [rng.uniform(-1, 1, shape) / np.sqrt(3) * scale for scale in scales]
+    quaternion = np.array([exponential(one) for one in turn])
+    return hover.target + offset, hover.target, motion[0], quaternion, motion[1]
+
+
+@pytest.mark.parametrize("difficulty", ["easy", "extreme"])
+@pytest.mark.parametrize("drones", [1, 5])
+def test_starts_of_worlds_that_are_drawn_together_are_those_of_numpy(difficulty, drones):
+    options = {"num_drones": drones, "difficulty": difficulty}
+    hover = bulletuav.Aviary("hover", 3, **options).task
+    ours, theirs = ([np.random.default_rng(k) for k in range(3)] for _ in range(2))
+    for spawn, rng in zip(hover.spawn_many(ours), theirs, strict=True):
+        for got, expected in zip(spawn[:5], by_numpy(hover, rng), strict=True):
+            np.testing.assert_array_equal(got, expected)
+    assert [rng.random() for rng in ours] == [rng.random() for rng in theirs]
+
+
+class Moving(Hover):
+    """Starts that move."""
+
+    name = "moving"
+
+    def spawn(self, rng):
+        return super().spawn(rng)._replace(velocity=np.full(self.target.shape, 0.25))
+
+
+def test_a_task_with_starts_of_its_own_gives_them_for_many_worlds_too():
+    task = bulletuav.Aviary(Moving, 2).task
+    for spawn in task.spawn_many([np.random.default_rng(k) for k in range(2)]):
+        assert (spawn.velocity == 0.25).all()

@@ -1,0 +1,113 @@
+"""Arrays of drones to lanes and back: numbers of `WIDTH` drones, counted on from world to world."""
+
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+from numba.np.arrayobj import make_array
+
+from bulletuav.kernel import func, kernel
+from bulletuav.lanes import BITS, LANES, MASK, VECTOR, WIDTH, lanes_of
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def gathered(_: Any, array: Any, first: Any, number: Any) -> Any:
+    """Return a number of each of `WIDTH` drones, counted on from world to world.
+
+    Args:
+        array: (W, N, K) K numbers of each drone, or (W, N) one; C order. Of bools a condition.
+        first: The first drone. The last one of all stands for those that lack behind it.
+        number: Which of the K numbers; 0 of one.
+    """
+    if array.layout != "C" or array.dtype not in (types.float64, types.boolean):
+        return None
+    is_bool = array.dtype == types.boolean
+
+    def generate(context: Any, builder: Any, given: Any, values: Any) -> Any:
+        made = make_array(array)(context, builder, values[0])
+        sizes = cgutils.unpack_tuple(builder, made.shape)
+        drones = builder.mul(sizes[0], sizes[1])
+        stride = sizes[2] if array.ndim == 3 else drones.type(1)
+        place = builder.mul(values[1], stride)
+        vector = ir.Constant(BITS if is_bool else VECTOR, ir.Undefined)
+        for lane in range(WIDTH):
+            if lane > 0:
+                is_there = builder.icmp_signed(
+                    "<", builder.add(values[1], stride.type(lane)), drones
+                )
+                way = builder.select(is_there, stride, stride.type(0))
+                place = builder.add(place, way)
+            value = builder.load(builder.gep(made.data, [builder.add(place, values[2])]))
+            if is_bool:
+                value = builder.trunc(value, ir.IntType(1))
+            vector = builder.insert_element(vector, value, ir.IntType(32)(lane))
+        return vector
+
+    return (MASK if is_bool else LANES)(array, types.intp, types.intp), generate
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def scatter(_: Any, array: Any, first: Any, count: Any, value: Any) -> Any:
+    """Write a number of each of the first drones of a block.
+
+    Args:
+        array: (W, N) numbers, of which whole ones are cut; C order.
+        first: The first drone, counted on from world to world.
+        count: How many drones, at most `WIDTH`.
+        value: Lanes with their numbers.
+    """
+    if array.layout != "C":
+        return None
+
+    def generate(context: Any, builder: Any, _: Any, values: Any) -> Any:
+        made = make_array(array)(context, builder, values[0])
+        for lane in range(WIDTH):
+            with builder.if_then(builder.icmp_signed(">", values[2], values[2].type(lane))):
+                number = builder.extract_element(values[3], ir.IntType(32)(lane))
+                place = builder.add(values[1], values[1].type(lane))
+                number = context.cast(builder, number, types.float64, array.dtype)
+                builder.store(number, builder.gep(made.data, [place]))
+        return context.get_dummy_value()
+
+    return types.none(array, types.intp, types.intp, LANES), generate
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def lane_numbers(_: Any) -> Any:
+    """Return the number of each lane: 0, 1, 2, ..."""
+    return LANES(), lambda *_: ir.Constant(VECTOR, [float(lane) for lane in range(WIDTH)])
+
+
+@func
+def three(array: np.ndarray, first: int) -> Any:
+    """Return the first three numbers of the drones from one on, of an array as of `gathered`."""
+    return gathered(array, first, 0), gathered(array, first, 1), gathered(array, first, 2)
+
+
+@func
+def four(array: np.ndarray, first: int) -> Any:
+    """Return the first four numbers of the drones from one on."""
+    return (
+        gathered(array, first, 0),
+        gathered(array, first, 1),
+        gathered(array, first, 2),
+        gathered(array, first, 3),
+    )
+
+
+@func
+def copy_numbers(source: np.ndarray, drone: int, packed: np.ndarray, block: int) -> None:
+    """Copy all numbers (W, N, K) of the drones from one on into a block (B, K, `WIDTH`)."""
+    lanes = lanes_of(packed, block)
+    for k in range(source.shape[2]):
+        lanes[k] = gathered(source, drone, k)
+
+
+@kernel
+def pack_numbers(source: np.ndarray, packed: np.ndarray) -> None:
+    """Copy the numbers (W, N, K) of all drones into blocks (B, K, `WIDTH`)."""
+    for b in range(packed.shape[0]):
+        copy_numbers(source, b * WIDTH, packed, b)
