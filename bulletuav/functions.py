@@ -10,8 +10,14 @@ Functions (1980), and Taylor series of what is left.
 """
 
 import math
+from typing import Any
 
-from bulletuav.kernel import elementwise, func, two_to
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+from bulletuav.kernel import elementwise, func
+from bulletuav.lanes import LANES, WIDTH
 
 PI = math.pi
 LN2 = 0.6931471805599453
@@ -29,6 +35,25 @@ FAR = 1e5
 """Angle up to which whole right angles are taken off without an error, rad"""
 
 
+@intrinsic  # type: ignore[untyped-decorator]
+def two_to(_: Any, exponent: Any) -> Any:
+    """Return 2 to the power of a whole number from -1022 to 1023, put together of its bits.
+
+    In lanes, too, whose whole numbers are floats. `math.ldexp` does the same by a call of the C
+    library, which takes longer than all of `exp`.
+    """
+
+    def generate(_: Any, builder: Any, __: Any, values: Any) -> Any:
+        if exponent != LANES:
+            biased = builder.add(values[0], ir.IntType(64)(1023))
+            return builder.bitcast(builder.shl(biased, ir.IntType(64)(52)), ir.DoubleType())
+        words = ir.VectorType(ir.IntType(64), WIDTH)
+        biased = builder.add(builder.fptosi(values[0], words), words([1023] * WIDTH))
+        return builder.bitcast(builder.shl(biased, words([52] * WIDTH)), values[0].type)
+
+    return (LANES(LANES) if exponent == LANES else types.float64(types.int64)), generate
+
+
 @elementwise
 def exp(x: float) -> float:
     """Return e to the power of x."""
@@ -38,6 +63,12 @@ def exp(x: float) -> float:
         return math.inf
     if x < SMALLEST:
         return 0.0
+    return moderate_exp(x)
+
+
+@func
+def moderate_exp(x: float) -> float:
+    """Return e to the power of x, from -700 to 700, of a number or in each lane."""
     # x = k ln 2 + r, with |r| below 0.35
     k = math.floor(x / LN2 + 0.5)
     high = x - k * LN2_HIGH
@@ -52,7 +83,7 @@ def exp(x: float) -> float:
     series = ((series * r + 1.0 / 24.0) * r + 1.0 / 6.0) * r + 0.5
     value = 1.0 + (r + (rest + r * r * series))
     # In two steps, so that results below 1e-308 are rounded once
-    half = k // 2
+    half = math.floor(0.5 * k)
     scaled: float = value * two_to(half) * two_to(k - half)
     return scaled
 

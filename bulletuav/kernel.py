@@ -18,7 +18,6 @@ from typing import Any, TypeVar, cast, overload
 
 import numba
 import numpy as np
-from llvmlite import ir
 from numba.core import cgutils
 from numba.core.registry import cpu_target
 from numba.core.typing.templates import AttributeTemplate
@@ -309,26 +308,6 @@ def in_memory(_: Any, value: Any) -> Any:
         return builder.bitcast(place, cgutils.voidptr_t)
 
     return InMemory(value)(value), generate
-
-
-@numba.extending.intrinsic  # type: ignore[untyped-decorator]
-def two_to(_: Any, exponent: Any) -> Any:
-    """Return 2 to the power of a whole number from -1022 to 1023, put together of its bits.
-
-    `math.ldexp` does the same by a call of the C library, which takes longer than all of `exp`.
-    """
-
-    def generate(
-        _: Any,
-        builder: Any,
-        __: Any,
-        arguments: Any,
-    ) -> Any:
-        whole = ir.IntType(64)
-        biased = builder.add(arguments[0], whole(1023))
-        return builder.bitcast(builder.shl(biased, whole(52)), ir.DoubleType())
-
-    return numba.types.float64(numba.types.int64), generate
 
 
 def _compiled(function: Function, **options: bool) -> Function:

@@ -203,6 +203,7 @@ for _name, _sign in (
 _of_lanes(operator.neg, 1, LANES, lambda builder, value: builder.fneg(value))
 _of_lanes(abs, 1, LANES, _intrinsic("fabs"))
 _of_lanes(math.sqrt, 1, LANES, _intrinsic("sqrt"))
+_of_lanes(math.floor, 1, LANES, _intrinsic("floor"))
 # As in Python, also of NaN: max(a, b) is b where b > a
 _of_lanes(max, 2, LANES, _second_if(">"))
 _of_lanes(min, 2, LANES, _second_if("<"))

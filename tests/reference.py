@@ -37,6 +37,7 @@ class Reference:
         self.rotor_inertia = airframe.rotor_inertia if lag and rotor_inertia else 0.0
         self.x, self.y, self.turn = np.array(airframe.rotors).T
         self.J = np.diag(airframe.inertia)
+        self.push, self.twist = np.zeros(3), np.zeros(3)
 
     def speeds(self, initial, t):
         """Rotor speeds t seconds after the command, closed form."""
@@ -73,7 +74,19 @@ class Reference:
             force += R @ (of_rotors + of_body)
             sideways = of_rotors * (1, 1, 0)
             torque += np.cross([0, 0, a.drag_height], sideways)
-        return force, torque
+        return force + self.push, torque + self.twist
+
+    def blow_on(self, other, way, speeds, quaternion):
+        """Let the wake push and tip another drone (m away, z negative) until it is told anew."""
+        a = self.a
+        square = a.arm**2 + (0.1 * way[2]) ** 2
+        thrust = a.thrust_coefficient * np.sum(np.square(speeds))
+        push = 0.32 * thrust * a.arm / np.sqrt(square) * np.exp(-(way[:2] @ way[:2]) / 2 / square)
+        tip = other.a.arm**2 * push / square
+        other.push = np.array([0, 0, -push])
+        # The side under the upper drone goes down
+        about = np.array([tip * way[1], -tip * way[0], 0])
+        other.twist = Rotation.from_quat(quaternion).inv().apply(about)
 
     def rates_slope(self, rates, torque, speeds):
         """Euler's equation, with the damping by the rotors and their angular momentum."""

@@ -6,13 +6,14 @@ import math
 import numpy as np
 import pytest
 
+from bulletuav.functions import exp, moderate_exp, two_to
 from bulletuav.gather import gathered
 from bulletuav.kernel import func, kernel
 from bulletuav.lanes import WIDTH, is_any, lanes_of, lanes_row, where
 from bulletuav.vehicle.parameters import PARAMETERS
 
 EDGES = (0.0, -0.0, 1.0, -1.0, math.inf, -math.inf, math.nan, 5e-324, -2e-308, 1e308, 1 / 3)
-NUMBERS = 20
+NUMBERS = 21
 
 
 @func
@@ -44,6 +45,7 @@ def formulas(a, b, out):
     out[17] = max(0.0, b)
     out[18] = 1.0 / (1 + b)
     out[19] = math.sqrt(a) if is_any(a > math.inf) else a
+    out[20] = 0.0 + math.floor(where(abs(a) < 1e9, a, 0.5))
 
 
 @kernel
@@ -80,6 +82,24 @@ def test_lanes_have_the_bits_of_floats():
     np.testing.assert_array_equal(
         together[count:], np.tile(together[count - 1], (len(together) - count, 1))
     )
+
+
+@kernel
+def powers(given, out):
+    for b in range(out.shape[0]):
+        x, lanes = gathered(given, b * WIDTH, 0), lanes_of(out, b)
+        lanes[0] = moderate_exp(x)
+        lanes[1] = two_to(math.floor(x))
+
+
+def test_powers_of_lanes_have_the_bits_of_floats():
+    """`exp`, and powers of two, which are exact."""
+    rng = np.random.default_rng(2)
+    few = np.concatenate([rng.uniform(-700, 700, 4000), rng.uniform(-2, 2, 3990), np.arange(10.0)])
+    out = np.zeros((1000, 2, WIDTH))
+    powers(few[None], out)
+    assert out[:, 0].ravel().tobytes() == exp(few).tobytes()
+    np.testing.assert_array_equal(out[:, 1].ravel(), np.ldexp(1.0, np.floor(few).astype(int)))
 
 
 @kernel

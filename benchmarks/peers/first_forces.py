@@ -16,7 +16,6 @@ from bulletuav.kernel import func, kernel
 from bulletuav.lanes import where
 from bulletuav.vehicle.parameters import ParameterRow
 from bulletuav.vehicle.rotors import Rotors
-from bulletuav.vehicle.swarm import Swarm
 from bulletuav.vehicle.wrench import Around
 
 EFFECTS = ("lag", "drag", "ground_effect", "downwash")
@@ -102,9 +101,16 @@ def downwash(horizontal_squared: float, drop: float, row: ParameterRow) -> float
 
 
 @kernel
-def wakes(w: int, swarm: Swarm, alive: np.ndarray, parameters: np.ndarray, wake: np.ndarray):
-    """Sum the downwash of all living drones of a world on each of them."""
-    position = swarm.position
+def sum_wakes(swarm, alive, parameters, first: int, last: int, listed: bool, leeway: float, wakes):
+    """Sum the downwash of all living drones of some worlds on each of them."""
+    position, felt = swarm.position, wakes.felt
+    for w in range(first, last):
+        _sum_wakes(w, position, alive, parameters, felt[w - first])
+
+
+@func
+def _sum_wakes(w: int, position, alive: np.ndarray, parameters: np.ndarray, wake: np.ndarray):
+    """Sum the downwash of a world."""
     lowest = np.inf
     highest = -np.inf
     widest = WAKE_RADIUS
@@ -131,5 +137,5 @@ def wakes(w: int, swarm: Swarm, alive: np.ndarray, parameters: np.ndarray, wake:
 def install() -> None:
     """Let flights that are compiled from now on feel these forces."""
     for flight in (base, integration, blocks, rigid_body, drive):
-        for law in (rotor_wrench, wrench, body_acceleration, with_wake, wakes):
+        for law in (rotor_wrench, wrench, body_acceleration, with_wake, sum_wakes):
             setattr(flight, law.__name__, law)

@@ -17,6 +17,7 @@ from bulletuav.kernel import func, kernel
 from bulletuav.lanes import WIDTH, is_any, lanes_of, lanes_row, room, where
 from bulletuav.vehicle.aerodynamics import is_near_surface
 from bulletuav.vehicle.swarm import Swarm
+from bulletuav.vehicle.wakes import Wakes
 from bulletuav.vehicle.wrench import SMALL_TURN, with_wake
 
 DRONES = 4 * WIDTH
@@ -41,7 +42,7 @@ class Blocks(NamedTuple):
         flown: (B,) bool, whether drones of a block are moved together.
         alike: (B,) bool, whether all drones of a block have as many rotors.
         together: (D,) bool, whether a drone is moved with others of its block.
-        wake: (G, N, 4) wakes.
+        wakes: What drones of the group feel of each other.
         command: (G, N, R) commanded rotor speeds, rad/s.
         rotors: (5, R, `WIDTH`) speeds and commands of a block, and its speeds in a substep.
         alone: (3, R) the same speeds of one drone.
@@ -59,7 +60,7 @@ class Blocks(NamedTuple):
     flown: np.ndarray
     alike: np.ndarray
     together: np.ndarray
-    wake: np.ndarray
+    wakes: Wakes
     command: np.ndarray
     rotors: np.ndarray
     alone: np.ndarray
@@ -91,7 +92,7 @@ class Blocks(NamedTuple):
             flown=np.zeros(blocks, dtype=bool),
             alike=np.zeros(blocks, dtype=bool),
             together=np.zeros(blocks * WIDTH, dtype=bool),
-            wake=np.zeros((worlds, num_drones, 4)),
+            wakes=Wakes.of(worlds, num_drones),
             command=np.zeros((worlds, num_drones, num_rotors)),
             rotors=room(5, num_rotors),
             alone=np.zeros((3, num_rotors)),
@@ -195,7 +196,7 @@ def fly_block(blocks: Any, first: int, b: int, gravity: float, dt: float) -> Non
     # Surroundings
     near = is_near_surface(state[0][2] - held[3], state[2][2], dt, row)
     wind, force = (held[0], held[1], held[2]), (held[4], held[5], held[6])
-    torque, wake = (held[7], held[8], held[9]), four(blocks.wake, b * WIDTH)
+    torque, wake = (held[7], held[8], held[9]), four(blocks.wakes.felt, b * WIDTH)
     # Who is far from a surface has none
     surface = where(near, held[3], -np.inf)
     around = with_wake(wind, surface, gravity, force, torque, wake)

@@ -28,6 +28,7 @@ from bulletuav.program import Program
 from bulletuav.registry import register
 from bulletuav.vehicle.airframe import MAX_ROTORS
 from bulletuav.vehicle.swarm import Contacts, Swarm
+from bulletuav.vehicle.wakes import Wakes
 
 
 @kernel
@@ -89,7 +90,7 @@ def advance(
     force: np.ndarray,
     torque: np.ndarray,
     room: np.ndarray,
-    wake: np.ndarray,
+    wakes: Wakes,
     contact: Contact,
     driven: np.ndarray,
     flying: np.ndarray,
@@ -111,7 +112,7 @@ def advance(
         force: (W, N, 3) room for forces, N.
         torque: (W, N, 3) room for torques, N m.
         room: Room for `drive`.
-        wake: (N, 4) room for wakes.
+        wakes: Room for the wakes of all worlds.
         contact: What contacts need.
         driven: (W, N) bool, room for those whose rotors turn.
         flying: (W, N) bool, room for those whom the engine moves.
@@ -138,7 +139,7 @@ def advance(
             force,
             torque,
             room,
-            wake,
+            wakes,
         )
         choose_flying(alive, parameters, force, torque, swarm, dt, contact, flying)
         substep(port, force, torque, flying, swarm)
@@ -166,7 +167,7 @@ class BulletDynamics(Dynamics):
         self._force, self._torque = np.zeros((2, *flight.parameters.shape, 3))
         self._driven, self._flying = np.zeros((2, *flight.parameters.shape), dtype=bool)
         self._room = np.zeros((2, MAX_ROTORS))
-        self._wake = np.zeros((flight.parameters.shape[1], 4))
+        self._wakes = Wakes.of(*flight.parameters.shape)
         self._in_engine = Contacts.none()
 
     def _add_start(
@@ -263,7 +264,7 @@ class BulletDynamics(Dynamics):
             force=self._force,
             torque=self._torque,
             room=self._room,
-            wake=self._wake,
+            wakes=self._wakes,
         )
 
     def _advance_once(self, inputs: "_Inputs") -> None:
@@ -324,4 +325,4 @@ class _Inputs(NamedTuple):
     force: np.ndarray
     torque: np.ndarray
     room: np.ndarray
-    wake: np.ndarray
+    wakes: Wakes

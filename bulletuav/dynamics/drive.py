@@ -5,11 +5,11 @@ import numpy as np
 from bulletuav.control.cascade import Cascade, command_rotors
 from bulletuav.dynamics.base import Air, surroundings
 from bulletuav.geometry.rotation import Vec3, cross, plus, quat4, vec3
-from bulletuav.kernel import borrowed, func, kernel
+from bulletuav.kernel import borrowed, func, in_memory, kernel
 from bulletuav.vehicle.aerodynamics import lifted_rotors
 from bulletuav.vehicle.rotors import lag_decay, lagged, rotor_wrench
 from bulletuav.vehicle.swarm import Swarm
-from bulletuav.vehicle.wake import wakes
+from bulletuav.vehicle.wakes import Wakes, sum_wakes
 from bulletuav.vehicle.wrench import SMALL_TURN, rate_slopes, spin_parts, wrench
 
 
@@ -80,7 +80,7 @@ def drive(
     force: np.ndarray,
     torque: np.ndarray,
     room: np.ndarray,
-    wake: np.ndarray,
+    wakes: Wakes,
 ) -> None:
     """Run controllers and rotors of one substep, and fill in the wrenches for the engine.
 
@@ -96,13 +96,14 @@ def drive(
         force: (W, N, 3) forces to be written, world axes, N.
         torque: (W, N, 3) torques to be written, body axes, N m.
         room: (2, `MAX_ROTORS`) room for commands and rotor speeds.
-        wake: (N, 4) room for wakes.
+        wakes: Room for the wakes of all worlds.
     """
-    swarm, cascade, air, room, wake = borrowed((swarm, cascade, air, room, wake))
+    swarm, cascade, air, room = borrowed((swarm, cascade, air, room))
+    wakes = in_memory(wakes)
     command, speed = room[0], room[1]
+    # Downwash of all on all
+    sum_wakes(in_memory(swarm), alive, parameters, 0, alive.shape[0], False, 0.0, wakes)
     for w in range(alive.shape[0]):
-        # Downwash of all on all
-        wakes(w, swarm, alive, parameters, wake)
         for i in range(alive.shape[1]):
             if alive[w, i]:
                 # Controllers, then the lag of the rotors
@@ -121,7 +122,7 @@ def drive(
                         winding += row.rotor_turn[rotor] * (after - now) / dt
 
                 # Wrench at the state before the substep with the rotor speeds after it
-                around = surroundings(air, w, i, wake)
+                around = surroundings(air, w, i, wakes.felt[w])
                 quaternion = quat4(swarm.quaternion, w, i)
                 velocity = vec3(swarm.velocity, w, i)
                 altitude = swarm.position[w, i, 2]

@@ -32,7 +32,7 @@ from bulletuav.program import Program
 from bulletuav.registry import register
 from bulletuav.vehicle.aerodynamics import lifted_rotors
 from bulletuav.vehicle.swarm import Swarm, get, put
-from bulletuav.vehicle.wake import wakes
+from bulletuav.vehicle.wakes import LEEWAY, sum_wakes
 from bulletuav.vehicle.wrench import SMALL_TURN, spin_parts
 
 
@@ -54,7 +54,7 @@ def _fly_alone(
     speeds = (alone[0], alone[1], alone[2])
     command, decay = blocks.command[w - first, i], blocks.decay[w - first, i]
     rotors = turn_rotors(swarm.rotor_speed[w, i], command, air.supply[w, i], decay, row, speeds)
-    around = surroundings(air, w, i, blocks.wake[w - first])
+    around = surroundings(air, w, i, blocks.wakes.felt[w - first])
     state = get(swarm, w, i)
     if contact.asleep[w, i]:
         # Who rests is left alone as long as it bears its forces
@@ -130,9 +130,11 @@ def advance(
     contact = in_memory(contact)
     blocks = in_memory(blocks)
     shared_air = in_memory(air)
+    shared_swarm = in_memory(swarm)
     num_drones = alive.shape[1]
     # Worlds by groups, whose drones share blocks
-    worlds = blocks.wake.shape[0]
+    worlds = blocks.command.shape[0]
+    leeway = LEEWAY if substeps > 1 else 0.0
     for first in range(0, alive.shape[0], worlds):
         last = min(first + worlds, alive.shape[0])
         # The same in all substeps
@@ -143,10 +145,13 @@ def advance(
             pack_steering(blocks.steering, levels, setpoint, first * num_drones)
         for substep in range(substeps):
             _mark(swarm, alive, dt, contact, blocks, first, last)
+            # Wakes and commands of all drones come from the state before any of them moves
+            if num_drones > 1:
+                sum_wakes(
+                    shared_swarm, alive, parameters, first, last, substep > 0, leeway, blocks.wakes
+                )
             for w in range(first, last):
                 remember(contact, swarm, w)
-                # Wakes and commands of all drones come from the state before any of them moves
-                wakes(w, swarm, alive, parameters, blocks.wake[w - first])
                 for i in range(num_drones):
                     if alive[w, i] and not contact.stopped[w, i]:
                         drone = (w - first) * num_drones + i

@@ -10,6 +10,7 @@ from bulletuav.identification.flight import Flight
 from bulletuav.identification.rollout import STATE, Legs, follow, roll_out
 from bulletuav.vehicle.airframe import STANDARD_GRAVITY, Airframe
 from bulletuav.vehicle.parameters import parameter_rows
+from bulletuav.vehicle.wakes import Wakes
 
 PICKS = 5
 """States of a leg that are compared with the log"""
@@ -127,6 +128,7 @@ def _predict(
         drive.hover_speed,
         STANDARD_GRAVITY,
         flight.dt,
+        Wakes.of(*drive.parameters.shape),
         states,
     )
     return states

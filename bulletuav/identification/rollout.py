@@ -7,10 +7,10 @@ import numpy as np
 from bulletuav.dynamics.base import Air, surroundings
 from bulletuav.dynamics.integration import lag_stages, rk4, turn_rotors
 from bulletuav.geometry.rotation import Quat4, Quat4Like, Vec3, point, product
-from bulletuav.kernel import allocating, func, kernel
+from bulletuav.kernel import allocating, func, in_memory, kernel
 from bulletuav.vehicle.rotors import lag_decay, lagged
 from bulletuav.vehicle.swarm import Swarm, get, put
-from bulletuav.vehicle.wake import wakes
+from bulletuav.vehicle.wakes import Wakes, sum_wakes
 
 STATE = 13
 """Numbers of a state: position, quaternion, velocity, rates."""
@@ -96,6 +96,7 @@ def roll_out(
     thrust_speed: float,
     gravity: float,
     dt: float,
+    wakes: Wakes,
     states: np.ndarray,
 ) -> None:
     """Fly legs of a log anew: from the measured state, with the commands of the log.
@@ -111,6 +112,7 @@ def roll_out(
         thrust_speed: Rotor speed of the other drone, rad/s.
         gravity: m/s^2, downwards.
         dt: Time between samples, s.
+        wakes: Room for the wakes of N drones.
         states: (K, picks, 13) predicted positions, quaternions, velocities, rates; filled.
     """
     num_drones = parameters.shape[1]
@@ -135,7 +137,6 @@ def roll_out(
     for i in range(num_drones):
         swarm.quaternion[0, i, 3] = 1.0
     alive = np.ones((1, num_drones), dtype=np.bool_)
-    wake = np.zeros((num_drones, 4))
     wanted = np.zeros((num_drones, num_rotors))
     decay = np.empty((num_drones, 6))
     speeds = (np.empty(num_rotors), np.empty(num_rotors), np.empty(num_rotors))
@@ -157,11 +158,11 @@ def roll_out(
             if num_drones > 1:
                 for k in range(3):
                     swarm.position[0, 1, k] = track.other[now, k]
-                wakes(0, swarm, alive, parameters, wake)
+                sum_wakes(in_memory(swarm), alive, parameters, 0, 1, False, 0.0, in_memory(wakes))
             for r in range(num_rotors):
                 wanted[0, r] = command[now, r]
             rotors = turn_rotors(swarm.rotor_speed[0, 0], wanted[0], 1.0, decay[0], row, speeds)
-            around = surroundings(air, 0, 0, wake)
+            around = surroundings(air, 0, 0, wakes.felt[0])
             state = rk4(get(swarm, 0, 0), speeds, rotors, dt, around, row)
             if legs.guided:
                 measured = _turned(track.quaternion, now + 1, tilt)

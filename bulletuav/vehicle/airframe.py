@@ -7,12 +7,44 @@ from pathlib import Path
 
 import numpy as np
 
+from bulletuav.errors import as_int, as_sequence, finite, shown
 from bulletuav.geometry.convex import inscribed_radius, reach
 from bulletuav.geometry.obstacle import FRICTION
 from bulletuav.geometry.shapes import Shape
 
-MAX_ROTORS = 8
-"""Most rotors of an airframe."""
+MIN_ROTORS, MAX_ROTORS = 4, 8
+"""Fewest and most rotors of an airframe."""
+_POSITIVE = (
+    "mass",
+    "inertia",
+    "thrust_coefficient",
+    "torque_ratio",
+    "max_rotor_speed",
+    "propeller_radius",
+    "ground_effect_reach",
+    "wake_radius",
+    "efficiency",
+    "max_speed",
+)
+"""Constants that must be above 0."""
+_NOT_NEGATIVE = (
+    "lag_up",
+    "lag_down",
+    "drag_xy",
+    "drag_z",
+    "rotor_inertia",
+    "damping",
+    "body_drag",
+    "ground_effect_gain",
+    "wake_share",
+    "wake_spread",
+    "electronics",
+    "friction",
+    "restitution",
+)
+"""Constants that must be at least 0."""
+_WITHOUT = {"ground_effect_reach": "ground_effect_gain", "wake_radius": "wake_share"}
+"""Constants at 0 with which an effect is left out whose size cannot be 0."""
 STANDARD_GRAVITY = 9.80665
 """Gravity at the Earth's surface, m/s^2 (CODATA)."""
 DENSITY = 1.225
@@ -135,6 +167,32 @@ class Airframe:
     pwm: Pwm | None = None
     friction: float = FRICTION
     restitution: float = 0.0
+
+    def require_physical(self) -> None:
+        """Refuse constants that the laws cannot compute with.
+
+        URDF files are refused as they are read. This is for airframes that are made in Python, such
+        as by `dataclasses.replace`.
+
+        Raises:
+            ValueError: A constant is no finite number, or 0 or negative where it must not be.
+        """
+        of = f"of airframe {self.name!r}"
+        for name in (*_POSITIVE, *_NOT_NEGATIVE, "drag_height"):
+            values = getattr(self, name)
+            for value in values if isinstance(values, tuple) else (values,):
+                least = None if name == "drag_height" else 0.0
+                if finite(f"{name} {of}", value, least) == 0.0 and name in _POSITIVE:
+                    other = _WITHOUT.get(name)
+                    remedy = f"; for none, set {other} to 0" if other else ""
+                    raise ValueError(f"{name} {of} is 0: a number above 0 is needed{remedy}")
+        as_int(f"number of rotors {of}", len(self.rotors), MIN_ROTORS, MAX_ROTORS)
+        for rotor in self.rotors:
+            x, y, turn = as_sequence(f"a rotor {of}", rotor, 3)
+            finite(f"x of a rotor {of}", x)
+            finite(f"y of a rotor {of}", y)
+            if turn not in (-1, 1):
+                raise ValueError(f"turn of a rotor {of} is {shown(turn)}: 1 or -1 is needed")
 
     @property
     def collision_radius(self) -> float:

@@ -18,6 +18,7 @@ from bulletuav.geometry.obstacle import FRICTION, MOST_FRICTION
 from bulletuav.registry import find, register
 from bulletuav.vehicle.airframe import (
     MAX_ROTORS,
+    MIN_ROTORS,
     STANDARD_GRAVITY,
     Airframe,
     Pack,
@@ -99,6 +100,7 @@ def load_airframe(source: str | Path | Airframe) -> Airframe:
         FileNotFoundError: There is no such file.
     """
     if isinstance(source, Airframe):
+        source.require_physical()
         return source
     if not isinstance(source, str | Path):
         raise ValueError(
@@ -107,7 +109,7 @@ def load_airframe(source: str | Path | Airframe) -> Airframe:
     if isinstance(source, str) and not source.endswith(".urdf"):
         found = _find_by_name(source)
         if isinstance(found, Airframe):
-            return found
+            return load_airframe(found)
         source = found
     path = require_file(
         "airframe", source, f"pass the path of a URDF or one of {available_airframes()}"
@@ -279,8 +281,8 @@ def _pack(urdf: UrdfFile) -> Pack | None:
 def _rotors(urdf: UrdfFile) -> tuple[tuple[float, float, int], ...]:
     """Read the place (m) and the turn of each rotor."""
     elements = urdf.root.findall("airframe/rotor")
-    if not 4 <= len(elements) <= MAX_ROTORS:
-        reason = f"between 4 and {MAX_ROTORS} rotors are supported"
+    if not MIN_ROTORS <= len(elements) <= MAX_ROTORS:
+        reason = f"between {MIN_ROTORS} and {MAX_ROTORS} rotors are supported"
         raise urdf.refusal("rotor", f"there {len(elements)} times", reason)
     turns = {"cw": 1, "ccw": -1}
     for element in elements:

@@ -167,11 +167,14 @@ def parameter_rows(
         (N,) rows of `PARAMETERS`.
 
     Raises:
-        ValueError: There is no such effect.
+        ValueError: There is no such effect, or an airframe has a constant that is not physical.
     """
     for effect in effects:
         if effect not in EFFECTS:
             raise unknown("effect", effect, EFFECTS)
+    # Most drones share an airframe
+    for airframe in {id(one): one for one in airframes}.values():
+        airframe.require_physical()
     rows = np.zeros(len(airframes), dtype=PARAMETERS)
     for row, airframe in zip(rows, airframes, strict=True):
         for name in _COPIED:

@@ -315,3 +315,77 @@ def test_the_height_at_which_a_drone_stands_is_how_far_its_shape_reaches_down():
         load_airframe("cf2x"), shape=Shape(HULL, (0.1, 0.1, 0.3), ((0.1, 0, -0.1), (0, 0.1, 0.3)))
     )
     assert hull.standing_height == 0.1
+
+
+ABOVE_ZERO = (
+    "mass",
+    "thrust_coefficient",
+    "torque_ratio",
+    "max_rotor_speed",
+    "propeller_radius",
+    "ground_effect_reach",
+    "wake_radius",
+    "efficiency",
+    "max_speed",
+)
+AT_LEAST_ZERO = (
+    "lag_up",
+    "lag_down",
+    "drag_xy",
+    "drag_z",
+    "rotor_inertia",
+    "ground_effect_gain",
+    "wake_share",
+    "wake_spread",
+    "electronics",
+    "friction",
+    "restitution",
+)
+OF_SEVERAL = {"inertia": (1e-5, 1e-5, 0.0), "damping": (1.0, -1.0, 1.0), "body_drag": (0.0, np.nan)}
+
+
+@pytest.mark.parametrize("name", [*ABOVE_ZERO, *AT_LEAST_ZERO, "drag_height"])
+@pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf, "much", None])
+def test_airframes_made_in_python_have_physical_constants(name, value):
+    may_be = {"drag_height": (0.0, -1.0)}.get(name, () if name in ABOVE_ZERO else (0.0,))
+    airframe = replace(load_airframe("cf2x"), **{name: value})
+    for ask in (load_airframe, lambda one: parameter_rows([one])):
+        if value in may_be:
+            ask(airframe)
+        else:
+            with pytest.raises(ValueError, match=f"{name} of airframe 'cf2x' is .* needed"):
+                ask(airframe)
+
+
+@pytest.mark.parametrize("name", OF_SEVERAL)
+def test_each_of_several_numbers_is_looked_at(name):
+    airframe = replace(load_airframe("cf2x"), **{name: OF_SEVERAL[name]})
+    with pytest.raises(ValueError, match=f"{name} of airframe 'cf2x' is"):
+        bench.Bench("rigid_body", airframe=airframe)
+
+
+@pytest.mark.parametrize(
+    ("rotors", "message"),
+    [
+        ((), "number of rotors .* at least 4"),
+        (((0.1, 0.1, 1),) * 9, "number of rotors .* from 4 to 8"),
+        (((0.1, 0.1),) * 4, "a rotor of airframe .* 3 values"),
+        (((0.1, math.nan, 1),) * 4, "y of a rotor of airframe .* is nan"),
+        (((math.inf, 0.1, 1),) * 4, "x of a rotor of airframe .* is inf"),
+        (((0.1, 0.1, 0),) * 4, "turn of a rotor of airframe .* is 0: 1 or -1"),
+    ],
+)
+def test_rotors_made_in_python_are_places_and_turns(rotors, message):
+    with pytest.raises(ValueError, match=message):
+        load_airframe(replace(load_airframe("cf2x"), rotors=rotors))
+
+
+@pytest.mark.parametrize(
+    ("size", "share"),
+    [("ground_effect_reach", "ground_effect_gain"), ("wake_radius", "wake_share")],
+)
+def test_a_size_of_zero_names_the_constant_that_leaves_the_effect_out(size, share):
+    cf2x = load_airframe("cf2x")
+    with pytest.raises(ValueError, match=f"is 0: .* for none, set {share} to 0"):
+        load_airframe(replace(cf2x, **{size: 0.0}))
+    assert parameter_rows([load_airframe(replace(cf2x, **{share: 0.0}))])[share] == 0.0

@@ -7,9 +7,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from bulletuav import available_airframes, load_airframe
+from bulletuav.lanes import WIDTH
 from bulletuav.vehicle.parameters import parameter_rows
 from bulletuav.vehicle.swarm import Swarm
-from bulletuav.vehicle.wake import downwash, wakes
+from bulletuav.vehicle.wake import downwash
+from bulletuav.vehicle.wakes import LEEWAY, Wakes, sum_wakes
 
 G = 9.80665
 NAMES = available_airframes()
@@ -28,9 +30,10 @@ def swarm_of(airframes, position):
 
 
 def wakes_of(swarm, alive, parameters):
-    wake = np.full((alive.shape[1], 4), np.nan)
-    wakes(0, swarm, alive, parameters, wake)
-    return wake
+    wakes = Wakes.of(*alive.shape)
+    wakes.felt[:] = np.nan
+    sum_wakes(swarm, alive, parameters, 0, 1, False, 0.0, wakes)
+    return wakes.felt[0]
 
 
 def all_alive(count):
@@ -125,3 +128,71 @@ def test_the_edge_of_wakes_leaves_nothing_out():
         got = wakes_of(swarm, all_alive(40), parameter_rows(airframes)[None])
         np.testing.assert_allclose(got, expected, rtol=1e-9, atol=1e-14)
         assert (got[:, 0] > 1e-3).sum() > 3
+
+
+@pytest.mark.parametrize("shape", [(1, 2), (1, 40), (3, 10), (5, 1)])
+@pytest.mark.parametrize("way", ["a little", "as far as the leeway", "far", "somewhere"])
+def test_a_list_of_pairs_holds_until_a_drone_moves_too_far(shape, way):
+    """Against pairs that are listed anew, to the bit."""
+    rng = np.random.default_rng(sum(shape))
+    airframes = [load_airframe(name) for name in rng.choice(NAMES, shape[1])]
+    swarm = Swarm.zeros(*shape, 8)
+    swarm.rotor_speed[:] = rng.uniform(0, 1000, swarm.rotor_speed.shape)
+    swarm.quaternion[:] = rng.normal(size=swarm.quaternion.shape)
+    parameters = np.array([parameter_rows(airframes)] * shape[0])
+    alive = rng.random(shape) < 0.8
+    listed, felt = Wakes.of(*shape), 0
+    for drawn in range(20):
+        # Many are near the edge of wakes, where the leeway matters
+        swarm.position[:] = rng.uniform(0, 1, (*shape, 3)) * (3 + drawn / 4, 3, 1 + drawn)
+        sum_wakes(swarm, alive, parameters, 0, shape[0], False, LEEWAY, listed)
+        pairs = listed.pairs[: listed.listed[0]].copy()
+        step = {"a little": 0.3, "as far as the leeway": 1.0, "far": 3.0, "somewhere": 30.0}[way]
+        sides = rng.choice([-1.0, 1.0], swarm.position.shape)
+        swarm.position[:] += LEEWAY * (1 - 1e-12) * step * sides
+        sum_wakes(swarm, alive, parameters, 0, shape[0], True, LEEWAY, listed)
+        kept = np.array_equal(listed.pairs[: listed.listed[0]], pairs)
+        assert kept or step > 1.0
+        anew = Wakes.of(*shape)
+        sum_wakes(swarm, alive, parameters, 0, shape[0], False, 0.0, anew)
+        np.testing.assert_array_equal(listed.felt, anew.felt)
+        felt += np.count_nonzero(anew.felt[..., 0])
+        assert listed.listed[0] >= anew.listed[0]
+    assert felt > 10 or shape[1] < 10
+
+
+def test_worlds_of_a_group_do_not_feel_each_other():
+    """The same as each world by itself, to the bit; more pairs than are computed at once."""
+    rng = np.random.default_rng(3)
+    airframes = [load_airframe("cf2x")] * 9
+    swarm = Swarm.zeros(4, 9, 4)
+    swarm.rotor_speed[:] = 1700.0
+    swarm.quaternion[..., 3] = 1.0
+    swarm.position[:] = rng.uniform(0, 1, (4, 9, 3))
+    parameters, alive = np.array([parameter_rows(airframes)] * 4), np.ones((4, 9), dtype=bool)
+    group = Wakes.of(3, 9)
+    sum_wakes(swarm, alive, parameters, 1, 4, False, 0.0, group)
+    assert group.listed[0] > 5 * WIDTH
+    for w in range(1, 4):
+        alone = Swarm(*(array[w : w + 1] for array in swarm))
+        felt = wakes_of(alone, alive[w : w + 1], parameters[w : w + 1])
+        np.testing.assert_array_equal(group.felt[w - 1], felt)
+
+
+def test_drones_that_are_nowhere_feel_and_blow_nothing():
+    cf2x = load_airframe("cf2x")
+    swarm = swarm_of([cf2x] * 3, [(0, 0, 1), (0, 0, 1.4), (np.nan, 0, 2)])
+    parameters = parameter_rows([cf2x] * 3)[None]
+    felt = wakes_of(swarm, all_alive(3), parameters)
+    assert felt[0, 0] > 0.01
+    assert (felt[1:] == 0).all()
+
+
+def test_airframes_without_a_wake_are_not_listed():
+    cf2x = load_airframe("cf2x")
+    swarm = swarm_of([cf2x] * 2, [(0, 0, 1), (0, 0, 1.4)])
+    parameters = parameter_rows([cf2x] * 2, ())[None]
+    wakes = Wakes.of(1, 2)
+    sum_wakes(swarm, all_alive(2), parameters, 0, 1, False, LEEWAY, wakes)
+    assert wakes.listed[0] == 0
+    assert (wakes.felt == 0).all()
