@@ -8,7 +8,8 @@ import numpy as np
 from bulletuav.contact.impact import tell_pair
 from bulletuav.contact.points import World
 from bulletuav.contact.resolve import find_pairs, resolve, set_order
-from bulletuav.contact.rest import Contact, settle, wake_for_obstacles
+from bulletuav.contact.rest import Contact, wake_for_obstacles
+from bulletuav.contact.settling import settle
 from bulletuav.geometry.rotation import dot, minus, vec3
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.kernel import allocating, func, in_memory, kernel

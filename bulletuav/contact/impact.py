@@ -1,41 +1,38 @@
 """Impacts: how drones that touch at one time push each other and what stands."""
 
-import math
-
 import numpy as np
 
 from bulletuav.contact.foresight import foresee
 from bulletuav.contact.gain import frame_of, lose_gain, moving_energy, remember_before
 from bulletuav.contact.impulses import POINT, eased, slip
+from bulletuav.contact.island import gather, touching
 from bulletuav.contact.memory import note, recall
-from bulletuav.contact.motion import aim, change_rates, put_vector, stay, vector
+from bulletuav.contact.motion import (
+    aim,
+    is_spent,
+    put_vector,
+    vector,
+)
 from bulletuav.contact.points import (
     LIFT,
     MIDDLE,
     Workspace,
     World,
     add_points,
-    carried,
-    gather,
-    join,
     measure,
-    touching,
 )
 from bulletuav.contact.relax import FIRM, FIRM_ENOUGH, FIRM_IN_HEAPS, damp_tipping, keep, relax
+from bulletuav.contact.staying import STILL, end_forces, let_stay
 from bulletuav.contact.touch import IN_TOUCH, TOUCH
 from bulletuav.contact.touches import Touches, tell
 from bulletuav.geometry.contact_points import MOST_POINTS
-from bulletuav.geometry.rotation import Vec3, dot, minus, plus
+from bulletuav.geometry.rotation import Vec3, cross, plus
 from bulletuav.kernel import allocating, func, kernel
 
-MOST_IMPACTS = 16
-"""Impacts of a drone in a substep, after which it stays where it is until the next"""
 SLOW = 0.02
 """Approach below which nothing rebounds, m/s"""
 CLOSING = 1e-6
 """Approach below which what touches needs no impact of its own, m/s"""
-STILL = 1e-9
-"""Approach below which shapes in touch do not come closer, m/s"""
 FORESIGHT = 4
 """How often an impact looks what its pairs will touch with at the end of the substep"""
 SHORTEST = 1e-6
@@ -97,6 +94,7 @@ def _rebound(
 
 @func
 def _allow(
+    pairs: np.ndarray,
     points: np.ndarray,
     owner: np.ndarray,
     size: int,
@@ -105,7 +103,8 @@ def _allow(
     """Set how fast the points of contact may close, or have to part.
 
     What is allowed to a pair is linear in the distances, as its motion is: it can reach it at all
-    of its points, however many they are.
+    of its points, however many they are. From a sleeper nobody has to part unless they overlap:
+    who is wedged between two could not.
     """
     k = 0
     while k < size:
@@ -118,6 +117,8 @@ def _allow(
         for m in range(k, end):
             point = points[m]
             point.least = rate * (MIDDLE - point.distance)
+            if pairs[owner[k]].leans and deepest <= MIDDLE:
+                point.least = min(0.0, point.least)
             # What rebounds when it arrives is left to its own impact
             if point.distance > IN_TOUCH and point.restitution > 0.0 and point.approach < -SLOW:
                 point.least = FREE
@@ -181,7 +182,7 @@ def _hold(
     Returns the number of points, those that were foreseen among them.
     """
     motions = space.motions
-    _allow(points, owner, size, world.dt)
+    _allow(pairs, points, owner, size, world.dt)
     frame = frame_of(points, size)
     had = moving_energy(space, world, members, frame, LIFT)
     add_forces(space, members, time, 1.0)
@@ -189,6 +190,9 @@ def _hold(
     memory = world.memory
     radii = world.scenery.table.radius
     firm = FIRM_ENOUGH if members == 1 else FIRM_IN_HEAPS
+    alone = members == 1
+    for k in range(given):
+        alone = alone and not pairs[active[k]].leans
     for trial in range(FORESIGHT + 1):
         if trial == 0:
             recall(memory, motions, radii, world.w, points, owner, pairs, size, 1.0 - time)
@@ -206,7 +210,8 @@ def _hold(
             i = space.island[m]
             motion = motions[i]
             aim(motion, world.dt, world.parameters[world.w, i])
-            if slow and trial == 0:
+            # At a later impact of a heap velocities before are what holds it, and no way it goes
+            if slow and trial == 0 and (alone or motion.impacts == 1):
                 _take_mean(motion, time, world.dt)
         before = size
         if trial < FORESIGHT and (1.0 - time) * world.dt > SHORTEST:
@@ -234,8 +239,22 @@ def _tell_point(
     place = plus(vector(space.motions[point.a].position), 1.0, vector(point.arm_a))
     normal = vector(point.normal)
     tell(touches, w, point.a, other, point.total[0], place, normal, velocity, 0.0, 1.0)
-    if point.b >= 0:
-        tell(touches, w, point.b, point.a, point.total[0], place, normal, velocity, 0.0, -1.0)
+    # Also who sleeps and bears it
+    if other < space.motions.shape[0]:
+        tell(touches, w, other, point.a, point.total[0], place, normal, velocity, 0.0, -1.0)
+
+
+@func
+def _load(motion: np.record, point: np.record) -> None:
+    """Add the impulse of a point to what a sleeper bears."""
+    normal = vector(point.normal)
+    pressed = plus((0.0, 0.0, 0.0), -point.total[0], normal)
+    pressed = plus(pressed, -point.total[1], vector(point.tangent[0]))
+    pressed = plus(pressed, -point.total[2], vector(point.tangent[1]))
+    turned = cross(vector(point.arm_b), pressed)
+    for k in range(3):
+        motion.load[0, k] += pressed[k]
+        motion.load[1, k] += turned[k]
 
 
 @allocating
@@ -258,9 +277,8 @@ def push_apart(
     for m in range(members):
         motion = motions[space.island[m]]
         motion.impacts += 1
-        if motion.impacts >= MOST_IMPACTS:
-            put_vector(motion.push, (0.0, 0.0, 0.0))
-            put_vector(motion.twist, (0.0, 0.0, 0.0))
+        if is_spent(motion):
+            end_forces(motion, time)
     # Points of all pairs of the island that are in touch
     active = np.empty(count, dtype=np.int64)
     given = 0
@@ -291,12 +309,9 @@ def push_apart(
             continue
         other = pairs[owner[k]].b
         _tell_point(touches, space, world.w, points[k], other, vector(slips[k]))
-    for m in range(members):
-        motion = motions[space.island[m]]
-        if motion.impacts >= MOST_IMPACTS:
-            stay(motion)
-            way = carried(space, world, pairs, count, time)
-            put_vector(motion.move, plus((0.0, 0.0, 0.0), 1.0 - time, way))
+        if other < motions.shape[0] and motions[other].bears:
+            _load(motions[other], points[k])
+    let_stay(space, world, pairs, count, members, time)
     return members
 
 
@@ -317,75 +332,3 @@ def tell_pair(
     tell(touches, world.w, pair.a, pair.b, 0.0, place, normal, still, depth, 1.0)
     if pair.b < world.scenery.first_body:
         tell(touches, world.w, pair.b, pair.a, 0.0, place, normal, still, depth, -1.0)
-
-
-@func
-def _way_velocity(
-    space: Workspace,
-    world: World,
-    i: int,
-    arm: Vec3,
-) -> Vec3:
-    """Return the velocity of a drone's surface on its way, whatever the dynamics tells, m/s."""
-    move, turn = change_rates(world.scenery, space.motions, world.w, i, world.dt)
-    x, y, z = arm
-    return (
-        (move[0] + turn[1] * z - turn[2] * y) / world.dt,
-        (move[1] + turn[2] * x - turn[0] * z) / world.dt,
-        (move[2] + turn[0] * y - turn[1] * x) / world.dt,
-    )
-
-
-@allocating
-def halt(
-    space: Workspace,
-    world: World,
-    pair: np.record,
-    time: float,
-    touches: Touches,
-    stopped: np.ndarray,
-) -> int:
-    """Stop the drones of a pair where they touch, if they come closer.
-
-    Returns how many drones that are; they are in `space.island`.
-    """
-    motions = space.motions
-    w = world.w
-    members = join(space, world, 0, pair.a, time)
-    members = join(space, world, members, pair.b, time)
-    points = np.empty(MOST_POINTS, dtype=POINT)
-    if add_points(space, world, pair, time, points, 0) == 0:
-        return members
-    point = points[0]
-    normal = vector(point.normal)
-    arm = vector(point.arm_a)
-    velocity = minus(_way_velocity(space, world, pair.a, arm), vector(point.drift))
-    if point.b >= 0:
-        velocity = minus(velocity, _way_velocity(space, world, pair.b, vector(point.arm_b)))
-    tried = 0
-    for m in range(members):
-        motions[space.island[m]].impacts += 1
-        tried = max(tried, motions[space.island[m]].impacts)
-    # Who turns may come closer elsewhere, but not for ever
-    if dot(velocity, normal) > -STILL and tried < MOST_IMPACTS:
-        return members
-    place = plus(vector(motions[pair.a].position), 1.0, arm)
-    for m in range(members):
-        i = space.island[m]
-        moving = _way_velocity(space, world, i, (0.0, 0.0, 0.0))
-        impulse = world.parameters[w, i].mass * math.sqrt(dot(moving, moving))
-        other = pair.b if i == pair.a else pair.a
-        sign = 1.0 if i == pair.a else -1.0
-        tell(touches, w, i, other, impulse, place, normal, velocity, 0.0, sign)
-    for m in range(members):
-        i = space.island[m]
-        stopped[w, i] = True
-        motion = motions[i]
-        motion.impacts = MOST_IMPACTS
-        stay(motion)
-        for k in range(3):
-            motion.velocity[k] = 0.0
-            motion.spin[k] = 0.0
-            motion.push[k] = 0.0
-            motion.twist[k] = 0.0
-    return members

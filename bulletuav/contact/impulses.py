@@ -212,7 +212,7 @@ def prepare(row: np.record, motions: np.ndarray) -> None:
 
 
 @func
-def _surface_velocity(motion: np.record, arm: Vec3) -> Vec3:
+def surface_velocity(motion: np.record, arm: Vec3) -> Vec3:
     """Return the velocity of a drone's surface at a point, m/s."""
     turning = cross(vector(motion.spin), arm)
     return plus(vector(motion.velocity), 1.0, turning)
@@ -223,8 +223,8 @@ def slip(row: np.record, motions: np.ndarray) -> Vec3:
     """Return the velocity of a's surface against that of b at a point, m/s."""
     other = vector(row.drift)
     if row.b >= 0:
-        other = _surface_velocity(motions[row.b], vector(row.arm_b))
-    return minus(_surface_velocity(motions[row.a], vector(row.arm_a)), other)
+        other = surface_velocity(motions[row.b], vector(row.arm_b))
+    return minus(surface_velocity(motions[row.a], vector(row.arm_a)), other)
 
 
 @func

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.contact.motion import put_vector, quaternion_of, vector
+from bulletuav.contact.motion import is_spent, put_vector, quaternion_of, vector
 from bulletuav.geometry.rotation import dot, minus, to_body, to_world
 from bulletuav.kernel import func
 
@@ -75,6 +75,9 @@ def recall(
     for k in range(size):
         point = points[k]
         put_vector(point.impulse, (0.0, 0.0, 0.0))
+        # No forces act any more on drones that are spent
+        if is_spent(motions[point.a]) and (point.b < 0 or is_spent(motions[point.b])):
+            continue
         rows = memory.rows[w, point.a]
         turn = quaternion_of(motions[point.a])
         arm = to_body(turn, vector(point.arm_a))
@@ -110,13 +113,19 @@ def note(
 ) -> None:
     """Remember the impulses of an island; arguments as those of `recall`."""
     for m in range(members):
-        memory.number[w, island[m]] = 0
+        i = island[m]
+        if is_spent(motions[i]):
+            # What held it while forces acted will do so again
+            for k in range(memory.number[w, i]):
+                memory.rows[w, i, k].free = True
+        else:
+            memory.number[w, i] = 0
     if rest <= 0.0:
         return
     for k in range(size):
         point = points[k]
         count = memory.number[w, point.a]
-        if count == ROWS:
+        if count == ROWS or is_spent(motions[point.a]):
             continue
         row = memory.rows[w, point.a, count]
         turn = quaternion_of(motions[point.a])

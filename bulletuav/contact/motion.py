@@ -30,6 +30,8 @@ from bulletuav.vehicle.wrench import free_rates
 
 FAR_TURN = 0.5
 """Angle by which a drone turns about one axis at most, rad; then it takes another"""
+MOST_IMPACTS = 16
+"""Impacts of a drone in a substep, after which it stays where it is until the next"""
 SHORTEST_LEG = 1.0 / 64.0
 """Share of the substep that it flies on at least, however fast it turns"""
 
@@ -49,6 +51,8 @@ MOTION = np.dtype(
         ("begun", "?"),
         ("due", "?"),
         ("member", "?"),
+        ("bears", "?"),
+        ("load", "f8", (2, 3)),
         ("start", "f8", 3),
         ("reach", "f8"),
         ("lightness", "f8"),
@@ -77,6 +81,8 @@ Attributes:
     begun: Whether the above is set.
     due: Whether the drone's budget is used up.
     member: Whether it is one of those that are solved together.
+    bears: Whether it sleeps, and bears who lies on it as the ground does.
+    load: Impulse (N s) and angular impulse (N m s) on it of those who lie on it.
     start: Where it was at the beginning of the substep, m.
     reach: How far from there its pairs were collected, m.
     lightness: Inverse mass, 1 / kg.
@@ -234,6 +240,13 @@ def aim(
         way = (share * way[0], share * way[1], share * way[2])
     put_vector(motion.turn, turn)
     put_vector(motion.move, way)
+
+
+@func
+def is_spent(motion: np.record) -> bool:
+    """Tell whether a drone took part in too many impacts, so that time does not go on for it."""
+    spent: bool = motion.impacts >= MOST_IMPACTS
+    return spent
 
 
 @func

@@ -41,6 +41,7 @@ PAIR = np.dtype(
         ("held", "?"),
         ("near", "?"),
         ("knot", "?"),
+        ("leans", "?"),
     ],
     align=True,
 )
@@ -55,6 +56,7 @@ Attributes:
     held: Whether they touched already in this substep.
     near: Whether they were in touch when this time was found, even if they do not come closer.
     knot: Whether they do not touch at `time`, but one of them flies on about another axis.
+    leans: Whether a lies on b, who sleeps and bears it.
 """
 
 
@@ -84,6 +86,7 @@ def _with_pair(
     pair.held = False
     pair.near = False
     pair.knot = False
+    pair.leans = False
     return pairs, count + 1
 
 

@@ -5,11 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bulletuav.contact.impulses import eased, prepare, set_ease, slip
+from bulletuav.contact.impulses import eased, prepare, slip
 from bulletuav.contact.memory import Memory
 from bulletuav.contact.motion import (
     MOTION,
-    advance_to,
     change_rates,
     pose_at,
     put_vector,
@@ -119,33 +118,6 @@ class World(NamedTuple):
 
 
 @func
-def join(
-    space: Workspace,
-    world: World,
-    members: int,
-    i: int,
-    time: float,
-) -> int:
-    """Bring a drone to the time of an impact, as one of its island; returns how many there are."""
-    if i >= world.scenery.first_body or space.motions[i].member:
-        return members
-    motion = space.motions[i]
-    row = world.parameters[world.w, i]
-    motion.member = True
-    space.island[members] = i
-    advance_to(motion, time, row)
-    set_ease(motion, row)
-    return members + 1
-
-
-@func
-def touching(pair: np.record, time: float) -> bool:
-    """Tell whether a pair may be in touch at a time."""
-    found: bool = pair.held or pair.near or pair.time <= time
-    return found
-
-
-@func
 def measure(
     space: Workspace,
     world: World,
@@ -182,60 +154,6 @@ def measure(
         )
     put_vector(pair.normal, normal)
     return distance, normal, on_a, on_b
-
-
-@func
-def gather(
-    space: Workspace,
-    world: World,
-    pairs: np.ndarray,
-    count: int,
-    first: int,
-    time: float,
-) -> int:
-    """Find all drones that hang together with a pair at the time of its touch.
-
-    Returns their number; they are in `space.island`.
-    """
-    members = join(space, world, 0, pairs[first].a, time)
-    members = join(space, world, members, pairs[first].b, time)
-    motions = space.motions
-    grown = True
-    while grown:
-        grown = False
-        for p in range(count):
-            pair = pairs[p]
-            if pair.b >= world.scenery.first_body or not touching(pair, time):
-                continue
-            if motions[pair.a].member == motions[pair.b].member:
-                continue
-            distance, _, _, _ = measure(space, world, pair, time)
-            if distance <= IN_TOUCH:
-                members = join(space, world, members, pair.a, time)
-                members = join(space, world, members, pair.b, time)
-                grown = True
-    return members
-
-
-@func
-def carried(
-    space: Workspace,
-    world: World,
-    pairs: np.ndarray,
-    count: int,
-    time: float,
-) -> Vec3:
-    """Return how far an obstacle takes an island along in a substep that touched it, m.
-
-    Whoever stays goes along, even who has just parted from it: it comes after.
-    """
-    still = (0.0, 0.0, 0.0)
-    for p in range(count):
-        if space.motions[pairs[p].a].member and touching(pairs[p], time):
-            way, _ = change_rates(world.scenery, space.motions, world.w, pairs[p].b, world.dt)
-            if pairs[p].b >= world.scenery.first_body and way != still:
-                return way
-    return still
 
 
 @func
@@ -280,7 +198,7 @@ def surface_of(
     other = -1
     resist_b = 0.0
     if b < scenery.first_body:
-        other = b
+        other = -1 if space.motions[b].bears else b
         resist_b = ROLLING * table.half[b, 0] if _rolls(table.kind[b]) else 0.0
     else:
         move, _ = change_rates(scenery, space.motions, world.w, b, world.dt)

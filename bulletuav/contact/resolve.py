@@ -9,10 +9,12 @@ import math
 
 import numpy as np
 
-from bulletuav.contact.impact import MOST_IMPACTS, add_forces, halt, push_apart
-from bulletuav.contact.motion import aim, begin, finish, put_vector, valid_until, vector
+from bulletuav.contact.impact import add_forces, push_apart
+from bulletuav.contact.island import join
+from bulletuav.contact.motion import aim, begin, finish, is_spent, put_vector, valid_until, vector
 from bulletuav.contact.pairs import SLACK, collect, rest_budget, sweeps_apart
-from bulletuav.contact.points import Workspace, World, join
+from bulletuav.contact.points import Workspace, World
+from bulletuav.contact.staying import halt
 from bulletuav.contact.touch import EXACT, NEVER, ROUGH, touch_time
 from bulletuav.contact.touches import Touches
 from bulletuav.geometry.rotation import dot, minus, plus, vec3
@@ -31,6 +33,8 @@ def _start_drone(
     if i < world.scenery.first_body and not space.motions[i].begun:
         row = world.parameters[world.w, i]
         begin(space.motions[i], world.start, end, world.w, i, row, world.dt)
+        space.motions[i].bears = world.asleep[world.w, i]
+        space.motions[i].load[:] = 0.0
 
 
 @kernel
@@ -43,9 +47,9 @@ def _time_pair(
     """Find when a pair touches next, from a time on."""
     motions = space.motions
     # For drones of too many impacts time does not go on
-    over = motions[pair.a].impacts >= MOST_IMPACTS
+    over = is_spent(motions[pair.a])
     if over and pair.b < motions.shape[0]:
-        over = motions[pair.b].impacts >= MOST_IMPACTS
+        over = is_spent(motions[pair.b])
     pair.time = NEVER
     pair.knot = False
     pair.near = False

@@ -5,18 +5,16 @@ support bears, when something touches it, when a drone that lies by it wakes, or
 comes near.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from bulletuav.contact.memory import Memory, make_memory
-from bulletuav.contact.motion import vector
 from bulletuav.contact.pairs import body_distance
 from bulletuav.contact.points import Workspace, World, make_workspace
-from bulletuav.contact.support import SUPPORT, find_support, pressing
+from bulletuav.contact.support import SUPPORT, pressing
 from bulletuav.contact.touches import Touches, make_touches
-from bulletuav.geometry.rotation import Quat4, Vec3, dot, minus, plus, to_world, vec3
+from bulletuav.geometry.rotation import Quat4, Vec3, dot, minus, to_world, vec3
 from bulletuav.geometry.scenery import Scenery
 from bulletuav.kernel import func
 from bulletuav.vehicle.swarm import Swarm
@@ -25,16 +23,8 @@ NEARBY = 0.01
 """Distance between bounding spheres within which sleepers wake each other, m"""
 SAME_LOAD = 0.02
 """Change of acceleration that wakes a sleeper, m/s^2"""
-SLOWEST = 5e-3
-"""Speed below which a drone is at rest, m/s"""
-SLOWEST_SPIN = 0.05
-"""Spin below which a drone is at rest, rad/s"""
-SHORT = 0.05
-"""How long a drone is at rest before it falls asleep on a face that bears it safely, s"""
 LONG = 0.25
 """How long it is before it does elsewhere, s"""
-FASTER = 1.5e-4
-"""How much faster a drone at rest may have become in that time, m/s"""
 
 
 class Contact(NamedTuple):
@@ -239,153 +229,3 @@ def bears(
         if reach * abs(load[3 + k] - spinning[k]) > SAME_LOAD:
             return False
     return True
-
-
-@func
-def _is_slow(velocity: Vec3, rates: Vec3) -> bool:
-    """Tell whether a drone is as good as at rest."""
-    slow: bool = dot(velocity, velocity) < SLOWEST**2 and dot(rates, rates) < SLOWEST_SPIN**2
-    return slow
-
-
-@func
-def _speed(
-    swarm: Swarm,
-    w: int,
-    i: int,
-) -> float:
-    """Return the speed of a drone, m/s."""
-    velocity = vec3(swarm.velocity, w, i)
-    return math.sqrt(dot(velocity, velocity))
-
-
-@func
-def settle(
-    contact: Contact,
-    world: World,
-    swarm: Swarm,
-    last: bool,
-) -> None:
-    """Let drones that have been at rest for long fall asleep, and sleepers that were hit wake.
-
-    Args:
-        contact: Of all worlds.
-        world: The world.
-        swarm: State at the end of the substep; sleepers stay where they are.
-        last: Whether it is the decision's last substep: only then a drone falls asleep, so that
-            what it touched is told of a whole decision.
-    """
-    w = world.w
-    for i in range(world.alive.shape[1]):
-        changed = contact.changed[w, i]
-        slow = _is_slow(vec3(swarm.velocity, w, i), vec3(swarm.rates, w, i))
-        if contact.asleep[w, i]:
-            if changed and slow:
-                _put_back(contact, swarm, w, i)
-            elif changed:
-                wake(contact, w, i)
-            continue
-        if not (changed and slow):
-            contact.quiet[w, i] = 0.0
-            continue
-        speed = _speed(swarm, w, i)
-        if contact.quiet[w, i] == 0.0:
-            contact.pace[w, i] = speed
-        contact.quiet[w, i] += world.dt
-        if contact.quiet[w, i] >= SHORT and last and _is_borne(contact, w, i):
-            _note_support(contact, world, swarm, i)
-            contact.dozes[w, i] = _is_safe(contact, world, i)
-        if contact.quiet[w, i] >= LONG:
-            # Who slides ever faster down a slope that is hardly steep enough does not rest
-            if speed > contact.pace[w, i] + FASTER:
-                contact.quiet[w, i] = 0.0
-                contact.dozes[w, i] = False
-            else:
-                contact.dozes[w, i] = last and _is_borne(contact, w, i)
-    # All at once, so that their order does not matter
-    for i in range(world.alive.shape[1]):
-        if contact.dozes[w, i]:
-            contact.dozes[w, i] = False
-            contact.asleep[w, i] = True
-            contact.load[w, i, 0] = np.nan
-            _note_support(contact, world, swarm, i)
-            support = contact.support[w, i]
-            if support.span > 0.0:
-                # What its support takes from it
-                lost = world.parameters[w, i].mass * dot(vec3(swarm.velocity, w, i), support.normal)
-                contact.touches.impulse[w, i, 0] -= lost
-            for k in range(3):
-                swarm.velocity[w, i, k] = 0.0
-                swarm.rates[w, i, k] = 0.0
-
-
-@func
-def _is_safe(
-    contact: Contact,
-    world: World,
-    i: int,
-) -> bool:
-    """Tell whether the support of a drone bears the forces of this substep."""
-    support = contact.support[world.w, i]
-    if support.span <= 0.0:
-        return False
-    motion = contact.space.motions[i]
-    scale = 1.0 / world.dt
-    acceleration = plus((0.0, 0.0, 0.0), scale, vector(motion.push))
-    torque = plus((0.0, 0.0, 0.0), scale, vector(motion.twist))
-    _, borne = pressing(support, world.parameters[world.w, i].mass, acceleration, torque)
-    return borne
-
-
-@func
-def _is_borne(
-    contact: Contact,
-    w: int,
-    i: int,
-) -> bool:
-    """Tell whether a drone touches something that does not yield, or somebody who sleeps on it."""
-    touches = contact.touches
-    for k in range(touches.number[w, i]):
-        other = touches.other[w, i, k]
-        if other >= contact.scenery.first_body or contact.asleep[w, other]:
-            return True
-    return False
-
-
-@func
-def _note_support(
-    contact: Contact,
-    world: World,
-    swarm: Swarm,
-    i: int,
-) -> None:
-    """Keep what a drone that falls asleep touches, and what it rests on if that is one surface."""
-    w = world.w
-    touches = contact.touches
-    slept = contact.slept
-    slept.number[w, i] = touches.number[w, i]
-    for k in range(touches.number[w, i]):
-        slept.impulse[w, i, k] = touches.impulse[w, i, k]
-    support = contact.support[w, i]
-    support.span = 0.0
-    if touches.number[w, i] == 1:
-        find_support(support, contact.space, world, swarm, i, touches.other[w, i, 0])
-    if support.span > 0.0:
-        # How it is pressed down is told of each substep
-        slept.impulse[w, i, 0] = 0.0
-
-
-@func
-def _put_back(
-    contact: Contact,
-    swarm: Swarm,
-    w: int,
-    i: int,
-) -> None:
-    """Put a drone back to where it was at the beginning of the substep, at rest."""
-    for k in range(3):
-        swarm.position[w, i, k] = contact.start.position[w, i, k]
-        swarm.velocity[w, i, k] = 0.0
-        swarm.rates[w, i, k] = 0.0
-    for k in range(4):
-        swarm.quaternion[w, i, k] = contact.start.quaternion[w, i, k]

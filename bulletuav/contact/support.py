@@ -134,3 +134,35 @@ def pressing(
         return pressed, False
     pull = math.sqrt(dot(along, along)) + abs(about) / support.span
     return pressed, pull <= SHARE * support.friction * pressed
+
+
+@func
+def holds(
+    support: np.record,
+    row: np.record,
+    acceleration: Vec3,
+    torque: Vec3,
+    load: np.ndarray,
+    dt: float,
+) -> bool:
+    """Tell whether a drone that rests stays at rest under those who lie on it.
+
+    On several surfaces it does under what friction could hold on one across its own load.
+
+    Args:
+        support: Row of `SUPPORT`.
+        row: Row of `PARAMETERS` of the drone.
+        acceleration: By forces without contacts, m/s^2.
+        torque: Without contacts, world axes, N m.
+        load: (2, 3) impulse (N s) and angular impulse (N m s) of the others in a substep.
+        dt: Its length, s.
+    """
+    total = plus(acceleration, 1.0 / (row.mass * dt), point(load, 0))
+    if support.span > 0.0:
+        _, borne = pressing(support, row.mass, total, plus(torque, 1.0 / dt, point(load, 1)))
+        return borne
+    weight = dot(acceleration, acceleration)
+    down = dot(total, acceleration)
+    across = dot(total, total) * weight - down * down
+    held: bool = down > 0.0 and across <= (row.friction * down) ** 2
+    return held

@@ -6,7 +6,7 @@ from contact.rig import Rig
 from contact.shots import TARGETS, Range
 from contact.trains import push
 
-from bulletuav.contact.impact import MOST_IMPACTS
+from bulletuav.contact.motion import MOST_IMPACTS
 from bulletuav.dynamics import DYNAMICS, find_dynamics
 from bulletuav.vehicle.airframes import available_airframes
 

@@ -1,0 +1,145 @@
+"""Islands: who hangs together at the time of a touch, and who sleeps under them and bears them.
+
+Who sleeps bears those that lie on it as the ground does, and what it gets goes on to what it lies
+on. So a heap falls asleep from below. A sleeper that is hit yields, and all who sleep near it.
+"""
+
+import numpy as np
+
+from bulletuav.contact.impulses import set_ease, surface_velocity
+from bulletuav.contact.motion import advance_to
+from bulletuav.contact.points import Workspace, World, measure
+from bulletuav.contact.touch import IN_TOUCH
+from bulletuav.geometry.rotation import Vec3, dot
+from bulletuav.kernel import func
+
+HIT = 0.05
+"""Approach from which on a sleeper yields, m/s"""
+
+
+@func
+def join(
+    space: Workspace,
+    world: World,
+    members: int,
+    i: int,
+    time: float,
+) -> int:
+    """Bring a drone to the time of an impact, as one of its island; returns how many there are."""
+    if i >= world.scenery.first_body or space.motions[i].member:
+        return members
+    motion = space.motions[i]
+    row = world.parameters[world.w, i]
+    motion.member = True
+    space.island[members] = i
+    advance_to(motion, time, row)
+    set_ease(motion, row)
+    return members + 1
+
+
+@func
+def touching(pair: np.record, time: float) -> bool:
+    """Tell whether a pair may be in touch at a time."""
+    found: bool = pair.held or pair.near or pair.time <= time
+    return found
+
+
+@func
+def _turn_round(pair: np.record) -> None:
+    """Let a pair be told from its other side."""
+    pair.a, pair.b = pair.b, pair.a
+    for k in range(3):
+        pair.normal[k] = -pair.normal[k]
+
+
+@func
+def _one_bears(motions: np.ndarray, pair: np.record) -> bool:
+    """Tell whether one of two drones sleeps and bears the other."""
+    if pair.b >= motions.shape[0]:
+        return False
+    found: bool = motions[pair.a].bears != motions[pair.b].bears
+    return found
+
+
+@func
+def _is_hit(
+    motions: np.ndarray,
+    pair: np.record,
+    normal: Vec3,
+    on_a: Vec3,
+) -> bool:
+    """Tell whether a drone a of an island closes on a sleeper faster than that bears."""
+    velocity = surface_velocity(motions[pair.a], on_a)
+    hit: bool = -dot(velocity, normal) > HIT
+    return hit
+
+
+@func
+def _lean(
+    space: Workspace,
+    world: World,
+    pairs: np.ndarray,
+    count: int,
+    pair: np.record,
+    members: int,
+    time: float,
+) -> int:
+    """Let one of an island lean on a sleeper that it touches; if it hits that, no sleeper bears.
+
+    Returns the number of members.
+    """
+    motions = space.motions
+    if motions[pair.a].bears:
+        _turn_round(pair)
+    members = join(space, world, members, pair.a, time)
+    distance, normal, on_a, _ = measure(space, world, pair, time)
+    pair.leans = True
+    if distance <= IN_TOUCH and _is_hit(motions, pair, normal, on_a):
+        for i in range(motions.shape[0]):
+            motions[i].bears = False
+        for p in range(count):
+            pairs[p].leans = False
+        members = join(space, world, members, pair.b, time)
+    return members
+
+
+@func
+def gather(
+    space: Workspace,
+    world: World,
+    pairs: np.ndarray,
+    count: int,
+    first: int,
+    time: float,
+) -> int:
+    """Find all drones that hang together with a pair at the time of its touch.
+
+    Returns their number; they are in `space.island`.
+    """
+    motions = space.motions
+    for p in range(count):
+        pairs[p].leans = False
+    if _one_bears(motions, pairs[first]):
+        members = _lean(space, world, pairs, count, pairs[first], 0, time)
+    else:
+        members = join(space, world, 0, pairs[first].a, time)
+        members = join(space, world, members, pairs[first].b, time)
+    grown = True
+    while grown:
+        grown = False
+        for p in range(count):
+            pair = pairs[p]
+            if pair.b >= world.scenery.first_body or not touching(pair, time):
+                continue
+            if pair.leans or motions[pair.a].member == motions[pair.b].member:
+                continue
+            if _one_bears(motions, pair):
+                members = _lean(space, world, pairs, count, pair, members, time)
+                grown = grown or not pair.leans
+                continue
+            distance, _, _, _ = measure(space, world, pair, time)
+            if distance <= IN_TOUCH:
+                members = join(space, world, members, pair.a, time)
+                members = join(space, world, members, pair.b, time)
+                grown = True
+    return members

@@ -1,0 +1,208 @@
+"""Settling: who has been at rest for long falls asleep, and who is hit or pushed hard wakes."""
+
+import math
+
+import numpy as np
+
+from bulletuav.contact.motion import vector
+from bulletuav.contact.points import World
+from bulletuav.contact.rest import LONG, Contact, wake
+from bulletuav.contact.support import find_support, holds, pressing
+from bulletuav.geometry.rotation import Vec3, dot, plus, point, quat4, to_world, vec3
+from bulletuav.kernel import func
+from bulletuav.vehicle.swarm import Swarm
+
+SLOWEST = 5e-3
+"""Speed below which a drone is at rest, m/s"""
+SLOWEST_SPIN = 0.05
+"""Spin below which a drone is at rest, rad/s"""
+LOOSE = 2.0
+"""How much more of both a drone may have that touches others"""
+SHORT = 0.05
+"""How long a drone is at rest before it falls asleep on a face that bears it safely, s"""
+FASTER = 1.5e-4
+"""How much faster a drone at rest may have become in that time, m/s"""
+
+
+@func
+def _is_slow(
+    contact: Contact,
+    w: int,
+    i: int,
+    velocity: Vec3,
+    rates: Vec3,
+) -> bool:
+    """Tell whether a drone is as good as at rest."""
+    scale = 1.0
+    for k in range(contact.touches.number[w, i]):
+        if contact.touches.other[w, i, k] < contact.scenery.first_body:
+            scale = LOOSE * LOOSE
+    slow: bool = dot(velocity, velocity) < scale * SLOWEST**2
+    return slow and dot(rates, rates) < scale * SLOWEST_SPIN**2
+
+
+@func
+def _speed(
+    swarm: Swarm,
+    w: int,
+    i: int,
+) -> float:
+    """Return the speed of a drone, m/s."""
+    velocity = vec3(swarm.velocity, w, i)
+    return math.sqrt(dot(velocity, velocity))
+
+
+@func
+def settle(
+    contact: Contact,
+    world: World,
+    swarm: Swarm,
+    last: bool,
+) -> None:
+    """Let drones that have been at rest for long fall asleep, and sleepers that were hit wake.
+
+    Args:
+        contact: Of all worlds.
+        world: The world.
+        swarm: State at the end of the substep; sleepers stay where they are.
+        last: Whether it is the decision's last substep: only then a drone falls asleep, so that
+            what it touched is told of a whole decision.
+    """
+    w = world.w
+    for i in range(world.alive.shape[1]):
+        changed = contact.changed[w, i]
+        velocity, rates = vec3(swarm.velocity, w, i), vec3(swarm.rates, w, i)
+        slow = _is_slow(contact, w, i, velocity, rates)
+        if contact.asleep[w, i]:
+            if changed and slow:
+                _put_back(contact, swarm, w, i)
+            elif changed or _is_overloaded(contact, world, i):
+                wake(contact, w, i)
+            continue
+        if not (changed and slow):
+            contact.quiet[w, i] = 0.0
+            continue
+        speed = _speed(swarm, w, i)
+        if contact.quiet[w, i] == 0.0:
+            contact.pace[w, i] = speed
+        contact.quiet[w, i] += world.dt
+        if contact.quiet[w, i] >= SHORT and last and _is_borne(contact, w, i):
+            _note_support(contact, world, swarm, i)
+            contact.dozes[w, i] = _is_safe(contact, world, i)
+        if contact.quiet[w, i] >= LONG:
+            # Who slides ever faster down a slope that is hardly steep enough does not rest
+            if speed > contact.pace[w, i] + FASTER:
+                contact.quiet[w, i] = 0.0
+                contact.dozes[w, i] = False
+            else:
+                contact.dozes[w, i] = last and _is_borne(contact, w, i)
+    # All at once, so that their order does not matter
+    for i in range(world.alive.shape[1]):
+        if contact.dozes[w, i]:
+            contact.dozes[w, i] = False
+            contact.asleep[w, i] = True
+            contact.load[w, i, 0] = np.nan
+            _note_support(contact, world, swarm, i)
+            support = contact.support[w, i]
+            if support.span > 0.0:
+                # What its support takes from it
+                lost = world.parameters[w, i].mass * dot(vec3(swarm.velocity, w, i), support.normal)
+                contact.touches.impulse[w, i, 0] -= lost
+            for k in range(3):
+                swarm.velocity[w, i, k] = 0.0
+                swarm.rates[w, i, k] = 0.0
+
+
+@func
+def _is_overloaded(
+    contact: Contact,
+    world: World,
+    i: int,
+) -> bool:
+    """Tell whether those who lie on a sleeper push it more than what it lies on bears."""
+    motion = contact.space.motions[i]
+    load = contact.load[world.w, i]
+    given = motion.load
+    if not motion.begun or not motion.bears or np.isnan(load[0]):
+        return False
+    if dot(point(given, 0), point(given, 0)) == 0.0:
+        return False
+    row = world.parameters[world.w, i]
+    inertia = row.inertia
+    twist = (inertia[0] * load[3], inertia[1] * load[4], inertia[2] * load[5])
+    acceleration = (load[0], load[1], load[2])
+    torque = to_world(quat4(contact.start.quaternion, world.w, i), twist)
+    support = contact.support[world.w, i]
+    return not holds(support, row, acceleration, torque, given, world.dt)
+
+
+@func
+def _is_safe(
+    contact: Contact,
+    world: World,
+    i: int,
+) -> bool:
+    """Tell whether the support of a drone bears the forces of this substep."""
+    support = contact.support[world.w, i]
+    if support.span <= 0.0:
+        return False
+    motion = contact.space.motions[i]
+    scale = 1.0 / world.dt
+    acceleration = plus((0.0, 0.0, 0.0), scale, vector(motion.push))
+    torque = plus((0.0, 0.0, 0.0), scale, vector(motion.twist))
+    _, borne = pressing(support, world.parameters[world.w, i].mass, acceleration, torque)
+    return borne
+
+
+@func
+def _is_borne(
+    contact: Contact,
+    w: int,
+    i: int,
+) -> bool:
+    """Tell whether a drone touches something that does not yield, or somebody who sleeps on it."""
+    touches = contact.touches
+    for k in range(touches.number[w, i]):
+        other = touches.other[w, i, k]
+        if other >= contact.scenery.first_body or contact.asleep[w, other]:
+            return True
+    return False
+
+
+@func
+def _note_support(
+    contact: Contact,
+    world: World,
+    swarm: Swarm,
+    i: int,
+) -> None:
+    """Keep what a drone that falls asleep touches, and what it rests on if that is one surface."""
+    w = world.w
+    touches = contact.touches
+    slept = contact.slept
+    slept.number[w, i] = touches.number[w, i]
+    for k in range(touches.number[w, i]):
+        slept.impulse[w, i, k] = touches.impulse[w, i, k]
+    support = contact.support[w, i]
+    support.span = 0.0
+    if touches.number[w, i] == 1:
+        find_support(support, contact.space, world, swarm, i, touches.other[w, i, 0])
+    if support.span > 0.0:
+        # How it is pressed down is told of each substep
+        slept.impulse[w, i, 0] = 0.0
+
+
+@func
+def _put_back(
+    contact: Contact,
+    swarm: Swarm,
+    w: int,
+    i: int,
+) -> None:
+    """Put a drone back to where it was at the beginning of the substep, at rest."""
+    for k in range(3):
+        swarm.position[w, i, k] = contact.start.position[w, i, k]
+        swarm.velocity[w, i, k] = 0.0
+        swarm.rates[w, i, k] = 0.0
+    for k in range(4):
+        swarm.quaternion[w, i, k] = contact.start.quaternion[w, i, k]
