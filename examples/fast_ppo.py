@@ -244,7 +244,8 @@ def write_settings(plan: Plan, seed: int, folder: Path) -> None:
     features = {"features_extractor_kwargs": {"scale": plan.scale}}
     model = {"features": "swarm", "policy_kwargs": {"net_arch": [64, 64], **features}}
     config = RunConfig(plan.task, seed=seed, steps=plan.steps, options=plan.options, model=model)
-    (folder / CONFIG).write_text(config.text())
+    text = config.text("algo", "seed", "steps", "options", "model", "constants")
+    (folder / CONFIG).write_text(f"# Learned by `examples/fast_ppo.py`.\n{text}")
 
 
 def main() -> None:
